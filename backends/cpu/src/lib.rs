@@ -1,0 +1,54 @@
+//! The CPU backend: f32 and f64, the machine's vector instructions, all cores, no GPU needed.
+//!
+//! Determinism is a contract: the same input gives the same bits with any number of threads (per instruction set). Work is cut
+//! into blocks of cells, never by thread count; no two blocks write the same memory; sums over blocks run in the blocks' order.
+#![expect(unsafe_code, reason = "blocks write disjoint parts of shared planes from several threads")]
+
+mod engine;
+mod grid;
+mod memory;
+mod store;
+
+use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
+use std::sync::Arc;
+
+/// The backend called `cpu`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Cpu;
+
+impl Backend for Cpu {
+    fn name(&self) -> &str {
+        "cpu"
+    }
+
+    fn doc(&self) -> &str {
+        "Runs on the processor: f32 or f64, SIMD chosen at run time (AVX-512, AVX2, or what the target guarantees), all cores, \
+         the same bits for any number of threads."
+    }
+
+    fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
+        const FORMS: [Stage; 5] = [Stage::Sort, Stage::P2G, Stage::GridUpdate, Stage::Contact, Stage::G2P];
+        if let Some(stage) = plan.stages.iter().find(|stage| !FORMS.contains(stage)) {
+            return Err(Error::Missing {
+                kind: "backend",
+                name: self.name().into(),
+                origin: "built-in".into(),
+                what: format!("form of the stage '{stage}'"),
+                why: "the plan lists it".into(),
+                mend: "choose another backend".into(),
+            });
+        }
+        Ok(match plan.precision {
+            Precision::F32 => Box::new(engine::CpuEngine::<f32>::new(plan, particles)?),
+            Precision::F64 => Box::new(engine::CpuEngine::<f64>::new(plan, particles)?),
+        })
+    }
+}
+
+/// Registers the backend.
+///
+/// # Errors
+/// If the name is taken.
+pub fn register(registry: &mut Registry) -> Result<()> {
+    registry.add_backend(Arc::new(Cpu))
+}

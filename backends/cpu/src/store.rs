@@ -1,0 +1,604 @@
+//! Particles in memory, and how they are sorted.
+//!
+//! Each list (one material) lies in chunks of 16 particles, structure of arrays within the chunk. Blocks own whole chunks, so
+//! threads never share one; the last chunk of a block's run is padded with massless particles.
+
+use crate::grid::Bounds;
+use crate::memory::{Line, Shared, lines};
+use barchan_core::plan::PlannedMaterial;
+use barchan_core::{Error, ParticleList, ParticleState, Result, SortPhase};
+use barchan_grid::block::{self, CELLS};
+use barchan_grid::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
+use barchan_grid::transfer::{Law, Scalar};
+use barchan_lanes::LANES;
+use rayon::prelude::*;
+
+/// Marks a padding lane in a permutation.
+const PAD: u32 = u32::MAX;
+
+/// The particles of one material.
+pub(crate) struct List<T: Scalar> {
+    /// Index into the plan's materials.
+    pub(crate) material: usize,
+    /// The material, with parameters.
+    pub(crate) law: Law<T>,
+    /// Undeformed strain, for padding.
+    identity: &'static [f64],
+    /// Chunks in each block.
+    pub(crate) runs: Vec<Run>,
+    pub(crate) id: Vec<[u32; LANES]>,
+    pub(crate) body: Vec<[u16; LANES]>,
+    cell: Vec<Line<i32>>,
+    offset: Vec<Line<T::Offset>>,
+    motion: Vec<Line<T>>,
+    rest: Vec<Line<T>>,
+    rest_planes: usize,
+}
+
+impl<T: Scalar> List<T> {
+    fn new(index: usize, planned: &PlannedMaterial) -> Self {
+        let law = Law {
+            table: planned.material.table,
+            params: planned.parameters.iter().map(|&p| T::from_f64(p)).collect(),
+        };
+        let rest_planes = STRAIN + planned.material.strain_planes() + planned.material.states.len();
+        Self {
+            material: index,
+            law,
+            identity: planned.material.strain_identity(),
+            runs: Vec::new(),
+            id: Vec::new(),
+            body: Vec::new(),
+            cell: Vec::new(),
+            offset: Vec::new(),
+            motion: Vec::new(),
+            rest: Vec::new(),
+            rest_planes,
+        }
+    }
+
+    /// The particles as the transfers see them.
+    pub(crate) fn view(&self) -> Particles<T> {
+        Particles {
+            cell: self.cell.as_ptr().cast::<i32>().cast_mut(),
+            offset: self.offset.as_ptr().cast::<T::Offset>().cast_mut(),
+            motion: self.motion.as_ptr().cast::<T>().cast_mut(),
+            rest: self.rest.as_ptr().cast::<T>().cast_mut(),
+            rest_planes: self.rest_planes,
+        }
+    }
+
+    /// Chunks in use.
+    fn chunks(&self) -> usize {
+        self.id.len()
+    }
+
+    /// Planes of strain and of history.
+    pub(crate) fn strain_planes(&self) -> usize {
+        self.law.strain_planes()
+    }
+
+    /// Number of particles.
+    pub(crate) fn len(&self) -> usize {
+        self.runs.iter().map(|run| run.count).sum()
+    }
+
+    /// (chunk, lane) of every particle, block by block.
+    pub(crate) fn places(&self) -> impl Iterator<Item = (usize, usize)> {
+        self.runs.iter().flat_map(|run| (0..run.count).map(|i| (run.first + i / LANES, i % LANES)))
+    }
+
+    pub(crate) fn cell_of(&self, chunk: usize, lane: usize) -> [i32; 3] {
+        std::array::from_fn(|d| self.cell[chunk * 3 + d].0[lane])
+    }
+    pub(crate) fn offset_of(&self, chunk: usize, lane: usize) -> [f64; 3] {
+        std::array::from_fn(|d| T::offset_to_f64(self.offset[chunk * 3 + d].0[lane]))
+    }
+    pub(crate) fn motion_of(&self, chunk: usize, lane: usize) -> [f64; MOTION] {
+        std::array::from_fn(|p| self.motion[chunk * MOTION + p].0[lane].to_f64())
+    }
+    pub(crate) fn rest_of(&self, chunk: usize, lane: usize, plane: usize) -> f64 {
+        self.rest[chunk * self.rest_planes + plane].0[lane].to_f64()
+    }
+    pub(crate) fn mass_of(&self, chunk: usize, lane: usize) -> f64 {
+        self.rest_of(chunk, lane, MASS)
+    }
+    pub(crate) fn volume0_of(&self, chunk: usize, lane: usize) -> f64 {
+        self.rest_of(chunk, lane, VOLUME)
+    }
+
+    /// Bytes held.
+    fn bytes(&self) -> u64 {
+        (self.id.capacity() * size_of::<[u32; LANES]>()
+            + self.body.capacity() * size_of::<[u16; LANES]>()
+            + self.cell.capacity() * size_of::<Line<i32>>()
+            + self.offset.capacity() * size_of::<Line<T::Offset>>()
+            + (self.motion.capacity() + self.rest.capacity()) * size_of::<Line<T>>()) as u64
+    }
+
+    /// Makes room for exactly `chunks` chunks without looking at what they hold.
+    fn resize(&mut self, chunks: usize) {
+        fn fit<W: Copy>(plane: &mut Vec<Line<W>>, count: usize, value: W) {
+            if count > plane.capacity() {
+                let mut grown = lines(count + count / 32, value);
+                grown[..plane.len()].copy_from_slice(plane);
+                *plane = grown;
+            }
+            plane.resize(count, Line([value; LANES]));
+        }
+        self.id.resize(chunks, [PAD; LANES]);
+        self.body.resize(chunks, [0; LANES]);
+        fit(&mut self.cell, chunks * 3, 0);
+        fit(&mut self.offset, chunks * 3, T::Offset::default());
+        fit(&mut self.motion, chunks * MOTION, T::default());
+        fit(&mut self.rest, chunks * self.rest_planes, T::default());
+    }
+
+    /// Sets runs from counts per block and returns the number of chunks.
+    fn lay_out(&mut self, counts: impl Iterator<Item = usize>) -> usize {
+        let mut first = 0;
+        self.runs.clear();
+        self.runs.extend(counts.map(|count| {
+            let run = Run { first, count };
+            first += run.chunks();
+            run
+        }));
+        first
+    }
+
+    /// Turns the lanes behind the particles of each run into massless particles at rest in the run's last cell.
+    fn pad(&mut self) {
+        for run in &self.runs {
+            let used = run.count % LANES;
+            if used == 0 {
+                continue;
+            }
+            let chunk = run.first + run.chunks() - 1;
+            for lane in used..LANES {
+                self.id[chunk][lane] = PAD;
+                for d in 0..3 {
+                    self.cell[chunk * 3 + d].0[lane] = self.cell[chunk * 3 + d].0[used - 1];
+                    self.offset[chunk * 3 + d].0[lane] = T::Offset::default();
+                }
+                for plane in &mut self.motion[chunk * MOTION..][..MOTION] {
+                    plane.0[lane] = T::default();
+                }
+                for (p, plane) in self.rest[chunk * self.rest_planes..][..self.rest_planes].iter_mut().enumerate() {
+                    // History planes keep some particle's value, which the material has seen before.
+                    plane.0[lane] = match p {
+                        MASS | VOLUME => T::default(),
+                        _ => match self.identity.get(p - STRAIN) {
+                            Some(&one) => T::from_f64(one),
+                            None => plane.0[used - 1],
+                        },
+                    };
+                }
+            }
+        }
+    }
+
+    fn take_in(&mut self, list: &ParticleList, counts: impl Iterator<Item = usize>) {
+        let chunks = self.lay_out(counts);
+        self.resize(chunks);
+        let places: Vec<_> = self.places().collect();
+        for (i, (chunk, lane)) in places.into_iter().enumerate() {
+            self.id[chunk][lane] = list.id[i] as u32;
+            self.body[chunk][lane] = list.body[i];
+            for d in 0..3 {
+                let (cell, offset) = match T::offset_from_f64(list.offset[i][d]) {
+                    Some(offset) => (list.cell[i][d], offset),
+                    None => (list.cell[i][d] + 1, T::Offset::default()),
+                };
+                self.cell[chunk * 3 + d].0[lane] = cell;
+                self.offset[chunk * 3 + d].0[lane] = offset;
+                self.motion[chunk * MOTION + d].0[lane] = T::from_f64(list.velocity[i][d]);
+            }
+            for (p, &c) in list.affine[i].iter().enumerate() {
+                self.motion[chunk * MOTION + 3 + p].0[lane] = T::from_f64(c);
+            }
+            let rest = &mut self.rest[chunk * self.rest_planes..][..self.rest_planes];
+            rest[MASS].0[lane] = T::from_f64(list.mass[i]);
+            rest[VOLUME].0[lane] = T::from_f64(list.volume0[i]);
+            for (plane, values) in rest[STRAIN..].iter_mut().zip(list.strain.iter().chain(&list.state)) {
+                plane.0[lane] = T::from_f64(values[i]);
+            }
+        }
+        self.pad();
+    }
+
+    fn give_out(&self, cell_width: f64) -> ParticleList {
+        let (planes, n) = (self.strain_planes(), self.len());
+        let mut out = ParticleList {
+            material: self.material as u32,
+            cell_width,
+            strain: vec![Vec::with_capacity(n); planes],
+            state: vec![Vec::with_capacity(n); self.rest_planes - STRAIN - planes],
+            ..ParticleList::default()
+        };
+        for (chunk, lane) in self.places() {
+            out.id.push(u64::from(self.id[chunk][lane]));
+            out.body.push(self.body[chunk][lane]);
+            out.cell.push(self.cell_of(chunk, lane));
+            out.offset.push(self.offset_of(chunk, lane));
+            let motion = self.motion_of(chunk, lane);
+            out.velocity.push([motion[0], motion[1], motion[2]]);
+            out.affine.push(std::array::from_fn(|i| motion[3 + i]));
+            out.mass.push(self.mass_of(chunk, lane));
+            out.volume0.push(self.volume0_of(chunk, lane));
+            for (p, plane) in out.strain.iter_mut().chain(&mut out.state).enumerate() {
+                plane.push(self.rest_of(chunk, lane, STRAIN + p));
+            }
+        }
+        out
+    }
+}
+
+/// What a sort did with particles that left the world.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Departures {
+    /// Particles put back.
+    pub(crate) clamped: u64,
+    /// Impulse taken from them [N s].
+    pub(crate) impulse: [f64; 3],
+    /// Particles deleted.
+    pub(crate) deleted: u64,
+    /// Their mass [kg].
+    pub(crate) deleted_mass: f64,
+    /// One particle outside, if the scene calls that an error: list, chunk, lane.
+    pub(crate) refused: Option<(usize, usize, usize)>,
+}
+
+impl Departures {
+    fn add(&mut self, other: Self) {
+        self.clamped += other.clamped;
+        self.deleted += other.deleted;
+        self.deleted_mass += other.deleted_mass;
+        for (sum, x) in self.impulse.iter_mut().zip(other.impulse) {
+            *sum += x;
+        }
+        self.refused = self.refused.or(other.refused);
+    }
+}
+
+/// All particles of one level.
+pub(crate) struct Store<T: Scalar> {
+    pub(crate) lists: Vec<List<T>>,
+    pub(crate) cell_width: f64,
+    /// Keys of the blocks, rising, that `runs` of each list are parallel to.
+    pub(crate) blocks: Vec<u64>,
+    /// Room for the largest group of planes of the largest list while it is permuted.
+    scratch: Vec<Line<T>>,
+    order: Vec<[u32; LANES]>,
+}
+
+/// A particle that changes its block, or comes in: new block, list, place (chunk * 16 + lane).
+type Mover = (u64, u16, u32);
+
+impl<T: Scalar> Store<T> {
+    pub(crate) fn new(materials: &[PlannedMaterial], cell_width: f64) -> Self {
+        Self {
+            lists: materials.iter().enumerate().map(|(i, m)| List::new(i, m)).collect(),
+            cell_width,
+            blocks: Vec::new(),
+            scratch: Vec::new(),
+            order: Vec::new(),
+        }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.lists.iter().map(List::len).sum()
+    }
+
+    pub(crate) fn bytes(&self) -> u64 {
+        self.lists.iter().map(List::bytes).sum::<u64>()
+            + (self.scratch.capacity() * size_of::<Line<T>>() + self.order.capacity() * size_of::<[u32; LANES]>()) as u64
+    }
+
+    /// Takes in particles. With the phase of a sort they are laid out exactly as it says; the caller sorts otherwise.
+    pub(crate) fn upload(&mut self, state: &ParticleState) -> Result<()> {
+        let refuse = |what: String| Error::Body {
+            path: "particles".into(),
+            what,
+            mend: "hand back particles of a simulation of the same scene".into(),
+        };
+        if state.lists.len() != self.lists.len() {
+            return Err(refuse(format!("{} lists where the plan has {}", state.lists.len(), self.lists.len())));
+        }
+        for (list, mine) in state.lists.iter().zip(&self.lists) {
+            let states = mine.rest_planes - STRAIN - mine.strain_planes();
+            if list.strain.len() != mine.strain_planes() || list.state.len() != states {
+                return Err(refuse(format!(
+                    "list {} has {} strain and {} history planes where its material has {} and {states}",
+                    mine.material,
+                    list.strain.len(),
+                    list.state.len(),
+                    mine.strain_planes()
+                )));
+            }
+            if list.id.iter().any(|&id| id >= u64::from(PAD)) {
+                return Err(refuse(format!("a particle id is {} or greater", PAD)));
+            }
+        }
+        match &state.sort {
+            Some(sort) => {
+                self.blocks = sort
+                    .blocks
+                    .iter()
+                    .map(|([_, _, x, y, z], _)| block::key([*x, *y, *z]))
+                    .collect::<Option<_>>()
+                    .ok_or_else(|| refuse("a block lies beyond the reach of the grid".into()))?;
+                for (i, (mine, list)) in self.lists.iter_mut().zip(&state.lists).enumerate() {
+                    let counts = sort.blocks.iter().map(|(_, counts)| counts[i] as usize);
+                    if counts.clone().sum::<usize>() != list.len() {
+                        return Err(refuse(format!("the sort's counts do not add up to list {i}")));
+                    }
+                    mine.take_in(list, counts);
+                }
+            }
+            None => {
+                // One run that holds everything, in no block: the first sort sees every particle as a newcomer.
+                self.blocks.clear();
+                for (mine, list) in self.lists.iter_mut().zip(&state.lists) {
+                    mine.take_in(list, std::iter::once(list.len()));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn download(&self, age: u32, drift: f64, strain_dt: f64) -> ParticleState {
+        let blocks = self
+            .blocks
+            .iter()
+            .enumerate()
+            .map(|(b, &key)| {
+                let [x, y, z] = block::of_key(key);
+                ([0, 0, x, y, z], self.lists.iter().map(|list| list.runs[b].count as u32).collect())
+            })
+            .collect();
+        ParticleState {
+            lists: self.lists.iter().map(|list| list.give_out(self.cell_width)).collect(),
+            strain_dt,
+            sort: Some(SortPhase { age, drift, blocks }),
+        }
+    }
+
+    /// Sorts particles into blocks, and within a block by cell. Particles of a cell keep their order; newcomers to a block
+    /// come after those that stayed, in the order of where they were.
+    pub(crate) fn sort(&mut self, bounds: &Bounds, leaving: barchan_core::scene::Leaving) -> Result<Departures> {
+        // 1. Who leaves the world, who changes the block?
+        let n_blocks = self.lists.first().map_or(0, |list| list.runs.len());
+        let this = &*self;
+        let found: Vec<(Vec<Mover>, bool, Departures, bool)> =
+            (0..n_blocks).into_par_iter().map(|b| this.find_movers(b, bounds, leaving)).collect();
+        let mut departures = Departures::default();
+        let mut movers: Vec<Mover> = Vec::with_capacity(found.iter().map(|f| f.0.len()).sum());
+        let mut keys: Vec<u64> = Vec::with_capacity(n_blocks);
+        for (b, (moved, stays, gone, far)) in found.into_iter().enumerate() {
+            if far {
+                return Err(Error::Capacity {
+                    what: "distance from the origin in cells",
+                    asked: block::REACH as u64 * 4,
+                    cap: block::REACH as u64 * 4,
+                    mend: "use a coarser world.cell or move the scene towards the origin",
+                });
+            }
+            departures.add(gone);
+            movers.extend(moved);
+            if stays {
+                keys.push(self.blocks[b]);
+            }
+        }
+        if departures.refused.is_some() {
+            return Ok(departures);
+        }
+        movers.par_sort_unstable();
+        keys.extend(movers.iter().map(|m| m.0));
+        keys.sort_unstable();
+        keys.dedup();
+
+        // 2. Count, lay out and order each list's particles.
+        let old_blocks = std::mem::replace(&mut self.blocks, keys);
+        for index in 0..self.lists.len() {
+            self.sort_list(index, &old_blocks, &movers, departures.deleted > 0);
+        }
+        Ok(departures)
+    }
+
+    /// Looks at one block's particles: those that belong elsewhere, whether any stays, those outside the world, and whether
+    /// one is too far away to be keyed.
+    fn find_movers(
+        &self,
+        b: usize,
+        bounds: &Bounds,
+        leaving: barchan_core::scene::Leaving,
+    ) -> (Vec<Mover>, bool, Departures, bool) {
+        use barchan_core::scene::Leaving;
+        let home = self.blocks.get(b).copied();
+        let (mut movers, mut stays, mut gone, mut far) = (Vec::new(), false, Departures::default(), false);
+        for (l, list) in self.lists.iter().enumerate() {
+            let view = list.view();
+            let run = list.runs[b];
+            for i in 0..run.count {
+                let (chunk, lane) = (run.first + i / LANES, i % LANES);
+                let mut at = [0; 3];
+                for d in 0..3 {
+                    // SAFETY: the chunk is this block's own, and this call alone works on the block.
+                    let cell = unsafe { &mut *view.cell(chunk, d).add(lane) };
+                    let inside = (bounds.min[d]..bounds.max[d]).contains(cell);
+                    if !inside && bounds.periodic[d] {
+                        *cell = bounds.min[d] + (*cell - bounds.min[d]).rem_euclid(bounds.max[d] - bounds.min[d]);
+                    } else if !inside && list.id[chunk][lane] != PAD {
+                        match leaving {
+                            Leaving::Error => gone.refused = gone.refused.or(Some((l, chunk, lane))),
+                            Leaving::Delete => {
+                                gone.deleted += 1;
+                                gone.deleted_mass += list.mass_of(chunk, lane);
+                                // SAFETY: as above. The mark is read when the list is laid out.
+                                unsafe { *list.id.as_ptr().add(chunk).cast::<u32>().add(lane).cast_mut() = PAD };
+                            }
+                            // SAFETY: as above.
+                            Leaving::Clamp => unsafe {
+                                let low = *cell < bounds.min[d];
+                                *cell = if low { bounds.min[d] } else { bounds.max[d] - 1 };
+                                let edge = if low { 0.0 } else { 1.0 - f64::from(f32::EPSILON) };
+                                *view.offset(chunk, d).add(lane) = T::offset_from_f64(edge).unwrap_or_default();
+                                let v = &mut *view.motion(chunk, d).add(lane);
+                                let outward = if low { v.to_f64() < 0.0 } else { v.to_f64() > 0.0 };
+                                if outward {
+                                    gone.impulse[d] -= v.to_f64() * list.mass_of(chunk, lane);
+                                    *v = T::default();
+                                }
+                                gone.clamped += 1;
+                            },
+                        }
+                    }
+                    at[d] = *cell;
+                }
+                if list.id[chunk][lane] == PAD {
+                    continue;
+                }
+                match block::key(block::of_cell(at)) {
+                    Some(key) if Some(key) == home => stays = true,
+                    Some(key) => movers.push((key, l as u16, (chunk * LANES + lane) as u32)),
+                    None => far = true,
+                }
+            }
+        }
+        (movers, stays, gone, far)
+    }
+
+    /// Lays one list out for the new blocks and moves its particles there.
+    fn sort_list(&mut self, index: usize, old_blocks: &[u64], movers: &[Mover], deleted: bool) {
+        let list = &mut self.lists[index];
+        let view = list.view();
+        let blocks = &self.blocks;
+        let old_runs = std::mem::take(&mut list.runs);
+        let ids = &list.id;
+        let local = |place: usize| -> ([i32; 3], usize) {
+            // SAFETY: places are those of existing particles; nothing writes cells here.
+            let cell: [i32; 3] = std::array::from_fn(|d| unsafe { *view.cell(place / LANES, d).add(place % LANES) });
+            (cell, ((cell[0] & 3) * 16 + (cell[1] & 3) * 4 + (cell[2] & 3)) as usize)
+        };
+        let staying = |b: usize| {
+            let key = blocks[b];
+            let run = old_blocks.binary_search(&key).map_or(Run { first: 0, count: 0 }, |old| old_runs[old]);
+            (0..run.count).map(move |i| run.first * LANES + i).filter(move |&place| {
+                (!deleted || ids[place / LANES][place % LANES] != PAD)
+                    && block::key(block::of_cell(local(place).0)) == Some(key)
+            })
+        };
+        let coming = |b: usize| {
+            let from = movers.partition_point(|m| (m.0, m.1) < (blocks[b], index as u16));
+            let to = movers.partition_point(|m| (m.0, m.1) <= (blocks[b], index as u16));
+            movers[from..to].iter().map(|m| m.2 as usize)
+        };
+        let counts: Vec<usize> =
+            (0..blocks.len()).into_par_iter().map(|b| staying(b).count() + coming(b).count()).collect();
+        let mut first = 0;
+        let runs: Vec<Run> = counts
+            .iter()
+            .map(|&count| {
+                let run = Run { first, count };
+                first += run.chunks();
+                run
+            })
+            .collect();
+        let chunks = first;
+
+        // The permutation, chunk by chunk: a stable counting sort by cell within each block.
+        self.order.clear();
+        self.order.resize(chunks, [PAD; LANES]);
+        let order = Shared(self.order.as_mut_ptr().cast::<u32>());
+        (0..blocks.len()).into_par_iter().for_each(|b| {
+            let mut starts = [0u32; CELLS + 1];
+            for place in staying(b).chain(coming(b)) {
+                starts[local(place).1 + 1] += 1;
+            }
+            for c in 0..CELLS {
+                starts[c + 1] += starts[c];
+            }
+            for place in staying(b).chain(coming(b)) {
+                let next = &mut starts[local(place).1];
+                // SAFETY: the run's lanes are this block's own.
+                unsafe { *order.at(runs[b].first * LANES + *next as usize) = place as u32 };
+                *next += 1;
+            }
+        });
+
+        let unchanged = chunks == list.chunks()
+            && self.order.par_iter().enumerate().all(|(c, lanes)| {
+                lanes.iter().enumerate().all(|(l, &p)| p == PAD || p as usize == c * LANES + l)
+            });
+        list.runs = runs;
+        if unchanged {
+            return;
+        }
+        let room = chunks.max(list.chunks());
+        let widest = (MOTION.max(list.rest_planes) * size_of::<T>()).max(3 * size_of::<T::Offset>().max(4));
+        let needed = room * widest / size_of::<T>();
+        if needed > self.scratch.len() {
+            self.scratch = lines(needed + needed / 32, T::default());
+        }
+        let old_chunks = list.chunks();
+        list.resize(room);
+        let scratch = self.scratch.as_mut_ptr();
+        let order = &self.order;
+        permute(&mut list.id, 1, order, scratch.cast());
+        permute(&mut list.body, 1, order, scratch.cast());
+        permute(&mut list.cell, 3, order, scratch.cast());
+        permute(&mut list.offset, 3, order, scratch.cast());
+        permute(&mut list.motion, MOTION, order, scratch.cast());
+        permute(&mut list.rest, list.rest_planes, order, scratch.cast());
+        if old_chunks != chunks {
+            list.resize(chunks);
+        }
+        list.pad();
+    }
+}
+
+/// A plane's storage for 16 lanes of plain words.
+trait Plane: Send + Sync {
+    type Word: Copy + Send + Sync;
+}
+impl<W: Copy + Send + Sync> Plane for Line<W> {
+    type Word = W;
+}
+impl<W: Copy + Send + Sync> Plane for [W; LANES] {
+    type Word = W;
+}
+
+/// Moves the particles of a group of planes: lane `l` of chunk `c` becomes the particle at `order[c][l]`. Padding lanes are
+/// left as they come.
+fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; LANES]], scratch: *mut u8) {
+    /// Chunks that one task moves: enough to outweigh handing it out.
+    const GRAIN: usize = 256;
+    let from = Shared(group.as_mut_ptr().cast::<P::Word>());
+    let to = Shared(scratch.cast::<P::Word>());
+    order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
+        for (k, lanes) in chunks.iter().enumerate() {
+            let chunk = task * GRAIN + k;
+            // SAFETY, for both branches: places are lanes of existing chunks; the scratch holds the whole group; each task
+            // writes chunks of its own.
+            if lanes[0] % LANES as u32 == 0 && (0..LANES).all(|l| lanes[l] == lanes[0].wrapping_add(l as u32)) {
+                unsafe {
+                    let source = from.at(lanes[0] as usize * planes);
+                    std::ptr::copy_nonoverlapping(source, to.at(chunk * planes * LANES), planes * LANES);
+                }
+                continue;
+            }
+            for (l, &place) in lanes.iter().enumerate() {
+                let place = if place == PAD { lanes[0] } else { place } as usize;
+                let source = place / LANES * planes * LANES + place % LANES;
+                for p in 0..planes {
+                    unsafe { *to.at((chunk * planes + p) * LANES + l) = *from.at(source + p * LANES) };
+                }
+            }
+        }
+    });
+    order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
+        let at = task * GRAIN * planes * LANES;
+        // SAFETY: as above; the group has room for all chunks of the order.
+        unsafe { std::ptr::copy_nonoverlapping(to.at(at), from.at(at), chunks.len() * planes * LANES) };
+    });
+}

@@ -1,0 +1,315 @@
+//! `barchan bench`: speed, and what each effect costs.
+
+use crate::EngineArgs;
+use barchan::scene::{MaterialSpec, Motion, OverBound};
+use barchan::{Registry, Result, Scene, Simulation};
+use clap::{Args, Subcommand};
+use serde_json::json;
+use std::time::Instant;
+
+#[derive(Subcommand)]
+pub(crate) enum Bench {
+    /// Particle-steps per second in the cube drop of UBSoft's Table 1, sorting included.
+    Throughput(Throughput),
+    /// What each effect adds to a step, and what it costs when it is declared but not used.
+    Effects(Effects),
+}
+
+/// How long to measure.
+#[derive(Args)]
+struct Effort {
+    /// Steps in a repetition.
+    #[arg(long, default_value_t = 20)]
+    steps: u32,
+    /// Repetitions, of which the median counts.
+    #[arg(long, default_value_t = 5)]
+    repetitions: u32,
+    /// Steps before the first repetition.
+    #[arg(long, default_value_t = 10)]
+    warm_up: u32,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+pub(crate) struct Throughput {
+    /// Law of the bed.
+    #[arg(long, default_value = "sand")]
+    material: String,
+    /// Cells along 1.28 m: 32, 64, 128 or 256.
+    #[arg(long, default_value_t = 64)]
+    grid: u32,
+    #[command(flatten)]
+    effort: Effort,
+    #[command(flatten)]
+    engine: EngineArgs,
+}
+
+#[derive(Args)]
+pub(crate) struct Effects {
+    /// Cells along 1.28 m: 32, 64, 128 or 256.
+    #[arg(long, default_value_t = 64)]
+    grid: u32,
+    #[command(flatten)]
+    effort: Effort,
+    #[command(flatten)]
+    engine: EngineArgs,
+}
+
+pub(crate) fn run(bench: &Bench) -> Result<()> {
+    match bench {
+        Bench::Throughput(args) => throughput(args),
+        Bench::Effects(args) => effects(args),
+    }
+}
+
+/// The cube drop with a bed of `law`: E 1 MPa, ν 0.2, ρ 1000 kg/m³, friction 45°, as far as the law knows them; fixed step;
+/// the cube falls at 1 m/s from 5 mm above the bed.
+fn bed(registry: &Registry, law: &str, grid: u32) -> Result<Scene> {
+    let name = if grid == 64 { "cube-drop".to_owned() } else { format!("cube-drop-{grid}") };
+    let mut scene = barchan::tasks::scene(&name, &[] as &[&str])?;
+    scene.material = vec![material(registry, law, "sand")?];
+    scene.time.step = Some(if grid > 128 { 5e-5 } else { 1e-4 });
+    for tool in &mut scene.tool {
+        tool.position[2] = 0.255;
+        if let Motion::Free { linear, .. } = &mut tool.motion {
+            *linear = [0.0, 0.0, -1.0];
+        }
+    }
+    Ok(scene)
+}
+
+fn material(registry: &Registry, law: &str, name: &str) -> Result<MaterialSpec> {
+    let values = [("young_modulus", 1e6), ("poisson_ratio", 0.2), ("friction_angle", std::f64::consts::FRAC_PI_4)];
+    let known = &registry.material(law, "--material")?.parameters;
+    let parameters = values.into_iter().filter(|(key, _)| known.iter().any(|p| p.name == *key));
+    Ok(MaterialSpec {
+        name: name.to_owned(),
+        law: law.to_owned(),
+        density: 1000.0,
+        parameters: parameters.map(|(key, value)| (key.to_owned(), value)).collect(),
+    })
+}
+
+/// A simulation that is timed in repetitions of some steps.
+struct Timed {
+    simulation: Simulation,
+    /// Wall seconds of each repetition, in order.
+    seconds: Vec<f64>,
+    steps: u32,
+    passes: f64,
+}
+
+impl Timed {
+    fn new(registry: &Registry, scene: &Scene, engine: &EngineArgs, effort: &Effort) -> Result<Self> {
+        let mut simulation = Simulation::new(registry, scene, &engine.options())?;
+        for _ in 0..effort.warm_up {
+            simulation.step()?;
+        }
+        Ok(Self { simulation, seconds: Vec::new(), steps: effort.steps.max(1), passes: 0.0 })
+    }
+    fn repeat(&mut self) -> Result<()> {
+        let passes = |s: &Simulation| s.timings().iter().map(|t| t.passes).sum::<u64>();
+        let before = passes(&self.simulation);
+        let start = Instant::now();
+        for _ in 0..self.steps {
+            self.simulation.step()?;
+        }
+        self.seconds.push(start.elapsed().as_secs_f64());
+        self.passes = (passes(&self.simulation) - before) as f64 / f64::from(self.steps);
+        Ok(())
+    }
+    /// Median seconds of a step.
+    fn step(&self) -> f64 {
+        median(&self.seconds) / f64::from(self.steps)
+    }
+    fn particles(&self) -> f64 {
+        self.simulation.particle_count() as f64
+    }
+    fn bytes_per_particle(&self) -> f64 {
+        self.simulation.memory().0 as f64 / self.particles()
+    }
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let middle = sorted.len() / 2;
+    if sorted.len() % 2 == 1 { sorted[middle] } else { 0.5 * (sorted[middle - 1] + sorted[middle]) }
+}
+
+fn throughput(args: &Throughput) -> Result<()> {
+    let registry = args.engine.registry()?;
+    let scene = bed(&registry, &args.material, args.grid)?;
+    let start = Instant::now();
+    let mut timed = Timed::new(&registry, &scene, &args.engine, &args.effort)?;
+    let start_up = start.elapsed().as_secs_f64();
+    for _ in 0..args.effort.repetitions.max(1) {
+        timed.repeat()?;
+    }
+    let rate = timed.particles() / timed.step();
+    let best = timed.particles() * f64::from(timed.steps) / timed.seconds.iter().copied().fold(f64::INFINITY, f64::min);
+    let timings = timed.simulation.timings();
+    let steps = timed.simulation.step_count() as f64;
+    if args.effort.json {
+        let effect = |t: &barchan::backend::Timing| json!({ "effect": t.effect, "ms_per_step": 1e3 * t.seconds / steps, "passes": t.passes });
+        let figures = json!({
+            "particle_steps_per_s": rate, "best": best, "ms_per_step": 1e3 * timed.step(), "material": args.material,
+            "grid": args.grid, "particles": timed.simulation.particle_count(), "precision": args.engine.precision,
+            "threads": args.engine.threads, "steps": timed.steps, "repetitions_s": timed.seconds,
+            "bytes_per_particle": timed.bytes_per_particle(), "peak_memory": barchan::run::peak_memory(),
+            "start_and_warm_up_s": start_up, "effects": timings.iter().map(effect).collect::<Vec<_>>(),
+        });
+        println!("{figures:#}");
+        return Ok(());
+    }
+    println!(
+        "{}, {} particles, {} threads, {}: {:.2} million particle_steps_per_s (best {:.2}), {:.3} ms a step, {:.0} bytes a particle",
+        args.material,
+        timed.simulation.particle_count(),
+        args.engine.threads,
+        args.engine.precision,
+        1e-6 * rate,
+        1e-6 * best,
+        1e3 * timed.step(),
+        timed.bytes_per_particle()
+    );
+    for t in timings {
+        println!("  {:<28}{:>9.3} ms a step", t.effect, 1e3 * t.seconds / steps);
+    }
+    Ok(())
+}
+
+/// A row of the ablation table: the scene with the effect, and the base with the effect declared but out of use.
+struct Row {
+    effect: &'static str,
+    with: Scene,
+    unused: Option<Scene>,
+}
+
+/// The effects there are, each on the same bed.
+fn rows(registry: &Registry, grid: u32) -> Result<Vec<Row>> {
+    let without_tool = |law: &str| {
+        let mut scene = bed(registry, law, grid)?;
+        scene.tool.clear();
+        // Snow stiffens as it is pressed: the steps of all rows are those of the fixed step, cut if they must be.
+        scene.time.over_bound = OverBound::Substep;
+        Ok(scene)
+    };
+    let base = without_tool("neo_hookean")?;
+    let declared = |law: &str| -> Result<Scene> {
+        let mut scene = base.clone();
+        scene.material.push(material(registry, law, "unused")?);
+        Ok(scene)
+    };
+    let with_tool = |scene: &Scene, motion: Option<Motion>, above: f64| -> Result<Scene> {
+        let mut tool = bed(registry, "sand", grid)?.tool.remove(0);
+        tool.position[2] += above;
+        if let Some(motion) = motion {
+            tool.motion = motion;
+        }
+        let mut scene = scene.clone();
+        scene.tool.push(tool);
+        Ok(scene)
+    };
+    let driven = Motion::Velocity { linear: [0.0, 0.0, -1.0], angular: [0.0; 3] };
+    let sand = without_tool("sand")?;
+    Ok(vec![
+        Row { effect: "base: neo_hookean", with: base.clone(), unused: None },
+        Row { effect: "sand instead", with: sand.clone(), unused: Some(declared("sand")?) },
+        Row { effect: "snow instead", with: without_tool("snow")?, unused: Some(declared("snow")?) },
+        Row {
+            effect: "sand, driven tool",
+            with: with_tool(&sand, Some(driven), 0.0)?,
+            unused: Some(with_tool(&base, Some(Motion::Fixed), 0.4)?),
+        },
+        Row { effect: "sand, free body (two-way)", with: with_tool(&sand, None, 0.0)?, unused: None },
+    ])
+}
+
+fn effects(args: &Effects) -> Result<()> {
+    let registry = args.engine.registry()?;
+    let rows = rows(&registry, args.grid)?;
+    let mut table = Vec::new();
+    for row in &rows {
+        let mut with = Timed::new(&registry, &row.with, &args.engine, &args.effort)?;
+        for _ in 0..args.effort.repetitions.max(1) {
+            with.repeat()?;
+        }
+        // Declared but unused is told apart from the base by taking turns with it, so that both see the same machine.
+        let unused = match &row.unused {
+            None => None,
+            Some(scene) => {
+                let mut base = Timed::new(&registry, &rows[0].with, &args.engine, &args.effort)?;
+                let mut unused = Timed::new(&registry, scene, &args.engine, &args.effort)?;
+                for _ in 0..args.effort.repetitions.max(1) {
+                    base.repeat()?;
+                    unused.repeat()?;
+                }
+                Some((
+                    unused.step() / base.step() - 1.0,
+                    unused.passes - base.passes,
+                    unused.bytes_per_particle() - base.bytes_per_particle(),
+                ))
+            }
+        };
+        table.push((row.effect, with.step(), with.particles(), with.passes, with.bytes_per_particle(), unused));
+    }
+    if args.effort.json {
+        let entry =
+            |(effect, step, particles, passes, bytes, unused): &(_, f64, f64, f64, f64, Option<(f64, f64, f64)>)| {
+                json!({
+                    "effect": effect, "ms_per_step": 1e3 * step, "ns_per_particle_step": 1e9 * step / particles,
+                    "passes_per_step": passes, "bytes_per_particle": bytes,
+                    "unused": unused.map(|(time, passes, bytes)| {
+                        json!({ "time": time, "passes_per_step": passes, "bytes_per_particle": bytes })
+                    }),
+                })
+            };
+        let figures = json!({
+            "grid": args.grid, "precision": args.engine.precision, "threads": args.engine.threads,
+            "effects": table.iter().map(entry).collect::<Vec<_>>(),
+        });
+        println!("{figures:#}");
+        return Ok(());
+    }
+    println!("{:<28}{:>46}   declared but unused", "", "");
+    println!(
+        "{:<28}{:>10}{:>14}{:>10}{:>12}   {:>9}{:>9}{:>9}",
+        "effect", "ms/step", "ns/particle", "passes", "B/particle", "time", "passes", "bytes"
+    );
+    for (effect, step, particles, passes, bytes, unused) in table {
+        let unused = unused.map_or_else(String::new, |(time, passes, bytes)| {
+            format!("{:>+8.1} %{passes:>+9.1}{bytes:>+9.1}", 100.0 * time)
+        });
+        println!(
+            "{effect:<28}{:>10.3}{:>14.2}{passes:>10.1}{bytes:>12.0}   {unused}",
+            1e3 * step,
+            1e9 * step / particles
+        );
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_is_a_scene_that_can_be_assembled() {
+        let registry = barchan::registry();
+        for row in rows(&registry, 32).unwrap() {
+            for scene in [Some(&row.with), row.unused.as_ref()].into_iter().flatten() {
+                let planned = barchan::Plan::assemble(&registry, scene, &barchan::Options::default());
+                planned.unwrap_or_else(|e| panic!("{}: {e}", row.effect));
+            }
+        }
+    }
+
+    #[test]
+    fn the_median_is_the_middle() {
+        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(&[4.0, 1.0]), 2.5);
+    }
+}

@@ -1,0 +1,155 @@
+//! Barchan's command line: runs, plans and checks scenes, lists plugins, measures.
+
+mod bench;
+mod plugins;
+mod report;
+mod run;
+
+use barchan::{Error, Plan, Precision, Registry, Result, Scene};
+use clap::{Args, Parser, Subcommand};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Simulates robots on and in soft ground.
+///
+/// Without a command: `run letters`.
+#[derive(Parser)]
+#[command(version, arg_required_else_help = false)]
+struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Runs a scene and writes pictures, trace, summary and snapshot into a folder.
+    Run(run::RunArgs),
+    /// Prints the effects that a scene calls for and why, the passes, the step and what bounds it, the memory.
+    Plan(SceneArgs),
+    /// Checks a scene: prints one line if it can be run, or what is wrong, where, and what would mend it.
+    Check(SceneArgs),
+    /// Lists materials with their parameters, couplings, backends, tasks and scenes.
+    Plugins(plugins::PluginArgs),
+    /// Measures.
+    #[command(subcommand)]
+    Bench(bench::Bench),
+    /// Prints the JSON Schema of scene files, for editors.
+    Schema,
+}
+
+/// Which scene, and how it is to be run.
+#[derive(Args)]
+struct SceneArgs {
+    /// A built-in scene (see `barchan plugins`) or a TOML file.
+    #[arg(default_value = "letters")]
+    scene: String,
+    /// Changes a key of the scene, such as world.cell=0.02 or tool.cube.motion.free.mass=5; may be given again.
+    #[arg(long, value_name = "KEY.PATH=VALUE")]
+    set: Vec<String>,
+    #[command(flatten)]
+    engine: EngineArgs,
+}
+
+/// What runs the scene.
+#[derive(Args, Clone)]
+struct EngineArgs {
+    /// Backend.
+    #[arg(long, default_value = "cpu")]
+    backend: String,
+    /// Number format: f32 or f64.
+    #[arg(long, default_value = "f32")]
+    precision: Precision,
+    /// Worker threads; 0: as many as the machine has.
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+    /// A library with materials to load; may be given again.
+    #[arg(long, value_name = "LIBRARY")]
+    load: Vec<PathBuf>,
+}
+
+impl SceneArgs {
+    /// The scene: a built-in one by that name, or else a file.
+    fn scene(&self) -> Result<Scene> {
+        let path = Path::new(&self.scene);
+        if barchan::tasks::names().any(|name| name == self.scene) {
+            barchan::tasks::scene(&self.scene, &self.set)
+        } else if path.extension().is_some() || path.exists() {
+            Scene::from_file_with(path, &self.set)
+        } else {
+            // Neither: the error that lists the built-in ones helps most.
+            barchan::tasks::scene(&self.scene, &self.set)
+        }
+    }
+}
+
+impl EngineArgs {
+    fn registry(&self) -> Result<Registry> {
+        registry(&self.load)
+    }
+    fn options(&self) -> barchan::Options {
+        barchan::Options {
+            backend: self.backend.clone(),
+            precision: self.precision,
+            threads: self.threads,
+            ..barchan::Options::default()
+        }
+    }
+}
+
+/// All built-in plugins and those of the libraries; warnings go to stderr.
+fn registry(load: &[PathBuf]) -> Result<Registry> {
+    let mut registry = barchan::registry();
+    load.iter().try_for_each(|library| registry.load(library).map(drop))?;
+    registry.warnings().iter().for_each(|warning| eprintln!("warning: {warning}"));
+    Ok(registry)
+}
+
+fn plan(args: &SceneArgs) -> Result<()> {
+    let (plan, ..) = Plan::assemble(&args.engine.registry()?, &args.scene()?, &args.engine.options())?;
+    println!("{plan}");
+    Ok(())
+}
+
+fn check(args: &SceneArgs) -> Result<()> {
+    let scene = args.scene()?;
+    let (plan, ..) = Plan::assemble(&args.engine.registry()?, &scene, &args.engine.options())?;
+    plan.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
+    println!("{}: ok, {} particles, steps of {:.3e} s", scene.name, plan.particle_count, plan.dt);
+    Ok(())
+}
+
+fn main() -> ExitCode {
+    let command = Cli::parse().command.unwrap_or_else(|| Command::Run(run::RunArgs::letters()));
+    let done = match &command {
+        Command::Run(args) => run::run(args),
+        Command::Plan(args) => plan(args).map(|()| ExitCode::SUCCESS),
+        Command::Check(args) => check(args).map(|()| ExitCode::SUCCESS),
+        Command::Plugins(args) => plugins::list(args).map(|()| ExitCode::SUCCESS),
+        Command::Bench(args) => bench::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Schema => {
+            println!("{:#}", Scene::schema());
+            Ok(ExitCode::SUCCESS)
+        }
+    };
+    done.unwrap_or_else(|error: Error| {
+        eprintln!("error: {error}");
+        ExitCode::FAILURE
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn no_argument_means_letters() {
+        assert!(Cli::parse_from(["barchan"]).command.is_none());
+        assert_eq!(run::RunArgs::letters().scene.scene, "letters");
+    }
+}

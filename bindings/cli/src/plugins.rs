@@ -1,0 +1,107 @@
+//! `barchan plugins`.
+
+use barchan::material::Parameter;
+use barchan::{Material, Registry, Result};
+use clap::Args;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+
+#[derive(Args)]
+pub(crate) struct PluginArgs {
+    /// A library with materials to load; may be given again.
+    #[arg(long, value_name = "LIBRARY")]
+    load: Vec<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn list(args: &PluginArgs) -> Result<()> {
+    let registry = crate::registry(&args.load)?;
+    if args.json {
+        println!("{:#}", as_json(&registry));
+    } else {
+        print!("{}", as_text(&registry));
+    }
+    Ok(())
+}
+
+fn as_text(registry: &Registry) -> String {
+    let mut text = String::from("materials\n");
+    for material in registry.materials() {
+        text += &format!("  {} {} ({})\n", material.name, material.version, material.origin);
+        text += &format!("      {}\n      {}\n", material.doc, material.reference);
+        for p in &material.parameters {
+            let value = format!("{} {}", p.default, p.unit);
+            text += &format!("      {:<22}{value:<16}{:<22}{}\n", p.name, p.range(), p.doc);
+        }
+        for s in &material.states {
+            text += &format!("      state {:<16}{} {:<37}{}\n", s.name, s.initial, s.unit, s.doc);
+        }
+    }
+    let mut section = |title: &str, entries: &mut dyn Iterator<Item = (String, String)>| {
+        text += &format!("{title}\n");
+        entries.for_each(|(name, doc)| text += &format!("  {name:<20}{doc}\n"));
+    };
+    let pair = |(name, doc): (&str, &str)| (name.to_owned(), doc.to_owned());
+    section("couplings", &mut registry.couplings().map(pair));
+    section("backends", &mut registry.backends().map(|b| pair((b.name(), b.doc()))));
+    section("tasks", &mut registry.tasks().map(pair));
+    section("scenes", &mut scenes().into_iter());
+    text
+}
+
+fn as_json(registry: &Registry) -> Value {
+    let parameter = |p: &Parameter| {
+        json!({
+            "name": p.name, "unit": p.unit, "default": p.default, "min": p.min, "max": p.max, "range": p.range(),
+            "doc": p.doc,
+        })
+    };
+    let material = |m: &Material| {
+        json!({
+            "name": m.name, "version": m.version, "origin": m.origin, "doc": m.doc, "reference": m.reference,
+            "parameters": m.parameters.iter().map(parameter).collect::<Vec<_>>(),
+            "states": m.states.iter()
+                .map(|s| json!({ "name": s.name, "unit": s.unit, "initial": s.initial, "doc": s.doc }))
+                .collect::<Vec<_>>(),
+        })
+    };
+    let pairs = |entries: &mut dyn Iterator<Item = (String, String)>| -> Vec<Value> {
+        entries.map(|(name, doc)| json!({ "name": name, "doc": doc })).collect()
+    };
+    let pair = |(name, doc): (&str, &str)| (name.to_owned(), doc.to_owned());
+    json!({
+        "materials": registry.materials().map(material).collect::<Vec<_>>(),
+        "couplings": pairs(&mut registry.couplings().map(pair)),
+        "backends": pairs(&mut registry.backends().map(|b| pair((b.name(), b.doc())))),
+        "tasks": pairs(&mut registry.tasks().map(pair)),
+        "scenes": pairs(&mut scenes().into_iter()),
+    })
+}
+
+/// Built-in scenes and their one sentence.
+fn scenes() -> Vec<(String, String)> {
+    let doc = |name| barchan::tasks::scene(name, &[] as &[&str]).map(|scene| scene.doc).unwrap_or_default();
+    barchan::tasks::names().map(|name| (name.to_owned(), doc(name))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_forms_name_every_parameter() {
+        let registry = barchan::registry();
+        let (text, json) = (as_text(&registry), as_json(&registry));
+        for material in registry.materials() {
+            let listed = json["materials"].as_array().unwrap().iter().find(|m| m["name"] == material.name.as_str());
+            let listed = listed.unwrap_or_else(|| panic!("{} is not listed", material.name));
+            for (i, parameter) in material.parameters.iter().enumerate() {
+                assert!(text.contains(&parameter.doc), "{}", parameter.name);
+                assert_eq!(listed["parameters"][i]["default"], parameter.default);
+            }
+        }
+        assert!(text.contains("letters") && text.contains("cpu"));
+    }
+}

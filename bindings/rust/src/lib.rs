@@ -1,0 +1,53 @@
+//! Barchan simulates robots on and in soft ground: sand, snow, elastic and elastoplastic bodies, coupled with rigid tools.
+//!
+//! This crate registers everything built in and re-exports what a program needs:
+//!
+//! ```no_run
+//! use barchan::{Options, Scene, Simulation};
+//!
+//! let registry = barchan::registry();
+//! let scene = Scene::from_file("scene.toml")?;
+//! let mut simulation = Simulation::new(&registry, &scene, &Options::default())?;
+//! println!("{}", simulation.plan());
+//! while simulation.time() < scene.time.end {
+//!     simulation.step()?;
+//! }
+//! println!("{:#?}", simulation.ledger());
+//! # Ok::<(), barchan::Error>(())
+//! ```
+//! [`run::run`] does the same with pictures, traces and a summary; [`picture`] draws, [`stress`] asks for stress.
+
+pub mod picture;
+pub mod run;
+pub mod stress;
+
+pub use barchan_core::{
+    Backend, BodyState, Coupling, Effect, Engine, Error, Ledger, Material, NodeBatch, Options, ParticleList,
+    ParticleState, Plan, Precision, Registry, Result, Scene, Simulation, SortPhase, Stage, StepReport, Task, Vec3,
+    Wrench, backend, coupling, export, ledger, material, plan, registry as registries, scene, simulation, snapshot,
+    solid, state, task,
+};
+pub use barchan_tasks as tasks;
+
+/// A registry of everything that comes with Barchan.
+///
+/// # Panics
+/// If a built-in plugin breaks the rules for plugins, which the tests rule out.
+pub fn registry() -> Registry {
+    let mut registry = Registry::new();
+    let materials = [
+        barchan_elastic::materials(),
+        barchan_sand::materials(),
+        barchan_snow::materials(),
+        barchan_elastoplastic::materials(),
+        barchan_liquid::materials(),
+    ];
+    let registered = materials
+        .into_iter()
+        .flatten()
+        .try_for_each(|table| registry.add_material(table, "built-in"))
+        .and_then(|()| barchan_rigid::register(&mut registry))
+        .and_then(|()| barchan_backend_cpu::register(&mut registry));
+    registered.expect("built-in plugins keep to the rules and have names of their own");
+    registry
+}

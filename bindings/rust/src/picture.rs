@@ -1,0 +1,347 @@
+//! Pictures of a running simulation, without a GPU: the surface from above as a shaded relief, and a vertical cut.
+//!
+//! ```no_run
+//! # fn save_picture(simulation: &barchan::Simulation) -> barchan::Result<()> {
+//! let mut view = barchan::picture::View::new(simulation.plan(), &simulation.particles());
+//! view.draw(simulation)?.write_png("now.png".as_ref(), &[]).unwrap();
+//! # Ok(())
+//! # }
+//! ```
+
+mod animation;
+mod colour;
+mod cut;
+mod image;
+mod relief;
+mod tools;
+
+pub use animation::{contact_sheet, gif};
+pub use image::{Align, Colour, Image, Rect, text_width};
+pub use tools::Tools;
+
+use crate::stress::pressure;
+use barchan_core::plan::Plan;
+use barchan_core::scene::{CutColour, Scene, Wall};
+use barchan_core::{ParticleList, ParticleState, Result, Simulation, Vec3};
+use colour::{Ground, viridis};
+use relief::{Dot, Surface};
+use serde::{Deserialize, Serialize};
+use tools::Frame;
+
+/// Colour of the page around the panels.
+pub const PAGE: Colour = [250, 248, 244];
+/// Colour of text and lines.
+pub const INK: Colour = [52, 48, 44];
+/// Colour of the air in a vertical cut.
+const AIR: Colour = [233, 236, 239];
+/// Linear reflectance of bare floor.
+const FLOOR: [f32; 3] = [0.11, 0.12, 0.13];
+
+const MARGIN: usize = 14;
+const HEADER: usize = 30;
+const STRIP: usize = 38;
+/// Scale bar and legend need this much.
+const LEAST_WIDTH: usize = 460;
+const TEXT: f32 = 8.75;
+
+/// What a moment looks like: everything a picture shows.
+pub struct Moment<'a> {
+    /// Time [s].
+    pub time: f64,
+    /// Particles.
+    pub particles: &'a ParticleState,
+    /// Tools.
+    pub tools: Tools<'a>,
+}
+
+/// A fixed view of a scene: the same extent, height colours and layout in every frame; only the cut's scale may grow.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct View {
+    name: String,
+    min: Vec3,
+    max: Vec3,
+    cut: CutColour,
+    cut_y: f64,
+    spacing: f64,
+    /// Height in the middle of the palette, and from there to its ends [m]; set by the first frame.
+    heights: Option<(f32, f32)>,
+    /// End of the cut's colour scale [Pa or m/s].
+    top: f64,
+    scale: f64,
+    /// Sides of the picture that are walls: x_min, x_max, y_min, y_max, z_min.
+    walls: [bool; 5],
+}
+
+impl View {
+    /// A view of a plan's scene that holds its particles, as they are now, with some space around.
+    pub fn new(plan: &Plan, particles: &ParticleState) -> Self {
+        let scene = &plan.scene;
+        let (min, max) = extent(scene, particles);
+        let largest = |value: fn(&ParticleList, usize) -> f64| {
+            let all = particles.lists.iter().flat_map(|list| (0..list.len()).map(move |i| value(list, i)));
+            all.fold(0.0, f64::max)
+        };
+        let spacing = match largest(|list, i| list.volume0[i]).cbrt() {
+            0.0 => 0.5 * scene.world.cell,
+            spacing => spacing,
+        };
+        let pixels = scene.output.picture.pixels as usize;
+        let across = (pixels.saturating_sub(2 * MARGIN).max(64)) as f64 / (max[0] - min[0]);
+        let down = (pixels.saturating_sub(HEADER + 2 * STRIP).max(64)) as f64 / (max[1] - min[1] + max[2] - min[2]);
+        let walls = &scene.world.walls;
+        let shown = |wall: Wall, side: f64, edge: f64| wall != Wall::Open && (side - edge).abs() < scene.world.cell;
+        let world = &scene.world;
+        Self {
+            name: scene.name.clone(),
+            min,
+            max,
+            cut: scene.output.picture.cut,
+            cut_y: scene.output.picture.cut_y.unwrap_or(0.5 * (min[1] + max[1])),
+            spacing,
+            heights: None,
+            top: 0.0,
+            scale: across.min(down),
+            walls: [
+                shown(walls.x_min, world.min[0], min[0]),
+                shown(walls.x_max, world.max[0], max[0]),
+                shown(walls.y_min, world.min[1], min[1]),
+                shown(walls.y_max, world.max[1], max[1]),
+                shown(walls.z_min, world.min[2], min[2]),
+            ],
+        }
+    }
+
+    /// Draws a simulation as it is now.
+    ///
+    /// # Errors
+    /// If a material fails to give its stress.
+    pub fn draw(&mut self, simulation: &Simulation) -> Result<Image> {
+        let particles = simulation.particles();
+        let distance = |points: &[Vec3]| {
+            let mut nearest = vec![f64::INFINITY; points.len()];
+            for coupling in simulation.couplings() {
+                nearest.iter_mut().zip(coupling.distance(points)).for_each(|(near, d)| *near = near.min(d));
+            }
+            nearest
+        };
+        let bounds = simulation.couplings().iter().flat_map(|coupling| coupling.bounds()).collect();
+        let tools = Tools { bounds, distance: &distance };
+        let moment = Moment { time: simulation.time(), particles: &particles, tools };
+        self.draw_moment(simulation.plan(), &moment)
+    }
+
+    /// Draws a moment.
+    ///
+    /// # Errors
+    /// If a material fails to give its stress.
+    pub fn draw_moment(&mut self, plan: &Plan, moment: &Moment<'_>) -> Result<Image> {
+        let dots = self.dots(plan, moment.particles)?;
+        let surface = Surface::new(
+            &dots,
+            self.spacing as f32,
+            [0.0; 2],
+            [(self.max[0] - self.min[0]) as f32, (self.max[1] - self.min[1]) as f32],
+            self.min[2] as f32,
+        );
+        let (level, range) = *self.heights.get_or_insert_with(|| {
+            let level = surface.median().unwrap_or(self.min[2] as f32);
+            (level, cut::round_up(0.35 * (f64::from(level) - self.min[2])).max(2.0 * self.spacing) as f32)
+        });
+        let grounds: Vec<Ground> = plan.materials.iter().map(|m| Ground::of_law(&m.material.name)).collect();
+        let (width, height, _) = self.panels();
+        let mut relief = Image::new(width, height, AIR);
+        surface.draw(&mut relief, self.scale as f32, &grounds, level, range, FLOOR);
+        let frame = Frame { origin: [self.min[0], self.min[1]], scale: self.scale };
+        moment.tools.draw_above(&mut relief, frame, &surface);
+        let cut = self.cut(&dots, &moment.tools);
+        let ground = grounds.first().copied().unwrap_or_else(|| Ground::of_law("sand"));
+        Ok(self.page(&relief, &cut, ground, (level, range), moment.time))
+    }
+
+    /// Where the relief lies within a frame.
+    pub fn relief_rect(&self) -> Rect {
+        let (width, height, _) = self.panels();
+        Rect { x: (self.width() - width) / 2, y: HEADER, width, height }
+    }
+
+    /// Columns of both panels, rows of the relief, rows of the cut.
+    fn panels(&self) -> (usize, usize, usize) {
+        let pixels = |d: usize| (((self.max[d] - self.min[d]) * self.scale).round() as usize).max(8);
+        (pixels(0), pixels(1), pixels(2))
+    }
+    fn width(&self) -> usize {
+        (self.panels().0 + 2 * MARGIN).max(LEAST_WIDTH)
+    }
+
+    /// All particles, x and y from the view's corner, those near the cut with the quantity that colours it.
+    fn dots(&mut self, plan: &Plan, particles: &ParticleState) -> Result<Vec<Dot>> {
+        let mut dots = Vec::with_capacity(particles.lists.iter().map(ParticleList::len).sum());
+        let mut values = Vec::new();
+        for list in &particles.lists {
+            let first = dots.len();
+            dots.extend((0..list.len()).map(|i| {
+                let p = list.position(i);
+                let position = [(p[0] - self.min[0]) as f32, (p[1] - self.min[1]) as f32, p[2] as f32];
+                Dot { position, ground: list.material as u8, value: 0.0 }
+            }));
+            let cut_y = (self.cut_y - self.min[1]) as f32;
+            let near = |dot: &Dot| (dot.position[1] - cut_y).abs() < self.spacing as f32;
+            let which: Vec<usize> = (0..list.len()).filter(|&i| near(&dots[first + i])).collect();
+            let quantity = match self.cut {
+                CutColour::Pressure => pressure(&plan.materials[list.material as usize], list, &which)?,
+                CutColour::Speed => {
+                    which.iter().map(|&i| list.velocity[i].iter().map(|v| v * v).sum::<f64>().sqrt()).collect()
+                }
+            };
+            for (i, value) in which.into_iter().zip(quantity) {
+                dots[first + i].value = value as f32;
+                values.push(value);
+            }
+        }
+        // The scale's end covers all but the outliers, and never shrinks, so that frames can be compared.
+        if !values.is_empty() {
+            let index = (values.len() - 1) * 995 / 1000;
+            let high = *values.select_nth_unstable_by(index, f64::total_cmp).1;
+            self.top = self.top.max(cut::round_up(high));
+        }
+        Ok(dots)
+    }
+
+    fn cut(&self, dots: &[Dot], tools: &Tools<'_>) -> Image {
+        let (width, _, height) = self.panels();
+        let mut image = Image::new(width, height, AIR);
+        let (spacing, top) = (self.spacing as f32, self.top.max(f64::MIN_POSITIVE) as f32);
+        let frame = Frame { origin: [0.0, self.min[2]], scale: self.scale };
+        cut::draw(&mut image, frame, dots, (self.cut_y - self.min[1]) as f32, spacing, top);
+        let frame = Frame { origin: [self.min[0], self.min[2]], scale: self.scale };
+        tools.draw_cut(&mut image, frame, self.cut_y);
+        image
+    }
+
+    /// Sets the panels on a page with title, time, scale bar and legends.
+    fn page(&self, relief: &Image, cut: &Image, ground: Ground, (level, range): (f32, f32), time: f64) -> Image {
+        let rect = self.relief_rect();
+        let (left, right) = (MARGIN as f32, (self.width() - MARGIN) as f32);
+        let mut page = Image::new(self.width(), HEADER + rect.height + STRIP + cut.height() + STRIP, PAGE);
+        page.text(left, 11.0, TEXT + 1.75, Align::Left, INK, &self.name);
+        page.text(right, 11.0, TEXT + 1.75, Align::Right, INK, &format!("t = {time:.2} s"));
+
+        page.paste(relief, rect.x, rect.y);
+        self.border(&mut page, rect, [self.walls[0], self.walls[1], self.walls[3], self.walls[2]]);
+        // Two marks beside the relief show where the cut is.
+        let row = (rect.y + rect.height) as f64 - (self.cut_y - self.min[1]) * self.scale;
+        for x in [rect.x.saturating_sub(10), rect.x + rect.width + 4] {
+            page.fill(Rect { x, y: row as usize, width: 6, height: 2 }, INK);
+        }
+
+        let strip = rect.y + rect.height + 14;
+        self.scale_bar(&mut page, rect.x, strip);
+        let (factor, name) = unit(f64::from(range), "m");
+        let end = f64::from(range) / factor;
+        let ends = [format!("{:+.0}", -end), format!("{end:+.0} {name}")];
+        let label = format!("height from {:.0} mm", 1e3 * (f64::from(level) - self.min[2]));
+        legend(&mut page, rect.x + rect.width, strip, &label, &ends, |t| ground.at(t).map(colour::encode));
+
+        let below = Rect { x: rect.x, y: rect.y + rect.height + STRIP, width: cut.width(), height: cut.height() };
+        page.paste(cut, below.x, below.y);
+        self.border(&mut page, below, [self.walls[0], self.walls[1], false, self.walls[4]]);
+
+        let strip = below.y + below.height + 14;
+        let cut_label = format!("cut at y = {:.2} m", self.cut_y);
+        page.text(rect.x as f32, strip as f32, TEXT, Align::Left, INK, &cut_label);
+        let (quantity, (factor, name)) = match self.cut {
+            CutColour::Pressure => ("pressure", unit(self.top, "Pa")),
+            CutColour::Speed => ("speed", unit(self.top, "m/s")),
+        };
+        let ends = ["0".to_owned(), format!("{:.0} {name}", self.top / factor)];
+        legend(&mut page, rect.x + rect.width, strip, quantity, &ends, viridis);
+        page
+    }
+
+    /// Frames a panel: thick where there is a wall. Sides: left, right, top, bottom.
+    fn border(&self, page: &mut Image, rect: Rect, walls: [bool; 4]) {
+        let thick = |wall: bool| if wall { 3 } else { 1 };
+        let colour = |wall: bool| if wall { INK } else { [196, 192, 186] };
+        let Rect { x, y, width, height } = rect;
+        for (side, wall) in walls.into_iter().enumerate() {
+            let t = thick(wall);
+            let line = match side {
+                0 => Rect { x: x - t, y: y - 1, width: t, height: height + 2 },
+                1 => Rect { x: x + width, y: y - 1, width: t, height: height + 2 },
+                2 => Rect { x: x - 1, y: y - t, width: width + 2, height: t },
+                _ => Rect { x: x - 1, y: y + height, width: width + 2, height: t },
+            };
+            page.fill(line, colour(wall));
+        }
+    }
+
+    /// A bar of round length, about a fifth of the width, in four fields.
+    fn scale_bar(&self, page: &mut Image, x: usize, y: usize) {
+        let length = cut::round_up(0.1 * (self.max[0] - self.min[0]));
+        let pixels = (length * self.scale).round() as usize;
+        for field in 0..4 {
+            let (from, to) = (pixels * field / 4, pixels * (field + 1) / 4);
+            page.fill(Rect { x: x + from, y, width: to - from, height: 8 }, INK);
+            if field % 2 == 1 {
+                page.fill(Rect { x: x + from, y: y + 2, width: to - from - 2 * (field / 3), height: 4 }, PAGE);
+            }
+        }
+        let (label, unit) = if length < 1.0 { (100.0 * length, "cm") } else { (length, "m") };
+        page.text((x + pixels + 8) as f32, y as f32, TEXT, Align::Left, INK, &format!("{label} {unit}"));
+    }
+}
+
+/// A colour bar that ends at `right`, with a label before it and the values of its ends around it.
+fn legend(page: &mut Image, right: usize, y: usize, label: &str, ends: &[String; 2], colour: impl Fn(f32) -> Colour) {
+    const LENGTH: usize = 120;
+    let right = right as f32;
+    page.text(right, y as f32, TEXT, Align::Right, INK, &ends[1]);
+    let bar = (right - text_width(TEXT, &ends[1]) - 8.0) as usize - LENGTH;
+    page.fill(Rect { x: bar - 1, y: y - 2, width: LENGTH + 2, height: 13 }, INK);
+    for i in 0..LENGTH {
+        let column = Rect { x: bar + i, y: y - 1, width: 1, height: 11 };
+        page.fill(column, colour(i as f32 / (LENGTH - 1) as f32));
+    }
+    page.text(bar as f32 - 8.0, y as f32, TEXT, Align::Right, INK, &ends[0]);
+    page.text(bar as f32 - 20.0 - text_width(TEXT, &ends[0]), y as f32, TEXT, Align::Right, INK, label);
+}
+
+/// The prefixed unit in which `value` has one to three digits before the point.
+fn unit(value: f64, base: &str) -> (f64, String) {
+    let (factor, prefix) = match value.abs() {
+        v if v >= 1e9 => (1e9, "G"),
+        v if v >= 1e6 => (1e6, "M"),
+        v if v >= 1e3 => (1e3, "k"),
+        v if v >= 1.0 || v == 0.0 => (1.0, ""),
+        v if v >= 1e-3 => (1e-3, "m"),
+        _ => (1e-6, "u"),
+    };
+    (factor, format!("{prefix}{base}"))
+}
+
+/// What a view shows: the particles with a quarter of their extent around, inside the world, down to a floor.
+fn extent(scene: &Scene, particles: &ParticleState) -> (Vec3, Vec3) {
+    let world = &scene.world;
+    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for list in &particles.lists {
+        for position in (0..list.len()).map(|i| list.position(i)) {
+            for d in 0..3 {
+                low[d] = low[d].min(position[d]);
+                high[d] = high[d].max(position[d]);
+            }
+        }
+    }
+    if low[0] > high[0] {
+        return (world.min, world.max);
+    }
+    let size: Vec3 = std::array::from_fn(|d| high[d] - low[d] + world.cell);
+    let wide = size[0].max(size[1]);
+    let above = [0.25 * size[0], 0.25 * size[1], (0.5 * size[2]).max(0.12 * wide)];
+    let below = [0.25 * size[0], 0.25 * size[1], 0.1 * size[2]];
+    let mut min: Vec3 = std::array::from_fn(|d| (low[d] - below[d]).max(world.min[d]));
+    let max: Vec3 = std::array::from_fn(|d| (high[d] + above[d]).min(world.max[d]));
+    if world.walls.z_min != Wall::Open {
+        min[2] = world.min[2];
+    }
+    (min, max)
+}

@@ -1,0 +1,525 @@
+//! Runs a simulation with output into a folder: pictures, trace, summary, snapshots.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `frames/00000.png`, … | a picture every `output.interval` |
+//! | `contact-sheet.png`, `animation.gif` | the run at a glance |
+//! | `particles/00000.ply`, … | particles every `output.interval`, if asked for |
+//! | `trace.csv` | every step: time, step size, pose, velocity and wrench of every body |
+//! | `summary.json` | every figure of the run |
+//! | `snapshot.barchan` | the state at the end, on interruption or before an error: the run continues from it bit for bit |
+//!
+//! Output never changes the physics: steps are those of a run without output (only the end is met exactly), and a picture
+//! shows the first step at or past its time.
+
+use crate::picture::{self, Image, View};
+use barchan_core::backend::Timing;
+use barchan_core::export::export;
+use barchan_core::scene::Export;
+use barchan_core::{BodyState, Error, Ledger, Precision, Result, Simulation, Vec3, Wrench};
+use serde::Serialize;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Name of the snapshot within an output folder.
+pub const SNAPSHOT: &str = "snapshot.barchan";
+/// Animations stay below this many bytes and frames.
+const ANIMATION_BYTES: usize = 6 << 20;
+const ANIMATION_FRAMES: usize = 240;
+const ANIMATION_WIDTH: usize = 640;
+/// Pictures on a contact sheet.
+const SHEET: usize = 12;
+/// Keyword of the view in the pictures' text chunks.
+const VIEW: &str = "barchan view";
+const TIME: &str = "time";
+
+/// How far to run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Until {
+    /// To a simulated time [s].
+    Time(f64),
+    /// To a step, counted from the scene's start.
+    Step(u64),
+}
+
+/// What to run and where its output goes.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// Folder for all output; made if it is missing.
+    pub out: PathBuf,
+    /// How far to run.
+    pub until: Until,
+    /// Whether pictures are made, if the scene asks for them.
+    pub pictures: bool,
+    /// Particle files; absent: as the scene says.
+    pub export: Option<Export>,
+    /// Keep what the folder holds up to the simulation's present step, and go on from there.
+    pub resumed: bool,
+}
+
+/// Where a run stands.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// Share done, 0 to 1.
+    pub done: f64,
+    /// Simulated time [s].
+    pub time: f64,
+    /// Steps taken since the scene's start.
+    pub step: u64,
+    /// The last step [s].
+    pub dt: f64,
+    /// Wall seconds since the run's start.
+    pub elapsed: f64,
+}
+
+/// Share of an effect in a run's time.
+#[derive(Clone, Debug, Serialize)]
+pub struct EffectTime {
+    /// Such as "P2G" or "material sand".
+    pub effect: String,
+    /// Wall seconds.
+    pub seconds: f64,
+    /// Share of the whole run, 0 to 1.
+    pub share: f64,
+    /// Passes run.
+    pub passes: u64,
+}
+
+/// Every figure of a run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// Version of Barchan.
+    pub version: String,
+    /// Name of the scene.
+    pub scene: String,
+    /// Number format.
+    pub precision: Precision,
+    /// The run was stopped before its end.
+    pub interrupted: bool,
+    /// What stopped it, if that was an error.
+    pub error: Option<String>,
+    /// Simulated time at the end [s].
+    pub time: f64,
+    /// Steps since the scene's start.
+    pub step: u64,
+    /// Simulated seconds of this run.
+    pub simulated: f64,
+    /// Steps of this run.
+    pub steps: u64,
+    /// Least, mean and greatest step of this run [s].
+    pub dt: [f64; 3],
+    /// Particles at the end.
+    pub particles: usize,
+    /// Particles moved by one step, summed over this run.
+    pub particle_steps: u64,
+    /// Wall seconds of this run, output included.
+    pub wall: f64,
+    /// Wall seconds of the steps alone.
+    pub wall_steps: f64,
+    /// Simulated seconds per wall second.
+    pub real_time_factor: f64,
+    /// Particle-steps per second of the steps alone.
+    pub particle_steps_per_s: f64,
+    /// Time by effect.
+    pub effects: Vec<EffectTime>,
+    /// Peak resident memory of the process [bytes], where the system tells.
+    pub peak_memory: Option<u64>,
+    /// Resident bytes of particles and of the grid.
+    pub memory: (u64, u64),
+    /// Totals at the start of this run.
+    pub ledger_start: Ledger,
+    /// Totals at its end.
+    pub ledger_end: Ledger,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+/// Runs a simulation and writes its output; `watch` is called after every step and may stop the run, which then ends as
+/// if it had come so far only: everything is saved.
+///
+/// # Errors
+/// If the output folder cannot be used, which is found out before the first step. If a step fails: what was simulated until
+/// then is saved first. If the disk fills up: files written before stay.
+pub fn run(
+    simulation: &mut Simulation,
+    request: &Request,
+    watch: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<Summary> {
+    let start = Instant::now();
+    let mut recorder = Recorder::new(simulation, request)?;
+    let first = Start { time: simulation.time(), step: simulation.step_count(), ledger: simulation.ledger() };
+    let mut tally = Tally::default();
+    recorder.record(simulation)?;
+    let result = steps(simulation, request, &first, &mut recorder, &mut tally, start, watch);
+    // An error of the physics leaves the state before the step: it is saved like any other end.
+    let snapshot = simulation.save(request.out.join(SNAPSHOT));
+    let interrupted = !matches!(result, Ok(true));
+    let error = result.as_ref().err().map(ToString::to_string);
+    let summary = recorder.finish(simulation, &first, &tally, interrupted, error, start)?;
+    result?;
+    snapshot?;
+    Ok(summary)
+}
+
+/// Where a run began.
+struct Start {
+    time: f64,
+    step: u64,
+    ledger: Ledger,
+}
+
+/// What is summed up step by step.
+#[derive(Default)]
+struct Tally {
+    steps: u64,
+    particle_steps: u64,
+    wall: f64,
+    least: Option<f64>,
+    greatest: f64,
+}
+
+/// Steps to the end; `true` if it was reached, `false` if `watch` stopped it.
+fn steps(
+    simulation: &mut Simulation,
+    request: &Request,
+    first: &Start,
+    recorder: &mut Recorder,
+    tally: &mut Tally,
+    start: Instant,
+    watch: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
+) -> Result<bool> {
+    let done = |simulation: &Simulation| match request.until {
+        Until::Time(end) if end > first.time => (simulation.time() - first.time) / (end - first.time),
+        Until::Step(end) if end > first.step => {
+            (simulation.step_count() - first.step) as f64 / (end - first.step) as f64
+        }
+        _ => 1.0,
+    };
+    if let Until::Time(end) = request.until {
+        simulation.set_stop(end);
+    }
+    let mut progress = done(simulation);
+    while progress < 1.0 {
+        let before = Instant::now();
+        let report = simulation.step()?;
+        tally.wall += before.elapsed().as_secs_f64();
+        tally.steps += 1;
+        tally.particle_steps += simulation.particle_count() as u64;
+        tally.least = Some(tally.least.map_or(report.dt, |least| least.min(report.dt)));
+        tally.greatest = tally.greatest.max(report.dt);
+        recorder.trace(simulation, report.dt)?;
+        recorder.record(simulation)?;
+        progress = done(simulation);
+        let now = Progress {
+            done: progress.min(1.0),
+            time: simulation.time(),
+            step: simulation.step_count(),
+            dt: report.dt,
+            elapsed: start.elapsed().as_secs_f64(),
+        };
+        if watch(&now).is_break() {
+            return Ok(progress >= 1.0);
+        }
+    }
+    Ok(true)
+}
+
+/// Writes a run's files as it goes.
+struct Recorder {
+    out: PathBuf,
+    interval: f64,
+    view: Option<View>,
+    export: Option<Export>,
+    snapshot_interval: Option<f64>,
+    next_frame: u64,
+    next_snapshot: f64,
+    trace: BufWriter<File>,
+    seconds: f64,
+}
+
+impl Recorder {
+    fn new(simulation: &Simulation, request: &Request) -> Result<Self> {
+        let begin = Instant::now();
+        let out = request.out.clone();
+        let output = &simulation.plan().scene.output;
+        let pictures = request.pictures && output.picture.on;
+        let format = request.export.or(output.export);
+        check_folder(&out, simulation.plan().memory.0)?;
+        let time = simulation.time();
+        // Pictures up to now are kept when a run goes on, all others are of an older run.
+        let past = if request.resumed { (time / output.interval + 1e-9).floor() as u64 + 1 } else { 0 };
+        let frames = numbered(&out.join("frames"), past)?;
+        numbered(&out.join("particles"), past)?;
+        let folder = |on: bool, name: &str| if on { make_folder(&out.join(name)) } else { Ok(()) };
+        folder(pictures, "frames")?;
+        folder(format.is_some(), "particles")?;
+        let view = match frames.last().filter(|_| pictures).and_then(|path| view_of(path)) {
+            Some(view) => Some(view),
+            None => pictures.then(|| View::new(simulation.plan(), &simulation.particles())),
+        };
+        Ok(Self {
+            trace: open_trace(&out.join("trace.csv"), simulation, request.resumed)?,
+            interval: output.interval,
+            snapshot_interval: output.snapshot_interval,
+            next_snapshot: output.snapshot_interval.map_or(f64::INFINITY, |interval| time + interval),
+            next_frame: past,
+            out,
+            view,
+            export: format,
+            seconds: begin.elapsed().as_secs_f64(),
+        })
+    }
+
+    /// One line of the trace.
+    fn trace(&mut self, simulation: &Simulation, dt: f64) -> Result<()> {
+        let begin = Instant::now();
+        let mut line = format!("{},{},{dt}", simulation.time(), simulation.step_count());
+        for (body, wrench) in simulation.bodies().iter().zip(&simulation.wrenches()) {
+            line.push_str(&row(body, wrench));
+        }
+        line.push('\n');
+        let path = self.out.join("trace.csv");
+        self.trace.write_all(line.as_bytes()).map_err(|e| io_error(&path, "writing the trace", e))?;
+        self.seconds += begin.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// Pictures, particle files and snapshots that are due.
+    fn record(&mut self, simulation: &Simulation) -> Result<()> {
+        let begin = Instant::now();
+        let time = simulation.time();
+        if time >= self.next_frame as f64 * self.interval - 1e-9 * self.interval {
+            let number = self.next_frame;
+            // A step longer than the interval skips pictures rather than repeat one.
+            self.next_frame = (time / self.interval + 1e-9).floor() as u64 + 1;
+            if let Some(view) = &mut self.view {
+                let path = self.out.join("frames").join(format!("{number:05}.png"));
+                let picture = view.draw(simulation)?;
+                let view = serde_json::to_string(view).expect("a view is plain numbers and text");
+                let notes = [(TIME, time.to_string()), (VIEW, view)];
+                let notes = notes.each_ref().map(|(keyword, text)| (*keyword, text.as_str()));
+                picture.write_png(&path, &notes).map_err(|e| io_error(&path, "writing a picture", e))?;
+            }
+            if let Some(format) = self.export {
+                let path = self.out.join("particles").join(format!("{number:05}.{}", format.extension()));
+                export(&simulation.particles(), simulation.plan(), path, format)?;
+            }
+            let path = self.out.join("trace.csv");
+            self.trace.flush().map_err(|e| io_error(&path, "writing the trace", e))?;
+        }
+        if let Some(interval) = self.snapshot_interval.filter(|_| time >= self.next_snapshot) {
+            simulation.save(self.out.join(SNAPSHOT))?;
+            self.next_snapshot = ((time / interval + 1e-9).floor() + 1.0) * interval;
+        }
+        self.seconds += begin.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    /// Contact sheet, animation and summary.
+    fn finish(
+        mut self,
+        simulation: &Simulation,
+        first: &Start,
+        tally: &Tally,
+        interrupted: bool,
+        error: Option<String>,
+        start: Instant,
+    ) -> Result<Summary> {
+        // Asked before the animation, which is no part of the simulation.
+        let peak_memory = peak_memory();
+        let begin = Instant::now();
+        let path = self.out.join("trace.csv");
+        self.trace.flush().map_err(|e| io_error(&path, "writing the trace", e))?;
+        if let Some(view) = &self.view {
+            let frames = numbered(&self.out.join("frames"), u64::MAX)?;
+            overview(&frames, view, self.interval, &self.out)?;
+        }
+        self.seconds += begin.elapsed().as_secs_f64();
+
+        let wall = start.elapsed().as_secs_f64();
+        let mut timings = simulation.timings();
+        timings.push(Timing { effect: "output".to_owned(), seconds: self.seconds, passes: self.next_frame });
+        let simulated = simulation.time() - first.time;
+        let effects = timings.into_iter().map(|t| EffectTime {
+            effect: t.effect,
+            seconds: t.seconds,
+            share: t.seconds / wall,
+            passes: t.passes,
+        });
+        let plan = simulation.plan();
+        let summary = Summary {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            scene: plan.scene.name.clone(),
+            precision: plan.precision,
+            interrupted,
+            error,
+            time: simulation.time(),
+            step: simulation.step_count(),
+            simulated,
+            steps: tally.steps,
+            dt: [tally.least.unwrap_or(0.0), simulated / tally.steps.max(1) as f64, tally.greatest],
+            particles: simulation.particle_count(),
+            particle_steps: tally.particle_steps,
+            wall,
+            wall_steps: tally.wall,
+            real_time_factor: simulated / wall,
+            particle_steps_per_s: tally.particle_steps as f64 / tally.wall.max(f64::MIN_POSITIVE),
+            effects: effects.collect(),
+            peak_memory,
+            memory: simulation.memory(),
+            ledger_start: first.ledger.clone(),
+            ledger_end: simulation.ledger(),
+            warnings: plan.warnings.clone(),
+        };
+        let json = serde_json::to_string_pretty(&summary).expect("a summary is plain numbers and text");
+        write_whole(&self.out.join("summary.json"), "writing the summary", json.as_bytes())?;
+        Ok(summary)
+    }
+}
+
+/// Is the folder there, may it be written, and does it have room for a snapshot (up to 64 MiB are tried)?
+fn check_folder(out: &Path, snapshot: u64) -> Result<()> {
+    const WHAT: &str = "this output folder cannot be used (choose another with --out, or make room)";
+    make_folder(out)?;
+    let probe = out.join(format!(".probe-{}", std::process::id()));
+    let zeros = vec![0u8; snapshot.clamp(1 << 16, 64 << 20) as usize];
+    let written = File::create(&probe).and_then(|mut file| file.write_all(&zeros).and_then(|()| file.sync_all()));
+    let removed = if probe.exists() { fs::remove_file(&probe) } else { Ok(()) };
+    written.and(removed).map_err(|source| io_error(out, WHAT, source))
+}
+
+fn make_folder(path: &Path) -> Result<()> {
+    fs::create_dir_all(path)
+        .map_err(|e| io_error(path, "this output folder cannot be made (choose another with --out)", e))
+}
+
+fn io_error(path: &Path, what: &'static str, source: io::Error) -> Error {
+    Error::Io { file: path.to_owned(), what, source }
+}
+
+/// Writes a file under a temporary name, then renames it: there is never half a file.
+fn write_whole(path: &Path, what: &'static str, bytes: &[u8]) -> Result<()> {
+    let temporary = path.with_extension("part");
+    let written = fs::write(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
+    written.map_err(|e| io_error(path, what, e))
+}
+
+/// The numbered files of a folder below `end`, in order; those from `end` on are deleted.
+fn numbered(folder: &Path, end: u64) -> Result<Vec<PathBuf>> {
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(e) => return Err(io_error(folder, "reading the folder", e)),
+    };
+    let mut kept = Vec::new();
+    for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
+        let number = path.file_stem().and_then(|stem| stem.to_str()?.parse::<u64>().ok());
+        match number {
+            Some(number) if number < end => kept.push((number, path)),
+            Some(_) => fs::remove_file(&path).map_err(|e| io_error(&path, "deleting a file of an older run", e))?,
+            None => {}
+        }
+    }
+    kept.sort();
+    Ok(kept.into_iter().map(|(_, path)| path).collect())
+}
+
+/// The view that a picture was drawn with.
+fn view_of(path: &Path) -> Option<View> {
+    let (_, notes) = Image::read_png(path).ok()?;
+    notes.iter().find(|(keyword, _)| keyword == VIEW).and_then(|(_, text)| serde_json::from_str(text).ok())
+}
+
+/// Opens the trace; one that goes on is cut after the present step.
+fn open_trace(path: &Path, simulation: &Simulation, resumed: bool) -> Result<BufWriter<File>> {
+    let open = || -> io::Result<BufWriter<File>> {
+        let mut file = File::options().read(true).write(true).create(true).truncate(!resumed).open(path)?;
+        let mut text = String::new();
+        file.read_to_string(&mut text)?;
+        let step = |line: &str| line.split(',').nth(1).and_then(|s| s.parse::<u64>().ok());
+        let kept = text
+            .split_inclusive('\n')
+            .take_while(|line| line.ends_with('\n') && step(line).is_none_or(|step| step <= simulation.step_count()));
+        let length: usize = kept.map(str::len).sum();
+        file.set_len(length as u64)?;
+        file.seek(SeekFrom::End(0))?;
+        let mut writer = BufWriter::new(file);
+        if length == 0 {
+            writeln!(writer, "{}", header(&simulation.bodies()))?;
+        }
+        Ok(writer)
+    };
+    open().map_err(|e| io_error(path, "opening the trace", e))
+}
+
+/// Quantities of a body in the trace, with units.
+const COLUMNS: [&str; 19] = [
+    "x [m]",
+    "y [m]",
+    "z [m]",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "vx [m/s]",
+    "vy [m/s]",
+    "vz [m/s]",
+    "wx [rad/s]",
+    "wy [rad/s]",
+    "wz [rad/s]",
+    "fx [N]",
+    "fy [N]",
+    "fz [N]",
+    "tx [N m]",
+    "ty [N m]",
+    "tz [N m]",
+];
+
+fn header(bodies: &[BodyState]) -> String {
+    let columns = bodies.iter().flat_map(|body| COLUMNS.map(|column| format!("{} {column}", body.name)));
+    ["time [s]", "step", "dt [s]"].map(str::to_owned).into_iter().chain(columns).collect::<Vec<_>>().join(",")
+}
+
+fn row(body: &BodyState, wrench: &Wrench) -> String {
+    let vectors: [&Vec3; 4] = [&body.velocity, &body.angular_velocity, &wrench.force, &wrench.torque];
+    let numbers = body.position.iter().chain(&body.rotation).chain(vectors.into_iter().flatten());
+    numbers.fold(String::new(), |row, number| format!("{row},{number}"))
+}
+
+/// Makes the contact sheet and the animation from the pictures of a run.
+fn overview(frames: &[PathBuf], view: &View, interval: f64, out: &Path) -> Result<()> {
+    if frames.is_empty() {
+        return Ok(());
+    }
+    let load = |path: &Path| Image::read_png(path).map_err(|e| io_error(path, "reading a picture", e));
+    let count = frames.len().min(SHEET);
+    let picked = (0..count).map(|i| &frames[if count > 1 { i * (frames.len() - 1) / (count - 1) } else { 0 }]);
+    let pictures: Vec<(Image, String)> = picked
+        .map(|path| {
+            let (image, notes) = load(path)?;
+            let time = notes.iter().find(|(k, _)| k == TIME).and_then(|(_, t)| t.parse::<f64>().ok()).unwrap_or(0.0);
+            Ok((image.crop(view.relief_rect()), format!("t = {time:.2} s")))
+        })
+        .collect::<Result<_>>()?;
+    let sheet = picture::contact_sheet(&pictures, 3, 480);
+    let path = out.join("contact-sheet.png");
+    sheet.write_png(&path, &[]).map_err(|e| io_error(&path, "writing the contact sheet", e))?;
+
+    let path = out.join("animation.gif");
+    let stride = frames.len().div_ceil(ANIMATION_FRAMES);
+    let shown: Vec<&PathBuf> = frames.iter().step_by(stride).collect();
+    let small = |i: usize| Ok(Image::read_png(shown[i])?.0.shrunk(ANIMATION_WIDTH));
+    let bytes = picture::gif(shown.len(), small, interval * stride as f64, ANIMATION_BYTES)
+        .map_err(|e| io_error(&path, "making the animation", e))?;
+    write_whole(&path, "writing the animation", &bytes)
+}
+
+/// Peak resident memory of this process [bytes], where the system tells (Linux).
+pub fn peak_memory() -> Option<u64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.trim().trim_end_matches("kB").trim().parse::<u64>().ok().map(|kib| kib * 1024)
+}

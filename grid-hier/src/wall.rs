@@ -1,0 +1,176 @@
+//! Walls as mirrors.
+//!
+//! A wall lies on a cell face. Nodes beyond it mirror the nodes before it: what particles give to a mirrored node is folded
+//! back, reflected, and velocities read there are those of the mirror image. So the spline's support near a wall is complete,
+//! stress at the wall is right, and the wall is exactly where it is drawn. (Zeroing outside nodes instead makes it half a
+//! cell soft.)
+//!
+//! Slip and stick walls are linear, so each block folds its own tile. A wall that lets go of the ground has to see a node's
+//! whole momentum first; see [`Separation`].
+
+use crate::block::{TILE, TILE_SIDE, in_tile};
+use barchan_lanes::Float;
+
+/// A linear wall at one end of an axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mirror {
+    /// None.
+    #[default]
+    Open,
+    /// Reflects the normal component.
+    Slip,
+    /// Reflects all components.
+    Stick,
+}
+
+impl Mirror {
+    /// Sign of each velocity component of the mirror image, for a wall across `axis`.
+    fn signs(self, axis: usize) -> [f64; 3] {
+        match self {
+            Self::Open => [1.0; 3],
+            Self::Slip => std::array::from_fn(|d| if d == axis { -1.0 } else { 1.0 }),
+            Self::Stick => [-1.0; 3],
+        }
+    }
+}
+
+/// The linear walls of a level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Mirrors {
+    /// Walls at the least and greatest end of each axis.
+    pub kind: [[Mirror; 2]; 3],
+    /// First cell inside, per axis.
+    pub min: [i32; 3],
+    /// One past the last cell inside, per axis.
+    pub max: [i32; 3],
+}
+
+impl Mirrors {
+    /// Pairs (mirror image, node, signs) of planes of the tile that starts at `origin`, along `axis`.
+    fn planes(&self, origin: [i32; 3], axis: usize) -> impl Iterator<Item = (usize, usize, [f64; 3])> {
+        let side = TILE_SIDE as i32;
+        let [low, high] = self.kind[axis];
+        // Twice the wall's position in the tile, in nodes: node i and its image j satisfy i + j = 2 wall - 1.
+        let walls = [
+            (low, 2 * (self.min[axis] - origin[axis]) - 1, 0),
+            (high, 2 * (self.max[axis] - origin[axis]) - 1, 1),
+        ];
+        walls.into_iter().filter(|(kind, _, _)| *kind != Mirror::Open).flat_map(move |(kind, sum, end)| {
+            (0..side).filter_map(move |image| {
+                let node = sum - image;
+                let beyond = if end == 0 { image < node } else { image > node };
+                (beyond && (0..side).contains(&node)).then(|| (image as usize, node as usize, kind.signs(axis)))
+            })
+        })
+    }
+
+    /// Does any wall cross the tile that starts at `origin`?
+    pub fn meet(&self, origin: [i32; 3]) -> bool {
+        (0..3).any(|axis| self.planes(origin, axis).next().is_some())
+    }
+
+    /// Folds mass and momentum of mirrored nodes back. Returns the impulse that the walls gave [N s].
+    pub fn fold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3]) -> [f64; 3] {
+        let mut impulse = [0.0; 3];
+        for axis in 0..3 {
+            for (image, node, signs) in self.planes(origin, axis) {
+                let signs_t = signs.map(T::from_f64);
+                each_pair(axis, image, node, |image, node| {
+                    for d in 0..3 {
+                        let p = tile[image + d];
+                        tile[node + d] += signs_t[d] * p;
+                        impulse[d] += (signs[d] - 1.0) * p.to_f64();
+                        tile[image + d] = T::default();
+                    }
+                    let m = tile[image + 3];
+                    tile[node + 3] += m;
+                    tile[image + 3] = T::default();
+                });
+            }
+        }
+        impulse
+    }
+
+    /// Gives mirrored nodes the velocity of their images.
+    pub fn unfold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3]) {
+        for axis in (0..3).rev() {
+            for (image, node, signs) in self.planes(origin, axis) {
+                let signs = signs.map(T::from_f64);
+                each_pair(axis, image, node, |image, node| {
+                    for d in 0..3 {
+                        tile[image + d] = signs[d] * tile[node + d];
+                    }
+                });
+            }
+        }
+    }
+}
+
+/// Calls `f` with the starts of each pair of nodes in two planes of a tile across `axis`.
+fn each_pair(axis: usize, image: usize, node: usize, mut f: impl FnMut(usize, usize)) {
+    for a in 0..TILE_SIDE {
+        for b in 0..TILE_SIDE {
+            let at = |plane| match axis {
+                0 => in_tile(plane, a, b),
+                1 => in_tile(a, plane, b),
+                _ => in_tile(a, b, plane),
+            };
+            f(at(image), at(node));
+        }
+    }
+}
+
+/// A wall that keeps the ground from passing but lets it leave, with Coulomb friction.
+///
+/// A node before the wall and its mirror image behind it are decided together, once the sums of both are known. Pressing: the
+/// image's momentum is folded back reflected, as at a slip wall, and friction may take tangential momentum up to `friction`
+/// times the normal impulse. Leaving: node and image move together, as if there were no wall.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Separation {
+    /// Axis that the wall is across.
+    pub axis: usize,
+    /// +1 if inside is towards greater coordinates, -1 otherwise.
+    pub inward: f64,
+    /// Coefficient of friction.
+    pub friction: f64,
+}
+
+impl Separation {
+    /// Folds the image's momentum and mass into the node's. Returns whether the pair presses on the wall, and the impulse that
+    /// the wall gave [N s].
+    pub fn fold<T: Float>(&self, node: &mut [T; 4], image: &mut [T; 4]) -> (bool, [f64; 3]) {
+        let n = self.axis;
+        let (p, q) = (node.map(T::to_f64), image.map(T::to_f64));
+        let mut sum: [f64; 4] = std::array::from_fn(|d| p[d] + q[d]);
+        *image = [T::default(); 4];
+        // A wall pushes or does nothing: where folding would pull, the pair keeps its own motion, or stops if it would pass.
+        let pushes = q[n] * self.inward < 0.0;
+        let presses = pushes || sum[n] * self.inward < 0.0;
+        let mut impulse = [0.0; 3];
+        if presses {
+            let stopped = if pushes { p[n] - q[n] } else { 0.0 };
+            impulse[n] = stopped - sum[n];
+            sum[n] = stopped;
+            let tangential = (0..3).filter(|&d| d != n).map(|d| sum[d] * sum[d]).sum::<f64>().sqrt();
+            if tangential > 0.0 {
+                let kept = (1.0 - self.friction * impulse[n].abs() / tangential).max(0.0);
+                for d in (0..3).filter(|&d| d != n) {
+                    impulse[d] = (kept - 1.0) * sum[d];
+                    sum[d] *= kept;
+                }
+            }
+        }
+        *node = sum.map(T::from_f64);
+        (presses, impulse)
+    }
+
+    /// Velocity of the image, from the node's and from whether the pair presses.
+    pub fn unfold<T: Float>(&self, node: &[T; 4], presses: bool) -> [T; 4] {
+        let mut image = *node;
+        image[3] = T::default();
+        if presses {
+            image[self.axis] = -image[self.axis];
+        }
+        image
+    }
+}

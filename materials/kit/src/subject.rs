@@ -1,0 +1,360 @@
+//! A host in miniature: calls a material's table from safe code, in either precision.
+
+use crate::material::MAX_STATE;
+use barchan_abi::*;
+use core::fmt;
+use core::ptr::{null, null_mut};
+use core::slice::from_raw_parts;
+
+/// A material under test.
+#[derive(Clone, Copy, Debug)]
+pub struct Subject<'a> {
+    table: &'a BarchanMaterial,
+}
+
+/// One particle's inputs; only the entries that the material declares are read.
+#[derive(Clone, Copy, Debug)]
+pub struct Particle {
+    /// Trial strain: F (9, row-major) or b_e (6: xx yy zz xy xz yz) [1].
+    pub strain: [f64; 9],
+    /// Velocity gradient, row-major [1/s].
+    pub vel_grad: [f64; 9],
+    /// State variables.
+    pub state: [f64; MAX_STATE],
+}
+
+/// One particle's outputs; entries that the material does not declare are 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Answer {
+    /// Strain after the return map.
+    pub strain: [f64; 9],
+    /// Kirchhoff stress xx yy zz xy xz yz [Pa].
+    pub kirchhoff: [f64; 6],
+    /// State variables.
+    pub state: [f64; MAX_STATE],
+}
+
+/// Which of the two updates is called.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Precision {
+    /// `update_f32`.
+    F32,
+    /// `update_f64`.
+    F64,
+}
+
+/// A callback's failure.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SubjectError {
+    /// `BARCHAN_E_*`.
+    pub status: BarchanStatus,
+    /// The callback's message.
+    pub message: String,
+    /// Index of the first particle concerned, if the callback named one.
+    pub particle: Option<u64>,
+}
+
+impl fmt::Display for SubjectError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "status {}: {}", self.status, self.message)?;
+        self.particle.map_or(Ok(()), |p| write!(f, " (particle {p})"))
+    }
+}
+impl std::error::Error for SubjectError {}
+
+fn absent(what: &str) -> SubjectError {
+    SubjectError { status: BARCHAN_E_OTHER, message: format!("the table has no {what}"), particle: None }
+}
+
+/// Calls `callback` with an error struct and makes a `Result` of what it leaves.
+fn call(callback: impl FnOnce(*mut BarchanError) -> BarchanStatus) -> Result<(), SubjectError> {
+    let mut message = [0u8; 512];
+    let mut error = BarchanError {
+        struct_size: size_of::<BarchanError>(),
+        message: message.as_mut_ptr(),
+        capacity: message.len(),
+        len: 0,
+        particle: u64::MAX,
+    };
+    let status = callback(&mut error);
+    if status == BARCHAN_OK {
+        return Ok(());
+    }
+    let len = error.len.min(message.len());
+    Err(SubjectError {
+        status,
+        message: String::from_utf8_lossy(&message[..len]).into_owned(),
+        particle: (error.particle != u64::MAX).then_some(error.particle),
+    })
+}
+
+/// Lays `planes` components of each particle out as planes of `stride`.
+fn spread<T: Copy + Default>(
+    particles: &[Particle],
+    planes: usize,
+    stride: usize,
+    component: impl Fn(&Particle, usize) -> T,
+) -> Vec<T> {
+    let mut out = vec![T::default(); planes * stride];
+    for (i, particle) in particles.iter().enumerate() {
+        for c in 0..planes {
+            out[c * stride + i] = component(particle, c);
+        }
+    }
+    out
+}
+
+macro_rules! with_batch {
+    ($name:ident, $batch:ident, $t:ident $(, $reserved:ident)?) => {
+        /// Builds a batch, hands it to `callback`, and returns strain, stress and state planes.
+        fn $name(
+            &self,
+            params: &[f64],
+            dt: f64,
+            particles: &[Particle],
+            stride: usize,
+            callback: impl FnOnce(&$batch, *mut BarchanError) -> BarchanStatus,
+        ) -> Result<Vec<Answer>, SubjectError> {
+            assert!(stride >= particles.len() && params.len() == self.table.n_params);
+            let (strains, states) = (self.strain_planes(), self.table.n_state);
+            let params: Vec<$t> = params.iter().map(|&p| p as $t).collect();
+            let strain_trial = spread(particles, strains, stride, |p, c| p.strain[c] as $t);
+            let vel_grad = spread(particles, 9, stride, |p, c| p.vel_grad[c] as $t);
+            let state_in = spread(particles, states, stride, |p, c| p.state[c] as $t);
+            let mut strain = vec![0 as $t; strains * stride];
+            let mut kirchhoff = vec![0 as $t; 6 * stride];
+            let mut state_out = vec![0 as $t; states * stride];
+            let batch = $batch {
+                struct_size: size_of::<$batch>(),
+                n: particles.len(),
+                stride,
+                dt: dt as $t,
+                $($reserved: 0,)?
+                params: params.as_ptr(),
+                strain_trial: strain_trial.as_ptr(),
+                vel_grad: if self.has(BARCHAN_CAP_VEL_GRAD) { vel_grad.as_ptr() } else { null() },
+                state_in: if states > 0 { state_in.as_ptr() } else { null() },
+                strain: strain.as_mut_ptr(),
+                kirchhoff: kirchhoff.as_mut_ptr(),
+                state_out: if states > 0 { state_out.as_mut_ptr() } else { null_mut() },
+            };
+            call(|error| callback(&batch, error))?;
+            Ok((0..particles.len())
+                .map(|i| {
+                    let mut answer = Answer { strain: [0.0; 9], kirchhoff: [0.0; 6], state: [0.0; MAX_STATE] };
+                    for c in 0..strains {
+                        answer.strain[c] = f64::from(strain[c * stride + i]);
+                    }
+                    for c in 0..6 {
+                        answer.kirchhoff[c] = f64::from(kirchhoff[c * stride + i]);
+                    }
+                    for c in 0..states {
+                        answer.state[c] = f64::from(state_out[c * stride + i]);
+                    }
+                    answer
+                })
+                .collect())
+        }
+    };
+}
+
+impl<'a> Subject<'a> {
+    /// Wraps a table.
+    ///
+    /// # Errors
+    /// If the table is of another major version or shorter than this version's.
+    ///
+    /// # Safety
+    /// The table's pointers and functions must obey the ABI.
+    pub unsafe fn new(table: &'a BarchanMaterial) -> Result<Self, SubjectError> {
+        if table.abi_major != BARCHAN_ABI_MAJOR || table.struct_size < size_of::<BarchanMaterial>() {
+            let (major, size) = (table.abi_major, table.struct_size);
+            let message = format!("table of ABI major {major} with {size} bytes");
+            return Err(SubjectError { status: BARCHAN_E_OTHER, message, particle: None });
+        }
+        Ok(Self { table })
+    }
+
+    /// The table.
+    pub fn table(&self) -> &'a BarchanMaterial {
+        self.table
+    }
+
+    /// The material's name.
+    pub fn name(&self) -> &'a str {
+        self.text(self.table.name)
+    }
+
+    /// Does it have this `BARCHAN_CAP_*` bit?
+    pub fn has(&self, capability: u64) -> bool {
+        self.table.capabilities & capability != 0
+    }
+
+    /// Does it carry the left Cauchy–Green tensor (or else the deformation gradient)?
+    pub fn is_left_cauchy_green(&self) -> bool {
+        self.table.strain_kind == BARCHAN_STRAIN_LEFT_CAUCHY_GREEN
+    }
+
+    /// Planes of its strain.
+    pub fn strain_planes(&self) -> usize {
+        if self.is_left_cauchy_green() { 6 } else { 9 }
+    }
+
+    /// Its parameters' declarations.
+    pub fn params(&self) -> impl Iterator<Item = BarchanParam> {
+        let BarchanMaterial { params, n_params, param_size, .. } = *self.table;
+        // SAFETY: `new`'s caller vouches for n_params entries, param_size bytes apart.
+        (0..n_params).map(move |i| unsafe { params.byte_add(i * param_size).read() })
+    }
+
+    /// Its state variables' declarations.
+    pub fn states(&self) -> impl Iterator<Item = BarchanStateVar> {
+        let BarchanMaterial { states, n_state, state_size, .. } = *self.table;
+        // SAFETY: as in `params`.
+        (0..n_state).map(move |i| unsafe { states.byte_add(i * state_size).read() })
+    }
+
+    /// The parameters' defaults.
+    pub fn default_params(&self) -> Vec<f64> {
+        self.params().map(|p| p.default_value).collect()
+    }
+
+    /// The defaults with some parameters changed by name.
+    ///
+    /// # Panics
+    /// If the material has no parameter of that name.
+    pub fn params_with(&self, changes: &[(&str, f64)]) -> Vec<f64> {
+        let mut values = self.default_params();
+        for &(name, value) in changes {
+            let index = self.params().position(|p| self.text(p.name) == name);
+            values[index.unwrap_or_else(|| panic!("'{}' has no parameter '{name}'", self.name()))] = value;
+        }
+        values
+    }
+
+    /// An undeformed particle as seeded.
+    pub fn particle_at_rest(&self) -> Particle {
+        let mut state = [0.0; MAX_STATE];
+        for (value, declared) in state.iter_mut().zip(self.states()) {
+            *value = declared.initial_value;
+        }
+        let mut strain = [0.0; 9];
+        let ones: &[usize] = if self.is_left_cauchy_green() { &[0, 1, 2] } else { &[0, 4, 8] };
+        for &c in ones {
+            strain[c] = 1.0;
+        }
+        Particle { strain, vel_grad: [0.0; 9], state }
+    }
+
+    with_batch!(with_f32, BarchanBatchF32, f32, reserved);
+    with_batch!(with_f64, BarchanBatchF64, f64);
+
+    /// Calls the update with planes `stride` apart.
+    ///
+    /// # Errors
+    /// What the callback answers, or that the table lacks it.
+    pub fn update_strided(
+        &self,
+        precision: Precision,
+        params: &[f64],
+        dt: f64,
+        particles: &[Particle],
+        stride: usize,
+    ) -> Result<Vec<Answer>, SubjectError> {
+        match precision {
+            Precision::F32 => {
+                let update = self.table.update_f32.ok_or_else(|| absent("update_f32"))?;
+                // SAFETY: `new`'s caller vouches for the function, `with_f32` for the batch.
+                self.with_f32(params, dt, particles, stride, |batch, error| unsafe { update(batch, error) })
+            }
+            Precision::F64 => {
+                let update = self.table.update_f64.ok_or_else(|| absent("update_f64"))?;
+                // SAFETY: as above.
+                self.with_f64(params, dt, particles, stride, |batch, error| unsafe { update(batch, error) })
+            }
+        }
+    }
+
+    /// Calls the update with planes as far apart as there are particles.
+    ///
+    /// # Errors
+    /// As [`Subject::update_strided`].
+    pub fn update(
+        &self,
+        precision: Precision,
+        params: &[f64],
+        dt: f64,
+        particles: &[Particle],
+    ) -> Result<Vec<Answer>, SubjectError> {
+        self.update_strided(precision, params, dt, particles, particles.len())
+    }
+
+    /// λ + 2μ and 3λ + 2μ [Pa] of each particle; `None` if the table lacks the callback.
+    ///
+    /// # Errors
+    /// What the callback answers.
+    pub fn tangent_moduli(
+        &self,
+        params: &[f64],
+        particles: &[Particle],
+    ) -> Result<Option<Vec<[f64; 2]>>, SubjectError> {
+        let Some(callback) = self.table.tangent_moduli_f32 else { return Ok(None) };
+        let n = particles.len();
+        let mut moduli = vec![0f32; 2 * n];
+        let out = moduli.as_mut_ptr();
+        // SAFETY: as in `update_strided`; `moduli` holds two planes of n.
+        self.with_f32(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
+        Ok(Some((0..n).map(|i| [f64::from(moduli[i]), f64::from(moduli[n + i])]).collect()))
+    }
+
+    /// Elastic energy [J/m³] of each particle; `None` if the table lacks the callback.
+    ///
+    /// # Errors
+    /// What the callback answers.
+    pub fn energy(&self, params: &[f64], particles: &[Particle]) -> Result<Option<Vec<f64>>, SubjectError> {
+        let Some(callback) = self.table.energy_f64 else { return Ok(None) };
+        let n = particles.len();
+        let mut energy = vec![0f64; n];
+        let out = energy.as_mut_ptr();
+        // SAFETY: as in `update_strided`; `energy` holds one plane of n.
+        self.with_f64(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
+        Ok(Some(energy))
+    }
+
+    /// Counts of the batch, in the order of `BARCHAN_COUNT_*`; `None` if the table lacks the callback.
+    ///
+    /// # Errors
+    /// What the callback answers.
+    pub fn counts(
+        &self,
+        params: &[f64],
+        particles: &[Particle],
+    ) -> Result<Option<[u64; BARCHAN_N_COUNTERS]>, SubjectError> {
+        let Some(callback) = self.table.count_f64 else { return Ok(None) };
+        let mut counts = [0; BARCHAN_N_COUNTERS];
+        let out = counts.as_mut_ptr();
+        // SAFETY: as in `update_strided`; `counts` holds BARCHAN_N_COUNTERS numbers.
+        self.with_f64(params, 0.0, particles, particles.len(), |batch, error| unsafe { callback(batch, out, error) })?;
+        Ok(Some(counts))
+    }
+
+    /// Checks parameters against each other; fine if the table lacks the callback.
+    ///
+    /// # Errors
+    /// What the callback answers.
+    pub fn check_params(&self, params: &[f64]) -> Result<(), SubjectError> {
+        assert_eq!(params.len(), self.table.n_params);
+        let Some(callback) = self.table.check_params else { return Ok(()) };
+        // SAFETY: `new`'s caller vouches for the function; `params` has the declared length.
+        call(|error| unsafe { callback(params.as_ptr(), error) })
+    }
+
+    /// A string of the table or of its declarations.
+    pub(crate) fn text(&self, s: BarchanStr) -> &'a str {
+        if s.len == 0 {
+            return "";
+        }
+        // SAFETY: `new`'s caller vouches for the table's strings.
+        core::str::from_utf8(unsafe { from_raw_parts(s.ptr, s.len) }).unwrap_or("(not UTF-8)")
+    }
+}

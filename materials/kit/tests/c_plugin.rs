@@ -1,0 +1,53 @@
+//! The conformance suite on the C template, compiled here and loaded as a plugin is, against the present header and against
+//! the frozen one of version 1.0: old plugins must keep working.
+#![expect(unsafe_code, reason = "loading a library runs its code")]
+
+use barchan_material_kit::{Subject, abi::BarchanPlugin, conformance};
+use std::path::Path;
+use std::process::Command;
+
+fn conforms(include: &str) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let library = folder.path().join("libneo_hookean.so");
+    let output = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()))
+        .args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
+        .arg(root.join(include))
+        .arg(root.join("materials/template/c/neo_hookean.c"))
+        .arg("-o")
+        .arg(&library)
+        .arg("-lm")
+        .output()
+        .expect("a C compiler: install cc or set CC");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+
+    // SAFETY: the library is ours; its entry has this type, and its table obeys the ABI (that is what the suite checks).
+    let plugin = unsafe {
+        let library = libloading::Library::new(&library).expect("a library that loads");
+        let entry = library
+            .get::<unsafe extern "C" fn() -> *const BarchanPlugin>(b"barchan_plugin_v1")
+            .expect("the plugin's entry");
+        let plugin = *entry();
+        // Its tables are used until the end.
+        std::mem::forget(library);
+        plugin
+    };
+    assert_eq!(plugin.n_materials, 1);
+    // SAFETY: as above.
+    let subject = unsafe { Subject::new(&**plugin.materials) }.expect("a table of this version");
+    assert_eq!(subject.name(), "c_neo_hookean");
+    match conformance::run_all(&subject, &subject.default_params()) {
+        Ok(measured) => measured.iter().for_each(|m| println!("{m}")),
+        Err(violation) => panic!("{violation}"),
+    }
+}
+
+#[test]
+fn the_c_template_conforms() {
+    conforms("sim-core/abi/include");
+}
+
+#[test]
+fn the_c_template_built_against_the_header_of_version_1_0_still_conforms() {
+    conforms("tests/golden/abi_v1_0");
+}

@@ -1,0 +1,148 @@
+//! Snow that hardens as it is packed.
+
+use barchan_material_kit::*;
+
+/// Elastoplastic snow: fixed corotated elasticity whose principal stretches are kept in [1 − θ_c, 1 + θ_s], and whose
+/// moduli grow by e^{ξ (1 − J_p)} as the plastic volume J_p shrinks.
+///
+/// τ = h [2μ (V² − V) + λ (J − 1) J I] with V² = b_e, J = det V, h = e^{ξ (1 − J_p)}; J_p takes up what the stretches lose.
+///
+/// h is at most the parameter `hardening_max`, and J_p stays in [0.05, 20]; a particle at either bound is counted as clamped.
+///
+/// # Source
+/// Stomakhin et al. 2013, "A material point method for snow simulation", eqs. 1 and 2 and section 6 (θ, ξ, plastic update). Written on b_e, which
+/// gives the same stress for every particle that is not inverted.
+#[derive(Debug)]
+pub struct Snow;
+
+const PLASTIC_VOLUME_RANGE: (f64, f64) = (0.05, 20.0);
+
+/// Constants derived from the parameters.
+#[derive(Clone, Copy, Debug)]
+pub struct SnowLaw<T> {
+    elastic: Lame<T>,
+    least_stretch: T,
+    greatest_stretch: T,
+    /// Where ‖b − I‖² is below this, no principal stretch is beyond its bounds.
+    elastic_radius_squared: T,
+    hardening: T,
+    /// Logarithm of the greatest h.
+    hardening_max_log: T,
+}
+
+impl<T: Real> SnowLaw<T> {
+    /// ln h, and where it was cut.
+    #[inline(always)]
+    fn log_hardening(&self, plastic_volume: T) -> (T, T::Mask) {
+        let log = self.hardening * (T::one() - plastic_volume);
+        (log.min(self.hardening_max_log), log.gt(self.hardening_max_log))
+    }
+
+    #[inline(always)]
+    fn hardened(&self, plastic_volume: T) -> Lame<T> {
+        self.elastic.scale(self.log_hardening(plastic_volume).0.exp())
+    }
+}
+
+#[inline(always)]
+fn clamp<T: Real>(x: T, (least, greatest): (T, T)) -> T {
+    x.max(least).min(greatest)
+}
+
+/// Principal stretch of an eigenvalue of b.
+#[inline(always)]
+fn stretch<T: Real>(eigenvalue: T) -> T {
+    eigenvalue.max(T::splat(MIN_STRETCH_SQUARED)).sqrt()
+}
+
+impl Material for Snow {
+    const NAME: &'static str = "snow";
+    const DOC: &'static str = "Snow: corotated elasticity with bounded principal stretches, hardening as it is packed.";
+    const REFERENCE: &'static str = "Stomakhin et al. 2013, doi:10.1145/2461912.2461948";
+    const PARAMS: &'static [Param] = &[
+        young_modulus(1.4e5),
+        poisson_ratio(0.2),
+        param("critical_compression", "1", 2.5e-2, 0.0, 1.0, "θ_c: principal stretches below 1 - θ_c are plastic.")
+            .max_open()
+            .differentiable(),
+        param("critical_stretch", "1", 7.5e-3, 0.0, 10.0, "θ_s: principal stretches above 1 + θ_s are plastic.").differentiable(),
+        param("hardening", "1", 10.0, 0.0, 100.0, "ξ: moduli grow by exp(ξ (1 - J_p)).").differentiable(),
+        param("hardening_max", "1", 55.0, 1.0, 1e6, "Greatest factor by which the moduli grow.").log_scale(),
+    ];
+    const STATES: &'static [State] =
+        &[state("plastic_volume", "1", 1.0, "J_p, volume change kept by plastic flow.").merge_log_mean()];
+    const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
+    type Strain<T: Real> = SymMat3<T>;
+    type Law<T: Real> = SnowLaw<T>;
+
+    #[inline(always)]
+    fn law<T: Real>(params: &[T]) -> SnowLaw<T> {
+        let one = T::one();
+        let (least_stretch, greatest_stretch) = (one - params[2], one + params[3]);
+        let radius = (one - least_stretch * least_stretch).min(greatest_stretch * greatest_stretch - one);
+        SnowLaw {
+            elastic: Lame::new(params[0], params[1]),
+            least_stretch,
+            greatest_stretch,
+            elastic_radius_squared: radius * radius,
+            hardening: params[4],
+            hardening_max_log: params[5].ln(),
+        }
+    }
+
+    #[inline(always)]
+    fn update<T: Real>(
+        law: &SnowLaw<T>,
+        x: MatIn<T, SymMat3<T>>,
+        state: &mut [T],
+    ) -> MatOut<T, SymMat3<T>> {
+        let no = T::Mask::splat(false);
+        let trial = x.strain;
+        let inside = near_identity(trial)
+            & trial.add_scalar(-T::one()).norm_squared().lt(law.elastic_radius_squared);
+        let (mut strain, mut left) = (trial, sqrt_near_identity(trial));
+        let (mut yielding, mut floored) = (no, no);
+        let mut plastic_volume = state[0];
+        if !inside.all() {
+            let eigen = Eigen::of(trial);
+            let [a, b, c] = eigen.values;
+            let bounds = (law.least_stretch, law.greatest_stretch);
+            let tried = [stretch(a), stretch(b), stretch(c)];
+            let kept = [clamp(tried[0], bounds), clamp(tried[1], bounds), clamp(tried[2], bounds)];
+            let same = kept[0].ge(tried[0]) & kept[0].le(tried[0])
+                & kept[1].ge(tried[1]) & kept[1].le(tried[1])
+                & kept[2].ge(tried[2]) & kept[2].le(tried[2]);
+            yielding = !same & !inside;
+            let least = T::splat(MIN_STRETCH_SQUARED);
+            floored = (a.lt(least) | b.lt(least) | c.lt(least)) & !inside;
+            let squares = [kept[0] * kept[0], kept[1] * kept[1], kept[2] * kept[2]];
+            strain = SymMat3::select(yielding, eigen.compose(squares), trial);
+            left = SymMat3::select(inside, left, eigen.compose(kept));
+            let lost = tried[0] * tried[1] * tried[2] / (kept[0] * kept[1] * kept[2]);
+            plastic_volume = T::select(yielding, plastic_volume * lost, plastic_volume);
+        }
+        let (least, greatest) = PLASTIC_VOLUME_RANGE;
+        let bounded = clamp(plastic_volume, (T::splat(least), T::splat(greatest)));
+        let (log_h, cut) = law.log_hardening(bounded);
+        let clamped = cut | bounded.lt(plastic_volume) | bounded.gt(plastic_volume);
+        state[0] = bounded;
+
+        let j = left.determinant();
+        let Lame { lambda, mu } = law.elastic.scale(log_h.exp());
+        let kirchhoff = (strain - left).scale(mu + mu).add_scalar(lambda * (j - T::one()) * j);
+        MatOut { strain, kirchhoff, events: Events { yielding, apex: no, floored, clamped } }
+    }
+
+    #[inline(always)]
+    fn tangent_moduli<T: Real>(law: &SnowLaw<T>, _b: SymMat3<T>, state: &[T]) -> TangentModuli<T> {
+        law.hardened(state[0]).tangent_moduli()
+    }
+
+    #[inline(always)]
+    fn energy<T: Real>(law: &SnowLaw<T>, b: SymMat3<T>, state: &[T]) -> T {
+        let Lame { lambda, mu } = law.hardened(state[0]);
+        let left = sqrt(b);
+        let compression = left.determinant() - T::one();
+        mu.mul_add(left.add_scalar(-T::one()).norm_squared(), T::splat(0.5) * lambda * compression * compression)
+    }
+}

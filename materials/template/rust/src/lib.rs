@@ -1,0 +1,74 @@
+//! A material plugin to copy: the compressible neo-Hookean solid.
+#![expect(unsafe_code, reason = "the exported entry has an unmangled name, and the test trusts its table")]
+
+use barchan_material_kit::*;
+
+/// τ = μ (b − I) + λ ln J I on the left Cauchy–Green tensor b, ln J = ½ ln det b.
+///
+/// # Source
+/// Bonet and Wood 2008, "Nonlinear Continuum Mechanics for Finite Element Analysis", eq. 6.29.
+#[derive(Debug)]
+pub struct TemplateNeoHookean;
+
+/// Where det b is below this, it is raised to it before the logarithm.
+const LEAST_DETERMINANT: f64 = 1e-24;
+
+#[inline(always)]
+fn log_volume<T: Real>(b: SymMat3<T>) -> T {
+    T::splat(0.5) * b.determinant().max(T::splat(LEAST_DETERMINANT)).ln()
+}
+
+impl Material for TemplateNeoHookean {
+    const NAME: &'static str = "template_neo_hookean";
+    const DOC: &'static str = "Compressible neo-Hookean solid, as a plugin.";
+    const REFERENCE: &'static str =
+        "Bonet and Wood 2008, Nonlinear Continuum Mechanics for Finite Element Analysis, eq. 6.29";
+    const PARAMS: &'static [Param] = &[
+        param("young_modulus", "Pa", 1e5, 0.0, 1e13, "Young's modulus E.").min_open().log_scale(),
+        param("poisson_ratio", "1", 0.3, -1.0, 0.5, "Poisson's ratio; both bounds are excluded.").min_open().max_open(),
+    ];
+    const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
+    type Strain<T: Real> = SymMat3<T>;
+    type Law<T: Real> = Lame<T>;
+
+    #[inline(always)]
+    fn law<T: Real>(params: &[T]) -> Lame<T> {
+        Lame::new(params[0], params[1])
+    }
+
+    #[inline(always)]
+    fn update<T: Real>(law: &Lame<T>, x: MatIn<T, SymMat3<T>>, _state: &mut [T]) -> MatOut<T, SymMat3<T>> {
+        let b = x.strain;
+        let stress = b.add_scalar(-T::one()).scale(law.mu).add_scalar(law.lambda * log_volume(b));
+        MatOut::new(b, stress)
+    }
+
+    /// The stiffness along a stretched axis grows as μ b; 1 + ‖b − I‖ bounds b's greatest eigenvalue.
+    #[inline(always)]
+    fn tangent_moduli<T: Real>(law: &Lame<T>, b: SymMat3<T>, _state: &[T]) -> TangentModuli<T> {
+        let bound = T::one() + b.add_scalar(-T::one()).norm_squared().sqrt();
+        Lame { mu: law.mu * bound, ..*law }.tangent_moduli()
+    }
+
+    #[inline(always)]
+    fn energy<T: Real>(law: &Lame<T>, b: SymMat3<T>, _state: &[T]) -> T {
+        let ln_j = log_volume(b);
+        let shape = b.add_scalar(-T::one()).trace() - ln_j - ln_j;
+        T::splat(0.5) * (law.mu * shape + law.lambda * ln_j * ln_j)
+    }
+}
+
+export_materials!(TemplateNeoHookean);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn conforms() {
+        // SAFETY: the table comes from `vtable`.
+        let subject = unsafe { Subject::new(vtable::<TemplateNeoHookean>()) }.expect("a table of this version");
+        let measured = conformance::run_all(&subject, &subject.default_params());
+        measured.unwrap_or_else(|violation| panic!("{violation}")).iter().for_each(|m| println!("{m}"));
+    }
+}

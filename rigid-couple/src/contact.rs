@@ -1,0 +1,306 @@
+//! The contact law between grid nodes and rigid surfaces, and its implicit solution for free bodies.
+//!
+//! A node inside a body has a velocity `u` relative to the surface, of which the law takes a part `f(u)`:
+//! - stick: all of it;
+//! - Coulomb with coefficient μ, where `u·n < 0` (approach): the normal part and, of the tangential part, at most μ times as
+//!   much; nothing on separation. μ = 0 is free slip;
+//! - thin plates (see [`crate::Sdf::contact_surface`]): the normal part both ways, so that nothing crosses the plate;
+//!   friction on approach only;
+//! - nodes without a normal or deeper than two cells move with the body: a direction out of the body would be arbitrary there.
+//!
+//! Positions are never corrected, so an initial overlap ejects nothing. The law acts on nodes strictly inside only: a contact
+//! begins when the surface passes a node.
+//!
+//! For a free body the surface's velocity depends on what the nodes give: m ΔV = Σ Gᵀ m_i f(u_i − G_i V), with V the body's
+//! twist and G_i V its velocity at node i. Taking V from before the step instead would be unstable as soon as the nodes in
+//! contact outweigh the body. [`FreeBody::solve`] finds V by Newton's method with the secant f(u) = K(u) u as its safeguard:
+//! 0 ≤ K ≤ 1 is symmetric, so that the last, linear solve with K frozen is consistent and dissipative even where the
+//! iteration has not converged, and the body receives exactly the momentum that the nodes lose.
+
+use crate::mass::outer;
+use crate::motion::Twist;
+use barchan_core::{Vec3, Wrench};
+use glam::{DMat3, DVec3};
+use nalgebra::{Matrix6, Vector6};
+
+/// How a surface grips a node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Grip {
+    /// The node moves with the surface.
+    Stick,
+    /// The node may separate; Coulomb friction on approach.
+    Coulomb {
+        /// Unit normal out of the body.
+        normal: DVec3,
+        /// Coefficient of friction.
+        friction: f64,
+        /// May the node not separate either? Inside thin plates.
+        bilateral: bool,
+    },
+}
+
+/// What the law takes from a relative velocity u.
+enum Regime {
+    /// Nothing.
+    Separate,
+    /// All.
+    Stick,
+    /// The normal part and the share `drag` of the tangential part, K = drag + (1 − drag) n nᵀ.
+    Hold { normal: DVec3, drag: f64, slide: Option<Slide> },
+}
+
+/// A sliding node: `drag` is μ |u_n| / |u_t|.
+struct Slide {
+    along: DVec3,
+    friction: f64,
+}
+
+impl Grip {
+    fn regime(&self, u: DVec3) -> Regime {
+        let Self::Coulomb { normal, friction, bilateral } = *self else {
+            return Regime::Stick;
+        };
+        let approach = -u.dot(normal);
+        if approach <= 0.0 {
+            return if bilateral { Regime::Hold { normal, drag: 0.0, slide: None } } else { Regime::Separate };
+        }
+        if friction == 0.0 {
+            return Regime::Hold { normal, drag: 0.0, slide: None };
+        }
+        let tangential = u + approach * normal;
+        let speed = tangential.length();
+        if friction * approach >= speed {
+            return Regime::Stick;
+        }
+        let slide = Some(Slide { along: tangential / speed, friction });
+        Regime::Hold { normal, drag: friction * approach / speed, slide }
+    }
+
+    /// What is left of the relative velocity `u` [m/s].
+    pub fn kept(&self, u: DVec3) -> DVec3 {
+        self.regime(u).kept(u)
+    }
+}
+
+impl Regime {
+    /// (1 − K) u.
+    fn kept(&self, u: DVec3) -> DVec3 {
+        match self {
+            Self::Separate => u,
+            Self::Stick => DVec3::ZERO,
+            Self::Hold { normal, drag, .. } => (1.0 - drag) * (u - u.dot(*normal) * *normal),
+        }
+    }
+}
+
+/// A node inside a body.
+#[derive(Clone, Copy, Debug)]
+pub struct Touch {
+    /// Its place in the batch.
+    pub node: usize,
+    /// Its mass [kg].
+    pub mass: f64,
+    /// Its position from the body's reference point [m].
+    pub arm: DVec3,
+    /// How it is held.
+    pub grip: Grip,
+}
+
+/// Sets one node's velocity, and returns the impulse that it gave to the body.
+fn hand_over(touch: &Touch, velocity: &mut Vec3, new: DVec3) -> Wrench {
+    let impulse = touch.mass * (DVec3::from_array(*velocity) - new);
+    *velocity = new.to_array();
+    Wrench { force: impulse.to_array(), torque: touch.arm.cross(impulse).to_array() }
+}
+
+fn add(sum: &mut Wrench, w: Wrench) {
+    for d in 0..3 {
+        sum.force[d] += w.force[d];
+        sum.torque[d] += w.torque[d];
+    }
+}
+
+/// Applies the law of a body whose motion is given. Returns the impulse on it.
+pub fn drive(touches: &[Touch], velocities: &mut [Vec3], twist: &Twist) -> Wrench {
+    let mut sum = Wrench::default();
+    for touch in touches {
+        let velocity = &mut velocities[touch.node];
+        let surface = twist.at(touch.arm);
+        let u = DVec3::from_array(*velocity) - surface;
+        let kept = touch.grip.kept(u);
+        if kept != u {
+            add(&mut sum, hand_over(touch, velocity, surface + kept));
+        }
+    }
+    sum
+}
+
+/// What a free body is made of.
+#[derive(Clone, Copy, Debug)]
+pub struct FreeBody {
+    /// Mass [kg].
+    pub mass: f64,
+    /// Inertia about the centre of mass, world frame [kg m²].
+    pub inertia: DMat3,
+}
+
+/// What the implicit solution came to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Solved {
+    /// Impulse on the body, about its centre of mass [N s, N m s].
+    pub impulse: Wrench,
+    /// Newton iterations taken.
+    pub iterations: u32,
+    /// Did they converge?
+    pub converged: bool,
+}
+
+/// Iterations after which the frozen law is taken as it is.
+const MAX_ITERATIONS: u32 = 12;
+/// Relative size of the last step at convergence, in the norm of the kinetic energy.
+const TOLERANCE: f64 = 1e-12;
+
+impl FreeBody {
+    /// Finds the body's twist and the nodes' velocities together. `free` is the twist that the body would have without
+    /// contact; the caller adds the impulse to it.
+    pub fn solve(&self, touches: &[Touch], velocities: &mut [Vec3], free: &Twist) -> Solved {
+        let mut twist = *free;
+        let (mut iterations, mut last_merit) = (0, f64::INFINITY);
+        let (frozen, converged) = loop {
+            let mut system = self.assemble(touches, velocities, free, &twist, true);
+            let merit = self.merit(&system.residual);
+            // A Newton step that made things worse is followed by a secant step, which cannot overshoot.
+            let newton = if merit < last_merit { system.solve() } else { None };
+            let step = newton.unwrap_or_else(|| {
+                system = self.assemble(touches, velocities, free, &twist, false);
+                system.solve().unwrap_or(NOT_FINITE)
+            });
+            last_merit = merit;
+            iterations += 1;
+            let scale = self.energy_norm(&vector(&twist)).max(self.energy_norm(&vector(free)));
+            let converged = self.energy_norm(&step) <= TOLERANCE * scale;
+            if converged || iterations == MAX_ITERATIONS {
+                let last_step = if system.symmetric {
+                    step
+                } else {
+                    self.assemble(touches, velocities, free, &twist, false).solve().unwrap_or(NOT_FINITE)
+                };
+                let frozen = twist;
+                twist = moved(&twist, &last_step);
+                break (frozen, converged);
+            }
+            twist = moved(&twist, &step);
+        };
+        let mut impulse = Wrench::default();
+        for touch in touches {
+            let velocity = &mut velocities[touch.node];
+            let old = DVec3::from_array(*velocity);
+            let regime = touch.grip.regime(old - frozen.at(touch.arm));
+            if !matches!(regime, Regime::Separate) {
+                let surface = twist.at(touch.arm);
+                add(&mut impulse, hand_over(touch, velocity, surface + regime.kept(old - surface)));
+            }
+        }
+        Solved { impulse, iterations, converged }
+    }
+
+    /// Σ Gᵀ m f − M (V − V_free) at the twist V, and M + Σ Gᵀ m D G with D the law's derivative (`tangent`) or its secant K.
+    fn assemble(&self, touches: &[Touch], velocities: &[Vec3], free: &Twist, twist: &Twist, tangent: bool) -> System {
+        let mut force = self.mass * (free.linear - twist.linear);
+        let mut torque = self.inertia * (free.angular - twist.angular);
+        // D = drag + rank-one terms: the first part of all nodes together is a rigid body of point masses.
+        let (mut mass, mut first, mut second) = (self.mass, DVec3::ZERO, DMat3::ZERO);
+        let mut matrix = Matrix6::zeros();
+        let mut symmetric = true;
+        for &Touch { node, mass: m, arm, ref grip } in touches {
+            let u = DVec3::from_array(velocities[node]) - twist.at(arm);
+            let regime = grip.regime(u);
+            let held = match &regime {
+                Regime::Separate => continue,
+                Regime::Stick => m,
+                Regime::Hold { normal, drag, slide } => {
+                    let n = reach(arm, *normal);
+                    matrix.ger(m * (1.0 - drag), &n, &n, 1.0);
+                    if let (true, Some(Slide { along, friction })) = (tangent, slide) {
+                        // d(μ |u_n| t) = −μ t nᵀ + drag (1 − n nᵀ − t tᵀ)
+                        let t = reach(arm, *along);
+                        matrix.ger(-m, &t, &(n * *friction + t * *drag), 1.0);
+                        symmetric = false;
+                    }
+                    m * drag
+                }
+            };
+            let taken = m * (u - regime.kept(u));
+            force += taken;
+            torque += arm.cross(taken);
+            mass += held;
+            first += held * arm;
+            second += outer(held * arm, arm);
+        }
+        let trace = second.x_axis.x + second.y_axis.y + second.z_axis.z;
+        let angular = self.inertia + DMat3::from_diagonal(DVec3::splat(trace)) - second;
+        let lower = DMat3::from_cols(
+            DVec3::new(0.0, first.z, -first.y),
+            DVec3::new(-first.z, 0.0, first.x),
+            DVec3::new(first.y, -first.x, 0.0),
+        );
+        let blocks = [[DMat3::from_diagonal(DVec3::splat(mass)), lower.transpose()], [lower, angular]];
+        matrix += Matrix6::from_fn(|i, j| blocks[i / 3][j / 3].col(j % 3)[i % 3]);
+        System { residual: joined(force, torque), matrix, symmetric }
+    }
+
+    /// Size of a momentum, as the kinetic energy of the body alone that it makes.
+    fn merit(&self, momentum: &Vector6<f64>) -> f64 {
+        let [p, l] = halves(momentum);
+        p.length_squared() / self.mass + l.dot(self.inertia.inverse() * l)
+    }
+
+    /// Size of a twist, as the root of twice its kinetic energy.
+    fn energy_norm(&self, twist: &Vector6<f64>) -> f64 {
+        let [v, w] = halves(twist);
+        (self.mass * v.length_squared() + w.dot(self.inertia * w)).sqrt()
+    }
+}
+
+/// The linear system of one iteration.
+struct System {
+    residual: Vector6<f64>,
+    matrix: Matrix6<f64>,
+    /// Is it positive definite too, then: no node slides, or the secant was taken.
+    symmetric: bool,
+}
+
+/// What no solution gives: the nodes were not finite, and the impulse will not be.
+const NOT_FINITE: Vector6<f64> = Vector6::new(f64::NAN, f64::NAN, f64::NAN, f64::NAN, f64::NAN, f64::NAN);
+
+impl System {
+    fn solve(&self) -> Option<Vector6<f64>> {
+        if self.symmetric {
+            Some(self.matrix.cholesky()?.solve(&self.residual))
+        } else {
+            self.matrix.lu().solve(&self.residual)
+        }
+    }
+}
+
+/// Gᵀ d: what a force along `d` at `arm` does to a body.
+fn reach(arm: DVec3, d: DVec3) -> Vector6<f64> {
+    joined(d, arm.cross(d))
+}
+
+fn joined(a: DVec3, b: DVec3) -> Vector6<f64> {
+    Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
+}
+
+fn halves(v: &Vector6<f64>) -> [DVec3; 2] {
+    [DVec3::new(v[0], v[1], v[2]), DVec3::new(v[3], v[4], v[5])]
+}
+
+fn vector(twist: &Twist) -> Vector6<f64> {
+    joined(twist.linear, twist.angular)
+}
+
+fn moved(twist: &Twist, step: &Vector6<f64>) -> Twist {
+    let [linear, angular] = halves(step);
+    Twist { linear: twist.linear + linear, angular: twist.angular + angular }
+}

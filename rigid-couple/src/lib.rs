@@ -1,0 +1,63 @@
+//! Rigid tools and bodies: signed distance fields, motion, contact with soft ground.
+//!
+//! One step of [`Rigid`], the coupling that a scene's `tool` entries make:
+//! 1. [`motion`]: a driven tool's velocity is the chord of its path over the step, so that its pose afterwards is exact; a
+//!    free body takes up gravity.
+//! 2. [`sdf`]: every grid node inside a body gets its distance and normal.
+//! 3. [`contact`]: the node's velocity relative to the surface loses what the contact law forbids. For a free body this is
+//!    solved together with the body's own velocity, so that no mass ratio is unstable, and the body receives exactly the
+//!    momentum that the nodes lose.
+//! 4. [`world`]: contacts of rigid bodies among themselves and with the world's walls (rapier), and the free bodies' motion.
+//!
+//! Nothing here knows the grid: nodes come in batches, through [`barchan_core::Coupling`]. Meshes are read in [`mesh`], masses
+//! and inertias come from [`mass`].
+
+pub mod contact;
+pub mod mass;
+pub mod mesh;
+pub mod motion;
+pub mod rigid;
+pub mod sdf;
+pub mod world;
+
+pub use mesh::MeshSolid;
+pub use rigid::Rigid;
+pub use sdf::Sdf;
+
+use barchan_core::{Error, Registry, Result};
+use std::sync::Arc;
+
+/// Registers the coupling "rigid" and the reader of triangle meshes.
+///
+/// # Errors
+/// If another plugin has taken the name.
+pub fn register(registry: &mut Registry) -> Result<()> {
+    registry.set_mesh_reader(Arc::new(|file, scale| {
+        let mesh = mesh::TriangleMesh::read(file, scale).map_err(|refusal| refusal.at(&file.display().to_string()))?;
+        Ok(Box::new(MeshSolid::new(&mesh)) as _)
+    }));
+    registry.add_coupling(
+        "rigid",
+        "Rigid tools and free rigid bodies in contact with the ground",
+        Arc::new(|scene| Ok(Box::new(Rigid::new(scene)?) as _)),
+    )
+}
+
+/// Why a shape, a mesh or a motion cannot be used, before it is known where it stands in the scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refusal {
+    /// What is wrong.
+    pub what: String,
+    /// What would mend it.
+    pub mend: String,
+}
+
+impl Refusal {
+    fn new(what: impl Into<String>, mend: impl Into<String>) -> Self {
+        Self { what: what.into(), mend: mend.into() }
+    }
+    /// The error for the thing at `path`, a key path or a name.
+    pub fn at(self, path: &str) -> Error {
+        Error::Body { path: path.into(), what: self.what, mend: self.mend }
+    }
+}

@@ -1,0 +1,248 @@
+//! Closed triangle meshes: reading, checking, sampled distance, and as solids to seed soft bodies from.
+
+use crate::Refusal;
+use crate::sdf::Surface;
+use barchan_core::coupling::Aabb;
+use barchan_core::solid::Solid;
+use glam::DVec3;
+use parry3d_f64::query::PointQuery;
+use parry3d_f64::shape::{TriMesh, TriMeshFlags};
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+/// A closed triangle mesh whose triangles wind anticlockwise seen from outside.
+#[derive(Clone, Debug)]
+pub struct TriangleMesh {
+    vertices: Vec<DVec3>,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl TriangleMesh {
+    /// Joins equal vertices, drops triangles that have two corners in common, and checks what is left.
+    ///
+    /// # Errors
+    /// If the mesh is empty, not finite, not closed, or inside out; the first offending edge is named.
+    pub fn new(corners: impl IntoIterator<Item = [DVec3; 3]>) -> Result<Self, Refusal> {
+        let mut mesh = Self { vertices: Vec::new(), triangles: Vec::new() };
+        let mut index = HashMap::new();
+        for triangle in corners {
+            if let Some(bad) = triangle.iter().find(|x| !x.is_finite()) {
+                return Err(Refusal::new(
+                    format!("a vertex is at {bad}"),
+                    "repair the file: coordinates must be finite",
+                ));
+            }
+            let triangle = triangle.map(|x| {
+                // Adding zero turns -0 into 0, which is the same place with other bits.
+                *index.entry((x + DVec3::ZERO).to_array().map(f64::to_bits)).or_insert_with(|| {
+                    mesh.vertices.push(x);
+                    mesh.vertices.len() as u32 - 1
+                })
+            });
+            if triangle[0] != triangle[1] && triangle[1] != triangle[2] && triangle[2] != triangle[0] {
+                mesh.triangles.push(triangle);
+            }
+        }
+        mesh.check()?;
+        Ok(mesh)
+    }
+
+    /// Reads an OBJ or STL file; `scale` takes the file's unit to metres.
+    ///
+    /// # Errors
+    /// If the file cannot be read, the scale is not positive, or [`Self::new`] refuses the mesh.
+    pub fn read(file: &Path, scale: f64) -> Result<Self, Refusal> {
+        if !(scale > 0.0 && scale.is_finite()) {
+            let mend = "give a positive factor; a negative one would turn the mesh inside out";
+            return Err(Refusal::new(format!("the mesh's scale is {scale}"), mend));
+        }
+        let unreadable = |e: &dyn std::fmt::Display| {
+            Refusal::new(
+                format!("{}: {e}", file.display()),
+                "give the path of an OBJ or STL file, from the scene's folder",
+            )
+        };
+        let kind = file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+        let corners = match kind.as_str() {
+            "obj" => read_obj(file).map_err(|e| unreadable(&e))?,
+            "stl" => read_stl(file).map_err(|e| unreadable(&e))?,
+            _ => return Err(unreadable(&"the file's name ends neither in .obj nor in .stl")),
+        };
+        Self::new(corners.into_iter().map(|t| t.map(|x| x * scale)))
+            .map_err(|refusal| Refusal { what: format!("{}: {}", file.display(), refusal.what), ..refusal })
+    }
+
+    fn check(&self) -> Result<(), Refusal> {
+        if self.triangles.is_empty() {
+            return Err(Refusal::new("the mesh has no triangles", "export it with its faces"));
+        }
+        let mut edges: BTreeMap<[u32; 2], u32> = BTreeMap::new();
+        for t in &self.triangles {
+            for edge in [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]] {
+                *edges.entry(edge).or_default() += 1;
+            }
+        }
+        let place = |&[a, b]: &[u32; 2]| format!("{} - {}", self.vertices[a as usize], self.vertices[b as usize]);
+        if let Some((edge, _)) = edges.iter().find(|(_, count)| **count > 1) {
+            let what =
+                format!("the mesh is not a surface: two triangles run the same way along the edge {}", place(edge));
+            return Err(Refusal::new(what, "make all faces wind alike and no two share one place, then export again"));
+        }
+        if let Some((edge, _)) = edges.iter().find(|([a, b], _)| !edges.contains_key(&[*b, *a])) {
+            let what = format!("the mesh is not closed: the edge {} belongs to one triangle only", place(edge));
+            return Err(Refusal::new(what, "close the hole, or join vertices that should be one, then export again"));
+        }
+        if self.corners().map(|[a, b, c]| a.dot(b.cross(c))).sum::<f64>() <= 0.0 {
+            let edge = [self.triangles[0][0], self.triangles[0][1]];
+            let what = format!("the mesh is inside out: its triangles face inwards, from the edge {} on", place(&edge));
+            return Err(Refusal::new(what, "flip the faces, then export again"));
+        }
+        Ok(())
+    }
+
+    /// The triangles' corners [m].
+    pub fn corners(&self) -> impl Iterator<Item = [DVec3; 3]> {
+        self.triangles.iter().map(|t| t.map(|i| self.vertices[i as usize]))
+    }
+
+    /// Vertices [m] and the triangles between them.
+    pub fn parts(&self) -> (&[DVec3], &[[u32; 3]]) {
+        (&self.vertices, &self.triangles)
+    }
+
+    /// Least and greatest corner of the box that holds the mesh [m].
+    pub fn bounds(&self) -> (DVec3, DVec3) {
+        self.vertices.iter().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(a, b), x| (a.min(*x), b.max(*x)))
+    }
+
+    /// The mesh with what exact distance queries need.
+    fn queries(&self) -> TriMesh {
+        TriMesh::with_flags(self.vertices.clone(), self.triangles.clone(), TriMeshFlags::ORIENTED)
+            .expect("a checked mesh is a closed surface")
+    }
+}
+
+fn read_obj(file: &Path) -> Result<Vec<[DVec3; 3]>, tobj::LoadError> {
+    let options =
+        tobj::LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
+    // Materials do not matter here, so a missing .mtl file is none of our business.
+    let (models, _) = tobj::load_obj(file, &options)?;
+    let corners = models.iter().flat_map(|model| {
+        let at = |i: u32| DVec3::from_slice(&model.mesh.positions[3 * i as usize..]);
+        model.mesh.indices.chunks_exact(3).map(move |t| [at(t[0]), at(t[1]), at(t[2])])
+    });
+    Ok(corners.collect())
+}
+
+fn read_stl(file: &Path) -> std::io::Result<Vec<[DVec3; 3]>> {
+    let mut reader = std::io::BufReader::new(std::fs::File::open(file)?);
+    let triangles = stl_io::create_stl_reader(&mut reader).map_err(std::io::Error::other)?;
+    triangles
+        .map(|t| t.map(|t| t.vertices.map(|x| glam::Vec3::from_array(x.0).as_dvec3())).map_err(std::io::Error::other))
+        .collect()
+}
+
+/// Signed distance sampled on a grid around a mesh, trilinear between.
+#[derive(Clone, Debug)]
+pub struct DistanceGrid {
+    origin: DVec3,
+    spacing: f64,
+    size: [usize; 3],
+    values: Vec<f64>,
+}
+
+/// Samples along the mesh's longest side. The error is second order in their spacing, and none beside flat faces.
+const SAMPLES: f64 = 64.0;
+/// Samples beyond the mesh on each side.
+const MARGIN: f64 = 2.0;
+
+impl DistanceGrid {
+    /// Samples the exact distance of `mesh` at about 64 points along its longest side.
+    pub fn sample(mesh: &TriangleMesh) -> Self {
+        let (min, max) = mesh.bounds();
+        let spacing = (max - min).max_element() / SAMPLES;
+        let origin = min - MARGIN * spacing;
+        let size = ((max - min) / spacing + 2.0 * MARGIN).to_array().map(|n| n.ceil() as usize + 1);
+        let queries = mesh.queries();
+        let mut grid = Self { origin, spacing, size, values: vec![0.0; size.iter().product()] };
+        let slab = size[0] * size[1];
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
+        let slabs_each = size[2].div_ceil(threads);
+        std::thread::scope(|scope| {
+            for (part, values) in grid.values.chunks_mut(slab * slabs_each).enumerate() {
+                let queries = &queries;
+                scope.spawn(move || {
+                    for (n, value) in values.iter_mut().enumerate() {
+                        let n = n + part * slab * slabs_each;
+                        let cell = [n % size[0], n / size[0] % size[1], n / slab].map(|i| i as f64);
+                        let x = origin + spacing * DVec3::from_array(cell);
+                        let projection = queries.project_local_point(x, false);
+                        let distance = projection.point.distance(x);
+                        *value = if projection.is_inside { -distance } else { distance };
+                    }
+                });
+            }
+        });
+        grid
+    }
+
+    /// Distance and normal at `x`. Outside the grid: the distance to the grid plus the value there.
+    pub fn surface(&self, x: DVec3) -> Surface {
+        let last = DVec3::from_array(self.size.map(|n| (n - 1) as f64));
+        let s = ((x - self.origin) / self.spacing).clamp(DVec3::ZERO, last);
+        let cell: [usize; 3] = std::array::from_fn(|d| (s[d] as usize).min(self.size[d] - 2));
+        let f = s - DVec3::from_array(cell.map(|i| i as f64));
+        let (stride_y, stride_z) = (self.size[0], self.size[0] * self.size[1]);
+        let corner = cell[0] + cell[1] * stride_y + cell[2] * stride_z;
+        let value = |i: usize, j: usize, k: usize| self.values[corner + i + j * stride_y + k * stride_z];
+        let lerp = |a: f64, b: f64, t: f64| a + t * (b - a);
+        // Values and x-slopes on the four edges along x, then across y, then across z.
+        let edge = |j, k| lerp(value(0, j, k), value(1, j, k), f.x);
+        let rise = |j, k| value(1, j, k) - value(0, j, k);
+        let face = |k| lerp(edge(0, k), edge(1, k), f.y);
+        let at_grid = lerp(face(0), face(1), f.z);
+        let gradient = DVec3::new(
+            lerp(lerp(rise(0, 0), rise(1, 0), f.y), lerp(rise(0, 1), rise(1, 1), f.y), f.z),
+            lerp(edge(1, 0) - edge(0, 0), edge(1, 1) - edge(0, 1), f.z),
+            face(1) - face(0),
+        ) / self.spacing;
+        // Where branches of the distance meet, the interpolated slope falls short of one and its direction means little.
+        let slope = gradient.length();
+        let normal = (slope > 0.3).then(|| gradient / slope);
+        let beyond = x - (self.origin + self.spacing * s);
+        let gap = beyond.length();
+        if gap > 1e-9 * self.spacing {
+            let normal = (beyond + at_grid * normal.unwrap_or_default()).try_normalize();
+            return Surface { distance: at_grid + gap, normal };
+        }
+        Surface { distance: at_grid, normal }
+    }
+
+    /// Greatest depth inside [m]: the radius of the largest ball that fits.
+    pub fn depth(&self) -> f64 {
+        -self.values.iter().fold(f64::INFINITY, |a, &b| a.min(b))
+    }
+}
+
+/// A mesh as a region of space, by exact point queries.
+pub struct MeshSolid {
+    queries: TriMesh,
+    bounds: Aabb,
+}
+
+impl MeshSolid {
+    /// The inside of `mesh`.
+    pub fn new(mesh: &TriangleMesh) -> Self {
+        let (min, max) = mesh.bounds();
+        Self { queries: mesh.queries(), bounds: Aabb { min: min.to_array(), max: max.to_array() } }
+    }
+}
+
+impl Solid for MeshSolid {
+    fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+    fn contains(&self, x: barchan_core::Vec3) -> bool {
+        self.bounds.contains(x) && self.queries.project_local_point(DVec3::from_array(x), false).is_inside
+    }
+}

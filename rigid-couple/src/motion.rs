@@ -1,0 +1,186 @@
+//! Poses, and paths through poses at given times.
+
+use crate::Refusal;
+use barchan_core::scene::{Interpolation, Keyframe};
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// Where a frame is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Its origin [m].
+    pub position: DVec3,
+    /// Its orientation.
+    pub rotation: DQuat,
+}
+
+impl Pose {
+    /// The world's own frame.
+    pub const IDENTITY: Self = Self { position: DVec3::ZERO, rotation: DQuat::IDENTITY };
+
+    /// A point of the frame, seen from outside [m].
+    pub fn apply(&self, x: DVec3) -> DVec3 {
+        self.position + self.rotation * x
+    }
+    /// A frame within this frame, seen from outside.
+    #[must_use]
+    pub fn then(&self, inner: &Self) -> Self {
+        Self { position: self.apply(inner.position), rotation: (self.rotation * inner.rotation).normalize() }
+    }
+    /// The pose after moving for `dt` at a constant twist.
+    #[must_use]
+    pub fn advanced(&self, twist: &Twist, dt: f64) -> Self {
+        let turn = DQuat::from_scaled_axis(twist.angular * dt);
+        Self { position: self.position + twist.linear * dt, rotation: (turn * self.rotation).normalize() }
+    }
+    /// The constant twist that leads from here to `to` in `dt`, the shorter way round.
+    pub fn chord(&self, to: &Self, dt: f64) -> Twist {
+        let linear = (to.position - self.position) / dt;
+        Twist { linear, angular: rotation_vector(to.rotation * self.rotation.conjugate()) / dt }
+    }
+}
+
+/// Velocity of a rigid frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Twist {
+    /// Of its origin [m/s].
+    pub linear: DVec3,
+    /// Angular velocity [rad/s].
+    pub angular: DVec3,
+}
+
+impl Twist {
+    /// Velocity of the point at `arm` from the origin [m/s].
+    pub fn at(&self, arm: DVec3) -> DVec3 {
+        self.linear + self.angular.cross(arm)
+    }
+    /// Are all numbers finite?
+    pub fn is_finite(&self) -> bool {
+        self.linear.is_finite() && self.angular.is_finite()
+    }
+}
+
+/// Axis times angle of a rotation, the shorter way round [rad]; accurate for the smallest angles too.
+fn rotation_vector(q: DQuat) -> DVec3 {
+    let q = if q.w < 0.0 { -q } else { q };
+    let sine = q.xyz().length();
+    // 2 asin(s) / s -> 2 for small s.
+    q.xyz() * if sine < 1e-9 { 2.0 } else { 2.0 * sine.atan2(q.w) / sine }
+}
+
+/// The unit quaternion of a scene's (w, x, y, z).
+///
+/// # Errors
+/// If it is zero or not finite.
+pub fn rotation_from([w, x, y, z]: [f64; 4]) -> Result<DQuat, Refusal> {
+    let q = DQuat::from_xyzw(x, y, z, w);
+    let length = q.length();
+    if length.is_finite() && length > 1e-6 {
+        Ok(q.normalize())
+    } else {
+        let what = format!("the rotation ({w}, {x}, {y}, {z}) is no quaternion");
+        Err(Refusal::new(what, "give (w, x, y, z); (1, 0, 0, 0) turns nothing"))
+    }
+}
+
+/// A path through keyframes. It rests before the first and after the last.
+#[derive(Clone, Debug)]
+pub struct KeyframePath {
+    times: Vec<f64>,
+    poses: Vec<Pose>,
+    /// Rotation from each keyframe to the next: axis times angle [rad].
+    turns: Vec<DVec3>,
+    /// Velocity of the position at each keyframe [m/s].
+    velocities: Vec<DVec3>,
+    /// Angular speed at each keyframe along the turn before and after it [rad/s].
+    rates: Vec<f64>,
+    interpolation: Interpolation,
+}
+
+/// Slope of a monotone cubic between secants `a` over the time `p` and `b` over `q`: zero where the path turns back or
+/// rests, otherwise their weighted harmonic mean (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5, 1984).
+fn monotone_slope(a: f64, p: f64, b: f64, q: f64) -> f64 {
+    if a * b <= 0.0 {
+        return 0.0;
+    }
+    let (u, v) = (2.0 * q + p, q + 2.0 * p);
+    (u + v) / (u / a + v / b)
+}
+
+/// Cubic Hermite over [0, 1]: the share of the way done at `s`, and the weights of the slopes at both ends.
+fn hermite(s: f64) -> (f64, f64, f64) {
+    (s * s * (3.0 - 2.0 * s), s * (1.0 - s) * (1.0 - s), s * s * (s - 1.0))
+}
+
+impl KeyframePath {
+    /// A path through `frames`. A frame without rotation keeps the one before, the first one `start`.
+    ///
+    /// # Errors
+    /// If there is no frame, times do not rise, or a number is not finite.
+    pub fn new(frames: &[Keyframe], interpolation: Interpolation, start: DQuat) -> Result<Self, Refusal> {
+        if frames.is_empty() {
+            return Err(Refusal::new("there are no keyframes", "give at least one"));
+        }
+        let times: Vec<f64> = frames.iter().map(|f| f.time).collect();
+        let rising = times.windows(2).all(|t| t[0] < t[1]);
+        if !rising || times.iter().any(|t| !t.is_finite()) {
+            return Err(Refusal::new(
+                format!("the keyframes' times {times:?} do not rise"),
+                "sort them and drop doubles",
+            ));
+        }
+        let mut rotation = start;
+        let mut poses = Vec::new();
+        for frame in frames {
+            let position = DVec3::from_array(frame.position);
+            if !position.is_finite() {
+                let what = format!("the keyframe at {} s is at {:?}", frame.time, frame.position);
+                return Err(Refusal::new(what, "give three finite numbers"));
+            }
+            rotation = frame.rotation.map_or(Ok(rotation), rotation_from)?;
+            poses.push(Pose { position, rotation });
+        }
+        let turns: Vec<DVec3> =
+            poses.windows(2).map(|p| rotation_vector(p[1].rotation * p[0].rotation.conjugate())).collect();
+        let mut velocities = vec![DVec3::ZERO; poses.len()];
+        let mut rates = vec![0.0; poses.len()];
+        for i in 1..poses.len() - 1 {
+            let (p, q) = (times[i] - times[i - 1], times[i + 1] - times[i]);
+            let before = (poses[i].position - poses[i - 1].position) / p;
+            let after = (poses[i + 1].position - poses[i].position) / q;
+            velocities[i] = DVec3::from_array(std::array::from_fn(|d| monotone_slope(before[d], p, after[d], q)));
+            // A turn goes on without a halt only about one and the same axis.
+            let (a, b) = (turns[i - 1].length(), turns[i].length());
+            if turns[i - 1].dot(turns[i]) > (1.0 - 1e-9) * a * b {
+                rates[i] = monotone_slope(a / p, p, b / q, q);
+            }
+        }
+        Ok(Self { times, poses, turns, velocities, rates, interpolation })
+    }
+
+    /// The pose at `time` [s]; at a keyframe's time exactly the keyframe's.
+    pub fn pose(&self, time: f64) -> Pose {
+        let i = self.times.partition_point(|&t| t <= time);
+        if i == 0 {
+            return self.poses[0];
+        }
+        if i == self.poses.len() {
+            return self.poses[i - 1];
+        }
+        let (from, to) = (&self.poses[i - 1], &self.poses[i]);
+        let span = self.times[i] - self.times[i - 1];
+        let s = (time - self.times[i - 1]) / span;
+        let (turn, angle) = (self.turns[i - 1], self.turns[i - 1].length());
+        let (position, share) = match self.interpolation {
+            Interpolation::Linear => (from.position.lerp(to.position, s), s),
+            Interpolation::Smooth => {
+                let (way, out, into) = hermite(s);
+                let swing = (self.velocities[i - 1] * out + self.velocities[i] * into) * span;
+                let twist = (self.rates[i - 1] * out + self.rates[i] * into) * span;
+                let share = if angle > 0.0 { way + twist / angle } else { 0.0 };
+                (from.position.lerp(to.position, way) + swing, share)
+            }
+        };
+        Pose { position, rotation: (DQuat::from_scaled_axis(turn * share) * from.rotation).normalize() }
+    }
+}

@@ -1,0 +1,519 @@
+//! The coupling "rigid": a scene's tools and free bodies.
+
+use crate::Refusal;
+use crate::contact::{self, FreeBody, Grip, Touch};
+use crate::mass::Filling;
+use crate::motion::{KeyframePath, Pose, Twist, rotation_from};
+use crate::sdf::Sdf;
+use crate::world::{RigidWorld, Role};
+use barchan_core::coupling::Aabb;
+use barchan_core::scene::{Contact, Motion, Tool};
+use barchan_core::{BodyState, Coupling, Error, NodeBatch, Result, Scene, Vec3, Wrench};
+use glam::{DMat3, DVec3};
+use rapier3d_f64::prelude::PhysicsWorld;
+use serde::{Deserialize, Serialize};
+
+/// Depth inside a body, in cells, below which nodes move with it.
+const DEEP: f64 = 2.0;
+
+/// The coupling "rigid". A body's reference point is its centre of mass if it is free, and its frame's origin if it is driven.
+///
+/// Bodies act on nodes one after the other, in the scene's order: a node inside two of them ends with the later one's law.
+pub struct Rigid {
+    bodies: Vec<Body>,
+    wrenches: Vec<Wrench>,
+    gravity: DVec3,
+    cell: f64,
+    world_box: Aabb,
+    /// Only with a free body.
+    world: Option<RigidWorld>,
+    counts: Counts,
+    /// Nodes inside the body at hand; kept for its memory.
+    touches: Vec<Touch>,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+struct Counts {
+    deep_nodes: u64,
+    unconverged: u64,
+}
+
+struct Body {
+    name: String,
+    /// About the reference point.
+    shape: Sdf,
+    contact: Contact,
+    mover: Mover,
+    /// Greatest distance of a surface point from the reference point [m].
+    extent: f64,
+    state: State,
+    /// Pose at the end of the step under way, for driven bodies.
+    target: Pose,
+    ignored_position: bool,
+}
+
+/// What changes from step to step.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct State {
+    pose: Pose,
+    twist: Twist,
+    /// What an agent last asked of a body driven by velocity.
+    command: Twist,
+    /// About the centre of mass, for free bodies [kg m²/s]. The state, of which the angular velocity is made: in free flight
+    /// it is this that stays.
+    angular_momentum: DVec3,
+}
+
+enum Mover {
+    Fixed,
+    Path(KeyframePath),
+    Velocity,
+    Free { mass: f64, inertia: DMat3, inverse_inertia: DMat3 },
+}
+
+impl Body {
+    fn new(tool: &Tool, scene: &Scene, path: &str) -> Result<Self> {
+        let shape = Sdf::from_shape(&tool.shape, &scene.folder, &format!("{path}.shape"))?;
+        Self::from_shape(tool, shape).map_err(|refusal| refusal.at(path))
+    }
+
+    fn from_shape(tool: &Tool, mut shape: Sdf) -> Result<Self, Refusal> {
+        check_contact(tool.contact)?;
+        let mut pose = Pose { position: vector(tool.position, "position")?, rotation: rotation_from(tool.rotation)? };
+        let (mut command, mut angular_momentum) = (Twist::default(), DVec3::ZERO);
+        let mut ignored_position = false;
+        let mover = match &tool.motion {
+            Motion::Fixed => Mover::Fixed,
+            Motion::Keyframes { frames, interpolation } => {
+                let path = KeyframePath::new(frames, *interpolation, pose.rotation)?;
+                let start = path.pose(0.0);
+                ignored_position = pose.position != DVec3::ZERO && pose.position != start.position;
+                pose = start;
+                Mover::Path(path)
+            }
+            Motion::Velocity { linear, angular } => {
+                command =
+                    Twist { linear: vector(*linear, "motion.linear")?, angular: vector(*angular, "motion.angular")? };
+                Mover::Velocity
+            }
+            Motion::Free { mass, linear, angular, restitution } => {
+                if !(*mass > 0.0 && mass.is_finite()) {
+                    return Err(Refusal::new(format!("the mass is {mass}"), "give a positive mass in kg"));
+                }
+                if !(0.0..=1.0).contains(restitution) {
+                    return Err(Refusal::new(format!("the restitution is {restitution}"), "give a number from 0 to 1"));
+                }
+                let filling = Filling::of(&shape)?;
+                let inertia = filling.inertia * (mass / filling.volume);
+                command =
+                    Twist { linear: vector(*linear, "motion.linear")?, angular: vector(*angular, "motion.angular")? };
+                pose.position = pose.apply(filling.centre);
+                shape = shape.seen_from(filling.centre);
+                angular_momentum = turned(inertia, &pose) * command.angular;
+                Mover::Free { mass: *mass, inertia, inverse_inertia: inertia.inverse() }
+            }
+        };
+        let bounds = shape.bounds(&Pose::IDENTITY, 0.0);
+        let extent = DVec3::from_array(bounds.min).abs().max(DVec3::from_array(bounds.max).abs()).length();
+        let state = State { pose, twist: command, command, angular_momentum };
+        Ok(Self {
+            name: tool.name.clone(),
+            shape,
+            contact: tool.contact,
+            mover,
+            extent,
+            state,
+            target: pose,
+            ignored_position,
+        })
+    }
+
+    /// Where this body is at the end of a step from `time`, if it is driven.
+    fn driven_pose(&self, time: f64, dt: f64) -> Option<Pose> {
+        match &self.mover {
+            Mover::Fixed => Some(self.state.pose),
+            Mover::Path(path) => Some(path.pose(time + dt)),
+            Mover::Velocity => Some(self.state.pose.advanced(&self.state.command, dt)),
+            Mover::Free { .. } => None,
+        }
+    }
+
+    /// Mass and world inertia, if the body is free.
+    fn free(&self) -> Option<FreeBody> {
+        match self.mover {
+            Mover::Free { mass, inertia, .. } => Some(FreeBody { mass, inertia: turned(inertia, &self.state.pose) }),
+            _ => None,
+        }
+    }
+
+    /// The angular velocity that the angular momentum makes at `pose`.
+    fn spin(&self, pose: &Pose) -> DVec3 {
+        match self.mover {
+            Mover::Free { inverse_inertia, .. } => turned(inverse_inertia, pose) * self.state.angular_momentum,
+            _ => self.state.twist.angular,
+        }
+    }
+
+    /// The angular velocity half-way through the coming step, by the implicit midpoint rule: turning with it keeps the energy
+    /// of a tumbling body to second order.
+    fn midway_spin(&self, dt: f64) -> DVec3 {
+        // Each round gains a factor |ω| dt / 2, which is a few per cent at most.
+        (0..6).fold(self.state.twist.angular, |angular, _| {
+            self.spin(&self.state.pose.advanced(&Twist { linear: DVec3::ZERO, angular }, 0.5 * dt))
+        })
+    }
+
+    /// Finds the nodes inside this body. Returns how many are deep inside.
+    fn touch(&self, nodes: &NodeBatch, touches: &mut Vec<Touch>) -> u64 {
+        touches.clear();
+        let cell = nodes.cell_width;
+        let bounds = self.shape.bounds(&self.state.pose, cell);
+        let to_world = DMat3::from_quat(self.state.pose.rotation);
+        let to_body = to_world.transpose();
+        let mut deep = 0;
+        for (node, (&position, &mass)) in nodes.position.iter().zip(&nodes.mass).enumerate() {
+            if mass <= 0.0 || !bounds.contains(position) {
+                continue;
+            }
+            let arm = DVec3::from_array(position) - self.state.pose.position;
+            let (surface, thin) = self.shape.contact_surface(to_body * arm, cell);
+            if surface.distance >= 0.0 {
+                continue;
+            }
+            let is_deep = surface.distance < -DEEP * cell;
+            deep += u64::from(is_deep);
+            let grip = match (self.contact, surface.normal) {
+                (Contact::Coulomb { friction }, Some(normal)) if !is_deep => {
+                    Grip::Coulomb { normal: to_world * normal, friction, bilateral: thin }
+                }
+                (Contact::Slip, Some(normal)) if !is_deep => {
+                    Grip::Coulomb { normal: to_world * normal, friction: 0.0, bilateral: thin }
+                }
+                _ => Grip::Stick,
+            };
+            touches.push(Touch { node, mass, arm, grip });
+        }
+        deep
+    }
+
+    fn lost(&self, what: &str) -> Error {
+        Refusal::new(format!("its {what} is no longer finite"), "lower time.step, or start from the last snapshot")
+            .at(&format!("tool '{}'", self.name))
+    }
+
+    fn report(&self, gravity: DVec3) -> BodyState {
+        let State { pose, twist, angular_momentum, .. } = self.state;
+        let mut state = BodyState {
+            name: self.name.clone(),
+            position: pose.position.to_array(),
+            rotation: [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z],
+            velocity: twist.linear.to_array(),
+            angular_velocity: twist.angular.to_array(),
+            mass: f64::INFINITY,
+            kinetic_energy: 0.0,
+            potential_energy: 0.0,
+            momentum: [0.0; 3],
+            angular_momentum: [0.0; 3],
+        };
+        if let Mover::Free { mass, .. } = self.mover {
+            let momentum = mass * twist.linear;
+            state.mass = mass;
+            state.kinetic_energy = 0.5 * (momentum.dot(twist.linear) + angular_momentum.dot(twist.angular));
+            state.potential_energy = -mass * gravity.dot(pose.position);
+            state.momentum = momentum.to_array();
+            state.angular_momentum = (pose.position.cross(momentum) + angular_momentum).to_array();
+        }
+        state
+    }
+}
+
+/// A tensor of the body's frame, seen from the world.
+fn turned(tensor: DMat3, pose: &Pose) -> DMat3 {
+    let rotation = DMat3::from_quat(pose.rotation);
+    rotation * tensor * rotation.transpose()
+}
+
+fn vector(value: Vec3, key: &str) -> Result<DVec3, Refusal> {
+    let v = DVec3::from_array(value);
+    if v.is_finite() { Ok(v) } else { Err(Refusal::new(format!("{key} is {value:?}"), "give three finite numbers")) }
+}
+
+fn check_contact(contact: Contact) -> Result<(), Refusal> {
+    match contact {
+        Contact::Coulomb { friction } if !(friction >= 0.0 && friction.is_finite()) => {
+            Err(Refusal::new(format!("contact.friction is {friction}"), "give 0 or more, or contact = \"stick\""))
+        }
+        _ => Ok(()),
+    }
+}
+
+impl Rigid {
+    /// The tools of `scene`.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if a tool's shape, mesh, mass, contact or motion cannot be used, naming its key path.
+    pub fn new(scene: &Scene) -> Result<Self> {
+        let mut bodies: Vec<Body> = Vec::new();
+        for (i, tool) in scene.tool.iter().enumerate() {
+            let path = format!("tool[{i}]");
+            if bodies.iter().any(|body| body.name == tool.name) {
+                let refusal = Refusal::new(format!("two tools are called '{}'", tool.name), "rename one of them");
+                return Err(refusal.at(&format!("{path}.name")));
+            }
+            bodies.push(Body::new(tool, scene, &path)?);
+        }
+        let world_box = Aabb { min: scene.world.min, max: scene.world.max };
+        let mut rigid = Self {
+            wrenches: vec![Wrench::default(); bodies.len()],
+            gravity: DVec3::from_array(scene.gravity),
+            cell: scene.world.cell,
+            // Particles outside the world do not live long enough to reach further nodes than these.
+            world_box: world_box.grown(4.0 * scene.world.cell),
+            world: None,
+            counts: Counts::default(),
+            touches: Vec::new(),
+            bodies,
+        };
+        rigid.world = rigid.rigid_world(scene);
+        Ok(rigid)
+    }
+
+    fn rigid_world(&self, scene: &Scene) -> Option<RigidWorld> {
+        let free = self.bodies.iter().filter(|body| body.free().is_some());
+        let size = free.map(|body| body.extent).reduce(f64::min)?;
+        let mut world = RigidWorld::new(&scene.world, size);
+        for (body, tool) in self.bodies.iter().zip(&scene.tool) {
+            let role = match (&body.mover, &tool.motion) {
+                (Mover::Free { mass, inertia, .. }, Motion::Free { restitution, .. }) => {
+                    Role::Free { mass: *mass, inertia: *inertia, restitution: *restitution }
+                }
+                (Mover::Fixed, _) => Role::Fixed,
+                _ => Role::Driven,
+            };
+            world.add(&body.shape, &body.state.pose, body.contact, role);
+        }
+        Some(world)
+    }
+
+    /// Lets rapier move the free bodies, with the velocities that gravity and ground gave them.
+    fn move_free_bodies(&mut self, dt: f64) -> Result<()> {
+        let Some(world) = &mut self.world else {
+            return Ok(());
+        };
+        for (i, body) in self.bodies.iter().enumerate() {
+            match body.mover {
+                Mover::Fixed => {}
+                Mover::Path(_) | Mover::Velocity => world.send(i, &body.target),
+                Mover::Free { .. } => {
+                    world.throw(i, &Twist { linear: body.state.twist.linear, angular: body.midway_spin(dt) });
+                }
+            }
+        }
+        world.step(dt);
+        for (i, body) in self.bodies.iter_mut().enumerate() {
+            let Some(free) = body.free() else {
+                continue;
+            };
+            let (pose, twist) = world.state(i);
+            // Without contact the velocities come back as they went in, and the angular momentum stays to the last bit.
+            body.state.angular_momentum += free.inertia * (twist.angular - body.midway_spin(dt));
+            body.state.twist = Twist { linear: twist.linear, angular: body.spin(&pose) };
+            body.state.pose = pose;
+            if !(pose.position.is_finite() && pose.rotation.is_finite() && body.state.twist.is_finite()) {
+                return Err(body.lost("motion"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Coupling for Rigid {
+    fn name(&self) -> &str {
+        "rigid"
+    }
+
+    fn bodies(&self) -> Vec<BodyState> {
+        self.bodies.iter().map(|body| body.report(self.gravity)).collect()
+    }
+
+    fn max_speed(&self, time: f64, dt: f64) -> f64 {
+        let world_size = (DVec3::from_array(self.world_box.max) - DVec3::from_array(self.world_box.min)).length();
+        let speed = |body: &Body, twist: &Twist| {
+            let turning = twist.angular.length();
+            // A plane has no extent of its own; only what lies in the world matters.
+            twist.linear.length() + if turning > 0.0 { turning * body.extent.min(world_size) } else { 0.0 }
+        };
+        let fastest = |body: &Body| match &body.mover {
+            Mover::Fixed => 0.0,
+            Mover::Velocity => speed(body, &body.state.command),
+            Mover::Free { .. } => speed(body, &body.state.twist) + self.gravity.length() * dt,
+            // A step may turn out shorter than dt, so the chords of parts of it count too.
+            Mover::Path(path) => (0..4).fold(0.0, |fastest, part| {
+                let (from, to) =
+                    (path.pose(time + 0.25 * dt * f64::from(part)), path.pose(time + 0.25 * dt * f64::from(part + 1)));
+                speed(body, &from.chord(&to, 0.25 * dt)).max(fastest)
+            }),
+        };
+        self.bodies.iter().map(fastest).fold(0.0, f64::max)
+    }
+
+    fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
+        self.wrenches.fill(Wrench::default());
+        for body in &mut self.bodies {
+            match body.driven_pose(time, dt) {
+                Some(target) => {
+                    body.state.twist = body.state.pose.chord(&target, dt);
+                    body.target = target;
+                }
+                None => body.state.twist.linear += self.gravity * dt,
+            }
+            if !body.state.twist.is_finite() {
+                return Err(body.lost("velocity"));
+            }
+        }
+        Ok(())
+    }
+
+    fn bounds(&self) -> Vec<Aabb> {
+        let clipped = |mut bounds: Aabb| {
+            for d in 0..3 {
+                // Only an infinite side is clipped: a body may have business beyond open sides.
+                if bounds.min[d] == f64::NEG_INFINITY {
+                    bounds.min[d] = self.world_box.min[d].min(bounds.max[d]);
+                }
+                if bounds.max[d] == f64::INFINITY {
+                    bounds.max[d] = self.world_box.max[d].max(bounds.min[d]);
+                }
+            }
+            bounds
+        };
+        self.bodies.iter().map(|body| clipped(body.shape.bounds(&body.state.pose, self.cell))).collect()
+    }
+
+    fn contact(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()> {
+        for (body, wrench) in self.bodies.iter_mut().zip(&mut self.wrenches) {
+            self.counts.deep_nodes += body.touch(nodes, &mut self.touches);
+            if self.touches.is_empty() {
+                continue;
+            }
+            let impulse = match body.free() {
+                None => contact::drive(&self.touches, &mut nodes.velocity, &body.state.twist),
+                Some(free) => {
+                    let solved = free.solve(&self.touches, &mut nodes.velocity, &body.state.twist);
+                    self.counts.unconverged += u64::from(!solved.converged);
+                    body.state.twist.linear += DVec3::from_array(solved.impulse.force) / free.mass;
+                    body.state.angular_momentum += DVec3::from_array(solved.impulse.torque);
+                    body.state.twist.angular = body.spin(&body.state.pose);
+                    solved.impulse
+                }
+            };
+            for d in 0..3 {
+                wrench.force[d] += impulse.force[d] / dt;
+                wrench.torque[d] += impulse.torque[d] / dt;
+            }
+            if !wrench.force.iter().chain(&wrench.torque).all(|x| x.is_finite()) {
+                return Err(body.lost("impulse from the ground"));
+            }
+        }
+        Ok(())
+    }
+
+    fn after_step(&mut self, _time: f64, dt: f64) -> Result<()> {
+        self.move_free_bodies(dt)?;
+        for body in &mut self.bodies {
+            if body.free().is_none() {
+                body.state.pose = body.target;
+            }
+        }
+        Ok(())
+    }
+
+    fn wrenches(&self) -> &[Wrench] {
+        &self.wrenches
+    }
+
+    fn distance(&self, points: &[Vec3]) -> Vec<f64> {
+        let nearest = |x: &Vec3| {
+            let distances = self.bodies.iter().map(|body| {
+                let arm = DVec3::from_array(*x) - body.state.pose.position;
+                body.shape.surface(body.state.pose.rotation.conjugate() * arm).distance
+            });
+            distances.fold(f64::INFINITY, f64::min)
+        };
+        points.iter().map(nearest).collect()
+    }
+
+    fn drive(&mut self, body: &str, velocity: Vec3, angular_velocity: Vec3) -> Result<()> {
+        let path = format!("tool '{body}'");
+        let names: Vec<&str> = self.bodies.iter().map(|body| body.name.as_str()).collect();
+        let Some(i) = names.iter().position(|name| *name == body) else {
+            return Err(Refusal::new("there is no such tool", format!("known are: {}", names.join(", "))).at(&path));
+        };
+        let body = &mut self.bodies[i];
+        if !matches!(body.mover, Mover::Velocity) {
+            return Err(Refusal::new("it is not driven by velocity", "give it a motion = { velocity = {} }").at(&path));
+        }
+        let command = vector(velocity, "the velocity asked for").and_then(|linear| {
+            Ok(Twist { linear, angular: vector(angular_velocity, "the angular velocity asked for")? })
+        });
+        body.state.command = command.map_err(|refusal| refusal.at(&path))?;
+        Ok(())
+    }
+
+    fn warnings(&self, cell_width: f64) -> Vec<String> {
+        let mut warnings = Vec::new();
+        for body in &self.bodies {
+            let thickness = 2.0 * body.shape.half_thickness();
+            if thickness < 2.0 * cell_width {
+                warnings.push(format!(
+                    "tool '{}' is {:.3} mm thick, {:.2} cells: the ground meets it as if it were two cells thick, and clings to both of its sides; use world.cell <= {:.3} mm or a thicker tool",
+                    body.name,
+                    1e3 * thickness,
+                    thickness / cell_width,
+                    0.5e3 * thickness,
+                ));
+            }
+            if body.ignored_position {
+                warnings
+                    .push(format!("tool '{}': its position is ignored, since keyframes say where it is", body.name));
+            }
+        }
+        warnings
+    }
+
+    fn counts(&self) -> Vec<(String, u64)> {
+        vec![
+            ("nodes deeper than two cells inside a rigid body".into(), self.counts.deep_nodes),
+            ("contact solutions of free bodies not converged".into(), self.counts.unconverged),
+        ]
+    }
+
+    fn save(&self) -> Vec<u8> {
+        let states: Vec<&State> = self.bodies.iter().map(|body| &body.state).collect();
+        let wrenches: Vec<_> = self.wrenches.iter().map(|w| (w.force, w.torque)).collect();
+        let physics = self.world.as_ref().map(|world| &world.physics);
+        postcard::to_stdvec(&(states, wrenches, self.counts, physics)).expect("writing to memory does not fail")
+    }
+
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), String> {
+        type Saved = (Vec<State>, Vec<(Vec3, Vec3)>, Counts, Option<PhysicsWorld>);
+        let (states, wrenches, counts, physics): Saved =
+            postcard::from_bytes(bytes).map_err(|e| format!("the rigid bodies' state cannot be read: {e}"))?;
+        if states.len() != self.bodies.len()
+            || wrenches.len() != states.len()
+            || physics.is_some() != self.world.is_some()
+        {
+            return Err(format!("it holds {} rigid bodies, and the scene {}", states.len(), self.bodies.len()));
+        }
+        for (body, state) in self.bodies.iter_mut().zip(states) {
+            body.state = state;
+            body.target = state.pose;
+        }
+        self.wrenches = wrenches.into_iter().map(|(force, torque)| Wrench { force, torque }).collect();
+        self.counts = counts;
+        if let (Some(world), Some(physics)) = (&mut self.world, physics) {
+            world.physics = physics;
+        }
+        Ok(())
+    }
+}

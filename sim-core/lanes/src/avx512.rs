@@ -1,0 +1,316 @@
+//! AVX-512 registers.
+
+use crate::base::Advance;
+use crate::vector::{Register, Wide, advance_f64, lanes_through_memory, transpose_through_memory};
+use crate::{LANES, Lanes, Real};
+use core::arch::x86_64::*;
+
+/// 16 lanes of f32 in one register.
+pub type Avx512F32 = Wide<__m512, 1>;
+/// 16 lanes of f64 in two registers.
+pub type Avx512F64 = Wide<__m512d, 2>;
+
+const NEAREST: i32 = _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC;
+
+macro_rules! register {
+    ($reg:ident, $scalar:ident, $mask:ident, $width:expr, $set1:ident, $add:ident, $sub:ident, $mul:ident, $div:ident, $fma:ident,
+     $abs:ident, $sqrt:ident, $min:ident, $max:ident, $round:ident, $cmp:ident, $blend:ident, $getmant:ident, $getexp:ident, $scalef:ident,
+     $xor:ident) => {
+        // SAFETY of every block below: values of this type exist only in code that `Isa::run` entered after asking the
+        // machine for AVX-512 F, DQ and VL.
+        impl Register for $reg {
+            type Scalar = $scalar;
+            type Bits = $mask;
+            const WIDTH: usize = $width;
+            #[inline(always)]
+            fn fill(x: $scalar) -> Self {
+                // SAFETY: see above.
+                unsafe { $set1(x) }
+            }
+            #[inline(always)]
+            fn add(self, o: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $add(self, o) }
+            }
+            #[inline(always)]
+            fn sub(self, o: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $sub(self, o) }
+            }
+            #[inline(always)]
+            fn mul(self, o: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $mul(self, o) }
+            }
+            #[inline(always)]
+            fn div(self, o: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $div(self, o) }
+            }
+            #[inline(always)]
+            fn fma(self, a: Self, b: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $fma(self, a, b) }
+            }
+            #[inline(always)]
+            fn neg(self) -> Self {
+                // SAFETY: see above.
+                unsafe { $xor(self, $set1(-0.0)) }
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                // SAFETY: see above.
+                unsafe { $abs(self) }
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                // SAFETY: see above.
+                unsafe { $sqrt(self) }
+            }
+            #[inline(always)]
+            fn min(self, o: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $min(self, o) }
+            }
+            #[inline(always)]
+            fn max(self, o: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $max(self, o) }
+            }
+            #[inline(always)]
+            fn round(self) -> Self {
+                // SAFETY: see above.
+                unsafe { $round::<NEAREST>(self) }
+            }
+            #[inline(always)]
+            fn lt(self, o: Self) -> $mask {
+                // SAFETY: see above.
+                unsafe { $cmp::<_CMP_LT_OQ>(self, o) }
+            }
+            #[inline(always)]
+            fn le(self, o: Self) -> $mask {
+                // SAFETY: see above.
+                unsafe { $cmp::<_CMP_LE_OQ>(self, o) }
+            }
+            #[inline(always)]
+            fn select(mask: $mask, a: Self, b: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $blend(mask, b, a) }
+            }
+            #[inline(always)]
+            fn split_exponent(self) -> (Self, Self) {
+                // SAFETY: see above.
+                unsafe {
+                    let m = $getmant::<_MM_MANT_NORM_P75_1P5, _MM_MANT_SIGN_SRC>(self);
+                    // A mantissa of [1.5, 2) is brought to [0.75, 1), and its exponent one up.
+                    let e = $getexp(self);
+                    let halved = $cmp::<_CMP_LT_OQ>(m, $set1(1.0));
+                    (m, $blend(halved, e, $add(e, $set1(1.0))))
+                }
+            }
+            #[inline(always)]
+            fn scale_exponent(self, k: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $scalef(self, k) }
+            }
+            #[inline(always)]
+            fn and(a: $mask, b: $mask) -> $mask {
+                a & b
+            }
+            #[inline(always)]
+            fn or(a: $mask, b: $mask) -> $mask {
+                a | b
+            }
+            #[inline(always)]
+            fn not(a: $mask) -> $mask {
+                !a
+            }
+            #[inline(always)]
+            fn bits(a: $mask) -> u16 {
+                u16::from(a)
+            }
+            #[inline(always)]
+            fn truth(value: bool) -> $mask {
+                if value { $mask::MAX } else { 0 }
+            }
+        }
+    };
+}
+register!(
+    __m512,
+    f32,
+    __mmask16,
+    16,
+    _mm512_set1_ps,
+    _mm512_add_ps,
+    _mm512_sub_ps,
+    _mm512_mul_ps,
+    _mm512_div_ps,
+    _mm512_fmadd_ps,
+    _mm512_abs_ps,
+    _mm512_sqrt_ps,
+    _mm512_min_ps,
+    _mm512_max_ps,
+    _mm512_roundscale_ps,
+    _mm512_cmp_ps_mask,
+    _mm512_mask_blend_ps,
+    _mm512_getmant_ps,
+    _mm512_getexp_ps,
+    _mm512_scalef_ps,
+    _mm512_xor_ps
+);
+register!(
+    __m512d,
+    f64,
+    __mmask8,
+    8,
+    _mm512_set1_pd,
+    _mm512_add_pd,
+    _mm512_sub_pd,
+    _mm512_mul_pd,
+    _mm512_div_pd,
+    _mm512_fmadd_pd,
+    _mm512_abs_pd,
+    _mm512_sqrt_pd,
+    _mm512_min_pd,
+    _mm512_max_pd,
+    _mm512_roundscale_pd,
+    _mm512_cmp_pd_mask,
+    _mm512_mask_blend_pd,
+    _mm512_getmant_pd,
+    _mm512_getexp_pd,
+    _mm512_scalef_pd,
+    _mm512_xor_pd
+);
+
+impl Lanes for Avx512F32 {
+    lanes_through_memory!(f32);
+
+    #[inline(always)]
+    unsafe fn repeat4(from: *const f32) -> Self {
+        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX-512.
+        unsafe { Wide([_mm512_broadcast_f32x4(_mm_loadu_ps(from))]) }
+    }
+    #[inline(always)]
+    unsafe fn spread3(from: *const f32) -> Self {
+        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX-512.
+        unsafe {
+            let four = _mm512_castps128_ps512(_mm_loadu_ps(from));
+            let pick = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
+            Wide([_mm512_maskz_permutexvar_ps(0x0fff, pick, four)])
+        }
+    }
+    #[inline(always)]
+    fn fold4(a: Self, b: Self, c: Self, d: Self) -> Self {
+        // SAFETY: the machine has AVX-512.
+        unsafe {
+            let (a, b, c, d) = (a.0[0], b.0[0], c.0[0], d.0[0]);
+            let ab = _mm512_add_ps(_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0xee>(a, b));
+            let cd = _mm512_add_ps(_mm512_shuffle_f32x4::<0x44>(c, d), _mm512_shuffle_f32x4::<0xee>(c, d));
+            Wide([_mm512_add_ps(_mm512_shuffle_f32x4::<0x88>(ab, cd), _mm512_shuffle_f32x4::<0xdd>(ab, cd))])
+        }
+    }
+    #[inline(always)]
+    fn fourth(self) -> Self {
+        // SAFETY: the machine has AVX-512.
+        unsafe { Wide([_mm512_permute_ps::<0xff>(self.0[0])]) }
+    }
+    #[inline(always)]
+    fn transpose(rows: &mut [Self; LANES]) {
+        // SAFETY: the machine has AVX-512.
+        unsafe {
+            let zero = _mm512_setzero_ps();
+            // Within each 128-bit group: 4 x 4 transposes in two rounds of unpacking.
+            let mut t = [zero; 16];
+            for i in 0..8 {
+                t[2 * i] = _mm512_unpacklo_ps(rows[2 * i].0[0], rows[2 * i + 1].0[0]);
+                t[2 * i + 1] = _mm512_unpackhi_ps(rows[2 * i].0[0], rows[2 * i + 1].0[0]);
+            }
+            let mut u = [zero; 16];
+            for i in 0..4 {
+                let (a, b) = (_mm512_castps_pd(t[4 * i]), _mm512_castps_pd(t[4 * i + 2]));
+                let (c, d) = (_mm512_castps_pd(t[4 * i + 1]), _mm512_castps_pd(t[4 * i + 3]));
+                u[4 * i] = _mm512_castpd_ps(_mm512_unpacklo_pd(a, b));
+                u[4 * i + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(a, b));
+                u[4 * i + 2] = _mm512_castpd_ps(_mm512_unpacklo_pd(c, d));
+                u[4 * i + 3] = _mm512_castpd_ps(_mm512_unpackhi_pd(c, d));
+            }
+            // Then the groups themselves.
+            for i in 0..4 {
+                let a = _mm512_shuffle_f32x4::<0x88>(u[i], u[i + 4]);
+                let b = _mm512_shuffle_f32x4::<0xdd>(u[i], u[i + 4]);
+                let c = _mm512_shuffle_f32x4::<0x88>(u[i + 8], u[i + 12]);
+                let d = _mm512_shuffle_f32x4::<0xdd>(u[i + 8], u[i + 12]);
+                rows[i].0[0] = _mm512_shuffle_f32x4::<0x88>(a, c);
+                rows[i + 8].0[0] = _mm512_shuffle_f32x4::<0xdd>(a, c);
+                rows[i + 4].0[0] = _mm512_shuffle_f32x4::<0x88>(b, d);
+                rows[i + 12].0[0] = _mm512_shuffle_f32x4::<0xdd>(b, d);
+            }
+        }
+    }
+    #[inline(always)]
+    unsafe fn load_offset(from: *const u32) -> Self {
+        // SAFETY: the caller vouches for 16 readable offsets; the machine has AVX-512.
+        unsafe {
+            let counts = _mm512_cvtepu32_ps(_mm512_loadu_si512(from.cast()));
+            Wide([_mm512_mul_ps(counts, _mm512_set1_ps(1.0 / 4_294_967_296.0))])
+        }
+    }
+    #[inline(always)]
+    unsafe fn advance(offset: *mut u32, cell: *mut i32, delta: Self) {
+        // SAFETY: the caller vouches for 16 readable and writable entries of each; the machine has AVX-512.
+        unsafe {
+            let counts = _mm512_cvtps_epi32(_mm512_mul_ps(delta.0[0], _mm512_set1_ps(4_294_967_296.0)));
+            let old = _mm512_loadu_si512(offset.cast());
+            let moved = _mm512_add_epi32(old, counts);
+            let negative = _mm512_movepi32_mask(counts);
+            let up = _mm512_mask_cmplt_epu32_mask(!negative, moved, old);
+            let down = _mm512_mask_cmpgt_epu32_mask(negative, moved, old);
+            let cells = _mm512_loadu_si512(cell.cast());
+            let one = _mm512_set1_epi32(1);
+            let cells = _mm512_mask_add_epi32(cells, up, cells, one);
+            let cells = _mm512_mask_sub_epi32(cells, down, cells, one);
+            _mm512_storeu_si512(offset.cast(), moved);
+            _mm512_storeu_si512(cell.cast(), cells);
+        }
+    }
+}
+
+impl Lanes for Avx512F64 {
+    lanes_through_memory!(f64);
+    transpose_through_memory!(f64);
+    advance_f64!();
+
+    #[inline(always)]
+    unsafe fn repeat4(from: *const f64) -> Self {
+        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX-512.
+        unsafe { Wide([_mm512_broadcast_f64x4(_mm256_loadu_pd(from)); 2]) }
+    }
+    #[inline(always)]
+    unsafe fn spread3(from: *const f64) -> Self {
+        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX-512.
+        unsafe {
+            let four = _mm512_castpd256_pd512(_mm256_loadu_pd(from));
+            let low = _mm512_permutexvar_pd(_mm512_setr_epi64(0, 0, 0, 0, 1, 1, 1, 1), four);
+            let high = _mm512_maskz_permutexvar_pd(0x0f, _mm512_setr_epi64(2, 2, 2, 2, 3, 3, 3, 3), four);
+            Wide([low, high])
+        }
+    }
+    #[inline(always)]
+    fn fourth(self) -> Self {
+        // SAFETY: the machine has AVX-512.
+        unsafe { Wide([_mm512_permutex_pd::<0xff>(self.0[0]), _mm512_permutex_pd::<0xff>(self.0[1])]) }
+    }
+    #[inline(always)]
+    fn fold4(a: Self, b: Self, c: Self, d: Self) -> Self {
+        // SAFETY: the machine has AVX-512.
+        unsafe {
+            let (a, b) = (_mm512_add_pd(a.0[0], a.0[1]), _mm512_add_pd(b.0[0], b.0[1]));
+            let (c, d) = (_mm512_add_pd(c.0[0], c.0[1]), _mm512_add_pd(d.0[0], d.0[1]));
+            Wide([
+                _mm512_add_pd(_mm512_shuffle_f64x2::<0x44>(a, b), _mm512_shuffle_f64x2::<0xee>(a, b)),
+                _mm512_add_pd(_mm512_shuffle_f64x2::<0x44>(c, d), _mm512_shuffle_f64x2::<0xee>(c, d)),
+            ])
+        }
+    }
+}

@@ -1,0 +1,234 @@
+//! Numbers for Barchan's kernels.
+//!
+//! A kernel is written once, generic over [`Real`] (constitutive laws) or [`Lanes`] (transfers), and runs as
+//! - a plain `f32` or `f64`, for reference and for single particles;
+//! - [`Dual`], carrying a directional derivative;
+//! - 16 lanes of `f32` or `f64` in the registers of the machine's instruction set, chosen at run time by
+//!   [`Isa::run`], so that one binary is fast everywhere.
+//!
+//! There is no branching on values: comparisons give a [`Mask`], and [`Real::select`] picks per lane. `mul_add` is fused
+//! where the instruction set fuses, so results are the same bits for one [`Isa`], and agree to rounding between two.
+//! Logarithm and exponential are our own; their errors are stated at [`Real::ln`] and [`Real::exp`].
+#![expect(unsafe_code, reason = "vector registers are reached through intrinsics and raw loads and stores")]
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod base;
+mod dual;
+mod isa;
+mod math;
+mod scalar;
+#[cfg(target_arch = "x86_64")]
+mod vector;
+
+pub use base::Base;
+pub use dual::Dual;
+pub use isa::{Isa, Kernel, UnknownIsa};
+#[cfg(target_arch = "x86_64")]
+pub use {
+    avx2::{Avx2F32, Avx2F64},
+    avx512::{Avx512F32, Avx512F64},
+};
+
+use core::fmt::Debug;
+use core::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
+
+/// Lanes of the wide types, and particles in a chunk.
+pub const LANES: usize = 16;
+
+/// An array of numbers, entry by entry: `tabulate!(3, |d| x[d] * y[d])`.
+///
+/// What `core::array::from_fn` does, but without a closure: a closure is compiled on its own, without the instruction set that
+/// [`Isa::run`] chose, and the register operations in it are then calls.
+#[macro_export]
+macro_rules! tabulate {
+    ($n:expr, |$i:ident| $entry:expr) => {{
+        let mut out = [$crate::Real::zero(); $n];
+        let mut $i = 0;
+        while $i < $n {
+            out[$i] = $entry;
+            $i += 1;
+        }
+        out
+    }};
+}
+
+/// The outcome of a comparison, one truth value a lane.
+pub trait Mask: Copy + Debug + BitAnd<Output = Self> + BitOr<Output = Self> + Not<Output = Self> {
+    /// All lanes equal to `value`.
+    fn splat(value: bool) -> Self;
+    /// Is it true in any lane?
+    fn any(self) -> bool;
+    /// Is it true in every lane?
+    fn all(self) -> bool;
+    /// Bit i is lane i.
+    fn bits(self) -> u16;
+}
+
+/// A real number, or several side by side.
+pub trait Real:
+    Copy
+    + Debug
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+    + SubAssign
+    + MulAssign
+    + 'static
+{
+    /// Truth values of comparisons.
+    type Mask: Mask;
+    /// Relative spacing of numbers near 1 in this precision.
+    const EPSILON: f64;
+    /// Least positive normal number in this precision.
+    const TINY: f64;
+
+    /// The number in every lane.
+    fn splat(x: f64) -> Self;
+    /// `self * a + b`, fused where the instruction set fuses.
+    fn mul_add(self, a: Self, b: Self) -> Self;
+    /// Square root.
+    fn sqrt(self) -> Self;
+    /// Magnitude.
+    fn abs(self) -> Self;
+    /// The lesser; the second operand if either is NaN.
+    fn min(self, other: Self) -> Self;
+    /// The greater; the second operand if either is NaN.
+    fn max(self, other: Self) -> Self;
+    /// self < other.
+    fn lt(self, other: Self) -> Self::Mask;
+    /// self <= other.
+    fn le(self, other: Self) -> Self::Mask;
+    /// `a` where the mask is true, `b` elsewhere.
+    fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
+    /// Splits into m and e with self = m 2^e and m in [0.75, 1.5). Positive normal numbers only.
+    fn split_exponent(self) -> (Self, Self);
+    /// self · 2^k for a whole k within the exponent range of normal numbers.
+    fn scale_exponent(self, k: Self) -> Self;
+    /// Nearest whole number.
+    fn round(self) -> Self;
+
+    /// self > other.
+    #[inline(always)]
+    fn gt(self, other: Self) -> Self::Mask {
+        other.lt(self)
+    }
+    /// self >= other.
+    #[inline(always)]
+    fn ge(self, other: Self) -> Self::Mask {
+        other.le(self)
+    }
+    /// Zero.
+    #[inline(always)]
+    fn zero() -> Self {
+        Self::splat(0.0)
+    }
+    /// One.
+    #[inline(always)]
+    fn one() -> Self {
+        Self::splat(1.0)
+    }
+    /// 1 / self.
+    #[inline(always)]
+    fn recip(self) -> Self {
+        Self::one() / self
+    }
+    /// True where the number is neither NaN nor infinite.
+    #[inline(always)]
+    fn is_finite(self) -> Self::Mask {
+        // x - x is 0 exactly when x is finite, and NaN otherwise.
+        (self - self).abs().le(Self::zero())
+    }
+    /// Natural logarithm of a positive normal number; anything else gives an unspecified value.
+    ///
+    /// Relative error below 2.5 ulp of the type, also next to 1, where the series runs in (x - 1)/(x + 1).
+    #[inline(always)]
+    fn ln(self) -> Self {
+        math::ln(self)
+    }
+    /// Exponential; the argument is clamped to where the result is a normal number. Relative error below 2 ulp.
+    #[inline(always)]
+    fn exp(self) -> Self {
+        math::exp(self)
+    }
+}
+
+/// A scalar that state is stored in: `f32` or `f64`.
+pub trait Float: Real<Mask = bool> + PartialOrd + Default + Send + Sync {
+    /// How a position inside its cell is stored: `u32` counts of 2^-32 cell for f32, the fraction itself for f64.
+    type Offset: Copy + Default + Debug + PartialEq + Send + Sync + 'static;
+    /// 16 lanes without any instruction-set extension.
+    type Base: Lanes<Scalar = Self>;
+    /// 16 lanes on AVX2 and FMA.
+    #[cfg(target_arch = "x86_64")]
+    type Avx2: Lanes<Scalar = Self>;
+    /// 16 lanes on AVX-512.
+    #[cfg(target_arch = "x86_64")]
+    type Avx512: Lanes<Scalar = Self>;
+    /// "f32" or "f64".
+    const NAME: &'static str;
+
+    /// Rounds to this precision.
+    fn from_f64(x: f64) -> Self;
+    /// Widens; exact.
+    fn to_f64(self) -> f64;
+    /// The fraction of a cell that an offset stands for; exact.
+    fn offset_to_f64(offset: Self::Offset) -> f64;
+    /// The offset nearest to a fraction in [0, 1); `None` if it rounds up to a whole cell.
+    fn offset_from_f64(fraction: f64) -> Option<Self::Offset>;
+}
+
+/// [`LANES`] reals in registers, with the moves that the transfers between particles and grid need.
+pub trait Lanes: Real {
+    /// The scalar in each lane.
+    type Scalar: Float;
+
+    /// Reads 16 scalars.
+    ///
+    /// # Safety
+    /// `from` must be valid for reading 16 scalars; no alignment is asked for.
+    unsafe fn load(from: *const Self::Scalar) -> Self;
+    /// Writes 16 scalars.
+    ///
+    /// # Safety
+    /// `to` must be valid for writing 16 scalars; no alignment is asked for.
+    unsafe fn store(self, to: *mut Self::Scalar);
+    /// Reads four scalars and repeats them four times.
+    ///
+    /// # Safety
+    /// `from` must be valid for reading 4 scalars.
+    unsafe fn repeat4(from: *const Self::Scalar) -> Self;
+    /// The same scalar in every lane.
+    fn fill(x: Self::Scalar) -> Self;
+    /// Lane 4 g + c becomes the scalar `from[g]` for g = 0, 1, 2, and 0 for g = 3.
+    ///
+    /// # Safety
+    /// `from` must be valid for reading 4 scalars.
+    unsafe fn spread3(from: *const Self::Scalar) -> Self;
+    /// Sums the four groups of four lanes of each argument; group g of the result is the sum for argument g.
+    fn fold4(a: Self, b: Self, c: Self, d: Self) -> Self;
+    /// The last lane of each group of four, in all lanes of the group.
+    fn fourth(self) -> Self;
+    /// Transposes 16 vectors of 16 lanes.
+    fn transpose(rows: &mut [Self; LANES]);
+    /// Sum of the lanes, in a fixed order.
+    fn sum(self) -> Self::Scalar;
+    /// Greatest lane.
+    fn max_lane(self) -> Self::Scalar;
+
+    /// Reads 16 offsets as fractions of a cell.
+    ///
+    /// # Safety
+    /// `from` must be valid for reading 16 offsets.
+    unsafe fn load_offset(from: *const <Self::Scalar as Float>::Offset) -> Self;
+    /// Moves 16 particles along one axis by `delta` cells, |delta| < 0.5, carrying into the integer cell.
+    ///
+    /// # Safety
+    /// Both pointers must be valid for reading and writing 16 entries.
+    unsafe fn advance(offset: *mut <Self::Scalar as Float>::Offset, cell: *mut i32, delta: Self);
+}

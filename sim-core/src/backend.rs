@@ -1,0 +1,74 @@
+//! Backends: where particles live and a step is carried out.
+
+use crate::{Coupling, Ledger, ParticleState, Plan, Result};
+
+/// A way to run a plan, such as `cpu`.
+pub trait Backend: Send + Sync {
+    /// Name in scenes and on the command line.
+    fn name(&self) -> &str;
+    /// One paragraph.
+    fn doc(&self) -> &str;
+    /// Builds exactly the passes that the plan calls for and takes in the particles.
+    ///
+    /// # Errors
+    /// [`crate::Error::Missing`] if it lacks a form of a stage, by name.
+    fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>>;
+}
+
+/// The greatest stable time step and what sets it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bound {
+    /// Seconds; infinite if nothing bounds it.
+    pub dt: f64,
+    /// Such as "material 'sand': stiffness" or "particle speed".
+    pub by: String,
+}
+
+/// What one step did.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StepReport {
+    /// The step taken [s], at most the one asked for.
+    pub dt: f64,
+    /// Did the engine sort its particles?
+    pub sorted: bool,
+    /// Greatest node speed [m/s].
+    pub max_speed: f64,
+}
+
+/// Time and calls of one effect since the start.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Timing {
+    /// Effect, such as "P2G" or "material sand".
+    pub effect: String,
+    /// Wall seconds; for effects inside a parallel pass, their share of it.
+    pub seconds: f64,
+    /// Passes run.
+    pub passes: u64,
+}
+
+/// A compiled plan with its particles.
+pub trait Engine: Send {
+    /// Greatest stable step of the present state, before any safety factor. Cheap: called before every step.
+    fn bound(&self) -> Bound;
+    /// One step of at most `dt` seconds from `time`. The engine may take a shorter one (and says so) if node speeds or
+    /// deformations would otherwise exceed their limits. On an error the particles are those before the step.
+    ///
+    /// # Errors
+    /// NaN or infinity, a material's failure, a particle that left the world.
+    fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport>;
+    /// Copies the particles out, with the phase of the sort, so that a copy continues bit for bit.
+    fn download(&self) -> ParticleState;
+    /// Replaces the particles.
+    ///
+    /// # Errors
+    /// If the state does not fit the plan.
+    fn upload(&mut self, particles: ParticleState) -> Result<()>;
+    /// Number of particles.
+    fn particle_count(&self) -> usize;
+    /// Adds the particles' mass, momenta, energies and counts to a ledger.
+    fn account(&self, ledger: &mut Ledger);
+    /// Time by effect since the start.
+    fn timings(&self) -> Vec<Timing>;
+    /// Bytes resident for particles and grid: (particles, grid).
+    fn memory(&self) -> (u64, u64);
+}

@@ -1,0 +1,154 @@
+//! Couplings: what acts on the soft ground through grid nodes, and what it feels in return.
+
+use crate::{Result, Vec3};
+
+/// Force and torque, or, times a step, impulse and angular impulse.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Wrench {
+    /// Force on the body, world frame [N].
+    pub force: Vec3,
+    /// Torque on the body about its centre of mass, world frame [N m].
+    pub torque: Vec3,
+}
+
+/// What a body is doing, world frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BodyState {
+    /// Name in the scene.
+    pub name: String,
+    /// Centre of mass [m].
+    pub position: Vec3,
+    /// Orientation quaternion (w, x, y, z).
+    pub rotation: [f64; 4],
+    /// Velocity of the centre of mass [m/s].
+    pub velocity: Vec3,
+    /// Angular velocity [rad/s].
+    pub angular_velocity: Vec3,
+    /// Mass [kg]; infinite for a driven body.
+    pub mass: f64,
+    /// Kinetic energy [J]; 0 for a driven body.
+    pub kinetic_energy: f64,
+    /// Potential energy in gravity relative to height 0 [J]; 0 for a driven body.
+    pub potential_energy: f64,
+    /// Momentum [kg m/s]; 0 for a driven body.
+    pub momentum: Vec3,
+    /// Angular momentum about the world's origin [kg m²/s]; 0 for a driven body.
+    pub angular_momentum: Vec3,
+}
+
+/// An axis-aligned box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// Least corner [m].
+    pub min: Vec3,
+    /// Greatest corner [m].
+    pub max: Vec3,
+}
+
+impl Aabb {
+    /// Grown by `margin` on every side.
+    #[must_use]
+    pub fn grown(self, margin: f64) -> Self {
+        Self { min: self.min.map(|x| x - margin), max: self.max.map(|x| x + margin) }
+    }
+    /// Is the point inside or on the boundary?
+    pub fn contains(&self, x: Vec3) -> bool {
+        (0..3).all(|d| self.min[d] <= x[d] && x[d] <= self.max[d])
+    }
+    /// Do the boxes share a point?
+    pub fn meets(&self, other: &Self) -> bool {
+        (0..3).all(|d| self.min[d] <= other.max[d] && other.min[d] <= self.max[d])
+    }
+    /// The least box that holds both.
+    #[must_use]
+    pub fn union(&self, other: &Self) -> Self {
+        Self {
+            min: std::array::from_fn(|d| self.min[d].min(other.min[d])),
+            max: std::array::from_fn(|d| self.max[d].max(other.max[d])),
+        }
+    }
+}
+
+/// Grid nodes near a coupling's bodies, in the backend's fixed order.
+#[derive(Clone, Debug, Default)]
+pub struct NodeBatch {
+    /// Cell width [m]; contact thickness is measured against it.
+    pub cell_width: f64,
+    /// World positions [m].
+    pub position: Vec<Vec3>,
+    /// Node masses [kg].
+    pub mass: Vec<f64>,
+    /// Node velocities after forces and gravity [m/s]; the coupling overwrites them.
+    pub velocity: Vec<Vec3>,
+}
+
+impl NodeBatch {
+    /// Number of nodes.
+    pub fn len(&self) -> usize {
+        self.mass.len()
+    }
+    /// Is it empty?
+    pub fn is_empty(&self) -> bool {
+        self.mass.is_empty()
+    }
+    /// Forgets all nodes, keeping the memory.
+    pub fn clear(&mut self) {
+        self.position.clear();
+        self.mass.clear();
+        self.velocity.clear();
+    }
+}
+
+/// Rigid tools, free bodies, robots: anything that constrains node velocities and feels the reaction.
+///
+/// In each step the simulation calls, in this order: [`before_step`](Self::before_step), [`contact`](Self::contact) once
+/// with all nodes inside [`bounds`](Self::bounds), [`after_step`](Self::after_step). An impulse is taken from the node
+/// where it acts and booked once, on the body, at that node's position.
+pub trait Coupling: Send {
+    /// Name of the kind, as registered.
+    fn name(&self) -> &str;
+    /// Bodies in the scene's order, as they are now.
+    fn bodies(&self) -> Vec<BodyState>;
+    /// Greatest speed of any surface point during the step that starts at `time` and takes at most `dt` [m/s].
+    fn max_speed(&self, time: f64, dt: f64) -> f64;
+    /// Fixes the bodies' velocities over the step from `time` to `time + dt` [s]. Poses stay those at `time`.
+    ///
+    /// # Errors
+    /// If a body's motion is not defined there.
+    fn before_step(&mut self, time: f64, dt: f64) -> Result<()>;
+    /// Where contact can happen during this step; nodes outside are not handed over.
+    fn bounds(&self) -> Vec<Aabb>;
+    /// Applies the contact law: overwrites `nodes.velocity` and books the impulses on the bodies.
+    ///
+    /// # Errors
+    /// If a body's state is no longer finite.
+    fn contact(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()>;
+    /// Moves the bodies to `time + dt` with the impulses booked.
+    ///
+    /// # Errors
+    /// If a body's state is no longer finite.
+    fn after_step(&mut self, time: f64, dt: f64) -> Result<()>;
+    /// Mean wrench of the soft ground on each body over the last step.
+    fn wrenches(&self) -> &[Wrench];
+    /// Signed distance to the nearest body's surface [m], negative inside, at each point; used to seed ground around
+    /// bodies and by tests. Bodies of a coupling without a surface answer infinity.
+    fn distance(&self, points: &[Vec3]) -> Vec<f64>;
+    /// Sets the velocity of a driven body [m/s, rad/s], for agents that act every step.
+    ///
+    /// # Errors
+    /// If there is no such body, it is not driven by velocity, or the numbers are not finite.
+    fn drive(&mut self, body: &str, velocity: Vec3, angular_velocity: Vec3) -> Result<()>;
+    /// Warnings about the set-up (a blade thinner than two cells, say).
+    fn warnings(&self, cell_width: f64) -> Vec<String>;
+    /// Named counts of clamps and clips since the start, for the ledger.
+    fn counts(&self) -> Vec<(String, u64)> {
+        Vec::new()
+    }
+    /// Everything needed to continue bit for bit.
+    fn save(&self) -> Vec<u8>;
+    /// Takes up what [`save`](Self::save) gave.
+    ///
+    /// # Errors
+    /// A text saying what is wrong with the bytes.
+    fn restore(&mut self, bytes: &[u8]) -> std::result::Result<(), String>;
+}

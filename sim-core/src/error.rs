@@ -1,0 +1,215 @@
+//! What can go wrong, and what the user is told.
+//!
+//! Every message says what is wrong, where (file and line, key path, plugin, particle), and what would mend it.
+
+use std::path::PathBuf;
+
+/// Shorthand for results of this crate.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// An error that a user can act upon.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A scene file or a `--set` that cannot be used.
+    #[error(
+        "{file}{}: {path}: {what}{}",
+        if *line > 0 { format!(":{line}") } else { String::new() },
+        allowed.as_ref().map(|a| format!("; {a}")).unwrap_or_default()
+    )]
+    Scene {
+        /// File, or "--set".
+        file: String,
+        /// Line, from 1; 0 if there is none.
+        line: usize,
+        /// Key path, such as `body[0].shape.box.min`.
+        path: String,
+        /// What is wrong.
+        what: String,
+        /// What is allowed, or what would mend it.
+        allowed: Option<String>,
+    },
+    /// A name that the registry does not know.
+    #[error(
+        "{path}: no {kind} is called '{name}'; {}",
+        if known.is_empty() { format!("no {kind} is registered") } else { format!("known are: {}", known.join(", ")) }
+    )]
+    Unknown {
+        /// Where the name stands.
+        path: String,
+        /// "material", "coupling", "backend", "task", "solid" or "scene".
+        kind: &'static str,
+        /// The name asked for.
+        name: String,
+        /// The names there are.
+        known: Vec<String>,
+    },
+    /// Two plugins of one kind and name.
+    #[error("{kind} '{name}' is registered twice, by {first} and by {second}; rename one of them")]
+    Duplicate {
+        /// Kind of plugin.
+        kind: &'static str,
+        /// Its name.
+        name: String,
+        /// Who came first.
+        first: String,
+        /// Who came second.
+        second: String,
+    },
+    /// Something a plugin lacks that the scene calls for.
+    #[error("{kind} '{name}' ({origin}) has no {what}; needed because {why}; {mend}")]
+    Missing {
+        /// Kind of plugin.
+        kind: &'static str,
+        /// Its name.
+        name: String,
+        /// Library or crate it comes from.
+        origin: String,
+        /// What it lacks.
+        what: String,
+        /// Why the scene needs it.
+        why: String,
+        /// What would mend it.
+        mend: String,
+    },
+    /// A library that cannot be loaded as a plugin.
+    #[error("plugin {}: {what}; {mend}", library.display())]
+    Plugin {
+        /// The file.
+        library: PathBuf,
+        /// What is wrong with it.
+        what: String,
+        /// What would mend it.
+        mend: String,
+    },
+    /// A material's callback failed.
+    #[error(
+        "material '{material}' ({origin}) failed in {callback}{}: {message}",
+        particle.map(|p| format!(" at particle {p}")).unwrap_or_default()
+    )]
+    MaterialFailed {
+        /// The material.
+        material: String,
+        /// Library or crate it comes from.
+        origin: String,
+        /// Which callback.
+        callback: &'static str,
+        /// Its message.
+        message: String,
+        /// Particle id, if it named one.
+        particle: Option<u64>,
+    },
+    /// The time step is above what is stable.
+    #[error(
+        "time step {dt:.3e} s at step {step} is above the bound {bound:.3e} s set by {by}; lower time.step, lower the stiffness, or set time.over_bound = \"substep\""
+    )]
+    TimeStep {
+        /// Step number.
+        step: u64,
+        /// Step asked for [s].
+        dt: f64,
+        /// Greatest stable step [s].
+        bound: f64,
+        /// What sets the bound.
+        by: String,
+    },
+    /// NaN or infinity in the state.
+    #[error(
+        "{field} of particle {particle} ({list}) is {value} at step {step}, time {time:.6} s; {count} particles are concerned; the last snapshot is intact"
+    )]
+    NonFinite {
+        /// Step number.
+        step: u64,
+        /// Time [s].
+        time: f64,
+        /// Which field.
+        field: &'static str,
+        /// First particle concerned.
+        particle: u64,
+        /// Its material.
+        list: String,
+        /// The value.
+        value: f64,
+        /// How many particles are concerned.
+        count: u64,
+    },
+    /// Energy grows without a cause.
+    #[error(
+        "energy grew from {before:.3e} J to {after:.3e} J within {steps} steps (step {step}), more than work done on the scene explains; particle {particle} moves fastest; lower time.step or time.safety"
+    )]
+    Unstable {
+        /// Step number.
+        step: u64,
+        /// Energy then [J].
+        before: f64,
+        /// Energy now [J].
+        after: f64,
+        /// Steps between.
+        steps: u64,
+        /// The fastest particle.
+        particle: u64,
+    },
+    /// A particle left the world and the scene says that this is an error.
+    #[error("particle {particle} left the world at ({:.4}, {:.4}, {:.4}) m, step {step}; widen world.min/max, add walls, or set world.leaving to \"clamp\" or \"delete\"", position[0], position[1], position[2])]
+    LeftWorld {
+        /// Step number.
+        step: u64,
+        /// Particle id.
+        particle: u64,
+        /// Where it is [m].
+        position: crate::Vec3,
+    },
+    /// A rigid body or tool that cannot be used.
+    #[error("{path}: {what}; {mend}")]
+    Body {
+        /// Key path, or the body's name.
+        path: String,
+        /// What is wrong.
+        what: String,
+        /// What would mend it.
+        mend: String,
+    },
+    /// A snapshot that cannot be read or does not fit.
+    #[error("snapshot {}: {what}; {mend}", file.display())]
+    Snapshot {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong.
+        what: String,
+        /// What would mend it.
+        mend: String,
+    },
+    /// A file that cannot be read or written.
+    #[error("{}: {what}: {source}", file.display())]
+    Io {
+        /// The file or folder.
+        file: PathBuf,
+        /// What was being done.
+        what: &'static str,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// More memory or particles than allowed.
+    #[error("{what}: {asked} is above the cap {cap}; {mend}")]
+    Capacity {
+        /// What ran out.
+        what: &'static str,
+        /// How much was asked.
+        asked: u64,
+        /// How much there may be.
+        cap: u64,
+        /// What would mend it.
+        mend: &'static str,
+    },
+}
+
+impl Error {
+    /// Says where an unknown name stands, such as `material[0].law`.
+    #[must_use]
+    pub fn at(self, place: &str) -> Self {
+        match self {
+            Self::Unknown { kind, name, known, .. } => Self::Unknown { path: place.to_owned(), kind, name, known },
+            other => other,
+        }
+    }
+}

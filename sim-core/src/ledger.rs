@@ -1,0 +1,52 @@
+//! The ledger: what a simulation holds, and everything that was clamped, floored, clipped or lost.
+
+use crate::Vec3;
+use std::collections::BTreeMap;
+
+/// Totals over all particles and free bodies, world frame.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Ledger {
+    /// Particles.
+    pub particles: u64,
+    /// Mass of particles [kg].
+    pub mass: f64,
+    /// Momentum of particles [kg m/s].
+    pub momentum: Vec3,
+    /// Angular momentum about the world's origin, the affine part included [kg m²/s].
+    pub angular_momentum: Vec3,
+    /// Kinetic energy of particles, the affine part included [J].
+    pub kinetic: f64,
+    /// Elastic energy [J]; NaN if a material gives none.
+    pub elastic: f64,
+    /// Potential energy in gravity relative to the world's origin [J].
+    pub potential: f64,
+    /// Kinetic energy of free bodies [J].
+    pub body_kinetic: f64,
+    /// Potential energy of free bodies [J].
+    pub body_potential: f64,
+    /// Momentum of free bodies [kg m/s].
+    pub body_momentum: Vec3,
+    /// Angular momentum of free bodies about the world's origin [kg m²/s].
+    pub body_angular_momentum: Vec3,
+    /// Impulse that walls have given to particles since the start [N s].
+    pub wall_impulse: Vec3,
+    /// Impulse that gravity has given to particles since the start [N s].
+    pub gravity_impulse: Vec3,
+    /// Mass of particles that were deleted on leaving the world [kg].
+    pub deleted_mass: f64,
+    /// Named counts: yielding, at the apex, stretch floored, state clamped, positions clamped, steps shortened, …
+    pub counts: BTreeMap<String, u64>,
+}
+
+impl Ledger {
+    /// Kinetic, elastic and potential energy of particles and bodies together [J].
+    pub fn energy(&self) -> f64 {
+        self.kinetic + self.elastic + self.potential + self.body_kinetic + self.body_potential
+    }
+    /// Adds to a named count.
+    pub fn count(&mut self, name: &str, by: u64) {
+        if by > 0 {
+            *self.counts.entry(name.to_owned()).or_default() += by;
+        }
+    }
+}

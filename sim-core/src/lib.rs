@@ -1,0 +1,39 @@
+//! The core of Barchan: what a scene is, what a plugin must offer, and how a simulation is put together and stepped.
+//!
+//! ```text
+//! scene.toml -> Scene -> Registry -> Plan (the effects called for, and why) -> Backend::compile -> Simulation
+//! ```
+//! This crate names no plugin. Materials, couplings, backends and tasks meet in the [`Registry`] by kind and name.
+#![expect(unsafe_code, reason = "the loader and the material wrapper call through the C ABI")]
+
+pub mod backend;
+pub mod coupling;
+pub mod error;
+pub mod export;
+pub mod ledger;
+pub mod loader;
+pub mod material;
+pub mod plan;
+pub mod registry;
+pub mod scene;
+pub mod seed;
+pub mod simulation;
+pub mod snapshot;
+pub mod solid;
+pub mod state;
+pub mod task;
+
+pub use backend::{Backend, Engine, StepReport};
+pub use coupling::{BodyState, Coupling, NodeBatch, Wrench};
+pub use error::{Error, Result};
+pub use ledger::Ledger;
+pub use material::Material;
+pub use plan::{Effect, Plan, Precision, Stage};
+pub use registry::Registry;
+pub use scene::Scene;
+pub use simulation::{Options, Simulation};
+pub use state::{ParticleList, ParticleState, SortPhase};
+pub use task::Task;
+
+/// A point, vector or triple of factors: x, y, z.
+pub type Vec3 = [f64; 3];

@@ -1,0 +1,318 @@
+//! A material as the engine sees it: a checked copy of its ABI table, with the callbacks wrapped.
+
+use crate::loader::{LEAST_MATERIAL, Refusal, check_major, read_array, read_prefix, read_text};
+use crate::{Error, Result};
+use barchan_abi as abi;
+use std::path::Path;
+
+/// One parameter of a material.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter {
+    /// snake_case name.
+    pub name: String,
+    /// SI unit.
+    pub unit: String,
+    /// One sentence.
+    pub doc: String,
+    /// Default.
+    pub default: f64,
+    /// Least value.
+    pub min: f64,
+    /// Greatest value.
+    pub max: f64,
+    /// `BARCHAN_PARAM_*` bits.
+    pub flags: u64,
+}
+
+/// One history variable of a material.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StateVariable {
+    /// snake_case name.
+    pub name: String,
+    /// SI unit.
+    pub unit: String,
+    /// One sentence.
+    pub doc: String,
+    /// Value at seeding.
+    pub initial: f64,
+    /// `BARCHAN_MERGE_*` rule.
+    pub merge: u32,
+}
+
+fn is_snake_case(name: &str) -> bool {
+    name.starts_with(|c: char| c.is_ascii_lowercase())
+        && name.bytes().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'_')
+}
+
+impl Parameter {
+    /// Is the value in the declared range? NaN never is.
+    pub fn allows(&self, value: f64) -> bool {
+        let above = if self.flags & abi::BARCHAN_PARAM_MIN_OPEN != 0 { value > self.min } else { value >= self.min };
+        let below = if self.flags & abi::BARCHAN_PARAM_MAX_OPEN != 0 { value < self.max } else { value <= self.max };
+        above && below
+    }
+    /// The declared range, such as `(-1, 0.5)` or `[0, inf)`.
+    pub fn range(&self) -> String {
+        let open = if self.flags & abi::BARCHAN_PARAM_MIN_OPEN != 0 { '(' } else { '[' };
+        let close = if self.flags & abi::BARCHAN_PARAM_MAX_OPEN != 0 { ')' } else { ']' };
+        format!("{open}{}, {}{close}", self.min, self.max)
+    }
+    /// # Safety
+    /// The strings are empty or static text.
+    unsafe fn read(raw: abi::BarchanParam) -> Result<Self, Refusal> {
+        // SAFETY: the caller's promise.
+        let (name, unit, doc) = unsafe {
+            (
+                read_text(raw.name, "parameter's name")?,
+                read_text(raw.unit, "parameter's unit")?,
+                read_text(raw.doc, "parameter's doc")?,
+            )
+        };
+        let parameter = Self {
+            name,
+            unit,
+            doc,
+            default: raw.default_value,
+            min: raw.min_value,
+            max: raw.max_value,
+            flags: raw.flags,
+        };
+        if !is_snake_case(&parameter.name) {
+            return Err(Refusal::new(
+                format!("it has a parameter named '{}'", parameter.name),
+                "use snake_case: a-z, 0-9 and _",
+            ));
+        }
+        if !parameter.allows(parameter.default) {
+            return Err(Refusal::new(
+                format!(
+                    "the default {} of parameter '{}' is outside its range {}",
+                    parameter.default,
+                    parameter.name,
+                    parameter.range()
+                ),
+                "correct the default or the range",
+            ));
+        }
+        Ok(parameter)
+    }
+}
+
+impl StateVariable {
+    /// # Safety
+    /// The strings are empty or static text.
+    unsafe fn read(raw: abi::BarchanStateVar) -> Result<Self, Refusal> {
+        // SAFETY: the caller's promise.
+        let (name, unit, doc) = unsafe {
+            (
+                read_text(raw.name, "state variable's name")?,
+                read_text(raw.unit, "state variable's unit")?,
+                read_text(raw.doc, "state variable's doc")?,
+            )
+        };
+        if !is_snake_case(&name) || !raw.initial_value.is_finite() || raw.merge > abi::BARCHAN_MERGE_REFUSE {
+            return Err(Refusal::new(
+                format!("state variable '{name}' has initial value {} and merge rule {}", raw.initial_value, raw.merge),
+                "give a snake_case name, a finite initial value and a BARCHAN_MERGE_* rule",
+            ));
+        }
+        Ok(Self { name, unit, doc, initial: raw.initial_value, merge: raw.merge })
+    }
+}
+
+/// A material plugin, checked on registration.
+#[derive(Clone, Debug)]
+pub struct Material {
+    /// Name in the registry.
+    pub name: String,
+    /// The material's own version.
+    pub version: String,
+    /// One paragraph.
+    pub doc: String,
+    /// Paper or DOI.
+    pub reference: String,
+    /// "built-in", or the library's path.
+    pub origin: String,
+    /// Parameters in the order that callbacks take them.
+    pub parameters: Vec<Parameter>,
+    /// History variables.
+    pub states: Vec<StateVariable>,
+    /// WGSL of the update; empty if there is none.
+    pub wgsl: String,
+    /// The table, cut or zero-filled to this host's size.
+    pub table: abi::BarchanMaterial,
+}
+
+impl Material {
+    /// Reads and checks a table; see [`read_table`](Self::read_table).
+    ///
+    /// # Safety
+    /// As there.
+    pub(crate) unsafe fn read(table: *const abi::BarchanMaterial, origin: &str) -> Result<Self> {
+        // SAFETY: the caller's promise.
+        unsafe { Self::read_table(table, origin) }.map_err(|refusal| refusal.of(Path::new(origin)))
+    }
+
+    /// Copies a table by the prefix rule (fields of newer minor versions are ignored, those an older one lacks are
+    /// zero) and holds it to the ABI's rules.
+    ///
+    /// # Safety
+    /// The pointer is null or a table as the ABI describes it, which lives as long as the process.
+    pub(crate) unsafe fn read_table(table: *const abi::BarchanMaterial, origin: &str) -> Result<Self, Refusal> {
+        // SAFETY: the caller's promise; a table of zeros is valid: null pointers, empty strings, absent callbacks.
+        let table = unsafe { read_prefix(table, "BarchanMaterial", LEAST_MATERIAL) }?;
+        check_major(table.abi_major, table.abi_minor, "the material")?;
+        // SAFETY: strings of a table are empty or static text, by the ABI.
+        let name = unsafe { read_text(table.name, "name") }?;
+        if !is_snake_case(&name) {
+            return Err(Refusal::new(format!("its name is '{name}'"), "use snake_case: a-z, 0-9 and _"));
+        }
+        // SAFETY: as for the name; arrays have the lengths and steps that the table says, by the ABI.
+        unsafe { Self::read_rest(table, name.clone(), origin) }
+            .map_err(|r| Refusal::new(format!("material '{name}': {}", r.what), r.mend))
+    }
+
+    /// Reads what follows the name.
+    ///
+    /// # Safety
+    /// As [`read_table`](Self::read_table).
+    unsafe fn read_rest(table: abi::BarchanMaterial, name: String, origin: &str) -> Result<Self, Refusal> {
+        if table.update_f32.is_none() {
+            return Err(Refusal::new("its update_f32 is NULL", "supply it: every material is updated through it"));
+        }
+        if table.strain_kind > abi::BARCHAN_STRAIN_LEFT_CAUCHY_GREEN {
+            return Err(Refusal::new(
+                format!("its strain_kind is {}", table.strain_kind),
+                "use BARCHAN_STRAIN_DEF_GRAD (0) or BARCHAN_STRAIN_LEFT_CAUCHY_GREEN (1)",
+            ));
+        }
+        // SAFETY: the caller's promise.
+        let (params, states) = unsafe {
+            (
+                read_array(table.params, table.n_params, table.param_size, "BarchanParam")?,
+                read_array(table.states, table.n_state, table.state_size, "BarchanStateVar")?,
+            )
+        };
+        // SAFETY: entries' strings are empty or static text, by the ABI.
+        let parameters = params.into_iter().map(|p| unsafe { Parameter::read(p) }).collect::<Result<Vec<_>, _>>()?;
+        // SAFETY: as above.
+        let states = states.into_iter().map(|s| unsafe { StateVariable::read(s) }).collect::<Result<Vec<_>, _>>()?;
+        let mut names: Vec<_> = parameters.iter().map(|p| &p.name).collect();
+        names.sort();
+        if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            return Err(Refusal::new(format!("it declares parameter '{}' twice", pair[0]), "rename one of them"));
+        }
+        // SAFETY: strings of a table are empty or static text, by the ABI.
+        unsafe {
+            Ok(Self {
+                version: read_text(table.version, "version")?,
+                doc: read_text(table.doc, "doc")?,
+                reference: read_text(table.reference, "reference")?,
+                wgsl: read_text(table.wgsl, "wgsl")?,
+                origin: origin.to_owned(),
+                name,
+                parameters,
+                states,
+                table,
+            })
+        }
+    }
+
+    /// Planes of strain: 9 for the deformation gradient, 6 for left Cauchy-Green.
+    pub fn strain_planes(&self) -> usize {
+        if self.table.strain_kind == abi::BARCHAN_STRAIN_DEF_GRAD { 9 } else { 6 }
+    }
+    /// The undeformed strain, plane by plane.
+    pub fn strain_identity(&self) -> &'static [f64] {
+        if self.table.strain_kind == abi::BARCHAN_STRAIN_DEF_GRAD {
+            &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        } else {
+            &[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+        }
+    }
+    /// Does the capability bit stand?
+    pub fn has(&self, capability: u64) -> bool {
+        self.table.capabilities & capability != 0
+    }
+}
+
+/// A callback's message buffer and how to read it.
+pub struct ErrorBuffer {
+    text: [u8; 512],
+    raw: abi::BarchanError,
+}
+
+// SAFETY: the pointer is set anew by `as_raw` and points into the buffer itself; nothing reads it in between.
+unsafe impl Send for ErrorBuffer {}
+
+impl Default for ErrorBuffer {
+    fn default() -> Self {
+        Self {
+            text: [0; 512],
+            raw: abi::BarchanError {
+                struct_size: size_of::<abi::BarchanError>(),
+                message: std::ptr::null_mut(),
+                capacity: 0,
+                len: 0,
+                particle: u64::MAX,
+            },
+        }
+    }
+}
+
+impl ErrorBuffer {
+    /// The struct to hand to a callback; valid while the buffer is neither moved nor dropped.
+    pub fn as_raw(&mut self) -> *mut abi::BarchanError {
+        self.raw.message = self.text.as_mut_ptr();
+        self.raw.capacity = self.text.len();
+        self.raw.len = 0;
+        self.raw.particle = u64::MAX;
+        &raw mut self.raw
+    }
+    /// Index in the batch that the callback named.
+    pub fn particle(&self) -> Option<u64> {
+        (self.raw.particle != u64::MAX).then_some(self.raw.particle)
+    }
+    /// The callback's text.
+    pub fn message(&self, status: abi::BarchanStatus) -> String {
+        let text = String::from_utf8_lossy(&self.text[..self.raw.len.min(self.text.len())]).into_owned();
+        let kind = match status {
+            abi::BARCHAN_E_PANIC => "panic",
+            abi::BARCHAN_E_INVALID_PARAM => "invalid parameter",
+            abi::BARCHAN_E_NON_FINITE => "NaN or infinity",
+            _ => "error",
+        };
+        if text.is_empty() { format!("{kind} (status {status}), no message") } else { format!("{kind}: {text}") }
+    }
+    /// The error that a status stands for; `ids` maps an index in the batch to a particle id.
+    ///
+    /// # Errors
+    /// [`Error::MaterialFailed`] unless the status is OK.
+    pub fn check(
+        &self,
+        status: abi::BarchanStatus,
+        material: &Material,
+        callback: &'static str,
+        ids: impl Fn(u64) -> u64,
+    ) -> Result<()> {
+        if status == abi::BARCHAN_OK {
+            return Ok(());
+        }
+        Err(Error::MaterialFailed {
+            material: material.name.clone(),
+            origin: material.origin.clone(),
+            callback,
+            message: self.message(status),
+            particle: self.particle().map(ids),
+        })
+    }
+}
+
+/// Greatest stable time step of an isolated particle [s], for cell width `h` [m], density at rest [kg/m³], and the tangent
+/// moduli λ + 2μ and 3λ + 2μ [Pa]: h/c_p · sqrt((λ + 2μ)/(3λ + 2μ)) with c_p² = (λ + 2μ)/ρ, that is h sqrt(ρ/(3λ + 2μ)).
+///
+/// This is below the bound of a filled grid, so it holds for spray as well as for bulk.
+pub fn stable_step(h: f64, density: f64, p_modulus: f64, three_bulk: f64) -> f64 {
+    // Where λ is negative the bulk's bound is the lower one.
+    h * (density / three_bulk.max(p_modulus)).sqrt()
+}

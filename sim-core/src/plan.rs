@@ -1,0 +1,738 @@
+//! The plan: the effects that a scene calls for, and why; the stages they need; what bounds the step; what memory they take.
+
+use crate::backend::Bound;
+use crate::material::ErrorBuffer;
+use crate::scene::{Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest};
+use crate::simulation::Options;
+use crate::{Coupling, Error, Material, ParticleState, Registry, Result, Scene, Vec3, seed};
+use barchan_abi as abi;
+use std::collections::HashSet;
+use std::fmt;
+
+/// Registered name of the coupling that a scene's tools call for.
+pub const TOOL_COUPLING: &str = "rigid";
+/// Greatest fraction of a cell that a tool's surface may move in one step.
+pub const TOOL_COURANT: f64 = 0.5;
+/// Friction angle above which a cone matched in triaxial compression never fails in plane strain [rad]: there
+/// 2 sqrt(3) sin(phi) / (3 - sin(phi)) = 1.
+const NO_PLANE_STRAIN_FAILURE: f64 = 0.736_9;
+/// Poisson's ratio above which the pressure of a displacement-only method checkers.
+const NEARLY_INCOMPRESSIBLE: f64 = 0.49;
+/// Resident bytes of one occupied block of 4³ cells in f32: its nodes with their halo, and bookkeeping.
+const BLOCK_BYTES: u64 = 9 * 1024;
+/// Without a bound or a fixed step, a run advances in steps of this fraction of the output's interval.
+const UNBOUND_STEP: f64 = 0.1;
+
+/// Number format of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// 32-bit floats, 32-bit fixed-point offsets.
+    #[default]
+    F32,
+    /// 64-bit floats.
+    F64,
+}
+
+impl fmt::Display for Precision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if *self == Self::F32 { "f32" } else { "f64" })
+    }
+}
+
+impl std::str::FromStr for Precision {
+    type Err = String;
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        match text {
+            "f32" => Ok(Self::F32),
+            "f64" => Ok(Self::F64),
+            _ => Err(format!("'{text}' is no precision; use f32 or f64")),
+        }
+    }
+}
+
+/// A stage of the step, as backends understand it. A backend lacking one is refused by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Stage {
+    /// Particles into blocks and cells.
+    Sort,
+    /// Particles to grid, the material update inside.
+    P2G,
+    /// Node sums, gravity and walls.
+    GridUpdate,
+    /// Couplings on the nodes near their bodies.
+    Contact,
+    /// Grid to particles, and advection.
+    G2P,
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Sort => "sort",
+            Self::P2G => "P2G",
+            Self::GridUpdate => "grid update",
+            Self::Contact => "contact",
+            Self::G2P => "G2P",
+        })
+    }
+}
+
+/// Something that a scene calls for, and what it brings with it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Effect {
+    /// Such as "material sand" or "two-way coupling".
+    pub name: String,
+    /// Which keys of the scene call for it.
+    pub because: String,
+    /// What it adds: passes, planes, callbacks.
+    pub adds: String,
+}
+
+/// A material of the scene, ready for a backend.
+#[derive(Clone, Debug)]
+pub struct PlannedMaterial {
+    /// Name in the scene.
+    pub name: String,
+    /// The law.
+    pub material: Material,
+    /// All parameters in the law's order, SI.
+    pub parameters: Vec<f64>,
+    /// Density at rest [kg/m³].
+    pub density: f64,
+}
+
+/// What a backend builds.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The scene.
+    pub scene: Scene,
+    /// Number format.
+    pub precision: Precision,
+    /// Worker threads; 0: as many as the machine has.
+    pub threads: usize,
+    /// Cell width of each level, finest first [m].
+    pub cell_widths: Vec<f64>,
+    /// Least cell of the world on level 0, per axis; meaningful where there is a wall or periodicity.
+    pub cell_min: [i32; 3],
+    /// One past the greatest cell of the world on level 0.
+    pub cell_max: [i32; 3],
+    /// Gravity [m/s²].
+    pub gravity: Vec3,
+    /// Materials in the scene's order.
+    pub materials: Vec<PlannedMaterial>,
+    /// Couplings called for, by registered kind.
+    pub couplings: Vec<String>,
+    /// Effects and reasons.
+    pub effects: Vec<Effect>,
+    /// Stages in order.
+    pub stages: Vec<Stage>,
+    /// Number of particles at the start.
+    pub particle_count: usize,
+    /// Estimated resident bytes: particles, grid.
+    pub memory: (u64, u64),
+    /// Greatest stable step at the start [s], and what sets it.
+    pub bound: Bound,
+    /// Step that the run starts with [s].
+    pub dt: f64,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+impl PlannedMaterial {
+    /// Resident bytes of one of its particles in a backend.
+    pub fn particle_bytes(&self, precision: Precision) -> u64 {
+        let planes = self.material.strain_planes() + self.material.states.len();
+        let (real, offset) = if precision == Precision::F32 { (4, 4) } else { (8, 8) };
+        let indices = 3 * 4 + 3 * offset + 8 + 2;
+        // Velocity, affine matrix, mass, rest volume, strain and history.
+        (indices + real * (3 + 9 + 2 + planes)) as u64
+    }
+
+    /// Greatest stable step of an undeformed particle alone in its cells, in a grid of cell width `h` [m]:
+    /// dt < (h / c_p) sqrt((lambda + 2 mu) / (3 lambda + 2 mu)), which lies below the bound of the bulk. Fluids have
+    /// the bulk's, h / c_p. `None` if the law gives no tangent moduli.
+    ///
+    /// # Errors
+    /// [`Error::MaterialFailed`] if the callback fails or gives moduli that are not above 0.
+    pub fn bound(&self, h: f64) -> Result<Option<f64>> {
+        Ok(self.moduli()?.map(|[p_wave, bulk]| {
+            let speed = (p_wave / self.density).sqrt();
+            let isolated = if self.material.has(abi::BARCHAN_CAP_FLUID) { 1.0 } else { (p_wave / bulk).sqrt() };
+            h / speed * isolated
+        }))
+    }
+
+    /// lambda + 2 mu and 3 lambda + 2 mu of the undeformed material [Pa].
+    fn moduli(&self) -> Result<Option<[f64; 2]>> {
+        const STRIDE: usize = 16;
+        /// One plane, aligned as the ABI promises.
+        #[derive(Clone, Copy)]
+        #[repr(C, align(64))]
+        struct Plane([f32; STRIDE]);
+        let Some(callback) = self.material.table.tangent_moduli_f32 else { return Ok(None) };
+        let filled = |values: &[f64]| values.iter().map(|v| Plane([*v as f32; STRIDE])).collect::<Vec<_>>();
+        let blank = |planes: usize| vec![Plane([0.0; STRIDE]); planes];
+        let params: Vec<f32> = self.parameters.iter().map(|p| *p as f32).collect();
+        let trial = filled(self.material.strain_identity());
+        let state = filled(&self.material.states.iter().map(|s| s.initial).collect::<Vec<_>>());
+        let vel_grad = blank(9);
+        let (mut strain, mut kirchhoff) = (trial.clone(), blank(6));
+        let (mut state_out, mut moduli) = (state.clone(), blank(2));
+        let batch = abi::BarchanBatchF32 {
+            struct_size: size_of::<abi::BarchanBatchF32>(),
+            n: 1,
+            stride: STRIDE,
+            dt: 0.0,
+            reserved: 0,
+            params: params.as_ptr(),
+            strain_trial: trial.as_ptr().cast(),
+            vel_grad: if self.material.has(abi::BARCHAN_CAP_VEL_GRAD) {
+                vel_grad.as_ptr().cast()
+            } else {
+                std::ptr::null()
+            },
+            state_in: if state.is_empty() { std::ptr::null() } else { state.as_ptr().cast() },
+            strain: strain.as_mut_ptr().cast(),
+            kirchhoff: kirchhoff.as_mut_ptr().cast(),
+            state_out: if state.is_empty() { std::ptr::null_mut() } else { state_out.as_mut_ptr().cast() },
+        };
+        let mut buffer = ErrorBuffer::default();
+        // SAFETY: the batch describes planes of STRIDE floats that live until the call returns, as the ABI asks.
+        let status = unsafe { callback(&raw const batch, moduli.as_mut_ptr().cast(), buffer.as_raw()) };
+        buffer.check(status, &self.material, "tangent_moduli_f32", |i| i)?;
+        let moduli = [moduli[0].0[0], moduli[1].0[0]].map(f64::from);
+        if moduli.iter().all(|m| m.is_finite() && *m > 0.0) {
+            return Ok(Some(moduli));
+        }
+        Err(Error::MaterialFailed {
+            material: self.name.clone(),
+            origin: self.material.origin.clone(),
+            callback: "tangent_moduli_f32",
+            message: format!("moduli of the undeformed material are {moduli:?} Pa; they must be finite and above 0"),
+            particle: None,
+        })
+    }
+
+    /// Poisson's ratio of the undeformed material, if it bears shear and gives its moduli.
+    fn poisson_ratio(&self) -> Result<Option<f64>> {
+        if self.material.has(abi::BARCHAN_CAP_FLUID) {
+            return Ok(None);
+        }
+        Ok(self.moduli()?.map(|[p_wave, bulk]| {
+            let (lambda, mu) = (0.5 * (bulk - p_wave), 0.25 * (3.0 * p_wave - bulk));
+            0.5 * lambda / (lambda + mu)
+        }))
+    }
+
+    /// Value of a parameter by name.
+    fn parameter(&self, name: &str) -> Option<f64> {
+        self.material.parameters.iter().position(|p| p.name == name).map(|i| self.parameters[i])
+    }
+}
+
+/// Everything that a simulation is made from.
+pub type Assembly = (Plan, ParticleState, Vec<Box<dyn Coupling>>);
+
+impl Plan {
+    /// Works out what a scene calls for, seeds its particles and makes its couplings.
+    ///
+    /// 1. The scene is checked; materials that bodies use are looked up and their parameters resolved.
+    /// 2. Couplings are made, then particles are seeded around them.
+    /// 3. The step's bound is worked out from materials and tools, and held against the scene's step.
+    /// 4. Effects are listed with their reasons, and the stages that they need.
+    ///
+    /// # Errors
+    /// Unknown names, bad parameters, missing callbacks, a step above the bound, too little memory: each by name.
+    pub fn assemble(registry: &Registry, scene: &Scene, options: &Options) -> Result<Assembly> {
+        Self::assemble_with(registry, scene, options, None)
+    }
+
+    /// As [`assemble`](Self::assemble), with the particles of a snapshot instead of seeded ones.
+    pub(crate) fn assemble_with(
+        registry: &Registry,
+        scene: &Scene,
+        options: &Options,
+        particles: Option<ParticleState>,
+    ) -> Result<Assembly> {
+        let mut scene = scene.clone();
+        scene.check()?;
+        let materials = plan_materials(registry, &scene, options.precision)?;
+        let (kinds, couplings) = make_couplings(registry, &scene)?;
+        let resumed = particles.is_some();
+        let particles = match particles {
+            Some(particles) => particles,
+            None => {
+                let cap = options.max_bytes.unwrap_or_else(available_bytes);
+                seed::seed(&scene, registry, &materials, &couplings, options.precision, cap)?
+            }
+        };
+        let h = scene.world.cell;
+        let bound = start_bound(&scene, &materials, &couplings)?;
+        let dt = first_step(&scene, &bound, resumed)?;
+        let whole = |side: &Vec3, round: fn(f64) -> f64| {
+            side.map(|x| {
+                let cells = x / h;
+                let near = (cells - cells.round()).abs() <= crate::scene::WHOLE_CELL;
+                if near { cells.round() as i32 } else { round(cells) as i32 }
+            })
+        };
+        let mut plan = Self {
+            precision: options.precision,
+            threads: options.threads,
+            cell_widths: vec![h],
+            cell_min: whole(&scene.world.min, f64::floor),
+            cell_max: whole(&scene.world.max, f64::ceil),
+            gravity: scene.gravity,
+            couplings: kinds,
+            effects: Vec::new(),
+            stages: Vec::new(),
+            particle_count: particles.lists.iter().map(crate::ParticleList::len).sum(),
+            memory: (0, 0),
+            bound,
+            dt,
+            warnings: scene.warnings(),
+            materials,
+            scene,
+        };
+        plan.memory = plan.estimate_memory(&particles);
+        plan.stages = plan.list_stages();
+        plan.effects = plan.list_effects();
+        plan.warn(registry, &couplings)?;
+        Ok((plan, particles, couplings))
+    }
+
+    /// Is the stage part of the plan?
+    pub fn has(&self, stage: Stage) -> bool {
+        self.stages.contains(&stage)
+    }
+
+    /// Does a tool move freely, so that forces act both ways?
+    pub fn two_way(&self) -> bool {
+        self.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. }))
+    }
+
+    fn estimate_memory(&self, particles: &ParticleState) -> (u64, u64) {
+        let mut bytes = 0;
+        let mut blocks = HashSet::new();
+        for list in &particles.lists {
+            bytes += list.len() as u64 * self.materials[list.material as usize].particle_bytes(self.precision);
+            let mut last = None;
+            for cell in &list.cell {
+                let block = Some((list.level, cell.map(|c| c >> 2)));
+                if block != last {
+                    blocks.insert(block);
+                    last = block;
+                }
+            }
+        }
+        let width = if self.precision == Precision::F32 { 1 } else { 2 };
+        (bytes, blocks.len() as u64 * BLOCK_BYTES * width)
+    }
+
+    fn list_stages(&self) -> Vec<Stage> {
+        let mut stages = Vec::new();
+        if self.particle_count > 0 {
+            stages.extend([Stage::Sort, Stage::P2G, Stage::GridUpdate]);
+        }
+        if !self.couplings.is_empty() {
+            stages.push(Stage::Contact);
+        }
+        if self.particle_count > 0 {
+            stages.push(Stage::G2P);
+        }
+        stages
+    }
+
+    fn list_effects(&self) -> Vec<Effect> {
+        let scene = &self.scene;
+        let mut effects = Vec::new();
+        let mut add = |name: String, because: String, adds: String| effects.push(Effect { name, because, adds });
+        if self.particle_count > 0 {
+            add(
+                format!("soft ground, {}", self.precision),
+                listed(scene.body.iter().enumerate().map(|(i, b)| match b.name.as_str() {
+                    "" => format!("body[{i}]"),
+                    name => format!("body '{name}'"),
+                })),
+                "sort, P2G, grid update, G2P; one level".to_owned(),
+            );
+        }
+        for planned in &self.materials {
+            let users = scene.body.iter().enumerate().filter(|(_, b)| b.material == planned.name);
+            let law = &planned.material;
+            let planes = |n: usize, what: &str| format!("{n} {what} plane{}", if n == 1 { "" } else { "s" });
+            add(
+                format!("material {}", planned.name),
+                listed(users.map(|(i, _)| format!("body[{i}].material = \"{}\"", planned.name))),
+                format!(
+                    "law {} ({}): update_{}, {}, {}{}",
+                    law.name,
+                    law.origin,
+                    self.precision,
+                    planes(law.strain_planes(), "strain"),
+                    planes(law.states.len(), "state"),
+                    if law.has(abi::BARCHAN_CAP_HARDENS) { ", moduli at every sort" } else { "" },
+                ),
+            );
+        }
+        if self.particle_count > 0 && scene.gravity != [0.0; 3] {
+            add("gravity".to_owned(), format!("gravity = {:?}", scene.gravity), "one addition a node".to_owned());
+        }
+        for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+            for (side, wall) in ["min", "max"].into_iter().zip(scene.world.walls.pair(axis)) {
+                let key = format!("world.walls.{name}_{side}");
+                match wall {
+                    Wall::Open => {}
+                    Wall::Periodic if side == "max" => {}
+                    Wall::Periodic => add(
+                        format!("periodic {name}"),
+                        format!("{key} = \"periodic\""),
+                        "blocks wrap around".to_owned(),
+                    ),
+                    wall => add(
+                        format!("wall {name}_{side}"),
+                        format!("{key} = {}", wall_text(wall)),
+                        "ghost nodes folded back in blocks at the wall".to_owned(),
+                    ),
+                }
+            }
+        }
+        for tool in &scene.tool {
+            let (motion, adds) = match &tool.motion {
+                Motion::Fixed => ("fixed", "contact on nodes near it"),
+                Motion::Keyframes { .. } => ("keyframes", "contact on nodes near it; path at every step"),
+                Motion::Velocity { .. } => ("velocity", "contact on nodes near it; moved at every step"),
+                Motion::Free { .. } => ("free", "contact on nodes near it; rigid-body step"),
+            };
+            add(format!("contact with tool {}", tool.name), format!("its motion is {motion}"), adds.to_owned());
+        }
+        if self.two_way() {
+            let free = scene.tool.iter().filter(|t| matches!(t.motion, Motion::Free { .. }));
+            add(
+                "two-way coupling".to_owned(),
+                listed(free.map(|t| format!("tool '{}' moves freely", t.name))),
+                "impulses of nodes summed on bodies".to_owned(),
+            );
+        }
+        for kind in self.couplings.iter().filter(|kind| *kind != TOOL_COUPLING) {
+            add(
+                format!("coupling {kind}"),
+                format!("coupling.kind = \"{kind}\""),
+                "contact on nodes near it".to_owned(),
+            );
+        }
+        match scene.world.leaving {
+            Leaving::Error => {}
+            Leaving::Clamp => {
+                add("clamping".to_owned(), "world.leaving = \"clamp\"".to_owned(), "impulse booked".to_owned())
+            }
+            Leaving::Delete => {
+                add("deletion".to_owned(), "world.leaving = \"delete\"".to_owned(), "mass booked".to_owned())
+            }
+        }
+        let output = &scene.output;
+        let every = format!("output.interval = {}", output.interval);
+        if output.picture.on {
+            let cut = format!("{:?}", output.picture.cut).to_lowercase();
+            add(format!("{cut} pictures"), every.clone(), "a top view and a vertical cut, outside the step".to_owned());
+        }
+        if let Some(format) = output.export {
+            add(format!("{} export", format.extension()), every, "a particle file, outside the step".to_owned());
+        }
+        if let Some(interval) = output.snapshot_interval {
+            add(
+                "snapshots".to_owned(),
+                format!("output.snapshot_interval = {interval}"),
+                "a copy of all particles, outside the step".to_owned(),
+            );
+        }
+        for material in scene.material.iter().filter(|m| self.materials.iter().all(|p| p.name != m.name)) {
+            add(
+                format!("declared but unused: material {}", material.name),
+                "no body names it".to_owned(),
+                "costs nothing".to_owned(),
+            );
+        }
+        if scene.tool.is_empty() && scene.coupling.iter().any(|c| c.kind == TOOL_COUPLING) {
+            add(
+                format!("declared but unused: coupling {TOOL_COUPLING}"),
+                "the scene has no tool".to_owned(),
+                "costs nothing".to_owned(),
+            );
+        }
+        effects
+    }
+
+    fn warn(&mut self, registry: &Registry, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        let mut warnings = registry.warnings().to_vec();
+        for planned in &self.materials {
+            let name = &planned.name;
+            match planned.poisson_ratio()? {
+                Some(nu) if nu > NEARLY_INCOMPRESSIBLE => warnings.push(format!(
+                    "material '{name}': Poisson's ratio {nu:.4} is above {NEARLY_INCOMPRESSIBLE}: pressure checkers from cell to cell and the time step collapses; lower it"
+                )),
+                _ => {}
+            }
+            if planned.material.table.tangent_moduli_f32.is_none() {
+                warnings.push(format!(
+                    "material '{name}': its law gives no tangent moduli, so nothing checks that time.step is stable"
+                ));
+            }
+            let matched_in_triaxial_compression = planned.parameter("cone").unwrap_or(0.0) == 0.0;
+            match planned.parameter("friction_angle") {
+                Some(phi) if phi > NO_PLANE_STRAIN_FAILURE && matched_in_triaxial_compression => warnings.push(format!(
+                    "material '{name}': a friction angle of {:.2} deg is above 42.22 deg, where a cone matched in triaxial compression has no shear failure in plane strain: sin(phi_ps) = 2 sqrt(3) sin(phi) / (3 - sin(phi)) would be above 1, and a vertical face stands; lower it, or set cone = 1",
+                    phi.to_degrees()
+                )),
+                _ => {}
+            }
+        }
+        let time = &self.scene.time;
+        if let (Some(step), OverBound::Substep | OverBound::Allow) = (time.step, time.over_bound) {
+            if step > self.bound.dt {
+                warnings.push(format!(
+                    "time.step = {step} is above the bound {:.3e} s set by {}; {}",
+                    self.bound.dt,
+                    self.bound.by,
+                    if time.over_bound == OverBound::Substep {
+                        "each step is cut"
+                    } else {
+                        "it is taken all the same, and energy is watched"
+                    }
+                ));
+            }
+        }
+        warnings.extend(couplings.iter().flat_map(|c| c.warnings(self.scene.world.cell)));
+        self.warnings.extend(warnings);
+        Ok(())
+    }
+}
+
+/// The materials that bodies use, in the scene's order.
+fn plan_materials(registry: &Registry, scene: &Scene, precision: Precision) -> Result<Vec<PlannedMaterial>> {
+    let used = |spec: &MaterialSpec| scene.body.iter().any(|body| body.material == spec.name);
+    let mut planned = Vec::new();
+    for (i, spec) in scene.material.iter().enumerate() {
+        let path = format!("material[{i}]");
+        let law = registry.material(&spec.law).map_err(|e| e.at(&scene.place(&format!("{path}.law"))))?;
+        let parameters = resolve(scene, &path, spec, law)?;
+        if !used(spec) {
+            continue;
+        }
+        let missing = |what: &str, why: String, mend: &str| Error::Missing {
+            kind: "material",
+            name: law.name.clone(),
+            origin: law.origin.clone(),
+            what: what.to_owned(),
+            why,
+            mend: mend.to_owned(),
+        };
+        if precision == Precision::F64 && law.table.update_f64.is_none() {
+            return Err(missing(
+                "update_f64",
+                "the run is in f64".to_owned(),
+                "run in f32, or add the callback to the plugin",
+            ));
+        }
+        if law.table.tangent_moduli_f32.is_none() && scene.time.step.is_none() {
+            return Err(missing(
+                "tangent_moduli_f32",
+                "time.step is absent, so the step must follow the material's stiffness".to_owned(),
+                "set time.step, or add the callback to the plugin",
+            ));
+        }
+        planned.push(PlannedMaterial {
+            name: spec.name.clone(),
+            material: law.clone(),
+            parameters,
+            density: spec.density,
+        });
+    }
+    Ok(planned)
+}
+
+/// Parameters in the law's order, SI, with defaults where the scene is silent.
+fn resolve(scene: &Scene, path: &str, spec: &MaterialSpec, law: &Material) -> Result<Vec<f64>> {
+    let mut values: Vec<Option<f64>> = vec![None; law.parameters.len()];
+    for (key, &value) in &spec.parameters {
+        let path = format!("{path}.parameters.{key}");
+        let exact = law.parameters.iter().position(|p| p.name == *key);
+        let in_degrees = || {
+            let name = key.strip_suffix("_deg")?;
+            law.parameters.iter().position(|p| p.name == name && p.unit == "rad")
+        };
+        let Some((i, degrees)) = exact.map(|i| (i, false)).or_else(|| in_degrees().map(|i| (i, true))) else {
+            let keys: Vec<String> = law
+                .parameters
+                .iter()
+                .flat_map(|p| {
+                    std::iter::once(p.name.clone()).chain((p.unit == "rad").then(|| format!("{}_deg", p.name)))
+                })
+                .collect();
+            let meant = nearest(key, &keys).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
+            return Err(scene.fault(
+                &path,
+                format!("law '{}' has no parameter `{key}`", law.name),
+                format!("it has {}{meant}", if keys.is_empty() { "none".to_owned() } else { keys.join(", ") }),
+            ));
+        };
+        let parameter = &law.parameters[i];
+        let si = if degrees { value.to_radians() } else { value };
+        if values[i].is_some() {
+            return Err(scene.fault(&path, format!("gives {} a second time", parameter.name), "keep one of the two"));
+        }
+        if !parameter.allows(si) {
+            return Err(scene.fault(
+                &path,
+                format!("is {value}{}", if degrees { format!(" deg, that is {si} rad") } else { String::new() }),
+                format!("must be in {} {}", parameter.range(), parameter.unit),
+            ));
+        }
+        values[i] = Some(si);
+    }
+    let values: Vec<f64> = values.iter().zip(&law.parameters).map(|(v, p)| v.unwrap_or(p.default)).collect();
+    if let Some(check) = law.table.check_params {
+        let mut buffer = ErrorBuffer::default();
+        // SAFETY: one value a parameter, as the ABI asks; both arguments live until the call returns.
+        let status = unsafe { check(values.as_ptr(), buffer.as_raw()) };
+        if status != abi::BARCHAN_OK {
+            let what = format!("law '{}' refuses these parameters together: {}", law.name, buffer.message(status));
+            return Err(scene.fault(&format!("{path}.parameters"), what, ""));
+        }
+    }
+    Ok(values)
+}
+
+/// One coupling of each kind called for. The coupling finds its own entries in the scene.
+fn make_couplings(registry: &Registry, scene: &Scene) -> Result<(Vec<String>, Vec<Box<dyn Coupling>>)> {
+    let mut kinds: Vec<(String, String)> = Vec::new();
+    if !scene.tool.is_empty() {
+        kinds.push((TOOL_COUPLING.to_owned(), "tool".to_owned()));
+    }
+    for (i, spec) in scene.coupling.iter().enumerate() {
+        if spec.kind != TOOL_COUPLING && kinds.iter().all(|(kind, _)| *kind != spec.kind) {
+            kinds.push((spec.kind.clone(), format!("coupling[{i}].kind")));
+        }
+    }
+    let couplings = kinds
+        .iter()
+        .map(|(kind, path)| registry.coupling(kind).map_err(|e| e.at(&scene.place(path)))?(scene))
+        .collect::<Result<Vec<_>>>()?;
+    Ok((kinds.into_iter().map(|(kind, _)| kind).collect(), couplings))
+}
+
+/// The bound of the undeformed scene at time 0.
+fn start_bound(scene: &Scene, materials: &[PlannedMaterial], couplings: &[Box<dyn Coupling>]) -> Result<Bound> {
+    let h = scene.world.cell;
+    let mut bound = Bound { dt: f64::INFINITY, by: "nothing".to_owned() };
+    for planned in materials {
+        if let Some(dt) = planned.bound(h)?.filter(|dt| *dt < bound.dt) {
+            bound = Bound { dt, by: format!("material '{}': stiffness", planned.name) };
+        }
+    }
+    Ok(tighten(bound, couplings, 0.0, h, scene.output.interval))
+}
+
+/// Tightens a bound so that no tool's surface moves more than [`TOOL_COURANT`] cells in a step.
+pub(crate) fn tighten(bound: Bound, couplings: &[Box<dyn Coupling>], time: f64, h: f64, longest: f64) -> Bound {
+    couplings.iter().fold(bound, |bound, coupling| {
+        let dt = TOOL_COURANT * h / coupling.max_speed(time, bound.dt.min(longest));
+        if dt < bound.dt { Bound { dt, by: format!("coupling '{}': speed of a tool", coupling.name()) } } else { bound }
+    })
+}
+
+/// The step that a scene asks for under a bound, before [`OverBound`] is considered [s].
+pub(crate) fn wanted_step(scene: &Scene, bound: &Bound) -> f64 {
+    scene.time.step.unwrap_or_else(|| (scene.time.safety * bound.dt).min(UNBOUND_STEP * scene.output.interval))
+}
+
+fn first_step(scene: &Scene, bound: &Bound, resumed: bool) -> Result<f64> {
+    let dt = wanted_step(scene, bound);
+    if dt <= bound.dt || resumed {
+        return Ok(dt);
+    }
+    match scene.time.over_bound {
+        OverBound::Refuse => Err(Error::TimeStep { step: 0, dt, bound: bound.dt, by: bound.by.clone() }),
+        OverBound::Substep => Ok(cut(dt, scene.time.safety * bound.dt)),
+        OverBound::Allow => Ok(dt),
+    }
+}
+
+/// `dt` divided into the fewest equal parts that are at most `most`.
+pub(crate) fn cut(dt: f64, most: f64) -> f64 {
+    dt / (dt / most).ceil().max(1.0)
+}
+
+/// Four fifths of the memory that the machine says is available, or of what this process' control group may take;
+/// without limit where neither is known.
+fn available_bytes() -> u64 {
+    let read = |file: &str| std::fs::read_to_string(file).ok();
+    let free = read("/proc/meminfo").and_then(|text| {
+        let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+        line.split_whitespace().next()?.parse::<u64>().ok()?.checked_mul(1024)
+    });
+    let group = read("/sys/fs/cgroup/memory.max").and_then(|text| text.trim().parse().ok());
+    [free, group].into_iter().flatten().min().map_or(u64::MAX, |bytes| bytes / 5 * 4)
+}
+
+fn listed(items: impl Iterator<Item = String>) -> String {
+    let items: Vec<_> = items.collect();
+    match items.as_slice() {
+        [first, second, third, .., _] => format!("{first}, {second}, {third}, … ({} in all)", items.len()),
+        _ => items.join(", "),
+    }
+}
+
+fn wall_text(wall: Wall) -> String {
+    match wall {
+        Wall::Separate { friction } => format!("{{ separate = {{ friction = {friction} }} }}"),
+        other => format!("\"{}\"", format!("{other:?}").to_lowercase()),
+    }
+}
+
+impl Export {
+    /// The usual ending of such files' names.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            Self::Npz => "npz",
+            Self::Vtk => "vtu",
+        }
+    }
+}
+
+/// The plan as a table for people.
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "scene     {}", self.scene.name)?;
+        if !self.scene.doc.is_empty() {
+            writeln!(f, "          {}", self.scene.doc)?;
+        }
+        let cells: Vec<_> = (0..3).map(|d| (self.cell_max[d] - self.cell_min[d]).to_string()).collect();
+        writeln!(f, "world     {} cells of {} m, {}", cells.join(" x "), self.cell_widths[0], self.precision)?;
+        writeln!(f, "particles {}", self.particle_count)?;
+        let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+        writeln!(
+            f,
+            "memory    about {:.1} MiB of particles, {:.1} MiB of grid",
+            mib(self.memory.0),
+            mib(self.memory.1)
+        )?;
+        writeln!(f, "step      {:.3e} s; bound {:.3e} s by {}", self.dt, self.bound.dt, self.bound.by)?;
+        let stages: Vec<_> = self.stages.iter().map(Stage::to_string).collect();
+        writeln!(f, "stages    {}", if stages.is_empty() { "none".to_owned() } else { stages.join(" -> ") })?;
+        let width = |pick: fn(&Effect) -> &str, head: &str| {
+            self.effects.iter().map(|e| pick(e).chars().count()).chain([head.len()]).max().unwrap_or(0)
+        };
+        let (name, because) = (width(|e| &e.name, "effect"), width(|e| &e.because, "because"));
+        writeln!(f, "\n{:name$}  {:because$}  adds", "effect", "because")?;
+        for effect in &self.effects {
+            writeln!(f, "{:name$}  {:because$}  {}", effect.name, effect.because, effect.adds)?;
+        }
+        for warning in &self.warnings {
+            writeln!(f, "\nwarning: {warning}")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,176 @@
+//! Where plugins meet: by kind and name.
+
+use crate::solid::Solid;
+use crate::{Backend, Coupling, Error, Material, Result, Scene, Task, loader};
+use barchan_abi as abi;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Makes a coupling for a scene.
+pub type CouplingMaker = Arc<dyn Fn(&Scene) -> Result<Box<dyn Coupling>> + Send + Sync>;
+/// Makes a task.
+pub type TaskMaker = Arc<dyn Fn() -> Box<dyn Task> + Send + Sync>;
+/// Reads a triangle mesh as a solid: file, factor to metres.
+pub type MeshReader = Arc<dyn Fn(&Path, f64) -> Result<Box<dyn Solid>> + Send + Sync>;
+
+/// All plugins known to a program.
+#[derive(Clone, Default)]
+pub struct Registry {
+    materials: BTreeMap<String, Material>,
+    couplings: BTreeMap<String, (String, CouplingMaker)>,
+    backends: BTreeMap<String, Arc<dyn Backend>>,
+    tasks: BTreeMap<String, (String, TaskMaker)>,
+    mesh_reader: Option<MeshReader>,
+    warnings: Vec<String>,
+}
+
+impl Registry {
+    /// A registry that knows nothing yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Registers a material by its ABI table, as a loaded library's would be; `origin` is "built-in" or a crate's name.
+    /// The pointers in the table must be what the ABI says they are.
+    ///
+    /// # Errors
+    /// [`Error::Plugin`] if the table breaks a rule of the ABI, [`Error::Duplicate`] if the name is taken.
+    pub fn add_material(&mut self, table: &'static abi::BarchanMaterial, origin: &str) -> Result<()> {
+        // SAFETY: a reference is valid for the whole struct, and the table's own pointers are the caller's promise.
+        let material = unsafe { Material::read(table, origin) }?;
+        self.insert_materials(vec![material])
+    }
+
+    /// Registers a coupling that scenes call for by `name`.
+    ///
+    /// # Errors
+    /// [`Error::Duplicate`] if the name is taken.
+    pub fn add_coupling(&mut self, name: &str, doc: &str, maker: CouplingMaker) -> Result<()> {
+        insert(&mut self.couplings, "coupling", name, (doc.to_owned(), maker))
+    }
+
+    /// Registers a backend under its own name.
+    ///
+    /// # Errors
+    /// [`Error::Duplicate`] if the name is taken.
+    pub fn add_backend(&mut self, backend: Arc<dyn Backend>) -> Result<()> {
+        let name = backend.name().to_owned();
+        insert(&mut self.backends, "backend", &name, backend)
+    }
+
+    /// Registers a task.
+    ///
+    /// # Errors
+    /// [`Error::Duplicate`] if the name is taken.
+    pub fn add_task(&mut self, name: &str, doc: &str, maker: TaskMaker) -> Result<()> {
+        insert(&mut self.tasks, "task", name, (doc.to_owned(), maker))
+    }
+
+    /// Sets what reads triangle meshes for soft bodies; the last one set counts.
+    pub fn set_mesh_reader(&mut self, reader: MeshReader) {
+        self.mesh_reader = Some(reader);
+    }
+
+    /// Loads a library of materials and returns their names. Either all of its materials are registered or none.
+    /// The library is never unloaded. Loading is running its code: only load what the user names.
+    ///
+    /// # Errors
+    /// [`Error::Plugin`] saying what is wrong with the library, [`Error::Duplicate`] if a name is taken.
+    pub fn load(&mut self, library: &Path) -> Result<Vec<String>> {
+        let loaded = loader::load(library)?;
+        let names = loaded.materials.iter().map(|m| m.name.clone()).collect();
+        self.insert_materials(loaded.materials)?;
+        self.warnings.extend(loaded.warning);
+        Ok(names)
+    }
+
+    fn insert_materials(&mut self, materials: Vec<Material>) -> Result<()> {
+        let mut all = self.materials.clone();
+        for material in materials {
+            if let Some(first) = all.get(&material.name) {
+                return Err(Error::Duplicate {
+                    kind: "material",
+                    name: material.name,
+                    first: first.origin.clone(),
+                    second: material.origin,
+                });
+            }
+            all.insert(material.name.clone(), material);
+        }
+        self.materials = all;
+        Ok(())
+    }
+
+    /// The material law of that name.
+    ///
+    /// # Errors
+    /// [`Error::Unknown`] listing the known ones.
+    pub fn material(&self, name: &str) -> Result<&Material> {
+        find(&self.materials, "material", name)
+    }
+    /// What makes couplings of that kind.
+    ///
+    /// # Errors
+    /// [`Error::Unknown`] listing the known ones.
+    pub fn coupling(&self, name: &str) -> Result<&CouplingMaker> {
+        find(&self.couplings, "coupling", name).map(|(_, maker)| maker)
+    }
+    /// The backend of that name.
+    ///
+    /// # Errors
+    /// [`Error::Unknown`] listing the known ones.
+    pub fn backend(&self, name: &str) -> Result<&Arc<dyn Backend>> {
+        find(&self.backends, "backend", name)
+    }
+    /// A fresh task of that name.
+    ///
+    /// # Errors
+    /// [`Error::Unknown`] listing the known ones.
+    pub fn task(&self, name: &str) -> Result<Box<dyn Task>> {
+        find(&self.tasks, "task", name).map(|(_, maker)| maker())
+    }
+    /// What reads triangle meshes, if anything does.
+    pub fn mesh_reader(&self) -> Option<&MeshReader> {
+        self.mesh_reader.as_ref()
+    }
+
+    /// All materials by name.
+    pub fn materials(&self) -> impl Iterator<Item = &Material> {
+        self.materials.values()
+    }
+    /// Names and documentation of all couplings.
+    pub fn couplings(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.couplings.iter().map(|(name, (doc, _))| (name.as_str(), doc.as_str()))
+    }
+    /// All backends by name.
+    pub fn backends(&self) -> impl Iterator<Item = &dyn Backend> {
+        self.backends.values().map(|b| &**b)
+    }
+    /// Names and documentation of all tasks.
+    pub fn tasks(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.tasks.iter().map(|(name, (doc, _))| (name.as_str(), doc.as_str()))
+    }
+    /// What the user should know about the libraries loaded.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+}
+
+fn insert<T>(all: &mut BTreeMap<String, T>, kind: &'static str, name: &str, value: T) -> Result<()> {
+    if all.contains_key(name) {
+        let crate_of = || format!("a crate's register() for {kind}s");
+        return Err(Error::Duplicate { kind, name: name.to_owned(), first: crate_of(), second: crate_of() });
+    }
+    all.insert(name.to_owned(), value);
+    Ok(())
+}
+
+fn find<'a, T>(all: &'a BTreeMap<String, T>, kind: &'static str, name: &str) -> Result<&'a T> {
+    all.get(name).ok_or_else(|| Error::Unknown {
+        path: "registry".to_owned(),
+        kind,
+        name: name.to_owned(),
+        known: all.keys().cloned().collect(),
+    })
+}

@@ -1,0 +1,538 @@
+//! Scenes: what a user writes.
+//!
+//! A scene is a TOML file, checked key by key. The structs here are the file's format; doc comments become the JSON Schema's
+//! descriptions. Lengths in metres, angles in radians unless the key ends in `_deg`, z up.
+
+use crate::Vec3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+mod check;
+mod read;
+
+pub use check::WHOLE_CELL;
+pub(crate) use check::{cross, posed_bounds, turn};
+pub use read::Source;
+pub(crate) use read::nearest;
+
+/// A scene.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// Name; also the default output folder.
+    pub name: String,
+    /// One sentence for people.
+    #[serde(default)]
+    pub doc: String,
+    /// Seed of everything random.
+    #[serde(default)]
+    pub seed: u64,
+    /// Gravity [m/s²].
+    #[serde(default = "default_gravity")]
+    pub gravity: Vec3,
+    /// Extent, resolution and walls.
+    pub world: World,
+    /// Duration and time step.
+    pub time: Time,
+    /// What is written, and how often.
+    #[serde(default)]
+    pub output: Output,
+    /// Materials, by the name that bodies use.
+    #[serde(default)]
+    pub material: Vec<MaterialSpec>,
+    /// Soft bodies.
+    #[serde(default)]
+    pub body: Vec<Body>,
+    /// Rigid tools and bodies.
+    #[serde(default)]
+    pub tool: Vec<Tool>,
+    /// Couplings other than rigid tools, from plugins.
+    #[serde(default)]
+    pub coupling: Vec<CouplingSpec>,
+    /// Folder that relative paths in the scene start from.
+    #[serde(skip)]
+    pub folder: PathBuf,
+    /// Where its keys stand in the file, for messages.
+    #[serde(skip)]
+    pub source: Arc<Source>,
+}
+
+fn default_gravity() -> Vec3 {
+    [0.0, 0.0, -9.81]
+}
+
+/// Extent, resolution and walls.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct World {
+    /// Width of the finest cell [m].
+    pub cell: f64,
+    /// Least corner [m]; a whole number of cells from the origin. Sides without a wall may lie anywhere.
+    pub min: Vec3,
+    /// Greatest corner [m].
+    pub max: Vec3,
+    /// Walls on the six sides.
+    #[serde(default)]
+    pub walls: Walls,
+    /// What happens to a particle that crosses an open side or a wall.
+    #[serde(default)]
+    pub leaving: Leaving,
+}
+
+/// Walls on the six sides of the world.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Walls {
+    /// Side of least x.
+    #[serde(default)]
+    pub x_min: Wall,
+    /// Side of greatest x.
+    #[serde(default)]
+    pub x_max: Wall,
+    /// Side of least y.
+    #[serde(default)]
+    pub y_min: Wall,
+    /// Side of greatest y.
+    #[serde(default)]
+    pub y_max: Wall,
+    /// Floor.
+    #[serde(default)]
+    pub z_min: Wall,
+    /// Ceiling.
+    #[serde(default)]
+    pub z_max: Wall,
+}
+
+/// What a side of the world does to the ground.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Wall {
+    /// No wall.
+    #[default]
+    Open,
+    /// No motion through it, free motion along it.
+    Slip,
+    /// No motion at it.
+    Stick,
+    /// No motion through it but free motion away from it, with Coulomb friction along it.
+    Separate {
+        /// Coefficient of friction.
+        #[serde(default)]
+        friction: f64,
+    },
+    /// What leaves here enters at the opposite side, which must be periodic too.
+    Periodic,
+}
+
+/// What happens to a particle that leaves the world.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Leaving {
+    /// The run stops with an error.
+    #[default]
+    Error,
+    /// The particle is put back to the side it crossed, its outward velocity is taken, and the impulse is booked.
+    Clamp,
+    /// The particle is deleted and its mass is booked.
+    Delete,
+}
+
+/// Duration and time step.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Time {
+    /// Simulated seconds.
+    pub end: f64,
+    /// Time step [s]; absent: as large as `safety` allows.
+    #[serde(default)]
+    pub step: Option<f64>,
+    /// Fraction of the stability bound that an automatic step uses.
+    #[serde(default = "default_safety")]
+    pub safety: f64,
+    /// What happens when `step` is above the stability bound.
+    #[serde(default)]
+    pub over_bound: OverBound,
+}
+
+fn default_safety() -> f64 {
+    0.6
+}
+
+/// What happens when the scene's step is above the stability bound.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OverBound {
+    /// The run is refused, or stops.
+    #[default]
+    Refuse,
+    /// Each step is cut into as many as needed, and the summary says how many.
+    Substep,
+    /// The step is taken all the same; energy growth is watched and stops the run.
+    Allow,
+}
+
+/// What is written, and how often.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Output {
+    /// Simulated seconds between pictures.
+    #[serde(default = "default_interval")]
+    pub interval: f64,
+    /// Particle files beside the pictures.
+    #[serde(default)]
+    pub export: Option<Export>,
+    /// Simulated seconds between snapshots; absent: one at the end and one on interruption.
+    #[serde(default)]
+    pub snapshot_interval: Option<f64>,
+    /// Pictures.
+    #[serde(default)]
+    pub picture: Picture,
+}
+
+fn default_interval() -> f64 {
+    0.05
+}
+
+impl Default for Output {
+    fn default() -> Self {
+        Self { interval: default_interval(), export: None, snapshot_interval: None, picture: Picture::default() }
+    }
+}
+
+/// A particle file format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Export {
+    /// Stanford polygon file, binary.
+    Ply,
+    /// NumPy archive.
+    Npz,
+    /// VTK unstructured points (.vtu).
+    Vtk,
+}
+
+/// What pictures show.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Picture {
+    /// Are pictures made at all?
+    #[serde(default = "yes")]
+    pub on: bool,
+    /// Longest side in pixels.
+    #[serde(default = "default_pixels")]
+    pub pixels: u32,
+    /// Quantity that colours the vertical cut.
+    #[serde(default)]
+    pub cut: CutColour,
+    /// World y of the vertical cut [m]; absent: the middle.
+    #[serde(default)]
+    pub cut_y: Option<f64>,
+}
+
+fn yes() -> bool {
+    true
+}
+fn default_pixels() -> u32 {
+    960
+}
+
+impl Default for Picture {
+    fn default() -> Self {
+        Self { on: true, pixels: default_pixels(), cut: CutColour::default(), cut_y: None }
+    }
+}
+
+/// Quantity that colours the vertical cut.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CutColour {
+    /// Pressure [Pa].
+    #[default]
+    Pressure,
+    /// Speed [m/s].
+    Speed,
+}
+
+/// A material of the scene.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MaterialSpec {
+    /// Name that bodies use.
+    pub name: String,
+    /// Name of the law in the registry; see `barchan plugins`.
+    pub law: String,
+    /// Density at rest [kg/m³].
+    pub density: f64,
+    /// Parameters of the law; those absent keep their defaults. An angle may be given in degrees as `<name>_deg`.
+    #[serde(default)]
+    pub parameters: BTreeMap<String, f64>,
+}
+
+/// A soft body.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Body {
+    /// Name for messages.
+    #[serde(default)]
+    pub name: String,
+    /// Name of a material of the scene.
+    pub material: String,
+    /// Where it is.
+    pub shape: Shape,
+    /// Distance between neighbouring particles [m]; absent: half a cell.
+    #[serde(default)]
+    pub spacing: Option<f64>,
+    /// How particles are placed.
+    #[serde(default)]
+    pub sampling: Sampling,
+    /// Velocity [m/s].
+    #[serde(default)]
+    pub velocity: Vec3,
+    /// Angular velocity about the body's centre of mass [rad/s].
+    #[serde(default)]
+    pub angular_velocity: Vec3,
+    /// Leave out particles inside rigid tools, so that a tool can start partly buried.
+    #[serde(default = "yes")]
+    pub around_tools: bool,
+}
+
+/// How particles are placed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Sampling {
+    /// A cubic lattice.
+    #[default]
+    Lattice,
+    /// A cubic lattice, each particle moved at random within its own lattice cell.
+    Jitter,
+}
+
+/// A region of space. One of its keys is given.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Shape {
+    /// An axis-aligned box by two corners (soft bodies), or by half extents about the tool's origin (tools).
+    Box {
+        /// Least corner [m].
+        #[serde(default)]
+        min: Option<Vec3>,
+        /// Greatest corner [m].
+        #[serde(default)]
+        max: Option<Vec3>,
+        /// Half extents about `center` [m], instead of the corners.
+        #[serde(default)]
+        half: Option<Vec3>,
+        /// Centre [m], with `half`.
+        #[serde(default)]
+        center: Option<Vec3>,
+    },
+    /// A sphere.
+    Sphere {
+        /// Centre [m].
+        #[serde(default)]
+        center: Vec3,
+        /// Radius [m].
+        radius: f64,
+    },
+    /// A cylinder along z.
+    Cylinder {
+        /// Centre [m].
+        #[serde(default)]
+        center: Vec3,
+        /// Radius [m].
+        radius: f64,
+        /// Half the height [m].
+        half_height: f64,
+    },
+    /// A capsule along z: all points within `radius` of a segment.
+    Capsule {
+        /// Centre [m].
+        #[serde(default)]
+        center: Vec3,
+        /// Radius [m].
+        radius: f64,
+        /// Half the length of the segment [m].
+        half_height: f64,
+    },
+    /// The half space below a plane (tools only).
+    Plane {
+        /// A point of the plane [m].
+        #[serde(default)]
+        point: Vec3,
+        /// Normal pointing out of the solid.
+        normal: Vec3,
+    },
+    /// Everything between `bottom` and a height that varies over x and y.
+    HeightField {
+        /// Least x and y [m].
+        min: [f64; 2],
+        /// Greatest x and y [m].
+        max: [f64; 2],
+        /// Lower end [m].
+        bottom: f64,
+        /// Rows of heights [m]: row j at y_j, column i at x_i, spread evenly from `min` to `max`, bilinear between.
+        #[serde(default)]
+        heights: Vec<Vec<f64>>,
+        /// A CSV file with the rows, instead of `heights`.
+        #[serde(default)]
+        file: Option<PathBuf>,
+    },
+    /// A closed triangle mesh (OBJ or STL).
+    Mesh {
+        /// The file.
+        file: PathBuf,
+        /// Factor from the file's unit to metres; a negative factor would turn the mesh inside out and is refused.
+        #[serde(default = "one")]
+        scale: f64,
+        /// Where the file's origin goes [m].
+        #[serde(default)]
+        center: Vec3,
+        /// Orientation quaternion (w, x, y, z).
+        #[serde(default = "no_rotation")]
+        rotation: [f64; 4],
+    },
+    /// All of several shapes together (tools only), such as a blade with a handle.
+    Union(Vec<Placed>),
+}
+
+/// A shape at a place within a union.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Placed {
+    /// The shape.
+    pub shape: Shape,
+    /// Where its origin goes [m].
+    #[serde(default)]
+    pub position: Vec3,
+    /// Orientation quaternion (w, x, y, z).
+    #[serde(default = "no_rotation")]
+    pub rotation: [f64; 4],
+}
+
+fn one() -> f64 {
+    1.0
+}
+fn no_rotation() -> [f64; 4] {
+    [1.0, 0.0, 0.0, 0.0]
+}
+
+/// A rigid tool or body. Its shape is given in its own frame.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Tool {
+    /// Name in traces and messages.
+    pub name: String,
+    /// Shape in the tool's own frame.
+    pub shape: Shape,
+    /// Where the frame's origin starts [m].
+    #[serde(default)]
+    pub position: Vec3,
+    /// Starting orientation, quaternion (w, x, y, z).
+    #[serde(default = "no_rotation")]
+    pub rotation: [f64; 4],
+    /// Contact with the ground.
+    #[serde(default)]
+    pub contact: Contact,
+    /// How it moves.
+    #[serde(default)]
+    pub motion: Motion,
+}
+
+/// Contact law of a tool.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Contact {
+    /// The ground may separate; Coulomb friction along the surface.
+    Coulomb {
+        /// Coefficient of friction.
+        friction: f64,
+    },
+    /// The ground may separate; no friction.
+    Slip,
+    /// The ground sticks to the surface and never separates.
+    Stick,
+}
+
+impl Default for Contact {
+    fn default() -> Self {
+        Self::Coulomb { friction: 0.5 }
+    }
+}
+
+/// How a tool moves.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Motion {
+    /// It stays.
+    #[default]
+    Fixed,
+    /// It passes through poses at given times.
+    Keyframes {
+        /// Poses, with rising times.
+        frames: Vec<Keyframe>,
+        /// How it moves between them.
+        #[serde(default)]
+        interpolation: Interpolation,
+    },
+    /// It moves with a given velocity; an agent may change it at every step.
+    Velocity {
+        /// Velocity of its origin [m/s].
+        #[serde(default)]
+        linear: Vec3,
+        /// Angular velocity about its origin [rad/s].
+        #[serde(default)]
+        angular: Vec3,
+    },
+    /// It is a free rigid body, moved by gravity, the ground and other bodies.
+    Free {
+        /// Mass [kg]; its inertia is that of the shape filled evenly.
+        mass: f64,
+        /// Initial velocity of its centre of mass [m/s].
+        #[serde(default)]
+        linear: Vec3,
+        /// Initial angular velocity [rad/s].
+        #[serde(default)]
+        angular: Vec3,
+        /// Coefficient of restitution against other rigid bodies.
+        #[serde(default)]
+        restitution: f64,
+    },
+}
+
+/// A pose at a time.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Keyframe {
+    /// Time [s].
+    pub time: f64,
+    /// Position of the tool's origin [m].
+    pub position: Vec3,
+    /// Orientation quaternion (w, x, y, z); absent: as before.
+    #[serde(default)]
+    pub rotation: Option<[f64; 4]>,
+}
+
+/// How a tool moves between keyframes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Interpolation {
+    /// C¹: cubic Hermite with zero speed where the path turns back or rests (monotone), slerp eased likewise.
+    #[default]
+    Smooth,
+    /// Straight lines at constant speed, slerp between orientations.
+    Linear,
+}
+
+/// A coupling from a plugin.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CouplingSpec {
+    /// Name in the registry.
+    pub kind: String,
+    /// What the coupling wants to know.
+    #[serde(default)]
+    pub parameters: BTreeMap<String, f64>,
+}

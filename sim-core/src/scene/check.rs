@@ -1,0 +1,570 @@
+//! What a scene must satisfy beyond types, and what the user should be warned of.
+
+use super::{Body, Contact, Motion, Placed, Scene, Shape, Tool, Wall, Walls};
+use crate::coupling::Aabb;
+use crate::{Error, Result, Vec3};
+
+/// How far a bound may be from a whole cell and still mean it, in cells.
+pub const WHOLE_CELL: f64 = 1e-6;
+/// Cells along one side of a block, in which particles are sorted.
+const BLOCK: i64 = 4;
+/// Cells are counted in 32 bits; half of their range leaves room for neighbours.
+const MOST_CELLS: f64 = (1 << 30) as f64;
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+impl Walls {
+    /// The walls of an axis: least side, greatest side.
+    pub fn pair(&self, axis: usize) -> [Wall; 2] {
+        [[self.x_min, self.x_max], [self.y_min, self.y_max], [self.z_min, self.z_max]][axis]
+    }
+}
+
+impl Shape {
+    /// A box that holds the shape in its own frame; `None` for planes, meshes and height fields in files.
+    pub fn bounds(&self) -> Option<Aabb> {
+        let around = |center: Vec3, half: Vec3| Aabb {
+            min: std::array::from_fn(|d| center[d] - half[d]),
+            max: std::array::from_fn(|d| center[d] + half[d]),
+        };
+        match self {
+            Self::Box { min: Some(min), max: Some(max), .. } => Some(Aabb { min: *min, max: *max }),
+            Self::Box { half, center, .. } => half.map(|half| around(center.unwrap_or_default(), half)),
+            Self::Sphere { center, radius } => Some(around(*center, [*radius; 3])),
+            Self::Cylinder { center, radius, half_height } => Some(around(*center, [*radius, *radius, *half_height])),
+            Self::Capsule { center, radius, half_height } => {
+                Some(around(*center, [*radius, *radius, half_height + radius]))
+            }
+            Self::HeightField { min, max, bottom, heights, .. } => {
+                let top = heights.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
+                (!heights.is_empty())
+                    .then_some(Aabb { min: [min[0], min[1], *bottom], max: [max[0], max[1], top.max(*bottom)] })
+            }
+            Self::Union(parts) => parts
+                .iter()
+                .map(|part| part.shape.bounds().map(|b| posed_bounds(b, part.position, part.rotation)))
+                .reduce(|a, b| Some(a?.union(&b?)))
+                .flatten(),
+            Self::Plane { .. } | Self::Mesh { .. } => None,
+        }
+    }
+}
+
+/// A vector turned by a unit quaternion (w, x, y, z).
+pub(crate) fn turn(q: [f64; 4], v: Vec3) -> Vec3 {
+    let [w, u @ ..] = q;
+    let t = cross(u, v).map(|c| 2.0 * c);
+    let s = cross(u, t);
+    std::array::from_fn(|d| v[d] + w * t[d] + s[d])
+}
+
+pub(crate) fn cross(a: Vec3, b: Vec3) -> Vec3 {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// A box that holds `bounds` turned about the origin and moved to `position`.
+pub(crate) fn posed_bounds(bounds: Aabb, position: Vec3, rotation: [f64; 4]) -> Aabb {
+    let corner = |i: usize| {
+        let x = std::array::from_fn(|d| if i >> d & 1 == 0 { bounds.min[d] } else { bounds.max[d] });
+        let x = turn(rotation, x);
+        let x: Vec3 = std::array::from_fn(|d| x[d] + position[d]);
+        Aabb { min: x, max: x }
+    };
+    (1..8).map(corner).fold(corner(0), |all, one| all.union(&one))
+}
+
+/// Divides a quaternion by its norm; one that is already of unit length keeps its bits.
+fn normalise(q: &mut [f64; 4]) {
+    let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+    if (norm - 1.0).abs() > 1e-15 {
+        *q = q.map(|c| c / norm);
+    }
+}
+
+impl Scene {
+    /// Holds the scene to everything that its types cannot say, and makes its quaternions unit ones. Scenes that were
+    /// read have been checked; call this on scenes put together in code.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] with file, line and key path.
+    pub fn check(&mut self) -> Result<()> {
+        self.check_names()?;
+        self.check_finite()?;
+        self.check_world()?;
+        self.check_time_and_output()?;
+        for (i, material) in self.material.iter().enumerate() {
+            self.positive(&format!("material[{i}].density"), material.density)?;
+        }
+        for (i, body) in self.body.iter().enumerate() {
+            self.check_body(&format!("body[{i}]"), body)?;
+        }
+        for (i, tool) in self.tool.iter().enumerate() {
+            self.check_tool(&format!("tool[{i}]"), tool)?;
+        }
+        self.normalise_rotations();
+        for (i, tool) in self.tool.iter().enumerate() {
+            self.check_tool_place(&format!("tool[{i}]"), tool)?;
+        }
+        Ok(())
+    }
+
+    /// What the user should know although the scene can be run.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        for body in &self.body {
+            let cells = self.spacing(body) / self.world.cell;
+            if !(0.33..=0.67).contains(&cells) {
+                warnings.push(format!(
+                    "body '{}': spacing is {cells:.2} cells, {:.1} particles a cell; outside 0.33 to 0.67 it costs more than it gains, or gaps open under stretch",
+                    body.name,
+                    cells.powi(-3)
+                ));
+            }
+            if let (Shape::Box { .. }, Some(b)) = (&body.shape, body.shape.bounds()) {
+                let share = (0..3)
+                    .map(|d| {
+                        let n = (b.max[d] - b.min[d]) / self.spacing(body);
+                        n.round() / n
+                    })
+                    .product::<f64>();
+                if (share - 1.0).abs() > 0.01 {
+                    warnings.push(format!(
+                        "body '{}': its sides are no whole numbers of spacings, so its particles hold {:+.1} % of its volume",
+                        body.name,
+                        100.0 * (share - 1.0)
+                    ));
+                }
+            }
+        }
+        warnings
+    }
+
+    /// Distance between neighbouring particles of a body [m].
+    pub fn spacing(&self, body: &Body) -> f64 {
+        body.spacing.unwrap_or(0.5 * self.world.cell)
+    }
+
+    /// The world as a box.
+    pub fn world_box(&self) -> Aabb {
+        Aabb { min: self.world.min, max: self.world.max }
+    }
+
+    fn require(&self, holds: bool, path: &str, what: impl Into<String>, mend: impl Into<String>) -> Result<()> {
+        if holds { Ok(()) } else { Err(self.fault(path, what, mend)) }
+    }
+
+    fn positive(&self, path: &str, value: f64) -> Result<()> {
+        self.require(value > 0.0, path, format!("is {value}"), "must be above 0")
+    }
+
+    fn not_negative(&self, path: &str, value: f64) -> Result<()> {
+        self.require(value >= 0.0, path, format!("is {value}"), "must be 0 or above")
+    }
+
+    fn check_names(&self) -> Result<()> {
+        let good = !self.name.trim().is_empty() && !self.name.contains(['/', '\\']) && self.name != "..";
+        self.require(good, "name", format!("is '{}'", self.name), "it becomes a folder: give a word without slashes")?;
+        self.require(
+            i64::try_from(self.seed).is_ok(),
+            "seed",
+            format!("is {}", self.seed),
+            format!("must be at most {}", i64::MAX),
+        )?;
+        self.require(
+            self.body.len() <= usize::from(u16::MAX),
+            "body",
+            format!("there are {} bodies", self.body.len()),
+            format!("must be at most {}", u16::MAX),
+        )?;
+        self.unique("material", self.material.iter().map(|m| m.name.as_str()), true)?;
+        self.unique("body", self.body.iter().map(|b| b.name.as_str()), false)?;
+        self.unique("tool", self.tool.iter().map(|t| t.name.as_str()), true)
+    }
+
+    fn unique<'a>(&self, list: &str, names: impl Iterator<Item = &'a str>, required: bool) -> Result<()> {
+        let mut seen = std::collections::BTreeMap::new();
+        for (i, name) in names.enumerate() {
+            let path = format!("{list}[{i}].name");
+            self.require(!name.is_empty() || !required, &path, "is empty", "give it a name")?;
+            if let Some(first) = seen.insert(name, i).filter(|_| !name.is_empty()) {
+                return Err(self.fault(
+                    &path,
+                    format!("'{name}' is already the name of {list}[{first}]"),
+                    "names must differ",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// No number is NaN or infinite. Parameters are held to their law's ranges instead, which may be infinite.
+    fn check_finite(&self) -> Result<()> {
+        fn bad(value: &toml::Value, path: String) -> Option<(String, f64)> {
+            match value {
+                toml::Value::Float(x) if !x.is_finite() => Some((path, *x)),
+                toml::Value::Array(items) => {
+                    items.iter().enumerate().find_map(|(i, item)| bad(item, format!("{path}[{i}]")))
+                }
+                toml::Value::Table(table) => table
+                    .iter()
+                    .filter(|(key, _)| *key != "parameters")
+                    .find_map(|(key, v)| bad(v, if path.is_empty() { key.clone() } else { format!("{path}.{key}") })),
+                _ => None,
+            }
+        }
+        let value = toml::Value::try_from(self)
+            .map_err(|e| self.fault("scene", e.to_string(), "use values that TOML can hold"))?;
+        match bad(&value, String::new()) {
+            Some((path, x)) => Err(self.fault(&path, format!("is {x}"), "give a finite number")),
+            None => Ok(()),
+        }
+    }
+
+    fn check_world(&self) -> Result<()> {
+        let world = &self.world;
+        self.positive("world.cell", world.cell)?;
+        for (d, axis) in AXES.into_iter().enumerate() {
+            self.require(
+                world.min[d] < world.max[d],
+                "world.max",
+                format!("{axis} goes from {} to {}", world.min[d], world.max[d]),
+                "world.max must be above world.min",
+            )?;
+            let walls = world.walls.pair(d);
+            let periodic = walls.map(|wall| wall == Wall::Periodic);
+            let key = |side: usize| format!("world.walls.{axis}_{}", ["min", "max"][side]);
+            let mut whole = [0_i64; 2];
+            for (side, x) in [world.min[d], world.max[d]].into_iter().enumerate() {
+                let cells = x / world.cell;
+                let path = ["world.min", "world.max"][side];
+                self.require(
+                    cells.abs() <= MOST_CELLS,
+                    path,
+                    format!("{axis} = {x} m is {:.0} cells from the origin", cells.abs()),
+                    format!("must be at most {MOST_CELLS:.0}: use larger cells or move the scene"),
+                )?;
+                // An open side may lie anywhere.
+                let off = (cells - cells.round()).abs();
+                self.require(
+                    walls[side] == Wall::Open || off <= WHOLE_CELL,
+                    path,
+                    format!("{axis} = {x} m is {cells:.6} cells, and the wall there must lie on a cell's face"),
+                    format!("the nearest are {} and {}", cells.floor() * world.cell, cells.ceil() * world.cell),
+                )?;
+                whole[side] = cells.round() as i64;
+                if let Wall::Separate { friction } = walls[side] {
+                    self.not_negative(&format!("{}.separate.friction", key(side)), friction)?;
+                }
+            }
+            if periodic[0] != periodic[1] {
+                let other = usize::from(periodic[0]);
+                return Err(self.fault(
+                    &key(1 - other),
+                    format!("is periodic, but {} is not", key(other)),
+                    "make both sides periodic or neither",
+                ));
+            }
+            self.require(
+                !periodic[0] || whole.iter().all(|cells| cells % BLOCK == 0),
+                &key(0),
+                format!(
+                    "a periodic axis goes in blocks of {BLOCK} cells, and {axis} from cell {} to {}",
+                    whole[0], whole[1]
+                ),
+                format!(
+                    "use sides at multiples of {} m, such as {} and {}",
+                    BLOCK as f64 * world.cell,
+                    (whole[0].div_euclid(BLOCK) * BLOCK) as f64 * world.cell,
+                    ((whole[1] + BLOCK - 1).div_euclid(BLOCK) * BLOCK) as f64 * world.cell
+                ),
+            )?;
+        }
+        Ok(())
+    }
+
+    fn check_time_and_output(&self) -> Result<()> {
+        self.positive("time.end", self.time.end)?;
+        if let Some(step) = self.time.step {
+            self.positive("time.step", step)?;
+        }
+        let safety = self.time.safety;
+        self.require(
+            safety > 0.0 && safety <= 1.0,
+            "time.safety",
+            format!("is {safety}"),
+            "must be above 0 and at most 1",
+        )?;
+        self.positive("output.interval", self.output.interval)?;
+        if let Some(interval) = self.output.snapshot_interval {
+            self.positive("output.snapshot_interval", interval)?;
+        }
+        let picture = &self.output.picture;
+        self.require(
+            (16..=16_384).contains(&picture.pixels),
+            "output.picture.pixels",
+            format!("is {}", picture.pixels),
+            "must be from 16 to 16384",
+        )?;
+        let y = picture.cut_y.unwrap_or(self.world.min[1]);
+        self.require(
+            self.world.min[1] <= y && y <= self.world.max[1],
+            "output.picture.cut_y",
+            format!("is {y}"),
+            format!("must be inside the world, from {} to {}", self.world.min[1], self.world.max[1]),
+        )
+    }
+
+    fn check_body(&self, path: &str, body: &Body) -> Result<()> {
+        if !self.material.iter().any(|m| m.name == body.material) {
+            return Err(Error::Unknown {
+                path: self.place(&format!("{path}.material")),
+                kind: "material of this scene",
+                name: body.material.clone(),
+                known: self.material.iter().map(|m| m.name.clone()).collect(),
+            });
+        }
+        let cells = self.spacing(body) / self.world.cell;
+        self.require(
+            (0.2..=1.0).contains(&cells),
+            &format!("{path}.spacing"),
+            format!("is {cells:.3} cells"),
+            format!("must be from 0.2 to 1 cells, {} to {} m", 0.2 * self.world.cell, self.world.cell),
+        )?;
+        let shape = format!("{path}.shape");
+        self.require(
+            !matches!(body.shape, Shape::Plane { .. } | Shape::Union(_)),
+            &shape,
+            "planes and unions are for tools",
+            "use box, sphere, cylinder, capsule, height_field or mesh; several bodies may share a material",
+        )?;
+        self.check_shape(&shape, &body.shape)?;
+        match body.shape.bounds() {
+            Some(bounds) => self.check_inside(path, bounds),
+            None => Ok(()),
+        }
+    }
+
+    /// A body must lie inside the world.
+    pub(crate) fn check_inside(&self, path: &str, bounds: Aabb) -> Result<()> {
+        let world = self.world_box().grown(WHOLE_CELL * self.world.cell);
+        for (d, axis) in AXES.into_iter().enumerate() {
+            self.require(
+                world.min[d] <= bounds.min[d] && bounds.max[d] <= world.max[d],
+                &format!("{path}.shape"),
+                format!(
+                    "reaches out of the world: {axis} from {} to {}, the world from {} to {}",
+                    bounds.min[d], bounds.max[d], self.world.min[d], self.world.max[d]
+                ),
+                "move or shrink the body, or widen world.min and world.max",
+            )?;
+        }
+        Ok(())
+    }
+
+    fn check_shape(&self, path: &str, shape: &Shape) -> Result<()> {
+        match shape {
+            Shape::Box { min, max, half, center } => {
+                let path = format!("{path}.box");
+                match (min, max, half, center) {
+                    (Some(min), Some(max), None, None) => {
+                        for (d, axis) in AXES.into_iter().enumerate() {
+                            self.require(
+                                min[d] < max[d],
+                                &format!("{path}.max"),
+                                format!("{axis} goes from {} to {}: the box has no volume", min[d], max[d]),
+                                "max must be above min",
+                            )?;
+                        }
+                        Ok(())
+                    }
+                    (None, None, Some(half), _) => {
+                        half.iter().try_for_each(|x| self.positive(&format!("{path}.half"), *x))
+                    }
+                    _ => Err(self.fault(
+                        &path,
+                        "is given neither by two corners nor by half extents",
+                        "give min and max, or half (with center if it is not at the origin)",
+                    )),
+                }
+            }
+            Shape::Sphere { radius, .. } => self.positive(&format!("{path}.sphere.radius"), *radius),
+            Shape::Cylinder { radius, half_height, .. } => {
+                self.positive(&format!("{path}.cylinder.radius"), *radius)?;
+                self.positive(&format!("{path}.cylinder.half_height"), *half_height)
+            }
+            Shape::Capsule { radius, half_height, .. } => {
+                self.positive(&format!("{path}.capsule.radius"), *radius)?;
+                self.positive(&format!("{path}.capsule.half_height"), *half_height)
+            }
+            Shape::Plane { normal, .. } => self.require(
+                normal.iter().any(|n| *n != 0.0),
+                &format!("{path}.plane.normal"),
+                "is zero",
+                "give the direction out of the solid",
+            ),
+            Shape::HeightField { min, max, bottom, heights, file } => {
+                let path = format!("{path}.height_field");
+                for d in 0..2 {
+                    self.require(
+                        min[d] < max[d],
+                        &format!("{path}.max"),
+                        format!("{} goes from {} to {}", AXES[d], min[d], max[d]),
+                        "max must be above min",
+                    )?;
+                }
+                self.require(
+                    heights.is_empty() != file.is_none(),
+                    &path,
+                    "has both or neither of heights and file",
+                    "give one of them",
+                )?;
+                if heights.is_empty() {
+                    Ok(())
+                } else {
+                    self.check_heights(&format!("{path}.heights"), heights, *bottom)
+                }
+            }
+            Shape::Mesh { scale, rotation, .. } => {
+                self.positive(&format!("{path}.mesh.scale"), *scale)?;
+                self.check_rotation(&format!("{path}.mesh.rotation"), rotation)
+            }
+            Shape::Union(parts) => {
+                self.require(!parts.is_empty(), &format!("{path}.union"), "is empty", "give at least one shape")?;
+                for (i, Placed { shape, rotation, .. }) in parts.iter().enumerate() {
+                    let path = format!("{path}.union[{i}]");
+                    self.check_rotation(&format!("{path}.rotation"), rotation)?;
+                    self.check_shape(&format!("{path}.shape"), shape)?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Heights must form a grid of at least 2 x 2 and rise above the bottom somewhere.
+    pub(crate) fn check_heights(&self, path: &str, heights: &[Vec<f64>], bottom: f64) -> Result<()> {
+        let columns = heights.first().map_or(0, Vec::len);
+        self.require(
+            heights.len() >= 2 && columns >= 2,
+            path,
+            format!("has {} rows of {columns}", heights.len()),
+            "give at least 2 rows of 2 heights",
+        )?;
+        for (j, row) in heights.iter().enumerate() {
+            self.require(
+                row.len() == columns,
+                &format!("{path}[{j}]"),
+                format!("has {} heights, the first row {columns}", row.len()),
+                "rows must be equally long",
+            )?;
+            self.require(
+                row.iter().all(|h| h.is_finite()),
+                &format!("{path}[{j}]"),
+                "holds NaN or infinity",
+                "give finite heights",
+            )?;
+        }
+        self.require(
+            heights.iter().flatten().any(|h| *h > bottom),
+            path,
+            format!("nowhere rises above bottom = {bottom}"),
+            "lower bottom or raise the heights",
+        )
+    }
+
+    fn check_rotation(&self, path: &str, q: &[f64; 4]) -> Result<()> {
+        self.require(
+            q.iter().map(|c| c * c).sum::<f64>() > 1e-12,
+            path,
+            "is the zero quaternion",
+            "[1, 0, 0, 0] is no rotation",
+        )
+    }
+
+    fn check_tool(&self, path: &str, tool: &Tool) -> Result<()> {
+        self.check_shape(&format!("{path}.shape"), &tool.shape)?;
+        self.check_rotation(&format!("{path}.rotation"), &tool.rotation)?;
+        if let Contact::Coulomb { friction } = tool.contact {
+            self.not_negative(&format!("{path}.contact.coulomb.friction"), friction)?;
+        }
+        match &tool.motion {
+            Motion::Fixed | Motion::Velocity { .. } => Ok(()),
+            Motion::Keyframes { frames, .. } => {
+                let path = format!("{path}.motion.keyframes.frames");
+                self.require(!frames.is_empty(), &path, "is empty", "give at least one keyframe")?;
+                for (i, frame) in frames.iter().enumerate() {
+                    let before = if i == 0 { f64::NEG_INFINITY } else { frames[i - 1].time };
+                    self.require(
+                        frame.time > before,
+                        &format!("{path}[{i}].time"),
+                        format!("is {}, the one before is at {before}", frame.time),
+                        "times must rise",
+                    )?;
+                    if let Some(rotation) = &frame.rotation {
+                        self.check_rotation(&format!("{path}[{i}].rotation"), rotation)?;
+                    }
+                }
+                Ok(())
+            }
+            Motion::Free { mass, restitution, .. } => {
+                let path = format!("{path}.motion.free");
+                self.positive(&format!("{path}.mass"), *mass)?;
+                self.require(
+                    (0.0..=1.0).contains(restitution),
+                    &format!("{path}.restitution"),
+                    format!("is {restitution}"),
+                    "must be from 0 to 1",
+                )?;
+                self.require(
+                    !matches!(tool.shape, Shape::Plane { .. }),
+                    &path,
+                    "a plane has no end, so it cannot move freely",
+                    "use a box, or motion = \"fixed\"",
+                )
+            }
+        }
+    }
+
+    /// A tool must reach into the world at its start or at some keyframe.
+    fn check_tool_place(&self, path: &str, tool: &Tool) -> Result<()> {
+        let Some(bounds) = tool.shape.bounds() else { return Ok(()) };
+        let mut poses = vec![(tool.position, tool.rotation)];
+        if let Motion::Keyframes { frames, .. } = &tool.motion {
+            poses.extend(frames.iter().map(|f| (f.position, f.rotation.unwrap_or(tool.rotation))));
+        }
+        let world = self.world_box();
+        self.require(
+            poses.iter().any(|&(position, rotation)| posed_bounds(bounds, position, rotation).meets(&world)),
+            &format!("{path}.position"),
+            format!("tool '{}' is outside the world, from {:?} to {:?}", tool.name, world.min, world.max),
+            "move the tool, or widen world.min and world.max",
+        )
+    }
+
+    fn normalise_rotations(&mut self) {
+        fn in_shape(shape: &mut Shape) {
+            match shape {
+                Shape::Mesh { rotation, .. } => normalise(rotation),
+                Shape::Union(parts) => parts.iter_mut().for_each(|part| {
+                    normalise(&mut part.rotation);
+                    in_shape(&mut part.shape);
+                }),
+                _ => {}
+            }
+        }
+        self.body.iter_mut().for_each(|body| in_shape(&mut body.shape));
+        for tool in &mut self.tool {
+            in_shape(&mut tool.shape);
+            normalise(&mut tool.rotation);
+            if let Motion::Keyframes { frames, .. } = &mut tool.motion {
+                frames.iter_mut().filter_map(|f| f.rotation.as_mut()).for_each(normalise);
+            }
+        }
+    }
+
+    /// File, line and key path in one text, for errors that have only a path.
+    pub(crate) fn place(&self, path: &str) -> String {
+        match self.fault(path, "", "") {
+            Error::Scene { file, line, .. } if line > 0 => format!("{file}:{line}: {path}"),
+            _ => path.to_owned(),
+        }
+    }
+}

@@ -1,0 +1,320 @@
+//! Reading scenes: TOML text, overrides, and errors that know file, line and key path.
+
+use super::Scene;
+use crate::{Error, Result};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use toml::Value;
+use toml::de::{DeTable, DeValue, ValueDeserializer};
+
+/// What errors about overrides name as their file.
+const SET: &str = "--set";
+
+/// Where the keys of a scene stand.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Source {
+    file: String,
+    /// Line by key path; `None`: the value came from `--set`.
+    lines: BTreeMap<String, Option<usize>>,
+}
+
+impl Source {
+    fn of(file: &str, text: &str, table: &DeTable<'_>) -> Self {
+        let mut source = Self { file: file.to_owned(), lines: BTreeMap::new() };
+        source.note_table(&Lines::of(text), "", table);
+        source
+    }
+
+    fn note_table(&mut self, lines: &Lines, path: &str, table: &DeTable<'_>) {
+        for (key, value) in table {
+            let path = if path.is_empty() { key.get_ref().to_string() } else { format!("{path}.{}", key.get_ref()) };
+            self.lines.insert(path.clone(), Some(lines.at(key.span().start)));
+            self.note_value(lines, &path, value.get_ref());
+        }
+    }
+
+    fn note_value(&mut self, lines: &Lines, path: &str, value: &DeValue<'_>) {
+        match value {
+            DeValue::Table(table) => self.note_table(lines, path, table),
+            DeValue::Array(items) => {
+                for (i, item) in items.iter().enumerate() {
+                    let path = format!("{path}[{i}]");
+                    self.lines.insert(path.clone(), Some(lines.at(item.span().start)));
+                    self.note_value(lines, &path, item.get_ref());
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// File and line of a key path, or of the nearest key above it that is written down.
+    fn place(&self, path: &str) -> (&str, usize) {
+        let mut path = path;
+        loop {
+            match self.lines.get(path) {
+                Some(Some(line)) => return (&self.file, *line),
+                Some(None) => return (SET, 0),
+                None => match path.rfind(['.', '[']) {
+                    Some(cut) => path = &path[..cut],
+                    None => return (&self.file, 0),
+                },
+            }
+        }
+    }
+
+    /// Notes that everything at `path` now comes from an override.
+    fn overridden(&mut self, path: &str) {
+        self.lines.retain(|known, _| !known.strip_prefix(path).is_some_and(|rest| rest.starts_with(['.', '['])));
+        self.lines.insert(path.to_owned(), None);
+    }
+}
+
+/// Line numbers of a text.
+struct Lines(Vec<usize>);
+
+impl Lines {
+    fn of(text: &str) -> Self {
+        Self(text.bytes().enumerate().filter(|(_, b)| *b == b'\n').map(|(i, _)| i).collect())
+    }
+    /// Line of a byte, from 1.
+    fn at(&self, byte: usize) -> usize {
+        self.0.partition_point(|&end| end < byte) + 1
+    }
+}
+
+impl Scene {
+    /// Reads and checks a scene file.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if it cannot be read, [`Error::Scene`] if it cannot be used.
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Self> {
+        Self::from_file_with(path, &[] as &[&str])
+    }
+
+    /// Reads a scene file, applies overrides such as `world.cell=0.02`, and checks the result; see [`set`](Self::set).
+    ///
+    /// # Errors
+    /// As [`from_file`](Self::from_file).
+    pub fn from_file_with(path: impl AsRef<Path>, overrides: &[impl AsRef<str>]) -> Result<Self> {
+        let path = path.as_ref();
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Io {
+            file: path.to_owned(),
+            what: "reading the scene",
+            source,
+        })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        Self::from_str_with(&text, &path.display().to_string(), folder, overrides)
+    }
+
+    /// Reads and checks a scene from TOML text. `file_name` is for messages; relative paths start from `folder`.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] if it cannot be used.
+    #[expect(clippy::should_implement_trait, reason = "FromStr could not carry the file's name and folder")]
+    pub fn from_str(text: &str, file_name: &str, folder: impl AsRef<Path>) -> Result<Self> {
+        Self::from_str_with(text, file_name, folder, &[] as &[&str])
+    }
+
+    /// As [`from_str`](Self::from_str), with overrides applied before anything is checked.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn from_str_with(
+        text: &str,
+        file_name: &str,
+        folder: impl AsRef<Path>,
+        overrides: &[impl AsRef<str>],
+    ) -> Result<Self> {
+        let syntax = |e: toml::de::Error| Error::Scene {
+            file: file_name.to_owned(),
+            line: e.span().map_or(0, |span| Lines::of(text).at(span.start)),
+            path: "TOML".to_owned(),
+            what: e.message().replace('\n', ", "),
+            allowed: None,
+        };
+        let source = Source::of(file_name, text, DeTable::parse(text).map_err(syntax)?.get_ref());
+        let value = Value::Table(toml::from_str(text).map_err(syntax)?);
+        Self::from_value(value, source, folder.as_ref(), overrides)
+    }
+
+    /// Applies overrides of the form `key.path=value` and checks the result; on an error nothing is changed.
+    ///
+    /// A key path is as in messages, `body[0].shape.box.min`; entries of a list may also be called by their `name`, as
+    /// in `tool.cube.motion.free.mass=5`. The value is TOML; quotes around a single word may be left out.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] if a path leads nowhere or the result cannot be used.
+    pub fn set(&mut self, overrides: &[impl AsRef<str>]) -> Result<()> {
+        let value = Value::try_from(&*self).map_err(|e| self.fault("scene", e.to_string(), "correct it"))?;
+        *self = Self::from_value(value, (*self.source).clone(), &self.folder, overrides)?;
+        Ok(())
+    }
+
+    fn from_value(mut value: Value, mut source: Source, folder: &Path, overrides: &[impl AsRef<str>]) -> Result<Self> {
+        for text in overrides {
+            let path = apply(&mut value, text.as_ref())?;
+            source.overridden(&path);
+        }
+        let mut scene: Self = serde_path_to_error::deserialize(value).map_err(|e| explain(&e, &source))?;
+        scene.folder = folder.to_owned();
+        scene.source = Arc::new(source);
+        scene.check()?;
+        Ok(scene)
+    }
+
+    /// The scene as TOML text: reading it gives the same scene.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] if a number or path has no form in TOML (a seed above 2⁶³ − 1, a path that is not UTF-8).
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string(self).map_err(|e| self.fault("scene", e.to_string(), "use values that TOML can hold"))
+    }
+
+    /// JSON Schema of scene files, with descriptions.
+    pub fn schema() -> serde_json::Value {
+        schemars::schema_for!(Self).to_value()
+    }
+
+    /// An error about a key of this scene, with the file and line where it stands.
+    pub fn fault(&self, path: &str, what: impl Into<String>, mend: impl Into<String>) -> Error {
+        fault(&self.source, path, what.into(), mend.into())
+    }
+}
+
+fn fault(source: &Source, path: &str, what: String, mend: String) -> Error {
+    let (file, line) = source.place(path);
+    Error::Scene {
+        file: if file.is_empty() { "scene".to_owned() } else { file.to_owned() },
+        line,
+        path: path.to_owned(),
+        what,
+        allowed: (!mend.is_empty()).then_some(mend),
+    }
+}
+
+/// Turns serde's message into ours.
+fn explain(error: &serde_path_to_error::Error<toml::de::Error>, source: &Source) -> Error {
+    let path = error.path().to_string();
+    let path = if path == "." { String::new() } else { path };
+    let message = error.inner().message();
+    let mut names = message.split('`').skip(1).step_by(2).map(str::to_owned);
+    let (path, what, mend) = if message.starts_with("unknown field") || message.starts_with("unknown variant") {
+        let name = names.next().unwrap_or_default();
+        let allowed: Vec<_> = names.collect();
+        let meant = nearest(&name, &allowed).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
+        let kind = if message.starts_with("unknown field") { "key" } else { "choice" };
+        (path, format!("unknown {kind} `{name}`"), format!("allowed here: {}{meant}", allowed.join(", ")))
+    } else if message.starts_with("missing field") {
+        let name = names.next().unwrap_or_default();
+        let path = if path.is_empty() { name } else { format!("{path}.{name}") };
+        (path, "this key is required".to_owned(), "add it".to_owned())
+    } else if message.starts_with("wanted exactly 1 element") {
+        (path, message.to_owned(), "give exactly one of its choices".to_owned())
+    } else {
+        (path, message.replace("floating point ", "").replace("f64", "a number").replace('\n', ", "), String::new())
+    };
+    fault(source, if path.is_empty() { "scene" } else { &path }, what, mend)
+}
+
+/// The name that a misspelt one most likely stands for.
+pub(crate) fn nearest<'a>(name: &str, known: &'a [String]) -> Option<&'a str> {
+    known
+        .iter()
+        .map(|k| (edits(name, k), k.as_str()))
+        .filter(|(distance, k)| *distance <= 1 + k.len() / 4)
+        .min()
+        .map(|(_, k)| k)
+}
+
+/// Levenshtein distance.
+fn edits(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, y) in b.iter().enumerate() {
+            let change = diagonal + usize::from(x != *y);
+            diagonal = row[j + 1];
+            row[j + 1] = change.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
+}
+
+/// Applies one override to the value tree and returns the key path it changed.
+fn apply(root: &mut Value, text: &str) -> Result<String> {
+    let refuse = |path: &str, what: String, mend: &str| Error::Scene {
+        file: SET.to_owned(),
+        line: 0,
+        path: path.to_owned(),
+        what,
+        allowed: Some(mend.to_owned()),
+    };
+    let Some((keys, raw)) = text.split_once('=') else {
+        return Err(refuse(text, "has no `=`".to_owned(), "write key.path=value, such as world.cell=0.02"));
+    };
+    let (keys, raw) = (keys.trim(), raw.trim());
+    let value = parse_value(raw).ok_or_else(|| {
+        refuse(
+            keys,
+            format!("`{raw}` is no TOML value"),
+            "write a number, true, false, \"text\", [list] or { key = value }",
+        )
+    })?;
+    let mut node = root;
+    let mut path = String::new();
+    for segment in keys.replace('[', ".[").split('.') {
+        let index = segment.strip_prefix('[').map(|rest| rest.strip_suffix(']').and_then(|i| i.parse::<usize>().ok()));
+        if segment.is_empty() || index == Some(None) {
+            return Err(refuse(
+                keys,
+                format!("`{segment}` is no key"),
+                "write key.path=value, such as body[0].spacing=0.01",
+            ));
+        }
+        node = match node {
+            Value::Array(items) => {
+                let names: Vec<String> = items.iter().map(|item| name_of(item).unwrap_or("?").to_owned()).collect();
+                let found = index.flatten().or_else(|| names.iter().position(|n| n == segment));
+                let Some((i, item)) = found.and_then(|i| items.get_mut(i).map(|item| (i, item))) else {
+                    return Err(refuse(
+                        keys,
+                        format!("`{path}` has {} entries and none is `{segment}`", names.len()),
+                        &format!("name one by [0], [1], … or by its name: {}", names.join(", ")),
+                    ));
+                };
+                path = format!("{path}[{i}]");
+                item
+            }
+            // A choice written as a word, such as motion = "fixed", may be replaced by one with keys.
+            scalar_or_table => {
+                if index.is_some() {
+                    return Err(refuse(keys, format!("`{path}` is no list"), "leave out the index"));
+                }
+                if !scalar_or_table.is_table() {
+                    *scalar_or_table = Value::Table(toml::Table::new());
+                }
+                path = if path.is_empty() { segment.to_owned() } else { format!("{path}.{segment}") };
+                let Value::Table(table) = scalar_or_table else { unreachable!("made a table above") };
+                table.entry(segment).or_insert_with(|| Value::Table(toml::Table::new()))
+            }
+        };
+    }
+    *node = value;
+    Ok(path)
+}
+
+fn name_of(item: &Value) -> Option<&str> {
+    item.get("name").and_then(Value::as_str)
+}
+
+fn parse_value(raw: &str) -> Option<Value> {
+    use serde::Deserialize;
+    let word = |raw: &str| {
+        let plain = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '/' | '.' | ' ');
+        (raw.starts_with(|c: char| c.is_alphabetic() || c == '/') && raw.chars().all(plain))
+            .then(|| Value::String(raw.to_owned()))
+    };
+    ValueDeserializer::parse(raw).ok().and_then(|de| Value::deserialize(de).ok()).or_else(|| word(raw))
+}

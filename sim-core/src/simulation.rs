@@ -1,0 +1,416 @@
+//! A running simulation.
+
+use crate::backend::{Bound, Timing};
+use crate::plan::{cut, tighten, wanted_step};
+use crate::scene::OverBound;
+use crate::snapshot::Snapshot;
+use crate::{
+    BodyState, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, StepReport,
+    Vec3, Wrench,
+};
+use std::ops::ControlFlow;
+use std::path::Path;
+
+/// How a scene is run; nothing here changes what is simulated but the number format.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Name of the backend.
+    pub backend: String,
+    /// Number format.
+    pub precision: Precision,
+    /// Worker threads; 0: as many as the machine has.
+    pub threads: usize,
+    /// Most bytes that particles may take while they are seeded; `None`: four fifths of the memory available.
+    pub max_bytes: Option<u64>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { backend: "cpu".to_owned(), precision: Precision::F32, threads: 0, max_bytes: None }
+    }
+}
+
+/// Steps over which growth of energy is judged.
+const WATCH_STEPS: u64 = 50;
+/// Growth of energy within them that ends a run.
+const WATCH_GROWTH: f64 = 2.0;
+
+/// A compiled scene: engine, couplings, time.
+pub struct Simulation {
+    plan: Plan,
+    engine: Box<dyn Engine>,
+    couplings: Vec<Box<dyn Coupling>>,
+    time: f64,
+    step: u64,
+    /// Where steps must land; infinite: nowhere.
+    stop: f64,
+    /// Ledger entries that add up over time, from before this process took over.
+    carried: Ledger,
+    /// Steps that were cut since they were above the bound.
+    cut_steps: u64,
+    watch: Option<Watch>,
+}
+
+/// Energy at the start of a stretch of [`WATCH_STEPS`] steps above the bound.
+#[derive(Clone, Copy, Debug)]
+struct Watch {
+    step: u64,
+    /// Kinetic and elastic.
+    inner: f64,
+    potential: f64,
+    /// Work that driven bodies have done on the ground since.
+    work: f64,
+}
+
+impl Simulation {
+    /// Assembles a scene and compiles it.
+    ///
+    /// # Errors
+    /// Those of [`Plan::assemble`] and of the backend.
+    pub fn new(registry: &Registry, scene: &Scene, options: &Options) -> Result<Self> {
+        let backend = registry.backend(&options.backend)?;
+        let (plan, particles, couplings) = Plan::assemble(registry, scene, options)?;
+        let engine = backend.compile(&plan, particles)?;
+        Ok(Self::start(plan, engine, couplings))
+    }
+
+    fn start(plan: Plan, engine: Box<dyn Engine>, couplings: Vec<Box<dyn Coupling>>) -> Self {
+        Self {
+            plan,
+            engine,
+            couplings,
+            time: 0.0,
+            step: 0,
+            stop: f64::INFINITY,
+            carried: Ledger::default(),
+            cut_steps: 0,
+            watch: None,
+        }
+    }
+
+    /// Continues from a snapshot, bit for bit if backend and machine are the same. The number format is the snapshot's;
+    /// asking for another is an error.
+    ///
+    /// # Errors
+    /// [`Error::Snapshot`] if the file cannot be used, and those of [`new`](Self::new).
+    pub fn resume(registry: &Registry, path: impl AsRef<Path>, options: &Options) -> Result<Self> {
+        let path = path.as_ref();
+        let snapshot = Snapshot::read(path)?;
+        let refuse = |what: String, mend: &str| Error::Snapshot { file: path.to_owned(), what, mend: mend.to_owned() };
+        if snapshot.precision != options.precision {
+            return Err(refuse(
+                format!("was written by a run in {}, and {} is asked for", snapshot.precision, options.precision),
+                "resume with the same precision",
+            ));
+        }
+        let backend = registry.backend(&options.backend)?;
+        let scene = Scene::from_str(&snapshot.scene, &path.display().to_string(), &snapshot.folder)?;
+        let (plan, particles, mut couplings) =
+            Plan::assemble_with(registry, &scene, options, Some(snapshot.particles))?;
+        let named: Vec<_> = couplings.iter().map(|c| c.name().to_owned()).collect();
+        let saved: Vec<_> = snapshot.couplings.iter().map(|(name, _)| name.clone()).collect();
+        if named != saved {
+            return Err(refuse(
+                format!("holds couplings [{}], its scene makes [{}]", saved.join(", "), named.join(", ")),
+                "resume with the plugins of the first run",
+            ));
+        }
+        for (coupling, (name, bytes)) in couplings.iter_mut().zip(&snapshot.couplings) {
+            coupling.restore(bytes).map_err(|what| {
+                refuse(format!("coupling '{name}': {what}"), "resume with the version that wrote it")
+            })?;
+        }
+        let engine = backend.compile(&plan, particles)?;
+        Ok(Self {
+            time: snapshot.time,
+            step: snapshot.step,
+            stop: snapshot.stop.unwrap_or(f64::INFINITY),
+            cut_steps: snapshot.cut_steps,
+            carried: snapshot.carried,
+            ..Self::start(plan, engine, couplings)
+        })
+    }
+
+    /// Writes everything needed to continue: to a temporary file beside `path`, then renamed.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if it cannot be written; an older file of that name is intact then.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        let mut carried = self.carried.clone();
+        self.engine.account(&mut carried);
+        Snapshot {
+            scene: self.plan.scene.to_toml()?,
+            folder: self.plan.scene.folder.clone(),
+            precision: self.plan.precision,
+            time: self.time,
+            step: self.step,
+            stop: self.stop.is_finite().then_some(self.stop),
+            cut_steps: self.cut_steps,
+            carried: only_sums(carried),
+            particles: self.engine.download(),
+            couplings: self.couplings.iter().map(|c| (c.name().to_owned(), c.save())).collect(),
+        }
+        .write(path.as_ref())
+    }
+
+    /// What is simulated, and why.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+    /// Simulated seconds.
+    pub fn time(&self) -> f64 {
+        self.time
+    }
+    /// Steps taken.
+    pub fn step_count(&self) -> u64 {
+        self.step
+    }
+    /// A copy of all particles.
+    pub fn particles(&self) -> ParticleState {
+        self.engine.download()
+    }
+    /// Number of particles.
+    pub fn particle_count(&self) -> usize {
+        self.engine.particle_count()
+    }
+    /// Replaces all particles.
+    ///
+    /// # Errors
+    /// If the state does not fit the plan.
+    pub fn set_particles(&mut self, particles: ParticleState) -> Result<()> {
+        self.engine.upload(particles)
+    }
+    /// All bodies of all couplings, in the scene's order.
+    pub fn bodies(&self) -> Vec<BodyState> {
+        self.couplings.iter().flat_map(|c| c.bodies()).collect()
+    }
+    /// Mean wrench of the ground on each of [`bodies`](Self::bodies) over the last step.
+    pub fn wrenches(&self) -> Vec<Wrench> {
+        self.couplings.iter().flat_map(|c| c.wrenches().iter().copied()).collect()
+    }
+    /// The couplings, for questions about their surfaces.
+    pub fn couplings(&self) -> &[Box<dyn Coupling>] {
+        &self.couplings
+    }
+    /// Time by effect since this process took over.
+    pub fn timings(&self) -> Vec<Timing> {
+        self.engine.timings()
+    }
+    /// Bytes resident for particles and grid.
+    pub fn memory(&self) -> (u64, u64) {
+        self.engine.memory()
+    }
+
+    /// Totals, and counts of everything clamped, floored, cut or lost since the scene's start.
+    pub fn ledger(&self) -> Ledger {
+        let mut ledger = self.carried.clone();
+        self.engine.account(&mut ledger);
+        ledger.count("steps cut below time.step", self.cut_steps);
+        for coupling in &self.couplings {
+            for body in coupling.bodies() {
+                ledger.body_kinetic += body.kinetic_energy;
+                ledger.body_potential += body.potential_energy;
+                for d in 0..3 {
+                    ledger.body_momentum[d] += body.momentum[d];
+                    ledger.body_angular_momentum[d] += body.angular_momentum[d];
+                }
+            }
+            for (name, count) in coupling.counts() {
+                ledger.count(&name, count);
+            }
+        }
+        ledger
+    }
+
+    /// Sets the velocity [m/s] and angular velocity [rad/s] of a driven body from now on.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if there is no such body, it is not driven by velocity, or the numbers are not finite.
+    pub fn drive(&mut self, body: &str, velocity: Vec3, angular_velocity: Vec3) -> Result<()> {
+        for coupling in &mut self.couplings {
+            if coupling.bodies().iter().any(|b| b.name == body) {
+                return coupling.drive(body, velocity, angular_velocity);
+            }
+        }
+        let names: Vec<_> = self.bodies().into_iter().map(|b| b.name).collect();
+        Err(Error::Body {
+            path: body.to_owned(),
+            what: "no rigid body has this name".to_owned(),
+            mend: if names.is_empty() {
+                "the scene has none".to_owned()
+            } else {
+                format!("there are {}", names.join(", "))
+            },
+        })
+    }
+
+    /// Makes steps land on `time` [s]: the time left is divided evenly, and the last step ends there exactly. A stop that
+    /// is not ahead means none.
+    pub fn set_stop(&mut self, time: f64) {
+        self.stop = if time > self.time { time } else { f64::INFINITY };
+    }
+
+    /// Greatest stable step of the present state, tools included.
+    pub fn bound(&self) -> Bound {
+        let scene = &self.plan.scene;
+        tighten(self.engine.bound(), &self.couplings, self.time, scene.world.cell, scene.output.interval)
+    }
+
+    /// One step of the engine.
+    ///
+    /// 1. The step is the scene's, or what the bound allows; a step above the bound is refused, cut, or watched.
+    /// 2. It is shortened so that equal steps land on the stop.
+    /// 3. The engine takes it, calling the couplings; on an error everything is as before the step.
+    ///
+    /// # Errors
+    /// [`Error::TimeStep`], [`Error::Unstable`], and the engine's.
+    pub fn step(&mut self) -> Result<StepReport> {
+        let bound = self.bound();
+        let (mut dt, above) = self.choose(&bound)?;
+        let left = self.stop - self.time;
+        let mut lands = false;
+        if left.is_finite() {
+            let parts = (left / dt * (1.0 - 1e-9)).ceil().max(1.0);
+            // Steps that divide the time left but for rounding keep their bits.
+            if (left / parts - dt).abs() > 1e-9 * dt {
+                dt = left / parts;
+            }
+            lands = parts == 1.0;
+        }
+        if above {
+            self.begin_watch();
+        } else {
+            self.watch = None;
+        }
+        let before: Vec<_> = self.couplings.iter().map(|c| c.save()).collect();
+        let report = match self.engine.step(self.time, dt, &mut self.couplings) {
+            Ok(report) => report,
+            Err(error) => {
+                for (coupling, bytes) in self.couplings.iter_mut().zip(&before) {
+                    coupling.restore(bytes).map_err(|what| Error::Body {
+                        path: format!("coupling '{}'", coupling.name()),
+                        what: format!("cannot go back to before the step that failed ({error}): {what}"),
+                        mend: "resume from the last snapshot".to_owned(),
+                    })?;
+                }
+                return Err(error);
+            }
+        };
+        self.step += 1;
+        if lands && report.dt == dt {
+            self.time = self.stop;
+            self.stop = f64::INFINITY;
+        } else {
+            self.time += report.dt;
+        }
+        self.judge_watch(report.dt)?;
+        Ok(report)
+    }
+
+    /// Steps until `until` [s] or until `on_step` breaks off, and says which.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step).
+    pub fn advance(
+        &mut self,
+        until: f64,
+        mut on_step: impl FnMut(&Self, &StepReport) -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>> {
+        while self.time < until {
+            self.set_stop(until);
+            let report = self.step()?;
+            if on_step(self, &report).is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// The step under the scene's rule, and whether it is above the bound.
+    fn choose(&mut self, bound: &Bound) -> Result<(f64, bool)> {
+        let scene = &self.plan.scene;
+        let dt = wanted_step(scene, bound);
+        if dt <= bound.dt {
+            return Ok((dt, false));
+        }
+        match scene.time.over_bound {
+            OverBound::Refuse => Err(Error::TimeStep { step: self.step, dt, bound: bound.dt, by: bound.by.clone() }),
+            OverBound::Substep => {
+                self.cut_steps += 1;
+                Ok((cut(dt, scene.time.safety * bound.dt), false))
+            }
+            OverBound::Allow => Ok((dt, true)),
+        }
+    }
+
+    fn begin_watch(&mut self) {
+        if self.watch.is_none() {
+            let ledger = self.ledger();
+            self.watch =
+                Some(Watch { step: self.step, inner: inner(&ledger), potential: potential(&ledger), work: 0.0 });
+        }
+    }
+
+    /// Ends the run if, within [`WATCH_STEPS`] steps above the bound, energy grew more than [`WATCH_GROWTH`]-fold and
+    /// neither falling nor driven tools explain it.
+    fn judge_watch(&mut self, dt: f64) -> Result<()> {
+        let Some(mut watch) = self.watch else { return Ok(()) };
+        for (body, wrench) in self.bodies().iter().zip(self.wrenches()).filter(|(body, _)| body.mass.is_infinite()) {
+            for d in 0..3 {
+                let power = wrench.force[d] * body.velocity[d] + wrench.torque[d] * body.angular_velocity[d];
+                watch.work -= power * dt;
+            }
+        }
+        self.watch = Some(watch);
+        let steps = self.step - watch.step;
+        if steps < WATCH_STEPS {
+            return Ok(());
+        }
+        let ledger = self.ledger();
+        let fallen = watch.potential - potential(&ledger);
+        let unexplained = inner(&ledger) - watch.inner - fallen - watch.work;
+        // Below a thousandth of the speed of one cell a step, growth is rounding's; of what falls and is pushed, a tenth
+        // is allowed for the scheme's own error.
+        let floor = 1e-6 * ledger.mass * (self.plan.scene.world.cell / dt).powi(2);
+        let scale = watch.inner.max(floor) + 0.1 * (fallen.abs() + watch.work.abs());
+        self.watch = None;
+        if unexplained <= (WATCH_GROWTH - 1.0) * scale {
+            return Ok(());
+        }
+        Err(Error::Unstable {
+            step: self.step,
+            before: watch.inner,
+            after: inner(&ledger),
+            steps,
+            particle: self.fastest(),
+        })
+    }
+
+    fn fastest(&self) -> u64 {
+        let particles = self.engine.download();
+        let speeds = particles.lists.iter().flat_map(|list| {
+            list.velocity.iter().zip(&list.id).map(|(v, id)| (v.iter().map(|c| c * c).sum::<f64>(), *id))
+        });
+        speeds.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0, |(_, id)| id)
+    }
+}
+
+/// Kinetic and elastic energy; laws that give no elastic energy are left out.
+fn inner(ledger: &Ledger) -> f64 {
+    ledger.kinetic + ledger.body_kinetic + if ledger.elastic.is_nan() { 0.0 } else { ledger.elastic }
+}
+
+fn potential(ledger: &Ledger) -> f64 {
+    ledger.potential + ledger.body_potential
+}
+
+/// The entries that add up over time, without those that describe the present.
+fn only_sums(ledger: Ledger) -> Ledger {
+    Ledger {
+        wall_impulse: ledger.wall_impulse,
+        gravity_impulse: ledger.gravity_impulse,
+        deleted_mass: ledger.deleted_mass,
+        counts: ledger.counts,
+        ..Ledger::default()
+    }
+}

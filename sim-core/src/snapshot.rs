@@ -1,0 +1,379 @@
+//! Snapshots: everything needed to continue a run bit for bit, in one file.
+//!
+//! ```text
+//! magic (8 bytes) | version u32 | sections | section "END "
+//! section: tag (4 bytes) | length u64 | CRC-32 of the payload u32 | payload
+//! ```
+//! All numbers are little-endian. Planes of numbers are stored as f32 where that loses nothing, offsets as 32-bit fixed
+//! point likewise, else as f64.
+
+use crate::{Error, Ledger, ParticleList, ParticleState, Precision, Result, SortPhase};
+use serde::{Deserialize, Serialize};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+const MAGIC: &[u8; 8] = b"BARCHAN\x1a";
+/// Version of the format that this program writes, and the only one it reads.
+pub const VERSION: u32 = 1;
+
+const HEAD: &[u8; 4] = b"HEAD";
+const LIST: &[u8; 4] = b"LIST";
+const SORT: &[u8; 4] = b"SORT";
+const COUPLING: &[u8; 4] = b"COUP";
+const END: &[u8; 4] = b"END ";
+
+/// What a snapshot holds.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Snapshot {
+    /// The scene as TOML.
+    pub(crate) scene: String,
+    /// Folder that the scene's relative paths start from.
+    pub(crate) folder: PathBuf,
+    pub(crate) precision: Precision,
+    pub(crate) time: f64,
+    pub(crate) step: u64,
+    pub(crate) stop: Option<f64>,
+    pub(crate) cut_steps: u64,
+    /// Ledger entries that add up over time.
+    pub(crate) carried: Ledger,
+    pub(crate) particles: ParticleState,
+    /// Name and bytes of each coupling.
+    pub(crate) couplings: Vec<(String, Vec<u8>)>,
+}
+
+/// The part of a snapshot that is JSON.
+#[derive(Serialize, Deserialize)]
+struct Head {
+    scene: String,
+    folder: PathBuf,
+    precision: Precision,
+    time: f64,
+    step: u64,
+    stop: Option<f64>,
+    cut_steps: u64,
+    carried: Ledger,
+    strain_dt: f64,
+}
+
+impl Snapshot {
+    /// Writes the file under a temporary name in the same folder, then renames it.
+    pub(crate) fn write(&self, path: &Path) -> Result<()> {
+        let head = Head {
+            scene: self.scene.clone(),
+            folder: self.folder.clone(),
+            precision: self.precision,
+            time: self.time,
+            step: self.step,
+            stop: self.stop,
+            cut_steps: self.cut_steps,
+            carried: self.carried.clone(),
+            strain_dt: self.particles.strain_dt,
+        };
+        write_whole(path, "writing a snapshot", |out| {
+            out.write_all(MAGIC)?;
+            out.write_all(&VERSION.to_le_bytes())?;
+            section(out, HEAD, &serde_json::to_vec(&head)?)?;
+            for list in &self.particles.lists {
+                section(out, LIST, &encode_list(list))?;
+            }
+            if let Some(sort) = &self.particles.sort {
+                section(out, SORT, &encode_sort(sort))?;
+            }
+            for (name, bytes) in &self.couplings {
+                let mut payload = Vec::new();
+                put_bytes(&mut payload, name.as_bytes());
+                payload.extend_from_slice(bytes);
+                section(out, COUPLING, &payload)?;
+            }
+            section(out, END, &[])
+        })
+    }
+
+    /// Reads and checks a file. Nothing is allocated by a length that the file does not bear out.
+    pub(crate) fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|source| Error::Io {
+            file: path.to_owned(),
+            what: "reading a snapshot",
+            source,
+        })?;
+        Self::decode(&bytes).map_err(|Flaw { what, mend }| Error::Snapshot {
+            file: path.to_owned(),
+            what,
+            mend: mend.to_owned(),
+        })
+    }
+
+    fn decode(bytes: &[u8]) -> Result<Self, Flaw> {
+        let mut file = Reader(bytes);
+        if file.take(MAGIC.len()).ok() != Some(MAGIC) {
+            return Err(Flaw { what: "is no snapshot".to_owned(), mend: "give a file that `save` has written" });
+        }
+        let version = u32::from_le_bytes(file.array()?);
+        if version != VERSION {
+            return Err(Flaw {
+                what: format!("has format version {version}, this program reads {VERSION}"),
+                mend: "resume with the version of the program that wrote it",
+            });
+        }
+        let mut head: Option<Head> = None;
+        let mut particles = ParticleState::default();
+        let mut couplings = Vec::new();
+        loop {
+            let (tag, payload) = file.section()?;
+            let mut inner = Reader(payload);
+            match &tag {
+                HEAD => head = Some(serde_json::from_slice(payload).map_err(|e| damaged(format!("header: {e}")))?),
+                LIST => particles.lists.push(decode_list(&mut inner)?),
+                SORT => particles.sort = Some(decode_sort(&mut inner)?),
+                COUPLING => {
+                    let name = String::from_utf8_lossy(inner.bytes()?).into_owned();
+                    couplings.push((name, std::mem::take(&mut inner.0).to_vec()));
+                }
+                END => break,
+                _ => return Err(damaged(format!("holds an unknown section {tag:?}"))),
+            }
+            if !inner.0.is_empty() && &tag != HEAD {
+                return Err(damaged(format!("section {} is too long", String::from_utf8_lossy(&tag))));
+            }
+        }
+        if !file.0.is_empty() {
+            return Err(damaged(format!("has {} bytes after its end", file.0.len())));
+        }
+        let head = head.ok_or_else(|| damaged("has no header".to_owned()))?;
+        particles.strain_dt = head.strain_dt;
+        Ok(Self {
+            scene: head.scene,
+            folder: head.folder,
+            precision: head.precision,
+            time: head.time,
+            step: head.step,
+            stop: head.stop,
+            cut_steps: head.cut_steps,
+            carried: head.carried,
+            particles,
+            couplings,
+        })
+    }
+}
+
+/// Writes a file under a temporary name beside `path`, forces it to disk, then renames it: at no time does a half
+/// written file bear the name.
+pub(crate) fn write_whole(
+    path: &Path,
+    what: &'static str,
+    write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
+) -> Result<()> {
+    let mut name = std::ffi::OsString::from(".");
+    name.push(path.file_name().unwrap_or_default());
+    name.push(format!(".{}.part", std::process::id()));
+    let part = path.with_file_name(name);
+    let attempt = || {
+        let mut out = BufWriter::new(File::create(&part)?);
+        write(&mut out)?;
+        out.into_inner().map_err(std::io::IntoInnerError::into_error)?.sync_all()?;
+        std::fs::rename(&part, path)
+    };
+    attempt().map_err(|source| {
+        // The first error counts; a part that cannot be removed either is left.
+        let _ = std::fs::remove_file(&part);
+        Error::Io { file: path.to_owned(), what, source }
+    })
+}
+
+/// What is wrong with a file's bytes.
+struct Flaw {
+    what: String,
+    mend: &'static str,
+}
+
+fn damaged(what: String) -> Flaw {
+    Flaw { what, mend: "the file is damaged: resume from an earlier snapshot" }
+}
+
+fn section(out: &mut impl Write, tag: &[u8; 4], payload: &[u8]) -> std::io::Result<()> {
+    out.write_all(tag)?;
+    out.write_all(&(payload.len() as u64).to_le_bytes())?;
+    out.write_all(&crc32fast::hash(payload).to_le_bytes())?;
+    out.write_all(payload)
+}
+
+/// Bytes not yet read.
+struct Reader<'a>(&'a [u8]);
+
+impl<'a> Reader<'a> {
+    fn take(&mut self, count: usize) -> Result<&'a [u8], Flaw> {
+        let (taken, rest) = self
+            .0
+            .split_at_checked(count)
+            .ok_or_else(|| damaged(format!("is cut short: {count} bytes should follow and {} do", self.0.len())))?;
+        self.0 = rest;
+        Ok(taken)
+    }
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], Flaw> {
+        self.take(N).map(|bytes| std::array::from_fn(|i| bytes[i]))
+    }
+    fn u32(&mut self) -> Result<u32, Flaw> {
+        self.array().map(u32::from_le_bytes)
+    }
+    fn u64(&mut self) -> Result<u64, Flaw> {
+        self.array().map(u64::from_le_bytes)
+    }
+    fn f64(&mut self) -> Result<f64, Flaw> {
+        self.array().map(f64::from_le_bytes)
+    }
+    fn bytes(&mut self) -> Result<&'a [u8], Flaw> {
+        let length = self.length(1)?;
+        self.take(length)
+    }
+    /// A count of entries of `size` bytes each, which must fit into what is left.
+    fn length(&mut self, size: usize) -> Result<usize, Flaw> {
+        let count = self.u64()?;
+        usize::try_from(count)
+            .ok()
+            .filter(|n| n.checked_mul(size).is_some_and(|bytes| bytes <= self.0.len()))
+            .ok_or_else(|| {
+                damaged(format!("announces {count} entries of {size} bytes with {} bytes left", self.0.len()))
+            })
+    }
+    fn section(&mut self) -> Result<([u8; 4], &'a [u8]), Flaw> {
+        let tag = self.array()?;
+        let name = String::from_utf8_lossy(&tag).into_owned();
+        let length = self.u64()?;
+        let checksum = self.u32()?;
+        let length = usize::try_from(length).ok().filter(|n| *n <= self.0.len()).ok_or_else(|| {
+            damaged(format!("is cut short: section {name} should have {length} bytes and {} follow", self.0.len()))
+        })?;
+        let payload = self.take(length)?;
+        if crc32fast::hash(payload) != checksum {
+            return Err(damaged(format!("section {name} has a wrong checksum")));
+        }
+        Ok((tag, payload))
+    }
+    /// `count` numbers as [`put_plane`] wrote them.
+    fn plane(&mut self, count: usize) -> Result<Vec<f64>, Flaw> {
+        let [form] = self.array()?;
+        Ok(match form {
+            FORM_F32 => self.take(4 * count)?.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes(four(b)))).collect(),
+            FORM_FIXED => {
+                self.take(4 * count)?.chunks_exact(4).map(|b| f64::from(u32::from_le_bytes(four(b))) / FIXED).collect()
+            }
+            FORM_F64 => {
+                let eight = |b: &[u8]| std::array::from_fn(|i| b[i]);
+                self.take(8 * count)?.chunks_exact(8).map(|b| f64::from_le_bytes(eight(b))).collect()
+            }
+            other => return Err(damaged(format!("holds numbers in unknown form {other}"))),
+        })
+    }
+    fn rows<const N: usize>(&mut self, count: usize) -> Result<Vec<[f64; N]>, Flaw> {
+        Ok(self.plane(N * count)?.as_chunks().0.to_vec())
+    }
+}
+
+fn four(bytes: &[u8]) -> [u8; 4] {
+    std::array::from_fn(|i| bytes[i])
+}
+
+const FORM_F32: u8 = 0;
+const FORM_F64: u8 = 1;
+const FORM_FIXED: u8 = 2;
+/// Counts of a fixed-point offset in one cell.
+const FIXED: f64 = (1_u64 << 32) as f64;
+
+/// Numbers in the least form that loses nothing.
+fn put_plane(out: &mut Vec<u8>, values: &[f64]) {
+    let as_f32 = |x: &f64| f64::from(*x as f32).to_bits() == x.to_bits();
+    // The f32 form keeps the sign of zero; the fixed form is for offsets, which are never negative.
+    let as_fixed = |x: &f64| (0.0..1.0).contains(x) && x.is_sign_positive() && (x * FIXED).fract() == 0.0;
+    if values.iter().all(as_f32) {
+        out.push(FORM_F32);
+        values.iter().for_each(|x| out.extend_from_slice(&(*x as f32).to_le_bytes()));
+    } else if values.iter().all(as_fixed) {
+        out.push(FORM_FIXED);
+        values.iter().for_each(|x| out.extend_from_slice(&((x * FIXED) as u32).to_le_bytes()));
+    } else {
+        out.push(FORM_F64);
+        values.iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
+    }
+}
+
+fn put_bytes(out: &mut Vec<u8>, bytes: &[u8]) {
+    out.extend_from_slice(&(bytes.len() as u64).to_le_bytes());
+    out.extend_from_slice(bytes);
+}
+
+fn encode_list(list: &ParticleList) -> Vec<u8> {
+    let mut out = Vec::new();
+    for number in [list.world, list.level, list.material, list.strain.len() as u32, list.state.len() as u32] {
+        out.extend_from_slice(&number.to_le_bytes());
+    }
+    out.extend_from_slice(&list.cell_width.to_le_bytes());
+    out.extend_from_slice(&(list.len() as u64).to_le_bytes());
+    list.id.iter().for_each(|id| out.extend_from_slice(&id.to_le_bytes()));
+    list.body.iter().for_each(|body| out.extend_from_slice(&body.to_le_bytes()));
+    list.cell.as_flattened().iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
+    put_plane(&mut out, list.offset.as_flattened());
+    put_plane(&mut out, list.velocity.as_flattened());
+    put_plane(&mut out, list.affine.as_flattened());
+    for plane in [&list.mass, &list.volume0].into_iter().chain(&list.strain).chain(&list.state) {
+        put_plane(&mut out, plane);
+    }
+    out
+}
+
+fn decode_list(from: &mut Reader<'_>) -> Result<ParticleList, Flaw> {
+    let [world, level, material, strain, state] = [from.u32()?, from.u32()?, from.u32()?, from.u32()?, from.u32()?];
+    let cell_width = from.f64()?;
+    // Id, body and cell take 22 bytes a particle, so the count is borne out by the file from here on.
+    let n = from.length(8 + 2 + 12)?;
+    let ids = from.take(8 * n)?.as_chunks::<8>().0.iter().map(|b| u64::from_le_bytes(*b)).collect();
+    let body = from.take(2 * n)?.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect();
+    let cells: Vec<i32> = from.take(12 * n)?.as_chunks::<4>().0.iter().map(|b| i32::from_le_bytes(*b)).collect();
+    Ok(ParticleList {
+        world,
+        level,
+        material,
+        cell_width,
+        id: ids,
+        body,
+        cell: cells.as_chunks().0.to_vec(),
+        offset: from.rows(n)?,
+        velocity: from.rows(n)?,
+        affine: from.rows(n)?,
+        mass: from.plane(n)?,
+        volume0: from.plane(n)?,
+        strain: (0..strain).map(|_| from.plane(n)).collect::<Result<_, _>>()?,
+        state: (0..state).map(|_| from.plane(n)).collect::<Result<_, _>>()?,
+    })
+}
+
+fn encode_sort(sort: &SortPhase) -> Vec<u8> {
+    let mut out = Vec::new();
+    out.extend_from_slice(&sort.age.to_le_bytes());
+    out.extend_from_slice(&sort.drift.to_le_bytes());
+    out.extend_from_slice(&(sort.blocks.len() as u64).to_le_bytes());
+    for (key, counts) in &sort.blocks {
+        key.iter().for_each(|k| out.extend_from_slice(&k.to_le_bytes()));
+        out.extend_from_slice(&(counts.len() as u64).to_le_bytes());
+        counts.iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
+    }
+    out
+}
+
+fn decode_sort(from: &mut Reader<'_>) -> Result<SortPhase, Flaw> {
+    let (age, drift) = (from.u32()?, from.f64()?);
+    // A block takes 20 bytes of key and 8 of count at least.
+    let count = from.length(20 + 8)?;
+    let blocks = (0..count)
+        .map(|_| {
+            let mut key = [0; 5];
+            for k in &mut key {
+                *k = i32::from_le_bytes(from.array()?);
+            }
+            let lists = from.length(4)?;
+            let counts = from.take(4 * lists)?.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b)).collect();
+            Ok((key, counts))
+        })
+        .collect::<Result<_, _>>()?;
+    Ok(SortPhase { age, drift, blocks })
+}

@@ -1,0 +1,165 @@
+//! Solids that soft bodies are seeded from.
+
+use crate::coupling::Aabb;
+use crate::scene::{Shape, posed_bounds, turn};
+use crate::{Error, Registry, Result, Scene, Vec3};
+use std::path::Path;
+
+/// A region of space.
+pub trait Solid: Send + Sync {
+    /// A box that holds it.
+    fn bounds(&self) -> Aabb;
+    /// Is the point inside?
+    fn contains(&self, x: Vec3) -> bool;
+}
+
+/// The solid of a soft body's shape, world frame; `path` is the shape's key path.
+///
+/// # Errors
+/// If the shape is none that can be filled, a file cannot be read, or a mesh is asked for and nothing registered reads
+/// meshes.
+pub fn of_shape(shape: &Shape, scene: &Scene, registry: &Registry, path: &str) -> Result<Box<dyn Solid>> {
+    let bounds = shape.bounds();
+    Ok(match (shape, bounds) {
+        (Shape::Box { .. }, Some(bounds)) => Box::new(Cuboid(bounds)),
+        (Shape::Sphere { center, radius }, Some(bounds)) => {
+            Box::new(Round { bounds, center: *center, radius: *radius, half: 0.0, capped: true })
+        }
+        (Shape::Cylinder { center, radius, half_height }, Some(bounds)) => {
+            Box::new(Round { bounds, center: *center, radius: *radius, half: *half_height, capped: false })
+        }
+        (Shape::Capsule { center, radius, half_height }, Some(bounds)) => {
+            Box::new(Round { bounds, center: *center, radius: *radius, half: *half_height, capped: true })
+        }
+        (Shape::HeightField { min, max, bottom, heights, file }, _) => {
+            let heights = match file {
+                None => heights.clone(),
+                Some(file) => {
+                    let heights = read_heights(&scene.folder.join(file))?;
+                    scene.check_heights(&format!("{path}.height_field.file"), &heights, *bottom)?;
+                    heights
+                }
+            };
+            Box::new(HeightField { min: *min, max: *max, bottom: *bottom, heights })
+        }
+        (Shape::Mesh { file, scale, center, rotation }, _) => {
+            let reader = registry.mesh_reader().ok_or_else(|| {
+                scene.fault(path, "nothing registered reads meshes", "register a crate that does, or use another shape")
+            })?;
+            Box::new(Posed { solid: reader(&scene.folder.join(file), *scale)?, position: *center, rotation: *rotation })
+        }
+        _ => return Err(scene.fault(path, "cannot be filled with particles", "planes and unions are for tools")),
+    })
+}
+
+struct Cuboid(Aabb);
+
+impl Solid for Cuboid {
+    fn bounds(&self) -> Aabb {
+        self.0
+    }
+    fn contains(&self, x: Vec3) -> bool {
+        self.0.contains(x)
+    }
+}
+
+/// Sphere, cylinder or capsule along z.
+struct Round {
+    bounds: Aabb,
+    center: Vec3,
+    radius: f64,
+    half: f64,
+    /// Ends are half spheres, not flat.
+    capped: bool,
+}
+
+impl Solid for Round {
+    fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+    fn contains(&self, x: Vec3) -> bool {
+        let [dx, dy, dz]: Vec3 = std::array::from_fn(|d| x[d] - self.center[d]);
+        let beyond = (dz.abs() - self.half).max(0.0);
+        dx * dx + dy * dy + beyond * beyond <= self.radius * self.radius && (self.capped || beyond == 0.0)
+    }
+}
+
+struct HeightField {
+    min: [f64; 2],
+    max: [f64; 2],
+    bottom: f64,
+    heights: Vec<Vec<f64>>,
+}
+
+impl HeightField {
+    /// Bilinear height at a point inside `min` to `max` [m].
+    fn height(&self, x: f64, y: f64) -> f64 {
+        let at = |value: f64, d: usize, count: usize| {
+            let u = (value - self.min[d]) / (self.max[d] - self.min[d]) * (count - 1) as f64;
+            let i = (u as usize).min(count - 2);
+            (i, u - i as f64)
+        };
+        let (i, s) = at(x, 0, self.heights[0].len());
+        let (j, t) = at(y, 1, self.heights.len());
+        let row = |j: usize| self.heights[j][i] * (1.0 - s) + self.heights[j][i + 1] * s;
+        row(j) * (1.0 - t) + row(j + 1) * t
+    }
+}
+
+impl Solid for HeightField {
+    fn bounds(&self) -> Aabb {
+        let top = self.heights.iter().flatten().copied().fold(self.bottom, f64::max);
+        Aabb { min: [self.min[0], self.min[1], self.bottom], max: [self.max[0], self.max[1], top] }
+    }
+    fn contains(&self, x: Vec3) -> bool {
+        (0..2).all(|d| self.min[d] <= x[d] && x[d] <= self.max[d])
+            && self.bottom <= x[2]
+            && x[2] <= self.height(x[0], x[1])
+    }
+}
+
+/// A solid turned about its origin, then moved.
+struct Posed {
+    solid: Box<dyn Solid>,
+    position: Vec3,
+    rotation: [f64; 4],
+}
+
+impl Solid for Posed {
+    fn bounds(&self) -> Aabb {
+        posed_bounds(self.solid.bounds(), self.position, self.rotation)
+    }
+    fn contains(&self, x: Vec3) -> bool {
+        let [w, i, j, k] = self.rotation;
+        self.solid.contains(turn([w, -i, -j, -k], std::array::from_fn(|d| x[d] - self.position[d])))
+    }
+}
+
+/// Reads rows of numbers separated by commas, semicolons or blanks; `#` starts a comment.
+fn read_heights(file: &Path) -> Result<Vec<Vec<f64>>> {
+    let text = std::fs::read_to_string(file).map_err(|source| Error::Io {
+        file: file.to_owned(),
+        what: "reading heights",
+        source,
+    })?;
+    let mut rows = Vec::new();
+    for (i, line) in text.lines().enumerate() {
+        let data = line.split('#').next().unwrap_or_default();
+        let fields = data.split([',', ';', ' ', '\t']).filter(|field| !field.is_empty());
+        let row = fields
+            .map(|field| {
+                field.parse().map_err(|_| Error::Scene {
+                    file: file.display().to_string(),
+                    line: i + 1,
+                    path: "heights".to_owned(),
+                    what: format!("`{field}` is no number"),
+                    allowed: Some("write rows of heights in metres, separated by commas".to_owned()),
+                })
+            })
+            .collect::<Result<Vec<f64>>>()?;
+        if !row.is_empty() {
+            rows.push(row);
+        }
+    }
+    Ok(rows)
+}

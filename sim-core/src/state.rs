@@ -1,0 +1,75 @@
+//! Particles as they are exchanged between backends, snapshots and users.
+
+use crate::Vec3;
+
+/// All particles of a simulation.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ParticleState {
+    /// One list per (world, level, material), in the plan's order.
+    pub lists: Vec<ParticleList>,
+    /// The step over which `affine` has carried the particles but not yet their strain [s].
+    pub strain_dt: f64,
+    /// How the backend holds them, if it must be reproduced; `None` asks for a fresh sort.
+    pub sort: Option<SortPhase>,
+}
+
+/// Particles of one material on one level of one world. Structure of arrays, all of length [`len`](Self::len).
+///
+/// Values are f64 here whatever the run's precision; the widening is exact.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ParticleList {
+    /// Independent world, from 0.
+    pub world: u32,
+    /// Level, 0 is finest.
+    pub level: u32,
+    /// Index into the plan's materials.
+    pub material: u32,
+    /// Cell width of the level [m].
+    pub cell_width: f64,
+    /// Unique number of each particle within its world.
+    pub id: Vec<u64>,
+    /// Index of the body in the scene that the particle was seeded for.
+    pub body: Vec<u16>,
+    /// Integer cell on the level.
+    pub cell: Vec<[i32; 3]>,
+    /// Position inside the cell, in cells, [0, 1).
+    pub offset: Vec<Vec3>,
+    /// Velocity [m/s].
+    pub velocity: Vec<Vec3>,
+    /// APIC affine matrix C, row-major [1/s].
+    pub affine: Vec<[f64; 9]>,
+    /// Mass [kg].
+    pub mass: Vec<f64>,
+    /// Rest volume [m³].
+    pub volume0: Vec<f64>,
+    /// Strain planes of the material's kind, one vector a plane [1].
+    pub strain: Vec<Vec<f64>>,
+    /// History planes, one vector a variable.
+    pub state: Vec<Vec<f64>>,
+}
+
+impl ParticleList {
+    /// Number of particles.
+    pub fn len(&self) -> usize {
+        self.id.len()
+    }
+    /// Is it empty?
+    pub fn is_empty(&self) -> bool {
+        self.id.is_empty()
+    }
+    /// World position of particle `i` [m]: cells are counted from the world's origin.
+    pub fn position(&self, i: usize) -> Vec3 {
+        std::array::from_fn(|d| (f64::from(self.cell[i][d]) + self.offset[i][d]) * self.cell_width)
+    }
+}
+
+/// How a backend had its particles sorted: enough to rebuild chunks, order and phase.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SortPhase {
+    /// Steps since the last sort.
+    pub age: u32,
+    /// Upper bound of any particle's move since then, in cells.
+    pub drift: f64,
+    /// Blocks in order: (world, level, block x, y, z) and the number of particles of each list in it.
+    pub blocks: Vec<([i32; 5], Vec<u32>)>,
+}

@@ -1,0 +1,59 @@
+#!/usr/bin/env bash
+# Runs every check and every test of Barchan, and installs by itself what they need.
+#
+# Needs: Rust (rustup.rs) and a C compiler. Takes about 15 minutes on two cores the first time.
+# Installs, if missing:
+#   rustfmt, clippy   into the Rust toolchain, by rustup                        about 15 MB
+#   gcc, libc6-dev    by apt-get, as root, unless there is a C compiler already  about 150 MB
+#   cbindgen          into target/tools, built by cargo install, once            about 10 MB, two minutes
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")"
+
+cbindgen_version=0.29.4
+tools="${CARGO_TARGET_DIR:-target}/tools"
+header=sim-core/abi/include/barchan_abi.h
+
+step() { printf '\n== %s\n' "$*"; }
+stop() { printf '\n%s\n' "$*" >&2; exit 1; }
+
+step "What the tests need"
+command -v cargo >/dev/null || stop "cargo is missing. Install Rust with this line, then run this script again:
+    curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh"
+for component in rustfmt clippy; do
+    if ! cargo "${component/rustfmt/fmt}" --version >/dev/null 2>&1; then
+        command -v rustup >/dev/null || stop "$component is missing, and so is rustup, which would install it.
+Install your distribution's package of $component, then run this script again."
+        echo "Installing $component (about 8 MB)."
+        rustup component add "$component"
+    fi
+done
+if ! command -v cc >/dev/null; then
+    install="apt-get install -y --no-install-recommends gcc libc6-dev"
+    command -v apt-get >/dev/null || stop "A C compiler is missing: the plugin tests build a material written in C.
+Install one so that 'cc' runs it, then run this script again."
+    [ "$(id -u)" -eq 0 ] || stop "A C compiler is missing: the plugin tests build a material written in C.
+Run this line (about 150 MB), then this script again:
+    sudo apt-get update && sudo $install"
+    echo "Installing gcc and libc6-dev (about 150 MB)."
+    apt-get update && $install
+fi
+if [ "$("$tools/bin/cbindgen" --version 2>/dev/null)" != "cbindgen $cbindgen_version" ]; then
+    echo "Building cbindgen $cbindgen_version into $tools (about 10 MB, two minutes)."
+    cargo install --quiet --locked --root "$tools" --version "$cbindgen_version" cbindgen
+fi
+echo "cargo $(cargo --version | cut -d' ' -f2), $(cc --version | head -1), cbindgen $cbindgen_version"
+
+step "Format"
+cargo fmt --all --check
+
+step "C header is what cbindgen makes of the ABI crate"
+"$tools/bin/cbindgen" --quiet --config sim-core/abi/cbindgen.toml --verify --output "$header" sim-core/abi/src/raw.rs
+
+step "Lints"
+cargo clippy --workspace --all-targets --quiet -- -D warnings
+
+step "Documentation"
+RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
+
+step "Tests"
+cargo test --workspace --no-fail-fast

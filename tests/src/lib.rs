@@ -1,0 +1,1 @@
+//! Suites that cross Barchan's crates: conformance, hard cases, validation, plugins, determinism.

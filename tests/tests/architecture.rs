@@ -1,0 +1,102 @@
+//! ARCHITECTURE.md is true: the paths of its stage table exist, and crates depend on each other as it says.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests lie one folder below the root").to_owned()
+}
+
+/// Cells of the table below a heading, without its head.
+fn table(text: &str, heading: &str) -> Vec<Vec<String>> {
+    let section = text.split(heading).nth(1).unwrap_or_else(|| panic!("no section '{heading}'"));
+    let rows = section.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));
+    let cells = |line: &str| line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect();
+    rows.skip(2).map(cells).collect()
+}
+
+/// What stands between backticks.
+fn quoted(cell: &str) -> impl Iterator<Item = &str> {
+    cell.split('`').skip(1).step_by(2)
+}
+
+#[test]
+fn every_path_of_the_stage_table_exists() {
+    let text = std::fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
+    let stages = table(&text, "## Stages");
+    assert!(stages.len() >= 6, "the stage table has {} rows", stages.len());
+    for row in &stages {
+        let [stage, _, _, forward, adjoint, shader, test] = &row[..] else { panic!("{row:?} has not seven cells") };
+        for cell in [forward, adjoint, shader, test] {
+            assert!(cell == "–" || quoted(cell).count() > 0, "{stage}: '{cell}' is neither a path nor a dash");
+            for path in quoted(cell) {
+                assert!(root().join(path).is_file(), "{stage}: {path} does not exist");
+            }
+        }
+        for path in quoted(test) {
+            let code = std::fs::read_to_string(root().join(path)).unwrap();
+            assert!(code.contains("#[test]") || code.contains("assert"), "{stage}: {path} tests nothing");
+        }
+    }
+    for path in quoted(text.split("## Seams").nth(1).expect("a section on seams")).filter(|path| path.contains('/')) {
+        assert!(root().join(path).is_file(), "{path} does not exist");
+    }
+}
+
+#[test]
+fn crates_depend_on_each_other_along_the_arrows_only() {
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
+        .current_dir(root())
+        .output()
+        .expect("cargo runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let packages = metadata["packages"].as_array().unwrap();
+    let names: BTreeSet<&str> = packages.iter().map(|p| p["name"].as_str().unwrap()).collect();
+    // What a crate is linked against: tests within it may use more.
+    let arrows: BTreeMap<&str, BTreeSet<&str>> = packages
+        .iter()
+        .map(|p| {
+            let linked = p["dependencies"].as_array().unwrap().iter().filter(|d| d["kind"] != "dev");
+            let ours = linked.map(|d| d["name"].as_str().unwrap()).filter(|name| names.contains(name));
+            (p["name"].as_str().unwrap(), ours.collect())
+        })
+        .collect();
+
+    let lowest = ["barchan-abi", "barchan-lanes"];
+    let with = |more: &[&'static str]| lowest.iter().chain(more).copied().collect::<BTreeSet<_>>();
+    for (&name, linked) in &arrows {
+        let package = packages.iter().find(|p| p["name"] == name).unwrap();
+        let folder = Path::new(package["manifest_path"].as_str().unwrap()).parent().unwrap();
+        let folder = folder.strip_prefix(root()).unwrap().to_str().unwrap();
+        let allowed = match folder {
+            "sim-core/abi" | "sim-core/lanes" => BTreeSet::new(),
+            "sim-core" | "materials/kit" => with(&[]),
+            "grid-hier" | "rigid-couple" => with(&["barchan-core"]),
+            "tasks" => BTreeSet::from(["barchan-core"]),
+            "bindings/cli" => BTreeSet::from(["barchan"]),
+            "tests" => names.clone(),
+            "bindings/rust" => names.iter().copied().filter(|n| !matches!(*n, "barchan-cli" | "barchan-tests")).collect(),
+            _ if folder.starts_with("materials/") => with(&["barchan-material-kit"]),
+            _ if folder.starts_with("backends/") => with(&["barchan-core", "barchan-grid"]),
+            _ if folder.starts_with("tests/") => names.clone(),
+            _ => panic!("{folder} is in no row of the arrows: add it here and to ARCHITECTURE.md"),
+        };
+        let beyond: Vec<_> = linked.difference(&allowed).collect();
+        assert!(beyond.is_empty(), "{name} must not depend on {beyond:?}");
+    }
+    // The facade registers every plugin, and only it and the tests name them.
+    let plugins: BTreeSet<&str> = packages
+        .iter()
+        .filter(|p| {
+            let manifest = p["manifest_path"].as_str().unwrap();
+            let built_in = ["materials/", "backends/", "rigid-couple/", "tasks/"];
+            built_in.iter().any(|folder| manifest.contains(&format!("/{folder}")))
+                && !["materials/kit/", "materials/template/"].iter().any(|folder| manifest.contains(folder))
+        })
+        .map(|p| p["name"].as_str().unwrap())
+        .collect();
+    assert!(plugins.len() >= 8 && plugins.is_subset(&arrows["barchan"]), "the facade lacks some of {plugins:?}");
+}
