@@ -4,8 +4,8 @@
 //! - stick: all of it;
 //! - Coulomb with coefficient μ, where `u·n < 0` (approach): the normal part and, of the tangential part, at most μ times as
 //!   much; nothing on separation. μ = 0 is free slip;
-//! - thin plates (see [`crate::Sdf::contact_surface`]): the normal part both ways, so that nothing crosses the plate;
-//!   friction on approach only;
+//! - in the core of thin plates (see [`crate::Sdf::contact_surface`]): the normal part both ways, so that nothing crosses the
+//!   plate; friction on approach only;
 //! - nodes without a normal or deeper than two cells move with the body: a direction out of the body would be arbitrary there.
 //!
 //! Positions are never corrected, so an initial overlap ejects nothing. The law acts on nodes strictly inside only: a contact
@@ -13,9 +13,9 @@
 //!
 //! For a free body the surface's velocity depends on what the nodes give: m ΔV = Σ Gᵀ m_i f(u_i − G_i V), with V the body's
 //! twist and G_i V its velocity at node i. Taking V from before the step instead would be unstable as soon as the nodes in
-//! contact outweigh the body. [`FreeBody::solve`] finds V by Newton's method with the secant f(u) = K(u) u as its safeguard:
-//! 0 ≤ K ≤ 1 is symmetric, so that the last, linear solve with K frozen is consistent and dissipative even where the
-//! iteration has not converged, and the body receives exactly the momentum that the nodes lose.
+//! contact outweigh the body. [`FreeBody::solve`] finds V by Newton's method. Its last step is the linear solve with the secant
+//! f(u) = K(u) u, K frozen: since 0 ≤ K ≤ 1 is symmetric, this is consistent and dissipative even where the iteration has not
+//! converged, and the body receives exactly the momentum that the nodes lose.
 
 use crate::mass::outer;
 use crate::motion::Twist;
@@ -34,7 +34,7 @@ pub enum Grip {
         normal: DVec3,
         /// Coefficient of friction.
         friction: f64,
-        /// May the node not separate either? Inside thin plates.
+        /// May the node not separate either? In the core of thin plates.
         bilateral: bool,
     },
 }
@@ -156,41 +156,48 @@ pub struct Solved {
 }
 
 /// Iterations after which the frozen law is taken as it is.
-const MAX_ITERATIONS: u32 = 12;
-/// Relative size of the last step at convergence, in the norm of the kinetic energy.
-const TOLERANCE: f64 = 1e-12;
+const MAX_ITERATIONS: u32 = 24;
+/// Weight of the ground in terms of the body's at which the iteration starts, if it is heavier than that, and the factor by
+/// which it grows once the last step was relatively small.
+const LIGHT: f64 = 10.0;
+const HEAVIER: f64 = 4.0;
+const SMALL: f64 = 0.03;
+/// Relative size of the last step but one at convergence, in the norm of the kinetic energy. The law's part in momentum and
+/// energy is exact whatever it is.
+const TOLERANCE: f64 = 1e-10;
 
 impl FreeBody {
     /// Finds the body's twist and the nodes' velocities together. `free` is the twist that the body would have without
     /// contact; the caller adds the impulse to it.
     pub fn solve(&self, touches: &[Touch], velocities: &mut [Vec3], free: &Twist) -> Solved {
-        let mut twist = *free;
-        let (mut iterations, mut last_merit) = (0, f64::INFINITY);
-        let (frozen, converged) = loop {
-            let mut system = self.assemble(touches, velocities, free, &twist, true);
-            let merit = self.merit(&system.residual);
-            // A Newton step that made things worse is followed by a secant step, which cannot overshoot.
-            let newton = if merit < last_merit { system.solve() } else { None };
-            let step = newton.unwrap_or_else(|| {
-                system = self.assemble(touches, velocities, free, &twist, false);
-                system.solve().unwrap_or(NOT_FINITE)
-            });
-            last_merit = merit;
-            iterations += 1;
-            let scale = self.energy_norm(&vector(&twist)).max(self.energy_norm(&vector(free)));
-            let converged = self.energy_norm(&step) <= TOLERANCE * scale;
-            if converged || iterations == MAX_ITERATIONS {
-                let last_step = if system.symmetric {
-                    step
-                } else {
-                    self.assemble(touches, velocities, free, &twist, false).solve().unwrap_or(NOT_FINITE)
-                };
-                let frozen = twist;
-                twist = moved(&twist, &last_step);
-                break (frozen, converged);
-            }
-            twist = moved(&twist, &step);
+        let ground: f64 = touches.iter().map(|touch| touch.mass).sum();
+        // Ground much heavier than the body is first taken as lighter: its true weight then finds the right nodes in contact.
+        let mut weight = (LIGHT * self.mass / ground).min(1.0);
+        let assemble = |twist: &Twist, weight: f64, tangent: bool| {
+            self.assemble(touches, velocities, free, twist, weight, tangent)
         };
+        let secant_step = |twist: &Twist, weight: f64| assemble(twist, weight, false).solve().unwrap_or(NOT_FINITE);
+        let mut frozen = *free;
+        let mut iterations = 0;
+        let (last_step, converged) = loop {
+            iterations += 1;
+            let system = assemble(&frozen, weight, true);
+            // A direction that does not lead towards balance is replaced by the secant's, which always does.
+            let newton = system.solve().filter(|step| step.dot(&system.residual) >= 0.0);
+            let step = newton.unwrap_or_else(|| secant_step(&frozen, weight));
+            let scale = self.energy_norm(&vector(&frozen)).max(self.energy_norm(&vector(free)));
+            let size = self.energy_norm(&step);
+            let converged = weight == 1.0 && size <= TOLERANCE * scale;
+            if converged || iterations == MAX_ITERATIONS {
+                let is_secant = weight == 1.0 && system.symmetric;
+                break (if is_secant { step } else { secant_step(&frozen, 1.0) }, converged);
+            }
+            frozen = moved(&frozen, &step);
+            if size <= SMALL * scale {
+                weight = (HEAVIER * weight).min(1.0);
+            }
+        };
+        let twist = moved(&frozen, &last_step);
         let mut impulse = Wrench::default();
         for touch in touches {
             let velocity = &mut velocities[touch.node];
@@ -204,8 +211,17 @@ impl FreeBody {
         Solved { impulse, iterations, converged }
     }
 
-    /// Σ Gᵀ m f − M (V − V_free) at the twist V, and M + Σ Gᵀ m D G with D the law's derivative (`tangent`) or its secant K.
-    fn assemble(&self, touches: &[Touch], velocities: &[Vec3], free: &Twist, twist: &Twist, tangent: bool) -> System {
+    /// Σ Gᵀ m f − M (V − V_free) at the twist V, and M + Σ Gᵀ m D G with D the law's derivative (`tangent`) or its secant K;
+    /// nodes' masses count `weight` times.
+    fn assemble(
+        &self,
+        touches: &[Touch],
+        velocities: &[Vec3],
+        free: &Twist,
+        twist: &Twist,
+        weight: f64,
+        tangent: bool,
+    ) -> System {
         let mut force = self.mass * (free.linear - twist.linear);
         let mut torque = self.inertia * (free.angular - twist.angular);
         // D = drag + rank-one terms: the first part of all nodes together is a rigid body of point masses.
@@ -215,6 +231,7 @@ impl FreeBody {
         for &Touch { node, mass: m, arm, ref grip } in touches {
             let u = DVec3::from_array(velocities[node]) - twist.at(arm);
             let regime = grip.regime(u);
+            let m = m * weight;
             let held = match &regime {
                 Regime::Separate => continue,
                 Regime::Stick => m,
@@ -249,12 +266,6 @@ impl FreeBody {
         System { residual: joined(force, torque), matrix, symmetric }
     }
 
-    /// Size of a momentum, as the kinetic energy of the body alone that it makes.
-    fn merit(&self, momentum: &Vector6<f64>) -> f64 {
-        let [p, l] = halves(momentum);
-        p.length_squared() / self.mass + l.dot(self.inertia.inverse() * l)
-    }
-
     /// Size of a twist, as the root of twice its kinetic energy.
     fn energy_norm(&self, twist: &Vector6<f64>) -> f64 {
         let [v, w] = halves(twist);
@@ -266,7 +277,7 @@ impl FreeBody {
 struct System {
     residual: Vector6<f64>,
     matrix: Matrix6<f64>,
-    /// Is it positive definite too, then: no node slides, or the secant was taken.
+    /// Is the matrix symmetric, hence positive definite? So it is where no node slides, and for the secant.
     symmetric: bool,
 }
 

@@ -12,6 +12,8 @@
 //! Nothing here knows the grid: nodes come in batches, through [`barchan_core::Coupling`]. Meshes are read in [`mesh`], masses
 //! and inertias come from [`mass`].
 
+#![expect(clippy::result_large_err, reason = "errors are rare, carry what a user needs, and end the run")]
+
 pub mod contact;
 pub mod mass;
 pub mod mesh;

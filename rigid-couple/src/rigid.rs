@@ -22,7 +22,9 @@ const DEEP: f64 = 2.0;
 pub struct Rigid {
     bodies: Vec<Body>,
     wrenches: Vec<Wrench>,
+    /// Gravity, and the seconds over which it grows.
     gravity: DVec3,
+    gravity_ramp: f64,
     cell: f64,
     world_box: Aabb,
     /// Only with a free body.
@@ -176,7 +178,7 @@ impl Body {
                 continue;
             }
             let arm = DVec3::from_array(position) - self.state.pose.position;
-            let (surface, thin) = self.shape.contact_surface(to_body * arm, cell);
+            let (surface, core) = self.shape.contact_surface(to_body * arm, cell);
             if surface.distance >= 0.0 {
                 continue;
             }
@@ -184,10 +186,10 @@ impl Body {
             deep += u64::from(is_deep);
             let grip = match (self.contact, surface.normal) {
                 (Contact::Coulomb { friction }, Some(normal)) if !is_deep => {
-                    Grip::Coulomb { normal: to_world * normal, friction, bilateral: thin }
+                    Grip::Coulomb { normal: to_world * normal, friction, bilateral: core }
                 }
                 (Contact::Slip, Some(normal)) if !is_deep => {
-                    Grip::Coulomb { normal: to_world * normal, friction: 0.0, bilateral: thin }
+                    Grip::Coulomb { normal: to_world * normal, friction: 0.0, bilateral: core }
                 }
                 _ => Grip::Stick,
             };
@@ -266,6 +268,7 @@ impl Rigid {
         let mut rigid = Self {
             wrenches: vec![Wrench::default(); bodies.len()],
             gravity: DVec3::from_array(scene.gravity),
+            gravity_ramp: scene.gravity_ramp,
             cell: scene.world.cell,
             // Particles outside the world do not live long enough to reach further nodes than these.
             world_box: world_box.grown(4.0 * scene.world.cell),
@@ -365,7 +368,10 @@ impl Coupling for Rigid {
                     body.state.twist = body.state.pose.chord(&target, dt);
                     body.target = target;
                 }
-                None => body.state.twist.linear += self.gravity * dt,
+                None => {
+                    let grown = if time < self.gravity_ramp { time / self.gravity_ramp } else { 1.0 };
+                    body.state.twist.linear += self.gravity * (grown * dt);
+                }
             }
             if !body.state.twist.is_finite() {
                 return Err(body.lost("velocity"));
@@ -466,7 +472,7 @@ impl Coupling for Rigid {
             let thickness = 2.0 * body.shape.half_thickness();
             if thickness < 2.0 * cell_width {
                 warnings.push(format!(
-                    "tool '{}' is {:.3} mm thick, {:.2} cells: the ground meets it as if it were two cells thick, and clings to both of its sides; use world.cell <= {:.3} mm or a thicker tool",
+                    "tool '{}' is {:.3} mm thick, {:.2} cells: the ground meets it as if it were two cells thick, and what lies within them moves along with it; use world.cell <= {:.3} mm or a thicker tool",
                     body.name,
                     1e3 * thickness,
                     thickness / cell_width,

@@ -258,7 +258,12 @@ impl Plan {
         let mut scene = scene.clone();
         scene.check()?;
         let materials = plan_materials(registry, &scene, options.precision)?;
-        let (kinds, couplings) = make_couplings(registry, &scene)?;
+        let kinds = coupling_kinds(&scene);
+        // One coupling a kind: it finds its own entries in the scene.
+        let couplings = kinds
+            .iter()
+            .map(|(kind, path)| registry.coupling(kind).map_err(|e| e.at(&scene.place(path)))?(&scene))
+            .collect::<Result<Vec<_>>>()?;
         let resumed = particles.is_some();
         let particles = match particles {
             Some(particles) => particles,
@@ -284,7 +289,7 @@ impl Plan {
             cell_min: whole(&scene.world.min, f64::floor),
             cell_max: whole(&scene.world.max, f64::ceil),
             gravity: scene.gravity,
-            couplings: kinds,
+            couplings: kinds.into_iter().map(|(kind, _)| kind).collect(),
             effects: Vec::new(),
             stages: Vec::new(),
             particle_count: particles.lists.iter().map(crate::ParticleList::len).sum(),
@@ -489,19 +494,18 @@ impl Plan {
             }
         }
         let time = &self.scene.time;
-        if let (Some(step), OverBound::Substep | OverBound::Allow) = (time.step, time.over_bound) {
-            if step > self.bound.dt {
-                warnings.push(format!(
-                    "time.step = {step} is above the bound {:.3e} s set by {}; {}",
-                    self.bound.dt,
-                    self.bound.by,
-                    if time.over_bound == OverBound::Substep {
-                        "each step is cut"
-                    } else {
-                        "it is taken all the same, and energy is watched"
-                    }
-                ));
-            }
+        let step = time.step.unwrap_or(0.0);
+        if step > self.bound.dt && time.over_bound != OverBound::Refuse {
+            warnings.push(format!(
+                "time.step = {step} is above the bound {:.3e} s set by {}; {}",
+                self.bound.dt,
+                self.bound.by,
+                if time.over_bound == OverBound::Substep {
+                    "each step is cut"
+                } else {
+                    "it is taken all the same, and energy is watched"
+                }
+            ));
         }
         warnings.extend(couplings.iter().flat_map(|c| c.warnings(self.scene.world.cell)));
         self.warnings.extend(warnings);
@@ -604,8 +608,8 @@ fn resolve(scene: &Scene, path: &str, spec: &MaterialSpec, law: &Material) -> Re
     Ok(values)
 }
 
-/// One coupling of each kind called for. The coupling finds its own entries in the scene.
-fn make_couplings(registry: &Registry, scene: &Scene) -> Result<(Vec<String>, Vec<Box<dyn Coupling>>)> {
+/// The kinds of couplings called for, each with the key path that calls for it first.
+fn coupling_kinds(scene: &Scene) -> Vec<(String, String)> {
     let mut kinds: Vec<(String, String)> = Vec::new();
     if !scene.tool.is_empty() {
         kinds.push((TOOL_COUPLING.to_owned(), "tool".to_owned()));
@@ -615,11 +619,7 @@ fn make_couplings(registry: &Registry, scene: &Scene) -> Result<(Vec<String>, Ve
             kinds.push((spec.kind.clone(), format!("coupling[{i}].kind")));
         }
     }
-    let couplings = kinds
-        .iter()
-        .map(|(kind, path)| registry.coupling(kind).map_err(|e| e.at(&scene.place(path)))?(scene))
-        .collect::<Result<Vec<_>>>()?;
-    Ok((kinds.into_iter().map(|(kind, _)| kind).collect(), couplings))
+    kinds
 }
 
 /// The bound of the undeformed scene at time 0.

@@ -4,6 +4,7 @@ use crate::solid::Solid;
 use crate::{Backend, Coupling, Error, Material, Result, Scene, Task, loader};
 use barchan_abi as abi;
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -23,6 +24,17 @@ pub struct Registry {
     tasks: BTreeMap<String, (String, TaskMaker)>,
     mesh_reader: Option<MeshReader>,
     warnings: Vec<String>,
+}
+
+impl fmt::Debug for Registry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Registry")
+            .field("materials", &self.materials.keys())
+            .field("couplings", &self.couplings.keys())
+            .field("backends", &self.backends.keys())
+            .field("tasks", &self.tasks.keys())
+            .finish_non_exhaustive()
+    }
 }
 
 impl Registry {

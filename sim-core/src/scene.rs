@@ -33,6 +33,9 @@ pub struct Scene {
     /// Gravity [m/s²].
     #[serde(default = "default_gravity")]
     pub gravity: Vec3,
+    /// Seconds over which gravity grows evenly from zero to its value, so that ground settles without a shock.
+    #[serde(default)]
+    pub gravity_ramp: f64,
     /// Extent, resolution and walls.
     pub world: World,
     /// Duration and time step.
@@ -58,6 +61,14 @@ pub struct Scene {
     /// Where its keys stand in the file, for messages.
     #[serde(skip)]
     pub source: Arc<Source>,
+}
+
+impl Scene {
+    /// Mean gravity over a step that starts at `time` [m/s²].
+    pub fn gravity_at(&self, time: f64) -> Vec3 {
+        let grown = if time < self.gravity_ramp { time / self.gravity_ramp } else { 1.0 };
+        self.gravity.map(|g| g * grown)
+    }
 }
 
 fn default_gravity() -> Vec3 {
@@ -123,7 +134,7 @@ pub enum Wall {
         #[serde(default)]
         friction: f64,
     },
-    /// What leaves here enters at the opposite side, which must be periodic too.
+    /// What leaves here enters at the opposite side, which must be periodic too; both must lie at multiples of 4 cells.
     Periodic,
 }
 

@@ -1,4 +1,5 @@
 //! Scene files: every error names file, line and key path, and says what would mend it.
+#![allow(clippy::result_large_err, reason = "see the crate's own allowance")]
 
 use barchan_core::scene::{Motion, Sampling, Shape, Wall};
 use barchan_core::{Error, Scene};
@@ -132,39 +133,147 @@ const FAULTS: &[(&str, &str, &str, &str, &str)] = &[
     ("pixels = 640", "pixels = 2", "pixels", "output.picture.pixels", "from 16 to 16384"),
     ("cut_y = 0.2", "cut_y = 2.0", "cut_y", "output.picture.cut_y", "inside the world, from 0 to 0.4"),
     ("density = 1600.0", "density = 0.0", "density = 0.0", "material[0].density", "must be above 0"),
-    ("name = \"jelly\"", "name = \"sand\"", "name = \"sand\"\nlaw = \"neo", "material[1].name", "already the name of material[0]"),
+    (
+        "name = \"jelly\"",
+        "name = \"sand\"",
+        "name = \"sand\"\nlaw = \"neo",
+        "material[1].name",
+        "already the name of material[0]",
+    ),
     ("name = \"jelly\"", "name = \"\"", "name = \"\"", "material[1].name", "is empty"),
-    ("name = \"ball\"", "name = \"bed\"", "name = \"bed\"\nmaterial = \"jelly\"", "body[1].name", "already the name of body[0]"),
-    ("name = \"blade\"", "name = \"cube\"", "name = \"cube\"\nshape = { union", "tool[1].name", "already the name of tool[0]"),
+    (
+        "name = \"ball\"",
+        "name = \"bed\"",
+        "name = \"bed\"\nmaterial = \"jelly\"",
+        "body[1].name",
+        "already the name of body[0]",
+    ),
+    (
+        "name = \"blade\"",
+        "name = \"cube\"",
+        "name = \"cube\"\nshape = { union",
+        "tool[1].name",
+        "already the name of tool[0]",
+    ),
     ("spacing = 0.01", "spacing = 0.001", "spacing", "body[0].spacing", "must be from 0.2 to 1 cells"),
     ("spacing = 0.01", "spacing = 0.03", "spacing", "body[0].spacing", "must be from 0.2 to 1 cells"),
     ("max = [0.8, 0.4, 0.2]", "max = [0.8, 0.0, 0.2]", "shape = { box = { min", "body[0].shape.box.max", "no volume"),
-    ("max = [0.8, 0.4, 0.2]", "max = [0.8, 0.5, 0.2]", "shape = { box = { min", "body[0].shape", "reaches out of the world: y from 0 to 0.5"),
-    ("max = [0.8, 0.4, 0.2] }", "half = [0.8, 0.4, 0.2] }", "shape = { box = { min", "body[0].shape.box", "give min and max, or half"),
+    (
+        "max = [0.8, 0.4, 0.2]",
+        "max = [0.8, 0.5, 0.2]",
+        "shape = { box = { min",
+        "body[0].shape",
+        "reaches out of the world: y from 0 to 0.5",
+    ),
+    (
+        "max = [0.8, 0.4, 0.2] }",
+        "half = [0.8, 0.4, 0.2] }",
+        "shape = { box = { min",
+        "body[0].shape.box",
+        "give min and max, or half",
+    ),
     ("box = { min", "bocks = { min", "bocks", "body[0].shape", "unknown choice `bocks`; allowed here: box, sphere,"),
     ("radius = 0.05 } }", "radius = 0.0 } }", "sphere", "body[1].shape.sphere.radius", "must be above 0"),
-    ("radius = 0.05 } }", "radius = 0.05 }, plane = { normal = [0, 0, 1] } }", "sphere", "body[1].shape", "give exactly one of its choices"),
-    ("sphere = { center = [0.4, 0.2, 0.3], radius = 0.05 }", "plane = { normal = [0, 0, 1] }", "plane", "body[1].shape", "planes and unions are for tools"),
-    ("sphere = { center = [0.4, 0.2, 0.3], radius = 0.05 }", "mesh = { file = \"a.stl\", scale = -1 }", "mesh", "body[1].shape.mesh.scale", "must be above 0"),
-    ("sphere = { center = [0.4, 0.2, 0.3], radius = 0.05 }", "cylinder = { radius = 0.1, half_height = 0 }", "cylinder", "body[1].shape.cylinder.half_height", "must be above 0"),
+    (
+        "radius = 0.05 } }",
+        "radius = 0.05 }, plane = { normal = [0, 0, 1] } }",
+        "sphere",
+        "body[1].shape",
+        "give exactly one of its choices",
+    ),
+    (
+        "sphere = { center = [0.4, 0.2, 0.3], radius = 0.05 }",
+        "plane = { normal = [0, 0, 1] }",
+        "plane",
+        "body[1].shape",
+        "planes and unions are for tools",
+    ),
+    (
+        "sphere = { center = [0.4, 0.2, 0.3], radius = 0.05 }",
+        "mesh = { file = \"a.stl\", scale = -1 }",
+        "mesh",
+        "body[1].shape.mesh.scale",
+        "must be above 0",
+    ),
+    (
+        "sphere = { center = [0.4, 0.2, 0.3], radius = 0.05 }",
+        "cylinder = { radius = 0.1, half_height = 0 }",
+        "cylinder",
+        "body[1].shape.cylinder.half_height",
+        "must be above 0",
+    ),
     ("[0.22, 0.2]]", "[0.22]]", "[0.22]]", "body[2].shape.height_field.heights[1]", "rows must be equally long"),
     ("[0.22, 0.2]]", "[0.22, inf]]", "inf]]", "body[2].shape.height_field.heights[1][1]", "finite"),
-    ("bottom = 0.2", "bottom = 0.3", "heights", "body[2].shape.height_field.heights", "nowhere rises above bottom = 0.3"),
-    ("bottom = 0.2", "bottom = 0.2\nfile = \"a.csv\"", "[body.shape.height_field]", "body[2].shape.height_field", "both or neither"),
-    ("max = [0.2, 0.2]", "max = [0.2, 0.0]", "max = [0.2, 0.0]", "body[2].shape.height_field.max", "max must be above min"),
+    (
+        "bottom = 0.2",
+        "bottom = 0.3",
+        "heights",
+        "body[2].shape.height_field.heights",
+        "nowhere rises above bottom = 0.3",
+    ),
+    (
+        "bottom = 0.2",
+        "bottom = 0.2\nfile = \"a.csv\"",
+        "[body.shape.height_field]",
+        "body[2].shape.height_field",
+        "both or neither",
+    ),
+    (
+        "max = [0.2, 0.2]",
+        "max = [0.2, 0.0]",
+        "max = [0.2, 0.0]",
+        "body[2].shape.height_field.max",
+        "max must be above min",
+    ),
     ("half = [0.05, 0.05, 0.05]", "half = [0.05, 0.0, 0.05]", "half", "tool[0].shape.box.half", "must be above 0"),
-    ("half = [0.05, 0.05, 0.05]", "half = [0.05, 0.0, 0.05], depth = 1", "half", "tool[0].shape.box.depth", "allowed here: min, max, half, center"),
-    ("rotation = [2.0, 0.0, 0.0, 0.0]", "rotation = [0.0, 0.0, 0.0, 0.0]", "rotation", "tool[0].rotation", "zero quaternion"),
-    ("position = [0.4, 0.2, 0.3]\nrotation", "position = [1.4, 0.2, 0.3]\nrotation", "position = [1.4", "tool[0].position", "tool 'cube' is outside the world"),
+    (
+        "half = [0.05, 0.05, 0.05]",
+        "half = [0.05, 0.0, 0.05], depth = 1",
+        "half",
+        "tool[0].shape.box.depth",
+        "allowed here: min, max, half, center",
+    ),
+    (
+        "rotation = [2.0, 0.0, 0.0, 0.0]",
+        "rotation = [0.0, 0.0, 0.0, 0.0]",
+        "rotation",
+        "tool[0].rotation",
+        "zero quaternion",
+    ),
+    (
+        "position = [0.4, 0.2, 0.3]\nrotation",
+        "position = [1.4, 0.2, 0.3]\nrotation",
+        "position = [1.4",
+        "tool[0].position",
+        "tool 'cube' is outside the world",
+    ),
     ("friction = 0.5", "friction = -0.5", "coulomb", "tool[0].contact.coulomb.friction", "must be 0 or above"),
     ("mass = 2.0", "mass = 0.0", "mass", "tool[0].motion.free.mass", "must be above 0"),
     ("restitution = 0.1", "restitution = 1.1", "restitution", "tool[0].motion.free.restitution", "from 0 to 1"),
-    ("{ box = { half = [0.05, 0.05, 0.05] } }", "{ plane = { normal = [0, 0, 0] } }", "plane", "tool[0].shape.plane.normal", "direction out of the solid"),
-    ("{ box = { half = [0.05, 0.05, 0.05] } }", "{ plane = { normal = [0, 0, 1] } }", "mass", "tool[0].motion.free", "cannot move freely"),
+    (
+        "{ box = { half = [0.05, 0.05, 0.05] } }",
+        "{ plane = { normal = [0, 0, 0] } }",
+        "plane",
+        "tool[0].shape.plane.normal",
+        "direction out of the solid",
+    ),
+    (
+        "{ box = { half = [0.05, 0.05, 0.05] } }",
+        "{ plane = { normal = [0, 0, 1] } }",
+        "mass",
+        "tool[0].motion.free",
+        "cannot move freely",
+    ),
     ("radius = 0.02", "radius = -0.02", "union", "tool[1].shape.union[0].shape.capsule.radius", "must be above 0"),
     ("time = 0.5", "time = 0.0", "[0.6, 0.2, 0.3]", "tool[1].motion.keyframes.frames[1].time", "times must rise"),
     ("time = 0.5,", "", "[0.6, 0.2, 0.3]", "tool[1].motion.keyframes.frames[1].time", "this key is required"),
-    ("position = [0.6, 0.2, 0.3]", "position = [0.6, 0.2, 0.3], rotation = [0, 0, 0, 0]", "[0.6, 0.2", "tool[1].motion.keyframes.frames[1].rotation", "zero quaternion"),
+    (
+        "position = [0.6, 0.2, 0.3]",
+        "position = [0.6, 0.2, 0.3], rotation = [0, 0, 0, 0]",
+        "[0.6, 0.2",
+        "tool[1].motion.keyframes.frames[1].rotation",
+        "zero quaternion",
+    ),
 ];
 
 #[test]
@@ -180,6 +289,14 @@ fn every_fault_names_line_and_key_path() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_tool_that_never_reaches_the_world_is_refused() {
+    let mut scene = read(SCENE).unwrap();
+    scene.set(&["tool.blade.motion.keyframes.frames[1].position=[9, 9, 9]"]).unwrap();
+    let error = scene.set(&["tool.blade.motion.keyframes.frames[0].position=[9, 9, 9]"]).unwrap_err().to_string();
+    assert!(error.contains("tool[1].motion.keyframes.frames: tool 'blade' is outside the world"), "{error}");
 }
 
 #[test]

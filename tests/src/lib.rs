@@ -1,1 +1,6 @@
-//! Suites that cross Barchan's crates: conformance, hard cases, validation, plugins, determinism.
+//! What the suites share: a plain reference implementation, short ways to say a scene, and the cases that also run long.
+
+pub mod long_cases;
+pub mod reference;
+pub mod scenes;
+pub mod sketch;

@@ -9,12 +9,12 @@ use barchan_core::coupling::Aabb;
 use barchan_core::material::{ErrorBuffer, stable_step};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
-use barchan_core::{Coupling, Engine, Error, Ledger, NodeBatch, ParticleState, Plan, Result, StepReport};
+use barchan_core::{Coupling, Engine, Error, Ledger, NodeBatch, ParticleState, Plan, Result, Scene, StepReport};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
 use barchan_grid::particles::STRAIN;
 use barchan_grid::transfer::{BATCH, Fault, GridToParticles, ParticlesToGrid, Scalar, Step};
 use barchan_grid::wall::Mirror;
-use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes, Real};
+use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -80,6 +80,8 @@ pub(crate) struct CpuEngine<T: Scalar> {
     materials: Vec<PlannedMaterial>,
     bounds: Bounds,
     leaving: Leaving,
+    scene: Scene,
+    /// Gravity of the present step [m/s²].
     gravity: [f64; 3],
     store: Store<T>,
     grid: Grid<T>,
@@ -124,6 +126,7 @@ impl<T: Scalar> CpuEngine<T> {
             materials: plan.materials.clone(),
             bounds: Bounds::new(plan),
             leaving: plan.scene.world.leaving,
+            scene: plan.scene.clone(),
             gravity: plan.gravity,
             store: Store::new(&plan.materials, plan.cell_widths[0]),
             grid: Grid::default(),
@@ -711,6 +714,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         }
         let h = self.store.cell_width;
         let mut dt = dt;
+        self.gravity = self.scene.gravity_at(time);
         let walls_before = self.wall_impulse;
         loop {
             self.particles_to_grid(dt).map_err(timed)?;
@@ -868,7 +872,7 @@ impl<T: Scalar> CpuEngine<T> {
                     // x × v, and the spin that C carries about the particle.
                     ledger.angular_momentum[d] +=
                         m * (x[a] * v[b] - x[b] * v[a] + quarter * (c[3 * b + a] - c[3 * a + b]));
-                    ledger.potential -= m * self.gravity[d] * x[d];
+                    ledger.potential -= m * self.scene.gravity[d] * x[d];
                 }
                 let square = |values: &[f64]| values.iter().map(|y| y * y).sum::<f64>();
                 ledger.kinetic += 0.5 * m * (square(&v) + quarter * square(c));

@@ -82,7 +82,7 @@ fn bed(registry: &Registry, law: &str, grid: u32) -> Result<Scene> {
 
 fn material(registry: &Registry, law: &str, name: &str) -> Result<MaterialSpec> {
     let values = [("young_modulus", 1e6), ("poisson_ratio", 0.2), ("friction_angle", std::f64::consts::FRAC_PI_4)];
-    let known = &registry.material(law, "--material")?.parameters;
+    let known = &registry.material(law)?.parameters;
     let parameters = values.into_iter().filter(|(key, _)| known.iter().any(|p| p.name == *key));
     Ok(MaterialSpec {
         name: name.to_owned(),

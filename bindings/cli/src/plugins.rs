@@ -32,11 +32,12 @@ fn as_text(registry: &Registry) -> String {
         text += &format!("  {} {} ({})\n", material.name, material.version, material.origin);
         text += &format!("      {}\n      {}\n", material.doc, material.reference);
         for p in &material.parameters {
-            let value = format!("{} {}", p.default, p.unit);
-            text += &format!("      {:<22}{value:<16}{:<22}{}\n", p.name, p.range(), p.doc);
+            let value = format!("{} {}", number(p.default), p.unit);
+            text += &format!("      {:<22}{value:<16}{:<18}{}\n", p.name, range(p), p.doc);
         }
         for s in &material.states {
-            text += &format!("      state {:<16}{} {:<37}{}\n", s.name, s.initial, s.unit, s.doc);
+            let value = format!("{} {}", number(s.initial), s.unit);
+            text += &format!("      {:<22}{value:<16}{:<18}{}\n", s.name, "state", s.doc);
         }
     }
     let mut section = |title: &str, entries: &mut dyn Iterator<Item = (String, String)>| {
@@ -49,6 +50,26 @@ fn as_text(registry: &Registry) -> String {
     section("tasks", &mut registry.tasks().map(pair));
     section("scenes", &mut scenes().into_iter());
     text
+}
+
+/// A number with at most four digits.
+fn number(value: f64) -> String {
+    match value.abs() {
+        v if v != 0.0 && !(1e-3..1e5).contains(&v) => {
+            let text = format!("{value:.3e}");
+            let (digits, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+            format!("{}e{exponent}", digits.trim_end_matches('0').trim_end_matches('.'))
+        }
+        _ => ((value * 1e4).round() / 1e4).to_string(),
+    }
+}
+
+/// The range with short numbers, brackets as declared.
+fn range(p: &Parameter) -> String {
+    let exact = p.range();
+    let (open, close) = (exact.starts_with('('), exact.ends_with(')'));
+    let (open, close) = (if open { '(' } else { '[' }, if close { ')' } else { ']' });
+    format!("{open}{}, {}{close}", number(p.min), number(p.max))
 }
 
 fn as_json(registry: &Registry) -> Value {
@@ -89,6 +110,12 @@ fn scenes() -> Vec<(String, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_are_short() {
+        let texts = [0.0, 0.3, 1e5, 1.4e5, std::f64::consts::FRAC_PI_4, 1e-6, -1.0].map(number);
+        assert_eq!(texts, ["0", "0.3", "1e5", "1.4e5", "0.7854", "1e-6", "-1"]);
+    }
 
     #[test]
     fn both_forms_name_every_parameter() {

@@ -41,7 +41,7 @@ const MARGIN: usize = 14;
 const HEADER: usize = 30;
 const STRIP: usize = 38;
 /// Scale bar and legend need this much.
-const LEAST_WIDTH: usize = 460;
+const LEAST_WIDTH: usize = 540;
 const TEXT: f32 = 8.75;
 
 /// What a moment looks like: everything a picture shows.
@@ -235,12 +235,13 @@ impl View {
         }
 
         let strip = rect.y + rect.height + 14;
-        self.scale_bar(&mut page, rect.x, strip);
+        let (first, last) = (MARGIN, self.width() - MARGIN);
+        self.scale_bar(&mut page, first, strip);
         let (factor, name) = unit(f64::from(range), "m");
         let end = f64::from(range) / factor;
-        let ends = [format!("{:+.0}", -end), format!("{end:+.0} {name}")];
-        let label = format!("height from {:.0} mm", 1e3 * (f64::from(level) - self.min[2]));
-        legend(&mut page, rect.x + rect.width, strip, &label, &ends, |t| ground.at(t).map(colour::encode));
+        let ends = [format!("-{}", three_digits(end)), format!("+{} {name}", three_digits(end))];
+        let label = format!("height about {:.0} mm", 1e3 * (f64::from(level) - self.min[2]));
+        legend(&mut page, last, strip, &label, &ends, |t| ground.at(t).map(colour::encode));
 
         let below = Rect { x: rect.x, y: rect.y + rect.height + STRIP, width: cut.width(), height: cut.height() };
         page.paste(cut, below.x, below.y);
@@ -248,13 +249,13 @@ impl View {
 
         let strip = below.y + below.height + 14;
         let cut_label = format!("cut at y = {:.2} m", self.cut_y);
-        page.text(rect.x as f32, strip as f32, TEXT, Align::Left, INK, &cut_label);
+        page.text(left, strip as f32, TEXT, Align::Left, INK, &cut_label);
         let (quantity, (factor, name)) = match self.cut {
             CutColour::Pressure => ("pressure", unit(self.top, "Pa")),
             CutColour::Speed => ("speed", unit(self.top, "m/s")),
         };
-        let ends = ["0".to_owned(), format!("{:.0} {name}", self.top / factor)];
-        legend(&mut page, rect.x + rect.width, strip, quantity, &ends, viridis);
+        let ends = ["0".to_owned(), format!("{} {name}", three_digits(self.top / factor))];
+        legend(&mut page, last, strip, quantity, &ends, viridis);
         page
     }
 
@@ -304,6 +305,11 @@ fn legend(page: &mut Image, right: usize, y: usize, label: &str, ends: &[String;
     }
     page.text(bar as f32 - 8.0, y as f32, TEXT, Align::Right, INK, &ends[0]);
     page.text(bar as f32 - 20.0 - text_width(TEXT, &ends[0]), y as f32, TEXT, Align::Right, INK, label);
+}
+
+/// A number of one to three digits, without what rounding left behind them.
+fn three_digits(value: f64) -> f64 {
+    (1e3 * value).round() / 1e3
 }
 
 /// The prefixed unit in which `value` has one to three digits before the point.

@@ -158,10 +158,10 @@ pub fn run(
     let snapshot = simulation.save(request.out.join(SNAPSHOT));
     let interrupted = !matches!(result, Ok(true));
     let error = result.as_ref().err().map(ToString::to_string);
-    let summary = recorder.finish(simulation, &first, &tally, interrupted, error, start)?;
+    let summary = recorder.finish(simulation, &first, &tally, interrupted, error, start);
     result?;
     snapshot?;
-    Ok(summary)
+    summary
 }
 
 /// Where a run began.
@@ -332,7 +332,11 @@ impl Recorder {
         let peak_memory = peak_memory();
         let begin = Instant::now();
         let path = self.out.join("trace.csv");
-        self.trace.flush().map_err(|e| io_error(&path, "writing the trace", e))?;
+        // After an error, the rest is written all the same.
+        match self.trace.flush() {
+            Err(e) if error.is_none() => return Err(io_error(&path, "writing the trace", e)),
+            _ => {}
+        }
         if let Some(view) = &self.view {
             let frames = numbered(&self.out.join("frames"), u64::MAX)?;
             overview(&frames, view, self.interval, &self.out)?;

@@ -14,8 +14,7 @@ pub struct FixedCorotated;
 
 impl Material for FixedCorotated {
     const NAME: &'static str = "fixed_corotated";
-    const DOC: &'static str =
-        "Fixed corotated solid: linear in the stretch, finite when flat or inverted; what many MPM codes call elastic or jelly.";
+    const DOC: &'static str = "Fixed corotated solid: linear in the stretch, finite when flat or inverted; what many MPM codes call elastic or jelly.";
     const REFERENCE: &'static str = "Stomakhin et al. 2012, Energetically consistent invertible elasticity, eq. 8";
     const PARAMS: &'static [Param] = &[young_modulus(1e5), poisson_ratio(0.3)];
     const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;

@@ -14,8 +14,10 @@ pub struct HenckyElastic;
 
 impl Material for HenckyElastic {
     const NAME: &'static str = "hencky";
-    const DOC: &'static str = "Hencky solid: linear elasticity in the logarithmic strain, the elastic part of sand and metal.";
-    const REFERENCE: &'static str = "Hencky 1928, Z. techn. Phys. 9, 215; Klar et al. 2016, doi:10.1145/2897824.2925906";
+    const DOC: &'static str =
+        "Hencky solid: linear elasticity in the logarithmic strain, the elastic part of sand and metal.";
+    const REFERENCE: &'static str =
+        "Hencky 1928, Z. techn. Phys. 9, 215; Klar et al. 2016, doi:10.1145/2897824.2925906";
     const PARAMS: &'static [Param] = &[young_modulus(1e5), poisson_ratio(0.3)];
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = Lame<T>;
@@ -26,11 +28,7 @@ impl Material for HenckyElastic {
     }
 
     #[inline(always)]
-    fn update<T: Real>(
-        law: &Lame<T>,
-        x: MatIn<T, SymMat3<T>>,
-        _state: &mut [T],
-    ) -> MatOut<T, SymMat3<T>> {
+    fn update<T: Real>(law: &Lame<T>, x: MatIn<T, SymMat3<T>>, _state: &mut [T]) -> MatOut<T, SymMat3<T>> {
         let log = Hencky::of(x.strain);
         let events = Events { floored: log.floored, ..Events::none() };
         MatOut { strain: x.strain, kirchhoff: law.stress(log.strain), events }

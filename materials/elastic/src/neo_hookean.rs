@@ -12,14 +12,6 @@ use barchan_material_kit::*;
 #[derive(Debug)]
 pub struct NeoHookean;
 
-/// ln J of b, and where det b was floored.
-#[inline(always)]
-fn log_volume<T: Real>(b: SymMat3<T>) -> (T, T::Mask) {
-    let least = T::splat(MIN_STRETCH_SQUARED * MIN_STRETCH_SQUARED * MIN_STRETCH_SQUARED);
-    let det = b.determinant();
-    (T::splat(0.5) * det.max(least).ln(), det.lt(least))
-}
-
 impl Material for NeoHookean {
     const NAME: &'static str = "neo_hookean";
     const DOC: &'static str = "Compressible neo-Hookean solid: rubber, gels and other soft solids at large strain.";
@@ -36,11 +28,7 @@ impl Material for NeoHookean {
     }
 
     #[inline(always)]
-    fn update<T: Real>(
-        law: &Lame<T>,
-        x: MatIn<T, SymMat3<T>>,
-        _state: &mut [T],
-    ) -> MatOut<T, SymMat3<T>> {
+    fn update<T: Real>(law: &Lame<T>, x: MatIn<T, SymMat3<T>>, _state: &mut [T]) -> MatOut<T, SymMat3<T>> {
         let b = x.strain;
         let (ln_j, floored) = log_volume(b);
         let kirchhoff = b.add_scalar(-T::one()).scale(law.mu).add_scalar(law.lambda * ln_j);

@@ -3,7 +3,9 @@
 
 use barchan_elastic::{FixedCorotated, HenckyElastic, NeoHookean};
 use barchan_material_kit::random::Random;
-use barchan_material_kit::{Dual, Lame, Mat3, MatIn, Material, Particle, Precision, Real, Strain, Subject, SymMat3, abi, vtable};
+use barchan_material_kit::{
+    Dual, Lame, Mat3, MatIn, Material, Particle, Precision, Real, Strain, Subject, SymMat3, abi, vtable,
+};
 
 const YOUNG: f64 = 1e5;
 const POISSON: f64 = 0.3;
@@ -64,7 +66,9 @@ fn expected(law: Law, s: [f64; 3], u: Mat3<f64>) -> [f64; 6] {
 
 fn turned_stretches_agree<M: Material>(law: Law) {
     let mut random = Random::new(1);
-    for s in [[1.3, 1.0, 1.0], [0.7, 1.0, 1.0], [0.95, 1.02, 1.0], [1.1, 1.1, 0.8], [2.0, 0.5, 1.5], [0.999, 1.001, 1.0]] {
+    for s in
+        [[1.3, 1.0, 1.0], [0.7, 1.0, 1.0], [0.95, 1.02, 1.0], [1.1, 1.1, 0.8], [2.0, 0.5, 1.5], [0.999, 1.001, 1.0]]
+    {
         let (u, v) = (random.rotation(), random.rotation());
         let f = u * diagonal(s) * v.transpose();
         agree(&format!("{} at {s:?}", M::NAME), stress::<M>(Precision::F64, f), expected(law, s, u), 1e-10);
@@ -96,7 +100,8 @@ fn equal_and_nearly_equal_stretches_are_harmless_in_f32() {
     fn check<M: Material>(law: Law) {
         let mut random = Random::new(2);
         assert_eq!(stress::<M>(Precision::F32, Mat3::identity()), [0.0; 6], "{}", M::NAME);
-        for s in [[0.7; 3], [1.2; 3], [0.8, 0.8, 1.1], [0.8, 0.8 + 1e-7, 1.1], [1.3, 1.3 + 1e-7, 1.3 - 1e-7], [0.95; 3]] {
+        for s in [[0.7; 3], [1.2; 3], [0.8, 0.8, 1.1], [0.8, 0.8 + 1e-7, 1.1], [1.3, 1.3 + 1e-7, 1.3 - 1e-7], [0.95; 3]]
+        {
             let (u, v) = (random.rotation(), random.rotation());
             let f = u * diagonal(s) * v.transpose();
             // 1e-6 of λ + 2μ or of the stress, whichever is greater: f32 holds a stretch to 6e-8 only.
@@ -134,11 +139,8 @@ fn the_derivative_at_rest_is_linear_elasticity() {
             };
             let law = M::law(&[Dual::constant(T::splat(YOUNG)), Dual::constant(T::splat(POISSON))]);
             let zero = Dual::constant(T::zero());
-            let x = MatIn {
-                strain: M::Strain::from_planes(strain),
-                vel_grad: Mat3::from_components([zero; 9]),
-                dt: zero,
-            };
+            let x =
+                MatIn { strain: M::Strain::from_planes(strain), vel_grad: Mat3::from_components([zero; 9]), dt: zero };
             let stress = M::update(&law, x, &mut []).kirchhoff;
             let got = stress.components().map(|c| c.derivative.into());
             let strain = df.symmetric_part();
@@ -187,7 +189,12 @@ fn an_inverted_particle_is_pushed_back() {
     for s in [[1.0, 1.0, -0.4], [1.1, 0.9, -0.01], [1.0, 0.8, 0.0]] {
         let (u, v) = (random.rotation(), random.rotation());
         let f = u * diagonal(s) * v.transpose();
-        agree(&format!("at {s:?}"), stress::<FixedCorotated>(Precision::F64, f), expected(fixed_corotated, s, u), 1e-10);
+        agree(
+            &format!("at {s:?}"),
+            stress::<FixedCorotated>(Precision::F64, f),
+            expected(fixed_corotated, s, u),
+            1e-10,
+        );
         // P = τ F⁻ᵀ along the inverted axis is negative: it pulls the stretch up, towards 1.
         if s[2] < 0.0 {
             assert!(fixed_corotated(Lame::new(YOUNG, POISSON), s)[2] / s[2] < 0.0);

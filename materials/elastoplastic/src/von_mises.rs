@@ -29,14 +29,30 @@ const SQRT_TWO_THIRDS: f64 = 0.816_496_580_927_726;
 impl Material for VonMises {
     const NAME: &'static str = "von_mises";
     const DOC: &'static str = "Elastoplastic solid with von Mises yield and linear hardening: clay, plasticine, metal.";
-    const REFERENCE: &'static str = "Simo and Hughes 1998, Computational Inelasticity, box 3.1; Simo 1992, doi:10.1016/0045-7825(92)90123-2";
+    const REFERENCE: &'static str =
+        "Simo and Hughes 1998, Computational Inelasticity, box 3.1; Simo 1992, doi:10.1016/0045-7825(92)90123-2";
     const PARAMS: &'static [Param] = &[
         young_modulus(1e6),
         poisson_ratio(0.3),
-        param("yield_stress", "Pa", 1e4, 0.0, f64::INFINITY, "Tensile yield stress σ_y; 0 is a fluid, inf an elastic solid.")
-            .log_scale()
-            .differentiable(),
-        param("hardening_modulus", "Pa", 0.0, 0.0, 1e13, "H: growth of the yield stress with the equivalent plastic strain.").differentiable(),
+        param(
+            "yield_stress",
+            "Pa",
+            1e4,
+            0.0,
+            f64::INFINITY,
+            "Tensile yield stress σ_y; 0 is a fluid, inf an elastic solid.",
+        )
+        .log_scale()
+        .differentiable(),
+        param(
+            "hardening_modulus",
+            "Pa",
+            0.0,
+            0.0,
+            1e13,
+            "H: growth of the yield stress with the equivalent plastic strain.",
+        )
+        .differentiable(),
     ];
     const STATES: &'static [State] =
         &[state("equivalent_plastic_strain", "1", 0.0, "κ, the accumulated √⅔ ‖plastic strain increment‖.")];
@@ -51,11 +67,7 @@ impl Material for VonMises {
     }
 
     #[inline(always)]
-    fn update<T: Real>(
-        law: &VonMisesLaw<T>,
-        x: MatIn<T, SymMat3<T>>,
-        state: &mut [T],
-    ) -> MatOut<T, SymMat3<T>> {
+    fn update<T: Real>(law: &VonMisesLaw<T>, x: MatIn<T, SymMat3<T>>, state: &mut [T]) -> MatOut<T, SymMat3<T>> {
         let one = T::one();
         let log = Hencky::of(x.strain);
         let deviator = log.strain.deviator();
@@ -69,11 +81,8 @@ impl Material for VonMises {
 
         let trace = log.strain.trace();
         let changed = yielding | log.floored;
-        let strain = if changed.any() {
-            SymMat3::select(changed, log.rescaled(scale, trace), x.strain)
-        } else {
-            x.strain
-        };
+        let strain =
+            if changed.any() { SymMat3::select(changed, log.rescaled(scale, trace), x.strain) } else { x.strain };
         let elastic = deviator.scale(scale).add_scalar(T::splat(1.0 / 3.0) * trace);
         let events = Events { yielding, floored: log.floored, ..Events::none() };
         MatOut { strain, kirchhoff: law.elastic.stress(elastic), events }

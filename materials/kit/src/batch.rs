@@ -270,11 +270,9 @@ impl<M: Material, T: Float> Job<M, T> for Update {
         let strain = out.strain.into_planes();
         let written = sum(sum(read, &kirchhoff), &state[..M::STATES.len()]);
         let finite = sum(written, &strain[..M::Strain::<V>::PLANES]).is_finite();
-        for (to, from) in outputs.into_iter().zip([
-            &strain[..M::Strain::<V>::PLANES],
-            &kirchhoff,
-            &state[..M::STATES.len()],
-        ]) {
+        for (to, from) in
+            outputs.into_iter().zip([&strain[..M::Strain::<V>::PLANES], &kirchhoff, &state[..M::STATES.len()]])
+        {
             for (c, value) in from.iter().enumerate() {
                 // SAFETY: the caller vouches for 16 scalars in each plane.
                 unsafe { value.store(to.add(c * stride)) };

@@ -78,8 +78,7 @@ pub fn run_all(subject: &Subject<'_>, params: &[f64]) -> Result<Vec<Measured>, V
     CHECKS
         .iter()
         .map(|check| {
-            let violation =
-                |message| Violation { material: subject.name().into(), check: check.name, message };
+            let violation = |message| Violation { material: subject.name().into(), check: check.name, message };
             let error = (check.run)(&setting).map_err(violation)?;
             // Not `error > tolerance`: NaN must fail.
             if error <= check.tolerance {
@@ -165,9 +164,7 @@ fn distance<'a>(a: impl IntoIterator<Item = &'a f64>, b: impl IntoIterator<Item 
 /// Greatest difference of two answers; stresses in units of `modulus`, and of themselves where they are above it.
 fn difference(a: &Answer, b: &Answer, modulus: f64) -> f64 {
     let scale = a.kirchhoff.iter().fold(modulus, |m, x| m.max(x.abs()));
-    (distance(&a.kirchhoff, &b.kirchhoff) / scale)
-        .max(distance(&a.strain, &b.strain))
-        .max(distance(&a.state, &b.state))
+    (distance(&a.kirchhoff, &b.kirchhoff) / scale).max(distance(&a.strain, &b.strain)).max(distance(&a.state, &b.state))
 }
 
 fn declarations(s: &Setting<'_>) -> Outcome {
@@ -228,8 +225,7 @@ fn batch_independence(s: &Setting<'_>) -> Outcome {
                 .update_strided(precision, s.params, 1e-4, particles, stride)
                 .map_err(|e| format!("{precision:?} update: {e}"))
         };
-        let alone: Vec<Answer> =
-            particles.iter().map(|&p| Ok(update(&[p], 1)?[0])).collect::<Result<_, String>>()?;
+        let alone: Vec<Answer> = particles.iter().map(|&p| Ok(update(&[p], 1)?[0])).collect::<Result<_, String>>()?;
         // Other neighbours, other lanes, other batch sizes, strides that are and are not multiples of 16.
         for (shift, count, stride) in [(0, n, n), (5, n, n + 13), (16, 16, 16), (3, 20, 64), (11, 15, 16)] {
             let order: Vec<usize> = (0..count).map(|i| (i * 7 + shift) % n).collect();

@@ -25,9 +25,9 @@ pub use barchan_abi::{BARCHAN_CAP_FLUID, BARCHAN_CAP_HARDENS, BARCHAN_CAP_VEL_GR
 pub use barchan_lanes::{Dual, Mask, Real};
 pub use batch::vtable;
 pub use declare::{Param, State, param, poisson_ratio, state, young_modulus};
-pub use material::{
-    Events, Lame, MAX_PARAMS, MAX_STATE, MatIn, MatOut, Material, Strain, TangentModuli,
+pub use material::{Events, Lame, MAX_PARAMS, MAX_STATE, MatIn, MatOut, Material, Strain, TangentModuli};
+pub use spectral::{
+    Eigen, Hencky, MIN_STRETCH_SQUARED, left_stretch, log_volume, near_identity, sqrt, sqrt_near_identity,
 };
-pub use spectral::{Eigen, Hencky, MIN_STRETCH_SQUARED, left_stretch, near_identity, sqrt, sqrt_near_identity};
 pub use subject::{Answer, Particle, Precision, Subject, SubjectError};
 pub use tensor::{Mat3, SymMat3};

@@ -153,11 +153,8 @@ pub trait Material: 'static {
     fn law<T: Real>(params: &[T]) -> Self::Law<T>;
 
     /// Advances one particle; `state` holds the variables of [`Material::STATES`] before and after.
-    fn update<T: Real>(
-        law: &Self::Law<T>,
-        x: MatIn<T, Self::Strain<T>>,
-        state: &mut [T],
-    ) -> MatOut<T, Self::Strain<T>>;
+    fn update<T: Real>(law: &Self::Law<T>, x: MatIn<T, Self::Strain<T>>, state: &mut [T])
+    -> MatOut<T, Self::Strain<T>>;
 
     /// Moduli of the present tangent, none below its value at rest unless the material has softened.
     fn tangent_moduli<T: Real>(law: &Self::Law<T>, strain: Self::Strain<T>, state: &[T]) -> TangentModuli<T>;

@@ -175,8 +175,8 @@ impl<T: Real> Hencky<T> {
     #[inline(always)]
     pub fn of(b: SymMat3<T>) -> Self {
         let near = near_identity(b);
-        let strain = b.add_scalar(-T::one()).polynomial(series::<T, 25>(&HALF_LOG, HALF_LOG_DEGREE_F32));
         if near.all() {
+            let strain = half_log_near_identity(b);
             return Self { strain, floored: T::Mask::splat(false), near, far: None };
         }
         let least = T::splat(MIN_STRETCH_SQUARED);
@@ -186,7 +186,10 @@ impl<T: Real> Hencky<T> {
         for value in &mut eigen.values {
             *value = T::splat(0.5) * value.max(least).ln();
         }
-        let strain = SymMat3::select(near, strain, eigen.compose(eigen.values));
+        let mut strain = eigen.compose(eigen.values);
+        if near.any() {
+            strain = SymMat3::select(near, half_log_near_identity(b), strain);
+        }
         Self { strain, floored, near, far: Some(eigen) }
     }
 
@@ -196,14 +199,18 @@ impl<T: Real> Hencky<T> {
     pub fn rescaled(&self, scale: T, trace: T) -> SymMat3<T> {
         let volume = (T::splat(2.0 / 3.0) * trace).exp();
         let twice = scale + scale;
-        let shape = self.strain.deviator().scale(twice).polynomial(series::<T, 13>(&EXP, EXP_DEGREE_F32));
+        let twice_deviator = self.strain.deviator().scale(twice);
         let shape = match &self.far {
-            None => shape,
+            None => exp_near_zero(twice_deviator),
             Some(eigen) => {
                 let [x, y, z] = eigen.values;
                 let mean = (x + y + z) * T::splat(1.0 / 3.0);
                 let stretches = [(twice * (x - mean)).exp(), (twice * (y - mean)).exp(), (twice * (z - mean)).exp()];
-                SymMat3::select(self.near, shape, eigen.compose(stretches))
+                let mut shape = eigen.compose(stretches);
+                if self.near.any() {
+                    shape = SymMat3::select(self.near, exp_near_zero(twice_deviator), shape);
+                }
+                shape
             }
         };
         shape.scale(volume)
@@ -238,6 +245,26 @@ pub fn left_stretch<T: Real>(f: Mat3<T>) -> SymMat3<T> {
         T::select(z_is_least, least, positive_root(z)),
     ]);
     SymMat3::select(near, stretch, far)
+}
+
+/// ln J = ½ ln det b of a left Cauchy–Green tensor, and where det b was below 10⁻²⁴ and was raised to that.
+#[inline(always)]
+pub fn log_volume<T: Real>(b: SymMat3<T>) -> (T, T::Mask) {
+    let least = T::splat(MIN_STRETCH_SQUARED * MIN_STRETCH_SQUARED * MIN_STRETCH_SQUARED);
+    let det = b.determinant();
+    (T::splat(0.5) * det.max(least).ln(), det.lt(least))
+}
+
+/// ½ ln b by series, for tensors where [`near_identity`] holds.
+#[inline(always)]
+fn half_log_near_identity<T: Real>(b: SymMat3<T>) -> SymMat3<T> {
+    b.add_scalar(-T::one()).polynomial(series::<T, 25>(&HALF_LOG, HALF_LOG_DEGREE_F32))
+}
+
+/// exp(a) by series, for the logarithms of tensors where [`near_identity`] holds.
+#[inline(always)]
+fn exp_near_zero<T: Real>(a: SymMat3<T>) -> SymMat3<T> {
+    a.polynomial(series::<T, 13>(&EXP, EXP_DEGREE_F32))
 }
 
 /// √b by series, for tensors where [`near_identity`] holds.
@@ -305,8 +332,7 @@ mod tests {
             let eigen = Eigen::of(a);
             let scale = exact.norm_squared().sqrt();
             residual = residual.max(distance(eigen.compose(eigen.values), exact) / scale);
-            orthogonality =
-                orthogonality.max(distance(eigen.compose([T::one(); 3]), SymMat3::identity()));
+            orthogonality = orthogonality.max(distance(eigen.compose([T::one(); 3]), SymMat3::identity()));
         }
         (residual, orthogonality)
     }
@@ -335,7 +361,10 @@ mod tests {
             let exact = eigen.compose(eigen.values.map(|v| 0.5 * v.ln()));
             seam = seam.max(distance(log.strain, exact));
             inverse = inverse.max(distance(log.rescaled(1.0, log.strain.trace()), b));
-            root = root.max(distance(sqrt_near_identity(b), eigen.compose(eigen.values.map(f64::sqrt))) * f64::from(u8::from(norm < NEAR)));
+            root = root.max(
+                distance(sqrt_near_identity(b), eigen.compose(eigen.values.map(f64::sqrt)))
+                    * f64::from(u8::from(norm < NEAR)),
+            );
         }
         println!("logarithm {seam:.1e}, exponential {inverse:.1e}, square root {root:.1e}, tolerance 1e-14");
         assert!(seam < 1e-14 && inverse < 1e-14 && root < 1e-14, "{seam:e} {inverse:e} {root:e}");

@@ -58,14 +58,7 @@ impl<T: Real> SymMat3<T> {
     /// `s` times the tensor.
     #[inline(always)]
     pub fn scale(self, s: T) -> Self {
-        Self {
-            xx: s * self.xx,
-            yy: s * self.yy,
-            zz: s * self.zz,
-            xy: s * self.xy,
-            xz: s * self.xz,
-            yz: s * self.yz,
-        }
+        Self { xx: s * self.xx, yy: s * self.yy, zz: s * self.zz, xy: s * self.xy, xz: s * self.xz, yz: s * self.yz }
     }
 
     /// The tensor plus `s` I.
@@ -244,13 +237,15 @@ impl<T: Real> Mul for Mat3<T> {
     type Output = Self;
     #[inline(always)]
     fn mul(self, o: Self) -> Self {
-        let mut rows = self.rows;
-        for (i, [a, b, c]) in self.rows.into_iter().enumerate() {
-            for j in 0..3 {
-                rows[i][j] = a.mul_add(o.rows[0][j], b.mul_add(o.rows[1][j], c * o.rows[2][j]));
-            }
+        let [a, b, c] = self.rows;
+        let [x, y, z] = o.transpose().rows;
+        Self {
+            rows: [
+                [dot(a, x), dot(a, y), dot(a, z)],
+                [dot(b, x), dot(b, y), dot(b, z)],
+                [dot(c, x), dot(c, y), dot(c, z)],
+            ],
         }
-        Self { rows }
     }
 }
 

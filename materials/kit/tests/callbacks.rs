@@ -37,7 +37,7 @@ impl<const FAULT: u8> Material for Faulty<FAULT> {
         let excess = x.strain.add_scalar(-T::one());
         let mut modulus = *law;
         if FAULT == LOOKS_AT_NEIGHBOURS && excess.xx.gt(T::splat(0.1)).any() {
-            modulus = modulus * T::splat(1.5);
+            modulus *= T::splat(1.5);
         }
         if FAULT == NOT_IDEMPOTENT {
             strain = excess.scale(T::splat(0.5)).add_scalar(T::one());
@@ -47,7 +47,7 @@ impl<const FAULT: u8> Material for Faulty<FAULT> {
             stress = stress.add_scalar(modulus * T::splat(1e-3));
         }
         if FAULT == ANISOTROPIC {
-            stress.xx = stress.xx + excess.yy * modulus * T::splat(1e-3);
+            stress.xx += excess.yy * modulus * T::splat(1e-3);
         }
         if FAULT == HIDES_NAN {
             strain.xy = strain.xy.max(T::splat(-10.0));

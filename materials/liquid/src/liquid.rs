@@ -23,14 +23,6 @@ pub struct LiquidLaw<T> {
     viscosity: T,
 }
 
-/// ln J of b, and where det b was floored.
-#[inline(always)]
-fn log_volume<T: Real>(b: SymMat3<T>) -> (T, T::Mask) {
-    let least = T::splat(MIN_STRETCH_SQUARED * MIN_STRETCH_SQUARED * MIN_STRETCH_SQUARED);
-    let det = b.determinant();
-    (T::splat(0.5) * det.max(least).ln(), det.lt(least))
-}
-
 impl Material for Liquid {
     const NAME: &'static str = "liquid";
     const DOC: &'static str = "Weakly compressible Newtonian liquid with Tait's equation of state: water, oil, slurry.";
@@ -50,11 +42,7 @@ impl Material for Liquid {
     }
 
     #[inline(always)]
-    fn update<T: Real>(
-        law: &LiquidLaw<T>,
-        x: MatIn<T, SymMat3<T>>,
-        _state: &mut [T],
-    ) -> MatOut<T, SymMat3<T>> {
+    fn update<T: Real>(law: &LiquidLaw<T>, x: MatIn<T, SymMat3<T>>, _state: &mut [T]) -> MatOut<T, SymMat3<T>> {
         let (ln_j, floored) = log_volume(x.strain);
         let j = ln_j.exp();
         let strain = SymMat3::scalar((T::splat(2.0 / 3.0) * ln_j).exp());

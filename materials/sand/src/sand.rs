@@ -51,8 +51,9 @@ pub struct SandLaw<T> {
 fn sin_cos<T: Real>(x: T) -> (T, T) {
     let z = x * x;
     let (mut sin, mut cos) = (T::one(), T::one());
-    // The first omitted terms are below 2⁻⁵³.
-    for k in (1..=10).rev() {
+    // The first omitted terms are below 2⁻²⁴ and 2⁻⁵³.
+    let terms = if T::EPSILON > 1e-10 { 6 } else { 10 };
+    for k in (1..=terms).rev() {
         let k = f64::from(k);
         sin = (sin * z).mul_add(T::splat(-1.0 / (2.0 * k * (2.0 * k + 1.0))), T::one());
         cos = (cos * z).mul_add(T::splat(-1.0 / (2.0 * k * (2.0 * k - 1.0))), T::one());
@@ -62,18 +63,34 @@ fn sin_cos<T: Real>(x: T) -> (T, T) {
 
 impl Material for Sand {
     const NAME: &'static str = "sand";
-    const DOC: &'static str = "Dry or cohesive sand: Hencky elasticity with a Drucker-Prager cone, isochoric flow and volume correction.";
+    const DOC: &'static str =
+        "Dry or cohesive sand: Hencky elasticity with a Drucker-Prager cone, isochoric flow and volume correction.";
     const REFERENCE: &'static str =
         "Klar et al. 2016, doi:10.1145/2897824.2925906; Tampubolon et al. 2017, doi:10.1145/3072959.3073651";
     const PARAMS: &'static [Param] = &[
         young_modulus(1e6),
         poisson_ratio(0.2),
-        param("friction_angle", "rad", FRAC_PI_4, 0.0, FRAC_PI_2, "Angle of internal friction; what it means in which path, 'cone' says.")
-            .max_open()
+        param(
+            "friction_angle",
+            "rad",
+            FRAC_PI_4,
+            0.0,
+            FRAC_PI_2,
+            "Angle of internal friction; what it means in which path, 'cone' says.",
+        )
+        .max_open()
+        .differentiable(),
+        param("cohesion", "Pa", 0.0, 0.0, 1e9, "Shear strength at zero pressure, c of Mohr and Coulomb.")
             .differentiable(),
-        param("cohesion", "Pa", 0.0, 0.0, 1e9, "Shear strength at zero pressure, c of Mohr and Coulomb.").differentiable(),
         param("cone", "1", 0.0, 0.0, 1.0, "0: cone matched in triaxial compression (Klar et al.); 1: in simple shear."),
-        param("volume_correction", "1", 1.0, 0.0, 1.0, "1: volume gained in tension must be closed before pressure builds up; 0: it is forgotten."),
+        param(
+            "volume_correction",
+            "1",
+            1.0,
+            0.0,
+            1.0,
+            "1: volume gained in tension must be closed before pressure builds up; 0: it is forgotten.",
+        ),
     ];
     const STATES: &'static [State] =
         &[state("volume_gap", "1", 0.0, "Logarithm of the volume gained beyond the tip of the cone, v_c.")];
@@ -82,7 +99,6 @@ impl Material for Sand {
 
     #[inline(always)]
     fn law<T: Real>(params: &[T]) -> SandLaw<T> {
-        let elastic = Lame::new(params[0], params[1]);
         let (sin, cos) = sin_cos(params[2]);
         let c = params[3];
         // 3α and k of both cones; both have their tip at the pressure -c cot φ.
@@ -91,25 +107,24 @@ impl Material for Sand {
         let is_triaxial = params[4].lt(T::splat(0.5));
         let friction = T::select(is_triaxial, triaxial * sin, shear * sin / cos);
         let cohesion = T::select(is_triaxial, triaxial * c * cos, shear * c);
-        let inverse_twice_mu = T::splat(0.5) / elastic.mu;
-        let triple_bulk = elastic.triple_bulk();
-        // Without friction the tip of a cohesive cone is at infinity; this is as good.
-        let tension = c * cos / sin.max(T::splat(1e-6));
+        // 1/2μ = (1 + nu)/E and 3λ + 2μ = E/(1 − 2 nu), written out to keep the chain of divisions short.
+        let (young, nu) = (params[0], params[1]);
+        let one = T::one();
+        let incompressibility = one - nu - nu;
+        let compliance = (one + nu) / young;
+        // Without friction the tip of a cohesive cone is at infinity; a millionth is as good.
+        let tip = T::splat(3.0) * c * cos * incompressibility / (sin.max(T::splat(1e-6)) * young);
         SandLaw {
-            elastic,
-            slope: friction * triple_bulk * inverse_twice_mu * T::splat(1.0 / 3.0),
-            cohesion: cohesion * inverse_twice_mu,
-            tip: T::splat(3.0) * tension / triple_bulk,
+            elastic: Lame::new(young, nu),
+            slope: T::splat(1.0 / 3.0) * friction * (one + nu) / incompressibility,
+            cohesion: cohesion * compliance,
+            tip,
             correction: params[5],
         }
     }
 
     #[inline(always)]
-    fn update<T: Real>(
-        law: &SandLaw<T>,
-        x: MatIn<T, SymMat3<T>>,
-        state: &mut [T],
-    ) -> MatOut<T, SymMat3<T>> {
+    fn update<T: Real>(law: &SandLaw<T>, x: MatIn<T, SymMat3<T>>, state: &mut [T]) -> MatOut<T, SymMat3<T>> {
         let zero = T::zero();
         let gap = state[0] * law.correction;
         let log = Hencky::of(x.strain);
@@ -130,11 +145,8 @@ impl Material for Sand {
         state[0] = T::select(apex, opened.min(greatest), zero);
 
         let changed = apex | yielding | gap.gt(zero) | log.floored;
-        let strain = if changed.any() {
-            SymMat3::select(changed, log.rescaled(scale, trace_kept), x.strain)
-        } else {
-            x.strain
-        };
+        let strain =
+            if changed.any() { SymMat3::select(changed, log.rescaled(scale, trace_kept), x.strain) } else { x.strain };
         let elastic = deviator.scale(scale).add_scalar(T::splat(1.0 / 3.0) * trace_kept);
         let events = Events { yielding, apex, floored: log.floored, clamped };
         MatOut { strain, kirchhoff: law.elastic.stress(elastic), events }

@@ -37,7 +37,10 @@ fn sheared(normal: f64, shear: f64) -> [f64; 6] {
 fn carried(answer: &Answer, shear: f64, s: f64) -> Particle {
     let [xx, yy, zz, xy, xz, yz, ..] = answer.strain;
     let (zz, xz, yz) = (s * s * zz, s * xz, s * yz);
-    particle([xx + 2.0 * shear * xz + shear * shear * zz, yy, zz, xy + shear * yz, xz + shear * zz, yz], answer.state[0])
+    particle(
+        [xx + 2.0 * shear * xz + shear * shear * zz, yy, zz, xy + shear * yz, xz + shear * zz, yz],
+        answer.state[0],
+    )
 }
 
 fn small(what: &str, error: f64, tolerance: f64) {
@@ -70,7 +73,7 @@ fn shear_strength_of_both_cones() {
         for (cone, exact) in [(0.0, triaxial), (1.0, phi.tan())] {
             let params = sand().params_with(&[("friction_angle", phi), ("cone", cone)]);
             // One return from far outside the cone; near the identity (series) and far from it (eigen-decomposition).
-            for (normal, shear) in [(-0.01, 0.05), (-0.2, 0.3)] {
+            for (normal, shear) in [(-0.01, 0.05), (-0.2, 0.6)] {
                 let k = update(&params, particle(sheared(normal, shear), 0.0)).kirchhoff;
                 small(&format!("phi {degrees}, cone {cone}: ratio"), k[4].abs() / k[2].abs() / exact - 1.0, 1e-10);
                 let spread = (k[0] - k[2]).abs().max((k[1] - k[2]).abs()) / k[2].abs();
@@ -81,13 +84,14 @@ fn shear_strength_of_both_cones() {
     // The figures to four digits, as derived independently.
     for (degrees, ratio) in [(20.0f64, 0.4457), (25.0, 0.5680), (30.0, 0.6928), (35.0, 0.8189)] {
         let params = sand().params_with(&[("friction_angle", degrees.to_radians())]);
-        let mut answer = update(&params, particle(sheared(-1e-4, 0.0), 0.0));
-        for _ in 0..20_000 {
-            answer = update(&params, carried(&answer, 1e-5, 1.0));
+        // Small elastic strains (1e-5), since their turning adds as much to the normal stresses.
+        let mut answer = update(&params, particle(sheared(-1e-5, 0.0), 0.0));
+        for _ in 0..10_000 {
+            answer = update(&params, carried(&answer, 1e-6, 1.0));
         }
         let k = answer.kirchhoff;
         small(&format!("steady shear, phi {degrees}"), (k[4] / k[2]).abs() - ratio, 1e-4);
-        small("  normal stresses", ((k[0] - k[2]) / k[2]).abs(), 1e-3);
+        small("  normal stresses", ((k[0] - k[2]) / k[2]).abs(), 1e-4);
     }
 }
 
@@ -150,7 +154,13 @@ fn the_volume_gained_beyond_the_tip_is_given_back() {
     let leftover = pressure(&cycle(&without, 0.1));
     small("pressure left without correction", leftover / (0.1 * triple_bulk()) - 1.0, 1e-10);
 
-    let further = update(&with, particle(answer.strain[..6].try_into().map(|b: [f64; 6]| b.map(|x| x * (-0.02f64).exp())).expect("six"), answer.state[0]));
+    let further = update(
+        &with,
+        particle(
+            answer.strain[..6].try_into().map(|b: [f64; 6]| b.map(|x| x * (-0.02f64).exp())).expect("six"),
+            answer.state[0],
+        ),
+    );
     small("pressure on further compression", pressure(&further) / (0.01 * triple_bulk()) - 1.0, 1e-10);
 
     // A thousand cycles leave nothing either.
@@ -175,9 +185,9 @@ fn the_gap_changes_pressure_only() {
     let answer = update(&params, particle(stretched(strain), gap));
     let trace: f64 = strain.iter().sum();
     let mu = lame().mu;
-    for i in 0..3 {
-        let exact = 2.0 * mu * (strain[i] - trace / 3.0) + triple_bulk() / 3.0 * (trace + gap);
-        small("stress", answer.kirchhoff[i] / exact - 1.0, 1e-12);
+    for (stress, strain) in answer.kirchhoff.iter().zip(strain) {
+        let exact = 2.0 * mu * (strain - trace / 3.0) + triple_bulk() / 3.0 * (trace + gap);
+        small("stress", stress / exact - 1.0, 1e-12);
     }
     assert_eq!(answer.state[0], 0.0);
     let logs: f64 = answer.strain[..3].iter().map(|b| 0.5 * b.ln()).sum();
@@ -213,7 +223,11 @@ fn every_friction_angle_is_finite() {
         let scale = LAME_E;
         small("shear stress", (k[4].abs() + (k[0] - k[2]).abs() + (k[0] - k[1]).abs()) / scale, 1e-12);
     }
-    small("fluid's pressure", update(&fluid, particle(sheared(-0.01, 0.05), 0.0)).kirchhoff[0] / (-0.01 * triple_bulk()) - 1.0, 1e-10);
+    small(
+        "fluid's pressure",
+        update(&fluid, particle(sheared(-0.01, 0.05), 0.0)).kirchhoff[0] / (-0.01 * triple_bulk()) - 1.0,
+        1e-10,
+    );
     assert_eq!(update(&fluid, particle(sheared(0.01, 0.05), 0.0)).kirchhoff, [0.0; 6], "a fluid bears no tension");
 
     for degrees in [0.0, 1e-9, 42.3, 60.0, 89.0, 89.999f64] {
@@ -261,7 +275,9 @@ fn tension_is_borne_by_cohesion_alone() {
 #[test]
 fn a_crushed_particle_is_floored_and_counted() {
     let params = sand().default_params();
-    for b in [[1.0, 1.0, 1e-12, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0, 0.0, 0.0], [1.0, 0.5, 0.3, 0.9, 0.0, 0.0], [0.0; 6]] {
+    for b in
+        [[1.0, 1.0, 1e-12, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0, 0.0, 0.0], [1.0, 0.5, 0.3, 0.9, 0.0, 0.0], [0.0; 6]]
+    {
         for precision in [Precision::F32, Precision::F64] {
             let answer = sand().update(precision, &params, 1e-4, &[particle(b, 0.0)]).expect("a finite answer")[0];
             assert!(pressure(&answer) > 0.0, "{b:?}: {answer:?}");

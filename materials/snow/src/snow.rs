@@ -49,6 +49,11 @@ fn clamp<T: Real>(x: T, (least, greatest): (T, T)) -> T {
     x.max(least).min(greatest)
 }
 
+#[inline(always)]
+fn outside<T: Real>(x: T, (least, greatest): (T, T)) -> T::Mask {
+    x.lt(least) | x.gt(greatest)
+}
+
 /// Principal stretch of an eigenvalue of b.
 #[inline(always)]
 fn stretch<T: Real>(eigenvalue: T) -> T {
@@ -65,7 +70,8 @@ impl Material for Snow {
         param("critical_compression", "1", 2.5e-2, 0.0, 1.0, "θ_c: principal stretches below 1 - θ_c are plastic.")
             .max_open()
             .differentiable(),
-        param("critical_stretch", "1", 7.5e-3, 0.0, 10.0, "θ_s: principal stretches above 1 + θ_s are plastic.").differentiable(),
+        param("critical_stretch", "1", 7.5e-3, 0.0, 10.0, "θ_s: principal stretches above 1 + θ_s are plastic.")
+            .differentiable(),
         param("hardening", "1", 10.0, 0.0, 100.0, "ξ: moduli grow by exp(ξ (1 - J_p)).").differentiable(),
         param("hardening_max", "1", 55.0, 1.0, 1e6, "Greatest factor by which the moduli grow.").log_scale(),
     ];
@@ -91,15 +97,10 @@ impl Material for Snow {
     }
 
     #[inline(always)]
-    fn update<T: Real>(
-        law: &SnowLaw<T>,
-        x: MatIn<T, SymMat3<T>>,
-        state: &mut [T],
-    ) -> MatOut<T, SymMat3<T>> {
+    fn update<T: Real>(law: &SnowLaw<T>, x: MatIn<T, SymMat3<T>>, state: &mut [T]) -> MatOut<T, SymMat3<T>> {
         let no = T::Mask::splat(false);
         let trial = x.strain;
-        let inside = near_identity(trial)
-            & trial.add_scalar(-T::one()).norm_squared().lt(law.elastic_radius_squared);
+        let inside = near_identity(trial) & trial.add_scalar(-T::one()).norm_squared().lt(law.elastic_radius_squared);
         let (mut strain, mut left) = (trial, sqrt_near_identity(trial));
         let (mut yielding, mut floored) = (no, no);
         let mut plastic_volume = state[0];
@@ -109,10 +110,8 @@ impl Material for Snow {
             let bounds = (law.least_stretch, law.greatest_stretch);
             let tried = [stretch(a), stretch(b), stretch(c)];
             let kept = [clamp(tried[0], bounds), clamp(tried[1], bounds), clamp(tried[2], bounds)];
-            let same = kept[0].ge(tried[0]) & kept[0].le(tried[0])
-                & kept[1].ge(tried[1]) & kept[1].le(tried[1])
-                & kept[2].ge(tried[2]) & kept[2].le(tried[2]);
-            yielding = !same & !inside;
+            let beyond = outside(tried[0], bounds) | outside(tried[1], bounds) | outside(tried[2], bounds);
+            yielding = beyond & !inside;
             let least = T::splat(MIN_STRETCH_SQUARED);
             floored = (a.lt(least) | b.lt(least) | c.lt(least)) & !inside;
             let squares = [kept[0] * kept[0], kept[1] * kept[1], kept[2] * kept[2]];
@@ -122,10 +121,10 @@ impl Material for Snow {
             plastic_volume = T::select(yielding, plastic_volume * lost, plastic_volume);
         }
         let (least, greatest) = PLASTIC_VOLUME_RANGE;
-        let bounded = clamp(plastic_volume, (T::splat(least), T::splat(greatest)));
-        let (log_h, cut) = law.log_hardening(bounded);
-        let clamped = cut | bounded.lt(plastic_volume) | bounded.gt(plastic_volume);
-        state[0] = bounded;
+        let range = (T::splat(least), T::splat(greatest));
+        state[0] = clamp(plastic_volume, range);
+        let (log_h, cut) = law.log_hardening(state[0]);
+        let clamped = cut | outside(plastic_volume, range);
 
         let j = left.determinant();
         let Lame { lambda, mu } = law.elastic.scale(log_h.exp());

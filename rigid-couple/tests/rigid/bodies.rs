@@ -235,3 +235,19 @@ fn the_registry_makes_rigid_couplings() {
     let twice = barchan_rigid::register(&mut registry).unwrap_err().to_string();
     assert!(twice.contains("rigid"), "{twice}");
 }
+
+#[test]
+fn a_step_of_rapier_is_cheap() {
+    // A free body must not cost more than the ground around it: a stack of three boxes on a floor, with an arm beside it.
+    let mut rigid = stack();
+    for i in 0..200 {
+        step(&mut rigid, f64::from(i) * 1e-4, 1e-4, &mut NodeBatch::default());
+    }
+    let mut best = f64::INFINITY;
+    for _ in 0..200 {
+        let start = std::time::Instant::now();
+        step(&mut rigid, 0.02, 1e-4, &mut NodeBatch::default());
+        best = best.min(start.elapsed().as_secs_f64());
+    }
+    within("seconds for a step of four bodies", best, 1e-3);
+}

@@ -2,7 +2,9 @@
 
 use crate::{Random, angular_momentum, batch, energy, momentum, rigid, step, within};
 use barchan_core::{Coupling, NodeBatch};
-use glam::DVec3;
+use barchan_rigid::contact::{FreeBody, Grip, Touch};
+use barchan_rigid::motion::Twist;
+use glam::{DMat3, DVec3};
 
 /// A floor below z = 0, and one node just inside it.
 fn on_floor(contact: &str, velocity: [f64; 3]) -> ([f64; 3], [f64; 3]) {
@@ -69,33 +71,33 @@ fn matter_inside_a_body_is_not_ejected() {
 }
 
 #[test]
-fn thin_blades_hold_nodes_on_both_sides() {
-    // B42: a blade of a quarter cell slips between the nodes and sand walks through it. It counts as two cells thick: wherever it
-    // is on the grid, it holds at least two neighbouring nodes' normal velocity, so that the field between them is the blade's.
-    let mut fewest = usize::MAX;
+fn thin_blades_let_nothing_through() {
+    // B42: a blade of a quarter cell slips between the nodes and sand walks through it. It counts as two cells thick: what is up
+    // to a cell ahead is pushed, what is up to a cell behind and more than 0.75 off may fall back, and the core between goes with
+    // the blade, wherever it is on the grid.
+    let cell = 0.01;
     for offset in 0..40 {
-        let x = 0.01 * f64::from(offset) / 40.0 + 1e-5;
+        let x = cell * f64::from(offset) / 40.0;
         let mut rigid = rigid(&format!(
             "[[tool]]\nname = 'blade'\nposition = [{x}, 0, 0]\nshape = {{ box = {{ half = [0.00125, 0.2, 0.2] }} }}\ncontact = 'slip'\nmotion = {{ velocity = {{ linear = [1, 0, 0] }} }}"
         ));
-        let line: Vec<_> = (-5..=6).map(|i| ([0.01 * f64::from(i), 0.0, 0.0], 1e-3, [0.0, 0.3, 0.0])).collect();
+        let line: Vec<_> = (-5..=6).map(|i| ([cell * f64::from(i), 0.0, 0.0], 1e-3, [0.0, 0.3, 0.0])).collect();
         let mut nodes = batch(&line);
         step(&mut rigid, 0.0, 1e-4, &mut nodes);
-        let held: Vec<bool> = nodes.velocity.iter().map(|v| (v[0] - 1.0).abs() < 1e-9).collect();
-        let count = held.iter().filter(|&&h| h).count();
-        let first = held.iter().position(|&h| h).unwrap();
-        assert!(held[first..first + count].iter().all(|&h| h), "held nodes are neighbours");
-        assert!(nodes.velocity.iter().all(|v| v[1] == 0.3), "slip: no drag along the blade");
-        fewest = fewest.min(count);
-        let warning = rigid.warnings(0.01).join("\n");
+        for (position, velocity) in nodes.position.iter().zip(&nodes.velocity) {
+            let ahead = (position[0] - x) / cell;
+            let edge = (ahead - 1.0).abs().min((ahead + 0.75).abs()) < 1e-9;
+            let expected = if ahead > -0.75 && ahead < 1.0 { 1.0 } else { 0.0 };
+            assert!(edge || (velocity[0] - expected).abs() < 1e-9, "{ahead} cells ahead: {velocity:?}");
+            assert_eq!(velocity[1], 0.3, "slip: no drag along the blade");
+        }
+        let warning = rigid.warnings(cell).join("\n");
         assert!(
             warning.contains("'blade' is 2.500 mm thick, 0.25 cells") && warning.contains("<= 1.250 mm"),
             "{warning}"
         );
         assert!(rigid.warnings(0.001).is_empty());
     }
-    println!("fewest nodes held across the blade: {fewest} (at least 2)");
-    assert!(fewest >= 2);
 }
 
 const LAWS: [&str; 3] = ["'stick'", "'slip'", "{ coulomb = { friction = 0.4 } }"];
@@ -177,10 +179,10 @@ fn solution_satisfies_the_law_at_the_final_motion() {
         let before = nodes.velocity.clone();
         rigid.contact(1e-3, &mut nodes).unwrap();
         let body = rigid.bodies()[0].clone();
-        for i in 0..nodes.len() {
+        for (i, before) in before.iter().enumerate() {
             let arm = DVec3::from_array(nodes.position[i]) - DVec3::from_array(body.position);
             let surface = DVec3::from_array(body.velocity) + DVec3::from_array(body.angular_velocity).cross(arm);
-            let u = DVec3::from_array(before[i]) - surface;
+            let u = DVec3::from_array(*before) - surface;
             let approach = -u.dot(normal);
             let expected = if approach <= 0.0 {
                 u
@@ -273,5 +275,53 @@ fn contact_is_cheap() {
             rigid.after_step(0.0, 1e-9).unwrap();
         }
         within(&format!("{name}: seconds for 1000 nodes inside"), best, 1e-3);
+    }
+}
+
+#[test]
+fn solutions_converge_for_all_frictions_and_mass_ratios() {
+    // Coulomb sliding has no energy to minimise, and Newton's method may cycle: however rough the surface and heavy the ground, the
+    // result dissipates and closes; that the iteration itself converges is the rule.
+    let mut random = Random(10);
+    for friction in [0.0, 0.1, 0.5, 1.0, 2.0] {
+        for ratio in [1e-2, 1.0, 1e2, 1e4] {
+            let (mut most, mut failed, mut gain, mut solved) = (0, 0, 0f64, 0);
+            for _ in 0..250 {
+                let body = FreeBody { mass: 1.0, inertia: DMat3::from_diagonal(DVec3::new(2e-3, 3e-3, 4e-3)) };
+                // A corner of a box in the ground: three faces at once.
+                let stream = 0.5 * random.vector();
+                let mut velocities: Vec<[f64; 3]> =
+                    (0..48).map(|_| (stream + 0.05 * random.vector()).to_array()).collect();
+                let touches: Vec<Touch> = (0..48)
+                    .map(|node| {
+                        let normal = DVec3::AXES[node % 3];
+                        let arm = 0.1 * (normal + (random.vector() + 1.0) * 0.5 * (1.0 - normal));
+                        let mass = ratio / 48.0 * (1.0 + 0.99 * random.number());
+                        Touch { node, mass, arm, grip: Grip::Coulomb { normal, friction, bilateral: false } }
+                    })
+                    .collect();
+                let free = Twist { linear: random.vector(), angular: 10.0 * random.vector() };
+                let ground = |velocities: &[[f64; 3]]| -> f64 {
+                    touches.iter().map(|t| 0.5 * t.mass * DVec3::from_array(velocities[t.node]).length_squared()).sum()
+                };
+                let own = |t: &Twist| 0.5 * (t.linear.length_squared() + t.angular.dot(body.inertia * t.angular));
+                let before = ground(&velocities) + own(&free);
+                let result = body.solve(&touches, &mut velocities, &free);
+                let after = Twist {
+                    linear: free.linear + DVec3::from_array(result.impulse.force),
+                    angular: free.angular + body.inertia.inverse() * DVec3::from_array(result.impulse.torque),
+                };
+                gain = gain.max((ground(&velocities) + own(&after)) / before - 1.0);
+                most = most.max(result.iterations);
+                failed += i32::from(!result.converged);
+                solved += 1;
+            }
+            println!(
+                "friction {friction}, ratio {ratio:e}: at most {most} iterations, {failed} of {solved} not converged"
+            );
+            within("relative energy gain", gain, 1e-12);
+            let share = f64::from(failed) / f64::from(solved);
+            within("share not converged", share, if ratio > 1e3 { 0.4 } else { 0.01 });
+        }
     }
 }

@@ -523,17 +523,20 @@ impl Scene {
         }
     }
 
-    /// A tool must reach into the world at its start or at some keyframe.
+    /// A tool must reach into the world at its start or, if it has them, at some keyframe.
     fn check_tool_place(&self, path: &str, tool: &Tool) -> Result<()> {
         let Some(bounds) = tool.shape.bounds() else { return Ok(()) };
-        let mut poses = vec![(tool.position, tool.rotation)];
-        if let Motion::Keyframes { frames, .. } = &tool.motion {
-            poses.extend(frames.iter().map(|f| (f.position, f.rotation.unwrap_or(tool.rotation))));
-        }
+        let (key, poses) = match &tool.motion {
+            Motion::Keyframes { frames, .. } => (
+                "motion.keyframes.frames",
+                frames.iter().map(|f| (f.position, f.rotation.unwrap_or(tool.rotation))).collect(),
+            ),
+            _ => ("position", vec![(tool.position, tool.rotation)]),
+        };
         let world = self.world_box();
         self.require(
             poses.iter().any(|&(position, rotation)| posed_bounds(bounds, position, rotation).meets(&world)),
-            &format!("{path}.position"),
+            &format!("{path}.{key}"),
             format!("tool '{}' is outside the world, from {:?} to {:?}", tool.name, world.min, world.max),
             "move the tool, or widen world.min and world.max",
         )
@@ -563,7 +566,8 @@ impl Scene {
     /// File, line and key path in one text, for errors that have only a path.
     pub(crate) fn place(&self, path: &str) -> String {
         match self.fault(path, "", "") {
-            Error::Scene { file, line, .. } if line > 0 => format!("{file}:{line}: {path}"),
+            Error::Scene { file, line: 0, .. } => format!("{file}: {path}"),
+            Error::Scene { file, line, .. } => format!("{file}:{line}: {path}"),
             _ => path.to_owned(),
         }
     }

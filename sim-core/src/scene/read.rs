@@ -111,7 +111,6 @@ impl Scene {
     ///
     /// # Errors
     /// [`Error::Scene`] if it cannot be used.
-    #[expect(clippy::should_implement_trait, reason = "FromStr could not carry the file's name and folder")]
     pub fn from_str(text: &str, file_name: &str, folder: impl AsRef<Path>) -> Result<Self> {
         Self::from_str_with(text, file_name, folder, &[] as &[&str])
     }

@@ -19,7 +19,7 @@ const VIRIDIS: [Colour; 9] = [
 ];
 
 /// Viridis at `t`, 0 to 1.
-pub fn viridis(t: f32) -> Colour {
+pub(super) fn viridis(t: f32) -> Colour {
     let position = t.clamp(0.0, 1.0) * 8.0;
     let index = (position as usize).min(7);
     mix(VIRIDIS[index], VIRIDIS[index + 1], position - index as f32)
@@ -53,13 +53,13 @@ impl Ground {
 }
 
 /// From an sRGB byte to linear light, 0 to 1.
-pub fn linear(byte: u8) -> f32 {
+pub(super) fn linear(byte: u8) -> f32 {
     let v = f32::from(byte) / 255.0;
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
 /// From linear light to an sRGB byte by a table: pictures need it 3 times a pixel.
-pub fn encode(light: f32) -> u8 {
+pub(super) fn encode(light: f32) -> u8 {
     const SIZE: usize = 4096;
     static TABLE: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
     let table = TABLE.get_or_init(|| {

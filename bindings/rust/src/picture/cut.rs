@@ -6,7 +6,7 @@ use super::relief::{Dot, smoothstep};
 use super::tools::Frame;
 
 /// Draws the dots within one spacing of the plane y = `cut_y`, coloured from 0 to `top`.
-pub fn draw(image: &mut Image, frame: Frame, dots: &[Dot], cut_y: f32, spacing: f32, top: f32) {
+pub(super) fn draw(image: &mut Image, frame: Frame, dots: &[Dot], cut_y: f32, spacing: f32, top: f32) {
     let (width, height) = (image.width(), image.height());
     let scale = frame.scale as f32;
     // A dot colours its surroundings up to `reach` and covers a disc of `radius`: neighbours overlap, so ground is whole.
@@ -41,13 +41,14 @@ pub fn draw(image: &mut Image, frame: Frame, dots: &[Dot], cut_y: f32, spacing: 
     }
 }
 
-/// The least of 1, 2, 5 times a power of ten that is at least `value`; 0 stays 0.
-pub fn round_up(value: f64) -> f64 {
+/// The least round number that is at least `value`: such as 1.5, 20 or 250; 0 stays 0.
+pub(super) fn round_up(value: f64) -> f64 {
     if value <= 0.0 || !value.is_finite() {
         return 0.0;
     }
     let power = 10f64.powf(value.log10().floor());
-    let digit = [1.0, 2.0, 5.0, 10.0].into_iter().find(|d| d * power >= value * (1.0 - 1e-9));
+    let digit =
+        [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0].into_iter().find(|d| d * power >= value * (1.0 - 1e-9));
     digit.unwrap_or(10.0) * power
 }
 
@@ -57,7 +58,9 @@ mod tests {
 
     #[test]
     fn scales_are_round() {
-        for (value, round) in [(0.03, 0.05), (1.0, 1.0), (1.1, 2.0), (2300.0, 5000.0), (7e5, 1e6), (0.0, 0.0)] {
+        for (value, round) in
+            [(0.033, 0.04), (1.0, 1.0), (1.1, 1.5), (2300.0, 2500.0), (7e5, 8e5), (9e5, 1e6), (0.0, 0.0)]
+        {
             assert!((round_up(value) - round).abs() <= 1e-9 * round, "{value} -> {}", round_up(value));
         }
     }

@@ -184,7 +184,7 @@ impl Image {
 }
 
 /// `a` and `b` mixed: all of `b` at alpha 1.
-pub fn mix(a: Colour, b: Colour, alpha: f32) -> Colour {
+pub(super) fn mix(a: Colour, b: Colour, alpha: f32) -> Colour {
     std::array::from_fn(|c| {
         let (a, b) = (f32::from(a[c]), f32::from(b[c]));
         (a + (b - a) * alpha.clamp(0.0, 1.0)).round() as u8

@@ -74,12 +74,11 @@ impl Surface {
             self.binomial(&mut cover);
             self.cover = cover;
         }
-        self.height = weighted.iter().zip(&self.cover).map(|(w, c)| floor + w / c.max(1e-6)).collect();
-        for (height, cover) in self.height.iter_mut().zip(&mut self.cover) {
-            if *cover < 1e-3 {
-                *height = floor;
-            }
+        for ((height, cover), weighted) in self.height.iter_mut().zip(&mut self.cover).zip(weighted) {
+            let whole = weighted / cover.max(1e-6);
             *cover = smoothstep(0.3, 0.6, *cover);
+            // Ground ends in a slope down to the floor, which is flat beyond.
+            *height = floor + *cover * whole;
         }
     }
 
@@ -253,7 +252,7 @@ fn caps(dots: &[Dot], spacing: f32, min: [f32; 2], pitch: f32, columns: usize, r
 }
 
 /// Cosine of the angle between the sun and the normal of a slope, 0 where it faces away.
-pub fn incidence(slope_x: f32, slope_y: f32) -> f32 {
+pub(super) fn incidence(slope_x: f32, slope_y: f32) -> f32 {
     let (high, flat) = SUN;
     let towards = high - flat * (slope_x * SUN_DIRECTION[0] + slope_y * SUN_DIRECTION[1]);
     (towards / (1.0 + slope_x * slope_x + slope_y * slope_y).sqrt()).max(0.0)
@@ -271,7 +270,7 @@ fn spline(f: f32) -> [[f32; 2]; 4] {
 }
 
 /// 0 below `a`, 1 above `b`, smooth between.
-pub fn smoothstep(a: f32, b: f32, x: f32) -> f32 {
+pub(super) fn smoothstep(a: f32, b: f32, x: f32) -> f32 {
     let t = ((x - a) / (b - a)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

@@ -1,0 +1,227 @@
+//! The command line from outside: what it writes, how it stops, what it refuses.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+/// A bed of 1000 particles and a stirrer: a step takes a fraction of a millisecond.
+const SMALL: &str = r#"
+name = "small"
+[world]
+cell = 0.02
+min = [0.0, 0.0, 0.0]
+max = [0.1, 0.1, 0.2]
+walls = { x_min = "slip", x_max = "slip", y_min = "slip", y_max = "slip", z_min = "stick" }
+[time]
+end = 0.2
+step = 1e-4
+[output]
+interval = 0.01
+picture = { pixels = 240 }
+[[material]]
+name = "sand"
+law = "sand"
+density = 1600.0
+parameters = { young_modulus = 1e5, friction_angle_deg = 30.0 }
+[[body]]
+material = "sand"
+shape = { box = { min = [0.0, 0.0, 0.0], max = [0.1, 0.1, 0.1] } }
+[[tool]]
+name = "rod"
+shape = { sphere = { radius = 0.02 } }
+position = [0.03, 0.05, 0.1]
+motion = { velocity = { linear = [0.2, 0.0, 0.0] } }
+"#;
+
+fn barchan(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_barchan"));
+    command.current_dir(folder);
+    command
+}
+
+fn run(folder: &Path, args: &[&str]) -> Output {
+    barchan(folder).args(args).output().unwrap()
+}
+
+/// Runs, wants success, and returns what was printed.
+fn succeed(folder: &Path, args: &[&str]) -> String {
+    let output = run(folder, args);
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs, wants failure, and returns the error.
+fn fail(folder: &Path, args: &[&str]) -> String {
+    let output = run(folder, args);
+    assert_eq!(output.status.code(), Some(1), "{args:?} did not fail");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+fn folder_with_scene() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("small.toml"), SMALL).unwrap();
+    folder
+}
+
+fn frames(out: &Path) -> Vec<String> {
+    let entries = fs::read_dir(out.join("frames")).unwrap();
+    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn a_run_leaves_everything_in_its_folder() {
+    let folder = folder_with_scene();
+    let text = succeed(folder.path(), &["run", "small.toml", "--seconds", "0.05", "--export", "ply"]);
+    for figure in ["P2G", "material sand", "G2P", "output", "real-time factor", "particle-steps/s", "mass [kg]"] {
+        assert!(text.contains(figure), "'{figure}' is not in\n{text}");
+    }
+    let out = folder.path().join("out/small");
+    assert_eq!(frames(&out).len(), 6, "frames at 0, 10, … 50 ms");
+    for file in ["contact-sheet.png", "animation.gif", "snapshot.barchan", "particles/00005.ply"] {
+        assert!(fs::metadata(out.join(file)).unwrap().len() > 100, "{file} is empty");
+    }
+    let trace = fs::read_to_string(out.join("trace.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = trace.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 1 + 500);
+    assert_eq!((rows[0][3], rows[0].len()), ("rod x [m]", 3 + 19));
+    let number = |row: &[&str], column: &str| -> f64 {
+        row[rows[0].iter().position(|c| *c == column).unwrap()].parse().unwrap()
+    };
+    assert!((number(&rows[500], "rod x [m]") - 0.04).abs() < 1e-9, "0.2 m/s for 50 ms");
+    assert!(rows[1..].iter().all(|row| row.len() == 22));
+    assert!(number(&rows[500], "rod fx [N]") < 0.0, "sand holds the rod back");
+    let summary: serde_json::Value = serde_json::from_slice(&fs::read(out.join("summary.json")).unwrap()).unwrap();
+    assert_eq!((&summary["steps"], &summary["interrupted"]), (&500.into(), &false.into()));
+    assert!(summary["particle_steps_per_s"].as_f64().unwrap() > 0.0);
+    assert_eq!(summary["ledger_end"]["mass"], summary["ledger_start"]["mass"]);
+}
+
+#[test]
+fn a_resumed_run_is_the_whole_run_bit_for_bit() {
+    let folder = folder_with_scene();
+    succeed(folder.path(), &["run", "small.toml", "--out", "whole", "--quiet", "--steps", "400"]);
+    succeed(folder.path(), &["run", "small.toml", "--out", "parts", "--quiet", "--steps", "230"]);
+    // What an interrupted run wrote after its last snapshot is written anew.
+    let trace = folder.path().join("parts/trace.csv");
+    fs::write(&trace, fs::read_to_string(&trace).unwrap() + "0.5,9999,1e-4,1\n0.5,100").unwrap();
+    succeed(folder.path(), &["run", "small.toml", "--out", "parts", "--quiet", "--steps", "400", "--resume"]);
+    let [whole, parts] = ["whole", "parts"].map(|out| folder.path().join(out));
+    for file in ["snapshot.barchan", "trace.csv"] {
+        let [a, b] = [&whole, &parts].map(|out| fs::read(out.join(file)).unwrap());
+        assert!(a == b, "{file} differs");
+    }
+    assert_eq!(frames(&whole), frames(&parts));
+}
+
+#[test]
+fn pictures_do_not_change_the_physics() {
+    let folder = folder_with_scene();
+    succeed(folder.path(), &["run", "small.toml", "--out", "with", "--quiet", "--steps", "150"]);
+    succeed(folder.path(), &["run", "small.toml", "--out", "without", "--quiet", "--steps", "150", "--no-pictures"]);
+    let [with, without] = ["with", "without"].map(|out| fs::read(folder.path().join(out).join("snapshot.barchan")));
+    assert!(with.unwrap() == without.unwrap());
+    assert!(!folder.path().join("without/frames").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_saves_and_tells_how_to_go_on() {
+    let folder = folder_with_scene();
+    let args = ["run", "small.toml", "--out", "out/a b", "--set", "time.end=1000"];
+    let child = barchan(folder.path()).args(args).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+    let (start, frame) = (Instant::now(), folder.path().join("out/a b/frames/00001.png"));
+    while !frame.exists() && start.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(130), "{error}");
+    assert!(error.contains("barchan run small.toml --out 'out/a b' --set time.end=1000 --resume"), "{error}");
+    let summary = fs::read_to_string(folder.path().join("out/a b/summary.json")).unwrap();
+    assert!(summary.contains("\"interrupted\": true"));
+    let more = ["run", "small.toml", "--out", "out/a b", "--quiet", "--seconds", "0", "--resume"];
+    succeed(folder.path(), &more);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_full_disk_is_found_before_the_first_step() {
+    // A limit on the size of files stands in for a full disk: writing fails in the same place.
+    let folder = folder_with_scene();
+    let script = format!("trap '' XFSZ; ulimit -f 8; exec '{}' run small.toml", env!("CARGO_BIN_EXE_barchan"));
+    let output = Command::new("bash").args(["-c", &script]).current_dir(folder.path()).output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("out/small: this output folder cannot be used") && error.contains("--out"), "{error}");
+    assert_eq!(fs::read_dir(folder.path().join("out/small")).unwrap().count(), 0, "something was left behind");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_disk_that_fills_up_ends_the_run_and_keeps_what_there_is() {
+    // The trace is the file that grows: 192 KiB are enough for all others, and for some 700 steps.
+    let folder = folder_with_scene();
+    let script =
+        format!("trap '' XFSZ; ulimit -f 192; exec '{}' run small.toml --no-pictures", env!("CARGO_BIN_EXE_barchan"));
+    let output = Command::new("bash").args(["-c", &script]).current_dir(folder.path()).output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    assert!(error.contains("trace.csv: writing the trace"), "{error}");
+    let out = folder.path().join("out/small");
+    let trace = fs::read_to_string(out.join("trace.csv")).unwrap();
+    assert!(trace.lines().count() > 300, "{} lines were kept", trace.lines().count());
+    let summary = fs::read_to_string(out.join("summary.json")).unwrap();
+    assert!(summary.contains("writing the trace"), "the summary does not say what stopped the run");
+    assert!(out.join("snapshot.barchan").exists());
+}
+
+#[test]
+fn what_cannot_be_run_is_refused_with_place_and_mend() {
+    let folder = folder_with_scene();
+    let here = folder.path();
+    for (args, says) in [
+        (&["run", "leters"][..], &["'leters'", "known are: letters"][..]),
+        (&["check", "missing.toml"], &["missing.toml", "reading the scene"]),
+        (&["check", "small.toml", "--set", "world.cel=1"], &["--set: world.cel", "did you mean `cell`?"]),
+        (&["check", "small.toml", "--backend", "gpu"], &["'gpu'", "known are: cpu"]),
+        (&["check", "small.toml", "--set", "time.step=1"], &["time step", "above the bound", "lower time.step"]),
+        (&["run", "small.toml", "--out", "small.toml/x"], &["small.toml/x", "--out"]),
+        (&["run", "small.toml", "--resume"], &["snapshot.barchan"]),
+        (&["plugins", "--load", "small.toml"], &["small.toml"]),
+    ] {
+        let error = fail(here, args);
+        for part in says {
+            assert!(error.contains(part), "{args:?}: '{part}' is not in: {error}");
+        }
+    }
+    fs::write(here.join("bad.toml"), SMALL.replace("density = 1600.0", "density = -1.0")).unwrap();
+    let line = SMALL.lines().position(|line| line.starts_with("density")).unwrap() + 1;
+    let error = fail(here, &["check", "bad.toml"]);
+    assert!(error.contains(&format!("bad.toml:{line}: material[0].density")), "{error}");
+}
+
+#[test]
+fn plans_plugins_and_the_schema_are_printed() {
+    let folder = folder_with_scene();
+    let plan = succeed(folder.path(), &["plan", "small.toml"]);
+    assert!(plan.contains("material sand") && plan.contains("contact with tool rod"), "{plan}");
+    assert!(succeed(folder.path(), &["check", "small.toml"]).starts_with("small: ok, 1000 particles"));
+    let plugins: serde_json::Value = serde_json::from_str(&succeed(folder.path(), &["plugins", "--json"])).unwrap();
+    assert!(plugins["materials"].as_array().unwrap().iter().any(|m| m["name"] == "sand"));
+    let schema: serde_json::Value = serde_json::from_str(&succeed(folder.path(), &["schema"])).unwrap();
+    assert!(schema["properties"]["world"].is_object());
+}
+
+#[test]
+fn throughput_is_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let args =
+        ["bench", "throughput", "--grid", "32", "--steps", "2", "--repetitions", "2", "--warm-up", "1", "--json"];
+    let figures: serde_json::Value = serde_json::from_str(&succeed(folder.path(), &args)).unwrap();
+    assert_eq!(figures["particles"], 16_810);
+    assert!(figures["particle_steps_per_s"].as_f64().unwrap() > 1e3);
+}

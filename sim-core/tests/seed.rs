@@ -1,0 +1,260 @@
+//! Seeding: counts, places, volumes, and what is refused.
+#![allow(clippy::result_large_err, reason = "see the crate's own allowance")]
+
+mod common;
+
+use barchan_core::solid::Solid;
+use barchan_core::{Error, Options, ParticleList, Plan, Precision, Result, Scene, Vec3};
+use std::sync::Arc;
+
+/// A world of 2 x 2 x 1 m with 4 cm cells, particles 2 cm apart, and one body.
+fn scene(body: &str) -> Scene {
+    let text = format!(
+        "name = 'seed'
+        world = {{ cell = 0.04, min = [-1, -1, 0], max = [1, 1, 1] }}
+        time = {{ end = 1 }}
+        material = [{{ name = 'm', law = 'elastic', density = 1000 }}]
+        [[body]]
+        material = 'm'
+        {body}"
+    );
+    Scene::from_str(&text, "seed.toml", "").unwrap()
+}
+
+fn particles_of(scene: &Scene, options: &Options) -> Result<ParticleList> {
+    let (plan, mut state, _) = Plan::assemble(&common::registry(), scene, options)?;
+    assert_eq!(plan.particle_count, state.lists[0].len());
+    Ok(state.lists.remove(0))
+}
+
+fn particles(body: &str) -> ParticleList {
+    particles_of(&scene(body), &Options::default()).unwrap()
+}
+
+fn center(list: &ParticleList) -> Vec3 {
+    std::array::from_fn(|d| (0..list.len()).map(|i| list.position(i)[d]).sum::<f64>() / list.len() as f64)
+}
+
+#[test]
+fn a_box_holds_a_whole_number_of_spacings_a_side() {
+    let list = particles("shape = { box = { min = [-0.5, -0.5, 0.0], max = [0.5, 0.5, 0.2] } }");
+    assert_eq!(list.len(), 50 * 50 * 10);
+    let first = list.position(0);
+    for d in 0..3 {
+        assert!((first[d] - [-0.49, -0.49, 0.01][d]).abs() < 1e-12, "{first:?}");
+    }
+    // Total volume is that of the box to rounding of f32, and mass is density times it.
+    let volume: f64 = list.volume0.iter().sum();
+    assert!((volume / 0.2 - 1.0).abs() < 1e-6, "{volume}");
+    assert!((list.mass.iter().sum::<f64>() / 200.0 - 1.0).abs() < 1e-6);
+    assert_eq!(list.id, (0..25_000).collect::<Vec<_>>());
+    assert!(list.strain[0].iter().all(|x| *x == 1.0) && list.strain[3].iter().all(|x| *x == 0.0));
+    assert!(list.state[0].iter().all(|x| *x == f64::from(0.1_f32)), "values are those of an f32 run");
+}
+
+#[test]
+fn the_lattice_is_centred_where_sides_are_no_whole_spacings() {
+    let list = particles("shape = { box = { min = [0, 0, 0], max = [0.105, 0.1, 0.1] } }");
+    assert_eq!(list.len(), 5 * 5 * 5);
+    assert!((center(&list)[0] - 0.0525).abs() < 1e-9);
+}
+
+#[test]
+fn offsets_are_exact_in_fixed_point_and_faces_belong_to_the_upper_cell() {
+    // Spacing and corner put every second particle on a face between cells.
+    let scene = scene("spacing = 0.02\nshape = { box = { min = [-0.01, 0.03, 0.01], max = [0.07, 0.11, 0.09] } }");
+    for precision in [Precision::F32, Precision::F64] {
+        let list = particles_of(&scene, &Options { precision, ..Options::default() }).unwrap();
+        assert_eq!(list.len(), 4 * 4 * 4);
+        assert!(list.offset.as_flattened().iter().all(|offset| *offset == 0.0 || *offset == 0.5));
+        let cells: Vec<_> = list.cell.iter().step_by(16).map(|cell| cell[0]).collect();
+        assert_eq!(cells, [0, 0, 1, 1]);
+    }
+    // What is no multiple of a fixed-point step is rounded to one in f32, and kept in f64.
+    let third = particles("spacing = 0.0133333\nshape = { box = { min = [0, 0, 0], max = [0.4, 0.4, 0.4] } }");
+    assert!(third.offset.as_flattened().iter().all(|offset| (offset * 2_f64.powi(32)).fract() == 0.0));
+}
+
+#[test]
+fn far_from_the_origin_the_offsets_are_the_same_bits() {
+    let near = scene("sampling = 'jitter'\nshape = { box = { min = [0, 0.04, 0.2], max = [0.4, 0.4, 0.4] } }");
+    let mut far = near.clone();
+    far.set(&[
+        // 10 km is 250 000 cells.
+        "world.min=[9999, 9999, 0]",
+        "world.max=[10001, 10001, 1]",
+        "body[0].shape.box.min=[10000, 10000.04, 0.2]",
+        "body[0].shape.box.max=[10000.4, 10000.4, 0.4]",
+    ])
+    .unwrap();
+    let [near, far] = [near, far].map(|scene| particles_of(&scene, &Options::default()).unwrap());
+    assert_eq!(near.offset, far.offset);
+    assert!(near.cell.iter().zip(&far.cell).all(|(a, b)| [a[0] + 250_000, a[1] + 250_000, a[2]] == *b));
+}
+
+#[test]
+fn round_shapes_hold_their_volume() {
+    let tau = std::f64::consts::TAU;
+    for (shape, volume) in [
+        ("sphere = { center = [0, 0, 0.5], radius = 0.3 }", tau * 2.0 / 3.0 * 0.027),
+        ("cylinder = { center = [0, 0, 0.5], radius = 0.3, half_height = 0.2 }", tau / 2.0 * 0.09 * 0.4),
+        (
+            "capsule = { center = [0, 0, 0.5], radius = 0.2, half_height = 0.2 }",
+            tau * 2.0 / 3.0 * 0.008 + tau / 2.0 * 0.04 * 0.4,
+        ),
+        (
+            // A wedge, 0 to 0.4 m high.
+            "height_field = { min = [0, 0], max = [0.8, 0.8], bottom = 0, heights = [[0, 0.2, 0.4], [0, 0.2, 0.4]] }",
+            0.8 * 0.8 * 0.2,
+        ),
+    ] {
+        let list = particles(&format!("shape = {{ {shape} }}"));
+        let seeded: f64 = list.volume0.iter().sum();
+        assert!((seeded / volume - 1.0).abs() < 0.02, "{shape}: {seeded} for {volume}");
+        let least = (0..list.len()).map(|i| list.position(i)[2]).fold(f64::INFINITY, f64::min);
+        if shape.starts_with("height_field") {
+            assert!((least - 0.01).abs() < 1e-9, "a height field stands on its bottom: {least}");
+        } else {
+            assert!((0..3).all(|d| (center(&list)[d] - [0.0, 0.0, 0.5][d]).abs() < 1e-9), "{shape}");
+        }
+    }
+}
+
+#[test]
+fn heights_come_from_a_file_and_its_faults_have_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut scene = scene("shape = { height_field = { min = [0, 0], max = [0.8, 0.8], bottom = 0, file = 'h.csv' } }");
+    scene.folder = folder.path().to_owned();
+    let seed = |text: &str| {
+        std::fs::write(folder.path().join("h.csv"), text).unwrap();
+        particles_of(&scene, &Options::default())
+    };
+    assert_eq!(seed("# rows along y\n0.2, 0.2\n\n0.2; 0.2 # flat\n").unwrap().len(), 40 * 40 * 10);
+    let error = seed("0.2, 0.2\n0.2, high\n").unwrap_err().to_string();
+    assert!(error.contains("h.csv:2: heights: `high` is no number"), "{error}");
+    let error = seed("0.2, 0.2\n0.2\n").unwrap_err().to_string();
+    assert!(error.contains("body[0].shape.height_field.file[1]: has 1 heights, the first row 2"), "{error}");
+    let error = seed("2, 2\n2, 2\n").unwrap_err().to_string();
+    assert!(error.contains("reaches out of the world: z from 0 to 2"), "{error}");
+    std::fs::remove_file(folder.path().join("h.csv")).unwrap();
+    let error = particles_of(&scene, &Options::default()).unwrap_err().to_string();
+    assert!(error.contains("h.csv: reading heights: No such file"), "{error}");
+}
+
+#[test]
+fn jitter_is_the_seeds_alone_and_stays_in_its_lattice_cell() {
+    let shape = "shape = { box = { min = [0, 0, 0], max = [0.4, 0.4, 0.4] } }";
+    let body = format!("sampling = 'jitter'\n{shape}");
+    let (lattice, jitter) = (particles(shape), particles(&body));
+    assert_eq!(lattice.len(), jitter.len());
+    assert_eq!(jitter, particles(&body), "the same seed gives the same bits");
+    let mut mean = [0.0; 3];
+    for i in 0..lattice.len() {
+        for (d, mean) in mean.iter_mut().enumerate() {
+            let moved = (jitter.position(i)[d] - lattice.position(i)[d]) / 0.02;
+            assert!(moved.abs() <= 0.5 + 1e-9, "{moved}");
+            *mean += moved / lattice.len() as f64;
+        }
+    }
+    // Uniform in ±0.5: the mean of 8000 has a standard deviation of 0.0032.
+    assert!(mean.iter().all(|m| m.abs() < 0.015), "{mean:?}");
+    let mut other = scene(&body);
+    other.seed = 1;
+    assert_ne!(jitter.offset, particles_of(&other, &Options::default()).unwrap().offset);
+}
+
+#[test]
+fn a_turning_body_moves_about_its_centre_of_mass() {
+    let list = particles(
+        "velocity = [1, 0, 0]\nangular_velocity = [0, 0, 2]\nshape = { box = { min = [0.2, 0.2, 0.2], max = [0.4, 0.4, 0.4] } }",
+    );
+    assert_eq!(list.affine[0], [0.0, -2.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    for i in 0..list.len() {
+        let x = list.position(i);
+        let expected = [1.0 - 2.0 * (x[1] - 0.3), 2.0 * (x[0] - 0.3), 0.0];
+        for (v, expected) in list.velocity[i].iter().zip(expected) {
+            assert!((v - expected).abs() < 1e-6);
+            assert_eq!(*v, f64::from(*v as f32));
+        }
+    }
+}
+
+#[test]
+fn particles_inside_tools_are_left_out() {
+    let mut scene = scene(
+        "shape = { box = { min = [0, 0, 0], max = [0.4, 0.4, 0.4] } }\n[[tool]]\nname = 't'\nshape = { box = { half = [0.1, 0.1, 0.1] } }\nposition = [0.2, 0.2, 0.4]",
+    );
+    assert_eq!(particles_of(&scene, &Options::default()).unwrap().len(), 20 * 20 * 20 - 10 * 10 * 5);
+    scene.set(&["body[0].around_tools=false"]).unwrap();
+    assert_eq!(particles_of(&scene, &Options::default()).unwrap().len(), 20 * 20 * 20);
+    scene.set(&["body[0].around_tools=true", "tool.t.shape.box.half=[1, 1, 1]"]).unwrap();
+    let error = particles_of(&scene, &Options::default()).unwrap_err().to_string();
+    assert!(error.contains("body[0]: body has no particles: all 8000 are inside tools"), "{error}");
+}
+
+#[test]
+fn bodies_without_particles_are_refused_by_name() {
+    for (shape, why) in [
+        ("box = { min = [0, 0, 0], max = [0.4, 0.4, 0.005] }", "its least side, 0.005 m, is below half the spacing"),
+        ("sphere = { center = [0, 0, 0.5], radius = 0.004 }", "its least side, 0.008 m, is below half the spacing"),
+        // Two points a side, whose corner is 0.87 spacings from the centre.
+        ("sphere = { center = [0, 0, 0.5], radius = 0.016 }", "no point of a lattice of 0.02 m lies inside"),
+    ] {
+        let scene = scene(&format!("name = 'crumb'\nshape = {{ {shape} }}"));
+        let error = particles_of(&scene, &Options::default()).unwrap_err().to_string();
+        assert!(error.contains("body[0]: body 'crumb' has no particles") && error.contains(why), "{error}");
+        assert!(error.starts_with("seed.toml:"), "{error}");
+    }
+}
+
+#[test]
+fn a_cap_on_memory_is_an_error_that_says_how_much() {
+    let scene = scene("shape = { box = { min = [-1, -1, 0], max = [1, 1, 1] } }");
+    let error = particles_of(&scene, &Options { max_bytes: Some(1 << 20), ..Options::default() }).unwrap_err();
+    let Error::Capacity { asked, cap, .. } = error else { panic!("{error}") };
+    assert!(asked > 500_000 * 200 && asked < 500_000 * 500 && cap == 1 << 20, "{asked}");
+    // A number that no memory could hold is refused too, not multiplied around.
+    let mut vast = scene;
+    vast.set(&["world.cell=1e-6"]).unwrap();
+    assert!(matches!(particles_of(&vast, &Options::default()), Err(Error::Capacity { .. })));
+}
+
+#[test]
+fn meshes_need_a_reader_and_are_turned_scaled_and_moved() {
+    struct Slab;
+    impl Solid for Slab {
+        fn bounds(&self) -> barchan_core::coupling::Aabb {
+            barchan_core::coupling::Aabb { min: [0.0; 3], max: [0.4, 0.2, 0.1] }
+        }
+        fn contains(&self, x: Vec3) -> bool {
+            self.bounds().contains(x)
+        }
+    }
+    // A quarter turn about z takes x to y.
+    let scene = scene("shape = { mesh = { file = 'slab.stl', center = [0.5, 0.1, 0.2], rotation = [1, 0, 0, 1] } }");
+    let error = particles_of(&scene, &Options::default()).unwrap_err().to_string();
+    assert!(error.contains("body[0].shape: nothing registered reads meshes"), "{error}");
+    let mut registry = common::registry();
+    registry.set_mesh_reader(Arc::new(|file, scale| {
+        assert_eq!((file.to_str(), scale), (Some("slab.stl"), 1.0));
+        Ok(Box::new(Slab))
+    }));
+    let (_, state, _) = Plan::assemble(&registry, &scene, &Options::default()).unwrap();
+    let list = &state.lists[0];
+    assert_eq!(list.len(), 20 * 10 * 5);
+    for (d, expected) in [0.4, 0.3, 0.25].into_iter().enumerate() {
+        assert!((center(list)[d] - expected).abs() < 1e-9, "{:?}", center(list));
+    }
+}
+
+#[test]
+fn a_million_particles_take_a_blink() {
+    let scene = scene("shape = { box = { min = [-1, -1, 0], max = [1, 1, 1] } }\nspacing = 0.016");
+    let start = std::time::Instant::now();
+    let list = particles_of(&scene, &Options::default()).unwrap();
+    let seconds = start.elapsed().as_secs_f64();
+    println!("{} particles in {seconds:.3} s", list.len());
+    assert_eq!(list.len(), 125 * 125 * 63);
+    // 0.1 s when nothing else runs; the rest is for a busy machine.
+    assert!(seconds < 1.5, "{seconds}");
+}

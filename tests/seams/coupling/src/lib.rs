@@ -1,0 +1,133 @@
+//! A coupling outside Barchan's own crates: a current within a box that drags the ground along.
+//!
+//! A scene calls for it by `[[coupling]] kind = "current"`, with the parameters `rate` [1/s] and `x`, `y`, `z` [m/s]. The box
+//! is the whole world. A node's velocity u follows du/dt = rate (w - u), taken implicitly, so that any step is stable; what the
+//! node gains, a pump without an end of mass loses.
+
+use barchan::coupling::Aabb;
+use barchan::{BodyState, Coupling, Error, NodeBatch, Registry, Result, Scene, Vec3, Wrench};
+use std::sync::Arc;
+
+/// Name of the kind.
+pub const KIND: &str = "current";
+
+/// Registers the coupling.
+///
+/// # Errors
+/// If the name is taken.
+pub fn register(registry: &mut Registry) -> Result<()> {
+    let doc = "A current that drags the ground along: rate [1/s]; x, y, z [m/s].";
+    registry.add_coupling(KIND, doc, Arc::new(|scene| Ok(Box::new(Current::new(scene)?))))
+}
+
+/// The current, and what it felt in the last step.
+#[derive(Clone, Debug)]
+pub struct Current {
+    rate: f64,
+    velocity: Vec3,
+    extent: Aabb,
+    impulse: Vec3,
+    wrench: [Wrench; 1],
+}
+
+impl Current {
+    /// Reads its parameters from the scene.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] if one is unknown, or `rate` is negative or missing.
+    pub fn new(scene: &Scene) -> Result<Self> {
+        const KNOWN: [&str; 4] = ["rate", "x", "y", "z"];
+        let Some(index) = scene.coupling.iter().position(|spec| spec.kind == KIND) else {
+            return Err(scene.fault("coupling", "none is a current", "add [[coupling]] kind = \"current\""));
+        };
+        let parameters = &scene.coupling[index].parameters;
+        let path = |key: &str| format!("coupling[{index}].parameters.{key}");
+        if let Some(key) = parameters.keys().find(|key| !KNOWN.contains(&key.as_str())) {
+            return Err(scene.fault(&path(key), "a current has no such parameter", "it has rate, x, y, z"));
+        }
+        let value = |key: &str| parameters.get(key).copied().unwrap_or(0.0);
+        let rate = value("rate");
+        if !(rate > 0.0 && rate.is_finite()) {
+            return Err(scene.fault(&path("rate"), format!("is {rate}"), "must be finite and above 0"));
+        }
+        Ok(Self {
+            rate,
+            velocity: [value("x"), value("y"), value("z")],
+            extent: scene.world_box(),
+            impulse: [0.0; 3],
+            wrench: [Wrench::default()],
+        })
+    }
+}
+
+impl Coupling for Current {
+    fn name(&self) -> &str {
+        KIND
+    }
+    fn bodies(&self) -> Vec<BodyState> {
+        vec![BodyState {
+            name: "pump".to_owned(),
+            position: [0.0; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            velocity: [0.0; 3],
+            angular_velocity: [0.0; 3],
+            mass: f64::INFINITY,
+            kinetic_energy: 0.0,
+            potential_energy: 0.0,
+            momentum: [0.0; 3],
+            angular_momentum: [0.0; 3],
+        }]
+    }
+    fn max_speed(&self, _: f64, _: f64) -> f64 {
+        0.0
+    }
+    fn before_step(&mut self, _: f64, _: f64) -> Result<()> {
+        self.impulse = [0.0; 3];
+        Ok(())
+    }
+    fn bounds(&self) -> Vec<Aabb> {
+        vec![self.extent]
+    }
+    fn contact(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()> {
+        let share = self.rate * dt / (1.0 + self.rate * dt);
+        for (u, &mass) in nodes.velocity.iter_mut().zip(&nodes.mass) {
+            for d in 0..3 {
+                let gain = share * (self.velocity[d] - u[d]);
+                u[d] += gain;
+                self.impulse[d] -= mass * gain;
+            }
+        }
+        Ok(())
+    }
+    fn after_step(&mut self, _: f64, dt: f64) -> Result<()> {
+        self.wrench[0] = Wrench { force: self.impulse.map(|i| i / dt), torque: [0.0; 3] };
+        Ok(())
+    }
+    fn wrenches(&self) -> &[Wrench] {
+        &self.wrench
+    }
+    fn distance(&self, points: &[Vec3]) -> Vec<f64> {
+        vec![f64::INFINITY; points.len()]
+    }
+    fn drive(&mut self, body: &str, _: Vec3, _: Vec3) -> Result<()> {
+        Err(Error::Body {
+            path: body.to_owned(),
+            what: "the pump of a current does not move".to_owned(),
+            mend: "drive a tool instead".to_owned(),
+        })
+    }
+    fn warnings(&self, _: f64) -> Vec<String> {
+        Vec::new()
+    }
+    fn save(&self) -> Vec<u8> {
+        self.wrench[0].force.iter().flat_map(|x| x.to_le_bytes()).collect()
+    }
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), String> {
+        let numbers = bytes.as_chunks::<8>().0;
+        if bytes.len() != 24 {
+            return Err(format!("{} bytes where a current has 24", bytes.len()));
+        }
+        self.wrench[0].force = std::array::from_fn(|d| f64::from_le_bytes(numbers[d]));
+        Ok(())
+    }
+}

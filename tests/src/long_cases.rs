@@ -1,0 +1,265 @@
+//! Hard cases whose point is to last. The suite runs them short, `examples/long_cases.rs` whole; both run the same code.
+
+use crate::scenes::{alter, options, rows, run_to, scene, simulation};
+use crate::sketch::{Head, bed, block, half, material, tool};
+use barchan::{Precision, Simulation};
+use std::f64::consts::TAU;
+
+/// A measured figure beside what it must not exceed.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    /// What was measured, with its unit.
+    pub what: String,
+    /// How much it is.
+    pub measured: f64,
+    /// How much it may be.
+    pub tolerance: f64,
+}
+
+impl Figure {
+    /// Is it within its tolerance?
+    pub fn passes(&self) -> bool {
+        self.measured <= self.tolerance
+    }
+}
+
+/// What a case came to.
+#[derive(Clone, Debug, Default)]
+pub struct Outcome {
+    /// Steps taken.
+    pub steps: u64,
+    /// What was measured.
+    pub figures: Vec<Figure>,
+}
+
+impl Outcome {
+    fn add(&mut self, what: impl Into<String>, measured: f64, tolerance: f64) {
+        self.figures.push(Figure { what: what.into(), measured, tolerance });
+    }
+
+    /// Prints all figures and asserts that they pass.
+    ///
+    /// # Panics
+    /// If one does not.
+    pub fn check(&self, case: &str) {
+        for Figure { what, measured, tolerance } in &self.figures {
+            println!("{case}: {what} {measured:.3e}, tolerance {tolerance:.1e}, {} steps", self.steps);
+        }
+        for figure in &self.figures {
+            assert!(figure.passes(), "{case}: {} is {:e}, allowed {:e}", figure.what, figure.measured, figure.tolerance);
+        }
+    }
+}
+
+/// Laws with parameters, all softer than 1 MPa.
+pub const LAWS: [(&str, &str); 7] = [
+    ("neo_hookean", "young_modulus = 1e5"),
+    ("fixed_corotated", "young_modulus = 1e5"),
+    ("hencky", "young_modulus = 1e5"),
+    ("sand", "young_modulus = 1e5"),
+    ("snow", "young_modulus = 1e5"),
+    ("von_mises", "young_modulus = 1e5"),
+    ("liquid", "bulk_modulus = 1e5"),
+];
+
+/// B7: matter at rest without gravity, of every law, stays at rest bit for bit.
+///
+/// Any scheme whose stress at rest, weights or position updates are only nearly zero creeps within 1e5 steps. The figure is
+/// the number of particles that differ in any bit.
+pub fn rest(steps: u64) -> Outcome {
+    let mut outcome = Outcome { steps, ..Outcome::default() };
+    for precision in [Precision::F32, Precision::F64] {
+        let mut parts = Vec::new();
+        for (i, (law, parameters)) in LAWS.into_iter().enumerate() {
+            let x = 0.4 * i as f64 - 1.2;
+            parts.push(material(law, 1000.0, parameters));
+            parts.push(block(law, [x, 0.0, 0.0], [x + 0.2, 0.2, 0.2], "sampling = \"jitter\""));
+        }
+        let mut at_rest = simulation(&Head::space(0.1).with(&parts), precision);
+        let start = rows(&at_rest);
+        for _ in 0..steps {
+            at_rest.step().unwrap_or_else(|e| panic!("{e}"));
+        }
+        let moved = start.iter().zip(rows(&at_rest)).filter(|(a, b)| **a != *b).count();
+        outcome.add(format!("{} particles of 7 laws at rest, {precision}: changed", start.len()), moved as f64, 0.0);
+    }
+    outcome
+}
+
+/// A rigid box at rest on sand.
+pub fn box_on_sand(precision: Precision) -> Simulation {
+    let (h, depth, side) = (0.02, 6, 0.08);
+    let (mut head, mut parts) = bed(h, [12, 12], depth, 12, "young_modulus = 2e5, friction_angle_deg = 35");
+    head.time.push_str("\nover_bound = \"substep\"");
+    let z = h * f64::from(depth) + 0.5 * side;
+    parts.push(tool(
+        "box",
+        [0.12, 0.12, z],
+        &half([0.5 * side; 3]),
+        "{ coulomb = { friction = 0.5 } }",
+        &format!("{{ free = {{ mass = {} }} }}", 800.0 * side * side * side),
+    ));
+    simulation(&head.with(&parts), precision)
+}
+
+/// B44: a rigid box on sand keeps still: it neither sinks on, nor drifts, nor heats the sand.
+///
+/// Contact that jitters, or a yield surface touched anew at every step, lets a box sink for ever; noise that contact feeds
+/// into the ground shows as kinetic energy that does not fall. Measured from the first second on.
+pub fn box_at_rest(seconds: f64) -> Outcome {
+    let h = 0.02;
+    let mut outcome = Outcome::default();
+    let mut rests = box_on_sand(Precision::F32);
+    run_to(&mut rests, 1.0);
+    let start = rests.bodies()[0].clone();
+    let (mut early, mut late, mut push, mut count) = (0f64, 0f64, 0f64, 0.0);
+    while rests.time() < seconds {
+        let frame = (rests.time() + 0.02).min(seconds);
+        run_to(&mut rests, frame);
+        let ledger = rests.ledger();
+        let energy = ledger.kinetic + ledger.body_kinetic;
+        if rests.time() < 1.0 + 0.5 * (seconds - 1.0) {
+            early = early.max(energy);
+        } else {
+            late = late.max(energy);
+        }
+        push += rests.wrenches()[0].force[2];
+        count += 1.0;
+    }
+    let end = rests.bodies()[0].clone();
+    let time = seconds - 1.0;
+    let moved: [f64; 3] = std::array::from_fn(|d| (end.position[d] - start.position[d]) / h);
+    outcome.steps = rests.step_count();
+    outcome.add("sinkage [h/s]", -moved[2] / time, 0.02);
+    outcome.add("drift sideways [h/s]", moved[0].hypot(moved[1]) / time, 0.002);
+    // As a speed of all mass together.
+    let mass = rests.ledger().mass;
+    outcome.add("noise of the ground [m/s]", (2.0 * late / mass).sqrt(), 1e-3);
+    outcome.add("kinetic energy, second half over first", late / early, 1.05);
+    outcome.add("mean push over weight, off by", (push / count / (start.mass * 9.81) - 1.0).abs(), 0.01);
+    outcome
+}
+
+/// Height of a column's centre of mass after each of `cycles` of shaking its base, relative to the start of it.
+fn shaken_column(cycles: u32, correction: u8) -> (f64, u64) {
+    let (h, depth, frequency, speed) = (0.05, 8, 8.0, 0.1);
+    let walls = "x_min = \"periodic\"\nx_max = \"periodic\"\ny_min = \"periodic\"\ny_max = \"periodic\"";
+    let head = Head::cells(h, [4, 4, 16], walls).time("safety = 0.5");
+    let floor = 0.15;
+    let top = floor + h * f64::from(depth);
+    let parameters = format!("young_modulus = 5e5, friction_angle_deg = 20, volume_correction = {correction}");
+    let mut column = simulation(
+        &head.with(&[
+            material("sand", 1500.0, &parameters),
+            block("sand", [0.0, 0.0, floor], [0.2, 0.2, top], ""),
+            // Wide enough that its ends stay outside while it is shaken.
+            tool(
+                "base",
+                [0.1, 0.1, 0.5 * floor],
+                &half([1.0, 1.0, 0.5 * floor]),
+                "\"stick\"",
+                "{ velocity = { linear = [0, 0, 0] } }",
+            ),
+        ]),
+        Precision::F32,
+    );
+    run_to(&mut column, 0.5);
+    let height = |s: &Simulation| {
+        let all = rows(s);
+        2.0 * (all.iter().map(|r| r.x[2]).sum::<f64>() / all.len() as f64 - floor)
+    };
+    let start = height(&column);
+    let (from, end) = (column.time(), f64::from(cycles) / frequency);
+    while column.time() < from + end {
+        let phase = TAU * frequency * (column.time() - from);
+        column.drive("base", [speed * phase.cos(), 0.0, 0.0], [0.0; 3]).unwrap_or_else(|e| panic!("{e}"));
+        column.set_stop(from + end);
+        column.step().unwrap_or_else(|e| panic!("{e}"));
+    }
+    column.drive("base", [0.0; 3], [0.0; 3]).unwrap_or_else(|e| panic!("{e}"));
+    let stop = column.time() + 0.5;
+    run_to(&mut column, stop);
+    (height(&column) / start - 1.0, column.step_count())
+}
+
+/// B11: a sand column whose base is shaken keeps its height.
+///
+/// Each cycle opens and closes some of the sand. Without the volume correction of Tampubolon et al. 2017 every closed cycle
+/// leaves extra pressure, and the column grows. The base is shaken with 5 m/s², beyond what the sand can follow.
+pub fn cyclic_shear(cycles: u32) -> Outcome {
+    let (with, steps) = shaken_column(cycles, 1);
+    let (without, _) = shaken_column(cycles, 0);
+    println!("B11: {cycles} cycles change the height by {:+.4} %, without correction {:+.4} %", 100.0 * with, 100.0 * without);
+    let mut outcome = Outcome { steps, ..Outcome::default() };
+    outcome.add(format!("{cycles} cycles of shear: change of height (uncorrected {without:+.2e})"), with.abs(), 0.01);
+    outcome
+}
+
+/// Resident bytes of this process, where the system tells.
+fn resident() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/statm").ok()?;
+    Some(4096.0 * status.split_whitespace().nth(1)?.parse::<f64>().ok()?)
+}
+
+/// A sand bed with a driven tool and a free body, for episodes.
+pub fn episode_scene() -> String {
+    let (head, mut parts) = bed(0.05, [8, 8], 3, 8, "young_modulus = 1e5, friction_angle_deg = 35");
+    let contact = "{ coulomb = { friction = 0.4 } }";
+    let rod = "capsule = { radius = 0.06, half_height = 0.1 }";
+    parts.push(tool("rod", [0.12, 0.2, 0.2], rod, contact, "{ velocity = { linear = [0.6, 0.1, 0] } }"));
+    let sphere = "sphere = { radius = 0.06 }";
+    parts.push(tool("ball", [0.3, 0.25, 0.23], sphere, contact, "{ free = { mass = 1.5, linear = [0.1, 0, -1] } }"));
+    head.with(&parts)
+}
+
+/// B27: reset and step, many times over: the last episode is the first one bit for bit, and memory does not grow.
+///
+/// Anything that outlives a reset (a sort's phase, a stale bound, a tool's wrench, a hash map's order) makes episodes differ;
+/// anything that is not given back makes them end. Half of the resets hand particles back, half assemble the scene anew.
+pub fn resets(cycles: u32, watch_memory: bool) -> Outcome {
+    let mut outcome = Outcome::default();
+    let registry = barchan::registry();
+    let made = scene(&episode_scene());
+    let play = |s: &mut Simulation, steps: u32| {
+        for _ in 0..steps {
+            s.step().unwrap_or_else(|e| panic!("{e}"));
+        }
+    };
+    let new = || Simulation::new(&registry, &made, &options(Precision::F32)).unwrap_or_else(|e| panic!("{e}"));
+    let mut first = new();
+    play(&mut first, 30);
+    let (end, bodies) = (first.particles(), first.bodies());
+
+    // Without tools, since those have no reset of their own.
+    let (head, parts) = bed(0.05, [8, 8], 3, 8, "young_modulus = 1e5");
+    let mut reused = simulation(&head.with(&parts), Precision::F32);
+    alter(&mut reused, |r| r.v = [0.3, 0.1, 0.5]);
+    let mut start = reused.particles();
+    start.sort = None;
+    let again = |s: &mut Simulation| {
+        s.set_particles(start.clone()).unwrap_or_else(|e| panic!("{e}"));
+        play(s, 30);
+        s.particles()
+    };
+    let settled = again(&mut reused);
+    let (mut differ, mut before) = (0, None);
+    for cycle in 0..cycles {
+        if cycle % 2 == 0 {
+            let mut s = new();
+            play(&mut s, 30);
+            differ += u32::from(s.particles() != end || s.bodies() != bodies);
+        } else {
+            differ += u32::from(again(&mut reused) != settled);
+        }
+        // What an allocator keeps for later is taken by then.
+        if cycle == cycles / 10 {
+            before = resident();
+        }
+    }
+    outcome.steps = 30 * u64::from(cycles);
+    outcome.add(format!("{cycles} resets: episodes that differ"), f64::from(differ), 0.0);
+    if let (true, Some(before), Some(after)) = (watch_memory, before, resident()) {
+        outcome.add("growth of resident memory [MiB]", (after - before) / f64::from(1 << 20), 4.0);
+    }
+    outcome
+}

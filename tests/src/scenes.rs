@@ -1,0 +1,117 @@
+//! Short ways to say a scene, and to read a simulation.
+
+use barchan::{Options, ParticleList, Precision, Scene, Simulation, Vec3};
+use std::path::Path;
+
+/// A scene from TOML text.
+///
+/// # Panics
+/// If the scene is not valid.
+pub fn scene(toml: &str) -> Scene {
+    Scene::from_str(toml, "test scene", Path::new(".")).unwrap_or_else(|e| panic!("{e}\n{toml}"))
+}
+
+/// Options with a precision, on one thread.
+pub fn options(precision: Precision) -> Options {
+    Options { precision, threads: 1, ..Options::default() }
+}
+
+/// A simulation from TOML text.
+///
+/// # Panics
+/// If the scene cannot be assembled.
+pub fn simulation(toml: &str, precision: Precision) -> Simulation {
+    Simulation::new(&barchan::registry(), &scene(toml), &options(precision)).unwrap_or_else(|e| panic!("{e}\n{toml}"))
+}
+
+/// Steps until `time` [s].
+///
+/// # Panics
+/// If a step fails.
+pub fn run_to(simulation: &mut Simulation, time: f64) {
+    while simulation.time() < time {
+        simulation.set_stop(time);
+        simulation.step().unwrap_or_else(|e| panic!("{e}"));
+    }
+}
+
+/// A particle, read out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// Its id.
+    pub id: u64,
+    /// Position [m].
+    pub x: Vec3,
+    /// Velocity [m/s].
+    pub v: Vec3,
+    /// Affine matrix [1/s].
+    pub c: [f64; 9],
+    /// Mass [kg].
+    pub m: f64,
+    /// Rest volume [m³].
+    pub volume0: f64,
+    /// Strain planes.
+    pub strain: Vec<f64>,
+    /// History.
+    pub state: Vec<f64>,
+}
+
+/// All particles in the order of their ids.
+pub fn rows(simulation: &Simulation) -> Vec<Row> {
+    let mut rows: Vec<Row> = simulation.particles().lists.iter().flat_map(list_rows).collect();
+    rows.sort_by_key(|r| r.id);
+    rows
+}
+
+fn list_rows(list: &ParticleList) -> Vec<Row> {
+    (0..list.len())
+        .map(|i| Row {
+            id: list.id[i],
+            x: list.position(i),
+            v: list.velocity[i],
+            c: list.affine[i],
+            m: list.mass[i],
+            volume0: list.volume0[i],
+            strain: list.strain.iter().map(|plane| plane[i]).collect(),
+            state: list.state.iter().map(|plane| plane[i]).collect(),
+        })
+        .collect()
+}
+
+/// Changes every particle: `f(position, row)` may alter velocity, affine matrix, strain and history.
+///
+/// # Panics
+/// If the state does not fit, which cannot happen for the simulation's own particles.
+pub fn alter(simulation: &mut Simulation, mut f: impl FnMut(&mut Row)) {
+    let mut state = simulation.particles();
+    for list in &mut state.lists {
+        for (i, mut row) in list_rows(list).into_iter().enumerate() {
+            f(&mut row);
+            list.velocity[i] = row.v;
+            list.affine[i] = row.c;
+            list.mass[i] = row.m;
+            for (plane, x) in list.strain.iter_mut().zip(&row.strain).chain(list.state.iter_mut().zip(&row.state)) {
+                plane[i] = *x;
+            }
+        }
+    }
+    simulation.set_particles(state).unwrap_or_else(|e| panic!("{e}"));
+}
+
+/// Deterministic numbers in [-1, 1), for set-ups that should have no symmetry.
+#[derive(Clone, Debug)]
+pub struct Noise(u64);
+
+impl Noise {
+    /// A sequence of its own for each seed.
+    pub fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
+    }
+    /// The next number.
+    pub fn next(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+}

@@ -1,0 +1,98 @@
+//! Scenes put together from their parts, for the many small ones that hard cases need.
+
+use barchan::Vec3;
+use std::fmt::Display;
+
+/// Gravity, cell width [m], extent [m], walls and time: what every scene begins with.
+#[derive(Clone, Debug)]
+pub struct Head {
+    /// Gravity [m/s²].
+    pub gravity: Vec3,
+    /// Cell width [m].
+    pub cell: f64,
+    /// Least corner [m].
+    pub min: Vec3,
+    /// Greatest corner [m].
+    pub max: Vec3,
+    /// Entries of `world.walls`, such as `z_min = "slip"`.
+    pub walls: &'static str,
+    /// Entries of `world`, such as `leaving = "clamp"`.
+    pub world: &'static str,
+    /// Entries of `time` besides `end`, such as `step = 1e-3`.
+    pub time: String,
+}
+
+impl Head {
+    /// Free space around the origin, 4 m in every direction, without gravity.
+    pub fn space(cell: f64) -> Self {
+        Self {
+            gravity: [0.0; 3],
+            cell,
+            min: [-4.0; 3],
+            max: [4.0; 3],
+            walls: "",
+            world: "",
+            time: String::new(),
+        }
+    }
+
+    /// A box of so many cells from the origin, with gravity.
+    pub fn cells(cell: f64, cells: [u32; 3], walls: &'static str) -> Self {
+        Self {
+            gravity: [0.0, 0.0, -9.81],
+            cell,
+            min: [0.0; 3],
+            max: cells.map(|n| cell * f64::from(n)),
+            walls,
+            world: "",
+            time: String::new(),
+        }
+    }
+
+    /// With other entries of `time`.
+    #[must_use]
+    pub fn time(self, time: impl Display) -> Self {
+        Self { time: time.to_string(), ..self }
+    }
+
+    /// The scene's text, with what stands in it.
+    pub fn with(&self, parts: &[String]) -> String {
+        let Self { gravity, cell, min, max, walls, world, time } = self;
+        format!(
+            "name = \"case\"\ngravity = {gravity:?}\n[world]\ncell = {cell}\nmin = {min:?}\nmax = {max:?}\n{world}\n\
+             [world.walls]\n{walls}\n[time]\nend = 100.0\n{time}\n{}",
+            parts.concat()
+        )
+    }
+}
+
+/// A material called after its law.
+pub fn material(law: &str, density: f64, parameters: &str) -> String {
+    format!("[[material]]\nname = \"{law}\"\nlaw = \"{law}\"\ndensity = {density}\nparameters = {{ {parameters} }}\n")
+}
+
+/// A box of a material; `more` holds further keys.
+pub fn block(law: &str, min: Vec3, max: Vec3, more: &str) -> String {
+    format!("[[body]]\nmaterial = \"{law}\"\nshape = {{ box = {{ min = {min:?}, max = {max:?} }} }}\n{more}\n")
+}
+
+/// A tool; shape, contact and motion as in a scene file.
+pub fn tool(name: &str, position: Vec3, shape: &str, contact: &str, motion: &str) -> String {
+    format!(
+        "[[tool]]\nname = \"{name}\"\nposition = {position:?}\nshape = {{ {shape} }}\ncontact = {contact}\nmotion = {motion}\n"
+    )
+}
+
+/// A box by half its sides, as a tool's shape.
+pub fn half(half: Vec3) -> String {
+    format!("box = {{ half = {half:?} }}")
+}
+
+/// A box of sand on a slip floor between periodic sides: `cells` wide in x and y, `depth` cells deep.
+pub fn bed(cell: f64, cells: [u32; 2], depth: u32, room: u32, parameters: &str) -> (Head, Vec<String>) {
+    let walls = "x_min = \"periodic\"\nx_max = \"periodic\"\ny_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"stick\"";
+    let head = Head::cells(cell, [cells[0], cells[1], depth + room], walls).time("safety = 0.5");
+    let side = |n: u32| cell * f64::from(n);
+    let sand = block("sand", [0.0; 3], [side(cells[0]), side(cells[1]), side(depth)], "");
+    (head, vec![material("sand", 1500.0, parameters), sand])
+}

@@ -1,0 +1,347 @@
+//! Time step and stiffness.
+
+use super::{all_finite, norm, plan, refusal, says, stresses, steps, until, within};
+use barchan::{Error, Precision, Simulation};
+use barchan_tests::long_cases;
+use barchan_tests::scenes::{Noise, alter, rows, run_to, simulation};
+use barchan_tests::sketch::{Head, bed, block, half, material, tool};
+
+/// One neo-Hookean particle in free space.
+fn lone_particle(nu: f64, time: &str) -> String {
+    let parameters = format!("young_modulus = 1e5, poisson_ratio = {nu}");
+    Head::space(0.1)
+        .time(time)
+        .with(&[material("neo_hookean", 1000.0, &parameters), block("neo_hookean", [0.02; 3], [0.07; 3], "")])
+}
+
+/// B1. Symptom: a step that is stable for a filled grid lets spray explode. Physics: one particle alone breathes with
+/// ω² = 4 (3λ + 2μ)/(ρ h²), wherever it is in its cell, and symplectic Euler is stable for ω dt < 2: dt < (h/c_p)
+/// sqrt((1 − ν)/(1 + ν)) in terms of Poisson's ratio, which is below the bulk's limit.
+#[test]
+fn b01_isolated_particle_sets_the_bound() {
+    for (nu, share) in [(0.2, 0.816), (0.3, 0.734), (0.45, 0.616), (0.49, 0.585)] {
+        let c_p = f64::sqrt(1e5 * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / 1000.0);
+        let exact = 0.1 / c_p * f64::sqrt((1.0 - nu) / (1.0 + nu));
+        let bound = plan(&lone_particle(nu, "")).bound;
+        within(&format!("B1 nu {nu}: bound {:.4e} s off the exact limit", bound.dt), (bound.dt / exact - 1.0).abs(), 1e-5);
+        within(&format!("B1 nu {nu}: share of h/c_p off"), (bound.dt * c_p / 0.1 - share).abs(), 6e-4);
+        says(
+            &refusal(&lone_particle(nu, &format!("step = {}", 1.01 * exact))),
+            &["time step", "is above the bound", "material 'neo_hookean': stiffness", "over_bound = \"substep\""],
+        );
+        // The limit is sharp: below it the particle breathes, above it the amplitude grows by a third at each step.
+        let strained = |factor: f64| {
+            let time = format!("step = {}\nover_bound = \"allow\"", factor * exact);
+            let mut lone = simulation(&lone_particle(nu, &time), Precision::F64);
+            alter(&mut lone, |r| r.strain[..3].fill(1.0 + 1e-6));
+            lone
+        };
+        let mut stable = strained(0.99);
+        let mut greatest = 0f64;
+        for _ in 0..2000 {
+            steps(&mut stable, 1);
+            greatest = greatest.max((rows(&stable)[0].strain[0] - 1.0).abs() / 1e-6);
+        }
+        within(&format!("B1 nu {nu}: growth over 2000 steps at 0.99 of the bound"), greatest, 10.0);
+        let mut unstable = strained(1.01);
+        steps(&mut unstable, 30);
+        let growth = (rows(&unstable)[0].strain[0] - 1.0).abs() / 1e-6;
+        println!("B1 nu {nu}: growth over 30 steps at 1.01 of the bound {growth:.1e}, at least 1e2");
+        assert!(growth > 100.0, "{growth}");
+    }
+}
+
+/// A stiff cube with a little noise in its velocities.
+fn stiff_cube(time: &str) -> Simulation {
+    let mut cube = simulation(
+        &Head::space(0.05).time(time).with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 1e9, poisson_ratio = 0.3"),
+            block("neo_hookean", [0.0; 3], [0.2; 3], "sampling = \"jitter\""),
+        ]),
+        Precision::F32,
+    );
+    let mut noise = Noise::new(1);
+    alter(&mut cube, |r| r.v = std::array::from_fn(|_| 0.01 * noise.next()));
+    cube
+}
+
+/// B2. Symptom: E = 1e9 with a step ten times over the bound gives NaN a few steps later, far from the cause. Physics: above
+/// the bound every step multiplies the error. So: refused when the scene is built; or cut into stable steps, counted; or, if
+/// the scene insists, energy is watched and the run stops and names a particle.
+#[test]
+fn b02_step_ten_times_over_is_refused_cut_or_stopped() {
+    let bound = 0.05 * f64::sqrt(1000.0 * 0.4 / 1e9);
+    let ten_over = format!("step = {}", 10.0 * bound);
+    let head = Head::space(0.05).time(&ten_over);
+    let parts = [
+        material("neo_hookean", 1000.0, "young_modulus = 1e9, poisson_ratio = 0.3"),
+        block("neo_hookean", [0.0; 3], [0.2; 3], ""),
+    ];
+    says(
+        &refusal(&head.with(&parts)),
+        &["time step 3.162e-4 s at step 0 is above the bound 3.162e-5 s", "stiffness", "lower time.step"],
+    );
+
+    let mut cut = stiff_cube(&format!("{ten_over}\nover_bound = \"substep\""));
+    assert!(cut.plan().warnings.iter().any(|w| w.contains("each step is cut")), "{:?}", cut.plan().warnings);
+    let before = cut.ledger();
+    steps(&mut cut, 300);
+    let after = cut.ledger();
+    within("B2 cut: greatest step over the bound", cut.step().unwrap().dt / bound, 1.0);
+    within("B2 cut: energy after 300 steps over that before", (after.kinetic + after.elastic) / before.kinetic, 1.0);
+    assert_eq!(after.counts["steps cut below time.step"], 300);
+
+    let mut allowed = stiff_cube(&format!("{ten_over}\nover_bound = \"allow\""));
+    let error = (0..100).find_map(|_| allowed.step().err()).expect("the run stops");
+    println!("B2 allowed: stopped after {} steps: {error}", allowed.step_count());
+    let named = match &error {
+        Error::Unstable { particle, .. } | Error::NonFinite { particle, .. } | Error::LeftWorld { particle, .. } => *particle,
+        other => panic!("not an error of stability: {other}"),
+    };
+    assert!(named < 512, "particle {named}");
+    assert!(all_finite(&rows(&allowed)), "NaN in what is left to save");
+}
+
+/// Snow in a box, under a lid that comes down.
+fn snow_press(time: &str) -> Simulation {
+    let h = 0.05;
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"";
+    simulation(
+        &Head::cells(h, [4, 4, 16], walls).time(time).with(&[
+            material("snow", 400.0, ""),
+            block("snow", [0.0; 3], [0.2, 0.2, 0.4], ""),
+            tool("lid", [0.1, 0.1, 0.5], &half([0.3, 0.3, 0.1]), "\"slip\"", "{ velocity = { linear = [0, 0, -1] } }"),
+        ]),
+        Precision::F32,
+    )
+}
+
+/// B3. Symptom: snow is packed, and the run explodes although its step was stable at the start. Physics: at J_p = 0.6 the
+/// moduli are e⁴ = 55 times those at rest and the stable step is 7.4 times less. The step must follow the stiffest particle.
+#[test]
+fn b03_step_follows_snow_as_it_hardens() {
+    let mut press = snow_press("safety = 0.6");
+    let at_rest = press.bound().dt;
+    // 3λ + 2μ = E / (1 − 2ν).
+    let limit = |rows: &[barchan_tests::scenes::Row]| {
+        let stiffest = rows.iter().map(|r| f64::exp(10.0 * (1.0 - r.state[0])).min(55.0)).fold(1.0, f64::max);
+        0.05 * f64::sqrt(400.0 * 0.6 / 1.4e5 / stiffest)
+    };
+    let mut worst = 0f64;
+    while press.time() < 0.19 {
+        let limit = limit(&rows(&press));
+        worst = worst.max(press.step().unwrap().dt / limit);
+    }
+    let end = rows(&press);
+    let densest = end.iter().map(|r| r.state[0]).fold(1.0, f64::min);
+    println!("B3: least plastic volume {densest:.3} after {} steps", press.step_count());
+    assert!(densest < 0.6);
+    within("B3: greatest step over the bound of the hardened moduli", worst, 1.0);
+    let ratio = at_rest / press.bound().dt;
+    within(&format!("B3: bound fell {ratio:.2} times, off sqrt 55"), (ratio / 55f64.sqrt() - 1.0).abs(), 0.02);
+    let counts = press.ledger().counts;
+    assert!(counts.get("snow particles with a clamped state now").is_some_and(|n| *n > 0), "clamps are counted: {counts:?}");
+    assert!(all_finite(&end));
+
+    // A fixed step that was good at first is refused when it no longer is.
+    let mut fixed = snow_press(&format!("step = {}", 0.5 * at_rest));
+    let error = (0..1000).find_map(|_| fixed.step().err()).expect("the run stops");
+    says(&error, &["is above the bound", "stiffness of material 'snow'", "over_bound = \"substep\""]);
+    assert!(all_finite(&rows(&fixed)));
+}
+
+/// B4. Symptom: near incompressibility, pressure checkers from cell to cell and steps become tiny without a word. Physics: a
+/// displacement-only method locks, and dt falls as sqrt(1 − 2ν). The user is warned, the step follows, ν = 0.5 is refused, and
+/// the column still bears its weight in the mean.
+#[test]
+fn b04_nearly_incompressible_warns_and_bears_its_weight() {
+    let h = 0.1;
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"";
+    let column = |nu: f64| {
+        format!(
+            "gravity_ramp = 0.5\n{}",
+            Head::cells(h, [4, 4, 12], walls).time("safety = 0.5").with(&[
+                material("neo_hookean", 1000.0, &format!("young_modulus = 2e5, poisson_ratio = {nu}")),
+                block("neo_hookean", [0.0; 3], [0.4, 0.4, 0.8], "sampling = \"jitter\""),
+            ])
+        )
+    };
+    says(&refusal(&column(0.5)), &["poisson_ratio", "is 0.5", "must be in"]);
+    let plan = plan(&column(0.499));
+    let warning = plan.warnings.join("\n");
+    assert!(warning.contains("Poisson's ratio 0.4990 is above 0.49") && warning.contains("checkers"), "{warning}");
+    let exact = h * f64::sqrt(1000.0 * 0.002 / 2e5);
+    within("B4: bound off h sqrt(rho (1 - 2 nu)/E)", (plan.bound.dt / exact - 1.0).abs(), 1e-4);
+
+    let mut column = simulation(&column(0.499), Precision::F64);
+    run_to(&mut column, 1.5);
+    let all = rows(&column);
+    assert!(all_finite(&all));
+    // Cell means of the pressure, in layers.
+    let tau = stresses(&column);
+    let mut cells = std::collections::BTreeMap::<[i64; 3], (f64, f64, f64)>::new();
+    for (r, t) in all.iter().zip(&tau) {
+        let cell = cells.entry(r.x.map(|x| (x / h) as i64)).or_default();
+        *cell = (cell.0 + 1.0, cell.1 - (t[0] + t[1] + t[2]) / 3.0, cell.2 + r.x[2]);
+    }
+    let (mut weight_off, mut checker) = (0f64, 0f64);
+    for layer in 1..6 {
+        let pressures: Vec<f64> = cells.iter().filter(|(c, _)| c[2] == layer).map(|(_, (n, p, _))| p / n).collect();
+        let (n, sum, z) = cells.iter().filter(|(c, _)| c[2] == layer).fold((0.0, 0.0, 0.0), |s, (_, v)| (s.0 + v.0, s.1 + v.1, s.2 + v.2));
+        let (mean, z) = (sum / n, z / n);
+        let spread = (pressures.iter().map(|p| (p - mean).powi(2)).sum::<f64>() / pressures.len() as f64).sqrt();
+        checker = checker.max(spread / mean);
+        weight_off = weight_off.max((mean / (1000.0 * 9.81 * (0.8 - z)) - 1.0).abs());
+    }
+    println!("B4: pressure differs from cell to cell by {checker:.2} of its mean (std/mean, nu 0.499)");
+    within("B4: mean pressure of a layer off rho g depth", weight_off, 0.1);
+}
+
+/// A plate that is pushed through sand at 10 m/s.
+fn fast_plate(courant: f64, over: &str) -> String {
+    let (h, speed) = (0.02, 10.0);
+    let walls = "y_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"slip\"\nx_min = \"slip\"";
+    let time = format!("step = {}\nover_bound = \"{over}\"", courant * h / speed);
+    let head = Head { world: "leaving = \"delete\"", ..Head::cells(h, [40, 4, 30], walls) }.time(time);
+    head.with(&[
+        material("sand", 1500.0, "young_modulus = 1e5, friction_angle_deg = 30"),
+        block("sand", [0.0; 3], [0.6, 0.08, 0.12], ""),
+        tool(
+            "plate",
+            [0.1, 0.04, 0.3],
+            &half([0.03, 0.5, 0.4]),
+            "\"slip\"",
+            &format!("{{ velocity = {{ linear = [{speed}, 0, 0] }} }}"),
+        ),
+    ])
+}
+
+/// B5. Symptom: a tool that moves a cell or more in a step jumps over the nodes, and sand passes through it. Physics: contact
+/// sees the tool at nodes only, so its surface may move half a cell in a step at most. A longer step is refused or cut.
+#[test]
+fn b05_fast_tool_is_not_passed_through() {
+    for courant in [1.0, 2.0] {
+        says(&refusal(&fast_plate(courant, "refuse")), &["is above the bound 1.000e-3 s", "coupling 'rigid': speed of a tool"]);
+    }
+    for courant in [0.2, 0.5, 1.0, 2.0] {
+        let mut plate = simulation(&fast_plate(courant, "substep"), Precision::F32);
+        let mut longest = 0f64;
+        while plate.time() < 0.03 {
+            longest = longest.max(plate.step().unwrap().dt * 10.0 / 0.02);
+        }
+        let all = rows(&plate);
+        let points: Vec<_> = all.iter().map(|r| r.x).collect();
+        let depth = plate.couplings()[0].distance(&points);
+        let inside = depth.iter().filter(|d| **d < -0.02).count();
+        let deepest = depth.iter().fold(0f64, |a, d| a.max(-d / 0.02));
+        println!("B5 V dt = {courant} h: longest step {longest:.2} h, deepest particle {deepest:.2} h of {}", all.len());
+        assert!(longest <= 0.5 + 1e-9);
+        within(&format!("B5 V dt = {courant} h: particles deeper than h in the plate"), inside as f64, 0.0);
+        assert!(all_finite(&all));
+    }
+}
+
+/// A jelly cube that is set ringing and turning, in f64.
+fn ringing(time: &str) -> Simulation {
+    let mut cube = simulation(
+        &Head::space(0.05).time(time).with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3"),
+            block("neo_hookean", [0.0; 3], [0.4; 3], ""),
+        ]),
+        Precision::F64,
+    );
+    alter(&mut cube, |r| {
+        for d in 0..3 {
+            r.v[d] = [0.4, -0.2, -0.2][d] * (r.x[d] - 0.2) / 0.2;
+            r.c[4 * d] = [0.4, -0.2, -0.2][d] / 0.2;
+        }
+        r.v[1] += 1.0;
+    });
+    cube
+}
+
+/// B6. Symptom: results depend on how steps happened to be cut, or a replay differs. Physics: strain, C and stress of one step
+/// belong to the same dt; if the next step's dt is used for the last one's strain, an uneven sequence pumps energy. Uneven
+/// steps must agree with fixed small ones within 1 % of the greatest deformation, and repeat bit for bit.
+#[test]
+fn b06_uneven_steps_agree_with_small_ones() {
+    let end = 0.1;
+    let bound = ringing("").bound().dt;
+    let uneven = || {
+        let mut cube = ringing("safety = 0.6");
+        let mut noise = Noise::new(9);
+        let mut sequence = Vec::new();
+        let mut frames = Vec::new();
+        let mut frame = 0.01;
+        while cube.time() < end {
+            // A stop at a random place cuts the next step to anything from nearly nothing to the whole.
+            let stop = cube.time() + 0.6 * bound * (0.55 + 0.45 * noise.next());
+            cube.set_stop(if stop < frame - 1e-9 { stop } else { frame });
+            sequence.push(cube.step().unwrap().dt);
+            if cube.time() == frame {
+                frames.push(rows(&cube));
+                frame = if frames.len() == 9 { end } else { 0.01 * (frames.len() + 1) as f64 };
+            }
+        }
+        (sequence, frames)
+    };
+    let (first, second) = (uneven(), uneven());
+    assert!(first == second, "a replay differs");
+    let (least, greatest) = first.0.iter().fold((f64::MAX, 0f64), |(a, b), dt| (a.min(*dt), b.max(*dt)));
+    println!("B6: {} steps from {:.3} to {:.3} of the bound", first.0.len(), least / bound, greatest / bound);
+    assert!(least < 0.2 * greatest);
+
+    let mut small = ringing(&format!("step = {}", 0.02 * bound));
+    let start = rows(&small);
+    let (mut worst, mut moved) = (0f64, 0f64);
+    for (i, uneven) in first.1.iter().enumerate() {
+        let time = if i == 9 { end } else { 0.01 * (i + 1) as f64 };
+        let fixed = until(&mut small, time);
+        for ((a, b), s) in uneven.iter().zip(&fixed).zip(&start) {
+            worst = worst.max(norm(&[a.x[0] - b.x[0], a.x[1] - b.x[1], a.x[2] - b.x[2]]));
+            moved = moved.max(norm(&[b.x[0] - s.x[0], b.x[1] - s.x[1], b.x[2] - s.x[2]]));
+        }
+    }
+    within(&format!("B6: greatest difference over the greatest way of {moved:.3} m"), worst / moved, 0.01);
+}
+
+/// B7. Symptom: ground at rest creeps, or rings up. Physics: without load nothing moves, to the last bit; a ringing elastic
+/// body loses energy to the grid and never gains any. Symplectic Euler's energy swings within a cycle, so its greatest value
+/// over each swing must not rise.
+#[test]
+fn b07_rest_stays_and_ringing_decays() {
+    long_cases::rest(1000).check("B7");
+
+    let mut cube = ringing("safety = 0.3");
+    let mut peaks = Vec::new();
+    // The slowest mode of a cube of 0.4 m: 2 L / c_p = 0.069 s; steps are 1e-3 s.
+    for _ in 0..12 {
+        let mut peak = 0f64;
+        let stop = cube.time() + 0.07;
+        while cube.time() < stop {
+            cube.set_stop(stop);
+            cube.step().unwrap();
+            let ledger = cube.ledger();
+            let centre = norm(&ledger.momentum).powi(2) / (2.0 * ledger.mass);
+            peak = peak.max(ledger.kinetic + ledger.elastic - centre);
+        }
+        peaks.push(peak);
+    }
+    let rise = peaks.windows(2).map(|p| p[1] / p[0] - 1.0).fold(f64::MIN, f64::max);
+    println!("B7: peaks of energy {:.3e} J falling to {:.3e} J", peaks[0], peaks[11]);
+    within("B7: greatest rise of a peak of energy", rise, 1e-12);
+}
+
+/// B7 and B5 together: a tool at rest that touches sand at rest leaves it at rest bit for bit.
+#[test]
+fn b07_resting_tool_in_resting_sand_changes_nothing() {
+    let (mut head, mut parts) = bed(0.05, [4, 4], 4, 4, "young_modulus = 1e5");
+    head.gravity = [0.0; 3];
+    parts.push(tool("rod", [0.1, 0.1, 0.2], &half([0.06; 3]), "\"stick\"", "\"fixed\""));
+    let mut still = simulation(&head.with(&parts), Precision::F32);
+    let start = rows(&still);
+    steps(&mut still, 200);
+    let changed = start.iter().zip(rows(&still)).filter(|(a, b)| **a != *b).count();
+    within(&format!("B7: of {} particles around a tool, changed", start.len()), changed as f64, 0.0);
+    assert_eq!(still.wrenches()[0].force, [0.0; 3]);
+}

@@ -1,0 +1,6 @@
+//! All suites that cross crates, in one binary: one module a subject.
+
+mod determinism;
+mod hard_cases;
+mod transfers;
+mod validation;
