@@ -499,16 +499,77 @@ pub struct GridToParticles<'a, T: Scalar> {
     pub tile: &'a [T; TILE],
 }
 
-impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
-    /// Greatest squared Frobenius norm of C [1/s²].
-    type Output = T;
+/// The greatest rates among particles.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rates<T> {
+    /// Squared Frobenius norm of C [1/s²].
+    pub deformation: T,
+    /// Velocity along an axis [m/s].
+    pub speed: T,
+}
+
+/// Rates of the particles seen so far, in lanes.
+struct Greatest<V> {
+    deformation: V,
+    speed: V,
+}
+
+impl<V: Lanes> Greatest<V> {
+    #[inline(always)]
+    fn new() -> Self {
+        Self { deformation: V::zero(), speed: V::zero() }
+    }
+    /// Takes in one chunk; in one order of operations, so that the same particles always give the same bits.
+    #[inline(always)]
+    fn see(&mut self, v: &[V; 3], c: &[V; 9]) {
+        let mut norm = V::zero();
+        for c in c {
+            norm = c.mul_add(*c, norm);
+        }
+        self.deformation = self.deformation.max(norm);
+        self.speed = self.speed.max(v[0].abs().max(v[1].abs()).max(v[2].abs()));
+    }
+    #[inline(always)]
+    fn rates(self) -> Rates<V::Scalar> {
+        Rates { deformation: self.deformation.max_lane(), speed: self.speed.max_lane() }
+    }
+}
+
+/// The rates of one run of chunks as they are: those that [`GridToParticles`] gave.
+pub struct Survey<T: Scalar> {
+    /// The list.
+    pub particles: Particles<T>,
+    /// Its chunks in the block.
+    pub run: Run,
+}
+
+impl<T: Scalar> Kernel<T> for Survey<T> {
+    type Output = Rates<T>;
 
     #[inline(always)]
-    fn run<V: Lanes<Scalar = T>>(self) -> T {
+    fn run<V: Lanes<Scalar = T>>(self) -> Rates<T> {
+        let mut greatest = Greatest::<V>::new();
+        for chunk in self.run.first..self.run.first + self.run.chunks() {
+            // SAFETY: the run's chunks exist.
+            unsafe {
+                let v = tabulate!(3, |d| V::load(self.particles.motion(chunk, d)));
+                let c = tabulate!(9, |e| V::load(self.particles.motion(chunk, 3 + e)));
+                greatest.see(&v, &c);
+            }
+        }
+        greatest.rates()
+    }
+}
+
+impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
+    type Output = Rates<T>;
+
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = T>>(self) -> Rates<T> {
         let s = &self.particles;
         let (h, dt) = (self.step.h, self.step.dt);
         let lane_node = unsafe { V::load(NODE_OF_LANE.map(T::from_f64).as_ptr()) };
-        let mut greatest = V::zero();
+        let mut greatest = Greatest::<V>::new();
         let mut rows = [V::zero(); 9];
         let mut current = usize::MAX;
         for k in 0..self.run.chunks() {
@@ -570,20 +631,19 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
                 V::transpose(&mut lines);
 
                 let per_cell = V::splat(4.0 / h);
-                let mut norm = V::zero();
+                let mut c = [V::zero(); 9];
                 for i in 0..3 {
                     lines[i].store(s.motion(chunk, i));
                     for j in 0..3 {
                         // sum w u (index - 1/2 - f): the node's distance from the particle.
-                        let c = first_distance(f[j]).mul_add(lines[i], lines[4 + 4 * j + i]) * per_cell;
-                        norm = c.mul_add(c, norm);
-                        c.store(s.motion(chunk, 3 + 3 * i + j));
+                        c[3 * i + j] = first_distance(f[j]).mul_add(lines[i], lines[4 + 4 * j + i]) * per_cell;
+                        c[3 * i + j].store(s.motion(chunk, 3 + 3 * i + j));
                     }
                     V::advance(s.offset(chunk, i), s.cell(chunk, i), lines[i] * V::splat(dt / h));
                 }
-                greatest = greatest.max(norm);
+                greatest.see(&[lines[0], lines[1], lines[2]], &c);
             }
         }
-        greatest.max_lane()
+        greatest.rates()
     }
 }

@@ -69,9 +69,11 @@ impl Mirrors {
         (0..3).any(|axis| self.planes(origin, axis).next().is_some())
     }
 
-    /// Folds mass and momentum of mirrored nodes back. Returns the impulse that the walls gave [N s].
-    pub fn fold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3]) -> [f64; 3] {
+    /// Folds mass and momentum of mirrored nodes back, and notes the masses in `images`. Returns the impulse that the walls gave
+    /// in doing so [N s].
+    pub fn fold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3], images: &mut Vec<T>) -> [f64; 3] {
         let mut impulse = [0.0; 3];
+        images.clear();
         for axis in 0..3 {
             for (image, node, signs) in self.planes(origin, axis) {
                 let signs_t = signs.map(T::from_f64);
@@ -83,6 +85,7 @@ impl Mirrors {
                         tile[image + d] = T::default();
                     }
                     let m = tile[image + 3];
+                    images.push(m);
                     tile[node + 3] += m;
                     tile[image + 3] = T::default();
                 });
@@ -91,18 +94,29 @@ impl Mirrors {
         impulse
     }
 
-    /// Gives mirrored nodes the velocity of their images.
-    pub fn unfold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3]) {
+    /// Gives mirrored nodes the velocity of their images. Returns the impulse that the walls gave in doing so [N s]: what
+    /// particles read from a mirrored node is not what they would have read from the node itself.
+    pub fn unfold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3], images: &[T]) -> [f64; 3] {
+        let mut impulse = [0.0; 3];
+        let mut masses = images.iter().rev();
         for axis in (0..3).rev() {
-            for (image, node, signs) in self.planes(origin, axis) {
-                let signs = signs.map(T::from_f64);
+            // In reverse, since along an edge the images of one wall are nodes of the next.
+            let planes: Vec<_> = self.planes(origin, axis).collect();
+            for &(image, node, signs) in planes.iter().rev() {
+                let plane: Vec<f64> = masses.by_ref().take(TILE_SIDE * TILE_SIDE).map(|m| m.to_f64()).collect();
+                let mut at = plane.iter().rev();
+                let signs_t = signs.map(T::from_f64);
                 each_pair(axis, image, node, |image, node| {
+                    let mass = at.next().copied().unwrap_or(0.0);
                     for d in 0..3 {
-                        tile[image + d] = signs[d] * tile[node + d];
+                        let u = tile[node + d];
+                        tile[image + d] = signs_t[d] * u;
+                        impulse[d] += (signs[d] - 1.0) * u.to_f64() * mass;
                     }
                 });
             }
         }
+        impulse
     }
 }
 
@@ -164,13 +178,16 @@ impl Separation {
         (presses, impulse)
     }
 
-    /// Velocity of the image, from the node's and from whether the pair presses.
-    pub fn unfold<T: Float>(&self, node: &[T; 4], presses: bool) -> [T; 4] {
+    /// Velocity of the image, from the node's, whether the pair presses, and the mass that was folded; and the impulse that the
+    /// wall gave in doing so [N s].
+    pub fn unfold<T: Float>(&self, node: &[T; 4], presses: bool, mass: f64) -> ([T; 4], [f64; 3]) {
         let mut image = *node;
+        let mut impulse = [0.0; 3];
         image[3] = T::default();
         if presses {
             image[self.axis] = -image[self.axis];
+            impulse[self.axis] = -2.0 * mass * node[self.axis].to_f64();
         }
-        image
+        (image, impulse)
     }
 }

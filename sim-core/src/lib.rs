@@ -36,7 +36,7 @@ pub use plan::{Effect, Plan, Precision, Stage};
 pub use registry::Registry;
 pub use scene::Scene;
 pub use simulation::{Options, Simulation};
-pub use state::{ParticleList, ParticleState, SortPhase};
+pub use state::{Measured, ParticleList, ParticleState, SortPhase};
 pub use task::Task;
 
 /// A point, vector or triple of factors: x, y, z.

@@ -204,6 +204,8 @@ impl Material {
         }
         // SAFETY: strings of a table are empty or static text, by the ABI.
         unsafe {
+            // No backend reads it yet; it is held to the ABI like all text.
+            read_text(table.wgsl_adj, "wgsl_adj")?;
             Ok(Self {
                 version: read_text(table.version, "version")?,
                 doc: read_text(table.doc, "doc")?,
@@ -284,7 +286,8 @@ impl ErrorBuffer {
         };
         if text.is_empty() { format!("{kind} (status {status}), no message") } else { format!("{kind}: {text}") }
     }
-    /// The error that a status stands for; `ids` maps an index in the batch to a particle id.
+    /// The error that a status stands for; `ids` maps an index in the batch to a particle id, and an index
+    /// beyond the batch to `u64::MAX`: a callback may name any number.
     ///
     /// # Errors
     /// [`Error::MaterialFailed`] unless the status is OK.
@@ -303,7 +306,7 @@ impl ErrorBuffer {
             origin: material.origin.clone(),
             callback,
             message: self.message(status),
-            particle: self.particle().map(ids),
+            particle: self.particle().map(ids).filter(|id| *id != u64::MAX),
         })
     }
 }

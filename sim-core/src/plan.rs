@@ -20,6 +20,8 @@ const NO_PLANE_STRAIN_FAILURE: f64 = 0.736_9;
 const NEARLY_INCOMPRESSIBLE: f64 = 0.49;
 /// Resident bytes of one occupied block of 4³ cells in f32: its nodes with their halo, and bookkeeping.
 const BLOCK_BYTES: u64 = 9 * 1024;
+/// Cells further from the origin than any backend reaches; coordinates up to here can be added without overflow.
+const FARTHEST_CELL: u32 = 1 << 30;
 /// Without a bound or a fixed step, a run advances in steps of this fraction of the output's interval.
 const UNBOUND_STEP: f64 = 0.1;
 
@@ -300,6 +302,7 @@ impl Plan {
             materials,
             scene,
         };
+        plan.check_particles(&particles)?;
         plan.memory = plan.estimate_memory(&particles);
         plan.stages = plan.list_stages();
         plan.effects = plan.list_effects();
@@ -315,6 +318,53 @@ impl Plan {
     /// Does a tool move freely, so that forces act both ways?
     pub fn two_way(&self) -> bool {
         self.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. }))
+    }
+
+    /// Holds particles that come from outside to the shape that every backend relies on: one list a material, planes of
+    /// equal length and of the material's number, cells within reach, offsets inside the cell. Numbers may be anything else;
+    /// a step finds those that are not finite.
+    pub(crate) fn check_particles(&self, particles: &ParticleState) -> Result<()> {
+        let refuse = |what: String| {
+            Err(Error::Body {
+                path: "particles".to_owned(),
+                what,
+                mend: "use particles of a simulation of the same scene".to_owned(),
+            })
+        };
+        if particles.lists.len() != self.materials.len() {
+            return refuse(format!("{} lists where the plan has {}", particles.lists.len(), self.materials.len()));
+        }
+        for (i, (list, planned)) in particles.lists.iter().zip(&self.materials).enumerate() {
+            let (law, n) = (&planned.material, list.len());
+            let width = self.cell_widths.get(list.level as usize).copied();
+            if list.material as usize != i || list.world != 0 || width != Some(list.cell_width) {
+                return refuse(format!(
+                    "list {i} is of world {}, level {} with cells of {} m and material {}",
+                    list.world, list.level, list.cell_width, list.material
+                ));
+            }
+            if list.strain.len() != law.strain_planes() || list.state.len() != law.states.len() {
+                return refuse(format!(
+                    "list {i} has {} strain and {} history planes where its material has {} and {}",
+                    list.strain.len(),
+                    list.state.len(),
+                    law.strain_planes(),
+                    law.states.len()
+                ));
+            }
+            let planes = list.strain.iter().chain(&list.state).chain([&list.mass, &list.volume0]).map(Vec::len);
+            let rows = [list.body.len(), list.cell.len(), list.offset.len(), list.velocity.len(), list.affine.len()];
+            if let Some(length) = planes.chain(rows).find(|length| *length != n) {
+                return refuse(format!("list {i} has {n} ids and a plane of {length} entries"));
+            }
+            let lost = list.cell.iter().flatten().position(|c| c.unsigned_abs() > FARTHEST_CELL);
+            let outside = list.offset.iter().flatten().position(|x| !(0.0..1.0).contains(x));
+            if let Some(at) = lost.or(outside) {
+                let (cell, offset) = (list.cell[at / 3], list.offset[at / 3]);
+                return refuse(format!("particle {} is in cell {cell:?} at offset {offset:?}", list.id[at / 3]));
+            }
+        }
+        Ok(())
     }
 
     fn estimate_memory(&self, particles: &ParticleState) -> (u64, u64) {
@@ -377,7 +427,7 @@ impl Plan {
                     self.precision,
                     planes(law.strain_planes(), "strain"),
                     planes(law.states.len(), "state"),
-                    if law.has(abi::BARCHAN_CAP_HARDENS) { ", moduli at every sort" } else { "" },
+                    if law.has(abi::BARCHAN_CAP_HARDENS) { ", moduli at every step" } else { "" },
                 ),
             );
         }

@@ -196,6 +196,7 @@ impl Simulation {
     /// # Errors
     /// If the state does not fit the plan.
     pub fn set_particles(&mut self, particles: ParticleState) -> Result<()> {
+        self.plan.check_particles(&particles)?;
         self.engine.upload(particles)
     }
     /// All bodies of all couplings, in the scene's order.
@@ -303,7 +304,13 @@ impl Simulation {
         let before: Vec<_> = self.couplings.iter().map(|c| c.save()).collect();
         let report = match self.engine.step(self.time, dt, &mut self.couplings) {
             Ok(report) => report,
-            Err(error) => {
+            Err(mut error) => {
+                // The engine counts from where it was compiled or resumed.
+                if let Error::NonFinite { step, .. } | Error::LeftWorld { step, .. } | Error::TimeStep { step, .. } =
+                    &mut error
+                {
+                    *step = self.step;
+                }
                 for (coupling, bytes) in self.couplings.iter_mut().zip(&before) {
                     coupling.restore(bytes).map_err(|what| Error::Body {
                         path: format!("coupling '{}'", coupling.name()),
@@ -422,8 +429,9 @@ fn potential(ledger: &Ledger) -> f64 {
     ledger.potential + ledger.body_potential
 }
 
-/// The entries that add up over time, without those that describe the present.
-fn only_sums(ledger: Ledger) -> Ledger {
+/// The entries that add up over time, without those that describe the present; such counts end in "now".
+fn only_sums(mut ledger: Ledger) -> Ledger {
+    ledger.counts.retain(|name, _| !name.ends_with(" now"));
     Ledger {
         wall_impulse: ledger.wall_impulse,
         gravity_impulse: ledger.gravity_impulse,

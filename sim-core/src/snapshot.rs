@@ -7,7 +7,7 @@
 //! All numbers are little-endian. Planes of numbers are stored as f32 where that loses nothing, offsets as 32-bit fixed
 //! point likewise, else as f64.
 
-use crate::{Error, Ledger, ParticleList, ParticleState, Precision, Result, SortPhase};
+use crate::{Error, Ledger, Measured, ParticleList, ParticleState, Precision, Result, SortPhase};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -351,6 +351,8 @@ fn encode_sort(sort: &SortPhase) -> Vec<u8> {
     let mut out = Vec::new();
     out.extend_from_slice(&sort.age.to_le_bytes());
     out.extend_from_slice(&sort.drift.to_le_bytes());
+    out.extend_from_slice(&sort.measured.stiffness_bound.to_le_bytes());
+    out.extend_from_slice(&sort.measured.stiffness_age.to_le_bytes());
     out.extend_from_slice(&(sort.blocks.len() as u64).to_le_bytes());
     for (key, counts) in &sort.blocks {
         key.iter().for_each(|k| out.extend_from_slice(&k.to_le_bytes()));
@@ -362,6 +364,7 @@ fn encode_sort(sort: &SortPhase) -> Vec<u8> {
 
 fn decode_sort(from: &mut Reader<'_>) -> Result<SortPhase, Flaw> {
     let (age, drift) = (from.u32()?, from.f64()?);
+    let measured = Measured { stiffness_bound: from.f64()?, stiffness_age: from.u32()? };
     // A block takes 20 bytes of key and 8 of count at least.
     let count = from.length(20 + 8)?;
     let blocks = (0..count)
@@ -375,5 +378,5 @@ fn decode_sort(from: &mut Reader<'_>) -> Result<SortPhase, Flaw> {
             Ok((key, counts))
         })
         .collect::<Result<_, _>>()?;
-    Ok(SortPhase { age, drift, blocks })
+    Ok(SortPhase { age, drift, measured, blocks })
 }

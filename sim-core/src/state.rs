@@ -70,6 +70,17 @@ pub struct SortPhase {
     pub age: u32,
     /// Upper bound of any particle's move since then, in cells.
     pub drift: f64,
+    /// What the backend has measured of these particles and goes by in its next steps.
+    pub measured: Measured,
     /// Blocks in order: (world, level, block x, y, z) and the number of particles of each list in it.
     pub blocks: Vec<([i32; 5], Vec<u32>)>,
+}
+
+/// Measurements that are not taken anew at every step: without them a resumed run would choose other time steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Measured {
+    /// Greatest step that the materials' stiffness allowed when it was measured last [s].
+    pub stiffness_bound: f64,
+    /// Steps since then.
+    pub stiffness_age: u32,
 }

@@ -9,10 +9,10 @@ use barchan_core::coupling::Aabb;
 use barchan_core::material::{ErrorBuffer, stable_step};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
-use barchan_core::{Coupling, Engine, Error, Ledger, NodeBatch, ParticleState, Plan, Result, Scene, StepReport};
+use barchan_core::{Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Result, Scene, StepReport};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
-use barchan_grid::particles::STRAIN;
-use barchan_grid::transfer::{BATCH, Fault, GridToParticles, ParticlesToGrid, Scalar, Step};
+use barchan_grid::particles::{Run, STRAIN};
+use barchan_grid::transfer::{BATCH, Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
 use barchan_grid::wall::Mirror;
 use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
 use rayon::prelude::*;
@@ -29,10 +29,14 @@ const MAX_DRIFT: f64 = 1.0;
 const MAX_MOVE: f64 = 0.5;
 /// Strain is applied in parts that deform by no more than this.
 const MAX_DEFORMATION: f64 = 0.5;
+/// More parts than any motion needs that the grid gave: nodes move by half a cell at most.
+const MAX_PARTS: f64 = 1000.0;
 /// Every so manieth block measures how much of P2G its materials take.
 const TIMED_BLOCKS: usize = 16;
-/// Steps between measurements of the stiffness of materials that harden.
-const MODULI_AGE: u32 = 20;
+
+/// Steps between measurements of the stiffness of materials that harden: it takes about as long as a transfer, and strain
+/// changes little in between.
+const STIFFNESS_AGE: u32 = 10;
 
 /// A pass that is timed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -95,11 +99,15 @@ pub(crate) struct CpuEngine<T: Scalar> {
     deformation_rate: f64,
     /// Greatest node speed of the last step, along an axis [m/s].
     max_speed: f64,
+    /// Greatest speed of any particle along an axis [m/s]. Bounds the next step: unlike the nodes', it is part of a snapshot.
+    particle_speed: f64,
     /// Nodes lighter than this carry nothing that a particle could feel [kg].
     least_mass: f64,
-    /// Stiffness bound, and when it was measured last.
+    /// Stiffness bound when it was measured last, and the steps since then.
     stiffness: Bound,
-    moduli_age: u32,
+    stiffness_age: u32,
+    /// Does any material harden, so that the bound follows the state?
+    hardens: bool,
     steps: u64,
     /// Mass of all particles that ever came in [kg].
     mass: f64,
@@ -135,9 +143,11 @@ impl<T: Scalar> CpuEngine<T> {
             strain_dt: 0.0,
             deformation_rate: 0.0,
             max_speed: 0.0,
+            particle_speed: 0.0,
             least_mass: 0.0,
             stiffness: Bound { dt: f64::INFINITY, by: "nothing".into() },
-            moduli_age: 0,
+            stiffness_age: 0,
+            hardens: plan.materials.iter().any(|m| m.material.has(abi::BARCHAN_CAP_HARDENS)),
             steps: 0,
             mass: 0.0,
             departures: Departures::default(),
@@ -188,11 +198,20 @@ impl<T: Scalar> CpuEngine<T> {
     /// Mass, momentum and stress of every block's particles into the block's tile. Strain is up to date afterwards.
     fn particles_to_grid(&mut self, dt: f64) -> Result<()> {
         let clock = Instant::now();
+        let parts = (self.deformation_rate * self.strain_dt / MAX_DEFORMATION).ceil();
+        if parts > MAX_PARTS {
+            return Err(self.find_non_finite().unwrap_or(Error::TimeStep {
+                step: self.steps,
+                dt: self.strain_dt,
+                bound: MAX_PARTS * MAX_DEFORMATION / self.deformation_rate,
+                by: "the deformation rate that particles were given".into(),
+            }));
+        }
         let step = Step {
             h: self.store.cell_width,
             dt,
             strain_dt: self.strain_dt,
-            strain_parts: ((self.deformation_rate * self.strain_dt / MAX_DEFORMATION).ceil() as u32).max(1),
+            strain_parts: (parts as u32).max(1),
             gravity: self.gravity,
         };
         self.parted += u64::from(step.strain_parts > 1);
@@ -202,6 +221,7 @@ impl<T: Scalar> CpuEngine<T> {
         let blocks = grid.occupied.len();
         let mut impulses = vec![[0.0; 3]; if walls { blocks } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
+        let images = Shared(self.grid.images.as_ptr().cast_mut());
         let n_materials = self.clocks.materials.len();
         let fault = self.pool.install(|| {
             (0..blocks)
@@ -240,7 +260,9 @@ impl<T: Scalar> CpuEngine<T> {
                     }
                     if walls && grid.mirrored[b] {
                         // SAFETY: each block has an entry of its own.
-                        unsafe { *impulse_of.at(b) = mirrors.fold(tile, grid.origin(b)) };
+                        unsafe {
+                            *impulse_of.at(b) = mirrors.fold(tile, grid.origin(b), &mut *images.at(b));
+                        }
                     }
                     (fault, shares, begun.map_or(0, |t| t.elapsed().as_nanos() as u64))
                 })
@@ -380,6 +402,7 @@ impl<T: Scalar> CpuEngine<T> {
             for pair in pairs {
                 // SAFETY: pairs name two different nodes of the grid, and this loop alone works on them.
                 let (node, image) = unsafe { (&mut *nodes.at(pair.node as usize), &mut *nodes.at(pair.image as usize)) };
+                pair.image_mass = image[3].to_f64();
                 let (presses, impulse) = separations[pair.separation as usize].0.fold(node, image);
                 pair.presses = presses;
                 for d in 0..3 {
@@ -397,19 +420,20 @@ impl<T: Scalar> CpuEngine<T> {
                 .reduce(T::default, |a, b| greater(a, b))
         });
         self.max_speed = speed.to_f64();
-        self.mirror_separated();
     }
 
     /// Gives images behind walls that let go the velocity of their nodes.
     fn mirror_separated(&mut self) {
         let nodes = Shared(self.grid.nodes.as_mut_ptr().cast::<[T; 4]>());
-        for pairs in self.grid.pairs.iter().rev() {
-            for pair in pairs {
-                // SAFETY: as in `separate`.
-                unsafe {
-                    let node = *nodes.at(pair.node as usize);
-                    *nodes.at(pair.image as usize) =
-                        self.bounds.separations[pair.separation as usize].0.unfold(&node, pair.presses);
+        for pair in self.grid.pairs.iter().rev().flatten() {
+            let separation = &self.bounds.separations[pair.separation as usize].0;
+            // SAFETY: as in `separate`.
+            unsafe {
+                let node = *nodes.at(pair.node as usize);
+                let (image, impulse) = separation.unfold(&node, pair.presses, pair.image_mass);
+                *nodes.at(pair.image as usize) = image;
+                for d in 0..3 {
+                    self.wall_impulse[d] += impulse[d];
                 }
             }
         }
@@ -441,7 +465,6 @@ impl<T: Scalar> CpuEngine<T> {
                 }
             }
         }
-        self.mirror_separated();
         self.clocks.add(Pass::Contact, clock);
         Ok(())
     }
@@ -483,6 +506,9 @@ impl<T: Scalar> CpuEngine<T> {
             Step { h: self.store.cell_width, dt, strain_dt: 0.0, strain_parts: 1, gravity: self.gravity };
         let (isa, lists, grid, mirrors) = (self.isa, &self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
+        let walls = mirrors.kind.iter().flatten().any(|&kind| kind != Mirror::Open);
+        let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
+        let impulse_of = Shared(impulses.as_mut_ptr());
         let greatest = self.pool.install(|| {
             (0..grid.occupied.len())
                 .into_par_iter()
@@ -491,100 +517,105 @@ impl<T: Scalar> CpuEngine<T> {
                     let tile = unsafe { &mut *tiles.at(b) };
                     isa.run::<T, _>(FillTile { tile, nodes: &grid.nodes, around: &grid.nodes_around[b] });
                     if grid.mirrored[b] {
-                        mirrors.unfold(tile, grid.origin(b));
+                        // SAFETY: each block has an entry of its own.
+                        unsafe { *impulse_of.at(b) = mirrors.unfold(tile, grid.origin(b), &grid.images[b]) };
                     }
-                    let mut greatest = T::default();
+                    let mut greatest = Rates::default();
                     for list in lists {
                         let run = list.runs[b];
                         if run.count > 0 {
-                            let norm = isa.run::<T, _>(GridToParticles {
+                            let rates = isa.run::<T, _>(GridToParticles {
                                 particles: list.view(),
                                 run,
                                 origin: grid.origin(b),
                                 step: &step,
                                 tile,
                             });
-                            greatest = greater(greatest, norm);
+                            greatest = faster(greatest, rates);
                         }
                     }
                     greatest
                 })
-                .reduce(T::default, |a, b| greater(a, b))
+                .reduce(Rates::default, faster)
         });
-        self.deformation_rate = greatest.to_f64().sqrt();
+        for impulse in impulses {
+            for d in 0..3 {
+                self.wall_impulse[d] += impulse[d];
+            }
+        }
+        self.take_rates(greatest);
         self.strain_dt = dt;
         self.clocks.add(Pass::G2P, clock);
     }
 
     /// Asks every material for its stiffness and keeps the least stable step.
     fn measure_stiffness(&mut self) -> Result<()> {
-        self.moduli_age = 0;
+        self.stiffness_age = 0;
         self.stiffness = Bound { dt: f64::INFINITY, by: "nothing".into() };
         for list in &self.store.lists {
             let planned = &self.materials[list.material];
             let Some(moduli) = planned.material.table.tangent_moduli_f32 else { continue };
-            let hardens = planned.material.has(abi::BARCHAN_CAP_HARDENS);
             let planes = list.strain_planes();
-            let n_state = list.law.table.n_state;
             let params: Vec<f32> = planned.parameters.iter().map(|&p| p as f32).collect();
             let blocks = list.runs.iter().filter(|run| run.count > 0);
             // A law that does not harden is as stiff everywhere as at its first particle.
+            let hardens = planned.material.has(abi::BARCHAN_CAP_HARDENS);
             let runs: Vec<_> = if hardens { blocks.collect() } else { blocks.take(1).collect() };
+            let chunk_bound = |chunk: usize, count: usize| -> Result<f64> {
+                let mut strain = [[0f32; LANES]; 9];
+                let mut state = [[0f32; LANES]; barchan_grid::transfer::MAX_STATE];
+                let mut out = [[0f32; LANES]; 2];
+                for (p, plane) in strain[..planes].iter_mut().enumerate() {
+                    *plane = list.rest_plane(chunk, STRAIN + p).map(|x| x.to_f64() as f32);
+                }
+                for (q, plane) in state[..list.law.table.n_state].iter_mut().enumerate() {
+                    *plane = list.rest_plane(chunk, STRAIN + planes + q).map(|x| x.to_f64() as f32);
+                }
+                let batch = abi::BarchanBatchF32 {
+                    struct_size: size_of::<abi::BarchanBatchF32>(),
+                    n: LANES,
+                    stride: LANES,
+                    dt: 0.0,
+                    reserved: 0,
+                    params: params.as_ptr(),
+                    strain_trial: strain.as_ptr().cast(),
+                    vel_grad: std::ptr::null(),
+                    state_in: state.as_ptr().cast(),
+                    strain: std::ptr::null_mut(),
+                    kirchhoff: std::ptr::null_mut(),
+                    state_out: std::ptr::null_mut(),
+                };
+                let mut message = ErrorBuffer::default();
+                // SAFETY: the planes that this callback reads, and the two that it writes, hold 16 values each.
+                let status = unsafe { moduli(&batch, out.as_mut_ptr().cast(), message.as_raw()) };
+                message.check(status, &planned.material, "tangent_moduli", |i| {
+                    // A callback may name any number.
+                    usize::try_from(i).ok().and_then(|i| list.id[chunk].get(i)).map_or(u64::MAX, |&id| u64::from(id))
+                })?;
+                (0..count).try_fold(f64::INFINITY, |least: f64, lane| {
+                    let moduli = [f64::from(out[0][lane]), f64::from(out[1][lane])];
+                    // The minimum would lose a NaN, and with it the bound.
+                    if !moduli.iter().all(|m| m.is_finite() && *m > 0.0) {
+                        return Err(Error::MaterialFailed {
+                            material: planned.name.clone(),
+                            origin: planned.material.origin.clone(),
+                            callback: "tangent_moduli",
+                            message: format!("the moduli are {moduli:?} Pa; they must be finite and above 0"),
+                            particle: Some(u64::from(list.id[chunk][lane])),
+                        });
+                    }
+                    let density = list.mass_of(chunk, lane) / list.volume0_of(chunk, lane);
+                    Ok(least.min(stable_step(self.store.cell_width, density, moduli[0], moduli[1])))
+                })
+            };
             let least = self.pool.install(|| {
-                runs.par_iter()
-                    .map(|run| -> Result<f64> {
-                        let mut least = f64::INFINITY;
-                        let mut strain = [[0f32; BATCH]; 9];
-                        let mut state = [[0f32; BATCH]; barchan_grid::transfer::MAX_STATE];
-                        let mut out = [[0f32; BATCH]; 2];
-                        for from in (0..run.count).step_by(BATCH) {
-                            let n = (run.count - from).min(BATCH);
-                            let place = |i: usize| (run.first + (from + i) / LANES, (from + i) % LANES);
-                            for i in 0..n {
-                                let (chunk, lane) = place(i);
-                                for (p, plane) in strain[..planes].iter_mut().enumerate() {
-                                    plane[i] = list.rest_of(chunk, lane, STRAIN + p) as f32;
-                                }
-                                for (q, plane) in state[..n_state].iter_mut().enumerate() {
-                                    plane[i] = list.rest_of(chunk, lane, STRAIN + planes + q) as f32;
-                                }
-                            }
-                            let batch = abi::BarchanBatchF32 {
-                                struct_size: size_of::<abi::BarchanBatchF32>(),
-                                n,
-                                stride: BATCH,
-                                dt: 0.0,
-                                reserved: 0,
-                                params: params.as_ptr(),
-                                strain_trial: strain.as_ptr().cast(),
-                                vel_grad: std::ptr::null(),
-                                state_in: if n_state > 0 { state.as_ptr().cast() } else { std::ptr::null() },
-                                strain: std::ptr::null_mut(),
-                                kirchhoff: std::ptr::null_mut(),
-                                state_out: std::ptr::null_mut(),
-                            };
-                            let mut message = ErrorBuffer::default();
-                            // SAFETY: the planes that this callback reads are BATCH long and n <= BATCH.
-                            let status = unsafe { moduli(&batch, out.as_mut_ptr().cast(), message.as_raw()) };
-                            message.check(status, &planned.material, "tangent_moduli", |i| {
-                                let (chunk, lane) = place(i as usize);
-                                u64::from(list.id[chunk][lane])
-                            })?;
-                            for i in 0..n {
-                                let (chunk, lane) = place(i);
-                                let density = list.mass_of(chunk, lane) / list.volume0_of(chunk, lane);
-                                let dt = stable_step(
-                                    self.store.cell_width,
-                                    density,
-                                    f64::from(out[0][i]),
-                                    f64::from(out[1][i]),
-                                );
-                                least = least.min(dt);
-                            }
-                        }
-                        Ok(least)
+                let run_bound = |run: &&Run| {
+                    (0..run.chunks()).try_fold(f64::INFINITY, |least: f64, k| {
+                        let count = (run.count - k * LANES).min(LANES);
+                        Ok(least.min(chunk_bound(run.first + k, count)?))
                     })
-                    .try_reduce(|| f64::INFINITY, |a, b| Ok(a.min(b)))
+                };
+                runs.par_iter().map(run_bound).try_reduce(|| f64::INFINITY, |a, b| Ok(a.min(b)))
             })?;
             if least < self.stiffness.dt {
                 self.stiffness = Bound { dt: least, by: format!("stiffness of material '{}'", planned.name) };
@@ -597,6 +628,11 @@ impl<T: Scalar> CpuEngine<T> {
 /// The greater of two magnitudes; NaN wins, so that it cannot hide.
 fn greater<T: Float>(a: T, b: T) -> T {
     if a >= b || a.to_f64().is_nan() { a } else { b }
+}
+
+/// The greater of each.
+fn faster<T: Float>(a: Rates<T>, b: Rates<T>) -> Rates<T> {
+    Rates { deformation: greater(a.deformation, b.deformation), speed: greater(a.speed, b.speed) }
 }
 
 /// Zeroes a tile.
@@ -685,7 +721,7 @@ impl<T: Float> Kernel<T> for FillTile<'_, T> {
 
 impl<T: Scalar> Engine for CpuEngine<T> {
     fn bound(&self) -> Bound {
-        let speed = MAX_MOVE * self.store.cell_width / self.max_speed;
+        let speed = MAX_MOVE * self.store.cell_width / self.particle_speed;
         if speed < self.stiffness.dt {
             Bound { dt: speed, by: "particle speed: no particle may move further than half a cell in a step".into() }
         } else {
@@ -704,19 +740,18 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             }
             other => other,
         };
-        if sorted {
+        let ground = self.store.len() > 0;
+        if sorted && ground {
             self.sort()?;
-        }
-        if self.moduli_age >= MODULI_AGE
-            && self.materials.iter().any(|m| m.material.has(abi::BARCHAN_CAP_HARDENS))
-        {
-            self.measure_stiffness()?;
         }
         let h = self.store.cell_width;
         let mut dt = dt;
         self.gravity = self.scene.gravity_at(time);
         let walls_before = self.wall_impulse;
-        loop {
+        if !ground {
+            self.max_speed = 0.0;
+        }
+        while ground {
             self.particles_to_grid(dt).map_err(timed)?;
             self.update_grid();
             if !self.max_speed.is_finite() {
@@ -748,7 +783,14 @@ impl<T: Scalar> Engine for CpuEngine<T> {
                 by: "the speed that a coupling gave to a node".into(),
             });
         }
+        if ground {
+            self.mirror_separated();
         self.grid_to_particles(dt);
+        }
+        self.stiffness_age += 1;
+        if self.hardens && self.stiffness_age >= STIFFNESS_AGE {
+            self.measure_stiffness()?;
+        }
         for coupling in couplings {
             coupling.after_step(time, dt)?;
         }
@@ -758,13 +800,13 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         }
         self.drift += self.max_speed * dt / h;
         self.age = self.age.map(|age| age + 1);
-        self.moduli_age += 1;
         self.steps += 1;
-        Ok(StepReport { dt, sorted, max_speed: self.max_speed })
+        Ok(StepReport { dt, sorted: sorted && ground, max_speed: self.max_speed })
     }
 
     fn download(&self) -> ParticleState {
-        let mut state = self.store.download(self.age.unwrap_or(0), self.drift, self.strain_dt);
+        let measured = Measured { stiffness_bound: self.stiffness.dt, stiffness_age: self.stiffness_age };
+        let mut state = self.store.download(self.age.unwrap_or(0), self.drift, measured, self.strain_dt);
         if self.age.is_none() {
             state.sort = None;
         }
@@ -774,15 +816,18 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
         self.store.upload(&particles)?;
         self.strain_dt = particles.strain_dt;
+        self.take_stock();
+        self.measure_stiffness()?;
         match &particles.sort {
             Some(sort) => {
                 (self.age, self.drift) = (Some(sort.age), sort.drift);
                 self.grid.rebuild(self.store.blocks.clone(), &self.bounds);
+                self.stiffness.dt = sort.measured.stiffness_bound;
+                self.stiffness_age = sort.measured.stiffness_age;
             }
             None => (self.age, self.drift) = (None, 0.0),
         }
-        self.take_stock();
-        self.measure_stiffness()
+        Ok(())
     }
 
     fn particle_count(&self) -> usize {
@@ -834,23 +879,28 @@ impl<T: Scalar> CpuEngine<T> {
         self.mass - self.departures.deleted_mass
     }
 
+    fn take_rates(&mut self, rates: Rates<T>) {
+        self.deformation_rate = rates.deformation.to_f64().sqrt();
+        self.particle_speed = rates.speed.to_f64();
+    }
+
     /// What depends on the particles as they come in: total and least mass, greatest deformation rate and speed.
     fn take_stock(&mut self) {
-        let (mut least, mut mass, mut rate, mut speed) = (f64::INFINITY, 0.0, 0f64, 0f64);
+        let (mut least, mut mass) = (f64::INFINITY, 0.0);
+        let mut rates = Rates::default();
         for list in &self.store.lists {
             for (chunk, lane) in list.places() {
                 let m = list.mass_of(chunk, lane);
                 least = least.min(m);
                 mass += m;
-                let motion = list.motion_of(chunk, lane);
-                rate = rate.max(motion[3..].iter().map(|c| c * c).sum());
-                speed = motion[..3].iter().fold(speed, |s, v| s.max(v.abs()));
+            }
+            for &run in &list.runs {
+                rates = faster(rates, self.isa.run::<T, _>(Survey { particles: list.view(), run }));
             }
         }
         self.mass = mass + self.departures.deleted_mass;
         self.least_mass = if least.is_finite() { least * 1e-20 } else { 0.0 };
-        self.deformation_rate = rate.sqrt();
-        self.max_speed = speed;
+        self.take_rates(rates);
     }
 
     /// Adds mass, momenta, energies and the materials' counts.
@@ -892,6 +942,8 @@ impl<T: Scalar> CpuEngine<T> {
         let mut strain = [[0f64; BATCH]; 9];
         let mut state = [[0f64; BATCH]; barchan_grid::transfer::MAX_STATE];
         let mut energy = [0f64; BATCH];
+        let no_rate = [[0f64; BATCH]; 9];
+        let wants_rate = planned.material.has(abi::BARCHAN_CAP_VEL_GRAD);
         let mut counts = [0u64; abi::BARCHAN_N_COUNTERS];
         for run in &list.runs {
             for from in (0..run.count).step_by(BATCH) {
@@ -913,7 +965,7 @@ impl<T: Scalar> CpuEngine<T> {
                     dt: 0.0,
                     params: planned.parameters.as_ptr(),
                     strain_trial: strain.as_ptr().cast(),
-                    vel_grad: std::ptr::null(),
+                    vel_grad: if wants_rate { no_rate.as_ptr().cast() } else { std::ptr::null() },
                     state_in: if n_state > 0 { state.as_ptr().cast() } else { std::ptr::null() },
                     strain: std::ptr::null_mut(),
                     kirchhoff: std::ptr::null_mut(),

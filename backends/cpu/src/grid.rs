@@ -103,6 +103,8 @@ pub(crate) struct Pair {
     pub(crate) image: u32,
     pub(crate) separation: u32,
     pub(crate) presses: bool,
+    /// Mass that was folded from the image [kg].
+    pub(crate) image_mass: f64,
 }
 
 /// Blocks of one level, their memory and their neighbours.
@@ -117,6 +119,8 @@ pub(crate) struct Grid<T> {
     pub(crate) tiles_around: Vec<[u32; 27]>,
     /// For each occupied block: does a mirror cross its tile?
     pub(crate) mirrored: Vec<bool>,
+    /// For each occupied block that a mirror crosses: the masses folded back in this step.
+    pub(crate) images: Vec<Vec<T>>,
     /// Pairs at walls that let go, grouped by axis, x first.
     pub(crate) pairs: [Vec<Pair>; 3],
     /// Tiles of the occupied blocks.
@@ -133,6 +137,7 @@ impl<T: Float> Default for Grid<T> {
             nodes_around: Vec::new(),
             tiles_around: Vec::new(),
             mirrored: Vec::new(),
+            images: Vec::new(),
             pairs: [const { Vec::new() }; 3],
             tiles: Vec::new(),
             nodes: Vec::new(),
@@ -181,6 +186,7 @@ impl<T: Float> Grid<T> {
         self.tiles_around = keys.iter().map(|&key| around(key, -1).map(|b| find(&tile_index, b))).collect();
         self.mirrored =
             occupied.iter().map(|&key| bounds.mirrors.meet(block::of_key(key).map(|b| b * SIDE - 2))).collect();
+        self.images.resize(occupied.len(), Vec::new());
         self.pairs = self.pair_up(&keys, &node_index, bounds);
         (self.occupied, self.keys) = (occupied, keys);
         grow(&mut self.tiles, self.occupied.len(), [T::default(); TILE]);
@@ -214,6 +220,7 @@ impl<T: Float> Grid<T> {
                         image: other * block::CELLS as u32 + place,
                         separation: s as u32,
                         presses: false,
+                        image_mass: 0.0,
                     });
                 }
             }

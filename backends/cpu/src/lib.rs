@@ -10,6 +10,7 @@ mod memory;
 mod store;
 
 use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
+use barchan_grid::transfer::MAX_STATE;
 use std::sync::Arc;
 
 /// The backend called `cpu`.
@@ -36,6 +37,16 @@ impl Backend for Cpu {
                 what: format!("form of the stage '{stage}'"),
                 why: "the plan lists it".into(),
                 mend: "choose another backend".into(),
+            });
+        }
+        if let Some(planned) = plan.materials.iter().find(|m| m.material.states.len() > MAX_STATE) {
+            return Err(Error::Missing {
+                kind: "backend",
+                name: self.name().into(),
+                origin: "built-in".into(),
+                what: format!("room for {} history variables; it has {MAX_STATE}", planned.material.states.len()),
+                why: format!("material '{}' has the law '{}'", planned.name, planned.material.name),
+                mend: "declare fewer, or choose another backend".into(),
             });
         }
         Ok(match plan.precision {

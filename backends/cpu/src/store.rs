@@ -6,7 +6,7 @@
 use crate::grid::Bounds;
 use crate::memory::{Line, Shared, lines};
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Error, ParticleList, ParticleState, Result, SortPhase};
+use barchan_core::{Error, Measured, ParticleList, ParticleState, Result, SortPhase};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{Law, Scalar};
@@ -99,6 +99,9 @@ impl<T: Scalar> List<T> {
     }
     pub(crate) fn rest_of(&self, chunk: usize, lane: usize, plane: usize) -> f64 {
         self.rest[chunk * self.rest_planes + plane].0[lane].to_f64()
+    }
+    pub(crate) fn rest_plane(&self, chunk: usize, plane: usize) -> [T; LANES] {
+        self.rest[chunk * self.rest_planes + plane].0
     }
     pub(crate) fn mass_of(&self, chunk: usize, lane: usize) -> f64 {
         self.rest_of(chunk, lane, MASS)
@@ -327,6 +330,11 @@ impl<T: Scalar> Store<T> {
                     .map(|([_, _, x, y, z], _)| block::key([*x, *y, *z]))
                     .collect::<Option<_>>()
                     .ok_or_else(|| refuse("a block lies beyond the reach of the grid".into()))?;
+                if sort.blocks.iter().any(|(_, counts)| counts.len() != self.lists.len())
+                    || !self.blocks.is_sorted_by(|a, b| a < b)
+                {
+                    return Err(refuse("the sort's blocks are out of order or lack a list".into()));
+                }
                 for (i, (mine, list)) in self.lists.iter_mut().zip(&state.lists).enumerate() {
                     let counts = sort.blocks.iter().map(|(_, counts)| counts[i] as usize);
                     if counts.clone().sum::<usize>() != list.len() {
@@ -346,7 +354,7 @@ impl<T: Scalar> Store<T> {
         Ok(())
     }
 
-    pub(crate) fn download(&self, age: u32, drift: f64, strain_dt: f64) -> ParticleState {
+    pub(crate) fn download(&self, age: u32, drift: f64, measured: Measured, strain_dt: f64) -> ParticleState {
         let blocks = self
             .blocks
             .iter()
@@ -359,7 +367,7 @@ impl<T: Scalar> Store<T> {
         ParticleState {
             lists: self.lists.iter().map(|list| list.give_out(self.cell_width)).collect(),
             strain_dt,
-            sort: Some(SortPhase { age, drift, blocks }),
+            sort: Some(SortPhase { age, drift, measured, blocks }),
         }
     }
 
@@ -532,6 +540,8 @@ impl<T: Scalar> Store<T> {
             });
         list.runs = runs;
         if unchanged {
+            // A run may have gone to another block as it is; its padding must lie there too.
+            list.pad();
             return;
         }
         let room = chunks.max(list.chunks());

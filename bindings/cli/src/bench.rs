@@ -4,6 +4,7 @@ use crate::EngineArgs;
 use barchan::scene::{MaterialSpec, Motion, OverBound};
 use barchan::{Registry, Result, Scene, Simulation};
 use clap::{Args, Subcommand};
+use serde::Serialize;
 use serde_json::json;
 use std::time::Instant;
 
@@ -228,65 +229,85 @@ fn rows(registry: &Registry, grid: u32) -> Result<Vec<Row>> {
     ])
 }
 
+/// What a scene costs.
+#[derive(Serialize)]
+struct Cost {
+    ms_per_step: f64,
+    ns_per_particle_step: f64,
+    passes_per_step: f64,
+    bytes_per_particle: f64,
+}
+
+impl Cost {
+    fn of(timed: &Timed) -> Self {
+        Self {
+            ms_per_step: 1e3 * timed.step(),
+            ns_per_particle_step: 1e9 * timed.step() / timed.particles(),
+            passes_per_step: timed.passes,
+            bytes_per_particle: timed.bytes_per_particle(),
+        }
+    }
+}
+
+/// What something declared but not used adds to the base.
+#[derive(Serialize)]
+struct Unused {
+    /// Share of the base's time.
+    time: f64,
+    passes_per_step: f64,
+    bytes_per_particle: f64,
+}
+
+/// A line of the ablation table.
+#[derive(Serialize)]
+struct Line {
+    effect: &'static str,
+    #[serde(flatten)]
+    cost: Cost,
+    unused: Option<Unused>,
+}
+
 fn effects(args: &Effects) -> Result<()> {
     let registry = args.engine.registry()?;
     let rows = rows(&registry, args.grid)?;
+    let timed = |scene: &Scene| Timed::new(&registry, scene, &args.engine, &args.effort);
+    let repetitions = args.effort.repetitions.max(1);
     let mut table = Vec::new();
     for row in &rows {
-        let mut with = Timed::new(&registry, &row.with, &args.engine, &args.effort)?;
-        for _ in 0..args.effort.repetitions.max(1) {
-            with.repeat()?;
-        }
-        // Declared but unused is told apart from the base by taking turns with it, so that both see the same machine.
-        let unused = match &row.unused {
-            None => None,
-            Some(scene) => {
-                let mut base = Timed::new(&registry, &rows[0].with, &args.engine, &args.effort)?;
-                let mut unused = Timed::new(&registry, scene, &args.engine, &args.effort)?;
-                for _ in 0..args.effort.repetitions.max(1) {
-                    base.repeat()?;
-                    unused.repeat()?;
-                }
-                Some((
-                    unused.step() / base.step() - 1.0,
-                    unused.passes - base.passes,
-                    unused.bytes_per_particle() - base.bytes_per_particle(),
-                ))
-            }
+        let mut with = timed(&row.with)?;
+        (0..repetitions).try_for_each(|_| with.repeat())?;
+        // What is not used is told apart from the base by taking turns with it, so that both see the same machine.
+        let compare = |scene: &Scene| -> Result<Unused> {
+            let (mut base, mut unused) = (timed(&rows[0].with)?, timed(scene)?);
+            (0..repetitions).try_for_each(|_| base.repeat().and_then(|()| unused.repeat()))?;
+            Ok(Unused {
+                time: unused.step() / base.step() - 1.0,
+                passes_per_step: unused.passes - base.passes,
+                bytes_per_particle: unused.bytes_per_particle() - base.bytes_per_particle(),
+            })
         };
-        table.push((row.effect, with.step(), with.particles(), with.passes, with.bytes_per_particle(), unused));
+        let unused = row.unused.as_ref().map(compare).transpose()?;
+        table.push(Line { effect: row.effect, cost: Cost::of(&with), unused });
     }
     if args.effort.json {
-        let entry =
-            |(effect, step, particles, passes, bytes, unused): &(_, f64, f64, f64, f64, Option<(f64, f64, f64)>)| {
-                json!({
-                    "effect": effect, "ms_per_step": 1e3 * step, "ns_per_particle_step": 1e9 * step / particles,
-                    "passes_per_step": passes, "bytes_per_particle": bytes,
-                    "unused": unused.map(|(time, passes, bytes)| {
-                        json!({ "time": time, "passes_per_step": passes, "bytes_per_particle": bytes })
-                    }),
-                })
-            };
         let figures = json!({
-            "grid": args.grid, "precision": args.engine.precision, "threads": args.engine.threads,
-            "effects": table.iter().map(entry).collect::<Vec<_>>(),
+            "grid": args.grid, "precision": args.engine.precision, "threads": args.engine.threads, "effects": table,
         });
         println!("{figures:#}");
         return Ok(());
     }
-    println!("{:<28}{:>46}   declared but unused", "", "");
+    println!("{:<74}   declared but not used", "");
     println!(
-        "{:<28}{:>10}{:>14}{:>10}{:>12}   {:>9}{:>9}{:>9}",
+        "{:<28}{:>10}{:>14}{:>10}{:>12}   {:>10}{:>9}{:>9}",
         "effect", "ms/step", "ns/particle", "passes", "B/particle", "time", "passes", "bytes"
     );
-    for (effect, step, particles, passes, bytes, unused) in table {
-        let unused = unused.map_or_else(String::new, |(time, passes, bytes)| {
-            format!("{:>+8.1} %{passes:>+9.1}{bytes:>+9.1}", 100.0 * time)
+    for Line { effect, cost, unused } in table {
+        let unused = unused.map_or_else(String::new, |u| {
+            format!("{:>+8.1} %{:>+9.1}{:>+9.1}", 100.0 * u.time, u.passes_per_step, u.bytes_per_particle)
         });
         println!(
-            "{effect:<28}{:>10.3}{:>14.2}{passes:>10.1}{bytes:>12.0}   {unused}",
-            1e3 * step,
-            1e9 * step / particles
+            "{effect:<28}{:>10.3}{:>14.2}{:>10.1}{:>12.0}   {unused}",
+            cost.ms_per_step, cost.ns_per_particle_step, cost.passes_per_step, cost.bytes_per_particle
         );
     }
     Ok(())

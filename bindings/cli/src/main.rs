@@ -104,17 +104,23 @@ fn registry(load: &[PathBuf]) -> Result<Registry> {
     Ok(registry)
 }
 
+/// The plan of a scene, for a backend that is there.
+fn assemble(args: &SceneArgs) -> Result<Plan> {
+    let registry = args.engine.registry()?;
+    let options = args.engine.options();
+    registry.backend(&options.backend)?;
+    Plan::assemble(&registry, &args.scene()?, &options).map(|(plan, ..)| plan)
+}
+
 fn plan(args: &SceneArgs) -> Result<()> {
-    let (plan, ..) = Plan::assemble(&args.engine.registry()?, &args.scene()?, &args.engine.options())?;
-    println!("{plan}");
+    println!("{}", assemble(args)?);
     Ok(())
 }
 
 fn check(args: &SceneArgs) -> Result<()> {
-    let scene = args.scene()?;
-    let (plan, ..) = Plan::assemble(&args.engine.registry()?, &scene, &args.engine.options())?;
+    let plan = assemble(args)?;
     plan.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
-    println!("{}: ok, {} particles, steps of {:.3e} s", scene.name, plan.particle_count, plan.dt);
+    println!("{}: ok, {} particles, steps of {:.3e} s", plan.scene.name, plan.particle_count, plan.dt);
     Ok(())
 }
 

@@ -22,7 +22,7 @@ pub mod run;
 pub mod stress;
 
 pub use barchan_core::{
-    Backend, BodyState, Coupling, Effect, Engine, Error, Ledger, Material, NodeBatch, Options, ParticleList,
+    Backend, BodyState, Coupling, Effect, Engine, Error, Ledger, Material, Measured, NodeBatch, Options, ParticleList,
     ParticleState, Plan, Precision, Registry, Result, Scene, Simulation, SortPhase, Stage, StepReport, Task, Vec3,
     Wrench, backend, coupling, export, ledger, material, plan, registry as registries, scene, simulation, snapshot,
     solid, state, task,

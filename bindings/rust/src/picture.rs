@@ -21,7 +21,7 @@ pub use tools::Tools;
 
 use crate::stress::pressure;
 use barchan_core::plan::Plan;
-use barchan_core::scene::{CutColour, Scene, Wall};
+use barchan_core::scene::{CutColour, Motion, Scene, Wall};
 use barchan_core::{ParticleList, ParticleState, Result, Simulation, Vec3};
 use colour::{Ground, viridis};
 use relief::{Dot, Surface};
@@ -288,7 +288,14 @@ impl View {
             }
         }
         let (label, unit) = if length < 1.0 { (100.0 * length, "cm") } else { (length, "m") };
-        page.text((x + pixels + 8) as f32, y as f32, TEXT, Align::Left, INK, &format!("{label} {unit}"));
+        page.text(
+            (x + pixels + 8) as f32,
+            y as f32,
+            TEXT,
+            Align::Left,
+            INK,
+            &format!("{} {unit}", three_digits(label)),
+        );
     }
 }
 
@@ -343,6 +350,12 @@ fn extent(scene: &Scene, particles: &ParticleState) -> (Vec3, Vec3) {
     let size: Vec3 = std::array::from_fn(|d| high[d] - low[d] + world.cell);
     let wide = size[0].max(size[1]);
     let above = [0.25 * size[0], 0.25 * size[1], (0.5 * size[2]).max(0.12 * wide)];
+    // Tools on keyframes are shown on all their way up, within reason.
+    let way = scene.tool.iter().flat_map(|tool| match &tool.motion {
+        Motion::Keyframes { frames, .. } => frames.iter().map(|frame| frame.position[2]).collect(),
+        _ => vec![tool.position[2]],
+    });
+    high[2] = high[2].max(way.fold(high[2], f64::max).min(high[2] + 0.35 * wide) - above[2]);
     let below = [0.25 * size[0], 0.25 * size[1], 0.1 * size[2]];
     let mut min: Vec3 = std::array::from_fn(|d| (low[d] - below[d]).max(world.min[d]));
     let max: Vec3 = std::array::from_fn(|d| (high[d] + above[d]).min(world.max[d]));

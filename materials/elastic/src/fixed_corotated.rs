@@ -44,7 +44,9 @@ impl Material for FixedCorotated {
         let volume = f.determinant().abs().max(one);
         let shear = square + square - square.sqrt();
         let bulk = volume * (volume + volume - one);
-        Lame { lambda: law.lambda * bulk, mu: law.mu * shear }.tangent_moduli()
+        // Negative in an auxetic solid: stretched, it would take away from the bound what the shear adds.
+        let lambda = law.lambda.max(law.lambda * bulk);
+        Lame { lambda, mu: law.mu * shear }.tangent_moduli()
     }
 
     #[inline(always)]

@@ -260,7 +260,10 @@ impl Lanes for Avx512F32 {
     unsafe fn advance(offset: *mut u32, cell: *mut i32, delta: Self) {
         // SAFETY: the caller vouches for 16 readable and writable entries of each; the machine has AVX-512.
         unsafe {
-            let counts = _mm512_cvtps_epi32(_mm512_mul_ps(delta.0[0], _mm512_set1_ps(4_294_967_296.0)));
+            let exact = _mm512_mul_ps(delta.0[0], _mm512_set1_ps(4_294_967_296.0));
+            // Half a cell forwards is one count more than fits, and the conversion would make half a cell backwards of it.
+            let over = _mm512_cmp_ps_mask::<_CMP_GE_OQ>(exact, _mm512_set1_ps(2_147_483_648.0));
+            let counts = _mm512_mask_mov_epi32(_mm512_cvtps_epi32(exact), over, _mm512_set1_epi32(i32::MAX));
             let old = _mm512_loadu_si512(offset.cast());
             let moved = _mm512_add_epi32(old, counts);
             let negative = _mm512_movepi32_mask(counts);

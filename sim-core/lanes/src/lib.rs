@@ -226,7 +226,7 @@ pub trait Lanes: Real {
     /// # Safety
     /// `from` must be valid for reading 16 offsets.
     unsafe fn load_offset(from: *const <Self::Scalar as Float>::Offset) -> Self;
-    /// Moves 16 particles along one axis by `delta` cells, |delta| < 0.5, carrying into the integer cell.
+    /// Moves 16 particles along one axis by `delta` cells, |delta| <= 0.5, carrying into the integer cell.
     ///
     /// # Safety
     /// Both pointers must be valid for reading and writing 16 entries.

@@ -92,7 +92,7 @@ impl<T: Float> Kernel<T> for Moves {
         assert!(read((V::zero() / V::zero()).exp()).iter().all(|x| x.is_nan()), "exp must not swallow NaN");
 
         // Offsets: up, down, tiny, and across faces in both directions.
-        let deltas = [0.0, 0.3, -0.3, 0.49, -0.49, 1e-9, -1e-9, 0.1, 0.2, -0.2, 0.25, -0.25, 0.4, -0.4, 1e-4, -1e-4];
+        let deltas = [0.0, 0.3, -0.3, 0.49, -0.49, 1e-9, -1e-9, 0.5, -0.5, -0.2, 0.25, -0.25, 0.4, -0.4, 1e-4, -1e-4];
         for start in [0.0, 0.1, 0.5, 0.999_999] {
             let mut offset = [T::offset_from_f64(start).unwrap(); LANES];
             let mut cell = [7; LANES];

@@ -2,5 +2,7 @@
 
 mod determinism;
 mod hard_cases;
+mod coupling;
 mod transfers;
 mod validation;
+mod walls;

@@ -4,7 +4,8 @@
 
 use barchan::{Options, ParticleState, Precision, Registry, Simulation, SortPhase};
 use barchan_grid::spline::{first_distance, weights};
-use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes, Real};
+use barchan::state::Measured;
+use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
 use barchan_tests::scenes::{scene, simulation};
 use barchan_tests::sketch::{Head, block, material};
 use proptest::prelude::*;
@@ -194,6 +195,17 @@ fn plane(n: usize) -> impl Strategy<Value = Vec<f64>> {
     ]
 }
 
+/// Offsets in the cell: any numbers of [0, 1), or counts of 2^-32.
+fn inside(n: usize) -> impl Strategy<Value = Vec<f64>> {
+    prop_oneof![
+        prop::collection::vec(0.0_f64..1.0, n),
+        prop::collection::vec(any::<u32>().prop_map(|counts| f64::from(counts) / CELL), n),
+    ]
+}
+
+/// The farthest cell that a state may name.
+const FAR: i32 = 1 << 30;
+
 /// Any state that fits `template`'s lists.
 fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
     let list = template.lists[0].clone();
@@ -201,14 +213,15 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
     (0_usize..40)
         .prop_flat_map(move |n| {
             let whole = (
-                prop::collection::vec((any::<u64>(), any::<u16>(), any::<[i32; 3]>()), n),
-                prop::collection::vec(plane(n), 3 + 3 + 9 + 2 + strains + states),
+                prop::collection::vec((any::<u64>(), any::<u16>(), [-FAR..=FAR, -FAR..=FAR, -FAR..=FAR]), n),
+                (prop::collection::vec(inside(n), 3), prop::collection::vec(plane(n), 3 + 9 + 2 + strains + states)),
                 number(),
-                prop::option::of((any::<u32>(), number(), prop::collection::vec((any::<[i32; 5]>(), any::<u32>()), 0..5))),
+                prop::option::of((any::<u32>(), number(), (number(), any::<u32>()), prop::collection::vec((any::<[i32; 5]>(), any::<u32>()), 0..5))),
             );
             (whole, Just(n))
         })
-        .prop_map(move |((who, planes, strain_dt, sort), n)| {
+        .prop_map(move |((who, (mut planes, more), strain_dt, sort), n)| {
+            planes.extend(more);
             let mut out = list.clone();
             let row = |first: usize, i: usize, d: usize| planes[first + d][i];
             out.id = who.iter().map(|w| w.0).collect();
@@ -223,7 +236,8 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
             ParticleState {
                 lists: vec![out],
                 strain_dt: if strain_dt.is_finite() { strain_dt } else { 0.0 },
-                sort: sort.map(|(age, drift, blocks)| SortPhase {
+                sort: sort.map(|(age, drift, (stiffness_bound, stiffness_age), blocks)| SortPhase {
+                    measured: Measured { stiffness_bound, stiffness_age },
                     age,
                     drift,
                     blocks: blocks.into_iter().map(|(key, count)| (key, vec![count])).collect(),

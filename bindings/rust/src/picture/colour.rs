@@ -36,7 +36,7 @@ impl Ground {
     pub fn of_law(law: &str) -> Self {
         let stops: [Colour; 3] = match law {
             "sand" => [[166, 124, 78], [222, 186, 132], [246, 224, 182]],
-            "snow" => [[176, 196, 222], [236, 242, 250], [255, 255, 255]],
+            "snow" => [[150, 172, 204], [214, 222, 234], [240, 244, 250]],
             "liquid" => [[24, 78, 140], [56, 128, 190], [126, 186, 226]],
             "neo_hookean" | "fixed_corotated" | "hencky" => [[30, 110, 108], [72, 168, 158], [150, 214, 200]],
             _ => [[120, 74, 60], [184, 122, 98], [222, 172, 148]],
@@ -58,15 +58,19 @@ pub(super) fn linear(byte: u8) -> f32 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
-/// From linear light to an sRGB byte by a table: pictures need it 3 times a pixel.
+/// From linear light to an sRGB byte, by a table: pictures need it 3 times a pixel. Light above 0.7 is pressed together,
+/// so that slopes facing the sun keep their shape.
 pub(super) fn encode(light: f32) -> u8 {
-    const SIZE: usize = 4096;
+    const SIZE: usize = 8192;
+    const KNEE: f32 = 0.7;
+    const MOST: f32 = 2.0;
     static TABLE: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
     let table = TABLE.get_or_init(|| {
         let curve = |v: f32| if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
-        (0..=SIZE).map(|i| (curve(i as f32 / SIZE as f32) * 255.0).round() as u8).collect()
+        let pressed = |v: f32| if v <= KNEE { v } else { 1.0 - (1.0 - KNEE) * ((KNEE - v) / (1.0 - KNEE)).exp() };
+        (0..=SIZE).map(|i| (curve(pressed(i as f32 * MOST / SIZE as f32)) * 255.0).round() as u8).collect()
     });
-    table[(light.clamp(0.0, 1.0) * SIZE as f32) as usize]
+    table[(light.clamp(0.0, MOST) / MOST * SIZE as f32) as usize]
 }
 
 #[cfg(test)]
@@ -83,9 +87,10 @@ mod tests {
     }
 
     #[test]
-    fn srgb_goes_there_and_back() {
-        for byte in 0..=255 {
+    fn srgb_goes_there_and_back_below_the_knee() {
+        for byte in 0..=216 {
             assert!(encode(linear(byte)).abs_diff(byte) <= 1, "{byte}");
         }
+        assert!((217..=255).all(|byte| encode(linear(byte)) <= byte) && encode(2.0) > 250);
     }
 }

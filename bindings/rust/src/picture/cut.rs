@@ -34,7 +34,7 @@ pub(super) fn draw(image: &mut Image, frame: Frame, dots: &[Dot], cut_y: f32, sp
     }
     for (pixel, (sum, cover)) in image.pixels_mut().iter_mut().zip(sum.iter().zip(cover)) {
         // Inside, where the discs leave a chink, the weights of all around still add up.
-        let cover = cover.max(smoothstep(1.2, 1.6, sum[0]));
+        let cover = cover.max(smoothstep(0.7, 1.1, sum[0]));
         if cover > 0.0 {
             *pixel = super::image::mix(*pixel, viridis(sum[1] / sum[0] / top), cover);
         }

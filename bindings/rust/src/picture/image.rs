@@ -261,7 +261,7 @@ mod tests {
         std::fs::remove_dir_all(&folder).unwrap();
         assert_eq!(read, image);
         assert_eq!(notes, [("time".to_owned(), "1.25".to_owned())]);
-        assert!(image.pixels().iter().any(|&p| p == [255, 255, 255]), "the text left no ink");
+        assert!(image.pixels().contains(&[255, 255, 255]), "the text left no ink");
     }
 
     #[test]

@@ -82,7 +82,7 @@ impl Surface {
         }
     }
 
-    fn binomial(&self, field: &mut Vec<f32>) {
+    fn binomial(&self, field: &mut [f32]) {
         let (columns, rows) = (self.columns, self.rows);
         let mut across = vec![0.0; field.len()];
         across.par_chunks_mut(columns).enumerate().for_each(|(y, out)| {
@@ -287,7 +287,7 @@ fn speckle(x: u32, y: u32) -> f32 {
 mod tests {
     use super::*;
 
-    /// A bed 0.1 m deep with a furrow 16 mm wide and 8 mm deep along y, on a 5 mm lattice.
+    /// A bed 0.1 m deep with a furrow four columns wide and two layers (10 mm) deep along y, on a 5 mm lattice.
     fn furrowed() -> Vec<Dot> {
         let mut dots = Vec::new();
         for (i, j, k) in (0..60).flat_map(|i| (0..40).flat_map(move |j| (0..20).map(move |k| (i, j, k)))) {
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lattice_is_flat_and_a_furrow_three_spacings_wide_stays() {
+    fn a_lattice_is_flat_and_a_furrow_two_cells_wide_stays() {
         let surface = Surface::new(&furrowed(), 5e-3, [0.0; 2], [0.3, 0.2], 0.0);
         let median = surface.median().unwrap();
         assert!((median - 0.1).abs() < 2e-3, "{median}");
@@ -308,7 +308,7 @@ mod tests {
         let ripple = flat.iter().fold(0.0f32, |a, &h| a.max((h - median).abs()));
         assert!(ripple < 2e-4, "lattice noise of {ripple} m");
         let depth = median - surface.height_at(0.15, 0.1);
-        assert!((3e-3..9e-3).contains(&depth), "furrow of {depth} m");
+        assert!((8e-3..1.01e-2).contains(&depth), "furrow of {depth} m");
         assert!(surface.sky.iter().all(|s| (0.0..=1.0).contains(s)));
     }
 

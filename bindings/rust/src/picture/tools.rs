@@ -89,8 +89,8 @@ impl Tools<'_> {
                 continue;
             };
             let points = mesh.points(image, frame);
-            let (top, nearest) = self.trace(&points, body);
             let pixel = 1.0 / frame.scale;
+            let (top, nearest) = self.trace(&points, body, pixel);
             let step = mesh.stride as f64 * pixel;
             let mut out = Vec::new();
             mesh.pixels(image, |x, y, corners| {
@@ -103,36 +103,39 @@ impl Tools<'_> {
                 let hits = corners.iter().filter(|&&(n, _)| top[n].is_finite());
                 let (sum, weight) = hits.fold((0.0, 0.0), |(s, t), &(n, w)| (s + w * top[n], t + w));
                 let node = corners[0].0;
-                let slope = |ahead: usize, behind: usize| {
-                    let get = |n: usize| top.get(n).copied().filter(|z| z.is_finite());
-                    match (get(ahead), get(behind)) {
-                        (Some(a), Some(b)) => ((a - b) / (2.0 * step)).clamp(-3.0, 3.0) as f32,
-                        _ => 0.0,
-                    }
+                let get = |n: usize| top.get(n).copied().unwrap_or(f64::NEG_INFINITY);
+                let slope = |ahead: usize, behind: usize| match (get(ahead), get(behind)) {
+                    (a, b) if a.is_finite() && b.is_finite() => ((a - b) / (2.0 * step)).clamp(-3.0, 3.0) as f32,
+                    _ => 0.0,
                 };
-                let (sx, sy) = (
-                    slope(node + 1, node.wrapping_sub(1)),
-                    slope(node.wrapping_sub(mesh.columns), node + mesh.columns),
-                );
+                let (right, left) = (node + 1, node.wrapping_sub(1));
+                let (up, down) = (node.wrapping_sub(mesh.columns), node + mesh.columns);
+                let (sx, sy) = (slope(right, left), slope(up, down));
+                // A line is drawn where the body ends or falls away.
+                let rim = [right, left, up, down].iter().any(|&n| get(n) < get(node) - 6.0 * step);
                 let light = super::relief::incidence(sx, sy);
                 let z = if weight > 0.0 { sum / weight } else { f64::INFINITY };
                 let [wx, wy] = [x as f64 + 0.5, image.height() as f64 - y as f64 - 0.5].map(|p| p / frame.scale);
                 let ground = surface.height_at((frame.origin[0] + wx) as f32, (frame.origin[1] + wy) as f32);
                 let above = smoothstep(-1.0, 1.0, ((z - f64::from(ground)) / pixel).clamp(-2.0, 2.0) as f32);
-                let rim = smoothstep(-2.5, -0.5, (near / pixel) as f32);
                 let shade = STEEL.map(|s| (s * (0.55 + 0.75 * light)).min(255.0) as u8);
-                out.push((x, y, super::image::mix(shade, EDGE, rim), 0.86 * coverage * above.max(0.12)));
+                out.push((
+                    x,
+                    y,
+                    super::image::mix(shade, EDGE, if rim { 0.8 } else { 0.0 }),
+                    0.86 * coverage * above.max(0.12),
+                ));
             });
             out.into_iter().for_each(|(x, y, colour, alpha)| image.blend(x as i64, y as i64, colour, alpha));
         }
     }
 
-    /// Follows rays straight down through a body's box: where they hit (−∞ if nowhere), and how near they come [m].
-    fn trace(&self, points: &[[f64; 2]], body: &Aabb) -> (Vec<f64>, Vec<f64>) {
+    /// Follows rays straight down through a body's box: where they hit (−∞ if nowhere), and how near they come [m], −`pixel`
+    /// for a hit and at most `pixel`.
+    fn trace(&self, points: &[[f64; 2]], body: &Aabb, pixel: f64) -> (Vec<f64>, Vec<f64>) {
         let mut height = vec![f64::NEG_INFINITY; points.len()];
-        let mut nearest = vec![f64::INFINITY; points.len()];
+        let mut nearest = vec![pixel; points.len()];
         let mut rays: Vec<(usize, f64)> = (0..points.len()).map(|i| (i, body.max[2])).collect();
-        let hit = 1e-3 * (body.max[2] - body.min[2]).min(0.1);
         for _ in 0..64 {
             if rays.is_empty() {
                 break;
@@ -143,22 +146,14 @@ impl Tools<'_> {
                 .into_iter()
                 .zip(distance)
                 .filter_map(|((i, z), d)| {
-                    nearest[i] = nearest[i].min(if d < hit { -hit } else { d });
-                    if d < hit {
-                        height[i] = z;
+                    if d < 0.05 * pixel {
+                        (height[i], nearest[i]) = (z, -pixel);
                         return None;
                     }
+                    nearest[i] = nearest[i].min(d);
                     (z - d > body.min[2]).then_some((i, z - d))
                 })
                 .collect();
-        }
-        // Inside the outline, how far from its rim: the body's own distance half way down.
-        let middle = 0.5 * (body.min[2] + body.max[2]);
-        let inner: Vec<Vec3> = points.iter().map(|p| [p[0], p[1], middle]).collect();
-        for ((near, z), d) in nearest.iter_mut().zip(&height).zip((self.distance)(&inner)) {
-            if z.is_finite() && d < 0.0 {
-                *near = near.min(d);
-            }
         }
         (height, nearest)
     }

@@ -227,13 +227,13 @@ fn b48_scooping_does_not_compact() {
 fn b49_overlap_at_the_start_ejects_nothing() {
     let h = 0.02;
     for (what, z, around) in [("buried whole", 0.08, false), ("five cells deep", 0.16, false), ("buried, seeded around", 0.08, true)] {
-        let (head, _) = bed(h, [14, 14], 8, 14, "");
+        let (head, _) = bed(h, [16, 16], 8, 14, "");
         let mass = 1500.0 * 0.12f64.powi(3);
         let mut s = simulation(
             &head.with(&[
                 material("sand", 1500.0, "young_modulus = 2e5, friction_angle_deg = 35"),
-                block("sand", [0.0; 3], [0.28, 0.28, 0.16], &format!("around_tools = {around}")),
-                tool("box", [0.14, 0.14, z], &half([0.06; 3]), FRICTION, &format!("{{ free = {{ mass = {mass} }} }}")),
+                block("sand", [0.0; 3], [0.32, 0.32, 0.16], &format!("around_tools = {around}")),
+                tool("box", [0.16, 0.16, z], &half([0.06; 3]), FRICTION, &format!("{{ free = {{ mass = {mass} }} }}")),
             ]),
             Precision::F32,
         );

@@ -1,0 +1,104 @@
+//! Walls that let go of the ground. Slip, stick and periodic sides are held to the plain reference in `transfers`.
+
+use barchan::{Precision, Simulation};
+use barchan_tests::scenes::{rows, run_to, simulation};
+
+/// An elastic block above a floor, with gravity (gx, gz).
+fn block(floor: &str, velocity: &str, gravity: [f64; 2], bottom: f64) -> String {
+    format!(
+        r#"
+        name = "block"
+        gravity = [{}, 0.0, {}]
+        gravity_ramp = 0.1
+        [world]
+        cell = 0.02
+        min = [-1.0, -1.0, 0.0]
+        max = [3.0, 1.0, 1.0]
+        [world.walls]
+        z_min = {floor}
+        [time]
+        end = 1.0
+        safety = 0.5
+        [[material]]
+        name = "m"
+        law = "hencky"
+        density = 1000.0
+        parameters = {{ young_modulus = 2e5, poisson_ratio = 0.2 }}
+        [[body]]
+        material = "m"
+        shape = {{ box = {{ min = [0.0, 0.0, {bottom}], max = [0.24, 0.12, {}] }} }}
+        velocity = {velocity}
+        "#,
+        gravity[0],
+        gravity[1],
+        bottom + 0.08
+    )
+}
+
+fn mean(simulation: &Simulation) -> ([f64; 3], [f64; 3]) {
+    let all = rows(simulation);
+    let n = all.len() as f64;
+    let sum = |f: fn(&barchan_tests::scenes::Row) -> [f64; 3]| {
+        all.iter().fold([0.0; 3], |s, r| std::array::from_fn(|d| s[d] + f(r)[d] / n))
+    };
+    (sum(|r| r.x), sum(|r| r.v))
+}
+
+/// A block thrown at a wall that lets go bounces off with most of its speed; a slip wall holds it back, since mirror images
+/// pull as well as push, until it tears off.
+#[test]
+fn a_separating_wall_lets_a_block_bounce_and_a_slip_wall_holds_it_back() {
+    let bounce = |floor: &str| {
+        let mut thrown = simulation(&block(floor, "[0.0, 0.0, -1.0]", [0.0, 0.0], 0.05), Precision::F64);
+        run_to(&mut thrown, 0.2);
+        mean(&thrown).1[2]
+    };
+    let (free, held) = (bounce("{ separate = {} }"), bounce("\"slip\""));
+    println!("bounces with {free:.3} of its speed at a wall that lets go (more than 0.7); {held:.3} at a slip wall (at least 0.1 less)");
+    assert!(free > 0.7 && free <= 1.0, "{free}");
+    assert!(held < free - 0.1, "{held}");
+}
+
+/// Coulomb friction at a wall: a block on a floor in tilted gravity accelerates by g (sin theta - mu cos theta), or stays.
+#[test]
+fn a_wall_with_friction_obeys_coulomb() {
+    let (s, c) = f64::to_radians(30.0).sin_cos();
+    let gravity = [9.81 * s, -9.81 * c];
+    for friction in [0.0, 0.3, 0.8] {
+        let floor = format!("{{ separate = {{ friction = {friction} }} }}");
+        let mut slide = simulation(&block(&floor, "[0.0, 0.0, 0.0]", gravity, 0.0), Precision::F64);
+        run_to(&mut slide, 0.2);
+        let from = mean(&slide).1[0];
+        run_to(&mut slide, 0.4);
+        let a = (mean(&slide).1[0] - from) / 0.2;
+        let expected = 9.81 * (s - friction * c).max(0.0);
+        println!("wall with friction {friction}: {a:.4} m/s², Coulomb {expected:.4}, tolerance 1.5 % of g sin theta");
+        assert!((a - expected).abs() < 0.015 * 9.81 * s, "{a} instead of {expected}");
+    }
+}
+
+/// Impulses of walls are booked: what gravity gave and walls took is what the ground has. A mirror that forgot its reaction, or
+/// a corner folded twice, would not close.
+#[test]
+fn impulses_of_walls_and_gravity_close_the_momentum_ledger() {
+    for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-5)] {
+        for floor in ["\"slip\"", "\"stick\"", "{ separate = { friction = 0.4 } }"] {
+            let scene = block(floor, "[0.5, 0.1, -0.5]", [3.0, -9.0], 0.01)
+                .replace("z_min", "x_min = \"slip\"\ny_min = \"stick\"\nz_min")
+                .replace("[-1.0, -1.0, 0.0]", "[-0.02, 0.0, 0.0]");
+            let mut box_ = simulation(&scene, precision);
+            let before = box_.ledger();
+            run_to(&mut box_, 0.2);
+            let after = box_.ledger();
+            let scale = after.mass * 2.0;
+            let gap = (0..3)
+                .map(|d| {
+                    let booked = after.wall_impulse[d] + after.gravity_impulse[d];
+                    (after.momentum[d] - before.momentum[d] - booked).abs() / scale
+                })
+                .fold(0.0, f64::max);
+            println!("momentum ledger at a {floor} floor, {precision}: gap {gap:.1e}, tolerance {tolerance:.0e}");
+            assert!(gap < tolerance, "{floor} {precision}: {gap:.2e}");
+        }
+    }
+}
