@@ -138,7 +138,8 @@ mod tests {
     #[test]
     fn keys_are_exact_and_ordered() {
         let far = REACH - 1;
-        let blocks = [[-REACH, 0, 0], [-1, -1, -1], [-1, 0, far], [0, 0, 0], [0, 0, 1], [0, 1, -REACH], [far, far, far]];
+        let blocks =
+            [[-REACH, 0, 0], [-1, -1, -1], [-1, 0, far], [0, 0, 0], [0, 0, 1], [0, 1, -REACH], [far, far, far]];
         for pair in blocks.windows(2) {
             assert!(key(pair[0]) < key(pair[1]));
         }

@@ -13,10 +13,10 @@
 #![expect(non_snake_case, reason = "symbols follow Hu et al. 2018")]
 
 use crate::block::{TILE, TILE_SIDE};
-use crate::particles::{MASS, Particles, Run, STRAIN, VOLUME};
+use crate::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
 use crate::spline::{first_distance, weights};
 use barchan_abi as abi;
-use barchan_lanes::{Float, Kernel, LANES, Lanes, Mask, Real, tabulate};
+use barchan_lanes::{Float, Kernel, LANES, Lanes, Mask, Real, prefetch, tabulate};
 use core::mem::MaybeUninit;
 use std::time::Instant;
 
@@ -243,6 +243,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             for k in 0..chunks {
                 let chunk = first + k;
                 let at = k * LANES;
+                ahead(s, chunk);
                 let mut C = [V::zero(); 9];
                 for (c, C) in C.iter_mut().enumerate() {
                     *C = V::load(s.motion(chunk, 3 + c));
@@ -284,11 +285,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 dt: T::from_f64(dt),
                 params: self.law.params.as_ptr(),
                 strain_trial: (&raw const (*scratch).trial).cast(),
-                vel_grad: if wants_gradient {
-                    (&raw const (*scratch).vel_grad).cast()
-                } else {
-                    core::ptr::null()
-                },
+                vel_grad: if wants_gradient { (&raw const (*scratch).vel_grad).cast() } else { core::ptr::null() },
                 state_in: if n_state > 0 { (&raw const (*scratch).state_in).cast() } else { core::ptr::null() },
                 strain: (&raw mut (*scratch).strain).cast(),
                 kirchhoff: (&raw mut (*scratch).kirchhoff).cast(),
@@ -340,8 +337,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             let tau = [tau[0], tau[3], tau[4], tau[3], tau[1], tau[5], tau[4], tau[5], tau[2]];
             let affine_mass = m * V::splat(h);
             // A: momentum per cell of distance; B: momentum and mass as seen from the first node.
-            let A: [V; 9] =
-                tabulate!(9, |c| affine_mass.mul_add(V::load(s.motion(chunk, 3 + c)), stress * tau[c]));
+            let A: [V; 9] = tabulate!(9, |c| affine_mass.mul_add(V::load(s.motion(chunk, 3 + c)), stress * tau[c]));
             let mut rows = [V::zero(); LANES];
             for i in 0..3 {
                 let v = V::load(s.motion(chunk, i)) + V::splat(dt * gravity[i]);
@@ -371,7 +367,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             let mut weight = MaybeUninit::<Rows<T>>::uninit();
             let weight = store_rows(&mut weight, &rows);
 
-            let (node, strayed) = first_nodes(s, chunk, self.origin);
+            let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
             if strayed {
                 return Err(Fault::Strayed { chunk });
             }
@@ -405,6 +401,21 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
     }
 }
 
+/// Chunks between the one at work and the one asked for: far enough for memory to answer.
+const AHEAD: usize = 3;
+
+/// Asks for the planes of a chunk further on. The address may lie behind the last chunk.
+#[inline(always)]
+fn ahead<T: Scalar>(s: &Particles<T>, chunk: usize) {
+    let line = size_of::<[T; LANES]>();
+    for (start, planes) in [(s.motion, MOTION), (s.rest, s.rest_planes)] {
+        let at = start.wrapping_add((chunk + AHEAD) * planes * LANES).cast::<u8>();
+        for byte in (0..planes * line).step_by(64) {
+            prefetch(at.wrapping_add(byte));
+        }
+    }
+}
+
 /// b* = (I + G) b (I + G)ᵀ for symmetric b (xx yy zz xy xz yz) and G = dt C row by row.
 #[inline(always)]
 fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
@@ -412,8 +423,7 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
     // Half = (I + G) b.
     let half: [V; 9] = tabulate!(9, |e| {
         let (i, j) = (e / 3, e % 3);
-        G[3 * i]
-            .mul_add(full[j], G[3 * i + 1].mul_add(full[3 + j], G[3 * i + 2].mul_add(full[6 + j], full[e])))
+        G[3 * i].mul_add(full[j], G[3 * i + 1].mul_add(full[3 + j], G[3 * i + 2].mul_add(full[6 + j], full[e])))
     });
     const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
     tabulate!(6, |e| {
@@ -459,19 +469,18 @@ impl<V: Lanes> RowSums<V> {
 
 /// Start in the tile of each particle's first node, and whether any of them lies outside.
 #[inline(always)]
-unsafe fn first_nodes<T: Scalar>(s: &Particles<T>, chunk: usize, origin: [i32; 3]) -> ([u32; LANES], bool) {
-    let mut node = [0u32; LANES];
-    let mut outside = 0u32;
-    for (d, stride) in [X, Y, 4].into_iter().enumerate() {
-        // SAFETY: the caller vouches for the chunk.
-        let cell = unsafe { &*s.cell(chunk, d).cast::<[i32; LANES]>() };
-        for (node, cell) in node.iter_mut().zip(cell) {
-            let first = (cell - 1).wrapping_sub(origin[d]) as u32;
-            outside |= u32::from(first > TILE_SIDE as u32 - 3);
-            *node = node.wrapping_add(first.wrapping_mul(stride as u32));
-        }
+unsafe fn first_nodes<V: Lanes>(s: &Particles<V::Scalar>, chunk: usize, origin: [i32; 3]) -> ([u32; LANES], bool)
+where
+    V::Scalar: Scalar,
+{
+    // The first node is one before the particle's cell.
+    let first = [origin[0] + 1, origin[1] + 1, origin[2] + 1];
+    let most = TILE_SIDE as u32 - 3;
+    // SAFETY: the caller vouches for the chunk.
+    unsafe {
+        let cells = [s.cell(chunk, 0).cast_const(), s.cell(chunk, 1).cast_const(), s.cell(chunk, 2).cast_const()];
+        V::places(cells, first, [X as i32, Y as i32, 4], most)
     }
-    (node, outside != 0)
 }
 
 #[inline(always)]
@@ -579,6 +588,10 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
             // checked again here because reading outside the tile must be impossible.
             unsafe {
                 let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
+                let motion = s.motion.wrapping_add((chunk + AHEAD) * MOTION * LANES);
+                for plane in 0..MOTION {
+                    prefetch(motion.wrapping_add(plane * LANES));
+                }
                 let mut lines = [V::zero(); LANES];
                 for (d, f) in f.iter().enumerate() {
                     let w = weights(*f);
@@ -589,7 +602,7 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
                 V::transpose(&mut lines);
                 let mut weight = MaybeUninit::<Rows<T>>::uninit();
                 let weight = store_rows(&mut weight, &lines);
-                let (node, strayed) = first_nodes(s, chunk, self.origin);
+                let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
                 assert!(!strayed, "a particle strayed between the transfers of one step");
 
                 let mut sums = MaybeUninit::<Rows<T>>::uninit();
@@ -605,8 +618,7 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
                     }
                     let w = &weight.0[p];
                     // Sums over y for each x: of u, and of u times the node's index along y.
-                    let (y0, y1, y2, y2_twice) =
-                        (V::fill(w[4]), V::fill(w[5]), V::fill(w[6]), V::fill(w[6] + w[6]));
+                    let (y0, y1, y2, y2_twice) = (V::fill(w[4]), V::fill(w[5]), V::fill(w[6]), V::fill(w[6] + w[6]));
                     let mut plain = [V::zero(); 3];
                     let mut by_y = [V::zero(); 3];
                     for i in 0..3 {

@@ -51,10 +51,8 @@ impl Mirrors {
         let side = TILE_SIDE as i32;
         let [low, high] = self.kind[axis];
         // Twice the wall's position in the tile, in nodes: node i and its image j satisfy i + j = 2 wall - 1.
-        let walls = [
-            (low, 2 * (self.min[axis] - origin[axis]) - 1, 0),
-            (high, 2 * (self.max[axis] - origin[axis]) - 1, 1),
-        ];
+        let walls =
+            [(low, 2 * (self.min[axis] - origin[axis]) - 1, 0), (high, 2 * (self.max[axis] - origin[axis]) - 1, 1)];
         walls.into_iter().filter(|(kind, _, _)| *kind != Mirror::Open).flat_map(move |(kind, sum, end)| {
             (0..side).filter_map(move |image| {
                 let node = sum - image;

@@ -46,7 +46,13 @@ impl Outcome {
             println!("{case}: {what} {measured:.3e}, tolerance {tolerance:.1e}, {} steps", self.steps);
         }
         for figure in &self.figures {
-            assert!(figure.passes(), "{case}: {} is {:e}, allowed {:e}", figure.what, figure.measured, figure.tolerance);
+            assert!(
+                figure.passes(),
+                "{case}: {} is {:e}, allowed {:e}",
+                figure.what,
+                figure.measured,
+                figure.tolerance
+            );
         }
     }
 }
@@ -140,52 +146,34 @@ pub fn box_at_rest(seconds: f64) -> Outcome {
     outcome
 }
 
-/// Height of a column's centre of mass after each of `cycles` of shaking its base, relative to the start of it.
+/// Change of a column's height over `cycles` of shaking, as a share, and the steps taken.
 fn shaken_column(cycles: u32, correction: u8) -> (f64, u64) {
-    let (h, depth, frequency, speed) = (0.05, 8, 8.0, 0.1);
-    let walls = "x_min = \"periodic\"\nx_max = \"periodic\"\ny_min = \"periodic\"\ny_max = \"periodic\"";
-    let head = Head::cells(h, [4, 4, 16], walls).time("safety = 0.5");
-    let floor = 0.15;
-    let top = floor + h * f64::from(depth);
+    let (h, depth, frequency, pull) = (0.05, 8, 8.0, 6.0);
     let parameters = format!("young_modulus = 5e5, friction_angle_deg = 20, volume_correction = {correction}");
-    let mut column = simulation(
-        &head.with(&[
-            material("sand", 1500.0, &parameters),
-            block("sand", [0.0, 0.0, floor], [0.2, 0.2, top], ""),
-            // Wide enough that its ends stay outside while it is shaken.
-            tool(
-                "base",
-                [0.1, 0.1, 0.5 * floor],
-                &half([1.0, 1.0, 0.5 * floor]),
-                "\"stick\"",
-                "{ velocity = { linear = [0, 0, 0] } }",
-            ),
-        ]),
-        Precision::F32,
-    );
+    let (head, parts) = bed(h, [4, 4], depth, 8, &parameters);
+    let mut column = simulation(&head.with(&parts), Precision::F32);
     run_to(&mut column, 0.5);
     let height = |s: &Simulation| {
         let all = rows(s);
-        2.0 * (all.iter().map(|r| r.x[2]).sum::<f64>() / all.len() as f64 - floor)
+        2.0 * all.iter().map(|r| r.x[2]).sum::<f64>() / all.len() as f64
     };
     let start = height(&column);
     let (from, end) = (column.time(), f64::from(cycles) / frequency);
     while column.time() < from + end {
-        let phase = TAU * frequency * (column.time() - from);
-        column.drive("base", [speed * phase.cos(), 0.0, 0.0], [0.0; 3]).unwrap_or_else(|e| panic!("{e}"));
-        column.set_stop(from + end);
+        // Seen from the base, a shaken column feels a pull that swings.
+        let kick = pull * (TAU * frequency * (column.time() - from)).sin() * column.plan().dt;
+        alter(&mut column, |r| r.v[0] += kick);
         column.step().unwrap_or_else(|e| panic!("{e}"));
     }
-    column.drive("base", [0.0; 3], [0.0; 3]).unwrap_or_else(|e| panic!("{e}"));
     let stop = column.time() + 0.5;
     run_to(&mut column, stop);
     (height(&column) / start - 1.0, column.step_count())
 }
 
-/// B11: a sand column whose base is shaken keeps its height.
+/// B11: a sand column that is shaken keeps its height.
 ///
 /// Each cycle opens and closes some of the sand. Without the volume correction of Tampubolon et al. 2017 every closed cycle
-/// leaves extra pressure, and the column grows. The base is shaken with 5 m/s², beyond what the sand can follow.
+/// leaves extra pressure, and the column grows. It is shaken with 6 m/s², beyond the 4.4 m/s² that its friction can follow.
 pub fn cyclic_shear(cycles: u32) -> Outcome {
     let (with, steps) = shaken_column(cycles, 1);
     let (without, _) = shaken_column(cycles, 0);

@@ -25,15 +25,7 @@ pub struct Head {
 impl Head {
     /// Free space around the origin, 4 m in every direction, without gravity.
     pub fn space(cell: f64) -> Self {
-        Self {
-            gravity: [0.0; 3],
-            cell,
-            min: [-4.0; 3],
-            max: [4.0; 3],
-            walls: "",
-            world: "",
-            time: String::new(),
-        }
+        Self { gravity: [0.0; 3], cell, min: [-4.0; 3], max: [4.0; 3], walls: "", world: "", time: String::new() }
     }
 
     /// A box of so many cells from the origin, with gravity.
@@ -90,7 +82,8 @@ pub fn half(half: Vec3) -> String {
 
 /// A box of sand on a slip floor between periodic sides: `cells` wide in x and y, `depth` cells deep.
 pub fn bed(cell: f64, cells: [u32; 2], depth: u32, room: u32, parameters: &str) -> (Head, Vec<String>) {
-    let walls = "x_min = \"periodic\"\nx_max = \"periodic\"\ny_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"stick\"";
+    let walls =
+        "x_min = \"periodic\"\nx_max = \"periodic\"\ny_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"stick\"";
     let head = Head::cells(cell, [cells[0], cells[1], depth + room], walls).time("safety = 0.5");
     let side = |n: u32| cell * f64::from(n);
     let sand = block("sand", [0.0; 3], [side(cells[0]), side(cells[1]), side(depth)], "");

@@ -9,7 +9,9 @@ use barchan_core::coupling::Aabb;
 use barchan_core::material::{ErrorBuffer, stable_step};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
-use barchan_core::{Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Result, Scene, StepReport};
+use barchan_core::{
+    Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Result, Scene, StepReport,
+};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
 use barchan_grid::particles::{Run, STRAIN};
 use barchan_grid::transfer::{BATCH, Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
@@ -106,6 +108,8 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Stiffness bound when it was measured last, and the steps since then.
     stiffness: Bound,
     stiffness_age: u32,
+    /// Have particles come in that no step has looked at?
+    unchecked: bool,
     /// Does any material harden, so that the bound follows the state?
     hardens: bool,
     steps: u64,
@@ -147,6 +151,7 @@ impl<T: Scalar> CpuEngine<T> {
             least_mass: 0.0,
             stiffness: Bound { dt: f64::INFINITY, by: "nothing".into() },
             stiffness_age: 0,
+            unchecked: true,
             hardens: plan.materials.iter().any(|m| m.material.has(abi::BARCHAN_CAP_HARDENS)),
             steps: 0,
             mass: 0.0,
@@ -401,7 +406,8 @@ impl<T: Scalar> CpuEngine<T> {
         for pairs in &mut self.grid.pairs {
             for pair in pairs {
                 // SAFETY: pairs name two different nodes of the grid, and this loop alone works on them.
-                let (node, image) = unsafe { (&mut *nodes.at(pair.node as usize), &mut *nodes.at(pair.image as usize)) };
+                let (node, image) =
+                    unsafe { (&mut *nodes.at(pair.node as usize), &mut *nodes.at(pair.image as usize)) };
                 pair.image_mass = image[3].to_f64();
                 let (presses, impulse) = separations[pair.separation as usize].0.fold(node, image);
                 pair.presses = presses;
@@ -502,8 +508,7 @@ impl<T: Scalar> CpuEngine<T> {
     /// New velocities and affine matrices, and the move.
     fn grid_to_particles(&mut self, dt: f64) {
         let clock = Instant::now();
-        let step =
-            Step { h: self.store.cell_width, dt, strain_dt: 0.0, strain_parts: 1, gravity: self.gravity };
+        let step = Step { h: self.store.cell_width, dt, strain_dt: 0.0, strain_parts: 1, gravity: self.gravity };
         let (isa, lists, grid, mirrors) = (self.isa, &self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
         let walls = mirrors.kind.iter().flatten().any(|&kind| kind != Mirror::Open);
@@ -571,6 +576,7 @@ impl<T: Scalar> CpuEngine<T> {
                 for (q, plane) in state[..list.law.table.n_state].iter_mut().enumerate() {
                     *plane = list.rest_plane(chunk, STRAIN + planes + q).map(|x| x.to_f64() as f32);
                 }
+                let no_rate = [[0f32; LANES]; 9];
                 let batch = abi::BarchanBatchF32 {
                     struct_size: size_of::<abi::BarchanBatchF32>(),
                     n: LANES,
@@ -579,7 +585,8 @@ impl<T: Scalar> CpuEngine<T> {
                     reserved: 0,
                     params: params.as_ptr(),
                     strain_trial: strain.as_ptr().cast(),
-                    vel_grad: std::ptr::null(),
+                    // Stiffness is asked of matter at rest.
+                    vel_grad: no_rate.as_ptr().cast(),
                     state_in: state.as_ptr().cast(),
                     strain: std::ptr::null_mut(),
                     kirchhoff: std::ptr::null_mut(),
@@ -741,6 +748,11 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             other => other,
         };
         let ground = self.store.len() > 0;
+        if self.unchecked {
+            // Found here, NaN has touched nothing yet.
+            self.find_non_finite().map_or(Ok(()), |error| Err(timed(error)))?;
+            self.unchecked = false;
+        }
         if sorted && ground {
             self.sort()?;
         }
@@ -785,7 +797,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         }
         if ground {
             self.mirror_separated();
-        self.grid_to_particles(dt);
+            self.grid_to_particles(dt);
         }
         self.stiffness_age += 1;
         if self.hardens && self.stiffness_age >= STIFFNESS_AGE {
@@ -816,6 +828,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
         self.store.upload(&particles)?;
         self.strain_dt = particles.strain_dt;
+        self.unchecked = true;
         self.take_stock();
         self.measure_stiffness()?;
         match &particles.sort {

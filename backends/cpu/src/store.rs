@@ -37,10 +37,8 @@ pub(crate) struct List<T: Scalar> {
 
 impl<T: Scalar> List<T> {
     fn new(index: usize, planned: &PlannedMaterial) -> Self {
-        let law = Law {
-            table: planned.material.table,
-            params: planned.parameters.iter().map(|&p| T::from_f64(p)).collect(),
-        };
+        let law =
+            Law { table: planned.material.table, params: planned.parameters.iter().map(|&p| T::from_f64(p)).collect() };
         let rest_planes = STRAIN + planned.material.strain_planes() + planned.material.states.len();
         Self {
             material: index,
@@ -294,7 +292,8 @@ impl<T: Scalar> Store<T> {
 
     pub(crate) fn bytes(&self) -> u64 {
         self.lists.iter().map(List::bytes).sum::<u64>()
-            + (self.scratch.capacity() * size_of::<Line<T>>() + self.order.capacity() * size_of::<[u32; LANES]>()) as u64
+            + (self.scratch.capacity() * size_of::<Line<T>>() + self.order.capacity() * size_of::<[u32; LANES]>())
+                as u64
     }
 
     /// Takes in particles. With the phase of a sort they are laid out exactly as it says; the caller sorts otherwise.
@@ -535,9 +534,11 @@ impl<T: Scalar> Store<T> {
         });
 
         let unchanged = chunks == list.chunks()
-            && self.order.par_iter().enumerate().all(|(c, lanes)| {
-                lanes.iter().enumerate().all(|(l, &p)| p == PAD || p as usize == c * LANES + l)
-            });
+            && self
+                .order
+                .par_iter()
+                .enumerate()
+                .all(|(c, lanes)| lanes.iter().enumerate().all(|(l, &p)| p == PAD || p as usize == c * LANES + l));
         list.runs = runs;
         if unchanged {
             // A run may have gone to another block as it is; its padding must lie there too.

@@ -183,8 +183,39 @@ register!(
     _mm512_xor_pd
 );
 
+/// [`Lanes::places`] for both widths.
+#[inline]
+#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
+unsafe fn places_avx512(
+    cells: [*const i32; 3],
+    first: [i32; 3],
+    stride: [i32; 3],
+    most: u32,
+) -> ([u32; LANES], bool) {
+    let limit = _mm512_set1_epi32(most.cast_signed());
+    let mut place = _mm512_setzero_si512();
+    let mut outside = 0;
+    for d in 0..3 {
+        // SAFETY: the caller vouches for 16 readable entries.
+        let cell = unsafe { _mm512_loadu_si512(cells[d].cast()) };
+        let from_first = _mm512_sub_epi32(cell, _mm512_set1_epi32(first[d]));
+        outside |= _mm512_cmpgt_epu32_mask(from_first, limit);
+        place = _mm512_add_epi32(place, _mm512_mullo_epi32(from_first, _mm512_set1_epi32(stride[d])));
+    }
+    let mut places = [0u32; LANES];
+    // SAFETY: the array holds 16 entries.
+    unsafe { _mm512_storeu_si512(places.as_mut_ptr().cast(), place) };
+    (places, outside != 0)
+}
+
 impl Lanes for Avx512F32 {
     lanes_through_memory!(f32);
+
+    #[inline(always)]
+    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32) -> ([u32; LANES], bool) {
+        // SAFETY: the caller vouches for the entries; the machine has AVX-512.
+        unsafe { places_avx512(cells, first, stride, most) }
+    }
 
     #[inline(always)]
     unsafe fn repeat4(from: *const f32) -> Self {
@@ -281,6 +312,12 @@ impl Lanes for Avx512F32 {
 
 impl Lanes for Avx512F64 {
     lanes_through_memory!(f64);
+
+    #[inline(always)]
+    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32) -> ([u32; LANES], bool) {
+        // SAFETY: the caller vouches for the entries; the machine has AVX-512.
+        unsafe { places_avx512(cells, first, stride, most) }
+    }
     transpose_through_memory!(f64);
     advance_f64!();
 

@@ -55,6 +55,18 @@ macro_rules! tabulate {
     }};
 }
 
+/// Asks for the cache line at `at` ahead of its use. Any address may be given; nothing is read.
+#[inline(always)]
+pub fn prefetch<T>(at: *const T) {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: a hint that faults at no address; SSE is part of x86-64.
+    unsafe {
+        core::arch::x86_64::_mm_prefetch::<{ core::arch::x86_64::_MM_HINT_T0 }>(at.cast())
+    };
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = at;
+}
+
 /// The outcome of a comparison, one truth value a lane.
 pub trait Mask: Copy + Debug + BitAnd<Output = Self> + BitOr<Output = Self> + Not<Output = Self> {
     /// All lanes equal to `value`.
@@ -220,6 +232,26 @@ pub trait Lanes: Real {
     fn sum(self) -> Self::Scalar;
     /// Greatest lane.
     fn max_lane(self) -> Self::Scalar;
+
+    /// Places of 16 cells in an array: the sum over axes of (cell − first) · stride, and whether any cell − first is outside
+    /// 0..=most.
+    ///
+    /// # Safety
+    /// Each of `cells` must be valid for reading 16 entries.
+    #[inline(always)]
+    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32) -> ([u32; LANES], bool) {
+        let mut places = [0u32; LANES];
+        let mut outside = false;
+        for d in 0..3 {
+            for (lane, place) in places.iter_mut().enumerate() {
+                // SAFETY: the caller vouches for 16 readable entries.
+                let from_first = unsafe { *cells[d].add(lane) }.wrapping_sub(first[d]);
+                outside |= from_first as u32 > most;
+                *place = place.wrapping_add(from_first.wrapping_mul(stride[d]) as u32);
+            }
+        }
+        (places, outside)
+    }
 
     /// Reads 16 offsets as fractions of a cell.
     ///

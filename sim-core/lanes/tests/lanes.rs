@@ -91,6 +91,21 @@ impl<T: Float> Kernel<T> for Moves {
         assert_eq!(read(V::splat(-2.5).abs()), [2.5; LANES]);
         assert!(read((V::zero() / V::zero()).exp()).iter().all(|x| x.is_nan()), "exp must not swallow NaN");
 
+        let axis = |d: i32| -> [i32; LANES] { core::array::from_fn(|i| (i as i32 * (d + 1)) % 6 - 3) };
+        let cells = [axis(0), axis(1), axis(2)];
+        let (places, outside) =
+            unsafe { V::places([cells[0].as_ptr(), cells[1].as_ptr(), cells[2].as_ptr()], [-3; 3], [256, 32, 4], 5) };
+        assert!(!outside);
+        for i in 0..LANES {
+            let expected = (0..3).map(|d| (cells[d][i] + 3) * [256, 32, 4][d]).sum::<i32>();
+            assert_eq!(places[i] as i32, expected);
+        }
+        for most in [4, 0] {
+            let pointers = [cells[0].as_ptr(), cells[1].as_ptr(), cells[2].as_ptr()];
+            assert!(unsafe { V::places(pointers, [-3; 3], [256, 32, 4], most) }.1);
+        }
+        assert!(unsafe { V::places([cells[0].as_ptr(); 3], [-2; 3], [1; 3], 5) }.1, "below the first");
+
         // Offsets: up, down, tiny, and across faces in both directions.
         let deltas = [0.0, 0.3, -0.3, 0.49, -0.49, 1e-9, -1e-9, 0.5, -0.5, -0.2, 0.25, -0.25, 0.4, -0.4, 1e-4, -1e-4];
         for start in [0.0, 0.1, 0.5, 0.999_999] {

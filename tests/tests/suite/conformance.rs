@@ -11,21 +11,26 @@ use barchan_material_kit::{Subject, conformance};
 use std::collections::BTreeMap;
 
 /// Parameters in the law's order: soft and stiff, auxetic and nearly incompressible, flat and steep cones.
+///
+/// The suite measures stiffness at rest in a uniaxial compression, which must be elastic: so a cone is not flatter than its
+/// sand's pressure at rest, and only laws without a yield surface are tried with a negative Poisson's ratio.
 fn settings(law: &Material) -> Vec<(String, Vec<f64>)> {
     const VARIED: [(&str, f64); 8] = [
         ("young_modulus", 1e3),
         ("young_modulus", 1e9),
         ("bulk_modulus", 1e3),
-        ("poisson_ratio", -0.3),
         ("poisson_ratio", 0.45),
-        ("friction_angle", 0.2),
         ("friction_angle", 0.7),
+        ("friction_angle", 1.0),
         ("cone", 1.0),
+        ("poisson_ratio", -0.3),
     ];
+    let elastic = law.states.is_empty();
     let defaults: Vec<f64> = law.parameters.iter().map(|p| p.default).collect();
     let mut all = vec![("defaults".to_owned(), defaults.clone())];
     for (name, value) in VARIED {
-        if let Some(i) = law.parameters.iter().position(|p| p.name == name) {
+        let position = law.parameters.iter().position(|p| p.name == name).filter(|_| value > 0.0 || elastic);
+        if let Some(i) = position {
             let mut changed = defaults.clone();
             changed[i] = value;
             all.push((format!("{name} = {value:e}"), changed));
@@ -45,7 +50,14 @@ fn every_law_keeps_the_contract_at_all_kinds_of_parameters() {
     let laws: Vec<_> = registry.materials().collect();
     let names: Vec<_> = laws.iter().map(|law| law.name.as_str()).collect();
     for known in [
-        "neo_hookean", "fixed_corotated", "hencky", "sand", "snow", "von_mises", "liquid", "c_neo_hookean",
+        "neo_hookean",
+        "fixed_corotated",
+        "hencky",
+        "sand",
+        "snow",
+        "von_mises",
+        "liquid",
+        "c_neo_hookean",
         "template_neo_hookean",
     ] {
         assert!(names.contains(&known), "{known} is not registered: {names:?}");

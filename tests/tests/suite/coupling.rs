@@ -68,7 +68,9 @@ fn a9_isolated_collision_conserves_momentum_and_angular_momentum() {
             let exchanged = norm(after.body_momentum) / norm(p0);
             let p = norm(std::array::from_fn(|d| p1[d] - p0[d])) / norm(p0);
             let l = norm(std::array::from_fn(|d| l1[d] - l0[d])) / (norm(p0) * 0.4);
-            println!("A9 i {contact} {precision}: dP {p:.1e}, dL {l:.1e}, tolerance {tolerance:.0e}; body took {exchanged:.2} of P");
+            println!(
+                "A9 i {contact} {precision}: dP {p:.1e}, dL {l:.1e}, tolerance {tolerance:.0e}; body took {exchanged:.2} of P"
+            );
             assert!(exchanged > 0.05, "they never met");
             assert!(p < tolerance && l < tolerance, "{contact} {precision}: dP {p:.1e}, dL {l:.1e}");
         }
@@ -130,7 +132,10 @@ fn a9_resting_box_feels_its_weight() {
     }
     let (weight, mean) = (0.8 * 9.81, impulse / time);
     let deviation = (squares / windows - mean * mean).max(0.0).sqrt();
-    println!("A9 ii: mean force {mean:.4} N, weight {weight:.4} N (±1 %); deviation {:.1} % (< 10 %)", 100.0 * deviation / mean);
+    println!(
+        "A9 ii: mean force {mean:.4} N, weight {weight:.4} N (±1 %); deviation {:.1} % (< 10 %)",
+        100.0 * deviation / mean
+    );
     assert!((mean / weight - 1.0).abs() < 0.01 && deviation < 0.1 * mean);
 }
 
@@ -222,7 +227,17 @@ fn incline(tilt: f64, friction: f64, mesh: &std::path::Path) -> Simulation {
             shape = {{ plane = {{ normal = [{}, {}, {}] }} }}
             contact = {{ coulomb = {{ friction = {friction} }} }}
             "#,
-            g[0], g[1], g[2], at[0], at[1], at[2], half.cos(), half.sin(), n[0], n[1], n[2]
+            g[0],
+            g[1],
+            g[2],
+            at[0],
+            at[1],
+            at[2],
+            half.cos(),
+            half.sin(),
+            n[0],
+            n[1],
+            n[2]
         ),
         Precision::F64,
     )

@@ -15,8 +15,20 @@ fn busy() -> String {
         material("snow", 400.0, "young_modulus = 5e4"),
         block("neo_hookean", [0.2, 0.1, 0.2], [0.4, 0.3, 0.4], "velocity = [0, 0.5, -1]\nsampling = \"jitter\""),
         block("snow", [0.9, 0.5, 0.2], [1.1, 0.7, 0.5], "velocity = [-0.5, 0, -1]"),
-        tool("rod", [0.3, 0.4, 0.2], &half([0.06, 0.06, 0.12]), contact, "{ velocity = { linear = [1.2, 0.2, 0], angular = [0, 0, 3] } }"),
-        tool("ball", [0.7, 0.4, 0.25], "sphere = { radius = 0.08 }", contact, "{ free = { mass = 3, linear = [-0.5, 0, -1] } }"),
+        tool(
+            "rod",
+            [0.3, 0.4, 0.2],
+            &half([0.06, 0.06, 0.12]),
+            contact,
+            "{ velocity = { linear = [1.2, 0.2, 0], angular = [0, 0, 3] } }",
+        ),
+        tool(
+            "ball",
+            [0.7, 0.4, 0.25],
+            "sphere = { radius = 0.08 }",
+            contact,
+            "{ free = { mass = 3, linear = [-0.5, 0, -1] } }",
+        ),
         tool("box", [0.72, 0.42, 0.45], &half([0.07; 3]), contact, "{ free = { mass = 1, angular = [1, 2, 0] } }"),
     ]);
     head.with(&parts)
@@ -60,7 +72,11 @@ fn any_number_of_threads_gives_the_same_bits() {
         for threads in [2, 3, 5] {
             let (others, shared, shared_ledger) = run(threads);
             assert!(others == sorts && same(&alone, &shared), "{precision}: {threads} threads differ from one");
-            assert_eq!(format!("{ledger:?}"), format!("{shared_ledger:?}"), "{precision}: the ledger of {threads} threads differs");
+            assert_eq!(
+                format!("{ledger:?}"),
+                format!("{shared_ledger:?}"),
+                "{precision}: the ledger of {threads} threads differs"
+            );
         }
         // B23: and twice the same is the same.
         assert!(same(&alone, &run(1).1), "{precision}: a second run differs");
@@ -91,13 +107,17 @@ fn resuming_continues_bit_for_bit() {
                 }
                 let sorts = (steps(&mut resumed, 70), steps(&mut ahead, 70));
                 assert_eq!(sorts.0, sorts.1, "{precision}, saved at {at}: sorts");
-                assert!(same(&left(&resumed), &left(&ahead)), "{precision}, saved at {at}, {threads} threads: differs after 70 steps");
+                assert!(
+                    same(&left(&resumed), &left(&ahead)),
+                    "{precision}, saved at {at}, {threads} threads: differs after 70 steps"
+                );
                 assert_eq!(resumed.step_count(), ahead.step_count());
                 let (a, b) = (resumed.ledger(), ahead.ledger());
                 assert_eq!(a.counts, b.counts, "{precision}, saved at {at}");
                 // Sums over time start anew from what was booked, so they may round.
                 for d in 0..3 {
-                    let off = (a.wall_impulse[d] - b.wall_impulse[d]).abs() + (a.gravity_impulse[d] - b.gravity_impulse[d]).abs();
+                    let off = (a.wall_impulse[d] - b.wall_impulse[d]).abs()
+                        + (a.gravity_impulse[d] - b.gravity_impulse[d]).abs();
                     assert!(off < 1e-9, "{precision}, saved at {at}: sums are off by {off}");
                 }
             }

@@ -31,7 +31,8 @@ struct Cost {
 }
 
 fn run(text: &str) -> (Cost, Simulation) {
-    let mut s = Simulation::new(&barchan::registry(), &scene(text), &options(Precision::F32)).unwrap_or_else(|e| panic!("{e}"));
+    let mut s =
+        Simulation::new(&barchan::registry(), &scene(text), &options(Precision::F32)).unwrap_or_else(|e| panic!("{e}"));
     for _ in 0..STEPS {
         s.step().unwrap_or_else(|e| panic!("{e}"));
     }
@@ -55,9 +56,17 @@ fn what_is_declared_but_unused_costs_nothing() {
     assert!(s.plan().effects.iter().all(|e| !e.name.contains("unused")));
     // Snow has more history than sand, so that planes laid out for the widest material declared would show in the bytes.
     let cases: [(&str, Vec<String>, &str); 4] = [
-        ("two materials without a body", vec![material("snow", 400.0, ""), material("fixed_corotated", 900.0, "")], "material snow"),
+        (
+            "two materials without a body",
+            vec![material("snow", 400.0, ""), material("fixed_corotated", 900.0, "")],
+            "material snow",
+        ),
         ("a kind of coupling without a tool", vec!["[[coupling]]\nkind = \"rigid\"\n".to_owned()], "coupling rigid"),
-        ("output at its defaults", vec!["[output]\ninterval = 0.05\npicture = { cut = \"pressure\" }\n".to_owned()], ""),
+        (
+            "output at its defaults",
+            vec!["[output]\ninterval = 0.05\npicture = { cut = \"pressure\" }\n".to_owned()],
+            "",
+        ),
         (
             "all of them",
             vec![material("snow", 400.0, ""), "[[coupling]]\nkind = \"rigid\"\n[output]\ninterval = 0.05\n".to_owned()],
@@ -67,13 +76,20 @@ fn what_is_declared_but_unused_costs_nothing() {
     for (name, more, unused) in cases {
         let (cost, s) = run(&sand(&more));
         let same = cost == plain;
-        println!("{name}: passes {:?}, bytes {:?}; the same as plain: {same}, tolerance: none", cost.passes, cost.bytes);
+        println!(
+            "{name}: passes {:?}, bytes {:?}; the same as plain: {same}, tolerance: none",
+            cost.passes, cost.bytes
+        );
         assert_eq!(cost.stages, plain.stages, "{name}");
         assert_eq!(cost.passes, plain.passes, "{name}");
         assert_eq!((cost.bytes, cost.planned), (plain.bytes, plain.planned), "{name}");
         assert!(cost.state == plain.state, "{name}: particles differ");
         assert!(s.ledger().counts == run(&sand(&[])).1.ledger().counts, "{name}: the ledger counts other things");
-        let listed = s.plan().effects.iter().any(|e| e.name == format!("declared but unused: {unused}") && e.adds == "costs nothing");
+        let listed = s
+            .plan()
+            .effects
+            .iter()
+            .any(|e| e.name == format!("declared but unused: {unused}") && e.adds == "costs nothing");
         assert!(unused.is_empty() || listed, "{name}: {}", s.plan());
     }
 }
@@ -81,18 +97,33 @@ fn what_is_declared_but_unused_costs_nothing() {
 /// Each stage of the plan runs once a step, sorts as often as they are due, and no other pass runs.
 #[test]
 fn exactly_the_passes_of_the_plan_are_run() {
-    let plate = tool("plate", [0.3, 0.3, 0.3], &half([0.1, 0.1, 0.05]), "\"slip\"", "{ velocity = { linear = [0, 0, -0.5] } }");
+    let plate =
+        tool("plate", [0.3, 0.3, 0.3], &half([0.1, 0.1, 0.05]), "\"slip\"", "{ velocity = { linear = [0, 0, -0.5] } }");
     for (name, more, contact) in [("without a tool", vec![], false), ("with a tool", vec![plate], true)] {
         let (cost, s) = run(&sand(&more));
         let passes = |effect: &str| cost.passes.get(effect).copied().unwrap_or(0);
         println!("{name}, {STEPS} steps: {:?}", cost.passes);
         assert_eq!(cost.stages.contains(&Stage::Contact), contact, "{name}");
-        for (effect, wanted) in [("P2G", STEPS), ("material sand", STEPS), ("grid", STEPS), ("G2P", STEPS), ("contact", if contact { STEPS } else { 0 })] {
+        for (effect, wanted) in [
+            ("P2G", STEPS),
+            ("material sand", STEPS),
+            ("grid", STEPS),
+            ("G2P", STEPS),
+            ("contact", if contact { STEPS } else { 0 }),
+        ] {
             assert_eq!(passes(effect), wanted, "{name}: {effect}");
         }
         assert!((1..=STEPS / 2).contains(&passes("sort")), "{name}: {} sorts", passes("sort"));
-        assert_eq!(cost.passes.len(), if contact { 6 } else { 5 }, "{name}: a pass that no stage calls for in {:?}", cost.passes);
-        assert_eq!(s.plan().effects.iter().filter(|e| e.name.starts_with("contact with")).count(), usize::from(contact));
+        assert_eq!(
+            cost.passes.len(),
+            if contact { 6 } else { 5 },
+            "{name}: a pass that no stage calls for in {:?}",
+            cost.passes
+        );
+        assert_eq!(
+            s.plan().effects.iter().filter(|e| e.name.starts_with("contact with")).count(),
+            usize::from(contact)
+        );
     }
 }
 
@@ -121,7 +152,12 @@ fn absent_and_distant_walls_cost_nothing() {
         let head = Head { walls, ..Head::space(H).time("step = 1e-3") };
         head.with(&[
             material("hencky", 1000.0, "young_modulus = 1e4"),
-            barchan_tests::sketch::block("hencky", [-0.2; 3], [0.2; 3], "velocity = [0.5, 0, 0]\nangular_velocity = [0, 0, 3]"),
+            barchan_tests::sketch::block(
+                "hencky",
+                [-0.2; 3],
+                [0.2; 3],
+                "velocity = [0.5, 0, 0]\nangular_velocity = [0, 0, 3]",
+            ),
         ])
     };
     let (open, s) = run(&text(""));
@@ -146,7 +182,8 @@ fn memory_is_bounded_and_as_the_plan_says() {
             material(law, 1000.0, "young_modulus = 1e5"),
             barchan_tests::sketch::block(law, [0.0; 3], [0.8, 0.8, 0.4], ""),
         ]);
-        let mut s = Simulation::new(&barchan::registry(), &scene(&text), &Options { threads: 2, ..Options::default() }).unwrap();
+        let mut s = Simulation::new(&barchan::registry(), &scene(&text), &Options { threads: 2, ..Options::default() })
+            .unwrap();
         for _ in 0..3 {
             s.step().unwrap();
         }
@@ -163,7 +200,10 @@ fn memory_is_bounded_and_as_the_plan_says() {
         let resident = (particles + grid) as f64 / n;
         println!(
             "{law}: {n} particles; state {state} bytes each, tolerance 128; resident {:.1} with sort and {:.1} of grid = {resident:.1}, tolerance 220; planned {:.1} and {:.1}",
-            particles as f64 / n, grid as f64 / n, planned_particles as f64 / n, planned_grid as f64 / n
+            particles as f64 / n,
+            grid as f64 / n,
+            planned_particles as f64 / n,
+            planned_grid as f64 / n
         );
         assert!(state <= 128 && resident <= 220.0, "{law}: {state} and {resident} bytes");
         let ratio = (planned_particles + planned_grid) as f64 / (particles + grid) as f64;

@@ -46,9 +46,7 @@ fn plan(toml: &str) -> Plan {
 
 /// Is every number of every particle finite?
 fn all_finite(rows: &[Row]) -> bool {
-    rows.iter().all(|r| {
-        r.x.iter().chain(&r.v).chain(&r.c).chain(&r.strain).chain(&r.state).all(|x| x.is_finite())
-    })
+    rows.iter().all(|r| r.x.iter().chain(&r.v).chain(&r.c).chain(&r.strain).chain(&r.state).all(|x| x.is_finite()))
 }
 
 fn norm(v: &[f64]) -> f64 {
@@ -82,9 +80,9 @@ fn steps(simulation: &mut Simulation, count: u32) {
     }
 }
 
-/// Heights of the surface over columns of width `h` along x, from the greatest z of each.
+/// Heights of the surface over columns of width `h` along x, from the greatest z of each; 0 where there is none.
 fn surface(rows: &[Row], h: f64, columns: usize) -> Vec<f64> {
-    let mut heights = vec![f64::NEG_INFINITY; columns];
+    let mut heights = vec![0f64; columns];
     for r in rows {
         if let Some(height) = heights.get_mut((r.x[0] / h) as usize) {
             *height = height.max(r.x[2]);

@@ -1,8 +1,14 @@
 //! All suites that cross crates, in one binary: one module a subject.
 
-mod determinism;
-mod hard_cases;
+mod conformance;
 mod coupling;
+mod determinism;
+mod effects;
+mod hard_cases;
+mod libraries;
+mod plugins;
+mod properties;
+mod seams;
 mod transfers;
 mod validation;
 mod walls;

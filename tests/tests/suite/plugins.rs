@@ -15,7 +15,8 @@ const WALLS: &str = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max
 
 /// A jittered, spinning cube of a law that is thrown onto a floor; its material has one name whatever the law is.
 fn thrown(law: &str, parameters: &str, time: &str) -> Scene {
-    let material = format!("[[material]]\nname = \"m\"\nlaw = \"{law}\"\ndensity = 1000.0\nparameters = {{ {parameters} }}\n");
+    let material =
+        format!("[[material]]\nname = \"m\"\nlaw = \"{law}\"\ndensity = 1000.0\nparameters = {{ {parameters} }}\n");
     let body = "[[body]]\nmaterial = \"m\"\nshape = { box = { min = [0.2, 0.2, 0.05], max = [0.4, 0.4, 0.25] } }\n\
                 sampling = \"jitter\"\nvelocity = [0.3, -0.2, -1.5]\nangular_velocity = [2, 3, -4]\n";
     scene(&Head::cells(H, [12, 12, 12], WALLS).time(time).with(&[material, body.to_owned()]))
@@ -58,8 +59,12 @@ fn a_loaded_law_runs_like_the_built_in_one() {
             ("Rust", &registry, "template_neo_hookean"),
         ] {
             let loaded = after_200(registry, law, precision);
-            let apart = built_in.iter().flatten().zip(loaded.iter().flatten()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            println!("{precision}, {name}: {:.1e} cells from the built-in after 200 steps, tolerance {tolerance:.0e}", apart / H);
+            let apart =
+                built_in.iter().flatten().zip(loaded.iter().flatten()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            println!(
+                "{precision}, {name}: {:.1e} cells from the built-in after 200 steps, tolerance {tolerance:.0e}",
+                apart / H
+            );
             assert!(apart / H < tolerance, "{precision}, {name}: {:e} cells", apart / H);
         }
     }
@@ -203,7 +208,11 @@ fn a_panic_in_a_loaded_material_is_an_error_with_its_text() {
     assert!(error.contains("material 'failing' (") && error.contains("libbarchan_seam_material"), "{error}");
     assert!(error.contains("failed in ") && error.contains("panic: ä"), "{error}");
     let text = error.split_once("panic: ").unwrap().1;
-    assert!(text.chars().all(|c| "äö".contains(c)) && text.len() <= 512 && text.len() > 500, "{} bytes of text", text.len());
+    assert!(
+        text.chars().all(|c| "äö".contains(c)) && text.len() <= 512 && text.len() > 500,
+        "{} bytes of text",
+        text.len()
+    );
 }
 
 /// A callback that says its text is ten times as long as the buffer must not make the host read beyond it, and a text cut in the
@@ -212,7 +221,10 @@ fn a_panic_in_a_loaded_material_is_an_error_with_its_text() {
 fn an_error_text_longer_than_the_buffer_is_cut() {
     let error = fails("faulty", 1, "step = 2e-3");
     println!("{} bytes: {}…", error.len(), error.chars().take(160).collect::<String>());
-    assert!(error.contains("material 'faulty' (") && error.contains("libfaulty_1.so) failed in update at particle "), "{error}");
+    assert!(
+        error.contains("material 'faulty' (") && error.contains("libfaulty_1.so) failed in update at particle "),
+        "{error}"
+    );
     let text = error.split_once("error: ").unwrap().1;
     assert!(text.starts_with("ääää") && text.len() <= 512 + 6, "{} bytes of text", text.len());
 }
@@ -223,7 +235,10 @@ fn an_error_text_longer_than_the_buffer_is_cut() {
 fn unknown_statuses_and_absurd_particles_are_errors() {
     let error = fails("faulty", 2, "step = 2e-3");
     println!("{error}");
-    assert!(error.contains("material 'faulty' (") && error.contains("failed in update: error (status 77), no message"), "{error}");
+    assert!(
+        error.contains("material 'faulty' (") && error.contains("failed in update: error (status 77), no message"),
+        "{error}"
+    );
     let error = fails("faulty", 5, "");
     println!("{error}");
     assert!(error.contains("failed in tangent_moduli: error: no moduli today"), "{error}");
@@ -235,7 +250,10 @@ fn unknown_statuses_and_absurd_particles_are_errors() {
 fn nan_from_a_material_is_an_error_that_names_a_particle() {
     let error = fails("failing", 2, "step = 2e-3");
     println!("stress, reported: {error}");
-    assert!(error.contains("material 'failing' (") && error.contains("at particle") && error.contains("NaN"), "{error}");
+    assert!(
+        error.contains("material 'failing' (") && error.contains("at particle") && error.contains("NaN"),
+        "{error}"
+    );
     for (fault, what) in [(3, "stress"), (4, "strain")] {
         let error = fails("faulty", fault, "step = 2e-3");
         println!("{what}, called fine: {error}");
@@ -272,7 +290,10 @@ fn more_history_than_the_backend_holds_is_refused() {
 fn what_a_plugin_lacks_is_named_before_the_first_step() {
     let error = start(&failing(), &thrown("faulty", "", ""), Precision::F64).unwrap_err().to_string();
     println!("{error}");
-    assert!(error.contains("material 'faulty' (") && error.contains("has no update_f64; needed because the run is in f64"), "{error}");
+    assert!(
+        error.contains("material 'faulty' (") && error.contains("has no update_f64; needed because the run is in f64"),
+        "{error}"
+    );
     // And it is the frozen header's layout that old plugins have: the golden file is never edited, only added to.
     let golden = std::fs::read_to_string(root().join("tests/golden/abi_v1_0/barchan_abi.h")).unwrap();
     assert!(golden.contains("#define BARCHAN_ABI_MAJOR 1") && golden.contains("#define BARCHAN_ABI_MINOR 0"));

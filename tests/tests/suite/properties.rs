@@ -2,9 +2,9 @@
 
 #![expect(unsafe_code, reason = "lanes are loaded from and stored to arrays of 16 by pointer")]
 
+use barchan::state::Measured;
 use barchan::{Options, ParticleState, Precision, Registry, Simulation, SortPhase};
 use barchan_grid::spline::{first_distance, weights};
-use barchan::state::Measured;
 use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
 use barchan_tests::scenes::{scene, simulation};
 use barchan_tests::sketch::{Head, block, material};
@@ -163,10 +163,7 @@ proptest! {
 
 /// A small block; its particles are replaced below.
 fn small() -> String {
-    Head::space(0.1).with(&[
-        material("snow", 400.0, ""),
-        block("snow", [0.0; 3], [0.1, 0.1, 0.05], ""),
-    ])
+    Head::space(0.1).with(&[material("snow", 400.0, ""), block("snow", [0.0; 3], [0.1, 0.1, 0.05], "")])
 }
 
 fn registry() -> Registry {
@@ -216,7 +213,12 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
                 prop::collection::vec((any::<u64>(), any::<u16>(), [-FAR..=FAR, -FAR..=FAR, -FAR..=FAR]), n),
                 (prop::collection::vec(inside(n), 3), prop::collection::vec(plane(n), 3 + 9 + 2 + strains + states)),
                 number(),
-                prop::option::of((any::<u32>(), number(), (number(), any::<u32>()), prop::collection::vec((any::<[i32; 5]>(), any::<u32>()), 0..5))),
+                prop::option::of((
+                    any::<u32>(),
+                    number(),
+                    (number(), any::<u32>()),
+                    prop::collection::vec((any::<[i32; 5]>(), any::<u32>()), 0..5),
+                )),
             );
             (whole, Just(n))
         })

@@ -15,10 +15,7 @@ fn registry() -> Registry {
 }
 
 fn cube(more: &str) -> [String; 2] {
-    [
-        material("neo_hookean", 1000.0, "young_modulus = 1e4"),
-        block("neo_hookean", [-0.2; 3], [0.2; 3], more),
-    ]
+    [material("neo_hookean", 1000.0, "young_modulus = 1e4"), block("neo_hookean", [-0.2; 3], [0.2; 3], more)]
 }
 
 /// Every name that a scene or a user can get wrong is answered with the names there are, the newcomers among them: a plugin that
@@ -35,7 +32,10 @@ fn unknown_names_are_answered_with_the_known_ones() {
     let text = head.with(&cube("")).replace("law = \"neo_hookean\"", "law = \"granite\"");
     let error = Simulation::new(&registry, &scene(&text), &Options::default()).unwrap_err().to_string();
     println!("{error}");
-    assert!(error.contains("material[0].law: no material is called 'granite'; known are: fixed_corotated, hencky"), "{error}");
+    assert!(
+        error.contains("material[0].law: no material is called 'granite'; known are: fixed_corotated, hencky"),
+        "{error}"
+    );
 
     let abacus = Options { backend: "abacus".to_owned(), ..Options::default() };
     let error = Simulation::new(&registry, &scene(&head.with(&cube(""))), &abacus).unwrap_err().to_string();
@@ -65,7 +65,9 @@ fn a_coupling_from_outside_acts_on_every_node_once() {
     let current = "[[coupling]]\nkind = \"current\"\nparameters = { rate = 5, x = 1, y = -0.5 }\n".to_owned();
     let (steps, dt, rate) = (100, 2e-3, 5.0);
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 1e-5)] {
-        let text = Head::space(0.1).time(format!("step = {dt}")).with(&[cube("sampling = \"jitter\"").concat(), current.clone()]);
+        let text = Head::space(0.1)
+            .time(format!("step = {dt}"))
+            .with(&[cube("sampling = \"jitter\"").concat(), current.clone()]);
         let mut s = Simulation::new(&registry(), &scene(&text), &options(precision)).unwrap();
         let before = s.ledger();
         let mut booked = [0.0; 3];
@@ -86,7 +88,9 @@ fn a_coupling_from_outside_acts_on_every_node_once() {
         for d in 0..3 {
             balance = balance.max((after.momentum[d] - before.momentum[d] - booked[d]).abs() / after.mass);
         }
-        println!("{precision}: velocity off by {speed:.1e} m/s, booked impulse by {balance:.1e} m/s, tolerance {tolerance:.0e}");
+        println!(
+            "{precision}: velocity off by {speed:.1e} m/s, booked impulse by {balance:.1e} m/s, tolerance {tolerance:.0e}"
+        );
         assert!(speed < tolerance && balance < tolerance);
         let contact = s.timings().into_iter().find(|t| t.effect == "contact").expect("a pass");
         assert_eq!(contact.passes, steps as u64);
@@ -96,7 +100,10 @@ fn a_coupling_from_outside_acts_on_every_node_once() {
     let text = Head::space(0.1).with(&[cube("").concat(), current.replace("rate = 5", "rates = 5")]);
     let error = Simulation::new(&registry(), &scene(&text), &Options::default()).unwrap_err().to_string();
     println!("{error}");
-    assert!(error.contains("coupling[0].parameters.rates: a current has no such parameter; it has rate, x, y, z"), "{error}");
+    assert!(
+        error.contains("coupling[0].parameters.rates: a current has no such parameter; it has rate, x, y, z"),
+        "{error}"
+    );
 }
 
 /// A backend from outside runs a plan, takes over another's run in its middle, and is refused by name where it lacks a stage.
@@ -160,7 +167,10 @@ fn a_task_from_outside_is_played_to_its_end() {
         }
     };
     let moved = last.observation[1] - first[1];
-    println!("cube pushed by {moved:.3} m in {actions} actions, goal 0.1 m; rewards are {:.1e} m off", (rewards - moved).abs());
+    println!(
+        "cube pushed by {moved:.3} m in {actions} actions, goal 0.1 m; rewards are {:.1e} m off",
+        (rewards - moved).abs()
+    );
     assert!(last.terminated && !last.truncated && moved >= 0.1, "{last:?}");
     assert!((rewards - moved).abs() < 1e-12);
     let error = task.step(&mut s, &[0.0, 1.0]).unwrap_err().to_string();

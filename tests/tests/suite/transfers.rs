@@ -102,7 +102,8 @@ fn compare(law: &str, walls: &str, ends: [Ends; 3], steps: usize, precision: Pre
 #[test]
 fn engine_equals_the_plain_reference_in_f64() {
     let open = "";
-    let slip = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"\nz_max = \"slip\"";
+    let slip =
+        "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"\nz_max = \"slip\"";
     let stick = slip.replace("slip", "stick");
     let periodic = slip.replace("slip", "periodic");
     let mixed = "x_min = \"periodic\"\nx_max = \"periodic\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"\nz_max = \"stick\"";
@@ -124,7 +125,8 @@ fn engine_equals_the_plain_reference_in_f64() {
 /// The same in f32, where only rounding may differ: positions to a few 1e-7 of the distance moved.
 #[test]
 fn engine_equals_the_plain_reference_in_f32_to_rounding() {
-    let slip = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"\nz_max = \"slip\"";
+    let slip =
+        "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"\nz_max = \"slip\"";
     let [x, v, b] = compare("neo_hookean", slip, [Ends::Slip; 3], 60, Precision::F32);
     assert!(x < 1e-6 && v < 1e-3 && b < 1e-4, "{x:.1e} m, {v:.1e} m/s, strain {b:.1e}");
 }

@@ -216,7 +216,9 @@ fn a4_rotating_cylinder_keeps_its_momenta_and_energy() {
         };
         let dl = (l(&after) / l(&before) - 1.0).abs();
         let kept = after.kinetic / before.kinetic;
-        println!("A4 {precision}: dP {p:.1e} ({linear:.0e}), dL {dl:.1e} ({angular:.0e}), kinetic energy kept {kept:.4} (0.965 to 0.985)");
+        println!(
+            "A4 {precision}: dP {p:.1e} ({linear:.0e}), dL {dl:.1e} ({angular:.0e}), kinetic energy kept {kept:.4} (0.965 to 0.985)"
+        );
         assert!(p < linear && dl < angular, "{precision}: dP {p:.1e}, dL {dl:.1e}");
         assert!((0.965..0.985).contains(&kept), "kinetic energy kept {kept}");
     }
@@ -296,8 +298,12 @@ fn a3_column_at_rest_bears_its_weight_and_k0() {
             worst_k0 = worst_k0.max((xx / zz / k0 - 1.0).abs());
         }
         let sin = f64::to_radians(phi_deg).sin();
-        println!("A3 phi {phi_deg} nu {nu}: sigma_zz off by {:.2} %, K0 {k0:.4} (Jaky 1 - sin phi = {:.4}) off by {:.2} %; tolerance 2 %",
-            100.0 * worst_zz, 1.0 - sin, 100.0 * worst_k0);
+        println!(
+            "A3 phi {phi_deg} nu {nu}: sigma_zz off by {:.2} %, K0 {k0:.4} (Jaky 1 - sin phi = {:.4}) off by {:.2} %; tolerance 2 %",
+            100.0 * worst_zz,
+            1.0 - sin,
+            100.0 * worst_k0
+        );
         assert!(worst_zz < 0.02 && worst_k0 < 0.02, "sigma_zz {worst_zz}, K0 {worst_k0}");
     }
 }
@@ -357,7 +363,10 @@ fn a5_sheared_sand_mobilises_the_friction_of_its_cone() {
         let expected = 2.0 * 3f64.sqrt() * sin / (3.0 - sin);
         let ratio = mean[4].abs() / -mean[2];
         let spread = (mean[0] / mean[2] - 1.0).abs().max((mean[1] / mean[2] - 1.0).abs());
-        println!("A5 phi {phi_deg}: tau/sigma {ratio:.4}, cone {expected:.4}, normal stresses differ by {:.2} %; tolerance 1 %", 100.0 * spread);
+        println!(
+            "A5 phi {phi_deg}: tau/sigma {ratio:.4}, cone {expected:.4}, normal stresses differ by {:.2} %; tolerance 1 %",
+            100.0 * spread
+        );
         assert!((ratio / expected - 1.0).abs() < 0.01 && spread < 0.01, "{ratio} instead of {expected}; {spread}");
     }
 }
@@ -416,7 +425,10 @@ fn a10_infinite_slope_flows_above_the_angle_of_its_cone_only() {
         let late = mean_speed(&slope);
         // Above the angle the whole column accelerates by about g (sin theta - mobilised cos theta).
         let pull = 9.81 * (theta.sin() - mobilised * theta.cos());
-        println!("A10 slope {:.2}° (critical {critical:.2}°): mean speed {early:.2e} then {late:.2e} m/s, free pull {pull:.3} m/s²", theta.to_degrees());
+        println!(
+            "A10 slope {:.2}° (critical {critical:.2}°): mean speed {early:.2e} then {late:.2e} m/s, free pull {pull:.3} m/s²",
+            theta.to_degrees()
+        );
         if flows {
             assert!(late - early > 0.3 * pull * 0.4, "does not flow: {early} then {late}");
         } else {

@@ -54,7 +54,9 @@ fn a_separating_wall_lets_a_block_bounce_and_a_slip_wall_holds_it_back() {
         mean(&thrown).1[2]
     };
     let (free, held) = (bounce("{ separate = {} }"), bounce("\"slip\""));
-    println!("bounces with {free:.3} of its speed at a wall that lets go (more than 0.7); {held:.3} at a slip wall (at least 0.1 less)");
+    println!(
+        "bounces with {free:.3} of its speed at a wall that lets go (more than 0.7); {held:.3} at a slip wall (at least 0.1 less)"
+    );
     assert!(free > 0.7 && free <= 1.0, "{free}");
     assert!(held < free - 0.1, "{held}");
 }

@@ -13,12 +13,23 @@ fn thrown(shift: [i32; 3], with_tool: bool) -> String {
     let mut parts = vec![
         material("neo_hookean", 1000.0, "young_modulus = 2e4"),
         material("sand", 1500.0, "young_modulus = 2e4"),
-        block("neo_hookean", at([4.0, 4.0, 2.0]), at([10.0, 10.0, 8.0]), "velocity = [0.3, 0.1, -1]\nangular_velocity = [3, 2, 1]"),
+        block(
+            "neo_hookean",
+            at([4.0, 4.0, 2.0]),
+            at([10.0, 10.0, 8.0]),
+            "velocity = [0.3, 0.1, -1]\nangular_velocity = [3, 2, 1]",
+        ),
         block("sand", at([12.0, 2.0, 0.0]), at([20.0, 10.0, 6.0]), ""),
     ];
     if with_tool {
         let contact = "{ coulomb = { friction = 0.3 } }";
-        parts.push(tool("rod", at([16.0, 6.0, 7.0]), &half([2.6 * h; 3]), contact, "{ velocity = { linear = [0.2, 0, -0.4] } }"));
+        parts.push(tool(
+            "rod",
+            at([16.0, 6.0, 7.0]),
+            &half([2.6 * h; 3]),
+            contact,
+            "{ velocity = { linear = [0.2, 0, -0.4] } }",
+        ));
     }
     Head {
         gravity: [0.0, 0.0, -9.81],
@@ -40,7 +51,10 @@ fn trajectory(shift: [i32; 3], with_tool: bool, precision: Precision) -> Vec<[f6
     let mut all: Vec<(u64, [f64; 3])> = state
         .lists
         .iter()
-        .flat_map(|l| (0..l.len()).map(|i| (l.id[i], std::array::from_fn(|d| f64::from(l.cell[i][d] - shift[d]) + l.offset[i][d]))))
+        .flat_map(|l| {
+            (0..l.len())
+                .map(|i| (l.id[i], std::array::from_fn(|d| f64::from(l.cell[i][d] - shift[d]) + l.offset[i][d])))
+        })
         .collect();
     all.sort_by_key(|(id, _)| *id);
     all.into_iter().map(|(_, x)| x).collect()
@@ -62,7 +76,8 @@ fn b17_ten_kilometres_away_everything_is_the_same() {
             let far = trajectory(shift, false, precision);
             within(&format!("B17 {precision}, shifted by {shift:?} cells: distance [h]"), apart(&home, &far), 0.0);
         }
-        let (home, far) = (trajectory([0; 3], true, precision), trajectory([2_560_000, -2_560_000, 0], true, precision));
+        let (home, far) =
+            (trajectory([0; 3], true, precision), trajectory([2_560_000, -2_560_000, 0], true, precision));
         within(&format!("B17 {precision}, with a tool 14 km away: distance [h]"), apart(&home, &far), 1e-5);
     }
 }
@@ -81,8 +96,13 @@ fn b18_slow_motion_does_not_stall() {
         );
         let start = rows(&slow);
         let all = until(&mut slow, 60.0);
-        let worst = start.iter().zip(&all).flat_map(|(a, b)| (0..3).map(|d| ((b.x[d] - a.x[d]).abs() / 6e-3 - 1.0).abs()));
-        within(&format!("B18 {precision}, h {h:.4} m: 60 s at 0.1 mm/s, way off 6 mm"), worst.fold(0.0, f64::max), 0.01);
+        let worst =
+            start.iter().zip(&all).flat_map(|(a, b)| (0..3).map(|d| ((b.x[d] - a.x[d]).abs() / 6e-3 - 1.0).abs()));
+        within(
+            &format!("B18 {precision}, h {h:.4} m: 60 s at 0.1 mm/s, way off 6 mm"),
+            worst.fold(0.0, f64::max),
+            0.01,
+        );
     }
 }
 
@@ -93,14 +113,23 @@ fn b18_slow_motion_does_not_stall() {
 fn b19_places_on_faces_nodes_and_corners_are_like_any_other() {
     let below_one = 1.0 - 1.0 / f64::from(1u32 << 31) / 2.0;
     for precision in [Precision::F32, Precision::F64] {
-        for walls in ["", "x_min = \"slip\"\ny_min = \"slip\"\nz_min = \"slip\"", "x_min = \"stick\"\ny_min = \"stick\"\nz_min = \"stick\""] {
+        for walls in [
+            "",
+            "x_min = \"slip\"\ny_min = \"slip\"\nz_min = \"slip\"",
+            "x_min = \"stick\"\ny_min = \"stick\"\nz_min = \"stick\"",
+        ] {
             // Cell 8 is inside, on the edge of a block; cell 0 is in the corner of the world.
             for cell in [8, 0] {
                 let mut worst = 0f64;
                 for combination in 0..27 {
-                    let offset = [0, 3, 9].map(|place: u32| [0.0, 0.5, below_one][(combination / place.max(1) % 3) as usize]);
-                    let head = Head { gravity: [-1.0, -2.0, -3.0], ..Head::cells(0.1, [16; 3], walls) }.time("step = 1e-3");
-                    let parts = [material("neo_hookean", 1000.0, "young_modulus = 1e5"), block("neo_hookean", [0.42; 3], [0.47; 3], "")];
+                    let offset =
+                        [0, 3, 9].map(|place: u32| [0.0, 0.5, below_one][(combination / place.max(1) % 3) as usize]);
+                    let head =
+                        Head { gravity: [-1.0, -2.0, -3.0], ..Head::cells(0.1, [16; 3], walls) }.time("step = 1e-3");
+                    let parts = [
+                        material("neo_hookean", 1000.0, "young_modulus = 1e5"),
+                        block("neo_hookean", [0.42; 3], [0.47; 3], ""),
+                    ];
                     let mut s = simulation(&head.with(&parts), precision);
                     let mut state = s.particles();
                     state.lists[0].cell[0] = [cell; 3];
@@ -123,7 +152,11 @@ fn b19_places_on_faces_nodes_and_corners_are_like_any_other() {
                     }
                 }
                 let tolerance = if precision == Precision::F32 { 1e-6 } else { 1e-13 };
-                within(&format!("B19 {precision}, cell {cell}: velocity gained off g dt, of 27 places"), worst, tolerance);
+                within(
+                    &format!("B19 {precision}, cell {cell}: velocity gained off g dt, of 27 places"),
+                    worst,
+                    tolerance,
+                );
             }
         }
     }
@@ -131,7 +164,8 @@ fn b19_places_on_faces_nodes_and_corners_are_like_any_other() {
 
 /// Sand that flies out of an open side.
 fn leaving(policy: &str) -> String {
-    let head = Head { world: policy_of(policy), ..Head::cells(0.1, [12, 8, 8], "z_min = \"slip\"") }.time("step = 1e-3");
+    let head =
+        Head { world: policy_of(policy), ..Head::cells(0.1, [12, 8, 8], "z_min = \"slip\"") }.time("step = 1e-3");
     head.with(&[
         material("sand", 1500.0, "young_modulus = 1e5"),
         block("sand", [0.4, 0.2, 0.0], [0.8, 0.6, 0.4], "velocity = [2, 0.3, 0]\nsampling = \"jitter\""),
@@ -153,7 +187,10 @@ fn policy_of(policy: &str) -> &'static str {
 fn b20_leaving_the_world_is_booked() {
     let mut refused = simulation(&leaving("error"), Precision::F64);
     let error = (0..1000).find_map(|_| refused.step().err()).expect("particles leave");
-    says(&error, &["left the world at (1.2", "widen world.min/max, add walls, or set world.leaving to \"clamp\" or \"delete\""]);
+    says(
+        &error,
+        &["left the world at (1.2", "widen world.min/max, add walls, or set world.leaving to \"clamp\" or \"delete\""],
+    );
     let Error::LeftWorld { particle, step, .. } = error else { panic!("{error}") };
     let x = rows(&refused)[particle as usize].x;
     assert!(x[0] >= 1.2 && step == refused.step_count(), "{x:?}");
@@ -170,9 +207,14 @@ fn b20_leaving_the_world_is_booked() {
         if policy == "delete" {
             let gone = after.counts[key];
             assert_eq!((after.particles, gone > 100), (before.particles - gone, true));
-            within("B20 delete: booked mass off that of the particles", (after.deleted_mass / (gone as f64 * 1500.0 * 1.25e-4) - 1.0).abs(), 1e-12);
+            within(
+                "B20 delete: booked mass off that of the particles",
+                (after.deleted_mass / (gone as f64 * 1500.0 * 1.25e-4) - 1.0).abs(),
+                1e-12,
+            );
         } else {
             let scale = norm(&before.momentum);
+            println!("EXPLORE B20: {:?} {:?} {:?} {:?}", before.momentum, after.momentum, after.gravity_impulse, after.wall_impulse);
             for d in 0..3 {
                 let closed = after.momentum[d] - before.momentum[d] - after.gravity_impulse[d] - after.wall_impulse[d];
                 within("B20 clamp: momentum not explained by walls and gravity", closed.abs() / scale, 1e-12);
@@ -190,9 +232,10 @@ fn b21_tiny_node_masses_neither_explode_nor_swallow_momentum() {
     for (precision, tolerance) in [(Precision::F32, 2e-6), (Precision::F64, 1e-13)] {
         for offset in [1e-3, 1e-5, 1e-7, 2.4e-10, 0.0, 0.5, 1.0 - 1e-7, 1.0 - 2.4e-10] {
             let mut lone = simulation(
-                &Head::space(0.1)
-                    .time("step = 1e-3")
-                    .with(&[material("neo_hookean", 1000.0, "young_modulus = 1e5"), block("neo_hookean", [0.0; 3], [0.1; 3], "velocity = [1, 2, 3]")]),
+                &Head::space(0.1).time("step = 1e-3").with(&[
+                    material("neo_hookean", 1000.0, "young_modulus = 1e5"),
+                    block("neo_hookean", [0.0; 3], [0.1; 3], "velocity = [1, 2, 3]"),
+                ]),
                 precision,
             );
             place(&mut lone, |r| {
@@ -201,12 +244,16 @@ fn b21_tiny_node_masses_neither_explode_nor_swallow_momentum() {
             });
             alter(&mut lone, |r| r.strain[..3].fill(0.9));
             let before = rows(&lone);
-            let (p, fastest) = (momentum(&before), |s: &Simulation| rows(s).iter().fold(0f64, |f, r| f.max(norm(&r.v))));
+            let (p, fastest) =
+                (momentum(&before), |s: &Simulation| rows(s).iter().fold(0f64, |f, r| f.max(norm(&r.v))));
             steps(&mut lone, 5);
             let after = rows(&lone);
             let lost = norm(&std::array::from_fn::<_, 3, _>(|d| momentum(&after)[d] - p[d])) / norm(&p);
             // The speed of sound times the strain bounds what stress can do.
-            println!("B21 {precision}, offset {offset:.1e}: momentum lost {lost:.1e} ({tolerance:.0e}), fastest {:.2} m/s", fastest(&lone));
+            println!(
+                "B21 {precision}, offset {offset:.1e}: momentum lost {lost:.1e} ({tolerance:.0e}), fastest {:.2} m/s",
+                fastest(&lone)
+            );
             assert!(lost < tolerance && fastest(&lone) < 10.0 && all_finite(&after));
         }
     }
@@ -217,7 +264,12 @@ fn b21_tiny_node_masses_neither_explode_nor_swallow_momentum() {
         let mut s = simulation(
             &Head { world: "", ..head }.time("step = 1e-3").with(&[
                 material("neo_hookean", 1024.0 * factor, &e),
-                block("neo_hookean", [0.1, 0.2, 0.05], [0.5, 0.6, 0.45], "velocity = [1, 0, -2]\nangular_velocity = [1, 5, 2]"),
+                block(
+                    "neo_hookean",
+                    [0.1, 0.2, 0.05],
+                    [0.5, 0.6, 0.45],
+                    "velocity = [1, 0, -2]\nangular_velocity = [1, 5, 2]",
+                ),
             ]),
             Precision::F32,
         );
@@ -236,7 +288,13 @@ fn b22_light_box_on_fine_sand_is_carried() {
     let (h, side) = (1.0 / 256.0, 0.03);
     let (head, mut parts) = bed(h, [16, 16], 6, 16, "young_modulus = 1e5, friction_angle_deg = 35");
     let z = 6.0 * h + 0.5 * side;
-    parts.push(tool("box", [8.0 * h, 8.0 * h, z], &half([0.5 * side; 3]), "{ coulomb = { friction = 0.5 } }", "{ free = { mass = 0.1 } }"));
+    parts.push(tool(
+        "box",
+        [8.0 * h, 8.0 * h, z],
+        &half([0.5 * side; 3]),
+        "{ coulomb = { friction = 0.5 } }",
+        "{ free = { mass = 0.1 } }",
+    ));
     let mut s = simulation(&head.with(&parts), Precision::F32);
     run_to(&mut s, 0.3);
     let (mut sum, mut time) = (0.0, 0.0);
@@ -255,10 +313,17 @@ fn b22_light_box_on_fine_sand_is_carried() {
 fn b24_f32_follows_f64() {
     let cube = |precision| {
         let mut s = simulation(
-            &Head { gravity: [0.0, 0.0, -9.81], ..Head::cells(0.05, [16, 16, 16], "z_min = \"slip\"") }.time("step = 1e-3").with(&[
-                material("neo_hookean", 1000.0, "young_modulus = 1e5"),
-                block("neo_hookean", [0.2, 0.2, 0.02], [0.5, 0.5, 0.32], "velocity = [0.5, 0, -2]\nangular_velocity = [2, 0, 1]\nsampling = \"jitter\""),
-            ]),
+            &Head { gravity: [0.0, 0.0, -9.81], ..Head::cells(0.05, [16, 16, 16], "z_min = \"slip\"") }
+                .time("step = 1e-3")
+                .with(&[
+                    material("neo_hookean", 1000.0, "young_modulus = 1e5"),
+                    block(
+                        "neo_hookean",
+                        [0.2, 0.2, 0.02],
+                        [0.5, 0.5, 0.32],
+                        "velocity = [0.5, 0, -2]\nangular_velocity = [2, 0, 1]\nsampling = \"jitter\"",
+                    ),
+                ]),
             precision,
         );
         steps(&mut s, 200);
@@ -282,15 +347,24 @@ fn b25_capacity_is_an_error_and_negative_cells_are_cells() {
     // Blocks are told apart up to 2^20 of them, 2^22 cells, on either side of the origin.
     let reach = 4.0 * f64::from(1 << 20);
     let far = |cells: f64| {
-        let head = Head { min: [cells - 20.0, 0.0, 0.0], max: [cells + 20.0, 4.0, 4.0], ..Head::space(1.0) }.time("step = 1e-3");
-        head.with(&[material("sand", 1500.0, "young_modulus = 1e5"), block("sand", [cells - 2.0, 0.0, 0.0], [cells + 2.0, 2.0, 2.0], "")])
+        let head = Head { min: [cells - 20.0, 0.0, 0.0], max: [cells + 20.0, 4.0, 4.0], ..Head::space(1.0) }
+            .time("step = 1e-3");
+        head.with(&[
+            material("sand", 1500.0, "young_modulus = 1e5"),
+            block("sand", [cells - 2.0, 0.0, 0.0], [cells + 2.0, 2.0, 2.0], ""),
+        ])
     };
     for side in [-1.0, 1.0] {
         let mut near = simulation(&far(side * (reach - 16.0)), Precision::F32);
         steps(&mut near, 5);
-        within(&format!("B25 at {:.0} cells: mass lost", side * reach), (near.ledger().mass / (16.0 * 1500.0) - 1.0).abs(), 1e-12);
+        within(
+            &format!("B25 at {:.0} cells: mass lost", side * reach),
+            (near.ledger().mass / (16.0 * 1500.0) - 1.0).abs(),
+            1e-12,
+        );
         // Assembling or the first step refuses, and says why.
-        let beyond = Simulation::new(&barchan::registry(), &scene(&far(side * (reach + 8.0))), &super::options(Precision::F32));
+        let beyond =
+            Simulation::new(&barchan::registry(), &scene(&far(side * (reach + 8.0))), &super::options(Precision::F32));
         let error = beyond.and_then(|mut s| s.step()).expect_err("beyond the reach of keys");
         says(&error, &["distance from the origin in cells", "coarser world.cell or move the scene"]);
     }
@@ -298,7 +372,11 @@ fn b25_capacity_is_an_error_and_negative_cells_are_cells() {
     // Blocks on both sides of the origin, whose coordinates change sign.
     let home = trajectory([0; 3], false, Precision::F32);
     for shift in [[-8, -8, -4], [-16, -4, 0], [-12, 4, -16]] {
-        within(&format!("B25, shifted by {shift:?} cells: distance [h]"), apart(&home, &trajectory(shift, false, Precision::F32)), 0.0);
+        within(
+            &format!("B25, shifted by {shift:?} cells: distance [h]"),
+            apart(&home, &trajectory(shift, false, Precision::F32)),
+            0.0,
+        );
     }
 }
 
@@ -310,7 +388,13 @@ fn b26_empty_scenes_run_and_empty_bodies_are_refused() {
         vec![],
         vec![material("sand", 1500.0, "")],
         vec![tool("rod", [0.0; 3], &half([0.1; 3]), "\"stick\"", "{ velocity = { linear = [0.1, 0, 0] } }")],
-        vec![tool("ball", [0.0; 3], "sphere = { radius = 0.1 }", "\"stick\"", "{ free = { mass = 1, linear = [0.1, 0, 0] } }")],
+        vec![tool(
+            "ball",
+            [0.0; 3],
+            "sphere = { radius = 0.1 }",
+            "\"stick\"",
+            "{ free = { mass = 1, linear = [0.1, 0, 0] } }",
+        )],
     ] {
         let mut empty = simulation(&head.with(&parts), Precision::F32);
         run_to(&mut empty, 0.1);
@@ -337,9 +421,17 @@ fn b26_empty_scenes_run_and_empty_bodies_are_refused() {
     within("B26: one particle alone falls by g dt n, off [m/s]", (all[0].v[2] + 0.981).abs(), 1e-12);
     assert_eq!(lone.wrenches()[0].force, [0.0; 3]);
 
-    let with_body = |min: [f64; 3], max: [f64; 3], more: &str| head.with(&[material("sand", 1500.0, ""), block("sand", min, max, more)]);
-    says(&refusal(&with_body([0.0; 3], [0.3, 0.3, 0.0], "")), &["case.toml:", "body[0].shape.box.max", "z goes from 0 to 0: the box has no volume"]);
-    says(&refusal(&with_body([0.0; 3], [0.3, 0.3, 0.01], "")), &["has no particles", "below half the spacing", "lower spacing or world.cell"]);
+    let with_body = |min: [f64; 3], max: [f64; 3], more: &str| {
+        head.with(&[material("sand", 1500.0, ""), block("sand", min, max, more)])
+    };
+    says(
+        &refusal(&with_body([0.0; 3], [0.3, 0.3, 0.0], "")),
+        &["case.toml:", "body[0].shape.box.max", "z goes from 0 to 0: the box has no volume"],
+    );
+    says(
+        &refusal(&with_body([0.0; 3], [0.3, 0.3, 0.01], "")),
+        &["has no particles", "below half the spacing", "lower spacing or world.cell"],
+    );
     let inside = format!(
         "{}{}",
         with_body([0.0; 3], [0.3; 3], ""),
