@@ -116,16 +116,10 @@ pub fn add_tile<T: Float>(nodes: &mut [T; NODES], tile: &[T; TILE], offset: [i32
 pub fn fill_tile<T: Float>(tile: &mut [T; TILE], nodes: Option<&[T; NODES]>, offset: [i32; 3]) {
     match nodes {
         Some(nodes) => rows!(offset, |t, b, WIDTH| {
-            let (to, from) = (&mut tile[t..t + WIDTH], &nodes[b..b + WIDTH]);
-            for i in 0..WIDTH {
-                to[i] = from[i];
-            }
+            tile[t..t + WIDTH].copy_from_slice(&nodes[b..b + WIDTH]);
         }),
         None => rows!(offset, |t, _b, WIDTH| {
-            let to = &mut tile[t..t + WIDTH];
-            for x in to {
-                *x = T::default();
-            }
+            tile[t..t + WIDTH].fill(T::default());
         }),
     }
 }

@@ -238,7 +238,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
         let step = V::splat(dt);
         let wants_gradient = self.law.table.capabilities & abi::BARCHAN_CAP_VEL_GRAD != 0;
         let s = &self.particles;
-        // SAFETY, for the whole body: the caller vouches for the chunks; scratch planes are BATCH long and k < BATCH / LANES.
+        // SAFETY: for the whole body, the caller vouches for the chunks; scratch planes are BATCH long and k < BATCH / LANES.
         unsafe {
             for k in 0..chunks {
                 let chunk = first + k;
@@ -326,7 +326,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
     ) -> Result<(), Fault> {
         let s = &self.particles;
         let (h, dt, gravity) = (self.step.h, self.step.dt, self.step.gravity);
-        // SAFETY, for the whole body: the caller vouches for the chunk and that the scratch holds its stresses.
+        // SAFETY: for the whole body, the caller vouches for the chunk and that the scratch holds its stresses.
         unsafe {
             let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
             let w = [weights(f[0]), weights(f[1]), weights(f[2])];
@@ -375,10 +375,10 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             // A copy, not a reference: the nine rows must stay in registers over the whole loop.
             let mut rows = sums.rows;
             let mut current = sums.current;
-            for p in 0..count {
-                if node[p] as usize != current {
+            for (p, &node) in node[..count].iter().enumerate() {
+                if node as usize != current {
                     rows = RowSums { rows, current, ..*sums }.flushed();
-                    current = node[p] as usize;
+                    current = node as usize;
                 }
                 let (momentum, weight) = (&momentum.0[p], &weight.0[p]);
                 let z = V::spread3(&raw const weight[9]);
@@ -577,6 +577,7 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
     fn run<V: Lanes<Scalar = T>>(self) -> Rates<T> {
         let s = &self.particles;
         let (h, dt) = (self.step.h, self.step.dt);
+        // SAFETY: the array holds 16 scalars.
         let lane_node = unsafe { V::load(NODE_OF_LANE.map(T::from_f64).as_ptr()) };
         let mut greatest = Greatest::<V>::new();
         let mut rows = [V::zero(); 9];
@@ -584,7 +585,7 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
         for k in 0..self.run.chunks() {
             let chunk = self.run.first + k;
             let count = (self.run.count - k * LANES).min(LANES);
-            // SAFETY, for the whole body: the run's chunks exist; nodes were checked by the scatter of this step, and are
+            // SAFETY: for the whole body, the run's chunks exist; nodes were checked by the scatter of this step, and are
             // checked again here because reading outside the tile must be impossible.
             unsafe {
                 let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
@@ -607,9 +608,9 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
 
                 let mut sums = MaybeUninit::<Rows<T>>::uninit();
                 let line = sums.as_mut_ptr().cast::<T>();
-                for p in 0..count {
-                    if node[p] as usize != current {
-                        current = node[p] as usize;
+                for (p, &node) in node[..count].iter().enumerate() {
+                    if node as usize != current {
+                        current = node as usize;
                         for i in 0..3 {
                             for j in 0..3 {
                                 rows[3 * i + j] = V::load(self.tile.as_ptr().add(current + i * X + j * Y));

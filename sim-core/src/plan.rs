@@ -11,8 +11,9 @@ use std::fmt;
 
 /// Registered name of the coupling that a scene's tools call for.
 pub const TOOL_COUPLING: &str = "rigid";
-/// Greatest fraction of a cell that a tool's surface may move in one step.
-pub const TOOL_COURANT: f64 = 0.5;
+/// Greatest fraction of a cell that a tool's surface may move in one step. Of sand that a plate strikes faster than sound,
+/// particles end up 0.8 cells deep in the plate at 0.4 cells a step, 1.3 at 0.5.
+pub const TOOL_COURANT: f64 = 0.4;
 /// Friction angle above which a cone matched in triaxial compression never fails in plane strain [rad]: there
 /// 2 sqrt(3) sin(phi) / (3 - sin(phi)) = 1.
 const NO_PLANE_STRAIN_FAILURE: f64 = 0.736_9;

@@ -161,7 +161,12 @@ fn each_fault_is_refused_by_name_and_nothing_is_registered() {
         ("utf8", "MATERIAL=.name=TEXT(\"caf\\xe9\")", "its name is not UTF-8 (byte 3 of 4)", "UTF-8"),
         ("doc_utf8", "MATERIAL=.doc=TEXT(\"\\xff\")", "material 'second': its doc is not UTF-8", "UTF-8"),
         ("wgsl_utf8", "MATERIAL=.wgsl=TEXT(\"fn \\xff\")", "material 'second': its wgsl is not UTF-8", "UTF-8"),
-        ("wgsl_adj_utf8", "MATERIAL=.wgsl_adj=TEXT(\"\\xc3\")", "material 'second': its wgsl_adj is not UTF-8", "UTF-8"),
+        (
+            "wgsl_adj_utf8",
+            "MATERIAL=.wgsl_adj=TEXT(\"\\xc3\")",
+            "material 'second': its wgsl_adj is not UTF-8",
+            "UTF-8",
+        ),
         ("wgsl_null", "MATERIAL=.wgsl={0,7}", "its wgsl has 7 bytes at 0x0", "static UTF-8 text"),
         ("name", "MATERIAL=.name=TEXT(\"My.Sand\")", "its name is 'My.Sand'", "snake_case"),
         ("no_name", "MATERIAL=.name={0,0}", "its name is ''", "snake_case"),

@@ -152,11 +152,11 @@ fn the_bound_is_that_of_an_isolated_particle() {
 }
 
 #[test]
-fn a_fast_tool_bounds_the_step_to_half_a_cell() {
+fn a_fast_tool_bounds_the_step_to_a_fraction_of_a_cell() {
     let tool = "[[tool]]\nname = 'plate'\nposition = [0.5, 0.2, 0.5]\nshape = { box = { half = [0.1, 0.1, 0.1] } }
         motion = { velocity = { linear = [100, 0, 0] } }";
     let plan = plan(&scene(tool)).unwrap();
-    assert!((plan.bound.dt - 0.5 * 0.02 / 100.0).abs() < 1e-15);
+    assert!((plan.bound.dt - 0.4 * 0.02 / 100.0).abs() < 1e-15);
     assert_eq!(plan.bound.by, "coupling 'rigid': speed of a tool");
 }
 

@@ -177,7 +177,11 @@ fn shaken_column(cycles: u32, correction: u8) -> (f64, u64) {
 pub fn cyclic_shear(cycles: u32) -> Outcome {
     let (with, steps) = shaken_column(cycles, 1);
     let (without, _) = shaken_column(cycles, 0);
-    println!("B11: {cycles} cycles change the height by {:+.4} %, without correction {:+.4} %", 100.0 * with, 100.0 * without);
+    println!(
+        "B11: {cycles} cycles change the height by {:+.4} %, without correction {:+.4} %",
+        100.0 * with,
+        100.0 * without
+    );
     let mut outcome = Outcome { steps, ..Outcome::default() };
     outcome.add(format!("{cycles} cycles of shear: change of height (uncorrected {without:+.2e})"), with.abs(), 0.01);
     outcome

@@ -108,8 +108,8 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Stiffness bound when it was measured last, and the steps since then.
     stiffness: Bound,
     stiffness_age: u32,
-    /// Have particles come in that no step has looked at?
-    unchecked: bool,
+    /// Did NaN or infinity come in with the particles?
+    spoilt: bool,
     /// Does any material harden, so that the bound follows the state?
     hardens: bool,
     steps: u64,
@@ -151,7 +151,7 @@ impl<T: Scalar> CpuEngine<T> {
             least_mass: 0.0,
             stiffness: Bound { dt: f64::INFINITY, by: "nothing".into() },
             stiffness_age: 0,
-            unchecked: true,
+            spoilt: false,
             hardens: plan.materials.iter().any(|m| m.material.has(abi::BARCHAN_CAP_HARDENS)),
             steps: 0,
             mass: 0.0,
@@ -445,6 +445,35 @@ impl<T: Scalar> CpuEngine<T> {
         }
     }
 
+    /// P2G and the grid update, repeated with a shorter step while nodes would carry particles too far. Returns the step.
+    fn ground_to_nodes(&mut self, time: f64, mut dt: f64) -> Result<f64> {
+        let walls_before = self.wall_impulse;
+        loop {
+            self.particles_to_grid(dt).map_err(|error| at_time(error, time))?;
+            self.update_grid();
+            if !self.max_speed.is_finite() {
+                let error = self.find_non_finite().unwrap_or_else(|| Error::NonFinite {
+                    step: self.steps,
+                    time,
+                    field: "node velocity",
+                    particle: 0,
+                    list: String::new(),
+                    value: self.max_speed,
+                    count: 0,
+                });
+                return Err(at_time(error, time));
+            }
+            let moves = self.max_speed * dt / self.store.cell_width;
+            if moves <= MAX_MOVE {
+                return Ok(dt);
+            }
+            // Too fast for this step: take a shorter one. The impulse of gravity and stress shrinks with it.
+            dt *= (0.9 * MAX_MOVE / moves).max(0.1);
+            self.wall_impulse = walls_before;
+            self.shortened += 1;
+        }
+    }
+
     /// Hands the nodes near each coupling's bodies to it, and takes back their velocities.
     fn contact(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<()> {
         if couplings.is_empty() {
@@ -464,10 +493,7 @@ impl<T: Scalar> CpuEngine<T> {
                 let node = unsafe { &mut *nodes.add(at as usize) };
                 for d in 0..3 {
                     node[d] = T::from_f64(u[d]);
-                    // Not f64::max, which would swallow NaN.
-                    if !(u[d].abs() <= self.max_speed) {
-                        self.max_speed = u[d].abs();
-                    }
+                    self.max_speed = greater(self.max_speed, u[d].abs());
                 }
             }
         }
@@ -632,6 +658,16 @@ impl<T: Scalar> CpuEngine<T> {
     }
 }
 
+/// A fault in the state, with the time at which it was found.
+fn at_time(error: Error, at: f64) -> Error {
+    match error {
+        Error::NonFinite { step, field, particle, list, value, count, .. } => {
+            Error::NonFinite { step, time: at, field, particle, list, value, count }
+        }
+        other => other,
+    }
+}
+
 /// The greater of two magnitudes; NaN wins, so that it cannot hide.
 fn greater<T: Float>(a: T, b: T) -> T {
     if a >= b || a.to_f64().is_nan() { a } else { b }
@@ -701,7 +737,7 @@ impl<T: Float> Kernel<T> for Velocities<'_, T> {
                 let speed = V::select(is_mass, V::zero(), u).abs();
                 greatest = greatest.max(speed);
                 // 0 for finite numbers, NaN for others; the maximum might lose a NaN.
-                bad += speed - speed;
+                bad += speed * V::zero();
                 V::select(is_mass, node, u).store(four.as_mut_ptr());
             }
         }
@@ -729,7 +765,8 @@ impl<T: Float> Kernel<T> for FillTile<'_, T> {
 impl<T: Scalar> Engine for CpuEngine<T> {
     fn bound(&self) -> Bound {
         let speed = MAX_MOVE * self.store.cell_width / self.particle_speed;
-        if speed < self.stiffness.dt {
+        // An infinite speed is for the step to find, with the particle's name.
+        if speed < self.stiffness.dt && speed > 0.0 {
             Bound { dt: speed, by: "particle speed: no particle may move further than half a cell in a step".into() }
         } else {
             self.stiffness.clone()
@@ -741,17 +778,10 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             None => true,
             Some(age) => self.drift > MAX_DRIFT || (age >= SORT_AGE && self.drift > SORT_DRIFT),
         };
-        let timed = |error| match error {
-            Error::NonFinite { step, field, particle, list, value, count, .. } => {
-                Error::NonFinite { step, time, field, particle, list, value, count }
-            }
-            other => other,
-        };
         let ground = self.store.len() > 0;
-        if self.unchecked {
-            // Found here, NaN has touched nothing yet.
-            self.find_non_finite().map_or(Ok(()), |error| Err(timed(error)))?;
-            self.unchecked = false;
+        if self.spoilt {
+            // Found here, it has touched nothing yet.
+            self.find_non_finite().map_or(Ok(()), |error| Err(at_time(error, time)))?;
         }
         if sorted && ground {
             self.sort()?;
@@ -759,35 +789,13 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         let h = self.store.cell_width;
         let mut dt = dt;
         self.gravity = self.scene.gravity_at(time);
-        let walls_before = self.wall_impulse;
-        if !ground {
+        if ground {
+            dt = self.ground_to_nodes(time, dt)?;
+        } else {
             self.max_speed = 0.0;
         }
-        while ground {
-            self.particles_to_grid(dt).map_err(timed)?;
-            self.update_grid();
-            if !self.max_speed.is_finite() {
-                return Err(timed(self.find_non_finite().unwrap_or_else(|| Error::NonFinite {
-                    step: self.steps,
-                    time,
-                    field: "node velocity",
-                    particle: 0,
-                    list: String::new(),
-                    value: self.max_speed,
-                    count: 0,
-                })));
-            }
-            let moves = self.max_speed * dt / h;
-            if moves <= MAX_MOVE {
-                break;
-            }
-            // Too fast for this step: take a shorter one. The impulse of gravity and stress shrinks with it.
-            dt *= (0.9 * MAX_MOVE / moves).max(0.1);
-            self.wall_impulse = walls_before;
-            self.shortened += 1;
-        }
         self.contact(time, dt, couplings)?;
-        if !(self.max_speed * dt / h <= MAX_MOVE * (1.0 + 1e-9)) {
+        if self.max_speed.is_nan() || self.max_speed * dt / h > MAX_MOVE * (1.0 + 1e-9) {
             return Err(Error::TimeStep {
                 step: self.steps,
                 dt,
@@ -828,9 +836,12 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
         self.store.upload(&particles)?;
         self.strain_dt = particles.strain_dt;
-        self.unchecked = true;
+        self.spoilt = self.find_non_finite().is_some();
         self.take_stock();
-        self.measure_stiffness()?;
+        // Materials cannot say how stiff NaN is; the next step names it.
+        if !self.spoilt {
+            self.measure_stiffness()?;
+        }
         match &particles.sort {
             Some(sort) => {
                 (self.age, self.drift) = (Some(sort.age), sort.drift);

@@ -589,9 +589,9 @@ fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; LANES]], scr
     order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
         for (k, lanes) in chunks.iter().enumerate() {
             let chunk = task * GRAIN + k;
-            // SAFETY, for both branches: places are lanes of existing chunks; the scratch holds the whole group; each task
-            // writes chunks of its own.
             if lanes[0] % LANES as u32 == 0 && (0..LANES).all(|l| lanes[l] == lanes[0].wrapping_add(l as u32)) {
+                // SAFETY: places are lanes of existing chunks; the scratch holds the whole group; each task writes chunks of
+                // its own.
                 unsafe {
                     let source = from.at(lanes[0] as usize * planes);
                     std::ptr::copy_nonoverlapping(source, to.at(chunk * planes * LANES), planes * LANES);
@@ -602,6 +602,7 @@ fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; LANES]], scr
                 let place = if place == PAD { lanes[0] } else { place } as usize;
                 let source = place / LANES * planes * LANES + place % LANES;
                 for p in 0..planes {
+                    // SAFETY: as above.
                     unsafe { *to.at((chunk * planes + p) * LANES + l) = *from.at(source + p * LANES) };
                 }
             }

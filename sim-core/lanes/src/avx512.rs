@@ -186,12 +186,7 @@ register!(
 /// [`Lanes::places`] for both widths.
 #[inline]
 #[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-unsafe fn places_avx512(
-    cells: [*const i32; 3],
-    first: [i32; 3],
-    stride: [i32; 3],
-    most: u32,
-) -> ([u32; LANES], bool) {
+unsafe fn places_avx512(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32) -> ([u32; LANES], bool) {
     let limit = _mm512_set1_epi32(most.cast_signed());
     let mut place = _mm512_setzero_si512();
     let mut outside = 0;

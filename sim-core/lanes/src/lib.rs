@@ -153,8 +153,8 @@ pub trait Real:
     /// True where the number is neither NaN nor infinite.
     #[inline(always)]
     fn is_finite(self) -> Self::Mask {
-        // x - x is 0 exactly when x is finite, and NaN otherwise.
-        (self - self).abs().le(Self::zero())
+        // 0 x is 0 exactly when x is finite, and NaN otherwise.
+        (self * Self::zero()).abs().le(Self::zero())
     }
     /// Natural logarithm of a positive normal number; anything else gives an unspecified value.
     ///

@@ -112,10 +112,10 @@ macro_rules! operator {
             #[inline(always)]
             fn $f(self, o: Self) -> Self {
                 let mut out = self;
-        for i in 0..N {
-            out.0[i] = R::$f(self.0[i], o.0[i]);
-        }
-        out
+                for i in 0..N {
+                    out.0[i] = R::$f(self.0[i], o.0[i]);
+                }
+                out
             }
         }
         impl<R: Register, const N: usize> $assign for Wide<R, N> {
@@ -203,19 +203,19 @@ impl<R: Register, const N: usize> Real for Wide<R, N> {
     }
     #[inline(always)]
     fn lt(self, o: Self) -> Self::Mask {
-        let mut out = [R::truth(false); N];
+        let mut out = WideMask([R::truth(false); N]);
         for i in 0..N {
-            out[i] = R::lt(self.0[i], o.0[i]);
+            out.0[i] = R::lt(self.0[i], o.0[i]);
         }
-        WideMask(out)
+        out
     }
     #[inline(always)]
     fn le(self, o: Self) -> Self::Mask {
-        let mut out = [R::truth(false); N];
+        let mut out = WideMask([R::truth(false); N]);
         for i in 0..N {
-            out[i] = R::le(self.0[i], o.0[i]);
+            out.0[i] = R::le(self.0[i], o.0[i]);
         }
-        WideMask(out)
+        out
     }
     #[inline(always)]
     fn select(mask: Self::Mask, a: Self, b: Self) -> Self {

@@ -32,6 +32,11 @@ fn settings(law: &Material) -> Vec<(String, Vec<f64>)> {
         let position = law.parameters.iter().position(|p| p.name == name).filter(|_| value > 0.0 || elastic);
         if let Some(i) = position {
             let mut changed = defaults.clone();
+            if law.parameters[i].unit == "Pa" {
+                // Strength goes with stiffness: a stiff law of the default's strength would yield at every strain tried.
+                let pressures = law.parameters.iter().zip(&mut changed).filter(|(p, _)| p.unit == "Pa");
+                pressures.for_each(|(_, x)| *x *= value / defaults[i]);
+            }
             changed[i] = value;
             all.push((format!("{name} = {value:e}"), changed));
         }

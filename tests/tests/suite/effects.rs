@@ -189,7 +189,7 @@ fn memory_is_bounded_and_as_the_plan_says() {
         }
         // Stir, so that particles change blocks and lists are laid out anew.
         let mut noise = barchan_tests::scenes::Noise::new(5);
-        barchan_tests::scenes::alter(&mut s, |row| (0..3).for_each(|d| row.v[d] += noise.next()));
+        barchan_tests::scenes::alter(&mut s, |row| (0..3).for_each(|d| row.v[d] += noise.draw()));
         for _ in 0..50 {
             s.step().unwrap_or_else(|e| panic!("{law}: {e}"));
         }

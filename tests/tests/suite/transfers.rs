@@ -72,7 +72,7 @@ fn compare(law: &str, walls: &str, ends: [Ends; 3], steps: usize, precision: Pre
     let mut noise = Noise::new(3);
     alter(&mut ours, |r| {
         for v in &mut r.v {
-            *v += 0.1 * noise.next();
+            *v += 0.1 * noise.draw();
         }
     });
     let mut plain = reference_of(&ours, laws, ends, gravity);

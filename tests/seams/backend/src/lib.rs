@@ -4,7 +4,8 @@
 
 use barchan::backend::{Bound, Timing};
 use barchan::{
-    Backend, Coupling, Engine, Error, Ledger, ParticleList, ParticleState, Plan, Registry, Result, Scene, Stage, StepReport,
+    Backend, Coupling, Engine, Error, Ledger, ParticleList, ParticleState, Plan, Registry, Result, Scene, Stage,
+    StepReport,
 };
 use std::sync::Arc;
 use std::time::Instant;
@@ -105,7 +106,9 @@ impl Engine for Flight {
     }
     fn memory(&self) -> (u64, u64) {
         // Id, body, cell, offset, velocity, affine matrix, mass, rest volume, strain and history.
-        let bytes = |list: &ParticleList| list.len() * (8 + 2 + 12 + 8 * (3 + 3 + 9 + 2 + list.strain.len() + list.state.len()));
+        let bytes = |list: &ParticleList| {
+            list.len() * (8 + 2 + 12 + 8 * (3 + 3 + 9 + 2 + list.strain.len() + list.state.len()))
+        };
         (self.particles.lists.iter().map(|list| bytes(list) as u64).sum(), 0)
     }
 }
