@@ -155,14 +155,13 @@ impl Separation {
         let (p, q) = (node.map(T::to_f64), image.map(T::to_f64));
         let mut sum: [f64; 4] = std::array::from_fn(|d| p[d] + q[d]);
         *image = [T::default(); 4];
-        // A wall pushes or does nothing: where folding would pull, the pair keeps its own motion, or stops if it would pass.
-        let pushes = q[n] * self.inward < 0.0;
-        let presses = pushes || sum[n] * self.inward < 0.0;
+        // A wall pushes or does nothing. Ground that has not reached it gives the image nothing, and is left alone.
+        let presses = q[n] * self.inward < 0.0;
         let mut impulse = [0.0; 3];
         if presses {
-            let stopped = if pushes { p[n] - q[n] } else { 0.0 };
-            impulse[n] = stopped - sum[n];
-            sum[n] = stopped;
+            let reflected = p[n] - q[n];
+            impulse[n] = reflected - sum[n];
+            sum[n] = reflected;
             let tangential = (0..3).filter(|&d| d != n).map(|d| sum[d] * sum[d]).sum::<f64>().sqrt();
             if tangential > 0.0 {
                 let kept = (1.0 - self.friction * impulse[n].abs() / tangential).max(0.0);
