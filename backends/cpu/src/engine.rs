@@ -13,7 +13,7 @@ use barchan_core::{
     Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Result, Scene, StepReport,
 };
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
-use barchan_grid::particles::{Run, STRAIN};
+use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{BATCH, Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
 use barchan_grid::wall::Mirror;
 use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 /// Steps after which particles are sorted again, if they have moved at all: a late sort costs the transfers more than it saves.
 const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time.
-const SORT_DRIFT: f64 = 0.1;
+const SORT_DRIFT: f64 = 0.4;
 /// The halo allows for this much drift since the last sort, in cells.
 const MAX_DRIFT: f64 = 1.0;
 /// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.
@@ -592,9 +592,11 @@ impl<T: Scalar> CpuEngine<T> {
             // A law that does not harden is as stiff everywhere as at its first particle.
             let hardens = planned.material.has(abi::BARCHAN_CAP_HARDENS);
             let runs: Vec<_> = if hardens { blocks.collect() } else { blocks.take(1).collect() };
-            let chunk_bound = |chunk: usize, count: usize| -> Result<f64> {
-                let mut strain = [[0f32; LANES]; 9];
-                let mut state = [[0f32; LANES]; barchan_grid::transfer::MAX_STATE];
+            // Stiffness is asked of matter at rest.
+            const NO_RATE: [[f32; LANES]; 9] = [[0.0; LANES]; 9];
+            type Planes<const N: usize> = [[f32; LANES]; N];
+            type Scratch = (Planes<9>, Planes<{ barchan_grid::transfer::MAX_STATE }>, ErrorBuffer);
+            let chunk_bound = |chunk: usize, count: usize, (strain, state, message): &mut Scratch| -> Result<f64> {
                 let mut out = [[0f32; LANES]; 2];
                 for (p, plane) in strain[..planes].iter_mut().enumerate() {
                     *plane = list.rest_plane(chunk, STRAIN + p).map(|x| x.to_f64() as f32);
@@ -602,7 +604,6 @@ impl<T: Scalar> CpuEngine<T> {
                 for (q, plane) in state[..list.law.table.n_state].iter_mut().enumerate() {
                     *plane = list.rest_plane(chunk, STRAIN + planes + q).map(|x| x.to_f64() as f32);
                 }
-                let no_rate = [[0f32; LANES]; 9];
                 let batch = abi::BarchanBatchF32 {
                     struct_size: size_of::<abi::BarchanBatchF32>(),
                     n: LANES,
@@ -611,41 +612,43 @@ impl<T: Scalar> CpuEngine<T> {
                     reserved: 0,
                     params: params.as_ptr(),
                     strain_trial: strain.as_ptr().cast(),
-                    // Stiffness is asked of matter at rest.
-                    vel_grad: no_rate.as_ptr().cast(),
+                    vel_grad: NO_RATE.as_ptr().cast(),
                     state_in: state.as_ptr().cast(),
                     strain: std::ptr::null_mut(),
                     kirchhoff: std::ptr::null_mut(),
                     state_out: std::ptr::null_mut(),
                 };
-                let mut message = ErrorBuffer::default();
                 // SAFETY: the planes that this callback reads, and the two that it writes, hold 16 values each.
                 let status = unsafe { moduli(&batch, out.as_mut_ptr().cast(), message.as_raw()) };
                 message.check(status, &planned.material, "tangent_moduli", |i| {
                     // A callback may name any number.
                     usize::try_from(i).ok().and_then(|i| list.id[chunk].get(i)).map_or(u64::MAX, |&id| u64::from(id))
                 })?;
-                (0..count).try_fold(f64::INFINITY, |least: f64, lane| {
-                    let moduli = [f64::from(out[0][lane]), f64::from(out[1][lane])];
-                    // The minimum would lose a NaN, and with it the bound.
-                    if !moduli.iter().all(|m| m.is_finite() && *m > 0.0) {
-                        return Err(Error::MaterialFailed {
-                            material: planned.name.clone(),
-                            origin: planned.material.origin.clone(),
-                            callback: "tangent_moduli",
-                            message: format!("the moduli are {moduli:?} Pa; they must be finite and above 0"),
-                            particle: Some(u64::from(list.id[chunk][lane])),
-                        });
-                    }
-                    let density = list.mass_of(chunk, lane) / list.volume0_of(chunk, lane);
-                    Ok(least.min(stable_step(self.store.cell_width, density, moduli[0], moduli[1])))
-                })
+                // The minimum would lose a NaN, and with it the bound.
+                let wrong = |lane: usize| !out.iter().all(|m| m[lane].is_finite() && m[lane] > 0.0);
+                if let Some(lane) = (0..count).find(|&lane| wrong(lane)) {
+                    let moduli = [out[0][lane], out[1][lane]];
+                    return Err(Error::MaterialFailed {
+                        material: planned.name.clone(),
+                        origin: planned.material.origin.clone(),
+                        callback: "tangent_moduli",
+                        message: format!("the moduli are {moduli:?} Pa; they must be finite and above 0"),
+                        particle: Some(u64::from(list.id[chunk][lane])),
+                    });
+                }
+                let (mass, volume0) = (list.rest_plane(chunk, MASS), list.rest_plane(chunk, VOLUME));
+                let step = |lane: usize| {
+                    let density = mass[lane].to_f64() / volume0[lane].to_f64();
+                    stable_step(self.store.cell_width, density, f64::from(out[0][lane]), f64::from(out[1][lane]))
+                };
+                Ok((0..count).map(step).fold(f64::INFINITY, f64::min))
             };
             let least = self.pool.install(|| {
                 let run_bound = |run: &&Run| {
+                    let mut scratch: Scratch = (Default::default(), Default::default(), ErrorBuffer::default());
                     (0..run.chunks()).try_fold(f64::INFINITY, |least: f64, k| {
                         let count = (run.count - k * LANES).min(LANES);
-                        Ok(least.min(chunk_bound(run.first + k, count)?))
+                        Ok(least.min(chunk_bound(run.first + k, count, &mut scratch)?))
                     })
                 };
                 runs.par_iter().map(run_bound).try_reduce(|| f64::INFINITY, |a, b| Ok(a.min(b)))
