@@ -10,6 +10,8 @@
 
 pub mod block;
 pub mod particles;
+pub mod resample;
+pub mod ring;
 pub mod spline;
 pub mod transfer;
 pub mod wall;

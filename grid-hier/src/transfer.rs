@@ -192,7 +192,7 @@ struct Scratch<T> {
 
 /// 16 particles' rows after transposition: one line a particle.
 #[repr(C, align(64))]
-struct Rows<T>([[T; LANES]; LANES]);
+pub(crate) struct Rows<T>([[T; LANES]; LANES]);
 
 impl<T: Scalar> Kernel<T> for ParticlesToGrid<'_, T> {
     type Output = Result<(), Fault>;
@@ -371,33 +371,54 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             if strayed {
                 return Err(Fault::Strayed { chunk });
             }
-            let lane_node = V::load(NODE_OF_LANE.map(T::from_f64).as_ptr());
-            // A copy, not a reference: the nine rows must stay in registers over the whole loop.
-            let mut rows = sums.rows;
-            let mut current = sums.current;
-            for (p, &node) in node[..count].iter().enumerate() {
-                if node as usize != current {
-                    rows = RowSums { rows, current, ..*sums }.flushed();
-                    current = node as usize;
-                }
-                let (momentum, weight) = (&momentum.0[p], &weight.0[p]);
-                let z = V::spread3(&raw const weight[9]);
-                let x_step = V::repeat4(&raw const momentum[4]) * z;
-                let y_step = V::repeat4(&raw const momentum[8]) * z;
-                let z_step = V::repeat4(&raw const momentum[12]);
-                let mut row = z_step.mul_add(lane_node, V::repeat4(momentum.as_ptr())) * z;
-                for i in 0..3 {
-                    let next = row + y_step;
-                    let last = next + y_step;
-                    rows[3 * i] = V::fill(weight[3 * i]).mul_add(row, rows[3 * i]);
-                    rows[3 * i + 1] = V::fill(weight[3 * i + 1]).mul_add(next, rows[3 * i + 1]);
-                    rows[3 * i + 2] = V::fill(weight[3 * i + 2]).mul_add(last, rows[3 * i + 2]);
-                    row += x_step;
-                }
-            }
-            (sums.rows, sums.current) = (rows, current);
+            spread(sums, momentum, weight, &node[..count]);
         }
         Ok(())
+    }
+}
+
+/// Adds particles to the rows of nodes of their cells. A line of `momentum` holds what a particle gives to its first node, and
+/// by how much that changes from node to node along x, y and z; a line of `weight` the nine products of its weights along x
+/// and y, then those along z.
+///
+/// # Safety
+/// `node` holds starts of nodes in the tile, as [`first_nodes`] has found them.
+#[inline(always)]
+pub(crate) unsafe fn spread<V: Lanes>(
+    sums: &mut RowSums<V>,
+    momentum: &Rows<V::Scalar>,
+    weight: &Rows<V::Scalar>,
+    node: &[u32],
+) where
+    V::Scalar: Scalar,
+{
+    // SAFETY: lines hold 16 scalars.
+    unsafe {
+        let lane_node = V::load(NODE_OF_LANE.map(V::Scalar::from_f64).as_ptr());
+        // A copy, not a reference: the nine rows must stay in registers over the whole loop.
+        let mut rows = sums.rows;
+        let mut current = sums.current;
+        for (p, &node) in node.iter().enumerate() {
+            if node as usize != current {
+                rows = RowSums { rows, current, ..*sums }.flushed();
+                current = node as usize;
+            }
+            let (momentum, weight) = (&momentum.0[p], &weight.0[p]);
+            let z = V::spread3(&raw const weight[9]);
+            let x_step = V::repeat4(&raw const momentum[4]) * z;
+            let y_step = V::repeat4(&raw const momentum[8]) * z;
+            let z_step = V::repeat4(&raw const momentum[12]);
+            let mut row = z_step.mul_add(lane_node, V::repeat4(momentum.as_ptr())) * z;
+            for i in 0..3 {
+                let next = row + y_step;
+                let last = next + y_step;
+                rows[3 * i] = V::fill(weight[3 * i]).mul_add(row, rows[3 * i]);
+                rows[3 * i + 1] = V::fill(weight[3 * i + 1]).mul_add(next, rows[3 * i + 1]);
+                rows[3 * i + 2] = V::fill(weight[3 * i + 2]).mul_add(last, rows[3 * i + 2]);
+                row += x_step;
+            }
+        }
+        (sums.rows, sums.current) = (rows, current);
     }
 }
 
@@ -436,7 +457,7 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
 }
 
 /// The nine rows of nodes around the current cell.
-struct RowSums<V: Lanes> {
+pub(crate) struct RowSums<V: Lanes> {
     rows: [V; 9],
     tile: *mut V::Scalar,
     /// Start of the cell's first node in the tile; `usize::MAX` before the first cell.
@@ -445,12 +466,12 @@ struct RowSums<V: Lanes> {
 
 impl<V: Lanes> RowSums<V> {
     #[inline(always)]
-    fn new(tile: *mut V::Scalar) -> Self {
+    pub(crate) fn new(tile: *mut V::Scalar) -> Self {
         Self { rows: [V::zero(); 9], tile, current: usize::MAX }
     }
     /// Adds the rows to the tile and gives back empty ones.
     #[inline(always)]
-    fn flushed(self) -> [V; 9] {
+    pub(crate) fn flushed(self) -> [V; 9] {
         if self.current != usize::MAX {
             for i in 0..3 {
                 for j in 0..3 {
@@ -469,7 +490,11 @@ impl<V: Lanes> RowSums<V> {
 
 /// Start in the tile of each particle's first node, and whether any of them lies outside.
 #[inline(always)]
-unsafe fn first_nodes<V: Lanes>(s: &Particles<V::Scalar>, chunk: usize, origin: [i32; 3]) -> ([u32; LANES], bool)
+pub(crate) unsafe fn first_nodes<V: Lanes>(
+    s: &Particles<V::Scalar>,
+    chunk: usize,
+    origin: [i32; 3],
+) -> ([u32; LANES], bool)
 where
     V::Scalar: Scalar,
 {
@@ -484,7 +509,10 @@ where
 }
 
 #[inline(always)]
-fn store_rows<'a, V: Lanes>(to: &'a mut MaybeUninit<Rows<V::Scalar>>, rows: &[V; LANES]) -> &'a Rows<V::Scalar> {
+pub(crate) fn store_rows<'a, V: Lanes>(
+    to: &'a mut MaybeUninit<Rows<V::Scalar>>,
+    rows: &[V; LANES],
+) -> &'a Rows<V::Scalar> {
     let lines = to.as_mut_ptr().cast::<V::Scalar>();
     for (i, row) in rows.iter().enumerate() {
         // SAFETY: line i of the 16 x 16 scalars.

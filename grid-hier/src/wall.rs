@@ -92,6 +92,48 @@ impl Mirrors {
         impulse
     }
 
+    /// Folds one column of an affine momentum back. Reflected, p = M d becomes S p = (S M R) (R d), with the signs S of
+    /// velocities and R, which turns the wall's axis round.
+    pub fn fold_column<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3], column: usize) {
+        for axis in 0..3 {
+            for (image, node, signs) in self.planes(origin, axis) {
+                let signs = signs.map(|sign| T::from_f64(if axis == column { -sign } else { sign }));
+                each_pair(axis, image, node, |image, node| {
+                    for d in 0..3 {
+                        let p = tile[image + d];
+                        tile[node + d] += signs[d] * p;
+                        tile[image + d] = T::default();
+                    }
+                });
+            }
+        }
+    }
+
+    /// A cell and its mirror image inside the walls, and which components of a vector there change their sign.
+    pub fn reflected(&self, mut cell: [i32; 3]) -> ([i32; 3], [bool; 3]) {
+        let mut flipped = [false; 3];
+        for axis in 0..3 {
+            let [low, high] = self.kind[axis];
+            for (kind, beyond, sum) in [
+                (low, cell[axis] < self.min[axis], 2 * self.min[axis] - 1),
+                (high, cell[axis] >= self.max[axis], 2 * self.max[axis] - 1),
+            ] {
+                if kind != Mirror::Open && beyond {
+                    cell[axis] = sum - cell[axis];
+                    for (d, sign) in kind.signs(axis).into_iter().enumerate() {
+                        flipped[d] ^= sign < 0.0;
+                    }
+                }
+            }
+        }
+        (cell, flipped)
+    }
+
+    /// Does the cell lie behind a mirror?
+    pub fn is_behind(&self, cell: [i32; 3]) -> bool {
+        self.reflected(cell).0 != cell
+    }
+
     /// Gives mirrored nodes the velocity of their images. Returns the impulse that the walls gave in doing so [N s]: what
     /// particles read from a mirrored node is not what they would have read from the node itself.
     pub fn unfold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3], images: &[T]) -> [f64; 3] {

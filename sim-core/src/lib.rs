@@ -15,6 +15,7 @@ pub mod coupling;
 pub mod error;
 pub mod export;
 pub mod ledger;
+pub mod levels;
 pub mod loader;
 pub mod material;
 pub mod plan;
@@ -28,15 +29,16 @@ pub mod state;
 pub mod task;
 
 pub use backend::{Backend, Engine, StepReport};
-pub use coupling::{BodyState, Coupling, NodeBatch, Wrench};
+pub use coupling::{Aabb, BodyState, Coupling, NodeBatch, Wrench};
 pub use error::{Error, Result};
 pub use ledger::Ledger;
+pub use levels::Regions;
 pub use material::Material;
 pub use plan::{Effect, Plan, Precision, Stage};
 pub use registry::Registry;
 pub use scene::Scene;
 pub use simulation::{Options, Simulation};
-pub use state::{Measured, ParticleList, ParticleState, SortPhase};
+pub use state::{LevelPhase, Measured, ParticleList, ParticleState, SortPhase};
 pub use task::Task;
 
 /// A point, vector or triple of factors: x, y, z.

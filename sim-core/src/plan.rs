@@ -1,6 +1,7 @@
 //! The plan: the effects that a scene calls for, and why; the stages they need; what bounds the step; what memory they take.
 
 use crate::backend::Bound;
+use crate::levels::{Agent, CellBox, Regions, agent_bounds};
 use crate::material::ErrorBuffer;
 use crate::scene::{Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest};
 use crate::simulation::Options;
@@ -61,12 +62,18 @@ pub enum Stage {
     Sort,
     /// Particles to grid, the material update inside.
     P2G,
+    /// Nodes at the rim of a finer level handed to the next coarser one.
+    Restrict,
     /// Node sums, gravity and walls.
     GridUpdate,
     /// Couplings on the nodes near their bodies.
     Contact,
+    /// Velocities of the next coarser level handed to the rim of a finer one.
+    Prolong,
     /// Grid to particles, and advection.
     G2P,
+    /// Regions moved after their agents, particles split and merged.
+    Adapt,
 }
 
 impl fmt::Display for Stage {
@@ -74,6 +81,9 @@ impl fmt::Display for Stage {
         f.write_str(match self {
             Self::Sort => "sort",
             Self::P2G => "P2G",
+            Self::Adapt => "adapt",
+            Self::Restrict => "restrict",
+            Self::Prolong => "prolong",
             Self::GridUpdate => "grid update",
             Self::Contact => "contact",
             Self::G2P => "G2P",
@@ -120,6 +130,12 @@ pub struct Plan {
     pub cell_min: [i32; 3],
     /// One past the greatest cell of the world on level 0.
     pub cell_max: [i32; 3],
+    /// Where the levels are at the start.
+    pub regions: Regions,
+    /// What the levels follow.
+    pub agents: Vec<Agent>,
+    /// Steps of the finest level in one step of the simulation.
+    pub substeps: u32,
     /// Gravity [m/s²].
     pub gravity: Vec3,
     /// Materials in the scene's order.
@@ -267,17 +283,7 @@ impl Plan {
             .iter()
             .map(|(kind, path)| registry.coupling(kind).map_err(|e| e.at(&scene.place(path)))?(&scene))
             .collect::<Result<Vec<_>>>()?;
-        let resumed = particles.is_some();
-        let particles = match particles {
-            Some(particles) => particles,
-            None => {
-                let cap = options.max_bytes.unwrap_or_else(available_bytes);
-                seed::seed(&scene, registry, &materials, &couplings, options.precision, cap)?
-            }
-        };
         let h = scene.world.cell;
-        let bound = start_bound(&scene, &materials, &couplings)?;
-        let dt = first_step(&scene, &bound, resumed)?;
         let whole = |side: &Vec3, round: fn(f64) -> f64| {
             side.map(|x| {
                 let cells = x / h;
@@ -285,12 +291,36 @@ impl Plan {
                 if near { cells.round() as i32 } else { round(cells) as i32 }
             })
         };
+        let (cell_min, cell_max) = (whole(&scene.world.min, f64::floor), whole(&scene.world.max, f64::ceil));
+        let mut regions = Regions::new(&scene, CellBox { min: cell_min, max: cell_max });
+        let agents = if regions.levels() > 1 { agents(&scene) } else { Vec::new() };
+        let resumed = particles.is_some();
+        let particles = match particles {
+            Some(particles) => {
+                if let Some(phase) = &particles.levels {
+                    regions.restore(phase.boxes.clone());
+                }
+                particles
+            }
+            None => {
+                let soft = |body: u16| scene.body[usize::from(body)].shape.bounds();
+                regions.follow(&agent_bounds(&agents, &couplings, soft));
+                let cap = options.max_bytes.unwrap_or_else(available_bytes);
+                seed::seed(&scene, registry, &materials, &couplings, &regions, options.precision, cap)?
+            }
+        };
+        let levels = scene.levels.count;
+        let bound = start_bound(&scene, &materials, &couplings)?;
+        let dt = first_step(&scene, &bound, resumed)?;
         let mut plan = Self {
             precision: options.precision,
             threads: options.threads,
-            cell_widths: vec![h],
-            cell_min: whole(&scene.world.min, f64::floor),
-            cell_max: whole(&scene.world.max, f64::ceil),
+            cell_widths: (0..levels).map(|level| h * f64::from(1 << level)).collect(),
+            cell_min,
+            cell_max,
+            regions,
+            agents,
+            substeps: scene.levels.substeps(),
             gravity: scene.gravity,
             couplings: kinds.into_iter().map(|(kind, _)| kind).collect(),
             effects: Vec::new(),
@@ -306,7 +336,11 @@ impl Plan {
         plan.check_particles(&particles)?;
         plan.memory = plan.estimate_memory(&particles);
         plan.stages = plan.list_stages();
-        plan.effects = plan.list_effects();
+        let by_level = particles
+            .lists
+            .chunks(plan.materials.len().max(1))
+            .map(|level| level.iter().map(crate::ParticleList::len).sum());
+        plan.effects = plan.list_effects(&by_level.collect::<Vec<usize>>());
         plan.warn(registry, &couplings)?;
         Ok((plan, particles, couplings))
     }
@@ -332,13 +366,18 @@ impl Plan {
                 mend: "use particles of a simulation of the same scene".to_owned(),
             })
         };
-        if particles.lists.len() != self.materials.len() {
-            return refuse(format!("{} lists where the plan has {}", particles.lists.len(), self.materials.len()));
+        let (levels, materials) = (self.cell_widths.len(), self.materials.len());
+        if particles.lists.len() != levels * materials {
+            return refuse(format!(
+                "{} lists where the plan has {materials} materials on {levels} levels",
+                particles.lists.len()
+            ));
         }
-        for (i, (list, planned)) in particles.lists.iter().zip(&self.materials).enumerate() {
-            let (law, n) = (&planned.material, list.len());
-            let width = self.cell_widths.get(list.level as usize).copied();
-            if list.material as usize != i || list.world != 0 || width != Some(list.cell_width) {
+        for (i, list) in particles.lists.iter().enumerate() {
+            let (level, material) = (i / materials, i % materials);
+            let (law, n) = (&self.materials[material].material, list.len());
+            let place = (list.world, list.level as usize, list.material as usize);
+            if place != (0, level, material) || list.cell_width != self.cell_widths[level] {
                 return refuse(format!(
                     "list {i} is of world {}, level {} with cells of {} m and material {}",
                     list.world, list.level, list.cell_width, list.material
@@ -387,20 +426,21 @@ impl Plan {
     }
 
     fn list_stages(&self) -> Vec<Stage> {
-        let mut stages = Vec::new();
-        if self.particle_count > 0 {
-            stages.extend([Stage::Sort, Stage::P2G, Stage::GridUpdate]);
-        }
-        if !self.couplings.is_empty() {
-            stages.push(Stage::Contact);
-        }
-        if self.particle_count > 0 {
-            stages.push(Stage::G2P);
-        }
-        stages
+        let (ground, levels) = (self.particle_count > 0, self.cell_widths.len() > 1);
+        let in_order = [
+            (Stage::Adapt, ground && levels),
+            (Stage::Sort, ground),
+            (Stage::P2G, ground),
+            (Stage::Restrict, ground && levels),
+            (Stage::GridUpdate, ground),
+            (Stage::Contact, !self.couplings.is_empty()),
+            (Stage::Prolong, ground && levels),
+            (Stage::G2P, ground),
+        ];
+        in_order.into_iter().filter(|(_, called_for)| *called_for).map(|(stage, _)| stage).collect()
     }
 
-    fn list_effects(&self) -> Vec<Effect> {
+    fn list_effects(&self, particles_by_level: &[usize]) -> Vec<Effect> {
         let scene = &self.scene;
         let mut effects = Vec::new();
         let mut add = |name: String, because: String, adds: String| effects.push(Effect { name, because, adds });
@@ -411,7 +451,30 @@ impl Plan {
                     "" => format!("body[{i}]"),
                     name => format!("body '{name}'"),
                 })),
-                "sort, P2G, grid update, G2P; one level".to_owned(),
+                "sort, P2G, grid update, G2P".to_owned(),
+            );
+        }
+        if self.particle_count > 0 && self.cell_widths.len() > 1 {
+            let followed = self.agents.iter().map(|agent| match agent {
+                Agent::Rigid(name) => name.clone(),
+                Agent::Soft(body) => scene.body[usize::from(*body)].name.clone(),
+            });
+            let counts = particles_by_level.iter().map(usize::to_string).collect::<Vec<_>>();
+            add(
+                format!("{} levels", self.cell_widths.len()),
+                format!("levels.count = {} around {}", scene.levels.count, listed(followed)),
+                format!(
+                    "adapt, restrict, prolong; {} particles, finest first; boxes of {}³ cells",
+                    counts.join(" + "),
+                    2 * scene.levels.half
+                ),
+            );
+        }
+        if self.substeps > 1 {
+            add(
+                "subcycling".to_owned(),
+                "levels.subcycle = true".to_owned(),
+                format!("{} steps of the finest level in one of the coarsest", self.substeps),
             );
         }
         for planned in &self.materials {
@@ -659,6 +722,21 @@ fn resolve(scene: &Scene, path: &str, spec: &MaterialSpec, law: &Material) -> Re
     Ok(values)
 }
 
+/// What the levels follow: what the scene names, or else every tool that moves.
+fn agents(scene: &Scene) -> Vec<Agent> {
+    let tool = |name: &String| Agent::Rigid(name.clone());
+    match &scene.levels.agents {
+        None => scene.tool.iter().filter(|t| !matches!(t.motion, Motion::Fixed)).map(|t| tool(&t.name)).collect(),
+        Some(names) => names
+            .iter()
+            .map(|name| match scene.body.iter().position(|body| body.name == *name) {
+                Some(body) if scene.tool.iter().all(|t| t.name != *name) => Agent::Soft(body as u16),
+                _ => tool(name),
+            })
+            .collect(),
+    }
+}
+
 /// The kinds of couplings called for, each with the key path that calls for it first.
 fn coupling_kinds(scene: &Scene) -> Vec<(String, String)> {
     let mut kinds: Vec<(String, String)> = Vec::new();
@@ -678,7 +756,8 @@ fn start_bound(scene: &Scene, materials: &[PlannedMaterial], couplings: &[Box<dy
     let h = scene.world.cell;
     let mut bound = Bound { dt: f64::INFINITY, by: "nothing".to_owned() };
     for planned in materials {
-        if let Some(dt) = planned.bound(h)?.filter(|dt| *dt < bound.dt) {
+        let whole = planned.bound(h)?.map(|dt| dt * f64::from(scene.levels.substeps()));
+        if let Some(dt) = whole.filter(|dt| *dt < bound.dt) {
             bound = Bound { dt, by: format!("material '{}': stiffness", planned.name) };
         }
     }
@@ -695,7 +774,8 @@ pub(crate) fn tighten(bound: Bound, couplings: &[Box<dyn Coupling>], time: f64, 
 
 /// The step that a scene asks for under a bound, before [`OverBound`] is considered [s].
 pub(crate) fn wanted_step(scene: &Scene, bound: &Bound) -> f64 {
-    scene.time.step.unwrap_or_else(|| (scene.time.safety * bound.dt).min(UNBOUND_STEP * scene.output.interval))
+    let given = scene.time.step.map(|step| step * f64::from(scene.levels.substeps()));
+    given.unwrap_or_else(|| (scene.time.safety * bound.dt).min(UNBOUND_STEP * scene.output.interval))
 }
 
 fn first_step(scene: &Scene, bound: &Bound, resumed: bool) -> Result<f64> {
@@ -761,7 +841,11 @@ impl fmt::Display for Plan {
             writeln!(f, "          {}", self.scene.doc)?;
         }
         let cells: Vec<_> = (0..3).map(|d| (self.cell_max[d] - self.cell_min[d]).to_string()).collect();
+        let widths: Vec<_> = self.cell_widths.iter().map(f64::to_string).collect();
         writeln!(f, "world     {} cells of {} m, {}", cells.join(" x "), self.cell_widths[0], self.precision)?;
+        if widths.len() > 1 {
+            writeln!(f, "levels    cells of {} m", widths.join(", "))?;
+        }
         writeln!(f, "particles {}", self.particle_count)?;
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
         writeln!(

@@ -38,6 +38,9 @@ pub struct Scene {
     pub gravity_ramp: f64,
     /// Extent, resolution and walls.
     pub world: World,
+    /// Nested levels of resolution.
+    #[serde(default)]
+    pub levels: Levels,
     /// Duration and time step.
     pub time: Time,
     /// What is written, and how often.
@@ -91,6 +94,52 @@ pub struct World {
     /// What happens to a particle that crosses an open side or a wall.
     #[serde(default)]
     pub leaving: Leaving,
+}
+
+/// Nested levels of resolution: fine around agents, coarser further away.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Levels {
+    /// Number of levels; cells of each are twice as wide as those of the next finer one. With 1 there is nothing to nest.
+    #[serde(default = "one_level")]
+    pub count: u32,
+    /// Cells along each level's box around an agent, counted from its middle in cells of the level. The coarsest level is the
+    /// whole world.
+    #[serde(default = "default_half")]
+    pub half: u32,
+    /// Names of the tools and bodies that the boxes follow; absent: all tools that move.
+    #[serde(default)]
+    pub agents: Option<Vec<String>>,
+    /// Steps twice as long on each coarser level.
+    #[serde(default)]
+    pub subcycle: bool,
+    /// Particles at the surface are not merged where that would move the surface by more than this, in sides of the merged
+    /// particle; and particles are not merged if their history differs by more.
+    #[serde(default = "default_tolerance")]
+    pub tolerance: f64,
+}
+
+fn one_level() -> u32 {
+    1
+}
+fn default_half() -> u32 {
+    32
+}
+fn default_tolerance() -> f64 {
+    0.1
+}
+
+impl Levels {
+    /// Steps of the finest level in one step of the simulation.
+    pub fn substeps(&self) -> u32 {
+        if self.subcycle { 1 << (self.count - 1) } else { 1 }
+    }
+}
+
+impl Default for Levels {
+    fn default() -> Self {
+        Self { count: one_level(), half: default_half(), agents: None, subcycle: false, tolerance: default_tolerance() }
+    }
 }
 
 /// Walls on the six sides of the world.
@@ -157,7 +206,7 @@ pub enum Leaving {
 pub struct Time {
     /// Simulated seconds.
     pub end: f64,
-    /// Time step [s]; absent: as large as `safety` allows.
+    /// Time step of the finest level [s]; absent: as large as `safety` allows.
     #[serde(default)]
     pub step: Option<f64>,
     /// Fraction of the stability bound that an automatic step uses.

@@ -1,20 +1,26 @@
 //! Fills soft bodies with particles.
 
+use crate::coupling::Aabb;
+use crate::levels::{Regions, SPLIT_AHEAD};
 use crate::plan::{PlannedMaterial, Precision};
 use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, cross};
-use crate::{Coupling, Error, ParticleList, ParticleState, Registry, Result, Vec3, solid};
+use crate::solid::Solid;
+use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, solid};
 
 /// Particles that fixed-point offsets can tell from a cell's face, in cells: half of the last place.
 const SNAP: f64 = 1.0 / (1_u64 << 33) as f64;
 /// Last place of a fixed-point offset: one cell is this many.
 const FIXED: f64 = (1_u64 << 32) as f64;
 
-/// Seeds all bodies of a scene, one list per planned material.
+/// Seeds all bodies of a scene, one list per level and planned material.
 ///
 /// Particles stand on a cubic lattice, centred in the shape's bounds (from the bottom up in height fields), so that a
 /// box of n spacings holds n particles along that side, the first half a spacing from the face. A particle's rest
 /// volume is the cube of the spacing. Coordinates are computed relative to the cell of the shape's corner, so a scene
 /// moved by whole cells has the same offsets, bit for bit.
+///
+/// With several levels the lattice is that of the finest one, and whole cubes of 2, 4, 8, … points along each side are one
+/// particle in their middle where only coarser levels reach: so mass and shape are those of the finest lattice.
 ///
 /// # Errors
 /// [`Error::Scene`] for a body without particles, [`Error::Capacity`] if they would take more than `max_bytes`, and
@@ -24,24 +30,34 @@ pub(crate) fn seed(
     registry: &Registry,
     materials: &[PlannedMaterial],
     couplings: &[Box<dyn Coupling>],
+    regions: &Regions,
     precision: Precision,
     max_bytes: u64,
 ) -> Result<ParticleState> {
-    let mut lists: Vec<_> = (0..materials.len()).map(|m| empty_list(m, &materials[m], scene.world.cell)).collect();
-    let mut seeder = Seeder { scene, registry, couplings, precision, next_id: 0, bytes: 0.0, max_bytes };
+    let mut lists: Vec<_> = (0..regions.levels())
+        .flat_map(|level| materials.iter().enumerate().map(move |(m, planned)| (level, m, planned)))
+        .map(|(level, m, planned)| empty_list(level, m, planned, scene.world.cell))
+        .collect();
+    let mut seeder = Seeder { scene, registry, couplings, regions, precision, next_id: 0, bytes: 0.0, max_bytes };
     for (i, body) in scene.body.iter().enumerate() {
         if let Some(m) = materials.iter().position(|m| m.name == body.material) {
-            seeder.fill(i, body, &materials[m], &mut lists[m])?;
+            seeder.fill(i, body, &materials[m], lists.iter_mut().skip(m).step_by(materials.len()).collect())?;
         }
     }
-    Ok(ParticleState { lists, strain_dt: 0.0, sort: None })
+    let levels = (regions.levels() > 1).then(|| LevelPhase {
+        boxes: regions.boxes().to_vec(),
+        next_id: seeder.next_id,
+        rounds: 0,
+    });
+    Ok(ParticleState { lists, strain_dt: 0.0, sort: None, levels })
 }
 
 /// A list without particles but with all of its planes.
-fn empty_list(index: usize, planned: &PlannedMaterial, cell_width: f64) -> ParticleList {
+fn empty_list(level: usize, index: usize, planned: &PlannedMaterial, finest: f64) -> ParticleList {
     ParticleList {
+        level: level as u32,
         material: index as u32,
-        cell_width,
+        cell_width: finest * f64::from(1 << level),
         strain: vec![Vec::new(); planned.material.strain_planes()],
         state: vec![Vec::new(); planned.material.states.len()],
         ..ParticleList::default()
@@ -52,6 +68,7 @@ struct Seeder<'a> {
     scene: &'a Scene,
     registry: &'a Registry,
     couplings: &'a [Box<dyn Coupling>],
+    regions: &'a Regions,
     precision: Precision,
     next_id: u64,
     /// Bytes asked for so far.
@@ -60,7 +77,14 @@ struct Seeder<'a> {
 }
 
 impl Seeder<'_> {
-    fn fill(&mut self, index: usize, body: &Body, planned: &PlannedMaterial, list: &mut ParticleList) -> Result<()> {
+    /// Fills one body; `lists` are those of its material, finest level first.
+    fn fill(
+        &mut self,
+        index: usize,
+        body: &Body,
+        planned: &PlannedMaterial,
+        mut lists: Vec<&mut ParticleList>,
+    ) -> Result<()> {
         let path = format!("body[{index}]");
         let solid = solid::of_shape(&body.shape, self.scene, self.registry, &format!("{path}.shape"))?;
         let bounds = solid.bounds();
@@ -72,9 +96,10 @@ impl Seeder<'_> {
         });
         let points: f64 = axes.iter().map(|axis| axis.count as f64).product();
         let least = axes.iter().map(|axis| axis.extent).fold(f64::INFINITY, f64::min);
+        let scene = self.scene;
         let empty = |why: String, mend: &str| {
             let name = if body.name.is_empty() { String::new() } else { format!(" '{}'", body.name) };
-            Err(self.scene.fault(&path, format!("body{name} has no particles: {why}"), mend))
+            Err(scene.fault(&path, format!("body{name} has no particles: {why}"), mend))
         };
         if points < 1.0 {
             return empty(
@@ -82,6 +107,17 @@ impl Seeder<'_> {
                 "enlarge it, or lower spacing or world.cell",
             );
         }
+        if lists.len() > 1 {
+            let cubes = Cubes {
+                index: index as u64,
+                body,
+                solid: &*solid,
+                axes: &axes,
+                tools: self.couplings.iter().flat_map(|c| c.bounds()).collect(),
+            };
+            return self.fill_levels(&cubes, planned, &mut lists, empty);
+        }
+        let list = &mut *lists[0];
         self.bytes += points * bytes_while_seeding(planned, self.precision) as f64;
         if self.bytes > self.max_bytes as f64 {
             return Err(Error::Capacity {
@@ -141,47 +177,183 @@ impl Seeder<'_> {
                 "move the body or the tools, or set around_tools = false",
             );
         }
-        self.fill_rest(index, body, planned, list, spacing);
+        self.fill_rest(index, body, planned, &mut lists, &[Vec::new()]);
         Ok(())
     }
 
-    /// Everything but positions.
+    /// Fills one body on several levels.
+    fn fill_levels(
+        &mut self,
+        cubes: &Cubes,
+        planned: &PlannedMaterial,
+        lists: &mut [&mut ParticleList],
+        empty: impl Fn(String, &str) -> Result<()>,
+    ) -> Result<()> {
+        let coarsest = lists.len() - 1;
+        let mut classes = vec![Vec::new(); lists.len()];
+        let each = bytes_while_seeding(planned, self.precision) as f64;
+        let mut found = Vec::new();
+        let starts = |d: usize| (0..cubes.axes[d].count).step_by(1 << coarsest);
+        for i in starts(0) {
+            for j in starts(1) {
+                for k in starts(2) {
+                    self.find_cubes(cubes, [i, j, k], coarsest, &mut found);
+                }
+                self.bytes += found.len() as f64 * each;
+                if self.bytes > self.max_bytes as f64 {
+                    return Err(Error::Capacity {
+                        what: "memory for particles [bytes]",
+                        asked: self.bytes as u64,
+                        cap: self.max_bytes,
+                        mend: "add a level, raise world.cell or spacing, shrink the bodies, or raise the cap",
+                    });
+                }
+                for (origin, class) in found.drain(..) {
+                    let site = self.cube_site(cubes, origin, class);
+                    let level = self.regions.finest_at(site.map(|s| s.cell), 0);
+                    let fixed = site.map(|s| s.on_level(level, self.precision));
+                    lists[level].cell.push(fixed.map(|f| f.0));
+                    lists[level].offset.push(fixed.map(|f| f.1));
+                    classes[level].push(class as u32);
+                }
+            }
+        }
+        if classes.iter().all(Vec::is_empty) {
+            return empty(
+                format!(
+                    "no point of a lattice of {} m lies inside its shape and outside tools",
+                    self.scene.spacing(cubes.body)
+                ),
+                "enlarge it, lower spacing or world.cell, move the tools, or set around_tools = false",
+            );
+        }
+        self.fill_rest(cubes.index as usize, cubes.body, planned, lists, &classes);
+        Ok(())
+    }
+
+    /// Finds the largest particles that fill the cube of 2^class lattice points along each side. Is it one single particle?
+    fn find_cubes(&self, cubes: &Cubes, origin: [u64; 3], class: usize, found: &mut Vec<([u64; 3], usize)>) -> bool {
+        if (0..3).any(|d| origin[d] >= cubes.axes[d].count) {
+            return false;
+        }
+        let last: [u64; 3] = std::array::from_fn(|d| (origin[d] + (1 << class) - 1).min(cubes.axes[d].count - 1));
+        let whole = (0..3).all(|d| last[d] - origin[d] == (1 << class) - 1);
+        let points = Aabb {
+            min: std::array::from_fn(|d| cubes.axes[d].site(origin[d] as f64).position),
+            max: std::array::from_fn(|d| cubes.axes[d].site(last[d] as f64).position),
+        };
+        let cover = cubes.solid.cover(&points);
+        if cover == Some(false) {
+            return false;
+        }
+        let clear = !cubes.body.around_tools || !cubes.tools.iter().any(|tool| tool.meets(&points));
+        if class == 0 {
+            let free = clear || self.couplings.iter().all(|c| c.distance(&[points.min])[0] >= 0.0);
+            if !free || !cubes.solid.contains(points.min) {
+                return false;
+            }
+            found.push((origin, 0));
+            return true;
+        }
+        let site = self.cube_site(cubes, origin, class);
+        let reached = class <= self.regions.finest_at(site.map(|s| s.cell), SPLIT_AHEAD);
+        let start = found.len();
+        if !(whole && reached && clear && cover == Some(true)) {
+            let mut all = true;
+            for child in 0..8_u64 {
+                let at = std::array::from_fn(|d| origin[d] + (child >> d & 1) * (1 << (class - 1)));
+                all &= self.find_cubes(cubes, at, class - 1, found);
+            }
+            if !(whole && reached && all) {
+                return false;
+            }
+            found.truncate(start);
+        }
+        found.push((origin, class));
+        true
+    }
+
+    /// Where a particle of 2^class lattice points along each side lies.
+    fn cube_site(&self, cubes: &Cubes, origin: [u64; 3], class: usize) -> [Site; 3] {
+        let side = f64::from(1_u32 << class);
+        std::array::from_fn(|d| {
+            let axis = &cubes.axes[d];
+            let random = match cubes.body.sampling {
+                Sampling::Lattice => 0.5,
+                Sampling::Jitter => {
+                    let number = (origin[0] * cubes.axes[1].count + origin[1]) * cubes.axes[2].count + origin[2];
+                    uniform(self.scene.seed, cubes.index, number, d as u64)
+                }
+            };
+            axis.site(origin[d] as f64 + 0.5 * (side - 1.0) + side * (random - 0.5))
+        })
+    }
+
+    /// Everything but positions, for the particles that have been placed in the lists of one material. `classes` says how
+    /// many lattice points each stands for along a side, as a power of two; where it is empty, one.
     fn fill_rest(
         &mut self,
         index: usize,
         body: &Body,
         planned: &PlannedMaterial,
-        list: &mut ParticleList,
-        spacing: f64,
+        lists: &mut [&mut ParticleList],
+        classes: &[Vec<u32>],
     ) {
         let round = |x: f64| if self.precision == Precision::F32 { f64::from(x as f32) } else { x };
-        let (start, end) = (list.id.len(), list.cell.len());
-        list.id.extend(self.next_id..self.next_id + (end - start) as u64);
-        self.next_id += (end - start) as u64;
-        list.body.resize(end, index as u16);
-        let volume0 = spacing.powi(3);
-        list.volume0.resize(end, round(volume0));
-        list.mass.resize(end, round(planned.density * volume0));
-        for (plane, identity) in list.strain.iter_mut().zip(planned.material.strain_identity()) {
-            plane.resize(end, *identity);
-        }
-        for (plane, variable) in list.state.iter_mut().zip(&planned.material.states) {
-            plane.resize(end, round(variable.initial));
-        }
+        let spacing = self.scene.spacing(body);
         let [wx, wy, wz] = body.angular_velocity;
         let spin = [0.0, -wz, wy, wz, 0.0, -wx, -wy, wx, 0.0];
-        list.affine.resize(end, spin.map(round));
-        list.velocity.resize(end, body.velocity.map(round));
+        let starts: Vec<usize> = lists.iter().map(|list| list.id.len()).collect();
+        for ((list, &start), classes) in lists.iter_mut().zip(&starts).zip(classes) {
+            let end = list.cell.len();
+            list.id.extend(self.next_id..self.next_id + (end - start) as u64);
+            self.next_id += (end - start) as u64;
+            list.body.resize(end, index as u16);
+            for i in 0..end - start {
+                let class = classes.get(i).copied().unwrap_or(0);
+                let volume0 = (spacing * f64::from(1_u32 << class)).powi(3);
+                list.volume0.push(round(volume0));
+                list.mass.push(round(planned.density * volume0));
+            }
+            for (plane, identity) in list.strain.iter_mut().zip(planned.material.strain_identity()) {
+                plane.resize(end, *identity);
+            }
+            for (plane, variable) in list.state.iter_mut().zip(&planned.material.states) {
+                plane.resize(end, round(variable.initial));
+            }
+            list.affine.resize(end, spin.map(round));
+            list.velocity.resize(end, body.velocity.map(round));
+        }
         if body.angular_velocity != [0.0; 3] {
-            let center: Vec3 =
-                std::array::from_fn(|d| (start..end).map(|i| list.position(i)[d]).sum::<f64>() / (end - start) as f64);
-            for i in start..end {
-                let x = list.position(i);
-                let turning = cross(body.angular_velocity, std::array::from_fn(|d| x[d] - center[d]));
-                list.velocity[i] = std::array::from_fn(|d| round(body.velocity[d] + turning[d]));
+            let (mut moment, mut weight) = ([0.0; 3], 0.0);
+            for ((list, &start), classes) in lists.iter().zip(&starts).zip(classes) {
+                for i in start..list.cell.len() {
+                    let points = f64::from(8_u32.pow(classes.get(i - start).copied().unwrap_or(0)));
+                    let x = list.position(i);
+                    (0..3).for_each(|d| moment[d] += points * x[d]);
+                    weight += points;
+                }
+            }
+            let center: Vec3 = moment.map(|m| m / weight);
+            for (list, &start) in lists.iter_mut().zip(&starts) {
+                for i in start..list.cell.len() {
+                    let x = list.position(i);
+                    let turning = cross(body.angular_velocity, std::array::from_fn(|d| x[d] - center[d]));
+                    list.velocity[i] = std::array::from_fn(|d| round(body.velocity[d] + turning[d]));
+                }
             }
         }
     }
+}
+
+/// The lattice of one body, whose whole cubes become particles of coarser levels.
+struct Cubes<'a> {
+    index: u64,
+    body: &'a Body,
+    solid: &'a dyn Solid,
+    axes: &'a [Axis; 3],
+    /// Boxes around tools: in there, points are tried one by one.
+    tools: Vec<Aabb>,
 }
 
 /// Bytes of one particle in a [`ParticleList`] and in a backend, which coexist when a run starts.
@@ -269,6 +441,12 @@ struct Site {
 }
 
 impl Site {
+    /// Cell and offset on a level, as the run's number format holds them.
+    fn on_level(self, level: usize, precision: Precision) -> (i32, f64) {
+        let within = f64::from(self.cell & ((1 << level) - 1)) + self.offset;
+        let offset = within / f64::from(1 << level);
+        Self { cell: self.cell >> level, offset, position: self.position }.fixed(precision)
+    }
     /// Cell and offset as the run's number format holds them. A point on a face belongs to the upper cell.
     fn fixed(self, precision: Precision) -> (i32, f64) {
         if precision == Precision::F64 {

@@ -436,6 +436,8 @@ fn only_sums(mut ledger: Ledger) -> Ledger {
         wall_impulse: ledger.wall_impulse,
         gravity_impulse: ledger.gravity_impulse,
         deleted_mass: ledger.deleted_mass,
+        resampled_kinetic: ledger.resampled_kinetic,
+        resampled_angular_momentum: ledger.resampled_angular_momentum,
         counts: ledger.counts,
         ..Ledger::default()
     }

@@ -7,7 +7,7 @@
 //! All numbers are little-endian. Planes of numbers are stored as f32 where that loses nothing, offsets as 32-bit fixed
 //! point likewise, else as f64.
 
-use crate::{Error, Ledger, Measured, ParticleList, ParticleState, Precision, Result, SortPhase};
+use crate::{Error, Ledger, LevelPhase, Measured, ParticleList, ParticleState, Precision, Result, SortPhase};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 const MAGIC: &[u8; 8] = b"BARCHAN\x1a";
 /// Version of the format that this program writes, and the only one it reads.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 const HEAD: &[u8; 4] = b"HEAD";
 const LIST: &[u8; 4] = b"LIST";
@@ -54,6 +54,8 @@ struct Head {
     cut_steps: u64,
     carried: Ledger,
     strain_dt: f64,
+    #[serde(default)]
+    levels: Option<LevelPhase>,
 }
 
 impl Snapshot {
@@ -69,6 +71,7 @@ impl Snapshot {
             cut_steps: self.cut_steps,
             carried: self.carried.clone(),
             strain_dt: self.particles.strain_dt,
+            levels: self.particles.levels.clone(),
         };
         write_whole(path, "writing a snapshot", |out| {
             out.write_all(MAGIC)?;
@@ -142,6 +145,7 @@ impl Snapshot {
         }
         let head = head.ok_or_else(|| damaged("has no header".to_owned()))?;
         particles.strain_dt = head.strain_dt;
+        particles.levels = head.levels;
         Ok(Self {
             scene: head.scene,
             folder: head.folder,
@@ -350,7 +354,8 @@ fn decode_list(from: &mut Reader<'_>) -> Result<ParticleList, Flaw> {
 fn encode_sort(sort: &SortPhase) -> Vec<u8> {
     let mut out = Vec::new();
     out.extend_from_slice(&sort.age.to_le_bytes());
-    out.extend_from_slice(&sort.drift.to_le_bytes());
+    out.extend_from_slice(&(sort.drift.len() as u64).to_le_bytes());
+    sort.drift.iter().for_each(|drift| out.extend_from_slice(&drift.to_le_bytes()));
     out.extend_from_slice(&sort.measured.stiffness_bound.to_le_bytes());
     out.extend_from_slice(&sort.measured.stiffness_age.to_le_bytes());
     out.extend_from_slice(&(sort.blocks.len() as u64).to_le_bytes());
@@ -363,7 +368,9 @@ fn encode_sort(sort: &SortPhase) -> Vec<u8> {
 }
 
 fn decode_sort(from: &mut Reader<'_>) -> Result<SortPhase, Flaw> {
-    let (age, drift) = (from.u32()?, from.f64()?);
+    let age = from.u32()?;
+    let levels = from.length(8)?;
+    let drift = (0..levels).map(|_| from.f64()).collect::<Result<_, _>>()?;
     let measured = Measured { stiffness_bound: from.f64()?, stiffness_age: from.u32()? };
     // A block takes 20 bytes of key and 8 of count at least.
     let count = from.length(20 + 8)?;

@@ -11,6 +11,19 @@ pub trait Solid: Send + Sync {
     fn bounds(&self) -> Aabb;
     /// Is the point inside?
     fn contains(&self, x: Vec3) -> bool;
+    /// Are all points of a box inside (`Some(true)`), or none (`Some(false)`)? `None` says nothing: points have to be tried.
+    fn cover(&self, region: &Aabb) -> Option<bool> {
+        if region.meets(&self.bounds()) { None } else { Some(false) }
+    }
+}
+
+/// [`Solid::cover`] of a convex solid: it holds a box if it holds its corners.
+fn cover_convex(solid: &dyn Solid, region: &Aabb) -> Option<bool> {
+    let corner = |i: usize| std::array::from_fn(|d| if i >> d & 1 == 0 { region.min[d] } else { region.max[d] });
+    if !region.meets(&solid.bounds()) {
+        return Some(false);
+    }
+    (0..8).all(|i| solid.contains(corner(i))).then_some(true)
 }
 
 /// The solid of a soft body's shape, world frame; `path` is the shape's key path.
@@ -61,6 +74,9 @@ impl Solid for Cuboid {
     fn contains(&self, x: Vec3) -> bool {
         self.0.contains(x)
     }
+    fn cover(&self, region: &Aabb) -> Option<bool> {
+        cover_convex(self, region)
+    }
 }
 
 /// Sphere, cylinder or capsule along z.
@@ -81,6 +97,9 @@ impl Solid for Round {
         let [dx, dy, dz]: Vec3 = std::array::from_fn(|d| x[d] - self.center[d]);
         let beyond = (dz.abs() - self.half).max(0.0);
         dx * dx + dy * dy + beyond * beyond <= self.radius * self.radius && (self.capped || beyond == 0.0)
+    }
+    fn cover(&self, region: &Aabb) -> Option<bool> {
+        cover_convex(self, region)
     }
 }
 
@@ -115,6 +134,24 @@ impl Solid for HeightField {
         (0..2).all(|d| self.min[d] <= x[d] && x[d] <= self.max[d])
             && self.bottom <= x[2]
             && x[2] <= self.height(x[0], x[1])
+    }
+    fn cover(&self, region: &Aabb) -> Option<bool> {
+        if !region.meets(&self.bounds()) {
+            return Some(false);
+        }
+        // Bilinear heights over a rectangle lie between those of the grid points around it.
+        let counts = [self.heights[0].len(), self.heights.len()];
+        let range: [(usize, usize); 2] = std::array::from_fn(|d| {
+            let at = |x: f64| (x - self.min[d]) / (self.max[d] - self.min[d]) * (counts[d] - 1) as f64;
+            (at(region.min[d]).max(0.0) as usize, (at(region.max[d]).ceil() as usize).min(counts[d] - 1))
+        });
+        let rows = &self.heights[range[1].0..=range[1].1];
+        let around = || rows.iter().flat_map(|row| &row[range[0].0..=range[0].1]);
+        if around().all(|height| *height < region.min[2]) {
+            return Some(false);
+        }
+        let within = (0..2).all(|d| self.min[d] <= region.min[d] && region.max[d] <= self.max[d]);
+        (within && self.bottom <= region.min[2] && around().all(|height| region.max[2] <= *height)).then_some(true)
     }
 }
 

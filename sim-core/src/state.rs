@@ -1,6 +1,8 @@
 //! Particles as they are exchanged between backends, snapshots and users.
 
 use crate::Vec3;
+use crate::levels::CellBox;
+use serde::{Deserialize, Serialize};
 
 /// All particles of a simulation.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -11,6 +13,19 @@ pub struct ParticleState {
     pub strain_dt: f64,
     /// How the backend holds them, if it must be reproduced; `None` asks for a fresh sort.
     pub sort: Option<SortPhase>,
+    /// Where the levels are, if there are several; `None` lets them settle around their agents anew.
+    pub levels: Option<LevelPhase>,
+}
+
+/// Where nested levels are, and what their particles need to be split and merged on.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LevelPhase {
+    /// Boxes of each level but the coarsest, in cells of the level.
+    pub boxes: Vec<Vec<CellBox>>,
+    /// Number of the next particle that comes into being.
+    pub next_id: u64,
+    /// Times that particles have been split and merged.
+    pub rounds: u64,
 }
 
 /// Particles of one material on one level of one world. Structure of arrays, all of length [`len`](Self::len).
@@ -68,11 +83,11 @@ impl ParticleList {
 pub struct SortPhase {
     /// Steps since the last sort.
     pub age: u32,
-    /// Upper bound of any particle's move since then, in cells.
-    pub drift: f64,
+    /// Upper bound of any particle's move since then on each level, in cells.
+    pub drift: Vec<f64>,
     /// What the backend has measured of these particles and goes by in its next steps.
     pub measured: Measured,
-    /// Blocks in order: (world, level, block x, y, z) and the number of particles of each list in it.
+    /// Blocks in order: (world, level, block x, y, z) and the number of particles in it of each list of that world and level.
     pub blocks: Vec<([i32; 5], Vec<u32>)>,
 }
 

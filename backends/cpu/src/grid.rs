@@ -1,9 +1,11 @@
 //! The sparse grid: blocks around particles, their tiles and nodes, and who borders on whom.
 
 use crate::memory::advise_large_pages;
-use barchan_core::Plan;
+use barchan_core::levels::{CellBox, Cover};
 use barchan_core::scene::Wall;
-use barchan_grid::block::{self, NODES, NONE, SIDE, TILE};
+use barchan_core::{Plan, Regions};
+use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
+use barchan_grid::ring::{self, COLUMNS};
 use barchan_grid::wall::{Mirror, Mirrors, Separation};
 use barchan_lanes::Float;
 use std::collections::HashMap;
@@ -39,6 +41,8 @@ pub(crate) struct Bounds {
     pub(crate) max: [i32; 3],
     /// Axes whose ends are joined.
     pub(crate) periodic: [bool; 3],
+    /// Ends with a wall of any kind.
+    pub(crate) walled: [[bool; 2]; 3],
     /// Slip and stick walls.
     pub(crate) mirrors: Mirrors,
     /// Walls that let go, with the sum of the node numbers of each mirrored pair along their axis.
@@ -46,10 +50,12 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    pub(crate) fn new(plan: &Plan) -> Self {
+    /// The world's bounds on a level. Walls are faces of its cells; open sides may cut them.
+    pub(crate) fn new(plan: &Plan, level: usize) -> Self {
         let walls = &plan.scene.world.walls;
         let ends = [[walls.x_min, walls.x_max], [walls.y_min, walls.y_max], [walls.z_min, walls.z_max]];
-        let (min, max) = (plan.cell_min, plan.cell_max);
+        let min = plan.cell_min.map(|c| c >> level);
+        let max = plan.cell_max.map(|c| ((c - 1) >> level) + 1);
         let kind = ends.map(|axis| {
             axis.map(|wall| match wall {
                 Wall::Slip => Mirror::Slip,
@@ -70,6 +76,7 @@ impl Bounds {
             min,
             max,
             periodic: ends.map(|axis| axis[0] == Wall::Periodic),
+            walled: ends.map(|axis| axis.map(|wall| !matches!(wall, Wall::Open | Wall::Periodic))),
             mirrors: Mirrors { kind, min, max },
             separations,
         }
@@ -107,6 +114,31 @@ pub(crate) struct Pair {
     pub(crate) image_mass: f64,
 }
 
+/// A block with nodes at the rim of a level's region, and their parents on the next coarser level.
+pub(crate) struct Ring {
+    /// The node block.
+    pub(crate) block: u32,
+    /// Its rim nodes, as bits.
+    pub(crate) slaves: u64,
+    /// Nodes of the coarser grid that hold the 4³ parents; `NONE` where none is needed.
+    pub(crate) parents: [u32; CELLS],
+    /// Components that change their sign on the way to a parent, as bits: it is the image of one behind a wall.
+    pub(crate) flips: [u8; CELLS],
+    /// Affine columns around it, by the offset from their tile to its nodes.
+    pub(crate) edges_around: [u32; 27],
+}
+
+/// What a finer level's rim hands to one node.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Link {
+    /// Ring of the finer level, and place among its parents: ring * 64 + place.
+    pub(crate) from: u32,
+    /// Node in the block.
+    pub(crate) node: u8,
+    /// Components that change their sign, as bits.
+    pub(crate) flips: u8,
+}
+
 /// Blocks of one level, their memory and their neighbours.
 pub(crate) struct Grid<T> {
     /// Keys of the blocks that hold particles, rising.
@@ -123,6 +155,23 @@ pub(crate) struct Grid<T> {
     pub(crate) images: Vec<Vec<T>>,
     /// Pairs at walls that let go, grouped by axis, x first.
     pub(crate) pairs: [Vec<Pair>; 3],
+    /// Blocks at the rim of the level's region.
+    pub(crate) rings: Vec<Ring>,
+    /// For each node block: its ring, or `NONE`.
+    pub(crate) ring_of: Vec<u32>,
+    /// What each ring hands to its parents: momentum and mass.
+    pub(crate) handed: Vec<[T; NODES]>,
+    /// For each occupied block: its affine columns, or `NONE` if its particles touch no rim node.
+    pub(crate) edge_of: Vec<u32>,
+    /// Columns of m C of the blocks that touch rim nodes.
+    pub(crate) columns: Vec<[[T; TILE]; COLUMNS]>,
+    /// What the rim of the next finer level hands to each node block: `links[starts[g]..starts[g + 1]]`.
+    pub(crate) links: Vec<Link>,
+    pub(crate) link_starts: Vec<u32>,
+    /// Keys of blocks that hold parents of the next finer level's rim, rising.
+    parent_keys: Vec<u64>,
+    /// Keys of the coarser blocks that hold parents of the own rim, rising.
+    rim_parents: Vec<u64>,
     /// Tiles of the occupied blocks.
     pub(crate) tiles: Vec<[T; TILE]>,
     /// Nodes: momentum and mass, then velocity and mass.
@@ -139,6 +188,15 @@ impl<T: Float> Default for Grid<T> {
             mirrored: Vec::new(),
             images: Vec::new(),
             pairs: [const { Vec::new() }; 3],
+            rings: Vec::new(),
+            ring_of: Vec::new(),
+            handed: Vec::new(),
+            edge_of: Vec::new(),
+            columns: Vec::new(),
+            links: Vec::new(),
+            link_starts: Vec::new(),
+            parent_keys: Vec::new(),
+            rim_parents: Vec::new(),
             tiles: Vec::new(),
             nodes: Vec::new(),
         }
@@ -156,13 +214,18 @@ impl<T: Float> Grid<T> {
         (self.tiles.capacity() * size_of::<[T; TILE]>()
             + self.nodes.capacity() * size_of::<[T; NODES]>()
             + (self.nodes_around.capacity() + self.tiles_around.capacity()) * 27 * 4
-            + (self.occupied.capacity() + self.keys.capacity()) * 8) as u64
+            + (self.occupied.capacity() + self.keys.capacity()) * 8
+            + self.rings.capacity() * size_of::<Ring>()
+            + self.links.capacity() * size_of::<Link>()
+            + self.handed.capacity() * size_of::<[T; NODES]>()
+            + self.columns.capacity() * size_of::<[[T; TILE]; COLUMNS]>()) as u64
     }
 
-    /// Takes up a new set of occupied blocks. Does nothing if it is the old one.
-    pub(crate) fn rebuild(&mut self, occupied: Vec<u64>, bounds: &Bounds) {
-        if occupied == self.occupied && !self.keys.is_empty() {
-            return;
+    /// Takes up a new set of occupied blocks, and of blocks that hold parents of a finer level. Does nothing if they are the
+    /// old ones and regions have not `changed`; returns whether it did.
+    pub(crate) fn rebuild(&mut self, occupied: &[u64], parent_keys: Vec<u64>, bounds: &Bounds, changed: bool) -> bool {
+        if !changed && occupied == self.occupied && parent_keys == self.parent_keys && !self.keys.is_empty() {
+            return false;
         }
         let around = |key: u64, sign: i32| {
             let at = block::of_key(key);
@@ -176,29 +239,149 @@ impl<T: Float> Grid<T> {
             .flat_map(|&key| around(key, 1))
             .filter(|&b| !bounds.is_behind_mirror(b))
             .filter_map(block::key)
+            .chain(parent_keys.iter().copied())
             .collect();
         keys.sort_unstable();
         keys.dedup();
-        let index = |keys: &[u64]| -> KeyMap { keys.iter().zip(0..).map(|(&key, i)| (key, i)).collect() };
-        let (node_index, tile_index) = (index(&keys), index(&occupied));
-        let find = |map: &KeyMap, b: [i32; 3]| block::key(b).and_then(|key| map.get(&key).copied()).unwrap_or(NONE);
+        let (node_index, tile_index) = (index(&keys), index(occupied));
         self.nodes_around = occupied.iter().map(|&key| around(key, 1).map(|b| find(&node_index, b))).collect();
         self.tiles_around = keys.iter().map(|&key| around(key, -1).map(|b| find(&tile_index, b))).collect();
         self.mirrored =
             occupied.iter().map(|&key| bounds.mirrors.meet(block::of_key(key).map(|b| b * SIDE - 2))).collect();
         self.images.resize(occupied.len(), Vec::new());
-        self.pairs = self.pair_up(&keys, &node_index, bounds);
-        (self.occupied, self.keys) = (occupied, keys);
+        (self.occupied, self.keys, self.parent_keys) = (occupied.to_vec(), keys, parent_keys);
         grow(&mut self.tiles, self.occupied.len(), [T::default(); TILE]);
         grow(&mut self.nodes, self.keys.len(), [T::default(); NODES]);
+        self.ring_of.clear();
+        self.ring_of.resize(self.keys.len(), NONE);
+        self.rings.clear();
+        self.links.clear();
+        self.link_starts.clear();
+        self.link_starts.resize(self.keys.len() + 1, 0);
+        self.pairs = self.pair_up(&node_index, bounds);
+        true
+    }
+
+    /// Finds the nodes at the rim of the level's region, and the blocks whose particles touch them, and the
+    /// coarser blocks that hold their parents.
+    pub(crate) fn find_rim(&mut self, regions: &Regions, level: usize, bounds: &Bounds, coarser: &Bounds) {
+        self.rings.clear();
+        self.ring_of.fill(NONE);
+        for (g, &key) in self.keys.iter().enumerate() {
+            let first = block::of_key(key).map(|b| b * SIDE);
+            let support =
+                |cell: [i32; 3], side: i32| CellBox { min: cell.map(|c| c - 1), max: cell.map(|c| c + side + 1) };
+            if regions.cover(level, support(first, SIDE)) == Cover::All {
+                continue;
+            }
+            let mut slaves = 0;
+            for n in 0..CELLS {
+                let local = [n / 16, n / 4 % 4, n % 4];
+                let cell: [i32; 3] = std::array::from_fn(|d| first[d] + local[d] as i32);
+                let inside = match regions.cover(level, support(cell, 1)) {
+                    Cover::All => true,
+                    Cover::None => false,
+                    // Several boxes may hold the support together.
+                    Cover::Part => (0..27).all(|s| {
+                        let offset = block::offset(s);
+                        regions.contains(level, std::array::from_fn(|d| cell[d] + offset[d]))
+                    }),
+                };
+                if !inside && !bounds.mirrors.is_behind(cell) {
+                    slaves |= 1 << n;
+                }
+            }
+            if slaves != 0 {
+                self.ring_of[g] = self.rings.len() as u32;
+                self.rings.push(Ring {
+                    block: g as u32,
+                    slaves,
+                    parents: [NONE; CELLS],
+                    flips: [0; CELLS],
+                    edges_around: [NONE; 27],
+                });
+            }
+        }
+        grow(&mut self.handed, self.rings.len(), [T::default(); NODES]);
+
+        // The blocks whose tiles hold any of these nodes.
+        let mut edges = 0;
+        self.edge_of = self
+            .nodes_around
+            .iter()
+            .map(|around| {
+                let touches = around.iter().enumerate().any(|(n, &g)| {
+                    let ring = self.ring_of.get(g as usize).and_then(|&r| self.rings.get(r as usize));
+                    ring.is_some_and(|ring| ring.slaves & block::shared_nodes(block::offset(n)) != 0)
+                });
+                edges += u32::from(touches);
+                if touches { edges - 1 } else { NONE }
+            })
+            .collect();
+        grow(&mut self.columns, edges as usize, [[T::default(); TILE]; COLUMNS]);
+        for ring in &mut self.rings {
+            ring.edges_around = self.tiles_around[ring.block as usize]
+                .map(|tile| self.edge_of.get(tile as usize).copied().unwrap_or(NONE));
+        }
+        // Pairs at a wall that lets go are the coarser level's business at the rim.
+        for pairs in &mut self.pairs {
+            pairs.retain(|pair| {
+                let (g, n) = (pair.node as usize / CELLS, pair.node as usize % CELLS);
+                self.rings.get(self.ring_of[g] as usize).is_none_or(|ring| ring.slaves >> n & 1 == 0)
+            });
+        }
+
+        self.rim_parents = self
+            .rings
+            .iter()
+            .flat_map(|ring| {
+                let first = ring::first_parent(block::of_key(self.keys[ring.block as usize]));
+                let used = ring::parents(ring.slaves);
+                (0..CELLS).filter(move |n| used >> n & 1 == 1).map(move |n| place(first, n))
+            })
+            .filter_map(|cell| block::key(coarser.wrap(block::of_cell(coarser.mirrors.reflected(cell).0))))
+            .collect();
+        self.rim_parents.sort_unstable();
+        self.rim_parents.dedup();
+    }
+
+    /// Keys of the coarser blocks that hold parents of the rim, rising.
+    pub(crate) fn parents_of_rim(&self) -> &[u64] {
+        &self.rim_parents
+    }
+
+    /// Ties the rim to the nodes of the next coarser grid, and these to the rim.
+    pub(crate) fn link(&mut self, coarser: &mut Self, bounds: &Bounds) {
+        let node_index = index(&coarser.keys);
+        let mut links: Vec<(u32, Link)> = Vec::new();
+        for (r, ring) in self.rings.iter_mut().enumerate() {
+            let first = ring::first_parent(block::of_key(self.keys[ring.block as usize]));
+            let used = ring::parents(ring.slaves);
+            for n in (0..CELLS).filter(|n| used >> n & 1 == 1) {
+                let (cell, flipped) = bounds.mirrors.reflected(place(first, n));
+                let block = find(&node_index, bounds.wrap(block::of_cell(cell)));
+                if block == NONE {
+                    continue;
+                }
+                let node = (ring::node_in_block(cell) / 4) as u8;
+                let flips = (0..3).fold(0, |bits, d| bits | u8::from(flipped[d]) << d);
+                ring.parents[n] = block * CELLS as u32 + u32::from(node);
+                ring.flips[n] = flips;
+                links.push((block, Link { from: (r * CELLS + n) as u32, node, flips }));
+            }
+        }
+        links.sort_unstable_by_key(|(block, link)| (*block, link.node, link.from));
+        coarser.link_starts =
+            (0..=coarser.keys.len() as u32).map(|g| links.partition_point(|(block, _)| *block < g) as u32).collect();
+        coarser.links = links.into_iter().map(|(_, link)| link).collect();
     }
 
     /// Finds the mirrored pairs of nodes within two cells of walls that let go.
-    fn pair_up(&self, keys: &[u64], node_index: &KeyMap, bounds: &Bounds) -> [Vec<Pair>; 3] {
+    fn pair_up(&self, node_index: &KeyMap, bounds: &Bounds) -> [Vec<Pair>; 3] {
         let mut pairs = [const { Vec::new() }; 3];
         for (s, (separation, sum)) in bounds.separations.iter().enumerate() {
             let axis = separation.axis;
-            for (b, &key) in keys.iter().enumerate() {
+            for (b, &key) in self.keys.iter().enumerate() {
                 let at = block::of_key(key);
                 for n in 0..block::CELLS {
                     let local = [n / 16, n / 4 % 4, n % 4];
@@ -227,6 +410,20 @@ impl<T: Float> Grid<T> {
         }
         pairs
     }
+}
+
+/// Where each key stands.
+fn index(keys: &[u64]) -> KeyMap {
+    keys.iter().zip(0..).map(|(&key, i)| (key, i)).collect()
+}
+
+fn find(map: &KeyMap, b: [i32; 3]) -> u32 {
+    block::key(b).and_then(|key| map.get(&key).copied()).unwrap_or(NONE)
+}
+
+/// The n-th of the 4³ cells from `first` on.
+fn place(first: [i32; 3], n: usize) -> [i32; 3] {
+    [first[0] + (n / 16) as i32, first[1] + (n / 4 % 4) as i32, first[2] + (n % 4) as i32]
 }
 
 /// Makes `memory` hold `count` entries, with some room so that a slowly growing scene does not reallocate at every sort.

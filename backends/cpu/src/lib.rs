@@ -4,8 +4,10 @@
 //! into blocks of cells, never by thread count; no two blocks write the same memory; sums over blocks run in the blocks' order.
 #![expect(unsafe_code, reason = "blocks write disjoint parts of shared planes from several threads")]
 
+mod adapt;
 mod engine;
 mod grid;
+mod level;
 mod memory;
 mod store;
 
@@ -28,7 +30,16 @@ impl Backend for Cpu {
     }
 
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
-        const FORMS: [Stage; 5] = [Stage::Sort, Stage::P2G, Stage::GridUpdate, Stage::Contact, Stage::G2P];
+        const FORMS: [Stage; 8] = [
+            Stage::Adapt,
+            Stage::Sort,
+            Stage::P2G,
+            Stage::Restrict,
+            Stage::GridUpdate,
+            Stage::Contact,
+            Stage::Prolong,
+            Stage::G2P,
+        ];
         if let Some(stage) = plan.stages.iter().find(|stage| !FORMS.contains(stage)) {
             return Err(Error::Missing {
                 kind: "backend",

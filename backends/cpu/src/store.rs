@@ -6,15 +6,29 @@
 use crate::grid::Bounds;
 use crate::memory::{Line, Shared, lines};
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Error, Measured, ParticleList, ParticleState, Result, SortPhase};
+use barchan_core::{Error, ParticleList, Result};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
-use barchan_grid::transfer::{Law, Scalar};
+use barchan_grid::transfer::{Law, MAX_STATE, Scalar};
 use barchan_lanes::LANES;
 use rayon::prelude::*;
 
 /// Marks a padding lane in a permutation.
-const PAD: u32 = u32::MAX;
+pub(crate) const PAD: u32 = u32::MAX;
+
+/// One particle outside of any list, on its way to another place or level. Numbers of the run's precision are exact in it.
+#[derive(Clone, Debug)]
+pub(crate) struct Parcel {
+    /// Index of the list within the level.
+    pub(crate) list: usize,
+    pub(crate) id: u32,
+    pub(crate) body: u16,
+    pub(crate) cell: [i32; 3],
+    pub(crate) offset: [f64; 3],
+    pub(crate) motion: [f64; MOTION],
+    /// Mass, rest volume, strain, history.
+    pub(crate) rest: [f64; STRAIN + 9 + MAX_STATE],
+}
 
 /// The particles of one material.
 pub(crate) struct List<T: Scalar> {
@@ -108,6 +122,44 @@ impl<T: Scalar> List<T> {
         self.rest_of(chunk, lane, VOLUME)
     }
 
+    /// A copy of one particle.
+    pub(crate) fn parcel(&self, index: usize, chunk: usize, lane: usize) -> Parcel {
+        let mut rest = [0.0; STRAIN + 9 + MAX_STATE];
+        for (p, value) in rest[..self.rest_planes].iter_mut().enumerate() {
+            *value = self.rest_of(chunk, lane, p);
+        }
+        Parcel {
+            list: index,
+            id: self.id[chunk][lane],
+            body: self.body[chunk][lane],
+            cell: self.cell_of(chunk, lane),
+            offset: self.offset_of(chunk, lane),
+            motion: self.motion_of(chunk, lane),
+            rest,
+        }
+    }
+
+    /// Puts a particle into a lane.
+    fn put(&mut self, parcel: &Parcel, chunk: usize, lane: usize) {
+        self.id[chunk][lane] = parcel.id;
+        self.body[chunk][lane] = parcel.body;
+        for d in 0..3 {
+            let (cell, offset) = match T::offset_from_f64(parcel.offset[d]) {
+                Some(offset) => (parcel.cell[d], offset),
+                None => (parcel.cell[d] + 1, T::Offset::default()),
+            };
+            self.cell[chunk * 3 + d].0[lane] = cell;
+            self.offset[chunk * 3 + d].0[lane] = offset;
+        }
+        for (p, &value) in parcel.motion.iter().enumerate() {
+            self.motion[chunk * MOTION + p].0[lane] = T::from_f64(value);
+        }
+        let rest = &mut self.rest[chunk * self.rest_planes..][..self.rest_planes];
+        for (plane, &value) in rest.iter_mut().zip(&parcel.rest) {
+            plane.0[lane] = T::from_f64(value);
+        }
+    }
+
     /// Bytes held.
     fn bytes(&self) -> u64 {
         (self.id.capacity() * size_of::<[u32; LANES]>()
@@ -183,33 +235,29 @@ impl<T: Scalar> List<T> {
         self.resize(chunks);
         let places: Vec<_> = self.places().collect();
         for (i, (chunk, lane)) in places.into_iter().enumerate() {
-            self.id[chunk][lane] = list.id[i] as u32;
-            self.body[chunk][lane] = list.body[i];
-            for d in 0..3 {
-                let (cell, offset) = match T::offset_from_f64(list.offset[i][d]) {
-                    Some(offset) => (list.cell[i][d], offset),
-                    None => (list.cell[i][d] + 1, T::Offset::default()),
-                };
-                self.cell[chunk * 3 + d].0[lane] = cell;
-                self.offset[chunk * 3 + d].0[lane] = offset;
-                self.motion[chunk * MOTION + d].0[lane] = T::from_f64(list.velocity[i][d]);
+            let (v, c) = (list.velocity[i], list.affine[i]);
+            let mut parcel = Parcel {
+                list: self.material,
+                id: list.id[i] as u32,
+                body: list.body[i],
+                cell: list.cell[i],
+                offset: list.offset[i],
+                motion: std::array::from_fn(|p| if p < 3 { v[p] } else { c[p - 3] }),
+                rest: [0.0; STRAIN + 9 + MAX_STATE],
+            };
+            let planes = [&list.mass, &list.volume0].into_iter().chain(&list.strain).chain(&list.state);
+            for (value, plane) in parcel.rest.iter_mut().zip(planes) {
+                *value = plane[i];
             }
-            for (p, &c) in list.affine[i].iter().enumerate() {
-                self.motion[chunk * MOTION + 3 + p].0[lane] = T::from_f64(c);
-            }
-            let rest = &mut self.rest[chunk * self.rest_planes..][..self.rest_planes];
-            rest[MASS].0[lane] = T::from_f64(list.mass[i]);
-            rest[VOLUME].0[lane] = T::from_f64(list.volume0[i]);
-            for (plane, values) in rest[STRAIN..].iter_mut().zip(list.strain.iter().chain(&list.state)) {
-                plane.0[lane] = T::from_f64(values[i]);
-            }
+            self.put(&parcel, chunk, lane);
         }
         self.pad();
     }
 
-    fn give_out(&self, cell_width: f64) -> ParticleList {
+    fn give_out(&self, level: usize, cell_width: f64) -> ParticleList {
         let (planes, n) = (self.strain_planes(), self.len());
         let mut out = ParticleList {
+            level: level as u32,
             material: self.material as u32,
             cell_width,
             strain: vec![Vec::with_capacity(n); planes],
@@ -296,17 +344,15 @@ impl<T: Scalar> Store<T> {
                 as u64
     }
 
-    /// Takes in particles. With the phase of a sort they are laid out exactly as it says; the caller sorts otherwise.
-    pub(crate) fn upload(&mut self, state: &ParticleState) -> Result<()> {
+    /// Takes in one level's particles. With the blocks of a sort they are laid out exactly as it says; the caller sorts
+    /// otherwise.
+    pub(crate) fn upload(&mut self, lists: &[ParticleList], blocks: Option<&[([i32; 3], &[u32])]>) -> Result<()> {
         let refuse = |what: String| Error::Body {
             path: "particles".into(),
             what,
             mend: "hand back particles of a simulation of the same scene".into(),
         };
-        if state.lists.len() != self.lists.len() {
-            return Err(refuse(format!("{} lists where the plan has {}", state.lists.len(), self.lists.len())));
-        }
-        for (list, mine) in state.lists.iter().zip(&self.lists) {
+        for (list, mine) in lists.iter().zip(&self.lists) {
             let states = mine.rest_planes - STRAIN - mine.strain_planes();
             if list.strain.len() != mine.strain_planes() || list.state.len() != states {
                 return Err(refuse(format!(
@@ -321,21 +367,20 @@ impl<T: Scalar> Store<T> {
                 return Err(refuse(format!("a particle id is {} or greater", PAD)));
             }
         }
-        match &state.sort {
-            Some(sort) => {
-                self.blocks = sort
-                    .blocks
+        match blocks {
+            Some(blocks) => {
+                self.blocks = blocks
                     .iter()
-                    .map(|([_, _, x, y, z], _)| block::key([*x, *y, *z]))
+                    .map(|(at, _)| block::key(*at))
                     .collect::<Option<_>>()
                     .ok_or_else(|| refuse("a block lies beyond the reach of the grid".into()))?;
-                if sort.blocks.iter().any(|(_, counts)| counts.len() != self.lists.len())
+                if blocks.iter().any(|(_, counts)| counts.len() != self.lists.len())
                     || !self.blocks.is_sorted_by(|a, b| a < b)
                 {
                     return Err(refuse("the sort's blocks are out of order or lack a list".into()));
                 }
-                for (i, (mine, list)) in self.lists.iter_mut().zip(&state.lists).enumerate() {
-                    let counts = sort.blocks.iter().map(|(_, counts)| counts[i] as usize);
+                for (i, (mine, list)) in self.lists.iter_mut().zip(lists).enumerate() {
+                    let counts = blocks.iter().map(|(_, counts)| counts[i] as usize);
                     if counts.clone().sum::<usize>() != list.len() {
                         return Err(refuse(format!("the sort's counts do not add up to list {i}")));
                     }
@@ -345,7 +390,7 @@ impl<T: Scalar> Store<T> {
             None => {
                 // One run that holds everything, in no block: the first sort sees every particle as a newcomer.
                 self.blocks.clear();
-                for (mine, list) in self.lists.iter_mut().zip(&state.lists) {
+                for (mine, list) in self.lists.iter_mut().zip(lists) {
                     mine.take_in(list, std::iter::once(list.len()));
                 }
             }
@@ -353,26 +398,45 @@ impl<T: Scalar> Store<T> {
         Ok(())
     }
 
-    pub(crate) fn download(&self, age: u32, drift: f64, measured: Measured, strain_dt: f64) -> ParticleState {
-        let blocks = self
-            .blocks
-            .iter()
-            .enumerate()
-            .map(|(b, &key)| {
-                let [x, y, z] = block::of_key(key);
-                ([0, 0, x, y, z], self.lists.iter().map(|list| list.runs[b].count as u32).collect())
-            })
-            .collect();
-        ParticleState {
-            lists: self.lists.iter().map(|list| list.give_out(self.cell_width)).collect(),
-            strain_dt,
-            sort: Some(SortPhase { age, drift, measured, blocks }),
+    /// A copy of one level's particles.
+    pub(crate) fn download(&self, level: usize) -> impl Iterator<Item = ParticleList> {
+        self.lists.iter().map(move |list| list.give_out(level, self.cell_width))
+    }
+
+    /// Blocks in order, and the number of particles of each list in them.
+    pub(crate) fn blocks_held(&self) -> impl Iterator<Item = ([i32; 3], Vec<u32>)> {
+        let count = |b: usize| self.lists.iter().map(move |list| list.runs[b].count as u32).collect();
+        self.blocks.iter().enumerate().map(move |(b, &key)| (block::of_key(key), count(b)))
+    }
+
+    /// Takes in particles from elsewhere. They are in no block until the next sort.
+    pub(crate) fn push(&mut self, parcels: &[Parcel]) {
+        for (index, list) in self.lists.iter_mut().enumerate() {
+            let here = || parcels.iter().filter(|parcel| parcel.list == index);
+            let run = Run { first: list.chunks(), count: here().count() };
+            list.resize(run.first + run.chunks());
+            for (i, parcel) in here().enumerate() {
+                list.put(parcel, run.first + i / LANES, i % LANES);
+            }
+            list.runs.push(run);
+            list.pad();
         }
+    }
+
+    /// Makes a lane empty until the next sort, which must be told that there are holes.
+    pub(crate) fn remove(&mut self, list: usize, chunk: usize, lane: usize) {
+        self.lists[list].id[chunk][lane] = PAD;
     }
 
     /// Sorts particles into blocks, and within a block by cell. Particles of a cell keep their order; newcomers to a block
     /// come after those that stayed, in the order of where they were.
-    pub(crate) fn sort(&mut self, bounds: &Bounds, leaving: barchan_core::scene::Leaving) -> Result<Departures> {
+    /// `holes` says whether particles have been removed since the last sort.
+    pub(crate) fn sort(
+        &mut self,
+        bounds: &Bounds,
+        leaving: barchan_core::scene::Leaving,
+        holes: bool,
+    ) -> Result<Departures> {
         // 1. Who leaves the world, who changes the block?
         let n_blocks = self.lists.first().map_or(0, |list| list.runs.len());
         let this = &*self;
@@ -407,7 +471,7 @@ impl<T: Scalar> Store<T> {
         // 2. Count, lay out and order each list's particles.
         let old_blocks = std::mem::replace(&mut self.blocks, keys);
         for index in 0..self.lists.len() {
-            self.sort_list(index, &old_blocks, &movers, departures.deleted > 0);
+            self.sort_list(index, &old_blocks, &movers, holes || departures.deleted > 0);
         }
         Ok(departures)
     }

@@ -11,6 +11,10 @@ const BLOCK: i64 = 4;
 /// Cells are counted in 32 bits; half of their range leaves room for neighbours.
 const MOST_CELLS: f64 = (1 << 30) as f64;
 const AXES: [&str; 3] = ["x", "y", "z"];
+/// More would make the coarsest cells 256 times as wide as the finest.
+const MOST_LEVELS: u32 = 8;
+/// Cells from a box's middle to its side: fewer leave no room between two levels, more than one level can be.
+const HALVES: std::ops::RangeInclusive<u32> = 8..=512;
 
 impl Walls {
     /// The walls of an axis: least side, greatest side.
@@ -90,6 +94,7 @@ impl Scene {
         self.check_names()?;
         self.check_finite()?;
         self.check_world()?;
+        self.check_levels()?;
         self.check_time_and_output()?;
         for (i, material) in self.material.iter().enumerate() {
             self.positive(&format!("material[{i}].density"), material.density)?;
@@ -277,6 +282,63 @@ impl Scene {
                     ((whole[1] + BLOCK - 1).div_euclid(BLOCK) * BLOCK) as f64 * world.cell
                 ),
             )?;
+        }
+        Ok(())
+    }
+
+    fn check_levels(&self) -> Result<()> {
+        let levels = &self.levels;
+        self.require(
+            (1..=MOST_LEVELS).contains(&levels.count),
+            "levels.count",
+            format!("is {}", levels.count),
+            format!("must be from 1 to {MOST_LEVELS}"),
+        )?;
+        self.require(
+            HALVES.contains(&levels.half) && levels.half % 2 == 0,
+            "levels.half",
+            format!("is {}", levels.half),
+            format!("must be even and from {} to {}", HALVES.start(), HALVES.end()),
+        )?;
+        self.require(
+            levels.tolerance >= 0.0 && levels.tolerance <= 1.0,
+            "levels.tolerance",
+            format!("is {}", levels.tolerance),
+            "must be from 0 to 1",
+        )?;
+        for (i, name) in levels.agents.iter().flatten().enumerate() {
+            let known = || self.tool.iter().map(|t| &t.name).chain(self.body.iter().map(|b| &b.name));
+            if !known().any(|k| k == name) {
+                return Err(Error::Unknown {
+                    path: self.place(&format!("levels.agents[{i}]")),
+                    kind: "tool or body of this scene",
+                    name: name.clone(),
+                    known: known().filter(|k| !k.is_empty()).cloned().collect(),
+                });
+            }
+        }
+        // Walls are faces of the coarsest cells too, and periodic axes are whole blocks of them.
+        let coarsest = 1_i64 << (levels.count - 1);
+        for (d, axis) in AXES.into_iter().enumerate() {
+            for (side, wall) in self.world.walls.pair(d).into_iter().enumerate() {
+                let unit = match wall {
+                    Wall::Open => continue,
+                    Wall::Periodic => BLOCK * coarsest,
+                    _ => coarsest,
+                };
+                let x = [self.world.min[d], self.world.max[d]][side];
+                let cells = (x / self.world.cell).round() as i64;
+                let width = unit as f64 * self.world.cell;
+                self.require(
+                    cells % unit == 0,
+                    ["world.min", "world.max"][side],
+                    format!(
+                        "{axis} = {x} m is {cells} cells, and the {} levels need a multiple of {unit} there",
+                        levels.count
+                    ),
+                    format!("the nearest are {} and {}", (x / width).floor() * width, (x / width).ceil() * width),
+                )?;
+            }
         }
         Ok(())
     }

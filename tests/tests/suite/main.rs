@@ -5,6 +5,7 @@ mod coupling;
 mod determinism;
 mod effects;
 mod hard_cases;
+mod levels;
 mod libraries;
 mod plugins;
 mod properties;

@@ -215,7 +215,7 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
                 number(),
                 prop::option::of((
                     any::<u32>(),
-                    number(),
+                    prop::collection::vec(number(), 0..4),
                     (number(), any::<u32>()),
                     prop::collection::vec((any::<[i32; 5]>(), any::<u32>()), 0..5),
                 )),
@@ -237,6 +237,7 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
             out.state = planes[17 + strains..].to_vec();
             ParticleState {
                 lists: vec![out],
+                levels: None,
                 strain_dt: if strain_dt.is_finite() { strain_dt } else { 0.0 },
                 sort: sort.map(|(age, drift, (stiffness_bound, stiffness_age), blocks)| SortPhase {
                     measured: Measured { stiffness_bound, stiffness_age },

@@ -1,0 +1,510 @@
+//! Levels after their agents: who changes level, who is split, who merges.
+//!
+//! A particle's class says how many lattice points of its body it stands for along a side, as a power of two: class l is the
+//! size that belongs to level l. Regions grown by one parent cell hold nothing coarser than their level; what is finer merges
+//! once it is three parent cells away. In between, particles stay as they are, so an agent that trembles changes nothing.
+
+use crate::engine::{CpuEngine, Pass};
+use crate::store::Parcel;
+use barchan_core::levels::{CellBox, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
+use barchan_core::{Aabb, Coupling, Error, Ledger, Result};
+use barchan_grid::block::{self, CELLS, SIDE};
+use barchan_grid::particles::{MASS, STRAIN, VOLUME};
+use barchan_grid::resample::{Change, Particle, Planes, Refusal, merge, split};
+use barchan_grid::transfer::Scalar;
+use barchan_lanes::LANES;
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, HashMap};
+use std::time::Instant;
+
+/// Particles merge if together they are this part of the class that they merge into.
+const PORTION: std::ops::RangeInclusive<f64> = 0.5..=1.6;
+/// Rounds after which what has found no partners may merge in pairs, so that leftovers do not add up.
+const PATIENCE: u64 = 5;
+/// Part of a full cell below which a cell counts as empty: next to it is the surface.
+const EMPTY: f64 = 0.5;
+/// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
+const AROUND_TOOL: f64 = 2.0;
+
+/// What splits and merges have done since the start.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Resampled {
+    moves: u64,
+    splits: u64,
+    merged: u64,
+    merges: u64,
+    kinetic: f64,
+    angular: Vector3<f64>,
+    /// Groups that were refused in the last round.
+    refused: BTreeMap<Refusal, u64>,
+}
+
+impl Resampled {
+    pub(crate) fn account(&self, ledger: &mut Ledger) {
+        ledger.count("particles that changed level", self.moves);
+        ledger.count("particles split", self.splits);
+        ledger.count("particles merged", self.merged);
+        ledger.count("particles that merging left", self.merges);
+        for (why, &count) in &self.refused {
+            ledger.count(&format!("groups kept apart since {} now", why.name()), count);
+        }
+        ledger.resampled_kinetic += self.kinetic;
+        for d in 0..3 {
+            ledger.resampled_angular_momentum[d] += self.angular[d];
+        }
+    }
+}
+
+/// What is to happen to a particle.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Action {
+    Move,
+    Split,
+    /// It may merge; it has also left its level's region.
+    Merge {
+        moves: bool,
+    },
+}
+
+/// A particle that something is to happen to.
+#[derive(Clone, Copy)]
+struct Found {
+    level: usize,
+    list: usize,
+    chunk: usize,
+    lane: usize,
+    class: u32,
+    action: Action,
+}
+
+/// Particles that may merge: class, list, body and bin first, so that those of a bin stand together, in the order of ids.
+type Binned = (u32, usize, u16, [i64; 3], u32, usize);
+
+impl<T: Scalar> CpuEngine<T> {
+    /// Moves the levels' boxes after their agents. Returns whether any has moved.
+    pub(crate) fn follow_agents(&mut self, couplings: &[Box<dyn Coupling>]) -> bool {
+        if self.levels.len() == 1 {
+            return false;
+        }
+        let agents = agent_bounds(&self.agents, couplings, |body| self.soft_bounds(body));
+        self.regions.follow(&agents)
+    }
+
+    /// A box of cells around a soft body.
+    fn soft_bounds(&self, body: u16) -> Option<Aabb> {
+        let mut bounds: Option<Aabb> = None;
+        for level in &self.levels {
+            for list in &level.store.lists {
+                for (chunk, lane) in list.places().filter(|&(chunk, lane)| list.body[chunk][lane] == body) {
+                    let cell = list.cell_of(chunk, lane);
+                    let here = Aabb {
+                        min: cell.map(|c| f64::from(c) * level.h()),
+                        max: cell.map(|c| f64::from(c + 1) * level.h()),
+                    };
+                    bounds = Some(bounds.map_or(here, |all| all.union(&here)));
+                }
+            }
+        }
+        bounds
+    }
+
+    /// Brings particles to the levels whose regions they are in, splits those that are too coarse there and merges those that
+    /// are finer than need be. Returns whether particles were taken out of their lists; a sort must follow.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] if there are no numbers left for new particles.
+    pub(crate) fn adapt(&mut self, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
+        if self.levels.len() == 1 {
+            return Ok(false);
+        }
+        let clock = Instant::now();
+        self.rounds += 1;
+        let found: Vec<Found> = (0..self.levels.len()).flat_map(|l| self.find(l)).collect();
+        let mut coming: Vec<(usize, Parcel)> = Vec::new();
+        let mut gone: Vec<Found> = Vec::new();
+        let tools: Vec<Aabb> = couplings.iter().flat_map(|c| c.bounds()).collect();
+        for &one in found.iter().filter(|one| one.action == Action::Split) {
+            self.split_up(one, couplings, &tools, &mut coming)?;
+            gone.push(one);
+        }
+        let stay = self.merge_all(&found, couplings, &tools, &mut coming, &mut gone);
+        let moving = found.iter().filter(|one| one.action == Action::Move).copied();
+        for one in moving.chain(stay) {
+            coming.push(self.moved(one));
+            gone.push(one);
+            self.resampled.moves += 1;
+        }
+        let holes = !gone.is_empty();
+        for one in gone {
+            self.levels[one.level].store.remove(one.list, one.chunk, one.lane);
+        }
+        coming.sort_by_key(|(level, parcel)| (*level, parcel.list, parcel.id));
+        for (l, level) in self.levels.iter_mut().enumerate() {
+            let here: Vec<Parcel> = coming.extract_if(.., |(level, _)| *level == l).map(|(_, parcel)| parcel).collect();
+            if !here.is_empty() {
+                level.store.push(&here);
+            }
+        }
+        self.clocks.add(Pass::Adapt, clock);
+        Ok(holes)
+    }
+
+    /// Rest volume of a body's particles on the finest level [m³].
+    fn finest_volume(&self, body: u16) -> f64 {
+        self.scene
+            .body
+            .get(usize::from(body))
+            .map_or(0.125 * self.levels[0].h().powi(3), |body| self.scene.spacing(body).powi(3))
+    }
+
+    /// Particles of a level that have to move, split or may merge, in the order of its blocks.
+    fn find(&self, l: usize) -> Vec<Found> {
+        let level = &self.levels[l];
+        let volumes: Vec<f64> = (0..self.scene.body.len().max(1)).map(|body| self.finest_volume(body as u16)).collect();
+        // Particles of class c have less than √8 · 8^c of that.
+        let class_of = |volume0: f64, body: u16| {
+            let ratio = volume0 / volumes[usize::from(body).min(volumes.len() - 1)];
+            (ratio.log2() / 3.0).round().max(0.0) as u32
+        };
+        let runs = level.store.lists.first().map_or(0, |list| list.runs.len());
+        let look = |b: usize| {
+            let mut found = Vec::new();
+            // Particles may have drifted out of their block by a cell.
+            let uniform = level.store.blocks.get(b).and_then(|&key| {
+                let first = block::of_key(key).map(|c| c * SIDE - 1);
+                let cells = CellBox { min: first.map(|c| c << l), max: first.map(|c| (c + SIDE + 2) << l) };
+                Some([
+                    self.regions.finest(cells, 0)?,
+                    self.regions.finest(cells, SPLIT_AHEAD)?,
+                    self.regions.finest(cells, MERGE_BEHIND)?,
+                ])
+            });
+            for (i, list) in level.store.lists.iter().enumerate() {
+                for k in 0..list.runs[b].count {
+                    let (chunk, lane) = (list.runs[b].first + k / LANES, k % LANES);
+                    let [home, most, least] = uniform.unwrap_or_else(|| {
+                        let cell = finest_cell(list.cell_of(chunk, lane), list.offset_of(chunk, lane), l);
+                        [0, SPLIT_AHEAD, MERGE_BEHIND].map(|margin| self.regions.finest_at(cell, margin))
+                    });
+                    let class = class_of(list.volume0_of(chunk, lane), list.body[chunk][lane]);
+                    let action = if class as usize > most {
+                        Action::Split
+                    } else if (class as usize) < least {
+                        Action::Merge { moves: home != l }
+                    } else if home != l {
+                        Action::Move
+                    } else {
+                        continue;
+                    };
+                    found.push(Found { level: l, list: i, chunk, lane, class, action });
+                }
+            }
+            found
+        };
+        let found: Vec<Vec<Found>> = self.crew.pool.install(|| (0..runs).into_par_iter().map(look).collect());
+        found.concat()
+    }
+
+    /// A particle on the level where it belongs.
+    fn moved(&self, one: Found) -> (usize, Parcel) {
+        let parcel = self.levels[one.level].store.lists[one.list].parcel(one.list, one.chunk, one.lane);
+        self.settled(parcel, one.level)
+    }
+
+    /// A parcel with coordinates of level `from`, on the level where it belongs.
+    fn settled(&self, mut parcel: Parcel, from: usize) -> (usize, Parcel) {
+        let finest = finest_cell(parcel.cell, parcel.offset, from);
+        let to = self.regions.finest_at(finest, 0);
+        for d in 0..3 {
+            // Shifts of cell and offset: exact but for the last bit of an offset that becomes coarser.
+            let within = parcel.offset[d] * f64::from(1 << from) - f64::from(finest[d] - (parcel.cell[d] << from));
+            let along = f64::from(finest[d] & ((1 << to) - 1)) + within;
+            parcel.cell[d] = finest[d] >> to;
+            parcel.offset[d] = along / f64::from(1 << to);
+        }
+        (to, parcel)
+    }
+
+    /// A particle with its position relative to a cell of its level [m].
+    fn particle(&self, parcel: &Parcel, origin: [i32; 3], h: f64) -> Particle {
+        let x = Vector3::from_fn(|d, _| (f64::from(parcel.cell[d] - origin[d]) + parcel.offset[d]) * h);
+        let planes = self.levels[0].store.lists[parcel.list].strain_planes();
+        let mut particle = Particle {
+            x,
+            v: Vector3::from_column_slice(&parcel.motion[..3]),
+            c: Matrix3::from_row_slice(&parcel.motion[3..]),
+            mass: parcel.rest[MASS],
+            volume0: parcel.rest[VOLUME],
+            strain: [0.0; 9],
+            state: [0.0; barchan_grid::transfer::MAX_STATE],
+        };
+        particle.strain[..planes].copy_from_slice(&parcel.rest[STRAIN..][..planes]);
+        let n_state = self.levels[0].store.lists[parcel.list].law.table.n_state;
+        particle.state[..n_state].copy_from_slice(&parcel.rest[STRAIN + planes..][..n_state]);
+        particle
+    }
+
+    /// The other way round: the particle on the level where it belongs, as a number and body say.
+    fn parcel_of(&self, p: &Particle, origin: [i32; 3], from: usize, like: &Parcel) -> (usize, Parcel) {
+        let h = self.levels[from].h();
+        let planes = self.levels[0].store.lists[like.list].strain_planes();
+        let mut parcel = like.clone();
+        for d in 0..3 {
+            let along = p.x[d] / h;
+            parcel.cell[d] = origin[d] + along.floor() as i32;
+            parcel.offset[d] = along - along.floor();
+            parcel.motion[d] = p.v[d];
+            for e in 0..3 {
+                parcel.motion[3 + 3 * d + e] = p.c[(d, e)];
+            }
+        }
+        parcel.rest[MASS] = p.mass;
+        parcel.rest[VOLUME] = p.volume0;
+        parcel.rest[STRAIN..][..planes].copy_from_slice(&p.strain[..planes]);
+        let n_state = self.levels[0].store.lists[like.list].law.table.n_state;
+        parcel.rest[STRAIN + planes..][..n_state].copy_from_slice(&p.state[..n_state]);
+        self.settled(parcel, from)
+    }
+
+    fn planes_of(&self, list: usize) -> (bool, Vec<u32>) {
+        let list = &self.levels[0].store.lists[list];
+        let states = &self.materials[list.material].material.states;
+        (list.strain_planes() == 9, states.iter().map(|state| state.merge).collect())
+    }
+
+    /// Replaces a particle by its children, and these by theirs, until none is too coarse for where it is.
+    fn split_up(
+        &mut self,
+        one: Found,
+        couplings: &[Box<dyn Coupling>],
+        tools: &[Aabb],
+        coming: &mut Vec<(usize, Parcel)>,
+    ) -> Result<()> {
+        let h = self.levels[one.level].h();
+        let parcel = self.levels[one.level].store.lists[one.list].parcel(one.list, one.chunk, one.lane);
+        let (is_gradient, rules) = self.planes_of(one.list);
+        let planes = Planes { is_gradient, merge: &rules };
+        let origin = parcel.cell;
+        let corner: [f64; 3] = origin.map(|c| f64::from(c) * h);
+        let mut open = vec![(self.particle(&parcel, origin, h), one.class, parcel.id)];
+        while let Some((particle, class, id)) = open.pop() {
+            let at: [f64; 3] = std::array::from_fn(|d| particle.x[d] / h);
+            let cell: [i32; 3] = std::array::from_fn(|d| origin[d] + at[d].floor() as i32);
+            let finest = finest_cell(cell, at.map(|x| x - x.floor()), one.level);
+            if class as usize <= self.regions.finest_at(finest, SPLIT_AHEAD) {
+                let mut parcel = self.parcel_of(&particle, origin, one.level, &parcel);
+                parcel.1.id = id;
+                coming.push(parcel);
+                continue;
+            }
+            self.resampled.splits += 1;
+            let children = (0..5).map(|tries| split(&particle, planes, 0.5_f64.powi(tries))).find(|children| {
+                let places = children.map(|child| std::array::from_fn(|d| corner[d] + child.x[d]));
+                let near = tools.iter().any(|tool| places.iter().any(|x| tool.contains(*x)));
+                !near || couplings.iter().all(|c| c.distance(&places).iter().all(|distance| *distance >= 0.0))
+            });
+            let children = children.unwrap_or_else(|| split(&particle, planes, f64::MIN_POSITIVE));
+            for (k, child) in children.into_iter().enumerate() {
+                let id = if k == 0 { id } else { self.new_id()? };
+                open.push((child, class - 1, id));
+            }
+        }
+        Ok(())
+    }
+
+    fn new_id(&mut self) -> Result<u32> {
+        let id = u32::try_from(self.next_id).ok().filter(|&id| id != crate::store::PAD).ok_or(Error::Capacity {
+            what: "numbers for particles",
+            asked: self.next_id,
+            cap: u64::from(crate::store::PAD),
+            mend: "use fewer levels or agents that move less: each split takes seven new numbers",
+        })?;
+        self.next_id += 1;
+        Ok(id)
+    }
+
+    /// Merges what can be merged, class by class. Returns those that cannot but have to change level.
+    fn merge_all(
+        &mut self,
+        found: &[Found],
+        couplings: &[Box<dyn Coupling>],
+        tools: &[Aabb],
+        coming: &mut Vec<(usize, Parcel)>,
+        gone: &mut Vec<Found>,
+    ) -> Vec<Found> {
+        self.resampled.refused.clear();
+        let candidates: Vec<Found> =
+            found.iter().filter(|one| matches!(one.action, Action::Merge { .. })).copied().collect();
+        let mut merged = vec![false; candidates.len()];
+        let filling: Vec<HashMap<u64, [f32; CELLS]>> = (0..self.levels.len())
+            .map(|l| if candidates.iter().any(|c| c.level == l) { self.filling(l) } else { HashMap::new() })
+            .collect();
+        // First bins that lie as the lattice lies; then, for what is left over, bins moved by half their side.
+        for shift in [0, 1 + (self.rounds % 7) as usize] {
+            let mut binned: Vec<Binned> = candidates
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| !merged[*i])
+                .map(|(i, one)| {
+                    let list = &self.levels[one.level].store.lists[one.list];
+                    let body = list.body[one.chunk][one.lane];
+                    let side = self.finest_volume(body).cbrt() * f64::from(1 << (one.class + 1));
+                    let (cell, offset) = (list.cell_of(one.chunk, one.lane), list.offset_of(one.chunk, one.lane));
+                    let bin = std::array::from_fn(|d| {
+                        let x = (f64::from(cell[d]) + offset[d]) * self.levels[one.level].h() / side;
+                        (x + if shift >> d & 1 == 1 { 0.5 } else { 0.0 }).floor() as i64
+                    });
+                    (one.class, one.list, body, bin, list.id[one.chunk][one.lane], i)
+                })
+                .collect();
+            self.crew.pool.install(|| binned.par_sort_unstable());
+            let groups: Vec<&[Binned]> = binned.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3)).collect();
+            let pairs = shift != 0 && self.rounds.is_multiple_of(PATIENCE);
+            let results: Vec<Option<Result<Merged, Refusal>>> = self.crew.pool.install(|| {
+                groups.par_iter().map(|group| self.try_merge(group, &candidates, &filling, pairs)).collect()
+            });
+            let mut outcomes = Vec::new();
+            for (group, result) in groups.iter().zip(results) {
+                match result {
+                    None => {}
+                    Some(Err(refusal)) if shift == 0 => *self.resampled.refused.entry(refusal).or_default() += 1,
+                    Some(Err(_)) => {}
+                    Some(Ok(one)) if is_near_tool(&one, couplings, tools) => {}
+                    Some(Ok(one)) => outcomes.push((one, group.iter().map(|b| b.5).collect::<Vec<_>>())),
+                }
+            }
+            for (one, members) in outcomes {
+                self.resampled.merges += 1;
+                self.resampled.merged += members.len() as u64;
+                self.resampled.kinetic += one.change.kinetic;
+                self.resampled.angular += one.change.angular;
+                for i in members {
+                    merged[i] = true;
+                    gone.push(candidates[i]);
+                }
+                coming.push((one.level, one.parcel));
+            }
+        }
+        let left = candidates.iter().zip(merged).filter(|(_, merged)| !merged).map(|(one, _)| *one);
+        left.filter(|one| one.action == Action::Merge { moves: true }).collect()
+    }
+
+    /// Mass in each cell of a level, as a part of a full cell, by block.
+    fn filling(&self, l: usize) -> HashMap<u64, [f32; CELLS]> {
+        let level = &self.levels[l];
+        let volume = level.h().powi(3);
+        let mut filling: HashMap<u64, [f32; CELLS]> = HashMap::new();
+        for list in &level.store.lists {
+            for (chunk, lane) in list.places() {
+                let cell = list.cell_of(chunk, lane);
+                let Some(key) = block::key(block::of_cell(cell)) else { continue };
+                filling.entry(key).or_insert([0.0; CELLS])[place(cell)] +=
+                    (list.volume0_of(chunk, lane) / volume) as f32;
+            }
+        }
+        filling
+    }
+
+    /// One particle in place of a bin's, if they are neither too few nor too many, and alike. `None`: not this time.
+    fn try_merge(
+        &self,
+        group: &[Binned],
+        candidates: &[Found],
+        filling: &[HashMap<u64, [f32; CELLS]>],
+        pairs: bool,
+    ) -> Option<Result<Merged, Refusal>> {
+        let (class, list, body, ..) = group[0];
+        let target = self.finest_volume(body) * 8_f64.powi(class as i32 + 1);
+        let members = || group.iter().map(|binned| candidates[binned.5]);
+        let volume: f64 =
+            members().map(|one| self.levels[one.level].store.lists[one.list].volume0_of(one.chunk, one.lane)).sum();
+        let least = if pairs { 0.0 } else { *PORTION.start() };
+        if group.len() < 2 || volume < least * target || volume > PORTION.end() * target {
+            return None;
+        }
+        // All as seen from the first one's cell, on the coarsest level among them.
+        let level = members().map(|one| one.level).max()?;
+        let h = self.levels[level].h();
+        let parcels: Vec<Parcel> = members()
+            .map(|one| {
+                let mut parcel = self.levels[one.level].store.lists[one.list].parcel(list, one.chunk, one.lane);
+                for d in 0..3 {
+                    let within = f64::from(parcel.cell[d] & ((1 << (level - one.level)) - 1)) + parcel.offset[d];
+                    parcel.cell[d] >>= level - one.level;
+                    parcel.offset[d] = within / f64::from(1 << (level - one.level));
+                }
+                parcel
+            })
+            .collect();
+        let origin = parcels[0].cell;
+        let particles: Vec<Particle> = parcels.iter().map(|parcel| self.particle(parcel, origin, h)).collect();
+        let near_surface = parcels.iter().any(|parcel| self.is_near_surface(parcel.cell, level, &filling[level]));
+        let (is_gradient, rules) = self.planes_of(list);
+        let planes = Planes { is_gradient, merge: &rules };
+        let gravity = self.scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let tolerance = self.scene.levels.tolerance;
+        let (one, change) = match merge(&particles, planes, gravity, tolerance, near_surface) {
+            Ok(merged) => merged,
+            Err(refusal) => return Some(Err(refusal)),
+        };
+        let corner: [f64; 3] = origin.map(|c| f64::from(c) * h);
+        let x: [f64; 3] = std::array::from_fn(|d| corner[d] + one.x[d]);
+        let mut like = parcels[0].clone();
+        like.id = parcels.iter().map(|parcel| parcel.id).min()?;
+        let (level, parcel) = self.parcel_of(&one, origin, level, &like);
+        // Angular momentum about the world's origin: the particles' own change, since momentum and centre stay.
+        Some(Ok(Merged { level, parcel, change, x, clearance: AROUND_TOOL * target.cbrt() }))
+    }
+
+    /// Is any cell around this one less than half full?
+    fn is_near_surface(&self, cell: [i32; 3], level: usize, filling: &HashMap<u64, [f32; CELLS]>) -> bool {
+        let bounds = &self.levels[level].bounds;
+        (0..27).any(|n| {
+            let offset = block::offset(n);
+            let mut at: [i32; 3] = std::array::from_fn(|d| cell[d] + offset[d]);
+            for d in 0..3 {
+                // Behind a wall the ground goes on.
+                if bounds.walled[d][0] {
+                    at[d] = at[d].max(bounds.min[d]);
+                }
+                if bounds.walled[d][1] {
+                    at[d] = at[d].min(bounds.max[d] - 1);
+                }
+            }
+            let key = block::key(bounds.wrap(block::of_cell(at)));
+            let full = key.and_then(|key| filling.get(&key)).map_or(0.0, |cells| cells[place(at)]);
+            f64::from(full) < EMPTY
+        })
+    }
+}
+
+/// A merged particle, the level where it belongs, and what that cost.
+struct Merged {
+    level: usize,
+    parcel: Parcel,
+    change: Change,
+    /// Where it is, and how far from tools it has to be [m].
+    x: [f64; 3],
+    clearance: f64,
+}
+
+/// Does a tool come so near that particles stay fine?
+fn is_near_tool(one: &Merged, couplings: &[Box<dyn Coupling>], tools: &[Aabb]) -> bool {
+    tools.iter().any(|tool| tool.grown(one.clearance).contains(one.x))
+        && couplings.iter().any(|c| c.distance(&[one.x])[0] < one.clearance)
+}
+
+/// The finest level's cell that holds a particle.
+fn finest_cell(cell: [i32; 3], offset: [f64; 3], level: usize) -> [i32; 3] {
+    std::array::from_fn(|d| {
+        let within = (offset[d] * f64::from(1 << level)).floor() as i32;
+        (cell[d] << level) + within.min((1 << level) - 1)
+    })
+}
+
+/// Where a cell stands in its block.
+fn place(cell: [i32; 3]) -> usize {
+    let local = cell.map(|c| (c & 3) as usize);
+    local[0] * 16 + local[1] * 4 + local[2]
+}

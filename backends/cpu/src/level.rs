@@ -1,0 +1,560 @@
+//! One level: its particles, its grid, and the passes over them.
+
+use crate::grid::{Bounds, Grid, Ring};
+use crate::memory::Shared;
+use crate::store::Store;
+use barchan_core::material::ErrorBuffer;
+use barchan_core::{Aabb, NodeBatch, Plan};
+use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
+use barchan_grid::ring::{self, AffineToGrid, COLUMNS};
+use barchan_grid::transfer::{Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
+use barchan_grid::wall::Mirror;
+use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
+use rayon::prelude::*;
+use std::time::Instant;
+
+/// Every so manieth block measures how much of P2G its materials take.
+const TIMED_BLOCKS: usize = 16;
+
+/// Who does the work.
+pub(crate) struct Crew {
+    pub(crate) pool: rayon::ThreadPool,
+    pub(crate) isa: Isa,
+}
+
+/// Nanoseconds in each material's callback and in P2G as a whole, over the blocks that measure.
+#[derive(Clone, Default)]
+pub(crate) struct Shares {
+    pub(crate) materials: Vec<u64>,
+    pub(crate) sampled: u64,
+}
+
+/// What stopped P2G: the list, the fault, the material's words.
+pub(crate) type Stopped = (usize, Fault, ErrorBuffer);
+
+/// One level of one world.
+pub(crate) struct Level<T: Scalar> {
+    pub(crate) store: Store<T>,
+    pub(crate) grid: Grid<T>,
+    pub(crate) bounds: Bounds,
+    /// Upper bound of any particle's move since the last sort, in cells.
+    pub(crate) drift: f64,
+    /// Step over which C has carried the particles but not yet their strain [s].
+    pub(crate) strain_dt: f64,
+    /// Greatest Frobenius norm of C [1/s].
+    pub(crate) deformation_rate: f64,
+    /// Greatest node speed of the last step, along an axis [m/s].
+    pub(crate) max_speed: f64,
+    /// Greatest speed of any particle along an axis [m/s]. Bounds the next step: unlike the nodes', it is part of a snapshot.
+    pub(crate) particle_speed: f64,
+    /// Impulse that walls have given [N s].
+    pub(crate) wall_impulse: [f64; 3],
+    batch_nodes: Vec<u32>,
+}
+
+impl<T: Scalar> Level<T> {
+    pub(crate) fn new(plan: &Plan, index: usize) -> Self {
+        Self {
+            store: Store::new(&plan.materials, plan.cell_widths[index]),
+            grid: Grid::default(),
+            bounds: Bounds::new(plan, index),
+            drift: 0.0,
+            strain_dt: 0.0,
+            deformation_rate: 0.0,
+            max_speed: 0.0,
+            particle_speed: 0.0,
+            wall_impulse: [0.0; 3],
+            batch_nodes: Vec::new(),
+        }
+    }
+
+    /// Cell width [m].
+    pub(crate) fn h(&self) -> f64 {
+        self.store.cell_width
+    }
+
+    fn book(&mut self, impulses: impl IntoIterator<Item = [f64; 3]>) {
+        for impulse in impulses {
+            for d in 0..3 {
+                self.wall_impulse[d] += impulse[d];
+            }
+        }
+    }
+
+    fn has_mirrors(&self) -> bool {
+        self.bounds.mirrors.kind.iter().flatten().any(|&kind| kind != Mirror::Open)
+    }
+
+    /// Mass, momentum and stress of every block's particles into the block's tile. Strain is up to date afterwards.
+    pub(crate) fn particles_to_grid(&mut self, crew: &Crew, step: &Step, shares: &mut Shares) -> Result<(), Stopped> {
+        let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
+        let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
+        let walls = self.has_mirrors();
+        let blocks = grid.occupied.len();
+        let mut impulses = vec![[0.0; 3]; if walls { blocks } else { 0 }];
+        let impulse_of = Shared(impulses.as_mut_ptr());
+        let images = Shared(self.grid.images.as_ptr().cast_mut());
+        let n_materials = shares.materials.len();
+        let (fault, measured) = crew.pool.install(|| {
+            (0..blocks)
+                .into_par_iter()
+                .map(|b| {
+                    // SAFETY: each block has a tile of its own.
+                    let tile = unsafe { &mut *tiles.at(b) };
+                    let mut spent = 0;
+                    let timed = b % TIMED_BLOCKS == 0;
+                    let begun = timed.then(Instant::now);
+                    let mut materials = if timed { vec![0; n_materials] } else { Vec::new() };
+                    let mut fault = None;
+                    crew.isa.run::<T, _>(Clear(tile));
+                    for (l, list) in lists.iter().enumerate() {
+                        let run = list.runs[b];
+                        if run.count == 0 {
+                            continue;
+                        }
+                        let mut message = ErrorBuffer::default();
+                        let outcome = crew.isa.run::<T, _>(ParticlesToGrid {
+                            particles: list.view(),
+                            run,
+                            origin: grid.origin(b),
+                            law: &list.law,
+                            step,
+                            tile,
+                            error: message.as_raw(),
+                            material_time: timed.then_some(&mut spent),
+                        });
+                        if let Err(f) = outcome {
+                            fault = fault.or(Some((b, (l, f, message))));
+                        }
+                        if timed {
+                            materials[list.material] += std::mem::take(&mut spent);
+                        }
+                    }
+                    if walls && grid.mirrored[b] {
+                        // SAFETY: each block has an entry of its own.
+                        unsafe {
+                            *impulse_of.at(b) = mirrors.fold(tile, grid.origin(b), &mut *images.at(b));
+                        }
+                    }
+                    (fault, Shares { materials, sampled: begun.map_or(0, |t| t.elapsed().as_nanos() as u64) })
+                })
+                .reduce(
+                    || (None, Shares::default()),
+                    |a, b| {
+                        let first = match (a.0, b.0) {
+                            (Some(x), Some(y)) => Some(if x.0 <= y.0 { x } else { y }),
+                            (x, y) => x.or(y),
+                        };
+                        (first, a.1.plus(b.1))
+                    },
+                )
+        });
+        // Strain has been carried along, so a repetition of this pass must not carry it again.
+        self.strain_dt = 0.0;
+        *shares = std::mem::take(shares).plus(measured);
+        if let Some((_, stopped)) = fault {
+            return Err(stopped);
+        }
+        self.book(impulses);
+        Ok(())
+    }
+
+    /// The affine momentum of particles near the level's rim, which goes with their momentum to the coarser level.
+    pub(crate) fn affine_to_rim(&mut self, crew: &Crew) {
+        let (lists, grid, mirrors, h) = (&self.store.lists, &self.grid, &self.bounds.mirrors, self.h());
+        let columns = Shared(self.grid.columns.as_ptr().cast_mut());
+        crew.pool.install(|| {
+            grid.edge_of.par_iter().enumerate().filter(|(_, edge)| **edge != NONE).for_each(|(b, &edge)| {
+                // SAFETY: each block has columns of its own.
+                let tiles: &mut [[T; TILE]; COLUMNS] = unsafe { &mut *columns.at(edge as usize) };
+                for tile in tiles.iter_mut() {
+                    crew.isa.run::<T, _>(Clear(tile));
+                }
+                for list in lists {
+                    let (particles, run, origin) = (list.view(), list.runs[b], grid.origin(b));
+                    if run.count > 0 {
+                        crew.isa.run::<T, _>(AffineToGrid { particles, run, origin, h, tiles: &mut *tiles });
+                    }
+                }
+                if grid.mirrored[b] {
+                    for (column, tile) in tiles.iter_mut().enumerate() {
+                        mirrors.fold_column(tile, grid.origin(b), column);
+                    }
+                }
+            });
+        });
+    }
+
+    /// Sums tiles into nodes, takes up what the rim of the finer level hands over, hands the own rim's share on, lets walls
+    /// that let go decide, and turns momentum into velocity.
+    pub(crate) fn update_grid(&mut self, crew: &Crew, least: f64, finer: Option<&Grid<T>>) {
+        let (isa, grid, least) = (crew.isa, &self.grid, T::from_f64(least));
+        let nodes = Shared(self.grid.nodes.as_ptr().cast_mut());
+        let handed = Shared(self.grid.handed.as_ptr().cast_mut());
+        let separate = !self.bounds.separations.is_empty();
+        let reflects = grid.links.iter().any(|link| link.flips != 0);
+        let mut impulses = vec![[0.0; 3]; if reflects { grid.keys.len() } else { 0 }];
+        let impulse_of = Shared(impulses.as_mut_ptr());
+        let speed = crew.pool.install(|| {
+            (0..grid.keys.len())
+                .into_par_iter()
+                .map(|g| {
+                    // SAFETY: each task has a node block of its own, with its ring and its impulse.
+                    let nodes = unsafe { &mut *nodes.at(g) };
+                    isa.run::<T, _>(SumTiles { nodes, tiles: &grid.tiles, around: &grid.tiles_around[g] });
+                    if let Some(finer) = finer {
+                        let impulse = grid.take_up(g, &finer.handed, nodes);
+                        if reflects {
+                            // SAFETY: as above.
+                            unsafe { *impulse_of.at(g) = impulse };
+                        }
+                    }
+                    if let Some(ring) = grid.rings.get(grid.ring_of[g] as usize) {
+                        // SAFETY: as above.
+                        let handed = unsafe { &mut *handed.at(grid.ring_of[g] as usize) };
+                        isa.run::<T, _>(HandOver { ring, columns: grid.columns.as_flattened(), nodes, handed });
+                    }
+                    if separate { T::default() } else { isa.run::<T, _>(Velocities { nodes, least }) }
+                })
+                .reduce(T::default, greater)
+        });
+        self.max_speed = speed.to_f64();
+        self.book(impulses);
+        if separate {
+            self.separate(crew, least);
+        }
+    }
+
+    /// The grid update at walls that let go of the ground.
+    fn separate(&mut self, crew: &Crew, least: T) {
+        let nodes = Shared(self.grid.nodes.as_mut_ptr().cast::<[T; 4]>());
+        let separations = &self.bounds.separations;
+        for pairs in &mut self.grid.pairs {
+            for pair in pairs {
+                // SAFETY: pairs name two different nodes of the grid, and this loop alone works on them.
+                let (node, image) =
+                    unsafe { (&mut *nodes.at(pair.node as usize), &mut *nodes.at(pair.image as usize)) };
+                pair.image_mass = image[3].to_f64();
+                let (presses, impulse) = separations[pair.separation as usize].0.fold(node, image);
+                pair.presses = presses;
+                for d in 0..3 {
+                    self.wall_impulse[d] += impulse[d];
+                }
+            }
+        }
+        let (isa, blocks) = (crew.isa, Shared(self.grid.nodes.as_mut_ptr()));
+        let count = self.grid.keys.len();
+        let speed = crew.pool.install(|| {
+            (0..count)
+                .into_par_iter()
+                // SAFETY: each task has a node block of its own.
+                .map(|g| isa.run::<T, _>(Velocities { nodes: unsafe { &mut *blocks.at(g) }, least }))
+                .reduce(T::default, greater)
+        });
+        self.max_speed = speed.to_f64();
+    }
+
+    /// Gives rim nodes the velocity of the coarser level. Returns the impulse that walls gave in doing so, where the parent is
+    /// behind a mirror.
+    pub(crate) fn prolong(&mut self, crew: &Crew, coarser: &Grid<T>) {
+        let grid = &self.grid;
+        let nodes = Shared(self.grid.nodes.as_ptr().cast_mut());
+        let reflects = grid.rings.iter().any(|ring| ring.flips != [0; CELLS]);
+        let impulses: Vec<[f64; 3]> = crew.pool.install(|| {
+            let one = |(r, ring): (usize, &Ring)| {
+                let (mut parents, mut impulse) = ([T::default(); NODES], [0.0; 3]);
+                let values = coarser.nodes.as_flattened();
+                for n in (0..CELLS).filter(|&n| ring.parents[n] != NONE) {
+                    let node = &values[4 * ring.parents[n] as usize..][..4];
+                    for d in 0..3 {
+                        let flipped = ring.flips[n] >> d & 1 == 1;
+                        parents[4 * n + d] = if flipped { -node[d] } else { node[d] };
+                        if flipped {
+                            // What particles read is not what they would have read from the node itself.
+                            impulse[d] -= 2.0 * node[d].to_f64() * grid.handed[r][4 * n + 3].to_f64();
+                        }
+                    }
+                }
+                // SAFETY: each ring has a node block of its own.
+                ring::prolong(ring.slaves, &parents, unsafe { &mut *nodes.at(ring.block as usize) });
+                impulse
+            };
+            grid.rings.par_iter().enumerate().map(one).collect()
+        });
+        if reflects {
+            self.book(impulses);
+        }
+    }
+
+    /// Gives images behind walls that let go the velocity of their nodes.
+    pub(crate) fn mirror_separated(&mut self) {
+        let nodes = Shared(self.grid.nodes.as_mut_ptr().cast::<[T; 4]>());
+        for pair in self.grid.pairs.iter().rev().flatten() {
+            let separation = &self.bounds.separations[pair.separation as usize].0;
+            // SAFETY: as in `separate`.
+            unsafe {
+                let node = *nodes.at(pair.node as usize);
+                let (image, impulse) = separation.unfold(&node, pair.presses, pair.image_mass);
+                *nodes.at(pair.image as usize) = image;
+                for d in 0..3 {
+                    self.wall_impulse[d] += impulse[d];
+                }
+            }
+        }
+    }
+
+    /// Collects the nodes inside any of the boxes, in the grid's order.
+    pub(crate) fn gather(&mut self, boxes: &[Aabb], least: f64, batch: &mut NodeBatch) {
+        batch.clear();
+        self.batch_nodes.clear();
+        let h = self.store.cell_width;
+        batch.cell_width = h;
+        let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
+        for (g, (&key, nodes)) in self.grid.keys.iter().zip(&self.grid.nodes).enumerate() {
+            let first = block::of_key(key).map(|b| b * SIDE);
+            let extent = Aabb { min: first.map(centre), max: first.map(|c| centre(c + SIDE - 1)) };
+            if !boxes.iter().any(|b| b.meets(&extent)) {
+                continue;
+            }
+            for n in 0..CELLS {
+                let node = &nodes[4 * n..4 * n + 4];
+                let mass = node[3].to_f64();
+                if mass <= least {
+                    continue;
+                }
+                let local = [(n / 16) as i32, (n / 4 % 4) as i32, (n % 4) as i32];
+                let x = std::array::from_fn(|d| centre(first[d] + local[d]));
+                if boxes.iter().any(|b| b.contains(x)) {
+                    batch.position.push(x);
+                    batch.mass.push(mass);
+                    batch.velocity.push([node[0].to_f64(), node[1].to_f64(), node[2].to_f64()]);
+                    self.batch_nodes.push((g * CELLS + n) as u32);
+                }
+            }
+        }
+    }
+
+    /// Takes back the velocities of the nodes that were gathered last.
+    pub(crate) fn scatter(&mut self, batch: &NodeBatch) {
+        let nodes = self.grid.nodes.as_flattened_mut();
+        for (&at, u) in self.batch_nodes.iter().zip(&batch.velocity) {
+            for d in 0..3 {
+                nodes[4 * at as usize + d] = T::from_f64(u[d]);
+                self.max_speed = greater(self.max_speed, u[d].abs());
+            }
+        }
+    }
+
+    /// New velocities and affine matrices, and the move.
+    pub(crate) fn grid_to_particles(&mut self, crew: &Crew, dt: f64) {
+        let step = Step { h: self.h(), dt, strain_dt: 0.0, strain_parts: 1, gravity: [0.0; 3] };
+        let (isa, lists, grid, mirrors) = (crew.isa, &self.store.lists, &self.grid, &self.bounds.mirrors);
+        let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
+        let walls = self.has_mirrors();
+        let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
+        let impulse_of = Shared(impulses.as_mut_ptr());
+        let greatest = crew.pool.install(|| {
+            (0..grid.occupied.len())
+                .into_par_iter()
+                .map(|b| {
+                    // SAFETY: each block has a tile of its own; its momentum has been summed and is no longer needed.
+                    let tile = unsafe { &mut *tiles.at(b) };
+                    isa.run::<T, _>(FillTile { tile, nodes: &grid.nodes, around: &grid.nodes_around[b] });
+                    if grid.mirrored[b] {
+                        // SAFETY: each block has an entry of its own.
+                        unsafe { *impulse_of.at(b) = mirrors.unfold(tile, grid.origin(b), &grid.images[b]) };
+                    }
+                    let mut greatest = Rates::default();
+                    for list in lists {
+                        let run = list.runs[b];
+                        if run.count > 0 {
+                            let rates = isa.run::<T, _>(GridToParticles {
+                                particles: list.view(),
+                                run,
+                                origin: grid.origin(b),
+                                step: &step,
+                                tile,
+                            });
+                            greatest = faster(greatest, rates);
+                        }
+                    }
+                    greatest
+                })
+                .reduce(Rates::default, faster)
+        });
+        self.book(impulses);
+        self.take_rates(greatest);
+        self.strain_dt = dt;
+    }
+
+    fn take_rates(&mut self, rates: Rates<T>) {
+        self.deformation_rate = rates.deformation.to_f64().sqrt();
+        self.particle_speed = rates.speed.to_f64();
+    }
+
+    /// What depends on the particles as they come in: greatest deformation rate and speed; returns their least mass.
+    pub(crate) fn take_stock(&mut self, crew: &Crew) -> f64 {
+        let mut rates = Rates::default();
+        let mut least = f64::INFINITY;
+        for list in &self.store.lists {
+            least = list.places().fold(least, |least, (chunk, lane)| least.min(list.mass_of(chunk, lane)));
+            for &run in &list.runs {
+                rates = faster(rates, crew.isa.run::<T, _>(Survey { particles: list.view(), run }));
+            }
+        }
+        self.take_rates(rates);
+        least
+    }
+}
+
+impl Shares {
+    fn plus(mut self, other: Self) -> Self {
+        if self.materials.is_empty() {
+            self.materials = other.materials;
+        } else {
+            for (sum, share) in self.materials.iter_mut().zip(&other.materials) {
+                *sum += share;
+            }
+        }
+        self.sampled += other.sampled;
+        self
+    }
+}
+
+impl<T: Float> Grid<T> {
+    /// Adds what the finer level's rim hands to a node block. Returns the impulse that walls gave in doing so [N s].
+    fn take_up(&self, g: usize, handed: &[[T; NODES]], nodes: &mut [T; NODES]) -> [f64; 3] {
+        let mut impulse = [0.0; 3];
+        for link in &self.links[self.link_starts[g] as usize..self.link_starts[g + 1] as usize] {
+            let from = &handed.as_flattened()[4 * link.from as usize..][..4];
+            let to = &mut nodes[4 * usize::from(link.node)..][..4];
+            for d in 0..3 {
+                if link.flips >> d & 1 == 1 {
+                    to[d] += -from[d];
+                    impulse[d] -= 2.0 * from[d].to_f64();
+                } else {
+                    to[d] += from[d];
+                }
+            }
+            to[3] += from[3];
+        }
+        impulse
+    }
+}
+
+/// The greater of two magnitudes; NaN wins, so that it cannot hide.
+pub(crate) fn greater<T: Float>(a: T, b: T) -> T {
+    if a >= b || a.to_f64().is_nan() { a } else { b }
+}
+
+/// The greater of each.
+fn faster<T: Float>(a: Rates<T>, b: Rates<T>) -> Rates<T> {
+    Rates { deformation: greater(a.deformation, b.deformation), speed: greater(a.speed, b.speed) }
+}
+
+/// Zeroes a tile.
+struct Clear<'a, T>(&'a mut [T; TILE]);
+
+impl<T: Float> Kernel<T> for Clear<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = T>>(self) {
+        self.0.fill(T::default());
+    }
+}
+
+/// Sums what the tiles around a node block hold for it.
+struct SumTiles<'a, T> {
+    nodes: &'a mut [T; NODES],
+    tiles: &'a [[T; TILE]],
+    around: &'a [u32; 27],
+}
+
+impl<T: Float> Kernel<T> for SumTiles<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = T>>(self) {
+        self.nodes.fill(T::default());
+        for (n, &tile) in self.around.iter().enumerate() {
+            if tile != NONE {
+                block::add_tile(self.nodes, &self.tiles[tile as usize], block::offset(n));
+            }
+        }
+    }
+}
+
+/// Hands what a block's rim nodes hold to their parents.
+struct HandOver<'a, T> {
+    ring: &'a Ring,
+    /// Affine columns, three an edge.
+    columns: &'a [[T; TILE]],
+    nodes: &'a mut [T; NODES],
+    handed: &'a mut [T; NODES],
+}
+
+impl<T: Float> Kernel<T> for HandOver<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = T>>(self) {
+        let mut affine = [[T::default(); NODES]; COLUMNS];
+        for (column, nodes) in affine.iter_mut().enumerate() {
+            let around =
+                self.ring.edges_around.map(|e| if e == NONE { NONE } else { e * COLUMNS as u32 + column as u32 });
+            SumTiles { nodes, tiles: self.columns, around: &around }.run::<V>();
+        }
+        ring::restrict(self.ring.slaves, self.nodes, &affine, self.handed);
+    }
+}
+
+/// Momentum to velocity. Returns the greatest velocity component, or NaN if any is not finite.
+struct Velocities<'a, T> {
+    nodes: &'a mut [T; NODES],
+    least: T,
+}
+
+impl<T: Float> Kernel<T> for Velocities<'_, T> {
+    type Output = T;
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = T>>(self) -> T {
+        const MASS_LANE: [f64; LANES] = [0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 0., 1.];
+        let mut lanes = [T::default(); LANES];
+        for (lane, one) in lanes.iter_mut().zip(MASS_LANE) {
+            *lane = T::from_f64(one);
+        }
+        // SAFETY: 16 scalars.
+        let is_mass = unsafe { V::load(lanes.as_ptr()) }.gt(V::zero());
+        let (mut greatest, mut bad) = (V::zero(), V::zero());
+        for four in self.nodes.as_chunks_mut::<LANES>().0 {
+            // SAFETY: 16 scalars, four nodes.
+            unsafe {
+                let node = V::load(four.as_ptr());
+                let mass = node.fourth();
+                let carries = mass.gt(V::fill(self.least));
+                let u = V::select(carries, node / mass, V::zero());
+                let speed = V::select(is_mass, V::zero(), u).abs();
+                greatest = greatest.max(speed);
+                // 0 for finite numbers, NaN for others; the maximum might lose a NaN.
+                bad += speed * V::zero();
+                V::select(is_mass, node, u).store(four.as_mut_ptr());
+            }
+        }
+        greatest.max_lane() + bad.sum()
+    }
+}
+
+/// Collects the velocities that a block's particles read.
+struct FillTile<'a, T> {
+    tile: &'a mut [T; TILE],
+    nodes: &'a [[T; NODES]],
+    around: &'a [u32; 27],
+}
+
+impl<T: Float> Kernel<T> for FillTile<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = T>>(self) {
+        for (n, &nodes) in self.around.iter().enumerate() {
+            block::fill_tile(self.tile, self.nodes.get(nodes as usize), block::offset(n));
+        }
+    }
+}

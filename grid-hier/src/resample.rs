@@ -1,0 +1,335 @@
+//! Splitting particles into finer ones and merging them into coarser ones.
+//!
+//! A particle is a cube of side a = (V0 J)^(1/3) with inertia a²/12 per mass, and its C is the velocity gradient within it.
+//! Judged so, a split changes neither mass, momentum, angular momentum nor any energy, and a merge never raises energy.
+//! Strain merges as the V0-weighted mean of the Hencky strain: for laws that are linear in it, the force on the grid stays;
+//! elastic energy cannot rise; and where yield surfaces are convex in it, the mean does not yield.
+//!
+//! # Source
+//! Affine particles: Jiang et al. 2015. Least squares for C: Yue et al. 2015, with the particles' own inertia.
+
+use crate::transfer::MAX_STATE;
+use barchan_abi as abi;
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+
+/// Children of a split.
+pub const CHILDREN: usize = 8;
+/// A merge may discard this share of the particles' kinetic energy, and of what it takes to lift them by their own size.
+const DISCARD: f64 = 1e-3;
+
+/// One particle, away from any list.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Particle {
+    /// Position, from wherever the caller likes [m].
+    pub x: Vector3<f64>,
+    /// Velocity [m/s].
+    pub v: Vector3<f64>,
+    /// Velocity gradient [1/s].
+    pub c: Matrix3<f64>,
+    /// Mass [kg].
+    pub mass: f64,
+    /// Rest volume [m³].
+    pub volume0: f64,
+    /// Strain planes: b_e (6) or F (9).
+    pub strain: [f64; 9],
+    /// History.
+    pub state: [f64; MAX_STATE],
+}
+
+/// What a law says about its particles' planes.
+#[derive(Clone, Copy, Debug)]
+pub struct Planes<'a> {
+    /// Is strain F rather than b_e?
+    pub is_gradient: bool,
+    /// `BARCHAN_MERGE_*` rule of each history variable.
+    pub merge: &'a [u32],
+}
+
+/// Why particles are not merged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Refusal {
+    /// They move apart or against each other.
+    Velocity,
+    /// One is inverted or not finite.
+    Strain,
+    /// Their histories differ.
+    History,
+    /// The surface would move.
+    Surface,
+}
+
+impl Refusal {
+    /// For the ledger.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Velocity => "velocities differ",
+            Self::Strain => "strain is broken",
+            Self::History => "histories differ",
+            Self::Surface => "the surface would move",
+        }
+    }
+}
+
+/// What an event did to a conserved quantity, by the particles' own inertia.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Change {
+    /// Kinetic energy [J].
+    pub kinetic: f64,
+    /// Angular momentum [kg m²/s].
+    pub angular: Vector3<f64>,
+}
+
+impl Particle {
+    /// Side of the cube that the particle fills [m].
+    pub fn side(&self, planes: Planes<'_>) -> f64 {
+        (self.volume0 * self.volume_ratio(planes).max(0.0)).cbrt()
+    }
+
+    /// J, of the elastic part.
+    fn volume_ratio(&self, planes: Planes<'_>) -> f64 {
+        if planes.is_gradient { self.gradient().determinant() } else { self.left_stretch().determinant().sqrt() }
+    }
+
+    fn gradient(&self) -> Matrix3<f64> {
+        Matrix3::from_row_slice(&self.strain)
+    }
+
+    /// b_e from its six planes xx yy zz xy xz yz.
+    fn left_stretch(&self) -> Matrix3<f64> {
+        let [xx, yy, zz, xy, xz, yz, ..] = self.strain;
+        Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    }
+
+    /// Hencky strain ½ log(F Fᵀ), if F is not inverted.
+    fn hencky(&self, planes: Planes<'_>) -> Option<Matrix3<f64>> {
+        let b = if planes.is_gradient {
+            let f = self.gradient();
+            if f.determinant() <= 0.0 {
+                return None;
+            }
+            f * f.transpose()
+        } else {
+            self.left_stretch()
+        };
+        if !b.iter().all(|x| x.is_finite()) {
+            return None;
+        }
+        let eigen = SymmetricEigen::new(b);
+        let logs = eigen.eigenvalues.map(|e| 0.5 * e.ln());
+        logs.iter().all(|x| x.is_finite()).then(|| with_eigenvalues(&eigen, logs))
+    }
+
+    /// Kinetic energy and angular momentum with inertia a²/12 per mass.
+    fn motion(&self, side: f64) -> Change {
+        let inertia = side * side / 12.0;
+        let curl = Vector3::new(
+            self.c[(2, 1)] - self.c[(1, 2)],
+            self.c[(0, 2)] - self.c[(2, 0)],
+            self.c[(1, 0)] - self.c[(0, 1)],
+        );
+        Change {
+            kinetic: 0.5 * self.mass * (self.v.norm_squared() + inertia * self.c.norm_squared()),
+            angular: self.mass * (self.x.cross(&self.v) + inertia * curl),
+        }
+    }
+}
+
+fn with_eigenvalues(eigen: &SymmetricEigen<f64, nalgebra::Const<3>>, values: Vector3<f64>) -> Matrix3<f64> {
+    let q = eigen.eigenvectors;
+    q * Matrix3::from_diagonal(&values) * q.transpose()
+}
+
+/// Eight children in the octants of the particle's cube: v_k = v + C (x_k - x), everything else as it is, or an eighth of it.
+/// `scale` in (0, 1] pulls them together, to keep clear of a tool; it leaves mass and momentum as they are.
+pub fn split(parent: &Particle, planes: Planes<'_>, scale: f64) -> [Particle; CHILDREN] {
+    let quarter = 0.25 * scale * parent.side(planes);
+    std::array::from_fn(|k| {
+        let sign = |d: usize| if k >> d & 1 == 1 { quarter } else { -quarter };
+        let offset = Vector3::new(sign(0), sign(1), sign(2));
+        Particle {
+            x: parent.x + offset,
+            v: parent.v + parent.c * offset,
+            mass: parent.mass / CHILDREN as f64,
+            volume0: parent.volume0 / CHILDREN as f64,
+            ..*parent
+        }
+    })
+}
+
+/// One particle in place of several: mass, momentum, V0 and centre of mass stay; C is the least-squares fit to the particles'
+/// velocities and gradients, strain the mean Hencky strain. `gravity` [m/s²] says what motion is negligible; histories may
+/// differ by `tolerance`, of their magnitude or 1. With `surface`, the cube must end where theirs do, to `tolerance` of its
+/// side.
+///
+/// # Errors
+/// A [`Refusal`] if too much would be lost.
+pub fn merge(
+    particles: &[Particle],
+    planes: Planes<'_>,
+    gravity: f64,
+    tolerance: f64,
+    surface: bool,
+) -> Result<(Particle, Change), Refusal> {
+    let mass: f64 = particles.iter().map(|p| p.mass).sum();
+    let volume0: f64 = particles.iter().map(|p| p.volume0).sum();
+    let mean =
+        |of: &dyn Fn(&Particle) -> Vector3<f64>| particles.iter().map(|p| of(p) * p.mass).sum::<Vector3<f64>>() / mass;
+    let (x, v) = (mean(&|p| p.x), mean(&|p| p.v));
+    let mut hencky = Matrix3::zeros();
+    let (mut spread, mut flow) = (Matrix3::zeros(), Matrix3::zeros());
+    let mut before = Change::default();
+    let sides: Vec<f64> = particles.iter().map(|p| p.side(planes)).collect();
+    for (p, side) in particles.iter().zip(&sides) {
+        hencky += p.hencky(planes).ok_or(Refusal::Strain)? * (p.volume0 / volume0);
+        let (arm, inertia, share) = (p.x - x, side * side / 12.0, p.mass / mass);
+        spread += (arm * arm.transpose() + Matrix3::from_diagonal_element(inertia)) * share;
+        flow += ((p.v - v) * arm.transpose() + p.c * inertia) * share;
+        let motion = p.motion(*side);
+        before.kinetic += motion.kinetic;
+        before.angular += motion.angular;
+    }
+    let c = flow * spread.try_inverse().ok_or(Refusal::Strain)?;
+
+    let lost: f64 = particles.iter().map(|p| 0.5 * p.mass * (p.v - v - c * (p.x - x)).norm_squared()).sum();
+    let size = volume0.cbrt();
+    if lost > DISCARD * (before.kinetic + mass * gravity * size) {
+        return Err(Refusal::Velocity);
+    }
+
+    let mut state = particles[0].state;
+    for (q, &rule) in planes.merge.iter().enumerate() {
+        let values = || particles.iter().map(|p| p.state[q]);
+        let (low, high) = values().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
+        let allowed = match rule {
+            abi::BARCHAN_MERGE_REFUSE => 0.0,
+            abi::BARCHAN_MERGE_LOG_MEAN => tolerance * high.abs(),
+            _ => tolerance * high.abs().max(1.0),
+        };
+        if high - low > allowed || !(high - low).is_finite() {
+            return Err(Refusal::History);
+        }
+        let weighted = |f: fn(f64) -> f64| particles.iter().map(|p| p.volume0 * f(p.state[q])).sum::<f64>() / volume0;
+        state[q] = match rule {
+            abi::BARCHAN_MERGE_REFUSE => low,
+            abi::BARCHAN_MERGE_LOG_MEAN => weighted(f64::ln).exp(),
+            _ => weighted(|x| x),
+        };
+    }
+
+    let eigen = SymmetricEigen::new(hencky);
+    let factor = if planes.is_gradient { 1.0 } else { 2.0 };
+    let stretch = with_eigenvalues(&eigen, eigen.eigenvalues.map(|e| (factor * e).exp()));
+    let mut strain = [0.0; 9];
+    if planes.is_gradient {
+        strain.copy_from_slice(stretch.transpose().as_slice());
+    } else {
+        let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+        strain.iter_mut().zip(entries).for_each(|(plane, at)| *plane = stretch[at]);
+    }
+    let merged = Particle { x, v, c, mass, volume0, strain, state };
+    let side = merged.side(planes);
+    if surface {
+        for d in 0..3 {
+            let ends = particles.iter().zip(&sides).map(|(p, a)| (p.x[d] - 0.5 * a, p.x[d] + 0.5 * a));
+            let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), e| (l.min(e.0), h.max(e.1)));
+            let moved = (x[d] - 0.5 * side - low).abs().max((x[d] + 0.5 * side - high).abs());
+            if moved > tolerance * side {
+                return Err(Refusal::Surface);
+            }
+        }
+    }
+    let after = merged.motion(side);
+    Ok((merged, Change { kinetic: after.kinetic - before.kinetic, angular: after.angular - before.angular }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLANES: Planes<'static> = Planes { is_gradient: false, merge: &[abi::BARCHAN_MERGE_MEAN] };
+
+    /// Numbers in [-1, 1) that differ for every call.
+    struct Numbers(u64);
+    impl Numbers {
+        fn next(&mut self) -> f64 {
+            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        }
+        fn particle(&mut self) -> Particle {
+            let (a, b, c) = (0.03 * self.next(), 0.03 * self.next(), 0.03 * self.next());
+            Particle {
+                x: Vector3::from_fn(|_, _| self.next()),
+                v: Vector3::from_fn(|_, _| self.next()),
+                c: Matrix3::from_fn(|_, _| self.next()),
+                mass: 2.0 + self.next(),
+                volume0: 0.2 + 0.1 * self.next(),
+                strain: [1.0 + a, 1.0 + b, 1.0 + c, 0.5 * a, 0.5 * b, 0.5 * c, 0.0, 0.0, 0.0],
+                state: [0.01; MAX_STATE],
+            }
+        }
+    }
+
+    fn totals(particles: &[Particle]) -> (f64, Vector3<f64>, Vector3<f64>, Change) {
+        let mut sum = (0.0, Vector3::zeros(), Vector3::zeros(), Change::default());
+        for p in particles {
+            let motion = p.motion(p.side(PLANES));
+            sum.0 += p.mass;
+            sum.1 += p.x * p.mass;
+            sum.2 += p.v * p.mass;
+            sum.3.kinetic += motion.kinetic;
+            sum.3.angular += motion.angular;
+        }
+        sum
+    }
+
+    /// A split changes nothing that is conserved, and a merge of the children gives the parent back.
+    #[test]
+    fn split_and_merge_is_the_identity() {
+        let mut numbers = Numbers(1);
+        for _ in 0..200 {
+            let parent = numbers.particle();
+            let children = split(&parent, PLANES, 1.0);
+            let (before, after) = (totals(&[parent]), totals(&children));
+            assert!((before.0 - after.0).abs() < 1e-14 && (before.1 - after.1).norm() < 1e-14);
+            assert!((before.2 - after.2).norm() < 1e-14 && (before.3.angular - after.3.angular).norm() < 1e-14);
+            assert!((before.3.kinetic - after.3.kinetic).abs() < 1e-14 * before.3.kinetic.max(1.0));
+            let (back, change) = merge(&children, PLANES, 9.81, 0.1, true).unwrap();
+            assert!((back.x - parent.x).norm() < 1e-13 && (back.v - parent.v).norm() < 1e-13);
+            assert!((back.c - parent.c).norm() < 1e-12, "{} became {}", parent.c, back.c);
+            assert!((0..6).all(|p| (back.strain[p] - parent.strain[p]).abs() < 1e-12));
+            assert!(change.kinetic.abs() < 1e-12 && change.angular.norm() < 1e-12);
+        }
+    }
+
+    /// Kinetic energy never rises in a merge, whatever the particles do; mass, momentum and centre stay.
+    #[test]
+    fn merging_never_raises_kinetic_energy() {
+        let mut numbers = Numbers(7);
+        for _ in 0..2000 {
+            let cluster: Vec<_> = (0..5).map(|_| numbers.particle()).collect();
+            // Gravity without end: nothing is refused for its motion.
+            let (one, change) = merge(&cluster, PLANES, f64::INFINITY, 10.0, false).unwrap();
+            let (before, after) = (totals(&cluster), totals(&[one]));
+            assert!((before.0 - after.0).abs() < 1e-12 && (before.1 - after.1).norm() < 1e-12);
+            assert!((before.2 - after.2).norm() < 1e-12);
+            assert!(change.kinetic <= 1e-12, "a merge gave {} J", change.kinetic);
+        }
+    }
+
+    /// Unlike particles are refused: jets that meet, histories that differ, a ragged surface, an inverted one.
+    #[test]
+    fn unlike_particles_stay_apart() {
+        let mut numbers = Numbers(3);
+        let parent = Particle { c: Matrix3::zeros(), ..numbers.particle() };
+        let children = split(&parent, PLANES, 1.0);
+        let refusal = |change: &dyn Fn(usize, &mut Particle)| {
+            let mut cluster = children;
+            cluster.iter_mut().enumerate().for_each(|(k, p)| change(k, p));
+            merge(&cluster, PLANES, 9.81, 0.1, true).unwrap_err()
+        };
+        assert_eq!(refusal(&|k, p| p.v.x += if (k ^ k >> 1) & 1 == 0 { 3.0 } else { -3.0 }), Refusal::Velocity);
+        assert_eq!(refusal(&|k, p| p.state[0] = 0.2 * k as f64), Refusal::History);
+        assert_eq!(refusal(&|k, p| p.x.z += if k == 7 { 0.3 } else { 0.0 }), Refusal::Surface);
+        assert_eq!(refusal(&|_, p| p.strain[0] = f64::NAN), Refusal::Strain);
+    }
+}

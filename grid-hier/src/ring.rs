@@ -1,0 +1,224 @@
+//! The rim of a level: nodes whose support reaches out of the level's region, and what ties them to the next coarser level.
+//!
+//! Per axis, N_I of the coarse level = ¼ N_{2I-1} + ¾ N_{2I} + ¾ N_{2I+1} + ¼ N_{2I+2}. A rim node ("slave") at an even index
+//! 2I therefore has the parents I (¾) and I - 1 (¼), one at 2I + 1 has I (¾) and I + 1 (¼); in three dimensions products of
+//! these. What particles give to a slave is handed to its parents, and its velocity is theirs. A block of 4³ slaves has its
+//! parents among 4³ coarse nodes, the first one before the parent cell of the block's first cell.
+//!
+//! # Source
+//! Truncated hierarchical B-splines: Giannelli, Jüttler, Speleers 2012.
+
+use crate::block::{CELLS, NODES, TILE, in_block};
+use crate::particles::{MASS, Particles, Run};
+use crate::spline::weights;
+use crate::transfer::{RowSums, Scalar, first_nodes, spread, store_rows};
+use barchan_lanes::{Float, Kernel, LANES, Lanes, tabulate};
+use core::mem::MaybeUninit;
+
+/// Scalars that hang on to a slave node besides momentum and mass: m C, one column of three a tile.
+pub const COLUMNS: usize = 3;
+
+/// Along one axis, for each place in a block: its two parents' places among the block's four, their weights, and how far
+/// each is from it, in fine cells.
+const PARENTS: [[(usize, f64, f64); 2]; 4] = [
+    [(1, 0.75, 0.5), (0, 0.25, -1.5)],
+    [(1, 0.75, -0.5), (2, 0.25, 1.5)],
+    [(2, 0.75, 0.5), (1, 0.25, -1.5)],
+    [(2, 0.75, -0.5), (3, 0.25, 1.5)],
+];
+
+/// First of the 4³ coarse nodes that hold the parents of a block's nodes, from the block's coordinates.
+pub fn first_parent(block: [i32; 3]) -> [i32; 3] {
+    block.map(|b| 2 * b - 1)
+}
+
+/// Calls `f` with each parent of a node of a block: its place among the 4³, its weight, its distance in fine cells.
+#[inline(always)]
+fn each_parent(node: usize, mut f: impl FnMut(usize, f64, [f64; 3])) {
+    let (x, y, z) = (node / 16, node / 4 % 4, node % 4);
+    for (px, wx, dx) in PARENTS[x] {
+        for (py, wy, dy) in PARENTS[y] {
+            for (pz, wz, dz) in PARENTS[z] {
+                f(px * 16 + py * 4 + pz, wx * wy * wz, [dx, dy, dz]);
+            }
+        }
+    }
+}
+
+/// Places among the 4³ coarse nodes that are parents of any of a block's slaves, as bits.
+pub fn parents(slaves: u64) -> u64 {
+    let mut used = 0;
+    for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
+        each_parent(node, |parent, _, _| used |= 1 << parent);
+    }
+    used
+}
+
+/// Hands what a block's slaves hold to their parents: mass m_c = Σ P m_f, momentum p_c = Σ P (p_f + M_f (x_c - x_f)) with the
+/// affine momentum M_f = Σ w m C, whose columns are `affine` [kg m/s a cell]. The slaves hold nothing afterwards.
+pub fn restrict<T: Float>(
+    slaves: u64,
+    nodes: &mut [T; NODES],
+    affine: &[[T; NODES]; COLUMNS],
+    parents: &mut [T; NODES],
+) {
+    parents.fill(T::default());
+    for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
+        let at = 4 * node;
+        if nodes[at + 3] == T::default() {
+            continue;
+        }
+        let p: [T; 4] = std::array::from_fn(|d| nodes[at + d]);
+        each_parent(node, |parent, weight, distance| {
+            let weight = T::from_f64(weight);
+            for d in 0..3 {
+                let mut sum = p[d];
+                for (column, distance) in affine.iter().zip(distance) {
+                    sum += column[at + d] * T::from_f64(distance);
+                }
+                parents[4 * parent + d] += weight * sum;
+            }
+            parents[4 * parent + 3] += weight * p[3];
+        });
+        nodes[at..at + 4].fill(T::default());
+    }
+}
+
+/// Gives a block's slaves the velocity of their parents: u_f = Σ P u_c.
+pub fn prolong<T: Float>(slaves: u64, parents: &[T; NODES], nodes: &mut [T; NODES]) {
+    for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
+        let mut u = [T::default(); 3];
+        each_parent(node, |parent, weight, _| {
+            for (d, u) in u.iter_mut().enumerate() {
+                *u += T::from_f64(weight) * parents[4 * parent + d];
+            }
+        });
+        nodes[4 * node..4 * node + 3].copy_from_slice(&u);
+    }
+}
+
+/// Scatters the columns of m C, one a tile, for the rim's sake [kg m/s a cell].
+pub struct AffineToGrid<'a, T: Scalar> {
+    /// The list.
+    pub particles: Particles<T>,
+    /// Its chunks in the block.
+    pub run: Run,
+    /// Cell of the tiles' first node.
+    pub origin: [i32; 3],
+    /// Cell width [m].
+    pub h: f64,
+    /// Where the columns are added.
+    pub tiles: &'a mut [[T; TILE]; COLUMNS],
+}
+
+impl<T: Scalar> Kernel<T> for AffineToGrid<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = T>>(self) {
+        let s = &self.particles;
+        for (column, tile) in self.tiles.iter_mut().enumerate() {
+            let mut sums = RowSums::<V>::new(tile.as_mut_ptr());
+            for k in 0..self.run.chunks() {
+                let chunk = self.run.first + k;
+                let count = (self.run.count - k * LANES).min(LANES);
+                // SAFETY: the run's chunks exist, and P2G has checked that their nodes lie in the tile.
+                unsafe {
+                    let mass = V::load(s.rest(chunk, MASS)) * V::splat(self.h);
+                    let mut rows = [V::zero(); LANES];
+                    for i in 0..3 {
+                        rows[i] = mass * V::load(s.motion(chunk, 3 + 3 * i + column));
+                    }
+                    V::transpose(&mut rows);
+                    let mut momentum = MaybeUninit::uninit();
+                    let momentum = store_rows::<V>(&mut momentum, &rows);
+
+                    let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
+                    let w = [weights(f[0]), weights(f[1]), weights(f[2])];
+                    let mut rows = [V::zero(); LANES];
+                    for i in 0..3 {
+                        for j in 0..3 {
+                            rows[3 * i + j] = w[0][i] * w[1][j];
+                        }
+                        rows[9 + i] = w[2][i];
+                    }
+                    V::transpose(&mut rows);
+                    let mut weight = MaybeUninit::uninit();
+                    let weight = store_rows::<V>(&mut weight, &rows);
+                    let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
+                    if !strayed {
+                        spread(&mut sums, momentum, weight, &node[..count]);
+                    }
+                }
+            }
+            sums.flushed();
+        }
+    }
+}
+
+/// Start of a node's four scalars in a block, from its cell.
+pub fn node_in_block(cell: [i32; 3]) -> usize {
+    let local = cell.map(|c| (c & 3) as usize);
+    in_block(local[0], local[1], local[2])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Mass, momentum and angular momentum go over whole, for any slaves: Σ P = 1 and Σ P x_c = x_f.
+    #[test]
+    fn restriction_keeps_mass_momentum_and_angular_momentum() {
+        let value = |i: usize| ((i * 7919) % 1009) as f64 / 1009.0 - 0.4;
+        let mut nodes: [f64; NODES] = std::array::from_fn(value);
+        for node in 0..CELLS {
+            nodes[4 * node + 3] = 0.1 + value(node).abs();
+        }
+        // Symmetric: a pure stretch, which carries no angular momentum of its own.
+        let symmetric = |i: usize, j: usize, node: usize| value(3 * node + (i + 1) * (j + 1));
+        let affine: [[f64; NODES]; COLUMNS] = std::array::from_fn(|j| {
+            std::array::from_fn(|at| if at % 4 == 3 { 0.0 } else { symmetric(at % 4, j, at / 4) })
+        });
+        let fine = |node: usize| [node / 16, node / 4 % 4, node % 4].map(|i| i as f64);
+        let coarse = |node: usize| [node / 16, node / 4 % 4, node % 4].map(|i| 2.0 * i as f64 - 1.5);
+        let totals = |values: &[f64; NODES], x: &dyn Fn(usize) -> [f64; 3], slaves: u64| {
+            let mut sum = [0.0; 7];
+            for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
+                let (p, x) = (&values[4 * node..4 * node + 4], x(node));
+                (0..4).for_each(|d| sum[d] += p[d]);
+                (0..3).for_each(|d| sum[4 + d] += x[(d + 1) % 3] * p[(d + 2) % 3] - x[(d + 2) % 3] * p[(d + 1) % 3]);
+            }
+            sum
+        };
+        for slaves in [u64::MAX, 0xf00f_0ff0_1248_8421, 1] {
+            let mut left = nodes;
+            let mut parents = [0.0; NODES];
+            let before = totals(&nodes, &fine, slaves);
+            restrict(slaves, &mut left, &affine, &mut parents);
+            let after = totals(&parents, &coarse, u64::MAX);
+            for (b, a) in before.iter().zip(after) {
+                assert!((b - a).abs() < 1e-12, "{before:?} became {after:?}");
+            }
+            assert_eq!(totals(&left, &fine, slaves), [0.0; 7]);
+        }
+    }
+
+    /// An affine velocity field of the coarse nodes is the same field at the slaves.
+    #[test]
+    fn prolongation_reproduces_affine_fields() {
+        let field = |x: [f64; 3]| [0.3 + x[0] - 2.0 * x[1], 0.5 * x[2] - x[0], 1.0 - x[1] + 0.25 * x[2]];
+        let mut parents = [0.0; NODES];
+        for node in 0..CELLS {
+            let u = field([node / 16, node / 4 % 4, node % 4].map(|i| 2.0 * i as f64 - 1.5));
+            parents[4 * node..4 * node + 3].copy_from_slice(&u);
+        }
+        let mut nodes = [0.0; NODES];
+        prolong(u64::MAX, &parents, &mut nodes);
+        for node in 0..CELLS {
+            let u = field([node / 16, node / 4 % 4, node % 4].map(|i| i as f64));
+            (0..3).for_each(|d| assert!((nodes[4 * node + d] - u[d]).abs() < 1e-13));
+        }
+        assert_eq!(super::parents(u64::MAX), u64::MAX);
+        assert_eq!(super::parents(1).count_ones(), 8);
+    }
+}

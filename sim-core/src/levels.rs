@@ -1,0 +1,339 @@
+//! Regions of nested levels, and how they follow agents.
+//!
+//! Level l has cells of width 2^l h. Its region is a union of boxes of whole parent cells, one around each agent; the coarsest
+//! level has the whole world. A particle belongs to the finest level whose region holds its cell. Regions nest with a margin,
+//! so that no three levels meet, and move by whole parent cells once an agent has left a dead zone about their middle.
+
+use crate::coupling::Aabb;
+use crate::scene::{Scene, Wall};
+use crate::{BodyState, Coupling, Vec3};
+use serde::{Deserialize, Serialize};
+
+/// Parent cells between a region's faces and those of the next coarser one, at least.
+pub const NESTING: i32 = 4;
+/// Parent cells that an agent may be off the middle of its boxes.
+pub const DEAD_ZONE: f64 = 2.0;
+/// Cells of the finest level around an agent that its finest box holds, so that contact is decided there.
+pub const AROUND_AGENT: f64 = 4.0;
+/// A particle is split when it is closer than this to a finer region, in parent cells of that region.
+pub const SPLIT_AHEAD: i32 = 1;
+/// Particles merge when they are further than this from a finer region, in parent cells of that region.
+pub const MERGE_BEHIND: i32 = 3;
+
+/// A box of cells of one level, from `min` up to but without `max`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CellBox {
+    /// First cell.
+    pub min: [i32; 3],
+    /// One past the last cell.
+    pub max: [i32; 3],
+}
+
+impl CellBox {
+    /// Does it hold the cell?
+    pub fn contains(&self, cell: [i32; 3]) -> bool {
+        (0..3).all(|d| self.min[d] <= cell[d] && cell[d] < self.max[d])
+    }
+    /// Does it hold all of `other`?
+    pub fn holds(&self, other: &Self) -> bool {
+        (0..3).all(|d| self.min[d] <= other.min[d] && other.max[d] <= self.max[d])
+    }
+    /// Have they a cell in common?
+    pub fn meets(&self, other: &Self) -> bool {
+        (0..3).all(|d| self.min[d] < other.max[d] && other.min[d] < self.max[d])
+    }
+    /// With `by` more cells on every side.
+    #[must_use]
+    pub fn grown(&self, by: i32) -> Self {
+        Self { min: self.min.map(|x| x - by), max: self.max.map(|x| x + by) }
+    }
+    /// The same box in parent cells, rounded outwards.
+    fn in_parents(&self) -> Self {
+        Self { min: self.min.map(|x| x >> 1), max: self.max.map(|x| (x + 1) >> 1) }
+    }
+    fn moved(&self, by: [i32; 3]) -> Self {
+        Self { min: std::array::from_fn(|d| self.min[d] + by[d]), max: std::array::from_fn(|d| self.max[d] + by[d]) }
+    }
+}
+
+/// How much of a box of cells lies in a region.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cover {
+    /// All of it, within one of the region's boxes.
+    All,
+    /// Part of it, or all of it in several boxes.
+    Part,
+    /// Nothing.
+    None,
+}
+
+/// The regions of all levels but the coarsest.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Regions {
+    /// Width of the finest cell [m].
+    h: f64,
+    /// Half the side of a box, in parent cells.
+    half: i32,
+    /// The world in cells of the finest level.
+    world: CellBox,
+    /// Ends of each axis that have a wall: the region goes on behind it.
+    walled: [[bool; 2]; 3],
+    periodic: [bool; 3],
+    /// Boxes of each level, one an agent, in cells of the level.
+    boxes: Vec<Vec<CellBox>>,
+}
+
+impl Regions {
+    /// Regions without boxes: every place is on the coarsest of `scene.levels.count` levels.
+    pub fn new(scene: &Scene, world: CellBox) -> Self {
+        let ends: [[Wall; 2]; 3] = std::array::from_fn(|d| scene.world.walls.pair(d));
+        Self {
+            h: scene.world.cell,
+            half: scene.levels.half as i32 / 2,
+            world,
+            walled: ends.map(|axis| axis.map(|wall| !matches!(wall, Wall::Open | Wall::Periodic))),
+            periodic: ends.map(|axis| axis[0] == Wall::Periodic),
+            boxes: vec![Vec::new(); scene.levels.count as usize - 1],
+        }
+    }
+
+    /// Number of levels.
+    pub fn levels(&self) -> usize {
+        self.boxes.len() + 1
+    }
+
+    /// Boxes of each level but the coarsest, in cells of the level.
+    pub fn boxes(&self) -> &[Vec<CellBox>] {
+        &self.boxes
+    }
+
+    /// Takes over boxes of a saved run.
+    pub fn restore(&mut self, boxes: Vec<Vec<CellBox>>) {
+        self.boxes = boxes;
+    }
+
+    /// Moves the boxes after their agents. Returns whether any has moved.
+    pub fn follow(&mut self, agents: &[Aabb]) -> bool {
+        let mut moved = false;
+        for level in 0..self.boxes.len() {
+            let parent = self.h * f64::from(1 << (level + 1));
+            let kept = std::mem::take(&mut self.boxes[level]);
+            let mut boxes = Vec::with_capacity(agents.len());
+            for (a, agent) in agents.iter().enumerate() {
+                let inner = level.checked_sub(1).map(|finer| self.boxes[finer][a].in_parents().grown(NESTING));
+                let around = agent.grown(AROUND_AGENT * self.h);
+                let old = kept.get(a).filter(|old| is_near(old, &around, parent));
+                let chosen = match old {
+                    Some(old) if inner.is_none_or(|inner| old.holds(&inner)) => *old,
+                    _ => self.ideal(&around, inner, parent),
+                };
+                moved |= kept.get(a) != Some(&chosen);
+                boxes.push(chosen);
+            }
+            self.boxes[level] = boxes;
+        }
+        moved
+    }
+
+    /// The box about an agent, of whole parent cells of width `parent` [m], that also holds `inner` (in cells of the level).
+    fn ideal(&self, agent: &Aabb, inner: Option<CellBox>, parent: f64) -> CellBox {
+        let mut chosen = CellBox { min: [0; 3], max: [0; 3] };
+        for d in 0..3 {
+            let centre = (0.5 * (agent.min[d] + agent.max[d]) / parent).round() as i32;
+            let reach = |end: f64| ((end / parent - f64::from(centre)).abs() + 1.0).ceil() as i32;
+            let half = self.half.max(reach(agent.min[d])).max(reach(agent.max[d]));
+            (chosen.min[d], chosen.max[d]) = (2 * (centre - half), 2 * (centre + half));
+            if let Some(inner) = inner {
+                chosen.min[d] = chosen.min[d].min(inner.min[d] >> 1 << 1);
+                chosen.max[d] = chosen.max[d].max((inner.max[d] + 1) >> 1 << 1);
+            }
+        }
+        chosen
+    }
+
+    /// Does a level's region hold a cell of that level? Cells behind a wall belong where the wall's own cells do.
+    pub fn contains(&self, level: usize, cell: [i32; 3]) -> bool {
+        level == self.boxes.len() || self.cover(level, CellBox { min: cell, max: cell.map(|c| c + 1) }) == Cover::All
+    }
+
+    /// How much of a box of cells of a level lies in its region.
+    pub fn cover(&self, level: usize, cells: CellBox) -> Cover {
+        self.cover_grown(level, cells, 0)
+    }
+
+    /// The finest level whose region, grown by so many of its parent cells, holds all of a box of cells of the finest
+    /// level; `None` if they differ in that.
+    pub fn finest(&self, cells: CellBox, margin: i32) -> Option<usize> {
+        for level in 0..self.boxes.len() {
+            let scaled = CellBox { min: cells.min.map(|x| x >> level), max: cells.max.map(|x| (x - 1 >> level) + 1) };
+            match self.cover_grown(level, scaled, 2 * margin) {
+                Cover::All => return Some(level),
+                Cover::Part => return None,
+                Cover::None => {}
+            }
+        }
+        Some(self.boxes.len())
+    }
+
+    /// The finest level whose region, grown by so many of its parent cells, holds a cell of the finest level.
+    pub fn finest_at(&self, cell: [i32; 3], margin: i32) -> usize {
+        self.finest(CellBox { min: cell, max: cell.map(|c| c + 1) }, margin).unwrap_or(0)
+    }
+
+    fn cover_grown(&self, level: usize, mut cells: CellBox, by: i32) -> Cover {
+        let Some(boxes) = self.boxes.get(level) else { return Cover::All };
+        let world =
+            CellBox { min: self.world.min.map(|x| x >> level), max: self.world.max.map(|x| (x - 1 >> level) + 1) };
+        // The copies of a box that periodic axes make: at most 27.
+        let (mut shifts, mut copies) = ([[0; 3]; 27], 1);
+        for d in 0..3 {
+            let (low, high) = (world.min[d], world.max[d]);
+            if self.walled[d][0] {
+                (cells.min[d], cells.max[d]) = (cells.min[d].max(low), cells.max[d].max(low + 1));
+            }
+            if self.walled[d][1] {
+                (cells.min[d], cells.max[d]) = (cells.min[d].min(high - 1), cells.max[d].min(high));
+            }
+            if self.periodic[d] {
+                let period = high - low;
+                for copy in 0..copies {
+                    for (times, to) in [(-1, copies + copy), (1, 2 * copies + copy)] {
+                        shifts[to] = shifts[copy];
+                        shifts[to][d] = times * period;
+                    }
+                }
+                copies *= 3;
+            }
+        }
+        let mut cover = Cover::None;
+        for one in boxes {
+            let one = one.grown(by);
+            for shift in &shifts[..copies] {
+                let cells = cells.moved(*shift);
+                if one.holds(&cells) {
+                    return Cover::All;
+                }
+                if one.meets(&cells) {
+                    cover = Cover::Part;
+                }
+            }
+        }
+        cover
+    }
+}
+
+/// Is the agent still inside the box, and near enough to its middle?
+fn is_near(of: &CellBox, agent: &Aabb, parent: f64) -> bool {
+    (0..3).all(|d| {
+        let (min, max) = (0.5 * parent * f64::from(of.min[d]), 0.5 * parent * f64::from(of.max[d]));
+        let off = 0.5 * (agent.min[d] + agent.max[d]) - 0.5 * (min + max);
+        off.abs() <= DEAD_ZONE * parent && min <= agent.min[d] && agent.max[d] <= max
+    })
+}
+
+/// What a level's boxes follow.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Agent {
+    /// The body of a coupling, by name.
+    Rigid(String),
+    /// A soft body, by its index in the scene.
+    Soft(u16),
+}
+
+/// Boxes around the agents that couplings move; soft ones are looked up in `soft`.
+pub fn agent_bounds(
+    agents: &[Agent],
+    couplings: &[Box<dyn Coupling>],
+    soft: impl Fn(u16) -> Option<Aabb>,
+) -> Vec<Aabb> {
+    let rigid: Vec<(BodyState, Aabb)> =
+        couplings.iter().flat_map(|coupling| coupling.bodies().into_iter().zip(coupling.bounds())).collect();
+    agents
+        .iter()
+        .filter_map(|agent| match agent {
+            Agent::Rigid(name) => rigid.iter().find(|(body, _)| body.name == *name).map(|(_, bounds)| *bounds),
+            Agent::Soft(body) => soft(*body),
+        })
+        .collect()
+}
+
+/// The finest cell that holds a point [m].
+pub fn cell_of(x: Vec3, h: f64) -> [i32; 3] {
+    x.map(|x| (x / h).floor() as i32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn regions(levels: u32, half: u32) -> Regions {
+        Regions {
+            h: 0.01,
+            half: half as i32 / 2,
+            world: CellBox { min: [-4000; 3], max: [4000; 3] },
+            walled: [[false; 2], [false; 2], [true, false]],
+            periodic: [false; 3],
+            boxes: vec![Vec::new(); levels as usize - 1],
+        }
+    }
+
+    fn agent(x: f64, z: f64) -> Aabb {
+        Aabb { min: [x - 0.03, -0.03, z], max: [x + 0.03, 0.03, z + 0.06] }
+    }
+
+    /// Boxes of whole parent cells, nested with a margin: what the two-scale exchange relies on.
+    #[test]
+    fn boxes_are_aligned_nested_and_hold_the_agent() {
+        let mut regions = regions(4, 16);
+        for step in 0..500 {
+            let x = 3.0 * (0.02 * f64::from(step)).sin();
+            regions.follow(&[agent(x, 0.1)]);
+            for (level, boxes) in regions.boxes.iter().enumerate() {
+                let one = boxes[0];
+                assert!(one.min.iter().chain(&one.max).all(|c| c % 2 == 0), "{one:?}");
+                if level > 0 {
+                    assert!(one.holds(&regions.boxes[level - 1][0].in_parents().grown(NESTING)), "level {level}");
+                }
+            }
+            assert_eq!(regions.finest_at(cell_of([x, 0.0, 0.12], 0.01), 0), 0);
+        }
+    }
+
+    /// An agent that trembles by a parent cell moves nothing; one that walks off moves its boxes.
+    #[test]
+    fn the_dead_zone_keeps_boxes_still() {
+        let mut regions = regions(3, 16);
+        assert!(regions.follow(&[agent(0.0, 0.1)]));
+        for step in 0..100 {
+            assert!(!regions.follow(&[agent(if step % 2 == 0 { 0.02 } else { -0.02 }, 0.1)]));
+        }
+        assert!(regions.follow(&[agent(0.06, 0.1)]));
+    }
+
+    /// A box at a wall ends at the wall: what lies behind belongs to what lies before it.
+    #[test]
+    fn regions_go_on_behind_walls() {
+        let mut regions = regions(2, 16);
+        regions.follow(&[agent(0.0, -40.0)]);
+        assert!(regions.contains(0, [0, 0, -4000]));
+        assert!(regions.contains(0, [0, 0, -4003]));
+        assert!(!regions.contains(0, [100, 0, -4001]));
+    }
+
+    #[test]
+    fn levels_are_told_apart_by_cells() {
+        let mut regions = regions(3, 16);
+        regions.follow(&[agent(0.0, 0.1)]);
+        let one = regions.boxes[0][0];
+        let y = (one.min[1] + one.max[1]) / 2;
+        let z = (one.min[2] + one.max[2]) / 2;
+        assert_eq!(regions.finest_at([one.max[0] - 1, y, z], 0), 0);
+        assert_eq!(regions.finest_at([one.max[0], y, z], 0), 1);
+        assert_eq!(regions.finest_at([one.max[0] + 1, y, z], SPLIT_AHEAD), 0);
+        assert_eq!(regions.finest_at([one.max[0] + 2, y, z], SPLIT_AHEAD), 1);
+        let far = CellBox { min: [300; 3], max: [304; 3] };
+        assert_eq!(regions.finest(far, 0), Some(2));
+        let across = CellBox { min: [one.max[0] - 2, y, z], max: [one.max[0] + 2, y + 4, z + 4] };
+        assert_eq!(regions.finest(across, 0), None);
+    }
+}
