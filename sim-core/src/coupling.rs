@@ -102,8 +102,9 @@ impl NodeBatch {
 /// Rigid tools, free bodies, robots: anything that constrains node velocities and feels the reaction.
 ///
 /// In each step the simulation calls, in this order: [`before_step`](Self::before_step), [`contact`](Self::contact) once
-/// with all nodes inside [`bounds`](Self::bounds), [`after_step`](Self::after_step). An impulse is taken from the node
-/// where it acts and booked once, on the body, at that node's position.
+/// with all nodes inside [`bounds`](Self::bounds) unless there are none, [`after_step`](Self::after_step). So what was booked
+/// in the last step is cleared in `before_step`. An impulse is taken from the node where it acts and booked once, on the body,
+/// at that node's position.
 pub trait Coupling: Send {
     /// Name of the kind, as registered.
     fn name(&self) -> &str;

@@ -1,8 +1,8 @@
 //! A scene pays only for the effects it calls for, counted in passes, bytes and bits. (That time differs by less than 1 % is
 //! measured by `barchan bench effects`.)
 
-use barchan::{Options, Precision, Simulation, Stage};
-use barchan_tests::scenes::{options, rows, scene};
+use barchan::{Options, Precision, Simulation, Stage, Wrench};
+use barchan_tests::scenes::{options, rows, scene, simulation};
 use barchan_tests::sketch::{Head, bed, half, material, tool};
 use std::collections::BTreeMap;
 
@@ -94,37 +94,68 @@ fn what_is_declared_but_unused_costs_nothing() {
     }
 }
 
-/// Each stage of the plan runs once a step, sorts as often as they are due, and no other pass runs.
+/// Each stage of the plan runs once a step, sorts as often as they are due, and no other pass runs. Contact runs only where a
+/// tool's box holds nodes: a tool out of reach costs no pass and changes no bit.
 #[test]
 fn exactly_the_passes_of_the_plan_are_run() {
-    let plate =
-        tool("plate", [0.3, 0.3, 0.3], &half([0.1, 0.1, 0.05]), "\"slip\"", "{ velocity = { linear = [0, 0, -0.5] } }");
-    for (name, more, contact) in [("without a tool", vec![], false), ("with a tool", vec![plate], true)] {
+    // The bed is 0.15 m deep, and the plate 0.05 m to each side of its centre.
+    let plate = |height: f64| {
+        let motion = "{ velocity = { linear = [0, 0, -0.5] } }";
+        vec![tool("plate", [0.3, 0.3, height], &half([0.1, 0.1, 0.05]), "\"slip\"", motion)]
+    };
+    let mut states = Vec::new();
+    for (name, more, contact) in [
+        ("without a tool", vec![], 0),
+        ("with a tool out of reach", plate(0.4), 0),
+        ("with a tool on the ground", plate(0.2), STEPS),
+    ] {
+        let planned = !more.is_empty();
         let (cost, s) = run(&sand(&more));
         let passes = |effect: &str| cost.passes.get(effect).copied().unwrap_or(0);
         println!("{name}, {STEPS} steps: {:?}", cost.passes);
-        assert_eq!(cost.stages.contains(&Stage::Contact), contact, "{name}");
-        for (effect, wanted) in [
-            ("P2G", STEPS),
-            ("material sand", STEPS),
-            ("grid", STEPS),
-            ("G2P", STEPS),
-            ("contact", if contact { STEPS } else { 0 }),
-        ] {
+        assert_eq!(cost.stages.contains(&Stage::Contact), planned, "{name}");
+        for (effect, wanted) in
+            [("P2G", STEPS), ("material sand", STEPS), ("grid", STEPS), ("G2P", STEPS), ("contact", contact)]
+        {
             assert_eq!(passes(effect), wanted, "{name}: {effect}");
         }
         assert!((1..=STEPS / 2).contains(&passes("sort")), "{name}: {} sorts", passes("sort"));
         assert_eq!(
             cost.passes.len(),
-            if contact { 6 } else { 5 },
+            if contact > 0 { 6 } else { 5 },
             "{name}: a pass that no stage calls for in {:?}",
             cost.passes
         );
         assert_eq!(
             s.plan().effects.iter().filter(|e| e.name.starts_with("contact with")).count(),
-            usize::from(contact)
+            usize::from(planned)
         );
+        states.push(cost.state);
     }
+    assert!(states[0] == states[1], "a tool out of reach changed a bit");
+    assert!(states[0] != states[2], "a tool on the ground changed nothing");
+}
+
+/// A tool that has left the ground is out of reach, and the force of its last contact does not stay with it.
+#[test]
+fn a_tool_that_has_left_the_ground_feels_nothing() {
+    let plate = tool("plate", [0.3, 0.3, 0.2], &half([0.1, 0.1, 0.05]), "\"slip\"", "{ velocity = {} }");
+    let mut s = simulation(&sand(&[plate]), Precision::F32);
+    let mut moved = |velocity: f64| {
+        s.drive("plate", [0.0, 0.0, velocity], [0.0; 3]).unwrap();
+        for _ in 0..STEPS {
+            s.step().unwrap();
+        }
+        let passes = s.timings().iter().filter(|t| t.effect == "contact").map(|t| t.passes).sum::<u64>();
+        (s.wrenches()[0], passes)
+    };
+    let ((pressed, touching), (lifted, since)) = (moved(-0.2), moved(3.0));
+    println!(
+        "{touching} contact passes and {:?} N when pressed, {since} passes and {:?} N after lifting",
+        pressed.force, lifted.force
+    );
+    assert!(pressed.force[2] > 0.0 && touching == STEPS && since < 2 * STEPS);
+    assert_eq!(lifted, Wrench::default());
 }
 
 /// A scene of tools alone has no ground to transfer, and one of nothing has no stages at all.
@@ -137,7 +168,7 @@ fn a_scene_without_ground_runs_no_transfer() {
         println!("{name}: stages {:?}, passes {:?}, bytes {:?}", cost.stages, cost.passes, cost.bytes);
         assert_eq!(cost.stages, stages, "{name}");
         assert_eq!((cost.bytes, cost.planned), ((0, 0), (0, 0)), "{name}");
-        for effect in ["sort", "P2G", "grid", "G2P"] {
+        for effect in ["sort", "P2G", "grid", "contact", "G2P"] {
             assert_eq!(cost.passes.get(effect), None, "{name}: {effect} ran without a particle");
         }
         assert!((s.time() - STEPS as f64 * 1e-3).abs() < 1e-12);
