@@ -1,8 +1,8 @@
 //! Any bytes are a snapshot or an error, and what can be resumed can be stepped or says why not.
 //!
 //! Checksums would turn almost every mutation away at the door: they are mended first, so that what lies behind is reached. Not
-//! those of couplings: there lies the rigid solver's own state in the solver's own form, which it trusts (rapier's arenas panic
-//! on a free list that was tampered with), so that only the checksum stands between it and damage.
+//! those of couplings: there lies the rigid solver's own state in the solver's own form, which it trusts. Its panics are caught and
+//! become errors, but libfuzzer aborts at any panic, caught or not; `rigid-couple/tests` tries every byte of such a state instead.
 #![no_main]
 
 use barchan::{Options, Registry, Scene, Simulation};

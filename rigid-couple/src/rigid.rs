@@ -66,6 +66,17 @@ struct State {
     angular_momentum: DVec3,
 }
 
+impl State {
+    /// Are all numbers finite, and is the rotation one? Turning a body for long leaves it one to many digits.
+    fn is_sound(&self) -> bool {
+        self.pose.position.is_finite()
+            && (self.pose.rotation.length() - 1.0).abs() < 1e-6
+            && self.twist.is_finite()
+            && self.command.is_finite()
+            && self.angular_momentum.is_finite()
+    }
+}
+
 enum Mover {
     Fixed,
     Path(KeyframePath),
@@ -312,7 +323,11 @@ impl Rigid {
                 }
             }
         }
-        world.step(dt);
+        world.step(dt).map_err(|what| Error::Body {
+            path: "coupling 'rigid'".into(),
+            what: format!("the solver of contacts among rigid bodies failed: {what}"),
+            mend: "lower time.step, or start from another snapshot".into(),
+        })?;
         for (i, body) in self.bodies.iter_mut().enumerate() {
             let Some(free) = body.free() else {
                 continue;
@@ -497,7 +512,7 @@ impl Coupling for Rigid {
     fn save(&self) -> Vec<u8> {
         let states: Vec<&State> = self.bodies.iter().map(|body| &body.state).collect();
         let wrenches: Vec<_> = self.wrenches.iter().map(|w| (w.force, w.torque)).collect();
-        let physics = self.world.as_ref().map(|world| &world.physics);
+        let physics = self.world.as_ref().map(RigidWorld::physics);
         postcard::to_stdvec(&(states, wrenches, self.counts, physics)).expect("writing to memory does not fail")
     }
 
@@ -511,15 +526,23 @@ impl Coupling for Rigid {
         {
             return Err(format!("it holds {} rigid bodies, and the scene {}", states.len(), self.bodies.len()));
         }
+        for (body, state) in self.bodies.iter().zip(&states) {
+            if !state.is_sound() {
+                return Err(format!("the state of tool '{}' is not finite, or its rotation none", body.name));
+            }
+        }
+        if !wrenches.iter().flat_map(|(force, torque)| force.iter().chain(torque)).all(|x| x.is_finite()) {
+            return Err("a wrench is not finite".to_owned());
+        }
+        if let (Some(world), Some(physics)) = (&mut self.world, physics) {
+            world.restore(physics)?;
+        }
         for (body, state) in self.bodies.iter_mut().zip(states) {
             body.state = state;
             body.target = state.pose;
         }
         self.wrenches = wrenches.into_iter().map(|(force, torque)| Wrench { force, torque }).collect();
         self.counts = counts;
-        if let (Some(world), Some(physics)) = (&mut self.world, physics) {
-            world.physics = physics;
-        }
         Ok(())
     }
 }

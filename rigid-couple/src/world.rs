@@ -9,14 +9,14 @@ use barchan_core::scene::{Contact, Wall, World};
 use glam::{DMat3, DQuat, DVec3};
 use rapier3d_f64::math::Pose as RapierPose;
 use rapier3d_f64::prelude::{
-    CoefficientCombineRule, Collider, ColliderBuilder, MassProperties, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle,
-    RigidBodyType, SharedShape,
+    CoefficientCombineRule, Collider, ColliderBuilder, MassProperties, PhysicsWorld, RigidBody, RigidBodyBuilder,
+    RigidBodyHandle, RigidBodyType, SharedShape,
 };
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Rapier's world, with one of its bodies for each tool of the scene.
 pub struct RigidWorld {
-    /// Everything that changes from step to step.
-    pub physics: PhysicsWorld,
+    physics: PhysicsWorld,
     handles: Vec<RigidBodyHandle>,
 }
 
@@ -36,6 +36,10 @@ pub enum Role {
         /// Coefficient of restitution.
         restitution: f64,
     },
+}
+
+fn is_finite(pose: &RapierPose) -> bool {
+    pose.translation.is_finite() && pose.rotation.is_finite()
 }
 
 fn to_rapier(pose: &Pose) -> RapierPose {
@@ -110,8 +114,82 @@ impl RigidWorld {
         body.set_angvel(twist.angular, true);
     }
 
+    /// Everything that changes from step to step.
+    pub fn physics(&self) -> &PhysicsWorld {
+        &self.physics
+    }
+
+    /// Takes up what [`physics`](Self::physics) gave in a world with the same bodies.
+    ///
+    /// Rapier trusts what it reads. Checked here is what can be seen from outside: that bodies and colliders are those of this
+    /// world, and finite. Its lists and trees are its own, and [`step`](Self::step) finds out.
+    ///
+    /// # Errors
+    /// A text saying what is wrong.
+    pub fn restore(&mut self, saved: PhysicsWorld) -> Result<(), String> {
+        let ours = &self.physics;
+        if saved.bodies.len() != ours.bodies.len() || saved.colliders.len() != ours.colliders.len() {
+            return Err(format!(
+                "its rigid solver holds {} bodies of {} parts, and the scene makes {} of {}",
+                saved.bodies.len(),
+                saved.colliders.len(),
+                ours.bodies.len(),
+                ours.colliders.len()
+            ));
+        }
+        for (i, &handle) in self.handles.iter().enumerate() {
+            let (body, own) = (saved.bodies.get(handle), &ours.bodies[handle]);
+            let fits = |b: &RigidBody| {
+                b.body_type() == own.body_type()
+                    && b.colliders() == own.colliders()
+                    && [b.linvel(), b.angvel()].iter().all(|v| v.is_finite())
+                    && is_finite(b.position())
+                    && is_finite(b.next_position())
+            };
+            if !body.is_some_and(fits) {
+                return Err(format!("its rigid solver's body {i} is not the scene's, or not finite"));
+            }
+        }
+        for (handle, own) in ours.colliders.iter() {
+            let fits = |c: &Collider| {
+                c.parent() == own.parent()
+                    && c.shape().shape_type() == own.shape().shape_type()
+                    && is_finite(c.position())
+            };
+            if !saved.colliders.get(handle).is_some_and(fits) {
+                return Err("a part of its rigid solver's bodies is not the scene's, or not finite".to_owned());
+            }
+        }
+        // Gravity, tolerances and joints are the scene's to say.
+        self.physics = PhysicsWorld {
+            gravity: ours.gravity,
+            integration_parameters: ours.integration_parameters,
+            islands: saved.islands,
+            broad_phase: saved.broad_phase,
+            narrow_phase: saved.narrow_phase,
+            bodies: saved.bodies,
+            colliders: saved.colliders,
+            ..PhysicsWorld::default()
+        };
+        self.pace(saved.integration_parameters.dt);
+        Ok(())
+    }
+
     /// Moves all bodies by `dt` [s].
-    pub fn step(&mut self, dt: f64) {
+    ///
+    /// # Errors
+    /// What rapier said when it gave up, which it does by panicking: with a state that was tampered with, or no longer finite.
+    /// The world is of no use then until it is restored.
+    pub fn step(&mut self, dt: f64) -> Result<(), String> {
+        self.pace(dt);
+        catch_unwind(AssertUnwindSafe(|| self.physics.step())).map_err(|panic| {
+            let text = panic.downcast_ref::<String>().cloned();
+            text.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string)).unwrap_or_default()
+        })
+    }
+
+    /// Sets the step, and what follows from it.
+    fn pace(&mut self, dt: f64) {
         let parameters = &mut self.physics.integration_parameters;
         parameters.dt = dt;
         // Contacts as stiff as the step resolves: at rapier's 30 Hz, made for steps of 1/60 s, a box under one that is 200 times
@@ -119,7 +197,6 @@ impl RigidWorld {
         let stiffest = 0.125 / dt;
         parameters.contact_softness.natural_frequency = stiffest.max(30.0);
         parameters.static_contact_softness.natural_frequency = stiffest.max(60.0);
-        self.physics.step();
     }
 
     /// Where a body is, and how it moves.
