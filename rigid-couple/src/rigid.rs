@@ -22,10 +22,7 @@ const DEEP: f64 = 2.0;
 pub struct Rigid {
     bodies: Vec<Body>,
     wrenches: Vec<Wrench>,
-    /// Gravity, and the seconds over which it grows.
-    gravity: DVec3,
-    gravity_ramp: f64,
-    cell: f64,
+    scene: Scene,
     world_box: Aabb,
     /// Only with a free body.
     world: Option<RigidWorld>,
@@ -278,9 +275,7 @@ impl Rigid {
         let world_box = Aabb { min: scene.world.min, max: scene.world.max };
         let mut rigid = Self {
             wrenches: vec![Wrench::default(); bodies.len()],
-            gravity: DVec3::from_array(scene.gravity),
-            gravity_ramp: scene.gravity_ramp,
-            cell: scene.world.cell,
+            scene: scene.clone(),
             // Particles outside the world do not live long enough to reach further nodes than these.
             world_box: world_box.grown(4.0 * scene.world.cell),
             world: None,
@@ -351,7 +346,8 @@ impl Coupling for Rigid {
     }
 
     fn bodies(&self) -> Vec<BodyState> {
-        self.bodies.iter().map(|body| body.report(self.gravity)).collect()
+        let gravity = DVec3::from_array(self.scene.gravity);
+        self.bodies.iter().map(|body| body.report(gravity)).collect()
     }
 
     fn max_speed(&self, time: f64, dt: f64) -> f64 {
@@ -361,10 +357,11 @@ impl Coupling for Rigid {
             // A plane has no extent of its own; only what lies in the world matters.
             twist.linear.length() + if turning > 0.0 { turning * body.extent.min(world_size) } else { 0.0 }
         };
+        let gravity = DVec3::from_array(self.scene.gravity).length();
         let fastest = |body: &Body| match &body.mover {
             Mover::Fixed => 0.0,
             Mover::Velocity => speed(body, &body.state.command),
-            Mover::Free { .. } => speed(body, &body.state.twist) + self.gravity.length() * dt,
+            Mover::Free { .. } => speed(body, &body.state.twist) + gravity * dt,
             // A step may turn out shorter than dt, so the chords of parts of it count too.
             Mover::Path(path) => (0..4).fold(0.0, |fastest, part| {
                 let (from, to) =
@@ -377,16 +374,14 @@ impl Coupling for Rigid {
 
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
         self.wrenches.fill(Wrench::default());
+        let gravity = DVec3::from_array(self.scene.gravity_at(time));
         for body in &mut self.bodies {
             match body.driven_pose(time, dt) {
                 Some(target) => {
                     body.state.twist = body.state.pose.chord(&target, dt);
                     body.target = target;
                 }
-                None => {
-                    let grown = if time < self.gravity_ramp { time / self.gravity_ramp } else { 1.0 };
-                    body.state.twist.linear += self.gravity * (grown * dt);
-                }
+                None => body.state.twist.linear += gravity * dt,
             }
             if !body.state.twist.is_finite() {
                 return Err(body.lost("velocity"));
@@ -408,7 +403,7 @@ impl Coupling for Rigid {
             }
             bounds
         };
-        self.bodies.iter().map(|body| clipped(body.shape.bounds(&body.state.pose, self.cell))).collect()
+        self.bodies.iter().map(|body| clipped(body.shape.bounds(&body.state.pose, self.scene.world.cell))).collect()
     }
 
     fn contact(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()> {
