@@ -47,7 +47,7 @@ pub struct Mirrors {
 
 impl Mirrors {
     /// Pairs (mirror image, node, signs) of planes of the tile that starts at `origin`, along `axis`.
-    fn planes(&self, origin: [i32; 3], axis: usize) -> impl Iterator<Item = (usize, usize, [f64; 3])> {
+    fn planes(&self, origin: [i32; 3], axis: usize) -> impl DoubleEndedIterator<Item = (usize, usize, [f64; 3])> {
         let side = TILE_SIDE as i32;
         let [low, high] = self.kind[axis];
         // Twice the wall's position in the tile, in nodes: node i and its image j satisfy i + j = 2 wall - 1.
@@ -138,16 +138,14 @@ impl Mirrors {
     /// particles read from a mirrored node is not what they would have read from the node itself.
     pub fn unfold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3], images: &[T]) -> [f64; 3] {
         let mut impulse = [0.0; 3];
-        let mut masses = images.iter().rev();
+        // In reverse, since along an edge the images of one wall are nodes of the next.
+        let mut masses = images.rchunks_exact(TILE_SIDE * TILE_SIDE);
         for axis in (0..3).rev() {
-            // In reverse, since along an edge the images of one wall are nodes of the next.
-            let planes: Vec<_> = self.planes(origin, axis).collect();
-            for &(image, node, signs) in planes.iter().rev() {
-                let plane: Vec<f64> = masses.by_ref().take(TILE_SIDE * TILE_SIDE).map(|m| m.to_f64()).collect();
-                let mut at = plane.iter().rev();
+            for (image, node, signs) in self.planes(origin, axis).rev() {
+                let mut plane = masses.next().unwrap_or_default().iter();
                 let signs_t = signs.map(T::from_f64);
                 each_pair(axis, image, node, |image, node| {
-                    let mass = at.next().copied().unwrap_or(0.0);
+                    let mass = plane.next().map_or(0.0, |m| m.to_f64());
                     for d in 0..3 {
                         let u = tile[node + d];
                         tile[image + d] = signs_t[d] * u;
