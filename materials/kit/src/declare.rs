@@ -47,7 +47,7 @@ impl Param {
     pub const fn log_scale(self) -> Self {
         self.flag(BARCHAN_PARAM_LOG_SCALE)
     }
-    /// The material's stress is differentiable with respect to it.
+    /// The stress is differentiable with respect to it. A property of the law: the kit gives no gradients yet.
     pub const fn differentiable(self) -> Self {
         self.flag(BARCHAN_PARAM_DIFFERENTIABLE)
     }

@@ -112,7 +112,7 @@ impl<T: Real> Eigen<T> {
 }
 
 // Helpers are functions, never closures: a closure cannot be told to be inlined always, and one that is not is compiled
-// without the vector instructions (seen: an update ten times as slow).
+// without the vector instructions.
 
 #[inline(always)]
 fn scale<T: Real>([x, y, z]: [T; 3], s: T) -> [T; 3] {

@@ -2,6 +2,8 @@
  *
  *   cc -std=c11 -O2 -Wall -Wextra -shared -fPIC -I <barchan>/sim-core/abi/include neo_hookean.c -o libneo_hookean.so -lm
  *
+ * -lm links the mathematics library, for log; without it the plugin builds, and may fail to load.
+ *
  * To make it yours: change the name, the parameters and the laws `stress`, `moduli` and `energy`; the rest is the same for
  * every material. Barchan's conformance suite tells whether it obeys the rules in barchan_abi.h.
  */

@@ -25,7 +25,7 @@
 // The upper bound of a parameter is excluded.
 #define BARCHAN_PARAM_MAX_OPEN 2
 
-// The material's adjoint gives a derivative with respect to this parameter.
+// The stress is differentiable with respect to this parameter; gradients are there only if the adjoint slots are filled.
 #define BARCHAN_PARAM_DIFFERENTIABLE 4
 
 // Sweeps and sliders should treat this parameter on a logarithmic scale.

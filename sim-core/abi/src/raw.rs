@@ -27,7 +27,7 @@ pub const BARCHAN_STRAIN_LEFT_CAUCHY_GREEN: u32 = 1;
 pub const BARCHAN_PARAM_MIN_OPEN: u64 = 1;
 /// The upper bound of a parameter is excluded.
 pub const BARCHAN_PARAM_MAX_OPEN: u64 = 2;
-/// The material's adjoint gives a derivative with respect to this parameter.
+/// The stress is differentiable with respect to this parameter; gradients are there only if the adjoint slots are filled.
 pub const BARCHAN_PARAM_DIFFERENTIABLE: u64 = 4;
 /// Sweeps and sliders should treat this parameter on a logarithmic scale.
 pub const BARCHAN_PARAM_LOG_SCALE: u64 = 8;
