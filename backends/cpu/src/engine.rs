@@ -1,6 +1,7 @@
 //! The step.
 
 use crate::adapt::Resampled;
+use crate::isolated;
 use crate::level::{Crew, Level, Shares, Stopped, greater};
 use crate::store::{Departures, List};
 use barchan_abi as abi;
@@ -689,6 +690,8 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         ledger.count("particles deleted on leaving", self.departures.deleted);
         ledger.count("steps shortened for speed", self.shortened);
         ledger.count("steps with strain applied in parts", self.parted);
+        let isolated = self.levels.iter().map(|level| isolated::count(&level.store.lists, &level.bounds)).sum();
+        ledger.count("particles with an isolated stencil now", isolated);
     }
 
     fn timings(&self) -> Vec<Timing> {

@@ -7,6 +7,7 @@
 mod adapt;
 mod engine;
 mod grid;
+mod isolated;
 mod level;
 mod memory;
 mod store;
