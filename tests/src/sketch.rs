@@ -1,13 +1,25 @@
-//! Scenes put together from their parts, for the many small ones that hard cases need.
+//! Scenes put together from their parts, for the many small ones that tests need.
 
 use barchan::Vec3;
 use std::fmt::Display;
 
-/// Gravity, cell width [m], extent [m], walls and time: what every scene begins with.
+/// Walls that join every side with the one across.
+pub const PERIODIC: &str = r#"
+x_min = "periodic"
+x_max = "periodic"
+y_min = "periodic"
+y_max = "periodic"
+z_min = "periodic"
+z_max = "periodic"
+"#;
+
+/// Gravity, its growth, cell width [m], extent [m], walls and time: what every scene begins with.
 #[derive(Clone, Debug)]
-pub struct Head {
+pub struct Head<'a> {
     /// Gravity [m/s²].
     pub gravity: Vec3,
+    /// Time over which it grows [s].
+    pub gravity_ramp: f64,
     /// Cell width [m].
     pub cell: f64,
     /// Least corner [m].
@@ -15,23 +27,24 @@ pub struct Head {
     /// Greatest corner [m].
     pub max: Vec3,
     /// Entries of `world.walls`, such as `z_min = "slip"`.
-    pub walls: &'static str,
+    pub walls: &'a str,
     /// Entries of `world`, such as `leaving = "clamp"`.
-    pub world: &'static str,
+    pub world: &'a str,
     /// Entries of `time` besides `end`, such as `step = 1e-3`.
     pub time: String,
 }
 
-impl Head {
+impl<'a> Head<'a> {
     /// Free space around the origin, 4 m in every direction, without gravity.
     pub fn space(cell: f64) -> Self {
-        Self { gravity: [0.0; 3], cell, min: [-4.0; 3], max: [4.0; 3], walls: "", world: "", time: String::new() }
+        Self { gravity: [0.0; 3], min: [-4.0; 3], max: [4.0; 3], ..Self::cells(cell, [0; 3], "") }
     }
 
     /// A box of so many cells from the origin, with gravity.
-    pub fn cells(cell: f64, cells: [u32; 3], walls: &'static str) -> Self {
+    pub fn cells(cell: f64, cells: [u32; 3], walls: &'a str) -> Self {
         Self {
             gravity: [0.0, 0.0, -9.81],
+            gravity_ramp: 0.0,
             cell,
             min: [0.0; 3],
             max: cells.map(|n| cell * f64::from(n)),
@@ -49,9 +62,10 @@ impl Head {
 
     /// The scene's text, with what stands in it.
     pub fn with(&self, parts: &[String]) -> String {
-        let Self { gravity, cell, min, max, walls, world, time } = self;
+        let Self { gravity, gravity_ramp, cell, min, max, walls, world, time } = self;
         format!(
-            "name = \"case\"\ngravity = {gravity:?}\n[world]\ncell = {cell}\nmin = {min:?}\nmax = {max:?}\n{world}\n\
+            "name = \"case\"\ngravity = {gravity:?}\ngravity_ramp = {gravity_ramp}\n\
+             [world]\ncell = {cell}\nmin = {min:?}\nmax = {max:?}\n{world}\n\
              [world.walls]\n{walls}\n[time]\nend = 100.0\n{time}\n{}",
             parts.concat()
         )
@@ -65,7 +79,12 @@ pub fn material(law: &str, density: f64, parameters: &str) -> String {
 
 /// A box of a material; `more` holds further keys.
 pub fn block(law: &str, min: Vec3, max: Vec3, more: &str) -> String {
-    format!("[[body]]\nmaterial = \"{law}\"\nshape = {{ box = {{ min = {min:?}, max = {max:?} }} }}\n{more}\n")
+    body(law, &format!("box = {{ min = {min:?}, max = {max:?} }}"), more)
+}
+
+/// A body of any shape, as in a scene file; `more` holds further keys.
+pub fn body(law: &str, shape: &str, more: &str) -> String {
+    format!("[[body]]\nmaterial = \"{law}\"\nshape = {{ {shape} }}\n{more}\n")
 }
 
 /// A tool; shape, contact and motion as in a scene file.
@@ -81,7 +100,7 @@ pub fn half(half: Vec3) -> String {
 }
 
 /// A box of sand on a slip floor between periodic sides: `cells` wide in x and y, `depth` cells deep.
-pub fn bed(cell: f64, cells: [u32; 2], depth: u32, room: u32, parameters: &str) -> (Head, Vec<String>) {
+pub fn bed(cell: f64, cells: [u32; 2], depth: u32, room: u32, parameters: &str) -> (Head<'static>, Vec<String>) {
     let walls =
         "x_min = \"periodic\"\nx_max = \"periodic\"\ny_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"stick\"";
     let head = Head::cells(cell, [cells[0], cells[1], depth + room], walls).time("safety = 0.5");

@@ -2,6 +2,7 @@
 
 use barchan::{Ledger, Precision, Simulation, Vec3};
 use barchan_tests::scenes::{rows, run_to, simulation};
+use barchan_tests::sketch::{Head, block, body, half, material, tool};
 
 fn cross(a: Vec3, b: Vec3) -> Vec3 {
     std::array::from_fn(|d| a[(d + 1) % 3] * b[(d + 2) % 3] - a[(d + 2) % 3] * b[(d + 1) % 3])
@@ -12,36 +13,13 @@ fn norm(v: Vec3) -> f64 {
 }
 
 /// A soft ball and a rigid box in empty space, about to collide off centre.
-fn collision(contact: &str, mass: f64) -> String {
-    format!(
-        r#"
-        name = "collision"
-        gravity = [0.0, 0.0, 0.0]
-        [world]
-        cell = 0.05
-        min = [-5.0, -5.0, -5.0]
-        max = [5.0, 5.0, 5.0]
-        [time]
-        end = 1.0
-        step = 2e-4
-        [[material]]
-        name = "m"
-        law = "neo_hookean"
-        density = 1000.0
-        parameters = {{ young_modulus = 1e5, poisson_ratio = 0.3 }}
-        [[body]]
-        material = "m"
-        shape = {{ sphere = {{ center = [-0.36, 0.06, 0.02], radius = 0.2 }} }}
-        velocity = [1.5, 0.2, 0.0]
-        angular_velocity = [0.0, 0.0, 2.0]
-        [[tool]]
-        name = "box"
-        shape = {{ box = {{ half = [0.15, 0.2, 0.2] }} }}
-        position = [0.0, 0.0, 0.0]
-        contact = {contact}
-        motion = {{ free = {{ mass = {mass} }} }}
-        "#
-    )
+fn collision(contact: &str, motion: &str) -> String {
+    let ball = "sphere = { center = [-0.36, 0.06, 0.02], radius = 0.2 }";
+    Head::space(0.05).time("step = 2e-4").with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3"),
+        body("neo_hookean", ball, "velocity = [1.5, 0.2, 0.0]\nangular_velocity = [0.0, 0.0, 2.0]"),
+        tool("box", [0.0; 3], &half([0.15, 0.2, 0.2]), contact, motion),
+    ])
 }
 
 fn totals(ledger: &Ledger) -> (Vec3, Vec3) {
@@ -57,7 +35,7 @@ fn totals(ledger: &Ledger) -> (Vec3, Vec3) {
 fn a9_isolated_collision_conserves_momentum_and_angular_momentum() {
     for contact in ["{ coulomb = { friction = 0.4 } }", "\"stick\"", "\"slip\""] {
         for (precision, tolerance) in [(Precision::F64, 1e-13), (Precision::F32, 1e-6)] {
-            let mut pair = simulation(&collision(contact, 8.0), precision);
+            let mut pair = simulation(&collision(contact, "{ free = { mass = 8 } }"), precision);
             let before = pair.ledger();
             let (p0, l0) = totals(&before);
             for _ in 0..1000 {
@@ -80,39 +58,20 @@ fn a9_isolated_collision_conserves_momentum_and_angular_momentum() {
 /// A9 ii: a box at rest on sand is borne by exactly its weight.
 #[test]
 fn a9_resting_box_feels_its_weight() {
-    let mut rest = simulation(
-        r#"
-        name = "rest"
-        gravity_ramp = 0.1
-        [world]
-        cell = 0.02
-        min = [0.0, 0.0, 0.0]
-        max = [0.32, 0.32, 0.4]
-        [world.walls]
-        x_min = "slip"
-        x_max = "slip"
-        y_min = "slip"
-        y_max = "slip"
-        z_min = "stick"
-        [time]
-        end = 3.0
-        safety = 0.5
-        [[material]]
-        name = "sand"
-        law = "sand"
-        density = 1500.0
-        parameters = { young_modulus = 5e5, poisson_ratio = 0.2, friction_angle_deg = 30.0 }
-        [[body]]
-        material = "sand"
-        shape = { box = { min = [0.0, 0.0, 0.0], max = [0.32, 0.32, 0.12] } }
-        [[tool]]
-        name = "box"
-        shape = { box = { half = [0.05, 0.05, 0.05] } }
-        position = [0.16, 0.16, 0.172]
-        motion = { free = { mass = 0.8 } }
-        "#,
-        Precision::F32,
-    );
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let head = Head { gravity_ramp: 0.1, ..Head::cells(0.02, [16, 16, 20], walls) }.time("safety = 0.5");
+    let scene = head.with(&[
+        material("sand", 1500.0, "young_modulus = 5e5, poisson_ratio = 0.2, friction_angle_deg = 30.0"),
+        block("sand", [0.0; 3], [0.32, 0.32, 0.12], ""),
+        tool(
+            "box",
+            [0.16, 0.16, 0.172],
+            &half([0.05; 3]),
+            "{ coulomb = { friction = 0.5 } }",
+            "{ free = { mass = 0.8 } }",
+        ),
+    ]);
+    let mut rest = simulation(&scene, Precision::F32);
     run_to(&mut rest, 1.0);
     let (mut impulse, mut squares, mut time) = (0.0, 0.0, 0.0);
     // Means over 5 ms: the grid's own ringing is faster than any robot's controller.
@@ -142,14 +101,13 @@ fn a9_resting_box_feels_its_weight() {
 /// A9 iii: what sticks together ends with the common velocity of both masses.
 #[test]
 fn a9_sticking_capture_ends_with_the_common_velocity() {
-    // Head on, so that the pair does not turn and the box's mean velocity is the pair's.
-    let scene = collision("\"stick\"", 20.0)
-        .replace("center = [-0.36, 0.06, 0.02]", "center = [-0.36, 0.0, 0.0]")
-        .replace("velocity = [1.5, 0.2, 0.0]", "velocity = [1.5, 0.0, 0.0]")
-        .replace("angular_velocity = [0.0, 0.0, 2.0]", "")
-        // Clay, not rubber: a rebound would tear it off again.
-        .replace("neo_hookean", "von_mises")
-        .replace("poisson_ratio = 0.3", "poisson_ratio = 0.3, yield_stress = 2e3");
+    // Head on, so that the pair does not turn and the box's mean velocity is the pair's. Clay, not rubber: a rebound would tear
+    // it off again.
+    let scene = Head::space(0.05).time("step = 2e-4").with(&[
+        material("von_mises", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3, yield_stress = 2e3"),
+        body("von_mises", "sphere = { center = [-0.36, 0.0, 0.0], radius = 0.2 }", "velocity = [1.5, 0.0, 0.0]"),
+        tool("box", [0.0; 3], &half([0.15, 0.2, 0.2]), "\"stick\"", "{ free = { mass = 20 } }"),
+    ]);
     let mut capture = simulation(&scene, Precision::F64);
     let start = capture.ledger();
     let expected = start.momentum[0] / (start.mass + 20.0);
@@ -166,8 +124,8 @@ fn a9_sticking_capture_ends_with_the_common_velocity() {
 #[test]
 fn a9_force_on_a_driven_tool_is_the_momentum_removed_from_the_ground() {
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 1e-6)] {
-        let scene = collision("{ coulomb = { friction = 0.3 } }", 1.0)
-            .replace("motion = { free = { mass = 1 } }", "motion = { velocity = { linear = [-0.5, 0.1, 0.0] } }");
+        let motion = "{ velocity = { linear = [-0.5, 0.1, 0.0] } }";
+        let scene = collision("{ coulomb = { friction = 0.3 } }", motion);
         let mut push = simulation(&scene, precision);
         let before = push.ledger();
         let (mut impulse, mut moment) = ([0.0; 3], [0.0; 3]);
@@ -196,51 +154,28 @@ fn incline(tilt: f64, friction: f64, mesh: &std::path::Path) -> Simulation {
     let (s, c) = tilt.to_radians().sin_cos();
     // Along the plane, downhill, and out of it.
     let (t, n) = ([c, 0.0, s], [-s, 0.0, c]);
-    let g: Vec3 = std::array::from_fn(|d| 9.81 * (slope.sin() * t[d] - slope.cos() * n[d]));
+    let gravity: Vec3 = std::array::from_fn(|d| 9.81 * (slope.sin() * t[d] - slope.cos() * n[d]));
     let lift = 0.04;
-    let at = [n[0] * lift, 0.0, n[2] * lift];
-    let half = -tilt.to_radians() / 2.0;
-    simulation(
-        &format!(
-            r#"
-            name = "incline"
-            gravity_ramp = 0.2
-            gravity = [{}, {}, {}]
-            [world]
-            cell = 0.02
-            min = [-1.0, -1.0, -1.0]
-            max = [3.0, 1.0, 3.0]
-            [time]
-            end = 1.0
-            safety = 0.5
-            [[material]]
-            name = "m"
-            law = "hencky"
-            density = 1000.0
-            parameters = {{ young_modulus = 2e6, poisson_ratio = 0.2 }}
-            [[body]]
-            material = "m"
-            shape = {{ mesh = {{ file = {mesh:?}, center = [{}, {}, {}], rotation = [{}, 0.0, {}, 0.0] }} }}
-            around_tools = false
-            [[tool]]
-            name = "plane"
-            shape = {{ plane = {{ normal = [{}, {}, {}] }} }}
-            contact = {{ coulomb = {{ friction = {friction} }} }}
-            "#,
-            g[0],
-            g[1],
-            g[2],
-            at[0],
-            at[1],
-            at[2],
-            half.cos(),
-            half.sin(),
-            n[0],
-            n[1],
-            n[2]
+    let at = n.map(|x| lift * x);
+    let turn = -tilt.to_radians() / 2.0;
+    let turn = [turn.cos(), 0.0, turn.sin(), 0.0];
+    let head = Head { gravity, gravity_ramp: 0.2, min: [-1.0; 3], max: [3.0, 1.0, 3.0], ..Head::space(0.02) };
+    let scene = head.time("safety = 0.5").with(&[
+        material("hencky", 1000.0, "young_modulus = 2e6, poisson_ratio = 0.2"),
+        body(
+            "hencky",
+            &format!("mesh = {{ file = {mesh:?}, center = {at:?}, rotation = {turn:?} }}"),
+            "around_tools = false",
         ),
-        Precision::F64,
-    )
+        tool(
+            "plane",
+            [0.0; 3],
+            &format!("plane = {{ normal = {n:?} }}"),
+            &format!("{{ coulomb = {{ friction = {friction} }} }}"),
+            "\"fixed\"",
+        ),
+    ]);
+    simulation(&scene, Precision::F64)
 }
 
 /// A10: a block on an incline accelerates by g (sin theta - mu cos theta), or stays; whatever the angle between plane and grid.

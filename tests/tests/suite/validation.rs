@@ -1,8 +1,9 @@
 //! Truth that nobody here wrote: exact solutions and conservation laws. Tolerances are for quadratic B-spline MLS-MPM with two
 //! particles a cell and axis.
 
-use barchan::{Precision, Simulation};
+use barchan::{Precision, Simulation, Vec3};
 use barchan_tests::scenes::{Noise, alter, rows, run_to, simulation};
+use barchan_tests::sketch::{Head, PERIODIC, bed, block, body, material};
 use std::f64::consts::TAU;
 
 fn sum3(values: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
@@ -14,31 +15,11 @@ fn norm(v: [f64; 3]) -> f64 {
 }
 
 /// A cloud in free flight, without stress.
-fn cloud(gravity: &str) -> String {
-    format!(
-        r#"
-        name = "cloud"
-        seed = 5
-        gravity = {gravity}
-        [world]
-        cell = 0.1
-        min = [-20.0, -20.0, -40.0]
-        max = [20.0, 20.0, 20.0]
-        [time]
-        end = 1.0
-        step = 1e-3
-        [[material]]
-        name = "m"
-        law = "neo_hookean"
-        density = 1000.0
-        parameters = {{ young_modulus = 1e4, poisson_ratio = 0.3 }}
-        [[body]]
-        material = "m"
-        shape = {{ box = {{ min = [0.0, 0.0, 0.0], max = [0.5, 0.5, 0.5] }} }}
-        sampling = "jitter"
-        velocity = [1.5, -0.5, 3.0]
-        "#
-    )
+fn cloud(gravity: Vec3) -> String {
+    Head { gravity, ..Head::space(0.1) }.time("step = 1e-3").with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+        block("neo_hookean", [0.0; 3], [0.5; 3], "sampling = \"jitter\"\nvelocity = [1.5, -0.5, 3.0]"),
+    ])
 }
 
 /// A1, free flight: symplectic Euler gives z_n = z_0 + v_0 n dt - g dt² n (n + 1)/2 exactly. A lost gravity impulse, a wrong
@@ -46,7 +27,7 @@ fn cloud(gravity: &str) -> String {
 #[test]
 fn a1_free_flight_is_exact() {
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-6 * 500f64.sqrt() * 10.0)] {
-        let mut flight = simulation(&cloud("[0.0, 0.0, -9.81]"), precision);
+        let mut flight = simulation(&cloud([0.0, 0.0, -9.81]), precision);
         let start = rows(&flight);
         let (n, dt, g) = (500.0, 1e-3, 9.81);
         for _ in 0..500 {
@@ -70,7 +51,7 @@ fn a1_affine_fields_are_reproduced() {
     let a = [0.3, -0.2, 0.1];
     let b = [0.2, -0.4, 0.3, 0.1, -0.3, 0.5, -0.6, 0.2, 0.1];
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-5)] {
-        let mut patch = simulation(&cloud("[0.0, 0.0, 0.0]"), precision);
+        let mut patch = simulation(&cloud([0.0; 3]), precision);
         let mut noise = Noise::new(11);
         alter(&mut patch, |r| {
             for i in 0..3 {
@@ -97,39 +78,13 @@ fn a1_affine_fields_are_reproduced() {
 fn standing_wave(cells: u32) -> f64 {
     let (v0, k) = (1e-4, TAU);
     let h = 1.0 / f64::from(cells);
-    let side = 4.0 * h;
-    let mut bar = simulation(
-        &format!(
-            r#"
-            name = "bar"
-            gravity = [0.0, 0.0, 0.0]
-            [world]
-            cell = {h}
-            min = [0.0, 0.0, 0.0]
-            max = [1.0, {side}, {side}]
-            [world.walls]
-            x_min = "periodic"
-            x_max = "periodic"
-            y_min = "periodic"
-            y_max = "periodic"
-            z_min = "periodic"
-            z_max = "periodic"
-            [time]
-            end = 10.0
-            step = {}
-            [[material]]
-            name = "m"
-            law = "neo_hookean"
-            density = 1.0
-            parameters = {{ young_modulus = 1.0, poisson_ratio = 0.0 }}
-            [[body]]
-            material = "m"
-            shape = {{ box = {{ min = [0.0, 0.0, 0.0], max = [1.0, {side}, {side}] }} }}
-            "#,
-            0.2 * h
-        ),
-        Precision::F64,
-    );
+    let head =
+        Head { gravity: [0.0; 3], ..Head::cells(h, [cells, 4, 4], PERIODIC) }.time(format!("step = {}", 0.2 * h));
+    let scene = head.with(&[
+        material("neo_hookean", 1.0, "young_modulus = 1.0, poisson_ratio = 0.0"),
+        block("neo_hookean", [0.0; 3], head.max, ""),
+    ]);
+    let mut bar = simulation(&scene, Precision::F64);
     alter(&mut bar, |r| {
         r.v[0] = v0 * (k * r.x[0]).sin();
         r.c[0] = v0 * k * (k * r.x[0]).cos();
@@ -172,39 +127,19 @@ fn a4_rotating_cylinder_keeps_its_momenta_and_energy() {
     let h = 1.0 / 128.0;
     let (young, nu, rho, omega) = (1e4f64, 0.3, 1000.0, 6.0);
     let c_p = (young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / rho).sqrt();
-    let side = 4.0 * h;
+    let head =
+        Head { gravity: [0.0; 3], ..Head::cells(h, [128, 128, 4], "z_min = \"periodic\"\nz_max = \"periodic\"") };
+    let half = 2.0 * h;
+    let scene = head.time(format!("step = {}", 0.4 * h / c_p)).with(&[
+        material("neo_hookean", rho, &format!("young_modulus = {young}, poisson_ratio = {nu}")),
+        body(
+            "neo_hookean",
+            &format!("cylinder = {{ center = [0.5, 0.38, {half}], radius = 0.15, half_height = {half} }}"),
+            &format!("angular_velocity = [0.0, 0.0, {omega}]"),
+        ),
+    ]);
     for (precision, linear, angular) in [(Precision::F64, 1e-13, 1e-12), (Precision::F32, 1e-5, 2e-4)] {
-        let mut disk = simulation(
-            &format!(
-                r#"
-                name = "disk"
-                gravity = [0.0, 0.0, 0.0]
-                [world]
-                cell = {h}
-                min = [0.0, 0.0, 0.0]
-                max = [1.0, 1.0, {side}]
-                [world.walls]
-                z_min = "periodic"
-                z_max = "periodic"
-                [time]
-                end = 2.0
-                step = {}
-                [[material]]
-                name = "m"
-                law = "neo_hookean"
-                density = {rho}
-                parameters = {{ young_modulus = {young}, poisson_ratio = {nu} }}
-                [[body]]
-                material = "m"
-                shape = {{ cylinder = {{ center = [0.5, 0.38, {}], radius = 0.15, half_height = {} }} }}
-                angular_velocity = [0.0, 0.0, {omega}]
-                "#,
-                0.4 * h / c_p,
-                side / 2.0,
-                side / 2.0
-            ),
-            precision,
-        );
+        let mut disk = simulation(&scene, precision);
         let before = disk.ledger();
         run_to(&mut disk, TAU / omega);
         let after = disk.ledger();
@@ -245,39 +180,17 @@ fn stresses(column: &Simulation) -> Vec<[f64; 6]> {
 #[test]
 fn a3_column_at_rest_bears_its_weight_and_k0() {
     for (phi_deg, nu, k0) in [(30.0, 0.2, 1.0f64 / 3.0), (30.0, 0.3, 3.0 / 7.0), (45.0, 0.2, 0.25)] {
-        let (h, height, rho, g) = (0.02, 0.48, 1000.0, 9.81);
-        let side = 4.0 * h;
-        let mut column = simulation(
-            &format!(
-                r#"
-                name = "column"
-                gravity = [0.0, 0.0, -{g}]
-                gravity_ramp = 0.4
-                [world]
-                cell = {h}
-                min = [0.0, 0.0, 0.0]
-                max = [{side}, {side}, 0.8]
-                [world.walls]
-                x_min = "periodic"
-                x_max = "periodic"
-                y_min = "periodic"
-                y_max = "periodic"
-                z_min = "slip"
-                [time]
-                end = 1.0
-                safety = 0.5
-                [[material]]
-                name = "sand"
-                law = "sand"
-                density = {rho}
-                parameters = {{ young_modulus = 1e6, poisson_ratio = {nu}, friction_angle_deg = {phi_deg} }}
-                [[body]]
-                material = "sand"
-                shape = {{ box = {{ min = [0.0, 0.0, 0.0], max = [{side}, {side}, {height}] }} }}
-                "#
-            ),
-            Precision::F64,
+        let (h, height, rho, g) = (0.02, 0.48, 1500.0, 9.81);
+        let (head, sand) = bed(
+            h,
+            [4, 4],
+            24,
+            16,
+            &format!("young_modulus = 1e6, poisson_ratio = {nu}, friction_angle_deg = {phi_deg}"),
         );
+        let walls = head.walls.replace("stick", "slip");
+        let scene = Head { gravity_ramp: 0.4, walls: &walls, ..head }.with(&sand);
+        let mut column = simulation(&scene, Precision::F64);
         let start = rows(&column);
         run_to(&mut column, 0.5);
         // By where particles started: the weight above them is then known exactly, however far the column has settled.
@@ -313,39 +226,10 @@ fn a3_column_at_rest_bears_its_weight_and_k0() {
 #[test]
 fn a5_sheared_sand_mobilises_the_friction_of_its_cone() {
     for phi_deg in [20.0f64, 30.0] {
-        let h = 0.1;
-        let side = 4.0 * h;
-        let mut cell = simulation(
-            &format!(
-                r#"
-                name = "shear"
-                gravity = [0.0, 0.0, 0.0]
-                [world]
-                cell = {h}
-                min = [0.0, 0.0, 0.0]
-                max = [{side}, {side}, {side}]
-                [world.walls]
-                x_min = "periodic"
-                x_max = "periodic"
-                y_min = "periodic"
-                y_max = "periodic"
-                z_min = "periodic"
-                z_max = "periodic"
-                [time]
-                end = 1.0
-                step = 1e-4
-                [[material]]
-                name = "sand"
-                law = "sand"
-                density = 1000.0
-                parameters = {{ young_modulus = 1e6, poisson_ratio = 0.2, friction_angle_deg = {phi_deg} }}
-                [[body]]
-                material = "sand"
-                shape = {{ box = {{ min = [0.0, 0.0, 0.0], max = [{side}, {side}, {side}] }} }}
-                "#
-            ),
-            Precision::F64,
-        );
+        let head = Head { gravity: [0.0; 3], ..Head::cells(0.1, [4, 4, 4], PERIODIC) }.time("step = 1e-4");
+        let parameters = format!("young_modulus = 1e6, poisson_ratio = 0.2, friction_angle_deg = {phi_deg}");
+        let parts = [material("sand", 1000.0, &parameters), block("sand", [0.0; 3], head.max, "")];
+        let mut cell = simulation(&head.with(&parts), Precision::F64);
         // Pressed evenly to b = 0.998 I, then sheared homogeneously: periodic sides cannot hold a shear velocity, so C alone is
         // imposed at every step and the particles stay.
         alter(&mut cell, |r| r.strain[..3].fill(0.998));
@@ -380,41 +264,11 @@ fn a10_infinite_slope_flows_above_the_angle_of_its_cone_only() {
     let critical = mobilised.atan().to_degrees();
     for (offset, flows) in [(-1.5, false), (1.5, true)] {
         let theta = f64::to_radians(critical + offset);
-        let (h, height) = (0.02, 0.2);
-        let side = 4.0 * h;
-        let mut slope = simulation(
-            &format!(
-                r#"
-                name = "slope"
-                gravity = [{}, 0.0, {}]
-                gravity_ramp = 0.2
-                [world]
-                cell = {h}
-                min = [0.0, 0.0, 0.0]
-                max = [{side}, {side}, 0.4]
-                [world.walls]
-                x_min = "periodic"
-                x_max = "periodic"
-                y_min = "periodic"
-                y_max = "periodic"
-                z_min = "stick"
-                [time]
-                end = 2.0
-                safety = 0.5
-                [[material]]
-                name = "sand"
-                law = "sand"
-                density = 1500.0
-                parameters = {{ young_modulus = 1e6, poisson_ratio = 0.2, friction_angle_deg = 20.0 }}
-                [[body]]
-                material = "sand"
-                shape = {{ box = {{ min = [0.0, 0.0, 0.0], max = [{side}, {side}, {height}] }} }}
-                "#,
-                9.81 * theta.sin(),
-                -9.81 * theta.cos()
-            ),
-            Precision::F64,
-        );
+        let gravity = [9.81 * theta.sin(), 0.0, -9.81 * theta.cos()];
+        let (head, sand) =
+            bed(0.02, [4, 4], 10, 10, "young_modulus = 1e6, poisson_ratio = 0.2, friction_angle_deg = 20.0");
+        let scene = Head { gravity, gravity_ramp: 0.2, ..head }.with(&sand);
+        let mut slope = simulation(&scene, Precision::F64);
         let mean_speed = |s: &Simulation| {
             let all = rows(s);
             sum3(all.iter().map(|r| r.v))[0] / all.len() as f64

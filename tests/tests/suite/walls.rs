@@ -1,38 +1,19 @@
 //! Walls that let go of the ground. Slip, stick and periodic sides are held to the plain reference in `transfers`.
 
-use barchan::{Precision, Simulation};
+use barchan::{Precision, Simulation, Vec3};
 use barchan_tests::scenes::{rows, run_to, simulation};
+use barchan_tests::sketch::{self, Head, material};
 
 /// An elastic block above a floor, with gravity (gx, gz).
-fn block(floor: &str, velocity: &str, gravity: [f64; 2], bottom: f64) -> String {
-    format!(
-        r#"
-        name = "block"
-        gravity = [{}, 0.0, {}]
-        gravity_ramp = 0.1
-        [world]
-        cell = 0.02
-        min = [-1.0, -1.0, 0.0]
-        max = [3.0, 1.0, 1.0]
-        [world.walls]
-        z_min = {floor}
-        [time]
-        end = 1.0
-        safety = 0.5
-        [[material]]
-        name = "m"
-        law = "hencky"
-        density = 1000.0
-        parameters = {{ young_modulus = 2e5, poisson_ratio = 0.2 }}
-        [[body]]
-        material = "m"
-        shape = {{ box = {{ min = [0.0, 0.0, {bottom}], max = [0.24, 0.12, {}] }} }}
-        velocity = {velocity}
-        "#,
-        gravity[0],
-        gravity[1],
-        bottom + 0.08
-    )
+fn block(walls: &str, velocity: Vec3, gravity: [f64; 2], bottom: f64) -> String {
+    let [x, z] = gravity;
+    let (min, max) = ([-1.0, -1.0, 0.0], [3.0, 1.0, 1.0]);
+    let head =
+        Head { gravity: [x, 0.0, z], gravity_ramp: 0.1, min, max, walls, ..Head::space(0.02) }.time("safety = 0.5");
+    head.with(&[
+        material("hencky", 1000.0, "young_modulus = 2e5, poisson_ratio = 0.2"),
+        sketch::block("hencky", [0.0, 0.0, bottom], [0.24, 0.12, bottom + 0.08], &format!("velocity = {velocity:?}")),
+    ])
 }
 
 fn mean(simulation: &Simulation) -> ([f64; 3], [f64; 3]) {
@@ -49,11 +30,11 @@ fn mean(simulation: &Simulation) -> ([f64; 3], [f64; 3]) {
 #[test]
 fn a_separating_wall_lets_a_block_leave_and_a_slip_wall_holds_it_back() {
     let leave = |floor: &str| {
-        let mut block = simulation(&block(floor, "[0.0, 0.0, 0.1]", [0.0, 0.0], 0.0), Precision::F64);
+        let mut block = simulation(&block(floor, [0.0, 0.0, 0.1], [0.0, 0.0], 0.0), Precision::F64);
         run_to(&mut block, 0.1);
         mean(&block).1[2] / 0.1
     };
-    let (free, held) = (leave("{ separate = {} }"), leave("\"slip\""));
+    let (free, held) = (leave("z_min = { separate = {} }"), leave("z_min = \"slip\""));
     println!(
         "leaves a separating wall with {free:.4} of its speed (1 within 1e-9), a slip wall with {held:.3} (less than 0.5)"
     );
@@ -66,7 +47,7 @@ fn a_separating_wall_lets_a_block_leave_and_a_slip_wall_holds_it_back() {
 #[test]
 fn a_separating_wall_is_where_it_is_drawn() {
     let lowest = |floor: &str| {
-        let mut drop = simulation(&block(floor, "[0.0, 0.0, -0.3]", [0.0, -9.81], 0.05), Precision::F64);
+        let mut drop = simulation(&block(floor, [0.0, 0.0, -0.3], [0.0, -9.81], 0.05), Precision::F64);
         let mut lowest = f64::INFINITY;
         while drop.time() < 0.3 {
             let next = drop.time() + 0.005;
@@ -75,7 +56,7 @@ fn a_separating_wall_is_where_it_is_drawn() {
         }
         lowest
     };
-    let (free, held) = (lowest("{ separate = {} }"), lowest("\"slip\""));
+    let (free, held) = (lowest("z_min = { separate = {} }"), lowest("z_min = \"slip\""));
     println!(
         "lowest particle at {:.2} mm over a wall that lets go, {:.2} mm over a slip wall; cells of 20 mm, tolerance 0.1 cell",
         1e3 * free,
@@ -90,8 +71,8 @@ fn a_wall_with_friction_obeys_coulomb() {
     let (s, c) = f64::to_radians(30.0).sin_cos();
     let gravity = [9.81 * s, -9.81 * c];
     for friction in [0.0, 0.3, 0.8] {
-        let floor = format!("{{ separate = {{ friction = {friction} }} }}");
-        let mut slide = simulation(&block(&floor, "[0.0, 0.0, 0.0]", gravity, 0.0), Precision::F64);
+        let floor = format!("z_min = {{ separate = {{ friction = {friction} }} }}");
+        let mut slide = simulation(&block(&floor, [0.0; 3], gravity, 0.0), Precision::F64);
         run_to(&mut slide, 0.2);
         let from = mean(&slide).1[0];
         run_to(&mut slide, 0.4);
@@ -108,9 +89,9 @@ fn a_wall_with_friction_obeys_coulomb() {
 fn impulses_of_walls_and_gravity_close_the_momentum_ledger() {
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-5)] {
         for floor in ["\"slip\"", "\"stick\"", "{ separate = { friction = 0.4 } }"] {
-            let scene = block(floor, "[0.5, 0.1, -0.5]", [3.0, -9.0], 0.01)
-                .replace("z_min", "x_min = \"slip\"\ny_min = \"stick\"\nz_min")
-                .replace("[-1.0, -1.0, 0.0]", "[-0.02, 0.0, 0.0]");
+            let walls = format!("x_min = \"slip\"\ny_min = \"stick\"\nz_min = {floor}");
+            let scene =
+                block(&walls, [0.5, 0.1, -0.5], [3.0, -9.0], 0.01).replace("[-1.0, -1.0, 0.0]", "[-0.02, 0.0, 0.0]");
             let mut box_ = simulation(&scene, precision);
             let before = box_.ledger();
             run_to(&mut box_, 0.2);

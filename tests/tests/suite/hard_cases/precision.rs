@@ -32,13 +32,10 @@ fn thrown(shift: [i32; 3], with_tool: bool) -> String {
         ));
     }
     Head {
-        gravity: [0.0, 0.0, -9.81],
-        cell: h,
         min: at([-8.0, -8.0, 0.0]),
         max: at([40.0, 24.0, 24.0]),
-        walls: "z_min = \"stick\"\nx_min = \"slip\"\nx_max = { separate = { friction = 0.3 } }",
-        world: "",
         time: "step = 2e-4".to_owned(),
+        ..Head::cells(h, [0; 3], "z_min = \"stick\"\nx_min = \"slip\"\nx_max = { separate = { friction = 0.3 } }")
     }
     .with(&parts)
 }
