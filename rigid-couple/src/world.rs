@@ -122,7 +122,8 @@ impl RigidWorld {
     /// Takes up what [`physics`](Self::physics) gave in a world with the same bodies.
     ///
     /// Rapier trusts what it reads. Checked here is what can be seen from outside: that bodies and colliders are those of this
-    /// world, and finite. Its lists and trees are its own, and [`step`](Self::step) finds out.
+    /// world, and finite. Its lists and trees are its own; [`step`](Self::step) finds out about them, but for a tree forged into
+    /// a circle, in which rapier runs until memory ends.
     ///
     /// # Errors
     /// A text saying what is wrong.
