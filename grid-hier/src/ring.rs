@@ -8,10 +8,10 @@
 //! # Source
 //! Truncated hierarchical B-splines: Giannelli, Jüttler, Speleers 2012.
 
-use crate::block::{CELLS, NODES, TILE, in_block};
+use crate::block::{CELLS, NODES, TILE, TILE_SIDE, in_block, in_tile, offset, shared_nodes};
 use crate::particles::{MASS, Particles, Run};
 use crate::spline::weights;
-use crate::transfer::{RowSums, Scalar, first_nodes, spread, store_rows};
+use crate::transfer::{RowSums, Scalar, first_nodes, store_rows};
 use barchan_lanes::{Float, Kernel, LANES, Lanes, tabulate};
 use core::mem::MaybeUninit;
 
@@ -54,46 +54,81 @@ pub fn parents(slaves: u64) -> u64 {
     used
 }
 
+/// Scalars between neighbouring nodes along each axis of a block.
+const STRIDES: [usize; 3] = [64, 16, 4];
+
+/// One axis of the restriction: to[I] += P (from[i] + slope[i] (x_I - x_i)) along lines of four nodes.
+#[inline(always)]
+fn contract<T: Float>(from: &[T; NODES], slope: Option<&[T; NODES]>, axis: usize) -> [T; NODES] {
+    let mut to = [T::default(); NODES];
+    let stride = STRIDES[axis];
+    for line in (0..NODES).step_by(4 * stride) {
+        for (node, parents) in PARENTS.iter().enumerate() {
+            for &(parent, weight, distance) in parents {
+                let (weight, lever) = (T::from_f64(weight), T::from_f64(weight * distance));
+                let (node, parent) = (line + node * stride, line + parent * stride);
+                for i in 0..stride {
+                    to[parent + i] += weight * from[node + i];
+                }
+                if let Some(slope) = slope {
+                    for i in 0..stride {
+                        to[parent + i] += lever * slope[node + i];
+                    }
+                }
+            }
+        }
+    }
+    to
+}
+
 /// Hands what a block's slaves hold to their parents: mass m_c = Σ P m_f, momentum p_c = Σ P (p_f + M_f (x_c - x_f)) with the
 /// affine momentum M_f = Σ w m C, whose columns are `affine` [kg m/s a cell]. The slaves hold nothing afterwards.
+#[inline(always)]
 pub fn restrict<T: Float>(
     slaves: u64,
     nodes: &mut [T; NODES],
-    affine: &[[T; NODES]; COLUMNS],
+    affine: &mut [[T; NODES]; COLUMNS],
     parents: &mut [T; NODES],
 ) {
-    parents.fill(T::default());
-    for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
+    let mut own = [T::default(); NODES];
+    for node in 0..CELLS {
         let at = 4 * node;
-        if nodes[at + 3] == T::default() {
-            continue;
+        if slaves >> node & 1 == 1 {
+            own[at..at + 4].copy_from_slice(&nodes[at..at + 4]);
+            nodes[at..at + 4].fill(T::default());
+        } else {
+            affine.iter_mut().for_each(|column| column[at..at + 4].fill(T::default()));
         }
-        let p: [T; 4] = std::array::from_fn(|d| nodes[at + d]);
-        each_parent(node, |parent, weight, distance| {
-            let weight = T::from_f64(weight);
-            for d in 0..3 {
-                let mut sum = p[d];
-                for (column, distance) in affine.iter().zip(distance) {
-                    sum += column[at + d] * T::from_f64(distance);
-                }
-                parents[4 * parent + d] += weight * sum;
-            }
-            parents[4 * parent + 3] += weight * p[3];
-        });
-        nodes[at..at + 4].fill(T::default());
     }
+    // Axis by axis; the columns of the axes that are still to come go along.
+    let [x, y, z] = affine;
+    let own = contract(&own, Some(x), 0);
+    let (y, z) = (contract(y, None, 0), contract(z, None, 0));
+    let own = contract(&own, Some(&y), 1);
+    let z = contract(&z, None, 1);
+    *parents = contract(&own, Some(&z), 2);
 }
 
 /// Gives a block's slaves the velocity of their parents: u_f = Σ P u_c.
+#[inline(always)]
 pub fn prolong<T: Float>(slaves: u64, parents: &[T; NODES], nodes: &mut [T; NODES]) {
-    for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
-        let mut u = [T::default(); 3];
-        each_parent(node, |parent, weight, _| {
-            for (d, u) in u.iter_mut().enumerate() {
-                *u += T::from_f64(weight) * parents[4 * parent + d];
+    let mut values = *parents;
+    for stride in STRIDES {
+        let mut finer = [T::default(); NODES];
+        for line in (0..NODES).step_by(4 * stride) {
+            for (node, parents) in PARENTS.iter().enumerate() {
+                for &(parent, weight, _) in parents {
+                    let (node, parent) = (line + node * stride, line + parent * stride);
+                    for i in 0..stride {
+                        finer[node + i] += T::from_f64(weight) * values[parent + i];
+                    }
+                }
             }
-        });
-        nodes[4 * node..4 * node + 3].copy_from_slice(&u);
+        }
+        values = finer;
+    }
+    for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
+        nodes[4 * node..4 * node + 3].copy_from_slice(&values[4 * node..4 * node + 3]);
     }
 }
 
@@ -107,6 +142,8 @@ pub struct AffineToGrid<'a, T: Scalar> {
     pub origin: [i32; 3],
     /// Cell width [m].
     pub h: f64,
+    /// First nodes of a tile from which a particle's 27 nodes hold a slave; others are passed over.
+    pub touches: &'a [bool; TILE / 4],
     /// Where the columns are added.
     pub tiles: &'a mut [[T; TILE]; COLUMNS],
 }
@@ -117,43 +154,80 @@ impl<T: Scalar> Kernel<T> for AffineToGrid<'_, T> {
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) {
         let s = &self.particles;
-        for (column, tile) in self.tiles.iter_mut().enumerate() {
-            let mut sums = RowSums::<V>::new(tile.as_mut_ptr());
-            for k in 0..self.run.chunks() {
-                let chunk = self.run.first + k;
-                let count = (self.run.count - k * LANES).min(LANES);
-                // SAFETY: the run's chunks exist, and P2G has checked that their nodes lie in the tile.
-                unsafe {
-                    let mass = V::load(s.rest(chunk, MASS)) * V::splat(self.h);
-                    let mut rows = [V::zero(); LANES];
-                    for i in 0..3 {
-                        rows[i] = mass * V::load(s.motion(chunk, 3 + 3 * i + column));
-                    }
-                    V::transpose(&mut rows);
-                    let mut momentum = MaybeUninit::uninit();
-                    let momentum = store_rows::<V>(&mut momentum, &rows);
-
-                    let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
-                    let w = [weights(f[0]), weights(f[1]), weights(f[2])];
-                    let mut rows = [V::zero(); LANES];
-                    for i in 0..3 {
-                        for j in 0..3 {
-                            rows[3 * i + j] = w[0][i] * w[1][j];
-                        }
-                        rows[9 + i] = w[2][i];
-                    }
-                    V::transpose(&mut rows);
-                    let mut weight = MaybeUninit::uninit();
-                    let weight = store_rows::<V>(&mut weight, &rows);
-                    let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
-                    if !strayed {
-                        spread(&mut sums, momentum, weight, &node[..count]);
+        for k in 0..self.run.chunks() {
+            let chunk = self.run.first + k;
+            let count = (self.run.count - k * LANES).min(LANES);
+            // SAFETY: the run's chunks exist, and P2G has checked that their nodes lie in the tile.
+            unsafe {
+                let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
+                if strayed || !node[..count].iter().any(|&node| self.touches[node as usize / 4]) {
+                    continue;
+                }
+                let mass = V::load(s.rest(chunk, MASS)) * V::splat(self.h);
+                let mut rows = [V::zero(); LANES];
+                for i in 0..3 {
+                    for column in 0..COLUMNS {
+                        rows[4 * column + i] = mass * V::load(s.motion(chunk, 3 + 3 * i + column));
                     }
                 }
+                V::transpose(&mut rows);
+                let mut affine = MaybeUninit::uninit();
+                let affine = store_rows::<V>(&mut affine, &rows);
+
+                let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
+                let w = [weights(f[0]), weights(f[1]), weights(f[2])];
+                let mut rows = [V::zero(); LANES];
+                for i in 0..3 {
+                    for j in 0..3 {
+                        rows[3 * i + j] = w[0][i] * w[1][j];
+                    }
+                    rows[9 + i] = w[2][i];
+                }
+                V::transpose(&mut rows);
+                let mut weight = MaybeUninit::uninit();
+                let weight = store_rows::<V>(&mut weight, &rows);
+                for (column, tile) in self.tiles.iter_mut().enumerate() {
+                    let mut sums = RowSums::<V>::new(tile.as_mut_ptr());
+                    for (p, &node) in
+                        node[..count].iter().enumerate().filter(|(_, node)| self.touches[**node as usize / 4])
+                    {
+                        sums.go_to(node);
+                        let value =
+                            V::repeat4(&raw const affine.0[p][4 * column]) * V::spread3(&raw const weight.0[p][9]);
+                        for (row, weight) in sums.rows.iter_mut().zip(&weight.0[p]) {
+                            *row = V::fill(*weight).mul_add(value, *row);
+                        }
+                    }
+                    sums.flushed();
+                }
             }
-            sums.flushed();
         }
     }
+}
+
+/// First nodes of the tile of a block from which a particle's 27 nodes hold a slave; `slaves` says which nodes of the block at
+/// an offset are slaves.
+pub fn touching(slaves: impl Fn(usize) -> u64) -> [bool; TILE / 4] {
+    let mut is_slave = [false; TILE / 4];
+    for n in 0..27 {
+        let bits = slaves(n) & shared_nodes(offset(n));
+        let from = offset(n).map(|o| 4 * o + 2);
+        for node in (0..CELLS).filter(|node| bits >> node & 1 == 1) {
+            let local = [node / 16, node / 4 % 4, node % 4];
+            let [x, y, z]: [usize; 3] = std::array::from_fn(|d| (from[d] + local[d] as i32) as usize);
+            is_slave[in_tile(x, y, z) / 4] = true;
+        }
+    }
+    let mut touches = [false; TILE / 4];
+    for x in 0..TILE_SIDE - 2 {
+        for y in 0..TILE_SIDE - 2 {
+            for z in 0..TILE_SIDE - 2 {
+                touches[in_tile(x, y, z) / 4] =
+                    (0..27).any(|n| is_slave[in_tile(x + n / 9, y + n / 3 % 3, z + n % 3) / 4]);
+            }
+        }
+    }
+    touches
 }
 
 /// Start of a node's four scalars in a block, from its cell.
@@ -194,7 +268,7 @@ mod tests {
             let mut left = nodes;
             let mut parents = [0.0; NODES];
             let before = totals(&nodes, &fine, slaves);
-            restrict(slaves, &mut left, &affine, &mut parents);
+            restrict(slaves, &mut left, &mut affine.clone(), &mut parents);
             let after = totals(&parents, &coarse, u64::MAX);
             for (b, a) in before.iter().zip(after) {
                 assert!((b - a).abs() < 1e-12, "{before:?} became {after:?}");

@@ -192,7 +192,7 @@ struct Scratch<T> {
 
 /// 16 particles' rows after transposition: one line a particle.
 #[repr(C, align(64))]
-pub(crate) struct Rows<T>([[T; LANES]; LANES]);
+pub(crate) struct Rows<T>(pub(crate) [[T; LANES]; LANES]);
 
 impl<T: Scalar> Kernel<T> for ParticlesToGrid<'_, T> {
     type Output = Result<(), Fault>;
@@ -458,7 +458,7 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
 
 /// The nine rows of nodes around the current cell.
 pub(crate) struct RowSums<V: Lanes> {
-    rows: [V; 9],
+    pub(crate) rows: [V; 9],
     tile: *mut V::Scalar,
     /// Start of the cell's first node in the tile; `usize::MAX` before the first cell.
     current: usize,
@@ -468,6 +468,14 @@ impl<V: Lanes> RowSums<V> {
     #[inline(always)]
     pub(crate) fn new(tile: *mut V::Scalar) -> Self {
         Self { rows: [V::zero(); 9], tile, current: usize::MAX }
+    }
+    /// Goes on to the cell whose first node is at `node`.
+    #[inline(always)]
+    pub(crate) fn go_to(&mut self, node: u32) {
+        if node as usize != self.current {
+            self.rows = Self { rows: self.rows, ..*self }.flushed();
+            self.current = node as usize;
+        }
     }
     /// Adds the rows to the tile and gives back empty ones.
     #[inline(always)]

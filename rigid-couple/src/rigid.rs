@@ -523,7 +523,10 @@ impl Coupling for Rigid {
         }
         for (body, state) in self.bodies.iter().zip(&states) {
             if !state.is_sound() {
-                return Err(format!("the state of tool '{}' is not finite, or its rotation not of length 1", body.name));
+                return Err(format!(
+                    "the state of tool '{}' is not finite, or its rotation not of length 1",
+                    body.name
+                ));
             }
         }
         if !wrenches.iter().flat_map(|(force, torque)| force.iter().chain(torque)).all(|x| x.is_finite()) {

@@ -163,6 +163,8 @@ pub(crate) struct Grid<T> {
     pub(crate) handed: Vec<[T; NODES]>,
     /// For each occupied block: its affine columns, or `NONE` if its particles touch no rim node.
     pub(crate) edge_of: Vec<u32>,
+    /// For each of those: from which first nodes of its tile a particle touches a rim node.
+    pub(crate) touches: Vec<[bool; TILE / 4]>,
     /// Columns of m C of the blocks that touch rim nodes.
     pub(crate) columns: Vec<[[T; TILE]; COLUMNS]>,
     /// What the rim of the next finer level hands to each node block: `links[starts[g]..starts[g + 1]]`.
@@ -192,6 +194,7 @@ impl<T: Float> Default for Grid<T> {
             ring_of: Vec::new(),
             handed: Vec::new(),
             edge_of: Vec::new(),
+            touches: Vec::new(),
             columns: Vec::new(),
             links: Vec::new(),
             link_starts: Vec::new(),
@@ -305,20 +308,23 @@ impl<T: Float> Grid<T> {
         grow(&mut self.handed, self.rings.len(), [T::default(); NODES]);
 
         // The blocks whose tiles hold any of these nodes.
-        let mut edges = 0;
+        self.touches.clear();
+        let (rings, ring_of, touches) = (&self.rings, &self.ring_of, &mut self.touches);
         self.edge_of = self
             .nodes_around
             .iter()
             .map(|around| {
-                let touches = around.iter().enumerate().any(|(n, &g)| {
-                    let ring = self.ring_of.get(g as usize).and_then(|&r| self.rings.get(r as usize));
-                    ring.is_some_and(|ring| ring.slaves & block::shared_nodes(block::offset(n)) != 0)
-                });
-                edges += u32::from(touches);
-                if touches { edges - 1 } else { NONE }
+                let ring = |n: usize| ring_of.get(around[n] as usize).and_then(|&r| rings.get(r as usize));
+                let slaves = |n: usize| ring(n).map_or(0, |ring| ring.slaves);
+                if (0..27).all(|n| slaves(n) & block::shared_nodes(block::offset(n)) == 0) {
+                    return NONE;
+                }
+                touches.push(ring::touching(slaves));
+                touches.len() as u32 - 1
             })
             .collect();
-        grow(&mut self.columns, edges as usize, [[T::default(); TILE]; COLUMNS]);
+        let edges = self.touches.len();
+        grow(&mut self.columns, edges, [[T::default(); TILE]; COLUMNS]);
         for ring in &mut self.rings {
             ring.edges_around = self.tiles_around[ring.block as usize]
                 .map(|tile| self.edge_of.get(tile as usize).copied().unwrap_or(NONE));

@@ -173,7 +173,8 @@ impl<T: Scalar> Level<T> {
                 for list in lists {
                     let (particles, run, origin) = (list.view(), list.runs[b], grid.origin(b));
                     if run.count > 0 {
-                        crew.isa.run::<T, _>(AffineToGrid { particles, run, origin, h, tiles: &mut *tiles });
+                        let touches = &grid.touches[edge as usize];
+                        crew.isa.run::<T, _>(AffineToGrid { particles, run, origin, h, touches, tiles: &mut *tiles });
                     }
                 }
                 if grid.mirrored[b] {
@@ -276,7 +277,8 @@ impl<T: Scalar> Level<T> {
                     }
                 }
                 // SAFETY: each ring has a node block of its own.
-                ring::prolong(ring.slaves, &parents, unsafe { &mut *nodes.at(ring.block as usize) });
+                let nodes = unsafe { &mut *nodes.at(ring.block as usize) };
+                crew.isa.run::<T, _>(TakeBack { slaves: ring.slaves, parents: &parents, nodes });
                 impulse
             };
             grid.rings.par_iter().enumerate().map(one).collect()
@@ -502,7 +504,22 @@ impl<T: Float> Kernel<T> for HandOver<'_, T> {
                 self.ring.edges_around.map(|e| if e == NONE { NONE } else { e * COLUMNS as u32 + column as u32 });
             SumTiles { nodes, tiles: self.columns, around: &around }.run::<V>();
         }
-        ring::restrict(self.ring.slaves, self.nodes, &affine, self.handed);
+        ring::restrict(self.ring.slaves, self.nodes, &mut affine, self.handed);
+    }
+}
+
+/// Gives a block's rim nodes the velocity of their parents.
+struct TakeBack<'a, T> {
+    slaves: u64,
+    parents: &'a [T; NODES],
+    nodes: &'a mut [T; NODES],
+}
+
+impl<T: Float> Kernel<T> for TakeBack<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = T>>(self) {
+        ring::prolong(self.slaves, self.parents, self.nodes);
     }
 }
 

@@ -18,13 +18,11 @@ fn around_marker(count: u32, half: u32, at: [f64; 3]) -> [String; 2] {
 fn spinning_ball(cell: f64, levels: u32, x: f64) -> String {
     let half = 16.0 * cell;
     let ball = "[[body]]\nmaterial = \"neo_hookean\"\nshape = { sphere = { radius = 0.3 } }\nangular_velocity = [0.0, 0.0, 6.0]\n";
-    Head::space(cell)
-        .time("safety = 0.5")
-        .with(&[
-            material("neo_hookean", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3"),
-            ball.to_owned(),
-            around_marker(levels, 16, [x - half, 0.0, -0.6]).concat(),
-        ])
+    Head::space(cell).time("safety = 0.5").with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3"),
+        ball.to_owned(),
+        around_marker(levels, 16, [x - half, 0.0, -0.6]).concat(),
+    ])
 }
 
 fn inner(ledger: &Ledger) -> f64 {
@@ -40,10 +38,12 @@ fn b29_a_spinning_ball_keeps_its_spin_and_energy() {
         let before = spin.ledger();
         run_to(&mut spin, TAU / 6.0);
         let after = spin.ledger();
-        let spread = rows(&spin).iter().fold(0f64, |far, r| far.max((r.x[0].powi(2) + r.x[1].powi(2) + r.x[2].powi(2)).sqrt()));
+        let spread =
+            rows(&spin).iter().fold(0f64, |far, r| far.max((r.x[0].powi(2) + r.x[1].powi(2) + r.x[2].powi(2)).sqrt()));
         println!(
             "B29 {levels} levels: N {} -> {}, dL {:+.2e}, dE {:+.2e}, KE {:+.2e}, dP {:.1e}, dM {:.1e}, reach {spread:.4} m, {:?}",
-            before.particles, after.particles,
+            before.particles,
+            after.particles,
             after.angular_momentum[2] / before.angular_momentum[2] - 1.0,
             inner(&after) / inner(&before) - 1.0,
             after.kinetic / before.kinetic - 1.0,
