@@ -168,13 +168,10 @@ fn b04_nearly_incompressible_warns_and_bears_its_weight() {
     let h = 0.1;
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"";
     let column = |nu: f64| {
-        format!(
-            "gravity_ramp = 0.5\n{}",
-            Head::cells(h, [4, 4, 12], walls).time("safety = 0.5").with(&[
-                material("neo_hookean", 1000.0, &format!("young_modulus = 2e5, poisson_ratio = {nu}")),
-                block("neo_hookean", [0.0; 3], [0.4, 0.4, 0.8], "sampling = \"jitter\""),
-            ])
-        )
+        Head { gravity_ramp: 0.5, ..Head::cells(h, [4, 4, 12], walls) }.time("safety = 0.5").with(&[
+            material("neo_hookean", 1000.0, &format!("young_modulus = 2e5, poisson_ratio = {nu}")),
+            block("neo_hookean", [0.0; 3], [0.4, 0.4, 0.8], "sampling = \"jitter\""),
+        ])
     };
     says(&refusal(&column(0.5)), &["poisson_ratio", "is 0.5", "must be in"]);
     let plan = plan(&column(0.499));
