@@ -1,6 +1,6 @@
 //! Backends: where particles live and a step is carried out.
 
-use crate::{Coupling, Ledger, ParticleState, Plan, Result};
+use crate::{Coupling, Ledger, ParticleState, Plan, Result, Wrench};
 
 /// A way to run a plan, such as `cpu`.
 pub trait Backend: Send + Sync {
@@ -33,6 +33,9 @@ pub struct StepReport {
     pub sorted: bool,
     /// Greatest node speed [m/s].
     pub max_speed: f64,
+    /// Mean wrench on each body over the step, all couplings' bodies in their order, if the couplings took several steps
+    /// within it; otherwise they know it themselves.
+    pub wrenches: Option<Vec<Wrench>>,
 }
 
 /// Time and calls of one effect since the start.

@@ -53,6 +53,8 @@ pub struct Simulation {
     /// Steps that were cut since they were above the bound.
     cut_steps: u64,
     watch: Option<Watch>,
+    /// Mean wrenches over the last step, if the couplings took several within it.
+    wrenches: Option<Vec<Wrench>>,
 }
 
 impl fmt::Debug for Simulation {
@@ -100,6 +102,7 @@ impl Simulation {
             carried: Ledger::default(),
             cut_steps: 0,
             watch: None,
+            wrenches: None,
         }
     }
 
@@ -205,7 +208,8 @@ impl Simulation {
     }
     /// Mean wrench of the ground on each of [`bodies`](Self::bodies) over the last step.
     pub fn wrenches(&self) -> Vec<Wrench> {
-        self.couplings.iter().flat_map(|c| c.wrenches().iter().copied()).collect()
+        let own = || self.couplings.iter().flat_map(|c| c.wrenches().iter().copied()).collect();
+        self.wrenches.clone().unwrap_or_else(own)
     }
     /// The couplings, for questions about their surfaces.
     pub fn couplings(&self) -> &[Box<dyn Coupling>] {
@@ -322,6 +326,7 @@ impl Simulation {
             }
         };
         self.step += 1;
+        self.wrenches.clone_from(&report.wrenches);
         if lands && report.dt == dt {
             self.time = self.stop;
             self.stop = f64::INFINITY;

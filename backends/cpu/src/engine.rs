@@ -88,6 +88,8 @@ pub(crate) struct CpuEngine<T: Scalar> {
     pub(crate) levels: Vec<Level<T>>,
     pub(crate) regions: Regions,
     pub(crate) agents: Vec<Agent>,
+    /// Steps of the finest level in one step.
+    substeps: u32,
     leaving: Leaving,
     pub(crate) scene: Scene,
     /// Gravity of the present step [m/s²].
@@ -132,6 +134,7 @@ impl<T: Scalar> CpuEngine<T> {
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             regions: plan.regions.clone(),
             agents: plan.agents.clone(),
+            substeps: plan.substeps,
             leaving: plan.scene.world.leaving,
             scene: plan.scene.clone(),
             gravity: plan.gravity,
@@ -160,6 +163,11 @@ impl<T: Scalar> CpuEngine<T> {
     /// Upper bound of any particle's move since the last sort, in cells of its level.
     fn drift(&self) -> f64 {
         self.levels.iter().fold(0.0, |most, level| level.drift.max(most))
+    }
+
+    /// Drift at which a step must not begin. A subcycled one moves particles several times before they can be sorted.
+    fn drift_allowed(&self) -> f64 {
+        if self.substeps > 1 { MAX_DRIFT - MAX_MOVE } else { MAX_DRIFT }
     }
 
     /// Sorts every level, and rebuilds the grids if blocks have come or gone or, as `changed` says, regions have moved.
@@ -220,9 +228,9 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// P2G of one level. Strain is up to date afterwards.
-    fn particles_to_grid(&mut self, l: usize, dt: f64) -> Result<()> {
+    pub(crate) fn particles_to_grid(&mut self, l: usize, dt: f64) -> Result<()> {
         let clock = Instant::now();
-        let level = &mut self.levels[l];
+        let level = &self.levels[l];
         let parts = (level.deformation_rate * level.strain_dt / MAX_DEFORMATION).ceil();
         if parts > MAX_PARTS {
             let bound = MAX_PARTS * MAX_DEFORMATION / level.deformation_rate;
@@ -234,15 +242,9 @@ impl<T: Scalar> CpuEngine<T> {
                 by: "the deformation rate that particles were given".into(),
             }));
         }
-        let step = Step {
-            h: level.h(),
-            dt,
-            strain_dt: level.strain_dt,
-            strain_parts: (parts as u32).max(1),
-            gravity: self.gravity,
-        };
+        let step = Step { strain_parts: (parts as u32).max(1), ..self.step_of(l, dt) };
         self.parted += u64::from(step.strain_parts > 1);
-        let outcome = level.particles_to_grid(&self.crew, &step, &mut self.clocks.shares);
+        let outcome = self.levels[l].particles_to_grid(&self.crew, &step, &mut self.clocks.shares);
         outcome.map_err(|stopped| self.explain(l, stopped))?;
         self.clocks.add(Pass::P2G, clock);
         if !self.levels[l].grid.rings.is_empty() {
@@ -253,12 +255,25 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(())
     }
 
+    pub(crate) fn step_of(&self, l: usize, dt: f64) -> Step {
+        let level = &self.levels[l];
+        Step { h: level.h(), dt, strain_dt: level.strain_dt, strain_parts: 1, gravity: self.gravity }
+    }
+
+    pub(crate) fn least_mass(&self) -> f64 {
+        self.least_mass
+    }
+
+    pub(crate) fn steps(&self) -> u64 {
+        self.steps
+    }
+
     /// Node sums of all levels, finest first: each hands what its rim holds to the next.
     fn update_grids(&mut self) {
         let clock = Instant::now();
         let mut finer: Option<&mut Level<T>> = None;
         for level in &mut self.levels {
-            level.update_grid(&self.crew, self.least_mass, finer.map(|finer| &finer.grid));
+            level.update_grid(&self.crew, self.least_mass, finer.map(|finer| &finer.grid), false);
             finer = Some(level);
         }
         self.clocks.add(Pass::Grid, clock);
@@ -280,7 +295,7 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Turns a fault of a transfer into what a user can act upon.
-    fn explain(&self, level: usize, (list, fault, message): Stopped) -> Error {
+    pub(crate) fn explain(&self, level: usize, (list, fault, message): Stopped) -> Error {
         if let Some(error) = self.find_non_finite() {
             return error;
         }
@@ -336,7 +351,7 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// The particle of least id with a NaN or infinite value.
-    fn find_non_finite(&self) -> Option<Error> {
+    pub(crate) fn find_non_finite(&self) -> Option<Error> {
         let mut first: Option<(u32, &'static str, (usize, usize), usize, usize, f64)> = None;
         let mut count = 0;
         for (l, list) in self.lists() {
@@ -398,6 +413,59 @@ impl<T: Scalar> CpuEngine<T> {
         }
     }
 
+    /// One step of all levels together. Returns the step taken [s].
+    fn advance_together(
+        &mut self,
+        time: f64,
+        mut dt: f64,
+        ground: bool,
+        couplings: &mut [Box<dyn Coupling>],
+    ) -> Result<f64> {
+        if ground {
+            dt = self.ground_to_nodes(time, dt)?;
+        } else {
+            self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
+        }
+        self.contact(time, dt, couplings)?;
+        let moves = self.greatest_move(dt);
+        if moves.is_nan() || moves > MAX_MOVE * (1.0 + 1e-9) {
+            return Err(Error::TimeStep {
+                step: self.steps,
+                dt,
+                bound: MAX_MOVE * dt / moves,
+                by: "the speed that a coupling gave to a node".into(),
+            });
+        }
+        if ground {
+            self.prolong();
+            let clock = Instant::now();
+            for level in &mut self.levels {
+                level.mirror_separated();
+                level.grid_to_particles(&self.crew, dt);
+                level.drift += level.max_speed * dt / level.h();
+            }
+            self.clocks.add(Pass::G2P, clock);
+        }
+        for coupling in couplings {
+            coupling.after_step(time, dt)?;
+        }
+        Ok(dt)
+    }
+
+    /// Carries strain up to where the particles are, before some change to a level with another step.
+    fn flush_strain(&mut self, time: f64) -> Result<()> {
+        if self.substeps == 1 || self.age.is_none() {
+            return Ok(());
+        }
+        for l in 0..self.levels.len() {
+            let impulse = self.levels[l].wall_impulse;
+            self.particles_to_grid(l, 0.0).map_err(|error| at_time(error, time))?;
+            // Nothing has been exchanged with the walls: the nodes are never asked.
+            self.levels[l].wall_impulse = impulse;
+        }
+        Ok(())
+    }
+
     /// How far nodes would carry particles in a step, in cells of their level.
     fn greatest_move(&self, dt: f64) -> f64 {
         self.levels.iter().fold(0.0, |most, level| greater(level.max_speed * dt / level.h(), most))
@@ -405,31 +473,41 @@ impl<T: Scalar> CpuEngine<T> {
 
     /// Hands the nodes near each coupling's bodies to it, and takes back their velocities. Where none is near, nothing is run.
     fn contact(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<()> {
-        let clock = Instant::now();
-        let mut touched = false;
-        for coupling in couplings {
+        for coupling in couplings.iter_mut() {
             coupling.before_step(time, dt)?;
-            let boxes = coupling.bounds();
-            for level in &mut self.levels {
-                level.gather(&boxes, self.least_mass, &mut self.batch);
-                if !self.batch.is_empty() {
-                    touched = true;
-                    coupling.contact(dt, &mut self.batch)?;
-                    level.scatter(&self.batch);
-                }
-            }
         }
-        if touched {
+        let clock = Instant::now();
+        let mut reached = false;
+        for l in 0..self.levels.len() {
+            reached |= self.touch(l, dt, couplings)?;
+        }
+        if reached {
             self.clocks.add(Pass::Contact, clock);
         }
         Ok(())
+    }
+
+    /// Contact on one level. Returns whether there were any nodes.
+    pub(crate) fn touch(&mut self, l: usize, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<bool> {
+        let (level, mut reached) = (&mut self.levels[l], false);
+        for coupling in couplings {
+            level.gather(&coupling.bounds(), self.least_mass, &mut self.batch);
+            if !self.batch.is_empty() {
+                reached = true;
+                coupling.contact(dt, &mut self.batch)?;
+                level.scatter(&self.batch);
+            }
+        }
+        Ok(reached)
     }
 
     /// Asks every material for its stiffness and keeps the least stable step.
     fn measure_stiffness(&mut self) -> Result<()> {
         self.stiffness_age = 0;
         self.stiffness = Bound { dt: f64::INFINITY, by: "nothing".into() };
-        for level in &self.levels {
+        for (l, level) in self.levels.iter().enumerate() {
+            // The bound is on a whole step: subcycled, a level takes a part of it.
+            let reach = level.h() * f64::from(self.substeps.max(1) >> if self.substeps > 1 { l } else { 0 });
             for list in &level.store.lists {
                 let planned = &self.materials[list.material];
                 let Some(moduli) = planned.material.table.tangent_moduli_f32 else { continue };
@@ -489,7 +567,7 @@ impl<T: Scalar> CpuEngine<T> {
                     let (mass, volume0) = (list.rest_plane(chunk, MASS), list.rest_plane(chunk, VOLUME));
                     let step = |lane: usize| {
                         let density = mass[lane].to_f64() / volume0[lane].to_f64();
-                        stable_step(level.h(), density, f64::from(out[0][lane]), f64::from(out[1][lane]))
+                        stable_step(reach, density, f64::from(out[0][lane]), f64::from(out[1][lane]))
                     };
                     Ok((0..count).map(step).fold(f64::INFINITY, f64::min))
                 };
@@ -513,7 +591,7 @@ impl<T: Scalar> CpuEngine<T> {
 }
 
 /// A fault in the state, with the time at which it was found.
-fn at_time(error: Error, at: f64) -> Error {
+pub(crate) fn at_time(error: Error, at: f64) -> Error {
     match error {
         Error::NonFinite { step, field, particle, list, value, count, .. } => {
             Error::NonFinite { step, time: at, field, particle, list, value, count }
@@ -544,57 +622,32 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         let sorted = moved
             || match self.age {
                 None => true,
-                Some(age) => self.drift() > MAX_DRIFT || (age >= SORT_AGE && self.drift() > SORT_DRIFT),
+                Some(age) => self.drift() > self.drift_allowed() || (age >= SORT_AGE && self.drift() > SORT_DRIFT),
             };
         if sorted && ground {
+            self.flush_strain(time)?;
             let holes = self.adapt(couplings)?;
             self.sort(moved, holes)?;
         }
-        let mut dt = dt;
         self.gravity = self.scene.gravity_at(time);
-        if ground {
-            dt = self.ground_to_nodes(time, dt)?;
+        let (dt, wrenches) = if self.substeps > 1 && ground {
+            let wrenches = self.advance_subcycled(time, dt, couplings)?;
+            (dt, Some(wrenches))
         } else {
-            self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
-        }
-        self.contact(time, dt, couplings)?;
-        let moves = self.greatest_move(dt);
-        if moves.is_nan() || moves > MAX_MOVE * (1.0 + 1e-9) {
-            return Err(Error::TimeStep {
-                step: self.steps,
-                dt,
-                bound: MAX_MOVE * dt / moves,
-                by: "the speed that a coupling gave to a node".into(),
-            });
-        }
-        if ground {
-            self.prolong();
-            let clock = Instant::now();
-            for level in &mut self.levels {
-                level.mirror_separated();
-                level.grid_to_particles(&self.crew, dt);
-            }
-            self.clocks.add(Pass::G2P, clock);
-        }
+            (self.advance_together(time, dt, ground, couplings)?, None)
+        };
         self.stiffness_age += 1;
         if self.hardens && self.stiffness_age >= STIFFNESS_AGE {
             self.measure_stiffness()?;
-        }
-        for coupling in couplings {
-            coupling.after_step(time, dt)?;
         }
         let mass = self.total_mass();
         for d in 0..3 {
             self.gravity_impulse[d] += mass * self.gravity[d] * dt;
         }
-        let mut max_speed = 0.0;
-        for level in &mut self.levels {
-            level.drift += level.max_speed * dt / level.h();
-            max_speed = greater(level.max_speed, max_speed);
-        }
+        let max_speed = self.levels.iter().fold(0.0, |most, level| greater(level.max_speed, most));
         self.age = self.age.map(|age| age + 1);
         self.steps += 1;
-        Ok(StepReport { dt, sorted: sorted && ground, max_speed })
+        Ok(StepReport { dt, sorted: sorted && ground, max_speed, wrenches })
     }
 
     fn download(&self) -> ParticleState {
@@ -642,7 +695,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
                 here.map(|([_, _, x, y, z], counts)| ([*x, *y, *z], counts.as_slice())).collect()
             });
             level.store.upload(&particles.lists[l * materials..][..materials], blocks.as_deref())?;
-            level.strain_dt = particles.strain_dt;
+            level.strain_dt = particles.strain_dt * if self.substeps > 1 { f64::from(1 << l) } else { 1.0 };
         }
         self.spoilt = self.find_non_finite().is_some();
         self.take_stock();

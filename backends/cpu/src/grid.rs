@@ -139,6 +139,18 @@ pub(crate) struct Link {
     pub(crate) flips: u8,
 }
 
+/// A node that a finer level's rim hands something to, while the finer level takes several steps.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SharedNode<T> {
+    pub(crate) node: u32,
+    /// Its links: first, and one past the last.
+    pub(crate) links: (u32, u32),
+    /// Momentum and mass of its own level's particles.
+    pub(crate) own: [T; 4],
+    /// Momentum that their forces add in one step of the finer level.
+    pub(crate) gain: [T; 3],
+}
+
 /// Blocks of one level, their memory and their neighbours.
 pub(crate) struct Grid<T> {
     /// Keys of the blocks that hold particles, rising.
@@ -170,6 +182,11 @@ pub(crate) struct Grid<T> {
     /// What the rim of the next finer level hands to each node block: `links[starts[g]..starts[g + 1]]`.
     pub(crate) links: Vec<Link>,
     pub(crate) link_starts: Vec<u32>,
+    /// The nodes that links lead to; those of node block g are `shared[shared_starts[g]..shared_starts[g + 1]]`.
+    pub(crate) shared: Vec<SharedNode<T>>,
+    pub(crate) shared_starts: Vec<u32>,
+    /// Occupied blocks whose tiles hold any of them.
+    pub(crate) near_shared: Vec<u32>,
     /// Keys of blocks that hold parents of the next finer level's rim, rising.
     parent_keys: Vec<u64>,
     /// Keys of the coarser blocks that hold parents of the own rim, rising.
@@ -198,6 +215,9 @@ impl<T: Float> Default for Grid<T> {
             columns: Vec::new(),
             links: Vec::new(),
             link_starts: Vec::new(),
+            shared: Vec::new(),
+            shared_starts: Vec::new(),
+            near_shared: Vec::new(),
             parent_keys: Vec::new(),
             rim_parents: Vec::new(),
             tiles: Vec::new(),
@@ -261,6 +281,10 @@ impl<T: Float> Grid<T> {
         self.links.clear();
         self.link_starts.clear();
         self.link_starts.resize(self.keys.len() + 1, 0);
+        self.shared.clear();
+        self.shared_starts.clear();
+        self.shared_starts.resize(self.keys.len() + 1, 0);
+        self.near_shared.clear();
         self.pairs = self.pair_up(&node_index, bounds);
         true
     }
@@ -379,7 +403,25 @@ impl<T: Float> Grid<T> {
         links.sort_unstable_by_key(|(block, link)| (*block, link.node, link.from));
         coarser.link_starts =
             (0..=coarser.keys.len() as u32).map(|g| links.partition_point(|(block, _)| *block < g) as u32).collect();
-        coarser.links = links.into_iter().map(|(_, link)| link).collect();
+        coarser.links = links.iter().map(|(_, link)| *link).collect();
+
+        coarser.shared.clear();
+        let mut from = 0;
+        for same in links.chunk_by(|a, b| (a.0, a.1.node) == (b.0, b.1.node)) {
+            let node = same[0].0 * CELLS as u32 + u32::from(same[0].1.node);
+            let links = (from, from + same.len() as u32);
+            from = links.1;
+            coarser.shared.push(SharedNode { node, links, own: [T::default(); 4], gain: [T::default(); 3] });
+        }
+        let shared = &coarser.shared;
+        coarser.shared_starts = (0..=coarser.keys.len() as u32)
+            .map(|g| shared.partition_point(|shared| shared.node < g * CELLS as u32) as u32)
+            .collect();
+        let starts = &coarser.shared_starts;
+        let holds = |g: u32| g != NONE && starts[g as usize] < starts[g as usize + 1];
+        let near = |around: &[u32; 27]| around.iter().any(|&g| holds(g));
+        coarser.near_shared =
+            (0..coarser.occupied.len() as u32).filter(|&b| near(&coarser.nodes_around[b as usize])).collect();
     }
 
     /// Finds the mirrored pairs of nodes within two cells of walls that let go.

@@ -188,14 +188,18 @@ impl<T: Scalar> Level<T> {
 
     /// Sums tiles into nodes, takes up what the rim of the finer level hands over, hands the own rim's share on, lets walls
     /// that let go decide, and turns momentum into velocity.
-    pub(crate) fn update_grid(&mut self, crew: &Crew, least: f64, finer: Option<&Grid<T>>) {
+    ///
+    /// With `keep_shared`, nodes that the finer level's rim hands something to keep their momentum for
+    /// [`solve_shared`](Self::solve_shared) and show nothing here.
+    pub(crate) fn update_grid(&mut self, crew: &Crew, least: f64, finer: Option<&Grid<T>>, keep_shared: bool) {
         let (isa, grid, least) = (crew.isa, &self.grid, T::from_f64(least));
         let nodes = Shared(self.grid.nodes.as_ptr().cast_mut());
         let handed = Shared(self.grid.handed.as_ptr().cast_mut());
         let separate = !self.bounds.separations.is_empty();
         let reflects = grid.links.iter().any(|link| link.flips != 0);
-        let mut impulses = vec![[0.0; 3]; if reflects { grid.keys.len() } else { 0 }];
+        let mut impulses = vec![[0.0; 3]; if reflects && finer.is_some() { grid.keys.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
+        let shared = Shared(self.grid.shared.as_ptr().cast_mut());
         let speed = crew.pool.install(|| {
             (0..grid.keys.len())
                 .into_par_iter()
@@ -208,6 +212,15 @@ impl<T: Scalar> Level<T> {
                         if reflects {
                             // SAFETY: as above.
                             unsafe { *impulse_of.at(g) = impulse };
+                        }
+                    }
+                    if keep_shared {
+                        for k in grid.shared_starts[g]..grid.shared_starts[g + 1] {
+                            // SAFETY: each shared node belongs to one block.
+                            let shared = unsafe { &mut *shared.at(k as usize) };
+                            let node = &mut nodes[4 * (shared.node as usize % CELLS)..][..4];
+                            shared.own.copy_from_slice(node);
+                            node.fill(T::default());
                         }
                     }
                     if let Some(ring) = grid.rings.get(grid.ring_of[g] as usize) {
@@ -223,6 +236,93 @@ impl<T: Scalar> Level<T> {
         self.book(impulses);
         if separate {
             self.separate(crew, least);
+        }
+    }
+
+    /// Splits what shared nodes keep after a step's P2G, p + dt f, into p + ½ dt f and ½ dt f. `step` is the half one.
+    pub(crate) fn halve(&mut self, crew: &Crew, step: &Step) -> Result<(), Stopped> {
+        let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
+        let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
+        let fault = crew.pool.install(|| {
+            grid.near_shared
+                .par_iter()
+                .map(|&b| {
+                    // SAFETY: each block has a tile of its own, whose sums have been taken.
+                    let tile = unsafe { &mut *tiles.at(b as usize) };
+                    crew.isa.run::<T, _>(Clear(tile));
+                    let (b, mut fault) = (b as usize, None);
+                    for (l, list) in lists.iter().enumerate() {
+                        let (particles, run, origin, law) = (list.view(), list.runs[b], grid.origin(b), &list.law);
+                        let mut message = ErrorBuffer::default();
+                        let error = message.as_raw();
+                        let scatter =
+                            ParticlesToGrid { particles, run, origin, law, step, tile, error, material_time: None };
+                        if run.count > 0
+                            && let Err(f) = crew.isa.run::<T, _>(scatter)
+                        {
+                            fault = fault.or(Some((l, f, message)));
+                        }
+                    }
+                    if grid.mirrored[b] {
+                        // Its impulse has been booked, and its masses noted, when the whole step's was folded.
+                        mirrors.fold(tile, grid.origin(b), &mut Vec::new());
+                    }
+                    fault
+                })
+                .reduce(|| None, |a, b| a.or(b))
+        });
+        if let Some(stopped) = fault {
+            return Err(stopped);
+        }
+        let shared = Shared(self.grid.shared.as_ptr().cast_mut());
+        crew.pool.install(|| {
+            (0..grid.keys.len())
+                .into_par_iter()
+                .filter(|&g| grid.shared_starts[g] < grid.shared_starts[g + 1])
+                .for_each(|g| {
+                    let mut nodes = [T::default(); NODES];
+                    let around = &grid.tiles_around[g];
+                    crew.isa.run::<T, _>(SumTiles { nodes: &mut nodes, tiles: &grid.tiles, around });
+                    for k in grid.shared_starts[g]..grid.shared_starts[g + 1] {
+                        // SAFETY: each shared node belongs to one block.
+                        let shared = unsafe { &mut *shared.at(k as usize) };
+                        let half = &nodes[4 * (shared.node as usize % CELLS)..][..4];
+                        for d in 0..3 {
+                            shared.gain[d] = shared.own[d] - half[d];
+                            shared.own[d] = half[d];
+                        }
+                    }
+                });
+        });
+        Ok(())
+    }
+
+    /// The shared nodes' velocity over one step of the finer level, which hands over `handed`; their own momentum is then what
+    /// they have at that velocity, and what the forces of the next such step add.
+    pub(crate) fn solve_shared(&mut self, handed: &[[T; NODES]]) {
+        let grid = &mut self.grid;
+        let nodes = grid.nodes.as_flattened_mut();
+        for shared in &mut grid.shared {
+            let mut sum = shared.own;
+            for link in &grid.links[shared.links.0 as usize..shared.links.1 as usize] {
+                let from = &handed.as_flattened()[4 * link.from as usize..][..4];
+                for d in 0..3 {
+                    if link.flips >> d & 1 == 1 {
+                        sum[d] += -from[d];
+                        self.wall_impulse[d] -= 2.0 * from[d].to_f64();
+                    } else {
+                        sum[d] += from[d];
+                    }
+                }
+                sum[3] += from[3];
+            }
+            let node = &mut nodes[4 * shared.node as usize..][..4];
+            for d in 0..3 {
+                node[d] = if sum[3] > T::default() { sum[d] / sum[3] } else { T::default() };
+                shared.own[d] = shared.own[3] * node[d] + shared.gain[d];
+                self.max_speed = greater(self.max_speed, node[d].to_f64().abs());
+            }
+            node[3] = sum[3];
         }
     }
 

@@ -11,6 +11,7 @@ mod isolated;
 mod level;
 mod memory;
 mod store;
+mod subcycle;
 
 use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
 use barchan_grid::transfer::MAX_STATE;

@@ -317,6 +317,13 @@ impl Scene {
                 });
             }
         }
+        let lets_go = |d: usize| self.world.walls.pair(d).iter().any(|wall| matches!(wall, Wall::Separate { .. }));
+        self.require(
+            levels.count == 1 || !levels.subcycle || !(0..3).any(lets_go),
+            "levels.subcycle",
+            "is set in a world with a wall that lets go of the ground",
+            "use slip or stick walls, or leave subcycling out",
+        )?;
         // Walls are faces of the coarsest cells too, and periodic axes are whole blocks of them.
         let coarsest = 1_i64 << (levels.count - 1);
         for (d, axis) in AXES.into_iter().enumerate() {

@@ -10,6 +10,7 @@ mod libraries;
 mod plugins;
 mod properties;
 mod seams;
+mod subcycling;
 mod transfers;
 mod validation;
 mod walls;

@@ -75,7 +75,7 @@ impl Engine for Flight {
         }
         self.steps += 1;
         self.seconds += clock.elapsed().as_secs_f64();
-        Ok(StepReport { dt, sorted: false, max_speed })
+        Ok(StepReport { dt, sorted: false, max_speed, wrenches: None })
     }
     fn download(&self) -> ParticleState {
         self.particles.clone()
