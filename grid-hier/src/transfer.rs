@@ -190,9 +190,41 @@ struct Scratch<T> {
     state_out: [[T; BATCH]; MAX_STATE],
 }
 
-/// 16 particles' rows after transposition: one line a particle.
+/// One plane for each of `N` quantities of a chunk's particles.
 #[repr(C, align(64))]
-pub(crate) struct Rows<T>(pub(crate) [[T; LANES]; LANES]);
+struct Planes<T, const N: usize>([[T; LANES]; N]);
+
+/// Each particle's four values of `N` quantities, side by side so that one load repeats them over a row. Values of a quantity
+/// lie `4 * LANES` behind those of the one before, and start for each particle at [`QUAD`].
+///
+/// Four lines a quantity, particle p = 4 g + k at group g of line k: planes come here by transposing within groups of four
+/// lanes only, which is half the work of transposing 16 x 16.
+#[repr(C, align(64))]
+struct Quads<T, const N: usize>([[[T; LANES]; 4]; N]);
+
+/// Where each particle's values start in [`Quads`]: a table, because to look it up is less work than to compute it.
+const QUAD: [usize; LANES] = {
+    let mut table = [0; LANES];
+    let mut p = 0;
+    while p < LANES {
+        table[p] = p % 4 * LANES + p / 4 * 4;
+        p += 1;
+    }
+    table
+};
+
+/// Writes one quantity of [`Quads`] from its four planes.
+///
+/// # Safety
+/// `lines` must be valid for writing.
+#[inline(always)]
+unsafe fn write_quads<V: Lanes>(lines: *mut [[V::Scalar; LANES]; 4], mut planes: [V; 4]) {
+    V::transpose4(&mut planes);
+    for (k, plane) in planes.iter().enumerate() {
+        // SAFETY: the caller vouches for the lines.
+        unsafe { plane.store((&raw mut (*lines)[k]).cast()) };
+    }
+}
 
 impl<T: Scalar> Kernel<T> for ParticlesToGrid<'_, T> {
     type Output = Result<(), Fault>;
@@ -202,19 +234,24 @@ impl<T: Scalar> Kernel<T> for ParticlesToGrid<'_, T> {
         let mut scratch = MaybeUninit::<Scratch<T>>::uninit();
         let scratch = scratch.as_mut_ptr();
         let chunks = self.run.chunks();
+        // A copy, so that the compiler knows it constant.
+        let step = *self.step;
         let mut row_sums = RowSums::<V>::new(self.tile.as_mut_ptr());
+        // The sums stay in memory between chunks: rows that live across the call of the material cost a register too many, and
+        // then one of them goes through memory for each particle.
+        core::hint::black_box(&mut row_sums);
         for first in (0..chunks).step_by(BATCH / LANES) {
             let chunks_here = (chunks - first).min(BATCH / LANES);
             let first = self.run.first + first;
-            for part in 0..self.step.strain_parts {
+            for part in 0..step.strain_parts {
                 // SAFETY: the run's chunks exist, and the scratch is this call's own.
-                unsafe { self.deform::<V>(scratch, first, chunks_here, part) }?;
+                unsafe { self.deform::<V>(&step, scratch, first, chunks_here, part) }?;
             }
             for k in 0..chunks_here {
                 let chunk = first + k;
                 let count = (self.run.count - (chunk - self.run.first) * LANES).min(LANES);
                 // SAFETY: as above; `deform` has written the stresses of this chunk.
-                unsafe { self.scatter::<V>(&mut row_sums, scratch, chunk, k * LANES, count) }?;
+                unsafe { self.scatter::<V>(&step, &mut row_sums, scratch, chunk, k * LANES, count) }?;
             }
         }
         row_sums.flushed();
@@ -227,6 +264,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
     #[inline(always)]
     unsafe fn deform<V: Lanes<Scalar = T>>(
         &mut self,
+        step: &Step,
         scratch: *mut Scratch<T>,
         first: usize,
         chunks: usize,
@@ -234,8 +272,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
     ) -> Result<(), Fault> {
         let planes = self.law.strain_planes();
         let n_state = self.law.table.n_state;
-        let dt = self.step.strain_dt / f64::from(self.step.strain_parts);
-        let step = V::splat(dt);
+        let dt = step.strain_dt / f64::from(step.strain_parts);
         let wants_gradient = self.law.table.capabilities & abi::BARCHAN_CAP_VEL_GRAD != 0;
         let s = &self.particles;
         // SAFETY: for the whole body, the caller vouches for the chunks; scratch planes are BATCH long and k < BATCH / LANES.
@@ -243,7 +280,6 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             for k in 0..chunks {
                 let chunk = first + k;
                 let at = k * LANES;
-                ahead(s, chunk);
                 let mut C = [V::zero(); 9];
                 for (c, C) in C.iter_mut().enumerate() {
                     *C = V::load(s.motion(chunk, 3 + c));
@@ -251,7 +287,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                         C.store(&raw mut (*scratch).vel_grad[c][at]);
                     }
                 }
-                let C = tabulate!(9, |c| C[c] * step);
+                let C = tabulate!(9, |c| C[c] * V::splat(dt));
                 if planes == 9 {
                     let mut F = [V::zero(); 9];
                     for (p, F) in F.iter_mut().enumerate() {
@@ -298,7 +334,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             }
             if status != abi::BARCHAN_OK {
                 // At the first part nothing of this batch has been written back: its strain is what it was.
-                debug_assert!(part < self.step.strain_parts);
+                debug_assert!(part < step.strain_parts);
                 return Err(Fault::Material { status, chunk: first });
             }
             for k in 0..chunks {
@@ -318,6 +354,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
     #[inline(always)]
     unsafe fn scatter<V: Lanes<Scalar = T>>(
         &self,
+        step: &Step,
         sums: &mut RowSums<V>,
         scratch: *const Scratch<T>,
         chunk: usize,
@@ -325,7 +362,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
         count: usize,
     ) -> Result<(), Fault> {
         let s = &self.particles;
-        let (h, dt, gravity) = (self.step.h, self.step.dt, self.step.gravity);
+        let (h, dt, gravity) = (step.h, step.dt, step.gravity);
         // SAFETY: for the whole body, the caller vouches for the chunk and that the scratch holds its stresses.
         unsafe {
             let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
@@ -338,100 +375,80 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             let affine_mass = m * V::splat(h);
             // A: momentum per cell of distance; B: momentum and mass as seen from the first node.
             let A: [V; 9] = tabulate!(9, |c| affine_mass.mul_add(V::load(s.motion(chunk, 3 + c)), stress * tau[c]));
-            let mut rows = [V::zero(); LANES];
+            let mut B = [m; 4];
             for i in 0..3 {
                 let v = V::load(s.motion(chunk, i)) + V::splat(dt * gravity[i]);
                 let p = A[3 * i].mul_add(d0[0], A[3 * i + 1].mul_add(d0[1], A[3 * i + 2] * d0[2]));
-                rows[i] = m.mul_add(v, p);
-                rows[4 + i] = A[3 * i];
-                rows[8 + i] = A[3 * i + 1];
-                rows[12 + i] = A[3 * i + 2];
+                B[i] = m.mul_add(v, p);
             }
-            rows[3] = m;
-            let finite = (rows[0] + rows[1] + rows[2] + m).is_finite();
+            let finite = (B[0] + B[1] + B[2] + m).is_finite();
             if !finite.all() {
                 return Err(Fault::NonFinite { chunk, lane: (!finite.bits()).trailing_zeros() as usize });
             }
-            V::transpose(&mut rows);
-            let mut momentum = MaybeUninit::<Rows<T>>::uninit();
-            let momentum = store_rows(&mut momentum, &rows);
-
-            let mut rows = [V::zero(); LANES];
+            let zero = V::zero();
+            let mut quads = MaybeUninit::<Quads<T, 5>>::uninit();
+            let lines = &raw mut (*quads.as_mut_ptr()).0;
+            write_quads(&raw mut (*lines)[0], B);
+            for j in 0..3 {
+                write_quads(&raw mut (*lines)[1 + j], [A[j], A[3 + j], A[6 + j], zero]);
+            }
+            write_quads(&raw mut (*lines)[4], [w[2][0], w[2][1], w[2][2], zero]);
+            let quads = quads.as_ptr().cast::<T>();
+            let mut weight = MaybeUninit::<Planes<T, 9>>::uninit();
             for i in 0..3 {
                 for j in 0..3 {
-                    rows[3 * i + j] = w[0][i] * w[1][j];
+                    (w[0][i] * w[1][j]).store((&raw mut (*weight.as_mut_ptr()).0[3 * i + j]).cast());
                 }
-                rows[9 + i] = w[2][i];
             }
-            V::transpose(&mut rows);
-            let mut weight = MaybeUninit::<Rows<T>>::uninit();
-            let weight = store_rows(&mut weight, &rows);
+            let weight = weight.assume_init_ref();
 
             let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
             if strayed {
                 return Err(Fault::Strayed { chunk });
             }
-            spread(sums, momentum, weight, &node[..count]);
+            let lane_node = V::load(NODE_OF_LANE.map(T::from_f64).as_ptr());
+            // A copy, not a reference: the nine rows must stay in registers over the whole loop.
+            let mut rows = sums.rows;
+            let mut current = sums.current;
+            for (p, &node) in node[..count].iter().enumerate() {
+                if node as usize != current {
+                    rows = RowSums { rows, current, ..*sums }.flushed();
+                    current = node as usize;
+                }
+                ahead(s.motion, MOTION, chunk, p);
+                ahead(s.rest, s.rest_planes, chunk, p);
+                let quad = quads.add(QUAD[p]);
+                let [b, x, y, z, weights_z] = [0, 1, 2, 3, 4].map(|q| quad.add(q * 4 * LANES));
+                let weight_z = V::spread3(weights_z);
+                let x_step = V::repeat4(x) * weight_z;
+                let y_step = V::repeat4(y) * weight_z;
+                let mut row = V::repeat4(z).mul_add(lane_node, V::repeat4(b)) * weight_z;
+                for i in 0..3 {
+                    let next = row + y_step;
+                    let last = next + y_step;
+                    rows[3 * i] = V::fill(weight.0[3 * i][p]).mul_add(row, rows[3 * i]);
+                    rows[3 * i + 1] = V::fill(weight.0[3 * i + 1][p]).mul_add(next, rows[3 * i + 1]);
+                    rows[3 * i + 2] = V::fill(weight.0[3 * i + 2][p]).mul_add(last, rows[3 * i + 2]);
+                    row += x_step;
+                }
+            }
+            (sums.rows, sums.current) = (rows, current);
         }
         Ok(())
     }
 }
 
-/// Adds particles to the rows of nodes of their cells. A line of `momentum` holds what a particle gives to its first node, and
-/// by how much that changes from node to node along x, y and z; a line of `weight` the nine products of its weights along x
-/// and y, then those along z.
-///
-/// # Safety
-/// `node` holds starts of nodes in the tile, as [`first_nodes`] has found them.
-#[inline(always)]
-pub(crate) unsafe fn spread<V: Lanes>(
-    sums: &mut RowSums<V>,
-    momentum: &Rows<V::Scalar>,
-    weight: &Rows<V::Scalar>,
-    node: &[u32],
-) where
-    V::Scalar: Scalar,
-{
-    // SAFETY: lines hold 16 scalars.
-    unsafe {
-        let lane_node = V::load(NODE_OF_LANE.map(V::Scalar::from_f64).as_ptr());
-        // A copy, not a reference: the nine rows must stay in registers over the whole loop.
-        let mut rows = sums.rows;
-        let mut current = sums.current;
-        for (p, &node) in node.iter().enumerate() {
-            if node as usize != current {
-                rows = RowSums { rows, current, ..*sums }.flushed();
-                current = node as usize;
-            }
-            let (momentum, weight) = (&momentum.0[p], &weight.0[p]);
-            let z = V::spread3(&raw const weight[9]);
-            let x_step = V::repeat4(&raw const momentum[4]) * z;
-            let y_step = V::repeat4(&raw const momentum[8]) * z;
-            let z_step = V::repeat4(&raw const momentum[12]);
-            let mut row = z_step.mul_add(lane_node, V::repeat4(momentum.as_ptr())) * z;
-            for i in 0..3 {
-                let next = row + y_step;
-                let last = next + y_step;
-                rows[3 * i] = V::fill(weight[3 * i]).mul_add(row, rows[3 * i]);
-                rows[3 * i + 1] = V::fill(weight[3 * i + 1]).mul_add(next, rows[3 * i + 1]);
-                rows[3 * i + 2] = V::fill(weight[3 * i + 2]).mul_add(last, rows[3 * i + 2]);
-                row += x_step;
-            }
-        }
-        (sums.rows, sums.current) = (rows, current);
-    }
-}
+/// Chunks between the one at work and the one asked for: far enough for memory to answer, and for the particles of the next
+/// batch to be there when the material wants them.
+const AHEAD: usize = BATCH / LANES;
 
-/// Chunks between the one at work and the one asked for: far enough for memory to answer.
-const AHEAD: usize = 3;
-
-/// Asks for the planes of a chunk further on. The address may lie behind the last chunk.
+/// Asks for plane `plane`, if there is one, of a chunk further on, which may lie behind the last. One plane at a time, between
+/// the sums of two particles: a whole chunk at once is more than the memory takes, and the core would wait for it.
 #[inline(always)]
-fn ahead<T: Scalar>(s: &Particles<T>, chunk: usize) {
-    let line = size_of::<[T; LANES]>();
-    for (start, planes) in [(s.motion, MOTION), (s.rest, s.rest_planes)] {
-        let at = start.wrapping_add((chunk + AHEAD) * planes * LANES).cast::<u8>();
-        for byte in (0..planes * line).step_by(64) {
+fn ahead<W>(start: *const W, planes: usize, chunk: usize, plane: usize) {
+    if plane < planes {
+        let at = start.wrapping_add(((chunk + AHEAD) * planes + plane) * LANES).cast::<u8>();
+        for byte in (0..size_of::<[W; LANES]>()).step_by(64) {
             prefetch(at.wrapping_add(byte));
         }
     }
@@ -457,8 +474,8 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
 }
 
 /// The nine rows of nodes around the current cell.
-pub(crate) struct RowSums<V: Lanes> {
-    pub(crate) rows: [V; 9],
+struct RowSums<V: Lanes> {
+    rows: [V; 9],
     tile: *mut V::Scalar,
     /// Start of the cell's first node in the tile; `usize::MAX` before the first cell.
     current: usize,
@@ -466,20 +483,12 @@ pub(crate) struct RowSums<V: Lanes> {
 
 impl<V: Lanes> RowSums<V> {
     #[inline(always)]
-    pub(crate) fn new(tile: *mut V::Scalar) -> Self {
+    fn new(tile: *mut V::Scalar) -> Self {
         Self { rows: [V::zero(); 9], tile, current: usize::MAX }
-    }
-    /// Goes on to the cell whose first node is at `node`.
-    #[inline(always)]
-    pub(crate) fn go_to(&mut self, node: u32) {
-        if node as usize != self.current {
-            self.rows = Self { rows: self.rows, ..*self }.flushed();
-            self.current = node as usize;
-        }
     }
     /// Adds the rows to the tile and gives back empty ones.
     #[inline(always)]
-    pub(crate) fn flushed(self) -> [V; 9] {
+    fn flushed(self) -> [V; 9] {
         if self.current != usize::MAX {
             for i in 0..3 {
                 for j in 0..3 {
@@ -498,11 +507,7 @@ impl<V: Lanes> RowSums<V> {
 
 /// Start in the tile of each particle's first node, and whether any of them lies outside.
 #[inline(always)]
-pub(crate) unsafe fn first_nodes<V: Lanes>(
-    s: &Particles<V::Scalar>,
-    chunk: usize,
-    origin: [i32; 3],
-) -> ([u32; LANES], bool)
+unsafe fn first_nodes<V: Lanes>(s: &Particles<V::Scalar>, chunk: usize, origin: [i32; 3]) -> ([u32; LANES], bool)
 where
     V::Scalar: Scalar,
 {
@@ -514,20 +519,6 @@ where
         let cells = [s.cell(chunk, 0).cast_const(), s.cell(chunk, 1).cast_const(), s.cell(chunk, 2).cast_const()];
         V::places(cells, first, [X as i32, Y as i32, 4], most)
     }
-}
-
-#[inline(always)]
-pub(crate) fn store_rows<'a, V: Lanes>(
-    to: &'a mut MaybeUninit<Rows<V::Scalar>>,
-    rows: &[V; LANES],
-) -> &'a Rows<V::Scalar> {
-    let lines = to.as_mut_ptr().cast::<V::Scalar>();
-    for (i, row) in rows.iter().enumerate() {
-        // SAFETY: line i of the 16 x 16 scalars.
-        unsafe { row.store(lines.add(i * LANES)) };
-    }
-    // SAFETY: all 16 lines are written.
-    unsafe { to.assume_init_ref() }
 }
 
 /// Grid to particles for one run of chunks: velocity, affine matrix, and the move.
@@ -612,9 +603,7 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) -> Rates<T> {
         let s = &self.particles;
-        let (h, dt) = (self.step.h, self.step.dt);
-        // SAFETY: the array holds 16 scalars.
-        let lane_node = unsafe { V::load(NODE_OF_LANE.map(T::from_f64).as_ptr()) };
+        let Step { h, dt, .. } = *self.step;
         let mut greatest = Greatest::<V>::new();
         let mut rows = [V::zero(); 9];
         let mut current = usize::MAX;
@@ -625,25 +614,29 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
             // checked again here because reading outside the tile must be impossible.
             unsafe {
                 let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
-                let motion = s.motion.wrapping_add((chunk + AHEAD) * MOTION * LANES);
-                for plane in 0..MOTION {
-                    prefetch(motion.wrapping_add(plane * LANES));
+                let mut quads = MaybeUninit::<Quads<T, 1>>::uninit();
+                for axis in 0..3 {
+                    ahead(s.offset, 3, chunk, axis);
+                    ahead(s.cell, 3, chunk, axis);
                 }
-                let mut lines = [V::zero(); LANES];
-                for (d, f) in f.iter().enumerate() {
-                    let w = weights(*f);
-                    lines[4 * d] = w[0];
-                    lines[4 * d + 1] = w[1];
-                    lines[4 * d + 2] = w[2];
+                let [z0, z1, z2] = weights(f[2]);
+                write_quads(&raw mut (*quads.as_mut_ptr()).0[0], [z0, z1, z2, V::zero()]);
+                let quads = quads.as_ptr().cast::<T>();
+                let mut weight = MaybeUninit::<Planes<T, 6>>::uninit();
+                for d in 0..2 {
+                    for (i, w) in weights(f[d]).into_iter().enumerate() {
+                        w.store((&raw mut (*weight.as_mut_ptr()).0[3 * d + i]).cast());
+                    }
                 }
-                V::transpose(&mut lines);
-                let mut weight = MaybeUninit::<Rows<T>>::uninit();
-                let weight = store_rows(&mut weight, &lines);
+                let weight = weight.assume_init_ref();
                 let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
                 assert!(!strayed, "a particle strayed between the transfers of one step");
 
-                let mut sums = MaybeUninit::<Rows<T>>::uninit();
-                let line = sums.as_mut_ptr().cast::<T>();
+                // Sums over x and y of w u, and of w u times the node's distance from the middle one along x or y. Nodes along
+                // z are still apart.
+                let mut sums = MaybeUninit::<Planes<[T; 3], LANES>>::uninit();
+                let sums = sums.as_mut_ptr().cast::<T>();
+                let sum = |q: usize, p: usize| sums.add((3 * p + q) * LANES);
                 for (p, &node) in node[..count].iter().enumerate() {
                     if node as usize != current {
                         current = node as usize;
@@ -653,44 +646,52 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
                             }
                         }
                     }
-                    let w = &weight.0[p];
-                    // Sums over y for each x: of u, and of u times the node's index along y.
-                    let (y0, y1, y2, y2_twice) = (V::fill(w[4]), V::fill(w[5]), V::fill(w[6]), V::fill(w[6] + w[6]));
+                    ahead(s.motion, MOTION, chunk, p);
+                    let [x0, x1, x2, y0, y1, y2] = tabulate!(6, |i| V::fill(weight.0[i][p]));
                     let mut plain = [V::zero(); 3];
                     let mut by_y = [V::zero(); 3];
                     for i in 0..3 {
-                        let middle = y1 * rows[3 * i + 1];
-                        by_y[i] = y2_twice.mul_add(rows[3 * i + 2], middle);
-                        plain[i] = y2.mul_add(rows[3 * i + 2], y0.mul_add(rows[3 * i], middle));
+                        let first = y0 * rows[3 * i];
+                        by_y[i] = y2.mul_add(rows[3 * i + 2], -first);
+                        plain[i] = y2.mul_add(rows[3 * i + 2], y1.mul_add(rows[3 * i + 1], first));
                     }
-                    let (x0, x1, x2) = (V::fill(w[0]), V::fill(w[1]), V::fill(w[2]));
-                    let middle = x1 * plain[1];
-                    let z = V::spread3(&raw const w[8]);
-                    let u = x2.mul_add(plain[2], x0.mul_add(plain[0], middle)) * z;
-                    let u_x = V::fill(w[2] + w[2]).mul_add(plain[2], middle) * z;
-                    let u_y = x2.mul_add(by_y[2], x1.mul_add(by_y[1], x0 * by_y[0])) * z;
-                    V::fold4(u, u_x, u_y, u * lane_node).store(line.add(p * LANES));
+                    let first = x0 * plain[0];
+                    let z = V::spread3(quads.add(QUAD[p]));
+                    (x2.mul_add(plain[2], x1.mul_add(plain[1], first)) * z).store(sum(0, p));
+                    (x2.mul_add(plain[2], -first) * z).store(sum(1, p));
+                    (x2.mul_add(by_y[2], x1.mul_add(by_y[1], x0 * by_y[0])) * z).store(sum(2, p));
                 }
                 for p in count..LANES {
-                    V::zero().store(line.add(p * LANES));
+                    for q in 0..3 {
+                        V::zero().store(sum(q, p));
+                    }
                 }
-                for (p, line_p) in lines.iter_mut().enumerate() {
-                    *line_p = V::load(line.add(p * LANES));
+                // Sums over z too, with particles in lanes: velocity, and its moments along x, y and z.
+                let mut moments = [[V::zero(); 4]; 4];
+                for k in 0..4 {
+                    let rows =
+                        |q: usize| [sum(q, k), sum(q, 4 + k), sum(q, 8 + k), sum(q, 12 + k)].map(<*mut T>::cast_const);
+                    (moments[0][k], moments[3][k]) = V::fold4(rows(0));
+                    (moments[1][k], _) = V::fold4(rows(1));
+                    (moments[2][k], _) = V::fold4(rows(2));
                 }
-                V::transpose(&mut lines);
+                for moment in &mut moments {
+                    V::transpose4(moment);
+                }
+                let [v, by_node @ ..] = moments;
 
                 let per_cell = V::splat(4.0 / h);
                 let mut c = [V::zero(); 9];
                 for i in 0..3 {
-                    lines[i].store(s.motion(chunk, i));
+                    v[i].store(s.motion(chunk, i));
                     for j in 0..3 {
-                        // sum w u (index - 1/2 - f): the node's distance from the particle.
-                        c[3 * i + j] = first_distance(f[j]).mul_add(lines[i], lines[4 + 4 * j + i]) * per_cell;
+                        // From the distance of each node from the middle one to that from the particle.
+                        c[3 * i + j] = (V::splat(0.5) - f[j]).mul_add(v[i], by_node[j][i]) * per_cell;
                         c[3 * i + j].store(s.motion(chunk, 3 + 3 * i + j));
                     }
-                    V::advance(s.offset(chunk, i), s.cell(chunk, i), lines[i] * V::splat(dt / h));
+                    V::advance(s.offset(chunk, i), s.cell(chunk, i), v[i] * V::splat(dt / h));
                 }
-                greatest.see(&[lines[0], lines[1], lines[2]], &c);
+                greatest.see(&[v[0], v[1], v[2]], &c);
             }
         }
         greatest.rates()

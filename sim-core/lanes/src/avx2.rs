@@ -251,15 +251,21 @@ impl Lanes for Avx2F32 {
         unsafe { Wide([_mm256_permute_ps::<0xff>(self.0[0]), _mm256_permute_ps::<0xff>(self.0[1])]) }
     }
     #[inline(always)]
-    fn fold4(a: Self, b: Self, c: Self, d: Self) -> Self {
-        // SAFETY: the machine has AVX2.
+    unsafe fn fold4(rows: [*const f32; 4]) -> (Self, Self) {
+        // SAFETY: the caller vouches for 16 readable scalars a row; the machine has AVX2.
         unsafe {
-            let (a, b) = (_mm256_add_ps(a.0[0], a.0[1]), _mm256_add_ps(b.0[0], b.0[1]));
-            let (c, d) = (_mm256_add_ps(c.0[0], c.0[1]), _mm256_add_ps(d.0[0], d.0[1]));
-            Wide([
-                _mm256_add_ps(_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b)),
-                _mm256_add_ps(_mm256_permute2f128_ps::<0x20>(c, d), _mm256_permute2f128_ps::<0x31>(c, d)),
-            ])
+            let [a, b, c, d] =
+                [Self::load(rows[0]).0, Self::load(rows[1]).0, Self::load(rows[2]).0, Self::load(rows[3]).0];
+            let (mut sum, mut difference) = (Self::zero(), Self::zero());
+            for (half, (a, b)) in [(a, b), (c, d)].into_iter().enumerate() {
+                let (sum_a, sum_b) = (_mm256_add_ps(a[0], a[1]), _mm256_add_ps(b[0], b[1]));
+                let (even, odd) =
+                    (_mm256_permute2f128_ps::<0x20>(sum_a, sum_b), _mm256_permute2f128_ps::<0x31>(sum_a, sum_b));
+                sum.0[half] = _mm256_add_ps(even, odd);
+                difference.0[half] =
+                    _mm256_permute2f128_ps::<0x20>(_mm256_sub_ps(a[1], a[0]), _mm256_sub_ps(b[1], b[0]));
+            }
+            (sum, difference)
         }
     }
     #[inline(always)]
@@ -316,11 +322,16 @@ impl Lanes for Avx2F64 {
         out
     }
     #[inline(always)]
-    fn fold4(a: Self, b: Self, c: Self, d: Self) -> Self {
-        // SAFETY: the machine has AVX2.
-        unsafe {
-            let fold = |v: Self| _mm256_add_pd(_mm256_add_pd(v.0[0], v.0[2]), _mm256_add_pd(v.0[1], v.0[3]));
-            Wide([fold(a), fold(b), fold(c), fold(d)])
+    unsafe fn fold4(rows: [*const f64; 4]) -> (Self, Self) {
+        let (mut sum, mut difference) = (Self::zero(), Self::zero());
+        for (g, row) in rows.into_iter().enumerate() {
+            // SAFETY: the caller vouches for 16 readable scalars; the machine has AVX2.
+            unsafe {
+                let row = Self::load(row).0;
+                sum.0[g] = _mm256_add_pd(_mm256_add_pd(row[0], row[2]), _mm256_add_pd(row[1], row[3]));
+                difference.0[g] = _mm256_sub_pd(row[2], row[0]);
+            }
         }
+        (sum, difference)
     }
 }

@@ -227,13 +227,26 @@ impl Lanes for Avx512F32 {
         }
     }
     #[inline(always)]
-    fn fold4(a: Self, b: Self, c: Self, d: Self) -> Self {
-        // SAFETY: the machine has AVX-512.
+    unsafe fn fold4([a, b, c, d]: [*const f32; 4]) -> (Self, Self) {
+        // Halves of two rows side by side. Put together while they are loaded, they do not queue for the one port that shuffles.
+        #[inline(always)]
+        unsafe fn halves(low: *const f32, high: *const f32) -> __m512 {
+            // SAFETY: the caller vouches for 8 readable scalars; the machine has AVX-512.
+            unsafe { _mm512_insertf32x8::<1>(_mm512_castps256_ps512(_mm256_loadu_ps(low)), _mm256_loadu_ps(high)) }
+        }
+        // SAFETY: the caller vouches for 16 readable scalars a row; the machine has AVX-512.
         unsafe {
-            let (a, b, c, d) = (a.0[0], b.0[0], c.0[0], d.0[0]);
-            let ab = _mm512_add_ps(_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0xee>(a, b));
-            let cd = _mm512_add_ps(_mm512_shuffle_f32x4::<0x44>(c, d), _mm512_shuffle_f32x4::<0xee>(c, d));
-            Wide([_mm512_add_ps(_mm512_shuffle_f32x4::<0x88>(ab, cd), _mm512_shuffle_f32x4::<0xdd>(ab, cd))])
+            let (ac, bd) = (halves(a, c), halves(b, d));
+            let (ac_far, bd_far) = (halves(a.add(8), c.add(8)), halves(b.add(8), d.add(8)));
+            let even = _mm512_setr_epi32(0, 1, 2, 3, 16, 17, 18, 19, 8, 9, 10, 11, 24, 25, 26, 27);
+            let odd = _mm512_setr_epi32(4, 5, 6, 7, 20, 21, 22, 23, 12, 13, 14, 15, 28, 29, 30, 31);
+            let (ac_sum, bd_sum) = (_mm512_add_ps(ac, ac_far), _mm512_add_ps(bd, bd_far));
+            let sum = _mm512_add_ps(
+                _mm512_permutex2var_ps(ac_sum, even, bd_sum),
+                _mm512_permutex2var_ps(ac_sum, odd, bd_sum),
+            );
+            let difference = _mm512_permutex2var_ps(_mm512_sub_ps(ac_far, ac), even, _mm512_sub_ps(bd_far, bd));
+            (Wide([sum]), Wide([difference]))
         }
     }
     #[inline(always)]
@@ -242,36 +255,18 @@ impl Lanes for Avx512F32 {
         unsafe { Wide([_mm512_permute_ps::<0xff>(self.0[0])]) }
     }
     #[inline(always)]
-    fn transpose(rows: &mut [Self; LANES]) {
+    fn transpose4(rows: &mut [Self; 4]) {
         // SAFETY: the machine has AVX-512.
         unsafe {
-            let zero = _mm512_setzero_ps();
-            // Within each 128-bit group: 4 x 4 transposes in two rounds of unpacking.
-            let mut t = [zero; 16];
-            for i in 0..8 {
-                t[2 * i] = _mm512_unpacklo_ps(rows[2 * i].0[0], rows[2 * i + 1].0[0]);
-                t[2 * i + 1] = _mm512_unpackhi_ps(rows[2 * i].0[0], rows[2 * i + 1].0[0]);
-            }
-            let mut u = [zero; 16];
-            for i in 0..4 {
-                let (a, b) = (_mm512_castps_pd(t[4 * i]), _mm512_castps_pd(t[4 * i + 2]));
-                let (c, d) = (_mm512_castps_pd(t[4 * i + 1]), _mm512_castps_pd(t[4 * i + 3]));
-                u[4 * i] = _mm512_castpd_ps(_mm512_unpacklo_pd(a, b));
-                u[4 * i + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(a, b));
-                u[4 * i + 2] = _mm512_castpd_ps(_mm512_unpacklo_pd(c, d));
-                u[4 * i + 3] = _mm512_castpd_ps(_mm512_unpackhi_pd(c, d));
-            }
-            // Then the groups themselves.
-            for i in 0..4 {
-                let a = _mm512_shuffle_f32x4::<0x88>(u[i], u[i + 4]);
-                let b = _mm512_shuffle_f32x4::<0xdd>(u[i], u[i + 4]);
-                let c = _mm512_shuffle_f32x4::<0x88>(u[i + 8], u[i + 12]);
-                let d = _mm512_shuffle_f32x4::<0xdd>(u[i + 8], u[i + 12]);
-                rows[i].0[0] = _mm512_shuffle_f32x4::<0x88>(a, c);
-                rows[i + 8].0[0] = _mm512_shuffle_f32x4::<0xdd>(a, c);
-                rows[i + 4].0[0] = _mm512_shuffle_f32x4::<0x88>(b, d);
-                rows[i + 12].0[0] = _mm512_shuffle_f32x4::<0xdd>(b, d);
-            }
+            let [a, b, c, d] = [rows[0].0[0], rows[1].0[0], rows[2].0[0], rows[3].0[0]];
+            let (ab, cd) = (_mm512_unpacklo_ps(a, b), _mm512_unpacklo_ps(c, d));
+            let (ab, cd) = (_mm512_castps_pd(ab), _mm512_castps_pd(cd));
+            rows[0].0[0] = _mm512_castpd_ps(_mm512_unpacklo_pd(ab, cd));
+            rows[1].0[0] = _mm512_castpd_ps(_mm512_unpackhi_pd(ab, cd));
+            let (ab, cd) = (_mm512_unpackhi_ps(a, b), _mm512_unpackhi_ps(c, d));
+            let (ab, cd) = (_mm512_castps_pd(ab), _mm512_castps_pd(cd));
+            rows[2].0[0] = _mm512_castpd_ps(_mm512_unpacklo_pd(ab, cd));
+            rows[3].0[0] = _mm512_castpd_ps(_mm512_unpackhi_pd(ab, cd));
         }
     }
     #[inline(always)]
@@ -337,15 +332,20 @@ impl Lanes for Avx512F64 {
         unsafe { Wide([_mm512_permutex_pd::<0xff>(self.0[0]), _mm512_permutex_pd::<0xff>(self.0[1])]) }
     }
     #[inline(always)]
-    fn fold4(a: Self, b: Self, c: Self, d: Self) -> Self {
-        // SAFETY: the machine has AVX-512.
+    unsafe fn fold4(rows: [*const f64; 4]) -> (Self, Self) {
+        // SAFETY: the caller vouches for 16 readable scalars a row; the machine has AVX-512.
         unsafe {
-            let (a, b) = (_mm512_add_pd(a.0[0], a.0[1]), _mm512_add_pd(b.0[0], b.0[1]));
-            let (c, d) = (_mm512_add_pd(c.0[0], c.0[1]), _mm512_add_pd(d.0[0], d.0[1]));
-            Wide([
-                _mm512_add_pd(_mm512_shuffle_f64x2::<0x44>(a, b), _mm512_shuffle_f64x2::<0xee>(a, b)),
-                _mm512_add_pd(_mm512_shuffle_f64x2::<0x44>(c, d), _mm512_shuffle_f64x2::<0xee>(c, d)),
-            ])
+            let [a, b, c, d] =
+                [Self::load(rows[0]).0, Self::load(rows[1]).0, Self::load(rows[2]).0, Self::load(rows[3]).0];
+            let (mut sum, mut difference) = (Self::zero(), Self::zero());
+            for (half, (a, b)) in [(a, b), (c, d)].into_iter().enumerate() {
+                let (sum_a, sum_b) = (_mm512_add_pd(a[0], a[1]), _mm512_add_pd(b[0], b[1]));
+                let (even, odd) =
+                    (_mm512_shuffle_f64x2::<0x44>(sum_a, sum_b), _mm512_shuffle_f64x2::<0xee>(sum_a, sum_b));
+                sum.0[half] = _mm512_add_pd(even, odd);
+                difference.0[half] = _mm512_shuffle_f64x2::<0x44>(_mm512_sub_pd(a[1], a[0]), _mm512_sub_pd(b[1], b[0]));
+            }
+            (sum, difference)
         }
     }
 }

@@ -201,19 +201,22 @@ impl<T: Float + Advance> Lanes for Base<T> {
         Self(from_fn(|i| if i < 12 { four[i / 4] } else { T::zero() }))
     }
     #[inline(always)]
-    fn fold4(a: Self, b: Self, c: Self, d: Self) -> Self {
-        let fold = |v: Self, i: usize| (v.0[i] + v.0[4 + i]) + (v.0[8 + i] + v.0[12 + i]);
-        Self(from_fn(|i| fold([a, b, c, d][i / 4], i % 4)))
+    unsafe fn fold4(rows: [*const T; 4]) -> (Self, Self) {
+        // SAFETY: the caller vouches for 16 readable scalars.
+        let rows = rows.map(|row| unsafe { Self::load(row) }.0);
+        let of = |i: usize, g: usize| rows[i / 4][4 * g + i % 4];
+        let sum = Self(from_fn(|i| (of(i, 0) + of(i, 2)) + (of(i, 1) + of(i, 3))));
+        (sum, Self(from_fn(|i| of(i, 2) - of(i, 0))))
     }
     #[inline(always)]
     fn fourth(self) -> Self {
         Self(from_fn(|i| self.0[i | 3]))
     }
     #[inline(always)]
-    fn transpose(rows: &mut [Self; LANES]) {
+    fn transpose4(rows: &mut [Self; 4]) {
         let old = *rows;
-        for (i, row) in rows.iter_mut().enumerate() {
-            *row = Self(from_fn(|j| old[j].0[i]));
+        for (c, row) in rows.iter_mut().enumerate() {
+            *row = Self(from_fn(|i| old[i % 4].0[i / 4 * 4 + c]));
         }
     }
     #[inline(always)]

@@ -222,12 +222,16 @@ pub trait Lanes: Real {
     /// # Safety
     /// `from` must be valid for reading 4 scalars.
     unsafe fn spread3(from: *const Self::Scalar) -> Self;
-    /// Sums the four groups of four lanes of each argument; group g of the result is the sum for argument g.
-    fn fold4(a: Self, b: Self, c: Self, d: Self) -> Self;
+    /// Folds rows of four groups of four scalars: group g of the first result is the sum of row g's groups, group g of the
+    /// second its third group less its first.
+    ///
+    /// # Safety
+    /// Each of `rows` must be valid for reading 16 scalars.
+    unsafe fn fold4(rows: [*const Self::Scalar; 4]) -> (Self, Self);
     /// The last lane of each group of four, in all lanes of the group.
     fn fourth(self) -> Self;
-    /// Transposes 16 vectors of 16 lanes.
-    fn transpose(rows: &mut [Self; LANES]);
+    /// Transposes within each group of four lanes: lane 4 g + c of row k and lane 4 g + k of row c change places.
+    fn transpose4(rows: &mut [Self; 4]);
     /// Sum of the lanes, in a fixed order.
     fn sum(self) -> Self::Scalar;
     /// Greatest lane.

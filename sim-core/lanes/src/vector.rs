@@ -291,16 +291,16 @@ macro_rules! lanes_through_memory {
 macro_rules! transpose_through_memory {
     ($scalar:ident) => {
         #[inline(always)]
-        fn transpose(rows: &mut [Self; LANES]) {
-            let mut from = [[0.0 as $scalar; LANES]; LANES];
+        fn transpose4(rows: &mut [Self; 4]) {
+            let mut from = [[0.0 as $scalar; LANES]; 4];
             for (row, line) in rows.iter().zip(&mut from) {
                 // SAFETY: each line holds 16 scalars.
                 unsafe { row.store(line.as_mut_ptr()) };
             }
-            let mut to = [[0.0 as $scalar; LANES]; LANES];
-            for i in 0..LANES {
-                for j in 0..LANES {
-                    to[i][j] = from[j][i];
+            let mut to = [[0.0 as $scalar; LANES]; 4];
+            for c in 0..4 {
+                for i in 0..LANES {
+                    to[c][i] = from[i % 4][i / 4 * 4 + c];
                 }
             }
             for (row, line) in rows.iter_mut().zip(&to) {

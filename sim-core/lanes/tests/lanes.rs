@@ -69,10 +69,10 @@ impl<T: Float> Kernel<T> for Moves {
             let row: Vec<T> = (0..LANES).map(|j| T::from_f64(value(i, j))).collect();
             unsafe { V::load(row.as_ptr()) }
         };
-        let mut rows: [V; LANES] = core::array::from_fn(make);
-        V::transpose(&mut rows);
-        for (i, &row) in rows.iter().enumerate() {
-            assert_eq!(read(row), core::array::from_fn(|j| value(j, i)));
+        let mut rows: [V; 4] = core::array::from_fn(make);
+        V::transpose4(&mut rows);
+        for (c, &row) in rows.iter().enumerate() {
+            assert_eq!(read(row), core::array::from_fn(|i| value(i % 4, i / 4 * 4 + c)));
         }
         let four = [1.0, 2.0, 3.0, 4.0].map(T::from_f64);
         assert_eq!(read(unsafe { V::repeat4(four.as_ptr()) }), core::array::from_fn(|i| (i % 4 + 1) as f64));
@@ -80,9 +80,12 @@ impl<T: Float> Kernel<T> for Moves {
             read(unsafe { V::spread3(four.as_ptr()) }),
             core::array::from_fn(|i| if i < 12 { (i / 4 + 1) as f64 } else { 0.0 })
         );
-        let folded = read(V::fold4(make(0), make(1), make(2), make(3)));
-        for (i, &sum) in folded.iter().enumerate() {
-            assert_eq!(sum, (0..4).map(|g| value(i / 4, 4 * g + i % 4)).sum::<f64>());
+        let lines: [[T; LANES]; 4] = core::array::from_fn(|i| core::array::from_fn(|j| T::from_f64(value(i, j * j))));
+        let (sum, difference) = unsafe { V::fold4(core::array::from_fn(|i| lines[i].as_ptr())) };
+        for i in 0..LANES {
+            let of = |g: usize| lines[i / 4][4 * g + i % 4].to_f64();
+            assert_eq!(read(sum)[i], of(0) + of(1) + of(2) + of(3));
+            assert_eq!(read(difference)[i], of(2) - of(0));
         }
         assert_eq!(read(make(1).fourth()), core::array::from_fn(|i| value(1, i | 3)));
         assert_eq!(make(1).sum().to_f64(), (16..32).sum::<i32>() as f64);
