@@ -541,35 +541,48 @@ impl<T: Scalar> Store<T> {
 
     /// Lays one list out for the new blocks and moves its particles there.
     fn sort_list(&mut self, index: usize, old_blocks: &[u64], movers: &[Mover], deleted: bool) {
+        let most = self.lists.iter().map(|list| list.chunks() * MOTION.max(list.rest_planes)).max().unwrap_or(0);
         let list = &mut self.lists[index];
-        let view = list.view();
         let blocks = &self.blocks;
         let old_runs = std::mem::take(&mut list.runs);
-        let ids = &list.id;
-        let local = |place: usize| -> ([i32; 3], usize) {
-            // SAFETY: places are those of existing particles; nothing writes cells here.
-            let cell: [i32; 3] = std::array::from_fn(|d| unsafe { *view.cell(place / LANES, d).add(place % LANES) });
-            (cell, ((cell[0] & 3) * 16 + (cell[1] & 3) * 4 + (cell[2] & 3)) as usize)
-        };
         let staying = |b: usize| {
-            let key = blocks[b];
-            let run = old_blocks.binary_search(&key).map_or(Run { first: 0, count: 0 }, |old| old_runs[old]);
-            (0..run.count).map(move |i| run.first * LANES + i).filter(move |&place| {
-                (!deleted || ids[place / LANES][place % LANES] != PAD)
-                    && block::key(block::of_cell(local(place).0)) == Some(key)
-            })
+            let run = old_blocks.binary_search(&blocks[b]).map_or(Run { first: 0, count: 0 }, |old| old_runs[old]);
+            (run, block::of_key(blocks[b]))
         };
-        let coming = |b: usize| {
+        let (cells, ids) = (&list.cell, &list.id);
+        let each = |b: usize, take: &mut dyn FnMut(&[u32; LANES], usize, usize)| {
+            let (run, home) = staying(b);
+            for chunk in run.first..run.first + run.chunks() {
+                let count = (run.count - (chunk - run.first) * LANES).min(LANES);
+                let mut local = local_cells(&cells[chunk * 3..], home);
+                if deleted {
+                    for (local, &id) in local.iter_mut().zip(&ids[chunk]) {
+                        *local = if id == PAD { ELSEWHERE } else { *local };
+                    }
+                }
+                take(&local, chunk * LANES, count);
+            }
+            // Newcomers, one at a time.
             let from = movers.partition_point(|m| (m.0, m.1) < (blocks[b], index as u16));
             let to = movers.partition_point(|m| (m.0, m.1) <= (blocks[b], index as u16));
-            movers[from..to].iter().map(|m| m.2 as usize)
+            for mover in &movers[from..to] {
+                let (chunk, lane) = (mover.2 as usize / LANES, mover.2 as usize % LANES);
+                take(&[local_cells(&cells[chunk * 3..], home)[lane]; LANES], mover.2 as usize, 1);
+            }
         };
-        let counts: Vec<usize> =
-            (0..blocks.len()).into_par_iter().map(|b| staying(b).count() + coming(b).count()).collect();
+        // How many particles each block has in each of its cells, and at the end those that are elsewhere.
+        let in_cells: Vec<[u32; CELLS + 1]> = (0..blocks.len())
+            .into_par_iter()
+            .map(|b| {
+                let mut count = [0; CELLS + 1];
+                each(b, &mut |local, _, n| local[..n].iter().for_each(|&cell| count[cell as usize] += 1));
+                count
+            })
+            .collect();
+        let counts = in_cells.iter().map(|count| count[..CELLS].iter().sum::<u32>() as usize);
         let mut first = 0;
         let runs: Vec<Run> = counts
-            .iter()
-            .map(|&count| {
+            .map(|count| {
                 let run = Run { first, count };
                 first += run.chunks();
                 run
@@ -582,27 +595,24 @@ impl<T: Scalar> Store<T> {
         self.order.resize(chunks, [PAD; LANES]);
         let order = Shared(self.order.as_mut_ptr().cast::<u32>());
         (0..blocks.len()).into_par_iter().for_each(|b| {
-            let mut starts = [0u32; CELLS + 1];
-            for place in staying(b).chain(coming(b)) {
-                starts[local(place).1 + 1] += 1;
+            let mut next = in_cells[b];
+            let mut start = (runs[b].first * LANES) as u32;
+            for next in &mut next {
+                start += std::mem::replace(next, start);
             }
-            for c in 0..CELLS {
-                starts[c + 1] += starts[c];
-            }
-            for place in staying(b).chain(coming(b)) {
-                let next = &mut starts[local(place).1];
-                // SAFETY: the run's lanes are this block's own.
-                unsafe { *order.at(runs[b].first * LANES + *next as usize) = place as u32 };
-                *next += 1;
-            }
+            each(b, &mut |local, place, n| {
+                for (l, &cell) in local[..n].iter().enumerate() {
+                    if cell != ELSEWHERE {
+                        // SAFETY: the run's lanes are this block's own.
+                        unsafe { *order.at(next[cell as usize] as usize) = (place + l) as u32 };
+                        next[cell as usize] += 1;
+                    }
+                }
+            });
         });
 
-        let unchanged = chunks == list.chunks()
-            && self
-                .order
-                .par_iter()
-                .enumerate()
-                .all(|(c, lanes)| lanes.iter().enumerate().all(|(l, &p)| p == PAD || p as usize == c * LANES + l));
+        let changed = self.order.par_iter().enumerate().filter(|(c, lanes)| !is_own(*c, lanes)).count();
+        let unchanged = chunks == list.chunks() && changed == 0;
         list.runs = runs;
         if unchanged {
             // A run may have gone to another block as it is; its padding must lie there too.
@@ -612,9 +622,10 @@ impl<T: Scalar> Store<T> {
         let room = chunks.max(list.chunks());
         let widest = (MOTION.max(list.rest_planes) * size_of::<T>()).max(3 * size_of::<T::Offset>().max(4));
         let needed = room * widest / size_of::<T>();
-        if needed > self.scratch.len() {
+        if needed > self.scratch.capacity() {
             self.scratch = lines(needed + needed / 32, T::default());
         }
+        self.scratch.resize(needed, Line([T::default(); LANES]));
         let old_chunks = list.chunks();
         list.resize(room);
         let scratch = self.scratch.as_mut_ptr();
@@ -623,8 +634,19 @@ impl<T: Scalar> Store<T> {
         permute(&mut list.body, 1, order, scratch.cast());
         permute(&mut list.cell, 3, order, scratch.cast());
         permute(&mut list.offset, 3, order, scratch.cast());
-        permute(&mut list.motion, MOTION, order, scratch.cast());
-        permute(&mut list.rest, list.rest_planes, order, scratch.cast());
+        let (mut narrow, mut wide) = ((&mut list.motion, MOTION), (&mut list.rest, list.rest_planes));
+        if narrow.1 > wide.1 {
+            std::mem::swap(&mut narrow, &mut wide);
+        }
+        permute(narrow.0, narrow.1, order, scratch.cast());
+        // The widest group and the scratch may change places, which saves the way back; but not if that leaves too little for a
+        // longer list, nor if few chunks have changed.
+        if wide.0.capacity() >= most.max(needed) && wide.0.len() == needed && 2 * changed > chunks {
+            gather(wide.0.as_mut_ptr(), wide.1, order, scratch.cast(), |_, _| true);
+            std::mem::swap(wide.0, &mut self.scratch);
+        } else {
+            permute(wide.0, wide.1, order, scratch.cast());
+        }
         if old_chunks != chunks {
             list.resize(chunks);
         }
@@ -643,16 +665,62 @@ impl<W: Copy + Send + Sync> Plane for [W; LANES] {
     type Word = W;
 }
 
+/// Marks a particle that is not in the block asked about.
+const ELSEWHERE: u32 = CELLS as u32;
+
+/// The cell within block `home` of each particle of a chunk, or [`ELSEWHERE`]. No branches, so that it becomes vector code.
+#[inline]
+fn local_cells(cells: &[Line<i32>], home: [i32; 3]) -> [u32; LANES] {
+    let [x, y, z] = [&cells[0].0, &cells[1].0, &cells[2].0];
+    let mut local = [0; LANES];
+    for l in 0..LANES {
+        let away = ((x[l] >> 2) ^ home[0]) | ((y[l] >> 2) ^ home[1]) | ((z[l] >> 2) ^ home[2]);
+        let cell = (x[l] & 3) * 16 + (y[l] & 3) * 4 + (z[l] & 3);
+        local[l] = if away == 0 { cell as u32 } else { ELSEWHERE };
+    }
+    local
+}
+
+/// Do the particles of a chunk stay where they are? Padding lanes do not matter.
+fn is_own(chunk: usize, lanes: &[u32; LANES]) -> bool {
+    lanes.iter().enumerate().all(|(l, &p)| p == PAD || p as usize == chunk * LANES + l)
+}
+
+/// Chunks that one task moves: enough to outweigh handing it out.
+const GRAIN: usize = 256;
+
 /// Moves the particles of a group of planes: lane `l` of chunk `c` becomes the particle at `order[c][l]`. Padding lanes are
 /// left as they come.
-fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; LANES]], scratch: *mut u8) {
-    /// Chunks that one task moves: enough to outweigh handing it out.
-    const GRAIN: usize = 256;
-    let from = Shared(group.as_mut_ptr().cast::<P::Word>());
-    let to = Shared(scratch.cast::<P::Word>());
+fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; LANES]], scratch: *mut P) {
+    let moves = |chunk: usize, lanes: &[u32; LANES]| !is_own(chunk, lanes);
+    gather(group.as_mut_ptr(), planes, order, scratch, moves);
+    let (from, to) = (Shared(scratch.cast::<P::Word>()), Shared(group.as_mut_ptr().cast::<P::Word>()));
+    order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
+        for (k, lanes) in chunks.iter().enumerate() {
+            let at = (task * GRAIN + k) * planes * LANES;
+            if moves(task * GRAIN + k, lanes) {
+                // SAFETY: each task writes chunks of its own; the group has room for all chunks of the order.
+                unsafe { std::ptr::copy_nonoverlapping(from.at(at), to.at(at), planes * LANES) };
+            }
+        }
+    });
+}
+
+/// Collects the particles of those chunks of the new order that are wanted.
+fn gather<P: Plane>(
+    group: *mut P,
+    planes: usize,
+    order: &[[u32; LANES]],
+    to: *mut P,
+    wanted: impl Fn(usize, &[u32; LANES]) -> bool + Sync,
+) {
+    let (from, to) = (Shared(group.cast::<P::Word>()), Shared(to.cast::<P::Word>()));
     order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
         for (k, lanes) in chunks.iter().enumerate() {
             let chunk = task * GRAIN + k;
+            if !wanted(chunk, lanes) {
+                continue;
+            }
             if lanes[0] % LANES as u32 == 0 && (0..LANES).all(|l| lanes[l] == lanes[0].wrapping_add(l as u32)) {
                 // SAFETY: places are lanes of existing chunks; the scratch holds the whole group; each task writes chunks of
                 // its own.
@@ -671,10 +739,5 @@ fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; LANES]], scr
                 }
             }
         }
-    });
-    order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
-        let at = task * GRAIN * planes * LANES;
-        // SAFETY: as above; the group has room for all chunks of the order.
-        unsafe { std::ptr::copy_nonoverlapping(to.at(at), from.at(at), chunks.len() * planes * LANES) };
     });
 }
