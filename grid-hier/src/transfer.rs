@@ -365,6 +365,10 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
         let (h, dt, gravity) = (step.h, step.dt, step.gravity);
         // SAFETY: for the whole body, the caller vouches for the chunk and that the scratch holds its stresses.
         unsafe {
+            for axis in 0..3 {
+                ahead(s.offset, 3, chunk, axis);
+                ahead(s.cell, 3, chunk, axis);
+            }
             let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
             let w = [weights(f[0]), weights(f[1]), weights(f[2])];
             let d0 = tabulate!(3, |d| first_distance(f[d]));
