@@ -11,7 +11,7 @@
 use crate::block::{CELLS, NODES, TILE, TILE_SIDE, in_block, in_tile, offset, shared_nodes};
 use crate::particles::{MASS, Particles, Run};
 use crate::spline::weights;
-use crate::transfer::{RowSums, Scalar, first_nodes, store_rows};
+use crate::transfer::{Planes, QUAD, Quads, RowSums, Scalar, first_nodes, write_quads};
 use barchan_lanes::{Float, Kernel, LANES, Lanes, tabulate};
 use core::mem::MaybeUninit;
 
@@ -163,39 +163,37 @@ impl<T: Scalar> Kernel<T> for AffineToGrid<'_, T> {
                 if strayed || !node[..count].iter().any(|&node| self.touches[node as usize / 4]) {
                     continue;
                 }
-                let mass = V::load(s.rest(chunk, MASS)) * V::splat(self.h);
-                let mut rows = [V::zero(); LANES];
-                for i in 0..3 {
-                    for column in 0..COLUMNS {
-                        rows[4 * column + i] = mass * V::load(s.motion(chunk, 3 + 3 * i + column));
-                    }
-                }
-                V::transpose(&mut rows);
-                let mut affine = MaybeUninit::uninit();
-                let affine = store_rows::<V>(&mut affine, &rows);
-
+                let (mass, zero) = (V::load(s.rest(chunk, MASS)) * V::splat(self.h), V::zero());
                 let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
                 let w = [weights(f[0]), weights(f[1]), weights(f[2])];
-                let mut rows = [V::zero(); LANES];
+                // Three columns, then the weights along z.
+                let mut quads = MaybeUninit::<Quads<T, 4>>::uninit();
+                let lines = &raw mut (*quads.as_mut_ptr()).0;
+                for column in 0..COLUMNS {
+                    let p: [V; 3] = tabulate!(3, |i| mass * V::load(s.motion(chunk, 3 + 3 * i + column)));
+                    write_quads(&raw mut (*lines)[column], [p[0], p[1], p[2], zero]);
+                }
+                write_quads(&raw mut (*lines)[COLUMNS], [w[2][0], w[2][1], w[2][2], zero]);
+                let quads = quads.as_ptr().cast::<T>();
+                let mut weight = MaybeUninit::<Planes<T, 9>>::uninit();
                 for i in 0..3 {
                     for j in 0..3 {
-                        rows[3 * i + j] = w[0][i] * w[1][j];
+                        (w[0][i] * w[1][j]).store((&raw mut (*weight.as_mut_ptr()).0[3 * i + j]).cast());
                     }
-                    rows[9 + i] = w[2][i];
                 }
-                V::transpose(&mut rows);
-                let mut weight = MaybeUninit::uninit();
-                let weight = store_rows::<V>(&mut weight, &rows);
+                let weight = weight.assume_init_ref();
                 for (column, tile) in self.tiles.iter_mut().enumerate() {
                     let mut sums = RowSums::<V>::new(tile.as_mut_ptr());
-                    for (p, &node) in
-                        node[..count].iter().enumerate().filter(|(_, node)| self.touches[**node as usize / 4])
-                    {
+                    for (p, &node) in node[..count].iter().enumerate() {
+                        if !self.touches[node as usize / 4] {
+                            continue;
+                        }
                         sums.go_to(node);
+                        let quad = quads.add(QUAD[p]);
                         let value =
-                            V::repeat4(&raw const affine.0[p][4 * column]) * V::spread3(&raw const weight.0[p][9]);
-                        for (row, weight) in sums.rows.iter_mut().zip(&weight.0[p]) {
-                            *row = V::fill(*weight).mul_add(value, *row);
+                            V::repeat4(quad.add(column * 4 * LANES)) * V::spread3(quad.add(COLUMNS * 4 * LANES));
+                        for (row, weight) in sums.rows.iter_mut().zip(&weight.0) {
+                            *row = V::fill(weight[p]).mul_add(value, *row);
                         }
                     }
                     sums.flushed();

@@ -192,7 +192,7 @@ struct Scratch<T> {
 
 /// One plane for each of `N` quantities of a chunk's particles.
 #[repr(C, align(64))]
-struct Planes<T, const N: usize>([[T; LANES]; N]);
+pub(crate) struct Planes<T, const N: usize>(pub(crate) [[T; LANES]; N]);
 
 /// Each particle's four values of `N` quantities, side by side so that one load repeats them over a row. Values of a quantity
 /// lie `4 * LANES` behind those of the one before, and start for each particle at [`QUAD`].
@@ -200,10 +200,10 @@ struct Planes<T, const N: usize>([[T; LANES]; N]);
 /// Four lines a quantity, particle p = 4 g + k at group g of line k: planes come here by transposing within groups of four
 /// lanes only, which is half the work of transposing 16 x 16.
 #[repr(C, align(64))]
-struct Quads<T, const N: usize>([[[T; LANES]; 4]; N]);
+pub(crate) struct Quads<T, const N: usize>(pub(crate) [[[T; LANES]; 4]; N]);
 
 /// Where each particle's values start in [`Quads`]: a table, because to look it up is less work than to compute it.
-const QUAD: [usize; LANES] = {
+pub(crate) const QUAD: [usize; LANES] = {
     let mut table = [0; LANES];
     let mut p = 0;
     while p < LANES {
@@ -218,7 +218,7 @@ const QUAD: [usize; LANES] = {
 /// # Safety
 /// `lines` must be valid for writing.
 #[inline(always)]
-unsafe fn write_quads<V: Lanes>(lines: *mut [[V::Scalar; LANES]; 4], mut planes: [V; 4]) {
+pub(crate) unsafe fn write_quads<V: Lanes>(lines: *mut [[V::Scalar; LANES]; 4], mut planes: [V; 4]) {
     V::transpose4(&mut planes);
     for (k, plane) in planes.iter().enumerate() {
         // SAFETY: the caller vouches for the lines.
@@ -478,8 +478,8 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
 }
 
 /// The nine rows of nodes around the current cell.
-struct RowSums<V: Lanes> {
-    rows: [V; 9],
+pub(crate) struct RowSums<V: Lanes> {
+    pub(crate) rows: [V; 9],
     tile: *mut V::Scalar,
     /// Start of the cell's first node in the tile; `usize::MAX` before the first cell.
     current: usize,
@@ -487,12 +487,20 @@ struct RowSums<V: Lanes> {
 
 impl<V: Lanes> RowSums<V> {
     #[inline(always)]
-    fn new(tile: *mut V::Scalar) -> Self {
+    pub(crate) fn new(tile: *mut V::Scalar) -> Self {
         Self { rows: [V::zero(); 9], tile, current: usize::MAX }
+    }
+    /// Goes on to the cell whose first node is at `node`.
+    #[inline(always)]
+    pub(crate) fn go_to(&mut self, node: u32) {
+        if node as usize != self.current {
+            self.rows = Self { rows: self.rows, ..*self }.flushed();
+            self.current = node as usize;
+        }
     }
     /// Adds the rows to the tile and gives back empty ones.
     #[inline(always)]
-    fn flushed(self) -> [V; 9] {
+    pub(crate) fn flushed(self) -> [V; 9] {
         if self.current != usize::MAX {
             for i in 0..3 {
                 for j in 0..3 {
@@ -511,7 +519,11 @@ impl<V: Lanes> RowSums<V> {
 
 /// Start in the tile of each particle's first node, and whether any of them lies outside.
 #[inline(always)]
-unsafe fn first_nodes<V: Lanes>(s: &Particles<V::Scalar>, chunk: usize, origin: [i32; 3]) -> ([u32; LANES], bool)
+pub(crate) unsafe fn first_nodes<V: Lanes>(
+    s: &Particles<V::Scalar>,
+    chunk: usize,
+    origin: [i32; 3],
+) -> ([u32; LANES], bool)
 where
     V::Scalar: Scalar,
 {

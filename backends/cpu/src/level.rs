@@ -451,39 +451,25 @@ impl<T: Scalar> Level<T> {
     pub(crate) fn grid_to_particles(&mut self, crew: &Crew, dt: f64) {
         let step = Step { h: self.h(), dt, strain_dt: 0.0, strain_parts: 1, gravity: [0.0; 3] };
         let (isa, lists, grid, mirrors) = (crew.isa, &self.store.lists, &self.grid, &self.bounds.mirrors);
-        let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
         let walls = self.has_mirrors();
         let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
-        let greatest = crew.pool.install(|| {
-            (0..grid.occupied.len())
-                .into_par_iter()
-                .map(|b| {
-                    // SAFETY: each block has a tile of its own; its momentum has been summed and is no longer needed.
-                    let tile = unsafe { &mut *tiles.at(b) };
-                    isa.run::<T, _>(FillTile { tile, nodes: &grid.nodes, around: &grid.nodes_around[b] });
-                    if grid.mirrored[b] {
-                        // SAFETY: each block has an entry of its own.
-                        unsafe { *impulse_of.at(b) = mirrors.unfold(tile, grid.origin(b), &grid.images[b]) };
-                    }
-                    let mut greatest = Rates::default();
-                    for list in lists {
-                        let run = list.runs[b];
-                        if run.count > 0 {
-                            let rates = isa.run::<T, _>(GridToParticles {
-                                particles: list.view(),
-                                run,
-                                origin: grid.origin(b),
-                                step: &step,
-                                tile,
-                            });
-                            greatest = faster(greatest, rates);
-                        }
-                    }
-                    greatest
-                })
-                .reduce(Rates::default, faster)
-        });
+        let fetch = |tile: &mut [T; TILE], b: usize| {
+            isa.run::<T, _>(FillTile { tile, nodes: &grid.nodes, around: &grid.nodes_around[b] });
+            if grid.mirrored[b] {
+                // SAFETY: each block has an entry of its own.
+                unsafe { *impulse_of.at(b) = mirrors.unfold(tile, grid.origin(b), &grid.images[b]) };
+            }
+            let origin = grid.origin(b);
+            lists.iter().filter(|list| list.runs[b].count > 0).fold(Rates::default(), |greatest, list| {
+                let (particles, run) = (list.view(), list.runs[b]);
+                faster(greatest, isa.run::<T, _>(GridToParticles { particles, run, origin, step: &step, tile }))
+            })
+        };
+        // One tile serves all blocks of a task: it stays in cache, where the blocks' own would be fetched and written back.
+        let blocks = (0..grid.occupied.len()).into_par_iter();
+        let greatest =
+            crew.pool.install(|| blocks.map_init(|| [T::default(); TILE], fetch).reduce(Rates::default, faster));
         self.book(impulses);
         self.take_rates(greatest);
         self.strain_dt = dt;
