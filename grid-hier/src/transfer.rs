@@ -32,6 +32,9 @@ const NODE_OF_LANE: [f64; LANES] = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 
 
 /// A scalar that materials can be called with.
 pub trait Scalar: Float {
+    /// Strains below this mean nothing next to 1. They are set to zero, since their products would be denormal numbers, which
+    /// take some processors a hundred times as long: a bed at rest would halve the speed.
+    const NEGLIGIBLE: f64;
     /// The material's update in this precision, if it has one.
     ///
     /// # Safety
@@ -69,8 +72,9 @@ pub struct Batch<T> {
 }
 
 macro_rules! scalar {
-    ($t:ident, $batch:ident, $slot:ident $(, $reserved:ident)?) => {
+    ($t:ident, $negligible:literal, $batch:ident, $slot:ident $(, $reserved:ident)?) => {
         impl Scalar for $t {
+            const NEGLIGIBLE: f64 = $negligible;
             #[inline]
             unsafe fn update(
                 table: &abi::BarchanMaterial,
@@ -100,8 +104,8 @@ macro_rules! scalar {
         }
     };
 }
-scalar!(f32, BarchanBatchF32, update_f32, reserved);
-scalar!(f64, BarchanBatchF64, update_f64);
+scalar!(f32, 1e-12, BarchanBatchF32, update_f32, reserved);
+scalar!(f64, 1e-100, BarchanBatchF64, update_f64);
 
 /// A material with its parameters, ready to be called.
 #[derive(Clone, Debug)]
@@ -287,7 +291,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                         C.store(&raw mut (*scratch).vel_grad[c][at]);
                     }
                 }
-                let C = tabulate!(9, |c| C[c] * V::splat(dt));
+                let C = tabulate!(9, |c| without_dust(C[c] * V::splat(dt)));
                 if planes == 9 {
                     let mut F = [V::zero(); 9];
                     for (p, F) in F.iter_mut().enumerate() {
@@ -340,7 +344,11 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             for k in 0..chunks {
                 let at = k * LANES;
                 for p in 0..planes {
-                    V::load(&raw const (*scratch).strain[p][at]).store(s.rest(first + k, STRAIN + p));
+                    let strain = V::load(&raw const (*scratch).strain[p][at]);
+                    // Of b_e and F, what lies off the diagonal.
+                    let off = if planes == 6 { p >= 3 } else { p % 4 != 0 };
+                    let strain = if off { without_dust(strain) } else { strain };
+                    strain.store(s.rest(first + k, STRAIN + p));
                 }
                 for q in 0..n_state {
                     V::load(&raw const (*scratch).state_out[q][at]).store(s.rest(first + k, STRAIN + planes + q));
@@ -456,6 +464,16 @@ fn ahead<W>(start: *const W, planes: usize, chunk: usize, plane: usize) {
             prefetch(at.wrapping_add(byte));
         }
     }
+}
+
+/// The strain, or zero where it is negligible.
+#[inline(always)]
+fn without_dust<V: Lanes>(strain: V) -> V
+where
+    V::Scalar: Scalar,
+{
+    // NaN is below nothing, and stays to be found.
+    V::select(V::fill(V::Scalar::from_f64(V::Scalar::NEGLIGIBLE)).gt(strain.abs()), V::zero(), strain)
 }
 
 /// b* = (I + G) b (I + G)ᵀ for symmetric b (xx yy zz xy xz yz) and G = dt C row by row.

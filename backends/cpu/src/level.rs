@@ -615,7 +615,7 @@ struct Velocities<'a, T> {
     least: T,
 }
 
-impl<T: Float> Kernel<T> for Velocities<'_, T> {
+impl<T: Scalar> Kernel<T> for Velocities<'_, T> {
     type Output = T;
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) -> T {
@@ -626,6 +626,7 @@ impl<T: Float> Kernel<T> for Velocities<'_, T> {
         }
         // SAFETY: 16 scalars.
         let is_mass = unsafe { V::load(lanes.as_ptr()) }.gt(V::zero());
+        let dust = V::fill(T::from_f64(T::NEGLIGIBLE * 1e-6));
         let (mut greatest, mut bad) = (V::zero(), V::zero());
         for four in self.nodes.as_chunks_mut::<LANES>().0 {
             // SAFETY: 16 scalars, four nodes.
@@ -634,6 +635,8 @@ impl<T: Float> Kernel<T> for Velocities<'_, T> {
                 let mass = node.fourth();
                 let carries = mass.gt(V::fill(self.least));
                 let u = V::select(carries, node / mass, V::zero());
+                // Too slow to deform anything in any time step; its products would be denormal.
+                let u = V::select(dust.gt(u.abs()), V::zero(), u);
                 let speed = V::select(is_mass, V::zero(), u).abs();
                 greatest = greatest.max(speed);
                 // 0 for finite numbers, NaN for others; the maximum might lose a NaN.
