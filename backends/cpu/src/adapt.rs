@@ -24,6 +24,9 @@ const PORTION: std::ops::RangeInclusive<f64> = 0.5..=1.6;
 const PATIENCE: u64 = 5;
 /// Part of a full cell below which a cell counts as empty: next to it is the surface.
 const EMPTY: f64 = 0.5;
+/// Rounds after which particles merge even if no region has moved. Merging looks at everything that is finer than need be, footprints
+/// included, so it must be rarer than sorting.
+const MERGE_ROUNDS: u64 = 8;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 
@@ -110,11 +113,11 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Brings particles to the levels whose regions they are in, splits those that are too coarse there and merges those that
-    /// are finer than need be. Returns whether particles were taken out of their lists; a sort must follow.
+    /// are finer than need be, if regions have `moved` or have not for some time. Returns whether particles were taken out of their lists; a sort must follow.
     ///
     /// # Errors
     /// [`Error::Capacity`] if there are no numbers left for new particles.
-    pub(crate) fn adapt(&mut self, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
+    pub(crate) fn adapt(&mut self, moved: bool, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
         if self.levels.len() == 1 {
             return Ok(false);
         }
@@ -128,7 +131,11 @@ impl<T: Scalar> CpuEngine<T> {
             self.split_up(one, couplings, &tools, &mut coming)?;
             gone.push(one);
         }
-        let stay = self.merge_all(&found, couplings, &tools, &mut coming, &mut gone);
+        let stay = if moved || self.rounds.is_multiple_of(MERGE_ROUNDS) {
+            self.merge_all(&found, couplings, &tools, &mut coming, &mut gone)
+        } else {
+            found.iter().filter(|one| one.action == Action::Merge { moves: true }).copied().collect()
+        };
         let moving = found.iter().filter(|one| one.action == Action::Move).copied();
         for one in moving.chain(stay) {
             coming.push(self.moved(one));
@@ -394,14 +401,29 @@ impl<T: Scalar> CpuEngine<T> {
     fn filling(&self, l: usize) -> HashMap<u64, [f32; CELLS]> {
         let level = &self.levels[l];
         let volume = level.h().powi(3);
-        let mut filling: HashMap<u64, [f32; CELLS]> = HashMap::new();
-        for list in &level.store.lists {
-            for (chunk, lane) in list.places() {
-                let cell = list.cell_of(chunk, lane);
-                let Some(key) = block::key(block::of_cell(cell)) else { continue };
-                filling.entry(key).or_insert([0.0; CELLS])[place(cell)] +=
-                    (list.volume0_of(chunk, lane) / volume) as f32;
+        let runs = level.store.lists.first().map_or(0, |list| list.runs.len());
+        // Most particles are in their block; the others are added afterwards, in order.
+        let fill = |b: usize| {
+            let (mut cells, mut strays) = ([0f32; CELLS], Vec::new());
+            for list in &level.store.lists {
+                for k in 0..list.runs[b].count {
+                    let (chunk, lane) = (list.runs[b].first + k / LANES, k % LANES);
+                    let cell = list.cell_of(chunk, lane);
+                    let part = (list.volume0_of(chunk, lane) / volume) as f32;
+                    match block::key(block::of_cell(cell)) {
+                        Some(key) if level.store.blocks.get(b) == Some(&key) => cells[place(cell)] += part,
+                        Some(key) => strays.push((key, place(cell), part)),
+                        None => {}
+                    }
+                }
             }
+            (cells, strays)
+        };
+        let filled: Vec<_> = self.crew.pool.install(|| (0..runs).into_par_iter().map(fill).collect());
+        let mut filling: HashMap<u64, [f32; CELLS]> =
+            level.store.blocks.iter().zip(&filled).map(|(&key, (cells, _))| (key, *cells)).collect();
+        for (key, cell, part) in filled.into_iter().flat_map(|(_, strays)| strays) {
+            filling.entry(key).or_insert([0.0; CELLS])[cell] += part;
         }
         filling
     }

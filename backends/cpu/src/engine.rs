@@ -26,9 +26,9 @@ const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time.
 const SORT_DRIFT: f64 = 0.4;
 /// The halo allows for this much drift since the last sort, in cells.
-const MAX_DRIFT: f64 = 1.0;
+pub(crate) const MAX_DRIFT: f64 = 1.0;
 /// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.
-const MAX_MOVE: f64 = 0.5;
+pub(crate) const MAX_MOVE: f64 = 0.5;
 /// Strain is applied in parts that deform by no more than this.
 const MAX_DEFORMATION: f64 = 0.5;
 /// More parts than any motion needs that the grid gave: nodes move by half a cell at most.
@@ -442,7 +442,6 @@ impl<T: Scalar> CpuEngine<T> {
             for level in &mut self.levels {
                 level.mirror_separated();
                 level.grid_to_particles(&self.crew, dt);
-                level.drift += level.max_speed * dt / level.h();
             }
             self.clocks.add(Pass::G2P, clock);
         }
@@ -626,7 +625,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             };
         if sorted && ground {
             self.flush_strain(time)?;
-            let holes = self.adapt(couplings)?;
+            let holes = self.adapt(moved, couplings)?;
             self.sort(moved, holes)?;
         }
         self.gravity = self.scene.gravity_at(time);

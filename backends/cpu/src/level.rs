@@ -473,6 +473,7 @@ impl<T: Scalar> Level<T> {
         self.book(impulses);
         self.take_rates(greatest);
         self.strain_dt = dt;
+        self.drift += self.particle_speed * dt / self.h();
     }
 
     fn take_rates(&mut self, rates: Rates<T>) {
