@@ -183,20 +183,26 @@ impl<T: Scalar> Kernel<T> for AffineToGrid<'_, T> {
                 }
                 let weight = weight.assume_init_ref();
                 for (column, tile) in self.tiles.iter_mut().enumerate() {
-                    let mut sums = RowSums::<V>::new(tile.as_mut_ptr());
+                    let sums = RowSums::<V>::new(tile.as_mut_ptr());
+                    // Copies, so that the nine rows stay in registers.
+                    let (mut rows, mut current) = (sums.rows, sums.current);
                     for (p, &node) in node[..count].iter().enumerate() {
-                        if !self.touches[node as usize / 4] {
+                        let node = node as usize;
+                        if !self.touches[node / 4] {
                             continue;
                         }
-                        sums.go_to(node);
+                        if node != current {
+                            rows = RowSums { rows, current, ..sums }.flushed();
+                            current = node;
+                        }
                         let quad = quads.add(QUAD[p]);
                         let value =
                             V::repeat4(quad.add(column * 4 * LANES)) * V::spread3(quad.add(COLUMNS * 4 * LANES));
-                        for (row, weight) in sums.rows.iter_mut().zip(&weight.0) {
+                        for (row, weight) in rows.iter_mut().zip(&weight.0) {
                             *row = V::fill(weight[p]).mul_add(value, *row);
                         }
                     }
-                    sums.flushed();
+                    RowSums { rows, current, ..sums }.flushed();
                 }
             }
         }

@@ -498,23 +498,15 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
 /// The nine rows of nodes around the current cell.
 pub(crate) struct RowSums<V: Lanes> {
     pub(crate) rows: [V; 9],
-    tile: *mut V::Scalar,
+    pub(crate) tile: *mut V::Scalar,
     /// Start of the cell's first node in the tile; `usize::MAX` before the first cell.
-    current: usize,
+    pub(crate) current: usize,
 }
 
 impl<V: Lanes> RowSums<V> {
     #[inline(always)]
     pub(crate) fn new(tile: *mut V::Scalar) -> Self {
         Self { rows: [V::zero(); 9], tile, current: usize::MAX }
-    }
-    /// Goes on to the cell whose first node is at `node`.
-    #[inline(always)]
-    pub(crate) fn go_to(&mut self, node: u32) {
-        if node as usize != self.current {
-            self.rows = Self { rows: self.rows, ..*self }.flushed();
-            self.current = node as usize;
-        }
     }
     /// Adds the rows to the tile and gives back empty ones.
     #[inline(always)]

@@ -290,6 +290,9 @@ pub struct Picture {
     /// World y of the vertical cut [m]; absent: the middle.
     #[serde(default)]
     pub cut_y: Option<f64>,
+    /// Draw where the boxes of nested levels end.
+    #[serde(default = "yes")]
+    pub levels: bool,
 }
 
 fn yes() -> bool {
@@ -301,7 +304,7 @@ fn default_pixels() -> u32 {
 
 impl Default for Picture {
     fn default() -> Self {
-        Self { on: true, pixels: default_pixels(), cut: CutColour::default(), cut_y: None }
+        Self { on: true, pixels: default_pixels(), cut: CutColour::default(), cut_y: None, levels: true }
     }
 }
 

@@ -24,9 +24,9 @@ const PORTION: std::ops::RangeInclusive<f64> = 0.5..=1.6;
 const PATIENCE: u64 = 5;
 /// Part of a full cell below which a cell counts as empty: next to it is the surface.
 const EMPTY: f64 = 0.5;
-/// Rounds after which particles merge even if no region has moved. Merging looks at everything that is finer than need be, footprints
+/// Sorts after which particles merge even if no region has moved. Merging looks at everything that is finer than need be, footprints
 /// included, so it must be rarer than sorting.
-const MERGE_ROUNDS: u64 = 8;
+const MERGE_ROUNDS: u64 = 32;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 
@@ -113,16 +113,13 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Brings particles to the levels whose regions they are in, splits those that are too coarse there and merges those that
-    /// are finer than need be, if regions have `moved` or have not for some time. Returns whether particles were taken out of their lists; a sort must follow.
+    /// are finer than need be, if regions have `moved` or have not for some time. Returns which levels have lost or gained
+    /// particles, and must be sorted.
     ///
     /// # Errors
     /// [`Error::Capacity`] if there are no numbers left for new particles.
-    pub(crate) fn adapt(&mut self, moved: bool, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
-        if self.levels.len() == 1 {
-            return Ok(false);
-        }
+    pub(crate) fn adapt(&mut self, moved: bool, couplings: &[Box<dyn Coupling>]) -> Result<Vec<bool>> {
         let clock = Instant::now();
-        self.rounds += 1;
         let found: Vec<Found> = (0..self.levels.len()).flat_map(|l| self.find(l)).collect();
         let mut coming: Vec<(usize, Parcel)> = Vec::new();
         let mut gone: Vec<Found> = Vec::new();
@@ -142,19 +139,21 @@ impl<T: Scalar> CpuEngine<T> {
             gone.push(one);
             self.resampled.moves += 1;
         }
-        let holes = !gone.is_empty();
+        let mut changed = vec![false; self.levels.len()];
         for one in gone {
+            changed[one.level] = true;
             self.levels[one.level].store.remove(one.list, one.chunk, one.lane);
         }
         coming.sort_by_key(|(level, parcel)| (*level, parcel.list, parcel.id));
         for (l, level) in self.levels.iter_mut().enumerate() {
             let here: Vec<Parcel> = coming.extract_if(.., |(level, _)| *level == l).map(|(_, parcel)| parcel).collect();
             if !here.is_empty() {
+                changed[l] = true;
                 level.store.push(&here);
             }
         }
         self.clocks.add(Pass::Adapt, clock);
-        Ok(holes)
+        Ok(changed)
     }
 
     /// Rest volume of a body's particles on the finest level [m³].

@@ -25,6 +25,8 @@ use std::time::{Duration, Instant};
 const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time.
 const SORT_DRIFT: f64 = 0.4;
+/// Sorts after which particles that have crossed from level to level change over even if no region has moved.
+const ADAPT_ROUNDS: u64 = 4;
 /// The halo allows for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f64 = 1.0;
 /// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.
@@ -160,43 +162,56 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(engine)
     }
 
-    /// Upper bound of any particle's move since the last sort, in cells of its level.
-    fn drift(&self) -> f64 {
-        self.levels.iter().fold(0.0, |most, level| level.drift.max(most))
-    }
-
-    /// Drift at which a step must not begin. A subcycled one moves particles several times before they can be sorted.
-    fn drift_allowed(&self) -> f64 {
-        if self.substeps > 1 { MAX_DRIFT - MAX_MOVE } else { MAX_DRIFT }
-    }
-
-    /// Sorts every level, and rebuilds the grids if blocks have come or gone or, as `changed` says, regions have moved.
-    /// `holes`: have particles been taken out?
-    fn sort(&mut self, changed: bool, holes: bool) -> Result<()> {
-        let clock = Instant::now();
-        for l in 0..self.levels.len() {
-            let (level, leaving) = (&mut self.levels[l], self.leaving);
-            let departures = self.crew.pool.install(|| level.store.sort(&level.bounds, leaving, holes))?;
-            if let Some((list, chunk, lane)) = departures.refused {
-                let (list, h) = (&level.store.lists[list], level.h());
-                let (cell, offset) = (list.cell_of(chunk, lane), list.offset_of(chunk, lane));
-                return Err(Error::LeftWorld {
-                    step: self.steps,
-                    particle: u64::from(list.id[chunk][lane]),
-                    position: std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * h),
-                });
-            }
-            self.departures.clamped += departures.clamped;
-            self.departures.deleted += departures.deleted;
-            self.departures.deleted_mass += departures.deleted_mass;
-            for d in 0..3 {
-                level.wall_impulse[d] += departures.impulse[d];
-            }
-            level.drift = 0.0;
+    /// Sorts the levels whose particles are too far from home, or have been so for long; before that, now and then and whenever
+    /// regions have `moved`, brings particles to the levels they belong on. Returns whether anything was sorted.
+    fn keep_in_order(&mut self, time: f64, moved: bool, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
+        // A subcycled step moves particles several times before they can be sorted.
+        let allowed = if self.substeps > 1 { MAX_DRIFT - MAX_MOVE } else { MAX_DRIFT };
+        let late = |level: &Level<T>| match self.age {
+            None => true,
+            Some(age) => level.drift > allowed || (age >= SORT_AGE && level.drift > SORT_DRIFT),
+        };
+        let mut due: Vec<bool> = self.levels.iter().map(late).collect();
+        if !moved && !due.contains(&true) {
+            return Ok(false);
         }
-        self.rebuild_grids(changed);
+        self.rounds += 1;
+        let mut holes = vec![false; self.levels.len()];
+        if self.levels.len() > 1 && (moved || self.age.is_none() || self.rounds.is_multiple_of(ADAPT_ROUNDS)) {
+            self.flush_strain(time)?;
+            holes = self.adapt(moved, couplings)?;
+        }
+        due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
+        let clock = Instant::now();
+        for l in (0..self.levels.len()).filter(|&l| due[l]) {
+            self.sort_level(l, holes[l])?;
+        }
+        self.rebuild_grids(moved);
         self.age = Some(0);
         self.clocks.add(Pass::Sort, clock);
+        Ok(true)
+    }
+
+    /// Sorts one level. `holes`: have particles been taken out, or come in?
+    fn sort_level(&mut self, l: usize, holes: bool) -> Result<()> {
+        let (level, leaving) = (&mut self.levels[l], self.leaving);
+        let departures = self.crew.pool.install(|| level.store.sort(&level.bounds, leaving, holes))?;
+        if let Some((list, chunk, lane)) = departures.refused {
+            let (list, h) = (&level.store.lists[list], level.h());
+            let (cell, offset) = (list.cell_of(chunk, lane), list.offset_of(chunk, lane));
+            return Err(Error::LeftWorld {
+                step: self.steps,
+                particle: u64::from(list.id[chunk][lane]),
+                position: std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * h),
+            });
+        }
+        self.departures.clamped += departures.clamped;
+        self.departures.deleted += departures.deleted;
+        self.departures.deleted_mass += departures.deleted_mass;
+        for d in 0..3 {
+            level.wall_impulse[d] += departures.impulse[d];
+        }
+        level.drift = 0.0;
         Ok(())
     }
 
@@ -618,16 +633,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             self.find_non_finite().map_or(Ok(()), |error| Err(at_time(error, time)))?;
         }
         let moved = ground && self.follow_agents(couplings);
-        let sorted = moved
-            || match self.age {
-                None => true,
-                Some(age) => self.drift() > self.drift_allowed() || (age >= SORT_AGE && self.drift() > SORT_DRIFT),
-            };
-        if sorted && ground {
-            self.flush_strain(time)?;
-            let holes = self.adapt(moved, couplings)?;
-            self.sort(moved, holes)?;
-        }
+        let sorted = ground && self.keep_in_order(time, moved, couplings)?;
         self.gravity = self.scene.gravity_at(time);
         let (dt, wrenches) = if self.substeps > 1 && ground {
             let wrenches = self.advance_subcycled(time, dt, couplings)?;
@@ -646,7 +652,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         let max_speed = self.levels.iter().fold(0.0, |most, level| greater(level.max_speed, most));
         self.age = self.age.map(|age| age + 1);
         self.steps += 1;
-        Ok(StepReport { dt, sorted: sorted && ground, max_speed, wrenches })
+        Ok(StepReport { dt, sorted, max_speed, wrenches })
     }
 
     fn download(&self) -> ParticleState {

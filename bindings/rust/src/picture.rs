@@ -20,6 +20,7 @@ pub use image::{Align, Colour, Image, Rect, text_width};
 pub use tools::Tools;
 
 use crate::stress::pressure;
+use barchan_core::levels::CellBox;
 use barchan_core::plan::Plan;
 use barchan_core::scene::{CutColour, Motion, Scene, Wall};
 use barchan_core::{ParticleList, ParticleState, Result, Simulation, Vec3};
@@ -77,14 +78,8 @@ impl View {
     pub fn new(plan: &Plan, particles: &ParticleState) -> Self {
         let scene = &plan.scene;
         let (min, max) = extent(scene, particles);
-        let largest = |value: fn(&ParticleList, usize) -> f64| {
-            let all = particles.lists.iter().flat_map(|list| (0..list.len()).map(move |i| value(list, i)));
-            all.fold(0.0, f64::max)
-        };
-        let spacing = match largest(|list, i| list.volume0[i]).cbrt() {
-            0.0 => 0.5 * scene.world.cell,
-            spacing => spacing,
-        };
+        let finest = scene.body.iter().map(|body| scene.spacing(body)).fold(f64::INFINITY, f64::min);
+        let spacing = if finest.is_finite() { finest } else { 0.5 * scene.world.cell };
         let pixels = scene.output.picture.pixels as usize;
         let across = (pixels.saturating_sub(2 * MARGIN).max(64)) as f64 / (max[0] - min[0]);
         let down = (pixels.saturating_sub(HEADER + 2 * STRIP).max(64)) as f64 / (max[1] - min[1] + max[2] - min[2]);
@@ -153,7 +148,14 @@ impl View {
         surface.draw(&mut relief, self.scale as f32, &grounds, level, range, FLOOR);
         let frame = Frame { origin: [self.min[0], self.min[1]], scale: self.scale };
         moment.tools.draw_above(&mut relief, frame, &surface);
-        let cut = self.cut(&dots, &moment.tools);
+        let mut cut = self.cut(&dots, &moment.tools);
+        if plan.scene.output.picture.levels {
+            for (level, boxes) in moment.particles.levels.iter().flat_map(|phase| phase.boxes.iter().enumerate()) {
+                for one in boxes {
+                    self.outline(&mut relief, &mut cut, one, plan.cell_widths[level]);
+                }
+            }
+        }
         let ground = grounds.first().copied().unwrap_or_else(|| Ground::of_law("sand"));
         Ok(self.page(&relief, &cut, ground, (level, range), moment.time))
     }
@@ -182,10 +184,10 @@ impl View {
             dots.extend((0..list.len()).map(|i| {
                 let p = list.position(i);
                 let position = [(p[0] - self.min[0]) as f32, (p[1] - self.min[1]) as f32, p[2] as f32];
-                Dot { position, ground: list.material as u8, value: 0.0 }
+                Dot { position, ground: list.material as u8, value: 0.0, side: list.volume0[i].cbrt() as f32 }
             }));
             let cut_y = (self.cut_y - self.min[1]) as f32;
-            let near = |dot: &Dot| (dot.position[1] - cut_y).abs() < self.spacing as f32;
+            let near = |dot: &Dot| (dot.position[1] - cut_y).abs() < dot.side;
             let which: Vec<usize> = (0..list.len()).filter(|&i| near(&dots[first + i])).collect();
             let quantity = match self.cut {
                 CutColour::Pressure => pressure(&plan.materials[list.material as usize], list, &which)?,
@@ -210,12 +212,38 @@ impl View {
     fn cut(&self, dots: &[Dot], tools: &Tools<'_>) -> Image {
         let (width, _, height) = self.panels();
         let mut image = Image::new(width, height, AIR);
-        let (spacing, top) = (self.spacing as f32, self.top.max(f64::MIN_POSITIVE) as f32);
+        let top = self.top.max(f64::MIN_POSITIVE) as f32;
         let frame = Frame { origin: [0.0, self.min[2]], scale: self.scale };
-        cut::draw(&mut image, frame, dots, (self.cut_y - self.min[1]) as f32, spacing, top);
+        cut::draw(&mut image, frame, dots, (self.cut_y - self.min[1]) as f32, top);
         let frame = Frame { origin: [self.min[0], self.min[2]], scale: self.scale };
         tools.draw_cut(&mut image, frame, self.cut_y);
         image
+    }
+
+    /// Draws where a level's box ends, in both panels, with the width of its cells.
+    fn outline(&self, relief: &mut Image, cut: &mut Image, one: &CellBox, cell: f64) {
+        let (min, max) = (one.min.map(|c| f64::from(c) * cell), one.max.map(|c| f64::from(c) * cell));
+        let label = format!("{} mm", (1e6 * cell).round() / 1e3);
+        for (image, up) in [(relief, 1), (cut, 2)] {
+            if up == 2 && !(min[1] <= self.cut_y && self.cut_y < max[1]) {
+                continue;
+            }
+            let (width, height) = (image.width() as f64, image.height() as f64);
+            let (left, right) = ((min[0] - self.min[0]) * self.scale, (max[0] - self.min[0]) * self.scale);
+            let (top, bottom) =
+                (height - (max[up] - self.min[up]) * self.scale, height - (min[up] - self.min[up]) * self.scale);
+            let inside = |from: f64, to: f64, end: f64| (from.max(0.0) as usize, to.min(end).max(0.0) as usize);
+            let ((x, x_end), (y, y_end)) = (inside(left, right, width), inside(top, bottom, height));
+            for column in [left, right].into_iter().filter(|x| (0.0..width).contains(x)) {
+                image.fill(Rect { x: column as usize, y, width: 1, height: y_end.saturating_sub(y) }, INK);
+            }
+            for row in [top, bottom].into_iter().filter(|y| (0.0..height).contains(y)) {
+                image.fill(Rect { x, y: row as usize, width: x_end.saturating_sub(x), height: 1 }, INK);
+            }
+            if x_end > x + 40 && y_end > y + 12 {
+                image.text(x_end as f32 - 4.0, y as f32 + 4.0, 0.8 * TEXT, Align::Right, INK, &label);
+            }
+        }
     }
 
     /// Sets the panels on a page with title, time, scale bar and legends.

@@ -5,16 +5,16 @@ use super::image::Image;
 use super::relief::{Dot, smoothstep};
 use super::tools::Frame;
 
-/// Draws the dots within one spacing of the plane y = `cut_y`, coloured from 0 to `top`.
-pub(super) fn draw(image: &mut Image, frame: Frame, dots: &[Dot], cut_y: f32, spacing: f32, top: f32) {
+/// Draws the dots within one of their sides of the plane y = `cut_y`, coloured from 0 to `top`.
+pub(super) fn draw(image: &mut Image, frame: Frame, dots: &[Dot], cut_y: f32, top: f32) {
     let (width, height) = (image.width(), image.height());
     let scale = frame.scale as f32;
-    // A dot colours its surroundings up to `reach` and covers a disc of `radius`: neighbours overlap, so ground is whole.
-    let (reach, radius) = (1.25 * spacing * scale, (0.72 * spacing * scale).max(0.7));
-    let box_reach = reach.max(radius + 0.5);
     let mut sum = vec![[0.0f32; 2]; width * height];
     let mut cover = vec![0.0f32; width * height];
-    for dot in dots.iter().filter(|dot| (dot.position[1] - cut_y).abs() < spacing) {
+    for dot in dots.iter().filter(|dot| (dot.position[1] - cut_y).abs() < dot.side) {
+        // A dot colours its surroundings up to `reach` and covers a disc of `radius`: neighbours overlap, so ground is whole.
+        let (reach, radius) = (1.25 * dot.side * scale, (0.72 * dot.side * scale).max(0.7));
+        let box_reach = reach.max(radius + 0.5);
         let x = (dot.position[0] - frame.origin[0] as f32) * scale - 0.5;
         let y = height as f32 - (dot.position[2] - frame.origin[1] as f32) * scale - 0.5;
         let range = |at: f32, count: usize| {
@@ -72,12 +72,13 @@ mod tests {
             .map(|i| Dot {
                 position: [((i % 10) as f32 + 0.5) * spacing, 0.0, ((i / 10) as f32 + 0.5) * spacing],
                 ground: 0,
+                side: spacing,
                 value: 1.0 - 0.1 * (i / 10) as f32,
             })
             .collect();
         let mut image = Image::new(40, 80, [255; 3]);
         let frame = Frame { origin: [0.03, 0.0], scale: 800.0 };
-        draw(&mut image, frame, &dots, 0.0, spacing, 1.0);
+        draw(&mut image, frame, &dots, 0.0, 1.0);
         assert!(image.pixels().iter().all(|&p| p != [255; 3]), "a hole in whole ground");
         let (top, bottom) = (image.pixels()[0], image.pixels()[79 * 40]);
         assert!(bottom[0] > 200 && top[0] < 90, "{bottom:?} should be yellow and {top:?} dark");

@@ -23,9 +23,11 @@ pub struct Dot {
     pub ground: u8,
     /// Quantity that colours the vertical cut.
     pub value: f32,
+    /// Side of the cube that the particle stands for [m].
+    pub side: f32,
 }
 
-/// A height map on nodes half a particle spacing apart.
+/// A height map on nodes half the finest particle spacing apart.
 pub struct Surface {
     columns: usize,
     rows: usize,
@@ -42,12 +44,12 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// The surface of particles `spacing` apart within a rectangle, above a floor.
+    /// The surface of particles, the finest `spacing` apart, within a rectangle, above a floor.
     pub fn new(dots: &[Dot], spacing: f32, min: [f32; 2], max: [f32; 2], floor: f32) -> Self {
         let pitch = 0.5 * spacing;
         let count = |d: usize| ((max[d] - min[d]) / pitch).ceil() as usize + 1;
         let (columns, rows) = (count(0), count(1));
-        let (height, ground) = caps(dots, spacing, min, pitch, columns, rows);
+        let (height, ground, side) = caps(dots, spacing, min, pitch, columns, rows);
         let mut surface = Self {
             columns,
             rows,
@@ -60,6 +62,7 @@ impl Surface {
             sun: Vec::new(),
         };
         surface.smooth(floor);
+        surface.smooth_coarse(&side, spacing);
         surface.light();
         surface
     }
@@ -69,9 +72,9 @@ impl Surface {
         let mut weighted: Vec<f32> = self.height.iter().map(|&h| if h.is_finite() { h - floor } else { 0.0 }).collect();
         // Five binomial passes (1 2 1) have a standard deviation of 1.6 nodes, 0.8 spacings.
         for _ in 0..5 {
-            self.binomial(&mut weighted);
+            self.binomial(&mut weighted, 1);
             let mut cover = std::mem::take(&mut self.cover);
-            self.binomial(&mut cover);
+            self.binomial(&mut cover, 1);
             self.cover = cover;
         }
         for ((height, cover), weighted) in self.height.iter_mut().zip(&mut self.cover).zip(weighted) {
@@ -82,19 +85,38 @@ impl Surface {
         }
     }
 
-    fn binomial(&self, field: &mut [f32]) {
+    /// Where coarser particles lie on top, takes out their roughness in the same way, each by its own size.
+    fn smooth_coarse(&mut self, side: &[f32], spacing: f32) {
+        let coarsest = side.iter().fold(spacing, |a, &b| a.max(b));
+        let mut stride = 2;
+        while spacing * stride as f32 <= 1.2 * coarsest {
+            let mut smoothed = self.height.clone();
+            for _ in 0..5 {
+                self.binomial(&mut smoothed, stride);
+            }
+            for ((height, smooth), side) in self.height.iter_mut().zip(smoothed).zip(side) {
+                if 1.4 * side >= spacing * stride as f32 {
+                    *height = smooth;
+                }
+            }
+            stride *= 2;
+        }
+    }
+
+    /// One pass (1 2 1) over nodes `stride` apart.
+    fn binomial(&self, field: &mut [f32], stride: usize) {
         let (columns, rows) = (self.columns, self.rows);
         let mut across = vec![0.0; field.len()];
         across.par_chunks_mut(columns).enumerate().for_each(|(y, out)| {
             let row = &field[y * columns..][..columns];
             for x in 0..columns {
-                out[x] = 0.25 * (row[x.saturating_sub(1)] + row[(x + 1).min(columns - 1)]) + 0.5 * row[x];
+                out[x] = 0.25 * (row[x.saturating_sub(stride)] + row[(x + stride).min(columns - 1)]) + 0.5 * row[x];
             }
         });
         field.par_chunks_mut(columns).enumerate().for_each(|(y, out)| {
-            let above = &across[y.saturating_sub(1) * columns..][..columns];
+            let above = &across[y.saturating_sub(stride) * columns..][..columns];
             let here = &across[y * columns..][..columns];
-            let below = &across[(y + 1).min(rows - 1) * columns..][..columns];
+            let below = &across[(y + stride).min(rows - 1) * columns..][..columns];
             for x in 0..columns {
                 out[x] = 0.25 * (above[x] + below[x]) + 0.5 * here[x];
             }
@@ -132,8 +154,8 @@ impl Surface {
         };
         let (mut sky, mut sun): (Vec<f32>, Vec<f32>) =
             (0..self.height.len()).into_par_iter().map(|i| lit(i % self.columns, i / self.columns)).unzip();
-        self.binomial(&mut sky);
-        self.binomial(&mut sun);
+        self.binomial(&mut sky, 1);
+        self.binomial(&mut sun, 1);
         (self.sky, self.sun) = (sky, sun);
     }
 
@@ -205,10 +227,16 @@ impl Surface {
     }
 }
 
-/// The topmost particles as overlapping caps: greatest height and its ground at each node; −∞ where none lies.
-fn caps(dots: &[Dot], spacing: f32, min: [f32; 2], pitch: f32, columns: usize, rows: usize) -> (Vec<f32>, Vec<u8>) {
-    // Only particles within one radius of their bin's top can be seen: one in ten, in a bed.
-    let radius = 1.25 * spacing;
+/// The topmost particles as overlapping caps: greatest height at each node, its ground, and its particle's side; −∞ where none
+/// lies.
+fn caps(
+    dots: &[Dot],
+    spacing: f32,
+    min: [f32; 2],
+    pitch: f32,
+    columns: usize,
+    rows: usize,
+) -> (Vec<f32>, Vec<u8>, Vec<f32>) {
     let (bin_columns, bin_rows) = (columns.div_ceil(2) + 1, rows.div_ceil(2) + 1);
     let bin = |p: [f32; 3]| {
         let index = |d: usize, count: usize| {
@@ -225,8 +253,11 @@ fn caps(dots: &[Dot], spacing: f32, min: [f32; 2], pitch: f32, columns: usize, r
     }
     let mut height = vec![f32::NEG_INFINITY; columns * rows];
     let mut ground = vec![0; columns * rows];
+    let mut side = vec![0.0; columns * rows];
     for dot in dots {
         let [px, py, pz] = dot.position;
+        // Only particles within one radius of their bin's top can be seen: one in ten, in a bed.
+        let radius = 1.25 * dot.side;
         if bin(dot.position).is_none_or(|bin| pz < top[bin] - radius) {
             continue;
         }
@@ -238,17 +269,17 @@ fn caps(dots: &[Dot], spacing: f32, min: [f32; 2], pitch: f32, columns: usize, r
             for x in range(u, columns) {
                 let d2 = ((x as f32 - u).powi(2) + (y as f32 - v).powi(2)) / (r * r);
                 if d2 < 1.0 {
-                    // A paraboloid touching the particle's top; its rim hangs half a spacing lower.
-                    let z = pz + 0.5 * spacing * (1.0 - d2);
+                    // A paraboloid touching the particle's top; its rim hangs half a side lower.
+                    let z = pz + 0.5 * dot.side * (1.0 - d2);
                     let node = y * columns + x;
                     if z > height[node] {
-                        (height[node], ground[node]) = (z, dot.ground);
+                        (height[node], ground[node], side[node]) = (z, dot.ground, dot.side);
                     }
                 }
             }
         }
     }
-    (height, ground)
+    (height, ground, side)
 }
 
 /// Cosine of the angle between the sun and the normal of a slope, 0 where it faces away.
@@ -293,7 +324,7 @@ mod tests {
         for (i, j, k) in (0..60).flat_map(|i| (0..40).flat_map(move |j| (0..20).map(move |k| (i, j, k)))) {
             let p = [i, j, k].map(|n| (n as f32 + 0.5) * 5e-3);
             if (p[0] - 0.15).abs() > 8e-3 || p[2] < 0.092 {
-                dots.push(Dot { position: p, ground: 0, value: 0.0 });
+                dots.push(Dot { position: p, ground: 0, value: 0.0, side: 5e-3 });
             }
         }
         dots
