@@ -210,7 +210,7 @@ impl Seeder<'_> {
                 }
                 for (origin, class) in found.drain(..) {
                     let site = self.cube_site(cubes, origin, class);
-                    let level = self.regions.finest_at(site.map(|s| s.cell), 0);
+                    let level = self.regions.finest_at(site.map(|s| s.cell), SPLIT_AHEAD);
                     let fixed = site.map(|s| s.on_level(level, self.precision));
                     lists[level].cell.push(fixed.map(|f| f.0));
                     lists[level].offset.push(fixed.map(|f| f.1));

@@ -180,21 +180,17 @@ impl<T: Scalar> CpuEngine<T> {
             let uniform = level.store.blocks.get(b).and_then(|&key| {
                 let first = block::of_key(key).map(|c| c * SIDE - 1);
                 let cells = CellBox { min: first.map(|c| c << l), max: first.map(|c| (c + SIDE + 2) << l) };
-                Some([
-                    self.regions.finest(cells, 0)?,
-                    self.regions.finest(cells, SPLIT_AHEAD)?,
-                    self.regions.finest(cells, MERGE_BEHIND)?,
-                ])
+                Some([self.regions.finest(cells, SPLIT_AHEAD)?, self.regions.finest(cells, MERGE_BEHIND)?])
             });
             for (i, list) in level.store.lists.iter().enumerate() {
                 for k in 0..list.runs[b].count {
                     let (chunk, lane) = (list.runs[b].first + k / LANES, k % LANES);
-                    let [home, most, least] = uniform.unwrap_or_else(|| {
+                    let [home, least] = uniform.unwrap_or_else(|| {
                         let cell = finest_cell(list.cell_of(chunk, lane), list.offset_of(chunk, lane), l);
-                        [0, SPLIT_AHEAD, MERGE_BEHIND].map(|margin| self.regions.finest_at(cell, margin))
+                        [SPLIT_AHEAD, MERGE_BEHIND].map(|margin| self.regions.finest_at(cell, margin))
                     });
                     let class = class_of(list.volume0_of(chunk, lane), list.body[chunk][lane]);
-                    let action = if class as usize > most {
+                    let action = if class as usize > home {
                         Action::Split
                     } else if (class as usize) < least {
                         Action::Merge { moves: home != l }
@@ -221,7 +217,7 @@ impl<T: Scalar> CpuEngine<T> {
     /// A parcel with coordinates of level `from`, on the level where it belongs.
     fn settled(&self, mut parcel: Parcel, from: usize) -> (usize, Parcel) {
         let finest = finest_cell(parcel.cell, parcel.offset, from);
-        let to = self.regions.finest_at(finest, 0);
+        let to = self.regions.finest_at(finest, SPLIT_AHEAD);
         for d in 0..3 {
             // Shifts of cell and offset: exact but for the last bit of an offset that becomes coarser.
             let within = parcel.offset[d] * f64::from(1 << from) - f64::from(finest[d] - (parcel.cell[d] << from));
