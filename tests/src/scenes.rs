@@ -35,11 +35,23 @@ pub fn run_to(simulation: &mut Simulation, time: f64) {
     }
 }
 
+/// Prints a figure beside its tolerance, and asserts that it is within.
+///
+/// # Panics
+/// If it is not.
+#[track_caller]
+pub fn within(what: &str, measured: f64, tolerance: f64) {
+    println!("{what}: {measured:.3e}, tolerance {tolerance:.1e}");
+    assert!(measured <= tolerance, "{what}: {measured:e} instead of at most {tolerance:e}");
+}
+
 /// A particle, read out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     /// Its id.
     pub id: u64,
+    /// Its level, 0 is finest.
+    pub level: u32,
     /// Position [m].
     pub x: Vec3,
     /// Velocity [m/s].
@@ -67,6 +79,7 @@ fn list_rows(list: &ParticleList) -> Vec<Row> {
     (0..list.len())
         .map(|i| Row {
             id: list.id[i],
+            level: list.level,
             x: list.position(i),
             v: list.velocity[i],
             c: list.affine[i],

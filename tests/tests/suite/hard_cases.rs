@@ -8,14 +8,7 @@ mod rigid;
 mod time_step;
 
 use barchan::{Error, Options, Plan, Precision, Simulation};
-use barchan_tests::scenes::{Row, options, rows, scene};
-
-/// Prints a figure beside its tolerance, and asserts that it is within.
-#[track_caller]
-fn within(what: &str, measured: f64, tolerance: f64) {
-    println!("{what}: {measured:.3e}, tolerance {tolerance:.1e}");
-    assert!(measured <= tolerance, "{what}: {measured:e} instead of at most {tolerance:e}");
-}
+use barchan_tests::scenes::{Row, options, rows, scene, within};
 
 /// The error that a scene is refused with.
 #[track_caller]

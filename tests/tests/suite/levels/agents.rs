@@ -1,0 +1,191 @@
+//! Regions that follow agents: splits, merges, and what they must not do.
+
+use super::{counted, kinetic, levels, minus, norm, on_levels};
+use barchan::{Ledger, Precision, Simulation};
+use barchan_tests::scenes::{Row, alter, rows, run_to, simulation, within};
+use barchan_tests::sketch::{Head, bed, block, half, material, tool};
+
+const FRICTION: &str = "{ coulomb = { friction = 0.4 } }";
+
+fn driven(velocity: [f64; 3]) -> String {
+    format!("{{ velocity = {{ linear = {velocity:?} }} }}")
+}
+
+/// A block of jelly at rest in space, and an agent that touches nothing above it.
+fn jelly_under_agent(cell: f64, count: u32, velocity: [f64; 3]) -> String {
+    Head::space(cell).time("step = 1e-3").with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+        block("neo_hookean", [-0.8, -0.2, -0.2], [0.8, 0.2, 0.2], "angular_velocity = [0.3, 0.0, 0.0]"),
+        levels(count, 8, &["eye"]),
+        tool("eye", [0.0, 0.0, 0.4], "sphere = { radius = 0.05 }", "\"slip\"", &driven(velocity)),
+    ])
+}
+
+fn step(s: &mut Simulation) {
+    s.step().unwrap_or_else(|e| panic!("{e}"));
+}
+
+/// What splits and merges must leave as it is: mass, momentum, centre of mass; and they give no energy.
+fn conserved(what: &str, before: &Ledger, after: &Ledger, energy: f64) {
+    within(&format!("{what}: mass"), (after.mass / before.mass - 1.0).abs(), 1e-13);
+    let scale = before.mass * (2.0 * energy / before.mass).sqrt();
+    within(&format!("{what}: momentum over m v"), norm(minus(after.momentum, before.momentum)) / scale, 1e-11);
+    within(&format!("{what}: kinetic energy that merges gave, over all"), after.resampled_kinetic / energy, 1e-12);
+    within(&format!("{what}: share of energy that merges took"), -after.resampled_kinetic / energy, 0.01);
+}
+
+/// B34. Symptom: an agent that jumps leaves its fine region behind, or everything is rebuilt. Physics: the region is where the
+/// agent is; mass and momentum are exact; far away no bit changes.
+#[test]
+fn b34_teleport_moves_the_region_at_once() {
+    let scene = Head { gravity: [0.0; 3], min: [-4.0, -1.0, -1.0], max: [4.0, 1.0, 1.0], ..Head::space(0.05) }.time("step = 1e-3\nover_bound = \"allow\"").with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+        block("neo_hookean", [-3.0, -0.2, -0.2], [3.0, 0.2, 0.2], "velocity = [0.01, 0.02, 0.0]"),
+        levels(3, 8, &["eye"]),
+        tool(
+            "eye",
+            [-2.5, 0.0, 0.4],
+            "sphere = { radius = 0.05 }",
+            "\"slip\"",
+            "{ keyframes = { frames = [{ time = 0.0, position = [-2.5, 0.0, 0.4] }, { time = 0.01, position = [-2.5, 0.0, 0.4] }, { time = 0.0101, position = [2.5, 0.0, 0.4] }] } }",
+        ),
+    ]);
+    let mut s = simulation(&scene, Precision::F64);
+    let before = s.ledger();
+    let start = on_levels(&s);
+    let mut steps = 0;
+    while s.time() < 0.0305 {
+        step(&mut s);
+        steps += 1;
+    }
+    let (after, end) = (s.ledger(), on_levels(&s));
+    let boxes = s.particles().levels.unwrap().boxes;
+    println!("B34: {start:?} -> {end:?} in {steps} steps, boxes {boxes:?}, {:?}", after.counts);
+    assert!(boxes[0][0].contains([50, 0, 8]), "the region is at the agent: {boxes:?}");
+    conserved("B34", &before, &after, before.kinetic);
+    assert!(counted(&after, "particles split") > 100 && counted(&after, "particles merged") > 100);
+    within("B34: particles over those before", s.particle_count() as f64 / start.iter().sum::<usize>() as f64, 1.3);
+    let middle: Vec<Row> = rows(&s).into_iter().filter(|r| r.x[0].abs() < 0.5).collect();
+    let off = middle.iter().fold(0f64, |o, r| o.max(norm(minus(r.v, [0.01, 0.02, 0.0]))));
+    assert!(middle.len() > 50);
+    within("B34: velocity far from both places [m/s]", off, 1e-14);
+}
+
+/// B35. Symptom: an agent that trembles makes its region jump to and fro, and particles with it. Physics: within two parent cells
+/// nothing moves; splits and merges are less than 1 % of the particles in a second.
+#[test]
+fn b35_a_trembling_agent_moves_nothing() {
+    let mut s = simulation(&jelly_under_agent(0.05, 3, [0.0; 3]), Precision::F64);
+    // Still, so that all splits and merges would be the agent's.
+    alter(&mut s, |r| (r.v, r.c) = ([0.0; 3], [0.0; 9]));
+    step(&mut s);
+    let boxes = |s: &Simulation| s.particles().levels.unwrap().boxes;
+    let (first, count) = (boxes(&s), s.particle_count());
+    // ±1 cell at 100 Hz: 5 ms each way at 0.05 m / 2.5 ms.
+    let mut moved = 0;
+    for k in 0..200 {
+        let v = if (k + 2) / 5 % 2 == 0 { 19.0 } else { -19.0 };
+        s.drive("eye", [v, 0.3 * v, 0.0], [0.0; 3]).unwrap();
+        step(&mut s);
+        moved += u32::from(boxes(&s) != first);
+    }
+    let ledger = s.ledger();
+    println!("B35: {:?}, {:?}", s.bodies()[0].position, ledger.counts);
+    let events = counted(&ledger, "particles split") + counted(&ledger, "particles merged");
+    within("B35: steps in which a region moved", f64::from(moved), 0.0);
+    within("B35: splits and merges a second over particles", events as f64 / s.time() / count as f64, 0.01);
+}
+
+/// B39. Symptom: where two regions overlap, particles are on two levels or on none, and what lies between is lost as they merge
+/// and part. Physics: a level is the union of its boxes.
+#[test]
+fn b39_two_agents_meet_and_part() {
+    let scene = Head::space(0.05).time("step = 1e-3").with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+        block("neo_hookean", [-1.4, -0.2, -0.2], [1.4, 0.2, 0.2], "angular_velocity = [0.3, 0.0, 0.0]"),
+        levels(3, 8, &["left", "right"]),
+        tool("left", [-1.2, -0.1, 0.4], "sphere = { radius = 0.05 }", "\"slip\"", &driven([8.0, 0.0, 0.0])),
+        tool("right", [1.2, 0.1, 0.4], "sphere = { radius = 0.05 }", "\"slip\"", &driven([-8.0, 0.0, 0.0])),
+    ]);
+    let mut s = simulation(&scene, Precision::F64);
+    let (before, energy, mut least, mut most) = (s.ledger(), kinetic(&s), usize::MAX, 0);
+    let start = on_levels(&s);
+    for _ in 0..300 {
+        step(&mut s);
+        let fine = on_levels(&s)[0];
+        (least, most) = (least.min(fine), most.max(fine));
+    }
+    let after = s.ledger();
+    println!("B39: {start:?} -> {:?}, fine from {least} to {most}, {:?}", on_levels(&s), after.counts);
+    conserved("B39", &before, &after, before.kinetic);
+    assert!((least as f64) < 0.8 * most as f64, "regions have overlapped: {least}, {most}");
+    within(
+        "B39: particles at the end over those at the start",
+        s.particle_count() as f64 / start.iter().sum::<usize>() as f64,
+        1.3,
+    );
+    within("B39: energy gained", (kinetic(&s) + after.elastic) / energy - 1.0, 0.0);
+}
+
+/// Mean height of the topmost particles in columns of `side` m over [x0, x1] x [y0, y1], top being the cube's end.
+fn heights(all: &[Row], side: f64, x: [f64; 2], y: [f64; 2]) -> Vec<f64> {
+    let n = [x, y].map(|e| ((e[1] - e[0]) / side).round() as usize);
+    let mut top = vec![0f64; n[0] * n[1]];
+    for r in all {
+        let (i, j) = ((r.x[0] - x[0]) / side, (r.x[1] - y[0]) / side);
+        if i >= 0.0 && j >= 0.0 && (i as usize) < n[0] && (j as usize) < n[1] {
+            let top = &mut top[i as usize * n[1] + j as usize];
+            *top = top.max(r.x[2] + 0.5 * r.volume0.cbrt());
+        }
+    }
+    top
+}
+
+/// B38. Symptom: a footprint that an agent walks away from is smoothed out as its particles merge. Physics: its
+/// depth stays within half a cell of the level that is left there, and its volume within 10 %.
+#[test]
+fn b38_a_footprint_outlasts_its_agent() {
+    let h = 0.02;
+    let (mut head, mut parts) = bed(h, [96, 24], 8, 24, "young_modulus = 5e5, friction_angle_deg = 40");
+    head.walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    parts.extend([
+        levels(3, 8, &["foot"]),
+        tool("foot", [0.24, 0.24, 0.24], &half([0.06, 0.06, 0.06]), FRICTION, &driven([0.0, 0.0, -0.5])),
+    ]);
+    let mut s = simulation(&head.with(&parts), Precision::F32);
+    let dent = |s: &Simulation| {
+        let all = rows(s);
+        let cells = heights(&all, 2.0 * h, [0.04, 0.44], [0.04, 0.44]);
+        let volume: f64 = cells.iter().map(|z| (0.16 - z).max(0.0) * 4.0 * h * h).sum();
+        let under = heights(&all, 2.0 * h, [0.2, 0.28], [0.2, 0.28]);
+        (0.16 - under.iter().sum::<f64>() / under.len() as f64, volume)
+    };
+    let start = on_levels(&s);
+    // Down to 40 mm, up again, away, and back.
+    run_to(&mut s, 0.12);
+    s.drive("foot", [0.0; 3], [0.0; 3]).unwrap();
+    run_to(&mut s, 0.14);
+    s.drive("foot", [0.0, 0.0, 1.0], [0.0; 3]).unwrap();
+    run_to(&mut s, 0.3);
+    s.drive("foot", [0.0; 3], [0.0; 3]).unwrap();
+    run_to(&mut s, 0.36);
+    let here = |s: &Simulation| rows(s).iter().filter(|r| r.x[0] < 0.48).count();
+    let (printed, near) = (dent(&s), here(&s));
+    s.drive("foot", [5.0, 0.0, 0.0], [0.0; 3]).unwrap();
+    run_to(&mut s, 0.64);
+    let (away, far) = (dent(&s), here(&s));
+    s.drive("foot", [-5.0, 0.0, 0.0], [0.0; 3]).unwrap();
+    run_to(&mut s, 0.92);
+    let back = dent(&s);
+    println!(
+        "B38: {start:?} {near} {far} {:?}: dent {printed:?}, away {away:?}, back {back:?}, {:?}",
+        on_levels(&s),
+        s.ledger().counts
+    );
+    assert!((far as f64) < 0.6 * near as f64, "it has become coarser: {near}, {far}");
+    assert!(printed.0 > 0.015, "there is a footprint: {printed:?}");
+    within("B38: depth away [m]", (away.0 - printed.0).abs(), 0.5 * 4.0 * h);
+    within("B38: depth when back [m]", (back.0 - printed.0).abs(), 0.5 * 4.0 * h);
+    within("B38: volume when back", (back.1 / printed.1 - 1.0).abs(), 0.1);
+    within("B38: volume away", (away.1 / printed.1 - 1.0).abs(), 0.1);
+}

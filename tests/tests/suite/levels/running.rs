@@ -1,0 +1,128 @@
+//! Determinism and resuming with levels, and levels that do nothing.
+
+use super::{counted, levels};
+use barchan::{BodyState, Options, ParticleState, Precision, Simulation, Wrench};
+use barchan_tests::scenes::scene;
+use barchan_tests::sketch::{bed, block, half, material, tool};
+
+/// Sand with two agents that pass through it in a hurry, jelly and snow beside.
+fn busy(table: &str) -> String {
+    let h = 0.05;
+    let (mut head, mut parts) = bed(h, [64, 16], 6, 18, "young_modulus = 1e5, friction_angle_deg = 30");
+    head.walls = "x_min = \"periodic\"\nx_max = \"periodic\"\ny_min = \"slip\"\ny_max = { separate = { friction = 0.3 } }\nz_min = \"stick\"";
+    let contact = "{ coulomb = { friction = 0.4 } }";
+    parts.extend([
+        table.to_owned(),
+        material("neo_hookean", 900.0, "young_modulus = 5e4"),
+        material("snow", 400.0, "young_modulus = 5e3"),
+        block("neo_hookean", [0.2, 0.1, 0.3], [0.5, 0.4, 0.5], "velocity = [0, 0.5, -1]\nsampling = \"jitter\""),
+        block("snow", [0.9, 0.4, 0.3], [1.2, 0.7, 0.6], "velocity = [-0.5, 0, -1]"),
+        tool(
+            "rod",
+            [0.3, 0.4, 0.3],
+            &half([0.06, 0.06, 0.12]),
+            contact,
+            "{ velocity = { linear = [5, 0.4, 0], angular = [0, 0, 3] } }",
+        ),
+        tool(
+            "ball",
+            [2.1, 0.4, 0.45],
+            "sphere = { radius = 0.08 }",
+            contact,
+            "{ free = { mass = 3, linear = [-5, 0, -1] } }",
+        ),
+    ]);
+    head.with(&parts)
+}
+
+fn start(text: &str, precision: Precision, threads: usize) -> Simulation {
+    let options = Options { precision, threads, ..Options::default() };
+    Simulation::new(&barchan::registry(), &scene(text), &options).unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn steps(s: &mut Simulation, count: u32) {
+    (0..count).for_each(|_| drop(s.step().unwrap_or_else(|e| panic!("{e}"))));
+}
+
+/// Everything that a run leaves: particles with their levels' boxes and the phase of their sort, bodies, wrenches, time.
+type Left = (ParticleState, Vec<BodyState>, Vec<Wrench>, u64);
+
+fn left(s: &Simulation) -> Left {
+    (s.particles(), s.bodies(), s.wrenches(), s.time().to_bits())
+}
+
+/// NaN would make equal bits differ under `==`, and -0 different ones equal: compare what is printed.
+fn same(a: &Left, b: &Left) -> bool {
+    a == b && format!("{a:?}") == format!("{b:?}")
+}
+
+/// Symptom: splits number their children in the order in which threads find them, merges add in that order, or two agents'
+/// regions depend on it. Physics: same input, same bits, on any number of threads.
+#[test]
+fn any_number_of_threads_gives_the_same_bits_with_moving_levels() {
+    let text = busy(&levels(3, 8, &["rod", "ball"]));
+    for precision in [Precision::F32, Precision::F64] {
+        let run = |threads| {
+            let mut s = start(&text, precision, threads);
+            steps(&mut s, 260);
+            (left(&s), s.ledger())
+        };
+        let (alone, ledger) = run(1);
+        println!("{precision}: {} particles, {:?}, t {}", ledger.particles, ledger.counts, f64::from_bits(alone.3));
+        for what in ["particles split", "particles merged", "changed level"] {
+            assert!(counted(&ledger, what) > 50, "the test must see {what}: {:?}", ledger.counts);
+        }
+        for threads in [2, 3] {
+            let (others, other_ledger) = run(threads);
+            assert!(same(&alone, &others), "{precision}: {threads} threads differ from one");
+            assert_eq!(format!("{ledger:?}"), format!("{other_ledger:?}"), "{precision}: ledger of {threads} threads");
+        }
+    }
+}
+
+/// Symptom: a run that was interrupted while a region moved goes on with boxes about where agents are now, with other numbers
+/// for children, or with another round of merges. Physics: resumed is not interrupted, bit for bit.
+#[test]
+fn resuming_in_the_middle_of_a_move_continues_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = busy(&levels(3, 8, &["rod", "ball"]));
+    for precision in [Precision::F32, Precision::F64] {
+        for at in [0, 41, 77] {
+            let mut whole = start(&text, precision, 2);
+            steps(&mut whole, at);
+            let file = folder.path().join(format!("{precision}-{at}.snapshot"));
+            whole.save(&file).unwrap();
+            let mut resumed = Simulation::resume(
+                &barchan::registry(),
+                &file,
+                &Options { precision, threads: 1, ..Options::default() },
+            )
+            .unwrap();
+            if at > 0 {
+                assert!(same(&left(&whole), &left(&resumed)), "{precision}, {at}: read again it differs already");
+            }
+            let boxes = |s: &Simulation| s.particles().levels.map(|phase| phase.boxes);
+            let then = boxes(&whole);
+            steps(&mut whole, 60);
+            steps(&mut resumed, 60);
+            assert_ne!(boxes(&whole), then, "regions have moved in between");
+            assert!(same(&left(&whole), &left(&resumed)), "{precision}, saved at {at}: differs after 60 steps");
+        }
+    }
+}
+
+/// B40. Symptom: levels that nobody uses change a result, or cost. Physics: with one level the `[levels]` table says nothing: bits
+/// are those of the scene without it. And a box that holds the whole world is one fine level, so that nothing is on the coarse one.
+#[test]
+fn b40_one_level_is_the_scene_without_levels() {
+    for precision in [Precision::F32, Precision::F64] {
+        let run = |table: &str| {
+            let mut s = start(&busy(table), precision, 2);
+            steps(&mut s, 60);
+            s
+        };
+        let (none, one) = (run(""), run(&levels(1, 8, &["rod", "ball"])));
+        assert!(same(&left(&none), &left(&one)), "{precision}: one level differs from none");
+        println!("B40 {precision}: {} particles, no bit differs", none.particle_count());
+    }
+}
