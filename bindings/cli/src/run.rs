@@ -112,6 +112,9 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode> {
     let summary = summary?;
     if !args.quiet {
         report::print(&summary);
+        if let Some(line) = report::accuracy(&simulation.plan().scene) {
+            println!("\n  {line}");
+        }
         println!("output in {}", out.display());
     }
     if summary.interrupted {

@@ -33,7 +33,7 @@ pub(crate) struct Accuracy {
     /// Changes a key of the scene on all rungs; may be given again.
     #[arg(long, value_name = "KEY.PATH=VALUE")]
     set: Vec<String>,
-    /// Cells of the reference along the world's x (cube-drop: along 1.28 m); the finest level of nested runs has as many.
+    /// Cells of the reference along the world's x (cube-drop: along 1.28 m).
     #[arg(long, default_value_t = 128)]
     reference: u32,
     /// Cells of the uniform grids, likewise.
@@ -45,6 +45,9 @@ pub(crate) struct Accuracy {
     /// levels.half of the nested runs.
     #[arg(long, value_delimiter = ',', default_values_t = [8, 12, 16])]
     half: Vec<u32>,
+    /// Cells of the nested runs' finest level, likewise [default: the reference's, and the last of the ladder].
+    #[arg(long, value_delimiter = ',')]
+    fine: Vec<u32>,
     /// Leave out other particle spacings, precisions and merge tolerances.
     #[arg(long)]
     no_variants: bool,
@@ -201,16 +204,21 @@ fn uniform(args: &Accuracy, length: f64, n: u32) -> Entry {
 }
 
 /// 1. Uniform grids.
-/// 2. Nested levels with the reference's finest cell: every count with every half, with and without subcycling.
-/// 3. Variants of the first of each: other spacing, precision, merge tolerance.
+/// 2. Nested levels: every finest cell with every count and half, with and without subcycling.
+/// 3. Variants of the last uniform and the first nested run: other spacing, precision, merge tolerance.
 fn entries(args: &Accuracy, length: f64) -> Vec<Entry> {
     let mut entries: Vec<Entry> = args.ladder.iter().map(|n| uniform(args, length, *n)).collect();
-    let finest = uniform(args, length, args.reference);
-    for subcycle in [false, true] {
-        for &levels in &args.levels {
-            for &half in &args.half {
-                let label = format!("L{levels} k{half}{}", if subcycle { " sub" } else { "" });
-                entries.push(Entry { label, levels, half, subcycle, ..finest.clone() });
+    let default = std::iter::once(args.reference).chain(args.ladder.last().copied()).collect();
+    let fine = if args.fine.is_empty() { default } else { args.fine.clone() };
+    for n in fine {
+        let finest = uniform(args, length, n);
+        let end = if n == args.reference { String::new() } else { format!(" n {n}") };
+        for subcycle in [false, true] {
+            for &levels in &args.levels {
+                for &half in &args.half {
+                    let label = format!("L{levels} k{half}{}{end}", if subcycle { " sub" } else { "" });
+                    entries.push(Entry { label, levels, half, subcycle, ..finest.clone() });
+                }
             }
         }
     }
@@ -223,13 +231,14 @@ fn entries(args: &Accuracy, length: f64) -> Vec<Entry> {
             entries.push(Entry { label: label("s 1/3"), spacing_cells: Some(1.0 / 3.0), ..base.clone() });
             entries.push(Entry { label: label(&other.to_string()), precision: other, ..base.clone() });
         }
-        for tolerance in [0.0, 0.02, 0.5] {
+        for tolerance in [0.0, 0.5] {
             let of = |base: Entry| Entry { label: format!("{} tol {tolerance}", base.label), tolerance, ..base };
             entries.extend(nested.clone().map(of));
         }
     }
     if args.noise {
-        entries.push(Entry { label: format!("n {} jitter", args.reference), jitter: true, ..finest });
+        let label = format!("n {} jitter", args.reference);
+        entries.push(Entry { label, jitter: true, ..uniform(args, length, args.reference) });
     }
     entries
 }

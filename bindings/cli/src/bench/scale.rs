@@ -31,7 +31,7 @@ pub(crate) struct Scale {
     #[arg(long)]
     subcycle: bool,
     /// Runs with more particles are left out.
-    #[arg(long, default_value_t = 4_000_000)]
+    #[arg(long, default_value_t = 10_000_000)]
     cap: usize,
     /// Output folder [default: ./out/scale].
     #[arg(long)]

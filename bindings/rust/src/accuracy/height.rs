@@ -13,8 +13,8 @@ pub struct HeightMap {
 }
 
 impl HeightMap {
-    /// The surface of grains in columns `column` [m] wide. Each grain fills the cube of its rest volume, spread to a column's
-    /// width if it is thinner. A column's surface lies where its topmost bin that is at least half full ends, with what
+    /// The surface of grains in columns `column` [m] wide. Each grain fills the cube of its rest volume, blurred sideways by a
+    /// column's width: cubes that tile space, also of several sizes, still fill it evenly then. A column's surface lies where its topmost bin that is at least half full ends, with what
     /// the bin above holds put on top: exact for compact ground, and blind to single grains in the air. Columns without
     /// ground have the height of the world's floor.
     pub fn new(grains: &[Grain], world: &World, column: f64) -> Self {
@@ -26,9 +26,9 @@ impl HeightMap {
         for grain in grains {
             let side = f64::from(grain.side);
             let share = (side / h).powi(3);
-            let wide = side.max(h);
-            let [x, y, z] = [(0, wide, count[0]), (1, wide, count[1]), (2, side, bins)]
-                .map(|(d, width, count)| Overlap::new((f64::from(grain.position[d]) - min[d]) / h, width / h, count));
+            let [x, y, z] = [(0, 1.0, count[0]), (1, 1.0, count[1]), (2, 0.0, bins)].map(|(d, blur, count)| {
+                Overlap::new((f64::from(grain.position[d]) - min[d]) / h, side / h, blur, count)
+            });
             for (i, wx) in x.clone() {
                 for (j, wy) in y.clone() {
                     for (k, wz) in z.clone() {
@@ -66,20 +66,31 @@ impl HeightMap {
     }
 }
 
-/// Bins that an interval overlaps, and its share in each. What lies outside counts for the outermost bins.
+/// Bins that a blurred interval overlaps, and its share in each. What lies outside counts for the outermost bins.
 #[derive(Clone)]
 struct Overlap {
-    start: f64,
-    end: f64,
+    centre: f64,
+    width: f64,
+    blur: f64,
     bin: i64,
     count: usize,
 }
 
 impl Overlap {
-    /// The interval about `centre`, `width` wide, both in bins.
-    fn new(centre: f64, width: f64, count: usize) -> Self {
-        let start = centre - 0.5 * width;
-        Self { start, end: start + width, bin: start.floor() as i64, count }
+    /// The interval about `centre`, `width` wide, blurred by a box `blur` wide; all in bins.
+    fn new(centre: f64, width: f64, blur: f64, count: usize) -> Self {
+        Self { centre, width, blur, bin: (centre - 0.5 * (width + blur)).floor() as i64, count }
+    }
+
+    /// Share below a place: the sum of two even distributions, integrated.
+    fn below(&self, place: f64) -> f64 {
+        let x = place - self.centre;
+        if self.blur == 0.0 {
+            return (x / self.width + 0.5).clamp(0.0, 1.0);
+        }
+        let ramp = |shift: f64| (x + 0.5 * shift).max(0.0).powi(2);
+        let (sum, difference) = (self.width + self.blur, self.width - self.blur);
+        (ramp(sum) - ramp(difference) - ramp(-difference) + ramp(-sum)) / (2.0 * self.width * self.blur)
     }
 }
 
@@ -88,13 +99,12 @@ impl Iterator for Overlap {
 
     fn next(&mut self) -> Option<(usize, f64)> {
         let low = self.bin as f64;
-        if low >= self.end {
+        if low >= self.centre + 0.5 * (self.width + self.blur) {
             return None;
         }
-        let share = (self.end.min(low + 1.0) - self.start.max(low)) / (self.end - self.start);
         let bin = self.bin.clamp(0, self.count as i64 - 1) as usize;
         self.bin += 1;
-        Some((bin, share))
+        Some((bin, self.below(low + 1.0) - self.below(low)))
     }
 }
 
@@ -126,6 +136,16 @@ mod tests {
             assert!(worst < 1e-6, "{worst} m at {spacing} m");
             assert_eq!(map.heights().len(), 1600);
         }
+    }
+
+    /// Where grains of two sizes meet, the surface goes on evenly.
+    #[test]
+    fn levels_leave_no_step() {
+        let left = bed(0.005, 0.12).into_iter().filter(|g| g.position[0] < 0.2);
+        let right = bed(0.01, 0.12).into_iter().filter(|g| g.position[0] > 0.2);
+        let map = HeightMap::new(&left.chain(right).collect::<Vec<_>>(), &world(), 0.01);
+        let worst = map.heights().iter().fold(0f64, |worst, h| worst.max((h - 0.12).abs()));
+        assert!(worst < 1e-6, "{worst} m");
     }
 
     #[test]

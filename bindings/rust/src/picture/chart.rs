@@ -43,6 +43,9 @@ pub struct Series {
     pub joined: bool,
 }
 
+/// A point that can be drawn: x, y, label.
+type Point<'a> = (f64, f64, &'a str);
+
 /// What a chart is made of. Pixels from the top left.
 enum Stroke {
     Line {
@@ -81,8 +84,8 @@ impl Chart {
     /// 2. Lines of series, then points.
     /// 3. Labels of points, each where it covers least.
     fn strokes(&self) -> Vec<Stroke> {
-        let series: Vec<(&Series, Vec<(f64, f64, &str)>)> = self.series.iter().map(|s| (s, s.shown())).collect();
-        let values = |get: fn(&(f64, f64, &str)) -> f64| series.iter().flat_map(|(_, points)| points).map(get);
+        let series: Vec<(&Series, Vec<Point<'_>>)> = self.series.iter().map(|s| (s, s.shown())).collect();
+        let values = |get: fn(&Point<'_>) -> f64| series.iter().flat_map(|(_, points)| points).map(get);
         let x = Axis::new(values(|p| p.0), FRAME[0], FRAME[1]);
         let y = Axis::new(values(|p| p.1), FRAME[3], FRAME[2]);
         let mut strokes = self.frame(&x, &y);
@@ -93,14 +96,18 @@ impl Chart {
             let colour = COLOURS[i % COLOURS.len()];
             let at: Vec<[f64; 2]> = points.iter().map(|p| [x.pixel(p.0), y.pixel(p.1)]).collect();
             if one.joined {
-                let pairs = at.windows(2).map(|w| Stroke::Line { from: w[0], to: w[1], width: 2.0, colour });
-                strokes.extend(pairs);
+                for pair in at.windows(2) {
+                    let (from, to) = (pair[0], pair[1]);
+                    strokes.push(Stroke::Line { from, to, width: 2.0, colour });
+                    let between = |i: u32| [0, 1].map(|d| from[d] + f64::from(i) / 64.0 * (to[d] - from[d]));
+                    taken.extend((1..64).map(|i| Area::about(between(i), 2.0)));
+                }
             }
             strokes.extend(at.iter().map(|at| Stroke::Disc { at: *at, radius: 4.5, colour }));
             taken.extend(at.iter().map(|at| Area::about(*at, 5.0)));
             labels.extend(at.into_iter().zip(points).map(|(at, p)| (at, p.2, colour)));
-            strokes.push(Stroke::Disc { at: [legend + 5.0, 68.0], radius: 4.5, colour });
-            strokes.push(text([legend + 16.0, 68.0 - 0.5 * TEXT], TEXT, Align::Left, colour, &one.name));
+            strokes.push(Stroke::Disc { at: [legend + 5.0, 70.0], radius: 4.5, colour });
+            strokes.push(text([legend + 16.0, 70.0 - 0.5 * TEXT], TEXT, Align::Left, colour, &one.name));
             legend += 44.0 + f64::from(text_width(TEXT as f32, &one.name));
         }
         for (at, label, colour) in labels {
@@ -114,8 +121,8 @@ impl Chart {
     fn frame(&self, x: &Axis, y: &Axis) -> Vec<Stroke> {
         let [left, right, top, bottom] = FRAME;
         let mut strokes = vec![
-            text([left, 20.0], TITLE, Align::Left, INK, &self.title),
-            text([left, 46.0], TEXT, Align::Left, INK, &format!("up: {}", self.y)),
+            text([left, 16.0], TITLE, Align::Left, INK, &self.title),
+            text([left, 42.0], TEXT, Align::Left, INK, &format!("up: {}", self.y)),
             text([0.5 * (left + right), bottom + 38.0], TEXT, Align::Centre, INK, &self.x),
         ];
         let line = |from, to, colour| Stroke::Line { from, to, width: 1.0, colour };
@@ -136,7 +143,7 @@ impl Chart {
 }
 
 impl Series {
-    fn shown(&self) -> Vec<(f64, f64, &str)> {
+    fn shown(&self) -> Vec<Point<'_>> {
         let above = |v: f64| v.is_finite() && v > 0.0;
         let points = self.points.iter().filter(|(x, y, _)| above(*x) && above(*y));
         points.map(|(x, y, label)| (*x, *y, label.as_str())).collect()
