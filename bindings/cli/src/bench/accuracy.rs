@@ -45,6 +45,9 @@ pub(crate) struct Accuracy {
     /// levels.half of the nested runs.
     #[arg(long, value_delimiter = ',', default_values_t = [8, 12, 16])]
     half: Vec<u32>,
+    /// Whether nested runs subcycle: false, true, or both.
+    #[arg(long, value_delimiter = ',', action = clap::ArgAction::Append, default_values_t = [false, true])]
+    subcycle: Vec<bool>,
     /// Cells of the nested runs' finest level, likewise [default: the reference's, and the last of the ladder].
     #[arg(long, value_delimiter = ',')]
     fine: Vec<u32>,
@@ -213,7 +216,7 @@ fn entries(args: &Accuracy, length: f64) -> Vec<Entry> {
     for n in fine {
         let finest = uniform(args, length, n);
         let end = if n == args.reference { String::new() } else { format!(" n {n}") };
-        for subcycle in [false, true] {
+        for &subcycle in &args.subcycle {
             for &levels in &args.levels {
                 for &half in &args.half {
                     let label = format!("L{levels} k{half}{}{end}", if subcycle { " sub" } else { "" });

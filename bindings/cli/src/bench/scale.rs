@@ -57,6 +57,9 @@ struct Row {
     memory_bytes: Option<u64>,
 }
 
+/// What is drawn of a row.
+type Figure = fn(&Row) -> Option<f64>;
+
 /// A bed of sand `extent` wide, and a ball half sunk in its middle that is drawn along x.
 fn bed(args: &Scale, extent: f64, levels: u32) -> Result<Scene> {
     let (cell, half, subcycle) = (1.0 / f64::from(args.cells), args.half, args.subcycle);
@@ -120,7 +123,7 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
     fs::create_dir_all(&out).map_err(error("this output folder cannot be made (choose another with --out)"))?;
     fs::write(out.join("scale.json"), format!("{report:#}\n")).map_err(error("writing the figures"))?;
     fs::write(out.join("scale.md"), markdown(args, &rows, &statement)).map_err(error("writing the table"))?;
-    let drawn: [(&str, &str, fn(&Row) -> Option<f64>); 2] = [
+    let drawn: [(&str, &str, Figure); 2] = [
         ("scale-time", "wall time of a step [ms]", |row| row.ms_per_step),
         ("scale-memory", "memory of particles and grid [MB]", |row| Some(1e-6 * row.memory_bytes? as f64)),
     ];
@@ -197,10 +200,10 @@ fn statement(rows: &[Row]) -> String {
     counts.dedup();
     let sentences = counts.into_iter().filter_map(|levels| {
         let nested = of(levels).find(|row| row.extent_m == uniform.extent_m)?;
-        let (first, last) = (of(levels).next()?, of(levels).last()?);
-        let ratio = |a: &Row, b: &Row, get: fn(&Row) -> Option<f64>| Some(get(a)? / get(b)?);
-        let time: fn(&Row) -> Option<f64> = |row| Some(row.ms_per_step? / row.step_ms?);
-        let memory: fn(&Row) -> Option<f64> = |row| row.memory_bytes.map(|bytes| bytes as f64);
+        let (first, last) = (of(levels).next()?, of(levels).next_back()?);
+        let ratio = |a: &Row, b: &Row, get: Figure| Some(get(a)? / get(b)?);
+        let time: Figure = |row| Some(row.ms_per_step? / row.step_ms?);
+        let memory: Figure = |row| row.memory_bytes.map(|bytes| bytes as f64);
         Some(format!(
             "{levels} levels at {} m take {:.2} of the uniform grid's wall time for the same simulated time and {:.2} of its memory; from {} m to \
              {} m, {:.0} times the area, their time grows {:.2}-fold and their memory {:.2}-fold.",
@@ -246,7 +249,7 @@ fn markdown(args: &Scale, rows: &[Row], statement: &str) -> String {
     out + "\n" + statement + "\n"
 }
 
-fn chart(args: &Scale, rows: &[Row], y: &str, value: fn(&Row) -> Option<f64>) -> Chart {
+fn chart(args: &Scale, rows: &[Row], y: &str, value: Figure) -> Chart {
     let series = std::iter::once(1).chain(args.levels.iter().copied()).map(|levels| {
         let of = rows.iter().filter(|row| row.levels == levels);
         let points = of.filter_map(|row| Some((row.extent_m, value(row)?, particles(row.particles)))).collect();
