@@ -78,12 +78,14 @@ pub(crate) fn accuracy(scene: &Scene) -> Option<String> {
     let near = apart.filter(|(cell, ..)| *cell < SAME_CELL.ln());
     let (.., errors) = near.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)))?;
     let height = &errors["height_near"];
+    let tool = errors["final_z_mm"]
+        .as_f64()
+        .map_or_else(String::new, |z| format!(", and the tool's end about {} mm off", one_digit(z.abs())));
     Some(format!(
-        "height error about {} mm near the tool, {} mm at most, and the tool's end about {} mm off at this resolution \
+        "height error about {} mm near the tool, {} mm at most{tool} at this resolution \
          (docs/reports/accuracy-{name}.md)",
         one_digit(height["mean_mm"].as_f64()?),
-        one_digit(height["max_mm"].as_f64()?),
-        one_digit(errors["final_z_mm"].as_f64()?.abs())
+        one_digit(height["max_mm"].as_f64()?)
     ))
 }
 

@@ -102,6 +102,8 @@ pub struct Record {
     pub ledger_end: Ledger,
     /// The first tool, if there is one, after every step.
     tool: Vec<Moment>,
+    /// Does the ground move it?
+    free: bool,
 }
 
 /// What a run cost.
@@ -170,7 +172,8 @@ pub fn record(
     cost.particles = particle_steps as f64 / cost.steps.max(1) as f64;
     cost.energy_change_j = ledger_end.energy() - ledger_start.energy();
     let end = grains(&simulation.particles());
-    Ok(Record { scene: scene.clone(), start, end, cost, ledger_start, ledger_end, tool })
+    let free = simulation.bodies().first().is_some_and(|body| body.mass.is_finite());
+    Ok(Record { scene: scene.clone(), start, end, cost, ledger_start, ledger_end, tool, free })
 }
 
 fn grains(particles: &ParticleState) -> Vec<Grain> {
@@ -248,9 +251,9 @@ pub struct Errors {
     pub crater_depth_mm: f64,
     /// That depth less the reference's [mm].
     pub crater_error_mm: f64,
-    /// Height of the tool at the end less the reference's [mm].
+    /// Height of the tool at the end less the reference's [mm]; `None` if it is driven.
     pub final_z_mm: Option<f64>,
-    /// Root mean square of the difference in the tool's height over time [mm].
+    /// Root mean square of the difference in the tool's height over time [mm]; `None` if it is driven.
     pub z_rms_mm: Option<f64>,
     /// Root mean square of the difference in the force on the tool over time [N], as a vector, over [`FORCE_WINDOW`].
     pub force_rms_n: Option<f64>,
@@ -284,7 +287,10 @@ impl Errors {
 
         let samples: Vec<f64> = (1..).map(|i| f64::from(i) * SAMPLE).take_while(|t| *t <= run.scene.time.end).collect();
         let rms = |squares: Option<Vec<f64>>| squares.map(|s| (s.iter().sum::<f64>() / s.len().max(1) as f64).sqrt());
-        let heights = |t: &f64| Some(run.tool_at(*t)?.position[2] - reference.tool_at(*t)?.position[2]);
+        let heights = |t: &f64| {
+            let apart = run.tool_at(*t)?.position[2] - reference.tool_at(*t)?.position[2];
+            run.free.then_some(apart)
+        };
         let forces = |t: &f64| {
             let (a, b) = (run.force_at(*t)?, reference.force_at(*t)?);
             Some((0..3).map(|d| (a[d] - b[d]).powi(2)).sum())
@@ -368,6 +374,7 @@ mod tests {
             ledger_start: Ledger::default(),
             ledger_end: Ledger::default(),
             tool: (0..100).map(moment).collect(),
+            free: true,
         };
         assert!((record.force_at(0.02).unwrap()[2] - 7.0).abs() < 1e-9);
         assert!((record.tool_at(0.0101).unwrap().position[2] - 0.9899).abs() < 1e-12);

@@ -135,11 +135,15 @@ pub(super) fn markdown(report: &Report) -> String {
     out
 }
 
-/// Writes a table; the columns' widths are left to the reader's program.
+/// Writes a table; rows that end early are filled up. The columns' widths are left to the reader's program.
 fn table(out: &mut String, title: &str, head: &[&str], rows: impl Iterator<Item = Vec<String>>) {
     let rule = vec!["---:"; head.len() - 1].join(" | ");
     out.push_str(&format!("## {title}\n\n| {} |\n| --- | {rule} |\n", head.join(" | ")));
-    rows.for_each(|row| out.push_str(&format!("| {} |\n", row.join(" | "))));
+    for mut row in rows {
+        assert!(row.len() <= head.len(), "a row of '{title}' has more cells than the head");
+        row.resize(head.len(), String::new());
+        out.push_str(&format!("| {} |\n", row.join(" | ")));
+    }
     out.push('\n');
 }
 
@@ -200,14 +204,14 @@ fn errors(report: &Report, out: &mut String) {
     });
     table(out, "Errors against the reference", &head, rows);
     if let Some((row, Figures { errors: e, .. })) = ran(report).find(|(row, _)| row.entry.jitter) {
-        let of = |v: Option<f64>| v.map_or("–".to_owned(), digits);
+        let parts = [("mm in the tool's z(t)", e.z_rms_mm), ("N in the force", e.force_rms_n)];
+        let parts = parts.into_iter().filter_map(|(unit, v)| Some(format!("its {} {unit}", digits(v?))));
         out.push_str(&format!(
-            "Noise: {} differs from the reference only in where its grains lie at the start. Differences below its {} mm in the tool's z(t) \
-             and {} N in the force mean nothing; its surface is rough by {} mm.\n\n",
+            "Noise: {} differs from the reference only in where its grains lie at the start, and its surface is rough by {} mm. Differences \
+             below {} mean nothing.\n\n",
             row.entry.label,
-            of(e.z_rms_mm),
-            of(e.force_rms_n),
-            digits(e.height_near.mean_mm)
+            digits(e.height_near.mean_mm),
+            parts.collect::<Vec<_>>().join(" and ")
         ));
     }
     let rungs = ladder(report);
@@ -295,7 +299,17 @@ fn paper(report: &Report, out: &mut String) {
         ));
     };
     let ratio = |f: &Figures, of: fn(&Figures) -> f64| of(f) / of(uniform);
-    let head = ["run", "Chamfer near", "Chamfer everywhere", "height near", "time", "particles", "beside the paper"];
+    let head = [
+        "run",
+        "Chamfer near",
+        "the same at rest",
+        "Chamfer everywhere",
+        "height near",
+        "force",
+        "time",
+        "particles",
+        "beside the paper",
+    ];
     let as_fine = |(row, _): &(&Row, &Figures)| row.entry.levels > 1 && row.entry.n == reference.n;
     let rows = ran(report).filter(as_fine).map(|(row, f)| {
         let error = ratio(f, |f| f.errors.chamfer_near.sum_mm());
@@ -349,7 +363,7 @@ mod tests {
     #[test]
     fn tables_are_markdown() {
         let mut out = String::new();
-        table(&mut out, "T", &["a", "b"], [vec!["1".to_owned(), "2".to_owned()]].into_iter());
-        assert_eq!(out, "## T\n\n| a | b |\n| --- | ---: |\n| 1 | 2 |\n\n");
+        table(&mut out, "T", &["a", "b"], [vec!["1".to_owned(), "2".to_owned()], vec!["3".to_owned()]].into_iter());
+        assert_eq!(out, "## T\n\n| a | b |\n| --- | ---: |\n| 1 | 2 |\n| 3 |  |\n\n");
     }
 }
