@@ -354,7 +354,7 @@ mod tests {
         };
         assert!(refused(0.03, 1, None).contains("world.max"));
         assert!(refused(0.02, 3, None).contains("world.max"));
-        let error = refused(0.04, 1, Some(0.3));
+        let error = refused(0.02, 1, Some(0.3));
         assert!(error.contains("body[0].shape.box") && error.contains("along x"), "{error}");
     }
 

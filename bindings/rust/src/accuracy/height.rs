@@ -113,10 +113,8 @@ mod tests {
     use super::*;
 
     fn world() -> World {
-        let scene =
-            barchan_tasks::scene("cube-drop", &["world.max=[0.4, 0.4, 0.8]", "tool.cube.position=[0.2,0.2,0.3]"]);
-        let error = |e| panic!("{e}");
-        World { min: [0.0; 3], ..scene.unwrap_or_else(error).world }
+        let scene = barchan_tasks::scene("cube-drop", &[] as &[&str]).unwrap();
+        World { max: [0.4, 0.4, 0.8], ..scene.world }
     }
 
     fn bed(spacing: f64, height: f64) -> Vec<Grain> {

@@ -166,8 +166,8 @@ impl Axis {
         let (low, high) =
             values.map(f64::log10).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         let (low, high) = if low <= high { (low, high) } else { (0.0, 1.0) };
-        // Half a decade at least, so that nearly equal values look nearly equal.
-        let more = (0.08 * (high - low)).max(0.25 - 0.5 * (high - low)).max(0.04);
+        // Four fifths of a decade at least: nearly equal values look nearly equal, and two numbers stand at the axis.
+        let more = (0.08 * (high - low)).max(0.4 - 0.5 * (high - low));
         Self { ends: [low - more, high + more], pixels: [start, end] }
     }
 
