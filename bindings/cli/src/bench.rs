@@ -1,4 +1,7 @@
-//! `barchan bench`: speed, and what each effect costs.
+//! `barchan bench`: speed, what each effect costs, and what resolution buys.
+
+mod accuracy;
+mod scale;
 
 use crate::EngineArgs;
 use barchan::scene::{MaterialSpec, Motion, OverBound};
@@ -14,6 +17,10 @@ pub(crate) enum Bench {
     Throughput(Throughput),
     /// What each effect adds to a step, and what it costs when it is declared but not used.
     Effects(Effects),
+    /// Errors against a run of the finest uniform grid, over time and memory: uniform grids and nested levels.
+    Accuracy(accuracy::Accuracy),
+    /// Time of a step and memory as the ground around a tool grows: a uniform grid and nested levels.
+    Scale(scale::Scale),
 }
 
 /// How long to measure.
@@ -62,6 +69,8 @@ pub(crate) fn run(bench: &Bench) -> Result<()> {
     match bench {
         Bench::Throughput(args) => throughput(args),
         Bench::Effects(args) => effects(args),
+        Bench::Accuracy(args) => accuracy::run(args),
+        Bench::Scale(args) => scale::run(args),
     }
 }
 

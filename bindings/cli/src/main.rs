@@ -68,17 +68,20 @@ struct EngineArgs {
 }
 
 impl SceneArgs {
-    /// The scene: a built-in one by that name, or else a file.
     fn scene(&self) -> Result<Scene> {
-        let path = Path::new(&self.scene);
-        if barchan::tasks::names().any(|name| name == self.scene) {
-            barchan::tasks::scene(&self.scene, &self.set)
-        } else if path.extension().is_some() || path.exists() {
-            Scene::from_file_with(path, &self.set)
-        } else {
-            // Neither: the error that lists the built-in ones helps most.
-            barchan::tasks::scene(&self.scene, &self.set)
-        }
+        scene(&self.scene, &self.set)
+    }
+}
+
+/// A built-in scene by its name, or else a file, with keys set.
+fn scene(name: &str, set: &[String]) -> Result<Scene> {
+    let path = Path::new(name);
+    let built_in = barchan::tasks::names().any(|known| known == name);
+    // What is neither gets the error that lists the built-in ones, which helps most.
+    if built_in || (path.extension().is_none() && !path.exists()) {
+        barchan::tasks::scene(name, set)
+    } else {
+        Scene::from_file_with(path, set)
     }
 }
 

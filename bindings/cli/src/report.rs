@@ -1,7 +1,13 @@
 //! What is printed at the end of a run.
 
 use barchan::run::Summary;
-use barchan::{Ledger, Vec3};
+use barchan::{Ledger, Scene, Vec3};
+use serde_json::Value;
+
+/// What `barchan bench accuracy` wrote for built-in scenes.
+const LADDERS: [(&str, &str); 1] = [("cube-drop", include_str!("../../../docs/reports/accuracy-cube-drop.json"))];
+/// A rung stands for cells up to this many times wider or narrower than its own.
+const SAME_CELL: f64 = 1.5;
 
 /// Prints where the time went, how fast it was, and the ledger.
 pub(crate) fn print(summary: &Summary) {
@@ -59,6 +65,35 @@ fn ledger(start: &Ledger, end: &Ledger) {
     }
 }
 
+/// What the scene's ladder says about its resolution; `None` if it has no ladder, or no rung of that cell and number of levels.
+pub(crate) fn accuracy(scene: &Scene) -> Option<String> {
+    let (name, text) = LADDERS.iter().find(|(name, _)| scene.name.starts_with(name))?;
+    let ladder: Value = serde_json::from_str(text).expect("a committed ladder is JSON");
+    let off = |row: &Value, key: &str, of: f64| Some((row[key].as_f64()? / of).ln().abs());
+    let rungs = ladder["rows"].as_array()?.iter().filter(|row| row["levels"] == scene.levels.count);
+    let apart = rungs.filter_map(|row| {
+        let half = off(row, "half", scene.levels.half.into())?;
+        Some((off(row, "cell_m", scene.world.cell)?, half, &row["errors"])).filter(|(.., errors)| !errors.is_null())
+    });
+    let near = apart.filter(|(cell, ..)| *cell < SAME_CELL.ln());
+    let (.., errors) = near.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)))?;
+    let height = &errors["height_near"];
+    let tool = errors["final_z_mm"]
+        .as_f64()
+        .map_or_else(String::new, |z| format!(", and the tool's end about {} mm off", one_digit(z.abs())));
+    Some(format!(
+        "height error about {} mm near the tool, {} mm at most{tool} at this resolution \
+         (docs/reports/accuracy-{name}.md)",
+        one_digit(height["mean_mm"].as_f64()?),
+        one_digit(height["max_mm"].as_f64()?)
+    ))
+}
+
+/// To one significant digit: more is not known of an error.
+fn one_digit(value: f64) -> f64 {
+    format!("{value:.0e}").parse().expect("a number that was just written")
+}
+
 /// Bytes for people.
 pub(crate) fn bytes(bytes: u64) -> String {
     match bytes as f64 {
@@ -83,7 +118,22 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_run_knows_its_rung() {
+        let said = |cell: f64, levels: u32| {
+            let mut scene = barchan::tasks::scene("cube-drop", &[] as &[&str]).unwrap();
+            (scene.world.cell, scene.levels.count) = (cell, levels);
+            accuracy(&scene)
+        };
+        let line = said(0.04, 1).unwrap();
+        assert!(line.contains("mm near the tool") && line.contains("docs/reports/accuracy-cube-drop.md"), "{line}");
+        assert_ne!(said(0.04, 1), said(0.08, 1));
+        assert_eq!(said(0.001, 1), None, "finer than the ladder");
+        assert_eq!(accuracy(&barchan::tasks::scene("dig", &[] as &[&str]).unwrap()), None);
+    }
+
+    #[test]
     fn numbers_are_for_people() {
+        assert_eq!([0.0, 0.0881, 1.35, 0.96, 26.0].map(|v| one_digit(v).to_string()), ["0", "0.09", "1", "1", "30"]);
         assert_eq!(duration(59.4), "59 s");
         assert_eq!(duration(61.0), "1 min 01 s");
         assert_eq!(duration(7260.0), "2 h 01 min");

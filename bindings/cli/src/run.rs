@@ -112,6 +112,9 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode> {
     let summary = summary?;
     if !args.quiet {
         report::print(&summary);
+        if let Some(line) = report::accuracy(&simulation.plan().scene) {
+            println!("\n  {line}");
+        }
         println!("output in {}", out.display());
     }
     if summary.interrupted {
@@ -152,14 +155,14 @@ fn resume_line(args: impl Iterator<Item = String>) -> String {
 }
 
 /// Progress: a bar with the time left on a terminal, otherwise a line for every twentieth.
-enum Shown {
+pub(crate) enum Shown {
     Nothing,
     Bar(ProgressBar, Instant),
     Lines(u32),
 }
 
 impl Shown {
-    fn new(quiet: bool) -> Self {
+    pub(crate) fn new(quiet: bool) -> Self {
         if quiet {
             return Self::Nothing;
         }
@@ -169,7 +172,7 @@ impl Shown {
         let style = ProgressStyle::with_template("{bar:40} {percent:>3} %  {msg}").expect("a constant template");
         Self::Bar(ProgressBar::new(1000).with_style(style), Instant::now() - Duration::from_secs(1))
     }
-    fn update(&mut self, progress: &Progress) {
+    pub(crate) fn update(&mut self, progress: &Progress) {
         let left = progress.elapsed * (1.0 - progress.done) / progress.done.max(1e-9);
         match self {
             Self::Nothing => {}
@@ -195,7 +198,7 @@ impl Shown {
             }
         }
     }
-    fn finish(&self) {
+    pub(crate) fn finish(&self) {
         if let Self::Bar(bar, _) = self {
             bar.finish_and_clear();
         }

@@ -238,3 +238,81 @@ fn throughput_is_measured() {
     assert_eq!(figures["particles"], 16_810);
     assert!(figures["particle_steps_per_s"].as_f64().unwrap() > 1e3);
 }
+
+/// A tiny ladder of a falling cube: errors are finite and fall with the cell, a nested run lies near its finest cell's uniform
+/// grid, and what cannot be run is a line of the table.
+#[test]
+fn the_accuracy_ladder_falls_and_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = [
+        &[
+            "bench",
+            "accuracy",
+            "--reference",
+            "64",
+            "--ladder",
+            "8,16,32",
+            "--levels",
+            "2",
+            "--half",
+            "8",
+            "--fine",
+            "64",
+        ][..],
+        &["--no-variants", "--seconds", "0.15", "--out", "ladder"],
+    ];
+    let text = succeed(folder.path(), &args.concat());
+    assert!(text.contains("n 8: skipped") && text.contains("particles along z"), "{text}");
+    let out = folder.path().join("ladder");
+    let report: serde_json::Value = serde_json::from_slice(&fs::read(out.join("accuracy.json")).unwrap()).unwrap();
+    let rows = report["rows"].as_array().unwrap();
+    let of = |label: &str| rows.iter().find(|row| row["label"] == label).unwrap_or_else(|| panic!("no row '{label}'"));
+    let number = |row: &serde_json::Value, path: &str| {
+        let value = row.pointer(path).and_then(serde_json::Value::as_f64);
+        value.unwrap_or_else(|| panic!("{}: {path} is not a finite number", row["label"]))
+    };
+    for path in ["/errors/height_near/mean_mm", "/errors/z_rms_mm", "/errors/force_rms_n"] {
+        let [coarse, fine, nested] = ["n 16", "n 32", "L2 k8"].map(|label| number(of(label), path));
+        assert!(coarse > fine && fine > nested && nested >= 0.0, "{path}: {coarse}, {fine}, nested {nested}");
+    }
+    for label in ["n 16", "n 32", "L2 k8"] {
+        let mass = number(of(label), "/cost/mass_kg") / number(&report["reference"], "/cost/mass_kg");
+        assert!((mass - 1.0).abs() < 1e-6, "{label} has {mass} of the reference's mass");
+        assert!(number(of(label), "/errors/chamfer_near/to_reference/mean_mm") < 20.0);
+    }
+    assert_eq!(number(&report["reference"], "/errors/height/max_mm"), 0.0);
+    let table = fs::read_to_string(out.join("accuracy.md")).unwrap();
+    for part in ["## Cost", "height near L1 [mm]", "## Time to reach the same error", "UBSoft", "| L2 k8 |"] {
+        assert!(table.contains(part), "'{part}' is not in\n{table}");
+    }
+    for stem in ["height-time", "height-memory", "chamfer-time", "force-memory"] {
+        let png = fs::read(out.join(stem).with_extension("png")).unwrap();
+        assert!(png.starts_with(b"\x89PNG") && png.len() > 2000, "{stem}.png");
+        assert!(fs::read_to_string(out.join(stem).with_extension("svg")).unwrap().ends_with("</svg>\n"), "{stem}.svg");
+    }
+}
+
+#[test]
+fn growing_ground_is_measured_until_the_cap() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = [
+        &["bench", "scale", "--cells", "16", "--extents", "1,2,4", "--levels", "2", "--half", "8", "--cap", "40000"][..],
+        &["--steps", "2", "--repetitions", "1", "--warm-up", "1", "--out", "scale"],
+    ];
+    let text = succeed(folder.path(), &args.concat());
+    assert!(text.contains("uniform grid, 4 m: 131072 particles, skipped"), "{text}");
+    assert!(text.contains("2 levels at 2 m take"), "{text}");
+    let out = folder.path().join("scale");
+    let report: serde_json::Value = serde_json::from_slice(&fs::read(out.join("scale.json")).unwrap()).unwrap();
+    let rows = report["rows"].as_array().unwrap();
+    let particles = |levels: u32, extent: f64| {
+        let row = rows.iter().find(|row| row["levels"] == levels && row["extent_m"] == extent).unwrap();
+        assert!(row["ms_per_step"].is_f64() && row["memory_bytes"].is_u64(), "{row}");
+        row["particles"].as_u64().unwrap()
+    };
+    assert!(particles(2, 2.0) < particles(1, 2.0) / 2);
+    assert!(particles(2, 4.0) < 40_000);
+    for file in ["scale.md", "scale-time.png", "scale-time.svg", "scale-memory.png", "scale-memory.svg"] {
+        assert!(fs::metadata(out.join(file)).unwrap().len() > 500, "{file} is empty");
+    }
+}

@@ -15,8 +15,10 @@
 //! println!("{:#?}", simulation.ledger());
 //! # Ok::<(), barchan::Error>(())
 //! ```
-//! [`run::run`] does the same with pictures, traces and a summary; [`picture`] draws, [`stress`] asks for stress.
+//! [`run::run`] does the same with pictures, traces and a summary; [`picture`] draws, [`stress`] asks for stress, [`accuracy`]
+//! tells how far a run is from a finer one.
 
+pub mod accuracy;
 pub mod picture;
 pub mod run;
 pub mod stress;

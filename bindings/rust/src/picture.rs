@@ -9,6 +9,7 @@
 //! ```
 
 mod animation;
+mod chart;
 mod colour;
 mod cut;
 mod image;
@@ -16,6 +17,7 @@ mod relief;
 mod tools;
 
 pub use animation::{contact_sheet, gif};
+pub use chart::{Chart, Series};
 pub use image::{Align, Colour, Image, Rect, text_width};
 pub use tools::Tools;
 

@@ -1,0 +1,292 @@
+//! `barchan bench scale`: the ground grows, the tool and the finest cell do not.
+
+use super::{Effort, Timed};
+use crate::EngineArgs;
+use barchan::picture::{Chart, Series};
+use barchan::{Error, Plan, Registry, Result, Scene};
+use clap::Args;
+use serde::Serialize;
+use serde_json::json;
+use std::fs;
+use std::path::PathBuf;
+
+/// Depth of the bed [m].
+const DEPTH: f64 = 0.25;
+
+#[derive(Args)]
+pub(crate) struct Scale {
+    /// Sides of the bed [m].
+    #[arg(long, value_delimiter = ',', default_values_t = [1.0, 2.0, 4.0, 8.0])]
+    extents: Vec<f64>,
+    /// Finest cells in a metre.
+    #[arg(long, default_value_t = 64)]
+    cells: u32,
+    /// Numbers of levels beside the uniform grid.
+    #[arg(long, value_delimiter = ',', default_values_t = [3, 5])]
+    levels: Vec<u32>,
+    /// levels.half of the nested runs.
+    #[arg(long, default_value_t = 16)]
+    half: u32,
+    /// Subcycle the nested runs.
+    #[arg(long)]
+    subcycle: bool,
+    /// Runs with more particles are left out.
+    #[arg(long, default_value_t = 10_000_000)]
+    cap: usize,
+    /// Output folder [default: ./out/scale].
+    #[arg(long)]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    effort: Effort,
+    #[command(flatten)]
+    engine: EngineArgs,
+}
+
+/// A bed and what it costs.
+#[derive(Clone, Debug, Serialize)]
+struct Row {
+    extent_m: f64,
+    levels: u32,
+    particles: usize,
+    /// Why there are no figures.
+    skipped: Option<String>,
+    ms_per_step: Option<f64>,
+    /// Simulated time of a step [ms].
+    step_ms: Option<f64>,
+    /// Bytes of particles and grid.
+    memory_bytes: Option<u64>,
+}
+
+/// What is drawn of a row.
+type Figure = fn(&Row) -> Option<f64>;
+
+/// A bed of sand `extent` wide, and a ball half sunk in its middle that is drawn along x.
+fn bed(args: &Scale, extent: f64, levels: u32) -> Result<Scene> {
+    let (cell, half, subcycle) = (1.0 / f64::from(args.cells), args.half, args.subcycle);
+    let middle = 0.5 * extent;
+    let text = format!(
+        r#"
+name = "scale"
+[world]
+cell = {cell}
+min = [0.0, 0.0, 0.0]
+max = [{extent}, {extent}, 1.0]
+walls = {{ x_min = "slip", x_max = "slip", y_min = "slip", y_max = "slip", z_min = "stick" }}
+[levels]
+count = {levels}
+half = {half}
+subcycle = {subcycle}
+[time]
+end = 10.0
+[[material]]
+name = "sand"
+law = "sand"
+density = 1600.0
+parameters = {{ young_modulus = 1e6, friction_angle_deg = 35.0 }}
+[[body]]
+name = "bed"
+material = "sand"
+shape = {{ box = {{ min = [0.0, 0.0, 0.0], max = [{extent}, {extent}, {DEPTH}] }} }}
+[[tool]]
+name = "ball"
+shape = {{ sphere = {{ radius = 0.06 }} }}
+position = [{middle}, {middle}, {DEPTH}]
+motion = {{ velocity = {{ linear = [0.3, 0.0, 0.0] }} }}
+"#
+    );
+    Scene::from_str(&text, "the bed of bench scale", "")
+}
+
+pub(crate) fn run(args: &Scale) -> Result<()> {
+    let registry = args.engine.registry()?;
+    let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out/scale"));
+    let mut rows = Vec::new();
+    for levels in std::iter::once(1).chain(args.levels.iter().copied()) {
+        for &extent in &args.extents {
+            let row = measure(args, &registry, extent, levels)?;
+            if !args.effort.json {
+                println!("{}", line(&row));
+            }
+            rows.push(row);
+        }
+    }
+    let statement = statement(&rows);
+    let report = json!({
+        "version": env!("CARGO_PKG_VERSION"), "cell_m": 1.0 / f64::from(args.cells), "half": args.half, "subcycle": args.subcycle,
+        "backend": args.engine.backend, "precision": args.engine.precision, "threads": args.engine.threads,
+        "rows": rows, "statement": statement,
+    });
+    let error = |what: &'static str| {
+        let file = out.clone();
+        move |source| Error::Io { file, what, source }
+    };
+    fs::create_dir_all(&out).map_err(error("this output folder cannot be made (choose another with --out)"))?;
+    fs::write(out.join("scale.json"), format!("{report:#}\n")).map_err(error("writing the figures"))?;
+    fs::write(out.join("scale.md"), markdown(args, &rows, &statement)).map_err(error("writing the table"))?;
+    let drawn: [(&str, &str, Figure); 2] = [
+        ("scale-time", "wall time of a step [ms]", |row| row.ms_per_step),
+        ("scale-memory", "memory of particles and grid [MB]", |row| Some(1e-6 * row.memory_bytes? as f64)),
+    ];
+    for (name, y, value) in drawn {
+        chart(args, &rows, y, value).write(&out.join(name)).map_err(error("writing a chart"))?;
+    }
+    if args.effort.json {
+        println!("{report:#}");
+    } else {
+        println!("\n{statement}\noutput in {}", out.display());
+    }
+    Ok(())
+}
+
+/// Times a bed, unless it has too many particles or the backend cannot run it.
+fn measure(args: &Scale, registry: &Registry, extent: f64, levels: u32) -> Result<Row> {
+    let scene = bed(args, extent, levels)?;
+    let spacing = 0.5 / f64::from(args.cells);
+    let uniform = (extent * extent * DEPTH / spacing.powi(3)).round() as usize;
+    let skipped = |particles: usize, why: String| Row {
+        extent_m: extent,
+        levels,
+        particles,
+        skipped: Some(why),
+        ms_per_step: None,
+        step_ms: None,
+        memory_bytes: None,
+    };
+    // Nested levels are counted by placing their particles, a uniform grid's are known before.
+    let particles =
+        if levels == 1 { uniform } else { Plan::assemble(registry, &scene, &args.engine.options())?.0.particle_count };
+    if particles > args.cap {
+        return Ok(skipped(particles, format!("more than {} particles", args.cap)));
+    }
+    let mut timed = match Timed::new(registry, &scene, &args.engine, &args.effort) {
+        Ok(timed) => timed,
+        Err(error @ Error::Missing { .. }) => return Ok(skipped(particles, error.to_string())),
+        Err(error) => return Err(error),
+    };
+    let begin = (timed.simulation.time(), timed.simulation.step_count());
+    (0..args.effort.repetitions.max(1)).try_for_each(|_| timed.repeat())?;
+    let steps = (timed.simulation.step_count() - begin.1) as f64;
+    let (in_particles, in_grid) = timed.simulation.memory();
+    Ok(Row {
+        extent_m: extent,
+        levels,
+        particles: timed.simulation.particle_count(),
+        skipped: None,
+        ms_per_step: Some(1e3 * timed.step()),
+        step_ms: Some(1e3 * (timed.simulation.time() - begin.0) / steps),
+        memory_bytes: Some(in_particles + in_grid),
+    })
+}
+
+fn name(levels: u32) -> String {
+    if levels == 1 { "uniform grid".to_owned() } else { format!("{levels} levels") }
+}
+
+fn line(row: &Row) -> String {
+    let start = format!("{}, {} m: {} particles", name(row.levels), row.extent_m, row.particles);
+    match (row.ms_per_step, row.memory_bytes) {
+        (Some(ms), Some(bytes)) => format!("{start}, {ms:.3} ms a step, {:.1} MB", 1e-6 * bytes as f64),
+        _ => format!("{start}, skipped: {}", row.skipped.as_deref().unwrap_or("not run")),
+    }
+}
+
+/// How much nested levels save on the largest bed that both ran on, and how they grow beyond it.
+fn statement(rows: &[Row]) -> String {
+    let of = |levels: u32| rows.iter().filter(move |row| row.levels == levels && row.ms_per_step.is_some());
+    let Some(uniform) = of(1).max_by(|a, b| a.extent_m.total_cmp(&b.extent_m)) else {
+        return "No uniform grid was below the cap: there is nothing to compare with.".to_owned();
+    };
+    let mut counts: Vec<u32> = rows.iter().map(|row| row.levels).filter(|levels| *levels > 1).collect();
+    counts.dedup();
+    let sentences = counts.into_iter().filter_map(|levels| {
+        let nested = of(levels).find(|row| row.extent_m == uniform.extent_m)?;
+        let (first, last) = (of(levels).next()?, of(levels).next_back()?);
+        let ratio = |a: &Row, b: &Row, get: Figure| Some(get(a)? / get(b)?);
+        let time: Figure = |row| Some(row.ms_per_step? / row.step_ms?);
+        let memory: Figure = |row| row.memory_bytes.map(|bytes| bytes as f64);
+        Some(format!(
+            "{levels} levels at {} m take {:.2} of the uniform grid's wall time for the same simulated time and {:.2} of its memory; from {} m to \
+             {} m, {:.0} times the area, their time grows {:.2}-fold and their memory {:.2}-fold.",
+            uniform.extent_m,
+            ratio(nested, uniform, time)?,
+            ratio(nested, uniform, memory)?,
+            first.extent_m,
+            last.extent_m,
+            (last.extent_m / first.extent_m).powi(2),
+            ratio(last, first, time)?,
+            ratio(last, first, memory)?
+        ))
+    });
+    sentences.collect::<Vec<_>>().join("\n")
+}
+
+fn markdown(args: &Scale, rows: &[Row], statement: &str) -> String {
+    let mut out = format!(
+        "# Scale\n\nA ball drawn through a bed of sand {DEPTH} m deep, finest cell 1/{} m, `levels.half = {}`{}; backend {}, {}. Median of {} \
+         repetitions of {} steps.\n\n| run | bed [m] | particles | step [ms] | wall time of a step [ms] | memory [MB] |\n\
+         | --- | ---: | ---: | ---: | ---: | ---: |\n",
+        args.cells,
+        args.half,
+        if args.subcycle { ", subcycled" } else { "" },
+        args.engine.backend,
+        args.engine.precision,
+        args.effort.repetitions,
+        args.effort.steps
+    );
+    for row in rows {
+        let number = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.3}"));
+        let time = row.skipped.clone().map_or_else(|| number(row.ms_per_step), |why| format!("skipped: {why}"));
+        let memory = row.memory_bytes.map(|bytes| 1e-6 * bytes as f64);
+        out.push_str(&format!(
+            "| {} | {} | {} | {} | {time} | {} |\n",
+            name(row.levels),
+            row.extent_m,
+            row.particles,
+            number(row.step_ms),
+            number(memory)
+        ));
+    }
+    out + "\n" + statement + "\n"
+}
+
+fn chart(args: &Scale, rows: &[Row], y: &str, value: Figure) -> Chart {
+    let series = std::iter::once(1).chain(args.levels.iter().copied()).map(|levels| {
+        let of = rows.iter().filter(|row| row.levels == levels);
+        let points = of.filter_map(|row| Some((row.extent_m, value(row)?, particles(row.particles)))).collect();
+        Series { name: name(levels), points, joined: true }
+    });
+    Chart {
+        title: format!("Ground around one tool, finest cell 1/{} m; labels: particles", args.cells),
+        x: "side of the bed [m]".to_owned(),
+        y: y.to_owned(),
+        series: series.collect(),
+    }
+}
+
+/// A number of particles for people.
+fn particles(count: usize) -> String {
+    match count {
+        0..10_000 => count.to_string(),
+        10_000..1_000_000 => format!("{} k", count / 1000),
+        _ => format!("{:.1} M", 1e-6 * count as f64),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(levels: u32, extent_m: f64, ms: Option<f64>) -> Row {
+        let memory_bytes = ms.map(|ms| (1e6 * ms) as u64);
+        Row { extent_m, levels, particles: 1, skipped: None, ms_per_step: ms, step_ms: ms.map(|_| 0.5), memory_bytes }
+    }
+
+    #[test]
+    fn the_statement_compares_at_the_largest_common_extent() {
+        let rows = [row(1, 1.0, Some(10.0)), row(1, 2.0, None), row(3, 1.0, Some(5.0)), row(3, 2.0, Some(6.0))];
+        let text = statement(&rows);
+        assert!(text.contains("3 levels at 1 m take 0.50 of"), "{text}");
+        assert!(text.contains("from 1 m to 2 m, 4 times the area, their time grows 1.20-fold"), "{text}");
+        assert!(statement(&rows[1..2]).contains("nothing to compare"));
+    }
+}

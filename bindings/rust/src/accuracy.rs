@@ -1,0 +1,383 @@
+//! How far a run is from a finer one of the same scene.
+//!
+//! 1. [`rung`] puts a scene on another resolution, with the same extent, mass and duration.
+//! 2. [`record`] runs it and keeps what the comparison needs; only the steps are timed.
+//! 3. [`Errors::of`] holds a record against that of the reference.
+//!
+//! Lengths are compared where a user would see them: the height of the surface, the place of the tool, the force on it, and
+//! the distance between the two clouds of particles.
+
+mod height;
+mod nearest;
+
+pub use height::HeightMap;
+pub use nearest::Nearest;
+
+use crate::run::Progress;
+use barchan_core::scene::{Levels, Scene, Shape};
+use barchan_core::{Error, Ledger, Options, ParticleState, Registry, Result, Simulation, Vec3};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::time::Instant;
+
+/// Horizontal distance from where the tool was lowest that counts as near [m]: twice and a half the side of UBSoft's cube.
+pub const NEAR: f64 = 0.25;
+/// Forces are compared as means over this time [s], so that the ringing of single cells does not count.
+pub const FORCE_WINDOW: f64 = 5e-3;
+/// Time between two samples of pose and force [s].
+const SAMPLE: f64 = 1e-3;
+/// Steps between two looks at the memory in use.
+const MEMORY_EVERY: u64 = 16;
+
+/// A scene on cells of another width: same extent, same mass, same duration. The distance between particles and a fixed step
+/// scale with the cell; `spacing` sets that distance in cells instead.
+///
+/// # Errors
+/// [`Error::Scene`] naming the side of the world or of a box that is no whole number of cells or particles then.
+pub fn rung(scene: &Scene, cell: f64, levels: &Levels, spacing: Option<f64>) -> Result<Scene> {
+    let mut rung = scene.clone();
+    let scale = cell / scene.world.cell;
+    rung.world.cell = cell;
+    rung.levels = levels.clone();
+    rung.time.step = scene.time.step.map(|step| step * scale);
+    for body in &mut rung.body {
+        body.spacing = spacing.map(|cells| cells * cell).or(body.spacing.map(|spacing| spacing * scale));
+    }
+    rung.check()?;
+    for (i, body) in rung.body.iter().enumerate() {
+        let spacing = body.spacing.unwrap_or(0.5 * cell);
+        let Some(bounds) = matches!(body.shape, Shape::Box { .. }).then(|| body.shape.bounds()).flatten() else {
+            continue;
+        };
+        for (d, axis) in ["x", "y", "z"].into_iter().enumerate() {
+            let count = (bounds.max[d] - bounds.min[d]) / spacing;
+            if (count - count.round()).abs() > 1e-6 * count {
+                return Err(Error::Scene {
+                    file: scene.name.clone(),
+                    line: 0,
+                    path: format!("body[{i}].shape.box"),
+                    what: format!("is {count:.3} particles along {axis} at a spacing of {spacing} m"),
+                    allowed: Some("equal mass on all rungs needs a whole number".to_owned()),
+                });
+            }
+        }
+    }
+    Ok(rung)
+}
+
+/// A particle as the comparison sees it: a cube of its rest volume.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grain {
+    /// Position [m].
+    pub position: [f32; 3],
+    /// Side of the cube [m].
+    pub side: f32,
+}
+
+/// The first tool after a step.
+#[derive(Clone, Copy, Debug, Default)]
+struct Moment {
+    /// Time [s].
+    time: f64,
+    /// Centre of mass [m].
+    position: Vec3,
+    /// Impulse that the ground has given it since the start [N s].
+    impulse: Vec3,
+}
+
+/// A run, as far as it is compared.
+#[derive(Clone, Debug)]
+pub struct Record {
+    /// The scene.
+    pub scene: Scene,
+    /// Particles at the start.
+    pub start: Vec<Grain>,
+    /// Particles at the end.
+    pub end: Vec<Grain>,
+    /// What it cost.
+    pub cost: Cost,
+    /// Totals at the start.
+    pub ledger_start: Ledger,
+    /// Totals at the end.
+    pub ledger_end: Ledger,
+    /// The first tool, if there is one, after every step.
+    tool: Vec<Moment>,
+    /// Does the ground move it?
+    free: bool,
+}
+
+/// What a run cost.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Cost {
+    /// Wall seconds of the steps, without start-up and output.
+    pub wall_s: f64,
+    /// Wall seconds until the first step: placing particles, compiling.
+    pub start_up_s: f64,
+    /// Steps.
+    pub steps: u64,
+    /// Particles, mean over all steps.
+    pub particles: f64,
+    /// Bytes of particles and grid, the most that there were.
+    pub memory_bytes: u64,
+    /// Mass of the ground at the start [kg].
+    pub mass_kg: f64,
+    /// Energy of ground and free bodies at the end less that at the start [J].
+    pub energy_change_j: f64,
+}
+
+/// Runs a scene to its end; `watch` sees every step.
+///
+/// # Errors
+/// Those of [`Simulation::new`] and [`Simulation::step`].
+pub fn record(
+    registry: &Registry,
+    scene: &Scene,
+    options: &Options,
+    watch: &mut dyn FnMut(&Progress),
+) -> Result<Record> {
+    let begin = Instant::now();
+    let mut simulation = Simulation::new(registry, scene, options)?;
+    let start_up_s = begin.elapsed().as_secs_f64();
+    let (start, ledger_start) = (grains(&simulation.particles()), simulation.ledger());
+    let mut cost = Cost { start_up_s, mass_kg: ledger_start.mass, ..Cost::default() };
+    let first = |simulation: &Simulation| simulation.bodies().first().map(|body| body.position);
+    let mut tool: Vec<Moment> =
+        first(&simulation).map(|position| Moment { position, ..Moment::default() }).into_iter().collect();
+    let (end, mut particle_steps) = (scene.time.end, 0);
+    simulation.set_stop(end);
+    while simulation.time() < end {
+        let before = Instant::now();
+        let report = simulation.step()?;
+        cost.wall_s += before.elapsed().as_secs_f64();
+        cost.steps += 1;
+        particle_steps += simulation.particle_count() as u64;
+        if cost.steps % MEMORY_EVERY == 1 {
+            let (particles, grid) = simulation.memory();
+            cost.memory_bytes = cost.memory_bytes.max(particles + grid);
+        }
+        if let (Some(last), Some(position)) = (tool.last(), first(&simulation)) {
+            let force = simulation.wrenches()[0].force;
+            let impulse = std::array::from_fn(|d| last.impulse[d] + report.dt * force[d]);
+            tool.push(Moment { time: simulation.time(), position, impulse });
+        }
+        watch(&Progress {
+            done: simulation.time() / end,
+            time: simulation.time(),
+            step: cost.steps,
+            dt: report.dt,
+            elapsed: begin.elapsed().as_secs_f64(),
+        });
+    }
+    let ledger_end = simulation.ledger();
+    cost.particles = particle_steps as f64 / cost.steps.max(1) as f64;
+    cost.energy_change_j = ledger_end.energy() - ledger_start.energy();
+    let end = grains(&simulation.particles());
+    let free = simulation.bodies().first().is_some_and(|body| body.mass.is_finite());
+    Ok(Record { scene: scene.clone(), start, end, cost, ledger_start, ledger_end, tool, free })
+}
+
+fn grains(particles: &ParticleState) -> Vec<Grain> {
+    let of = |list: &barchan_core::ParticleList, i: usize| Grain {
+        position: list.position(i).map(|x| x as f32),
+        side: list.volume0[i].cbrt() as f32,
+    };
+    particles.lists.iter().flat_map(|list| (0..list.len()).map(move |i| of(list, i))).collect()
+}
+
+impl Record {
+    /// Where the first tool was lowest, seen from above [m].
+    pub fn lowest_place(&self) -> Option<[f64; 2]> {
+        let lowest = self.tool.iter().min_by(|a, b| a.position[2].total_cmp(&b.position[2]))?;
+        Some([lowest.position[0], lowest.position[1]])
+    }
+
+    /// The first tool at a time [s], straight between steps.
+    fn tool_at(&self, time: f64) -> Option<Moment> {
+        let after = self.tool.partition_point(|moment| moment.time < time).clamp(1, self.tool.len().max(2) - 1);
+        let (a, b) = (self.tool.get(after - 1)?, self.tool.get(after)?);
+        let share = ((time - a.time) / (b.time - a.time)).clamp(0.0, 1.0);
+        let between = |a: Vec3, b: Vec3| std::array::from_fn(|d| a[d] + share * (b[d] - a[d]));
+        Some(Moment { time, position: between(a.position, b.position), impulse: between(a.impulse, b.impulse) })
+    }
+
+    /// Mean force on the first tool over the [`FORCE_WINDOW`] that ends at a time [N].
+    fn force_at(&self, time: f64) -> Option<Vec3> {
+        let (a, b) = (self.tool_at((time - FORCE_WINDOW).max(0.0))?, self.tool_at(time)?);
+        Some(std::array::from_fn(|d| (b.impulse[d] - a.impulse[d]) / FORCE_WINDOW))
+    }
+}
+
+/// Mean and greatest of some distances [mm].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Norms {
+    /// Mean (L1) [mm].
+    pub mean_mm: f64,
+    /// Greatest (L∞, Hausdorff) [mm].
+    pub max_mm: f64,
+}
+
+impl Norms {
+    fn of(distances: impl Iterator<Item = f64>) -> Self {
+        let (sum, max, count) =
+            distances.fold((0.0, 0.0f64, 0usize), |(sum, max, count), d| (sum + d, max.max(d), count + 1));
+        Self { mean_mm: 1e3 * sum / count.max(1) as f64, max_mm: 1e3 * max }
+    }
+}
+
+/// Distances between two clouds of particles, each particle to the nearest of the other cloud.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Chamfer {
+    /// From the run's particles to the reference's.
+    pub to_reference: Norms,
+    /// From the reference's particles to the run's.
+    pub from_reference: Norms,
+}
+
+impl Chamfer {
+    /// Sum of both means [mm].
+    pub fn sum_mm(&self) -> f64 {
+        self.to_reference.mean_mm + self.from_reference.mean_mm
+    }
+}
+
+/// How far a run is from the reference.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Errors {
+    /// Height of the surface near the tool, on columns one cell of the reference wide.
+    pub height_near: Norms,
+    /// Height of the surface everywhere.
+    pub height: Norms,
+    /// Depth of the deepest column near the tool below the surface at the start [mm].
+    pub crater_depth_mm: f64,
+    /// That depth less the reference's [mm].
+    pub crater_error_mm: f64,
+    /// Height of the tool at the end less the reference's [mm]; `None` if it is driven.
+    pub final_z_mm: Option<f64>,
+    /// Root mean square of the difference in the tool's height over time [mm]; `None` if it is driven.
+    pub z_rms_mm: Option<f64>,
+    /// Root mean square of the difference in the force on the tool over time [N], as a vector, over [`FORCE_WINDOW`].
+    pub force_rms_n: Option<f64>,
+    /// Change of energy less the reference's [J].
+    pub energy_error_j: f64,
+    /// Particles near the tool at the end.
+    pub chamfer_near: Chamfer,
+    /// All particles at the end.
+    pub chamfer: Chamfer,
+    /// Particles near the tool at the start, where nothing has moved: what their lattices alone make.
+    pub chamfer_near_floor: Chamfer,
+    /// All particles at the start.
+    pub chamfer_floor: Chamfer,
+}
+
+impl Errors {
+    /// Holds a run against the reference of the same extent and duration.
+    pub fn of(run: &Record, reference: &Record) -> Self {
+        let place = reference.lowest_place();
+        let near = |x: f64, y: f64| place.is_none_or(|[px, py]| (x - px).hypot(y - py) < NEAR);
+        let column = reference.scene.world.cell;
+        let map = |grains: &[Grain]| HeightMap::new(grains, &reference.scene.world, column);
+        let [ours, theirs] = [&run.end, &reference.end].map(|grains| map(grains));
+        let difference = |i: usize| (ours.heights()[i] - theirs.heights()[i]).abs();
+        let columns: Vec<usize> = (0..ours.heights().len()).filter(|i| near(ours.at(*i)[0], ours.at(*i)[1])).collect();
+        let crater = |start: &[Grain], end: &HeightMap| {
+            let deepest = columns.iter().fold(f64::INFINITY, |least, i| least.min(end.heights()[*i]));
+            1e3 * (map(start).median() - deepest)
+        };
+        let crater_depth_mm = crater(&run.start, &ours);
+
+        let samples: Vec<f64> = (1..).map(|i| f64::from(i) * SAMPLE).take_while(|t| *t <= run.scene.time.end).collect();
+        let rms = |squares: Option<Vec<f64>>| squares.map(|s| (s.iter().sum::<f64>() / s.len().max(1) as f64).sqrt());
+        let heights = |t: &f64| {
+            let apart = run.tool_at(*t)?.position[2] - reference.tool_at(*t)?.position[2];
+            run.free.then_some(apart)
+        };
+        let forces = |t: &f64| {
+            let (a, b) = (run.force_at(*t)?, reference.force_at(*t)?);
+            Some((0..3).map(|d| (a[d] - b[d]).powi(2)).sum())
+        };
+        let [(all, close), (all_floor, close_floor)] = [(&run.end, &reference.end), (&run.start, &reference.start)]
+            .map(|(ours, theirs)| {
+                let to = distances(ours, theirs);
+                let from = distances(theirs, ours);
+                let norms = |grains: &[Grain], distances: &[f64], within: &dyn Fn(&Grain) -> bool| {
+                    Norms::of(grains.iter().zip(distances).filter(|(grain, _)| within(grain)).map(|(_, d)| *d))
+                };
+                let chamfer = |within: &dyn Fn(&Grain) -> bool| Chamfer {
+                    to_reference: norms(ours, &to, within),
+                    from_reference: norms(theirs, &from, within),
+                };
+                (chamfer(&|_| true), chamfer(&|g| near(f64::from(g.position[0]), f64::from(g.position[1]))))
+            });
+        Self {
+            height_near: Norms::of(columns.iter().map(|i| difference(*i))),
+            height: Norms::of((0..ours.heights().len()).map(difference)),
+            crater_depth_mm,
+            crater_error_mm: crater_depth_mm - crater(&reference.start, &theirs),
+            final_z_mm: heights(&run.scene.time.end).map(|z| 1e3 * z),
+            z_rms_mm: rms(samples.iter().map(|t| heights(t).map(|z| (1e3 * z).powi(2))).collect()),
+            force_rms_n: rms(samples.iter().map(forces).collect()),
+            energy_error_j: run.cost.energy_change_j - reference.cost.energy_change_j,
+            chamfer_near: close,
+            chamfer: all,
+            chamfer_near_floor: close_floor,
+            chamfer_floor: all_floor,
+        }
+    }
+}
+
+/// Distance of each grain to the nearest of others [m].
+fn distances(from: &[Grain], to: &[Grain]) -> Vec<f64> {
+    let nearest = Nearest::new(to.iter().map(|grain| grain.position).collect());
+    from.par_iter().map(|grain| nearest.distance(grain.position)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cube_drop() -> Scene {
+        barchan_tasks::scene("cube-drop", &["time.step=1e-4"]).unwrap()
+    }
+
+    #[test]
+    fn a_rung_scales_what_goes_with_the_cell() {
+        let rung = rung(&cube_drop(), 0.01, &Levels::default(), None).unwrap();
+        assert_eq!((rung.world.cell, rung.body[0].spacing, rung.time.step), (0.01, Some(0.005), Some(5e-5)));
+        assert_eq!(rung.world.max, cube_drop().world.max);
+    }
+
+    #[test]
+    fn a_rung_that_does_not_divide_is_refused_by_name() {
+        let refused = |cell: f64, levels: u32, spacing: Option<f64>| {
+            let levels = Levels { count: levels, ..Levels::default() };
+            rung(&cube_drop(), cell, &levels, spacing).unwrap_err().to_string()
+        };
+        assert!(refused(0.03, 1, None).contains("world.max"));
+        assert!(refused(0.02, 3, None).contains("world.max"));
+        let error = refused(0.02, 1, Some(0.3));
+        assert!(error.contains("body[0].shape.box") && error.contains("along x"), "{error}");
+    }
+
+    /// A fall under a steady force: straight lines between steps give the force back on any step size.
+    #[test]
+    fn forces_are_means_over_the_window() {
+        let scene = cube_drop();
+        let moment = |i: i32| {
+            let time = 3e-4 * f64::from(i);
+            Moment { time, position: [0.0, 0.0, 1.0 - time], impulse: [0.0, 0.0, 7.0 * time] }
+        };
+        let record = Record {
+            scene,
+            start: Vec::new(),
+            end: Vec::new(),
+            cost: Cost::default(),
+            ledger_start: Ledger::default(),
+            ledger_end: Ledger::default(),
+            tool: (0..100).map(moment).collect(),
+            free: true,
+        };
+        assert!((record.force_at(0.02).unwrap()[2] - 7.0).abs() < 1e-9);
+        assert!((record.tool_at(0.0101).unwrap().position[2] - 0.9899).abs() < 1e-12);
+        assert!(record.force_at(0.002).unwrap()[2] < 7.0, "the window reaches back before the start");
+    }
+}
