@@ -11,7 +11,7 @@
 use crate::block::{CELLS, NODES, TILE, TILE_SIDE, in_block, in_tile, offset, shared_nodes};
 use crate::particles::{MASS, Particles, Run};
 use crate::spline::weights;
-use crate::transfer::{Planes, QUAD, Quads, RowSums, Scalar, first_nodes, write_quads};
+use crate::transfer::{Planes, QUAD, Quads, Scalar, first_nodes, write_quads};
 use barchan_lanes::{Float, Kernel, LANES, Lanes, tabulate};
 use core::mem::MaybeUninit;
 
@@ -142,8 +142,9 @@ pub struct AffineToGrid<'a, T: Scalar> {
     pub origin: [i32; 3],
     /// Cell width [m].
     pub h: f64,
-    /// First nodes of a tile from which a particle's 27 nodes hold a slave; others are passed over.
-    pub touches: &'a [bool; TILE / 4],
+    /// For each first node of a tile: which rows of nodes along z, of the nine that a particle there gives to, hold a slave.
+    /// The others are passed over.
+    pub touches: &'a [u16; TILE / 4],
     /// Where the columns are added.
     pub tiles: &'a mut [[T; TILE]; COLUMNS],
 }
@@ -160,7 +161,7 @@ impl<T: Scalar> Kernel<T> for AffineToGrid<'_, T> {
             // SAFETY: the run's chunks exist, and P2G has checked that their nodes lie in the tile.
             unsafe {
                 let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
-                if strayed || !node[..count].iter().any(|&node| self.touches[node as usize / 4]) {
+                if strayed || node[..count].iter().all(|&node| self.touches[node as usize / 4] == 0) {
                     continue;
                 }
                 let (mass, zero) = (V::load(s.rest(chunk, MASS)) * V::splat(self.h), V::zero());
@@ -183,35 +184,54 @@ impl<T: Scalar> Kernel<T> for AffineToGrid<'_, T> {
                 }
                 let weight = weight.assume_init_ref();
                 for (column, tile) in self.tiles.iter_mut().enumerate() {
-                    let sums = RowSums::<V>::new(tile.as_mut_ptr());
-                    // Copies, so that the nine rows stay in registers.
-                    let (mut rows, mut current) = (sums.rows, sums.current);
+                    let tile = tile.as_mut_ptr();
+                    let (mut rows, mut current, mut mask) = ([V::zero(); 9], 0, 0);
                     for (p, &node) in node[..count].iter().enumerate() {
-                        let node = node as usize;
-                        if !self.touches[node / 4] {
-                            continue;
+                        if node as usize != current {
+                            flush(&mut rows, tile, current, mask);
+                            current = node as usize;
+                            mask = self.touches[current / 4];
                         }
-                        if node != current {
-                            rows = RowSums { rows, current, ..sums }.flushed();
-                            current = node;
+                        if mask == 0 {
+                            continue;
                         }
                         let quad = quads.add(QUAD[p]);
                         let value =
                             V::repeat4(quad.add(column * 4 * LANES)) * V::spread3(quad.add(COLUMNS * 4 * LANES));
-                        for (row, weight) in rows.iter_mut().zip(&weight.0) {
-                            *row = V::fill(weight[p]).mul_add(value, *row);
+                        for (r, (row, weight)) in rows.iter_mut().zip(&weight.0).enumerate() {
+                            if mask >> r & 1 == 1 {
+                                *row = V::fill(weight[p]).mul_add(value, *row);
+                            }
                         }
                     }
-                    RowSums { rows, current, ..sums }.flushed();
+                    flush(&mut rows, tile, current, mask);
                 }
             }
         }
     }
 }
 
-/// First nodes of the tile of a block from which a particle's 27 nodes hold a slave; `slaves` says which nodes of the block at
-/// an offset are slaves.
-pub fn touching(slaves: impl Fn(usize) -> u64) -> [bool; TILE / 4] {
+/// Adds the rows of `mask` to the tile around the first node at `at`, and empties them.
+///
+/// # Safety
+/// The node's 3 x 3 x 3 neighbours must lie in the tile.
+#[inline(always)]
+unsafe fn flush<V: Lanes>(rows: &mut [V; 9], tile: *mut V::Scalar, at: usize, mask: u16) {
+    for (r, row) in rows.iter_mut().enumerate() {
+        if mask >> r & 1 == 1 {
+            // SAFETY: the caller vouches for the node; the fourth group of lanes is zero and may touch the next row.
+            unsafe {
+                let place = tile.add(at + in_tile(r / 3, r % 3, 0));
+                (V::load(place) + *row).store(place);
+            }
+            *row = V::zero();
+        }
+    }
+}
+
+/// For each first node of the tile of a block: which of the nine rows of nodes that a particle there gives to hold a slave, as
+/// bits. `slaves` says which nodes of the block at an offset are slaves.
+pub fn touching(slaves: impl Fn(usize) -> u64) -> [u16; TILE / 4] {
     let mut is_slave = [false; TILE / 4];
     for n in 0..27 {
         let bits = slaves(n) & shared_nodes(offset(n));
@@ -222,12 +242,12 @@ pub fn touching(slaves: impl Fn(usize) -> u64) -> [bool; TILE / 4] {
             is_slave[in_tile(x, y, z) / 4] = true;
         }
     }
-    let mut touches = [false; TILE / 4];
+    let mut touches = [0; TILE / 4];
     for x in 0..TILE_SIDE - 2 {
         for y in 0..TILE_SIDE - 2 {
             for z in 0..TILE_SIDE - 2 {
-                touches[in_tile(x, y, z) / 4] =
-                    (0..27).any(|n| is_slave[in_tile(x + n / 9, y + n / 3 % 3, z + n % 3) / 4]);
+                let holds = |r: usize| (0..3).any(|k| is_slave[in_tile(x + r / 3, y + r % 3, z + k) / 4]);
+                touches[in_tile(x, y, z) / 4] = (0..9).filter(|&r| holds(r)).fold(0, |bits, r| bits | 1 << r);
             }
         }
     }

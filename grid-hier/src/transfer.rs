@@ -496,21 +496,21 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
 }
 
 /// The nine rows of nodes around the current cell.
-pub(crate) struct RowSums<V: Lanes> {
-    pub(crate) rows: [V; 9],
-    pub(crate) tile: *mut V::Scalar,
+struct RowSums<V: Lanes> {
+    rows: [V; 9],
+    tile: *mut V::Scalar,
     /// Start of the cell's first node in the tile; `usize::MAX` before the first cell.
-    pub(crate) current: usize,
+    current: usize,
 }
 
 impl<V: Lanes> RowSums<V> {
     #[inline(always)]
-    pub(crate) fn new(tile: *mut V::Scalar) -> Self {
+    fn new(tile: *mut V::Scalar) -> Self {
         Self { rows: [V::zero(); 9], tile, current: usize::MAX }
     }
     /// Adds the rows to the tile and gives back empty ones.
     #[inline(always)]
-    pub(crate) fn flushed(self) -> [V; 9] {
+    fn flushed(self) -> [V; 9] {
         if self.current != usize::MAX {
             for i in 0..3 {
                 for j in 0..3 {

@@ -31,6 +31,9 @@ const ADAPT_ROUNDS: u64 = 4;
 pub(crate) const MAX_DRIFT: f64 = 1.0;
 /// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.
 pub(crate) const MAX_MOVE: f64 = 0.5;
+/// So no node that a particle feels may carry one further than this in a step, in cells; those that hardly weigh anything may
+/// add the rest.
+const NODE_MOVE: f64 = 0.48;
 /// Strain is applied in parts that deform by no more than this.
 const MAX_DEFORMATION: f64 = 0.5;
 /// More parts than any motion needs that the grid gave: nodes move by half a cell at most.
@@ -416,11 +419,11 @@ impl<T: Scalar> CpuEngine<T> {
                 });
                 return Err(at_time(error, time));
             }
-            if moves <= MAX_MOVE {
+            if moves <= NODE_MOVE {
                 return Ok(dt);
             }
             // Too fast for this step: take a shorter one. The impulse of gravity and stress shrinks with it.
-            dt *= (0.9 * MAX_MOVE / moves).max(0.1);
+            dt *= (0.9 * NODE_MOVE / moves).max(0.1);
             for (level, before) in self.levels.iter_mut().zip(&walls_before) {
                 level.wall_impulse = *before;
             }
@@ -443,11 +446,11 @@ impl<T: Scalar> CpuEngine<T> {
         }
         self.contact(time, dt, couplings)?;
         let moves = self.greatest_move(dt);
-        if moves.is_nan() || moves > MAX_MOVE * (1.0 + 1e-9) {
+        if moves.is_nan() || moves > NODE_MOVE * (1.0 + 1e-9) {
             return Err(Error::TimeStep {
                 step: self.steps,
                 dt,
-                bound: MAX_MOVE * dt / moves,
+                bound: NODE_MOVE * dt / moves,
                 by: "the speed that a coupling gave to a node".into(),
             });
         }
@@ -509,7 +512,7 @@ impl<T: Scalar> CpuEngine<T> {
             if !self.batch.is_empty() {
                 reached = true;
                 coupling.contact(dt, &mut self.batch)?;
-                level.scatter(&self.batch);
+                level.scatter(&self.batch, self.least_mass);
             }
         }
         Ok(reached)

@@ -175,8 +175,8 @@ pub(crate) struct Grid<T> {
     pub(crate) handed: Vec<[T; NODES]>,
     /// For each occupied block: its affine columns, or `NONE` if its particles touch no rim node.
     pub(crate) edge_of: Vec<u32>,
-    /// For each of those: from which first nodes of its tile a particle touches a rim node.
-    pub(crate) touches: Vec<[bool; TILE / 4]>,
+    /// For each of those: which rows of nodes hold a rim node, from each first node of its tile.
+    pub(crate) touches: Vec<[u16; TILE / 4]>,
     /// Columns of m C of the blocks that touch rim nodes.
     pub(crate) columns: Vec<[[T; TILE]; COLUMNS]>,
     /// What the rim of the next finer level hands to each node block: `links[starts[g]..starts[g + 1]]`.

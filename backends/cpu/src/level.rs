@@ -16,6 +16,10 @@ use std::time::Instant;
 /// Every so manieth block measures how much of P2G its materials take.
 const TIMED_BLOCKS: usize = 16;
 
+/// From how many times the least mass on a node's speed counts in full: a thousandth of the lightest particle's. A node takes part
+/// in a particle's velocity by no more than its mass over the particle's, so the speed of lighter ones counts in proportion.
+const FELT: f64 = 1e17;
+
 /// Who does the work.
 pub(crate) struct Crew {
     pub(crate) pool: rayon::ThreadPool,
@@ -299,7 +303,7 @@ impl<T: Scalar> Level<T> {
 
     /// The shared nodes' velocity over one step of the finer level, which hands over `handed`; their own momentum is then what
     /// they have at that velocity, and what the forces of the next such step add.
-    pub(crate) fn solve_shared(&mut self, handed: &[[T; NODES]]) {
+    pub(crate) fn solve_shared(&mut self, handed: &[[T; NODES]], least: f64) {
         let grid = &mut self.grid;
         let nodes = grid.nodes.as_flattened_mut();
         for shared in &mut grid.shared {
@@ -320,7 +324,8 @@ impl<T: Scalar> Level<T> {
             for d in 0..3 {
                 node[d] = if sum[3] > T::default() { sum[d] / sum[3] } else { T::default() };
                 shared.own[d] = shared.own[3] * node[d] + shared.gain[d];
-                self.max_speed = greater(self.max_speed, node[d].to_f64().abs());
+                let felt = (sum[3].to_f64() / (least * FELT)).min(1.0);
+                self.max_speed = greater(self.max_speed, felt * node[d].to_f64().abs());
             }
             node[3] = sum[3];
         }
@@ -437,12 +442,13 @@ impl<T: Scalar> Level<T> {
     }
 
     /// Takes back the velocities of the nodes that were gathered last.
-    pub(crate) fn scatter(&mut self, batch: &NodeBatch) {
+    pub(crate) fn scatter(&mut self, batch: &NodeBatch, least: f64) {
         let nodes = self.grid.nodes.as_flattened_mut();
-        for (&at, u) in self.batch_nodes.iter().zip(&batch.velocity) {
+        for ((&at, u), mass) in self.batch_nodes.iter().zip(&batch.velocity).zip(&batch.mass) {
+            let felt = (mass / (least * FELT)).min(1.0);
             for d in 0..3 {
                 nodes[4 * at as usize + d] = T::from_f64(u[d]);
-                self.max_speed = greater(self.max_speed, u[d].abs());
+                self.max_speed = greater(self.max_speed, felt * u[d].abs());
             }
         }
     }
@@ -610,7 +616,7 @@ impl<T: Float> Kernel<T> for TakeBack<'_, T> {
     }
 }
 
-/// Momentum to velocity. Returns the greatest velocity component, or NaN if any is not finite.
+/// Momentum to velocity. Returns the greatest velocity component that a particle may feel, or NaN if any is not finite.
 struct Velocities<'a, T> {
     nodes: &'a mut [T; NODES],
     least: T,
@@ -628,6 +634,12 @@ impl<T: Scalar> Kernel<T> for Velocities<'_, T> {
         // SAFETY: 16 scalars.
         let is_mass = unsafe { V::load(lanes.as_ptr()) }.gt(V::zero());
         let dust = V::fill(T::from_f64(T::NEGLIGIBLE * 1e-6));
+        let per_mass = V::fill(if self.least > T::default() {
+            T::from_f64(1.0 / (self.least.to_f64() * FELT))
+        } else {
+            T::default()
+        });
+        let all = per_mass.gt(V::zero());
         let (mut greatest, mut bad) = (V::zero(), V::zero());
         for four in self.nodes.as_chunks_mut::<LANES>().0 {
             // SAFETY: 16 scalars, four nodes.
@@ -639,7 +651,8 @@ impl<T: Scalar> Kernel<T> for Velocities<'_, T> {
                 // Too slow to deform anything in any time step; its products would be denormal.
                 let u = V::select(dust.gt(u.abs()), V::zero(), u);
                 let speed = V::select(is_mass, V::zero(), u).abs();
-                greatest = greatest.max(speed);
+                let felt = V::select(all, (mass * per_mass).min(V::fill(T::from_f64(1.0))), V::fill(T::from_f64(1.0)));
+                greatest = greatest.max(speed * felt);
                 // 0 for finite numbers, NaN for others; the maximum might lose a NaN.
                 bad += speed * V::zero();
                 V::select(is_mass, node, u).store(four.as_mut_ptr());

@@ -60,7 +60,7 @@ impl<T: Scalar> CpuEngine<T> {
         }
         if let ([.., level], [coarser, ..]) = self.levels.split_at_mut(l + 1) {
             let clock = Instant::now();
-            coarser.solve_shared(&level.grid.handed);
+            coarser.solve_shared(&level.grid.handed, least);
             level.prolong(&self.crew, &coarser.grid);
             level.max_speed = greater(level.max_speed, coarser.max_speed);
             self.clocks.add(Pass::Prolong, clock);
