@@ -25,8 +25,6 @@ use std::time::{Duration, Instant};
 const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time.
 const SORT_DRIFT: f64 = 0.4;
-/// Sorts after which particles that have crossed from level to level change over even if no region has moved.
-const ADAPT_ROUNDS: u64 = 4;
 /// The halo allows for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f64 = 1.0;
 /// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.
@@ -165,8 +163,8 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(engine)
     }
 
-    /// Sorts the levels whose particles are too far from home, or have been so for long; before that, now and then and whenever
-    /// regions have `moved`, brings particles to the levels they belong on. Returns whether anything was sorted.
+    /// Sorts the levels whose particles are too far from home, or have been so for long; before that, brings particles to the
+    /// levels they belong on; regions may have `moved`. Returns whether anything was sorted.
     fn keep_in_order(&mut self, time: f64, moved: bool, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
         // A subcycled step moves particles several times before they can be sorted.
         let allowed = if self.substeps > 1 { MAX_DRIFT - MAX_MOVE } else { MAX_DRIFT };
@@ -180,7 +178,7 @@ impl<T: Scalar> CpuEngine<T> {
         }
         self.rounds += 1;
         let mut holes = vec![false; self.levels.len()];
-        if self.levels.len() > 1 && (moved || self.age.is_none() || self.rounds.is_multiple_of(ADAPT_ROUNDS)) {
+        if self.levels.len() > 1 {
             self.flush_strain(time)?;
             holes = self.adapt(moved, couplings)?;
         }
