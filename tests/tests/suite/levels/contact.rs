@@ -202,3 +202,76 @@ fn b32_children_keep_clear_of_tools() {
     within("B32: mass", (after.mass / before.mass - 1.0).abs(), 1e-13);
     assert!(rows(&s).iter().all(|r| r.x[2] >= 0.0));
 }
+
+/// B43. Symptom: inside a concave scoop, or where it crosses its region's rim, forces spike. Physics: a scoop that moves steadily
+/// through level sand feels a steady force.
+#[test]
+fn b43_scoop_feels_no_spikes_with_levels() {
+    let h = 0.02;
+    let (mut head, mut parts) = bed(h, [48, 16], 8, 16, "young_modulus = 2e5, friction_angle_deg = 35");
+    head.walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let wall = |half: Vec3, at: Vec3| format!("{{ shape = {{ box = {{ half = {half:?} }} }}, position = {at:?} }}");
+    let t = 1.25 * h;
+    let shape = format!(
+        "union = [{}, {}, {}, {}]",
+        wall([0.08, 0.08, t], [0.0, 0.0, 0.0]),
+        wall([t, 0.08, 0.08], [-0.08 + t, 0.0, 0.08]),
+        wall([0.08, t, 0.06], [0.0, -0.08 + t, 0.06]),
+        wall([0.08, t, 0.06], [0.0, 0.08 - t, 0.06]),
+    );
+    parts.push(levels(2, 8, &["scoop"]));
+    parts.push(tool("scoop", [0.14, 0.16, 0.11], &shape, "{ coulomb = { friction = 0.3 } }", &driven([0.3, 0.0, 0.0])));
+    let mut s = simulation(&head.with(&parts), Precision::F32);
+    run_to(&mut s, 0.25);
+    let mut force = Vec::new();
+    while s.time() < 0.8 {
+        s.step().unwrap();
+        force.push(norm(s.wrenches()[0].force));
+    }
+    let greatest = force.iter().copied().fold(0.0, f64::max);
+    force.sort_by(f64::total_cmp);
+    let median = force[force.len() / 2];
+    println!(
+        "B43: median force {median:.1} N over {} steps, {:?}, {:?}",
+        force.len(),
+        on_levels(&s),
+        s.ledger().counts
+    );
+    assert!(counted(&s.ledger(), "changed level") > 1000);
+    within("B43: greatest force over the median", greatest / median, 3.0);
+}
+
+/// B45. Symptom: bodies much lighter or heavier than a node are unstable where nodes of two sizes meet, or a stack topples by
+/// itself. Physics: contact is solved with the body's own inertia, whatever the levels.
+#[test]
+fn b45_stacks_and_extreme_masses_are_stable_with_levels() {
+    for densities in [&[800.0; 3][..], &[20_000.0, 1.0]] {
+        let (h, side) = (0.02, 0.08f64);
+        let (mut head, mut parts) = bed(h, [24, 24], 6, 22, "young_modulus = 5e5, friction_angle_deg = 40");
+        head.time = "step = 2.5e-4".to_owned();
+        parts.push(levels(2, 8, &["box0"]));
+        for (i, density) in densities.iter().enumerate() {
+            let z = 6.0 * h + side * (0.5 + i as f64);
+            let motion = format!("{{ free = {{ mass = {} }} }}", density * side.powi(3));
+            parts.push(tool(&format!("box{i}"), [0.24, 0.24, z], &half([0.5 * side; 3]), FRICTION, &motion));
+        }
+        let mut s = simulation(&head.with(&parts), Precision::F32);
+        let (mut fastest, mut push, mut time) = (0f64, 0.0, 0.0);
+        while s.time() < 0.8 {
+            let dt = s.step().unwrap().dt;
+            fastest = s.bodies().iter().fold(fastest, |f, body| f.max(norm(body.velocity)));
+            if s.time() > 0.5 {
+                push += s.wrenches().iter().map(|w| w.force[2]).sum::<f64>() * dt;
+                time += dt;
+            }
+        }
+        let weight: f64 = s.bodies().iter().map(|b| b.mass * 9.81).sum();
+        println!("B45 {densities:?}: {:?}, {:?}", on_levels(&s), s.ledger().counts);
+        within(&format!("B45 {densities:?}: mean push over weight, off by"), (push / time / weight - 1.0).abs(), 0.02);
+        within(&format!("B45 {densities:?}: greatest speed of a body [m/s]"), fastest, 0.5);
+        for (i, body) in s.bodies().iter().enumerate() {
+            let off = (body.position[0] - 0.24).hypot(body.position[1] - 0.24);
+            within(&format!("B45 {densities:?}: box {i} off the middle [m]"), off, 0.01);
+        }
+    }
+}
