@@ -242,14 +242,18 @@ impl Seeder<'_> {
             min: std::array::from_fn(|d| cubes.axes[d].site(origin[d] as f64).position),
             max: std::array::from_fn(|d| cubes.axes[d].site(last[d] as f64).position),
         };
+        // Jittered particles lie up to half a spacing off their lattice points.
+        let reach = if cubes.body.sampling == Sampling::Jitter { 0.5 * self.scene.spacing(cubes.body) } else { 0.0 };
+        let points = points.grown(reach);
         let cover = cubes.solid.cover(&points);
         if cover == Some(false) {
             return false;
         }
         let clear = !cubes.body.around_tools || !cubes.tools.iter().any(|tool| tool.meets(&points));
         if class == 0 {
-            let free = clear || self.couplings.iter().all(|c| c.distance(&[points.min])[0] >= 0.0);
-            if !free || !cubes.solid.contains(points.min) {
+            let place = self.cube_site(cubes, origin, 0).map(|s| s.position);
+            let free = clear || self.couplings.iter().all(|c| c.distance(&[place])[0] >= 0.0);
+            if !free || !cubes.solid.contains(place) {
                 return false;
             }
             found.push((origin, 0));

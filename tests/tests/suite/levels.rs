@@ -3,6 +3,8 @@
 //! Regions stand around a marker, a fixed ball that touches nothing, so that a rim lies exactly where a test wants it.
 
 mod agents;
+mod contact;
+mod properties;
 mod running;
 mod truths;
 
