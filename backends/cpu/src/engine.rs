@@ -749,7 +749,9 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         ledger.count("particles deleted on leaving", self.departures.deleted);
         ledger.count("steps shortened for speed", self.shortened);
         ledger.count("steps with strain applied in parts", self.parted);
-        let isolated = self.levels.iter().map(|level| isolated::count(&level.store.lists, &level.bounds)).sum();
+        let of_level =
+            |(l, level): (usize, &Level<T>)| isolated::count(&level.store.lists, &level.bounds, &self.regions, l);
+        let isolated = self.levels.iter().enumerate().map(of_level).sum();
         ledger.count("particles with an isolated stencil now", isolated);
     }
 

@@ -314,7 +314,7 @@ impl<T: Float> Grid<T> {
                         regions.contains(level, std::array::from_fn(|d| cell[d] + offset[d]))
                     }),
                 };
-                if !inside && !bounds.mirrors.is_behind(cell) {
+                if !inside && regions.touched(level, cell) && !bounds.mirrors.is_behind(cell) {
                     slaves |= 1 << n;
                 }
             }
@@ -411,6 +411,11 @@ impl<T: Float> Grid<T> {
             let node = same[0].0 * CELLS as u32 + u32::from(same[0].1.node);
             let links = (from, from + same.len() as u32);
             from = links.1;
+            // What is at the rim itself hands on at once.
+            let ring = coarser.rings.get(coarser.ring_of[same[0].0 as usize] as usize);
+            if ring.is_some_and(|ring| ring.slaves >> same[0].1.node & 1 == 1) {
+                continue;
+            }
             coarser.shared.push(SharedNode { node, links, own: [T::default(); 4], gain: [T::default(); 3] });
         }
         let shared = &coarser.shared;
