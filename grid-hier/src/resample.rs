@@ -1,7 +1,8 @@
 //! Splitting particles into finer ones and merging them into coarser ones.
 //!
 //! A particle is a cube of side a = (V0 J)^(1/3) with inertia a²/12 per mass, and its C is the velocity gradient within it.
-//! Judged so, a split changes neither mass, momentum, angular momentum nor any energy, and a merge never raises energy.
+//! Judged so, a split changes neither mass, momentum, angular momentum nor any energy, and a merge of particles that together are
+//! at least as wide as the merged one never raises energy.
 //! Strain merges as the V0-weighted mean of the Hencky strain: for laws that are linear in it, the force on the grid stays;
 //! elastic energy cannot rise; and where yield surfaces are convex in it, the mean does not yield.
 //!
@@ -175,12 +176,27 @@ pub fn merge(
     let mean =
         |of: &dyn Fn(&Particle) -> Vector3<f64>| particles.iter().map(|p| of(p) * p.mass).sum::<Vector3<f64>>() / mass;
     let (x, v) = (mean(&|p| p.x), mean(&|p| p.v));
-    let mut hencky = Matrix3::zeros();
+    // What is refused most often and found most cheaply comes first.
+    let sides: Vec<f64> = particles.iter().map(|p| p.side(planes)).collect();
+    if !sides.iter().all(|side| *side > 0.0) {
+        return Err(Refusal::Strain);
+    }
+    if surface {
+        let side = sides.iter().map(|a| a.powi(3)).sum::<f64>().cbrt();
+        for d in 0..3 {
+            let ends = particles.iter().zip(&sides).map(|(p, a)| (p.x[d] - 0.5 * a, p.x[d] + 0.5 * a));
+            let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), e| (l.min(e.0), h.max(e.1)));
+            let moved = (x[d] - 0.5 * side - low).abs().max((x[d] + 0.5 * side - high).abs());
+            if moved > tolerance * side {
+                return Err(Refusal::Surface);
+            }
+        }
+    }
+    let state = merged_history(particles, planes, volume0, tolerance)?;
+
     let (mut spread, mut flow) = (Matrix3::zeros(), Matrix3::zeros());
     let mut before = Change::default();
-    let sides: Vec<f64> = particles.iter().map(|p| p.side(planes)).collect();
     for (p, side) in particles.iter().zip(&sides) {
-        hencky += p.hencky(planes).ok_or(Refusal::Strain)? * (p.volume0 / volume0);
         let (arm, inertia, share) = (p.x - x, side * side / 12.0, p.mass / mass);
         spread += (arm * arm.transpose() + Matrix3::from_diagonal_element(inertia)) * share;
         flow += ((p.v - v) * arm.transpose() + p.c * inertia) * share;
@@ -189,13 +205,39 @@ pub fn merge(
         before.angular += motion.angular;
     }
     let c = flow * spread.try_inverse().ok_or(Refusal::Strain)?;
-
     let lost: f64 = particles.iter().map(|p| 0.5 * p.mass * (p.v - v - c * (p.x - x)).norm_squared()).sum();
-    let size = volume0.cbrt();
-    if lost > DISCARD * (before.kinetic + mass * gravity * size) {
+    // Not `>`: NaN must be refused too.
+    let allowed = DISCARD * (before.kinetic + mass * gravity * volume0.cbrt());
+    if lost.partial_cmp(&allowed).is_none_or(std::cmp::Ordering::is_gt) {
         return Err(Refusal::Velocity);
     }
 
+    let mut hencky = Matrix3::zeros();
+    for p in particles {
+        hencky += p.hencky(planes).ok_or(Refusal::Strain)? * (p.volume0 / volume0);
+    }
+    let eigen = SymmetricEigen::new(hencky);
+    let factor = if planes.is_gradient { 1.0 } else { 2.0 };
+    let stretch = with_eigenvalues(&eigen, eigen.eigenvalues.map(|e| (factor * e).exp()));
+    let mut strain = [0.0; 9];
+    if planes.is_gradient {
+        strain.copy_from_slice(stretch.transpose().as_slice());
+    } else {
+        let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+        strain.iter_mut().zip(entries).for_each(|(plane, at)| *plane = stretch[at]);
+    }
+    let merged = Particle { x, v, c, mass, volume0, strain, state };
+    let after = merged.motion(merged.side(planes));
+    Ok((merged, Change { kinetic: after.kinetic - before.kinetic, angular: after.angular - before.angular }))
+}
+
+/// History of several particles together, each variable by its rule.
+fn merged_history(
+    particles: &[Particle],
+    planes: Planes<'_>,
+    volume0: f64,
+    tolerance: f64,
+) -> Result<[f64; MAX_STATE], Refusal> {
     let mut state = particles[0].state;
     for (q, &rule) in planes.merge.iter().enumerate() {
         let values = || particles.iter().map(|p| p.state[q]);
@@ -215,31 +257,7 @@ pub fn merge(
             _ => weighted(|x| x),
         };
     }
-
-    let eigen = SymmetricEigen::new(hencky);
-    let factor = if planes.is_gradient { 1.0 } else { 2.0 };
-    let stretch = with_eigenvalues(&eigen, eigen.eigenvalues.map(|e| (factor * e).exp()));
-    let mut strain = [0.0; 9];
-    if planes.is_gradient {
-        strain.copy_from_slice(stretch.transpose().as_slice());
-    } else {
-        let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
-        strain.iter_mut().zip(entries).for_each(|(plane, at)| *plane = stretch[at]);
-    }
-    let merged = Particle { x, v, c, mass, volume0, strain, state };
-    let side = merged.side(planes);
-    if surface {
-        for d in 0..3 {
-            let ends = particles.iter().zip(&sides).map(|(p, a)| (p.x[d] - 0.5 * a, p.x[d] + 0.5 * a));
-            let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), e| (l.min(e.0), h.max(e.1)));
-            let moved = (x[d] - 0.5 * side - low).abs().max((x[d] + 0.5 * side - high).abs());
-            if moved > tolerance * side {
-                return Err(Refusal::Surface);
-            }
-        }
-    }
-    let after = merged.motion(side);
-    Ok((merged, Change { kinetic: after.kinetic - before.kinetic, angular: after.angular - before.angular }))
+    Ok(state)
 }
 
 #[cfg(test)]

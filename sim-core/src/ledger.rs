@@ -34,7 +34,7 @@ pub struct Ledger {
     pub gravity_impulse: Vec3,
     /// Mass of particles that were deleted on leaving the world [kg].
     pub deleted_mass: f64,
-    /// Kinetic energy that merging particles has taken since the start, by the particles' own inertia [J]; never above 0.
+    /// Change of kinetic energy by merging particles since the start, by the particles' own inertia [J].
     #[serde(default)]
     pub resampled_kinetic: f64,
     /// Angular momentum that merging particles has changed since the start, likewise [kg m²/s].

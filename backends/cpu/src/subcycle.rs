@@ -71,6 +71,17 @@ impl<T: Scalar> CpuEngine<T> {
             for half in [0.0, 0.5] {
                 self.advance_level(l - 1, time + half * dt, 0.5 * dt, couplings, wrenches)?;
             }
+            // Now the level's velocities are whole. Its impulses act over its own step.
+            let before: Vec<Wrench> = couplings.iter().flat_map(|c| c.wrenches()).copied().collect();
+            if self.touch(l, dt, couplings)? {
+                let after = couplings.iter().flat_map(|c| c.wrenches());
+                for ((sum, after), before) in wrenches.iter_mut().zip(after).zip(before) {
+                    for d in 0..3 {
+                        sum.force[d] += f64::from(1 << l) * (after.force[d] - before.force[d]);
+                        sum.torque[d] += f64::from(1 << l) * (after.torque[d] - before.torque[d]);
+                    }
+                }
+            }
         }
         let clock = Instant::now();
         let level = &mut self.levels[l];

@@ -242,7 +242,8 @@ impl View {
             for row in [top, bottom].into_iter().filter(|y| (0.0..height).contains(y)) {
                 image.fill(Rect { x, y: row as usize, width: x_end.saturating_sub(x), height: 1 }, INK);
             }
-            if x_end > x + 40 && y_end > y + 12 {
+            // Of boxes seen from the side, names would lie on each other.
+            if up == 1 && x_end > x + 40 && y_end > y + 12 {
                 image.text(x_end as f32 - 4.0, y as f32 + 4.0, 0.8 * TEXT, Align::Right, INK, &label);
             }
         }

@@ -97,3 +97,40 @@ fn a_column_rests_on_a_coarser_one_with_longer_steps() {
         assert!((sunk / sinks - 1.0).abs() < 0.03, "sinks {sunk} m, {sinks} m wanted");
     }
 }
+
+/// A bed on a plane that is a tool, far from the finest box: what coarser levels rest on is felt there too, and in full. A floor
+/// felt on the finest level only would let the rest of the ground fall through it.
+#[test]
+fn coarser_levels_rest_on_tools_too() {
+    let head = Head::cells(0.05, [32, 8, 32], "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"");
+    let scene = Head { gravity_ramp: 0.3, ..head.time("safety = 0.5") }.with(&[
+        material("sand", 1500.0, "young_modulus = 1e6, poisson_ratio = 0.2"),
+        "[[body]]\nmaterial = \"sand\"\nshape = { box = { min = [0.0, 0.0, 0.4], max = [1.6, 0.4, 0.8] } }\n"
+            .to_owned(),
+        "[levels]\ncount = 2\nhalf = 8\nagents = [\"marker\"]\nsubcycle = true\n".to_owned(),
+        tool("marker", [0.2, 0.2, 1.1], "sphere = { radius = 0.001 }", "\"slip\"", "\"fixed\""),
+        tool(
+            "floor",
+            [0.0; 3],
+            "plane = { point = [0.0, 0.0, 0.4], normal = [0.0, 0.0, 1.0] }",
+            "\"slip\"",
+            "\"fixed\"",
+        ),
+    ]);
+    let mut bed = simulation(&scene, Precision::F64);
+    let weight = bed.ledger().mass * 9.81;
+    run_to(&mut bed, 0.8);
+    let mut impulse = 0.0;
+    let from = bed.time();
+    let momentum = bed.ledger().momentum[2];
+    for _ in 0..200 {
+        let before = bed.time();
+        bed.step().unwrap();
+        impulse -= bed.wrenches()[1].force[2] * (bed.time() - before);
+    }
+    let expected = weight * (bed.time() - from) + bed.ledger().momentum[2] - momentum;
+    let lowest = rows(&bed).iter().map(|r| r.x[2]).fold(f64::INFINITY, f64::min);
+    println!("floor: impulse {impulse:.4} N s against {expected:.4} / 1e-9, lowest particle {lowest:.4} m / 0.375");
+    assert!((impulse / expected - 1.0).abs() < 1e-9, "{impulse} N s on the floor, {expected} wanted");
+    assert!(lowest > 0.375);
+}
