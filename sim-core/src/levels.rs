@@ -175,7 +175,7 @@ impl Regions {
     /// level; `None` if they differ in that.
     pub fn finest(&self, cells: CellBox, margin: i32) -> Option<usize> {
         for level in 0..self.boxes.len() {
-            let scaled = CellBox { min: cells.min.map(|x| x >> level), max: cells.max.map(|x| (x - 1 >> level) + 1) };
+            let scaled = CellBox { min: cells.min.map(|x| x >> level), max: cells.max.map(|x| ((x - 1) >> level) + 1) };
             match self.cover_grown(level, scaled, 2 * margin) {
                 Cover::All => return Some(level),
                 Cover::Part => return None,
@@ -193,7 +193,7 @@ impl Regions {
     fn cover_grown(&self, level: usize, mut cells: CellBox, by: i32) -> Cover {
         let Some(boxes) = self.boxes.get(level) else { return Cover::All };
         let world =
-            CellBox { min: self.world.min.map(|x| x >> level), max: self.world.max.map(|x| (x - 1 >> level) + 1) };
+            CellBox { min: self.world.min.map(|x| x >> level), max: self.world.max.map(|x| ((x - 1) >> level) + 1) };
         // The copies of a box that periodic axes make: at most 27.
         let (mut shifts, mut copies) = ([[0; 3]; 27], 1);
         for d in 0..3 {

@@ -368,7 +368,9 @@ impl<T: Scalar> CpuEngine<T> {
 
     /// The particle of least id with a NaN or infinite value.
     pub(crate) fn find_non_finite(&self) -> Option<Error> {
-        let mut first: Option<(u32, &'static str, (usize, usize), usize, usize, f64)> = None;
+        /// Id, field, level and list, chunk, lane, value.
+        type Fallen = (u32, &'static str, (usize, usize), usize, usize, f64);
+        let mut first: Option<Fallen> = None;
         let mut count = 0;
         for (l, list) in self.lists() {
             let planes = list.strain_planes();

@@ -295,7 +295,7 @@ impl Scene {
             format!("must be from 1 to {MOST_LEVELS}"),
         )?;
         self.require(
-            HALVES.contains(&levels.half) && levels.half % 2 == 0,
+            HALVES.contains(&levels.half) && levels.half.is_multiple_of(2),
             "levels.half",
             format!("is {}", levels.half),
             format!("must be even and from {} to {}", HALVES.start(), HALVES.end()),
