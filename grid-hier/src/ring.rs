@@ -11,7 +11,7 @@
 use crate::block::{CELLS, NODES, TILE, TILE_SIDE, in_block, in_tile, offset, shared_nodes};
 use crate::particles::{MASS, Particles, Run};
 use crate::spline::weights;
-use crate::transfer::{Planes, QUAD, Quads, Scalar, first_nodes, write_quads};
+use crate::transfer::{QUAD, Quads, Scalar, first_nodes, products, write_quads};
 use barchan_lanes::{Float, Kernel, LANES, Lanes, tabulate};
 use core::mem::MaybeUninit;
 
@@ -176,13 +176,8 @@ impl<T: Scalar> Kernel<T> for AffineToGrid<'_, T> {
                 }
                 write_quads(&raw mut (*lines)[COLUMNS], [w[2][0], w[2][1], w[2][2], zero]);
                 let quads = quads.as_ptr().cast::<T>();
-                let mut weight = MaybeUninit::<Planes<T, 9>>::uninit();
-                for i in 0..3 {
-                    for j in 0..3 {
-                        (w[0][i] * w[1][j]).store((&raw mut (*weight.as_mut_ptr()).0[3 * i + j]).cast());
-                    }
-                }
-                let weight = weight.assume_init_ref();
+                let mut weight = MaybeUninit::uninit();
+                let weight = products(&mut weight, &w);
                 for (column, tile) in self.tiles.iter_mut().enumerate() {
                     let tile = tile.as_mut_ptr();
                     let (mut rows, mut current, mut mask) = ([V::zero(); 9], 0, 0);

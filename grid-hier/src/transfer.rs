@@ -230,6 +230,22 @@ pub(crate) unsafe fn write_quads<V: Lanes>(lines: *mut [[V::Scalar; LANES]; 4], 
     }
 }
 
+/// The nine products of weights along x and y.
+#[inline(always)]
+pub(crate) fn products<'a, V: Lanes>(
+    to: &'a mut MaybeUninit<Planes<V::Scalar, 9>>,
+    w: &[[V; 3]; 3],
+) -> &'a Planes<V::Scalar, 9> {
+    for i in 0..3 {
+        for j in 0..3 {
+            // SAFETY: a plane holds 16 scalars.
+            unsafe { (w[0][i] * w[1][j]).store((&raw mut (*to.as_mut_ptr()).0[3 * i + j]).cast()) };
+        }
+    }
+    // SAFETY: all nine planes are written.
+    unsafe { to.assume_init_ref() }
+}
+
 impl<T: Scalar> Kernel<T> for ParticlesToGrid<'_, T> {
     type Output = Result<(), Fault>;
 
@@ -406,13 +422,8 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             }
             write_quads(&raw mut (*lines)[4], [w[2][0], w[2][1], w[2][2], zero]);
             let quads = quads.as_ptr().cast::<T>();
-            let mut weight = MaybeUninit::<Planes<T, 9>>::uninit();
-            for i in 0..3 {
-                for j in 0..3 {
-                    (w[0][i] * w[1][j]).store((&raw mut (*weight.as_mut_ptr()).0[3 * i + j]).cast());
-                }
-            }
-            let weight = weight.assume_init_ref();
+            let mut weight = MaybeUninit::uninit();
+            let weight = products(&mut weight, &w);
 
             let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
             if strayed {

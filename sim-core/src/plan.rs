@@ -373,6 +373,9 @@ impl Plan {
                 particles.lists.len()
             ));
         }
+        if let Some(phase) = particles.levels.as_ref().filter(|phase| phase.boxes.len() + 1 != levels) {
+            return refuse(format!("boxes of {} levels where the plan has {levels}", phase.boxes.len() + 1));
+        }
         for (i, list) in particles.lists.iter().enumerate() {
             let (level, material) = (i / materials, i % materials);
             let (law, n) = (&self.materials[material].material, list.len());

@@ -1,6 +1,6 @@
 //! Short ways to say a scene, and to read a simulation.
 
-use barchan::{Options, ParticleList, Precision, Scene, Simulation, Vec3};
+use barchan::{Ledger, Options, ParticleList, Precision, Scene, Simulation, Vec3};
 use std::path::Path;
 
 /// A scene from TOML text.
@@ -127,4 +127,33 @@ impl Noise {
         self.0 ^= self.0 << 17;
         (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
+}
+
+/// Difference of two vectors.
+pub fn minus(a: Vec3, b: Vec3) -> Vec3 {
+    std::array::from_fn(|d| a[d] - b[d])
+}
+
+/// Length of a vector.
+pub fn norm(v: impl AsRef<[f64]>) -> f64 {
+    v.as_ref().iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// Sum of two vectors.
+pub fn plus(a: Vec3, b: Vec3) -> Vec3 {
+    std::array::from_fn(|d| a[d] + b[d])
+}
+
+/// Momentum and angular momentum of ground and bodies together.
+pub fn totals(ledger: &Ledger) -> (Vec3, Vec3) {
+    (
+        std::array::from_fn(|d| ledger.momentum[d] + ledger.body_momentum[d]),
+        std::array::from_fn(|d| ledger.angular_momentum[d] + ledger.body_angular_momentum[d]),
+    )
+}
+
+/// Shear over normal stress that a cone matched in triaxial compression mobilises in plane shear: 2 √3 sin φ / (3 − sin φ).
+pub fn plane_shear_friction(friction_angle: f64) -> f64 {
+    let sine = friction_angle.sin();
+    2.0 * 3f64.sqrt() * sine / (3.0 - sine)
 }

@@ -108,3 +108,21 @@ pub fn bed(cell: f64, cells: [u32; 2], depth: u32, room: u32, parameters: &str) 
     let sand = block("sand", [0.0; 3], [side(cells[0]), side(cells[1]), side(depth)], "");
     (head, vec![material("sand", 1500.0, parameters), sand])
 }
+
+/// A tool's motion at a steady velocity.
+pub fn driven(velocity: Vec3) -> String {
+    format!("{{ velocity = {{ linear = {velocity:?} }} }}")
+}
+
+/// A scoop 16 cm wide, as a tool's shape: a floor, a back and two cheeks, each 2.5 cells thick; sharp edges all round.
+pub fn scoop(cell: f64) -> String {
+    let wall = |half: Vec3, at: Vec3| format!("{{ shape = {{ box = {{ half = {half:?} }} }}, position = {at:?} }}");
+    let t = 1.25 * cell;
+    format!(
+        "union = [{}, {}, {}, {}]",
+        wall([0.08, 0.08, t], [0.0, 0.0, 0.0]),
+        wall([t, 0.08, 0.08], [-0.08 + t, 0.0, 0.08]),
+        wall([0.08, t, 0.06], [0.0, -0.08 + t, 0.06]),
+        wall([0.08, t, 0.06], [0.0, 0.08 - t, 0.06]),
+    )
+}

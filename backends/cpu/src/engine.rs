@@ -263,12 +263,21 @@ impl<T: Scalar> CpuEngine<T> {
         let outcome = self.levels[l].particles_to_grid(&self.crew, &step, &mut self.clocks.shares);
         outcome.map_err(|stopped| self.explain(l, stopped))?;
         self.clocks.add(Pass::P2G, clock);
+        Ok(())
+    }
+
+    /// The affine momentum near a level's rim; it does not depend on the step's length.
+    pub(crate) fn affine_to_rim(&mut self, l: usize) {
         if !self.levels[l].grid.rings.is_empty() {
             let clock = Instant::now();
             self.levels[l].affine_to_rim(&self.crew);
             self.clocks.add(Pass::Restrict, clock);
         }
-        Ok(())
+    }
+
+    /// Steps that a level takes in one of the simulation.
+    fn steps_within(&self, l: usize) -> u32 {
+        (self.substeps >> l).max(1)
     }
 
     pub(crate) fn step_of(&self, l: usize, dt: f64) -> Step {
@@ -401,6 +410,9 @@ impl<T: Scalar> CpuEngine<T> {
     /// P2G and the grid update, repeated with a shorter step while nodes would carry particles too far. Returns the step.
     fn ground_to_nodes(&mut self, time: f64, mut dt: f64) -> Result<f64> {
         let walls_before: Vec<_> = self.levels.iter().map(|level| level.wall_impulse).collect();
+        for l in 0..self.levels.len() {
+            self.affine_to_rim(l);
+        }
         loop {
             for l in 0..self.levels.len() {
                 self.particles_to_grid(l, dt).map_err(|error| at_time(error, time))?;
@@ -493,19 +505,15 @@ impl<T: Scalar> CpuEngine<T> {
         for coupling in couplings.iter_mut() {
             coupling.before_step(time, dt)?;
         }
-        let clock = Instant::now();
-        let mut reached = false;
         for l in 0..self.levels.len() {
-            reached |= self.touch(l, dt, couplings)?;
-        }
-        if reached {
-            self.clocks.add(Pass::Contact, clock);
+            self.touch(l, dt, couplings)?;
         }
         Ok(())
     }
 
     /// Contact on one level. Returns whether there were any nodes.
     pub(crate) fn touch(&mut self, l: usize, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<bool> {
+        let clock = Instant::now();
         let (level, mut reached) = (&mut self.levels[l], false);
         for coupling in couplings {
             level.gather(&coupling.bounds(), self.least_mass, &mut self.batch);
@@ -514,6 +522,9 @@ impl<T: Scalar> CpuEngine<T> {
                 coupling.contact(dt, &mut self.batch)?;
                 level.scatter(&self.batch, self.least_mass);
             }
+        }
+        if reached {
+            self.clocks.add(Pass::Contact, clock);
         }
         Ok(reached)
     }
@@ -524,7 +535,7 @@ impl<T: Scalar> CpuEngine<T> {
         self.stiffness = Bound { dt: f64::INFINITY, by: "nothing".into() };
         for (l, level) in self.levels.iter().enumerate() {
             // The bound is on a whole step: subcycled, a level takes a part of it.
-            let reach = level.h() * f64::from(self.substeps.max(1) >> if self.substeps > 1 { l } else { 0 });
+            let reach = level.h() * f64::from(self.steps_within(l));
             for list in &level.store.lists {
                 let planned = &self.materials[list.material];
                 let Some(moduli) = planned.material.table.tangent_moduli_f32 else { continue };
@@ -697,13 +708,16 @@ impl<T: Scalar> Engine for CpuEngine<T> {
                 mend: "hand back particles of a simulation of the same scene".into(),
             });
         }
-        for (l, level) in self.levels.iter_mut().enumerate() {
+        for l in 0..self.levels.len() {
+            // It was saved for the finest level.
+            let strain_dt = particles.strain_dt * f64::from(self.substeps / self.steps_within(l));
+            let level = &mut self.levels[l];
             let blocks: Option<Vec<_>> = particles.sort.as_ref().map(|sort| {
                 let here = sort.blocks.iter().filter(|([_, level, ..], _)| *level == l as i32);
                 here.map(|([_, _, x, y, z], counts)| ([*x, *y, *z], counts.as_slice())).collect()
             });
             level.store.upload(&particles.lists[l * materials..][..materials], blocks.as_deref())?;
-            level.strain_dt = particles.strain_dt * if self.substeps > 1 { f64::from(1 << l) } else { 1.0 };
+            level.strain_dt = strain_dt;
         }
         self.spoilt = self.find_non_finite().is_some();
         self.take_stock();

@@ -182,6 +182,9 @@ pub(crate) struct Grid<T> {
     /// What the rim of the next finer level hands to each node block: `links[starts[g]..starts[g + 1]]`.
     pub(crate) links: Vec<Link>,
     pub(crate) link_starts: Vec<u32>,
+    /// Does any link, or any of the own rim's, change a sign?
+    pub(crate) links_reflect: bool,
+    pub(crate) rim_reflects: bool,
     /// The nodes that links lead to; those of node block g are `shared[shared_starts[g]..shared_starts[g + 1]]`.
     pub(crate) shared: Vec<SharedNode<T>>,
     pub(crate) shared_starts: Vec<u32>,
@@ -215,6 +218,8 @@ impl<T: Float> Default for Grid<T> {
             columns: Vec::new(),
             links: Vec::new(),
             link_starts: Vec::new(),
+            links_reflect: false,
+            rim_reflects: false,
             shared: Vec::new(),
             shared_starts: Vec::new(),
             near_shared: Vec::new(),
@@ -400,6 +405,8 @@ impl<T: Float> Grid<T> {
                 links.push((block, Link { from: (r * CELLS + n) as u32, node, flips }));
             }
         }
+        self.rim_reflects = links.iter().any(|(_, link)| link.flips != 0);
+        coarser.links_reflect = self.rim_reflects;
         links.sort_unstable_by_key(|(block, link)| (*block, link.node, link.from));
         coarser.link_starts =
             (0..=coarser.keys.len() as u32).map(|g| links.partition_point(|(block, _)| *block < g) as u32).collect();

@@ -200,8 +200,8 @@ impl<T: Scalar> Level<T> {
         let nodes = Shared(self.grid.nodes.as_ptr().cast_mut());
         let handed = Shared(self.grid.handed.as_ptr().cast_mut());
         let separate = !self.bounds.separations.is_empty();
-        let reflects = grid.links.iter().any(|link| link.flips != 0);
-        let mut impulses = vec![[0.0; 3]; if reflects && finer.is_some() { grid.keys.len() } else { 0 }];
+        let reflects = grid.links_reflect && finer.is_some();
+        let mut impulses = vec![[0.0; 3]; if reflects { grid.keys.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
         let shared = Shared(self.grid.shared.as_ptr().cast_mut());
         let speed = crew.pool.install(|| {
@@ -365,7 +365,7 @@ impl<T: Scalar> Level<T> {
     pub(crate) fn prolong(&mut self, crew: &Crew, coarser: &Grid<T>) {
         let grid = &self.grid;
         let nodes = Shared(self.grid.nodes.as_ptr().cast_mut());
-        let reflects = grid.rings.iter().any(|ring| ring.flips != [0; CELLS]);
+        let reflects = grid.rim_reflects;
         let impulses: Vec<[f64; 3]> = crew.pool.install(|| {
             let one = |(r, ring): (usize, &Ring)| {
                 let (mut parents, mut impulse) = ([T::default(); NODES], [0.0; 3]);

@@ -24,7 +24,7 @@ impl<T: Scalar> CpuEngine<T> {
         dt: f64,
         couplings: &mut [Box<dyn Coupling>],
     ) -> Result<Vec<Wrench>> {
-        let mut wrenches = couplings.iter().flat_map(|c| c.wrenches()).map(|_| Wrench::default()).collect();
+        let mut wrenches: Vec<_> = couplings.iter().flat_map(|c| c.wrenches()).map(|_| Wrench::default()).collect();
         self.advance_level(self.levels.len() - 1, time, dt, couplings, &mut wrenches)?;
         let steps = f64::from(1 << (self.levels.len() - 1));
         for wrench in &mut wrenches {
@@ -42,7 +42,7 @@ impl<T: Scalar> CpuEngine<T> {
         time: f64,
         dt: f64,
         couplings: &mut [Box<dyn Coupling>],
-        wrenches: &mut Vec<Wrench>,
+        wrenches: &mut [Wrench],
     ) -> Result<()> {
         // Boundaries of a coarser step are boundaries of finer ones, so this is where tools stand at each.
         if l == 0 {
@@ -51,6 +51,7 @@ impl<T: Scalar> CpuEngine<T> {
             }
         }
         self.particles_to_grid(l, dt).map_err(|error| at_time(error, time))?;
+        self.affine_to_rim(l);
         let clock = Instant::now();
         let least = self.least_mass();
         self.levels[l].update_grid(&self.crew, least, None, l > 0);

@@ -1,15 +1,11 @@
 //! Two-way coupling with rigid bodies, held to conservation laws and to Coulomb's law.
 
-use barchan::{Ledger, Precision, Simulation, Vec3};
-use barchan_tests::scenes::{rows, run_to, simulation};
+use barchan::{Precision, Simulation, Vec3};
+use barchan_tests::scenes::{minus, norm, plus, rows, run_to, simulation, totals};
 use barchan_tests::sketch::{Head, block, body, half, material, tool};
 
 fn cross(a: Vec3, b: Vec3) -> Vec3 {
     std::array::from_fn(|d| a[(d + 1) % 3] * b[(d + 2) % 3] - a[(d + 2) % 3] * b[(d + 1) % 3])
-}
-
-fn norm(v: Vec3) -> f64 {
-    v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 /// A soft ball and a rigid box in empty space, about to collide off centre.
@@ -20,13 +16,6 @@ fn collision(contact: &str, motion: &str) -> String {
         body("neo_hookean", ball, "velocity = [1.5, 0.2, 0.0]\nangular_velocity = [0.0, 0.0, 2.0]"),
         tool("box", [0.0; 3], &half([0.15, 0.2, 0.2]), contact, motion),
     ])
-}
-
-fn totals(ledger: &Ledger) -> (Vec3, Vec3) {
-    (
-        std::array::from_fn(|d| ledger.momentum[d] + ledger.body_momentum[d]),
-        std::array::from_fn(|d| ledger.angular_momentum[d] + ledger.body_angular_momentum[d]),
-    )
 }
 
 /// A9 i: in an isolated system total momentum and angular momentum cannot change, whatever the contact does. A push-out
@@ -44,8 +33,8 @@ fn a9_isolated_collision_conserves_momentum_and_angular_momentum() {
             let after = pair.ledger();
             let (p1, l1) = totals(&after);
             let exchanged = norm(after.body_momentum) / norm(p0);
-            let p = norm(std::array::from_fn(|d| p1[d] - p0[d])) / norm(p0);
-            let l = norm(std::array::from_fn(|d| l1[d] - l0[d])) / (norm(p0) * 0.4);
+            let p = norm(minus(p1, p0)) / norm(p0);
+            let l = norm(minus(l1, l0)) / (norm(p0) * 0.4);
             println!(
                 "A9 i {contact} {precision}: dP {p:.1e}, dL {l:.1e}, tolerance {tolerance:.0e}; body took {exchanged:.2} of P"
             );
@@ -140,9 +129,8 @@ fn a9_force_on_a_driven_tool_is_the_momentum_removed_from_the_ground() {
             }
         }
         let after = push.ledger();
-        let p = norm(std::array::from_fn(|d| after.momentum[d] - before.momentum[d] + impulse[d])) / norm(impulse);
-        let l = norm(std::array::from_fn(|d| after.angular_momentum[d] - before.angular_momentum[d] + moment[d]))
-            / (norm(impulse) * 0.4);
+        let p = norm(plus(minus(after.momentum, before.momentum), impulse)) / norm(impulse);
+        let l = norm(plus(minus(after.angular_momentum, before.angular_momentum), moment)) / (norm(impulse) * 0.4);
         println!("A9 v {precision}: force {p:.1e}, torque {l:.1e}, tolerance {tolerance:.0e}");
         assert!(norm(impulse) > 1.0 && p < tolerance && l < tolerance, "{precision}: {p:.1e}, {l:.1e}");
     }

@@ -8,7 +8,7 @@ mod rigid;
 mod time_step;
 
 use barchan::{Error, Options, Plan, Precision, Simulation};
-use barchan_tests::scenes::{Row, options, rows, scene, within};
+use barchan_tests::scenes::{Row, norm, options, rows, scene, within};
 
 /// The error that a scene is refused with.
 #[track_caller]
@@ -40,10 +40,6 @@ fn plan(toml: &str) -> Plan {
 /// Is every number of every particle finite?
 fn all_finite(rows: &[Row]) -> bool {
     rows.iter().all(|r| r.x.iter().chain(&r.v).chain(&r.c).chain(&r.strain).chain(&r.state).all(|x| x.is_finite()))
-}
-
-fn norm(v: &[f64]) -> f64 {
-    v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 /// Sum of mass times velocity, and of mass.

@@ -9,7 +9,7 @@ mod running;
 mod truths;
 
 use barchan::{Ledger, Simulation};
-use barchan_tests::scenes::{Row, rows};
+use barchan_tests::scenes::{Row, minus, norm, rows};
 use barchan_tests::sketch::tool;
 
 /// Levels around a marker; nothing for one level.
@@ -28,14 +28,6 @@ fn levels(count: u32, half: u32, agents: &[&str]) -> String {
 /// Kinetic and elastic energy of the ground [J].
 fn inner(ledger: &Ledger) -> f64 {
     ledger.kinetic + ledger.elastic
-}
-
-fn norm(v: [f64; 3]) -> f64 {
-    v.iter().map(|x| x * x).sum::<f64>().sqrt()
-}
-
-fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|d| a[d] - b[d])
 }
 
 /// Angular momentum by the particles' own inertia, a²/12 per mass for a cube of side a [kg m²/s]. The ledger's counts what the

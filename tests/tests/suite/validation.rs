@@ -2,16 +2,12 @@
 //! particles a cell and axis.
 
 use barchan::{Precision, Simulation, Vec3};
-use barchan_tests::scenes::{Noise, alter, rows, run_to, simulation};
+use barchan_tests::scenes::{Noise, alter, minus, norm, plane_shear_friction, rows, run_to, simulation};
 use barchan_tests::sketch::{Head, PERIODIC, bed, block, body, material};
 use std::f64::consts::TAU;
 
 fn sum3(values: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
     values.fold([0.0; 3], |s, v| std::array::from_fn(|d| s[d] + v[d]))
-}
-
-fn norm(v: [f64; 3]) -> f64 {
-    v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 /// A cloud in free flight, without stress.
@@ -144,7 +140,7 @@ fn a4_rotating_cylinder_keeps_its_momenta_and_energy() {
         run_to(&mut disk, TAU / omega);
         let after = disk.ledger();
         let scale = before.mass * omega * 0.15;
-        let p = norm(std::array::from_fn(|d| after.momentum[d] - before.momentum[d])) / scale;
+        let p = norm(minus(after.momentum, before.momentum)) / scale;
         // About the axis: the centre of mass stays, so subtracting x_c × P changes nothing but rounding.
         let l = |ledger: &barchan::Ledger| {
             ledger.angular_momentum[2] - (0.5 * ledger.momentum[1] - 0.38 * ledger.momentum[0])
@@ -260,7 +256,7 @@ fn a5_sheared_sand_mobilises_the_friction_of_its_cone() {
 #[test]
 fn a10_infinite_slope_flows_above_the_angle_of_its_cone_only() {
     let phi = 20f64.to_radians();
-    let mobilised = 2.0 * 3f64.sqrt() * phi.sin() / (3.0 - phi.sin());
+    let mobilised = plane_shear_friction(phi);
     let critical = mobilised.atan().to_degrees();
     for (offset, flows) in [(-1.5, false), (1.5, true)] {
         let theta = f64::to_radians(critical + offset);

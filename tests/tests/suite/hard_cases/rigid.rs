@@ -4,14 +4,10 @@ use super::{all_finite, later, norm, plan, refusal, says, steps, within};
 use barchan::{Precision, Simulation};
 use barchan_tests::long_cases;
 use barchan_tests::scenes::{Row, rows, run_to, scene, simulation};
-use barchan_tests::sketch::{Head, bed, block, half, material, tool};
+use barchan_tests::sketch::{Head, bed, block, driven, half, material, scoop, tool};
 use std::path::Path;
 
 const FRICTION: &str = "{ coulomb = { friction = 0.5 } }";
-
-fn driven(velocity: [f64; 3]) -> String {
-    format!("{{ velocity = {{ linear = {velocity:?} }} }}")
-}
 
 /// B42. Symptom: particles pass through a blade thinner than a cell, or stick to both of its sides. Physics: a blade that is
 /// dragged through sand shoves all of it ahead. Such a blade is warned of, and may let 1 % of the sand that it sweeps through.
@@ -79,17 +75,7 @@ fn b43_scoop_feels_no_spikes() {
     let h = 0.02;
     let (mut head, mut parts) = bed(h, [32, 12], 7, 14, "young_modulus = 2e5, friction_angle_deg = 35");
     head.walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
-    // A floor, a back and two cheeks, each 2.5 cells thick; sharp edges all round.
-    let wall =
-        |half: [f64; 3], at: [f64; 3]| format!("{{ shape = {{ box = {{ half = {half:?} }} }}, position = {at:?} }}");
-    let t = 1.25 * h;
-    let shape = format!(
-        "union = [{}, {}, {}, {}]",
-        wall([0.08, 0.08, t], [0.0, 0.0, 0.0]),
-        wall([t, 0.08, 0.08], [-0.08 + t, 0.0, 0.08]),
-        wall([0.08, t, 0.06], [0.0, -0.08 + t, 0.06]),
-        wall([0.08, t, 0.06], [0.0, 0.08 - t, 0.06]),
-    );
+    let shape = scoop(h);
     parts.push(tool("scoop", [0.12, 0.12, 0.09], &shape, "{ coulomb = { friction = 0.3 } }", &driven([0.3, 0.0, 0.0])));
     let mut s = simulation(&head.with(&parts), Precision::F32);
     run_to(&mut s, 0.25);

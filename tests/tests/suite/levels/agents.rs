@@ -3,13 +3,9 @@
 use super::{counted, kinetic, levels, minus, norm, on_levels};
 use barchan::{Ledger, Precision, Simulation};
 use barchan_tests::scenes::{Row, alter, rows, run_to, simulation, within};
-use barchan_tests::sketch::{Head, bed, block, half, material, tool};
+use barchan_tests::sketch::{Head, bed, block, driven, half, material, tool};
 
 const FRICTION: &str = "{ coulomb = { friction = 0.4 } }";
-
-fn driven(velocity: [f64; 3]) -> String {
-    format!("{{ velocity = {{ linear = {velocity:?} }} }}")
-}
 
 /// A block of jelly at rest in space, and an agent that touches nothing above it.
 fn jelly_under_agent(cell: f64, count: u32, velocity: [f64; 3], at: f64) -> String {

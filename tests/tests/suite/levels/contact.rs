@@ -1,15 +1,11 @@
 //! Tools and rigid bodies at and across rims.
 
-use super::{counted, levels, minus, norm, on_levels};
-use barchan::{Ledger, Precision, Simulation, Vec3};
-use barchan_tests::scenes::{Row, rows, run_to, simulation, within};
-use barchan_tests::sketch::{Head, bed, block, body, half, material, tool};
+use super::{counted, levels, on_levels};
+use barchan::{Precision, Simulation, Vec3};
+use barchan_tests::scenes::{Row, minus, norm, plane_shear_friction, plus, rows, run_to, simulation, totals, within};
+use barchan_tests::sketch::{Head, bed, block, body, driven, half, material, scoop, tool};
 
 const FRICTION: &str = "{ coulomb = { friction = 0.5 } }";
-
-fn driven(velocity: Vec3) -> String {
-    format!("{{ velocity = {{ linear = {velocity:?} }} }}")
-}
 
 /// A soft ball cut by the rim of a box's region, about to collide with the box off centre.
 fn collision(contact: &str, motion: &str) -> String {
@@ -20,13 +16,6 @@ fn collision(contact: &str, motion: &str) -> String {
         body("neo_hookean", ball, "velocity = [1.5, 0.2, 0.0]\nangular_velocity = [0.0, 0.0, 2.0]"),
         tool("box", [0.0; 3], &half([0.15, 0.2, 0.2]), contact, motion),
     ])
-}
-
-fn totals(ledger: &Ledger) -> (Vec3, Vec3) {
-    (
-        std::array::from_fn(|d| ledger.momentum[d] + ledger.body_momentum[d]),
-        std::array::from_fn(|d| ledger.angular_momentum[d] + ledger.body_angular_momentum[d]),
-    )
 }
 
 /// A9 i. Symptom: a contact that is seen on two levels is booked twice, or an impulse that falls on a rim is lost. Physics: soft and
@@ -72,7 +61,7 @@ fn a9_force_on_a_driven_tool_is_the_momentum_removed_on_all_levels() {
             (0..3).for_each(|d| impulse[d] += force[d] * dt);
         }
         let after = push.ledger();
-        let off = norm(std::array::from_fn(|d| after.momentum[d] - before.momentum[d] + impulse[d])) / norm(impulse);
+        let off = norm(plus(minus(after.momentum, before.momentum), impulse)) / norm(impulse);
         assert!(norm(impulse) > 1.0 && counted(&after, "changed level") > 10, "{impulse:?}, {:?}", after.counts);
         within(&format!("A9 v {precision}: force against momentum"), off, tolerance);
     }
@@ -113,7 +102,7 @@ fn a9_resting_box_feels_its_weight_within_its_region() {
 #[test]
 fn a10_infinite_slope_across_a_rim() {
     let phi = 20f64.to_radians();
-    let mobilised = 2.0 * 3f64.sqrt() * phi.sin() / (3.0 - phi.sin());
+    let mobilised = plane_shear_friction(phi);
     let critical = mobilised.atan().to_degrees();
     for (offset, flows) in [(-1.5, false), (1.5, true)] {
         let theta = f64::to_radians(critical + offset);
@@ -210,15 +199,7 @@ fn b43_scoop_feels_no_spikes_with_levels() {
     let h = 0.02;
     let (mut head, mut parts) = bed(h, [48, 16], 8, 16, "young_modulus = 2e5, friction_angle_deg = 35");
     head.walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
-    let wall = |half: Vec3, at: Vec3| format!("{{ shape = {{ box = {{ half = {half:?} }} }}, position = {at:?} }}");
-    let t = 1.25 * h;
-    let shape = format!(
-        "union = [{}, {}, {}, {}]",
-        wall([0.08, 0.08, t], [0.0, 0.0, 0.0]),
-        wall([t, 0.08, 0.08], [-0.08 + t, 0.0, 0.08]),
-        wall([0.08, t, 0.06], [0.0, -0.08 + t, 0.06]),
-        wall([0.08, t, 0.06], [0.0, 0.08 - t, 0.06]),
-    );
+    let shape = scoop(h);
     parts.push(levels(2, 8, &["scoop"]));
     parts.push(tool("scoop", [0.14, 0.16, 0.11], &shape, "{ coulomb = { friction = 0.3 } }", &driven([0.3, 0.0, 0.0])));
     let mut s = simulation(&head.with(&parts), Precision::F32);
