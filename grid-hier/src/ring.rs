@@ -54,31 +54,69 @@ pub fn parents(slaves: u64) -> u64 {
     used
 }
 
-/// Scalars between neighbouring nodes along each axis of a block.
-const STRIDES: [usize; 3] = [64, 16, 4];
-
-/// One axis of the restriction: to[I] += P (from[i] + slope[i] (x_I - x_i)) along lines of four nodes.
+/// One axis of the restriction, along a line of four nodes with W scalars each: to[I] += P (from[i] + slope[i] (x_I - x_i)).
 #[inline(always)]
-fn contract<T: Float>(from: &[T; NODES], slope: Option<&[T; NODES]>, axis: usize) -> [T; NODES] {
-    let mut to = [T::default(); NODES];
-    let stride = STRIDES[axis];
-    for line in (0..NODES).step_by(4 * stride) {
-        for (node, parents) in PARENTS.iter().enumerate() {
-            for &(parent, weight, distance) in parents {
-                let (weight, lever) = (T::from_f64(weight), T::from_f64(weight * distance));
-                let (node, parent) = (line + node * stride, line + parent * stride);
-                for i in 0..stride {
-                    to[parent + i] += weight * from[node + i];
-                }
-                if let Some(slope) = slope {
-                    for i in 0..stride {
-                        to[parent + i] += lever * slope[node + i];
-                    }
-                }
-            }
+fn restrict_line<T: Float, const W: usize>(from: [[T; W]; 4], slope: Option<[[T; W]; 4]>) -> [[T; W]; 4] {
+    let [near, far, lever] = [0.75, 0.25, 0.375].map(T::from_f64);
+    let mut to = [[T::default(); W]; 4];
+    for i in 0..W {
+        let f = [from[0][i], from[1][i], from[2][i], from[3][i]];
+        to[0][i] = far * f[0];
+        to[1][i] = near * (f[0] + f[1]) + far * f[2];
+        to[2][i] = near * (f[2] + f[3]) + far * f[1];
+        to[3][i] = far * f[3];
+    }
+    if let Some(slope) = slope {
+        for i in 0..W {
+            let s = [slope[0][i], slope[1][i], slope[2][i], slope[3][i]];
+            to[0][i] += -(lever * s[0]);
+            to[1][i] += lever * (s[0] - s[1] - s[2]);
+            to[2][i] += lever * (s[1] + s[2] - s[3]);
+            to[3][i] += lever * s[3];
         }
     }
     to
+}
+
+/// One axis of the prolongation, likewise: to[i] = Σ P from[I].
+#[inline(always)]
+fn prolong_line<T: Float, const W: usize>(from: [[T; W]; 4]) -> [[T; W]; 4] {
+    let [near, far] = [0.75, 0.25].map(T::from_f64);
+    let mut to = [[T::default(); W]; 4];
+    for i in 0..W {
+        let c = [from[0][i], from[1][i], from[2][i], from[3][i]];
+        to[0][i] = near * c[1] + far * c[0];
+        to[1][i] = near * c[1] + far * c[2];
+        to[2][i] = near * c[2] + far * c[1];
+        to[3][i] = near * c[2] + far * c[3];
+    }
+    to
+}
+
+/// Replaces each line of a block along an axis by what `f` makes of it, from the places of its units and these. A unit has W
+/// scalars: along x and y a row of four nodes, along z one node.
+#[inline(always)]
+fn each_line<const AXIS: usize, const W: usize, T: Float>(
+    values: &mut [T; NODES],
+    f: impl Fn([usize; 4], [[T; W]; 4]) -> [[T; W]; 4],
+) {
+    for line in 0..NODES / (4 * W) {
+        let (first, stride) = if AXIS == 0 { (line, 4) } else { (4 * line, 1) };
+        let at = [first, first + stride, first + 2 * stride, first + 3 * stride].map(|unit| W * unit);
+        let to = f(at, units(values, at));
+        for (at, to) in at.into_iter().zip(&to) {
+            values[at..at + W].copy_from_slice(to);
+        }
+    }
+}
+
+#[inline(always)]
+fn units<const W: usize, T: Float>(values: &[T; NODES], at: [usize; 4]) -> [[T; W]; 4] {
+    let mut units = [[T::default(); W]; 4];
+    for (unit, at) in units.iter_mut().zip(at) {
+        unit.copy_from_slice(&values[at..at + W]);
+    }
+    units
 }
 
 /// Hands what a block's slaves hold to their parents: mass m_c = Σ P m_f, momentum p_c = Σ P (p_f + M_f (x_c - x_f)) with the
@@ -102,31 +140,22 @@ pub fn restrict<T: Float>(
     }
     // Axis by axis; the columns of the axes that are still to come go along.
     let [x, y, z] = affine;
-    let own = contract(&own, Some(x), 0);
-    let (y, z) = (contract(y, None, 0), contract(z, None, 0));
-    let own = contract(&own, Some(&y), 1);
-    let z = contract(&z, None, 1);
-    *parents = contract(&own, Some(&z), 2);
+    each_line::<0, 16, _>(&mut own, |at, from| restrict_line(from, Some(units(x, at))));
+    each_line::<0, 16, _>(y, |_, from| restrict_line(from, None));
+    each_line::<0, 16, _>(z, |_, from| restrict_line(from, None));
+    each_line::<1, 16, _>(&mut own, |at, from| restrict_line(from, Some(units(y, at))));
+    each_line::<1, 16, _>(z, |_, from| restrict_line(from, None));
+    each_line::<2, 4, _>(&mut own, |at, from| restrict_line(from, Some(units(z, at))));
+    *parents = own;
 }
 
 /// Gives a block's slaves the velocity of their parents: u_f = Σ P u_c.
 #[inline(always)]
 pub fn prolong<T: Float>(slaves: u64, parents: &[T; NODES], nodes: &mut [T; NODES]) {
     let mut values = *parents;
-    for stride in STRIDES {
-        let mut finer = [T::default(); NODES];
-        for line in (0..NODES).step_by(4 * stride) {
-            for (node, parents) in PARENTS.iter().enumerate() {
-                for &(parent, weight, _) in parents {
-                    let (node, parent) = (line + node * stride, line + parent * stride);
-                    for i in 0..stride {
-                        finer[node + i] += T::from_f64(weight) * values[parent + i];
-                    }
-                }
-            }
-        }
-        values = finer;
-    }
+    each_line::<0, 16, _>(&mut values, |_, from| prolong_line(from));
+    each_line::<1, 16, _>(&mut values, |_, from| prolong_line(from));
+    each_line::<2, 4, _>(&mut values, |_, from| prolong_line(from));
     for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
         nodes[4 * node..4 * node + 3].copy_from_slice(&values[4 * node..4 * node + 3]);
     }

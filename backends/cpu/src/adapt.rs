@@ -5,11 +5,11 @@
 //! once it is three parent cells away. In between, particles stay as they are, so an agent that trembles changes nothing.
 
 use crate::engine::{CpuEngine, Pass};
-use crate::store::Parcel;
+use crate::store::{List, Parcel};
 use barchan_core::levels::{CellBox, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
-use barchan_core::{Aabb, Coupling, Error, Ledger, Result};
+use barchan_core::{Aabb, Coupling, Error, Ledger, Regions, Result};
 use barchan_grid::block::{self, CELLS, SIDE};
-use barchan_grid::particles::{MASS, STRAIN, VOLUME};
+use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::resample::{Change, Particle, Planes, Refusal, merge, split};
 use barchan_grid::transfer::Scalar;
 use barchan_lanes::LANES;
@@ -24,9 +24,9 @@ const PORTION: std::ops::RangeInclusive<f64> = 0.5..=1.6;
 const PATIENCE: u64 = 5;
 /// Part of a full cell below which a cell counts as empty: next to it is the surface.
 const EMPTY: f64 = 0.5;
-/// Sorts after which particles merge even if no region has moved. Merging looks at everything that is finer than need be, footprints
-/// included, so it must be rarer than sorting.
-const MERGE_ROUNDS: u64 = 32;
+/// Sorts after which everything that is finer than need be is tried again, footprints included: as long as moving regions need to
+/// be followed, only what they have left is.
+const MERGE_ROUNDS: u64 = 16;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 
@@ -64,10 +64,16 @@ impl Resampled {
 enum Action {
     Move,
     Split,
-    /// It may merge; it has also left its level's region.
-    Merge {
-        moves: bool,
-    },
+    Merge,
+}
+
+/// Which particles may merge in a round, of those that are finer than need be.
+#[derive(Clone, Copy)]
+enum Candidates<'a> {
+    None,
+    /// Those that had to be as fine in these regions.
+    New(&'a Regions),
+    All,
 }
 
 /// A particle that something is to happen to.
@@ -78,6 +84,8 @@ struct Found {
     chunk: usize,
     lane: usize,
     class: u32,
+    /// Level where it belongs.
+    home: usize,
     action: Action,
 }
 
@@ -85,13 +93,14 @@ struct Found {
 type Binned = (u32, usize, u16, [i64; 3], u32, usize);
 
 impl<T: Scalar> CpuEngine<T> {
-    /// Moves the levels' boxes after their agents. Returns whether any has moved.
-    pub(crate) fn follow_agents(&mut self, couplings: &[Box<dyn Coupling>]) -> bool {
+    /// Moves the levels' boxes after their agents. Returns the regions as they were if any has moved.
+    pub(crate) fn follow_agents(&mut self, couplings: &[Box<dyn Coupling>]) -> Option<Regions> {
         if self.levels.len() == 1 {
-            return false;
+            return None;
         }
         let agents = agent_bounds(&self.agents, couplings, |body| self.soft_bounds(body));
-        self.regions.follow(&agents)
+        let before = self.regions.clone();
+        self.regions.follow(&agents).then_some(before)
     }
 
     /// A box of cells around a soft body.
@@ -113,14 +122,36 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Brings particles to the levels whose regions they are in, splits those that are too coarse there and merges those that
-    /// are finer than need be, if regions have `moved` or have not for some time. Returns which levels have lost or gained
-    /// particles, and must be sorted.
+    /// are finer than need be. `before` are the regions as they were, if any has moved: then what need not be as fine any more is
+    /// merged; what was refused then is tried again every [`MERGE_ROUNDS`]. Returns which levels have lost or gained particles,
+    /// and must be sorted.
     ///
     /// # Errors
-    /// [`Error::Capacity`] if there are no numbers left for new particles.
-    pub(crate) fn adapt(&mut self, moved: bool, couplings: &[Box<dyn Coupling>]) -> Result<Vec<bool>> {
+    /// [`Error::Capacity`] if there are no numbers left for new particles; those of materials, whose strain has to be up to date.
+    pub(crate) fn adapt(
+        &mut self,
+        time: f64,
+        before: Option<&Regions>,
+        couplings: &[Box<dyn Coupling>],
+    ) -> Result<Vec<bool>> {
         let clock = Instant::now();
-        let found: Vec<Found> = (0..self.levels.len()).flat_map(|l| self.find(l)).collect();
+        let candidates = match before {
+            _ if self.rounds.is_multiple_of(MERGE_ROUNDS) => Candidates::All,
+            Some(before) => Candidates::New(before),
+            None => Candidates::None,
+        };
+        let found: Vec<Found> = (0..self.levels.len()).flat_map(|l| self.find(l, candidates)).collect();
+        // Levels have steps of their own, and strain lags behind by one.
+        let mut concerned = vec![false; self.levels.len()];
+        for one in &found {
+            match one.action {
+                Action::Merge => concerned.fill(true),
+                Action::Move | Action::Split => {
+                    (concerned[one.level], concerned[one.home]) = (true, true);
+                }
+            }
+        }
+        self.flush_strain(time, &concerned)?;
         let mut coming: Vec<(usize, Parcel)> = Vec::new();
         let mut gone: Vec<Found> = Vec::new();
         let tools: Vec<Aabb> = couplings.iter().flat_map(|c| c.bounds()).collect();
@@ -128,11 +159,7 @@ impl<T: Scalar> CpuEngine<T> {
             self.split_up(one, couplings, &tools, &mut coming)?;
             gone.push(one);
         }
-        let stay = if moved || self.rounds.is_multiple_of(MERGE_ROUNDS) {
-            self.merge_all(&found, couplings, &tools, &mut coming, &mut gone)
-        } else {
-            found.iter().filter(|one| one.action == Action::Merge { moves: true }).copied().collect()
-        };
+        let stay = self.merge_all(&found, couplings, &tools, &mut coming, &mut gone);
         let moving = found.iter().filter(|one| one.action == Action::Move).copied();
         for one in moving.chain(stay) {
             coming.push(self.moved(one));
@@ -144,10 +171,10 @@ impl<T: Scalar> CpuEngine<T> {
             changed[one.level] = true;
             self.levels[one.level].store.remove(one.list, one.chunk, one.lane);
         }
-        coming.sort_by_key(|(level, parcel)| (*level, parcel.list, parcel.id));
         for (l, level) in self.levels.iter_mut().enumerate() {
-            let here: Vec<Parcel> = coming.extract_if(.., |(level, _)| *level == l).map(|(_, parcel)| parcel).collect();
+            let mut here: Vec<&Parcel> = coming.iter().filter(|(to, _)| *to == l).map(|(_, parcel)| parcel).collect();
             if !here.is_empty() {
+                here.sort_unstable_by_key(|parcel| (parcel.list, parcel.id));
                 changed[l] = true;
                 level.store.push(&here);
             }
@@ -165,46 +192,80 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Particles of a level that have to move, split or may merge, in the order of its blocks.
-    fn find(&self, l: usize) -> Vec<Found> {
+    fn find(&self, l: usize, candidates: Candidates<'_>) -> Vec<Found> {
         let level = &self.levels[l];
-        let volumes: Vec<f64> = (0..self.scene.body.len().max(1)).map(|body| self.finest_volume(body as u16)).collect();
-        // Particles of class c have less than √8 · 8^c of that.
-        let class_of = |volume0: f64, body: u16| {
-            let ratio = volume0 / volumes[usize::from(body).min(volumes.len() - 1)];
-            (ratio.log2() / 3.0).round().max(0.0) as u32
+        // Particles of class c have from 8^c / √8 of their body's finest volume up to √8 · 8^c.
+        let least_of = |body: usize, class: usize| {
+            if class == 0 { 0.0 } else { self.finest_volume(body as u16) * 8_f64.powf(class as f64 - 0.5) }
         };
+        let classes = self.levels.len() + 1;
+        let least: Vec<f64> = (0..self.scene.body.len().max(1))
+            .flat_map(|body| (0..classes).map(move |class| least_of(body, class)))
+            .collect();
+        let splits_from = least.iter().skip(l + 1).step_by(classes).fold(f64::INFINITY, |a, b| a.min(*b));
+        let splits_from = T::from_f64(splits_from);
+        let least = |body: u16| &least[(usize::from(body) * classes).min(least.len() - classes)..][..classes];
         let runs = level.store.lists.first().map_or(0, |list| list.runs.len());
         let look = |b: usize| {
             let mut found = Vec::new();
             // Particles may have drifted out of their block by a cell.
-            let uniform = level.store.blocks.get(b).and_then(|&key| {
+            let around = level.store.blocks.get(b).map(|&key| {
                 let first = block::of_key(key).map(|c| c * SIDE - 1);
-                let cells = CellBox { min: first.map(|c| c << l), max: first.map(|c| (c + SIDE + 2) << l) };
-                Some([self.regions.finest(cells, SPLIT_AHEAD)?, self.regions.finest(cells, MERGE_BEHIND)?])
+                CellBox { min: first.map(|c| c << l), max: first.map(|c| (c + SIDE + 2) << l) }
             });
+            let everywhere = |regions: &Regions, margin: i32| around.and_then(|cells| regions.finest(cells, margin));
+            let home = everywhere(&self.regions, SPLIT_AHEAD);
+            let behind = everywhere(&self.regions, MERGE_BEHIND);
+            let before = if let Candidates::New(before) = candidates { everywhere(before, MERGE_BEHIND) } else { None };
+            // No class below `behind` is tried that is not below `before`.
+            let idle = match candidates {
+                Candidates::None => true,
+                Candidates::New(_) => before.is_some() && before == behind,
+                Candidates::All => false,
+            };
+            // As a rule a block has nothing to do, which its greatest particle tells.
+            let is_calm = |list: &List<T>, run: Run| {
+                let small = |chunk: usize| list.rest_plane(chunk, VOLUME).iter().all(|v| *v < splits_from);
+                idle && home == Some(l) && (run.first..run.first + run.chunks()).all(small)
+            };
             for (i, list) in level.store.lists.iter().enumerate() {
+                if is_calm(list, list.runs[b]) {
+                    continue;
+                }
                 for k in 0..list.runs[b].count {
                     let (chunk, lane) = (list.runs[b].first + k / LANES, k % LANES);
-                    let [home, least] = uniform.unwrap_or_else(|| {
-                        let cell = finest_cell(list.cell_of(chunk, lane), list.offset_of(chunk, lane), l);
-                        [SPLIT_AHEAD, MERGE_BEHIND].map(|margin| self.regions.finest_at(cell, margin))
-                    });
-                    let class = class_of(list.volume0_of(chunk, lane), list.body[chunk][lane]);
-                    let action = if class as usize > home {
+                    let cell = || finest_cell(list.cell_of(chunk, lane), list.offset_of(chunk, lane), l);
+                    let home = home.unwrap_or_else(|| self.regions.finest_at(cell(), SPLIT_AHEAD));
+                    let (volume0, least) = (list.volume0_of(chunk, lane), least(list.body[chunk][lane]));
+                    let may_merge = || {
+                        let behind = behind.unwrap_or_else(|| self.regions.finest_at(cell(), MERGE_BEHIND));
+                        let is_new = |regions: &Regions| {
+                            let before = before.unwrap_or_else(|| regions.finest_at(cell(), MERGE_BEHIND));
+                            volume0 >= least[before]
+                        };
+                        volume0 < least[behind]
+                            && match candidates {
+                                Candidates::None => false,
+                                Candidates::New(before) => is_new(before),
+                                Candidates::All => true,
+                            }
+                    };
+                    let action = if volume0 >= least[home + 1] {
                         Action::Split
-                    } else if (class as usize) < least {
-                        Action::Merge { moves: home != l }
+                    } else if !idle && may_merge() {
+                        Action::Merge
                     } else if home != l {
                         Action::Move
                     } else {
                         continue;
                     };
-                    found.push(Found { level: l, list: i, chunk, lane, class, action });
+                    let class = least.partition_point(|&v| v <= volume0) as u32 - 1;
+                    found.push(Found { level: l, list: i, chunk, lane, class, home, action });
                 }
             }
             found
         };
-        let found: Vec<Vec<Found>> = self.crew.pool.install(|| (0..runs).into_par_iter().map(look).collect());
+        let found: Vec<Vec<Found>> = (0..runs).into_par_iter().map(look).collect();
         found.concat()
     }
 
@@ -336,8 +397,7 @@ impl<T: Scalar> CpuEngine<T> {
         gone: &mut Vec<Found>,
     ) -> Vec<Found> {
         self.resampled.refused.clear();
-        let candidates: Vec<Found> =
-            found.iter().filter(|one| matches!(one.action, Action::Merge { .. })).copied().collect();
+        let candidates: Vec<Found> = found.iter().filter(|one| one.action == Action::Merge).copied().collect();
         let mut merged = vec![false; candidates.len()];
         let filling: Vec<HashMap<u64, [f32; CELLS]>> = (0..self.levels.len())
             .map(|l| if candidates.iter().any(|c| c.level == l) { self.filling(l) } else { HashMap::new() })
@@ -360,12 +420,11 @@ impl<T: Scalar> CpuEngine<T> {
                     (one.class, one.list, body, bin, list.id[one.chunk][one.lane], i)
                 })
                 .collect();
-            self.crew.pool.install(|| binned.par_sort_unstable());
+            binned.par_sort_unstable();
             let groups: Vec<&[Binned]> = binned.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3)).collect();
             let pairs = shift != 0 && self.rounds.is_multiple_of(PATIENCE);
-            let results: Vec<Option<Result<Merged, Refusal>>> = self.crew.pool.install(|| {
-                groups.par_iter().map(|group| self.try_merge(group, &candidates, &filling, pairs)).collect()
-            });
+            let results: Vec<Option<Result<Merged, Refusal>>> =
+                { groups.par_iter().map(|group| self.try_merge(group, &candidates, &filling, pairs)).collect() };
             let mut outcomes = Vec::new();
             for (group, result) in groups.iter().zip(results) {
                 match result {
@@ -389,7 +448,7 @@ impl<T: Scalar> CpuEngine<T> {
             }
         }
         let left = candidates.iter().zip(merged).filter(|(_, merged)| !merged).map(|(one, _)| *one);
-        left.filter(|one| one.action == Action::Merge { moves: true }).collect()
+        left.filter(|one| one.home != one.level).collect()
     }
 
     /// Mass in each cell of a level, as a part of a full cell, by block.
@@ -414,7 +473,7 @@ impl<T: Scalar> CpuEngine<T> {
             }
             (cells, strays)
         };
-        let filled: Vec<_> = self.crew.pool.install(|| (0..runs).into_par_iter().map(fill).collect());
+        let filled: Vec<_> = (0..runs).into_par_iter().map(fill).collect();
         let mut filling: HashMap<u64, [f32; CELLS]> =
             level.store.blocks.iter().zip(&filled).map(|(&key, (cells, _))| (key, *cells)).collect();
         for (key, cell, part) in filled.into_iter().flat_map(|(_, strays)| strays) {

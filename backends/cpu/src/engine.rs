@@ -2,7 +2,7 @@
 
 use crate::adapt::Resampled;
 use crate::isolated;
-use crate::level::{Crew, Level, Shares, Stopped, greater};
+use crate::level::{Level, Shares, Stopped, greater};
 use crate::store::{Departures, List};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
@@ -17,8 +17,10 @@ use barchan_core::{
 use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
 use barchan_lanes::{Isa, LANES};
+use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Steps after which particles are sorted again, if they have moved at all: a late sort costs the transfers more than it saves.
@@ -86,7 +88,9 @@ impl Clocks {
 
 /// One world on the CPU: its levels, finest first.
 pub(crate) struct CpuEngine<T: Scalar> {
-    pub(crate) crew: Crew,
+    /// Everything runs in it, so that what is parallel need not enter it each time.
+    pool: Arc<ThreadPool>,
+    pub(crate) isa: Isa,
     pub(crate) materials: Vec<PlannedMaterial>,
     pub(crate) levels: Vec<Level<T>>,
     pub(crate) regions: Regions,
@@ -132,7 +136,8 @@ impl<T: Scalar> CpuEngine<T> {
         })?;
         let shares = Shares { materials: vec![0; plan.materials.len()], sampled: 0 };
         let mut engine = Self {
-            crew: Crew { pool, isa: Isa::current() },
+            pool: Arc::new(pool),
+            isa: Isa::current(),
             materials: plan.materials.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             regions: plan.regions.clone(),
@@ -164,8 +169,8 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Sorts the levels whose particles are too far from home, or have been so for long; before that, brings particles to the
-    /// levels they belong on; regions may have `moved`. Returns whether anything was sorted.
-    fn keep_in_order(&mut self, time: f64, moved: bool, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
+    /// levels they belong on; `before` are the regions as they were if they have moved. Returns whether anything was sorted.
+    fn keep_in_order(&mut self, time: f64, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
         // A subcycled step moves particles several times before they can be sorted.
         let allowed = if self.substeps > 1 { MAX_DRIFT - MAX_MOVE } else { MAX_DRIFT };
         let late = |level: &Level<T>| match self.age {
@@ -173,21 +178,20 @@ impl<T: Scalar> CpuEngine<T> {
             Some(age) => level.drift > allowed || (age >= SORT_AGE && level.drift > SORT_DRIFT),
         };
         let mut due: Vec<bool> = self.levels.iter().map(late).collect();
-        if !moved && !due.contains(&true) {
+        if before.is_none() && !due.contains(&true) {
             return Ok(false);
         }
         self.rounds += 1;
         let mut holes = vec![false; self.levels.len()];
         if self.levels.len() > 1 {
-            self.flush_strain(time)?;
-            holes = self.adapt(moved, couplings)?;
+            holes = self.adapt(time, before, couplings)?;
         }
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
         let clock = Instant::now();
         for l in (0..self.levels.len()).filter(|&l| due[l]) {
             self.sort_level(l, holes[l])?;
         }
-        self.rebuild_grids(moved);
+        self.rebuild_grids(before.is_some());
         self.age = Some(0);
         self.clocks.add(Pass::Sort, clock);
         Ok(true)
@@ -196,7 +200,7 @@ impl<T: Scalar> CpuEngine<T> {
     /// Sorts one level. `holes`: have particles been taken out, or come in?
     fn sort_level(&mut self, l: usize, holes: bool) -> Result<()> {
         let (level, leaving) = (&mut self.levels[l], self.leaving);
-        let departures = self.crew.pool.install(|| level.store.sort(&level.bounds, leaving, holes))?;
+        let departures = level.store.sort(&level.bounds, leaving, holes)?;
         if let Some((list, chunk, lane)) = departures.refused {
             let (list, h) = (&level.store.lists[list], level.h());
             let (cell, offset) = (list.cell_of(chunk, lane), list.offset_of(chunk, lane));
@@ -260,7 +264,7 @@ impl<T: Scalar> CpuEngine<T> {
         }
         let step = Step { strain_parts: (parts as u32).max(1), ..self.step_of(l, dt) };
         self.parted += u64::from(step.strain_parts > 1);
-        let outcome = self.levels[l].particles_to_grid(&self.crew, &step, &mut self.clocks.shares);
+        let outcome = self.levels[l].particles_to_grid(self.isa, &step, &mut self.clocks.shares);
         outcome.map_err(|stopped| self.explain(l, stopped))?;
         self.clocks.add(Pass::P2G, clock);
         Ok(())
@@ -270,7 +274,7 @@ impl<T: Scalar> CpuEngine<T> {
     pub(crate) fn affine_to_rim(&mut self, l: usize) {
         if !self.levels[l].grid.rings.is_empty() {
             let clock = Instant::now();
-            self.levels[l].affine_to_rim(&self.crew);
+            self.levels[l].affine_to_rim(self.isa);
             self.clocks.add(Pass::Restrict, clock);
         }
     }
@@ -298,7 +302,7 @@ impl<T: Scalar> CpuEngine<T> {
         let clock = Instant::now();
         let mut finer: Option<&mut Level<T>> = None;
         for level in &mut self.levels {
-            level.update_grid(&self.crew, self.least_mass, finer.map(|finer| &finer.grid), false);
+            level.update_grid(self.isa, self.least_mass, finer.map(|finer| &finer.grid), false);
             finer = Some(level);
         }
         self.clocks.add(Pass::Grid, clock);
@@ -312,7 +316,7 @@ impl<T: Scalar> CpuEngine<T> {
         let clock = Instant::now();
         for l in (1..self.levels.len()).rev() {
             if let ([.., finer], [coarser, ..]) = self.levels.split_at_mut(l) {
-                finer.prolong(&self.crew, &coarser.grid);
+                finer.prolong(self.isa, &coarser.grid);
                 finer.max_speed = greater(finer.max_speed, coarser.max_speed);
             }
         }
@@ -471,7 +475,7 @@ impl<T: Scalar> CpuEngine<T> {
             let clock = Instant::now();
             for level in &mut self.levels {
                 level.mirror_separated();
-                level.grid_to_particles(&self.crew, dt);
+                level.grid_to_particles(self.isa, dt);
             }
             self.clocks.add(Pass::G2P, clock);
         }
@@ -481,12 +485,12 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(dt)
     }
 
-    /// Carries strain up to where the particles are, before some change to a level with another step.
-    fn flush_strain(&mut self, time: f64) -> Result<()> {
+    /// Carries strain of levels up to where their particles are, before some change to a level with another step.
+    pub(crate) fn flush_strain(&mut self, time: f64, concerned: &[bool]) -> Result<()> {
         if self.substeps == 1 || self.age.is_none() {
             return Ok(());
         }
-        for l in 0..self.levels.len() {
+        for l in (0..self.levels.len()).filter(|&l| concerned[l]) {
             let impulse = self.levels[l].wall_impulse;
             self.particles_to_grid(l, 0.0).map_err(|error| at_time(error, time))?;
             // Nothing has been exchanged with the walls: the nodes are never asked.
@@ -599,16 +603,14 @@ impl<T: Scalar> CpuEngine<T> {
                     };
                     Ok((0..count).map(step).fold(f64::INFINITY, f64::min))
                 };
-                let least = self.crew.pool.install(|| {
-                    let run_bound = |run: &&Run| {
-                        let mut scratch: Scratch = (Default::default(), Default::default(), ErrorBuffer::default());
-                        (0..run.chunks()).try_fold(f64::INFINITY, |least: f64, k| {
-                            let count = (run.count - k * LANES).min(LANES);
-                            Ok(least.min(chunk_bound(run.first + k, count, &mut scratch)?))
-                        })
-                    };
-                    runs.par_iter().map(run_bound).try_reduce(|| f64::INFINITY, |a, b| Ok(a.min(b)))
-                })?;
+                let run_bound = |run: &&Run| {
+                    let mut scratch: Scratch = (Default::default(), Default::default(), ErrorBuffer::default());
+                    (0..run.chunks()).try_fold(f64::INFINITY, |least: f64, k| {
+                        let count = (run.count - k * LANES).min(LANES);
+                        Ok(least.min(chunk_bound(run.first + k, count, &mut scratch)?))
+                    })
+                };
+                let least = runs.par_iter().map(run_bound).try_reduce(|| f64::INFINITY, |a, b| Ok(a.min(b)))?;
                 if least < self.stiffness.dt {
                     self.stiffness = Bound { dt: least, by: format!("stiffness of material '{}'", planned.name) };
                 }
@@ -641,32 +643,8 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     }
 
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
-        let ground = self.particle_count() > 0;
-        if self.spoilt {
-            // Found here, it has touched nothing yet.
-            self.find_non_finite().map_or(Ok(()), |error| Err(at_time(error, time)))?;
-        }
-        let moved = ground && self.follow_agents(couplings);
-        let sorted = ground && self.keep_in_order(time, moved, couplings)?;
-        self.gravity = self.scene.gravity_at(time);
-        let (dt, wrenches) = if self.substeps > 1 && ground {
-            let wrenches = self.advance_subcycled(time, dt, couplings)?;
-            (dt, Some(wrenches))
-        } else {
-            (self.advance_together(time, dt, ground, couplings)?, None)
-        };
-        self.stiffness_age += 1;
-        if self.hardens && self.stiffness_age >= STIFFNESS_AGE {
-            self.measure_stiffness()?;
-        }
-        let mass = self.total_mass();
-        for d in 0..3 {
-            self.gravity_impulse[d] += mass * self.gravity[d] * dt;
-        }
-        let max_speed = self.levels.iter().fold(0.0, |most, level| greater(level.max_speed, most));
-        self.age = self.age.map(|age| age + 1);
-        self.steps += 1;
-        Ok(StepReport { dt, sorted, max_speed, wrenches })
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.advance(time, dt, couplings))
     }
 
     fn download(&self) -> ParticleState {
@@ -696,6 +674,91 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.take_in(particles))
+    }
+
+    fn particle_count(&self) -> usize {
+        self.levels.iter().map(|level| level.store.len()).sum()
+    }
+
+    fn account(&self, ledger: &mut Ledger) {
+        self.account_particles(ledger);
+        for d in 0..3 {
+            ledger.wall_impulse[d] += self.levels.iter().map(|level| level.wall_impulse[d]).sum::<f64>();
+            ledger.gravity_impulse[d] += self.gravity_impulse[d];
+        }
+        self.resampled.account(ledger);
+        ledger.deleted_mass += self.departures.deleted_mass;
+        ledger.count("particles put back into the world", self.departures.clamped);
+        ledger.count("particles deleted on leaving", self.departures.deleted);
+        ledger.count("steps shortened for speed", self.shortened);
+        ledger.count("steps with strain applied in parts", self.parted);
+        let of_level =
+            |(l, level): (usize, &Level<T>)| isolated::count(&level.store.lists, &level.bounds, &self.regions, l);
+        let isolated = self.levels.iter().enumerate().map(of_level).sum();
+        ledger.count("particles with an isolated stencil now", isolated);
+    }
+
+    fn timings(&self) -> Vec<Timing> {
+        let p2g = self.clocks.passes.get(&Pass::P2G).map_or(0.0, |(time, _)| time.as_secs_f64());
+        let mut timings = Vec::new();
+        for (&pass, &(time, passes)) in &self.clocks.passes {
+            let mut seconds = time.as_secs_f64();
+            if pass == Pass::P2G {
+                for (m, &nanoseconds) in self.clocks.shares.materials.iter().enumerate() {
+                    let share = nanoseconds as f64 / self.clocks.shares.sampled.max(1) as f64 * p2g;
+                    seconds -= share;
+                    timings.push(Timing {
+                        effect: format!("material {}", self.materials[m].name),
+                        seconds: share,
+                        passes,
+                    });
+                }
+            }
+            timings.push(Timing { effect: pass.name().into(), seconds, passes });
+        }
+        timings
+    }
+
+    fn memory(&self) -> (u64, u64) {
+        let sum = |bytes: fn(&Level<T>) -> u64| self.levels.iter().map(bytes).sum();
+        (sum(|level| level.store.bytes()), sum(|level| level.grid.bytes()))
+    }
+}
+
+impl<T: Scalar> CpuEngine<T> {
+    /// One step of all levels, subcycled or not.
+    fn advance(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
+        let ground = self.particle_count() > 0;
+        if self.spoilt {
+            // Found here, it has touched nothing yet.
+            self.find_non_finite().map_or(Ok(()), |error| Err(at_time(error, time)))?;
+        }
+        let before = if ground { self.follow_agents(couplings) } else { None };
+        let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
+        self.gravity = self.scene.gravity_at(time);
+        let (dt, wrenches) = if self.substeps > 1 && ground {
+            let wrenches = self.advance_subcycled(time, dt, couplings)?;
+            (dt, Some(wrenches))
+        } else {
+            (self.advance_together(time, dt, ground, couplings)?, None)
+        };
+        self.stiffness_age += 1;
+        if self.hardens && self.stiffness_age >= STIFFNESS_AGE {
+            self.measure_stiffness()?;
+        }
+        let mass = self.total_mass();
+        for d in 0..3 {
+            self.gravity_impulse[d] += mass * self.gravity[d] * dt;
+        }
+        let max_speed = self.levels.iter().fold(0.0, |most, level| greater(level.max_speed, most));
+        self.age = self.age.map(|age| age + 1);
+        self.steps += 1;
+        Ok(StepReport { dt, sorted, max_speed, wrenches })
+    }
+
+    fn take_in(&mut self, particles: ParticleState) -> Result<()> {
         let materials = self.materials.len();
         if particles.lists.len() != self.levels.len() * materials {
             return Err(Error::Body {
@@ -749,56 +812,6 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         Ok(())
     }
 
-    fn particle_count(&self) -> usize {
-        self.levels.iter().map(|level| level.store.len()).sum()
-    }
-
-    fn account(&self, ledger: &mut Ledger) {
-        self.account_particles(ledger);
-        for d in 0..3 {
-            ledger.wall_impulse[d] += self.levels.iter().map(|level| level.wall_impulse[d]).sum::<f64>();
-            ledger.gravity_impulse[d] += self.gravity_impulse[d];
-        }
-        self.resampled.account(ledger);
-        ledger.deleted_mass += self.departures.deleted_mass;
-        ledger.count("particles put back into the world", self.departures.clamped);
-        ledger.count("particles deleted on leaving", self.departures.deleted);
-        ledger.count("steps shortened for speed", self.shortened);
-        ledger.count("steps with strain applied in parts", self.parted);
-        let of_level =
-            |(l, level): (usize, &Level<T>)| isolated::count(&level.store.lists, &level.bounds, &self.regions, l);
-        let isolated = self.levels.iter().enumerate().map(of_level).sum();
-        ledger.count("particles with an isolated stencil now", isolated);
-    }
-
-    fn timings(&self) -> Vec<Timing> {
-        let p2g = self.clocks.passes.get(&Pass::P2G).map_or(0.0, |(time, _)| time.as_secs_f64());
-        let mut timings = Vec::new();
-        for (&pass, &(time, passes)) in &self.clocks.passes {
-            let mut seconds = time.as_secs_f64();
-            if pass == Pass::P2G {
-                for (m, &nanoseconds) in self.clocks.shares.materials.iter().enumerate() {
-                    let share = nanoseconds as f64 / self.clocks.shares.sampled.max(1) as f64 * p2g;
-                    seconds -= share;
-                    timings.push(Timing {
-                        effect: format!("material {}", self.materials[m].name),
-                        seconds: share,
-                        passes,
-                    });
-                }
-            }
-            timings.push(Timing { effect: pass.name().into(), seconds, passes });
-        }
-        timings
-    }
-
-    fn memory(&self) -> (u64, u64) {
-        let sum = |bytes: fn(&Level<T>) -> u64| self.levels.iter().map(bytes).sum();
-        (sum(|level| level.store.bytes()), sum(|level| level.grid.bytes()))
-    }
-}
-
-impl<T: Scalar> CpuEngine<T> {
     /// Total mass, kept from the last upload and corrected for what was deleted.
     fn total_mass(&self) -> f64 {
         self.mass - self.departures.deleted_mass
@@ -806,8 +819,8 @@ impl<T: Scalar> CpuEngine<T> {
 
     /// What depends on the particles as they come in: total and least mass, greatest deformation rate and speed.
     fn take_stock(&mut self) {
-        let crew = &self.crew;
-        let least = self.levels.iter_mut().fold(f64::INFINITY, |least, level| level.take_stock(crew).min(least));
+        let isa = self.isa;
+        let least = self.levels.iter_mut().fold(f64::INFINITY, |least, level| level.take_stock(isa).min(least));
         let mass: f64 = self.lists().flat_map(|(_, list)| list.places().map(|(c, l)| list.mass_of(c, l))).sum();
         self.mass = mass + self.departures.deleted_mass;
         self.least_mass = if least.is_finite() { least * 1e-20 } else { 0.0 };

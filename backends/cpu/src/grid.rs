@@ -8,6 +8,7 @@ use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
 use barchan_grid::ring::{self, COLUMNS};
 use barchan_grid::wall::{Mirror, Mirrors, Separation};
 use barchan_lanes::Float;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -269,11 +270,11 @@ impl<T: Float> Grid<T> {
             .filter_map(block::key)
             .chain(parent_keys.iter().copied())
             .collect();
-        keys.sort_unstable();
+        keys.par_sort_unstable();
         keys.dedup();
         let (node_index, tile_index) = (index(&keys), index(occupied));
-        self.nodes_around = occupied.iter().map(|&key| around(key, 1).map(|b| find(&node_index, b))).collect();
-        self.tiles_around = keys.iter().map(|&key| around(key, -1).map(|b| find(&tile_index, b))).collect();
+        self.nodes_around = occupied.par_iter().map(|&key| around(key, 1).map(|b| find(&node_index, b))).collect();
+        self.tiles_around = keys.par_iter().map(|&key| around(key, -1).map(|b| find(&tile_index, b))).collect();
         self.mirrored =
             occupied.iter().map(|&key| bounds.mirrors.meet(block::of_key(key).map(|b| b * SIDE - 2))).collect();
         self.images.resize(occupied.len(), Vec::new());
@@ -299,12 +300,12 @@ impl<T: Float> Grid<T> {
     pub(crate) fn find_rim(&mut self, regions: &Regions, level: usize, bounds: &Bounds, coarser: &Bounds) {
         self.rings.clear();
         self.ring_of.fill(NONE);
-        for (g, &key) in self.keys.iter().enumerate() {
+        let slaves_of = |key: u64| {
             let first = block::of_key(key).map(|b| b * SIDE);
             let support =
                 |cell: [i32; 3], side: i32| CellBox { min: cell.map(|c| c - 1), max: cell.map(|c| c + side + 1) };
             if regions.cover(level, support(first, SIDE)) == Cover::All {
-                continue;
+                return 0;
             }
             let mut slaves = 0;
             for n in 0..CELLS {
@@ -323,6 +324,10 @@ impl<T: Float> Grid<T> {
                     slaves |= 1 << n;
                 }
             }
+            slaves
+        };
+        let slaves: Vec<u64> = self.keys.par_iter().map(|&key| slaves_of(key)).collect();
+        for (g, slaves) in slaves.into_iter().enumerate() {
             if slaves != 0 {
                 self.ring_of[g] = self.rings.len() as u32;
                 self.rings.push(Ring {
@@ -337,26 +342,28 @@ impl<T: Float> Grid<T> {
         grow(&mut self.handed, self.rings.len(), [T::default(); NODES]);
 
         // The blocks whose tiles hold any of these nodes.
+        let (rings, ring_of) = (&self.rings, &self.ring_of);
+        let shared: [u64; 27] = std::array::from_fn(|n| block::shared_nodes(block::offset(n)));
+        let touching = |around: &[u32; 27]| {
+            let ring = |n: usize| ring_of.get(around[n] as usize).and_then(|&r| rings.get(r as usize));
+            let slaves = |n: usize| ring(n).map_or(0, |ring| ring.slaves);
+            (0..27).any(|n| slaves(n) & shared[n] != 0).then(|| ring::touching(slaves))
+        };
+        let touching: Vec<_> = self.nodes_around.par_iter().map(touching).collect();
         self.touches.clear();
-        let (rings, ring_of, touches) = (&self.rings, &self.ring_of, &mut self.touches);
-        self.edge_of = self
-            .nodes_around
-            .iter()
-            .map(|around| {
-                let ring = |n: usize| ring_of.get(around[n] as usize).and_then(|&r| rings.get(r as usize));
-                let slaves = |n: usize| ring(n).map_or(0, |ring| ring.slaves);
-                if (0..27).all(|n| slaves(n) & block::shared_nodes(block::offset(n)) == 0) {
-                    return NONE;
-                }
-                touches.push(ring::touching(slaves));
-                touches.len() as u32 - 1
-            })
-            .collect();
+        self.edge_of.clear();
+        for touches in touching {
+            self.edge_of.push(touches.map_or(NONE, |_| self.touches.len() as u32));
+            self.touches.extend(touches);
+        }
         let edges = self.touches.len();
         grow(&mut self.columns, edges, [[T::default(); TILE]; COLUMNS]);
         for ring in &mut self.rings {
-            ring.edges_around = self.tiles_around[ring.block as usize]
-                .map(|tile| self.edge_of.get(tile as usize).copied().unwrap_or(NONE));
+            let around = &self.tiles_around[ring.block as usize];
+            ring.edges_around = std::array::from_fn(|n| {
+                let edge = self.edge_of.get(around[n] as usize).copied().unwrap_or(NONE);
+                if ring.slaves & shared[n] == 0 { NONE } else { edge }
+            });
         }
         // Pairs at a wall that lets go are the coarser level's business at the rim.
         for pairs in &mut self.pairs {
@@ -368,8 +375,8 @@ impl<T: Float> Grid<T> {
 
         self.rim_parents = self
             .rings
-            .iter()
-            .flat_map(|ring| {
+            .par_iter()
+            .flat_map_iter(|ring| {
                 let first = ring::first_parent(block::of_key(self.keys[ring.block as usize]));
                 let used = ring::parents(ring.slaves);
                 (0..CELLS).filter(move |n| used >> n & 1 == 1).map(move |n| place(first, n))
@@ -388,8 +395,8 @@ impl<T: Float> Grid<T> {
     /// Ties the rim to the nodes of the next coarser grid, and these to the rim.
     pub(crate) fn link(&mut self, coarser: &mut Self, bounds: &Bounds) {
         let node_index = index(&coarser.keys);
-        let mut links: Vec<(u32, Link)> = Vec::new();
-        for (r, ring) in self.rings.iter_mut().enumerate() {
+        let tie = |(r, ring): (usize, &mut Ring)| {
+            let mut links: Vec<(u32, Link)> = Vec::new();
             let first = ring::first_parent(block::of_key(self.keys[ring.block as usize]));
             let used = ring::parents(ring.slaves);
             for n in (0..CELLS).filter(|n| used >> n & 1 == 1) {
@@ -404,10 +411,12 @@ impl<T: Float> Grid<T> {
                 ring.flips[n] = flips;
                 links.push((block, Link { from: (r * CELLS + n) as u32, node, flips }));
             }
-        }
+            links
+        };
+        let mut links: Vec<_> = self.rings.par_iter_mut().enumerate().flat_map_iter(tie).collect();
         self.rim_reflects = links.iter().any(|(_, link)| link.flips != 0);
         coarser.links_reflect = self.rim_reflects;
-        links.sort_unstable_by_key(|(block, link)| (*block, link.node, link.from));
+        links.par_sort_unstable_by_key(|(block, link)| (*block, link.node, link.from));
         coarser.link_starts =
             (0..=coarser.keys.len() as u32).map(|g| links.partition_point(|(block, _)| *block < g) as u32).collect();
         coarser.links = links.iter().map(|(_, link)| *link).collect();

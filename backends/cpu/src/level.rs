@@ -20,12 +20,6 @@ const TIMED_BLOCKS: usize = 16;
 /// in a particle's velocity by no more than its mass over the particle's, so the speed of lighter ones counts in proportion.
 const FELT: f64 = 1e17;
 
-/// Who does the work.
-pub(crate) struct Crew {
-    pub(crate) pool: rayon::ThreadPool,
-    pub(crate) isa: Isa,
-}
-
 /// Nanoseconds in each material's callback and in P2G as a whole, over the blocks that measure.
 #[derive(Clone, Default)]
 pub(crate) struct Shares {
@@ -90,7 +84,7 @@ impl<T: Scalar> Level<T> {
     }
 
     /// Mass, momentum and stress of every block's particles into the block's tile. Strain is up to date afterwards.
-    pub(crate) fn particles_to_grid(&mut self, crew: &Crew, step: &Step, shares: &mut Shares) -> Result<(), Stopped> {
+    pub(crate) fn particles_to_grid(&mut self, isa: Isa, step: &Step, shares: &mut Shares) -> Result<(), Stopped> {
         let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
         let walls = self.has_mirrors();
@@ -99,60 +93,58 @@ impl<T: Scalar> Level<T> {
         let impulse_of = Shared(impulses.as_mut_ptr());
         let images = Shared(self.grid.images.as_ptr().cast_mut());
         let n_materials = shares.materials.len();
-        let (fault, measured) = crew.pool.install(|| {
-            (0..blocks)
-                .into_par_iter()
-                .map(|b| {
-                    // SAFETY: each block has a tile of its own.
-                    let tile = unsafe { &mut *tiles.at(b) };
-                    let mut spent = 0;
-                    let timed = b % TIMED_BLOCKS == 0;
-                    let begun = timed.then(Instant::now);
-                    let mut materials = if timed { vec![0; n_materials] } else { Vec::new() };
-                    let mut fault = None;
-                    crew.isa.run::<T, _>(Clear(tile));
-                    for (l, list) in lists.iter().enumerate() {
-                        let run = list.runs[b];
-                        if run.count == 0 {
-                            continue;
-                        }
-                        let mut message = ErrorBuffer::default();
-                        let outcome = crew.isa.run::<T, _>(ParticlesToGrid {
-                            particles: list.view(),
-                            run,
-                            origin: grid.origin(b),
-                            law: &list.law,
-                            step,
-                            tile,
-                            error: message.as_raw(),
-                            material_time: timed.then_some(&mut spent),
-                        });
-                        if let Err(f) = outcome {
-                            fault = fault.or(Some((b, (l, f, message))));
-                        }
-                        if timed {
-                            materials[list.material] += std::mem::take(&mut spent);
-                        }
+        let (fault, measured) = (0..blocks)
+            .into_par_iter()
+            .map(|b| {
+                // SAFETY: each block has a tile of its own.
+                let tile = unsafe { &mut *tiles.at(b) };
+                let mut spent = 0;
+                let timed = b % TIMED_BLOCKS == 0;
+                let begun = timed.then(Instant::now);
+                let mut materials = if timed { vec![0; n_materials] } else { Vec::new() };
+                let mut fault = None;
+                isa.run::<T, _>(Clear(tile));
+                for (l, list) in lists.iter().enumerate() {
+                    let run = list.runs[b];
+                    if run.count == 0 {
+                        continue;
                     }
-                    if walls && grid.mirrored[b] {
-                        // SAFETY: each block has an entry of its own.
-                        unsafe {
-                            *impulse_of.at(b) = mirrors.fold(tile, grid.origin(b), &mut *images.at(b));
-                        }
+                    let mut message = ErrorBuffer::default();
+                    let outcome = isa.run::<T, _>(ParticlesToGrid {
+                        particles: list.view(),
+                        run,
+                        origin: grid.origin(b),
+                        law: &list.law,
+                        step,
+                        tile,
+                        error: message.as_raw(),
+                        material_time: timed.then_some(&mut spent),
+                    });
+                    if let Err(f) = outcome {
+                        fault = fault.or(Some((b, (l, f, message))));
                     }
-                    (fault, Shares { materials, sampled: begun.map_or(0, |t| t.elapsed().as_nanos() as u64) })
-                })
-                .reduce(
-                    || (None, Shares::default()),
-                    |a, b| {
-                        let first = match (a.0, b.0) {
-                            (Some(x), Some(y)) => Some(if x.0 <= y.0 { x } else { y }),
-                            (x, y) => x.or(y),
-                        };
-                        (first, a.1.plus(b.1))
-                    },
-                )
-        });
+                    if timed {
+                        materials[list.material] += std::mem::take(&mut spent);
+                    }
+                }
+                if walls && grid.mirrored[b] {
+                    // SAFETY: each block has an entry of its own.
+                    unsafe {
+                        *impulse_of.at(b) = mirrors.fold(tile, grid.origin(b), &mut *images.at(b));
+                    }
+                }
+                (fault, Shares { materials, sampled: begun.map_or(0, |t| t.elapsed().as_nanos() as u64) })
+            })
+            .reduce(
+                || (None, Shares::default()),
+                |a, b| {
+                    let first = match (a.0, b.0) {
+                        (Some(x), Some(y)) => Some(if x.0 <= y.0 { x } else { y }),
+                        (x, y) => x.or(y),
+                    };
+                    (first, a.1.plus(b.1))
+                },
+            );
         // Strain has been carried along, so a repetition of this pass must not carry it again.
         self.strain_dt = 0.0;
         *shares = std::mem::take(shares).plus(measured);
@@ -164,29 +156,27 @@ impl<T: Scalar> Level<T> {
     }
 
     /// The affine momentum of particles near the level's rim, which goes with their momentum to the coarser level.
-    pub(crate) fn affine_to_rim(&mut self, crew: &Crew) {
+    pub(crate) fn affine_to_rim(&mut self, isa: Isa) {
         let (lists, grid, mirrors, h) = (&self.store.lists, &self.grid, &self.bounds.mirrors, self.h());
         let columns = Shared(self.grid.columns.as_ptr().cast_mut());
-        crew.pool.install(|| {
-            grid.edge_of.par_iter().enumerate().filter(|(_, edge)| **edge != NONE).for_each(|(b, &edge)| {
-                // SAFETY: each block has columns of its own.
-                let tiles: &mut [[T; TILE]; COLUMNS] = unsafe { &mut *columns.at(edge as usize) };
-                for tile in tiles.iter_mut() {
-                    crew.isa.run::<T, _>(Clear(tile));
+        grid.edge_of.par_iter().enumerate().filter(|(_, edge)| **edge != NONE).for_each(|(b, &edge)| {
+            // SAFETY: each block has columns of its own.
+            let tiles: &mut [[T; TILE]; COLUMNS] = unsafe { &mut *columns.at(edge as usize) };
+            for tile in tiles.iter_mut() {
+                isa.run::<T, _>(Clear(tile));
+            }
+            for list in lists {
+                let (particles, run, origin) = (list.view(), list.runs[b], grid.origin(b));
+                if run.count > 0 {
+                    let touches = &grid.touches[edge as usize];
+                    isa.run::<T, _>(AffineToGrid { particles, run, origin, h, touches, tiles: &mut *tiles });
                 }
-                for list in lists {
-                    let (particles, run, origin) = (list.view(), list.runs[b], grid.origin(b));
-                    if run.count > 0 {
-                        let touches = &grid.touches[edge as usize];
-                        crew.isa.run::<T, _>(AffineToGrid { particles, run, origin, h, touches, tiles: &mut *tiles });
-                    }
+            }
+            if grid.mirrored[b] {
+                for (column, tile) in tiles.iter_mut().enumerate() {
+                    mirrors.fold_column(tile, grid.origin(b), column);
                 }
-                if grid.mirrored[b] {
-                    for (column, tile) in tiles.iter_mut().enumerate() {
-                        mirrors.fold_column(tile, grid.origin(b), column);
-                    }
-                }
-            });
+            }
         });
     }
 
@@ -195,8 +185,8 @@ impl<T: Scalar> Level<T> {
     ///
     /// With `keep_shared`, nodes that the finer level's rim hands something to keep their momentum for
     /// [`solve_shared`](Self::solve_shared) and show nothing here.
-    pub(crate) fn update_grid(&mut self, crew: &Crew, least: f64, finer: Option<&Grid<T>>, keep_shared: bool) {
-        let (isa, grid, least) = (crew.isa, &self.grid, T::from_f64(least));
+    pub(crate) fn update_grid(&mut self, isa: Isa, least: f64, finer: Option<&Grid<T>>, keep_shared: bool) {
+        let (grid, least) = (&self.grid, T::from_f64(least));
         let nodes = Shared(self.grid.nodes.as_ptr().cast_mut());
         let handed = Shared(self.grid.handed.as_ptr().cast_mut());
         let separate = !self.bounds.separations.is_empty();
@@ -204,100 +194,94 @@ impl<T: Scalar> Level<T> {
         let mut impulses = vec![[0.0; 3]; if reflects { grid.keys.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
         let shared = Shared(self.grid.shared.as_ptr().cast_mut());
-        let speed = crew.pool.install(|| {
-            (0..grid.keys.len())
-                .into_par_iter()
-                .map(|g| {
-                    // SAFETY: each task has a node block of its own, with its ring and its impulse.
-                    let nodes = unsafe { &mut *nodes.at(g) };
-                    isa.run::<T, _>(SumTiles { nodes, tiles: &grid.tiles, around: &grid.tiles_around[g] });
-                    if let Some(finer) = finer {
-                        let impulse = grid.take_up(g, &finer.handed, nodes);
-                        if reflects {
-                            // SAFETY: as above.
-                            unsafe { *impulse_of.at(g) = impulse };
-                        }
-                    }
-                    if keep_shared {
-                        for k in grid.shared_starts[g]..grid.shared_starts[g + 1] {
-                            // SAFETY: each shared node belongs to one block.
-                            let shared = unsafe { &mut *shared.at(k as usize) };
-                            let node = &mut nodes[4 * (shared.node as usize % CELLS)..][..4];
-                            shared.own.copy_from_slice(node);
-                            node.fill(T::default());
-                        }
-                    }
-                    if let Some(ring) = grid.rings.get(grid.ring_of[g] as usize) {
+        let speed = (0..grid.keys.len())
+            .into_par_iter()
+            .map(|g| {
+                // SAFETY: each task has a node block of its own, with its ring and its impulse.
+                let nodes = unsafe { &mut *nodes.at(g) };
+                isa.run::<T, _>(SumTiles { nodes, tiles: &grid.tiles, around: &grid.tiles_around[g] });
+                if let Some(finer) = finer {
+                    let impulse = grid.take_up(g, &finer.handed, nodes);
+                    if reflects {
                         // SAFETY: as above.
-                        let handed = unsafe { &mut *handed.at(grid.ring_of[g] as usize) };
-                        isa.run::<T, _>(HandOver { ring, columns: grid.columns.as_flattened(), nodes, handed });
+                        unsafe { *impulse_of.at(g) = impulse };
                     }
-                    if separate { T::default() } else { isa.run::<T, _>(Velocities { nodes, least }) }
-                })
-                .reduce(T::default, greater)
-        });
+                }
+                if keep_shared {
+                    for k in grid.shared_starts[g]..grid.shared_starts[g + 1] {
+                        // SAFETY: each shared node belongs to one block.
+                        let shared = unsafe { &mut *shared.at(k as usize) };
+                        let node = &mut nodes[4 * (shared.node as usize % CELLS)..][..4];
+                        shared.own.copy_from_slice(node);
+                        node.fill(T::default());
+                    }
+                }
+                if let Some(ring) = grid.rings.get(grid.ring_of[g] as usize) {
+                    // SAFETY: as above.
+                    let handed = unsafe { &mut *handed.at(grid.ring_of[g] as usize) };
+                    isa.run::<T, _>(HandOver { ring, columns: grid.columns.as_flattened(), nodes, handed });
+                }
+                if separate { T::default() } else { isa.run::<T, _>(Velocities { nodes, least }) }
+            })
+            .reduce(T::default, greater);
         self.max_speed = speed.to_f64();
         self.book(impulses);
         if separate {
-            self.separate(crew, least);
+            self.separate(isa, least);
         }
     }
 
     /// Splits what shared nodes keep after a step's P2G, p + dt f, into p + ½ dt f and ½ dt f. `step` is the half one.
-    pub(crate) fn halve(&mut self, crew: &Crew, step: &Step) -> Result<(), Stopped> {
+    pub(crate) fn halve(&mut self, isa: Isa, step: &Step) -> Result<(), Stopped> {
         let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
-        let fault = crew.pool.install(|| {
-            grid.near_shared
-                .par_iter()
-                .map(|&b| {
-                    // SAFETY: each block has a tile of its own, whose sums have been taken.
-                    let tile = unsafe { &mut *tiles.at(b as usize) };
-                    crew.isa.run::<T, _>(Clear(tile));
-                    let (b, mut fault) = (b as usize, None);
-                    for (l, list) in lists.iter().enumerate() {
-                        let (particles, run, origin, law) = (list.view(), list.runs[b], grid.origin(b), &list.law);
-                        let mut message = ErrorBuffer::default();
-                        let error = message.as_raw();
-                        let scatter =
-                            ParticlesToGrid { particles, run, origin, law, step, tile, error, material_time: None };
-                        if run.count > 0
-                            && let Err(f) = crew.isa.run::<T, _>(scatter)
-                        {
-                            fault = fault.or(Some((l, f, message)));
-                        }
+        let fault = grid
+            .near_shared
+            .par_iter()
+            .map(|&b| {
+                // SAFETY: each block has a tile of its own, whose sums have been taken.
+                let tile = unsafe { &mut *tiles.at(b as usize) };
+                isa.run::<T, _>(Clear(tile));
+                let (b, mut fault) = (b as usize, None);
+                for (l, list) in lists.iter().enumerate() {
+                    let (particles, run, origin, law) = (list.view(), list.runs[b], grid.origin(b), &list.law);
+                    let mut message = ErrorBuffer::default();
+                    let error = message.as_raw();
+                    let scatter =
+                        ParticlesToGrid { particles, run, origin, law, step, tile, error, material_time: None };
+                    if run.count > 0
+                        && let Err(f) = isa.run::<T, _>(scatter)
+                    {
+                        fault = fault.or(Some((l, f, message)));
                     }
-                    if grid.mirrored[b] {
-                        // Its impulse has been booked, and its masses noted, when the whole step's was folded.
-                        mirrors.fold(tile, grid.origin(b), &mut Vec::new());
-                    }
-                    fault
-                })
-                .reduce(|| None, |a, b| a.or(b))
-        });
+                }
+                if grid.mirrored[b] {
+                    // Its impulse has been booked, and its masses noted, when the whole step's was folded.
+                    mirrors.fold(tile, grid.origin(b), &mut Vec::new());
+                }
+                fault
+            })
+            .reduce(|| None, |a, b| a.or(b));
         if let Some(stopped) = fault {
             return Err(stopped);
         }
         let shared = Shared(self.grid.shared.as_ptr().cast_mut());
-        crew.pool.install(|| {
-            (0..grid.keys.len())
-                .into_par_iter()
-                .filter(|&g| grid.shared_starts[g] < grid.shared_starts[g + 1])
-                .for_each(|g| {
-                    let mut nodes = [T::default(); NODES];
-                    let around = &grid.tiles_around[g];
-                    crew.isa.run::<T, _>(SumTiles { nodes: &mut nodes, tiles: &grid.tiles, around });
-                    for k in grid.shared_starts[g]..grid.shared_starts[g + 1] {
-                        // SAFETY: each shared node belongs to one block.
-                        let shared = unsafe { &mut *shared.at(k as usize) };
-                        let half = &nodes[4 * (shared.node as usize % CELLS)..][..4];
-                        for d in 0..3 {
-                            shared.gain[d] = shared.own[d] - half[d];
-                            shared.own[d] = half[d];
-                        }
+        (0..grid.keys.len()).into_par_iter().filter(|&g| grid.shared_starts[g] < grid.shared_starts[g + 1]).for_each(
+            |g| {
+                let mut nodes = [T::default(); NODES];
+                let around = &grid.tiles_around[g];
+                isa.run::<T, _>(SumTiles { nodes: &mut nodes, tiles: &grid.tiles, around });
+                for k in grid.shared_starts[g]..grid.shared_starts[g + 1] {
+                    // SAFETY: each shared node belongs to one block.
+                    let shared = unsafe { &mut *shared.at(k as usize) };
+                    let half = &nodes[4 * (shared.node as usize % CELLS)..][..4];
+                    for d in 0..3 {
+                        shared.gain[d] = shared.own[d] - half[d];
+                        shared.own[d] = half[d];
                     }
-                });
-        });
+                }
+            },
+        );
         Ok(())
     }
 
@@ -332,7 +316,7 @@ impl<T: Scalar> Level<T> {
     }
 
     /// The grid update at walls that let go of the ground.
-    fn separate(&mut self, crew: &Crew, least: T) {
+    fn separate(&mut self, isa: Isa, least: T) {
         let nodes = Shared(self.grid.nodes.as_mut_ptr().cast::<[T; 4]>());
         let separations = &self.bounds.separations;
         for pairs in &mut self.grid.pairs {
@@ -348,46 +332,42 @@ impl<T: Scalar> Level<T> {
                 }
             }
         }
-        let (isa, blocks) = (crew.isa, Shared(self.grid.nodes.as_mut_ptr()));
+        let blocks = Shared(self.grid.nodes.as_mut_ptr());
         let count = self.grid.keys.len();
-        let speed = crew.pool.install(|| {
-            (0..count)
-                .into_par_iter()
-                // SAFETY: each task has a node block of its own.
-                .map(|g| isa.run::<T, _>(Velocities { nodes: unsafe { &mut *blocks.at(g) }, least }))
-                .reduce(T::default, greater)
-        });
+        let speed = (0..count)
+            .into_par_iter()
+            // SAFETY: each task has a node block of its own.
+            .map(|g| isa.run::<T, _>(Velocities { nodes: unsafe { &mut *blocks.at(g) }, least }))
+            .reduce(T::default, greater);
         self.max_speed = speed.to_f64();
     }
 
     /// Gives rim nodes the velocity of the coarser level. Returns the impulse that walls gave in doing so, where the parent is
     /// behind a mirror.
-    pub(crate) fn prolong(&mut self, crew: &Crew, coarser: &Grid<T>) {
+    pub(crate) fn prolong(&mut self, isa: Isa, coarser: &Grid<T>) {
         let grid = &self.grid;
         let nodes = Shared(self.grid.nodes.as_ptr().cast_mut());
         let reflects = grid.rim_reflects;
-        let impulses: Vec<[f64; 3]> = crew.pool.install(|| {
-            let one = |(r, ring): (usize, &Ring)| {
-                let (mut parents, mut impulse) = ([T::default(); NODES], [0.0; 3]);
-                let values = coarser.nodes.as_flattened();
-                for n in (0..CELLS).filter(|&n| ring.parents[n] != NONE) {
-                    let node = &values[4 * ring.parents[n] as usize..][..4];
-                    for d in 0..3 {
-                        let flipped = ring.flips[n] >> d & 1 == 1;
-                        parents[4 * n + d] = if flipped { -node[d] } else { node[d] };
-                        if flipped {
-                            // What particles read is not what they would have read from the node itself.
-                            impulse[d] -= 2.0 * node[d].to_f64() * grid.handed[r][4 * n + 3].to_f64();
-                        }
+        let one = |(r, ring): (usize, &Ring)| {
+            let (mut parents, mut impulse) = ([T::default(); NODES], [0.0; 3]);
+            let values = coarser.nodes.as_flattened();
+            for n in (0..CELLS).filter(|&n| ring.parents[n] != NONE) {
+                let node = &values[4 * ring.parents[n] as usize..][..4];
+                for d in 0..3 {
+                    let flipped = ring.flips[n] >> d & 1 == 1;
+                    parents[4 * n + d] = if flipped { -node[d] } else { node[d] };
+                    if flipped {
+                        // What particles read is not what they would have read from the node itself.
+                        impulse[d] -= 2.0 * node[d].to_f64() * grid.handed[r][4 * n + 3].to_f64();
                     }
                 }
-                // SAFETY: each ring has a node block of its own.
-                let nodes = unsafe { &mut *nodes.at(ring.block as usize) };
-                crew.isa.run::<T, _>(TakeBack { slaves: ring.slaves, parents: &parents, nodes });
-                impulse
-            };
-            grid.rings.par_iter().enumerate().map(one).collect()
-        });
+            }
+            // SAFETY: each ring has a node block of its own.
+            let nodes = unsafe { &mut *nodes.at(ring.block as usize) };
+            isa.run::<T, _>(TakeBack { slaves: ring.slaves, parents: &parents, nodes });
+            impulse
+        };
+        let impulses: Vec<[f64; 3]> = grid.rings.par_iter().enumerate().map(one).collect();
         if reflects {
             self.book(impulses);
         }
@@ -454,9 +434,9 @@ impl<T: Scalar> Level<T> {
     }
 
     /// New velocities and affine matrices, and the move.
-    pub(crate) fn grid_to_particles(&mut self, crew: &Crew, dt: f64) {
+    pub(crate) fn grid_to_particles(&mut self, isa: Isa, dt: f64) {
         let step = Step { h: self.h(), dt, strain_dt: 0.0, strain_parts: 1, gravity: [0.0; 3] };
-        let (isa, lists, grid, mirrors) = (crew.isa, &self.store.lists, &self.grid, &self.bounds.mirrors);
+        let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let walls = self.has_mirrors();
         let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
@@ -474,8 +454,7 @@ impl<T: Scalar> Level<T> {
         };
         // One tile serves all blocks of a task: it stays in cache, where the blocks' own would be fetched and written back.
         let blocks = (0..grid.occupied.len()).into_par_iter();
-        let greatest =
-            crew.pool.install(|| blocks.map_init(|| [T::default(); TILE], fetch).reduce(Rates::default, faster));
+        let greatest = blocks.map_init(|| [T::default(); TILE], fetch).reduce(Rates::default, faster);
         self.book(impulses);
         self.take_rates(greatest);
         self.strain_dt = dt;
@@ -488,13 +467,13 @@ impl<T: Scalar> Level<T> {
     }
 
     /// What depends on the particles as they come in: greatest deformation rate and speed; returns their least mass.
-    pub(crate) fn take_stock(&mut self, crew: &Crew) -> f64 {
+    pub(crate) fn take_stock(&mut self, isa: Isa) -> f64 {
         let mut rates = Rates::default();
         let mut least = f64::INFINITY;
         for list in &self.store.lists {
             least = list.places().fold(least, |least, (chunk, lane)| least.min(list.mass_of(chunk, lane)));
             for &run in &list.runs {
-                rates = faster(rates, crew.isa.run::<T, _>(Survey { particles: list.view(), run }));
+                rates = faster(rates, isa.run::<T, _>(Survey { particles: list.view(), run }));
             }
         }
         self.take_rates(rates);

@@ -410,7 +410,7 @@ impl<T: Scalar> Store<T> {
     }
 
     /// Takes in particles from elsewhere. They are in no block until the next sort.
-    pub(crate) fn push(&mut self, parcels: &[Parcel]) {
+    pub(crate) fn push(&mut self, parcels: &[&Parcel]) {
         for (index, list) in self.lists.iter_mut().enumerate() {
             let here = || parcels.iter().filter(|parcel| parcel.list == index);
             let run = Run { first: list.chunks(), count: here().count() };

@@ -54,7 +54,7 @@ impl<T: Scalar> CpuEngine<T> {
         self.affine_to_rim(l);
         let clock = Instant::now();
         let least = self.least_mass();
-        self.levels[l].update_grid(&self.crew, least, None, l > 0);
+        self.levels[l].update_grid(self.isa, least, None, l > 0);
         self.clocks.add(Pass::Grid, clock);
         if l > 0 {
             self.halve(l, dt)?;
@@ -62,7 +62,7 @@ impl<T: Scalar> CpuEngine<T> {
         if let ([.., level], [coarser, ..]) = self.levels.split_at_mut(l + 1) {
             let clock = Instant::now();
             coarser.solve_shared(&level.grid.handed, least);
-            level.prolong(&self.crew, &coarser.grid);
+            level.prolong(self.isa, &coarser.grid);
             level.max_speed = greater(level.max_speed, coarser.max_speed);
             self.clocks.add(Pass::Prolong, clock);
         }
@@ -87,7 +87,7 @@ impl<T: Scalar> CpuEngine<T> {
         let clock = Instant::now();
         let level = &mut self.levels[l];
         level.mirror_separated();
-        level.grid_to_particles(&self.crew, dt);
+        level.grid_to_particles(self.isa, dt);
         self.clocks.add(Pass::G2P, clock);
         self.check_moves(l, dt)?;
         if l == 0 {
@@ -112,7 +112,7 @@ impl<T: Scalar> CpuEngine<T> {
         }
         let step = self.step_of(l, 0.5 * dt);
         let clock = Instant::now();
-        let outcome = self.levels[l].halve(&self.crew, &step);
+        let outcome = self.levels[l].halve(self.isa, &step);
         self.clocks.add(Pass::Restrict, clock);
         outcome.map_err(|stopped| self.explain(l, stopped))
     }
