@@ -161,6 +161,8 @@ pub struct Step {
     pub strain_parts: u32,
     /// Gravity [m/s²].
     pub gravity: [f64; 3],
+    /// Does ground stay as it is? Strain and history are then read but not written.
+    pub frozen: bool,
 }
 
 /// Particles to grid for one run of chunks: strain, stress, then mass and momentum into the tile.
@@ -357,7 +359,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 debug_assert!(part < step.strain_parts);
                 return Err(Fault::Material { status, chunk: first });
             }
-            for k in 0..chunks {
+            for k in 0..if step.frozen { 0 } else { chunks } {
                 let at = k * LANES;
                 for p in 0..planes {
                     let strain = V::load(&raw const (*scratch).strain[p][at]);

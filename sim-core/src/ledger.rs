@@ -28,9 +28,9 @@ pub struct Ledger {
     pub body_momentum: Vec3,
     /// Angular momentum of free bodies about the world's origin [kg m²/s].
     pub body_angular_momentum: Vec3,
-    /// Impulse that walls have given to particles since the start [N s].
+    /// Impulse that walls have given to particles since the start, but not to those asleep [N s].
     pub wall_impulse: Vec3,
-    /// Impulse that gravity has given to particles since the start [N s].
+    /// Impulse that gravity has given to particles since the start, but not to those asleep [N s].
     pub gravity_impulse: Vec3,
     /// Mass of particles that were deleted on leaving the world [kg].
     pub deleted_mass: f64,
@@ -40,6 +40,12 @@ pub struct Ledger {
     /// Angular momentum that merging particles has changed since the start, likewise [kg m²/s].
     #[serde(default)]
     pub resampled_angular_momentum: Vec3,
+    /// Kinetic energy that ground had left when it fell asleep, summed since the start [J].
+    #[serde(default)]
+    pub slept_kinetic: f64,
+    /// Momentum likewise [kg m/s].
+    #[serde(default)]
+    pub slept_momentum: Vec3,
     /// Named counts: yielding, at the apex, stretch floored, state clamped, positions clamped, steps shortened, …
     pub counts: BTreeMap<String, u64>,
 }

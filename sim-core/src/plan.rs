@@ -24,6 +24,8 @@ const NEARLY_INCOMPRESSIBLE: f64 = 0.49;
 const BLOCK_BYTES: u64 = 9 * 1024;
 /// Cells further from the origin than any backend reaches; coordinates up to here can be added without overflow.
 const FARTHEST_CELL: u32 = 1 << 30;
+/// Ground slower than this part of sqrt(g h) is at rest: at 1 cm, 3e-5 m/s.
+const SLOW: f64 = 1e-4;
 /// Without a bound or a fixed step, a run advances in steps of this fraction of the output's interval.
 const UNBOUND_STEP: f64 = 0.1;
 
@@ -138,6 +140,8 @@ pub struct Plan {
     pub substeps: u32,
     /// Gravity [m/s²].
     pub gravity: Vec3,
+    /// Speed along an axis up to which ground is at rest and may sleep [m/s]; 0: none does.
+    pub slow: f64,
     /// Materials in the scene's order.
     pub materials: Vec<PlannedMaterial>,
     /// Couplings called for, by registered kind.
@@ -322,6 +326,7 @@ impl Plan {
             agents,
             substeps: scene.levels.substeps(),
             gravity: scene.gravity,
+            slow: slow(&scene, &materials),
             couplings: kinds.into_iter().map(|(kind, _)| kind).collect(),
             effects: Vec::new(),
             stages: Vec::new(),
@@ -375,6 +380,9 @@ impl Plan {
         }
         if let Some(phase) = particles.levels.as_ref().filter(|phase| phase.boxes.len() + 1 != levels) {
             return refuse(format!("boxes of {} levels where the plan has {levels}", phase.boxes.len() + 1));
+        }
+        if let Some(sort) = particles.sort.as_ref().filter(|sort| sort.rest.len() != sort.blocks.len()) {
+            return refuse(format!("{} blocks of which {} say whether they sleep", sort.blocks.len(), sort.rest.len()));
         }
         for (i, list) in particles.lists.iter().enumerate() {
             let (level, material) = (i / materials, i % materials);
@@ -456,6 +464,14 @@ impl Plan {
                 })),
                 "sort, P2G, grid update, G2P".to_owned(),
             );
+        }
+        if self.particle_count > 0 && self.slow > 0.0 {
+            let because = match scene.sleep.on {
+                Some(_) => "sleep.on = true",
+                None => "gravity, and no law that flows with time: sleep.on = false keeps all awake",
+            };
+            let rest = format!("blocks that stay below {:.1e} m/s are left out of every pass", self.slow);
+            add("ground at rest sleeps".to_owned(), because.to_owned(), rest);
         }
         if self.particle_count > 0 && self.cell_widths.len() > 1 {
             let followed = self.agents.iter().map(|agent| match agent {
@@ -723,6 +739,20 @@ fn resolve(scene: &Scene, path: &str, spec: &MaterialSpec, law: &Material) -> Re
         }
     }
     Ok(values)
+}
+
+/// Speed up to which ground may sleep [m/s]; 0 if it may not.
+///
+/// Without being asked it may if nothing can happen in it unseen: under gravity, which would set loose ground in motion, of laws
+/// that do not flow with time, and without walls that have to decide anew in each step.
+fn slow(scene: &Scene, materials: &[PlannedMaterial]) -> f64 {
+    let g = scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
+    let flows = materials.iter().any(|planned| planned.material.has(abi::BARCHAN_CAP_VEL_GRAD));
+    if scene.sleep.on.unwrap_or(g > 0.0 && !flows && !scene.world.walls.let_go()) {
+        scene.sleep.speed.unwrap_or(SLOW * (g * scene.world.cell).sqrt())
+    } else {
+        0.0
+    }
 }
 
 /// What the levels follow: what the scene names, or else every tool that moves.

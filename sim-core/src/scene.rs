@@ -41,6 +41,9 @@ pub struct Scene {
     /// Nested levels of resolution.
     #[serde(default)]
     pub levels: Levels,
+    /// Ground at rest, left out until something stirs it.
+    #[serde(default)]
+    pub sleep: Sleep,
     /// Duration and time step.
     pub time: Time,
     /// What is written, and how often.
@@ -140,6 +143,18 @@ impl Default for Levels {
     fn default() -> Self {
         Self { count: one_level(), half: default_half(), agents: None, subcycle: false, tolerance: default_tolerance() }
     }
+}
+
+/// Ground at rest: where nothing has moved for 50 steps, nothing is computed until something stirs it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sleep {
+    /// May ground sleep? Absent: yes, if there is gravity, no law feels the rate of deformation and no wall lets go.
+    #[serde(default)]
+    pub on: Option<bool>,
+    /// Speed along an axis up to which ground counts as being at rest [m/s]; absent: 1e-4 of sqrt(g h), for the finest cell h.
+    #[serde(default)]
+    pub speed: Option<f64>,
 }
 
 /// Walls on the six sides of the world.

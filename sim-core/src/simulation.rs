@@ -443,6 +443,8 @@ fn only_sums(mut ledger: Ledger) -> Ledger {
         deleted_mass: ledger.deleted_mass,
         resampled_kinetic: ledger.resampled_kinetic,
         resampled_angular_momentum: ledger.resampled_angular_momentum,
+        slept_kinetic: ledger.slept_kinetic,
+        slept_momentum: ledger.slept_momentum,
         counts: ledger.counts,
         ..Ledger::default()
     }

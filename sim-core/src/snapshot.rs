@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 const MAGIC: &[u8; 8] = b"BARCHAN\x1a";
 /// Version of the format that this program writes, and the only one it reads.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 
 const HEAD: &[u8; 4] = b"HEAD";
 const LIST: &[u8; 4] = b"LIST";
@@ -364,6 +364,7 @@ fn encode_sort(sort: &SortPhase) -> Vec<u8> {
         out.extend_from_slice(&(counts.len() as u64).to_le_bytes());
         counts.iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
     }
+    sort.rest.iter().for_each(|rest| out.extend_from_slice(&rest.to_le_bytes()));
     out
 }
 
@@ -384,6 +385,7 @@ fn decode_sort(from: &mut Reader<'_>) -> Result<SortPhase, Flaw> {
             let counts = from.take(4 * lists)?.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b)).collect();
             Ok((key, counts))
         })
-        .collect::<Result<_, _>>()?;
-    Ok(SortPhase { age, drift, measured, blocks })
+        .collect::<Result<Vec<_>, _>>()?;
+    let rest = (0..blocks.len()).map(|_| from.array().map(u16::from_le_bytes)).collect::<Result<_, _>>()?;
+    Ok(SortPhase { age, drift, measured, blocks, rest })
 }

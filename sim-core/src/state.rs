@@ -89,6 +89,8 @@ pub struct SortPhase {
     pub measured: Measured,
     /// Blocks in order: (world, level, block x, y, z) and the number of particles in it of each list of that world and level.
     pub blocks: Vec<([i32; 5], Vec<u32>)>,
+    /// For how many steps each block's particles have been slow; [`u16::MAX`] if it sleeps.
+    pub rest: Vec<u16>,
 }
 
 /// Measurements that are not taken anew at every step: without them a resumed run would choose other time steps.

@@ -269,6 +269,7 @@ fn a_sort_phase_survives() {
         age: 7,
         drift: vec![0.123_456_789, 0.5],
         blocks: vec![([0, 0, -3, 4, i32::MAX], vec![1, 2]), ([0; 5], vec![])],
+        rest: vec![7, u16::MAX],
     });
     running.set_particles(particles.clone()).unwrap();
     running.save(&path).unwrap();

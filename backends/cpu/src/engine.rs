@@ -3,6 +3,7 @@
 use crate::adapt::Resampled;
 use crate::isolated;
 use crate::level::{Level, Shares, Stopped, greater};
+use crate::sleep::Lulled;
 use crate::store::{Departures, List};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
@@ -11,8 +12,8 @@ use barchan_core::material::{ErrorBuffer, stable_step};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
 use barchan_core::{
-    Coupling, Engine, Error, Ledger, LevelPhase, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene,
-    SortPhase, StepReport,
+    Aabb, Coupling, Engine, Error, Ledger, LevelPhase, Measured, NodeBatch, ParticleState, Plan, Regions, Result,
+    Scene, SortPhase, StepReport,
 };
 use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
@@ -48,6 +49,7 @@ const STIFFNESS_AGE: u32 = 10;
 pub(crate) enum Pass {
     Adapt,
     Sort,
+    Sleep,
     P2G,
     Restrict,
     Grid,
@@ -61,6 +63,7 @@ impl Pass {
         match self {
             Self::Adapt => "adapt",
             Self::Sort => "sort",
+            Self::Sleep => "sleep",
             Self::P2G => "P2G",
             Self::Restrict => "restrict",
             Self::Grid => "grid",
@@ -120,6 +123,7 @@ pub(crate) struct CpuEngine<T: Scalar> {
     pub(crate) next_id: u64,
     pub(crate) rounds: u64,
     pub(crate) resampled: Resampled,
+    pub(crate) lulled: Lulled,
     shortened: u64,
     parted: u64,
     gravity_impulse: [f64; 3],
@@ -158,6 +162,7 @@ impl<T: Scalar> CpuEngine<T> {
             next_id: 0,
             rounds: 0,
             resampled: Resampled::default(),
+            lulled: Lulled::default(),
             shortened: 0,
             parted: 0,
             gravity_impulse: [0.0; 3],
@@ -245,6 +250,9 @@ impl<T: Scalar> CpuEngine<T> {
                 finer.grid.link(&mut coarser.grid, &coarser.bounds);
             }
         }
+        for (level, new) in levels.iter_mut().zip(rebuilt) {
+            level.list_watch(new);
+        }
     }
 
     /// P2G of one level. Strain is up to date afterwards.
@@ -270,6 +278,14 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(())
     }
 
+    /// Decides which of a level's ground sleeps in its next step.
+    pub(crate) fn keep_watch(&mut self, l: usize, tools: &[Aabb]) {
+        let clock = Instant::now();
+        if self.levels[l].keep_watch(tools, &mut self.lulled) {
+            self.clocks.add(Pass::Sleep, clock);
+        }
+    }
+
     /// The affine momentum near a level's rim; it does not depend on the step's length.
     pub(crate) fn affine_to_rim(&mut self, l: usize) {
         if !self.levels[l].grid.rings.is_empty() {
@@ -286,7 +302,7 @@ impl<T: Scalar> CpuEngine<T> {
 
     pub(crate) fn step_of(&self, l: usize, dt: f64) -> Step {
         let level = &self.levels[l];
-        Step { h: level.h(), dt, strain_dt: level.strain_dt, strain_parts: 1, gravity: self.gravity }
+        Step { h: level.h(), dt, strain_dt: level.strain_dt, strain_parts: 1, gravity: self.gravity, frozen: false }
     }
 
     pub(crate) fn least_mass(&self) -> f64 {
@@ -456,6 +472,8 @@ impl<T: Scalar> CpuEngine<T> {
         couplings: &mut [Box<dyn Coupling>],
     ) -> Result<f64> {
         if ground {
+            let tools: Vec<Aabb> = couplings.iter().flat_map(|coupling| coupling.bounds()).collect();
+            (0..self.levels.len()).for_each(|l| self.keep_watch(l, &tools));
             dt = self.ground_to_nodes(time, dt)?;
         } else {
             self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
@@ -660,6 +678,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
                     level.store.blocks_held().map(move |([x, y, z], counts)| ([0, l as i32, x, y, z], counts))
                 })
                 .collect(),
+            rest: self.levels.iter().flat_map(|level| level.store.rest.iter().copied()).collect(),
         });
         ParticleState {
             lists: self.levels.iter().enumerate().flat_map(|(l, level)| level.store.download(l)).collect(),
@@ -689,6 +708,12 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             ledger.gravity_impulse[d] += self.gravity_impulse[d];
         }
         self.resampled.account(ledger);
+        ledger.slept_kinetic += self.lulled.kinetic;
+        for d in 0..3 {
+            ledger.slept_momentum[d] += self.lulled.momentum[d];
+        }
+        ledger.count("blocks that fell asleep", self.lulled.blocks);
+        ledger.count("particles asleep now", self.levels.iter().map(Level::asleep).sum());
         ledger.deleted_mass += self.departures.deleted_mass;
         ledger.count("particles put back into the world", self.departures.clamped);
         ledger.count("particles deleted on leaving", self.departures.deleted);
@@ -748,7 +773,8 @@ impl<T: Scalar> CpuEngine<T> {
         if self.hardens && self.stiffness_age >= STIFFNESS_AGE {
             self.measure_stiffness()?;
         }
-        let mass = self.total_mass();
+        let asleep: f64 = self.levels.iter().map(|level| level.watch.mass).sum();
+        let mass = self.total_mass() - asleep;
         for d in 0..3 {
             self.gravity_impulse[d] += mass * self.gravity[d] * dt;
         }
@@ -776,8 +802,9 @@ impl<T: Scalar> CpuEngine<T> {
             let strain_dt = particles.strain_dt * f64::from(self.substeps / self.steps_within(l));
             let level = &mut self.levels[l];
             let blocks: Option<Vec<_>> = particles.sort.as_ref().map(|sort| {
-                let here = sort.blocks.iter().filter(|([_, level, ..], _)| *level == l as i32);
-                here.map(|([_, _, x, y, z], counts)| ([*x, *y, *z], counts.as_slice())).collect()
+                let all = sort.blocks.iter().zip(&sort.rest);
+                let here = all.filter(|(([_, level, ..], _), _)| *level == l as i32);
+                here.map(|(([_, _, x, y, z], counts), rest)| ([*x, *y, *z], counts.as_slice(), *rest)).collect()
             });
             level.store.upload(&particles.lists[l * materials..][..materials], blocks.as_deref())?;
             level.strain_dt = strain_dt;

@@ -2,6 +2,7 @@
 
 use crate::grid::{Bounds, Grid, Ring};
 use crate::memory::Shared;
+use crate::sleep::Watch;
 use crate::store::Store;
 use barchan_core::material::ErrorBuffer;
 use barchan_core::{Aabb, NodeBatch, Plan};
@@ -47,6 +48,8 @@ pub(crate) struct Level<T: Scalar> {
     pub(crate) particle_speed: f64,
     /// Impulse that walls have given [N s].
     pub(crate) wall_impulse: [f64; 3],
+    /// Who sleeps.
+    pub(crate) watch: Watch,
     batch_nodes: Vec<u32>,
 }
 
@@ -62,6 +65,7 @@ impl<T: Scalar> Level<T> {
             max_speed: 0.0,
             particle_speed: 0.0,
             wall_impulse: [0.0; 3],
+            watch: Watch::new(plan.slow),
             batch_nodes: Vec::new(),
         }
     }
@@ -84,18 +88,21 @@ impl<T: Scalar> Level<T> {
     }
 
     /// Mass, momentum and stress of every block's particles into the block's tile. Strain is up to date afterwards.
+    /// Tiles of blocks asleep are filled when they are not yet what the step needs; a step of no length needs none.
     pub(crate) fn particles_to_grid(&mut self, isa: Isa, step: &Step, shares: &mut Shares) -> Result<(), Stopped> {
+        let stale = if step.dt > 0.0 { self.stale_tiles(step.dt, step.gravity) } else { Vec::new() };
+        let frozen = Step { strain_dt: 0.0, strain_parts: 1, frozen: true, ..*step };
         let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
         let walls = self.has_mirrors();
-        let blocks = grid.occupied.len();
-        let mut impulses = vec![[0.0; 3]; if walls { blocks } else { 0 }];
+        let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
         let images = Shared(self.grid.images.as_ptr().cast_mut());
         let n_materials = shares.materials.len();
-        let (fault, measured) = (0..blocks)
-            .into_par_iter()
-            .map(|b| {
+        let blocks = self.watch.awake.par_iter().map(|&b| (b as usize, step));
+        let (fault, measured) = blocks
+            .chain(stale.par_iter().map(|&b| (b as usize, &frozen)))
+            .map(|(b, step)| {
                 // SAFETY: each block has a tile of its own.
                 let tile = unsafe { &mut *tiles.at(b) };
                 let mut spent = 0;
@@ -129,8 +136,10 @@ impl<T: Scalar> Level<T> {
                 }
                 if walls && grid.mirrored[b] {
                     // SAFETY: each block has an entry of its own.
-                    unsafe {
-                        *impulse_of.at(b) = mirrors.fold(tile, grid.origin(b), &mut *images.at(b));
+                    let impulse = unsafe { mirrors.fold(tile, grid.origin(b), &mut *images.at(b)) };
+                    if !step.frozen {
+                        // SAFETY: as above.
+                        unsafe { *impulse_of.at(b) = impulse };
                     }
                 }
                 (fault, Shares { materials, sampled: begun.map_or(0, |t| t.elapsed().as_nanos() as u64) })
@@ -194,9 +203,12 @@ impl<T: Scalar> Level<T> {
         let mut impulses = vec![[0.0; 3]; if reflects { grid.keys.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
         let shared = Shared(self.grid.shared.as_ptr().cast_mut());
-        let speed = (0..grid.keys.len())
-            .into_par_iter()
-            .map(|g| {
+        let speed = self
+            .watch
+            .nodes
+            .par_iter()
+            .map(|&g| {
+                let g = g as usize;
                 // SAFETY: each task has a node block of its own, with its ring and its impulse.
                 let nodes = unsafe { &mut *nodes.at(g) };
                 isa.run::<T, _>(SumTiles { nodes, tiles: &grid.tiles, around: &grid.tiles_around[g] });
@@ -435,11 +447,13 @@ impl<T: Scalar> Level<T> {
 
     /// New velocities and affine matrices, and the move.
     pub(crate) fn grid_to_particles(&mut self, isa: Isa, dt: f64) {
-        let step = Step { h: self.h(), dt, strain_dt: 0.0, strain_parts: 1, gravity: [0.0; 3] };
+        let step = Step { h: self.h(), dt, strain_dt: 0.0, strain_parts: 1, gravity: [0.0; 3], frozen: false };
         let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let walls = self.has_mirrors();
         let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
+        let rest = Shared(self.store.rest.as_ptr().cast_mut());
+        let watch = &self.watch;
         let fetch = |tile: &mut [T; TILE], b: usize| {
             isa.run::<T, _>(FillTile { tile, nodes: &grid.nodes, around: &grid.nodes_around[b] });
             if grid.mirrored[b] {
@@ -447,13 +461,17 @@ impl<T: Scalar> Level<T> {
                 unsafe { *impulse_of.at(b) = mirrors.unfold(tile, grid.origin(b), &grid.images[b]) };
             }
             let origin = grid.origin(b);
-            lists.iter().filter(|list| list.runs[b].count > 0).fold(Rates::default(), |greatest, list| {
+            let rates = lists.iter().filter(|list| list.runs[b].count > 0).fold(Rates::default(), |greatest, list| {
                 let (particles, run) = (list.view(), list.runs[b]);
                 faster(greatest, isa.run::<T, _>(GridToParticles { particles, run, origin, step: &step, tile }))
-            })
+            });
+            // SAFETY: as above.
+            let rest = unsafe { &mut *rest.at(b) };
+            *rest = watch.count(*rest, rates.speed.to_f64());
+            rates
         };
         // One tile serves all blocks of a task: it stays in cache, where the blocks' own would be fetched and written back.
-        let blocks = (0..grid.occupied.len()).into_par_iter();
+        let blocks = watch.awake.par_iter().map(|&b| b as usize);
         let greatest = blocks.map_init(|| [T::default(); TILE], fetch).reduce(Rates::default, faster);
         self.book(impulses);
         self.take_rates(greatest);

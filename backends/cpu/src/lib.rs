@@ -10,6 +10,7 @@ mod grid;
 mod isolated;
 mod level;
 mod memory;
+mod sleep;
 mod store;
 mod subcycle;
 

@@ -160,6 +160,13 @@ impl<T: Scalar> List<T> {
         }
     }
 
+    /// Takes all motion from a run's particles.
+    pub(crate) fn stop(&mut self, run: Run) {
+        for plane in &mut self.motion[run.first * MOTION..(run.first + run.chunks()) * MOTION] {
+            plane.0 = [T::default(); LANES];
+        }
+    }
+
     /// Bytes held.
     fn bytes(&self) -> u64 {
         (self.id.capacity() * size_of::<[u32; LANES]>()
@@ -315,6 +322,8 @@ pub(crate) struct Store<T: Scalar> {
     pub(crate) cell_width: f64,
     /// Keys of the blocks, rising, that `runs` of each list are parallel to.
     pub(crate) blocks: Vec<u64>,
+    /// For how many steps each block's particles have been slow; see [`crate::sleep`].
+    pub(crate) rest: Vec<u16>,
     /// Room for the largest group of planes of the largest list while it is permuted.
     scratch: Vec<Line<T>>,
     order: Vec<[u32; LANES]>,
@@ -329,6 +338,7 @@ impl<T: Scalar> Store<T> {
             lists: materials.iter().enumerate().map(|(i, m)| List::new(i, m)).collect(),
             cell_width,
             blocks: Vec::new(),
+            rest: Vec::new(),
             scratch: Vec::new(),
             order: Vec::new(),
         }
@@ -346,7 +356,7 @@ impl<T: Scalar> Store<T> {
 
     /// Takes in one level's particles. With the blocks of a sort they are laid out exactly as it says; the caller sorts
     /// otherwise.
-    pub(crate) fn upload(&mut self, lists: &[ParticleList], blocks: Option<&[([i32; 3], &[u32])]>) -> Result<()> {
+    pub(crate) fn upload(&mut self, lists: &[ParticleList], blocks: Option<&[([i32; 3], &[u32], u16)]>) -> Result<()> {
         let refuse = |what: String| Error::Body {
             path: "particles".into(),
             what,
@@ -371,16 +381,17 @@ impl<T: Scalar> Store<T> {
             Some(blocks) => {
                 self.blocks = blocks
                     .iter()
-                    .map(|(at, _)| block::key(*at))
+                    .map(|(at, ..)| block::key(*at))
                     .collect::<Option<_>>()
                     .ok_or_else(|| refuse("a block lies beyond the reach of the grid".into()))?;
-                if blocks.iter().any(|(_, counts)| counts.len() != self.lists.len())
+                self.rest = blocks.iter().map(|(.., rest)| *rest).collect();
+                if blocks.iter().any(|(_, counts, _)| counts.len() != self.lists.len())
                     || !self.blocks.is_sorted_by(|a, b| a < b)
                 {
                     return Err(refuse("the sort's blocks are out of order or lack a list".into()));
                 }
                 for (i, (mine, list)) in self.lists.iter_mut().zip(lists).enumerate() {
-                    let counts = blocks.iter().map(|(_, counts)| counts[i] as usize);
+                    let counts = blocks.iter().map(|(_, counts, _)| counts[i] as usize);
                     if counts.clone().sum::<usize>() != list.len() {
                         return Err(refuse(format!("the sort's counts do not add up to list {i}")));
                     }
@@ -390,6 +401,7 @@ impl<T: Scalar> Store<T> {
             None => {
                 // One run that holds everything, in no block: the first sort sees every particle as a newcomer.
                 self.blocks.clear();
+                self.rest.clear();
                 for (mine, list) in self.lists.iter_mut().zip(lists) {
                     mine.take_in(list, std::iter::once(list.len()));
                 }
@@ -426,6 +438,11 @@ impl<T: Scalar> Store<T> {
     /// Makes a lane empty until the next sort, which must be told that there are holes.
     pub(crate) fn remove(&mut self, list: usize, chunk: usize, lane: usize) {
         self.lists[list].id[chunk][lane] = PAD;
+        // Runs without particles start where the next one does.
+        let b = self.lists[list].runs.partition_point(|run| run.first + run.chunks() <= chunk);
+        if let Some(rest) = self.rest.get_mut(b) {
+            *rest = (*rest).min(1);
+        }
     }
 
     /// Sorts particles into blocks, and within a block by cell. Particles of a cell keep their order; newcomers to a block
@@ -470,6 +487,14 @@ impl<T: Scalar> Store<T> {
 
         // 2. Count, lay out and order each list's particles.
         let old_blocks = std::mem::replace(&mut self.blocks, keys);
+        let old_rest = std::mem::take(&mut self.rest);
+        let rest = |key: &u64| old_blocks.binary_search(key).map_or(1, |old| old_rest[old]);
+        self.rest = self.blocks.iter().map(rest).collect();
+        for newcomers in movers.chunk_by(|a, b| a.0 == b.0) {
+            if let Ok(b) = self.blocks.binary_search(&newcomers[0].0) {
+                self.rest[b] = self.rest[b].min(1);
+            }
+        }
         for index in 0..self.lists.len() {
             self.sort_list(index, &old_blocks, &movers, holes || departures.deleted > 0);
         }

@@ -21,6 +21,10 @@ impl Walls {
     pub fn pair(&self, axis: usize) -> [Wall; 2] {
         [[self.x_min, self.x_max], [self.y_min, self.y_max], [self.z_min, self.z_max]][axis]
     }
+    /// Is any a wall that lets go of the ground?
+    pub fn let_go(&self) -> bool {
+        (0..3).flat_map(|axis| self.pair(axis)).any(|wall| matches!(wall, Wall::Separate { .. }))
+    }
 }
 
 impl Shape {
@@ -95,6 +99,7 @@ impl Scene {
         self.check_finite()?;
         self.check_world()?;
         self.check_levels()?;
+        self.check_sleep()?;
         self.check_time_and_output()?;
         for (i, material) in self.material.iter().enumerate() {
             self.positive(&format!("material[{i}].density"), material.density)?;
@@ -286,6 +291,28 @@ impl Scene {
         Ok(())
     }
 
+    fn check_sleep(&self) -> Result<()> {
+        let (on, speed) = (self.sleep.on == Some(true), self.sleep.speed);
+        self.require(
+            speed.is_none_or(|speed| speed > 0.0 && speed.is_finite()),
+            "sleep.speed",
+            format!("is {}", speed.unwrap_or_default()),
+            "must be above 0; to keep all ground awake, set sleep.on = false",
+        )?;
+        self.require(
+            !on || speed.is_some() || self.gravity != [0.0; 3],
+            "sleep.on",
+            "is true without gravity, which sets what counts as slow".to_owned(),
+            "give sleep.speed",
+        )?;
+        self.require(
+            !on || !self.world.walls.let_go(),
+            "sleep.on",
+            "is true, and a wall that separates has to look at all nodes along it in each step".to_owned(),
+            "use slip or stick walls, or leave sleep.on out",
+        )
+    }
+
     fn check_levels(&self) -> Result<()> {
         let levels = &self.levels;
         self.require(
@@ -317,9 +344,8 @@ impl Scene {
                 });
             }
         }
-        let lets_go = |d: usize| self.world.walls.pair(d).iter().any(|wall| matches!(wall, Wall::Separate { .. }));
         self.require(
-            levels.count == 1 || !levels.subcycle || !(0..3).any(lets_go),
+            levels.count == 1 || !levels.subcycle || !self.world.walls.let_go(),
             "levels.subcycle",
             "is set in a world with a wall that lets go of the ground",
             "use slip or stick walls, or leave subcycling out",

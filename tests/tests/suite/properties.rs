@@ -243,6 +243,7 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
                     measured: Measured { stiffness_bound, stiffness_age },
                     age,
                     drift,
+                    rest: vec![1; blocks.len()],
                     blocks: blocks.into_iter().map(|(key, count)| (key, vec![count])).collect(),
                 }),
             }

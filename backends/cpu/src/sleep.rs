@@ -1,0 +1,201 @@
+//! Ground at rest sleeps: a block whose particles, and those of all blocks around it, have been slow for [`RESTED`] steps is left
+//! out of every pass. Its mass and stress go on to act through its tile, which is kept; so its neighbours feel what they would feel.
+//! It wakes in the step after a particle of a neighbouring block has been faster than slow, or once a tool comes near. Blocks awake
+//! thus lie at least four cells deep between what moves and what sleeps: what sleeps has never felt more than slow motion.
+//!
+//! Blocks at the rim of a level, and those that share nodes with a finer one, stay awake.
+
+use crate::grid::Grid;
+use crate::level::Level;
+use crate::store::List;
+use barchan_core::Aabb;
+use barchan_grid::block::{self, NONE, SIDE};
+use barchan_grid::particles::MASS;
+use barchan_grid::transfer::Scalar;
+use barchan_lanes::LANES;
+
+/// Steps of a level for which ground must have been slow before it sleeps.
+pub(crate) const RESTED: u16 = 50;
+/// In place of such a count: the block sleeps. 0 in its place: something in it moves, or did in the last step.
+pub(crate) const ASLEEP: u16 = u16::MAX;
+/// Cells around a tool that stay awake.
+const NEAR_TOOL: f64 = 4.0;
+
+/// Who is awake on one level.
+pub(crate) struct Watch {
+    /// Speed along an axis up to which a particle is slow [m/s]; 0: nothing ever sleeps.
+    slow: f64,
+    /// Blocks awake, rising.
+    pub(crate) awake: Vec<u32>,
+    /// Blocks that have fallen asleep and whose tiles still are of when they were awake.
+    pub(crate) stale: Vec<u32>,
+    /// Node blocks that anyone awake touches, or that other levels do, rising.
+    pub(crate) nodes: Vec<u32>,
+    /// Mass of the blocks asleep [kg].
+    pub(crate) mass: f64,
+    /// Step and gravity that the tiles of those asleep are for [s, m/s²].
+    tiles_for: Option<(f64, [f64; 3])>,
+}
+
+/// What falling asleep took.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Lulled {
+    /// Blocks that fell asleep.
+    pub(crate) blocks: u64,
+    /// Kinetic energy [J].
+    pub(crate) kinetic: f64,
+    /// Momentum [kg m/s].
+    pub(crate) momentum: [f64; 3],
+}
+
+impl Watch {
+    pub(crate) fn new(slow: f64) -> Self {
+        Self { slow, awake: Vec::new(), stale: Vec::new(), nodes: Vec::new(), mass: 0.0, tiles_for: None }
+    }
+
+    /// The count of a block whose particles have moved at up to this speed [m/s].
+    pub(crate) fn count(&self, rest: u16, speed: f64) -> u16 {
+        if speed <= self.slow { (rest + 1).min(RESTED) } else { 0 }
+    }
+}
+
+impl<T: Scalar> Level<T> {
+    /// Decides who sleeps in the next step: wakes those next to what moves or near a tool, and lets those sleep around whom all has
+    /// been slow for long. Returns whether anything can sleep here at all.
+    pub(crate) fn keep_watch(&mut self, tools: &[Aabb], lulled: &mut Lulled) -> bool {
+        if self.watch.slow == 0.0 {
+            return false;
+        }
+        let woken = self.wake(tools);
+        if self.lull(lulled) || woken {
+            self.list_watch(false);
+        }
+        true
+    }
+
+    /// Particles asleep.
+    pub(crate) fn asleep(&self) -> u64 {
+        let asleep = |list: &List<T>| -> usize {
+            let runs = list.runs.iter().zip(&self.store.rest);
+            runs.filter(|(_, rest)| **rest == ASLEEP).map(|(run, _)| run.count).sum()
+        };
+        self.store.lists.iter().map(asleep).sum::<usize>() as u64
+    }
+
+    /// Blocks asleep whose tiles have to be filled for a step [s] and gravity [m/s²].
+    pub(crate) fn stale_tiles(&mut self, dt: f64, gravity: [f64; 3]) -> Vec<u32> {
+        let asleep = |b: &u32| self.store.rest[*b as usize] == ASLEEP;
+        if self.watch.tiles_for == Some((dt, gravity)) {
+            return self.watch.stale.drain(..).filter(asleep).collect();
+        }
+        self.watch.tiles_for = Some((dt, gravity));
+        self.watch.stale.clear();
+        (0..self.grid.occupied.len() as u32).filter(asleep).collect()
+    }
+
+    /// Wakes blocks next to one that moves, and those near a tool. Returns whether any slept.
+    fn wake(&mut self, tools: &[Aabb]) -> bool {
+        let (rest, grid) = (&mut self.store.rest, &self.grid);
+        let mut woken = false;
+        let mut stir = |rest: &mut Vec<u16>, b: u32| {
+            woken |= rest[b as usize] == ASLEEP;
+            rest[b as usize] = rest[b as usize].min(1);
+        };
+        for &b in self.watch.awake.iter() {
+            if rest[b as usize] == 0 {
+                grid.neighbours(b as usize).for_each(|b| stir(rest, b));
+            }
+        }
+        let h = self.store.cell_width;
+        for tool in tools {
+            let near = tool.grown(NEAR_TOOL * h);
+            let [first, last] = [near.min, near.max].map(|x| x.map(|x| (x / (h * f64::from(SIDE))).floor() as i32));
+            grid.within(first, last).for_each(|b| stir(rest, b));
+        }
+        woken
+    }
+
+    /// Puts blocks to sleep that have been slow for long, as all around them. Returns whether there were any.
+    fn lull(&mut self, lulled: &mut Lulled) -> bool {
+        let (rest, grid) = (&self.store.rest, &self.grid);
+        let has_rested = |b: u32| rest[b as usize] >= RESTED;
+        let may_sleep = |b: &u32| has_rested(*b) && grid.neighbours(*b as usize).all(has_rested) && !grid.is_tied(*b);
+        let tired: Vec<u32> = self.watch.awake.iter().copied().filter(may_sleep).collect();
+        for &b in &tired {
+            self.store.rest[b as usize] = ASLEEP;
+            lulled.blocks += 1;
+            for list in &mut self.store.lists {
+                let run = list.runs[b as usize];
+                for (chunk, lane) in (0..run.count).map(|i| (run.first + i / LANES, i % LANES)) {
+                    let (m, motion) = (list.mass_of(chunk, lane), list.motion_of(chunk, lane));
+                    let square = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>();
+                    let quarter = 0.25 * self.store.cell_width.powi(2);
+                    lulled.kinetic += 0.5 * m * (square(&motion[..3]) + quarter * square(&motion[3..]));
+                    for d in 0..3 {
+                        lulled.momentum[d] += m * motion[d];
+                    }
+                }
+                list.stop(run);
+            }
+        }
+        self.watch.stale.extend(&tired);
+        !tired.is_empty()
+    }
+
+    /// Lists who is awake, after particles have been sorted too, and blocks perhaps `renumbered`.
+    pub(crate) fn list_watch(&mut self, renumbered: bool) {
+        let (watch, rest, grid) = (&mut self.watch, &self.store.rest, &self.grid);
+        if renumbered {
+            watch.tiles_for = None;
+        }
+        watch.awake = (0..grid.occupied.len() as u32).filter(|&b| rest[b as usize] != ASLEEP).collect();
+        let mut touched: Vec<bool> = (0..grid.keys.len()).map(|g| grid.is_shared(g)).collect();
+        for &b in &watch.awake {
+            for g in grid.nodes_around[b as usize].into_iter().filter(|&g| g != NONE) {
+                touched[g as usize] = true;
+            }
+        }
+        watch.nodes = (0..grid.keys.len() as u32).filter(|&g| touched[g as usize]).collect();
+        watch.mass = 0.0;
+        if watch.awake.len() == grid.occupied.len() {
+            return;
+        }
+        for list in &self.store.lists {
+            for (run, _) in list.runs.iter().zip(rest).filter(|(_, rest)| **rest == ASLEEP) {
+                // Padding weighs nothing.
+                let chunks = run.first..run.first + run.chunks();
+                watch.mass += chunks.flat_map(|chunk| list.rest_plane(chunk, MASS)).map(|m| m.to_f64()).sum::<f64>();
+            }
+        }
+    }
+}
+
+impl<T> Grid<T> {
+    /// The blocks with particles next to one, and itself.
+    fn neighbours(&self, b: usize) -> impl Iterator<Item = u32> {
+        let nodes = self.nodes_around[b].into_iter().filter(|&g| g != NONE);
+        nodes.map(|g| self.tiles_around[g as usize][block::neighbour([0; 3])]).filter(|&b| b != NONE)
+    }
+
+    /// Blocks with particles from one block's coordinates to another's, both included.
+    fn within(&self, first: [i32; 3], last: [i32; 3]) -> impl Iterator<Item = u32> {
+        let inside = move |key: u64| {
+            let at = block::of_key(key);
+            (0..3).all(|d| first[d] <= at[d] && at[d] <= last[d])
+        };
+        // Keys rise with x first.
+        let from = self.occupied.partition_point(|&key| block::of_key(key)[0] < first[0]);
+        let to = self.occupied.partition_point(|&key| block::of_key(key)[0] <= last[0]);
+        (from..to.max(from)).filter(move |&b| inside(self.occupied[b])).map(|b| b as u32)
+    }
+
+    /// Does the block take part in what levels exchange?
+    fn is_tied(&self, b: u32) -> bool {
+        self.edge_of.get(b as usize).is_some_and(|&edge| edge != NONE) || self.near_shared.binary_search(&b).is_ok()
+    }
+
+    /// Do nodes of the block take part in it?
+    fn is_shared(&self, g: usize) -> bool {
+        self.ring_of[g] != NONE || self.link_starts[g] < self.link_starts[g + 1]
+    }
+}
