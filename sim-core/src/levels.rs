@@ -6,8 +6,9 @@
 
 use crate::coupling::Aabb;
 use crate::scene::{Scene, Wall};
-use crate::{BodyState, Coupling, Vec3};
+use crate::{BodyState, Coupling, ParticleState, Vec3};
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 
 /// Parent cells between a region's faces and those of the next coarser one, at least.
 pub const NESTING: i32 = 4;
@@ -22,6 +23,10 @@ pub const AROUND_AGENT: f64 = 4.0;
 pub const SPLIT_AHEAD: i32 = 1;
 /// Particles merge when they are further than this from a finer region, in parent cells of that region.
 pub const MERGE_BEHIND: i32 = 3;
+
+/// Cells of depth that ground needs below the surface to bear and give way as deep ground does: the stencil of a node is three
+/// cells wide, and one must lie between the surface and the floor that none of both reaches.
+pub const LEAST_DEPTH: f64 = 4.0;
 
 /// A box of cells of one level, from `min` up to but without `max`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -265,6 +270,41 @@ pub fn agent_bounds(
             Agent::Soft(body) => soft(*body),
         })
         .collect()
+}
+
+/// Depth of the ground where each level has its surface [m]: the median over columns one coarsest cell wide, each of its volume
+/// over its area. `None` for a level without surface.
+pub(crate) fn surface_depths(particles: &ParticleState, levels: usize) -> Vec<Option<f64>> {
+    #[derive(Default)]
+    struct Column {
+        /// [m]
+        depth: f64,
+        /// Height and level of the topmost particle.
+        top: Option<(f64, usize)>,
+    }
+    let mut columns: HashMap<[i32; 2], Column> = HashMap::new();
+    for list in &particles.lists {
+        let level = list.level as usize;
+        let shift = levels - 1 - level;
+        let width = list.cell_width * f64::from(1 << shift);
+        for (i, cell) in list.cell.iter().enumerate() {
+            let column = columns.entry([cell[0] >> shift, cell[1] >> shift]).or_default();
+            column.depth += list.volume0[i] / (width * width);
+            let height = list.position(i)[2];
+            if column.top.is_none_or(|(top, _)| height > top) {
+                column.top = Some((height, level));
+            }
+        }
+    }
+    let mut depths = vec![Vec::new(); levels];
+    for Column { depth, top } in columns.into_values() {
+        depths[top.map_or(0, |(_, level)| level)].push(depth);
+    }
+    let median = |mut depths: Vec<f64>| {
+        let middle = depths.len() / 2;
+        (!depths.is_empty()).then(|| *depths.select_nth_unstable_by(middle, f64::total_cmp).1)
+    };
+    depths.into_iter().map(median).collect()
 }
 
 /// The finest cell that holds a point [m].

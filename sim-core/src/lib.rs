@@ -39,7 +39,7 @@ pub use plan::{Effect, Plan, Precision, Stage};
 pub use registry::Registry;
 pub use scene::Scene;
 pub use simulation::{Options, Simulation};
-pub use state::{LevelPhase, Measured, ParticleList, ParticleState, SortPhase};
+pub use state::{LevelPhase, Measured, ParticleList, ParticleState, SortPhase, Spot};
 pub use task::Task;
 
 /// A point, vector or triple of factors: x, y, z.

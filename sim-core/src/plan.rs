@@ -1,7 +1,7 @@
 //! The plan: the effects that a scene calls for, and why; the stages they need; what bounds the step; what memory they take.
 
 use crate::backend::Bound;
-use crate::levels::{Agent, CellBox, Regions, agent_bounds};
+use crate::levels::{Agent, CellBox, LEAST_DEPTH, Regions, agent_bounds, surface_depths};
 use crate::material::ErrorBuffer;
 use crate::scene::{Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest};
 use crate::seed::Terrain;
@@ -133,6 +133,9 @@ pub struct Plan {
     pub cell_min: [i32; 3],
     /// One past the greatest cell of the world on level 0.
     pub cell_max: [i32; 3],
+    /// Cells of ground, of each level's own width, under the surface that the level sees at the start; `None` where it sees
+    /// none, or if there is one level only.
+    pub ground_cells: Vec<Option<f64>>,
     /// Where the levels are at the start.
     pub regions: Regions,
     /// What the levels follow.
@@ -315,12 +318,21 @@ impl Plan {
             }
         };
         let levels = scene.levels.count;
+        let cell_widths: Vec<f64> = (0..levels).map(|level| h * f64::from(1 << level)).collect();
+        let ground_cells = match levels {
+            1 => vec![None],
+            _ => {
+                let depths = surface_depths(&particles, cell_widths.len()).into_iter().zip(&cell_widths);
+                depths.map(|(depth, width)| depth.map(|depth| depth / width)).collect()
+            }
+        };
         let bound = start_bound(&scene, &materials, &couplings)?;
         let dt = first_step(&scene, &bound, resumed)?;
         let mut plan = Self {
             precision: options.precision,
             threads: options.threads,
-            cell_widths: (0..levels).map(|level| h * f64::from(1 << level)).collect(),
+            cell_widths,
+            ground_cells,
             cell_min,
             cell_max,
             regions,
@@ -627,6 +639,15 @@ impl Plan {
                 _ => {}
             }
         }
+        for (level, (cells, width)) in self.ground_cells.iter().zip(&self.cell_widths).enumerate() {
+            // Volumes add up to whole cells but for rounding.
+            let Some(cells) = cells.filter(|cells| *cells < LEAST_DEPTH - 1e-4) else { continue };
+            let finer = (1e5 * self.cell_widths[0] * cells / LEAST_DEPTH + 1e-3).floor() / 1e5;
+            let fewer = if level > 0 { format!("set levels.count = {level}, or ") } else { String::new() };
+            warnings.push(format!(
+                "level {level}: where it has the surface, the ground is {cells:.2} cells of {width} m deep, and fewer than {LEAST_DEPTH} neither bear nor flow as deep ground does; {fewer}set world.cell to {finer} or less"
+            ));
+        }
         let time = &self.scene.time;
         let step = time.step.unwrap_or(0.0);
         if step > self.bound.dt && time.over_bound != OverBound::Refuse {
@@ -878,7 +899,14 @@ impl fmt::Display for Plan {
         let widths: Vec<_> = self.cell_widths.iter().map(f64::to_string).collect();
         writeln!(f, "world     {} cells of {} m, {}", cells.join(" x "), self.cell_widths[0], self.precision)?;
         if widths.len() > 1 {
-            writeln!(f, "levels    cells of {} m", widths.join(", "))?;
+            let cells =
+                self.ground_cells.iter().map(|cells| cells.map_or("none".to_owned(), |cells| format!("{cells:.1}")));
+            let cells = cells.collect::<Vec<_>>().join(", ");
+            writeln!(
+                f,
+                "levels    cells of {} m; cells of ground under each level's surface: {cells}",
+                widths.join(", ")
+            )?;
         }
         writeln!(f, "particles {}", self.particle_count)?;
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);

@@ -318,7 +318,8 @@ impl Seeder<'_> {
             max: std::array::from_fn(|d| cubes.plot.axes[d].site(last[d] as f64).position),
         };
         // Jittered particles lie up to half a spacing off their lattice points.
-        let reach = if cubes.body.sampling == Sampling::Jitter { 0.5 * self.terrain.scene.spacing(cubes.body) } else { 0.0 };
+        let reach =
+            if cubes.body.sampling == Sampling::Jitter { 0.5 * self.terrain.scene.spacing(cubes.body) } else { 0.0 };
         let points = points.grown(reach);
         let cover = cubes.plot.solid.cover(&points);
         if cover == Some(false) {
@@ -360,7 +361,8 @@ impl Seeder<'_> {
             let random = match cubes.body.sampling {
                 Sampling::Lattice => 0.5,
                 Sampling::Jitter => {
-                    let number = (origin[0] * cubes.plot.axes[1].count + origin[1]) * cubes.plot.axes[2].count + origin[2];
+                    let number =
+                        (origin[0] * cubes.plot.axes[1].count + origin[1]) * cubes.plot.axes[2].count + origin[2];
                     uniform(self.terrain.scene.seed, cubes.plot.index as u64, number, d as u64)
                 }
             };

@@ -76,6 +76,44 @@ impl ParticleList {
     pub fn position(&self, i: usize) -> Vec3 {
         std::array::from_fn(|d| (f64::from(self.cell[i][d]) + self.offset[i][d]) * self.cell_width)
     }
+    /// Where particle `i` is and how large.
+    pub fn spot(&self, i: usize) -> Spot {
+        Spot { position: self.position(i), volume0: self.volume0[i], material: self.material }
+    }
+    /// Keeps the particles for which `wanted` holds, in their order.
+    pub fn retain(&mut self, wanted: impl Fn(&Spot) -> bool) {
+        fn keep<T>(plane: &mut Vec<T>, kept: &[bool]) {
+            let mut kept = kept.iter();
+            plane.retain(|_| kept.next().is_some_and(|k| *k));
+        }
+        let kept: Vec<bool> = (0..self.len()).map(|i| wanted(&self.spot(i))).collect();
+        keep(&mut self.id, &kept);
+        keep(&mut self.body, &kept);
+        keep(&mut self.cell, &kept);
+        keep(&mut self.offset, &kept);
+        keep(&mut self.velocity, &kept);
+        keep(&mut self.affine, &kept);
+        let planes = [&mut self.mass, &mut self.volume0].into_iter().chain(&mut self.strain).chain(&mut self.state);
+        planes.for_each(|plane| keep(plane, &kept));
+    }
+}
+
+/// Where a particle is and how large: what pictures and height maps ask of all particles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spot {
+    /// World position [m].
+    pub position: Vec3,
+    /// Rest volume [m³].
+    pub volume0: f64,
+    /// Index into the plan's materials.
+    pub material: u32,
+}
+
+impl Spot {
+    /// Side of the cube that the particle stands for [m].
+    pub fn side(&self) -> f64 {
+        self.volume0.cbrt()
+    }
 }
 
 /// How a backend had its particles sorted: enough to rebuild chunks, order and phase.

@@ -212,3 +212,46 @@ fn hard_materials_warn() {
     assert!(warned("material[0].parameters.friction_angle_deg=42.3", "no shear failure in plane strain"));
     assert!(!warned("material[0].parameters.friction_angle_deg=42.1", "plane strain"));
 }
+
+/// Ground that is too thin for a coarse level is told, with what would mend it; each mend does.
+#[test]
+fn a_level_with_less_than_four_cells_of_ground_warns() {
+    // A pebble on a bed, 0.24 m deep, of which the finest level follows the pebble.
+    let bed = |overrides: &[&str]| {
+        let text = "name = 'bed'
+            world = { cell = 0.02, min = [0, 0, 0], max = [0.96, 0.48, 0.96], walls = { z_min = 'stick' } }
+            levels = { count = 3, half = 8, agents = ['pebble'] }
+            time = { end = 1 }
+            [[material]]
+            name = 'm'
+            law = 'elastic'
+            density = 1000
+            [[body]]
+            name = 'bed'
+            material = 'm'
+            shape = { box = { min = [0, 0, 0], max = [0.96, 0.48, 0.24] } }
+            [[body]]
+            name = 'pebble'
+            material = 'm'
+            shape = { sphere = { center = [0.24, 0.24, 0.26], radius = 0.02 } }";
+        let mut scene = Scene::from_str(text, "plan.toml", "").unwrap();
+        scene.set(overrides).unwrap();
+        plan(&scene).unwrap()
+    };
+    let warnings = |plan: &Plan| plan.warnings.iter().filter(|w| w.contains("level ")).cloned().collect::<Vec<_>>();
+    let shallow = bed(&[]);
+    let cells: Vec<f64> = shallow.ground_cells.iter().map(|cells| cells.unwrap()).collect();
+    for (cells, wanted) in cells.iter().zip([12.0, 6.0, 3.0]) {
+        assert!((cells - wanted).abs() < 1e-6, "{cells} cells instead of {wanted}");
+    }
+    let [warning] = &warnings(&shallow)[..] else { panic!("{:?}", shallow.warnings) };
+    for part in ["level 2:", "3.00 cells of 0.08 m", "levels.count = 2", "world.cell to 0.015 or less"] {
+        assert!(warning.contains(part), "'{part}' is not in: {warning}");
+    }
+    let text = shallow.to_string();
+    assert!(text.contains("under each level's surface: 12.0, 6.0, 3.0") && text.contains(warning), "{text}");
+    for mended in ["levels.count=2", "world.cell=0.015"] {
+        assert_eq!(warnings(&bed(&[mended])), [""; 0], "{mended}");
+    }
+    assert_eq!(bed(&["levels.count=1"]).ground_cells, [None]);
+}

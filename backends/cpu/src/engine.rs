@@ -13,7 +13,7 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
 use barchan_core::{
     Aabb, Coupling, Engine, Error, Ledger, LevelPhase, Measured, NodeBatch, ParticleState, Plan, Regions, Result,
-    Scene, SortPhase, StepReport,
+    Scene, SortPhase, Spot, StepReport,
 };
 use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
@@ -680,16 +680,19 @@ impl<T: Scalar> Engine for CpuEngine<T> {
                 .collect(),
             rest: self.levels.iter().flat_map(|level| level.store.rest.iter().copied()).collect(),
         });
-        ParticleState {
-            lists: self.levels.iter().enumerate().flat_map(|(l, level)| level.store.download(l)).collect(),
-            strain_dt: self.levels[0].strain_dt,
-            sort,
-            levels: (self.levels.len() > 1).then(|| LevelPhase {
-                boxes: self.regions.boxes().to_vec(),
-                next_id: self.next_id,
-                rounds: self.rounds,
-            }),
-        }
+        let lists = self.levels.iter().enumerate().flat_map(|(l, level)| level.store.download(l)).collect();
+        ParticleState { lists, sort, ..self.without_particles() }
+    }
+
+    fn spots(&self) -> Vec<Spot> {
+        let mut spots = Vec::with_capacity(self.particle_count());
+        self.pool.install(|| self.levels.iter().for_each(|level| level.store.add_spots(&mut spots)));
+        spots
+    }
+
+    fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
+        let lists = || self.levels.iter().enumerate().flat_map(|(l, level)| level.store.download_where(l, wanted));
+        ParticleState { lists: self.pool.install(|| lists().collect()), ..self.without_particles() }
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
@@ -837,6 +840,19 @@ impl<T: Scalar> CpuEngine<T> {
             }
         }
         Ok(())
+    }
+
+    /// What a copy of the particles comes with.
+    fn without_particles(&self) -> ParticleState {
+        ParticleState {
+            strain_dt: self.levels[0].strain_dt,
+            levels: (self.levels.len() > 1).then(|| LevelPhase {
+                boxes: self.regions.boxes().to_vec(),
+                next_id: self.next_id,
+                rounds: self.rounds,
+            }),
+            ..ParticleState::default()
+        }
     }
 
     /// Total mass, kept from the last upload and corrected for what was deleted.

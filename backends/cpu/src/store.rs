@@ -6,7 +6,7 @@
 use crate::grid::Bounds;
 use crate::memory::{Line, Shared, lines};
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Error, ParticleList, Result};
+use barchan_core::{Error, ParticleList, Result, Spot};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{Law, MAX_STATE, Scalar};
@@ -47,6 +47,12 @@ pub(crate) struct List<T: Scalar> {
     motion: Vec<Line<T>>,
     rest: Vec<Line<T>>,
     rest_planes: usize,
+}
+
+/// (chunk, lane) of every particle of a run.
+fn places(run: &Run) -> impl Iterator<Item = (usize, usize)> + use<> {
+    let Run { first, count } = *run;
+    (0..count).map(move |i| (first + i / LANES, i % LANES))
 }
 
 impl<T: Scalar> List<T> {
@@ -97,7 +103,7 @@ impl<T: Scalar> List<T> {
 
     /// (chunk, lane) of every particle, block by block.
     pub(crate) fn places(&self) -> impl Iterator<Item = (usize, usize)> {
-        self.runs.iter().flat_map(|run| (0..run.count).map(|i| (run.first + i / LANES, i % LANES)))
+        self.runs.iter().flat_map(places)
     }
 
     pub(crate) fn cell_of(&self, chunk: usize, lane: usize) -> [i32; 3] {
@@ -261,17 +267,27 @@ impl<T: Scalar> List<T> {
         self.pad();
     }
 
-    fn give_out(&self, level: usize, cell_width: f64) -> ParticleList {
-        let (planes, n) = (self.strain_planes(), self.len());
+    /// Where a particle is and how large.
+    fn spot(&self, (chunk, lane): (usize, usize), cell_width: f64) -> Spot {
+        let (cell, offset) = (self.cell_of(chunk, lane), self.offset_of(chunk, lane));
+        Spot {
+            position: std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * cell_width),
+            volume0: self.volume0_of(chunk, lane),
+            material: self.material as u32,
+        }
+    }
+
+    fn give_out(&self, level: usize, cell_width: f64, places: impl Iterator<Item = (usize, usize)>) -> ParticleList {
+        let planes = self.strain_planes();
         let mut out = ParticleList {
             level: level as u32,
             material: self.material as u32,
             cell_width,
-            strain: vec![Vec::with_capacity(n); planes],
-            state: vec![Vec::with_capacity(n); self.rest_planes - STRAIN - planes],
+            strain: vec![Vec::new(); planes],
+            state: vec![Vec::new(); self.rest_planes - STRAIN - planes],
             ..ParticleList::default()
         };
-        for (chunk, lane) in self.places() {
+        for (chunk, lane) in places {
             out.id.push(u64::from(self.id[chunk][lane]));
             out.body.push(self.body[chunk][lane]);
             out.cell.push(self.cell_of(chunk, lane));
@@ -412,7 +428,31 @@ impl<T: Scalar> Store<T> {
 
     /// A copy of one level's particles.
     pub(crate) fn download(&self, level: usize) -> impl Iterator<Item = ParticleList> {
-        self.lists.iter().map(move |list| list.give_out(level, self.cell_width))
+        self.lists.iter().map(move |list| list.give_out(level, self.cell_width, list.places()))
+    }
+
+    /// The particles for which `wanted` holds, as [`download`](Self::download) gives them.
+    pub(crate) fn download_where<'a>(
+        &'a self,
+        level: usize,
+        wanted: &'a (dyn Fn(&Spot) -> bool + Sync),
+    ) -> impl Iterator<Item = ParticleList> + 'a {
+        self.lists.iter().map(move |list| {
+            let here: Vec<Vec<(usize, usize)>> = list
+                .runs
+                .par_iter()
+                .map(|run| places(run).filter(|place| wanted(&list.spot(*place, self.cell_width))).collect())
+                .collect();
+            list.give_out(level, self.cell_width, here.into_iter().flatten())
+        })
+    }
+
+    /// Adds where every particle is and how large, in the order of [`download`](Self::download).
+    pub(crate) fn add_spots(&self, spots: &mut Vec<Spot>) {
+        for list in &self.lists {
+            let of = |run: &Run| places(run).map(|place| list.spot(place, self.cell_width)).collect::<Vec<_>>();
+            spots.par_extend(list.runs.par_iter().flat_map_iter(of));
+        }
     }
 
     /// Blocks in order, and the number of particles of each list in them.

@@ -25,9 +25,9 @@ pub mod stress;
 
 pub use barchan_core::{
     Backend, BodyState, Coupling, Effect, Engine, Error, Ledger, Material, Measured, NodeBatch, Options, ParticleList,
-    ParticleState, Plan, Precision, Registry, Result, Scene, Simulation, SortPhase, Stage, StepReport, Task, Vec3,
-    Wrench, backend, coupling, export, ledger, material, plan, registry as registries, scene, simulation, snapshot,
-    solid, state, task,
+    ParticleState, Plan, Precision, Registry, Result, Scene, Simulation, SortPhase, Spot, Stage, StepReport, Task,
+    Vec3, Wrench, backend, coupling, export, ledger, material, plan, registry as registries, scene, simulation,
+    snapshot, solid, state, task,
 };
 pub use barchan_tasks as tasks;
 

@@ -2,7 +2,7 @@
 //!
 //! ```no_run
 //! # fn save_picture(simulation: &barchan::Simulation) -> barchan::Result<()> {
-//! let mut view = barchan::picture::View::new(simulation.plan(), &simulation.particles());
+//! let mut view = barchan::picture::View::new(simulation);
 //! view.draw(simulation)?.write_png("now.png".as_ref(), &[]).unwrap();
 //! # Ok(())
 //! # }
@@ -25,8 +25,9 @@ use crate::stress::pressure;
 use barchan_core::levels::CellBox;
 use barchan_core::plan::Plan;
 use barchan_core::scene::{CutColour, Motion, Scene, Wall};
-use barchan_core::{ParticleList, ParticleState, Result, Simulation, Vec3};
+use barchan_core::{ParticleState, Result, Simulation, Spot, Vec3};
 use colour::{Ground, viridis};
+use rayon::prelude::*;
 use relief::{Dot, Surface};
 use serde::{Deserialize, Serialize};
 use tools::Frame;
@@ -47,16 +48,6 @@ const STRIP: usize = 38;
 const LEAST_WIDTH: usize = 540;
 const TEXT: f32 = 8.75;
 
-/// What a moment looks like: everything a picture shows.
-pub struct Moment<'a> {
-    /// Time [s].
-    pub time: f64,
-    /// Particles.
-    pub particles: &'a ParticleState,
-    /// Tools.
-    pub tools: Tools<'a>,
-}
-
 /// A fixed view of a scene: the same extent, height colours and layout in every frame; only the cut's scale may grow.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct View {
@@ -76,10 +67,10 @@ pub struct View {
 }
 
 impl View {
-    /// A view of a plan's scene that holds its particles, as they are now, with some space around.
-    pub fn new(plan: &Plan, particles: &ParticleState) -> Self {
-        let scene = &plan.scene;
-        let (min, max) = extent(scene, particles);
+    /// A view of a simulation's scene that holds its particles, as they are now, with some space around.
+    pub fn new(simulation: &Simulation) -> Self {
+        let scene = &simulation.plan().scene;
+        let (min, max) = extent(scene, &simulation.spots());
         let finest = scene.body.iter().map(|body| scene.spacing(body)).fold(f64::INFINITY, f64::min);
         let spacing = if finest.is_finite() { finest } else { 0.5 * scene.world.cell };
         let pixels = scene.output.picture.pixels as usize;
@@ -110,10 +101,13 @@ impl View {
 
     /// Draws a simulation as it is now.
     ///
+    /// 1. Of all particles only place and size are asked for: the relief needs no more.
+    /// 2. Those near the cut come with everything else, for what colours them.
+    ///
     /// # Errors
     /// If a material fails to give its stress.
     pub fn draw(&mut self, simulation: &Simulation) -> Result<Image> {
-        let particles = simulation.particles();
+        let plan = simulation.plan();
         let distance = |points: &[Vec3]| {
             let mut nearest = vec![f64::INFINITY; points.len()];
             for coupling in simulation.couplings() {
@@ -123,16 +117,8 @@ impl View {
         };
         let bounds = simulation.couplings().iter().flat_map(|coupling| coupling.bounds()).collect();
         let tools = Tools { bounds, distance: &distance };
-        let moment = Moment { time: simulation.time(), particles: &particles, tools };
-        self.draw_moment(simulation.plan(), &moment)
-    }
 
-    /// Draws a moment.
-    ///
-    /// # Errors
-    /// If a material fails to give its stress.
-    pub fn draw_moment(&mut self, plan: &Plan, moment: &Moment<'_>) -> Result<Image> {
-        let dots = self.dots(plan, moment.particles)?;
+        let dots: Vec<Dot> = simulation.spots().par_iter().map(|spot| self.dot(spot, 0.0)).collect();
         let surface = Surface::new(
             &dots,
             self.spacing as f32,
@@ -149,17 +135,21 @@ impl View {
         let mut relief = Image::new(width, height, AIR);
         surface.draw(&mut relief, self.scale as f32, &grounds, level, range, FLOOR);
         let frame = Frame { origin: [self.min[0], self.min[1]], scale: self.scale };
-        moment.tools.draw_above(&mut relief, frame, &surface);
-        let mut cut = self.cut(&dots, &moment.tools);
+        tools.draw_above(&mut relief, frame, &surface);
+
+        let cut_y = self.cut_y;
+        // Within one of their sides.
+        let near = simulation.particles_where(&|spot| (spot.position[1] - cut_y).abs().powi(3) < spot.volume0);
+        let mut cut = self.cut(plan, &near, &tools)?;
         if plan.scene.output.picture.levels {
-            for (level, boxes) in moment.particles.levels.iter().flat_map(|phase| phase.boxes.iter().enumerate()) {
+            for (level, boxes) in near.levels.iter().flat_map(|phase| phase.boxes.iter().enumerate()) {
                 for one in boxes {
                     self.outline(&mut relief, &mut cut, one, plan.cell_widths[level]);
                 }
             }
         }
         let ground = grounds.first().copied().unwrap_or_else(|| Ground::of_law("sand"));
-        Ok(self.page(&relief, &cut, ground, (level, range), moment.time))
+        Ok(self.page(&relief, &cut, ground, (level, range), simulation.time()))
     }
 
     /// Where the relief lies within a frame.
@@ -177,30 +167,24 @@ impl View {
         (self.panels().0 + 2 * MARGIN).max(LEAST_WIDTH)
     }
 
-    /// All particles, x and y from the view's corner, those near the cut with the quantity that colours it.
-    fn dots(&mut self, plan: &Plan, particles: &ParticleState) -> Result<Vec<Dot>> {
-        let mut dots = Vec::with_capacity(particles.lists.iter().map(ParticleList::len).sum());
-        let mut values = Vec::new();
-        for list in &particles.lists {
-            let first = dots.len();
-            dots.extend((0..list.len()).map(|i| {
-                let p = list.position(i);
-                let position = [(p[0] - self.min[0]) as f32, (p[1] - self.min[1]) as f32, p[2] as f32];
-                Dot { position, ground: list.material as u8, value: 0.0, side: list.volume0[i].cbrt() as f32 }
-            }));
-            let cut_y = (self.cut_y - self.min[1]) as f32;
-            let near = |dot: &Dot| (dot.position[1] - cut_y).abs() < dot.side;
-            let which: Vec<usize> = (0..list.len()).filter(|&i| near(&dots[first + i])).collect();
+    /// A particle, x and y from the view's corner.
+    fn dot(&self, spot: &Spot, value: f64) -> Dot {
+        let [x, y, z] = spot.position;
+        let position = [(x - self.min[0]) as f32, (y - self.min[1]) as f32, z as f32];
+        Dot { position, ground: spot.material as u8, value: value as f32, side: (spot.volume0 as f32).cbrt() }
+    }
+
+    /// The vertical cut through the particles near it.
+    fn cut(&mut self, plan: &Plan, near: &ParticleState, tools: &Tools<'_>) -> Result<Image> {
+        let (mut dots, mut values) = (Vec::new(), Vec::new());
+        for list in &near.lists {
+            let all: Vec<usize> = (0..list.len()).collect();
             let quantity = match self.cut {
-                CutColour::Pressure => pressure(&plan.materials[list.material as usize], list, &which)?,
-                CutColour::Speed => {
-                    which.iter().map(|&i| list.velocity[i].iter().map(|v| v * v).sum::<f64>().sqrt()).collect()
-                }
+                CutColour::Pressure => pressure(&plan.materials[list.material as usize], list, &all)?,
+                CutColour::Speed => list.velocity.iter().map(|v| v.iter().map(|c| c * c).sum::<f64>().sqrt()).collect(),
             };
-            for (i, value) in which.into_iter().zip(quantity) {
-                dots[first + i].value = value as f32;
-                values.push(value);
-            }
+            dots.extend(all.iter().map(|&i| self.dot(&list.spot(i), quantity[i])));
+            values.extend(quantity);
         }
         // The scale's end covers all but the outliers, and never shrinks, so that frames can be compared.
         if !values.is_empty() {
@@ -208,18 +192,12 @@ impl View {
             let high = *values.select_nth_unstable_by(index, f64::total_cmp).1;
             self.top = self.top.max(cut::round_up(high));
         }
-        Ok(dots)
-    }
-
-    fn cut(&self, dots: &[Dot], tools: &Tools<'_>) -> Image {
         let (width, _, height) = self.panels();
         let mut image = Image::new(width, height, AIR);
         let top = self.top.max(f64::MIN_POSITIVE) as f32;
-        let frame = Frame { origin: [0.0, self.min[2]], scale: self.scale };
-        cut::draw(&mut image, frame, dots, (self.cut_y - self.min[1]) as f32, top);
-        let frame = Frame { origin: [self.min[0], self.min[2]], scale: self.scale };
-        tools.draw_cut(&mut image, frame, self.cut_y);
-        image
+        cut::draw(&mut image, Frame { origin: [0.0, self.min[2]], scale: self.scale }, &dots, top);
+        tools.draw_cut(&mut image, Frame { origin: [self.min[0], self.min[2]], scale: self.scale }, self.cut_y);
+        Ok(image)
     }
 
     /// Draws where a level's box ends, in both panels, with the width of its cells.
@@ -364,15 +342,13 @@ fn unit(value: f64, base: &str) -> (f64, String) {
 }
 
 /// What a view shows: the particles with a quarter of their extent around, inside the world, down to a floor.
-fn extent(scene: &Scene, particles: &ParticleState) -> (Vec3, Vec3) {
+fn extent(scene: &Scene, particles: &[Spot]) -> (Vec3, Vec3) {
     let world = &scene.world;
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for list in &particles.lists {
-        for position in (0..list.len()).map(|i| list.position(i)) {
-            for d in 0..3 {
-                low[d] = low[d].min(position[d]);
-                high[d] = high[d].max(position[d]);
-            }
+    for Spot { position, .. } in particles {
+        for d in 0..3 {
+            low[d] = low[d].min(position[d]);
+            high[d] = high[d].max(position[d]);
         }
     }
     if low[0] > high[0] {

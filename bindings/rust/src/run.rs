@@ -258,7 +258,7 @@ impl Recorder {
         folder(format.is_some(), "particles")?;
         let view = match frames.last().filter(|_| pictures).and_then(|path| view_of(path)) {
             Some(view) => Some(view),
-            None => pictures.then(|| View::new(simulation.plan(), &simulation.particles())),
+            None => pictures.then(|| View::new(simulation)),
         };
         Ok(Self {
             trace: open_trace(&out.join("trace.csv"), simulation, request.resumed)?,

@@ -53,9 +53,8 @@ fn settled_ground_starts_at_rest() {
         ("von_mises", "young_modulus = 1e6"),
         ("liquid", ""),
     ] {
-        let [bounce, rest] = [(false, 0.05), (true, 0.2)].map(|(settled, time)| {
-            fastest(&mut simulation(&bed(law, parameters, settled), Precision::F32), time)
-        });
+        let [bounce, rest] = [(false, 0.05), (true, 0.2)]
+            .map(|(settled, time)| fastest(&mut simulation(&bed(law, parameters, settled), Precision::F32), time));
         println!("{law}: {bounce:.2e} m/s without, {rest:.2e} m/s with");
         within(&format!("{law}: speed of settled ground over that of the same ground unsettled"), rest / bounce, 2e-3);
     }
@@ -120,10 +119,8 @@ fn what_cannot_settle_is_refused_by_name() {
             }
         }
     }
-    let ball = Head::space(CELL).with(&[
-        material("sand", 1000.0, ""),
-        body("sand", "sphere = { radius = 0.1 }", "settled = true"),
-    ]);
+    let ball = Head::space(CELL)
+        .with(&[material("sand", 1000.0, ""), body("sand", "sphere = { radius = 0.1 }", "settled = true")]);
     let error = Scene::from_str(&ball, "ball", "").unwrap_err().to_string();
     assert!(error.contains("body[0].settled") && error.contains("use a box or a height_field"), "{error}");
     let soft = scene(&bed("neo_hookean", "young_modulus = 100.0, poisson_ratio = 0.0", true));

@@ -6,8 +6,7 @@ use rayon::prelude::*;
 use std::io;
 
 /// Encodes `count` frames as an endlessly looping GIF of at most `limit` bytes, each shown for `seconds`; if it would get
-/// larger, every second frame is left out and the others are shown longer, again and again. Frames are loaded one by
-/// one, some of them twice.
+/// larger, every second frame is left out and the others are shown longer, again and again. Each frame is loaded once.
 ///
 /// One palette serves all frames and a pixel that stays the same is not written again.
 ///
@@ -23,58 +22,78 @@ pub fn gif(
     if count == 0 {
         return Err(refuse("no frames"));
     }
-    let sample: Vec<Image> = (0..count).step_by(count.div_ceil(16)).map(&load).collect::<io::Result<_>>()?;
+    let apart = count.div_ceil(16);
+    let sample: Vec<Image> =
+        (0..count.div_ceil(apart)).into_par_iter().map(|i| load(i * apart)).collect::<io::Result<_>>()?;
     let size = (sample[0].width(), sample[0].height());
     let palette = Palette::of(&sample);
-    let index = |i: usize| match load(i)? {
-        frame if (frame.width(), frame.height()) == size => Ok(palette.indices(&frame)),
-        _ => Err(refuse("frames differ in size")),
+    let index = |i: usize| {
+        let loaded = if i.is_multiple_of(apart) { None } else { Some(load(i)?) };
+        match loaded.as_ref().unwrap_or(&sample[i / apart]) {
+            frame if (frame.width(), frame.height()) == size => Ok(palette.indices(frame)),
+            _ => Err(refuse("frames differ in size")),
+        }
     };
     let indexed: Vec<Vec<u8>> = (0..count).into_par_iter().map(index).collect::<io::Result<_>>()?;
     let mut stride = 1;
     loop {
         let shown: Vec<&[u8]> = indexed.iter().step_by(stride).map(Vec::as_slice).collect();
-        let bytes = encode(&shown, size, &palette, seconds * stride as f64)?;
-        if bytes.len() <= limit || shown.len() <= 2 {
+        let most = if shown.len() <= 2 { usize::MAX } else { limit };
+        if let Some(bytes) = encode(&shown, size, &palette, seconds * stride as f64, most)? {
             return Ok(bytes);
         }
         stride *= 2;
     }
 }
 
-fn encode(frames: &[&[u8]], size: (usize, usize), palette: &Palette, seconds: f64) -> io::Result<Vec<u8>> {
+/// The animation, or `None` if it has more than `most` bytes.
+fn encode(
+    frames: &[&[u8]],
+    size: (usize, usize),
+    palette: &Palette,
+    seconds: f64,
+    most: usize,
+) -> io::Result<Option<Vec<u8>>> {
+    // Frames compressed at the same time.
+    const BATCH: usize = 16;
     let (width, height) = (size.0 as u16, size.1 as u16);
     let colours: Vec<u8> = palette.colours.as_flattened().to_vec();
-    let mut bytes = Vec::new();
-    {
-        let mut encoder = gif::Encoder::new(&mut bytes, width, height, &colours).map_err(io::Error::other)?;
-        encoder.set_repeat(gif::Repeat::Infinite).map_err(io::Error::other)?;
-        let mut before: Option<&[u8]> = None;
-        for (i, &frame) in frames.iter().enumerate() {
-            let buffer = match before {
-                Some(before) => {
-                    let changed = frame.iter().zip(before);
-                    changed.map(|(&now, &then)| if now == then { TRANSPARENT } else { now }).collect::<Vec<u8>>()
-                }
-                None => frame.to_vec(),
-            };
-            // Viewers take hundredths of a second, and slow down what is under two of them.
-            let delay = (seconds * 100.0).round().max(2.0) as u16;
-            let last = if i + 1 == frames.len() { 150 } else { delay };
-            let frame = gif::Frame {
-                width,
-                height,
-                delay: last,
-                buffer: buffer.into(),
-                transparent: Some(TRANSPARENT),
-                dispose: gif::DisposalMethod::Keep,
-                ..gif::Frame::default()
-            };
-            encoder.write_frame(&frame).map_err(io::Error::other)?;
-            before = Some(frames[i]);
+    // Viewers take hundredths of a second, and slow down what is under two of them.
+    let delay = (seconds * 100.0).round().max(2.0) as u16;
+    let compressed = |i: usize| {
+        let buffer = match i.checked_sub(1).map(|before| frames[before]) {
+            Some(before) => {
+                let changed = frames[i].iter().zip(before);
+                changed.map(|(&now, &then)| if now == then { TRANSPARENT } else { now }).collect()
+            }
+            None => frames[i].to_vec(),
+        };
+        let mut frame = gif::Frame {
+            width,
+            height,
+            delay: if i + 1 == frames.len() { 150 } else { delay },
+            buffer: buffer.into(),
+            transparent: Some(TRANSPARENT),
+            dispose: gif::DisposalMethod::Keep,
+            ..gif::Frame::default()
+        };
+        frame.make_lzw_pre_encoded();
+        frame
+    };
+    let mut encoder = gif::Encoder::new(Vec::new(), width, height, &colours).map_err(io::Error::other)?;
+    encoder.set_repeat(gif::Repeat::Infinite).map_err(io::Error::other)?;
+    for first in (0..frames.len()).step_by(BATCH) {
+        let batch: Vec<gif::Frame<'_>> =
+            (first..(first + BATCH).min(frames.len())).into_par_iter().map(compressed).collect();
+        for frame in &batch {
+            encoder.write_lzw_pre_encoded_frame(frame).map_err(io::Error::other)?;
+        }
+        if encoder.get_ref().len() > most {
+            return Ok(None);
         }
     }
-    Ok(bytes)
+    let bytes = encoder.into_inner().map_err(io::Error::other)?;
+    Ok((bytes.len() <= most).then_some(bytes))
 }
 
 /// Index that stands for "as before".

@@ -5,13 +5,13 @@ use super::image::Image;
 use super::relief::{Dot, smoothstep};
 use super::tools::Frame;
 
-/// Draws the dots within one of their sides of the plane y = `cut_y`, coloured from 0 to `top`.
-pub(super) fn draw(image: &mut Image, frame: Frame, dots: &[Dot], cut_y: f32, top: f32) {
+/// Draws dots, seen along y, coloured from 0 to `top`.
+pub(super) fn draw(image: &mut Image, frame: Frame, dots: &[Dot], top: f32) {
     let (width, height) = (image.width(), image.height());
     let scale = frame.scale as f32;
     let mut sum = vec![[0.0f32; 2]; width * height];
     let mut cover = vec![0.0f32; width * height];
-    for dot in dots.iter().filter(|dot| (dot.position[1] - cut_y).abs() < dot.side) {
+    for dot in dots {
         // A dot colours its surroundings up to `reach` and covers a disc of `radius`: neighbours overlap, so ground is whole.
         let (reach, radius) = (1.25 * dot.side * scale, (0.72 * dot.side * scale).max(0.7));
         let box_reach = reach.max(radius + 0.5);
@@ -78,7 +78,7 @@ mod tests {
             .collect();
         let mut image = Image::new(40, 80, [255; 3]);
         let frame = Frame { origin: [0.03, 0.0], scale: 800.0 };
-        draw(&mut image, frame, &dots, 0.0, 1.0);
+        draw(&mut image, frame, &dots, 1.0);
         assert!(image.pixels().iter().all(|&p| p != [255; 3]), "a hole in whole ground");
         let (top, bottom) = (image.pixels()[0], image.pixels()[79 * 40]);
         assert!(bottom[0] > 200 && top[0] < 90, "{bottom:?} should be yellow and {top:?} dark");

@@ -1,6 +1,7 @@
 //! A plain RGB picture: blending, text, scaling, PNG.
 
 use font8x8::UnicodeFonts;
+use rayon::prelude::*;
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Write};
 use std::path::Path;
@@ -100,22 +101,25 @@ impl Image {
         if width >= self.width {
             return self.clone();
         }
-        let factor = self.width as f32 / width as f32;
-        let height = (self.height as f32 / factor).round().max(1.0) as usize;
-        let across = |y: usize, x: usize| self.pixels[y * self.width + x].map(f32::from);
-        // Columns first, then rows: weights are the overlaps of the old pixels with the new one.
-        let columns: Vec<[f32; 3]> = (0..self.height)
-            .flat_map(|y| (0..width).map(move |x| (y, x)))
-            .map(|(y, x)| mean(x as f32 * factor, (x + 1) as f32 * factor, self.width, |i| across(y, i)))
-            .collect();
-        let down = self.height as f32 / height as f32;
-        let pixels = (0..height)
-            .flat_map(|y| (0..width).map(move |x| (y, x)))
-            .map(|(y, x)| {
-                let value = mean(y as f32 * down, (y + 1) as f32 * down, self.height, |i| columns[i * width + x]);
-                value.map(|v| v.round() as u8)
-            })
-            .collect();
+        let height = (self.height as f32 * width as f32 / self.width as f32).round().max(1.0) as usize;
+        let (across, down) = (Shrink::new(self.width, width), Shrink::new(self.height, height));
+        // Rows first, then columns: of each row of the small picture, the mean of the old rows that it covers.
+        let mut pixels = vec![[0; 3]; width * height];
+        pixels.par_chunks_mut(width).enumerate().for_each(|(y, small)| {
+            let mut row = vec![[0.0f32; 3]; self.width];
+            for (from, weight) in down.shares(y) {
+                for (sum, pixel) in row.iter_mut().zip(&self.pixels[from * self.width..][..self.width]) {
+                    (0..3).for_each(|c| sum[c] += weight * f32::from(pixel[c]));
+                }
+            }
+            for (x, pixel) in small.iter_mut().enumerate() {
+                let mut sum = [0.5f32; 3];
+                for (from, weight) in across.shares(x) {
+                    (0..3).for_each(|c| sum[c] += weight * row[from][c]);
+                }
+                *pixel = sum.map(|v| v as u8);
+            }
+        });
         Self { width, height, pixels }
     }
 
@@ -187,20 +191,28 @@ impl Image {
 pub(super) fn mix(a: Colour, b: Colour, alpha: f32) -> Colour {
     std::array::from_fn(|c| {
         let (a, b) = (f32::from(a[c]), f32::from(b[c]));
-        (a + (b - a) * alpha.clamp(0.0, 1.0)).round() as u8
+        // A colour is not negative: half more, cut off, is rounded, without a call for every pixel.
+        (a + (b - a) * alpha.clamp(0.0, 1.0) + 0.5) as u8
     })
 }
 
-/// Mean over the stretch from `start` to `end` of a row of `count` values, each one wide.
-fn mean(start: f32, end: f32, count: usize, value: impl Fn(usize) -> [f32; 3]) -> [f32; 3] {
-    let (mut sum, mut weights) = ([0.0; 3], 0.0);
-    for i in start as usize..(end.ceil() as usize).min(count) {
-        let weight = end.min((i + 1) as f32) - start.max(i as f32);
-        let value = value(i);
-        (0..3).for_each(|c| sum[c] += weight * value[c]);
-        weights += weight;
+/// A row of pixels made shorter.
+struct Shrink {
+    factor: f32,
+    count: usize,
+}
+
+impl Shrink {
+    fn new(count: usize, to: usize) -> Self {
+        Self { factor: count as f32 / to as f32, count }
     }
-    sum.map(|v| v / weights)
+    /// The old pixels that a new one covers, and what part of it each is.
+    fn shares(&self, new: usize) -> impl Iterator<Item = (usize, f32)> {
+        let (start, end) = (new as f32 * self.factor, (new + 1) as f32 * self.factor);
+        let factor = self.factor;
+        let share = move |i: usize| (i, (end.min((i + 1) as f32) - start.max(i as f32)) / factor);
+        (start as usize..(end.ceil() as usize).min(self.count)).map(share)
+    }
 }
 
 /// Width of a line of text in pixels.

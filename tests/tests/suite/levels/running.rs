@@ -1,7 +1,7 @@
 //! Determinism and resuming with levels, and levels that do nothing.
 
 use super::{counted, levels, on_levels};
-use barchan::{BodyState, Options, ParticleState, Precision, Simulation, Wrench};
+use barchan::{BodyState, Options, ParticleState, Precision, Simulation, Spot, Wrench};
 use barchan_tests::scenes::{rows, scene, within};
 use barchan_tests::sketch::{bed, block, half, material, tool};
 
@@ -149,4 +149,21 @@ fn b40_a_box_larger_than_the_world_is_one_fine_level() {
         (0..3).fold(off, |off, d| off.max((a.v[d] - b.v[d]).abs()))
     });
     within("B40 box larger than the world: velocities [m/s]", off, 1e-9);
+}
+
+/// Pictures ask for places and sizes alone, and for all of what lies near the cut: the very particles that a whole copy holds.
+#[test]
+fn spots_and_parts_are_those_of_the_whole_copy() {
+    let mut s = start(&busy(&levels(3, 8, &["rod", "ball"])), Precision::F32, 2);
+    steps(&mut s, 30);
+    let mut whole = s.particles();
+    let spots: Vec<Spot> =
+        whole.lists.iter().flat_map(|list| (0..list.len()).map(|i| list.spot(i)).collect::<Vec<_>>()).collect();
+    assert_eq!(s.spots(), spots);
+    let wanted = |spot: &Spot| spot.position[1] > 0.5;
+    let count = spots.iter().filter(|spot| wanted(spot)).count();
+    assert!(0 < count && count < spots.len(), "{count} of {} are wanted", spots.len());
+    whole.lists.iter_mut().for_each(|list| list.retain(wanted));
+    assert_eq!(whole.lists.iter().map(barchan::ParticleList::len).sum::<usize>(), count);
+    assert_eq!(s.particles_where(&wanted), ParticleState { sort: None, ..whole });
 }
