@@ -397,6 +397,11 @@ impl Plan {
         if let Some(sort) = particles.sort.as_ref().filter(|sort| sort.rest.len() != sort.blocks.len()) {
             return refuse(format!("{} blocks of which {} say whether they sleep", sort.blocks.len(), sort.rest.len()));
         }
+        if let Some(sort) =
+            particles.sort.as_ref().filter(|sort| [sort.drift.len(), sort.kept_for.len()] != [levels; 2])
+        {
+            return refuse(format!("a sort of {} levels where the plan has {levels}", sort.drift.len()));
+        }
         for (i, list) in particles.lists.iter().enumerate() {
             let (level, material) = (i / materials, i % materials);
             let (law, n) = (&self.materials[material].material, list.len());

@@ -365,6 +365,11 @@ fn encode_sort(sort: &SortPhase) -> Vec<u8> {
         counts.iter().for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
     }
     sort.rest.iter().for_each(|rest| out.extend_from_slice(&rest.to_le_bytes()));
+    for kept_for in &sort.kept_for {
+        // No step has no length.
+        let (dt, gravity) = kept_for.unwrap_or_default();
+        std::iter::once(dt).chain(gravity).for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
+    }
     out
 }
 
@@ -387,5 +392,11 @@ fn decode_sort(from: &mut Reader<'_>) -> Result<SortPhase, Flaw> {
         })
         .collect::<Result<Vec<_>, _>>()?;
     let rest = (0..blocks.len()).map(|_| from.array().map(u16::from_le_bytes)).collect::<Result<_, _>>()?;
-    Ok(SortPhase { age, drift, measured, blocks, rest })
+    let kept_for = (0..levels)
+        .map(|_| {
+            let (dt, gravity) = (from.f64()?, [from.f64()?, from.f64()?, from.f64()?]);
+            Ok((dt > 0.0).then_some((dt, gravity)))
+        })
+        .collect::<Result<_, _>>()?;
+    Ok(SortPhase { age, drift, measured, blocks, rest, kept_for })
 }

@@ -129,6 +129,8 @@ pub struct SortPhase {
     pub blocks: Vec<([i32; 5], Vec<u32>)>,
     /// For how many steps each block's particles have been slow; [`u16::MAX`] if it sleeps.
     pub rest: Vec<u16>,
+    /// For each level, the step [s] and gravity [m/s²] that what its ground asleep does to nodes is kept for.
+    pub kept_for: Vec<Option<(f64, Vec3)>>,
 }
 
 /// Measurements that are not taken anew at every step: without them a resumed run would choose other time steps.

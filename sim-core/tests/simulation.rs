@@ -267,9 +267,10 @@ fn a_sort_phase_survives() {
     particles.sort = Some(barchan_core::SortPhase {
         measured: barchan_core::Measured { stiffness_bound: 1e-3, stiffness_age: 7 },
         age: 7,
-        drift: vec![0.123_456_789, 0.5],
+        drift: vec![0.123_456_789],
         blocks: vec![([0, 0, -3, 4, i32::MAX], vec![1, 2]), ([0; 5], vec![])],
         rest: vec![7, u16::MAX],
+        kept_for: vec![Some((1e-4, [0.0, 0.5, -9.81]))],
     });
     running.set_particles(particles.clone()).unwrap();
     running.save(&path).unwrap();

@@ -679,6 +679,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
                 })
                 .collect(),
             rest: self.levels.iter().flat_map(|level| level.store.rest.iter().copied()).collect(),
+            kept_for: self.levels.iter().map(|level| level.watch.tiles_for).collect(),
         });
         let lists = self.levels.iter().enumerate().flat_map(|(l, level)| level.store.download(l)).collect();
         ParticleState { lists, sort, ..self.without_particles() }
@@ -827,8 +828,10 @@ impl<T: Scalar> CpuEngine<T> {
         match particles.sort {
             Some(sort) => {
                 self.age = Some(sort.age);
-                for (level, drift) in self.levels.iter_mut().zip(sort.drift) {
+                for (level, (drift, kept_for)) in self.levels.iter_mut().zip(sort.drift.into_iter().zip(sort.kept_for))
+                {
                     level.drift = drift;
+                    level.watch.tiles_for = kept_for;
                 }
                 self.rebuild_grids(true);
                 self.stiffness.dt = sort.measured.stiffness_bound;

@@ -90,8 +90,7 @@ impl<T: Scalar> Level<T> {
     /// Mass, momentum and stress of every block's particles into the block's tile. Strain is up to date afterwards.
     /// Tiles of blocks asleep are filled when they are not yet what the step needs; a step of no length needs none.
     pub(crate) fn particles_to_grid(&mut self, isa: Isa, step: &Step, shares: &mut Shares) -> Result<(), Stopped> {
-        let stale = if step.dt > 0.0 { self.stale_tiles(step.dt, step.gravity) } else { Vec::new() };
-        let frozen = Step { strain_dt: 0.0, strain_parts: 1, frozen: true, ..*step };
+        let (stale, frozen) = if step.dt > 0.0 { self.stale_tiles(step) } else { (Vec::new(), *step) };
         let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
         let walls = self.has_mirrors();

@@ -11,13 +11,16 @@ use crate::store::List;
 use barchan_core::Aabb;
 use barchan_grid::block::{self, NONE, SIDE};
 use barchan_grid::particles::MASS;
-use barchan_grid::transfer::Scalar;
+use barchan_grid::transfer::{Scalar, Step};
 use barchan_lanes::LANES;
 
 /// Steps of a level for which ground must have been slow before it sleeps.
 pub(crate) const RESTED: u16 = 50;
 /// In place of such a count: the block sleeps. 0 in its place: something in it moves, or did in the last step.
 pub(crate) const ASLEEP: u16 = u16::MAX;
+/// Steps that differ by less than this part of them are one step to tiles: those that land evenly on a stop differ in their last
+/// digits.
+const SAME_STEP: f64 = 1e-9;
 /// Cells around a tool that stay awake.
 const NEAR_TOOL: f64 = 4.0;
 
@@ -34,7 +37,9 @@ pub(crate) struct Watch {
     /// Mass of the blocks asleep [kg].
     pub(crate) mass: f64,
     /// Step and gravity that the tiles of those asleep are for [s, m/s²].
-    tiles_for: Option<(f64, [f64; 3])>,
+    pub(crate) tiles_for: Option<(f64, [f64; 3])>,
+    /// Are the tiles of all asleep but the stale ones filled?
+    filled: bool,
 }
 
 /// What falling asleep took.
@@ -50,7 +55,15 @@ pub(crate) struct Lulled {
 
 impl Watch {
     pub(crate) fn new(slow: f64) -> Self {
-        Self { slow, awake: Vec::new(), stale: Vec::new(), nodes: Vec::new(), mass: 0.0, tiles_for: None }
+        Self {
+            slow,
+            awake: Vec::new(),
+            stale: Vec::new(),
+            nodes: Vec::new(),
+            mass: 0.0,
+            tiles_for: None,
+            filled: false,
+        }
     }
 
     /// The count of a block whose particles have moved at up to this speed [m/s].
@@ -82,15 +95,24 @@ impl<T: Scalar> Level<T> {
         self.store.lists.iter().map(asleep).sum::<usize>() as u64
     }
 
-    /// Blocks asleep whose tiles have to be filled for a step [s] and gravity [m/s²].
-    pub(crate) fn stale_tiles(&mut self, dt: f64, gravity: [f64; 3]) -> Vec<u32> {
+    /// Blocks asleep whose tiles have to be filled for a step, and the step that they are filled for.
+    pub(crate) fn stale_tiles(&mut self, step: &Step) -> (Vec<u32>, Step) {
+        let frozen = Step { strain_dt: 0.0, strain_parts: 1, frozen: true, ..*step };
+        let is_same =
+            |&(dt, gravity): &(f64, [f64; 3])| (dt - step.dt).abs() <= SAME_STEP * step.dt && gravity == step.gravity;
+        let (filled, tiles_for) = match self.watch.tiles_for.filter(is_same) {
+            Some(old) => (self.watch.filled, old),
+            None => (false, (step.dt, step.gravity)),
+        };
         let asleep = |b: &u32| self.store.rest[*b as usize] == ASLEEP;
-        if self.watch.tiles_for == Some((dt, gravity)) {
-            return self.watch.stale.drain(..).filter(asleep).collect();
-        }
-        self.watch.tiles_for = Some((dt, gravity));
-        self.watch.stale.clear();
-        (0..self.grid.occupied.len() as u32).filter(asleep).collect()
+        let stale: Vec<u32> = if filled {
+            self.watch.stale.drain(..).filter(asleep).collect()
+        } else {
+            self.watch.stale.clear();
+            (0..self.grid.occupied.len() as u32).filter(asleep).collect()
+        };
+        (self.watch.tiles_for, self.watch.filled) = (Some(tiles_for), true);
+        (stale, Step { dt: tiles_for.0, ..frozen })
     }
 
     /// Wakes blocks next to one that moves, and those near a tool. Returns whether any slept.
@@ -146,7 +168,7 @@ impl<T: Scalar> Level<T> {
     pub(crate) fn list_watch(&mut self, renumbered: bool) {
         let (watch, rest, grid) = (&mut self.watch, &self.store.rest, &self.grid);
         if renumbered {
-            watch.tiles_for = None;
+            watch.filled = false;
         }
         watch.awake = (0..grid.occupied.len() as u32).filter(|&b| rest[b as usize] != ASLEEP).collect();
         let mut touched: Vec<bool> = (0..grid.keys.len()).map(|g| grid.is_shared(g)).collect();

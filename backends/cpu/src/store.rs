@@ -5,6 +5,7 @@
 
 use crate::grid::Bounds;
 use crate::memory::{Line, Shared, lines};
+use crate::sleep::ASLEEP;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, Result, Spot};
 use barchan_grid::block::{self, CELLS};
@@ -164,6 +165,12 @@ impl<T: Scalar> List<T> {
         for (plane, &value) in rest.iter_mut().zip(&parcel.rest) {
             plane.0[lane] = T::from_f64(value);
         }
+    }
+
+    /// Does any particle of a run move?
+    fn moves(&self, run: Run) -> bool {
+        let planes = &self.motion[run.first * MOTION..(run.first + run.chunks()) * MOTION];
+        planes.iter().any(|plane| plane.0 != [T::default(); LANES])
     }
 
     /// Takes all motion from a run's particles.
@@ -412,6 +419,12 @@ impl<T: Scalar> Store<T> {
                         return Err(refuse(format!("the sort's counts do not add up to list {i}")));
                     }
                     mine.take_in(list, counts);
+                }
+                // Whoever hands back particles may have set them in motion.
+                for (b, rest) in self.rest.iter_mut().enumerate().filter(|(_, rest)| **rest == ASLEEP) {
+                    if self.lists.iter().any(|list| list.moves(list.runs[b])) {
+                        *rest = 0;
+                    }
                 }
             }
             None => {

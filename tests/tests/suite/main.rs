@@ -11,6 +11,7 @@ mod plugins;
 mod properties;
 mod seams;
 mod settled;
+mod sleeping;
 mod subcycling;
 mod transfers;
 mod validation;

@@ -242,8 +242,9 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
                 sort: sort.map(|(age, drift, (stiffness_bound, stiffness_age), blocks)| SortPhase {
                     measured: Measured { stiffness_bound, stiffness_age },
                     age,
-                    drift,
                     rest: vec![1; blocks.len()],
+                    kept_for: vec![None; drift.len()],
+                    drift,
                     blocks: blocks.into_iter().map(|(key, count)| (key, vec![count])).collect(),
                 }),
             }

@@ -1,0 +1,212 @@
+//! Ground at rest that is left out of the step, and what wakes it.
+
+use barchan::{Options, Precision, Simulation};
+use barchan_tests::scenes::{alter, norm, rows, run_to, scene, simulation, within};
+use barchan_tests::sketch::{Head, block, half, material, tool};
+use std::time::Instant;
+
+/// Cell width [m].
+const CELL: f64 = 0.02;
+const WALLS: &str = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+const SAND: &str = "young_modulus = 1e5, poisson_ratio = 0.2, friction_angle_deg = 35.0";
+
+/// A bed of so many cells that starts at rest under its own weight.
+fn bed(cells: [u32; 3], law: &str, parameters: &str, sleep: &str, more: &[String]) -> String {
+    let side = cells.map(|n| CELL * f64::from(n));
+    let head = Head::cells(CELL, [cells[0], cells[1], cells[2] + 16], WALLS).time("safety = 0.6");
+    let mut parts = vec![
+        format!("[sleep]\n{sleep}\n"),
+        material(law, 1000.0, parameters),
+        block(law, [0.0; 3], side, "settled = true"),
+    ];
+    parts.extend_from_slice(more);
+    head.with(&parts)
+}
+
+fn asleep(s: &Simulation) -> u64 {
+    s.ledger().counts.get("particles asleep now").copied().unwrap_or(0)
+}
+
+/// A plate that comes down on the bed's middle from just above, and goes through it sideways.
+fn plate(cells: [u32; 3], wait: f64) -> String {
+    let [x, y, z] = cells.map(|n| CELL * f64::from(n));
+    let at = |t: f64, x: f64, z: f64| format!("{{ time = {}, position = [{x}, {}, {z}] }}", wait + t, 0.5 * y);
+    let path = [(0.0, 0.3 * x, z + 0.08), (0.3, 0.3 * x, z), (0.8, 0.5 * x, z)].map(|(t, x, z)| at(t, x, z)).join(", ");
+    let motion = format!("{{ keyframes = {{ frames = [{}, {path}] }} }}", at(-wait, 0.3 * x, z + 0.08));
+    tool("plate", [0.3 * x, 0.5 * y, z + 0.08], &half([0.03, 0.06, 0.06]), "{ coulomb = { friction = 0.4 } }", &motion)
+}
+
+/// Symptom: a bed that nothing has touched for an hour costs as much as one that is ploughed. Physics: nothing happens in it, and where
+/// and how it is strained stays as it is.
+#[test]
+fn settled_ground_costs_nothing() {
+    let time = |s: &mut Simulation| {
+        let clock = Instant::now();
+        (0..100).for_each(|_| drop(s.step().unwrap()));
+        clock.elapsed().as_secs_f64()
+    };
+    for precision in [Precision::F32, Precision::F64] {
+        let mut s = simulation(&bed([32, 16, 8], "sand", SAND, "", &[]), precision);
+        let awake = time(&mut s);
+        (0..200).for_each(|_| drop(s.step().unwrap()));
+        let (before, count) = (rows(&s), s.particle_count() as u64);
+        assert_eq!(asleep(&s), count, "{precision}: not all sleeps");
+        let still = time(&mut s);
+        within(&format!("{precision}: time of a step asleep over awake"), still / awake, 0.05);
+        assert!(rows(&s) == before, "{precision}: something has changed in its sleep");
+        let ledger = s.ledger();
+        assert!(ledger.kinetic == 0.0 && ledger.slept_kinetic < 1e-6, "{precision}: {:e} J", ledger.slept_kinetic);
+    }
+}
+
+/// Symptom: a wave is swallowed, or late, where the ground it comes to has been asleep. Physics: it passes as if nothing had slept.
+#[test]
+fn a_pulse_passes_through_ground_asleep() {
+    for (precision, law, parameters) in [
+        (Precision::F64, "neo_hookean", "young_modulus = 1e5, poisson_ratio = 0.2"),
+        (Precision::F32, "neo_hookean", "young_modulus = 1e5, poisson_ratio = 0.2"),
+        (Precision::F64, "sand", SAND),
+    ] {
+        // Greatest mean velocity along the bar at its far end, and when.
+        let [slept, awake] = ["on = true\nspeed = 5e-4", "on = false"].map(|sleep| {
+            let mut s = simulation(&bed([96, 4, 6], law, parameters, sleep, &[]), precision);
+            (0..150).for_each(|_| drop(s.step().unwrap()));
+            let asleep = asleep(&s);
+            let begun = s.time();
+            alter(&mut s, |row| {
+                let x = row.x[0] / 0.24;
+                row.v[0] += if x < 1.0 { 0.05 * (1.0 + (std::f64::consts::PI * x).cos()) } else { 0.0 };
+            });
+            let (mut peak, mut when) = (0.0, 0.0);
+            while s.time() < begun + 0.18 {
+                s.step().unwrap();
+                let far: Vec<f64> = rows(&s).iter().filter(|r| (1.2..1.28).contains(&r.x[0])).map(|r| r.v[0]).collect();
+                let mean = far.iter().sum::<f64>() / far.len() as f64;
+                if mean > peak {
+                    (peak, when) = (mean, s.time() - begun);
+                }
+            }
+            (asleep, peak, when)
+        });
+        println!("{law} {precision}: {slept:?} against {awake:?}");
+        assert!(slept.0 == 96 * 4 * 6 * 8 && awake.0 == 0 && awake.1 > 0.01, "{law}: nothing slept, or no pulse came");
+        within(&format!("{law} {precision}: amplitude"), (slept.1 / awake.1 - 1.0).abs(), 0.02);
+        within(&format!("{law} {precision}: delay over the time it took"), (slept.2 / awake.2 - 1.0).abs(), 0.01);
+    }
+}
+
+/// Symptom: a tool meets ground asleep as if it were rock, or sinks into it as if it were air. Physics: force and furrow are those of
+/// ground that never slept; on one level, on several, and with steps of their own.
+#[test]
+fn a_tool_finds_ground_asleep_as_it_would_awake() {
+    let cells = [48, 24, 8];
+    for levels in ["", "[levels]\ncount = 2\nhalf = 8\n", "[levels]\ncount = 2\nhalf = 8\nsubcycle = true\n"] {
+        let [slept, awake] = ["on = true\nspeed = 1e-3", "on = false"].map(|sleep| {
+            let mut s =
+                simulation(&bed(cells, "sand", SAND, sleep, &[levels.to_owned(), plate(cells, 0.25)]), Precision::F32);
+            let mut impulse = [0.0; 3];
+            let (mut most, mut surface) = (0, 0.0);
+            while s.time() < 1.05 {
+                let dt = s.step().unwrap().dt;
+                let force = s.wrenches()[0].force;
+                (0..3).for_each(|d| impulse[d] += force[d] * dt);
+                if s.time() < 0.25 {
+                    most = asleep(&s).max(most);
+                }
+            }
+            let all = rows(&s);
+            all.iter().for_each(|r| surface += r.m * r.x[2]);
+            (most, impulse, surface / all.iter().map(|r| r.m).sum::<f64>(), asleep(&s))
+        });
+        println!("{levels:?}: {slept:?} against {awake:?}");
+        assert!(slept.0 > 1000 && awake.0 == 0, "{levels}: nothing slept");
+        let off = [0, 1, 2].map(|d| slept.1[d] - awake.1[d]);
+        within(&format!("{levels:?}: impulse on the plate"), norm(off) / norm(awake.1), 0.02);
+        within(&format!("{levels:?}: mean height of the ground, in cells"), (slept.2 - awake.2).abs() / CELL, 2e-3);
+    }
+}
+
+/// Symptom: ground whose support goes away hangs in the air asleep. Physics: it falls as it would have.
+#[test]
+fn ground_asleep_falls_when_its_support_goes() {
+    let cells = [24, 12, 10];
+    let side = cells.map(|n| CELL * f64::from(n));
+    // A gate holds the right half of the world free of sand, and is drawn upwards.
+    let gate = tool(
+        "gate",
+        [side[0] + 0.03, 0.5 * side[1], 0.5 * side[2]],
+        &half([0.03, side[1], side[2]]),
+        "\"slip\"",
+        &format!(
+            "{{ keyframes = {{ frames = [{{ time = 0.0, position = {0:?} }}, {{ time = 0.4, position = {0:?} }}, {{ time = 0.5, position = {1:?} }}] }} }}",
+            [side[0] + 0.03, 0.5 * side[1], 0.5 * side[2]],
+            [side[0] + 0.03, 0.5 * side[1], 3.0 * side[2]],
+        ),
+    );
+    let [slept, awake] = ["on = true\nspeed = 2e-3", "on = false"].map(|sleep| {
+        let text =
+            bed(cells, "sand", SAND, sleep, &[gate.clone()]).replace(&format!("max = [{:?}", side[0]), "max = [0.96");
+        let mut s = simulation(&text, Precision::F32);
+        run_to(&mut s, 0.4);
+        let most = asleep(&s);
+        run_to(&mut s, 1.2);
+        let reach = rows(&s).iter().map(|r| r.x[0]).collect::<Vec<_>>();
+        (most, reach.iter().sum::<f64>() / reach.len() as f64, asleep(&s))
+    });
+    println!("{slept:?} against {awake:?}");
+    assert!(slept.0 > 1000 && awake.1 > 0.6 * side[0], "nothing slept, or nothing fell");
+    within("mean place of the sand, over how far it went", (slept.1 - awake.1).abs() / (awake.1 - 0.5 * side[0]), 0.02);
+}
+
+/// Who sleeps is part of the state: same bits with any number of threads, and after a resume.
+#[test]
+fn sleeping_is_deterministic_and_survives_a_snapshot() {
+    let cells = [48, 24, 8];
+    let levels = "[levels]\ncount = 2\nhalf = 8\nsubcycle = true\n".to_owned();
+    let text = bed(cells, "sand", SAND, "on = true\nspeed = 1e-3", &[levels, plate(cells, 0.15)]);
+    let run = |threads: usize, save: Option<&std::path::Path>| {
+        let options = Options { threads, ..Options::default() };
+        let mut s = Simulation::new(&barchan::registry(), &scene(&text), &options).unwrap();
+        run_to(&mut s, 0.4);
+        assert!((1..s.particle_count() as u64).contains(&asleep(&s)), "all or nothing sleeps");
+        if let Some(path) = save {
+            s.save(path).unwrap();
+            s = Simulation::resume(&barchan::registry(), path, &options).unwrap();
+        }
+        run_to(&mut s, 0.6);
+        format!("{:?}", s.particles())
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let whole = run(1, None);
+    assert!(whole == run(3, None), "three threads differ from one");
+    assert!(whole == run(2, Some(&folder.path().join("asleep.barchan"))), "a resumed run differs");
+}
+
+/// Asked to sleep where nothing says what is slow, or where walls have to look at each node, a scene is refused; otherwise it
+/// stays awake by itself. Velocities given from outside wake ground too.
+#[test]
+fn what_may_not_sleep_stays_awake() {
+    let falling = |head: Head<'_>, sleep: &str| {
+        head.with(&[
+            format!("[sleep]\n{sleep}\n"),
+            material("sand", 1000.0, SAND),
+            block("sand", [0.0; 3], [0.2, 0.2, 0.1], ""),
+        ])
+    };
+    let refused = |text: &str| {
+        let scene = scene(text);
+        Simulation::new(&barchan::registry(), &scene, &Options::default()).err().expect("must be refused").to_string()
+    };
+    let error = refused(&falling(Head::space(CELL), "on = true"));
+    assert!(error.contains("sleep.on") && error.contains("sleep.speed"), "{error}");
+    let separate = "z_min = { separate = { friction = 0.3 } }";
+    let error = refused(&falling(Head::cells(CELL, [10, 10, 10], separate), "on = true"));
+    assert!(error.contains("sleep.on") && error.contains("slip or stick"), "{error}");
+    let error = refused(&falling(Head::space(CELL), "speed = 0.0"));
+    assert!(error.contains("sleep.speed"), "{error}");
+    for head in [Head::space(CELL), Head::cells(CELL, [10, 10, 10], separate)] {
+        let mut s = simulation(&falling(head, ""), Precision::F32);
+        (0..100).for_each(|_| drop(s.step().unwrap()));
+        assert_eq!(asleep(&s), 0);
+    }
+}
