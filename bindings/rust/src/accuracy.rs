@@ -523,7 +523,10 @@ mod tests {
             free: false,
         };
         let Errors { crater, crater_error, contact, .. } = Errors::of(&record(end), &record(start.clone()));
-        assert_eq!((crater, contact), (crater_error, None), "the reference has no crater");
+        assert_eq!(contact, None, "there is no tool");
+        // The reference has no crater but for the rounding of positions.
+        let pairs = [(crater.depth_mm, crater_error.depth_mm), (crater.volume_cm3, crater_error.volume_cm3)];
+        assert!(pairs.iter().all(|(own, off)| (own - off).abs() < 1e-2), "{crater:?} and {crater_error:?}");
         assert!((crater.depth_mm - 40.0).abs() < 1e-3 && (crater.rim_mm - 40.0).abs() < 1e-3, "{crater:?}");
         // Columns are blurred by their width, which takes away from neither volume.
         assert!((crater.volume_cm3 / (1e6 * 0.12 * 0.12 * 0.04) - 1.0).abs() < 0.1, "{crater:?}");
