@@ -4,12 +4,15 @@ mod accuracy;
 mod scale;
 
 use crate::EngineArgs;
+use barchan::picture::Chart;
 use barchan::scene::{MaterialSpec, Motion, OverBound};
-use barchan::{Registry, Result, Scene, Simulation};
+use barchan::{Error, Registry, Result, Scene, Simulation};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::json;
+use std::path::Path;
 use std::time::Instant;
+use std::{fs, io};
 
 #[derive(Subcommand)]
 pub(crate) enum Bench {
@@ -142,11 +145,42 @@ impl Timed {
     }
 }
 
+/// What the system says about a file, as an error of ours.
+fn io_error(file: &Path, what: &'static str) -> impl FnOnce(io::Error) -> Error {
+    let file = file.to_owned();
+    move |source| Error::Io { file, what, source }
+}
+
+/// Makes an output folder and writes texts into it, by name.
+fn write_texts(out: &Path, texts: &[(&str, String)]) -> Result<()> {
+    fs::create_dir_all(out).map_err(io_error(out, "this output folder cannot be made (choose another with --out)"))?;
+    texts.iter().try_for_each(|(name, text)| {
+        let file = out.join(name);
+        fs::write(&file, text).map_err(io_error(&file, "writing the report"))
+    })
+}
+
+/// Writes a chart as PNG and SVG.
+fn write_chart(chart: &Chart, file: &Path) -> Result<()> {
+    chart.write(file).map_err(io_error(file, "writing a chart"))
+}
+
 fn median(values: &[f64]) -> f64 {
+    quantile(values, 0.5)
+}
+
+/// From the first quartile to the third.
+fn quartiles_apart(values: &[f64]) -> f64 {
+    quantile(values, 0.75) - quantile(values, 0.25)
+}
+
+/// The value below which a share of the values lies, straight between the two nearest.
+fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let middle = sorted.len() / 2;
-    if sorted.len() % 2 == 1 { sorted[middle] } else { 0.5 * (sorted[middle - 1] + sorted[middle]) }
+    let place = share * (sorted.len() - 1) as f64;
+    let (low, high) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
+    low + place.fract() * (high - low)
 }
 
 fn throughput(args: &Throughput) -> Result<()> {
@@ -341,5 +375,7 @@ mod tests {
     fn the_median_is_the_middle() {
         assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
         assert_eq!(median(&[4.0, 1.0]), 2.5);
+        assert_eq!(quartiles_apart(&[1.0, 5.0, 3.0, 2.0, 4.0]), 2.0);
+        assert_eq!(quartiles_apart(&[7.0]), 0.0);
     }
 }

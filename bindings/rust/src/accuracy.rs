@@ -15,7 +15,7 @@ pub use nearest::Nearest;
 
 use crate::run::Progress;
 use barchan_core::scene::{Levels, Scene, Shape};
-use barchan_core::{Error, Ledger, Options, ParticleState, Registry, Result, Simulation, Vec3};
+use barchan_core::{Error, Ledger, Options, Registry, Result, Simulation, Spot, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::time::Instant;
@@ -74,6 +74,13 @@ pub struct Grain {
     pub side: f32,
 }
 
+impl Grain {
+    /// Of a particle of a simulation.
+    pub fn of(spot: &Spot) -> Self {
+        Self { position: spot.position.map(|x| x as f32), side: spot.side() as f32 }
+    }
+}
+
 /// The first tool after a step.
 #[derive(Clone, Copy, Debug, Default)]
 struct Moment {
@@ -100,6 +107,10 @@ pub struct Record {
     pub ledger_start: Ledger,
     /// Totals at the end.
     pub ledger_end: Ledger,
+    /// What the plan warned of.
+    pub warnings: Vec<String>,
+    /// Impulse that the ground has given to all tools [N s].
+    to_tools: Vec3,
     /// The first tool, if there is one, after every step.
     tool: Vec<Moment>,
     /// Does the ground move it?
@@ -121,8 +132,20 @@ pub struct Cost {
     pub memory_bytes: u64,
     /// Mass of the ground at the start [kg].
     pub mass_kg: f64,
+}
+
+/// What a run should have kept, and how far it did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Balance {
     /// Energy of ground and free bodies at the end less that at the start [J].
     pub energy_change_j: f64,
+    /// Change of the ground's momentum that gravity, walls and tools do not explain [N s].
+    pub momentum_drift_ns: f64,
+    /// Change of the angular momentum of ground and free bodies, about where the first tool was lowest [kg m²/s]: 0 where the
+    /// scene is symmetric about it.
+    pub angular_momentum_change: f64,
+    /// What merging particles took of it [kg m²/s].
+    pub resampled_angular_momentum: f64,
 }
 
 /// Runs a scene to its end; `watch` sees every step.
@@ -138,12 +161,12 @@ pub fn record(
     let begin = Instant::now();
     let mut simulation = Simulation::new(registry, scene, options)?;
     let start_up_s = begin.elapsed().as_secs_f64();
-    let (start, ledger_start) = (grains(&simulation.particles()), simulation.ledger());
+    let (start, ledger_start) = (grains(&simulation), simulation.ledger());
     let mut cost = Cost { start_up_s, mass_kg: ledger_start.mass, ..Cost::default() };
     let first = |simulation: &Simulation| simulation.bodies().first().map(|body| body.position);
     let mut tool: Vec<Moment> =
         first(&simulation).map(|position| Moment { position, ..Moment::default() }).into_iter().collect();
-    let (end, mut particle_steps) = (scene.time.end, 0);
+    let (end, mut particle_steps, mut to_tools) = (scene.time.end, 0, [0.0; 3]);
     simulation.set_stop(end);
     while simulation.time() < end {
         let before = Instant::now();
@@ -155,10 +178,11 @@ pub fn record(
             let (particles, grid) = simulation.memory();
             cost.memory_bytes = cost.memory_bytes.max(particles + grid);
         }
+        let impulses = simulation.wrenches().into_iter().map(|wrench| wrench.force.map(|f| report.dt * f));
+        let impulses: Vec<Vec3> = impulses.collect();
+        impulses.iter().for_each(|impulse| to_tools = plus(to_tools, *impulse));
         if let (Some(last), Some(position)) = (tool.last(), first(&simulation)) {
-            let force = simulation.wrenches()[0].force;
-            let impulse = std::array::from_fn(|d| last.impulse[d] + report.dt * force[d]);
-            tool.push(Moment { time: simulation.time(), position, impulse });
+            tool.push(Moment { time: simulation.time(), position, impulse: plus(last.impulse, impulses[0]) });
         }
         watch(&Progress {
             done: simulation.time() / end,
@@ -170,25 +194,72 @@ pub fn record(
     }
     let ledger_end = simulation.ledger();
     cost.particles = particle_steps as f64 / cost.steps.max(1) as f64;
-    cost.energy_change_j = ledger_end.energy() - ledger_start.energy();
-    let end = grains(&simulation.particles());
+    let end = grains(&simulation);
+    let warnings = simulation.plan().warnings.clone();
     let free = simulation.bodies().first().is_some_and(|body| body.mass.is_finite());
-    Ok(Record { scene: scene.clone(), start, end, cost, ledger_start, ledger_end, tool, free })
+    Ok(Record { scene: scene.clone(), start, end, cost, ledger_start, ledger_end, warnings, to_tools, tool, free })
 }
 
-fn grains(particles: &ParticleState) -> Vec<Grain> {
-    let of = |list: &barchan_core::ParticleList, i: usize| Grain {
-        position: list.position(i).map(|x| x as f32),
-        side: list.volume0[i].cbrt() as f32,
-    };
-    particles.lists.iter().flat_map(|list| (0..list.len()).map(move |i| of(list, i))).collect()
+fn grains(simulation: &Simulation) -> Vec<Grain> {
+    simulation.spots().iter().map(Grain::of).collect()
+}
+
+fn plus(a: Vec3, b: Vec3) -> Vec3 {
+    std::array::from_fn(|d| a[d] + b[d])
+}
+
+fn minus(a: Vec3, b: Vec3) -> Vec3 {
+    std::array::from_fn(|d| a[d] - b[d])
+}
+
+fn norm(a: Vec3) -> f64 {
+    a.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 impl Record {
     /// Where the first tool was lowest, seen from above [m].
     pub fn lowest_place(&self) -> Option<[f64; 2]> {
-        let lowest = self.tool.iter().min_by(|a, b| a.position[2].total_cmp(&b.position[2]))?;
-        Some([lowest.position[0], lowest.position[1]])
+        self.lowest().map(|[x, y, _]| [x, y])
+    }
+
+    /// Where the first tool was lowest [m].
+    fn lowest(&self) -> Option<Vec3> {
+        self.tool.iter().map(|moment| moment.position).min_by(|a, b| a[2].total_cmp(&b[2]))
+    }
+
+    /// What should have been kept, and how far it was.
+    pub fn balance(&self) -> Balance {
+        let (start, end) = (&self.ledger_start, &self.ledger_end);
+        let given =
+            plus(minus(end.gravity_impulse, start.gravity_impulse), minus(end.wall_impulse, start.wall_impulse));
+        let gained = minus(end.momentum, start.momentum);
+        let about = self.lowest().unwrap_or_default();
+        let spin = |ledger: &Ledger| {
+            let p = plus(ledger.momentum, ledger.body_momentum);
+            let of_motion = std::array::from_fn(|d| {
+                let (a, b) = ((d + 1) % 3, (d + 2) % 3);
+                about[a] * p[b] - about[b] * p[a]
+            });
+            minus(plus(ledger.angular_momentum, ledger.body_angular_momentum), of_motion)
+        };
+        Balance {
+            energy_change_j: end.energy() - start.energy(),
+            momentum_drift_ns: norm(minus(gained, minus(given, self.to_tools))),
+            angular_momentum_change: norm(minus(spin(end), spin(start))),
+            resampled_angular_momentum: norm(minus(end.resampled_angular_momentum, start.resampled_angular_momentum)),
+        }
+    }
+
+    /// The times at which pose and force are compared [s].
+    fn samples(&self) -> impl Iterator<Item = f64> + use<'_> {
+        (1..).map(|i| f64::from(i) * SAMPLE).take_while(|t| *t <= self.scene.time.end)
+    }
+
+    /// Contact of the first tool; `None` if there is none.
+    pub fn contact(&self) -> Option<Contact> {
+        let impulse_ns = norm(self.tool.last()?.impulse);
+        let peak_n = self.samples().filter_map(|t| self.force_at(t)).map(norm).fold(0.0, f64::max);
+        Some(Contact { peak_n, impulse_ns })
     }
 
     /// The first tool at a time [s], straight between steps.
@@ -240,6 +311,26 @@ impl Chamfer {
     }
 }
 
+/// What a tool has left in the ground near it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Crater {
+    /// Depth of the deepest column below the surface at the start [mm].
+    pub depth_mm: f64,
+    /// Height of the highest column above it [mm].
+    pub rim_mm: f64,
+    /// Volume of all that lies deeper than it [cm³].
+    pub volume_cm3: f64,
+}
+
+/// Contact between the ground and the first tool.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Contact {
+    /// Greatest force, as a mean over [`FORCE_WINDOW`] [N].
+    pub peak_n: f64,
+    /// Impulse of the whole run [N s].
+    pub impulse_ns: f64,
+}
+
 /// How far a run is from the reference.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Errors {
@@ -247,16 +338,20 @@ pub struct Errors {
     pub height_near: Norms,
     /// Height of the surface everywhere.
     pub height: Norms,
-    /// Depth of the deepest column near the tool below the surface at the start [mm].
-    pub crater_depth_mm: f64,
-    /// That depth less the reference's [mm].
-    pub crater_error_mm: f64,
+    /// What the tool has left near it.
+    pub crater: Crater,
+    /// That less the reference's.
+    pub crater_error: Crater,
     /// Height of the tool at the end less the reference's [mm]; `None` if it is driven.
     pub final_z_mm: Option<f64>,
     /// Root mean square of the difference in the tool's height over time [mm]; `None` if it is driven.
     pub z_rms_mm: Option<f64>,
     /// Root mean square of the difference in the force on the tool over time [N], as a vector, over [`FORCE_WINDOW`].
     pub force_rms_n: Option<f64>,
+    /// Contact of the first tool; `None` if there is none.
+    pub contact: Option<Contact>,
+    /// That less the reference's.
+    pub contact_error: Option<Contact>,
     /// Change of energy less the reference's [J].
     pub energy_error_j: f64,
     /// Particles near the tool at the end.
@@ -280,12 +375,17 @@ impl Errors {
         let difference = |i: usize| (ours.heights()[i] - theirs.heights()[i]).abs();
         let columns: Vec<usize> = (0..ours.heights().len()).filter(|i| near(ours.at(*i)[0], ours.at(*i)[1])).collect();
         let crater = |start: &[Grain], end: &HeightMap| {
-            let deepest = columns.iter().fold(f64::INFINITY, |least, i| least.min(end.heights()[*i]));
-            1e3 * (map(start).median() - deepest)
+            let surface = map(start).median();
+            columns.iter().map(|i| surface - end.heights()[*i]).fold(Crater::default(), |crater, down| Crater {
+                depth_mm: crater.depth_mm.max(1e3 * down),
+                rim_mm: crater.rim_mm.max(-1e3 * down),
+                volume_cm3: crater.volume_cm3 + 1e6 * down.max(0.0) * column * column,
+            })
         };
-        let crater_depth_mm = crater(&run.start, &ours);
+        let (crater, their_crater) = (crater(&run.start, &ours), crater(&reference.start, &theirs));
+        let (contact, their_contact) = (run.contact(), reference.contact());
 
-        let samples: Vec<f64> = (1..).map(|i| f64::from(i) * SAMPLE).take_while(|t| *t <= run.scene.time.end).collect();
+        let samples: Vec<f64> = run.samples().collect();
         let rms = |squares: Option<Vec<f64>>| squares.map(|s| (s.iter().sum::<f64>() / s.len().max(1) as f64).sqrt());
         let heights = |t: &f64| {
             let apart = run.tool_at(*t)?.position[2] - reference.tool_at(*t)?.position[2];
@@ -293,7 +393,7 @@ impl Errors {
         };
         let forces = |t: &f64| {
             let (a, b) = (run.force_at(*t)?, reference.force_at(*t)?);
-            Some((0..3).map(|d| (a[d] - b[d]).powi(2)).sum())
+            Some(norm(minus(a, b)).powi(2))
         };
         let [(all, close), (all_floor, close_floor)] = [(&run.end, &reference.end), (&run.start, &reference.start)]
             .map(|(ours, theirs)| {
@@ -311,12 +411,21 @@ impl Errors {
         Self {
             height_near: Norms::of(columns.iter().map(|i| difference(*i))),
             height: Norms::of((0..ours.heights().len()).map(difference)),
-            crater_depth_mm,
-            crater_error_mm: crater_depth_mm - crater(&reference.start, &theirs),
+            crater,
+            crater_error: Crater {
+                depth_mm: crater.depth_mm - their_crater.depth_mm,
+                rim_mm: crater.rim_mm - their_crater.rim_mm,
+                volume_cm3: crater.volume_cm3 - their_crater.volume_cm3,
+            },
             final_z_mm: heights(&run.scene.time.end).map(|z| 1e3 * z),
             z_rms_mm: rms(samples.iter().map(|t| heights(t).map(|z| (1e3 * z).powi(2))).collect()),
             force_rms_n: rms(samples.iter().map(forces).collect()),
-            energy_error_j: run.cost.energy_change_j - reference.cost.energy_change_j,
+            contact,
+            contact_error: contact.zip(their_contact).map(|(ours, theirs)| Contact {
+                peak_n: ours.peak_n - theirs.peak_n,
+                impulse_ns: ours.impulse_ns - theirs.impulse_ns,
+            }),
+            energy_error_j: run.balance().energy_change_j - reference.balance().energy_change_j,
             chamfer_near: close,
             chamfer: all,
             chamfer_near_floor: close_floor,
@@ -373,11 +482,77 @@ mod tests {
             cost: Cost::default(),
             ledger_start: Ledger::default(),
             ledger_end: Ledger::default(),
+            warnings: Vec::new(),
+            to_tools: [0.0; 3],
             tool: (0..100).map(moment).collect(),
             free: true,
         };
         assert!((record.force_at(0.02).unwrap()[2] - 7.0).abs() < 1e-9);
         assert!((record.tool_at(0.0101).unwrap().position[2] - 0.9899).abs() < 1e-12);
         assert!(record.force_at(0.002).unwrap()[2] < 7.0, "the window reaches back before the start");
+        let contact = record.contact().unwrap();
+        assert!((contact.peak_n - 7.0).abs() < 1e-9 && (contact.impulse_ns - 7.0 * 99.0 * 3e-4).abs() < 1e-12);
+    }
+
+    /// A bed that a block was pressed out of and put beside: depth, rim and volume are the block's.
+    #[test]
+    fn a_crater_has_depth_rim_and_volume() {
+        let mut scene = cube_drop();
+        (scene.world.cell, scene.world.max) = (0.02, [0.4, 0.4, 0.8]);
+        let spacing = 0.01;
+        let grain =
+            |p: [usize; 3]| Grain { position: p.map(|i| ((i as f64 + 0.5) * spacing) as f32), side: spacing as f32 };
+        let all = |keep: &dyn Fn([usize; 3]) -> bool| -> Vec<Grain> {
+            let places = (0..40 * 40 * 20).map(|n| [n % 40, n / 40 % 40, n / 1600]);
+            places.filter(|p| keep(*p)).map(grain).collect()
+        };
+        let start = all(&|p| p[2] < 16);
+        // 0.12 x 0.12 x 0.04 m lie 0.04 m higher beside where they were.
+        let within = |p: [usize; 3], from: usize| (from..from + 12).contains(&p[0]) && (14..26).contains(&p[1]);
+        let end = all(&|p| (p[2] < 16 && !(p[2] >= 12 && within(p, 8))) || (p[2] >= 16 && within(p, 20)));
+        let record = |end: Vec<Grain>| Record {
+            scene: scene.clone(),
+            start: start.clone(),
+            end,
+            cost: Cost::default(),
+            ledger_start: Ledger::default(),
+            ledger_end: Ledger::default(),
+            warnings: Vec::new(),
+            to_tools: [0.0; 3],
+            tool: Vec::new(),
+            free: false,
+        };
+        let Errors { crater, crater_error, contact, .. } = Errors::of(&record(end), &record(start.clone()));
+        assert_eq!(contact, None, "there is no tool");
+        // The reference has no crater but for the rounding of positions.
+        let pairs = [(crater.depth_mm, crater_error.depth_mm), (crater.volume_cm3, crater_error.volume_cm3)];
+        assert!(pairs.iter().all(|(own, off)| (own - off).abs() < 1e-2), "{crater:?} and {crater_error:?}");
+        assert!((crater.depth_mm - 40.0).abs() < 1e-3 && (crater.rim_mm - 40.0).abs() < 1e-3, "{crater:?}");
+        // Columns are blurred by their width, which takes away from neither volume.
+        assert!((crater.volume_cm3 / (1e6 * 0.12 * 0.12 * 0.04) - 1.0).abs() < 0.1, "{crater:?}");
+    }
+
+    /// What gravity, a wall and a tool give adds up to what the ground gains, and a turn about the tool stays one.
+    #[test]
+    fn a_balance_explains_what_it_can() {
+        let mut end = Ledger { momentum: [1.0, 0.0, -4.0], gravity_impulse: [0.0, 0.0, -10.0], ..Ledger::default() };
+        (end.wall_impulse, end.angular_momentum) = ([1.0, 0.0, 3.0], [0.0, -4.0 - 2.0, 0.0]);
+        let tool = Moment { position: [-1.0, 0.0, 2.0], ..Moment::default() };
+        let record = Record {
+            scene: cube_drop(),
+            start: Vec::new(),
+            end: Vec::new(),
+            cost: Cost::default(),
+            ledger_start: Ledger::default(),
+            ledger_end: end,
+            warnings: Vec::new(),
+            to_tools: [0.0, 0.0, -3.5],
+            tool: vec![tool],
+            free: false,
+        };
+        let balance = record.balance();
+        assert!((balance.momentum_drift_ns - 0.5).abs() < 1e-12, "{balance:?}");
+        // Of what turns about the origin, tool x p = (0, -2, 0) is no turn about the tool.
+        assert!((balance.angular_momentum_change - 4.0).abs() < 1e-12, "{balance:?}");
     }
 }

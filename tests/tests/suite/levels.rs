@@ -4,6 +4,7 @@
 
 mod agents;
 mod contact;
+mod footprints;
 mod properties;
 mod running;
 mod truths;

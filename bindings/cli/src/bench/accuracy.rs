@@ -8,7 +8,7 @@ mod write;
 
 use crate::EngineArgs;
 use crate::run::Shown;
-use barchan::accuracy::{Cost, Errors, Record, record, rung};
+use barchan::accuracy::{Balance, Cost, Errors, Record, record, rung};
 use barchan::scene::{Levels, Sampling};
 use barchan::{Precision, Result, Scene};
 use clap::Args;
@@ -22,6 +22,8 @@ const CUBE_DROP: [&str; 3] = [
     "body.bed.shape.box={ min = [0.0, 0.0, 0.0], max = [0.96, 0.96, 0.2] }",
     "tool.cube.position=[0.48, 0.48, 0.262]",
 ];
+/// Share of its duration that each rung is run for before it is timed, so that the processor and the memory are warm.
+const WARM_UP: f64 = 0.02;
 /// The cube drop's n counts cells along this length, as in UBSoft's Table 1 [m].
 const CUBE_DROP_LENGTH: f64 = 1.28;
 
@@ -57,10 +59,13 @@ pub(crate) struct Accuracy {
     /// Run the reference again with its particles moved at random in their lattice: differences below its errors mean nothing.
     #[arg(long)]
     noise: bool,
+    /// Random starts of --noise, of whose errors the mean and the standard deviation are given.
+    #[arg(long, default_value_t = 1, requires = "noise", value_parser = clap::value_parser!(u64).range(1..))]
+    seeds: u64,
     /// Simulated time [s] instead of the scene's.
     #[arg(long)]
     seconds: Option<f64>,
-    /// Runs of each rung, of which the median wall time counts.
+    /// Timed runs of each rung, of which the median wall time counts; a short one that is not timed goes before them.
     #[arg(long, default_value_t = 1)]
     repetitions: u32,
     /// Output folder [default: ./out/accuracy/<scene>].
@@ -84,7 +89,8 @@ struct Entry {
     /// Distance between particles in cells; absent: as the scene has it.
     spacing_cells: Option<f64>,
     precision: Precision,
-    jitter: bool,
+    /// Seed of a start with grains moved at random in their lattice; absent: on the lattice.
+    seed: Option<u64>,
 }
 
 /// What came out of it.
@@ -103,9 +109,14 @@ struct Figures {
     cost: Cost,
     /// Wall seconds of all repetitions.
     wall_all_s: Vec<f64>,
+    /// From their first quartile to the third.
+    wall_iqr_s: f64,
+    balance: Balance,
     errors: Errors,
     /// Side of the smallest particle [m].
     spacing_m: f64,
+    /// What the plan warned of.
+    warnings: Vec<String>,
     /// Everything clamped, floored or lost; should be empty but for what describes the material.
     counts: BTreeMap<String, u64>,
     deleted_mass_kg: f64,
@@ -148,7 +159,19 @@ pub(crate) fn run(args: &Accuracy) -> Result<()> {
         let ledger = &run.ledger_end;
         let (counts, deleted_mass_kg) = (ledger.counts.clone(), ledger.deleted_mass);
         let spacing_m = run.start.iter().fold(f64::INFINITY, |least, grain| least.min(grain.side.into()));
-        let figures = Figures { cost, wall_all_s: walls, errors, spacing_m, counts, deleted_mass_kg };
+        let wall_iqr_s = super::quartiles_apart(&walls);
+        let (balance, warnings) = (run.balance(), run.warnings.clone());
+        let figures = Figures {
+            cost,
+            wall_all_s: walls,
+            wall_iqr_s,
+            balance,
+            errors,
+            spacing_m,
+            warnings,
+            counts,
+            deleted_mass_kg,
+        };
         Row { entry, skipped: None, figures: Some(figures) }
     };
     let mut report = Report {
@@ -202,7 +225,7 @@ fn uniform(args: &Accuracy, length: f64, n: u32) -> Entry {
         tolerance,
         spacing_cells: None,
         precision: args.engine.precision,
-        jitter: false,
+        seed: None,
     }
 }
 
@@ -240,13 +263,16 @@ fn entries(args: &Accuracy, length: f64) -> Vec<Entry> {
         }
     }
     if args.noise {
-        let label = format!("n {} jitter", args.reference);
-        entries.push(Entry { label, jitter: true, ..uniform(args, length, args.reference) });
+        let strewn = |seed: u64| {
+            let label = format!("n {} jitter {seed}", args.reference);
+            Entry { label, seed: Some(seed), ..uniform(args, length, args.reference) }
+        };
+        entries.extend((1..=args.seeds).map(strewn));
     }
     entries
 }
 
-/// Runs an entry as often as asked: the last record, and the wall seconds of all.
+/// Runs an entry for a moment, then as often as asked: the last record, and the wall seconds of all.
 fn measure(args: &Accuracy, scene: &Scene, entry: &Entry) -> Result<(Record, Vec<f64>)> {
     let registry = args.engine.registry()?;
     let options = barchan::Options { precision: entry.precision, ..args.engine.options() };
@@ -258,19 +284,23 @@ fn measure(args: &Accuracy, scene: &Scene, entry: &Entry) -> Result<(Record, Vec
         agents: scene.levels.agents.clone(),
     };
     let mut scene = rung(scene, entry.cell_m, &levels, entry.spacing_cells)?;
-    if entry.jitter {
+    if let Some(seed) = entry.seed {
+        scene.seed = seed;
         scene.body.iter_mut().for_each(|body| body.sampling = Sampling::Jitter);
     }
-    let one = || -> Result<Record> {
-        let mut shown = Shown::new(false);
-        let run = record(&registry, &scene, &options, &mut |progress| shown.update(progress));
+    let one = |scene: &Scene, quiet: bool| -> Result<Record> {
+        let mut shown = Shown::new(quiet);
+        let run = record(&registry, scene, &options, &mut |progress| shown.update(progress));
         shown.finish();
         run
     };
-    let mut run = one()?;
+    let mut warm_up = scene.clone();
+    warm_up.time.end *= WARM_UP;
+    one(&warm_up, true)?;
+    let mut run = one(&scene, false)?;
     let mut walls = vec![run.cost.wall_s];
     for _ in 1..args.repetitions {
-        run = one()?;
+        run = one(&scene, false)?;
         walls.push(run.cost.wall_s);
     }
     Ok((run, walls))
@@ -290,7 +320,7 @@ mod tests {
     /// Every uniform or nested run of the default ladder of the cube drop can be put together on its rung with equal mass.
     #[test]
     fn the_default_ladder_is_one_scene_on_many_rungs() {
-        let args = Alone::parse_from(["accuracy", "--noise"]).args;
+        let args = Alone::parse_from(["accuracy", "--noise", "--seeds", "3"]).args;
         let (scene, length) = base(&args).unwrap();
         let entries = entries(&args, length);
         let labels: std::collections::BTreeSet<&str> = entries.iter().map(|entry| entry.label.as_str()).collect();

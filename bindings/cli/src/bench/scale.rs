@@ -7,7 +7,6 @@ use barchan::{Error, Plan, Registry, Result, Scene};
 use clap::Args;
 use serde::Serialize;
 use serde_json::json;
-use std::fs;
 use std::path::PathBuf;
 
 /// Depth of the bed [m].
@@ -116,19 +115,14 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
         "backend": args.engine.backend, "precision": args.engine.precision, "threads": args.engine.threads,
         "rows": rows, "statement": statement,
     });
-    let error = |what: &'static str| {
-        let file = out.clone();
-        move |source| Error::Io { file, what, source }
-    };
-    fs::create_dir_all(&out).map_err(error("this output folder cannot be made (choose another with --out)"))?;
-    fs::write(out.join("scale.json"), format!("{report:#}\n")).map_err(error("writing the figures"))?;
-    fs::write(out.join("scale.md"), markdown(args, &rows, &statement)).map_err(error("writing the table"))?;
+    let table = markdown(args, &rows, &statement);
+    super::write_texts(&out, &[("scale.json", format!("{report:#}\n")), ("scale.md", table)])?;
     let drawn: [(&str, &str, Figure); 2] = [
         ("scale-time", "wall time of a step [ms]", |row| row.ms_per_step),
         ("scale-memory", "memory of particles and grid [MB]", |row| Some(1e-6 * row.memory_bytes? as f64)),
     ];
     for (name, y, value) in drawn {
-        chart(args, &rows, y, value).write(&out.join(name)).map_err(error("writing a chart"))?;
+        super::write_chart(&chart(args, &rows, y, value), &out.join(name))?;
     }
     if args.effort.json {
         println!("{report:#}");

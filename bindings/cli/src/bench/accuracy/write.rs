@@ -1,12 +1,12 @@
 //! The report of an accuracy ladder: Markdown, JSON, charts.
 
+use super::super::{write_chart, write_texts};
 use super::pareto::{Point, Time, order, time_to};
 use super::{Figures, Report, Row};
-use barchan::accuracy::{Chamfer, Norms};
+use barchan::Result;
+use barchan::accuracy::{Chamfer, Errors, FORCE_WINDOW, Norms};
 use barchan::picture::{Chart, Series};
-use barchan::{Error, Result};
-use std::fs;
-use std::io;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// UBSoft's Table 1 (CoRL 2024): its nested levels (finest 256) over its uniform grid 128, as Chamfer distance to the uniform
@@ -42,15 +42,11 @@ pub(super) fn line(row: &Row) -> String {
 
 /// Writes everything into a folder.
 pub(super) fn all(report: &Report, out: &Path) -> Result<()> {
-    let error = |what: &'static str| move |source: io::Error| Error::Io { file: out.to_owned(), what, source };
-    fs::create_dir_all(out).map_err(error("this output folder cannot be made (choose another with --out)"))?;
     let json = serde_json::to_string_pretty(report).expect("a report is plain numbers and text");
-    fs::write(out.join("accuracy.json"), json + "\n").map_err(error("writing the figures"))?;
-    fs::write(out.join("accuracy.md"), markdown(report)).map_err(error("writing the table"))?;
+    write_texts(out, &[("accuracy.json", json + "\n"), ("accuracy.md", markdown(report))])?;
     for metric in METRICS {
         for cost in COSTS {
-            let path = out.join(format!("{}-{}", metric.0, cost.0));
-            chart(report, &metric, &cost).write(&path).map_err(error("writing a chart"))?;
+            write_chart(&chart(report, &metric, &cost), &out.join(format!("{}-{}", metric.0, cost.0)))?;
         }
     }
     Ok(())
@@ -70,7 +66,10 @@ fn ran(report: &Report) -> impl Iterator<Item = (&Row, &Figures)> {
 impl Report {
     fn is_plain(&self, row: &Row) -> bool {
         let (entry, reference) = (&row.entry, &self.reference.entry);
-        entry.levels == 1 && entry.spacing_cells.is_none() && !entry.jitter && entry.precision == reference.precision
+        entry.levels == 1
+            && entry.spacing_cells.is_none()
+            && entry.seed.is_none()
+            && entry.precision == reference.precision
     }
 }
 
@@ -109,26 +108,42 @@ fn chart(report: &Report, metric: &Metric, cost: &Metric) -> Chart {
 /// The whole report as text.
 pub(super) fn markdown(report: &Report) -> String {
     let reference = &report.reference.entry;
+    let runs = report.reference.figures.as_ref().map_or(1, |f| f.wall_all_s.len());
     let mut out = format!(
         "# Accuracy: {}\n\n\
-         {} s on equal extent, against a uniform grid of n = {} cells along {} m ({} mm a cell). \"Near\" is within {} m of where the \
-         tool was lowest, seen from above. Barchan {}, backend {}, {} threads of {} cores, {}; wall time is that of the steps alone, \
-         the median if there are several runs. L2 k8 are 2 levels with `levels.half = 8` and the reference's cell as the \
-         finest, n 64 at its end another; sub: subcycled; s: particle spacing in cells; tol: `levels.tolerance`.\n\n",
+         {} s of one scene on equal extent and mass, run at many resolutions and held against the finest uniform grid, the reference: n = \
+         {} cells along {} m ({} mm a cell). Barchan {}, backend {}, {} threads of {} cores, {}.\n\n\
+         How to read the names:\n\n\
+         - `n 64`: a uniform grid of 64 cells along {} m.\n\
+         - `L2 k8`: 2 nested levels with `levels.half = 8`, their finest cell as wide as the reference's; with `n 64` at the end, as \
+         wide as that grid's. `sub`: coarser levels take longer steps.\n\
+         - `s 1/3`: particles a third of a cell apart instead of half. `f32`, `f64`: other precision. `tol`: `levels.tolerance`. \
+         `jitter`: particles moved at random in their lattice at the start, with a seed.\n\
+         - \"Near\" is within {} m of where the tool was lowest, seen from above. \"Off by\" is the run's value less the reference's.\n\
+         - Wall time is that of the steps alone, after a short warm-up: {}.\n\n",
         report.scene,
         report.seconds,
         reference.n,
         report.length_m,
         digits(1e3 * reference.cell_m),
-        report.near_m,
         report.version,
         report.backend,
         if report.threads == 0 { "all".to_owned() } else { report.threads.to_string() },
         report.cores,
         reference.precision,
+        report.length_m,
+        report.near_m,
+        if runs > 1 {
+            format!("median of {runs} runs, IQR is from their first quartile to the third")
+        } else {
+            "one run".to_owned()
+        },
     );
     costs(report, &mut out);
-    errors(report, &mut out);
+    surfaces(report, &mut out);
+    forces(report, &mut out);
+    balances(report, &mut out);
+    noise(report, &mut out);
     chamfers(report, &mut out);
     times(report, &mut out);
     paper(report, &mut out);
@@ -147,73 +162,74 @@ fn table(out: &mut String, title: &str, head: &[&str], rows: impl Iterator<Item 
     out.push('\n');
 }
 
+/// The reference and all others that ran.
+fn with_reference(report: &Report) -> impl Iterator<Item = (&Row, &Figures)> {
+    let reference = &report.reference;
+    reference.figures.iter().map(move |figures| (reference, figures)).chain(ran(report))
+}
+
+/// A number that there may be, to three digits.
+fn maybe(value: Option<f64>) -> String {
+    value.map_or("–".to_owned(), digits)
+}
+
 fn costs(report: &Report, out: &mut String) {
-    let head = [
-        "run",
-        "cell [mm]",
-        "particles",
-        "mass [kg]",
-        "steps",
-        "wall [s]",
-        "start-up [s]",
-        "memory [MB]",
-        "energy change [J]",
-    ];
+    let head = ["run", "cell [mm]", "particles", "steps", "wall [s]", "IQR [s]", "start-up [s]", "memory [MB]"];
     let rows = std::iter::once(&report.reference).chain(&report.rows).map(|row| {
-        let Some(Figures { cost, .. }) = &row.figures else {
+        let Some(Figures { cost, wall_all_s, wall_iqr_s, .. }) = &row.figures else {
             return vec![row.entry.label.clone(), format!("skipped: {}", row.skipped.as_deref().unwrap_or("not run"))];
         };
         vec![
             row.entry.label.clone(),
             digits(1e3 * row.entry.cell_m),
             format!("{:.0}", cost.particles),
-            format!("{:.4}", cost.mass_kg),
             cost.steps.to_string(),
             digits(cost.wall_s),
+            maybe((wall_all_s.len() > 1).then_some(*wall_iqr_s)),
             digits(cost.start_up_s),
             digits(1e-6 * cost.memory_bytes as f64),
-            digits(cost.energy_change_j),
         ]
     });
     table(out, "Cost", &head, rows);
+    let mut warned: BTreeMap<&String, Vec<&str>> = BTreeMap::new();
+    for (row, figures) in with_reference(report) {
+        figures.warnings.iter().for_each(|what| warned.entry(what).or_default().push(&row.entry.label));
+    }
+    for (what, labels) in &warned {
+        out.push_str(&format!("- Warning for {}: {what}.\n", labels.join(", ")));
+    }
+    if !warned.is_empty() {
+        out.push('\n');
+    }
 }
 
-fn errors(report: &Report, out: &mut String) {
+fn surfaces(report: &Report, out: &mut String) {
     let head = [
         "run",
-        "height near L1 [mm]",
-        "L∞ [mm]",
-        "height everywhere L1 [mm]",
-        "L∞ [mm]",
+        "height near, mean error [mm]",
+        "greatest [mm]",
+        "height everywhere, mean error [mm]",
+        "greatest [mm]",
         "crater depth [mm]",
-        "its error [mm]",
-        "tool's final z [mm]",
-        "its z(t), RMS [mm]",
-        "force, RMS over 5 ms means [N]",
-        "energy [J]",
+        "off by [mm]",
+        "rim height [mm]",
+        "off by [mm]",
+        "crater volume [cm³]",
+        "off by [cm³]",
     ];
-    let of = |norms: Norms| [digits(norms.mean_mm), digits(norms.max_mm)];
-    let rows = ran(report).map(|(row, Figures { errors: e, .. })| {
-        let mut cells = vec![row.entry.label.clone()];
-        cells.extend(of(e.height_near));
-        cells.extend(of(e.height));
-        cells.extend([e.crater_depth_mm, e.crater_error_mm].map(digits));
-        cells.extend([e.final_z_mm, e.z_rms_mm, e.force_rms_n].map(|v| v.map_or("–".to_owned(), digits)));
-        cells.push(digits(e.energy_error_j));
-        cells
+    let of = |norms: Norms| [norms.mean_mm, norms.max_mm];
+    let rows = with_reference(report).map(|(row, Figures { errors: e, .. })| {
+        let (crater, off) = (e.crater, e.crater_error);
+        let pairs = [
+            of(e.height_near),
+            of(e.height),
+            [crater.depth_mm, off.depth_mm],
+            [crater.rim_mm, off.rim_mm],
+            [crater.volume_cm3, off.volume_cm3],
+        ];
+        std::iter::once(row.entry.label.clone()).chain(pairs.into_iter().flatten().map(digits)).collect()
     });
-    table(out, "Errors against the reference", &head, rows);
-    if let Some((row, Figures { errors: e, .. })) = ran(report).find(|(row, _)| row.entry.jitter) {
-        let parts = [("mm in the tool's z(t)", e.z_rms_mm), ("N in the force", e.force_rms_n)];
-        let parts = parts.into_iter().filter_map(|(unit, v)| Some(format!("its {} {unit}", digits(v?))));
-        out.push_str(&format!(
-            "Noise: {} differs from the reference only in where its grains lie at the start, and its surface is rough by {} mm. Differences \
-             below {} mean nothing.\n\n",
-            row.entry.label,
-            digits(e.height_near.mean_mm),
-            parts.collect::<Vec<_>>().join(" and ")
-        ));
-    }
+    table(out, "Surface of the ground at the end", &head, rows);
     let rungs = ladder(report);
     let [.., coarse, fine] = &rungs[..] else { return };
     let at = |(row, f): &(&Row, &Figures)| (row.entry.cell_m, f.errors.height_near.mean_mm);
@@ -227,6 +243,101 @@ fn errors(report: &Report, out: &mut String) {
             .to_owned(),
     };
     out.push_str(&text);
+}
+
+fn forces(report: &Report, out: &mut String) {
+    let head = [
+        "run",
+        "tool's final z, off by [mm]",
+        "its z(t), RMS error [mm]",
+        "force on it, RMS error [N]",
+        "peak [N]",
+        "off by [N]",
+        "impulse [N s]",
+        "off by [N s]",
+    ];
+    let rows = with_reference(report).map(|(row, Figures { errors: e, .. })| {
+        let both = [e.contact, e.contact_error];
+        let (peak, impulse) = (both.map(|c| Some(c?.peak_n)), both.map(|c| Some(c?.impulse_ns)));
+        let cells = [e.final_z_mm, e.z_rms_mm, e.force_rms_n].into_iter().chain(peak).chain(impulse);
+        std::iter::once(row.entry.label.clone()).chain(cells.map(maybe)).collect()
+    });
+    table(out, "The first tool", &head, rows);
+    out.push_str(&format!(
+        "Forces are means over {} ms, so that the ringing of single cells does not count; the impulse is that of the whole run.\n\n",
+        1e3 * FORCE_WINDOW
+    ));
+}
+
+fn balances(report: &Report, out: &mut String) {
+    let head = [
+        "run",
+        "mass [kg]",
+        "energy change [J]",
+        "off by [J]",
+        "momentum unexplained [N s]",
+        "angular momentum change [kg m²/s]",
+        "by merging [kg m²/s]",
+    ];
+    let rows = with_reference(report).map(|(row, Figures { cost, balance, errors, .. })| {
+        let numbers = [
+            balance.energy_change_j,
+            errors.energy_error_j,
+            balance.momentum_drift_ns,
+            balance.angular_momentum_change,
+            balance.resampled_angular_momentum,
+        ];
+        let cells = [row.entry.label.clone(), format!("{:.4}", cost.mass_kg)];
+        cells.into_iter().chain(numbers.map(digits)).collect()
+    });
+    table(out, "What should be kept", &head, rows);
+    out.push_str(
+        "Momentum unexplained is what gravity, walls and tools do not account for. Angular momentum is that of ground and free bodies \
+         about where the tool was lowest: 0 where the scene is symmetric about it.\n\n",
+    );
+}
+
+/// An error that varies with the start, with its name.
+type Varying = (&'static str, fn(&Errors) -> Option<f64>);
+const VARYING: [Varying; 10] = [
+    ("height near, mean error [mm]", |e| Some(e.height_near.mean_mm)),
+    ("height near, greatest error [mm]", |e| Some(e.height_near.max_mm)),
+    ("crater depth, off by [mm]", |e| Some(e.crater_error.depth_mm)),
+    ("rim height, off by [mm]", |e| Some(e.crater_error.rim_mm)),
+    ("crater volume, off by [cm³]", |e| Some(e.crater_error.volume_cm3)),
+    ("tool's final z, off by [mm]", |e| e.final_z_mm),
+    ("tool's z(t), RMS error [mm]", |e| e.z_rms_mm),
+    ("force on the tool, RMS error [N]", |e| e.force_rms_n),
+    ("peak force, off by [N]", |e| e.contact_error.map(|c| c.peak_n)),
+    ("Chamfer distance near, sum of both means [mm]", |e| Some(e.chamfer_near.sum_mm())),
+];
+
+/// What random starts alone make.
+fn noise(report: &Report, out: &mut String) {
+    let starts: Vec<&Errors> =
+        ran(report).filter(|(row, _)| row.entry.seed.is_some()).map(|(_, f)| &f.errors).collect();
+    if starts.is_empty() {
+        return;
+    }
+    let rows = VARYING.iter().filter_map(|(name, of)| {
+        let values: Vec<f64> = starts.iter().filter_map(|errors| of(errors)).collect();
+        let (mean, deviation) = mean_and_deviation(&values)?;
+        Some(vec![(*name).to_owned(), digits(mean), maybe(deviation)])
+    });
+    table(out, "Noise: the reference from random starts", &["error", "mean", "standard deviation"], rows);
+    out.push_str(&format!(
+        "Starts of the reference with its grains moved at random in their lattice: {}. Differences between runs below these errors mean \
+         nothing.\n\n",
+        starts.len()
+    ));
+}
+
+/// Mean, and standard deviation of a sample of two or more; `None` of nothing.
+fn mean_and_deviation(values: &[f64]) -> Option<(f64, Option<f64>)> {
+    let count = values.len() as f64;
+    let mean = (count > 0.0).then(|| values.iter().sum::<f64>() / count)?;
+    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    Some((mean, (count > 1.0).then(|| (squares / (count - 1.0)).sqrt())))
 }
 
 fn chamfers(report: &Report, out: &mut String) {
@@ -266,7 +377,7 @@ fn times(report: &Report, out: &mut String) {
     let points: Vec<Point> =
         ladder(report).iter().map(|(_, f)| (f.cost.wall_s, f.errors.height_near.mean_mm)).collect();
     let most = report.reference.figures.as_ref().map_or(f64::INFINITY, |f| f.cost.wall_s);
-    let head = ["run", "height near L1 [mm]", "its time [s]", "uniform grids need [s]", "ratio", "how known"];
+    let head = ["run", "height near, mean error [mm]", "its time [s]", "uniform grids need [s]", "ratio", "how known"];
     let rows = ran(report).filter(|(row, _)| row.entry.levels > 1).map(|(row, f)| {
         let (error, wall) = (f.errors.height_near.mean_mm, f.cost.wall_s);
         let (seconds, how) = match time_to(&points, error) {
@@ -358,6 +469,13 @@ mod tests {
     #[test]
     fn numbers_have_three_digits() {
         assert_eq!([1234.6, 12.345, 0.012_345, -3.0, 0.0].map(digits), ["1235", "12.3", "0.0123", "-3.00", "0"]);
+    }
+
+    #[test]
+    fn deviations_are_of_a_sample() {
+        assert_eq!(mean_and_deviation(&[1.0, 3.0]), Some((2.0, Some(2f64.sqrt()))));
+        assert_eq!(mean_and_deviation(&[4.0]), Some((4.0, None)));
+        assert_eq!(mean_and_deviation(&[]), None);
     }
 
     #[test]
