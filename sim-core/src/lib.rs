@@ -22,6 +22,7 @@ pub mod plan;
 pub mod registry;
 pub mod scene;
 pub mod seed;
+mod settle;
 pub mod simulation;
 pub mod snapshot;
 pub mod solid;

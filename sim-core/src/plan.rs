@@ -4,8 +4,9 @@ use crate::backend::Bound;
 use crate::levels::{Agent, CellBox, Regions, agent_bounds};
 use crate::material::ErrorBuffer;
 use crate::scene::{Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest};
+use crate::seed::Terrain;
 use crate::simulation::Options;
-use crate::{Coupling, Error, Material, ParticleState, Registry, Result, Scene, Vec3, seed};
+use crate::{Coupling, Error, Material, ParticleState, Registry, Result, Scene, Vec3};
 use barchan_abi as abi;
 use std::collections::HashSet;
 use std::fmt;
@@ -306,7 +307,7 @@ impl Plan {
                 let soft = |body: u16| scene.body[usize::from(body)].shape.bounds();
                 regions.follow(&agent_bounds(&agents, &couplings, soft));
                 let cap = options.max_bytes.unwrap_or_else(available_bytes);
-                seed::seed(&scene, registry, &materials, &couplings, &regions, options.precision, cap)?
+                Terrain::new(&scene, registry, &materials, options.precision)?.seed(&couplings, &regions, cap)?
             }
         };
         let levels = scene.levels.count;

@@ -360,6 +360,10 @@ pub struct Body {
     /// Leave out particles inside rigid tools, so that a tool can start partly buried.
     #[serde(default = "yes")]
     pub around_tools: bool,
+    /// Start at rest under gravity: each particle is pressed by the weight of the settled ground above it, as if it had been
+    /// filled up layer by layer between walls. For boxes and height fields in gravity along -z.
+    #[serde(default)]
+    pub settled: bool,
 }
 
 /// How particles are placed.

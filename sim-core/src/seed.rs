@@ -5,51 +5,155 @@ use crate::levels::{Regions, SPLIT_AHEAD};
 use crate::plan::{PlannedMaterial, Precision};
 use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, cross};
 use crate::solid::Solid;
-use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, solid};
+use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, settle, solid};
 
 /// Particles that fixed-point offsets can tell from a cell's face, in cells: half of the last place.
 const SNAP: f64 = 1.0 / (1_u64 << 33) as f64;
 /// Last place of a fixed-point offset: one cell is this many.
 const FIXED: f64 = (1_u64 << 32) as f64;
 
-/// Seeds all bodies of a scene, one list per level and planned material.
-///
-/// Particles stand on a cubic lattice, centred in the shape's bounds (from the bottom up in height fields), so that a
-/// box of n spacings holds n particles along that side, the first half a spacing from the face. A particle's rest
-/// volume is the cube of the spacing. Coordinates are computed relative to the cell of the shape's corner, so a scene
-/// moved by whole cells has the same offsets, bit for bit.
-///
-/// With several levels the lattice is that of the finest one, and whole cubes of 2, 4, 8, … points along each side are one
-/// particle in their middle where only coarser levels reach: so mass and shape are those of the finest lattice.
-///
-/// # Errors
-/// [`Error::Scene`] for a body without particles, [`Error::Capacity`] if they would take more than `max_bytes`, and
-/// what reading a mesh or a height field may give.
-pub(crate) fn seed(
-    scene: &Scene,
-    registry: &Registry,
-    materials: &[PlannedMaterial],
-    couplings: &[Box<dyn Coupling>],
-    regions: &Regions,
+/// A scene's soft bodies as functions of position: where their particles stand, and under what weight.
+pub struct Terrain {
+    scene: Scene,
+    materials: Vec<PlannedMaterial>,
     precision: Precision,
-    max_bytes: u64,
-) -> Result<ParticleState> {
-    let mut lists: Vec<_> = (0..regions.levels())
-        .flat_map(|level| materials.iter().enumerate().map(move |(m, planned)| (level, m, planned)))
-        .map(|(level, m, planned)| empty_list(level, m, planned, scene.world.cell))
-        .collect();
-    let mut seeder = Seeder { scene, registry, couplings, regions, precision, next_id: 0, bytes: 0.0, max_bytes };
-    for (i, body) in scene.body.iter().enumerate() {
-        if let Some(m) = materials.iter().position(|m| m.name == body.material) {
-            seeder.fill(i, body, &materials[m], lists.iter_mut().skip(m).step_by(materials.len()).collect())?;
+    plots: Vec<Plot>,
+}
+
+/// One body, ready to be filled.
+struct Plot {
+    /// Index of the body in the scene.
+    index: usize,
+    /// Index of its material in the plan.
+    material: usize,
+    solid: Box<dyn Solid>,
+    /// The lattice that its particles stand on.
+    axes: [Axis; 3],
+}
+
+impl Terrain {
+    /// Reads the shapes of all bodies.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for a body too small for a particle, and what reading a mesh or a height field may give.
+    pub(crate) fn new(
+        scene: &Scene,
+        registry: &Registry,
+        materials: &[PlannedMaterial],
+        precision: Precision,
+    ) -> Result<Self> {
+        let mut plots = Vec::new();
+        for (index, body) in scene.body.iter().enumerate() {
+            let Some(material) = materials.iter().position(|m| m.name == body.material) else { continue };
+            let path = format!("body[{index}]");
+            let solid = solid::of_shape(&body.shape, scene, registry, &format!("{path}.shape"))?;
+            let bounds = solid.bounds();
+            scene.check_inside(&path, bounds)?;
+            let (cell, spacing) = (scene.world.cell, scene.spacing(body));
+            let axes: [Axis; 3] = std::array::from_fn(|d| {
+                let from_bottom = d == 2 && matches!(body.shape, Shape::HeightField { .. });
+                Axis::new(bounds.min[d], bounds.max[d], spacing, cell, from_bottom)
+            });
+            let least = axes.iter().map(|axis| axis.extent).fold(f64::INFINITY, f64::min);
+            if axes.iter().any(|axis| axis.count == 0) {
+                return Err(is_empty(
+                    scene,
+                    index,
+                    format!("its least side, {least} m, is below half the spacing of {spacing} m"),
+                    "enlarge it, or lower spacing or world.cell",
+                ));
+            }
+            plots.push(Plot { index, material, solid, axes });
         }
+        Ok(Self { scene: scene.clone(), materials: materials.to_vec(), precision, plots })
     }
-    let levels = (regions.levels() > 1).then(|| LevelPhase {
-        boxes: regions.boxes().to_vec(),
-        next_id: seeder.next_id,
-        rounds: 0,
-    });
-    Ok(ParticleState { lists, strain_dt: 0.0, sort: None, levels })
+
+    /// Seeds all bodies, one list per level and planned material.
+    ///
+    /// Particles stand on a cubic lattice, centred in the shape's bounds (from the bottom up in height fields), so that a
+    /// box of n spacings holds n particles along that side, the first half a spacing from the face. A particle's rest
+    /// volume is the cube of the spacing. Coordinates are computed relative to the cell of the shape's corner, so a scene
+    /// moved by whole cells has the same offsets, bit for bit.
+    ///
+    /// With several levels the lattice is that of the finest one, and whole cubes of 2, 4, 8, … points along each side are one
+    /// particle in their middle where only coarser levels reach: so mass and shape are those of the finest lattice.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for a body without particles, [`Error::Capacity`] if they would take more than `max_bytes`, and
+    /// settled ground that its material cannot carry.
+    pub(crate) fn seed(
+        &self,
+        couplings: &[Box<dyn Coupling>],
+        regions: &Regions,
+        max_bytes: u64,
+    ) -> Result<ParticleState> {
+        let mut lists: Vec<_> = (0..regions.levels())
+            .flat_map(|level| self.materials.iter().enumerate().map(move |(m, planned)| (level, m, planned)))
+            .map(|(level, m, planned)| empty_list(level, m, planned, self.scene.world.cell))
+            .collect();
+        let mut seeder = Seeder { terrain: self, couplings, regions, next_id: 0, bytes: 0.0, max_bytes };
+        for plot in &self.plots {
+            seeder.fill(plot, lists.iter_mut().skip(plot.material).step_by(self.materials.len()).collect())?;
+        }
+        let levels = (regions.levels() > 1).then(|| LevelPhase {
+            boxes: regions.boxes().to_vec(),
+            next_id: seeder.next_id,
+            rounds: 0,
+        });
+        Ok(ParticleState { lists, strain_dt: 0.0, sort: None, levels })
+    }
+
+    /// Weight of all settled ground above a point, per area [Pa].
+    fn load(&self, x: Vec3) -> f64 {
+        let settled = self.plots.iter().filter(|plot| self.scene.body[plot.index].settled);
+        let weight = settled.filter_map(|plot| {
+            let [bottom, surface] = plot.solid.column(x[0], x[1])?;
+            // The column ends where its topmost particle does.
+            let [.., axis] = &plot.axes;
+            let spacing = axis.step * axis.width;
+            let first = axis.site(0.0).position - 0.5 * spacing;
+            let top = first + ((surface - first) / spacing).round() * spacing;
+            Some(self.materials[plot.material].density * (top - x[2].max(bottom)).max(0.0))
+        });
+        weight.sum::<f64>() * -self.scene.gravity[2]
+    }
+
+    /// Gives a list's particles from `start` on the strain and history that carry the ground above them.
+    fn settle(&self, plot: &Plot, list: &mut ParticleList, start: usize) -> Result<()> {
+        let round = |x: f64| if self.precision == Precision::F32 { f64::from(x as f32) } else { x };
+        let loads: Vec<f64> = (start..list.cell.len()).map(|i| self.load(list.position(i))).collect();
+        let settled = settle::under(&self.materials[plot.material], &loads).map_err(|error| match error {
+            settle::Unsettled::Error(error) => error,
+            settle::Unsettled::Load(load) => self.scene.fault(
+                &format!("body[{}].settled", plot.index),
+                format!(
+                    "material '{}' does not carry the {load:.4} Pa of the ground above it, not even pressed to {} of its height",
+                    self.materials[plot.material].name,
+                    settle::LEAST_STRETCH
+                ),
+                "raise its stiffness, or leave settled out",
+            ),
+        })?;
+        for (plane, values) in list.strain.iter_mut().chain(&mut list.state).zip(settled) {
+            for (place, value) in plane[start..].iter_mut().zip(values) {
+                *place = round(value);
+            }
+        }
+        Ok(())
+    }
+}
+
+impl std::fmt::Debug for Terrain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Terrain").field("bodies", &self.plots.len()).finish_non_exhaustive()
+    }
+}
+
+/// The error for a body that no particle fits into.
+fn is_empty(scene: &Scene, index: usize, why: String, mend: &str) -> Error {
+    let name = &scene.body[index].name;
+    let name = if name.is_empty() { String::new() } else { format!(" '{name}'") };
+    scene.fault(&format!("body[{index}]"), format!("body{name} has no particles: {why}"), mend)
 }
 
 /// A list without particles but with all of its planes.
@@ -65,11 +169,9 @@ fn empty_list(level: usize, index: usize, planned: &PlannedMaterial, finest: f64
 }
 
 struct Seeder<'a> {
-    scene: &'a Scene,
-    registry: &'a Registry,
+    terrain: &'a Terrain,
     couplings: &'a [Box<dyn Coupling>],
     regions: &'a Regions,
-    precision: Precision,
     next_id: u64,
     /// Bytes asked for so far.
     bytes: f64,
@@ -78,47 +180,16 @@ struct Seeder<'a> {
 
 impl Seeder<'_> {
     /// Fills one body; `lists` are those of its material, finest level first.
-    fn fill(
-        &mut self,
-        index: usize,
-        body: &Body,
-        planned: &PlannedMaterial,
-        mut lists: Vec<&mut ParticleList>,
-    ) -> Result<()> {
-        let path = format!("body[{index}]");
-        let solid = solid::of_shape(&body.shape, self.scene, self.registry, &format!("{path}.shape"))?;
-        let bounds = solid.bounds();
-        self.scene.check_inside(&path, bounds)?;
-        let (cell, spacing) = (self.scene.world.cell, self.scene.spacing(body));
-        let axes: [Axis; 3] = std::array::from_fn(|d| {
-            let from_bottom = d == 2 && matches!(body.shape, Shape::HeightField { .. });
-            Axis::new(bounds.min[d], bounds.max[d], spacing, cell, from_bottom)
-        });
-        let points: f64 = axes.iter().map(|axis| axis.count as f64).product();
-        let least = axes.iter().map(|axis| axis.extent).fold(f64::INFINITY, f64::min);
-        let scene = self.scene;
-        let empty = |why: String, mend: &str| {
-            let name = if body.name.is_empty() { String::new() } else { format!(" '{}'", body.name) };
-            Err(scene.fault(&path, format!("body{name} has no particles: {why}"), mend))
-        };
-        if points < 1.0 {
-            return empty(
-                format!("its least side, {least} m, is below half the spacing of {spacing} m"),
-                "enlarge it, or lower spacing or world.cell",
-            );
-        }
+    fn fill(&mut self, plot: &Plot, mut lists: Vec<&mut ParticleList>) -> Result<()> {
+        let (scene, precision) = (&self.terrain.scene, self.terrain.precision);
+        let (body, planned) = (&scene.body[plot.index], &self.terrain.materials[plot.material]);
+        let (spacing, axes) = (scene.spacing(body), &plot.axes);
         if lists.len() > 1 {
-            let cubes = Cubes {
-                index: index as u64,
-                body,
-                solid: &*solid,
-                axes: &axes,
-                tools: self.couplings.iter().flat_map(|c| c.bounds()).collect(),
-            };
-            return self.fill_levels(&cubes, planned, &mut lists, empty);
+            return self.fill_levels(plot, &mut lists);
         }
+        let points: f64 = axes.iter().map(|axis| axis.count as f64).product();
         let list = &mut *lists[0];
-        self.bytes += points * bytes_while_seeding(planned, self.precision) as f64;
+        self.bytes += points * bytes_while_seeding(planned, precision) as f64;
         if self.bytes > self.max_bytes as f64 {
             return Err(Error::Capacity {
                 what: "memory for particles [bytes]",
@@ -143,13 +214,13 @@ impl Seeder<'_> {
                         Sampling::Jitter => {
                             let number = ((i * sites[1].len() + j) * sites[2].len() + k) as u64;
                             std::array::from_fn(|d| {
-                                let random = uniform(self.scene.seed, index as u64, number, d as u64);
+                                let random = uniform(scene.seed, plot.index as u64, number, d as u64);
                                 axes[d].site([i, j, k][d] as f64 + random - 0.5)
                             })
                         }
                     };
                     let position = site.map(|s: Site| s.position);
-                    if solid.contains(position) {
+                    if plot.solid.contains(position) {
                         row.push(site, position);
                     }
                 }
@@ -158,7 +229,7 @@ impl Seeder<'_> {
                     row.drop_inside(self.couplings);
                 }
                 for site in &row.site {
-                    let fixed = site.map(|s| s.fixed(self.precision));
+                    let fixed = site.map(|s| s.fixed(precision));
                     list.cell.push(fixed.map(|f| f.0));
                     list.offset.push(fixed.map(|f| f.1));
                 }
@@ -166,38 +237,41 @@ impl Seeder<'_> {
         }
         let end = list.cell.len();
         if start == end && inside == 0 {
-            return empty(
+            return Err(is_empty(
+                scene,
+                plot.index,
                 format!("no point of a lattice of {spacing} m lies inside its shape"),
                 "enlarge it, or lower spacing or world.cell",
-            );
+            ));
         }
         if start == end {
-            return empty(
+            return Err(is_empty(
+                scene,
+                plot.index,
                 format!("all {inside} are inside tools"),
                 "move the body or the tools, or set around_tools = false",
-            );
+            ));
         }
-        self.fill_rest(index, body, planned, &mut lists, &[Vec::new()]);
-        Ok(())
+        self.fill_rest(plot, &mut lists, &[Vec::new()])
     }
 
     /// Fills one body on several levels.
-    fn fill_levels(
-        &mut self,
-        cubes: &Cubes,
-        planned: &PlannedMaterial,
-        lists: &mut [&mut ParticleList],
-        empty: impl Fn(String, &str) -> Result<()>,
-    ) -> Result<()> {
+    fn fill_levels(&mut self, plot: &Plot, lists: &mut [&mut ParticleList]) -> Result<()> {
+        let (scene, precision) = (&self.terrain.scene, self.terrain.precision);
+        let cubes = Cubes {
+            plot,
+            body: &scene.body[plot.index],
+            tools: self.couplings.iter().flat_map(|c| c.bounds()).collect(),
+        };
         let coarsest = lists.len() - 1;
         let mut classes = vec![Vec::new(); lists.len()];
-        let each = bytes_while_seeding(planned, self.precision) as f64;
+        let each = bytes_while_seeding(&self.terrain.materials[plot.material], precision) as f64;
         let mut found = Vec::new();
-        let starts = |d: usize| (0..cubes.axes[d].count).step_by(1 << coarsest);
+        let starts = |d: usize| (0..plot.axes[d].count).step_by(1 << coarsest);
         for i in starts(0) {
             for j in starts(1) {
                 for k in starts(2) {
-                    self.find_cubes(cubes, [i, j, k], coarsest, &mut found);
+                    self.find_cubes(&cubes, [i, j, k], coarsest, &mut found);
                 }
                 self.bytes += found.len() as f64 * each;
                 if self.bytes > self.max_bytes as f64 {
@@ -209,9 +283,9 @@ impl Seeder<'_> {
                     });
                 }
                 for (origin, class) in found.drain(..) {
-                    let site = self.cube_site(cubes, origin, class);
+                    let site = self.cube_site(&cubes, origin, class);
                     let level = self.regions.finest_at(site.map(|s| s.cell), SPLIT_AHEAD);
-                    let fixed = site.map(|s| s.on_level(level, self.precision));
+                    let fixed = site.map(|s| s.on_level(level, precision));
                     lists[level].cell.push(fixed.map(|f| f.0));
                     lists[level].offset.push(fixed.map(|f| f.1));
                     classes[level].push(class as u32);
@@ -219,33 +293,34 @@ impl Seeder<'_> {
             }
         }
         if classes.iter().all(Vec::is_empty) {
-            return empty(
+            return Err(is_empty(
+                scene,
+                plot.index,
                 format!(
                     "no point of a lattice of {} m lies inside its shape and outside tools",
-                    self.scene.spacing(cubes.body)
+                    scene.spacing(cubes.body)
                 ),
                 "enlarge it, lower spacing or world.cell, move the tools, or set around_tools = false",
-            );
+            ));
         }
-        self.fill_rest(cubes.index as usize, cubes.body, planned, lists, &classes);
-        Ok(())
+        self.fill_rest(plot, lists, &classes)
     }
 
     /// Finds the largest particles that fill the cube of 2^class lattice points along each side. Is it one single particle?
     fn find_cubes(&self, cubes: &Cubes, origin: [u64; 3], class: usize, found: &mut Vec<([u64; 3], usize)>) -> bool {
-        if (0..3).any(|d| origin[d] >= cubes.axes[d].count) {
+        if (0..3).any(|d| origin[d] >= cubes.plot.axes[d].count) {
             return false;
         }
-        let last: [u64; 3] = std::array::from_fn(|d| (origin[d] + (1 << class) - 1).min(cubes.axes[d].count - 1));
+        let last: [u64; 3] = std::array::from_fn(|d| (origin[d] + (1 << class) - 1).min(cubes.plot.axes[d].count - 1));
         let whole = (0..3).all(|d| last[d] - origin[d] == (1 << class) - 1);
         let points = Aabb {
-            min: std::array::from_fn(|d| cubes.axes[d].site(origin[d] as f64).position),
-            max: std::array::from_fn(|d| cubes.axes[d].site(last[d] as f64).position),
+            min: std::array::from_fn(|d| cubes.plot.axes[d].site(origin[d] as f64).position),
+            max: std::array::from_fn(|d| cubes.plot.axes[d].site(last[d] as f64).position),
         };
         // Jittered particles lie up to half a spacing off their lattice points.
-        let reach = if cubes.body.sampling == Sampling::Jitter { 0.5 * self.scene.spacing(cubes.body) } else { 0.0 };
+        let reach = if cubes.body.sampling == Sampling::Jitter { 0.5 * self.terrain.scene.spacing(cubes.body) } else { 0.0 };
         let points = points.grown(reach);
-        let cover = cubes.solid.cover(&points);
+        let cover = cubes.plot.solid.cover(&points);
         if cover == Some(false) {
             return false;
         }
@@ -253,7 +328,7 @@ impl Seeder<'_> {
         if class == 0 {
             let place = self.cube_site(cubes, origin, 0).map(|s| s.position);
             let free = clear || self.couplings.iter().all(|c| c.distance(&[place])[0] >= 0.0);
-            if !free || !cubes.solid.contains(place) {
+            if !free || !cubes.plot.solid.contains(place) {
                 return false;
             }
             found.push((origin, 0));
@@ -281,12 +356,12 @@ impl Seeder<'_> {
     fn cube_site(&self, cubes: &Cubes, origin: [u64; 3], class: usize) -> [Site; 3] {
         let side = f64::from(1_u32 << class);
         std::array::from_fn(|d| {
-            let axis = &cubes.axes[d];
+            let axis = &cubes.plot.axes[d];
             let random = match cubes.body.sampling {
                 Sampling::Lattice => 0.5,
                 Sampling::Jitter => {
-                    let number = (origin[0] * cubes.axes[1].count + origin[1]) * cubes.axes[2].count + origin[2];
-                    uniform(self.scene.seed, cubes.index, number, d as u64)
+                    let number = (origin[0] * cubes.plot.axes[1].count + origin[1]) * cubes.plot.axes[2].count + origin[2];
+                    uniform(self.terrain.scene.seed, cubes.plot.index as u64, number, d as u64)
                 }
             };
             axis.site(origin[d] as f64 + 0.5 * (side - 1.0) + side * (random - 0.5))
@@ -295,16 +370,11 @@ impl Seeder<'_> {
 
     /// Everything but positions, for the particles that have been placed in the lists of one material. `classes` says how
     /// many lattice points each stands for along a side, as a power of two; where it is empty, one.
-    fn fill_rest(
-        &mut self,
-        index: usize,
-        body: &Body,
-        planned: &PlannedMaterial,
-        lists: &mut [&mut ParticleList],
-        classes: &[Vec<u32>],
-    ) {
-        let round = |x: f64| if self.precision == Precision::F32 { f64::from(x as f32) } else { x };
-        let spacing = self.scene.spacing(body);
+    fn fill_rest(&mut self, plot: &Plot, lists: &mut [&mut ParticleList], classes: &[Vec<u32>]) -> Result<()> {
+        let Terrain { scene, materials, precision, .. } = self.terrain;
+        let (body, planned) = (&scene.body[plot.index], &materials[plot.material]);
+        let round = |x: f64| if *precision == Precision::F32 { f64::from(x as f32) } else { x };
+        let spacing = scene.spacing(body);
         let [wx, wy, wz] = body.angular_velocity;
         let spin = [0.0, -wz, wy, wz, 0.0, -wx, -wy, wx, 0.0];
         let starts: Vec<usize> = lists.iter().map(|list| list.id.len()).collect();
@@ -312,7 +382,7 @@ impl Seeder<'_> {
             let end = list.cell.len();
             list.id.extend(self.next_id..self.next_id + (end - start) as u64);
             self.next_id += (end - start) as u64;
-            list.body.resize(end, index as u16);
+            list.body.resize(end, plot.index as u16);
             for i in 0..end - start {
                 let class = classes.get(i).copied().unwrap_or(0);
                 let volume0 = (spacing * f64::from(1_u32 << class)).powi(3);
@@ -327,6 +397,9 @@ impl Seeder<'_> {
             }
             list.affine.resize(end, spin.map(round));
             list.velocity.resize(end, body.velocity.map(round));
+            if body.settled {
+                self.terrain.settle(plot, list, start)?;
+            }
         }
         if body.angular_velocity != [0.0; 3] {
             let (mut moment, mut weight) = ([0.0; 3], 0.0);
@@ -347,15 +420,14 @@ impl Seeder<'_> {
                 }
             }
         }
+        Ok(())
     }
 }
 
 /// The lattice of one body, whose whole cubes become particles of coarser levels.
 struct Cubes<'a> {
-    index: u64,
+    plot: &'a Plot,
     body: &'a Body,
-    solid: &'a dyn Solid,
-    axes: &'a [Axis; 3],
     /// Boxes around tools: in there, points are tried one by one.
     tools: Vec<Aabb>,
 }

@@ -15,6 +15,10 @@ pub trait Solid: Send + Sync {
     fn cover(&self, region: &Aabb) -> Option<bool> {
         if region.meets(&self.bounds()) { None } else { Some(false) }
     }
+    /// Lower and upper end of the solid above a point of the ground plan [m]. `None`: nothing is there, or it is not one piece.
+    fn column(&self, _x: f64, _y: f64) -> Option<[f64; 2]> {
+        None
+    }
 }
 
 /// [`Solid::cover`] of a convex solid: it holds a box if it holds its corners.
@@ -53,7 +57,8 @@ pub fn of_shape(shape: &Shape, scene: &Scene, registry: &Registry, path: &str) -
                     heights
                 }
             };
-            Box::new(HeightField { min: *min, max: *max, bottom: *bottom, heights })
+            let top = heights.iter().flatten().copied().fold(*bottom, f64::max);
+            Box::new(HeightField { min: *min, max: *max, bottom: *bottom, top, heights })
         }
         (Shape::Mesh { file, scale, center, rotation }, _) => {
             let reader = registry.mesh_reader().ok_or_else(|| {
@@ -76,6 +81,10 @@ impl Solid for Cuboid {
     }
     fn cover(&self, region: &Aabb) -> Option<bool> {
         cover_convex(self, region)
+    }
+    fn column(&self, x: f64, y: f64) -> Option<[f64; 2]> {
+        let Aabb { min, max } = self.0;
+        (min[0] <= x && x <= max[0] && min[1] <= y && y <= max[1]).then_some([min[2], max[2]])
     }
 }
 
@@ -107,6 +116,8 @@ struct HeightField {
     min: [f64; 2],
     max: [f64; 2],
     bottom: f64,
+    /// The greatest height.
+    top: f64,
     heights: Vec<Vec<f64>>,
 }
 
@@ -127,13 +138,14 @@ impl HeightField {
 
 impl Solid for HeightField {
     fn bounds(&self) -> Aabb {
-        let top = self.heights.iter().flatten().copied().fold(self.bottom, f64::max);
-        Aabb { min: [self.min[0], self.min[1], self.bottom], max: [self.max[0], self.max[1], top] }
+        Aabb { min: [self.min[0], self.min[1], self.bottom], max: [self.max[0], self.max[1], self.top] }
     }
     fn contains(&self, x: Vec3) -> bool {
-        (0..2).all(|d| self.min[d] <= x[d] && x[d] <= self.max[d])
-            && self.bottom <= x[2]
-            && x[2] <= self.height(x[0], x[1])
+        self.column(x[0], x[1]).is_some_and(|[bottom, top]| bottom <= x[2] && x[2] <= top)
+    }
+    fn column(&self, x: f64, y: f64) -> Option<[f64; 2]> {
+        let [min, max] = [self.min, self.max];
+        (min[0] <= x && x <= max[0] && min[1] <= y && y <= max[1]).then(|| [self.bottom, self.height(x, y)])
     }
     fn cover(&self, region: &Aabb) -> Option<bool> {
         if !region.meets(&self.bounds()) {

@@ -406,10 +406,44 @@ impl Scene {
             "use box, sphere, cylinder, capsule, height_field or mesh; several bodies may share a material",
         )?;
         self.check_shape(&shape, &body.shape)?;
+        self.check_settled(path, body)?;
         match body.shape.bounds() {
             Some(bounds) => self.check_inside(path, bounds),
             None => Ok(()),
         }
+    }
+
+    /// Settled ground has a surface above each of its points, a weight along -z from the start, and rests.
+    fn check_settled(&self, path: &str, body: &Body) -> Result<()> {
+        if !body.settled {
+            return Ok(());
+        }
+        let path = format!("{path}.settled");
+        self.require(
+            matches!(body.shape, Shape::Box { .. } | Shape::HeightField { .. }),
+            &path,
+            "asks how deep each particle lies, and this shape has no surface above each of its points",
+            "use a box or a height_field, or leave settled out",
+        )?;
+        let [x, y, z] = self.gravity;
+        self.require(
+            x == 0.0 && y == 0.0 && z <= 0.0,
+            &path,
+            format!("works in gravity along -z, and gravity is {:?}", self.gravity),
+            "leave settled out, or turn the scene",
+        )?;
+        self.require(
+            self.gravity_ramp == 0.0,
+            &path,
+            format!("asks for the whole weight from the start, and gravity_ramp is {} s", self.gravity_ramp),
+            "set one of the two",
+        )?;
+        self.require(
+            body.velocity == [0.0; 3] && body.angular_velocity == [0.0; 3],
+            &path,
+            "asks for ground at rest, and the body has a velocity",
+            "leave out settled or the velocity",
+        )
     }
 
     /// A body must lie inside the world.

@@ -10,6 +10,7 @@ mod libraries;
 mod plugins;
 mod properties;
 mod seams;
+mod settled;
 mod subcycling;
 mod transfers;
 mod validation;
