@@ -6,7 +6,7 @@ use crate::scene::OverBound;
 use crate::snapshot::Snapshot;
 use crate::{
     BodyState, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, StepReport,
-    Vec3, Wrench,
+    Tile, Vec3, Wrench,
 };
 use std::fmt;
 use std::ops::ControlFlow;
@@ -189,6 +189,13 @@ impl Simulation {
     /// A copy of all particles.
     pub fn particles(&self) -> ParticleState {
         self.engine.download()
+    }
+    /// A copy of all particles, and of those in the archive of changed ground out of reach, which are at rest: a list each per
+    /// level and material that a tile has. Not to be handed back.
+    pub fn ground(&self) -> ParticleState {
+        let mut all = self.engine.download();
+        all.lists.extend(all.archive.values().flat_map(Tile::unpack));
+        all
     }
     /// Number of particles.
     pub fn particle_count(&self) -> usize {
@@ -441,6 +448,8 @@ fn only_sums(mut ledger: Ledger) -> Ledger {
         wall_impulse: ledger.wall_impulse,
         gravity_impulse: ledger.gravity_impulse,
         deleted_mass: ledger.deleted_mass,
+        seeded_mass: ledger.seeded_mass,
+        archived_kinetic: ledger.archived_kinetic,
         resampled_kinetic: ledger.resampled_kinetic,
         resampled_angular_momentum: ledger.resampled_angular_momentum,
         counts: ledger.counts,

@@ -1,6 +1,7 @@
 //! The step.
 
 use crate::adapt::Resampled;
+use crate::archive::Reach;
 use crate::isolated;
 use crate::level::{Crew, Level, Shares, Stopped, greater};
 use crate::store::{Departures, List};
@@ -44,6 +45,7 @@ const STIFFNESS_AGE: u32 = 10;
 /// A pass that is timed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Pass {
+    Archive,
     Adapt,
     Sort,
     P2G,
@@ -57,6 +59,7 @@ pub(crate) enum Pass {
 impl Pass {
     const fn name(self) -> &'static str {
         match self {
+            Self::Archive => "archive",
             Self::Adapt => "adapt",
             Self::Sort => "sort",
             Self::P2G => "P2G",
@@ -109,13 +112,15 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Does any material harden, so that the bound follows the state?
     hardens: bool,
     steps: u64,
-    /// Mass of all particles that ever came in [kg].
-    mass: f64,
+    /// Mass of all particles that ever came in and are not out of reach [kg].
+    pub(crate) mass: f64,
     departures: Departures,
     /// Number of the next particle that a split makes, and how often particles were split and merged.
     pub(crate) next_id: u64,
     pub(crate) rounds: u64,
     pub(crate) resampled: Resampled,
+    /// What is live, and the archive of what was, if not the whole world is.
+    pub(crate) reach: Option<Reach>,
     shortened: u64,
     parted: u64,
     gravity_impulse: [f64; 3],
@@ -153,6 +158,7 @@ impl<T: Scalar> CpuEngine<T> {
             next_id: 0,
             rounds: 0,
             resampled: Resampled::default(),
+            reach: plan.terrain.clone().map(Reach::new),
             shortened: 0,
             parted: 0,
             gravity_impulse: [0.0; 3],
@@ -180,7 +186,9 @@ impl<T: Scalar> CpuEngine<T> {
         let mut holes = vec![false; self.levels.len()];
         if self.levels.len() > 1 {
             self.flush_strain(time)?;
+            let exchanged = self.exchange_with_archive(couplings)?;
             holes = self.adapt(moved, couplings)?;
+            holes.iter_mut().zip(exchanged).for_each(|(holes, exchanged)| *holes |= exchanged);
         }
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
         let clock = Instant::now();
@@ -241,6 +249,7 @@ impl<T: Scalar> CpuEngine<T> {
                 finer.grid.link(&mut coarser.grid, &coarser.bounds);
             }
         }
+        self.hold_edges();
     }
 
     /// P2G of one level. Strain is up to date afterwards.
@@ -691,7 +700,9 @@ impl<T: Scalar> Engine for CpuEngine<T> {
                 boxes: self.regions.boxes().to_vec(),
                 next_id: self.next_id,
                 rounds: self.rounds,
+                live: self.reach.as_ref().map(Reach::live).unwrap_or_default(),
             }),
+            archive: self.reach.as_ref().map(Reach::archive).unwrap_or_default(),
         }
     }
 
@@ -728,6 +739,9 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         let ids = particles.lists.iter().flat_map(|list| &list.id);
         self.next_id = ids.max().map_or(0, |id| id + 1);
         if let Some(phase) = particles.levels {
+            if let Some(reach) = &mut self.reach {
+                reach.restore(phase.live, particles.archive);
+            }
             self.regions.restore(phase.boxes);
             (self.next_id, self.rounds) = (phase.next_id.max(self.next_id), phase.rounds);
         }
@@ -760,6 +774,9 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             ledger.gravity_impulse[d] += self.gravity_impulse[d];
         }
         self.resampled.account(ledger);
+        if let Some(reach) = &self.reach {
+            reach.account(ledger);
+        }
         ledger.deleted_mass += self.departures.deleted_mass;
         ledger.count("particles put back into the world", self.departures.clamped);
         ledger.count("particles deleted on leaving", self.departures.deleted);
@@ -794,7 +811,8 @@ impl<T: Scalar> Engine for CpuEngine<T> {
 
     fn memory(&self) -> (u64, u64) {
         let sum = |bytes: fn(&Level<T>) -> u64| self.levels.iter().map(bytes).sum();
-        (sum(|level| level.store.bytes()), sum(|level| level.grid.bytes()))
+        let archived = self.reach.as_ref().map_or(0, Reach::bytes);
+        (sum(|level| level.store.bytes()) + archived, sum(|level| level.grid.bytes()))
     }
 }
 

@@ -24,7 +24,7 @@ pub use tools::Tools;
 use crate::stress::pressure;
 use barchan_core::levels::CellBox;
 use barchan_core::plan::Plan;
-use barchan_core::scene::{CutColour, Motion, Scene, Wall};
+use barchan_core::scene::{CutColour, Motion, Scene, Tool, Wall};
 use barchan_core::{ParticleList, ParticleState, Result, Simulation, Vec3};
 use colour::{Ground, viridis};
 use relief::{Dot, Surface};
@@ -113,7 +113,7 @@ impl View {
     /// # Errors
     /// If a material fails to give its stress.
     pub fn draw(&mut self, simulation: &Simulation) -> Result<Image> {
-        let particles = simulation.particles();
+        let particles = simulation.ground();
         let distance = |points: &[Vec3]| {
             let mut nearest = vec![f64::INFINITY; points.len()];
             for coupling in simulation.couplings() {
@@ -363,6 +363,17 @@ fn unit(value: f64, base: &str) -> (f64, String) {
     (factor, format!("{prefix}{base}"))
 }
 
+/// Places where a tool's origin comes by until `end` [m].
+fn places(tool: &Tool, end: f64) -> Vec<Vec3> {
+    match &tool.motion {
+        Motion::Keyframes { frames, .. } => frames.iter().map(|frame| frame.position).collect(),
+        Motion::Velocity { linear, .. } => {
+            vec![tool.position, std::array::from_fn(|d| tool.position[d] + end * linear[d])]
+        }
+        Motion::Fixed | Motion::Free { .. } => vec![tool.position],
+    }
+}
+
 /// What a view shows: the particles with a quarter of their extent around, inside the world, down to a floor.
 fn extent(scene: &Scene, particles: &ParticleState) -> (Vec3, Vec3) {
     let world = &scene.world;
@@ -377,6 +388,15 @@ fn extent(scene: &Scene, particles: &ParticleState) -> (Vec3, Vec3) {
     }
     if low[0] > high[0] {
         return (world.min, world.max);
+    }
+    if scene.levels.reach > 0 {
+        // The ground comes with the tools: show where they go.
+        for place in scene.tool.iter().flat_map(|tool| places(tool, scene.time.end)) {
+            for d in 0..2 {
+                low[d] = low[d].min(place[d]);
+                high[d] = high[d].max(place[d]);
+            }
+        }
     }
     let size: Vec3 = std::array::from_fn(|d| high[d] - low[d] + world.cell);
     let wide = size[0].max(size[1]);

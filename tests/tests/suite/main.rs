@@ -13,5 +13,6 @@ mod seams;
 mod settled;
 mod subcycling;
 mod transfers;
+mod unbounded;
 mod validation;
 mod walls;

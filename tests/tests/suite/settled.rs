@@ -1,6 +1,6 @@
 //! Ground that starts at rest under its own weight.
 
-use barchan::{Plan, Precision, Scene, Simulation};
+use barchan::{Precision, Scene, Simulation};
 use barchan_tests::scenes::{Row, options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, body, material, tool};
 
@@ -53,9 +53,8 @@ fn settled_ground_starts_at_rest() {
         ("von_mises", "young_modulus = 1e6"),
         ("liquid", ""),
     ] {
-        let [bounce, rest] = [(false, 0.05), (true, 0.2)].map(|(settled, time)| {
-            fastest(&mut simulation(&bed(law, parameters, settled), Precision::F32), time)
-        });
+        let [bounce, rest] = [(false, 0.05), (true, 0.2)]
+            .map(|(settled, time)| fastest(&mut simulation(&bed(law, parameters, settled), Precision::F32), time));
         println!("{law}: {bounce:.2e} m/s without, {rest:.2e} m/s with");
         within(&format!("{law}: speed of settled ground over that of the same ground unsettled"), rest / bounce, 2e-3);
     }
@@ -100,7 +99,7 @@ fn settled_ground_carries_the_weight_above_it() {
 #[test]
 fn what_cannot_settle_is_refused_by_name() {
     let refused = |scene: &Scene, what: &str| {
-        let error = Plan::assemble(&barchan::registry(), scene, &options(Precision::F32)).unwrap_err().to_string();
+        let error = Simulation::new(&barchan::registry(), scene, &options(Precision::F32)).unwrap_err().to_string();
         assert!(error.contains("body[0].settled") && error.contains(what), "{error}");
     };
     let with = |changes: &[&str]| {
@@ -120,10 +119,8 @@ fn what_cannot_settle_is_refused_by_name() {
             }
         }
     }
-    let ball = Head::space(CELL).with(&[
-        material("sand", 1000.0, ""),
-        body("sand", "sphere = { radius = 0.1 }", "settled = true"),
-    ]);
+    let ball = Head::space(CELL)
+        .with(&[material("sand", 1000.0, ""), body("sand", "sphere = { radius = 0.1 }", "settled = true")]);
     let error = Scene::from_str(&ball, "ball", "").unwrap_err().to_string();
     assert!(error.contains("body[0].settled") && error.contains("use a box or a height_field"), "{error}");
     let soft = scene(&bed("neo_hookean", "young_modulus = 100.0, poisson_ratio = 0.0", true));
