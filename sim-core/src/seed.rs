@@ -6,16 +6,16 @@ use crate::plan::{PlannedMaterial, Precision};
 use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, cross};
 use crate::solid::Solid;
 use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, settle, solid};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Particles that fixed-point offsets can tell from a cell's face, in cells: half of the last place.
 const SNAP: f64 = 1.0 / (1_u64 << 33) as f64;
-/// How far, in its own sides, a particle may be off its seeded place and still count as not moved.
-pub const UNMOVED: f64 = 0.05;
+/// How far, in spacings, a particle may be off its seeded place and still count as not moved.
+pub const UNMOVED: f64 = 0.1;
 /// By how much its history may have changed, of the larger of 1 and the value it started with.
 pub const UNCHANGED: f64 = 1e-3;
 /// Relative difference of masses and volumes that is rounding.
-const SAME_MASS: f64 = 1e-5;
+const ROUNDING: f64 = 1e-5;
 /// Last place of a fixed-point offset: one cell is this many.
 const FIXED: f64 = (1_u64 << 32) as f64;
 
@@ -127,8 +127,13 @@ impl Terrain {
         Ok(lists)
     }
 
-    /// Are these all particles of a tile, and each where the terrain has it, or was until it was split or merged? Places may be off
-    /// by [`UNMOVED`], history by [`UNCHANGED`].
+    /// Are these the particles of a tile as it was at the start, split and merged perhaps but else unchanged? That is so if
+    ///
+    /// 1. their mass is the tile's;
+    /// 2. those that have never merged are off their seeded place by no more than [`UNMOVED`];
+    /// 3. no cube of the coarsest particle's size holds more or less than at the start by more than `levels.tolerance` of a full
+    ///    one, which is what merging may move;
+    /// 4. history is what it was but for [`UNCHANGED`].
     ///
     /// # Errors
     /// As [`seed_tiles`](Self::seed_tiles).
@@ -141,28 +146,67 @@ impl Terrain {
     ) -> Result<bool> {
         let seeded = self.seed_tiles(&[tile], couplings, regions, &mut 0)?;
         let mass = |lists: &[ParticleList]| lists.iter().flat_map(|list| &list.mass).sum::<f64>();
-        if (mass(lists) - mass(&seeded)).abs() > SAME_MASS * mass(&seeded) {
+        if (mass(lists) - mass(&seeded)).abs() > ROUNDING * mass(&seeded) {
             return Ok(false);
         }
-        for list in lists {
-            for plot in self.plots.iter().filter(|plot| plot.material == list.material as usize) {
+        let coarsest = regions.levels() - 1;
+        for plot in &self.plots {
+            let spacing = self.scene.spacing(&self.scene.body[plot.index]);
+            let (now, then) = (self.filling(plot, coarsest, lists), self.filling(plot, coarsest, &seeded));
+            let full = (spacing * f64::from(1 << coarsest)).powi(3);
+            let off = |cube: &[i64; 3]| {
+                let part = |of: &BTreeMap<[i64; 3], f64>| of.get(cube).copied().unwrap_or(0.0);
+                (part(&now) - part(&then)).abs() > self.scene.levels.tolerance * full
+            };
+            if now.keys().chain(then.keys()).any(off) {
+                return Ok(false);
+            }
+            let planned = &self.materials[plot.material];
+            for list in lists.iter().filter(|list| list.material as usize == plot.material) {
                 let here: Vec<usize> = (0..list.len()).filter(|&i| usize::from(list.body[i]) == plot.index).collect();
-                if !here.iter().all(|&i| self.is_in_place(plot, list.position(i), list.volume0[i])) {
+                let single = |i: usize| (list.volume0[i] / spacing.powi(3) - 1.0).abs() <= ROUNDING;
+                if here.iter().any(|&i| single(i) && !self.is_in_place(plot, list.position(i))) {
                     return Ok(false);
                 }
                 let loads: Vec<f64> = here.iter().map(|&i| self.load(list.position(i))).collect();
-                let planned = &self.materials[plot.material];
                 let Ok(settled) = settle::under(planned, &loads) else { return Ok(false) };
-                let history = settled.iter().skip(planned.material.strain_planes());
-                let same = history.zip(&list.state).all(|(then, now)| {
-                    here.iter().zip(then).all(|(&i, then)| (now[i] - then).abs() <= UNCHANGED * then.abs().max(1.0))
-                });
-                if !same {
+                let history = settled.iter().skip(planned.material.strain_planes()).zip(&list.state);
+                let changed = |now: f64, then: f64| (now - then).abs() > UNCHANGED * then.abs().max(1.0);
+                if history.into_iter().any(|(then, now)| here.iter().zip(then).any(|(&i, then)| changed(now[i], *then)))
+                {
                     return Ok(false);
                 }
             }
         }
         Ok(true)
+    }
+
+    /// Rest volume of a body's particles, each a cube, in the coarsest cubes of its lattice [m³].
+    fn filling(&self, plot: &Plot, coarsest: usize, lists: &[ParticleList]) -> BTreeMap<[i64; 3], f64> {
+        let mut filling = BTreeMap::new();
+        let side = self.scene.spacing(&self.scene.body[plot.index]) * f64::from(1 << coarsest);
+        for list in lists {
+            for i in (0..list.len()).filter(|&i| usize::from(list.body[i]) == plot.index) {
+                let (x, half) = (list.position(i), 0.5 * list.volume0[i].cbrt() / side);
+                // Along each axis: first cube, and how much of the particle lies in it and in each of the next ones.
+                let parts: [(i64, Vec<f64>); 3] = std::array::from_fn(|d| {
+                    let middle = (x[d] - plot.axes[d].site(-0.5).position) / side;
+                    let (low, high) = (middle - half, middle + half);
+                    let first = low.floor();
+                    let ends = (0..).map(|k| first + f64::from(k)).take_while(|start| *start < high);
+                    (first as i64, ends.map(|start| (high.min(start + 1.0) - low.max(start)) / (2.0 * half)).collect())
+                });
+                for (a, p) in (0..).zip(&parts[0].1) {
+                    for (b, q) in (0..).zip(&parts[1].1) {
+                        for (c, r) in (0..).zip(&parts[2].1) {
+                            let cube = [parts[0].0 + a, parts[1].0 + b, parts[2].0 + c];
+                            *filling.entry(cube).or_insert(0.0) += p * q * r * list.volume0[i];
+                        }
+                    }
+                }
+            }
+        }
+        filling
     }
 
     /// The tile that a particle of a body at `x` counts for: that of the coarsest cube of the body's lattice in which it lies, so that what
@@ -181,22 +225,15 @@ impl Terrain {
         regions.tile_of([cell[0], cell[1], 0])
     }
 
-    /// Does a particle of this rest volume stand where one of its size is seeded?
-    fn is_in_place(&self, plot: &Plot, x: Vec3, volume0: f64) -> bool {
+    /// Does a particle of the finest class stand where one is seeded?
+    fn is_in_place(&self, plot: &Plot, x: Vec3) -> bool {
         let spacing = self.scene.spacing(&self.scene.body[plot.index]);
-        let class = ((volume0 / spacing.powi(3)).log2() / 3.0).round().max(0.0) as usize;
-        let side = spacing * f64::from(1_u32 << class.min(31));
-        let mut origin = [0; 3];
-        for (d, axis) in plot.axes.iter().enumerate() {
-            let along = ((x[d] - axis.site(-0.5).position) / side).floor();
-            if !(0.0..=axis.count as f64).contains(&along) {
-                return false;
-            }
-            origin[d] = (along as u64) << class;
+        let number = |d: usize| ((x[d] - plot.axes[d].site(-0.5).position) / spacing).floor();
+        if (0..3).any(|d| !(0.0..plot.axes[d].count as f64).contains(&number(d))) {
+            return false;
         }
-        let site = self.cube_site(plot, origin, class);
-        (volume0 / side.powi(3) - 1.0).abs() <= SAME_MASS
-            && (0..3).all(|d| (site[d].position - x[d]).abs() <= UNMOVED * side)
+        let site = self.cube_site(plot, std::array::from_fn(|d| number(d) as u64), 0);
+        (0..3).all(|d| (site[d].position - x[d]).abs() <= UNMOVED * spacing)
     }
 
     /// Where a particle of 2^class lattice points along each side lies.
