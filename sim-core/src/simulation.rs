@@ -77,6 +77,13 @@ struct Watch {
     potential: f64,
     /// Work that driven bodies have done on the ground since.
     work: f64,
+    /// What has come within reach, and what has fallen out of it [kg]: as either changes, so does energy.
+    exchanged: [f64; 2],
+}
+
+/// What has come within reach of agents, and what has fallen out of it [kg].
+fn exchanged(ledger: &Ledger) -> [f64; 2] {
+    [ledger.seeded_mass, ledger.archived_mass]
 }
 
 impl Simulation {
@@ -383,8 +390,13 @@ impl Simulation {
     fn begin_watch(&mut self) {
         if self.watch.is_none() {
             let ledger = self.ledger();
-            self.watch =
-                Some(Watch { step: self.step, inner: inner(&ledger), potential: potential(&ledger), work: 0.0 });
+            self.watch = Some(Watch {
+                step: self.step,
+                inner: inner(&ledger),
+                potential: potential(&ledger),
+                work: 0.0,
+                exchanged: exchanged(&ledger),
+            });
         }
     }
 
@@ -411,7 +423,7 @@ impl Simulation {
         let floor = 1e-6 * ledger.mass * (self.plan.scene.world.cell / dt).powi(2);
         let scale = watch.inner.max(floor) + 0.1 * (fallen.abs() + watch.work.abs());
         self.watch = None;
-        if unexplained <= (WATCH_GROWTH - 1.0) * scale {
+        if unexplained <= (WATCH_GROWTH - 1.0) * scale || exchanged(&ledger) != watch.exchanged {
             return Ok(());
         }
         Err(Error::Unstable {
