@@ -385,6 +385,32 @@ mod tests {
         assert!(!regions.contains(0, [100, 0, -4001]));
     }
 
+    /// Tiles come within reach, stay for one tile more, and end with the world.
+    #[test]
+    fn tiles_that_are_live_do_not_flicker() {
+        let mut regions = Regions { reach: 4, ..regions(3, 16) };
+        regions.follow(&[agent(0.0, 0.1)]);
+        let first = regions.reached(&BTreeSet::new());
+        assert_eq!(regions.reached(&first), first, "nothing changes while the boxes stay");
+        // The coarsest box is 16 parents wide about the agent, 8 to 4 cells of which the reach adds.
+        let box_ = regions.boxes[1][0];
+        let tile = |c: i32| (c >> 1).div_euclid(TILE);
+        let (x0, x1) = (tile(box_.min[0] - 8), tile(box_.max[0] + 8 - 1));
+        assert!(first.contains(&[x0, 0]) && first.contains(&[x1, 0]));
+        assert!(!first.contains(&[x0 - 1, 0]) && !first.contains(&[x1 + 1, 0]));
+        regions.follow(&[agent(0.16, 0.1)]);
+        let second = regions.reached(&first);
+        assert!(second.contains(&[x0, 0]) && second.contains(&[x1 + 1, 0]), "{second:?}");
+        regions.follow(&[agent(3.2, 0.1)]);
+        let third = regions.reached(&second);
+        assert!(third.is_disjoint(&second));
+        assert!(third.len() <= first.len() + 2 * (x1 - x0 + 2) as usize, "{} and {}", third.len(), first.len());
+        regions.follow(&[agent(40.0, 0.1)]);
+        let [[_, last], _] = regions.tiles_of_world();
+        let end = regions.reached(&third);
+        assert!(end.iter().all(|[x, _]| *x <= last) && end.contains(&[last, 0]));
+    }
+
     #[test]
     fn levels_are_told_apart_by_cells() {
         let mut regions = regions(3, 16);
