@@ -1,6 +1,6 @@
 //! Backends: where particles live and a step is carried out.
 
-use crate::{Coupling, Ledger, ParticleState, Plan, Result, Spot, Wrench};
+use crate::{Coupling, Ledger, ParticleState, Plan, Result, Spot, Tile, Wrench};
 
 /// A way to run a plan, such as `cpu`.
 pub trait Backend: Send + Sync {
@@ -61,15 +61,18 @@ pub trait Engine: Send {
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport>;
     /// Copies the particles out, with the phase of the sort, so that a copy continues bit for bit.
     fn download(&self) -> ParticleState;
-    /// Where every particle is and how large, in the order of [`download`](Self::download) but without the rest of its state.
+    /// Where every particle is and how large, in the order of [`download`](Self::download) but without the rest of its state; then
+    /// those in the archive of ground out of reach.
     fn spots(&self) -> Vec<Spot> {
-        let lists = self.download().lists;
+        let lists = self.download_where(&|_| true).lists;
         lists.iter().flat_map(|list| (0..list.len()).map(|i| list.spot(i))).collect()
     }
     /// Copies out the particles for which `wanted` holds: the same lists as [`download`](Self::download), shorter, without
-    /// the phase of the sort.
+    /// the phase of the sort. Then follow lists of those in the archive of ground out of reach.
     fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
         let mut particles = ParticleState { sort: None, ..self.download() };
+        let archive = std::mem::take(&mut particles.archive);
+        particles.lists.extend(archive.values().flat_map(Tile::unpack));
         particles.lists.iter_mut().for_each(|list| list.retain(wanted));
         particles
     }

@@ -3,13 +3,22 @@
 use crate::Vec3;
 use std::collections::BTreeMap;
 
-/// Totals over all particles and free bodies, world frame.
+/// Totals over all particles and free bodies, world frame. Ground out of reach counts in the mass alone.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Ledger {
     /// Particles.
     pub particles: u64,
-    /// Mass of particles [kg].
+    /// Mass of particles, those in the archive included [kg].
     pub mass: f64,
+    /// Mass of particles that rest in the archive of changed ground out of reach [kg].
+    #[serde(default)]
+    pub archived_mass: f64,
+    /// Mass of the ground that came within reach since the start, less that which fell out of it unchanged [kg].
+    #[serde(default)]
+    pub seeded_mass: f64,
+    /// Kinetic energy of ground at the moment it fell out of reach, which is taken [J].
+    #[serde(default)]
+    pub archived_kinetic: f64,
     /// Momentum of particles [kg m/s].
     pub momentum: Vec3,
     /// Angular momentum about the world's origin, the affine part included [kg m²/s].
@@ -28,7 +37,7 @@ pub struct Ledger {
     pub body_momentum: Vec3,
     /// Angular momentum of free bodies about the world's origin [kg m²/s].
     pub body_angular_momentum: Vec3,
-    /// Impulse that walls have given to particles since the start, but not to those asleep [N s].
+    /// Impulse that walls, and ground out of reach, have given to particles since the start, but not to those asleep [N s].
     pub wall_impulse: Vec3,
     /// Impulse that gravity has given to particles since the start, but not to those asleep [N s].
     pub gravity_impulse: Vec3,

@@ -8,7 +8,7 @@ use crate::coupling::Aabb;
 use crate::scene::{Scene, Wall};
 use crate::{BodyState, Coupling, ParticleState, Vec3};
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 /// Parent cells between a region's faces and those of the next coarser one, at least.
 pub const NESTING: i32 = 4;
@@ -27,6 +27,9 @@ pub const MERGE_BEHIND: i32 = 3;
 /// Cells of depth that ground needs below the surface to bear and give way as deep ground does: the stencil of a node is three
 /// cells wide, and one must lie between the surface and the floor that none of both reaches.
 pub const LEAST_DEPTH: f64 = 4.0;
+/// Cells of the coarsest level along a side of a tile, the unit in which ground comes within reach and leaves it. A tile is a
+/// column of blocks over the whole height of the world.
+pub const TILE: i32 = 4;
 
 /// A box of cells of one level, from `min` up to but without `max`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -82,6 +85,8 @@ pub struct Regions {
     h: f64,
     /// Half the side of a box, in parent cells.
     half: i32,
+    /// Coarsest cells around the boxes that are live; 0: the whole world is.
+    reach: i32,
     /// The world in cells of the finest level.
     world: CellBox,
     /// Ends of each axis that have a wall: the region goes on behind it.
@@ -98,6 +103,7 @@ impl Regions {
         Self {
             h: scene.world.cell,
             half: scene.levels.half as i32 / 2,
+            reach: scene.levels.reach as i32,
             world,
             walled: ends.map(|axis| axis.map(|wall| !matches!(wall, Wall::Open | Wall::Periodic))),
             periodic: ends.map(|axis| axis[0] == Wall::Periodic),
@@ -157,6 +163,52 @@ impl Regions {
             }
         }
         chosen
+    }
+
+    /// Is only the ground around agents live?
+    pub fn unbounded(&self) -> bool {
+        self.reach > 0
+    }
+
+    /// The tile of a cell of the finest level.
+    pub fn tile_of(&self, cell: [i32; 3]) -> [i32; 2] {
+        [cell[0], cell[1]].map(|c| (c >> self.boxes.len()).div_euclid(TILE))
+    }
+
+    /// Cells of the finest level along x and y, from the first up to but without the second, that a tile holds.
+    pub fn cells_of_tile(&self, tile: [i32; 2]) -> [[i32; 2]; 2] {
+        tile.map(|t| [t * TILE, (t + 1) * TILE].map(|c| c << self.boxes.len()))
+    }
+
+    /// Tiles that lie in the world, in the order of their numbers: least and greatest along x and y.
+    pub fn tiles_of_world(&self) -> [[i32; 2]; 2] {
+        let ([x0, y0, _], [x1, y1, _]) = (self.world.min, self.world.max);
+        let ([x0, y0], [x1, y1]) = (self.tile_of([x0, y0, 0]), self.tile_of([x1 - 1, y1 - 1, 0]));
+        [[x0, x1], [y0, y1]]
+    }
+
+    /// Tiles that are live with the boxes where they are: those within reach, and of the ones that were `live` those that are
+    /// less than a tile beyond, so that an agent that trembles brings nothing in and puts nothing away.
+    pub fn reached(&self, live: &BTreeSet<[i32; 2]>) -> BTreeSet<[i32; 2]> {
+        let world = self.tiles_of_world();
+        let mut reached = BTreeSet::new();
+        for one in self.boxes.last().into_iter().flatten().map(CellBox::in_parents) {
+            let tiles = |by: i32| -> [[i32; 2]; 2] {
+                let grown = one.grown(by);
+                std::array::from_fn(|d| {
+                    let [first, last] = world[d];
+                    [
+                        grown.min[d].div_euclid(TILE).clamp(first, last + 1),
+                        (grown.max[d] - 1).div_euclid(TILE).clamp(first - 1, last),
+                    ]
+                })
+            };
+            let [[x0, x1], [y0, y1]] = tiles(self.reach);
+            reached.extend((x0..=x1).flat_map(|x| (y0..=y1).map(move |y| [x, y])));
+            let [[x0, x1], [y0, y1]] = tiles(self.reach + TILE);
+            reached.extend(live.iter().filter(|[x, y]| (x0..=x1).contains(x) && (y0..=y1).contains(y)));
+        }
+        reached
     }
 
     /// Does a level's region hold a cell of that level? Cells behind a wall belong where the wall's own cells do.
@@ -320,6 +372,7 @@ mod tests {
         Regions {
             h: 0.01,
             half: half as i32 / 2,
+            reach: 0,
             world: CellBox { min: [-4000; 3], max: [4000; 3] },
             walled: [[false; 2], [false; 2], [true, false]],
             periodic: [false; 3],
@@ -368,6 +421,32 @@ mod tests {
         assert!(regions.contains(0, [0, 0, -4000]));
         assert!(regions.contains(0, [0, 0, -4003]));
         assert!(!regions.contains(0, [100, 0, -4001]));
+    }
+
+    /// Tiles come within reach, stay for one tile more, and end with the world.
+    #[test]
+    fn tiles_that_are_live_do_not_flicker() {
+        let mut regions = Regions { reach: 4, ..regions(3, 16) };
+        regions.follow(&[agent(0.0, 0.1)]);
+        let first = regions.reached(&BTreeSet::new());
+        assert_eq!(regions.reached(&first), first, "nothing changes while the boxes stay");
+        // The coarsest box is 16 parents wide about the agent, 8 to 4 cells of which the reach adds.
+        let box_ = regions.boxes[1][0];
+        let tile = |c: i32| (c >> 1).div_euclid(TILE);
+        let (x0, x1) = (tile(box_.min[0] - 8), tile(box_.max[0] + 8 - 1));
+        assert!(first.contains(&[x0, 0]) && first.contains(&[x1, 0]));
+        assert!(!first.contains(&[x0 - 1, 0]) && !first.contains(&[x1 + 1, 0]));
+        regions.follow(&[agent(0.16, 0.1)]);
+        let second = regions.reached(&first);
+        assert!(second.contains(&[x0, 0]) && second.contains(&[x1 + 1, 0]), "{second:?}");
+        regions.follow(&[agent(3.2, 0.1)]);
+        let third = regions.reached(&second);
+        assert!(third.is_disjoint(&second));
+        assert!(third.len() <= first.len() + 2 * (x1 - x0 + 2) as usize, "{} and {}", third.len(), first.len());
+        regions.follow(&[agent(40.0, 0.1)]);
+        let [[_, last], _] = regions.tiles_of_world();
+        let end = regions.reached(&third);
+        assert!(end.iter().all(|[x, _]| *x <= last) && end.contains(&[last, 0]));
     }
 
     #[test]

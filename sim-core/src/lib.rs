@@ -10,6 +10,7 @@
     reason = "Error::Missing has 136 bytes, 8 above the lint's mark; errors end a run, so their size costs nothing"
 )]
 
+pub mod archive;
 pub mod backend;
 pub mod coupling;
 pub mod error;
@@ -29,6 +30,7 @@ pub mod solid;
 pub mod state;
 pub mod task;
 
+pub use archive::Tile;
 pub use backend::{Backend, Engine, StepReport};
 pub use coupling::{Aabb, BodyState, Coupling, NodeBatch, Wrench};
 pub use error::{Error, Result};
@@ -38,6 +40,7 @@ pub use material::Material;
 pub use plan::{Effect, Plan, Precision, Stage};
 pub use registry::Registry;
 pub use scene::Scene;
+pub use seed::Terrain;
 pub use simulation::{Options, Simulation};
 pub use state::{LevelPhase, Measured, ParticleList, ParticleState, SortPhase, Spot};
 pub use task::Task;

@@ -1,15 +1,16 @@
 //! The plan: the effects that a scene calls for, and why; the stages they need; what bounds the step; what memory they take.
 
 use crate::backend::Bound;
-use crate::levels::{Agent, CellBox, LEAST_DEPTH, Regions, agent_bounds, surface_depths};
+use crate::levels::{Agent, CellBox, LEAST_DEPTH, Regions, TILE, agent_bounds, surface_depths};
 use crate::material::ErrorBuffer;
 use crate::scene::{Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest};
 use crate::seed::Terrain;
 use crate::simulation::Options;
-use crate::{Coupling, Error, Material, ParticleState, Registry, Result, Scene, Vec3};
+use crate::{Coupling, Error, Material, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
 use barchan_abi as abi;
 use std::collections::HashSet;
 use std::fmt;
+use std::sync::Arc;
 
 /// Registered name of the coupling that a scene's tools call for.
 pub const TOOL_COUPLING: &str = "rigid";
@@ -77,6 +78,8 @@ pub enum Stage {
     G2P,
     /// Regions moved after their agents, particles split and merged.
     Adapt,
+    /// Ground brought in as agents come near, and put away behind them.
+    Archive,
 }
 
 impl fmt::Display for Stage {
@@ -85,6 +88,7 @@ impl fmt::Display for Stage {
             Self::Sort => "sort",
             Self::P2G => "P2G",
             Self::Adapt => "adapt",
+            Self::Archive => "archive",
             Self::Restrict => "restrict",
             Self::Prolong => "prolong",
             Self::GridUpdate => "grid update",
@@ -138,6 +142,8 @@ pub struct Plan {
     pub ground_cells: Vec<Option<f64>>,
     /// Where the levels are at the start.
     pub regions: Regions,
+    /// The ground as a function of position, if only what is within reach of agents is live.
+    pub terrain: Option<Arc<Terrain>>,
     /// What the levels follow.
     pub agents: Vec<Agent>,
     /// Steps of the finest level in one step of the simulation.
@@ -303,6 +309,7 @@ impl Plan {
         let mut regions = Regions::new(&scene, CellBox { min: cell_min, max: cell_max });
         let agents = if regions.levels() > 1 { agents(&scene) } else { Vec::new() };
         let resumed = particles.is_some();
+        let terrain = Arc::new(Terrain::new(&scene, registry, &materials, options.precision)?);
         let particles = match particles {
             Some(particles) => {
                 if let Some(phase) = &particles.levels {
@@ -314,7 +321,7 @@ impl Plan {
                 let soft = |body: u16| scene.body[usize::from(body)].shape.bounds();
                 regions.follow(&agent_bounds(&agents, &couplings, soft));
                 let cap = options.max_bytes.unwrap_or_else(available_bytes);
-                Terrain::new(&scene, registry, &materials, options.precision)?.seed(&couplings, &regions, cap)?
+                terrain.seed(&couplings, &regions, cap)?
             }
         };
         let levels = scene.levels.count;
@@ -335,6 +342,7 @@ impl Plan {
             ground_cells,
             cell_min,
             cell_max,
+            terrain: regions.unbounded().then_some(terrain),
             regions,
             agents,
             substeps: scene.levels.substeps(),
@@ -343,7 +351,7 @@ impl Plan {
             couplings: kinds.into_iter().map(|(kind, _)| kind).collect(),
             effects: Vec::new(),
             stages: Vec::new(),
-            particle_count: particles.lists.iter().map(crate::ParticleList::len).sum(),
+            particle_count: particles.lists.iter().map(ParticleList::len).sum(),
             memory: (0, 0),
             bound,
             dt,
@@ -354,11 +362,10 @@ impl Plan {
         plan.check_particles(&particles)?;
         plan.memory = plan.estimate_memory(&particles);
         plan.stages = plan.list_stages();
-        let by_level = particles
-            .lists
-            .chunks(plan.materials.len().max(1))
-            .map(|level| level.iter().map(crate::ParticleList::len).sum());
-        plan.effects = plan.list_effects(&by_level.collect::<Vec<usize>>());
+        let by_level =
+            particles.lists.chunks(plan.materials.len().max(1)).map(|level| level.iter().map(ParticleList::len).sum());
+        let live = particles.levels.as_ref().map_or(0, |phase| phase.live.len());
+        plan.effects = plan.list_effects(&by_level.collect::<Vec<usize>>(), live);
         plan.warn(registry, &couplings)?;
         Ok((plan, particles, couplings))
     }
@@ -404,34 +411,53 @@ impl Plan {
         }
         for (i, list) in particles.lists.iter().enumerate() {
             let (level, material) = (i / materials, i % materials);
-            let (law, n) = (&self.materials[material].material, list.len());
-            let place = (list.world, list.level as usize, list.material as usize);
-            if place != (0, level, material) || list.cell_width != self.cell_widths[level] {
-                return refuse(format!(
-                    "list {i} is of world {}, level {} with cells of {} m and material {}",
-                    list.world, list.level, list.cell_width, list.material
-                ));
+            if (list.level as usize, list.material as usize) != (level, material) {
+                return refuse(format!("list {i} is of level {} and material {}", list.level, list.material));
             }
-            if list.strain.len() != law.strain_planes() || list.state.len() != law.states.len() {
-                return refuse(format!(
-                    "list {i} has {} strain and {} history planes where its material has {} and {}",
-                    list.strain.len(),
-                    list.state.len(),
-                    law.strain_planes(),
-                    law.states.len()
-                ));
+            self.check_list(&format!("list {i}"), list).or_else(refuse)?;
+        }
+        if self.terrain.is_some() && particles.levels.as_ref().is_none_or(|phase| phase.live.is_empty()) {
+            return refuse("nothing says which tiles are live".to_owned());
+        }
+        for (tile, archived) in &particles.archive {
+            for list in archived.unpack() {
+                self.check_list(&format!("a list of tile {tile:?}"), &list).or_else(refuse)?;
             }
-            let planes = list.strain.iter().chain(&list.state).chain([&list.mass, &list.volume0]).map(Vec::len);
-            let rows = [list.body.len(), list.cell.len(), list.offset.len(), list.velocity.len(), list.affine.len()];
-            if let Some(length) = planes.chain(rows).find(|length| *length != n) {
-                return refuse(format!("list {i} has {n} ids and a plane of {length} entries"));
-            }
-            let lost = list.cell.iter().flatten().position(|c| c.unsigned_abs() > FARTHEST_CELL);
-            let outside = list.offset.iter().flatten().position(|x| !(0.0..1.0).contains(x));
-            if let Some(at) = lost.or(outside) {
-                let (cell, offset) = (list.cell[at / 3], list.offset[at / 3]);
-                return refuse(format!("particle {} is in cell {cell:?} at offset {offset:?}", list.id[at / 3]));
-            }
+        }
+        Ok(())
+    }
+
+    /// What is wrong with the shape of a list.
+    fn check_list(&self, name: &str, list: &ParticleList) -> Result<(), String> {
+        let width = self.cell_widths.get(list.level as usize);
+        let (Some(planned), 0, true) =
+            (self.materials.get(list.material as usize), list.world, width == Some(&list.cell_width))
+        else {
+            return Err(format!(
+                "{name} is of world {}, level {} with cells of {} m and material {}",
+                list.world, list.level, list.cell_width, list.material
+            ));
+        };
+        let (law, n) = (&planned.material, list.len());
+        if list.strain.len() != law.strain_planes() || list.state.len() != law.states.len() {
+            return Err(format!(
+                "{name} has {} strain and {} history planes where its material has {} and {}",
+                list.strain.len(),
+                list.state.len(),
+                law.strain_planes(),
+                law.states.len()
+            ));
+        }
+        let planes = list.strain.iter().chain(&list.state).chain([&list.mass, &list.volume0]).map(Vec::len);
+        let rows = [list.body.len(), list.cell.len(), list.offset.len(), list.velocity.len(), list.affine.len()];
+        if let Some(length) = planes.chain(rows).find(|length| *length != n) {
+            return Err(format!("{name} has {n} ids and a plane of {length} entries"));
+        }
+        let lost = list.cell.iter().flatten().position(|c| c.unsigned_abs() > FARTHEST_CELL);
+        let outside = list.offset.iter().flatten().position(|x| !(0.0..1.0).contains(x));
+        if let Some(at) = lost.or(outside) {
+            let (cell, offset) = (list.cell[at / 3], list.offset[at / 3]);
+            return Err(format!("particle {} is in cell {cell:?} at offset {offset:?}", list.id[at / 3]));
         }
         Ok(())
     }
@@ -457,6 +483,7 @@ impl Plan {
     fn list_stages(&self) -> Vec<Stage> {
         let (ground, levels) = (self.particle_count > 0, self.cell_widths.len() > 1);
         let in_order = [
+            (Stage::Archive, ground && self.terrain.is_some()),
             (Stage::Adapt, ground && levels),
             (Stage::Sort, ground),
             (Stage::P2G, ground),
@@ -469,7 +496,7 @@ impl Plan {
         in_order.into_iter().filter(|(_, called_for)| *called_for).map(|(stage, _)| stage).collect()
     }
 
-    fn list_effects(&self, particles_by_level: &[usize]) -> Vec<Effect> {
+    fn list_effects(&self, particles_by_level: &[usize], live: usize) -> Vec<Effect> {
         let scene = &self.scene;
         let mut effects = Vec::new();
         let mut add = |name: String, because: String, adds: String| effects.push(Effect { name, because, adds });
@@ -504,6 +531,17 @@ impl Plan {
                     "adapt, restrict, prolong; {} particles, finest first; boxes of {}³ cells",
                     counts.join(" + "),
                     2 * scene.levels.half
+                ),
+            );
+        }
+        if self.terrain.is_some() {
+            let tile = f64::from(TILE) * self.cell_widths[self.cell_widths.len() - 1];
+            let tiles: i64 = self.regions.tiles_of_world().iter().map(|[a, b]| i64::from(b - a + 1)).product();
+            add(
+                "unbounded ground".to_owned(),
+                format!("levels.reach = {}", scene.levels.reach),
+                format!(
+                    "archive; {live} of {tiles} tiles of {tile} m live, the others are what the bodies' shapes say or what agents have left"
                 ),
             );
         }

@@ -107,7 +107,7 @@ pub struct Levels {
     #[serde(default = "one_level")]
     pub count: u32,
     /// Cells along each level's box around an agent, counted from its middle in cells of the level. The coarsest level is the
-    /// whole world.
+    /// whole world, or what is within `reach`.
     #[serde(default = "default_half")]
     pub half: u32,
     /// Names of the tools and bodies that the boxes follow; absent: all tools that move.
@@ -116,6 +116,11 @@ pub struct Levels {
     /// Steps twice as long on each coarser level.
     #[serde(default)]
     pub subcycle: bool,
+    /// Cells of the coarsest level around the agents' boxes in which ground is live. What lies further away stays what the bodies'
+    /// shapes say until it comes within reach, and what agents have changed is kept when it falls out of reach. 0: the whole
+    /// world is live.
+    #[serde(default)]
+    pub reach: u32,
     /// Particles at the surface are not merged where that would move the surface by more than this, in sides of the merged
     /// particle; and particles are not merged if their history differs by more.
     #[serde(default = "default_tolerance")]
@@ -141,7 +146,14 @@ impl Levels {
 
 impl Default for Levels {
     fn default() -> Self {
-        Self { count: one_level(), half: default_half(), agents: None, subcycle: false, tolerance: default_tolerance() }
+        Self {
+            count: one_level(),
+            half: default_half(),
+            agents: None,
+            subcycle: false,
+            reach: 0,
+            tolerance: default_tolerance(),
+        }
     }
 }
 

@@ -6,9 +6,16 @@ use crate::plan::{PlannedMaterial, Precision};
 use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, cross};
 use crate::solid::Solid;
 use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, settle, solid};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Particles that fixed-point offsets can tell from a cell's face, in cells: half of the last place.
 const SNAP: f64 = 1.0 / (1_u64 << 33) as f64;
+/// How far, in spacings, a particle may be off its seeded place and still count as not moved.
+pub const UNMOVED: f64 = 0.1;
+/// By how much its history may have changed, of the larger of 1 and the value it started with.
+pub const UNCHANGED: f64 = 1e-3;
+/// Relative difference of masses and volumes that is rounding.
+const ROUNDING: f64 = 1e-5;
 /// Last place of a fixed-point offset: one cell is this many.
 const FIXED: f64 = (1_u64 << 32) as f64;
 
@@ -87,20 +94,162 @@ impl Terrain {
         regions: &Regions,
         max_bytes: u64,
     ) -> Result<ParticleState> {
-        let mut lists: Vec<_> = (0..regions.levels())
-            .flat_map(|level| self.materials.iter().enumerate().map(move |(m, planned)| (level, m, planned)))
-            .map(|(level, m, planned)| empty_list(level, m, planned, self.scene.world.cell))
-            .collect();
-        let mut seeder = Seeder { terrain: self, couplings, regions, next_id: 0, bytes: 0.0, max_bytes };
-        for plot in &self.plots {
-            seeder.fill(plot, lists.iter_mut().skip(plot.material).step_by(self.materials.len()).collect())?;
-        }
+        let live = if regions.unbounded() { regions.reached(&BTreeSet::new()) } else { BTreeSet::new() };
+        let tiles: Vec<_> = live.iter().copied().collect();
+        let within = regions.unbounded().then_some(tiles.as_slice());
+        let mut seeder = Seeder { terrain: self, couplings, regions, within, next_id: 0, bytes: 0.0, max_bytes };
+        let lists = seeder.lists()?;
         let levels = (regions.levels() > 1).then(|| LevelPhase {
             boxes: regions.boxes().to_vec(),
             next_id: seeder.next_id,
             rounds: 0,
+            live,
         });
-        Ok(ParticleState { lists, strain_dt: 0.0, sort: None, levels })
+        Ok(ParticleState { lists, levels, ..ParticleState::default() })
+    }
+
+    /// Seeds some tiles as they were at the start, in the resolution that they have with the regions where they are. Numbers of
+    /// particles go on from `next_id`. One list per level and planned material.
+    ///
+    /// # Errors
+    /// Settled ground that its material cannot carry.
+    pub fn seed_tiles(
+        &self,
+        tiles: &[[i32; 2]],
+        couplings: &[Box<dyn Coupling>],
+        regions: &Regions,
+        next_id: &mut u64,
+    ) -> Result<Vec<ParticleList>> {
+        let (within, max_bytes) = (Some(tiles), u64::MAX);
+        let mut seeder = Seeder { terrain: self, couplings, regions, within, next_id: *next_id, bytes: 0.0, max_bytes };
+        let lists = seeder.lists()?;
+        *next_id = seeder.next_id;
+        Ok(lists)
+    }
+
+    /// Are these the particles of a tile as it was at the start, split and merged perhaps but else unchanged? That is so if
+    ///
+    /// 1. their mass is the tile's;
+    /// 2. those that have never merged are off their seeded place by no more than [`UNMOVED`];
+    /// 3. no cube of the coarsest particle's size holds more or less than at the start by more than `levels.tolerance` of a full
+    ///    one, which is what merging may move;
+    /// 4. history is what it was but for [`UNCHANGED`].
+    ///
+    /// # Errors
+    /// As [`seed_tiles`](Self::seed_tiles).
+    pub fn is_untouched(
+        &self,
+        tile: [i32; 2],
+        lists: &[ParticleList],
+        couplings: &[Box<dyn Coupling>],
+        regions: &Regions,
+    ) -> Result<bool> {
+        let seeded = self.seed_tiles(&[tile], couplings, regions, &mut 0)?;
+        let mass = |lists: &[ParticleList]| lists.iter().flat_map(|list| &list.mass).sum::<f64>();
+        if (mass(lists) - mass(&seeded)).abs() > ROUNDING * mass(&seeded) {
+            return Ok(false);
+        }
+        let coarsest = regions.levels() - 1;
+        for plot in &self.plots {
+            let spacing = self.scene.spacing(&self.scene.body[plot.index]);
+            let (now, then) = (self.filling(plot, coarsest, lists), self.filling(plot, coarsest, &seeded));
+            let full = (spacing * f64::from(1 << coarsest)).powi(3);
+            let off = |cube: &[i64; 3]| {
+                let part = |of: &BTreeMap<[i64; 3], f64>| of.get(cube).copied().unwrap_or(0.0);
+                (part(&now) - part(&then)).abs() > self.scene.levels.tolerance * full
+            };
+            if now.keys().chain(then.keys()).any(off) {
+                return Ok(false);
+            }
+            let planned = &self.materials[plot.material];
+            for list in lists.iter().filter(|list| list.material as usize == plot.material) {
+                let here: Vec<usize> = (0..list.len()).filter(|&i| usize::from(list.body[i]) == plot.index).collect();
+                let single = |i: usize| (list.volume0[i] / spacing.powi(3) - 1.0).abs() <= ROUNDING;
+                if here.iter().any(|&i| single(i) && !self.is_in_place(plot, list.position(i))) {
+                    return Ok(false);
+                }
+                let loads: Vec<f64> = here.iter().map(|&i| self.load(list.position(i))).collect();
+                let Ok(settled) = settle::under(planned, &loads) else { return Ok(false) };
+                let history = settled.iter().skip(planned.material.strain_planes()).zip(&list.state);
+                let changed = |now: f64, then: f64| (now - then).abs() > UNCHANGED * then.abs().max(1.0);
+                if history.into_iter().any(|(then, now)| here.iter().zip(then).any(|(&i, then)| changed(now[i], *then)))
+                {
+                    return Ok(false);
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// Rest volume of a body's particles, each a cube, in the coarsest cubes of its lattice [m³].
+    fn filling(&self, plot: &Plot, coarsest: usize, lists: &[ParticleList]) -> BTreeMap<[i64; 3], f64> {
+        let mut filling = BTreeMap::new();
+        let side = self.scene.spacing(&self.scene.body[plot.index]) * f64::from(1 << coarsest);
+        for list in lists {
+            for i in (0..list.len()).filter(|&i| usize::from(list.body[i]) == plot.index) {
+                let (x, half) = (list.position(i), 0.5 * list.volume0[i].cbrt() / side);
+                // Along each axis: first cube, and how much of the particle lies in it and in each of the next ones.
+                let parts: [(i64, Vec<f64>); 3] = std::array::from_fn(|d| {
+                    let middle = (x[d] - plot.axes[d].site(-0.5).position) / side;
+                    let (low, high) = (middle - half, middle + half);
+                    let first = low.floor();
+                    let ends = (0..).map(|k| first + f64::from(k)).take_while(|start| *start < high);
+                    (first as i64, ends.map(|start| (high.min(start + 1.0) - low.max(start)) / (2.0 * half)).collect())
+                });
+                for (a, p) in (0..).zip(&parts[0].1) {
+                    for (b, q) in (0..).zip(&parts[1].1) {
+                        for (c, r) in (0..).zip(&parts[2].1) {
+                            let cube = [parts[0].0 + a, parts[1].0 + b, parts[2].0 + c];
+                            *filling.entry(cube).or_insert(0.0) += p * q * r * list.volume0[i];
+                        }
+                    }
+                }
+            }
+        }
+        filling
+    }
+
+    /// The tile that a particle of a body at `x` counts for: that of the coarsest cube of the body's lattice in which it lies, so that what
+    /// is seeded with a tile belongs to it whatever the lattice's corner.
+    pub fn tile_of(&self, body: u16, x: Vec3, regions: &Regions) -> [i32; 2] {
+        let plot = self.plots.iter().find(|plot| plot.index == usize::from(body));
+        let side = f64::from(1 << (regions.levels() - 1));
+        let cell = [0, 1].map(|d| match plot {
+            Some(Plot { axes, .. }) => {
+                let axis = &axes[d];
+                let cube = ((x[d] - axis.site(-0.5).position) / (side * axis.step * axis.width)).floor();
+                axis.site(side * (cube + 0.5) - 0.5).cell
+            }
+            None => (x[d] / self.scene.world.cell).floor() as i32,
+        });
+        regions.tile_of([cell[0], cell[1], 0])
+    }
+
+    /// Does a particle of the finest class stand where one is seeded?
+    fn is_in_place(&self, plot: &Plot, x: Vec3) -> bool {
+        let spacing = self.scene.spacing(&self.scene.body[plot.index]);
+        let number = |d: usize| ((x[d] - plot.axes[d].site(-0.5).position) / spacing).floor();
+        if (0..3).any(|d| !(0.0..plot.axes[d].count as f64).contains(&number(d))) {
+            return false;
+        }
+        let site = self.cube_site(plot, std::array::from_fn(|d| number(d) as u64), 0);
+        (0..3).all(|d| (site[d].position - x[d]).abs() <= UNMOVED * spacing)
+    }
+
+    /// Where a particle of 2^class lattice points along each side lies.
+    fn cube_site(&self, plot: &Plot, origin: [u64; 3], class: usize) -> [Site; 3] {
+        let side = f64::from(1_u32 << class);
+        std::array::from_fn(|d| {
+            let axis = &plot.axes[d];
+            let random = match self.scene.body[plot.index].sampling {
+                Sampling::Lattice => 0.5,
+                Sampling::Jitter => {
+                    let number = (origin[0] * plot.axes[1].count + origin[1]) * plot.axes[2].count + origin[2];
+                    uniform(self.scene.seed, plot.index as u64, number, d as u64)
+                }
+            };
+            axis.site(origin[d] as f64 + 0.5 * (side - 1.0) + side * (random - 0.5))
+        })
     }
 
     /// Weight of all settled ground above a point, per area [Pa].
@@ -156,22 +305,12 @@ fn is_empty(scene: &Scene, index: usize, why: String, mend: &str) -> Error {
     scene.fault(&format!("body[{index}]"), format!("body{name} has no particles: {why}"), mend)
 }
 
-/// A list without particles but with all of its planes.
-fn empty_list(level: usize, index: usize, planned: &PlannedMaterial, finest: f64) -> ParticleList {
-    ParticleList {
-        level: level as u32,
-        material: index as u32,
-        cell_width: finest * f64::from(1 << level),
-        strain: vec![Vec::new(); planned.material.strain_planes()],
-        state: vec![Vec::new(); planned.material.states.len()],
-        ..ParticleList::default()
-    }
-}
-
 struct Seeder<'a> {
     terrain: &'a Terrain,
     couplings: &'a [Box<dyn Coupling>],
     regions: &'a Regions,
+    /// Tiles to be seeded; absent: everything.
+    within: Option<&'a [[i32; 2]]>,
     next_id: u64,
     /// Bytes asked for so far.
     bytes: f64,
@@ -179,6 +318,22 @@ struct Seeder<'a> {
 }
 
 impl Seeder<'_> {
+    /// All bodies' particles, one list per level and material.
+    fn lists(&mut self) -> Result<Vec<ParticleList>> {
+        let Terrain { scene, materials, plots, .. } = self.terrain;
+        let mut lists: Vec<_> = (0..self.regions.levels())
+            .flat_map(|level| materials.iter().enumerate().map(move |(m, planned)| (level, m, &planned.material)))
+            .map(|(level, m, law)| {
+                let width = scene.world.cell * f64::from(1 << level);
+                ParticleList::empty(level, m, width, law.strain_planes(), law.states.len())
+            })
+            .collect();
+        for plot in plots {
+            self.fill(plot, lists.iter_mut().skip(plot.material).step_by(materials.len()).collect())?;
+        }
+        Ok(lists)
+    }
+
     /// Fills one body; `lists` are those of its material, finest level first.
     fn fill(&mut self, plot: &Plot, mut lists: Vec<&mut ParticleList>) -> Result<()> {
         let (scene, precision) = (&self.terrain.scene, self.terrain.precision);
@@ -267,32 +422,36 @@ impl Seeder<'_> {
         let mut classes = vec![Vec::new(); lists.len()];
         let each = bytes_while_seeding(&self.terrain.materials[plot.material], precision) as f64;
         let mut found = Vec::new();
-        let starts = |d: usize| (0..plot.axes[d].count).step_by(1 << coarsest);
-        for i in starts(0) {
-            for j in starts(1) {
-                for k in starts(2) {
-                    self.find_cubes(&cubes, [i, j, k], coarsest, &mut found);
-                }
-                self.bytes += found.len() as f64 * each;
-                if self.bytes > self.max_bytes as f64 {
-                    return Err(Error::Capacity {
-                        what: "memory for particles [bytes]",
-                        asked: self.bytes as u64,
-                        cap: self.max_bytes,
-                        mend: "add a level, raise world.cell or spacing, shrink the bodies, or raise the cap",
-                    });
-                }
-                for (origin, class) in found.drain(..) {
-                    let site = self.cube_site(&cubes, origin, class);
-                    let level = self.regions.finest_at(site.map(|s| s.cell), SPLIT_AHEAD);
-                    let fixed = site.map(|s| s.on_level(level, precision));
-                    lists[level].cell.push(fixed.map(|f| f.0));
-                    lists[level].offset.push(fixed.map(|f| f.1));
-                    classes[level].push(class as u32);
-                }
+        let side = 1 << coarsest;
+        // Numbers of the coarsest cubes along x and y, and along z.
+        let all = [0, 1].map(|d| (0..plot.axes[d].count.div_ceil(side)).collect::<Vec<_>>());
+        let columns = match self.within {
+            None => vec![all],
+            Some(tiles) => tiles.iter().map(|&tile| self.cubes_of_tile(plot, tile, side)).collect(),
+        };
+        for (i, j) in columns.iter().flat_map(|[x, y]| x.iter().flat_map(move |i| y.iter().map(move |j| (i, j)))) {
+            for k in (0..plot.axes[2].count).step_by(side as usize) {
+                self.find_cubes(&cubes, [i * side, j * side, k], coarsest, &mut found);
+            }
+            self.bytes += found.len() as f64 * each;
+            if self.bytes > self.max_bytes as f64 {
+                return Err(Error::Capacity {
+                    what: "memory for particles [bytes]",
+                    asked: self.bytes as u64,
+                    cap: self.max_bytes,
+                    mend: "add a level, raise world.cell or spacing, shrink the bodies, or raise the cap",
+                });
+            }
+            for (origin, class) in found.drain(..) {
+                let site = self.terrain.cube_site(plot, origin, class);
+                let level = self.regions.finest_at(site.map(|s| s.cell), SPLIT_AHEAD);
+                let fixed = site.map(|s| s.on_level(level, precision));
+                lists[level].cell.push(fixed.map(|f| f.0));
+                lists[level].offset.push(fixed.map(|f| f.1));
+                classes[level].push(class as u32);
             }
         }
-        if classes.iter().all(Vec::is_empty) {
+        if self.within.is_none() && classes.iter().all(Vec::is_empty) {
             return Err(is_empty(
                 scene,
                 plot.index,
@@ -304,6 +463,19 @@ impl Seeder<'_> {
             ));
         }
         self.fill_rest(plot, lists, &classes)
+    }
+
+    /// Numbers along x and y of the cubes of `side` lattice points whose middle lies in a tile.
+    fn cubes_of_tile(&self, plot: &Plot, tile: [i32; 2], side: u64) -> [Vec<u64>; 2] {
+        let cells = self.regions.cells_of_tile(tile);
+        std::array::from_fn(|d| {
+            let (axis, [first, end]) = (&plot.axes[d], cells[d]);
+            let middle = |cube: u64| axis.site(side as f64 * (cube as f64 + 0.5) - 0.5).cell;
+            let count = axis.count.div_ceil(side);
+            let cubes: Vec<u64> = (0..count).collect();
+            let [from, to] = [first, end].map(|face| cubes.partition_point(|&cube| middle(cube) < face));
+            cubes[from..to].to_vec()
+        })
     }
 
     /// Finds the largest particles that fill the cube of 2^class lattice points along each side. Is it one single particle?
@@ -327,7 +499,7 @@ impl Seeder<'_> {
         }
         let clear = !cubes.body.around_tools || !cubes.tools.iter().any(|tool| tool.meets(&points));
         if class == 0 {
-            let place = self.cube_site(cubes, origin, 0).map(|s| s.position);
+            let place = self.terrain.cube_site(cubes.plot, origin, 0).map(|s| s.position);
             let free = clear || self.couplings.iter().all(|c| c.distance(&[place])[0] >= 0.0);
             if !free || !cubes.plot.solid.contains(place) {
                 return false;
@@ -335,7 +507,7 @@ impl Seeder<'_> {
             found.push((origin, 0));
             return true;
         }
-        let site = self.cube_site(cubes, origin, class);
+        let site = self.terrain.cube_site(cubes.plot, origin, class);
         let reached = class <= self.regions.finest_at(site.map(|s| s.cell), SPLIT_AHEAD);
         let start = found.len();
         if !(whole && reached && clear && cover == Some(true)) {
@@ -351,23 +523,6 @@ impl Seeder<'_> {
         }
         found.push((origin, class));
         true
-    }
-
-    /// Where a particle of 2^class lattice points along each side lies.
-    fn cube_site(&self, cubes: &Cubes, origin: [u64; 3], class: usize) -> [Site; 3] {
-        let side = f64::from(1_u32 << class);
-        std::array::from_fn(|d| {
-            let axis = &cubes.plot.axes[d];
-            let random = match cubes.body.sampling {
-                Sampling::Lattice => 0.5,
-                Sampling::Jitter => {
-                    let number =
-                        (origin[0] * cubes.plot.axes[1].count + origin[1]) * cubes.plot.axes[2].count + origin[2];
-                    uniform(self.terrain.scene.seed, cubes.plot.index as u64, number, d as u64)
-                }
-            };
-            axis.site(origin[d] as f64 + 0.5 * (side - 1.0) + side * (random - 0.5))
-        })
     }
 
     /// Everything but positions, for the particles that have been placed in the lists of one material. `classes` says how

@@ -6,7 +6,7 @@ use crate::scene::OverBound;
 use crate::snapshot::Snapshot;
 use crate::{
     BodyState, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, Spot,
-    StepReport, Vec3, Wrench,
+    StepReport, Tile, Vec3, Wrench,
 };
 use std::fmt;
 use std::ops::ControlFlow;
@@ -77,6 +77,13 @@ struct Watch {
     potential: f64,
     /// Work that driven bodies have done on the ground since.
     work: f64,
+    /// What has come within reach, and what has fallen out of it [kg]: as either changes, so does energy.
+    exchanged: [f64; 2],
+}
+
+/// What has come within reach of agents, and what has fallen out of it [kg].
+fn exchanged(ledger: &Ledger) -> [f64; 2] {
+    [ledger.seeded_mass, ledger.archived_mass]
 }
 
 impl Simulation {
@@ -190,11 +197,18 @@ impl Simulation {
     pub fn particles(&self) -> ParticleState {
         self.engine.download()
     }
-    /// A copy of the particles for which `wanted` holds: the same lists, shorter. It cannot be handed back.
-    pub fn particles_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
+    /// A copy of all particles, and of those in the archive of changed ground out of reach, which are at rest: a list each per
+    /// level and material that a tile has. Not to be handed back.
+    pub fn ground(&self) -> ParticleState {
+        let mut all = self.engine.download();
+        all.lists.extend(all.archive.values().flat_map(Tile::unpack));
+        all
+    }
+    /// The particles of [`ground`](Self::ground) for which `wanted` holds: the same lists, shorter. Not to be handed back.
+    pub fn ground_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
         self.engine.download_where(wanted)
     }
-    /// Where every particle is and how large, in the order of [`particles`](Self::particles), for a fraction of its cost.
+    /// Where every particle of [`ground`](Self::ground) is and how large, for a fraction of its cost.
     pub fn spots(&self) -> Vec<Spot> {
         self.engine.spots()
     }
@@ -384,8 +398,13 @@ impl Simulation {
     fn begin_watch(&mut self) {
         if self.watch.is_none() {
             let ledger = self.ledger();
-            self.watch =
-                Some(Watch { step: self.step, inner: inner(&ledger), potential: potential(&ledger), work: 0.0 });
+            self.watch = Some(Watch {
+                step: self.step,
+                inner: inner(&ledger),
+                potential: potential(&ledger),
+                work: 0.0,
+                exchanged: exchanged(&ledger),
+            });
         }
     }
 
@@ -412,7 +431,7 @@ impl Simulation {
         let floor = 1e-6 * ledger.mass * (self.plan.scene.world.cell / dt).powi(2);
         let scale = watch.inner.max(floor) + 0.1 * (fallen.abs() + watch.work.abs());
         self.watch = None;
-        if unexplained <= (WATCH_GROWTH - 1.0) * scale {
+        if unexplained <= (WATCH_GROWTH - 1.0) * scale || exchanged(&ledger) != watch.exchanged {
             return Ok(());
         }
         Err(Error::Unstable {
@@ -449,6 +468,8 @@ fn only_sums(mut ledger: Ledger) -> Ledger {
         wall_impulse: ledger.wall_impulse,
         gravity_impulse: ledger.gravity_impulse,
         deleted_mass: ledger.deleted_mass,
+        seeded_mass: ledger.seeded_mass,
+        archived_kinetic: ledger.archived_kinetic,
         resampled_kinetic: ledger.resampled_kinetic,
         resampled_angular_momentum: ledger.resampled_angular_momentum,
         slept_kinetic: ledger.slept_kinetic,

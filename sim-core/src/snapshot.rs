@@ -5,8 +5,9 @@
 //! section: tag (4 bytes) | length u64 | CRC-32 of the payload u32 | payload
 //! ```
 //! All numbers are little-endian. Planes of numbers are stored as f32 where that loses nothing, offsets as 32-bit fixed
-//! point likewise, else as f64.
+//! point likewise, else as f64; a plane of equal numbers as one of them.
 
+use crate::archive::Tile;
 use crate::{Error, Ledger, LevelPhase, Measured, ParticleList, ParticleState, Precision, Result, SortPhase};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -20,6 +21,7 @@ pub const VERSION: u32 = 3;
 const HEAD: &[u8; 4] = b"HEAD";
 const LIST: &[u8; 4] = b"LIST";
 const SORT: &[u8; 4] = b"SORT";
+const TILE: &[u8; 4] = b"TILE";
 const COUPLING: &[u8; 4] = b"COUP";
 const END: &[u8; 4] = b"END ";
 
@@ -83,6 +85,10 @@ impl Snapshot {
             if let Some(sort) = &self.particles.sort {
                 section(out, SORT, &encode_sort(sort))?;
             }
+            for ([x, y], tile) in &self.particles.archive {
+                let at = [x.to_le_bytes(), y.to_le_bytes()];
+                section(out, TILE, &[at.as_flattened(), tile.packed()].concat())?;
+            }
             for (name, bytes) in &self.couplings {
                 let mut payload = Vec::new();
                 put_bytes(&mut payload, name.as_bytes());
@@ -129,6 +135,10 @@ impl Snapshot {
                 HEAD => head = Some(serde_json::from_slice(payload).map_err(|e| damaged(format!("header: {e}")))?),
                 LIST => particles.lists.push(decode_list(&mut inner)?),
                 SORT => particles.sort = Some(decode_sort(&mut inner)?),
+                TILE => {
+                    let at = [inner.array()?, inner.array()?].map(i32::from_le_bytes);
+                    particles.archive.insert(at, Tile::read(std::mem::take(&mut inner.0))?);
+                }
                 COUPLING => {
                     let name = String::from_utf8_lossy(inner.bytes()?).into_owned();
                     couplings.push((name, std::mem::take(&mut inner.0).to_vec()));
@@ -186,7 +196,7 @@ pub(crate) fn write_whole(
 }
 
 /// What is wrong with a file's bytes.
-struct Flaw {
+pub(crate) struct Flaw {
     what: String,
     mend: &'static str,
 }
@@ -258,6 +268,11 @@ impl<'a> Reader<'a> {
     fn plane(&mut self, count: usize) -> Result<Vec<f64>, Flaw> {
         let [form] = self.array()?;
         Ok(match form {
+            FORM_SAME => {
+                // The count is borne out by the ids, and there are not many planes.
+                let value = self.f64()?;
+                vec![value; count]
+            }
             FORM_F32 => self.take(4 * count)?.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes(four(b)))).collect(),
             FORM_FIXED => {
                 self.take(4 * count)?.chunks_exact(4).map(|b| f64::from(u32::from_le_bytes(four(b))) / FIXED).collect()
@@ -281,6 +296,9 @@ fn four(bytes: &[u8]) -> [u8; 4] {
 const FORM_F32: u8 = 0;
 const FORM_F64: u8 = 1;
 const FORM_FIXED: u8 = 2;
+const FORM_SAME: u8 = 3;
+/// More strain or history planes than any law has.
+const MOST_PLANES: u32 = 256;
 /// Counts of a fixed-point offset in one cell.
 const FIXED: f64 = (1_u64 << 32) as f64;
 
@@ -289,7 +307,10 @@ fn put_plane(out: &mut Vec<u8>, values: &[f64]) {
     let as_f32 = |x: &f64| f64::from(*x as f32).to_bits() == x.to_bits();
     // The f32 form keeps the sign of zero; the fixed form is for offsets, which are never negative.
     let as_fixed = |x: &f64| (0.0..1.0).contains(x) && x.is_sign_positive() && (x * FIXED).fract() == 0.0;
-    if values.iter().all(as_f32) {
+    if values.len() > 2 && values.iter().all(|x| x.to_bits() == values[0].to_bits()) {
+        out.push(FORM_SAME);
+        out.extend_from_slice(&values[0].to_le_bytes());
+    } else if values.iter().all(as_f32) {
         out.push(FORM_F32);
         values.iter().for_each(|x| out.extend_from_slice(&(*x as f32).to_le_bytes()));
     } else if values.iter().all(as_fixed) {
@@ -306,7 +327,7 @@ fn put_bytes(out: &mut Vec<u8>, bytes: &[u8]) {
     out.extend_from_slice(bytes);
 }
 
-fn encode_list(list: &ParticleList) -> Vec<u8> {
+pub(crate) fn encode_list(list: &ParticleList) -> Vec<u8> {
     let mut out = Vec::new();
     for number in [list.world, list.level, list.material, list.strain.len() as u32, list.state.len() as u32] {
         out.extend_from_slice(&number.to_le_bytes());
@@ -327,6 +348,9 @@ fn encode_list(list: &ParticleList) -> Vec<u8> {
 
 fn decode_list(from: &mut Reader<'_>) -> Result<ParticleList, Flaw> {
     let [world, level, material, strain, state] = [from.u32()?, from.u32()?, from.u32()?, from.u32()?, from.u32()?];
+    if strain > MOST_PLANES || state > MOST_PLANES {
+        return Err(damaged(format!("announces {strain} strain and {state} history planes")));
+    }
     let cell_width = from.f64()?;
     // Id, body and cell take 22 bytes a particle, so the count is borne out by the file from here on.
     let n = from.length(8 + 2 + 12)?;
@@ -349,6 +373,15 @@ fn decode_list(from: &mut Reader<'_>) -> Result<ParticleList, Flaw> {
         strain: (0..strain).map(|_| from.plane(n)).collect::<Result<_, _>>()?,
         state: (0..state).map(|_| from.plane(n)).collect::<Result<_, _>>()?,
     })
+}
+
+/// The lists of a tile, which stand one after another.
+pub(crate) fn decode_tile(bytes: &[u8]) -> Result<Vec<ParticleList>, Flaw> {
+    let (mut from, mut lists) = (Reader(bytes), Vec::new());
+    while !from.0.is_empty() {
+        lists.push(decode_list(&mut from)?);
+    }
+    Ok(lists)
 }
 
 fn encode_sort(sort: &SortPhase) -> Vec<u8> {

@@ -1,8 +1,10 @@
 //! Particles as they are exchanged between backends, snapshots and users.
 
 use crate::Vec3;
+use crate::archive::Tile;
 use crate::levels::CellBox;
 use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// All particles of a simulation.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -15,6 +17,8 @@ pub struct ParticleState {
     pub sort: Option<SortPhase>,
     /// Where the levels are, if there are several; `None` lets them settle around their agents anew.
     pub levels: Option<LevelPhase>,
+    /// Ground out of reach that agents have changed, by tile.
+    pub archive: BTreeMap<[i32; 2], Tile>,
 }
 
 /// Where nested levels are, and what their particles need to be split and merged on.
@@ -26,6 +30,9 @@ pub struct LevelPhase {
     pub next_id: u64,
     /// Times that particles have been split and merged.
     pub rounds: u64,
+    /// Tiles that are live, if only what is within reach is.
+    #[serde(default)]
+    pub live: BTreeSet<[i32; 2]>,
 }
 
 /// Particles of one material on one level of one world. Structure of arrays, all of length [`len`](Self::len).
@@ -64,6 +71,17 @@ pub struct ParticleList {
 }
 
 impl ParticleList {
+    /// A list without particles, with all the planes of a material.
+    pub fn empty(level: usize, material: usize, cell_width: f64, strain_planes: usize, states: usize) -> Self {
+        Self {
+            level: level as u32,
+            material: material as u32,
+            cell_width,
+            strain: vec![Vec::new(); strain_planes],
+            state: vec![Vec::new(); states],
+            ..Self::default()
+        }
+    }
     /// Number of particles.
     pub fn len(&self) -> usize {
         self.id.len()

@@ -2,7 +2,7 @@
 
 use crate::scenes::{alter, options, rows, run_to, scene, simulation};
 use crate::sketch::{Head, bed, block, half, material, tool};
-use barchan::{Precision, Simulation};
+use barchan::{Ledger, ParticleState, Precision, Simulation};
 use std::f64::consts::TAU;
 
 /// A measured figure beside what it must not exceed.
@@ -254,4 +254,101 @@ pub fn resets(cycles: u32, watch_memory: bool) -> Outcome {
         outcome.add("growth of resident memory [MiB]", (after - before) / f64::from(1 << 20), 4.0);
     }
     outcome
+}
+
+/// Cell width of the unbounded beds [m].
+pub const FURROW_CELL: f64 = 0.04;
+/// Depth of the sand in them [m].
+pub const FURROW_DEPTH: f64 = 0.24;
+/// Speed at which the ball is drawn through them [m/s].
+pub const FURROW_SPEED: f64 = 4.0;
+
+/// A ball half sunk in a bed of settled sand, `length` and `width` metres long and wide, of which two levels about the ball are live. It is
+/// drawn along x, from 1.28 m behind the bed's end.
+pub fn furrow_scene(length: f64, width: f64) -> String {
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let (min, max) = ([-1.28, -0.5 * width, 0.0], [length - 1.28, 0.5 * width, 1.6]);
+    let head = Head { min, max, world: "leaving = \"delete\"", ..Head::cells(FURROW_CELL, [0; 3], walls) };
+    head.time("safety = 0.5").with(&[
+        material("sand", 1600.0, "young_modulus = 2e5, friction_angle_deg = 40.0"),
+        block("sand", min, [max[0], max[1], FURROW_DEPTH], "settled = true"),
+        "[levels]\ncount = 2\nhalf = 8\nreach = 4\n".to_owned(),
+        tool(
+            "ball",
+            [0.0, 0.0, FURROW_DEPTH],
+            "sphere = { radius = 0.12 }",
+            "{ coulomb = { friction = 0.3 } }",
+            &format!("{{ velocity = {{ linear = [{FURROW_SPEED}, 0.0, 0.0] }} }}"),
+        ),
+    ])
+}
+
+/// Mean depth of the ground's surface below where it was, within 6 cm of the ball's track and 0.24 m of `x` [m]. Columns are a
+/// cell wide.
+pub fn furrow_depth(ground: &ParticleState, x: f64) -> f64 {
+    let mut tops = [[f64::NEG_INFINITY; 3]; 12];
+    for list in &ground.lists {
+        for i in 0..list.len() {
+            let at = list.position(i);
+            let half = 0.5 * list.volume0[i].cbrt();
+            for (a, column) in tops.iter_mut().enumerate() {
+                for (b, top) in column.iter_mut().enumerate() {
+                    let centre = [x + FURROW_CELL * (a as f64 - 5.5), FURROW_CELL * (b as f64 - 1.0)];
+                    if (0..2).all(|d| (at[d] - centre[d]).abs() < half.max(0.5 * FURROW_CELL)) {
+                        *top = top.max(at[2] + half);
+                    }
+                }
+            }
+        }
+    }
+    let depths = tops.iter().flatten().filter(|top| top.is_finite()).map(|top| FURROW_DEPTH - top);
+    depths.sum::<f64>() / tops.iter().flatten().filter(|top| top.is_finite()).count() as f64
+}
+
+/// A tool drags a furrow so many metres long through ground of which only what is around the tool is live.
+///
+/// Symptom: the furrow is gone where the tool has been, or memory grows with the way it has come. Physics: what was changed stays as
+/// it was left; what is kept is what was changed, so much a metre; mass is what was there and what has come within reach.
+pub fn furrow(metres: f64) -> Outcome {
+    let mut outcome = Outcome::default();
+    let mut s = simulation(&furrow_scene(metres + 3.84, 2.56), Precision::F32);
+    let start = s.ledger();
+    let to = |s: &mut Simulation, x: f64| run_to(s, x / FURROW_SPEED);
+    // The ball has just left the first metre.
+    to(&mut s, 1.6);
+    let fresh = furrow_depth(&s.ground(), 1.0);
+    to(&mut s, 0.5 * metres);
+    let (half_count, half_bytes) = (s.particle_count(), archived_bytes(&s));
+    to(&mut s, metres);
+    let (end, bytes) = (s.ledger(), archived_bytes(&s));
+    let ground = s.ground();
+    let along: Vec<f64> = (1..metres as u32).map(|x| furrow_depth(&ground, f64::from(x))).collect();
+    let shallowest = along.iter().copied().fold(f64::INFINITY, f64::min);
+    let kept = |ledger: &Ledger| ledger.counts.get("tiles in the archive now").copied().unwrap_or(0) as f64;
+    println!(
+        "furrow of {metres} m: {shallowest:.4} m deep at least, {:.4} m in its first metre; {} live particles; {} tiles archived of {:.2} MB; {:?}",
+        along[0],
+        s.particle_count(),
+        kept(&end),
+        1e-6 * bytes,
+        end.counts
+    );
+    outcome.steps = s.step_count();
+    outcome.add(
+        "change of the first metre's depth since the ball left [cells]",
+        (along[0] - fresh).abs() / FURROW_CELL,
+        0.25,
+    );
+    outcome.add("shallowest metre of the furrow [cells], short of one by", 1.0 - shallowest / FURROW_CELL, 0.0);
+    outcome.add("live particles at the end over half way", s.particle_count() as f64 / half_count as f64, 1.2);
+    outcome.add("archived tiles a tile of way", kept(&end) * 0.32 / metres, 5.0);
+    let later = (bytes - half_bytes) / (0.5 * metres);
+    outcome.add("kB archived a metre, second half", 1e-3 * later, 1500.0);
+    let mass = end.mass + end.deleted_mass - end.seeded_mass;
+    outcome.add("mass live and archived less what came in, change", (mass / start.mass - 1.0).abs(), 1e-6);
+    outcome
+}
+
+fn archived_bytes(s: &Simulation) -> f64 {
+    s.particles().archive.values().map(|tile| tile.bytes() as f64).sum()
 }

@@ -5,7 +5,7 @@
 //! once it is three parent cells away. In between, particles stay as they are, so an agent that trembles changes nothing.
 
 use crate::engine::{CpuEngine, Pass};
-use crate::store::{List, Parcel};
+use crate::store::{List, PAD, Parcel};
 use barchan_core::levels::{CellBox, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
 use barchan_core::{Aabb, Coupling, Error, Ledger, Regions, Result};
 use barchan_grid::block::{self, CELLS, SIDE};
@@ -234,6 +234,9 @@ impl<T: Scalar> CpuEngine<T> {
                 }
                 for k in 0..list.runs[b].count {
                     let (chunk, lane) = (list.runs[b].first + k / LANES, k % LANES);
+                    if list.id[chunk][lane] == PAD {
+                        continue;
+                    }
                     let cell = || finest_cell(list.cell_of(chunk, lane), list.offset_of(chunk, lane), l);
                     let home = home.unwrap_or_else(|| self.regions.finest_at(cell(), SPLIT_AHEAD));
                     let (volume0, least) = (list.volume0_of(chunk, lane), least(list.body[chunk][lane]));
@@ -276,7 +279,7 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// A parcel with coordinates of level `from`, on the level where it belongs.
-    fn settled(&self, mut parcel: Parcel, from: usize) -> (usize, Parcel) {
+    pub(crate) fn settled(&self, mut parcel: Parcel, from: usize) -> (usize, Parcel) {
         let finest = finest_cell(parcel.cell, parcel.offset, from);
         let to = self.regions.finest_at(finest, SPLIT_AHEAD);
         for d in 0..3 {
@@ -377,7 +380,7 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     fn new_id(&mut self) -> Result<u32> {
-        let id = u32::try_from(self.next_id).ok().filter(|&id| id != crate::store::PAD).ok_or(Error::Capacity {
+        let id = u32::try_from(self.next_id).ok().filter(|&id| id != PAD).ok_or(Error::Capacity {
             what: "numbers for particles",
             asked: self.next_id,
             cap: u64::from(crate::store::PAD),
@@ -462,6 +465,9 @@ impl<T: Scalar> CpuEngine<T> {
             for list in &level.store.lists {
                 for k in 0..list.runs[b].count {
                     let (chunk, lane) = (list.runs[b].first + k / LANES, k % LANES);
+                    if list.id[chunk][lane] == PAD {
+                        continue;
+                    }
                     let cell = list.cell_of(chunk, lane);
                     let part = (list.volume0_of(chunk, lane) / volume) as f32;
                     match block::key(block::of_cell(cell)) {

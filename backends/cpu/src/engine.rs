@@ -1,6 +1,7 @@
 //! The step.
 
 use crate::adapt::Resampled;
+use crate::archive::Reach;
 use crate::isolated;
 use crate::level::{Level, Shares, Stopped, greater};
 use crate::sleep::Lulled;
@@ -47,6 +48,7 @@ const STIFFNESS_AGE: u32 = 10;
 /// A pass that is timed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Pass {
+    Archive,
     Adapt,
     Sort,
     Sleep,
@@ -61,6 +63,7 @@ pub(crate) enum Pass {
 impl Pass {
     const fn name(self) -> &'static str {
         match self {
+            Self::Archive => "archive",
             Self::Adapt => "adapt",
             Self::Sort => "sort",
             Self::Sleep => "sleep",
@@ -116,14 +119,16 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Does any material harden, so that the bound follows the state?
     hardens: bool,
     steps: u64,
-    /// Mass of all particles that ever came in [kg].
-    mass: f64,
+    /// Mass of all particles that ever came in and are not out of reach [kg].
+    pub(crate) mass: f64,
     departures: Departures,
     /// Number of the next particle that a split makes, and how often particles were split and merged.
     pub(crate) next_id: u64,
     pub(crate) rounds: u64,
     pub(crate) resampled: Resampled,
     pub(crate) lulled: Lulled,
+    /// What is live, and the archive of what was, if not the whole world is.
+    pub(crate) reach: Option<Reach>,
     shortened: u64,
     parted: u64,
     gravity_impulse: [f64; 3],
@@ -163,6 +168,7 @@ impl<T: Scalar> CpuEngine<T> {
             rounds: 0,
             resampled: Resampled::default(),
             lulled: Lulled::default(),
+            reach: plan.terrain.clone().map(Reach::new),
             shortened: 0,
             parted: 0,
             gravity_impulse: [0.0; 3],
@@ -189,7 +195,9 @@ impl<T: Scalar> CpuEngine<T> {
         self.rounds += 1;
         let mut holes = vec![false; self.levels.len()];
         if self.levels.len() > 1 {
+            let exchanged = self.exchange_with_archive(time, couplings)?;
             holes = self.adapt(time, before, couplings)?;
+            holes.iter_mut().zip(exchanged).for_each(|(holes, exchanged)| *holes |= exchanged);
         }
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
         let clock = Instant::now();
@@ -253,6 +261,7 @@ impl<T: Scalar> CpuEngine<T> {
         for (level, new) in levels.iter_mut().zip(rebuilt) {
             level.list_watch(new);
         }
+        self.hold_edges();
     }
 
     /// P2G of one level. Strain is up to date afterwards.
@@ -688,12 +697,19 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     fn spots(&self) -> Vec<Spot> {
         let mut spots = Vec::with_capacity(self.particle_count());
         self.pool.install(|| self.levels.iter().for_each(|level| level.store.add_spots(&mut spots)));
+        let archived = self.reach.iter().flat_map(Reach::archived);
+        archived.for_each(|list| spots.extend((0..list.len()).map(|i| list.spot(i))));
         spots
     }
 
     fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
         let lists = || self.levels.iter().enumerate().flat_map(|(l, level)| level.store.download_where(l, wanted));
-        ParticleState { lists: self.pool.install(|| lists().collect()), ..self.without_particles() }
+        let mut lists: Vec<_> = self.pool.install(|| lists().collect());
+        lists.extend(self.reach.iter().flat_map(Reach::archived).map(|mut list| {
+            list.retain(wanted);
+            list
+        }));
+        ParticleState { lists, archive: BTreeMap::new(), ..self.without_particles() }
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
@@ -718,6 +734,9 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         }
         ledger.count("blocks that fell asleep", self.lulled.blocks);
         ledger.count("particles asleep now", self.levels.iter().map(Level::asleep).sum());
+        if let Some(reach) = &self.reach {
+            reach.account(ledger);
+        }
         ledger.deleted_mass += self.departures.deleted_mass;
         ledger.count("particles put back into the world", self.departures.clamped);
         ledger.count("particles deleted on leaving", self.departures.deleted);
@@ -752,7 +771,8 @@ impl<T: Scalar> Engine for CpuEngine<T> {
 
     fn memory(&self) -> (u64, u64) {
         let sum = |bytes: fn(&Level<T>) -> u64| self.levels.iter().map(bytes).sum();
-        (sum(|level| level.store.bytes()), sum(|level| level.grid.bytes()))
+        let archived = self.reach.as_ref().map_or(0, Reach::bytes);
+        (sum(|level| level.store.bytes()) + archived, sum(|level| level.grid.bytes()))
     }
 }
 
@@ -822,6 +842,9 @@ impl<T: Scalar> CpuEngine<T> {
         let ids = particles.lists.iter().flat_map(|list| &list.id);
         self.next_id = ids.max().map_or(0, |id| id + 1);
         if let Some(phase) = particles.levels {
+            if let Some(reach) = &mut self.reach {
+                reach.restore(phase.live, particles.archive);
+            }
             self.regions.restore(phase.boxes);
             (self.next_id, self.rounds) = (phase.next_id.max(self.next_id), phase.rounds);
         }
@@ -853,7 +876,9 @@ impl<T: Scalar> CpuEngine<T> {
                 boxes: self.regions.boxes().to_vec(),
                 next_id: self.next_id,
                 rounds: self.rounds,
+                live: self.reach.as_ref().map(Reach::live).unwrap_or_default(),
             }),
+            archive: self.reach.as_ref().map(Reach::archive).unwrap_or_default(),
             ..ParticleState::default()
         }
     }

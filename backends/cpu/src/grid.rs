@@ -191,6 +191,8 @@ pub(crate) struct Grid<T> {
     pub(crate) shared_starts: Vec<u32>,
     /// Occupied blocks whose tiles hold any of them.
     pub(crate) near_shared: Vec<u32>,
+    /// Nodes that ground out of reach holds: the block, and its nodes as bits.
+    pub(crate) held: Vec<(u32, u64)>,
     /// Keys of blocks that hold parents of the next finer level's rim, rising.
     parent_keys: Vec<u64>,
     /// Keys of the coarser blocks that hold parents of the own rim, rising.
@@ -224,6 +226,7 @@ impl<T: Float> Default for Grid<T> {
             shared: Vec::new(),
             shared_starts: Vec::new(),
             near_shared: Vec::new(),
+            held: Vec::new(),
             parent_keys: Vec::new(),
             rim_parents: Vec::new(),
             tiles: Vec::new(),

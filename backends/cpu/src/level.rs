@@ -240,6 +240,7 @@ impl<T: Scalar> Level<T> {
         if separate {
             self.separate(isa, least);
         }
+        self.hold();
     }
 
     /// Splits what shared nodes keep after a step's P2G, p + dt f, into p + ½ dt f and ½ dt f. `step` is the half one.

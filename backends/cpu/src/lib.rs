@@ -5,6 +5,7 @@
 #![expect(unsafe_code, reason = "blocks write disjoint parts of shared planes from several threads")]
 
 mod adapt;
+mod archive;
 mod engine;
 mod grid;
 mod isolated;
@@ -33,7 +34,8 @@ impl Backend for Cpu {
     }
 
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
-        const FORMS: [Stage; 8] = [
+        const FORMS: [Stage; 9] = [
+            Stage::Archive,
             Stage::Adapt,
             Stage::Sort,
             Stage::P2G,

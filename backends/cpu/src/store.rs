@@ -31,6 +31,27 @@ pub(crate) struct Parcel {
     pub(crate) rest: [f64; STRAIN + 9 + MAX_STATE],
 }
 
+impl Parcel {
+    /// A copy of one particle of a list.
+    pub(crate) fn of(list: &ParticleList, i: usize) -> Self {
+        let (v, c) = (list.velocity[i], list.affine[i]);
+        let mut parcel = Self {
+            list: list.material as usize,
+            id: list.id[i] as u32,
+            body: list.body[i],
+            cell: list.cell[i],
+            offset: list.offset[i],
+            motion: std::array::from_fn(|p| if p < 3 { v[p] } else { c[p - 3] }),
+            rest: [0.0; STRAIN + 9 + MAX_STATE],
+        };
+        let planes = [&list.mass, &list.volume0].into_iter().chain(&list.strain).chain(&list.state);
+        for (value, plane) in parcel.rest.iter_mut().zip(planes) {
+            *value = plane[i];
+        }
+        parcel
+    }
+}
+
 /// The particles of one material.
 pub(crate) struct List<T: Scalar> {
     /// Index into the plan's materials.
@@ -255,21 +276,7 @@ impl<T: Scalar> List<T> {
         self.resize(chunks);
         let places: Vec<_> = self.places().collect();
         for (i, (chunk, lane)) in places.into_iter().enumerate() {
-            let (v, c) = (list.velocity[i], list.affine[i]);
-            let mut parcel = Parcel {
-                list: self.material,
-                id: list.id[i] as u32,
-                body: list.body[i],
-                cell: list.cell[i],
-                offset: list.offset[i],
-                motion: std::array::from_fn(|p| if p < 3 { v[p] } else { c[p - 3] }),
-                rest: [0.0; STRAIN + 9 + MAX_STATE],
-            };
-            let planes = [&list.mass, &list.volume0].into_iter().chain(&list.strain).chain(&list.state);
-            for (value, plane) in parcel.rest.iter_mut().zip(planes) {
-                *value = plane[i];
-            }
-            self.put(&parcel, chunk, lane);
+            self.put(&Parcel::of(list, i), chunk, lane);
         }
         self.pad();
     }
@@ -285,30 +292,33 @@ impl<T: Scalar> List<T> {
     }
 
     fn give_out(&self, level: usize, cell_width: f64, places: impl Iterator<Item = (usize, usize)>) -> ParticleList {
-        let planes = self.strain_planes();
-        let mut out = ParticleList {
-            level: level as u32,
-            material: self.material as u32,
-            cell_width,
-            strain: vec![Vec::new(); planes],
-            state: vec![Vec::new(); self.rest_planes - STRAIN - planes],
-            ..ParticleList::default()
-        };
+        let mut out = self.empty_copy(level, cell_width);
         for (chunk, lane) in places {
-            out.id.push(u64::from(self.id[chunk][lane]));
-            out.body.push(self.body[chunk][lane]);
-            out.cell.push(self.cell_of(chunk, lane));
-            out.offset.push(self.offset_of(chunk, lane));
-            let motion = self.motion_of(chunk, lane);
-            out.velocity.push([motion[0], motion[1], motion[2]]);
-            out.affine.push(std::array::from_fn(|i| motion[3 + i]));
-            out.mass.push(self.mass_of(chunk, lane));
-            out.volume0.push(self.volume0_of(chunk, lane));
-            for (p, plane) in out.strain.iter_mut().chain(&mut out.state).enumerate() {
-                plane.push(self.rest_of(chunk, lane, STRAIN + p));
-            }
+            self.copy_to(&mut out, chunk, lane);
         }
         out
+    }
+
+    /// A list like this one without particles.
+    pub(crate) fn empty_copy(&self, level: usize, cell_width: f64) -> ParticleList {
+        let planes = self.strain_planes();
+        ParticleList::empty(level, self.material, cell_width, planes, self.rest_planes - STRAIN - planes)
+    }
+
+    /// Adds a copy of one particle to a list.
+    pub(crate) fn copy_to(&self, out: &mut ParticleList, chunk: usize, lane: usize) {
+        out.id.push(u64::from(self.id[chunk][lane]));
+        out.body.push(self.body[chunk][lane]);
+        out.cell.push(self.cell_of(chunk, lane));
+        out.offset.push(self.offset_of(chunk, lane));
+        let motion = self.motion_of(chunk, lane);
+        out.velocity.push([motion[0], motion[1], motion[2]]);
+        out.affine.push(std::array::from_fn(|i| motion[3 + i]));
+        out.mass.push(self.mass_of(chunk, lane));
+        out.volume0.push(self.volume0_of(chunk, lane));
+        for (p, plane) in out.strain.iter_mut().chain(&mut out.state).enumerate() {
+            plane.push(self.rest_of(chunk, lane, STRAIN + p));
+        }
     }
 }
 

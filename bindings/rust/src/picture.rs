@@ -24,7 +24,7 @@ pub use tools::Tools;
 use crate::stress::pressure;
 use barchan_core::levels::CellBox;
 use barchan_core::plan::Plan;
-use barchan_core::scene::{CutColour, Motion, Scene, Wall};
+use barchan_core::scene::{CutColour, Motion, Scene, Tool, Wall};
 use barchan_core::{ParticleState, Result, Simulation, Spot, Vec3};
 use colour::{Ground, viridis};
 use rayon::prelude::*;
@@ -139,7 +139,7 @@ impl View {
 
         let cut_y = self.cut_y;
         // Within one of their sides.
-        let near = simulation.particles_where(&|spot| (spot.position[1] - cut_y).abs().powi(3) < spot.volume0);
+        let near = simulation.ground_where(&|spot| (spot.position[1] - cut_y).abs().powi(3) < spot.volume0);
         let mut cut = self.cut(plan, &near, &tools)?;
         if plan.scene.output.picture.levels {
             for (level, boxes) in near.levels.iter().flat_map(|phase| phase.boxes.iter().enumerate()) {
@@ -341,6 +341,17 @@ fn unit(value: f64, base: &str) -> (f64, String) {
     (factor, format!("{prefix}{base}"))
 }
 
+/// Places where a tool's origin comes by until `end` [m].
+fn places(tool: &Tool, end: f64) -> Vec<Vec3> {
+    match &tool.motion {
+        Motion::Keyframes { frames, .. } => frames.iter().map(|frame| frame.position).collect(),
+        Motion::Velocity { linear, .. } => {
+            vec![tool.position, std::array::from_fn(|d| tool.position[d] + end * linear[d])]
+        }
+        Motion::Fixed | Motion::Free { .. } => vec![tool.position],
+    }
+}
+
 /// What a view shows: the particles with a quarter of their extent around, inside the world, down to a floor.
 fn extent(scene: &Scene, particles: &[Spot]) -> (Vec3, Vec3) {
     let world = &scene.world;
@@ -353,6 +364,15 @@ fn extent(scene: &Scene, particles: &[Spot]) -> (Vec3, Vec3) {
     }
     if low[0] > high[0] {
         return (world.min, world.max);
+    }
+    if scene.levels.reach > 0 {
+        // The ground comes with the tools: show where they go.
+        for place in scene.tool.iter().flat_map(|tool| places(tool, scene.time.end)) {
+            for d in 0..2 {
+                low[d] = low[d].min(place[d]);
+                high[d] = high[d].max(place[d]);
+            }
+        }
     }
     let size: Vec3 = std::array::from_fn(|d| high[d] - low[d] + world.cell);
     let wide = size[0].max(size[1]);

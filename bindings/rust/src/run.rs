@@ -305,7 +305,7 @@ impl Recorder {
             }
             if let Some(format) = self.export {
                 let path = self.out.join("particles").join(format!("{number:05}.{}", format.extension()));
-                export(&simulation.particles(), simulation.plan(), path, format)?;
+                export(&simulation.ground(), simulation.plan(), path, format)?;
             }
             let path = self.out.join("trace.csv");
             self.trace.flush().map_err(|e| io_error(&path, "writing the trace", e))?;

@@ -2,6 +2,7 @@
 
 use super::{Body, Contact, Motion, Placed, Scene, Shape, Tool, Wall, Walls};
 use crate::coupling::Aabb;
+use crate::levels::NESTING;
 use crate::{Error, Result, Vec3};
 
 /// How far a bound may be from a whole cell and still mean it, in cells.
@@ -15,6 +16,8 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 const MOST_LEVELS: u32 = 8;
 /// Cells from a box's middle to its side: fewer leave no room between two levels, more than one level can be.
 const HALVES: std::ops::RangeInclusive<u32> = 8..=512;
+/// Coarsest cells around the boxes that may be live: beyond, a world is no smaller for having a reach.
+const MOST_REACH: u32 = 1024;
 
 impl Walls {
     /// The walls of an axis: least side, greatest side.
@@ -350,6 +353,7 @@ impl Scene {
             "is set in a world with a wall that lets go of the ground",
             "use slip or stick walls, or leave subcycling out",
         )?;
+        self.check_reach()?;
         // Walls are faces of the coarsest cells too, and periodic axes are whole blocks of them.
         let coarsest = 1_i64 << (levels.count - 1);
         for (d, axis) in AXES.into_iter().enumerate() {
@@ -372,6 +376,67 @@ impl Scene {
                     format!("the nearest are {} and {}", (x / width).floor() * width, (x / width).ceil() * width),
                 )?;
             }
+        }
+        Ok(())
+    }
+
+    /// Ground that is seeded as agents come near: tools to follow, sides that need not be joined, and bodies whose shape and
+    /// weight say at any time how they were at the start.
+    fn check_reach(&self) -> Result<()> {
+        let levels = &self.levels;
+        if levels.reach == 0 {
+            return Ok(());
+        }
+        let path = "levels.reach";
+        self.require(
+            (NESTING as u32..=MOST_REACH).contains(&levels.reach),
+            path,
+            format!("is {}", levels.reach),
+            format!("must be from {NESTING} to {MOST_REACH} cells of the coarsest level, or 0 for the whole world"),
+        )?;
+        self.require(
+            levels.count > 1,
+            path,
+            "needs levels to nest",
+            "set levels.count to 2 or more, or leave reach out",
+        )?;
+        for (d, axis) in AXES.into_iter().enumerate().take(2) {
+            self.require(
+                self.world.walls.pair(d)[0] != Wall::Periodic,
+                path,
+                format!("ends somewhere, and {axis} is periodic"),
+                "use other walls, or leave reach out",
+            )?;
+        }
+        let moves = |tool: &Tool| !matches!(tool.motion, Motion::Fixed);
+        let follows_body = |name: &String| self.tool.iter().all(|tool| tool.name != *name);
+        self.require(
+            levels.agents.as_ref().map_or_else(|| self.tool.iter().any(moves), |names| !names.is_empty()),
+            path,
+            "follows agents, and there is none",
+            "name tools in levels.agents, or add one that moves",
+        )?;
+        self.require(
+            !levels.agents.iter().flatten().any(follows_body),
+            path,
+            "follows tools, and levels.agents names a body",
+            "name tools only, or leave reach out",
+        )?;
+        for (i, body) in self.body.iter().enumerate() {
+            self.require(
+                matches!(body.shape, Shape::Box { .. } | Shape::HeightField { .. })
+                    && body.velocity == [0.0; 3]
+                    && body.angular_velocity == [0.0; 3],
+                path,
+                format!("brings in ground piece by piece, and body[{i}] is no box or height_field at rest"),
+                "change the body, or leave reach out",
+            )?;
+            self.require(
+                body.settled || self.gravity == [0.0; 3],
+                path,
+                format!("brings in ground at rest, and body[{i}] would fall into itself"),
+                format!("set body[{i}].settled = true"),
+            )?;
         }
         Ok(())
     }

@@ -14,5 +14,6 @@ mod settled;
 mod sleeping;
 mod subcycling;
 mod transfers;
+mod unbounded;
 mod validation;
 mod walls;

@@ -238,6 +238,7 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
             ParticleState {
                 lists: vec![out],
                 levels: None,
+                archive: Default::default(),
                 strain_dt: if strain_dt.is_finite() { strain_dt } else { 0.0 },
                 sort: sort.map(|(age, drift, (stiffness_bound, stiffness_age), blocks)| SortPhase {
                     measured: Measured { stiffness_bound, stiffness_age },

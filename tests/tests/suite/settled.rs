@@ -1,6 +1,6 @@
 //! Ground that starts at rest under its own weight.
 
-use barchan::{Plan, Precision, Scene, Simulation};
+use barchan::{Precision, Scene, Simulation};
 use barchan_tests::scenes::{Row, options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, body, material, tool};
 
@@ -99,7 +99,7 @@ fn settled_ground_carries_the_weight_above_it() {
 #[test]
 fn what_cannot_settle_is_refused_by_name() {
     let refused = |scene: &Scene, what: &str| {
-        let error = Plan::assemble(&barchan::registry(), scene, &options(Precision::F32)).err().expect("must be refused").to_string();
+        let error = Simulation::new(&barchan::registry(), scene, &options(Precision::F32)).unwrap_err().to_string();
         assert!(error.contains("body[0].settled") && error.contains(what), "{error}");
     };
     let with = |changes: &[&str]| {

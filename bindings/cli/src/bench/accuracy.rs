@@ -282,6 +282,7 @@ fn measure(args: &Accuracy, scene: &Scene, entry: &Entry) -> Result<(Record, Vec
         subcycle: entry.subcycle,
         tolerance: entry.tolerance,
         agents: scene.levels.agents.clone(),
+        reach: scene.levels.reach,
     };
     let mut scene = rung(scene, entry.cell_m, &levels, entry.spacing_cells)?;
     if let Some(seed) = entry.seed {

@@ -23,6 +23,12 @@ pub(crate) struct Scale {
     /// Numbers of levels beside the uniform grid.
     #[arg(long, value_delimiter = ',', default_values_t = [3, 5])]
     levels: Vec<u32>,
+    /// Sides of the worlds in which only the ground around the tool is live [m].
+    #[arg(long, value_delimiter = ',', default_values_t = [10.0, 20.0, 40.0, 80.0])]
+    worlds: Vec<f64>,
+    /// levels.reach in those worlds.
+    #[arg(long, default_value_t = 8)]
+    reach: u32,
     /// levels.half of the nested runs.
     #[arg(long, default_value_t = 16)]
     half: u32,
@@ -46,6 +52,8 @@ pub(crate) struct Scale {
 struct Row {
     extent_m: f64,
     levels: u32,
+    /// Coarsest cells around the tool that are live; 0: all of the bed.
+    reach: u32,
     particles: usize,
     /// Why there are no figures.
     skipped: Option<String>,
@@ -60,7 +68,7 @@ struct Row {
 type Figure = fn(&Row) -> Option<f64>;
 
 /// A bed of sand `extent` wide, and a ball half sunk in its middle that is drawn along x.
-fn bed(args: &Scale, extent: f64, levels: u32) -> Result<Scene> {
+fn bed(args: &Scale, extent: f64, levels: u32, reach: u32) -> Result<Scene> {
     let (cell, half, subcycle) = (1.0 / f64::from(args.cells), args.half, args.subcycle);
     let middle = 0.5 * extent;
     let text = format!(
@@ -74,6 +82,7 @@ walls = {{ x_min = "slip", x_max = "slip", y_min = "slip", y_max = "slip", z_min
 [levels]
 count = {levels}
 half = {half}
+reach = {reach}
 subcycle = {subcycle}
 [time]
 end = 10.0
@@ -86,6 +95,7 @@ parameters = {{ young_modulus = 1e6, friction_angle_deg = 35.0 }}
 name = "bed"
 material = "sand"
 shape = {{ box = {{ min = [0.0, 0.0, 0.0], max = [{extent}, {extent}, {DEPTH}] }} }}
+settled = true
 [[tool]]
 name = "ball"
 shape = {{ sphere = {{ radius = 0.06 }} }}
@@ -100,18 +110,20 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
     let registry = args.engine.registry()?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out/scale"));
     let mut rows = Vec::new();
-    for levels in std::iter::once(1).chain(args.levels.iter().copied()) {
-        for &extent in &args.extents {
-            let row = measure(args, &registry, extent, levels)?;
+    let whole = std::iter::once(1).chain(args.levels.iter().copied()).map(|levels| (levels, 0, &args.extents));
+    let reached = args.levels.iter().map(|&levels| (levels, args.reach, &args.worlds));
+    for (levels, reach, extents) in whole.chain(reached) {
+        for &extent in extents {
+            let row = measure(args, &registry, extent, levels, reach)?;
             if !args.effort.json {
                 println!("{}", line(&row));
             }
             rows.push(row);
         }
     }
-    let statement = statement(&rows);
+    let statement = [statement(&rows), statement_of_reach(&rows)].join("\n");
     let report = json!({
-        "version": env!("CARGO_PKG_VERSION"), "cell_m": 1.0 / f64::from(args.cells), "half": args.half, "subcycle": args.subcycle,
+        "version": env!("CARGO_PKG_VERSION"), "cell_m": 1.0 / f64::from(args.cells), "half": args.half, "reach": args.reach, "subcycle": args.subcycle,
         "backend": args.engine.backend, "precision": args.engine.precision, "threads": args.engine.threads,
         "rows": rows, "statement": statement,
     });
@@ -133,13 +145,14 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
 }
 
 /// Times a bed, unless it has too many particles or the backend cannot run it.
-fn measure(args: &Scale, registry: &Registry, extent: f64, levels: u32) -> Result<Row> {
-    let scene = bed(args, extent, levels)?;
+fn measure(args: &Scale, registry: &Registry, extent: f64, levels: u32, reach: u32) -> Result<Row> {
+    let scene = bed(args, extent, levels, reach)?;
     let spacing = 0.5 / f64::from(args.cells);
     let uniform = (extent * extent * DEPTH / spacing.powi(3)).round() as usize;
     let skipped = |particles: usize, why: String| Row {
         extent_m: extent,
         levels,
+        reach,
         particles,
         skipped: Some(why),
         ms_per_step: None,
@@ -164,6 +177,7 @@ fn measure(args: &Scale, registry: &Registry, extent: f64, levels: u32) -> Resul
     Ok(Row {
         extent_m: extent,
         levels,
+        reach,
         particles: timed.simulation.particle_count(),
         skipped: None,
         ms_per_step: Some(1e3 * timed.step()),
@@ -172,12 +186,16 @@ fn measure(args: &Scale, registry: &Registry, extent: f64, levels: u32) -> Resul
     })
 }
 
-fn name(levels: u32) -> String {
-    if levels == 1 { "uniform grid".to_owned() } else { format!("{levels} levels") }
+fn name(levels: u32, reach: u32) -> String {
+    match (levels, reach) {
+        (1, _) => "uniform grid".to_owned(),
+        (_, 0) => format!("{levels} levels"),
+        _ => format!("{levels} levels, reach {reach}"),
+    }
 }
 
 fn line(row: &Row) -> String {
-    let start = format!("{}, {} m: {} particles", name(row.levels), row.extent_m, row.particles);
+    let start = format!("{}, {} m: {} particles", name(row.levels, row.reach), row.extent_m, row.particles);
     match (row.ms_per_step, row.memory_bytes) {
         (Some(ms), Some(bytes)) => format!("{start}, {ms:.3} ms a step, {:.1} MB", 1e-6 * bytes as f64),
         _ => format!("{start}, skipped: {}", row.skipped.as_deref().unwrap_or("not run")),
@@ -186,11 +204,14 @@ fn line(row: &Row) -> String {
 
 /// How much nested levels save on the largest bed that both ran on, and how they grow beyond it.
 fn statement(rows: &[Row]) -> String {
-    let of = |levels: u32| rows.iter().filter(move |row| row.levels == levels && row.ms_per_step.is_some());
+    let of = |levels: u32| {
+        rows.iter().filter(move |row| row.levels == levels && row.reach == 0 && row.ms_per_step.is_some())
+    };
     let Some(uniform) = of(1).max_by(|a, b| a.extent_m.total_cmp(&b.extent_m)) else {
         return "No uniform grid was below the cap: there is nothing to compare with.".to_owned();
     };
     let mut counts: Vec<u32> = rows.iter().map(|row| row.levels).filter(|levels| *levels > 1).collect();
+    counts.sort_unstable();
     counts.dedup();
     let sentences = counts.into_iter().filter_map(|levels| {
         let nested = of(levels).find(|row| row.extent_m == uniform.extent_m)?;
@@ -209,6 +230,31 @@ fn statement(rows: &[Row]) -> String {
             (last.extent_m / first.extent_m).powi(2),
             ratio(last, first, time)?,
             ratio(last, first, memory)?
+        ))
+    });
+    sentences.collect::<Vec<_>>().join("\n")
+}
+
+/// What the size of the world costs where only the ground around the tool is live.
+fn statement_of_reach(rows: &[Row]) -> String {
+    let of = rows.iter().filter(|row| row.reach > 0 && row.ms_per_step.is_some()).collect::<Vec<_>>();
+    let sentences = of.chunk_by(|a, b| a.levels == b.levels).filter_map(|worlds| {
+        let (first, last) = (worlds.first()?, worlds.last()?);
+        let spread = |get: Figure| {
+            let values = worlds.iter().map(|row| get(row)).collect::<Option<Vec<f64>>>()?;
+            let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+            Some(100.0 * (values.iter().copied().fold(0.0, f64::max) / least - 1.0))
+        };
+        Some(format!(
+            "{} levels of which {} cells around the boxes are live, in worlds from {} m to {} m: wall times of a step differ by at most {:.1} %, \
+             memory by {:.1} %, particles by {:.1} %.",
+            first.levels,
+            first.reach,
+            first.extent_m,
+            last.extent_m,
+            spread(|row| row.ms_per_step)?,
+            spread(|row| row.memory_bytes.map(|bytes| bytes as f64))?,
+            spread(|row| Some(row.particles as f64))?
         ))
     });
     sentences.collect::<Vec<_>>().join("\n")
@@ -233,7 +279,7 @@ fn markdown(args: &Scale, rows: &[Row], statement: &str) -> String {
         let memory = row.memory_bytes.map(|bytes| 1e-6 * bytes as f64);
         out.push_str(&format!(
             "| {} | {} | {} | {} | {time} | {} |\n",
-            name(row.levels),
+            name(row.levels, row.reach),
             row.extent_m,
             row.particles,
             number(row.step_ms),
@@ -244,10 +290,12 @@ fn markdown(args: &Scale, rows: &[Row], statement: &str) -> String {
 }
 
 fn chart(args: &Scale, rows: &[Row], y: &str, value: Figure) -> Chart {
-    let series = std::iter::once(1).chain(args.levels.iter().copied()).map(|levels| {
-        let of = rows.iter().filter(|row| row.levels == levels);
+    let whole = std::iter::once(1).chain(args.levels.iter().copied()).map(|levels| (levels, 0));
+    let reached = args.levels.iter().map(|&levels| (levels, args.reach));
+    let series = whole.chain(reached).map(|(levels, reach)| {
+        let of = rows.iter().filter(|row| (row.levels, row.reach) == (levels, reach));
         let points = of.filter_map(|row| Some((row.extent_m, value(row)?, particles(row.particles)))).collect();
-        Series { name: name(levels), points, joined: true }
+        Series { name: name(levels, reach), points, joined: true }
     });
     Chart {
         title: format!("Ground around one tool, finest cell 1/{} m; labels: particles", args.cells),
@@ -272,7 +320,16 @@ mod tests {
 
     fn row(levels: u32, extent_m: f64, ms: Option<f64>) -> Row {
         let memory_bytes = ms.map(|ms| (1e6 * ms) as u64);
-        Row { extent_m, levels, particles: 1, skipped: None, ms_per_step: ms, step_ms: ms.map(|_| 0.5), memory_bytes }
+        Row {
+            extent_m,
+            levels,
+            reach: 0,
+            particles: 1,
+            skipped: None,
+            ms_per_step: ms,
+            step_ms: ms.map(|_| 0.5),
+            memory_bytes,
+        }
     }
 
     #[test]
@@ -282,5 +339,15 @@ mod tests {
         assert!(text.contains("3 levels at 1 m take 0.50 of"), "{text}");
         assert!(text.contains("from 1 m to 2 m, 4 times the area, their time grows 1.20-fold"), "{text}");
         assert!(statement(&rows[1..2]).contains("nothing to compare"));
+    }
+
+    #[test]
+    fn the_statement_of_reach_gives_the_spread_over_worlds() {
+        let world = |extent_m: f64, ms: f64| Row { reach: 8, ..row(3, extent_m, Some(ms)) };
+        let text = statement_of_reach(&[row(3, 8.0, Some(90.0)), world(10.0, 5.0), world(80.0, 5.25)]);
+        assert!(
+            text.contains("from 10 m to 80 m: wall times of a step differ by at most 5.0 %, memory by 5.0 %"),
+            "{text}"
+        );
     }
 }

@@ -165,5 +165,5 @@ fn spots_and_parts_are_those_of_the_whole_copy() {
     assert!(0 < count && count < spots.len(), "{count} of {} are wanted", spots.len());
     whole.lists.iter_mut().for_each(|list| list.retain(wanted));
     assert_eq!(whole.lists.iter().map(barchan::ParticleList::len).sum::<usize>(), count);
-    assert_eq!(s.particles_where(&wanted), ParticleState { sort: None, ..whole });
+    assert_eq!(s.ground_where(&wanted), ParticleState { sort: None, ..whole });
 }
