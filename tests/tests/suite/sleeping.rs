@@ -46,7 +46,7 @@ fn settled_ground_costs_nothing() {
         clock.elapsed().as_secs_f64()
     };
     for precision in [Precision::F32, Precision::F64] {
-        let mut s = simulation(&bed([32, 16, 8], "sand", SAND, "", &[]), precision);
+        let mut s = simulation(&bed([32, 16, 8], "sand", SAND, "speed = 5e-4", &[]), precision);
         let awake = time(&mut s);
         (0..200).for_each(|_| drop(s.step().unwrap()));
         let (before, count) = (rows(&s), s.particle_count() as u64);
@@ -89,7 +89,7 @@ fn a_pulse_passes_through_ground_asleep() {
             (asleep, peak, when)
         });
         println!("{law} {precision}: {slept:?} against {awake:?}");
-        assert!(slept.0 == 96 * 4 * 6 * 8 && awake.0 == 0 && awake.1 > 0.01, "{law}: nothing slept, or no pulse came");
+        assert!(slept.0 == 96 * 4 * 6 * 8 && awake.0 == 0 && awake.1 > 2e-3, "{law}: nothing slept, or no pulse came");
         within(&format!("{law} {precision}: amplitude"), (slept.1 / awake.1 - 1.0).abs(), 0.02);
         within(&format!("{law} {precision}: delay over the time it took"), (slept.2 / awake.2 - 1.0).abs(), 0.01);
     }
@@ -138,18 +138,18 @@ fn ground_asleep_falls_when_its_support_goes() {
         &half([0.03, side[1], side[2]]),
         "\"slip\"",
         &format!(
-            "{{ keyframes = {{ frames = [{{ time = 0.0, position = {0:?} }}, {{ time = 0.4, position = {0:?} }}, {{ time = 0.5, position = {1:?} }}] }} }}",
+            "{{ keyframes = {{ frames = [{{ time = 0.0, position = {0:?} }}, {{ time = 0.8, position = {0:?} }}, {{ time = 0.9, position = {1:?} }}] }} }}",
             [side[0] + 0.03, 0.5 * side[1], 0.5 * side[2]],
             [side[0] + 0.03, 0.5 * side[1], 3.0 * side[2]],
         ),
     );
-    let [slept, awake] = ["on = true\nspeed = 2e-3", "on = false"].map(|sleep| {
+    let [slept, awake] = ["on = true\nspeed = 5e-3", "on = false"].map(|sleep| {
         let text =
             bed(cells, "sand", SAND, sleep, &[gate.clone()]).replace(&format!("max = [{:?}", side[0]), "max = [0.96");
         let mut s = simulation(&text, Precision::F32);
-        run_to(&mut s, 0.4);
+        run_to(&mut s, 0.8);
         let most = asleep(&s);
-        run_to(&mut s, 1.2);
+        run_to(&mut s, 1.5);
         let reach = rows(&s).iter().map(|r| r.x[0]).collect::<Vec<_>>();
         (most, reach.iter().sum::<f64>() / reach.len() as f64, asleep(&s))
     });
@@ -167,13 +167,13 @@ fn sleeping_is_deterministic_and_survives_a_snapshot() {
     let run = |threads: usize, save: Option<&std::path::Path>| {
         let options = Options { threads, ..Options::default() };
         let mut s = Simulation::new(&barchan::registry(), &scene(&text), &options).unwrap();
-        run_to(&mut s, 0.4);
+        run_to(&mut s, 0.2);
         assert!((1..s.particle_count() as u64).contains(&asleep(&s)), "all or nothing sleeps");
         if let Some(path) = save {
             s.save(path).unwrap();
             s = Simulation::resume(&barchan::registry(), path, &options).unwrap();
         }
-        run_to(&mut s, 0.6);
+        run_to(&mut s, 0.5);
         format!("{:?}", s.particles())
     };
     let folder = tempfile::tempdir().unwrap();
@@ -194,8 +194,10 @@ fn what_may_not_sleep_stays_awake() {
         ])
     };
     let refused = |text: &str| {
-        let scene = scene(text);
-        Simulation::new(&barchan::registry(), &scene, &Options::default()).err().expect("must be refused").to_string()
+        barchan::Scene::from_str(text, "test scene", std::path::Path::new("."))
+            .err()
+            .expect("must be refused")
+            .to_string()
     };
     let error = refused(&falling(Head::space(CELL), "on = true"));
     assert!(error.contains("sleep.on") && error.contains("sleep.speed"), "{error}");
@@ -206,7 +208,7 @@ fn what_may_not_sleep_stays_awake() {
     assert!(error.contains("sleep.speed"), "{error}");
     for head in [Head::space(CELL), Head::cells(CELL, [10, 10, 10], separate)] {
         let mut s = simulation(&falling(head, ""), Precision::F32);
-        (0..100).for_each(|_| drop(s.step().unwrap()));
+        (0..70).for_each(|_| drop(s.step().unwrap()));
         assert_eq!(asleep(&s), 0);
     }
 }
