@@ -114,15 +114,20 @@ fn exactly_the_passes_of_the_plan_are_run() {
         let passes = |effect: &str| cost.passes.get(effect).copied().unwrap_or(0);
         println!("{name}, {STEPS} steps: {:?}", cost.passes);
         assert_eq!(cost.stages.contains(&Stage::Contact), planned, "{name}");
-        for (effect, wanted) in
-            [("P2G", STEPS), ("material sand", STEPS), ("grid", STEPS), ("G2P", STEPS), ("contact", contact)]
-        {
+        for (effect, wanted) in [
+            ("P2G", STEPS),
+            ("material sand", STEPS),
+            ("grid", STEPS),
+            ("G2P", STEPS),
+            ("contact", contact),
+            ("sleep", STEPS),
+        ] {
             assert_eq!(passes(effect), wanted, "{name}: {effect}");
         }
         assert!((1..=STEPS / 2).contains(&passes("sort")), "{name}: {} sorts", passes("sort"));
         assert_eq!(
             cost.passes.len(),
-            if contact > 0 { 6 } else { 5 },
+            if contact > 0 { 7 } else { 6 },
             "{name}: a pass that no stage calls for in {:?}",
             cost.passes
         );

@@ -215,9 +215,9 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
                 number(),
                 prop::option::of((
                     any::<u32>(),
-                    prop::collection::vec(number(), 0..4),
+                    (number(), prop::option::of((1e-9..1.0, any::<[i16; 3]>()))),
                     (number(), any::<u32>()),
-                    prop::collection::vec((any::<[i32; 5]>(), any::<u32>()), 0..5),
+                    prop::collection::vec((any::<[i32; 5]>(), any::<u32>(), any::<u16>()), 0..5),
                 )),
             );
             (whole, Just(n))
@@ -240,13 +240,13 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
                 levels: None,
                 archive: Default::default(),
                 strain_dt: if strain_dt.is_finite() { strain_dt } else { 0.0 },
-                sort: sort.map(|(age, drift, (stiffness_bound, stiffness_age), blocks)| SortPhase {
+                sort: sort.map(|(age, (drift, kept), (stiffness_bound, stiffness_age), blocks)| SortPhase {
                     measured: Measured { stiffness_bound, stiffness_age },
                     age,
-                    rest: vec![1; blocks.len()],
-                    kept_for: vec![None; drift.len()],
-                    drift,
-                    blocks: blocks.into_iter().map(|(key, count)| (key, vec![count])).collect(),
+                    rest: blocks.iter().map(|(.., rest)| *rest).collect(),
+                    kept_for: vec![kept.map(|(dt, gravity)| (dt, gravity.map(f64::from)))],
+                    drift: vec![drift],
+                    blocks: blocks.into_iter().map(|(key, count, _)| (key, vec![count])).collect(),
                 }),
             }
         })
