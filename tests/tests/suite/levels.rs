@@ -4,8 +4,11 @@
 
 mod agents;
 mod contact;
+mod following;
 mod properties;
 mod running;
+mod sliding;
+mod snow;
 mod truths;
 
 use barchan::{Ledger, Simulation};
