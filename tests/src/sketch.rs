@@ -2,6 +2,7 @@
 
 use barchan::Vec3;
 use std::fmt::Display;
+use std::path::{Path, PathBuf};
 
 /// Walls that join every side with the one across.
 pub const PERIODIC: &str = r#"
@@ -125,4 +126,52 @@ pub fn scoop(cell: f64) -> String {
         wall([0.08, t, 0.06], [0.0, -0.08 + t, 0.06]),
         wall([0.08, t, 0.06], [0.0, 0.08 - t, 0.06]),
     )
+}
+
+/// Writes a box as a mesh, by half its sides, for bodies that do not lie along the axes. Returns the file.
+///
+/// # Panics
+/// If it cannot be written.
+pub fn box_mesh(folder: &Path, half: Vec3) -> PathBuf {
+    let file = folder.join("box.obj");
+    let mut obj = String::new();
+    for i in 0..8 {
+        let side = |bit: usize| if i >> bit & 1 == 0 { -half[bit] } else { half[bit] };
+        obj += &format!("v {} {} {}\n", side(0), side(1), side(2));
+    }
+    for quad in [[1, 3, 4, 2], [5, 6, 8, 7], [1, 2, 6, 5], [3, 7, 8, 4], [1, 5, 7, 3], [2, 4, 8, 6]] {
+        obj += &format!("f {} {} {}\nf {} {} {}\n", quad[0], quad[1], quad[2], quad[0], quad[2], quad[3]);
+    }
+    std::fs::write(&file, obj).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    file
+}
+
+/// A stiff block, 8 cm high and in a mesh around the origin, on a plane that is tilted by `tilt` degrees against the grid, in gravity
+/// at 30° to the plane; `more` holds further tables.
+pub fn incline(tilt: f64, friction: f64, mesh: &Path, more: &str) -> String {
+    let slope = f64::to_radians(30.0);
+    let (s, c) = tilt.to_radians().sin_cos();
+    // Along the plane, downhill, and out of it.
+    let (t, n) = ([c, 0.0, s], [-s, 0.0, c]);
+    let gravity: Vec3 = std::array::from_fn(|d| 9.81 * (slope.sin() * t[d] - slope.cos() * n[d]));
+    let at = n.map(|x| 0.04 * x);
+    let turn = -tilt.to_radians() / 2.0;
+    let turn = [turn.cos(), 0.0, turn.sin(), 0.0];
+    let head = Head { gravity, gravity_ramp: 0.2, min: [-1.0; 3], max: [3.0, 1.0, 3.0], ..Head::space(0.02) };
+    head.time("safety = 0.5").with(&[
+        material("hencky", 1000.0, "young_modulus = 2e6, poisson_ratio = 0.2"),
+        body(
+            "hencky",
+            &format!("mesh = {{ file = {mesh:?}, center = {at:?}, rotation = {turn:?} }}"),
+            "around_tools = false",
+        ),
+        tool(
+            "plane",
+            [0.0; 3],
+            &format!("plane = {{ normal = {n:?} }}"),
+            &format!("{{ coulomb = {{ friction = {friction} }} }}"),
+            "\"fixed\"",
+        ),
+        more.to_owned(),
+    ])
 }

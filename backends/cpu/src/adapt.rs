@@ -22,6 +22,15 @@ use std::time::Instant;
 const PORTION: std::ops::RangeInclusive<f64> = 0.5..=1.6;
 /// Rounds after which what has found no partners may merge in pairs, so that leftovers do not add up.
 const PATIENCE: u64 = 5;
+/// Width of the neighbourhoods in which particles look for partners, in sides of the merged particle. They are cut by fixed sizes, so that
+/// no result depends on the number of threads; their faces lie elsewhere each time.
+const NEIGHBOURHOOD: u32 = 8;
+/// How far from a cluster's centre its members may be, in sides of the merged particle: those of a lattice are √3/4 away, the next
+/// ones 0.83.
+const REACH: f64 = 0.65;
+/// Clusters merge if they are no less like a cube than this, as the norm of their second moments over those of the cube of their
+/// volume, less 1: a slab half as thick as wide has 1.02, two particles of a lattice 1.64.
+const SHAPELESS: f64 = 1.1;
 /// Part of a full cell below which a cell counts as empty: next to it is the surface.
 const EMPTY: f64 = 0.5;
 /// Sorts after which everything that is finer than need be is tried again, footprints included: as long as moving regions need to
@@ -405,53 +414,120 @@ impl<T: Scalar> CpuEngine<T> {
         let filling: Vec<HashMap<u64, [f32; CELLS]>> = (0..self.levels.len())
             .map(|l| if candidates.iter().any(|c| c.level == l) { self.filling(l) } else { HashMap::new() })
             .collect();
-        // First bins that lie as the lattice lies; then, for what is left over, bins moved by half their side.
-        for shift in [0, 1 + (self.rounds % 7) as usize] {
-            let mut binned: Vec<Binned> = candidates
-                .iter()
-                .enumerate()
-                .filter(|(i, _)| !merged[*i])
-                .map(|(i, one)| {
-                    let list = &self.levels[one.level].store.lists[one.list];
-                    let body = list.body[one.chunk][one.lane];
-                    let side = self.finest_volume(body).cbrt() * f64::from(1 << (one.class + 1));
-                    let (cell, offset) = (list.cell_of(one.chunk, one.lane), list.offset_of(one.chunk, one.lane));
-                    let bin = std::array::from_fn(|d| {
-                        let x = (f64::from(cell[d]) + offset[d]) * self.levels[one.level].h() / side;
-                        (x + if shift >> d & 1 == 1 { 0.5 } else { 0.0 }).floor() as i64
-                    });
-                    (one.class, one.list, body, bin, list.id[one.chunk][one.lane], i)
-                })
-                .collect();
+        let at_surface = |one: &Found| {
+            let cell = self.levels[one.level].store.lists[one.list].cell_of(one.chunk, one.lane);
+            self.is_near_surface(cell, one.level, &filling[one.level])
+        };
+        let at_surface: Vec<bool> = candidates.par_iter().map(at_surface).collect();
+        // Clusters at the surface first, since only some ways to cut it in cubes leave it whole; then bins, as the lattice lies; then
+        // clusters of what is left over.
+        for way in [Way::Surface, Way::Bins, Way::Rest] {
+            let (sides, shift) = match way {
+                Way::Bins => (1, 0),
+                _ => (NEIGHBOURHOOD, (self.rounds % 8) as usize),
+            };
+            let free = (0..candidates.len()).filter(|&i| !merged[i]);
+            let mut binned: Vec<Binned> = free.map(|i| self.binned(i, &candidates[i], sides, shift)).collect();
             binned.par_sort_unstable();
             let groups: Vec<&[Binned]> = binned.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3)).collect();
-            let pairs = shift != 0 && self.rounds.is_multiple_of(PATIENCE);
-            let results: Vec<Option<Result<Merged, Refusal>>> =
-                { groups.par_iter().map(|group| self.try_merge(group, &candidates, &filling, pairs)).collect() };
-            let mut outcomes = Vec::new();
-            for (group, result) in groups.iter().zip(results) {
+            let try_group = |group: &&[Binned]| match way {
+                Way::Bins => self.try_merge(group, &candidates, &at_surface, false).into_iter().collect(),
+                _ => self.clusters(group, &candidates, &at_surface, shift, matches!(way, Way::Surface)),
+            };
+            let results: Vec<Vec<Result<Merged, Refusal>>> = groups.par_iter().map(try_group).collect();
+            for result in results.into_iter().flatten() {
                 match result {
-                    None => {}
-                    Some(Err(refusal)) if shift == 0 => *self.resampled.refused.entry(refusal).or_default() += 1,
-                    Some(Err(_)) => {}
-                    Some(Ok(one)) if is_near_tool(&one, couplings, tools) => {}
-                    Some(Ok(one)) => outcomes.push((one, group.iter().map(|b| b.5).collect::<Vec<_>>())),
+                    Err(refusal) => *self.resampled.refused.entry(refusal).or_default() += 1,
+                    Ok(one) if is_near_tool(&one, couplings, tools) => {}
+                    Ok(one) => {
+                        self.resampled.merges += 1;
+                        self.resampled.merged += one.members.len() as u64;
+                        self.resampled.kinetic += one.change.kinetic;
+                        self.resampled.angular += one.change.angular;
+                        for i in one.members {
+                            merged[i] = true;
+                            gone.push(candidates[i]);
+                        }
+                        coming.push((one.level, one.parcel));
+                    }
                 }
-            }
-            for (one, members) in outcomes {
-                self.resampled.merges += 1;
-                self.resampled.merged += members.len() as u64;
-                self.resampled.kinetic += one.change.kinetic;
-                self.resampled.angular += one.change.angular;
-                for i in members {
-                    merged[i] = true;
-                    gone.push(candidates[i]);
-                }
-                coming.push((one.level, one.parcel));
             }
         }
         let left = candidates.iter().zip(merged).filter(|(_, merged)| !merged).map(|(one, _)| *one);
         left.filter(|one| one.home != one.level).collect()
+    }
+
+    /// Side of what a body's particles of a class merge into [m].
+    fn merged_side(&self, class: u32, body: u16) -> f64 {
+        self.finest_volume(body).cbrt() * f64::from(1 << (class + 1))
+    }
+
+    /// Where a particle is [m].
+    fn position(&self, one: &Found) -> [f64; 3] {
+        let level = &self.levels[one.level];
+        let list = &level.store.lists[one.list];
+        let (cell, offset) = (list.cell_of(one.chunk, one.lane), list.offset_of(one.chunk, one.lane));
+        std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * level.h())
+    }
+
+    /// A candidate in its bin, `sides` merged particles wide and moved by half of that along the axes of `shift`.
+    fn binned(&self, i: usize, one: &Found, sides: u32, shift: usize) -> Binned {
+        let list = &self.levels[one.level].store.lists[one.list];
+        let body = list.body[one.chunk][one.lane];
+        let side = self.merged_side(one.class, body) * f64::from(sides);
+        let bin = self.position(one).map(|x| x / side);
+        let bin = std::array::from_fn(|d| (bin[d] + f64::from((shift >> d & 1) as u32) * 0.5).floor() as i64);
+        (one.class, one.list, body, bin, list.id[one.chunk][one.lane], i)
+    }
+
+    /// Merges what stands together in a neighbourhood, wherever bins would end: about each particle, those with the least choice first,
+    /// the cluster that is most like a cube; `only_surface` says whether only about particles there.
+    fn clusters(
+        &self,
+        group: &[Binned],
+        candidates: &[Found],
+        at_surface: &[bool],
+        shift: usize,
+        only_surface: bool,
+    ) -> Vec<Result<Merged, Refusal>> {
+        if only_surface && !group.iter().any(|binned| at_surface[binned.5]) {
+            return Vec::new();
+        }
+        let (class, list, body, bin, ..) = group[0];
+        let side = self.merged_side(class, body);
+        // In sides of the merged particle, with bins' faces at whole numbers.
+        let width = i64::from(NEIGHBOURHOOD);
+        let origin: [f64; 3] = std::array::from_fn(|d| (bin[d] * width - (shift >> d & 1) as i64 * width / 2) as f64);
+        let place = |binned: &Binned| {
+            let x = self.position(&candidates[binned.5]);
+            Vector3::from_fn(|d, _| x[d] / side - origin[d])
+        };
+        let volume = |binned: &Binned| {
+            let one = &candidates[binned.5];
+            self.levels[one.level].store.lists[list].volume0_of(one.chunk, one.lane) / side.powi(3)
+        };
+        let mut loose = Loose {
+            surface: group.iter().map(|binned| at_surface[binned.5]).collect(),
+            ..Loose::new(group.iter().map(|binned| (place(binned), volume(binned))).collect())
+        };
+        let pairs = !only_surface && self.rounds.is_multiple_of(PATIENCE);
+        let least = if pairs { 0.0 } else { *PORTION.start() };
+        // At the surface anything less like a cube is refused anyway.
+        let tolerance = self.scene.levels.tolerance;
+        let strict = 4.0 * tolerance * (1.0 + tolerance);
+        let seeds = (0..group.len()).filter(|&i| !only_surface || loose.surface[i]);
+        let mut seeds: Vec<(usize, usize)> = seeds.map(|i| (loose.near(i).count(), i)).collect();
+        seeds.sort_unstable();
+        let mut found = Vec::new();
+        for (_, seed) in seeds {
+            let Some(members) = loose.cluster(seed, least, strict) else { continue };
+            let cluster: Vec<Binned> = members.iter().map(|&i| group[i]).collect();
+            if let Some(Ok(one)) = self.try_merge(&cluster, candidates, at_surface, pairs) {
+                members.iter().for_each(|&i| loose.free[i] = false);
+                found.push(Ok(one));
+            }
+        }
+        found
     }
 
     /// Mass in each cell of a level, as a part of a full cell, by block.
@@ -493,16 +569,16 @@ impl<T: Scalar> CpuEngine<T> {
         &self,
         group: &[Binned],
         candidates: &[Found],
-        filling: &[HashMap<u64, [f32; CELLS]>],
+        at_surface: &[bool],
         pairs: bool,
     ) -> Option<Result<Merged, Refusal>> {
         let (class, list, body, ..) = group[0];
-        let target = self.finest_volume(body) * 8_f64.powi(class as i32 + 1);
+        let side = self.merged_side(class, body);
         let members = || group.iter().map(|binned| candidates[binned.5]);
         let volume: f64 =
             members().map(|one| self.levels[one.level].store.lists[one.list].volume0_of(one.chunk, one.lane)).sum();
         let least = if pairs { 0.0 } else { *PORTION.start() };
-        if group.len() < 2 || volume < least * target || volume > PORTION.end() * target {
+        if group.len() < 2 || volume < least * side.powi(3) || volume > PORTION.end() * side.powi(3) {
             return None;
         }
         // All as seen from the first one's cell, on the coarsest level among them.
@@ -521,7 +597,7 @@ impl<T: Scalar> CpuEngine<T> {
             .collect();
         let origin = parcels[0].cell;
         let particles: Vec<Particle> = parcels.iter().map(|parcel| self.particle(parcel, origin, h)).collect();
-        let near_surface = parcels.iter().any(|parcel| self.is_near_surface(parcel.cell, level, &filling[level]));
+        let near_surface = group.iter().any(|binned| at_surface[binned.5]);
         let (is_gradient, rules) = self.planes_of(list);
         let planes = Planes { is_gradient, merge: &rules };
         let gravity = self.scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
@@ -536,7 +612,8 @@ impl<T: Scalar> CpuEngine<T> {
         like.id = parcels.iter().map(|parcel| parcel.id).min()?;
         let (level, parcel) = self.parcel_of(&one, origin, level, &like);
         // Angular momentum about the world's origin: the particles' own change, since momentum and centre stay.
-        Some(Ok(Merged { level, parcel, change, x, clearance: AROUND_TOOL * target.cbrt() }))
+        let members = group.iter().map(|binned| binned.5).collect();
+        Some(Ok(Merged { level, parcel, change, members, x, clearance: AROUND_TOOL * side }))
     }
 
     /// Is any cell around this one less than half full?
@@ -561,11 +638,119 @@ impl<T: Scalar> CpuEngine<T> {
     }
 }
 
+/// How candidates are put together.
+#[derive(Clone, Copy)]
+enum Way {
+    /// In clusters about particles at the surface.
+    Surface,
+    /// In bins that lie as the lattice lies.
+    Bins,
+    /// In clusters, what is left over.
+    Rest,
+}
+
+/// Particles of a neighbourhood that look for partners.
+struct Loose {
+    /// Places, in sides of the merged particle.
+    x: Vec<Vector3<f64>>,
+    /// Rest volumes over that of the merged particle.
+    volume: Vec<f64>,
+    /// Are they at the surface?
+    surface: Vec<bool>,
+    free: Vec<bool>,
+    /// Particles by cubes of one side, and where each cube's begin.
+    order: Vec<usize>,
+    starts: Vec<usize>,
+}
+
+impl Loose {
+    fn new(particles: Vec<(Vector3<f64>, f64)>) -> Self {
+        let (x, volume): (Vec<_>, Vec<_>) = particles.into_iter().unzip();
+        let mut order: Vec<usize> = (0..x.len()).collect();
+        order.sort_by_key(|&i| Self::index(Self::cube(&x[i])));
+        let mut starts = vec![0; (NEIGHBOURHOOD as usize).pow(3) + 1];
+        x.iter().for_each(|x| starts[Self::index(Self::cube(x)) + 1] += 1);
+        (1..starts.len()).for_each(|i| starts[i] += starts[i - 1]);
+        Self { surface: vec![false; x.len()], free: vec![true; x.len()], x, volume, order, starts }
+    }
+
+    fn cube(x: &Vector3<f64>) -> [usize; 3] {
+        // What rounding puts outside belongs to the outermost cubes.
+        std::array::from_fn(|d| (x[d].max(0.0) as usize).min(NEIGHBOURHOOD as usize - 1))
+    }
+
+    fn index(cube: [usize; 3]) -> usize {
+        (cube[0] * NEIGHBOURHOOD as usize + cube[1]) * NEIGHBOURHOOD as usize + cube[2]
+    }
+
+    /// Free particles less than a side away from one, itself among them.
+    fn near(&self, i: usize) -> impl Iterator<Item = usize> {
+        let cube = Self::cube(&self.x[i]);
+        let [x, y, z] = cube.map(|c| c.saturating_sub(1)..=(c + 1).min(NEIGHBOURHOOD as usize - 1));
+        let rows = x.flat_map(move |x| y.clone().map(move |y| (x, y)));
+        let runs = rows.map(move |(x, y)| {
+            self.starts[Self::index([x, y, *z.start()])]..self.starts[Self::index([x, y, *z.end()]) + 1]
+        });
+        let near = runs.flat_map(|run| self.order[run].iter().copied());
+        near.filter(move |&j| self.free[j] && (self.x[j] - self.x[i]).norm_squared() < 1.0)
+    }
+
+    /// Of the clusters about a particle's eight corners, with at least so much volume, the one most like the merged cube, and as bins lie
+    /// where that is a tie; at the surface no less like it than `strict`.
+    fn cluster(&self, seed: usize, least: f64, strict: f64) -> Option<Vec<usize>> {
+        if !self.free[seed] {
+            return None;
+        }
+        let near: Vec<usize> = self.near(seed).collect();
+        if near.len() < 2 || self.sum(&near) < least {
+            return None;
+        }
+        let mut best: Option<(f64, Vec<usize>)> = None;
+        let mut members: Vec<usize> = Vec::with_capacity(near.len());
+        for corner in 0..8 {
+            let towards = |d: usize| if corner >> d & 1 == 1 { 0.25 } else { -0.25 };
+            let mut centre = self.x[seed] + Vector3::from_fn(|d, _| towards(d));
+            // Turned matter has its cubes' centres elsewhere: go there.
+            for _ in 0..2 {
+                members.clear();
+                members.extend(near.iter().filter(|&&i| (self.x[i] - centre).norm_squared() < REACH * REACH));
+                let moment: Vector3<f64> = members.iter().map(|&i| self.x[i] * self.volume[i]).sum();
+                centre = moment / self.sum(&members);
+            }
+            let volume = self.sum(&members);
+            if members.len() < 2 || volume < least || volume > *PORTION.end() {
+                continue;
+            }
+            let mut spread = Matrix3::zeros();
+            for &i in &members {
+                let (arm, own) = (self.x[i] - centre, self.volume[i].cbrt().powi(2) / 12.0);
+                spread += (arm * arm.transpose() + Matrix3::from_diagonal_element(own)) * (self.volume[i] / volume);
+            }
+            let unlike_cube = (spread * (12.0 / volume.cbrt().powi(2)) - Matrix3::identity()).norm();
+            let off_bin = centre.map(|x| x - x.floor() - 0.5).norm();
+            let score = unlike_cube + (volume - 1.0).abs() + 0.1 * off_bin;
+            let bearable = if members.iter().any(|&i| self.surface[i]) { strict } else { SHAPELESS };
+            if unlike_cube <= bearable && best.as_ref().is_none_or(|(least, _)| score < *least) {
+                best = Some((score, members.clone()));
+            }
+        }
+        let (_, mut members) = best?;
+        members.sort_unstable();
+        Some(members)
+    }
+
+    fn sum(&self, members: &[usize]) -> f64 {
+        members.iter().map(|&i| self.volume[i]).sum()
+    }
+}
+
 /// A merged particle, the level where it belongs, and what that cost.
 struct Merged {
     level: usize,
     parcel: Parcel,
     change: Change,
+    /// Whose place it takes, by their numbers among the candidates.
+    members: Vec<usize>,
     /// Where it is, and how far from tools it has to be [m].
     x: [f64; 3],
     clearance: f64,

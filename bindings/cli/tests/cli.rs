@@ -282,7 +282,7 @@ fn the_accuracy_ladder_falls_and_is_written() {
     }
     assert_eq!(number(&report["reference"], "/errors/height/max_mm"), 0.0);
     let table = fs::read_to_string(out.join("accuracy.md")).unwrap();
-    for part in ["## Cost", "height near L1 [mm]", "## Time to reach the same error", "UBSoft", "| L2 k8 |"] {
+    for part in ["## Cost", "height near, mean error [mm]", "## Time to reach the same error", "UBSoft", "| L2 k8 |"] {
         assert!(table.contains(part), "'{part}' is not in\n{table}");
     }
     for stem in ["height-time", "height-memory", "chamfer-time", "force-memory"] {

@@ -2,7 +2,7 @@
 
 use barchan::{Precision, Simulation, Vec3};
 use barchan_tests::scenes::{minus, norm, plus, rows, run_to, simulation, totals};
-use barchan_tests::sketch::{Head, block, body, half, material, tool};
+use barchan_tests::sketch::{Head, block, body, box_mesh, half, incline, material, tool};
 
 fn cross(a: Vec3, b: Vec3) -> Vec3 {
     std::array::from_fn(|d| a[(d + 1) % 3] * b[(d + 2) % 3] - a[(d + 2) % 3] * b[(d + 1) % 3])
@@ -136,55 +136,16 @@ fn a9_force_on_a_driven_tool_is_the_momentum_removed_from_the_ground() {
     }
 }
 
-/// A stiff block on a plane that is tilted by `tilt` against the grid, in gravity at 30° to the plane.
-fn incline(tilt: f64, friction: f64, mesh: &std::path::Path) -> Simulation {
-    let slope = f64::to_radians(30.0);
-    let (s, c) = tilt.to_radians().sin_cos();
-    // Along the plane, downhill, and out of it.
-    let (t, n) = ([c, 0.0, s], [-s, 0.0, c]);
-    let gravity: Vec3 = std::array::from_fn(|d| 9.81 * (slope.sin() * t[d] - slope.cos() * n[d]));
-    let lift = 0.04;
-    let at = n.map(|x| lift * x);
-    let turn = -tilt.to_radians() / 2.0;
-    let turn = [turn.cos(), 0.0, turn.sin(), 0.0];
-    let head = Head { gravity, gravity_ramp: 0.2, min: [-1.0; 3], max: [3.0, 1.0, 3.0], ..Head::space(0.02) };
-    let scene = head.time("safety = 0.5").with(&[
-        material("hencky", 1000.0, "young_modulus = 2e6, poisson_ratio = 0.2"),
-        body(
-            "hencky",
-            &format!("mesh = {{ file = {mesh:?}, center = {at:?}, rotation = {turn:?} }}"),
-            "around_tools = false",
-        ),
-        tool(
-            "plane",
-            [0.0; 3],
-            &format!("plane = {{ normal = {n:?} }}"),
-            &format!("{{ coulomb = {{ friction = {friction} }} }}"),
-            "\"fixed\"",
-        ),
-    ]);
-    simulation(&scene, Precision::F64)
-}
-
 /// A10: a block on an incline accelerates by g (sin theta - mu cos theta), or stays; whatever the angle between plane and grid.
 /// A friction law that mixes up impulse and force, or sees the grid's axes, would not.
 #[test]
 fn a10_block_on_an_incline_obeys_coulomb() {
     let folder = tempfile::tempdir().unwrap();
-    let mesh = folder.path().join("block.obj");
-    let mut obj = String::new();
-    for i in 0..8 {
-        let side = |bit: i32, half: f64| if i >> bit & 1 == 0 { -half } else { half };
-        obj += &format!("v {} {} {}\n", side(0, 0.16), side(1, 0.08), side(2, 0.04));
-    }
-    for quad in [[1, 3, 4, 2], [5, 6, 8, 7], [1, 2, 6, 5], [3, 7, 8, 4], [1, 5, 7, 3], [2, 4, 8, 6]] {
-        obj += &format!("f {} {} {}\nf {} {} {}\n", quad[0], quad[1], quad[2], quad[0], quad[2], quad[3]);
-    }
-    std::fs::write(&mesh, obj).unwrap();
+    let mesh = box_mesh(folder.path(), [0.16, 0.08, 0.04]);
     let slope = f64::to_radians(30.0);
     for tilt in [0.0, 17.0, 45.0] {
         for friction in [0.3, 0.7] {
-            let mut block = incline(tilt, friction, &mesh);
+            let mut block = simulation(&incline(tilt, friction, &mesh, ""), Precision::F64);
             let (s, c) = f64::to_radians(tilt).sin_cos();
             let along = |sim: &Simulation| {
                 let all = rows(sim);

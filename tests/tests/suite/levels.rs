@@ -4,12 +4,16 @@
 
 mod agents;
 mod contact;
+mod following;
 mod footprints;
 mod properties;
 mod running;
+mod sliding;
+mod snow;
 mod truths;
 
 use barchan::{Ledger, Simulation};
+use barchan_core::levels::{CellBox, MERGE_BEHIND, Regions, cell_of};
 use barchan_tests::scenes::{Row, minus, norm, rows};
 use barchan_tests::sketch::tool;
 
@@ -59,4 +63,16 @@ fn counted(ledger: &Ledger, name: &str) -> u64 {
 fn on_levels(simulation: &Simulation) -> Vec<usize> {
     let all = rows(simulation);
     (0..simulation.plan().cell_widths.len()).map(|l| all.iter().filter(|r| r.level as usize == l).count()).collect()
+}
+
+/// How many particles a fresh scene would have, filled at two a cell, if its regions were as they are now and reached as far as merging
+/// leaves things alone.
+fn static_count(simulation: &Simulation) -> f64 {
+    let scene = &simulation.plan().scene;
+    let h = scene.world.cell;
+    let [min, max] = [scene.world.min, scene.world.max].map(|end| cell_of(end.map(|x| x + 0.5 * h), h));
+    let mut regions = Regions::new(scene, CellBox { min, max });
+    regions.restore(simulation.particles().levels.map(|phase| phase.boxes).unwrap_or_default());
+    let class = |r: &Row| regions.finest_at(cell_of(r.x, h), MERGE_BEHIND) as i32;
+    rows(simulation).iter().map(|r| r.volume0 / (0.5 * h).powi(3) / 8_f64.powi(class(r))).sum()
 }

@@ -1,23 +1,24 @@
 //! Regions that follow agents: splits, merges, and what they must not do.
 
-use super::{counted, kinetic, levels, minus, norm, on_levels};
+use super::{counted, kinetic, levels, minus, norm, on_levels, static_count};
 use barchan::{Ledger, Precision, Simulation};
 use barchan_tests::scenes::{Row, alter, rows, run_to, simulation, within};
 use barchan_tests::sketch::{Head, bed, block, driven, half, material, tool};
 
 const FRICTION: &str = "{ coulomb = { friction = 0.4 } }";
 
-/// A block of jelly at rest in space, and an agent that touches nothing above it.
+/// A block of jelly in space that hardly moves, and an agent that touches nothing above it.
 fn jelly_under_agent(cell: f64, count: u32, velocity: [f64; 3], at: f64) -> String {
+    let motion = "velocity = [0.02, 0.05, 0.03]\nangular_velocity = [0.02, 0.0, 0.0]";
+    moving_jelly_under_agent(cell, count, velocity, at, motion)
+}
+
+/// The same with another motion.
+fn moving_jelly_under_agent(cell: f64, count: u32, velocity: [f64; 3], at: f64, motion: &str) -> String {
     let head = Head { min: [at - 4.0, at - 4.0, -4.0], max: [at + 4.0, at + 4.0, 4.0], ..Head::space(cell) };
     head.time("step = 1e-3").with(&[
         material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
-        block(
-            "neo_hookean",
-            [at - 0.8, at - 0.2, -0.2],
-            [at + 0.8, at + 0.2, 0.2],
-            "velocity = [0.02, 0.05, 0.03]\nangular_velocity = [0.02, 0.0, 0.0]",
-        ),
+        block("neo_hookean", [at - 0.8, at - 0.2, -0.2], [at + 0.8, at + 0.2, 0.2], motion),
         levels(count, 8, &["eye"]),
         tool("eye", [at, at, 0.4], "sphere = { radius = 0.05 }", "\"slip\"", &driven(velocity)),
     ])
@@ -36,39 +37,41 @@ fn conserved(what: &str, before: &Ledger, after: &Ledger, energy: f64) {
     within(&format!("{what}: share of energy that merges took"), -after.resampled_kinetic / energy, 0.01);
 }
 
-/// B30, B33. Symptom: an agent that goes to and fro leaves more particles at every pass, or each split and merge takes some of the motion.
-/// Physics: nothing happens to matter; children that merge again are the parent; the count stays within 1.3 of what it was, but for groups kept apart at the surface on purpose.
+/// B30, B33. Symptom: an agent that goes to and fro leaves more particles at every pass, since clusters that have moved or turned across
+/// the lattice of bins find no partners (2.3 times as many after 150 passes over a turning body); or each split and merge takes some of the motion.
+/// Physics: nothing happens to matter; the count stays within 1.3 of what a fresh scene would have, whatever has happened.
 #[test]
 fn b30_passes_of_an_agent_leave_nothing_behind() {
-    let mut s = simulation(&jelly_under_agent(0.05, 3, [0.0; 3], 0.0), Precision::F64);
-    let before = s.ledger();
-    let at_start = s.particle_count();
-    let mut counts = Vec::new();
-    for pass in 0..24 {
-        let v = if pass % 2 == 0 { 20.0 } else { -20.0 };
-        // 0.4 of a cell a step at most.
-        s.drive("eye", [v, 0.0, 0.0], [0.0; 3]).unwrap();
-        for _ in 0..if pass == 0 { 20 } else { 40 } {
-            step(&mut s);
+    let h = 0.05;
+    let straight = "velocity = [0.02, 0.05, 0.03]\nangular_velocity = [0.02, 0.0, 0.0]";
+    let turning = "velocity = [0.05, 0.1, 0.0]\nangular_velocity = [0.5, 0.0, 0.2]";
+    for (what, motion, passes) in [("B30", straight, 60), ("B30 turning", turning, 24)] {
+        let mut s = simulation(&moving_jelly_under_agent(h, 3, [0.0; 3], 0.0, motion), Precision::F64);
+        let before = s.ledger();
+        let at_start = s.particle_count();
+        let mut counts = Vec::new();
+        for pass in 0..passes {
+            let v = if pass % 2 == 0 { 20.0 } else { -20.0 };
+            // 0.4 of a cell a step at most.
+            s.drive("eye", [v, 0.0, 0.0], [0.0; 3]).unwrap();
+            for _ in 0..if pass == 0 { 20 } else { 40 } {
+                step(&mut s);
+            }
+            counts.push((s.particle_count() as f64 / static_count(&s) * 1000.0).round() / 1000.0);
         }
-        counts.push(s.particle_count());
+        let after = s.ledger();
+        println!(
+            "{what}: {at_start} particles, at the end {}: {:?}, over static {counts:?}",
+            s.particle_count(),
+            after.counts
+        );
+        assert!(counted(&after, "particles split") > 1000, "{:?}", after.counts);
+        conserved(what, &before, &after, before.kinetic);
+        let spin = norm(after.resampled_angular_momentum) / norm(before.angular_momentum);
+        within(&format!("{what}: share of angular momentum that merges changed"), spin, 0.01);
+        let most = counts.into_iter().fold(0.0, f64::max);
+        within(&format!("B33 {motion:?}: particles over the static count, after any of {passes} passes"), most, 1.3);
     }
-    s.drive("eye", [20.0, 0.0, 0.0], [0.0; 3]).unwrap();
-    (0..20).for_each(|_| step(&mut s));
-    let after = s.ledger();
-    println!(
-        "B30: {at_start} particles, after passes {counts:?}, at the end {}: {:?}",
-        s.particle_count(),
-        after.counts
-    );
-    assert!(counted(&after, "particles split") > 1000, "{:?}", after.counts);
-    conserved("B30", &before, &after, before.kinetic);
-    let spin = norm(after.resampled_angular_momentum) / norm(before.angular_momentum);
-    within("B30: share of angular momentum that merges changed", spin, 0.01);
-    // But for groups that are kept apart at the surface on purpose.
-    let end = (s.particle_count() as u64 - 8 * counted(&after, "kept apart")) as f64;
-    within("B33: particles after 24 passes over those after two", end / counts[1] as f64, 1.3);
-    within("B33: particles after 24 passes over those at the start", end / at_start as f64, 1.3);
 }
 
 /// B30, of one cluster. Symptom: children that copy their parent's velocity, or a merge that forgets gradients, take 4 % of the energy of a turn.

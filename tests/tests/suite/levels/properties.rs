@@ -7,7 +7,7 @@ use barchan_grid::resample::{Particle, Planes, merge, split};
 use barchan_grid::ring::{COLUMNS, restrict};
 use barchan_tests::scenes::scene;
 use barchan_tests::sketch::{Head, half, tool};
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use proptest::prelude::*;
 
 const PLANES: Planes<'static> = Planes { is_gradient: false, merge: &[] };
@@ -70,10 +70,14 @@ proptest! {
         prop_assert!(back.strain.iter().zip(parent.strain).all(|(a, b)| (a - b).abs() < 1e-12));
     }
 
-    /// Any cluster that merges keeps mass, centre and momentum; what it changes of angular momentum and energy is what it says; and one that
-    /// is no smaller than the cube that replaces it gives no energy. (Particles that overlap do: their spin goes on in a larger cube.)
+    /// Symptom: spinning particles that overlap gain energy as they merge. Physics: any cluster that merges, be it all at one place, keeps
+    /// mass, centre and momentum and gains no energy; what it changes of angular momentum and energy is what it says.
     #[test]
-    fn merges_keep_mass_and_momentum_and_give_no_energy(cluster in prop::collection::vec(particle(), 2..9)) {
+    fn merges_keep_mass_and_momentum_and_give_no_energy(
+        mut cluster in prop::collection::vec(particle(), 2..9),
+        apart in prop::sample::select(vec![1.0, 0.3, 0.01, 0.0]),
+    ) {
+        cluster.iter_mut().for_each(|p| p.x *= apart);
         // Gravity without end: nothing is refused for its motion.
         let (one, change) = merge(&cluster, PLANES, f64::INFINITY, 1.0, false).unwrap();
         let (before, after) = (totals(&cluster), totals(&[one]));
@@ -82,14 +86,7 @@ proptest! {
             prop_assert!((after[7 + d] - before[7 + d] - change.angular[d]).abs() < 1e-11);
         }
         prop_assert!((after[10] - before[10] - change.kinetic).abs() < 1e-11 * (1.0 + before[10]));
-        let mut spread = Matrix3::zeros();
-        for p in &cluster {
-            let (arm, inertia) = (p.x - one.x, p.side(PLANES).powi(2) / 12.0);
-            spread += (arm * arm.transpose() + Matrix3::from_diagonal_element(inertia)) * (p.mass / one.mass);
-        }
-        if SymmetricEigen::new(spread).eigenvalues.min() >= one.side(PLANES).powi(2) / 12.0 {
-            prop_assert!(change.kinetic <= 1e-12, "a merge gave {} J", change.kinetic);
-        }
+        prop_assert!(change.kinetic <= 1e-12, "a merge gave {} J", change.kinetic);
     }
 
     /// Whatever nodes are a rim, and whatever they hold, parents get all mass and momentum; and angular momentum, but for the spin of

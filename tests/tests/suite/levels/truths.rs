@@ -1,6 +1,6 @@
 //! Exact solutions and conservation laws across a rim.
 
-use super::{around_marker, counted, inner, minus, norm, on_levels, spin};
+use super::{around_marker, counted, inner, minus, norm, on_levels, spin, static_count};
 use barchan::{Precision, Simulation};
 use barchan_tests::scenes::{Noise, alter, rows, run_to, simulation, within};
 use barchan_tests::sketch::{Head, bed, block, body, material};
@@ -98,7 +98,7 @@ fn a1_affine_fields_are_reproduced_at_a_rim() {
 
 /// A bar of 1 m along x with rho = E = 1, nu = 0 and a square section of two cells, so that motion is one-dimensional; its ends are joined.
 /// With two levels it is fine over `fine` cells from `from` on.
-fn bar(cells: u32, length: f64, levels: u32, from: f64, fine: u32) -> String {
+fn bar(law: &str, cells: u32, length: f64, levels: u32, from: f64, fine: u32) -> String {
     let h = length / f64::from(cells);
     let head = Head {
         gravity: [0.0; 3],
@@ -107,17 +107,17 @@ fn bar(cells: u32, length: f64, levels: u32, from: f64, fine: u32) -> String {
         ..Head::cells(h, [cells, 4, 4], "x_min = \"periodic\"\nx_max = \"periodic\"")
     };
     head.time(format!("step = {}", 0.2 * h)).with(&[
-        material("neo_hookean", 1.0, "young_modulus = 1.0, poisson_ratio = 0.0"),
-        block("neo_hookean", [0.0; 3], [length, 2.0 * h, 2.0 * h], ""),
+        material(law, 1.0, "young_modulus = 1.0, poisson_ratio = 0.0"),
+        block(law, [0.0; 3], [length, 2.0 * h, 2.0 * h], ""),
         around_marker(levels, fine / 2, [from + 0.5 * f64::from(fine) * h, 5.0 * h, 5.0 * h]),
     ])
 }
 
 /// A standing wave in a bar: greatest L2 error of displacement over one period, relative to the wave's amplitude.
-fn standing_wave(cells: u32, levels: u32) -> f64 {
+fn standing_wave(law: &str, cells: u32, levels: u32, precision: Precision) -> f64 {
     let (v0, k) = (1e-4, TAU);
     // Fine over half of the bar; rims where displacement is, and where strain is greatest.
-    let mut bar = simulation(&bar(cells, 1.0, levels, 0.25, cells / 2), Precision::F64);
+    let mut bar = simulation(&bar(law, cells, 1.0, levels, 0.25, cells / 2), precision);
     alter(&mut bar, |r| {
         r.v[0] = v0 * (k * r.x[0]).sin();
         r.c[0] = v0 * k * (k * r.x[0]).cos();
@@ -143,8 +143,8 @@ fn standing_wave(cells: u32, levels: u32) -> f64 {
 /// two grids and falls with the square of the cell.
 #[test]
 fn a2_standing_wave_across_rims_converges_at_second_order() {
-    let fine: Vec<f64> = [16, 32, 64].map(|cells| standing_wave(cells, 1)).to_vec();
-    let errors: Vec<f64> = [32, 64, 128].map(|cells| standing_wave(cells, 2)).to_vec();
+    let fine: Vec<f64> = [16, 32, 64].map(|cells| standing_wave("neo_hookean", cells, 1, Precision::F64)).to_vec();
+    let errors: Vec<f64> = [32, 64, 128].map(|cells| standing_wave("neo_hookean", cells, 2, Precision::F64)).to_vec();
     for (i, cells) in [32, 64, 128].into_iter().enumerate() {
         println!("A2 {cells} cells a wavelength, half of it: {:.5}; all {}: {:.5}", errors[i], cells / 2, fine[i]);
         within("A2 error across rims over that of the coarse grid", errors[i] / fine[i], 1.0);
@@ -154,17 +154,29 @@ fn a2_standing_wave_across_rims_converges_at_second_order() {
         println!("A2 order across rims: {order:.3}, at least 1.9");
         assert!(order >= 1.9, "order {order}");
     }
+    // Strains of 1e-4 have three digits in f32.
+    let single = standing_wave("neo_hookean", 64, 2, Precision::F32);
+    within("A2 error across rims over that of the coarse grid, f32", single / fine[1], 1.1);
+    // Within its elastic range snow is as good a bar as any.
+    for (precision, tolerance) in [(Precision::F64, 1.0), (Precision::F32, 1.1)] {
+        let snow = standing_wave("snow", 64, 2, precision);
+        within(
+            &format!("A2 snow: error across rims over that of the coarse grid, {precision}"),
+            snow / fine[1],
+            tolerance,
+        );
+    }
 }
 
 /// Greatest wave that runs back from a Gaussian pulse of `width` fine cells after it has passed from fine to coarse, over the
 /// pulse's height.
-fn reflected(width: u32, levels: u32, coarse: bool) -> f64 {
+fn reflected(width: u32, levels: u32, coarse: bool, precision: Precision) -> f64 {
     let (fine, h0) = (8 * width, 1.0 / 64.0);
     let (rim, v0) = (f64::from(fine) * h0, 1e-4);
     let (cells, length) = (2 * fine, 2.0 * f64::from(fine) * h0);
     let w = f64::from(width) * h0;
     let cells = if coarse { cells / 2 } else { cells };
-    let mut bar = simulation(&bar(cells, length, levels, 0.0, fine), Precision::F64);
+    let mut bar = simulation(&bar("neo_hookean", cells, length, levels, 0.0, fine), precision);
     // To the right: strain is -v/c, with c = 1.
     alter(&mut bar, |r| {
         let s = (r.x[0] - 0.5 * rim) / w;
@@ -187,24 +199,33 @@ fn reflected(width: u32, levels: u32, coarse: bool) -> f64 {
 #[test]
 fn b36_pulses_pass_a_rim() {
     for (width, most) in [(6, 0.029), (8, 0.026), (12, 0.015), (16, 0.007), (24, 0.001)] {
-        let [fine, coarse, both] =
-            [(1, false), (1, true), (2, false)].map(|(levels, coarse)| reflected(width, levels, coarse));
+        let [fine, coarse, both] = [(1, false), (1, true), (2, false)]
+            .map(|(levels, coarse)| reflected(width, levels, coarse, Precision::F64));
         println!("B36 width {width}: uniform {fine:.5} fine, {coarse:.5} coarse; through a rim {both:.5}");
         within(&format!("B36 width {width}: reflected, beyond one level"), both - fine, most + 0.001);
+        if width == 12 {
+            // Strains of 1e-4 have three digits in f32.
+            let single = reflected(width, 2, false, Precision::F32);
+            within("B36 width 12: reflected, beyond one level, f32", single - fine, most + 0.004);
+        }
     }
 }
 
 /// A ball of neo-Hookean jelly of radius 0.3 m around the origin that spins about z at 6 rad/s; the fine region ends at x = `rim` and
 /// at z = 0.15, so that one edge of it lies in the ball.
-fn spinning_ball(cell: f64, levels: u32, half: u32, rim: f64) -> Simulation {
+fn spinning_ball(cell: f64, levels: u32, half: u32, rim: f64, precision: Precision) -> Simulation {
     let side = f64::from(half) * cell;
     let scene = Head::space(cell).time("safety = 0.5").with(&[
         material("neo_hookean", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3"),
         body("neo_hookean", "sphere = { radius = 0.3 }", "angular_velocity = [0.0, 0.0, 6.0]"),
         around_marker(levels, half, [rim - side, 0.0, 0.15 - side]),
     ]);
-    simulation(&scene, Precision::F64)
+    simulation(&scene, precision)
 }
+
+/// Merging smooths strain, and with it some of the ball's vibration: so much of all energy a turn may go beyond what the coarsest level takes.
+/// The prototype's kinetic energies agreed to 1e-2.
+const MERGED: f64 = 2e-3;
 
 /// B28, B29, B33. Symptom: a ball that spins through a rim tears where particles see their own level only (extent 0.30 to 0.95
 /// in a turn); without the rim's affine term a third of the angular momentum and half of the kinetic energy go while linear
@@ -216,7 +237,7 @@ fn b29_a_spinning_ball_keeps_its_spin_and_energy() {
     // Energy that a turn takes, and the greatest change of spin by the particles' own inertia, which they exchange with the
     // ball's vibration.
     let alone = |cell: f64| {
-        let mut ball = spinning_ball(cell, 1, 16, 0.0);
+        let mut ball = spinning_ball(cell, 1, 16, 0.0, Precision::F64);
         let (before, spun) = (ball.ledger(), spin(&ball));
         let mut most = 0f64;
         for quarter in 1..=4 {
@@ -226,12 +247,15 @@ fn b29_a_spinning_ball_keeps_its_spin_and_energy() {
         (1.0 - inner(&ball.ledger()) / inner(&before), most)
     };
     // With three levels the coarsest has to reach into the ball, which is then two of its cells in radius.
-    for (levels, half, rim, turns) in [(2, 16, 0.0, 3.0), (3, 8, -0.225, 1.0)] {
+    let (double, single) = (Precision::F64, Precision::F32);
+    for (levels, half, rim, turns, precision) in
+        [(2, 16, 0.0, 3.0, double), (3, 8, -0.225, 1.0, double), (3, 8, -0.225, 1.0, single)]
+    {
         let (coarse_loss, coarse) = alone(h * f64::from(1 << (levels - 1)));
         println!(
             "B29 {levels} levels: the coarsest alone: spin by own inertia {coarse:.1e}, energy lost {coarse_loss:.1e}"
         );
-        let mut ball = spinning_ball(h, levels, half, rim);
+        let mut ball = spinning_ball(h, levels, half, rim, precision);
         let (before, spun, start) = (ball.ledger(), spin(&ball), on_levels(&ball));
         run_to(&mut ball, TAU / 6.0);
         let first = spin(&ball);
@@ -239,21 +263,26 @@ fn b29_a_spinning_ball_keeps_its_spin_and_energy() {
         let (after, last) = (ball.ledger(), spin(&ball));
         let reach = rows(&ball).iter().fold(0f64, |far, r| far.max(norm(r.x)));
         println!("B29 {levels} levels, {turns} turns: {start:?} -> {:?}, {:?}", on_levels(&ball), after.counts);
-        let what = format!("B29 {levels} levels:");
-        within(&format!("{what} spin by own inertia in a turn"), norm(minus(first, spun)) / spun[2], coarse);
+        let what = format!("B29 {levels} levels, {precision}:");
+        // What 4000 steps may round off, of momentum and of spin.
+        let (rounding, blur, unit) = if precision == Precision::F64 { (1e-13, 0.0, 1e-14) } else { (1e-5, 5e-4, 1e-7) };
+        within(&format!("{what} spin by own inertia in a turn"), norm(minus(first, spun)) / spun[2], coarse + blur);
         if turns > 1.0 {
             let drift = norm(minus(last, first)) / spun[2] / (turns - 1.0);
             within(&format!("{what} spin in each further turn"), drift, 2e-4);
         }
-        within(&format!("{what} energy lost a turn"), (1.0 - inner(&after) / inner(&before)) / turns, coarse_loss);
+        within(
+            &format!("{what} energy lost a turn"),
+            (1.0 - inner(&after) / inner(&before)) / turns,
+            coarse_loss + MERGED,
+        );
         within(&format!("{what} energy gained"), inner(&after) / inner(&before) - 1.0, 0.0);
         let scale = before.mass * 6.0 * 0.3;
-        within(&format!("{what} linear momentum"), norm(minus(after.momentum, before.momentum)) / scale, 1e-13);
-        within(&format!("{what} mass"), (after.mass / before.mass - 1.0).abs(), 1e-14);
+        within(&format!("{what} linear momentum"), norm(minus(after.momentum, before.momentum)) / scale, rounding);
+        within(&format!("{what} mass"), (after.mass / before.mass - 1.0).abs(), unit);
         within(&format!("B28 {levels} levels: reach over the radius"), reach / 0.3, 1.05);
-        // But for groups that are kept apart at the surface on purpose.
-        let creep = (after.particles - 8 * counted(&after, "kept apart")) as f64 / before.particles as f64;
-        within(&format!("B33 {levels} levels: particles over those at the start"), creep, 1.3);
+        let creep = after.particles as f64 / static_count(&ball);
+        within(&format!("B33 {levels} levels: particles over the static count"), creep, 1.3);
         within(&format!("{what} energy that merging gave"), after.resampled_kinetic / before.kinetic, 0.0);
         within(&format!("{what} energy that merging took"), -after.resampled_kinetic / before.kinetic, 6e-4 * turns);
         assert!(start[0] > 100 && start[1] > 100, "{start:?}");
@@ -268,7 +297,7 @@ fn a4_rotating_cylinder_across_a_rim() {
     let (young, nu, rho, omega) = (1e4f64, 0.3, 1000.0, 6.0);
     let c_p = (young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / rho).sqrt();
     let h0 = 1.0 / 64.0;
-    let run = |h: f64, levels: u32| {
+    let run = |h: f64, levels: u32, precision: Precision| {
         let head = Head {
             gravity: [0.0; 3],
             ..Head { max: [1.0, 1.0, 8.0 * h0], ..Head::cells(h, [0; 3], "z_min = \"periodic\"\nz_max = \"periodic\"") }
@@ -283,7 +312,7 @@ fn a4_rotating_cylinder_across_a_rim() {
             ),
             around_marker(levels, 16, [0.5 - 16.0 * h0, 0.38, half]),
         ]);
-        let mut disk = simulation(&scene, Precision::F64);
+        let mut disk = simulation(&scene, precision);
         let l0 = spin(&disk);
         let before = disk.ledger();
         run_to(&mut disk, TAU / omega);
@@ -294,21 +323,27 @@ fn a4_rotating_cylinder_across_a_rim() {
         let dl = (spin(&disk)[2] - l0[2]).abs() / (0.5 * before.mass * omega * 0.15 * 0.15);
         let kept = after.kinetic / before.kinetic;
         println!(
-            "A4 h {h:.4}, {levels} levels: dP {p:.1e}, dL by own inertia {dl:.1e}, kinetic energy kept {kept:.4}, {:?}",
+            "A4 h {h:.4}, {levels} levels, {precision}: dP {p:.1e}, dL by own inertia {dl:.1e}, kinetic energy kept {kept:.4}, {:?}",
             after.counts
         );
         (p, dl, kept)
     };
-    let fine = run(h0, 1);
-    let coarse = run(2.0 * h0, 1);
-    let both = run(h0, 2);
-    within("A4 linear momentum", both.0, 1e-13);
-    within("A4 angular momentum by the particles' own inertia, beside one level", both.1, fine.1.max(coarse.1));
-    within(
-        "A4 kinetic energy beside that of one level",
-        (fine.2.min(coarse.2) - both.2).max(both.2 - fine.2.max(coarse.2)),
-        0.01,
-    );
+    let fine = run(h0, 1, Precision::F64);
+    let coarse = run(2.0 * h0, 1, Precision::F64);
+    for (precision, linear, angular) in [(Precision::F64, 1e-13, 0.0), (Precision::F32, 1e-5, 5e-4)] {
+        let both = run(h0, 2, precision);
+        within(&format!("A4 linear momentum, {precision}"), both.0, linear);
+        within(
+            &format!("A4 angular momentum by the particles' own inertia, beside one level, {precision}"),
+            both.1,
+            fine.1.max(coarse.1) + angular,
+        );
+        within(
+            &format!("A4 kinetic energy beside that of one level, {precision}"),
+            (fine.2.min(coarse.2) - both.2).max(both.2 - fine.2.max(coarse.2)),
+            0.01,
+        );
+    }
 }
 
 /// Kirchhoff stresses [Pa] of all particles, by id.
@@ -326,7 +361,7 @@ fn stresses(column: &Simulation) -> Vec<(u64, [f64; 6])> {
 /// A column of sand at rest: `rim` m is where its upper part becomes fine. Returns, over layers of two fine cells, the
 /// greatest error of sigma_zz over rho g H near that height, the greatest of sigma_zz and of K0 relative to themselves away from
 /// the ends, and how fast matter drifts [m/s].
-fn column(h: f64, levels: u32) -> [f64; 4] {
+fn column(h: f64, levels: u32, precision: Precision) -> [f64; 4] {
     let (h0, height, rho, g, k0) = (0.02, 0.48, 1500.0, 9.81, 1.0 / 3.0);
     let scale = (h / h0) as u32;
     let (head, mut sand) = bed(
@@ -344,7 +379,7 @@ fn column(h: f64, levels: u32) -> [f64; 4] {
     let rim = 0.24;
     sand.push(around_marker(levels, 16, [h0, 4.0 * h0, rim + 16.0 * h0]));
     let scene = Head { gravity_ramp: 0.4, walls: &walls, ..head }.with(&sand);
-    let mut column = simulation(&scene, Precision::F64);
+    let mut column = simulation(&scene, precision);
     let start = rows(&column);
     run_to(&mut column, 0.5);
     let mut layers = vec![(0.0, 0.0, 0.0, 0.0); (height / (2.0 * h0)) as usize + 1];
@@ -386,7 +421,7 @@ fn column(h: f64, levels: u32) -> [f64; 4] {
         worst_k0 = worst_k0.max((xx / zz / k0 - 1.0).abs());
     }
     println!(
-        "A3 h {h} m, {levels} levels: {:?}, {:?}; near {near:.4}, zz {worst_zz:.4}, K0 {worst_k0:.4}, drift {drift:.2e}",
+        "A3 h {h} m, {levels} levels, {precision}: {:?}, {:?}; near {near:.4}, zz {worst_zz:.4}, K0 {worst_k0:.4}, drift {drift:.2e}",
         on_levels(&column),
         column.ledger().counts
     );
@@ -397,11 +432,14 @@ fn column(h: f64, levels: u32) -> [f64; 4] {
 /// on both sides; matter at rest stays.
 #[test]
 fn b37_column_at_rest_across_a_rim() {
-    let fine = column(0.02, 1);
-    let coarse = column(0.04, 1);
-    let both = column(0.02, 2);
-    within("B37 jump of sigma_zz over rho g H", both[0], 0.02);
-    within("A3 sigma_zz", both[1], 0.02);
-    within("A3 K0", both[2], 0.02);
-    within("B37 drift over that of one level, fine or coarse", both[3] / fine[3].max(coarse[3]), 1.5);
+    let fine = column(0.02, 1, Precision::F64);
+    let coarse = column(0.04, 1, Precision::F64);
+    for (precision, tolerance) in [(Precision::F64, 0.02), (Precision::F32, 0.025)] {
+        let both = column(0.02, 2, precision);
+        within(&format!("B37 jump of sigma_zz over rho g H, {precision}"), both[0], tolerance);
+        within(&format!("A3 sigma_zz, {precision}"), both[1], tolerance);
+        within(&format!("A3 K0, {precision}"), both[2], tolerance);
+        let drift = both[3] / fine[3].max(coarse[3]);
+        within(&format!("B37 drift over that of one level, fine or coarse, {precision}"), drift, 1.5);
+    }
 }
