@@ -47,12 +47,12 @@ fn b08_equal_stretches_give_their_limit() {
                 // Per step dt E/(ρ h) = 1e-4 · 1e5/100 = 0.1 m/s would be the effect of an unbalanced stress.
                 fastest = all
                     .iter()
-                    .fold(fastest, |f, r| f.max(norm(&r.v) / if precision == Precision::F32 { 1.0 } else { 1e-8 }));
+                    .fold(fastest, |f, r| f.max(norm(r.v) / if precision == Precision::F32 { 1.0 } else { 1e-8 }));
                 stresses(&periodic)[17]
             });
             // Relative to the modulus times the least strain that f32 resolves in b.
-            let difference = norm(&std::array::from_fn::<_, 6, _>(|c| stress[0][c] - stress[1][c]));
-            worst = worst.max(difference / (norm(&stress[0]) + 1e5));
+            let difference = norm(std::array::from_fn::<_, 6, _>(|c| stress[0][c] - stress[1][c]));
+            worst = worst.max(difference / (norm(stress[0]) + 1e5));
         }
         within(&format!("B8 {law}: stress of f32 against f64, over E"), worst, 1e-6);
         within(&format!("B8 {law}: speed in a balanced box, f64 in 1e-8 [m/s]"), fastest, 1e-4);
@@ -284,7 +284,7 @@ fn b12_volume_gained_in_flight_is_bounded_and_landing_bears_load() {
     let top = all.iter().fold(0f64, |t, r| t.max(r.x[2]));
     println!("B12: from 0.5 m to {top:.3} m (e^-0.5 gives 0.303 m)");
     let (push, time) = (landed.ledger().wall_impulse[2], landed.time());
-    let early = (rows(&landed).iter().map(|r| norm(&r.v).powi(2)).sum::<f64>() / all.len() as f64).sqrt();
+    let early = (rows(&landed).iter().map(|r| norm(r.v).powi(2)).sum::<f64>() / all.len() as f64).sqrt();
     let all = until(&mut landed, 6.0);
     let borne = (landed.ledger().wall_impulse[2] - push) / (landed.time() - time);
     let weight: f64 = all.iter().map(|r| r.m * 9.81).sum();
@@ -292,7 +292,7 @@ fn b12_volume_gained_in_flight_is_bounded_and_landing_bears_load() {
     let pressed = stresses(&landed).iter().filter(|t| t[2] < 0.0).count();
     println!("B12: {pressed} of {} particles bear load; root mean square speed {early:.3} m/s at 2 s", all.len());
     assert!(pressed > all.len() / 4);
-    let speed = (all.iter().map(|r| norm(&r.v).powi(2)).sum::<f64>() / all.len() as f64).sqrt();
+    let speed = (all.iter().map(|r| norm(r.v).powi(2)).sum::<f64>() / all.len() as f64).sqrt();
     within("B12: root mean square speed at 6 s over that at 2 s: it settles", speed / early, 0.5);
     within("B12: height below e^-0.5 of that at the start [m]", 0.5 * f64::exp(-0.5) - top, 0.03);
 }
@@ -390,7 +390,7 @@ fn b14_cohesive_block_hangs_or_tears_and_dry_sand_bears_no_tension() {
     }
     within("B14: stress of dry sand in tension [Pa]", greatest, 0.0);
     let end = rows(&dry);
-    let drift = norm(&std::array::from_fn::<_, 3, _>(|d| momentum(&end)[d] - start[d]));
+    let drift = norm(std::array::from_fn::<_, 3, _>(|d| momentum(&end)[d] - start[d]));
     within("B14: drift of momentum while it opens [N s]", drift, 1e-5);
 }
 
@@ -415,7 +415,7 @@ fn b15_yield_stress_zero_is_a_fluid_and_infinite_is_elastic() {
         count += 1.0;
         for t in stresses(&fluid) {
             let p = (t[0] + t[1] + t[2]) / 3.0;
-            shear = shear.max(norm(&[t[0] - p, t[1] - p, t[2] - p, t[3], t[4], t[5]]));
+            shear = shear.max(norm([t[0] - p, t[1] - p, t[2] - p, t[3], t[4], t[5]]));
         }
     }
     within("B15 sigma_y = 0: surface off level [deg]", (sum / count).abs(), 2.0);

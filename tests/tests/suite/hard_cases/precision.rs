@@ -210,7 +210,7 @@ fn b20_leaving_the_world_is_booked() {
                 1e-12,
             );
         } else {
-            let scale = norm(&before.momentum);
+            let scale = norm(before.momentum);
             for d in 0..3 {
                 let closed = after.momentum[d] - before.momentum[d] - after.gravity_impulse[d] - after.wall_impulse[d];
                 within("B20 clamp: momentum not explained by walls and gravity", closed.abs() / scale, 1e-12);
@@ -241,11 +241,10 @@ fn b21_tiny_node_masses_neither_explode_nor_swallow_momentum() {
             });
             alter(&mut lone, |r| r.strain[..3].fill(0.9));
             let before = rows(&lone);
-            let (p, fastest) =
-                (momentum(&before), |s: &Simulation| rows(s).iter().fold(0f64, |f, r| f.max(norm(&r.v))));
+            let (p, fastest) = (momentum(&before), |s: &Simulation| rows(s).iter().fold(0f64, |f, r| f.max(norm(r.v))));
             steps(&mut lone, 5);
             let after = rows(&lone);
-            let lost = norm(&std::array::from_fn::<_, 3, _>(|d| momentum(&after)[d] - p[d])) / norm(&p);
+            let lost = norm(std::array::from_fn::<_, 3, _>(|d| momentum(&after)[d] - p[d])) / norm(p);
             // The speed of sound times the strain bounds what stress can do.
             println!(
                 "B21 {precision}, offset {offset:.1e}: momentum lost {lost:.1e} ({tolerance:.0e}), fastest {:.2} m/s",

@@ -82,7 +82,7 @@ fn b43_scoop_feels_no_spikes() {
     let mut force = Vec::new();
     while s.time() < 0.8 {
         steps(&mut s, 1);
-        force.push(norm(&s.wrenches()[0].force));
+        force.push(norm(s.wrenches()[0].force));
     }
     assert!(all_finite(&rows(&s)));
     let greatest = force.iter().copied().fold(0.0, f64::max);
@@ -124,7 +124,7 @@ fn b45_stacks_and_extreme_masses_are_stable_at_the_same_step() {
             let dt = s.step().unwrap().dt;
             assert_eq!(dt, 2.5e-4, "the step stays");
             for body in s.bodies() {
-                fastest = fastest.max(norm(&body.velocity));
+                fastest = fastest.max(norm(body.velocity));
             }
             if s.time() > 0.6 {
                 push += s.wrenches().iter().map(|w| w.force[2]).sum::<f64>() * dt;
@@ -134,7 +134,7 @@ fn b45_stacks_and_extreme_masses_are_stable_at_the_same_step() {
         }
         let all = rows(&s);
         assert!(all_finite(&all));
-        let thrown = all.iter().fold(0f64, |f, r| f.max(norm(&r.v)));
+        let thrown = all.iter().fold(0f64, |f, r| f.max(norm(r.v)));
         let weight: f64 = s.bodies().iter().map(|b| b.mass * 9.81).sum();
         println!("B45 {densities:?}: fastest body {fastest:.3} m/s, fastest particle at the end {thrown:.3} m/s");
         within(&format!("B45 {densities:?}: mean push over weight, off by"), (push / time / weight - 1.0).abs(), 0.02);
@@ -191,7 +191,7 @@ fn b47_collisions_in_space_keep_all_momentum() {
         let start = s.ledger();
         steps(&mut s, 1000);
         let (q, m) = totals(&s);
-        let off = |a: [f64; 3], b: [f64; 3]| norm(&std::array::from_fn::<_, 3, _>(|d| a[d] - b[d]));
+        let off = |a: [f64; 3], b: [f64; 3]| norm(std::array::from_fn::<_, 3, _>(|d| a[d] - b[d]));
         // Scales: the momentum of the parts before they met.
         let end = s.ledger();
         within(&format!("B47 {precision}: momentum, over 20 kg m/s"), off(p, q) / 20.0, tolerance);
@@ -274,7 +274,7 @@ fn b49_overlap_at_the_start_ejects_nothing() {
         while s.time() < 0.5 {
             let all = later(&mut s, 0.005);
             assert!(all_finite(&all));
-            fastest = all.iter().fold(fastest, |f, r| f.max(norm(&r.v))).max(norm(&s.bodies()[0].velocity));
+            fastest = all.iter().fold(fastest, |f, r| f.max(norm(r.v))).max(norm(s.bodies()[0].velocity));
         }
         println!("B49 {what}: body ends at {:.3} m from {z} m", s.bodies()[0].position[2]);
         within(&format!("B49 {what}: greatest speed [m/s]"), fastest, 1.0);
@@ -332,7 +332,7 @@ fn b50_tip_speed_bounds_the_step() {
         let dt = s.step().unwrap().dt;
         longest = longest.max(tip * dt / h);
         if s.step_count().is_multiple_of(10) {
-            fastest = rows(&s).iter().fold(fastest, |f, r| f.max(norm(&r.v)));
+            fastest = rows(&s).iter().fold(fastest, |f, r| f.max(norm(r.v)));
         }
     }
     within("B50: way of the tip in a step [h]", longest, 0.5);
@@ -371,7 +371,7 @@ fn b50_bad_meshes_are_refused_and_distance_goes_on_far_away() {
             [100.0, 50.0, -20.0],
         ] {
             let q: [f64; 3] = std::array::from_fn(|d| f64::abs(x[d] - [0.5, 0.0, 0.0][d]) - half[d]);
-            let outside = norm(&q.map(|a: f64| a.max(0.0)));
+            let outside = norm(q.map(|a: f64| a.max(0.0)));
             let exact = outside + q.iter().copied().fold(f64::MIN, f64::max).min(0.0);
             worst = worst.max((s.couplings()[0].distance(&[x])[0] - exact).abs() / exact.abs().max(0.3 * scale));
         }

@@ -317,8 +317,8 @@ fn b06_uneven_steps_agree_with_small_ones() {
         for (i, uneven) in first.1.iter().enumerate() {
             let fixed = until(&mut small, if i == 9 { end } else { 0.01 * (i + 1) as f64 });
             for ((a, b), s) in uneven.iter().zip(&fixed).zip(&start) {
-                worst = worst.max(norm(&[a.x[0] - b.x[0], a.x[1] - b.x[1], a.x[2] - b.x[2]]));
-                moved = moved.max(norm(&[b.x[0] - s.x[0], b.x[1] - s.x[1], b.x[2] - s.x[2]]));
+                worst = worst.max(norm([a.x[0] - b.x[0], a.x[1] - b.x[1], a.x[2] - b.x[2]]));
+                moved = moved.max(norm([b.x[0] - s.x[0], b.x[1] - s.x[1], b.x[2] - s.x[2]]));
             }
         }
         let what = format!(
@@ -348,7 +348,7 @@ fn b07_rest_stays_and_ringing_decays() {
             cube.set_stop(stop);
             cube.step().unwrap();
             let ledger = cube.ledger();
-            let centre = norm(&ledger.momentum).powi(2) / (2.0 * ledger.mass);
+            let centre = norm(ledger.momentum).powi(2) / (2.0 * ledger.mass);
             peak = peak.max(ledger.kinetic + ledger.elastic - centre);
         }
         peaks.push(peak);
