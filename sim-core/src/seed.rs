@@ -103,6 +103,7 @@ impl Terrain {
             boxes: regions.boxes().to_vec(),
             next_id: seeder.next_id,
             rounds: 0,
+            tried: 0,
             live,
         });
         Ok(ParticleState { lists, levels, ..ParticleState::default() })

@@ -30,6 +30,8 @@ pub struct LevelPhase {
     pub next_id: u64,
     /// Times that particles have been split and merged.
     pub rounds: u64,
+    /// The last of them in which anything could merge.
+    pub tried: u64,
     /// Tiles that are live, if only what is within reach is.
     #[serde(default)]
     pub live: BTreeSet<[i32; 2]>,

@@ -21,7 +21,7 @@ use std::time::Instant;
 /// Particles merge if together they are this part of the class that they merge into.
 const PORTION: std::ops::RangeInclusive<f64> = 0.5..=1.6;
 /// Rounds after which what has found no partners may merge in pairs, so that leftovers do not add up.
-const PATIENCE: u64 = 5;
+const PATIENCE: u64 = 4;
 /// Width of the neighbourhoods in which particles look for partners, in sides of the merged particle. They are cut by fixed sizes, so that
 /// no result depends on the number of threads; their faces lie elsewhere each time.
 const NEIGHBOURHOOD: u32 = 8;
@@ -33,9 +33,10 @@ const REACH: f64 = 0.65;
 const SHAPELESS: f64 = 1.1;
 /// Part of a full cell below which a cell counts as empty: next to it is the surface.
 const EMPTY: f64 = 0.5;
-/// Sorts after which everything that is finer than need be is tried again, footprints included: as long as moving regions need to
-/// be followed, only what they have left is.
-const MERGE_ROUNDS: u64 = 16;
+/// Rounds without a try after which everything that is finer than need be is tried again.
+const STILL_ROUNDS: u64 = 32;
+/// Rounds after which it is even while regions move: it looks at footprints too, which are refused as a rule.
+const MERGE_ROUNDS: u64 = 128;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 
@@ -132,7 +133,7 @@ impl<T: Scalar> CpuEngine<T> {
 
     /// Brings particles to the levels whose regions they are in, splits those that are too coarse there and merges those that
     /// are finer than need be. `before` are the regions as they were, if any has moved: then what need not be as fine any more is
-    /// merged; what was refused then is tried again every [`MERGE_ROUNDS`]. Returns which levels have lost or gained particles,
+    /// merged; what was refused then is tried again now and then. Returns which levels have lost or gained particles,
     /// and must be sorted.
     ///
     /// # Errors
@@ -145,10 +146,15 @@ impl<T: Scalar> CpuEngine<T> {
     ) -> Result<Vec<bool>> {
         let clock = Instant::now();
         let candidates = match before {
-            _ if self.rounds.is_multiple_of(MERGE_ROUNDS) => Candidates::All,
+            _ if self.rounds.is_multiple_of(MERGE_ROUNDS) || self.rounds >= self.tried + STILL_ROUNDS => {
+                Candidates::All
+            }
             Some(before) => Candidates::New(before),
             None => Candidates::None,
         };
+        if !matches!(candidates, Candidates::None) {
+            self.tried = self.rounds;
+        }
         let found: Vec<Found> = (0..self.levels.len()).flat_map(|l| self.find(l, candidates)).collect();
         // Levels have steps of their own, and strain lags behind by one.
         let mut concerned = vec![false; self.levels.len()];

@@ -125,6 +125,7 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Number of the next particle that a split makes, and how often particles were split and merged.
     pub(crate) next_id: u64,
     pub(crate) rounds: u64,
+    pub(crate) tried: u64,
     pub(crate) resampled: Resampled,
     pub(crate) lulled: Lulled,
     /// What is live, and the archive of what was, if not the whole world is.
@@ -166,6 +167,7 @@ impl<T: Scalar> CpuEngine<T> {
             departures: Departures::default(),
             next_id: 0,
             rounds: 0,
+            tried: 0,
             resampled: Resampled::default(),
             lulled: Lulled::default(),
             reach: plan.terrain.clone().map(Reach::new),
@@ -846,7 +848,8 @@ impl<T: Scalar> CpuEngine<T> {
                 reach.restore(phase.live, particles.archive);
             }
             self.regions.restore(phase.boxes);
-            (self.next_id, self.rounds) = (phase.next_id.max(self.next_id), phase.rounds);
+            (self.rounds, self.tried) = (phase.rounds, phase.tried);
+            self.next_id = phase.next_id.max(self.next_id);
         }
         match particles.sort {
             Some(sort) => {
@@ -876,6 +879,7 @@ impl<T: Scalar> CpuEngine<T> {
                 boxes: self.regions.boxes().to_vec(),
                 next_id: self.next_id,
                 rounds: self.rounds,
+                tried: self.tried,
                 live: self.reach.as_ref().map(Reach::live).unwrap_or_default(),
             }),
             archive: self.reach.as_ref().map(Reach::archive).unwrap_or_default(),
