@@ -362,6 +362,9 @@ pub(crate) struct Store<T: Scalar> {
     order: Vec<[u32; LANES]>,
 }
 
+/// A block as a sort left it: its coordinates, the particles of each list in it, and for how long it has been at rest.
+pub(crate) type Laid<'a> = ([i32; 3], &'a [u32], u16);
+
 /// A particle that changes its block, or comes in: new block, list, place (chunk * 16 + lane).
 type Mover = (u64, u16, u32);
 
@@ -389,7 +392,7 @@ impl<T: Scalar> Store<T> {
 
     /// Takes in one level's particles. With the blocks of a sort they are laid out exactly as it says; the caller sorts
     /// otherwise.
-    pub(crate) fn upload(&mut self, lists: &[ParticleList], blocks: Option<&[([i32; 3], &[u32], u16)]>) -> Result<()> {
+    pub(crate) fn upload(&mut self, lists: &[ParticleList], blocks: Option<&[Laid<'_>]>) -> Result<()> {
         let refuse = |what: String| Error::Body {
             path: "particles".into(),
             what,

@@ -144,8 +144,8 @@ fn ground_asleep_falls_when_its_support_goes() {
         ),
     );
     let [slept, awake] = ["on = true\nspeed = 5e-3", "on = false"].map(|sleep| {
-        let text =
-            bed(cells, "sand", SAND, sleep, &[gate.clone()]).replace(&format!("max = [{:?}", side[0]), "max = [0.96");
+        let text = bed(cells, "sand", SAND, sleep, std::slice::from_ref(&gate))
+            .replace(&format!("max = [{:?}", side[0]), "max = [0.96");
         let mut s = simulation(&text, Precision::F32);
         run_to(&mut s, 0.8);
         let most = asleep(&s);
@@ -195,8 +195,7 @@ fn what_may_not_sleep_stays_awake() {
     };
     let refused = |text: &str| {
         barchan::Scene::from_str(text, "test scene", std::path::Path::new("."))
-            .err()
-            .expect("must be refused")
+            .expect_err("must be refused")
             .to_string()
     };
     let error = refused(&falling(Head::space(CELL), "on = true"));
