@@ -45,10 +45,18 @@ fn a_plan_holds_what_is_called_for_and_why() {
     assert_eq!(plan.stages, [Stage::Sort, Stage::P2G, Stage::GridUpdate, Stage::G2P]);
     assert_eq!(
         names(&plan.effects),
-        ["soft ground, f32", "material m", "gravity", "periodic y", "wall z_min", "pressure pictures"]
+        [
+            "soft ground, f32",
+            "ground at rest sleeps",
+            "material m",
+            "gravity",
+            "periodic y",
+            "wall z_min",
+            "pressure pictures"
+        ]
     );
-    assert_eq!(plan.effects[1].because, "body[0].material = \"m\"");
-    assert_eq!(plan.effects[1].adds, "law elastic (built-in): update_f32, 6 strain planes, 1 state plane");
+    assert_eq!(plan.effects[2].because, "body[0].material = \"m\"");
+    assert_eq!(plan.effects[2].adds, "law elastic (built-in): update_f32, 6 strain planes, 1 state plane");
     assert_eq!((plan.cell_min, plan.cell_max), ([0; 3], [50, 20, 50]));
     assert_eq!(plan.materials[0].parameters, [1e6, 0.2, 0.5, f64::INFINITY]);
     assert_eq!(plan.particle_count, 4096);
