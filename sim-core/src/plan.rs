@@ -309,15 +309,19 @@ impl Plan {
         let mut regions = Regions::new(&scene, CellBox { min: cell_min, max: cell_max });
         let agents = if regions.levels() > 1 { agents(&scene) } else { Vec::new() };
         let resumed = particles.is_some();
-        let terrain = Arc::new(Terrain::new(&scene, registry, &materials, options.precision)?);
-        let particles = match particles {
-            Some(particles) => {
+        // A resumed run needs the shapes only where ground is still to come.
+        let terrain = (!resumed || regions.unbounded())
+            .then(|| Terrain::new(&scene, registry, &materials, options.precision).map(Arc::new))
+            .transpose()?;
+        let particles = match (particles, &terrain) {
+            (Some(particles), _) => {
                 if let Some(phase) = &particles.levels {
                     regions.restore(phase.boxes.clone());
                 }
                 particles
             }
-            None => {
+            (None, None) => unreachable!("there is terrain unless a run is resumed"),
+            (None, Some(terrain)) => {
                 let soft = |body: u16| scene.body[usize::from(body)].shape.bounds();
                 regions.follow(&agent_bounds(&agents, &couplings, soft));
                 let cap = options.max_bytes.unwrap_or_else(available_bytes);
@@ -342,7 +346,7 @@ impl Plan {
             ground_cells,
             cell_min,
             cell_max,
-            terrain: regions.unbounded().then_some(terrain),
+            terrain: terrain.filter(|_| regions.unbounded()),
             regions,
             agents,
             substeps: scene.levels.substeps(),
