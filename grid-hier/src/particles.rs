@@ -87,4 +87,8 @@ impl Run {
     pub fn chunks(self) -> usize {
         self.count.div_ceil(LANES)
     }
+    /// (chunk, lane) of every particle.
+    pub fn places(self) -> impl Iterator<Item = (usize, usize)> {
+        (0..self.count).map(move |i| (self.first + i / LANES, i % LANES))
+    }
 }

@@ -335,6 +335,20 @@ impl Seeder<'_> {
         Ok(lists)
     }
 
+    /// Asks for so many more bytes.
+    fn ask(&mut self, bytes: f64, mend: &'static str) -> Result<()> {
+        self.bytes += bytes;
+        if self.bytes <= self.max_bytes as f64 {
+            return Ok(());
+        }
+        Err(Error::Capacity {
+            what: "memory for particles [bytes]",
+            asked: self.bytes as u64,
+            cap: self.max_bytes,
+            mend,
+        })
+    }
+
     /// Fills one body; `lists` are those of its material, finest level first.
     fn fill(&mut self, plot: &Plot, mut lists: Vec<&mut ParticleList>) -> Result<()> {
         let (scene, precision) = (&self.terrain.scene, self.terrain.precision);
@@ -345,15 +359,8 @@ impl Seeder<'_> {
         }
         let points: f64 = axes.iter().map(|axis| axis.count as f64).product();
         let list = &mut *lists[0];
-        self.bytes += points * bytes_while_seeding(planned, precision) as f64;
-        if self.bytes > self.max_bytes as f64 {
-            return Err(Error::Capacity {
-                what: "memory for particles [bytes]",
-                asked: self.bytes as u64,
-                cap: self.max_bytes,
-                mend: "raise world.cell or spacing, shrink the bodies, or raise the cap",
-            });
-        }
+        let mend = "raise world.cell or spacing, shrink the bodies, or raise the cap";
+        self.ask(points * bytes_while_seeding(planned, precision) as f64, mend)?;
 
         let start = list.len();
         let mut inside = 0_usize;
@@ -434,15 +441,8 @@ impl Seeder<'_> {
             for k in (0..plot.axes[2].count).step_by(side as usize) {
                 self.find_cubes(&cubes, [i * side, j * side, k], coarsest, &mut found);
             }
-            self.bytes += found.len() as f64 * each;
-            if self.bytes > self.max_bytes as f64 {
-                return Err(Error::Capacity {
-                    what: "memory for particles [bytes]",
-                    asked: self.bytes as u64,
-                    cap: self.max_bytes,
-                    mend: "add a level, raise world.cell or spacing, shrink the bodies, or raise the cap",
-                });
-            }
+            let mend = "add a level, raise world.cell or spacing, shrink the bodies, or raise the cap";
+            self.ask(found.len() as f64 * each, mend)?;
             for (origin, class) in found.drain(..) {
                 let site = self.terrain.cube_site(plot, origin, class);
                 let level = self.regions.finest_at(site.map(|s| s.cell), SPLIT_AHEAD);

@@ -6,7 +6,7 @@ use crate::scene::OverBound;
 use crate::snapshot::Snapshot;
 use crate::{
     BodyState, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, Spot,
-    StepReport, Tile, Vec3, Wrench,
+    StepReport, Vec3, Wrench,
 };
 use std::fmt;
 use std::ops::ControlFlow;
@@ -200,9 +200,7 @@ impl Simulation {
     /// A copy of all particles, and of those in the archive of changed ground out of reach, which are at rest: a list each per
     /// level and material that a tile has. Not to be handed back.
     pub fn ground(&self) -> ParticleState {
-        let mut all = self.engine.download();
-        all.lists.extend(all.archive.values().flat_map(Tile::unpack));
-        all
+        self.ground_where(&|_| true)
     }
     /// The particles of [`ground`](Self::ground) for which `wanted` holds: the same lists, shorter. Not to be handed back.
     pub fn ground_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {

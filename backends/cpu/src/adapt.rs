@@ -5,6 +5,7 @@
 //! once it is three parent cells away. In between, particles stay as they are, so an agent that trembles changes nothing.
 
 use crate::engine::{CpuEngine, Pass};
+use crate::grid::KeyHasher;
 use crate::store::{List, PAD, Parcel};
 use barchan_core::levels::{CellBox, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
 use barchan_core::{Aabb, Coupling, Error, Ledger, Regions, Result};
@@ -12,10 +13,10 @@ use barchan_grid::block::{self, CELLS, SIDE};
 use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::resample::{Change, Particle, Planes, Refusal, merge, split};
 use barchan_grid::transfer::Scalar;
-use barchan_lanes::LANES;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
+use std::hash::BuildHasherDefault;
 use std::time::Instant;
 
 /// Particles merge if together they are this part of the class that they merge into.
@@ -102,6 +103,9 @@ struct Found {
 /// Particles that may merge: class, list, body and bin first, so that those of a bin stand together, in the order of ids.
 type Binned = (u32, usize, u16, [i64; 3], u32, usize);
 
+/// Mass in each cell of a level, as a part of a full cell, by block.
+type Filling = HashMap<u64, [f32; CELLS], BuildHasherDefault<KeyHasher>>;
+
 impl<T: Scalar> CpuEngine<T> {
     /// Moves the levels' boxes after their agents. Returns the regions as they were if any has moved.
     pub(crate) fn follow_agents(&mut self, couplings: &[Box<dyn Coupling>]) -> Option<Regions> {
@@ -144,7 +148,7 @@ impl<T: Scalar> CpuEngine<T> {
         before: Option<&Regions>,
         couplings: &[Box<dyn Coupling>],
     ) -> Result<Vec<bool>> {
-        let clock = Instant::now();
+        let mut clock = Instant::now();
         let candidates = match before {
             _ if self.rounds.is_multiple_of(MERGE_ROUNDS) || self.rounds >= self.tried + STILL_ROUNDS => {
                 Candidates::All
@@ -160,13 +164,15 @@ impl<T: Scalar> CpuEngine<T> {
         let mut concerned = vec![false; self.levels.len()];
         for one in &found {
             match one.action {
-                Action::Merge => concerned.fill(true),
-                Action::Move | Action::Split => {
-                    (concerned[one.level], concerned[one.home]) = (true, true);
-                }
+                Action::Move => (concerned[one.level], concerned[one.home]) = (true, true),
+                // Children and merged particles may belong on any level.
+                Action::Split | Action::Merge => concerned.fill(true),
             }
         }
+        let flushing = Instant::now();
         self.flush_strain(time, &concerned)?;
+        // P2G's clock has run meanwhile.
+        clock += flushing.elapsed();
         let mut coming: Vec<(usize, Parcel)> = Vec::new();
         let mut gone: Vec<Found> = Vec::new();
         let tools: Vec<Aabb> = couplings.iter().flat_map(|c| c.bounds()).collect();
@@ -174,7 +180,10 @@ impl<T: Scalar> CpuEngine<T> {
             self.split_up(one, couplings, &tools, &mut coming)?;
             gone.push(one);
         }
-        let stay = self.merge_all(&found, couplings, &tools, &mut coming, &mut gone);
+        let stay = match candidates {
+            Candidates::None => Vec::new(),
+            _ => self.merge_all(&found, couplings, &tools, &mut coming, &mut gone),
+        };
         let moving = found.iter().filter(|one| one.action == Action::Move).copied();
         for one in moving.chain(stay) {
             coming.push(self.moved(one));
@@ -247,8 +256,7 @@ impl<T: Scalar> CpuEngine<T> {
                 if is_calm(list, list.runs[b]) {
                     continue;
                 }
-                for k in 0..list.runs[b].count {
-                    let (chunk, lane) = (list.runs[b].first + k / LANES, k % LANES);
+                for (chunk, lane) in list.runs[b].places() {
                     if list.id[chunk][lane] == PAD {
                         continue;
                     }
@@ -398,7 +406,7 @@ impl<T: Scalar> CpuEngine<T> {
         let id = u32::try_from(self.next_id).ok().filter(|&id| id != PAD).ok_or(Error::Capacity {
             what: "numbers for particles",
             asked: self.next_id,
-            cap: u64::from(crate::store::PAD),
+            cap: u64::from(PAD),
             mend: "use fewer levels or agents that move less: each split takes seven new numbers",
         })?;
         self.next_id += 1;
@@ -417,8 +425,8 @@ impl<T: Scalar> CpuEngine<T> {
         self.resampled.refused.clear();
         let candidates: Vec<Found> = found.iter().filter(|one| one.action == Action::Merge).copied().collect();
         let mut merged = vec![false; candidates.len()];
-        let filling: Vec<HashMap<u64, [f32; CELLS]>> = (0..self.levels.len())
-            .map(|l| if candidates.iter().any(|c| c.level == l) { self.filling(l) } else { HashMap::new() })
+        let filling: Vec<Filling> = (0..self.levels.len())
+            .map(|l| if candidates.iter().any(|c| c.level == l) { self.filling(l) } else { Filling::default() })
             .collect();
         let at_surface = |one: &Found| {
             let cell = self.levels[one.level].store.lists[one.list].cell_of(one.chunk, one.lane);
@@ -471,9 +479,7 @@ impl<T: Scalar> CpuEngine<T> {
     /// Where a particle is [m].
     fn position(&self, one: &Found) -> [f64; 3] {
         let level = &self.levels[one.level];
-        let list = &level.store.lists[one.list];
-        let (cell, offset) = (list.cell_of(one.chunk, one.lane), list.offset_of(one.chunk, one.lane));
-        std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * level.h())
+        level.store.lists[one.list].position_of(one.chunk, one.lane, level.h())
     }
 
     /// A candidate in its bin, `sides` merged particles wide and moved by half of that along the axes of `shift`.
@@ -537,7 +543,7 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Mass in each cell of a level, as a part of a full cell, by block.
-    fn filling(&self, l: usize) -> HashMap<u64, [f32; CELLS]> {
+    fn filling(&self, l: usize) -> Filling {
         let level = &self.levels[l];
         let volume = level.h().powi(3);
         let runs = level.store.lists.first().map_or(0, |list| list.runs.len());
@@ -545,8 +551,7 @@ impl<T: Scalar> CpuEngine<T> {
         let fill = |b: usize| {
             let (mut cells, mut strays) = ([0f32; CELLS], Vec::new());
             for list in &level.store.lists {
-                for k in 0..list.runs[b].count {
-                    let (chunk, lane) = (list.runs[b].first + k / LANES, k % LANES);
+                for (chunk, lane) in list.runs[b].places() {
                     if list.id[chunk][lane] == PAD {
                         continue;
                     }
@@ -562,7 +567,7 @@ impl<T: Scalar> CpuEngine<T> {
             (cells, strays)
         };
         let filled: Vec<_> = (0..runs).into_par_iter().map(fill).collect();
-        let mut filling: HashMap<u64, [f32; CELLS]> =
+        let mut filling: Filling =
             level.store.blocks.iter().zip(&filled).map(|(&key, (cells, _))| (key, *cells)).collect();
         for (key, cell, part) in filled.into_iter().flat_map(|(_, strays)| strays) {
             filling.entry(key).or_insert([0.0; CELLS])[cell] += part;
@@ -623,7 +628,7 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Is any cell around this one less than half full?
-    fn is_near_surface(&self, cell: [i32; 3], level: usize, filling: &HashMap<u64, [f32; CELLS]>) -> bool {
+    fn is_near_surface(&self, cell: [i32; 3], level: usize, filling: &Filling) -> bool {
         let bounds = &self.levels[level].bounds;
         (0..27).any(|n| {
             let offset = block::offset(n);

@@ -111,7 +111,7 @@ impl<T: Scalar> CpuEngine<T> {
     pub(crate) fn exchange_with_archive(&mut self, time: f64, couplings: &[Box<dyn Coupling>]) -> Result<Vec<bool>> {
         let mut changed = vec![false; self.levels.len()];
         let Some(mut reach) = self.reach.take() else { return Ok(changed) };
-        let clock = Instant::now();
+        let mut clock = Instant::now();
         let live = self.regions.reached(&reach.live);
         let coming: Vec<_> = live.difference(&reach.live).copied().collect();
         let going: BTreeSet<_> = reach.live.difference(&live).copied().collect();
@@ -120,7 +120,11 @@ impl<T: Scalar> CpuEngine<T> {
         } else {
             reach.live = live;
             let all = vec![true; self.levels.len()];
-            self.flush_strain(time, &all)
+            let flushing = Instant::now();
+            let flushed = self.flush_strain(time, &all);
+            // P2G's clock has run meanwhile.
+            clock += flushing.elapsed();
+            flushed
                 .and_then(|()| self.put_away(&mut reach, &going, couplings, &mut changed))
                 .and_then(|()| self.bring_in(&mut reach, &coming, couplings, &mut changed))
         };
@@ -136,8 +140,7 @@ impl<T: Scalar> CpuEngine<T> {
         for (l, level) in self.levels.iter().enumerate() {
             for (i, list) in level.store.lists.iter().enumerate() {
                 for (chunk, lane) in list.places().filter(|&(chunk, lane)| list.id[chunk][lane] != PAD) {
-                    let (cell, offset) = (list.cell_of(chunk, lane), list.offset_of(chunk, lane));
-                    let x = std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * level.h());
+                    let x = list.position_of(chunk, lane, level.h());
                     let tile = reach.terrain.tile_of(list.body[chunk][lane], x, &self.regions);
                     if reach.live.contains(&tile) {
                         continue;

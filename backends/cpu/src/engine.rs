@@ -13,8 +13,8 @@ use barchan_core::material::{ErrorBuffer, stable_step};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
 use barchan_core::{
-    Aabb, Coupling, Engine, Error, Ledger, LevelPhase, Measured, NodeBatch, ParticleState, Plan, Regions, Result,
-    Scene, SortPhase, Spot, StepReport,
+    Coupling, Engine, Error, Ledger, LevelPhase, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene,
+    SortPhase, Spot, StepReport,
 };
 use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
@@ -217,12 +217,11 @@ impl<T: Scalar> CpuEngine<T> {
         let (level, leaving) = (&mut self.levels[l], self.leaving);
         let departures = level.store.sort(&level.bounds, leaving, holes)?;
         if let Some((list, chunk, lane)) = departures.refused {
-            let (list, h) = (&level.store.lists[list], level.h());
-            let (cell, offset) = (list.cell_of(chunk, lane), list.offset_of(chunk, lane));
+            let list = &level.store.lists[list];
             return Err(Error::LeftWorld {
                 step: self.steps,
                 particle: u64::from(list.id[chunk][lane]),
-                position: std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * h),
+                position: list.position_of(chunk, lane, level.h()),
             });
         }
         self.departures.clamped += departures.clamped;
@@ -290,9 +289,9 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Decides which of a level's ground sleeps in its next step.
-    pub(crate) fn keep_watch(&mut self, l: usize, tools: &[Aabb]) {
+    pub(crate) fn keep_watch(&mut self, l: usize, couplings: &[Box<dyn Coupling>]) {
         let clock = Instant::now();
-        if self.levels[l].keep_watch(tools, &mut self.lulled) {
+        if self.levels[l].keep_watch(couplings, &mut self.lulled) {
             self.clocks.add(Pass::Sleep, clock);
         }
     }
@@ -483,8 +482,7 @@ impl<T: Scalar> CpuEngine<T> {
         couplings: &mut [Box<dyn Coupling>],
     ) -> Result<f64> {
         if ground {
-            let tools: Vec<Aabb> = couplings.iter().flat_map(|coupling| coupling.bounds()).collect();
-            (0..self.levels.len()).for_each(|l| self.keep_watch(l, &tools));
+            (0..self.levels.len()).for_each(|l| self.keep_watch(l, couplings));
             dt = self.ground_to_nodes(time, dt)?;
         } else {
             self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
@@ -910,8 +908,7 @@ impl<T: Scalar> CpuEngine<T> {
                 let m = list.mass_of(chunk, lane);
                 let motion = list.motion_of(chunk, lane);
                 let (v, c) = ([motion[0], motion[1], motion[2]], &motion[3..]);
-                let (cell, offset) = (list.cell_of(chunk, lane), list.offset_of(chunk, lane));
-                let x: [f64; 3] = std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * h);
+                let x = list.position_of(chunk, lane, h);
                 ledger.particles += 1;
                 ledger.mass += m;
                 for d in 0..3 {
@@ -922,8 +919,7 @@ impl<T: Scalar> CpuEngine<T> {
                         m * (x[a] * v[b] - x[b] * v[a] + quarter * (c[3 * b + a] - c[3 * a + b]));
                     ledger.potential -= m * self.scene.gravity[d] * x[d];
                 }
-                let square = |values: &[f64]| values.iter().map(|y| y * y).sum::<f64>();
-                ledger.kinetic += 0.5 * m * (square(&v) + quarter * square(c));
+                ledger.kinetic += list.kinetic_of(chunk, lane, h);
             }
             self.account_material(list, ledger);
         }

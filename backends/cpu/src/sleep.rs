@@ -8,11 +8,10 @@
 use crate::grid::Grid;
 use crate::level::Level;
 use crate::store::List;
-use barchan_core::Aabb;
+use barchan_core::Coupling;
 use barchan_grid::block::{self, NONE, SIDE};
 use barchan_grid::particles::MASS;
 use barchan_grid::transfer::{Scalar, Step};
-use barchan_lanes::LANES;
 
 /// Steps of a level for which ground must have been slow before it sleeps.
 pub(crate) const RESTED: u16 = 50;
@@ -75,11 +74,11 @@ impl Watch {
 impl<T: Scalar> Level<T> {
     /// Decides who sleeps in the next step: wakes those next to what moves or near a tool, and lets those sleep around whom all has
     /// been slow for long. Returns whether anything can sleep here at all.
-    pub(crate) fn keep_watch(&mut self, tools: &[Aabb], lulled: &mut Lulled) -> bool {
+    pub(crate) fn keep_watch(&mut self, couplings: &[Box<dyn Coupling>], lulled: &mut Lulled) -> bool {
         if self.watch.slow == 0.0 {
             return false;
         }
-        let woken = self.wake(tools);
+        let woken = self.wake(couplings);
         if self.lull(lulled) || woken {
             self.list_watch(false);
         }
@@ -116,20 +115,20 @@ impl<T: Scalar> Level<T> {
     }
 
     /// Wakes blocks next to one that moves, and those near a tool. Returns whether any slept.
-    fn wake(&mut self, tools: &[Aabb]) -> bool {
+    fn wake(&mut self, couplings: &[Box<dyn Coupling>]) -> bool {
         let (rest, grid) = (&mut self.store.rest, &self.grid);
         let mut woken = false;
         let mut stir = |rest: &mut Vec<u16>, b: u32| {
             woken |= rest[b as usize] == ASLEEP;
             rest[b as usize] = rest[b as usize].min(1);
         };
-        for &b in self.watch.awake.iter() {
+        for &b in &self.watch.awake {
             if rest[b as usize] == 0 {
                 grid.neighbours(b as usize).for_each(|b| stir(rest, b));
             }
         }
         let h = self.store.cell_width;
-        for tool in tools {
+        for tool in couplings.iter().flat_map(|coupling| coupling.bounds()) {
             let near = tool.grown(NEAR_TOOL * h);
             let [first, last] = [near.min, near.max].map(|x| x.map(|x| (x / (h * f64::from(SIDE))).floor() as i32));
             grid.within(first, last).for_each(|b| stir(rest, b));
@@ -148,11 +147,9 @@ impl<T: Scalar> Level<T> {
             lulled.blocks += 1;
             for list in &mut self.store.lists {
                 let run = list.runs[b as usize];
-                for (chunk, lane) in (0..run.count).map(|i| (run.first + i / LANES, i % LANES)) {
+                for (chunk, lane) in run.places() {
                     let (m, motion) = (list.mass_of(chunk, lane), list.motion_of(chunk, lane));
-                    let square = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>();
-                    let quarter = 0.25 * self.store.cell_width.powi(2);
-                    lulled.kinetic += 0.5 * m * (square(&motion[..3]) + quarter * square(&motion[3..]));
+                    lulled.kinetic += list.kinetic_of(chunk, lane, self.store.cell_width);
                     for d in 0..3 {
                         lulled.momentum[d] += m * motion[d];
                     }

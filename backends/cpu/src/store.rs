@@ -71,12 +71,6 @@ pub(crate) struct List<T: Scalar> {
     rest_planes: usize,
 }
 
-/// (chunk, lane) of every particle of a run.
-fn places(run: &Run) -> impl Iterator<Item = (usize, usize)> + use<> {
-    let Run { first, count } = *run;
-    (0..count).map(move |i| (first + i / LANES, i % LANES))
-}
-
 impl<T: Scalar> List<T> {
     fn new(index: usize, planned: &PlannedMaterial) -> Self {
         let law =
@@ -125,7 +119,7 @@ impl<T: Scalar> List<T> {
 
     /// (chunk, lane) of every particle, block by block.
     pub(crate) fn places(&self) -> impl Iterator<Item = (usize, usize)> {
-        self.runs.iter().flat_map(places)
+        self.runs.iter().flat_map(|run| run.places())
     }
 
     pub(crate) fn cell_of(&self, chunk: usize, lane: usize) -> [i32; 3] {
@@ -133,6 +127,17 @@ impl<T: Scalar> List<T> {
     }
     pub(crate) fn offset_of(&self, chunk: usize, lane: usize) -> [f64; 3] {
         std::array::from_fn(|d| T::offset_to_f64(self.offset[chunk * 3 + d].0[lane]))
+    }
+    /// Where a particle is, in cells `h` wide [m].
+    pub(crate) fn position_of(&self, chunk: usize, lane: usize, h: f64) -> [f64; 3] {
+        let (cell, offset) = (self.cell_of(chunk, lane), self.offset_of(chunk, lane));
+        std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * h)
+    }
+    /// Kinetic energy of a particle and of what its C carries, in cells `h` wide [J].
+    pub(crate) fn kinetic_of(&self, chunk: usize, lane: usize, h: f64) -> f64 {
+        let motion = self.motion_of(chunk, lane);
+        let square = |values: &[f64]| values.iter().map(|y| y * y).sum::<f64>();
+        0.5 * self.mass_of(chunk, lane) * (square(&motion[..3]) + 0.25 * h * h * square(&motion[3..]))
     }
     pub(crate) fn motion_of(&self, chunk: usize, lane: usize) -> [f64; MOTION] {
         std::array::from_fn(|p| self.motion[chunk * MOTION + p].0[lane].to_f64())
@@ -283,9 +288,8 @@ impl<T: Scalar> List<T> {
 
     /// Where a particle is and how large.
     fn spot(&self, (chunk, lane): (usize, usize), cell_width: f64) -> Spot {
-        let (cell, offset) = (self.cell_of(chunk, lane), self.offset_of(chunk, lane));
         Spot {
-            position: std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * cell_width),
+            position: self.position_of(chunk, lane, cell_width),
             volume0: self.volume0_of(chunk, lane),
             material: self.material as u32,
         }
@@ -467,7 +471,7 @@ impl<T: Scalar> Store<T> {
             let here: Vec<Vec<(usize, usize)>> = list
                 .runs
                 .par_iter()
-                .map(|run| places(run).filter(|place| wanted(&list.spot(*place, self.cell_width))).collect())
+                .map(|run| run.places().filter(|place| wanted(&list.spot(*place, self.cell_width))).collect())
                 .collect();
             list.give_out(level, self.cell_width, here.into_iter().flatten())
         })
@@ -476,7 +480,7 @@ impl<T: Scalar> Store<T> {
     /// Adds where every particle is and how large, in the order of [`download`](Self::download).
     pub(crate) fn add_spots(&self, spots: &mut Vec<Spot>) {
         for list in &self.lists {
-            let of = |run: &Run| places(run).map(|place| list.spot(place, self.cell_width)).collect::<Vec<_>>();
+            let of = |run: &Run| run.places().map(|place| list.spot(place, self.cell_width)).collect::<Vec<_>>();
             spots.par_extend(list.runs.par_iter().flat_map_iter(of));
         }
     }

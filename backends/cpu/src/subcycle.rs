@@ -8,7 +8,7 @@
 
 use crate::engine::{CpuEngine, MAX_DRIFT, MAX_MOVE, Pass, at_time};
 use crate::level::greater;
-use barchan_core::{Aabb, Coupling, Error, Result, Wrench};
+use barchan_core::{Coupling, Error, Result, Wrench};
 use barchan_grid::transfer::Scalar;
 use std::time::Instant;
 
@@ -50,8 +50,7 @@ impl<T: Scalar> CpuEngine<T> {
                 coupling.before_step(time, dt)?;
             }
         }
-        let tools: Vec<Aabb> = couplings.iter().flat_map(|coupling| coupling.bounds()).collect();
-        self.keep_watch(l, &tools);
+        self.keep_watch(l, couplings);
         self.particles_to_grid(l, dt).map_err(|error| at_time(error, time))?;
         self.affine_to_rim(l);
         let clock = Instant::now();
