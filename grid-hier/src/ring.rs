@@ -9,11 +9,7 @@
 //! Truncated hierarchical B-splines: Giannelli, Jüttler, Speleers 2012.
 
 use crate::block::{CELLS, NODES, TILE, TILE_SIDE, in_block, in_tile, offset, shared_nodes};
-use crate::particles::{MASS, Particles, Run};
-use crate::spline::weights;
-use crate::transfer::{QUAD, Quads, Scalar, first_nodes, products, write_quads};
-use barchan_lanes::{Float, Kernel, LANES, Lanes, tabulate};
-use core::mem::MaybeUninit;
+use barchan_lanes::Float;
 
 /// Scalars that hang on to a slave node besides momentum and mass: m C, one column of three a tile.
 pub const COLUMNS: usize = 3;
@@ -158,98 +154,6 @@ pub fn prolong<T: Float>(slaves: u64, parents: &[T; NODES], nodes: &mut [T; NODE
     each_line::<2, 4, _>(&mut values, |_, from| prolong_line(from));
     for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
         nodes[4 * node..4 * node + 3].copy_from_slice(&values[4 * node..4 * node + 3]);
-    }
-}
-
-/// Scatters the columns of m C, one a tile, for the rim's sake [kg m/s a cell].
-pub struct AffineToGrid<'a, T: Scalar> {
-    /// The list.
-    pub particles: Particles<T>,
-    /// Its chunks in the block.
-    pub run: Run,
-    /// Cell of the tiles' first node.
-    pub origin: [i32; 3],
-    /// Cell width [m].
-    pub h: f64,
-    /// For each first node of a tile: which rows of nodes along z, of the nine that a particle there gives to, hold a slave.
-    /// The others are passed over.
-    pub touches: &'a [u16; TILE / 4],
-    /// Where the columns are added.
-    pub tiles: &'a mut [[T; TILE]; COLUMNS],
-}
-
-impl<T: Scalar> Kernel<T> for AffineToGrid<'_, T> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<V: Lanes<Scalar = T>>(self) {
-        let s = &self.particles;
-        for k in 0..self.run.chunks() {
-            let chunk = self.run.first + k;
-            let count = (self.run.count - k * LANES).min(LANES);
-            // SAFETY: the run's chunks exist, and P2G has checked that their nodes lie in the tile.
-            unsafe {
-                let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
-                if strayed || node[..count].iter().all(|&node| self.touches[node as usize / 4] == 0) {
-                    continue;
-                }
-                let (mass, zero) = (V::load(s.rest(chunk, MASS)) * V::splat(self.h), V::zero());
-                let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
-                let w = [weights(f[0]), weights(f[1]), weights(f[2])];
-                // Three columns, then the weights along z.
-                let mut quads = MaybeUninit::<Quads<T, 4>>::uninit();
-                let lines = &raw mut (*quads.as_mut_ptr()).0;
-                for column in 0..COLUMNS {
-                    let p: [V; 3] = tabulate!(3, |i| mass * V::load(s.motion(chunk, 3 + 3 * i + column)));
-                    write_quads(&raw mut (*lines)[column], [p[0], p[1], p[2], zero]);
-                }
-                write_quads(&raw mut (*lines)[COLUMNS], [w[2][0], w[2][1], w[2][2], zero]);
-                let quads = quads.as_ptr().cast::<T>();
-                let mut weight = MaybeUninit::uninit();
-                let weight = products(&mut weight, &w);
-                for (column, tile) in self.tiles.iter_mut().enumerate() {
-                    let tile = tile.as_mut_ptr();
-                    let (mut rows, mut current, mut mask) = ([V::zero(); 9], 0, 0);
-                    for (p, &node) in node[..count].iter().enumerate() {
-                        if node as usize != current {
-                            flush(&mut rows, tile, current, mask);
-                            current = node as usize;
-                            mask = self.touches[current / 4];
-                        }
-                        if mask == 0 {
-                            continue;
-                        }
-                        let quad = quads.add(QUAD[p]);
-                        let value =
-                            V::repeat4(quad.add(column * 4 * LANES)) * V::spread3(quad.add(COLUMNS * 4 * LANES));
-                        for (r, (row, weight)) in rows.iter_mut().zip(&weight.0).enumerate() {
-                            if mask >> r & 1 == 1 {
-                                *row = V::fill(weight[p]).mul_add(value, *row);
-                            }
-                        }
-                    }
-                    flush(&mut rows, tile, current, mask);
-                }
-            }
-        }
-    }
-}
-
-/// Adds the rows of `mask` to the tile around the first node at `at`, and empties them.
-///
-/// # Safety
-/// The node's 3 x 3 x 3 neighbours must lie in the tile.
-#[inline(always)]
-unsafe fn flush<V: Lanes>(rows: &mut [V; 9], tile: *mut V::Scalar, at: usize, mask: u16) {
-    for (r, row) in rows.iter_mut().enumerate() {
-        if mask >> r & 1 == 1 {
-            // SAFETY: the caller vouches for the node; the fourth group of lanes is zero and may touch the next row.
-            unsafe {
-                let place = tile.add(at + in_tile(r / 3, r % 3, 0));
-                (V::load(place) + *row).store(place);
-            }
-            *row = V::zero();
-        }
     }
 }
 

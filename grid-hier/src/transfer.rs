@@ -14,6 +14,7 @@
 
 use crate::block::{TILE, TILE_SIDE};
 use crate::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
+use crate::ring::COLUMNS;
 use crate::spline::{first_distance, weights};
 use barchan_abi as abi;
 use barchan_lanes::{Float, Kernel, LANES, Lanes, Mask, Real, prefetch, tabulate};
@@ -179,10 +180,24 @@ pub struct ParticlesToGrid<'a, T: Scalar> {
     pub step: &'a Step,
     /// Where mass and momentum are added.
     pub tile: &'a mut [T; TILE],
+    /// What the rim of a level wants besides, if the block's particles touch it.
+    pub edge: Option<Edge<'a, T>>,
     /// Where the material writes its message.
     pub error: *mut abi::BarchanError,
     /// Counts nanoseconds spent in the material, if wanted.
     pub material_time: Option<&'a mut u64>,
+}
+
+/// Affine momentum m C at the nodes of a level's rim, which goes with their momentum to the coarser level (see [`crate::ring`]).
+///
+/// The particles of a cell give it in proportion to the mass that they give to a node, with their mean C: so all of m C arrives,
+/// and an affine field of velocity does.
+pub struct Edge<'a, T> {
+    /// For each first node of the tile: which rows of nodes along z, of the nine that a particle there gives to, hold a rim node.
+    /// The others are passed over.
+    pub touches: &'a [u16; TILE / 4],
+    /// Where the columns of m C are added, one a tile [kg m/s a cell].
+    pub columns: &'a mut [[T; TILE]; COLUMNS],
 }
 
 /// Planes that a material reads and writes, in L1.
@@ -252,36 +267,57 @@ impl<T: Scalar> Kernel<T> for ParticlesToGrid<'_, T> {
     type Output = Result<(), Fault>;
 
     #[inline(always)]
-    fn run<V: Lanes<Scalar = T>>(mut self) -> Result<(), Fault> {
+    fn run<V: Lanes<Scalar = T>>(self) -> Result<(), Fault> {
+        if self.edge.is_some() { self.sum::<V, true>() } else { self.sum::<V, false>() }
+    }
+}
+
+impl<T: Scalar> ParticlesToGrid<'_, T> {
+    /// The whole transfer; `EDGE`: with the affine momentum for a rim.
+    #[inline(always)]
+    fn sum<V: Lanes<Scalar = T>, const EDGE: bool>(mut self) -> Result<(), Fault> {
         let mut scratch = MaybeUninit::<Scratch<T>>::uninit();
         let scratch = scratch.as_mut_ptr();
         let chunks = self.run.chunks();
         // A copy, so that the compiler knows it constant.
         let step = *self.step;
         let mut row_sums = RowSums::<V>::new(self.tile.as_mut_ptr());
+        let mut edge_sums = self.edge.take().map(EdgeSums::<V>::new);
+        // Where nothing has moved and no force is asked for, matter is left alone.
+        let parts = if step.dt == 0.0 && step.strain_dt == 0.0 { 0 } else { step.strain_parts };
         // The sums stay in memory between chunks: rows that live across the call of the material cost a register too many, and
         // then one of them goes through memory for each particle.
         core::hint::black_box(&mut row_sums);
         for first in (0..chunks).step_by(BATCH / LANES) {
             let chunks_here = (chunks - first).min(BATCH / LANES);
             let first = self.run.first + first;
-            for part in 0..step.strain_parts {
+            for part in 0..parts {
                 // SAFETY: the run's chunks exist, and the scratch is this call's own.
                 unsafe { self.deform::<V>(&step, scratch, first, chunks_here, part) }?;
             }
             for k in 0..chunks_here {
                 let chunk = first + k;
                 let count = (self.run.count - (chunk - self.run.first) * LANES).min(LANES);
-                // SAFETY: as above; `deform` has written the stresses of this chunk.
-                unsafe { self.scatter::<V>(&step, &mut row_sums, scratch, chunk, k * LANES, count) }?;
+                // SAFETY: as above; `deform` has written the stresses of this chunk, if there are any forces.
+                unsafe {
+                    self.scatter::<V, EDGE>(
+                        &step,
+                        (&mut row_sums, edge_sums.as_mut()),
+                        scratch,
+                        chunk,
+                        k * LANES,
+                        count,
+                    )
+                }?;
             }
+        }
+        if let Some(mut edge_sums) = edge_sums {
+            edge_sums.flush(&row_sums);
         }
         row_sums.flushed();
         Ok(())
     }
-}
 
-impl<T: Scalar> ParticlesToGrid<'_, T> {
     /// Trial strain, material update, strain and history back, for up to [`BATCH`] particles. Stresses stay in the scratch.
     #[inline(always)]
     unsafe fn deform<V: Lanes<Scalar = T>>(
@@ -378,10 +414,10 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
 
     /// Mass and momentum of one chunk, added to the rows of the cells its particles are in.
     #[inline(always)]
-    unsafe fn scatter<V: Lanes<Scalar = T>>(
+    unsafe fn scatter<V: Lanes<Scalar = T>, const EDGE: bool>(
         &self,
         step: &Step,
-        sums: &mut RowSums<V>,
+        (sums, mut edge): (&mut RowSums<V>, Option<&mut EdgeSums<'_, V>>),
         scratch: *const Scratch<T>,
         chunk: usize,
         at: usize,
@@ -400,7 +436,10 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             let d0 = tabulate!(3, |d| first_distance(f[d]));
             let m = V::load(s.rest(chunk, MASS));
             let stress = V::load(s.rest(chunk, VOLUME)) * V::splat(-4.0 * dt / h);
-            let tau: [V; 6] = tabulate!(6, |c| V::load(&raw const (*scratch).kirchhoff[c][at]));
+            let mut tau = [V::zero(); 6];
+            if dt != 0.0 {
+                tau = tabulate!(6, |c| V::load(&raw const (*scratch).kirchhoff[c][at]));
+            }
             let tau = [tau[0], tau[3], tau[4], tau[3], tau[1], tau[5], tau[4], tau[5], tau[2]];
             let affine_mass = m * V::splat(h);
             // A: momentum per cell of distance; B: momentum and mass as seen from the first node.
@@ -416,8 +455,14 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 return Err(Fault::NonFinite { chunk, lane: (!finite.bits()).trailing_zeros() as usize });
             }
             let zero = V::zero();
-            let mut quads = MaybeUninit::<Quads<T, 5>>::uninit();
+            let mut quads = MaybeUninit::<Quads<T, 8>>::uninit();
             let lines = &raw mut (*quads.as_mut_ptr()).0;
+            if EDGE {
+                for j in 0..COLUMNS {
+                    let column: [V; 3] = tabulate!(3, |i| affine_mass * V::load(s.motion(chunk, 3 + 3 * i + j)));
+                    write_quads(&raw mut (*lines)[5 + j], [column[0], column[1], column[2], m]);
+                }
+            }
             write_quads(&raw mut (*lines)[0], B);
             for j in 0..3 {
                 write_quads(&raw mut (*lines)[1 + j], [A[j], A[3 + j], A[6 + j], zero]);
@@ -437,12 +482,20 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             let mut current = sums.current;
             for (p, &node) in node[..count].iter().enumerate() {
                 if node as usize != current {
+                    if let Some(edge) = edge.as_deref_mut().filter(|_| EDGE) {
+                        edge.flush(&RowSums { rows, current, ..*sums });
+                    }
                     rows = RowSums { rows, current, ..*sums }.flushed();
                     current = node as usize;
                 }
                 ahead(s.motion, MOTION, chunk, p);
                 ahead(s.rest, s.rest_planes, chunk, p);
                 let quad = quads.add(QUAD[p]);
+                if let Some(edge) = edge.as_deref_mut().filter(|_| EDGE) {
+                    for (j, column) in edge.columns.iter_mut().enumerate() {
+                        *column += V::repeat4(quad.add((5 + j) * 4 * LANES));
+                    }
+                }
                 let [b, x, y, z, weights_z] = [0, 1, 2, 3, 4].map(|q| quad.add(q * 4 * LANES));
                 let weight_z = V::spread3(weights_z);
                 let x_step = V::repeat4(x) * weight_z;
@@ -537,6 +590,43 @@ impl<V: Lanes> RowSums<V> {
             }
         }
         [V::zero(); 9]
+    }
+}
+
+/// What particles of the current cell carry for a rim: the columns of m C with their mass, the same in each group of lanes.
+struct EdgeSums<'a, V: Lanes> {
+    columns: [V; COLUMNS],
+    edge: Edge<'a, V::Scalar>,
+}
+
+impl<'a, V: Lanes> EdgeSums<'a, V>
+where
+    V::Scalar: Scalar,
+{
+    fn new(edge: Edge<'a, V::Scalar>) -> Self {
+        Self { columns: [V::zero(); COLUMNS], edge }
+    }
+    /// Spreads the columns over the cell's nodes as its mass is, which `sums` hold, and starts anew.
+    #[inline(always)]
+    fn flush(&mut self, sums: &RowSums<V>) {
+        const NOT_MASS: [f64; LANES] = [1., 1., 1., 0., 1., 1., 1., 0., 1., 1., 1., 0., 1., 1., 1., 0.];
+        let mask = if sums.current == usize::MAX { 0 } else { self.edge.touches[sums.current / 4] };
+        if mask != 0 {
+            // SAFETY: 16 scalars.
+            let not_mass = unsafe { V::load(NOT_MASS.map(V::Scalar::from_f64).as_ptr()) };
+            let per_mass = tabulate!(3, |j| self.columns[j] / self.columns[j].fourth() * not_mass);
+            for r in (0..9).filter(|r| mask >> r & 1 == 1) {
+                let mass = sums.rows[r].fourth();
+                for (column, tile) in per_mass.iter().zip(self.edge.columns.iter_mut()) {
+                    // SAFETY: as in `RowSums::flushed`.
+                    unsafe {
+                        let at = tile.as_mut_ptr().add(sums.current + r / 3 * X + r % 3 * Y);
+                        column.mul_add(mass, V::load(at)).store(at);
+                    }
+                }
+            }
+        }
+        self.columns = [V::zero(); COLUMNS];
     }
 }
 

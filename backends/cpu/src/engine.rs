@@ -296,15 +296,6 @@ impl<T: Scalar> CpuEngine<T> {
         }
     }
 
-    /// The affine momentum near a level's rim; it does not depend on the step's length.
-    pub(crate) fn affine_to_rim(&mut self, l: usize) {
-        if !self.levels[l].grid.rings.is_empty() {
-            let clock = Instant::now();
-            self.levels[l].affine_to_rim(self.isa);
-            self.clocks.add(Pass::Restrict, clock);
-        }
-    }
-
     /// Steps that a level takes in one of the simulation.
     fn steps_within(&self, l: usize) -> u32 {
         (self.substeps >> l).max(1)
@@ -440,9 +431,6 @@ impl<T: Scalar> CpuEngine<T> {
     /// P2G and the grid update, repeated with a shorter step while nodes would carry particles too far. Returns the step.
     fn ground_to_nodes(&mut self, time: f64, mut dt: f64) -> Result<f64> {
         let walls_before: Vec<_> = self.levels.iter().map(|level| level.wall_impulse).collect();
-        for l in 0..self.levels.len() {
-            self.affine_to_rim(l);
-        }
         loop {
             for l in 0..self.levels.len() {
                 self.particles_to_grid(l, dt).map_err(|error| at_time(error, time))?;

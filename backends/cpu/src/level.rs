@@ -7,8 +7,8 @@ use crate::store::Store;
 use barchan_core::material::ErrorBuffer;
 use barchan_core::{Aabb, NodeBatch, Plan};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
-use barchan_grid::ring::{self, AffineToGrid, COLUMNS};
-use barchan_grid::transfer::{Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
+use barchan_grid::ring::{self, COLUMNS};
+use barchan_grid::transfer::{Edge, Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
 use barchan_grid::wall::Mirror;
 use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
 use rayon::prelude::*;
@@ -93,6 +93,7 @@ impl<T: Scalar> Level<T> {
         let (stale, frozen) = if step.dt > 0.0 { self.stale_tiles(step) } else { (Vec::new(), *step) };
         let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
+        let columns = Shared(self.grid.columns.as_ptr().cast_mut());
         let walls = self.has_mirrors();
         let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
@@ -104,17 +105,24 @@ impl<T: Scalar> Level<T> {
             .map(|(b, step)| {
                 // SAFETY: each block has a tile of its own.
                 let tile = unsafe { &mut *tiles.at(b) };
+                let edge = grid.edge_of.get(b).copied().filter(|&edge| edge != NONE && step.dt > 0.0);
+                // SAFETY: each block at the rim has columns of its own.
+                let mut columns: Option<&mut [[T; TILE]; COLUMNS]> =
+                    edge.map(|edge| unsafe { &mut *columns.at(edge as usize) });
                 let mut spent = 0;
                 let timed = b % TIMED_BLOCKS == 0;
                 let begun = timed.then(Instant::now);
                 let mut materials = if timed { vec![0; n_materials] } else { Vec::new() };
                 let mut fault = None;
                 isa.run::<T, _>(Clear(tile));
+                columns.iter_mut().flat_map(|columns| columns.iter_mut()).for_each(|tile| isa.run::<T, _>(Clear(tile)));
                 for (l, list) in lists.iter().enumerate() {
                     let run = list.runs[b];
                     if run.count == 0 {
                         continue;
                     }
+                    let touches = edge.map(|edge| &grid.touches[edge as usize]);
+                    let edge = touches.zip(columns.as_deref_mut()).map(|(touches, columns)| Edge { touches, columns });
                     let mut message = ErrorBuffer::default();
                     let outcome = isa.run::<T, _>(ParticlesToGrid {
                         particles: list.view(),
@@ -123,6 +131,7 @@ impl<T: Scalar> Level<T> {
                         law: &list.law,
                         step,
                         tile,
+                        edge,
                         error: message.as_raw(),
                         material_time: timed.then_some(&mut spent),
                     });
@@ -136,6 +145,9 @@ impl<T: Scalar> Level<T> {
                 if walls && grid.mirrored[b] {
                     // SAFETY: each block has an entry of its own.
                     let impulse = unsafe { mirrors.fold(tile, grid.origin(b), &mut *images.at(b)) };
+                    for (column, tile) in columns.iter_mut().flat_map(|columns| columns.iter_mut()).enumerate() {
+                        mirrors.fold_column(tile, grid.origin(b), column);
+                    }
                     if !step.frozen {
                         // SAFETY: as above.
                         unsafe { *impulse_of.at(b) = impulse };
@@ -161,31 +173,6 @@ impl<T: Scalar> Level<T> {
         }
         self.book(impulses);
         Ok(())
-    }
-
-    /// The affine momentum of particles near the level's rim, which goes with their momentum to the coarser level.
-    pub(crate) fn affine_to_rim(&mut self, isa: Isa) {
-        let (lists, grid, mirrors, h) = (&self.store.lists, &self.grid, &self.bounds.mirrors, self.h());
-        let columns = Shared(self.grid.columns.as_ptr().cast_mut());
-        grid.edge_of.par_iter().enumerate().filter(|(_, edge)| **edge != NONE).for_each(|(b, &edge)| {
-            // SAFETY: each block has columns of its own.
-            let tiles: &mut [[T; TILE]; COLUMNS] = unsafe { &mut *columns.at(edge as usize) };
-            for tile in tiles.iter_mut() {
-                isa.run::<T, _>(Clear(tile));
-            }
-            for list in lists {
-                let (particles, run, origin) = (list.view(), list.runs[b], grid.origin(b));
-                if run.count > 0 {
-                    let touches = &grid.touches[edge as usize];
-                    isa.run::<T, _>(AffineToGrid { particles, run, origin, h, touches, tiles: &mut *tiles });
-                }
-            }
-            if grid.mirrored[b] {
-                for (column, tile) in tiles.iter_mut().enumerate() {
-                    mirrors.fold_column(tile, grid.origin(b), column);
-                }
-            }
-        });
     }
 
     /// Sums tiles into nodes, takes up what the rim of the finer level hands over, hands the own rim's share on, lets walls
@@ -243,7 +230,7 @@ impl<T: Scalar> Level<T> {
         self.hold();
     }
 
-    /// Splits what shared nodes keep after a step's P2G, p + dt f, into p + ½ dt f and ½ dt f. `step` is the half one.
+    /// Splits what shared nodes keep after a step's P2G, p + dt f, into p + ½ dt f and ½ dt f. A `step` of no length gives p.
     pub(crate) fn halve(&mut self, isa: Isa, step: &Step) -> Result<(), Stopped> {
         let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
@@ -259,8 +246,9 @@ impl<T: Scalar> Level<T> {
                     let (particles, run, origin, law) = (list.view(), list.runs[b], grid.origin(b), &list.law);
                     let mut message = ErrorBuffer::default();
                     let error = message.as_raw();
+                    let (edge, material_time) = (None, None);
                     let scatter =
-                        ParticlesToGrid { particles, run, origin, law, step, tile, error, material_time: None };
+                        ParticlesToGrid { particles, run, origin, law, step, tile, edge, error, material_time };
                     if run.count > 0
                         && let Err(f) = isa.run::<T, _>(scatter)
                     {
@@ -286,10 +274,10 @@ impl<T: Scalar> Level<T> {
                 for k in grid.shared_starts[g]..grid.shared_starts[g + 1] {
                     // SAFETY: each shared node belongs to one block.
                     let shared = unsafe { &mut *shared.at(k as usize) };
-                    let half = &nodes[4 * (shared.node as usize % CELLS)..][..4];
+                    let carried = &nodes[4 * (shared.node as usize % CELLS)..][..4];
                     for d in 0..3 {
-                        shared.gain[d] = shared.own[d] - half[d];
-                        shared.own[d] = half[d];
+                        shared.gain[d] = T::from_f64(0.5) * (shared.own[d] - carried[d]);
+                        shared.own[d] = carried[d] + shared.gain[d];
                     }
                 }
             },

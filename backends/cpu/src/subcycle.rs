@@ -52,13 +52,12 @@ impl<T: Scalar> CpuEngine<T> {
         }
         self.keep_watch(l, couplings);
         self.particles_to_grid(l, dt).map_err(|error| at_time(error, time))?;
-        self.affine_to_rim(l);
         let clock = Instant::now();
         let least = self.least_mass();
         self.levels[l].update_grid(self.isa, least, None, l > 0);
         self.clocks.add(Pass::Grid, clock);
         if l > 0 {
-            self.halve(l, dt)?;
+            self.halve(l)?;
         }
         if let ([.., level], [coarser, ..]) = self.levels.split_at_mut(l + 1) {
             let clock = Instant::now();
@@ -107,11 +106,11 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Splits what the shared nodes hold into what they have at the start and what the forces of half a step add.
-    fn halve(&mut self, l: usize, dt: f64) -> Result<()> {
+    fn halve(&mut self, l: usize) -> Result<()> {
         if self.levels[l].grid.shared.is_empty() {
             return Ok(());
         }
-        let step = self.step_of(l, 0.5 * dt);
+        let step = self.step_of(l, 0.0);
         let clock = Instant::now();
         let outcome = self.levels[l].halve(self.isa, &step);
         self.clocks.add(Pass::Restrict, clock);
