@@ -7,6 +7,7 @@ use barchan::{Error, Plan, Registry, Result, Scene};
 use clap::Args;
 use serde::Serialize;
 use serde_json::json;
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 /// Depth of the bed [m].
@@ -57,6 +58,8 @@ struct Row {
     particles: usize,
     /// Why there are no figures.
     skipped: Option<String>,
+    /// What the plan warned of.
+    warnings: Vec<String>,
     ms_per_step: Option<f64>,
     /// Simulated time of a step [ms].
     step_ms: Option<f64>,
@@ -113,13 +116,11 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
     let whole = std::iter::once(1).chain(args.levels.iter().copied()).map(|levels| (levels, 0, &args.extents));
     let reached = args.levels.iter().map(|&levels| (levels, args.reach, &args.worlds));
     for (levels, reach, extents) in whole.chain(reached) {
-        for &extent in extents {
-            let row = measure(args, &registry, extent, levels, reach)?;
-            if !args.effort.json {
-                println!("{}", line(&row));
-            }
-            rows.push(row);
+        let beds = measure(args, &registry, extents, levels, reach)?;
+        if !args.effort.json {
+            beds.iter().for_each(|row| println!("{}", line(row)));
         }
+        rows.extend(beds);
     }
     let statement = [statement(&rows), statement_of_reach(&rows)].join("\n");
     let report = json!({
@@ -144,46 +145,59 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
     Ok(())
 }
 
-/// Times a bed, unless it has too many particles or the backend cannot run it.
-fn measure(args: &Scale, registry: &Registry, extent: f64, levels: u32, reach: u32) -> Result<Row> {
+/// Times beds of one kind, unless they have too many particles or the backend cannot run them. They take turns, so that all of them
+/// meet the machine's slow and fast minutes alike.
+fn measure(args: &Scale, registry: &Registry, extents: &[f64], levels: u32, reach: u32) -> Result<Vec<Row>> {
+    let beds = extents.iter().map(|&extent| prepare(args, registry, extent, levels, reach));
+    let mut beds = beds.collect::<Result<Vec<_>>>()?;
+    let clock = |timed: &Timed| (timed.simulation.time(), timed.simulation.step_count());
+    let begins: Vec<_> = beds.iter().map(|(_, timed)| timed.as_ref().map(clock)).collect();
+    for _ in 0..args.effort.repetitions.max(1) {
+        beds.iter_mut().filter_map(|(_, timed)| timed.as_mut()).try_for_each(Timed::repeat)?;
+    }
+    let finish = |((row, timed), begin): ((Row, Option<Timed>), Option<(f64, u64)>)| {
+        let Some((timed, (time, steps))) = timed.zip(begin) else { return row };
+        let (in_particles, in_grid) = timed.simulation.memory();
+        let steps = (timed.simulation.step_count() - steps) as f64;
+        Row {
+            particles: timed.simulation.particle_count(),
+            ms_per_step: Some(1e3 * timed.step()),
+            step_ms: Some(1e3 * (timed.simulation.time() - time) / steps),
+            memory_bytes: Some(in_particles + in_grid),
+            ..row
+        }
+    };
+    Ok(beds.into_iter().zip(begins).map(finish).collect())
+}
+
+/// A bed after its warm-up, or why it is left out.
+fn prepare(args: &Scale, registry: &Registry, extent: f64, levels: u32, reach: u32) -> Result<(Row, Option<Timed>)> {
     let scene = bed(args, extent, levels, reach)?;
     let spacing = 0.5 / f64::from(args.cells);
-    let uniform = (extent * extent * DEPTH / spacing.powi(3)).round() as usize;
-    let skipped = |particles: usize, why: String| Row {
+    let mut row = Row {
         extent_m: extent,
         levels,
         reach,
-        particles,
-        skipped: Some(why),
+        particles: (extent * extent * DEPTH / spacing.powi(3)).round() as usize,
+        skipped: None,
+        warnings: Vec::new(),
         ms_per_step: None,
         step_ms: None,
         memory_bytes: None,
     };
     // Nested levels are counted by placing their particles, a uniform grid's are known before.
-    let particles =
-        if levels == 1 { uniform } else { Plan::assemble(registry, &scene, &args.engine.options())?.0.particle_count };
-    if particles > args.cap {
-        return Ok(skipped(particles, format!("more than {} particles", args.cap)));
+    if levels > 1 {
+        let plan = Plan::assemble(registry, &scene, &args.engine.options())?.0;
+        (row.particles, row.warnings) = (plan.particle_count, plan.warnings);
     }
-    let mut timed = match Timed::new(registry, &scene, &args.engine, &args.effort) {
-        Ok(timed) => timed,
-        Err(error @ Error::Missing { .. }) => return Ok(skipped(particles, error.to_string())),
-        Err(error) => return Err(error),
-    };
-    let begin = (timed.simulation.time(), timed.simulation.step_count());
-    (0..args.effort.repetitions.max(1)).try_for_each(|_| timed.repeat())?;
-    let steps = (timed.simulation.step_count() - begin.1) as f64;
-    let (in_particles, in_grid) = timed.simulation.memory();
-    Ok(Row {
-        extent_m: extent,
-        levels,
-        reach,
-        particles: timed.simulation.particle_count(),
-        skipped: None,
-        ms_per_step: Some(1e3 * timed.step()),
-        step_ms: Some(1e3 * (timed.simulation.time() - begin.0) / steps),
-        memory_bytes: Some(in_particles + in_grid),
-    })
+    if row.particles > args.cap {
+        return Ok((Row { skipped: Some(format!("more than {} particles", args.cap)), ..row }, None));
+    }
+    match Timed::new(registry, &scene, &args.engine, &args.effort) {
+        Ok(timed) => Ok((row, Some(timed))),
+        Err(error @ Error::Missing { .. }) => Ok((Row { skipped: Some(error.to_string()), ..row }, None)),
+        Err(error) => Err(error),
+    }
 }
 
 fn name(levels: u32, reach: u32) -> String {
@@ -263,7 +277,7 @@ fn statement_of_reach(rows: &[Row]) -> String {
 fn markdown(args: &Scale, rows: &[Row], statement: &str) -> String {
     let mut out = format!(
         "# Scale\n\nA ball drawn through a bed of sand {DEPTH} m deep, finest cell 1/{} m, `levels.half = {}`{}; backend {}, {}. Median of {} \
-         repetitions of {} steps.\n\n| run | bed [m] | particles | step [ms] | wall time of a step [ms] | memory [MB] |\n\
+         repetitions of {} steps, beds of a kind in turns.\n\n| run | bed [m] | particles | step [ms] | wall time of a step [ms] | memory [MB] |\n\
          | --- | ---: | ---: | ---: | ---: | ---: |\n",
         args.cells,
         args.half,
@@ -286,7 +300,11 @@ fn markdown(args: &Scale, rows: &[Row], statement: &str) -> String {
             number(memory)
         ));
     }
-    out + "\n" + statement + "\n"
+    let warnings: BTreeSet<_> =
+        rows.iter().flat_map(|row| row.warnings.iter().map(move |what| (name(row.levels, row.reach), what))).collect();
+    out.push_str(&format!("\n{statement}\n"));
+    warnings.into_iter().for_each(|(name, what)| out.push_str(&format!("\nWarning of {name}: {what}\n")));
+    out
 }
 
 fn chart(args: &Scale, rows: &[Row], y: &str, value: Figure) -> Chart {
@@ -326,6 +344,7 @@ mod tests {
             reach: 0,
             particles: 1,
             skipped: None,
+            warnings: Vec::new(),
             ms_per_step: ms,
             step_ms: ms.map(|_| 0.5),
             memory_bytes,
