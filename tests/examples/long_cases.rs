@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p barchan-tests --example long_cases -- NAME|all`; without `all` the report is printed only.
 
-use barchan_tests::long_cases::{Outcome, box_at_rest, cyclic_shear, furrow, resets, rest};
+use barchan_tests::long_cases::{Outcome, box_at_rest, cyclic_shear, first_letter, furrow, resets, rest};
 use std::fmt::Write;
 use std::path::Path;
 use std::process::ExitCode;
@@ -11,12 +11,13 @@ const COMMAND: &str = "cargo run --release -p barchan-tests --example long_cases
 
 type Case = (&'static str, &'static str, fn() -> Outcome);
 
-const CASES: [Case; 5] = [
+const CASES: [Case; 6] = [
     ("rest", "B7, matter at rest without gravity, 1e5 steps", || rest(100_000)),
     ("shear", "B11, column on a shaken base, 1000 cycles", || cyclic_shear(1000)),
     ("resets", "B27, 1000 episodes", || resets(1000, true)),
     ("box", "B44, box on sand, 60 s", || box_at_rest(60.0)),
     ("furrow", "Furrow of 100 m in unbounded ground", || furrow(100.0)),
+    ("letters", "The S of letters when the D is written", first_letter),
 ];
 
 fn main() -> ExitCode {

@@ -2,6 +2,8 @@
 
 use crate::scenes::{alter, options, rows, run_to, scene, simulation};
 use crate::sketch::{Head, bed, block, half, material, tool};
+use barchan::accuracy::{Grain, HeightMap};
+use barchan::scene::Motion;
 use barchan::{Ledger, ParticleState, Precision, Simulation};
 use std::f64::consts::TAU;
 
@@ -351,4 +353,37 @@ pub fn furrow(metres: f64) -> Outcome {
 
 fn archived_bytes(s: &Simulation) -> f64 {
     s.particles().archive.values().map(|tile| tile.bytes() as f64).sum()
+}
+
+/// Mean depth below the bed's first surface along the way that the tool is drawn between two times [m].
+fn depth_along(s: &Simulation, from: f64, to: f64) -> f64 {
+    let (plan, cell) = (s.plan(), s.plan().cell_widths[1]);
+    let Motion::Keyframes { frames, .. } = &plan.scene.tool[0].motion else { return f64::NAN };
+    let drawn = frames.iter().filter(|frame| (from..=to).contains(&frame.time));
+    let way: Vec<[f64; 2]> = drawn.map(|frame| [frame.position[0], frame.position[1]]).collect();
+    let on_it = |at: [f64; 2]| way.iter().any(|x| (x[0] - at[0]).hypot(x[1] - at[1]) < cell);
+    let grains: Vec<Grain> = s.spots().iter().map(Grain::of).collect();
+    let map = HeightMap::new(&grains, &plan.scene.world, cell);
+    let depths: Vec<f64> =
+        map.heights().iter().enumerate().filter(|(i, _)| on_it(map.at(*i))).map(|(_, top)| 0.1 - top).collect();
+    depths.iter().sum::<f64>() / depths.len() as f64
+}
+
+/// All of `letters`: what is left of the S when the D is written.
+///
+/// Symptom: a robot that looks back finds its track gone, since the coarse grid has smoothed it. Physics: dry sand at rest keeps its
+/// shape; the S is as deep as it was.
+pub fn first_letter() -> Outcome {
+    let mut outcome = Outcome::default();
+    let scene = barchan::tasks::scene("letters", &[] as &[&str]).expect("letters is a scene");
+    let mut s = Simulation::new(&barchan::registry(), &scene, &options(Precision::F32)).expect("letters can be run");
+    run_to(&mut s, 1.6);
+    let fresh = depth_along(&s, 0.16, 1.294);
+    run_to(&mut s, scene.time.end);
+    let kept = depth_along(&s, 0.16, 1.294);
+    println!("S: {:.2} mm deep when drawn, {:.2} mm at the end", 1e3 * fresh, 1e3 * kept);
+    outcome.steps = s.step_count();
+    outcome.add("depth of the fresh S, short of 15 mm by [mm]", 15.0 - 1e3 * fresh, 0.0);
+    outcome.add("share of the S's depth lost by the end", 1.0 - kept / fresh, 0.3);
+    outcome
 }

@@ -47,8 +47,8 @@ fn furrow(simulation: &Simulation) -> (f64, f64) {
 }
 
 /// A robot that looks back must see its track: once the boxes have gone and the coarsest level has the place, its grains merged
-/// where that does not move the surface, the furrow is still at least 0.7 as deep as right after it was drawn. (All of `letters`
-/// keeps 1.002 of the mean depth of its S from 1.6 s on.)
+/// where that does not move the surface, the furrow is still at least 0.7 as deep as right after it was drawn. (All of `letters`:
+/// `long_cases letters`.)
 #[test]
 fn a_furrow_stays_when_the_fine_boxes_go() {
     let mut simulation = strokes();
