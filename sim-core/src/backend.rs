@@ -8,11 +8,34 @@ pub trait Backend: Send + Sync {
     fn name(&self) -> &str;
     /// One paragraph.
     fn doc(&self) -> &str;
-    /// Builds exactly the passes that the plan calls for and takes in the particles.
+    /// What it can run on besides the processor, best first: GPUs, and software in their place. `None`: nothing, so that naming one
+    /// in [`crate::Options`] is an error.
+    fn adapters(&self) -> Option<Vec<Adapter>> {
+        None
+    }
+    /// Finds out what [`compile`](Self::compile) would refuse of the plan, without building anything.
+    ///
+    /// # Errors
+    /// As [`compile`](Self::compile).
+    fn check(&self, plan: &Plan) -> Result<()> {
+        let _ = plan;
+        Ok(())
+    }
+    /// Builds exactly the passes that the plan calls for and takes in the particles. A phase of the sort that is not its own
+    /// cannot come here: the simulation leaves it out.
     ///
     /// # Errors
     /// [`crate::Error::Missing`] if it lacks a form of a stage, by name.
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>>;
+}
+
+/// A device that a backend can run on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Adapter {
+    /// Name, by which it may be chosen.
+    pub name: String,
+    /// Kind, interface, driver, and what it offers, for people.
+    pub doc: String,
 }
 
 /// The greatest stable time step and what sets it.

@@ -16,7 +16,7 @@ use crate::picture::{self, Image, View};
 use barchan_core::backend::Timing;
 use barchan_core::export::export;
 use barchan_core::scene::Export;
-use barchan_core::{BodyState, Error, Ledger, Precision, Result, Simulation, Vec3, Wrench};
+use barchan_core::{BodyState, Error, Ledger, Options, Precision, Registry, Result, Simulation, Vec3, Wrench};
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -58,6 +58,19 @@ pub struct Request {
     pub export: Option<Export>,
     /// Keep what the folder holds up to the simulation's present step, and go on from there.
     pub resumed: bool,
+    /// Another backend that takes over in the middle.
+    pub swap: Option<Swap>,
+}
+
+/// A backend that takes over from another; see [`Simulation::swap`].
+#[derive(Clone, Debug)]
+pub struct Swap {
+    /// After this step, counted from the scene's start.
+    pub step: u64,
+    /// Where the backend is found.
+    pub registry: Registry,
+    /// The backend and the number format.
+    pub options: Options,
 }
 
 /// Where a run stands.
@@ -202,7 +215,11 @@ fn steps(
         simulation.set_stop(end);
     }
     let mut progress = done(simulation);
+    let mut swap = request.swap.as_ref();
     while progress < 1.0 {
+        if let Some(Swap { registry, options, .. }) = swap.take_if(|swap| simulation.step_count() >= swap.step) {
+            simulation.swap(registry, options)?;
+        }
         let before = Instant::now();
         let report = simulation.step()?;
         tally.wall += before.elapsed().as_secs_f64();

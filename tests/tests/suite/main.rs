@@ -13,6 +13,7 @@ mod seams;
 mod settled;
 mod sleeping;
 mod subcycling;
+mod swap;
 mod transfers;
 mod unbounded;
 mod validation;
