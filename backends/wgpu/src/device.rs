@@ -61,6 +61,41 @@ pub fn adapters() -> Vec<AdapterInfo> {
     found().iter().map(Adapter::get_info).collect()
 }
 
+/// [`adapters`] as the registry lists them: kind, interface, driver, and what is used of what they offer.
+pub fn list() -> Vec<barchan_core::backend::Adapter> {
+    found().iter().map(describe).collect()
+}
+
+fn describe(adapter: &Adapter) -> barchan_core::backend::Adapter {
+    let (info, limits, features) = (adapter.get_info(), adapter.limits(), adapter.features());
+    let kind = match info.device_type {
+        DeviceType::DiscreteGpu => "discrete GPU",
+        DeviceType::IntegratedGpu => "integrated GPU",
+        DeviceType::VirtualGpu => "virtual GPU",
+        DeviceType::Cpu => "software",
+        DeviceType::Other => "unknown kind",
+    };
+    let offers = [
+        (Features::SHADER_FLOAT32_ATOMIC, "f32 atomics"),
+        (Features::SUBGROUP, "subgroups"),
+        (Features::TIMESTAMP_QUERY, "timestamps"),
+    ];
+    let offers = offers.iter().filter(|(feature, _)| features.contains(*feature)).map(|(_, name)| format!(", {name}"));
+    barchan_core::backend::Adapter {
+        doc: format!(
+            "{kind}, {} ({} {}){}; bindings to {} MiB, {} storage buffers a stage, {} KiB of workgroup memory",
+            info.backend,
+            info.driver,
+            info.driver_info,
+            offers.collect::<String>(),
+            limits.max_storage_buffer_binding_size >> 20,
+            limits.max_storage_buffers_per_shader_stage,
+            limits.max_compute_workgroup_storage_size >> 10,
+        ),
+        name: info.name,
+    }
+}
+
 /// Opens the adapter that `choice` names by its number in [`adapters`], its name, or a part of its name in either case;
 /// `None`: the first one.
 ///

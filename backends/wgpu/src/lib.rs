@@ -2,3 +2,4 @@
 //! included.
 
 pub mod device;
+pub mod material;
