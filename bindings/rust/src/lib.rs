@@ -16,12 +16,13 @@
 //! # Ok::<(), barchan::Error>(())
 //! ```
 //! [`run::run`] does the same with pictures, traces and a summary; [`picture`] draws, [`stress`] asks for stress, [`accuracy`]
-//! tells how far a run is from a finer one.
+//! tells how far a run is from a finer one, [`worlds`] steps many scenes side by side.
 
 pub mod accuracy;
 pub mod picture;
 pub mod run;
 pub mod stress;
+pub mod worlds;
 
 pub use barchan_core::{
     Backend, BodyState, Coupling, Effect, Engine, Error, Ledger, Material, Measured, NodeBatch, Options, ParticleList,

@@ -18,3 +18,4 @@ mod transfers;
 mod unbounded;
 mod validation;
 mod walls;
+mod worlds;
