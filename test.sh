@@ -4,6 +4,7 @@
 # Needs: Rust (rustup.rs) and a C compiler. Takes about 15 minutes on two cores the first time.
 # Installs, if missing:
 #   rustfmt, clippy   into the Rust toolchain, by rustup                        about 15 MB
+#   mesa-vulkan-drivers  by apt-get, as root, on Linux without a Vulkan driver      about 150 MB
 #   gcc, libc6-dev    by apt-get, as root, unless there is a C compiler already  about 150 MB
 #   cbindgen          into target/tools, built by cargo install, once            about 10 MB, two minutes
 set -euo pipefail
@@ -35,6 +36,18 @@ Install one so that 'cc' runs it, then run this script again."
 Run this line (about 150 MB), then this script again:
     sudo apt-get update && sudo $install"
     echo "Installing gcc and libc6-dev (about 150 MB)."
+    apt-get update && $install
+fi
+# The GPU backend is tested on whatever adapter there is; software ones do.
+drivers() { cat /usr/share/vulkan/icd.d/*.json /usr/local/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json 2>/dev/null; }
+if [ "$(uname)" = Linux ] && [ -z "${VK_DRIVER_FILES:-${VK_ICD_FILENAMES:-}}" ] && [ -z "$(drivers)" ]; then
+    install="apt-get install -y --no-install-recommends mesa-vulkan-drivers"
+    command -v apt-get >/dev/null || stop "A Vulkan driver is missing: the tests of the GPU backend run on one.
+Install your distribution's package of Mesa's Vulkan drivers (lavapipe), then run this script again."
+    [ "$(id -u)" -eq 0 ] || stop "A Vulkan driver is missing: the tests of the GPU backend run on one.
+Run this line (about 150 MB), then this script again:
+    sudo apt-get update && sudo $install"
+    echo "Installing mesa-vulkan-drivers (about 150 MB)."
     apt-get update && $install
 fi
 if [ "$("$tools/bin/cbindgen" --version 2>/dev/null)" != "cbindgen $cbindgen_version" ]; then

@@ -37,7 +37,7 @@ pub enum Error {
     Unknown {
         /// Where the name stands.
         path: String,
-        /// "material", "coupling", "backend", "task", "solid" or "scene".
+        /// "material", "coupling", "backend", "adapter", "task", "solid" or "scene".
         kind: &'static str,
         /// The name asked for.
         name: String,
@@ -69,6 +69,18 @@ pub enum Error {
         what: String,
         /// Why the scene needs it.
         why: String,
+        /// What would mend it.
+        mend: String,
+    },
+    /// A device that a backend runs on failed.
+    #[error("backend '{backend}' on {device}: {what}; {mend}")]
+    Device {
+        /// The backend.
+        backend: String,
+        /// Name of the adapter.
+        device: String,
+        /// What happened.
+        what: String,
         /// What would mend it.
         mend: String,
     },

@@ -131,6 +131,8 @@ pub struct Plan {
     pub precision: Precision,
     /// Worker threads; 0: as many as the machine has.
     pub threads: usize,
+    /// Name or number of the adapter that the backend runs on; `None`: its first.
+    pub adapter: Option<String>,
     /// Cell width of each level, finest first [m].
     pub cell_widths: Vec<f64>,
     /// Least cell of the world on level 0, per axis; meaningful where there is a wall or periodicity.
@@ -342,6 +344,7 @@ impl Plan {
         let mut plan = Self {
             precision: options.precision,
             threads: options.threads,
+            adapter: options.adapter.clone(),
             cell_widths,
             ground_cells,
             cell_min,

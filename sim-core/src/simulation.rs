@@ -5,7 +5,7 @@ use crate::plan::{cut, tighten, wanted_step};
 use crate::scene::OverBound;
 use crate::snapshot::Snapshot;
 use crate::{
-    BodyState, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, Spot,
+    Backend, BodyState, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, Spot,
     StepReport, Vec3, Wrench,
 };
 use std::fmt;
@@ -21,13 +21,15 @@ pub struct Options {
     pub precision: Precision,
     /// Worker threads; 0: as many as the machine has.
     pub threads: usize,
+    /// Name or number of the adapter to run on, for backends that run on one; `None`: the first.
+    pub adapter: Option<String>,
     /// Most bytes that particles may take while they are seeded; `None`: four fifths of the memory available.
     pub max_bytes: Option<u64>,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { backend: "cpu".to_owned(), precision: Precision::F32, threads: 0, max_bytes: None }
+        Self { backend: "cpu".to_owned(), precision: Precision::F32, threads: 0, adapter: None, max_bytes: None }
     }
 }
 
@@ -42,7 +44,11 @@ const WATCH_GROWTH: f64 = 2.0;
 /// A compiled scene: engine, couplings, time.
 pub struct Simulation {
     plan: Plan,
+    /// Name of the backend that runs.
+    backend: String,
     engine: Box<dyn Engine>,
+    /// Time by effect of the backends before this one.
+    past: Vec<Timing>,
     couplings: Vec<Box<dyn Coupling>>,
     time: f64,
     step: u64,
@@ -81,6 +87,22 @@ struct Watch {
     exchanged: [f64; 2],
 }
 
+/// The backend asked for; an adapter may be named only if it runs on one.
+fn find_backend<'a>(registry: &'a Registry, options: &Options) -> Result<&'a dyn Backend> {
+    let backend = &**registry.backend(&options.backend)?;
+    match &options.adapter {
+        Some(adapter) if backend.adapters().is_none() => Err(Error::Missing {
+            kind: "backend",
+            name: options.backend.clone(),
+            origin: "it runs on the processor".to_owned(),
+            what: "adapters".to_owned(),
+            why: format!("the adapter '{adapter}' is asked for"),
+            mend: "ask for none, or use a backend that runs on one".to_owned(),
+        }),
+        _ => Ok(backend),
+    }
+}
+
 /// What has come within reach of agents, and what has fallen out of it [kg].
 fn exchanged(ledger: &Ledger) -> [f64; 2] {
     [ledger.seeded_mass, ledger.archived_mass]
@@ -92,16 +114,18 @@ impl Simulation {
     /// # Errors
     /// Those of [`Plan::assemble`] and of the backend.
     pub fn new(registry: &Registry, scene: &Scene, options: &Options) -> Result<Self> {
-        let backend = registry.backend(&options.backend)?;
+        let backend = find_backend(registry, options)?;
         let (plan, particles, couplings) = Plan::assemble(registry, scene, options)?;
         let engine = backend.compile(&plan, particles)?;
-        Ok(Self::start(plan, engine, couplings))
+        Ok(Self::start(plan, backend.name(), engine, couplings))
     }
 
-    fn start(plan: Plan, engine: Box<dyn Engine>, couplings: Vec<Box<dyn Coupling>>) -> Self {
+    fn start(plan: Plan, backend: &str, engine: Box<dyn Engine>, couplings: Vec<Box<dyn Coupling>>) -> Self {
         Self {
             plan,
+            backend: backend.to_owned(),
             engine,
+            past: Vec::new(),
             couplings,
             time: 0.0,
             step: 0,
@@ -128,7 +152,7 @@ impl Simulation {
                 "resume with the same precision",
             ));
         }
-        let backend = registry.backend(&options.backend)?;
+        let backend = find_backend(registry, options)?;
         let scene = Scene::from_str(&snapshot.scene, &path.display().to_string(), &snapshot.folder)?;
         let (plan, particles, mut couplings) =
             Plan::assemble_with(registry, &scene, options, Some(snapshot.particles))?;
@@ -152,8 +176,38 @@ impl Simulation {
             stop: snapshot.stop.unwrap_or(f64::INFINITY),
             cut_steps: snapshot.cut_steps,
             carried: snapshot.carried,
-            ..Self::start(plan, engine, couplings)
+            ..Self::start(plan, backend.name(), engine, couplings)
         })
+    }
+
+    /// Goes on with another backend or number format from the next step on. Particles, levels, archive, bodies, time and ledger are
+    /// kept; particles are sorted anew, and f64 is rounded where f32 takes over. On an error the simulation is as it was.
+    ///
+    /// 1. The state is copied out, the scene is planned for the other backend and compiled with that state.
+    /// 2. What the ledger sums up is carried over, and so is the time that effects took.
+    ///
+    /// # Errors
+    /// Those of [`new`](Self::new), by name if the backend lacks something that the scene calls for.
+    pub fn swap(&mut self, registry: &Registry, options: &Options) -> Result<()> {
+        let backend = find_backend(registry, options)?;
+        let mut particles = self.engine.download();
+        if self.backend != backend.name() || self.plan.precision != options.precision {
+            particles.sort = None;
+        }
+        // The couplings that go with a new plan are those of the start: ours stay.
+        let (plan, particles, _) = Plan::assemble_with(registry, &self.plan.scene, options, Some(particles))?;
+        let engine = backend.compile(&plan, particles)?;
+        let mut carried = std::mem::take(&mut self.carried);
+        self.engine.account(&mut carried);
+        self.carried = only_sums(carried);
+        let named =
+            |t: Timing| Timing { effect: format!("{} ({} {})", t.effect, self.backend, self.plan.precision), ..t };
+        self.past.extend(self.engine.timings().into_iter().map(named));
+        self.backend = backend.name().to_owned();
+        self.plan = plan;
+        self.engine = engine;
+        self.watch = None;
+        Ok(())
     }
 
     /// Writes everything needed to continue: to a temporary file beside `path`, then renamed.
@@ -181,6 +235,10 @@ impl Simulation {
         .write(path.as_ref())
     }
 
+    /// Name of the backend that runs.
+    pub fn backend(&self) -> &str {
+        &self.backend
+    }
     /// What is simulated, and why.
     pub fn plan(&self) -> &Plan {
         &self.plan
@@ -235,9 +293,9 @@ impl Simulation {
     pub fn couplings(&self) -> &[Box<dyn Coupling>] {
         &self.couplings
     }
-    /// Time by effect since this process took over.
+    /// Time by effect since this process took over; that of backends before a [`swap`](Self::swap) comes first, with their names.
     pub fn timings(&self) -> Vec<Timing> {
-        self.engine.timings()
+        self.past.iter().cloned().chain(self.engine.timings()).collect()
     }
     /// Bytes resident for particles and grid.
     pub fn memory(&self) -> (u64, u64) {
@@ -308,17 +366,33 @@ impl Simulation {
     /// # Errors
     /// [`Error::TimeStep`], [`Error::Unstable`], and the engine's.
     pub fn step(&mut self) -> Result<StepReport> {
+        let mut reports = self.steps(1, f64::INFINITY)?;
+        Ok(reports.pop().expect("an engine takes a step or says why not"))
+    }
+
+    /// As [`step`](Self::step), up to `most` times if the engine is faster when it is asked for many steps at once; none of them
+    /// begins at `until` [s] or later. The length of all is chosen before the first.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step): everything is as before the first of these steps.
+    pub fn steps(&mut self, most: usize, until: f64) -> Result<Vec<StepReport>> {
         let bound = self.bound();
         let (mut dt, above) = self.choose(&bound)?;
         let left = self.stop - self.time;
-        let mut lands = false;
+        // Energy is watched step by step.
+        let mut count = if above { 1 } else { most.max(1) };
+        let mut to_stop = usize::MAX;
         if left.is_finite() {
             let parts = (left / dt - ROUNDING).ceil().max(1.0);
             // Steps that divide the time left but for rounding keep their bits.
             if (left - parts * dt).abs() > ROUNDING * dt {
                 dt = left / parts;
             }
-            lands = parts == 1.0;
+            to_stop = parts as usize;
+            count = count.min(to_stop);
+        }
+        if count > 1 && until.is_finite() {
+            count = count.min(((until - self.time) / dt - ROUNDING).ceil().max(1.0) as usize);
         }
         if above {
             self.begin_watch();
@@ -326,8 +400,8 @@ impl Simulation {
             self.watch = None;
         }
         let before: Vec<_> = self.couplings.iter().map(|c| c.save()).collect();
-        let report = match self.engine.step(self.time, dt, &mut self.couplings) {
-            Ok(report) => report,
+        let reports = match self.engine.steps(self.time, dt, count, &mut self.couplings) {
+            Ok(reports) => reports,
             Err(mut error) => {
                 // The engine counts from where it was compiled or resumed.
                 if let Error::NonFinite { step, .. } | Error::LeftWorld { step, .. } | Error::TimeStep { step, .. } =
@@ -345,16 +419,18 @@ impl Simulation {
                 return Err(error);
             }
         };
-        self.step += 1;
-        self.wrenches.clone_from(&report.wrenches);
-        if lands && report.dt == dt {
-            self.time = self.stop;
-            self.stop = f64::INFINITY;
-        } else {
-            self.time += report.dt;
+        for (i, report) in reports.iter().enumerate() {
+            self.step += 1;
+            self.wrenches.clone_from(&report.wrenches);
+            if i + 1 == to_stop && report.dt == dt {
+                self.time = self.stop;
+                self.stop = f64::INFINITY;
+            } else {
+                self.time += report.dt;
+            }
+            self.judge_watch(report.dt)?;
         }
-        self.judge_watch(report.dt)?;
-        Ok(report)
+        Ok(reports)
     }
 
     /// Steps until `until` [s] or until `on_step` breaks off; was `until` reached?

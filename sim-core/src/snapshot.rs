@@ -25,6 +25,14 @@ const TILE: &[u8; 4] = b"TILE";
 const COUPLING: &[u8; 4] = b"COUP";
 const END: &[u8; 4] = b"END ";
 
+/// Step that a snapshot was written at, counted from the scene's start.
+///
+/// # Errors
+/// [`Error::Snapshot`] if the file cannot be used.
+pub fn step(path: impl AsRef<Path>) -> Result<u64> {
+    Snapshot::read(path.as_ref()).map(|snapshot| snapshot.step)
+}
+
 /// What a snapshot holds.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Snapshot {

@@ -33,7 +33,7 @@ impl Backend for Cpu {
          the same bits for any number of threads."
     }
 
-    fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
+    fn check(&self, plan: &Plan) -> Result<()> {
         const FORMS: [Stage; 9] = [
             Stage::Archive,
             Stage::Adapt,
@@ -65,6 +65,11 @@ impl Backend for Cpu {
                 mend: "declare fewer, or choose another backend".into(),
             });
         }
+        Ok(())
+    }
+
+    fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
+        self.check(plan)?;
         Ok(match plan.precision {
             Precision::F32 => Box::new(engine::CpuEngine::<f32>::new(plan, particles)?),
             Precision::F64 => Box::new(engine::CpuEngine::<f64>::new(plan, particles)?),

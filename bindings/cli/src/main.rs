@@ -30,6 +30,8 @@ enum Command {
     Check(SceneArgs),
     /// Lists materials with their parameters, couplings, backends, tasks and scenes.
     Plugins(plugins::PluginArgs),
+    /// Lists what the backends can run on besides the processor: GPUs, and software in their place.
+    Adapters,
     /// Measures.
     #[command(subcommand)]
     Bench(bench::Bench),
@@ -62,6 +64,9 @@ struct EngineArgs {
     /// Worker threads; 0: as many as the machine has.
     #[arg(long, default_value_t = 0)]
     threads: usize,
+    /// Name or number of the adapter to run on (see `barchan adapters`) [default: the first].
+    #[arg(long, value_name = "NAME|INDEX")]
+    adapter: Option<String>,
     /// A library with materials to load; may be given again.
     #[arg(long, value_name = "LIBRARY")]
     load: Vec<PathBuf>,
@@ -94,6 +99,7 @@ impl EngineArgs {
             backend: self.backend.clone(),
             precision: self.precision,
             threads: self.threads,
+            adapter: self.adapter.clone(),
             ..barchan::Options::default()
         }
     }
@@ -111,8 +117,10 @@ fn registry(load: &[PathBuf]) -> Result<Registry> {
 fn assemble(args: &SceneArgs) -> Result<Plan> {
     let registry = args.engine.registry()?;
     let options = args.engine.options();
-    registry.backend(&options.backend)?;
-    Plan::assemble(&registry, &args.scene()?, &options).map(|(plan, ..)| plan)
+    let backend = registry.backend(&options.backend)?;
+    let (plan, ..) = Plan::assemble(&registry, &args.scene()?, &options)?;
+    backend.check(&plan)?;
+    Ok(plan)
 }
 
 fn plan(args: &SceneArgs) -> Result<()> {
@@ -134,6 +142,10 @@ fn main() -> ExitCode {
         Command::Plan(args) => plan(args).map(|()| ExitCode::SUCCESS),
         Command::Check(args) => check(args).map(|()| ExitCode::SUCCESS),
         Command::Plugins(args) => plugins::list(args).map(|()| ExitCode::SUCCESS),
+        Command::Adapters => {
+            print!("{}", plugins::adapters(&barchan::registry()));
+            Ok(ExitCode::SUCCESS)
+        }
         Command::Bench(args) => bench::run(args).map(|()| ExitCode::SUCCESS),
         Command::Schema => {
             println!("{:#}", Scene::schema());

@@ -26,6 +26,22 @@ pub(crate) fn list(args: &PluginArgs) -> Result<()> {
     Ok(())
 }
 
+/// Adapters by backend, numbered as `--adapter` takes them.
+pub(crate) fn adapters(registry: &Registry) -> String {
+    let mut text = String::new();
+    for backend in registry.backends() {
+        let Some(adapters) = backend.adapters() else { continue };
+        text += &format!("{}\n", backend.name());
+        for (number, adapter) in adapters.iter().enumerate() {
+            text += &format!("  {number}  {}\n     {}\n", adapter.name, adapter.doc);
+        }
+        if adapters.is_empty() {
+            text += "  none: install the driver of a GPU, or a software one (apt-get install mesa-vulkan-drivers)\n";
+        }
+    }
+    if text.is_empty() { "no backend runs on adapters\n".to_owned() } else { text }
+}
+
 fn as_text(registry: &Registry) -> String {
     let mut text = String::from("materials\n");
     for material in registry.materials() {

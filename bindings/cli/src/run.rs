@@ -1,15 +1,16 @@
 //! `barchan run`.
 
 use crate::{SceneArgs, report};
-use barchan::run::{Progress, Request, SNAPSHOT, Until};
+use barchan::run::{Progress, Request, SNAPSHOT, Swap, Until};
 use barchan::scene::Export;
-use barchan::{Result, Simulation};
+use barchan::{Options, Plan, Precision, Registry, Result, Simulation};
 use clap::{Args, Parser, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -36,12 +37,50 @@ pub(crate) struct RunArgs {
     /// Write particles beside the pictures.
     #[arg(long)]
     export: Option<Format>,
+    /// Let another backend, or the same in another number format, take over after a step.
+    #[arg(long, value_name = "STEP:BACKEND[:PRECISION]")]
+    swap_at: Option<SwapAt>,
     /// Make no pictures.
     #[arg(long)]
     no_pictures: bool,
     /// Print nothing but errors.
     #[arg(long, short)]
     quiet: bool,
+}
+
+/// `STEP:BACKEND[:PRECISION]`.
+#[derive(Clone, Debug, PartialEq)]
+struct SwapAt {
+    step: u64,
+    backend: String,
+    /// Absent: that of the run.
+    precision: Option<Precision>,
+}
+
+impl FromStr for SwapAt {
+    type Err = String;
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let mut parts = text.split(':');
+        let step = parts.next().and_then(|step| step.parse().ok());
+        let (Some(step), Some(backend), precision, None) = (step, parts.next(), parts.next(), parts.next()) else {
+            return Err(format!("'{text}' is not STEP:BACKEND or STEP:BACKEND:PRECISION, such as 200:cpu:f64"));
+        };
+        Ok(Self { step, backend: backend.to_owned(), precision: precision.map(str::parse).transpose()? })
+    }
+}
+
+impl SwapAt {
+    /// The adapter goes with the backend that runs on one.
+    fn swap(&self, registry: &Registry, before: &mut Options) -> Result<Swap> {
+        let takes_adapter = registry.backend(&self.backend)?.adapters().is_some();
+        let adapter = if takes_adapter { before.adapter.clone() } else { None };
+        if registry.backend(&before.backend)?.adapters().is_none() && takes_adapter {
+            before.adapter = None;
+        }
+        let precision = self.precision.unwrap_or(before.precision);
+        let options = Options { backend: self.backend.clone(), precision, adapter, ..before.clone() };
+        Ok(Swap { step: self.step, registry: registry.clone(), options })
+    }
 }
 
 /// A particle file format.
@@ -78,13 +117,19 @@ impl RunArgs {
 
 pub(crate) fn run(args: &RunArgs) -> Result<ExitCode> {
     let registry = args.scene.engine.registry()?;
-    let options = args.scene.engine.options();
+    let mut options = args.scene.engine.options();
+    let swap = args.swap_at.as_ref().map(|at| at.swap(&registry, &mut options)).transpose()?;
     let scene = args.scene.scene()?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out").join(&scene.name));
     let mut simulation = match &args.resume {
         Some(path) => {
             let path = path.clone().unwrap_or_else(|| out.join(SNAPSHOT));
-            Simulation::resume(&registry, &path, &options)?
+            // Past the swap, the snapshot is one of the second backend.
+            let options = match &swap {
+                Some(swap) if barchan::snapshot::step(&path)? > swap.step => &swap.options,
+                _ => &options,
+            };
+            Simulation::resume(&registry, &path, options)?
         }
         None => Simulation::new(&registry, &scene, &options)?,
     };
@@ -98,7 +143,13 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode> {
         pictures: !args.no_pictures,
         export: args.export.map(Into::into),
         resumed: args.resume.is_some(),
+        swap: swap.filter(|swap| simulation.step_count() <= swap.step),
     };
+    if let Some(Swap { registry, options, .. }) = &request.swap {
+        // What the second backend lacks is found out now, not in the middle.
+        let plan = Plan { precision: options.precision, ..simulation.plan().clone() };
+        registry.backend(&options.backend)?.check(&plan)?;
+    }
     if !args.quiet {
         println!("{}", simulation.plan());
     }
@@ -208,6 +259,16 @@ impl Shown {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_swap_is_a_step_a_backend_and_perhaps_a_precision() {
+        let parsed: SwapAt = "200:cpu:f64".parse().unwrap();
+        assert_eq!(parsed, SwapAt { step: 200, backend: "cpu".to_owned(), precision: Some(Precision::F64) });
+        assert_eq!("0:wgpu".parse::<SwapAt>().unwrap().precision, None);
+        for wrong in ["cpu", "200", "cpu:200", "1:cpu:f16", "1:cpu:f32:x", "-1:cpu"] {
+            assert!(wrong.parse::<SwapAt>().is_err(), "{wrong}");
+        }
+    }
 
     #[test]
     fn the_resume_line_repeats_the_command_once() {

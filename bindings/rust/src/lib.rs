@@ -16,12 +16,13 @@
 //! # Ok::<(), barchan::Error>(())
 //! ```
 //! [`run::run`] does the same with pictures, traces and a summary; [`picture`] draws, [`stress`] asks for stress, [`accuracy`]
-//! tells how far a run is from a finer one.
+//! tells how far a run is from a finer one, [`worlds`] steps many scenes side by side.
 
 pub mod accuracy;
 pub mod picture;
 pub mod run;
 pub mod stress;
+pub mod worlds;
 
 pub use barchan_core::{
     Backend, BodyState, Coupling, Effect, Engine, Error, Ledger, Material, Measured, NodeBatch, Options, ParticleList,
@@ -49,7 +50,8 @@ pub fn registry() -> Registry {
         .flatten()
         .try_for_each(|table| registry.add_material(table, "built-in"))
         .and_then(|()| barchan_rigid::register(&mut registry))
-        .and_then(|()| barchan_backend_cpu::register(&mut registry));
+        .and_then(|()| barchan_backend_cpu::register(&mut registry))
+        .and_then(|()| barchan_wgpu::register(&mut registry));
     registered.expect("built-in plugins keep to the rules and have names of their own");
     registry
 }

@@ -18,6 +18,7 @@ impl Material for FixedCorotated {
     const REFERENCE: &'static str = "Stomakhin et al. 2012, Energetically consistent invertible elasticity, eq. 8";
     const PARAMS: &'static [Param] = &[young_modulus(1e5), poisson_ratio(0.3)];
     const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
+    const WGSL: &'static str = include_str!("fixed_corotated.wgsl");
     type Strain<T: Real> = Mat3<T>;
     type Law<T: Real> = Lame<T>;
 

@@ -19,6 +19,7 @@ impl Material for HenckyElastic {
     const REFERENCE: &'static str =
         "Hencky 1928, Z. techn. Phys. 9, 215; Klar et al. 2016, doi:10.1145/2897824.2925906";
     const PARAMS: &'static [Param] = &[young_modulus(1e5), poisson_ratio(0.3)];
+    const WGSL: &'static str = include_str!("hencky.wgsl");
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = Lame<T>;
 

@@ -19,6 +19,7 @@ impl Material for NeoHookean {
         "Bonet and Wood 2008, Nonlinear Continuum Mechanics for Finite Element Analysis, eq. 6.29";
     const PARAMS: &'static [Param] = &[young_modulus(1e5), poisson_ratio(0.3)];
     const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
+    const WGSL: &'static str = include_str!("neo_hookean.wgsl");
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = Lame<T>;
 

@@ -56,6 +56,7 @@ impl Material for VonMises {
     ];
     const STATES: &'static [State] =
         &[state("equivalent_plastic_strain", "1", 0.0, "κ, the accumulated √⅔ ‖plastic strain increment‖.")];
+    const WGSL: &'static str = include_str!("von_mises.wgsl");
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = VonMisesLaw<T>;
 

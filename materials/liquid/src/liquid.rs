@@ -33,6 +33,7 @@ impl Material for Liquid {
         param("viscosity", "Pa s", 0.0, 0.0, 1e9, "Dynamic viscosity η.").differentiable(),
     ];
     const CAPABILITIES: u64 = BARCHAN_CAP_FLUID | BARCHAN_CAP_VEL_GRAD | BARCHAN_CAP_HARDENS;
+    const WGSL: &'static str = include_str!("liquid.wgsl");
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = LiquidLaw<T>;
 

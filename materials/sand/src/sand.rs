@@ -94,6 +94,7 @@ impl Material for Sand {
     ];
     const STATES: &'static [State] =
         &[state("volume_gap", "1", 0.0, "Logarithm of the volume gained beyond the tip of the cone, v_c.")];
+    const WGSL: &'static str = include_str!("sand.wgsl");
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = SandLaw<T>;
 

@@ -146,7 +146,17 @@ static const BarchanParam PARAMS[] = {
     },
 };
 
-/* Slots that are left out are NULL: no gradients, no check of parameters, no counts, no GPU. */
+/* The law on the GPU: a pure function of one particle, without bindings, whose names start with the material's. It may use what
+ * Barchan's backends/wgpu/src/prelude.wgsl defines; strains come and go minus I. */
+static const char WGSL[] =
+    "fn c_neo_hookean_update(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut {\n"
+    "    let law = barchan_lame(barchan_param(base, 0u), barchan_param(base, 1u));\n"
+    "    let strain = barchan_sym(x.strain);\n"
+    "    let kirchhoff = barchan_affine(law.mu, strain, law.lambda * barchan_log_volume(strain));\n"
+    "    return MatOut(x.strain, barchan_mat(kirchhoff));\n"
+    "}\n";
+
+/* Slots that are left out are NULL: no gradients, no check of parameters, no counts. */
 static const BarchanMaterial NEO_HOOKEAN = {
     .struct_size = sizeof(BarchanMaterial),
     .abi_major = BARCHAN_ABI_MAJOR,
@@ -165,6 +175,7 @@ static const BarchanMaterial NEO_HOOKEAN = {
     .update_f64 = update_f64,
     .tangent_moduli_f32 = tangent_moduli_f32,
     .energy_f64 = energy_f64,
+    .wgsl = {(const uint8_t *)WGSL, sizeof(WGSL) - 1},
 };
 
 static const BarchanMaterial *const MATERIALS[] = {&NEO_HOOKEAN};

@@ -19,6 +19,7 @@ impl Material for TemplateNeoHookean {
         param("poisson_ratio", "1", 0.3, -1.0, 0.5, "Poisson's ratio; both bounds are excluded.").min_open().max_open(),
     ];
     const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
+    const WGSL: &'static str = include_str!("template_neo_hookean.wgsl");
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = Lame<T>;
 

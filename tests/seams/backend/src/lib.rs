@@ -29,7 +29,7 @@ impl Backend for Dust {
     fn doc(&self) -> &str {
         "Particles fly without touching each other: no grid, no stress, no contact."
     }
-    fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
+    fn check(&self, plan: &Plan) -> Result<()> {
         if plan.has(Stage::Contact) {
             return Err(Error::Missing {
                 kind: "backend",
@@ -40,6 +40,10 @@ impl Backend for Dust {
                 mend: "use the backend cpu".to_owned(),
             });
         }
+        Ok(())
+    }
+    fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
+        self.check(plan)?;
         let start = plan.scene.clone();
         Ok(Box::new(Flight { particles, scene: start, seconds: 0.0, steps: 0 }))
     }
@@ -75,7 +79,7 @@ impl Engine for Flight {
         }
         self.steps += 1;
         self.seconds += clock.elapsed().as_secs_f64();
-        Ok(StepReport { dt, sorted: false, max_speed, wrenches: None })
+        Ok(StepReport { dt, sorted: false, max_speed, wrenches: None, bodies: None })
     }
     fn download(&self) -> ParticleState {
         self.particles.clone()

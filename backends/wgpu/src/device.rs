@@ -1,0 +1,286 @@
+//! Adapters and the device opened on one of them.
+
+use barchan_core::{Error, Result};
+use std::sync::{Arc, Mutex, PoisonError};
+use wgpu::{Adapter, AdapterInfo, DeviceType, Features, Limits};
+
+/// Name of the backend in errors and on the command line.
+pub const BACKEND: &str = "wgpu";
+const ORIGIN: &str = "built-in";
+
+/// Used where an adapter offers them; nothing needs them.
+const WELCOME: Features = Features::SHADER_FLOAT32_ATOMIC
+    .union(Features::SUBGROUP)
+    .union(Features::SUBGROUP_BARRIER)
+    .union(Features::TIMESTAMP_QUERY)
+    .union(Features::TIMESTAMP_QUERY_INSIDE_ENCODERS)
+    .union(Features::TIMESTAMP_QUERY_INSIDE_PASSES);
+
+/// How much of what an adapter offers is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Offer {
+    /// Its own limits, and f32 atomics, subgroups and timestamps if it has them.
+    #[default]
+    All,
+    /// WebGPU's default limits and no features: what the poorest adapter gives.
+    Least,
+}
+
+/// An open device.
+#[derive(Debug)]
+pub struct Gpu {
+    /// Makes buffers and pipelines.
+    pub device: wgpu::Device,
+    /// Takes commands.
+    pub queue: wgpu::Queue,
+    /// The adapter's name, type and driver.
+    pub adapter_info: AdapterInfo,
+    /// The limits that the device was opened with.
+    pub limits: Limits,
+    /// The features that the device was opened with.
+    pub features: Features,
+    fault: Arc<Mutex<Option<Fault>>>,
+}
+
+/// What went wrong with a device, and what would mend it.
+#[derive(Clone, Debug)]
+struct Fault {
+    what: String,
+    mend: &'static str,
+}
+
+const MEND_MEMORY: &str =
+    "simulate fewer particles or a smaller grid, or choose an adapter with more memory (--adapter)";
+const MEND_LOST: &str =
+    "resume from the last snapshot; if it happens again, update the driver or choose another adapter (--adapter)";
+const MEND_BUG: &str = "this is an error in Barchan: report it; the backend cpu runs the scene meanwhile";
+
+/// All adapters, best first: discrete GPUs, integrated ones, virtual ones, software. The first is used unless another is
+/// asked for.
+pub fn adapters() -> Vec<AdapterInfo> {
+    found().iter().map(Adapter::get_info).collect()
+}
+
+/// [`adapters`] as the registry lists them: kind, interface, driver, and what is used of what they offer.
+pub fn list() -> Vec<barchan_core::backend::Adapter> {
+    found().iter().map(describe).collect()
+}
+
+fn describe(adapter: &Adapter) -> barchan_core::backend::Adapter {
+    let (info, limits, features) = (adapter.get_info(), adapter.limits(), adapter.features());
+    let kind = match info.device_type {
+        DeviceType::DiscreteGpu => "discrete GPU",
+        DeviceType::IntegratedGpu => "integrated GPU",
+        DeviceType::VirtualGpu => "virtual GPU",
+        DeviceType::Cpu => "software",
+        DeviceType::Other => "unknown kind",
+    };
+    let offers = [
+        (Features::SHADER_FLOAT32_ATOMIC, "f32 atomics"),
+        (Features::SUBGROUP, "subgroups"),
+        (Features::TIMESTAMP_QUERY, "timestamps"),
+    ];
+    let offers = offers.iter().filter(|(feature, _)| features.contains(*feature)).map(|(_, name)| format!(", {name}"));
+    barchan_core::backend::Adapter {
+        doc: format!(
+            "{kind}, {} ({} {}){}; bindings to {} MiB, {} storage buffers a stage, {} KiB of workgroup memory",
+            info.backend,
+            info.driver,
+            info.driver_info,
+            offers.collect::<String>(),
+            limits.max_storage_buffer_binding_size >> 20,
+            limits.max_storage_buffers_per_shader_stage,
+            limits.max_compute_workgroup_storage_size >> 10,
+        ),
+        name: info.name,
+    }
+}
+
+/// Opens the adapter that `choice` names by its number in [`adapters`], its name, or a part of its name in either case;
+/// `None`: the first one.
+///
+/// # Errors
+/// [`Error::Missing`] if there is no adapter, [`Error::Unknown`] if none, or not just one, is called so, and
+/// [`Error::Device`] if the driver refuses.
+pub fn open(choice: Option<&str>) -> Result<Gpu> {
+    open_with(choice, Offer::All)
+}
+
+/// As [`open`], with as much of the adapter's offer as is asked for.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_with(choice: Option<&str>, offer: Offer) -> Result<Gpu> {
+    let adapters = found();
+    let infos: Vec<_> = adapters.iter().map(Adapter::get_info).collect();
+    let names: Vec<_> = infos.iter().map(|info| info.name.as_str()).collect();
+    let adapter = &adapters[choose(&names, choice)?];
+    let (features, limits) = match offer {
+        Offer::All => (adapter.features() & WELCOME, adapter.limits()),
+        // An adapter below WebGPU's defaults gives what it has.
+        Offer::Least => (Features::empty(), Limits::defaults().or_worse_values_from(&adapter.limits())),
+    };
+    let adapter_info = adapter.get_info();
+    let request = adapter.request_device(&wgpu::DeviceDescriptor {
+        label: Some("barchan"),
+        required_features: features,
+        required_limits: limits.clone(),
+        experimental_features: wgpu::ExperimentalFeatures::disabled(),
+        memory_hints: wgpu::MemoryHints::Performance,
+        trace: wgpu::Trace::Off,
+    });
+    let (device, queue) = pollster::block_on(request).map_err(|error| Error::Device {
+        backend: BACKEND.to_owned(),
+        device: adapter_info.name.clone(),
+        what: format!("the driver gives no device: {error}"),
+        mend: "update the driver, or choose another adapter (--adapter)".to_owned(),
+    })?;
+    let fault = Arc::default();
+    watch(&device, &fault);
+    Ok(Gpu { device, queue, adapter_info, limits, features, fault })
+}
+
+impl Gpu {
+    /// Has anything gone wrong since the device was opened? Called after work has been submitted; the first fault stays.
+    ///
+    /// # Errors
+    /// [`Error::Device`] if the device was lost, ran out of memory, or refused a command.
+    pub fn check(&self) -> Result<()> {
+        let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        fault.map_or(Ok(()), |Fault { what, mend }| {
+            Err(Error::Device {
+                backend: BACKEND.to_owned(),
+                device: self.adapter_info.name.clone(),
+                what,
+                mend: mend.to_owned(),
+            })
+        })
+    }
+}
+
+/// Keeps the first fault of the device, which otherwise would end the process or pass unnoticed.
+fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<Fault>>>) {
+    fn keep(fault: &Mutex<Option<Fault>>, what: String, mend: &'static str) {
+        fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(Fault { what, mend });
+    }
+    let seen = Arc::clone(fault);
+    device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| match error {
+        wgpu::Error::OutOfMemory { source } => keep(&seen, format!("out of memory: {source}"), MEND_MEMORY),
+        other => keep(&seen, other.to_string(), MEND_BUG),
+    }));
+    let seen = Arc::clone(fault);
+    device.set_device_lost_callback(move |reason, message| {
+        // Dropping the device ends in this, too.
+        if !matches!(reason, wgpu::DeviceLostReason::Destroyed) {
+            keep(&seen, format!("the device was lost: {message}"), MEND_LOST);
+        }
+    });
+}
+
+/// Adapters of all APIs, best first; drivers' order among equals.
+fn found() -> Vec<Adapter> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends: wgpu::Backends::PRIMARY,
+        flags: wgpu::InstanceFlags::empty(),
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    });
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+        DeviceType::DiscreteGpu => 0,
+        DeviceType::IntegratedGpu => 1,
+        DeviceType::VirtualGpu => 2,
+        DeviceType::Other => 3,
+        DeviceType::Cpu => 4,
+    });
+    adapters
+}
+
+/// Position of the adapter that `choice` names.
+fn choose(names: &[&str], choice: Option<&str>) -> Result<usize> {
+    if names.is_empty() {
+        return Err(Error::Missing {
+            kind: "backend",
+            name: BACKEND.to_owned(),
+            origin: ORIGIN.to_owned(),
+            what: "adapter".to_owned(),
+            why: "it runs every pass on one".to_owned(),
+            mend: "install the driver of a GPU (Vulkan, Metal or Direct3D 12), or a software one: \
+                   apt-get install mesa-vulkan-drivers (about 130 MB); or use the backend cpu"
+                .to_owned(),
+        });
+    }
+    let Some(choice) = choice else { return Ok(0) };
+    if let Some(index) = choice.parse().ok().filter(|index| *index < names.len()) {
+        return Ok(index);
+    }
+    let wanted = choice.to_lowercase();
+    let matching = |rule: &dyn Fn(&str) -> bool| -> Vec<usize> {
+        (0..names.len()).filter(|i| rule(&names[*i].to_lowercase())).collect()
+    };
+    match (&matching(&|name| name == wanted)[..], &matching(&|name| name.contains(&wanted))[..]) {
+        // Cards of one name are told apart by their numbers.
+        ([index, ..], _) | ([], [index]) => Ok(*index),
+        _ => Err(Error::Unknown {
+            path: "--adapter".to_owned(),
+            kind: "adapter",
+            name: choice.to_owned(),
+            known: names.iter().enumerate().map(|(i, name)| format!("{i}: {name}")).collect(),
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NAMES: [&str; 3] = ["NVIDIA H200", "NVIDIA H200", "llvmpipe (LLVM 15.0.6, 256 bits)"];
+
+    #[test]
+    fn an_adapter_is_chosen_by_number_name_or_part_of_its_name() {
+        for (choice, index) in [
+            (None, 0),
+            (Some("1"), 1),
+            (Some("nvidia h200"), 0),
+            (Some("LLVMpipe"), 2),
+            (Some("llvmpipe (LLVM 15.0.6, 256 bits)"), 2),
+        ] {
+            assert_eq!(choose(&NAMES, choice).unwrap(), index, "{choice:?}");
+        }
+    }
+
+    #[test]
+    fn no_adapter_and_an_unknown_one_are_errors_that_say_what_to_do() {
+        let none = choose(&[], None).unwrap_err().to_string();
+        assert!(none.contains("apt-get install mesa-vulkan-drivers"), "{none}");
+        for choice in ["3", "H200x", "nvidia", ""] {
+            let unknown = choose(&NAMES, Some(choice)).unwrap_err().to_string();
+            assert!(unknown.contains("2: llvmpipe"), "{unknown}");
+        }
+    }
+
+    #[test]
+    fn a_device_opens_with_all_that_is_offered_and_with_the_least() {
+        let all = open(None).unwrap();
+        let least = open_with(None, Offer::Least).unwrap();
+        println!("{}: {:?}", all.adapter_info.name, all.features);
+        assert!(least.features.is_empty());
+        assert_eq!(least.limits.max_storage_buffers_per_shader_stage, 8);
+        assert!(all.limits.max_storage_buffers_per_shader_stage >= 8);
+        assert!(all.features.difference(WELCOME).is_empty());
+        all.check().unwrap();
+    }
+
+    #[test]
+    fn a_refused_command_is_an_error_and_does_not_end_the_process() {
+        let gpu = open_with(None, Offer::Least).unwrap();
+        let size = gpu.limits.max_buffer_size + 4;
+        let _too_large = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("too large"),
+            size,
+            usage: wgpu::BufferUsages::STORAGE,
+            mapped_at_creation: false,
+        });
+        let error = gpu.check().unwrap_err().to_string();
+        assert!(error.contains("too large") && error.contains(&gpu.adapter_info.name), "{error}");
+    }
+}

@@ -1,0 +1,307 @@
+//! Materials in WGSL: each is checked alone, so that an error names the material and its own line, then all of a scene's
+//! laws become one text with a function that picks among them.
+
+use barchan_core::{Error, Material, Result};
+use naga::valid::{Capabilities, ModuleInfo, ShaderStages, ValidationFlags, Validator};
+use std::error::Error as _;
+use std::fmt::Write as _;
+
+/// What a material's WGSL may use.
+const PRELUDE: &str = include_str!("prelude.wgsl");
+
+/// What the engine supplies to a material checked alone, and a function of the type that its update must have.
+const HOST: &str = "
+fn barchan_param(base: u32, i: u32) -> f32 { return f32(base + i); }
+fn barchan_update(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut {
+    return MatOut(x.strain, x.vel_grad);
+}
+";
+const MODEL: &str = "barchan_update";
+
+/// Checks a material's WGSL alone: it parses and is valid without any optional capability of a device, defines
+/// `<name>_update` of the right type, starts all its names with its own, and has neither variables, constants set from outside
+/// nor entry points at module scope, nor barriers.
+///
+/// # Errors
+/// [`Error::Missing`] if there is no WGSL, [`Error::Plugin`] naming the material, its library and the line.
+pub fn check(material: &Material) -> Result<()> {
+    if material.wgsl.is_empty() {
+        return Err(Error::Missing {
+            kind: "material",
+            name: material.name.clone(),
+            origin: material.origin.clone(),
+            what: "WGSL".to_owned(),
+            why: "the backend wgpu runs the law on a GPU".to_owned(),
+            mend: format!("supply {}_update in the table's slot wgsl, or use the backend cpu", material.name),
+        });
+    }
+    check_text(&material.name, material.states.len(), &material.wgsl).map_err(|Refusal { line, what, mend }| {
+        let place = line.map_or_else(String::new, |line| format!(" line {line}"));
+        Error::Plugin {
+            library: material.origin.clone().into(),
+            what: format!("material '{}': WGSL{place}: {what}", material.name),
+            mend,
+        }
+    })
+}
+
+/// The prelude, the WGSL of all laws, each once, and
+///
+/// ```wgsl
+/// fn update_material(law: u32, x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut
+/// ```
+///
+/// which calls the law at position `law` of `laws`. The engine adds `fn barchan_param(base: u32, i: u32) -> f32`, which reads
+/// parameter `i` of a material whose parameters begin at `base`.
+///
+/// # Errors
+/// Those of [`check`] for the first law that fails it.
+pub fn module(laws: &[&Material]) -> Result<String> {
+    laws.iter().try_for_each(|law| check(law))?;
+    let states = laws.iter().map(|law| law.states.len()).max().unwrap_or(0);
+    let mut text = prelude(states);
+    for (i, law) in laws.iter().enumerate() {
+        if !laws[..i].iter().any(|earlier| earlier.name == law.name) {
+            text += &law.wgsl;
+            text.push('\n');
+        }
+    }
+    text += "fn update_material(law: u32, x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut {\n";
+    text += "    switch law {\n";
+    for (i, law) in laws.iter().enumerate().skip(1) {
+        let _ = writeln!(text, "        case {i}u: {{ return {}_update(x, base, q); }}", law.name);
+    }
+    let first = laws
+        .first()
+        .map_or_else(|| "MatOut(x.strain, mat3x3<f32>())".to_owned(), |law| format!("{}_update(x, base, q)", law.name));
+    let _ = writeln!(text, "        default: {{ return {first}; }}\n    }}\n}}");
+    Ok(text)
+}
+
+/// The prelude for materials of at most `states` state variables.
+fn prelude(states: usize) -> String {
+    // WGSL has no arrays of length 0.
+    format!("const BARCHAN_MAX_STATE: u32 = {}u;\n{PRELUDE}\n", states.max(1))
+}
+
+/// Why a text is refused.
+#[derive(Debug)]
+struct Refusal {
+    /// Line of the material's own text, from 1.
+    line: Option<usize>,
+    what: String,
+    mend: String,
+}
+
+impl Refusal {
+    fn new(line: Option<usize>, what: impl Into<String>, mend: impl Into<String>) -> Self {
+        Self { line, what: what.into(), mend: mend.into() }
+    }
+}
+
+fn check_text(name: &str, states: usize, wgsl: &str) -> Result<(), Refusal> {
+    check_declarations(name, wgsl)?;
+    let before = prelude(states) + HOST;
+    let source = format!("{before}{wgsl}");
+    let first = before.lines().count();
+    let own = |line: u32| (line as usize).checked_sub(first).filter(|line| *line > 0);
+    let module = naga::front::wgsl::parse_str(&source).map_err(|error| {
+        let line = error.location(&source).and_then(|at| own(at.line_number));
+        Refusal::new(line, error.message(), "correct it; backends/wgpu/src/prelude.wgsl says what may be used")
+    })?;
+    let info = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module).map_err(|error| {
+        let line = error.location(&source).and_then(|at| own(at.line_number));
+        let mut what = error.as_inner().to_string();
+        let mut cause = error.as_inner().source();
+        while let Some(deeper) = cause {
+            let _ = write!(what, ": {deeper}");
+            cause = deeper.source();
+        }
+        Refusal::new(line, what, "correct it; no optional feature of a device may be used")
+    })?;
+    check_purity(&module, &info, name)?;
+    check_update(&module, name)
+}
+
+/// Nothing but functions that any stage could call.
+fn check_purity(module: &naga::Module, info: &ModuleInfo, name: &str) -> Result<(), Refusal> {
+    let mend = format!("write pure functions, called by {name}_update");
+    if !module.entry_points.is_empty() || !module.global_variables.is_empty() || !module.overrides.is_empty() {
+        return Err(Refusal::new(None, "it declares an entry point or a variable at module scope", mend));
+    }
+    for (handle, function) in module.functions.iter() {
+        if info[handle].available_stages != ShaderStages::all() {
+            let called = function.name.as_deref().unwrap_or("a function");
+            return Err(Refusal::new(None, format!("{called} has barriers or the like, which need neighbours"), mend));
+        }
+    }
+    Ok(())
+}
+
+/// The update is there and of the model's type.
+fn check_update(module: &naga::Module, name: &str) -> Result<(), Refusal> {
+    const TYPE: &str = "(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut";
+    let wanted = format!("{name}_update");
+    let find = |name: &str| module.functions.iter().map(|(_, f)| f).find(|f| f.name.as_deref() == Some(name));
+    let type_of = |f: &naga::Function| {
+        let arguments: Vec<_> = f.arguments.iter().map(|a| a.ty).collect();
+        (arguments, f.result.as_ref().map(|r| r.ty))
+    };
+    let Some(update) = find(&wanted) else {
+        return Err(Refusal::new(None, format!("there is no function {wanted}"), format!("define fn {wanted}{TYPE}")));
+    };
+    if find(MODEL).map(type_of) != Some(type_of(update)) {
+        return Err(Refusal::new(
+            None,
+            format!("{wanted} has other arguments or another result than it must"),
+            format!("define fn {wanted}{TYPE}"),
+        ));
+    }
+    Ok(())
+}
+
+/// Names at module scope start with the material's, and what would reach outside is not declared there.
+fn check_declarations(name: &str, wgsl: &str) -> Result<(), Refusal> {
+    let mut words = words_at_module_scope(wgsl).peekable();
+    while let Some((line, word)) = words.next() {
+        match word.as_str() {
+            "fn" | "const" | "struct" | "alias" => {
+                let Some((line, declared)) = words.peek() else { continue };
+                if !declared.starts_with(&format!("{name}_")) {
+                    return Err(Refusal::new(
+                        Some(*line),
+                        format!("'{declared}' does not start with '{name}_'"),
+                        format!("call it {name}_{declared}: the laws of a scene share one module"),
+                    ));
+                }
+            }
+            "var" | "override" => {
+                let what = format!("'{word}' at module scope");
+                return Err(Refusal::new(
+                    Some(line),
+                    what,
+                    "a law is a pure function: use const, or the function's arguments",
+                ));
+            }
+            "compute" | "vertex" | "fragment" => {
+                return Err(Refusal::new(
+                    Some(line),
+                    format!("an entry point (@{word})"),
+                    "leave it out: the engine calls the update",
+                ));
+            }
+            "enable" | "requires" | "diagnostic" => {
+                return Err(Refusal::new(
+                    Some(line),
+                    format!("the directive '{word}'"),
+                    "leave it out: a law must run on every device",
+                ));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Words outside braces and comments, each with its line from 1.
+fn words_at_module_scope(wgsl: &str) -> impl Iterator<Item = (usize, String)> {
+    let mut words = Vec::new();
+    let (mut line, mut braces, mut block) = (1, 0usize, 0usize);
+    let mut rest = wgsl;
+    while let Some(c) = rest.chars().next() {
+        let word = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+        let taken = match c {
+            _ if rest.starts_with("/*") => {
+                block += 1;
+                2
+            }
+            _ if block > 0 && rest.starts_with("*/") => {
+                block -= 1;
+                2
+            }
+            _ if block > 0 => c.len_utf8(),
+            _ if rest.starts_with("//") => rest.find('\n').unwrap_or(rest.len()),
+            '{' => {
+                braces += 1;
+                1
+            }
+            '}' => {
+                braces = braces.saturating_sub(1);
+                1
+            }
+            _ if word > 0 => {
+                if braces == 0 {
+                    words.push((line, rest[..word].to_owned()));
+                }
+                word
+            }
+            _ => c.len_utf8(),
+        };
+        line += usize::from(c == '\n');
+        rest = &rest[taken..];
+    }
+    words.into_iter()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIGNATURE: &str = "(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut { return MatOut(x.strain, x.vel_grad); }";
+
+    /// What is said of a text for a material 'toy' of two state variables.
+    fn refusal(wgsl: &str) -> Refusal {
+        check_text("toy", 2, wgsl).expect_err("a text that must be refused")
+    }
+
+    #[test]
+    fn a_pure_update_with_helpers_of_its_own_is_accepted() {
+        let text = "// fn other() in a comment, /* and so on\nconst toy_ONE = 1.0;\nstruct toy_Law { e: f32 }\nalias toy_Number = f32;\n/* fn foreign() {} */\n\
+             fn toy_law(base: u32) -> toy_Law { const local = 2.0; return toy_Law(local * barchan_param(base, 0u)); }\n\
+             fn toy_update(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut {\n\
+             (*q)[1] = toy_law(base).e * barchan_log1p(x.dt);\n return MatOut(x.strain, x.vel_grad); }";
+        check_text("toy", 2, text).unwrap();
+    }
+
+    #[test]
+    fn each_thing_that_a_law_may_not_have_is_refused_at_its_line() {
+        for (before, line, said) in [
+            ("\n@compute @workgroup_size(1) fn toy_main() {}\n", Some(2), "entry point"),
+            ("\n\nvar<private> toy_x: f32;\n", Some(3), "'var'"),
+            ("@group(0) @binding(0) var<storage> toy_x: array<f32>;\n", Some(1), "'var'"),
+            ("override toy_x: f32 = 1.0;\n", Some(1), "'override'"),
+            ("enable f16;\n", Some(1), "'enable'"),
+            ("\nfn helper() {}\n", Some(2), "'helper' does not start with 'toy_'"),
+            ("const ONE: f32 = 1.0;\n", Some(1), "'ONE'"),
+            ("/* a\n comment */ struct Law { e: f32 }\n", Some(2), "'Law'"),
+            ("alias Number = f32;\n", Some(1), "'Number'"),
+            ("\n\nfn toy_f() -> f32 { return vec9(1.0); }\n", Some(3), "vec9"),
+            ("\nfn toy_f() -> f32 { return 1.0 }\n", Some(2), "expected"),
+            ("\n\n\nfn toy_f() -> f32 { return 1u; }\n", Some(4), ""),
+            ("fn toy_f(x: f32) -> f32 { return subgroupAdd(x); }\n", Some(1), ""),
+            ("fn toy_f() { workgroupBarrier(); }\n", None, "toy_f has barriers"),
+            ("fn toy_f(x: f32) -> f32 { return engine_density(x); }\n", Some(1), "engine_density"),
+        ] {
+            let refused = refusal(&format!("{before}fn toy_update{SIGNATURE}\n"));
+            assert_eq!(refused.line, line, "{before}: {refused:?}");
+            assert!(refused.what.contains(said), "{before}: {refused:?}");
+        }
+    }
+
+    #[test]
+    fn a_missing_or_mistyped_update_is_refused() {
+        let missing = refusal("fn toy_updated() {}\n");
+        assert!(missing.what.contains("no function toy_update") && missing.mend.contains("MatIn"), "{missing:?}");
+        let other = refusal("fn toy_update(x: MatIn) -> MatOut { return MatOut(x.strain, x.strain); }\n");
+        assert!(other.what.contains("arguments"), "{other:?}");
+        // Two state variables are declared: a third is beyond the array.
+        let beyond = SIGNATURE.replace("{ return", "{ (*q)[2] = 1.0; return");
+        assert_eq!(refusal(&format!("\nfn toy_update{beyond}")).line, Some(2));
+    }
+
+    #[test]
+    fn an_open_brace_does_not_swallow_what_follows() {
+        let refused = refusal(&format!("fn toy_f() {{\nfn toy_update{SIGNATURE}\n"));
+        assert!(refused.line.is_some(), "{refused:?}");
+    }
+}

@@ -1,0 +1,143 @@
+//! Another backend, or another number format, takes over in the middle of a run.
+
+use barchan::{Options, Precision, Registry, Simulation};
+use barchan_tests::scenes::{minus, norm, options, rows, scene, within};
+use barchan_tests::sketch::{Head, bed, block, half, material, tool};
+
+fn registry() -> Registry {
+    let mut registry = barchan::registry();
+    barchan_seam_backend::register(&mut registry).unwrap();
+    registry
+}
+
+fn start(text: &str, options: &Options) -> Simulation {
+    Simulation::new(&registry(), &scene(text), options).unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn steps(s: &mut Simulation, count: u32) {
+    (0..count).for_each(|_| drop(s.step().unwrap_or_else(|e| panic!("{e}"))));
+}
+
+const H: f64 = 0.05;
+
+/// An elastic block that falls on a slip floor and is hit by a free box.
+fn struck(law: &str) -> String {
+    let head = Head::cells(H, [16, 16, 24], "z_min = \"slip\"").time("step = 2e-4");
+    head.with(&[
+        material(law, 1000.0, "young_modulus = 5e4"),
+        block(law, [0.3, 0.3, 0.0], [0.5, 0.5, 0.2], "sampling = \"jitter\""),
+        tool(
+            "box",
+            [0.4, 0.4, 0.32],
+            &half([0.08, 0.08, 0.1]),
+            "{ coulomb = { friction = 0.3 } }",
+            "{ free = { mass = 2, linear = [0.1, 0, -1] } }",
+        ),
+    ])
+}
+
+/// A swap that lost velocity, strain, the phase of the step or a body's momentum would show within a few steps: sound crosses
+/// the block in 25. Against a run in f64 throughout, what f32 rounds away is all that may differ.
+#[test]
+fn an_elastic_body_goes_on_as_if_nothing_had_happened() {
+    for law in ["neo_hookean", "fixed_corotated", "hencky"] {
+        let (single, double) = (options(Precision::F32), options(Precision::F64));
+        let mut whole = start(&struck(law), &double);
+        let mut swapped = start(&struck(law), &single);
+        steps(&mut swapped, 100);
+        let before = (swapped.bodies(), swapped.wrenches(), swapped.time(), swapped.step_count(), swapped.ledger());
+        swapped.swap(&registry(), &double).unwrap();
+        let after = (swapped.bodies(), swapped.wrenches(), swapped.time(), swapped.step_count(), swapped.ledger());
+        assert_eq!((&before.0, &before.1, before.2, before.3), (&after.0, &after.1, after.2, after.3));
+        assert_eq!(before.4.gravity_impulse, after.4.gravity_impulse);
+        assert_eq!(swapped.plan().precision, Precision::F64);
+        steps(&mut swapped, 50);
+        // And back again.
+        swapped.swap(&registry(), &single).unwrap();
+        steps(&mut swapped, 50);
+        steps(&mut whole, 200);
+        let far = rows(&whole).iter().zip(&rows(&swapped)).fold(0f64, |m, (a, b)| m.max(norm(minus(a.x, b.x))));
+        let body = norm(minus(whole.bodies()[0].position, swapped.bodies()[0].position));
+        assert!(norm(whole.wrenches()[0].force) > 1.0, "the box has met the block");
+        within(&format!("{law}: greatest distance of a particle after 200 steps, in cells"), far / H, 1e-3);
+        within(&format!("{law}: distance of the box, in cells"), body / H, 1e-3);
+        let effects: Vec<_> = swapped.timings().into_iter().map(|t| t.effect).collect();
+        assert!(effects.iter().any(|e| e == "P2G (cpu f32)") && effects.iter().any(|e| e == "P2G"), "{effects:?}");
+    }
+}
+
+/// Swapping a backend for itself is no event at all.
+#[test]
+fn a_swap_to_the_same_backend_changes_no_bit() {
+    let (head, mut parts) = bed(H, [12, 12], 3, 8, "young_modulus = 1e5, friction_angle_deg = 30");
+    parts.push(tool(
+        "rod",
+        [0.3, 0.3, 0.15],
+        &half([0.06; 3]),
+        "{ coulomb = { friction = 0.4 } }",
+        "{ velocity = { linear = [0.5, 0.2, -0.2] } }",
+    ));
+    let text = head.with(&parts);
+    for precision in [Precision::F32, Precision::F64] {
+        let mut whole = start(&text, &options(precision));
+        let mut swapped = start(&text, &options(precision));
+        steps(&mut whole, 60);
+        steps(&mut swapped, 27);
+        swapped.swap(&registry(), &options(precision)).unwrap();
+        steps(&mut swapped, 33);
+        assert_eq!(whole.particles(), swapped.particles(), "{precision}");
+        assert_eq!((whole.wrenches(), whole.time()), (swapped.wrenches(), swapped.time()));
+    }
+}
+
+/// A backend of another crate takes over and hands back; in free flight without strain all of them follow the parabola.
+#[test]
+fn a_backend_from_outside_takes_over_and_hands_back() {
+    let dt = 2e-3;
+    let head = Head { gravity: [0.0, 0.2, -9.81], ..Head::space(0.1).time(format!("step = {dt}")) };
+    let text = head.with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e4"),
+        block("neo_hookean", [-0.2; 3], [0.2; 3], "velocity = [0.7, -0.3, 1.1]"),
+    ]);
+    let cpu = options(Precision::F64);
+    let dust = Options { backend: "dust".to_owned(), ..cpu.clone() };
+    let (mut whole, mut swapped) = (start(&text, &cpu), start(&text, &cpu));
+    steps(&mut swapped, 30);
+    swapped.swap(&registry(), &dust).unwrap();
+    assert_eq!(swapped.backend(), "dust");
+    steps(&mut swapped, 40);
+    swapped.swap(&registry(), &cpu).unwrap();
+    steps(&mut swapped, 30);
+    steps(&mut whole, 100);
+    let far = rows(&whole).iter().zip(&rows(&swapped)).fold(0f64, |m, (a, b)| m.max(norm(minus(a.x, b.x))));
+    within("distance after 100 steps [m]", far, 1e-12);
+}
+
+/// A refused swap names what the other backend lacks, and the run goes on as if it had not been asked for.
+#[test]
+fn a_refused_swap_leaves_the_run_as_it_was() {
+    let text = struck("hencky");
+    let cpu = options(Precision::F32);
+    let dust = Options { backend: "dust".to_owned(), ..cpu.clone() };
+    let (mut whole, mut asked) = (start(&text, &cpu), start(&text, &cpu));
+    steps(&mut whole, 40);
+    steps(&mut asked, 20);
+    let error = asked.swap(&registry(), &dust).unwrap_err().to_string();
+    println!("{error}");
+    assert!(error.contains("backend 'dust' (barchan-seam-backend) has no form of the stage 'contact'"), "{error}");
+    let abacus = Options { backend: "abacus".to_owned(), ..cpu.clone() };
+    let error = asked.swap(&registry(), &abacus).unwrap_err().to_string();
+    assert!(error.contains("no backend is called 'abacus'"), "{error}");
+    steps(&mut asked, 20);
+    assert_eq!(whole.particles(), asked.particles());
+    assert_eq!(asked.backend(), "cpu");
+}
+
+/// An adapter means nothing to a backend that runs on the processor: it says so instead of running elsewhere than asked.
+#[test]
+fn an_adapter_is_refused_by_a_backend_that_runs_on_none() {
+    let options = Options { adapter: Some("H200".to_owned()), ..options(Precision::F32) };
+    let error = Simulation::new(&registry(), &scene(&struck("hencky")), &options).unwrap_err().to_string();
+    println!("{error}");
+    assert!(error.contains("backend 'cpu'") && error.contains("the adapter 'H200' is asked for"), "{error}");
+}
