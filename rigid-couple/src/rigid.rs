@@ -4,9 +4,9 @@ use crate::Refusal;
 use crate::contact::{self, FreeBody, Grip, Touch};
 use crate::mass::Filling;
 use crate::motion::{KeyframePath, Pose, Twist, rotation_from};
-use crate::sdf::Sdf;
+use crate::sdf::{Primitive, Sdf};
 use crate::world::{RigidWorld, Role};
-use barchan_core::coupling::Aabb;
+use barchan_core::coupling::{Aabb, DeviceLaw};
 use barchan_core::scene::{Contact, Motion, Tool};
 use barchan_core::{BodyState, Coupling, Error, NodeBatch, Result, Scene, Vec3, Wrench};
 use glam::{DMat3, DVec3};
@@ -304,6 +304,39 @@ impl Rigid {
         Some(world)
     }
 
+    /// What `contact.wgsl` reads; `None` if a part is no primitive.
+    fn device_table(&self) -> Option<Vec<[f32; 4]>> {
+        let mut table = Vec::new();
+        let mut first = self.bodies.len();
+        for body in &self.bodies {
+            let parts = body.shape.parts().len();
+            let (kind, friction) = match body.contact {
+                Contact::Stick => (0.0, 0.0),
+                Contact::Slip => (1.0, 0.0),
+                Contact::Coulomb { friction } => (1.0, friction),
+            };
+            table.push([first as f32, parts as f32, kind, friction as f32]);
+            first += 6 * parts;
+        }
+        for part in self.bodies.iter().flat_map(|body| body.shape.parts()) {
+            let (kind, size) = match &part.primitive {
+                Primitive::Sphere { radius } => (0.0, DVec3::new(*radius, 0.0, 0.0)),
+                Primitive::Box { half } => (1.0, *half),
+                Primitive::Cylinder { radius, half_height } => (2.0, DVec3::new(*radius, *half_height, 0.0)),
+                Primitive::Capsule { radius, half_height } => (3.0, DVec3::new(*radius, *half_height, 0.0)),
+                Primitive::Plane => (4.0, DVec3::ZERO),
+                Primitive::HeightField(_) | Primitive::Mesh(_) => return None,
+            };
+            let row = |v: DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
+            let rotation = DMat3::from_quat(part.pose.rotation);
+            table.push([kind, part.half_thickness.min(1e30) as f32, 0.0, 0.0]);
+            table.push(row(size));
+            table.push(row(part.pose.position));
+            table.extend([0, 1, 2].map(|i| row(rotation.row(i))));
+        }
+        Some(table)
+    }
+
     /// Lets rapier move the free bodies, with the velocities that gravity and ground gave them.
     fn move_free_bodies(&mut self, dt: f64) -> Result<()> {
         let Some(world) = &mut self.world else {
@@ -432,6 +465,16 @@ impl Coupling for Rigid {
             }
         }
         Ok(())
+    }
+
+    fn device_law(&self) -> Option<DeviceLaw> {
+        let driven = self.bodies.iter().all(|body| body.free().is_none());
+        let table = driven.then(|| self.device_table())??;
+        Some(DeviceLaw { wgsl: include_str!("contact.wgsl").to_owned(), table })
+    }
+
+    fn book(&mut self, wrenches: &[Wrench]) {
+        self.wrenches.copy_from_slice(wrenches);
     }
 
     fn after_step(&mut self, _time: f64, dt: f64) -> Result<()> {

@@ -1,6 +1,6 @@
 //! Backends: where particles live and a step is carried out.
 
-use crate::{Coupling, Ledger, ParticleState, Plan, Result, Spot, Tile, Wrench};
+use crate::{BodyState, Coupling, Ledger, ParticleState, Plan, Result, Spot, Tile, Wrench};
 
 /// A way to run a plan, such as `cpu`.
 pub trait Backend: Send + Sync {
@@ -20,6 +20,12 @@ pub trait Backend: Send + Sync {
     fn check(&self, plan: &Plan) -> Result<()> {
         let _ = plan;
         Ok(())
+    }
+    /// The passes that a plan calls for, a line each, for people: what each takes and touches. Empty where there is nothing to say
+    /// beyond the plan's stages.
+    fn passes(&self, plan: &Plan) -> Vec<String> {
+        let _ = plan;
+        Vec::new()
     }
     /// Builds exactly the passes that the plan calls for and takes in the particles. A phase of the sort that is not its own
     /// cannot come here: the simulation leaves it out.
@@ -59,6 +65,8 @@ pub struct StepReport {
     /// Mean wrench on each body over the step, all couplings' bodies in their order, if the couplings took several steps
     /// within it; otherwise they know it themselves.
     pub wrenches: Option<Vec<Wrench>>,
+    /// Bodies after the step, all couplings' in their order, if the engine has taken further steps since.
+    pub bodies: Option<Vec<BodyState>>,
 }
 
 /// Time and calls of one effect since the start.
@@ -82,6 +90,22 @@ pub trait Engine: Send {
     /// # Errors
     /// NaN or infinity, a material's failure, a particle that left the world.
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport>;
+    /// Up to `count` steps of at most `dt` each, one after the other from `time`; at least one. An engine that is faster when it is
+    /// asked for many at once takes as many as it can without anyone looking in between; gravity follows the time. Returns what
+    /// each did. On an error, everything is as before the first of them.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step), of the first step.
+    fn steps(
+        &mut self,
+        time: f64,
+        dt: f64,
+        count: usize,
+        couplings: &mut [Box<dyn Coupling>],
+    ) -> Result<Vec<StepReport>> {
+        let _ = count;
+        Ok(vec![self.step(time, dt, couplings)?])
+    }
     /// Copies the particles out, with the phase of the sort, so that a copy continues bit for bit.
     fn download(&self) -> ParticleState;
     /// Where every particle is and how large, in the order of [`download`](Self::download) but without the rest of its state; then

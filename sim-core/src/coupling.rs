@@ -99,6 +99,18 @@ impl NodeBatch {
     }
 }
 
+/// What [`Coupling::contact`] does, as a device can do it: for bodies whose motion over a step does not depend on the ground.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DeviceLaw {
+    /// WGSL: pure functions, among them
+    /// `fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32) -> vec3<f32>`, which gives what is left of the
+    /// velocity `u` relative to the surface [m/s] of a node at `x` from the body's reference point [m], both in the body's
+    /// frame, in cells of width `cell` [m]. It may read `fn coupling_table(i: u32) -> vec4<f32>`, which the backend adds.
+    pub wgsl: String,
+    /// What it reads: constant over the run.
+    pub table: Vec<[f32; 4]>,
+}
+
 /// Rigid tools, free bodies, robots: anything that constrains node velocities and feels the reaction.
 ///
 /// In each step the simulation calls, in this order: [`before_step`](Self::before_step), [`contact`](Self::contact) once
@@ -124,6 +136,17 @@ pub trait Coupling: Send {
     /// # Errors
     /// If a body's state is no longer finite.
     fn contact(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()>;
+    /// The law in a form for devices, if there is one for all of the bodies. A backend that uses it calls
+    /// [`before_step`](Self::before_step), takes poses and velocities from [`bodies`](Self::bodies) and one box a body from
+    /// [`bounds`](Self::bounds), and calls [`after_step`](Self::after_step), for several steps ahead; then it says what the
+    /// last of them gave, by [`book`](Self::book).
+    fn device_law(&self) -> Option<DeviceLaw> {
+        None
+    }
+    /// Takes the mean wrench of the ground on each body over the last step from a backend that has applied the law itself.
+    fn book(&mut self, wrenches: &[Wrench]) {
+        let _ = wrenches;
+    }
     /// Moves the bodies to `time + dt` with the impulses booked.
     ///
     /// # Errors

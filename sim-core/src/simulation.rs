@@ -366,17 +366,33 @@ impl Simulation {
     /// # Errors
     /// [`Error::TimeStep`], [`Error::Unstable`], and the engine's.
     pub fn step(&mut self) -> Result<StepReport> {
+        let mut reports = self.steps(1, f64::INFINITY)?;
+        Ok(reports.pop().expect("an engine takes a step or says why not"))
+    }
+
+    /// As [`step`](Self::step), up to `most` times if the engine is faster when it is asked for many steps at once; none of them
+    /// begins at `until` [s] or later. The length of all is chosen before the first.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step): everything is as before the first of these steps.
+    pub fn steps(&mut self, most: usize, until: f64) -> Result<Vec<StepReport>> {
         let bound = self.bound();
         let (mut dt, above) = self.choose(&bound)?;
         let left = self.stop - self.time;
-        let mut lands = false;
+        // Energy is watched step by step.
+        let mut count = if above { 1 } else { most.max(1) };
+        let mut to_stop = usize::MAX;
         if left.is_finite() {
             let parts = (left / dt - ROUNDING).ceil().max(1.0);
             // Steps that divide the time left but for rounding keep their bits.
             if (left - parts * dt).abs() > ROUNDING * dt {
                 dt = left / parts;
             }
-            lands = parts == 1.0;
+            to_stop = parts as usize;
+            count = count.min(to_stop);
+        }
+        if count > 1 && until.is_finite() {
+            count = count.min(((until - self.time) / dt - ROUNDING).ceil().max(1.0) as usize);
         }
         if above {
             self.begin_watch();
@@ -384,8 +400,8 @@ impl Simulation {
             self.watch = None;
         }
         let before: Vec<_> = self.couplings.iter().map(|c| c.save()).collect();
-        let report = match self.engine.step(self.time, dt, &mut self.couplings) {
-            Ok(report) => report,
+        let reports = match self.engine.steps(self.time, dt, count, &mut self.couplings) {
+            Ok(reports) => reports,
             Err(mut error) => {
                 // The engine counts from where it was compiled or resumed.
                 if let Error::NonFinite { step, .. } | Error::LeftWorld { step, .. } | Error::TimeStep { step, .. } =
@@ -403,16 +419,18 @@ impl Simulation {
                 return Err(error);
             }
         };
-        self.step += 1;
-        self.wrenches.clone_from(&report.wrenches);
-        if lands && report.dt == dt {
-            self.time = self.stop;
-            self.stop = f64::INFINITY;
-        } else {
-            self.time += report.dt;
+        for (i, report) in reports.iter().enumerate() {
+            self.step += 1;
+            self.wrenches.clone_from(&report.wrenches);
+            if i + 1 == to_stop && report.dt == dt {
+                self.time = self.stop;
+                self.stop = f64::INFINITY;
+            } else {
+                self.time += report.dt;
+            }
+            self.judge_watch(report.dt)?;
         }
-        self.judge_watch(report.dt)?;
-        Ok(report)
+        Ok(reports)
     }
 
     /// Steps until `until` [s] or until `on_step` breaks off; was `until` reached?

@@ -805,7 +805,7 @@ impl<T: Scalar> CpuEngine<T> {
         let max_speed = self.levels.iter().fold(0.0, |most, level| greater(level.max_speed, most));
         self.age = self.age.map(|age| age + 1);
         self.steps += 1;
-        Ok(StepReport { dt, sorted, max_speed, wrenches })
+        Ok(StepReport { dt, sorted, max_speed, wrenches, bodies: None })
     }
 
     fn take_in(&mut self, particles: ParticleState) -> Result<()> {

@@ -1,5 +1,109 @@
 //! The GPU backend: every pass in WGSL, in f32, on any adapter that Vulkan, Metal or Direct3D 12 offers, software ones
 //! included.
+//!
+//! Nothing is read back in a step but what couplings on the host ask for; many steps go to the device at once. Sums run in
+//! orders that do not depend on which workgroup comes first, and no float is added atomically: the same adapter gives the same
+//! bits.
+#![expect(unsafe_code, reason = "materials' callbacks cross the C ABI")]
 
+mod account;
+mod contact;
 pub mod device;
+mod engine;
+mod kernels;
+mod layout;
 pub mod material;
+mod memory;
+mod stiffness;
+
+use barchan_core::backend::Adapter;
+use barchan_core::scene::Leaving;
+use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
+use std::sync::Arc;
+
+/// The backend called `wgpu`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Wgpu;
+
+/// What this backend lacks, why the scene asks for it, and what would mend it.
+fn lacks(what: impl Into<String>, why: impl Into<String>, mend: &str) -> Error {
+    Error::Missing {
+        kind: "backend",
+        name: device::BACKEND.into(),
+        origin: "built-in".into(),
+        what: what.into(),
+        why: why.into(),
+        mend: mend.into(),
+    }
+}
+
+impl Backend for Wgpu {
+    fn name(&self) -> &str {
+        device::BACKEND
+    }
+
+    fn doc(&self) -> &str {
+        "Runs on a GPU through Vulkan, Metal or Direct3D 12, or on software in its place: f32, every pass in WGSL, the same \
+         bits on the same adapter."
+    }
+
+    fn adapters(&self) -> Option<Vec<Adapter>> {
+        Some(device::list())
+    }
+
+    fn check(&self, plan: &Plan) -> Result<()> {
+        const FORMS: [Stage; 5] = [Stage::Sort, Stage::P2G, Stage::GridUpdate, Stage::Contact, Stage::G2P];
+        if let Some(stage) = plan.stages.iter().find(|stage| !FORMS.contains(stage)) {
+            return Err(lacks(
+                format!("form of the stage '{stage}'"),
+                format!("levels.count = {}", plan.cell_widths.len()),
+                "use the backend cpu, or set levels.count = 1",
+            ));
+        }
+        if plan.precision == Precision::F64 {
+            return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));
+        }
+        match plan.scene.world.leaving {
+            Leaving::Error => {}
+            Leaving::Clamp => return Err(lacks("clamping", "world.leaving = \"clamp\"", MEND_LEAVING)),
+            Leaving::Delete => return Err(lacks("deletion of particles", "world.leaving = \"delete\"", MEND_LEAVING)),
+        }
+        if plan.materials.len() > layout::MAX_LAWS {
+            let why = format!("bodies use {} materials", plan.materials.len());
+            return Err(lacks(
+                format!("room for more than {} materials", layout::MAX_LAWS),
+                why,
+                "use fewer, or the backend cpu",
+            ));
+        }
+        if plan.particle_count >= layout::MAX_PARTICLES {
+            return Err(Error::Capacity {
+                what: "particles on one adapter",
+                asked: plan.particle_count as u64,
+                cap: layout::MAX_PARTICLES as u64 - 1,
+                mend: "simulate fewer, or use the backend cpu",
+            });
+        }
+        plan.materials.iter().try_for_each(|planned| material::check(&planned.material))
+    }
+
+    fn passes(&self, plan: &Plan) -> Vec<String> {
+        kernels::describe(plan).unwrap_or_default()
+    }
+
+    fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
+        self.check(plan)?;
+        let gpu = device::open(plan.adapter.as_deref())?;
+        Ok(Box::new(engine::WgpuEngine::new(gpu, plan, particles)?))
+    }
+}
+
+const MEND_LEAVING: &str = "set world.leaving = \"error\", or use the backend cpu";
+
+/// Registers the backend.
+///
+/// # Errors
+/// If the name is taken.
+pub fn register(registry: &mut Registry) -> Result<()> {
+    registry.add_backend(Arc::new(Wgpu))
+}

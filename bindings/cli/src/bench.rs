@@ -5,7 +5,7 @@ mod scale;
 
 use crate::EngineArgs;
 use barchan::picture::Chart;
-use barchan::scene::{MaterialSpec, Motion, OverBound};
+use barchan::scene::{MaterialSpec, Motion, OverBound, Sampling};
 use barchan::{Error, Registry, Result, Scene, Simulation};
 use clap::{Args, Subcommand};
 use serde::Serialize;
@@ -51,10 +51,24 @@ pub(crate) struct Throughput {
     /// Cells along 1.28 m: 32, 64, 128 or 256.
     #[arg(long, default_value_t = 64)]
     grid: u32,
+    /// What the bed does.
+    #[arg(long, value_enum, default_value_t = Ground::Struck)]
+    ground: Ground,
     #[command(flatten)]
     effort: Effort,
     #[command(flatten)]
     engine: EngineArgs,
+}
+
+/// What the bed does while it is timed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Ground {
+    /// The cube falls on it.
+    Struck,
+    /// It rests: a lattice, eight particles a cell, without the cube.
+    Resting,
+    /// Its particles, jittered, move at 1.2 m/s and pile up on a wall, without the cube.
+    Moving,
 }
 
 #[derive(Args)]
@@ -105,6 +119,15 @@ fn material(registry: &Registry, law: &str, name: &str) -> Result<MaterialSpec> 
     })
 }
 
+/// Takes steps, as many at once as the backend likes.
+fn advance(simulation: &mut Simulation, steps: u32) -> Result<()> {
+    let mut left = steps as usize;
+    while left > 0 {
+        left -= simulation.steps(left, f64::INFINITY)?.len();
+    }
+    Ok(())
+}
+
 /// A simulation that is timed in repetitions of some steps.
 struct Timed {
     simulation: Simulation,
@@ -117,18 +140,14 @@ struct Timed {
 impl Timed {
     fn new(registry: &Registry, scene: &Scene, engine: &EngineArgs, effort: &Effort) -> Result<Self> {
         let mut simulation = Simulation::new(registry, scene, &engine.options())?;
-        for _ in 0..effort.warm_up {
-            simulation.step()?;
-        }
+        advance(&mut simulation, effort.warm_up)?;
         Ok(Self { simulation, seconds: Vec::new(), steps: effort.steps.max(1), passes: 0.0 })
     }
     fn repeat(&mut self) -> Result<()> {
         let passes = |s: &Simulation| s.timings().iter().map(|t| t.passes).sum::<u64>();
         let before = passes(&self.simulation);
         let start = Instant::now();
-        for _ in 0..self.steps {
-            self.simulation.step()?;
-        }
+        advance(&mut self.simulation, self.steps)?;
         self.seconds.push(start.elapsed().as_secs_f64());
         self.passes = (passes(&self.simulation) - before) as f64 / f64::from(self.steps);
         Ok(())
@@ -185,7 +204,19 @@ fn quantile(values: &[f64], share: f64) -> f64 {
 
 fn throughput(args: &Throughput) -> Result<()> {
     let registry = args.engine.registry()?;
-    let scene = bed(&registry, &args.material, args.grid)?;
+    let mut scene = bed(&registry, &args.material, args.grid)?;
+    if args.ground != Ground::Struck {
+        scene.tool.clear();
+        // Ground asleep takes no time: all of it is to be moved.
+        scene.sleep.on = Some(false);
+    }
+    if args.ground == Ground::Moving {
+        for body in &mut scene.body {
+            body.sampling = Sampling::Jitter;
+            body.velocity = [1.2, 0.0, 0.0];
+        }
+        scene.time.over_bound = OverBound::Substep;
+    }
     let start = Instant::now();
     let mut timed = Timed::new(&registry, &scene, &args.engine, &args.effort)?;
     let start_up = start.elapsed().as_secs_f64();

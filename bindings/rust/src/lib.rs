@@ -50,7 +50,8 @@ pub fn registry() -> Registry {
         .flatten()
         .try_for_each(|table| registry.add_material(table, "built-in"))
         .and_then(|()| barchan_rigid::register(&mut registry))
-        .and_then(|()| barchan_backend_cpu::register(&mut registry));
+        .and_then(|()| barchan_backend_cpu::register(&mut registry))
+        .and_then(|()| barchan_wgpu::register(&mut registry));
     registered.expect("built-in plugins keep to the rules and have names of their own");
     registry
 }

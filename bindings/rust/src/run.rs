@@ -16,7 +16,9 @@ use crate::picture::{self, Image, View};
 use barchan_core::backend::Timing;
 use barchan_core::export::export;
 use barchan_core::scene::Export;
-use barchan_core::{BodyState, Error, Ledger, Options, Precision, Registry, Result, Simulation, Vec3, Wrench};
+use barchan_core::{
+    BodyState, Error, Ledger, Options, Precision, Registry, Result, Simulation, StepReport, Vec3, Wrench,
+};
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -184,6 +186,9 @@ struct Start {
     ledger: Ledger,
 }
 
+/// Steps after which progress is shown at the latest.
+const MOST_STEPS: u64 = 64;
+
 /// What is summed up step by step.
 #[derive(Default)]
 struct Tally {
@@ -220,16 +225,22 @@ fn steps(
         if let Some(Swap { registry, options, .. }) = swap.take_if(|swap| simulation.step_count() >= swap.step) {
             simulation.swap(registry, options)?;
         }
-        let before = Instant::now();
-        let report = simulation.step()?;
+        let (before, from) = (Instant::now(), (simulation.time(), simulation.step_count()));
+        // Nobody looks in before the next output, the swap or the end.
+        let end = if let Until::Step(end) = request.until { end } else { u64::MAX };
+        let end = swap.map_or(end, |swap| end.min(swap.step));
+        let reports = simulation.steps(end.saturating_sub(from.1).min(MOST_STEPS) as usize, recorder.next_output())?;
         tally.wall += before.elapsed().as_secs_f64();
-        tally.steps += 1;
-        tally.particle_steps += simulation.particle_count() as u64;
-        tally.least = Some(tally.least.map_or(report.dt, |least| least.min(report.dt)));
-        tally.greatest = tally.greatest.max(report.dt);
-        recorder.trace(simulation, report.dt)?;
+        for report in &reports {
+            tally.steps += 1;
+            tally.particle_steps += simulation.particle_count() as u64;
+            tally.least = Some(tally.least.map_or(report.dt, |least| least.min(report.dt)));
+            tally.greatest = tally.greatest.max(report.dt);
+        }
+        recorder.trace(simulation, from, &reports)?;
         recorder.record(simulation)?;
         progress = done(simulation);
+        let Some(report) = reports.last() else { continue };
         let now = Progress {
             done: progress.min(1.0),
             time: simulation.time(),
@@ -290,18 +301,32 @@ impl Recorder {
         })
     }
 
-    /// One line of the trace.
-    fn trace(&mut self, simulation: &Simulation, dt: f64) -> Result<()> {
+    /// A line of the trace for each step since `from` (time, step).
+    fn trace(&mut self, simulation: &Simulation, from: (f64, u64), reports: &[StepReport]) -> Result<()> {
         let begin = Instant::now();
-        let mut line = format!("{},{},{dt}", simulation.time(), simulation.step_count());
-        for (body, wrench) in simulation.bodies().iter().zip(&simulation.wrenches()) {
-            line.push_str(&row(body, wrench));
+        let (mut time, mut step) = from;
+        let mut line = String::new();
+        for (i, StepReport { dt, bodies, wrenches, .. }) in reports.iter().enumerate() {
+            (time, step) = (time + dt, step + 1);
+            // The last step may land on a stop.
+            let time = if i + 1 == reports.len() { simulation.time() } else { time };
+            line += &format!("{time},{step},{dt}");
+            let bodies = bodies.clone().unwrap_or_else(|| simulation.bodies());
+            let wrenches = wrenches.clone().unwrap_or_else(|| simulation.wrenches());
+            for (body, wrench) in bodies.iter().zip(&wrenches) {
+                line.push_str(&row(body, wrench));
+            }
+            line.push('\n');
         }
-        line.push('\n');
         let path = self.out.join("trace.csv");
         self.trace.write_all(line.as_bytes()).map_err(|e| io_error(&path, "writing the trace", e))?;
         self.seconds += begin.elapsed().as_secs_f64();
         Ok(())
+    }
+
+    /// When something is due next [s].
+    fn next_output(&self) -> f64 {
+        (self.next_frame as f64 * self.interval - 1e-9 * self.interval).min(self.next_snapshot)
     }
 
     /// Pictures, particle files and snapshots that are due.

@@ -314,7 +314,7 @@ impl Engine for Falling {
         }
         self.particles.strain_dt = dt;
         self.steps += 1;
-        Ok(StepReport { dt, sorted: false, max_speed: 0.0, wrenches: None })
+        Ok(StepReport { dt, sorted: false, max_speed: 0.0, wrenches: None, bodies: None })
     }
     fn download(&self) -> ParticleState {
         self.particles.clone()

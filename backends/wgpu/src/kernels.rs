@@ -1,0 +1,767 @@
+//! The passes: their WGSL, what they bind, and their pipelines.
+
+use crate::device::Gpu;
+use crate::material;
+use barchan_core::coupling::DeviceLaw;
+use barchan_core::plan::PlannedMaterial;
+use barchan_core::scene::Wall;
+use barchan_core::{Plan, Result, Stage};
+use std::fmt::Write as _;
+
+/// Planes of particles, and what a sort lays out anew: there are two of each, one of which a sort writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sorted {
+    Place,
+    Ids,
+    Motion,
+    Stress,
+    Rest,
+    Lists,
+    Cells,
+}
+
+/// A buffer as a pass sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
+    Now(Sorted),
+    Next(Sorted),
+    Grid,
+    Status,
+    Flags,
+    Directory,
+    Sums,
+    Keys,
+    Loose,
+    Order,
+    Pairs,
+    /// Poses and motions of bodies, for each step of a submission.
+    Bodies,
+    /// What each node block gives to each body.
+    Partials,
+    /// What each step gave to each body.
+    Impulses,
+}
+
+/// One binding: its name and type in WGSL, the buffer, and whether it is written.
+type Use = (&'static str, &'static str, Role, bool);
+
+const PLACE: Use = ("place", "vec4<u32>", Role::Now(Sorted::Place), false);
+const MOTION: Use = ("motion", "vec4<f32>", Role::Now(Sorted::Motion), false);
+const STRESS: Use = ("stress", "vec4<f32>", Role::Now(Sorted::Stress), false);
+const REST: Use = ("rest", "vec4<f32>", Role::Now(Sorted::Rest), false);
+const LISTS: Use = ("lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
+const CELLS: Use = ("cells", "u32", Role::Now(Sorted::Cells), false);
+const GRID: Use = ("grid", "vec4<f32>", Role::Grid, true);
+const STATUS: Use = ("status", "atomic<u32>", Role::Status, true);
+const FLAGS: Use = ("flags", "u32", Role::Flags, false);
+const DIRECTORY: Use = ("directory", "vec2<u32>", Role::Directory, false);
+const SUMS: Use = ("sums", "vec2<u32>", Role::Sums, false);
+const KEYS: Use = ("keys", "vec2<u32>", Role::Keys, false);
+const LOOSE: Use = ("loose", "u32", Role::Loose, false);
+const ORDER: Use = ("order", "u32", Role::Order, false);
+const COUNTS: Use = ("counts", "u32", Role::Next(Sorted::Cells), false);
+const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
+const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
+
+const fn written(binding: Use) -> Use {
+    (binding.0, binding.1, binding.2, true)
+}
+
+const fn atomic(binding: Use) -> Use {
+    (binding.0, "atomic<u32>", binding.2, true)
+}
+
+/// How many workgroups a pass takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Groups {
+    /// One.
+    One,
+    /// One a block with particles.
+    Blocks,
+    /// One a block of nodes.
+    NodeBlocks,
+    /// So many.
+    Exactly(u32),
+    /// One for this many blocks with particles.
+    BlocksBy(u32),
+    /// One for this many particles.
+    ParticlesBy(u32),
+    /// One for this many places of the directory.
+    PlacesBy(u32),
+}
+
+/// A table that a pass reads besides.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Uniform {
+    None,
+    /// The materials' parameters.
+    Params,
+    /// What the coupling's law reads.
+    Table,
+}
+
+/// A pass.
+#[derive(Debug)]
+pub(crate) struct Kernel {
+    pub(crate) name: &'static str,
+    pub(crate) pipeline: wgpu::ComputePipeline,
+    pub(crate) layout: wgpu::BindGroupLayout,
+    pub(crate) roles: Vec<Role>,
+    pub(crate) uniform: Uniform,
+    pub(crate) groups: Groups,
+}
+
+/// All passes that a scene calls for.
+#[derive(Debug)]
+pub(crate) struct Kernels {
+    pub(crate) step_layout: wgpu::BindGroupLayout,
+    /// What the scene fixes, for passes that are made later.
+    pub(crate) constants: String,
+    /// In the order of a sort.
+    pub(crate) sort: Vec<Kernel>,
+    pub(crate) p2g: Kernel,
+    /// From tiles to velocities.
+    pub(crate) grid: Vec<Kernel>,
+    /// Velocities behind walls that let go.
+    pub(crate) mirror: Vec<Kernel>,
+    pub(crate) g2p: Kernel,
+    pub(crate) stress: Kernel,
+    pub(crate) collect: Option<Kernel>,
+}
+
+/// What the WGSL of a pass is made from.
+struct Draft {
+    name: &'static str,
+    entry: &'static str,
+    body: String,
+    uses: Vec<Use>,
+    uniform: Uniform,
+    groups: Groups,
+}
+
+/// Vectors of four that hold a particle's strain and history.
+pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
+    let most = materials.iter().map(|m| m.material.strain_planes() + m.material.states.len()).max();
+    most.unwrap_or(0).div_ceil(4).max(1)
+}
+
+impl Kernels {
+    pub(crate) fn new(gpu: &Gpu, plan: &Plan) -> Result<Self> {
+        let device = &gpu.device;
+        let step_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("step"),
+            entries: &[entry(0, wgpu::BufferBindingType::Uniform, true)],
+        });
+        let constants = constants(plan);
+        let make = |draft: Draft| build(device, &step_layout, &constants, draft);
+        let all = |drafts: Vec<Draft>| drafts.into_iter().map(make).collect();
+        let drafts = Drafts::of(plan)?;
+        Ok(Self {
+            sort: all(drafts.sort),
+            p2g: make(drafts.p2g),
+            grid: all(drafts.grid),
+            mirror: all(drafts.mirror),
+            g2p: make(drafts.g2p),
+            stress: make(drafts.stress),
+            collect: drafts.collect.map(make),
+            constants: constants.clone(),
+            step_layout,
+        })
+    }
+}
+
+/// The passes of [`Kernels`], before a device has seen them.
+struct Drafts {
+    sort: Vec<Draft>,
+    p2g: Draft,
+    grid: Vec<Draft>,
+    mirror: Vec<Draft>,
+    g2p: Draft,
+    stress: Draft,
+    collect: Option<Draft>,
+}
+
+impl Drafts {
+    fn of(plan: &Plan) -> Result<Self> {
+        let separations = separations(plan);
+        let has_walls = (0..3)
+            .flat_map(|axis| plan.scene.world.walls.pair(axis))
+            .any(|w| !matches!(w, Wall::Open | Wall::Periodic));
+        let laws = laws(plan)?;
+        let mut grid = vec![sum_tiles(separations.is_empty())];
+        grid.extend(separations.iter().map(|&axis| separate(axis, false)));
+        if !separations.is_empty() {
+            grid.push(velocities());
+        }
+        Ok(Self {
+            sort: sort(),
+            p2g: p2g(),
+            grid,
+            mirror: separations.iter().rev().map(|&axis| separate(axis, true)).collect(),
+            g2p: g2p(&laws),
+            stress: stress(&laws),
+            collect: has_walls.then(collect),
+        })
+    }
+}
+
+/// The passes of a plan, a line each.
+pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
+    let drafts = Drafts::of(plan)?;
+    let mut lines: Vec<String> = drafts.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
+    lines.extend([&drafts.p2g].into_iter().chain(&drafts.grid).map(|draft| line("every step", draft)));
+    if plan.has(Stage::Contact) {
+        lines.push("contact, every step: on the device for driven bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
+    }
+    lines.extend(drafts.mirror.iter().chain([&drafts.g2p]).map(|draft| line("every step", draft)));
+    lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
+    lines.push(line("after an upload", &drafts.stress));
+    Ok(lines)
+}
+
+/// One pass: when, how many workgroups, and the buffers it binds.
+fn line(when: &str, draft: &Draft) -> String {
+    let groups = match draft.groups {
+        Groups::One => "one workgroup".to_owned(),
+        Groups::Exactly(count) => format!("{count} workgroups"),
+        Groups::Blocks => "a workgroup a block with particles".to_owned(),
+        Groups::NodeBlocks => "a workgroup a block of nodes".to_owned(),
+        Groups::BlocksBy(n) => format!("a workgroup for {n} blocks"),
+        Groups::ParticlesBy(n) => format!("a workgroup for {n} particles"),
+        Groups::PlacesBy(n) => format!("a workgroup for {n} places of the directory"),
+    };
+    let names = |write: bool| {
+        let names: Vec<_> = draft.uses.iter().filter(|u| u.3 == write).map(|u| u.0).collect();
+        if names.is_empty() { "nothing".to_owned() } else { names.join(", ") }
+    };
+    format!("{}, {when}: {groups}; reads {}; writes {}", draft.name, names(false), names(true))
+}
+
+/// Contact with driven bodies on the device: the law, then the sums of impulses.
+pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usize) -> [Kernel; 2] {
+    let vectors = law.table.len().max(1);
+    let count = format!("const BODIES: u32 = {bodies}u;\n");
+    let table = format!(
+        "@group(0) @binding(1) var<uniform> contact_table: array<vec4<f32>, {vectors}>;\n\
+         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[i]; }}\n"
+    );
+    let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
+    let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
+    let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
+    let law = Draft {
+        name: "contact",
+        entry: "contact",
+        body: [&count, &table, &law.wgsl, include_str!("wgsl/contact.wgsl")].concat(),
+        uses: vec![LISTS, GRID, bodies_now, written(partials), STATUS],
+        uniform: Uniform::Table,
+        groups: Groups::NodeBlocks,
+    };
+    let sums = Draft {
+        name: "impulse",
+        entry: "impulse_on_bodies",
+        body: count + include_str!("wgsl/impulse.wgsl"),
+        uses: vec![partials, impulses, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::Exactly(bodies as u32),
+    };
+    [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, draft))
+}
+
+fn entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offset: bool) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::COMPUTE,
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
+        count: None,
+    }
+}
+
+/// First storage binding of a pass: before it stand the extent and the materials' parameters.
+pub(crate) const FIRST_BINDING: u32 = 2;
+
+fn build(device: &wgpu::Device, step_layout: &wgpu::BindGroupLayout, constants: &str, draft: Draft) -> Kernel {
+    // What WebGPU promises everywhere.
+    assert!(draft.uses.len() <= 8, "pass {} binds {} storage buffers", draft.name, draft.uses.len());
+    let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];
+    let mut text = format!("{constants}{}", include_str!("wgsl/common.wgsl"));
+    if draft.uniform != Uniform::None {
+        entries.push(entry(1, wgpu::BufferBindingType::Uniform, false));
+    }
+    for (binding, &(name, ty, _, write)) in (FIRST_BINDING..).zip(&draft.uses) {
+        entries.push(entry(binding, wgpu::BufferBindingType::Storage { read_only: !write }, false));
+        let access = if write { "read_write" } else { "read" };
+        let _ = writeln!(text, "@group(0) @binding({binding}) var<storage, {access}> {name}: array<{ty}>;");
+    }
+    text.push_str(&draft.body);
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(draft.name),
+        source: wgpu::ShaderSource::Wgsl(text.into()),
+    });
+    let layout = device
+        .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(draft.name), entries: &entries });
+    let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(draft.name),
+        bind_group_layouts: &[Some(&layout), Some(step_layout)],
+        immediate_size: 0,
+    });
+    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some(draft.name),
+        layout: Some(&pipeline_layout),
+        module: &module,
+        entry_point: Some(draft.entry),
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
+        cache: None,
+    });
+    Kernel {
+        name: draft.name,
+        pipeline,
+        layout,
+        roles: draft.uses.iter().map(|u| u.2).collect(),
+        uniform: draft.uniform,
+        groups: draft.groups,
+    }
+}
+
+/// Axes with a wall that lets go.
+fn separations(plan: &Plan) -> Vec<usize> {
+    let lets_go = |axis: &usize| plan.scene.world.walls.pair(*axis).iter().any(|w| matches!(w, Wall::Separate { .. }));
+    (0..3).filter(lets_go).collect()
+}
+
+/// What the scene fixes.
+fn constants(plan: &Plan) -> String {
+    let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
+    let kind = |wall: Wall| match wall {
+        Wall::Slip => 1u32,
+        Wall::Stick => 2,
+        Wall::Open | Wall::Periodic | Wall::Separate { .. } => 0,
+    };
+    let friction = |wall: Wall| match wall {
+        Wall::Separate { friction } => friction as f32,
+        _ => -1.0,
+    };
+    let (min, max) = (plan.cell_min, plan.cell_max);
+    let periodic = |d: usize| walls[d][0] == Wall::Periodic;
+    let ints = |name: &str, v: [i32; 3]| format!("const {name} = vec3<i32>({}, {}, {});\n", v[0], v[1], v[2]);
+    let kinds = |name: &str, end: usize| {
+        let k = walls.map(|axis| kind(axis[end]));
+        format!("const {name} = vec3<u32>({}u, {}u, {}u);\n", k[0], k[1], k[2])
+    };
+    let frictions = |name: &str, end: usize| {
+        let f = walls.map(|axis| friction(axis[end]));
+        format!("const {name} = vec3<f32>({:?}, {:?}, {:?});\n", f[0], f[1], f[2])
+    };
+    let h = plan.cell_widths[0] as f32;
+    [
+        ints("WORLD_MIN", min),
+        ints("WORLD_MAX", max),
+        ints("PERIOD_MIN", min.map(|c| c.div_euclid(4))),
+        ints("PERIOD", std::array::from_fn(|d| if periodic(d) { (max[d] - min[d]) / 4 } else { 0 })),
+        kinds("LOW", 0),
+        kinds("HIGH", 1),
+        frictions("LOW_FRICTION", 0),
+        frictions("HIGH_FRICTION", 1),
+        format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
+        format!(
+            "const MAX_DRIFT: f32 = {:?};\nconst NODE_MOVE: f32 = {:?};\n",
+            crate::engine::MAX_DRIFT,
+            crate::engine::NODE_MOVE
+        ),
+        format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
+    ]
+    .concat()
+}
+
+fn p2g() -> Draft {
+    let body = include_str!("wgsl/p2g.wgsl")
+        .replace("$ZERO", &each_node(|n, _| format!("var a{n} = vec2<f32>(0.0);\n")))
+        .replace("$WALK_XY", &walk(&["r0", "r1"], XY, |w| format!("fma(vec2<f32>({w}), u, A)")))
+        .replace("$WALK_ZM", &walk(&["r2"], ZM, |w| format!("vec2<f32>(fma({w}, u, A.x), fma({w}, m, A.y))")))
+        .replace(
+            "$FLUSH",
+            &each_node(|n, [i, j, k]| {
+                format!("if on {{ tile[part * 512u + in_tile(x + {i}u, y + {j}u, z + {k}u)] += a{n}; }}\nworkgroupBarrier();\n")
+            }),
+        );
+    Draft {
+        name: "P2G",
+        entry: "p2g",
+        body: body + include_str!("wgsl/wall.wgsl"),
+        uses: vec![PLACE, MOTION, STRESS, CELLS, written(LISTS), GRID, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::Blocks,
+    }
+}
+
+fn each_node(text: impl Fn(usize, [usize; 3]) -> String) -> String {
+    (0..27).map(|n| text(n, [n / 9, n / 3 % 3, n % 3])).collect()
+}
+
+/// Momentum along x and y as seen from the first node, and what each step along x, y and z adds.
+const XY: &str = "
+    let m = t0.w;
+    let ax = m * H * r0.yzw + step.stress * vec3<f32>(t0.x, t0.z, t1.x);
+    let ay = m * H * r1.yzw + step.stress * vec3<f32>(t0.z, t0.y, t1.y);
+    let base = vec2<f32>(fma(m, r0.x + step.gravity.x, dot(ax, d)), fma(m, r1.x + step.gravity.y, dot(ay, d)));
+    let by_x = vec2<f32>(ax.x, ay.x);
+    let by_y = vec2<f32>(ax.y, ay.y);
+    let by_z = vec2<f32>(ax.z, ay.z);
+";
+/// Likewise along z.
+const ZM: &str = "
+    let m = t0.w;
+    let az = m * H * r2.yzw + step.stress * t1.xyz;
+    let base = fma(m, r2.x + step.gravity.z, dot(az, d));
+    let by_x = az.x;
+    let by_y = az.y;
+    let by_z = az.z;
+";
+
+/// The loop over a cell's particles. The next one is fetched before the present one is added. In `sum`, A is the node's sum so far
+/// and u the particle's momentum as seen from the node.
+fn walk(rows: &[&str], momentum: &str, sum: impl Fn(&str) -> String) -> String {
+    let plane = |row: &&str| match *row {
+        "r0" => "",
+        "r1" => "extent.slots + ",
+        _ => "2u * extent.slots + ",
+    };
+    let fetch: String = rows.iter().map(|r| format!("next_{r} = motion[{}next];\n", plane(r))).collect();
+    let fetch =
+        format!("next_p = place[next];\n{fetch}next_t0 = stress[next];\nnext_t1 = stress[extent.slots + next];\n");
+    let declare: String = rows.iter().map(|r| format!("var next_{r} = vec4<f32>(0.0);\n")).collect();
+    let take: String = rows.iter().map(|r| format!("let {r} = next_{r};\n")).collect();
+    let mut text = format!(
+        "var next_p = vec4<u32>(0u);\n{declare}var next_t0 = vec4<f32>(0.0);\nvar next_t1 = vec4<f32>(0.0);\n\
+         if next != NONE {{\n{fetch}}}\n\
+         while next != NONE {{\nlet p = next_p;\n{take}let t0 = next_t0;\nlet t1 = next_t1;\n\
+         next = next_particle(&walk);\nif next != NONE {{\n{fetch}}}\n\
+         let f = fraction(p);\nlet d = vec3<f32>(-0.5) - f;\nlet wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{momentum}"
+    );
+    for i in 0..3 {
+        for j in 0..3 {
+            let _ = write!(text, "{{ let w = wx[{i}] * wy[{j}];\nvar u = base + {i}.0 * by_x + {j}.0 * by_y;\n");
+            for k in 0..3 {
+                let a = format!("a{}", 9 * i + 3 * j + k);
+                let sum = sum(&format!("w * wz[{k}]")).replace('A', &a);
+                let _ = writeln!(text, "{a} = {sum};{}", if k < 2 { " u += by_z;" } else { "" });
+            }
+            text.push_str("}\n");
+        }
+    }
+    text + "}\n"
+}
+
+fn sum_tiles(to_velocities: bool) -> Draft {
+    let finish = if to_velocities {
+        "let node = velocity(sum_of_tiles(entry, n));\ngrid[g * 64u + n] = node;\nnote_speed(node, n);"
+    } else {
+        "grid[g * 64u + n] = sum_of_tiles(entry, n);"
+    };
+    Draft {
+        name: "grid",
+        entry: "sum_tiles",
+        body: include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", finish),
+        uses: vec![LISTS, GRID, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::NodeBlocks,
+    }
+}
+
+fn velocities() -> Draft {
+    let body = include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);");
+    Draft {
+        name: "velocities",
+        entry: "velocities",
+        body: body + include_str!("wgsl/velocities.wgsl"),
+        uses: vec![LISTS, GRID, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::NodeBlocks,
+    }
+}
+
+/// A wall that lets go decides; afterwards (`back`) images take their nodes' velocities.
+fn separate(axis: usize, back: bool) -> Draft {
+    let constants = format!("const AXIS: u32 = {axis}u;\n");
+    Draft {
+        name: if back { "mirror" } else { "separate" },
+        entry: if back { "mirror_back" } else { "separate" },
+        body: constants + include_str!("wgsl/separate.wgsl"),
+        uses: vec![DIRECTORY, written(LISTS), GRID, PAIRS, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::NodeBlocks,
+    }
+}
+
+/// Sums over the 27 nodes around a particle, row by row.
+fn gather() -> String {
+    let mut text = String::from(
+        "var v = vec3<f32>(0.0);\nvar by_x = vec3<f32>(0.0);\nvar by_y = vec3<f32>(0.0);\nvar by_z = vec3<f32>(0.0);\n",
+    );
+    for i in 0..3 {
+        text.push_str("{ var plain = vec3<f32>(0.0);\nvar along_y = vec3<f32>(0.0);\nvar along_z = vec3<f32>(0.0);\n");
+        for j in 0..3 {
+            let at = |k: usize| format!("tile[first + {}u].xyz", 64 * i + 8 * j + k);
+            let _ = write!(
+                text,
+                "{{ let low = wz.x * {};\nlet high = wz.z * {};\nlet row = fma(vec3<f32>(wz.y), {}, low + high);\n\
+                 plain = fma(vec3<f32>(wy[{j}]), row, plain);\nalong_z = fma(vec3<f32>(wy[{j}]), high - low, along_z);\n",
+                at(0),
+                at(2),
+                at(1)
+            );
+            if j != 1 {
+                let _ =
+                    writeln!(text, "along_y = fma(vec3<f32>({}wy[{j}]), row, along_y);", if j == 0 { "-" } else { "" });
+            }
+            text.push_str("}\n");
+        }
+        let _ = write!(
+            text,
+            "v = fma(vec3<f32>(wx[{i}]), plain, v);\nby_y = fma(vec3<f32>(wx[{i}]), along_y, by_y);\n\
+             by_z = fma(vec3<f32>(wx[{i}]), along_z, by_z);\n"
+        );
+        if i != 1 {
+            let _ = writeln!(text, "by_x = fma(vec3<f32>({}wx[{i}]), plain, by_x);", if i == 0 { "-" } else { "" });
+        }
+        text.push_str("}\n");
+    }
+    text
+}
+
+fn g2p(laws: &str) -> Draft {
+    let body = include_str!("wgsl/g2p.wgsl").replace("$GATHER", &gather());
+    Draft {
+        name: "G2P",
+        entry: "g2p",
+        body: body + include_str!("wgsl/wall.wgsl") + laws,
+        uses: vec![
+            written(PLACE),
+            written(MOTION),
+            written(STRESS),
+            written(REST),
+            CELLS,
+            written(LISTS),
+            GRID,
+            STATUS,
+        ],
+        uniform: Uniform::Params,
+        groups: Groups::Blocks,
+    }
+}
+
+fn stress(laws: &str) -> Draft {
+    Draft {
+        name: "stress",
+        entry: "stress_of_all",
+        body: include_str!("wgsl/stress.wgsl").to_owned() + laws,
+        uses: vec![PLACE, MOTION, written(STRESS), written(REST), STATUS],
+        uniform: Uniform::Params,
+        groups: Groups::ParticlesBy(128),
+    }
+}
+
+fn collect() -> Draft {
+    Draft {
+        name: "wall impulse",
+        entry: "collect",
+        body: include_str!("wgsl/collect.wgsl").to_owned(),
+        uses: vec![written(LISTS), STATUS],
+        uniform: Uniform::None,
+        groups: Groups::One,
+    }
+}
+
+/// The materials, and the update of a particle's strain and stress.
+fn laws(plan: &Plan) -> Result<String> {
+    let materials: Vec<_> = plan.materials.iter().map(|m| &m.material).collect();
+    let mut text = material::module(&materials)?;
+    let vectors = plan.materials.iter().map(|m| m.parameters.len()).sum::<usize>().div_ceil(4).max(1);
+    let _ = write!(
+        text,
+        "@group(0) @binding(1) var<uniform> params: array<vec4<f32>, {vectors}>;\n\
+         fn barchan_param(base: u32, i: u32) -> f32 {{ return params[(base + i) >> 2u][(base + i) & 3u]; }}\n"
+    );
+    let mut base = 0;
+    let switch = |cases: Vec<String>, name: &str, ty: &str| {
+        let (last, rest) = cases.split_last().map_or((String::new(), &[][..]), |(last, rest)| (last.clone(), rest));
+        let rest: String = rest.iter().enumerate().map(|(i, c)| format!("case {i}u: {{ return {c}; }} ")).collect();
+        format!("fn {name}(law: u32) -> {ty} {{ switch law {{ {rest}default: {{ return {last}; }} }} }}\n")
+    };
+    let bases = plan
+        .materials
+        .iter()
+        .map(|m| {
+            let at = base;
+            base += m.parameters.len();
+            format!("{at}u")
+        })
+        .collect();
+    text += &switch(bases, "param_base", "u32");
+    let full = plan.materials.iter().map(|m| (m.material.strain_planes() == 9).to_string()).collect();
+    text += &switch(full, "has_def_grad", "bool");
+    let rates = plan.materials.iter().map(|m| m.material.has(barchan_abi::BARCHAN_CAP_VEL_GRAD).to_string()).collect();
+    text += &switch(rates, "wants_rate", "bool");
+
+    // A particle's values, by number.
+    let vectors = rest_vectors(&plan.materials);
+    let value = |k: usize| format!("r{}[{}]", k / 4, k % 4);
+    let states = |full: bool| {
+        let of_kind = plan.materials.iter().filter(|m| (m.material.strain_planes() == 9) == full);
+        of_kind.map(|m| m.material.states.len()).max().unwrap_or(0)
+    };
+    let (mut load, mut store) = (String::new(), String::new());
+    for k in 0..vectors {
+        let plane = if k == 0 { String::new() } else { format!("{k}u * extent.slots + ") };
+        let _ = writeln!(load, "var r{k} = rest[{plane}q];");
+        let _ = writeln!(store, "rest[{plane}q] = r{k};");
+    }
+    let any = |full: bool| plan.materials.iter().any(|m| (m.material.strain_planes() == 9) == full);
+    let branch = |full: &str, symmetric: &str| match (any(true), any(false)) {
+        (true, true) => format!("if has_def_grad(law) {{\n{full}}} else {{\n{symmetric}}}\n"),
+        (true, false) => full.to_owned(),
+        _ => symmetric.to_owned(),
+    };
+    let history = |full: bool, out: bool| -> String {
+        let first = if full { 9 } else { 6 };
+        (0..states(full))
+            .map(|s| {
+                if out {
+                    format!("{} = state[{s}];\n", value(first + s))
+                } else {
+                    format!("state[{s}] = {};\n", value(first + s))
+                }
+            })
+            .collect()
+    };
+    // Column by column; F lies row by row in memory.
+    let columns = (0..9).map(|e| value(e % 3 * 3 + e / 3)).collect::<Vec<_>>().join(", ");
+    let load_full = format!("strain = mat3x3<f32>({columns});\n{}", history(true, false));
+    let sym = [0, 3, 4, 3, 1, 5, 4, 5, 2].map(value).join(", ");
+    let load_sym = format!("strain = mat3x3<f32>({sym});\n{}", history(false, false));
+    let kept = |i: usize, j: usize| {
+        if i == j { format!("representable(strain[{j}][{i}])") } else { format!("without_dust(strain[{j}][{i}])") }
+    };
+    let store_full: String = (0..9).map(|e| format!("{} = {};\n", value(e), kept(e / 3, e % 3))).collect();
+    let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+    let store_sym: String =
+        entries.iter().enumerate().map(|(e, &(i, j))| format!("{} = {};\n", value(e), kept(i, j))).collect();
+    text += &include_str!("wgsl/deform.wgsl")
+        .replace("$LOAD", &(load + "var strain: mat3x3<f32>;\nvar state: array<f32, BARCHAN_MAX_STATE>;\n" + &branch(&load_full, &load_sym)))
+        .replace("$TRIAL", &branch("trial = strain + g + g * strain;\n", "let half = strain + g * strain;\nlet back = transpose(g);\ntrial = half + half * back + g + back + g * back;\n"))
+        .replace("$STORE", &(branch(&(store_full + &history(true, true)), &(store_sym + &history(false, true))) + &store));
+    Ok(text)
+}
+
+fn sort() -> Vec<Draft> {
+    const COMMON: &str = include_str!("wgsl/sort.wgsl");
+    let draft = |name, entry, body: &str, uses: Vec<Use>, groups| Draft {
+        name,
+        entry,
+        body: COMMON.to_owned() + body,
+        uses,
+        uniform: Uniform::None,
+        groups,
+    };
+    let next = |name, binding: Use| {
+        let Role::Now(sorted) = binding.2 else { unreachable!("only what is sorted has a next") };
+        (name, binding.1, Role::Next(sorted), true)
+    };
+    let ids: Use = ("ids", "vec2<u32>", Role::Now(Sorted::Ids), false);
+    let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
+    vec![
+        draft(
+            "mark",
+            "mark",
+            include_str!("wgsl/sort_mark.wgsl"),
+            vec![PLACE, LISTS, CELLS, atomic(FLAGS), STATUS],
+            Groups::Blocks,
+        ),
+        draft(
+            "survey",
+            "survey",
+            include_str!("wgsl/sort_survey.wgsl"),
+            vec![FLAGS, written(DIRECTORY), written(SUMS), STATUS],
+            Groups::PlacesBy(1024),
+        ),
+        draft("total", "total_blocks", include_str!("wgsl/sort_total.wgsl"), vec![written(SUMS), STATUS], Groups::One),
+        draft(
+            "number",
+            "number",
+            include_str!("wgsl/sort_number.wgsl"),
+            vec![written(DIRECTORY), SUMS, NEW_LISTS, STATUS],
+            Groups::PlacesBy(1024),
+        ),
+        draft(
+            "link",
+            "link",
+            include_str!("wgsl/sort_link.wgsl"),
+            vec![DIRECTORY, NEW_LISTS, STATUS],
+            Groups::NodeBlocks,
+        ),
+        draft(
+            "count",
+            "count_cells",
+            include_str!("wgsl/sort_count.wgsl"),
+            vec![PLACE, old_lists, CELLS, DIRECTORY, atomic(COUNTS), written(KEYS), STATUS],
+            Groups::Blocks,
+        ),
+        draft(
+            "sum cells",
+            "sum_cells",
+            include_str!("wgsl/sort_sums.wgsl"),
+            vec![COUNTS, written(SUMS), STATUS],
+            Groups::BlocksBy(64),
+        ),
+        draft(
+            "sum blocks",
+            "sum_blocks",
+            include_str!("wgsl/sort_before.wgsl"),
+            vec![written(SUMS), STATUS],
+            Groups::One,
+        ),
+        draft(
+            "starts",
+            "starts",
+            include_str!("wgsl/sort_starts.wgsl"),
+            vec![written(COUNTS), SUMS, STATUS],
+            Groups::Blocks,
+        ),
+        draft(
+            "scatter",
+            "scatter",
+            include_str!("wgsl/sort_scatter.wgsl"),
+            vec![PLACE, COUNTS, KEYS, written(LOOSE), STATUS],
+            Groups::ParticlesBy(128),
+        ),
+        draft(
+            "rank",
+            "rank",
+            include_str!("wgsl/sort_rank.wgsl"),
+            vec![COUNTS, KEYS, LOOSE, written(ORDER), STATUS],
+            Groups::ParticlesBy(128),
+        ),
+        draft(
+            "move",
+            "move_rest",
+            include_str!("wgsl/sort_move.wgsl"),
+            vec![
+                ORDER,
+                PLACE,
+                ids,
+                REST,
+                next("new_place", PLACE),
+                next("new_ids", ids),
+                next("new_rest", REST),
+                STATUS,
+            ],
+            Groups::ParticlesBy(128),
+        ),
+        draft(
+            "move motion",
+            "move_motion",
+            include_str!("wgsl/sort_carry.wgsl"),
+            vec![ORDER, MOTION, STRESS, next("new_motion", MOTION), next("new_stress", STRESS), STATUS],
+            Groups::ParticlesBy(128),
+        ),
+    ]
+}

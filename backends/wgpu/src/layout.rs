@@ -1,0 +1,332 @@
+//! Particles laid out for the device: by block, cell, law and, among those, in their order; and back.
+
+use barchan_core::plan::PlannedMaterial;
+use barchan_core::{Error, ParticleList, ParticleState, Result};
+use std::collections::BTreeMap;
+
+/// Vectors of four in an entry of the lists; see `common.wgsl`.
+pub(crate) const ENTRY: usize = 10;
+/// No block.
+pub(crate) const NONE: u32 = u32::MAX;
+/// Blocks along each axis on either side of the origin that the device's sort can tell apart.
+pub(crate) const REACH: i32 = 1 << 20;
+/// Laws that a particle's tag can tell apart.
+pub(crate) const MAX_LAWS: usize = 16;
+/// Particles that the sort's order can tell apart.
+pub(crate) const MAX_PARTICLES: usize = 1 << 28;
+
+type Block = [i32; 3];
+
+/// Where the particles' homes are.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Homes {
+    /// Blocks with particles, in the order of their coordinates.
+    pub(crate) blocks: Vec<Block>,
+    /// Blocks whose nodes they reach, likewise.
+    pub(crate) nodes: Vec<Block>,
+    /// Where the particles of each cell begin, and the end.
+    pub(crate) cells: Vec<u32>,
+    /// The particle at each place: list and number.
+    pub(crate) order: Vec<(usize, usize)>,
+}
+
+/// Periodic axes: first block and number of blocks, 0 where the axis is not.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Periods {
+    pub(crate) first: Block,
+    pub(crate) count: Block,
+}
+
+impl Periods {
+    pub(crate) fn wrap(&self, mut block: Block) -> Block {
+        for d in 0..3 {
+            if self.count[d] > 0 {
+                block[d] = self.first[d] + (block[d] - self.first[d]).rem_euclid(self.count[d]);
+            }
+        }
+        block
+    }
+}
+
+/// Offset of each of the 27 neighbours.
+pub(crate) fn offset(n: usize) -> Block {
+    [n as i32 / 9 - 1, n as i32 / 3 % 3 - 1, n as i32 % 3 - 1]
+}
+
+fn in_block(cell: Block) -> usize {
+    let [x, y, z] = cell.map(|c| (c & 3) as usize);
+    x * 16 + y * 4 + z
+}
+
+impl Homes {
+    /// Homes where the particles are.
+    pub(crate) fn fresh(lists: &[ParticleList], periods: &Periods) -> Self {
+        let all = lists.iter().enumerate().flat_map(|(l, list)| {
+            list.cell
+                .iter()
+                .enumerate()
+                .map(move |(i, &cell)| (periods.wrap(cell.map(|c| c >> 2)), in_block(cell), l, i))
+        });
+        let mut all: Vec<_> = all.collect();
+        all.sort_unstable();
+        Self::of(&all, periods)
+    }
+
+    /// Homes as a sort of this backend left them: for each block, the particles of each cell of each list.
+    pub(crate) fn restored(lists: &[ParticleList], blocks: &[([i32; 5], Vec<u32>)], periods: &Periods) -> Option<Self> {
+        let mut next = vec![0; lists.len()];
+        let mut all = Vec::new();
+        for ([_, _, x, y, z], counts) in blocks {
+            if counts.len() != 64 * lists.len() {
+                return None;
+            }
+            for (cell, counts) in counts.chunks_exact(lists.len()).enumerate() {
+                for (l, &count) in counts.iter().enumerate() {
+                    all.extend((next[l]..next[l] + count as usize).map(|i| ([*x, *y, *z], cell, l, i)));
+                    next[l] += count as usize;
+                }
+            }
+        }
+        let complete = next.iter().zip(lists).all(|(next, list)| *next == list.len());
+        let within = |&([bx, by, bz], cell, l, i): &(Block, usize, usize, usize)| {
+            let _ = cell;
+            let at: [i32; 3] = lists[l].cell[i];
+            [bx, by, bz].into_iter().zip(at).all(|(b, c)| (-2..6).contains(&(c - 4 * b)))
+        };
+        let sorted = all.windows(2).all(|pair| pair[0] < pair[1]);
+        (complete && sorted && all.iter().all(within)).then(|| Self::of(&all, periods))
+    }
+
+    fn of(all: &[(Block, usize, usize, usize)], periods: &Periods) -> Self {
+        let mut homes = Self::default();
+        for block in all.chunk_by(|a, b| a.0 == b.0) {
+            homes.blocks.push(block[0].0);
+            let mut at = block;
+            for cell in 0..64 {
+                homes.cells.push(homes.order.len() as u32);
+                let here = at.partition_point(|p| p.1 <= cell);
+                homes.order.extend(at[..here].iter().map(|p| (p.2, p.3)));
+                at = &at[here..];
+            }
+        }
+        homes.cells.push(homes.order.len() as u32);
+        let around = |b: &Block| {
+            let b = *b;
+            (0..27).map(move |n| periods.wrap(std::array::from_fn(|d| b[d] + offset(n)[d])))
+        };
+        homes.nodes = homes.blocks.iter().flat_map(around).collect();
+        homes.nodes.sort_unstable();
+        homes.nodes.dedup();
+        homes
+    }
+
+    /// Entries of the lists for `block_room` blocks and the node blocks after them.
+    pub(crate) fn entries(&self, block_room: usize, node_room: usize, periods: &Periods) -> Vec<[i32; 4]> {
+        let mut entries = vec![[0; 4]; (block_room + node_room) * ENTRY];
+        let number = |blocks: &[Block]| -> BTreeMap<Block, u32> { blocks.iter().copied().zip(0..).collect() };
+        let (of_block, of_node) = (number(&self.blocks), number(&self.nodes));
+        let mut fill = |first: usize, blocks: &[Block], others: &BTreeMap<Block, u32>, sign: i32| {
+            for (i, block) in blocks.iter().enumerate() {
+                let entry = &mut entries[(first + i) * ENTRY..][..ENTRY];
+                entry[0] = [block[0], block[1], block[2], 0];
+                for n in 0..27 {
+                    let other = periods.wrap(std::array::from_fn(|d| block[d] + sign * offset(n)[d]));
+                    entry[1 + n / 4][n % 4] = others.get(&other).copied().unwrap_or(NONE) as i32;
+                }
+            }
+        };
+        fill(0, &self.blocks, &of_node, 1);
+        fill(block_room, &self.nodes, &of_block, -1);
+        entries
+    }
+
+    /// Least and greatest block, if there is any.
+    pub(crate) fn extent(&self) -> Option<(Block, Block)> {
+        let least =
+            |f: fn(i32, i32) -> i32| self.blocks.iter().copied().reduce(|a, b| std::array::from_fn(|d| f(a[d], b[d])));
+        Some((least(i32::min)?, least(i32::max)?))
+    }
+}
+
+/// Planes of all particles as the device holds them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Planes {
+    pub(crate) place: Vec<[u32; 4]>,
+    pub(crate) ids: Vec<[u32; 2]>,
+    pub(crate) motion: Vec<[f32; 4]>,
+    pub(crate) stress: Vec<[f32; 4]>,
+    pub(crate) rest: Vec<[f32; 4]>,
+}
+
+const TWO_32: f64 = 4_294_967_296.0;
+
+fn refuse(what: String) -> Error {
+    Error::Body { path: "particles".into(), what, mend: "hand back particles of a simulation of the same scene".into() }
+}
+
+impl Planes {
+    /// Planes with room for `slots` particles each.
+    pub(crate) fn of(
+        lists: &[ParticleList],
+        homes: &Homes,
+        materials: &[PlannedMaterial],
+        slots: usize,
+        vectors: usize,
+    ) -> Result<Self> {
+        let mut planes = Self {
+            place: vec![[0; 4]; slots],
+            ids: vec![[0; 2]; slots],
+            motion: vec![[0.0; 4]; 3 * slots],
+            stress: vec![[0.0; 4]; 2 * slots],
+            rest: vec![[0.0; 4]; vectors * slots],
+        };
+        for (b, block) in homes.blocks.iter().enumerate() {
+            for q in homes.cells[64 * b] as usize..homes.cells[64 * b + 64] as usize {
+                let (l, i) = homes.order[q];
+                planes.put(q, &lists[l], i, *block, &materials[l], slots)?;
+            }
+        }
+        Ok(planes)
+    }
+
+    fn put(
+        &mut self,
+        q: usize,
+        list: &ParticleList,
+        i: usize,
+        block: Block,
+        planned: &PlannedMaterial,
+        slots: usize,
+    ) -> Result<()> {
+        let (mut tag, mut place) = (0u32, [0u32; 4]);
+        for d in 0..3 {
+            // An offset of almost one rounds to the next cell's zero.
+            let counts = (list.offset[i][d] * TWO_32).round_ties_even();
+            let (cell, counts) =
+                if counts >= TWO_32 { (list.cell[i][d] + 1, 0) } else { (list.cell[i][d], counts as u32) };
+            place[d] = counts;
+            // Periodic axes: the home is in the world, the particle may be beyond.
+            let local = (cell - 4 * block[d]) & 3;
+            let drifted = cell - 4 * block[d];
+            let local = if (-2..6).contains(&drifted) { drifted } else { local };
+            tag = tag << 3 | (local + 2) as u32;
+        }
+        place[3] = tag | list.material << 9;
+        self.place[q] = place;
+        let id =
+            u32::try_from(list.id[i]).map_err(|_| refuse(format!("a particle id is {} or greater", 1u64 << 32)))?;
+        self.ids[q] = [id, u32::from(list.body[i])];
+        for d in 0..3 {
+            let c = &list.affine[i][3 * d..3 * d + 3];
+            self.motion[d * slots + q] = [list.velocity[i][d], c[0], c[1], c[2]].map(|x| x as f32);
+        }
+        self.stress[q][3] = list.mass[i] as f32;
+        self.stress[slots + q][3] = list.volume0[i] as f32;
+        let identity = planned.material.strain_identity();
+        let values = list.strain.iter().zip(identity).map(|(plane, one)| plane[i] - one);
+        for (k, value) in values.chain(list.state.iter().map(|plane| plane[i])).enumerate() {
+            self.rest[k / 4 * slots + q][k % 4] = value as f32;
+        }
+        Ok(())
+    }
+
+    /// The particles, one list a material, in the order of memory.
+    pub(crate) fn lists(
+        &self,
+        homes: &Homes,
+        materials: &[PlannedMaterial],
+        cell_width: f64,
+        slots: usize,
+    ) -> Vec<ParticleList> {
+        let mut lists: Vec<_> = materials
+            .iter()
+            .enumerate()
+            .map(|(m, planned)| {
+                let (strain, states) = (planned.material.strain_planes(), planned.material.states.len());
+                ParticleList::empty(0, m, cell_width, strain, states)
+            })
+            .collect();
+        for (b, block) in homes.blocks.iter().enumerate() {
+            for q in homes.cells[64 * b] as usize..homes.cells[64 * b + 64] as usize {
+                let law = (self.place[q][3] >> 9) as usize;
+                self.get(q, &mut lists[law], *block, &materials[law], slots);
+            }
+        }
+        lists
+    }
+
+    fn get(&self, q: usize, list: &mut ParticleList, block: Block, planned: &PlannedMaterial, slots: usize) {
+        let place = self.place[q];
+        list.id.push(u64::from(self.ids[q][0]));
+        list.body.push(self.ids[q][1] as u16);
+        list.cell.push(std::array::from_fn(|d| 4 * block[d] + local(place[3], d)));
+        list.offset.push(std::array::from_fn(|d| f64::from(place[d]) / TWO_32));
+        let motion = [0, 1, 2].map(|d| self.motion[d * slots + q].map(f64::from));
+        list.velocity.push(motion.map(|row| row[0]));
+        list.affine.push(std::array::from_fn(|e| motion[e / 3][1 + e % 3]));
+        list.mass.push(f64::from(self.stress[q][3]));
+        list.volume0.push(f64::from(self.stress[slots + q][3]));
+        let value = |k: usize| f64::from(self.rest[k / 4 * slots + q][k % 4]);
+        let planes = list.strain.len();
+        for (k, (plane, one)) in list.strain.iter_mut().zip(planned.material.strain_identity()).enumerate() {
+            plane.push(one + value(k));
+        }
+        for (k, plane) in list.state.iter_mut().enumerate() {
+            plane.push(value(planes + k));
+        }
+    }
+
+    /// For each block, the particles of each cell of each list: what [`Homes::restored`] takes.
+    pub(crate) fn counts(&self, homes: &Homes, lists: usize) -> Vec<([i32; 5], Vec<u32>)> {
+        let of_block = |(b, [x, y, z]): (usize, &Block)| {
+            let mut counts = vec![0; 64 * lists];
+            for cell in 0..64 {
+                for q in homes.cells[64 * b + cell]..homes.cells[64 * b + cell + 1] {
+                    counts[cell * lists + (self.place[q as usize][3] >> 9) as usize] += 1;
+                }
+            }
+            ([0, 0, *x, *y, *z], counts)
+        };
+        homes.blocks.iter().enumerate().map(of_block).collect()
+    }
+}
+
+/// A tag's cell along an axis, from the block's first one.
+fn local(tag: u32, axis: usize) -> i32 {
+    (tag >> (6 - 3 * axis) & 7) as i32 - 2
+}
+
+/// The lists of a state, checked against the plan.
+///
+/// # Errors
+/// If they are not one a material.
+pub(crate) fn check(particles: &ParticleState, materials: &[PlannedMaterial]) -> Result<()> {
+    if particles.lists.len() != materials.len() {
+        return Err(refuse(format!(
+            "{} lists where the plan has {} materials on 1 level",
+            particles.lists.len(),
+            materials.len()
+        )));
+    }
+    for (list, planned) in particles.lists.iter().zip(materials) {
+        let (strain, states) = (planned.material.strain_planes(), planned.material.states.len());
+        if list.strain.len() != strain || list.state.len() != states {
+            return Err(refuse(format!(
+                "a list has {} strain and {} history planes where its material '{}' has {strain} and {states}",
+                list.strain.len(),
+                list.state.len(),
+                planned.name
+            )));
+        }
+        let far = |c: &i32| !(-4 * REACH + 8..4 * REACH - 8).contains(c);
+        if list.cell.iter().flatten().any(far) {
+            return Err(Error::Capacity {
+                what: "distance from the origin in cells",
+                asked: 4 * REACH as u64,
+                cap: 4 * REACH as u64,
+                mend: "use a coarser world.cell or move the scene towards the origin",
+            });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,449 @@
+//! Buffers on the device, and what fits into them.
+
+use crate::device::Gpu;
+use crate::kernels::{FIRST_BINDING, Kernel, Role, Sorted, Uniform};
+use crate::layout::ENTRY;
+use barchan_core::{Error, Result};
+use bytemuck::{Pod, Zeroable};
+use std::collections::HashMap;
+
+/// Words of the status before those of the first step, and of each step; see `common.wgsl`.
+pub(crate) const STEPS: usize = 20;
+pub(crate) const PER_STEP: usize = 4;
+/// Steps that one submission can take.
+pub(crate) const MAX_STEPS: usize = 64;
+const STATUS_WORDS: usize = STEPS + PER_STEP * MAX_STEPS;
+/// Bytes from one step's constants to the next.
+pub(crate) const STEP_STRIDE: u64 = 256;
+/// Workgroups in a row of a dispatch.
+const ROW: u32 = 32_768;
+
+/// Vectors of a body in a step; see `contact.wgsl`.
+pub(crate) const BODY: u64 = 9;
+
+/// What not every scene asks for: room for pairs of nodes at walls that let go, and for bodies whose law runs on the device.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Asked {
+    pub(crate) pairs: bool,
+    pub(crate) bodies: usize,
+}
+
+/// `Extent` of `common.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub(crate) struct Extent {
+    pub(crate) slots: u32,
+    pub(crate) particles: u32,
+    pub(crate) block_room: u32,
+    pub(crate) node_room: u32,
+    pub(crate) box_min: [i32; 3],
+    pub(crate) row: u32,
+    pub(crate) box_size: [i32; 3],
+    pub(crate) box_blocks: u32,
+}
+
+/// `Step` of `common.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub(crate) struct StepConstants {
+    pub(crate) dt: f32,
+    pub(crate) dt_per_h: f32,
+    pub(crate) stress: f32,
+    pub(crate) drift: f32,
+    pub(crate) gravity: [f32; 3],
+    pub(crate) number: u32,
+    pub(crate) least: f32,
+    pub(crate) felt: f32,
+    pub(crate) pad: [u32; 2],
+}
+
+/// Room for as many as there are now and a quarter more, so that it rarely has to grow.
+pub(crate) fn with_room(count: usize) -> u32 {
+    (count + count / 4 + 64) as u32
+}
+
+/// All buffers of an engine.
+pub(crate) struct Memory {
+    pub(crate) extent: Extent,
+    /// Vectors of four of strain and history.
+    vectors: usize,
+    asked: Asked,
+    sorted: [[wgpu::Buffer; 7]; 2],
+    shared: HashMap<&'static str, wgpu::Buffer>,
+    pub(crate) constants: wgpu::Buffer,
+    pub(crate) params: wgpu::Buffer,
+    table: Option<wgpu::Buffer>,
+    pub(crate) steps: wgpu::Buffer,
+    pub(crate) readback: wgpu::Buffer,
+    bindings: HashMap<(&'static str, usize), wgpu::BindGroup>,
+    pub(crate) step_binding: wgpu::BindGroup,
+    /// Which of the two sets holds the particles.
+    pub(crate) now: usize,
+}
+
+fn sorted_name(sorted: Sorted) -> &'static str {
+    match sorted {
+        Sorted::Place => "places of particles",
+        Sorted::Ids => "names of particles",
+        Sorted::Motion => "motion of particles",
+        Sorted::Stress => "stress of particles",
+        Sorted::Rest => "strain of particles",
+        Sorted::Lists => "lists of blocks",
+        Sorted::Cells => "starts of cells",
+    }
+}
+
+const SORTED: [Sorted; 7] =
+    [Sorted::Place, Sorted::Ids, Sorted::Motion, Sorted::Stress, Sorted::Rest, Sorted::Lists, Sorted::Cells];
+const SHARED: [Role; 12] = [
+    Role::Grid,
+    Role::Status,
+    Role::Flags,
+    Role::Directory,
+    Role::Sums,
+    Role::Keys,
+    Role::Loose,
+    Role::Order,
+    Role::Pairs,
+    Role::Bodies,
+    Role::Partials,
+    Role::Impulses,
+];
+
+fn shared_name(role: Role) -> &'static str {
+    match role {
+        Role::Grid => "nodes and tiles",
+        Role::Status => "status",
+        Role::Flags => "marks of blocks",
+        Role::Directory => "directory of blocks",
+        Role::Sums => "sums of blocks",
+        Role::Keys => "keys of the sort",
+        Role::Loose => "cells of the sort",
+        Role::Order => "order of the sort",
+        Role::Pairs => "pairs at walls",
+        Role::Bodies => "poses of bodies",
+        Role::Partials => "parts of impulses",
+        Role::Impulses => "impulses",
+        Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
+    }
+}
+
+impl Extent {
+    fn sorted_bytes(&self, sorted: Sorted, vectors: usize) -> u64 {
+        let (slots, blocks) = (u64::from(self.slots), u64::from(self.block_room));
+        match sorted {
+            Sorted::Place => 16 * slots,
+            Sorted::Ids => 8 * slots,
+            Sorted::Motion => 48 * slots,
+            Sorted::Stress => 32 * slots,
+            Sorted::Rest => 16 * vectors as u64 * slots,
+            Sorted::Lists => 16 * ENTRY as u64 * (blocks + u64::from(self.node_room)),
+            Sorted::Cells => 4 * (64 * blocks + 1),
+        }
+    }
+
+    fn shared_bytes(&self, role: Role, asked: Asked) -> u64 {
+        let (slots, blocks, nodes) = (u64::from(self.slots), u64::from(self.block_room), u64::from(self.node_room));
+        let places = u64::from(self.box_blocks);
+        match role {
+            Role::Grid => 16 * (64 * nodes + 512 * blocks),
+            Role::Status => 4 * STATUS_WORDS as u64,
+            Role::Flags => 4 * places,
+            Role::Directory => 8 * places,
+            Role::Sums => 8 * places.div_ceil(1024).max(blocks),
+            Role::Keys => 8 * slots,
+            Role::Loose | Role::Order => 4 * slots,
+            Role::Pairs => 16 * if asked.pairs { 3 * 64 * nodes } else { 1 },
+            Role::Bodies => 16 * BODY * (MAX_STEPS * asked.bodies).max(1) as u64,
+            Role::Partials => 32 * nodes * asked.bodies as u64,
+            Role::Impulses => 32 * (MAX_STEPS * asked.bodies).max(1) as u64,
+            Role::Now(_) | Role::Next(_) => 0,
+        }
+    }
+
+    /// Bytes of each buffer of one set, and how many of it there are.
+    fn all_bytes(&self, vectors: usize, asked: Asked) -> impl Iterator<Item = (&'static str, u64, u64)> {
+        let sorted = SORTED.map(|s| (sorted_name(s), self.sorted_bytes(s, vectors), 2));
+        let shared = SHARED.map(|r| (shared_name(r), self.shared_bytes(r, asked), 1));
+        sorted.into_iter().chain(shared)
+    }
+
+    /// Does every buffer fit what the adapter binds?
+    fn check(&self, gpu: &Gpu, vectors: usize, asked: Asked) -> Result<()> {
+        let cap = (gpu.limits.max_storage_buffer_binding_size).min(gpu.limits.max_buffer_size);
+        let Some((what, asked, _)) = self.all_bytes(vectors, asked).find(|(_, bytes, _)| *bytes > cap) else {
+            return Ok(());
+        };
+        Err(Error::Capacity {
+            what: match what {
+                "nodes and tiles" => "bytes of nodes and tiles in one binding of the adapter",
+                "directory of blocks" | "marks of blocks" => {
+                    "bytes of the directory of blocks in one binding of the adapter"
+                }
+                _ => "bytes of particles in one binding of the adapter",
+            },
+            asked,
+            cap,
+            mend: "simulate fewer particles or a smaller box around them, choose an adapter that binds more (--adapter), or use the backend cpu",
+        })
+    }
+}
+
+impl Memory {
+    pub(crate) fn new(
+        gpu: &Gpu,
+        extent: Extent,
+        vectors: usize,
+        asked: Asked,
+        params: &[f32],
+        step_layout: &wgpu::BindGroupLayout,
+    ) -> Result<Self> {
+        let extent = Extent { row: ROW, ..extent };
+        extent.check(gpu, vectors, asked)?;
+        let device = &gpu.device;
+        let storage = |label: &'static str, size: u64| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: size.next_multiple_of(16).max(16),
+                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        let uniform = |label: &'static str, size: u64| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size,
+                usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        let set = || SORTED.map(|s| storage(sorted_name(s), extent.sorted_bytes(s, vectors)));
+        let shared =
+            SHARED.iter().map(|&r| (shared_name(r), storage(shared_name(r), extent.shared_bytes(r, asked)))).collect();
+        let constants = uniform("extent", size_of::<Extent>() as u64);
+        gpu.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&extent));
+        let padded = params.len().next_multiple_of(4).max(4);
+        let mut values = params.to_vec();
+        values.resize(padded, 0.0);
+        let params = uniform("parameters", 4 * padded as u64);
+        gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(&values));
+        let steps = uniform("steps", STEP_STRIDE * MAX_STEPS as u64);
+        let step_binding = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("step"),
+            layout: step_layout,
+            entries: &[wgpu::BindGroupEntry {
+                binding: 0,
+                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                    buffer: &steps,
+                    offset: 0,
+                    size: wgpu::BufferSize::new(size_of::<StepConstants>() as u64),
+                }),
+            }],
+        });
+        let readback = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("readback"),
+            size: 4 * STATUS_WORDS as u64,
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        Ok(Self {
+            extent,
+            vectors,
+            asked,
+            sorted: [set(), set()],
+            shared,
+            constants,
+            params,
+            table: None,
+            steps,
+            readback,
+            bindings: HashMap::new(),
+            step_binding,
+            now: 0,
+        })
+    }
+
+    /// Bytes for particles, and for the grid.
+    pub(crate) fn bytes(&self) -> (u64, u64) {
+        let of_grid = |name: &str| {
+            [Role::Grid, Role::Flags, Role::Directory, Role::Sums, Role::Pairs].map(shared_name).contains(&name)
+                || [Sorted::Lists, Sorted::Cells].map(sorted_name).contains(&name)
+        };
+        let all = self.extent.all_bytes(self.vectors, self.asked);
+        all.fold((0, 0), |(particles, grid), (name, bytes, copies)| {
+            if of_grid(name) { (particles, grid + bytes * copies) } else { (particles + bytes * copies, grid) }
+        })
+    }
+
+    pub(crate) fn buffer(&self, role: Role, now: usize) -> &wgpu::Buffer {
+        match role {
+            Role::Now(sorted) => &self.sorted[now][sorted as usize],
+            Role::Next(sorted) => &self.sorted[1 - now][sorted as usize],
+            shared => &self.shared[shared_name(shared)],
+        }
+    }
+
+    /// The buffer of a plane that holds the particles.
+    pub(crate) fn plane(&self, sorted: Sorted) -> &wgpu::Buffer {
+        self.buffer(Role::Now(sorted), self.now)
+    }
+
+    pub(crate) fn binding(&mut self, device: &wgpu::Device, kernel: &Kernel, now: usize) -> wgpu::BindGroup {
+        if let Some(group) = self.bindings.get(&(kernel.name, now)) {
+            return group.clone();
+        }
+        let mut entries = vec![wgpu::BindGroupEntry { binding: 0, resource: self.constants.as_entire_binding() }];
+        let uniform = match kernel.uniform {
+            Uniform::None => None,
+            Uniform::Params => Some(&self.params),
+            Uniform::Table => self.table.as_ref(),
+        };
+        entries.extend(uniform.map(|b| wgpu::BindGroupEntry { binding: 1, resource: b.as_entire_binding() }));
+        entries.extend((FIRST_BINDING..).zip(&kernel.roles).map(|(binding, &role)| wgpu::BindGroupEntry {
+            binding,
+            resource: self.buffer(role, now).as_entire_binding(),
+        }));
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(kernel.name),
+            layout: &kernel.layout,
+            entries: &entries,
+        });
+        self.bindings.insert((kernel.name, now), group.clone());
+        group
+    }
+
+    /// Makes room for bodies whose law runs on the device, and takes in what it reads.
+    pub(crate) fn add_bodies(&mut self, gpu: &Gpu, bodies: usize, table: &[[f32; 4]]) -> Result<()> {
+        let vectors = if table.is_empty() { &[[0.0; 4]] } else { table };
+        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("table of bodies"),
+            size: 16 * vectors.len() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(vectors));
+        self.table = Some(buffer);
+        self.asked.bodies = bodies;
+        let extent = self.extent;
+        self.grow(gpu, extent)
+    }
+
+    /// Makes room for `extent`, keeping particles and blocks. What the grid holds is lost, and so are the links of blocks: a
+    /// sort must follow.
+    pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
+        let extent = Extent { row: ROW, ..extent };
+        extent.check(gpu, self.vectors, self.asked)?;
+        let storage = |label: &'static str, size: u64| {
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: size.next_multiple_of(16).max(16),
+                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for sorted in [Sorted::Lists, Sorted::Cells] {
+            for set in 0..2 {
+                let old = &self.sorted[set][sorted as usize];
+                let bytes = extent.sorted_bytes(sorted, self.vectors);
+                if old.size() >= bytes {
+                    continue;
+                }
+                let new = storage(sorted_name(sorted), bytes);
+                encoder.copy_buffer_to_buffer(old, 0, &new, 0, old.size());
+                self.sorted[set][sorted as usize] = new;
+            }
+        }
+        for role in [
+            Role::Grid,
+            Role::Flags,
+            Role::Directory,
+            Role::Sums,
+            Role::Pairs,
+            Role::Bodies,
+            Role::Partials,
+            Role::Impulses,
+        ] {
+            let bytes = extent.shared_bytes(role, self.asked);
+            if self.buffer(role, 0).size() < bytes {
+                self.shared.insert(shared_name(role), storage(shared_name(role), bytes));
+            }
+        }
+        gpu.queue.submit([encoder.finish()]);
+        self.extent = extent;
+        self.bindings.clear();
+        gpu.queue.write_buffer(&self.constants, 0, bytemuck::bytes_of(&extent));
+        Ok(())
+    }
+}
+
+/// Copies a stretch of a buffer to the host, a part at a time.
+pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, from: u64, count: usize) -> Result<Vec<T>> {
+    const PART: u64 = 64 << 20;
+    let bytes = (count * size_of::<T>()) as u64;
+    let mut out = Vec::with_capacity(count);
+    if bytes == 0 {
+        return Ok(out);
+    }
+    let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("staging"),
+        size: bytes.min(PART),
+        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    let mut at = 0;
+    while at < bytes {
+        let part = PART.min(bytes - at);
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        encoder.copy_buffer_to_buffer(buffer, from + at, &staging, 0, part);
+        gpu.queue.submit([encoder.finish()]);
+        with_mapped(gpu, &staging, part, |bytes| out.extend_from_slice(&bytemuck::pod_collect_to_vec::<u8, T>(bytes)))?;
+        at += part;
+    }
+    Ok(out)
+}
+
+/// Copies several stretches of a buffer to the host, (first byte, bytes) each, one after the other.
+pub(crate) fn read_parts<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, parts: &[(u64, u64)]) -> Result<Vec<T>> {
+    let bytes: u64 = parts.iter().map(|(_, bytes)| bytes).sum();
+    if bytes == 0 {
+        return Ok(Vec::new());
+    }
+    let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("staging"),
+        size: bytes,
+        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    let mut at = 0;
+    for &(from, bytes) in parts {
+        encoder.copy_buffer_to_buffer(buffer, from, &staging, at, bytes);
+        at += bytes;
+    }
+    gpu.queue.submit([encoder.finish()]);
+    let mut out = Vec::new();
+    with_mapped(gpu, &staging, bytes, |bytes| out = bytemuck::pod_collect_to_vec(bytes))?;
+    Ok(out)
+}
+
+/// Waits for the device and shows what a buffer that can be mapped holds.
+pub(crate) fn with_mapped(gpu: &Gpu, buffer: &wgpu::Buffer, bytes: u64, see: impl FnOnce(&[u8])) -> Result<()> {
+    let lost = |what: String| Error::Device {
+        backend: crate::device::BACKEND.to_owned(),
+        device: gpu.adapter_info.name.clone(),
+        what,
+        mend: "resume from the last snapshot, or use the backend cpu".to_owned(),
+    };
+    let slice = buffer.slice(0..bytes);
+    slice.map_async(wgpu::MapMode::Read, |_| {});
+    let polled = gpu.device.poll(wgpu::PollType::wait_indefinitely());
+    gpu.check()?;
+    polled.map_err(|e| lost(format!("waiting for it failed: {e}")))?;
+    {
+        let range = slice.get_mapped_range().map_err(|e| lost(format!("its memory cannot be read: {e}")))?;
+        see(&range);
+    }
+    buffer.unmap();
+    Ok(())
+}

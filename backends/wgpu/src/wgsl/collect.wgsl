@@ -1,0 +1,27 @@
+// What walls have given since the last time, in all: [N s]. One workgroup, each thread in the blocks' order.
+var<workgroup> partial: array<vec4<f32>, 256>;
+
+@compute @workgroup_size(256)
+fn collect(@builtin(local_invocation_index) thread: u32) {
+    var sum = vec4<f32>(0.0);
+    for (var b = thread; b < atomicLoad(&status[BLOCKS]); b += 256u) {
+        sum += bitcast<vec4<f32>>(lists[b * ENTRY + WALL]);
+        lists[b * ENTRY + WALL] = vec4<i32>(0);
+    }
+    for (var g = thread; g < atomicLoad(&status[NODE_BLOCKS]); g += 256u) {
+        let entry = (extent.block_room + g) * ENTRY;
+        sum += bitcast<vec4<f32>>(lists[entry + WALL]);
+        lists[entry + WALL] = vec4<i32>(0);
+    }
+    partial[thread] = sum;
+    workgroupBarrier();
+    if thread == 0u {
+        var all = vec4<f32>(0.0);
+        for (var t = 0u; t < 256u; t++) {
+            all += partial[t];
+        }
+        for (var d = 0u; d < 3u; d++) {
+            atomicStore(&status[WALL_IMPULSE + d], bitcast<u32>(all[d]));
+        }
+    }
+}

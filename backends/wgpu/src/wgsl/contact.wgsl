@@ -1,0 +1,85 @@
+// Contact with driven bodies: the coupling's law on the nodes in a body's box, and what they give to it.
+
+// Vectors of a body in a step: cell of its reference point, place in that cell, three rows of its rotation, velocity, angular
+// velocity, least and greatest node of its box.
+const BODY: u32 = 9u;
+
+var<workgroup> go: u32;
+var<workgroup> near: u32;
+var<workgroup> greatest: atomic<u32>;
+var<workgroup> forces: array<vec4<f32>, 64>;
+var<workgroup> torques: array<vec4<f32>, 64>;
+
+fn int_vector(v: vec4<f32>) -> vec3<i32> {
+    return bitcast<vec3<i32>>(v.xyz);
+}
+
+@compute @workgroup_size(64)
+fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
+    let g = group.y * extent.row + group.x;
+    if n == 0u {
+        go = u32(atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]));
+    }
+    if workgroupUniformLoad(&go) == 0u {
+        return;
+    }
+    let first = lists[(extent.block_room + g) * ENTRY].xyz * 4;
+    let cell = first + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+    let node = grid[g * 64u + n];
+    var u = node.xyz;
+    var changed = false;
+    for (var b = 0u; b < BODIES; b++) {
+        let at = (step.number * BODIES + b) * BODY;
+        let least = int_vector(bodies[at + 7u]);
+        let most = int_vector(bodies[at + 8u]);
+        if n == 0u {
+            near = u32(all(first + vec3<i32>(3) >= least) && all(first <= most));
+        }
+        if workgroupUniformLoad(&near) == 0u {
+            if n < 2u {
+                partials[(g * BODIES + b) * 2u + n] = vec4<f32>(0.0);
+            }
+            continue;
+        }
+        var impulse = vec3<f32>(0.0);
+        var arm = vec3<f32>(0.0);
+        if node.w > step.least && all(cell >= least) && all(cell <= most) {
+            arm = (vec3<f32>(cell - int_vector(bodies[at])) + (vec3<f32>(0.5) - bodies[at + 1u].xyz)) * H;
+            let row0 = bodies[at + 2u].xyz;
+            let row1 = bodies[at + 3u].xyz;
+            let row2 = bodies[at + 4u].xyz;
+            let surface = bodies[at + 5u].xyz + cross(bodies[at + 6u].xyz, arm);
+            let relative = u - surface;
+            let x = arm.x * row0 + arm.y * row1 + arm.z * row2;
+            let before = relative.x * row0 + relative.y * row1 + relative.z * row2;
+            let kept = coupling_contact(b, x, before, H);
+            if any(kept != before) {
+                let taken = before - kept;
+                let change = vec3<f32>(dot(row0, taken), dot(row1, taken), dot(row2, taken));
+                u -= change;
+                impulse = node.w * change;
+                changed = true;
+            }
+        }
+        forces[n] = vec4<f32>(impulse, 0.0);
+        torques[n] = vec4<f32>(cross(arm, impulse), 0.0);
+        workgroupBarrier();
+        if n < 2u {
+            var sum = vec4<f32>(0.0);
+            for (var t = 0u; t < 64u; t++) {
+                sum += select(torques[t], forces[t], n == 0u);
+            }
+            partials[(g * BODIES + b) * 2u + n] = sum;
+        }
+        workgroupBarrier();
+    }
+    if changed {
+        grid[g * 64u + n] = vec4<f32>(u, node.w);
+        let felt = min(node.w * step.felt, 1.0);
+        atomicMax(&greatest, max(max(magnitude_bits(felt * u.x), magnitude_bits(felt * u.y)), magnitude_bits(felt * u.z)));
+    }
+    workgroupBarrier();
+    if n == 0u && atomicLoad(&greatest) > 0u {
+        atomicMax(&status[STEPS + PER_STEP * step.number], atomicLoad(&greatest));
+    }
+}

@@ -1,0 +1,49 @@
+// Strain is applied in parts that deform by no more than this.
+const MAX_DEFORMATION: f32 = 0.5;
+const MAX_PARTS: f32 = 1000.0;
+
+// Strains minus I, rounded to what 1 + x holds in 64 bits: so that a copy that is held as 1 + x comes back the same.
+fn representable(x: f32) -> f32 {
+    let quantum = 3.7252903e-9;
+    return select(x, (x + quantum) - quantum, abs(x) < quantum);
+}
+
+// Strains below this mean nothing next to 1.
+fn without_dust(x: f32) -> f32 {
+    return select(x, 0.0, abs(x) < 1e-12);
+}
+
+// Carries a particle's strain along with its velocity gradient `c`, whose squared norm is `norm2`, and finds its stress.
+fn deform(q: u32, law: u32, c: mat3x3<f32>, norm2: f32, dt: f32) {
+    $LOAD
+    let wanted = ceil(sqrt(norm2) * dt / MAX_DEFORMATION);
+    let parts = clamp(wanted, 1.0, MAX_PARTS);
+    if parts > 1.0 {
+        atomicAdd(&status[PARTED], 1u);
+    }
+    let step_part = dt / parts;
+    let g = step_part * c;
+    var out: MatOut;
+    for (var part = 0u; part < u32(parts); part++) {
+        var trial: mat3x3<f32>;
+        $TRIAL
+        var x: MatIn;
+        x.strain = trial;
+        if wants_rate(law) {
+            x.vel_grad = c;
+        }
+        x.dt = step_part;
+        out = update_material(law, x, param_base(law), &state);
+        strain = out.strain;
+    }
+    // Without a step, matter is as it was.
+    if dt > 0.0 {
+        $STORE
+    }
+    // Times the rest volume: [J].
+    let mass = stress[q].w;
+    let volume = stress[extent.slots + q].w;
+    let tau = volume * out.kirchhoff;
+    stress[q] = vec4<f32>(tau[0].x, tau[1].y, tau[1].x, mass);
+    stress[extent.slots + q] = vec4<f32>(tau[2].x, tau[2].y, tau[2].z, volume);
+}

@@ -1,0 +1,274 @@
+// Particles to grid, a block at a time: p_i = sum_p w_ip [m (v + dt g) + (m C - dt V0 (4/h2) tau) (x_i - x_p)], m_i = sum_p w_ip m.
+//
+// Two threads own a cell, one for the momentum along x and y, one for that along z and the mass, and sum its 27 nodes in registers
+// over the cell's particles. Those that have left their cell since the sort stand in a list of the cell they are in; lists are walked
+// in the order of memory, so that sums do not depend on who came first. Then cells are added to the tile: for one of the 27 nodes at
+// a time, different cells touch different nodes.
+
+// Momentum along x and y of the tile's nodes, then along z and mass.
+var<workgroup> tile: array<vec2<f32>, 1024>;
+// For each of 6x6x6 cells its last leaver, counted from 1.
+var<workgroup> head: array<atomic<u32>, 216>;
+// Leavers: index in the block, and the next one in 16 bits.
+var<workgroup> leavers: array<u32, 384>;
+var<workgroup> leaver_count: atomic<u32>;
+// Cells outside the block that hold particles, as bits, and in order.
+var<workgroup> halo: array<atomic<u32>, 7>;
+var<workgroup> halo_cells: array<u32, 152>;
+var<workgroup> go: u32;
+var<workgroup> corner: vec3<i32>;
+var<workgroup> listed: u32;
+
+const LEAVERS: u32 = 384u;
+
+// Spread over the banks of workgroup memory.
+fn in_tile(x: u32, y: u32, z: u32) -> u32 {
+    return x * 64u + y * 8u + (z ^ ((y & 2u) << 1u));
+}
+
+fn is_halo(cell: u32) -> bool {
+    let x = cell / 36u;
+    let y = (cell / 6u) % 6u;
+    let z = cell % 6u;
+    return x == 0u || x == 5u || y == 0u || y == 5u || z == 0u || z == 5u;
+}
+
+// May this step go on? It may not once the particles have drifted too far for their tiles.
+fn ready(b: u32) -> u32 {
+    if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
+        return 0u;
+    }
+    var drift = step.drift;
+    for (var s = 0u; s < step.number; s++) {
+        drift += bitcast<f32>(atomicLoad(&status[STEPS + PER_STEP * s + 1u]));
+    }
+    if !(drift <= MAX_DRIFT) {
+        if b == 0u {
+            atomicStore(&status[HALT_STEP], step.number);
+            atomicStore(&status[HALTED], DRIFTED);
+        }
+        return 0u;
+    }
+    return 1u;
+}
+
+// The particles of one cell, one after the other.
+struct Walk {
+    // Tag of the cell, and its number among 6x6x6.
+    tag: u32,
+    cell: u32,
+    // Its particles of the last sort, and the next of them.
+    first: u32,
+    last: u32,
+    at: u32,
+    // Leavers before this one are done.
+    after: u32,
+    // The block's particles.
+    start: u32,
+    end: u32,
+}
+
+fn next_particle(w: ptr<function, Walk>) -> u32 {
+    while (*w).at < (*w).last {
+        let q = (*w).at;
+        (*w).at = q + 1u;
+        if (place[q].w & 511u) == (*w).tag {
+            return q;
+        }
+    }
+    if listed == 0u {
+        // More leavers than the list holds: all of the block's particles are looked at.
+        while (*w).start + (*w).after < (*w).end {
+            let q = (*w).start + (*w).after;
+            (*w).after += 1u;
+            if (place[q].w & 511u) == (*w).tag && !(q >= (*w).first && q < (*w).last) {
+                return q;
+            }
+        }
+        return NONE;
+    }
+    var best = NONE;
+    var h = atomicLoad(&head[(*w).cell]);
+    while h != 0u {
+        let entry = leavers[h - 1u];
+        let index = entry >> 16u;
+        if index >= (*w).after && index < best {
+            best = index;
+        }
+        h = entry & 0xffffu;
+    }
+    if best == NONE {
+        return NONE;
+    }
+    (*w).after = best + 1u;
+    return (*w).start + best;
+}
+
+fn weights(f: f32) -> vec3<f32> {
+    let left = 1.0 - f;
+    let middle = 0.5 - f;
+    return vec3<f32>(0.5 * left * left, fma(-middle, middle, 0.75), 0.5 * f * f);
+}
+
+fn fraction(p: vec4<u32>) -> vec3<f32> {
+    return vec3<f32>(p.xyz >> vec3<u32>(8u)) * 5.9604645e-8;
+}
+
+@compute @workgroup_size(128)
+fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let b = group.y * extent.row + group.x;
+    if thread == 0u {
+        go = ready(b);
+        if go != 0u {
+            corner = lists[b * ENTRY].xyz * 4 - vec3<i32>(2);
+        }
+    }
+    if workgroupUniformLoad(&go) == 0u {
+        return;
+    }
+    let start = cells[b * 64u];
+    let end = cells[b * 64u + 64u];
+    let part = thread >> 6u;
+    let own = thread & 63u;
+    let own_cell = vec3<u32>(own >> 4u, (own >> 2u) & 3u, own & 3u);
+    let first = cells[b * 64u + own];
+    let last = cells[b * 64u + own + 1u];
+
+    // 1. Who has left?
+    let home = tag_of(vec3<i32>(own_cell));
+    for (var q = first + part; q < last; q += 2u) {
+        let tag = place[q].w & 511u;
+        if tag != home {
+            let at = cell_of(tag) + vec3<i32>(1);
+            if any(at < vec3<i32>(0)) || any(at > vec3<i32>(5)) {
+                atomicStore(&status[WHO], q);
+                atomicStore(&status[HALT_STEP], step.number);
+                atomicStore(&status[HALTED], STRAYED);
+            } else {
+                let cell = u32((at.x * 6 + at.y) * 6 + at.z);
+                let k = atomicAdd(&leaver_count, 1u);
+                if k < LEAVERS {
+                    leavers[k] = ((q - start) << 16u) | atomicExchange(&head[cell], k + 1u);
+                }
+                if is_halo(cell) {
+                    atomicOr(&halo[cell >> 5u], 1u << (cell & 31u));
+                }
+            }
+        }
+    }
+    workgroupBarrier();
+    if thread == 0u {
+        listed = u32(atomicLoad(&leaver_count) <= LEAVERS && end - start <= 65536u);
+    }
+
+    // 2. The cells outside the block that hold any, in order.
+    var halo_count = 0u;
+    for (var w = 0u; w < 7u; w++) {
+        halo_count += countOneBits(atomicLoad(&halo[w]));
+    }
+    for (var cell = thread; cell < 216u; cell += 128u) {
+        let bits = atomicLoad(&halo[cell >> 5u]);
+        if (bits & (1u << (cell & 31u))) != 0u {
+            var rank = countOneBits(bits & ((1u << (cell & 31u)) - 1u));
+            for (var w = 0u; w < (cell >> 5u); w++) {
+                rank += countOneBits(atomicLoad(&halo[w]));
+            }
+            halo_cells[rank] = cell;
+        }
+    }
+    if thread == 0u {
+        go = 1u + (halo_count + 63u) / 64u;
+    }
+    let batches = workgroupUniformLoad(&go);
+
+    // 3. Sums over the particles of each cell, the block's own cells first.
+    for (var batch = 0u; batch < batches; batch++) {
+        let own_number = ((own_cell.x + 1u) * 6u + own_cell.y + 1u) * 6u + own_cell.z + 1u;
+        var walk = Walk(home, own_number, first, last, first, 0u, start, end);
+        var on = true;
+        if batch > 0u {
+            let k = (batch - 1u) * 64u + own;
+            on = k < halo_count;
+            walk.cell = select(0u, halo_cells[min(k, 151u)], on);
+            let at = vec3<i32>(i32(walk.cell / 36u), i32((walk.cell / 6u) % 6u), i32(walk.cell % 6u)) - vec3<i32>(1);
+            walk.tag = tag_of(at);
+            walk.first = 0u;
+            walk.last = 0u;
+            walk.at = 0u;
+        }
+        var next = NONE;
+        if on {
+            next = next_particle(&walk);
+        }
+        $ZERO
+        if part == 0u {
+            $WALK_XY
+        } else {
+            $WALK_ZM
+        }
+        let x = walk.cell / 36u;
+        let y = (walk.cell / 6u) % 6u;
+        let z = walk.cell % 6u;
+        $FLUSH
+    }
+
+    // 4. What lies behind mirrors is folded back, reflected.
+    var impulse = vec3<f32>(0.0);
+    let origin = workgroupUniformLoad(&corner);
+    var walls = false;
+    for (var axis = 0; axis < 3; axis++) {
+        for (var end_of_axis = 0; end_of_axis < 2; end_of_axis++) {
+            let kind = select(LOW[axis], HIGH[axis], end_of_axis == 1);
+            // Node i and its image j satisfy i + j = sum.
+            let sum = 2 * (select(WORLD_MIN[axis], WORLD_MAX[axis], end_of_axis == 1) - origin[axis]) - 1;
+            if kind != 0u && sum >= 1 && sum <= 13 {
+                walls = true;
+                if thread < 64u {
+                    for (var image = 0; image < 8; image++) {
+                        let node = sum - image;
+                        let beyond = select((image < node), (image > node), (end_of_axis == 1));
+                        if beyond && node >= 0 && node < 8 {
+                            let source = in_plane(axis, u32(image), thread);
+                            let to = in_plane(axis, u32(node), thread);
+                            if !behind(axis, thread, origin) {
+                                let signs = wall_signs(kind, axis);
+                                let xy = tile[source];
+                                let zm = tile[512u + source];
+                                tile[to] += signs.xy * xy;
+                                tile[512u + to] += vec2<f32>(signs.z * zm.x, zm.y);
+                                impulse += (signs - vec3<f32>(1.0)) * vec3<f32>(xy, zm.x);
+                                // The mass stays, for what walls give when velocities are read.
+                                tile[source] = vec2<f32>(0.0);
+                                tile[512u + source] = vec2<f32>(0.0, zm.y);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        workgroupBarrier();
+    }
+
+    // 5. The tile, for the grid to sum.
+    let base = extent.node_room * 64u + b * 512u;
+    for (var t = thread; t < 512u; t += 128u) {
+        let k = in_tile(t >> 6u, (t >> 3u) & 7u, t & 7u);
+        grid[base + t] = vec4<f32>(tile[k], tile[512u + k]);
+    }
+    if walls {
+        workgroupBarrier();
+        if thread < 64u {
+            for (var d = 0u; d < 3u; d++) {
+                leavers[thread * 3u + d] = bitcast<u32>(impulse[d]);
+            }
+        }
+        workgroupBarrier();
+        if thread == 0u {
+            var total = vec3<f32>(0.0);
+            for (var t = 0u; t < 64u; t++) {
+                total += vec3<f32>(bitcast<f32>(leavers[t * 3u]), bitcast<f32>(leavers[t * 3u + 1u]), bitcast<f32>(leavers[t * 3u + 2u]));
+            }
+            lists[b * ENTRY + PENDING] = vec4<i32>(bitcast<vec3<i32>>(total), 0);
+        }
+    }
+}

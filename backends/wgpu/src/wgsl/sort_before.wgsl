@@ -1,0 +1,23 @@
+// Particles before each block. One workgroup.
+@compute @workgroup_size(256)
+fn sum_blocks(@builtin(local_invocation_index) thread: u32) {
+    let count = select(atomicLoad(&status[BLOCKS]), 0u, halted());
+    let each = (count + 255u) / 256u;
+    let source = min(thread * each, count);
+    let to = min(source + each, count);
+    var sum = 0u;
+    for (var i = source; i < to; i++) {
+        sum += sums[i].x;
+    }
+    partial[thread] = vec2<u32>(sum, 0u);
+    workgroupBarrier();
+    var before = 0u;
+    for (var t = 0u; t < thread; t++) {
+        before += partial[t].x;
+    }
+    for (var i = source; i < to; i++) {
+        let here = sums[i].x;
+        sums[i] = vec2<u32>(before, 0u);
+        before += here;
+    }
+}

@@ -1,0 +1,22 @@
+// Marks the blocks that hold particles, and finds those that have left the world.
+@compute @workgroup_size(128)
+fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let b = group.y * extent.row + group.x;
+    if b >= atomicLoad(&status[BLOCKS]) || halted() {
+        return;
+    }
+    let block = lists[b * ENTRY].xyz;
+    let end = cells[b * 64u + 64u];
+    for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
+        let local = cell_of(place[q].w);
+        let cell = block * 4 + local;
+        if any(((cell < WORLD_MIN) | (cell >= WORLD_MAX)) & (PERIOD == vec3<i32>(0))) {
+            atomicMin(&status[WHO], q);
+            atomicStore(&status[HALTED], LEFT_WORLD);
+        }
+        let at = place_in_box(block + (local >> vec3<u32>(2u)));
+        if at != NONE {
+            atomicStore(&flags[at], 1u);
+        }
+    }
+}

@@ -1,0 +1,18 @@
+// The order within each cell: as many come before as are less.
+@compute @workgroup_size(128)
+fn rank(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let i = (group.y * extent.row + group.x) * 128u + thread;
+    if halted() || i >= extent.particles {
+        return;
+    }
+    let mine = loose[i];
+    let q = mine & 0x0fffffffu;
+    let cell = keys[q].x;
+    let first = counts[cell];
+    let last = counts[cell + 1u];
+    var before = 0u;
+    for (var j = first; j < last; j++) {
+        before += u32(loose[j] < mine);
+    }
+    order[first + before] = q;
+}

@@ -1,0 +1,31 @@
+// For each place of the directory: does the block hold particles, and do any reach its nodes? And how many do, of 1024 places each.
+@compute @workgroup_size(256)
+fn survey(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let w = group.y * extent.row + group.x;
+    var count = vec2<u32>(0u);
+    for (var k = 0u; k < 4u; k++) {
+        let at = w * 1024u + thread * 4u + k;
+        if at < extent.box_blocks {
+            let block = block_at(at);
+            var reached = 0u;
+            for (var n = 0u; n < 27u; n++) {
+                let other = place_in_box(block + offset_of(n));
+                if other != NONE {
+                    reached |= flags[other];
+                }
+            }
+            let here = vec2<u32>(flags[at], reached);
+            directory[at] = here;
+            count += here;
+        }
+    }
+    partial[thread] = count;
+    workgroupBarrier();
+    if thread == 0u {
+        var sum = vec2<u32>(0u);
+        for (var t = 0u; t < 256u; t++) {
+            sum += partial[t];
+        }
+        sums[w] = sum;
+    }
+}

@@ -1,0 +1,13 @@
+// Brings strain up to where the particles are, and stress with it: after an upload.
+@compute @workgroup_size(128)
+fn stress_of_all(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let q = (group.y * extent.row + group.x) * 128u + thread;
+    if q >= extent.particles {
+        return;
+    }
+    let x = motion[q].yzw;
+    let y = motion[extent.slots + q].yzw;
+    let z = motion[2u * extent.slots + q].yzw;
+    let c = transpose(mat3x3<f32>(x, y, z));
+    deform(q, place[q].w >> 9u, c, dot(x, x) + dot(y, y) + dot(z, z), step.dt);
+}

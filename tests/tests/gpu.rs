@@ -1,0 +1,358 @@
+//! The backend wgpu against the CPU in 64 bits, against truths, and against itself. Without an adapter these tests fail, and the
+//! error says how to get a software one.
+
+use barchan::scene::Scene;
+use barchan::{Ledger, Options, Precision, Simulation, Vec3};
+use barchan_tests::scenes::{Row, norm, rows, scene, within};
+use barchan_tests::sketch::{Head, PERIODIC, block, driven, half, material, tool};
+
+fn on(backend: &str, precision: Precision, toml: &str) -> Simulation {
+    let options = Options { backend: backend.into(), precision, threads: 1, ..Options::default() };
+    Simulation::new(&barchan::registry(), &scene(toml), &options).unwrap_or_else(|e| panic!("{e}\n{toml}"))
+}
+
+fn gpu(toml: &str) -> Simulation {
+    on("wgpu", Precision::F32, toml)
+}
+
+fn cpu(toml: &str) -> Simulation {
+    on("cpu", Precision::F64, toml)
+}
+
+fn take(simulation: &mut Simulation, steps: usize) {
+    for _ in 0..steps {
+        simulation.step().unwrap_or_else(|e| panic!("{e}"));
+    }
+}
+
+/// Greatest distance between the same particles [m].
+fn apart(a: &[Row], b: &[Row]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).fold(0.0, |most, (a, b)| {
+        assert_eq!(a.id, b.id);
+        most.max(norm(std::array::from_fn::<f64, 3, _>(|d| a.x[d] - b.x[d])))
+    })
+}
+
+/// A jelly block that falls on a corner's walls and squashes.
+fn jelly(walls: &str) -> String {
+    let head = Head::cells(0.02, [20, 18, 24], walls).time("step = 4e-4");
+    head.with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 2e4, poisson_ratio = 0.3"),
+        block("neo_hookean", [0.1, 0.1, 0.03], [0.22, 0.2, 0.15], "velocity = [-0.7, 0.3, -1.0]"),
+    ])
+}
+
+fn momentum(ledger: &Ledger) -> f64 {
+    norm(ledger.momentum)
+}
+
+/// 200 steps of a jelly against slip and sticking walls: the same positions as the CPU in 64 bits to a thousandth of a cell, and the
+/// same impulses on its walls.
+#[test]
+fn a_jelly_bounces_as_on_the_cpu() {
+    for walls in ["x_min = \"slip\"\nz_min = \"stick\"", "x_min = \"stick\"\nz_min = { separate = { friction = 0.3 } }"]
+    {
+        let (mut gpu, mut cpu) = (gpu(&jelly(walls)), cpu(&jelly(walls)));
+        let start = cpu.ledger();
+        take(&mut gpu, 200);
+        take(&mut cpu, 200);
+        println!("{walls}");
+        within("distance of particles, in cells", apart(&rows(&gpu), &rows(&cpu)) / 0.02, 1e-3);
+        let (g, c) = (gpu.ledger(), cpu.ledger());
+        let scale = momentum(&start);
+        for d in 0..3 {
+            let name = ["x", "y", "z"][d];
+            within(
+                &format!("impulse of walls along {name}"),
+                (g.wall_impulse[d] - c.wall_impulse[d]).abs() / scale,
+                2e-4,
+            );
+            let balance = g.momentum[d] - start.momentum[d] - g.wall_impulse[d] - g.gravity_impulse[d];
+            within(&format!("balance of momentum along {name}"), balance.abs() / scale, 1e-4);
+        }
+        within("mass", (g.mass - c.mass).abs() / c.mass, 1e-6);
+    }
+}
+
+/// Free flight over many cells, through the edges of blocks, in a periodic world: positions are exact to f32's velocity, and no
+/// angular momentum appears.
+#[test]
+fn a_spinning_block_flies_far() {
+    let toml = Head { gravity: [0.0; 3], ..Head::space(0.05) }.time("step = 1e-3").with(&[
+        material("hencky", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3"),
+        block("hencky", [0.0; 3], [0.2, 0.2, 0.2], "velocity = [3.0, -2.0, 1.0]"),
+    ]);
+    let mut sim = gpu(&toml);
+    let start = rows(&sim);
+    take(&mut sim, 300);
+    let end = rows(&sim);
+    let moved = [0.9, -0.6, 0.3];
+    let error = start
+        .iter()
+        .zip(&end)
+        .fold(0.0f64, |most, (a, b)| most.max(norm(std::array::from_fn::<f64, 3, _>(|d| b.x[d] - a.x[d] - moved[d]))));
+    within("flight of 22 cells, error in cells", error / 0.05, 1e-4);
+
+    let toml = Head { max: [0.8; 3], min: [0.0; 3], walls: PERIODIC, ..Head::space(0.05) }.time("step = 1e-3").with(&[
+        material("hencky", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3"),
+        block("hencky", [0.3; 3], [0.5; 3], "velocity = [3.0, -2.0, 1.0]"),
+    ]);
+    let mut sim = gpu(&toml);
+    let before = sim.ledger();
+    take(&mut sim, 400);
+    let after = sim.ledger();
+    let change: Vec3 = std::array::from_fn(|d| after.momentum[d] - before.momentum[d]);
+    within("momentum round a periodic world", norm(change) / momentum(&before), 1e-5);
+    within("mass", (after.mass - before.mass).abs() / before.mass, 1e-12);
+}
+
+/// A column of sand collapses: the same heights as on the CPU.
+fn column() -> String {
+    Head::cells(
+        0.02,
+        [30, 8, 16],
+        "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"",
+    )
+    .time("step = 2.5e-4")
+    .with(&[
+        material("sand", 1500.0, "young_modulus = 2e5, poisson_ratio = 0.2, friction_angle_deg = 30.0"),
+        block("sand", [0.0, 0.0, 0.0], [0.16, 0.16, 0.2], ""),
+    ])
+}
+
+/// Heights of columns of cells [m].
+fn heights(rows: &[Row]) -> Vec<f64> {
+    let mut heights = vec![0.0f64; 30];
+    for row in rows {
+        let i = ((row.x[0] / 0.02) as usize).min(29);
+        heights[i] = heights[i].max(row.x[2]);
+    }
+    heights
+}
+
+#[test]
+fn sand_collapses_to_the_same_heap() {
+    let (mut gpu, mut cpu) = (gpu(&column()), cpu(&column()));
+    take(&mut gpu, 800);
+    take(&mut cpu, 800);
+    let (g, c) = (heights(&rows(&gpu)), heights(&rows(&cpu)));
+    let mean = g.iter().zip(&c).map(|(a, b)| (a - b).abs()).sum::<f64>() / 30.0;
+    within("mean difference of heights, in cells", mean / 0.02, 0.1);
+    let centre = |rows: &[Row]| rows.iter().map(|r| r.x[0]).sum::<f64>() / rows.len() as f64;
+    within("difference of the centre, in cells", (centre(&rows(&gpu)) - centre(&rows(&cpu))).abs() / 0.02, 0.02);
+}
+
+/// The same input gives the same bits, also where particles crowd and leave their cells.
+#[test]
+fn the_same_adapter_gives_the_same_bits() {
+    let run = || {
+        let mut sim = gpu(&column());
+        take(&mut sim, 150);
+        rows(&sim)
+    };
+    assert!(run() == run(), "two runs differ");
+}
+
+/// So many particles leave their cells between two sorts that the lists of those that have do not hold them: none is lost.
+#[test]
+fn crowds_that_leave_their_cells_are_not_lost() {
+    let toml = Head { gravity: [0.0; 3], ..Head::space(0.04) }.time("step = 2e-4").with(&[
+        material("hencky", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+        block(
+            "hencky",
+            [-0.12; 3],
+            [0.12; 3],
+            "spacing = 0.01\nvelocity = [4.0, 5.0, 0.0]\nangular_velocity = [0.0, 5.0, 20.0]",
+        ),
+    ]);
+    let (mut gpu, mut cpu) = (gpu(&toml), cpu(&toml));
+    take(&mut gpu, 60);
+    take(&mut cpu, 60);
+    within("distance of particles, in cells", apart(&rows(&gpu), &rows(&cpu)) / 0.04, 1e-3);
+}
+
+/// What is downloaded and uploaded again is the same to the last bit, far from the origin too.
+#[test]
+fn a_copy_is_exact() {
+    let far = Head { min: [9_999.0, -1.0, -1.0], max: [10_001.0, 1.0, 1.0], ..Head::space(0.02) }.time("step = 1e-4");
+    let toml = far.with(&[
+        material("sand", 1500.0, "young_modulus = 2e5, poisson_ratio = 0.2"),
+        block("sand", [10_000.0, 0.0, 0.0], [10_000.1, 0.1, 0.1], "velocity = [0.3, 0.1, 0.0]\nsampling = \"jitter\""),
+    ]);
+    let mut sim = gpu(&toml);
+    take(&mut sim, 30);
+    let copy = sim.particles();
+    sim.set_particles(copy.clone()).unwrap();
+    assert!(sim.particles() == copy, "a copy differs");
+    let mut fresh = copy.clone();
+    fresh.sort = None;
+    sim.set_particles(fresh).unwrap();
+    let [mut a, mut b] = [&copy, &sim.particles()].map(|state| state.lists[0].id.clone());
+    assert!(a != b, "a fresh sort follows where particles have gone");
+    a.sort_unstable();
+    b.sort_unstable();
+    assert!(a == b, "and loses none");
+}
+
+/// Two materials of different kinds of strain, one falling on the other: as on the CPU.
+#[test]
+fn materials_of_both_kinds_meet_as_on_the_cpu() {
+    let toml = Head::cells(0.02, [16, 16, 20], "z_min = \"stick\"").time("step = 2e-4").with(&[
+        material("fixed_corotated", 1000.0, "young_modulus = 4e4, poisson_ratio = 0.3"),
+        material("hencky", 600.0, "young_modulus = 2e4, poisson_ratio = 0.2"),
+        block("fixed_corotated", [0.08, 0.08, 0.0], [0.2, 0.2, 0.08], ""),
+        block("hencky", [0.1, 0.1, 0.09], [0.16, 0.16, 0.15], "velocity = [0.0, 0.0, -1.0]"),
+    ]);
+    let (mut gpu, mut cpu) = (gpu(&toml), cpu(&toml));
+    take(&mut gpu, 200);
+    take(&mut cpu, 200);
+    within("distance of particles, in cells", apart(&rows(&gpu), &rows(&cpu)) / 0.02, 1e-3);
+}
+
+/// A blade drawn through sand, and a cube that falls on it: forces and places as on the CPU.
+#[test]
+fn tools_feel_what_they_feel_on_the_cpu() {
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let toml = Head::cells(0.02, [20, 12, 16], walls).time("step = 2.5e-4").with(&[
+        material("sand", 1500.0, "young_modulus = 1e5, poisson_ratio = 0.2"),
+        block("sand", [0.0; 3], [0.4, 0.24, 0.1], ""),
+        tool(
+            "blade",
+            [0.1, 0.12, 0.12],
+            &half([0.02, 0.06, 0.06]),
+            "{ coulomb = { friction = 0.3 } }",
+            &driven([0.4, 0.0, 0.0]),
+        ),
+        tool(
+            "cube",
+            [0.3, 0.12, 0.135],
+            &half([0.03, 0.03, 0.03]),
+            "{ coulomb = { friction = 0.5 } }",
+            "{ free = { mass = 0.4, linear = [0.0, 0.0, -0.5] } }",
+        ),
+    ]);
+    let (mut gpu, mut cpu) = (gpu(&toml), cpu(&toml));
+    let impulse = |sim: &mut Simulation| {
+        let mut sum = [0.0; 3];
+        for _ in 0..160 {
+            let dt = sim.step().unwrap_or_else(|e| panic!("{e}")).dt;
+            for d in 0..3 {
+                sum[d] += sim.wrenches()[0].force[d] * dt;
+            }
+        }
+        sum
+    };
+    let (g, c) = (impulse(&mut gpu), impulse(&mut cpu));
+    println!("impulse on the blade: {g:?} and {c:?} N s");
+    within("impulse on the blade, relative", norm(std::array::from_fn::<f64, 3, _>(|d| g[d] - c[d])) / norm(c), 0.02);
+    let (g, c) = (gpu.bodies()[1].position, cpu.bodies()[1].position);
+    within("place of the cube, in cells", norm(std::array::from_fn::<f64, 3, _>(|d| g[d] - c[d])) / 0.02, 0.01);
+}
+
+/// A blade whose law runs on the device: many steps at once feel what single ones feel, and what the CPU feels.
+#[test]
+fn driven_tools_feel_the_same_in_many_steps_at_once() {
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let frames = "{ keyframes = { frames = [{ time = 0.0, position = [0.1, 0.12, 0.12] }, \
+                  { time = 0.05, position = [0.12, 0.12, 0.1], rotation = [0.98, 0.0, 0.2, 0.0] }] } }";
+    let toml = Head::cells(0.02, [20, 12, 16], walls).time("step = 2.5e-4").with(&[
+        material("sand", 1500.0, "young_modulus = 1e5, poisson_ratio = 0.2"),
+        block("sand", [0.0; 3], [0.4, 0.24, 0.1], ""),
+        tool("blade", [0.1, 0.12, 0.12], &half([0.02, 0.06, 0.06]), "{ coulomb = { friction = 0.3 } }", frames),
+        tool(
+            "rod",
+            [0.3, 0.12, 0.13],
+            "capsule = { radius = 0.03, half_height = 0.04 }",
+            "\"slip\"",
+            &driven([0.0, 0.2, -0.6]),
+        ),
+        tool(
+            "drum",
+            [0.2, 0.06, 0.11],
+            "cylinder = { radius = 0.03, half_height = 0.03 }",
+            "\"stick\"",
+            &driven([0.0, 0.0, -0.3]),
+        ),
+    ]);
+    let impulses = |sim: &mut Simulation, at_once: usize| {
+        let (mut sum, mut taken) = ([[0.0; 6]; 3], 0);
+        while taken < 160 {
+            for report in sim.steps(at_once.min(160 - taken), f64::INFINITY).unwrap_or_else(|e| panic!("{e}")) {
+                let wrenches = report.wrenches.unwrap_or_else(|| sim.wrenches());
+                for (sum, w) in sum.iter_mut().zip(wrenches) {
+                    sum.iter_mut().zip(w.force.iter().chain(&w.torque)).for_each(|(s, x)| *s += x * report.dt);
+                }
+                taken += 1;
+            }
+        }
+        sum
+    };
+    let (mut many, mut single, mut cpu) = (gpu(&toml), gpu(&toml), cpu(&toml));
+    let (m, s, c) = (impulses(&mut many, 64), impulses(&mut single, 1), impulses(&mut cpu, 1));
+    for (i, name) in ["blade", "rod", "drum"].into_iter().enumerate() {
+        for (what, part, scale) in
+            [("impulse", 0..3, norm(&c[i][..3])), ("angular impulse", 3..6, 0.05 * norm(&c[i][..3]))]
+        {
+            let off = part.clone().map(|d| (m[i][d] - c[i][d]).powi(2)).sum::<f64>().sqrt();
+            within(&format!("{what} on the {name}, relative"), off / scale, 5e-3);
+            let off = part.map(|d| (m[i][d] - s[i][d]).powi(2)).sum::<f64>().sqrt();
+            within(&format!("{what} on the {name}, many steps against single ones"), off / scale, 1e-3);
+        }
+    }
+    within(
+        "place of the blade [m]",
+        norm(std::array::from_fn::<f64, 3, _>(|d| many.bodies()[0].position[d] - cpu.bodies()[0].position[d])),
+        1e-9,
+    );
+}
+
+fn refusal(toml: &str, precision: Precision) -> String {
+    let options = Options { backend: "wgpu".into(), precision, ..Options::default() };
+    let made = scene_of(toml).and_then(|scene| Simulation::new(&barchan::registry(), &scene, &options));
+    made.map(drop).unwrap_err().to_string()
+}
+
+fn scene_of(toml: &str) -> barchan::Result<Scene> {
+    Scene::from_str(toml, "test scene", std::path::Path::new("."))
+}
+
+/// What it cannot do is refused by name, with what would mend it.
+#[test]
+fn what_it_lacks_is_refused_by_name() {
+    let error = refusal(&jelly(""), Precision::F64);
+    assert!(error.contains("wgpu") && error.contains("64-bit") && error.contains("cpu"), "{error}");
+    let clamp = Head { world: "leaving = \"clamp\"", ..Head::cells(0.02, [8; 3], "") };
+    let error = refusal(
+        &clamp.with(&[material("hencky", 1000.0, ""), block("hencky", [0.04; 3], [0.08; 3], "")]),
+        Precision::F32,
+    );
+    assert!(error.contains("clamping") && error.contains("world.leaving"), "{error}");
+    let levels = format!(
+        "{}\n[levels]\ncount = 2\nhalf = 8\nagents = [\"case\"]\n",
+        jelly("").replace("[[body]]", "[[body]]\nname = \"case\"")
+    );
+    let error = refusal(&levels, Precision::F32);
+    assert!(error.contains("adapt") && error.contains("levels.count"), "{error}");
+}
+
+/// A particle that leaves the world stops the run with its name, and so does a number that is not one.
+#[test]
+fn faults_carry_the_particle_and_the_place() {
+    let toml = Head::cells(0.02, [12; 3], "").time("step = 1e-3").with(&[
+        material("hencky", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.2"),
+        block("hencky", [0.06; 3], [0.12; 3], "velocity = [4.0, 0.0, 0.0]"),
+    ]);
+    let mut sim = gpu(&toml);
+    let error = (0..200).find_map(|_| sim.step().err()).expect("it flies out").to_string();
+    assert!(error.contains("left the world") && error.contains("world.leaving"), "{error}");
+
+    let mut sim = gpu(&toml);
+    take(&mut sim, 3);
+    let mut state = sim.particles();
+    let id = state.lists[0].id[5];
+    state.lists[0].velocity[5][1] = f64::NAN;
+    sim.set_particles(state).unwrap();
+    let error = sim.step().unwrap_err().to_string();
+    assert!(error.contains("velocity") && error.contains(&format!("particle {id} ")), "{error}");
+}
