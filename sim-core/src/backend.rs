@@ -21,6 +21,12 @@ pub trait Backend: Send + Sync {
         let _ = plan;
         Ok(())
     }
+    /// The passes that a plan calls for, a line each, for people: what each takes and touches. Empty where there is nothing to say
+    /// beyond the plan's stages.
+    fn passes(&self, plan: &Plan) -> Vec<String> {
+        let _ = plan;
+        Vec::new()
+    }
     /// Builds exactly the passes that the plan calls for and takes in the particles. A phase of the sort that is not its own
     /// cannot come here: the simulation leaves it out.
     ///

@@ -5,7 +5,7 @@ use crate::material;
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Wall;
-use barchan_core::{Plan, Result};
+use barchan_core::{Plan, Result, Stage};
 use std::fmt::Write as _;
 
 /// Planes of particles, and what a sort lays out anew: there are two of each, one of which a sort writes.
@@ -154,38 +154,87 @@ impl Kernels {
         });
         let constants = constants(plan);
         let make = |draft: Draft| build(device, &step_layout, &constants, draft);
-        let separations = separations(plan);
-        let walls = plan
-            .scene
-            .world
-            .walls
-            .pair(0)
-            .iter()
-            .chain(&plan.scene.world.walls.pair(1))
-            .chain(&plan.scene.world.walls.pair(2))
-            .any(|w| !matches!(w, Wall::Open | Wall::Periodic));
-        let laws = laws(plan)?;
-        let mut grid = vec![make(sum_tiles(separations.is_empty()))];
-        let mut mirror = Vec::new();
-        for &axis in &separations {
-            grid.push(make(separate(axis, false)));
-            mirror.insert(0, make(separate(axis, true)));
-        }
-        if !separations.is_empty() {
-            grid.push(make(velocities()));
-        }
+        let all = |drafts: Vec<Draft>| drafts.into_iter().map(make).collect();
+        let drafts = Drafts::of(plan)?;
         Ok(Self {
-            sort: sort().into_iter().map(&make).collect(),
-            p2g: make(p2g()),
-            grid,
-            mirror,
-            g2p: make(g2p(&laws)),
-            stress: make(stress(&laws)),
-            collect: walls.then(|| make(collect())),
+            sort: all(drafts.sort),
+            p2g: make(drafts.p2g),
+            grid: all(drafts.grid),
+            mirror: all(drafts.mirror),
+            g2p: make(drafts.g2p),
+            stress: make(drafts.stress),
+            collect: drafts.collect.map(make),
             constants: constants.clone(),
             step_layout,
         })
     }
+}
+
+/// The passes of [`Kernels`], before a device has seen them.
+struct Drafts {
+    sort: Vec<Draft>,
+    p2g: Draft,
+    grid: Vec<Draft>,
+    mirror: Vec<Draft>,
+    g2p: Draft,
+    stress: Draft,
+    collect: Option<Draft>,
+}
+
+impl Drafts {
+    fn of(plan: &Plan) -> Result<Self> {
+        let separations = separations(plan);
+        let has_walls = (0..3)
+            .flat_map(|axis| plan.scene.world.walls.pair(axis))
+            .any(|w| !matches!(w, Wall::Open | Wall::Periodic));
+        let laws = laws(plan)?;
+        let mut grid = vec![sum_tiles(separations.is_empty())];
+        grid.extend(separations.iter().map(|&axis| separate(axis, false)));
+        if !separations.is_empty() {
+            grid.push(velocities());
+        }
+        Ok(Self {
+            sort: sort(),
+            p2g: p2g(),
+            grid,
+            mirror: separations.iter().rev().map(|&axis| separate(axis, true)).collect(),
+            g2p: g2p(&laws),
+            stress: stress(&laws),
+            collect: has_walls.then(collect),
+        })
+    }
+}
+
+/// The passes of a plan, a line each.
+pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
+    let drafts = Drafts::of(plan)?;
+    let mut lines: Vec<String> = drafts.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
+    lines.extend([&drafts.p2g].into_iter().chain(&drafts.grid).map(|draft| line("every step", draft)));
+    if plan.has(Stage::Contact) {
+        lines.push("contact, every step: on the device for driven bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
+    }
+    lines.extend(drafts.mirror.iter().chain([&drafts.g2p]).map(|draft| line("every step", draft)));
+    lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
+    lines.push(line("after an upload", &drafts.stress));
+    Ok(lines)
+}
+
+/// One pass: when, how many workgroups, and the buffers it binds.
+fn line(when: &str, draft: &Draft) -> String {
+    let groups = match draft.groups {
+        Groups::One => "one workgroup".to_owned(),
+        Groups::Exactly(count) => format!("{count} workgroups"),
+        Groups::Blocks => "a workgroup a block with particles".to_owned(),
+        Groups::NodeBlocks => "a workgroup a block of nodes".to_owned(),
+        Groups::BlocksBy(n) => format!("a workgroup for {n} blocks"),
+        Groups::ParticlesBy(n) => format!("a workgroup for {n} particles"),
+        Groups::PlacesBy(n) => format!("a workgroup for {n} places of the directory"),
+    };
+    let names = |write: bool| {
+        let names: Vec<_> = draft.uses.iter().filter(|u| u.3 == write).map(|u| u.0).collect();
+        if names.is_empty() { "nothing".to_owned() } else { names.join(", ") }
+    };
+    format!("{}, {when}: {groups}; reads {}; writes {}", draft.name, names(false), names(true))
 }
 
 /// Contact with driven bodies on the device: the law, then the sums of impulses.
@@ -231,6 +280,8 @@ fn entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offset: bool) ->
 pub(crate) const FIRST_BINDING: u32 = 2;
 
 fn build(device: &wgpu::Device, step_layout: &wgpu::BindGroupLayout, constants: &str, draft: Draft) -> Kernel {
+    // What WebGPU promises everywhere.
+    assert!(draft.uses.len() <= 8, "pass {} binds {} storage buffers", draft.name, draft.uses.len());
     let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];
     let mut text = format!("{constants}{}", include_str!("wgsl/common.wgsl"));
     if draft.uniform != Uniform::None {

@@ -87,6 +87,10 @@ impl Backend for Wgpu {
         plan.materials.iter().try_for_each(|planned| material::check(&planned.material))
     }
 
+    fn passes(&self, plan: &Plan) -> Vec<String> {
+        kernels::describe(plan).unwrap_or_default()
+    }
+
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
         self.check(plan)?;
         let gpu = device::open(plan.adapter.as_deref())?;

@@ -124,7 +124,13 @@ fn assemble(args: &SceneArgs) -> Result<Plan> {
 }
 
 fn plan(args: &SceneArgs) -> Result<()> {
-    println!("{}", assemble(args)?);
+    let plan = assemble(args)?;
+    println!("{plan}");
+    let passes = args.engine.registry()?.backend(&args.engine.backend)?.passes(&plan);
+    if !passes.is_empty() {
+        println!("\nPasses of the backend {}, in their order", args.engine.backend);
+        passes.iter().for_each(|pass| println!("  {pass}"));
+    }
     Ok(())
 }
 
