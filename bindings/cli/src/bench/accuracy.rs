@@ -68,6 +68,9 @@ pub(crate) struct Accuracy {
     /// Timed runs of each rung, of which the median wall time counts; a short one that is not timed goes before them.
     #[arg(long, default_value_t = 1)]
     repetitions: u32,
+    /// Backend of the reference and of --noise, such as one that can afford a finer grid [default: that of all runs].
+    #[arg(long, value_name = "BACKEND")]
+    reference_backend: Option<String>,
     /// Output folder [default: ./out/accuracy/<scene>].
     #[arg(long)]
     out: Option<PathBuf>,
@@ -86,6 +89,7 @@ struct Entry {
     half: u32,
     subcycle: bool,
     tolerance: f64,
+    backend: String,
     /// Distance between particles in cells; absent: as the scene has it.
     spacing_cells: Option<f64>,
     precision: Precision,
@@ -151,7 +155,7 @@ pub(crate) fn run(args: &Accuracy) -> Result<()> {
         scene.time.end,
         args.reference
     );
-    let entry = Entry { label: format!("reference n {}", args.reference), ..uniform(args, length, args.reference) };
+    let entry = Entry { label: format!("reference n {}", args.reference), ..finest(args, length) };
     let (reference, walls) = measure(args, &scene, &entry)?;
     let row = |entry: Entry, run: &Record, walls: Vec<f64>| {
         let cost = Cost { wall_s: super::median(&walls), ..run.cost.clone() };
@@ -223,10 +227,17 @@ fn uniform(args: &Accuracy, length: f64, n: u32) -> Entry {
         half,
         subcycle: false,
         tolerance,
+        backend: args.engine.backend.clone(),
         spacing_cells: None,
         precision: args.engine.precision,
         seed: None,
     }
+}
+
+/// The reference's grid, on its backend.
+fn finest(args: &Accuracy, length: f64) -> Entry {
+    let backend = args.reference_backend.as_ref().unwrap_or(&args.engine.backend).clone();
+    Entry { backend, ..uniform(args, length, args.reference) }
 }
 
 /// 1. Uniform grids.
@@ -265,7 +276,7 @@ fn entries(args: &Accuracy, length: f64) -> Vec<Entry> {
     if args.noise {
         let strewn = |seed: u64| {
             let label = format!("n {} jitter {seed}", args.reference);
-            Entry { label, seed: Some(seed), ..uniform(args, length, args.reference) }
+            Entry { label, seed: Some(seed), ..finest(args, length) }
         };
         entries.extend((1..=args.seeds).map(strewn));
     }
@@ -275,7 +286,8 @@ fn entries(args: &Accuracy, length: f64) -> Vec<Entry> {
 /// Runs an entry for a moment, then as often as asked: the last record, and the wall seconds of all.
 fn measure(args: &Accuracy, scene: &Scene, entry: &Entry) -> Result<(Record, Vec<f64>)> {
     let registry = args.engine.registry()?;
-    let options = barchan::Options { precision: entry.precision, ..args.engine.options() };
+    let (precision, backend) = (entry.precision, entry.backend.clone());
+    let options = barchan::Options { precision, backend, ..args.engine.options() };
     let levels = Levels {
         count: entry.levels,
         half: entry.half,

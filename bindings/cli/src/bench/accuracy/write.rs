@@ -112,7 +112,7 @@ pub(super) fn markdown(report: &Report) -> String {
     let mut out = format!(
         "# Accuracy: {}\n\n\
          {} s of one scene on equal extent and mass, run at many resolutions and held against the finest uniform grid, the reference: n = \
-         {} cells along {} m ({} mm a cell). Barchan {}, backend {}, {} threads of {} cores, {}.\n\n\
+         {} cells along {} m ({} mm a cell). Barchan {}, backend {}{}, {} threads of {} cores, {}.\n\n\
          How to read the names:\n\n\
          - `n 64`: a uniform grid of 64 cells along {} m.\n\
          - `L2 k8`: 2 nested levels with `levels.half = 8`, their finest cell as wide as the reference's; with `n 64` at the end, as \
@@ -128,6 +128,11 @@ pub(super) fn markdown(report: &Report) -> String {
         digits(1e3 * reference.cell_m),
         report.version,
         report.backend,
+        if reference.backend == report.backend {
+            String::new()
+        } else {
+            format!(" (reference: {})", reference.backend)
+        },
         if report.threads == 0 { "all".to_owned() } else { report.threads.to_string() },
         report.cores,
         reference.precision,
@@ -376,7 +381,9 @@ fn chamfers(report: &Report, out: &mut String) {
 fn times(report: &Report, out: &mut String) {
     let points: Vec<Point> =
         ladder(report).iter().map(|(_, f)| (f.cost.wall_s, f.errors.height_near.mean_mm)).collect();
-    let most = report.reference.figures.as_ref().map_or(f64::INFINITY, |f| f.cost.wall_s);
+    // Another machine's time says nothing about this one's.
+    let same = report.reference.entry.backend == report.backend;
+    let most = report.reference.figures.as_ref().filter(|_| same).map_or(f64::INFINITY, |f| f.cost.wall_s);
     let head = ["run", "height near, mean error [mm]", "its time [s]", "uniform grids need [s]", "ratio", "how known"];
     let rows = ran(report).filter(|(row, _)| row.entry.levels > 1).map(|(row, f)| {
         let (error, wall) = (f.errors.height_near.mean_mm, f.cost.wall_s);
