@@ -47,6 +47,10 @@ fn momentum(ledger: &Ledger) -> f64 {
     norm(ledger.momentum)
 }
 
+fn gpu_of(walls: &str) -> Simulation {
+    gpu(&jelly(walls))
+}
+
 /// 200 steps of a jelly against slip and sticking walls: the same positions as the CPU in 64 bits to a thousandth of a cell, and the
 /// same impulses on its walls.
 #[test]
@@ -58,6 +62,15 @@ fn a_jelly_bounces_as_on_the_cpu() {
         take(&mut gpu, 200);
         take(&mut cpu, 200);
         println!("{walls}");
+        let mut at_once = gpu_of(walls);
+        let mut taken = 0;
+        while taken < 200 {
+            taken += at_once.steps(200 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
+        }
+        within("distance if many steps are taken at once, in cells", apart(&rows(&at_once), &rows(&gpu)) / 0.02, 1e-4);
+        let walls_gave = [at_once.ledger().wall_impulse, gpu.ledger().wall_impulse];
+        let off = norm(std::array::from_fn::<f64, 3, _>(|d| walls_gave[0][d] - walls_gave[1][d]));
+        within("impulse of walls if many steps are taken at once", off / norm(walls_gave[1]), 1e-4);
         within("distance of particles, in cells", apart(&rows(&gpu), &rows(&cpu)) / 0.02, 1e-3);
         let (g, c) = (gpu.ledger(), cpu.ledger());
         let scale = momentum(&start);

@@ -1,12 +1,13 @@
 //! The step.
 
+use crate::account;
 use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Periods, Planes};
 use crate::memory::{
     Asked, BODY, Extent, MAX_STEPS, Memory, PER_STEP, STEP_STRIDE, STEPS, StepConstants, read, with_mapped, with_room,
 };
-use crate::{account, stiffness};
+use crate::stiffness::{self, Held};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
 use barchan_core::plan::PlannedMaterial;
@@ -15,6 +16,7 @@ use barchan_core::{
     Aabb, BodyState, Coupling, Engine, Error, Ledger, Measured, ParticleList, ParticleState, Plan, Result, Scene,
     SortPhase, StepReport, Vec3, Wrench,
 };
+use barchan_grid::block;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
@@ -34,6 +36,8 @@ const STIFFNESS_AGE: u32 = 10;
 const FELT: f64 = 1e17;
 /// Every so manieth submission is timed pass by pass.
 const TIMED: u64 = 16;
+/// And of it so many passes at most.
+const MOST_TIMED: usize = 64;
 
 /// Words of the status; see `common.wgsl`.
 pub(crate) const BLOCKS: usize = 0;
@@ -46,8 +50,10 @@ const WHO: usize = 10;
 const PARTED: usize = 11;
 const NEW_BLOCKS: usize = 12;
 const NEW_NODE_BLOCKS: usize = 13;
+/// Sorts done, then what walls gave.
+const SORTS: usize = 15;
 const WALL_IMPULSE: usize = 16;
-const BIAS: i32 = 1 << 20;
+const BIAS: i32 = block::REACH;
 
 /// Why the device halted a submission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,6 +63,19 @@ enum Halt {
     Room,
     LeftWorld,
     Strayed,
+}
+
+impl Halt {
+    fn of(word: u32) -> Option<Self> {
+        match word {
+            0 => None,
+            1 => Some(Self::TooFast),
+            2 => Some(Self::Drifted),
+            3 => Some(Self::Room),
+            4 => Some(Self::LeftWorld),
+            _ => Some(Self::Strayed),
+        }
+    }
 }
 
 /// What a submission did.
@@ -99,6 +118,10 @@ pub(crate) struct WgpuEngine {
     /// Nodes lighter than this carry nothing [kg].
     pub(crate) least_mass: f64,
     stiffness: Bound,
+    /// Of the laws that do not harden.
+    unchanging: Bound,
+    /// The least of each material [kg/m³].
+    densities: Vec<f64>,
     stiffness_age: u32,
     hardens: bool,
     spoilt: bool,
@@ -114,8 +137,7 @@ pub(crate) struct WgpuEngine {
     parted_seen: u32,
     wall_impulse: Vec3,
     gravity_impulse: Vec3,
-    submissions: u64,
-    clocks: BTreeMap<&'static str, Clock>,
+    clocks: Clocks,
     pub(crate) contact_seconds: (f64, u64),
     contact: Contact,
 }
@@ -136,6 +158,27 @@ struct Driven {
     saved: Vec<Vec<u8>>,
     /// Bodies after each step.
     after: Vec<Vec<BodyState>>,
+}
+
+/// Steps that follow on one another, after a sort or not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Stretch {
+    sort: bool,
+    steps: usize,
+}
+
+/// A part of a submission.
+struct Part<'a> {
+    /// The set of buffers that it sorts from, if it begins with a sort.
+    sorting: Option<usize>,
+    dispatches: Vec<Dispatch<'a>>,
+}
+
+/// Time of passes, and submissions so far.
+#[derive(Debug, Default)]
+struct Clocks {
+    of: BTreeMap<&'static str, Clock>,
+    submissions: u64,
 }
 
 /// One dispatch of a submission.
@@ -181,6 +224,8 @@ impl WgpuEngine {
             last_dt: 0.0,
             least_mass: 0.0,
             stiffness: Bound { dt: f64::INFINITY, by: "nothing".into() },
+            unchanging: Bound { dt: f64::INFINITY, by: "nothing".into() },
+            densities: Vec::new(),
             stiffness_age: 0,
             hardens: plan.materials.iter().any(|m| m.material.has(abi::BARCHAN_CAP_HARDENS)),
             spoilt: false,
@@ -194,8 +239,7 @@ impl WgpuEngine {
             parted_seen: 0,
             wall_impulse: [0.0; 3],
             gravity_impulse: [0.0; 3],
-            submissions: 0,
-            clocks: BTreeMap::new(),
+            clocks: Clocks::default(),
             contact_seconds: (0.0, 0),
             contact: Contact::Unknown,
         };
@@ -208,7 +252,7 @@ impl WgpuEngine {
     }
 
     /// The constants of a step.
-    fn step_constants(&self, dt: f64, time: f64, number: usize, drift: f64) -> StepConstants {
+    fn step_constants(&self, dt: f64, time: f64, number: usize, first: usize, drift: f64) -> StepConstants {
         let gravity = self.scene.gravity_at(time);
         let felt = if self.least_mass > 0.0 { 1.0 / (self.least_mass * FELT) } else { f64::from(f32::MAX) };
         StepConstants {
@@ -220,7 +264,8 @@ impl WgpuEngine {
             number: number as u32,
             least: self.least_mass as f32,
             felt: felt as f32,
-            pad: [0; 2],
+            first: first as u32,
+            pad: 0,
         }
     }
 
@@ -249,20 +294,27 @@ impl WgpuEngine {
         (count.min(extent.row), count.div_ceil(extent.row))
     }
 
+    /// Parts with the workgroups of their dispatches.
+    fn with_groups<'a>(&self, parts: Vec<Part<'a>>) -> Vec<(Part<'a>, Vec<(u32, u32)>)> {
+        let of = |part: &Part<'_>| part.dispatches.iter().map(|d| self.groups(d.kernel.groups)).collect();
+        parts.into_iter().map(|part| (of(&part), part)).map(|(groups, part)| (part, groups)).collect()
+    }
+
     /// Writes dispatches into a submission, each in a pass of its own if it is timed.
     fn encode(
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         memory: &mut Memory,
-        dispatches: &[(Dispatch<'_>, (u32, u32))],
+        dispatches: &[(&Dispatch<'_>, (u32, u32))],
         queries: Option<&wgpu::QuerySet>,
     ) {
-        let bind = |pass: &mut wgpu::ComputePass<'_>, memory: &mut Memory, (d, groups): &(Dispatch<'_>, (u32, u32))| {
-            pass.set_pipeline(&d.kernel.pipeline);
-            pass.set_bind_group(0, &memory.binding(&gpu.device, d.kernel, d.now), &[]);
-            pass.set_bind_group(1, &memory.step_binding, &[(STEP_STRIDE * d.step as u64) as u32]);
-            pass.dispatch_workgroups(groups.0, groups.1, 1);
-        };
+        let bind =
+            |pass: &mut wgpu::ComputePass<'_>, memory: &mut Memory, (d, groups): &(&Dispatch<'_>, (u32, u32))| {
+                pass.set_pipeline(&d.kernel.pipeline);
+                pass.set_bind_group(0, &memory.binding(&gpu.device, d.kernel, d.now), &[]);
+                pass.set_bind_group(1, &memory.step_binding, &[(STEP_STRIDE * d.step as u64) as u32]);
+                pass.dispatch_workgroups(groups.0, groups.1, 1);
+            };
         let Some(queries) = queries else {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
             dispatches.iter().for_each(|dispatch| bind(&mut pass, memory, dispatch));
@@ -281,84 +333,104 @@ impl WgpuEngine {
         }
     }
 
-    /// Sorts, if asked to, and takes steps of `dt`, without asking the device in between.
-    fn submit(&mut self, time: f64, dt: f64, count: usize, sort: bool) -> Result<Outcome> {
+    /// Takes steps of `dt` in stretches, each after a sort if it begins with one, without asking the device in between.
+    fn submit(&mut self, time: f64, dt: f64, stretches: &[Stretch]) -> Result<Outcome> {
+        let count: usize = stretches.iter().map(|s| s.steps).sum();
         debug_assert!(count <= MAX_STEPS && !self.pending, "a submission starts from what is known");
-        if sort {
-            self.survey_box()?;
-        }
-        let drift = if sort { 0.0 } else { self.drift };
-        for s in 0..count {
-            self.write_step(s, &self.step_constants(dt, time + s as f64 * dt, s, drift));
-        }
-        if count == 0 {
-            self.write_step(0, &self.step_constants(dt, time, 0, drift));
+        let sorts = stretches.iter().filter(|s| s.sort).count();
+        if sorts > 0 {
+            self.survey_box(sorts)?;
         }
         self.write_words(HALTED, &[0, 0, u32::MAX]);
+        self.write_words(SORTS, &[0, 0, 0, 0]);
         self.write_words(STEPS, &vec![0; PER_STEP * count.max(1)]);
 
         // A sort moves the particles to the other set of buffers.
-        let before = self.memory.now;
-        let after = if sort { 1 - before } else { before };
-        let mut dispatches = Vec::new();
+        let (mut now, mut step, mut first, mut drift) = (self.memory.now, 0, 0, self.drift);
+        let mut parts = Vec::new();
+        let mut sorted_at = Vec::new();
         let kernels = &self.kernels;
-        if sort {
-            dispatches.extend(kernels.sort.iter().map(|kernel| Dispatch { kernel, now: before, step: 0 }));
+        let contact: &[Kernel] = if let Contact::Device(kernels, _) = &self.contact { &**kernels } else { &[] };
+        for stretch in stretches {
+            let mut part = Part { sorting: stretch.sort.then_some(now), dispatches: Vec::new() };
+            if stretch.sort {
+                (first, drift) = (step, 0.0);
+                sorted_at.push(step);
+                part.dispatches.extend(kernels.sort.iter().map(|kernel| Dispatch { kernel, now, step }));
+                now = 1 - now;
+            }
+            for _ in 0..stretch.steps {
+                self.write_step(step, &self.step_constants(dt, time + step as f64 * dt, step, first, drift));
+                let to_nodes = [&kernels.p2g].into_iter().chain(&kernels.grid).chain(contact);
+                let passes = to_nodes.chain(&kernels.mirror).chain([&kernels.g2p]);
+                part.dispatches.extend(passes.map(|kernel| Dispatch { kernel, now, step }));
+                step += 1;
+            }
+            // A sort forgets what walls gave.
+            if stretch.steps > 0 {
+                part.dispatches.extend(kernels.collect.iter().map(|kernel| Dispatch { kernel, now, step: 0 }));
+            }
+            parts.push(part);
         }
-        for step in 0..count {
-            let contact: &[Kernel] = if let Contact::Device(kernels, _) = &self.contact { &**kernels } else { &[] };
-            let to_nodes = [&kernels.p2g].into_iter().chain(&kernels.grid).chain(contact);
-            let passes = to_nodes.chain(&kernels.mirror).chain([&kernels.g2p]);
-            dispatches.extend(passes.map(|kernel| Dispatch { kernel, now: after, step }));
+        if count == 0 {
+            self.write_step(0, &self.step_constants(dt, time, 0, 0, drift));
         }
-        if count > 0 {
-            dispatches.extend(kernels.collect.iter().map(|kernel| Dispatch { kernel, now: after, step: 0 }));
-        }
-        let groups: Vec<_> = dispatches.iter().map(|d| self.groups(d.kernel.groups)).collect();
-        let dispatches: Vec<_> = dispatches.into_iter().zip(groups).collect();
-        let sorting = sort.then_some(before);
-        let words = Self::run(&self.gpu, &mut self.memory, &dispatches, sorting, &mut self.clocks, self.submissions)?;
-        self.submissions += 1;
+        let parts = self.with_groups(parts);
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts)?;
 
-        let halt = match words[HALTED] {
-            0 => None,
-            1 => Some(Halt::TooFast),
-            2 => Some(Halt::Drifted),
-            3 => Some(Halt::Room),
-            4 => Some(Halt::LeftWorld),
-            _ => Some(Halt::Strayed),
-        };
-        if sort && !matches!(halt, Some(Halt::Room | Halt::LeftWorld)) {
-            self.memory.now = after;
+        let halt = Halt::of(words[HALTED]);
+        let done = if halt.is_some() { words[HALT_STEP] as usize } else { count };
+        let word = |s: usize, k: usize| f64::from(f32::from_bits(words[STEPS + PER_STEP * s + k]));
+        let mut since = 0;
+        if let Some(&last) = (words[SORTS] as usize).checked_sub(1).and_then(|last| sorted_at.get(last)) {
+            self.memory.now ^= words[SORTS] as usize & 1;
             self.age = Some(0);
             self.drift = 0.0;
             self.counts = [words[BLOCKS] as usize, words[NODE_BLOCKS] as usize];
             let block = |first: usize| [0, 1, 2].map(|d| words[first + d] as i32 - BIAS);
             self.span = (block(LEAST_BLOCK), block(GREATEST_BLOCK));
             self.node_blocks = None;
+            since = last;
         }
-        let done = match halt {
-            None => count,
-            Some(Halt::Room | Halt::LeftWorld) => 0,
-            _ => words[HALT_STEP] as usize,
-        };
-        let word = |s: usize, k: usize| f64::from(f32::from_bits(words[STEPS + PER_STEP * s + k]));
-        for s in 0..done {
+        for s in since..done {
             self.drift += word(s, 1);
         }
         if done > 0 {
             self.particle_speed = word(done - 1, 1) * self.h / dt;
             self.last_dt = dt;
         }
-        if count > 0 {
-            self.take_sums(&words);
-        }
-        self.age = self.age.map(|age| age + done as u32);
+        self.take_sums(&words);
+        self.age = self.age.map(|age| age + (done - since) as u32);
         self.steps += done as u64;
         self.stiffness_age += done as u32;
         self.book_gravity(time, dt, done);
         let node_speed = (0..count).map(|s| word(s, 0)).collect();
         Ok(Outcome { done, halt, node_speed, words })
+    }
+
+    /// Cuts steps into stretches between sorts, as far as the present speed tells when they will be due.
+    fn plan_stretches(&self, dt: f64, count: usize, sort_first: bool) -> Vec<Stretch> {
+        let each = 1.05 * self.particle_speed * dt / self.h;
+        let mut sort = sort_first || self.sort_due(each);
+        let (mut age, mut drift) = (self.age.unwrap_or(0), self.drift);
+        let (mut left, mut stretches) = (count, Vec::new());
+        loop {
+            if sort {
+                (age, drift) = (0, 0.0);
+            }
+            // More steps than particles may drift in would be stopped by the device.
+            let fitting = ((MAX_DRIFT - drift).max(0.0) / each).min(MAX_STEPS as f64) as usize + 1;
+            let until_old = if age < SORT_AGE { SORT_AGE - age } else { SORT_AGE } as usize;
+            let steps = left.min(fitting).min(until_old);
+            stretches.push(Stretch { sort, steps });
+            left -= steps;
+            if left == 0 {
+                return stretches;
+            }
+            age += steps as u32;
+            drift += each * steps as f64;
+            sort = drift > MAX_DRIFT || drift > SORT_DRIFT;
+        }
     }
 
     /// What was summed on the device since it was asked last.
@@ -381,27 +453,20 @@ impl WgpuEngine {
         }
     }
 
-    /// Runs dispatches and brings back the status.
+    /// Runs parts and brings back the status.
     fn run(
         gpu: &Gpu,
         memory: &mut Memory,
-        dispatches: &[(Dispatch<'_>, (u32, u32))],
-        sorting: Option<usize>,
-        clocks: &mut BTreeMap<&'static str, Clock>,
-        submission: u64,
+        clocks: &mut Clocks,
+        parts: &[(Part<'_>, Vec<(u32, u32)>)],
     ) -> Result<Vec<u32>> {
-        const MOST: usize = 64;
-        for (dispatch, _) in dispatches {
-            clocks.entry(dispatch.kernel.name).or_default().passes += 1;
+        for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
+            clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
         }
-        // The first is not worth timing: clocks and caches are cold.
-        let timed = gpu.features.contains(wgpu::Features::TIMESTAMP_QUERY) && submission % TIMED == 1;
-        let first = if timed { dispatches.len().min(MOST) } else { 0 };
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        if let Some(now) = sorting {
-            encoder.clear_buffer(memory.buffer(Role::Flags, now), 0, None);
-            encoder.clear_buffer(memory.buffer(Role::Next(Sorted::Cells), now), 0, None);
-        }
+        // The first is not worth timing: caches are cold. Of the others, the first part stands for all.
+        let timed = gpu.features.contains(wgpu::Features::TIMESTAMP_QUERY) && clocks.submissions % TIMED == 1;
+        clocks.submissions += 1;
+        let first = if timed { parts.first().map_or(0, |(part, _)| part.dispatches.len().min(MOST_TIMED)) } else { 0 };
         let queries = (first > 0).then(|| {
             gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("clock"),
@@ -409,10 +474,19 @@ impl WgpuEngine {
                 count: 2 * first as u32,
             })
         });
-        if queries.is_some() {
-            Self::encode(gpu, &mut encoder, memory, &dispatches[..first], queries.as_ref());
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for (i, (part, groups)) in parts.iter().enumerate() {
+            if let Some(now) = part.sorting {
+                encoder.clear_buffer(memory.buffer(Role::Flags, now), 0, None);
+                encoder.clear_buffer(memory.buffer(Role::Next(Sorted::Cells), now), 0, None);
+            }
+            let dispatches: Vec<_> = part.dispatches.iter().zip(groups.iter().copied()).collect();
+            let (timed, rest) = dispatches.split_at(if i == 0 { first } else { 0 });
+            if !timed.is_empty() {
+                Self::encode(gpu, &mut encoder, memory, timed, queries.as_ref());
+            }
+            Self::encode(gpu, &mut encoder, memory, rest, None);
         }
-        Self::encode(gpu, &mut encoder, memory, &dispatches[first..], None);
         let bytes = memory.readback.size();
         encoder.copy_buffer_to_buffer(memory.buffer(Role::Status, 0), 0, &memory.readback, 0, bytes);
         let resolved = queries.map(|queries| {
@@ -428,11 +502,11 @@ impl WgpuEngine {
         gpu.queue.submit([encoder.finish()]);
         let mut words = Vec::new();
         with_mapped(gpu, &memory.readback, bytes, |bytes| words = bytemuck::pod_collect_to_vec(bytes))?;
-        if let Some(buffer) = resolved {
+        if let (Some(buffer), Some((part, _))) = (resolved, parts.first()) {
             let ticks: Vec<u64> = read(gpu, &buffer, 0, 2 * first)?;
             let period = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
-            for ((dispatch, _), pair) in dispatches.iter().zip(ticks.chunks_exact(2)) {
-                let clock = clocks.entry(dispatch.kernel.name).or_default();
+            for (dispatch, pair) in part.dispatches.iter().zip(ticks.chunks_exact(2)) {
+                let clock = clocks.of.entry(dispatch.kernel.name).or_default();
                 clock.measured.0 += pair[1].saturating_sub(pair[0]) as f64 * period;
                 clock.measured.1 += 1;
             }
@@ -442,15 +516,17 @@ impl WgpuEngine {
 
     /// Sets the directory's box around all blocks that a sort can find: they have drifted by up to a cell or two, and nodes
     /// reach a block further.
-    fn survey_box(&mut self) -> Result<()> {
+    fn survey_box(&mut self, sorts: usize) -> Result<()> {
         let mut extent = self.memory.extent;
         let (least, greatest) = self.span;
+        // A cell and a half each time is less than a block in two.
+        let margin = 2 + sorts as i32 / 2;
         let mut places = 1u64;
         for d in 0..3 {
             let (first, size) = if self.periods.count[d] > 0 {
                 (self.periods.first[d], self.periods.count[d])
             } else {
-                (least[d] - 2, greatest[d] - least[d] + 5)
+                (least[d] - margin, greatest[d] - least[d] + 1 + 2 * margin)
             };
             extent.box_min[d] = first;
             extent.box_size[d] = size;
@@ -472,19 +548,18 @@ impl WgpuEngine {
         self.memory.grow(&self.gpu, extent)
     }
 
-    /// Is a sort due before `count` steps more?
-    fn sort_due(&self, dt: f64, count: usize) -> bool {
+    /// Is a sort due before the next step, in which particles move by up to `each` cells?
+    fn sort_due(&self, each: f64) -> bool {
         let Some(age) = self.age else { return true };
-        let move_ahead = self.particle_speed * dt / self.h * (count.saturating_sub(1)) as f64;
         self.drift > MAX_DRIFT
             || (age >= SORT_AGE && self.drift > SORT_DRIFT)
-            || (age > 0 && count > 1 && self.drift + 1.1 * move_ahead > MAX_DRIFT && self.drift > SORT_DRIFT)
+            || (age > 0 && self.drift > MAX_DRIFT - each && self.drift > SORT_DRIFT)
     }
 
     /// Sorts at once.
     pub(crate) fn sort_now(&mut self, time: f64, dt: f64) -> Result<()> {
         loop {
-            let outcome = self.submit(time, dt, 0, true)?;
+            let outcome = self.submit(time, dt, &[Stretch { sort: true, steps: 0 }])?;
             match outcome.halt {
                 None => return Ok(()),
                 Some(Halt::Room) => self.make_room(&outcome.words)?,
@@ -611,7 +686,7 @@ impl WgpuEngine {
         self.counts = [homes.blocks.len(), homes.nodes.len()];
         self.span = homes.extent().unwrap_or_default();
         self.node_blocks = Some(homes.nodes.clone());
-        self.survey_box()?;
+        self.survey_box(1)?;
 
         let write = |sorted, bytes: &[u8]| {
             const PART: usize = 64 << 20;
@@ -656,11 +731,10 @@ impl WgpuEngine {
         }
         // Stress is no part of a state: it follows from strain.
         if count > 0 && !self.spoilt {
-            self.write_step(0, &self.step_constants(particles.strain_dt, 0.0, 0, 0.0));
+            self.write_step(0, &self.step_constants(particles.strain_dt, 0.0, 0, 0, 0.0));
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
-            let groups = self.groups(dispatch.kernel.groups);
-            let (gpu, memory) = (&self.gpu, &mut self.memory);
-            let words = Self::run(gpu, memory, &[(dispatch, groups)], None, &mut self.clocks, 0)?;
+            let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
+            let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts)?;
             self.parted_seen = words[PARTED];
         }
         Ok(())
@@ -669,7 +743,7 @@ impl WgpuEngine {
     /// The directory of the blocks, as a sort would write it.
     fn directory(&self, homes: &Homes) -> Vec<[u32; 2]> {
         let extent = &self.memory.extent;
-        let mut places = vec![[layout::NONE; 2]; extent.box_blocks as usize];
+        let mut places = vec![[block::NONE; 2]; extent.box_blocks as usize];
         let at = |block: &[i32; 3]| {
             let local = [0, 1, 2].map(|d| block[d] - extent.box_min[d]);
             ((local[0] * extent.box_size[1] + local[1]) * extent.box_size[2] + local[2]) as usize
@@ -696,6 +770,16 @@ impl WgpuEngine {
     fn measure_stiffness(&mut self, lists: &[ParticleList]) -> Result<()> {
         self.stiffness_age = 0;
         self.stiffness = stiffness::bound(lists, &self.materials, self.h)?;
+        self.unchanging = self.stiffness.clone();
+        if self.hardens {
+            let hardens = |m: u32| self.materials[m as usize].material.has(abi::BARCHAN_CAP_HARDENS);
+            let others: Vec<_> = lists.iter().filter(|list| !hardens(list.material)).cloned().collect();
+            self.unchanging = stiffness::bound(&others, &self.materials, self.h)?;
+        }
+        let density = |list: &ParticleList| {
+            list.mass.iter().zip(&list.volume0).fold(f64::INFINITY, |least, (m, v)| least.min(m / v))
+        };
+        self.densities = lists.iter().map(density).collect();
         Ok(())
     }
 
@@ -710,13 +794,10 @@ impl WgpuEngine {
         let mut force_sort = false;
         let mut sorted = false;
         loop {
-            let sort = force_sort || self.sort_due(dt, count);
-            // More steps than particles may drift in would be stopped by the device.
-            let room = MAX_DRIFT - if sort { 0.0 } else { self.drift };
-            let fitting = (room * self.h / (1.05 * self.particle_speed * dt)).min(MAX_STEPS as f64) as usize + 1;
-            let count = count.min(fitting);
+            let stretches = self.plan_stretches(dt, count, force_sort);
+            let sort = stretches[0].sort;
             let driven = couplings.first_mut().map(|c| self.drive(&mut **c, time, dt, count)).transpose()?;
-            let outcome = self.submit(time, dt, count, sort)?;
+            let outcome = self.submit(time, dt, &stretches)?;
             sorted |= sort;
             if let (Some(driven), Some(coupling)) = (&driven, couplings.first_mut()) {
                 go_back(&mut **coupling, &driven.saved[outcome.done])?;
@@ -813,8 +894,18 @@ impl WgpuEngine {
     /// Reads the stiffness anew where it follows the state.
     fn follow_stiffness(&mut self) -> Result<()> {
         if self.hardens && self.stiffness_age >= STIFFNESS_AGE && self.particles() > 0 {
-            let (lists, ..) = self.lists()?;
-            self.measure_stiffness(&lists)?;
+            let slots = self.memory.extent.slots as usize;
+            let vectors = rest_vectors(&self.materials);
+            let rest = read(&self.gpu, self.memory.plane(Sorted::Rest), 0, vectors * slots)?;
+            let place = if self.materials.len() > 1 {
+                Some(read(&self.gpu, self.memory.plane(Sorted::Place), 0, slots)?)
+            } else {
+                None
+            };
+            let held = Held { rest: &rest, place: place.as_deref(), slots, count: self.particles() };
+            let hardening = stiffness::bound_of_hardening(&held, &self.materials, &self.densities, self.h)?;
+            self.stiffness = if hardening.dt < self.unchanging.dt { hardening } else { self.unchanging.clone() };
+            self.stiffness_age = 0;
         }
         Ok(())
     }
@@ -830,7 +921,7 @@ impl WgpuEngine {
         let (mut speed, mut sorted) = (0.0, false);
         let mut nodes = crate::contact::Nodes::default();
         if ground {
-            if self.sort_due(dt, 1) {
+            if self.sort_due(0.0) {
                 self.settle()?;
                 self.sort_now(time, dt)?;
                 sorted = true;
@@ -906,7 +997,7 @@ impl WgpuEngine {
     ) -> Result<Vec<u32>> {
         self.know_node_blocks()?;
         // The last step's numbers stand in the words of step 0.
-        self.write_step(1, &self.step_constants(dt, time, 1, self.drift));
+        self.write_step(1, &self.step_constants(dt, time, 1, 0, self.drift));
         self.write_words(HALTED, &[0, 0, u32::MAX]);
         if !self.pending {
             self.write_words(STEPS, &[0; PER_STEP]);
@@ -914,11 +1005,10 @@ impl WgpuEngine {
         self.write_words(STEPS + PER_STEP, &[0; PER_STEP]);
         let now = self.memory.now;
         let passes = [&self.kernels.p2g].into_iter().chain(&self.kernels.grid);
-        let dispatches: Vec<_> =
-            passes.map(|kernel| (Dispatch { kernel, now, step: 1 }, self.groups(kernel.groups))).collect();
+        let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 1 }).collect();
         nodes.begin(self, boxes);
-        let words = Self::run(&self.gpu, &mut self.memory, &dispatches, None, &mut self.clocks, self.submissions)?;
-        self.submissions += 1;
+        let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts)?;
         nodes.read(self)?;
         self.take_pending(&words);
         Ok(words)
@@ -957,19 +1047,21 @@ impl WgpuEngine {
 
     /// G2P, from nodes that are at most `speed` fast. Its numbers stay on the device until the next step asks for them.
     fn nodes_to_ground(&mut self, time: f64, dt: f64, speed: f64) -> Result<()> {
-        self.write_step(0, &self.step_constants(dt, time, 0, 0.0));
+        self.write_step(0, &self.step_constants(dt, time, 0, 0, 0.0));
+        self.write_words(WALL_IMPULSE, &[0; 3]);
         // Rounding must not stop what has been let through.
         let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;
         self.write_words(STEPS, &[(speed as f32).min(allowed).to_bits(), 0, 0, 0]);
         let now = self.memory.now;
         let passes = self.kernels.mirror.iter().chain([&self.kernels.g2p]).chain(&self.kernels.collect);
-        let dispatches: Vec<_> =
-            passes.map(|kernel| (Dispatch { kernel, now, step: 0 }, self.groups(kernel.groups))).collect();
-        for (dispatch, _) in &dispatches {
-            self.clocks.entry(dispatch.kernel.name).or_default().passes += 1;
-        }
+        let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();
+        let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        Self::encode(&self.gpu, &mut encoder, &mut self.memory, &dispatches, None);
+        for (part, groups) in &parts {
+            part.dispatches.iter().for_each(|d| self.clocks.of.entry(d.kernel.name).or_default().passes += 1);
+            let dispatches: Vec<_> = part.dispatches.iter().zip(groups.iter().copied()).collect();
+            Self::encode(&self.gpu, &mut encoder, &mut self.memory, &dispatches, None);
+        }
         self.gpu.queue.submit([encoder.finish()]);
         self.gpu.check()?;
         self.pending = true;
@@ -1052,7 +1144,7 @@ impl Engine for WgpuEngine {
         self.settle_contact(couplings)?;
         let ground = self.particles() > 0;
         let reports = if ground && (couplings.is_empty() || matches!(self.contact, Contact::Device(..))) {
-            let most = if self.hardens { STIFFNESS_AGE } else { SORT_AGE } as usize;
+            let most = if self.hardens { STIFFNESS_AGE as usize } else { MAX_STEPS };
             self.advance(time, dt, count.clamp(1, most), couplings)?
         } else {
             let (dt, max_speed, sorted) = self.step_with_contact(time, dt, couplings)?;
@@ -1102,6 +1194,7 @@ impl Engine for WgpuEngine {
     fn timings(&self) -> Vec<Timing> {
         let mut timings: Vec<_> = self
             .clocks
+            .of
             .iter()
             .map(|(name, clock)| Timing {
                 effect: (*name).to_owned(),

@@ -2,14 +2,11 @@
 
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, ParticleState, Result};
+use barchan_grid::block::{NONE, REACH, offset};
 use std::collections::BTreeMap;
 
 /// Vectors of four in an entry of the lists; see `common.wgsl`.
 pub(crate) const ENTRY: usize = 10;
-/// No block.
-pub(crate) const NONE: u32 = u32::MAX;
-/// Blocks along each axis on either side of the origin that the device's sort can tell apart.
-pub(crate) const REACH: i32 = 1 << 20;
 /// Laws that a particle's tag can tell apart.
 pub(crate) const MAX_LAWS: usize = 16;
 /// Particles that the sort's order can tell apart.
@@ -46,11 +43,6 @@ impl Periods {
         }
         block
     }
-}
-
-/// Offset of each of the 27 neighbours.
-pub(crate) fn offset(n: usize) -> Block {
-    [n as i32 / 9 - 1, n as i32 / 3 % 3 - 1, n as i32 % 3 - 1]
 }
 
 fn in_block(cell: Block) -> usize {

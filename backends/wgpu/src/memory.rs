@@ -54,7 +54,8 @@ pub(crate) struct StepConstants {
     pub(crate) number: u32,
     pub(crate) least: f32,
     pub(crate) felt: f32,
-    pub(crate) pad: [u32; 2],
+    pub(crate) first: u32,
+    pub(crate) pad: u32,
 }
 
 /// Room for as many as there are now and a quarter more, so that it rarely has to grow.

@@ -21,7 +21,8 @@ fn collect(@builtin(local_invocation_index) thread: u32) {
             all += partial[t];
         }
         for (var d = 0u; d < 3u; d++) {
-            atomicStore(&status[WALL_IMPULSE + d], bitcast<u32>(all[d]));
+            let before = bitcast<f32>(atomicLoad(&status[WALL_IMPULSE + d]));
+            atomicStore(&status[WALL_IMPULSE + d], bitcast<u32>(before + all[d]));
         }
     }
 }

@@ -24,7 +24,7 @@ struct Step {
     dt: f32,
     dt_per_h: f32,
     stress: f32,
-    // Upper bound of the drift since the last sort when this submission began [cells].
+    // Upper bound of the drift since the last sort when step `first` began [cells].
     drift: f32,
     // Gravity times dt [m/s].
     gravity: vec3<f32>,
@@ -33,7 +33,9 @@ struct Step {
     // Nodes lighter than this carry nothing [kg].
     least: f32,
     felt: f32,
-    pad: vec2<u32>,
+    // The first step since the last sort, or of the submission.
+    first: u32,
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> extent: Extent;
@@ -59,6 +61,7 @@ const PARTED: u32 = 11u;
 const NEW_BLOCKS: u32 = 12u;
 const NEW_NODE_BLOCKS: u32 = 13u;
 const OLD_BLOCKS: u32 = 14u;
+const SORTS: u32 = 15u;
 const WALL_IMPULSE: u32 = 16u;
 const STEPS: u32 = 20u;
 const PER_STEP: u32 = 4u;

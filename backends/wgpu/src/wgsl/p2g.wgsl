@@ -39,7 +39,7 @@ fn ready(b: u32) -> u32 {
         return 0u;
     }
     var drift = step.drift;
-    for (var s = 0u; s < step.number; s++) {
+    for (var s = step.first; s < step.number; s++) {
         drift += bitcast<f32>(atomicLoad(&status[STEPS + PER_STEP * s + 1u]));
     }
     if !(drift <= MAX_DRIFT) {

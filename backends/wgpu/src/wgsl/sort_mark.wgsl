@@ -12,6 +12,7 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let cell = block * 4 + local;
         if any(((cell < WORLD_MIN) | (cell >= WORLD_MAX)) & (PERIOD == vec3<i32>(0))) {
             atomicMin(&status[WHO], q);
+            atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], LEFT_WORLD);
         }
         let at = place_in_box(block + (local >> vec3<u32>(2u)));

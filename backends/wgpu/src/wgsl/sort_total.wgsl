@@ -24,10 +24,12 @@ fn total_blocks(@builtin(local_invocation_index) thread: u32) {
         atomicStore(&status[NEW_BLOCKS], before.x);
         atomicStore(&status[NEW_NODE_BLOCKS], before.y);
         if before.x > extent.block_room || before.y > extent.node_room {
+            atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], ROOM);
         } else {
             // How many blocks of the old order there are is still needed.
             atomicStore(&status[OLD_BLOCKS], atomicLoad(&status[BLOCKS]));
+            atomicStore(&status[SORTS], atomicLoad(&status[SORTS]) + 1u);
             atomicStore(&status[BLOCKS], before.x);
             atomicStore(&status[NODE_BLOCKS], before.y);
             for (var d = 0u; d < 3u; d++) {
