@@ -1,12 +1,13 @@
 //! The step.
 
+use crate::account;
 use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Periods, Planes};
 use crate::memory::{
     Asked, BODY, Extent, MAX_STEPS, Memory, PER_STEP, STEP_STRIDE, STEPS, StepConstants, read, with_mapped, with_room,
 };
-use crate::{account, stiffness};
+use crate::stiffness::{self, Held};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
 use barchan_core::plan::PlannedMaterial;
@@ -117,6 +118,10 @@ pub(crate) struct WgpuEngine {
     /// Nodes lighter than this carry nothing [kg].
     pub(crate) least_mass: f64,
     stiffness: Bound,
+    /// Of the laws that do not harden.
+    unchanging: Bound,
+    /// The least of each material [kg/m³].
+    densities: Vec<f64>,
     stiffness_age: u32,
     hardens: bool,
     spoilt: bool,
@@ -219,6 +224,8 @@ impl WgpuEngine {
             last_dt: 0.0,
             least_mass: 0.0,
             stiffness: Bound { dt: f64::INFINITY, by: "nothing".into() },
+            unchanging: Bound { dt: f64::INFINITY, by: "nothing".into() },
+            densities: Vec::new(),
             stiffness_age: 0,
             hardens: plan.materials.iter().any(|m| m.material.has(abi::BARCHAN_CAP_HARDENS)),
             spoilt: false,
@@ -763,6 +770,16 @@ impl WgpuEngine {
     fn measure_stiffness(&mut self, lists: &[ParticleList]) -> Result<()> {
         self.stiffness_age = 0;
         self.stiffness = stiffness::bound(lists, &self.materials, self.h)?;
+        self.unchanging = self.stiffness.clone();
+        if self.hardens {
+            let hardens = |m: u32| self.materials[m as usize].material.has(abi::BARCHAN_CAP_HARDENS);
+            let others: Vec<_> = lists.iter().filter(|list| !hardens(list.material)).cloned().collect();
+            self.unchanging = stiffness::bound(&others, &self.materials, self.h)?;
+        }
+        let density = |list: &ParticleList| {
+            list.mass.iter().zip(&list.volume0).fold(f64::INFINITY, |least, (m, v)| least.min(m / v))
+        };
+        self.densities = lists.iter().map(density).collect();
         Ok(())
     }
 
@@ -877,8 +894,18 @@ impl WgpuEngine {
     /// Reads the stiffness anew where it follows the state.
     fn follow_stiffness(&mut self) -> Result<()> {
         if self.hardens && self.stiffness_age >= STIFFNESS_AGE && self.particles() > 0 {
-            let (lists, ..) = self.lists()?;
-            self.measure_stiffness(&lists)?;
+            let slots = self.memory.extent.slots as usize;
+            let vectors = rest_vectors(&self.materials);
+            let rest = read(&self.gpu, self.memory.plane(Sorted::Rest), 0, vectors * slots)?;
+            let place = if self.materials.len() > 1 {
+                Some(read(&self.gpu, self.memory.plane(Sorted::Place), 0, slots)?)
+            } else {
+                None
+            };
+            let held = Held { rest: &rest, place: place.as_deref(), slots, count: self.particles() };
+            let hardening = stiffness::bound_of_hardening(&held, &self.materials, &self.densities, self.h)?;
+            self.stiffness = if hardening.dt < self.unchanging.dt { hardening } else { self.unchanging.clone() };
+            self.stiffness_age = 0;
         }
         Ok(())
     }

@@ -5,37 +5,121 @@ use barchan_core::backend::Bound;
 use barchan_core::material::{ErrorBuffer, stable_step};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, Result};
+use std::thread;
 
 const LANES: usize = 16;
+/// Particles that are worth a thread.
+const GRAIN: usize = 1 << 14;
+
+/// One plane of a chunk, aligned as the ABI promises.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+struct Plane([f32; LANES]);
 
 /// The least stable step of all particles in cells of width `h` [m].
 pub(crate) fn bound(lists: &[ParticleList], materials: &[PlannedMaterial], h: f64) -> Result<Bound> {
-    let mut bound = Bound { dt: f64::INFINITY, by: "nothing".into() };
+    let mut bound = nothing();
     for list in lists {
         let planned = &materials[list.material as usize];
         // A law that does not harden is as stiff everywhere as at its first particle.
         let hardens = planned.material.has(abi::BARCHAN_CAP_HARDENS);
         let count = if hardens { list.len() } else { list.len().min(LANES) };
         for from in (0..count).step_by(LANES) {
-            let least = of_chunk(list, from, (count - from).min(LANES), planned, h)?;
-            if least < bound.dt {
-                bound = Bound { dt: least, by: format!("stiffness of material '{}'", planned.name) };
-            }
+            let n = (count - from).min(LANES);
+            // Lanes without a particle repeat the last one: laws see nothing they have not seen.
+            let fill = |plane: &Vec<f64>| Plane(std::array::from_fn(|i| plane[from + i.min(n - 1)] as f32));
+            let planes: Vec<_> = list.strain.iter().chain(&list.state).map(fill).collect();
+            let density = |i: usize| list.mass[from + i] / list.volume0[from + i];
+            let least = of_chunk(&planes, n, planned, h, density, |i| Some(list.id[from + i]))?;
+            tighten(&mut bound, least, planned);
         }
     }
     Ok(bound)
 }
 
-fn of_chunk(list: &ParticleList, from: usize, count: usize, planned: &PlannedMaterial, h: f64) -> Result<f64> {
+/// Strain and history as the device holds them, and the laws' numbers if there are several.
+pub(crate) struct Held<'a> {
+    pub(crate) rest: &'a [[f32; 4]],
+    pub(crate) place: Option<&'a [[u32; 4]]>,
+    pub(crate) slots: usize,
+    pub(crate) count: usize,
+}
+
+/// The least stable step of particles whose law hardens, with at least the density that each law has in `densities` [kg/m³].
+pub(crate) fn bound_of_hardening(
+    held: &Held<'_>,
+    materials: &[PlannedMaterial],
+    densities: &[f64],
+    h: f64,
+) -> Result<Bound> {
+    let mut bound = nothing();
+    for (law, planned) in materials.iter().enumerate().filter(|(_, m)| m.material.has(abi::BARCHAN_CAP_HARDENS)) {
+        let starts: Vec<usize> = (0..held.count).step_by(GRAIN).collect();
+        let threads = thread::available_parallelism().map_or(1, usize::from).min(starts.len()).max(1);
+        let stretch = &|from: usize| of_stretch(held, law, planned, densities[law], h, from);
+        let starts = &starts;
+        let work = &|t: usize| {
+            let mine = starts.iter().skip(t).step_by(threads);
+            mine.map(|&from| stretch(from)).try_fold(f64::INFINITY, |least: f64, dt| Ok::<_, Error>(least.min(dt?)))
+        };
+        let least: Vec<_> = thread::scope(|scope| {
+            let handles: Vec<_> = (0..threads).map(|t| scope.spawn(move || work(t))).collect();
+            handles.into_iter().map(|handle| handle.join().expect("laws do not panic across the ABI")).collect()
+        });
+        for least in least {
+            tighten(&mut bound, least?, planned);
+        }
+    }
+    Ok(bound)
+}
+
+/// The least step of one law's particles among [`GRAIN`] slots from `from` on.
+fn of_stretch(
+    held: &Held<'_>,
+    law: usize,
+    planned: &PlannedMaterial,
+    density: f64,
+    h: f64,
+    from: usize,
+) -> Result<f64> {
+    let is_own = |q: &usize| held.place.is_none_or(|place| (place[*q][3] >> 9) as usize == law);
+    let own: Vec<usize> = (from..(from + GRAIN).min(held.count)).filter(is_own).collect();
+    let identity = planned.material.strain_identity();
+    let planes = identity.len() + planned.material.states.len();
+    let mut least = f64::INFINITY;
+    for chunk in own.chunks(LANES) {
+        let value = |k: usize, q: usize| {
+            // Strain is held minus I.
+            held.rest[k / 4 * held.slots + q][k % 4] + identity.get(k).map_or(0.0, |one| *one as f32)
+        };
+        let fill = |k: usize| Plane(std::array::from_fn(|i| value(k, chunk[i.min(chunk.len() - 1)])));
+        let planes: Vec<_> = (0..planes).map(fill).collect();
+        least = least.min(of_chunk(&planes, chunk.len(), planned, h, |_| density, |_| None)?);
+    }
+    Ok(least)
+}
+
+fn nothing() -> Bound {
+    Bound { dt: f64::INFINITY, by: "nothing".into() }
+}
+
+fn tighten(bound: &mut Bound, least: f64, planned: &PlannedMaterial) {
+    if least < bound.dt {
+        *bound = Bound { dt: least, by: format!("stiffness of material '{}'", planned.name) };
+    }
+}
+
+/// The least step of up to 16 particles: their planes of strain and history, densities and ids.
+fn of_chunk(
+    planes: &[Plane],
+    count: usize,
+    planned: &PlannedMaterial,
+    h: f64,
+    density: impl Fn(usize) -> f64,
+    id: impl Fn(usize) -> Option<u64>,
+) -> Result<f64> {
     let Some(moduli) = planned.material.table.tangent_moduli_f32 else { return Ok(f64::INFINITY) };
-    /// One plane, aligned as the ABI promises.
-    #[derive(Clone, Copy)]
-    #[repr(C, align(64))]
-    struct Plane([f32; LANES]);
-    // Lanes without a particle repeat the last one: laws see nothing they have not seen.
-    let filled = |plane: &Vec<f64>| Plane(std::array::from_fn(|i| plane[from + i.min(count - 1)] as f32));
-    let strain: Vec<_> = list.strain.iter().map(filled).collect();
-    let state: Vec<_> = list.state.iter().map(filled).collect();
+    let (strain, state) = planes.split_at(planned.material.strain_planes());
     // Stiffness is asked of matter at rest.
     let no_rate = [Plane([0.0; LANES]); 9];
     let mut out = [Plane([0.0; LANES]); 2];
@@ -57,8 +141,8 @@ fn of_chunk(list: &ParticleList, from: usize, count: usize, planned: &PlannedMat
     let mut message = ErrorBuffer::default();
     // SAFETY: the planes that this callback reads, and the two that it writes, hold 16 values each.
     let status = unsafe { moduli(&batch, out.as_mut_ptr().cast(), message.as_raw()) };
-    let id = |i: u64| usize::try_from(i).ok().filter(|i| *i < count).map_or(u64::MAX, |i| list.id[from + i]);
-    message.check(status, &planned.material, "tangent_moduli", id)?;
+    let named = |i: u64| usize::try_from(i).ok().filter(|i| *i < count).and_then(&id).unwrap_or(u64::MAX);
+    message.check(status, &planned.material, "tangent_moduli", named)?;
     let mut least = f64::INFINITY;
     for i in 0..count {
         let [p_wave, bulk] = [out[0].0[i], out[1].0[i]].map(f64::from);
@@ -68,10 +152,10 @@ fn of_chunk(list: &ParticleList, from: usize, count: usize, planned: &PlannedMat
                 origin: planned.material.origin.clone(),
                 callback: "tangent_moduli",
                 message: format!("the moduli are {:?} Pa; they must be finite and above 0", [p_wave, bulk]),
-                particle: Some(list.id[from + i]),
+                particle: id(i),
             });
         }
-        least = least.min(stable_step(h, list.mass[from + i] / list.volume0[from + i], p_wave, bulk));
+        least = least.min(stable_step(h, density(i), p_wave, bulk));
     }
     Ok(least)
 }
