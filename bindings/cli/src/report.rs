@@ -5,7 +5,11 @@ use barchan::{Ledger, Scene, Vec3};
 use serde_json::Value;
 
 /// What `barchan bench accuracy` wrote for built-in scenes.
-const LADDERS: [(&str, &str); 1] = [("cube-drop", include_str!("../../../docs/reports/accuracy-cube-drop.json"))];
+const LADDERS: [(&str, &str); 3] = [
+    ("cube-drop", include_str!("../../../docs/reports/accuracy-cube-drop.json")),
+    ("dig", include_str!("../../../docs/reports/accuracy-dig.json")),
+    ("letters", include_str!("../../../docs/reports/accuracy-letters.json")),
+];
 /// A rung stands for cells up to this many times wider or narrower than its own.
 const SAME_CELL: f64 = 1.5;
 
@@ -128,7 +132,7 @@ mod tests {
         assert!(line.contains("mm near the tool") && line.contains("docs/reports/accuracy-cube-drop.md"), "{line}");
         assert_ne!(said(0.04, 1), said(0.08, 1));
         assert_eq!(said(0.001, 1), None, "finer than the ladder");
-        assert_eq!(accuracy(&barchan::tasks::scene("dig", &[] as &[&str]).unwrap()), None);
+        assert_eq!(accuracy(&barchan::tasks::scene("jelly-drop", &[] as &[&str]).unwrap()), None, "no ladder");
     }
 
     #[test]
