@@ -584,8 +584,11 @@ impl WgpuEngine {
         (lists, homes, planes): &(Vec<ParticleList>, Homes, Planes),
         slot: usize,
     ) -> Option<(u64, Vec3, usize)> {
-        let law = (planes.place.get(slot)?[3] >> 9) as usize;
-        let before = (0..slot).filter(|&q| (planes.place[q][3] >> 9) as usize == law).count();
+        if slot >= self.particles() {
+            return None;
+        }
+        let law = planes.law(slot);
+        let before = (0..slot).filter(|&q| planes.law(q) == law).count();
         let _ = homes;
         let list = lists.get(law)?;
         Some((list.id[before], list.position(before), law))
@@ -645,10 +648,8 @@ impl WgpuEngine {
         let homes = self.homes()?;
         let plane = |sorted| self.memory.plane(sorted);
         let planes = Planes {
-            place: read(&self.gpu, plane(Sorted::Place), 0, slots)?,
+            record: read(&self.gpu, plane(Sorted::Record), 0, layout::RECORD * slots)?,
             ids: read(&self.gpu, plane(Sorted::Ids), 0, slots)?,
-            motion: read(&self.gpu, plane(Sorted::Motion), 0, 3 * slots)?,
-            stress: read(&self.gpu, plane(Sorted::Stress), 0, 2 * slots)?,
             rest: read(&self.gpu, plane(Sorted::Rest), 0, rest_vectors(&self.materials) * slots)?,
         };
         let lists = planes.lists(&homes, &self.materials, self.h, slots);
@@ -697,10 +698,8 @@ impl WgpuEngine {
         };
         let extent = self.memory.extent;
         let entries = homes.entries(extent.block_room as usize, extent.node_room as usize, &self.periods);
-        write(Sorted::Place, bytemuck::cast_slice(&planes.place));
+        write(Sorted::Record, bytemuck::cast_slice(&planes.record));
         write(Sorted::Ids, bytemuck::cast_slice(&planes.ids));
-        write(Sorted::Motion, bytemuck::cast_slice(&planes.motion));
-        write(Sorted::Stress, bytemuck::cast_slice(&planes.stress));
         write(Sorted::Rest, bytemuck::cast_slice(&planes.rest));
         write(Sorted::Lists, bytemuck::cast_slice(&entries));
         write(Sorted::Cells, bytemuck::cast_slice(&homes.cells));
@@ -897,12 +896,12 @@ impl WgpuEngine {
             let slots = self.memory.extent.slots as usize;
             let vectors = rest_vectors(&self.materials);
             let rest = read(&self.gpu, self.memory.plane(Sorted::Rest), 0, vectors * slots)?;
-            let place = if self.materials.len() > 1 {
-                Some(read(&self.gpu, self.memory.plane(Sorted::Place), 0, slots)?)
+            let record = if self.materials.len() > 1 {
+                Some(read(&self.gpu, self.memory.plane(Sorted::Record), 0, layout::RECORD * slots)?)
             } else {
                 None
             };
-            let held = Held { rest: &rest, place: place.as_deref(), slots, count: self.particles() };
+            let held = Held { rest: &rest, record: record.as_deref(), slots, count: self.particles() };
             let hardening = stiffness::bound_of_hardening(&held, &self.materials, &self.densities, self.h)?;
             self.stiffness = if hardening.dt < self.unchanging.dt { hardening } else { self.unchanging.clone() };
             self.stiffness_age = 0;

@@ -2,7 +2,7 @@
 
 use crate::device::Gpu;
 use crate::kernels::{FIRST_BINDING, Kernel, Role, Sorted, Uniform};
-use crate::layout::ENTRY;
+use crate::layout::{ENTRY, RECORD};
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
@@ -69,7 +69,7 @@ pub(crate) struct Memory {
     /// Vectors of four of strain and history.
     vectors: usize,
     asked: Asked,
-    sorted: [[wgpu::Buffer; 7]; 2],
+    sorted: [[wgpu::Buffer; 5]; 2],
     shared: HashMap<&'static str, wgpu::Buffer>,
     pub(crate) constants: wgpu::Buffer,
     pub(crate) params: wgpu::Buffer,
@@ -84,18 +84,15 @@ pub(crate) struct Memory {
 
 fn sorted_name(sorted: Sorted) -> &'static str {
     match sorted {
-        Sorted::Place => "places of particles",
+        Sorted::Record => "records of particles",
         Sorted::Ids => "names of particles",
-        Sorted::Motion => "motion of particles",
-        Sorted::Stress => "stress of particles",
         Sorted::Rest => "strain of particles",
         Sorted::Lists => "lists of blocks",
         Sorted::Cells => "starts of cells",
     }
 }
 
-const SORTED: [Sorted; 7] =
-    [Sorted::Place, Sorted::Ids, Sorted::Motion, Sorted::Stress, Sorted::Rest, Sorted::Lists, Sorted::Cells];
+const SORTED: [Sorted; 5] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells];
 const SHARED: [Role; 12] = [
     Role::Grid,
     Role::Status,
@@ -133,10 +130,8 @@ impl Extent {
     fn sorted_bytes(&self, sorted: Sorted, vectors: usize) -> u64 {
         let (slots, blocks) = (u64::from(self.slots), u64::from(self.block_room));
         match sorted {
-            Sorted::Place => 16 * slots,
+            Sorted::Record => 16 * RECORD as u64 * slots,
             Sorted::Ids => 8 * slots,
-            Sorted::Motion => 48 * slots,
-            Sorted::Stress => 32 * slots,
             Sorted::Rest => 16 * vectors as u64 * slots,
             Sorted::Lists => 16 * ENTRY as u64 * (blocks + u64::from(self.node_room)),
             Sorted::Cells => 4 * (64 * blocks + 1),
