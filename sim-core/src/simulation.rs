@@ -137,14 +137,14 @@ impl Simulation {
         }
     }
 
-    /// Continues from a snapshot, bit for bit if backend and machine are the same. The number format is the snapshot's;
+    /// Continues from a snapshot, bit for bit if backend and machine are the same; another backend sorts the particles anew. The number format is the snapshot's;
     /// asking for another is an error.
     ///
     /// # Errors
     /// [`Error::Snapshot`] if the file cannot be used, and those of [`new`](Self::new).
     pub fn resume(registry: &Registry, path: impl AsRef<Path>, options: &Options) -> Result<Self> {
         let path = path.as_ref();
-        let snapshot = Snapshot::read(path)?;
+        let mut snapshot = Snapshot::read(path)?;
         let refuse = |what: String, mend: &str| Error::Snapshot { file: path.to_owned(), what, mend: mend.to_owned() };
         if snapshot.precision != options.precision {
             return Err(refuse(
@@ -154,6 +154,9 @@ impl Simulation {
         }
         let backend = find_backend(registry, options)?;
         let scene = Scene::from_str(&snapshot.scene, &path.display().to_string(), &snapshot.folder)?;
+        if !snapshot.backend.is_empty() && snapshot.backend != backend.name() {
+            snapshot.particles.sort = None;
+        }
         let (plan, particles, mut couplings) =
             Plan::assemble_with(registry, &scene, options, Some(snapshot.particles))?;
         let named: Vec<_> = couplings.iter().map(|c| c.name().to_owned()).collect();
@@ -224,6 +227,7 @@ impl Simulation {
             scene: self.plan.scene.to_toml()?,
             folder,
             precision: self.plan.precision,
+            backend: self.backend.clone(),
             time: self.time,
             step: self.step,
             stop: self.stop.is_finite().then_some(self.stop),

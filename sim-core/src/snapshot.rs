@@ -41,6 +41,8 @@ pub(crate) struct Snapshot {
     /// Folder that the scene's relative paths start from.
     pub(crate) folder: PathBuf,
     pub(crate) precision: Precision,
+    /// Name of the backend whose phase of the sort it holds; empty in older files, which nothing but the first backend wrote.
+    pub(crate) backend: String,
     pub(crate) time: f64,
     pub(crate) step: u64,
     pub(crate) stop: Option<f64>,
@@ -58,6 +60,8 @@ struct Head {
     scene: String,
     folder: PathBuf,
     precision: Precision,
+    #[serde(default)]
+    backend: String,
     time: f64,
     step: u64,
     stop: Option<f64>,
@@ -75,6 +79,7 @@ impl Snapshot {
             scene: self.scene.clone(),
             folder: self.folder.clone(),
             precision: self.precision,
+            backend: self.backend.clone(),
             time: self.time,
             step: self.step,
             stop: self.stop,
@@ -168,6 +173,7 @@ impl Snapshot {
             scene: head.scene,
             folder: head.folder,
             precision: head.precision,
+            backend: head.backend,
             time: head.time,
             step: head.step,
             stop: head.stop,

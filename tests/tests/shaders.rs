@@ -8,11 +8,13 @@
 #[path = "suite/libraries.rs"]
 mod libraries;
 
-use barchan::{Material, Registry};
+use barchan::{Material, Options, Registry, Simulation};
 use barchan_material_kit::random::Random;
 use barchan_material_kit::{Answer, BARCHAN_CAP_FLUID, Mat3, Particle, Precision, Subject, SymMat3};
+use barchan_tests::scenes::{options, scene};
+use barchan_tests::sketch::{self, Head, block};
 use barchan_wgpu::{device, material};
-use libraries::{c_template, rust_library};
+use libraries::{build_c, c_template, root, rust_library};
 
 /// States of each kind, for each law.
 const COUNT: usize = 2000;
@@ -348,4 +350,43 @@ fn every_law_gives_the_same_answer_on_a_gpu_as_on_the_cpu() {
         failures.len(),
         failures[..failures.len().min(12)].join("\n")
     );
+}
+
+/// A library's author learns what is wrong, in which material of which library, and on which line of the WGSL, when a scene that uses it is
+/// assembled for a GPU; on the CPU the same library runs.
+#[test]
+fn a_library_without_wgsl_or_with_a_mistake_in_it_is_refused_by_name_and_line() {
+    let source = std::fs::read_to_string(root().join("materials/template/c/neo_hookean.c")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for (name, from, to, said) in [
+        ("c_without_wgsl", "sizeof(WGSL) - 1}", "0}", "libc_without_wgsl.so) has no WGSL"),
+        (
+            "c_mistaken",
+            "barchan_sym(x",
+            "barchan_symm(x",
+            "material 'c_neo_hookean': WGSL line 3: no definition in scope",
+        ),
+        (
+            "c_misnamed",
+            "fn c_neo_hookean_update",
+            "fn update",
+            "WGSL line 1: 'update' does not start with 'c_neo_hookean_'",
+        ),
+    ] {
+        assert!(source.contains(from));
+        let file = folder.path().join(format!("{name}.c"));
+        std::fs::write(&file, source.replace(from, to)).unwrap();
+        let mut registry = barchan::registry();
+        registry.load(&build_c(&file, "sim-core/abi/include", name)).unwrap();
+        let text = Head::space(0.1).with(&[
+            sketch::material("c_neo_hookean", 1000.0, "young_modulus = 1e4"),
+            block("c_neo_hookean", [-0.2; 3], [0.2; 3], ""),
+        ]);
+        let cpu = options(barchan::Precision::F32);
+        let gpu = Options { backend: "wgpu".to_owned(), ..cpu.clone() };
+        let error = Simulation::new(&registry, &scene(&text), &gpu).unwrap_err().to_string();
+        println!("{error}");
+        assert!(error.contains(said) && error.contains(name), "{error}");
+        Simulation::new(&registry, &scene(&text), &cpu).unwrap().step().unwrap();
+    }
 }

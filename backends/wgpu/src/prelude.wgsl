@@ -107,22 +107,24 @@ fn barchan_power_of_two(k: f32) -> f32 {
     return bitcast<f32>(u32(i32(k) + 127) << 23u);
 }
 
-// e^x - 1, for x clamped to [-87, 88]: e^x = 2^k e^r with |r| <= ln 2 / 2; relative error 2e-7, also for the least x.
-fn barchan_expm1(x: f32) -> f32 {
+// 2^k and e^r - 1 with x = k ln 2 + r, |r| <= ln 2 / 2, for x clamped to [-87, 88].
+fn barchan_exp_parts(x: f32) -> vec2<f32> {
     let bounded = clamp(x, -87.0, 88.0);
     let k = round(bounded * 1.442695);
     let r = (bounded - k * 0.69314575) - k * 1.4286068e-6;
     let p = r * (1.0 + r * (0.5 + r * (0.16666667 + r * (0.041666668 + r * (0.008333334 + r * (0.0013888889 + r * 1.984127e-4))))));
-    let power = barchan_power_of_two(k);
-    return power * p + (power - 1.0);
+    return vec2<f32>(barchan_power_of_two(k), p);
+}
+
+// e^x - 1; relative error 2e-7, also for the least x.
+fn barchan_expm1(x: f32) -> f32 {
+    let e = barchan_exp_parts(x);
+    return e.x * e.y + (e.x - 1.0);
 }
 
 fn barchan_exp(x: f32) -> f32 {
-    let bounded = clamp(x, -87.0, 88.0);
-    let k = round(bounded * 1.442695);
-    let r = (bounded - k * 0.69314575) - k * 1.4286068e-6;
-    let p = r * (1.0 + r * (0.5 + r * (0.16666667 + r * (0.041666668 + r * (0.008333334 + r * (0.0013888889 + r * 1.984127e-4))))));
-    return barchan_power_of_two(k) * (p + 1.0);
+    let e = barchan_exp_parts(x);
+    return e.x * (e.y + 1.0);
 }
 
 // (sin x, cos x) for x in [0, pi/2].

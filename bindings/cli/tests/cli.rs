@@ -316,3 +316,51 @@ fn growing_ground_is_measured_until_the_cap() {
         assert!(fs::metadata(out.join(file)).unwrap().len() > 500, "{file} is empty");
     }
 }
+
+/// The second half of the run is another number format's: the same files as any run, a trace without a gap, and a body where the run
+/// without a swap has it.
+#[test]
+fn a_swap_in_the_middle_leaves_one_run() {
+    let folder = folder_with_scene();
+    succeed(folder.path(), &["run", "small.toml", "--out", "whole", "--quiet", "--steps", "80", "--precision", "f64"]);
+    let swap = ["run", "small.toml", "--out", "swapped", "--quiet", "--swap-at", "50:cpu:f64"];
+    succeed(folder.path(), &[&swap[..], &["--steps", "60"]].concat());
+    // Past the swap, the snapshot is the second backend's.
+    succeed(folder.path(), &[&swap[..], &["--steps", "80", "--resume"]].concat());
+    let last = |out: &str| -> Vec<f64> {
+        let trace = fs::read_to_string(folder.path().join(out).join("trace.csv")).unwrap();
+        assert_eq!(trace.lines().count(), 1 + 80, "{out}");
+        trace.lines().last().unwrap().split(',').map(|number| number.parse().unwrap()).collect()
+    };
+    let (whole, swapped) = (last("whole"), last("swapped"));
+    assert_eq!(whole[..6], swapped[..6], "time, step and the driven rod's place");
+    let force = |row: &[f64]| row[16..19].iter().map(|f| f * f).sum::<f64>().sqrt();
+    assert!((force(&whole) / force(&swapped) - 1.0).abs() < 0.01, "{whole:?}\n{swapped:?}");
+    let summary = |out: &str| fs::read_to_string(folder.path().join(out).join("summary.json")).unwrap();
+    assert!(summary("swapped").contains("\"precision\": \"f64\""));
+
+    // A GPU takes over, by the name of its adapter's number, which the CPU before it is not asked about.
+    let gpu =
+        ["run", "small.toml", "--out", "gpu", "--quiet", "--steps", "80", "--swap-at", "50:wgpu", "--adapter", "0"];
+    succeed(folder.path(), &gpu);
+    let swapped = last("gpu");
+    assert_eq!(whole[..6], swapped[..6], "time, step and the driven rod's place");
+    assert!((force(&whole) / force(&swapped) - 1.0).abs() < 0.01, "{whole:?}\n{swapped:?}");
+    let error = fail(folder.path(), &["run", "small.toml", "--swap-at", "50:wgpu:f64", "--quiet"]);
+    assert!(error.contains("has no 64-bit floats"), "{error}");
+
+    let error = fail(folder.path(), &["run", "small.toml", "--swap-at", "50:abacus", "--quiet"]);
+    assert!(error.contains("no backend is called 'abacus'"), "{error}");
+    assert!(!folder.path().join("out/small/trace.csv").exists(), "refused before the first step");
+}
+
+#[test]
+fn adapters_are_listed_and_refused_where_there_are_none() {
+    let folder = folder_with_scene();
+    let text = succeed(folder.path(), &["adapters"]);
+    assert!(text.starts_with("wgpu\n  0  "), "{text}");
+    let unknown = fail(folder.path(), &["run", "small.toml", "--backend", "wgpu", "--adapter", "abacus", "--quiet"]);
+    assert!(unknown.contains("--adapter: no adapter is called 'abacus'; known are: 0: "), "{unknown}");
+    let error = fail(folder.path(), &["run", "small.toml", "--adapter", "0", "--quiet"]);
+    assert!(error.contains("backend 'cpu'") && error.contains("has no adapters"), "{error}");
+}

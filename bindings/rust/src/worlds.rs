@@ -9,8 +9,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Worlds on the processor: each is stepped by one thread, as many at a time as there are threads.
 ///
-/// One world cut over all threads waits for its slowest block at every pass; whole worlds side by side never wait. Other backends
-/// run the worlds in turn.
+/// One world cut over all threads waits for its slowest block at every pass; whole worlds side by side never wait. A backend on a GPU
+/// runs them too, but not batched: each has a device to itself.
 #[derive(Debug)]
 pub struct Worlds {
     registry: Registry,

@@ -304,7 +304,8 @@ typedef struct BarchanMaterial {
   BarchanCheckParams check_params;
   // Optional: counts of clamps, floors and clips for the ledger.
   BarchanCountF64 count_f64;
-  // WGSL text of `<name>_update`; empty: not available on the GPU.
+  // WGSL text of `<name>_update`; empty: not available on the GPU. A pure function of one particle, strains minus I, all names at
+  // module scope starting with the material's; what it may use is in backends/wgpu/src/prelude.wgsl.
   struct BarchanStr wgsl;
   // WGSL text of `<name>_update_adj`; empty: no gradient on the GPU.
   struct BarchanStr wgsl_adj;

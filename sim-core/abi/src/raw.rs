@@ -318,7 +318,8 @@ pub struct BarchanMaterial {
     pub check_params: BarchanCheckParams,
     /// Optional: counts of clamps, floors and clips for the ledger.
     pub count_f64: BarchanCountF64,
-    /// WGSL text of `<name>_update`; empty: not available on the GPU.
+    /// WGSL text of `<name>_update`; empty: not available on the GPU. A pure function of one particle, strains minus I, all names at
+    /// module scope starting with the material's; what it may use is in backends/wgpu/src/prelude.wgsl.
     pub wgsl: BarchanStr,
     /// WGSL text of `<name>_update_adj`; empty: no gradient on the GPU.
     pub wgsl_adj: BarchanStr,

@@ -133,6 +133,83 @@ fn a_refused_swap_leaves_the_run_as_it_was() {
     assert_eq!(asked.backend(), "cpu");
 }
 
+fn on_gpu() -> Options {
+    Options { backend: "wgpu".to_owned(), ..options(Precision::F32) }
+}
+
+/// From the CPU to a GPU and back, by swap and by snapshot: a block that bounces under a free box is where the CPU in f64 has it.
+#[test]
+fn an_elastic_body_goes_on_across_cpu_and_gpu() {
+    let (single, double, gpu) = (options(Precision::F32), options(Precision::F64), on_gpu());
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("half.barchan");
+    for law in ["neo_hookean", "fixed_corotated"] {
+        let mut whole = start(&struck(law), &double);
+        steps(&mut whole, 200);
+        let there = |s: &Simulation, how: &str| {
+            assert_eq!(s.step_count(), 200);
+            let far = rows(&whole).iter().zip(&rows(s)).fold(0f64, |m, (a, b)| m.max(norm(minus(a.x, b.x))));
+            let body = norm(minus(whole.bodies()[0].position, s.bodies()[0].position));
+            within(&format!("{law}, {how}: greatest distance of a particle after 200 steps, in cells"), far / H, 1e-3);
+            within(&format!("{law}, {how}: distance of the box, in cells"), body / H, 1e-3);
+        };
+        let mut s = start(&struck(law), &single);
+        steps(&mut s, 70);
+        s.swap(&registry(), &gpu).unwrap();
+        assert_eq!(s.backend(), "wgpu");
+        steps(&mut s, 70);
+        s.save(&file).unwrap();
+        let mut resumed = Simulation::resume(&registry(), &file, &single).unwrap();
+        s.swap(&registry(), &single).unwrap();
+        steps(&mut s, 60);
+        there(&s, "swapped");
+        steps(&mut resumed, 60);
+        there(&resumed, "resumed from the GPU's snapshot");
+        assert_eq!(s.particles(), resumed.particles(), "a swap is a snapshot without the file");
+
+        let mut s = start(&struck(law), &single);
+        steps(&mut s, 100);
+        s.save(&file).unwrap();
+        let mut resumed = Simulation::resume(&registry(), &file, &gpu).unwrap();
+        steps(&mut resumed, 100);
+        there(&resumed, "resumed from the CPU's snapshot");
+    }
+}
+
+/// Sand forgets where each grain would have been, but not its heap: height and runout of a column that is swapped while it falls.
+#[test]
+fn a_heap_of_sand_is_the_same_heap_across_cpu_and_gpu() {
+    let h = 0.02;
+    let walls = "x_min = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let text = Head::cells(h, [24, 8, 14], walls).time("step = 2.5e-4").with(&[
+        material("sand", 1500.0, "young_modulus = 2e5, poisson_ratio = 0.2, friction_angle_deg = 30"),
+        block("sand", [0.0; 3], [0.16, 0.16, 0.16], ""),
+    ]);
+    let mut whole = start(&text, &options(Precision::F64));
+    steps(&mut whole, 600);
+    let mut swapped = start(&text, &options(Precision::F32));
+    steps(&mut swapped, 200);
+    swapped.swap(&registry(), &on_gpu()).unwrap();
+    steps(&mut swapped, 200);
+    swapped.swap(&registry(), &options(Precision::F32)).unwrap();
+    steps(&mut swapped, 200);
+    let heights = |s: &Simulation| {
+        let mut heights = [0f64; 24];
+        for row in rows(s) {
+            let column = ((row.x[0] / h) as usize).min(23);
+            heights[column] = heights[column].max(row.x[2]);
+        }
+        heights
+    };
+    let (a, b) = (heights(&whole), heights(&swapped));
+    assert!(a[7] < 0.8 * 0.16 && a[9] > 0.05, "the column, eight cells wide and high, has slumped: {a:?}");
+    let mean = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum::<f64>() / 24.0;
+    within("mean difference of heights, in cells", mean / h, 0.02);
+    let volume_gap = |s: &Simulation| rows(s).iter().map(|row| row.state[0] * row.volume0).sum::<f64>();
+    let (a, b) = (volume_gap(&whole), volume_gap(&swapped));
+    within("difference of the volume gained, relative", (a / b - 1.0).abs(), 0.01);
+}
+
 /// An adapter means nothing to a backend that runs on the processor: it says so instead of running elsewhere than asked.
 #[test]
 fn an_adapter_is_refused_by_a_backend_that_runs_on_none() {
