@@ -5,7 +5,8 @@ use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Periods, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, MAX_STEPS, Memory, PER_STEP, STEP_STRIDE, STEPS, StepConstants, read, with_mapped, with_room,
+    Asked, BODY, Extent, MAX_STEPS, Memory, PER_STEP, STATUS_WORDS, STEP_STRIDE, STEPS, StepConstants, read,
+    with_mapped, with_room,
 };
 use crate::stiffness::{self, Held};
 use barchan_abi as abi;
@@ -376,7 +377,7 @@ impl WgpuEngine {
             self.write_step(0, &self.step_constants(dt, time, 0, 0, drift));
         }
         let parts = self.with_groups(parts);
-        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts)?;
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
 
         let halt = Halt::of(words[HALTED]);
         let done = if halt.is_some() { words[HALT_STEP] as usize } else { count };
@@ -453,12 +454,13 @@ impl WgpuEngine {
         }
     }
 
-    /// Runs parts and brings back the status.
+    /// Runs parts and brings back the status, and behind it stretches of the grid: first byte, bytes.
     fn run(
         gpu: &Gpu,
         memory: &mut Memory,
         clocks: &mut Clocks,
         parts: &[(Part<'_>, Vec<(u32, u32)>)],
+        nodes: &[(u64, u64)],
     ) -> Result<Vec<u32>> {
         for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
             clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
@@ -487,8 +489,13 @@ impl WgpuEngine {
             }
             Self::encode(gpu, &mut encoder, memory, rest, None);
         }
-        let bytes = memory.readback.size();
+        let mut bytes = 4 * STATUS_WORDS as u64;
+        memory.read_back_to(gpu, bytes + nodes.iter().map(|(_, bytes)| bytes).sum::<u64>());
         encoder.copy_buffer_to_buffer(memory.buffer(Role::Status, 0), 0, &memory.readback, 0, bytes);
+        for &(from, length) in nodes {
+            encoder.copy_buffer_to_buffer(memory.buffer(Role::Grid, 0), from, &memory.readback, bytes, length);
+            bytes += length;
+        }
         let resolved = queries.map(|queries| {
             let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("clock"),
@@ -733,7 +740,7 @@ impl WgpuEngine {
             self.write_step(0, &self.step_constants(particles.strain_dt, 0.0, 0, 0, 0.0));
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
-            let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts)?;
+            let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
             self.parted_seen = words[PARTED];
         }
         Ok(())
@@ -1005,10 +1012,10 @@ impl WgpuEngine {
         let now = self.memory.now;
         let passes = [&self.kernels.p2g].into_iter().chain(&self.kernels.grid);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 1 }).collect();
-        nodes.begin(self, boxes);
+        let wanted = nodes.begin(self, boxes);
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
-        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts)?;
-        nodes.read(self)?;
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &wanted)?;
+        nodes.take(bytemuck::cast_slice(&words[STATUS_WORDS..]));
         self.take_pending(&words);
         Ok(words)
     }

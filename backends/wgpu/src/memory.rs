@@ -12,7 +12,7 @@ pub(crate) const STEPS: usize = 20;
 pub(crate) const PER_STEP: usize = 4;
 /// Steps that one submission can take.
 pub(crate) const MAX_STEPS: usize = 64;
-const STATUS_WORDS: usize = STEPS + PER_STEP * MAX_STEPS;
+pub(crate) const STATUS_WORDS: usize = STEPS + PER_STEP * MAX_STEPS;
 /// Bytes from one step's constants to the next.
 pub(crate) const STEP_STRIDE: u64 = 256;
 /// Workgroups in a row of a dispatch.
@@ -236,12 +236,7 @@ impl Memory {
                 }),
             }],
         });
-        let readback = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("readback"),
-            size: 4 * STATUS_WORDS as u64,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let readback = mappable(gpu, 4 * STATUS_WORDS as u64);
         Ok(Self {
             extent,
             vectors,
@@ -306,6 +301,13 @@ impl Memory {
         });
         self.bindings.insert((kernel.name, now), group.clone());
         group
+    }
+
+    /// Makes room for so many bytes to be read back at once.
+    pub(crate) fn read_back_to(&mut self, gpu: &Gpu, bytes: u64) {
+        if self.readback.size() < bytes {
+            self.readback = mappable(gpu, bytes + bytes / 4);
+        }
     }
 
     /// Makes room for bodies whose law runs on the device, and takes in what it reads.
@@ -373,6 +375,16 @@ impl Memory {
     }
 }
 
+/// A buffer that the host can look into.
+fn mappable(gpu: &Gpu, size: u64) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("readback"),
+        size,
+        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
 /// Copies a stretch of a buffer to the host, a part at a time.
 pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, from: u64, count: usize) -> Result<Vec<T>> {
     const PART: u64 = 64 << 20;
@@ -381,12 +393,7 @@ pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, from: u64, count: u
     if bytes == 0 {
         return Ok(out);
     }
-    let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("staging"),
-        size: bytes.min(PART),
-        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
+    let staging = mappable(gpu, bytes.min(PART));
     let mut at = 0;
     while at < bytes {
         let part = PART.min(bytes - at);
@@ -405,12 +412,7 @@ pub(crate) fn read_parts<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, parts: &[(u64
     if bytes == 0 {
         return Ok(Vec::new());
     }
-    let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("staging"),
-        size: bytes,
-        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
+    let staging = mappable(gpu, bytes);
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     let mut at = 0;
     for &(from, bytes) in parts {
