@@ -430,7 +430,11 @@ impl WgpuEngine {
             }
             age += steps as u32;
             drift += each * steps as f64;
-            sort = drift > MAX_DRIFT || drift > SORT_DRIFT;
+            sort = drift > SORT_DRIFT;
+            // The directory's box changes before a submission that sorts, and fits the blocks from its first sort on.
+            if sort && !stretches[0].sort {
+                return stretches;
+            }
         }
     }
 
@@ -597,7 +601,7 @@ impl WgpuEngine {
         let law = planes.law(slot);
         let before = (0..slot).filter(|&q| planes.law(q) == law).count();
         let _ = homes;
-        let list = lists.get(law)?;
+        let list = lists.get(law).filter(|list| before < list.len())?;
         Some((list.id[before], list.position(before), law))
     }
 
