@@ -88,6 +88,24 @@ fn a_jelly_bounces_as_on_the_cpu() {
     }
 }
 
+/// A block that falls fast on a wall that lets go, in as many steps at once as the backend likes, sorts among them: as step by step.
+#[test]
+fn a_fast_block_lands_in_many_steps_at_once() {
+    let toml =
+        Head::cells(0.02, [16, 16, 24], "z_min = { separate = { friction = 0.3 } }").time("step = 4e-4").with(&[
+            material("hencky", 1000.0, "young_modulus = 4e4, poisson_ratio = 0.3"),
+            block("hencky", [0.1, 0.1, 0.13], [0.2, 0.2, 0.23], "velocity = [0.5, 0.2, -3.0]"),
+        ]);
+    let (mut many, mut single) = (gpu(&toml), gpu(&toml));
+    let mut taken = 0;
+    while taken < 200 {
+        taken += many.steps(200 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
+    }
+    take(&mut single, 200);
+    within("distance, in cells", apart(&rows(&many), &rows(&single)) / 0.02, 1e-3);
+    assert!(many.ledger().wall_impulse[2] > 0.0, "it has landed");
+}
+
 /// Free flight over many cells, through the edges of blocks, in a periodic world: positions are exact to f32's velocity, and no
 /// angular momentum appears.
 #[test]

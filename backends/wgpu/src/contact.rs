@@ -33,29 +33,32 @@ fn blocks_in(engine: &WgpuEngine, boxes: &[Aabb]) -> Vec<u32> {
 }
 
 impl Nodes {
-    /// Notes which blocks will be wanted.
-    pub(crate) fn begin(&mut self, engine: &WgpuEngine, boxes: &[Aabb]) {
+    /// Forgets all, and says which stretches of the grid hold the blocks in the boxes: first byte, bytes.
+    pub(crate) fn begin(&mut self, engine: &WgpuEngine, boxes: &[Aabb]) -> Vec<(u64, u64)> {
         self.blocks.clear();
         self.changed.clear();
         self.wanted = blocks_in(engine, boxes);
+        self.stretches()
     }
 
-    /// Reads them, in runs of blocks that stand together.
-    pub(crate) fn read(&mut self, engine: &WgpuEngine) -> Result<()> {
-        let grid = engine.memory.buffer(Role::Grid, 0);
+    /// Blocks that stand together are read together.
+    fn stretches(&self) -> Vec<(u64, u64)> {
         let runs = self.wanted.chunk_by(|a, b| a + 1 == *b);
-        let parts: Vec<_> = runs.map(|run| (u64::from(run[0]) * BLOCK, run.len() as u64 * BLOCK)).collect();
-        let nodes: Vec<[f32; 4]> = read_parts(&engine.gpu, grid, &parts)?;
-        self.blocks.extend(self.wanted.iter().copied().zip(nodes.chunks_exact(64).map(<[_]>::to_vec)));
-        self.wanted.clear();
-        Ok(())
+        runs.map(|run| (u64::from(run[0]) * BLOCK, run.len() as u64 * BLOCK)).collect()
+    }
+
+    /// Takes in what the wanted stretches hold.
+    pub(crate) fn take(&mut self, nodes: &[[f32; 4]]) {
+        self.blocks.extend(self.wanted.drain(..).zip(nodes.chunks_exact(64).map(<[_]>::to_vec)));
     }
 
     /// Reads those in the boxes that are not here yet.
     pub(crate) fn fetch(&mut self, engine: &WgpuEngine, boxes: &[Aabb]) -> Result<()> {
         self.wanted = blocks_in(engine, boxes);
         self.wanted.retain(|g| !self.blocks.contains_key(g));
-        self.read(engine)
+        let nodes: Vec<[f32; 4]> = read_parts(&engine.gpu, engine.memory.buffer(Role::Grid, 0), &self.stretches())?;
+        self.take(&nodes);
+        Ok(())
     }
 
     /// Hands the nodes in the boxes to a law, and takes back their velocities. Returns the greatest speed that particles may

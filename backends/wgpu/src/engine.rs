@@ -5,7 +5,8 @@ use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Periods, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, MAX_STEPS, Memory, PER_STEP, STEP_STRIDE, STEPS, StepConstants, read, with_mapped, with_room,
+    Asked, BODY, Extent, MAX_STEPS, Memory, PER_STEP, STATUS_WORDS, STEP_STRIDE, STEPS, StepConstants, read,
+    with_mapped, with_room,
 };
 use crate::stiffness::{self, Held};
 use barchan_abi as abi;
@@ -376,7 +377,7 @@ impl WgpuEngine {
             self.write_step(0, &self.step_constants(dt, time, 0, 0, drift));
         }
         let parts = self.with_groups(parts);
-        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts)?;
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
 
         let halt = Halt::of(words[HALTED]);
         let done = if halt.is_some() { words[HALT_STEP] as usize } else { count };
@@ -429,7 +430,11 @@ impl WgpuEngine {
             }
             age += steps as u32;
             drift += each * steps as f64;
-            sort = drift > MAX_DRIFT || drift > SORT_DRIFT;
+            sort = drift > SORT_DRIFT;
+            // The directory's box changes before a submission that sorts, and fits the blocks from its first sort on.
+            if sort && !stretches[0].sort {
+                return stretches;
+            }
         }
     }
 
@@ -453,12 +458,13 @@ impl WgpuEngine {
         }
     }
 
-    /// Runs parts and brings back the status.
+    /// Runs parts and brings back the status, and behind it stretches of the grid: first byte, bytes.
     fn run(
         gpu: &Gpu,
         memory: &mut Memory,
         clocks: &mut Clocks,
         parts: &[(Part<'_>, Vec<(u32, u32)>)],
+        nodes: &[(u64, u64)],
     ) -> Result<Vec<u32>> {
         for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
             clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
@@ -487,8 +493,13 @@ impl WgpuEngine {
             }
             Self::encode(gpu, &mut encoder, memory, rest, None);
         }
-        let bytes = memory.readback.size();
+        let mut bytes = 4 * STATUS_WORDS as u64;
+        memory.read_back_to(gpu, bytes + nodes.iter().map(|(_, bytes)| bytes).sum::<u64>());
         encoder.copy_buffer_to_buffer(memory.buffer(Role::Status, 0), 0, &memory.readback, 0, bytes);
+        for &(from, length) in nodes {
+            encoder.copy_buffer_to_buffer(memory.buffer(Role::Grid, 0), from, &memory.readback, bytes, length);
+            bytes += length;
+        }
         let resolved = queries.map(|queries| {
             let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("clock"),
@@ -584,10 +595,13 @@ impl WgpuEngine {
         (lists, homes, planes): &(Vec<ParticleList>, Homes, Planes),
         slot: usize,
     ) -> Option<(u64, Vec3, usize)> {
-        let law = (planes.place.get(slot)?[3] >> 9) as usize;
-        let before = (0..slot).filter(|&q| (planes.place[q][3] >> 9) as usize == law).count();
+        if slot >= self.particles() {
+            return None;
+        }
+        let law = planes.law(slot);
+        let before = (0..slot).filter(|&q| planes.law(q) == law).count();
         let _ = homes;
-        let list = lists.get(law)?;
+        let list = lists.get(law).filter(|list| before < list.len())?;
         Some((list.id[before], list.position(before), law))
     }
 
@@ -645,10 +659,8 @@ impl WgpuEngine {
         let homes = self.homes()?;
         let plane = |sorted| self.memory.plane(sorted);
         let planes = Planes {
-            place: read(&self.gpu, plane(Sorted::Place), 0, slots)?,
+            record: read(&self.gpu, plane(Sorted::Record), 0, layout::RECORD * slots)?,
             ids: read(&self.gpu, plane(Sorted::Ids), 0, slots)?,
-            motion: read(&self.gpu, plane(Sorted::Motion), 0, 3 * slots)?,
-            stress: read(&self.gpu, plane(Sorted::Stress), 0, 2 * slots)?,
             rest: read(&self.gpu, plane(Sorted::Rest), 0, rest_vectors(&self.materials) * slots)?,
         };
         let lists = planes.lists(&homes, &self.materials, self.h, slots);
@@ -697,10 +709,8 @@ impl WgpuEngine {
         };
         let extent = self.memory.extent;
         let entries = homes.entries(extent.block_room as usize, extent.node_room as usize, &self.periods);
-        write(Sorted::Place, bytemuck::cast_slice(&planes.place));
+        write(Sorted::Record, bytemuck::cast_slice(&planes.record));
         write(Sorted::Ids, bytemuck::cast_slice(&planes.ids));
-        write(Sorted::Motion, bytemuck::cast_slice(&planes.motion));
-        write(Sorted::Stress, bytemuck::cast_slice(&planes.stress));
         write(Sorted::Rest, bytemuck::cast_slice(&planes.rest));
         write(Sorted::Lists, bytemuck::cast_slice(&entries));
         write(Sorted::Cells, bytemuck::cast_slice(&homes.cells));
@@ -734,7 +744,7 @@ impl WgpuEngine {
             self.write_step(0, &self.step_constants(particles.strain_dt, 0.0, 0, 0, 0.0));
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
-            let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts)?;
+            let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
             self.parted_seen = words[PARTED];
         }
         Ok(())
@@ -897,12 +907,12 @@ impl WgpuEngine {
             let slots = self.memory.extent.slots as usize;
             let vectors = rest_vectors(&self.materials);
             let rest = read(&self.gpu, self.memory.plane(Sorted::Rest), 0, vectors * slots)?;
-            let place = if self.materials.len() > 1 {
-                Some(read(&self.gpu, self.memory.plane(Sorted::Place), 0, slots)?)
+            let record = if self.materials.len() > 1 {
+                Some(read(&self.gpu, self.memory.plane(Sorted::Record), 0, layout::RECORD * slots)?)
             } else {
                 None
             };
-            let held = Held { rest: &rest, place: place.as_deref(), slots, count: self.particles() };
+            let held = Held { rest: &rest, record: record.as_deref(), slots, count: self.particles() };
             let hardening = stiffness::bound_of_hardening(&held, &self.materials, &self.densities, self.h)?;
             self.stiffness = if hardening.dt < self.unchanging.dt { hardening } else { self.unchanging.clone() };
             self.stiffness_age = 0;
@@ -1006,10 +1016,10 @@ impl WgpuEngine {
         let now = self.memory.now;
         let passes = [&self.kernels.p2g].into_iter().chain(&self.kernels.grid);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 1 }).collect();
-        nodes.begin(self, boxes);
+        let wanted = nodes.begin(self, boxes);
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
-        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts)?;
-        nodes.read(self)?;
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &wanted)?;
+        nodes.take(bytemuck::cast_slice(&words[STATUS_WORDS..]));
         self.take_pending(&words);
         Ok(words)
     }

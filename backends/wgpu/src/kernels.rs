@@ -11,10 +11,8 @@ use std::fmt::Write as _;
 /// Planes of particles, and what a sort lays out anew: there are two of each, one of which a sort writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sorted {
-    Place,
+    Record,
     Ids,
-    Motion,
-    Stress,
     Rest,
     Lists,
     Cells,
@@ -45,9 +43,7 @@ pub(crate) enum Role {
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
 type Use = (&'static str, &'static str, Role, bool);
 
-const PLACE: Use = ("place", "vec4<u32>", Role::Now(Sorted::Place), false);
-const MOTION: Use = ("motion", "vec4<f32>", Role::Now(Sorted::Motion), false);
-const STRESS: Use = ("stress", "vec4<f32>", Role::Now(Sorted::Stress), false);
+const RECORD: Use = ("record", "vec4<u32>", Role::Now(Sorted::Record), false);
 const REST: Use = ("rest", "vec4<f32>", Role::Now(Sorted::Rest), false);
 const LISTS: Use = ("lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
 const CELLS: Use = ("cells", "u32", Role::Now(Sorted::Cells), false);
@@ -375,8 +371,8 @@ fn constants(plan: &Plan) -> String {
 fn p2g() -> Draft {
     let body = include_str!("wgsl/p2g.wgsl")
         .replace("$ZERO", &each_node(|n, _| format!("var a{n} = vec2<f32>(0.0);\n")))
-        .replace("$WALK_XY", &walk(&["r0", "r1"], XY, |w| format!("fma(vec2<f32>({w}), u, A)")))
-        .replace("$WALK_ZM", &walk(&["r2"], ZM, |w| format!("vec2<f32>(fma({w}, u, A.x), fma({w}, m, A.y))")))
+        .replace("$WALK_XY", &walk(&[("r0", 2), ("r1", 3)], XY, |w| format!("fma(vec2<f32>({w}), u, A)")))
+        .replace("$WALK_ZM", &walk(&[("r2", 4)], ZM, |w| format!("vec2<f32>(fma({w}, u, A.x), fma({w}, m, A.y))")))
         .replace(
             "$FLUSH",
             &each_node(|n, [i, j, k]| {
@@ -387,7 +383,7 @@ fn p2g() -> Draft {
         name: "P2G",
         entry: "p2g",
         body: body + include_str!("wgsl/wall.wgsl"),
-        uses: vec![PLACE, MOTION, STRESS, CELLS, written(LISTS), GRID, STATUS],
+        uses: vec![RECORD, CELLS, written(LISTS), GRID, STATUS],
         uniform: Uniform::None,
         groups: Groups::Blocks,
     }
@@ -399,9 +395,9 @@ fn each_node(text: impl Fn(usize, [usize; 3]) -> String) -> String {
 
 /// Momentum along x and y as seen from the first node, and what each step along x, y and z adds.
 const XY: &str = "
-    let m = t0.w;
-    let ax = m * H * r0.yzw + step.stress * vec3<f32>(t0.x, t0.z, t1.x);
-    let ay = m * H * r1.yzw + step.stress * vec3<f32>(t0.z, t0.y, t1.y);
+    let m = a.z;
+    let ax = m * H * r0.yzw + step.stress * vec3<f32>(t.x, t.z, t.w);
+    let ay = m * H * r1.yzw + step.stress * vec3<f32>(t.z, t.y, a.x);
     let base = vec2<f32>(fma(m, r0.x + step.gravity.x, dot(ax, d)), fma(m, r1.x + step.gravity.y, dot(ay, d)));
     let by_x = vec2<f32>(ax.x, ay.x);
     let by_y = vec2<f32>(ax.y, ay.y);
@@ -409,8 +405,8 @@ const XY: &str = "
 ";
 /// Likewise along z.
 const ZM: &str = "
-    let m = t0.w;
-    let az = m * H * r2.yzw + step.stress * t1.xyz;
+    let m = a.z;
+    let az = m * H * r2.yzw + step.stress * vec3<f32>(t.w, a.x, a.y);
     let base = fma(m, r2.x + step.gravity.z, dot(az, d));
     let by_x = az.x;
     let by_y = az.y;
@@ -419,36 +415,40 @@ const ZM: &str = "
 
 /// The loop over a cell's particles. The next one is fetched before the present one is added. In `sum`, A is the node's sum so far
 /// and u the particle's momentum as seen from the node.
-fn walk(rows: &[&str], momentum: &str, sum: impl Fn(&str) -> String) -> String {
-    let plane = |row: &&str| match *row {
-        "r0" => "",
-        "r1" => "extent.slots + ",
-        _ => "2u * extent.slots + ",
+fn walk(rows: &[(&str, u32)], momentum: &str, sum: impl Fn(&str) -> String) -> String {
+    let vectors: Vec<_> = [("a", 1), ("t", 5)].iter().chain(rows).copied().collect();
+    let declare: String = vectors.iter().map(|(v, _)| format!("var next_{v} = vec4<f32>(0.0);\n")).collect();
+    let take: String = vectors.iter().map(|(v, _)| format!("let {v} = next_{v};\n")).collect();
+    let fetch = |q: &str| -> String {
+        let one = |(v, k): &(&str, u32)| format!("next_{v} = bitcast<vec4<f32>>(record[RECORD * {q} + {k}u]);\n");
+        format!("next_p = record[RECORD * {q}];\n{}", vectors.iter().map(one).collect::<String>())
     };
-    let fetch: String = rows.iter().map(|r| format!("next_{r} = motion[{}next];\n", plane(r))).collect();
-    let fetch =
-        format!("next_p = place[next];\n{fetch}next_t0 = stress[next];\nnext_t1 = stress[extent.slots + next];\n");
-    let declare: String = rows.iter().map(|r| format!("var next_{r} = vec4<f32>(0.0);\n")).collect();
-    let take: String = rows.iter().map(|r| format!("let {r} = next_{r};\n")).collect();
-    let mut text = format!(
-        "var next_p = vec4<u32>(0u);\n{declare}var next_t0 = vec4<f32>(0.0);\nvar next_t1 = vec4<f32>(0.0);\n\
-         if next != NONE {{\n{fetch}}}\n\
-         while next != NONE {{\nlet p = next_p;\n{take}let t0 = next_t0;\nlet t1 = next_t1;\n\
-         next = next_particle(&walk);\nif next != NONE {{\n{fetch}}}\n\
-         let f = fraction(p);\nlet d = vec3<f32>(-0.5) - f;\nlet wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{momentum}"
+    let mut add = format!(
+        "let f = fraction(p);\nlet d = vec3<f32>(-0.5) - f;\n\
+         let wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{momentum}"
     );
     for i in 0..3 {
         for j in 0..3 {
-            let _ = write!(text, "{{ let w = wx[{i}] * wy[{j}];\nvar u = base + {i}.0 * by_x + {j}.0 * by_y;\n");
+            let _ = write!(add, "{{ let w = wx[{i}] * wy[{j}];\nvar u = base + {i}.0 * by_x + {j}.0 * by_y;\n");
             for k in 0..3 {
                 let a = format!("a{}", 9 * i + 3 * j + k);
                 let sum = sum(&format!("w * wz[{k}]")).replace('A', &a);
-                let _ = writeln!(text, "{a} = {sum};{}", if k < 2 { " u += by_z;" } else { "" });
+                let _ = writeln!(add, "{a} = {sum};{}", if k < 2 { " u += by_z;" } else { "" });
             }
-            text.push_str("}\n");
+            add.push_str("}\n");
         }
     }
-    text + "}\n"
+    let take = format!("let p = next_p;\n{take}");
+    format!(
+        "var next_p = vec4<u32>(0u);\n{declare}\
+         if next < stop {{\n{}}}\n\
+         while next < stop {{\n{take}next += 1u;\nif next < stop {{\n{}}}\nif (p.w & 511u) == walk.tag {{\n{add}}}\n}}\n\
+         if visited {{\nvar guest = next_leaver(&walk);\n\
+         while guest != NONE {{\n{}{take}{add}guest = next_leaver(&walk);\n}}\n}}\n",
+        fetch("next"),
+        fetch("next"),
+        fetch("guest")
+    )
 }
 
 fn sum_tiles(to_velocities: bool) -> Draft {
@@ -534,16 +534,7 @@ fn g2p(laws: &str) -> Draft {
         name: "G2P",
         entry: "g2p",
         body: body + include_str!("wgsl/wall.wgsl") + laws,
-        uses: vec![
-            written(PLACE),
-            written(MOTION),
-            written(STRESS),
-            written(REST),
-            CELLS,
-            written(LISTS),
-            GRID,
-            STATUS,
-        ],
+        uses: vec![written(RECORD), written(REST), CELLS, written(LISTS), GRID, STATUS],
         uniform: Uniform::Params,
         groups: Groups::Blocks,
     }
@@ -554,7 +545,7 @@ fn stress(laws: &str) -> Draft {
         name: "stress",
         entry: "stress_of_all",
         body: include_str!("wgsl/stress.wgsl").to_owned() + laws,
-        uses: vec![PLACE, MOTION, written(STRESS), written(REST), STATUS],
+        uses: vec![written(RECORD), written(REST), STATUS],
         uniform: Uniform::Params,
         groups: Groups::ParticlesBy(128),
     }
@@ -673,7 +664,7 @@ fn sort() -> Vec<Draft> {
             "mark",
             "mark",
             include_str!("wgsl/sort_mark.wgsl"),
-            vec![PLACE, LISTS, CELLS, atomic(FLAGS), STATUS],
+            vec![RECORD, LISTS, CELLS, atomic(FLAGS), STATUS],
             Groups::Blocks,
         ),
         draft(
@@ -702,7 +693,7 @@ fn sort() -> Vec<Draft> {
             "count",
             "count_cells",
             include_str!("wgsl/sort_count.wgsl"),
-            vec![PLACE, old_lists, CELLS, DIRECTORY, atomic(COUNTS), written(KEYS), STATUS],
+            vec![RECORD, old_lists, CELLS, DIRECTORY, atomic(COUNTS), written(KEYS), STATUS],
             Groups::Blocks,
         ),
         draft(
@@ -730,7 +721,7 @@ fn sort() -> Vec<Draft> {
             "scatter",
             "scatter",
             include_str!("wgsl/sort_scatter.wgsl"),
-            vec![PLACE, COUNTS, KEYS, written(LOOSE), STATUS],
+            vec![RECORD, COUNTS, KEYS, written(LOOSE), STATUS],
             Groups::ParticlesBy(128),
         ),
         draft(
@@ -746,21 +737,14 @@ fn sort() -> Vec<Draft> {
             include_str!("wgsl/sort_move.wgsl"),
             vec![
                 ORDER,
-                PLACE,
+                RECORD,
                 ids,
                 REST,
-                next("new_place", PLACE),
+                next("new_record", RECORD),
                 next("new_ids", ids),
                 next("new_rest", REST),
                 STATUS,
             ],
-            Groups::ParticlesBy(128),
-        ),
-        draft(
-            "move motion",
-            "move_motion",
-            include_str!("wgsl/sort_carry.wgsl"),
-            vec![ORDER, MOTION, STRESS, next("new_motion", MOTION), next("new_stress", STRESS), STATUS],
             Groups::ParticlesBy(128),
         ),
     ]

@@ -5,6 +5,8 @@ use barchan_core::{Error, ParticleList, ParticleState, Result};
 use barchan_grid::block::{NONE, REACH, offset};
 use std::collections::BTreeMap;
 
+/// Vectors of four in a particle's record.
+pub(crate) const RECORD: usize = 6;
 /// Vectors of four in an entry of the lists; see `common.wgsl`.
 pub(crate) const ENTRY: usize = 10;
 /// Laws that a particle's tag can tell apart.
@@ -143,10 +145,9 @@ impl Homes {
 /// Planes of all particles as the device holds them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Planes {
-    pub(crate) place: Vec<[u32; 4]>,
+    /// Six vectors a particle; see `common.wgsl`.
+    pub(crate) record: Vec<[u32; 4]>,
     pub(crate) ids: Vec<[u32; 2]>,
-    pub(crate) motion: Vec<[f32; 4]>,
-    pub(crate) stress: Vec<[f32; 4]>,
     pub(crate) rest: Vec<[f32; 4]>,
 }
 
@@ -166,16 +167,16 @@ impl Planes {
         vectors: usize,
     ) -> Result<Self> {
         let mut planes = Self {
-            place: vec![[0; 4]; slots],
+            record: vec![[0; 4]; RECORD * slots],
             ids: vec![[0; 2]; slots],
-            motion: vec![[0.0; 4]; 3 * slots],
-            stress: vec![[0.0; 4]; 2 * slots],
             rest: vec![[0.0; 4]; vectors * slots],
         };
         for (b, block) in homes.blocks.iter().enumerate() {
-            for q in homes.cells[64 * b] as usize..homes.cells[64 * b + 64] as usize {
-                let (l, i) = homes.order[q];
-                planes.put(q, &lists[l], i, *block, &materials[l], slots)?;
+            for cell in 0..64 {
+                for q in homes.cells[64 * b + cell] as usize..homes.cells[64 * b + cell + 1] as usize {
+                    let (l, i) = homes.order[q];
+                    planes.put(q, &lists[l], i, (*block, cell), &materials[l], slots)?;
+                }
             }
         }
         Ok(planes)
@@ -186,7 +187,7 @@ impl Planes {
         q: usize,
         list: &ParticleList,
         i: usize,
-        block: Block,
+        (block, home): (Block, usize),
         planned: &PlannedMaterial,
         slots: usize,
     ) -> Result<()> {
@@ -203,17 +204,17 @@ impl Planes {
             let local = if (-2..6).contains(&drifted) { drifted } else { local };
             tag = tag << 3 | (local + 2) as u32;
         }
-        place[3] = tag | list.material << 9;
-        self.place[q] = place;
+        place[3] = tag | list.material << 9 | tag_of_home(home) << 16;
+        let record = &mut self.record[RECORD * q..][..RECORD];
+        record[0] = place;
+        record[1] = [0, 0, (list.mass[i] as f32).to_bits(), (list.volume0[i] as f32).to_bits()];
+        for (d, row) in record[2..5].iter_mut().enumerate() {
+            let c = &list.affine[i][3 * d..3 * d + 3];
+            *row = [list.velocity[i][d], c[0], c[1], c[2]].map(|x| (x as f32).to_bits());
+        }
         let id =
             u32::try_from(list.id[i]).map_err(|_| refuse(format!("a particle id is {} or greater", 1u64 << 32)))?;
         self.ids[q] = [id, u32::from(list.body[i])];
-        for d in 0..3 {
-            let c = &list.affine[i][3 * d..3 * d + 3];
-            self.motion[d * slots + q] = [list.velocity[i][d], c[0], c[1], c[2]].map(|x| x as f32);
-        }
-        self.stress[q][3] = list.mass[i] as f32;
-        self.stress[slots + q][3] = list.volume0[i] as f32;
         let identity = planned.material.strain_identity();
         let values = list.strain.iter().zip(identity).map(|(plane, one)| plane[i] - one);
         for (k, value) in values.chain(list.state.iter().map(|plane| plane[i])).enumerate() {
@@ -240,7 +241,7 @@ impl Planes {
             .collect();
         for (b, block) in homes.blocks.iter().enumerate() {
             for q in homes.cells[64 * b] as usize..homes.cells[64 * b + 64] as usize {
-                let law = (self.place[q][3] >> 9) as usize;
+                let law = self.law(q);
                 self.get(q, &mut lists[law], *block, &materials[law], slots);
             }
         }
@@ -248,16 +249,18 @@ impl Planes {
     }
 
     fn get(&self, q: usize, list: &mut ParticleList, block: Block, planned: &PlannedMaterial, slots: usize) {
-        let place = self.place[q];
+        let record = &self.record[RECORD * q..][..RECORD];
+        let place = record[0];
+        let real = |bits: u32| f64::from(f32::from_bits(bits));
         list.id.push(u64::from(self.ids[q][0]));
         list.body.push(self.ids[q][1] as u16);
         list.cell.push(std::array::from_fn(|d| 4 * block[d] + local(place[3], d)));
         list.offset.push(std::array::from_fn(|d| f64::from(place[d]) / TWO_32));
-        let motion = [0, 1, 2].map(|d| self.motion[d * slots + q].map(f64::from));
+        let motion = [2, 3, 4].map(|k| record[k].map(real));
         list.velocity.push(motion.map(|row| row[0]));
         list.affine.push(std::array::from_fn(|e| motion[e / 3][1 + e % 3]));
-        list.mass.push(f64::from(self.stress[q][3]));
-        list.volume0.push(f64::from(self.stress[slots + q][3]));
+        list.mass.push(real(record[1][2]));
+        list.volume0.push(real(record[1][3]));
         let value = |k: usize| f64::from(self.rest[k / 4 * slots + q][k % 4]);
         let planes = list.strain.len();
         for (k, (plane, one)) in list.strain.iter_mut().zip(planned.material.strain_identity()).enumerate() {
@@ -268,19 +271,34 @@ impl Planes {
         }
     }
 
+    /// A particle's law.
+    pub(crate) fn law(&self, q: usize) -> usize {
+        law_of(self.record[RECORD * q][3])
+    }
+
     /// For each block, the particles of each cell of each list: what [`Homes::restored`] takes.
     pub(crate) fn counts(&self, homes: &Homes, lists: usize) -> Vec<([i32; 5], Vec<u32>)> {
         let of_block = |(b, [x, y, z]): (usize, &Block)| {
             let mut counts = vec![0; 64 * lists];
             for cell in 0..64 {
                 for q in homes.cells[64 * b + cell]..homes.cells[64 * b + cell + 1] {
-                    counts[cell * lists + (self.place[q as usize][3] >> 9) as usize] += 1;
+                    counts[cell * lists + self.law(q as usize)] += 1;
                 }
             }
             ([0, 0, *x, *y, *z], counts)
         };
         homes.blocks.iter().enumerate().map(of_block).collect()
     }
+}
+
+/// A tag's law.
+pub(crate) fn law_of(tag: u32) -> usize {
+    (tag >> 9 & 15) as usize
+}
+
+/// The tag of a particle that is in its home, by the number of the cell in the block.
+fn tag_of_home(cell: usize) -> u32 {
+    [cell >> 4, cell >> 2 & 3, cell & 3].into_iter().fold(0, |tag, c| tag << 3 | (c as u32 + 2))
 }
 
 /// A tag's cell along an axis, from the block's first one.

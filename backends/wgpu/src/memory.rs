@@ -2,7 +2,7 @@
 
 use crate::device::Gpu;
 use crate::kernels::{FIRST_BINDING, Kernel, Role, Sorted, Uniform};
-use crate::layout::ENTRY;
+use crate::layout::{ENTRY, RECORD};
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
@@ -12,7 +12,7 @@ pub(crate) const STEPS: usize = 20;
 pub(crate) const PER_STEP: usize = 4;
 /// Steps that one submission can take.
 pub(crate) const MAX_STEPS: usize = 64;
-const STATUS_WORDS: usize = STEPS + PER_STEP * MAX_STEPS;
+pub(crate) const STATUS_WORDS: usize = STEPS + PER_STEP * MAX_STEPS;
 /// Bytes from one step's constants to the next.
 pub(crate) const STEP_STRIDE: u64 = 256;
 /// Workgroups in a row of a dispatch.
@@ -69,7 +69,7 @@ pub(crate) struct Memory {
     /// Vectors of four of strain and history.
     vectors: usize,
     asked: Asked,
-    sorted: [[wgpu::Buffer; 7]; 2],
+    sorted: [[wgpu::Buffer; 5]; 2],
     shared: HashMap<&'static str, wgpu::Buffer>,
     pub(crate) constants: wgpu::Buffer,
     pub(crate) params: wgpu::Buffer,
@@ -84,18 +84,15 @@ pub(crate) struct Memory {
 
 fn sorted_name(sorted: Sorted) -> &'static str {
     match sorted {
-        Sorted::Place => "places of particles",
+        Sorted::Record => "records of particles",
         Sorted::Ids => "names of particles",
-        Sorted::Motion => "motion of particles",
-        Sorted::Stress => "stress of particles",
         Sorted::Rest => "strain of particles",
         Sorted::Lists => "lists of blocks",
         Sorted::Cells => "starts of cells",
     }
 }
 
-const SORTED: [Sorted; 7] =
-    [Sorted::Place, Sorted::Ids, Sorted::Motion, Sorted::Stress, Sorted::Rest, Sorted::Lists, Sorted::Cells];
+const SORTED: [Sorted; 5] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells];
 const SHARED: [Role; 12] = [
     Role::Grid,
     Role::Status,
@@ -133,10 +130,8 @@ impl Extent {
     fn sorted_bytes(&self, sorted: Sorted, vectors: usize) -> u64 {
         let (slots, blocks) = (u64::from(self.slots), u64::from(self.block_room));
         match sorted {
-            Sorted::Place => 16 * slots,
+            Sorted::Record => 16 * RECORD as u64 * slots,
             Sorted::Ids => 8 * slots,
-            Sorted::Motion => 48 * slots,
-            Sorted::Stress => 32 * slots,
             Sorted::Rest => 16 * vectors as u64 * slots,
             Sorted::Lists => 16 * ENTRY as u64 * (blocks + u64::from(self.node_room)),
             Sorted::Cells => 4 * (64 * blocks + 1),
@@ -241,12 +236,7 @@ impl Memory {
                 }),
             }],
         });
-        let readback = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("readback"),
-            size: 4 * STATUS_WORDS as u64,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let readback = mappable(gpu, 4 * STATUS_WORDS as u64);
         Ok(Self {
             extent,
             vectors,
@@ -311,6 +301,13 @@ impl Memory {
         });
         self.bindings.insert((kernel.name, now), group.clone());
         group
+    }
+
+    /// Makes room for so many bytes to be read back at once.
+    pub(crate) fn read_back_to(&mut self, gpu: &Gpu, bytes: u64) {
+        if self.readback.size() < bytes {
+            self.readback = mappable(gpu, bytes + bytes / 4);
+        }
     }
 
     /// Makes room for bodies whose law runs on the device, and takes in what it reads.
@@ -378,6 +375,16 @@ impl Memory {
     }
 }
 
+/// A buffer that the host can look into.
+fn mappable(gpu: &Gpu, size: u64) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("readback"),
+        size,
+        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
 /// Copies a stretch of a buffer to the host, a part at a time.
 pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, from: u64, count: usize) -> Result<Vec<T>> {
     const PART: u64 = 64 << 20;
@@ -386,12 +393,7 @@ pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, from: u64, count: u
     if bytes == 0 {
         return Ok(out);
     }
-    let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("staging"),
-        size: bytes.min(PART),
-        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
+    let staging = mappable(gpu, bytes.min(PART));
     let mut at = 0;
     while at < bytes {
         let part = PART.min(bytes - at);
@@ -410,12 +412,7 @@ pub(crate) fn read_parts<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, parts: &[(u64
     if bytes == 0 {
         return Ok(Vec::new());
     }
-    let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("staging"),
-        size: bytes,
-        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
+    let staging = mappable(gpu, bytes);
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     let mut at = 0;
     for &(from, bytes) in parts {

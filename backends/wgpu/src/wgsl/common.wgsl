@@ -2,7 +2,12 @@
 //
 // Blocks are 4x4x4 cells; a block's tile is the 8x8x8 nodes from two before its first cell on. Particles are sorted by cell, block
 // by block; a particle's place is its offset in its cell, in 2^-32 cells, and a tag: the cell counted from two before the block's
-// first one, three bits an axis, and from bit 9 on the law. So a block's particles may drift by a cell and more.
+// first one, three bits an axis; from bit 9 on the law, and from bit 16 on the cell that it had at the sort. So a block's particles may
+// drift by a cell and more.
+//
+// What both transfers need of a particle stands together, six vectors: place; V0 tau_yz, V0 tau_zz [J], mass, V0; the rows (v_i, C_ij)
+// for i = x, y, z; V0 times tau_xx, tau_yy, tau_xy, tau_xz. A thread that walks a cell then reads memory from one end to the other,
+// and all of each 32 bytes that it asks for.
 
 struct Extent {
     // Room for particles in each plane, and particles.
@@ -42,6 +47,8 @@ struct Step {
 @group(1) @binding(0) var<uniform> step: Step;
 
 const NONE: u32 = 0xffffffffu;
+// Vectors of a particle's record.
+const RECORD: u32 = 6u;
 // Vectors of an entry in the lists: of a block, its coordinates and the 27 node blocks around it, what walls gave to it [N s], and
 // what they would give in the step under way; of a node block likewise, with the blocks whose tiles reach it.
 const ENTRY: u32 = 10u;
@@ -82,6 +89,10 @@ fn magnitude_bits(x: f32) -> u32 {
 // The cell of a tag, from the block's first cell.
 fn cell_of(tag: u32) -> vec3<i32> {
     return vec3<i32>(vec3<u32>(tag >> 6u, tag >> 3u, tag) & vec3<u32>(7u)) - vec3<i32>(2);
+}
+
+fn law_of(tag: u32) -> u32 {
+    return (tag >> 9u) & 15u;
 }
 
 fn tag_of(cell: vec3<i32>) -> u32 {

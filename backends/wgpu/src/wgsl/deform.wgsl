@@ -41,9 +41,8 @@ fn deform(q: u32, law: u32, c: mat3x3<f32>, norm2: f32, dt: f32) {
         $STORE
     }
     // Times the rest volume: [J].
-    let mass = stress[q].w;
-    let volume = stress[extent.slots + q].w;
-    let tau = volume * out.kirchhoff;
-    stress[q] = vec4<f32>(tau[0].x, tau[1].y, tau[1].x, mass);
-    stress[extent.slots + q] = vec4<f32>(tau[2].x, tau[2].y, tau[2].z, volume);
+    let inertia = bitcast<vec2<f32>>(record[RECORD * q + 1u].zw);
+    let tau = inertia.y * out.kirchhoff;
+    record[RECORD * q + 1u] = bitcast<vec4<u32>>(vec4<f32>(tau[2].y, tau[2].z, inertia));
+    record[RECORD * q + 5u] = bitcast<vec4<u32>>(vec4<f32>(tau[0].x, tau[1].y, tau[1].x, tau[2].x));
 }

@@ -33,7 +33,7 @@ fn ready(b: u32) -> u32 {
     return 1u;
 }
 
-@compute @workgroup_size(128)
+@compute @workgroup_size(256)
 fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let b = group.y * extent.row + group.x;
     if thread == 0u {
@@ -47,7 +47,7 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     }
 
     // 1. The velocities around the block.
-    for (var t = thread; t < 512u; t += 128u) {
+    for (var t = thread; t < 512u; t += 256u) {
         let node = vec3<i32>(i32(t >> 6u), i32((t >> 3u) & 7u), i32(t & 7u)) + vec3<i32>(2);
         let by = node >> vec3<u32>(2u);
         let which = u32(by.x * 9 + by.y * 3 + by.z);
@@ -109,8 +109,8 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     var moves = 0u;
     var rate = 0u;
     let end = cells[b * 64u + 64u];
-    for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
-        let p = place[q];
+    for (var q = cells[b * 64u] + thread; q < end; q += 256u) {
+        let p = record[RECORD * q];
         var cell = cell_of(p.w);
         let f = vec3<f32>(p.xyz >> vec3<u32>(8u)) * 5.9604645e-8;
         let wx = weights(f.x);
@@ -120,9 +120,9 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         $GATHER
         // From the distance of each node from the middle one to that from the particle.
         let c = mat3x3<f32>((by_x + (0.5 - f.x) * v) * PER_CELL, (by_y + (0.5 - f.y) * v) * PER_CELL, (by_z + (0.5 - f.z) * v) * PER_CELL);
-        motion[q] = vec4<f32>(v.x, c[0].x, c[1].x, c[2].x);
-        motion[extent.slots + q] = vec4<f32>(v.y, c[0].y, c[1].y, c[2].y);
-        motion[2u * extent.slots + q] = vec4<f32>(v.z, c[0].z, c[1].z, c[2].z);
+        record[RECORD * q + 2u] = bitcast<vec4<u32>>(vec4<f32>(v.x, c[0].x, c[1].x, c[2].x));
+        record[RECORD * q + 3u] = bitcast<vec4<u32>>(vec4<f32>(v.y, c[0].y, c[1].y, c[2].y));
+        record[RECORD * q + 4u] = bitcast<vec4<u32>>(vec4<f32>(v.z, c[0].z, c[1].z, c[2].z));
 
         // The move, in counts of 2^-32 cells.
         let by_move = v * step.dt_per_h;
@@ -131,12 +131,12 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         let up = (counts > vec3<i32>(0)) & (moved < p.xyz);
         let down = (counts < vec3<i32>(0)) & (moved > p.xyz);
         cell += select(vec3<i32>(0), vec3<i32>(1), up) - select(vec3<i32>(0), vec3<i32>(1), down);
-        place[q] = vec4<u32>(moved, (p.w & 0xfffffe00u) | tag_of(clamp(cell, vec3<i32>(-2), vec3<i32>(5))));
+        record[RECORD * q] = vec4<u32>(moved, (p.w & 0xfffffe00u) | tag_of(clamp(cell, vec3<i32>(-2), vec3<i32>(5))));
 
         moves = max(moves, max(max(magnitude_bits(by_move.x), magnitude_bits(by_move.y)), magnitude_bits(by_move.z)));
         let norm2 = dot(c[0], c[0]) + dot(c[1], c[1]) + dot(c[2], c[2]);
         rate = max(rate, magnitude_bits(norm2));
-        deform(q, p.w >> 9u, c, norm2, step.dt);
+        deform(q, law_of(p.w), c, norm2, step.dt);
     }
     atomicMax(&greatest_move, moves);
     atomicMax(&greatest_rate, rate);

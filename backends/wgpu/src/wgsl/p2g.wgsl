@@ -52,15 +52,11 @@ fn ready(b: u32) -> u32 {
     return 1u;
 }
 
-// The particles of one cell, one after the other.
+// The particles in one cell that come from others, one after the other.
 struct Walk {
     // Tag of the cell, and its number among 6x6x6.
     tag: u32,
     cell: u32,
-    // Its particles of the last sort, and the next of them.
-    first: u32,
-    last: u32,
-    at: u32,
     // Leavers before this one are done.
     after: u32,
     // The block's particles.
@@ -68,20 +64,18 @@ struct Walk {
     end: u32,
 }
 
-fn next_particle(w: ptr<function, Walk>) -> u32 {
-    while (*w).at < (*w).last {
-        let q = (*w).at;
-        (*w).at = q + 1u;
-        if (place[q].w & 511u) == (*w).tag {
-            return q;
-        }
-    }
+fn has_left(tag: u32) -> bool {
+    return (tag & 511u) != ((tag >> 16u) & 511u);
+}
+
+fn next_leaver(w: ptr<function, Walk>) -> u32 {
     if listed == 0u {
         // More leavers than the list holds: all of the block's particles are looked at.
         while (*w).start + (*w).after < (*w).end {
             let q = (*w).start + (*w).after;
             (*w).after += 1u;
-            if (place[q].w & 511u) == (*w).tag && !(q >= (*w).first && q < (*w).last) {
+            let tag = record[RECORD * q].w;
+            if (tag & 511u) == (*w).tag && has_left(tag) {
                 return q;
             }
         }
@@ -136,9 +130,9 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
 
     // 1. Who has left?
     let home = tag_of(vec3<i32>(own_cell));
-    for (var q = first + part; q < last; q += 2u) {
-        let tag = place[q].w & 511u;
-        if tag != home {
+    for (var q = start + thread; q < end; q += 128u) {
+        let tag = record[RECORD * q].w;
+        if has_left(tag) {
             let at = cell_of(tag) + vec3<i32>(1);
             if any(at < vec3<i32>(0)) || any(at > vec3<i32>(5)) {
                 atomicStore(&status[WHO], q);
@@ -182,9 +176,12 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     let batches = workgroupUniformLoad(&go);
 
     // 3. Sums over the particles of each cell, the block's own cells first.
+    let crowded = atomicLoad(&leaver_count) > 0u;
     for (var batch = 0u; batch < batches; batch++) {
         let own_number = ((own_cell.x + 1u) * 6u + own_cell.y + 1u) * 6u + own_cell.z + 1u;
-        var walk = Walk(home, own_number, first, last, first, 0u, start, end);
+        var walk = Walk(home, own_number, 0u, start, end);
+        var next = first;
+        var stop = last;
         var on = true;
         if batch > 0u {
             let k = (batch - 1u) * 64u + own;
@@ -192,14 +189,10 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             walk.cell = select(0u, halo_cells[min(k, 151u)], on);
             let at = vec3<i32>(i32(walk.cell / 36u), i32((walk.cell / 6u) % 6u), i32(walk.cell % 6u)) - vec3<i32>(1);
             walk.tag = tag_of(at);
-            walk.first = 0u;
-            walk.last = 0u;
-            walk.at = 0u;
+            next = 0u;
+            stop = 0u;
         }
-        var next = NONE;
-        if on {
-            next = next_particle(&walk);
-        }
+        let visited = on && crowded;
         $ZERO
         if part == 0u {
             $WALK_XY

@@ -1,4 +1,4 @@
-// Moves particles to their new places.
+// Moves particles to their new places, which are their homes until the next sort.
 @compute @workgroup_size(128)
 fn move_rest(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let i = (group.y * extent.row + group.x) * 128u + thread;
@@ -6,8 +6,12 @@ fn move_rest(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         return;
     }
     let q = order[i];
-    let p = place[q];
-    new_place[i] = vec4<u32>(p.xyz, (p.w & 0xfffffe00u) | tag_of(cell_of(p.w) & vec3<i32>(3)));
+    let p = record[RECORD * q];
+    let home = tag_of(cell_of(p.w) & vec3<i32>(3));
+    new_record[RECORD * i] = vec4<u32>(p.xyz, home | (law_of(p.w) << 9u) | (home << 16u));
+    for (var k = 1u; k < RECORD; k++) {
+        new_record[RECORD * i + k] = record[RECORD * q + k];
+    }
     new_ids[i] = ids[q];
     for (var k = 0u; k < REST; k++) {
         new_rest[k * extent.slots + i] = rest[k * extent.slots + q];

@@ -5,9 +5,9 @@ fn stress_of_all(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     if q >= extent.particles {
         return;
     }
-    let x = motion[q].yzw;
-    let y = motion[extent.slots + q].yzw;
-    let z = motion[2u * extent.slots + q].yzw;
+    let x = bitcast<vec4<f32>>(record[RECORD * q + 2u]).yzw;
+    let y = bitcast<vec4<f32>>(record[RECORD * q + 3u]).yzw;
+    let z = bitcast<vec4<f32>>(record[RECORD * q + 4u]).yzw;
     let c = transpose(mat3x3<f32>(x, y, z));
-    deform(q, place[q].w >> 9u, c, dot(x, x) + dot(y, y) + dot(z, z), step.dt);
+    deform(q, law_of(record[RECORD * q].w), c, dot(x, x) + dot(y, y) + dot(z, z), step.dt);
 }
