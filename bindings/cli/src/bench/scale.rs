@@ -67,6 +67,8 @@ struct Row {
     memory_bytes: Option<u64>,
 }
 
+/// A bed, and its simulation if it is to be timed.
+type Bed = (Row, Option<Timed>);
 /// What is drawn of a row.
 type Figure = fn(&Row) -> Option<f64>;
 
@@ -155,7 +157,7 @@ fn measure(args: &Scale, registry: &Registry, extents: &[f64], levels: u32, reac
     for _ in 0..args.effort.repetitions.max(1) {
         beds.iter_mut().filter_map(|(_, timed)| timed.as_mut()).try_for_each(Timed::repeat)?;
     }
-    let finish = |((row, timed), begin): ((Row, Option<Timed>), Option<(f64, u64)>)| {
+    let finish = |((row, timed), begin): (Bed, Option<(f64, u64)>)| {
         let Some((timed, (time, steps))) = timed.zip(begin) else { return row };
         let (in_particles, in_grid) = timed.simulation.memory();
         let steps = (timed.simulation.step_count() - steps) as f64;
