@@ -133,7 +133,7 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
     let table = markdown(args, &rows, &statement);
     super::write_texts(&out, &[("scale.json", format!("{report:#}\n")), ("scale.md", table)])?;
     let drawn: [(&str, &str, Figure); 2] = [
-        ("scale-time", "wall time of a step [ms]", |row| row.ms_per_step),
+        ("scale-time", "wall time of a simulated second [s]", |row| Some(row.ms_per_step? / row.step_ms?)),
         ("scale-memory", "memory of particles and grid [MB]", |row| Some(1e-6 * row.memory_bytes? as f64)),
     ];
     for (name, y, value) in drawn {
