@@ -5,8 +5,8 @@ use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Periods, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, MAX_STEPS, Memory, PER_STEP, STATUS_WORDS, STEP_STRIDE, STEPS, StepConstants, read,
-    with_mapped, with_room,
+    Asked, BODY, Extent, Layer, MAX_STEPS, Memory, OF_LAYERS, PER_STEP, STEP_STRIDE, StepConstants, read, status_words,
+    with_mapped, with_room, words_before_steps,
 };
 use crate::stiffness::{self, Held};
 use barchan_abi as abi;
@@ -43,17 +43,25 @@ const MOST_TIMED: usize = 64;
 /// Words of the status; see `common.wgsl`.
 pub(crate) const BLOCKS: usize = 0;
 pub(crate) const NODE_BLOCKS: usize = 1;
-const LEAST_BLOCK: usize = 2;
-const GREATEST_BLOCK: usize = 5;
-const HALTED: usize = 8;
-const HALT_STEP: usize = 9;
-const WHO: usize = 10;
-const PARTED: usize = 11;
-const NEW_BLOCKS: usize = 12;
-const NEW_NODE_BLOCKS: usize = 13;
-/// Sorts done, then what walls gave.
-const SORTS: usize = 15;
-const WALL_IMPULSE: usize = 16;
+const HALTED: usize = 2;
+const HALT_STEP: usize = 3;
+const WHO: usize = 4;
+const NEW_BLOCKS: usize = 5;
+const NEW_NODE_BLOCKS: usize = 6;
+/// Sorts done.
+const SORTS: usize = 8;
+/// Words of the layer.
+const FIRST_BLOCK: usize = OF_LAYERS;
+const LEAST_BLOCK: usize = OF_LAYERS + 2;
+const GREATEST_BLOCK: usize = OF_LAYERS + 5;
+const SORTED: usize = OF_LAYERS + 8;
+const PARTED: usize = OF_LAYERS + 9;
+const WALL_IMPULSE: usize = OF_LAYERS + 10;
+/// One layer: its words of the steps.
+const LAYERS: usize = 1;
+const STEPS: usize = words_before_steps(LAYERS);
+/// A layer's places of the directory are rounded up to a multiple of this, so that no workgroup has those of two.
+const PLACES: u32 = 1024;
 const BIAS: i32 = block::REACH;
 
 /// Why the device halted a submission.
@@ -138,6 +146,8 @@ pub(crate) struct WgpuEngine {
     parted_seen: u32,
     wall_impulse: Vec3,
     gravity_impulse: Vec3,
+    /// What depends on the layer, as the device has it.
+    layer: Layer,
     clocks: Clocks,
     pub(crate) contact_seconds: (f64, u64),
     contact: Contact,
@@ -193,7 +203,7 @@ struct Dispatch<'a> {
 
 impl WgpuEngine {
     pub(crate) fn new(gpu: Gpu, plan: &Plan, particles: ParticleState) -> Result<Self> {
-        let kernels = Kernels::new(&gpu, plan)?;
+        let kernels = Kernels::new(&gpu, plan, LAYERS)?;
         gpu.check()?;
         let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
         let pairs = walls.iter().flatten().any(|wall| matches!(wall, Wall::Separate { .. }));
@@ -206,9 +216,9 @@ impl WgpuEngine {
         layout::check(&particles, &plan.materials)?;
         let slots = particles.lists.iter().map(ParticleList::len).sum::<usize>().next_multiple_of(128).max(128);
         let params: Vec<f32> = plan.materials.iter().flat_map(|m| &m.parameters).map(|&p| p as f32).collect();
-        let extent = Extent { slots: slots as u32, block_room: 64, node_room: 64, box_blocks: 1, ..Extent::default() };
+        let extent = Extent { slots: slots as u32, block_room: 64, node_room: 64, places: PLACES, ..Extent::default() };
         let vectors = rest_vectors(&plan.materials);
-        let asked = Asked { pairs, bodies: 0 };
+        let asked = Asked { pairs, bodies: 0, layers: LAYERS };
         let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
         let mut engine = Self {
             gpu,
@@ -240,6 +250,7 @@ impl WgpuEngine {
             parted_seen: 0,
             wall_impulse: [0.0; 3],
             gravity_impulse: [0.0; 3],
+            layer: Layer::default(),
             clocks: Clocks::default(),
             contact_seconds: (0.0, 0),
             contact: Contact::Unknown,
@@ -253,21 +264,25 @@ impl WgpuEngine {
     }
 
     /// The constants of a step.
-    fn step_constants(&self, dt: f64, time: f64, number: usize, first: usize, drift: f64) -> StepConstants {
+    fn step_constants(&self, dt: f64, time: f64, number: usize) -> StepConstants {
         let gravity = self.scene.gravity_at(time);
-        let felt = if self.least_mass > 0.0 { 1.0 / (self.least_mass * FELT) } else { f64::from(f32::MAX) };
         StepConstants {
             dt: dt as f32,
             dt_per_h: (dt / self.h) as f32,
             stress: (-4.0 * dt / self.h) as f32,
-            drift: drift as f32,
-            gravity: gravity.map(|g| (g * dt) as f32),
             number: number as u32,
-            least: self.least_mass as f32,
-            felt: felt as f32,
-            first: first as u32,
+            gravity: gravity.map(|g| (g * dt) as f32),
             pad: 0,
         }
+    }
+
+    /// Tells the device what depends on the layer.
+    fn write_layer(&mut self) {
+        let felt = if self.least_mass > 0.0 { 1.0 / (self.least_mass * FELT) } else { f64::from(f32::MAX) };
+        let layer = &mut self.layer;
+        (layer.on, layer.drift) = (1, self.drift as f32);
+        (layer.least, layer.felt) = (self.least_mass as f32, felt as f32);
+        self.gpu.queue.write_buffer(&self.memory.layers, 0, bytemuck::bytes_of(layer));
     }
 
     fn write_step(&self, slot: usize, constants: &StepConstants) {
@@ -284,13 +299,13 @@ impl WgpuEngine {
         let extent = &self.memory.extent;
         // A sort may find more blocks than there were, up to the room there is.
         let count = match groups {
-            Groups::One => 1,
+            Groups::One | Groups::Layers => 1,
             Groups::Exactly(count) => count,
             Groups::Blocks => extent.block_room,
             Groups::NodeBlocks => extent.node_room.max(extent.block_room),
             Groups::BlocksBy(n) => extent.block_room.div_ceil(n),
             Groups::ParticlesBy(n) => extent.particles.div_ceil(n),
-            Groups::PlacesBy(n) => extent.box_blocks.div_ceil(n),
+            Groups::PlacesBy(n) => extent.places.div_ceil(n),
         };
         (count.min(extent.row), count.div_ceil(extent.row))
     }
@@ -343,11 +358,14 @@ impl WgpuEngine {
             self.survey_box(sorts)?;
         }
         self.write_words(HALTED, &[0, 0, u32::MAX]);
-        self.write_words(SORTS, &[0, 0, 0, 0]);
+        self.write_words(SORTS, &[0]);
+        self.write_words(SORTED, &[0]);
+        self.write_words(WALL_IMPULSE, &[0; 3]);
+        self.write_layer();
         self.write_words(STEPS, &vec![0; PER_STEP * count.max(1)]);
 
         // A sort moves the particles to the other set of buffers.
-        let (mut now, mut step, mut first, mut drift) = (self.memory.now, 0, 0, self.drift);
+        let (mut now, mut step) = (self.memory.now, 0);
         let mut parts = Vec::new();
         let mut sorted_at = Vec::new();
         let kernels = &self.kernels;
@@ -355,13 +373,12 @@ impl WgpuEngine {
         for stretch in stretches {
             let mut part = Part { sorting: stretch.sort.then_some(now), dispatches: Vec::new() };
             if stretch.sort {
-                (first, drift) = (step, 0.0);
                 sorted_at.push(step);
                 part.dispatches.extend(kernels.sort.iter().map(|kernel| Dispatch { kernel, now, step }));
                 now = 1 - now;
             }
             for _ in 0..stretch.steps {
-                self.write_step(step, &self.step_constants(dt, time + step as f64 * dt, step, first, drift));
+                self.write_step(step, &self.step_constants(dt, time + step as f64 * dt, step));
                 let to_nodes = [&kernels.p2g].into_iter().chain(&kernels.grid).chain(contact);
                 let passes = to_nodes.chain(&kernels.mirror).chain([&kernels.g2p]);
                 part.dispatches.extend(passes.map(|kernel| Dispatch { kernel, now, step }));
@@ -374,7 +391,7 @@ impl WgpuEngine {
             parts.push(part);
         }
         if count == 0 {
-            self.write_step(0, &self.step_constants(dt, time, 0, 0, drift));
+            self.write_step(0, &self.step_constants(dt, time, 0));
         }
         let parts = self.with_groups(parts);
         let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
@@ -493,7 +510,7 @@ impl WgpuEngine {
             }
             Self::encode(gpu, &mut encoder, memory, rest, None);
         }
-        let mut bytes = 4 * STATUS_WORDS as u64;
+        let mut bytes = 4 * status_words(LAYERS) as u64;
         memory.read_back_to(gpu, bytes + nodes.iter().map(|(_, bytes)| bytes).sum::<u64>());
         encoder.copy_buffer_to_buffer(memory.buffer(Role::Status, 0), 0, &memory.readback, 0, bytes);
         for &(from, length) in nodes {
@@ -528,7 +545,6 @@ impl WgpuEngine {
     /// Sets the directory's box around all blocks that a sort can find: they have drifted by up to a cell or two, and nodes
     /// reach a block further.
     fn survey_box(&mut self, sorts: usize) -> Result<()> {
-        let mut extent = self.memory.extent;
         let (least, greatest) = self.span;
         // A cell and a half each time is less than a block in two.
         let margin = 2 + sorts as i32 / 2;
@@ -539,15 +555,18 @@ impl WgpuEngine {
             } else {
                 (least[d] - margin, greatest[d] - least[d] + 1 + 2 * margin)
             };
-            extent.box_min[d] = first;
-            extent.box_size[d] = size;
+            self.layer.box_min[d] = first;
+            self.layer.box_size[d] = size;
             places = places.saturating_mul(size as u64);
         }
         // The same rule as for all buffers finds what is too large for the adapter; this one keeps the number a u32.
-        extent.box_blocks = u32::try_from(places).unwrap_or(u32::MAX);
+        let places = u32::try_from(places).unwrap_or(u32::MAX - PLACES);
+        self.layer.places = places;
+        let extent = Extent { places: places.next_multiple_of(PLACES), ..self.memory.extent };
         if extent != self.memory.extent {
             self.memory.grow(&self.gpu, extent)?;
         }
+        self.write_layer();
         Ok(())
     }
 
@@ -717,7 +736,9 @@ impl WgpuEngine {
         let places: Vec<[u32; 2]> = self.directory(&homes);
         self.gpu.queue.write_buffer(self.memory.buffer(Role::Directory, 0), 0, bytemuck::cast_slice(&places));
         self.write_words(BLOCKS, &[homes.blocks.len() as u32, homes.nodes.len() as u32]);
+        self.write_words(FIRST_BLOCK, &[0, 0]);
         self.write_words(PARTED, &[self.parted_seen]);
+        self.write_layer();
 
         let spoilt = account::find_non_finite(&particles.lists, |field, particle, law, value, count| {
             self.non_finite(field, particle, law, value, count, 0.0)
@@ -741,7 +762,7 @@ impl WgpuEngine {
         }
         // Stress is no part of a state: it follows from strain.
         if count > 0 && !self.spoilt {
-            self.write_step(0, &self.step_constants(particles.strain_dt, 0.0, 0, 0, 0.0));
+            self.write_step(0, &self.step_constants(particles.strain_dt, 0.0, 0));
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
             let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
@@ -752,11 +773,11 @@ impl WgpuEngine {
 
     /// The directory of the blocks, as a sort would write it.
     fn directory(&self, homes: &Homes) -> Vec<[u32; 2]> {
-        let extent = &self.memory.extent;
-        let mut places = vec![[block::NONE; 2]; extent.box_blocks as usize];
+        let layer = &self.layer;
+        let mut places = vec![[block::NONE; 2]; layer.places as usize];
         let at = |block: &[i32; 3]| {
-            let local = [0, 1, 2].map(|d| block[d] - extent.box_min[d]);
-            ((local[0] * extent.box_size[1] + local[1]) * extent.box_size[2] + local[2]) as usize
+            let local = [0, 1, 2].map(|d| block[d] - layer.box_min[d]);
+            ((local[0] * layer.box_size[1] + local[1]) * layer.box_size[2] + local[2]) as usize
         };
         for (i, block) in homes.blocks.iter().enumerate() {
             places[at(block)][0] = i as u32;
@@ -858,7 +879,7 @@ impl WgpuEngine {
         let [coupling] = couplings else { return Ok(()) };
         let (bodies, boxes) = (coupling.bodies().len(), coupling.bounds().len());
         if let Some(law) = coupling.device_law().filter(|_| bodies == boxes && bodies > 0) {
-            let kernels = kernels::contact(&self.gpu, &self.kernels, &law, bodies);
+            let kernels = kernels::contact(&self.gpu, &self.kernels, &law, bodies, LAYERS);
             self.memory.add_bodies(&self.gpu, bodies, &law.table)?;
             self.gpu.check()?;
             self.contact = Contact::Device(Box::new(kernels), bodies);
@@ -1007,7 +1028,9 @@ impl WgpuEngine {
     ) -> Result<Vec<u32>> {
         self.know_node_blocks()?;
         // The last step's numbers stand in the words of step 0.
-        self.write_step(1, &self.step_constants(dt, time, 1, 0, self.drift));
+        self.write_step(1, &self.step_constants(dt, time, 1));
+        self.write_words(SORTED, &[0]);
+        self.write_layer();
         self.write_words(HALTED, &[0, 0, u32::MAX]);
         if !self.pending {
             self.write_words(STEPS, &[0; PER_STEP]);
@@ -1019,7 +1042,7 @@ impl WgpuEngine {
         let wanted = nodes.begin(self, boxes);
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &wanted)?;
-        nodes.take(bytemuck::cast_slice(&words[STATUS_WORDS..]));
+        nodes.take(bytemuck::cast_slice(&words[status_words(LAYERS)..]));
         self.take_pending(&words);
         Ok(words)
     }
@@ -1038,7 +1061,7 @@ impl WgpuEngine {
     fn settle(&mut self) -> Result<()> {
         if self.pending {
             let words: Vec<u32> =
-                read(&self.gpu, self.memory.buffer(Role::Status, 0), 0, STEPS + PER_STEP * MAX_STEPS)?;
+                read(&self.gpu, self.memory.buffer(Role::Status, 0), 0, status_words(LAYERS))?;
             self.take_pending(&words);
         }
         Ok(())
@@ -1057,7 +1080,7 @@ impl WgpuEngine {
 
     /// G2P, from nodes that are at most `speed` fast. Its numbers stay on the device until the next step asks for them.
     fn nodes_to_ground(&mut self, time: f64, dt: f64, speed: f64) -> Result<()> {
-        self.write_step(0, &self.step_constants(dt, time, 0, 0, 0.0));
+        self.write_step(0, &self.step_constants(dt, time, 0));
         self.write_words(WALL_IMPULSE, &[0; 3]);
         // Rounding must not stop what has been let through.
         let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;

@@ -72,6 +72,8 @@ const fn atomic(binding: Use) -> Use {
 pub(crate) enum Groups {
     /// One.
     One,
+    /// One a layer.
+    Layers,
     /// One a block with particles.
     Blocks,
     /// One a block of nodes.
@@ -142,13 +144,17 @@ pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
 }
 
 impl Kernels {
-    pub(crate) fn new(gpu: &Gpu, plan: &Plan) -> Result<Self> {
+    /// The passes of a plan for so many layers.
+    pub(crate) fn new(gpu: &Gpu, plan: &Plan, layers: usize) -> Result<Self> {
         let device = &gpu.device;
         let step_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("step"),
-            entries: &[entry(0, wgpu::BufferBindingType::Uniform, true)],
+            entries: &[
+                entry(0, wgpu::BufferBindingType::Uniform, true),
+                entry(1, wgpu::BufferBindingType::Uniform, false),
+            ],
         });
-        let constants = constants(plan);
+        let constants = constants(plan) + &layer_constants(layers);
         let make = |draft: Draft| build(device, &step_layout, &constants, draft);
         let all = |drafts: Vec<Draft>| drafts.into_iter().map(make).collect();
         let drafts = Drafts::of(plan)?;
@@ -219,6 +225,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
 fn line(when: &str, draft: &Draft) -> String {
     let groups = match draft.groups {
         Groups::One => "one workgroup".to_owned(),
+        Groups::Layers => "a workgroup a layer".to_owned(),
         Groups::Exactly(count) => format!("{count} workgroups"),
         Groups::Blocks => "a workgroup a block with particles".to_owned(),
         Groups::NodeBlocks => "a workgroup a block of nodes".to_owned(),
@@ -233,8 +240,8 @@ fn line(when: &str, draft: &Draft) -> String {
     format!("{}, {when}: {groups}; reads {}; writes {}", draft.name, names(false), names(true))
 }
 
-/// Contact with driven bodies on the device: the law, then the sums of impulses.
-pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usize) -> [Kernel; 2] {
+/// Contact with driven bodies on the device, so many in each layer: the law, then the sums of impulses.
+pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usize, layers: usize) -> [Kernel; 2] {
     let vectors = law.table.len().max(1);
     let count = format!("const BODIES: u32 = {bodies}u;\n");
     let table = format!(
@@ -258,7 +265,7 @@ pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usi
         body: count + include_str!("wgsl/impulse.wgsl"),
         uses: vec![partials, impulses, STATUS],
         uniform: Uniform::None,
-        groups: Groups::Exactly(bodies as u32),
+        groups: Groups::Exactly((bodies * layers) as u32),
     };
     [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, draft))
 }
@@ -324,6 +331,12 @@ fn separations(plan: &Plan) -> Vec<usize> {
     (0..3).filter(lets_go).collect()
 }
 
+/// How many layers there are, and the word of a step in which the greatest speed of all of them stands.
+fn layer_constants(layers: usize) -> String {
+    let greatest = if layers == 1 { 0 } else { 3 };
+    format!("const LAYERS: u32 = {layers}u;\nconst GREATEST_SPEED: u32 = {greatest}u;\n")
+}
+
 /// What the scene fixes.
 fn constants(plan: &Plan) -> String {
     let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
@@ -382,7 +395,7 @@ fn p2g() -> Draft {
     Draft {
         name: "P2G",
         entry: "p2g",
-        body: body + include_str!("wgsl/wall.wgsl"),
+        body: body + include_str!("wgsl/wall.wgsl") + include_str!("wgsl/drift.wgsl"),
         uses: vec![RECORD, CELLS, written(LISTS), GRID, STATUS],
         uniform: Uniform::None,
         groups: Groups::Blocks,
@@ -453,7 +466,7 @@ fn walk(rows: &[(&str, u32)], momentum: &str, sum: impl Fn(&str) -> String) -> S
 
 fn sum_tiles(to_velocities: bool) -> Draft {
     let finish = if to_velocities {
-        "let node = velocity(sum_of_tiles(entry, n));\ngrid[g * 64u + n] = node;\nnote_speed(node, n);"
+        "let node = velocity(g, sum_of_tiles(entry, n));\ngrid[g * 64u + n] = node;\nnote_speed(g, node, n);"
     } else {
         "grid[g * 64u + n] = sum_of_tiles(entry, n);"
     };
@@ -558,7 +571,7 @@ fn collect() -> Draft {
         body: include_str!("wgsl/collect.wgsl").to_owned(),
         uses: vec![written(LISTS), STATUS],
         uniform: Uniform::None,
-        groups: Groups::One,
+        groups: Groups::Layers,
     }
 }
 

@@ -7,12 +7,12 @@ use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
 
-/// Words of the status before those of the first step, and of each step; see `common.wgsl`.
-pub(crate) const STEPS: usize = 20;
+/// Words of the status: before those of layers, of each layer, and of each layer in each step; see `common.wgsl`.
+pub(crate) const OF_LAYERS: usize = 12;
+pub(crate) const PER_LAYER: usize = 16;
 pub(crate) const PER_STEP: usize = 4;
 /// Steps that one submission can take.
 pub(crate) const MAX_STEPS: usize = 64;
-pub(crate) const STATUS_WORDS: usize = STEPS + PER_STEP * MAX_STEPS;
 /// Bytes from one step's constants to the next.
 pub(crate) const STEP_STRIDE: u64 = 256;
 /// Workgroups in a row of a dispatch.
@@ -26,6 +26,7 @@ pub(crate) const BODY: u64 = 9;
 pub(crate) struct Asked {
     pub(crate) pairs: bool,
     pub(crate) bodies: usize,
+    pub(crate) layers: usize,
 }
 
 /// `Extent` of `common.wgsl`.
@@ -36,10 +37,26 @@ pub(crate) struct Extent {
     pub(crate) particles: u32,
     pub(crate) block_room: u32,
     pub(crate) node_room: u32,
-    pub(crate) box_min: [i32; 3],
     pub(crate) row: u32,
+    pub(crate) places: u32,
+    pub(crate) pad: [u32; 2],
+}
+
+/// `Layer` of `common.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub(crate) struct Layer {
+    pub(crate) box_min: [i32; 3],
+    pub(crate) first_place: u32,
     pub(crate) box_size: [i32; 3],
-    pub(crate) box_blocks: u32,
+    pub(crate) places: u32,
+    pub(crate) on: u32,
+    pub(crate) steps: u32,
+    pub(crate) drift: f32,
+    pub(crate) least: f32,
+    pub(crate) felt: f32,
+    pub(crate) first_particle: u32,
+    pub(crate) pad: [u32; 2],
 }
 
 /// `Step` of `common.wgsl`.
@@ -49,13 +66,19 @@ pub(crate) struct StepConstants {
     pub(crate) dt: f32,
     pub(crate) dt_per_h: f32,
     pub(crate) stress: f32,
-    pub(crate) drift: f32,
-    pub(crate) gravity: [f32; 3],
     pub(crate) number: u32,
-    pub(crate) least: f32,
-    pub(crate) felt: f32,
-    pub(crate) first: u32,
+    pub(crate) gravity: [f32; 3],
     pub(crate) pad: u32,
+}
+
+/// Words of the status before those of the first step, for so many layers.
+pub(crate) const fn words_before_steps(layers: usize) -> usize {
+    OF_LAYERS + PER_LAYER * layers
+}
+
+/// Words of the status for so many layers.
+pub(crate) const fn status_words(layers: usize) -> usize {
+    words_before_steps(layers) + PER_STEP * MAX_STEPS * layers
 }
 
 /// Room for as many as there are now and a quarter more, so that it rarely has to grow.
@@ -75,6 +98,7 @@ pub(crate) struct Memory {
     pub(crate) params: wgpu::Buffer,
     table: Option<wgpu::Buffer>,
     pub(crate) steps: wgpu::Buffer,
+    pub(crate) layers: wgpu::Buffer,
     pub(crate) readback: wgpu::Buffer,
     bindings: HashMap<(&'static str, usize), wgpu::BindGroup>,
     pub(crate) step_binding: wgpu::BindGroup,
@@ -140,19 +164,19 @@ impl Extent {
 
     fn shared_bytes(&self, role: Role, asked: Asked) -> u64 {
         let (slots, blocks, nodes) = (u64::from(self.slots), u64::from(self.block_room), u64::from(self.node_room));
-        let places = u64::from(self.box_blocks);
+        let places = u64::from(self.places);
         match role {
             Role::Grid => 16 * (64 * nodes + 512 * blocks),
-            Role::Status => 4 * STATUS_WORDS as u64,
+            Role::Status => 4 * status_words(asked.layers) as u64,
             Role::Flags => 4 * places,
             Role::Directory => 8 * places,
             Role::Sums => 8 * places.div_ceil(1024).max(blocks),
             Role::Keys => 8 * slots,
             Role::Loose | Role::Order => 4 * slots,
             Role::Pairs => 16 * if asked.pairs { 3 * 64 * nodes } else { 1 },
-            Role::Bodies => 16 * BODY * (MAX_STEPS * asked.bodies).max(1) as u64,
+            Role::Bodies => 16 * BODY * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
             Role::Partials => 32 * nodes * asked.bodies as u64,
-            Role::Impulses => 32 * (MAX_STEPS * asked.bodies).max(1) as u64,
+            Role::Impulses => 32 * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
             Role::Now(_) | Role::Next(_) => 0,
         }
     }
@@ -224,19 +248,23 @@ impl Memory {
         let params = uniform("parameters", 4 * padded as u64);
         gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(&values));
         let steps = uniform("steps", STEP_STRIDE * MAX_STEPS as u64);
+        let layers = uniform("layers", (size_of::<Layer>() * asked.layers) as u64);
         let step_binding = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("step"),
             layout: step_layout,
-            entries: &[wgpu::BindGroupEntry {
-                binding: 0,
-                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                    buffer: &steps,
-                    offset: 0,
-                    size: wgpu::BufferSize::new(size_of::<StepConstants>() as u64),
-                }),
-            }],
+            entries: &[
+                wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                        buffer: &steps,
+                        offset: 0,
+                        size: wgpu::BufferSize::new(size_of::<StepConstants>() as u64),
+                    }),
+                },
+                wgpu::BindGroupEntry { binding: 1, resource: layers.as_entire_binding() },
+            ],
         });
-        let readback = mappable(gpu, 4 * STATUS_WORDS as u64);
+        let readback = mappable(gpu, 4 * status_words(asked.layers) as u64);
         Ok(Self {
             extent,
             vectors,
@@ -247,6 +275,7 @@ impl Memory {
             params,
             table: None,
             steps,
+            layers,
             readback,
             bindings: HashMap::new(),
             step_binding,

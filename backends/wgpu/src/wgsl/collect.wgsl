@@ -1,14 +1,20 @@
-// What walls have given since the last time, in all: [N s]. One workgroup, each thread in the blocks' order.
+// What walls have given since the last time, in all: [N s]. One workgroup a layer, each thread in the blocks' order.
 var<workgroup> partial: array<vec4<f32>, 256>;
 
 @compute @workgroup_size(256)
-fn collect(@builtin(local_invocation_index) thread: u32) {
+fn collect(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     var sum = vec4<f32>(0.0);
-    for (var b = thread; b < atomicLoad(&status[BLOCKS]); b += 256u) {
+    let layer = group.x;
+    var end = vec2<u32>(atomicLoad(&status[BLOCKS]), atomicLoad(&status[NODE_BLOCKS]));
+    if layer + 1u < LAYERS {
+        end.x = atomicLoad(&status[layer_word(layer + 1u, FIRST_BLOCK)]);
+        end.y = atomicLoad(&status[layer_word(layer + 1u, FIRST_NODE_BLOCK)]);
+    }
+    for (var b = atomicLoad(&status[layer_word(layer, FIRST_BLOCK)]) + thread; b < end.x; b += 256u) {
         sum += bitcast<vec4<f32>>(lists[b * ENTRY + WALL]);
         lists[b * ENTRY + WALL] = vec4<i32>(0);
     }
-    for (var g = thread; g < atomicLoad(&status[NODE_BLOCKS]); g += 256u) {
+    for (var g = atomicLoad(&status[layer_word(layer, FIRST_NODE_BLOCK)]) + thread; g < end.y; g += 256u) {
         let entry = (extent.block_room + g) * ENTRY;
         sum += bitcast<vec4<f32>>(lists[entry + WALL]);
         lists[entry + WALL] = vec4<i32>(0);
@@ -21,8 +27,8 @@ fn collect(@builtin(local_invocation_index) thread: u32) {
             all += partial[t];
         }
         for (var d = 0u; d < 3u; d++) {
-            let before = bitcast<f32>(atomicLoad(&status[WALL_IMPULSE + d]));
-            atomicStore(&status[WALL_IMPULSE + d], bitcast<u32>(before + all[d]));
+            let before = bitcast<f32>(atomicLoad(&status[layer_word(layer, WALL_IMPULSE + d)]));
+            atomicStore(&status[layer_word(layer, WALL_IMPULSE + d)], bitcast<u32>(before + all[d]));
         }
     }
 }

@@ -16,12 +16,33 @@ struct Extent {
     // Room for blocks with particles, and for blocks of nodes.
     block_room: u32,
     node_room: u32,
-    // The directory's first block, and blocks along each axis.
-    box_min: vec3<i32>,
     // Workgroups in a row of a dispatch.
     row: u32,
+    // Places of the directory.
+    places: u32,
+}
+
+// A layer is one grid: that of one world. Each entry of the lists has its layer's number in the fourth component of its first vector;
+// blocks are in the order of layers and, within one, of their coordinates, so that each layer's blocks, particles and places of the
+// directory stand together.
+struct Layer {
+    // The box that its part of the directory covers: first block, blocks along each axis; its first place, a multiple of 1024, and
+    // places.
+    box_min: vec3<i32>,
+    first_place: u32,
     box_size: vec3<i32>,
-    box_blocks: u32,
+    places: u32,
+    // Does it take part in this submission?
+    on: u32,
+    // When the submission began: its own count of steps, and an upper bound of the drift since its last sort [cells].
+    steps: u32,
+    drift: f32,
+    // Nodes lighter than this carry nothing [kg], and what makes of a mass the share of a speed that counts [1/kg].
+    least: f32,
+    felt: f32,
+    first_particle: u32,
+    pad0: u32,
+    pad1: u32,
 }
 
 struct Step {
@@ -29,22 +50,16 @@ struct Step {
     dt: f32,
     dt_per_h: f32,
     stress: f32,
-    // Upper bound of the drift since the last sort when step `first` began [cells].
-    drift: f32,
-    // Gravity times dt [m/s].
-    gravity: vec3<f32>,
     // Number of the step in the submission.
     number: u32,
-    // Nodes lighter than this carry nothing [kg].
-    least: f32,
-    felt: f32,
-    // The first step since the last sort, or of the submission.
-    first: u32,
+    // Gravity times dt [m/s].
+    gravity: vec3<f32>,
     pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(1) @binding(0) var<uniform> step: Step;
+@group(1) @binding(1) var<uniform> layers: array<Layer, LAYERS>;
 
 const NONE: u32 = 0xffffffffu;
 // Vectors of a particle's record.
@@ -55,23 +70,45 @@ const ENTRY: u32 = 10u;
 const WALL: u32 = 8u;
 const PENDING: u32 = 9u;
 
-// Words of the status. Those of a step: greatest node speed [m/s], greatest move of a particle [cells], greatest square of the norm
-// of C [1/s2], as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN is above all.
+// Words of the status.
 const BLOCKS: u32 = 0u;
 const NODE_BLOCKS: u32 = 1u;
+const HALTED: u32 = 2u;
+const HALT_STEP: u32 = 3u;
+const WHO: u32 = 4u;
+const NEW_BLOCKS: u32 = 5u;
+const NEW_NODE_BLOCKS: u32 = 6u;
+const OLD_BLOCKS: u32 = 7u;
+const SORTS: u32 = 8u;
+
+// Those of a layer: its first block and node block; least and greatest block; 1 + the step before which it was sorted last in this
+// submission; particles' steps with strain applied in parts; what walls gave [N s].
+const OF_LAYERS: u32 = 12u;
+const PER_LAYER: u32 = 16u;
+const FIRST_BLOCK: u32 = 0u;
+const FIRST_NODE_BLOCK: u32 = 1u;
 const LEAST_BLOCK: u32 = 2u;
 const GREATEST_BLOCK: u32 = 5u;
-const HALTED: u32 = 8u;
-const HALT_STEP: u32 = 9u;
-const WHO: u32 = 10u;
-const PARTED: u32 = 11u;
-const NEW_BLOCKS: u32 = 12u;
-const NEW_NODE_BLOCKS: u32 = 13u;
-const OLD_BLOCKS: u32 = 14u;
-const SORTS: u32 = 15u;
-const WALL_IMPULSE: u32 = 16u;
-const STEPS: u32 = 20u;
+const SORTED: u32 = 8u;
+const PARTED: u32 = 9u;
+const WALL_IMPULSE: u32 = 10u;
+
+// Those of a layer in a step: greatest node speed [m/s], greatest move of a particle [cells], greatest square of the norm of C [1/s2],
+// as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN is above all. In the
+// first layer's fourth word stands the greatest node speed of all layers, if there are several.
+const OF_STEPS: u32 = OF_LAYERS + PER_LAYER * LAYERS;
 const PER_STEP: u32 = 4u;
+const SPEED: u32 = 0u;
+const MOVE: u32 = 1u;
+const RATE: u32 = 2u;
+
+fn layer_word(layer: u32, k: u32) -> u32 {
+    return OF_LAYERS + PER_LAYER * layer + k;
+}
+
+fn step_word(number: u32, layer: u32, k: u32) -> u32 {
+    return OF_STEPS + PER_STEP * (number * LAYERS + layer) + k;
+}
 
 // Why a submission was halted.
 const TOO_FAST: u32 = 1u;
@@ -112,22 +149,61 @@ fn wrapped(b: vec3<i32>) -> vec3<i32> {
     return block;
 }
 
-// Where a block stands in the directory, or NONE.
-fn place_in_box(b: vec3<i32>) -> u32 {
-    let at = wrapped(b) - extent.box_min;
-    if any(at < vec3<i32>(0)) || any(at >= extent.box_size) {
+// Where a layer's block stands in the directory, or NONE.
+fn place_in_box(layer: u32, b: vec3<i32>) -> u32 {
+    let size = layers[layer].box_size;
+    let at = wrapped(b) - layers[layer].box_min;
+    if any(at < vec3<i32>(0)) || any(at >= size) {
         return NONE;
     }
-    return u32((at.x * extent.box_size.y + at.y) * extent.box_size.z + at.z);
+    return layers[layer].first_place + u32((at.x * size.y + at.y) * size.z + at.z);
 }
 
-// The block at a place of the directory.
-fn block_at(place: u32) -> vec3<i32> {
-    let p = i32(place);
-    let size = extent.box_size;
-    return extent.box_min + vec3<i32>(p / (size.y * size.z), (p / size.z) % size.y, p % size.z);
+// The layer's block at a place of the directory.
+fn block_at(layer: u32, place: u32) -> vec3<i32> {
+    let p = i32(place - layers[layer].first_place);
+    let size = layers[layer].box_size;
+    return layers[layer].box_min + vec3<i32>(p / (size.y * size.z), (p / size.z) % size.y, p % size.z);
+}
+
+// The layer in whose part of the directory a place is.
+fn layer_at(place: u32) -> u32 {
+    var low = 0u;
+    var high = LAYERS;
+    while high - low > 1u {
+        let middle = (low + high) / 2u;
+        if layers[middle].first_place <= place {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}
+
+// The layer of the particle in a slot.
+fn layer_of_particle(q: u32) -> u32 {
+    var low = 0u;
+    var high = LAYERS;
+    while high - low > 1u {
+        let middle = (low + high) / 2u;
+        if layers[middle].first_particle <= q {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}
+
+// Does a layer take part in this submission? One that is alone does.
+fn is_live(layer: u32) -> bool {
+    return LAYERS == 1u || layers[layer].on != 0u;
 }
 
 fn offset_of(n: u32) -> vec3<i32> {
     return vec3<i32>(i32(n / 9u), i32((n / 3u) % 3u), i32(n % 3u)) - vec3<i32>(1);
 }
+
+// The layer that this invocation works on, for functions that a pass does not call itself.
+var<private> layer_now: u32;

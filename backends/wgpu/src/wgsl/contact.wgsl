@@ -6,6 +6,7 @@ const BODY: u32 = 9u;
 
 var<workgroup> go: u32;
 var<workgroup> near: u32;
+var<workgroup> layer: u32;
 var<workgroup> greatest: atomic<u32>;
 var<workgroup> forces: array<vec4<f32>, 64>;
 var<workgroup> torques: array<vec4<f32>, 64>;
@@ -19,17 +20,20 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     let g = group.y * extent.row + group.x;
     if n == 0u {
         go = u32(atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]));
+        layer = u32(lists[(extent.block_room + g) * ENTRY].w);
+        go = select(0u, go, is_live(layer));
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
+    layer_now = workgroupUniformLoad(&layer);
     let first = lists[(extent.block_room + g) * ENTRY].xyz * 4;
     let cell = first + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
     let node = grid[g * 64u + n];
     var u = node.xyz;
     var changed = false;
     for (var b = 0u; b < BODIES; b++) {
-        let at = (step.number * BODIES + b) * BODY;
+        let at = ((step.number * LAYERS + layer_now) * BODIES + b) * BODY;
         let least = int_vector(bodies[at + 7u]);
         let most = int_vector(bodies[at + 8u]);
         if n == 0u {
@@ -43,7 +47,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         }
         var impulse = vec3<f32>(0.0);
         var arm = vec3<f32>(0.0);
-        if node.w > step.least && all(cell >= least) && all(cell <= most) {
+        if node.w > layers[layer_now].least && all(cell >= least) && all(cell <= most) {
             arm = (vec3<f32>(cell - int_vector(bodies[at])) + (vec3<f32>(0.5) - bodies[at + 1u].xyz)) * H;
             let row0 = bodies[at + 2u].xyz;
             let row1 = bodies[at + 3u].xyz;
@@ -75,11 +79,14 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     }
     if changed {
         grid[g * 64u + n] = vec4<f32>(u, node.w);
-        let felt = min(node.w * step.felt, 1.0);
+        let felt = min(node.w * layers[layer_now].felt, 1.0);
         atomicMax(&greatest, max(max(magnitude_bits(felt * u.x), magnitude_bits(felt * u.y)), magnitude_bits(felt * u.z)));
     }
     workgroupBarrier();
     if n == 0u && atomicLoad(&greatest) > 0u {
-        atomicMax(&status[STEPS + PER_STEP * step.number], atomicLoad(&greatest));
+        atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&greatest));
+        if LAYERS > 1u {
+            atomicMax(&status[step_word(step.number, 0u, GREATEST_SPEED)], atomicLoad(&greatest));
+        }
     }
 }

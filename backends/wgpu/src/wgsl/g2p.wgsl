@@ -22,7 +22,7 @@ fn ready(b: u32) -> u32 {
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;
     }
-    let speed = bitcast<f32>(atomicLoad(&status[STEPS + PER_STEP * step.number]));
+    let speed = bitcast<f32>(atomicLoad(&status[step_word(step.number, 0u, GREATEST_SPEED)]));
     if !(speed * step.dt_per_h <= NODE_MOVE) {
         if b == 0u {
             atomicStore(&status[HALT_STEP], step.number);
@@ -30,7 +30,7 @@ fn ready(b: u32) -> u32 {
         }
         return 0u;
     }
-    return 1u;
+    return u32(is_live(u32(lists[b * ENTRY].w)));
 }
 
 @compute @workgroup_size(256)
@@ -45,6 +45,8 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
+
+    layer_now = u32(lists[b * ENTRY].w);
 
     // 1. The velocities around the block.
     for (var t = thread; t < 512u; t += 256u) {
@@ -142,7 +144,7 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     atomicMax(&greatest_rate, rate);
     workgroupBarrier();
     if thread == 0u {
-        atomicMax(&status[STEPS + PER_STEP * step.number + 1u], atomicLoad(&greatest_move));
-        atomicMax(&status[STEPS + PER_STEP * step.number + 2u], atomicLoad(&greatest_rate));
+        atomicMax(&status[step_word(step.number, layer_now, MOVE)], atomicLoad(&greatest_move));
+        atomicMax(&status[step_word(step.number, layer_now, RATE)], atomicLoad(&greatest_rate));
     }
 }

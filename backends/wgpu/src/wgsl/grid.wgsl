@@ -24,13 +24,20 @@ fn sum_of_tiles(entry: u32, n: u32) -> vec4<f32> {
     return sum;
 }
 
+fn layer_of(g: u32) -> u32 {
+    if LAYERS == 1u {
+        return 0u;
+    }
+    return u32(lists[(extent.block_room + g) * ENTRY].w);
+}
+
 fn is_on(g: u32) -> u32 {
-    return u32(atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]));
+    return u32(atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]) && is_live(layer_of(g)));
 }
 
 // Momentum to velocity. Nodes that hardly weigh anything carry nothing; what is too slow to deform anything is at rest.
-fn velocity(node: vec4<f32>) -> vec4<f32> {
-    if !(node.w > step.least) {
+fn velocity(g: u32, node: vec4<f32>) -> vec4<f32> {
+    if !(node.w > layers[layer_of(g)].least) {
         // NaN stays, to be found.
         return vec4<f32>(select(vec3<f32>(0.0), vec3<f32>(node.w), node.w != node.w), node.w);
     }
@@ -39,13 +46,16 @@ fn velocity(node: vec4<f32>) -> vec4<f32> {
 }
 
 // Notes the greatest speed that a particle may feel: a node takes part in a particle's velocity by no more than its share of mass.
-fn note_speed(node: vec4<f32>, n: u32) {
-    let felt = min(node.w * step.felt, 1.0);
+fn note_speed(g: u32, node: vec4<f32>, n: u32) {
+    let felt = min(node.w * layers[layer_of(g)].felt, 1.0);
     let bits = max(max(magnitude_bits(felt * node.x), magnitude_bits(felt * node.y)), magnitude_bits(felt * node.z));
     atomicMax(&greatest, bits);
     workgroupBarrier();
     if n == 0u {
-        atomicMax(&status[STEPS + PER_STEP * step.number], atomicLoad(&greatest));
+        atomicMax(&status[step_word(step.number, layer_of(g), SPEED)], atomicLoad(&greatest));
+        if LAYERS > 1u {
+            atomicMax(&status[step_word(step.number, 0u, GREATEST_SPEED)], atomicLoad(&greatest));
+        }
     }
 }
 

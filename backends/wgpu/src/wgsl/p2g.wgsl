@@ -38,12 +38,12 @@ fn ready(b: u32) -> u32 {
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;
     }
-    var drift = step.drift;
-    for (var s = step.first; s < step.number; s++) {
-        drift += bitcast<f32>(atomicLoad(&status[STEPS + PER_STEP * s + 1u]));
+    let layer = u32(lists[b * ENTRY].w);
+    if !is_live(layer) {
+        return 0u;
     }
-    if !(drift <= MAX_DRIFT) {
-        if b == 0u {
+    if !(drift_of(layer) <= MAX_DRIFT) {
+        if b == atomicLoad(&status[layer_word(layer, FIRST_BLOCK)]) {
             atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], DRIFTED);
         }

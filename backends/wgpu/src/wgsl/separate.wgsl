@@ -8,7 +8,7 @@ var<workgroup> given: array<vec4<f32>, 64>;
 // The image of a node, as an index of the grid, or NONE; the wall's friction; the inward direction.
 struct Image { at: u32, friction: f32, inward: f32 }
 
-fn image_of(cell: vec3<i32>) -> Image {
+fn image_of(layer: u32, cell: vec3<i32>) -> Image {
     for (var end = 0; end < 2; end++) {
         let friction = select(LOW_FRICTION[AXIS], HIGH_FRICTION[AXIS], end == 1);
         if friction >= 0.0 {
@@ -18,7 +18,7 @@ fn image_of(cell: vec3<i32>) -> Image {
             let depth = (cell[AXIS] - image[AXIS]) * inward;
             // Twice the distance to the wall is 1 or 3 for the two nodes that the spline can mirror.
             if depth >= 0 && depth < 4 {
-                let at = place_in_box(image >> vec3<u32>(2u));
+                let at = place_in_box(layer, image >> vec3<u32>(2u));
                 if at != NONE {
                     let g = directory[at].y;
                     if g != NONE {
@@ -32,8 +32,15 @@ fn image_of(cell: vec3<i32>) -> Image {
     return Image(NONE, 0.0, 0.0);
 }
 
+fn layer_of(g: u32) -> u32 {
+    if LAYERS == 1u {
+        return 0u;
+    }
+    return u32(lists[(extent.block_room + g) * ENTRY].w);
+}
+
 fn is_on(g: u32) -> u32 {
-    return u32(atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]));
+    return u32(atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]) && is_live(layer_of(g)));
 }
 
 fn cell_of_node(g: u32, n: u32) -> vec3<i32> {
@@ -51,7 +58,7 @@ fn separate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
     if is_on(g) == 0u {
         return;
     }
-    let image = image_of(cell_of_node(g, n));
+    let image = image_of(layer_of(g), cell_of_node(g, n));
     if image.at == NONE {
         return;
     }
@@ -86,7 +93,7 @@ fn mirror_back(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     if n == 0u {
         go = is_on(g);
         // What a step that is too long does is not booked: it will be repeated.
-        if !(bitcast<f32>(atomicLoad(&status[STEPS + PER_STEP * step.number])) * step.dt_per_h <= NODE_MOVE) {
+        if !(bitcast<f32>(atomicLoad(&status[step_word(step.number, 0u, GREATEST_SPEED)])) * step.dt_per_h <= NODE_MOVE) {
             go = 0u;
         }
     }
@@ -94,7 +101,7 @@ fn mirror_back(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         return;
     }
     var impulse = vec3<f32>(0.0);
-    let image = image_of(cell_of_node(g, n));
+    let image = image_of(layer_of(g), cell_of_node(g, n));
     if image.at != NONE {
         let noted = pairs[note(image.at)];
         var u = grid[g * 64u + n].xyz;

@@ -8,7 +8,7 @@ fn link(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     if thread < 32u {
         if w < atomicLoad(&status[BLOCKS]) {
-            let at = place_in_box(lists[w * ENTRY].xyz + offset_of(n));
+            let at = place_in_box(u32(lists[w * ENTRY].w), lists[w * ENTRY].xyz + offset_of(n));
             var g = NONE;
             if at != NONE {
                 g = directory[at].y;
@@ -18,7 +18,7 @@ fn link(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     } else if w < atomicLoad(&status[NODE_BLOCKS]) {
         let entry = (extent.block_room + w) * ENTRY;
         // From the tile's block to the nodes'.
-        let at = place_in_box(lists[entry].xyz - offset_of(n));
+        let at = place_in_box(u32(lists[entry].w), lists[entry].xyz - offset_of(n));
         var b = NONE;
         if at != NONE {
             b = directory[at].x;

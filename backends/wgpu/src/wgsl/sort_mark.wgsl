@@ -6,6 +6,7 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     let block = lists[b * ENTRY].xyz;
+    let layer = u32(lists[b * ENTRY].w);
     let end = cells[b * 64u + 64u];
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
         let local = cell_of(record[RECORD * q].w);
@@ -15,7 +16,7 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
             atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], LEFT_WORLD);
         }
-        let at = place_in_box(block + (local >> vec3<u32>(2u)));
+        let at = place_in_box(layer, block + (local >> vec3<u32>(2u)));
         if at != NONE {
             atomicStore(&flags[at], 1u);
         }

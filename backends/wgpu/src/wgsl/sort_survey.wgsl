@@ -2,14 +2,16 @@
 @compute @workgroup_size(256)
 fn survey(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let w = group.y * extent.row + group.x;
+    let layer = layer_at(w * 1024u);
+    let end = layers[layer].first_place + layers[layer].places;
     var count = vec2<u32>(0u);
     for (var k = 0u; k < 4u; k++) {
         let at = w * 1024u + thread * 4u + k;
-        if at < extent.box_blocks {
-            let block = block_at(at);
+        if at < end {
+            let block = block_at(layer, at);
             var reached = 0u;
             for (var n = 0u; n < 27u; n++) {
-                let other = place_in_box(block + offset_of(n));
+                let other = place_in_box(layer, block + offset_of(n));
                 if other != NONE {
                     reached |= flags[other];
                 }

@@ -1,7 +1,7 @@
 // Turns the sums into sums of all before, and checks that there is room. One workgroup.
 @compute @workgroup_size(256)
 fn total_blocks(@builtin(local_invocation_index) thread: u32) {
-    let count = (extent.box_blocks + 1023u) / 1024u;
+    let count = (extent.places + 1023u) / 1024u;
     let each = (count + 255u) / 256u;
     let source = min(thread * each, count);
     let to = min(source + each, count);
@@ -20,22 +20,35 @@ fn total_blocks(@builtin(local_invocation_index) thread: u32) {
         sums[i] = before;
         before += here;
     }
-    if thread == 255u && !halted() {
-        atomicStore(&status[NEW_BLOCKS], before.x);
-        atomicStore(&status[NEW_NODE_BLOCKS], before.y);
-        if before.x > extent.block_room || before.y > extent.node_room {
-            atomicStore(&status[HALT_STEP], step.number);
-            atomicStore(&status[HALTED], ROOM);
-        } else {
+    var all = vec2<u32>(0u);
+    for (var t = 0u; t < 256u; t++) {
+        all += partial[t];
+    }
+    let fits = all.x <= extent.block_room && all.y <= extent.node_room;
+    if halted() {
+        return;
+    }
+    if fits {
+        for (var layer = thread; layer < LAYERS; layer += 256u) {
+            atomicStore(&status[layer_word(layer, SORTED)], step.number + 1u);
+            for (var d = 0u; d < 3u; d++) {
+                atomicStore(&status[layer_word(layer, LEAST_BLOCK + d)], NONE);
+                atomicStore(&status[layer_word(layer, GREATEST_BLOCK + d)], 0u);
+            }
+        }
+    }
+    if thread == 0u {
+        atomicStore(&status[NEW_BLOCKS], all.x);
+        atomicStore(&status[NEW_NODE_BLOCKS], all.y);
+        if fits {
             // How many blocks of the old order there are is still needed.
             atomicStore(&status[OLD_BLOCKS], atomicLoad(&status[BLOCKS]));
             atomicStore(&status[SORTS], atomicLoad(&status[SORTS]) + 1u);
-            atomicStore(&status[BLOCKS], before.x);
-            atomicStore(&status[NODE_BLOCKS], before.y);
-            for (var d = 0u; d < 3u; d++) {
-                atomicStore(&status[LEAST_BLOCK + d], NONE);
-                atomicStore(&status[GREATEST_BLOCK + d], 0u);
-            }
+            atomicStore(&status[BLOCKS], all.x);
+            atomicStore(&status[NODE_BLOCKS], all.y);
+        } else {
+            atomicStore(&status[HALT_STEP], step.number);
+            atomicStore(&status[HALTED], ROOM);
         }
     }
 }

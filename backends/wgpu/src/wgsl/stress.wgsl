@@ -5,6 +5,10 @@ fn stress_of_all(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     if q >= extent.particles {
         return;
     }
+    layer_now = layer_of_particle(q);
+    if !is_live(layer_now) {
+        return;
+    }
     let x = bitcast<vec4<f32>>(record[RECORD * q + 2u]).yzw;
     let y = bitcast<vec4<f32>>(record[RECORD * q + 3u]).yzw;
     let z = bitcast<vec4<f32>>(record[RECORD * q + 4u]).yzw;

@@ -7,7 +7,7 @@ fn velocities(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
-    let node = velocity(grid[g * 64u + n]);
+    let node = velocity(g, grid[g * 64u + n]);
     grid[g * 64u + n] = node;
-    note_speed(node, n);
+    note_speed(g, node, n);
 }
