@@ -33,6 +33,52 @@ pub trait Backend: Send + Sync {
     /// # Errors
     /// [`crate::Error::Missing`] if it lacks a form of a stage, by name.
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>>;
+    /// Builds worlds that step together in the same passes, each the bits that it would be alone if it took the same steps. `None` if the
+    /// backend has no such form: then worlds are compiled one by one.
+    ///
+    /// # Errors
+    /// As [`compile`](Self::compile), and [`crate::Error::Missing`] if worlds differ in what they must have in common, by name.
+    fn compile_batch(&self, worlds: Vec<NewWorld<'_>>) -> Option<Result<Box<dyn Batch>>> {
+        let _ = worlds;
+        None
+    }
+}
+
+/// What a world of a batch is made from.
+pub struct NewWorld<'a> {
+    /// What is simulated.
+    pub plan: &'a Plan,
+    /// Its particles.
+    pub particles: ParticleState,
+    /// Its couplings, to look at.
+    pub couplings: &'a [Box<dyn Coupling>],
+}
+
+/// A world that takes part in steps of a batch.
+pub struct Turn<'a> {
+    /// Number of the world.
+    pub world: usize,
+    /// Its time [s].
+    pub time: f64,
+    /// Its couplings.
+    pub couplings: &'a mut [Box<dyn Coupling>],
+}
+
+/// Worlds that step together.
+pub trait Batch: Send {
+    /// A world's engine, which shares the batch. Steps that are taken through it move that world alone.
+    fn engine(&self, world: usize) -> Box<dyn Engine>;
+    /// As [`Engine::steps`], for all worlds that have a turn; the others stay as they are. All that succeed take the same steps. A world
+    /// that fails is as it was, its result says why, and the others go on without it.
+    ///
+    /// # Errors
+    /// What is no world's own fault, such as a device that was lost.
+    fn steps(&mut self, dt: f64, count: usize, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>>;
+    /// Puts a new world in the place of an old one, which is as it was on an error.
+    ///
+    /// # Errors
+    /// As [`Backend::compile_batch`].
+    fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()>;
 }
 
 /// A device that a backend can run on.

@@ -29,6 +29,7 @@ pub mod snapshot;
 pub mod solid;
 pub mod state;
 pub mod task;
+pub mod together;
 
 pub use archive::Tile;
 pub use backend::{Backend, Engine, StepReport};
@@ -44,6 +45,7 @@ pub use seed::Terrain;
 pub use simulation::{Options, Simulation};
 pub use state::{LevelPhase, Measured, ParticleList, ParticleState, SortPhase, Spot};
 pub use task::Task;
+pub use together::Together;
 
 /// A point, vector or triple of factors: x, y, z.
 pub type Vec3 = [f64; 3];

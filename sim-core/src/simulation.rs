@@ -1,6 +1,6 @@
 //! A running simulation.
 
-use crate::backend::{Bound, Timing};
+use crate::backend::{Bound, Timing, Turn};
 use crate::plan::{cut, tighten, wanted_step};
 use crate::scene::OverBound;
 use crate::snapshot::Snapshot;
@@ -61,6 +61,8 @@ pub struct Simulation {
     watch: Option<Watch>,
     /// Mean wrenches over the last step, if the couplings took several within it.
     wrenches: Option<Vec<Wrench>>,
+    /// Is its engine a world's of a batch?
+    in_batch: bool,
 }
 
 impl fmt::Debug for Simulation {
@@ -72,6 +74,19 @@ impl fmt::Debug for Simulation {
             .field("step", &self.step)
             .finish_non_exhaustive()
     }
+}
+
+/// Steps that a simulation is to take next.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wish {
+    /// Length of each [s].
+    pub(crate) dt: f64,
+    /// How many at once.
+    pub(crate) count: usize,
+    /// After how many of this length the next stop is reached.
+    pub(crate) to_stop: usize,
+    /// Are they above the bound?
+    pub(crate) above: bool,
 }
 
 /// Energy at the start of a stretch of [`WATCH_STEPS`] steps above the bound.
@@ -88,7 +103,7 @@ struct Watch {
 }
 
 /// The backend asked for; an adapter may be named only if it runs on one.
-fn find_backend<'a>(registry: &'a Registry, options: &Options) -> Result<&'a dyn Backend> {
+pub(crate) fn find_backend<'a>(registry: &'a Registry, options: &Options) -> Result<&'a dyn Backend> {
     let backend = &**registry.backend(&options.backend)?;
     match &options.adapter {
         Some(adapter) if backend.adapters().is_none() => Err(Error::Missing {
@@ -120,6 +135,16 @@ impl Simulation {
         Ok(Self::start(plan, backend.name(), engine, couplings))
     }
 
+    /// A world of a batch.
+    pub(crate) fn in_batch(
+        plan: Plan,
+        backend: &str,
+        engine: Box<dyn Engine>,
+        couplings: Vec<Box<dyn Coupling>>,
+    ) -> Self {
+        Self { in_batch: true, ..Self::start(plan, backend, engine, couplings) }
+    }
+
     fn start(plan: Plan, backend: &str, engine: Box<dyn Engine>, couplings: Vec<Box<dyn Coupling>>) -> Self {
         Self {
             plan,
@@ -134,6 +159,7 @@ impl Simulation {
             cut_steps: 0,
             watch: None,
             wrenches: None,
+            in_batch: false,
         }
     }
 
@@ -209,6 +235,7 @@ impl Simulation {
         self.backend = backend.name().to_owned();
         self.plan = plan;
         self.engine = engine;
+        self.in_batch = false;
         self.watch = None;
         Ok(())
     }
@@ -380,6 +407,14 @@ impl Simulation {
     /// # Errors
     /// As [`step`](Self::step): everything is as before the first of these steps.
     pub fn steps(&mut self, most: usize, until: f64) -> Result<Vec<StepReport>> {
+        let wish = self.wish(most, until)?;
+        let before = self.begin(&wish);
+        let result = self.engine.steps(self.time, wish.dt, wish.count, &mut self.couplings);
+        self.finish(&wish, &before, result)
+    }
+
+    /// The steps that are to be taken next.
+    pub(crate) fn wish(&mut self, most: usize, until: f64) -> Result<Wish> {
         let bound = self.bound();
         let (mut dt, above) = self.choose(&bound)?;
         let left = self.stop - self.time;
@@ -398,13 +433,27 @@ impl Simulation {
         if count > 1 && until.is_finite() {
             count = count.min(((until - self.time) / dt - ROUNDING).ceil().max(1.0) as usize);
         }
-        if above {
+        Ok(Wish { dt, count, to_stop, above })
+    }
+
+    /// What must be kept to go back to before the steps: what each coupling saves.
+    pub(crate) fn begin(&mut self, wish: &Wish) -> Vec<Vec<u8>> {
+        if wish.above {
             self.begin_watch();
         } else {
             self.watch = None;
         }
-        let before: Vec<_> = self.couplings.iter().map(|c| c.save()).collect();
-        let reports = match self.engine.steps(self.time, dt, count, &mut self.couplings) {
+        self.couplings.iter().map(|c| c.save()).collect()
+    }
+
+    /// Takes in what the engine did, or goes back.
+    pub(crate) fn finish(
+        &mut self,
+        wish: &Wish,
+        before: &[Vec<u8>],
+        result: Result<Vec<StepReport>>,
+    ) -> Result<Vec<StepReport>> {
+        let reports = match result {
             Ok(reports) => reports,
             Err(mut error) => {
                 // The engine counts from where it was compiled or resumed.
@@ -413,7 +462,7 @@ impl Simulation {
                 {
                     *step = self.step;
                 }
-                for (coupling, bytes) in self.couplings.iter_mut().zip(&before) {
+                for (coupling, bytes) in self.couplings.iter_mut().zip(before) {
                     coupling.restore(bytes).map_err(|what| Error::Body {
                         path: format!("coupling '{}'", coupling.name()),
                         what: format!("cannot go back to before the step that failed ({error}): {what}"),
@@ -426,7 +475,7 @@ impl Simulation {
         for (i, report) in reports.iter().enumerate() {
             self.step += 1;
             self.wrenches.clone_from(&report.wrenches);
-            if i + 1 == to_stop && report.dt == dt {
+            if i + 1 == wish.to_stop && report.dt == wish.dt {
                 self.time = self.stop;
                 self.stop = f64::INFINITY;
             } else {
@@ -435,6 +484,16 @@ impl Simulation {
             self.judge_watch(report.dt)?;
         }
         Ok(reports)
+    }
+
+    /// A turn of this world in a batch.
+    pub(crate) fn turn(&mut self, world: usize) -> Turn<'_> {
+        Turn { world, time: self.time, couplings: &mut self.couplings }
+    }
+
+    /// Does the engine that it started with still run it?
+    pub(crate) fn is_in_batch(&self) -> bool {
+        self.in_batch
     }
 
     /// Steps until `until` [s] or until `on_step` breaks off; was `until` reached?

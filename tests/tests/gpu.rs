@@ -1,10 +1,11 @@
 //! The backend wgpu against the CPU in 64 bits, against truths, and against itself. Without an adapter these tests fail, and the
 //! error says how to get a software one.
 
-use barchan::scene::Scene;
+use barchan::scene::{Motion, Scene};
+use barchan::worlds::Worlds;
 use barchan::{Ledger, Options, Precision, Simulation, Vec3};
 use barchan_tests::scenes::{Row, norm, rows, scene, within};
-use barchan_tests::sketch::{Head, PERIODIC, block, driven, half, material, tool};
+use barchan_tests::sketch::{Head, PERIODIC, bed, block, driven, half, material, tool};
 
 fn on(backend: &str, precision: Precision, toml: &str) -> Simulation {
     let options = Options { backend: backend.into(), precision, threads: 1, ..Options::default() };
@@ -386,4 +387,153 @@ fn faults_carry_the_particle_and_the_place() {
     sim.set_particles(state).unwrap();
     let error = sim.step().unwrap_err().to_string();
     assert!(error.contains("velocity") && error.contains(&format!("particle {id} ")), "{error}");
+}
+
+fn on_gpu() -> Options {
+    Options { backend: "wgpu".into(), threads: 1, ..Options::default() }
+}
+
+/// A patch of sand, sown at random, and a blade that an agent drives; worlds differ in seed, friction, the blade's height, and how fast the
+/// sand is.
+fn patch(world: u64) -> Scene {
+    let friction = 25.0 + 3.0 * world as f64;
+    let parameters = format!("young_modulus = 1e5, friction_angle_deg = {friction}");
+    let (head, mut parts) = bed(0.05, [12, 8], 3, 8, &parameters);
+    parts[1] += &format!("sampling = \"jitter\"\nvelocity = [{:?}, 0.0, 0.0]\n", 0.6 * world as f64);
+    parts.push(tool(
+        "blade",
+        [0.15, 0.2, 0.14 + 0.01 * world as f64],
+        &half([0.06, 0.08, 0.06]),
+        "{ coulomb = { friction = 0.4 } }",
+        &driven([0.5, 0.0, 0.0]),
+    ));
+    Scene { seed: world, ..scene(&head.time("step = 1e-3").with(&parts)) }
+}
+
+/// What an agent does in a world for the next steps.
+fn act(s: &mut Simulation, world: usize) {
+    let turn = 0.05 * s.step_count() as f64 + world as f64;
+    s.drive("blade", [0.6 * turn.cos(), 0.3 * turn.sin(), -0.1], [0.0, 0.0, turn.sin()]).unwrap();
+}
+
+/// Everything that a world has left behind.
+fn left(s: &Simulation) -> String {
+    format!("{:?} {:?} {:?} {:?}", s.particles(), s.bodies(), s.wrenches(), s.time().to_bits())
+}
+
+/// Symptom guarded against: sums, sorts or tools that worlds of a batch share. Worlds that are sorted at other times, of which one is reset in
+/// the middle, are what they are alone, although alone they take their steps one by one.
+#[test]
+fn a_world_of_a_batch_is_the_world_alone_bit_for_bit() {
+    const AT_ONCE: usize = 12;
+    let mut worlds = Worlds::new(&barchan::registry(), (0..4).map(patch).collect(), &on_gpu()).unwrap();
+    assert!(worlds.are_together());
+    let mut wrenches = vec![Vec::new(); 4];
+    for round in 0..5 {
+        (0..4).for_each(|w| act(worlds.world_mut(w), w));
+        for (w, reports) in worlds.steps(AT_ONCE).into_iter().enumerate() {
+            let reports = reports.unwrap_or_else(|e| panic!("world {w}: {e}"));
+            assert_eq!(reports.len(), AT_ONCE);
+            wrenches[w].extend(reports.into_iter().map(|report| report.wrenches.expect("it has a blade")));
+        }
+        if round == 1 {
+            worlds.reset(2, None).unwrap();
+            wrenches[2].clear();
+        }
+    }
+    let ends: Vec<_> = worlds.iter().map(left).collect();
+    for (w, end) in ends.iter().enumerate() {
+        let mut alone = Simulation::new(&barchan::registry(), &patch(w as u64), &on_gpu()).unwrap();
+        let mut felt = Vec::new();
+        for step in 0..if w == 2 { 36 } else { 60 } {
+            if step % AT_ONCE == 0 {
+                act(&mut alone, w);
+            }
+            felt.push(alone.step().unwrap().wrenches.expect("it has a blade"));
+        }
+        assert!(felt == wrenches[w], "the blade of world {w} feels something else alone");
+        assert!(*end == left(&alone), "world {w} is not itself alone");
+        assert!(ends[..w].iter().all(|other| other != end), "worlds differ");
+    }
+}
+
+/// A block that flies; from world to world another way.
+fn flight(world: usize) -> Scene {
+    let velocity = [[0.5, 0.2, 0.0], [4.0, 0.0, 0.0], [-0.5, 0.3, 0.1]][world];
+    let toml = Head::cells(0.02, [12; 3], "").time("step = 1e-3").with(&[
+        material("hencky", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.2"),
+        block("hencky", [0.06; 3], [0.12; 3], &format!("velocity = {velocity:?}")),
+    ]);
+    scene(&toml)
+}
+
+/// A world that fails, by what it does or by what it is given, says so and stays; the others go on as they would alone, and it can be reset.
+#[test]
+fn a_world_that_fails_does_not_stop_the_others() {
+    let registry = barchan::registry();
+    let mut worlds = Worlds::new(&registry, (0..3).map(flight).collect(), &on_gpu()).unwrap();
+    let (mut taken, mut errors) = ([0; 3], Vec::new());
+    while taken[0] < 60 {
+        for (w, reports) in worlds.steps(20).into_iter().enumerate() {
+            match reports {
+                Ok(reports) => taken[w] += reports.len(),
+                Err(error) => errors.push((w, error.to_string())),
+            }
+        }
+    }
+    assert!(!errors.is_empty() && errors.iter().all(|(w, e)| *w == 1 && e.contains("left the world")), "{errors:?}");
+    assert!(taken[0] == 60 && taken[2] == 60 && taken[1] < 60, "{taken:?}");
+    assert_eq!([0, 1, 2].map(|w| worlds.world(w).step_count()), taken.map(|n| n as u64));
+    for (w, steps) in taken.into_iter().enumerate() {
+        let mut alone = Simulation::new(&registry, &flight(w), &on_gpu()).unwrap();
+        take(&mut alone, steps);
+        assert!(left(worlds.world(w)) == left(&alone), "world {w} is not itself alone");
+    }
+
+    worlds.reset(1, Some(flight(2))).unwrap();
+    let mut spoilt = worlds.world(0).particles();
+    spoilt.lists[0].velocity[7][2] = f64::NAN;
+    worlds.world_mut(0).set_particles(spoilt).unwrap();
+    let reports = worlds.step();
+    let error = reports[0].as_ref().unwrap_err().to_string();
+    assert!(error.contains("velocity of particle") && reports[1].is_ok() && reports[2].is_ok(), "{error}");
+    assert_eq!([0, 1, 2].map(|w| worlds.world(w).step_count()), [60, 1, 61]);
+    worlds.reset(0, None).unwrap();
+    assert!(worlds.step().iter().all(Result::is_ok));
+}
+
+/// More worlds take no more passes.
+#[test]
+fn passes_do_not_grow_with_worlds() {
+    let passes = |count: usize| {
+        let mut worlds = Worlds::new(&barchan::registry(), vec![patch(2); count], &on_gpu()).unwrap();
+        let timings = |worlds: &Worlds| worlds.world(0).timings();
+        let before = timings(&worlds);
+        assert!(worlds.steps(44).iter().all(Result::is_ok));
+        let of = |name: &str| before.iter().find(|t| t.effect == name).map_or(0, |t| t.passes);
+        timings(&worlds).into_iter().map(|t| (t.passes - of(&t.effect), t.effect)).collect::<Vec<_>>()
+    };
+    let (one, three) = (passes(1), passes(3));
+    println!("{one:?}");
+    assert!(one.iter().any(|(passes, name)| name == "P2G" && *passes >= 44));
+    assert_eq!(one, three);
+}
+
+/// What worlds must share to be batched is said by name.
+#[test]
+fn worlds_that_cannot_be_batched_are_refused_by_name() {
+    let refused =
+        |scenes: Vec<Scene>| Worlds::new(&barchan::registry(), scenes, &on_gpu()).map(drop).unwrap_err().to_string();
+    let mut other = flight(0);
+    other.gravity[0] = 1.0;
+    let error = refused(vec![flight(0), other]);
+    assert!(error.contains("gravity") && error.contains("world 1") && error.contains("cpu"), "{error}");
+    let mut other = flight(0);
+    other.world.max[0] += 0.08;
+    let error = refused(vec![flight(0), other]);
+    assert!(error.contains("extent") && error.contains("world 1"), "{error}");
+    let mut free = patch(0);
+    free.tool[0].motion = Motion::Free { mass: 1.0, linear: [0.0; 3], angular: [0.0; 3], restitution: 0.0 };
+    let error = refused(vec![free.clone(), free]);
+    assert!(error.contains("freely") && error.contains("world 0") && error.contains("cpu"), "{error}");
 }

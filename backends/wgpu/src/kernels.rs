@@ -2,6 +2,8 @@
 
 use crate::device::Gpu;
 use crate::material;
+use crate::memory::MAX_STEPS;
+use crate::world::{MAX_DRIFT, OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Wall;
@@ -74,6 +76,8 @@ pub(crate) enum Groups {
     One,
     /// One a layer.
     Layers,
+    /// One for this many layers.
+    LayersBy(u32),
     /// One a block with particles.
     Blocks,
     /// One a block of nodes.
@@ -155,9 +159,9 @@ impl Kernels {
             ],
         });
         let constants = constants(plan) + &layer_constants(layers);
-        let make = |draft: Draft| build(device, &step_layout, &constants, draft);
+        let make = |draft: Draft| build(device, &step_layout, &constants, layers, draft);
         let all = |drafts: Vec<Draft>| drafts.into_iter().map(make).collect();
-        let drafts = Drafts::of(plan)?;
+        let drafts = Drafts::of(plan, layers)?;
         Ok(Self {
             sort: all(drafts.sort),
             p2g: make(drafts.p2g),
@@ -184,12 +188,12 @@ struct Drafts {
 }
 
 impl Drafts {
-    fn of(plan: &Plan) -> Result<Self> {
+    fn of(plan: &Plan, layers: usize) -> Result<Self> {
         let separations = separations(plan);
         let has_walls = (0..3)
             .flat_map(|axis| plan.scene.world.walls.pair(axis))
             .any(|w| !matches!(w, Wall::Open | Wall::Periodic));
-        let laws = laws(plan)?;
+        let laws = laws(plan, layers)?;
         let mut grid = vec![sum_tiles(separations.is_empty())];
         grid.extend(separations.iter().map(|&axis| separate(axis, false)));
         if !separations.is_empty() {
@@ -209,7 +213,7 @@ impl Drafts {
 
 /// The passes of a plan, a line each.
 pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
-    let drafts = Drafts::of(plan)?;
+    let drafts = Drafts::of(plan, 1)?;
     let mut lines: Vec<String> = drafts.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
     lines.extend([&drafts.p2g].into_iter().chain(&drafts.grid).map(|draft| line("every step", draft)));
     if plan.has(Stage::Contact) {
@@ -226,6 +230,7 @@ fn line(when: &str, draft: &Draft) -> String {
     let groups = match draft.groups {
         Groups::One => "one workgroup".to_owned(),
         Groups::Layers => "a workgroup a layer".to_owned(),
+        Groups::LayersBy(n) => format!("a workgroup for {n} layers"),
         Groups::Exactly(count) => format!("{count} workgroups"),
         Groups::Blocks => "a workgroup a block with particles".to_owned(),
         Groups::NodeBlocks => "a workgroup a block of nodes".to_owned(),
@@ -244,9 +249,10 @@ fn line(when: &str, draft: &Draft) -> String {
 pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usize, layers: usize) -> [Kernel; 2] {
     let vectors = law.table.len().max(1);
     let count = format!("const BODIES: u32 = {bodies}u;\n");
+    let (space, all, first) = table_of_layers(layers, vectors);
     let table = format!(
-        "@group(0) @binding(1) var<uniform> contact_table: array<vec4<f32>, {vectors}>;\n\
-         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[i]; }}\n"
+        "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {all}>;\n\
+         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n"
     );
     let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
     let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
@@ -267,7 +273,22 @@ pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usi
         uniform: Uniform::None,
         groups: Groups::Exactly((bodies * layers) as u32),
     };
-    [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, draft))
+    [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, layers, draft))
+}
+
+/// Vectors of four that hold a world's material parameters.
+pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
+    plan.materials.iter().map(|m| m.parameters.len()).sum::<usize>().div_ceil(4).max(1)
+}
+
+/// A table of so many vectors for each layer: the address space, which holds many only as storage; vectors in all; and what leads to
+/// the layer's own.
+fn table_of_layers(layers: usize, vectors: usize) -> (&'static str, usize, String) {
+    if layers > 1 {
+        ("storage, read", layers * vectors, format!("layer_now * {vectors}u + "))
+    } else {
+        ("uniform", vectors, String::new())
+    }
 }
 
 fn entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offset: bool) -> wgpu::BindGroupLayoutEntry {
@@ -282,13 +303,25 @@ fn entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offset: bool) ->
 /// First storage binding of a pass: before it stand the extent and the materials' parameters.
 pub(crate) const FIRST_BINDING: u32 = 2;
 
-fn build(device: &wgpu::Device, step_layout: &wgpu::BindGroupLayout, constants: &str, draft: Draft) -> Kernel {
+fn build(
+    device: &wgpu::Device,
+    step_layout: &wgpu::BindGroupLayout,
+    constants: &str,
+    layers: usize,
+    draft: Draft,
+) -> Kernel {
+    let stored = usize::from(draft.uniform != Uniform::None && layers > 1);
     // What WebGPU promises everywhere.
-    assert!(draft.uses.len() <= 8, "pass {} binds {} storage buffers", draft.name, draft.uses.len());
+    assert!(draft.uses.len() + stored <= 8, "pass {} binds {} storage buffers", draft.name, draft.uses.len() + stored);
     let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];
     let mut text = format!("{constants}{}", include_str!("wgsl/common.wgsl"));
     if draft.uniform != Uniform::None {
-        entries.push(entry(1, wgpu::BufferBindingType::Uniform, false));
+        let ty = if layers > 1 {
+            wgpu::BufferBindingType::Storage { read_only: true }
+        } else {
+            wgpu::BufferBindingType::Uniform
+        };
+        entries.push(entry(1, ty, false));
     }
     for (binding, &(name, ty, _, write)) in (FIRST_BINDING..).zip(&draft.uses) {
         entries.push(entry(binding, wgpu::BufferBindingType::Storage { read_only: !write }, false));
@@ -331,14 +364,17 @@ fn separations(plan: &Plan) -> Vec<usize> {
     (0..3).filter(lets_go).collect()
 }
 
-/// How many layers there are, and the word of a step in which the greatest speed of all of them stands.
+/// What the number of layers fixes, and the rule of sorts.
 fn layer_constants(layers: usize) -> String {
-    let greatest = if layers == 1 { 0 } else { 3 };
-    format!("const LAYERS: u32 = {layers}u;\nconst GREATEST_SPEED: u32 = {greatest}u;\n")
+    format!(
+        "const LAYERS: u32 = {layers}u;\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\n\
+         const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\n\
+         const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {MAX_DRIFT:?};\n"
+    )
 }
 
 /// What the scene fixes.
-fn constants(plan: &Plan) -> String {
+pub(crate) fn constants(plan: &Plan) -> String {
     let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
     let kind = |wall: Wall| match wall {
         Wall::Slip => 1u32,
@@ -371,11 +407,7 @@ fn constants(plan: &Plan) -> String {
         frictions("LOW_FRICTION", 0),
         frictions("HIGH_FRICTION", 1),
         format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
-        format!(
-            "const MAX_DRIFT: f32 = {:?};\nconst NODE_MOVE: f32 = {:?};\n",
-            crate::engine::MAX_DRIFT,
-            crate::engine::NODE_MOVE
-        ),
+        format!("const NODE_MOVE: f32 = {:?};\n", crate::batch::NODE_MOVE),
         format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
     ]
     .concat()
@@ -395,7 +427,7 @@ fn p2g() -> Draft {
     Draft {
         name: "P2G",
         entry: "p2g",
-        body: body + include_str!("wgsl/wall.wgsl") + include_str!("wgsl/drift.wgsl"),
+        body: body + include_str!("wgsl/wall.wgsl") + include_str!("wgsl/rhythm.wgsl"),
         uses: vec![RECORD, CELLS, written(LISTS), GRID, STATUS],
         uniform: Uniform::None,
         groups: Groups::Blocks,
@@ -576,13 +608,14 @@ fn collect() -> Draft {
 }
 
 /// The materials, and the update of a particle's strain and stress.
-fn laws(plan: &Plan) -> Result<String> {
+fn laws(plan: &Plan, layers: usize) -> Result<String> {
     let materials: Vec<_> = plan.materials.iter().map(|m| &m.material).collect();
     let mut text = material::module(&materials)?;
-    let vectors = plan.materials.iter().map(|m| m.parameters.len()).sum::<usize>().div_ceil(4).max(1);
+    let vectors = parameter_vectors(plan);
+    let (space, all, _) = table_of_layers(layers, vectors);
     let _ = write!(
         text,
-        "@group(0) @binding(1) var<uniform> params: array<vec4<f32>, {vectors}>;\n\
+        "@group(0) @binding(1) var<{space}> params: array<vec4<f32>, {all}>;\n\
          fn barchan_param(base: u32, i: u32) -> f32 {{ return params[(base + i) >> 2u][(base + i) & 3u]; }}\n"
     );
     let mut base = 0;
@@ -597,7 +630,7 @@ fn laws(plan: &Plan) -> Result<String> {
         .map(|m| {
             let at = base;
             base += m.parameters.len();
-            format!("{at}u")
+            if layers > 1 { format!("layer_now * {}u + {at}u", 4 * vectors) } else { format!("{at}u") }
         })
         .collect();
     text += &switch(bases, "param_base", "u32");
@@ -673,6 +706,14 @@ fn sort() -> Vec<Draft> {
     let ids: Use = ("ids", "vec2<u32>", Role::Now(Sorted::Ids), false);
     let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
     vec![
+        Draft {
+            name: "due",
+            entry: "due",
+            body: [include_str!("wgsl/rhythm.wgsl"), include_str!("wgsl/sort_due.wgsl")].concat(),
+            uses: vec![STATUS],
+            uniform: Uniform::None,
+            groups: Groups::LayersBy(64),
+        },
         draft(
             "mark",
             "mark",
@@ -699,7 +740,7 @@ fn sort() -> Vec<Draft> {
             "link",
             "link",
             include_str!("wgsl/sort_link.wgsl"),
-            vec![DIRECTORY, NEW_LISTS, STATUS],
+            vec![DIRECTORY, NEW_LISTS, written(COUNTS), STATUS],
             Groups::NodeBlocks,
         ),
         draft(

@@ -1,9 +1,9 @@
 //! Particles laid out for the device: by block, cell, law and, among those, in their order; and back.
 
+use crate::kernels::Sorted;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, ParticleState, Result};
-use barchan_grid::block::{NONE, REACH, offset};
-use std::collections::BTreeMap;
+use barchan_grid::block::{REACH, offset};
 
 /// Vectors of four in a particle's record.
 pub(crate) const RECORD: usize = 6;
@@ -114,26 +114,6 @@ impl Homes {
         homes
     }
 
-    /// Entries of the lists for `block_room` blocks and the node blocks after them.
-    pub(crate) fn entries(&self, block_room: usize, node_room: usize, periods: &Periods) -> Vec<[i32; 4]> {
-        let mut entries = vec![[0; 4]; (block_room + node_room) * ENTRY];
-        let number = |blocks: &[Block]| -> BTreeMap<Block, u32> { blocks.iter().copied().zip(0..).collect() };
-        let (of_block, of_node) = (number(&self.blocks), number(&self.nodes));
-        let mut fill = |first: usize, blocks: &[Block], others: &BTreeMap<Block, u32>, sign: i32| {
-            for (i, block) in blocks.iter().enumerate() {
-                let entry = &mut entries[(first + i) * ENTRY..][..ENTRY];
-                entry[0] = [block[0], block[1], block[2], 0];
-                for n in 0..27 {
-                    let other = periods.wrap(std::array::from_fn(|d| block[d] + sign * offset(n)[d]));
-                    entry[1 + n / 4][n % 4] = others.get(&other).copied().unwrap_or(NONE) as i32;
-                }
-            }
-        };
-        fill(0, &self.blocks, &of_node, 1);
-        fill(block_room, &self.nodes, &of_block, -1);
-        entries
-    }
-
     /// Least and greatest block, if there is any.
     pub(crate) fn extent(&self) -> Option<(Block, Block)> {
         let least =
@@ -180,6 +160,16 @@ impl Planes {
             }
         }
         Ok(planes)
+    }
+
+    /// What the planes of a buffer hold.
+    pub(crate) fn bytes(&self, sorted: Sorted) -> &[u8] {
+        match sorted {
+            Sorted::Record => bytemuck::cast_slice(&self.record),
+            Sorted::Ids => bytemuck::cast_slice(&self.ids),
+            Sorted::Rest => bytemuck::cast_slice(&self.rest),
+            Sorted::Lists | Sorted::Cells => &[],
+        }
     }
 
     fn put(

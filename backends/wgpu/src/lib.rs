@@ -7,16 +7,18 @@
 #![expect(unsafe_code, reason = "materials' callbacks cross the C ABI")]
 
 mod account;
+mod batch;
 mod contact;
 pub mod device;
-mod engine;
 mod kernels;
 mod layout;
 pub mod material;
 mod memory;
+mod seat;
 mod stiffness;
+mod world;
 
-use barchan_core::backend::Adapter;
+use barchan_core::backend::{Adapter, Batch, NewWorld};
 use barchan_core::scene::Leaving;
 use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
@@ -92,10 +94,20 @@ impl Backend for Wgpu {
     }
 
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
-        self.check(plan)?;
-        let gpu = device::open(plan.adapter.as_deref())?;
-        Ok(Box::new(engine::WgpuEngine::new(gpu, plan, particles)?))
+        Ok(Box::new(seats(self, vec![NewWorld { plan, particles, couplings: &[] }])?.seat(0)))
     }
+
+    fn compile_batch(&self, worlds: Vec<NewWorld<'_>>) -> Option<Result<Box<dyn Batch>>> {
+        Some(seats(self, worlds).map(|seats| Box::new(seats) as Box<dyn Batch>))
+    }
+}
+
+/// Worlds on the adapter that the first one asks for.
+fn seats(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<seat::Seats> {
+    worlds.iter().try_for_each(|world| backend.check(world.plan))?;
+    let adapter = worlds.first().and_then(|world| world.plan.adapter.as_deref());
+    let gpu = device::open(adapter)?;
+    Ok(seat::Seats::new(batch::WgpuBatch::new(gpu, worlds)?))
 }
 
 const MEND_LEAVING: &str = "set world.leaving = \"error\", or use the backend cpu";

@@ -7,9 +7,11 @@ use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
 
-/// Words of the status: before those of layers, of each layer, and of each layer in each step; see `common.wgsl`.
-pub(crate) const OF_LAYERS: usize = 12;
-pub(crate) const PER_LAYER: usize = 16;
+/// Words of the status: before those of layers, of each layer that stay and that a submission sums up, and of each layer in each step;
+/// see `common.wgsl`.
+const OF_LAYERS: usize = 12;
+const PER_LAYER: usize = 8;
+const PER_SUM: usize = 8;
 pub(crate) const PER_STEP: usize = 4;
 /// Steps that one submission can take.
 pub(crate) const MAX_STEPS: usize = 64;
@@ -51,7 +53,7 @@ pub(crate) struct Layer {
     pub(crate) box_size: [i32; 3],
     pub(crate) places: u32,
     pub(crate) on: u32,
-    pub(crate) steps: u32,
+    pub(crate) age: u32,
     pub(crate) drift: f32,
     pub(crate) least: f32,
     pub(crate) felt: f32,
@@ -71,14 +73,30 @@ pub(crate) struct StepConstants {
     pub(crate) pad: u32,
 }
 
-/// Words of the status before those of the first step, for so many layers.
-pub(crate) const fn words_before_steps(layers: usize) -> usize {
-    OF_LAYERS + PER_LAYER * layers
+/// Where words of the status stand, for so many layers.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Words {
+    pub(crate) layers: usize,
 }
 
-/// Words of the status for so many layers.
-pub(crate) const fn status_words(layers: usize) -> usize {
-    words_before_steps(layers) + PER_STEP * MAX_STEPS * layers
+impl Words {
+    /// A word of a layer that stays.
+    pub(crate) fn of_layer(self, layer: usize, k: usize) -> usize {
+        OF_LAYERS + PER_LAYER * layer + k
+    }
+    /// A word of a layer that a submission sums up.
+    pub(crate) fn of_sum(self, layer: usize, k: usize) -> usize {
+        OF_LAYERS + PER_LAYER * self.layers + PER_SUM * layer + k
+    }
+    /// A word of a layer in a step.
+    pub(crate) fn of_step(self, step: usize, layer: usize, k: usize) -> usize {
+        // Before them stand the greatest speeds of all layers.
+        self.of_sum(self.layers, MAX_STEPS) + PER_STEP * (step * self.layers + layer) + k
+    }
+    /// All of them.
+    pub(crate) fn count(self) -> usize {
+        self.of_step(MAX_STEPS, 0, 0)
+    }
 }
 
 /// Room for as many as there are now and a quarter more, so that it rarely has to grow.
@@ -96,7 +114,7 @@ pub(crate) struct Memory {
     shared: HashMap<&'static str, wgpu::Buffer>,
     pub(crate) constants: wgpu::Buffer,
     pub(crate) params: wgpu::Buffer,
-    table: Option<wgpu::Buffer>,
+    pub(crate) table: Option<wgpu::Buffer>,
     pub(crate) steps: wgpu::Buffer,
     pub(crate) layers: wgpu::Buffer,
     pub(crate) readback: wgpu::Buffer,
@@ -167,7 +185,7 @@ impl Extent {
         let places = u64::from(self.places);
         match role {
             Role::Grid => 16 * (64 * nodes + 512 * blocks),
-            Role::Status => 4 * status_words(asked.layers) as u64,
+            Role::Status => 4 * Words { layers: asked.layers }.count() as u64,
             Role::Flags => 4 * places,
             Role::Directory => 8 * places,
             Role::Sums => 8 * places.div_ceil(1024).max(blocks),
@@ -215,7 +233,7 @@ impl Memory {
         extent: Extent,
         vectors: usize,
         asked: Asked,
-        params: &[f32],
+        params: &[[f32; 4]],
         step_layout: &wgpu::BindGroupLayout,
     ) -> Result<Self> {
         let extent = Extent { row: ROW, ..extent };
@@ -242,11 +260,9 @@ impl Memory {
             SHARED.iter().map(|&r| (shared_name(r), storage(shared_name(r), extent.shared_bytes(r, asked)))).collect();
         let constants = uniform("extent", size_of::<Extent>() as u64);
         gpu.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&extent));
-        let padded = params.len().next_multiple_of(4).max(4);
-        let mut values = params.to_vec();
-        values.resize(padded, 0.0);
-        let params = uniform("parameters", 4 * padded as u64);
-        gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(&values));
+        let values = params;
+        let params = table(gpu, "parameters", values.len(), asked.layers);
+        gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(values));
         let steps = uniform("steps", STEP_STRIDE * MAX_STEPS as u64);
         let layers = uniform("layers", (size_of::<Layer>() * asked.layers) as u64);
         let step_binding = device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -264,7 +280,7 @@ impl Memory {
                 wgpu::BindGroupEntry { binding: 1, resource: layers.as_entire_binding() },
             ],
         });
-        let readback = mappable(gpu, 4 * status_words(asked.layers) as u64);
+        let readback = mappable(gpu, 4 * Words { layers: asked.layers }.count() as u64);
         Ok(Self {
             extent,
             vectors,
@@ -332,6 +348,23 @@ impl Memory {
         group
     }
 
+    /// Bytes of the status.
+    pub(crate) fn status_bytes(&self) -> u64 {
+        4 * Words { layers: self.asked.layers }.count() as u64
+    }
+
+    /// Where a buffer of particles holds so many of them, plane by plane: first byte, bytes.
+    pub(crate) fn stretches(&self, sorted: Sorted, first: usize, count: usize) -> Vec<(u64, u64)> {
+        let (planes, bytes) = match sorted {
+            Sorted::Record => (1, 16 * RECORD as u64),
+            Sorted::Ids => (1, 8),
+            Sorted::Rest => (self.vectors as u64, 16),
+            Sorted::Lists | Sorted::Cells => (0, 0),
+        };
+        let of_plane = |k: u64| ((k * u64::from(self.extent.slots) + first as u64) * bytes, count as u64 * bytes);
+        (0..planes).map(of_plane).filter(|(_, bytes)| *bytes > 0).collect()
+    }
+
     /// Makes room for so many bytes to be read back at once.
     pub(crate) fn read_back_to(&mut self, gpu: &Gpu, bytes: u64) {
         if self.readback.size() < bytes {
@@ -339,16 +372,10 @@ impl Memory {
         }
     }
 
-    /// Makes room for bodies whose law runs on the device, and takes in what it reads.
+    /// Makes room for bodies whose law runs on the device, so many in each layer, and takes in what it reads of all layers.
     pub(crate) fn add_bodies(&mut self, gpu: &Gpu, bodies: usize, table: &[[f32; 4]]) -> Result<()> {
-        let vectors = if table.is_empty() { &[[0.0; 4]] } else { table };
-        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("table of bodies"),
-            size: 16 * vectors.len() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(vectors));
+        let buffer = self::table(gpu, "table of bodies", table.len(), self.asked.layers);
+        gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(table));
         self.table = Some(buffer);
         self.asked.bodies = bodies;
         let extent = self.extent;
@@ -402,6 +429,17 @@ impl Memory {
         gpu.queue.write_buffer(&self.constants, 0, bytemuck::bytes_of(&extent));
         Ok(())
     }
+}
+
+/// A table of so many vectors that passes read: uniform if it is that of one layer, and else as long as it must be.
+fn table(gpu: &Gpu, label: &'static str, vectors: usize, layers: usize) -> wgpu::Buffer {
+    let kind = if layers > 1 { wgpu::BufferUsages::STORAGE } else { wgpu::BufferUsages::UNIFORM };
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size: 16 * vectors as u64,
+        usage: kind | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
 }
 
 /// A buffer that the host can look into.

@@ -1,30 +1,63 @@
 //! Many independent worlds, stepped together: what learners roll out.
 //!
 //! Each world has its own scene (so its own tools, parameters and random seed), its own time, actions and resets. World w of a batch is the
-//! same world alone, bit for bit: worlds share nothing but the machine.
+//! same world alone, bit for bit, when both take steps of the same length: worlds share nothing but the machine.
+//!
+//! ```no_run
+//! use barchan::worlds::Worlds;
+//! # fn main() -> barchan::Result<()> {
+//! let scene = barchan::Scene::from_file("blade.toml")?;
+//! let options = barchan::Options { backend: "wgpu".into(), ..Default::default() };
+//! let mut worlds = Worlds::of(&barchan::registry(), &scene, 64, 0, &options)?;
+//! for world in 0..worlds.len() {
+//!     worlds.world_mut(world).drive("blade", [0.1, 0.0, 0.0], [0.0; 3])?;
+//! }
+//! for reports in worlds.steps(20) {
+//!     println!("{} steps", reports?.len());
+//! }
+//! println!("{:?}", worlds.world(3).wrenches());
+//! worlds.reset(3, None)?;
+//! # Ok(())
+//! # }
+//! ```
 
-use barchan_core::{Options, Registry, Result, Scene, Simulation, StepReport};
+use barchan_core::{Options, Registry, Result, Scene, Simulation, StepReport, Together};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Worlds on the processor: each is stepped by one thread, as many at a time as there are threads.
+/// Worlds of the same scene or of several.
 ///
-/// One world cut over all threads waits for its slowest block at every pass; whole worlds side by side never wait. A backend on a GPU
-/// runs them too, but not batched: each has a device to itself.
+/// On the processor whole worlds run side by side, each on one thread, as many at a time as there are threads: one world cut over all
+/// threads waits for its slowest block at every pass, whole worlds never wait. Each takes its own steps.
+///
+/// On a backend that steps worlds together (`wgpu`), all take part in the same passes. Their steps are of the same length then, the least
+/// that any of them would take alone; give scenes a fixed `time.step` if that should not depend on the others. Worlds may differ in
+/// everything but cell width, extent, walls, gravity, their materials' laws, and the number and kinds of their tools.
 #[derive(Debug)]
 pub struct Worlds {
     registry: Registry,
     options: Options,
     scenes: Vec<Scene>,
-    simulations: Vec<Simulation>,
+    machine: Machine,
     pool: ThreadPool,
 }
 
+/// How worlds are stepped.
+#[derive(Debug)]
+enum Machine {
+    /// Side by side, each on its own.
+    Apart(Vec<Simulation>),
+    /// In the same passes.
+    Together(Together),
+}
+
 impl Worlds {
-    /// One world for each scene. `options.threads` is the number of worlds stepped at a time; 0: as many as the machine has threads.
+    /// One world for each scene. `options.threads` is the number of worlds stepped at a time on the processor; 0: as many as the machine has
+    /// threads.
     ///
     /// # Errors
-    /// Those of [`Simulation::new`] for the first world that cannot be assembled.
+    /// Those of [`Simulation::new`] for the first world that cannot be assembled; on a backend that steps worlds together, also if they
+    /// differ in what they must have in common.
     ///
     /// # Panics
     /// If the system gives no threads.
@@ -33,8 +66,12 @@ impl Worlds {
         // How many threads a world has changes no bit of it.
         let options = Options { threads: 1, ..options.clone() };
         let make = |scene: &Scene| Simulation::new(registry, scene, &options);
-        let simulations = pool.install(|| scenes.par_iter().map(make).collect::<Result<Vec<_>>>())?;
-        Ok(Self { registry: registry.clone(), options, scenes, simulations, pool })
+        let apart = || pool.install(|| scenes.par_iter().map(make).collect::<Result<Vec<_>>>());
+        let machine = match Together::new(registry, &scenes, &options)? {
+            Some(together) => Machine::Together(together),
+            None => Machine::Apart(apart()?),
+        };
+        Ok(Self { registry: registry.clone(), options, scenes, machine, pool })
     }
 
     /// `count` worlds of one scene that differ in their random seeds: `seed`, `seed + 1`, …
@@ -46,55 +83,123 @@ impl Worlds {
         Self::new(registry, scenes, options)
     }
 
+    fn simulations(&self) -> &[Simulation] {
+        match &self.machine {
+            Machine::Apart(simulations) => simulations,
+            Machine::Together(together) => together.worlds(),
+        }
+    }
+
+    fn simulations_mut(&mut self) -> &mut [Simulation] {
+        match &mut self.machine {
+            Machine::Apart(simulations) => simulations,
+            Machine::Together(together) => together.worlds_mut(),
+        }
+    }
+
     /// Number of worlds.
     pub fn len(&self) -> usize {
-        self.simulations.len()
+        self.simulations().len()
     }
     /// Are there none?
     pub fn is_empty(&self) -> bool {
-        self.simulations.is_empty()
+        self.simulations().is_empty()
+    }
+    /// Do they take part in the same passes, so that their steps are of the same length?
+    pub fn are_together(&self) -> bool {
+        matches!(self.machine, Machine::Together(_))
     }
     /// A world, to look at.
     ///
     /// # Panics
     /// If there is no such world.
     pub fn world(&self, world: usize) -> &Simulation {
-        &self.simulations[world]
+        &self.simulations()[world]
     }
-    /// A world, to act on: its bodies are driven through it.
+    /// A world, to act on: its bodies are driven through it. A step that is taken here moves this world only.
     ///
     /// # Panics
     /// If there is no such world.
     pub fn world_mut(&mut self, world: usize) -> &mut Simulation {
-        &mut self.simulations[world]
+        &mut self.simulations_mut()[world]
     }
     /// All worlds in their order.
     pub fn iter(&self) -> impl Iterator<Item = &Simulation> {
-        self.simulations.iter()
+        self.simulations().iter()
     }
 
     /// One step of every world. A world that fails stays as it was and keeps its error; the others have taken their step.
     pub fn step(&mut self) -> Vec<Result<StepReport>> {
-        self.each(Simulation::step)
+        let last =
+            |reports: Vec<StepReport>| reports.into_iter().next_back().expect("a world takes a step or says why not");
+        match &mut self.machine {
+            Machine::Apart(_) => self.each(Simulation::step),
+            Machine::Together(together) => together.steps(1).into_iter().map(|reports| reports.map(last)).collect(),
+        }
     }
 
-    /// Runs `action` on every world, worlds side by side, and returns what it gave in the worlds' order.
+    /// `count` steps of every world under the actions as they are, and what each did. A world that fails in one of them stays as it
+    /// was before it and says why, if it has taken none, or has taken fewer, and says why when it is asked again; the others go on.
+    pub fn steps(&mut self, count: usize) -> Vec<Result<Vec<StepReport>>> {
+        match &mut self.machine {
+            Machine::Apart(_) => self.each(|world| steps_of(world, count)),
+            Machine::Together(together) => steps_together(together, count),
+        }
+    }
+
+    /// Runs `action` on every world and returns what it gave in the worlds' order. Worlds on the processor run side by side.
     pub fn each<R: Send>(&mut self, action: impl Fn(&mut Simulation) -> R + Send + Sync) -> Vec<R> {
-        let simulations = &mut self.simulations;
-        self.pool.install(|| simulations.par_iter_mut().map(action).collect())
+        match &mut self.machine {
+            Machine::Apart(simulations) => self.pool.install(|| simulations.par_iter_mut().map(action).collect()),
+            Machine::Together(together) => together.worlds_mut().iter_mut().map(action).collect(),
+        }
     }
 
     /// Sets a world back to its start, or to the start of another scene.
     ///
     /// # Errors
-    /// Those of [`Simulation::new`]; the world is as it was then.
+    /// Those of [`Simulation::new`], and on a backend that steps worlds together those of [`new`](Self::new); the world is as it was then.
     ///
     /// # Panics
     /// If there is no such world.
     pub fn reset(&mut self, world: usize, scene: Option<Scene>) -> Result<()> {
         let scene = scene.unwrap_or_else(|| self.scenes[world].clone());
-        self.simulations[world] = Simulation::new(&self.registry, &scene, &self.options)?;
+        match &mut self.machine {
+            Machine::Apart(simulations) => simulations[world] = Simulation::new(&self.registry, &scene, &self.options)?,
+            Machine::Together(together) => together.replace(world, &self.registry, &scene, &self.options)?,
+        }
         self.scenes[world] = scene;
         Ok(())
     }
+}
+
+/// Up to `count` steps of a world that is on its own.
+fn steps_of(world: &mut Simulation, count: usize) -> Result<Vec<StepReport>> {
+    let mut reports = Vec::new();
+    while reports.len() < count {
+        match world.steps(count - reports.len(), f64::INFINITY) {
+            Ok(more) => reports.extend(more),
+            Err(error) if reports.is_empty() => return Err(error),
+            Err(_) => break,
+        }
+    }
+    Ok(reports)
+}
+
+/// Up to `count` steps of worlds that step together.
+fn steps_together(together: &mut Together, count: usize) -> Vec<Result<Vec<StepReport>>> {
+    let mut all = together.steps(count);
+    let taken = |all: &[Result<Vec<StepReport>>]| all.iter().flatten().map(Vec::len).max().unwrap_or(count);
+    while taken(&all) < count {
+        let more = together.steps(count - taken(&all));
+        if more.iter().all(Result::is_err) {
+            break;
+        }
+        for (before, more) in all.iter_mut().zip(more) {
+            if let (Ok(before), Ok(more)) = (before, more) {
+                before.extend(more);
+            }
+        }
+    }
+    all
 }

@@ -27,8 +27,8 @@ fn collect(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
             all += partial[t];
         }
         for (var d = 0u; d < 3u; d++) {
-            let before = bitcast<f32>(atomicLoad(&status[layer_word(layer, WALL_IMPULSE + d)]));
-            atomicStore(&status[layer_word(layer, WALL_IMPULSE + d)], bitcast<u32>(before + all[d]));
+            let before = bitcast<f32>(atomicLoad(&status[sum_word(layer, WALL_IMPULSE + d)]));
+            atomicStore(&status[sum_word(layer, WALL_IMPULSE + d)], bitcast<u32>(before + all[d]));
         }
     }
 }

@@ -34,8 +34,8 @@ struct Layer {
     places: u32,
     // Does it take part in this submission?
     on: u32,
-    // When the submission began: its own count of steps, and an upper bound of the drift since its last sort [cells].
-    steps: u32,
+    // When the submission began: steps since its last sort, and an upper bound of the drift since then [cells].
+    age: u32,
     drift: f32,
     // Nodes lighter than this carry nothing [kg], and what makes of a mass the share of a speed that counts [1/kg].
     least: f32,
@@ -81,22 +81,28 @@ const NEW_NODE_BLOCKS: u32 = 6u;
 const OLD_BLOCKS: u32 = 7u;
 const SORTS: u32 = 8u;
 
-// Those of a layer: its first block and node block; least and greatest block; 1 + the step before which it was sorted last in this
-// submission; particles' steps with strain applied in parts; what walls gave [N s].
+// Those of a layer that stay: its first block and node block; least and greatest block.
 const OF_LAYERS: u32 = 12u;
-const PER_LAYER: u32 = 16u;
+const PER_LAYER: u32 = 8u;
 const FIRST_BLOCK: u32 = 0u;
 const FIRST_NODE_BLOCK: u32 = 1u;
 const LEAST_BLOCK: u32 = 2u;
 const GREATEST_BLOCK: u32 = 5u;
-const SORTED: u32 = 8u;
-const PARTED: u32 = 9u;
-const WALL_IMPULSE: u32 = 10u;
+
+// Those of a layer in a submission, zero when it begins: 1 + the step before which it was sorted last; particles' steps with strain
+// applied in parts; what walls gave [N s]; is it due in the sort under way?
+const OF_SUMS: u32 = OF_LAYERS + PER_LAYER * LAYERS;
+const PER_SUM: u32 = 8u;
+const SORTED: u32 = 0u;
+const PARTED: u32 = 1u;
+const WALL_IMPULSE: u32 = 2u;
+const DUE: u32 = 5u;
 
 // Those of a layer in a step: greatest node speed [m/s], greatest move of a particle [cells], greatest square of the norm of C [1/s2],
-// as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN is above all. In the
-// first layer's fourth word stands the greatest node speed of all layers, if there are several.
-const OF_STEPS: u32 = OF_LAYERS + PER_LAYER * LAYERS;
+// as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN is above all. Before them
+// stands, for each step, the greatest node speed of all layers if there are several.
+const OF_GREATEST: u32 = OF_SUMS + PER_SUM * LAYERS;
+const OF_STEPS: u32 = OF_GREATEST + MAX_STEPS;
 const PER_STEP: u32 = 4u;
 const SPEED: u32 = 0u;
 const MOVE: u32 = 1u;
@@ -104,6 +110,10 @@ const RATE: u32 = 2u;
 
 fn layer_word(layer: u32, k: u32) -> u32 {
     return OF_LAYERS + PER_LAYER * layer + k;
+}
+
+fn sum_word(layer: u32, k: u32) -> u32 {
+    return OF_SUMS + PER_SUM * layer + k;
 }
 
 fn step_word(number: u32, layer: u32, k: u32) -> u32 {
@@ -121,6 +131,14 @@ const BIAS: i32 = 1 << 20;
 
 fn magnitude_bits(x: f32) -> u32 {
     return bitcast<u32>(x) & 0x7fffffffu;
+}
+
+// Where the greatest node speed of all layers in a step stands.
+fn greatest_word(number: u32) -> u32 {
+    if LAYERS == 1u {
+        return step_word(number, 0u, SPEED);
+    }
+    return OF_GREATEST + number;
 }
 
 // The cell of a tag, from the block's first cell.

@@ -86,7 +86,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     if n == 0u && atomicLoad(&greatest) > 0u {
         atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&greatest));
         if LAYERS > 1u {
-            atomicMax(&status[step_word(step.number, 0u, GREATEST_SPEED)], atomicLoad(&greatest));
+            atomicMax(&status[greatest_word(step.number)], atomicLoad(&greatest));
         }
     }
 }

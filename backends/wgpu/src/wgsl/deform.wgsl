@@ -19,7 +19,7 @@ fn deform(q: u32, law: u32, c: mat3x3<f32>, norm2: f32, dt: f32) {
     let wanted = ceil(sqrt(norm2) * dt / MAX_DEFORMATION);
     let parts = clamp(wanted, 1.0, MAX_PARTS);
     if parts > 1.0 {
-        atomicAdd(&status[layer_word(layer_now, PARTED)], 1u);
+        atomicAdd(&status[sum_word(layer_now, PARTED)], 1u);
     }
     let step_part = dt / parts;
     let g = step_part * c;

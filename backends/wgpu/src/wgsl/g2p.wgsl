@@ -22,7 +22,7 @@ fn ready(b: u32) -> u32 {
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;
     }
-    let speed = bitcast<f32>(atomicLoad(&status[step_word(step.number, 0u, GREATEST_SPEED)]));
+    let speed = bitcast<f32>(atomicLoad(&status[greatest_word(step.number)]));
     if !(speed * step.dt_per_h <= NODE_MOVE) {
         if b == 0u {
             atomicStore(&status[HALT_STEP], step.number);

@@ -54,7 +54,7 @@ fn note_speed(g: u32, node: vec4<f32>, n: u32) {
     if n == 0u {
         atomicMax(&status[step_word(step.number, layer_of(g), SPEED)], atomicLoad(&greatest));
         if LAYERS > 1u {
-            atomicMax(&status[step_word(step.number, 0u, GREATEST_SPEED)], atomicLoad(&greatest));
+            atomicMax(&status[greatest_word(step.number)], atomicLoad(&greatest));
         }
     }
 }

@@ -33,7 +33,7 @@ fn is_halo(cell: u32) -> bool {
     return x == 0u || x == 5u || y == 0u || y == 5u || z == 0u || z == 5u;
 }
 
-// May this step go on? It may not once the particles have drifted too far for their tiles.
+// May this step go on? It may not once the particles are to be sorted, and so before they have drifted too far for their tiles.
 fn ready(b: u32) -> u32 {
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;
@@ -42,7 +42,7 @@ fn ready(b: u32) -> u32 {
     if !is_live(layer) {
         return 0u;
     }
-    if !(drift_of(layer) <= MAX_DRIFT) {
+    if is_due(layer) {
         if b == atomicLoad(&status[layer_word(layer, FIRST_BLOCK)]) {
             atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], DRIFTED);

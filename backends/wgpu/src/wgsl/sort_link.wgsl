@@ -1,9 +1,16 @@
-// For each block the node blocks around it, and for each node block the blocks whose tiles reach it.
+// For each block the node blocks around it, and for each node block the blocks whose tiles reach it. Nothing has been counted yet in the
+// blocks' cells: they are cleared here, since a sort that is not to be leaves those that hold the particles alone.
 @compute @workgroup_size(64)
 fn link(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let w = group.y * extent.row + group.x;
     let n = thread & 31u;
-    if halted() || n >= 27u {
+    if halted() {
+        return;
+    }
+    if w < atomicLoad(&status[BLOCKS]) {
+        counts[w * 64u + thread] = 0u;
+    }
+    if n >= 27u {
         return;
     }
     if thread < 32u {

@@ -5,10 +5,14 @@ fn move_rest(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     if halted() || i >= extent.particles {
         return;
     }
-    let q = order[i];
+    let q = order[i] & ~KEPT;
     let p = record[RECORD * q];
-    let home = tag_of(cell_of(p.w) & vec3<i32>(3));
-    new_record[RECORD * i] = vec4<u32>(p.xyz, home | (law_of(p.w) << 9u) | (home << 16u));
+    var tag = p.w;
+    if (order[i] & KEPT) == 0u {
+        let home = tag_of(cell_of(p.w) & vec3<i32>(3));
+        tag = home | (law_of(p.w) << 9u) | (home << 16u);
+    }
+    new_record[RECORD * i] = vec4<u32>(p.xyz, tag);
     for (var k = 1u; k < RECORD; k++) {
         new_record[RECORD * i + k] = record[RECORD * q + k];
     }

@@ -14,5 +14,5 @@ fn rank(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     for (var j = first; j < last; j++) {
         before += u32(loose[j] < mine);
     }
-    order[first + before] = q;
+    order[first + before] = q | (keys[q].y & KEPT);
 }

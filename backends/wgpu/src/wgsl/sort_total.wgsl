@@ -30,7 +30,9 @@ fn total_blocks(@builtin(local_invocation_index) thread: u32) {
     }
     if fits {
         for (var layer = thread; layer < LAYERS; layer += 256u) {
-            atomicStore(&status[layer_word(layer, SORTED)], step.number + 1u);
+            if is_sorted(layer) {
+                atomicStore(&status[sum_word(layer, SORTED)], step.number + 1u);
+            }
             for (var d = 0u; d < 3u; d++) {
                 atomicStore(&status[layer_word(layer, LEAST_BLOCK + d)], NONE);
                 atomicStore(&status[layer_word(layer, GREATEST_BLOCK + d)], 0u);

@@ -1,0 +1,1310 @@
+//! Worlds on one device, and their steps.
+
+use crate::account;
+use crate::device::Gpu;
+use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
+use crate::layout::{self, Homes, Periods, Planes};
+use crate::memory::{
+    Asked, BODY, Extent, Layer, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, read, with_mapped, with_room,
+};
+use crate::stiffness::{self, Held};
+use crate::world::{Rhythm, Span, World, parameters};
+use barchan_core::backend::{NewWorld, Turn};
+use barchan_core::scene::Wall;
+use barchan_core::{
+    Aabb, BodyState, Coupling, Error, ParticleList, ParticleState, Plan, Result, StepReport, Vec3, Wrench,
+};
+use barchan_grid::block;
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+/// No node that a particle feels may carry one further than this in a step, in cells: a little less than particles may move.
+pub(crate) const NODE_MOVE: f64 = 0.48;
+/// Steps between measurements of the stiffness of materials that harden.
+const STIFFNESS_AGE: u32 = 10;
+/// Every so manieth submission is timed pass by pass.
+const TIMED: u64 = 16;
+/// And of it so many passes at most.
+const MOST_TIMED: usize = 64;
+/// A world's places of the directory are rounded up to a multiple of this, so that no workgroup has those of two.
+const PLACES: u32 = 1024;
+
+/// Words of the status; see `common.wgsl`.
+pub(crate) const BLOCKS: usize = 0;
+const NODE_BLOCKS: usize = 1;
+pub(crate) const HALTED: usize = 2;
+const HALT_STEP: usize = 3;
+const WHO: usize = 4;
+const NEW_BLOCKS: usize = 5;
+const NEW_NODE_BLOCKS: usize = 6;
+const SORTS: usize = 8;
+/// Of a layer.
+const FIRST_BLOCK: usize = 0;
+const FIRST_NODE_BLOCK: usize = 1;
+const LEAST_BLOCK: usize = 2;
+const GREATEST_BLOCK: usize = 5;
+/// Of what a submission sums up of a layer.
+pub(crate) const SORTED: usize = 0;
+const PARTED: usize = 1;
+pub(crate) const WALL_IMPULSE: usize = 2;
+/// Of a layer in a step.
+pub(crate) const SPEED: usize = 0;
+pub(crate) const MOVE: usize = 1;
+const BIAS: i32 = block::REACH;
+
+/// Why the device halted a submission.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Halt {
+    TooFast,
+    Drifted,
+    Room,
+    LeftWorld,
+    Strayed,
+}
+
+impl Halt {
+    fn of(word: u32) -> Option<Self> {
+        match word {
+            0 => None,
+            1 => Some(Self::TooFast),
+            2 => Some(Self::Drifted),
+            3 => Some(Self::Room),
+            4 => Some(Self::LeftWorld),
+            _ => Some(Self::Strayed),
+        }
+    }
+}
+
+/// The status as it was brought back.
+pub(crate) struct Status {
+    pub(crate) words: Vec<u32>,
+    layout: Words,
+}
+
+impl Status {
+    pub(crate) fn new(words: Vec<u32>, layout: Words) -> Self {
+        Self { words, layout }
+    }
+    pub(crate) fn halt(&self) -> Option<Halt> {
+        Halt::of(self.words[HALTED])
+    }
+    /// A number of a world in a step.
+    pub(crate) fn in_step(&self, step: usize, world: usize, k: usize) -> f32 {
+        f32::from_bits(self.words[self.layout.of_step(step, world, k)])
+    }
+    fn of_layer(&self, world: usize, k: usize) -> usize {
+        self.words[self.layout.of_layer(world, k)] as usize
+    }
+    fn sum(&self, world: usize, k: usize) -> u32 {
+        self.words[self.layout.of_sum(world, k)]
+    }
+    /// A world's blocks, or node blocks: from its first one to the next world's.
+    fn range(&self, world: usize, first: usize, all: usize) -> Range<usize> {
+        let next = world + 1;
+        let end = if next < self.layout.layers { self.of_layer(next, first) } else { self.words[all] as usize };
+        self.of_layer(world, first)..end
+    }
+    /// The step before which a world was sorted last in the submission.
+    fn sorted_before(&self, world: usize) -> Option<usize> {
+        (self.sum(world, SORTED) as usize).checked_sub(1)
+    }
+}
+
+/// What a submission did.
+struct Outcome {
+    /// Steps completed.
+    done: usize,
+    halt: Option<Halt>,
+    status: Status,
+}
+
+/// A pass that is timed.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Clock {
+    /// Seconds measured, and passes among them.
+    pub(crate) measured: (f64, u64),
+    pub(crate) passes: u64,
+}
+
+/// Where the couplings' law runs.
+pub(crate) enum Contact {
+    /// Nobody has asked yet.
+    Unknown,
+    /// On the host, a step at a time.
+    Host,
+    /// On the device.
+    Device(Box<DeviceContact>),
+}
+
+/// The law on the device.
+pub(crate) struct DeviceContact {
+    /// The law, then the sums of impulses.
+    kernels: [Kernel; 2],
+    wgsl: String,
+    /// Bodies of each world, and vectors of each world's table.
+    bodies: usize,
+    vectors: usize,
+}
+
+/// Driven bodies of a world over the steps of a submission.
+struct Driven {
+    /// The coupling before each step, and after the last.
+    saved: Vec<Vec<u8>>,
+    /// Bodies after each step.
+    after: Vec<Vec<BodyState>>,
+    /// As the device reads them, step by step.
+    packed: Vec<Vec<[f32; 4]>>,
+}
+
+/// Steps that follow on one another, after a sort or not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stretch {
+    pub(crate) sort: bool,
+    pub(crate) steps: usize,
+}
+
+/// A part of a submission.
+pub(crate) struct Part<'a> {
+    /// The set of buffers that it sorts from, if it begins with a sort.
+    pub(crate) sorting: Option<usize>,
+    pub(crate) dispatches: Vec<Dispatch<'a>>,
+}
+
+/// Time of passes, and submissions so far.
+#[derive(Debug, Default)]
+pub(crate) struct Clocks {
+    pub(crate) of: BTreeMap<&'static str, Clock>,
+    submissions: u64,
+}
+
+/// One dispatch of a submission.
+pub(crate) struct Dispatch<'a> {
+    pub(crate) kernel: &'a Kernel,
+    /// Which set of buffers is the present one.
+    pub(crate) now: usize,
+    /// Number of the step's constants.
+    pub(crate) step: usize,
+}
+
+/// Particles that come in, laid out.
+struct Arrival {
+    homes: Homes,
+    planes: Planes,
+    particles: ParticleState,
+}
+
+/// Worlds of one level each, that take part in the same dispatches.
+pub(crate) struct WgpuBatch {
+    pub(crate) gpu: Gpu,
+    pub(crate) kernels: Kernels,
+    pub(crate) memory: Memory,
+    pub(crate) worlds: Vec<World>,
+    pub(crate) h: f64,
+    /// What the passes were made for.
+    fixed: Fixed,
+    periods: Periods,
+    /// Are the links of blocks lost, so that a sort must come before the next step?
+    pub(crate) unlinked: bool,
+    /// Did the last step's numbers stay on the device?
+    pub(crate) pending: bool,
+    /// Node blocks in order, if couplings ask for them.
+    pub(crate) node_blocks: Option<Vec<[i32; 3]>>,
+    pub(crate) clocks: Clocks,
+    pub(crate) contact_seconds: (f64, u64),
+    pub(crate) contact: Contact,
+}
+
+/// What all worlds of a batch must have in common.
+#[derive(Clone, Debug, PartialEq)]
+struct Fixed {
+    world: String,
+    gravity: (Vec3, f64),
+    laws: Vec<(String, String)>,
+}
+
+impl Fixed {
+    fn of(plan: &Plan) -> Self {
+        let law = |m: &barchan_core::plan::PlannedMaterial| (m.material.name.clone(), m.material.origin.clone());
+        Self {
+            world: kernels::constants(plan),
+            gravity: (plan.scene.gravity, plan.scene.gravity_ramp),
+            laws: plan.materials.iter().map(law).collect(),
+        }
+    }
+
+    /// Refuses a world that differs, by name.
+    fn check(&self, plan: &Plan, world: usize) -> Result<()> {
+        let other = Self::of(plan);
+        let differs = |what: &str, mend: &str| {
+            Err(crate::lacks(
+                format!("batch of worlds that differ in {what}"),
+                format!("world {world} does not have that of the first"),
+                mend,
+            ))
+        };
+        const MEND: &str = "give all worlds the same, or run them on the backend cpu";
+        if other.world != self.world {
+            return differs("cell width, extent, walls, or what materials keep", MEND);
+        }
+        if other.laws != self.laws {
+            return differs("their materials' laws", MEND);
+        }
+        if other.gravity != self.gravity {
+            return differs("gravity", MEND);
+        }
+        Ok(())
+    }
+}
+
+impl WgpuBatch {
+    /// Worlds of one scene, each with its particles.
+    pub(crate) fn new(gpu: Gpu, worlds: Vec<NewWorld<'_>>) -> Result<Self> {
+        let count = worlds.len();
+        let Some(NewWorld { plan, .. }) = worlds.first() else {
+            return Err(crate::lacks("a batch of no worlds", "none is given", "give one at least"));
+        };
+        let fixed = Fixed::of(plan);
+        worlds.iter().enumerate().try_for_each(|(w, world)| fixed.check(world.plan, w))?;
+        let most = gpu.limits.max_uniform_buffer_binding_size as usize / size_of::<Layer>();
+        if count > most {
+            return Err(Error::Capacity {
+                what: "worlds in one batch of the adapter",
+                asked: count as u64,
+                cap: most as u64,
+                mend: "run fewer worlds together",
+            });
+        }
+        if count > 1 && plan.scene.gravity_ramp > 0.0 {
+            return Err(crate::lacks(
+                "gravity that grows, in a batch of worlds",
+                "gravity_ramp is above 0, and worlds that are reset would be at different times",
+                "set gravity_ramp = 0 and start with settled bodies, or run worlds on the backend cpu",
+            ));
+        }
+        let kernels = Kernels::new(&gpu, plan, count)?;
+        gpu.check()?;
+        let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
+        let pairs = walls.iter().flatten().any(|wall| matches!(wall, Wall::Separate { .. }));
+        let periods = Periods {
+            first: plan.cell_min.map(|c| c.div_euclid(4)),
+            count: std::array::from_fn(|d| {
+                if walls[d][0] == Wall::Periodic { (plan.cell_max[d] - plan.cell_min[d]) / 4 } else { 0 }
+            }),
+        };
+        worlds.iter().try_for_each(|world| layout::check(&world.particles, &world.plan.materials))?;
+        let particles = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum::<usize>();
+        if particles >= layout::MAX_PARTICLES {
+            return Err(Error::Capacity {
+                what: "particles on one adapter",
+                asked: particles as u64,
+                cap: layout::MAX_PARTICLES as u64 - 1,
+                mend: "simulate fewer, or use the backend cpu",
+            });
+        }
+        let slots = particles.next_multiple_of(128).max(128);
+        let params: Vec<_> = worlds.iter().flat_map(|world| parameters(world.plan)).collect();
+        let extent = Extent {
+            slots: slots as u32,
+            block_room: 64,
+            node_room: 64,
+            places: PLACES * count as u32,
+            ..Extent::default()
+        };
+        let vectors = rest_vectors(&plan.materials);
+        let asked = Asked { pairs, bodies: 0, layers: count };
+        let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
+        let mut batch = Self {
+            gpu,
+            kernels,
+            memory,
+            worlds: worlds.iter().map(|world| World::new(world.plan)).collect(),
+            h: plan.cell_widths[0],
+            fixed,
+            periods,
+            unlinked: true,
+            pending: false,
+            node_blocks: None,
+            clocks: Clocks::default(),
+            contact_seconds: (0.0, 0),
+            contact: Contact::Unknown,
+        };
+        if count > 1 {
+            let couplings: Vec<_> = worlds.iter().map(|world| world.couplings).collect();
+            batch.settle_contact(&couplings)?;
+        }
+        batch.take_in(worlds.into_iter().map(|world| world.particles).enumerate().collect())?;
+        Ok(batch)
+    }
+
+    /// Puts another world in a place.
+    pub(crate) fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
+        self.fixed.check(new.plan, world)?;
+        self.settle()?;
+        let table = match &self.contact {
+            Contact::Device(contact) => Some((contact.table_of(new.couplings, world), contact.vectors)),
+            Contact::Host | Contact::Unknown => None,
+        };
+        let table = match table {
+            Some((Ok(table), vectors)) => Some((table, vectors)),
+            // One world alone may have other bodies from now on.
+            _ if self.worlds.len() == 1 => {
+                self.contact = Contact::Unknown;
+                None
+            }
+            Some((Err(error), _)) => return Err(error),
+            None if new.couplings.is_empty() => None,
+            None => return Err(no_batch(world)),
+        };
+        let before = std::mem::replace(&mut self.worlds[world], World::new(new.plan));
+        let now = &mut self.worlds[world];
+        (now.particles, now.blocks, now.node_blocks) =
+            (before.particles.clone(), before.blocks.clone(), before.node_blocks.clone());
+        (now.reach, now.span) = (before.reach, before.span);
+        if let Err(error) = self.take_in(vec![(world, new.particles)]) {
+            self.worlds[world] = before;
+            return Err(error);
+        }
+        let vectors = parameters(new.plan);
+        let at = (16 * vectors.len() * world) as u64;
+        self.gpu.queue.write_buffer(&self.memory.params, at, bytemuck::cast_slice(&vectors));
+        if let (Some((table, vectors)), Some(buffer)) = (table, &self.memory.table) {
+            self.gpu.queue.write_buffer(buffer, (16 * vectors * world) as u64, bytemuck::cast_slice(&table));
+        }
+        Ok(())
+    }
+
+    pub(crate) fn words(&self) -> Words {
+        Words { layers: self.worlds.len() }
+    }
+
+    fn particles(&self) -> usize {
+        self.memory.extent.particles as usize
+    }
+
+    /// The constants of a step.
+    pub(crate) fn step_constants(&self, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
+        StepConstants {
+            dt: dt as f32,
+            dt_per_h: (dt / self.h) as f32,
+            stress: (-4.0 * dt / self.h) as f32,
+            number: number as u32,
+            gravity: gravity.map(|g| (g * dt) as f32),
+            pad: 0,
+        }
+    }
+
+    pub(crate) fn write_step(&self, slot: usize, constants: &StepConstants) {
+        self.gpu.queue.write_buffer(&self.memory.steps, STEP_STRIDE * slot as u64, bytemuck::bytes_of(constants));
+    }
+
+    pub(crate) fn write_words(&self, from: usize, words: &[u32]) {
+        let status = self.memory.buffer(Role::Status, 0);
+        self.gpu.queue.write_buffer(status, 4 * from as u64, bytemuck::cast_slice(words));
+    }
+
+    /// What the device is to know of each world; those that `on` names take part.
+    pub(crate) fn layers(&self, on: impl Fn(usize) -> bool) -> Vec<Layer> {
+        let mut first_place = 0;
+        let layer = |(w, world): (usize, &World)| {
+            let layer = world.layer(first_place, on(w));
+            first_place += layer.places.next_multiple_of(PLACES);
+            layer
+        };
+        self.worlds.iter().enumerate().map(layer).collect()
+    }
+
+    pub(crate) fn write_layers(&self, layers: &[Layer]) {
+        self.gpu.queue.write_buffer(&self.memory.layers, 0, bytemuck::cast_slice(layers));
+    }
+
+    /// Workgroups of a pass, in rows.
+    fn groups(&self, groups: Groups) -> (u32, u32) {
+        let extent = &self.memory.extent;
+        let layers = self.worlds.len() as u32;
+        // A sort may find more blocks than there were, up to the room there is.
+        let count = match groups {
+            Groups::One => 1,
+            Groups::Layers => layers,
+            Groups::LayersBy(n) => layers.div_ceil(n),
+            Groups::Exactly(count) => count,
+            Groups::Blocks => extent.block_room,
+            Groups::NodeBlocks => extent.node_room.max(extent.block_room),
+            Groups::BlocksBy(n) => extent.block_room.div_ceil(n),
+            Groups::ParticlesBy(n) => extent.particles.div_ceil(n),
+            Groups::PlacesBy(n) => extent.places.div_ceil(n),
+        };
+        (count.min(extent.row), count.div_ceil(extent.row))
+    }
+
+    /// Parts with the workgroups of their dispatches.
+    pub(crate) fn with_groups<'a>(&self, parts: Vec<Part<'a>>) -> Vec<(Part<'a>, Vec<(u32, u32)>)> {
+        let of = |part: &Part<'_>| part.dispatches.iter().map(|d| self.groups(d.kernel.groups)).collect();
+        parts.into_iter().map(|part| (of(&part), part)).map(|(groups, part)| (part, groups)).collect()
+    }
+
+    /// Writes dispatches into a submission, each in a pass of its own if it is timed.
+    pub(crate) fn encode(
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        memory: &mut Memory,
+        dispatches: &[(&Dispatch<'_>, (u32, u32))],
+        queries: Option<&wgpu::QuerySet>,
+    ) {
+        let bind =
+            |pass: &mut wgpu::ComputePass<'_>, memory: &mut Memory, (d, groups): &(&Dispatch<'_>, (u32, u32))| {
+                pass.set_pipeline(&d.kernel.pipeline);
+                pass.set_bind_group(0, &memory.binding(&gpu.device, d.kernel, d.now), &[]);
+                pass.set_bind_group(1, &memory.step_binding, &[(STEP_STRIDE * d.step as u64) as u32]);
+                pass.dispatch_workgroups(groups.0, groups.1, 1);
+            };
+        let Some(queries) = queries else {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            dispatches.iter().for_each(|dispatch| bind(&mut pass, memory, dispatch));
+            return;
+        };
+        for (i, dispatch) in dispatches.iter().enumerate() {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some(dispatch.0.kernel.name),
+                timestamp_writes: Some(wgpu::ComputePassTimestampWrites {
+                    query_set: queries,
+                    beginning_of_pass_write_index: Some(2 * i as u32),
+                    end_of_pass_write_index: Some(2 * i as u32 + 1),
+                }),
+            });
+            bind(&mut pass, memory, dispatch);
+        }
+    }
+
+    /// Takes steps of `dt` in stretches, each after a sort if it begins with one, without asking the device in between. The worlds
+    /// that take part are given with their times [s].
+    fn submit(&mut self, active: &[(usize, f64)], dt: f64, stretches: &[Stretch]) -> Result<Outcome> {
+        let count: usize = stretches.iter().map(|s| s.steps).sum();
+        debug_assert!(count <= MAX_STEPS && !self.pending, "a submission starts from what is known");
+        let sorts = stretches.iter().filter(|s| s.sort).count();
+        if sorts > 0 {
+            self.cover_blocks(sorts)?;
+        }
+        self.write_layers(&self.layers(|w| active.iter().any(|a| a.0 == w)));
+        let layout = self.words();
+        self.write_words(HALTED, &[0, 0, u32::MAX]);
+        self.write_words(SORTS, &[0]);
+        let sums = layout.of_sum(0, 0);
+        self.write_words(sums, &vec![0; layout.of_step(count.max(1), 0, 0) - sums]);
+
+        // A sort moves the particles to the other set of buffers.
+        let (mut now, mut step) = (self.memory.now, 0);
+        let mut parts = Vec::new();
+        let kernels = &self.kernels;
+        let contact: &[Kernel] = if let Contact::Device(contact) = &self.contact { &contact.kernels } else { &[] };
+        // Gravity is the same for all: it depends on time only if there is one world.
+        let (first, time) = active[0];
+        let gravity = |step: usize| self.worlds[first].scene.gravity_at(time + step as f64 * dt);
+        for stretch in stretches {
+            let mut part = Part { sorting: stretch.sort.then_some(now), dispatches: Vec::new() };
+            if stretch.sort {
+                part.dispatches.extend(kernels.sort.iter().map(|kernel| Dispatch { kernel, now, step }));
+                now = 1 - now;
+            }
+            for _ in 0..stretch.steps {
+                self.write_step(step, &self.step_constants(dt, gravity(step), step));
+                let to_nodes = [&kernels.p2g].into_iter().chain(&kernels.grid).chain(contact);
+                let passes = to_nodes.chain(&kernels.mirror).chain([&kernels.g2p]);
+                part.dispatches.extend(passes.map(|kernel| Dispatch { kernel, now, step }));
+                step += 1;
+            }
+            // A sort forgets what walls gave.
+            if stretch.steps > 0 {
+                part.dispatches.extend(kernels.collect.iter().map(|kernel| Dispatch { kernel, now, step: 0 }));
+            }
+            parts.push(part);
+        }
+        if count == 0 {
+            self.write_step(0, &self.step_constants(dt, gravity(0), 0));
+        }
+        let parts = self.with_groups(parts);
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
+        let status = Status::new(words, layout);
+        self.take_blocks(&status);
+        let halt = status.halt();
+        let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
+        for &(w, time) in active {
+            self.take_steps(&status, w, time, dt, done);
+        }
+        Ok(Outcome { done, halt, status })
+    }
+
+    /// Takes in where blocks are after a submission.
+    fn take_blocks(&mut self, status: &Status) {
+        let sorts = status.words[SORTS] as usize;
+        if sorts > 0 {
+            self.memory.now ^= sorts & 1;
+            self.node_blocks = None;
+            self.unlinked = false;
+            for (w, world) in self.worlds.iter_mut().enumerate() {
+                let block = |first: usize| [0, 1, 2].map(|d| status.of_layer(w, first + d) as i32 - BIAS);
+                world.blocks = status.range(w, FIRST_BLOCK, BLOCKS);
+                world.node_blocks = status.range(w, FIRST_NODE_BLOCK, NODE_BLOCKS);
+                if !world.blocks.is_empty() {
+                    world.reach = (block(LEAST_BLOCK), block(GREATEST_BLOCK));
+                }
+            }
+        }
+        // A sort that was broken off has overwritten the directory.
+        self.unlinked |= matches!(status.halt(), Some(Halt::Room | Halt::LeftWorld));
+    }
+
+    /// Takes in what steps did to a world.
+    fn take_steps(&mut self, status: &Status, w: usize, time: f64, dt: f64, done: usize) {
+        let sorted = status.sorted_before(w);
+        let world = &mut self.worlds[w];
+        if sorted.is_some() {
+            world.rhythm = Rhythm::default();
+        }
+        for s in sorted.unwrap_or(0)..done {
+            world.rhythm = world.rhythm.after(status.in_step(s, w, MOVE));
+        }
+        if let Some(last) = done.checked_sub(1) {
+            world.particle_speed = f64::from(status.in_step(last, w, MOVE)) * self.h / dt;
+            world.last_dt = dt;
+        }
+        world.steps += done as u64;
+        world.stiffness_age += done as u32;
+        world.book_gravity(time, dt, done);
+        self.take_sums(status, w);
+    }
+
+    /// What was summed on the device in a submission.
+    pub(crate) fn take_sums(&mut self, status: &Status, w: usize) {
+        let world = &mut self.worlds[w];
+        world.parted += u64::from(status.sum(w, PARTED));
+        for d in 0..3 {
+            world.wall_impulse[d] += f64::from(f32::from_bits(status.sum(w, WALL_IMPULSE + d)));
+        }
+    }
+
+    /// Cuts steps into stretches between sorts, as far as the present speeds tell when worlds will be due. Where they tell wrong, a sort
+    /// that nobody needs changes nothing, and the device stops before a step that needs one.
+    fn plan_stretches(&self, active: &[(usize, f64)], dt: f64, count: usize) -> Vec<Stretch> {
+        let of_world = |&(w, _): &(usize, f64)| {
+            let world = &self.worlds[w];
+            (world.rhythm, (world.particle_speed * dt / self.h) as f32)
+        };
+        let mut rhythms: Vec<(Rhythm, f32)> = active.iter().map(of_world).collect();
+        let mut stretches: Vec<Stretch> = Vec::new();
+        for step in 0..count {
+            let sort = (step == 0 && self.unlinked) || rhythms.iter().any(|(rhythm, _)| rhythm.is_due());
+            // The directory's boxes change before a submission that sorts, and fit the blocks from its first sort on.
+            if sort && stretches.first().is_some_and(|first| !first.sort) {
+                break;
+            }
+            if sort || stretches.is_empty() {
+                stretches.push(Stretch { sort, steps: 0 });
+            }
+            for (rhythm, each) in &mut rhythms {
+                let before = if rhythm.is_due() { Rhythm::default() } else { *rhythm };
+                *rhythm = before.after(*each);
+            }
+            stretches.iter_mut().next_back().expect("there is one").steps += 1;
+        }
+        stretches
+    }
+
+    /// Runs parts and brings back the status, and behind it stretches of the grid: first byte, bytes.
+    pub(crate) fn run(
+        gpu: &Gpu,
+        memory: &mut Memory,
+        clocks: &mut Clocks,
+        parts: &[(Part<'_>, Vec<(u32, u32)>)],
+        nodes: &[(u64, u64)],
+    ) -> Result<Vec<u32>> {
+        for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
+            clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
+        }
+        // The first is not worth timing: caches are cold. Of the others, the first part stands for all.
+        let timed = gpu.features.contains(wgpu::Features::TIMESTAMP_QUERY) && clocks.submissions % TIMED == 1;
+        clocks.submissions += 1;
+        let first = if timed { parts.first().map_or(0, |(part, _)| part.dispatches.len().min(MOST_TIMED)) } else { 0 };
+        let queries = (first > 0).then(|| {
+            gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("clock"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2 * first as u32,
+            })
+        });
+        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for (i, (part, groups)) in parts.iter().enumerate() {
+            if let Some(now) = part.sorting {
+                encoder.clear_buffer(memory.buffer(Role::Flags, now), 0, None);
+            }
+            let dispatches: Vec<_> = part.dispatches.iter().zip(groups.iter().copied()).collect();
+            let (timed, rest) = dispatches.split_at(if i == 0 { first } else { 0 });
+            if !timed.is_empty() {
+                Self::encode(gpu, &mut encoder, memory, timed, queries.as_ref());
+            }
+            Self::encode(gpu, &mut encoder, memory, rest, None);
+        }
+        let status = memory.status_bytes();
+        let mut bytes = status;
+        memory.read_back_to(gpu, bytes + nodes.iter().map(|(_, bytes)| bytes).sum::<u64>());
+        encoder.copy_buffer_to_buffer(memory.buffer(Role::Status, 0), 0, &memory.readback, 0, status);
+        for &(from, length) in nodes {
+            encoder.copy_buffer_to_buffer(memory.buffer(Role::Grid, 0), from, &memory.readback, bytes, length);
+            bytes += length;
+        }
+        let resolved = queries.map(|queries| {
+            let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("clock"),
+                size: 16 * first as u64,
+                usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: false,
+            });
+            encoder.resolve_query_set(&queries, 0..2 * first as u32, &buffer, 0);
+            buffer
+        });
+        gpu.queue.submit([encoder.finish()]);
+        let mut words = Vec::new();
+        with_mapped(gpu, &memory.readback, bytes, |bytes| words = bytemuck::pod_collect_to_vec(bytes))?;
+        if let (Some(buffer), Some((part, _))) = (resolved, parts.first()) {
+            let ticks: Vec<u64> = read(gpu, &buffer, 0, 2 * first)?;
+            let period = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
+            for (dispatch, pair) in part.dispatches.iter().zip(ticks.chunks_exact(2)) {
+                let clock = clocks.of.entry(dispatch.kernel.name).or_default();
+                clock.measured.0 += pair[1].saturating_sub(pair[0]) as f64 * period;
+                clock.measured.1 += 1;
+            }
+        }
+        Ok(words)
+    }
+
+    /// Sets the worlds' parts of the directory around all blocks that a sort can find: they have drifted by up to a cell or two, and
+    /// nodes reach a block further.
+    fn cover_blocks(&mut self, sorts: usize) -> Result<()> {
+        // A cell and a half each time is less than a block in two.
+        let margin = 2 + sorts as i32 / 2;
+        let mut places = 0u64;
+        for world in &mut self.worlds {
+            let (least, greatest) = world.reach;
+            let mut span = Span::default();
+            for d in 0..3 {
+                (span.first[d], span.size[d]) = if self.periods.count[d] > 0 {
+                    (self.periods.first[d], self.periods.count[d])
+                } else {
+                    (least[d] - margin, greatest[d] - least[d] + 1 + 2 * margin)
+                };
+            }
+            world.span = span;
+            places += world.places().min(u64::from(u32::MAX)).next_multiple_of(u64::from(PLACES));
+        }
+        // The same rule as for all buffers finds what is too large for the adapter; this one keeps the number a u32.
+        let extent = Extent { places: u32::try_from(places).unwrap_or(!(PLACES - 1)), ..self.memory.extent };
+        if extent != self.memory.extent { self.memory.grow(&self.gpu, extent) } else { Ok(()) }
+    }
+
+    /// Makes room for as many blocks as the last sort found, and a quarter more.
+    fn make_room(&mut self, status: &Status) -> Result<()> {
+        let mut extent = self.memory.extent;
+        extent.block_room = extent.block_room.max(with_room(status.words[NEW_BLOCKS] as usize));
+        extent.node_room = extent.node_room.max(with_room(status.words[NEW_NODE_BLOCKS] as usize));
+        self.unlinked = true;
+        self.memory.grow(&self.gpu, extent)
+    }
+
+    /// Sorts what is due at once.
+    pub(crate) fn sort_now(&mut self, world: usize, time: f64, dt: f64) -> Result<()> {
+        loop {
+            let outcome = self.submit(&[(world, time)], dt, &[Stretch { sort: true, steps: 0 }])?;
+            match outcome.halt {
+                None => return Ok(()),
+                Some(Halt::Room) => self.make_room(&outcome.status)?,
+                Some(_) => return Err(self.left_world(world, &outcome.status)),
+            }
+        }
+    }
+
+    /// The world of a particle that a halt names.
+    fn world_of(&self, status: &Status) -> Option<usize> {
+        let who = status.words[WHO] as usize;
+        self.worlds.iter().position(|world| world.particles.contains(&who))
+    }
+
+    fn left_world(&self, world: usize, status: &Status) -> Error {
+        let step = self.worlds[world].steps;
+        match self.lists(world).map(|lists| self.find(world, &lists, status.words[WHO] as usize)) {
+            Ok(Some((particle, position, _))) => Error::LeftWorld { step, particle, position },
+            Ok(None) => Error::LeftWorld { step, particle: u64::MAX, position: [f64::NAN; 3] },
+            Err(error) => error,
+        }
+    }
+
+    /// Id, position and material of the particle in a slot.
+    fn find(
+        &self,
+        world: usize,
+        (lists, _, planes): &(Vec<ParticleList>, Homes, Planes),
+        slot: usize,
+    ) -> Option<(u64, Vec3, usize)> {
+        let range = &self.worlds[world].particles;
+        if !range.contains(&slot) {
+            return None;
+        }
+        let slot = slot - range.start;
+        let law = planes.law(slot);
+        let before = (0..slot).filter(|&q| planes.law(q) == law).count();
+        let list = lists.get(law).filter(|list| before < list.len())?;
+        Some((list.id[before], list.position(before), law))
+    }
+
+    /// Turns a halt that no shorter step mends into what a user can act upon.
+    pub(crate) fn explain(&self, w: usize, status: &Status, speed: f64, time: f64) -> Error {
+        if let Some(error) = self.find_non_finite(w) {
+            return at_time(error, time);
+        }
+        let who = status.words[WHO] as usize;
+        match status.halt() {
+            Some(Halt::LeftWorld) => self.left_world(w, status),
+            Some(Halt::Strayed) => match self.lists(w).map(|l| self.find(w, &l, who)) {
+                Ok(Some((particle, _, law))) => self.non_finite(w, "cell", (particle, law), f64::NAN, 1, time),
+                Ok(None) => self.non_finite(w, "cell", (u64::MAX, 0), f64::NAN, 1, time),
+                Err(error) => error,
+            },
+            _ => Error::NonFinite {
+                step: self.worlds[w].steps,
+                time,
+                field: "node velocity",
+                particle: 0,
+                list: String::new(),
+                value: speed,
+                count: 0,
+            },
+        }
+    }
+
+    fn non_finite(
+        &self,
+        w: usize,
+        field: &'static str,
+        (particle, law): (u64, usize),
+        value: f64,
+        count: u64,
+        time: f64,
+    ) -> Error {
+        let world = &self.worlds[w];
+        let list = world.materials[law].name.clone();
+        Error::NonFinite { step: world.steps, time, field, particle, list, value, count }
+    }
+
+    /// The particle of least id with a NaN or infinite value.
+    fn find_non_finite(&self, w: usize) -> Option<Error> {
+        match self.lists(w) {
+            Ok((lists, ..)) => account::find_non_finite(&lists, |field, particle, law, value, count| {
+                self.non_finite(w, field, (particle, law), value, count, 0.0)
+            }),
+            Err(error) => Some(error),
+        }
+    }
+
+    /// Homes of some worlds as the device has them, the particles of each counted from its first one.
+    fn homes(&self, worlds: Range<usize>) -> Result<Vec<Homes>> {
+        let worlds = &self.worlds[worlds];
+        let start = worlds.first().map_or(0, |world| world.blocks.start);
+        let count = worlds.last().map_or(0, |world| world.blocks.end) - start;
+        let at = (16 * layout::ENTRY * start) as u64;
+        let entries: Vec<[i32; 4]> = read(&self.gpu, self.memory.plane(Sorted::Lists), at, count * layout::ENTRY)?;
+        let cells: Vec<u32> = read(&self.gpu, self.memory.plane(Sorted::Cells), 256 * start as u64, 64 * count + 1)?;
+        let of_world = |world: &World| {
+            let own = world.blocks.start - start..world.blocks.end - start;
+            let blocks = entries[own.start * layout::ENTRY..own.end * layout::ENTRY].chunks_exact(layout::ENTRY);
+            let mut cells = if own.is_empty() { vec![0] } else { cells[64 * own.start..=64 * own.end].to_vec() };
+            if !own.is_empty() {
+                cells.iter_mut().for_each(|slot| *slot -= world.particles.start as u32);
+            }
+            Homes { blocks: blocks.map(|e| [e[0][0], e[0][1], e[0][2]]).collect(), cells, ..Homes::default() }
+        };
+        Ok(worlds.iter().map(of_world).collect())
+    }
+
+    /// All particles of a world.
+    pub(crate) fn lists(&self, w: usize) -> Result<(Vec<ParticleList>, Homes, Planes)> {
+        let world = &self.worlds[w];
+        let homes = self.homes(w..w + 1)?.pop().unwrap_or_default();
+        let (first, count) = (world.particles.start, world.particles.len());
+        let planes = Planes {
+            record: self.stretch(Sorted::Record, first, count)?,
+            ids: self.stretch(Sorted::Ids, first, count)?,
+            rest: self.stretch(Sorted::Rest, first, count)?,
+        };
+        let lists = planes.lists(&homes, &world.materials, self.h, count);
+        Ok((lists, homes, planes))
+    }
+
+    /// What the planes of a buffer hold of so many particles, plane by plane.
+    fn stretch<T: bytemuck::Pod>(&self, sorted: Sorted, first: usize, count: usize) -> Result<Vec<T>> {
+        let mut values = Vec::new();
+        for (from, bytes) in self.memory.stretches(sorted, first, count) {
+            values.extend(read::<T>(&self.gpu, self.memory.plane(sorted), from, bytes as usize / size_of::<T>())?);
+        }
+        Ok(values)
+    }
+
+    /// Replaces the particles of some worlds.
+    ///
+    /// 1. The new ones are laid out. Homes of the others are asked of the device.
+    /// 2. Particles go to the other set of buffers, each world behind the one before; so do the lists of blocks, without their links: a sort
+    ///    finds them before the next step. It leaves homes as they are, since nobody is due.
+    /// 3. Stress of the new ones is found from their strain.
+    pub(crate) fn take_in(&mut self, news: Vec<(usize, ParticleState)>) -> Result<()> {
+        let mut arrivals = BTreeMap::new();
+        for (w, particles) in news {
+            arrivals.insert(w, self.arrival(w, particles)?);
+        }
+        let all = self.worlds.len();
+        let mut homes = if arrivals.len() < all { self.homes(0..all)? } else { vec![Homes::default(); all] };
+        arrivals.iter().for_each(|(w, arrival): (_, &Arrival)| homes[*w].clone_from(&arrival.homes));
+        let counts: Vec<usize> = homes.iter().map(|homes| homes.cells.last().map_or(0, |end| *end as usize)).collect();
+        let mut extent = self.memory.extent;
+        let all: usize = counts.iter().sum();
+        if all > extent.slots as usize {
+            return Err(Error::Capacity {
+                what: "particles of an engine that was compiled for fewer",
+                asked: all as u64,
+                cap: u64::from(extent.slots),
+                mend: "compile the scene anew",
+            });
+        }
+        let nodes = |(w, homes): (usize, &Homes)| homes.nodes.len().max(self.worlds[w].node_blocks.len());
+        extent.particles = all as u32;
+        extent.block_room = extent.block_room.max(with_room(homes.iter().map(|homes| homes.blocks.len()).sum()));
+        extent.node_room = extent.node_room.max(with_room(homes.iter().enumerate().map(nodes).sum()));
+        self.memory.grow(&self.gpu, extent)?;
+
+        let before: Vec<_> = self.worlds.iter().map(|world| world.particles.clone()).collect();
+        let (mut slot, mut block) = (0, 0);
+        for ((world, homes), count) in self.worlds.iter_mut().zip(&homes).zip(&counts) {
+            world.particles = slot..slot + count;
+            world.blocks = block..block + homes.blocks.len();
+            world.reach = homes.extent().unwrap_or_default();
+            (slot, block) = (world.particles.end, world.blocks.end);
+        }
+        self.write_particles(&arrivals, &before);
+        self.write_lists(&homes);
+        self.memory.now = 1 - self.memory.now;
+        (self.unlinked, self.node_blocks) = (true, None);
+        self.cover_blocks(1)?;
+
+        for (w, arrival) in &arrivals {
+            let spoilt = account::find_non_finite(&arrival.particles.lists, |field, particle, law, value, count| {
+                self.non_finite(*w, field, (particle, law), value, count, 0.0)
+            });
+            let world = &mut self.worlds[*w];
+            world.node_blocks = 0..arrival.homes.nodes.len();
+            world.spoilt = spoilt.is_some();
+            world.take_stock(&arrival.particles.lists, arrival.particles.sort.as_ref())?;
+        }
+        self.find_stress(&arrivals)
+    }
+
+    /// Lays out particles that come into a world.
+    fn arrival(&self, w: usize, mut particles: ParticleState) -> Result<Arrival> {
+        let materials = &self.worlds[w].materials;
+        layout::check(&particles, materials)?;
+        let count = particles.lists.iter().map(ParticleList::len).sum();
+        let restored =
+            particles.sort.as_ref().and_then(|sort| Homes::restored(&particles.lists, &sort.blocks, &self.periods));
+        if restored.is_none() {
+            particles.sort = None;
+        }
+        let homes = restored.unwrap_or_else(|| Homes::fresh(&particles.lists, &self.periods));
+        let planes = Planes::of(&particles.lists, &homes, materials, count, rest_vectors(materials))?;
+        Ok(Arrival { homes, planes, particles })
+    }
+
+    /// Writes the particles of all worlds into the other set of buffers: new ones from here, others from where they were.
+    fn write_particles(&self, arrivals: &BTreeMap<usize, Arrival>, before: &[Range<usize>]) {
+        let next = 1 - self.memory.now;
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        for (w, world) in self.worlds.iter().enumerate() {
+            let to = &world.particles;
+            for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
+                let stretches = self.memory.stretches(sorted, to.start, to.len());
+                let buffer = self.memory.buffer(Role::Now(sorted), next);
+                if let Some(arrival) = arrivals.get(&w) {
+                    let mut bytes = arrival.planes.bytes(sorted);
+                    for (at, length) in stretches {
+                        let (plane, rest) = bytes.split_at(length as usize);
+                        self.write(buffer, at, plane);
+                        bytes = rest;
+                    }
+                } else {
+                    let sources = self.memory.stretches(sorted, before[w].start, to.len());
+                    for ((from, length), (at, _)) in sources.into_iter().zip(stretches) {
+                        encoder.copy_buffer_to_buffer(self.memory.plane(sorted), from, buffer, at, length);
+                    }
+                }
+            }
+        }
+        self.gpu.queue.submit([encoder.finish()]);
+    }
+
+    /// Writes much, a part at a time.
+    fn write(&self, buffer: &wgpu::Buffer, at: u64, bytes: &[u8]) {
+        const PART: usize = 64 << 20;
+        for (i, part) in bytes.chunks(PART).enumerate() {
+            self.gpu.queue.write_buffer(buffer, at + (i * PART) as u64, part);
+            self.gpu.queue.submit([]);
+        }
+    }
+
+    /// Writes where all blocks are into the other set of buffers, without their links.
+    fn write_lists(&self, homes: &[Homes]) {
+        let next = 1 - self.memory.now;
+        let layout = self.words();
+        let (mut entries, mut cells) = (Vec::new(), Vec::new());
+        for (w, (world, homes)) in self.worlds.iter().zip(homes).enumerate() {
+            self.write_words(layout.of_layer(w, FIRST_BLOCK), &[world.blocks.start as u32, 0]);
+            for &[x, y, z] in &homes.blocks {
+                entries.push([x, y, z, w as i32]);
+                entries.extend([[0; 4]; layout::ENTRY - 1]);
+            }
+            let starts = &homes.cells[..64 * homes.blocks.len()];
+            cells.extend(starts.iter().map(|start| start + world.particles.start as u32));
+        }
+        let (blocks, particles) = self.worlds.last().map_or((0, 0), |last| (last.blocks.end, last.particles.end));
+        cells.push(particles as u32);
+        self.write(self.memory.buffer(Role::Now(Sorted::Lists), next), 0, bytemuck::cast_slice(&entries));
+        self.write(self.memory.buffer(Role::Now(Sorted::Cells), next), 0, bytemuck::cast_slice(&cells));
+        self.write_words(BLOCKS, &[blocks as u32, 0]);
+    }
+
+    /// Stress is no part of a state: it follows from strain.
+    fn find_stress(&mut self, arrivals: &BTreeMap<usize, Arrival>) -> Result<()> {
+        let fit = |w: usize| !self.worlds[w].spoilt && !self.worlds[w].particles.is_empty();
+        let mut by_step: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
+        for (&w, arrival) in arrivals.iter().filter(|(w, _)| fit(**w)) {
+            by_step.entry(arrival.particles.strain_dt.to_bits()).or_default().push(w);
+        }
+        for (dt, worlds) in by_step {
+            self.write_layers(&self.layers(|w| worlds.contains(&w)));
+            self.write_step(0, &self.step_constants(f64::from_bits(dt), [0.0; 3], 0));
+            let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
+            let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
+            Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
+        }
+        Ok(())
+    }
+
+    /// Up to `count` steps of at most `dt` of the worlds that have a turn, without couplings or with such as run on the device. A world that
+    /// fails is left out, and the others go on without it.
+    fn advance(&mut self, mut dt: f64, count: usize, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
+        let mut failed: Vec<Option<Error>> = turns.iter().map(|turn| self.fault(turn)).collect();
+        loop {
+            let going: Vec<usize> = (0..turns.len()).filter(|&t| failed[t].is_none()).collect();
+            let active: Vec<(usize, f64)> = going.iter().map(|&t| (turns[t].world, turns[t].time)).collect();
+            if active.is_empty() {
+                return Ok(failed.into_iter().map(|error| Err(error.expect("all have failed"))).collect());
+            }
+            let stretches = self.plan_stretches(&active, dt, count);
+            let steps = stretches.iter().map(|s| s.steps).sum();
+            let mut driven = BTreeMap::new();
+            for &t in &going {
+                match self.drive(&mut turns[t], dt, steps) {
+                    Ok(of_turn) => drop(driven.insert(t, of_turn)),
+                    Err(error) => failed[t] = Some(error),
+                }
+            }
+            if driven.len() < going.len() {
+                for (t, of_turn) in &driven {
+                    go_back(turns[*t].couplings, of_turn, 0)?;
+                }
+                continue;
+            }
+            self.write_bodies(turns, &driven, steps);
+            let outcome = self.submit(&active, dt, &stretches)?;
+            for (t, of_turn) in &driven {
+                go_back(turns[*t].couplings, of_turn, outcome.done)?;
+            }
+            if outcome.done > 0 {
+                // What stopped the others is found again when they are tried again.
+                return self.reports(turns, failed, driven, &outcome, dt);
+            }
+            match outcome.halt {
+                Some(Halt::Room) => self.make_room(&outcome.status)?,
+                Some(Halt::Drifted) if !stretches[0].sort => {}
+                Some(Halt::TooFast) => dt = self.shorten(turns, &mut failed, &outcome, dt),
+                _ => {
+                    // It cannot be told whose fault it was only if no particle is named.
+                    let culprit = self.world_of(&outcome.status).unwrap_or(active[0].0);
+                    let t = going.iter().copied().find(|&t| turns[t].world == culprit).unwrap_or(going[0]);
+                    failed[t] = Some(self.explain(turns[t].world, &outcome.status, f64::NAN, turns[t].time));
+                }
+            }
+        }
+    }
+
+    /// What is wrong with a world's particles as they came in.
+    fn fault(&self, turn: &Turn<'_>) -> Option<Error> {
+        let fault = if self.worlds[turn.world].spoilt { self.find_non_finite(turn.world) } else { None };
+        fault.map(|error| at_time(error, turn.time))
+    }
+
+    /// The step that the fastest world bears; worlds that bear none have failed.
+    fn shorten(&mut self, turns: &[Turn<'_>], failed: &mut [Option<Error>], outcome: &Outcome, dt: f64) -> f64 {
+        let mut fastest = 0.0f64;
+        for t in (0..turns.len()).filter(|&t| failed[t].is_none()).collect::<Vec<_>>() {
+            let Turn { world, time, .. } = turns[t];
+            let speed = f64::from(outcome.status.in_step(0, world, SPEED));
+            let moves = speed * dt / self.h;
+            if !moves.is_finite() {
+                failed[t] = Some(self.explain(world, &outcome.status, speed, time));
+            } else if moves > NODE_MOVE * (1.0 - 1e-6) {
+                self.worlds[world].shortened += 1;
+                fastest = fastest.max(moves);
+            }
+        }
+        // What was too fast may have been left out.
+        if fastest > 0.0 { dt * (0.9 * NODE_MOVE / fastest).max(0.1) } else { dt }
+    }
+
+    /// What each turn's world did in the steps that are done.
+    fn reports(
+        &mut self,
+        turns: &mut [Turn<'_>],
+        failed: Vec<Option<Error>>,
+        mut driven: BTreeMap<usize, Option<Driven>>,
+        outcome: &Outcome,
+        dt: f64,
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        let impulses = self.impulses(outcome.done)?;
+        let mut all = Vec::new();
+        for (t, error) in failed.into_iter().enumerate() {
+            let world = turns[t].world;
+            let sorted = outcome.status.sorted_before(world);
+            let report = |s: usize| StepReport {
+                dt,
+                sorted: sorted == Some(s),
+                max_speed: f64::from(outcome.status.in_step(s, world, SPEED)),
+                ..StepReport::default()
+            };
+            let mut reports: Vec<_> = (0..outcome.done).map(report).collect();
+            if let Some(driven) = driven.remove(&t).flatten() {
+                self.report_bodies(driven, &impulses, &mut turns[t], &mut reports);
+            }
+            all.push(error.map_or(Ok(reports), Err));
+        }
+        Ok(all)
+    }
+
+    /// Finds out where the couplings' law runs: on the device, if all worlds' bodies follow one law that can.
+    fn settle_contact(&mut self, worlds: &[&[Box<dyn Coupling>]]) -> Result<()> {
+        if !matches!(self.contact, Contact::Unknown) {
+            return Ok(());
+        }
+        self.contact = Contact::Host;
+        let law = |couplings: &[Box<dyn Coupling>]| {
+            let [coupling] = couplings else { return None };
+            let bodies = coupling.bodies().len();
+            let fits = bodies == coupling.bounds().len() && bodies > 0;
+            coupling.device_law().filter(|_| fits).map(|law| (law, bodies))
+        };
+        let Some((first, bodies)) = worlds.first().and_then(|couplings| law(couplings)) else {
+            let bodies = worlds.iter().any(|couplings| !couplings.is_empty());
+            return if worlds.len() > 1 && bodies { Err(no_batch(0)) } else { Ok(()) };
+        };
+        let vectors = first.table.len().max(1);
+        let kernels = kernels::contact(&self.gpu, &self.kernels, &first, bodies, self.worlds.len());
+        let contact = DeviceContact { kernels, wgsl: first.wgsl, bodies, vectors };
+        let tables = worlds.iter().enumerate().map(|(w, couplings)| contact.table_of(couplings, w));
+        let table = tables.collect::<Result<Vec<_>>>()?.concat();
+        self.memory.add_bodies(&self.gpu, bodies, &table)?;
+        self.unlinked = true;
+        self.gpu.check()?;
+        self.contact = Contact::Device(Box::new(contact));
+        Ok(())
+    }
+
+    /// Lets a world's driven bodies go through `count` steps.
+    fn drive(&self, turn: &mut Turn<'_>, dt: f64, count: usize) -> Result<Option<Driven>> {
+        let Some(coupling) = turn.couplings.first_mut() else { return Ok(None) };
+        let mut driven = Driven { saved: vec![coupling.save()], after: Vec::new(), packed: Vec::new() };
+        let mut go = || {
+            for s in 0..count {
+                let at = turn.time + s as f64 * dt;
+                coupling.before_step(at, dt)?;
+                let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
+                driven
+                    .packed
+                    .push(bodies.iter().zip(boxes).flat_map(|(body, bounds)| pack(body, &bounds, self.h)).collect());
+                coupling.after_step(at, dt)?;
+                driven.after.push(coupling.bodies());
+                driven.saved.push(coupling.save());
+            }
+            Ok(())
+        };
+        if let Err(error) = go() {
+            go_back(turn.couplings, &Some(driven), 0)?;
+            return Err(error);
+        }
+        Ok(Some(driven))
+    }
+
+    /// Tells the device where bodies are in each step.
+    fn write_bodies(&self, turns: &[Turn<'_>], driven: &BTreeMap<usize, Option<Driven>>, steps: usize) {
+        let Contact::Device(contact) = &self.contact else { return };
+        let each = contact.bodies * BODY as usize;
+        let mut packed = vec![[0.0; 4]; steps * self.worlds.len() * each];
+        for (t, driven) in driven {
+            for (s, bodies) in driven.iter().flat_map(|driven| &driven.packed).enumerate() {
+                packed[(s * self.worlds.len() + turns[*t].world) * each..][..each].copy_from_slice(bodies);
+            }
+        }
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Bodies, 0), 0, bytemuck::cast_slice(&packed));
+    }
+
+    /// Force and torque on each body of each world in each step, times the step.
+    fn impulses(&self, steps: usize) -> Result<Vec<[f32; 4]>> {
+        let Contact::Device(contact) = &self.contact else { return Ok(Vec::new()) };
+        let count = 2 * contact.bodies * self.worlds.len() * steps;
+        read(&self.gpu, self.memory.buffer(Role::Impulses, 0), 0, count)
+    }
+
+    /// Says in each step's report where a world's bodies were and what they felt.
+    fn report_bodies(&self, driven: Driven, impulses: &[[f32; 4]], turn: &mut Turn<'_>, reports: &mut [StepReport]) {
+        let Contact::Device(contact) = &self.contact else { return };
+        let each = 2 * contact.bodies;
+        for (s, (report, after)) in reports.iter_mut().zip(driven.after).enumerate() {
+            let own = &impulses[(s * self.worlds.len() + turn.world) * each..][..each];
+            let per_step = |v: [f32; 4]| [v[0], v[1], v[2]].map(|x| f64::from(x) / report.dt);
+            let wrench = |pair: &[[f32; 4]]| Wrench { force: per_step(pair[0]), torque: per_step(pair[1]) };
+            report.wrenches = Some(own.chunks_exact(2).map(wrench).collect());
+            report.bodies = Some(after);
+        }
+        if let (Some(StepReport { wrenches: Some(wrenches), .. }), Some(coupling)) =
+            (reports.last(), turn.couplings.first_mut())
+        {
+            coupling.book(wrenches);
+        }
+    }
+
+    /// Reads a world's stiffness anew where it follows the state.
+    fn follow_stiffness(&mut self, w: usize) -> Result<()> {
+        let world = &self.worlds[w];
+        let count = world.particles.len();
+        if world.hardens && world.stiffness_age >= STIFFNESS_AGE && count > 0 {
+            let rest = self.stretch(Sorted::Rest, world.particles.start, count)?;
+            let record = if world.materials.len() > 1 {
+                Some(self.stretch(Sorted::Record, world.particles.start, count)?)
+            } else {
+                None
+            };
+            let held = Held { rest: &rest, record: record.as_deref(), slots: count, count };
+            let hardening = stiffness::bound_of_hardening(&held, &world.materials, &world.densities, self.h)?;
+            let world = &mut self.worlds[w];
+            world.stiffness = if hardening.dt < world.unchanging.dt { hardening } else { world.unchanging.clone() };
+            world.stiffness_age = 0;
+        }
+        Ok(())
+    }
+
+    /// Up to `count` steps of at most `dt` of the worlds that have a turn; the others stay as they are. All that succeed take the same steps.
+    pub(crate) fn steps(
+        &mut self,
+        dt: f64,
+        count: usize,
+        turns: &mut [Turn<'_>],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        if let [turn] = turns {
+            self.settle_contact(&[&*turn.couplings])?;
+            let ground = self.particles() > 0;
+            let on_host = !turn.couplings.is_empty() && !matches!(self.contact, Contact::Device(..));
+            if !ground || on_host {
+                return Ok(vec![self.step_on_host(turn, dt)]);
+            }
+        }
+        let hardens = turns.iter().any(|turn| self.worlds[turn.world].hardens);
+        let most = if hardens { STIFFNESS_AGE as usize } else { MAX_STEPS };
+        let reports = self.advance(dt, count.clamp(1, most), turns)?;
+        for (turn, _) in turns.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
+            self.follow_stiffness(turn.world)?;
+        }
+        Ok(reports)
+    }
+
+    fn step_on_host(&mut self, turn: &mut Turn<'_>, dt: f64) -> Result<Vec<StepReport>> {
+        self.fault(turn).map_or(Ok(()), Err)?;
+        let report = self.step_with_contact(turn.time, dt, turn.couplings)?;
+        self.follow_stiffness(turn.world)?;
+        Ok(vec![report])
+    }
+}
+
+impl DeviceContact {
+    /// The table of a world's bodies, which must follow the law that the device has.
+    fn table_of(&self, couplings: &[Box<dyn Coupling>], world: usize) -> Result<Vec<[f32; 4]>> {
+        let [coupling] = couplings else { return Err(no_batch(world)) };
+        let law = coupling.device_law().filter(|law| {
+            law.wgsl == self.wgsl && coupling.bodies().len() == self.bodies && law.table.len().max(1) == self.vectors
+        });
+        let mut table = law.ok_or_else(|| no_batch(world))?.table;
+        table.resize(self.vectors, [0.0; 4]);
+        Ok(table)
+    }
+}
+
+/// Bodies that cannot be batched.
+fn no_batch(world: usize) -> Error {
+    crate::lacks(
+        "a batch of worlds with such bodies",
+        format!(
+            "world {world} has bodies that move freely, or are meshes or height fields, or are not as many and of the same kinds as the first world's"
+        ),
+        "drive them, make them of boxes, spheres, cylinders, capsules and planes, give all worlds as many of the same kinds, or run worlds \
+         on the backend cpu",
+    )
+}
+
+/// Takes a world's coupling back, or on, to what it was before a step.
+fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven>, step: usize) -> Result<()> {
+    let (Some(coupling), Some(driven)) = (couplings.first_mut(), driven) else { return Ok(()) };
+    coupling.restore(&driven.saved[step]).map_err(|what| Error::Body {
+        path: format!("coupling '{}'", coupling.name()),
+        what: format!("cannot go back to an earlier step: {what}"),
+        mend: "resume from the last snapshot".to_owned(),
+    })
+}
+
+/// A body in a step, as `contact.wgsl` reads it.
+fn pack(body: &BodyState, bounds: &Aabb, h: f64) -> [[f32; 4]; BODY as usize] {
+    let ints =
+        |v: [i32; 3]| [f32::from_bits(v[0] as u32), f32::from_bits(v[1] as u32), f32::from_bits(v[2] as u32), 0.0];
+    let reals = |v: Vec3| [v[0] as f32, v[1] as f32, v[2] as f32, 0.0];
+    let cell = body.position.map(|x| (x / h).floor());
+    let place = std::array::from_fn(|d| body.position[d] / h - cell[d]);
+    let [w, x, y, z] = body.rotation;
+    let rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ];
+    // Nodes stand at the centres of cells.
+    let node = |x: f64, round: fn(f64) -> f64| round(x / h - 0.5).clamp(-1e9, 1e9) as i32;
+    [
+        ints(cell.map(|c| c as i32)),
+        reals(place),
+        reals(rows[0]),
+        reals(rows[1]),
+        reals(rows[2]),
+        reals(body.velocity),
+        reals(body.angular_velocity),
+        ints(bounds.min.map(|x| node(x, f64::ceil))),
+        ints(bounds.max.map(|x| node(x, f64::floor))),
+    ]
+}
+
+/// A fault in the state, with the time at which it was found.
+fn at_time(error: Error, at: f64) -> Error {
+    match error {
+        Error::NonFinite { step, field, particle, list, value, count, .. } => {
+            Error::NonFinite { step, time: at, field, particle, list, value, count }
+        }
+        other => other,
+    }
+}

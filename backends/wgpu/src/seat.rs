@@ -1,0 +1,136 @@
+//! A world's place in a batch, as the simulation sees it.
+
+use crate::account;
+use crate::batch::WgpuBatch;
+use barchan_core::backend::{Batch, Bound, NewWorld, Timing, Turn};
+use barchan_core::{Coupling, Engine, Ledger, Measured, ParticleState, Result, SortPhase, StepReport};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Worlds on one device, shared by those who look at one of them.
+#[derive(Clone)]
+pub(crate) struct Seats(Arc<Mutex<WgpuBatch>>);
+
+/// One world of a batch.
+pub(crate) struct Seat {
+    seats: Seats,
+    world: usize,
+}
+
+impl Seats {
+    pub(crate) fn new(batch: WgpuBatch) -> Self {
+        Self(Arc::new(Mutex::new(batch)))
+    }
+
+    pub(crate) fn seat(&self, world: usize) -> Seat {
+        Seat { seats: self.clone(), world }
+    }
+
+    fn batch(&self) -> MutexGuard<'_, WgpuBatch> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Batch for Seats {
+    fn engine(&self, world: usize) -> Box<dyn Engine> {
+        Box::new(self.seat(world))
+    }
+
+    fn steps(&mut self, dt: f64, count: usize, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
+        self.batch().steps(dt, count, turns)
+    }
+
+    fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
+        self.batch().replace(world, new)
+    }
+}
+
+impl Engine for Seat {
+    fn bound(&self) -> Bound {
+        self.seats.batch().worlds[self.world].bound()
+    }
+
+    fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
+        let mut reports = self.steps(time, dt, 1, couplings)?;
+        Ok(reports.pop().expect("at least one step"))
+    }
+
+    fn steps(
+        &mut self,
+        time: f64,
+        dt: f64,
+        count: usize,
+        couplings: &mut [Box<dyn Coupling>],
+    ) -> Result<Vec<StepReport>> {
+        let turn = Turn { world: self.world, time, couplings };
+        self.seats.batch().steps(dt, count, &mut [turn])?.pop().expect("a report for each turn")
+    }
+
+    fn download(&self) -> ParticleState {
+        let batch = self.seats.batch();
+        let world = &batch.worlds[self.world];
+        // A device that is lost has no particles left; the next step says so.
+        let Ok((lists, homes, planes)) = batch.lists(self.world) else { return ParticleState::default() };
+        let rhythm = batch.rhythm(self.world);
+        let blocks = planes.counts(&homes, world.materials.len());
+        let sort = Some(SortPhase {
+            age: rhythm.age,
+            drift: vec![f64::from(rhythm.drift)],
+            measured: Measured { stiffness_bound: world.stiffness.dt, stiffness_age: world.stiffness_age },
+            rest: vec![0; blocks.len()],
+            blocks,
+            kept_for: vec![None],
+        });
+        ParticleState { lists, sort, ..ParticleState::default() }
+    }
+
+    fn upload(&mut self, particles: ParticleState) -> Result<()> {
+        let mut batch = self.seats.batch();
+        batch.settle()?;
+        batch.take_in(vec![(self.world, particles)])
+    }
+
+    fn particle_count(&self) -> usize {
+        self.seats.batch().worlds[self.world].particles.len()
+    }
+
+    fn account(&self, ledger: &mut Ledger) {
+        let batch = self.seats.batch();
+        let world = &batch.worlds[self.world];
+        if let Ok((lists, ..)) = batch.lists(self.world) {
+            account::add_particles(ledger, &lists, &world.materials, &world.scene, batch.h);
+        }
+        let pending = batch.pending_walls();
+        for d in 0..3 {
+            ledger.wall_impulse[d] += world.wall_impulse[d] + pending[d];
+            ledger.gravity_impulse[d] += world.gravity_impulse[d];
+        }
+        ledger.count("steps shortened for speed", world.shortened);
+        ledger.count("particles' steps with strain applied in parts", world.parted);
+    }
+
+    /// Of the whole batch: passes are shared.
+    fn timings(&self) -> Vec<Timing> {
+        let batch = self.seats.batch();
+        let timing = |(name, clock): (&&str, &crate::batch::Clock)| Timing {
+            effect: (*name).to_owned(),
+            seconds: clock.measured.0 / clock.measured.1.max(1) as f64 * clock.passes as f64,
+            passes: clock.passes,
+        };
+        let mut timings: Vec<_> = batch.clocks.of.iter().map(timing).collect();
+        let (seconds, passes) = batch.contact_seconds;
+        if passes > 0 {
+            timings.push(Timing { effect: "contact".into(), seconds, passes });
+        }
+        timings
+    }
+
+    /// The world's share of the batch's, by particles.
+    fn memory(&self) -> (u64, u64) {
+        let batch = self.seats.batch();
+        let all: usize = batch.worlds.iter().map(|world| world.particles.len()).sum();
+        let own = batch.worlds[self.world].particles.len();
+        let share = |bytes: u64| (u128::from(bytes) * own as u128 / all.max(1) as u128) as u64;
+        let (particles, grid) = batch.memory.bytes();
+        if batch.worlds.len() == 1 { (particles, grid) } else { (share(particles), share(grid)) }
+    }
+}

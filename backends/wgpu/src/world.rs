@@ -1,0 +1,243 @@
+//! What the host knows of a world of a batch.
+
+use crate::kernels::parameter_vectors;
+use crate::memory::Layer;
+use crate::stiffness;
+use barchan_abi as abi;
+use barchan_core::backend::Bound;
+use barchan_core::plan::PlannedMaterial;
+use barchan_core::{ParticleList, Plan, Result, Scene, SortPhase, Vec3};
+use std::ops::Range;
+
+/// Whenever so many steps have passed since its last sort, a world is sorted if its particles may have drifted by more than
+/// [`SORT_DRIFT`].
+pub(crate) const SORT_AGE: u32 = 20;
+/// A sort that finds nobody far from home is not worth its time [cells].
+pub(crate) const SORT_DRIFT: f32 = 0.1;
+/// Whenever so many have passed, if they may have drifted by more than [`OFTEN_DRIFT`].
+pub(crate) const SORT_OFTEN: u32 = 4;
+/// As much again in as many steps is what tiles allow for [cells].
+pub(crate) const OFTEN_DRIFT: f32 = 0.5;
+/// Tiles allow for this much drift since the last sort, in cells.
+pub(crate) const MAX_DRIFT: f32 = 1.0;
+/// No particle may move further in a step, in cells.
+const MAX_MOVE: f64 = 0.5;
+/// From how many times the least mass on a node's speed counts in full; see the backend cpu.
+pub(crate) const FELT: f64 = 1e17;
+
+/// When a world is sorted. This goes by its own steps and its own particles' drift since its last sort alone, so that it does not matter
+/// how steps are cut into submissions, or what other worlds do. `rhythm.wgsl` is the same rule on the device.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Rhythm {
+    /// Steps since the last sort.
+    pub(crate) age: u32,
+    /// Upper bound of the drift since then [cells], summed in the order and the number format of the device.
+    pub(crate) drift: f32,
+}
+
+impl Rhythm {
+    /// Must the world be sorted before its next step?
+    pub(crate) fn is_due(self) -> bool {
+        let every = |steps: u32| self.age.is_multiple_of(steps);
+        // NaN is due.
+        self.drift.is_nan()
+            || self.drift > MAX_DRIFT
+            || (every(SORT_OFTEN) && self.drift > OFTEN_DRIFT)
+            || (every(SORT_AGE) && self.drift > SORT_DRIFT)
+    }
+
+    /// After a step in which particles moved by up to `moved` cells.
+    pub(crate) fn after(self, moved: f32) -> Self {
+        Self { age: self.age + 1, drift: self.drift + moved }
+    }
+}
+
+/// The part of the directory that covers a world: first block, blocks along each axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Span {
+    pub(crate) first: [i32; 3],
+    pub(crate) size: [i32; 3],
+}
+
+/// A world of a batch.
+pub(crate) struct World {
+    pub(crate) materials: Vec<PlannedMaterial>,
+    pub(crate) scene: Scene,
+    h: f64,
+    /// Slots of its particles, and its blocks and node blocks since the last sort.
+    pub(crate) particles: Range<usize>,
+    pub(crate) blocks: Range<usize>,
+    pub(crate) node_blocks: Range<usize>,
+    /// Least and greatest block.
+    pub(crate) reach: ([i32; 3], [i32; 3]),
+    pub(crate) span: Span,
+    pub(crate) rhythm: Rhythm,
+    /// Greatest speed of any particle along an axis [m/s].
+    pub(crate) particle_speed: f64,
+    pub(crate) last_dt: f64,
+    /// Nodes lighter than this carry nothing [kg].
+    pub(crate) least_mass: f64,
+    pub(crate) stiffness: Bound,
+    /// Of the laws that do not harden.
+    pub(crate) unchanging: Bound,
+    /// The least of each material [kg/m³].
+    pub(crate) densities: Vec<f64>,
+    pub(crate) stiffness_age: u32,
+    pub(crate) hardens: bool,
+    pub(crate) spoilt: bool,
+    pub(crate) steps: u64,
+    mass: f64,
+    pub(crate) shortened: u64,
+    pub(crate) parted: u64,
+    pub(crate) wall_impulse: Vec3,
+    pub(crate) gravity_impulse: Vec3,
+}
+
+impl World {
+    /// A world without particles.
+    pub(crate) fn new(plan: &Plan) -> Self {
+        let unbounded = || Bound { dt: f64::INFINITY, by: "nothing".into() };
+        Self {
+            materials: plan.materials.clone(),
+            scene: plan.scene.clone(),
+            h: plan.cell_widths[0],
+            particles: 0..0,
+            blocks: 0..0,
+            node_blocks: 0..0,
+            reach: Default::default(),
+            span: Span::default(),
+            rhythm: Rhythm::default(),
+            particle_speed: 0.0,
+            last_dt: 0.0,
+            least_mass: 0.0,
+            stiffness: unbounded(),
+            unchanging: unbounded(),
+            densities: Vec::new(),
+            stiffness_age: 0,
+            hardens: plan.materials.iter().any(|m| m.material.has(abi::BARCHAN_CAP_HARDENS)),
+            spoilt: false,
+            steps: 0,
+            mass: 0.0,
+            shortened: 0,
+            parted: 0,
+            wall_impulse: [0.0; 3],
+            gravity_impulse: [0.0; 3],
+        }
+    }
+
+    /// What the device knows of it, with its part of the directory from `first_place` on.
+    pub(crate) fn layer(&self, first_place: u32, on: bool) -> Layer {
+        let felt = if self.least_mass > 0.0 { 1.0 / (self.least_mass * FELT) } else { f64::from(f32::MAX) };
+        Layer {
+            box_min: self.span.first,
+            first_place,
+            box_size: self.span.size,
+            places: self.places() as u32,
+            on: u32::from(on),
+            age: self.rhythm.age,
+            drift: self.rhythm.drift,
+            least: self.least_mass as f32,
+            felt: felt as f32,
+            first_particle: self.particles.start as u32,
+            pad: [0; 2],
+        }
+    }
+
+    /// Places of the directory, at least one.
+    pub(crate) fn places(&self) -> u64 {
+        self.span.size.iter().fold(1, |n: u64, &size| n.saturating_mul(size.max(1) as u64))
+    }
+
+    /// The greatest stable step.
+    pub(crate) fn bound(&self) -> Bound {
+        let speed = MAX_MOVE * self.h / self.particle_speed;
+        if speed < self.stiffness.dt && speed > 0.0 {
+            Bound { dt: speed, by: "particle speed: no particle may move further than half a cell in a step".into() }
+        } else {
+            self.stiffness.clone()
+        }
+    }
+
+    /// What depends on the particles as they come in.
+    pub(crate) fn take_stock(&mut self, lists: &[ParticleList], sort: Option<&SortPhase>) -> Result<()> {
+        let masses = lists.iter().flat_map(|list| &list.mass);
+        let least = masses.clone().copied().fold(f64::INFINITY, f64::min);
+        self.mass = masses.sum();
+        self.least_mass = if least.is_finite() { least * 1e-20 } else { 0.0 };
+        let speeds = lists.iter().flat_map(|list| &list.velocity).flatten();
+        self.particle_speed = speeds.fold(0.0, |most: f64, v| if v.is_nan() { *v } else { most.max(v.abs()) });
+        if !self.spoilt {
+            self.measure_stiffness(lists)?;
+        }
+        // Without a phase, they lie as a sort would put them.
+        self.rhythm = Rhythm::default();
+        if let Some(sort) = sort {
+            let drift = sort.drift.first().map_or(MAX_DRIFT, |drift| *drift as f32);
+            self.rhythm = Rhythm { age: sort.age, drift };
+            self.stiffness.dt = sort.measured.stiffness_bound;
+            self.stiffness_age = sort.measured.stiffness_age;
+        }
+        Ok(())
+    }
+
+    fn measure_stiffness(&mut self, lists: &[ParticleList]) -> Result<()> {
+        self.stiffness_age = 0;
+        self.stiffness = stiffness::bound(lists, &self.materials, self.h)?;
+        self.unchanging = self.stiffness.clone();
+        if self.hardens {
+            let hardens = |m: u32| self.materials[m as usize].material.has(abi::BARCHAN_CAP_HARDENS);
+            let others: Vec<_> = lists.iter().filter(|list| !hardens(list.material)).cloned().collect();
+            self.unchanging = stiffness::bound(&others, &self.materials, self.h)?;
+        }
+        let density = |list: &ParticleList| {
+            list.mass.iter().zip(&list.volume0).fold(f64::INFINITY, |least, (m, v)| least.min(m / v))
+        };
+        self.densities = lists.iter().map(density).collect();
+        Ok(())
+    }
+
+    pub(crate) fn book_gravity(&mut self, time: f64, dt: f64, steps: usize) {
+        for s in 0..steps {
+            let gravity = self.scene.gravity_at(time + s as f64 * dt);
+            for (impulse, g) in self.gravity_impulse.iter_mut().zip(gravity) {
+                *impulse += self.mass * g * dt;
+            }
+        }
+    }
+}
+
+/// The materials' parameters of a world, as passes read them.
+pub(crate) fn parameters(plan: &Plan) -> Vec<[f32; 4]> {
+    let mut values: Vec<f32> = plan.materials.iter().flat_map(|m| &m.parameters).map(|&p| p as f32).collect();
+    values.resize(4 * parameter_vectors(plan), 0.0);
+    values.chunks_exact(4).map(|v| [v[0], v[1], v[2], v[3]]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Steps between sorts at a steady speed, in cells a step.
+    fn between(speed: f32) -> Vec<u32> {
+        let (mut rhythm, mut ages) = (Rhythm::default(), Vec::new());
+        for _ in 0..200 {
+            if rhythm.is_due() {
+                ages.push(rhythm.age);
+                rhythm = Rhythm::default();
+            }
+            rhythm = rhythm.after(speed);
+            assert!(rhythm.drift <= MAX_DRIFT + 0.5, "tiles do not allow for {} cells", rhythm.drift);
+        }
+        ages
+    }
+
+    #[test]
+    fn ground_at_rest_is_not_sorted_and_fast_ground_before_it_leaves_its_tiles() {
+        assert!(between(0.0).is_empty());
+        assert!(between(1e-4).is_empty());
+        assert!(between(0.01).iter().all(|age| *age == 20));
+        assert!(between(0.1).iter().all(|age| *age == 8));
+        assert!(between(0.24).iter().all(|age| *age == 4));
+        assert!(between(0.48).iter().all(|age| *age <= 3));
+    }
+}

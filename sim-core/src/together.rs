@@ -1,0 +1,134 @@
+//! Worlds that a backend steps together.
+
+use crate::backend::{Batch, NewWorld};
+use crate::simulation::{Wish, find_backend};
+use crate::{Error, Options, Plan, Registry, Result, Scene, Simulation, StepReport};
+use std::fmt;
+
+/// Simulations whose engines are the worlds of one batch.
+///
+/// Each is a simulation like any other, with its own time, bodies and ledger, but their steps are taken together and are of the same length:
+/// the least that any of them would take alone.
+pub struct Together {
+    batch: Box<dyn Batch>,
+    backend: String,
+    worlds: Vec<Simulation>,
+}
+
+impl fmt::Debug for Together {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Together").field("backend", &self.backend).field("worlds", &self.worlds).finish_non_exhaustive()
+    }
+}
+
+impl Together {
+    /// Assembles and compiles one world for each scene; `None` if there are none, or if the backend does not step worlds together.
+    ///
+    /// # Errors
+    /// Those of [`Simulation::new`] for the first world that cannot be assembled, and of [`crate::Backend::compile_batch`].
+    pub fn new(registry: &Registry, scenes: &[Scene], options: &Options) -> Result<Option<Self>> {
+        if scenes.is_empty() {
+            return Ok(None);
+        }
+        let backend = find_backend(registry, options)?;
+        let assembled =
+            scenes.iter().map(|scene| Plan::assemble(registry, scene, options)).collect::<Result<Vec<_>>>()?;
+        let (mut plans, mut states) = (Vec::new(), Vec::new());
+        for (plan, particles, couplings) in assembled {
+            plans.push((plan, couplings));
+            states.push(particles);
+        }
+        let new =
+            plans.iter().zip(states).map(|((plan, couplings), particles)| NewWorld { plan, particles, couplings });
+        let Some(batch) = backend.compile_batch(new.collect()).transpose()? else { return Ok(None) };
+        let worlds = plans.into_iter().enumerate().map(|(world, (plan, couplings))| {
+            Simulation::in_batch(plan, backend.name(), batch.engine(world), couplings)
+        });
+        let worlds = worlds.collect();
+        Ok(Some(Self { batch, backend: backend.name().to_owned(), worlds }))
+    }
+
+    /// The worlds in their order.
+    pub fn worlds(&self) -> &[Simulation] {
+        &self.worlds
+    }
+
+    /// The worlds, to act on. One that is stepped here goes alone, and one that is [swapped](Simulation::swap) to another engine goes
+    /// on beside the batch.
+    pub fn worlds_mut(&mut self) -> &mut [Simulation] {
+        &mut self.worlds
+    }
+
+    /// Up to `most` steps of every world, the same number and of the same length for all that succeed. A world that fails stays as it was and
+    /// says why; the others have taken their steps.
+    pub fn steps(&mut self, most: usize) -> Vec<Result<Vec<StepReport>>> {
+        let mut results: Vec<Option<Result<Vec<StepReport>>>> = Vec::new();
+        let mut wishes = Vec::new();
+        for (w, world) in self.worlds.iter_mut().enumerate() {
+            let wish = if world.is_in_batch() { world.wish(most, f64::INFINITY).map(Some) } else { Ok(None) };
+            results.push(match wish {
+                Ok(Some(wish)) => {
+                    wishes.push((w, wish));
+                    None
+                }
+                Ok(None) => Some(world.step().map(|report| vec![report])),
+                Err(error) => Some(Err(error)),
+            });
+        }
+        for (w, result) in self.take(&wishes) {
+            results[w] = Some(result);
+        }
+        results.into_iter().map(|result| result.expect("every world has a wish or a result")).collect()
+    }
+
+    /// Takes the steps that all wishes allow.
+    fn take(&mut self, wishes: &[(usize, Wish)]) -> Vec<(usize, Result<Vec<StepReport>>)> {
+        let dt = wishes.iter().fold(f64::INFINITY, |least, (_, wish)| least.min(wish.dt));
+        let count = wishes.iter().fold(usize::MAX, |least, (_, wish)| least.min(wish.count));
+        // A stop is reached by steps of the length that was chosen for it.
+        let common = |wish: &Wish| Wish { dt, to_stop: if wish.dt == dt { wish.to_stop } else { usize::MAX }, ..*wish };
+        let before: Vec<_> = wishes.iter().map(|(w, wish)| self.worlds[*w].begin(wish)).collect();
+        let going = |w: usize| wishes.iter().any(|wish| wish.0 == w);
+        let worlds = self.worlds.iter_mut().enumerate().filter(|(w, _)| going(*w));
+        let mut turns: Vec<_> = worlds.map(|(w, world)| world.turn(w)).collect();
+        if turns.is_empty() {
+            return Vec::new();
+        }
+        let results = self
+            .batch
+            .steps(dt, count, &mut turns)
+            .unwrap_or_else(|error| all_failed(&self.backend, error, wishes.len()));
+        let taken = wishes.iter().zip(&before).zip(results);
+        taken.map(|(((w, wish), before), result)| (*w, self.worlds[*w].finish(&common(wish), before, result))).collect()
+    }
+
+    /// Puts a world at the start of a scene, in the place of another.
+    ///
+    /// # Errors
+    /// Those of [`Simulation::new`] and of [`Batch::replace`]; the world is as it was then.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn replace(&mut self, world: usize, registry: &Registry, scene: &Scene, options: &Options) -> Result<()> {
+        let (plan, particles, couplings) = Plan::assemble(registry, scene, options)?;
+        self.batch.replace(world, NewWorld { plan: &plan, particles, couplings: &couplings })?;
+        let engine = self.batch.engine(world);
+        self.worlds[world] = Simulation::in_batch(plan, &self.backend, engine, couplings);
+        Ok(())
+    }
+}
+
+/// An error of all worlds.
+fn all_failed(backend: &str, error: Error, count: usize) -> Vec<Result<Vec<StepReport>>> {
+    let text = error.to_string();
+    let same = |_| {
+        Err(Error::Device {
+            backend: backend.to_owned(),
+            device: "the device that worlds share".to_owned(),
+            what: text.clone(),
+            mend: "resume from the last snapshots".to_owned(),
+        })
+    };
+    let others: Vec<_> = (1..count).map(same).collect();
+    std::iter::once(Err(error)).chain(others).collect()
+}
