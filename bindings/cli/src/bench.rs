@@ -4,8 +4,10 @@ mod accuracy;
 mod scale;
 
 use crate::EngineArgs;
+use barchan::backend::Timing;
 use barchan::picture::Chart;
 use barchan::scene::{MaterialSpec, Motion, OverBound, Sampling};
+use barchan::worlds::Worlds;
 use barchan::{Error, Registry, Result, Scene, Simulation};
 use clap::{Args, Subcommand};
 use serde::Serialize;
@@ -54,6 +56,9 @@ pub(crate) struct Throughput {
     /// What the bed does.
     #[arg(long, value_enum, default_value_t = Ground::Struck)]
     ground: Ground,
+    /// Worlds of it, which differ in their random seeds, stepped together.
+    #[arg(long, default_value_t = 1)]
+    worlds: usize,
     #[command(flatten)]
     effort: Effort,
     #[command(flatten)]
@@ -121,18 +126,70 @@ fn material(registry: &Registry, law: &str, name: &str) -> Result<MaterialSpec> 
     })
 }
 
-/// Takes steps, as many at once as the backend likes.
-fn advance(simulation: &mut Simulation, steps: u32) -> Result<()> {
-    let mut left = steps as usize;
-    while left > 0 {
-        left -= simulation.steps(left, f64::INFINITY)?.len();
-    }
-    Ok(())
+/// What is timed: a simulation, or worlds.
+enum Subject {
+    One(Box<Simulation>),
+    Worlds(Box<Worlds>),
 }
 
-/// A simulation that is timed in repetitions of some steps.
+impl Subject {
+    /// So many worlds of a scene; one has all threads.
+    fn new(registry: &Registry, scene: &Scene, engine: &EngineArgs, worlds: usize) -> Result<Self> {
+        if worlds == 1 {
+            return Ok(Self::One(Box::new(Simulation::new(registry, scene, &engine.options())?)));
+        }
+        Ok(Self::Worlds(Box::new(Worlds::of(registry, scene, worlds, scene.seed, &engine.options())?)))
+    }
+
+    /// Takes steps, as many at once as the backend likes.
+    fn advance(&mut self, steps: u32) -> Result<()> {
+        let mut left = steps as usize;
+        match self {
+            Self::One(simulation) => {
+                while left > 0 {
+                    left -= simulation.steps(left, f64::INFINITY)?.len();
+                }
+                Ok(())
+            }
+            Self::Worlds(worlds) => worlds.steps(left).into_iter().try_for_each(|reports| reports.map(drop)),
+        }
+    }
+
+    fn all(&self) -> Vec<&Simulation> {
+        match self {
+            Self::One(simulation) => vec![&**simulation],
+            Self::Worlds(worlds) => worlds.iter().collect(),
+        }
+    }
+
+    /// Time by effect: of all worlds, or of the batch that they are.
+    fn timings(&self) -> Vec<Timing> {
+        let together = matches!(self, Self::Worlds(worlds) if worlds.are_together());
+        let mut sums: Vec<Timing> = Vec::new();
+        for timing in self.all().into_iter().take(if together { 1 } else { usize::MAX }).flat_map(Simulation::timings) {
+            match sums.iter_mut().find(|sum| sum.effect == timing.effect) {
+                Some(sum) => {
+                    sum.seconds += timing.seconds;
+                    sum.passes += timing.passes;
+                }
+                None => sums.push(timing),
+            }
+        }
+        sums
+    }
+
+    fn particles(&self) -> usize {
+        self.all().iter().map(|world| world.particle_count()).sum()
+    }
+
+    fn bytes(&self) -> u64 {
+        self.all().iter().map(|world| world.memory().0).sum()
+    }
+}
+
+/// A subject that is timed in repetitions of some steps.
 struct Timed {
-    simulation: Simulation,
+    subject: Subject,
     /// Wall seconds of each repetition, in order.
     seconds: Vec<f64>,
     steps: u32,
@@ -140,29 +197,32 @@ struct Timed {
 }
 
 impl Timed {
-    fn new(registry: &Registry, scene: &Scene, engine: &EngineArgs, effort: &Effort) -> Result<Self> {
-        let mut simulation = Simulation::new(registry, scene, &engine.options())?;
-        advance(&mut simulation, effort.warm_up)?;
-        Ok(Self { simulation, seconds: Vec::new(), steps: effort.steps.max(1), passes: 0.0 })
+    fn new(mut subject: Subject, effort: &Effort) -> Result<Self> {
+        subject.advance(effort.warm_up)?;
+        Ok(Self { subject, seconds: Vec::new(), steps: effort.steps.max(1), passes: 0.0 })
     }
     fn repeat(&mut self) -> Result<()> {
-        let passes = |s: &Simulation| s.timings().iter().map(|t| t.passes).sum::<u64>();
-        let before = passes(&self.simulation);
+        let passes = |s: &Subject| s.timings().iter().map(|t| t.passes).sum::<u64>();
+        let before = passes(&self.subject);
         let start = Instant::now();
-        advance(&mut self.simulation, self.steps)?;
+        self.subject.advance(self.steps)?;
         self.seconds.push(start.elapsed().as_secs_f64());
-        self.passes = (passes(&self.simulation) - before) as f64 / f64::from(self.steps);
+        self.passes = (passes(&self.subject) - before) as f64 / f64::from(self.steps);
         Ok(())
+    }
+    /// The first world, or the only one.
+    fn simulation(&self) -> &Simulation {
+        self.subject.all()[0]
     }
     /// Median seconds of a step.
     fn step(&self) -> f64 {
         median(&self.seconds) / f64::from(self.steps)
     }
     fn particles(&self) -> f64 {
-        self.simulation.particle_count() as f64
+        self.subject.particles() as f64
     }
     fn bytes_per_particle(&self) -> f64 {
-        self.simulation.memory().0 as f64 / self.particles()
+        self.subject.bytes() as f64 / self.particles()
     }
 }
 
@@ -220,20 +280,21 @@ fn throughput(args: &Throughput) -> Result<()> {
         scene.time.over_bound = OverBound::Substep;
     }
     let start = Instant::now();
-    let mut timed = Timed::new(&registry, &scene, &args.engine, &args.effort)?;
+    let subject = Subject::new(&registry, &scene, &args.engine, args.worlds.max(1))?;
+    let mut timed = Timed::new(subject, &args.effort)?;
     let start_up = start.elapsed().as_secs_f64();
     for _ in 0..args.effort.repetitions.max(1) {
         timed.repeat()?;
     }
     let rate = timed.particles() / timed.step();
     let best = timed.particles() * f64::from(timed.steps) / timed.seconds.iter().copied().fold(f64::INFINITY, f64::min);
-    let timings = timed.simulation.timings();
-    let steps = timed.simulation.step_count() as f64;
+    let timings = timed.subject.timings();
+    let steps = timed.simulation().step_count() as f64;
     if args.effort.json {
         let effect = |t: &barchan::backend::Timing| json!({ "effect": t.effect, "ms_per_step": 1e3 * t.seconds / steps, "passes": t.passes });
         let figures = json!({
             "particle_steps_per_s": rate, "best": best, "ms_per_step": 1e3 * timed.step(), "material": args.material,
-            "grid": args.grid, "particles": timed.simulation.particle_count(), "precision": args.engine.precision,
+            "grid": args.grid, "worlds": args.worlds, "particles": timed.subject.particles(), "precision": args.engine.precision,
             "threads": args.engine.threads, "steps": timed.steps, "repetitions_s": timed.seconds,
             "bytes_per_particle": timed.bytes_per_particle(), "peak_memory": barchan::run::peak_memory(),
             "start_and_warm_up_s": start_up, "effects": timings.iter().map(effect).collect::<Vec<_>>(),
@@ -242,9 +303,10 @@ fn throughput(args: &Throughput) -> Result<()> {
         return Ok(());
     }
     println!(
-        "{}, {} particles, {} threads, {}: {:.2} million particle_steps_per_s (best {:.2}), {:.3} ms a step, {:.0} bytes a particle",
+        "{}, {}{} particles, {} threads, {}: {:.2} million particle_steps_per_s (best {:.2}), {:.3} ms a step, {:.0} bytes a particle",
         args.material,
-        timed.simulation.particle_count(),
+        if args.worlds > 1 { format!("{} worlds, in all ", args.worlds) } else { String::new() },
+        timed.subject.particles(),
         args.engine.threads,
         args.engine.precision,
         1e-6 * rate,
@@ -346,7 +408,7 @@ struct Line {
 fn effects(args: &Effects) -> Result<()> {
     let registry = args.engine.registry()?;
     let rows = rows(&registry, args.grid)?;
-    let timed = |scene: &Scene| Timed::new(&registry, scene, &args.engine, &args.effort);
+    let timed = |scene: &Scene| Timed::new(Subject::new(&registry, scene, &args.engine, 1)?, &args.effort);
     let repetitions = args.effort.repetitions.max(1);
     let mut table = Vec::new();
     for row in &rows {

@@ -1,6 +1,6 @@
 //! `barchan bench scale`: the ground grows, the tool and the finest cell do not.
 
-use super::{Effort, Timed};
+use super::{Effort, Subject, Timed};
 use crate::EngineArgs;
 use barchan::picture::{Chart, Series};
 use barchan::{Error, Plan, Registry, Result, Scene};
@@ -152,19 +152,19 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
 fn measure(args: &Scale, registry: &Registry, extents: &[f64], levels: u32, reach: u32) -> Result<Vec<Row>> {
     let beds = extents.iter().map(|&extent| prepare(args, registry, extent, levels, reach));
     let mut beds = beds.collect::<Result<Vec<_>>>()?;
-    let clock = |timed: &Timed| (timed.simulation.time(), timed.simulation.step_count());
+    let clock = |timed: &Timed| (timed.simulation().time(), timed.simulation().step_count());
     let begins: Vec<_> = beds.iter().map(|(_, timed)| timed.as_ref().map(clock)).collect();
     for _ in 0..args.effort.repetitions.max(1) {
         beds.iter_mut().filter_map(|(_, timed)| timed.as_mut()).try_for_each(Timed::repeat)?;
     }
     let finish = |((row, timed), begin): (Bed, Option<(f64, u64)>)| {
         let Some((timed, (time, steps))) = timed.zip(begin) else { return row };
-        let (in_particles, in_grid) = timed.simulation.memory();
-        let steps = (timed.simulation.step_count() - steps) as f64;
+        let (in_particles, in_grid) = timed.simulation().memory();
+        let steps = (timed.simulation().step_count() - steps) as f64;
         Row {
-            particles: timed.simulation.particle_count(),
+            particles: timed.simulation().particle_count(),
             ms_per_step: Some(1e3 * timed.step()),
-            step_ms: Some(1e3 * (timed.simulation.time() - time) / steps),
+            step_ms: Some(1e3 * (timed.simulation().time() - time) / steps),
             memory_bytes: Some(in_particles + in_grid),
             ..row
         }
@@ -195,7 +195,8 @@ fn prepare(args: &Scale, registry: &Registry, extent: f64, levels: u32, reach: u
     if row.particles > args.cap {
         return Ok((Row { skipped: Some(format!("more than {} particles", args.cap)), ..row }, None));
     }
-    match Timed::new(registry, &scene, &args.engine, &args.effort) {
+    let timed = Subject::new(registry, &scene, &args.engine, 1).and_then(|subject| Timed::new(subject, &args.effort));
+    match timed {
         Ok(timed) => Ok((row, Some(timed))),
         Err(error @ Error::Missing { .. }) => Ok((Row { skipped: Some(error.to_string()), ..row }, None)),
         Err(error) => Err(error),
