@@ -719,21 +719,22 @@ impl WgpuEngine {
         self.node_blocks = Some(homes.nodes.clone());
         self.survey_box(1)?;
 
-        let write = |sorted, bytes: &[u8]| {
+        let write = |role, bytes: &[u8]| {
             const PART: usize = 64 << 20;
+            let buffer = self.memory.buffer(role, self.memory.now);
             for (i, part) in bytes.chunks(PART).enumerate() {
-                self.gpu.queue.write_buffer(self.memory.plane(sorted), (i * PART) as u64, part);
+                self.gpu.queue.write_buffer(buffer, (i * PART) as u64, part);
                 self.gpu.queue.submit([]);
             }
         };
         let extent = self.memory.extent;
         let entries = homes.entries(extent.block_room as usize, extent.node_room as usize, &self.periods);
-        write(Sorted::Record, bytemuck::cast_slice(&planes.record));
-        write(Sorted::Ids, bytemuck::cast_slice(&planes.ids));
-        write(Sorted::Rest, bytemuck::cast_slice(&planes.rest));
-        write(Sorted::Lists, bytemuck::cast_slice(&entries));
-        write(Sorted::Cells, bytemuck::cast_slice(&homes.cells));
-        self.gpu.queue.write_buffer(self.memory.buffer(Role::Owners, 0), 0, bytemuck::cast_slice(&homes.owners()));
+        write(Role::Now(Sorted::Record), bytemuck::cast_slice(&planes.record));
+        write(Role::Now(Sorted::Ids), bytemuck::cast_slice(&planes.ids));
+        write(Role::Now(Sorted::Rest), bytemuck::cast_slice(&planes.rest));
+        write(Role::Now(Sorted::Lists), bytemuck::cast_slice(&entries));
+        write(Role::Now(Sorted::Cells), bytemuck::cast_slice(&homes.cells));
+        write(Role::Owners, bytemuck::cast_slice(&planes.owners(&homes, slots)));
         let places: Vec<[u32; 2]> = self.directory(&homes);
         self.gpu.queue.write_buffer(self.memory.buffer(Role::Directory, 0), 0, bytemuck::cast_slice(&places));
         self.write_words(BLOCKS, &[homes.blocks.len() as u32, homes.nodes.len() as u32]);

@@ -31,7 +31,7 @@ pub(crate) enum Role {
     Keys,
     Loose,
     Order,
-    /// Each particle's block.
+    /// Each particle's block and mass.
     Owners,
     Pairs,
     /// Poses and motions of bodies, for each step of a submission.
@@ -58,7 +58,7 @@ const SUMS: Use = ("sums", "vec2<u32>", Role::Sums, false);
 const KEYS: Use = ("keys", "vec2<u32>", Role::Keys, false);
 const LOOSE: Use = ("loose", "u32", Role::Loose, false);
 const ORDER: Use = ("order", "u32", Role::Order, false);
-const OWNERS: Use = ("owners", "u32", Role::Owners, false);
+const OWNERS: Use = ("owners", "vec2<u32>", Role::Owners, false);
 const COUNTS: Use = ("counts", "u32", Role::Next(Sorted::Cells), false);
 const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
@@ -825,7 +825,7 @@ fn sort() -> Vec<Draft> {
             "rank",
             "rank",
             include_str!("wgsl/sort_rank.wgsl"),
-            vec![COUNTS, KEYS, LOOSE, written(ORDER), written(OWNERS), STATUS],
+            vec![COUNTS, KEYS, LOOSE, RECORD, written(ORDER), written(OWNERS), STATUS],
             Groups::ParticlesBy(128),
         ),
         draft(

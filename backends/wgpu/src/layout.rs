@@ -4,7 +4,6 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, ParticleState, Result};
 use barchan_grid::block::{NONE, REACH, offset};
 use std::collections::BTreeMap;
-use std::iter::repeat_n;
 
 /// Vectors of four in a particle's record.
 pub(crate) const RECORD: usize = 6;
@@ -135,12 +134,6 @@ impl Homes {
         entries
     }
 
-    /// The block of each particle.
-    pub(crate) fn owners(&self) -> Vec<u32> {
-        let of_block = |b: usize| repeat_n(b as u32, (self.cells[64 * b + 64] - self.cells[64 * b]) as usize);
-        (0..self.blocks.len()).flat_map(of_block).collect()
-    }
-
     /// Least and greatest block, if there is any.
     pub(crate) fn extent(&self) -> Option<(Block, Block)> {
         let least =
@@ -235,6 +228,13 @@ impl Planes {
         let volume = volume(self.rest.len(), q, slots);
         self.rest[volume][3] = list.volume0[i] as f32;
         Ok(())
+    }
+
+    /// Block and mass of each particle.
+    pub(crate) fn owners(&self, homes: &Homes, slots: usize) -> Vec<[u32; 2]> {
+        let mass = |q: u32| self.record[vector(q as usize, 1, slots)][3];
+        let of_block = |b: usize| (homes.cells[64 * b]..homes.cells[64 * b + 64]).map(move |q| [b as u32, mass(q)]);
+        (0..homes.blocks.len()).flat_map(of_block).collect()
     }
 
     /// The particles, one list a material, in the order of memory.

@@ -43,9 +43,9 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         return;
     }
     if q < extent.particles {
-        let b = owners[q];
+        let b = owners[q].x;
+        let mass = bitcast<f32>(owners[q].y);
         let p = record[vector(q, 0u)];
-        let mass = bitcast<f32>(record[vector(q, 1u)].w);
         var cell = cell_of(p.w);
         let f = vec3<f32>(p.xyz >> vec3<u32>(8u)) * 5.9604645e-8;
         let wx = weights(f.x);

@@ -152,24 +152,26 @@ fn fraction(p: vec4<u32>) -> vec3<f32> {
 @compute @workgroup_size(128)
 fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let b = group.y * extent.row + group.x;
+    let part = thread >> 6u;
+    let own = thread & 63u;
+    // Asked for before it is known whether there is such a block.
+    let here = min(b, extent.block_room - 1u);
+    let start = cells[here * 64u];
+    let end = cells[here * 64u + 64u];
+    var next = cells[here * 64u + own];
+    let stop = cells[here * 64u + own + 1u];
     if thread == 0u {
-        corner = lists[min(b, extent.block_room - 1u) * ENTRY].xyz * 4 - vec3<i32>(2);
+        corner = lists[here * ENTRY].xyz * 4 - vec3<i32>(2);
         walled = u32(reaches_wall());
         go = ready(b);
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
-    let start = cells[b * 64u];
-    let end = cells[b * 64u + 64u];
-    let part = thread >> 6u;
-    let own = thread & 63u;
     let own_cell = vec3<u32>(own >> 4u, (own >> 2u) & 3u, own & 3u);
     let home = tag_of(vec3<i32>(own_cell));
 
     // 1. Sums over those of each cell's particles that are still there. The others are listed.
-    var next = cells[b * 64u + own];
-    let stop = cells[b * 64u + own + 1u];
     $ZERO
     if part == 0u {
         $OWN_XY
