@@ -26,6 +26,9 @@ const STIFFNESS_AGE: u32 = 10;
 const TIMED: u64 = 16;
 /// And of it so many passes at most.
 const MOST_TIMED: usize = 64;
+/// After so many passes the device begins with a submission while the rest is still being written; each piece is three times the
+/// one before, since writing is faster than running.
+const PIECE: usize = 32;
 /// A world's places of the directory are rounded up to a multiple of this, so that no workgroup has those of two.
 const PLACES: u32 = 1024;
 
@@ -393,8 +396,13 @@ impl WgpuBatch {
         }
     }
 
-    pub(crate) fn write_step(&self, slot: usize, constants: &StepConstants) {
-        self.gpu.queue.write_buffer(&self.memory.steps, STEP_STRIDE * slot as u64, bytemuck::bytes_of(constants));
+    /// The constants of steps from a slot on: one write, since each takes the queue microseconds.
+    pub(crate) fn write_steps(&self, slot: usize, constants: &[StepConstants]) {
+        let mut bytes = vec![0; STEP_STRIDE as usize * constants.len()];
+        for (room, constants) in bytes.chunks_exact_mut(STEP_STRIDE as usize).zip(constants) {
+            room[..size_of::<StepConstants>()].copy_from_slice(bytemuck::bytes_of(constants));
+        }
+        self.gpu.queue.write_buffer(&self.memory.steps, STEP_STRIDE * slot as u64, &bytes);
     }
 
     pub(crate) fn write_words(&self, from: usize, words: &[u32]) {
@@ -493,7 +501,7 @@ impl WgpuBatch {
 
         // A sort moves the particles to the other set of buffers.
         let (mut now, mut step) = (self.memory.now, 0);
-        let mut parts = Vec::new();
+        let (mut parts, mut constants) = (Vec::new(), Vec::new());
         let kernels = &self.kernels;
         let contact: &[Kernel] = if let Contact::Device(contact) = &self.contact { &contact.kernels } else { &[] };
         // Gravity is the same for all: it depends on time only if there is one world.
@@ -506,7 +514,7 @@ impl WgpuBatch {
                 now = 1 - now;
             }
             for _ in 0..stretch.steps {
-                self.write_step(step, &self.step_constants(dt, gravity(step), step));
+                constants.push(self.step_constants(dt, gravity(step), step));
                 let to_nodes = [&kernels.p2g].into_iter().chain(&kernels.grid).chain(contact);
                 let passes = to_nodes.chain(&kernels.mirror).chain([&kernels.g2p]);
                 part.dispatches.extend(passes.map(|kernel| Dispatch { kernel, now, step }));
@@ -519,8 +527,9 @@ impl WgpuBatch {
             parts.push(part);
         }
         if count == 0 {
-            self.write_step(0, &self.step_constants(dt, gravity(0), 0));
+            constants.push(self.step_constants(dt, gravity(0), 0));
         }
+        self.write_steps(0, &constants);
         let parts = self.with_groups(parts);
         let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
         let status = Status::new(words, layout);
@@ -631,7 +640,8 @@ impl WgpuBatch {
                 count: 2 * first as u32,
             })
         });
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let fresh = || gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let (mut encoder, mut unsent, mut piece) = (fresh(), 0, PIECE);
         for (i, (part, groups)) in parts.iter().enumerate() {
             if let Some(now) = part.sorting {
                 encoder.clear_buffer(memory.buffer(Role::Flags, now), 0, None);
@@ -641,7 +651,14 @@ impl WgpuBatch {
             if !timed.is_empty() {
                 Self::encode(gpu, &mut encoder, memory, timed, queries.as_ref());
             }
-            Self::encode(gpu, &mut encoder, memory, rest, None);
+            for some in rest.chunks(PIECE) {
+                Self::encode(gpu, &mut encoder, memory, some, None);
+                unsent += some.len();
+                if unsent >= piece {
+                    gpu.queue.submit([std::mem::replace(&mut encoder, fresh()).finish()]);
+                    (unsent, piece) = (0, 3 * piece);
+                }
+            }
         }
         let status = memory.status_bytes();
         let mut bytes = status;
@@ -839,8 +856,19 @@ impl WgpuBatch {
 
     /// What the planes of a buffer hold of so many particles, plane by plane.
     fn stretch<T: bytemuck::Pod>(&self, sorted: Sorted, first: usize, count: usize) -> Result<Vec<T>> {
+        self.stretch_of(sorted, usize::MAX, first, count)
+    }
+
+    /// What the first planes of a buffer hold of so many particles.
+    fn stretch_of<T: bytemuck::Pod>(
+        &self,
+        sorted: Sorted,
+        planes: usize,
+        first: usize,
+        count: usize,
+    ) -> Result<Vec<T>> {
         let mut values = Vec::new();
-        for (from, bytes) in self.memory.stretches(sorted, first, count) {
+        for (from, bytes) in self.memory.stretches(sorted, first, count).into_iter().take(planes) {
             values.extend(read::<T>(&self.gpu, self.memory.plane(sorted), from, bytes as usize / size_of::<T>())?);
         }
         Ok(values)
@@ -984,7 +1012,7 @@ impl WgpuBatch {
         }
         for (dt, worlds) in by_step {
             self.write_layers(&self.layers(|w| worlds.contains(&w)));
-            self.write_step(0, &self.step_constants(f64::from_bits(dt), [0.0; 3], 0));
+            self.write_steps(0, &[self.step_constants(f64::from_bits(dt), [0.0; 3], 0)]);
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
             Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
@@ -1190,12 +1218,12 @@ impl WgpuBatch {
         let count = world.particles.len();
         if world.hardens && world.stiffness_age >= STIFFNESS_AGE && count > 0 {
             let rest = self.stretch(Sorted::Rest, world.particles.start, count)?;
-            let record = if world.materials.len() > 1 {
-                Some(self.stretch(Sorted::Record, world.particles.start, count)?)
+            let places = if world.materials.len() > 1 {
+                Some(self.stretch_of(Sorted::Record, 1, world.particles.start, count)?)
             } else {
                 None
             };
-            let held = Held { rest: &rest, record: record.as_deref(), slots: count, count };
+            let held = Held { rest: &rest, places: places.as_deref(), slots: count, count };
             let hardening = stiffness::bound_of_hardening(&held, &world.materials, &world.densities, self.h)?;
             let world = &mut self.worlds[w];
             world.stiffness = if hardening.dt < world.unchanging.dt { hardening } else { world.unchanging.clone() };

@@ -203,12 +203,12 @@ impl WgpuBatch {
             layers[WORLD].age = layers[WORLD].age.wrapping_sub(1);
         }
         self.write_layers(&layers);
-        self.write_step(1, &self.step_constants(dt, self.worlds[WORLD].scene.gravity_at(time), 1));
+        self.write_steps(1, &[self.step_constants(dt, self.worlds[WORLD].scene.gravity_at(time), 1)]);
         let words = self.words();
         self.write_words(HALTED, &[0, 0, u32::MAX]);
         self.write_words(words.of_sum(WORLD, SORTED), &[0]);
         if !self.pending {
-            self.write_words(words.of_step(0, WORLD, 0), &[0; PER_STEP]);
+            self.write_words(words.of_step(0, WORLD, 0), &[0, 0, self.worlds[WORLD].rhythm.drift.to_bits(), 0]);
         }
         self.write_words(words.of_step(1, WORLD, 0), &[0; PER_STEP]);
         let now = self.memory.now;
@@ -259,12 +259,15 @@ impl WgpuBatch {
     /// G2P, from nodes that are at most `speed` fast. Its numbers stay on the device until the next step asks for them.
     fn nodes_to_ground(&mut self, time: f64, dt: f64, speed: f64) -> Result<()> {
         let words = self.words();
-        self.write_step(0, &self.step_constants(dt, self.worlds[WORLD].scene.gravity_at(time), 0));
+        self.write_steps(0, &[self.step_constants(dt, self.worlds[WORLD].scene.gravity_at(time), 0)]);
         let sums = words.of_sum(WORLD, 0);
         self.write_words(sums, &vec![0; words.of_sum(WORLD + 1, 0) - sums]);
         // Rounding must not stop what has been let through.
         let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;
-        self.write_words(words.of_step(0, WORLD, 0), &[(speed as f32).min(allowed).to_bits(), 0, 0, 0]);
+        self.write_words(
+            words.of_step(0, WORLD, 0),
+            &[(speed as f32).min(allowed).to_bits(), 0, self.worlds[WORLD].rhythm.drift.to_bits(), 0],
+        );
         let now = self.memory.now;
         let passes = self.kernels.mirror.iter().chain([&self.kernels.g2p]).chain(&self.kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();

@@ -135,7 +135,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 5] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells];
-const SHARED: [Role; 12] = [
+const SHARED: [Role; 13] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -144,6 +144,7 @@ const SHARED: [Role; 12] = [
     Role::Keys,
     Role::Loose,
     Role::Order,
+    Role::Owners,
     Role::Pairs,
     Role::Bodies,
     Role::Partials,
@@ -160,6 +161,7 @@ fn shared_name(role: Role) -> &'static str {
         Role::Keys => "keys of the sort",
         Role::Loose => "cells of the sort",
         Role::Order => "order of the sort",
+        Role::Owners => "blocks and masses of particles",
         Role::Pairs => "pairs at walls",
         Role::Bodies => "poses of bodies",
         Role::Partials => "parts of impulses",
@@ -189,7 +191,7 @@ impl Extent {
             Role::Flags => 4 * places,
             Role::Directory => 8 * places,
             Role::Sums => 8 * places.div_ceil(1024).max(blocks),
-            Role::Keys => 8 * slots,
+            Role::Keys | Role::Owners => 8 * slots,
             Role::Loose | Role::Order => 4 * slots,
             Role::Pairs => 16 * if asked.pairs { 3 * 64 * nodes } else { 1 },
             Role::Bodies => 16 * BODY * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
@@ -356,7 +358,7 @@ impl Memory {
     /// Where a buffer of particles holds so many of them, plane by plane: first byte, bytes.
     pub(crate) fn stretches(&self, sorted: Sorted, first: usize, count: usize) -> Vec<(u64, u64)> {
         let (planes, bytes) = match sorted {
-            Sorted::Record => (1, 16 * RECORD as u64),
+            Sorted::Record => (RECORD as u64, 16),
             Sorted::Ids => (1, 8),
             Sorted::Rest => (self.vectors as u64, 16),
             Sorted::Lists | Sorted::Cells => (0, 0),

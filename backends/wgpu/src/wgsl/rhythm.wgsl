@@ -1,21 +1,35 @@
 // When a layer is sorted. This goes by its own steps and its own particles' drift since its last sort alone, so that it does not matter
 // how steps are cut into submissions, or what other layers do; the host knows the same rule (`world.rs`).
-fn is_due(layer: u32) -> bool {
-    var age = layers[layer].age;
-    // Upper bound of the drift when the step begins [cells].
-    var drift = layers[layer].drift;
-    var s = 0u;
+struct Rhythm {
+    // Steps since the last sort.
+    age: u32,
+    // How far particles may have drifted since then [cells].
+    drift: f32,
+}
+
+// A layer's rhythm when the step begins. P2G notes the drift for the next step, which would wait long for the moves of all steps before; so
+// it asks for all that it needs at once.
+fn rhythm_of(layer: u32) -> Rhythm {
+    let last = max(step.number, 1u) - 1u;
     let sorted = atomicLoad(&status[sum_word(layer, SORTED)]);
+    let before = atomicLoad(&status[step_word(last, layer, DRIFT)]);
+    let moved = atomicLoad(&status[step_word(last, layer, MOVE)]);
+    var rhythm = Rhythm(layers[layer].age + step.number, bitcast<f32>(before) + bitcast<f32>(moved));
+    if step.number == 0u {
+        rhythm.drift = layers[layer].drift;
+    }
     if sorted != 0u {
-        age = 0u;
-        drift = 0.0;
-        s = sorted - 1u;
+        rhythm.age = step.number + 1u - sorted;
     }
-    for (; s < step.number; s++) {
-        age += 1u;
-        drift += bitcast<f32>(atomicLoad(&status[step_word(s, layer, MOVE)]));
+    if sorted == step.number + 1u {
+        rhythm.drift = 0.0;
     }
-    return !(drift <= MAX_DRIFT)
-        || (age % SORT_OFTEN == 0u && drift > OFTEN_DRIFT)
-        || (age % SORT_AGE == 0u && drift > SORT_DRIFT);
+    return rhythm;
+}
+
+// Must the layer be sorted before the step?
+fn is_due(rhythm: Rhythm) -> bool {
+    return !(rhythm.drift <= MAX_DRIFT)
+        || (rhythm.age % SORT_OFTEN == 0u && rhythm.drift > OFTEN_DRIFT)
+        || (rhythm.age % SORT_AGE == 0u && rhythm.drift > SORT_DRIFT);
 }

@@ -10,7 +10,7 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let due = is_sorted(layer);
     let end = cells[b * 64u + 64u];
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
-        let local = cell_to_be(record[RECORD * q].w, due);
+        let local = cell_to_be(record[vector(q, 0u)].w, due);
         let cell = block * 4 + local;
         if any(((cell < WORLD_MIN) | (cell >= WORLD_MAX)) & (PERIOD == vec3<i32>(0))) {
             atomicMin(&status[WHO], q);
