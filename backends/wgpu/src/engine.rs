@@ -40,6 +40,10 @@ const TIMED: u64 = 16;
 /// And of it so many passes at most.
 const MOST_TIMED: usize = 64;
 
+/// After so many passes the device begins with a submission while the rest is still being written; each piece is three times the
+/// one before, since writing is faster than running.
+const PIECE: usize = 32;
+
 /// Words of the status; see `common.wgsl`.
 pub(crate) const BLOCKS: usize = 0;
 pub(crate) const NODE_BLOCKS: usize = 1;
@@ -270,8 +274,13 @@ impl WgpuEngine {
         }
     }
 
-    fn write_step(&self, slot: usize, constants: &StepConstants) {
-        self.gpu.queue.write_buffer(&self.memory.steps, STEP_STRIDE * slot as u64, bytemuck::bytes_of(constants));
+    /// The constants of steps from a slot on: one write, since each takes the queue microseconds.
+    fn write_steps(&self, slot: usize, constants: &[StepConstants]) {
+        let mut bytes = vec![0; STEP_STRIDE as usize * constants.len()];
+        for (room, constants) in bytes.chunks_exact_mut(STEP_STRIDE as usize).zip(constants) {
+            room[..size_of::<StepConstants>()].copy_from_slice(bytemuck::bytes_of(constants));
+        }
+        self.gpu.queue.write_buffer(&self.memory.steps, STEP_STRIDE * slot as u64, &bytes);
     }
 
     pub(crate) fn write_words(&self, from: usize, words: &[u32]) {
@@ -350,6 +359,7 @@ impl WgpuEngine {
         let (mut now, mut step, mut first, mut drift) = (self.memory.now, 0, 0, self.drift);
         let mut parts = Vec::new();
         let mut sorted_at = Vec::new();
+        let mut constants = Vec::new();
         let kernels = &self.kernels;
         let contact: &[Kernel] = if let Contact::Device(kernels, _) = &self.contact { &**kernels } else { &[] };
         for stretch in stretches {
@@ -361,7 +371,7 @@ impl WgpuEngine {
                 now = 1 - now;
             }
             for _ in 0..stretch.steps {
-                self.write_step(step, &self.step_constants(dt, time + step as f64 * dt, step, first, drift));
+                constants.push(self.step_constants(dt, time + step as f64 * dt, step, first, drift));
                 let to_nodes = [&kernels.p2g].into_iter().chain(&kernels.grid).chain(contact);
                 let passes = to_nodes.chain(&kernels.mirror).chain([&kernels.g2p]);
                 part.dispatches.extend(passes.map(|kernel| Dispatch { kernel, now, step }));
@@ -374,8 +384,9 @@ impl WgpuEngine {
             parts.push(part);
         }
         if count == 0 {
-            self.write_step(0, &self.step_constants(dt, time, 0, 0, drift));
+            constants.push(self.step_constants(dt, time, 0, 0, drift));
         }
+        self.write_steps(0, &constants);
         let parts = self.with_groups(parts);
         let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
 
@@ -480,7 +491,8 @@ impl WgpuEngine {
                 count: 2 * first as u32,
             })
         });
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let fresh = || gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let (mut encoder, mut unsent, mut piece) = (fresh(), 0, PIECE);
         for (i, (part, groups)) in parts.iter().enumerate() {
             if let Some(now) = part.sorting {
                 encoder.clear_buffer(memory.buffer(Role::Flags, now), 0, None);
@@ -491,7 +503,14 @@ impl WgpuEngine {
             if !timed.is_empty() {
                 Self::encode(gpu, &mut encoder, memory, timed, queries.as_ref());
             }
-            Self::encode(gpu, &mut encoder, memory, rest, None);
+            for some in rest.chunks(PIECE) {
+                Self::encode(gpu, &mut encoder, memory, some, None);
+                unsent += some.len();
+                if unsent >= piece {
+                    gpu.queue.submit([std::mem::replace(&mut encoder, fresh()).finish()]);
+                    (unsent, piece) = (0, 3 * piece);
+                }
+            }
         }
         let mut bytes = 4 * STATUS_WORDS as u64;
         memory.read_back_to(gpu, bytes + nodes.iter().map(|(_, bytes)| bytes).sum::<u64>());
@@ -714,6 +733,7 @@ impl WgpuEngine {
         write(Sorted::Rest, bytemuck::cast_slice(&planes.rest));
         write(Sorted::Lists, bytemuck::cast_slice(&entries));
         write(Sorted::Cells, bytemuck::cast_slice(&homes.cells));
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Owners, 0), 0, bytemuck::cast_slice(&homes.owners()));
         let places: Vec<[u32; 2]> = self.directory(&homes);
         self.gpu.queue.write_buffer(self.memory.buffer(Role::Directory, 0), 0, bytemuck::cast_slice(&places));
         self.write_words(BLOCKS, &[homes.blocks.len() as u32, homes.nodes.len() as u32]);
@@ -741,7 +761,7 @@ impl WgpuEngine {
         }
         // Stress is no part of a state: it follows from strain.
         if count > 0 && !self.spoilt {
-            self.write_step(0, &self.step_constants(particles.strain_dt, 0.0, 0, 0, 0.0));
+            self.write_steps(0, &[self.step_constants(particles.strain_dt, 0.0, 0, 0, 0.0)]);
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
             let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
@@ -907,12 +927,12 @@ impl WgpuEngine {
             let slots = self.memory.extent.slots as usize;
             let vectors = rest_vectors(&self.materials);
             let rest = read(&self.gpu, self.memory.plane(Sorted::Rest), 0, vectors * slots)?;
-            let record = if self.materials.len() > 1 {
-                Some(read(&self.gpu, self.memory.plane(Sorted::Record), 0, layout::RECORD * slots)?)
+            let places = if self.materials.len() > 1 {
+                Some(read(&self.gpu, self.memory.plane(Sorted::Record), 0, slots)?)
             } else {
                 None
             };
-            let held = Held { rest: &rest, record: record.as_deref(), slots, count: self.particles() };
+            let held = Held { rest: &rest, places: places.as_deref(), slots, count: self.particles() };
             let hardening = stiffness::bound_of_hardening(&held, &self.materials, &self.densities, self.h)?;
             self.stiffness = if hardening.dt < self.unchanging.dt { hardening } else { self.unchanging.clone() };
             self.stiffness_age = 0;
@@ -1007,7 +1027,7 @@ impl WgpuEngine {
     ) -> Result<Vec<u32>> {
         self.know_node_blocks()?;
         // The last step's numbers stand in the words of step 0.
-        self.write_step(1, &self.step_constants(dt, time, 1, 0, self.drift));
+        self.write_steps(1, &[self.step_constants(dt, time, 1, 0, self.drift)]);
         self.write_words(HALTED, &[0, 0, u32::MAX]);
         if !self.pending {
             self.write_words(STEPS, &[0; PER_STEP]);
@@ -1057,7 +1077,7 @@ impl WgpuEngine {
 
     /// G2P, from nodes that are at most `speed` fast. Its numbers stay on the device until the next step asks for them.
     fn nodes_to_ground(&mut self, time: f64, dt: f64, speed: f64) -> Result<()> {
-        self.write_step(0, &self.step_constants(dt, time, 0, 0, 0.0));
+        self.write_steps(0, &[self.step_constants(dt, time, 0, 0, 0.0)]);
         self.write_words(WALL_IMPULSE, &[0; 3]);
         // Rounding must not stop what has been let through.
         let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;

@@ -31,6 +31,8 @@ pub(crate) enum Role {
     Keys,
     Loose,
     Order,
+    /// Each particle's block.
+    Owners,
     Pairs,
     /// Poses and motions of bodies, for each step of a submission.
     Bodies,
@@ -48,6 +50,7 @@ const REST: Use = ("rest", "vec4<f32>", Role::Now(Sorted::Rest), false);
 const LISTS: Use = ("lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
 const CELLS: Use = ("cells", "u32", Role::Now(Sorted::Cells), false);
 const GRID: Use = ("grid", "vec4<f32>", Role::Grid, true);
+const NODES: Use = ("grid", "vec4<f32>", Role::Grid, false);
 const STATUS: Use = ("status", "atomic<u32>", Role::Status, true);
 const FLAGS: Use = ("flags", "u32", Role::Flags, false);
 const DIRECTORY: Use = ("directory", "vec2<u32>", Role::Directory, false);
@@ -55,6 +58,7 @@ const SUMS: Use = ("sums", "vec2<u32>", Role::Sums, false);
 const KEYS: Use = ("keys", "vec2<u32>", Role::Keys, false);
 const LOOSE: Use = ("loose", "u32", Role::Loose, false);
 const ORDER: Use = ("order", "u32", Role::Order, false);
+const OWNERS: Use = ("owners", "u32", Role::Owners, false);
 const COUNTS: Use = ("counts", "u32", Role::Next(Sorted::Cells), false);
 const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
@@ -133,12 +137,14 @@ struct Draft {
     uses: Vec<Use>,
     uniform: Uniform,
     groups: Groups,
+    /// Are indices checked? Leaving it out is for passes whose indices are in range by construction.
+    checked: bool,
 }
 
-/// Vectors of four that hold a particle's strain and history.
+/// Vectors of four that hold a particle's strain, history and, in their last place, rest volume.
 pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
     let most = materials.iter().map(|m| m.material.strain_planes() + m.material.states.len()).max();
-    most.unwrap_or(0).div_ceil(4).max(1)
+    (most.unwrap_or(0) + 1).div_ceil(4)
 }
 
 impl Kernels {
@@ -180,20 +186,22 @@ struct Drafts {
 impl Drafts {
     fn of(plan: &Plan) -> Result<Self> {
         let separations = separations(plan);
-        let has_walls = (0..3)
-            .flat_map(|axis| plan.scene.world.walls.pair(axis))
-            .any(|w| !matches!(w, Wall::Open | Wall::Periodic));
+        let walls: Vec<Wall> = (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).collect();
+        let has_walls = walls.iter().any(|w| !matches!(w, Wall::Open | Wall::Periodic));
+        let has_mirrors = walls.iter().any(|w| matches!(w, Wall::Slip | Wall::Stick));
         let laws = laws(plan)?;
         let mut grid = vec![sum_tiles(separations.is_empty())];
         grid.extend(separations.iter().map(|&axis| separate(axis, false)));
         if !separations.is_empty() {
             grid.push(velocities());
         }
+        let mut mirror: Vec<_> = separations.iter().rev().map(|&axis| separate(axis, true)).collect();
+        mirror.extend(has_mirrors.then(reflect));
         Ok(Self {
             sort: sort(),
             p2g: p2g(),
             grid,
-            mirror: separations.iter().rev().map(|&axis| separate(axis, true)).collect(),
+            mirror,
             g2p: g2p(&laws),
             stress: stress(&laws),
             collect: has_walls.then(collect),
@@ -251,6 +259,7 @@ pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usi
         uses: vec![LISTS, GRID, bodies_now, written(partials), STATUS],
         uniform: Uniform::Table,
         groups: Groups::NodeBlocks,
+        checked: true,
     };
     let sums = Draft {
         name: "impulse",
@@ -259,6 +268,7 @@ pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usi
         uses: vec![partials, impulses, STATUS],
         uniform: Uniform::None,
         groups: Groups::Exactly(bodies as u32),
+        checked: true,
     };
     [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, draft))
 }
@@ -289,10 +299,15 @@ fn build(device: &wgpu::Device, step_layout: &wgpu::BindGroupLayout, constants: 
         let _ = writeln!(text, "@group(0) @binding({binding}) var<storage, {access}> {name}: array<{ty}>;");
     }
     text.push_str(&draft.body);
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some(draft.name),
-        source: wgpu::ShaderSource::Wgsl(text.into()),
-    });
+    let mut checks = wgpu::ShaderRuntimeChecks::checked();
+    // Passes that read a table hold what plugins wrote.
+    checks.force_loop_bounding = draft.uniform != Uniform::None;
+    checks.bounds_checks = draft.checked;
+    let descriptor =
+        wgpu::ShaderModuleDescriptor { label: Some(draft.name), source: wgpu::ShaderSource::Wgsl(text.into()) };
+    // SAFETY: without plugins' text, all loops count to a bound that they find at their start, or walk a list that has no circles;
+    // a pass whose indices are not checked says why they are in range.
+    let module = unsafe { device.create_shader_module_trusted(descriptor, checks) };
     let layout = device
         .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(draft.name), entries: &entries });
     let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -369,10 +384,24 @@ fn constants(plan: &Plan) -> String {
 }
 
 fn p2g() -> Draft {
+    let xy = Half {
+        rows: &[("s", 1), ("t", 5), ("r0", 2), ("r1", 3)],
+        momentum: XY,
+        sum: |node, w| format!("{node} = fma(vec2<f32>({w}), u, {node});"),
+    };
+    let zm = Half {
+        rows: &[("s", 1), ("r2", 4)],
+        momentum: ZM,
+        sum: |node, w| format!("{node} = vec2<f32>(fma({w}, u, {node}.x), fma({w}, m, {node}.y));"),
+    };
+    let zero = |n: usize| format!("a{n} = vec2<f32>(0.0);\n");
     let body = include_str!("wgsl/p2g.wgsl")
-        .replace("$ZERO", &each_node(|n, _| format!("var a{n} = vec2<f32>(0.0);\n")))
-        .replace("$WALK_XY", &walk(&[("r0", 2), ("r1", 3)], XY, |w| format!("fma(vec2<f32>({w}), u, A)")))
-        .replace("$WALK_ZM", &walk(&[("r2", 4)], ZM, |w| format!("vec2<f32>(fma({w}, u, A.x), fma({w}, m, A.y))")))
+        .replace("$ZERO", &each_node(|n, _| format!("var {}", zero(n))))
+        .replace("$CLEAR", &each_node(|n, _| zero(n)))
+        .replace("$OWN_XY", &xy.own("list_leaver(q, q - start, p.w);"))
+        .replace("$OWN_ZM", &zm.own(""))
+        .replace("$GUESTS_XY", &xy.guests())
+        .replace("$GUESTS_ZM", &zm.guests())
         .replace(
             "$FLUSH",
             &each_node(|n, [i, j, k]| {
@@ -386,6 +415,10 @@ fn p2g() -> Draft {
         uses: vec![RECORD, CELLS, written(LISTS), GRID, STATUS],
         uniform: Uniform::None,
         groups: Groups::Blocks,
+        // A workgroup goes on only if its block is one of those that hold particles, for which the sort, or the host before it
+        // wrote them, has made room in all planes. G2P keeps a particle's cell within three bits an axis; one outside the 6x6x6
+        // cells of the tile is never an index, and leavers beyond the list's end are only counted.
+        checked: false,
     }
 }
 
@@ -395,9 +428,9 @@ fn each_node(text: impl Fn(usize, [usize; 3]) -> String) -> String {
 
 /// Momentum along x and y as seen from the first node, and what each step along x, y and z adds.
 const XY: &str = "
-    let m = a.z;
-    let ax = m * H * r0.yzw + step.stress * vec3<f32>(t.x, t.z, t.w);
-    let ay = m * H * r1.yzw + step.stress * vec3<f32>(t.z, t.y, a.x);
+    let m = s.w;
+    let ax = m * H * r0.yzw + step.stress * vec3<f32>(t.x, t.z, s.x);
+    let ay = m * H * r1.yzw + step.stress * vec3<f32>(t.z, t.y, s.y);
     let base = vec2<f32>(fma(m, r0.x + step.gravity.x, dot(ax, d)), fma(m, r1.x + step.gravity.y, dot(ay, d)));
     let by_x = vec2<f32>(ax.x, ay.x);
     let by_y = vec2<f32>(ax.y, ay.y);
@@ -405,50 +438,70 @@ const XY: &str = "
 ";
 /// Likewise along z.
 const ZM: &str = "
-    let m = a.z;
-    let az = m * H * r2.yzw + step.stress * vec3<f32>(t.w, a.x, a.y);
+    let m = s.w;
+    let az = m * H * r2.yzw + step.stress * s.xyz;
     let base = fma(m, r2.x + step.gravity.z, dot(az, d));
     let by_x = az.x;
     let by_y = az.y;
     let by_z = az.z;
 ";
 
-/// The loop over a cell's particles. The next one is fetched before the present one is added. In `sum`, A is the node's sum so far
-/// and u the particle's momentum as seen from the node.
-fn walk(rows: &[(&str, u32)], momentum: &str, sum: impl Fn(&str) -> String) -> String {
-    let vectors: Vec<_> = [("a", 1), ("t", 5)].iter().chain(rows).copied().collect();
-    let declare: String = vectors.iter().map(|(v, _)| format!("var next_{v} = vec4<f32>(0.0);\n")).collect();
-    let take: String = vectors.iter().map(|(v, _)| format!("let {v} = next_{v};\n")).collect();
-    let fetch = |q: &str| -> String {
-        let one = |(v, k): &(&str, u32)| format!("next_{v} = bitcast<vec4<f32>>(record[RECORD * {q} + {k}u]);\n");
-        format!("next_p = record[RECORD * {q}];\n{}", vectors.iter().map(one).collect::<String>())
-    };
-    let mut add = format!(
-        "let f = fraction(p);\nlet d = vec3<f32>(-0.5) - f;\n\
-         let wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{momentum}"
-    );
-    for i in 0..3 {
-        for j in 0..3 {
-            let _ = write!(add, "{{ let w = wx[{i}] * wy[{j}];\nvar u = base + {i}.0 * by_x + {j}.0 * by_y;\n");
-            for k in 0..3 {
-                let a = format!("a{}", 9 * i + 3 * j + k);
-                let sum = sum(&format!("w * wz[{k}]")).replace('A', &a);
-                let _ = writeln!(add, "{a} = {sum};{}", if k < 2 { " u += by_z;" } else { "" });
-            }
-            add.push_str("}\n");
-        }
+/// One of the two threads that own a cell.
+struct Half {
+    /// What it reads of a particle besides its place: names and numbers of vectors.
+    rows: &'static [(&'static str, u32)],
+    momentum: &'static str,
+    /// Adds the particle's momentum u as seen from a node, times a weight, to the node's sum.
+    sum: fn(&str, &str) -> String,
+}
+
+impl Half {
+    /// Over the cell's own particles. The next one is fetched before the present one is added. `leaver` is done with one that is
+    /// no longer there.
+    fn own(&self, leaver: &str) -> String {
+        let each =
+            |line: &dyn Fn(&str, u32) -> String| -> String { self.rows.iter().map(|(v, k)| line(v, *k)).collect() };
+        let declare = each(&|v, _| format!("var next_{v} = vec4<f32>(0.0);\n"));
+        let take = each(&|v, _| format!("let {v} = next_{v};\n"));
+        let fetch = each(&|v, k| format!("next_{v} = bitcast<vec4<f32>>(record[vector(next, {k}u)]);\n"));
+        let fetch = format!("if next < stop {{\nnext_p = record[vector(next, 0u)];\n{fetch}}}\n");
+        format!(
+            "var next_p = vec4<u32>(0u);\n{declare}{fetch}\
+             while next < stop {{\nlet q = next;\nlet p = next_p;\n{take}next += 1u;\n{fetch}\
+             if (p.w & 511u) == home {{\n{}}} else {{ {leaver} }}\n}}\n",
+            self.add()
+        )
     }
-    let take = format!("let p = next_p;\n{take}");
-    format!(
-        "var next_p = vec4<u32>(0u);\n{declare}\
-         if next < stop {{\n{}}}\n\
-         while next < stop {{\n{take}next += 1u;\nif next < stop {{\n{}}}\nif (p.w & 511u) == walk.tag {{\n{add}}}\n}}\n\
-         if visited {{\nvar guest = next_leaver(&walk);\n\
-         while guest != NONE {{\n{}{take}{add}guest = next_leaver(&walk);\n}}\n}}\n",
-        fetch("next"),
-        fetch("next"),
-        fetch("guest")
-    )
+
+    /// Over those that have come from other cells.
+    fn guests(&self) -> String {
+        let fetch = |(v, k): &(&str, u32)| format!("let {v} = bitcast<vec4<f32>>(record[vector(q, {k}u)]);\n");
+        format!(
+            "for (var q = next_leaver(&walk); q != NONE; q = next_leaver(&walk)) {{\nlet p = record[vector(q, 0u)];\n{}{}}}\n",
+            self.rows.iter().map(fetch).collect::<String>(),
+            self.add()
+        )
+    }
+
+    /// Adds a particle to the sums of the 27 nodes around.
+    fn add(&self) -> String {
+        let mut text = format!(
+            "let f = fraction(p);\nlet d = vec3<f32>(-0.5) - f;\n\
+             let wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{}",
+            self.momentum
+        );
+        for i in 0..3 {
+            for j in 0..3 {
+                let _ = write!(text, "{{ let w = wx[{i}] * wy[{j}];\nvar u = base + {i}.0 * by_x + {j}.0 * by_y;\n");
+                for k in 0..3 {
+                    let sum = (self.sum)(&format!("a{}", 9 * i + 3 * j + k), &format!("w * wz[{k}]"));
+                    let _ = writeln!(text, "{sum}{}", if k < 2 { " u += by_z;" } else { "" });
+                }
+                text.push_str("}\n");
+            }
+        }
+        text
+    }
 }
 
 fn sum_tiles(to_velocities: bool) -> Draft {
@@ -464,6 +517,7 @@ fn sum_tiles(to_velocities: bool) -> Draft {
         uses: vec![LISTS, GRID, STATUS],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
+        checked: true,
     }
 }
 
@@ -476,6 +530,7 @@ fn velocities() -> Draft {
         uses: vec![LISTS, GRID, STATUS],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
+        checked: true,
     }
 }
 
@@ -489,29 +544,66 @@ fn separate(axis: usize, back: bool) -> Draft {
         uses: vec![DIRECTORY, written(LISTS), GRID, PAIRS, STATUS],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
+        checked: true,
     }
 }
 
-/// Sums over the 27 nodes around a particle, row by row.
+/// Velocities of nodes behind mirrors.
+fn reflect() -> Draft {
+    Draft {
+        name: "reflect",
+        entry: "reflect_nodes",
+        body: include_str!("wgsl/reflect.wgsl").to_owned() + include_str!("wgsl/wall.wgsl"),
+        uses: vec![DIRECTORY, written(LISTS), GRID, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::NodeBlocks,
+        checked: true,
+    }
+}
+
+/// Sums over the 27 nodes around a particle, row by row. The first of three nodes along an axis stands in the near block, the last
+/// in the far one, if that is another, and the middle one in either.
 fn gather() -> String {
     let mut text = String::from(
         "var v = vec3<f32>(0.0);\nvar by_x = vec3<f32>(0.0);\nvar by_y = vec3<f32>(0.0);\nvar by_z = vec3<f32>(0.0);\n",
     );
+    for n in 0..8 {
+        let end = |bit: usize, axis: &str| format!("{}.{axis}", if n & bit == 0 { "near" } else { "far" });
+        let _ = writeln!(text, "let g{n} = first_node(b, {}, {}, {});", end(4, "x"), end(2, "y"), end(1, "z"));
+    }
+    for (axis, stride) in [("x", 16), ("y", 4), ("z", 1)] {
+        let _ = writeln!(text, "let leaves_{axis} = (base.{axis} & 3u) == 3u;");
+        for i in 0..3 {
+            let _ = writeln!(text, "let {axis}{i} = ((base.{axis} + {i}u) & 3u) * {stride}u;");
+        }
+    }
+    let pick = |i: usize, axis: &str, near: String, far: String| match i {
+        0 => near,
+        1 => format!("select({near}, {far}, leaves_{axis})"),
+        _ => far,
+    };
     for i in 0..3 {
         text.push_str("{ var plain = vec3<f32>(0.0);\nvar along_y = vec3<f32>(0.0);\nvar along_z = vec3<f32>(0.0);\n");
+        for n in 0..4 {
+            let _ = writeln!(text, "let p{n} = {};", pick(i, "x", format!("g{n}"), format!("g{}", n + 4)));
+        }
         for j in 0..3 {
-            let at = |k: usize| format!("tile[first + {}u].xyz", 64 * i + 8 * j + k);
+            let _ = writeln!(text, "{{ let row = x{i} + y{j};");
+            for n in 0..2 {
+                let _ = writeln!(text, "let l{n} = {} + row;", pick(j, "y", format!("p{n}"), format!("p{}", n + 2)));
+            }
+            let at = |k: usize| format!("grid[{} + z{k}].xyz", pick(k, "z", "l0".into(), "l1".into()));
             let _ = write!(
                 text,
-                "{{ let low = wz.x * {};\nlet high = wz.z * {};\nlet row = fma(vec3<f32>(wz.y), {}, low + high);\n\
-                 plain = fma(vec3<f32>(wy[{j}]), row, plain);\nalong_z = fma(vec3<f32>(wy[{j}]), high - low, along_z);\n",
+                "let low = wz.x * {};\nlet high = wz.z * {};\nlet sum = fma(vec3<f32>(wz.y), {}, low + high);\n\
+                 plain = fma(vec3<f32>(wy[{j}]), sum, plain);\nalong_z = fma(vec3<f32>(wy[{j}]), high - low, along_z);\n",
                 at(0),
                 at(2),
                 at(1)
             );
             if j != 1 {
                 let _ =
-                    writeln!(text, "along_y = fma(vec3<f32>({}wy[{j}]), row, along_y);", if j == 0 { "-" } else { "" });
+                    writeln!(text, "along_y = fma(vec3<f32>({}wy[{j}]), sum, along_y);", if j == 0 { "-" } else { "" });
             }
             text.push_str("}\n");
         }
@@ -533,10 +625,11 @@ fn g2p(laws: &str) -> Draft {
     Draft {
         name: "G2P",
         entry: "g2p",
-        body: body + include_str!("wgsl/wall.wgsl") + laws,
-        uses: vec![written(RECORD), written(REST), CELLS, written(LISTS), GRID, STATUS],
+        body: body + laws,
+        uses: vec![written(RECORD), written(REST), OWNERS, LISTS, NODES, STATUS],
         uniform: Uniform::Params,
-        groups: Groups::Blocks,
+        groups: Groups::ParticlesBy(128),
+        checked: true,
     }
 }
 
@@ -548,6 +641,7 @@ fn stress(laws: &str) -> Draft {
         uses: vec![written(RECORD), written(REST), STATUS],
         uniform: Uniform::Params,
         groups: Groups::ParticlesBy(128),
+        checked: true,
     }
 }
 
@@ -559,6 +653,7 @@ fn collect() -> Draft {
         uses: vec![written(LISTS), STATUS],
         uniform: Uniform::None,
         groups: Groups::One,
+        checked: true,
     }
 }
 
@@ -637,6 +732,7 @@ fn laws(plan: &Plan) -> Result<String> {
     let store_sym: String =
         entries.iter().enumerate().map(|(e, &(i, j))| format!("{} = {};\n", value(e), kept(i, j))).collect();
     text += &include_str!("wgsl/deform.wgsl")
+        .replace("$VOLUME", &format!("r{}.w", vectors - 1))
         .replace("$LOAD", &(load + "var strain: mat3x3<f32>;\nvar state: array<f32, BARCHAN_MAX_STATE>;\n" + &branch(&load_full, &load_sym)))
         .replace("$TRIAL", &branch("trial = strain + g + g * strain;\n", "let half = strain + g * strain;\nlet back = transpose(g);\ntrial = half + half * back + g + back + g * back;\n"))
         .replace("$STORE", &(branch(&(store_full + &history(true, true)), &(store_sym + &history(false, true))) + &store));
@@ -652,6 +748,7 @@ fn sort() -> Vec<Draft> {
         uses,
         uniform: Uniform::None,
         groups,
+        checked: true,
     };
     let next = |name, binding: Use| {
         let Role::Now(sorted) = binding.2 else { unreachable!("only what is sorted has a next") };
@@ -728,7 +825,7 @@ fn sort() -> Vec<Draft> {
             "rank",
             "rank",
             include_str!("wgsl/sort_rank.wgsl"),
-            vec![COUNTS, KEYS, LOOSE, written(ORDER), STATUS],
+            vec![COUNTS, KEYS, LOOSE, written(ORDER), written(OWNERS), STATUS],
             Groups::ParticlesBy(128),
         ),
         draft(

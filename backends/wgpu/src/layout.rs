@@ -4,6 +4,7 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, ParticleState, Result};
 use barchan_grid::block::{NONE, REACH, offset};
 use std::collections::BTreeMap;
+use std::iter::repeat_n;
 
 /// Vectors of four in a particle's record.
 pub(crate) const RECORD: usize = 6;
@@ -134,6 +135,12 @@ impl Homes {
         entries
     }
 
+    /// The block of each particle.
+    pub(crate) fn owners(&self) -> Vec<u32> {
+        let of_block = |b: usize| repeat_n(b as u32, (self.cells[64 * b + 64] - self.cells[64 * b]) as usize);
+        (0..self.blocks.len()).flat_map(of_block).collect()
+    }
+
     /// Least and greatest block, if there is any.
     pub(crate) fn extent(&self) -> Option<(Block, Block)> {
         let least =
@@ -145,10 +152,15 @@ impl Homes {
 /// Planes of all particles as the device holds them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Planes {
-    /// Six vectors a particle; see `common.wgsl`.
+    /// Six vectors a particle, in the order of [`vector`]; see `common.wgsl`.
     pub(crate) record: Vec<[u32; 4]>,
     pub(crate) ids: Vec<[u32; 2]>,
     pub(crate) rest: Vec<[f32; 4]>,
+}
+
+/// Where vector `k` of particle `q` stands in the record.
+pub(crate) fn vector(q: usize, k: usize, slots: usize) -> usize {
+    k * slots + q
 }
 
 const TWO_32: f64 = 4_294_967_296.0;
@@ -205,12 +217,12 @@ impl Planes {
             tag = tag << 3 | (local + 2) as u32;
         }
         place[3] = tag | list.material << 9 | tag_of_home(home) << 16;
-        let record = &mut self.record[RECORD * q..][..RECORD];
-        record[0] = place;
-        record[1] = [0, 0, (list.mass[i] as f32).to_bits(), (list.volume0[i] as f32).to_bits()];
-        for (d, row) in record[2..5].iter_mut().enumerate() {
+        let mut put = |k: usize, values: [u32; 4]| self.record[vector(q, k, slots)] = values;
+        put(0, place);
+        put(1, [0, 0, 0, (list.mass[i] as f32).to_bits()]);
+        for d in 0..3 {
             let c = &list.affine[i][3 * d..3 * d + 3];
-            *row = [list.velocity[i][d], c[0], c[1], c[2]].map(|x| (x as f32).to_bits());
+            put(2 + d, [list.velocity[i][d], c[0], c[1], c[2]].map(|x| (x as f32).to_bits()));
         }
         let id =
             u32::try_from(list.id[i]).map_err(|_| refuse(format!("a particle id is {} or greater", 1u64 << 32)))?;
@@ -220,6 +232,8 @@ impl Planes {
         for (k, value) in values.chain(list.state.iter().map(|plane| plane[i])).enumerate() {
             self.rest[k / 4 * slots + q][k % 4] = value as f32;
         }
+        let volume = volume(self.rest.len(), q, slots);
+        self.rest[volume][3] = list.volume0[i] as f32;
         Ok(())
     }
 
@@ -249,18 +263,18 @@ impl Planes {
     }
 
     fn get(&self, q: usize, list: &mut ParticleList, block: Block, planned: &PlannedMaterial, slots: usize) {
-        let record = &self.record[RECORD * q..][..RECORD];
-        let place = record[0];
+        let record = |k: usize| self.record[vector(q, k, slots)];
+        let place = record(0);
         let real = |bits: u32| f64::from(f32::from_bits(bits));
         list.id.push(u64::from(self.ids[q][0]));
         list.body.push(self.ids[q][1] as u16);
         list.cell.push(std::array::from_fn(|d| 4 * block[d] + local(place[3], d)));
         list.offset.push(std::array::from_fn(|d| f64::from(place[d]) / TWO_32));
-        let motion = [2, 3, 4].map(|k| record[k].map(real));
+        let motion = [2, 3, 4].map(|k| record(k).map(real));
         list.velocity.push(motion.map(|row| row[0]));
         list.affine.push(std::array::from_fn(|e| motion[e / 3][1 + e % 3]));
-        list.mass.push(real(record[1][2]));
-        list.volume0.push(real(record[1][3]));
+        list.mass.push(real(record(1)[3]));
+        list.volume0.push(f64::from(self.rest[volume(self.rest.len(), q, slots)][3]));
         let value = |k: usize| f64::from(self.rest[k / 4 * slots + q][k % 4]);
         let planes = list.strain.len();
         for (k, (plane, one)) in list.strain.iter_mut().zip(planned.material.strain_identity()).enumerate() {
@@ -273,7 +287,7 @@ impl Planes {
 
     /// A particle's law.
     pub(crate) fn law(&self, q: usize) -> usize {
-        law_of(self.record[RECORD * q][3])
+        law_of(self.record[q][3])
     }
 
     /// For each block, the particles of each cell of each list: what [`Homes::restored`] takes.
@@ -289,6 +303,11 @@ impl Planes {
         };
         homes.blocks.iter().enumerate().map(of_block).collect()
     }
+}
+
+/// Where a particle's rest volume stands: last in the last of its vectors of strain and history.
+fn volume(rest: usize, q: usize, slots: usize) -> usize {
+    rest - slots + q
 }
 
 /// A tag's law.

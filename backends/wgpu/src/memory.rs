@@ -93,7 +93,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 5] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells];
-const SHARED: [Role; 12] = [
+const SHARED: [Role; 13] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -102,6 +102,7 @@ const SHARED: [Role; 12] = [
     Role::Keys,
     Role::Loose,
     Role::Order,
+    Role::Owners,
     Role::Pairs,
     Role::Bodies,
     Role::Partials,
@@ -118,6 +119,7 @@ fn shared_name(role: Role) -> &'static str {
         Role::Keys => "keys of the sort",
         Role::Loose => "cells of the sort",
         Role::Order => "order of the sort",
+        Role::Owners => "blocks of particles",
         Role::Pairs => "pairs at walls",
         Role::Bodies => "poses of bodies",
         Role::Partials => "parts of impulses",
@@ -148,7 +150,7 @@ impl Extent {
             Role::Directory => 8 * places,
             Role::Sums => 8 * places.div_ceil(1024).max(blocks),
             Role::Keys => 8 * slots,
-            Role::Loose | Role::Order => 4 * slots,
+            Role::Loose | Role::Order | Role::Owners => 4 * slots,
             Role::Pairs => 16 * if asked.pairs { 3 * 64 * nodes } else { 1 },
             Role::Bodies => 16 * BODY * (MAX_STEPS * asked.bodies).max(1) as u64,
             Role::Partials => 32 * nodes * asked.bodies as u64,

@@ -1,6 +1,6 @@
 //! The step that materials' stiffness allows, asked of their laws on the host.
 
-use crate::layout::{RECORD, law_of};
+use crate::layout::law_of;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
 use barchan_core::material::{ErrorBuffer, stable_step};
@@ -38,10 +38,10 @@ pub(crate) fn bound(lists: &[ParticleList], materials: &[PlannedMaterial], h: f6
     Ok(bound)
 }
 
-/// Strain and history as the device holds them, and the particles' records if there are several laws.
+/// Strain and history as the device holds them, and the particles' places if there are several laws.
 pub(crate) struct Held<'a> {
     pub(crate) rest: &'a [[f32; 4]],
-    pub(crate) record: Option<&'a [[u32; 4]]>,
+    pub(crate) places: Option<&'a [[u32; 4]]>,
     pub(crate) slots: usize,
     pub(crate) count: usize,
 }
@@ -83,7 +83,7 @@ fn of_stretch(
     h: f64,
     from: usize,
 ) -> Result<f64> {
-    let is_own = |q: &usize| held.record.is_none_or(|record| law_of(record[RECORD * *q][3]) == law);
+    let is_own = |q: &usize| held.places.is_none_or(|places| law_of(places[*q][3]) == law);
     let own: Vec<usize> = (from..(from + GRAIN).min(held.count)).filter(is_own).collect();
     let identity = planned.material.strain_identity();
     let planes = identity.len() + planned.material.states.len();

@@ -5,9 +5,9 @@
 // first one, three bits an axis; from bit 9 on the law, and from bit 16 on the cell that it had at the sort. So a block's particles may
 // drift by a cell and more.
 //
-// What both transfers need of a particle stands together, six vectors: place; V0 tau_yz, V0 tau_zz [J], mass, V0; the rows (v_i, C_ij)
-// for i = x, y, z; V0 times tau_xx, tau_yy, tau_xy, tau_xz. A thread that walks a cell then reads memory from one end to the other,
-// and all of each 32 bytes that it asks for.
+// What both transfers need of a particle are six vectors: place; V0 tau_xz, V0 tau_yz, V0 tau_zz [J] and mass; the rows (v_i, C_ij)
+// for i = x, y, z; V0 times tau_xx, tau_yy, tau_xy. Each is a plane of its own, so that neighbours which each write a particle write what
+// lies together.
 
 struct Extent {
     // Room for particles in each plane, and particles.
@@ -47,16 +47,15 @@ struct Step {
 @group(1) @binding(0) var<uniform> step: Step;
 
 const NONE: u32 = 0xffffffffu;
-// Vectors of a particle's record.
-const RECORD: u32 = 6u;
 // Vectors of an entry in the lists: of a block, its coordinates and the 27 node blocks around it, what walls gave to it [N s], and
 // what they would give in the step under way; of a node block likewise, with the blocks whose tiles reach it.
 const ENTRY: u32 = 10u;
 const WALL: u32 = 8u;
 const PENDING: u32 = 9u;
 
-// Words of the status. Those of a step: greatest node speed [m/s], greatest move of a particle [cells], greatest square of the norm
-// of C [1/s2], as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN is above all.
+// Words of the status. Those of a step: greatest node speed [m/s], greatest move of a particle, and how far particles may have drifted
+// before it since the last sort or the submission's begin [cells], as the bits of a float: for numbers that are not negative, their
+// order is that of unsigned integers, and NaN is above all.
 const BLOCKS: u32 = 0u;
 const NODE_BLOCKS: u32 = 1u;
 const LEAST_BLOCK: u32 = 2u;
@@ -81,6 +80,11 @@ const LEFT_WORLD: u32 = 4u;
 const STRAYED: u32 = 5u;
 
 const BIAS: i32 = 1 << 20;
+
+// Where vector `k` of a particle stands in the record.
+fn vector(q: u32, k: u32) -> u32 {
+    return k * extent.slots + q;
+}
 
 fn magnitude_bits(x: f32) -> u32 {
     return bitcast<u32>(x) & 0x7fffffffu;

@@ -13,10 +13,10 @@ fn without_dust(x: f32) -> f32 {
     return select(x, 0.0, abs(x) < 1e-12);
 }
 
-// Carries a particle's strain along with its velocity gradient `c`, whose squared norm is `norm2`, and finds its stress.
-fn deform(q: u32, law: u32, c: mat3x3<f32>, norm2: f32, dt: f32) {
+// Carries the strain of a particle of that mass along with its velocity gradient `c`, and finds its stress.
+fn deform(q: u32, law: u32, mass: f32, c: mat3x3<f32>, dt: f32) {
     $LOAD
-    let wanted = ceil(sqrt(norm2) * dt / MAX_DEFORMATION);
+    let wanted = ceil(sqrt(dot(c[0], c[0]) + dot(c[1], c[1]) + dot(c[2], c[2])) * dt / MAX_DEFORMATION);
     let parts = clamp(wanted, 1.0, MAX_PARTS);
     if parts > 1.0 {
         atomicAdd(&status[PARTED], 1u);
@@ -41,8 +41,7 @@ fn deform(q: u32, law: u32, c: mat3x3<f32>, norm2: f32, dt: f32) {
         $STORE
     }
     // Times the rest volume: [J].
-    let inertia = bitcast<vec2<f32>>(record[RECORD * q + 1u].zw);
-    let tau = inertia.y * out.kirchhoff;
-    record[RECORD * q + 1u] = bitcast<vec4<u32>>(vec4<f32>(tau[2].y, tau[2].z, inertia));
-    record[RECORD * q + 5u] = bitcast<vec4<u32>>(vec4<f32>(tau[0].x, tau[1].y, tau[1].x, tau[2].x));
+    let tau = $VOLUME * out.kirchhoff;
+    record[vector(q, 1u)] = bitcast<vec4<u32>>(vec4<f32>(tau[2].x, tau[2].y, tau[2].z, mass));
+    record[vector(q, 5u)] = bitcast<vec4<u32>>(vec4<f32>(tau[0].x, tau[1].y, tau[1].x, 0.0));
 }

@@ -3,25 +3,27 @@
 var<workgroup> go: u32;
 var<workgroup> greatest: atomic<u32>;
 
-// What the tiles around a node hold for it: two along each axis reach it.
-fn sum_of_tiles(entry: u32, n: u32) -> vec4<f32> {
-    let local = vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+// What one of the tiles that reach a node holds for it. All eight are asked for at once, also where there is none.
+fn of_tile(entry: u32, local: vec3<i32>, other: vec3<bool>) -> vec4<f32> {
     let upper = local >= vec3<i32>(2);
     // From the tile's block to this node's, and the node in that tile.
     let to_block = select(vec3<i32>(1), vec3<i32>(-1), upper);
     let in_other = select(local + vec3<i32>(6), local - vec3<i32>(2), upper);
-    var sum = vec4<f32>(0.0);
-    for (var c = 0u; c < 8u; c++) {
-        let other = vec3<bool>((c & 4u) != 0u, (c & 2u) != 0u, (c & 1u) != 0u);
-        let by = select(vec3<i32>(0), to_block, other) + vec3<i32>(1);
-        let at = select(local + vec3<i32>(2), in_other, other);
-        let which = u32(by.x * 9 + by.y * 3 + by.z);
-        let tile = u32(lists[entry + 1u + (which >> 2u)][which & 3u]);
-        if tile != NONE {
-            sum += grid[extent.node_room * 64u + tile * 512u + u32(at.x * 64 + at.y * 8 + at.z)];
-        }
-    }
-    return sum;
+    let by = select(vec3<i32>(0), to_block, other) + vec3<i32>(1);
+    let at = select(local + vec3<i32>(2), in_other, other);
+    let which = u32(by.x * 9 + by.y * 3 + by.z);
+    let tile = u32(lists[entry + 1u + (which >> 2u)][which & 3u]);
+    let held = grid[extent.node_room * 64u + select(tile, 0u, tile == NONE) * 512u + u32(at.x * 64 + at.y * 8 + at.z)];
+    return select(held, vec4<f32>(0.0), tile == NONE);
+}
+
+// What the tiles around a node hold for it: two along each axis reach it.
+fn sum_of_tiles(entry: u32, n: u32) -> vec4<f32> {
+    let local = vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+    return of_tile(entry, local, vec3<bool>(false, false, false)) + of_tile(entry, local, vec3<bool>(false, false, true))
+        + of_tile(entry, local, vec3<bool>(false, true, false)) + of_tile(entry, local, vec3<bool>(false, true, true))
+        + of_tile(entry, local, vec3<bool>(true, false, false)) + of_tile(entry, local, vec3<bool>(true, false, true))
+        + of_tile(entry, local, vec3<bool>(true, true, false)) + of_tile(entry, local, vec3<bool>(true, true, true));
 }
 
 fn is_on(g: u32) -> u32 {

@@ -1,9 +1,9 @@
 // Particles to grid, a block at a time: p_i = sum_p w_ip [m (v + dt g) + (m C - dt V0 (4/h2) tau) (x_i - x_p)], m_i = sum_p w_ip m.
 //
 // Two threads own a cell, one for the momentum along x and y, one for that along z and the mass, and sum its 27 nodes in registers
-// over the cell's particles. Those that have left their cell since the sort stand in a list of the cell they are in; lists are walked
-// in the order of memory, so that sums do not depend on who came first. Then cells are added to the tile: for one of the 27 nodes at
-// a time, different cells touch different nodes.
+// over the cell's particles. Those that have left their cell since the sort are listed on the way, by the cell they are in; then lists
+// are walked in the order of memory, so that sums do not depend on who came first. Then cells are added to the tile: for one of the
+// 27 nodes at a time, different cells touch different nodes.
 
 // Momentum along x and y of the tile's nodes, then along z and mass.
 var<workgroup> tile: array<vec2<f32>, 1024>;
@@ -17,6 +17,7 @@ var<workgroup> halo: array<atomic<u32>, 7>;
 var<workgroup> halo_cells: array<u32, 152>;
 var<workgroup> go: u32;
 var<workgroup> corner: vec3<i32>;
+var<workgroup> walled: u32;
 var<workgroup> listed: u32;
 
 const LEAVERS: u32 = 384u;
@@ -33,16 +34,26 @@ fn is_halo(cell: u32) -> bool {
     return x == 0u || x == 5u || y == 0u || y == 5u || z == 0u || z == 5u;
 }
 
+// How far particles may have drifted since the last sort or the submission's begin [cells]. Each step notes it for the next one, which
+// would wait long for the moves of all steps before.
+fn drift_since() -> f32 {
+    if step.number == step.first {
+        return 0.0;
+    }
+    let last = STEPS + PER_STEP * (step.number - 1u);
+    return bitcast<f32>(atomicLoad(&status[last + 2u])) + bitcast<f32>(atomicLoad(&status[last + 1u]));
+}
+
 // May this step go on? It may not once the particles have drifted too far for their tiles.
 fn ready(b: u32) -> u32 {
+    let drift = drift_since();
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;
     }
-    var drift = step.drift;
-    for (var s = step.first; s < step.number; s++) {
-        drift += bitcast<f32>(atomicLoad(&status[STEPS + PER_STEP * s + 1u]));
+    if b == 0u {
+        atomicStore(&status[STEPS + PER_STEP * step.number + 2u], bitcast<u32>(drift));
     }
-    if !(drift <= MAX_DRIFT) {
+    if !(step.drift + drift <= MAX_DRIFT) {
         if b == 0u {
             atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], DRIFTED);
@@ -50,6 +61,17 @@ fn ready(b: u32) -> u32 {
         return 0u;
     }
     return 1u;
+}
+
+// Node i of the tile and its image j behind a wall satisfy i + j = sum; are there such nodes?
+fn in_reach(sum: vec3<i32>) -> vec3<bool> {
+    return (sum >= vec3<i32>(1)) & (sum <= vec3<i32>(13));
+}
+
+fn reaches_wall() -> bool {
+    let low = (LOW != vec3<u32>(0u)) & in_reach(2 * (WORLD_MIN - corner) - vec3<i32>(1));
+    let high = (HIGH != vec3<u32>(0u)) & in_reach(2 * (WORLD_MAX - corner) - vec3<i32>(1));
+    return any(low | high);
 }
 
 // The particles in one cell that come from others, one after the other.
@@ -68,13 +90,32 @@ fn has_left(tag: u32) -> bool {
     return (tag & 511u) != ((tag >> 16u) & 511u);
 }
 
+// Notes a particle that has left its cell where those that have come to another are looked for.
+fn list_leaver(q: u32, index: u32, tag: u32) {
+    let at = cell_of(tag) + vec3<i32>(1);
+    if any(at < vec3<i32>(0)) || any(at > vec3<i32>(5)) {
+        atomicStore(&status[WHO], q);
+        atomicStore(&status[HALT_STEP], step.number);
+        atomicStore(&status[HALTED], STRAYED);
+        return;
+    }
+    let cell = u32((at.x * 6 + at.y) * 6 + at.z);
+    let k = atomicAdd(&leaver_count, 1u);
+    if k < LEAVERS {
+        leavers[k] = (index << 16u) | atomicExchange(&head[cell], k + 1u);
+    }
+    if is_halo(cell) {
+        atomicOr(&halo[cell >> 5u], 1u << (cell & 31u));
+    }
+}
+
 fn next_leaver(w: ptr<function, Walk>) -> u32 {
     if listed == 0u {
         // More leavers than the list holds: all of the block's particles are looked at.
         while (*w).start + (*w).after < (*w).end {
             let q = (*w).start + (*w).after;
             (*w).after += 1u;
-            let tag = record[RECORD * q].w;
+            let tag = record[vector(q, 0u)].w;
             if (tag & 511u) == (*w).tag && has_left(tag) {
                 return q;
             }
@@ -112,10 +153,9 @@ fn fraction(p: vec4<u32>) -> vec3<f32> {
 fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let b = group.y * extent.row + group.x;
     if thread == 0u {
+        corner = lists[min(b, extent.block_room - 1u) * ENTRY].xyz * 4 - vec3<i32>(2);
+        walled = u32(reaches_wall());
         go = ready(b);
-        if go != 0u {
-            corner = lists[b * ENTRY].xyz * 4 - vec3<i32>(2);
-        }
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
@@ -125,30 +165,16 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     let part = thread >> 6u;
     let own = thread & 63u;
     let own_cell = vec3<u32>(own >> 4u, (own >> 2u) & 3u, own & 3u);
-    let first = cells[b * 64u + own];
-    let last = cells[b * 64u + own + 1u];
-
-    // 1. Who has left?
     let home = tag_of(vec3<i32>(own_cell));
-    for (var q = start + thread; q < end; q += 128u) {
-        let tag = record[RECORD * q].w;
-        if has_left(tag) {
-            let at = cell_of(tag) + vec3<i32>(1);
-            if any(at < vec3<i32>(0)) || any(at > vec3<i32>(5)) {
-                atomicStore(&status[WHO], q);
-                atomicStore(&status[HALT_STEP], step.number);
-                atomicStore(&status[HALTED], STRAYED);
-            } else {
-                let cell = u32((at.x * 6 + at.y) * 6 + at.z);
-                let k = atomicAdd(&leaver_count, 1u);
-                if k < LEAVERS {
-                    leavers[k] = ((q - start) << 16u) | atomicExchange(&head[cell], k + 1u);
-                }
-                if is_halo(cell) {
-                    atomicOr(&halo[cell >> 5u], 1u << (cell & 31u));
-                }
-            }
-        }
+
+    // 1. Sums over those of each cell's particles that are still there. The others are listed.
+    var next = cells[b * 64u + own];
+    let stop = cells[b * 64u + own + 1u];
+    $ZERO
+    if part == 0u {
+        $OWN_XY
+    } else {
+        $OWN_ZM
     }
     workgroupBarrier();
     if thread == 0u {
@@ -175,13 +201,11 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     }
     let batches = workgroupUniformLoad(&go);
 
-    // 3. Sums over the particles of each cell, the block's own cells first.
+    // 3. Those that have come, to the block's own cells first; and the sums go to the tile.
     let crowded = atomicLoad(&leaver_count) > 0u;
     for (var batch = 0u; batch < batches; batch++) {
         let own_number = ((own_cell.x + 1u) * 6u + own_cell.y + 1u) * 6u + own_cell.z + 1u;
         var walk = Walk(home, own_number, 0u, start, end);
-        var next = first;
-        var stop = last;
         var on = true;
         if batch > 0u {
             let k = (batch - 1u) * 64u + own;
@@ -189,15 +213,14 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             walk.cell = select(0u, halo_cells[min(k, 151u)], on);
             let at = vec3<i32>(i32(walk.cell / 36u), i32((walk.cell / 6u) % 6u), i32(walk.cell % 6u)) - vec3<i32>(1);
             walk.tag = tag_of(at);
-            next = 0u;
-            stop = 0u;
+            $CLEAR
         }
-        let visited = on && crowded;
-        $ZERO
-        if part == 0u {
-            $WALK_XY
-        } else {
-            $WALK_ZM
+        if on && crowded {
+            if part == 0u {
+                $GUESTS_XY
+            } else {
+                $GUESTS_ZM
+            }
         }
         let x = walk.cell / 36u;
         let y = (walk.cell / 6u) % 6u;
@@ -206,40 +229,28 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     }
 
     // 4. What lies behind mirrors is folded back, reflected.
-    var impulse = vec3<f32>(0.0);
-    let origin = workgroupUniformLoad(&corner);
-    var walls = false;
-    for (var axis = 0; axis < 3; axis++) {
-        for (var end_of_axis = 0; end_of_axis < 2; end_of_axis++) {
-            let kind = select(LOW[axis], HIGH[axis], end_of_axis == 1);
-            // Node i and its image j satisfy i + j = sum.
-            let sum = 2 * (select(WORLD_MIN[axis], WORLD_MAX[axis], end_of_axis == 1) - origin[axis]) - 1;
-            if kind != 0u && sum >= 1 && sum <= 13 {
-                walls = true;
-                if thread < 64u {
-                    for (var image = 0; image < 8; image++) {
-                        let node = sum - image;
-                        let beyond = select((image < node), (image > node), (end_of_axis == 1));
-                        if beyond && node >= 0 && node < 8 {
-                            let source = in_plane(axis, u32(image), thread);
-                            let to = in_plane(axis, u32(node), thread);
-                            if !behind(axis, thread, origin) {
-                                let signs = wall_signs(kind, axis);
-                                let xy = tile[source];
-                                let zm = tile[512u + source];
-                                tile[to] += signs.xy * xy;
-                                tile[512u + to] += vec2<f32>(signs.z * zm.x, zm.y);
-                                impulse += (signs - vec3<f32>(1.0)) * vec3<f32>(xy, zm.x);
-                                // The mass stays, for what walls give when velocities are read.
-                                tile[source] = vec2<f32>(0.0);
-                                tile[512u + source] = vec2<f32>(0.0, zm.y);
-                            }
-                        }
-                    }
-                }
+    if workgroupUniformLoad(&walled) != 0u {
+        var impulse = vec3<f32>(0.0);
+        for (var axis = 0; axis < 3; axis++) {
+            if thread < 64u {
+                impulse += fold(axis, 0, thread) + fold(axis, 1, thread);
+            }
+            workgroupBarrier();
+        }
+        // The list of leavers is done with.
+        if thread < 64u {
+            for (var d = 0u; d < 3u; d++) {
+                leavers[thread * 3u + d] = bitcast<u32>(impulse[d]);
             }
         }
         workgroupBarrier();
+        if thread < 3u {
+            var total = 0.0;
+            for (var t = 0u; t < 64u; t++) {
+                total += bitcast<f32>(leavers[t * 3u + thread]);
+            }
+            lists[b * ENTRY + PENDING][thread] = bitcast<i32>(total);
+        }
     }
 
     // 5. The tile, for the grid to sum.
@@ -248,20 +259,60 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         let k = in_tile(t >> 6u, (t >> 3u) & 7u, t & 7u);
         grid[base + t] = vec4<f32>(tile[k], tile[512u + k]);
     }
-    if walls {
-        workgroupBarrier();
-        if thread < 64u {
-            for (var d = 0u; d < 3u; d++) {
-                leavers[thread * 3u + d] = bitcast<u32>(impulse[d]);
-            }
-        }
-        workgroupBarrier();
-        if thread == 0u {
-            var total = vec3<f32>(0.0);
-            for (var t = 0u; t < 64u; t++) {
-                total += vec3<f32>(bitcast<f32>(leavers[t * 3u]), bitcast<f32>(leavers[t * 3u + 1u]), bitcast<f32>(leavers[t * 3u + 2u]));
-            }
-            lists[b * ENTRY + PENDING] = vec4<i32>(bitcast<vec3<i32>>(total), 0);
+}
+
+// Folds the planes behind the wall at one end of an axis, a thread a row of them across; what the wall gives: [N s].
+fn fold(axis: i32, end: i32, thread: u32) -> vec3<f32> {
+    let kind = select(LOW[axis], HIGH[axis], end == 1);
+    let sum = 2 * (select(WORLD_MIN[axis], WORLD_MAX[axis], end == 1) - corner[axis]) - 1;
+    var impulse = vec3<f32>(0.0);
+    if kind == 0u || sum < 1 || sum > 13 || behind(axis, thread, corner) {
+        return impulse;
+    }
+    let signs = wall_signs(kind, axis);
+    // Beyond the low wall lie the lower planes, beyond the high one the upper.
+    let first = select(max(sum - 7, 0), (sum + 1) / 2, end == 1);
+    let last = select((sum - 1) / 2, min(sum, 7), end == 1);
+    for (var image = first; image <= last; image++) {
+        let source = in_plane(axis, u32(image), thread);
+        let to = in_plane(axis, u32(sum - image), thread);
+        let xy = tile[source];
+        let zm = tile[512u + source];
+        tile[to] += signs.xy * xy;
+        tile[512u + to] += vec2<f32>(signs.z * zm.x, zm.y);
+        impulse += (signs - vec3<f32>(1.0)) * vec3<f32>(xy, zm.x);
+        // The mass stays, for what walls give when velocities are read.
+        tile[source] = vec2<f32>(0.0);
+        tile[512u + source] = vec2<f32>(0.0, zm.y);
+    }
+    return impulse;
+}
+
+// The tile's node number `t` of 64 in a plane across an axis.
+fn plane_node(axis: i32, plane: u32, t: u32) -> vec3<u32> {
+    let a = t >> 3u;
+    let c = t & 7u;
+    if axis == 0 {
+        return vec3<u32>(plane, a, c);
+    }
+    if axis == 1 {
+        return vec3<u32>(a, plane, c);
+    }
+    return vec3<u32>(a, c, plane);
+}
+
+fn in_plane(axis: i32, plane: u32, t: u32) -> u32 {
+    let n = plane_node(axis, plane, t);
+    return in_tile(n.x, n.y, n.z);
+}
+
+// Is that node behind a wall across an axis before this one, which has folded it already?
+fn behind(axis: i32, t: u32, origin: vec3<i32>) -> bool {
+    let node = origin + vec3<i32>(plane_node(axis, 0u, t));
+    for (var d = 0; d < axis; d++) {
+        if (LOW[d] != 0u && node[d] < WORLD_MIN[d]) || (HIGH[d] != 0u && node[d] >= WORLD_MAX[d]) {
+            return true;
         }
     }
+    return false;
 }

@@ -8,7 +8,7 @@ fn count_cells(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     let block = old_lists[b * ENTRY].xyz;
     let end = cells[b * 64u + 64u];
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
-        let local = cell_of(record[RECORD * q].w);
+        let local = cell_of(record[vector(q, 0u)].w);
         let at = place_in_box(block + (local >> vec3<u32>(2u)));
         let inner = local & vec3<i32>(3);
         let cell = directory[at].x * 64u + u32(inner.x * 16 + inner.y * 4 + inner.z);

@@ -8,7 +8,7 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let block = lists[b * ENTRY].xyz;
     let end = cells[b * 64u + 64u];
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
-        let local = cell_of(record[RECORD * q].w);
+        let local = cell_of(record[vector(q, 0u)].w);
         let cell = block * 4 + local;
         if any(((cell < WORLD_MIN) | (cell >= WORLD_MAX)) & (PERIOD == vec3<i32>(0))) {
             atomicMin(&status[WHO], q);

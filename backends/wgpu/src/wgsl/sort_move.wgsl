@@ -6,11 +6,11 @@ fn move_rest(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         return;
     }
     let q = order[i];
-    let p = record[RECORD * q];
+    let p = record[vector(q, 0u)];
     let home = tag_of(cell_of(p.w) & vec3<i32>(3));
-    new_record[RECORD * i] = vec4<u32>(p.xyz, home | (law_of(p.w) << 9u) | (home << 16u));
-    for (var k = 1u; k < RECORD; k++) {
-        new_record[RECORD * i + k] = record[RECORD * q + k];
+    new_record[vector(i, 0u)] = vec4<u32>(p.xyz, home | (law_of(p.w) << 9u) | (home << 16u));
+    for (var k = 1u; k < 6u; k++) {
+        new_record[vector(i, k)] = record[vector(q, k)];
     }
     new_ids[i] = ids[q];
     for (var k = 0u; k < REST; k++) {

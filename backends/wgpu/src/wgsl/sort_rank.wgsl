@@ -1,4 +1,4 @@
-// The order within each cell: as many come before as are less.
+// The order within each cell: as many come before as are less. And each particle's block.
 @compute @workgroup_size(128)
 fn rank(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let i = (group.y * extent.row + group.x) * 128u + thread;
@@ -15,4 +15,5 @@ fn rank(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         before += u32(loose[j] < mine);
     }
     order[first + before] = q;
+    owners[first + before] = cell >> 6u;
 }

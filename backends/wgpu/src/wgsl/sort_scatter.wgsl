@@ -6,5 +6,5 @@ fn scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         return;
     }
     let key = keys[q];
-    loose[counts[key.x] + key.y] = (law_of(record[RECORD * q].w) << 28u) | q;
+    loose[counts[key.x] + key.y] = (law_of(record[vector(q, 0u)].w) << 28u) | q;
 }

@@ -5,9 +5,10 @@ fn stress_of_all(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     if q >= extent.particles {
         return;
     }
-    let x = bitcast<vec4<f32>>(record[RECORD * q + 2u]).yzw;
-    let y = bitcast<vec4<f32>>(record[RECORD * q + 3u]).yzw;
-    let z = bitcast<vec4<f32>>(record[RECORD * q + 4u]).yzw;
+    let x = bitcast<vec4<f32>>(record[vector(q, 2u)]).yzw;
+    let y = bitcast<vec4<f32>>(record[vector(q, 3u)]).yzw;
+    let z = bitcast<vec4<f32>>(record[vector(q, 4u)]).yzw;
     let c = transpose(mat3x3<f32>(x, y, z));
-    deform(q, law_of(record[RECORD * q].w), c, dot(x, x) + dot(y, y) + dot(z, z), step.dt);
+    let mass = bitcast<f32>(record[vector(q, 1u)].w);
+    deform(q, law_of(record[vector(q, 0u)].w), mass, c, step.dt);
 }
