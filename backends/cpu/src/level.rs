@@ -350,6 +350,10 @@ impl<T: Scalar> Level<T> {
         let reflects = grid.rim_reflects;
         let one = |(r, ring): (usize, &Ring)| {
             let (mut parents, mut impulse) = ([T::default(); NODES], [0.0; 3]);
+            // Nobody reads the velocity of nodes that weigh nothing.
+            if grid.handed[r].as_chunks::<4>().0.iter().all(|node| node[3] == T::default()) {
+                return impulse;
+            }
             let values = coarser.nodes.as_flattened();
             for n in (0..CELLS).filter(|&n| ring.parents[n] != NONE) {
                 let node = &values[4 * ring.parents[n] as usize..][..4];
@@ -576,6 +580,12 @@ impl<T: Float> Kernel<T> for HandOver<'_, T> {
     type Output = ();
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) {
+        // Many rims reach into the air.
+        let weighs = |n: usize| self.ring.slaves >> n & 1 == 1 && self.nodes[4 * n + 3] > T::default();
+        if !(0..CELLS).any(weighs) {
+            self.handed.fill(T::default());
+            return;
+        }
         let mut affine = [[T::default(); NODES]; COLUMNS];
         for (column, nodes) in affine.iter_mut().enumerate() {
             let around =
