@@ -33,14 +33,24 @@ pub trait Backend: Send + Sync {
     /// # Errors
     /// [`crate::Error::Missing`] if it lacks a form of a stage, by name.
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>>;
-    /// Builds worlds that step together in the same passes, each the bits that it would be alone if it took the same steps. `None` if the
-    /// backend has no such form: then worlds are compiled one by one.
+    /// Can it step worlds together in the same passes? Otherwise they are compiled one by one.
+    fn has_batches(&self) -> bool {
+        false
+    }
+    /// Builds worlds that step together, each the bits that it would be alone if it took the same steps.
     ///
     /// # Errors
-    /// As [`compile`](Self::compile), and [`crate::Error::Missing`] if worlds differ in what they must have in common, by name.
-    fn compile_batch(&self, worlds: Vec<NewWorld<'_>>) -> Option<Result<Box<dyn Batch>>> {
-        let _ = worlds;
-        None
+    /// As [`compile`](Self::compile), and [`crate::Error::Missing`] if it [has no batches](Self::has_batches), or if worlds differ in what
+    /// they must have in common, by name.
+    fn compile_batch(&self, worlds: Vec<NewWorld<'_>>) -> Result<Box<dyn Batch>> {
+        Err(crate::Error::Missing {
+            kind: "backend",
+            name: self.name().to_owned(),
+            origin: "it compiles worlds one by one".to_owned(),
+            what: "batches".to_owned(),
+            why: format!("{} worlds are to step together", worlds.len()),
+            mend: "compile each on its own".to_owned(),
+        })
     }
 }
 

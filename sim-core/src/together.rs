@@ -27,10 +27,10 @@ impl Together {
     /// # Errors
     /// Those of [`Simulation::new`] for the first world that cannot be assembled, and of [`crate::Backend::compile_batch`].
     pub fn new(registry: &Registry, scenes: &[Scene], options: &Options) -> Result<Option<Self>> {
-        if scenes.is_empty() {
+        let backend = find_backend(registry, options)?;
+        if scenes.is_empty() || !backend.has_batches() {
             return Ok(None);
         }
-        let backend = find_backend(registry, options)?;
         let assembled =
             scenes.iter().map(|scene| Plan::assemble(registry, scene, options)).collect::<Result<Vec<_>>>()?;
         let (mut plans, mut states) = (Vec::new(), Vec::new());
@@ -40,7 +40,7 @@ impl Together {
         }
         let new =
             plans.iter().zip(states).map(|((plan, couplings), particles)| NewWorld { plan, particles, couplings });
-        let Some(batch) = backend.compile_batch(new.collect()).transpose()? else { return Ok(None) };
+        let batch = backend.compile_batch(new.collect())?;
         let worlds = plans.into_iter().enumerate().map(|(world, (plan, couplings))| {
             Simulation::in_batch(plan, backend.name(), batch.engine(world), couplings)
         });

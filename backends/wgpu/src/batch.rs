@@ -264,7 +264,7 @@ impl WgpuBatch {
     pub(crate) fn new(gpu: Gpu, worlds: Vec<NewWorld<'_>>) -> Result<Self> {
         let count = worlds.len();
         let Some(NewWorld { plan, .. }) = worlds.first() else {
-            return Err(crate::lacks("a batch of no worlds", "none is given", "give one at least"));
+            return Err(crate::lacks("batch of no worlds", "none is given", "give one at least"));
         };
         let fixed = Fixed::of(plan);
         worlds.iter().enumerate().try_for_each(|(w, world)| fixed.check(world.plan, w))?;
@@ -1280,7 +1280,7 @@ impl DeviceContact {
 /// Bodies that cannot be batched.
 fn no_batch(world: usize) -> Error {
     crate::lacks(
-        "a batch of worlds with such bodies",
+        "batch of worlds with such bodies",
         format!(
             "world {world} has bodies that move freely, or are meshes or height fields, or are not as many and of the same kinds as the first world's"
         ),

@@ -741,10 +741,12 @@ fn laws(plan: &Plan, layers: usize) -> Result<String> {
         let of_kind = plan.materials.iter().filter(|m| (m.material.strain_planes() == 9) == full);
         of_kind.map(|m| m.material.states.len()).max().unwrap_or(0)
     };
-    let (mut load, mut store) = (String::new(), String::new());
+    let (mut fields, mut fetch, mut load, mut store) = (String::new(), String::new(), String::new(), String::new());
     for k in 0..vectors {
         let plane = if k == 0 { String::new() } else { format!("{k}u * extent.slots + ") };
-        let _ = writeln!(load, "var r{k} = rest[{plane}q];");
+        let _ = writeln!(fields, "r{k}: vec4<f32>,");
+        let _ = writeln!(fetch, "held.r{k} = rest[{plane}q];");
+        let _ = writeln!(load, "var r{k} = held.r{k};");
         let _ = writeln!(store, "rest[{plane}q] = r{k};");
     }
     let any = |full: bool| plan.materials.iter().any(|m| (m.material.strain_planes() == 9) == full);
@@ -778,6 +780,8 @@ fn laws(plan: &Plan, layers: usize) -> Result<String> {
     let store_sym: String =
         entries.iter().enumerate().map(|(e, &(i, j))| format!("{} = {};\n", value(e), kept(i, j))).collect();
     text += &include_str!("wgsl/deform.wgsl")
+        .replace("$FIELDS", &fields)
+        .replace("$FETCH", &fetch)
         .replace("$VOLUME", &format!("r{}.w", vectors - 1))
         .replace("$LOAD", &(load + "var strain: mat3x3<f32>;\nvar state: array<f32, BARCHAN_MAX_STATE>;\n" + &branch(&load_full, &load_sym)))
         .replace("$TRIAL", &branch("trial = strain + g + g * strain;\n", "let half = strain + g * strain;\nlet back = transpose(g);\ntrial = half + half * back + g + back + g * back;\n"))

@@ -100,8 +100,12 @@ impl Backend for Wgpu {
         Ok(Box::new(seats(self, vec![NewWorld { plan, particles, couplings: &[] }])?.seat(0)))
     }
 
-    fn compile_batch(&self, worlds: Vec<NewWorld<'_>>) -> Option<Result<Box<dyn Batch>>> {
-        Some(seats(self, worlds).map(|seats| Box::new(seats) as Box<dyn Batch>))
+    fn has_batches(&self) -> bool {
+        true
+    }
+
+    fn compile_batch(&self, worlds: Vec<NewWorld<'_>>) -> Result<Box<dyn Batch>> {
+        Ok(Box::new(seats(self, worlds)?))
     }
 }
 

@@ -13,8 +13,19 @@ fn without_dust(x: f32) -> f32 {
     return select(x, 0.0, abs(x) < 1e-12);
 }
 
+// A particle's strain, history and rest volume.
+struct Held {
+    $FIELDS
+}
+
+fn held_by(q: u32) -> Held {
+    var held: Held;
+    $FETCH
+    return held;
+}
+
 // Carries the strain of a particle of that mass along with its velocity gradient `c`, and finds its stress.
-fn deform(q: u32, law: u32, mass: f32, c: mat3x3<f32>, dt: f32) {
+fn deform(q: u32, law: u32, mass: f32, held: Held, c: mat3x3<f32>, dt: f32) {
     $LOAD
     let wanted = ceil(sqrt(dot(c[0], c[0]) + dot(c[1], c[1]) + dot(c[2], c[2])) * dt / MAX_DEFORMATION);
     let parts = clamp(wanted, 1.0, MAX_PARTS);

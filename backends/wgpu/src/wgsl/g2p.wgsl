@@ -52,6 +52,8 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         let b = owners[q].x;
         let mass = bitcast<f32>(owners[q].y);
         let p = record[vector(q, 0u)];
+        // Needed only later, but asked for now, so that it comes together with the nodes.
+        let held = held_by(q);
         var cell = cell_of(p.w);
         let f = fraction(p);
         let wx = weights(f.x);
@@ -77,7 +79,7 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         cell += select(vec3<i32>(0), vec3<i32>(1), up) - select(vec3<i32>(0), vec3<i32>(1), down);
         record[vector(q, 0u)] = vec4<u32>(moved, (p.w & 0xfffffe00u) | tag_of(clamp(cell, vec3<i32>(-2), vec3<i32>(5))));
 
-        deform(q, law_of(p.w), mass, c, step.dt);
+        deform(q, law_of(p.w), mass, held, c, step.dt);
         let by_most = max(max(magnitude_bits(by_move.x), magnitude_bits(by_move.y)), magnitude_bits(by_move.z));
         // Threads that would change nothing need not queue.
         if layer_now != first_layer {

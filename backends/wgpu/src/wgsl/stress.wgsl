@@ -14,5 +14,5 @@ fn stress_of_all(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     let z = bitcast<vec4<f32>>(record[vector(q, 4u)]).yzw;
     let c = transpose(mat3x3<f32>(x, y, z));
     let mass = bitcast<f32>(record[vector(q, 1u)].w);
-    deform(q, law_of(record[vector(q, 0u)].w), mass, c, step.dt);
+    deform(q, law_of(record[vector(q, 0u)].w), mass, held_by(q), c, step.dt);
 }
