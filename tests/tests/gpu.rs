@@ -3,9 +3,11 @@
 
 use barchan::scene::{Motion, Scene};
 use barchan::worlds::Worlds;
-use barchan::{Ledger, Options, Precision, Simulation, Vec3};
+use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Simulation, Vec3};
 use barchan_tests::scenes::{Row, norm, rows, scene, within};
 use barchan_tests::sketch::{Head, PERIODIC, bed, block, driven, half, material, tool};
+use barchan_wgpu::Wgpu;
+use barchan_wgpu::device::Offer;
 
 fn on(backend: &str, precision: Precision, toml: &str) -> Simulation {
     let options = Options { backend: backend.into(), precision, threads: 1, ..Options::default() };
@@ -184,6 +186,36 @@ fn the_same_adapter_gives_the_same_bits() {
         rows(&sim)
     };
     assert!(run() == run(), "two runs differ");
+}
+
+/// What WebGPU promises everywhere is enough: eight storage buffers a stage, bindings of 128 MiB, no features; with the same bits. What
+/// does not fit into that is refused, with the cap.
+#[test]
+fn the_poorest_adapter_gives_the_same_bits_or_says_what_does_not_fit() {
+    let on = |offer: Offer, toml: &str, change: fn(&mut ParticleState)| {
+        let sim = cpu(toml);
+        let plan = Plan { precision: Precision::F32, ..sim.plan().clone() };
+        let mut particles = sim.particles();
+        change(&mut particles);
+        Wgpu { offer }.compile(&plan, particles)
+    };
+    let run = |offer: Offer| {
+        let mut engine = on(offer, &column(), |_| ()).unwrap();
+        for step in 0..40 {
+            engine.step(f64::from(step) * 2e-4, 2e-4, &mut []).unwrap();
+        }
+        engine.download().lists
+    };
+    assert!(run(Offer::Least) == run(Offer::All), "they differ");
+
+    // One particle a block: blocks are what costs.
+    let grains = Head::space(0.01).time("step = 1e-4").with(&[
+        material("hencky", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+        block("hencky", [0.0; 3], [0.27; 3], "spacing = 0.01"),
+    ]);
+    let spread = |particles: &mut ParticleState| particles.lists[0].cell.iter_mut().flatten().for_each(|c| *c *= 4);
+    let refused = on(Offer::Least, &grains, spread).map(|_| ()).unwrap_err().to_string();
+    assert!(refused.contains("nodes and tiles") && refused.contains("134217728"), "{refused}");
 }
 
 /// So many particles leave their cells between two sorts that the lists of those that have do not hold them: none is lost.

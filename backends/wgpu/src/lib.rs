@@ -25,7 +25,10 @@ use std::sync::Arc;
 
 /// The backend called `wgpu`.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Wgpu;
+pub struct Wgpu {
+    /// How much of what an adapter offers it takes: all of it, unless one wants to know what runs on the poorest.
+    pub offer: device::Offer,
+}
 
 /// What this backend lacks, why the scene asks for it, and what would mend it.
 fn lacks(what: impl Into<String>, why: impl Into<String>, mend: &str) -> Error {
@@ -110,7 +113,7 @@ impl Backend for Wgpu {
 fn seats(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<seat::Seats> {
     worlds.iter().try_for_each(|world| backend.check(world.plan))?;
     let adapter = worlds.first().and_then(|world| world.plan.adapter.as_deref());
-    let gpu = device::open(adapter)?;
+    let gpu = device::open_with(adapter, backend.offer)?;
     Ok(seat::Seats::new(batch::WgpuBatch::new(gpu, worlds)?))
 }
 
@@ -121,5 +124,5 @@ const MEND_LEAVING: &str = "set world.leaving = \"error\", or use the backend cp
 /// # Errors
 /// If the name is taken.
 pub fn register(registry: &mut Registry) -> Result<()> {
-    registry.add_backend(Arc::new(Wgpu))
+    registry.add_backend(Arc::new(Wgpu::default()))
 }

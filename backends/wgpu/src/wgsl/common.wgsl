@@ -228,3 +228,15 @@ fn offset_of(n: u32) -> vec3<i32> {
 
 // The layer that this invocation works on, for functions that a pass does not call itself.
 var<private> layer_now: u32;
+
+// Weights of the three nodes along an axis, from the place in the cell.
+fn weights(f: f32) -> vec3<f32> {
+    let left = 1.0 - f;
+    let middle = 0.5 - f;
+    return vec3<f32>(0.5 * left * left, fma(-middle, middle, 0.75), 0.5 * f * f);
+}
+
+// Where a particle is in its cell.
+fn fraction(p: vec4<u32>) -> vec3<f32> {
+    return vec3<f32>(p.xyz >> vec3<u32>(8u)) * 5.9604645e-8;
+}

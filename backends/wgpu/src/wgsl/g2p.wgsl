@@ -7,12 +7,6 @@ var<workgroup> go: u32;
 var<workgroup> first_layer: u32;
 var<workgroup> greatest_move: atomic<u32>;
 
-fn weights(f: f32) -> vec3<f32> {
-    let left = 1.0 - f;
-    let middle = 0.5 - f;
-    return vec3<f32>(0.5 * left * left, fma(-middle, middle, 0.75), 0.5 * f * f);
-}
-
 // Is this step short enough for the speeds that the nodes have?
 fn ready(is_first: bool) -> u32 {
     let speed = bitcast<f32>(atomicLoad(&status[greatest_word(step.number)]));
@@ -61,7 +55,7 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         // Needed only later, but asked for now, so that it comes together with the nodes.
         let held = held_by(q);
         var cell = cell_of(p.w);
-        let f = vec3<f32>(p.xyz >> vec3<u32>(8u)) * 5.9604645e-8;
+        let f = fraction(p);
         let wx = weights(f.x);
         let wy = weights(f.y);
         let wz = weights(f.z);

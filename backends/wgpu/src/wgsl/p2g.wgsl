@@ -141,16 +141,6 @@ fn next_leaver(w: ptr<function, Walk>) -> u32 {
     return (*w).start + best;
 }
 
-fn weights(f: f32) -> vec3<f32> {
-    let left = 1.0 - f;
-    let middle = 0.5 - f;
-    return vec3<f32>(0.5 * left * left, fma(-middle, middle, 0.75), 0.5 * f * f);
-}
-
-fn fraction(p: vec4<u32>) -> vec3<f32> {
-    return vec3<f32>(p.xyz >> vec3<u32>(8u)) * 5.9604645e-8;
-}
-
 @compute @workgroup_size(128)
 fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let b = group.y * extent.row + group.x;
