@@ -489,10 +489,11 @@ fn a_world_of_a_batch_is_the_world_alone_bit_for_bit() {
     }
 }
 
-/// A block that flies; from world to world another way.
+/// A block that flies, from world to world another way, or lands.
 fn flight(world: usize) -> Scene {
-    let velocity = [[0.5, 0.2, 0.0], [4.0, 0.0, 0.0], [-0.5, 0.3, 0.1]][world];
-    let toml = Head::cells(0.02, [12; 3], "").time("step = 1e-3").with(&[
+    let velocity = [[0.5, 0.2, 0.0], [4.0, 0.0, 0.0], [-0.5, 0.3, -1.5]][world];
+    let floor = "z_min = { separate = { friction = 0.3 } }";
+    let toml = Head::cells(0.02, [12; 3], floor).time("step = 1e-3").with(&[
         material("hencky", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.2"),
         block("hencky", [0.06; 3], [0.12; 3], &format!("velocity = {velocity:?}")),
     ]);
@@ -564,6 +565,10 @@ fn worlds_that_cannot_be_batched_are_refused_by_name() {
     other.world.max[0] += 0.08;
     let error = refused(vec![flight(0), other]);
     assert!(error.contains("extent") && error.contains("world 1"), "{error}");
+    let mut grown = flight(0);
+    grown.gravity_ramp = 0.1;
+    let error = refused(vec![grown.clone(), grown]);
+    assert!(error.contains("gravity_ramp") && error.contains("settled"), "{error}");
     let mut free = patch(0);
     free.tool[0].motion = Motion::Free { mass: 1.0, linear: [0.0; 3], angular: [0.0; 3], restitution: 0.0 };
     let error = refused(vec![free.clone(), free]);

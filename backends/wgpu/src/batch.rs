@@ -259,31 +259,47 @@ impl Fixed {
     }
 }
 
+/// What the worlds have in common, if it is enough for one batch.
+fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, Fixed)> {
+    let Some(NewWorld { plan, .. }) = worlds.first() else {
+        return Err(crate::lacks("batch of no worlds", "none is given", "give one at least"));
+    };
+    let fixed = Fixed::of(plan);
+    worlds.iter().enumerate().try_for_each(|(w, world)| fixed.check(world.plan, w))?;
+    if worlds.len() > 1 && plan.scene.gravity_ramp > 0.0 {
+        return Err(crate::lacks(
+            "gravity that grows, in a batch of worlds",
+            "gravity_ramp is above 0, and worlds that are reset would be at different times",
+            "set gravity_ramp = 0 and start with settled bodies, or run worlds on the backend cpu",
+        ));
+    }
+    let most = gpu.limits.max_uniform_buffer_binding_size as usize / size_of::<Layer>();
+    if worlds.len() > most {
+        return Err(Error::Capacity {
+            what: "worlds in one batch of the adapter",
+            asked: worlds.len() as u64,
+            cap: most as u64,
+            mend: "run fewer worlds together",
+        });
+    }
+    worlds.iter().try_for_each(|world| layout::check(&world.particles, &world.plan.materials))?;
+    let particles: usize = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum();
+    if particles >= layout::MAX_PARTICLES {
+        return Err(Error::Capacity {
+            what: "particles on one adapter",
+            asked: particles as u64,
+            cap: layout::MAX_PARTICLES as u64 - 1,
+            mend: "simulate fewer, or use the backend cpu",
+        });
+    }
+    Ok((plan, fixed))
+}
+
 impl WgpuBatch {
     /// Worlds of one scene, each with its particles.
     pub(crate) fn new(gpu: Gpu, worlds: Vec<NewWorld<'_>>) -> Result<Self> {
+        let (plan, fixed) = check_together(&gpu, &worlds)?;
         let count = worlds.len();
-        let Some(NewWorld { plan, .. }) = worlds.first() else {
-            return Err(crate::lacks("batch of no worlds", "none is given", "give one at least"));
-        };
-        let fixed = Fixed::of(plan);
-        worlds.iter().enumerate().try_for_each(|(w, world)| fixed.check(world.plan, w))?;
-        let most = gpu.limits.max_uniform_buffer_binding_size as usize / size_of::<Layer>();
-        if count > most {
-            return Err(Error::Capacity {
-                what: "worlds in one batch of the adapter",
-                asked: count as u64,
-                cap: most as u64,
-                mend: "run fewer worlds together",
-            });
-        }
-        if count > 1 && plan.scene.gravity_ramp > 0.0 {
-            return Err(crate::lacks(
-                "gravity that grows, in a batch of worlds",
-                "gravity_ramp is above 0, and worlds that are reset would be at different times",
-                "set gravity_ramp = 0 and start with settled bodies, or run worlds on the backend cpu",
-            ));
-        }
         let kernels = Kernels::new(&gpu, plan, count)?;
         gpu.check()?;
         let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
@@ -294,16 +310,7 @@ impl WgpuBatch {
                 if walls[d][0] == Wall::Periodic { (plan.cell_max[d] - plan.cell_min[d]) / 4 } else { 0 }
             }),
         };
-        worlds.iter().try_for_each(|world| layout::check(&world.particles, &world.plan.materials))?;
         let particles = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum::<usize>();
-        if particles >= layout::MAX_PARTICLES {
-            return Err(Error::Capacity {
-                what: "particles on one adapter",
-                asked: particles as u64,
-                cap: layout::MAX_PARTICLES as u64 - 1,
-                mend: "simulate fewer, or use the backend cpu",
-            });
-        }
         let slots = particles.next_multiple_of(128).max(128);
         let params: Vec<_> = worlds.iter().flat_map(|world| parameters(world.plan)).collect();
         let extent = Extent {

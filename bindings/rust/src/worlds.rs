@@ -138,8 +138,8 @@ impl Worlds {
         }
     }
 
-    /// `count` steps of every world under the actions as they are, and what each did. A world that fails in one of them stays as it
-    /// was before it and says why, if it has taken none, or has taken fewer, and says why when it is asked again; the others go on.
+    /// `count` steps of every world under the actions as they are, and what each did. A world that fails in one of them stays as it was
+    /// before that step, and the others go on: it has taken fewer steps then, or says why if it has taken none. Asked again, it says why.
     pub fn steps(&mut self, count: usize) -> Vec<Result<Vec<StepReport>>> {
         match &mut self.machine {
             Machine::Apart(_) => self.each(|world| steps_of(world, count)),
@@ -188,18 +188,23 @@ fn steps_of(world: &mut Simulation, count: usize) -> Result<Vec<StepReport>> {
 
 /// Up to `count` steps of worlds that step together.
 fn steps_together(together: &mut Together, count: usize) -> Vec<Result<Vec<StepReport>>> {
-    let mut all = together.steps(count);
-    let taken = |all: &[Result<Vec<StepReport>>]| all.iter().flatten().map(Vec::len).max().unwrap_or(count);
-    while taken(&all) < count {
-        let more = together.steps(count - taken(&all));
-        if more.iter().all(Result::is_err) {
-            break;
-        }
+    let mut all: Vec<Result<Vec<StepReport>>> = together.worlds().iter().map(|_| Ok(Vec::new())).collect();
+    let mut taken = 0;
+    while taken < count {
+        let more = together.steps(count - taken);
+        // All that succeed take the same steps.
+        let Some(steps) = more.iter().flatten().map(Vec::len).max() else {
+            // What is wrong is found again when they are asked again.
+            return if taken == 0 { more } else { all };
+        };
         for (before, more) in all.iter_mut().zip(more) {
-            if let (Ok(before), Ok(more)) = (before, more) {
-                before.extend(more);
+            match (&mut *before, more) {
+                (Ok(before), Ok(more)) => before.extend(more),
+                (Ok(reports), Err(error)) if reports.is_empty() => *before = Err(error),
+                _ => {}
             }
         }
+        taken += steps;
     }
     all
 }
