@@ -74,7 +74,9 @@ pub(crate) fn accuracy(scene: &Scene) -> Option<String> {
     let (name, text) = LADDERS.iter().find(|(name, _)| scene.name.starts_with(name))?;
     let ladder: Value = serde_json::from_str(text).expect("a committed ladder is JSON");
     let off = |row: &Value, key: &str, of: f64| Some((row[key].as_f64()? / of).ln().abs());
-    let rungs = ladder["rows"].as_array()?.iter().filter(|row| row["levels"] == scene.levels.count);
+    // Random starts of the reference are no rungs.
+    let rows = ladder["rows"].as_array()?.iter().filter(|row| row["seed"].is_null());
+    let rungs = rows.filter(|row| row["levels"] == scene.levels.count);
     let apart = rungs.filter_map(|row| {
         let half = off(row, "half", scene.levels.half.into())?;
         Some((off(row, "cell_m", scene.world.cell)?, half, &row["errors"])).filter(|(.., errors)| !errors.is_null())
