@@ -780,8 +780,8 @@ impl WgpuBatch {
 
     /// Turns a halt that no shorter step mends into what a user can act upon.
     pub(crate) fn explain(&self, w: usize, status: &Status, speed: f64, time: f64) -> Error {
-        if let Some(error) = self.find_non_finite(w) {
-            return at_time(error, time);
+        if let Some(error) = self.find_non_finite(w, time) {
+            return error;
         }
         let who = status.words[WHO] as usize;
         match status.halt() {
@@ -818,10 +818,10 @@ impl WgpuBatch {
     }
 
     /// The particle of least id with a NaN or infinite value.
-    fn find_non_finite(&self, w: usize) -> Option<Error> {
+    fn find_non_finite(&self, w: usize, time: f64) -> Option<Error> {
         match self.lists(w) {
             Ok((lists, ..)) => account::find_non_finite(&lists, |field, particle, law, value, count| {
-                self.non_finite(w, field, (particle, law), value, count, 0.0)
+                self.non_finite(w, field, (particle, law), value, count, time)
             }),
             Err(error) => Some(error),
         }
@@ -1077,8 +1077,7 @@ impl WgpuBatch {
 
     /// What is wrong with a world's particles as they came in.
     fn fault(&self, turn: &Turn<'_>) -> Option<Error> {
-        let fault = if self.worlds[turn.world].spoilt { self.find_non_finite(turn.world) } else { None };
-        fault.map(|error| at_time(error, turn.time))
+        if self.worlds[turn.world].spoilt { self.find_non_finite(turn.world, turn.time) } else { None }
     }
 
     /// The step that the fastest world bears; worlds that bear none have failed.
@@ -1332,14 +1331,4 @@ fn pack(body: &BodyState, bounds: &Aabb, h: f64) -> [[f32; 4]; BODY as usize] {
         ints(bounds.min.map(|x| node(x, f64::ceil))),
         ints(bounds.max.map(|x| node(x, f64::floor))),
     ]
-}
-
-/// A fault in the state, with the time at which it was found.
-fn at_time(error: Error, at: f64) -> Error {
-    match error {
-        Error::NonFinite { step, field, particle, list, value, count, .. } => {
-            Error::NonFinite { step, time: at, field, particle, list, value, count }
-        }
-        other => other,
-    }
 }
