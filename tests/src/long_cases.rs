@@ -3,7 +3,7 @@
 use crate::scenes::{alter, options, rows, run_to, scene, simulation};
 use crate::sketch::{Head, bed, block, half, material, tool};
 use barchan::accuracy::{Grain, HeightMap};
-use barchan::scene::Motion;
+use barchan::scene::{Motion, Shape};
 use barchan::{Ledger, ParticleState, Precision, Simulation};
 use std::f64::consts::TAU;
 
@@ -359,13 +359,14 @@ fn archived_bytes(s: &Simulation) -> f64 {
 fn depth_along(s: &Simulation, from: f64, to: f64) -> f64 {
     let (plan, cell) = (s.plan(), s.plan().cell_widths[1]);
     let Motion::Keyframes { frames, .. } = &plan.scene.tool[0].motion else { return f64::NAN };
+    let Shape::Box { max: Some([_, _, surface]), .. } = plan.scene.body[0].shape else { return f64::NAN };
     let drawn = frames.iter().filter(|frame| (from..=to).contains(&frame.time));
     let way: Vec<[f64; 2]> = drawn.map(|frame| [frame.position[0], frame.position[1]]).collect();
     let on_it = |at: [f64; 2]| way.iter().any(|x| (x[0] - at[0]).hypot(x[1] - at[1]) < cell);
     let grains: Vec<Grain> = s.spots().iter().map(Grain::of).collect();
     let map = HeightMap::new(&grains, &plan.scene.world, cell);
     let depths: Vec<f64> =
-        map.heights().iter().enumerate().filter(|(i, _)| on_it(map.at(*i))).map(|(_, top)| 0.1 - top).collect();
+        map.heights().iter().enumerate().filter(|(i, _)| on_it(map.at(*i))).map(|(_, top)| surface - top).collect();
     depths.iter().sum::<f64>() / depths.len() as f64
 }
 

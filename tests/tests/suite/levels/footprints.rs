@@ -10,23 +10,27 @@ const LAST: f64 = 1.3;
 /// The first stroke runs along y here [m].
 const STROKE_X: f64 = 0.15;
 const STROKE_Y: [f64; 2] = [0.11, 0.19];
+/// Height of the bed's surface at the start [m].
+const SURFACE: f64 = 0.112;
 
 /// `letters` with a shorter bed, on which the rod draws two strokes 0.5 m apart.
 fn strokes() -> Simulation {
+    // The rod's middle is 40 mm above the ground where it draws.
+    let (up, down) = (SURFACE + 0.112, SURFACE + 0.04);
     let frame = |time: f64, x: f64, y: f64, z: f64| format!("{{ time = {time}, position = [{x}, {y}, {z}] }}");
     let frames = [
-        frame(0.0, STROKE_X, 0.23, 0.212),
-        frame(0.16, STROKE_X, 0.23, 0.14),
-        frame(0.48, STROKE_X, 0.07, 0.14),
-        frame(FIRST, STROKE_X, 0.07, 0.212),
-        frame(0.94, 0.65, 0.10, 0.212),
-        frame(1.1, 0.65, 0.10, 0.14),
-        frame(LAST, 0.65, 0.20, 0.14),
+        frame(0.0, STROKE_X, 0.23, up),
+        frame(0.16, STROKE_X, 0.23, down),
+        frame(0.48, STROKE_X, 0.07, down),
+        frame(FIRST, STROKE_X, 0.07, up),
+        frame(0.94, 0.65, 0.10, up),
+        frame(1.1, 0.65, 0.10, down),
+        frame(LAST, 0.65, 0.20, down),
     ];
     let set = [
-        "world.max=[0.8, 0.3, 0.4]".to_owned(),
-        "body.bed.shape.box={ min = [0.0, 0.0, 0.0], max = [0.8, 0.3, 0.1] }".to_owned(),
-        format!("tool.stirrer.position=[{STROKE_X}, 0.23, 0.212]"),
+        "world.max=[0.812, 0.308, 0.42]".to_owned(),
+        format!("body.bed.shape.box={{ min = [0.0, 0.0, 0.0], max = [0.812, 0.308, {SURFACE}] }}"),
+        format!("tool.stirrer.position=[{STROKE_X}, 0.23, {up}]"),
         format!("tool.stirrer.motion.keyframes.frames=[{}]", frames.join(", ")),
     ];
     let scene = barchan::tasks::scene("letters", &set).unwrap();
@@ -40,7 +44,7 @@ fn furrow(simulation: &Simulation) -> (f64, f64) {
     let map = HeightMap::new(&grains, &plan.scene.world, plan.cell_widths[1]);
     let along = |x: f64, y: f64| (x - STROKE_X).abs() < plan.cell_widths[1] && (STROKE_Y[0]..STROKE_Y[1]).contains(&y);
     let heights = map.heights().iter().enumerate().filter(|(i, _)| along(map.at(*i)[0], map.at(*i)[1]));
-    let depths: Vec<f64> = heights.map(|(_, height)| 0.1 - height).collect();
+    let depths: Vec<f64> = heights.map(|(_, height)| SURFACE - height).collect();
     let near: Vec<_> = rows(simulation).into_iter().filter(|row| along(row.x[0], row.x[1])).collect();
     let coarsest = near.iter().filter(|row| row.level as usize + 1 == plan.cell_widths.len()).count();
     (depths.iter().sum::<f64>() / depths.len() as f64, coarsest as f64 / near.len() as f64)
