@@ -347,12 +347,18 @@ impl<T: Float> Grid<T> {
         // The blocks whose tiles hold any of these nodes.
         let (rings, ring_of) = (&self.rings, &self.ring_of);
         let shared: [u64; 27] = std::array::from_fn(|n| block::shared_nodes(block::offset(n)));
-        let touching = |around: &[u32; 27]| {
+        let touching = |(b, around): (usize, &[u32; 27])| {
             let ring = |n: usize| ring_of.get(around[n] as usize).and_then(|&r| rings.get(r as usize));
-            let slaves = |n: usize| ring(n).map_or(0, |ring| ring.slaves);
-            (0..27).any(|n| slaves(n) & shared[n] != 0).then(|| ring::touching(slaves))
+            let mut slaves: [u64; 27] = std::array::from_fn(|n| ring(n).map_or(0, |ring| ring.slaves));
+            if !(0..27).any(|n| slaves[n] & shared[n] != 0) {
+                return None;
+            }
+            if self.mirrored[b] {
+                slaves = with_images(slaves, block::of_key(self.occupied[b]), bounds);
+            }
+            Some(ring::touching(|n| slaves[n]))
         };
-        let touching: Vec<_> = self.nodes_around.par_iter().map(touching).collect();
+        let touching: Vec<_> = self.nodes_around.par_iter().enumerate().map(touching).collect();
         self.touches.clear();
         self.edge_of.clear();
         for touches in touching {
@@ -491,6 +497,23 @@ fn index(keys: &[u64]) -> KeyMap {
 
 fn find(map: &KeyMap, b: [i32; 3]) -> u32 {
     block::key(b).and_then(|key| map.get(&key).copied()).unwrap_or(NONE)
+}
+
+/// Slaves among the nodes of the 27 blocks around one, and with them the nodes behind mirrors whose images they are: what particles give to
+/// these is folded back to them.
+fn with_images(slaves: [u64; 27], at: [i32; 3], bounds: &Bounds) -> [u64; 27] {
+    std::array::from_fn(|n| {
+        let offset = block::offset(n);
+        let first: [i32; 3] = std::array::from_fn(|d| (at[d] + offset[d]) * SIDE);
+        let is_image = |node: &usize| {
+            let cell = place(first, *node);
+            let (image, _) = bounds.mirrors.reflected(cell);
+            let away: [i32; 3] = std::array::from_fn(|d| image[d].div_euclid(SIDE) - at[d]);
+            image != cell
+                && (0..27).any(|k| block::offset(k) == away && slaves[k] >> (ring::node_in_block(image) / 4) & 1 == 1)
+        };
+        (0..CELLS).filter(is_image).fold(slaves[n], |bits, node| bits | 1 << node)
+    })
 }
 
 /// The n-th of the 4³ cells from `first` on.
