@@ -11,11 +11,11 @@ use barchan_core::levels::{CellBox, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
 use barchan_core::{Aabb, Coupling, Error, Ledger, Regions, Result};
 use barchan_grid::block::{self, CELLS, SIDE};
 use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
-use barchan_grid::resample::{Change, Particle, Planes, Refusal, merge, split};
+use barchan_grid::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split};
 use barchan_grid::transfer::Scalar;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::BuildHasherDefault;
 use std::time::Instant;
 
@@ -100,11 +100,34 @@ struct Found {
     action: Action,
 }
 
-/// Particles that may merge: class, list, body and bin first, so that those of a bin stand together, in the order of ids.
+/// A particle that looks for partners.
+struct Candidate {
+    found: Found,
+    id: u32,
+    body: u16,
+    /// Where it is [m].
+    x: [f64; 3],
+    /// Rest volume [m³].
+    volume0: f64,
+    /// Side of what it may become a part of [m].
+    side: f64,
+    at_surface: bool,
+}
+
+/// Candidates in their bins: class, list, body and bin first, so that those of a bin stand together, in the order of ids.
 type Binned = (u32, usize, u16, [i64; 3], u32, usize);
 
 /// Mass in each cell of a level, as a part of a full cell, by block.
 type Filling = HashMap<u64, [f32; CELLS], BuildHasherDefault<KeyHasher>>;
+
+/// What does not change while particles of a round merge.
+struct Merging<'a> {
+    candidates: &'a [Candidate],
+    /// Of each list: is its strain F, and the rules of its history.
+    planes: Vec<(bool, Vec<u32>)>,
+    /// Size of gravity [m/s²].
+    gravity: f64,
+}
 
 impl<T: Scalar> CpuEngine<T> {
     /// Moves the levels' boxes after their agents. Returns the regions as they were if any has moved.
@@ -137,8 +160,9 @@ impl<T: Scalar> CpuEngine<T> {
 
     /// Brings particles to the levels whose regions they are in, splits those that are too coarse there and merges those that
     /// are finer than need be. `before` are the regions as they were, if any has moved: then what need not be as fine any more is
-    /// merged; what was refused then is tried again now and then. Returns which levels have lost or gained particles,
-    /// and must be sorted.
+    /// merged; what was refused then is tried again now and then. As long as regions stay, only levels that are `stirred` are looked
+    /// at: the others' particles have hardly moved since they were sorted. Returns which levels have lost or gained particles, and
+    /// must be sorted.
     ///
     /// # Errors
     /// [`Error::Capacity`] if there are no numbers left for new particles; those of materials, whose strain has to be up to date.
@@ -146,6 +170,7 @@ impl<T: Scalar> CpuEngine<T> {
         &mut self,
         time: f64,
         before: Option<&Regions>,
+        stirred: &[bool],
         couplings: &[Box<dyn Coupling>],
     ) -> Result<Vec<bool>> {
         let mut clock = Instant::now();
@@ -159,7 +184,8 @@ impl<T: Scalar> CpuEngine<T> {
         if !matches!(candidates, Candidates::None) {
             self.tried = self.rounds;
         }
-        let found: Vec<Found> = (0..self.levels.len()).flat_map(|l| self.find(l, candidates)).collect();
+        let looks = |l: &usize| stirred[*l] || !matches!(candidates, Candidates::None);
+        let found: Vec<Found> = (0..self.levels.len()).filter(looks).flat_map(|l| self.find(l, candidates)).collect();
         // Levels have steps of their own, and strain lags behind by one.
         let mut concerned = vec![false; self.levels.len()];
         for one in &found {
@@ -176,29 +202,43 @@ impl<T: Scalar> CpuEngine<T> {
         let mut coming: Vec<(usize, Parcel)> = Vec::new();
         let mut gone: Vec<Found> = Vec::new();
         let tools: Vec<Aabb> = couplings.iter().flat_map(|c| c.bounds()).collect();
-        for &one in found.iter().filter(|one| one.action == Action::Split) {
-            self.split_up(one, couplings, &tools, &mut coming)?;
-            gone.push(one);
+        let splitting: Vec<Found> = found.iter().filter(|one| one.action == Action::Split).copied().collect();
+        let away: Vec<Option<Family>> = splitting
+            .par_iter()
+            .map(|&one| self.split_up(one, |places| is_away(places, &tools).then_some(true)))
+            .collect();
+        for (&one, family) in splitting.iter().zip(away) {
+            let touches = |places: &[[f64; 3]; CHILDREN]| {
+                Some(is_away(places, &tools) || couplings.iter().all(|c| c.distance(places).iter().all(|d| *d >= 0.0)))
+            };
+            let Some(family) = family.or_else(|| self.split_up(one, touches)) else { continue };
+            self.resampled.splits += family.splits;
+            let first = self.new_ids(family.splits * (CHILDREN as u64 - 1))?;
+            coming.extend(family.parcels.into_iter().map(|(level, mut parcel, child)| {
+                parcel.id = child.map_or(parcel.id, |child| first + child);
+                (level, parcel)
+            }));
         }
+        gone.extend(splitting);
         let stay = match candidates {
             Candidates::None => Vec::new(),
             _ => self.merge_all(&found, couplings, &tools, &mut coming, &mut gone),
         };
-        let moving = found.iter().filter(|one| one.action == Action::Move).copied();
-        for one in moving.chain(stay) {
-            coming.push(self.moved(one));
-            gone.push(one);
-            self.resampled.moves += 1;
-        }
+        let moving: Vec<Found> = found.iter().filter(|one| one.action == Action::Move).copied().chain(stay).collect();
+        self.resampled.moves += moving.len() as u64;
+        coming.par_extend(moving.par_iter().map(|&one| self.moved(one)));
+        gone.extend(moving);
         let mut changed = vec![false; self.levels.len()];
         for one in gone {
             changed[one.level] = true;
             self.levels[one.level].store.remove(one.list, one.chunk, one.lane);
         }
         for (l, level) in self.levels.iter_mut().enumerate() {
-            let mut here: Vec<&Parcel> = coming.iter().filter(|(to, _)| *to == l).map(|(_, parcel)| parcel).collect();
+            let mut here: Vec<(usize, u32, &Parcel)> =
+                coming.iter().filter(|(to, _)| *to == l).map(|(_, parcel)| (parcel.list, parcel.id, parcel)).collect();
             if !here.is_empty() {
-                here.sort_unstable_by_key(|parcel| (parcel.list, parcel.id));
+                here.par_sort_unstable_by_key(|&(list, id, _)| (list, id));
+                let here: Vec<&Parcel> = here.into_iter().map(|(.., parcel)| parcel).collect();
                 changed[l] = true;
                 level.store.push(&here);
             }
@@ -232,25 +272,25 @@ impl<T: Scalar> CpuEngine<T> {
         let runs = level.store.lists.first().map_or(0, |list| list.runs.len());
         let look = |b: usize| {
             let mut found = Vec::new();
-            // Particles may have drifted out of their block by a cell.
-            let around = level.store.blocks.get(b).map(|&key| {
-                let first = block::of_key(key).map(|c| c * SIDE - 1);
-                CellBox { min: first.map(|c| c << l), max: first.map(|c| (c + SIDE + 2) << l) }
-            });
-            let everywhere = |regions: &Regions, margin: i32| around.and_then(|cells| regions.finest(cells, margin));
-            let home = everywhere(&self.regions, SPLIT_AHEAD);
-            let behind = everywhere(&self.regions, MERGE_BEHIND);
-            let before = if let Candidates::New(before) = candidates { everywhere(before, MERGE_BEHIND) } else { None };
-            // No class below `behind` is tried that is not below `before`.
-            let idle = match candidates {
-                Candidates::None => true,
-                Candidates::New(_) => before.is_some() && before == behind,
-                Candidates::All => false,
+            let block = level.store.blocks.get(b).copied();
+            let nearby = |regions, margin| Nearby::new(regions, margin, l, block);
+            let mut home = nearby(&self.regions, SPLIT_AHEAD);
+            let mut behind = match candidates {
+                Candidates::None => None,
+                _ => Some(nearby(&self.regions, MERGE_BEHIND)),
             };
+            let mut before = match candidates {
+                Candidates::New(before) => Some(nearby(before, MERGE_BEHIND)),
+                _ => None,
+            };
+            // No class below `behind` is tried that is not below `before`.
+            let stays = || before.as_ref().zip(behind.as_ref()).is_some_and(|(a, b)| a.all.is_some() && a.all == b.all);
+            let idle = behind.is_none() || stays();
+            let all_home = home.all == Some(l);
             // As a rule a block has nothing to do, which its greatest particle tells.
             let is_calm = |list: &List<T>, run: Run| {
                 let small = |chunk: usize| list.rest_plane(chunk, VOLUME).iter().all(|v| *v < splits_from);
-                idle && home == Some(l) && (run.first..run.first + run.chunks()).all(small)
+                idle && all_home && (run.first..run.first + run.chunks()).all(small)
             };
             for (i, list) in level.store.lists.iter().enumerate() {
                 if is_calm(list, list.runs[b]) {
@@ -260,21 +300,12 @@ impl<T: Scalar> CpuEngine<T> {
                     if list.id[chunk][lane] == PAD {
                         continue;
                     }
-                    let cell = || finest_cell(list.cell_of(chunk, lane), list.offset_of(chunk, lane), l);
-                    let home = home.unwrap_or_else(|| self.regions.finest_at(cell(), SPLIT_AHEAD));
+                    let at = || (list.cell_of(chunk, lane), list.offset_of(chunk, lane));
+                    let home = home.all.unwrap_or_else(|| home.at(at()));
                     let (volume0, least) = (list.volume0_of(chunk, lane), least(list.body[chunk][lane]));
-                    let may_merge = || {
-                        let behind = behind.unwrap_or_else(|| self.regions.finest_at(cell(), MERGE_BEHIND));
-                        let is_new = |regions: &Regions| {
-                            let before = before.unwrap_or_else(|| regions.finest_at(cell(), MERGE_BEHIND));
-                            volume0 >= least[before]
-                        };
-                        volume0 < least[behind]
-                            && match candidates {
-                                Candidates::None => false,
-                                Candidates::New(before) => is_new(before),
-                                Candidates::All => true,
-                            }
+                    let mut may_merge = || {
+                        behind.as_mut().is_some_and(|behind| volume0 < least[behind.at(at())])
+                            && before.as_mut().is_none_or(|before| volume0 >= least[before.at(at())])
                     };
                     let action = if volume0 >= least[home + 1] {
                         Action::Split
@@ -362,55 +393,58 @@ impl<T: Scalar> CpuEngine<T> {
         (list.strain_planes() == 9, states.iter().map(|state| state.merge).collect())
     }
 
-    /// Replaces a particle by its children, and these by theirs, until none is too coarse for where it is.
-    fn split_up(
-        &mut self,
-        one: Found,
-        couplings: &[Box<dyn Coupling>],
-        tools: &[Aabb],
-        coming: &mut Vec<(usize, Parcel)>,
-    ) -> Result<()> {
+    /// Replaces a particle by its children, and these by theirs, until none is too coarse for where it is. `is_clear` says whether
+    /// children at these places keep clear of tools; `None` if it cannot tell.
+    fn split_up(&self, one: Found, is_clear: impl Fn(&[[f64; 3]; CHILDREN]) -> Option<bool>) -> Option<Family> {
         let h = self.levels[one.level].h();
         let parcel = self.levels[one.level].store.lists[one.list].parcel(one.list, one.chunk, one.lane);
         let (is_gradient, rules) = self.planes_of(one.list);
         let planes = Planes { is_gradient, merge: &rules };
         let origin = parcel.cell;
         let corner: [f64; 3] = origin.map(|c| f64::from(c) * h);
-        let mut open = vec![(self.particle(&parcel, origin, h), one.class, parcel.id)];
-        while let Some((particle, class, id)) = open.pop() {
+        let mut family = Family { parcels: Vec::new(), splits: 0 };
+        let mut children = 0;
+        let mut open = vec![(self.particle(&parcel, origin, h), one.class, None)];
+        while let Some((particle, class, child)) = open.pop() {
             let at: [f64; 3] = std::array::from_fn(|d| particle.x[d] / h);
             let cell: [i32; 3] = std::array::from_fn(|d| origin[d] + at[d].floor() as i32);
             let finest = finest_cell(cell, at.map(|x| x - x.floor()), one.level);
             if class as usize <= self.regions.finest_at(finest, SPLIT_AHEAD) {
-                let mut parcel = self.parcel_of(&particle, origin, one.level, &parcel);
-                parcel.1.id = id;
-                coming.push(parcel);
+                let (level, parcel) = self.parcel_of(&particle, origin, one.level, &parcel);
+                family.parcels.push((level, parcel, child));
                 continue;
             }
-            self.resampled.splits += 1;
-            let children = (0..5).map(|tries| split(&particle, planes, 0.5_f64.powi(tries))).find(|children| {
-                let places = children.map(|child| std::array::from_fn(|d| corner[d] + child.x[d]));
-                let near = tools.iter().any(|tool| places.iter().any(|x| tool.contains(*x)));
-                !near || couplings.iter().all(|c| c.distance(&places).iter().all(|distance| *distance >= 0.0))
-            });
-            let children = children.unwrap_or_else(|| split(&particle, planes, f64::MIN_POSITIVE));
-            for (k, child) in children.into_iter().enumerate() {
-                let id = if k == 0 { id } else { self.new_id()? };
-                open.push((child, class - 1, id));
+            family.splits += 1;
+            let mut tries = (0..5).map(|tries| split(&particle, planes, 0.5_f64.powi(tries)));
+            let parts = loop {
+                let Some(parts) = tries.next() else { break split(&particle, planes, f64::MIN_POSITIVE) };
+                if is_clear(&parts.map(|part| std::array::from_fn(|d| corner[d] + part.x[d])))? {
+                    break parts;
+                }
+            };
+            for (k, part) in parts.into_iter().enumerate() {
+                let number = if k == 0 { child } else { Some(children) };
+                children += u32::from(k > 0);
+                open.push((part, class - 1, number));
             }
         }
-        Ok(())
+        Some(family)
     }
 
-    fn new_id(&mut self) -> Result<u32> {
-        let id = u32::try_from(self.next_id).ok().filter(|&id| id != PAD).ok_or(Error::Capacity {
-            what: "numbers for particles",
-            asked: self.next_id,
-            cap: u64::from(PAD),
-            mend: "use fewer levels or agents that move less: each split takes seven new numbers",
-        })?;
-        self.next_id += 1;
-        Ok(id)
+    /// So many new numbers in a row: the first.
+    fn new_ids(&mut self, count: u64) -> Result<u32> {
+        let first = self.next_id;
+        let asked = first + count;
+        if asked > u64::from(PAD) {
+            return Err(Error::Capacity {
+                what: "numbers for particles",
+                asked,
+                cap: u64::from(PAD),
+                mend: "use fewer levels or agents that move less: each split takes seven new numbers",
+            });
+        }
+        self.next_id = asked;
+        Ok(first as u32)
     }
 
     /// Merges what can be merged, class by class. Returns those that cannot but have to change level.
@@ -423,16 +457,13 @@ impl<T: Scalar> CpuEngine<T> {
         gone: &mut Vec<Found>,
     ) -> Vec<Found> {
         self.resampled.refused.clear();
-        let candidates: Vec<Found> = found.iter().filter(|one| one.action == Action::Merge).copied().collect();
-        let mut merged = vec![false; candidates.len()];
-        let filling: Vec<Filling> = (0..self.levels.len())
-            .map(|l| if candidates.iter().any(|c| c.level == l) { self.filling(l) } else { Filling::default() })
-            .collect();
-        let at_surface = |one: &Found| {
-            let cell = self.levels[one.level].store.lists[one.list].cell_of(one.chunk, one.lane);
-            self.is_near_surface(cell, one.level, &filling[one.level])
+        let candidates = self.candidates(found);
+        let merging = Merging {
+            candidates: &candidates,
+            planes: (0..self.levels[0].store.lists.len()).map(|list| self.planes_of(list)).collect(),
+            gravity: self.scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt(),
         };
-        let at_surface: Vec<bool> = candidates.par_iter().map(at_surface).collect();
+        let mut merged = vec![false; candidates.len()];
         // Clusters at the surface first, since only some ways to cut it in cubes leave it whole; then bins, as the lattice lies; then
         // clusters of what is left over.
         for way in [Way::Surface, Way::Bins, Way::Rest] {
@@ -440,13 +471,17 @@ impl<T: Scalar> CpuEngine<T> {
                 Way::Bins => (1, 0),
                 _ => (NEIGHBOURHOOD, (self.rounds % 8) as usize),
             };
-            let free = (0..candidates.len()).filter(|&i| !merged[i]);
-            let mut binned: Vec<Binned> = free.map(|i| self.binned(i, &candidates[i], sides, shift)).collect();
+            let free = (0..candidates.len()).into_par_iter().filter(|&i| !merged[i]);
+            let mut binned: Vec<Binned> = free.map(|i| candidates[i].binned(i, sides, shift)).collect();
             binned.par_sort_unstable();
-            let groups: Vec<&[Binned]> = binned.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3)).collect();
+            let groups = binned.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3));
+            let groups: Vec<&[Binned]> = match way {
+                Way::Surface => groups.filter(|group| group.iter().any(|one| candidates[one.5].at_surface)).collect(),
+                _ => groups.collect(),
+            };
             let try_group = |group: &&[Binned]| match way {
-                Way::Bins => self.try_merge(group, &candidates, &at_surface, false).into_iter().collect(),
-                _ => self.clusters(group, &candidates, &at_surface, shift, matches!(way, Way::Surface)),
+                Way::Bins => self.try_merge(&merging, group, false).into_iter().collect(),
+                _ => self.clusters(&merging, group, shift, matches!(way, Way::Surface)),
             };
             let results: Vec<Vec<Result<Merged, Refusal>>> = groups.par_iter().map(try_group).collect();
             for result in results.into_iter().flatten() {
@@ -460,90 +495,133 @@ impl<T: Scalar> CpuEngine<T> {
                         self.resampled.angular += one.change.angular;
                         for i in one.members {
                             merged[i] = true;
-                            gone.push(candidates[i]);
+                            gone.push(candidates[i].found);
                         }
                         coming.push((one.level, one.parcel));
                     }
                 }
             }
         }
-        let left = candidates.iter().zip(merged).filter(|(_, merged)| !merged).map(|(one, _)| *one);
+        let left = candidates.iter().zip(merged).filter(|(_, merged)| !merged).map(|(one, _)| one.found);
         left.filter(|one| one.home != one.level).collect()
     }
 
-    /// Side of what a body's particles of a class merge into [m].
-    fn merged_side(&self, class: u32, body: u16) -> f64 {
-        self.finest_volume(body).cbrt() * f64::from(1 << (class + 1))
-    }
-
-    /// Where a particle is [m].
-    fn position(&self, one: &Found) -> [f64; 3] {
-        let level = &self.levels[one.level];
-        level.store.lists[one.list].position_of(one.chunk, one.lane, level.h())
-    }
-
-    /// A candidate in its bin, `sides` merged particles wide and moved by half of that along the axes of `shift`.
-    fn binned(&self, i: usize, one: &Found, sides: u32, shift: usize) -> Binned {
-        let list = &self.levels[one.level].store.lists[one.list];
-        let body = list.body[one.chunk][one.lane];
-        let side = self.merged_side(one.class, body) * f64::from(sides);
-        let bin = self.position(one).map(|x| x / side);
-        let bin = std::array::from_fn(|d| (bin[d] + f64::from((shift >> d & 1) as u32) * 0.5).floor() as i64);
-        (one.class, one.list, body, bin, list.id[one.chunk][one.lane], i)
+    /// What merging needs to know of the particles that may merge.
+    fn candidates(&self, found: &[Found]) -> Vec<Candidate> {
+        let found: Vec<Found> = found.iter().filter(|one| one.action == Action::Merge).copied().collect();
+        let surfaces: Vec<Surface> =
+            found.chunk_by(|a, b| a.level == b.level).map(|here| self.surface(here[0].level, here)).collect();
+        let bodies = self.scene.body.len().max(1);
+        let finest_sides: Vec<f64> = (0..bodies).map(|body| self.finest_volume(body as u16).cbrt()).collect();
+        let candidate = |&found: &Found| {
+            let level = &self.levels[found.level];
+            let (list, chunk, lane) = (&level.store.lists[found.list], found.chunk, found.lane);
+            let (body, cell) = (list.body[chunk][lane], list.cell_of(chunk, lane));
+            let surface = surfaces.iter().find(|surface| surface.level == found.level);
+            Candidate {
+                found,
+                id: list.id[chunk][lane],
+                body,
+                x: list.position_of(chunk, lane, level.h()),
+                volume0: list.volume0_of(chunk, lane),
+                side: finest_sides[usize::from(body).min(bodies - 1)] * f64::from(1 << (found.class + 1)),
+                at_surface: surface.is_none_or(|surface| surface.is_near(cell)),
+            }
+        };
+        found.par_iter().map(candidate).collect()
     }
 
     /// Merges what stands together in a neighbourhood, wherever bins would end: about each particle, those with the least choice first,
     /// the cluster that is most like a cube; `only_surface` says whether only about particles there.
     fn clusters(
         &self,
+        merging: &Merging<'_>,
         group: &[Binned],
-        candidates: &[Found],
-        at_surface: &[bool],
         shift: usize,
         only_surface: bool,
     ) -> Vec<Result<Merged, Refusal>> {
-        if only_surface && !group.iter().any(|binned| at_surface[binned.5]) {
-            return Vec::new();
-        }
-        let (class, list, body, bin, ..) = group[0];
-        let side = self.merged_side(class, body);
+        let candidate = |i: usize| &merging.candidates[group[i].5];
+        let (side, bin) = (candidate(0).side, group[0].3);
         // In sides of the merged particle, with bins' faces at whole numbers.
         let width = i64::from(NEIGHBOURHOOD);
         let origin: [f64; 3] = std::array::from_fn(|d| (bin[d] * width - (shift >> d & 1) as i64 * width / 2) as f64);
-        let place = |binned: &Binned| {
-            let x = self.position(&candidates[binned.5]);
-            Vector3::from_fn(|d, _| x[d] / side - origin[d])
+        let loose_one = |i: usize| {
+            let one = candidate(i);
+            let x = Vector3::from_fn(|d, _| one.x[d] / side - origin[d]);
+            (x, one.volume0 / side.powi(3), one.at_surface)
         };
-        let volume = |binned: &Binned| {
-            let one = &candidates[binned.5];
-            self.levels[one.level].store.lists[list].volume0_of(one.chunk, one.lane) / side.powi(3)
-        };
-        let mut loose = Loose {
-            surface: group.iter().map(|binned| at_surface[binned.5]).collect(),
-            ..Loose::new(group.iter().map(|binned| (place(binned), volume(binned))).collect())
-        };
+        let mut loose = Loose::new((0..group.len()).map(loose_one).collect());
         let pairs = !only_surface && self.rounds.is_multiple_of(PATIENCE);
         let least = if pairs { 0.0 } else { *PORTION.start() };
         // At the surface anything less like a cube is refused anyway.
         let tolerance = self.scene.levels.tolerance;
         let strict = 4.0 * tolerance * (1.0 + tolerance);
-        let seeds = (0..group.len()).filter(|&i| !only_surface || loose.surface[i]);
-        let mut seeds: Vec<(usize, usize)> = seeds.map(|i| (loose.near(i).count(), i)).collect();
-        seeds.sort_unstable();
+        // The members of a cluster tend to find the same one.
+        let mut refused: HashSet<Vec<usize>> = HashSet::new();
         let mut found = Vec::new();
-        for (_, seed) in seeds {
-            let Some(members) = loose.cluster(seed, least, strict) else { continue };
-            let cluster: Vec<Binned> = members.iter().map(|&i| group[i]).collect();
-            if let Some(Ok(one)) = self.try_merge(&cluster, candidates, at_surface, pairs) {
+        for seed in loose.seeds(only_surface) {
+            let Some(members) = loose.cluster(seed, least, strict).filter(|members| !refused.contains(members)) else {
+                continue;
+            };
+            let cluster: Vec<Binned> = members.iter().map(|&i| group[loose.number[i]]).collect();
+            if let Some(Ok(one)) = self.try_merge(merging, &cluster, pairs) {
                 members.iter().for_each(|&i| loose.free[i] = false);
                 found.push(Ok(one));
+            } else {
+                refused.insert(members);
             }
         }
         found
     }
 
-    /// Mass in each cell of a level, as a part of a full cell, by block.
-    fn filling(&self, l: usize) -> Filling {
+    /// Which cells of a level's blocks that hold such particles are next to one that is less than half full.
+    fn surface(&self, l: usize, particles: &[Found]) -> Surface {
+        let level = &self.levels[l];
+        let block_of =
+            |one: &Found| block::key(block::of_cell(level.store.lists[one.list].cell_of(one.chunk, one.lane)));
+        let mut blocks: Vec<u64> = particles.iter().filter_map(block_of).collect();
+        blocks.sort_unstable();
+        blocks.dedup();
+        let around = |&key: &u64| {
+            let at = block::of_key(key);
+            (0..27).filter_map(move |n| {
+                let offset = block::offset(n);
+                block::key(level.bounds.wrap(std::array::from_fn(|d| at[d] + offset[d])))
+            })
+        };
+        let mut near: Vec<u64> = blocks.iter().flat_map(around).collect();
+        near.sort_unstable();
+        near.dedup();
+        let filling = self.filling(l, &near);
+        let cells = blocks.into_par_iter().map(|key| (key, self.near_surface(l, block::of_key(key), &filling)));
+        Surface { level: l, cells: cells.collect() }
+    }
+
+    /// The cells of a block that have one around them that is less than half full, as bits.
+    fn near_surface(&self, l: usize, at: [i32; 3], filling: &Filling) -> u64 {
+        let bounds = &self.levels[l].bounds;
+        let is_empty = |n: usize| {
+            let local = [n / 36, n / 6 % 6, n % 6];
+            let cell: [i32; 3] = std::array::from_fn(|d| {
+                let c = at[d] * SIDE + local[d] as i32 - 1;
+                // Behind a wall the ground goes on.
+                let c = if bounds.walled[d][0] { c.max(bounds.min[d]) } else { c };
+                if bounds.walled[d][1] { c.min(bounds.max[d] - 1) } else { c }
+            });
+            let key = block::key(bounds.wrap(block::of_cell(cell)));
+            let full = key.and_then(|key| filling.get(&key)).map_or(0.0, |cells| cells[place(cell)]);
+            f64::from(full) < EMPTY
+        };
+        let empty: [bool; 216] = std::array::from_fn(is_empty);
+        let is_near = |n: &usize| {
+            let around = |k: usize| (n / 16 + k / 9) * 36 + (n / 4 % 4 + k / 3 % 3) * 6 + n % 4 + k % 3;
+            (0..27).any(|k| empty[around(k)])
+        };
+        (0..CELLS).filter(is_near).fold(0, |bits, n| bits | 1 << n)
+    }
+
+    /// Mass in each cell of a level, as a part of a full cell, by block; of these blocks, and some of what lies beside them.
+    fn filling(&self, l: usize, near: &[u64]) -> Filling {
         let level = &self.levels[l];
         let volume = level.h().powi(3);
         let runs = level.store.lists.first().map_or(0, |list| list.runs.len());
@@ -566,9 +644,12 @@ impl<T: Scalar> CpuEngine<T> {
             }
             (cells, strays)
         };
-        let filled: Vec<_> = (0..runs).into_par_iter().map(fill).collect();
-        let mut filling: Filling =
-            level.store.blocks.iter().zip(&filled).map(|(&key, (cells, _))| (key, *cells)).collect();
+        let is_wanted = |&b: &usize| level.store.blocks.get(b).is_none_or(|key| near.binary_search(key).is_ok());
+        let wanted: Vec<usize> = (0..runs).filter(is_wanted).collect();
+        let filled: Vec<_> = wanted.par_iter().map(|&b| fill(b)).collect();
+        let keyed =
+            wanted.iter().zip(&filled).filter_map(|(&b, (cells, _))| Some((*level.store.blocks.get(b)?, *cells)));
+        let mut filling: Filling = keyed.collect();
         for (key, cell, part) in filled.into_iter().flat_map(|(_, strays)| strays) {
             filling.entry(key).or_insert([0.0; CELLS])[cell] += part;
         }
@@ -576,22 +657,17 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// One particle in place of a bin's, if they are neither too few nor too many, and alike. `None`: not this time.
-    fn try_merge(
-        &self,
-        group: &[Binned],
-        candidates: &[Found],
-        at_surface: &[bool],
-        pairs: bool,
-    ) -> Option<Result<Merged, Refusal>> {
-        let (class, list, body, ..) = group[0];
-        let side = self.merged_side(class, body);
-        let members = || group.iter().map(|binned| candidates[binned.5]);
-        let volume: f64 =
-            members().map(|one| self.levels[one.level].store.lists[one.list].volume0_of(one.chunk, one.lane)).sum();
+    fn try_merge(&self, merging: &Merging<'_>, group: &[Binned], pairs: bool) -> Option<Result<Merged, Refusal>> {
+        let members = || group.iter().map(|binned| &merging.candidates[binned.5]);
+        let side = members().next()?.side;
+        let volume: f64 = members().map(|one| one.volume0).sum();
         let least = if pairs { 0.0 } else { *PORTION.start() };
         if group.len() < 2 || volume < least * side.powi(3) || volume > PORTION.end() * side.powi(3) {
             return None;
         }
+        let list = group[0].1;
+        let near_surface = members().any(|one| one.at_surface);
+        let members = || members().map(|one| one.found);
         // All as seen from the first one's cell, on the coarsest level among them.
         let level = members().map(|one| one.level).max()?;
         let h = self.levels[level].h();
@@ -608,12 +684,10 @@ impl<T: Scalar> CpuEngine<T> {
             .collect();
         let origin = parcels[0].cell;
         let particles: Vec<Particle> = parcels.iter().map(|parcel| self.particle(parcel, origin, h)).collect();
-        let near_surface = group.iter().any(|binned| at_surface[binned.5]);
-        let (is_gradient, rules) = self.planes_of(list);
-        let planes = Planes { is_gradient, merge: &rules };
-        let gravity = self.scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let (is_gradient, ref rules) = merging.planes[list];
+        let planes = Planes { is_gradient, merge: rules };
         let tolerance = self.scene.levels.tolerance;
-        let (one, change) = match merge(&particles, planes, gravity, tolerance, near_surface) {
+        let (one, change) = match merge(&particles, planes, merging.gravity, tolerance, near_surface) {
             Ok(merged) => merged,
             Err(refusal) => return Some(Err(refusal)),
         };
@@ -626,26 +700,74 @@ impl<T: Scalar> CpuEngine<T> {
         let members = group.iter().map(|binned| binned.5).collect();
         Some(Ok(Merged { level, parcel, change, members, x, clearance: AROUND_TOOL * side }))
     }
+}
 
-    /// Is any cell around this one less than half full?
-    fn is_near_surface(&self, cell: [i32; 3], level: usize, filling: &Filling) -> bool {
-        let bounds = &self.levels[level].bounds;
-        (0..27).any(|n| {
-            let offset = block::offset(n);
-            let mut at: [i32; 3] = std::array::from_fn(|d| cell[d] + offset[d]);
-            for d in 0..3 {
-                // Behind a wall the ground goes on.
-                if bounds.walled[d][0] {
-                    at[d] = at[d].max(bounds.min[d]);
-                }
-                if bounds.walled[d][1] {
-                    at[d] = at[d].min(bounds.max[d] - 1);
-                }
+impl Candidate {
+    /// In its bin, `sides` merged particles wide and moved by half of that along the axes of `shift`.
+    fn binned(&self, i: usize, sides: u32, shift: usize) -> Binned {
+        let side = self.side * f64::from(sides);
+        let half = |d: usize| f64::from((shift >> d & 1) as u32) * 0.5;
+        let bin = std::array::from_fn(|d| (self.x[d] / side + half(d)).floor() as i64);
+        (self.found.class, self.found.list, self.body, bin, self.id, i)
+    }
+}
+
+/// Cells of a level next to one that is less than half full: bits by block.
+struct Surface {
+    level: usize,
+    cells: HashMap<u64, u64, BuildHasherDefault<KeyHasher>>,
+}
+
+impl Surface {
+    fn is_near(&self, cell: [i32; 3]) -> bool {
+        let bits = block::key(block::of_cell(cell)).and_then(|key| self.cells.get(&key));
+        bits.is_none_or(|bits| bits >> place(cell) & 1 == 1)
+    }
+}
+
+/// The levels to which the cells of a block and those next to it belong.
+struct Nearby<'a> {
+    regions: &'a Regions,
+    margin: i32,
+    /// Level of the block, and its first cell less 1: particles may have drifted out of it by a cell.
+    level: usize,
+    first: Option<[i32; 3]>,
+    /// The level of all of them, if it is one.
+    all: Option<usize>,
+    /// Levels of the cells that have been asked for.
+    known: [u8; 216],
+}
+
+impl<'a> Nearby<'a> {
+    const UNKNOWN: u8 = u8::MAX;
+
+    fn new(regions: &'a Regions, margin: i32, level: usize, block: Option<u64>) -> Self {
+        let first = block.map(|key| block::of_key(key).map(|c| c * SIDE - 1));
+        let all = first.and_then(|first| {
+            let cells = CellBox { min: first.map(|c| c << level), max: first.map(|c| (c + SIDE + 2) << level) };
+            regions.finest(cells, margin)
+        });
+        Self { regions, margin, level, first, all, known: [Self::UNKNOWN; 216] }
+    }
+
+    /// The level at an offset in a cell.
+    fn at(&mut self, (cell, offset): ([i32; 3], [f64; 3])) -> usize {
+        if let Some(all) = self.all {
+            return all;
+        }
+        let local = self.first.map(|first| std::array::from_fn::<i32, 3, _>(|d| cell[d] - first[d]));
+        let Some(local) = local.filter(|local| local.iter().all(|c| (0..6).contains(c))) else {
+            return self.regions.finest_at(finest_cell(cell, offset, self.level), self.margin);
+        };
+        let known = &mut self.known[(local[0] * 36 + local[1] * 6 + local[2]) as usize];
+        if *known == Self::UNKNOWN {
+            let cells = CellBox { min: cell.map(|c| c << self.level), max: cell.map(|c| (c + 1) << self.level) };
+            match self.regions.finest(cells, self.margin) {
+                Some(level) => *known = level as u8,
+                None => return self.regions.finest_at(finest_cell(cell, offset, self.level), self.margin),
             }
-            let key = block::key(bounds.wrap(block::of_cell(at)));
-            let full = key.and_then(|key| filling.get(&key)).map_or(0.0, |cells| cells[place(at)]);
-            f64::from(full) < EMPTY
-        })
+        }
+        usize::from(*known)
     }
 }
 
@@ -660,29 +782,41 @@ enum Way {
     Rest,
 }
 
-/// Particles of a neighbourhood that look for partners.
+/// Particles of a neighbourhood that look for partners, by cubes of one side.
 struct Loose {
     /// Places, in sides of the merged particle.
     x: Vec<Vector3<f64>>,
-    /// Rest volumes over that of the merged particle.
+    /// Rest volumes over that of the merged particle, and the second moment of each as a cube, per mass.
     volume: Vec<f64>,
+    own: Vec<f64>,
     /// Are they at the surface?
     surface: Vec<bool>,
     free: Vec<bool>,
-    /// Particles by cubes of one side, and where each cube's begin.
-    order: Vec<usize>,
+    /// Their numbers in the group that they came in.
+    number: Vec<usize>,
+    /// Where each cube's begin.
     starts: Vec<usize>,
 }
 
 impl Loose {
-    fn new(particles: Vec<(Vector3<f64>, f64)>) -> Self {
-        let (x, volume): (Vec<_>, Vec<_>) = particles.into_iter().unzip();
-        let mut order: Vec<usize> = (0..x.len()).collect();
-        order.sort_by_key(|&i| Self::index(Self::cube(&x[i])));
+    /// From places, volumes and whether they are at the surface.
+    fn new(particles: Vec<(Vector3<f64>, f64, bool)>) -> Self {
         let mut starts = vec![0; (NEIGHBOURHOOD as usize).pow(3) + 1];
-        x.iter().for_each(|x| starts[Self::index(Self::cube(x)) + 1] += 1);
+        let cubes: Vec<usize> = particles.iter().map(|(x, ..)| Self::index(Self::cube(x))).collect();
+        cubes.iter().for_each(|cube| starts[cube + 1] += 1);
         (1..starts.len()).for_each(|i| starts[i] += starts[i - 1]);
-        Self { surface: vec![false; x.len()], free: vec![true; x.len()], x, volume, order, starts }
+        let mut number: Vec<usize> = (0..particles.len()).collect();
+        number.sort_by_key(|&i| cubes[i]);
+        let volume: Vec<f64> = number.iter().map(|&i| particles[i].1).collect();
+        Self {
+            x: number.iter().map(|&i| particles[i].0).collect(),
+            own: volume.iter().map(|volume| volume.cbrt().powi(2) / 12.0).collect(),
+            volume,
+            surface: number.iter().map(|&i| particles[i].2).collect(),
+            free: vec![true; particles.len()],
+            number,
+            starts,
+        }
     }
 
     fn cube(x: &Vector3<f64>) -> [usize; 3] {
@@ -694,25 +828,38 @@ impl Loose {
         (cube[0] * NEIGHBOURHOOD as usize + cube[1]) * NEIGHBOURHOOD as usize + cube[2]
     }
 
-    /// Free particles less than a side away from one, itself among them.
-    fn near(&self, i: usize) -> impl Iterator<Item = usize> {
+    /// Runs of particles that may be less than a side away from one.
+    fn around(&self, i: usize) -> impl Iterator<Item = std::ops::Range<usize>> {
         let cube = Self::cube(&self.x[i]);
         let [x, y, z] = cube.map(|c| c.saturating_sub(1)..=(c + 1).min(NEIGHBOURHOOD as usize - 1));
         let rows = x.flat_map(move |x| y.clone().map(move |y| (x, y)));
-        let runs = rows.map(move |(x, y)| {
+        rows.map(move |(x, y)| {
             self.starts[Self::index([x, y, *z.start()])]..self.starts[Self::index([x, y, *z.end()]) + 1]
-        });
-        let near = runs.flat_map(|run| self.order[run].iter().copied());
-        near.filter(move |&j| self.free[j] && (self.x[j] - self.x[i]).norm_squared() < 1.0)
+        })
+    }
+
+    /// Particles in the order in which they look for partners: those with the least choice first, and in the group's order.
+    fn seeds(&self, only_surface: bool) -> Vec<usize> {
+        let wanted = (0..self.x.len()).filter(|&i| !only_surface || self.surface[i]);
+        let choice = |i: usize| -> usize {
+            let x = self.x[i];
+            self.around(i)
+                .map(|run| self.x[run].iter().map(|y| usize::from((y - x).norm_squared() < 1.0)).sum::<usize>())
+                .sum()
+        };
+        let mut seeds: Vec<(usize, usize, usize)> = wanted.map(|i| (choice(i), self.number[i], i)).collect();
+        seeds.sort_unstable();
+        seeds.into_iter().map(|(.., i)| i).collect()
     }
 
     /// Of the clusters about a particle's eight corners, with at least so much volume, the one most like the merged cube, and as bins lie
-    /// where that is a tie; at the surface no less like it than `strict`.
+    /// where that is a tie; at the surface no less like it than `strict`. In the group's order.
     fn cluster(&self, seed: usize, least: f64, strict: f64) -> Option<Vec<usize>> {
         if !self.free[seed] {
             return None;
         }
-        let near: Vec<usize> = self.near(seed).collect();
+        let is_near = |i: &usize| self.free[*i] && (self.x[*i] - self.x[seed]).norm_squared() < 1.0;
+        let near: Vec<usize> = self.around(seed).flatten().filter(is_near).collect();
         if near.len() < 2 || self.sum(&near) < least {
             return None;
         }
@@ -721,21 +868,23 @@ impl Loose {
         for corner in 0..8 {
             let towards = |d: usize| if corner >> d & 1 == 1 { 0.25 } else { -0.25 };
             let mut centre = self.x[seed] + Vector3::from_fn(|d, _| towards(d));
+            let mut volume = 0.0;
             // Turned matter has its cubes' centres elsewhere: go there.
             for _ in 0..2 {
                 members.clear();
                 members.extend(near.iter().filter(|&&i| (self.x[i] - centre).norm_squared() < REACH * REACH));
                 let moment: Vector3<f64> = members.iter().map(|&i| self.x[i] * self.volume[i]).sum();
-                centre = moment / self.sum(&members);
+                volume = self.sum(&members);
+                centre = moment / volume;
             }
-            let volume = self.sum(&members);
             if members.len() < 2 || volume < least || volume > *PORTION.end() {
                 continue;
             }
             let mut spread = Matrix3::zeros();
             for &i in &members {
-                let (arm, own) = (self.x[i] - centre, self.volume[i].cbrt().powi(2) / 12.0);
-                spread += (arm * arm.transpose() + Matrix3::from_diagonal_element(own)) * (self.volume[i] / volume);
+                let arm = self.x[i] - centre;
+                spread +=
+                    (arm * arm.transpose() + Matrix3::from_diagonal_element(self.own[i])) * (self.volume[i] / volume);
             }
             let unlike_cube = (spread * (12.0 / volume.cbrt().powi(2)) - Matrix3::identity()).norm();
             let off_bin = centre.map(|x| x - x.floor() - 0.5).norm();
@@ -746,7 +895,7 @@ impl Loose {
             }
         }
         let (_, mut members) = best?;
-        members.sort_unstable();
+        members.sort_unstable_by_key(|&i| self.number[i]);
         Some(members)
     }
 
@@ -765,6 +914,17 @@ struct Merged {
     /// Where it is, and how far from tools it has to be [m].
     x: [f64; 3],
     clearance: f64,
+}
+
+/// What a particle was split into: where each belongs, and which of the new numbers it gets; `None`: its parent's.
+struct Family {
+    parcels: Vec<(usize, Parcel, Option<u32>)>,
+    splits: u64,
+}
+
+/// Are all the places out of tools' boxes?
+fn is_away(places: &[[f64; 3]; CHILDREN], tools: &[Aabb]) -> bool {
+    !tools.iter().any(|tool| places.iter().any(|x| tool.contains(*x)))
 }
 
 /// Does a tool come so near that particles stay fine?

@@ -29,6 +29,9 @@ use std::time::{Duration, Instant};
 const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time.
 const SORT_DRIFT: f64 = 0.4;
+/// As long as regions stay, nobody on a level has to change it before something there has moved by this since the last sort, in cells:
+/// levels have a margin for that.
+const MARGIN_DRIFT: f64 = 0.2;
 /// The halo allows for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f64 = 1.0;
 /// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.
@@ -198,7 +201,9 @@ impl<T: Scalar> CpuEngine<T> {
         let mut holes = vec![false; self.levels.len()];
         if self.levels.len() > 1 {
             let exchanged = self.exchange_with_archive(time, couplings)?;
-            holes = self.adapt(time, before, couplings)?;
+            let stirred: Vec<bool> =
+                self.levels.iter().zip(&due).map(|(level, due)| *due || level.drift > MARGIN_DRIFT).collect();
+            holes = self.adapt(time, before, &stirred, couplings)?;
             holes.iter_mut().zip(exchanged).for_each(|(holes, exchanged)| *holes |= exchanged);
         }
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
