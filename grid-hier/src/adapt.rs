@@ -375,7 +375,7 @@ impl Adapt {
         }
         self.resampled.moves += moving.len() as u64;
         let moved = |one: &Found| self.settled(shown[one.level].parcel(one.list, one.place), one.level);
-        coming.par_extend(moving.par_iter().map(moved));
+        let moved: Vec<(usize, Parcel)> = moving.par_iter().map(moved).collect();
         gone.extend(moving);
 
         let mut changed = vec![false; levels.len()];
@@ -384,7 +384,7 @@ impl Adapt {
             levels[one.level].remove(one.list, one.place);
         }
         for (l, level) in levels.iter_mut().enumerate() {
-            let here = coming.iter().filter(|(to, _)| *to == l);
+            let here = coming.iter().chain(&moved).filter(|(to, _)| *to == l);
             let mut here: Vec<_> = here.map(|(_, parcel)| (parcel.list, parcel.id, parcel)).collect();
             if !here.is_empty() {
                 here.par_sort_unstable_by_key(|&(list, id, _)| (list, id));
@@ -627,7 +627,10 @@ impl Adapt {
                 Way::Bins => self.try_merge(levels, &candidates, bin, false).into_iter().collect(),
                 _ => self.clusters(levels, &candidates, bin, shift, way == Way::Surface),
             };
-            let results: Vec<Vec<Result<Merged, Refusal>>> = bins.par_iter().map(try_bin).collect();
+            // Neighbourhoods are few, and some hold much more than others.
+            let most = if way == Way::Bins { bins.len() } else { 1 };
+            let results: Vec<Vec<Result<Merged, Refusal>>> =
+                bins.par_iter().with_max_len(most.max(1)).map(try_bin).collect();
             for result in results.into_iter().flatten() {
                 match result {
                     Err(refusal) => *self.resampled.refused.entry(refusal).or_default() += 1,

@@ -7,9 +7,9 @@ use std::ops::Range;
 
 impl Adapt {
     /// One round over a copy of a world's particles: lists level by level, on each one a material, as backends download them.
-    /// `before` is what [`follow`](Self::follow) said. Blocks are those of the state's last sort, if it names them; otherwise particles
-    /// may come in any order. Returns which levels have lost or gained particles. Afterwards the state asks for a fresh sort, and its
-    /// phase of levels is this one's, with the tiles that were live.
+    /// `before` is what [`follow`](Self::follow) said. Blocks are those of the state's last sort, if it names them and their counts add
+    /// up; otherwise particles may come in any order. Returns which levels have lost or gained particles. Afterwards the state asks for
+    /// a fresh sort, and its phase of levels is this one's, with the tiles that were live.
     ///
     /// Where levels have steps of their own, every list's strain must be up to date. With one step for all of them it may lag behind,
     /// for it does so everywhere alike.
@@ -27,7 +27,7 @@ impl Adapt {
             let all = sort.as_ref()?.blocks.iter().filter(move |([_, level, ..], _)| *level == l as i32);
             all.map(|([_, _, x, y, z], counts)| Some((block::key([*x, *y, *z])?, counts.as_slice()))).collect()
         };
-        let materials = state.lists.len() / self.widths.len();
+        let materials = self.materials.len().max(1);
         let lists = state.lists.chunks_mut(materials).enumerate();
         let mut levels: Vec<HostLevel<'_>> = lists.map(|(l, lists)| HostLevel::new(lists, blocks_of(l))).collect();
         let ids = levels.iter().flat_map(|level| level.lists.iter()).flat_map(|list| &list.id);
@@ -73,7 +73,12 @@ impl<'a> HostLevel<'a> {
         let key_of = |cell: &[i32; 3]| block::key(block::of_cell(*cell)).unwrap_or(u64::MAX);
         let kept = lists.iter().map(|list| vec![true; list.len()]).collect();
         let mut order: Vec<Vec<usize>> = lists.iter().map(|list| (0..list.len()).collect()).collect();
-        let (keys, groups) = match blocks {
+        let fits = |blocks: &Vec<(u64, &[u32])>| {
+            let held = |i: usize| blocks.iter().map(|(_, counts)| counts[i] as usize).sum::<usize>();
+            blocks.iter().all(|(_, counts)| counts.len() == lists.len())
+                && lists.iter().enumerate().all(|(i, list)| held(i) == list.len())
+        };
+        let (keys, groups) = match blocks.filter(fits) {
             Some(blocks) => {
                 let ranges = |list: usize| {
                     let ends = blocks.iter().scan(0, |end, (_, counts)| {

@@ -14,8 +14,8 @@ fn leaps(precision: Precision) -> Simulation {
         material("snow", 400.0, "young_modulus = 1e4"),
         block("neo_hookean", [-1.0, -0.4, -0.2], [1.0, 0.4, 0.1], "around_tools = false"),
         block("snow", [-1.0, -0.4, 0.1], [0.4, 0.2, 0.3], "sampling = \"jitter\"\naround_tools = false"),
-        levels(3, 8, &["eye"]),
-        tool("eye", [-1.0, 0.0, 1.5], "sphere = { radius = 0.05 }", "\"slip\"", &driven([1.0, 0.0, 0.0])),
+        levels(3, 12, &["eye"]),
+        tool("eye", [-1.0, 0.0, 0.65], "sphere = { radius = 0.05 }", "\"slip\"", &driven([1.0, 0.0, 0.0])),
     ]);
     let mut s = simulation(&scene, precision);
     let mut noise = Noise::new(5);
