@@ -19,7 +19,7 @@ mod stiffness;
 mod world;
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
-use barchan_core::scene::Leaving;
+use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
 
@@ -57,13 +57,41 @@ impl Backend for Wgpu {
     }
 
     fn check(&self, plan: &Plan) -> Result<()> {
-        const FORMS: [Stage; 5] = [Stage::Sort, Stage::P2G, Stage::GridUpdate, Stage::Contact, Stage::G2P];
+        const FORMS: [Stage; 8] = [
+            Stage::Adapt,
+            Stage::Sort,
+            Stage::P2G,
+            Stage::Restrict,
+            Stage::GridUpdate,
+            Stage::Contact,
+            Stage::Prolong,
+            Stage::G2P,
+        ];
         if let Some(stage) = plan.stages.iter().find(|stage| !FORMS.contains(stage)) {
             return Err(lacks(
                 format!("form of the stage '{stage}'"),
                 format!("levels.count = {}", plan.cell_widths.len()),
                 "use the backend cpu, or set levels.count = 1",
             ));
+        }
+        let levels = plan.cell_widths.len();
+        if levels > 1 {
+            let walls = &plan.scene.world.walls;
+            let lets_go = |axis: usize| walls.pair(axis).iter().any(|wall| matches!(wall, Wall::Separate { .. }));
+            if (0..3).any(lets_go) {
+                return Err(lacks(
+                    "walls that let go, with several levels",
+                    format!("a wall is 'separate', and levels.count = {levels}"),
+                    "use the backend cpu, slip or sticking walls, or levels.count = 1",
+                ));
+            }
+            if plan.substeps > 1 {
+                return Err(lacks(
+                    "subcycling",
+                    "levels.subcycle = true",
+                    "use the backend cpu, or set levels.subcycle = false",
+                ));
+            }
         }
         if plan.precision == Precision::F64 {
             return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));

@@ -29,6 +29,9 @@ pub(crate) struct Asked {
     pub(crate) pairs: bool,
     pub(crate) bodies: usize,
     pub(crate) layers: usize,
+    pub(crate) worlds: usize,
+    /// Boxes of the levels' regions, of all levels.
+    pub(crate) boxes: usize,
 }
 
 /// `Extent` of `common.wgsl`.
@@ -58,7 +61,8 @@ pub(crate) struct Layer {
     pub(crate) least: f32,
     pub(crate) felt: f32,
     pub(crate) first_particle: u32,
-    pub(crate) pad: [u32; 2],
+    pub(crate) level: u32,
+    pub(crate) shrink: f32,
 }
 
 /// `Step` of `common.wgsl`.
@@ -88,6 +92,10 @@ impl Words {
     pub(crate) fn of_sum(self, layer: usize, k: usize) -> usize {
         OF_LAYERS + PER_LAYER * self.layers + PER_SUM * layer + k
     }
+    /// The greatest node speed of all layers in a step, if there are several.
+    pub(crate) fn greatest(self, step: usize) -> usize {
+        self.of_sum(self.layers, step)
+    }
     /// A word of a layer in a step.
     pub(crate) fn of_step(self, step: usize, layer: usize, k: usize) -> usize {
         // Before them stand the greatest speeds of all layers.
@@ -115,6 +123,7 @@ pub(crate) struct Memory {
     pub(crate) constants: wgpu::Buffer,
     pub(crate) params: wgpu::Buffer,
     pub(crate) table: Option<wgpu::Buffer>,
+    pub(crate) regions: wgpu::Buffer,
     pub(crate) steps: wgpu::Buffer,
     pub(crate) layers: wgpu::Buffer,
     pub(crate) readback: wgpu::Buffer,
@@ -135,7 +144,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 5] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells];
-const SHARED: [Role; 13] = [
+const SHARED: [Role; 15] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -149,6 +158,8 @@ const SHARED: [Role; 13] = [
     Role::Bodies,
     Role::Partials,
     Role::Impulses,
+    Role::Rims,
+    Role::Handed,
 ];
 
 fn shared_name(role: Role) -> &'static str {
@@ -166,6 +177,8 @@ fn shared_name(role: Role) -> &'static str {
         Role::Bodies => "poses of bodies",
         Role::Partials => "parts of impulses",
         Role::Impulses => "impulses",
+        Role::Rims => "rims of levels",
+        Role::Handed => "what rims hand on",
         Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
     }
 }
@@ -197,7 +210,9 @@ impl Extent {
             Role::Bodies => 16 * BODY * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
             Role::Partials => 32 * nodes * asked.bodies as u64,
             Role::Impulses => 32 * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
-            Role::Now(_) | Role::Next(_) => 0,
+            Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),
+            Role::Handed if asked.boxes > 0 => 16 * 216 * blocks,
+            Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed => 0,
         }
     }
 
@@ -216,7 +231,7 @@ impl Extent {
         };
         Err(Error::Capacity {
             what: match what {
-                "nodes and tiles" => "bytes of nodes and tiles in one binding of the adapter",
+                "nodes and tiles" | "what rims hand on" => "bytes of nodes and tiles in one binding of the adapter",
                 "directory of blocks" | "marks of blocks" => {
                     "bytes of the directory of blocks in one binding of the adapter"
                 }
@@ -263,9 +278,10 @@ impl Memory {
         let constants = uniform("extent", size_of::<Extent>() as u64);
         gpu.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&extent));
         let values = params;
-        let params = table(gpu, "parameters", values.len(), asked.layers);
+        let params = table(gpu, "parameters", values.len(), asked.worlds);
         gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(values));
         let steps = uniform("steps", STEP_STRIDE * MAX_STEPS as u64);
+        let regions = uniform("regions", 32 * asked.boxes.max(1) as u64);
         let layers = uniform("layers", (size_of::<Layer>() * asked.layers) as u64);
         let step_binding = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("step"),
@@ -292,6 +308,7 @@ impl Memory {
             constants,
             params,
             table: None,
+            regions,
             steps,
             layers,
             readback,
@@ -301,10 +318,17 @@ impl Memory {
         })
     }
 
+    /// Boxes of levels that there is room for.
+    pub(crate) fn boxes(&self) -> usize {
+        self.asked.boxes
+    }
+
     /// Bytes for particles, and for the grid.
     pub(crate) fn bytes(&self) -> (u64, u64) {
         let of_grid = |name: &str| {
-            [Role::Grid, Role::Flags, Role::Directory, Role::Sums, Role::Pairs].map(shared_name).contains(&name)
+            [Role::Grid, Role::Flags, Role::Directory, Role::Sums, Role::Pairs, Role::Rims, Role::Handed]
+                .map(shared_name)
+                .contains(&name)
                 || [Sorted::Lists, Sorted::Cells].map(sorted_name).contains(&name)
         };
         let all = self.extent.all_bytes(self.vectors, self.asked);
@@ -335,6 +359,7 @@ impl Memory {
             Uniform::None => None,
             Uniform::Params => Some(&self.params),
             Uniform::Table => self.table.as_ref(),
+            Uniform::Regions => Some(&self.regions),
         };
         entries.extend(uniform.map(|b| wgpu::BindGroupEntry { binding: 1, resource: b.as_entire_binding() }));
         entries.extend((FIRST_BINDING..).zip(&kernel.roles).map(|(binding, &role)| wgpu::BindGroupEntry {
@@ -376,7 +401,7 @@ impl Memory {
 
     /// Makes room for bodies whose law runs on the device, so many in each layer, and takes in what it reads of all layers.
     pub(crate) fn add_bodies(&mut self, gpu: &Gpu, bodies: usize, table: &[[f32; 4]]) -> Result<()> {
-        let buffer = self::table(gpu, "table of bodies", table.len(), self.asked.layers);
+        let buffer = self::table(gpu, "table of bodies", table.len(), self.asked.worlds);
         gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(table));
         self.table = Some(buffer);
         self.asked.bodies = bodies;
@@ -419,6 +444,8 @@ impl Memory {
             Role::Bodies,
             Role::Partials,
             Role::Impulses,
+            Role::Rims,
+            Role::Handed,
         ] {
             let bytes = extent.shared_bytes(role, self.asked);
             if self.buffer(role, 0).size() < bytes {
@@ -433,9 +460,9 @@ impl Memory {
     }
 }
 
-/// A table of so many vectors that passes read: uniform if it is that of one layer, and else as long as it must be.
-fn table(gpu: &Gpu, label: &'static str, vectors: usize, layers: usize) -> wgpu::Buffer {
-    let kind = if layers > 1 { wgpu::BufferUsages::STORAGE } else { wgpu::BufferUsages::UNIFORM };
+/// A table of so many vectors that passes read: uniform if it is that of one world, and else as long as it must be.
+fn table(gpu: &Gpu, label: &'static str, vectors: usize, worlds: usize) -> wgpu::Buffer {
+    let kind = if worlds > 1 { wgpu::BufferUsages::STORAGE } else { wgpu::BufferUsages::UNIFORM };
     gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some(label),
         size: 16 * vectors as u64,

@@ -2,6 +2,7 @@
 
 use crate::account;
 use crate::batch::WgpuBatch;
+use crate::layout::{Homes, Planes};
 use barchan_core::backend::{Batch, Bound, NewWorld, Timing, Turn};
 use barchan_core::{Coupling, Engine, Ledger, Measured, ParticleState, Result, SortPhase, StepReport};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -69,18 +70,20 @@ impl Engine for Seat {
         let batch = self.seats.batch();
         let world = &batch.worlds[self.world];
         // A device that is lost has no particles left; the next step says so.
-        let Ok((lists, homes, planes)) = batch.lists(self.world) else { return ParticleState::default() };
-        let rhythm = batch.rhythm(self.world);
-        let blocks = planes.counts(&homes, world.materials.len());
+        let Ok((lists, laid)) = batch.lists(self.world) else { return ParticleState::default() };
+        let rhythms = batch.rhythms(self.world);
+        let of_level = |(l, (homes, planes)): (usize, &(Homes, Planes))| planes.counts(homes, world.materials.len(), l);
+        let blocks: Vec<_> = laid.iter().enumerate().flat_map(of_level).collect();
         let sort = Some(SortPhase {
-            age: rhythm.age,
-            drift: vec![f64::from(rhythm.drift)],
+            // A world's levels are sorted together.
+            age: rhythms.first().map_or(0, |rhythm| rhythm.age),
+            drift: rhythms.iter().map(|rhythm| f64::from(rhythm.drift)).collect(),
             measured: Measured { stiffness_bound: world.stiffness.dt, stiffness_age: world.stiffness_age },
             rest: vec![0; blocks.len()],
             blocks,
-            kept_for: vec![None],
+            kept_for: vec![None; rhythms.len()],
         });
-        ParticleState { lists, sort, ..ParticleState::default() }
+        ParticleState { lists, sort, levels: world.level_phase(), ..ParticleState::default() }
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
@@ -90,14 +93,14 @@ impl Engine for Seat {
     }
 
     fn particle_count(&self) -> usize {
-        self.seats.batch().worlds[self.world].particles.len()
+        self.seats.batch().worlds[self.world].particles().len()
     }
 
     fn account(&self, ledger: &mut Ledger) {
         let batch = self.seats.batch();
         let world = &batch.worlds[self.world];
         if let Ok((lists, ..)) = batch.lists(self.world) {
-            account::add_particles(ledger, &lists, &world.materials, &world.scene, batch.h);
+            account::add_particles(ledger, &lists, &world.materials, &world.scene);
         }
         let pending = batch.pending_walls();
         for d in 0..3 {
@@ -127,8 +130,8 @@ impl Engine for Seat {
     /// The world's share of the batch's, by particles.
     fn memory(&self) -> (u64, u64) {
         let batch = self.seats.batch();
-        let all: usize = batch.worlds.iter().map(|world| world.particles.len()).sum();
-        let own = batch.worlds[self.world].particles.len();
+        let all: usize = batch.worlds.iter().map(|world| world.particles().len()).sum();
+        let own = batch.worlds[self.world].particles().len();
         let share = |bytes: u64| (u128::from(bytes) * own as u128 / all.max(1) as u128) as u64;
         let (particles, grid) = batch.memory.bytes();
         if batch.worlds.len() == 1 { (particles, grid) } else { (share(particles), share(grid)) }

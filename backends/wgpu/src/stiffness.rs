@@ -17,8 +17,8 @@ const GRAIN: usize = 1 << 14;
 #[repr(C, align(64))]
 struct Plane([f32; LANES]);
 
-/// The least stable step of all particles in cells of width `h` [m].
-pub(crate) fn bound(lists: &[ParticleList], materials: &[PlannedMaterial], h: f64) -> Result<Bound> {
+/// The least stable step of all particles in the cells of their lists.
+pub(crate) fn bound(lists: &[ParticleList], materials: &[PlannedMaterial]) -> Result<Bound> {
     let mut bound = nothing();
     for list in lists {
         let planned = &materials[list.material as usize];
@@ -31,7 +31,7 @@ pub(crate) fn bound(lists: &[ParticleList], materials: &[PlannedMaterial], h: f6
             let fill = |plane: &Vec<f64>| Plane(std::array::from_fn(|i| plane[from + i.min(n - 1)] as f32));
             let planes: Vec<_> = list.strain.iter().chain(&list.state).map(fill).collect();
             let density = |i: usize| list.mass[from + i] / list.volume0[from + i];
-            let least = of_chunk(&planes, n, planned, h, density, |i| Some(list.id[from + i]))?;
+            let least = of_chunk(&planes, n, planned, list.cell_width, density, |i| Some(list.id[from + i]))?;
             tighten(&mut bound, least, planned);
         }
     }

@@ -27,9 +27,22 @@ fn rhythm_of(layer: u32) -> Rhythm {
     return rhythm;
 }
 
-// Must the layer be sorted before the step?
+// Must a layer of that rhythm be sorted before the step?
 fn is_due(rhythm: Rhythm) -> bool {
     return !(rhythm.drift <= MAX_DRIFT)
         || (rhythm.age % SORT_OFTEN == 0u && rhythm.drift > OFTEN_DRIFT)
         || (rhythm.age % SORT_AGE == 0u && rhythm.drift > SORT_DRIFT);
+}
+
+// Must a layer be sorted, which has that rhythm? A world's levels are sorted together.
+fn is_world_due(layer: u32, rhythm: Rhythm) -> bool {
+    if LEVELS == 1u {
+        return is_due(rhythm);
+    }
+    let first = layer - level_of(layer);
+    var due = false;
+    for (var l = 0u; l < LEVELS; l++) {
+        due |= is_due(rhythm_of(first + l));
+    }
+    return due;
 }
