@@ -656,20 +656,52 @@ fn a_block_swings_across_rims_as_on_the_cpu() {
     within("kinetic energy", (g.kinetic / c.kinetic - 1.0).abs(), 1e-3);
 }
 
-/// A tool that dips into a bed of jelly between walls, where three levels meet them: places, forces and walls' impulses as on the CPU, driven
-/// many steps at once, and free, one by one; the same bits again, also on the poorest adapter.
+/// Likewise where rims meet a slip wall, whose mirror is part of every sum: what the mirror image continues comes back.
+#[test]
+fn affine_fields_are_reproduced_where_rims_meet_walls() {
+    for axis in 0..3 {
+        let wall = format!("{}_min = \"slip\"", ["x", "y", "z"][axis]);
+        let mut at = [-0.15; 3];
+        at[axis] = 0.1;
+        let head = Head { gravity: [0.0; 3], ..Head::cells(0.05, [32; 3], &wall) };
+        let head = Head { min: std::array::from_fn(|d| if d == axis { 0.0 } else { -0.2 }), ..head };
+        let mut patch = gpu(&head.time("step = 1e-3").with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+            block("neo_hookean", [0.0; 3], [1.6; 3], "sampling = \"jitter\""),
+            around_marker(3, 8, at),
+        ]));
+        let mut b = [0.2, -0.4, 0.3, 0.1, -0.3, 0.5, -0.6, 0.2, 0.1];
+        (0..3).filter(|d| *d != axis).for_each(|d| (b[3 * d + axis], b[3 * axis + d]) = (0.0, 0.0));
+        alter(&mut patch, |r| {
+            r.v = std::array::from_fn(|i| (0..3).map(|j| b[3 * i + j] * r.x[j]).sum::<f64>());
+            r.c = b;
+        });
+        let before = rows(&patch);
+        take(&mut patch, 1);
+        let mut worst = [(0, 0f64); 3];
+        for (old, new) in before.iter().zip(&rows(&patch)).filter(|(old, _)| old.x[axis] < 0.3) {
+            let worst = &mut worst[new.level as usize];
+            *worst = (worst.0 + 1, (0..3).fold(worst.1, |w, i| w.max((new.v[i] - old.v[i]).abs())));
+        }
+        for (level, (count, v)) in worst.into_iter().enumerate() {
+            assert!(count > 100, "level {level} has {count} particles");
+            within(&format!("affine patch at a wall across {axis}, level {level}: v [m/s]"), v, 2e-5);
+        }
+    }
+}
+
+/// A tool that dips into a bed of jelly on three levels that meet its floor: places, forces and the floor's impulse as on the CPU, driven
+/// many steps at once, and free, one by one; and the same bits again.
 #[test]
 fn tools_and_walls_meet_levels_as_on_the_cpu() {
     let h = 0.05;
     let bed = |motion: &str| {
-        Head::cells(h, [32, 32, 32], "x_min = \"slip\"\ny_min = \"stick\"\nz_min = \"stick\"").time("step = 1e-3").with(
-            &[
-                material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
-                block("neo_hookean", [0.0; 3], [1.6, 1.6, 0.6], ""),
-                format!("[levels]\ncount = 3\nhalf = 8\nagents = [\"foot\"]\n"),
-                tool("foot", [0.2, 0.2, 0.7], &half([0.1, 0.1, 0.11]), "{ coulomb = { friction = 0.3 } }", motion),
-            ],
-        )
+        Head::cells(h, [32, 32, 32], "z_min = \"stick\"").time("step = 1e-3").with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+            block("neo_hookean", [0.0; 3], [1.6, 1.6, 0.6], ""),
+            format!("[levels]\ncount = 3\nhalf = 8\nagents = [\"foot\"]\n"),
+            tool("foot", [0.2, 0.2, 0.7], &half([0.1, 0.1, 0.11]), "{ coulomb = { friction = 0.3 } }", motion),
+        ])
     };
     let free = "{ free = { mass = 20.0, linear = [0.0, 0.0, -0.1] } }";
     for (motion, at_once) in [(driven([0.1, 0.0, -0.2]).as_str(), 50), (free, 1)] {
