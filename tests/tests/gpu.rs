@@ -392,9 +392,6 @@ fn what_it_lacks_is_refused_by_name() {
         Precision::F32,
     );
     assert!(error.contains("clamping") && error.contains("world.leaving"), "{error}");
-    let subcycled = cut(2, "lattice").replace("[levels]", "[levels]\nsubcycle = true");
-    let error = refusal(&subcycled, Precision::F32);
-    assert!(error.contains("subcycling") && error.contains("levels.subcycle"), "{error}");
     let lets_go = Head::cells(0.05, [16; 3], "z_min = { separate = { friction = 0.3 } }").with(&[
         material("hencky", 1000.0, ""),
         block("hencky", [0.0; 3], [0.4; 3], ""),
@@ -636,24 +633,34 @@ fn a_block_swings_across_rims_as_on_the_cpu() {
             (0..3).for_each(|d| r.c[3 * d + (d + 1) % 3] = 0.05 * k * (k * r.x[(d + 1) % 3]).cos());
         });
     };
-    let (mut gpu, mut cpu) = (gpu(&cut(3, "lattice")), cpu(&cut(3, "lattice")));
-    swing(&mut gpu);
-    swing(&mut cpu);
-    let (start, before) = (gpu.ledger(), rows(&cpu));
-    take(&mut gpu, 200);
-    take(&mut cpu, 200);
-    println!("{:?}", cpu.ledger().counts);
-    let moved = apart(&before, &rows(&cpu)) / 0.05;
-    println!("particles have moved by up to {moved:.3} cells");
-    assert!(moved > 0.05, "nothing has happened");
-    within("distance of particles, in cells", apart(&rows(&gpu), &rows(&cpu)) / 0.05, 1e-3);
-    let (g, c) = (gpu.ledger(), cpu.ledger());
-    let scale = (2.0 * start.kinetic * start.mass).sqrt();
-    let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
-    within("change of momentum", off(g.momentum, start.momentum) / scale, 1e-5);
-    println!("spin at start {:?}, on the CPU afterwards {:?}", start.angular_momentum, c.angular_momentum);
-    within("change of angular momentum beside the CPU's", off(g.angular_momentum, c.angular_momentum) / scale, 1e-5);
-    within("kinetic energy", (g.kinetic / c.kinetic - 1.0).abs(), 1e-3);
+    for subcycle in [false, true] {
+        let steps = if subcycle { 50 } else { 200 };
+        let toml = cut(3, "lattice").replace("[levels]", &format!("[levels]\nsubcycle = {subcycle}"));
+        println!("subcycled: {subcycle}");
+        let (mut gpu, mut cpu) = (gpu(&toml), cpu(&toml));
+        swing(&mut gpu);
+        swing(&mut cpu);
+        let (start, before) = (gpu.ledger(), rows(&cpu));
+        take(&mut gpu, steps);
+        take(&mut cpu, steps);
+        within("difference of time [s]", (gpu.time() - cpu.time()).abs(), 1e-12);
+        println!("{:?}", cpu.ledger().counts);
+        let moved = apart(&before, &rows(&cpu)) / 0.05;
+        println!("particles have moved by up to {moved:.3} cells");
+        assert!(moved > 0.05, "nothing has happened");
+        within("distance of particles, in cells", apart(&rows(&gpu), &rows(&cpu)) / 0.05, 1e-3);
+        let (g, c) = (gpu.ledger(), cpu.ledger());
+        let scale = (2.0 * start.kinetic * start.mass).sqrt();
+        let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
+        within("change of momentum", off(g.momentum, start.momentum) / scale, 1e-5);
+        println!("spin at start {:?}, on the CPU afterwards {:?}", start.angular_momentum, c.angular_momentum);
+        within(
+            "change of angular momentum beside the CPU's",
+            off(g.angular_momentum, c.angular_momentum) / scale,
+            1e-5,
+        );
+        within("kinetic energy", (g.kinetic / c.kinetic - 1.0).abs(), 1e-3);
+    }
 }
 
 /// Likewise where rims meet a slip wall, whose mirror is part of every sum: what the mirror image continues comes back.
@@ -695,20 +702,23 @@ fn affine_fields_are_reproduced_where_rims_meet_walls() {
 #[test]
 fn tools_and_walls_meet_levels_as_on_the_cpu() {
     let h = 0.05;
-    let bed = |motion: &str| {
+    let bed = |motion: &str, subcycle: bool| {
         Head::cells(h, [32, 32, 32], "z_min = \"stick\"").time("step = 1e-3").with(&[
             material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
             block("neo_hookean", [0.0; 3], [1.6, 1.6, 0.6], ""),
-            format!("[levels]\ncount = 3\nhalf = 8\nagents = [\"foot\"]\n"),
+            format!("[levels]\ncount = 3\nhalf = 8\nagents = [\"foot\"]\nsubcycle = {subcycle}\n"),
             tool("foot", [0.2, 0.2, 0.7], &half([0.1, 0.1, 0.11]), "{ coulomb = { friction = 0.3 } }", motion),
         ])
     };
     let free = "{ free = { mass = 20.0, linear = [0.0, 0.0, -0.1] } }";
-    for (motion, at_once) in [(driven([0.1, 0.0, -0.2]).as_str(), 50), (free, 1)] {
+    let driven = driven([0.1, 0.0, -0.2]);
+    for (motion, subcycle, at_once) in [(driven.as_str(), false, 50), (&driven, true, 12), (free, false, 1)] {
+        let bed = |motion: &str| bed(motion, subcycle);
+        let steps = if subcycle { 12 } else { 50 };
         let run = |sim: &mut Simulation| {
             let (mut impulse, mut taken) = ([0.0; 3], 0);
-            while taken < 50 {
-                for report in sim.steps(at_once.min(50 - taken), f64::INFINITY).unwrap_or_else(|e| panic!("{e}")) {
+            while taken < steps {
+                for report in sim.steps(at_once.min(steps - taken), f64::INFINITY).unwrap_or_else(|e| panic!("{e}")) {
                     let wrench = report.wrenches.map_or_else(|| sim.wrenches()[0], |wrenches| wrenches[0]);
                     (0..3).for_each(|d| impulse[d] += wrench.force[d] * report.dt);
                     taken += 1;
@@ -719,7 +729,7 @@ fn tools_and_walls_meet_levels_as_on_the_cpu() {
         let (mut g, mut c) = (gpu(&bed(motion)), cpu(&bed(motion)));
         let start = c.ledger();
         let (on_gpu, on_cpu) = (run(&mut g), run(&mut c));
-        println!("{motion}: impulse {on_gpu:?} and {on_cpu:?} N s, {:?}", c.ledger().counts);
+        println!("{motion}, subcycled: {subcycle}: impulse {on_gpu:?} and {on_cpu:?} N s, {:?}", c.ledger().counts);
         let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
         within("distance of particles, in cells", apart(&rows(&g), &rows(&c)) / h, 1e-3);
         within("impulse on the tool, relative", off(on_gpu, on_cpu) / norm(on_cpu), 1e-3);
@@ -736,4 +746,7 @@ fn tools_and_walls_meet_levels_as_on_the_cpu() {
         run(&mut again);
         assert!(again.particles().lists == g.particles().lists, "two runs differ");
     }
+    let mut refused = gpu(&bed(free, true));
+    let error = refused.step().unwrap_err().to_string();
+    assert!(error.contains("subcycling") && error.contains("freely") && error.contains("levels.subcycle"), "{error}");
 }

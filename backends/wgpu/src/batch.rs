@@ -5,10 +5,11 @@ use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, Layer, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, read, with_mapped, with_room,
+    ALL_LEVELS, Asked, BODY, Extent, Layer, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, read, with_mapped,
+    with_room,
 };
 use crate::stiffness::{self, Held};
-use crate::world::{Level, Rhythm, Span, World, parameters};
+use crate::world::{Level, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::scene::Wall;
 use barchan_core::{
@@ -192,6 +193,76 @@ pub(crate) struct Clocks {
     submissions: u64,
 }
 
+/// Writes down the passes of a submission.
+struct Passes<'a> {
+    kernels: &'a Kernels,
+    contact: &'a [Kernel],
+    levels: usize,
+    /// Width of the finest cell [m].
+    h: f64,
+    /// Which set of buffers is the present one.
+    now: usize,
+    /// Number of the step under way, and its gravity [m/s²].
+    number: usize,
+    gravity: Vec3,
+    constants: Vec<StepConstants>,
+    dispatches: Vec<Dispatch<'a>>,
+}
+
+impl<'a> Passes<'a> {
+    fn constants(&mut self, dt: f64, level: u32, slot: usize) -> usize {
+        let constants = step_constants(self.h, dt, self.gravity, self.number);
+        self.constants.push(StepConstants { slot: slot as u32, level, ..constants });
+        self.constants.len() - 1
+    }
+
+    fn run(&mut self, step: usize, kernels: impl IntoIterator<Item = &'a Kernel>) {
+        let now = self.now;
+        self.dispatches.extend(kernels.into_iter().map(|kernel| Dispatch { kernel, now, step }));
+    }
+
+    /// A sort moves the particles to the other set of buffers.
+    fn sort(&mut self, dt: f64) {
+        let step = self.constants(dt, ALL_LEVELS, self.number);
+        self.run(step, &self.kernels.sort);
+        self.now = 1 - self.now;
+    }
+
+    /// One step of all levels.
+    fn step_together(&mut self, dt: f64) {
+        let kernels = self.kernels;
+        let step = self.constants(dt, ALL_LEVELS, self.number);
+        self.run(step, [&kernels.p2g].into_iter().chain(&kernels.restrict).chain(&kernels.grid).chain(self.contact));
+        self.run(step, kernels.prolong.iter().chain(&kernels.mirror).chain([&kernels.g2p]));
+    }
+
+    /// One step of a level, with two steps of the next finer one within, as in the backend cpu's `subcycle.rs`; `slot` is the number of the
+    /// first one of the finest level.
+    fn step_level(&mut self, l: usize, dt: f64, slot: usize) {
+        let (kernels, is_coarsest) = (self.kernels, l + 1 == self.levels);
+        let [halve, solve] = kernels.shared.as_ref().expect("a subcycled scene has them");
+        let step = self.constants(dt, l as u32, slot + (1 << l) - 1);
+        self.run(step, [&kernels.p2g]);
+        self.run(step, kernels.restrict.iter().filter(|_| !is_coarsest));
+        self.run(step, &kernels.grid);
+        if l > 0 {
+            // What shared nodes have without the step's forces.
+            let still = self.constants(0.0, l as u32, slot);
+            self.run(still, [&kernels.p2g, halve]);
+        }
+        if !is_coarsest {
+            self.run(step, [solve].into_iter().chain(&kernels.prolong));
+        }
+        if l > 0 {
+            self.step_level(l - 1, 0.5 * dt, slot);
+            self.step_level(l - 1, 0.5 * dt, slot + (1 << (l - 1)));
+        }
+        // Now the level's velocities are whole.
+        self.run(step, self.contact);
+        self.run(step, kernels.mirror.iter().chain([&kernels.g2p]));
+    }
+}
+
 /// One dispatch of a submission.
 pub(crate) struct Dispatch<'a> {
     pub(crate) kernel: &'a Kernel,
@@ -220,6 +291,10 @@ pub(crate) struct WgpuBatch {
     pub(crate) levels: usize,
     /// What the passes were made for.
     fixed: Fixed,
+    /// Steps of the finest level in one of the simulation.
+    substeps: usize,
+    /// How far particles may have drifted before a step [cells].
+    most_drift: f32,
     /// Are the links of blocks lost, so that a sort must come before the next step?
     pub(crate) unlinked: bool,
     /// Did the last step's numbers stay on the device?
@@ -338,7 +413,8 @@ impl WgpuBatch {
         };
         let vectors = rest_vectors(&plan.materials);
         let boxes = (levels - 1) * kernels::boxes(plan);
-        let asked = Asked { pairs, bodies: 0, layers: count * levels, worlds: count, boxes };
+        let substeps = plan.substeps as usize;
+        let asked = Asked { pairs, bodies: 0, layers: count * levels, worlds: count, boxes, substeps };
         let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
         let mut batch = Self {
             gpu,
@@ -348,6 +424,8 @@ impl WgpuBatch {
             h: plan.cell_widths[0],
             levels,
             fixed,
+            substeps,
+            most_drift: most_drift(plan),
             unlinked: true,
             pending: false,
             node_blocks: None,
@@ -418,14 +496,7 @@ impl WgpuBatch {
 
     /// The constants of a step.
     pub(crate) fn step_constants(&self, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
-        StepConstants {
-            dt: dt as f32,
-            dt_per_h: (dt / self.h) as f32,
-            stress: (-4.0 * dt / self.h) as f32,
-            number: number as u32,
-            gravity: gravity.map(|g| (g * dt) as f32),
-            pad: 0,
-        }
+        step_constants(self.h, dt, gravity, number)
     }
 
     /// The constants of steps from a slot on: one write, since each takes the queue microseconds.
@@ -544,43 +615,53 @@ impl WgpuBatch {
         let sums = layout.of_sum(0, 0);
         self.write_words(sums, &vec![0; layout.of_step(count.max(1), 0, 0) - sums]);
 
-        // A sort moves the particles to the other set of buffers.
-        let (mut now, mut step) = (self.memory.now, 0);
-        let (mut parts, mut constants) = (Vec::new(), Vec::new());
-        let kernels = &self.kernels;
-        let contact: &[Kernel] = if let Contact::Device(contact) = &self.contact { &contact.kernels } else { &[] };
         // Gravity is the same for all: it depends on time only if there is one world.
         let (first, time) = active[0];
-        let gravity = |step: usize| self.worlds[first].scene.gravity_at(time + step as f64 * dt);
+        let mut passes = Passes {
+            kernels: &self.kernels,
+            contact: if let Contact::Device(contact) = &self.contact { &contact.kernels } else { &[] },
+            levels: self.levels,
+            h: self.h,
+            now: self.memory.now,
+            number: 0,
+            gravity: [0.0; 3],
+            constants: Vec::new(),
+            dispatches: Vec::new(),
+        };
+        let mut parts = Vec::new();
         for stretch in stretches {
-            let mut part = Part { sorting: stretch.sort.then_some(now), dispatches: Vec::new() };
+            let sorting = stretch.sort.then_some(passes.now);
             if stretch.sort {
-                part.dispatches.extend(kernels.sort.iter().map(|kernel| Dispatch { kernel, now, step }));
-                now = 1 - now;
+                passes.sort(dt);
             }
             for _ in 0..stretch.steps {
-                constants.push(self.step_constants(dt, gravity(step), step));
-                let to_nodes = [&kernels.p2g].into_iter().chain(&kernels.restrict).chain(&kernels.grid).chain(contact);
-                let passes = to_nodes.chain(&kernels.prolong).chain(&kernels.mirror).chain([&kernels.g2p]);
-                part.dispatches.extend(passes.map(|kernel| Dispatch { kernel, now, step }));
-                step += 1;
+                passes.gravity = self.worlds[first].scene.gravity_at(time + passes.number as f64 * dt);
+                if self.substeps > 1 {
+                    passes.step_level(self.levels - 1, dt, passes.number * self.substeps);
+                } else {
+                    passes.step_together(dt);
+                }
+                passes.number += 1;
             }
             // A sort forgets what walls gave.
             if stretch.steps > 0 {
-                part.dispatches.extend(kernels.collect.iter().map(|kernel| Dispatch { kernel, now, step: 0 }));
+                passes.run(0, &self.kernels.collect);
             }
-            parts.push(part);
+            parts.push(Part { sorting, dispatches: std::mem::take(&mut passes.dispatches) });
         }
-        if count == 0 {
-            constants.push(self.step_constants(dt, gravity(0), 0));
-        }
-        self.write_steps(0, &constants);
+        self.write_steps(0, &passes.constants);
         let parts = self.with_groups(parts);
         let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
         let status = Status::new(words, layout);
         self.take_blocks(&status);
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
+        if self.substeps > 1 && matches!(halt, Some(Halt::TooFast | Halt::Strayed)) {
+            for &(w, _) in active {
+                let moves = status.speed(done, self.layers_of(w)) * dt / (self.h * self.substeps as f64);
+                self.worlds[w].torn = Some((dt, NODE_MOVE * dt / moves));
+            }
+        }
         for &(w, time) in active {
             self.take_steps(&status, w, time, dt, done);
         }
@@ -614,11 +695,13 @@ impl WgpuBatch {
             if sorted.is_some() {
                 level.rhythm = Rhythm::default();
             }
+            let steps = level.steps_within;
             for s in sorted.unwrap_or(0)..done {
-                level.rhythm = level.rhythm.after(status.in_step(s, layer, MOVE));
+                level.rhythm = level.rhythm.after(steps as f32 * status.in_step(s, layer, MOVE));
             }
             if let Some(last) = done.checked_sub(1) {
-                level.particle_speed = f64::from(status.in_step(last, layer, MOVE)) * level.h / dt;
+                let each = dt / f64::from(steps);
+                level.particle_speed = f64::from(status.in_step(last, layer, MOVE)) * level.h / each;
             }
         }
         if done > 0 {
@@ -648,7 +731,7 @@ impl WgpuBatch {
             let each = |level: &Level| (level.rhythm, (level.particle_speed * dt / level.h) as f32);
             self.worlds[w].levels.iter().map(each).collect()
         };
-        let is_due = |world: &Vec<(Rhythm, f32)>| world.iter().any(|(rhythm, _)| rhythm.is_due());
+        let is_due = |world: &Vec<(Rhythm, f32)>| world.iter().any(|(rhythm, _)| rhythm.is_due(self.most_drift));
         let mut worlds: Vec<Vec<(Rhythm, f32)>> = active.iter().map(of_world).collect();
         let mut stretches: Vec<Stretch> = Vec::new();
         for step in 0..count {
@@ -1003,6 +1086,7 @@ impl WgpuBatch {
             }
             self.write_regions(&self.worlds[*w]);
             let world = &mut self.worlds[*w];
+            world.torn = None;
             world.spoilt = spoilt.is_some();
             world.take_stock(&arrival.particles.lists, arrival.particles.sort.as_ref())?;
         }
@@ -1146,6 +1230,9 @@ impl WgpuBatch {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
                 Some(Halt::Drifted) if !stretches[0].sort => {}
                 Some(Halt::Misplaced) => return Err(no_adapt()),
+                Some(Halt::TooFast | Halt::Strayed) if self.substeps > 1 => {
+                    failed = turns.iter().map(|turn| self.fault(turn)).collect();
+                }
                 Some(Halt::TooFast) => dt = self.shorten(turns, &mut failed, &outcome, dt),
                 _ => {
                     // It cannot be told whose fault it was only if no particle is named.
@@ -1159,7 +1246,19 @@ impl WgpuBatch {
 
     /// What is wrong with a world's particles as they came in.
     fn fault(&self, turn: &Turn<'_>) -> Option<Error> {
-        if self.worlds[turn.world].spoilt { self.find_non_finite(turn.world, turn.time) } else { None }
+        let world = &self.worlds[turn.world];
+        if world.spoilt || world.torn.is_some() {
+            let torn = world.torn.map(|(dt, bound)| Error::TimeStep {
+                step: world.steps,
+                dt,
+                bound,
+                by: "the speed of a node within a subcycled step: set levels.subcycle = false, or lower time.safety"
+                    .into(),
+            });
+            self.find_non_finite(turn.world, turn.time).or(torn)
+        } else {
+            None
+        }
     }
 
     /// The step that the fastest world bears; worlds that bear none have failed.
@@ -1243,17 +1342,21 @@ impl WgpuBatch {
         let Some(coupling) = turn.couplings.first_mut() else { return Ok(None) };
         let mut driven = Driven { saved: vec![coupling.save()], after: Vec::new(), packed: Vec::new() };
         let mut go = || {
-            for s in 0..count {
-                let at = turn.time + s as f64 * dt;
-                coupling.before_step(at, dt)?;
-                let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
-                let pairs = || bodies.iter().zip(&boxes);
-                let packed =
-                    |level: &Level| pairs().flat_map(|(body, bounds)| pack(body, bounds, level.h)).collect::<Vec<_>>();
-                driven.packed.push(self.worlds[turn.world].levels.iter().flat_map(packed).collect());
-                coupling.after_step(at, dt)?;
-                driven.after.push(coupling.bodies());
-                driven.saved.push(coupling.save());
+            let each = dt / self.substeps as f64;
+            let levels = &self.worlds[turn.world].levels;
+            for slot in 0..count * self.substeps {
+                let at = turn.time + slot as f64 * each;
+                coupling.before_step(at, each)?;
+                // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
+                let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
+                let mut packed = pack_all(coupling.as_ref(), before);
+                coupling.after_step(at, each)?;
+                packed.extend(pack_all(coupling.as_ref(), after));
+                driven.packed.push(packed);
+                if (slot + 1) % self.substeps == 0 {
+                    driven.after.push(coupling.bodies());
+                    driven.saved.push(coupling.save());
+                }
             }
             Ok(())
         };
@@ -1268,7 +1371,7 @@ impl WgpuBatch {
     fn write_bodies(&self, turns: &[Turn<'_>], driven: &BTreeMap<usize, Option<Driven>>, steps: usize) {
         let Contact::Device(contact) = &self.contact else { return };
         let each = self.levels * contact.bodies * BODY as usize;
-        let mut packed = vec![[0.0; 4]; steps * self.worlds.len() * each];
+        let mut packed = vec![[0.0; 4]; steps * self.substeps * self.worlds.len() * each];
         for (t, driven) in driven {
             for (s, bodies) in driven.iter().flat_map(|driven| &driven.packed).enumerate() {
                 packed[(s * self.worlds.len() + turns[*t].world) * each..][..each].copy_from_slice(bodies);
@@ -1280,7 +1383,7 @@ impl WgpuBatch {
     /// Force and torque on each body of each world in each step, times the step.
     fn impulses(&self, steps: usize) -> Result<Vec<[f32; 4]>> {
         let Contact::Device(contact) = &self.contact else { return Ok(Vec::new()) };
-        let count = 2 * contact.bodies * self.words().layers * steps;
+        let count = 2 * contact.bodies * self.words().layers * self.substeps * steps;
         read(&self.gpu, self.memory.buffer(Role::Impulses, 0), 0, count)
     }
 
@@ -1289,13 +1392,17 @@ impl WgpuBatch {
         let Contact::Device(contact) = &self.contact else { return };
         let each = 2 * contact.bodies;
         for (s, (report, after)) in reports.iter_mut().zip(driven.after).enumerate() {
-            let own = &impulses[(s * self.worlds.len() + turn.world) * self.levels * each..][..self.levels * each];
-            // Over all levels.
+            // Over all levels' steps within this one.
             let sum = |k: usize| {
-                own.iter()
-                    .skip(k)
-                    .step_by(each)
-                    .fold([0.0; 3], |sum: Vec3, v| std::array::from_fn(|d| sum[d] + f64::from(v[d])))
+                let mut sum = [0.0; 3];
+                for slot in 0..self.substeps {
+                    let has_stepped = |level: &usize| self.substeps == 1 || (slot + 1) % (1 << level) == 0;
+                    for level in (0..self.levels).filter(has_stepped) {
+                        let row = ((s * self.substeps + slot) * self.worlds.len() + turn.world) * self.levels + level;
+                        (0..3).for_each(|d| sum[d] += f64::from(impulses[row * each + k][d]));
+                    }
+                }
+                sum
             };
             let per_step = |k: usize| sum(k).map(|x| x / report.dt);
             let wrench = |body: usize| Wrench { force: per_step(2 * body), torque: per_step(2 * body + 1) };
@@ -1322,7 +1429,8 @@ impl WgpuBatch {
             let places =
                 if world.materials.len() > 1 { Some(self.stretch_of(Sorted::Record, 1, first, count)?) } else { None };
             let held = Held { rest: &rest, places: places.as_deref(), slots: count, count };
-            let hardening = stiffness::bound_of_hardening(&held, &world.materials, &world.densities, level.h)?;
+            let reach = level.h * f64::from(level.steps_within);
+            let hardening = stiffness::bound_of_hardening(&held, &world.materials, &world.densities, reach)?;
             if hardening.dt < bound.dt {
                 bound = hardening;
             }
@@ -1343,12 +1451,19 @@ impl WgpuBatch {
             self.settle_contact(&[&*turn.couplings])?;
             let ground = self.particles() > 0;
             let on_host = !turn.couplings.is_empty() && !matches!(self.contact, Contact::Device(..));
+            if on_host && ground && self.substeps > 1 {
+                return Err(crate::lacks(
+                    "subcycling with bodies that move freely, or are meshes or height fields",
+                    "levels.subcycle = true",
+                    "set levels.subcycle = false, drive bodies of simple shapes, or use the backend cpu",
+                ));
+            }
             if !ground || on_host {
                 return Ok(vec![self.step_on_host(turn, dt)]);
             }
         }
         let hardens = turns.iter().any(|turn| self.worlds[turn.world].hardens);
-        let most = if hardens { STIFFNESS_AGE as usize } else { MAX_STEPS };
+        let most = if hardens { STIFFNESS_AGE as usize } else { MAX_STEPS }.min(MAX_STEPS / self.substeps);
         let reports = self.advance(dt, count.clamp(1, most), turns)?;
         for (turn, _) in turns.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
             self.follow_stiffness(turn.world)?;
@@ -1398,6 +1513,20 @@ fn no_batch(world: usize) -> Error {
     )
 }
 
+/// The constants of a step of all levels, where the finest cells have width `h` [m].
+fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
+    StepConstants {
+        dt: dt as f32,
+        dt_per_h: (dt / h) as f32,
+        stress: (-4.0 * dt / h) as f32,
+        number: number as u32,
+        gravity: gravity.map(|g| (g * dt) as f32),
+        slot: number as u32,
+        level: ALL_LEVELS,
+        pad: [0; 3],
+    }
+}
+
 /// Takes a world's coupling back, or on, to what it was before a step.
 fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven>, step: usize) -> Result<()> {
     let (Some(coupling), Some(driven)) = (couplings.first_mut(), driven) else { return Ok(()) };
@@ -1406,6 +1535,16 @@ fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven>, step: u
         what: format!("cannot go back to an earlier step: {what}"),
         mend: "resume from the last snapshot".to_owned(),
     })
+}
+
+/// A coupling's bodies as each of some levels sees them.
+fn pack_all(coupling: &dyn Coupling, levels: &[Level]) -> Vec<[f32; 4]> {
+    let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
+    let of_level = |level: &Level| {
+        let pairs = bodies.iter().zip(&boxes);
+        pairs.flat_map(|(body, bounds)| pack(body, bounds, level.h)).collect::<Vec<_>>()
+    };
+    levels.iter().flat_map(of_level).collect()
 }
 
 /// A body in a step, as `contact.wgsl` reads it.

@@ -3,7 +3,7 @@
 use crate::device::Gpu;
 use crate::material;
 use crate::memory::MAX_STEPS;
-use crate::world::{MAX_DRIFT, OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN};
+use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::SPLIT_AHEAD;
 use barchan_core::plan::PlannedMaterial;
@@ -47,6 +47,8 @@ pub(crate) enum Role {
     Rims,
     /// What each block hands to the next coarser level.
     Handed,
+    /// What nodes keep that two levels share in subcycling.
+    Shared,
 }
 
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
@@ -70,6 +72,7 @@ const COUNTS: Use = ("counts", "u32", Role::Next(Sorted::Cells), false);
 const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
 const RIMS: Use = ("rims", "vec4<u32>", Role::Rims, false);
 const HANDED: Use = ("handed", "vec4<f32>", Role::Handed, false);
+const KEPT: Use = ("shared_nodes", "vec4<f32>", Role::Shared, true);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 
 const fn written(binding: Use) -> Use {
@@ -139,6 +142,8 @@ pub(crate) struct Kernels {
     pub(crate) restrict: Option<Kernel>,
     /// From tiles to velocities.
     pub(crate) grid: Vec<Kernel>,
+    /// Halves and solves nodes that two levels share, if there is subcycling.
+    pub(crate) shared: Option<[Kernel; 2]>,
     /// Velocities at rims.
     pub(crate) prolong: Option<Kernel>,
     /// Velocities behind walls that let go.
@@ -186,6 +191,7 @@ impl Kernels {
             p2g: make(drafts.p2g),
             restrict: drafts.restrict.map(make),
             grid: all(drafts.grid),
+            shared: drafts.shared.map(|drafts| drafts.map(make)),
             prolong: drafts.prolong.map(make),
             mirror: all(drafts.mirror),
             g2p: make(drafts.g2p),
@@ -203,6 +209,7 @@ struct Drafts {
     p2g: Draft,
     restrict: Option<Draft>,
     grid: Vec<Draft>,
+    shared: Option<[Draft; 2]>,
     prolong: Option<Draft>,
     mirror: Vec<Draft>,
     g2p: Draft,
@@ -218,7 +225,8 @@ impl Drafts {
         let has_mirrors = walls.iter().any(|w| matches!(w, Wall::Slip | Wall::Stick));
         let laws = laws(plan, worlds)?;
         let levels = plan.cell_widths.len() > 1;
-        let mut grid = vec![sum_tiles(separations.is_empty(), levels)];
+        let subcycled = plan.substeps > 1;
+        let mut grid = vec![sum_tiles(separations.is_empty(), levels, subcycled)];
         grid.extend(separations.iter().map(|&axis| separate(axis, false)));
         if !separations.is_empty() {
             grid.push(velocities());
@@ -230,6 +238,7 @@ impl Drafts {
             p2g: p2g(),
             restrict: levels.then(restrict),
             grid,
+            shared: subcycled.then(shared),
             prolong: levels.then(prolong),
             mirror,
             g2p: g2p(&laws),
@@ -249,6 +258,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     if plan.has(Stage::Contact) {
         lines.push("contact, every step: on the device for driven bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
     }
+    lines.extend(drafts.shared.iter().flatten().map(|draft| line("every step of a level", draft)));
     lines.extend(
         drafts.prolong.iter().chain(&drafts.mirror).chain([&drafts.g2p]).map(|draft| line("every step", draft)),
     );
@@ -419,10 +429,11 @@ pub(crate) fn boxes(plan: &Plan) -> usize {
 fn layer_constants(plan: &Plan, worlds: usize) -> String {
     let levels = plan.cell_widths.len();
     let layers = worlds * levels;
+    let (subcycled, most_drift) = (plan.substeps > 1, most_drift(plan));
     format!(
-        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\n\
+        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\n\
          const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\n\
-         const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {MAX_DRIFT:?};\n"
+         const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {most_drift:?};\n"
     )
 }
 
@@ -654,27 +665,52 @@ fn regions(plan: &Plan) -> String {
     )
 }
 
-fn sum_tiles(to_velocities: bool, levels: bool) -> Draft {
-    let sum = if levels { "kept(g, n, sum_of_tiles(entry, n) + handed_to(g, n))" } else { "sum_of_tiles(entry, n)" };
+fn sum_tiles(to_velocities: bool, levels: bool, subcycled: bool) -> Draft {
+    let sum = match (levels, subcycled) {
+        (false, _) => "sum_of_tiles(entry, n)",
+        (true, false) => "kept(g, n, sum_of_tiles(entry, n) + handed_to(g, n))",
+        (true, true) => "kept_back(g, n, sum_of_tiles(entry, n))",
+    };
     let finish = if to_velocities {
         format!("let node = velocity(g, {sum});\ngrid[g * 64u + n] = node;\nnote_speed(g, node, n);")
     } else {
         format!("grid[g * 64u + n] = {sum};")
     };
     let rims = if levels { include_str!("wgsl/rim_sums.wgsl") } else { "" };
+    let shared = if subcycled { include_str!("wgsl/shared.wgsl") } else { "" };
     let mut uses = vec![LISTS, GRID, STATUS];
     if levels {
         uses.extend([DIRECTORY, RIMS, HANDED]);
     }
+    if subcycled {
+        uses.push(KEPT);
+    }
     Draft {
         name: "grid",
         entry: "sum_tiles",
-        body: include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", &finish) + rims,
+        body: include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", &finish) + rims + shared,
         uses,
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
         checked: true,
     }
+}
+
+/// Nodes that two levels share are halved at the start of the coarser one's step, and solved in each of the finer one's.
+fn shared() -> [Draft; 2] {
+    let draft = |name, body: &str| Draft {
+        name,
+        entry: name,
+        body: include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
+            + include_str!("wgsl/rim_sums.wgsl")
+            + include_str!("wgsl/shared.wgsl")
+            + body,
+        uses: vec![LISTS, GRID, STATUS, DIRECTORY, RIMS, HANDED, KEPT],
+        uniform: Uniform::None,
+        groups: Groups::NodeBlocks,
+        checked: true,
+    };
+    [draft("halve", include_str!("wgsl/halve.wgsl")), draft("solve", include_str!("wgsl/solve.wgsl"))]
 }
 
 fn velocities() -> Draft {

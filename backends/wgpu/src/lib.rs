@@ -85,13 +85,6 @@ impl Backend for Wgpu {
                     "use the backend cpu, slip or sticking walls, or levels.count = 1",
                 ));
             }
-            if plan.substeps > 1 {
-                return Err(lacks(
-                    "subcycling",
-                    "levels.subcycle = true",
-                    "use the backend cpu, or set levels.subcycle = false",
-                ));
-            }
         }
         if plan.precision == Precision::F64 {
             return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));

@@ -15,6 +15,9 @@ const PER_SUM: usize = 8;
 pub(crate) const PER_STEP: usize = 4;
 /// Steps that one submission can take.
 pub(crate) const MAX_STEPS: usize = 64;
+/// Constants of steps in a submission: those of steps and sorts; subcycled, of less than one step of coarser levels for each of the finest,
+/// twice.
+const STEP_SLOTS: u64 = 4 * MAX_STEPS as u64;
 /// Bytes from one step's constants to the next.
 pub(crate) const STEP_STRIDE: u64 = 256;
 /// Workgroups in a row of a dispatch.
@@ -32,6 +35,8 @@ pub(crate) struct Asked {
     pub(crate) worlds: usize,
     /// Boxes of the levels' regions, of all levels.
     pub(crate) boxes: usize,
+    /// Steps of the finest level in one of the coarsest.
+    pub(crate) substeps: usize,
 }
 
 /// `Extent` of `common.wgsl`.
@@ -74,8 +79,13 @@ pub(crate) struct StepConstants {
     pub(crate) stress: f32,
     pub(crate) number: u32,
     pub(crate) gravity: [f32; 3],
-    pub(crate) pad: u32,
+    pub(crate) slot: u32,
+    pub(crate) level: u32,
+    pub(crate) pad: [u32; 3],
 }
+
+/// The level of a step that all take together.
+pub(crate) const ALL_LEVELS: u32 = u32::MAX;
 
 /// Where words of the status stand, for so many layers.
 #[derive(Clone, Copy, Debug)]
@@ -144,7 +154,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 5] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells];
-const SHARED: [Role; 15] = [
+const SHARED: [Role; 16] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -160,6 +170,7 @@ const SHARED: [Role; 15] = [
     Role::Impulses,
     Role::Rims,
     Role::Handed,
+    Role::Shared,
 ];
 
 fn shared_name(role: Role) -> &'static str {
@@ -179,6 +190,7 @@ fn shared_name(role: Role) -> &'static str {
         Role::Impulses => "impulses",
         Role::Rims => "rims of levels",
         Role::Handed => "what rims hand on",
+        Role::Shared => "nodes that levels share",
         Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
     }
 }
@@ -212,7 +224,8 @@ impl Extent {
             Role::Impulses => 32 * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
             Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),
             Role::Handed if asked.boxes > 0 => 16 * 216 * blocks,
-            Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed => 0,
+            Role::Shared if asked.substeps > 1 => 16 * 128 * nodes,
+            Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
         }
     }
 
@@ -231,7 +244,9 @@ impl Extent {
         };
         Err(Error::Capacity {
             what: match what {
-                "nodes and tiles" | "what rims hand on" => "bytes of nodes and tiles in one binding of the adapter",
+                "nodes and tiles" | "what rims hand on" | "nodes that levels share" => {
+                    "bytes of nodes and tiles in one binding of the adapter"
+                }
                 "directory of blocks" | "marks of blocks" => {
                     "bytes of the directory of blocks in one binding of the adapter"
                 }
@@ -280,7 +295,7 @@ impl Memory {
         let values = params;
         let params = table(gpu, "parameters", values.len(), asked.worlds);
         gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(values));
-        let steps = uniform("steps", STEP_STRIDE * MAX_STEPS as u64);
+        let steps = uniform("steps", STEP_STRIDE * STEP_SLOTS);
         let regions = uniform("regions", 32 * asked.boxes.max(1) as u64);
         let layers = uniform("layers", (size_of::<Layer>() * asked.layers) as u64);
         let step_binding = device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -326,7 +341,7 @@ impl Memory {
     /// Bytes for particles, and for the grid.
     pub(crate) fn bytes(&self) -> (u64, u64) {
         let of_grid = |name: &str| {
-            [Role::Grid, Role::Flags, Role::Directory, Role::Sums, Role::Pairs, Role::Rims, Role::Handed]
+            [Role::Grid, Role::Flags, Role::Directory, Role::Sums, Role::Pairs, Role::Rims, Role::Handed, Role::Shared]
                 .map(shared_name)
                 .contains(&name)
                 || [Sorted::Lists, Sorted::Cells].map(sorted_name).contains(&name)
@@ -446,6 +461,7 @@ impl Memory {
             Role::Impulses,
             Role::Rims,
             Role::Handed,
+            Role::Shared,
         ] {
             let bytes = extent.shared_bytes(role, self.asked);
             if self.buffer(role, 0).size() < bytes {

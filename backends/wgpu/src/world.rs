@@ -23,6 +23,12 @@ pub(crate) const SORT_OFTEN: u32 = 4;
 pub(crate) const OFTEN_DRIFT: f32 = 0.5;
 /// Tiles allow for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f32 = 1.0;
+
+/// So much may particles have drifted before a step [cells]: a subcycled one moves them several times before they can be sorted.
+pub(crate) fn most_drift(plan: &Plan) -> f32 {
+    if plan.substeps > 1 { MAX_DRIFT - MAX_MOVE as f32 } else { MAX_DRIFT }
+}
+
 /// No particle may move further in a step, in cells.
 const MAX_MOVE: f64 = 0.5;
 /// From how many times the least mass on a node's speed counts in full; see the backend cpu.
@@ -39,12 +45,12 @@ pub(crate) struct Rhythm {
 }
 
 impl Rhythm {
-    /// Must the world be sorted before its next step?
-    pub(crate) fn is_due(self) -> bool {
+    /// Must the world be sorted before its next step, if particles may drift by so much?
+    pub(crate) fn is_due(self, most: f32) -> bool {
         let every = |steps: u32| self.age.is_multiple_of(steps);
         // NaN is due.
         self.drift.is_nan()
-            || self.drift > MAX_DRIFT
+            || self.drift > most
             || (every(SORT_OFTEN) && self.drift > OFTEN_DRIFT)
             || (every(SORT_AGE) && self.drift > SORT_DRIFT)
     }
@@ -78,6 +84,8 @@ pub(crate) struct Level {
     pub(crate) rhythm: Rhythm,
     /// Greatest speed of any particle along an axis [m/s].
     pub(crate) particle_speed: f64,
+    /// Its steps in one of the simulation.
+    pub(crate) steps_within: u32,
 }
 
 /// A world of a batch.
@@ -90,6 +98,10 @@ pub(crate) struct World {
     pub(crate) regions: Regions,
     pub(crate) agents: Vec<Agent>,
     pub(crate) phase: LevelPhase,
+    /// Steps of the finest level in one.
+    pub(crate) substeps: u32,
+    /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
+    pub(crate) torn: Option<(f64, f64)>,
     pub(crate) last_dt: f64,
     /// Nodes lighter than this carry nothing [kg].
     pub(crate) least_mass: f64,
@@ -124,7 +136,8 @@ impl Level {
             first: min.map(|c| c.div_euclid(4)),
             count: std::array::from_fn(|d| if is_periodic(d) { (max[d] - min[d]) / 4 } else { 0 }),
         };
-        Self { h: plan.cell_widths[level], periods, ..Self::default() }
+        let steps_within = stiffness::steps_within(plan.substeps, level as u32);
+        Self { h: plan.cell_widths[level], periods, steps_within, ..Self::default() }
     }
 }
 
@@ -139,6 +152,8 @@ impl World {
             regions: plan.regions.clone(),
             agents: plan.agents.clone(),
             phase: LevelPhase::default(),
+            substeps: plan.substeps,
+            torn: None,
             last_dt: 0.0,
             least_mass: 0.0,
             stiffness: unbounded(),
@@ -227,12 +242,12 @@ impl World {
 
     fn measure_stiffness(&mut self, lists: &[ParticleList]) -> Result<()> {
         self.stiffness_age = 0;
-        self.stiffness = stiffness::bound(lists, &self.materials)?;
+        self.stiffness = stiffness::bound(lists, &self.materials, self.substeps)?;
         self.unchanging = self.stiffness.clone();
         if self.hardens {
             let hardens = |m: u32| self.materials[m as usize].material.has(abi::BARCHAN_CAP_HARDENS);
             let others: Vec<_> = lists.iter().filter(|list| !hardens(list.material)).cloned().collect();
-            self.unchanging = stiffness::bound(&others, &self.materials)?;
+            self.unchanging = stiffness::bound(&others, &self.materials, self.substeps)?;
         }
         let density = |list: &ParticleList| {
             list.mass.iter().zip(&list.volume0).fold(f64::INFINITY, |least, (m, v)| least.min(m / v))
@@ -267,7 +282,7 @@ mod tests {
     fn between(speed: f32) -> Vec<u32> {
         let (mut rhythm, mut ages) = (Rhythm::default(), Vec::new());
         for _ in 0..200 {
-            if rhythm.is_due() {
+            if rhythm.is_due(MAX_DRIFT) {
                 ages.push(rhythm.age);
                 rhythm = Rhythm::default();
             }

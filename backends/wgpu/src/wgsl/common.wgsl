@@ -56,8 +56,16 @@ struct Step {
     number: u32,
     // Gravity times dt [m/s].
     gravity: vec3<f32>,
-    pad: u32,
+    // Number among the steps of the finest level in the submission: of a coarser one, that of the last of them within it.
+    slot: u32,
+    // The level whose step it is, or ALL_LEVELS.
+    level: u32,
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
 }
+
+const ALL_LEVELS: u32 = 0xffffffffu;
 
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(1) @binding(0) var<uniform> step: Step;
@@ -129,6 +137,14 @@ const LEFT_WORLD: u32 = 5u;
 const STRAYED: u32 = 6u;
 
 const BIAS: i32 = 1 << 20;
+
+// Number of the step among those in which bodies move.
+fn slot_now() -> u32 {
+    if SUBCYCLED {
+        return step.slot;
+    }
+    return step.number;
+}
 
 // Where vector `k` of a particle stands in the record.
 fn vector(q: u32, k: u32) -> u32 {
@@ -246,9 +262,21 @@ fn layer_of_particle(q: u32) -> u32 {
     return low;
 }
 
-// Does a layer take part in this submission? One that is alone does.
+// Does a layer take part in this submission, and in this step? One that is alone does.
 fn is_live(layer: u32) -> bool {
+    if SUBCYCLED && step.level != ALL_LEVELS && step.level != level_of(layer) {
+        return false;
+    }
     return LAYERS == 1u || layers[layer].on != 0u;
+}
+
+// Is the step short enough for nodes of that speed? Levels that take steps of their own have the same step over cell width.
+fn is_slow_enough(speed: f32) -> bool {
+    var moves = speed * step.dt_per_h;
+    if SUBCYCLED {
+        moves = ldexp(moves, -i32(step.level));
+    }
+    return moves <= NODE_MOVE;
 }
 
 fn offset_of(n: u32) -> vec3<i32> {

@@ -34,7 +34,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     var u = node.xyz;
     var changed = false;
     for (var b = 0u; b < BODIES; b++) {
-        let at = ((step.number * LAYERS + layer_now) * BODIES + b) * BODY;
+        let at = ((slot_now() * LAYERS + layer_now) * BODIES + b) * BODY;
         let least = int_vector(bodies[at + 7u]);
         let most = int_vector(bodies[at + 8u]);
         if n == 0u {

@@ -13,7 +13,7 @@ fn ready(is_first: bool) -> u32 {
     if atomicLoad(&status[HALTED]) != 0u {
         return 0u;
     }
-    if !(speed * step.dt_per_h <= NODE_MOVE) {
+    if !is_slow_enough(speed) {
         if is_first {
             atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], TOO_FAST);

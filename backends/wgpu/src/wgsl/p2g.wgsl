@@ -121,7 +121,8 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             }
         }
         workgroupBarrier();
-        if thread < 3u {
+        // What a step without length would give is nothing.
+        if thread < 3u && (!SUBCYCLED || step.dt > 0.0) {
             var total = 0.0;
             for (var t = 0u; t < 64u; t++) {
                 total += bitcast<f32>(leavers[t * 3u + thread]);

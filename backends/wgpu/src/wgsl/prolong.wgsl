@@ -16,7 +16,7 @@ fn velocity_at(layer: u32, cell: vec3<i32>) -> vec3<f32> {
 // May this step go on?
 fn ready(g: u32) -> u32 {
     let speed = bitcast<f32>(atomicLoad(&status[greatest_word(step.number)]));
-    let fits = atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]) && speed * step.dt_per_h <= NODE_MOVE;
+    let fits = atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]) && is_slow_enough(speed);
     return u32(fits && any(rims[g].xy != vec2<u32>(0u)) && is_live(u32(lists[(extent.block_room + g) * ENTRY].w)));
 }
 

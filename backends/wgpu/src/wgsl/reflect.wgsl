@@ -25,7 +25,7 @@ fn ready(w: u32) -> u32 {
     let first = lists[(extent.block_room + w) * ENTRY].xyz * 4;
     let pending = bitcast<vec4<f32>>(lists[w * ENTRY + PENDING]);
     let before = bitcast<vec4<f32>>(lists[w * ENTRY + WALL]);
-    if is_halted || w >= node_blocks || !(speed * step.dt_per_h <= NODE_MOVE) {
+    if is_halted || w >= node_blocks || !is_slow_enough(speed) {
         return 0u;
     }
     if w < blocks && any(pending != vec4<f32>(0.0)) && is_live(u32(lists[w * ENTRY].w)) {

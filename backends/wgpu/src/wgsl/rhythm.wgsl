@@ -13,8 +13,13 @@ fn rhythm_of(layer: u32) -> Rhythm {
     let last = max(step.number, 1u) - 1u;
     let sorted = atomicLoad(&status[sum_word(layer, SORTED)]);
     let before = atomicLoad(&status[step_word(last, layer, DRIFT)]);
-    let moved = atomicLoad(&status[step_word(last, layer, MOVE)]);
-    var rhythm = Rhythm(layers[layer].age + step.number, bitcast<f32>(before) + bitcast<f32>(moved));
+    let word = atomicLoad(&status[step_word(last, layer, MOVE)]);
+    var moved = bitcast<f32>(word);
+    if SUBCYCLED {
+        // As often as the level steps within one of the coarsest.
+        moved = ldexp(moved, i32(LEVELS - 1u - level_of(layer)));
+    }
+    var rhythm = Rhythm(layers[layer].age + step.number, bitcast<f32>(before) + moved);
     if step.number == 0u {
         rhythm.drift = layers[layer].drift;
     }
