@@ -8,7 +8,9 @@
 //! an order that the number of threads does not change.
 #![expect(unsafe_code, reason = "the transfers work on raw planes of particles, in vector registers")]
 
+pub mod adapt;
 pub mod block;
+pub mod bounds;
 pub mod particles;
 pub mod resample;
 pub mod ring;

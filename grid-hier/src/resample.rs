@@ -195,16 +195,21 @@ pub fn merge(
     if !spread.iter().all(|s| s.is_finite()) {
         return Err(Refusal::Strain);
     }
-    let spread = SymmetricEigen::new(spread);
     // Of the merged cube; with the mean Hencky strain it has this volume at most.
     let inertia = sides.iter().map(|side| side.powi(3)).sum::<f64>().cbrt().powi(2) / 12.0;
-    let widths = spread.eigenvalues.map(|e| (e / inertia).sqrt());
     if surface {
         let arms: Vec<Vector3<f64>> = particles.iter().map(|p| p.x - x).collect();
+        let side = (12.0 * inertia).sqrt();
+        if lopsidedness(particles, &arms) > LOPSIDED * tolerance * side.powi(3) {
+            return Err(Refusal::Surface);
+        }
+    }
+    let spread = SymmetricEigen::new(spread);
+    if surface {
+        let widths = spread.eigenvalues.map(|e| (e / inertia).sqrt());
         let is_unlike = widths.iter().any(|width| (width - 1.0).abs() > tolerance);
         let has_gaps = (widths.mean() - 1.0).abs() > 0.5 * tolerance;
-        let side = (12.0 * inertia).sqrt();
-        if is_unlike || has_gaps || lopsidedness(particles, &arms) > LOPSIDED * tolerance * side.powi(3) {
+        if is_unlike || has_gaps {
             return Err(Refusal::Surface);
         }
     }

@@ -251,37 +251,31 @@ impl Regions {
         let Some(boxes) = self.boxes.get(level) else { return Cover::All };
         let world =
             CellBox { min: self.world.min.map(|x| x >> level), max: self.world.max.map(|x| ((x - 1) >> level) + 1) };
-        // The copies of a box that periodic axes make: at most 27.
-        let (mut shifts, mut copies) = ([[0; 3]; 27], 1);
         for d in 0..3 {
-            let (low, high) = (world.min[d], world.max[d]);
             if self.walled[d][0] {
-                (cells.min[d], cells.max[d]) = (cells.min[d].max(low), cells.max[d].max(low + 1));
+                (cells.min[d], cells.max[d]) = (cells.min[d].max(world.min[d]), cells.max[d].max(world.min[d] + 1));
             }
             if self.walled[d][1] {
-                (cells.min[d], cells.max[d]) = (cells.min[d].min(high - 1), cells.max[d].min(high));
-            }
-            if self.periodic[d] {
-                let period = high - low;
-                for copy in 0..copies {
-                    for (times, to) in [(-1, copies + copy), (1, 2 * copies + copy)] {
-                        shifts[to] = shifts[copy];
-                        shifts[to][d] = times * period;
-                    }
-                }
-                copies *= 3;
+                (cells.min[d], cells.max[d]) = (cells.min[d].min(world.max[d] - 1), cells.max[d].min(world.max[d]));
             }
         }
+        // The copies of a box that periodic axes make: at most 27.
+        let turns = self.periodic.map(i32::from);
         let mut cover = Cover::None;
         for one in boxes {
             let one = one.grown(by);
-            for shift in &shifts[..copies] {
-                let cells = cells.moved(*shift);
-                if one.holds(&cells) {
-                    return Cover::All;
-                }
-                if one.meets(&cells) {
-                    cover = Cover::Part;
+            for x in -turns[0]..=turns[0] {
+                for y in -turns[1]..=turns[1] {
+                    for z in -turns[2]..=turns[2] {
+                        let turn = [x, y, z];
+                        let cells = cells.moved(std::array::from_fn(|d| turn[d] * (world.max[d] - world.min[d])));
+                        if one.holds(&cells) {
+                            return Cover::All;
+                        }
+                        if one.meets(&cells) {
+                            cover = Cover::Part;
+                        }
+                    }
                 }
             }
         }

@@ -102,19 +102,23 @@ impl ParticleList {
     }
     /// Keeps the particles for which `wanted` holds, in their order.
     pub fn retain(&mut self, wanted: impl Fn(&Spot) -> bool) {
+        let kept: Vec<bool> = (0..self.len()).map(|i| wanted(&self.spot(i))).collect();
+        self.keep(&kept);
+    }
+    /// Keeps the particles that are marked, one mark each, in their order.
+    pub fn keep(&mut self, kept: &[bool]) {
         fn keep<T>(plane: &mut Vec<T>, kept: &[bool]) {
             let mut kept = kept.iter();
             plane.retain(|_| kept.next().is_some_and(|k| *k));
         }
-        let kept: Vec<bool> = (0..self.len()).map(|i| wanted(&self.spot(i))).collect();
-        keep(&mut self.id, &kept);
-        keep(&mut self.body, &kept);
-        keep(&mut self.cell, &kept);
-        keep(&mut self.offset, &kept);
-        keep(&mut self.velocity, &kept);
-        keep(&mut self.affine, &kept);
+        keep(&mut self.id, kept);
+        keep(&mut self.body, kept);
+        keep(&mut self.cell, kept);
+        keep(&mut self.offset, kept);
+        keep(&mut self.velocity, kept);
+        keep(&mut self.affine, kept);
         let planes = [&mut self.mass, &mut self.volume0].into_iter().chain(&mut self.strain).chain(&mut self.state);
-        planes.for_each(|plane| keep(plane, &kept));
+        planes.for_each(|plane| keep(plane, kept));
     }
 }
 

@@ -1,788 +1,113 @@
-//! Levels after their agents: who changes level, who is split, who merges.
-//!
-//! A particle's class says how many lattice points of its body it stands for along a side, as a power of two: class l is the
-//! size that belongs to level l. Regions grown by one parent cell hold nothing coarser than their level; what is finer merges
-//! once it is three parent cells away. In between, particles stay as they are, so an agent that trembles changes nothing.
+//! Levels after their agents, on this backend's stores.
 
 use crate::engine::{CpuEngine, Pass};
-use crate::grid::KeyHasher;
-use crate::store::{List, PAD, Parcel};
-use barchan_core::levels::{CellBox, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
-use barchan_core::{Aabb, Coupling, Error, Ledger, Regions, Result};
-use barchan_grid::block::{self, CELLS, SIDE};
-use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
-use barchan_grid::resample::{Change, Particle, Planes, Refusal, merge, split};
+use crate::store::{PAD, Store};
+use barchan_core::{Coupling, Regions, Result};
+use barchan_grid::adapt::{LevelStore, Parcel, around_cells};
+use barchan_grid::particles::VOLUME;
 use barchan_grid::transfer::Scalar;
-use nalgebra::{Matrix3, Vector3};
-use rayon::prelude::*;
-use std::collections::{BTreeMap, HashMap};
-use std::hash::BuildHasherDefault;
+use barchan_lanes::LANES;
 use std::time::Instant;
-
-/// Particles merge if together they are this part of the class that they merge into.
-const PORTION: std::ops::RangeInclusive<f64> = 0.5..=1.6;
-/// Rounds after which what has found no partners may merge in pairs, so that leftovers do not add up.
-const PATIENCE: u64 = 4;
-/// Width of the neighbourhoods in which particles look for partners, in sides of the merged particle. They are cut by fixed sizes, so that
-/// no result depends on the number of threads; their faces lie elsewhere each time.
-const NEIGHBOURHOOD: u32 = 8;
-/// How far from a cluster's centre its members may be, in sides of the merged particle: those of a lattice are √3/4 away, the next
-/// ones 0.83.
-const REACH: f64 = 0.65;
-/// Clusters merge if they are no less like a cube than this, as the norm of their second moments over those of the cube of their
-/// volume, less 1: a slab half as thick as wide has 1.02, two particles of a lattice 1.64.
-const SHAPELESS: f64 = 1.1;
-/// Part of a full cell below which a cell counts as empty: next to it is the surface.
-const EMPTY: f64 = 0.5;
-/// Rounds without a try after which everything that is finer than need be is tried again.
-const STILL_ROUNDS: u64 = 32;
-/// Rounds after which it is even while regions move: it looks at footprints too, which are refused as a rule.
-const MERGE_ROUNDS: u64 = 128;
-/// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
-const AROUND_TOOL: f64 = 2.0;
-
-/// What splits and merges have done since the start.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Resampled {
-    moves: u64,
-    splits: u64,
-    merged: u64,
-    merges: u64,
-    kinetic: f64,
-    angular: Vector3<f64>,
-    /// Groups that were refused in the last round.
-    refused: BTreeMap<Refusal, u64>,
-}
-
-impl Resampled {
-    pub(crate) fn account(&self, ledger: &mut Ledger) {
-        ledger.count("particles that changed level", self.moves);
-        ledger.count("particles split", self.splits);
-        ledger.count("particles merged", self.merged);
-        ledger.count("particles that merging left", self.merges);
-        for (why, &count) in &self.refused {
-            ledger.count(&format!("groups kept apart since {} now", why.name()), count);
-        }
-        ledger.resampled_kinetic += self.kinetic;
-        for d in 0..3 {
-            ledger.resampled_angular_momentum[d] += self.angular[d];
-        }
-    }
-}
-
-/// What is to happen to a particle.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Action {
-    Move,
-    Split,
-    Merge,
-}
-
-/// Which particles may merge in a round, of those that are finer than need be.
-#[derive(Clone, Copy)]
-enum Candidates<'a> {
-    None,
-    /// Those that had to be as fine in these regions.
-    New(&'a Regions),
-    All,
-}
-
-/// A particle that something is to happen to.
-#[derive(Clone, Copy)]
-struct Found {
-    level: usize,
-    list: usize,
-    chunk: usize,
-    lane: usize,
-    class: u32,
-    /// Level where it belongs.
-    home: usize,
-    action: Action,
-}
-
-/// Particles that may merge: class, list, body and bin first, so that those of a bin stand together, in the order of ids.
-type Binned = (u32, usize, u16, [i64; 3], u32, usize);
-
-/// Mass in each cell of a level, as a part of a full cell, by block.
-type Filling = HashMap<u64, [f32; CELLS], BuildHasherDefault<KeyHasher>>;
 
 impl<T: Scalar> CpuEngine<T> {
     /// Moves the levels' boxes after their agents. Returns the regions as they were if any has moved.
     pub(crate) fn follow_agents(&mut self, couplings: &[Box<dyn Coupling>]) -> Option<Regions> {
-        if self.levels.len() == 1 {
-            return None;
-        }
-        let agents = agent_bounds(&self.agents, couplings, |body| self.soft_bounds(body));
-        let before = self.regions.clone();
-        self.regions.follow(&agents).then_some(before)
-    }
-
-    /// A box of cells around a soft body.
-    fn soft_bounds(&self, body: u16) -> Option<Aabb> {
-        let mut bounds: Option<Aabb> = None;
-        for level in &self.levels {
-            for list in &level.store.lists {
-                for (chunk, lane) in list.places().filter(|&(chunk, lane)| list.body[chunk][lane] == body) {
-                    let cell = list.cell_of(chunk, lane);
-                    let here = Aabb {
-                        min: cell.map(|c| f64::from(c) * level.h()),
-                        max: cell.map(|c| f64::from(c + 1) * level.h()),
-                    };
-                    bounds = Some(bounds.map_or(here, |all| all.union(&here)));
-                }
-            }
-        }
-        bounds
+        let levels = &self.levels;
+        let soft = |body: u16| {
+            around_cells(levels.iter().flat_map(|level| {
+                let lists = level.store.lists.iter();
+                let places = lists.flat_map(|list| list.places().map(move |(chunk, lane)| (list, chunk, lane)));
+                let own = places.filter(move |(list, chunk, lane)| list.body[*chunk][*lane] == body);
+                own.map(|(list, chunk, lane)| (list.cell_of(chunk, lane), level.h()))
+            }))
+        };
+        self.adapt.follow(couplings, soft)
     }
 
     /// Brings particles to the levels whose regions they are in, splits those that are too coarse there and merges those that
-    /// are finer than need be. `before` are the regions as they were, if any has moved: then what need not be as fine any more is
-    /// merged; what was refused then is tried again now and then. Returns which levels have lost or gained particles,
-    /// and must be sorted.
+    /// are finer than need be. `before` are the regions as they were, if any has moved; otherwise levels that are not `stirred`
+    /// are passed over. Returns which levels have lost or gained particles, and must be sorted too.
     ///
     /// # Errors
-    /// [`Error::Capacity`] if there are no numbers left for new particles; those of materials, whose strain has to be up to date.
-    pub(crate) fn adapt(
+    /// [`barchan_core::Error::Capacity`] if there are no numbers left for new particles; those of materials, whose strain has to be up
+    /// to date.
+    pub(crate) fn adapt_levels(
         &mut self,
         time: f64,
         before: Option<&Regions>,
+        stirred: &[bool],
         couplings: &[Box<dyn Coupling>],
     ) -> Result<Vec<bool>> {
         let mut clock = Instant::now();
-        let candidates = match before {
-            _ if self.rounds.is_multiple_of(MERGE_ROUNDS) || self.rounds >= self.tried + STILL_ROUNDS => {
-                Candidates::All
-            }
-            Some(before) => Candidates::New(before),
-            None => Candidates::None,
-        };
-        if !matches!(candidates, Candidates::None) {
-            self.tried = self.rounds;
-        }
-        let found: Vec<Found> = (0..self.levels.len()).flat_map(|l| self.find(l, candidates)).collect();
-        // Levels have steps of their own, and strain lags behind by one.
-        let mut concerned = vec![false; self.levels.len()];
-        for one in &found {
-            match one.action {
-                Action::Move => (concerned[one.level], concerned[one.home]) = (true, true),
-                // Children and merged particles may belong on any level.
-                Action::Split | Action::Merge => concerned.fill(true),
-            }
-        }
+        let shown: Vec<&Store<T>> = self.levels.iter().map(|level| &level.store).collect();
+        let round = self.adapt.find(&shown, before, stirred);
         let flushing = Instant::now();
-        self.flush_strain(time, &concerned)?;
+        self.flush_strain(time, &round.concerned())?;
         // P2G's clock has run meanwhile.
         clock += flushing.elapsed();
-        let mut coming: Vec<(usize, Parcel)> = Vec::new();
-        let mut gone: Vec<Found> = Vec::new();
-        let tools: Vec<Aabb> = couplings.iter().flat_map(|c| c.bounds()).collect();
-        for &one in found.iter().filter(|one| one.action == Action::Split) {
-            self.split_up(one, couplings, &tools, &mut coming)?;
-            gone.push(one);
-        }
-        let stay = match candidates {
-            Candidates::None => Vec::new(),
-            _ => self.merge_all(&found, couplings, &tools, &mut coming, &mut gone),
-        };
-        let moving = found.iter().filter(|one| one.action == Action::Move).copied();
-        for one in moving.chain(stay) {
-            coming.push(self.moved(one));
-            gone.push(one);
-            self.resampled.moves += 1;
-        }
-        let mut changed = vec![false; self.levels.len()];
-        for one in gone {
-            changed[one.level] = true;
-            self.levels[one.level].store.remove(one.list, one.chunk, one.lane);
-        }
-        for (l, level) in self.levels.iter_mut().enumerate() {
-            let mut here: Vec<&Parcel> = coming.iter().filter(|(to, _)| *to == l).map(|(_, parcel)| parcel).collect();
-            if !here.is_empty() {
-                here.sort_unstable_by_key(|parcel| (parcel.list, parcel.id));
-                changed[l] = true;
-                level.store.push(&here);
-            }
-        }
+        let mut stores: Vec<&mut Store<T>> = self.levels.iter_mut().map(|level| &mut level.store).collect();
+        let changed = self.adapt.apply(&mut stores, &round, couplings)?;
         self.clocks.add(Pass::Adapt, clock);
         Ok(changed)
     }
-
-    /// Rest volume of a body's particles on the finest level [m³].
-    fn finest_volume(&self, body: u16) -> f64 {
-        self.scene
-            .body
-            .get(usize::from(body))
-            .map_or(0.125 * self.levels[0].h().powi(3), |body| self.scene.spacing(body).powi(3))
-    }
-
-    /// Particles of a level that have to move, split or may merge, in the order of its blocks.
-    fn find(&self, l: usize, candidates: Candidates<'_>) -> Vec<Found> {
-        let level = &self.levels[l];
-        // Particles of class c have from 8^c / √8 of their body's finest volume up to √8 · 8^c.
-        let least_of = |body: usize, class: usize| {
-            if class == 0 { 0.0 } else { self.finest_volume(body as u16) * 8_f64.powf(class as f64 - 0.5) }
-        };
-        let classes = self.levels.len() + 1;
-        let least: Vec<f64> = (0..self.scene.body.len().max(1))
-            .flat_map(|body| (0..classes).map(move |class| least_of(body, class)))
-            .collect();
-        let splits_from = least.iter().skip(l + 1).step_by(classes).fold(f64::INFINITY, |a, b| a.min(*b));
-        let splits_from = T::from_f64(splits_from);
-        let least = |body: u16| &least[(usize::from(body) * classes).min(least.len() - classes)..][..classes];
-        let runs = level.store.lists.first().map_or(0, |list| list.runs.len());
-        let look = |b: usize| {
-            let mut found = Vec::new();
-            // Particles may have drifted out of their block by a cell.
-            let around = level.store.blocks.get(b).map(|&key| {
-                let first = block::of_key(key).map(|c| c * SIDE - 1);
-                CellBox { min: first.map(|c| c << l), max: first.map(|c| (c + SIDE + 2) << l) }
-            });
-            let everywhere = |regions: &Regions, margin: i32| around.and_then(|cells| regions.finest(cells, margin));
-            let home = everywhere(&self.regions, SPLIT_AHEAD);
-            let behind = everywhere(&self.regions, MERGE_BEHIND);
-            let before = if let Candidates::New(before) = candidates { everywhere(before, MERGE_BEHIND) } else { None };
-            // No class below `behind` is tried that is not below `before`.
-            let idle = match candidates {
-                Candidates::None => true,
-                Candidates::New(_) => before.is_some() && before == behind,
-                Candidates::All => false,
-            };
-            // As a rule a block has nothing to do, which its greatest particle tells.
-            let is_calm = |list: &List<T>, run: Run| {
-                let small = |chunk: usize| list.rest_plane(chunk, VOLUME).iter().all(|v| *v < splits_from);
-                idle && home == Some(l) && (run.first..run.first + run.chunks()).all(small)
-            };
-            for (i, list) in level.store.lists.iter().enumerate() {
-                if is_calm(list, list.runs[b]) {
-                    continue;
-                }
-                for (chunk, lane) in list.runs[b].places() {
-                    if list.id[chunk][lane] == PAD {
-                        continue;
-                    }
-                    let cell = || finest_cell(list.cell_of(chunk, lane), list.offset_of(chunk, lane), l);
-                    let home = home.unwrap_or_else(|| self.regions.finest_at(cell(), SPLIT_AHEAD));
-                    let (volume0, least) = (list.volume0_of(chunk, lane), least(list.body[chunk][lane]));
-                    let may_merge = || {
-                        let behind = behind.unwrap_or_else(|| self.regions.finest_at(cell(), MERGE_BEHIND));
-                        let is_new = |regions: &Regions| {
-                            let before = before.unwrap_or_else(|| regions.finest_at(cell(), MERGE_BEHIND));
-                            volume0 >= least[before]
-                        };
-                        volume0 < least[behind]
-                            && match candidates {
-                                Candidates::None => false,
-                                Candidates::New(before) => is_new(before),
-                                Candidates::All => true,
-                            }
-                    };
-                    let action = if volume0 >= least[home + 1] {
-                        Action::Split
-                    } else if !idle && may_merge() {
-                        Action::Merge
-                    } else if home != l {
-                        Action::Move
-                    } else {
-                        continue;
-                    };
-                    let class = least.partition_point(|&v| v <= volume0) as u32 - 1;
-                    found.push(Found { level: l, list: i, chunk, lane, class, home, action });
-                }
-            }
-            found
-        };
-        let found: Vec<Vec<Found>> = (0..runs).into_par_iter().map(look).collect();
-        found.concat()
-    }
-
-    /// A particle on the level where it belongs.
-    fn moved(&self, one: Found) -> (usize, Parcel) {
-        let parcel = self.levels[one.level].store.lists[one.list].parcel(one.list, one.chunk, one.lane);
-        self.settled(parcel, one.level)
-    }
-
-    /// A parcel with coordinates of level `from`, on the level where it belongs.
-    pub(crate) fn settled(&self, mut parcel: Parcel, from: usize) -> (usize, Parcel) {
-        let finest = finest_cell(parcel.cell, parcel.offset, from);
-        let to = self.regions.finest_at(finest, SPLIT_AHEAD);
-        for d in 0..3 {
-            // Shifts of cell and offset: exact but for the last bit of an offset that becomes coarser.
-            let within = parcel.offset[d] * f64::from(1 << from) - f64::from(finest[d] - (parcel.cell[d] << from));
-            let along = f64::from(finest[d] & ((1 << to) - 1)) + within;
-            parcel.cell[d] = finest[d] >> to;
-            parcel.offset[d] = along / f64::from(1 << to);
-        }
-        (to, parcel)
-    }
-
-    /// A particle with its position relative to a cell of its level [m].
-    fn particle(&self, parcel: &Parcel, origin: [i32; 3], h: f64) -> Particle {
-        let x = Vector3::from_fn(|d, _| (f64::from(parcel.cell[d] - origin[d]) + parcel.offset[d]) * h);
-        let planes = self.levels[0].store.lists[parcel.list].strain_planes();
-        let mut particle = Particle {
-            x,
-            v: Vector3::from_column_slice(&parcel.motion[..3]),
-            c: Matrix3::from_row_slice(&parcel.motion[3..]),
-            mass: parcel.rest[MASS],
-            volume0: parcel.rest[VOLUME],
-            strain: [0.0; 9],
-            state: [0.0; barchan_grid::transfer::MAX_STATE],
-        };
-        particle.strain[..planes].copy_from_slice(&parcel.rest[STRAIN..][..planes]);
-        let n_state = self.levels[0].store.lists[parcel.list].law.table.n_state;
-        particle.state[..n_state].copy_from_slice(&parcel.rest[STRAIN + planes..][..n_state]);
-        particle
-    }
-
-    /// The other way round: the particle on the level where it belongs, as a number and body say.
-    fn parcel_of(&self, p: &Particle, origin: [i32; 3], from: usize, like: &Parcel) -> (usize, Parcel) {
-        let h = self.levels[from].h();
-        let planes = self.levels[0].store.lists[like.list].strain_planes();
-        let mut parcel = like.clone();
-        for d in 0..3 {
-            let along = p.x[d] / h;
-            parcel.cell[d] = origin[d] + along.floor() as i32;
-            parcel.offset[d] = along - along.floor();
-            parcel.motion[d] = p.v[d];
-            for e in 0..3 {
-                parcel.motion[3 + 3 * d + e] = p.c[(d, e)];
-            }
-        }
-        parcel.rest[MASS] = p.mass;
-        parcel.rest[VOLUME] = p.volume0;
-        parcel.rest[STRAIN..][..planes].copy_from_slice(&p.strain[..planes]);
-        let n_state = self.levels[0].store.lists[like.list].law.table.n_state;
-        parcel.rest[STRAIN + planes..][..n_state].copy_from_slice(&p.state[..n_state]);
-        self.settled(parcel, from)
-    }
-
-    fn planes_of(&self, list: usize) -> (bool, Vec<u32>) {
-        let list = &self.levels[0].store.lists[list];
-        let states = &self.materials[list.material].material.states;
-        (list.strain_planes() == 9, states.iter().map(|state| state.merge).collect())
-    }
-
-    /// Replaces a particle by its children, and these by theirs, until none is too coarse for where it is.
-    fn split_up(
-        &mut self,
-        one: Found,
-        couplings: &[Box<dyn Coupling>],
-        tools: &[Aabb],
-        coming: &mut Vec<(usize, Parcel)>,
-    ) -> Result<()> {
-        let h = self.levels[one.level].h();
-        let parcel = self.levels[one.level].store.lists[one.list].parcel(one.list, one.chunk, one.lane);
-        let (is_gradient, rules) = self.planes_of(one.list);
-        let planes = Planes { is_gradient, merge: &rules };
-        let origin = parcel.cell;
-        let corner: [f64; 3] = origin.map(|c| f64::from(c) * h);
-        let mut open = vec![(self.particle(&parcel, origin, h), one.class, parcel.id)];
-        while let Some((particle, class, id)) = open.pop() {
-            let at: [f64; 3] = std::array::from_fn(|d| particle.x[d] / h);
-            let cell: [i32; 3] = std::array::from_fn(|d| origin[d] + at[d].floor() as i32);
-            let finest = finest_cell(cell, at.map(|x| x - x.floor()), one.level);
-            if class as usize <= self.regions.finest_at(finest, SPLIT_AHEAD) {
-                let mut parcel = self.parcel_of(&particle, origin, one.level, &parcel);
-                parcel.1.id = id;
-                coming.push(parcel);
-                continue;
-            }
-            self.resampled.splits += 1;
-            let children = (0..5).map(|tries| split(&particle, planes, 0.5_f64.powi(tries))).find(|children| {
-                let places = children.map(|child| std::array::from_fn(|d| corner[d] + child.x[d]));
-                let near = tools.iter().any(|tool| places.iter().any(|x| tool.contains(*x)));
-                !near || couplings.iter().all(|c| c.distance(&places).iter().all(|distance| *distance >= 0.0))
-            });
-            let children = children.unwrap_or_else(|| split(&particle, planes, f64::MIN_POSITIVE));
-            for (k, child) in children.into_iter().enumerate() {
-                let id = if k == 0 { id } else { self.new_id()? };
-                open.push((child, class - 1, id));
-            }
-        }
-        Ok(())
-    }
-
-    fn new_id(&mut self) -> Result<u32> {
-        let id = u32::try_from(self.next_id).ok().filter(|&id| id != PAD).ok_or(Error::Capacity {
-            what: "numbers for particles",
-            asked: self.next_id,
-            cap: u64::from(PAD),
-            mend: "use fewer levels or agents that move less: each split takes seven new numbers",
-        })?;
-        self.next_id += 1;
-        Ok(id)
-    }
-
-    /// Merges what can be merged, class by class. Returns those that cannot but have to change level.
-    fn merge_all(
-        &mut self,
-        found: &[Found],
-        couplings: &[Box<dyn Coupling>],
-        tools: &[Aabb],
-        coming: &mut Vec<(usize, Parcel)>,
-        gone: &mut Vec<Found>,
-    ) -> Vec<Found> {
-        self.resampled.refused.clear();
-        let candidates: Vec<Found> = found.iter().filter(|one| one.action == Action::Merge).copied().collect();
-        let mut merged = vec![false; candidates.len()];
-        let filling: Vec<Filling> = (0..self.levels.len())
-            .map(|l| if candidates.iter().any(|c| c.level == l) { self.filling(l) } else { Filling::default() })
-            .collect();
-        let at_surface = |one: &Found| {
-            let cell = self.levels[one.level].store.lists[one.list].cell_of(one.chunk, one.lane);
-            self.is_near_surface(cell, one.level, &filling[one.level])
-        };
-        let at_surface: Vec<bool> = candidates.par_iter().map(at_surface).collect();
-        // Clusters at the surface first, since only some ways to cut it in cubes leave it whole; then bins, as the lattice lies; then
-        // clusters of what is left over.
-        for way in [Way::Surface, Way::Bins, Way::Rest] {
-            let (sides, shift) = match way {
-                Way::Bins => (1, 0),
-                _ => (NEIGHBOURHOOD, (self.rounds % 8) as usize),
-            };
-            let free = (0..candidates.len()).filter(|&i| !merged[i]);
-            let mut binned: Vec<Binned> = free.map(|i| self.binned(i, &candidates[i], sides, shift)).collect();
-            binned.par_sort_unstable();
-            let groups: Vec<&[Binned]> = binned.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3)).collect();
-            let try_group = |group: &&[Binned]| match way {
-                Way::Bins => self.try_merge(group, &candidates, &at_surface, false).into_iter().collect(),
-                _ => self.clusters(group, &candidates, &at_surface, shift, matches!(way, Way::Surface)),
-            };
-            let results: Vec<Vec<Result<Merged, Refusal>>> = groups.par_iter().map(try_group).collect();
-            for result in results.into_iter().flatten() {
-                match result {
-                    Err(refusal) => *self.resampled.refused.entry(refusal).or_default() += 1,
-                    Ok(one) if is_near_tool(&one, couplings, tools) => {}
-                    Ok(one) => {
-                        self.resampled.merges += 1;
-                        self.resampled.merged += one.members.len() as u64;
-                        self.resampled.kinetic += one.change.kinetic;
-                        self.resampled.angular += one.change.angular;
-                        for i in one.members {
-                            merged[i] = true;
-                            gone.push(candidates[i]);
-                        }
-                        coming.push((one.level, one.parcel));
-                    }
-                }
-            }
-        }
-        let left = candidates.iter().zip(merged).filter(|(_, merged)| !merged).map(|(one, _)| *one);
-        left.filter(|one| one.home != one.level).collect()
-    }
-
-    /// Side of what a body's particles of a class merge into [m].
-    fn merged_side(&self, class: u32, body: u16) -> f64 {
-        self.finest_volume(body).cbrt() * f64::from(1 << (class + 1))
-    }
-
-    /// Where a particle is [m].
-    fn position(&self, one: &Found) -> [f64; 3] {
-        let level = &self.levels[one.level];
-        level.store.lists[one.list].position_of(one.chunk, one.lane, level.h())
-    }
-
-    /// A candidate in its bin, `sides` merged particles wide and moved by half of that along the axes of `shift`.
-    fn binned(&self, i: usize, one: &Found, sides: u32, shift: usize) -> Binned {
-        let list = &self.levels[one.level].store.lists[one.list];
-        let body = list.body[one.chunk][one.lane];
-        let side = self.merged_side(one.class, body) * f64::from(sides);
-        let bin = self.position(one).map(|x| x / side);
-        let bin = std::array::from_fn(|d| (bin[d] + f64::from((shift >> d & 1) as u32) * 0.5).floor() as i64);
-        (one.class, one.list, body, bin, list.id[one.chunk][one.lane], i)
-    }
-
-    /// Merges what stands together in a neighbourhood, wherever bins would end: about each particle, those with the least choice first,
-    /// the cluster that is most like a cube; `only_surface` says whether only about particles there.
-    fn clusters(
-        &self,
-        group: &[Binned],
-        candidates: &[Found],
-        at_surface: &[bool],
-        shift: usize,
-        only_surface: bool,
-    ) -> Vec<Result<Merged, Refusal>> {
-        if only_surface && !group.iter().any(|binned| at_surface[binned.5]) {
-            return Vec::new();
-        }
-        let (class, list, body, bin, ..) = group[0];
-        let side = self.merged_side(class, body);
-        // In sides of the merged particle, with bins' faces at whole numbers.
-        let width = i64::from(NEIGHBOURHOOD);
-        let origin: [f64; 3] = std::array::from_fn(|d| (bin[d] * width - (shift >> d & 1) as i64 * width / 2) as f64);
-        let place = |binned: &Binned| {
-            let x = self.position(&candidates[binned.5]);
-            Vector3::from_fn(|d, _| x[d] / side - origin[d])
-        };
-        let volume = |binned: &Binned| {
-            let one = &candidates[binned.5];
-            self.levels[one.level].store.lists[list].volume0_of(one.chunk, one.lane) / side.powi(3)
-        };
-        let mut loose = Loose {
-            surface: group.iter().map(|binned| at_surface[binned.5]).collect(),
-            ..Loose::new(group.iter().map(|binned| (place(binned), volume(binned))).collect())
-        };
-        let pairs = !only_surface && self.rounds.is_multiple_of(PATIENCE);
-        let least = if pairs { 0.0 } else { *PORTION.start() };
-        // At the surface anything less like a cube is refused anyway.
-        let tolerance = self.scene.levels.tolerance;
-        let strict = 4.0 * tolerance * (1.0 + tolerance);
-        let seeds = (0..group.len()).filter(|&i| !only_surface || loose.surface[i]);
-        let mut seeds: Vec<(usize, usize)> = seeds.map(|i| (loose.near(i).count(), i)).collect();
-        seeds.sort_unstable();
-        let mut found = Vec::new();
-        for (_, seed) in seeds {
-            let Some(members) = loose.cluster(seed, least, strict) else { continue };
-            let cluster: Vec<Binned> = members.iter().map(|&i| group[i]).collect();
-            if let Some(Ok(one)) = self.try_merge(&cluster, candidates, at_surface, pairs) {
-                members.iter().for_each(|&i| loose.free[i] = false);
-                found.push(Ok(one));
-            }
-        }
-        found
-    }
-
-    /// Mass in each cell of a level, as a part of a full cell, by block.
-    fn filling(&self, l: usize) -> Filling {
-        let level = &self.levels[l];
-        let volume = level.h().powi(3);
-        let runs = level.store.lists.first().map_or(0, |list| list.runs.len());
-        // Most particles are in their block; the others are added afterwards, in order.
-        let fill = |b: usize| {
-            let (mut cells, mut strays) = ([0f32; CELLS], Vec::new());
-            for list in &level.store.lists {
-                for (chunk, lane) in list.runs[b].places() {
-                    if list.id[chunk][lane] == PAD {
-                        continue;
-                    }
-                    let cell = list.cell_of(chunk, lane);
-                    let part = (list.volume0_of(chunk, lane) / volume) as f32;
-                    match block::key(block::of_cell(cell)) {
-                        Some(key) if level.store.blocks.get(b) == Some(&key) => cells[place(cell)] += part,
-                        Some(key) => strays.push((key, place(cell), part)),
-                        None => {}
-                    }
-                }
-            }
-            (cells, strays)
-        };
-        let filled: Vec<_> = (0..runs).into_par_iter().map(fill).collect();
-        let mut filling: Filling =
-            level.store.blocks.iter().zip(&filled).map(|(&key, (cells, _))| (key, *cells)).collect();
-        for (key, cell, part) in filled.into_iter().flat_map(|(_, strays)| strays) {
-            filling.entry(key).or_insert([0.0; CELLS])[cell] += part;
-        }
-        filling
-    }
-
-    /// One particle in place of a bin's, if they are neither too few nor too many, and alike. `None`: not this time.
-    fn try_merge(
-        &self,
-        group: &[Binned],
-        candidates: &[Found],
-        at_surface: &[bool],
-        pairs: bool,
-    ) -> Option<Result<Merged, Refusal>> {
-        let (class, list, body, ..) = group[0];
-        let side = self.merged_side(class, body);
-        let members = || group.iter().map(|binned| candidates[binned.5]);
-        let volume: f64 =
-            members().map(|one| self.levels[one.level].store.lists[one.list].volume0_of(one.chunk, one.lane)).sum();
-        let least = if pairs { 0.0 } else { *PORTION.start() };
-        if group.len() < 2 || volume < least * side.powi(3) || volume > PORTION.end() * side.powi(3) {
-            return None;
-        }
-        // All as seen from the first one's cell, on the coarsest level among them.
-        let level = members().map(|one| one.level).max()?;
-        let h = self.levels[level].h();
-        let parcels: Vec<Parcel> = members()
-            .map(|one| {
-                let mut parcel = self.levels[one.level].store.lists[one.list].parcel(list, one.chunk, one.lane);
-                for d in 0..3 {
-                    let within = f64::from(parcel.cell[d] & ((1 << (level - one.level)) - 1)) + parcel.offset[d];
-                    parcel.cell[d] >>= level - one.level;
-                    parcel.offset[d] = within / f64::from(1 << (level - one.level));
-                }
-                parcel
-            })
-            .collect();
-        let origin = parcels[0].cell;
-        let particles: Vec<Particle> = parcels.iter().map(|parcel| self.particle(parcel, origin, h)).collect();
-        let near_surface = group.iter().any(|binned| at_surface[binned.5]);
-        let (is_gradient, rules) = self.planes_of(list);
-        let planes = Planes { is_gradient, merge: &rules };
-        let gravity = self.scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
-        let tolerance = self.scene.levels.tolerance;
-        let (one, change) = match merge(&particles, planes, gravity, tolerance, near_surface) {
-            Ok(merged) => merged,
-            Err(refusal) => return Some(Err(refusal)),
-        };
-        let corner: [f64; 3] = origin.map(|c| f64::from(c) * h);
-        let x: [f64; 3] = std::array::from_fn(|d| corner[d] + one.x[d]);
-        let mut like = parcels[0].clone();
-        like.id = parcels.iter().map(|parcel| parcel.id).min()?;
-        let (level, parcel) = self.parcel_of(&one, origin, level, &like);
-        // Angular momentum about the world's origin: the particles' own change, since momentum and centre stay.
-        let members = group.iter().map(|binned| binned.5).collect();
-        Some(Ok(Merged { level, parcel, change, members, x, clearance: AROUND_TOOL * side }))
-    }
-
-    /// Is any cell around this one less than half full?
-    fn is_near_surface(&self, cell: [i32; 3], level: usize, filling: &Filling) -> bool {
-        let bounds = &self.levels[level].bounds;
-        (0..27).any(|n| {
-            let offset = block::offset(n);
-            let mut at: [i32; 3] = std::array::from_fn(|d| cell[d] + offset[d]);
-            for d in 0..3 {
-                // Behind a wall the ground goes on.
-                if bounds.walled[d][0] {
-                    at[d] = at[d].max(bounds.min[d]);
-                }
-                if bounds.walled[d][1] {
-                    at[d] = at[d].min(bounds.max[d] - 1);
-                }
-            }
-            let key = block::key(bounds.wrap(block::of_cell(at)));
-            let full = key.and_then(|key| filling.get(&key)).map_or(0.0, |cells| cells[place(at)]);
-            f64::from(full) < EMPTY
-        })
-    }
 }
 
-/// How candidates are put together.
-#[derive(Clone, Copy)]
-enum Way {
-    /// In clusters about particles at the surface.
-    Surface,
-    /// In bins that lie as the lattice lies.
-    Bins,
-    /// In clusters, what is left over.
-    Rest,
+/// Chunk and lane of a place, which is the number of its lane.
+fn lane_of(place: usize) -> (usize, usize) {
+    (place / LANES, place % LANES)
 }
 
-/// Particles of a neighbourhood that look for partners.
-struct Loose {
-    /// Places, in sides of the merged particle.
-    x: Vec<Vector3<f64>>,
-    /// Rest volumes over that of the merged particle.
-    volume: Vec<f64>,
-    /// Are they at the surface?
-    surface: Vec<bool>,
-    free: Vec<bool>,
-    /// Particles by cubes of one side, and where each cube's begin.
-    order: Vec<usize>,
-    starts: Vec<usize>,
-}
-
-impl Loose {
-    fn new(particles: Vec<(Vector3<f64>, f64)>) -> Self {
-        let (x, volume): (Vec<_>, Vec<_>) = particles.into_iter().unzip();
-        let mut order: Vec<usize> = (0..x.len()).collect();
-        order.sort_by_key(|&i| Self::index(Self::cube(&x[i])));
-        let mut starts = vec![0; (NEIGHBOURHOOD as usize).pow(3) + 1];
-        x.iter().for_each(|x| starts[Self::index(Self::cube(x)) + 1] += 1);
-        (1..starts.len()).for_each(|i| starts[i] += starts[i - 1]);
-        Self { surface: vec![false; x.len()], free: vec![true; x.len()], x, volume, order, starts }
+impl<T: Scalar> LevelStore for Store<T> {
+    fn blocks(&self) -> &[u64] {
+        &self.blocks
     }
-
-    fn cube(x: &Vector3<f64>) -> [usize; 3] {
-        // What rounding puts outside belongs to the outermost cubes.
-        std::array::from_fn(|d| (x[d].max(0.0) as usize).min(NEIGHBOURHOOD as usize - 1))
+    fn groups(&self) -> usize {
+        self.lists.first().map_or(0, |list| list.runs.len())
     }
-
-    fn index(cube: [usize; 3]) -> usize {
-        (cube[0] * NEIGHBOURHOOD as usize + cube[1]) * NEIGHBOURHOOD as usize + cube[2]
+    fn places(&self, list: usize, group: usize) -> impl Iterator<Item = usize> {
+        let list = &self.lists[list];
+        let held = list.runs[group].places().filter(|&(chunk, lane)| list.id[chunk][lane] != PAD);
+        held.map(|(chunk, lane)| chunk * LANES + lane)
     }
-
-    /// Free particles less than a side away from one, itself among them.
-    fn near(&self, i: usize) -> impl Iterator<Item = usize> {
-        let cube = Self::cube(&self.x[i]);
-        let [x, y, z] = cube.map(|c| c.saturating_sub(1)..=(c + 1).min(NEIGHBOURHOOD as usize - 1));
-        let rows = x.flat_map(move |x| y.clone().map(move |y| (x, y)));
-        let runs = rows.map(move |(x, y)| {
-            self.starts[Self::index([x, y, *z.start()])]..self.starts[Self::index([x, y, *z.end()]) + 1]
-        });
-        let near = runs.flat_map(|run| self.order[run].iter().copied());
-        near.filter(move |&j| self.free[j] && (self.x[j] - self.x[i]).norm_squared() < 1.0)
-    }
-
-    /// Of the clusters about a particle's eight corners, with at least so much volume, the one most like the merged cube, and as bins lie
-    /// where that is a tie; at the surface no less like it than `strict`.
-    fn cluster(&self, seed: usize, least: f64, strict: f64) -> Option<Vec<usize>> {
-        if !self.free[seed] {
-            return None;
-        }
-        let near: Vec<usize> = self.near(seed).collect();
-        if near.len() < 2 || self.sum(&near) < least {
-            return None;
-        }
-        let mut best: Option<(f64, Vec<usize>)> = None;
-        let mut members: Vec<usize> = Vec::with_capacity(near.len());
-        for corner in 0..8 {
-            let towards = |d: usize| if corner >> d & 1 == 1 { 0.25 } else { -0.25 };
-            let mut centre = self.x[seed] + Vector3::from_fn(|d, _| towards(d));
-            // Turned matter has its cubes' centres elsewhere: go there.
-            for _ in 0..2 {
-                members.clear();
-                members.extend(near.iter().filter(|&&i| (self.x[i] - centre).norm_squared() < REACH * REACH));
-                let moment: Vector3<f64> = members.iter().map(|&i| self.x[i] * self.volume[i]).sum();
-                centre = moment / self.sum(&members);
-            }
-            let volume = self.sum(&members);
-            if members.len() < 2 || volume < least || volume > *PORTION.end() {
-                continue;
-            }
-            let mut spread = Matrix3::zeros();
-            for &i in &members {
-                let (arm, own) = (self.x[i] - centre, self.volume[i].cbrt().powi(2) / 12.0);
-                spread += (arm * arm.transpose() + Matrix3::from_diagonal_element(own)) * (self.volume[i] / volume);
-            }
-            let unlike_cube = (spread * (12.0 / volume.cbrt().powi(2)) - Matrix3::identity()).norm();
-            let off_bin = centre.map(|x| x - x.floor() - 0.5).norm();
-            let score = unlike_cube + (volume - 1.0).abs() + 0.1 * off_bin;
-            let bearable = if members.iter().any(|&i| self.surface[i]) { strict } else { SHAPELESS };
-            if unlike_cube <= bearable && best.as_ref().is_none_or(|(least, _)| score < *least) {
-                best = Some((score, members.clone()));
+    fn greatest_volume(&self, list: usize, group: usize) -> f64 {
+        let (list, mut greatest) = (&self.lists[list], [T::default(); LANES]);
+        let run = list.runs[group];
+        for chunk in run.first..run.first + run.chunks() {
+            for (greatest, volume) in greatest.iter_mut().zip(list.rest_plane(chunk, VOLUME)) {
+                *greatest = if volume > *greatest { volume } else { *greatest };
             }
         }
-        let (_, mut members) = best?;
-        members.sort_unstable();
-        Some(members)
+        greatest.iter().fold(0.0, |greatest, volume| volume.to_f64().max(greatest))
     }
-
-    fn sum(&self, members: &[usize]) -> f64 {
-        members.iter().map(|&i| self.volume[i]).sum()
+    fn id(&self, list: usize, place: usize) -> u32 {
+        let (chunk, lane) = lane_of(place);
+        self.lists[list].id[chunk][lane]
     }
-}
-
-/// A merged particle, the level where it belongs, and what that cost.
-struct Merged {
-    level: usize,
-    parcel: Parcel,
-    change: Change,
-    /// Whose place it takes, by their numbers among the candidates.
-    members: Vec<usize>,
-    /// Where it is, and how far from tools it has to be [m].
-    x: [f64; 3],
-    clearance: f64,
-}
-
-/// Does a tool come so near that particles stay fine?
-fn is_near_tool(one: &Merged, couplings: &[Box<dyn Coupling>], tools: &[Aabb]) -> bool {
-    tools.iter().any(|tool| tool.grown(one.clearance).contains(one.x))
-        && couplings.iter().any(|c| c.distance(&[one.x])[0] < one.clearance)
-}
-
-/// The finest level's cell that holds a particle.
-fn finest_cell(cell: [i32; 3], offset: [f64; 3], level: usize) -> [i32; 3] {
-    std::array::from_fn(|d| {
-        let within = (offset[d] * f64::from(1 << level)).floor() as i32;
-        (cell[d] << level) + within.min((1 << level) - 1)
-    })
-}
-
-/// Where a cell stands in its block.
-fn place(cell: [i32; 3]) -> usize {
-    let local = cell.map(|c| (c & 3) as usize);
-    local[0] * 16 + local[1] * 4 + local[2]
+    fn body(&self, list: usize, place: usize) -> u16 {
+        let (chunk, lane) = lane_of(place);
+        self.lists[list].body[chunk][lane]
+    }
+    fn cell(&self, list: usize, place: usize) -> [i32; 3] {
+        let (chunk, lane) = lane_of(place);
+        self.lists[list].cell_of(chunk, lane)
+    }
+    fn offset(&self, list: usize, place: usize) -> [f64; 3] {
+        let (chunk, lane) = lane_of(place);
+        self.lists[list].offset_of(chunk, lane)
+    }
+    fn volume0(&self, list: usize, place: usize) -> f64 {
+        let (chunk, lane) = lane_of(place);
+        self.lists[list].volume0_of(chunk, lane)
+    }
+    fn parcel(&self, list: usize, place: usize) -> Parcel {
+        let (chunk, lane) = lane_of(place);
+        self.lists[list].parcel(list, chunk, lane)
+    }
+    fn remove(&mut self, list: usize, place: usize) {
+        let (chunk, lane) = lane_of(place);
+        Store::remove(self, list, chunk, lane);
+    }
+    fn push(&mut self, parcels: &[&Parcel]) {
+        Store::push(self, parcels);
+    }
 }

@@ -6,9 +6,10 @@
 
 use crate::engine::{CpuEngine, Pass};
 use crate::level::Level;
-use crate::store::{PAD, Parcel};
+use crate::store::PAD;
 use barchan_core::levels::TILE;
 use barchan_core::{Coupling, Error, Ledger, ParticleList, Result, Terrain, Tile};
+use barchan_grid::adapt::Parcel;
 use barchan_grid::block::{self, CELLS, SIDE};
 use barchan_grid::transfer::Scalar;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -112,7 +113,7 @@ impl<T: Scalar> CpuEngine<T> {
         let mut changed = vec![false; self.levels.len()];
         let Some(mut reach) = self.reach.take() else { return Ok(changed) };
         let mut clock = Instant::now();
-        let live = self.regions.reached(&reach.live);
+        let live = self.adapt.regions.reached(&reach.live);
         let coming: Vec<_> = live.difference(&reach.live).copied().collect();
         let going: BTreeSet<_> = reach.live.difference(&live).copied().collect();
         let outcome = if coming.is_empty() && going.is_empty() {
@@ -141,7 +142,7 @@ impl<T: Scalar> CpuEngine<T> {
             for (i, list) in level.store.lists.iter().enumerate() {
                 for (chunk, lane) in list.places().filter(|&(chunk, lane)| list.id[chunk][lane] != PAD) {
                     let x = list.position_of(chunk, lane, level.h());
-                    let tile = reach.terrain.tile_of(list.body[chunk][lane], x, &self.regions);
+                    let tile = reach.terrain.tile_of(list.body[chunk][lane], x, &self.adapt.regions);
                     if reach.live.contains(&tile) {
                         continue;
                     }
@@ -183,7 +184,7 @@ impl<T: Scalar> CpuEngine<T> {
             for d in 0..3 {
                 self.levels[coarsest].wall_impulse[d] -= momentum[d];
             }
-            if reach.terrain.is_untouched(tile, &lists, couplings, &self.regions)? {
+            if reach.terrain.is_untouched(tile, &lists, couplings, &self.adapt.regions)? {
                 reach.dropped += 1;
                 reach.seeded_mass -= mass;
             } else {
@@ -210,7 +211,8 @@ impl<T: Scalar> CpuEngine<T> {
                 }
                 None => {
                     reach.seeded += 1;
-                    let lists = reach.terrain.seed_tiles(&[*tile], couplings, &self.regions, &mut self.next_id)?;
+                    let lists =
+                        reach.terrain.seed_tiles(&[*tile], couplings, &self.adapt.regions, &mut self.adapt.next_id)?;
                     reach.seeded_mass += motion_of(&lists).0;
                     lists
                 }
@@ -218,13 +220,13 @@ impl<T: Scalar> CpuEngine<T> {
             self.mass += motion_of(&lists).0;
             for list in &lists {
                 let level = list.level as usize;
-                coming.extend((0..list.len()).map(|i| self.settled(Parcel::of(list, i), level)));
+                coming.extend((0..list.len()).map(|i| self.adapt.settled(Parcel::of(list, i), level)));
             }
         }
-        if self.next_id > u64::from(PAD) {
+        if self.adapt.next_id > u64::from(PAD) {
             return Err(Error::Capacity {
                 what: "numbers for particles",
-                asked: self.next_id,
+                asked: self.adapt.next_id,
                 cap: u64::from(PAD),
                 mend: "start a new run from what this one has made",
             });

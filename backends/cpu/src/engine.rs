@@ -1,6 +1,5 @@
 //! The step.
 
-use crate::adapt::Resampled;
 use crate::archive::Reach;
 use crate::isolated;
 use crate::level::{Level, Shares, Stopped, greater};
@@ -8,14 +7,14 @@ use crate::sleep::Lulled;
 use crate::store::{Departures, List};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
-use barchan_core::levels::Agent;
 use barchan_core::material::{ErrorBuffer, stable_step};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
 use barchan_core::{
-    Coupling, Engine, Error, Ledger, LevelPhase, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene,
-    SortPhase, Spot, StepReport,
+    Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene, SortPhase, Spot,
+    StepReport,
 };
+use barchan_grid::adapt::Adapt;
 use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
 use barchan_lanes::{Isa, LANES};
@@ -29,6 +28,9 @@ use std::time::{Duration, Instant};
 const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time.
 const SORT_DRIFT: f64 = 0.4;
+/// As long as regions stay, nobody on a level has to change it before something there has moved by this since the last sort, in cells:
+/// levels have a margin for that.
+const MARGIN_DRIFT: f64 = 0.2;
 /// The halo allows for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f64 = 1.0;
 /// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.
@@ -99,8 +101,7 @@ pub(crate) struct CpuEngine<T: Scalar> {
     pub(crate) isa: Isa,
     pub(crate) materials: Vec<PlannedMaterial>,
     pub(crate) levels: Vec<Level<T>>,
-    pub(crate) regions: Regions,
-    pub(crate) agents: Vec<Agent>,
+    pub(crate) adapt: Adapt,
     /// Steps of the finest level in one step.
     substeps: u32,
     leaving: Leaving,
@@ -122,11 +123,6 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Mass of all particles that ever came in and are not out of reach [kg].
     pub(crate) mass: f64,
     departures: Departures,
-    /// Number of the next particle that a split makes, and how often particles were split and merged.
-    pub(crate) next_id: u64,
-    pub(crate) rounds: u64,
-    pub(crate) tried: u64,
-    pub(crate) resampled: Resampled,
     pub(crate) lulled: Lulled,
     /// What is live, and the archive of what was, if not the whole world is.
     pub(crate) reach: Option<Reach>,
@@ -150,8 +146,7 @@ impl<T: Scalar> CpuEngine<T> {
             isa: Isa::current(),
             materials: plan.materials.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
-            regions: plan.regions.clone(),
-            agents: plan.agents.clone(),
+            adapt: Adapt::new(plan),
             substeps: plan.substeps,
             leaving: plan.scene.world.leaving,
             scene: plan.scene.clone(),
@@ -165,10 +160,6 @@ impl<T: Scalar> CpuEngine<T> {
             steps: 0,
             mass: 0.0,
             departures: Departures::default(),
-            next_id: 0,
-            rounds: 0,
-            tried: 0,
-            resampled: Resampled::default(),
             lulled: Lulled::default(),
             reach: plan.terrain.clone().map(Reach::new),
             shortened: 0,
@@ -194,11 +185,12 @@ impl<T: Scalar> CpuEngine<T> {
         if before.is_none() && !due.contains(&true) {
             return Ok(false);
         }
-        self.rounds += 1;
         let mut holes = vec![false; self.levels.len()];
         if self.levels.len() > 1 {
             let exchanged = self.exchange_with_archive(time, couplings)?;
-            holes = self.adapt(time, before, couplings)?;
+            let stirred: Vec<bool> =
+                self.levels.iter().zip(&due).map(|(level, due)| *due || level.drift > MARGIN_DRIFT).collect();
+            holes = self.adapt_levels(time, before, &stirred, couplings)?;
             holes.iter_mut().zip(exchanged).for_each(|(holes, exchanged)| *holes |= exchanged);
         }
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
@@ -247,7 +239,7 @@ impl<T: Scalar> CpuEngine<T> {
             rebuilt.push(new);
             if let Some(coarser) = coarser {
                 if new {
-                    level.grid.find_rim(&self.regions, l, &level.bounds, &coarser.bounds);
+                    level.grid.find_rim(&self.adapt.regions, l, &level.bounds, &coarser.bounds);
                 }
                 parents = level.grid.parents_of_rim().to_vec();
             }
@@ -715,7 +707,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             ledger.wall_impulse[d] += self.levels.iter().map(|level| level.wall_impulse[d]).sum::<f64>();
             ledger.gravity_impulse[d] += self.gravity_impulse[d];
         }
-        self.resampled.account(ledger);
+        self.adapt.account(ledger);
         ledger.slept_kinetic += self.lulled.kinetic;
         for d in 0..3 {
             ledger.slept_momentum[d] += self.lulled.momentum[d];
@@ -731,7 +723,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         ledger.count("steps shortened for speed", self.shortened);
         ledger.count("steps with strain applied in parts", self.parted);
         let of_level =
-            |(l, level): (usize, &Level<T>)| isolated::count(&level.store.lists, &level.bounds, &self.regions, l);
+            |(l, level): (usize, &Level<T>)| isolated::count(&level.store.lists, &level.bounds, &self.adapt.regions, l);
         let isolated = self.levels.iter().enumerate().map(of_level).sum();
         ledger.count("particles with an isolated stencil now", isolated);
     }
@@ -828,14 +820,12 @@ impl<T: Scalar> CpuEngine<T> {
             self.measure_stiffness()?;
         }
         let ids = particles.lists.iter().flat_map(|list| &list.id);
-        self.next_id = ids.max().map_or(0, |id| id + 1);
+        self.adapt.next_id = ids.max().map_or(0, |id| id + 1);
         if let Some(phase) = particles.levels {
             if let Some(reach) = &mut self.reach {
-                reach.restore(phase.live, particles.archive);
+                reach.restore(phase.live.clone(), particles.archive);
             }
-            self.regions.restore(phase.boxes);
-            (self.rounds, self.tried) = (phase.rounds, phase.tried);
-            self.next_id = phase.next_id.max(self.next_id);
+            self.adapt.restore(phase);
         }
         match particles.sort {
             Some(sort) => {
@@ -861,13 +851,7 @@ impl<T: Scalar> CpuEngine<T> {
     fn without_particles(&self) -> ParticleState {
         ParticleState {
             strain_dt: self.levels[0].strain_dt,
-            levels: (self.levels.len() > 1).then(|| LevelPhase {
-                boxes: self.regions.boxes().to_vec(),
-                next_id: self.next_id,
-                rounds: self.rounds,
-                tried: self.tried,
-                live: self.reach.as_ref().map(Reach::live).unwrap_or_default(),
-            }),
+            levels: self.adapt.phase(self.reach.as_ref().map(Reach::live).unwrap_or_default()),
             archive: self.reach.as_ref().map(Reach::archive).unwrap_or_default(),
             ..ParticleState::default()
         }

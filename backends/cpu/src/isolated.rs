@@ -1,9 +1,10 @@
 //! Numerical fracture, made visible: particles that hang on nothing.
 
-use crate::grid::{Bounds, KeyHasher};
+use crate::grid::KeyHasher;
 use crate::store::List;
 use barchan_core::Regions;
 use barchan_core::levels::{CellBox, SPLIT_AHEAD};
+use barchan_grid::bounds::Bounds;
 use barchan_grid::transfer::Scalar;
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;

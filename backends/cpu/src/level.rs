@@ -1,12 +1,13 @@
 //! One level: its particles, its grid, and the passes over them.
 
-use crate::grid::{Bounds, Grid, Ring};
+use crate::grid::{Grid, Ring};
 use crate::memory::Shared;
 use crate::sleep::Watch;
 use crate::store::Store;
 use barchan_core::material::ErrorBuffer;
 use barchan_core::{Aabb, NodeBatch, Plan};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
+use barchan_grid::bounds::Bounds;
 use barchan_grid::ring::{self, COLUMNS};
 use barchan_grid::transfer::{Edge, Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
 use barchan_grid::wall::Mirror;

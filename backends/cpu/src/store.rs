@@ -3,12 +3,13 @@
 //! Each list (one material) lies in chunks of 16 particles, structure of arrays within the chunk. Blocks own whole chunks, so
 //! threads never share one; the last chunk of a block's run is padded with massless particles.
 
-use crate::grid::Bounds;
 use crate::memory::{Line, Shared, lines};
 use crate::sleep::ASLEEP;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, Result, Spot};
+use barchan_grid::adapt::Parcel;
 use barchan_grid::block::{self, CELLS};
+use barchan_grid::bounds::Bounds;
 use barchan_grid::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{Law, MAX_STATE, Scalar};
 use barchan_lanes::LANES;
@@ -16,41 +17,6 @@ use rayon::prelude::*;
 
 /// Marks a padding lane in a permutation.
 pub(crate) const PAD: u32 = u32::MAX;
-
-/// One particle outside of any list, on its way to another place or level. Numbers of the run's precision are exact in it.
-#[derive(Clone, Debug)]
-pub(crate) struct Parcel {
-    /// Index of the list within the level.
-    pub(crate) list: usize,
-    pub(crate) id: u32,
-    pub(crate) body: u16,
-    pub(crate) cell: [i32; 3],
-    pub(crate) offset: [f64; 3],
-    pub(crate) motion: [f64; MOTION],
-    /// Mass, rest volume, strain, history.
-    pub(crate) rest: [f64; STRAIN + 9 + MAX_STATE],
-}
-
-impl Parcel {
-    /// A copy of one particle of a list.
-    pub(crate) fn of(list: &ParticleList, i: usize) -> Self {
-        let (v, c) = (list.velocity[i], list.affine[i]);
-        let mut parcel = Self {
-            list: list.material as usize,
-            id: list.id[i] as u32,
-            body: list.body[i],
-            cell: list.cell[i],
-            offset: list.offset[i],
-            motion: std::array::from_fn(|p| if p < 3 { v[p] } else { c[p - 3] }),
-            rest: [0.0; STRAIN + 9 + MAX_STATE],
-        };
-        let planes = [&list.mass, &list.volume0].into_iter().chain(&list.strain).chain(&list.state);
-        for (value, plane) in parcel.rest.iter_mut().zip(planes) {
-            *value = plane[i];
-        }
-        parcel
-    }
-}
 
 /// The particles of one material.
 pub(crate) struct List<T: Scalar> {

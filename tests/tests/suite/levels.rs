@@ -4,6 +4,7 @@
 
 mod agents;
 mod contact;
+mod copies;
 mod following;
 mod footprints;
 mod properties;

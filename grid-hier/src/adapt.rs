@@ -1,0 +1,786 @@
+//! Levels after their agents: who changes level, who is split, who merges.
+//!
+//! A particle's class says how many lattice points of its body it stands for along a side, as a power of two: class l is the
+//! size that belongs to level l. Regions grown by one parent cell hold nothing coarser than their level; what is finer merges
+//! once it is three parent cells away. In between, particles stay as they are, so an agent that trembles changes nothing.
+//!
+//! A round is [`find`](Adapt::find), which says who is concerned, then [`apply`](Adapt::apply). Backends hand in their levels as
+//! [`LevelStore`]s; one that holds its particles elsewhere hands in a copy, with [`round_on_host`](Adapt::round_on_host).
+
+mod clusters;
+mod host;
+mod nearby;
+
+pub use host::soft_bounds;
+
+use crate::bounds::Bounds;
+use crate::particles::{MASS, MOTION, STRAIN, VOLUME};
+use crate::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split};
+use crate::transfer::MAX_STATE;
+use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
+use barchan_core::{Aabb, Coupling, Error, Ledger, LevelPhase, ParticleList, Plan, Regions, Result};
+use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, PORTION};
+use nalgebra::{Matrix3, Vector3};
+use nearby::{Nearby, Surface};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+
+/// Rounds after which what has found no partners may merge in pairs, so that leftovers do not add up.
+const PATIENCE: u64 = 4;
+/// Rounds without a try after which everything that is finer than need be is tried again.
+const STILL_ROUNDS: u64 = 32;
+/// Rounds after which it is even while regions move: it looks at footprints too, which are refused as a rule.
+const MERGE_ROUNDS: u64 = 128;
+/// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
+const AROUND_TOOL: f64 = 2.0;
+/// Particles' numbers are less than this.
+const IDS: u64 = u32::MAX as u64;
+
+/// One particle outside of any list, on its way to another place or level. Numbers of a run's precision are exact in it.
+#[derive(Clone, Debug)]
+pub struct Parcel {
+    /// Index of the list within the level.
+    pub list: usize,
+    /// Its number.
+    pub id: u32,
+    /// Index of its body in the scene.
+    pub body: u16,
+    /// Integer cell on its level.
+    pub cell: [i32; 3],
+    /// Position in the cell, in cells, [0, 1).
+    pub offset: [f64; 3],
+    /// Velocity [m/s] and affine matrix [1/s].
+    pub motion: [f64; MOTION],
+    /// Mass [kg], rest volume [m³], strain, history.
+    pub rest: [f64; STRAIN + 9 + MAX_STATE],
+}
+
+impl Parcel {
+    /// A copy of one particle of a list.
+    pub fn of(list: &ParticleList, i: usize) -> Self {
+        let (v, c) = (list.velocity[i], list.affine[i]);
+        let mut parcel = Self {
+            list: list.material as usize,
+            id: list.id[i] as u32,
+            body: list.body[i],
+            cell: list.cell[i],
+            offset: list.offset[i],
+            motion: std::array::from_fn(|p| if p < 3 { v[p] } else { c[p - 3] }),
+            rest: [0.0; STRAIN + 9 + MAX_STATE],
+        };
+        let planes = [&list.mass, &list.volume0].into_iter().chain(&list.strain).chain(&list.state);
+        for (value, plane) in parcel.rest.iter_mut().zip(planes) {
+            *value = plane[i];
+        }
+        parcel
+    }
+
+    /// Adds the particle to a list of its material.
+    pub fn add_to(&self, list: &mut ParticleList) {
+        list.id.push(u64::from(self.id));
+        list.body.push(self.body);
+        list.cell.push(self.cell);
+        list.offset.push(self.offset);
+        list.velocity.push(std::array::from_fn(|d| self.motion[d]));
+        list.affine.push(std::array::from_fn(|p| self.motion[3 + p]));
+        let planes = [&mut list.mass, &mut list.volume0].into_iter().chain(&mut list.strain).chain(&mut list.state);
+        for (value, plane) in self.rest.iter().zip(planes) {
+            plane.push(*value);
+        }
+    }
+}
+
+/// Particles of one level as split and merge need them: lists by material, in groups that are the same for all lists. Results depend
+/// on the order of groups and of places, in the numbers of children and in the last bits.
+pub trait LevelStore: Sync {
+    /// Keys of the blocks that the first groups were sorted into, rising. No particle is more than a cell outside its block.
+    fn blocks(&self) -> &[u64];
+    /// Number of groups; those behind the blocks' are in no block yet.
+    fn groups(&self) -> usize;
+    /// Places of the particles of a list in a group.
+    fn places(&self, list: usize, group: usize) -> impl Iterator<Item = usize>;
+    /// Greatest rest volume of a particle of a list in a group, 0 if there is none [m³].
+    fn greatest_volume(&self, list: usize, group: usize) -> f64;
+    /// A particle's number.
+    fn id(&self, list: usize, place: usize) -> u32;
+    /// Index of its body in the scene.
+    fn body(&self, list: usize, place: usize) -> u16;
+    /// Its cell.
+    fn cell(&self, list: usize, place: usize) -> [i32; 3];
+    /// Where it is in its cell, [0, 1).
+    fn offset(&self, list: usize, place: usize) -> [f64; 3];
+    /// Its rest volume [m³].
+    fn volume0(&self, list: usize, place: usize) -> f64;
+    /// A copy of it.
+    fn parcel(&self, list: usize, place: usize) -> Parcel;
+    /// Takes it out. Other places stay what they are.
+    fn remove(&mut self, list: usize, place: usize);
+    /// Takes in particles, in the order of lists and numbers. They are in no block.
+    fn push(&mut self, parcels: &[&Parcel]);
+}
+
+/// Nested levels of one world: where they are, and what splits and merges remember from round to round.
+pub struct Adapt {
+    /// Where the levels are.
+    pub regions: Regions,
+    /// Number of the next particle that comes into being.
+    pub next_id: u64,
+    /// What the levels follow.
+    agents: Vec<Agent>,
+    /// Rounds since the start, and the last of them in which anything could merge.
+    rounds: u64,
+    tried: u64,
+    resampled: Resampled,
+    /// Cell width of each level [m], and where the world ends there.
+    widths: Vec<f64>,
+    bounds: Vec<Bounds>,
+    /// Rest volume of each body's particles on the finest level [m³].
+    finest_volume: Vec<f64>,
+    materials: Vec<Material>,
+    /// Size of gravity [m/s²].
+    gravity: f64,
+    tolerance: f64,
+}
+
+/// A material's planes.
+struct Material {
+    strain: usize,
+    /// `BARCHAN_MERGE_*` rule of each history variable.
+    rules: Vec<u32>,
+}
+
+impl Material {
+    fn planes(&self) -> Planes<'_> {
+        Planes { is_gradient: self.strain == 9, merge: &self.rules }
+    }
+}
+
+/// What splits and merges have done since the start.
+#[derive(Clone, Debug, Default)]
+struct Resampled {
+    moves: u64,
+    splits: u64,
+    merged: u64,
+    merges: u64,
+    kinetic: f64,
+    angular: Vector3<f64>,
+    /// Groups that were refused in the last round.
+    refused: BTreeMap<Refusal, u64>,
+}
+
+/// What is to happen to a particle.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Action {
+    Move,
+    Split,
+    Merge,
+}
+
+/// Which particles may merge in a round, of those that are finer than need be.
+#[derive(Clone, Copy)]
+enum Candidates<'a> {
+    None,
+    /// Those that had to be as fine in these regions.
+    New(&'a Regions),
+    All,
+}
+
+/// A particle that something is to happen to.
+#[derive(Clone, Copy)]
+struct Found {
+    level: usize,
+    list: usize,
+    place: usize,
+    class: u32,
+    /// Level where it belongs.
+    home: usize,
+    action: Action,
+}
+
+/// What a round is to do.
+pub struct Round {
+    found: Vec<Found>,
+    /// Was anything tried to be merged?
+    merges: bool,
+    levels: usize,
+}
+
+impl Round {
+    /// The levels that particles may leave or come to. Where levels have steps of their own, strain lags behind by one: theirs must
+    /// be up to date before the round is applied.
+    pub fn concerned(&self) -> Vec<bool> {
+        let mut concerned = vec![false; self.levels];
+        for one in &self.found {
+            match one.action {
+                Action::Move => (concerned[one.level], concerned[one.home]) = (true, true),
+                // Children and merged particles may belong on any level.
+                Action::Split | Action::Merge => concerned.fill(true),
+            }
+        }
+        concerned
+    }
+}
+
+/// What a particle was split into: where each belongs, and which of the new numbers it gets; `None`: its parent's.
+struct Family {
+    parcels: Vec<(usize, Parcel, Option<u32>)>,
+    splits: u64,
+}
+
+/// A merged particle, the level where it belongs, and what that cost.
+struct Merged {
+    level: usize,
+    parcel: Parcel,
+    change: Change,
+    /// Whose place it takes, by their numbers among the candidates.
+    members: Vec<usize>,
+    /// Where it is, and how far from tools it has to be [m].
+    x: [f64; 3],
+    clearance: f64,
+}
+
+/// How candidates are put together.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Way {
+    /// In clusters about particles at the surface.
+    Surface,
+    /// In bins that lie as the lattice lies.
+    Bins,
+    /// In clusters, what is left over.
+    Rest,
+}
+
+impl Adapt {
+    /// As a plan has its levels at the start.
+    pub fn new(plan: &Plan) -> Self {
+        let scene = &plan.scene;
+        let mut finest_volume: Vec<f64> = scene.body.iter().map(|body| scene.spacing(body).powi(3)).collect();
+        if finest_volume.is_empty() {
+            finest_volume.push(0.125 * plan.cell_widths[0].powi(3));
+        }
+        let material = |planned: &barchan_core::plan::PlannedMaterial| Material {
+            strain: planned.material.strain_planes(),
+            rules: planned.material.states.iter().map(|state| state.merge).collect(),
+        };
+        Self {
+            regions: plan.regions.clone(),
+            next_id: 0,
+            agents: plan.agents.clone(),
+            rounds: 0,
+            tried: 0,
+            resampled: Resampled::default(),
+            widths: plan.cell_widths.clone(),
+            bounds: (0..plan.cell_widths.len()).map(|level| Bounds::new(plan, level)).collect(),
+            finest_volume,
+            materials: plan.materials.iter().map(material).collect(),
+            gravity: scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt(),
+            tolerance: scene.levels.tolerance,
+        }
+    }
+
+    /// What a snapshot holds of it; `None` if there is one level only. `live` are the tiles within reach.
+    pub fn phase(&self, live: BTreeSet<[i32; 2]>) -> Option<LevelPhase> {
+        (self.widths.len() > 1).then(|| LevelPhase {
+            boxes: self.regions.boxes().to_vec(),
+            next_id: self.next_id,
+            rounds: self.rounds,
+            tried: self.tried,
+            live,
+        })
+    }
+
+    /// Takes over what a saved run had.
+    pub fn restore(&mut self, phase: LevelPhase) {
+        self.regions.restore(phase.boxes);
+        (self.rounds, self.tried) = (phase.rounds, phase.tried);
+        self.next_id = phase.next_id.max(self.next_id);
+    }
+
+    /// Adds what splits and merges have done since the start.
+    pub fn account(&self, ledger: &mut Ledger) {
+        let done = &self.resampled;
+        ledger.count("particles that changed level", done.moves);
+        ledger.count("particles split", done.splits);
+        ledger.count("particles merged", done.merged);
+        ledger.count("particles that merging left", done.merges);
+        for (why, &count) in &done.refused {
+            ledger.count(&format!("groups kept apart since {} now", why.name()), count);
+        }
+        ledger.resampled_kinetic += done.kinetic;
+        for d in 0..3 {
+            ledger.resampled_angular_momentum[d] += done.angular[d];
+        }
+    }
+
+    /// Moves the levels' boxes after their agents; `soft` gives the box around a soft body [m]. Returns the regions as they were if any
+    /// has moved.
+    pub fn follow(&mut self, couplings: &[Box<dyn Coupling>], soft: impl Fn(u16) -> Option<Aabb>) -> Option<Regions> {
+        if self.widths.len() == 1 {
+            return None;
+        }
+        let agents = agent_bounds(&self.agents, couplings, soft);
+        let before = self.regions.clone();
+        self.regions.follow(&agents).then_some(before)
+    }
+
+    /// Looks for particles that have to move to another level, to split, or may merge. `before` are the regions as they were, if
+    /// any has moved: then what need not be as fine any more may merge; what was refused then is tried again now and then. As long as
+    /// regions stay, only levels that are `stirred` are looked at: the others' particles must not have moved by much of a cell since they
+    /// were looked at last.
+    pub fn find<S: LevelStore>(&mut self, levels: &[&S], before: Option<&Regions>, stirred: &[bool]) -> Round {
+        self.rounds += 1;
+        let candidates = match before {
+            _ if self.rounds.is_multiple_of(MERGE_ROUNDS) || self.rounds >= self.tried + STILL_ROUNDS => {
+                Candidates::All
+            }
+            Some(before) => Candidates::New(before),
+            None => Candidates::None,
+        };
+        let merges = !matches!(candidates, Candidates::None);
+        if merges {
+            self.tried = self.rounds;
+        }
+        let looked_at = (0..levels.len()).filter(|&l| stirred[l] || merges);
+        let found = looked_at.flat_map(|l| self.find_on(l, levels[l], candidates)).collect();
+        Round { found, merges, levels: levels.len() }
+    }
+
+    /// Splits, merges and moves what a round has found, and puts every particle on the level where it belongs. Returns which levels
+    /// have lost or gained particles, and must be sorted.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] if there are no numbers left for new particles.
+    pub fn apply<S: LevelStore>(
+        &mut self,
+        levels: &mut [&mut S],
+        round: &Round,
+        couplings: &[Box<dyn Coupling>],
+    ) -> Result<Vec<bool>> {
+        let shown: Vec<&S> = levels.iter().map(|level| &**level).collect();
+        let with = |action: Action| round.found.iter().filter(move |one| one.action == action).copied();
+        let tools: Vec<Aabb> = couplings.iter().flat_map(|c| c.bounds()).collect();
+        let mut coming: Vec<(usize, Parcel)> = Vec::new();
+        let mut gone: Vec<Found> = with(Action::Split).collect();
+        self.split_all(&shown, &gone, couplings, &tools, &mut coming)?;
+        let mut moving: Vec<Found> = with(Action::Move).collect();
+        if round.merges {
+            moving.extend(self.merge_all(
+                &shown,
+                with(Action::Merge).collect(),
+                couplings,
+                &tools,
+                &mut coming,
+                &mut gone,
+            ));
+        }
+        self.resampled.moves += moving.len() as u64;
+        let moved = |one: &Found| self.settled(shown[one.level].parcel(one.list, one.place), one.level);
+        let moved: Vec<(usize, Parcel)> = moving.par_iter().map(moved).collect();
+        gone.extend(moving);
+
+        let mut changed = vec![false; levels.len()];
+        for one in gone {
+            changed[one.level] = true;
+            levels[one.level].remove(one.list, one.place);
+        }
+        for (l, level) in levels.iter_mut().enumerate() {
+            let here = coming.iter().chain(&moved).filter(|(to, _)| *to == l);
+            let mut here: Vec<_> = here.map(|(_, parcel)| (parcel.list, parcel.id, parcel)).collect();
+            if !here.is_empty() {
+                here.par_sort_unstable_by_key(|&(list, id, _)| (list, id));
+                let here: Vec<&Parcel> = here.into_iter().map(|(.., parcel)| parcel).collect();
+                changed[l] = true;
+                level.push(&here);
+            }
+        }
+        Ok(changed)
+    }
+
+    /// Particles of a level that have to move, split or may merge, in the order of its groups.
+    fn find_on<S: LevelStore>(&self, l: usize, level: &S, candidates: Candidates<'_>) -> Vec<Found> {
+        // Particles of class c have from 8^c / √8 of their body's finest volume up to √8 · 8^c.
+        let classes = self.widths.len() + 1;
+        let least_of = |&finest: &f64, class: usize| {
+            if class == 0 { 0.0 } else { finest * 8_f64.powf(class as f64 - 0.5) }
+        };
+        let least: Vec<f64> = self
+            .finest_volume
+            .iter()
+            .flat_map(|finest| (0..classes).map(move |class| least_of(finest, class)))
+            .collect();
+        let splits_from = least.iter().skip(l + 1).step_by(classes).fold(f64::INFINITY, |a, b| a.min(*b));
+        let least = |body: u16| &least[(usize::from(body) * classes).min(least.len() - classes)..][..classes];
+        let look = |group: usize| {
+            let mut found = Vec::new();
+            let nearby = |regions, margin| Nearby::new(regions, margin, l, level.blocks().get(group).copied());
+            let mut home = nearby(&self.regions, SPLIT_AHEAD);
+            let mut behind = match candidates {
+                Candidates::None => None,
+                _ => Some(nearby(&self.regions, MERGE_BEHIND)),
+            };
+            let mut before = match candidates {
+                Candidates::New(before) => Some(nearby(before, MERGE_BEHIND)),
+                _ => None,
+            };
+            // No class below `behind` is tried that is not below `before`.
+            let stays = || before.as_ref().zip(behind.as_ref()).is_some_and(|(a, b)| a.all.is_some() && a.all == b.all);
+            let idle = behind.is_none() || stays();
+            // As a rule a block has nothing to do, which its greatest particle tells.
+            let is_quiet = idle && home.all == Some(l);
+            for list in 0..self.materials.len() {
+                if is_quiet && level.greatest_volume(list, group) < splits_from {
+                    continue;
+                }
+                for place in level.places(list, group) {
+                    let at = || (level.cell(list, place), level.offset(list, place));
+                    let home = home.all.unwrap_or_else(|| home.at(at()));
+                    let (volume0, least) = (level.volume0(list, place), least(level.body(list, place)));
+                    let mut may_merge = || {
+                        behind.as_mut().is_some_and(|behind| volume0 < least[behind.at(at())])
+                            && before.as_mut().is_none_or(|before| volume0 >= least[before.at(at())])
+                    };
+                    let action = if volume0 >= least[home + 1] {
+                        Action::Split
+                    } else if !idle && may_merge() {
+                        Action::Merge
+                    } else if home != l {
+                        Action::Move
+                    } else {
+                        continue;
+                    };
+                    let class = least.partition_point(|&v| v <= volume0) as u32 - 1;
+                    found.push(Found { level: l, list, place, class, home, action });
+                }
+            }
+            found
+        };
+        let found: Vec<Vec<Found>> = (0..level.groups()).into_par_iter().map(look).collect();
+        found.concat()
+    }
+
+    /// A parcel with coordinates of level `from`, on the level where it belongs.
+    pub fn settled(&self, mut parcel: Parcel, from: usize) -> (usize, Parcel) {
+        let finest = finest_cell(parcel.cell, parcel.offset, from);
+        let to = self.regions.finest_at(finest, SPLIT_AHEAD);
+        for d in 0..3 {
+            // Shifts of cell and offset: exact but for the last bit of an offset that becomes coarser.
+            let within = parcel.offset[d] * f64::from(1 << from) - f64::from(finest[d] - (parcel.cell[d] << from));
+            let along = f64::from(finest[d] & ((1 << to) - 1)) + within;
+            parcel.cell[d] = finest[d] >> to;
+            parcel.offset[d] = along / f64::from(1 << to);
+        }
+        (to, parcel)
+    }
+
+    /// A particle with its position relative to a cell of its level, of width `h` [m].
+    fn particle(&self, parcel: &Parcel, origin: [i32; 3], h: f64) -> Particle {
+        let Material { strain: planes, rules } = &self.materials[parcel.list];
+        let mut particle = Particle {
+            x: Vector3::from_fn(|d, _| (f64::from(parcel.cell[d] - origin[d]) + parcel.offset[d]) * h),
+            v: Vector3::from_column_slice(&parcel.motion[..3]),
+            c: Matrix3::from_row_slice(&parcel.motion[3..]),
+            mass: parcel.rest[MASS],
+            volume0: parcel.rest[VOLUME],
+            strain: [0.0; 9],
+            state: [0.0; MAX_STATE],
+        };
+        particle.strain[..*planes].copy_from_slice(&parcel.rest[STRAIN..][..*planes]);
+        particle.state[..rules.len()].copy_from_slice(&parcel.rest[STRAIN + planes..][..rules.len()]);
+        particle
+    }
+
+    /// The other way round: the particle on the level where it belongs, with the number and body of another.
+    fn parcel_of(&self, p: &Particle, origin: [i32; 3], from: usize, like: &Parcel) -> (usize, Parcel) {
+        let Material { strain: planes, rules } = &self.materials[like.list];
+        let mut parcel = like.clone();
+        for d in 0..3 {
+            let along = p.x[d] / self.widths[from];
+            parcel.cell[d] = origin[d] + along.floor() as i32;
+            parcel.offset[d] = along - along.floor();
+            parcel.motion[d] = p.v[d];
+            for e in 0..3 {
+                parcel.motion[3 + 3 * d + e] = p.c[(d, e)];
+            }
+        }
+        parcel.rest[MASS] = p.mass;
+        parcel.rest[VOLUME] = p.volume0;
+        parcel.rest[STRAIN..][..*planes].copy_from_slice(&p.strain[..*planes]);
+        parcel.rest[STRAIN + planes..][..rules.len()].copy_from_slice(&p.state[..rules.len()]);
+        self.settled(parcel, from)
+    }
+
+    /// Splits particles. Tools answer from one thread only, so those away from tools come first.
+    fn split_all<S: LevelStore>(
+        &mut self,
+        levels: &[&S],
+        splitting: &[Found],
+        couplings: &[Box<dyn Coupling>],
+        tools: &[Aabb],
+        coming: &mut Vec<(usize, Parcel)>,
+    ) -> Result<()> {
+        let is_away =
+            |places: &[[f64; 3]; CHILDREN]| !tools.iter().any(|tool| places.iter().any(|x| tool.contains(*x)));
+        let away: Vec<Option<Family>> = splitting
+            .par_iter()
+            .map(|one| self.split_up(levels[one.level], one, |places| is_away(places).then_some(true)))
+            .collect();
+        for (one, family) in splitting.iter().zip(away) {
+            let is_clear = |places: &[[f64; 3]; CHILDREN]| {
+                Some(is_away(places) || couplings.iter().all(|c| c.distance(places).iter().all(|d| *d >= 0.0)))
+            };
+            let Some(family) = family.or_else(|| self.split_up(levels[one.level], one, is_clear)) else { continue };
+            self.resampled.splits += family.splits;
+            let first = self.new_ids(family.splits * (CHILDREN as u64 - 1))?;
+            coming.extend(family.parcels.into_iter().map(|(level, mut parcel, child)| {
+                parcel.id = child.map_or(parcel.id, |child| first + child);
+                (level, parcel)
+            }));
+        }
+        Ok(())
+    }
+
+    /// Replaces a particle by its children, and these by theirs, until none is too coarse for where it is. `is_clear` says whether
+    /// children at these places keep clear of tools; `None` if it cannot tell.
+    fn split_up<S: LevelStore>(
+        &self,
+        level: &S,
+        one: &Found,
+        is_clear: impl Fn(&[[f64; 3]; CHILDREN]) -> Option<bool>,
+    ) -> Option<Family> {
+        let h = self.widths[one.level];
+        let parcel = level.parcel(one.list, one.place);
+        let planes = self.materials[one.list].planes();
+        let origin = parcel.cell;
+        let corner: [f64; 3] = origin.map(|c| f64::from(c) * h);
+        let mut family = Family { parcels: Vec::new(), splits: 0 };
+        let mut children = 0;
+        let mut open = vec![(self.particle(&parcel, origin, h), one.class, None)];
+        while let Some((particle, class, child)) = open.pop() {
+            let at: [f64; 3] = std::array::from_fn(|d| particle.x[d] / h);
+            let cell: [i32; 3] = std::array::from_fn(|d| origin[d] + at[d].floor() as i32);
+            let finest = finest_cell(cell, at.map(|x| x - x.floor()), one.level);
+            if class as usize <= self.regions.finest_at(finest, SPLIT_AHEAD) {
+                let (level, parcel) = self.parcel_of(&particle, origin, one.level, &parcel);
+                family.parcels.push((level, parcel, child));
+                continue;
+            }
+            family.splits += 1;
+            let mut tries = (0..5).map(|tries| split(&particle, planes, 0.5_f64.powi(tries)));
+            let parts = loop {
+                let Some(parts) = tries.next() else { break split(&particle, planes, f64::MIN_POSITIVE) };
+                if is_clear(&parts.map(|part| std::array::from_fn(|d| corner[d] + part.x[d])))? {
+                    break parts;
+                }
+            };
+            for (k, part) in parts.into_iter().enumerate() {
+                let number = if k == 0 { child } else { Some(children) };
+                children += u32::from(k > 0);
+                open.push((part, class - 1, number));
+            }
+        }
+        Some(family)
+    }
+
+    /// So many new numbers in a row: the first.
+    fn new_ids(&mut self, count: u64) -> Result<u32> {
+        let first = self.next_id;
+        let asked = first + count;
+        if asked > IDS {
+            return Err(Error::Capacity {
+                what: "numbers for particles",
+                asked,
+                cap: IDS,
+                mend: "use fewer levels or agents that move less: each split takes seven new numbers",
+            });
+        }
+        self.next_id = asked;
+        Ok(first as u32)
+    }
+
+    /// Merges what can be merged, class by class. Returns those that cannot but have to change level.
+    fn merge_all<S: LevelStore>(
+        &mut self,
+        levels: &[&S],
+        found: Vec<Found>,
+        couplings: &[Box<dyn Coupling>],
+        tools: &[Aabb],
+        coming: &mut Vec<(usize, Parcel)>,
+        gone: &mut Vec<Found>,
+    ) -> Vec<Found> {
+        self.resampled.refused.clear();
+        let candidates = self.candidates(levels, found);
+        let mut merged = vec![false; candidates.len()];
+        // Clusters at the surface first, since only some ways to cut it in cubes leave it whole; then bins, as the lattice lies; then
+        // clusters of what is left over.
+        for way in [Way::Surface, Way::Bins, Way::Rest] {
+            let (sides, shift) = match way {
+                Way::Bins => (1, 0),
+                _ => (NEIGHBOURHOOD, (self.rounds % 8) as usize),
+            };
+            let free = (0..candidates.len()).into_par_iter().filter(|&i| !merged[i]);
+            let mut binned: Vec<Binned> = free.map(|i| candidates[i].binned(i, sides, shift)).collect();
+            binned.par_sort_unstable();
+            let is_wanted = |bin: &&[Binned]| way != Way::Surface || bin.iter().any(|one| candidates[one.5].at_surface);
+            let bins = binned.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3));
+            let bins: Vec<&[Binned]> = bins.filter(is_wanted).collect();
+            let try_bin = |bin: &&[Binned]| match way {
+                Way::Bins => self.try_merge(levels, &candidates, bin, false).into_iter().collect(),
+                _ => self.clusters(levels, &candidates, bin, shift, way == Way::Surface),
+            };
+            // Neighbourhoods are few, and some hold much more than others.
+            let most = if way == Way::Bins { bins.len() } else { 1 };
+            let results: Vec<Vec<Result<Merged, Refusal>>> =
+                bins.par_iter().with_max_len(most.max(1)).map(try_bin).collect();
+            for result in results.into_iter().flatten() {
+                match result {
+                    Err(refusal) => *self.resampled.refused.entry(refusal).or_default() += 1,
+                    Ok(one) if is_near_tool(&one, couplings, tools) => {}
+                    Ok(one) => {
+                        self.resampled.merges += 1;
+                        self.resampled.merged += one.members.len() as u64;
+                        self.resampled.kinetic += one.change.kinetic;
+                        self.resampled.angular += one.change.angular;
+                        for i in one.members {
+                            merged[i] = true;
+                            gone.push(candidates[i].found);
+                        }
+                        coming.push((one.level, one.parcel));
+                    }
+                }
+            }
+        }
+        let left = candidates.iter().zip(merged).filter(|(_, merged)| !merged).map(|(one, _)| one.found);
+        left.filter(|one| one.home != one.level).collect()
+    }
+
+    /// What merging needs to know of the particles that may merge.
+    fn candidates<S: LevelStore>(&self, levels: &[&S], found: Vec<Found>) -> Vec<Candidate> {
+        let surface = |here: &[Found]| {
+            let (l, lists) = (here[0].level, self.materials.len());
+            let cells = here.iter().map(|one| levels[l].cell(one.list, one.place));
+            (l, Surface::new(levels[l], lists, cells, self.widths[l], &self.bounds[l]))
+        };
+        let surfaces: BTreeMap<usize, Surface> = found.chunk_by(|a, b| a.level == b.level).map(surface).collect();
+        let finest_side: Vec<f64> = self.finest_volume.iter().map(|volume| volume.cbrt()).collect();
+        let candidate = |found: Found| {
+            let (level, list, place) = (levels[found.level], found.list, found.place);
+            let (body, cell, offset) = (level.body(list, place), level.cell(list, place), level.offset(list, place));
+            Candidate {
+                found,
+                id: level.id(list, place),
+                body,
+                x: std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * self.widths[found.level]),
+                volume0: level.volume0(list, place),
+                side: finest_side[usize::from(body).min(finest_side.len() - 1)] * f64::from(1 << (found.class + 1)),
+                at_surface: surfaces[&found.level].is_near(cell),
+            }
+        };
+        found.into_par_iter().map(candidate).collect()
+    }
+
+    /// Merges what stands together in a neighbourhood, wherever bins would end: about each particle, those with the least choice first,
+    /// the cluster that is most like a cube; `only_surface` says whether only about particles there.
+    fn clusters<S: LevelStore>(
+        &self,
+        levels: &[&S],
+        candidates: &[Candidate],
+        bin: &[Binned],
+        shift: usize,
+        only_surface: bool,
+    ) -> Vec<Result<Merged, Refusal>> {
+        let mut loose = Loose::new(candidates, bin, shift);
+        let pairs = !only_surface && self.rounds.is_multiple_of(PATIENCE);
+        let least = if pairs { 0.0 } else { *PORTION.start() };
+        // At the surface anything less like a cube is refused anyway.
+        let strict = 4.0 * self.tolerance * (1.0 + self.tolerance);
+        // The members of a cluster tend to find the same one.
+        let mut refused: HashSet<Vec<usize>> = HashSet::new();
+        let mut found = Vec::new();
+        for seed in loose.seeds(only_surface) {
+            let Some(members) = loose.cluster(seed, least, strict).filter(|members| !refused.contains(members)) else {
+                continue;
+            };
+            let cluster: Vec<Binned> = members.iter().map(|&i| bin[loose.number[i]]).collect();
+            if let Some(Ok(one)) = self.try_merge(levels, candidates, &cluster, pairs) {
+                members.iter().for_each(|&i| loose.free[i] = false);
+                found.push(Ok(one));
+            } else {
+                refused.insert(members);
+            }
+        }
+        found
+    }
+
+    /// One particle in place of a bin's, if they are neither too few nor too many, and alike. `None`: not this time.
+    fn try_merge<S: LevelStore>(
+        &self,
+        levels: &[&S],
+        candidates: &[Candidate],
+        bin: &[Binned],
+        pairs: bool,
+    ) -> Option<Result<Merged, Refusal>> {
+        let members = || bin.iter().map(|binned| &candidates[binned.5]);
+        let side = members().next()?.side;
+        let volume: f64 = members().map(|one| one.volume0).sum();
+        let least = if pairs { 0.0 } else { *PORTION.start() };
+        if bin.len() < 2 || volume < least * side.powi(3) || volume > PORTION.end() * side.powi(3) {
+            return None;
+        }
+        // All as seen from the first one's cell, on the coarsest level among them.
+        let level = members().map(|one| one.found.level).max()?;
+        let h = self.widths[level];
+        let parcels: Vec<Parcel> = members()
+            .map(|Candidate { found: one, .. }| {
+                let mut parcel = levels[one.level].parcel(one.list, one.place);
+                for d in 0..3 {
+                    let within = f64::from(parcel.cell[d] & ((1 << (level - one.level)) - 1)) + parcel.offset[d];
+                    parcel.cell[d] >>= level - one.level;
+                    parcel.offset[d] = within / f64::from(1 << (level - one.level));
+                }
+                parcel
+            })
+            .collect();
+        let origin = parcels[0].cell;
+        let particles: Vec<Particle> = parcels.iter().map(|parcel| self.particle(parcel, origin, h)).collect();
+        let planes = self.materials[parcels[0].list].planes();
+        let near_surface = members().any(|one| one.at_surface);
+        let (one, change) = match merge(&particles, planes, self.gravity, self.tolerance, near_surface) {
+            Ok(merged) => merged,
+            Err(refusal) => return Some(Err(refusal)),
+        };
+        let x: [f64; 3] = std::array::from_fn(|d| f64::from(origin[d]) * h + one.x[d]);
+        let mut like = parcels[0].clone();
+        like.id = parcels.iter().map(|parcel| parcel.id).min()?;
+        let (level, parcel) = self.parcel_of(&one, origin, level, &like);
+        // Angular momentum about the world's origin: the particles' own change, since momentum and centre stay.
+        let members = bin.iter().map(|binned| binned.5).collect();
+        Some(Ok(Merged { level, parcel, change, members, x, clearance: AROUND_TOOL * side }))
+    }
+}
+
+/// Does a tool come so near that particles stay fine?
+fn is_near_tool(one: &Merged, couplings: &[Box<dyn Coupling>], tools: &[Aabb]) -> bool {
+    tools.iter().any(|tool| tool.grown(one.clearance).contains(one.x))
+        && couplings.iter().any(|c| c.distance(&[one.x])[0] < one.clearance)
+}
+
+/// A box around cells, each with its width [m].
+pub fn around_cells(cells: impl Iterator<Item = ([i32; 3], f64)>) -> Option<Aabb> {
+    let boxes =
+        cells.map(|(cell, h)| Aabb { min: cell.map(|c| f64::from(c) * h), max: cell.map(|c| f64::from(c + 1) * h) });
+    boxes.reduce(|all, here| all.union(&here))
+}
+
+/// The finest level's cell that holds a particle.
+fn finest_cell(cell: [i32; 3], offset: [f64; 3], level: usize) -> [i32; 3] {
+    std::array::from_fn(|d| {
+        let within = (offset[d] * f64::from(1 << level)).floor() as i32;
+        (cell[d] << level) + within.min((1 << level) - 1)
+    })
+}
+
+/// Where a cell stands in its block.
+fn place(cell: [i32; 3]) -> usize {
+    let local = cell.map(|c| (c & 3) as usize);
+    local[0] * 16 + local[1] * 4 + local[2]
+}
