@@ -392,6 +392,9 @@ fn what_it_lacks_is_refused_by_name() {
         Precision::F32,
     );
     assert!(error.contains("clamping") && error.contains("world.leaving"), "{error}");
+    let soft = cut(2, "lattice").replace("\"marker\"]", "\"block\"]").replace("[[body]]", "[[body]]\nname = \"block\"");
+    let error = refusal(&soft, Precision::F32);
+    assert!(error.contains("soft bodies") && error.contains("levels.agents"), "{error}");
     let lets_go = Head::cells(0.05, [16; 3], "z_min = { separate = { friction = 0.3 } }").with(&[
         material("hencky", 1000.0, ""),
         block("hencky", [0.0; 3], [0.4; 3], ""),
@@ -749,4 +752,64 @@ fn tools_and_walls_meet_levels_as_on_the_cpu() {
     let mut refused = gpu(&bed(free, true));
     let error = refused.step().unwrap_err().to_string();
     assert!(error.contains("subcycling") && error.contains("freely") && error.contains("levels.subcycle"), "{error}");
+}
+
+/// A blade drawn through sand, which its levels follow: particles split ahead of it and merge behind, on the host between steps; the same
+/// drag, surface and count of particles as on the CPU, with and without subcycling.
+#[test]
+fn levels_follow_a_tool_as_on_the_cpu() {
+    for subcycle in [false, true] {
+        let h = 0.02;
+        let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+        let toml = Head::cells(h, [48, 20, 24], walls).time("safety = 0.5").with(&[
+            material("sand", 1500.0, "young_modulus = 1e5, poisson_ratio = 0.2"),
+            block("sand", [0.0; 3], [0.96, 0.4, 0.24], ""),
+            format!("[levels]\ncount = 2\nhalf = 8\nagents = [\"blade\"]\nsubcycle = {subcycle}\n"),
+            tool(
+                "blade",
+                [0.3, 0.2, 0.26],
+                &half([0.03, 0.06, 0.08]),
+                "{ coulomb = { friction = 0.3 } }",
+                &driven([0.8, 0.0, 0.0]),
+            ),
+        ]);
+        let run = |sim: &mut Simulation| {
+            let mut impulse = [0.0; 3];
+            while sim.time() < 0.15 {
+                for report in sim.steps(64, 0.15).unwrap_or_else(|e| panic!("{e}")) {
+                    let wrench = report.wrenches.map_or_else(|| sim.wrenches()[0], |wrenches| wrenches[0]);
+                    (0..3).for_each(|d| impulse[d] += wrench.force[d] * report.dt);
+                }
+            }
+            impulse
+        };
+        let (mut g, mut c) = (gpu(&toml), cpu(&toml));
+        let before = c.ledger();
+        let (on_gpu, on_cpu) = (run(&mut g), run(&mut c));
+        println!("subcycled: {subcycle}; impulse {on_gpu:?} and {on_cpu:?} N s");
+        println!("{:?}\n{:?}", g.ledger().counts, c.ledger().counts);
+        let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
+        within("impulse on the blade, relative", off(on_gpu, on_cpu) / norm(on_cpu), 0.02);
+        let (gl, cl) = (g.ledger(), c.ledger());
+        within("mass", (gl.mass / before.mass - 1.0).abs(), 1e-6);
+        let count = |l: &Ledger| l.particles as f64;
+        let happened = |what: &str| gl.counts.get(what).is_some_and(|count| *count > 0);
+        assert!(happened("particles split") && happened("particles merged"), "{:?}", gl.counts);
+        within("count of particles, relative", (count(&gl) / count(&cl) - 1.0).abs(), 0.05);
+        let depths = |sim: &Simulation| -> Vec<f64> {
+            let mut depths = vec![0.0; 24 * 10];
+            for r in rows(sim) {
+                let at = |x: f64, n: usize| ((x / 0.04) as usize).min(n - 1);
+                depths[at(r.x[0], 24) * 10 + at(r.x[1], 10)] += r.volume0 / 0.04f64.powi(2);
+            }
+            depths
+        };
+        let (a, b) = (depths(&g), depths(&c));
+        let mean = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64;
+        within("mean difference of depths, in cells", mean / h, 0.05);
+        let balance: Vec3 = std::array::from_fn(|d| {
+            gl.momentum[d] - before.momentum[d] - gl.wall_impulse[d] - gl.gravity_impulse[d] + on_gpu[d]
+        });
+        within("balance of momentum", norm(balance) / norm(gl.gravity_impulse), 1e-3);
+    }
 }

@@ -13,11 +13,13 @@ use crate::world::{Level, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::scene::Wall;
 use barchan_core::{
-    Aabb, BodyState, Coupling, Error, ParticleList, ParticleState, Plan, Result, StepReport, Vec3, Wrench,
+    Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase,
+    StepReport, Vec3, Wrench,
 };
 use barchan_grid::block;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
+use std::time::Instant;
 
 /// No node that a particle feels may carry one further than this in a step, in cells: a little less than particles may move.
 pub(crate) const NODE_MOVE: f64 = 0.48;
@@ -303,6 +305,8 @@ pub(crate) struct WgpuBatch {
     pub(crate) node_blocks: Option<Vec<([i32; 3], usize)>>,
     pub(crate) clocks: Clocks,
     pub(crate) contact_seconds: (f64, u64),
+    /// Time in splitting and merging on the host, and how often.
+    pub(crate) adapt_seconds: (f64, u64),
     pub(crate) contact: Contact,
 }
 
@@ -431,6 +435,7 @@ impl WgpuBatch {
             node_blocks: None,
             clocks: Clocks::default(),
             contact_seconds: (0.0, 0),
+            adapt_seconds: (0.0, 0),
             contact: Contact::Unknown,
         };
         if count > 1 {
@@ -528,7 +533,7 @@ impl WgpuBatch {
     fn write_regions(&self, world: &World) {
         let each = self.memory.boxes().checked_div(self.levels - 1).unwrap_or(0);
         let mut vectors = Vec::new();
-        for boxes in world.regions.boxes() {
+        for boxes in world.adapt.regions.boxes() {
             let vector = |v: [i32; 3]| [v[0], v[1], v[2], 0];
             vectors.extend(boxes.iter().take(each).flat_map(|one| [vector(one.min), vector(one.max)]));
             // One that holds nothing, for each agent that has none.
@@ -874,13 +879,13 @@ impl WgpuBatch {
     }
 
     /// Sorts what is due at once.
-    pub(crate) fn sort_now(&mut self, world: usize, time: f64, dt: f64) -> Result<()> {
+    pub(crate) fn sort_now(&mut self, world: usize, time: f64, dt: f64, couplings: &[Box<dyn Coupling>]) -> Result<()> {
         loop {
             let outcome = self.submit(&[(world, time)], dt, &[Stretch { sort: true, steps: 0 }])?;
             match outcome.halt {
                 None => return Ok(()),
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
-                Some(Halt::Misplaced) => return Err(no_adapt()),
+                Some(Halt::Misplaced) => self.adapt(world, None, couplings)?,
                 Some(_) => return Err(self.left_world(world, &outcome.status)),
             }
         }
@@ -1003,6 +1008,47 @@ impl WgpuBatch {
         Ok((lists, laid))
     }
 
+    /// A world's particles, with the phase of the sort and of its levels.
+    pub(crate) fn state(&self, w: usize) -> Result<ParticleState> {
+        let (lists, laid) = self.lists(w)?;
+        let (world, rhythms) = (&self.worlds[w], self.rhythms(w));
+        let of_level = |(l, (homes, planes)): (usize, &(Homes, Planes))| planes.counts(homes, world.materials.len(), l);
+        let blocks: Vec<_> = laid.iter().enumerate().flat_map(of_level).collect();
+        let sort = Some(SortPhase {
+            // A world's levels are sorted together.
+            age: rhythms.first().map_or(0, |rhythm| rhythm.age),
+            drift: rhythms.iter().map(|rhythm| f64::from(rhythm.drift)).collect(),
+            measured: Measured { stiffness_bound: world.stiffness.dt, stiffness_age: world.stiffness_age },
+            rest: vec![0; blocks.len()],
+            blocks,
+            kept_for: vec![None; rhythms.len()],
+        });
+        Ok(ParticleState { lists, sort, levels: world.adapt.phase(BTreeSet::new()), ..ParticleState::default() })
+    }
+
+    /// Brings a world's particles to the levels where they belong, splits and merges: on the host. `before` are its regions as they
+    /// were, if they have moved.
+    fn adapt(&mut self, w: usize, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        let begun = Instant::now();
+        self.settle()?;
+        // Particles come in any order: blocks' numbers are by cell here.
+        let mut state = ParticleState { sort: None, ..self.state(w)? };
+        self.worlds[w].adapt.round_on_host(&mut state, before, couplings)?;
+        self.take_in(vec![(w, state)])?;
+        self.adapt_seconds.0 += begun.elapsed().as_secs_f64();
+        self.adapt_seconds.1 += 1;
+        Ok(())
+    }
+
+    /// Moves a world's levels after the bodies that they follow.
+    fn follow(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        // Nothing soft is followed.
+        match self.worlds[w].adapt.follow(couplings, |_| None) {
+            Some(before) => self.adapt(w, Some(&before), couplings),
+            None => Ok(()),
+        }
+    }
+
     /// What the planes of a buffer hold of so many particles, plane by plane.
     fn stretch<T: bytemuck::Pod>(&self, sorted: Sorted, first: usize, count: usize) -> Result<Vec<T>> {
         self.stretch_of(sorted, usize::MAX, first, count)
@@ -1043,13 +1089,25 @@ impl WgpuBatch {
         let counts: Vec<usize> = homes.iter().map(|homes| homes.cells.last().map_or(0, |end| *end as usize)).collect();
         let mut extent = self.memory.extent;
         let all: usize = counts.iter().sum();
-        if all > extent.slots as usize {
+        if all >= layout::MAX_PARTICLES {
             return Err(Error::Capacity {
-                what: "particles of an engine that was compiled for fewer",
+                what: "particles on one adapter",
                 asked: all as u64,
-                cap: u64::from(extent.slots),
-                mend: "compile the scene anew",
+                cap: layout::MAX_PARTICLES as u64 - 1,
+                mend: "simulate fewer, or use the backend cpu",
             });
+        }
+        if all > extent.slots as usize {
+            // The others' places are lost with the planes.
+            if arrivals.len() < self.worlds.len() {
+                return Err(Error::Capacity {
+                    what: "particles of an engine that was compiled for fewer",
+                    asked: all as u64,
+                    cap: u64::from(extent.slots),
+                    mend: "compile the scene anew",
+                });
+            }
+            extent.slots = with_room(all).next_multiple_of(128);
         }
         let nodes = |(homes, level): (&Homes, &Level)| homes.nodes.len().max(level.node_blocks.len());
         extent.particles = all as u32;
@@ -1081,8 +1139,7 @@ impl WgpuBatch {
                 level.node_blocks = 0..homes.nodes.len();
             }
             if let Some(phase) = &arrival.particles.levels {
-                world.regions.restore(phase.boxes.clone());
-                world.phase = phase.clone();
+                world.adapt.restore(phase.clone());
             }
             self.write_regions(&self.worlds[*w]);
             let world = &mut self.worlds[*w];
@@ -1202,12 +1259,15 @@ impl WgpuBatch {
             if active.is_empty() {
                 return Ok(failed.into_iter().map(|error| Err(error.expect("all have failed"))).collect());
             }
-            let stretches = self.plan_stretches(&active, dt, count);
-            let steps = stretches.iter().map(|s| s.steps).sum();
+            let mut stretches = self.plan_stretches(&active, dt, count);
+            let mut steps = stretches.iter().map(|s| s.steps).sum();
             let mut driven = BTreeMap::new();
             for &t in &going {
                 match self.drive(&mut turns[t], dt, steps) {
-                    Ok(of_turn) => drop(driven.insert(t, of_turn)),
+                    Ok(of_turn) => {
+                        steps = of_turn.as_ref().map_or(steps, |driven| driven.after.len());
+                        driven.insert(t, of_turn);
+                    }
                     Err(error) => failed[t] = Some(error),
                 }
             }
@@ -1217,6 +1277,7 @@ impl WgpuBatch {
                 }
                 continue;
             }
+            cut(&mut stretches, steps);
             self.write_bodies(turns, &driven, steps);
             let outcome = self.submit(&active, dt, &stretches)?;
             for (t, of_turn) in &driven {
@@ -1229,7 +1290,10 @@ impl WgpuBatch {
             match outcome.halt {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
                 Some(Halt::Drifted) if !stretches[0].sort => {}
-                Some(Halt::Misplaced) => return Err(no_adapt()),
+                Some(Halt::Misplaced) => {
+                    let Turn { world, couplings, .. } = &turns[going[0]];
+                    self.adapt(*world, None, couplings)?;
+                }
                 Some(Halt::TooFast | Halt::Strayed) if self.substeps > 1 => {
                     failed = turns.iter().map(|turn| self.fault(turn)).collect();
                 }
@@ -1337,25 +1401,29 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// Lets a world's driven bodies go through `count` steps.
+    /// Lets a world's driven bodies go through up to `count` steps: no further than to where its levels have to move after them.
     fn drive(&self, turn: &mut Turn<'_>, dt: f64, count: usize) -> Result<Option<Driven>> {
-        let Some(coupling) = turn.couplings.first_mut() else { return Ok(None) };
+        let couplings = &mut *turn.couplings;
+        let Some(coupling) = couplings.first() else { return Ok(None) };
         let mut driven = Driven { saved: vec![coupling.save()], after: Vec::new(), packed: Vec::new() };
         let mut go = || {
             let each = dt / self.substeps as f64;
             let levels = &self.worlds[turn.world].levels;
             for slot in 0..count * self.substeps {
                 let at = turn.time + slot as f64 * each;
-                coupling.before_step(at, each)?;
+                couplings[0].before_step(at, each)?;
                 // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
                 let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
-                let mut packed = pack_all(coupling.as_ref(), before);
-                coupling.after_step(at, each)?;
-                packed.extend(pack_all(coupling.as_ref(), after));
+                let mut packed = pack_all(couplings[0].as_ref(), before);
+                couplings[0].after_step(at, each)?;
+                packed.extend(pack_all(couplings[0].as_ref(), after));
                 driven.packed.push(packed);
                 if (slot + 1) % self.substeps == 0 {
-                    driven.after.push(coupling.bodies());
-                    driven.saved.push(coupling.save());
+                    driven.after.push(couplings[0].bodies());
+                    driven.saved.push(couplings[0].save());
+                    if self.worlds[turn.world].must_follow(couplings) {
+                        break;
+                    }
                 }
             }
             Ok(())
@@ -1448,6 +1516,9 @@ impl WgpuBatch {
         turns: &mut [Turn<'_>],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
         if let [turn] = turns {
+            if self.particles() > 0 && self.fault(turn).is_none() {
+                self.follow(turn.world, turn.couplings)?;
+            }
             self.settle_contact(&[&*turn.couplings])?;
             let ground = self.particles() > 0;
             let on_host = !turn.couplings.is_empty() && !matches!(self.contact, Contact::Device(..));
@@ -1492,15 +1563,6 @@ impl DeviceContact {
     }
 }
 
-/// Particles that should change their level.
-fn no_adapt() -> Error {
-    crate::lacks(
-        "form of the stage 'adapt'",
-        "particles have come to where another level begins",
-        "use the backend cpu, or set levels.count = 1",
-    )
-}
-
 /// Bodies that cannot be batched.
 fn no_batch(world: usize) -> Error {
     crate::lacks(
@@ -1525,6 +1587,16 @@ fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstant
         level: ALL_LEVELS,
         pad: [0; 3],
     }
+}
+
+/// Leaves out what goes beyond so many steps.
+fn cut(stretches: &mut Vec<Stretch>, mut steps: usize) {
+    stretches.retain_mut(|stretch| {
+        let wanted = stretch.steps;
+        stretch.steps = wanted.min(steps);
+        steps -= stretch.steps;
+        stretch.steps > 0 || wanted == 0
+    });
 }
 
 /// Takes a world's coupling back, or on, to what it was before a step.

@@ -140,7 +140,7 @@ impl WgpuBatch {
         if ground {
             if self.unlinked {
                 self.settle()?;
-                self.sort_now(WORLD, time, dt)?;
+                self.sort_now(WORLD, time, dt, couplings)?;
             }
             loop {
                 let boxes: Vec<_> = couplings.iter().flat_map(|c| c.bounds()).collect();
@@ -148,7 +148,7 @@ impl WgpuBatch {
                 speed = status.speed(1, self.layers_of(WORLD));
                 let moves = speed * dt / self.h;
                 if status.halt() == Some(Halt::Drifted) && !sorted {
-                    self.sort_now(WORLD, time, dt)?;
+                    self.sort_now(WORLD, time, dt, couplings)?;
                     sorted = true;
                     continue;
                 }
@@ -211,13 +211,11 @@ impl WgpuBatch {
         self.write_steps(1, &[self.step_constants(dt, self.worlds[WORLD].scene.gravity_at(time), 1)]);
         let words = self.words();
         self.write_words(HALTED, &[0, 0, u32::MAX]);
-        for (layer, level) in self.worlds[WORLD].levels.iter().enumerate() {
-            self.write_words(words.of_sum(layer, SORTED), &[0]);
-            if !self.pending {
-                self.write_words(words.of_step(0, layer, 0), &[0, 0, level.rhythm.drift.to_bits(), 0]);
-            }
-            self.write_words(words.of_step(1, layer, 0), &[0; PER_STEP]);
+        self.layers_of(WORLD).for_each(|layer| self.write_words(words.of_sum(layer, SORTED), &[0]));
+        if !self.pending {
+            self.write_words(words.of_step(0, WORLD, 0), &self.drifts(0));
         }
+        self.write_words(words.of_step(1, WORLD, 0), &vec![0; PER_STEP * words.layers]);
         self.write_words(words.greatest(1), &[0]);
         let now = self.memory.now;
         let passes = [&self.kernels.p2g].into_iter().chain(&self.kernels.restrict).chain(&self.kernels.grid);
@@ -230,6 +228,11 @@ impl WgpuBatch {
         let status = Status::new(found, words);
         self.take_pending(&status);
         Ok(status)
+    }
+
+    /// Words of all levels in a step that begins, with that greatest node speed.
+    fn drifts(&self, speed: u32) -> Vec<u32> {
+        self.worlds[WORLD].levels.iter().flat_map(|level| [speed, 0, level.rhythm.drift.to_bits(), 0]).collect()
     }
 
     /// Takes in the numbers of a step that were still on the device.
@@ -277,9 +280,7 @@ impl WgpuBatch {
         // Rounding must not stop what has been let through.
         let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;
         let speed = (speed as f32).min(allowed).to_bits();
-        for (layer, level) in self.worlds[WORLD].levels.iter().enumerate() {
-            self.write_words(words.of_step(0, layer, 0), &[speed, 0, level.rhythm.drift.to_bits(), 0]);
-        }
+        self.write_words(words.of_step(0, WORLD, 0), &self.drifts(speed));
         self.write_words(words.greatest(0), &[speed]);
         let now = self.memory.now;
         let passes = self

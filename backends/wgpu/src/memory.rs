@@ -424,8 +424,8 @@ impl Memory {
         self.grow(gpu, extent)
     }
 
-    /// Makes room for `extent`, keeping particles and blocks. What the grid holds is lost, and so are the links of blocks: a
-    /// sort must follow.
+    /// Makes room for `extent`, keeping particles and blocks; but particles are lost if there is to be room for more of them. What the
+    /// grid holds is lost, and so are the links of blocks: a sort must follow.
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
         let extent = Extent { row: ROW, ..extent };
         extent.check(gpu, self.vectors, self.asked)?;
@@ -450,7 +450,19 @@ impl Memory {
                 self.sorted[set][sorted as usize] = new;
             }
         }
+        for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
+            for set in &mut self.sorted {
+                let bytes = extent.sorted_bytes(sorted, self.vectors);
+                if set[sorted as usize].size() < bytes {
+                    set[sorted as usize] = storage(sorted_name(sorted), bytes);
+                }
+            }
+        }
         for role in [
+            Role::Keys,
+            Role::Loose,
+            Role::Order,
+            Role::Owners,
             Role::Grid,
             Role::Flags,
             Role::Directory,

@@ -2,9 +2,8 @@
 
 use crate::account;
 use crate::batch::WgpuBatch;
-use crate::layout::{Homes, Planes};
 use barchan_core::backend::{Batch, Bound, NewWorld, Timing, Turn};
-use barchan_core::{Coupling, Engine, Ledger, Measured, ParticleState, Result, SortPhase, StepReport};
+use barchan_core::{Coupling, Engine, Ledger, ParticleState, Result, StepReport};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Worlds on one device, shared by those who look at one of them.
@@ -67,23 +66,8 @@ impl Engine for Seat {
     }
 
     fn download(&self) -> ParticleState {
-        let batch = self.seats.batch();
-        let world = &batch.worlds[self.world];
         // A device that is lost has no particles left; the next step says so.
-        let Ok((lists, laid)) = batch.lists(self.world) else { return ParticleState::default() };
-        let rhythms = batch.rhythms(self.world);
-        let of_level = |(l, (homes, planes)): (usize, &(Homes, Planes))| planes.counts(homes, world.materials.len(), l);
-        let blocks: Vec<_> = laid.iter().enumerate().flat_map(of_level).collect();
-        let sort = Some(SortPhase {
-            // A world's levels are sorted together.
-            age: rhythms.first().map_or(0, |rhythm| rhythm.age),
-            drift: rhythms.iter().map(|rhythm| f64::from(rhythm.drift)).collect(),
-            measured: Measured { stiffness_bound: world.stiffness.dt, stiffness_age: world.stiffness_age },
-            rest: vec![0; blocks.len()],
-            blocks,
-            kept_for: vec![None; rhythms.len()],
-        });
-        ParticleState { lists, sort, levels: world.level_phase(), ..ParticleState::default() }
+        self.seats.batch().state(self.world).unwrap_or_default()
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
@@ -107,6 +91,7 @@ impl Engine for Seat {
             ledger.wall_impulse[d] += world.wall_impulse[d] + pending[d];
             ledger.gravity_impulse[d] += world.gravity_impulse[d];
         }
+        world.adapt.account(ledger);
         ledger.count("steps shortened for speed", world.shortened);
         ledger.count("particles' steps with strain applied in parts", world.parted);
     }
@@ -120,9 +105,10 @@ impl Engine for Seat {
             passes: clock.passes,
         };
         let mut timings: Vec<_> = batch.clocks.of.iter().map(timing).collect();
-        let (seconds, passes) = batch.contact_seconds;
-        if passes > 0 {
-            timings.push(Timing { effect: "contact".into(), seconds, passes });
+        for (effect, (seconds, passes)) in [("contact", batch.contact_seconds), ("adapt", batch.adapt_seconds)] {
+            if passes > 0 {
+                timings.push(Timing { effect: effect.into(), seconds, passes });
+            }
         }
         timings
     }

@@ -6,10 +6,11 @@ use crate::memory::Layer;
 use crate::stiffness;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
-use barchan_core::levels::Agent;
+use barchan_core::levels::{Agent, agent_bounds};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Wall;
-use barchan_core::{LevelPhase, ParticleList, Plan, Regions, Result, Scene, SortPhase, Vec3};
+use barchan_core::{Coupling, ParticleList, Plan, Result, Scene, SortPhase, Vec3};
+use barchan_grid::adapt::Adapt;
 use std::ops::Range;
 
 /// Whenever so many steps have passed since its last sort, a world is sorted if its particles may have drifted by more than
@@ -94,10 +95,9 @@ pub(crate) struct World {
     pub(crate) scene: Scene,
     /// Finest first.
     pub(crate) levels: Vec<Level>,
-    /// Where they are.
-    pub(crate) regions: Regions,
+    /// Where they are, and who is split and merged.
+    pub(crate) adapt: Adapt,
     pub(crate) agents: Vec<Agent>,
-    pub(crate) phase: LevelPhase,
     /// Steps of the finest level in one.
     pub(crate) substeps: u32,
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
@@ -149,9 +149,8 @@ impl World {
             materials: plan.materials.clone(),
             scene: plan.scene.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
-            regions: plan.regions.clone(),
+            adapt: Adapt::new(plan),
             agents: plan.agents.clone(),
-            phase: LevelPhase::default(),
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,
@@ -197,9 +196,10 @@ impl World {
         end(|l| l.particles.start, self.levels.first())..end(|l| l.particles.end, self.levels.last())
     }
 
-    /// Where its levels are, if there are several.
-    pub(crate) fn level_phase(&self) -> Option<LevelPhase> {
-        (self.levels.len() > 1).then(|| LevelPhase { boxes: self.regions.boxes().to_vec(), ..self.phase.clone() })
+    /// Would its levels have to move after these bodies?
+    pub(crate) fn must_follow(&self, couplings: &[Box<dyn Coupling>]) -> bool {
+        // Nothing soft is followed.
+        self.levels.len() > 1 && self.adapt.regions.clone().follow(&agent_bounds(&self.agents, couplings, |_| None))
     }
 
     /// The greatest stable step.
