@@ -4,7 +4,7 @@
 use barchan::scene::{Motion, Scene};
 use barchan::worlds::Worlds;
 use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Simulation, Vec3};
-use barchan_tests::scenes::{Row, norm, rows, scene, within};
+use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
 use barchan_tests::sketch::{Head, PERIODIC, bed, block, driven, half, material, tool};
 use barchan_wgpu::Wgpu;
 use barchan_wgpu::device::Offer;
@@ -392,12 +392,16 @@ fn what_it_lacks_is_refused_by_name() {
         Precision::F32,
     );
     assert!(error.contains("clamping") && error.contains("world.leaving"), "{error}");
-    let levels = format!(
-        "{}\n[levels]\ncount = 2\nhalf = 8\nagents = [\"case\"]\n",
-        jelly("").replace("[[body]]", "[[body]]\nname = \"case\"")
-    );
-    let error = refusal(&levels, Precision::F32);
-    assert!(error.contains("adapt") && error.contains("levels.count"), "{error}");
+    let soft = cut(2, "lattice").replace("\"marker\"]", "\"block\"]").replace("[[body]]", "[[body]]\nname = \"block\"");
+    let error = refusal(&soft, Precision::F32);
+    assert!(error.contains("soft bodies") && error.contains("levels.agents"), "{error}");
+    let lets_go = Head::cells(0.05, [16; 3], "z_min = { separate = { friction = 0.3 } }").with(&[
+        material("hencky", 1000.0, ""),
+        block("hencky", [0.0; 3], [0.4; 3], ""),
+        around_marker(2, 8, [0.0; 3]),
+    ]);
+    let error = refusal(&lets_go, Precision::F32);
+    assert!(error.contains("let go") && error.contains("levels.count"), "{error}");
 }
 
 /// A particle that leaves the world stops the run with its name, and so does a number that is not one.
@@ -573,4 +577,239 @@ fn worlds_that_cannot_be_batched_are_refused_by_name() {
     free.tool[0].motion = Motion::Free { mass: 1.0, linear: [0.0; 3], angular: [0.0; 3], restitution: 0.0 };
     let error = refused(vec![free.clone(), free]);
     assert!(error.contains("freely") && error.contains("world 0") && error.contains("cpu"), "{error}");
+}
+
+/// Levels around a tool that stands aside and touches nothing.
+fn around_marker(count: u32, half: u32, at: Vec3) -> String {
+    format!("[levels]\ncount = {count}\nhalf = {half}\nagents = [\"marker\"]\n")
+        + &tool("marker", at, "sphere = { radius = 0.001 }", "\"slip\"", "\"fixed\"")
+}
+
+/// A block of jelly cut by rims at x = 0.2 and z = 0.3 on so many levels.
+fn cut(count: u32, sampling: &str) -> String {
+    let h = 0.05;
+    Head { gravity: [0.0; 3], ..Head::space(h) }.time("step = 1e-3").with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+        block("neo_hookean", [-0.2; 3], [0.8; 3], &format!("sampling = \"{sampling}\"")),
+        around_marker(count, 8, [0.2 - 8.0 * h, -0.2 - 3.0 * h, 0.3 - 8.0 * h]),
+    ])
+}
+
+/// Symptom guarded against: a rim whose restriction, affine term or prolongation is off. Physics: v = a + B x with C = B on particles at
+/// random places with random masses comes back after a step, on both sides of rims.
+#[test]
+fn affine_fields_are_reproduced_at_rims() {
+    let a = [0.3, -0.2, 0.1];
+    let b = [0.2, -0.4, 0.3, 0.1, -0.3, 0.5, -0.6, 0.2, 0.1];
+    let mut patch = gpu(&cut(3, "jitter"));
+    let mut noise = Noise::new(11);
+    alter(&mut patch, |r| {
+        r.v = std::array::from_fn(|i| a[i] + (0..3).map(|j| b[3 * i + j] * r.x[j]).sum::<f64>());
+        r.c = b;
+        r.m *= 1.0 + 0.9 * noise.draw();
+    });
+    let before = rows(&patch);
+    take(&mut patch, 1);
+    let mut worst = [(0, 0f64, 0f64); 3];
+    for (old, new) in before.iter().zip(&rows(&patch)) {
+        let worst = &mut worst[new.level as usize];
+        worst.0 += 1;
+        worst.1 = (0..3).fold(worst.1, |w, i| w.max((new.v[i] - old.v[i]).abs()));
+        worst.2 = (0..9).fold(worst.2, |w, i| w.max((new.c[i] - b[i]).abs()));
+    }
+    for (level, (count, v, c)) in worst.into_iter().enumerate() {
+        assert!(count > 100, "level {level} has {count} particles");
+        within(&format!("affine patch, level {level}: v [m/s]"), v, 2e-5);
+        within(&format!("affine patch, level {level}: C [1/s]"), c, 2e-4);
+    }
+}
+
+/// A block that swings across rims on three levels, no particle of which comes to where another level begins: as on the CPU in 64 bits, and
+/// momentum and spin are kept.
+#[test]
+fn a_block_swings_across_rims_as_on_the_cpu() {
+    let swing = |sim: &mut Simulation| {
+        alter(sim, |r| {
+            let k = 4.0;
+            r.v = std::array::from_fn(|d| 0.05 * (k * r.x[(d + 1) % 3]).sin());
+            r.c = [0.0; 9];
+            (0..3).for_each(|d| r.c[3 * d + (d + 1) % 3] = 0.05 * k * (k * r.x[(d + 1) % 3]).cos());
+        });
+    };
+    for subcycle in [false, true] {
+        let steps = if subcycle { 50 } else { 200 };
+        let toml = cut(3, "lattice").replace("[levels]", &format!("[levels]\nsubcycle = {subcycle}"));
+        println!("subcycled: {subcycle}");
+        let (mut gpu, mut cpu) = (gpu(&toml), cpu(&toml));
+        swing(&mut gpu);
+        swing(&mut cpu);
+        let (start, before) = (gpu.ledger(), rows(&cpu));
+        take(&mut gpu, steps);
+        take(&mut cpu, steps);
+        within("difference of time [s]", (gpu.time() - cpu.time()).abs(), 1e-12);
+        println!("{:?}", cpu.ledger().counts);
+        let moved = apart(&before, &rows(&cpu)) / 0.05;
+        println!("particles have moved by up to {moved:.3} cells");
+        assert!(moved > 0.05, "nothing has happened");
+        within("distance of particles, in cells", apart(&rows(&gpu), &rows(&cpu)) / 0.05, 1e-3);
+        let (g, c) = (gpu.ledger(), cpu.ledger());
+        let scale = (2.0 * start.kinetic * start.mass).sqrt();
+        let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
+        within("change of momentum", off(g.momentum, start.momentum) / scale, 1e-5);
+        println!("spin at start {:?}, on the CPU afterwards {:?}", start.angular_momentum, c.angular_momentum);
+        within(
+            "change of angular momentum beside the CPU's",
+            off(g.angular_momentum, c.angular_momentum) / scale,
+            1e-5,
+        );
+        within("kinetic energy", (g.kinetic / c.kinetic - 1.0).abs(), 1e-3);
+    }
+}
+
+/// Likewise where rims meet a slip wall, whose mirror is part of every sum: what the mirror image continues comes back.
+#[test]
+fn affine_fields_are_reproduced_where_rims_meet_walls() {
+    for axis in 0..3 {
+        let wall = format!("{}_min = \"slip\"", ["x", "y", "z"][axis]);
+        let mut at = [-0.15; 3];
+        at[axis] = 0.1;
+        let head = Head { gravity: [0.0; 3], ..Head::cells(0.05, [32; 3], &wall) };
+        let head = Head { min: std::array::from_fn(|d| if d == axis { 0.0 } else { -0.2 }), ..head };
+        let mut patch = gpu(&head.time("step = 1e-3").with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+            block("neo_hookean", [0.0; 3], [1.6; 3], "sampling = \"jitter\""),
+            around_marker(3, 8, at),
+        ]));
+        let mut b = [0.2, -0.4, 0.3, 0.1, -0.3, 0.5, -0.6, 0.2, 0.1];
+        (0..3).filter(|d| *d != axis).for_each(|d| (b[3 * d + axis], b[3 * axis + d]) = (0.0, 0.0));
+        alter(&mut patch, |r| {
+            r.v = std::array::from_fn(|i| (0..3).map(|j| b[3 * i + j] * r.x[j]).sum::<f64>());
+            r.c = b;
+        });
+        let before = rows(&patch);
+        take(&mut patch, 1);
+        let mut worst = [(0, 0f64); 3];
+        for (old, new) in before.iter().zip(&rows(&patch)).filter(|(old, _)| old.x[axis] < 0.3) {
+            let worst = &mut worst[new.level as usize];
+            *worst = (worst.0 + 1, (0..3).fold(worst.1, |w, i| w.max((new.v[i] - old.v[i]).abs())));
+        }
+        for (level, (count, v)) in worst.into_iter().enumerate() {
+            assert!(count > 100, "level {level} has {count} particles");
+            within(&format!("affine patch at a wall across {axis}, level {level}: v [m/s]"), v, 2e-5);
+        }
+    }
+}
+
+/// A tool that dips into a bed of jelly on three levels that meet its floor: places, forces and the floor's impulse as on the CPU, driven
+/// many steps at once, and free, one by one; and the same bits again.
+#[test]
+fn tools_and_walls_meet_levels_as_on_the_cpu() {
+    let h = 0.05;
+    let bed = |motion: &str, subcycle: bool| {
+        Head::cells(h, [32, 32, 32], "z_min = \"stick\"").time("step = 1e-3").with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+            block("neo_hookean", [0.0; 3], [1.6, 1.6, 0.6], ""),
+            format!("[levels]\ncount = 3\nhalf = 8\nagents = [\"foot\"]\nsubcycle = {subcycle}\n"),
+            tool("foot", [0.2, 0.2, 0.7], &half([0.1, 0.1, 0.11]), "{ coulomb = { friction = 0.3 } }", motion),
+        ])
+    };
+    let free = "{ free = { mass = 20.0, linear = [0.0, 0.0, -0.1] } }";
+    let driven = driven([0.1, 0.0, -0.2]);
+    for (motion, subcycle, at_once) in [(driven.as_str(), false, 50), (&driven, true, 12), (free, false, 1)] {
+        let bed = |motion: &str| bed(motion, subcycle);
+        let steps = if subcycle { 12 } else { 50 };
+        let run = |sim: &mut Simulation| {
+            let (mut impulse, mut taken) = ([0.0; 3], 0);
+            while taken < steps {
+                for report in sim.steps(at_once.min(steps - taken), f64::INFINITY).unwrap_or_else(|e| panic!("{e}")) {
+                    let wrench = report.wrenches.map_or_else(|| sim.wrenches()[0], |wrenches| wrenches[0]);
+                    (0..3).for_each(|d| impulse[d] += wrench.force[d] * report.dt);
+                    taken += 1;
+                }
+            }
+            impulse
+        };
+        let (mut g, mut c) = (gpu(&bed(motion)), cpu(&bed(motion)));
+        let start = c.ledger();
+        let (on_gpu, on_cpu) = (run(&mut g), run(&mut c));
+        println!("{motion}, subcycled: {subcycle}: impulse {on_gpu:?} and {on_cpu:?} N s, {:?}", c.ledger().counts);
+        let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
+        within("distance of particles, in cells", apart(&rows(&g), &rows(&c)) / h, 1e-3);
+        within("impulse on the tool, relative", off(on_gpu, on_cpu) / norm(on_cpu), 1e-3);
+        within("place of the tool, in cells", off(g.bodies()[0].position, c.bodies()[0].position) / h, 1e-3);
+        let (gl, cl) = (g.ledger(), c.ledger());
+        within("impulse of walls, relative", off(gl.wall_impulse, cl.wall_impulse) / norm(cl.gravity_impulse), 1e-4);
+        let gave = |l: &Ledger, tool: Vec3| -> Vec3 {
+            std::array::from_fn(|d| {
+                l.momentum[d] - start.momentum[d] - l.wall_impulse[d] - l.gravity_impulse[d] + tool[d]
+            })
+        };
+        within("balance of momentum", norm(gave(&gl, on_gpu)) / norm(gl.gravity_impulse), 1e-4);
+        let mut again = gpu(&bed(motion));
+        run(&mut again);
+        assert!(again.particles().lists == g.particles().lists, "two runs differ");
+    }
+    let mut refused = gpu(&bed(free, true));
+    let error = refused.step().unwrap_err().to_string();
+    assert!(error.contains("subcycling") && error.contains("freely") && error.contains("levels.subcycle"), "{error}");
+}
+
+/// A blade drawn through sand, which its levels follow: particles split ahead of it and merge behind, on the host between steps; the same
+/// drag, surface and count of particles as on the CPU, with and without subcycling.
+#[test]
+fn levels_follow_a_tool_as_on_the_cpu() {
+    for subcycle in [false, true] {
+        let h = 0.02;
+        let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+        let toml = Head::cells(h, [48, 20, 24], walls).time("safety = 0.5").with(&[
+            material("sand", 1500.0, "young_modulus = 1e5, poisson_ratio = 0.2"),
+            block("sand", [0.0; 3], [0.96, 0.4, 0.24], ""),
+            format!("[levels]\ncount = 2\nhalf = 8\nagents = [\"blade\"]\nsubcycle = {subcycle}\n"),
+            tool(
+                "blade",
+                [0.3, 0.2, 0.26],
+                &half([0.03, 0.06, 0.08]),
+                "{ coulomb = { friction = 0.3 } }",
+                &driven([0.8, 0.0, 0.0]),
+            ),
+        ]);
+        let run = |sim: &mut Simulation| {
+            let mut impulse = [0.0; 3];
+            while sim.time() < 0.15 {
+                for report in sim.steps(64, 0.15).unwrap_or_else(|e| panic!("{e}")) {
+                    let wrench = report.wrenches.map_or_else(|| sim.wrenches()[0], |wrenches| wrenches[0]);
+                    (0..3).for_each(|d| impulse[d] += wrench.force[d] * report.dt);
+                }
+            }
+            impulse
+        };
+        let (mut g, mut c) = (gpu(&toml), cpu(&toml));
+        let before = c.ledger();
+        let (on_gpu, on_cpu) = (run(&mut g), run(&mut c));
+        println!("subcycled: {subcycle}; impulse {on_gpu:?} and {on_cpu:?} N s");
+        println!("{:?}\n{:?}", g.ledger().counts, c.ledger().counts);
+        let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
+        within("impulse on the blade, relative", off(on_gpu, on_cpu) / norm(on_cpu), 0.02);
+        let (gl, cl) = (g.ledger(), c.ledger());
+        within("mass", (gl.mass / before.mass - 1.0).abs(), 1e-6);
+        let count = |l: &Ledger| l.particles as f64;
+        let happened = |what: &str| gl.counts.get(what).is_some_and(|count| *count > 0);
+        assert!(happened("particles split") && happened("particles merged"), "{:?}", gl.counts);
+        within("count of particles, relative", (count(&gl) / count(&cl) - 1.0).abs(), 0.05);
+        let depths = |sim: &Simulation| -> Vec<f64> {
+            let mut depths = vec![0.0; 24 * 10];
+            for r in rows(sim) {
+                let at = |x: f64, n: usize| ((x / 0.04) as usize).min(n - 1);
+                depths[at(r.x[0], 24) * 10 + at(r.x[1], 10)] += r.volume0 / 0.04f64.powi(2);
+            }
+            depths
+        };
+        let (a, b) = (depths(&g), depths(&c));
+        let mean = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64;
+        within("mean difference of depths, in cells", mean / h, 0.05);
+        let balance: Vec3 = std::array::from_fn(|d| {
+            gl.momentum[d] - before.momentum[d] - gl.wall_impulse[d] - gl.gravity_impulse[d] + on_gpu[d]
+        });
+        within("balance of momentum", norm(balance) / norm(gl.gravity_impulse), 1e-3);
+    }
 }

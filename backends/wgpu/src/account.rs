@@ -9,15 +9,9 @@ use barchan_core::{Error, Ledger, ParticleList, Scene};
 const BATCH: usize = 64;
 
 /// Adds mass, momenta, energies and the materials' counts.
-pub(crate) fn add_particles(
-    ledger: &mut Ledger,
-    lists: &[ParticleList],
-    materials: &[PlannedMaterial],
-    scene: &Scene,
-    h: f64,
-) {
-    let quarter = 0.25 * h * h;
+pub(crate) fn add_particles(ledger: &mut Ledger, lists: &[ParticleList], materials: &[PlannedMaterial], scene: &Scene) {
     for list in lists {
+        let quarter = 0.25 * list.cell_width * list.cell_width;
         for i in 0..list.len() {
             let (m, v, c, x) = (list.mass[i], list.velocity[i], list.affine[i], list.position(i));
             ledger.particles += 1;

@@ -3,20 +3,23 @@
 use crate::account;
 use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
-use crate::layout::{self, Homes, Periods, Planes};
+use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, Layer, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, read, with_mapped, with_room,
+    ALL_LEVELS, Asked, BODY, Extent, Layer, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, read, with_mapped,
+    with_room,
 };
 use crate::stiffness::{self, Held};
-use crate::world::{Rhythm, Span, World, parameters};
+use crate::world::{Level, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::scene::Wall;
 use barchan_core::{
-    Aabb, BodyState, Coupling, Error, ParticleList, ParticleState, Plan, Result, StepReport, Vec3, Wrench,
+    Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase,
+    StepReport, Vec3, Wrench,
 };
 use barchan_grid::block;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
+use std::time::Instant;
 
 /// No node that a particle feels may carry one further than this in a step, in cells: a little less than particles may move.
 pub(crate) const NODE_MOVE: f64 = 0.48;
@@ -61,6 +64,8 @@ pub(crate) enum Halt {
     TooFast,
     Drifted,
     Room,
+    /// Particles are on another level than they should be.
+    Misplaced,
     LeftWorld,
     Strayed,
 }
@@ -72,7 +77,8 @@ impl Halt {
             1 => Some(Self::TooFast),
             2 => Some(Self::Drifted),
             3 => Some(Self::Room),
-            4 => Some(Self::LeftWorld),
+            4 => Some(Self::Misplaced),
+            5 => Some(Self::LeftWorld),
             _ => Some(Self::Strayed),
         }
     }
@@ -91,25 +97,34 @@ impl Status {
     pub(crate) fn halt(&self) -> Option<Halt> {
         Halt::of(self.words[HALTED])
     }
-    /// A number of a world in a step.
-    pub(crate) fn in_step(&self, step: usize, world: usize, k: usize) -> f32 {
-        f32::from_bits(self.words[self.layout.of_step(step, world, k)])
+    /// A number of a layer in a step.
+    pub(crate) fn in_step(&self, step: usize, layer: usize, k: usize) -> f32 {
+        f32::from_bits(self.words[self.layout.of_step(step, layer, k)])
     }
-    fn of_layer(&self, world: usize, k: usize) -> usize {
-        self.words[self.layout.of_layer(world, k)] as usize
+    fn of_layer(&self, layer: usize, k: usize) -> usize {
+        self.words[self.layout.of_layer(layer, k)] as usize
     }
-    fn sum(&self, world: usize, k: usize) -> u32 {
-        self.words[self.layout.of_sum(world, k)]
+    fn sum(&self, layer: usize, k: usize) -> u32 {
+        self.words[self.layout.of_sum(layer, k)]
     }
-    /// A world's blocks, or node blocks: from its first one to the next world's.
-    fn range(&self, world: usize, first: usize, all: usize) -> Range<usize> {
-        let next = world + 1;
+    /// A layer's blocks, or node blocks: from its first one to the next layer's.
+    fn range(&self, layer: usize, first: usize, all: usize) -> Range<usize> {
+        let next = layer + 1;
         let end = if next < self.layout.layers { self.of_layer(next, first) } else { self.words[all] as usize };
-        self.of_layer(world, first)..end
+        self.of_layer(layer, first)..end
     }
-    /// The step before which a world was sorted last in the submission.
-    fn sorted_before(&self, world: usize) -> Option<usize> {
-        (self.sum(world, SORTED) as usize).checked_sub(1)
+    /// The step before which a layer was sorted last in the submission.
+    fn sorted_before(&self, layer: usize) -> Option<usize> {
+        (self.sum(layer, SORTED) as usize).checked_sub(1)
+    }
+    /// The greatest node speed of some layers in a step, or NaN if any is not finite [m/s].
+    pub(crate) fn speed(&self, step: usize, mut layers: Range<usize>) -> f64 {
+        layers
+            .try_fold(0.0, |most: f64, layer| {
+                let speed = f64::from(self.in_step(step, layer, SPEED));
+                if speed.is_nan() { Err(speed) } else { Ok(most.max(speed)) }
+            })
+            .unwrap_or_else(|nan| nan)
     }
 }
 
@@ -180,6 +195,76 @@ pub(crate) struct Clocks {
     submissions: u64,
 }
 
+/// Writes down the passes of a submission.
+struct Passes<'a> {
+    kernels: &'a Kernels,
+    contact: &'a [Kernel],
+    levels: usize,
+    /// Width of the finest cell [m].
+    h: f64,
+    /// Which set of buffers is the present one.
+    now: usize,
+    /// Number of the step under way, and its gravity [m/s²].
+    number: usize,
+    gravity: Vec3,
+    constants: Vec<StepConstants>,
+    dispatches: Vec<Dispatch<'a>>,
+}
+
+impl<'a> Passes<'a> {
+    fn constants(&mut self, dt: f64, level: u32, slot: usize) -> usize {
+        let constants = step_constants(self.h, dt, self.gravity, self.number);
+        self.constants.push(StepConstants { slot: slot as u32, level, ..constants });
+        self.constants.len() - 1
+    }
+
+    fn run(&mut self, step: usize, kernels: impl IntoIterator<Item = &'a Kernel>) {
+        let now = self.now;
+        self.dispatches.extend(kernels.into_iter().map(|kernel| Dispatch { kernel, now, step }));
+    }
+
+    /// A sort moves the particles to the other set of buffers.
+    fn sort(&mut self, dt: f64) {
+        let step = self.constants(dt, ALL_LEVELS, self.number);
+        self.run(step, &self.kernels.sort);
+        self.now = 1 - self.now;
+    }
+
+    /// One step of all levels.
+    fn step_together(&mut self, dt: f64) {
+        let kernels = self.kernels;
+        let step = self.constants(dt, ALL_LEVELS, self.number);
+        self.run(step, [&kernels.p2g].into_iter().chain(&kernels.restrict).chain(&kernels.grid).chain(self.contact));
+        self.run(step, kernels.prolong.iter().chain(&kernels.mirror).chain([&kernels.g2p]));
+    }
+
+    /// One step of a level, with two steps of the next finer one within, as in the backend cpu's `subcycle.rs`; `slot` is the number of the
+    /// first one of the finest level.
+    fn step_level(&mut self, l: usize, dt: f64, slot: usize) {
+        let (kernels, is_coarsest) = (self.kernels, l + 1 == self.levels);
+        let [halve, solve] = kernels.shared.as_ref().expect("a subcycled scene has them");
+        let step = self.constants(dt, l as u32, slot + (1 << l) - 1);
+        self.run(step, [&kernels.p2g]);
+        self.run(step, kernels.restrict.iter().filter(|_| !is_coarsest));
+        self.run(step, &kernels.grid);
+        if l > 0 {
+            // What shared nodes have without the step's forces.
+            let still = self.constants(0.0, l as u32, slot);
+            self.run(still, [&kernels.p2g, halve]);
+        }
+        if !is_coarsest {
+            self.run(step, [solve].into_iter().chain(&kernels.prolong));
+        }
+        if l > 0 {
+            self.step_level(l - 1, 0.5 * dt, slot);
+            self.step_level(l - 1, 0.5 * dt, slot + (1 << (l - 1)));
+        }
+        // Now the level's velocities are whole.
+        self.run(step, self.contact);
+        self.run(step, kernels.mirror.iter().chain([&kernels.g2p]));
+    }
+}
+
 /// One dispatch of a submission.
 pub(crate) struct Dispatch<'a> {
     pub(crate) kernel: &'a Kernel,
@@ -189,31 +274,39 @@ pub(crate) struct Dispatch<'a> {
     pub(crate) step: usize,
 }
 
-/// Particles that come in, laid out.
+/// Particles that come in, laid out level by level.
 struct Arrival {
-    homes: Homes,
-    planes: Planes,
+    homes: Vec<Homes>,
+    planes: Vec<Planes>,
     particles: ParticleState,
 }
 
-/// Worlds of one level each, that take part in the same dispatches.
+/// Worlds that take part in the same dispatches: one, or several of one level each. Each level of each world is a layer.
 pub(crate) struct WgpuBatch {
     pub(crate) gpu: Gpu,
     pub(crate) kernels: Kernels,
     pub(crate) memory: Memory,
     pub(crate) worlds: Vec<World>,
+    /// Width of the finest cell [m].
     pub(crate) h: f64,
+    /// Levels of each world.
+    pub(crate) levels: usize,
     /// What the passes were made for.
     fixed: Fixed,
-    periods: Periods,
+    /// Steps of the finest level in one of the simulation.
+    substeps: usize,
+    /// How far particles may have drifted before a step [cells].
+    most_drift: f32,
     /// Are the links of blocks lost, so that a sort must come before the next step?
     pub(crate) unlinked: bool,
     /// Did the last step's numbers stay on the device?
     pub(crate) pending: bool,
-    /// Node blocks in order, if couplings ask for them.
-    pub(crate) node_blocks: Option<Vec<[i32; 3]>>,
+    /// Node blocks in order with their levels, if couplings ask for them.
+    pub(crate) node_blocks: Option<Vec<([i32; 3], usize)>>,
     pub(crate) clocks: Clocks,
     pub(crate) contact_seconds: (f64, u64),
+    /// Time in splitting and merging on the host, and how often.
+    pub(crate) adapt_seconds: (f64, u64),
     pub(crate) contact: Contact,
 }
 
@@ -264,6 +357,14 @@ fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, F
     let Some(NewWorld { plan, .. }) = worlds.first() else {
         return Err(crate::lacks("batch of no worlds", "none is given", "give one at least"));
     };
+    let levels = plan.cell_widths.len();
+    if worlds.len() > 1 && levels > 1 {
+        return Err(crate::lacks(
+            "batch of worlds with several levels",
+            format!("levels.count = {levels}, and {} worlds are to step together", worlds.len()),
+            "set levels.count = 1, or run each world on its own, or on the backend cpu",
+        ));
+    }
     let fixed = Fixed::of(plan);
     worlds.iter().enumerate().try_for_each(|(w, world)| fixed.check(world.plan, w))?;
     if worlds.len() > 1 && plan.scene.gravity_ramp > 0.0 {
@@ -282,7 +383,7 @@ fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, F
             mend: "run fewer worlds together",
         });
     }
-    worlds.iter().try_for_each(|world| layout::check(&world.particles, &world.plan.materials))?;
+    worlds.iter().try_for_each(|world| layout::check(&world.particles, &world.plan.materials, levels))?;
     let particles: usize = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum();
     if particles >= layout::MAX_PARTICLES {
         return Err(Error::Capacity {
@@ -299,17 +400,11 @@ impl WgpuBatch {
     /// Worlds of one scene, each with its particles.
     pub(crate) fn new(gpu: Gpu, worlds: Vec<NewWorld<'_>>) -> Result<Self> {
         let (plan, fixed) = check_together(&gpu, &worlds)?;
-        let count = worlds.len();
+        let (count, levels) = (worlds.len(), plan.cell_widths.len());
         let kernels = Kernels::new(&gpu, plan, count)?;
         gpu.check()?;
         let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
         let pairs = walls.iter().flatten().any(|wall| matches!(wall, Wall::Separate { .. }));
-        let periods = Periods {
-            first: plan.cell_min.map(|c| c.div_euclid(4)),
-            count: std::array::from_fn(|d| {
-                if walls[d][0] == Wall::Periodic { (plan.cell_max[d] - plan.cell_min[d]) / 4 } else { 0 }
-            }),
-        };
         let particles = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum::<usize>();
         let slots = particles.next_multiple_of(128).max(128);
         let params: Vec<_> = worlds.iter().flat_map(|world| parameters(world.plan)).collect();
@@ -317,11 +412,13 @@ impl WgpuBatch {
             slots: slots as u32,
             block_room: 64,
             node_room: 64,
-            places: PLACES * count as u32,
+            places: PLACES * (count * levels) as u32,
             ..Extent::default()
         };
         let vectors = rest_vectors(&plan.materials);
-        let asked = Asked { pairs, bodies: 0, layers: count };
+        let boxes = (levels - 1) * kernels::boxes(plan);
+        let substeps = plan.substeps as usize;
+        let asked = Asked { pairs, bodies: 0, layers: count * levels, worlds: count, boxes, substeps };
         let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
         let mut batch = Self {
             gpu,
@@ -329,13 +426,16 @@ impl WgpuBatch {
             memory,
             worlds: worlds.iter().map(|world| World::new(world.plan)).collect(),
             h: plan.cell_widths[0],
+            levels,
             fixed,
-            periods,
+            substeps,
+            most_drift: most_drift(plan),
             unlinked: true,
             pending: false,
             node_blocks: None,
             clocks: Clocks::default(),
             contact_seconds: (0.0, 0),
+            adapt_seconds: (0.0, 0),
             contact: Contact::Unknown,
         };
         if count > 1 {
@@ -367,9 +467,7 @@ impl WgpuBatch {
         };
         let before = std::mem::replace(&mut self.worlds[world], World::new(new.plan));
         let now = &mut self.worlds[world];
-        (now.particles, now.blocks, now.node_blocks) =
-            (before.particles.clone(), before.blocks.clone(), before.node_blocks.clone());
-        (now.reach, now.span) = (before.reach, before.span);
+        now.levels.clone_from(&before.levels);
         if let Err(error) = self.take_in(vec![(world, new.particles)]) {
             self.worlds[world] = before;
             return Err(error);
@@ -384,7 +482,17 @@ impl WgpuBatch {
     }
 
     pub(crate) fn words(&self) -> Words {
-        Words { layers: self.worlds.len() }
+        Words { layers: self.worlds.len() * self.levels }
+    }
+
+    /// The levels of all worlds, in the order of layers.
+    fn all_levels(&self) -> impl Iterator<Item = &Level> {
+        self.worlds.iter().flat_map(|world| &world.levels)
+    }
+
+    /// A world's layers.
+    pub(crate) fn layers_of(&self, world: usize) -> Range<usize> {
+        self.levels * world..self.levels * (world + 1)
     }
 
     fn particles(&self) -> usize {
@@ -393,14 +501,7 @@ impl WgpuBatch {
 
     /// The constants of a step.
     pub(crate) fn step_constants(&self, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
-        StepConstants {
-            dt: dt as f32,
-            dt_per_h: (dt / self.h) as f32,
-            stress: (-4.0 * dt / self.h) as f32,
-            number: number as u32,
-            gravity: gravity.map(|g| (g * dt) as f32),
-            pad: 0,
-        }
+        step_constants(self.h, dt, gravity, number)
     }
 
     /// The constants of steps from a slot on: one write, since each takes the queue microseconds.
@@ -417,15 +518,28 @@ impl WgpuBatch {
         self.gpu.queue.write_buffer(status, 4 * from as u64, bytemuck::cast_slice(words));
     }
 
-    /// What the device is to know of each world; those that `on` names take part.
+    /// What the device is to know of each layer; those of the worlds that `on` names take part.
     pub(crate) fn layers(&self, on: impl Fn(usize) -> bool) -> Vec<Layer> {
         let mut first_place = 0;
-        let layer = |(w, world): (usize, &World)| {
-            let layer = world.layer(first_place, on(w));
+        let layer = |(w, l): (usize, usize)| {
+            let layer = self.worlds[w].layer(l, first_place, on(w));
             first_place += layer.places.next_multiple_of(PLACES);
             layer
         };
-        self.worlds.iter().enumerate().map(layer).collect()
+        (0..self.worlds.len()).flat_map(|w| (0..self.levels).map(move |l| (w, l))).map(layer).collect()
+    }
+
+    /// Tells the device where the levels are.
+    fn write_regions(&self, world: &World) {
+        let each = self.memory.boxes().checked_div(self.levels - 1).unwrap_or(0);
+        let mut vectors = Vec::new();
+        for boxes in world.adapt.regions.boxes() {
+            let vector = |v: [i32; 3]| [v[0], v[1], v[2], 0];
+            vectors.extend(boxes.iter().take(each).flat_map(|one| [vector(one.min), vector(one.max)]));
+            // One that holds nothing, for each agent that has none.
+            vectors.extend((boxes.len()..each).flat_map(|_| [[i32::MAX / 4; 4], [i32::MIN / 4; 4]]));
+        }
+        self.gpu.queue.write_buffer(&self.memory.regions, 0, bytemuck::cast_slice(&vectors));
     }
 
     pub(crate) fn write_layers(&self, layers: &[Layer]) {
@@ -435,7 +549,7 @@ impl WgpuBatch {
     /// Workgroups of a pass, in rows.
     fn groups(&self, groups: Groups) -> (u32, u32) {
         let extent = &self.memory.extent;
-        let layers = self.worlds.len() as u32;
+        let layers = self.words().layers as u32;
         // A sort may find more blocks than there were, up to the room there is.
         let count = match groups {
             Groups::One => 1,
@@ -506,43 +620,53 @@ impl WgpuBatch {
         let sums = layout.of_sum(0, 0);
         self.write_words(sums, &vec![0; layout.of_step(count.max(1), 0, 0) - sums]);
 
-        // A sort moves the particles to the other set of buffers.
-        let (mut now, mut step) = (self.memory.now, 0);
-        let (mut parts, mut constants) = (Vec::new(), Vec::new());
-        let kernels = &self.kernels;
-        let contact: &[Kernel] = if let Contact::Device(contact) = &self.contact { &contact.kernels } else { &[] };
         // Gravity is the same for all: it depends on time only if there is one world.
         let (first, time) = active[0];
-        let gravity = |step: usize| self.worlds[first].scene.gravity_at(time + step as f64 * dt);
+        let mut passes = Passes {
+            kernels: &self.kernels,
+            contact: if let Contact::Device(contact) = &self.contact { &contact.kernels } else { &[] },
+            levels: self.levels,
+            h: self.h,
+            now: self.memory.now,
+            number: 0,
+            gravity: [0.0; 3],
+            constants: Vec::new(),
+            dispatches: Vec::new(),
+        };
+        let mut parts = Vec::new();
         for stretch in stretches {
-            let mut part = Part { sorting: stretch.sort.then_some(now), dispatches: Vec::new() };
+            let sorting = stretch.sort.then_some(passes.now);
             if stretch.sort {
-                part.dispatches.extend(kernels.sort.iter().map(|kernel| Dispatch { kernel, now, step }));
-                now = 1 - now;
+                passes.sort(dt);
             }
             for _ in 0..stretch.steps {
-                constants.push(self.step_constants(dt, gravity(step), step));
-                let to_nodes = [&kernels.p2g].into_iter().chain(&kernels.grid).chain(contact);
-                let passes = to_nodes.chain(&kernels.mirror).chain([&kernels.g2p]);
-                part.dispatches.extend(passes.map(|kernel| Dispatch { kernel, now, step }));
-                step += 1;
+                passes.gravity = self.worlds[first].scene.gravity_at(time + passes.number as f64 * dt);
+                if self.substeps > 1 {
+                    passes.step_level(self.levels - 1, dt, passes.number * self.substeps);
+                } else {
+                    passes.step_together(dt);
+                }
+                passes.number += 1;
             }
             // A sort forgets what walls gave.
             if stretch.steps > 0 {
-                part.dispatches.extend(kernels.collect.iter().map(|kernel| Dispatch { kernel, now, step: 0 }));
+                passes.run(0, &self.kernels.collect);
             }
-            parts.push(part);
+            parts.push(Part { sorting, dispatches: std::mem::take(&mut passes.dispatches) });
         }
-        if count == 0 {
-            constants.push(self.step_constants(dt, gravity(0), 0));
-        }
-        self.write_steps(0, &constants);
+        self.write_steps(0, &passes.constants);
         let parts = self.with_groups(parts);
         let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
         let status = Status::new(words, layout);
         self.take_blocks(&status);
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
+        if self.substeps > 1 && matches!(halt, Some(Halt::TooFast | Halt::Strayed)) {
+            for &(w, _) in active {
+                let moves = status.speed(done, self.layers_of(w)) * dt / (self.h * self.substeps as f64);
+                self.worlds[w].torn = Some((dt, NODE_MOVE * dt / moves));
+            }
+        }
         for &(w, time) in active {
             self.take_steps(&status, w, time, dt, done);
         }
@@ -556,31 +680,36 @@ impl WgpuBatch {
             self.memory.now ^= sorts & 1;
             self.node_blocks = None;
             self.unlinked = false;
-            for (w, world) in self.worlds.iter_mut().enumerate() {
-                let block = |first: usize| [0, 1, 2].map(|d| status.of_layer(w, first + d) as i32 - BIAS);
-                world.blocks = status.range(w, FIRST_BLOCK, BLOCKS);
-                world.node_blocks = status.range(w, FIRST_NODE_BLOCK, NODE_BLOCKS);
-                if !world.blocks.is_empty() {
-                    world.reach = (block(LEAST_BLOCK), block(GREATEST_BLOCK));
-                }
+            for (layer, level) in self.worlds.iter_mut().flat_map(|world| &mut world.levels).enumerate() {
+                let block = |first: usize| [0, 1, 2].map(|d| status.of_layer(layer, first + d) as i32 - BIAS);
+                level.blocks = status.range(layer, FIRST_BLOCK, BLOCKS);
+                level.node_blocks = status.range(layer, FIRST_NODE_BLOCK, NODE_BLOCKS);
+                level.reach = (!level.blocks.is_empty()).then(|| (block(LEAST_BLOCK), block(GREATEST_BLOCK)));
             }
         }
         // A sort that was broken off has overwritten the directory.
-        self.unlinked |= matches!(status.halt(), Some(Halt::Room | Halt::LeftWorld));
+        self.unlinked |= matches!(status.halt(), Some(Halt::Room | Halt::LeftWorld | Halt::Misplaced));
     }
 
     /// Takes in what steps did to a world.
     fn take_steps(&mut self, status: &Status, w: usize, time: f64, dt: f64, done: usize) {
-        let sorted = status.sorted_before(w);
+        let layers = self.layers_of(w);
         let world = &mut self.worlds[w];
-        if sorted.is_some() {
-            world.rhythm = Rhythm::default();
+        for (layer, level) in layers.zip(&mut world.levels) {
+            let sorted = status.sorted_before(layer);
+            if sorted.is_some() {
+                level.rhythm = Rhythm::default();
+            }
+            let steps = level.steps_within;
+            for s in sorted.unwrap_or(0)..done {
+                level.rhythm = level.rhythm.after(steps as f32 * status.in_step(s, layer, MOVE));
+            }
+            if let Some(last) = done.checked_sub(1) {
+                let each = dt / f64::from(steps);
+                level.particle_speed = f64::from(status.in_step(last, layer, MOVE)) * level.h / each;
+            }
         }
-        for s in sorted.unwrap_or(0)..done {
-            world.rhythm = world.rhythm.after(status.in_step(s, w, MOVE));
-        }
-        if let Some(last) = done.checked_sub(1) {
-            world.particle_speed = f64::from(status.in_step(last, w, MOVE)) * self.h / dt;
+        if done > 0 {
             world.last_dt = dt;
         }
         world.steps += done as u64;
@@ -591,10 +720,12 @@ impl WgpuBatch {
 
     /// What was summed on the device in a submission.
     pub(crate) fn take_sums(&mut self, status: &Status, w: usize) {
-        let world = &mut self.worlds[w];
-        world.parted += u64::from(status.sum(w, PARTED));
-        for d in 0..3 {
-            world.wall_impulse[d] += f64::from(f32::from_bits(status.sum(w, WALL_IMPULSE + d)));
+        for layer in self.layers_of(w) {
+            let world = &mut self.worlds[w];
+            world.parted += u64::from(status.sum(layer, PARTED));
+            for d in 0..3 {
+                world.wall_impulse[d] += f64::from(f32::from_bits(status.sum(layer, WALL_IMPULSE + d)));
+            }
         }
     }
 
@@ -602,13 +733,14 @@ impl WgpuBatch {
     /// that nobody needs changes nothing, and the device stops before a step that needs one.
     fn plan_stretches(&self, active: &[(usize, f64)], dt: f64, count: usize) -> Vec<Stretch> {
         let of_world = |&(w, _): &(usize, f64)| {
-            let world = &self.worlds[w];
-            (world.rhythm, (world.particle_speed * dt / self.h) as f32)
+            let each = |level: &Level| (level.rhythm, (level.particle_speed * dt / level.h) as f32);
+            self.worlds[w].levels.iter().map(each).collect()
         };
-        let mut rhythms: Vec<(Rhythm, f32)> = active.iter().map(of_world).collect();
+        let is_due = |world: &Vec<(Rhythm, f32)>| world.iter().any(|(rhythm, _)| rhythm.is_due(self.most_drift));
+        let mut worlds: Vec<Vec<(Rhythm, f32)>> = active.iter().map(of_world).collect();
         let mut stretches: Vec<Stretch> = Vec::new();
         for step in 0..count {
-            let sort = (step == 0 && self.unlinked) || rhythms.iter().any(|(rhythm, _)| rhythm.is_due());
+            let sort = (step == 0 && self.unlinked) || worlds.iter().any(is_due);
             // The directory's boxes change before a submission that sorts, and fit the blocks from its first sort on.
             if sort && stretches.first().is_some_and(|first| !first.sort) {
                 break;
@@ -616,9 +748,12 @@ impl WgpuBatch {
             if sort || stretches.is_empty() {
                 stretches.push(Stretch { sort, steps: 0 });
             }
-            for (rhythm, each) in &mut rhythms {
-                let before = if rhythm.is_due() { Rhythm::default() } else { *rhythm };
-                *rhythm = before.after(*each);
+            for world in &mut worlds {
+                let sorted = is_due(world);
+                for (rhythm, each) in world {
+                    let before = if sorted { Rhythm::default() } else { *rhythm };
+                    *rhythm = before.after(*each);
+                }
             }
             stretches.iter_mut().next_back().expect("there is one").steps += 1;
         }
@@ -707,17 +842,27 @@ impl WgpuBatch {
         let margin = 2 + sorts as i32 / 2;
         let mut places = 0u64;
         for world in &mut self.worlds {
-            let (least, greatest) = world.reach;
-            let mut span = Span::default();
-            for d in 0..3 {
-                (span.first[d], span.size[d]) = if self.periods.count[d] > 0 {
-                    (self.periods.first[d], self.periods.count[d])
-                } else {
-                    (least[d] - margin, greatest[d] - least[d] + 1 + 2 * margin)
+            // Where blocks of finer levels are, in blocks of the level.
+            let mut finer: Option<([i32; 3], [i32; 3])> = None;
+            for level in &mut world.levels {
+                let with = |a: Option<[i32; 3]>, b: Option<[i32; 3]>, f: fn(i32, i32) -> i32| match (a, b) {
+                    (Some(a), Some(b)) => Some([0, 1, 2].map(|d| f(a[d], b[d]))),
+                    (one, other) => one.or(other),
                 };
+                let least = with(level.reach.map(|r| r.0), finer.map(|r| r.0), i32::min).unwrap_or_default();
+                let greatest = with(level.reach.map(|r| r.1), finer.map(|r| r.1), i32::max).unwrap_or_default();
+                let mut span = Span::default();
+                for d in 0..3 {
+                    (span.first[d], span.size[d]) = if level.periods.count[d] > 0 {
+                        (level.periods.first[d], level.periods.count[d])
+                    } else {
+                        (least[d] - margin, greatest[d] - least[d] + 1 + 2 * margin)
+                    };
+                }
+                level.span = span;
+                places += span.places().min(u64::from(u32::MAX)).next_multiple_of(u64::from(PLACES));
+                finer = level.reach.map(|_| (least.map(|b| b >> 1), greatest.map(|b| b >> 1)));
             }
-            world.span = span;
-            places += world.places().min(u64::from(u32::MAX)).next_multiple_of(u64::from(PLACES));
         }
         // The same rule as for all buffers finds what is too large for the adapter; this one keeps the number a u32.
         let extent = Extent { places: u32::try_from(places).unwrap_or(!(PLACES - 1)), ..self.memory.extent };
@@ -734,12 +879,13 @@ impl WgpuBatch {
     }
 
     /// Sorts what is due at once.
-    pub(crate) fn sort_now(&mut self, world: usize, time: f64, dt: f64) -> Result<()> {
+    pub(crate) fn sort_now(&mut self, world: usize, time: f64, dt: f64, couplings: &[Box<dyn Coupling>]) -> Result<()> {
         loop {
             let outcome = self.submit(&[(world, time)], dt, &[Stretch { sort: true, steps: 0 }])?;
             match outcome.halt {
                 None => return Ok(()),
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
+                Some(Halt::Misplaced) => self.adapt(world, None, couplings)?,
                 Some(_) => return Err(self.left_world(world, &outcome.status)),
             }
         }
@@ -748,7 +894,7 @@ impl WgpuBatch {
     /// The world of a particle that a halt names.
     fn world_of(&self, status: &Status) -> Option<usize> {
         let who = status.words[WHO] as usize;
-        self.worlds.iter().position(|world| world.particles.contains(&who))
+        self.worlds.iter().position(|world| world.particles().contains(&who))
     }
 
     fn left_world(&self, world: usize, status: &Status) -> Error {
@@ -764,17 +910,15 @@ impl WgpuBatch {
     fn find(
         &self,
         world: usize,
-        (lists, _, planes): &(Vec<ParticleList>, Homes, Planes),
+        (lists, laid): &(Vec<ParticleList>, Vec<(Homes, Planes)>),
         slot: usize,
     ) -> Option<(u64, Vec3, usize)> {
-        let range = &self.worlds[world].particles;
-        if !range.contains(&slot) {
-            return None;
-        }
-        let slot = slot - range.start;
+        let world = &self.worlds[world];
+        let l = world.levels.iter().position(|level| level.particles.contains(&slot))?;
+        let (slot, planes) = (slot - world.levels[l].particles.start, &laid[l].1);
         let law = planes.law(slot);
         let before = (0..slot).filter(|&q| planes.law(q) == law).count();
-        let list = lists.get(law).filter(|list| before < list.len())?;
+        let list = lists.get(l * world.materials.len() + law).filter(|list| before < list.len())?;
         Some((list.id[before], list.position(before), law))
     }
 
@@ -813,7 +957,7 @@ impl WgpuBatch {
         time: f64,
     ) -> Error {
         let world = &self.worlds[w];
-        let list = world.materials[law].name.clone();
+        let list = world.materials[law % world.materials.len()].name.clone();
         Error::NonFinite { step: world.steps, time, field, particle, list, value, count }
     }
 
@@ -827,38 +971,82 @@ impl WgpuBatch {
         }
     }
 
-    /// Homes of some worlds as the device has them, the particles of each counted from its first one.
+    /// Homes of some worlds' levels as the device has them, the particles of each counted from its first one.
     fn homes(&self, worlds: Range<usize>) -> Result<Vec<Homes>> {
-        let worlds = &self.worlds[worlds];
-        let start = worlds.first().map_or(0, |world| world.blocks.start);
-        let count = worlds.last().map_or(0, |world| world.blocks.end) - start;
+        let levels: Vec<&Level> = self.worlds[worlds].iter().flat_map(|world| &world.levels).collect();
+        let start = levels.first().map_or(0, |level| level.blocks.start);
+        let count = levels.last().map_or(0, |level| level.blocks.end) - start;
         let at = (16 * layout::ENTRY * start) as u64;
         let entries: Vec<[i32; 4]> = read(&self.gpu, self.memory.plane(Sorted::Lists), at, count * layout::ENTRY)?;
         let cells: Vec<u32> = read(&self.gpu, self.memory.plane(Sorted::Cells), 256 * start as u64, 64 * count + 1)?;
-        let of_world = |world: &World| {
-            let own = world.blocks.start - start..world.blocks.end - start;
+        let of_level = |level: &&Level| {
+            let own = level.blocks.start - start..level.blocks.end - start;
             let blocks = entries[own.start * layout::ENTRY..own.end * layout::ENTRY].chunks_exact(layout::ENTRY);
             let mut cells = if own.is_empty() { vec![0] } else { cells[64 * own.start..=64 * own.end].to_vec() };
             if !own.is_empty() {
-                cells.iter_mut().for_each(|slot| *slot -= world.particles.start as u32);
+                cells.iter_mut().for_each(|slot| *slot -= level.particles.start as u32);
             }
             Homes { blocks: blocks.map(|e| [e[0][0], e[0][1], e[0][2]]).collect(), cells, ..Homes::default() }
         };
-        Ok(worlds.iter().map(of_world).collect())
+        Ok(levels.iter().map(of_level).collect())
     }
 
-    /// All particles of a world.
-    pub(crate) fn lists(&self, w: usize) -> Result<(Vec<ParticleList>, Homes, Planes)> {
+    /// All particles of a world: one list a level and material; and how each level lies in memory.
+    pub(crate) fn lists(&self, w: usize) -> Result<(Vec<ParticleList>, Vec<(Homes, Planes)>)> {
         let world = &self.worlds[w];
-        let homes = self.homes(w..w + 1)?.pop().unwrap_or_default();
-        let (first, count) = (world.particles.start, world.particles.len());
-        let planes = Planes {
-            record: self.stretch(Sorted::Record, first, count)?,
-            ids: self.stretch(Sorted::Ids, first, count)?,
-            rest: self.stretch(Sorted::Rest, first, count)?,
-        };
-        let lists = planes.lists(&homes, &world.materials, self.h, count);
-        Ok((lists, homes, planes))
+        let (mut lists, mut laid) = (Vec::new(), Vec::new());
+        for (l, (level, homes)) in world.levels.iter().zip(self.homes(w..w + 1)?).enumerate() {
+            let (first, count) = (level.particles.start, level.particles.len());
+            let planes = Planes {
+                record: self.stretch(Sorted::Record, first, count)?,
+                ids: self.stretch(Sorted::Ids, first, count)?,
+                rest: self.stretch(Sorted::Rest, first, count)?,
+            };
+            lists.extend(planes.lists(&homes, &world.materials, (l, level.h), count));
+            laid.push((homes, planes));
+        }
+        Ok((lists, laid))
+    }
+
+    /// A world's particles, with the phase of the sort and of its levels.
+    pub(crate) fn state(&self, w: usize) -> Result<ParticleState> {
+        let (lists, laid) = self.lists(w)?;
+        let (world, rhythms) = (&self.worlds[w], self.rhythms(w));
+        let of_level = |(l, (homes, planes)): (usize, &(Homes, Planes))| planes.counts(homes, world.materials.len(), l);
+        let blocks: Vec<_> = laid.iter().enumerate().flat_map(of_level).collect();
+        let sort = Some(SortPhase {
+            // A world's levels are sorted together.
+            age: rhythms.first().map_or(0, |rhythm| rhythm.age),
+            drift: rhythms.iter().map(|rhythm| f64::from(rhythm.drift)).collect(),
+            measured: Measured { stiffness_bound: world.stiffness.dt, stiffness_age: world.stiffness_age },
+            rest: vec![0; blocks.len()],
+            blocks,
+            kept_for: vec![None; rhythms.len()],
+        });
+        Ok(ParticleState { lists, sort, levels: world.adapt.phase(BTreeSet::new()), ..ParticleState::default() })
+    }
+
+    /// Brings a world's particles to the levels where they belong, splits and merges: on the host. `before` are its regions as they
+    /// were, if they have moved.
+    fn adapt(&mut self, w: usize, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        let begun = Instant::now();
+        self.settle()?;
+        // Particles come in any order: blocks' numbers are by cell here.
+        let mut state = ParticleState { sort: None, ..self.state(w)? };
+        self.worlds[w].adapt.round_on_host(&mut state, before, couplings)?;
+        self.take_in(vec![(w, state)])?;
+        self.adapt_seconds.0 += begun.elapsed().as_secs_f64();
+        self.adapt_seconds.1 += 1;
+        Ok(())
+    }
+
+    /// Moves a world's levels after the bodies that they follow.
+    fn follow(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        // Nothing soft is followed.
+        match self.worlds[w].adapt.follow(couplings, |_| None) {
+            Some(before) => self.adapt(w, Some(&before), couplings),
+            None => Ok(()),
+        }
     }
 
     /// What the planes of a buffer hold of so many particles, plane by plane.
@@ -893,32 +1081,48 @@ impl WgpuBatch {
             arrivals.insert(w, self.arrival(w, particles)?);
         }
         let all = self.worlds.len();
-        let mut homes = if arrivals.len() < all { self.homes(0..all)? } else { vec![Homes::default(); all] };
-        arrivals.iter().for_each(|(w, arrival): (_, &Arrival)| homes[*w].clone_from(&arrival.homes));
+        let mut homes =
+            if arrivals.len() < all { self.homes(0..all)? } else { vec![Homes::default(); self.words().layers] };
+        for (w, arrival) in &arrivals {
+            homes[self.layers_of(*w)].clone_from_slice(&arrival.homes);
+        }
         let counts: Vec<usize> = homes.iter().map(|homes| homes.cells.last().map_or(0, |end| *end as usize)).collect();
         let mut extent = self.memory.extent;
         let all: usize = counts.iter().sum();
-        if all > extent.slots as usize {
+        if all >= layout::MAX_PARTICLES {
             return Err(Error::Capacity {
-                what: "particles of an engine that was compiled for fewer",
+                what: "particles on one adapter",
                 asked: all as u64,
-                cap: u64::from(extent.slots),
-                mend: "compile the scene anew",
+                cap: layout::MAX_PARTICLES as u64 - 1,
+                mend: "simulate fewer, or use the backend cpu",
             });
         }
-        let nodes = |(w, homes): (usize, &Homes)| homes.nodes.len().max(self.worlds[w].node_blocks.len());
+        if all > extent.slots as usize {
+            // The others' places are lost with the planes.
+            if arrivals.len() < self.worlds.len() {
+                return Err(Error::Capacity {
+                    what: "particles of an engine that was compiled for fewer",
+                    asked: all as u64,
+                    cap: u64::from(extent.slots),
+                    mend: "compile the scene anew",
+                });
+            }
+            extent.slots = with_room(all).next_multiple_of(128);
+        }
+        let nodes = |(homes, level): (&Homes, &Level)| homes.nodes.len().max(level.node_blocks.len());
         extent.particles = all as u32;
         extent.block_room = extent.block_room.max(with_room(homes.iter().map(|homes| homes.blocks.len()).sum()));
-        extent.node_room = extent.node_room.max(with_room(homes.iter().enumerate().map(nodes).sum()));
+        extent.node_room = extent.node_room.max(with_room(homes.iter().zip(self.all_levels()).map(nodes).sum()));
         self.memory.grow(&self.gpu, extent)?;
 
-        let before: Vec<_> = self.worlds.iter().map(|world| world.particles.clone()).collect();
+        let before: Vec<_> = self.all_levels().map(|level| level.particles.clone()).collect();
         let (mut slot, mut block) = (0, 0);
-        for ((world, homes), count) in self.worlds.iter_mut().zip(&homes).zip(&counts) {
-            world.particles = slot..slot + count;
-            world.blocks = block..block + homes.blocks.len();
-            world.reach = homes.extent().unwrap_or_default();
-            (slot, block) = (world.particles.end, world.blocks.end);
+        let levels = self.worlds.iter_mut().flat_map(|world| &mut world.levels);
+        for ((level, homes), count) in levels.zip(&homes).zip(&counts) {
+            level.particles = slot..slot + count;
+            level.blocks = block..block + homes.blocks.len();
+            level.reach = homes.extent();
+            (slot, block) = (level.particles.end, level.blocks.end);
         }
         self.write_particles(&arrivals, &before);
         self.write_lists(&homes);
@@ -931,7 +1135,15 @@ impl WgpuBatch {
                 self.non_finite(*w, field, (particle, law), value, count, 0.0)
             });
             let world = &mut self.worlds[*w];
-            world.node_blocks = 0..arrival.homes.nodes.len();
+            for (level, homes) in world.levels.iter_mut().zip(&arrival.homes) {
+                level.node_blocks = 0..homes.nodes.len();
+            }
+            if let Some(phase) = &arrival.particles.levels {
+                world.adapt.restore(phase.clone());
+            }
+            self.write_regions(&self.worlds[*w]);
+            let world = &mut self.worlds[*w];
+            world.torn = None;
             world.spoilt = spoilt.is_some();
             world.take_stock(&arrival.particles.lists, arrival.particles.sort.as_ref())?;
         }
@@ -940,16 +1152,26 @@ impl WgpuBatch {
 
     /// Lays out particles that come into a world.
     fn arrival(&self, w: usize, mut particles: ParticleState) -> Result<Arrival> {
-        let materials = &self.worlds[w].materials;
-        layout::check(&particles, materials)?;
-        let count = particles.lists.iter().map(ParticleList::len).sum();
-        let restored =
-            particles.sort.as_ref().and_then(|sort| Homes::restored(&particles.lists, &sort.blocks, &self.periods));
-        if restored.is_none() {
+        let World { materials, levels, .. } = &self.worlds[w];
+        layout::check(&particles, materials, self.levels)?;
+        let of_levels = || particles.lists.chunks(materials.len()).zip(levels);
+        let restored = particles.sort.as_ref().and_then(|sort| {
+            let restore = |(l, (lists, level)): (usize, (&[ParticleList], &Level))| {
+                Homes::restored(lists, l, &sort.blocks, &level.periods)
+            };
+            of_levels().enumerate().map(restore).collect::<Option<Vec<_>>>()
+        });
+        let is_restored = restored.is_some();
+        let fresh = || of_levels().map(|(lists, level)| Homes::fresh(lists, &level.periods)).collect();
+        let homes: Vec<Homes> = restored.unwrap_or_else(fresh);
+        let lay = |((lists, _), homes): ((&[ParticleList], &Level), &Homes)| {
+            let count = lists.iter().map(ParticleList::len).sum();
+            Planes::of(lists, homes, materials, count, rest_vectors(materials))
+        };
+        let planes = of_levels().zip(&homes).map(lay).collect::<Result<_>>()?;
+        if !is_restored {
             particles.sort = None;
         }
-        let homes = restored.unwrap_or_else(|| Homes::fresh(&particles.lists, &self.periods));
-        let planes = Planes::of(&particles.lists, &homes, materials, count, rest_vectors(materials))?;
         Ok(Arrival { homes, planes, particles })
     }
 
@@ -957,20 +1179,20 @@ impl WgpuBatch {
     fn write_particles(&self, arrivals: &BTreeMap<usize, Arrival>, before: &[Range<usize>]) {
         let next = 1 - self.memory.now;
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        for (w, world) in self.worlds.iter().enumerate() {
-            let to = &world.particles;
+        for (layer, level) in self.all_levels().enumerate() {
+            let (to, l) = (&level.particles, layer % self.levels);
             for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
                 let stretches = self.memory.stretches(sorted, to.start, to.len());
                 let buffer = self.memory.buffer(Role::Now(sorted), next);
-                if let Some(arrival) = arrivals.get(&w) {
-                    let mut bytes = arrival.planes.bytes(sorted);
+                if let Some(arrival) = arrivals.get(&(layer / self.levels)) {
+                    let mut bytes = arrival.planes[l].bytes(sorted);
                     for (at, length) in stretches {
                         let (plane, rest) = bytes.split_at(length as usize);
                         self.write(buffer, at, plane);
                         bytes = rest;
                     }
                 } else {
-                    let sources = self.memory.stretches(sorted, before[w].start, to.len());
+                    let sources = self.memory.stretches(sorted, before[layer].start, to.len());
                     for ((from, length), (at, _)) in sources.into_iter().zip(stretches) {
                         encoder.copy_buffer_to_buffer(self.memory.plane(sorted), from, buffer, at, length);
                     }
@@ -994,16 +1216,16 @@ impl WgpuBatch {
         let next = 1 - self.memory.now;
         let layout = self.words();
         let (mut entries, mut cells) = (Vec::new(), Vec::new());
-        for (w, (world, homes)) in self.worlds.iter().zip(homes).enumerate() {
-            self.write_words(layout.of_layer(w, FIRST_BLOCK), &[world.blocks.start as u32, 0]);
+        for (layer, (level, homes)) in self.all_levels().zip(homes).enumerate() {
+            self.write_words(layout.of_layer(layer, FIRST_BLOCK), &[level.blocks.start as u32, 0]);
             for &[x, y, z] in &homes.blocks {
-                entries.push([x, y, z, w as i32]);
+                entries.push([x, y, z, layer as i32]);
                 entries.extend([[0; 4]; layout::ENTRY - 1]);
             }
             let starts = &homes.cells[..64 * homes.blocks.len()];
-            cells.extend(starts.iter().map(|start| start + world.particles.start as u32));
+            cells.extend(starts.iter().map(|start| start + level.particles.start as u32));
         }
-        let (blocks, particles) = self.worlds.last().map_or((0, 0), |last| (last.blocks.end, last.particles.end));
+        let (blocks, particles) = self.all_levels().last().map_or((0, 0), |last| (last.blocks.end, last.particles.end));
         cells.push(particles as u32);
         self.write(self.memory.buffer(Role::Now(Sorted::Lists), next), 0, bytemuck::cast_slice(&entries));
         self.write(self.memory.buffer(Role::Now(Sorted::Cells), next), 0, bytemuck::cast_slice(&cells));
@@ -1012,7 +1234,7 @@ impl WgpuBatch {
 
     /// Stress is no part of a state: it follows from strain.
     fn find_stress(&mut self, arrivals: &BTreeMap<usize, Arrival>) -> Result<()> {
-        let fit = |w: usize| !self.worlds[w].spoilt && !self.worlds[w].particles.is_empty();
+        let fit = |w: usize| !self.worlds[w].spoilt && !self.worlds[w].particles().is_empty();
         let mut by_step: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
         for (&w, arrival) in arrivals.iter().filter(|(w, _)| fit(**w)) {
             by_step.entry(arrival.particles.strain_dt.to_bits()).or_default().push(w);
@@ -1037,12 +1259,15 @@ impl WgpuBatch {
             if active.is_empty() {
                 return Ok(failed.into_iter().map(|error| Err(error.expect("all have failed"))).collect());
             }
-            let stretches = self.plan_stretches(&active, dt, count);
-            let steps = stretches.iter().map(|s| s.steps).sum();
+            let mut stretches = self.plan_stretches(&active, dt, count);
+            let mut steps = stretches.iter().map(|s| s.steps).sum();
             let mut driven = BTreeMap::new();
             for &t in &going {
                 match self.drive(&mut turns[t], dt, steps) {
-                    Ok(of_turn) => drop(driven.insert(t, of_turn)),
+                    Ok(of_turn) => {
+                        steps = of_turn.as_ref().map_or(steps, |driven| driven.after.len());
+                        driven.insert(t, of_turn);
+                    }
                     Err(error) => failed[t] = Some(error),
                 }
             }
@@ -1052,6 +1277,7 @@ impl WgpuBatch {
                 }
                 continue;
             }
+            cut(&mut stretches, steps);
             self.write_bodies(turns, &driven, steps);
             let outcome = self.submit(&active, dt, &stretches)?;
             for (t, of_turn) in &driven {
@@ -1064,6 +1290,13 @@ impl WgpuBatch {
             match outcome.halt {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
                 Some(Halt::Drifted) if !stretches[0].sort => {}
+                Some(Halt::Misplaced) => {
+                    let Turn { world, couplings, .. } = &turns[going[0]];
+                    self.adapt(*world, None, couplings)?;
+                }
+                Some(Halt::TooFast | Halt::Strayed) if self.substeps > 1 => {
+                    failed = turns.iter().map(|turn| self.fault(turn)).collect();
+                }
                 Some(Halt::TooFast) => dt = self.shorten(turns, &mut failed, &outcome, dt),
                 _ => {
                     // It cannot be told whose fault it was only if no particle is named.
@@ -1077,7 +1310,19 @@ impl WgpuBatch {
 
     /// What is wrong with a world's particles as they came in.
     fn fault(&self, turn: &Turn<'_>) -> Option<Error> {
-        if self.worlds[turn.world].spoilt { self.find_non_finite(turn.world, turn.time) } else { None }
+        let world = &self.worlds[turn.world];
+        if world.spoilt || world.torn.is_some() {
+            let torn = world.torn.map(|(dt, bound)| Error::TimeStep {
+                step: world.steps,
+                dt,
+                bound,
+                by: "the speed of a node within a subcycled step: set levels.subcycle = false, or lower time.safety"
+                    .into(),
+            });
+            self.find_non_finite(turn.world, turn.time).or(torn)
+        } else {
+            None
+        }
     }
 
     /// The step that the fastest world bears; worlds that bear none have failed.
@@ -1085,7 +1330,7 @@ impl WgpuBatch {
         let mut fastest = 0.0f64;
         for t in (0..turns.len()).filter(|&t| failed[t].is_none()).collect::<Vec<_>>() {
             let Turn { world, time, .. } = turns[t];
-            let speed = f64::from(outcome.status.in_step(0, world, SPEED));
+            let speed = outcome.status.speed(0, self.layers_of(world));
             let moves = speed * dt / self.h;
             if !moves.is_finite() {
                 failed[t] = Some(self.explain(world, &outcome.status, speed, time));
@@ -1111,11 +1356,12 @@ impl WgpuBatch {
         let mut all = Vec::new();
         for (t, error) in failed.into_iter().enumerate() {
             let world = turns[t].world;
-            let sorted = outcome.status.sorted_before(world);
+            let layers = self.layers_of(world);
+            let sorted = outcome.status.sorted_before(layers.start);
             let report = |s: usize| StepReport {
                 dt,
                 sorted: sorted == Some(s),
-                max_speed: f64::from(outcome.status.in_step(s, world, SPEED)),
+                max_speed: outcome.status.speed(s, layers.clone()),
                 ..StepReport::default()
             };
             let mut reports: Vec<_> = (0..outcome.done).map(report).collect();
@@ -1144,7 +1390,7 @@ impl WgpuBatch {
             return if worlds.len() > 1 && bodies { Err(no_batch(0)) } else { Ok(()) };
         };
         let vectors = first.table.len().max(1);
-        let kernels = kernels::contact(&self.gpu, &self.kernels, &first, bodies, self.worlds.len());
+        let kernels = kernels::contact(&self.gpu, &self.kernels, &first, bodies, [self.worlds.len(), self.levels]);
         let contact = DeviceContact { kernels, wgsl: first.wgsl, bodies, vectors };
         let tables = worlds.iter().enumerate().map(|(w, couplings)| contact.table_of(couplings, w));
         let table = tables.collect::<Result<Vec<_>>>()?.concat();
@@ -1155,21 +1401,30 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// Lets a world's driven bodies go through `count` steps.
+    /// Lets a world's driven bodies go through up to `count` steps: no further than to where its levels have to move after them.
     fn drive(&self, turn: &mut Turn<'_>, dt: f64, count: usize) -> Result<Option<Driven>> {
-        let Some(coupling) = turn.couplings.first_mut() else { return Ok(None) };
+        let couplings = &mut *turn.couplings;
+        let Some(coupling) = couplings.first() else { return Ok(None) };
         let mut driven = Driven { saved: vec![coupling.save()], after: Vec::new(), packed: Vec::new() };
         let mut go = || {
-            for s in 0..count {
-                let at = turn.time + s as f64 * dt;
-                coupling.before_step(at, dt)?;
-                let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
-                driven
-                    .packed
-                    .push(bodies.iter().zip(boxes).flat_map(|(body, bounds)| pack(body, &bounds, self.h)).collect());
-                coupling.after_step(at, dt)?;
-                driven.after.push(coupling.bodies());
-                driven.saved.push(coupling.save());
+            let each = dt / self.substeps as f64;
+            let levels = &self.worlds[turn.world].levels;
+            for slot in 0..count * self.substeps {
+                let at = turn.time + slot as f64 * each;
+                couplings[0].before_step(at, each)?;
+                // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
+                let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
+                let mut packed = pack_all(couplings[0].as_ref(), before);
+                couplings[0].after_step(at, each)?;
+                packed.extend(pack_all(couplings[0].as_ref(), after));
+                driven.packed.push(packed);
+                if (slot + 1) % self.substeps == 0 {
+                    driven.after.push(couplings[0].bodies());
+                    driven.saved.push(couplings[0].save());
+                    if self.worlds[turn.world].must_follow(couplings) {
+                        break;
+                    }
+                }
             }
             Ok(())
         };
@@ -1183,8 +1438,8 @@ impl WgpuBatch {
     /// Tells the device where bodies are in each step.
     fn write_bodies(&self, turns: &[Turn<'_>], driven: &BTreeMap<usize, Option<Driven>>, steps: usize) {
         let Contact::Device(contact) = &self.contact else { return };
-        let each = contact.bodies * BODY as usize;
-        let mut packed = vec![[0.0; 4]; steps * self.worlds.len() * each];
+        let each = self.levels * contact.bodies * BODY as usize;
+        let mut packed = vec![[0.0; 4]; steps * self.substeps * self.worlds.len() * each];
         for (t, driven) in driven {
             for (s, bodies) in driven.iter().flat_map(|driven| &driven.packed).enumerate() {
                 packed[(s * self.worlds.len() + turns[*t].world) * each..][..each].copy_from_slice(bodies);
@@ -1196,7 +1451,7 @@ impl WgpuBatch {
     /// Force and torque on each body of each world in each step, times the step.
     fn impulses(&self, steps: usize) -> Result<Vec<[f32; 4]>> {
         let Contact::Device(contact) = &self.contact else { return Ok(Vec::new()) };
-        let count = 2 * contact.bodies * self.worlds.len() * steps;
+        let count = 2 * contact.bodies * self.words().layers * self.substeps * steps;
         read(&self.gpu, self.memory.buffer(Role::Impulses, 0), 0, count)
     }
 
@@ -1205,10 +1460,21 @@ impl WgpuBatch {
         let Contact::Device(contact) = &self.contact else { return };
         let each = 2 * contact.bodies;
         for (s, (report, after)) in reports.iter_mut().zip(driven.after).enumerate() {
-            let own = &impulses[(s * self.worlds.len() + turn.world) * each..][..each];
-            let per_step = |v: [f32; 4]| [v[0], v[1], v[2]].map(|x| f64::from(x) / report.dt);
-            let wrench = |pair: &[[f32; 4]]| Wrench { force: per_step(pair[0]), torque: per_step(pair[1]) };
-            report.wrenches = Some(own.chunks_exact(2).map(wrench).collect());
+            // Over all levels' steps within this one.
+            let sum = |k: usize| {
+                let mut sum = [0.0; 3];
+                for slot in 0..self.substeps {
+                    let has_stepped = |level: &usize| self.substeps == 1 || (slot + 1) % (1 << level) == 0;
+                    for level in (0..self.levels).filter(has_stepped) {
+                        let row = ((s * self.substeps + slot) * self.worlds.len() + turn.world) * self.levels + level;
+                        (0..3).for_each(|d| sum[d] += f64::from(impulses[row * each + k][d]));
+                    }
+                }
+                sum
+            };
+            let per_step = |k: usize| sum(k).map(|x| x / report.dt);
+            let wrench = |body: usize| Wrench { force: per_step(2 * body), torque: per_step(2 * body + 1) };
+            report.wrenches = Some((0..contact.bodies).map(wrench).collect());
             report.bodies = Some(after);
         }
         if let (Some(StepReport { wrenches: Some(wrenches), .. }), Some(coupling)) =
@@ -1221,20 +1487,24 @@ impl WgpuBatch {
     /// Reads a world's stiffness anew where it follows the state.
     fn follow_stiffness(&mut self, w: usize) -> Result<()> {
         let world = &self.worlds[w];
-        let count = world.particles.len();
-        if world.hardens && world.stiffness_age >= STIFFNESS_AGE && count > 0 {
-            let rest = self.stretch(Sorted::Rest, world.particles.start, count)?;
-            let places = if world.materials.len() > 1 {
-                Some(self.stretch_of(Sorted::Record, 1, world.particles.start, count)?)
-            } else {
-                None
-            };
-            let held = Held { rest: &rest, places: places.as_deref(), slots: count, count };
-            let hardening = stiffness::bound_of_hardening(&held, &world.materials, &world.densities, self.h)?;
-            let world = &mut self.worlds[w];
-            world.stiffness = if hardening.dt < world.unchanging.dt { hardening } else { world.unchanging.clone() };
-            world.stiffness_age = 0;
+        if !world.hardens || world.stiffness_age < STIFFNESS_AGE {
+            return Ok(());
         }
+        let mut bound = world.unchanging.clone();
+        for level in world.levels.iter().filter(|level| !level.particles.is_empty()) {
+            let (first, count) = (level.particles.start, level.particles.len());
+            let rest = self.stretch(Sorted::Rest, first, count)?;
+            let places =
+                if world.materials.len() > 1 { Some(self.stretch_of(Sorted::Record, 1, first, count)?) } else { None };
+            let held = Held { rest: &rest, places: places.as_deref(), slots: count, count };
+            let reach = level.h * f64::from(level.steps_within);
+            let hardening = stiffness::bound_of_hardening(&held, &world.materials, &world.densities, reach)?;
+            if hardening.dt < bound.dt {
+                bound = hardening;
+            }
+        }
+        let world = &mut self.worlds[w];
+        (world.stiffness, world.stiffness_age) = (bound, 0);
         Ok(())
     }
 
@@ -1246,15 +1516,25 @@ impl WgpuBatch {
         turns: &mut [Turn<'_>],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
         if let [turn] = turns {
+            if self.particles() > 0 && self.fault(turn).is_none() {
+                self.follow(turn.world, turn.couplings)?;
+            }
             self.settle_contact(&[&*turn.couplings])?;
             let ground = self.particles() > 0;
             let on_host = !turn.couplings.is_empty() && !matches!(self.contact, Contact::Device(..));
+            if on_host && ground && self.substeps > 1 {
+                return Err(crate::lacks(
+                    "subcycling with bodies that move freely, or are meshes or height fields",
+                    "levels.subcycle = true",
+                    "set levels.subcycle = false, drive bodies of simple shapes, or use the backend cpu",
+                ));
+            }
             if !ground || on_host {
                 return Ok(vec![self.step_on_host(turn, dt)]);
             }
         }
         let hardens = turns.iter().any(|turn| self.worlds[turn.world].hardens);
-        let most = if hardens { STIFFNESS_AGE as usize } else { MAX_STEPS };
+        let most = if hardens { STIFFNESS_AGE as usize } else { MAX_STEPS }.min(MAX_STEPS / self.substeps);
         let reports = self.advance(dt, count.clamp(1, most), turns)?;
         for (turn, _) in turns.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
             self.follow_stiffness(turn.world)?;
@@ -1295,6 +1575,30 @@ fn no_batch(world: usize) -> Error {
     )
 }
 
+/// The constants of a step of all levels, where the finest cells have width `h` [m].
+fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
+    StepConstants {
+        dt: dt as f32,
+        dt_per_h: (dt / h) as f32,
+        stress: (-4.0 * dt / h) as f32,
+        number: number as u32,
+        gravity: gravity.map(|g| (g * dt) as f32),
+        slot: number as u32,
+        level: ALL_LEVELS,
+        pad: [0; 3],
+    }
+}
+
+/// Leaves out what goes beyond so many steps.
+fn cut(stretches: &mut Vec<Stretch>, mut steps: usize) {
+    stretches.retain_mut(|stretch| {
+        let wanted = stretch.steps;
+        stretch.steps = wanted.min(steps);
+        steps -= stretch.steps;
+        stretch.steps > 0 || wanted == 0
+    });
+}
+
 /// Takes a world's coupling back, or on, to what it was before a step.
 fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven>, step: usize) -> Result<()> {
     let (Some(coupling), Some(driven)) = (couplings.first_mut(), driven) else { return Ok(()) };
@@ -1303,6 +1607,16 @@ fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven>, step: u
         what: format!("cannot go back to an earlier step: {what}"),
         mend: "resume from the last snapshot".to_owned(),
     })
+}
+
+/// A coupling's bodies as each of some levels sees them.
+fn pack_all(coupling: &dyn Coupling, levels: &[Level]) -> Vec<[f32; 4]> {
+    let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
+    let of_level = |level: &Level| {
+        let pairs = bodies.iter().zip(&boxes);
+        pairs.flat_map(|(body, bounds)| pack(body, bounds, level.h)).collect::<Vec<_>>()
+    };
+    levels.iter().flat_map(of_level).collect()
 }
 
 /// A body in a step, as `contact.wgsl` reads it.

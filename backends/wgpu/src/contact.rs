@@ -1,6 +1,6 @@
 //! Contact whose law runs on the host, in a batch of one world: the nodes near bodies, there and back.
 
-use crate::batch::{Dispatch, HALTED, Halt, MOVE, NODE_MOVE, Part, SORTED, SPEED, Status, WALL_IMPULSE, WgpuBatch};
+use crate::batch::{Dispatch, HALTED, Halt, MOVE, NODE_MOVE, Part, SORTED, Status, WALL_IMPULSE, WgpuBatch};
 use crate::kernels::{Role, Sorted};
 use crate::layout;
 use crate::memory::{PER_STEP, read, read_parts};
@@ -25,14 +25,15 @@ pub(crate) struct Nodes {
 
 /// Numbers of the blocks with nodes in the boxes.
 fn blocks_in(ground: &WgpuBatch, boxes: &[Aabb]) -> Vec<u32> {
-    let centre = |cell: i32| (f64::from(cell) + 0.5) * ground.h;
-    let meets = |block: &[i32; 3]| {
+    let meets = |(block, level): &([i32; 3], usize)| {
+        let h = ground.worlds[WORLD].levels[*level].h;
+        let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
         let first = block.map(|b| 4 * b);
         let extent = Aabb { min: first.map(centre), max: first.map(|c| centre(c + 3)) };
         boxes.iter().any(|b| b.meets(&extent))
     };
     let all = ground.node_blocks.iter().flatten().zip(0..);
-    all.filter(|(block, _)| meets(block)).map(|(_, g)| g).collect()
+    all.filter(|(place, _)| meets(place)).map(|(_, g)| g).collect()
 }
 
 impl Nodes {
@@ -64,19 +65,21 @@ impl Nodes {
         Ok(())
     }
 
-    /// Hands the nodes in the boxes to a law, and takes back their velocities. Returns the greatest speed that particles may
-    /// feel [m/s].
+    /// Hands a level's nodes in the boxes to a law, and takes back their velocities. Returns the greatest speed that particles
+    /// may feel [m/s].
     pub(crate) fn apply(
         &mut self,
         ground: &WgpuBatch,
+        level: usize,
         boxes: &[Aabb],
         law: impl FnOnce(&mut NodeBatch) -> Result<()>,
     ) -> Result<f64> {
-        let (mut batch, mut places) = (NodeBatch { cell_width: ground.h, ..NodeBatch::default() }, Vec::new());
-        let centre = |cell: i32| (f64::from(cell) + 0.5) * ground.h;
+        let h = ground.worlds[WORLD].levels[level].h;
+        let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
+        let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
         let at = ground.node_blocks.as_deref().unwrap_or_default();
-        for g in blocks_in(ground, boxes) {
-            let first = at[g as usize].map(|b| 4 * b);
+        for g in blocks_in(ground, boxes).into_iter().filter(|g| at[*g as usize].1 == level) {
+            let first = at[g as usize].0.map(|b| 4 * b);
             for (n, node) in self.blocks[&g].iter().enumerate() {
                 let mass = f64::from(node[3]);
                 if mass <= ground.worlds[WORLD].least_mass {
@@ -131,21 +134,21 @@ impl WgpuBatch {
         mut dt: f64,
         couplings: &mut [Box<dyn Coupling>],
     ) -> Result<StepReport> {
-        let ground = !self.worlds[WORLD].particles.is_empty();
+        let ground = !self.worlds[WORLD].particles().is_empty();
         let (mut speed, mut sorted) = (0.0, false);
         let mut nodes = Nodes::default();
         if ground {
             if self.unlinked {
                 self.settle()?;
-                self.sort_now(WORLD, time, dt)?;
+                self.sort_now(WORLD, time, dt, couplings)?;
             }
             loop {
                 let boxes: Vec<_> = couplings.iter().flat_map(|c| c.bounds()).collect();
                 let status = self.ground_to_nodes(time, dt, &boxes, &mut nodes)?;
-                speed = f64::from(status.in_step(1, WORLD, SPEED));
+                speed = status.speed(1, self.layers_of(WORLD));
                 let moves = speed * dt / self.h;
                 if status.halt() == Some(Halt::Drifted) && !sorted {
-                    self.sort_now(WORLD, time, dt)?;
+                    self.sort_now(WORLD, time, dt, couplings)?;
                     sorted = true;
                     continue;
                 }
@@ -166,8 +169,10 @@ impl WgpuBatch {
         for coupling in couplings.iter_mut().filter(|_| ground) {
             let boxes = coupling.bounds();
             nodes.fetch(self, &boxes)?;
-            let reached = nodes.apply(self, &boxes, |batch| coupling.contact(dt, batch))?;
-            speed = if reached.is_nan() { reached } else { speed.max(reached) };
+            for level in 0..self.levels {
+                let reached = nodes.apply(self, level, &boxes, |batch| coupling.contact(dt, batch))?;
+                speed = if reached.is_nan() { reached } else { speed.max(reached) };
+            }
         }
         self.contact_seconds.0 += begun.elapsed().as_secs_f64();
         self.contact_seconds.1 += 1;
@@ -200,19 +205,20 @@ impl WgpuBatch {
         // The last step's numbers stand in the words of step 0.
         let mut layers = self.layers(|_| true);
         if !self.pending {
-            layers[WORLD].age = layers[WORLD].age.wrapping_sub(1);
+            layers.iter_mut().for_each(|layer| layer.age = layer.age.wrapping_sub(1));
         }
         self.write_layers(&layers);
         self.write_steps(1, &[self.step_constants(dt, self.worlds[WORLD].scene.gravity_at(time), 1)]);
         let words = self.words();
         self.write_words(HALTED, &[0, 0, u32::MAX]);
-        self.write_words(words.of_sum(WORLD, SORTED), &[0]);
+        self.layers_of(WORLD).for_each(|layer| self.write_words(words.of_sum(layer, SORTED), &[0]));
         if !self.pending {
-            self.write_words(words.of_step(0, WORLD, 0), &[0, 0, self.worlds[WORLD].rhythm.drift.to_bits(), 0]);
+            self.write_words(words.of_step(0, WORLD, 0), &self.drifts(0));
         }
-        self.write_words(words.of_step(1, WORLD, 0), &[0; PER_STEP]);
+        self.write_words(words.of_step(1, WORLD, 0), &vec![0; PER_STEP * words.layers]);
+        self.write_words(words.greatest(1), &[0]);
         let now = self.memory.now;
-        let passes = [&self.kernels.p2g].into_iter().chain(&self.kernels.grid);
+        let passes = [&self.kernels.p2g].into_iter().chain(&self.kernels.restrict).chain(&self.kernels.grid);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 1 }).collect();
         let wanted = nodes.begin(self, boxes);
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
@@ -224,13 +230,20 @@ impl WgpuBatch {
         Ok(status)
     }
 
+    /// Words of all levels in a step that begins, with that greatest node speed.
+    fn drifts(&self, speed: u32) -> Vec<u32> {
+        self.worlds[WORLD].levels.iter().flat_map(|level| [speed, 0, level.rhythm.drift.to_bits(), 0]).collect()
+    }
+
     /// Takes in the numbers of a step that were still on the device.
     fn take_pending(&mut self, status: &Status) {
         if std::mem::take(&mut self.pending) {
-            let moved = status.in_step(0, WORLD, MOVE);
             let world = &mut self.worlds[WORLD];
-            world.rhythm = world.rhythm.after(moved);
-            world.particle_speed = f64::from(moved) * self.h / world.last_dt;
+            for (layer, level) in world.levels.iter_mut().enumerate() {
+                let moved = status.in_step(0, layer, MOVE);
+                level.rhythm = level.rhythm.after(moved);
+                level.particle_speed = f64::from(moved) * level.h / world.last_dt;
+            }
             self.take_sums(status, WORLD);
         }
     }
@@ -249,9 +262,11 @@ impl WgpuBatch {
     fn know_node_blocks(&mut self) -> Result<()> {
         if self.node_blocks.is_none() {
             let from = self.memory.extent.block_room as u64 * (16 * layout::ENTRY) as u64;
-            let count = self.worlds[WORLD].node_blocks.len() * layout::ENTRY;
+            let blocks: usize = self.worlds[WORLD].levels.iter().map(|level| level.node_blocks.len()).sum();
+            let count = blocks * layout::ENTRY;
             let entries: Vec<[i32; 4]> = read(&self.gpu, self.memory.plane(Sorted::Lists), from, count)?;
-            self.node_blocks = Some(entries.chunks_exact(layout::ENTRY).map(|e| [e[0][0], e[0][1], e[0][2]]).collect());
+            let place = |e: &[[i32; 4]]| ([e[0][0], e[0][1], e[0][2]], e[0][3] as usize);
+            self.node_blocks = Some(entries.chunks_exact(layout::ENTRY).map(place).collect());
         }
         Ok(())
     }
@@ -260,16 +275,21 @@ impl WgpuBatch {
     fn nodes_to_ground(&mut self, time: f64, dt: f64, speed: f64) -> Result<()> {
         let words = self.words();
         self.write_steps(0, &[self.step_constants(dt, self.worlds[WORLD].scene.gravity_at(time), 0)]);
-        let sums = words.of_sum(WORLD, 0);
-        self.write_words(sums, &vec![0; words.of_sum(WORLD + 1, 0) - sums]);
+        let sums = words.of_sum(0, 0);
+        self.write_words(sums, &vec![0; words.of_sum(words.layers, 0) - sums]);
         // Rounding must not stop what has been let through.
         let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;
-        self.write_words(
-            words.of_step(0, WORLD, 0),
-            &[(speed as f32).min(allowed).to_bits(), 0, self.worlds[WORLD].rhythm.drift.to_bits(), 0],
-        );
+        let speed = (speed as f32).min(allowed).to_bits();
+        self.write_words(words.of_step(0, WORLD, 0), &self.drifts(speed));
+        self.write_words(words.greatest(0), &[speed]);
         let now = self.memory.now;
-        let passes = self.kernels.mirror.iter().chain([&self.kernels.g2p]).chain(&self.kernels.collect);
+        let passes = self
+            .kernels
+            .prolong
+            .iter()
+            .chain(&self.kernels.mirror)
+            .chain([&self.kernels.g2p])
+            .chain(&self.kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -284,15 +304,17 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// The rhythm of a world after its last step, also if that step's numbers are still on the device.
-    pub(crate) fn rhythm(&self, w: usize) -> crate::world::Rhythm {
-        let rhythm = self.worlds[w].rhythm;
-        if !self.pending {
-            return rhythm;
-        }
-        let at = 4 * self.words().of_step(0, WORLD, MOVE) as u64;
-        let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 1);
-        rhythm.after(words.map_or(crate::world::MAX_DRIFT, |words| words[0]))
+    /// The rhythms of a world's levels after its last step, also if that step's numbers are still on the device.
+    pub(crate) fn rhythms(&self, w: usize) -> Vec<crate::world::Rhythm> {
+        let rhythm = |(layer, level): (usize, &crate::world::Level)| {
+            if !self.pending {
+                return level.rhythm;
+            }
+            let at = 4 * self.words().of_step(0, layer, MOVE) as u64;
+            let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 1);
+            level.rhythm.after(words.map_or(crate::world::MAX_DRIFT, |words| words[0]))
+        };
+        self.worlds[w].levels.iter().enumerate().map(rhythm).collect()
     }
 
     /// What walls gave in a step whose numbers are still on the device [N s].
@@ -300,8 +322,11 @@ impl WgpuBatch {
         if !self.pending || self.kernels.collect.is_none() {
             return [0.0; 3];
         }
-        let at = 4 * self.words().of_sum(WORLD, WALL_IMPULSE) as u64;
-        let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 3);
-        words.map_or([0.0; 3], |w| [w[0], w[1], w[2]].map(f64::from))
+        let of_layer = |layer: usize| {
+            let at = 4 * self.words().of_sum(layer, WALL_IMPULSE) as u64;
+            let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 3);
+            words.map_or([0.0; 3], |w| [w[0], w[1], w[2]].map(f64::from))
+        };
+        self.layers_of(WORLD).map(of_layer).fold([0.0; 3], |sum, v| std::array::from_fn(|d| sum[d] + v[d]))
     }
 }

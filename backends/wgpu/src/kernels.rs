@@ -3,8 +3,9 @@
 use crate::device::Gpu;
 use crate::material;
 use crate::memory::MAX_STEPS;
-use crate::world::{MAX_DRIFT, OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN};
+use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
+use barchan_core::levels::SPLIT_AHEAD;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Wall;
 use barchan_core::{Plan, Result, Stage};
@@ -42,6 +43,12 @@ pub(crate) enum Role {
     Partials,
     /// What each step gave to each body.
     Impulses,
+    /// Nodes at rims of levels, and who gives to them.
+    Rims,
+    /// What each block hands to the next coarser level.
+    Handed,
+    /// What nodes keep that two levels share in subcycling.
+    Shared,
 }
 
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
@@ -63,6 +70,9 @@ const ORDER: Use = ("order", "u32", Role::Order, false);
 const OWNERS: Use = ("owners", "vec2<u32>", Role::Owners, false);
 const COUNTS: Use = ("counts", "u32", Role::Next(Sorted::Cells), false);
 const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
+const RIMS: Use = ("rims", "vec4<u32>", Role::Rims, false);
+const HANDED: Use = ("handed", "vec4<f32>", Role::Handed, false);
+const KEPT: Use = ("shared_nodes", "vec4<f32>", Role::Shared, true);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 
 const fn written(binding: Use) -> Use {
@@ -104,6 +114,8 @@ pub(crate) enum Uniform {
     Params,
     /// What the coupling's law reads.
     Table,
+    /// The boxes of levels.
+    Regions,
 }
 
 /// A pass.
@@ -126,8 +138,14 @@ pub(crate) struct Kernels {
     /// In the order of a sort.
     pub(crate) sort: Vec<Kernel>,
     pub(crate) p2g: Kernel,
+    /// What rims hand to the next coarser level, if there are several.
+    pub(crate) restrict: Option<Kernel>,
     /// From tiles to velocities.
     pub(crate) grid: Vec<Kernel>,
+    /// Halves and solves nodes that two levels share, if there is subcycling.
+    pub(crate) shared: Option<[Kernel; 2]>,
+    /// Velocities at rims.
+    pub(crate) prolong: Option<Kernel>,
     /// Velocities behind walls that let go.
     pub(crate) mirror: Vec<Kernel>,
     pub(crate) g2p: Kernel,
@@ -154,8 +172,8 @@ pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
 }
 
 impl Kernels {
-    /// The passes of a plan for so many layers.
-    pub(crate) fn new(gpu: &Gpu, plan: &Plan, layers: usize) -> Result<Self> {
+    /// The passes of a plan for so many worlds.
+    pub(crate) fn new(gpu: &Gpu, plan: &Plan, worlds: usize) -> Result<Self> {
         let device = &gpu.device;
         let step_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("step"),
@@ -164,14 +182,17 @@ impl Kernels {
                 entry(1, wgpu::BufferBindingType::Uniform, false),
             ],
         });
-        let constants = constants(plan) + &layer_constants(layers);
-        let make = |draft: Draft| build(device, &step_layout, &constants, layers, draft);
+        let constants = constants(plan) + &layer_constants(plan, worlds);
+        let make = |draft: Draft| build(device, &step_layout, &constants, worlds, draft);
         let all = |drafts: Vec<Draft>| drafts.into_iter().map(make).collect();
-        let drafts = Drafts::of(plan, layers)?;
+        let drafts = Drafts::of(plan, worlds)?;
         Ok(Self {
             sort: all(drafts.sort),
             p2g: make(drafts.p2g),
+            restrict: drafts.restrict.map(make),
             grid: all(drafts.grid),
+            shared: drafts.shared.map(|drafts| drafts.map(make)),
+            prolong: drafts.prolong.map(make),
             mirror: all(drafts.mirror),
             g2p: make(drafts.g2p),
             stress: make(drafts.stress),
@@ -186,7 +207,10 @@ impl Kernels {
 struct Drafts {
     sort: Vec<Draft>,
     p2g: Draft,
+    restrict: Option<Draft>,
     grid: Vec<Draft>,
+    shared: Option<[Draft; 2]>,
+    prolong: Option<Draft>,
     mirror: Vec<Draft>,
     g2p: Draft,
     stress: Draft,
@@ -194,13 +218,15 @@ struct Drafts {
 }
 
 impl Drafts {
-    fn of(plan: &Plan, layers: usize) -> Result<Self> {
+    fn of(plan: &Plan, worlds: usize) -> Result<Self> {
         let separations = separations(plan);
         let walls: Vec<Wall> = (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).collect();
         let has_walls = walls.iter().any(|w| !matches!(w, Wall::Open | Wall::Periodic));
         let has_mirrors = walls.iter().any(|w| matches!(w, Wall::Slip | Wall::Stick));
-        let laws = laws(plan, layers)?;
-        let mut grid = vec![sum_tiles(separations.is_empty())];
+        let laws = laws(plan, worlds)?;
+        let levels = plan.cell_widths.len() > 1;
+        let subcycled = plan.substeps > 1;
+        let mut grid = vec![sum_tiles(separations.is_empty(), levels, subcycled)];
         grid.extend(separations.iter().map(|&axis| separate(axis, false)));
         if !separations.is_empty() {
             grid.push(velocities());
@@ -208,9 +234,12 @@ impl Drafts {
         let mut mirror: Vec<_> = separations.iter().rev().map(|&axis| separate(axis, true)).collect();
         mirror.extend(has_mirrors.then(reflect));
         Ok(Self {
-            sort: sort(),
+            sort: sort(plan),
             p2g: p2g(),
+            restrict: levels.then(restrict),
             grid,
+            shared: subcycled.then(shared),
+            prolong: levels.then(prolong),
             mirror,
             g2p: g2p(&laws),
             stress: stress(&laws),
@@ -223,11 +252,16 @@ impl Drafts {
 pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     let drafts = Drafts::of(plan, 1)?;
     let mut lines: Vec<String> = drafts.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
-    lines.extend([&drafts.p2g].into_iter().chain(&drafts.grid).map(|draft| line("every step", draft)));
+    lines.extend(
+        [&drafts.p2g].into_iter().chain(&drafts.restrict).chain(&drafts.grid).map(|draft| line("every step", draft)),
+    );
     if plan.has(Stage::Contact) {
         lines.push("contact, every step: on the device for driven bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
     }
-    lines.extend(drafts.mirror.iter().chain([&drafts.g2p]).map(|draft| line("every step", draft)));
+    lines.extend(drafts.shared.iter().flatten().map(|draft| line("every step of a level", draft)));
+    lines.extend(
+        drafts.prolong.iter().chain(&drafts.mirror).chain([&drafts.g2p]).map(|draft| line("every step", draft)),
+    );
     lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
     lines.push(line("after an upload", &drafts.stress));
     Ok(lines)
@@ -253,11 +287,17 @@ fn line(when: &str, draft: &Draft) -> String {
     format!("{}, {when}: {groups}; reads {}; writes {}", draft.name, names(false), names(true))
 }
 
-/// Contact with driven bodies on the device, so many in each layer: the law, then the sums of impulses.
-pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usize, layers: usize) -> [Kernel; 2] {
+/// Contact with driven bodies on the device, so many in each of the worlds: the law, then the sums of impulses, level by level.
+pub(crate) fn contact(
+    gpu: &Gpu,
+    kernels: &Kernels,
+    law: &DeviceLaw,
+    bodies: usize,
+    [worlds, levels]: [usize; 2],
+) -> [Kernel; 2] {
     let vectors = law.table.len().max(1);
     let count = format!("const BODIES: u32 = {bodies}u;\n");
-    let (space, all, first) = table_of_layers(layers, vectors);
+    let (space, all, first) = table_of_worlds(worlds, vectors);
     let table = format!(
         "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {all}>;\n\
          fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n"
@@ -280,10 +320,10 @@ pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, law: &DeviceLaw, bodies: usi
         body: count + include_str!("wgsl/impulse.wgsl"),
         uses: vec![partials, impulses, STATUS],
         uniform: Uniform::None,
-        groups: Groups::Exactly((bodies * layers) as u32),
+        groups: Groups::Exactly((bodies * worlds * levels) as u32),
         checked: true,
     };
-    [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, layers, draft))
+    [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
 }
 
 /// Vectors of four that hold a world's material parameters.
@@ -291,11 +331,11 @@ pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
     plan.materials.iter().map(|m| m.parameters.len()).sum::<usize>().div_ceil(4).max(1)
 }
 
-/// A table of so many vectors for each layer: the address space, which holds many only as storage; vectors in all; and what leads to
-/// the layer's own.
-fn table_of_layers(layers: usize, vectors: usize) -> (&'static str, usize, String) {
-    if layers > 1 {
-        ("storage, read", layers * vectors, format!("layer_now * {vectors}u + "))
+/// A table of so many vectors for each world: the address space, which holds many only as storage; vectors in all; and what leads to
+/// the world's own. Several worlds have one level each.
+fn table_of_worlds(worlds: usize, vectors: usize) -> (&'static str, usize, String) {
+    if worlds > 1 {
+        ("storage, read", worlds * vectors, format!("layer_now * {vectors}u + "))
     } else {
         ("uniform", vectors, String::new())
     }
@@ -317,16 +357,17 @@ fn build(
     device: &wgpu::Device,
     step_layout: &wgpu::BindGroupLayout,
     constants: &str,
-    layers: usize,
+    worlds: usize,
     draft: Draft,
 ) -> Kernel {
-    let stored = usize::from(draft.uniform != Uniform::None && layers > 1);
+    let is_table = matches!(draft.uniform, Uniform::Params | Uniform::Table);
+    let stored = usize::from(is_table && worlds > 1);
     // What WebGPU promises everywhere.
     assert!(draft.uses.len() + stored <= 8, "pass {} binds {} storage buffers", draft.name, draft.uses.len() + stored);
     let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];
     let mut text = format!("{constants}{}", include_str!("wgsl/common.wgsl"));
     if draft.uniform != Uniform::None {
-        let ty = if layers > 1 {
+        let ty = if stored > 0 {
             wgpu::BufferBindingType::Storage { read_only: true }
         } else {
             wgpu::BufferBindingType::Uniform
@@ -341,7 +382,7 @@ fn build(
     text.push_str(&draft.body);
     let mut checks = wgpu::ShaderRuntimeChecks::checked();
     // Passes that read a table hold what plugins wrote.
-    checks.force_loop_bounding = draft.uniform != Uniform::None;
+    checks.force_loop_bounding = is_table;
     checks.bounds_checks = draft.checked;
     let descriptor =
         wgpu::ShaderModuleDescriptor { label: Some(draft.name), source: wgpu::ShaderSource::Wgsl(text.into()) };
@@ -379,12 +420,20 @@ fn separations(plan: &Plan) -> Vec<usize> {
     (0..3).filter(lets_go).collect()
 }
 
+/// Boxes of each level but the coarsest: as many as there are agents.
+pub(crate) fn boxes(plan: &Plan) -> usize {
+    plan.agents.len().max(1)
+}
+
 /// What the number of layers fixes, and the rule of sorts.
-fn layer_constants(layers: usize) -> String {
+fn layer_constants(plan: &Plan, worlds: usize) -> String {
+    let levels = plan.cell_widths.len();
+    let layers = worlds * levels;
+    let (subcycled, most_drift) = (plan.substeps > 1, most_drift(plan));
     format!(
-        "const LAYERS: u32 = {layers}u;\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\n\
+        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\n\
          const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\n\
-         const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {MAX_DRIFT:?};\n"
+         const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {most_drift:?};\n"
     )
 }
 
@@ -411,6 +460,10 @@ pub(crate) fn constants(plan: &Plan) -> String {
         let f = walls.map(|axis| friction(axis[end]));
         format!("const {name} = vec3<f32>({:?}, {:?}, {:?});\n", f[0], f[1], f[2])
     };
+    let any_wall = |name: &str, end: usize| {
+        let w = walls.map(|axis| !matches!(axis[end], Wall::Open | Wall::Periodic));
+        format!("const {name} = vec3<bool>({}, {}, {});\n", w[0], w[1], w[2])
+    };
     let h = plan.cell_widths[0] as f32;
     [
         ints("WORLD_MIN", min),
@@ -419,6 +472,8 @@ pub(crate) fn constants(plan: &Plan) -> String {
         ints("PERIOD", std::array::from_fn(|d| if periodic(d) { (max[d] - min[d]) / 4 } else { 0 })),
         kinds("LOW", 0),
         kinds("HIGH", 1),
+        any_wall("HAS_LOW_WALL", 0),
+        any_wall("HAS_HIGH_WALL", 1),
         frictions("LOW_FRICTION", 0),
         frictions("HIGH_FRICTION", 1),
         format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
@@ -431,13 +486,11 @@ pub(crate) fn constants(plan: &Plan) -> String {
 fn p2g() -> Draft {
     let xy = Half {
         rows: &[("s", 1), ("t", 5), ("r0", 2), ("r1", 3)],
-        momentum: XY,
-        sum: |node, w| format!("{node} = fma(vec2<f32>({w}), u, {node});"),
+        add: add_momentum(XY, |node, w| format!("{node} = fma(vec2<f32>({w}), u, {node});")),
     };
     let zm = Half {
         rows: &[("s", 1), ("r2", 4)],
-        momentum: ZM,
-        sum: |node, w| format!("{node} = vec2<f32>(fma({w}, u, {node}.x), fma({w}, m, {node}.y));"),
+        add: add_momentum(ZM, |node, w| format!("{node} = vec2<f32>(fma({w}, u, {node}.x), fma({w}, m, {node}.y));")),
     };
     let zero = |n: usize| format!("a{n} = vec2<f32>(0.0);\n");
     let body = include_str!("wgsl/p2g.wgsl")
@@ -447,16 +500,14 @@ fn p2g() -> Draft {
         .replace("$OWN_ZM", &zm.own(""))
         .replace("$GUESTS_XY", &xy.guests())
         .replace("$GUESTS_ZM", &zm.guests())
-        .replace(
-            "$FLUSH",
-            &each_node(|n, [i, j, k]| {
-                format!("if on {{ tile[part * 512u + in_tile(x + {i}u, y + {j}u, z + {k}u)] += a{n}; }}\nworkgroupBarrier();\n")
-            }),
-        );
+        .replace("$FLUSH", &flush(|n| format!("a{n}")));
     Draft {
         name: "P2G",
         entry: "p2g",
-        body: body + include_str!("wgsl/wall.wgsl") + include_str!("wgsl/rhythm.wgsl"),
+        body: include_str!("wgsl/cells.wgsl").to_owned()
+            + &body
+            + include_str!("wgsl/wall.wgsl")
+            + include_str!("wgsl/rhythm.wgsl"),
         uses: vec![RECORD, CELLS, written(LISTS), GRID, STATUS],
         uniform: Uniform::None,
         groups: Groups::Blocks,
@@ -474,8 +525,8 @@ fn each_node(text: impl Fn(usize, [usize; 3]) -> String) -> String {
 /// Momentum along x and y as seen from the first node, and what each step along x, y and z adds.
 const XY: &str = "
     let m = s.w;
-    let ax = m * H * r0.yzw + step.stress * vec3<f32>(t.x, t.z, s.x);
-    let ay = m * H * r1.yzw + step.stress * vec3<f32>(t.z, t.y, s.y);
+    let ax = m * width * r0.yzw + stress * vec3<f32>(t.x, t.z, s.x);
+    let ay = m * width * r1.yzw + stress * vec3<f32>(t.z, t.y, s.y);
     let base = vec2<f32>(fma(m, r0.x + step.gravity.x, dot(ax, d)), fma(m, r1.x + step.gravity.y, dot(ay, d)));
     let by_x = vec2<f32>(ax.x, ay.x);
     let by_y = vec2<f32>(ax.y, ay.y);
@@ -484,7 +535,7 @@ const XY: &str = "
 /// Likewise along z.
 const ZM: &str = "
     let m = s.w;
-    let az = m * H * r2.yzw + step.stress * s.xyz;
+    let az = m * width * r2.yzw + stress * s.xyz;
     let base = fma(m, r2.x + step.gravity.z, dot(az, d));
     let by_x = az.x;
     let by_y = az.y;
@@ -495,9 +546,8 @@ const ZM: &str = "
 struct Half {
     /// What it reads of a particle besides its place: names and numbers of vectors.
     rows: &'static [(&'static str, u32)],
-    momentum: &'static str,
-    /// Adds the particle's momentum u as seen from a node, times a weight, to the node's sum.
-    sum: fn(&str, &str) -> String,
+    /// Adds the particle to the sums of the 27 nodes around.
+    add: String,
 }
 
 impl Half {
@@ -514,7 +564,7 @@ impl Half {
             "var next_p = vec4<u32>(0u);\n{declare}{fetch}\
              while next < stop {{\nlet q = next;\nlet p = next_p;\n{take}next += 1u;\n{fetch}\
              if (p.w & 511u) == home {{\n{}}} else {{ {leaver} }}\n}}\n",
-            self.add()
+            self.add
         )
     }
 
@@ -524,46 +574,143 @@ impl Half {
         format!(
             "for (var q = next_leaver(&walk); q != NONE; q = next_leaver(&walk)) {{\nlet p = record[vector(q, 0u)];\n{}{}}}\n",
             self.rows.iter().map(fetch).collect::<String>(),
-            self.add()
+            self.add
         )
-    }
-
-    /// Adds a particle to the sums of the 27 nodes around.
-    fn add(&self) -> String {
-        let mut text = format!(
-            "let f = fraction(p);\nlet d = vec3<f32>(-0.5) - f;\n\
-             let wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{}",
-            self.momentum
-        );
-        for i in 0..3 {
-            for j in 0..3 {
-                let _ = write!(text, "{{ let w = wx[{i}] * wy[{j}];\nvar u = base + {i}.0 * by_x + {j}.0 * by_y;\n");
-                for k in 0..3 {
-                    let sum = (self.sum)(&format!("a{}", 9 * i + 3 * j + k), &format!("w * wz[{k}]"));
-                    let _ = writeln!(text, "{sum}{}", if k < 2 { " u += by_z;" } else { "" });
-                }
-                text.push_str("}\n");
-            }
-        }
-        text
     }
 }
 
-fn sum_tiles(to_velocities: bool) -> Draft {
-    let finish = if to_velocities {
-        "let node = velocity(g, sum_of_tiles(entry, n));\ngrid[g * 64u + n] = node;\nnote_speed(g, node, n);"
-    } else {
-        "grid[g * 64u + n] = sum_of_tiles(entry, n);"
+/// Adds a particle's momentum u as seen from each of the 27 nodes around: what it is at the first one and grows by along the axes; and
+/// how, times a weight, it enters the node's sum.
+fn add_momentum(momentum: &str, sum: fn(&str, &str) -> String) -> String {
+    let mut text = format!(
+        "let f = fraction(p);\nlet d = vec3<f32>(-0.5) - f;\n\
+         let wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{momentum}"
+    );
+    for i in 0..3 {
+        for j in 0..3 {
+            let _ = write!(text, "{{ let w = wx[{i}] * wy[{j}];\nvar u = base + {i}.0 * by_x + {j}.0 * by_y;\n");
+            for k in 0..3 {
+                let sum = sum(&format!("a{}", 9 * i + 3 * j + k), &format!("w * wz[{k}]"));
+                let _ = writeln!(text, "{sum}{}", if k < 2 { " u += by_z;" } else { "" });
+            }
+            text.push_str("}\n");
+        }
+    }
+    text
+}
+
+/// What blocks at rims hand to the next coarser level. Two threads own a cell as in P2G, with its mass by node, and two rows of its m C or
+/// the third.
+fn restrict() -> Draft {
+    let add = |rows: &str| {
+        let masses = each_node(|n, [i, j, k]| format!("a{n} = fma(m * wx[{i}] * wy[{j}], wz[{k}], a{n});\n"));
+        format!(
+            "let f = fraction(p);\nlet wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n\
+             let m = s.w;\nmass += m;\n{rows}{masses}"
+        )
     };
+    let xy = Half { rows: &[("s", 1), ("r0", 2), ("r1", 3)], add: add("row0 += m * r0.yzw;\nrow1 += m * r1.yzw;\n") };
+    let z = Half { rows: &[("s", 1), ("r2", 4)], add: add("row0 += m * r2.yzw;\n") };
+    let zero = |n: usize| format!("a{n} = 0.0;\n");
+    let body = include_str!("wgsl/restrict.wgsl")
+        .replace("$ZERO", &each_node(|n, _| format!("var {}", zero(n))))
+        .replace("$CLEAR", &each_node(|n, _| zero(n)))
+        .replace("$OWN_XY", &xy.own("list_leaver(q, q - start, p.w);"))
+        .replace("$OWN_Z", &z.own(""))
+        .replace("$GUESTS_XY", &xy.guests())
+        .replace("$GUESTS_Z", &z.guests())
+        .replace("$FLUSH", &flush(|n| format!("a{n} * mean")));
     Draft {
-        name: "grid",
-        entry: "sum_tiles",
-        body: include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", finish),
-        uses: vec![LISTS, GRID, STATUS],
+        name: "restrict",
+        entry: "restrict_rims",
+        body: include_str!("wgsl/cells.wgsl").to_owned() + &body + include_str!("wgsl/wall.wgsl"),
+        uses: vec![RECORD, CELLS, written(LISTS), NODES, RIMS, written(HANDED), STATUS],
+        uniform: Uniform::None,
+        groups: Groups::Blocks,
+        checked: true,
+    }
+}
+
+/// Adds what a cell holds for each of its nodes to the tile: for one of the 27 at a time, different cells touch different nodes.
+fn flush(held: impl Fn(usize) -> String) -> String {
+    each_node(|n, [i, j, k]| {
+        let held = held(n);
+        format!(
+            "if on {{ tile[part * 512u + in_tile(x + {i}u, y + {j}u, z + {k}u)] += {held}; }}\nworkgroupBarrier();\n"
+        )
+    })
+}
+
+/// Velocities at rims.
+fn prolong() -> Draft {
+    Draft {
+        name: "prolong",
+        entry: "prolong",
+        body: include_str!("wgsl/prolong.wgsl").to_owned() + include_str!("wgsl/wall.wgsl"),
+        uses: vec![DIRECTORY, written(LISTS), GRID, RIMS, STATUS],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
         checked: true,
     }
+}
+
+/// The boxes of levels, and what lies in them.
+fn regions(plan: &Plan) -> String {
+    let boxes = boxes(plan);
+    let vectors = 2 * boxes * (plan.cell_widths.len() - 1);
+    format!(
+        "const BOXES: u32 = {boxes}u;\nconst SPLIT_AHEAD: i32 = {SPLIT_AHEAD};\n\
+         @group(0) @binding(1) var<uniform> regions: array<vec4<i32>, {vectors}>;\n{}",
+        include_str!("wgsl/regions.wgsl")
+    )
+}
+
+fn sum_tiles(to_velocities: bool, levels: bool, subcycled: bool) -> Draft {
+    let sum = match (levels, subcycled) {
+        (false, _) => "sum_of_tiles(entry, n)",
+        (true, false) => "kept(g, n, sum_of_tiles(entry, n) + handed_to(g, n))",
+        (true, true) => "kept_back(g, n, sum_of_tiles(entry, n))",
+    };
+    let finish = if to_velocities {
+        format!("let node = velocity(g, {sum});\ngrid[g * 64u + n] = node;\nnote_speed(g, node, n);")
+    } else {
+        format!("grid[g * 64u + n] = {sum};")
+    };
+    let rims = if levels { include_str!("wgsl/rim_sums.wgsl") } else { "" };
+    let shared = if subcycled { include_str!("wgsl/shared.wgsl") } else { "" };
+    let mut uses = vec![LISTS, GRID, STATUS];
+    if levels {
+        uses.extend([DIRECTORY, RIMS, HANDED]);
+    }
+    if subcycled {
+        uses.push(KEPT);
+    }
+    Draft {
+        name: "grid",
+        entry: "sum_tiles",
+        body: include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", &finish) + rims + shared,
+        uses,
+        uniform: Uniform::None,
+        groups: Groups::NodeBlocks,
+        checked: true,
+    }
+}
+
+/// Nodes that two levels share are halved at the start of the coarser one's step, and solved in each of the finer one's.
+fn shared() -> [Draft; 2] {
+    let draft = |name, body: &str| Draft {
+        name,
+        entry: name,
+        body: include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
+            + include_str!("wgsl/rim_sums.wgsl")
+            + include_str!("wgsl/shared.wgsl")
+            + body,
+        uses: vec![LISTS, GRID, STATUS, DIRECTORY, RIMS, HANDED, KEPT],
+        uniform: Uniform::None,
+        groups: Groups::NodeBlocks,
+        checked: true,
+    };
+    [draft("halve", include_str!("wgsl/halve.wgsl")), draft("solve", include_str!("wgsl/solve.wgsl"))]
 }
 
 fn velocities() -> Draft {
@@ -703,11 +850,11 @@ fn collect() -> Draft {
 }
 
 /// The materials, and the update of a particle's strain and stress.
-fn laws(plan: &Plan, layers: usize) -> Result<String> {
+fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     let materials: Vec<_> = plan.materials.iter().map(|m| &m.material).collect();
     let mut text = material::module(&materials)?;
     let vectors = parameter_vectors(plan);
-    let (space, all, _) = table_of_layers(layers, vectors);
+    let (space, all, _) = table_of_worlds(worlds, vectors);
     let _ = write!(
         text,
         "@group(0) @binding(1) var<{space}> params: array<vec4<f32>, {all}>;\n\
@@ -725,7 +872,7 @@ fn laws(plan: &Plan, layers: usize) -> Result<String> {
         .map(|m| {
             let at = base;
             base += m.parameters.len();
-            if layers > 1 { format!("layer_now * {}u + {at}u", 4 * vectors) } else { format!("{at}u") }
+            if worlds > 1 { format!("layer_now * {}u + {at}u", 4 * vectors) } else { format!("{at}u") }
         })
         .collect();
     text += &switch(bases, "param_base", "u32");
@@ -789,7 +936,8 @@ fn laws(plan: &Plan, layers: usize) -> Result<String> {
     Ok(text)
 }
 
-fn sort() -> Vec<Draft> {
+fn sort(plan: &Plan) -> Vec<Draft> {
+    let levels = plan.cell_widths.len() > 1;
     const COMMON: &str = include_str!("wgsl/sort.wgsl");
     let draft = |name, entry, body: &str, uses: Vec<Use>, groups| Draft {
         name,
@@ -800,13 +948,36 @@ fn sort() -> Vec<Draft> {
         groups,
         checked: true,
     };
+    // With several levels, some passes know their regions.
+    let knowing = |draft: Draft, helpers: &str| {
+        if !levels {
+            return draft;
+        }
+        Draft { body: draft.body + &regions(plan) + helpers, uniform: Uniform::Regions, ..draft }
+    };
+    let only_with_levels = |text: &'static str| if levels { text } else { "" };
+    let check = only_with_levels(
+        " else if due && !is_placed(layer, cell, vec3<i32>(record[vector(q, 0u)].xyz >> vec3<u32>(31u))) {\n\
+         atomicStore(&status[HALT_STEP], step.number);\natomicMax(&status[HALTED], MISPLACED);\n}",
+    );
+    let rim = only_with_levels("reached |= u32(reached == 0u && on && takes_from_rim(layer, block));");
     let next = |name, binding: Use| {
         let Role::Now(sorted) = binding.2 else { unreachable!("only what is sorted has a next") };
         (name, binding.1, Role::Next(sorted), true)
     };
     let ids: Use = ("ids", "vec2<u32>", Role::Now(Sorted::Ids), false);
     let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
-    vec![
+    let rims = knowing(
+        draft(
+            "rims",
+            "find_rims",
+            include_str!("wgsl/sort_rim.wgsl"),
+            vec![DIRECTORY, NEW_LISTS, written(RIMS), STATUS],
+            Groups::NodeBlocks,
+        ),
+        "",
+    );
+    let mut passes = vec![
         Draft {
             name: "due",
             entry: "due",
@@ -816,19 +987,25 @@ fn sort() -> Vec<Draft> {
             groups: Groups::LayersBy(64),
             checked: true,
         },
-        draft(
-            "mark",
-            "mark",
-            include_str!("wgsl/sort_mark.wgsl"),
-            vec![RECORD, LISTS, CELLS, atomic(FLAGS), STATUS],
-            Groups::Blocks,
+        knowing(
+            draft(
+                "mark",
+                "mark",
+                &include_str!("wgsl/sort_mark.wgsl").replace("$CHECK", check),
+                vec![RECORD, LISTS, CELLS, atomic(FLAGS), STATUS],
+                Groups::Blocks,
+            ),
+            include_str!("wgsl/sort_check.wgsl"),
         ),
-        draft(
-            "survey",
-            "survey",
-            include_str!("wgsl/sort_survey.wgsl"),
-            vec![FLAGS, written(DIRECTORY), written(SUMS), STATUS],
-            Groups::PlacesBy(1024),
+        knowing(
+            draft(
+                "survey",
+                "survey",
+                &include_str!("wgsl/sort_survey.wgsl").replace("$RIM", rim),
+                vec![FLAGS, written(DIRECTORY), written(SUMS), STATUS],
+                Groups::PlacesBy(1024),
+            ),
+            include_str!("wgsl/rim_reach.wgsl"),
         ),
         draft("total", "total_blocks", include_str!("wgsl/sort_total.wgsl"), vec![written(SUMS), STATUS], Groups::One),
         draft(
@@ -903,5 +1080,9 @@ fn sort() -> Vec<Draft> {
             ],
             Groups::ParticlesBy(128),
         ),
-    ]
+    ];
+    if levels {
+        passes.push(rims);
+    }
+    passes
 }

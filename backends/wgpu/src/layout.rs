@@ -67,10 +67,15 @@ impl Homes {
     }
 
     /// Homes as a sort of this backend left them: for each block, the particles of each cell of each list.
-    pub(crate) fn restored(lists: &[ParticleList], blocks: &[([i32; 5], Vec<u32>)], periods: &Periods) -> Option<Self> {
+    pub(crate) fn restored(
+        lists: &[ParticleList],
+        level: usize,
+        blocks: &[([i32; 5], Vec<u32>)],
+        periods: &Periods,
+    ) -> Option<Self> {
         let mut next = vec![0; lists.len()];
         let mut all = Vec::new();
-        for ([_, _, x, y, z], counts) in blocks {
+        for ([_, _, x, y, z], counts) in blocks.iter().filter(|([_, l, ..], _)| *l == level as i32) {
             if counts.len() != 64 * lists.len() {
                 return None;
             }
@@ -220,12 +225,12 @@ impl Planes {
         Ok(())
     }
 
-    /// The particles, one list a material, in the order of memory.
+    /// The particles of a level with cells of that width, one list a material, in the order of memory.
     pub(crate) fn lists(
         &self,
         homes: &Homes,
         materials: &[PlannedMaterial],
-        cell_width: f64,
+        (level, cell_width): (usize, f64),
         slots: usize,
     ) -> Vec<ParticleList> {
         let mut lists: Vec<_> = materials
@@ -233,7 +238,7 @@ impl Planes {
             .enumerate()
             .map(|(m, planned)| {
                 let (strain, states) = (planned.material.strain_planes(), planned.material.states.len());
-                ParticleList::empty(0, m, cell_width, strain, states)
+                ParticleList::empty(level, m, cell_width, strain, states)
             })
             .collect();
         for (b, block) in homes.blocks.iter().enumerate() {
@@ -274,7 +279,7 @@ impl Planes {
     }
 
     /// For each block, the particles of each cell of each list: what [`Homes::restored`] takes.
-    pub(crate) fn counts(&self, homes: &Homes, lists: usize) -> Vec<([i32; 5], Vec<u32>)> {
+    pub(crate) fn counts(&self, homes: &Homes, lists: usize, level: usize) -> Vec<([i32; 5], Vec<u32>)> {
         let of_block = |(b, [x, y, z]): (usize, &Block)| {
             let mut counts = vec![0; 64 * lists];
             for cell in 0..64 {
@@ -282,7 +287,7 @@ impl Planes {
                     counts[cell * lists + self.law(q as usize)] += 1;
                 }
             }
-            ([0, 0, *x, *y, *z], counts)
+            ([0, level as i32, *x, *y, *z], counts)
         };
         homes.blocks.iter().enumerate().map(of_block).collect()
     }
@@ -311,16 +316,16 @@ fn local(tag: u32, axis: usize) -> i32 {
 /// The lists of a state, checked against the plan.
 ///
 /// # Errors
-/// If they are not one a material.
-pub(crate) fn check(particles: &ParticleState, materials: &[PlannedMaterial]) -> Result<()> {
-    if particles.lists.len() != materials.len() {
+/// If they are not one a level and material.
+pub(crate) fn check(particles: &ParticleState, materials: &[PlannedMaterial], levels: usize) -> Result<()> {
+    if particles.lists.len() != levels * materials.len() {
         return Err(refuse(format!(
-            "{} lists where the plan has {} materials on 1 level",
+            "{} lists where the plan has {} materials on {levels} levels",
             particles.lists.len(),
             materials.len()
         )));
     }
-    for (list, planned) in particles.lists.iter().zip(materials) {
+    for (list, planned) in particles.lists.iter().zip(materials.iter().cycle()) {
         let (strain, states) = (planned.material.strain_planes(), planned.material.states.len());
         if list.strain.len() != strain || list.state.len() != states {
             return Err(refuse(format!(

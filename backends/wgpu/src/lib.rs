@@ -19,7 +19,8 @@ mod stiffness;
 mod world;
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
-use barchan_core::scene::Leaving;
+use barchan_core::levels::Agent;
+use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
 
@@ -57,13 +58,31 @@ impl Backend for Wgpu {
     }
 
     fn check(&self, plan: &Plan) -> Result<()> {
-        const FORMS: [Stage; 5] = [Stage::Sort, Stage::P2G, Stage::GridUpdate, Stage::Contact, Stage::G2P];
-        if let Some(stage) = plan.stages.iter().find(|stage| !FORMS.contains(stage)) {
+        if plan.has(Stage::Archive) {
             return Err(lacks(
-                format!("form of the stage '{stage}'"),
-                format!("levels.count = {}", plan.cell_widths.len()),
-                "use the backend cpu, or set levels.count = 1",
+                format!("form of the stage '{}'", Stage::Archive),
+                format!("levels.reach = {}", plan.scene.levels.reach),
+                "use the backend cpu, or set levels.reach = 0",
             ));
+        }
+        let levels = plan.cell_widths.len();
+        if levels > 1 {
+            if plan.agents.iter().any(|agent| matches!(agent, Agent::Soft(_))) {
+                return Err(lacks(
+                    "levels that follow soft bodies",
+                    "levels.agents names one",
+                    "let levels follow tools, use the backend cpu, or set levels.count = 1",
+                ));
+            }
+            let walls = &plan.scene.world.walls;
+            let lets_go = |axis: usize| walls.pair(axis).iter().any(|wall| matches!(wall, Wall::Separate { .. }));
+            if (0..3).any(lets_go) {
+                return Err(lacks(
+                    "walls that let go, with several levels",
+                    format!("a wall is 'separate', and levels.count = {levels}"),
+                    "use the backend cpu, slip or sticking walls, or levels.count = 1",
+                ));
+            }
         }
         if plan.precision == Precision::F64 {
             return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));

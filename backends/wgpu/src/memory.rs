@@ -15,6 +15,9 @@ const PER_SUM: usize = 8;
 pub(crate) const PER_STEP: usize = 4;
 /// Steps that one submission can take.
 pub(crate) const MAX_STEPS: usize = 64;
+/// Constants of steps in a submission: those of steps and sorts; subcycled, of less than one step of coarser levels for each of the finest,
+/// twice.
+const STEP_SLOTS: u64 = 4 * MAX_STEPS as u64;
 /// Bytes from one step's constants to the next.
 pub(crate) const STEP_STRIDE: u64 = 256;
 /// Workgroups in a row of a dispatch.
@@ -29,6 +32,11 @@ pub(crate) struct Asked {
     pub(crate) pairs: bool,
     pub(crate) bodies: usize,
     pub(crate) layers: usize,
+    pub(crate) worlds: usize,
+    /// Boxes of the levels' regions, of all levels.
+    pub(crate) boxes: usize,
+    /// Steps of the finest level in one of the coarsest.
+    pub(crate) substeps: usize,
 }
 
 /// `Extent` of `common.wgsl`.
@@ -58,7 +66,8 @@ pub(crate) struct Layer {
     pub(crate) least: f32,
     pub(crate) felt: f32,
     pub(crate) first_particle: u32,
-    pub(crate) pad: [u32; 2],
+    pub(crate) level: u32,
+    pub(crate) shrink: f32,
 }
 
 /// `Step` of `common.wgsl`.
@@ -70,8 +79,13 @@ pub(crate) struct StepConstants {
     pub(crate) stress: f32,
     pub(crate) number: u32,
     pub(crate) gravity: [f32; 3],
-    pub(crate) pad: u32,
+    pub(crate) slot: u32,
+    pub(crate) level: u32,
+    pub(crate) pad: [u32; 3],
 }
+
+/// The level of a step that all take together.
+pub(crate) const ALL_LEVELS: u32 = u32::MAX;
 
 /// Where words of the status stand, for so many layers.
 #[derive(Clone, Copy, Debug)]
@@ -87,6 +101,10 @@ impl Words {
     /// A word of a layer that a submission sums up.
     pub(crate) fn of_sum(self, layer: usize, k: usize) -> usize {
         OF_LAYERS + PER_LAYER * self.layers + PER_SUM * layer + k
+    }
+    /// The greatest node speed of all layers in a step, if there are several.
+    pub(crate) fn greatest(self, step: usize) -> usize {
+        self.of_sum(self.layers, step)
     }
     /// A word of a layer in a step.
     pub(crate) fn of_step(self, step: usize, layer: usize, k: usize) -> usize {
@@ -115,6 +133,7 @@ pub(crate) struct Memory {
     pub(crate) constants: wgpu::Buffer,
     pub(crate) params: wgpu::Buffer,
     pub(crate) table: Option<wgpu::Buffer>,
+    pub(crate) regions: wgpu::Buffer,
     pub(crate) steps: wgpu::Buffer,
     pub(crate) layers: wgpu::Buffer,
     pub(crate) readback: wgpu::Buffer,
@@ -135,7 +154,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 5] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells];
-const SHARED: [Role; 13] = [
+const SHARED: [Role; 16] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -149,6 +168,9 @@ const SHARED: [Role; 13] = [
     Role::Bodies,
     Role::Partials,
     Role::Impulses,
+    Role::Rims,
+    Role::Handed,
+    Role::Shared,
 ];
 
 fn shared_name(role: Role) -> &'static str {
@@ -166,6 +188,9 @@ fn shared_name(role: Role) -> &'static str {
         Role::Bodies => "poses of bodies",
         Role::Partials => "parts of impulses",
         Role::Impulses => "impulses",
+        Role::Rims => "rims of levels",
+        Role::Handed => "what rims hand on",
+        Role::Shared => "nodes that levels share",
         Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
     }
 }
@@ -197,7 +222,10 @@ impl Extent {
             Role::Bodies => 16 * BODY * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
             Role::Partials => 32 * nodes * asked.bodies as u64,
             Role::Impulses => 32 * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
-            Role::Now(_) | Role::Next(_) => 0,
+            Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),
+            Role::Handed if asked.boxes > 0 => 16 * 216 * blocks,
+            Role::Shared if asked.substeps > 1 => 16 * 128 * nodes,
+            Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
         }
     }
 
@@ -216,7 +244,9 @@ impl Extent {
         };
         Err(Error::Capacity {
             what: match what {
-                "nodes and tiles" => "bytes of nodes and tiles in one binding of the adapter",
+                "nodes and tiles" | "what rims hand on" | "nodes that levels share" => {
+                    "bytes of nodes and tiles in one binding of the adapter"
+                }
                 "directory of blocks" | "marks of blocks" => {
                     "bytes of the directory of blocks in one binding of the adapter"
                 }
@@ -263,9 +293,10 @@ impl Memory {
         let constants = uniform("extent", size_of::<Extent>() as u64);
         gpu.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&extent));
         let values = params;
-        let params = table(gpu, "parameters", values.len(), asked.layers);
+        let params = table(gpu, "parameters", values.len(), asked.worlds);
         gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(values));
-        let steps = uniform("steps", STEP_STRIDE * MAX_STEPS as u64);
+        let steps = uniform("steps", STEP_STRIDE * STEP_SLOTS);
+        let regions = uniform("regions", 32 * asked.boxes.max(1) as u64);
         let layers = uniform("layers", (size_of::<Layer>() * asked.layers) as u64);
         let step_binding = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("step"),
@@ -292,6 +323,7 @@ impl Memory {
             constants,
             params,
             table: None,
+            regions,
             steps,
             layers,
             readback,
@@ -301,10 +333,17 @@ impl Memory {
         })
     }
 
+    /// Boxes of levels that there is room for.
+    pub(crate) fn boxes(&self) -> usize {
+        self.asked.boxes
+    }
+
     /// Bytes for particles, and for the grid.
     pub(crate) fn bytes(&self) -> (u64, u64) {
         let of_grid = |name: &str| {
-            [Role::Grid, Role::Flags, Role::Directory, Role::Sums, Role::Pairs].map(shared_name).contains(&name)
+            [Role::Grid, Role::Flags, Role::Directory, Role::Sums, Role::Pairs, Role::Rims, Role::Handed, Role::Shared]
+                .map(shared_name)
+                .contains(&name)
                 || [Sorted::Lists, Sorted::Cells].map(sorted_name).contains(&name)
         };
         let all = self.extent.all_bytes(self.vectors, self.asked);
@@ -335,6 +374,7 @@ impl Memory {
             Uniform::None => None,
             Uniform::Params => Some(&self.params),
             Uniform::Table => self.table.as_ref(),
+            Uniform::Regions => Some(&self.regions),
         };
         entries.extend(uniform.map(|b| wgpu::BindGroupEntry { binding: 1, resource: b.as_entire_binding() }));
         entries.extend((FIRST_BINDING..).zip(&kernel.roles).map(|(binding, &role)| wgpu::BindGroupEntry {
@@ -376,7 +416,7 @@ impl Memory {
 
     /// Makes room for bodies whose law runs on the device, so many in each layer, and takes in what it reads of all layers.
     pub(crate) fn add_bodies(&mut self, gpu: &Gpu, bodies: usize, table: &[[f32; 4]]) -> Result<()> {
-        let buffer = self::table(gpu, "table of bodies", table.len(), self.asked.layers);
+        let buffer = self::table(gpu, "table of bodies", table.len(), self.asked.worlds);
         gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(table));
         self.table = Some(buffer);
         self.asked.bodies = bodies;
@@ -384,8 +424,8 @@ impl Memory {
         self.grow(gpu, extent)
     }
 
-    /// Makes room for `extent`, keeping particles and blocks. What the grid holds is lost, and so are the links of blocks: a
-    /// sort must follow.
+    /// Makes room for `extent`, keeping particles and blocks; but particles are lost if there is to be room for more of them. What the
+    /// grid holds is lost, and so are the links of blocks: a sort must follow.
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
         let extent = Extent { row: ROW, ..extent };
         extent.check(gpu, self.vectors, self.asked)?;
@@ -410,7 +450,19 @@ impl Memory {
                 self.sorted[set][sorted as usize] = new;
             }
         }
+        for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
+            for set in &mut self.sorted {
+                let bytes = extent.sorted_bytes(sorted, self.vectors);
+                if set[sorted as usize].size() < bytes {
+                    set[sorted as usize] = storage(sorted_name(sorted), bytes);
+                }
+            }
+        }
         for role in [
+            Role::Keys,
+            Role::Loose,
+            Role::Order,
+            Role::Owners,
             Role::Grid,
             Role::Flags,
             Role::Directory,
@@ -419,6 +471,9 @@ impl Memory {
             Role::Bodies,
             Role::Partials,
             Role::Impulses,
+            Role::Rims,
+            Role::Handed,
+            Role::Shared,
         ] {
             let bytes = extent.shared_bytes(role, self.asked);
             if self.buffer(role, 0).size() < bytes {
@@ -433,9 +488,9 @@ impl Memory {
     }
 }
 
-/// A table of so many vectors that passes read: uniform if it is that of one layer, and else as long as it must be.
-fn table(gpu: &Gpu, label: &'static str, vectors: usize, layers: usize) -> wgpu::Buffer {
-    let kind = if layers > 1 { wgpu::BufferUsages::STORAGE } else { wgpu::BufferUsages::UNIFORM };
+/// A table of so many vectors that passes read: uniform if it is that of one world, and else as long as it must be.
+fn table(gpu: &Gpu, label: &'static str, vectors: usize, worlds: usize) -> wgpu::Buffer {
+    let kind = if worlds > 1 { wgpu::BufferUsages::STORAGE } else { wgpu::BufferUsages::UNIFORM };
     gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some(label),
         size: 16 * vectors as u64,

@@ -3,7 +3,7 @@
 use crate::account;
 use crate::batch::WgpuBatch;
 use barchan_core::backend::{Batch, Bound, NewWorld, Timing, Turn};
-use barchan_core::{Coupling, Engine, Ledger, Measured, ParticleState, Result, SortPhase, StepReport};
+use barchan_core::{Coupling, Engine, Ledger, ParticleState, Result, StepReport};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Worlds on one device, shared by those who look at one of them.
@@ -66,21 +66,8 @@ impl Engine for Seat {
     }
 
     fn download(&self) -> ParticleState {
-        let batch = self.seats.batch();
-        let world = &batch.worlds[self.world];
         // A device that is lost has no particles left; the next step says so.
-        let Ok((lists, homes, planes)) = batch.lists(self.world) else { return ParticleState::default() };
-        let rhythm = batch.rhythm(self.world);
-        let blocks = planes.counts(&homes, world.materials.len());
-        let sort = Some(SortPhase {
-            age: rhythm.age,
-            drift: vec![f64::from(rhythm.drift)],
-            measured: Measured { stiffness_bound: world.stiffness.dt, stiffness_age: world.stiffness_age },
-            rest: vec![0; blocks.len()],
-            blocks,
-            kept_for: vec![None],
-        });
-        ParticleState { lists, sort, ..ParticleState::default() }
+        self.seats.batch().state(self.world).unwrap_or_default()
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
@@ -90,20 +77,21 @@ impl Engine for Seat {
     }
 
     fn particle_count(&self) -> usize {
-        self.seats.batch().worlds[self.world].particles.len()
+        self.seats.batch().worlds[self.world].particles().len()
     }
 
     fn account(&self, ledger: &mut Ledger) {
         let batch = self.seats.batch();
         let world = &batch.worlds[self.world];
         if let Ok((lists, ..)) = batch.lists(self.world) {
-            account::add_particles(ledger, &lists, &world.materials, &world.scene, batch.h);
+            account::add_particles(ledger, &lists, &world.materials, &world.scene);
         }
         let pending = batch.pending_walls();
         for d in 0..3 {
             ledger.wall_impulse[d] += world.wall_impulse[d] + pending[d];
             ledger.gravity_impulse[d] += world.gravity_impulse[d];
         }
+        world.adapt.account(ledger);
         ledger.count("steps shortened for speed", world.shortened);
         ledger.count("particles' steps with strain applied in parts", world.parted);
     }
@@ -117,9 +105,10 @@ impl Engine for Seat {
             passes: clock.passes,
         };
         let mut timings: Vec<_> = batch.clocks.of.iter().map(timing).collect();
-        let (seconds, passes) = batch.contact_seconds;
-        if passes > 0 {
-            timings.push(Timing { effect: "contact".into(), seconds, passes });
+        for (effect, (seconds, passes)) in [("contact", batch.contact_seconds), ("adapt", batch.adapt_seconds)] {
+            if passes > 0 {
+                timings.push(Timing { effect: effect.into(), seconds, passes });
+            }
         }
         timings
     }
@@ -127,8 +116,8 @@ impl Engine for Seat {
     /// The world's share of the batch's, by particles.
     fn memory(&self) -> (u64, u64) {
         let batch = self.seats.batch();
-        let all: usize = batch.worlds.iter().map(|world| world.particles.len()).sum();
-        let own = batch.worlds[self.world].particles.len();
+        let all: usize = batch.worlds.iter().map(|world| world.particles().len()).sum();
+        let own = batch.worlds[self.world].particles().len();
         let share = |bytes: u64| (u128::from(bytes) * own as u128 / all.max(1) as u128) as u64;
         let (particles, grid) = batch.memory.bytes();
         if batch.worlds.len() == 1 { (particles, grid) } else { (share(particles), share(grid)) }

@@ -17,11 +17,12 @@ const GRAIN: usize = 1 << 14;
 #[repr(C, align(64))]
 struct Plane([f32; LANES]);
 
-/// The least stable step of all particles in cells of width `h` [m].
-pub(crate) fn bound(lists: &[ParticleList], materials: &[PlannedMaterial], h: f64) -> Result<Bound> {
+/// The least stable step of all particles in the cells of their lists, of which the finest level takes so many within it.
+pub(crate) fn bound(lists: &[ParticleList], materials: &[PlannedMaterial], substeps: u32) -> Result<Bound> {
     let mut bound = nothing();
     for list in lists {
         let planned = &materials[list.material as usize];
+        let reach = list.cell_width * f64::from(steps_within(substeps, list.level));
         // A law that does not harden is as stiff everywhere as at its first particle.
         let hardens = planned.material.has(abi::BARCHAN_CAP_HARDENS);
         let count = if hardens { list.len() } else { list.len().min(LANES) };
@@ -31,11 +32,16 @@ pub(crate) fn bound(lists: &[ParticleList], materials: &[PlannedMaterial], h: f6
             let fill = |plane: &Vec<f64>| Plane(std::array::from_fn(|i| plane[from + i.min(n - 1)] as f32));
             let planes: Vec<_> = list.strain.iter().chain(&list.state).map(fill).collect();
             let density = |i: usize| list.mass[from + i] / list.volume0[from + i];
-            let least = of_chunk(&planes, n, planned, h, density, |i| Some(list.id[from + i]))?;
+            let least = of_chunk(&planes, n, planned, reach, density, |i| Some(list.id[from + i]))?;
             tighten(&mut bound, least, planned);
         }
     }
     Ok(bound)
+}
+
+/// Steps that a level takes within one of the simulation, of which the finest takes so many.
+pub(crate) fn steps_within(substeps: u32, level: u32) -> u32 {
+    (substeps >> level).max(1)
 }
 
 /// Strain and history as the device holds them, and the particles' places if there are several laws.

@@ -1,12 +1,16 @@
 //! What the host knows of a world of a batch.
 
 use crate::kernels::parameter_vectors;
+use crate::layout::Periods;
 use crate::memory::Layer;
 use crate::stiffness;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
+use barchan_core::levels::{Agent, agent_bounds};
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{ParticleList, Plan, Result, Scene, SortPhase, Vec3};
+use barchan_core::scene::Wall;
+use barchan_core::{Coupling, ParticleList, Plan, Result, Scene, SortPhase, Vec3};
+use barchan_grid::adapt::Adapt;
 use std::ops::Range;
 
 /// Whenever so many steps have passed since its last sort, a world is sorted if its particles may have drifted by more than
@@ -20,6 +24,12 @@ pub(crate) const SORT_OFTEN: u32 = 4;
 pub(crate) const OFTEN_DRIFT: f32 = 0.5;
 /// Tiles allow for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f32 = 1.0;
+
+/// So much may particles have drifted before a step [cells]: a subcycled one moves them several times before they can be sorted.
+pub(crate) fn most_drift(plan: &Plan) -> f32 {
+    if plan.substeps > 1 { MAX_DRIFT - MAX_MOVE as f32 } else { MAX_DRIFT }
+}
+
 /// No particle may move further in a step, in cells.
 const MAX_MOVE: f64 = 0.5;
 /// From how many times the least mass on a node's speed counts in full; see the backend cpu.
@@ -36,12 +46,12 @@ pub(crate) struct Rhythm {
 }
 
 impl Rhythm {
-    /// Must the world be sorted before its next step?
-    pub(crate) fn is_due(self) -> bool {
+    /// Must the world be sorted before its next step, if particles may drift by so much?
+    pub(crate) fn is_due(self, most: f32) -> bool {
         let every = |steps: u32| self.age.is_multiple_of(steps);
         // NaN is due.
         self.drift.is_nan()
-            || self.drift > MAX_DRIFT
+            || self.drift > most
             || (every(SORT_OFTEN) && self.drift > OFTEN_DRIFT)
             || (every(SORT_AGE) && self.drift > SORT_DRIFT)
     }
@@ -59,21 +69,39 @@ pub(crate) struct Span {
     pub(crate) size: [i32; 3],
 }
 
-/// A world of a batch.
-pub(crate) struct World {
-    pub(crate) materials: Vec<PlannedMaterial>,
-    pub(crate) scene: Scene,
-    h: f64,
+/// One level of a world: a layer of the device.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Level {
+    /// Cell width [m].
+    pub(crate) h: f64,
+    pub(crate) periods: Periods,
     /// Slots of its particles, and its blocks and node blocks since the last sort.
     pub(crate) particles: Range<usize>,
     pub(crate) blocks: Range<usize>,
     pub(crate) node_blocks: Range<usize>,
-    /// Least and greatest block.
-    pub(crate) reach: ([i32; 3], [i32; 3]),
+    /// Least and greatest block, if there are any.
+    pub(crate) reach: Option<([i32; 3], [i32; 3])>,
     pub(crate) span: Span,
     pub(crate) rhythm: Rhythm,
     /// Greatest speed of any particle along an axis [m/s].
     pub(crate) particle_speed: f64,
+    /// Its steps in one of the simulation.
+    pub(crate) steps_within: u32,
+}
+
+/// A world of a batch.
+pub(crate) struct World {
+    pub(crate) materials: Vec<PlannedMaterial>,
+    pub(crate) scene: Scene,
+    /// Finest first.
+    pub(crate) levels: Vec<Level>,
+    /// Where they are, and who is split and merged.
+    pub(crate) adapt: Adapt,
+    pub(crate) agents: Vec<Agent>,
+    /// Steps of the finest level in one.
+    pub(crate) substeps: u32,
+    /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
+    pub(crate) torn: Option<(f64, f64)>,
     pub(crate) last_dt: f64,
     /// Nodes lighter than this carry nothing [kg].
     pub(crate) least_mass: f64,
@@ -93,6 +121,26 @@ pub(crate) struct World {
     pub(crate) gravity_impulse: Vec3,
 }
 
+impl Span {
+    /// Places of the directory, at least one.
+    pub(crate) fn places(&self) -> u64 {
+        self.size.iter().fold(1, |n: u64, &size| n.saturating_mul(size.max(1) as u64))
+    }
+}
+
+impl Level {
+    fn new(plan: &Plan, level: usize) -> Self {
+        let (min, max) = (plan.cell_min.map(|c| c >> level), plan.cell_max.map(|c| ((c - 1) >> level) + 1));
+        let is_periodic = |d: usize| plan.scene.world.walls.pair(d)[0] == Wall::Periodic;
+        let periods = Periods {
+            first: min.map(|c| c.div_euclid(4)),
+            count: std::array::from_fn(|d| if is_periodic(d) { (max[d] - min[d]) / 4 } else { 0 }),
+        };
+        let steps_within = stiffness::steps_within(plan.substeps, level as u32);
+        Self { h: plan.cell_widths[level], periods, steps_within, ..Self::default() }
+    }
+}
+
 impl World {
     /// A world without particles.
     pub(crate) fn new(plan: &Plan) -> Self {
@@ -100,14 +148,11 @@ impl World {
         Self {
             materials: plan.materials.clone(),
             scene: plan.scene.clone(),
-            h: plan.cell_widths[0],
-            particles: 0..0,
-            blocks: 0..0,
-            node_blocks: 0..0,
-            reach: Default::default(),
-            span: Span::default(),
-            rhythm: Rhythm::default(),
-            particle_speed: 0.0,
+            levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
+            adapt: Adapt::new(plan),
+            agents: plan.agents.clone(),
+            substeps: plan.substeps,
+            torn: None,
             last_dt: 0.0,
             least_mass: 0.0,
             stiffness: unbounded(),
@@ -125,32 +170,44 @@ impl World {
         }
     }
 
-    /// What the device knows of it, with its part of the directory from `first_place` on.
-    pub(crate) fn layer(&self, first_place: u32, on: bool) -> Layer {
+    /// What the device knows of a level, with its part of the directory from `first_place` on.
+    pub(crate) fn layer(&self, l: usize, first_place: u32, on: bool) -> Layer {
+        let level = &self.levels[l];
         let felt = if self.least_mass > 0.0 { 1.0 / (self.least_mass * FELT) } else { f64::from(f32::MAX) };
         Layer {
-            box_min: self.span.first,
+            box_min: level.span.first,
             first_place,
-            box_size: self.span.size,
-            places: self.places() as u32,
+            box_size: level.span.size,
+            places: level.span.places() as u32,
             on: u32::from(on),
-            age: self.rhythm.age,
-            drift: self.rhythm.drift,
+            age: level.rhythm.age,
+            drift: level.rhythm.drift,
             least: self.least_mass as f32,
             felt: felt as f32,
-            first_particle: self.particles.start as u32,
-            pad: [0; 2],
+            first_particle: level.particles.start as u32,
+            level: l as u32,
+            shrink: 0.5f32.powi(l as i32),
         }
     }
 
-    /// Places of the directory, at least one.
-    pub(crate) fn places(&self) -> u64 {
-        self.span.size.iter().fold(1, |n: u64, &size| n.saturating_mul(size.max(1) as u64))
+    /// Slots of its particles.
+    pub(crate) fn particles(&self) -> Range<usize> {
+        let end = |f: fn(&Level) -> usize, level: Option<&Level>| level.map_or(0, f);
+        end(|l| l.particles.start, self.levels.first())..end(|l| l.particles.end, self.levels.last())
+    }
+
+    /// Would its levels have to move after these bodies?
+    pub(crate) fn must_follow(&self, couplings: &[Box<dyn Coupling>]) -> bool {
+        // Nothing soft is followed.
+        self.levels.len() > 1 && self.adapt.regions.clone().follow(&agent_bounds(&self.agents, couplings, |_| None))
     }
 
     /// The greatest stable step.
     pub(crate) fn bound(&self) -> Bound {
-        let speed = MAX_MOVE * self.h / self.particle_speed;
+        let of_level = |level: &Level| MAX_MOVE * level.h / level.particle_speed;
+        // NaN, too, is for the step to find.
+        let speed =
+            self.levels.iter().map(of_level).fold(f64::INFINITY, |least, dt| if dt < least { dt } else { least });
         if speed < self.stiffness.dt && speed > 0.0 {
             Bound { dt: speed, by: "particle speed: no particle may move further than half a cell in a step".into() }
         } else {
@@ -164,16 +221,19 @@ impl World {
         let least = masses.clone().copied().fold(f64::INFINITY, f64::min);
         self.mass = masses.sum();
         self.least_mass = if least.is_finite() { least * 1e-20 } else { 0.0 };
-        let speeds = lists.iter().flat_map(|list| &list.velocity).flatten();
-        self.particle_speed = speeds.fold(0.0, |most: f64, v| if v.is_nan() { *v } else { most.max(v.abs()) });
+        for (level, lists) in self.levels.iter_mut().zip(lists.chunks(self.materials.len())) {
+            let speeds = lists.iter().flat_map(|list| &list.velocity).flatten();
+            level.particle_speed = speeds.fold(0.0, |most: f64, v| if v.is_nan() { *v } else { most.max(v.abs()) });
+        }
         if !self.spoilt {
             self.measure_stiffness(lists)?;
         }
         // Without a phase, they lie as a sort would put them.
-        self.rhythm = Rhythm::default();
+        for (l, level) in self.levels.iter_mut().enumerate() {
+            let drift = |sort: &SortPhase| sort.drift.get(l).map_or(MAX_DRIFT, |drift| *drift as f32);
+            level.rhythm = sort.map_or_else(Rhythm::default, |sort| Rhythm { age: sort.age, drift: drift(sort) });
+        }
         if let Some(sort) = sort {
-            let drift = sort.drift.first().map_or(MAX_DRIFT, |drift| *drift as f32);
-            self.rhythm = Rhythm { age: sort.age, drift };
             self.stiffness.dt = sort.measured.stiffness_bound;
             self.stiffness_age = sort.measured.stiffness_age;
         }
@@ -182,17 +242,18 @@ impl World {
 
     fn measure_stiffness(&mut self, lists: &[ParticleList]) -> Result<()> {
         self.stiffness_age = 0;
-        self.stiffness = stiffness::bound(lists, &self.materials, self.h)?;
+        self.stiffness = stiffness::bound(lists, &self.materials, self.substeps)?;
         self.unchanging = self.stiffness.clone();
         if self.hardens {
             let hardens = |m: u32| self.materials[m as usize].material.has(abi::BARCHAN_CAP_HARDENS);
             let others: Vec<_> = lists.iter().filter(|list| !hardens(list.material)).cloned().collect();
-            self.unchanging = stiffness::bound(&others, &self.materials, self.h)?;
+            self.unchanging = stiffness::bound(&others, &self.materials, self.substeps)?;
         }
         let density = |list: &ParticleList| {
             list.mass.iter().zip(&list.volume0).fold(f64::INFINITY, |least, (m, v)| least.min(m / v))
         };
-        self.densities = lists.iter().map(density).collect();
+        let of_material = |m: usize| lists.iter().skip(m).step_by(self.materials.len()).map(density);
+        self.densities = (0..self.materials.len()).map(|m| of_material(m).fold(f64::INFINITY, f64::min)).collect();
         Ok(())
     }
 
@@ -221,7 +282,7 @@ mod tests {
     fn between(speed: f32) -> Vec<u32> {
         let (mut rhythm, mut ages) = (Rhythm::default(), Vec::new());
         for _ in 0..200 {
-            if rhythm.is_due() {
+            if rhythm.is_due(MAX_DRIFT) {
                 ages.push(rhythm.age);
                 rhythm = Rhythm::default();
             }

@@ -22,7 +22,8 @@ struct Extent {
     places: u32,
 }
 
-// A layer is one grid: that of one world. Each entry of the lists has its layer's number in the fourth component of its first vector;
+// A layer is one grid: that of one level of one world; a world's layers stand together, finest first, and each has cells twice as wide
+// as the one before. Each entry of the lists has its layer's number in the fourth component of its first vector;
 // blocks are in the order of layers and, within one, of their coordinates, so that each layer's blocks, particles and places of the
 // directory stand together.
 struct Layer {
@@ -41,12 +42,13 @@ struct Layer {
     least: f32,
     felt: f32,
     first_particle: u32,
-    pad0: u32,
-    pad1: u32,
+    // Its level, 0 is finest, and two to the power of minus that.
+    level: u32,
+    shrink: f32,
 }
 
 struct Step {
-    // Step [s], in cells per (m/s), and -4 dt / h.
+    // Step [s], in finest cells per (m/s), and -4 dt / h of the finest level.
     dt: f32,
     dt_per_h: f32,
     stress: f32,
@@ -54,8 +56,16 @@ struct Step {
     number: u32,
     // Gravity times dt [m/s].
     gravity: vec3<f32>,
-    pad: u32,
+    // Number among the steps of the finest level in the submission: of a coarser one, that of the last of them within it.
+    slot: u32,
+    // The level whose step it is, or ALL_LEVELS.
+    level: u32,
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
 }
+
+const ALL_LEVELS: u32 = 0xffffffffu;
 
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(1) @binding(0) var<uniform> step: Step;
@@ -122,10 +132,19 @@ fn step_word(number: u32, layer: u32, k: u32) -> u32 {
 const TOO_FAST: u32 = 1u;
 const DRIFTED: u32 = 2u;
 const ROOM: u32 = 3u;
-const LEFT_WORLD: u32 = 4u;
-const STRAYED: u32 = 5u;
+const MISPLACED: u32 = 4u;
+const LEFT_WORLD: u32 = 5u;
+const STRAYED: u32 = 6u;
 
 const BIAS: i32 = 1 << 20;
+
+// Number of the step among those in which bodies move.
+fn slot_now() -> u32 {
+    if SUBCYCLED {
+        return step.slot;
+    }
+    return step.number;
+}
 
 // Where vector `k` of a particle stands in the record.
 fn vector(q: u32, k: u32) -> u32 {
@@ -158,13 +177,39 @@ fn tag_of(cell: vec3<i32>) -> u32 {
     return (c.x << 6u) | (c.y << 3u) | c.z;
 }
 
-// A block brought into the world along periodic axes.
-fn wrapped(b: vec3<i32>) -> vec3<i32> {
+// How often a layer's cells are twice as wide as the finest.
+fn level_of(layer: u32) -> u32 {
+    if LEVELS == 1u {
+        return 0u;
+    }
+    return layers[layer].level;
+}
+
+// Two to the power of minus that.
+fn shrink_of(layer: u32) -> f32 {
+    if LEVELS == 1u {
+        return 1.0;
+    }
+    return layers[layer].shrink;
+}
+
+// The world in a layer's cells: the first one, and one past the last.
+fn world_min(layer: u32) -> vec3<i32> {
+    return WORLD_MIN >> vec3<u32>(level_of(layer));
+}
+
+fn world_max(layer: u32) -> vec3<i32> {
+    return ((WORLD_MAX - vec3<i32>(1)) >> vec3<u32>(level_of(layer))) + vec3<i32>(1);
+}
+
+// A layer's block brought into the world along periodic axes.
+fn wrapped(layer: u32, b: vec3<i32>) -> vec3<i32> {
     var block = b;
     for (var d = 0; d < 3; d++) {
         if PERIOD[d] > 0 {
-            let from_first = block[d] - PERIOD_MIN[d];
-            block[d] = PERIOD_MIN[d] + ((from_first % PERIOD[d]) + PERIOD[d]) % PERIOD[d];
+            let first = PERIOD_MIN[d] >> level_of(layer);
+            let period = PERIOD[d] >> level_of(layer);
+            block[d] = first + (((block[d] - first) % period) + period) % period;
         }
     }
     return block;
@@ -173,7 +218,7 @@ fn wrapped(b: vec3<i32>) -> vec3<i32> {
 // Where a layer's block stands in the directory, or NONE.
 fn place_in_box(layer: u32, b: vec3<i32>) -> u32 {
     let size = layers[layer].box_size;
-    let at = wrapped(b) - layers[layer].box_min;
+    let at = wrapped(layer, b) - layers[layer].box_min;
     if any(at < vec3<i32>(0)) || any(at >= size) {
         return NONE;
     }
@@ -217,9 +262,21 @@ fn layer_of_particle(q: u32) -> u32 {
     return low;
 }
 
-// Does a layer take part in this submission? One that is alone does.
+// Does a layer take part in this submission, and in this step? One that is alone does.
 fn is_live(layer: u32) -> bool {
+    if SUBCYCLED && step.level != ALL_LEVELS && step.level != level_of(layer) {
+        return false;
+    }
     return LAYERS == 1u || layers[layer].on != 0u;
+}
+
+// Is the step short enough for nodes of that speed? Levels that take steps of their own have the same step over cell width.
+fn is_slow_enough(speed: f32) -> bool {
+    var moves = speed * step.dt_per_h;
+    if SUBCYCLED {
+        moves = ldexp(moves, -i32(step.level));
+    }
+    return moves <= NODE_MOVE;
 }
 
 fn offset_of(n: u32) -> vec3<i32> {

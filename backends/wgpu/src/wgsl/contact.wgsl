@@ -27,13 +27,14 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         return;
     }
     layer_now = workgroupUniformLoad(&layer);
+    let width = H / shrink_of(layer_now);
     let first = lists[(extent.block_room + g) * ENTRY].xyz * 4;
     let cell = first + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
     let node = grid[g * 64u + n];
     var u = node.xyz;
     var changed = false;
     for (var b = 0u; b < BODIES; b++) {
-        let at = ((step.number * LAYERS + layer_now) * BODIES + b) * BODY;
+        let at = ((slot_now() * LAYERS + layer_now) * BODIES + b) * BODY;
         let least = int_vector(bodies[at + 7u]);
         let most = int_vector(bodies[at + 8u]);
         if n == 0u {
@@ -48,7 +49,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         var impulse = vec3<f32>(0.0);
         var arm = vec3<f32>(0.0);
         if node.w > layers[layer_now].least && all(cell >= least) && all(cell <= most) {
-            arm = (vec3<f32>(cell - int_vector(bodies[at])) + (vec3<f32>(0.5) - bodies[at + 1u].xyz)) * H;
+            arm = (vec3<f32>(cell - int_vector(bodies[at])) + (vec3<f32>(0.5) - bodies[at + 1u].xyz)) * width;
             let row0 = bodies[at + 2u].xyz;
             let row1 = bodies[at + 3u].xyz;
             let row2 = bodies[at + 4u].xyz;
@@ -56,7 +57,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
             let relative = u - surface;
             let x = arm.x * row0 + arm.y * row1 + arm.z * row2;
             let before = relative.x * row0 + relative.y * row1 + relative.z * row2;
-            let kept = coupling_contact(b, x, before, H);
+            let kept = coupling_contact(b, x, before, width);
             if any(kept != before) {
                 let taken = before - kept;
                 let change = vec3<f32>(dot(row0, taken), dot(row1, taken), dot(row2, taken));

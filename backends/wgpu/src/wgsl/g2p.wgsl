@@ -13,7 +13,7 @@ fn ready(is_first: bool) -> u32 {
     if atomicLoad(&status[HALTED]) != 0u {
         return 0u;
     }
-    if !(speed * step.dt_per_h <= NODE_MOVE) {
+    if !is_slow_enough(speed) {
         if is_first {
             atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], TOO_FAST);
@@ -64,14 +64,15 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         let near = base >> vec3<u32>(2u);
         let far = (base + vec3<u32>(2u)) >> vec3<u32>(2u);
         $GATHER
+        let per_cell = PER_CELL * shrink_of(layer_now);
         // From the distance of each node from the middle one to that from the particle.
-        let c = mat3x3<f32>((by_x + (0.5 - f.x) * v) * PER_CELL, (by_y + (0.5 - f.y) * v) * PER_CELL, (by_z + (0.5 - f.z) * v) * PER_CELL);
+        let c = mat3x3<f32>((by_x + (0.5 - f.x) * v) * per_cell, (by_y + (0.5 - f.y) * v) * per_cell, (by_z + (0.5 - f.z) * v) * per_cell);
         record[vector(q, 2u)] = bitcast<vec4<u32>>(vec4<f32>(v.x, c[0].x, c[1].x, c[2].x));
         record[vector(q, 3u)] = bitcast<vec4<u32>>(vec4<f32>(v.y, c[0].y, c[1].y, c[2].y));
         record[vector(q, 4u)] = bitcast<vec4<u32>>(vec4<f32>(v.z, c[0].z, c[1].z, c[2].z));
 
         // The move, in counts of 2^-32 cells.
-        let by_move = v * step.dt_per_h;
+        let by_move = v * (step.dt_per_h * shrink_of(layer_now));
         let counts = vec3<i32>(round(by_move * 4294967296.0));
         let moved = p.xyz + bitcast<vec3<u32>>(counts);
         let up = (counts > vec3<i32>(0)) & (moved < p.xyz);

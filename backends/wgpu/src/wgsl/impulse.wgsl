@@ -30,7 +30,7 @@ fn impulse_on_bodies(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_inv
         workgroupBarrier();
     }
     if thread == 0u {
-        impulses[((step.number * LAYERS + layer) * BODIES + b) * 2u] = forces[0];
-        impulses[((step.number * LAYERS + layer) * BODIES + b) * 2u + 1u] = torques[0];
+        impulses[((slot_now() * LAYERS + layer) * BODIES + b) * 2u] = forces[0];
+        impulses[((slot_now() * LAYERS + layer) * BODIES + b) * 2u + 1u] = torques[0];
     }
 }

@@ -3,9 +3,9 @@
 var<workgroup> go: u32;
 var<workgroup> given: array<vec4<f32>, 64>;
 
-fn has_nodes_behind(first: vec3<i32>) -> bool {
-    let low = (LOW != vec3<u32>(0u)) & (first < WORLD_MIN);
-    let high = (HIGH != vec3<u32>(0u)) & (first + vec3<i32>(3) >= WORLD_MAX);
+fn has_nodes_behind(layer: u32, first: vec3<i32>) -> bool {
+    let low = (LOW != vec3<u32>(0u)) & (first < world_min(layer));
+    let high = (HIGH != vec3<u32>(0u)) & (first + vec3<i32>(3) >= world_max(layer));
     return any(low | high);
 }
 
@@ -25,13 +25,13 @@ fn ready(w: u32) -> u32 {
     let first = lists[(extent.block_room + w) * ENTRY].xyz * 4;
     let pending = bitcast<vec4<f32>>(lists[w * ENTRY + PENDING]);
     let before = bitcast<vec4<f32>>(lists[w * ENTRY + WALL]);
-    if is_halted || w >= node_blocks || !(speed * step.dt_per_h <= NODE_MOVE) {
+    if is_halted || w >= node_blocks || !is_slow_enough(speed) {
         return 0u;
     }
     if w < blocks && any(pending != vec4<f32>(0.0)) && is_live(u32(lists[w * ENTRY].w)) {
         lists[w * ENTRY + WALL] = bitcast<vec4<i32>>(before + pending);
     }
-    return u32(has_nodes_behind(first) && is_live(layer_of(w)));
+    return u32(has_nodes_behind(layer_of(w), first) && is_live(layer_of(w)));
 }
 
 // The velocity of a node that the grid does not hold is that of nothing.
@@ -56,20 +56,22 @@ fn reflect_nodes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     let entry = (extent.block_room + g) * ENTRY;
     let cell = lists[entry].xyz * 4 + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
     // P2G folds along the first axis first: what the wall across it gives, the other mirrors have turned already.
+    let low = world_min(layer_of(g));
+    let high = world_max(layer_of(g));
     var image = cell;
     var outer = vec3<f32>(1.0);
     var inner = vec3<f32>(1.0);
     for (var axis = 0; axis < 3; axis++) {
         for (var end = 0; end < 2; end++) {
             let kind = select(LOW[axis], HIGH[axis], end == 1);
-            let beyond = select(cell[axis] < WORLD_MIN[axis], cell[axis] >= WORLD_MAX[axis], end == 1);
+            let beyond = select(cell[axis] < low[axis], cell[axis] >= high[axis], end == 1);
             if kind != 0u && beyond {
                 if all(image == cell) {
                     outer = wall_signs(kind, axis);
                 } else {
                     inner *= wall_signs(kind, axis);
                 }
-                image[axis] = 2 * select(WORLD_MIN[axis], WORLD_MAX[axis], end == 1) - 1 - cell[axis];
+                image[axis] = 2 * select(low[axis], high[axis], end == 1) - 1 - cell[axis];
             }
         }
     }

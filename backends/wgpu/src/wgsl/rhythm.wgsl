@@ -13,8 +13,13 @@ fn rhythm_of(layer: u32) -> Rhythm {
     let last = max(step.number, 1u) - 1u;
     let sorted = atomicLoad(&status[sum_word(layer, SORTED)]);
     let before = atomicLoad(&status[step_word(last, layer, DRIFT)]);
-    let moved = atomicLoad(&status[step_word(last, layer, MOVE)]);
-    var rhythm = Rhythm(layers[layer].age + step.number, bitcast<f32>(before) + bitcast<f32>(moved));
+    let word = atomicLoad(&status[step_word(last, layer, MOVE)]);
+    var moved = bitcast<f32>(word);
+    if SUBCYCLED {
+        // As often as the level steps within one of the coarsest.
+        moved = ldexp(moved, i32(LEVELS - 1u - level_of(layer)));
+    }
+    var rhythm = Rhythm(layers[layer].age + step.number, bitcast<f32>(before) + moved);
     if step.number == 0u {
         rhythm.drift = layers[layer].drift;
     }
@@ -27,9 +32,22 @@ fn rhythm_of(layer: u32) -> Rhythm {
     return rhythm;
 }
 
-// Must the layer be sorted before the step?
+// Must a layer of that rhythm be sorted before the step?
 fn is_due(rhythm: Rhythm) -> bool {
     return !(rhythm.drift <= MAX_DRIFT)
         || (rhythm.age % SORT_OFTEN == 0u && rhythm.drift > OFTEN_DRIFT)
         || (rhythm.age % SORT_AGE == 0u && rhythm.drift > SORT_DRIFT);
+}
+
+// Must a layer be sorted, which has that rhythm? A world's levels are sorted together.
+fn is_world_due(layer: u32, rhythm: Rhythm) -> bool {
+    if LEVELS == 1u {
+        return is_due(rhythm);
+    }
+    let first = layer - level_of(layer);
+    var due = false;
+    for (var l = 0u; l < LEVELS; l++) {
+        due |= is_due(rhythm_of(first + l));
+    }
+    return due;
 }

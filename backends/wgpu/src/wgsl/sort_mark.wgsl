@@ -12,11 +12,11 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
         let local = cell_to_be(record[vector(q, 0u)].w, due);
         let cell = block * 4 + local;
-        if any(((cell < WORLD_MIN) | (cell >= WORLD_MAX)) & (PERIOD == vec3<i32>(0))) {
+        if any(((cell < world_min(layer)) | (cell >= world_max(layer))) & (PERIOD == vec3<i32>(0))) {
             atomicMin(&status[WHO], q);
             atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], LEFT_WORLD);
-        }
+        }$CHECK
         let at = place_in_box(layer, block + (local >> vec3<u32>(2u)));
         if at != NONE {
             atomicStore(&flags[at], 1u);

@@ -18,6 +18,7 @@ fn survey(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                     reached |= flags[other];
                 }
             }
+            $RIM
             let here = vec2<u32>(flags[at], reached);
             directory[at] = here;
             count += here;

@@ -1,0 +1,61 @@
+// Regions of levels: unions of boxes of cells, two vectors a box, as many for each level of a world.
+
+const BOX_COPIES: u32 = 27u;
+
+fn has_region(layer: u32) -> bool {
+    return level_of(layer) + 1u < LEVELS;
+}
+
+// Does a box of a layer's region, grown by so many cells, hold all cells from `first` up to but without `end`? Cells behind a wall
+// belong where the wall's own cells do.
+fn holds(layer: u32, first: vec3<i32>, end: vec3<i32>, by: i32) -> bool {
+    if !has_region(layer) {
+        return true;
+    }
+    let low = world_min(layer);
+    let high = world_max(layer);
+    var least = select(first, max(first, low), HAS_LOW_WALL);
+    var most = select(end, max(end, low + vec3<i32>(1)), HAS_LOW_WALL);
+    least = select(least, min(least, high - vec3<i32>(1)), HAS_HIGH_WALL);
+    most = select(most, min(most, high), HAS_HIGH_WALL);
+    let is_periodic = PERIOD > vec3<i32>(0);
+    for (var b = 0u; b < BOXES; b++) {
+        let at = 2u * (level_of(layer) * BOXES + b);
+        for (var copy = 0u; copy < BOX_COPIES; copy++) {
+            let shift = offset_of(copy);
+            if all(is_periodic | (shift == vec3<i32>(0))) {
+                let moved = shift * (high - low);
+                if all(least + moved >= regions[at].xyz - vec3<i32>(by)) && all(most + moved <= regions[at + 1u].xyz + vec3<i32>(by)) {
+                    return true;
+                }
+            }
+        }
+    }
+    return false;
+}
+
+// May a block's particles give to nodes at the rim of its layer's region? Its tile, with all that its nodes' splines reach, is not
+// in one box.
+fn is_edge(layer: u32, block: vec3<i32>) -> bool {
+    return !holds(layer, 4 * block - vec3<i32>(3), 4 * block + vec3<i32>(7), 0);
+}
+
+// Is the node of a cell at the rim? Then its spline reaches out of the region, and particles of the layer may give to it: when they are
+// sorted they are up to SPLIT_AHEAD parent cells outside, drift by a cell, and touch the next cell's node.
+fn is_slave(layer: u32, cell: vec3<i32>) -> bool {
+    let behind = ((LOW != vec3<u32>(0u)) & (cell < world_min(layer))) | ((HIGH != vec3<u32>(0u)) & (cell >= world_max(layer)));
+    if any(behind) || !holds(layer, cell, cell + vec3<i32>(1), 2 * SPLIT_AHEAD + 2) {
+        return false;
+    }
+    if holds(layer, cell - vec3<i32>(1), cell + vec3<i32>(2), 0) {
+        return false;
+    }
+    // Several boxes may hold them together.
+    for (var n = 0u; n < 27u; n++) {
+        let here = cell + offset_of(n);
+        if !holds(layer, here, here + vec3<i32>(1), 0) {
+            return true;
+        }
+    }
+    return false;
+}

@@ -1,0 +1,19 @@
+
+// Subcycling: nodes that the finer layer hands something to take part in both of its steps within one of theirs. For each of a block's nodes
+// there stands, in `shared`, the momentum and mass of the own layer's particles, and then what their forces add in half a step.
+fn own_at(g: u32, n: u32) -> u32 {
+    return g * 128u + n;
+}
+
+fn is_shared(g: u32, n: u32) -> bool {
+    return rims[g].z != 0u && !is_slave(g, n);
+}
+
+// A layer's own sum at a node, or nothing as long as it is the finer layer's, too.
+fn kept_back(g: u32, n: u32, node: vec4<f32>) -> vec4<f32> {
+    if is_shared(g, n) {
+        shared_nodes[own_at(g, n)] = node;
+        return vec4<f32>(0.0);
+    }
+    return kept(g, n, node);
+}
