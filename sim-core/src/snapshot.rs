@@ -14,7 +14,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-const MAGIC: &[u8; 8] = b"BARCHAN\x1a";
+pub(crate) const MAGIC: &[u8; 8] = b"BARCHAN\x1a";
 /// Version of the format that this program writes, and the only one it reads.
 pub const VERSION: u32 = 3;
 

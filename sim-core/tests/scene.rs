@@ -440,6 +440,18 @@ fn schema_describes_every_key_and_its_references_resolve() {
     assert!(scene.as_table().unwrap().keys().all(|key| top.contains(&key)));
 }
 
+/// `--resume FILE` without "=" reads the file as a scene.
+#[test]
+fn a_snapshot_or_other_bytes_in_place_of_a_scene_are_told_by_what_they_are() {
+    let file = std::env::temp_dir().join(format!("barchan-no-scene-{}", std::process::id()));
+    for (bytes, told) in [(&b"BARCHAN\x1a\x03\0\0\0"[..], "--resume="), (&b"\xff\xfe"[..], "UTF-8")] {
+        std::fs::write(&file, bytes).unwrap();
+        let error = Scene::from_file(&file).unwrap_err().to_string();
+        assert!(error.contains(told) && error.contains("barchan-no-scene"), "{error}");
+    }
+    std::fs::remove_file(&file).unwrap();
+}
+
 proptest! {
     #[test]
     fn any_text_is_read_or_refused(text in "\\PC*") {

@@ -1,7 +1,7 @@
 //! Reading scenes: TOML text, overrides, and errors that know file, line and key path.
 
 use super::Scene;
-use crate::{Error, Result};
+use crate::{Error, Result, snapshot};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -83,6 +83,16 @@ impl Lines {
     }
 }
 
+/// A file's text; a snapshot in its place is told by what it is.
+fn read_text(path: &Path) -> std::io::Result<String> {
+    let refuse = |what: &str| std::io::Error::new(std::io::ErrorKind::InvalidData, what);
+    let bytes = std::fs::read(path)?;
+    if bytes.starts_with(snapshot::MAGIC) {
+        return Err(refuse("this is a snapshot of a run: go on from it with --resume=FILE, or name a scene"));
+    }
+    String::from_utf8(bytes).map_err(|_| refuse("it is no text in UTF-8: name a scene in TOML"))
+}
+
 impl Scene {
     /// Reads and checks a scene file.
     ///
@@ -98,7 +108,7 @@ impl Scene {
     /// As [`from_file`](Self::from_file).
     pub fn from_file_with(path: impl AsRef<Path>, overrides: &[impl AsRef<str>]) -> Result<Self> {
         let path = path.as_ref();
-        let text = std::fs::read_to_string(path).map_err(|source| Error::Io {
+        let text = read_text(path).map_err(|source| Error::Io {
             file: path.to_owned(),
             what: "reading the scene",
             source,
