@@ -281,6 +281,9 @@ struct Arrival {
     particles: ParticleState,
 }
 
+/// How a level lies in memory.
+type Laid = (Homes, Planes);
+
 /// Worlds that take part in the same dispatches: one, or several of one level each. Each level of each world is a layer.
 pub(crate) struct WgpuBatch {
     pub(crate) gpu: Gpu,
@@ -910,7 +913,7 @@ impl WgpuBatch {
     fn find(
         &self,
         world: usize,
-        (lists, laid): &(Vec<ParticleList>, Vec<(Homes, Planes)>),
+        (lists, laid): &(Vec<ParticleList>, Vec<Laid>),
         slot: usize,
     ) -> Option<(u64, Vec3, usize)> {
         let world = &self.worlds[world];
@@ -992,7 +995,7 @@ impl WgpuBatch {
     }
 
     /// All particles of a world: one list a level and material; and how each level lies in memory.
-    pub(crate) fn lists(&self, w: usize) -> Result<(Vec<ParticleList>, Vec<(Homes, Planes)>)> {
+    pub(crate) fn lists(&self, w: usize) -> Result<(Vec<ParticleList>, Vec<Laid>)> {
         let world = &self.worlds[w];
         let (mut lists, mut laid) = (Vec::new(), Vec::new());
         for (l, (level, homes)) in world.levels.iter().zip(self.homes(w..w + 1)?).enumerate() {
@@ -1012,7 +1015,7 @@ impl WgpuBatch {
     pub(crate) fn state(&self, w: usize) -> Result<ParticleState> {
         let (lists, laid) = self.lists(w)?;
         let (world, rhythms) = (&self.worlds[w], self.rhythms(w));
-        let of_level = |(l, (homes, planes)): (usize, &(Homes, Planes))| planes.counts(homes, world.materials.len(), l);
+        let of_level = |(l, (homes, planes)): (usize, &Laid)| planes.counts(homes, world.materials.len(), l);
         let blocks: Vec<_> = laid.iter().enumerate().flat_map(of_level).collect();
         let sort = Some(SortPhase {
             // A world's levels are sorted together.

@@ -1,7 +1,8 @@
 //! The GPU backend: every pass in WGSL, in f32, on any adapter that Vulkan, Metal or Direct3D 12 offers, software ones
 //! included.
 //!
-//! Nothing is read back in a step but what couplings on the host ask for; many steps go to the device at once. Sums run in
+//! Nothing is read back in a step but what couplings on the host ask for; many steps go to the device at once. Where levels have to move, or
+//! particles between them, the particles come to the host for a round of split and merge. Sums run in
 //! orders that do not depend on which workgroup comes first, and no float is added atomically: the same adapter gives the same
 //! bits.
 #![expect(unsafe_code, reason = "materials' callbacks cross the C ABI")]

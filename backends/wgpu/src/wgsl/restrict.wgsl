@@ -5,6 +5,9 @@
 // The parents of a tile's 8x8x8 nodes are 6x6x6 coarse nodes, from two before twice the block on. Each thread sums up two of them, over
 // their 4x4x4 children that are slaves. M_f comes column by column, by way of the tile.
 
+// Not a column of M.
+const MOMENTUM: u32 = 3u;
+
 // Which of the tile's nodes are slaves, as bits.
 var<workgroup> slaves: array<atomic<u32>, 16>;
 
@@ -23,28 +26,45 @@ fn share(child: i32) -> f32 {
     return select(0.25, 0.75, child == 1 || child == 2);
 }
 
-// Adds to a parent what its slaves in the tile hold of a column of M, times the column's part of the way to it; or, where `column` is 3,
-// their momentum and mass.
-fn handed_to(parent: u32, column: u32, tiles: u32) -> vec4<f32> {
-    let first = 2 * vec3<i32>(i32(parent / 36u), i32((parent / 6u) % 6u), i32(parent % 6u)) - vec3<i32>(3);
+fn is_slave_in_tile(plain: u32) -> bool {
+    return (atomicLoad(&slaves[plain >> 5u]) & (1u << (plain & 31u))) != 0u;
+}
+
+fn in_tile_plain(plain: u32) -> u32 {
+    return in_tile(plain >> 6u, (plain >> 3u) & 7u, plain & 7u);
+}
+
+// The first child of a parent in the tile, along each axis; it may lie before it.
+fn first_child(parent: u32) -> vec3<i32> {
+    return 2 * vec3<i32>(i32(parent / 36u), i32((parent / 6u) % 6u), i32(parent % 6u)) - vec3<i32>(3);
+}
+
+// Is any of a parent's children a slave?
+fn is_parent(parent: u32) -> bool {
+    let first = first_child(parent);
+    for (var i = max(-first.x, 0); i < min(8 - first.x, 4); i++) {
+        for (var j = max(-first.y, 0); j < min(8 - first.y, 4); j++) {
+            for (var k = max(-first.z, 0); k < min(8 - first.z, 4); k++) {
+                if is_slave_in_tile(u32((first.x + i) * 64 + (first.y + j) * 8 + first.z + k)) {
+                    return true;
+                }
+            }
+        }
+    }
+    return false;
+}
+
+// What a parent gets of the tile, which holds slaves only: momentum and mass, or a column of M, which goes times its part of the way to the
+// parent.
+fn handed_to(parent: u32, column: u32) -> vec4<f32> {
+    let first = first_child(parent);
     var sum = vec4<f32>(0.0);
     for (var i = max(-first.x, 0); i < min(8 - first.x, 4); i++) {
         for (var j = max(-first.y, 0); j < min(8 - first.y, 4); j++) {
             for (var k = max(-first.z, 0); k < min(8 - first.z, 4); k++) {
-                let x = u32(first.x + i);
-                let y = u32(first.y + j);
-                let z = u32(first.z + k);
-                let plain = x * 64u + y * 8u + z;
-                if (atomicLoad(&slaves[plain >> 5u]) & (1u << (plain & 31u))) != 0u {
-                    let p = share(i) * share(j) * share(k);
-                    if column == 3u {
-                        sum += p * grid[tiles + plain];
-                    } else {
-                        let way = p * (1.5 - f32(vec3<i32>(i, j, k)[column]));
-                        let at = in_tile(x, y, z);
-                        sum += way * vec4<f32>(tile[at], tile[512u + at].x, 0.0);
-                    }
-                }
+                let at = in_tile(u32(first.x + i), u32(first.y + j), u32(first.z + k));
+                let way = select(1.0, 1.5 - f32(vec3<i32>(i, j, k)[min(column, 2u)]), column < 3u);
+                sum += share(i) * share(j) * share(k) * way * vec4<f32>(tile[at], tile[512u + at]);
             }
         }
     }
@@ -144,10 +164,24 @@ fn restrict_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     let batches = workgroupUniformLoad(&go);
 
     // 2. Momentum and mass as P2G has left them.
-    let tiles = extent.node_room * 64u + b * 512u;
     let second = min(thread + 128u, 215u);
-    var sum0 = handed_to(thread, 3u, tiles);
-    var sum1 = handed_to(second, 3u, tiles);
+    let takes0 = is_parent(thread);
+    let takes1 = is_parent(second);
+    for (var t = thread; t < 512u; t += 128u) {
+        let held = select(vec4<f32>(0.0), grid[extent.node_room * 64u + b * 512u + t], is_slave_in_tile(t));
+        tile[in_tile_plain(t)] = held.xy;
+        tile[512u + in_tile_plain(t)] = held.zw;
+    }
+    workgroupBarrier();
+    var sum0 = vec4<f32>(0.0);
+    var sum1 = vec4<f32>(0.0);
+    if takes0 {
+        sum0 = handed_to(thread, MOMENTUM);
+    }
+    if takes1 {
+        sum1 = handed_to(second, MOMENTUM);
+    }
+    workgroupBarrier();
 
     // 3. M, column by column.
     let crowded = atomicLoad(&leaver_count) > 0u;
@@ -194,8 +228,19 @@ fn restrict_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
                     workgroupBarrier();
                 }
             }
-            sum0 += handed_to(thread, column, tiles);
-            sum1 += handed_to(second, column, tiles);
+            for (var t = thread; t < 512u; t += 128u) {
+                if !is_slave_in_tile(t) {
+                    tile[in_tile_plain(t)] = vec2<f32>(0.0);
+                    tile[512u + in_tile_plain(t)] = vec2<f32>(0.0);
+                }
+            }
+            workgroupBarrier();
+            if takes0 {
+                sum0 += handed_to(thread, column);
+            }
+            if takes1 {
+                sum1 += handed_to(second, column);
+            }
             workgroupBarrier();
         }
     }
