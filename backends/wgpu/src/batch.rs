@@ -9,7 +9,7 @@ use crate::memory::{
     with_room,
 };
 use crate::stiffness::{self, Held};
-use crate::world::{Level, Rhythm, Span, World, most_drift, parameters};
+use crate::world::{Level, MAX_MOVE, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::scene::Wall;
 use barchan_core::{
@@ -666,8 +666,10 @@ impl WgpuBatch {
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
         if self.substeps > 1 && matches!(halt, Some(Halt::TooFast | Halt::Strayed)) {
             for &(w, _) in active {
-                let moves = status.speed(done, self.layers_of(w)) * dt / (self.h * self.substeps as f64);
-                self.worlds[w].torn = Some((dt, NODE_MOVE * dt / moves));
+                let moves = self.layers_of(w).map(|layer| f64::from(status.in_step(done, layer, MOVE)));
+                // Particles that strayed have come a cell.
+                let moves = moves.fold(if halt == Some(Halt::Strayed) { 1.0 } else { MAX_MOVE }, f64::max);
+                self.worlds[w].torn = Some((dt, MAX_MOVE * dt / moves));
             }
         }
         for &(w, time) in active {
@@ -1319,8 +1321,9 @@ impl WgpuBatch {
                 step: world.steps,
                 dt,
                 bound,
-                by: "the speed of a node within a subcycled step: set levels.subcycle = false, or lower time.safety"
-                    .into(),
+                by:
+                    "the speed of a particle within a subcycled step: set levels.subcycle = false, or lower time.safety"
+                        .into(),
             });
             self.find_non_finite(turn.world, turn.time).or(torn)
         } else {

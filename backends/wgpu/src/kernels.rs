@@ -3,7 +3,7 @@
 use crate::device::Gpu;
 use crate::material;
 use crate::memory::MAX_STEPS;
-use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
+use crate::world::{MAX_MOVE, OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::SPLIT_AHEAD;
 use barchan_core::plan::PlannedMaterial;
@@ -477,7 +477,7 @@ pub(crate) fn constants(plan: &Plan) -> String {
         frictions("LOW_FRICTION", 0),
         frictions("HIGH_FRICTION", 1),
         format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
-        format!("const NODE_MOVE: f32 = {:?};\n", crate::batch::NODE_MOVE),
+        format!("const NODE_MOVE: f32 = {:?};\nconst MAX_MOVE: f32 = {MAX_MOVE:?};\n", crate::batch::NODE_MOVE),
         format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
     ]
     .concat()

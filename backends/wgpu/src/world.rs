@@ -31,7 +31,7 @@ pub(crate) fn most_drift(plan: &Plan) -> f32 {
 }
 
 /// No particle may move further in a step, in cells.
-const MAX_MOVE: f64 = 0.5;
+pub(crate) const MAX_MOVE: f64 = 0.5;
 /// From how many times the least mass on a node's speed counts in full; see the backend cpu.
 pub(crate) const FELT: f64 = 1e17;
 

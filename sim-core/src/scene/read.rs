@@ -108,11 +108,8 @@ impl Scene {
     /// As [`from_file`](Self::from_file).
     pub fn from_file_with(path: impl AsRef<Path>, overrides: &[impl AsRef<str>]) -> Result<Self> {
         let path = path.as_ref();
-        let text = read_text(path).map_err(|source| Error::Io {
-            file: path.to_owned(),
-            what: "reading the scene",
-            source,
-        })?;
+        let text =
+            read_text(path).map_err(|source| Error::Io { file: path.to_owned(), what: "reading the scene", source })?;
         let folder = path.parent().unwrap_or(Path::new(""));
         Self::from_str_with(&text, &path.display().to_string(), folder, overrides)
     }
