@@ -1,7 +1,7 @@
 //! Adapters and the device opened on one of them.
 
 use barchan_core::{Error, Result};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use wgpu::{Adapter, AdapterInfo, DeviceType, Features, Limits};
 
 /// Name of the backend in errors and on the command line.
@@ -177,14 +177,18 @@ fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<Fault>>>) {
     });
 }
 
-/// Adapters of all APIs, best first; drivers' order among equals.
-fn found() -> Vec<Adapter> {
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+/// One for the whole process: NVIDIA's driver finds no adapter any more once some dozens have come and gone.
+static INSTANCE: LazyLock<wgpu::Instance> = LazyLock::new(|| {
+    wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends: wgpu::Backends::PRIMARY,
         flags: wgpu::InstanceFlags::empty(),
         ..wgpu::InstanceDescriptor::new_without_display_handle()
-    });
-    let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    })
+});
+
+/// Adapters of all APIs, best first; drivers' order among equals.
+fn found() -> Vec<Adapter> {
+    let mut adapters = pollster::block_on(INSTANCE.enumerate_adapters(wgpu::Backends::PRIMARY));
     adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
         DeviceType::DiscreteGpu => 0,
         DeviceType::IntegratedGpu => 1,
