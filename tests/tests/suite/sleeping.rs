@@ -40,18 +40,23 @@ fn plate(cells: [u32; 3], wait: f64) -> String {
 /// and how it is strained stays as it is.
 #[test]
 fn settled_ground_costs_nothing() {
-    let time = |s: &mut Simulation| {
-        let clock = Instant::now();
-        (0..100).for_each(|_| drop(s.step().unwrap()));
-        clock.elapsed().as_secs_f64()
+    // The least time of ten steps: others use the machine too.
+    let time = |s: &mut Simulation, tries: usize| {
+        let ten_steps = |_| {
+            let clock = Instant::now();
+            (0..10).for_each(|_| drop(s.step().unwrap()));
+            clock.elapsed().as_secs_f64()
+        };
+        (0..tries).map(ten_steps).fold(f64::INFINITY, f64::min)
     };
     for precision in [Precision::F32, Precision::F64] {
         let mut s = simulation(&bed([32, 16, 8], "sand", SAND, "speed = 5e-4", &[]), precision);
-        let awake = time(&mut s);
-        (0..200).for_each(|_| drop(s.step().unwrap()));
+        // It falls asleep after fifty steps.
+        let awake = time(&mut s, 4);
+        (0..260).for_each(|_| drop(s.step().unwrap()));
         let (before, count) = (rows(&s), s.particle_count() as u64);
         assert_eq!(asleep(&s), count, "{precision}: not all sleeps");
-        let still = time(&mut s);
+        let still = time(&mut s, 30);
         within(&format!("{precision}: time of a step asleep over awake"), still / awake, 0.05);
         assert!(rows(&s) == before, "{precision}: something has changed in its sleep");
         let ledger = s.ledger();
