@@ -323,6 +323,11 @@ impl Adapt {
         self.regions.follow(&agents).then_some(before)
     }
 
+    /// Would the boxes have to move after these bodies, if they follow nothing soft?
+    pub fn must_follow(&self, couplings: &[Box<dyn Coupling>]) -> bool {
+        self.widths.len() > 1 && self.regions.clone().follow(&agent_bounds(&self.agents, couplings, |_| None))
+    }
+
     /// Looks for particles that have to move to another level, to split, or may merge. `before` are the regions as they were, if
     /// any has moved: then what need not be as fine any more may merge; what was refused then is tried again now and then. As long as
     /// regions stay, only levels that are `stirred` are looked at: the others' particles must not have moved by much of a cell since they

@@ -1037,8 +1037,10 @@ impl WgpuBatch {
         let begun = Instant::now();
         self.settle()?;
         // Particles come in any order: blocks' numbers are by cell here.
-        let mut state = ParticleState { sort: None, ..self.state(w)? };
-        self.worlds[w].adapt.round_on_host(&mut state, before, couplings)?;
+        let (lists, _) = self.lists(w)?;
+        let adapt = &mut self.worlds[w].adapt;
+        let mut state = ParticleState { lists, levels: adapt.phase(BTreeSet::new()), ..ParticleState::default() };
+        adapt.round_on_host(&mut state, before, couplings)?;
         self.take_in(vec![(w, state)])?;
         self.adapt_seconds.0 += begun.elapsed().as_secs_f64();
         self.adapt_seconds.1 += 1;
@@ -1427,7 +1429,7 @@ impl WgpuBatch {
                 if (slot + 1) % self.substeps == 0 {
                     driven.after.push(couplings[0].bodies());
                     driven.saved.push(couplings[0].save());
-                    if self.worlds[turn.world].must_follow(couplings) {
+                    if self.worlds[turn.world].adapt.must_follow(couplings) {
                         break;
                     }
                 }

@@ -646,7 +646,12 @@ fn prolong() -> Draft {
     Draft {
         name: "prolong",
         entry: "prolong",
-        body: include_str!("wgsl/prolong.wgsl").to_owned() + include_str!("wgsl/wall.wgsl"),
+        body: [
+            include_str!("wgsl/prolong.wgsl"),
+            include_str!("wgsl/velocity_at.wgsl"),
+            include_str!("wgsl/wall.wgsl"),
+        ]
+        .concat(),
         uses: vec![DIRECTORY, written(LISTS), GRID, RIMS, STATUS],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
@@ -745,7 +750,12 @@ fn reflect() -> Draft {
     Draft {
         name: "reflect",
         entry: "reflect_nodes",
-        body: include_str!("wgsl/reflect.wgsl").to_owned() + include_str!("wgsl/wall.wgsl"),
+        body: [
+            include_str!("wgsl/reflect.wgsl"),
+            include_str!("wgsl/velocity_at.wgsl"),
+            include_str!("wgsl/wall.wgsl"),
+        ]
+        .concat(),
         uses: vec![DIRECTORY, written(LISTS), GRID, STATUS],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,

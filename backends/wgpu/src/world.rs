@@ -6,10 +6,9 @@ use crate::memory::Layer;
 use crate::stiffness;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
-use barchan_core::levels::{Agent, agent_bounds};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Wall;
-use barchan_core::{Coupling, ParticleList, Plan, Result, Scene, SortPhase, Vec3};
+use barchan_core::{ParticleList, Plan, Result, Scene, SortPhase, Vec3};
 use barchan_grid::adapt::Adapt;
 use std::ops::Range;
 
@@ -97,7 +96,6 @@ pub(crate) struct World {
     pub(crate) levels: Vec<Level>,
     /// Where they are, and who is split and merged.
     pub(crate) adapt: Adapt,
-    pub(crate) agents: Vec<Agent>,
     /// Steps of the finest level in one.
     pub(crate) substeps: u32,
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
@@ -150,7 +148,6 @@ impl World {
             scene: plan.scene.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             adapt: Adapt::new(plan),
-            agents: plan.agents.clone(),
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,
@@ -194,12 +191,6 @@ impl World {
     pub(crate) fn particles(&self) -> Range<usize> {
         let end = |f: fn(&Level) -> usize, level: Option<&Level>| level.map_or(0, f);
         end(|l| l.particles.start, self.levels.first())..end(|l| l.particles.end, self.levels.last())
-    }
-
-    /// Would its levels have to move after these bodies?
-    pub(crate) fn must_follow(&self, couplings: &[Box<dyn Coupling>]) -> bool {
-        // Nothing soft is followed.
-        self.levels.len() > 1 && self.adapt.regions.clone().follow(&agent_bounds(&self.agents, couplings, |_| None))
     }
 
     /// The greatest stable step.

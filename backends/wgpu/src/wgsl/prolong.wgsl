@@ -3,16 +3,6 @@
 var<workgroup> go: u32;
 var<workgroup> given: array<vec4<f32>, 64>;
 
-// Velocity of a node of a layer, brought into the world by periodic axes only.
-fn velocity_at(layer: u32, cell: vec3<i32>) -> vec3<f32> {
-    let at = place_in_box(layer, cell >> vec3<u32>(2u));
-    if at == NONE || directory[at].y == NONE {
-        return vec3<f32>(0.0);
-    }
-    let local = cell & vec3<i32>(3);
-    return grid[directory[at].y * 64u + u32(local.x * 16 + local.y * 4 + local.z)].xyz;
-}
-
 // May this step go on?
 fn ready(g: u32) -> u32 {
     let speed = bitcast<f32>(atomicLoad(&status[greatest_word(step.number)]));

@@ -34,16 +34,6 @@ fn ready(w: u32) -> u32 {
     return u32(has_nodes_behind(layer_of(w), first) && is_live(layer_of(w)));
 }
 
-// The velocity of a node that the grid does not hold is that of nothing.
-fn velocity_at(layer: u32, cell: vec3<i32>) -> vec3<f32> {
-    let at = place_in_box(layer, cell >> vec3<u32>(2u));
-    if at == NONE || directory[at].y == NONE {
-        return vec3<f32>(0.0);
-    }
-    let local = cell & vec3<i32>(3);
-    return grid[directory[at].y * 64u + u32(local.x * 16 + local.y * 4 + local.z)].xyz;
-}
-
 @compute @workgroup_size(64)
 fn reflect_nodes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
     let g = group.y * extent.row + group.x;
