@@ -5,14 +5,31 @@
 //! these. What particles give to a slave is handed to its parents, and its velocity is theirs. A block of 4³ slaves has its
 //! parents among 4³ coarse nodes, the first one before the parent cell of the block's first cell.
 //!
+//! Momentum alone would reach the parents as if each slave's neighbourhood moved as one, and spin and stretch would be lost. So a
+//! slave hands on its affine momentum too: its mass times the mean C of the particles about it, from sums over parent cells.
+//!
 //! # Source
 //! Truncated hierarchical B-splines: Giannelli, Jüttler, Speleers 2012.
 
-use crate::block::{CELLS, NODES, TILE, TILE_SIDE, in_block, in_tile, offset, shared_nodes};
-use barchan_lanes::Float;
+use crate::block::{CELLS, NODES, in_block};
+use barchan_lanes::{Float, LANES, Lanes, tabulate};
 
-/// Scalars that hang on to a slave node besides momentum and mass: m C, one column of three a tile.
-pub const COLUMNS: usize = 3;
+/// What hangs on to a slave node, or to a parent cell: momentum and mass, then the three columns of m C, each with a zero behind it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C, align(64))]
+pub struct Carried<T>(pub [T; LANES]);
+
+impl<T> Carried<T> {
+    /// Where the mass is.
+    pub const MASS: usize = 3;
+    /// Where column `j` starts.
+    pub const fn column(j: usize) -> usize {
+        4 * (1 + j)
+    }
+}
+
+/// Parent cells in a block.
+pub const PARENT_CELLS: usize = 8;
 
 /// Along one axis, for each place in a block: its two parents' places among the block's four, their weights, and how far
 /// each is from it, in fine cells.
@@ -48,30 +65,6 @@ pub fn parents(slaves: u64) -> u64 {
         each_parent(node, |parent, _, _| used |= 1 << parent);
     }
     used
-}
-
-/// One axis of the restriction, along a line of four nodes with W scalars each: to[I] += P (from[i] + slope[i] (x_I - x_i)).
-#[inline(always)]
-fn restrict_line<T: Float, const W: usize>(from: [[T; W]; 4], slope: Option<[[T; W]; 4]>) -> [[T; W]; 4] {
-    let [near, far, lever] = [0.75, 0.25, 0.375].map(T::from_f64);
-    let mut to = [[T::default(); W]; 4];
-    for i in 0..W {
-        let f = [from[0][i], from[1][i], from[2][i], from[3][i]];
-        to[0][i] = far * f[0];
-        to[1][i] = near * (f[0] + f[1]) + far * f[2];
-        to[2][i] = near * (f[2] + f[3]) + far * f[1];
-        to[3][i] = far * f[3];
-    }
-    if let Some(slope) = slope {
-        for i in 0..W {
-            let s = [slope[0][i], slope[1][i], slope[2][i], slope[3][i]];
-            to[0][i] += -(lever * s[0]);
-            to[1][i] += lever * (s[0] - s[1] - s[2]);
-            to[2][i] += lever * (s[1] + s[2] - s[3]);
-            to[3][i] += lever * s[3];
-        }
-    }
-    to
 }
 
 /// One axis of the prolongation, likewise: to[i] = Σ P from[I].
@@ -115,34 +108,91 @@ fn units<const W: usize, T: Float>(values: &[T; NODES], at: [usize; 4]) -> [[T; 
     units
 }
 
-/// Hands what a block's slaves hold to their parents: mass m_c = Σ P m_f, momentum p_c = Σ P (p_f + M_f (x_c - x_f)) with the
-/// affine momentum M_f = Σ w m C, whose columns are `affine` [kg m/s a cell]. The slaves hold nothing afterwards.
+/// Places among the 4³ parent cells around a block that any of its slaves has its mean C from, as bits.
+pub fn parent_cells(slaves: u64) -> u64 {
+    // Per axis, places 0 and 1 have it from the first three, 2 and 3 from the last three.
+    const AROUND: [u64; CELLS] = {
+        let mut around = [0; CELLS];
+        let mut at = 0;
+        while at < CELLS * 27 {
+            let (node, k) = (at / 27, at % 27);
+            let x = node / 16 / 2 + k / 9;
+            let y = node / 4 % 4 / 2 + k / 3 % 3;
+            let z = node % 4 / 2 + k % 3;
+            around[node] |= 1 << (x * 16 + y * 4 + z);
+            at += 1;
+        }
+        around
+    };
+    (0..CELLS).filter(|node| slaves >> node & 1 == 1).fold(0, |used, node| used | AROUND[node])
+}
+
+/// Means about the nodes of a block, from sums over the 4³ parent cells around it, with the quadratic spline of twice the cell's
+/// width: these reach as far as any particle that gives a node mass, be it a cell away from where it was sorted.
 #[inline(always)]
-pub fn restrict<T: Float>(
-    slaves: u64,
-    nodes: &mut [T; NODES],
-    affine: &mut [[T; NODES]; COLUMNS],
-    parents: &mut [T; NODES],
-) {
-    let mut own = [T::default(); NODES];
-    for node in 0..CELLS {
-        let at = 4 * node;
-        if slaves >> node & 1 == 1 {
-            own[at..at + 4].copy_from_slice(&nodes[at..at + 4]);
-            nodes[at..at + 4].fill(T::default());
-        } else {
-            affine.iter_mut().for_each(|column| column[at..at + 4].fill(T::default()));
+pub fn spread<V: Lanes>(carried: &mut [Carried<V::Scalar>; CELLS]) {
+    for stride in [16, 4, 1] {
+        // SAFETY: a node carries 16 scalars.
+        unsafe {
+            let [far, near, own] = [V::splat(1.0 / 32.0), V::splat(9.0 / 32.0), V::splat(11.0 / 16.0)];
+            for line in 0..CELLS / 4 {
+                let line = carried.as_mut_ptr().add(line / stride * 4 * stride + line % stride);
+                let f: [V; 4] = tabulate!(4, |i| V::load(line.add(i * stride).cast()));
+                let to = [
+                    near.mul_add(f[0], own.mul_add(f[1], far * f[2])),
+                    far.mul_add(f[0], own.mul_add(f[1], near * f[2])),
+                    near.mul_add(f[1], own.mul_add(f[2], far * f[3])),
+                    far.mul_add(f[1], own.mul_add(f[2], near * f[3])),
+                ];
+                for i in 0..4 {
+                    to[i].store(line.add(i * stride).cast());
+                }
+            }
         }
     }
+}
+
+/// Hands what a block's slaves carry to their parents: mass m_c = Σ P m_f, momentum p_c = Σ P (p_f + M_f (x_c - x_f)) with the
+/// affine momentum M_f [kg m/s a cell], which is their mass times the mean C about them. Nodes that are no slaves must carry nothing.
+#[inline(always)]
+pub fn restrict<V: Lanes>(carried: &mut [Carried<V::Scalar>; CELLS], parents: &mut [V::Scalar; NODES]) {
     // Axis by axis; the columns of the axes that are still to come go along.
-    let [x, y, z] = affine;
-    each_line::<0, 16, _>(&mut own, |at, from| restrict_line(from, Some(units(x, at))));
-    each_line::<0, 16, _>(y, |_, from| restrict_line(from, None));
-    each_line::<0, 16, _>(z, |_, from| restrict_line(from, None));
-    each_line::<1, 16, _>(&mut own, |at, from| restrict_line(from, Some(units(y, at))));
-    each_line::<1, 16, _>(z, |_, from| restrict_line(from, None));
-    each_line::<2, 4, _>(&mut own, |at, from| restrict_line(from, Some(units(z, at))));
-    *parents = own;
+    restrict_axis::<V, 0>(carried);
+    restrict_axis::<V, 1>(carried);
+    restrict_axis::<V, 2>(carried);
+    for (parent, Carried(carried)) in parents.as_chunks_mut::<4>().0.iter_mut().zip(carried) {
+        parent.copy_from_slice(&carried[..4]);
+    }
+}
+
+/// One axis of the restriction, along each line of four nodes: to[I] = Σ P (from[i] + column[i] (x_I - x_i)).
+#[inline(always)]
+fn restrict_axis<V: Lanes, const AXIS: usize>(carried: &mut [Carried<V::Scalar>; CELLS]) {
+    // A column is momentum, whose lanes are the first four.
+    const LEVER: [f64; LANES] = [0.375, 0.375, 0.375, 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0.];
+    let stride = [16, 4, 1][AXIS];
+    let (near, far) = (V::splat(0.75), V::splat(0.25));
+    // SAFETY: a node carries 16 scalars, of which a column starts at most at the twelfth.
+    unsafe {
+        let lever = V::load(LEVER.map(V::Scalar::from_f64).as_ptr());
+        for line in 0..CELLS / 4 {
+            let first = line / stride * 4 * stride + line % stride;
+            let line = carried.as_mut_ptr().add(first);
+            let f: [V; 4] = tabulate!(4, |i| V::load(line.add(i * stride).cast()));
+            let s: [V; 4] = tabulate!(4, |i| {
+                V::repeat4(line.add(i * stride).cast::<V::Scalar>().add(Carried::<V::Scalar>::column(AXIS))) * lever
+            });
+            let to = [
+                far * f[0] - s[0],
+                near.mul_add(f[0] + f[1], far.mul_add(f[2], s[0] - s[1] - s[2])),
+                near.mul_add(f[2] + f[3], far.mul_add(f[1], s[1] + s[2] - s[3])),
+                far.mul_add(f[3], s[3]),
+            ];
+            for i in 0..4 {
+                to[i].store(line.add(i * stride).cast());
+            }
+        }
+    }
 }
 
 /// Gives a block's slaves the velocity of their parents: u_f = Σ P u_c.
@@ -157,31 +207,6 @@ pub fn prolong<T: Float>(slaves: u64, parents: &[T; NODES], nodes: &mut [T; NODE
     }
 }
 
-/// For each first node of the tile of a block: which of the nine rows of nodes that a particle there gives to hold a slave, as
-/// bits. `slaves` says which nodes of the block at an offset are slaves.
-pub fn touching(slaves: impl Fn(usize) -> u64) -> [u16; TILE / 4] {
-    let mut is_slave = [false; TILE / 4];
-    for n in 0..27 {
-        let bits = slaves(n) & shared_nodes(offset(n));
-        let from = offset(n).map(|o| 4 * o + 2);
-        for node in (0..CELLS).filter(|node| bits >> node & 1 == 1) {
-            let local = [node / 16, node / 4 % 4, node % 4];
-            let [x, y, z]: [usize; 3] = std::array::from_fn(|d| (from[d] + local[d] as i32) as usize);
-            is_slave[in_tile(x, y, z) / 4] = true;
-        }
-    }
-    let mut touches = [0; TILE / 4];
-    for x in 0..TILE_SIDE - 2 {
-        for y in 0..TILE_SIDE - 2 {
-            for z in 0..TILE_SIDE - 2 {
-                let holds = |r: usize| (0..3).any(|k| is_slave[in_tile(x + r / 3, y + r % 3, z + k) / 4]);
-                touches[in_tile(x, y, z) / 4] = (0..9).filter(|&r| holds(r)).fold(0, |bits, r| bits | 1 << r);
-            }
-        }
-    }
-    touches
-}
-
 /// Start of a node's four scalars in a block, from its cell.
 pub fn node_in_block(cell: [i32; 3]) -> usize {
     let local = cell.map(|c| (c & 3) as usize);
@@ -191,43 +216,6 @@ pub fn node_in_block(cell: [i32; 3]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Mass, momentum and angular momentum go over whole, for any slaves: Σ P = 1 and Σ P x_c = x_f.
-    #[test]
-    fn restriction_keeps_mass_momentum_and_angular_momentum() {
-        let value = |i: usize| ((i * 7919) % 1009) as f64 / 1009.0 - 0.4;
-        let mut nodes: [f64; NODES] = std::array::from_fn(value);
-        for node in 0..CELLS {
-            nodes[4 * node + 3] = 0.1 + value(node).abs();
-        }
-        // Symmetric: a pure stretch, which carries no angular momentum of its own.
-        let symmetric = |i: usize, j: usize, node: usize| value(3 * node + (i + 1) * (j + 1));
-        let affine: [[f64; NODES]; COLUMNS] = std::array::from_fn(|j| {
-            std::array::from_fn(|at| if at % 4 == 3 { 0.0 } else { symmetric(at % 4, j, at / 4) })
-        });
-        let fine = |node: usize| [node / 16, node / 4 % 4, node % 4].map(|i| i as f64);
-        let coarse = |node: usize| [node / 16, node / 4 % 4, node % 4].map(|i| 2.0 * i as f64 - 1.5);
-        let totals = |values: &[f64; NODES], x: &dyn Fn(usize) -> [f64; 3], slaves: u64| {
-            let mut sum = [0.0; 7];
-            for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
-                let (p, x) = (&values[4 * node..4 * node + 4], x(node));
-                (0..4).for_each(|d| sum[d] += p[d]);
-                (0..3).for_each(|d| sum[4 + d] += x[(d + 1) % 3] * p[(d + 2) % 3] - x[(d + 2) % 3] * p[(d + 1) % 3]);
-            }
-            sum
-        };
-        for slaves in [u64::MAX, 0xf00f_0ff0_1248_8421, 1] {
-            let mut left = nodes;
-            let mut parents = [0.0; NODES];
-            let before = totals(&nodes, &fine, slaves);
-            restrict(slaves, &mut left, &mut affine.clone(), &mut parents);
-            let after = totals(&parents, &coarse, u64::MAX);
-            for (b, a) in before.iter().zip(after) {
-                assert!((b - a).abs() < 1e-12, "{before:?} became {after:?}");
-            }
-            assert_eq!(totals(&left, &fine, slaves), [0.0; 7]);
-        }
-    }
 
     /// An affine velocity field of the coarse nodes is the same field at the slaves.
     #[test]

@@ -14,7 +14,7 @@
 
 use crate::block::{TILE, TILE_SIDE};
 use crate::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
-use crate::ring::COLUMNS;
+use crate::ring::{Carried, PARENT_CELLS};
 use crate::spline::{first_distance, weights};
 use barchan_abi as abi;
 use barchan_lanes::{Float, Kernel, LANES, Lanes, Mask, Real, prefetch, tabulate};
@@ -180,24 +180,13 @@ pub struct ParticlesToGrid<'a, T: Scalar> {
     pub step: &'a Step,
     /// Where mass and momentum are added.
     pub tile: &'a mut [T; TILE],
-    /// What the rim of a level wants besides, if the block's particles touch it.
-    pub edge: Option<Edge<'a, T>>,
+    /// Where mass and m C [kg m/s a cell] of each parent cell are added, if the rim of a level wants them (see [`crate::ring`]).
+    /// What has left the block counts where it left.
+    pub parent_cells: Option<&'a mut [Carried<T>; PARENT_CELLS]>,
     /// Where the material writes its message.
     pub error: *mut abi::BarchanError,
     /// Counts nanoseconds spent in the material, if wanted.
     pub material_time: Option<&'a mut u64>,
-}
-
-/// Affine momentum m C at the nodes of a level's rim, which goes with their momentum to the coarser level (see [`crate::ring`]).
-///
-/// The particles of a cell give it in proportion to the mass that they give to a node, with their mean C: so all of m C arrives,
-/// and an affine field of velocity does.
-pub struct Edge<'a, T> {
-    /// For each first node of the tile: which rows of nodes along z, of the nine that a particle there gives to, hold a rim node.
-    /// The others are passed over.
-    pub touches: &'a [u16; TILE / 4],
-    /// Where the columns of m C are added, one a tile [kg m/s a cell].
-    pub columns: &'a mut [[T; TILE]; COLUMNS],
 }
 
 /// Planes that a material reads and writes, in L1.
@@ -268,7 +257,7 @@ impl<T: Scalar> Kernel<T> for ParticlesToGrid<'_, T> {
 
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) -> Result<(), Fault> {
-        if self.edge.is_some() { self.sum::<V, true>() } else { self.sum::<V, false>() }
+        if self.parent_cells.is_some() { self.sum::<V, true>() } else { self.sum::<V, false>() }
     }
 }
 
@@ -282,7 +271,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
         // A copy, so that the compiler knows it constant.
         let step = *self.step;
         let mut row_sums = RowSums::<V>::new(self.tile.as_mut_ptr());
-        let mut edge_sums = self.edge.take().map(EdgeSums::<V>::new);
+        let mut edge_sums = self.parent_cells.take().map(EdgeSums::<V>::new);
         // Where nothing has moved and no force is asked for, matter is left alone.
         let parts = if step.dt == 0.0 && step.strain_dt == 0.0 { 0 } else { step.strain_parts };
         // The sums stay in memory between chunks: rows that live across the call of the material cost a register too many, and
@@ -312,7 +301,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             }
         }
         if let Some(mut edge_sums) = edge_sums {
-            edge_sums.flush(&row_sums);
+            edge_sums.flush(row_sums.current);
         }
         row_sums.flushed();
         Ok(())
@@ -458,7 +447,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             let mut quads = MaybeUninit::<Quads<T, 8>>::uninit();
             let lines = &raw mut (*quads.as_mut_ptr()).0;
             if EDGE {
-                for j in 0..COLUMNS {
+                for j in 0..3 {
                     let column: [V; 3] = tabulate!(3, |i| affine_mass * V::load(s.motion(chunk, 3 + 3 * i + j)));
                     write_quads(&raw mut (*lines)[5 + j], [column[0], column[1], column[2], m]);
                 }
@@ -483,7 +472,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             for (p, &node) in node[..count].iter().enumerate() {
                 if node as usize != current {
                     if let Some(edge) = edge.as_deref_mut().filter(|_| EDGE) {
-                        edge.flush(&RowSums { rows, current, ..*sums });
+                        edge.flush(current);
                     }
                     rows = RowSums { rows, current, ..*sums }.flushed();
                     current = node as usize;
@@ -595,38 +584,40 @@ impl<V: Lanes> RowSums<V> {
 
 /// What particles of the current cell carry for a rim: the columns of m C with their mass, the same in each group of lanes.
 struct EdgeSums<'a, V: Lanes> {
-    columns: [V; COLUMNS],
-    edge: Edge<'a, V::Scalar>,
+    columns: [V; 3],
+    parent_cells: &'a mut [Carried<V::Scalar>; PARENT_CELLS],
 }
 
 impl<'a, V: Lanes> EdgeSums<'a, V>
 where
     V::Scalar: Scalar,
 {
-    fn new(edge: Edge<'a, V::Scalar>) -> Self {
-        Self { columns: [V::zero(); COLUMNS], edge }
+    fn new(parent_cells: &'a mut [Carried<V::Scalar>; PARENT_CELLS]) -> Self {
+        Self { columns: [V::zero(); 3], parent_cells }
     }
-    /// Spreads the columns over the cell's nodes as its mass is, which `sums` hold, and starts anew.
+    /// Adds them to the parent of the cell whose first node starts at `current`, and starts anew.
     #[inline(always)]
-    fn flush(&mut self, sums: &RowSums<V>) {
-        const NOT_MASS: [f64; LANES] = [1., 1., 1., 0., 1., 1., 1., 0., 1., 1., 1., 0., 1., 1., 1., 0.];
-        let mask = if sums.current == usize::MAX { 0 } else { self.edge.touches[sums.current / 4] };
-        if mask != 0 {
-            // SAFETY: 16 scalars.
-            let not_mass = unsafe { V::load(NOT_MASS.map(V::Scalar::from_f64).as_ptr()) };
-            let per_mass = tabulate!(3, |j| self.columns[j] / self.columns[j].fourth() * not_mass);
-            for r in (0..9).filter(|r| mask >> r & 1 == 1) {
-                let mass = sums.rows[r].fourth();
-                for (column, tile) in per_mass.iter().zip(self.edge.columns.iter_mut()) {
-                    // SAFETY: as in `RowSums::flushed`.
-                    unsafe {
-                        let at = tile.as_mut_ptr().add(sums.current + r / 3 * X + r % 3 * Y);
-                        column.mul_add(mass, V::load(at)).store(at);
-                    }
+    fn flush(&mut self, current: usize) {
+        // The lanes of what a cell carries that come from each column: the mass with the first.
+        const FROM: [[f64; LANES]; 3] = [
+            [0., 0., 0., 1., 1., 1., 1., 0., 0., 0., 0., 0., 0., 0., 0., 0.],
+            [0., 0., 0., 0., 0., 0., 0., 0., 1., 1., 1., 0., 0., 0., 0., 0.],
+            [0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 1., 1., 1., 0.],
+        ];
+        if current != usize::MAX {
+            // The first node of the block's third cell along an axis is the tile's fourth.
+            let node = [current / X, current % X / Y, current % Y / 4];
+            let parent = &mut self.parent_cells[node.iter().fold(0, |parent, n| 2 * parent + usize::from(*n >= 3))];
+            // SAFETY: a cell carries 16 scalars.
+            unsafe {
+                let mut sum = V::load(parent.0.as_ptr());
+                for j in 0..3 {
+                    sum = self.columns[j].mul_add(V::load(FROM[j].map(V::Scalar::from_f64).as_ptr()), sum);
                 }
+                sum.store(parent.0.as_mut_ptr());
             }
         }
-        self.columns = [V::zero(); COLUMNS];
+        self.columns = [V::zero(); 3];
     }
 }
 

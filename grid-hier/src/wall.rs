@@ -92,23 +92,6 @@ impl Mirrors {
         impulse
     }
 
-    /// Folds one column of an affine momentum back. Reflected, p = M d becomes S p = (S M R) (R d), with the signs S of
-    /// velocities and R, which turns the wall's axis round.
-    pub fn fold_column<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3], column: usize) {
-        for axis in 0..3 {
-            for (image, node, signs) in self.planes(origin, axis) {
-                let signs = signs.map(|sign| T::from_f64(if axis == column { -sign } else { sign }));
-                each_pair(axis, image, node, |image, node| {
-                    for d in 0..3 {
-                        let p = tile[image + d];
-                        tile[node + d] += signs[d] * p;
-                        tile[image + d] = T::default();
-                    }
-                });
-            }
-        }
-    }
-
     /// A cell and its mirror image inside the walls, and which components of a vector there change their sign.
     pub fn reflected(&self, mut cell: [i32; 3]) -> ([i32; 3], [bool; 3]) {
         let mut flipped = [false; 3];

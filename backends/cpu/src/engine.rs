@@ -21,6 +21,7 @@ use barchan_lanes::{Isa, LANES};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -257,9 +258,24 @@ impl<T: Scalar> CpuEngine<T> {
         self.hold_edges();
     }
 
-    /// P2G of one level. Strain is up to date afterwards.
-    pub(crate) fn particles_to_grid(&mut self, l: usize, dt: f64) -> Result<()> {
+    /// P2G of some levels, side by side. Strain is up to date afterwards.
+    pub(crate) fn particles_to_grid(&mut self, levels: Range<usize>, dt: f64) -> Result<()> {
         let clock = Instant::now();
+        let steps: Vec<Step> = levels.clone().map(|l| self.whole_step(l, dt)).collect::<Result<_>>()?;
+        self.parted += steps.iter().filter(|step| step.strain_parts > 1).count() as u64;
+        let (isa, materials) = (self.isa, self.materials.len());
+        let one = |(level, step): (&mut Level<T>, &Step)| level.particles_to_grid(isa, step, materials);
+        let outcomes: Vec<_> = self.levels[levels.clone()].par_iter_mut().zip(&steps).map(one).collect();
+        for (l, outcome) in levels.zip(outcomes) {
+            let shares = outcome.map_err(|stopped| self.explain(l, stopped))?;
+            self.clocks.shares = std::mem::take(&mut self.clocks.shares).plus(shares);
+        }
+        self.clocks.add(Pass::P2G, clock);
+        Ok(())
+    }
+
+    /// A level's step, with the strain that lags behind carried along in parts that are small enough.
+    fn whole_step(&self, l: usize, dt: f64) -> Result<Step> {
         let level = &self.levels[l];
         let parts = (level.deformation_rate * level.strain_dt / MAX_DEFORMATION).ceil();
         if parts > MAX_PARTS {
@@ -272,12 +288,7 @@ impl<T: Scalar> CpuEngine<T> {
                 by: "the deformation rate that particles were given".into(),
             }));
         }
-        let step = Step { strain_parts: (parts as u32).max(1), ..self.step_of(l, dt) };
-        self.parted += u64::from(step.strain_parts > 1);
-        let outcome = self.levels[l].particles_to_grid(self.isa, &step, &mut self.clocks.shares);
-        outcome.map_err(|stopped| self.explain(l, stopped))?;
-        self.clocks.add(Pass::P2G, clock);
-        Ok(())
+        Ok(Step { strain_parts: (parts as u32).max(1), ..self.step_of(l, dt) })
     }
 
     /// Decides which of a level's ground sleeps in its next step.
@@ -424,9 +435,7 @@ impl<T: Scalar> CpuEngine<T> {
     fn ground_to_nodes(&mut self, time: f64, mut dt: f64) -> Result<f64> {
         let walls_before: Vec<_> = self.levels.iter().map(|level| level.wall_impulse).collect();
         loop {
-            for l in 0..self.levels.len() {
-                self.particles_to_grid(l, dt).map_err(|error| at_time(error, time))?;
-            }
+            self.particles_to_grid(0..self.levels.len(), dt).map_err(|error| at_time(error, time))?;
             self.update_grids();
             let moves = self.greatest_move(dt);
             if !moves.is_finite() {
@@ -480,10 +489,11 @@ impl<T: Scalar> CpuEngine<T> {
         if ground {
             self.prolong();
             let clock = Instant::now();
-            for level in &mut self.levels {
+            let isa = self.isa;
+            self.levels.par_iter_mut().for_each(|level| {
                 level.mirror_separated();
-                level.grid_to_particles(self.isa, dt);
-            }
+                level.grid_to_particles(isa, dt);
+            });
             self.clocks.add(Pass::G2P, clock);
         }
         for coupling in couplings {
@@ -499,7 +509,7 @@ impl<T: Scalar> CpuEngine<T> {
         }
         for l in (0..self.levels.len()).filter(|&l| concerned[l]) {
             let impulse = self.levels[l].wall_impulse;
-            self.particles_to_grid(l, 0.0).map_err(|error| at_time(error, time))?;
+            self.particles_to_grid(l..l + 1, 0.0).map_err(|error| at_time(error, time))?;
             // Nothing has been exchanged with the walls: the nodes are never asked.
             self.levels[l].wall_impulse = impulse;
         }

@@ -5,7 +5,7 @@ use barchan_core::Regions;
 use barchan_core::levels::{CellBox, Cover};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
 use barchan_grid::bounds::Bounds;
-use barchan_grid::ring::{self, COLUMNS};
+use barchan_grid::ring::{self, Carried, PARENT_CELLS};
 use barchan_lanes::Float;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -53,8 +53,11 @@ pub(crate) struct Ring {
     pub(crate) parents: [u32; CELLS],
     /// Components that change their sign on the way to a parent, as bits: it is the image of one behind a wall.
     pub(crate) flips: [u8; CELLS],
-    /// Affine columns around it, by the offset from their tile to its nodes.
-    pub(crate) edges_around: [u32; 27],
+    /// Where in `carried` the sums of the 4³ parent cells around it are; `NONE` where there are none, or nobody asks.
+    pub(crate) cells: [u32; CELLS],
+    /// Which of these are images behind a mirror: components of velocity that change their sign, and from the fourth bit axes that are
+    /// turned round.
+    pub(crate) mirrored: [u8; CELLS],
 }
 
 /// What a finer level's rim hands to one node.
@@ -102,12 +105,10 @@ pub(crate) struct Grid<T> {
     pub(crate) ring_of: Vec<u32>,
     /// What each ring hands to its parents: momentum and mass.
     pub(crate) handed: Vec<[T; NODES]>,
-    /// For each occupied block: its affine columns, or `NONE` if its particles touch no rim node.
+    /// For each occupied block: its place in `carried`, or `NONE` if no rim wants to know of its parent cells.
     pub(crate) edge_of: Vec<u32>,
-    /// For each of those: which rows of nodes hold a rim node, from each first node of its tile.
-    pub(crate) touches: Vec<[u16; TILE / 4]>,
-    /// Columns of m C of the blocks that touch rim nodes.
-    pub(crate) columns: Vec<[[T; TILE]; COLUMNS]>,
+    /// Mass and m C of the parent cells of each of those.
+    pub(crate) carried: Vec<[Carried<T>; PARENT_CELLS]>,
     /// What the rim of the next finer level hands to each node block: `links[starts[g]..starts[g + 1]]`.
     pub(crate) links: Vec<Link>,
     pub(crate) link_starts: Vec<u32>,
@@ -145,8 +146,7 @@ impl<T: Float> Default for Grid<T> {
             ring_of: Vec::new(),
             handed: Vec::new(),
             edge_of: Vec::new(),
-            touches: Vec::new(),
-            columns: Vec::new(),
+            carried: Vec::new(),
             links: Vec::new(),
             link_starts: Vec::new(),
             links_reflect: false,
@@ -178,7 +178,7 @@ impl<T: Float> Grid<T> {
             + self.rings.capacity() * size_of::<Ring>()
             + self.links.capacity() * size_of::<Link>()
             + self.handed.capacity() * size_of::<[T; NODES]>()
-            + self.columns.capacity() * size_of::<[[T; TILE]; COLUMNS]>()) as u64
+            + self.carried.capacity() * size_of::<[Carried<T>; PARENT_CELLS]>()) as u64
     }
 
     /// Takes up a new set of occupied blocks, and of blocks that hold parents of a finer level. Does nothing if they are the
@@ -266,42 +266,46 @@ impl<T: Float> Grid<T> {
                     slaves,
                     parents: [NONE; CELLS],
                     flips: [0; CELLS],
-                    edges_around: [NONE; 27],
+                    cells: [NONE; CELLS],
+                    mirrored: [0; CELLS],
                 });
             }
         }
         grow(&mut self.handed, self.rings.len(), [T::default(); NODES]);
 
-        // The blocks whose tiles hold any of these nodes.
-        let (rings, ring_of) = (&self.rings, &self.ring_of);
-        let shared: [u64; 27] = std::array::from_fn(|n| block::shared_nodes(block::offset(n)));
-        let touching = |(b, around): (usize, &[u32; 27])| {
-            let ring = |n: usize| ring_of.get(around[n] as usize).and_then(|&r| rings.get(r as usize));
-            let mut slaves: [u64; 27] = std::array::from_fn(|n| ring(n).map_or(0, |ring| ring.slaves));
-            if !(0..27).any(|n| slaves[n] & shared[n] != 0) {
-                return None;
+        // The blocks whose parent cells have to do with any of these nodes.
+        let (keys, tiles_around) = (&self.keys, &self.tiles_around);
+        let ask = |ring: &mut Ring| {
+            let at = block::of_key(keys[ring.block as usize]);
+            let (first, used) = (ring::first_parent(at), ring::parent_cells(ring.slaves));
+            for n in (0..CELLS).filter(|n| used >> n & 1 == 1) {
+                let image = place(first, n);
+                let (cell, flipped) = coarser.mirrors.reflected(image);
+                let away: [i32; 3] = std::array::from_fn(|d| at[d] - (cell[d] >> 1));
+                let b = tiles_around[ring.block as usize][block::neighbour(away)];
+                if b != NONE {
+                    let within = cell.iter().fold(0, |within, c| 2 * within + (c & 1) as u32);
+                    let turned: [bool; 3] = std::array::from_fn(|d| cell[d] != image[d]);
+                    let bits = flipped.into_iter().chain(turned).enumerate();
+                    ring.cells[n] = b * PARENT_CELLS as u32 + within;
+                    ring.mirrored[n] = bits.fold(0, |bits, (k, set)| bits | u8::from(set) << k);
+                }
             }
-            if self.mirrored[b] {
-                slaves = with_images(slaves, block::of_key(self.occupied[b]), bounds);
-            }
-            Some(ring::touching(|n| slaves[n]))
         };
-        let touching: Vec<_> = self.nodes_around.par_iter().enumerate().map(touching).collect();
-        self.touches.clear();
+        self.rings.par_iter_mut().for_each(ask);
         self.edge_of.clear();
-        for touches in touching {
-            self.edge_of.push(touches.map_or(NONE, |_| self.touches.len() as u32));
-            self.touches.extend(touches);
+        self.edge_of.resize(self.occupied.len(), NONE);
+        let asked = |cell: &&mut u32| **cell != NONE;
+        let mut edges = 0;
+        for cell in self.rings.iter_mut().flat_map(|ring| &mut ring.cells).filter(asked) {
+            let edge = &mut self.edge_of[*cell as usize / PARENT_CELLS];
+            if *edge == NONE {
+                *edge = edges;
+                edges += 1;
+            }
+            *cell = *edge * PARENT_CELLS as u32 + *cell % PARENT_CELLS as u32;
         }
-        let edges = self.touches.len();
-        grow(&mut self.columns, edges, [[T::default(); TILE]; COLUMNS]);
-        for ring in &mut self.rings {
-            let around = &self.tiles_around[ring.block as usize];
-            ring.edges_around = std::array::from_fn(|n| {
-                let edge = self.edge_of.get(around[n] as usize).copied().unwrap_or(NONE);
-                if ring.slaves & shared[n] == 0 { NONE } else { edge }
-            });
-        }
+        grow(&mut self.carried, edges as usize, [Carried::default(); PARENT_CELLS]);
         // Pairs at a wall that lets go are the coarser level's business at the rim.
         for pairs in &mut self.pairs {
             pairs.retain(|pair| {
@@ -425,23 +429,6 @@ fn index(keys: &[u64]) -> KeyMap {
 
 fn find(map: &KeyMap, b: [i32; 3]) -> u32 {
     block::key(b).and_then(|key| map.get(&key).copied()).unwrap_or(NONE)
-}
-
-/// Slaves among the nodes of the 27 blocks around one, and with them the nodes behind mirrors whose images they are: what particles give to
-/// these is folded back to them.
-fn with_images(slaves: [u64; 27], at: [i32; 3], bounds: &Bounds) -> [u64; 27] {
-    std::array::from_fn(|n| {
-        let offset = block::offset(n);
-        let first: [i32; 3] = std::array::from_fn(|d| (at[d] + offset[d]) * SIDE);
-        let is_image = |node: &usize| {
-            let cell = place(first, *node);
-            let (image, _) = bounds.mirrors.reflected(cell);
-            let away: [i32; 3] = std::array::from_fn(|d| image[d].div_euclid(SIDE) - at[d]);
-            image != cell
-                && (0..27).any(|k| block::offset(k) == away && slaves[k] >> (ring::node_in_block(image) / 4) & 1 == 1)
-        };
-        (0..CELLS).filter(is_image).fold(slaves[n], |bits, node| bits | 1 << node)
-    })
 }
 
 /// The n-th of the 4³ cells from `first` on.

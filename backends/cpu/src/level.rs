@@ -8,8 +8,8 @@ use barchan_core::material::ErrorBuffer;
 use barchan_core::{Aabb, NodeBatch, Plan};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
 use barchan_grid::bounds::Bounds;
-use barchan_grid::ring::{self, COLUMNS};
-use barchan_grid::transfer::{Edge, Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
+use barchan_grid::ring::{self, Carried};
+use barchan_grid::transfer::{Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
 use barchan_grid::wall::Mirror;
 use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
 use rayon::prelude::*;
@@ -89,17 +89,17 @@ impl<T: Scalar> Level<T> {
     }
 
     /// Mass, momentum and stress of every block's particles into the block's tile. Strain is up to date afterwards.
-    /// Tiles of blocks asleep are filled when they are not yet what the step needs; a step of no length needs none.
-    pub(crate) fn particles_to_grid(&mut self, isa: Isa, step: &Step, shares: &mut Shares) -> Result<(), Stopped> {
+    /// Tiles of blocks asleep are filled when they are not yet what the step needs; a step of no length needs none. Returns how
+    /// much of the time went to each of so many materials.
+    pub(crate) fn particles_to_grid(&mut self, isa: Isa, step: &Step, n_materials: usize) -> Result<Shares, Stopped> {
         let (stale, frozen) = if step.dt > 0.0 { self.stale_tiles(step) } else { (Vec::new(), *step) };
         let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
-        let columns = Shared(self.grid.columns.as_ptr().cast_mut());
+        let carried = Shared(self.grid.carried.as_ptr().cast_mut());
         let walls = self.has_mirrors();
         let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
         let images = Shared(self.grid.images.as_ptr().cast_mut());
-        let n_materials = shares.materials.len();
         let blocks = self.watch.awake.par_iter().map(|&b| (b as usize, step));
         let (fault, measured) = blocks
             .chain(stale.par_iter().map(|&b| (b as usize, &frozen)))
@@ -107,23 +107,22 @@ impl<T: Scalar> Level<T> {
                 // SAFETY: each block has a tile of its own.
                 let tile = unsafe { &mut *tiles.at(b) };
                 let edge = grid.edge_of.get(b).copied().filter(|&edge| edge != NONE && step.dt > 0.0);
-                // SAFETY: each block at the rim has columns of its own.
-                let mut columns: Option<&mut [[T; TILE]; COLUMNS]> =
-                    edge.map(|edge| unsafe { &mut *columns.at(edge as usize) });
+                // SAFETY: each block at the rim has parent cells of its own.
+                let mut parent_cells = edge.map(|edge| unsafe { &mut *carried.at(edge as usize) });
                 let mut spent = 0;
                 let timed = b % TIMED_BLOCKS == 0;
                 let begun = timed.then(Instant::now);
                 let mut materials = if timed { vec![0; n_materials] } else { Vec::new() };
                 let mut fault = None;
                 isa.run::<T, _>(Clear(tile));
-                columns.iter_mut().flat_map(|columns| columns.iter_mut()).for_each(|tile| isa.run::<T, _>(Clear(tile)));
+                if let Some(cells) = &mut parent_cells {
+                    cells.fill(Carried::default());
+                }
                 for (l, list) in lists.iter().enumerate() {
                     let run = list.runs[b];
                     if run.count == 0 {
                         continue;
                     }
-                    let touches = edge.map(|edge| &grid.touches[edge as usize]);
-                    let edge = touches.zip(columns.as_deref_mut()).map(|(touches, columns)| Edge { touches, columns });
                     let mut message = ErrorBuffer::default();
                     let outcome = isa.run::<T, _>(ParticlesToGrid {
                         particles: list.view(),
@@ -132,7 +131,7 @@ impl<T: Scalar> Level<T> {
                         law: &list.law,
                         step,
                         tile,
-                        edge,
+                        parent_cells: parent_cells.as_deref_mut(),
                         error: message.as_raw(),
                         material_time: timed.then_some(&mut spent),
                     });
@@ -146,9 +145,6 @@ impl<T: Scalar> Level<T> {
                 if walls && grid.mirrored[b] {
                     // SAFETY: each block has an entry of its own.
                     let impulse = unsafe { mirrors.fold(tile, grid.origin(b), &mut *images.at(b)) };
-                    for (column, tile) in columns.iter_mut().flat_map(|columns| columns.iter_mut()).enumerate() {
-                        mirrors.fold_column(tile, grid.origin(b), column);
-                    }
                     if !step.frozen {
                         // SAFETY: as above.
                         unsafe { *impulse_of.at(b) = impulse };
@@ -168,12 +164,11 @@ impl<T: Scalar> Level<T> {
             );
         // Strain has been carried along, so a repetition of this pass must not carry it again.
         self.strain_dt = 0.0;
-        *shares = std::mem::take(shares).plus(measured);
         if let Some((_, stopped)) = fault {
             return Err(stopped);
         }
         self.book(impulses);
-        Ok(())
+        Ok(measured)
     }
 
     /// Sums tiles into nodes, takes up what the rim of the finer level hands over, hands the own rim's share on, lets walls
@@ -218,7 +213,8 @@ impl<T: Scalar> Level<T> {
                 if let Some(ring) = grid.rings.get(grid.ring_of[g] as usize) {
                     // SAFETY: as above.
                     let handed = unsafe { &mut *handed.at(grid.ring_of[g] as usize) };
-                    isa.run::<T, _>(HandOver { ring, columns: grid.columns.as_flattened(), nodes, handed });
+                    let carried = grid.carried.as_flattened();
+                    isa.run::<T, _>(HandOver { ring, carried, nodes, handed });
                 }
                 if separate { T::default() } else { isa.run::<T, _>(Velocities { nodes, least }) }
             })
@@ -247,9 +243,9 @@ impl<T: Scalar> Level<T> {
                     let (particles, run, origin, law) = (list.view(), list.runs[b], grid.origin(b), &list.law);
                     let mut message = ErrorBuffer::default();
                     let error = message.as_raw();
-                    let (edge, material_time) = (None, None);
+                    let (parent_cells, material_time) = (None, None);
                     let scatter =
-                        ParticlesToGrid { particles, run, origin, law, step, tile, edge, error, material_time };
+                        ParticlesToGrid { particles, run, origin, law, step, tile, parent_cells, error, material_time };
                     if run.count > 0
                         && let Err(f) = isa.run::<T, _>(scatter)
                     {
@@ -493,7 +489,7 @@ impl<T: Scalar> Level<T> {
 }
 
 impl Shares {
-    fn plus(mut self, other: Self) -> Self {
+    pub(crate) fn plus(mut self, other: Self) -> Self {
         if self.materials.is_empty() {
             self.materials = other.materials;
         } else {
@@ -571,8 +567,8 @@ impl<T: Float> Kernel<T> for SumTiles<'_, T> {
 /// Hands what a block's rim nodes hold to their parents.
 struct HandOver<'a, T> {
     ring: &'a Ring,
-    /// Affine columns, three an edge.
-    columns: &'a [[T; TILE]],
+    /// Mass and m C of parent cells.
+    carried: &'a [Carried<T>],
     nodes: &'a mut [T; NODES],
     handed: &'a mut [T; NODES],
 }
@@ -581,20 +577,52 @@ impl<T: Float> Kernel<T> for HandOver<'_, T> {
     type Output = ();
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) {
+        let Self { ring, nodes, .. } = self;
         // Many rims reach into the air.
-        let weighs = |n: usize| self.ring.slaves >> n & 1 == 1 && self.nodes[4 * n + 3] > T::default();
-        if !(0..CELLS).any(weighs) {
+        if !(0..CELLS).any(|n| ring.slaves >> n & 1 == 1 && nodes[4 * n + 3] > T::default()) {
             self.handed.fill(T::default());
             return;
         }
-        let mut affine = [[T::default(); NODES]; COLUMNS];
-        for (column, nodes) in affine.iter_mut().enumerate() {
-            let around =
-                self.ring.edges_around.map(|e| if e == NONE { NONE } else { e * COLUMNS as u32 + column as u32 });
-            SumTiles { nodes, tiles: self.columns, around: &around }.run::<V>();
+        let mut all = [Carried([T::default(); LANES]); CELLS];
+        for n in 0..CELLS {
+            if ring.cells[n] != NONE {
+                // SAFETY: a cell carries 16 scalars.
+                unsafe {
+                    let cell = V::load(self.carried[ring.cells[n] as usize].0.as_ptr());
+                    let cell = if ring.mirrored[n] == 0 { cell } else { cell * mirrored::<V>(ring.mirrored[n]) };
+                    cell.store(all[n].0.as_mut_ptr());
+                }
+            }
         }
-        ring::restrict(self.ring.slaves, self.nodes, &mut affine, self.handed);
+        ring::spread::<V>(&mut all);
+        for n in 0..CELLS {
+            let (node, near) = (&mut nodes[4 * n..4 * n + 4], all[n].0[Carried::<T>::MASS]);
+            let is_slave = ring.slaves >> n & 1 == 1;
+            let part = if is_slave && near > T::default() { node[3] / near } else { T::default() };
+            // SAFETY: a node carries 16 scalars.
+            unsafe { (V::load(all[n].0.as_ptr()) * V::fill(part)).store(all[n].0.as_mut_ptr()) };
+            if is_slave {
+                all[n].0[..4].copy_from_slice(node);
+                node.fill(T::default());
+            }
+        }
+        ring::restrict::<V>(&mut all, self.handed);
     }
+}
+
+/// What a mirror makes of an affine momentum, as factors: M becomes S M R, with the signs S of velocities and R, which turns axes round.
+#[inline(always)]
+fn mirrored<V: Lanes>(bits: u8) -> V {
+    let sign = |bit: usize| if bits >> bit & 1 == 1 { -1.0 } else { 1.0 };
+    let mut signs = [V::Scalar::default(); LANES];
+    signs[Carried::<V::Scalar>::MASS] = V::Scalar::from_f64(1.0);
+    for j in 0..3 {
+        for i in 0..3 {
+            signs[Carried::<V::Scalar>::column(j) + i] = V::Scalar::from_f64(sign(i) * sign(3 + j));
+        }
+    }
+    // SAFETY: 16 scalars.
+    unsafe { V::load(signs.as_ptr()) }
 }
 
 /// Gives a block's rim nodes the velocity of their parents.

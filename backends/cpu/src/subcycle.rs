@@ -51,7 +51,7 @@ impl<T: Scalar> CpuEngine<T> {
             }
         }
         self.keep_watch(l, couplings);
-        self.particles_to_grid(l, dt).map_err(|error| at_time(error, time))?;
+        self.particles_to_grid(l..l + 1, dt).map_err(|error| at_time(error, time))?;
         let clock = Instant::now();
         let least = self.least_mass();
         self.levels[l].update_grid(self.isa, least, None, l > 0);

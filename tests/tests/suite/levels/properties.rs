@@ -4,7 +4,8 @@ use barchan_core::Aabb;
 use barchan_core::levels::{CellBox, Regions, SPLIT_AHEAD};
 use barchan_grid::block::{CELLS, NODES};
 use barchan_grid::resample::{Particle, Planes, merge, split};
-use barchan_grid::ring::{COLUMNS, restrict};
+use barchan_grid::ring::{Carried, restrict};
+use barchan_lanes::{Isa, Kernel, LANES, Lanes};
 use barchan_tests::scenes::scene;
 use barchan_tests::sketch::{Head, half, tool};
 use nalgebra::{Matrix3, Vector3};
@@ -97,23 +98,19 @@ proptest! {
         values in prop::collection::vec(-1.0_f64..1.0, NODES),
         affine in prop::collection::vec(prop::array::uniform9(-1.0_f64..1.0), CELLS),
     ) {
-        let mut nodes: [f64; NODES] = std::array::from_fn(|i| values[i]);
-        let mut columns = [[0.0; NODES]; COLUMNS];
+        let mut carried = [Carried([0.0; LANES]); CELLS];
         let (mut before, mut spin) = ([0.0; 7], [0.0; 3]);
         for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
             let x = [node / 16, node / 4 % 4, node % 4].map(|i| i as f64);
-            add(&mut before, &nodes[4 * node..][..4], x);
+            carried[node].0[..4].copy_from_slice(&values[4 * node..][..4]);
+            add(&mut before, &carried[node].0[..4], x);
             for d in 0..3 {
                 spin[d] += axial(&affine[node])[d];
-            }
-        }
-        for node in 0..CELLS {
-            for (j, column) in columns.iter_mut().enumerate() {
-                (0..3).for_each(|i| column[4 * node + i] = affine[node][3 * i + j]);
+                (0..3).for_each(|i| carried[node].0[Carried::<f64>::column(d) + i] = affine[node][3 * i + d]);
             }
         }
         let mut parents = [0.0; NODES];
-        restrict(slaves, &mut nodes, &mut columns, &mut parents);
+        Isa::current().run::<f64, _>(Restrict { carried: &mut carried, parents: &mut parents });
         let mut after = [0.0; 7];
         for node in 0..CELLS {
             let x = [node / 16, node / 4 % 4, node % 4].map(|i| 2.0 * i as f64 - 1.5);
@@ -126,6 +123,19 @@ proptest! {
         for d in 0..3 {
             prop_assert!((before[4 + d] + 0.75 * spin[d] - after[4 + d]).abs() < 1e-10, "{before:?} {spin:?} {after:?}");
         }
+    }
+}
+
+/// [`restrict`] with the vectors of this machine.
+struct Restrict<'a> {
+    carried: &'a mut [Carried<f64>; CELLS],
+    parents: &'a mut [f64; NODES],
+}
+
+impl Kernel<f64> for Restrict<'_> {
+    type Output = ();
+    fn run<V: Lanes<Scalar = f64>>(self) {
+        restrict::<V>(self.carried, self.parents);
     }
 }
 
