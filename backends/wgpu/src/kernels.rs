@@ -138,8 +138,8 @@ pub(crate) struct Kernels {
     /// In the order of a sort.
     pub(crate) sort: Vec<Kernel>,
     pub(crate) p2g: Kernel,
-    /// What rims hand to the next coarser level, if there are several.
-    pub(crate) restrict: Option<Kernel>,
+    /// What rims hand to the next coarser level.
+    pub(crate) restrict: Vec<Kernel>,
     /// From tiles to velocities.
     pub(crate) grid: Vec<Kernel>,
     /// Halves and solves nodes that two levels share, if there is subcycling.
@@ -189,7 +189,7 @@ impl Kernels {
         Ok(Self {
             sort: all(drafts.sort),
             p2g: make(drafts.p2g),
-            restrict: drafts.restrict.map(make),
+            restrict: all(drafts.restrict),
             grid: all(drafts.grid),
             shared: drafts.shared.map(|drafts| drafts.map(make)),
             prolong: drafts.prolong.map(make),
@@ -207,7 +207,7 @@ impl Kernels {
 struct Drafts {
     sort: Vec<Draft>,
     p2g: Draft,
-    restrict: Option<Draft>,
+    restrict: Vec<Draft>,
     grid: Vec<Draft>,
     shared: Option<[Draft; 2]>,
     prolong: Option<Draft>,
@@ -236,7 +236,7 @@ impl Drafts {
         Ok(Self {
             sort: sort(plan),
             p2g: p2g(),
-            restrict: levels.then(restrict),
+            restrict: if levels { restrict() } else { Vec::new() },
             grid,
             shared: subcycled.then(shared),
             prolong: levels.then(prolong),
@@ -500,14 +500,11 @@ fn p2g() -> Draft {
         .replace("$OWN_ZM", &zm.own(""))
         .replace("$GUESTS_XY", &xy.guests())
         .replace("$GUESTS_ZM", &zm.guests())
-        .replace("$FLUSH", &flush(|n| format!("a{n}")));
+        .replace("$FLUSH", &flush());
     Draft {
         name: "P2G",
         entry: "p2g",
-        body: include_str!("wgsl/cells.wgsl").to_owned()
-            + &body
-            + include_str!("wgsl/wall.wgsl")
-            + include_str!("wgsl/rhythm.wgsl"),
+        body: body + include_str!("wgsl/wall.wgsl") + include_str!("wgsl/rhythm.wgsl"),
         uses: vec![RECORD, CELLS, written(LISTS), GRID, STATUS],
         uniform: Uniform::None,
         groups: Groups::Blocks,
@@ -599,45 +596,41 @@ fn add_momentum(momentum: &str, sum: fn(&str, &str) -> String) -> String {
     text
 }
 
-/// What blocks at rims hand to the next coarser level. Two threads own a cell as in P2G, with its mass by node, and two rows of its m C or
-/// the third.
-fn restrict() -> Draft {
-    let add = |rows: &str| {
-        let masses = each_node(|n, [i, j, k]| format!("a{n} = fma(m * wx[{i}] * wy[{j}], wz[{k}], a{n});\n"));
-        format!(
-            "let f = fraction(p);\nlet wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n\
-             let m = s.w;\nmass += m;\n{rows}{masses}"
-        )
-    };
-    let xy = Half { rows: &[("s", 1), ("r0", 2), ("r1", 3)], add: add("row0 += m * r0.yzw;\nrow1 += m * r1.yzw;\n") };
-    let z = Half { rows: &[("s", 1), ("r2", 4)], add: add("row0 += m * r2.yzw;\n") };
-    let zero = |n: usize| format!("a{n} = 0.0;\n");
-    let body = include_str!("wgsl/restrict.wgsl")
-        .replace("$ZERO", &each_node(|n, _| format!("var {}", zero(n))))
-        .replace("$CLEAR", &each_node(|n, _| zero(n)))
-        .replace("$OWN_XY", &xy.own("list_leaver(q, q - start, p.w);"))
-        .replace("$OWN_Z", &z.own(""))
-        .replace("$GUESTS_XY", &xy.guests())
-        .replace("$GUESTS_Z", &z.guests())
-        .replace("$FLUSH", &flush(|n| format!("a{n} * mean")));
-    Draft {
-        name: "restrict",
-        entry: "restrict_rims",
-        body: include_str!("wgsl/cells.wgsl").to_owned() + &body + include_str!("wgsl/wall.wgsl"),
-        uses: vec![RECORD, CELLS, written(LISTS), NODES, RIMS, written(HANDED), STATUS],
-        uniform: Uniform::None,
-        groups: Groups::Blocks,
-        checked: true,
-    }
+/// What rims hand to the next coarser level: sums by parent cell, then what each block of nodes hands on.
+fn restrict() -> Vec<Draft> {
+    let handed = include_str!("wgsl/handed.wgsl");
+    vec![
+        Draft {
+            name: "parent cells",
+            entry: "sum_parent_cells",
+            body: include_str!("wgsl/parent_cells.wgsl").to_owned() + handed,
+            uses: vec![RECORD, CELLS, LISTS, RIMS, written(HANDED), STATUS],
+            uniform: Uniform::None,
+            groups: Groups::Blocks,
+            checked: true,
+        },
+        Draft {
+            name: "restrict",
+            entry: "restrict_rims",
+            body: sums_of_tiles() + handed + include_str!("wgsl/restrict.wgsl") + include_str!("wgsl/wall.wgsl"),
+            uses: vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, written(HANDED)],
+            uniform: Uniform::None,
+            groups: Groups::NodeBlocks,
+            checked: true,
+        },
+    ]
 }
 
-/// Adds what a cell holds for each of its nodes to the tile: for one of the 27 at a time, different cells touch different nodes.
-fn flush(held: impl Fn(usize) -> String) -> String {
+/// For passes that need sums of tiles at rims.
+fn sums_of_tiles() -> String {
+    include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
+        + include_str!("wgsl/rim_sums.wgsl")
+}
+
+/// Adds a cell's sums to the tile: for one of its 27 nodes at a time, different cells touch different nodes.
+fn flush() -> String {
     each_node(|n, [i, j, k]| {
-        let held = held(n);
-        format!(
-            "if on {{ tile[part * 512u + in_tile(x + {i}u, y + {j}u, z + {k}u)] += {held}; }}\nworkgroupBarrier();\n"
-        )
+        format!("if on {{ tile[part * 512u + in_tile(x + {i}u, y + {j}u, z + {k}u)] += a{n}; }}\nworkgroupBarrier();\n")
     })
 }
 
@@ -706,10 +699,7 @@ fn shared() -> [Draft; 2] {
     let draft = |name, body: &str| Draft {
         name,
         entry: name,
-        body: include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
-            + include_str!("wgsl/rim_sums.wgsl")
-            + include_str!("wgsl/shared.wgsl")
-            + body,
+        body: sums_of_tiles() + include_str!("wgsl/shared.wgsl") + body,
         uses: vec![LISTS, GRID, STATUS, DIRECTORY, RIMS, HANDED, KEPT],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,

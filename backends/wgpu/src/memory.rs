@@ -223,7 +223,7 @@ impl Extent {
             Role::Partials => 32 * nodes * asked.bodies as u64,
             Role::Impulses => 32 * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
             Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),
-            Role::Handed if asked.boxes > 0 => 16 * 216 * blocks,
+            Role::Handed if asked.boxes > 0 => 16 * (64 * nodes + 24 * blocks),
             Role::Shared if asked.substeps > 1 => 16 * 128 * nodes,
             Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
         }

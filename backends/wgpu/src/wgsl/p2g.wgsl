@@ -5,6 +5,193 @@
 // are walked in the order of memory, so that sums do not depend on who came first. Then cells are added to the tile: for one of the
 // 27 nodes at a time, different cells touch different nodes.
 
+// Momentum along x and y of the tile's nodes, then along z and mass.
+var<workgroup> tile: array<vec2<f32>, 1024>;
+// For each of 6x6x6 cells its last leaver, counted from 1.
+var<workgroup> head: array<atomic<u32>, 216>;
+// Leavers: index in the block, and the next one in 16 bits.
+var<workgroup> leavers: array<u32, 384>;
+var<workgroup> leaver_count: atomic<u32>;
+// Cells outside the block that hold particles, as bits, and in order.
+var<workgroup> halo: array<atomic<u32>, 7>;
+var<workgroup> halo_cells: array<u32, 152>;
+var<workgroup> go: u32;
+var<workgroup> corner: vec3<i32>;
+var<workgroup> walled: u32;
+var<workgroup> listed: u32;
+
+const LEAVERS: u32 = 384u;
+
+// Spread over the banks of workgroup memory.
+fn in_tile(x: u32, y: u32, z: u32) -> u32 {
+    return x * 64u + y * 8u + (z ^ ((y & 2u) << 1u));
+}
+
+fn is_halo(cell: u32) -> bool {
+    let x = cell / 36u;
+    let y = (cell / 6u) % 6u;
+    let z = cell % 6u;
+    return x == 0u || x == 5u || y == 0u || y == 5u || z == 0u || z == 5u;
+}
+
+fn layer_of_block(b: u32) -> u32 {
+    if LAYERS == 1u {
+        return 0u;
+    }
+    return u32(lists[b * ENTRY].w);
+}
+
+// The particles in one cell that come from others, one after the other.
+struct Walk {
+    // Tag of the cell, and its number among 6x6x6.
+    tag: u32,
+    cell: u32,
+    // Leavers before this one are done.
+    after: u32,
+    // The block's particles.
+    start: u32,
+    end: u32,
+}
+
+fn has_left(tag: u32) -> bool {
+    return (tag & 511u) != ((tag >> 16u) & 511u);
+}
+
+// Notes a particle that has left its cell where those that have come to another are looked for.
+fn list_leaver(q: u32, index: u32, tag: u32) {
+    let at = cell_of(tag) + vec3<i32>(1);
+    if any(at < vec3<i32>(0)) || any(at > vec3<i32>(5)) {
+        atomicStore(&status[WHO], q);
+        atomicStore(&status[HALT_STEP], step.number);
+        atomicStore(&status[HALTED], STRAYED);
+        return;
+    }
+    let cell = u32((at.x * 6 + at.y) * 6 + at.z);
+    let k = atomicAdd(&leaver_count, 1u);
+    if k < LEAVERS {
+        leavers[k] = (index << 16u) | atomicExchange(&head[cell], k + 1u);
+    }
+    if is_halo(cell) {
+        atomicOr(&halo[cell >> 5u], 1u << (cell & 31u));
+    }
+}
+
+fn next_leaver(w: ptr<function, Walk>) -> u32 {
+    if listed == 0u {
+        // More leavers than the list holds: all of the block's particles are looked at.
+        while (*w).start + (*w).after < (*w).end {
+            let q = (*w).start + (*w).after;
+            (*w).after += 1u;
+            let tag = record[vector(q, 0u)].w;
+            if (tag & 511u) == (*w).tag && has_left(tag) {
+                return q;
+            }
+        }
+        return NONE;
+    }
+    var best = NONE;
+    var h = atomicLoad(&head[(*w).cell]);
+    while h != 0u {
+        let entry = leavers[h - 1u];
+        let index = entry >> 16u;
+        if index >= (*w).after && index < best {
+            best = index;
+        }
+        h = entry & 0xffffu;
+    }
+    if best == NONE {
+        return NONE;
+    }
+    (*w).after = best + 1u;
+    return (*w).start + best;
+}
+
+// Lists the cells outside the block that hold any of its particles, in order; how many there are.
+fn list_halo(thread: u32) -> u32 {
+    var halo_count = 0u;
+    for (var w = 0u; w < 7u; w++) {
+        halo_count += countOneBits(atomicLoad(&halo[w]));
+    }
+    for (var cell = thread; cell < 216u; cell += 128u) {
+        let bits = atomicLoad(&halo[cell >> 5u]);
+        if (bits & (1u << (cell & 31u))) != 0u {
+            var rank = countOneBits(bits & ((1u << (cell & 31u)) - 1u));
+            for (var w = 0u; w < (cell >> 5u); w++) {
+                rank += countOneBits(atomicLoad(&halo[w]));
+            }
+            halo_cells[rank] = cell;
+        }
+    }
+    return halo_count;
+}
+
+// Node i of the tile and its image j behind a wall satisfy i + j = sum; are there such nodes?
+fn in_reach(sum: vec3<i32>) -> vec3<bool> {
+    return (sum >= vec3<i32>(1)) & (sum <= vec3<i32>(13));
+}
+
+fn reaches_wall(layer: u32) -> bool {
+    let low = (LOW != vec3<u32>(0u)) & in_reach(2 * (world_min(layer) - corner) - vec3<i32>(1));
+    let high = (HIGH != vec3<u32>(0u)) & in_reach(2 * (world_max(layer) - corner) - vec3<i32>(1));
+    return any(low | high);
+}
+
+// The tile's node number `t` of 64 in a plane across an axis.
+fn plane_node(axis: i32, plane: u32, t: u32) -> vec3<u32> {
+    let a = t >> 3u;
+    let c = t & 7u;
+    if axis == 0 {
+        return vec3<u32>(plane, a, c);
+    }
+    if axis == 1 {
+        return vec3<u32>(a, plane, c);
+    }
+    return vec3<u32>(a, c, plane);
+}
+
+fn in_plane(axis: i32, plane: u32, t: u32) -> u32 {
+    let n = plane_node(axis, plane, t);
+    return in_tile(n.x, n.y, n.z);
+}
+
+// Is that node behind a wall across an axis before this one, which has folded it already?
+fn behind(axis: i32, t: u32, origin: vec3<i32>) -> bool {
+    let node = origin + vec3<i32>(plane_node(axis, 0u, t));
+    for (var d = 0; d < axis; d++) {
+        if (LOW[d] != 0u && node[d] < world_min(layer_now)[d]) || (HIGH[d] != 0u && node[d] >= world_max(layer_now)[d]) {
+            return true;
+        }
+    }
+    return false;
+}
+
+// Folds the planes behind the wall at one end of an axis, a thread a row of them across; what the wall gives: [N s].
+fn fold(axis: i32, end: i32, thread: u32) -> vec3<f32> {
+    let kind = select(LOW[axis], HIGH[axis], end == 1);
+    let sum = 2 * (select(world_min(layer_now)[axis], world_max(layer_now)[axis], end == 1) - corner[axis]) - 1;
+    var impulse = vec3<f32>(0.0);
+    if kind == 0u || sum < 1 || sum > 13 || behind(axis, thread, corner) {
+        return impulse;
+    }
+    let signs = wall_signs(kind, axis);
+    // Beyond the low wall lie the lower planes, beyond the high one the upper.
+    let first = select(max(sum - 7, 0), (sum + 1) / 2, end == 1);
+    let last = select((sum - 1) / 2, min(sum, 7), end == 1);
+    for (var image = first; image <= last; image++) {
+        let source = in_plane(axis, u32(image), thread);
+        let to = in_plane(axis, u32(sum - image), thread);
+        let xy = tile[source];
+        let zm = tile[512u + source];
+        tile[to] += signs.xy * xy;
+        tile[512u + to] += vec2<f32>(signs.z * zm.x, zm.y);
+        impulse += (signs - vec3<f32>(1.0)) * vec3<f32>(xy, zm.x);
+        // The mass stays, for what walls give when velocities are read.
+        tile[source] = vec2<f32>(0.0);
+        tile[512u + source] = vec2<f32>(0.0, zm.y);
+    }
+    return impulse;
+}
+
 // May this step go on? It may not once the particles are to be sorted, and so before they have drifted too far for their tiles. The
 // step's drift is noted for the next one.
 fn ready(b: u32) -> u32 {
@@ -110,7 +297,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         var impulse = vec3<f32>(0.0);
         for (var axis = 0; axis < 3; axis++) {
             if thread < 64u {
-                impulse += fold(axis, 0, thread, -1) + fold(axis, 1, thread, -1);
+                impulse += fold(axis, 0, thread) + fold(axis, 1, thread);
             }
             workgroupBarrier();
         }

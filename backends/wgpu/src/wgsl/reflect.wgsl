@@ -16,7 +16,7 @@ fn layer_of(g: u32) -> u32 {
     return u32(lists[(extent.block_room + g) * ENTRY].w);
 }
 
-// Books what folding gave to a block's nodes, unless the step is too long: then it will be repeated. All is asked for at once.
+// Books what folding gave to a block's nodes, and handing on to parents behind walls, unless the step is too long: then it will be repeated. All is asked for at once.
 fn ready(w: u32) -> u32 {
     let speed = bitcast<f32>(atomicLoad(&status[greatest_word(step.number)]));
     let is_halted = atomicLoad(&status[HALTED]) != 0u;
@@ -30,6 +30,10 @@ fn ready(w: u32) -> u32 {
     }
     if w < blocks && any(pending != vec4<f32>(0.0)) && is_live(u32(lists[w * ENTRY].w)) {
         lists[w * ENTRY + WALL] = bitcast<vec4<i32>>(before + pending);
+    }
+    if LEVELS > 1u && is_live(layer_of(w)) {
+        let entry = (extent.block_room + w) * ENTRY;
+        lists[entry + WALL] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + WALL]) + bitcast<vec4<f32>>(lists[entry + PENDING]));
     }
     return u32(has_nodes_behind(layer_of(w), first) && is_live(layer_of(w)));
 }

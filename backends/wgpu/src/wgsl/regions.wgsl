@@ -40,6 +40,11 @@ fn is_edge(layer: u32, block: vec3<i32>) -> bool {
     return !holds(layer, 4 * block - vec3<i32>(3), 4 * block + vec3<i32>(7), 0);
 }
 
+// May the parent cells of a block be next to those of nodes at the rim?
+fn is_near_edge(layer: u32, block: vec3<i32>) -> bool {
+    return !holds(layer, 4 * block - vec3<i32>(4), 4 * block + vec3<i32>(8), 0);
+}
+
 // Is the node of a cell at the rim? Then its spline reaches out of the region, and particles of the layer may give to it: when they are
 // sorted they are up to SPLIT_AHEAD parent cells outside, drift by a cell, and touch the next cell's node.
 fn is_slave(layer: u32, cell: vec3<i32>) -> bool {

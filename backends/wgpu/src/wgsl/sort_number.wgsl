@@ -44,6 +44,7 @@ fn number(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 let entry = (extent.block_room + next.y) * ENTRY;
                 lists[entry] = vec4<i32>(block, i32(layer));
                 lists[entry + WALL] = vec4<i32>(0);
+                lists[entry + PENDING] = vec4<i32>(0);
             }
             directory[at] = select(vec2<u32>(NONE), next, here[k] != vec2<u32>(0u));
             next += here[k];

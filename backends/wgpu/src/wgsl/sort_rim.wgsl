@@ -1,4 +1,4 @@
-// Which nodes are at the rims of regions, which node blocks rims hand something to, and which blocks give to rims.
+// Which nodes are at the rims of regions, which node blocks rims hand something to, and which blocks are near them.
 var<workgroup> slaves: array<atomic<u32>, 2>;
 var<workgroup> takes: atomic<u32>;
 
@@ -29,7 +29,7 @@ fn find_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
             rims[w] = vec4<u32>(atomicLoad(&slaves[0]), atomicLoad(&slaves[1]), atomicLoad(&takes), 0u);
         }
         if w < atomicLoad(&status[BLOCKS]) {
-            rims[extent.node_room + w] = vec4<u32>(u32(is_edge(u32(lists[w * ENTRY].w), lists[w * ENTRY].xyz)), 0u, 0u, 0u);
+            rims[extent.node_room + w] = vec4<u32>(u32(is_near_edge(u32(lists[w * ENTRY].w), lists[w * ENTRY].xyz)), 0u, 0u, 0u);
         }
     }
 }
