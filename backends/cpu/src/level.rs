@@ -1,6 +1,6 @@
 //! One level: its particles, its grid, and the passes over them.
 
-use crate::grid::{Grid, Ring};
+use crate::grid::{Grid, Ring, SharedNode};
 use crate::memory::Shared;
 use crate::sleep::Watch;
 use crate::store::Store;
@@ -21,6 +21,9 @@ const TIMED_BLOCKS: usize = 16;
 /// From how many times the least mass on a node's speed counts in full: a thousandth of the lightest particle's. A node takes part
 /// in a particle's velocity by no more than its mass over the particle's, so the speed of lighter ones counts in proportion.
 const FELT: f64 = 1e17;
+
+/// Shared nodes that are solved as one task.
+const SHARED_AT_ONCE: usize = 256;
 
 /// Nanoseconds in each material's callback and in P2G as a whole, over the blocks that measure.
 #[derive(Clone, Default)]
@@ -285,31 +288,44 @@ impl<T: Scalar> Level<T> {
     /// The shared nodes' velocity over one step of the finer level, which hands over `handed`; their own momentum is then what
     /// they have at that velocity, and what the forces of the next such step add.
     pub(crate) fn solve_shared(&mut self, handed: &[[T; NODES]], least: f64) {
-        let grid = &mut self.grid;
-        let nodes = grid.nodes.as_flattened_mut();
-        for shared in &mut grid.shared {
-            let mut sum = shared.own;
-            for link in &grid.links[shared.links.0 as usize..shared.links.1 as usize] {
-                let from = &handed.as_flattened()[4 * link.from as usize..][..4];
+        let Grid { nodes, shared, links, .. } = &mut self.grid;
+        let (nodes, links, handed) = (Shared(nodes.as_mut_ptr().cast::<[T; 4]>()), &*links, handed.as_flattened());
+        let solve = |shared: &mut SharedNode<T>| {
+            let (mut sum, mut impulse) = (shared.own, [0.0; 3]);
+            for link in &links[shared.links.0 as usize..shared.links.1 as usize] {
+                let from = &handed[4 * link.from as usize..][..4];
                 for d in 0..3 {
                     if link.flips >> d & 1 == 1 {
                         sum[d] += -from[d];
-                        self.wall_impulse[d] -= 2.0 * from[d].to_f64();
+                        impulse[d] -= 2.0 * from[d].to_f64();
                     } else {
                         sum[d] += from[d];
                     }
                 }
                 sum[3] += from[3];
             }
-            let node = &mut nodes[4 * shared.node as usize..][..4];
+            // SAFETY: no two shared nodes are one node of the grid.
+            let node = unsafe { &mut *nodes.at(shared.node as usize) };
+            let felt = T::from_f64((sum[3].to_f64() / (least * FELT)).min(1.0));
+            let mut speed = T::default();
             for d in 0..3 {
                 node[d] = if sum[3] > T::default() { sum[d] / sum[3] } else { T::default() };
                 shared.own[d] = shared.own[3] * node[d] + shared.gain[d];
-                let felt = (sum[3].to_f64() / (least * FELT)).min(1.0);
-                self.max_speed = greater(self.max_speed, felt * node[d].to_f64().abs());
+                speed = greater(speed, felt * node[d].abs());
             }
             node[3] = sum[3];
-        }
+            (speed, impulse)
+        };
+        // Impulses are summed in the order of nodes, whoever finds them.
+        let some = |shared: &mut [SharedNode<T>]| {
+            shared.iter_mut().map(solve).fold((T::default(), [0.0; 3]), |(most, sum), (speed, impulse)| {
+                (greater(most, speed), std::array::from_fn(|d| sum[d] + impulse[d]))
+            })
+        };
+        let found: Vec<(T, [f64; 3])> = shared.par_chunks_mut(SHARED_AT_ONCE).map(some).collect();
+        let speed = found.iter().fold(T::default(), |most, (speed, _)| greater(most, *speed));
+        self.max_speed = greater(self.max_speed, speed.to_f64());
+        self.book(found.into_iter().map(|(_, impulse)| impulse));
     }
 
     /// The grid update at walls that let go of the ground.
