@@ -5,12 +5,13 @@ use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    ALL_LEVELS, Asked, BODY, Extent, Layer, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, read, with_mapped,
-    with_room,
+    ALL_LEVELS, Asked, BODY, Extent, Layer, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read,
+    with_mapped, with_room,
 };
 use crate::stiffness::{self, Held};
 use crate::world::{Level, MAX_MOVE, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
+use barchan_core::coupling::DeviceLaw;
 use barchan_core::scene::Wall;
 use barchan_core::{
     Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase,
@@ -44,13 +45,15 @@ const WHO: usize = 4;
 const NEW_BLOCKS: usize = 5;
 const NEW_NODE_BLOCKS: usize = 6;
 const SORTS: usize = 8;
+/// Blocks of nodes near bodies whose law runs on the host.
+pub(crate) const NEAR: usize = 10;
 /// Of a layer.
 const FIRST_BLOCK: usize = 0;
 const FIRST_NODE_BLOCK: usize = 1;
 const LEAST_BLOCK: usize = 2;
 const GREATEST_BLOCK: usize = 5;
 /// Of what a submission sums up of a layer.
-pub(crate) const SORTED: usize = 0;
+const SORTED: usize = 0;
 const PARTED: usize = 1;
 pub(crate) const WALL_IMPULSE: usize = 2;
 /// Of a layer in a step.
@@ -114,7 +117,7 @@ impl Status {
         self.of_layer(layer, first)..end
     }
     /// The step before which a layer was sorted last in the submission.
-    fn sorted_before(&self, layer: usize) -> Option<usize> {
+    pub(crate) fn sorted_before(&self, layer: usize) -> Option<usize> {
         (self.sum(layer, SORTED) as usize).checked_sub(1)
     }
     /// The greatest node speed of some layers in a step, or NaN if any is not finite [m/s].
@@ -148,8 +151,8 @@ pub(crate) struct Clock {
 pub(crate) enum Contact {
     /// Nobody has asked yet.
     Unknown,
-    /// On the host, a step at a time.
-    Host,
+    /// On the host, a step at a time: nodes near bodies are gathered, and scattered again.
+    Host(Box<[Kernel; 2]>),
     /// On the device.
     Device(Box<DeviceContact>),
 }
@@ -299,13 +302,11 @@ pub(crate) struct WgpuBatch {
     /// Steps of the finest level in one of the simulation.
     substeps: usize,
     /// How far particles may have drifted before a step [cells].
-    most_drift: f32,
+    pub(crate) most_drift: f32,
     /// Are the links of blocks lost, so that a sort must come before the next step?
     pub(crate) unlinked: bool,
-    /// Did the last step's numbers stay on the device?
-    pub(crate) pending: bool,
-    /// Node blocks in order with their levels, if couplings ask for them.
-    pub(crate) node_blocks: Option<Vec<([i32; 3], usize)>>,
+    /// Blocks of nodes near bodies in the last step whose contact was on the host.
+    pub(crate) near_blocks: usize,
     pub(crate) clocks: Clocks,
     pub(crate) contact_seconds: (f64, u64),
     /// Time in splitting and merging on the host, and how often.
@@ -421,7 +422,8 @@ impl WgpuBatch {
         let vectors = rest_vectors(&plan.materials);
         let boxes = (levels - 1) * kernels::boxes(plan);
         let substeps = plan.substeps as usize;
-        let asked = Asked { pairs, bodies: 0, layers: count * levels, worlds: count, boxes, substeps };
+        let asked =
+            Asked { pairs, bodies: 0, layers: count * levels, worlds: count, boxes, substeps, ..Asked::default() };
         let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
         let mut batch = Self {
             gpu,
@@ -434,8 +436,7 @@ impl WgpuBatch {
             substeps,
             most_drift: most_drift(plan),
             unlinked: true,
-            pending: false,
-            node_blocks: None,
+            near_blocks: 0,
             clocks: Clocks::default(),
             contact_seconds: (0.0, 0),
             adapt_seconds: (0.0, 0),
@@ -453,21 +454,25 @@ impl WgpuBatch {
     pub(crate) fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
         self.fixed.check(new.plan, world)?;
         self.settle()?;
+        let is_alone = self.worlds.len() == 1;
         let table = match &self.contact {
-            Contact::Device(contact) => Some((contact.table_of(new.couplings, world), contact.vectors)),
-            Contact::Host | Contact::Unknown => None,
+            Contact::Device(contact) => match contact.table_of(new.couplings, world) {
+                Err(error) if !is_alone => return Err(error),
+                table => table.ok().map(|table| (table, contact.vectors)),
+            },
+            Contact::Host(_) | Contact::Unknown => None,
         };
-        let table = match table {
-            Some((Ok(table), vectors)) => Some((table, vectors)),
+        let as_before = match &self.contact {
+            Contact::Device(_) => table.is_some(),
+            Contact::Host(_) => device_law(new.couplings).is_none(),
+            Contact::Unknown => new.couplings.is_empty(),
+        };
+        match as_before {
+            true => {}
             // One world alone may have other bodies from now on.
-            _ if self.worlds.len() == 1 => {
-                self.contact = Contact::Unknown;
-                None
-            }
-            Some((Err(error), _)) => return Err(error),
-            None if new.couplings.is_empty() => None,
-            None => return Err(no_batch(world)),
-        };
+            false if is_alone => self.contact = Contact::Unknown,
+            false => return Err(no_batch(world)),
+        }
         let before = std::mem::replace(&mut self.worlds[world], World::new(new.plan));
         let now = &mut self.worlds[world];
         now.levels.clone_from(&before.levels);
@@ -498,7 +503,7 @@ impl WgpuBatch {
         self.levels * world..self.levels * (world + 1)
     }
 
-    fn particles(&self) -> usize {
+    pub(crate) fn particles(&self) -> usize {
         self.memory.extent.particles as usize
     }
 
@@ -561,6 +566,7 @@ impl WgpuBatch {
             Groups::Exactly(count) => count,
             Groups::Blocks => extent.block_room,
             Groups::NodeBlocks => extent.node_room.max(extent.block_room),
+            Groups::Near => self.memory.near() as u32,
             Groups::BlocksBy(n) => extent.block_room.div_ceil(n),
             Groups::ParticlesBy(n) => extent.particles.div_ceil(n),
             Groups::PlacesBy(n) => extent.places.div_ceil(n),
@@ -611,7 +617,10 @@ impl WgpuBatch {
     /// that take part are given with their times [s].
     fn submit(&mut self, active: &[(usize, f64)], dt: f64, stretches: &[Stretch]) -> Result<Outcome> {
         let count: usize = stretches.iter().map(|s| s.steps).sum();
-        debug_assert!(count <= MAX_STEPS && !self.pending, "a submission starts from what is known");
+        debug_assert!(
+            count <= MAX_STEPS && !self.worlds.iter().any(|w| w.pending),
+            "a submission starts from what is known"
+        );
         let sorts = stretches.iter().filter(|s| s.sort).count();
         if sorts > 0 {
             self.cover_blocks(sorts)?;
@@ -659,7 +668,7 @@ impl WgpuBatch {
         }
         self.write_steps(0, &passes.constants);
         let parts = self.with_groups(parts);
-        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;
         let status = Status::new(words, layout);
         self.take_blocks(&status);
         let halt = status.halt();
@@ -679,11 +688,10 @@ impl WgpuBatch {
     }
 
     /// Takes in where blocks are after a submission.
-    fn take_blocks(&mut self, status: &Status) {
+    pub(crate) fn take_blocks(&mut self, status: &Status) {
         let sorts = status.words[SORTS] as usize;
         if sorts > 0 {
             self.memory.now ^= sorts & 1;
-            self.node_blocks = None;
             self.unlinked = false;
             for (layer, level) in self.worlds.iter_mut().flat_map(|world| &mut world.levels).enumerate() {
                 let block = |first: usize| [0, 1, 2].map(|d| status.of_layer(layer, first + d) as i32 - BIAS);
@@ -765,13 +773,13 @@ impl WgpuBatch {
         stretches
     }
 
-    /// Runs parts and brings back the status, and behind it stretches of the grid: first byte, bytes.
+    /// Runs parts and brings back the status, and behind it so many blocks of nodes near bodies.
     pub(crate) fn run(
         gpu: &Gpu,
         memory: &mut Memory,
         clocks: &mut Clocks,
         parts: &[(Part<'_>, Vec<(u32, u32)>)],
-        nodes: &[(u64, u64)],
+        near: usize,
     ) -> Result<Vec<u32>> {
         for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
             clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
@@ -807,13 +815,12 @@ impl WgpuBatch {
                 }
             }
         }
-        let status = memory.status_bytes();
-        let mut bytes = status;
-        memory.read_back_to(gpu, bytes + nodes.iter().map(|(_, bytes)| bytes).sum::<u64>());
+        let (status, of_nodes) = (memory.status_bytes(), (16 * NEAR_BLOCK * near) as u64);
+        let bytes = status + of_nodes;
+        memory.read_back_to(gpu, bytes);
         encoder.copy_buffer_to_buffer(memory.buffer(Role::Status, 0), 0, &memory.readback, 0, status);
-        for &(from, length) in nodes {
-            encoder.copy_buffer_to_buffer(memory.buffer(Role::Grid, 0), from, &memory.readback, bytes, length);
-            bytes += length;
+        if of_nodes > 0 {
+            encoder.copy_buffer_to_buffer(memory.buffer(Role::Near, 0), 0, &memory.readback, status, of_nodes);
         }
         let resolved = queries.map(|queries| {
             let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -842,7 +849,7 @@ impl WgpuBatch {
 
     /// Sets the worlds' parts of the directory around all blocks that a sort can find: they have drifted by up to a cell or two, and
     /// nodes reach a block further.
-    fn cover_blocks(&mut self, sorts: usize) -> Result<()> {
+    pub(crate) fn cover_blocks(&mut self, sorts: usize) -> Result<()> {
         // A cell and a half each time is less than a block in two.
         let margin = 2 + sorts as i32 / 2;
         let mut places = 0u64;
@@ -875,7 +882,7 @@ impl WgpuBatch {
     }
 
     /// Makes room for as many blocks as the last sort found, and a quarter more.
-    fn make_room(&mut self, status: &Status) -> Result<()> {
+    pub(crate) fn make_room(&mut self, status: &Status) -> Result<()> {
         let mut extent = self.memory.extent;
         extent.block_room = extent.block_room.max(with_room(status.words[NEW_BLOCKS] as usize));
         extent.node_room = extent.node_room.max(with_room(status.words[NEW_NODE_BLOCKS] as usize));
@@ -883,21 +890,8 @@ impl WgpuBatch {
         self.memory.grow(&self.gpu, extent)
     }
 
-    /// Sorts what is due at once.
-    pub(crate) fn sort_now(&mut self, world: usize, time: f64, dt: f64, couplings: &[Box<dyn Coupling>]) -> Result<()> {
-        loop {
-            let outcome = self.submit(&[(world, time)], dt, &[Stretch { sort: true, steps: 0 }])?;
-            match outcome.halt {
-                None => return Ok(()),
-                Some(Halt::Room) => self.make_room(&outcome.status)?,
-                Some(Halt::Misplaced) => self.adapt(world, None, couplings)?,
-                Some(_) => return Err(self.left_world(world, &outcome.status)),
-            }
-        }
-    }
-
     /// The world of a particle that a halt names.
-    fn world_of(&self, status: &Status) -> Option<usize> {
+    pub(crate) fn world_of(&self, status: &Status) -> Option<usize> {
         let who = status.words[WHO] as usize;
         self.worlds.iter().position(|world| world.particles().contains(&who))
     }
@@ -1033,7 +1027,7 @@ impl WgpuBatch {
 
     /// Brings a world's particles to the levels where they belong, splits and merges: on the host. `before` are its regions as they
     /// were, if they have moved.
-    fn adapt(&mut self, w: usize, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+    pub(crate) fn adapt(&mut self, w: usize, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<()> {
         let begun = Instant::now();
         self.settle()?;
         // Particles come in any order: blocks' numbers are by cell here.
@@ -1134,7 +1128,7 @@ impl WgpuBatch {
         self.write_particles(&arrivals, &before);
         self.write_lists(&homes);
         self.memory.now = 1 - self.memory.now;
-        (self.unlinked, self.node_blocks) = (true, None);
+        self.unlinked = true;
         self.cover_blocks(1)?;
 
         for (w, arrival) in &arrivals {
@@ -1251,7 +1245,7 @@ impl WgpuBatch {
             self.write_steps(0, &[self.step_constants(f64::from_bits(dt), [0.0; 3], 0)]);
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
-            Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &[])?;
+            Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;
         }
         Ok(())
     }
@@ -1259,6 +1253,7 @@ impl WgpuBatch {
     /// Up to `count` steps of at most `dt` of the worlds that have a turn, without couplings or with such as run on the device. A world that
     /// fails is left out, and the others go on without it.
     fn advance(&mut self, mut dt: f64, count: usize, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
+        self.settle()?;
         let mut failed: Vec<Option<Error>> = turns.iter().map(|turn| self.fault(turn)).collect();
         loop {
             let going: Vec<usize> = (0..turns.len()).filter(|&t| failed[t].is_none()).collect();
@@ -1316,7 +1311,7 @@ impl WgpuBatch {
     }
 
     /// What is wrong with a world's particles as they came in.
-    fn fault(&self, turn: &Turn<'_>) -> Option<Error> {
+    pub(crate) fn fault(&self, turn: &Turn<'_>) -> Option<Error> {
         let world = &self.worlds[turn.world];
         if world.spoilt || world.torn.is_some() {
             let torn = world.torn.map(|(dt, bound)| Error::TimeStep {
@@ -1381,21 +1376,16 @@ impl WgpuBatch {
         Ok(all)
     }
 
-    /// Finds out where the couplings' law runs: on the device, if all worlds' bodies follow one law that can.
+    /// Finds out where the couplings' law runs: on the device, if all worlds' bodies follow one law that can; on the host, if none of them can.
     fn settle_contact(&mut self, worlds: &[&[Box<dyn Coupling>]]) -> Result<()> {
-        if !matches!(self.contact, Contact::Unknown) {
-            return Ok(());
-        }
-        self.contact = Contact::Host;
-        let law = |couplings: &[Box<dyn Coupling>]| {
-            let [coupling] = couplings else { return None };
-            let bodies = coupling.bodies().len();
-            let fits = bodies == coupling.bounds().len() && bodies > 0;
-            coupling.device_law().filter(|_| fits).map(|law| (law, bodies))
-        };
-        let Some((first, bodies)) = worlds.first().and_then(|couplings| law(couplings)) else {
-            let bodies = worlds.iter().any(|couplings| !couplings.is_empty());
-            return if worlds.len() > 1 && bodies { Err(no_batch(0)) } else { Ok(()) };
+        let with_bodies = || worlds.iter().filter(|couplings| !couplings.is_empty());
+        let (Contact::Unknown, Some(first)) = (&self.contact, with_bodies().next()) else { return Ok(()) };
+        let Some((first, bodies)) = device_law(first) else {
+            let other = worlds.iter().position(|couplings| device_law(couplings).is_some());
+            let kernels = kernels::near(&self.gpu, &self.kernels, self.worlds.len());
+            self.gpu.check()?;
+            self.contact = Contact::Host(Box::new(kernels));
+            return other.map_or(Ok(()), |world| Err(no_batch(world)));
         };
         let vectors = first.table.len().max(1);
         let kernels = kernels::contact(&self.gpu, &self.kernels, &first, bodies, [self.worlds.len(), self.levels]);
@@ -1523,38 +1513,33 @@ impl WgpuBatch {
         count: usize,
         turns: &mut [Turn<'_>],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        let ground = self.particles() > 0;
         if let [turn] = turns {
-            if self.particles() > 0 && self.fault(turn).is_none() {
+            if ground && self.fault(turn).is_none() {
                 self.follow(turn.world, turn.couplings)?;
             }
             self.settle_contact(&[&*turn.couplings])?;
-            let ground = self.particles() > 0;
-            let on_host = !turn.couplings.is_empty() && !matches!(self.contact, Contact::Device(..));
-            if on_host && ground && self.substeps > 1 {
-                return Err(crate::lacks(
-                    "subcycling with bodies that move freely, or are meshes or height fields",
-                    "levels.subcycle = true",
-                    "set levels.subcycle = false, drive bodies of simple shapes, or use the backend cpu",
-                ));
-            }
-            if !ground || on_host {
-                return Ok(vec![self.step_on_host(turn, dt)]);
-            }
+        }
+        let with_bodies = turns.iter().any(|turn| !turn.couplings.is_empty());
+        let on_host = with_bodies && matches!(self.contact, Contact::Host(_));
+        if on_host && ground && self.substeps > 1 {
+            return Err(crate::lacks(
+                "subcycling with bodies that move freely, or are meshes or height fields",
+                "levels.subcycle = true",
+                "set levels.subcycle = false, drive bodies of simple shapes, or use the backend cpu",
+            ));
         }
         let hardens = turns.iter().any(|turn| self.worlds[turn.world].hardens);
         let most = if hardens { STIFFNESS_AGE as usize } else { MAX_STEPS }.min(MAX_STEPS / self.substeps);
-        let reports = self.advance(dt, count.clamp(1, most), turns)?;
+        let reports = if on_host || !ground {
+            self.step_on_host(dt, turns)?
+        } else {
+            self.advance(dt, count.clamp(1, most), turns)?
+        };
         for (turn, _) in turns.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
             self.follow_stiffness(turn.world)?;
         }
         Ok(reports)
-    }
-
-    fn step_on_host(&mut self, turn: &mut Turn<'_>, dt: f64) -> Result<Vec<StepReport>> {
-        self.fault(turn).map_or(Ok(()), Err)?;
-        let report = self.step_with_contact(turn.time, dt, turn.couplings)?;
-        self.follow_stiffness(turn.world)?;
-        Ok(vec![report])
     }
 }
 
@@ -1571,15 +1556,22 @@ impl DeviceContact {
     }
 }
 
+/// The law on devices of a world's one coupling, and how many bodies it has.
+fn device_law(couplings: &[Box<dyn Coupling>]) -> Option<(DeviceLaw, usize)> {
+    let [coupling] = couplings else { return None };
+    let bodies = coupling.bodies().len();
+    let fits = bodies == coupling.bounds().len() && bodies > 0;
+    coupling.device_law().filter(|_| fits).map(|law| (law, bodies))
+}
+
 /// Bodies that cannot be batched.
 fn no_batch(world: usize) -> Error {
     crate::lacks(
-        "batch of worlds with such bodies",
+        "batch of worlds whose bodies are of different kinds",
         format!(
-            "world {world} has bodies that move freely, or are meshes or height fields, or are not as many and of the same kinds as the first world's"
+            "the bodies of world {world} are not like the others': driven ones of simple shapes, as many of the same kinds in all worlds, or in each world one at least that moves freely, or is a mesh or height field"
         ),
-        "drive them, make them of boxes, spheres, cylinders, capsules and planes, give all worlds as many of the same kinds, or run worlds \
-         on the backend cpu",
+        "make them alike, or run worlds on the backend cpu",
     )
 }
 

@@ -1,97 +1,94 @@
-//! Contact whose law runs on the host, in a batch of one world: the nodes near bodies, there and back.
+//! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
-use crate::batch::{Dispatch, HALTED, Halt, MOVE, NODE_MOVE, Part, SORTED, Status, WALL_IMPULSE, WgpuBatch};
-use crate::kernels::{Role, Sorted};
-use crate::layout;
-use crate::memory::{PER_STEP, read, read_parts};
-use crate::world::FELT;
+use crate::batch::{Contact, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Status, WALL_IMPULSE, WgpuBatch};
+use crate::kernels::Role;
+use crate::memory::{NEAR_BLOCK, PER_STEP, read};
+use crate::world::{FELT, MAX_DRIFT, Rhythm, World};
+use barchan_core::backend::Turn;
 use barchan_core::{Aabb, Coupling, Error, NodeBatch, Result, StepReport, Vec3};
-use std::collections::BTreeMap;
+use rayon::prelude::*;
+use std::ops::Range;
 use std::time::Instant;
 
-/// The world whose bodies are near: a batch of several has none whose law runs on the host.
-const WORLD: usize = 0;
-/// Bytes of a block's nodes.
-const BLOCK: u64 = 1024;
+/// A block of nodes on the host: velocities and masses.
+struct Block {
+    number: u32,
+    /// Its first cell.
+    first: [i32; 3],
+    nodes: Vec<[f32; 4]>,
+    changed: bool,
+}
 
-/// Blocks of nodes on the host: velocities and masses.
+impl Block {
+    /// As `gather.wgsl` writes it.
+    fn of(words: &[[u32; 4]]) -> Self {
+        let [x, y, z, number] = words[0];
+        let nodes = words[1..].iter().map(|node| node.map(f32::from_bits)).collect();
+        Self { number, first: [x, y, z].map(|c| c as i32), nodes, changed: false }
+    }
+
+    /// As `scatter_near.wgsl` reads it.
+    fn words(&self) -> impl Iterator<Item = [u32; 4]> {
+        let [x, y, z] = self.first.map(|c| c as u32);
+        std::iter::once([x, y, z, self.number]).chain(self.nodes.iter().map(|node| node.map(f32::to_bits)))
+    }
+}
+
+/// A world's nodes near its bodies.
 #[derive(Default)]
-pub(crate) struct Nodes {
-    blocks: BTreeMap<u32, Vec<[f32; 4]>>,
-    /// Numbers of those that are to be read.
-    wanted: Vec<u32>,
-    changed: Vec<u32>,
+struct Near {
+    /// In the order of their numbers.
+    blocks: Vec<Block>,
+    /// Cell width [m] and numbers of blocks of each level.
+    levels: Vec<(f64, Range<usize>)>,
+    /// Nodes lighter than this carry nothing [kg].
+    least_mass: f64,
 }
 
-/// Numbers of the blocks with nodes in the boxes.
-fn blocks_in(ground: &WgpuBatch, boxes: &[Aabb]) -> Vec<u32> {
-    let meets = |(block, level): &([i32; 3], usize)| {
-        let h = ground.worlds[WORLD].levels[*level].h;
-        let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
-        let first = block.map(|b| 4 * b);
-        let extent = Aabb { min: first.map(centre), max: first.map(|c| centre(c + 3)) };
-        boxes.iter().any(|b| b.meets(&extent))
-    };
-    let all = ground.node_blocks.iter().flatten().zip(0..);
-    all.filter(|(place, _)| meets(place)).map(|(_, g)| g).collect()
-}
-
-impl Nodes {
-    /// Forgets all, and says which stretches of the grid hold the blocks in the boxes: first byte, bytes.
-    pub(crate) fn begin(&mut self, ground: &WgpuBatch, boxes: &[Aabb]) -> Vec<(u64, u64)> {
-        self.blocks.clear();
-        self.changed.clear();
-        self.wanted = blocks_in(ground, boxes);
-        self.stretches()
+impl Near {
+    /// Those of a world among all.
+    fn of(world: &World, blocks: &mut Vec<Block>) -> Self {
+        let levels: Vec<_> = world.levels.iter().map(|level| (level.h, level.node_blocks.clone())).collect();
+        let is_own = |block: &Block| levels.iter().any(|(_, own)| own.contains(&(block.number as usize)));
+        let (own, others) = std::mem::take(blocks).into_iter().partition(is_own);
+        *blocks = others;
+        Self { blocks: own, levels, least_mass: world.least_mass }
     }
 
-    /// Blocks that stand together are read together.
-    fn stretches(&self) -> Vec<(u64, u64)> {
-        let runs = self.wanted.chunk_by(|a, b| a + 1 == *b);
-        runs.map(|run| (u64::from(run[0]) * BLOCK, run.len() as u64 * BLOCK)).collect()
+    /// The law of all couplings on the nodes of some levels. Returns the greatest speed that particles may feel [m/s].
+    fn touch(&mut self, levels: Range<usize>, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<f64> {
+        let mut speed = 0.0;
+        for coupling in couplings {
+            let boxes = coupling.bounds();
+            for level in levels.clone() {
+                speed = greater(speed, self.apply(level, &boxes, |batch| coupling.contact(dt, batch))?);
+            }
+        }
+        Ok(speed)
     }
 
-    /// Takes in what the wanted stretches hold.
-    pub(crate) fn take(&mut self, nodes: &[[f32; 4]]) {
-        self.blocks.extend(self.wanted.drain(..).zip(nodes.chunks_exact(64).map(<[_]>::to_vec)));
-    }
-
-    /// Reads those in the boxes that are not here yet.
-    pub(crate) fn fetch(&mut self, ground: &WgpuBatch, boxes: &[Aabb]) -> Result<()> {
-        self.wanted = blocks_in(ground, boxes);
-        self.wanted.retain(|g| !self.blocks.contains_key(g));
-        let nodes: Vec<[f32; 4]> = read_parts(&ground.gpu, ground.memory.buffer(Role::Grid, 0), &self.stretches())?;
-        self.take(&nodes);
-        Ok(())
-    }
-
-    /// Hands a level's nodes in the boxes to a law, and takes back their velocities. Returns the greatest speed that particles
-    /// may feel [m/s].
-    pub(crate) fn apply(
-        &mut self,
-        ground: &WgpuBatch,
-        level: usize,
-        boxes: &[Aabb],
-        law: impl FnOnce(&mut NodeBatch) -> Result<()>,
-    ) -> Result<f64> {
-        let h = ground.worlds[WORLD].levels[level].h;
+    /// Hands a level's nodes in the boxes to a law, and takes back their velocities.
+    fn apply(&mut self, level: usize, boxes: &[Aabb], law: impl FnOnce(&mut NodeBatch) -> Result<()>) -> Result<f64> {
+        let (h, own) = self.levels[level].clone();
         let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
         let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
-        let at = ground.node_blocks.as_deref().unwrap_or_default();
-        for g in blocks_in(ground, boxes).into_iter().filter(|g| at[*g as usize].1 == level) {
-            let first = at[g as usize].0.map(|b| 4 * b);
-            for (n, node) in self.blocks[&g].iter().enumerate() {
+        for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
+            let extent = Aabb { min: block.first.map(centre), max: block.first.map(|c| centre(c + 3)) };
+            if !boxes.iter().any(|one| one.meets(&extent)) {
+                continue;
+            }
+            for (n, node) in block.nodes.iter().enumerate() {
                 let mass = f64::from(node[3]);
-                if mass <= ground.worlds[WORLD].least_mass {
+                if mass <= self.least_mass {
                     continue;
                 }
                 let local = [(n / 16) as i32, (n / 4 % 4) as i32, (n % 4) as i32];
-                let x = std::array::from_fn(|d| centre(first[d] + local[d]));
+                let x = std::array::from_fn(|d| centre(block.first[d] + local[d]));
                 if boxes.iter().any(|b| b.contains(x)) {
                     batch.position.push(x);
                     batch.mass.push(mass);
                     batch.velocity.push([node[0], node[1], node[2]].map(f64::from));
-                    places.push((g, n));
+                    places.push((b, n));
                 }
             }
         }
@@ -99,158 +96,335 @@ impl Nodes {
             return Ok(0.0);
         }
         law(&mut batch)?;
-        let mut greatest = 0.0f64;
-        for ((&(g, n), u), mass) in places.iter().zip(&batch.velocity).zip(&batch.mass) {
-            let node = self.blocks.get_mut(&g).expect("its block was read");
-            let felt = (mass / (ground.worlds[WORLD].least_mass * FELT)).min(1.0);
+        let mut fastest = 0.0f64;
+        for ((&(b, n), u), mass) in places.iter().zip(&batch.velocity).zip(&batch.mass) {
+            let felt = (mass / (self.least_mass * FELT)).min(1.0);
+            let block = &mut self.blocks[b];
+            block.changed = true;
             for d in 0..3 {
-                node[n][d] = u[d] as f32;
-                let speed = felt * u[d].abs();
-                greatest = if speed.is_nan() || greatest.is_nan() { f64::NAN } else { greatest.max(speed) };
+                block.nodes[n][d] = u[d] as f32;
+                fastest = greater(fastest, felt * u[d].abs());
             }
         }
-        self.changed.extend(places.iter().map(|(g, _)| g));
-        self.changed.sort_unstable();
-        self.changed.dedup();
-        Ok(greatest)
-    }
-
-    /// Writes back the blocks that a law has changed.
-    pub(crate) fn give_back(&mut self, ground: &WgpuBatch) {
-        let grid = ground.memory.buffer(Role::Grid, 0);
-        for run in self.changed.chunk_by(|a, b| a + 1 == *b) {
-            let nodes: Vec<[f32; 4]> = run.iter().flat_map(|g| self.blocks[g].iter().copied()).collect();
-            ground.gpu.queue.write_buffer(grid, u64::from(run[0]) * BLOCK, bytemuck::cast_slice(&nodes));
-        }
-        self.changed.clear();
+        Ok(fastest)
     }
 }
 
-impl WgpuBatch {
-    /// One step with couplings whose law runs on the host: nodes near their bodies go there and back.
-    pub(crate) fn step_with_contact(
-        &mut self,
-        time: f64,
-        mut dt: f64,
-        couplings: &mut [Box<dyn Coupling>],
-    ) -> Result<StepReport> {
-        let ground = !self.worlds[WORLD].particles().is_empty();
-        let (mut speed, mut sorted) = (0.0, false);
-        let mut nodes = Nodes::default();
-        if ground {
-            if self.unlinked {
-                self.settle()?;
-                self.sort_now(WORLD, time, dt, couplings)?;
-            }
-            loop {
-                let boxes: Vec<_> = couplings.iter().flat_map(|c| c.bounds()).collect();
-                let status = self.ground_to_nodes(time, dt, &boxes, &mut nodes)?;
-                speed = status.speed(1, self.layers_of(WORLD));
-                let moves = speed * dt / self.h;
-                if status.halt() == Some(Halt::Drifted) && !sorted {
-                    self.sort_now(WORLD, time, dt, couplings)?;
-                    sorted = true;
-                    continue;
-                }
-                if status.halt().is_some() || !moves.is_finite() {
-                    return Err(self.explain(WORLD, &status, speed, time));
-                }
-                if moves <= NODE_MOVE {
-                    break;
-                }
-                dt *= (0.9 * NODE_MOVE / moves).max(0.1);
-                self.worlds[WORLD].shortened += 1;
-            }
-        }
-        let begun = Instant::now();
-        for coupling in couplings.iter_mut() {
-            coupling.before_step(time, dt)?;
-        }
-        for coupling in couplings.iter_mut().filter(|_| ground) {
-            let boxes = coupling.bounds();
-            nodes.fetch(self, &boxes)?;
-            for level in 0..self.levels {
-                let reached = nodes.apply(self, level, &boxes, |batch| coupling.contact(dt, batch))?;
-                speed = if reached.is_nan() { reached } else { speed.max(reached) };
-            }
-        }
-        self.contact_seconds.0 += begun.elapsed().as_secs_f64();
-        self.contact_seconds.1 += 1;
-        let moves = speed * dt / self.h;
+/// The greater of two speeds, or NaN if one is.
+fn greater(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
+}
+
+/// A world's boxes around its bodies.
+fn boxes_of(turn: &Turn<'_>) -> Vec<Aabb> {
+    turn.couplings.iter().flat_map(|coupling| coupling.bounds()).collect()
+}
+
+/// Is each box in the one that was asked for?
+fn are_within(boxes: &[Aabb], asked: &[Aabb]) -> bool {
+    boxes.len() == asked.len() && boxes.iter().zip(asked).all(|(one, asked)| one.union(asked) == *asked)
+}
+
+/// A world in a step whose contact is on the host.
+struct Visit<'a, 'b> {
+    turn: &'a mut Turn<'b>,
+    near: Near,
+    /// Greatest node speed [m/s].
+    speed: f64,
+    sorted: bool,
+    failed: Option<Error>,
+}
+
+impl Visit<'_, '_> {
+    /// The bodies meet the nodes, and move.
+    fn meet(&mut self, levels: usize, h: f64, step: u64, dt: f64) -> Result<()> {
+        let reached = self.near.touch(0..levels, dt, self.turn.couplings)?;
+        self.speed = greater(self.speed, reached);
+        let moves = self.speed * dt / h;
         if moves.is_nan() || moves > NODE_MOVE * (1.0 + 1e-9) {
             return Err(Error::TimeStep {
-                step: self.worlds[WORLD].steps,
+                step,
                 dt,
                 bound: NODE_MOVE * dt / moves,
                 by: "the speed that a coupling gave to a node".into(),
             });
         }
+        self.turn.couplings.iter_mut().try_for_each(|coupling| coupling.after_step(self.turn.time, dt))
+    }
+}
+
+impl WgpuBatch {
+    /// One step of the worlds that have a turn, whose couplings' law runs on the host, or that have no particles. A world that fails is left
+    /// out, and the others go on without it.
+    ///
+    /// 1. What is due is sorted, particles give to nodes, and the nodes near the bodies of all worlds come to the host, in one submission: the
+    ///    only one that is waited for. If it turns out that a sort or a shorter step was called for, it is repeated: particles are as they were.
+    /// 2. Couplings fix their bodies' velocities, meet the nodes and move, the worlds side by side.
+    /// 3. Nodes go back, and particles take their velocities; what that came to stays on the device until the next step.
+    pub(crate) fn step_on_host(&mut self, mut dt: f64, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
+        let ground = self.particles() > 0;
+        let failed: Vec<_> = turns.iter().map(|turn| self.fault(turn)).collect();
+        let fresh = |(turn, failed)| Visit { turn, near: Near::default(), speed: 0.0, sorted: false, failed };
+        let mut visits: Vec<_> = turns.iter_mut().zip(failed).map(fresh).collect();
         if ground {
-            nodes.give_back(self);
-            self.nodes_to_ground(time, dt, speed)?;
-            self.worlds[WORLD].book_gravity(time, dt, 1);
-            self.worlds[WORLD].stiffness_age += 1;
+            dt = self.bring_near(dt, &mut visits)?;
         }
-        self.worlds[WORLD].steps += 1;
-        for coupling in couplings {
-            coupling.after_step(time, dt)?;
+        let begun = Instant::now();
+        let (levels, h) = (self.levels, self.h);
+        let steps: Vec<u64> = visits.iter().map(|visit| self.worlds[visit.turn.world].steps).collect();
+        visits.par_iter_mut().zip(steps).filter(|(visit, _)| visit.failed.is_none()).for_each(|(visit, step)| {
+            visit.failed = visit.meet(levels, h, step, dt).err();
+        });
+        self.contact_seconds.0 += begun.elapsed().as_secs_f64();
+        self.contact_seconds.1 += 1;
+        if ground {
+            self.nodes_to_ground(dt, &visits)?;
         }
-        self.worlds[WORLD].last_dt = dt;
-        Ok(StepReport { dt, sorted, max_speed: speed, ..StepReport::default() })
+        let mut reports = Vec::new();
+        for visit in visits {
+            let world = &mut self.worlds[visit.turn.world];
+            reports.push(if let Some(error) = visit.failed {
+                Err(error)
+            } else {
+                if ground {
+                    world.book_gravity(visit.turn.time, dt, 1);
+                    world.stiffness_age += 1;
+                }
+                world.steps += 1;
+                world.last_dt = dt;
+                let (sorted, max_speed) = (visit.sorted, visit.speed);
+                Ok(vec![StepReport { dt, sorted, max_speed, ..StepReport::default() }])
+            });
+        }
+        Ok(reports)
     }
 
-    /// P2G and the grid update; brings back the status and the nodes in the boxes.
-    fn ground_to_nodes(&mut self, time: f64, dt: f64, boxes: &[Aabb], nodes: &mut Nodes) -> Result<Status> {
-        self.know_node_blocks()?;
+    /// Particles give to nodes, couplings begin their step, and the nodes near their bodies come to the host. Returns the step that all worlds
+    /// bear [s].
+    fn bring_near(&mut self, mut dt: f64, visits: &mut [Visit<'_, '_>]) -> Result<f64> {
+        let mut sort = false;
+        let (asked, mut blocks) = loop {
+            let going = |visit: &&Visit<'_, '_>| visit.failed.is_none();
+            let active: Vec<_> = visits.iter().filter(going).map(|v| (v.turn.world, v.turn.time)).collect();
+            let Some(&(first, _)) = active.first() else { return Ok(dt) };
+            let asked: Vec<_> = visits.iter().filter(going).map(|v| (v.turn.world, boxes_of(v.turn))).collect();
+            let (status, blocks) = self.ground_to_nodes(&active, dt, &asked, sort)?;
+            for visit in visits.iter_mut().filter(|visit| visit.failed.is_none()) {
+                let layers = self.layers_of(visit.turn.world);
+                visit.sorted |= status.sorted_before(layers.start).is_some();
+                visit.speed = status.speed(1, layers);
+            }
+            match status.halt() {
+                None => {
+                    let shorter = self.bearable(visits, &status, dt);
+                    if shorter == dt && visits.iter().filter(going).count() == active.len() {
+                        break (asked, blocks);
+                    }
+                    dt = shorter;
+                }
+                Some(Halt::Room) => self.make_room(&status)?,
+                Some(Halt::Drifted) if !sort => sort = true,
+                Some(Halt::Misplaced) => {
+                    let couplings = visits.iter().find(|v| v.turn.world == first).map(|v| &*v.turn.couplings);
+                    self.adapt(first, None, couplings.unwrap_or_default())?;
+                }
+                Some(_) => {
+                    let culprit = self.world_of(&status).unwrap_or(first);
+                    if let Some(visit) = visits.iter_mut().find(|v| v.turn.world == culprit) {
+                        visit.failed = Some(self.explain(culprit, &status, f64::NAN, visit.turn.time));
+                    }
+                }
+            }
+        };
+        for visit in visits.iter_mut().filter(|visit| visit.failed.is_none()) {
+            let time = visit.turn.time;
+            visit.failed = visit.turn.couplings.iter_mut().find_map(|coupling| coupling.before_step(time, dt).err());
+        }
+        // Bodies may reach further in the step than they did before it.
+        let now: Vec<_> =
+            visits.iter().filter(|v| v.failed.is_none()).map(|v| (v.turn.world, boxes_of(v.turn))).collect();
+        let is_here = |(world, boxes): &(usize, Vec<Aabb>)| {
+            asked.iter().any(|(other, asked)| other == world && are_within(boxes, asked))
+        };
+        if !now.iter().all(is_here) {
+            self.write_around(&now)?;
+            self.write_words(NEAR, &[0]);
+            blocks = self.gather()?;
+        }
+        for visit in visits.iter_mut().filter(|visit| visit.failed.is_none()) {
+            visit.near = Near::of(&self.worlds[visit.turn.world], &mut blocks);
+        }
+        Ok(dt)
+    }
+
+    /// The step that the fastest world bears; worlds that bear none have failed.
+    fn bearable(&mut self, visits: &mut [Visit<'_, '_>], status: &Status, mut dt: f64) -> f64 {
+        let asked = dt;
+        for visit in visits.iter_mut().filter(|visit| visit.failed.is_none()) {
+            let moves = visit.speed * asked / self.h;
+            if !moves.is_finite() {
+                let Turn { world, time, .. } = *visit.turn;
+                visit.failed = Some(self.explain(world, status, visit.speed, time));
+            } else if moves > NODE_MOVE {
+                self.worlds[visit.turn.world].shortened += 1;
+                dt = dt.min(asked * (0.9 * NODE_MOVE / moves).max(0.1));
+            }
+        }
+        dt
+    }
+
+    /// Tells the device the boxes around bodies, as cells of each level.
+    fn write_around(&mut self, boxes: &[(usize, Vec<Aabb>)]) -> Result<()> {
+        let most = boxes.iter().map(|(_, boxes)| boxes.len()).max().unwrap_or(0).max(1);
+        self.memory.add_near(&self.gpu, most, 64 * self.worlds.len())?;
+        // A box that holds nothing.
+        let none = [[i32::MAX / 4, i32::MAX / 4, i32::MAX / 4, 0], [i32::MIN / 4, i32::MIN / 4, i32::MIN / 4, 0]];
+        let mut vectors = vec![[most as i32, 0, 0, 0]];
+        vectors.extend(std::iter::repeat_n(none, self.words().layers * most).flatten());
+        for (w, boxes) in boxes {
+            for (layer, level) in self.layers_of(*w).zip(&self.worlds[*w].levels) {
+                for (b, one) in boxes.iter().enumerate() {
+                    // Nodes stand at the centres of cells; which of them are inside, the host finds out.
+                    let node = |x: f64, round: fn(f64) -> f64| round(x / level.h - 0.5).clamp(-1e9, 1e9) as i32;
+                    let [x, y, z] = one.min.map(|x| node(x, f64::floor));
+                    let at = 1 + 2 * (layer * most + b);
+                    vectors[at] = [x, y, z, 0];
+                    let [x, y, z] = one.max.map(|x| node(x, f64::ceil));
+                    vectors[at + 1] = [x, y, z, 0];
+                }
+            }
+        }
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Around, 0), 0, bytemuck::cast_slice(&vectors));
+        Ok(())
+    }
+
+    /// A sort if one is asked for or likely to be due, P2G and the grid update; brings back the status and the nodes in the boxes.
+    fn ground_to_nodes(
+        &mut self,
+        active: &[(usize, f64)],
+        dt: f64,
+        boxes: &[(usize, Vec<Aabb>)],
+        sort: bool,
+    ) -> Result<(Status, Vec<Block>)> {
+        let is_due = |world: &World| world.levels.iter().any(|level| world.likely(level).is_due(self.most_drift));
+        let sort = sort || self.unlinked || active.iter().any(|(w, _)| is_due(&self.worlds[*w]));
+        if sort {
+            self.cover_blocks(1)?;
+        }
+        self.write_around(boxes)?;
         // The last step's numbers stand in the words of step 0.
-        let mut layers = self.layers(|_| true);
-        if !self.pending {
-            layers.iter_mut().for_each(|layer| layer.age = layer.age.wrapping_sub(1));
+        let mut layers = self.layers(|w| active.iter().any(|a| a.0 == w));
+        for (layer, of_layer) in layers.iter_mut().enumerate() {
+            if !self.worlds[layer / self.levels].pending {
+                of_layer.age = of_layer.age.wrapping_sub(1);
+            }
         }
         self.write_layers(&layers);
-        self.write_steps(1, &[self.step_constants(dt, self.worlds[WORLD].scene.gravity_at(time), 1)]);
+        // Gravity is the same for all: it depends on time only if there is one world.
+        let gravity = self.worlds[active[0].0].scene.gravity_at(active[0].1);
+        self.write_steps(1, &[self.step_constants(dt, gravity, 1)]);
         let words = self.words();
-        self.write_words(HALTED, &[0, 0, u32::MAX]);
-        self.layers_of(WORLD).for_each(|layer| self.write_words(words.of_sum(layer, SORTED), &[0]));
-        if !self.pending {
-            self.write_words(words.of_step(0, WORLD, 0), &self.drifts(0));
+        self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0, 0, 0]);
+        if self.worlds.iter().any(|world| world.pending) {
+            for w in (0..self.worlds.len()).filter(|w| !self.worlds[*w].pending) {
+                self.write_words(words.of_step(0, self.layers_of(w).start, 0), &drifts(&self.worlds[w], 0));
+            }
+        } else {
+            let sums = words.of_sum(0, 0);
+            self.write_words(sums, &vec![0; words.of_sum(words.layers, 0) - sums]);
+            let drifts: Vec<u32> = self.worlds.iter().flat_map(|world| drifts(world, 0)).collect();
+            self.write_words(words.of_step(0, 0, 0), &drifts);
         }
-        self.write_words(words.of_step(1, WORLD, 0), &vec![0; PER_STEP * words.layers]);
+        self.write_words(words.of_step(1, 0, 0), &vec![0; PER_STEP * words.layers]);
         self.write_words(words.greatest(1), &[0]);
-        let now = self.memory.now;
-        let passes = [&self.kernels.p2g].into_iter().chain(&self.kernels.restrict).chain(&self.kernels.grid);
-        let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 1 }).collect();
-        let wanted = nodes.begin(self, boxes);
-        let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
-        let mut found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, &wanted)?;
-        let of_nodes = found.split_off(words.count());
-        nodes.take(bytemuck::cast_slice(&of_nodes));
-        let status = Status::new(found, words);
+
+        let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
+        let before = self.memory.now;
+        let sorting = sort.then_some(before);
+        let now = if sort { 1 - before } else { before };
+        let kernels = &self.kernels;
+        let sorts = kernels.sort.iter().filter(|_| sort).map(|kernel| Dispatch { kernel, now: before, step: 1 });
+        let passes = [&kernels.p2g].into_iter().chain(&kernels.restrict).chain(&kernels.grid).chain([&near[0]]);
+        let dispatches = sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1 })).collect();
+        let parts = self.with_groups(vec![Part { sorting, dispatches }]);
+        let room = self.near_expected();
+        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, room)?;
+        let (status, of_nodes) = self.split(found);
         self.take_pending(&status);
-        Ok(status)
+        self.take_blocks(&status);
+        for &(w, _) in active {
+            if status.sorted_before(self.layers_of(w).start).is_some() {
+                self.worlds[w].levels.iter_mut().for_each(|level| level.rhythm = Rhythm::default());
+            }
+        }
+        let blocks = if status.halt().is_none() { self.blocks_near(&status, of_nodes)? } else { Vec::new() };
+        Ok((status, blocks))
     }
 
-    /// Words of all levels in a step that begins, with that greatest node speed.
-    fn drifts(&self, speed: u32) -> Vec<u32> {
-        self.worlds[WORLD].levels.iter().flat_map(|level| [speed, 0, level.rhythm.drift.to_bits(), 0]).collect()
+    /// The status, and what stands behind it: blocks of nodes near bodies.
+    fn split(&self, mut found: Vec<u32>) -> (Status, Vec<u32>) {
+        let words = self.words();
+        let of_nodes = found.split_off(words.count());
+        (Status::new(found, words), of_nodes)
+    }
+
+    /// As many blocks as are brought back with the status: a quarter more than there were.
+    fn near_expected(&self) -> usize {
+        (self.near_blocks + self.near_blocks / 4 + 16).min(self.memory.near())
+    }
+
+    /// All blocks of nodes near bodies that a gathering has found, in the order of their numbers. If more than were expected, they are asked
+    /// for; if more than there is room for, gathered again.
+    fn blocks_near(&mut self, status: &Status, mut of_nodes: Vec<u32>) -> Result<Vec<Block>> {
+        let count = status.words[NEAR] as usize;
+        self.near_blocks = count;
+        if count > self.memory.near() {
+            self.memory.add_near(&self.gpu, 0, count + count / 4)?;
+            self.write_words(NEAR, &[0]);
+            return self.gather();
+        }
+        let (here, wanted) = (of_nodes.len(), 4 * NEAR_BLOCK * count);
+        if wanted > here {
+            let rest = wanted - here;
+            of_nodes.extend(read::<u32>(&self.gpu, self.memory.buffer(Role::Near, 0), 4 * here as u64, rest)?);
+        }
+        let vectors: &[[u32; 4]] = bytemuck::cast_slice(&of_nodes[..wanted]);
+        let mut blocks: Vec<Block> = vectors.chunks_exact(NEAR_BLOCK).map(Block::of).collect();
+        blocks.sort_unstable_by_key(|block| block.number);
+        Ok(blocks)
+    }
+
+    /// Gathers the nodes in the boxes on its own.
+    fn gather(&mut self) -> Result<Vec<Block>> {
+        let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
+        let dispatches = vec![Dispatch { kernel: &near[0], now: self.memory.now, step: 1 }];
+        let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
+        let room = self.near_expected();
+        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, room)?;
+        let (status, of_nodes) = self.split(found);
+        self.blocks_near(&status, of_nodes)
     }
 
     /// Takes in the numbers of a step that were still on the device.
     fn take_pending(&mut self, status: &Status) {
-        if std::mem::take(&mut self.pending) {
-            let world = &mut self.worlds[WORLD];
-            for (layer, level) in world.levels.iter_mut().enumerate() {
+        for w in 0..self.worlds.len() {
+            if !std::mem::take(&mut self.worlds[w].pending) {
+                continue;
+            }
+            let layers = self.layers_of(w);
+            let world = &mut self.worlds[w];
+            for (layer, level) in layers.zip(&mut world.levels) {
                 let moved = status.in_step(0, layer, MOVE);
                 level.rhythm = level.rhythm.after(moved);
                 level.particle_speed = f64::from(moved) * level.h / world.last_dt;
             }
-            self.take_sums(status, WORLD);
+            self.take_sums(status, w);
         }
     }
 
     /// Asks for the numbers of a step that are still on the device.
     pub(crate) fn settle(&mut self) -> Result<()> {
-        if self.pending {
+        if self.worlds.iter().any(|world| world.pending) {
             let words = self.words();
             let found = read(&self.gpu, self.memory.buffer(Role::Status, 0), 0, words.count())?;
             self.take_pending(&Status::new(found, words));
@@ -258,38 +432,37 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// Where the node blocks are.
-    fn know_node_blocks(&mut self) -> Result<()> {
-        if self.node_blocks.is_none() {
-            let from = self.memory.extent.block_room as u64 * (16 * layout::ENTRY) as u64;
-            let blocks: usize = self.worlds[WORLD].levels.iter().map(|level| level.node_blocks.len()).sum();
-            let count = blocks * layout::ENTRY;
-            let entries: Vec<[i32; 4]> = read(&self.gpu, self.memory.plane(Sorted::Lists), from, count)?;
-            let place = |e: &[[i32; 4]]| ([e[0][0], e[0][1], e[0][2]], e[0][3] as usize);
-            self.node_blocks = Some(entries.chunks_exact(layout::ENTRY).map(place).collect());
-        }
-        Ok(())
-    }
-
-    /// G2P, from nodes that are at most `speed` fast. Its numbers stay on the device until the next step asks for them.
-    fn nodes_to_ground(&mut self, time: f64, dt: f64, speed: f64) -> Result<()> {
-        let words = self.words();
-        self.write_steps(0, &[self.step_constants(dt, self.worlds[WORLD].scene.gravity_at(time), 0)]);
-        let sums = words.of_sum(0, 0);
-        self.write_words(sums, &vec![0; words.of_sum(words.layers, 0) - sums]);
+    /// Nodes go back, and particles take their velocities. What it came to stays on the device until the next step asks for it.
+    fn nodes_to_ground(&mut self, dt: f64, visits: &[Visit<'_, '_>]) -> Result<()> {
+        let going: Vec<&Visit<'_, '_>> = visits.iter().filter(|visit| visit.failed.is_none()).collect();
+        let Some(first) = going.first() else { return Ok(()) };
+        let gravity = self.worlds[first.turn.world].scene.gravity_at(first.turn.time);
+        let speed_of = |w: usize| going.iter().find(|visit| visit.turn.world == w).map(|visit| visit.speed);
         // Rounding must not stop what has been let through.
         let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;
-        let speed = (speed as f32).min(allowed).to_bits();
-        self.write_words(words.of_step(0, WORLD, 0), &self.drifts(speed));
-        self.write_words(words.greatest(0), &[speed]);
-        let now = self.memory.now;
-        let passes = self
-            .kernels
-            .prolong
-            .iter()
-            .chain(&self.kernels.mirror)
-            .chain([&self.kernels.g2p])
-            .chain(&self.kernels.collect);
+        let speeds: Vec<_> =
+            (0..self.worlds.len()).map(|w| speed_of(w).map_or(0.0, |speed| (speed as f32).min(allowed))).collect();
+        let words = self.words();
+        self.write_steps(0, &[self.step_constants(dt, gravity, 0)]);
+        let sums = words.of_sum(0, 0);
+        self.write_words(sums, &vec![0; words.of_sum(words.layers, 0) - sums]);
+        let of_world = |(world, speed): (&World, &f32)| drifts(world, speed.to_bits());
+        let drifts: Vec<u32> = self.worlds.iter().zip(&speeds).flat_map(of_world).collect();
+        self.write_words(words.greatest(0), &[speeds.iter().copied().fold(0.0, f32::max).to_bits()]);
+        self.write_words(words.of_step(0, 0, 0), &drifts);
+        if going.len() < visits.len() {
+            self.write_layers(&self.layers(|w| speed_of(w).is_some()));
+        }
+        let blocks = || going.iter().flat_map(|visit| &visit.near.blocks).filter(|block| block.changed);
+        let changed: Vec<[u32; 4]> = blocks().flat_map(Block::words).collect();
+        let count = changed.len() / NEAR_BLOCK;
+        self.write_words(NEAR, &[count as u32]);
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Near, 0), 0, bytemuck::cast_slice(&changed));
+
+        let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
+        let (kernels, now) = (&self.kernels, self.memory.now);
+        let back = near[1..].iter().filter(|_| count > 0);
+        let passes = back.chain(&kernels.prolong).chain(&kernels.mirror).chain([&kernels.g2p]).chain(&kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -300,26 +473,28 @@ impl WgpuBatch {
         }
         self.gpu.queue.submit([encoder.finish()]);
         self.gpu.check()?;
-        self.pending = true;
+        for visit in going {
+            self.worlds[visit.turn.world].pending = true;
+        }
         Ok(())
     }
 
     /// The rhythms of a world's levels after its last step, also if that step's numbers are still on the device.
-    pub(crate) fn rhythms(&self, w: usize) -> Vec<crate::world::Rhythm> {
+    pub(crate) fn rhythms(&self, w: usize) -> Vec<Rhythm> {
         let rhythm = |(layer, level): (usize, &crate::world::Level)| {
-            if !self.pending {
+            if !self.worlds[w].pending {
                 return level.rhythm;
             }
             let at = 4 * self.words().of_step(0, layer, MOVE) as u64;
             let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 1);
-            level.rhythm.after(words.map_or(crate::world::MAX_DRIFT, |words| words[0]))
+            level.rhythm.after(words.map_or(MAX_DRIFT, |words| words[0]))
         };
-        self.worlds[w].levels.iter().enumerate().map(rhythm).collect()
+        self.layers_of(w).zip(&self.worlds[w].levels).map(rhythm).collect()
     }
 
-    /// What walls gave in a step whose numbers are still on the device [N s].
-    pub(crate) fn pending_walls(&self) -> Vec3 {
-        if !self.pending || self.kernels.collect.is_none() {
+    /// What walls gave a world in a step whose numbers are still on the device [N s].
+    pub(crate) fn pending_walls(&self, w: usize) -> Vec3 {
+        if !self.worlds[w].pending || self.kernels.collect.is_none() {
             return [0.0; 3];
         }
         let of_layer = |layer: usize| {
@@ -327,6 +502,11 @@ impl WgpuBatch {
             let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 3);
             words.map_or([0.0; 3], |w| [w[0], w[1], w[2]].map(f64::from))
         };
-        self.layers_of(WORLD).map(of_layer).fold([0.0; 3], |sum, v| std::array::from_fn(|d| sum[d] + v[d]))
+        self.layers_of(w).map(of_layer).fold([0.0; 3], |sum, v| std::array::from_fn(|d| sum[d] + v[d]))
     }
+}
+
+/// Words of a world's levels in a step that begins, with that greatest node speed.
+fn drifts(world: &World, speed: u32) -> Vec<u32> {
+    world.levels.iter().flat_map(|level| [speed, 0, level.rhythm.drift.to_bits(), 0]).collect()
 }

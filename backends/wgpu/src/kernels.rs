@@ -2,7 +2,7 @@
 
 use crate::device::Gpu;
 use crate::material;
-use crate::memory::MAX_STEPS;
+use crate::memory::{MAX_STEPS, NEAR_BLOCK};
 use crate::world::{MAX_MOVE, OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::SPLIT_AHEAD;
@@ -49,6 +49,10 @@ pub(crate) enum Role {
     Handed,
     /// What nodes keep that two levels share in subcycling.
     Shared,
+    /// Boxes around bodies whose law runs on the host.
+    Around,
+    /// Blocks of nodes in them, there and back.
+    Near,
 }
 
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
@@ -98,6 +102,8 @@ pub(crate) enum Groups {
     NodeBlocks,
     /// So many.
     Exactly(u32),
+    /// One a block of nodes near bodies.
+    Near,
     /// One for this many blocks with particles.
     BlocksBy(u32),
     /// One for this many particles.
@@ -276,6 +282,7 @@ fn line(when: &str, draft: &Draft) -> String {
         Groups::Exactly(count) => format!("{count} workgroups"),
         Groups::Blocks => "a workgroup a block with particles".to_owned(),
         Groups::NodeBlocks => "a workgroup a block of nodes".to_owned(),
+        Groups::Near => "a workgroup a block of nodes near bodies".to_owned(),
         Groups::BlocksBy(n) => format!("a workgroup for {n} blocks"),
         Groups::ParticlesBy(n) => format!("a workgroup for {n} particles"),
         Groups::PlacesBy(n) => format!("a workgroup for {n} places of the directory"),
@@ -324,6 +331,32 @@ pub(crate) fn contact(
         checked: true,
     };
     [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
+}
+
+/// Contact whose law runs on the host: nodes near bodies are gathered for it, and take what it made of them.
+pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
+    let near: Use = ("near", "vec4<u32>", Role::Near, false);
+    let around: Use = ("around", "vec4<i32>", Role::Around, false);
+    let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
+    let draft = |name, body: &str, uses, groups| Draft {
+        name,
+        entry: name,
+        body: block.clone() + body,
+        uses,
+        uniform: Uniform::None,
+        groups,
+        checked: true,
+    };
+    [
+        draft(
+            "gather",
+            include_str!("wgsl/gather.wgsl"),
+            vec![LISTS, NODES, around, written(near), STATUS],
+            Groups::NodeBlocks,
+        ),
+        draft("scatter_near", include_str!("wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near),
+    ]
+    .map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
 }
 
 /// Vectors of four that hold a world's material parameters.

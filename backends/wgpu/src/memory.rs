@@ -25,6 +25,8 @@ const ROW: u32 = 32_768;
 
 /// Vectors of a body in a step; see `contact.wgsl`.
 pub(crate) const BODY: u64 = 9;
+/// Vectors of a block of nodes that goes to the host; see `gather.wgsl`.
+pub(crate) const NEAR_BLOCK: usize = 65;
 
 /// What not every scene asks for: room for pairs of nodes at walls that let go, and for bodies whose law runs on the device.
 #[derive(Clone, Copy, Debug, Default)]
@@ -37,6 +39,9 @@ pub(crate) struct Asked {
     pub(crate) boxes: usize,
     /// Steps of the finest level in one of the coarsest.
     pub(crate) substeps: usize,
+    /// Where the couplings' law runs on the host: boxes around the bodies of a layer, and blocks of nodes that go there and back.
+    pub(crate) around: usize,
+    pub(crate) near: usize,
 }
 
 /// `Extent` of `common.wgsl`.
@@ -154,7 +159,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 5] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells];
-const SHARED: [Role; 16] = [
+const SHARED: [Role; 18] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -171,6 +176,8 @@ const SHARED: [Role; 16] = [
     Role::Rims,
     Role::Handed,
     Role::Shared,
+    Role::Around,
+    Role::Near,
 ];
 
 fn shared_name(role: Role) -> &'static str {
@@ -191,6 +198,8 @@ fn shared_name(role: Role) -> &'static str {
         Role::Rims => "rims of levels",
         Role::Handed => "what rims hand on",
         Role::Shared => "nodes that levels share",
+        Role::Around => "boxes around bodies",
+        Role::Near => "nodes near bodies",
         Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
     }
 }
@@ -222,6 +231,8 @@ impl Extent {
             Role::Bodies => 16 * BODY * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
             Role::Partials => 32 * nodes * asked.bodies as u64,
             Role::Impulses => 32 * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
+            Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
+            Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
             Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),
             Role::Handed if asked.boxes > 0 => 16 * (64 * nodes + 24 * blocks),
             Role::Shared if asked.substeps > 1 => 16 * 128 * nodes,
@@ -424,6 +435,21 @@ impl Memory {
         self.grow(gpu, extent)
     }
 
+    /// Blocks of nodes near bodies that there is room for.
+    pub(crate) fn near(&self) -> usize {
+        self.asked.near
+    }
+
+    /// Makes room for so many boxes around the bodies of each layer, and blocks of nodes near them.
+    pub(crate) fn add_near(&mut self, gpu: &Gpu, around: usize, near: usize) -> Result<()> {
+        if around <= self.asked.around && near <= self.asked.near {
+            return Ok(());
+        }
+        (self.asked.around, self.asked.near) = (self.asked.around.max(around), self.asked.near.max(near));
+        let extent = self.extent;
+        self.grow(gpu, extent)
+    }
+
     /// Makes room for `extent`, keeping particles and blocks; but particles are lost if there is to be room for more of them. What the
     /// grid holds is lost, and so are the links of blocks: a sort must follow.
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
@@ -474,6 +500,8 @@ impl Memory {
             Role::Rims,
             Role::Handed,
             Role::Shared,
+            Role::Around,
+            Role::Near,
         ] {
             let bytes = extent.shared_bytes(role, self.asked);
             if self.buffer(role, 0).size() < bytes {
@@ -527,25 +555,6 @@ pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, from: u64, count: u
         with_mapped(gpu, &staging, part, |bytes| out.extend_from_slice(&bytemuck::pod_collect_to_vec::<u8, T>(bytes)))?;
         at += part;
     }
-    Ok(out)
-}
-
-/// Copies several stretches of a buffer to the host, (first byte, bytes) each, one after the other.
-pub(crate) fn read_parts<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, parts: &[(u64, u64)]) -> Result<Vec<T>> {
-    let bytes: u64 = parts.iter().map(|(_, bytes)| bytes).sum();
-    if bytes == 0 {
-        return Ok(Vec::new());
-    }
-    let staging = mappable(gpu, bytes);
-    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    let mut at = 0;
-    for &(from, bytes) in parts {
-        encoder.copy_buffer_to_buffer(buffer, from, &staging, at, bytes);
-        at += bytes;
-    }
-    gpu.queue.submit([encoder.finish()]);
-    let mut out = Vec::new();
-    with_mapped(gpu, &staging, bytes, |bytes| out = bytemuck::pod_collect_to_vec(bytes))?;
     Ok(out)
 }
 

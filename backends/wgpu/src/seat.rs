@@ -86,7 +86,7 @@ impl Engine for Seat {
         if let Ok((lists, ..)) = batch.lists(self.world) {
             account::add_particles(ledger, &lists, &world.materials, &world.scene);
         }
-        let pending = batch.pending_walls();
+        let pending = batch.pending_walls(self.world);
         for d in 0..3 {
             ledger.wall_impulse[d] += world.wall_impulse[d] + pending[d];
             ledger.gravity_impulse[d] += world.gravity_impulse[d];

@@ -101,6 +101,8 @@ pub(crate) struct World {
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
     pub(crate) torn: Option<(f64, f64)>,
     pub(crate) last_dt: f64,
+    /// Did the last step's numbers stay on the device?
+    pub(crate) pending: bool,
     /// Nodes lighter than this carry nothing [kg].
     pub(crate) least_mass: f64,
     pub(crate) stiffness: Bound,
@@ -151,6 +153,7 @@ impl World {
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,
+            pending: false,
             least_mass: 0.0,
             stiffness: unbounded(),
             unchanging: unbounded(),
@@ -185,6 +188,12 @@ impl World {
             level: l as u32,
             shrink: 0.5f32.powi(l as i32),
         }
+    }
+
+    /// The rhythm of one of its levels, as far as is known if the last step's numbers stayed on the device.
+    pub(crate) fn likely(&self, level: &Level) -> Rhythm {
+        let moved = (level.particle_speed * self.last_dt / level.h) as f32;
+        if self.pending { level.rhythm.after(moved) } else { level.rhythm }
     }
 
     /// Slots of its particles.

@@ -134,7 +134,9 @@ impl Worlds {
             |reports: Vec<StepReport>| reports.into_iter().next_back().expect("a world takes a step or says why not");
         match &mut self.machine {
             Machine::Apart(_) => self.each(Simulation::step),
-            Machine::Together(together) => together.steps(1).into_iter().map(|reports| reports.map(last)).collect(),
+            Machine::Together(together) => {
+                self.pool.install(|| together.steps(1)).into_iter().map(|reports| reports.map(last)).collect()
+            }
         }
     }
 
@@ -143,7 +145,7 @@ impl Worlds {
     pub fn steps(&mut self, count: usize) -> Vec<Result<Vec<StepReport>>> {
         match &mut self.machine {
             Machine::Apart(_) => self.each(|world| steps_of(world, count)),
-            Machine::Together(together) => steps_together(together, count),
+            Machine::Together(together) => self.pool.install(|| steps_together(together, count)),
         }
     }
 
