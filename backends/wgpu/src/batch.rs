@@ -45,7 +45,7 @@ const WHO: usize = 4;
 const NEW_BLOCKS: usize = 5;
 const NEW_NODE_BLOCKS: usize = 6;
 const SORTS: usize = 8;
-/// Blocks of nodes near bodies whose law runs on the host.
+/// Blocks of nodes near bodies whose law runs on the host: gathered, and in the next word those on their way back.
 pub(crate) const NEAR: usize = 10;
 /// Of a layer.
 const FIRST_BLOCK: usize = 0;
@@ -199,35 +199,52 @@ pub(crate) struct Clocks {
 }
 
 /// Writes down the passes of a submission.
-struct Passes<'a> {
+pub(crate) struct Passes<'a> {
     kernels: &'a Kernels,
     contact: &'a [Kernel],
     levels: usize,
     /// Width of the finest cell [m].
     h: f64,
     /// Which set of buffers is the present one.
-    now: usize,
+    pub(crate) now: usize,
     /// Number of the step under way, and its gravity [m/s²].
     number: usize,
-    gravity: Vec3,
-    constants: Vec<StepConstants>,
-    dispatches: Vec<Dispatch<'a>>,
+    pub(crate) gravity: Vec3,
+    pub(crate) constants: Vec<StepConstants>,
+    pub(crate) dispatches: Vec<Dispatch<'a>>,
+    /// Constants of the step of each level that is under way, if levels take steps of their own.
+    of_levels: Vec<usize>,
 }
 
 impl<'a> Passes<'a> {
-    fn constants(&mut self, dt: f64, level: u32, slot: usize) -> usize {
+    pub(crate) fn new(kernels: &'a Kernels, contact: &'a Contact, [levels, now]: [usize; 2], h: f64) -> Self {
+        Self {
+            kernels,
+            contact: if let Contact::Device(contact) = contact { &contact.kernels } else { &[] },
+            levels,
+            h,
+            now,
+            number: 0,
+            gravity: [0.0; 3],
+            constants: Vec::new(),
+            dispatches: Vec::new(),
+            of_levels: vec![0; levels],
+        }
+    }
+
+    pub(crate) fn constants(&mut self, dt: f64, level: u32, slot: usize) -> usize {
         let constants = step_constants(self.h, dt, self.gravity, self.number);
         self.constants.push(StepConstants { slot: slot as u32, level, ..constants });
         self.constants.len() - 1
     }
 
-    fn run(&mut self, step: usize, kernels: impl IntoIterator<Item = &'a Kernel>) {
+    pub(crate) fn run(&mut self, step: usize, kernels: impl IntoIterator<Item = &'a Kernel>) {
         let now = self.now;
         self.dispatches.extend(kernels.into_iter().map(|kernel| Dispatch { kernel, now, step }));
     }
 
     /// A sort moves the particles to the other set of buffers.
-    fn sort(&mut self, dt: f64) {
+    pub(crate) fn sort(&mut self, dt: f64) {
         let step = self.constants(dt, ALL_LEVELS, self.number);
         self.run(step, &self.kernels.sort);
         self.now = 1 - self.now;
@@ -241,31 +258,50 @@ impl<'a> Passes<'a> {
         self.run(step, kernels.prolong.iter().chain(&kernels.mirror).chain([&kernels.g2p]));
     }
 
-    /// One step of a level, with two steps of the next finer one within, as in the backend cpu's `subcycle.rs`; `slot` is the number of the
-    /// first one of the finest level.
-    fn step_level(&mut self, l: usize, dt: f64, slot: usize) {
-        let (kernels, is_coarsest) = (self.kernels, l + 1 == self.levels);
-        let [halve, solve] = kernels.shared.as_ref().expect("a subcycled scene has them");
-        let step = self.constants(dt, l as u32, slot + (1 << l) - 1);
-        self.run(step, [&kernels.p2g]);
-        self.run(step, kernels.restrict.iter().filter(|_| !is_coarsest));
-        self.run(step, &kernels.grid);
-        if l > 0 {
-            // What shared nodes have without the step's forces.
-            let still = self.constants(0.0, l as u32, slot);
-            self.run(still, [&kernels.p2g, halve]);
+    /// One step of the coarsest level in which each level takes two steps in one of the next coarser one, as in the backend cpu's
+    /// `subcycle.rs`. A slot is a step of the finest level; `first` is the number of the first.
+    fn step_levels(&mut self, dt: f64, first: usize) {
+        for slot in 0..1 << (self.levels - 1) {
+            self.begin_slot(dt, first, slot);
+            self.end_slot(slot);
         }
-        if !is_coarsest {
-            self.run(step, [solve].into_iter().chain(&kernels.prolong));
-        }
-        if l > 0 {
-            self.step_level(l - 1, 0.5 * dt, slot);
-            self.step_level(l - 1, 0.5 * dt, slot + (1 << (l - 1)));
-        }
-        // Now the level's velocities are whole.
-        self.run(step, self.contact);
-        self.run(step, kernels.mirror.iter().chain([&kernels.g2p]));
     }
+
+    /// What the levels whose steps begin with a slot do before bodies touch them, coarser ones first.
+    pub(crate) fn begin_slot(&mut self, dt: f64, first: usize, slot: usize) {
+        let kernels = self.kernels;
+        let [halve, solve] = kernels.shared.as_ref().expect("a subcycled scene has them");
+        for l in (0..self.levels).rev().filter(|l| slot.is_multiple_of(1 << l)) {
+            let (dt, is_coarsest) = (dt / f64::from(1 << (self.levels - 1 - l)), l + 1 == self.levels);
+            let step = self.constants(dt, l as u32, first + slot + (1 << l) - 1);
+            self.of_levels[l] = step;
+            self.run(step, [&kernels.p2g]);
+            self.run(step, kernels.restrict.iter().filter(|_| !is_coarsest));
+            self.run(step, &kernels.grid);
+            if l > 0 {
+                // What shared nodes have without the step's forces.
+                let still = self.constants(0.0, l as u32, first + slot);
+                self.run(still, [&kernels.p2g, halve]);
+            }
+            if !is_coarsest {
+                self.run(step, [solve].into_iter().chain(&kernels.prolong));
+            }
+        }
+    }
+
+    /// What the levels whose steps end with a slot do once their velocities are whole, finer ones first.
+    pub(crate) fn end_slot(&mut self, slot: usize) {
+        for l in ending(self.levels, slot) {
+            let step = self.of_levels[l];
+            self.run(step, self.contact);
+            self.run(step, self.kernels.mirror.iter().chain([&self.kernels.g2p]));
+        }
+    }
+}
+
+/// The levels whose steps end with a slot.
+pub(crate) fn ending(levels: usize, slot: usize) -> Range<usize> {
+    0..levels.min((slot + 1).trailing_zeros() as usize + 1)
 }
 
 /// One dispatch of a submission.
@@ -300,7 +336,7 @@ pub(crate) struct WgpuBatch {
     /// What the passes were made for.
     fixed: Fixed,
     /// Steps of the finest level in one of the simulation.
-    substeps: usize,
+    pub(crate) substeps: usize,
     /// How far particles may have drifted before a step [cells].
     pub(crate) most_drift: f32,
     /// Are the links of blocks lost, so that a sort must come before the next step?
@@ -634,17 +670,7 @@ impl WgpuBatch {
 
         // Gravity is the same for all: it depends on time only if there is one world.
         let (first, time) = active[0];
-        let mut passes = Passes {
-            kernels: &self.kernels,
-            contact: if let Contact::Device(contact) = &self.contact { &contact.kernels } else { &[] },
-            levels: self.levels,
-            h: self.h,
-            now: self.memory.now,
-            number: 0,
-            gravity: [0.0; 3],
-            constants: Vec::new(),
-            dispatches: Vec::new(),
-        };
+        let mut passes = Passes::new(&self.kernels, &self.contact, [self.levels, self.memory.now], self.h);
         let mut parts = Vec::new();
         for stretch in stretches {
             let sorting = stretch.sort.then_some(passes.now);
@@ -654,7 +680,7 @@ impl WgpuBatch {
             for _ in 0..stretch.steps {
                 passes.gravity = self.worlds[first].scene.gravity_at(time + passes.number as f64 * dt);
                 if self.substeps > 1 {
-                    passes.step_level(self.levels - 1, dt, passes.number * self.substeps);
+                    passes.step_levels(dt, passes.number * self.substeps);
                 } else {
                     passes.step_together(dt);
                 }
@@ -674,17 +700,22 @@ impl WgpuBatch {
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
         if self.substeps > 1 && matches!(halt, Some(Halt::TooFast | Halt::Strayed)) {
-            for &(w, _) in active {
-                let moves = self.layers_of(w).map(|layer| f64::from(status.in_step(done, layer, MOVE)));
-                // Particles that strayed have come a cell.
-                let moves = moves.fold(if halt == Some(Halt::Strayed) { 1.0 } else { MAX_MOVE }, f64::max);
-                self.worlds[w].torn = Some((dt, MAX_MOVE * dt / moves));
-            }
+            self.tear(active.iter().map(|(w, _)| *w), &status, done, dt);
         }
         for &(w, time) in active {
             self.take_steps(&status, w, time, dt, done);
         }
         Ok(Outcome { done, halt, status })
+    }
+
+    /// Worlds whose subcycled step has ended in the middle.
+    pub(crate) fn tear(&mut self, worlds: impl Iterator<Item = usize>, status: &Status, step: usize, dt: f64) {
+        for w in worlds {
+            let moves = self.layers_of(w).map(|layer| f64::from(status.in_step(step, layer, MOVE)));
+            // Particles that strayed have come a cell.
+            let least = if status.halt() == Some(Halt::Strayed) { 1.0 } else { MAX_MOVE };
+            self.worlds[w].torn = Some((dt, MAX_MOVE * dt / moves.fold(least, f64::max)));
+        }
     }
 
     /// Takes in where blocks are after a submission.
@@ -705,7 +736,7 @@ impl WgpuBatch {
     }
 
     /// Takes in what steps did to a world.
-    fn take_steps(&mut self, status: &Status, w: usize, time: f64, dt: f64, done: usize) {
+    pub(crate) fn take_steps(&mut self, status: &Status, w: usize, time: f64, dt: f64, done: usize) {
         let layers = self.layers_of(w);
         let world = &mut self.worlds[w];
         for (layer, level) in layers.zip(&mut world.levels) {
@@ -1522,16 +1553,11 @@ impl WgpuBatch {
         }
         let with_bodies = turns.iter().any(|turn| !turn.couplings.is_empty());
         let on_host = with_bodies && matches!(self.contact, Contact::Host(_));
-        if on_host && ground && self.substeps > 1 {
-            return Err(crate::lacks(
-                "subcycling with bodies that move freely, or are meshes or height fields",
-                "levels.subcycle = true",
-                "set levels.subcycle = false, drive bodies of simple shapes, or use the backend cpu",
-            ));
-        }
         let hardens = turns.iter().any(|turn| self.worlds[turn.world].hardens);
         let most = if hardens { STIFFNESS_AGE as usize } else { MAX_STEPS }.min(MAX_STEPS / self.substeps);
-        let reports = if on_host || !ground {
+        let reports = if on_host && ground && self.substeps > 1 {
+            self.step_levels_on_host(dt, turns)?
+        } else if on_host || !ground {
             self.step_on_host(dt, turns)?
         } else {
             self.advance(dt, count.clamp(1, most), turns)?

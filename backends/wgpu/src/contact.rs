@@ -1,11 +1,13 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
-use crate::batch::{Contact, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Status, WALL_IMPULSE, WgpuBatch};
+use crate::batch::{
+    Contact, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE, WgpuBatch, ending,
+};
 use crate::kernels::Role;
-use crate::memory::{NEAR_BLOCK, PER_STEP, read};
+use crate::memory::{ALL_LEVELS, NEAR_BLOCK, PER_STEP, read};
 use crate::world::{FELT, MAX_DRIFT, Rhythm, World};
 use barchan_core::backend::Turn;
-use barchan_core::{Aabb, Coupling, Error, NodeBatch, Result, StepReport, Vec3};
+use barchan_core::{Aabb, Coupling, Error, NodeBatch, Result, StepReport, Vec3, Wrench};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Instant;
@@ -46,13 +48,21 @@ struct Near {
 }
 
 impl Near {
-    /// Those of a world among all.
-    fn of(world: &World, blocks: &mut Vec<Block>) -> Self {
-        let levels: Vec<_> = world.levels.iter().map(|level| (level.h, level.node_blocks.clone())).collect();
-        let is_own = |block: &Block| levels.iter().any(|(_, own)| own.contains(&(block.number as usize)));
-        let (own, others) = std::mem::take(blocks).into_iter().partition(is_own);
+    /// A world's nodes, none of which has come yet.
+    fn new(world: &World) -> Self {
+        let levels = world.levels.iter().map(|level| (level.h, level.node_blocks.clone())).collect();
+        Self { blocks: Vec::new(), levels, least_mass: world.least_mass }
+    }
+
+    /// Takes its own that it does not have yet, in the order of their numbers.
+    fn take(&mut self, blocks: &mut Vec<Block>) {
+        let is_own = |block: &Block| self.levels.iter().any(|(_, own)| own.contains(&(block.number as usize)));
+        let (own, others): (Vec<_>, _) = std::mem::take(blocks).into_iter().partition(is_own);
         *blocks = others;
-        Self { blocks: own, levels, least_mass: world.least_mass }
+        let is_here = |block: &Block| self.blocks.binary_search_by_key(&block.number, |here| here.number).is_ok();
+        let new: Vec<_> = own.into_iter().filter(|block| !is_here(block)).collect();
+        self.blocks.extend(new);
+        self.blocks.sort_unstable_by_key(|block| block.number);
     }
 
     /// The law of all couplings on the nodes of some levels. Returns the greatest speed that particles may feel [m/s].
@@ -128,29 +138,76 @@ fn are_within(boxes: &[Aabb], asked: &[Aabb]) -> bool {
 /// A world in a step whose contact is on the host.
 struct Visit<'a, 'b> {
     turn: &'a mut Turn<'b>,
+    /// The boxes whose nodes were asked for.
+    asked: Vec<Aabb>,
     near: Near,
     /// Greatest node speed [m/s].
     speed: f64,
     sorted: bool,
+    /// What bodies felt in the steps of all levels, as a sum over the slots of mean forces and torques.
+    wrenches: Vec<Wrench>,
     failed: Option<Error>,
 }
 
-impl Visit<'_, '_> {
-    /// The bodies meet the nodes, and move.
-    fn meet(&mut self, levels: usize, h: f64, step: u64, dt: f64) -> Result<()> {
-        let reached = self.near.touch(0..levels, dt, self.turn.couplings)?;
-        self.speed = greater(self.speed, reached);
-        let moves = self.speed * dt / h;
-        if moves.is_nan() || moves > NODE_MOVE * (1.0 + 1e-9) {
-            return Err(Error::TimeStep {
-                step,
-                dt,
-                bound: NODE_MOVE * dt / moves,
-                by: "the speed that a coupling gave to a node".into(),
-            });
-        }
-        self.turn.couplings.iter_mut().try_for_each(|coupling| coupling.after_step(self.turn.time, dt))
+impl<'a, 'b> Visit<'a, 'b> {
+    fn new(turn: &'a mut Turn<'b>, failed: Option<Error>) -> Self {
+        let (asked, near, wrenches) = (Vec::new(), Near::default(), Vec::new());
+        Self { turn, asked, near, speed: 0.0, sorted: false, wrenches, failed }
     }
+
+    fn world(&self) -> usize {
+        self.turn.world
+    }
+
+    fn is_going(&self) -> bool {
+        self.failed.is_none()
+    }
+
+    fn begin(&mut self, time: f64, dt: f64) -> Result<()> {
+        self.turn.couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))
+    }
+
+    fn end(&mut self, time: f64, dt: f64) -> Result<()> {
+        self.turn.couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))
+    }
+
+    /// The bodies meet the nodes of some levels.
+    fn meet(&mut self, levels: Range<usize>, dt: f64) -> Result<()> {
+        let reached = self.near.touch(levels, dt, self.turn.couplings)?;
+        self.speed = greater(self.speed, reached);
+        Ok(())
+    }
+
+    /// Have nodes become no faster than particles bear?
+    fn is_slow_enough(&self, most: f64, step: u64, dt: f64) -> Result<()> {
+        if self.speed * dt <= most * (1.0 + 1e-9) {
+            return Ok(());
+        }
+        let by = "the speed that a coupling gave to a node".into();
+        Err(Error::TimeStep { step, dt, bound: most / self.speed, by })
+    }
+
+    fn wrenches_now(&self) -> Vec<Wrench> {
+        self.turn.couplings.iter().flat_map(|coupling| coupling.wrenches().iter().copied()).collect()
+    }
+
+    /// What bodies felt since, so many times.
+    fn feel(&mut self, before: &[Wrench], times: f64) {
+        let now = self.wrenches_now();
+        self.wrenches.resize(now.len(), Wrench::default());
+        for (i, (sum, now)) in self.wrenches.iter_mut().zip(&now).enumerate() {
+            let before = before.get(i).copied().unwrap_or_default();
+            for d in 0..3 {
+                sum.force[d] += times * (now.force[d] - before.force[d]);
+                sum.torque[d] += times * (now.torque[d] - before.torque[d]);
+            }
+        }
+    }
+}
+
+/// Lets something happen to the worlds that go on, side by side; those that it fails for go on no more.
+fn side_by_side(visits: &mut [Visit<'_, '_>], happen: impl Fn(&mut Visit<'_, '_>) -> Result<()> + Sync) {
+    visits.par_iter_mut().filter(|visit| visit.is_going()).for_each(|visit| visit.failed = happen(visit).err());
 }
 
 impl WgpuBatch {
@@ -163,26 +220,28 @@ impl WgpuBatch {
     /// 3. Nodes go back, and particles take their velocities; what that came to stays on the device until the next step.
     pub(crate) fn step_on_host(&mut self, mut dt: f64, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
         let ground = self.particles() > 0;
-        let failed: Vec<_> = turns.iter().map(|turn| self.fault(turn)).collect();
-        let fresh = |(turn, failed)| Visit { turn, near: Near::default(), speed: 0.0, sorted: false, failed };
-        let mut visits: Vec<_> = turns.iter_mut().zip(failed).map(fresh).collect();
+        let mut visits = self.visits(turns);
         if ground {
             dt = self.bring_near(dt, &mut visits)?;
         }
+        side_by_side(&mut visits, |visit| visit.begin(visit.turn.time, dt));
+        if ground {
+            self.fetch(0..self.levels, &mut visits)?;
+        }
         let begun = Instant::now();
-        let (levels, h) = (self.levels, self.h);
-        let steps: Vec<u64> = visits.iter().map(|visit| self.worlds[visit.turn.world].steps).collect();
-        visits.par_iter_mut().zip(steps).filter(|(visit, _)| visit.failed.is_none()).for_each(|(visit, step)| {
-            visit.failed = visit.meet(levels, h, step, dt).err();
+        let (levels, most, steps) = (self.levels, NODE_MOVE * self.h, self.steps_so_far());
+        side_by_side(&mut visits, |visit| {
+            visit.meet(0..levels, dt)?;
+            visit.is_slow_enough(most, steps[visit.world()], dt)?;
+            visit.end(visit.turn.time, dt)
         });
-        self.contact_seconds.0 += begun.elapsed().as_secs_f64();
-        self.contact_seconds.1 += 1;
+        self.book_contact(begun);
         if ground {
             self.nodes_to_ground(dt, &visits)?;
         }
         let mut reports = Vec::new();
         for visit in visits {
-            let world = &mut self.worlds[visit.turn.world];
+            let world = &mut self.worlds[visit.world()];
             reports.push(if let Some(error) = visit.failed {
                 Err(error)
             } else {
@@ -199,93 +258,281 @@ impl WgpuBatch {
         Ok(reports)
     }
 
-    /// Particles give to nodes, couplings begin their step, and the nodes near their bodies come to the host. Returns the step that all worlds
-    /// bear [s].
+    /// As [`step_on_host`](Self::step_on_host), where levels take steps of their own: bodies meet the finest level in each slot, which is a step
+    /// of it, and coarser ones where theirs end, as in the backend cpu's `subcycle.rs`. A submission is waited for in each slot, and at the end.
+    pub(crate) fn step_levels_on_host(
+        &mut self,
+        dt: f64,
+        turns: &mut [Turn<'_>],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        let mut visits = self.visits(turns);
+        self.settle()?;
+        let (each, steps) = (dt / self.substeps as f64, self.steps_so_far());
+        for slot in 0..self.substeps {
+            let late = |visit: &Visit<'_, '_>| visit.turn.time + slot as f64 * each;
+            let before = going(&visits);
+            side_by_side(&mut visits, |visit| visit.begin(late(visit), each));
+            self.slot_to_nodes(dt, slot, &mut visits)?;
+            let begun = Instant::now();
+            side_by_side(&mut visits, |visit| {
+                visit.meet(0..1, each)?;
+                visit.end(late(visit), each)?;
+                visit.feel(&[], 1.0);
+                Ok(())
+            });
+            let coarser = 1..ending(self.levels, slot).end;
+            if !coarser.is_empty() {
+                self.fetch(coarser.clone(), &mut visits)?;
+            }
+            side_by_side(&mut visits, |visit| {
+                for l in coarser.clone() {
+                    let (times, before) = (f64::from(1 << l), visit.wrenches_now());
+                    visit.meet(l..l + 1, times * each)?;
+                    visit.feel(&before, times);
+                }
+                // How far particles move is what counts.
+                visit.is_slow_enough(f64::MAX, steps[visit.world()], each)
+            });
+            self.book_contact(begun);
+            // Particles have moved in the slots before.
+            let now = going(&visits);
+            for (w, _) in before.into_iter().filter(|one| slot > 0 && !now.contains(one)) {
+                self.worlds[w].torn.get_or_insert((dt, 0.5 * dt));
+            }
+        }
+        let active = going(&visits);
+        if !active.is_empty() {
+            let status = self.run_slot(dt, self.substeps, false, &mut visits)?;
+            if status.halt().is_none() {
+                active.iter().for_each(|&(w, time)| self.take_steps(&status, w, time, dt, 1));
+            } else {
+                self.break_off(&status, dt, &mut visits);
+            }
+        }
+        let mean = |wrench: &Wrench| {
+            let per_slot = |x: f64| x / self.substeps as f64;
+            Wrench { force: wrench.force.map(per_slot), torque: wrench.torque.map(per_slot) }
+        };
+        let report = |visit: Visit<'_, '_>| {
+            let wrenches = Some(visit.wrenches.iter().map(mean).collect());
+            let report = StepReport { dt, sorted: visit.sorted, max_speed: visit.speed, wrenches, bodies: None };
+            visit.failed.map_or(Ok(vec![report]), Err)
+        };
+        Ok(visits.into_iter().map(report).collect())
+    }
+
+    /// A subcycled step ends in the middle.
+    fn break_off(&mut self, status: &Status, dt: f64, visits: &mut [Visit<'_, '_>]) {
+        self.tear(going(visits).into_iter().map(|(w, _)| w), status, 0, dt);
+        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
+            visit.failed = self.fault(visit.turn);
+        }
+    }
+
+    /// From where bodies have met the ground in the slot before, to where nodes are near them in this one.
+    fn slot_to_nodes(&mut self, dt: f64, slot: usize, visits: &mut [Visit<'_, '_>]) -> Result<()> {
+        let levels = ending(self.levels, slot);
+        let boxes = |visit: &mut Visit<'_, '_>| {
+            // Bodies will have moved when they meet coarser levels.
+            let margin = if levels.len() > 1 { self.h } else { 0.0 };
+            visit.asked = boxes_of(visit.turn).into_iter().map(|one| one.grown(margin)).collect();
+        };
+        visits.iter_mut().filter(|visit| visit.is_going()).for_each(boxes);
+        let mut sort = false;
+        loop {
+            let active = going(visits);
+            let Some(&(first, _)) = active.first() else { return Ok(()) };
+            self.write_around(levels.clone(), visits)?;
+            let status = self.run_slot(dt, slot, sort, visits)?;
+            match status.halt() {
+                None if slot > 0 => return Ok(()),
+                None => {
+                    for visit in visits.iter_mut().filter(|visit| visit.is_going() && !visit.speed.is_finite()) {
+                        visit.failed = Some(self.explain(visit.world(), &status, visit.speed, visit.turn.time));
+                    }
+                    if going(visits).len() == active.len() {
+                        return Ok(());
+                    }
+                }
+                Some(_) if slot > 0 => self.break_off(&status, dt, visits),
+                Some(halt) => self.mend(halt, &status, &mut sort, first, visits)?,
+            }
+        }
+    }
+
+    /// What makes a submission possible that was halted before particles moved.
+    fn mend(
+        &mut self,
+        halt: Halt,
+        status: &Status,
+        sort: &mut bool,
+        first: usize,
+        visits: &mut [Visit<'_, '_>],
+    ) -> Result<()> {
+        match halt {
+            Halt::Room => self.make_room(status)?,
+            Halt::Drifted if !*sort => *sort = true,
+            Halt::Misplaced => {
+                let couplings = visits.iter().find(|visit| visit.world() == first).map(|visit| &*visit.turn.couplings);
+                self.adapt(first, None, couplings.unwrap_or_default())?;
+            }
+            _ => {
+                let culprit = self.world_of(status).unwrap_or(first);
+                if let Some(visit) = visits.iter_mut().find(|visit| visit.world() == culprit) {
+                    visit.failed = Some(self.explain(culprit, status, f64::NAN, visit.turn.time));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Runs the passes from where bodies met the ground in the slot before a slot to where they meet it in that one, or, behind the last slot, to
+    /// the end of the step.
+    fn run_slot(&mut self, dt: f64, slot: usize, sort: bool, visits: &mut [Visit<'_, '_>]) -> Result<Status> {
+        let active = going(visits);
+        let sort = slot == 0 && (sort || self.is_any_due(&active));
+        if sort {
+            self.cover_blocks(1)?;
+        }
+        self.write_layers(&self.layers(|w| active.iter().any(|a| a.0 == w)));
+        let words = self.words();
+        if slot == 0 {
+            self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0]);
+            let sums = words.of_sum(0, 0);
+            self.write_words(sums, &vec![0; words.of_step(1, 0, 0) - sums]);
+        }
+        let changed = self.write_changed(visits);
+        let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
+        let before = self.memory.now;
+        let mut passes = Passes::new(&self.kernels, &self.contact, [self.levels, before], self.h);
+        let (first, time) = active[0];
+        passes.gravity = self.worlds[first].scene.gravity_at(time);
+        let step = passes.constants(dt, ALL_LEVELS, 0);
+        if sort {
+            passes.sort(dt);
+        }
+        let mut starts = vec![0];
+        for one in 0..self.substeps {
+            passes.begin_slot(dt, 0, one);
+            starts.push(passes.dispatches.len());
+            passes.end_slot(one);
+        }
+        let end = starts.get(slot + 1).copied().unwrap_or(passes.dispatches.len());
+        let own = passes.dispatches.drain(starts[slot]..end).collect::<Vec<_>>();
+        passes.dispatches.clear();
+        passes.run(step, near[1..].iter().filter(|_| changed > 0));
+        passes.dispatches.extend(own);
+        if slot < self.substeps {
+            passes.run(step, [&near[0]]);
+        } else {
+            passes.run(step, &self.kernels.collect);
+        }
+        self.write_steps(0, &passes.constants);
+        let parts = self.with_groups(vec![Part { sorting: sort.then_some(before), dispatches: passes.dispatches }]);
+        let room = if slot < self.substeps { self.near_expected() } else { 0 };
+        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, room)?;
+        let (status, of_nodes) = self.split(found);
+        if slot == 0 {
+            self.take_blocks(&status);
+        }
+        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
+            let layers = self.layers_of(visit.world());
+            visit.sorted = status.sorted_before(layers.start).is_some();
+            visit.speed = greater(visit.speed, status.speed(0, layers));
+        }
+        if slot < self.substeps && status.halt().is_none() {
+            self.hand_out(&status, of_nodes, visits)?;
+        }
+        Ok(status)
+    }
+
+    fn visits<'a, 'b>(&self, turns: &'a mut [Turn<'b>]) -> Vec<Visit<'a, 'b>> {
+        let visit = |turn: &'a mut Turn<'b>| {
+            let failed = self.fault(turn);
+            Visit::new(turn, failed)
+        };
+        turns.iter_mut().map(visit).collect()
+    }
+
+    fn steps_so_far(&self) -> Vec<u64> {
+        self.worlds.iter().map(|world| world.steps).collect()
+    }
+
+    fn book_contact(&mut self, begun: Instant) {
+        self.contact_seconds.0 += begun.elapsed().as_secs_f64();
+        self.contact_seconds.1 += 1;
+    }
+
+    /// Particles give to nodes, and the nodes near bodies come to the host. Returns the step that all worlds bear [s].
     fn bring_near(&mut self, mut dt: f64, visits: &mut [Visit<'_, '_>]) -> Result<f64> {
         let mut sort = false;
-        let (asked, mut blocks) = loop {
-            let going = |visit: &&Visit<'_, '_>| visit.failed.is_none();
-            let active: Vec<_> = visits.iter().filter(going).map(|v| (v.turn.world, v.turn.time)).collect();
+        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
+            visit.asked = boxes_of(visit.turn);
+        }
+        loop {
+            let active = going(visits);
             let Some(&(first, _)) = active.first() else { return Ok(dt) };
-            let asked: Vec<_> = visits.iter().filter(going).map(|v| (v.turn.world, boxes_of(v.turn))).collect();
-            let (status, blocks) = self.ground_to_nodes(&active, dt, &asked, sort)?;
-            for visit in visits.iter_mut().filter(|visit| visit.failed.is_none()) {
-                let layers = self.layers_of(visit.turn.world);
-                visit.sorted |= status.sorted_before(layers.start).is_some();
-                visit.speed = status.speed(1, layers);
+            let status = self.ground_to_nodes(dt, sort, visits)?;
+            if let Some(halt) = status.halt() {
+                self.mend(halt, &status, &mut sort, first, visits)?;
+                continue;
             }
-            match status.halt() {
-                None => {
-                    let shorter = self.bearable(visits, &status, dt);
-                    if shorter == dt && visits.iter().filter(going).count() == active.len() {
-                        break (asked, blocks);
-                    }
-                    dt = shorter;
-                }
-                Some(Halt::Room) => self.make_room(&status)?,
-                Some(Halt::Drifted) if !sort => sort = true,
-                Some(Halt::Misplaced) => {
-                    let couplings = visits.iter().find(|v| v.turn.world == first).map(|v| &*v.turn.couplings);
-                    self.adapt(first, None, couplings.unwrap_or_default())?;
-                }
-                Some(_) => {
-                    let culprit = self.world_of(&status).unwrap_or(first);
-                    if let Some(visit) = visits.iter_mut().find(|v| v.turn.world == culprit) {
-                        visit.failed = Some(self.explain(culprit, &status, f64::NAN, visit.turn.time));
-                    }
-                }
+            let shorter = self.bearable(visits, &status, dt);
+            if shorter == dt && going(visits).len() == active.len() {
+                return Ok(dt);
             }
-        };
-        for visit in visits.iter_mut().filter(|visit| visit.failed.is_none()) {
-            let time = visit.turn.time;
-            visit.failed = visit.turn.couplings.iter_mut().find_map(|coupling| coupling.before_step(time, dt).err());
+            dt = shorter;
         }
-        // Bodies may reach further in the step than they did before it.
-        let now: Vec<_> =
-            visits.iter().filter(|v| v.failed.is_none()).map(|v| (v.turn.world, boxes_of(v.turn))).collect();
-        let is_here = |(world, boxes): &(usize, Vec<Aabb>)| {
-            asked.iter().any(|(other, asked)| other == world && are_within(boxes, asked))
-        };
-        if !now.iter().all(is_here) {
-            self.write_around(&now)?;
-            self.write_words(NEAR, &[0]);
-            blocks = self.gather()?;
+    }
+
+    /// Brings those nodes near bodies that have not come, since bodies reach further than they did when nodes were asked for.
+    fn fetch(&mut self, levels: Range<usize>, visits: &mut [Visit<'_, '_>]) -> Result<()> {
+        let mut is_here = true;
+        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
+            let boxes = boxes_of(visit.turn);
+            if !are_within(&boxes, &visit.asked) {
+                (visit.asked, is_here) = (boxes, false);
+            }
         }
-        for visit in visits.iter_mut().filter(|visit| visit.failed.is_none()) {
-            visit.near = Near::of(&self.worlds[visit.turn.world], &mut blocks);
+        if is_here {
+            return Ok(());
         }
-        Ok(dt)
+        self.write_around(levels, visits)?;
+        self.write_words(NEAR, &[0]);
+        let mut blocks = self.gather()?;
+        visits.iter_mut().for_each(|visit| visit.near.take(&mut blocks));
+        Ok(())
     }
 
     /// The step that the fastest world bears; worlds that bear none have failed.
     fn bearable(&mut self, visits: &mut [Visit<'_, '_>], status: &Status, mut dt: f64) -> f64 {
         let asked = dt;
-        for visit in visits.iter_mut().filter(|visit| visit.failed.is_none()) {
+        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
             let moves = visit.speed * asked / self.h;
             if !moves.is_finite() {
-                let Turn { world, time, .. } = *visit.turn;
-                visit.failed = Some(self.explain(world, status, visit.speed, time));
+                visit.failed = Some(self.explain(visit.world(), status, visit.speed, visit.turn.time));
             } else if moves > NODE_MOVE {
-                self.worlds[visit.turn.world].shortened += 1;
+                self.worlds[visit.world()].shortened += 1;
                 dt = dt.min(asked * (0.9 * NODE_MOVE / moves).max(0.1));
             }
         }
         dt
     }
 
-    /// Tells the device the boxes around bodies, as cells of each level.
-    fn write_around(&mut self, boxes: &[(usize, Vec<Aabb>)]) -> Result<()> {
-        let most = boxes.iter().map(|(_, boxes)| boxes.len()).max().unwrap_or(0).max(1);
+    /// Tells the device the boxes around bodies, as cells of each of some levels.
+    fn write_around(&mut self, levels: Range<usize>, visits: &[Visit<'_, '_>]) -> Result<()> {
+        let most = visits.iter().map(|visit| visit.asked.len()).max().unwrap_or(0).max(1);
         self.memory.add_near(&self.gpu, most, 64 * self.worlds.len())?;
         // A box that holds nothing.
         let none = [[i32::MAX / 4, i32::MAX / 4, i32::MAX / 4, 0], [i32::MIN / 4, i32::MIN / 4, i32::MIN / 4, 0]];
         let mut vectors = vec![[most as i32, 0, 0, 0]];
         vectors.extend(std::iter::repeat_n(none, self.words().layers * most).flatten());
-        for (w, boxes) in boxes {
-            for (layer, level) in self.layers_of(*w).zip(&self.worlds[*w].levels) {
-                for (b, one) in boxes.iter().enumerate() {
+        for visit in visits.iter().filter(|visit| visit.is_going()) {
+            for l in levels.clone() {
+                let (layer, h) = (self.layers_of(visit.world()).start + l, self.worlds[visit.world()].levels[l].h);
+                for (b, one) in visit.asked.iter().enumerate() {
                     // Nodes stand at the centres of cells; which of them are inside, the host finds out.
-                    let node = |x: f64, round: fn(f64) -> f64| round(x / level.h - 0.5).clamp(-1e9, 1e9) as i32;
+                    let node = |x: f64, round: fn(f64) -> f64| round(x / h - 0.5).clamp(-1e9, 1e9) as i32;
                     let [x, y, z] = one.min.map(|x| node(x, f64::floor));
                     let at = 1 + 2 * (layer * most + b);
                     vectors[at] = [x, y, z, 0];
@@ -298,20 +545,41 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// A sort if one is asked for or likely to be due, P2G and the grid update; brings back the status and the nodes in the boxes.
-    fn ground_to_nodes(
-        &mut self,
-        active: &[(usize, f64)],
-        dt: f64,
-        boxes: &[(usize, Vec<Aabb>)],
-        sort: bool,
-    ) -> Result<(Status, Vec<Block>)> {
+    /// Are worlds due to be sorted, as far as is known?
+    fn is_any_due(&self, active: &[(usize, f64)]) -> bool {
         let is_due = |world: &World| world.levels.iter().any(|level| world.likely(level).is_due(self.most_drift));
-        let sort = sort || self.unlinked || active.iter().any(|(w, _)| is_due(&self.worlds[*w]));
+        self.unlinked || active.iter().any(|(w, _)| is_due(&self.worlds[*w]))
+    }
+
+    /// The nodes that have come, to the worlds whose they are.
+    fn hand_out(&mut self, status: &Status, of_nodes: Vec<u32>, visits: &mut [Visit<'_, '_>]) -> Result<()> {
+        let mut blocks = self.blocks_near(status, of_nodes)?;
+        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
+            visit.near = Near::new(&self.worlds[visit.world()]);
+            visit.near.take(&mut blocks);
+        }
+        Ok(())
+    }
+
+    /// Hands back the blocks of nodes that have changed; how many there are.
+    fn write_changed(&self, visits: &[Visit<'_, '_>]) -> usize {
+        let going = visits.iter().filter(|visit| visit.is_going());
+        let blocks = going.flat_map(|visit| &visit.near.blocks).filter(|block| block.changed);
+        let changed: Vec<[u32; 4]> = blocks.flat_map(Block::words).collect();
+        let count = changed.len() / NEAR_BLOCK;
+        self.write_words(NEAR, &[0, count as u32]);
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Near, 0), 0, bytemuck::cast_slice(&changed));
+        count
+    }
+
+    /// A sort if one is asked for or likely to be due, P2G and the grid update; brings back the status and the nodes near bodies.
+    fn ground_to_nodes(&mut self, dt: f64, sort: bool, visits: &mut [Visit<'_, '_>]) -> Result<Status> {
+        let active = going(visits);
+        let sort = sort || self.is_any_due(&active);
         if sort {
             self.cover_blocks(1)?;
         }
-        self.write_around(boxes)?;
+        self.write_around(0..self.levels, visits)?;
         // The last step's numbers stand in the words of step 0.
         let mut layers = self.layers(|w| active.iter().any(|a| a.0 == w));
         for (layer, of_layer) in layers.iter_mut().enumerate() {
@@ -324,7 +592,8 @@ impl WgpuBatch {
         let gravity = self.worlds[active[0].0].scene.gravity_at(active[0].1);
         self.write_steps(1, &[self.step_constants(dt, gravity, 1)]);
         let words = self.words();
-        self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0, 0, 0]);
+        self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0]);
+        self.write_words(NEAR, &[0]);
         if self.worlds.iter().any(|world| world.pending) {
             for w in (0..self.worlds.len()).filter(|w| !self.worlds[*w].pending) {
                 self.write_words(words.of_step(0, self.layers_of(w).start, 0), &drifts(&self.worlds[w], 0));
@@ -352,13 +621,18 @@ impl WgpuBatch {
         let (status, of_nodes) = self.split(found);
         self.take_pending(&status);
         self.take_blocks(&status);
-        for &(w, _) in active {
-            if status.sorted_before(self.layers_of(w).start).is_some() {
-                self.worlds[w].levels.iter_mut().for_each(|level| level.rhythm = Rhythm::default());
+        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
+            let layers = self.layers_of(visit.world());
+            if status.sorted_before(layers.start).is_some() {
+                self.worlds[visit.world()].levels.iter_mut().for_each(|level| level.rhythm = Rhythm::default());
+                visit.sorted = true;
             }
+            visit.speed = status.speed(1, layers);
         }
-        let blocks = if status.halt().is_none() { self.blocks_near(&status, of_nodes)? } else { Vec::new() };
-        Ok((status, blocks))
+        if status.halt().is_none() {
+            self.hand_out(&status, of_nodes, visits)?;
+        }
+        Ok(status)
     }
 
     /// The status, and what stands behind it: blocks of nodes near bodies.
@@ -434,10 +708,11 @@ impl WgpuBatch {
 
     /// Nodes go back, and particles take their velocities. What it came to stays on the device until the next step asks for it.
     fn nodes_to_ground(&mut self, dt: f64, visits: &[Visit<'_, '_>]) -> Result<()> {
-        let going: Vec<&Visit<'_, '_>> = visits.iter().filter(|visit| visit.failed.is_none()).collect();
-        let Some(first) = going.first() else { return Ok(()) };
-        let gravity = self.worlds[first.turn.world].scene.gravity_at(first.turn.time);
-        let speed_of = |w: usize| going.iter().find(|visit| visit.turn.world == w).map(|visit| visit.speed);
+        let active = going(visits);
+        let Some(&(first, time)) = active.first() else { return Ok(()) };
+        let gravity = self.worlds[first].scene.gravity_at(time);
+        let goes = |visit: &&Visit<'_, '_>| visit.is_going();
+        let speed_of = |w: usize| visits.iter().filter(goes).find(|visit| visit.world() == w).map(|visit| visit.speed);
         // Rounding must not stop what has been let through.
         let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;
         let speeds: Vec<_> =
@@ -450,15 +725,10 @@ impl WgpuBatch {
         let drifts: Vec<u32> = self.worlds.iter().zip(&speeds).flat_map(of_world).collect();
         self.write_words(words.greatest(0), &[speeds.iter().copied().fold(0.0, f32::max).to_bits()]);
         self.write_words(words.of_step(0, 0, 0), &drifts);
-        if going.len() < visits.len() {
+        if active.len() < visits.len() {
             self.write_layers(&self.layers(|w| speed_of(w).is_some()));
         }
-        let blocks = || going.iter().flat_map(|visit| &visit.near.blocks).filter(|block| block.changed);
-        let changed: Vec<[u32; 4]> = blocks().flat_map(Block::words).collect();
-        let count = changed.len() / NEAR_BLOCK;
-        self.write_words(NEAR, &[count as u32]);
-        self.gpu.queue.write_buffer(self.memory.buffer(Role::Near, 0), 0, bytemuck::cast_slice(&changed));
-
+        let count = self.write_changed(visits);
         let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
         let (kernels, now) = (&self.kernels, self.memory.now);
         let back = near[1..].iter().filter(|_| count > 0);
@@ -473,9 +743,7 @@ impl WgpuBatch {
         }
         self.gpu.queue.submit([encoder.finish()]);
         self.gpu.check()?;
-        for visit in going {
-            self.worlds[visit.turn.world].pending = true;
-        }
+        active.iter().for_each(|(w, _)| self.worlds[*w].pending = true);
         Ok(())
     }
 
@@ -504,6 +772,11 @@ impl WgpuBatch {
         };
         self.layers_of(w).map(of_layer).fold([0.0; 3], |sum, v| std::array::from_fn(|d| sum[d] + v[d]))
     }
+}
+
+/// The worlds that go on, and their times [s].
+fn going(visits: &[Visit<'_, '_>]) -> Vec<(usize, f64)> {
+    visits.iter().filter(|visit| visit.is_going()).map(|visit| (visit.world(), visit.turn.time)).collect()
 }
 
 /// Words of a world's levels in a step that begins, with that greatest node speed.

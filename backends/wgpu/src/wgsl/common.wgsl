@@ -88,8 +88,9 @@ const NEW_BLOCKS: u32 = 5u;
 const NEW_NODE_BLOCKS: u32 = 6u;
 const OLD_BLOCKS: u32 = 7u;
 const SORTS: u32 = 8u;
-// Blocks of nodes near bodies whose law runs on the host.
+// Blocks of nodes near bodies whose law runs on the host: gathered, and on their way back.
 const NEAR: u32 = 10u;
+const BACK: u32 = 11u;
 
 // Those of a layer that stay: its first block and node block; least and greatest block.
 const OF_LAYERS: u32 = 12u;
