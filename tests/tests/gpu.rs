@@ -1,7 +1,7 @@
 //! The backend wgpu against the CPU in 64 bits, against truths, and against itself. Without an adapter these tests fail, and the
 //! error says how to get a software one.
 
-use barchan::scene::{Motion, Scene, Shape};
+use barchan::scene::{Motion, OverBound, Scene, Shape, Time};
 use barchan::worlds::Worlds;
 use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Simulation, Vec3};
 use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
@@ -598,6 +598,87 @@ fn passes_do_not_grow_with_worlds() {
     }
 }
 
+/// A bed of sand on two levels, which follow a blade that is driven through it and, if asked for, a cube that drops beside it; worlds differ in
+/// seed, and in how fast the blade is.
+fn followed(world: u64, subcycle: bool, cube: bool) -> Scene {
+    let h = 0.04;
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let mut parts = vec![
+        material("sand", 1500.0, "young_modulus = 1e5, poisson_ratio = 0.2"),
+        block("sand", [0.0; 3], [1.44, 0.48, 0.16], ""),
+        format!("[levels]\ncount = 2\nhalf = 8\nagents = [\"blade\"]\nsubcycle = {subcycle}\n"),
+        tool(
+            "blade",
+            [0.6, 0.24, 0.24],
+            &half([0.06, 0.12, 0.14]),
+            "{ coulomb = { friction = 0.3 } }",
+            &driven([3.5 + 0.5 * world as f64, 0.0, 0.0]),
+        ),
+    ];
+    if cube {
+        let free = "{ free = { mass = 2.0, linear = [0.0, 0.0, -0.5] } }";
+        parts.push(tool("cube", [0.2, 0.24, 0.23], &half([0.08; 3]), "{ coulomb = { friction = 0.3 } }", free));
+    }
+    let step = if subcycle { "step = 1.4e-3" } else { "step = 7e-4" };
+    Scene { seed: world, ..scene(&Head::cells(h, [36, 12, 16], walls).time(step).with(&parts)) }
+}
+
+/// Symptom guarded against: regions, rims or rounds of split and merge that worlds of a batch share. Worlds whose levels follow a tool, each at
+/// its own pace, and of which one is reset in the middle, are what they are alone: driven through many steps at once, and with a free cube and
+/// steps of each level's own.
+#[test]
+fn a_world_on_levels_in_a_batch_is_the_world_alone_bit_for_bit() {
+    const AT_ONCE: usize = 30;
+    for (subcycle, cube) in [(false, false), (true, true)] {
+        println!("subcycled: {subcycle}, with a cube: {cube}");
+        let scenes = (0..3).map(|w| followed(w, subcycle, cube)).collect();
+        let mut worlds = Worlds::new(&barchan::registry(), scenes, &on_gpu()).unwrap();
+        assert!(worlds.are_together());
+        let rounds = if subcycle { 2 } else { 4 };
+        for round in 0..rounds {
+            for (w, reports) in worlds.steps(AT_ONCE).into_iter().enumerate() {
+                assert_eq!(reports.unwrap_or_else(|e| panic!("world {w}: {e}")).len(), AT_ONCE);
+            }
+            if round == 0 {
+                worlds.reset(1, None).unwrap();
+            }
+        }
+        let counts = worlds.world(2).ledger().counts;
+        println!("{counts:?}");
+        assert!(counts["particles split"] > 0 && counts["particles merged"] > 0, "{counts:?}");
+        for w in 0..3 {
+            let mut alone = Simulation::new(&barchan::registry(), &followed(w, subcycle, cube), &on_gpu()).unwrap();
+            take(&mut alone, AT_ONCE * if w == 1 { rounds - 1 } else { rounds });
+            assert!(left(worlds.world(w as usize)) == left(&alone), "world {w} is not itself alone");
+        }
+    }
+}
+
+/// A world whose particles move too far within a step of several, which nothing can take back, says so; the others go on.
+#[test]
+fn a_world_that_is_too_fast_within_its_steps_does_not_stop_the_others() {
+    for cube in [false, true] {
+        let scenes = (0..2).map(|w| Scene {
+            time: Time { over_bound: OverBound::Allow, ..followed(w, true, cube).time },
+            ..followed(w, true, cube)
+        });
+        let scenes: Vec<_> = scenes.collect();
+        let mut worlds = Worlds::new(&barchan::registry(), scenes.clone(), &on_gpu()).unwrap();
+        alter(worlds.world_mut(1), |r| r.v = [0.0, 0.0, 40.0]);
+        for _ in 0..2 {
+            let reports = worlds.step();
+            let error = reports[1].as_ref().unwrap_err().to_string();
+            assert!(reports[0].is_ok() && error.contains("within a subcycled step"), "{error}");
+        }
+        assert_eq!([0, 1].map(|w| worlds.world(w).step_count()), [2, 0]);
+        worlds.reset(1, None).unwrap();
+        assert!(worlds.step().iter().all(Result::is_ok));
+        let mut alone = Simulation::new(&barchan::registry(), &scenes[0], &on_gpu()).unwrap();
+        take(&mut alone, 3);
+        assert!(left(worlds.world(0)) == left(&alone), "world 0 is not itself alone");
+    }
+}
+
 /// What worlds must share to be batched is said by name.
 #[test]
 fn worlds_that_cannot_be_batched_are_refused_by_name() {
@@ -611,6 +692,8 @@ fn worlds_that_cannot_be_batched_are_refused_by_name() {
     other.world.max[0] += 0.08;
     let error = refused(vec![flight(0), other]);
     assert!(error.contains("extent") && error.contains("world 1"), "{error}");
+    let error = refused(vec![followed(0, false, false), followed(1, true, false)]);
+    assert!(error.contains("levels.subcycle") && error.contains("world 1"), "{error}");
     let mut grown = flight(0);
     grown.gravity_ramp = 0.1;
     let error = refused(vec![grown.clone(), grown]);

@@ -56,6 +56,7 @@ const GREATEST_BLOCK: usize = 5;
 const SORTED: usize = 0;
 const PARTED: usize = 1;
 pub(crate) const WALL_IMPULSE: usize = 2;
+const ASTRAY: usize = 6;
 /// Of a layer in a step.
 pub(crate) const SPEED: usize = 0;
 pub(crate) const MOVE: usize = 1;
@@ -115,6 +116,10 @@ impl Status {
         let next = layer + 1;
         let end = if next < self.layout.layers { self.of_layer(next, first) } else { self.words[all] as usize };
         self.of_layer(layer, first)..end
+    }
+    /// Did a sort find particles of some layers that belong on another level?
+    pub(crate) fn is_astray(&self, mut layers: Range<usize>) -> bool {
+        layers.any(|layer| self.sum(layer, ASTRAY) > 0)
     }
     /// The step before which a layer was sorted last in the submission.
     pub(crate) fn sorted_before(&self, layer: usize) -> Option<usize> {
@@ -323,7 +328,7 @@ struct Arrival {
 /// How a level lies in memory.
 type Laid = (Homes, Planes);
 
-/// Worlds that take part in the same dispatches: one, or several of one level each. Each level of each world is a layer.
+/// Worlds that take part in the same dispatches. Each level of each world is a layer.
 pub(crate) struct WgpuBatch {
     pub(crate) gpu: Gpu,
     pub(crate) kernels: Kernels,
@@ -356,6 +361,8 @@ struct Fixed {
     world: String,
     gravity: (Vec3, f64),
     laws: Vec<(String, String)>,
+    /// How many there are, steps of the finest in one of the coarsest, and boxes of each.
+    levels: (usize, u32, usize),
 }
 
 impl Fixed {
@@ -365,6 +372,7 @@ impl Fixed {
             world: kernels::constants(plan),
             gravity: (plan.scene.gravity, plan.scene.gravity_ramp),
             laws: plan.materials.iter().map(law).collect(),
+            levels: (plan.cell_widths.len(), plan.substeps, kernels::boxes(plan)),
         }
     }
 
@@ -385,6 +393,9 @@ impl Fixed {
         if other.laws != self.laws {
             return differs("their materials' laws", MEND);
         }
+        if other.levels != self.levels {
+            return differs("levels.count, levels.subcycle or the number of levels.agents", MEND);
+        }
         if other.gravity != self.gravity {
             return differs("gravity", MEND);
         }
@@ -398,13 +409,6 @@ fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, F
         return Err(crate::lacks("batch of no worlds", "none is given", "give one at least"));
     };
     let levels = plan.cell_widths.len();
-    if worlds.len() > 1 && levels > 1 {
-        return Err(crate::lacks(
-            "batch of worlds with several levels",
-            format!("levels.count = {levels}, and {} worlds are to step together", worlds.len()),
-            "set levels.count = 1, or run each world on its own, or on the backend cpu",
-        ));
-    }
     let fixed = Fixed::of(plan);
     worlds.iter().enumerate().try_for_each(|(w, world)| fixed.check(world.plan, w))?;
     if worlds.len() > 1 && plan.scene.gravity_ramp > 0.0 {
@@ -414,7 +418,8 @@ fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, F
             "set gravity_ramp = 0 and start with settled bodies, or run worlds on the backend cpu",
         ));
     }
-    let most = gpu.limits.max_uniform_buffer_binding_size as usize / size_of::<Layer>();
+    let of_regions = 16 * kernels::region_vectors(plan);
+    let most = gpu.limits.max_uniform_buffer_binding_size as usize / (size_of::<Layer>() * levels).max(of_regions);
     if worlds.len() > most {
         return Err(Error::Capacity {
             what: "worlds in one batch of the adapter",
@@ -446,7 +451,9 @@ impl WgpuBatch {
         let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
         let pairs = walls.iter().flatten().any(|wall| matches!(wall, Wall::Separate { .. }));
         let particles = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum::<usize>();
-        let slots = particles.next_multiple_of(128).max(128);
+        // Levels split particles.
+        let room = if count > 1 && levels > 1 { with_room(particles) as usize } else { particles };
+        let slots = room.next_multiple_of(128).max(128);
         let params: Vec<_> = worlds.iter().flat_map(|world| parameters(world.plan)).collect();
         let extent = Extent {
             slots: slots as u32,
@@ -573,8 +580,9 @@ impl WgpuBatch {
         (0..self.worlds.len()).flat_map(|w| (0..self.levels).map(move |l| (w, l))).map(layer).collect()
     }
 
-    /// Tells the device where the levels are.
-    fn write_regions(&self, world: &World) {
+    /// Tells the device where a world's levels are.
+    fn write_regions(&self, w: usize) {
+        let world = &self.worlds[w];
         let each = self.memory.boxes().checked_div(self.levels - 1).unwrap_or(0);
         let mut vectors = Vec::new();
         for boxes in world.adapt.regions.boxes() {
@@ -583,7 +591,8 @@ impl WgpuBatch {
             // One that holds nothing, for each agent that has none.
             vectors.extend((boxes.len()..each).flat_map(|_| [[i32::MAX / 4; 4], [i32::MIN / 4; 4]]));
         }
-        self.gpu.queue.write_buffer(&self.memory.regions, 0, bytemuck::cast_slice(&vectors));
+        let at = (16 * vectors.len() * w) as u64;
+        self.gpu.queue.write_buffer(&self.memory.regions, at, bytemuck::cast_slice(&vectors));
     }
 
     pub(crate) fn write_layers(&self, layers: &[Layer]) {
@@ -699,23 +708,10 @@ impl WgpuBatch {
         self.take_blocks(&status);
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
-        if self.substeps > 1 && matches!(halt, Some(Halt::TooFast | Halt::Strayed)) {
-            self.tear(active.iter().map(|(w, _)| *w), &status, done, dt);
-        }
         for &(w, time) in active {
             self.take_steps(&status, w, time, dt, done);
         }
         Ok(Outcome { done, halt, status })
-    }
-
-    /// Worlds whose subcycled step has ended in the middle.
-    pub(crate) fn tear(&mut self, worlds: impl Iterator<Item = usize>, status: &Status, step: usize, dt: f64) {
-        for w in worlds {
-            let moves = self.layers_of(w).map(|layer| f64::from(status.in_step(step, layer, MOVE)));
-            // Particles that strayed have come a cell.
-            let least = if status.halt() == Some(Halt::Strayed) { 1.0 } else { MAX_MOVE };
-            self.worlds[w].torn = Some((dt, MAX_MOVE * dt / moves.fold(least, f64::max)));
-        }
     }
 
     /// Takes in where blocks are after a submission.
@@ -735,9 +731,14 @@ impl WgpuBatch {
         self.unlinked |= matches!(status.halt(), Some(Halt::Room | Halt::LeftWorld | Halt::Misplaced));
     }
 
-    /// Takes in what steps did to a world.
+    /// Takes in what steps did to a world. In one that is subcycled, particles may have moved too far in one of them.
     pub(crate) fn take_steps(&mut self, status: &Status, w: usize, time: f64, dt: f64, done: usize) {
         let layers = self.layers_of(w);
+        let mut moves =
+            (0..done).flat_map(|s| layers.clone().map(move |layer| f64::from(status.in_step(s, layer, MOVE))));
+        if let Some(moves) = moves.find(|moves| self.substeps > 1 && (moves.is_nan() || *moves > MAX_MOVE)) {
+            self.worlds[w].torn = Some((dt, MAX_MOVE * dt / moves));
+        }
         let world = &mut self.worlds[w];
         for (layer, level) in layers.zip(&mut world.levels) {
             let sorted = status.sorted_before(layer);
@@ -1173,7 +1174,7 @@ impl WgpuBatch {
             if let Some(phase) = &arrival.particles.levels {
                 world.adapt.restore(phase.clone());
             }
-            self.write_regions(&self.worlds[*w]);
+            self.write_regions(*w);
             let world = &mut self.worlds[*w];
             world.torn = None;
             world.spoilt = spoilt.is_some();
@@ -1316,6 +1317,9 @@ impl WgpuBatch {
             for (t, of_turn) in &driven {
                 go_back(turns[*t].couplings, of_turn, outcome.done)?;
             }
+            for &t in &going {
+                failed[t] = failed[t].take().or_else(|| self.fault(&turns[t]));
+            }
             if outcome.done > 0 {
                 // What stopped the others is found again when they are tried again.
                 return self.reports(turns, failed, driven, &outcome, dt);
@@ -1324,11 +1328,9 @@ impl WgpuBatch {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
                 Some(Halt::Drifted) if !stretches[0].sort => {}
                 Some(Halt::Misplaced) => {
-                    let Turn { world, couplings, .. } = &turns[going[0]];
-                    self.adapt(*world, None, couplings)?;
-                }
-                Some(Halt::TooFast | Halt::Strayed) if self.substeps > 1 => {
-                    failed = turns.iter().map(|turn| self.fault(turn)).collect();
+                    let is_astray = |w: usize| outcome.status.is_astray(self.layers_of(w));
+                    let astray: Vec<_> = going.iter().filter(|t| is_astray(turns[**t].world)).collect();
+                    astray.into_iter().try_for_each(|&t| self.adapt(turns[t].world, None, turns[t].couplings))?;
                 }
                 Some(Halt::TooFast) => dt = self.shorten(turns, &mut failed, &outcome, dt),
                 _ => {
@@ -1470,7 +1472,9 @@ impl WgpuBatch {
         let each = self.levels * contact.bodies * BODY as usize;
         let mut packed = vec![[0.0; 4]; steps * self.substeps * self.worlds.len() * each];
         for (t, driven) in driven {
-            for (s, bodies) in driven.iter().flat_map(|driven| &driven.packed).enumerate() {
+            // Another world may have stopped sooner.
+            let packed_of = driven.iter().flat_map(|driven| &driven.packed).take(steps * self.substeps);
+            for (s, bodies) in packed_of.enumerate() {
                 packed[(s * self.worlds.len() + turns[*t].world) * each..][..each].copy_from_slice(bodies);
             }
         }
@@ -1545,10 +1549,12 @@ impl WgpuBatch {
         turns: &mut [Turn<'_>],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
         let ground = self.particles() > 0;
-        if let [turn] = turns {
-            if ground && self.fault(turn).is_none() {
+        for turn in turns.iter().filter(|_| ground) {
+            if self.fault(turn).is_none() {
                 self.follow(turn.world, turn.couplings)?;
             }
+        }
+        if let [turn] = turns {
             self.settle_contact(&[&*turn.couplings])?;
         }
         let with_bodies = turns.iter().any(|turn| !turn.couplings.is_empty());

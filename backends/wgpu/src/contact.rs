@@ -303,11 +303,10 @@ impl WgpuBatch {
         let active = going(&visits);
         if !active.is_empty() {
             let status = self.run_slot(dt, self.substeps, false, &mut visits)?;
-            if status.halt().is_none() {
-                active.iter().for_each(|&(w, time)| self.take_steps(&status, w, time, dt, 1));
-            } else {
-                self.break_off(&status, dt, &mut visits);
-            }
+            active.iter().for_each(|&(w, time)| self.take_steps(&status, w, time, dt, 1));
+        }
+        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
+            visit.failed = self.fault(visit.turn);
         }
         let mean = |wrench: &Wrench| {
             let per_slot = |x: f64| x / self.substeps as f64;
@@ -319,14 +318,6 @@ impl WgpuBatch {
             visit.failed.map_or(Ok(vec![report]), Err)
         };
         Ok(visits.into_iter().map(report).collect())
-    }
-
-    /// A subcycled step ends in the middle.
-    fn break_off(&mut self, status: &Status, dt: f64, visits: &mut [Visit<'_, '_>]) {
-        self.tear(going(visits).into_iter().map(|(w, _)| w), status, 0, dt);
-        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            visit.failed = self.fault(visit.turn);
-        }
     }
 
     /// From where bodies have met the ground in the slot before, to where nodes are near them in this one.
@@ -345,16 +336,13 @@ impl WgpuBatch {
             self.write_around(levels.clone(), visits)?;
             let status = self.run_slot(dt, slot, sort, visits)?;
             match status.halt() {
-                None if slot > 0 => return Ok(()),
                 None => {
                     for visit in visits.iter_mut().filter(|visit| visit.is_going() && !visit.speed.is_finite()) {
                         visit.failed = Some(self.explain(visit.world(), &status, visit.speed, visit.turn.time));
                     }
-                    if going(visits).len() == active.len() {
-                        return Ok(());
-                    }
+                    return Ok(());
                 }
-                Some(_) if slot > 0 => self.break_off(&status, dt, visits),
+                // Only the first slot of a step is halted.
                 Some(halt) => self.mend(halt, &status, &mut sort, first, visits)?,
             }
         }
@@ -373,8 +361,9 @@ impl WgpuBatch {
             Halt::Room => self.make_room(status)?,
             Halt::Drifted if !*sort => *sort = true,
             Halt::Misplaced => {
-                let couplings = visits.iter().find(|visit| visit.world() == first).map(|visit| &*visit.turn.couplings);
-                self.adapt(first, None, couplings.unwrap_or_default())?;
+                let is_astray = |visit: &&Visit<'_, '_>| status.is_astray(self.layers_of(visit.world()));
+                let astray: Vec<_> = visits.iter().filter(is_astray).collect();
+                astray.into_iter().try_for_each(|visit| self.adapt(visit.world(), None, visit.turn.couplings))?;
             }
             _ => {
                 let culprit = self.world_of(status).unwrap_or(first);

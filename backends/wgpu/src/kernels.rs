@@ -3,7 +3,7 @@
 use crate::device::Gpu;
 use crate::material;
 use crate::memory::{MAX_STEPS, NEAR_BLOCK};
-use crate::world::{MAX_MOVE, OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
+use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::SPLIT_AHEAD;
 use barchan_core::plan::PlannedMaterial;
@@ -240,7 +240,7 @@ impl Drafts {
         let mut mirror: Vec<_> = separations.iter().rev().map(|&axis| separate(axis, true)).collect();
         mirror.extend(has_mirrors.then(reflect));
         Ok(Self {
-            sort: sort(plan),
+            sort: sort(plan, worlds),
             p2g: p2g(),
             restrict: if levels { restrict() } else { Vec::new() },
             grid,
@@ -304,7 +304,7 @@ pub(crate) fn contact(
 ) -> [Kernel; 2] {
     let vectors = law.table.len().max(1);
     let count = format!("const BODIES: u32 = {bodies}u;\n");
-    let (space, all, first) = table_of_worlds(worlds, vectors);
+    let (space, all, first) = table_of_worlds([worlds, levels], vectors);
     let table = format!(
         "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {all}>;\n\
          fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n"
@@ -365,10 +365,10 @@ pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
 }
 
 /// A table of so many vectors for each world: the address space, which holds many only as storage; vectors in all; and what leads to
-/// the world's own. Several worlds have one level each.
-fn table_of_worlds(worlds: usize, vectors: usize) -> (&'static str, usize, String) {
+/// the world's own.
+fn table_of_worlds([worlds, levels]: [usize; 2], vectors: usize) -> (&'static str, usize, String) {
     if worlds > 1 {
-        ("storage, read", worlds * vectors, format!("layer_now * {vectors}u + "))
+        ("storage, read", worlds * vectors, format!("layer_now / {levels}u * {vectors}u + "))
     } else {
         ("uniform", vectors, String::new())
     }
@@ -510,7 +510,7 @@ pub(crate) fn constants(plan: &Plan) -> String {
         frictions("LOW_FRICTION", 0),
         frictions("HIGH_FRICTION", 1),
         format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
-        format!("const NODE_MOVE: f32 = {:?};\nconst MAX_MOVE: f32 = {MAX_MOVE:?};\n", crate::batch::NODE_MOVE),
+        format!("const NODE_MOVE: f32 = {:?};\n", crate::batch::NODE_MOVE),
         format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
     ]
     .concat()
@@ -685,12 +685,18 @@ fn prolong() -> Draft {
     }
 }
 
+/// Vectors of four that hold the boxes of a world's levels.
+pub(crate) fn region_vectors(plan: &Plan) -> usize {
+    2 * boxes(plan) * (plan.cell_widths.len() - 1)
+}
+
 /// The boxes of levels, and what lies in them.
-fn regions(plan: &Plan) -> String {
+fn regions(plan: &Plan, worlds: usize) -> String {
     let boxes = boxes(plan);
-    let vectors = 2 * boxes * (plan.cell_widths.len() - 1);
+    let each = region_vectors(plan);
+    let vectors = worlds * each;
     format!(
-        "const BOXES: u32 = {boxes}u;\nconst SPLIT_AHEAD: i32 = {SPLIT_AHEAD};\n\
+        "const BOXES: u32 = {boxes}u;\nconst PER_WORLD: u32 = {each}u;\nconst SPLIT_AHEAD: i32 = {SPLIT_AHEAD};\n\
          @group(0) @binding(1) var<uniform> regions: array<vec4<i32>, {vectors}>;\n{}",
         include_str!("wgsl/regions.wgsl")
     )
@@ -887,7 +893,8 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     let materials: Vec<_> = plan.materials.iter().map(|m| &m.material).collect();
     let mut text = material::module(&materials)?;
     let vectors = parameter_vectors(plan);
-    let (space, all, _) = table_of_worlds(worlds, vectors);
+    let levels = plan.cell_widths.len();
+    let (space, all, _) = table_of_worlds([worlds, levels], vectors);
     let _ = write!(
         text,
         "@group(0) @binding(1) var<{space}> params: array<vec4<f32>, {all}>;\n\
@@ -905,7 +912,7 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
         .map(|m| {
             let at = base;
             base += m.parameters.len();
-            if worlds > 1 { format!("layer_now * {}u + {at}u", 4 * vectors) } else { format!("{at}u") }
+            if worlds > 1 { format!("layer_now / {levels}u * {}u + {at}u", 4 * vectors) } else { format!("{at}u") }
         })
         .collect();
     text += &switch(bases, "param_base", "u32");
@@ -969,7 +976,7 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     Ok(text)
 }
 
-fn sort(plan: &Plan) -> Vec<Draft> {
+fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     let levels = plan.cell_widths.len() > 1;
     const COMMON: &str = include_str!("wgsl/sort.wgsl");
     let draft = |name, entry, body: &str, uses: Vec<Use>, groups| Draft {
@@ -986,12 +993,12 @@ fn sort(plan: &Plan) -> Vec<Draft> {
         if !levels {
             return draft;
         }
-        Draft { body: draft.body + &regions(plan) + helpers, uniform: Uniform::Regions, ..draft }
+        Draft { body: draft.body + &regions(plan, worlds) + helpers, uniform: Uniform::Regions, ..draft }
     };
     let only_with_levels = |text: &'static str| if levels { text } else { "" };
     let check = only_with_levels(
         " else if due && !is_placed(layer, cell, vec3<i32>(record[vector(q, 0u)].xyz >> vec3<u32>(31u))) {\n\
-         atomicStore(&status[HALT_STEP], step.number);\natomicMax(&status[HALTED], MISPLACED);\n}",
+         atomicStore(&status[sum_word(layer, ASTRAY)], 1u);\natomicStore(&status[HALT_STEP], step.number);\natomicMax(&status[HALTED], MISPLACED);\n}",
     );
     let rim = only_with_levels("reached |= u32(reached == 0u && on && takes_from_rim(layer, block));");
     let next = |name, binding: Use| {

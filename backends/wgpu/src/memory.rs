@@ -35,7 +35,7 @@ pub(crate) struct Asked {
     pub(crate) bodies: usize,
     pub(crate) layers: usize,
     pub(crate) worlds: usize,
-    /// Boxes of the levels' regions, of all levels.
+    /// Boxes of the regions of a world's levels.
     pub(crate) boxes: usize,
     /// Steps of the finest level in one of the coarsest.
     pub(crate) substeps: usize,
@@ -307,7 +307,7 @@ impl Memory {
         let params = table(gpu, "parameters", values.len(), asked.worlds);
         gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(values));
         let steps = uniform("steps", STEP_STRIDE * STEP_SLOTS);
-        let regions = uniform("regions", 32 * asked.boxes.max(1) as u64);
+        let regions = uniform("regions", 32 * (asked.worlds * asked.boxes).max(1) as u64);
         let layers = uniform("layers", (size_of::<Layer>() * asked.layers) as u64);
         let step_binding = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("step"),

@@ -101,13 +101,14 @@ const LEAST_BLOCK: u32 = 2u;
 const GREATEST_BLOCK: u32 = 5u;
 
 // Those of a layer in a submission, zero when it begins: 1 + the step before which it was sorted last; particles' steps with strain
-// applied in parts; what walls gave [N s]; is it due in the sort under way?
+// applied in parts; what walls gave [N s]; is it due in the sort under way; did a sort find particles that belong on another level?
 const OF_SUMS: u32 = OF_LAYERS + PER_LAYER * LAYERS;
 const PER_SUM: u32 = 8u;
 const SORTED: u32 = 0u;
 const PARTED: u32 = 1u;
 const WALL_IMPULSE: u32 = 2u;
 const DUE: u32 = 5u;
+const ASTRAY: u32 = 6u;
 
 // Those of a layer in a step: greatest node speed [m/s], greatest move of a particle, and how far particles may have drifted before it
 // since the last sort [cells], as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN
@@ -273,13 +274,10 @@ fn is_live(layer: u32) -> bool {
     return LAYERS == 1u || layers[layer].on != 0u;
 }
 
-// Is the step short enough for nodes of that speed? Levels that take steps of their own cannot take one again: there only what is not finite
-// is stopped here, and what counts is how far particles move, which the fastest nodes hardly carry.
+// Is the step short enough for nodes of that speed? Levels that take steps of their own cannot take one again: there what counts is how far
+// particles move, which the fastest nodes hardly carry, and the host looks at that when the step is done.
 fn is_slow_enough(speed: f32) -> bool {
-    if SUBCYCLED {
-        return speed <= 3.0e38;
-    }
-    return speed * step.dt_per_h <= NODE_MOVE;
+    return SUBCYCLED || speed * step.dt_per_h <= NODE_MOVE;
 }
 
 fn offset_of(n: u32) -> vec3<i32> {

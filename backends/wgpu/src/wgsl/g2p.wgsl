@@ -82,10 +82,6 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
 
         deform(q, law_of(p.w), mass, held, c, step.dt);
         let by_most = max(max(magnitude_bits(by_move.x), magnitude_bits(by_move.y)), magnitude_bits(by_move.z));
-        if SUBCYCLED && by_most > bitcast<u32>(MAX_MOVE) {
-            atomicStore(&status[HALT_STEP], step.number);
-            atomicStore(&status[HALTED], TOO_FAST);
-        }
         // Threads that would change nothing need not queue.
         if layer_now != first_layer {
             atomicMax(&status[step_word(step.number, layer_now, MOVE)], by_most);

@@ -61,6 +61,11 @@ fn has_left(tag: u32) -> bool {
 fn list_leaver(q: u32, index: u32, tag: u32) {
     let at = cell_of(tag) + vec3<i32>(1);
     if any(at < vec3<i32>(0)) || any(at > vec3<i32>(5)) {
+        if SUBCYCLED {
+            // The world has failed, which the host sees by how far particles have come; the others go on.
+            atomicMax(&status[step_word(step.number, layer_now, MOVE)], bitcast<u32>(1.0));
+            return;
+        }
         atomicStore(&status[WHO], q);
         atomicStore(&status[HALT_STEP], step.number);
         atomicStore(&status[HALTED], STRAYED);

@@ -20,7 +20,7 @@ fn holds(layer: u32, first: vec3<i32>, end: vec3<i32>, by: i32) -> bool {
     most = select(most, min(most, high), HAS_HIGH_WALL);
     let is_periodic = PERIOD > vec3<i32>(0);
     for (var b = 0u; b < BOXES; b++) {
-        let at = 2u * (level_of(layer) * BOXES + b);
+        let at = layer / LEVELS * PER_WORLD + 2u * (level_of(layer) * BOXES + b);
         for (var copy = 0u; copy < BOX_COPIES; copy++) {
             let shift = offset_of(copy);
             if all(is_periodic | (shift == vec3<i32>(0))) {
