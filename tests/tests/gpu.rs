@@ -1,7 +1,7 @@
 //! The backend wgpu against the CPU in 64 bits, against truths, and against itself. Without an adapter these tests fail, and the
 //! error says how to get a software one.
 
-use barchan::scene::{Motion, OverBound, Scene, Shape, Time};
+use barchan::scene::{Leaving, Motion, OverBound, Scene, Shape, Time};
 use barchan::worlds::Worlds;
 use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Simulation, Vec3};
 use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
@@ -386,12 +386,6 @@ fn scene_of(toml: &str) -> barchan::Result<Scene> {
 fn what_it_lacks_is_refused_by_name() {
     let error = refusal(&jelly(""), Precision::F64);
     assert!(error.contains("wgpu") && error.contains("64-bit") && error.contains("cpu"), "{error}");
-    let clamp = Head { world: "leaving = \"clamp\"", ..Head::cells(0.02, [8; 3], "") };
-    let error = refusal(
-        &clamp.with(&[material("hencky", 1000.0, ""), block("hencky", [0.04; 3], [0.08; 3], "")]),
-        Precision::F32,
-    );
-    assert!(error.contains("clamping") && error.contains("world.leaving"), "{error}");
     let soft = cut(2, "lattice").replace("\"marker\"]", "\"block\"]").replace("[[body]]", "[[body]]\nname = \"block\"");
     let error = refusal(&soft, Precision::F32);
     assert!(error.contains("soft bodies") && error.contains("levels.agents"), "{error}");
@@ -423,6 +417,56 @@ fn faults_carry_the_particle_and_the_place() {
     sim.set_particles(state).unwrap();
     let error = sim.step().unwrap_err().to_string();
     assert!(error.contains("velocity") && error.contains(&format!("particle {id} ")), "{error}");
+}
+
+/// Particles that leave through an open side are put back and stopped, with the impulse booked, or deleted, with the mass booked: as on the CPU,
+/// but for when sorts find them.
+#[test]
+fn particles_that_leave_are_clamped_or_deleted_as_on_the_cpu() {
+    let toml = |leaving: &str| {
+        let world = format!("leaving = \"{leaving}\"");
+        let head = Head { world: &world, gravity: [0.0; 3], ..Head::cells(0.02, [12; 3], "z_min = \"slip\"") };
+        head.time("step = 1e-3").with(&[
+            material("hencky", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.2"),
+            block("hencky", [0.1, 0.06, 0.0], [0.16, 0.12, 0.06], "velocity = [2.0, 0.3, 0.0]"),
+        ])
+    };
+    let (mut g, mut c) = (gpu(&toml("delete")), cpu(&toml("delete")));
+    let before = g.ledger();
+    let mut partly = 0;
+    for _ in 0..20 {
+        take(&mut g, 8);
+        take(&mut c, 8);
+        let (now, there) = (g.ledger(), c.ledger());
+        within("mass there is and was", ((now.mass + now.deleted_mass) / before.mass - 1.0).abs(), 1e-6);
+        assert_eq!(
+            now.particles + now.counts.get("particles deleted on leaving").copied().unwrap_or(0),
+            before.particles
+        );
+        assert_eq!(now.particles as usize, g.particle_count());
+        // Eight steps of a particle's way in the block are a quarter of it.
+        within(
+            "particles beside the CPU's",
+            now.particles.abs_diff(there.particles) as f64 / before.particles as f64,
+            0.35,
+        );
+        partly += u32::from(now.particles > 0 && now.particles < before.particles);
+    }
+    assert!(partly > 0 && g.ledger().particles == 0 && c.ledger().particles == 0, "{partly}");
+
+    let (mut g, mut c) = (gpu(&toml("clamp")), cpu(&toml("clamp")));
+    let before = g.ledger();
+    take(&mut g, 160);
+    take(&mut c, 160);
+    let (now, there) = (g.ledger(), c.ledger());
+    println!("{:?} {:?}", now.counts, there.counts);
+    assert!(now.counts["particles put back into the world"] > 0, "{:?}", now.counts);
+    assert!(rows(&g).iter().all(|r| r.x.iter().all(|x| (-0.03..0.27).contains(x))));
+    let balance: Vec3 = std::array::from_fn(|d| now.momentum[d] - before.momentum[d] - now.wall_impulse[d]);
+    within("balance of momentum", norm(balance) / momentum(&before), 1e-5);
+    within("impulse on the side", (now.wall_impulse[0] / there.wall_impulse[0] - 1.0).abs(), 0.1);
+    let centre = |sim: &Simulation| rows(sim).iter().map(|r| r.x[0]).sum::<f64>() / sim.particle_count() as f64;
+    within("centre beside the CPU's, in cells", (centre(&g) - centre(&c)).abs() / 0.02, 0.7);
 }
 
 fn on_gpu() -> Options {
@@ -576,6 +620,35 @@ fn others_go_on(flight: fn(usize) -> Scene) {
     assert_eq!([0, 1, 2].map(|w| worlds.world(w).step_count()), [60, 1, 61]);
     worlds.reset(0, None).unwrap();
     assert!(worlds.step().iter().all(Result::is_ok));
+}
+
+/// A world that loses particles, with and without bodies that move freely, is what it is alone, and so is one that loses none.
+#[test]
+fn a_world_of_a_batch_that_loses_particles_is_the_world_alone() {
+    let registry = barchan::registry();
+    for flight in [flight, struck] {
+        for leaving in [Leaving::Delete, Leaving::Clamp] {
+            let scene = |w: usize| {
+                let mut scene = flight(w);
+                scene.world.leaving = leaving;
+                scene
+            };
+            let mut worlds = Worlds::new(&registry, [0, 1, 2].map(scene).to_vec(), &on_gpu()).unwrap();
+            let before = worlds.world(1).particle_count();
+            for _ in 0..3 {
+                assert!(worlds.steps(12).into_iter().all(|reports| reports.unwrap().len() == 12));
+            }
+            let now = worlds.world(1).particle_count();
+            assert!(now > 0 && (now < before) == (leaving == Leaving::Delete), "{now} of {before}");
+            for w in 0..3 {
+                let mut alone = Simulation::new(&registry, &scene(w), &on_gpu()).unwrap();
+                take(&mut alone, 36);
+                assert!(left(worlds.world(w)) == left(&alone), "world {w} is not itself alone");
+                let lost = |l: Ledger| (l.mass, l.deleted_mass, l.gravity_impulse, l.counts);
+                assert_eq!(lost(worlds.world(w).ledger()), lost(alone.ledger()));
+            }
+        }
+    }
 }
 
 /// More worlds take no more passes; with bodies that move freely, they take one submission that is waited for a step, sorts within it.

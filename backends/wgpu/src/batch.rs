@@ -12,7 +12,7 @@ use crate::stiffness::{self, Held};
 use crate::world::{Level, MAX_MOVE, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::coupling::DeviceLaw;
-use barchan_core::scene::Wall;
+use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{
     Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase,
     StepReport, Vec3, Wrench,
@@ -57,6 +57,9 @@ const SORTED: usize = 0;
 const PARTED: usize = 1;
 pub(crate) const WALL_IMPULSE: usize = 2;
 const ASTRAY: usize = 6;
+const LEFT: usize = 7;
+const LEFT_IMPULSE: usize = 8;
+const LEFT_MASS: usize = 11;
 /// Of a layer in a step.
 pub(crate) const SPEED: usize = 0;
 pub(crate) const MOVE: usize = 1;
@@ -72,6 +75,8 @@ pub(crate) enum Halt {
     Misplaced,
     LeftWorld,
     Strayed,
+    /// There are fewer particles than before.
+    Fewer,
 }
 
 impl Halt {
@@ -83,7 +88,8 @@ impl Halt {
             3 => Some(Self::Room),
             4 => Some(Self::Misplaced),
             5 => Some(Self::LeftWorld),
-            _ => Some(Self::Strayed),
+            6 => Some(Self::Strayed),
+            _ => Some(Self::Fewer),
         }
     }
 }
@@ -388,7 +394,7 @@ impl Fixed {
         };
         const MEND: &str = "give all worlds the same, or run them on the backend cpu";
         if other.world != self.world {
-            return differs("cell width, extent, walls, or what materials keep", MEND);
+            return differs("cell width, extent, walls, world.leaving, or what materials keep", MEND);
         }
         if other.laws != self.laws {
             return differs("their materials' laws", MEND);
@@ -705,17 +711,19 @@ impl WgpuBatch {
         let parts = self.with_groups(parts);
         let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;
         let status = Status::new(words, layout);
-        self.take_blocks(&status);
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
         for &(w, time) in active {
             self.take_steps(&status, w, time, dt, done);
         }
+        // Who has left was there in these steps.
+        self.take_blocks(&status);
         Ok(Outcome { done, halt, status })
     }
 
-    /// Takes in where blocks are after a submission.
+    /// Takes in where blocks are after a submission, and who has left the world.
     pub(crate) fn take_blocks(&mut self, status: &Status) {
+        self.take_left(status);
         let sorts = status.words[SORTS] as usize;
         if sorts > 0 {
             self.memory.now ^= sorts & 1;
@@ -726,9 +734,45 @@ impl WgpuBatch {
                 level.node_blocks = status.range(layer, FIRST_NODE_BLOCK, NODE_BLOCKS);
                 level.reach = (!level.blocks.is_empty()).then(|| (block(LEAST_BLOCK), block(GREATEST_BLOCK)));
             }
+            self.leave_behind();
         }
         // A sort that was broken off has overwritten the directory.
-        self.unlinked |= matches!(status.halt(), Some(Halt::Room | Halt::LeftWorld | Halt::Misplaced));
+        self.unlinked |= matches!(status.halt(), Some(Halt::Room | Halt::LeftWorld));
+    }
+
+    /// Takes in what sorts found outside the world.
+    fn take_left(&mut self, status: &Status) {
+        let real = |layer: usize, k: usize| f64::from(f32::from_bits(status.sum(layer, k)));
+        for w in 0..self.worlds.len() {
+            for (layer, l) in self.layers_of(w).zip(0..) {
+                let count = status.sum(layer, LEFT);
+                let world = &mut self.worlds[w];
+                let mass = real(layer, LEFT_MASS);
+                match world.scene.world.leaving {
+                    Leaving::Error => {}
+                    Leaving::Clamp => world.clamped += u64::from(count),
+                    Leaving::Delete => {
+                        world.deleted += u64::from(count);
+                        world.levels[l].gone += count as usize;
+                    }
+                }
+                world.delete(mass);
+                (0..3).for_each(|d| world.wall_impulse[d] += real(layer, LEFT_IMPULSE + d));
+            }
+        }
+    }
+
+    /// A sort has left behind those that were to go.
+    fn leave_behind(&mut self) {
+        let mut slot = 0;
+        for level in self.worlds.iter_mut().flat_map(|world| &mut world.levels) {
+            let count = level.particles.len() - std::mem::take(&mut level.gone);
+            level.particles = slot..slot + count;
+            slot += count;
+        }
+        if slot != self.particles() {
+            self.memory.count(&self.gpu, slot);
+        }
     }
 
     /// Takes in what steps did to a world. In one that is subcycled, particles may have moved too far in one of them.
@@ -1326,6 +1370,7 @@ impl WgpuBatch {
             }
             match outcome.halt {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
+                Some(Halt::Fewer) => {}
                 Some(Halt::Drifted) if !stretches[0].sort => {}
                 Some(Halt::Misplaced) => {
                     let is_astray = |w: usize| outcome.status.is_astray(self.layers_of(w));

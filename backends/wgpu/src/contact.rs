@@ -359,6 +359,7 @@ impl WgpuBatch {
     ) -> Result<()> {
         match halt {
             Halt::Room => self.make_room(status)?,
+            Halt::Fewer => {}
             Halt::Drifted if !*sort => *sort = true,
             Halt::Misplaced => {
                 let is_astray = |visit: &&Visit<'_, '_>| status.is_astray(self.layers_of(visit.world()));

@@ -7,7 +7,7 @@ use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::SPLIT_AHEAD;
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::scene::Wall;
+use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Plan, Result, Stage};
 use std::fmt::Write as _;
 
@@ -512,6 +512,7 @@ pub(crate) fn constants(plan: &Plan) -> String {
         format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
         format!("const NODE_MOVE: f32 = {:?};\n", crate::batch::NODE_MOVE),
         format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
+        format!("// Particles that leave: {:?}\n", plan.scene.world.leaving),
     ]
     .concat()
 }
@@ -998,7 +999,7 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     let only_with_levels = |text: &'static str| if levels { text } else { "" };
     let check = only_with_levels(
         " else if due && !is_placed(layer, cell, vec3<i32>(record[vector(q, 0u)].xyz >> vec3<u32>(31u))) {\n\
-         atomicStore(&status[sum_word(layer, ASTRAY)], 1u);\natomicStore(&status[HALT_STEP], step.number);\natomicMax(&status[HALTED], MISPLACED);\n}",
+         atomicStore(&status[sum_word(layer, ASTRAY)], 1u);\n}",
     );
     let rim = only_with_levels("reached |= u32(reached == 0u && on && takes_from_rim(layer, block));");
     let next = |name, binding: Use| {
@@ -1006,6 +1007,26 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         (name, binding.1, Role::Next(sorted), true)
     };
     let ids: Use = ("ids", "vec2<u32>", Role::Now(Sorted::Ids), false);
+    let leaving = plan.scene.world.leaving;
+    let is_error = leaving == Leaving::Error;
+    // What becomes of a particle outside the world; where particles change, or what they gave is noted, passes write.
+    let leave = match leaving {
+        Leaving::Error => {
+            "atomicMin(&status[WHO], q);\natomicStore(&status[HALT_STEP], step.number);\natomicStore(&status[HALTED], LEFT_WORLD);"
+        }
+        Leaving::Clamp => "mine += put_back(q, layer, block, &local);",
+        Leaving::Delete => {
+            "record[vector(q, 0u)].w = tag | GONE;\nmine.w += bitcast<f32>(record[vector(q, 1u)].w);\n\
+             atomicAdd(&status[sum_word(layer, LEFT)], 1u);\ncontinue;"
+        }
+    };
+    let unless_error = |text: &'static str| if is_error { "" } else { text };
+    let mark_text = include_str!("wgsl/sort_mark.wgsl")
+        .replace("$CHECK", check)
+        .replace("$LEAVE", leave)
+        .replace("$BEGIN", unless_error("var mine = vec4<f32>(0.0);"))
+        .replace("$END", unless_error("note_left(b, thread, mine);"));
+    let changed = |binding: Use| if is_error { binding } else { written(binding) };
     let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
     let rims = knowing(
         draft(
@@ -1031,8 +1052,8 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
             draft(
                 "mark",
                 "mark",
-                &include_str!("wgsl/sort_mark.wgsl").replace("$CHECK", check),
-                vec![RECORD, LISTS, CELLS, atomic(FLAGS), STATUS],
+                &(unless_error(include_str!("wgsl/sort_leave.wgsl")).to_owned() + &mark_text),
+                vec![changed(RECORD), changed(LISTS), CELLS, atomic(FLAGS), STATUS],
                 Groups::Blocks,
             ),
             include_str!("wgsl/sort_check.wgsl"),
@@ -1122,7 +1143,17 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         ),
     ];
     if levels {
-        passes.push(rims);
+        let placed = include_str!("wgsl/sort_placed.wgsl");
+        passes.extend([rims, draft("placed", "placed", placed, vec![STATUS], Groups::One)]);
+    }
+    if !is_error {
+        // Before blocks are numbered anew.
+        let at = passes.iter().position(|pass| pass.name == "survey").expect("a sort has it");
+        let left = include_str!("wgsl/sort_left.wgsl");
+        passes.insert(at, draft("left", "sum_left", left, vec![LISTS, STATUS], Groups::Layers));
+    }
+    if leaving == Leaving::Delete {
+        passes.push(draft("gone", "gone", include_str!("wgsl/sort_gone.wgsl"), vec![STATUS], Groups::One));
     }
     passes
 }

@@ -21,7 +21,7 @@ mod world;
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
 use barchan_core::levels::Agent;
-use barchan_core::scene::{Leaving, Wall};
+use barchan_core::scene::Wall;
 use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
 
@@ -88,11 +88,6 @@ impl Backend for Wgpu {
         if plan.precision == Precision::F64 {
             return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));
         }
-        match plan.scene.world.leaving {
-            Leaving::Error => {}
-            Leaving::Clamp => return Err(lacks("clamping", "world.leaving = \"clamp\"", MEND_LEAVING)),
-            Leaving::Delete => return Err(lacks("deletion of particles", "world.leaving = \"delete\"", MEND_LEAVING)),
-        }
         if plan.materials.len() > layout::MAX_LAWS {
             let why = format!("bodies use {} materials", plan.materials.len());
             return Err(lacks(
@@ -136,8 +131,6 @@ fn seats(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<seat::Seats> {
     let gpu = device::open_with(adapter, backend.offer)?;
     Ok(seat::Seats::new(batch::WgpuBatch::new(gpu, worlds)?))
 }
-
-const MEND_LEAVING: &str = "set world.leaving = \"error\", or use the backend cpu";
 
 /// Registers the backend.
 ///

@@ -11,7 +11,7 @@ use std::collections::HashMap;
 /// see `common.wgsl`.
 const OF_LAYERS: usize = 12;
 const PER_LAYER: usize = 8;
-const PER_SUM: usize = 8;
+const PER_SUM: usize = 12;
 pub(crate) const PER_STEP: usize = 4;
 /// Steps that one submission can take.
 pub(crate) const MAX_STEPS: usize = 64;
@@ -438,6 +438,12 @@ impl Memory {
     /// Blocks of nodes near bodies that there is room for.
     pub(crate) fn near(&self) -> usize {
         self.asked.near
+    }
+
+    /// Says how many particles there are.
+    pub(crate) fn count(&mut self, gpu: &Gpu, particles: usize) {
+        self.extent.particles = particles as u32;
+        gpu.queue.write_buffer(&self.constants, 0, bytemuck::bytes_of(&self.extent));
     }
 
     /// Makes room for so many boxes around the bodies of each layer, and blocks of nodes near them.

@@ -92,6 +92,9 @@ impl Engine for Seat {
             ledger.gravity_impulse[d] += world.gravity_impulse[d];
         }
         world.adapt.account(ledger);
+        ledger.deleted_mass += world.deleted_mass;
+        ledger.count("particles put back into the world", world.clamped);
+        ledger.count("particles deleted on leaving", world.deleted);
         ledger.count("steps shortened for speed", world.shortened);
         ledger.count("particles' steps with strain applied in parts", world.parted);
     }

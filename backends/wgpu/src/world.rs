@@ -86,6 +86,8 @@ pub(crate) struct Level {
     pub(crate) particle_speed: f64,
     /// Its steps in one of the simulation.
     pub(crate) steps_within: u32,
+    /// Particles that the next sort leaves behind.
+    pub(crate) gone: usize,
 }
 
 /// A world of a batch.
@@ -115,6 +117,11 @@ pub(crate) struct World {
     pub(crate) spoilt: bool,
     pub(crate) steps: u64,
     mass: f64,
+    /// Of the particles that were deleted on leaving the world [kg], and how many they were.
+    pub(crate) deleted_mass: f64,
+    pub(crate) deleted: u64,
+    /// How often particles were put back into the world.
+    pub(crate) clamped: u64,
     pub(crate) shortened: u64,
     pub(crate) parted: u64,
     pub(crate) wall_impulse: Vec3,
@@ -163,6 +170,9 @@ impl World {
             spoilt: false,
             steps: 0,
             mass: 0.0,
+            deleted_mass: 0.0,
+            deleted: 0,
+            clamped: 0,
             shortened: 0,
             parted: 0,
             wall_impulse: [0.0; 3],
@@ -255,6 +265,12 @@ impl World {
         let of_material = |m: usize| lists.iter().skip(m).step_by(self.materials.len()).map(density);
         self.densities = (0..self.materials.len()).map(|m| of_material(m).fold(f64::INFINITY, f64::min)).collect();
         Ok(())
+    }
+
+    /// Particles of that mass have been deleted [kg].
+    pub(crate) fn delete(&mut self, mass: f64) {
+        self.mass -= mass;
+        self.deleted_mass += mass;
     }
 
     pub(crate) fn book_gravity(&mut self, time: f64, dt: f64, steps: usize) {

@@ -88,6 +88,8 @@ const NEW_BLOCKS: u32 = 5u;
 const NEW_NODE_BLOCKS: u32 = 6u;
 const OLD_BLOCKS: u32 = 7u;
 const SORTS: u32 = 8u;
+// What blocks held in all when that was summed last.
+const COUNTED: u32 = 9u;
 // Blocks of nodes near bodies whose law runs on the host: gathered, and on their way back.
 const NEAR: u32 = 10u;
 const BACK: u32 = 11u;
@@ -101,14 +103,17 @@ const LEAST_BLOCK: u32 = 2u;
 const GREATEST_BLOCK: u32 = 5u;
 
 // Those of a layer in a submission, zero when it begins: 1 + the step before which it was sorted last; particles' steps with strain
-// applied in parts; what walls gave [N s]; is it due in the sort under way; did a sort find particles that belong on another level?
+// applied in parts; what walls gave [N s]; is it due in the sort under way; did a sort find particles that belong on another level; how often
+// it found one outside the world; the impulse of those it put back [N s], and the mass of those it took out [kg].
 const OF_SUMS: u32 = OF_LAYERS + PER_LAYER * LAYERS;
-const PER_SUM: u32 = 8u;
+const PER_SUM: u32 = 12u;
 const SORTED: u32 = 0u;
 const PARTED: u32 = 1u;
 const WALL_IMPULSE: u32 = 2u;
 const DUE: u32 = 5u;
 const ASTRAY: u32 = 6u;
+const LEFT: u32 = 7u;
+const LEFT_IMPULSE: u32 = 8u;
 
 // Those of a layer in a step: greatest node speed [m/s], greatest move of a particle, and how far particles may have drifted before it
 // since the last sort [cells], as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN
@@ -139,6 +144,7 @@ const ROOM: u32 = 3u;
 const MISPLACED: u32 = 4u;
 const LEFT_WORLD: u32 = 5u;
 const STRAYED: u32 = 6u;
+const FEWER: u32 = 7u;
 
 const BIAS: i32 = 1 << 20;
 
