@@ -16,10 +16,10 @@ use barchan_core::{
     Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase,
     StepReport, Vec3, Wrench,
 };
+use barchan_grid::adapt::Candidates;
 use barchan_grid::block;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
-use std::time::Instant;
 
 /// No node that a particle feels may carry one further than this in a step, in cells: a little less than particles may move.
 pub(crate) const NODE_MOVE: f64 = 0.48;
@@ -44,6 +44,7 @@ const WHO: usize = 4;
 const NEW_BLOCKS: usize = 5;
 const NEW_NODE_BLOCKS: usize = 6;
 const SORTS: usize = 8;
+pub(crate) const COUNTED: usize = 9;
 /// Of a layer.
 const FIRST_BLOCK: usize = 0;
 const FIRST_NODE_BLOCK: usize = 1;
@@ -53,6 +54,7 @@ const GREATEST_BLOCK: usize = 5;
 pub(crate) const SORTED: usize = 0;
 const PARTED: usize = 1;
 pub(crate) const WALL_IMPULSE: usize = 2;
+const ASTRAY: usize = 6;
 /// Of a layer in a step.
 pub(crate) const SPEED: usize = 0;
 pub(crate) const MOVE: usize = 1;
@@ -489,7 +491,7 @@ impl WgpuBatch {
     }
 
     /// The levels of all worlds, in the order of layers.
-    fn all_levels(&self) -> impl Iterator<Item = &Level> {
+    pub(crate) fn all_levels(&self) -> impl Iterator<Item = &Level> {
         self.worlds.iter().flat_map(|world| &world.levels)
     }
 
@@ -498,7 +500,7 @@ impl WgpuBatch {
         self.levels * world..self.levels * (world + 1)
     }
 
-    fn particles(&self) -> usize {
+    pub(crate) fn particles(&self) -> usize {
         self.memory.extent.particles as usize
     }
 
@@ -532,15 +534,24 @@ impl WgpuBatch {
         (0..self.worlds.len()).flat_map(|w| (0..self.levels).map(move |l| (w, l))).map(layer).collect()
     }
 
-    /// Tells the device where the levels are.
-    fn write_regions(&self, world: &World) {
+    /// Tells the device where the levels are, and what may merge in a round.
+    pub(crate) fn write_regions(&self, world: &World, candidates: Candidates<'_>) {
         let each = self.memory.boxes().checked_div(self.levels - 1).unwrap_or(0);
-        let mut vectors = Vec::new();
-        for boxes in world.adapt.regions.boxes() {
-            let vector = |v: [i32; 3]| [v[0], v[1], v[2], 0];
-            vectors.extend(boxes.iter().take(each).flat_map(|one| [vector(one.min), vector(one.max)]));
-            // One that holds nothing, for each agent that has none.
-            vectors.extend((boxes.len()..each).flat_map(|_| [[i32::MAX / 4; 4], [i32::MIN / 4; 4]]));
+        // Boxes that hold nothing, for agents that have none, and such as hold everything.
+        let (nothing, all) = ([[i32::MAX / 4; 4], [i32::MIN / 4; 4]], [[i32::MIN / 4; 4], [i32::MAX / 4; 4]]);
+        let mut vectors: Vec<[i32; 4]> = Vec::new();
+        let mut write = |regions: &Regions| {
+            for boxes in regions.boxes() {
+                let vector = |v: [i32; 3]| [v[0], v[1], v[2], 0];
+                vectors.extend(boxes.iter().take(each).flat_map(|one| [vector(one.min), vector(one.max)]));
+                vectors.extend((boxes.len()..each).flat_map(|_| nothing));
+            }
+        };
+        write(&world.adapt.regions);
+        match candidates {
+            Candidates::None => write(&world.adapt.regions),
+            Candidates::New(before) => write(before),
+            Candidates::All => vectors.extend((0..self.memory.boxes()).flat_map(|_| all)),
         }
         self.gpu.queue.write_buffer(&self.memory.regions, 0, bytemuck::cast_slice(&vectors));
     }
@@ -693,7 +704,7 @@ impl WgpuBatch {
             }
         }
         // A sort that was broken off has overwritten the directory.
-        self.unlinked |= matches!(status.halt(), Some(Halt::Room | Halt::LeftWorld | Halt::Misplaced));
+        self.unlinked |= matches!(status.halt(), Some(Halt::Room | Halt::LeftWorld));
     }
 
     /// Takes in what steps did to a world.
@@ -883,14 +894,19 @@ impl WgpuBatch {
         self.memory.grow(&self.gpu, extent)
     }
 
-    /// Sorts what is due at once.
-    pub(crate) fn sort_now(&mut self, world: usize, time: f64, dt: f64, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+    /// Sorts what is due at once, and brings every particle to the level where it belongs.
+    pub(crate) fn sort_now(&mut self, world: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        if self.sort(world)? { self.adapt(world, None, couplings) } else { Ok(()) }
+    }
+
+    /// Sorts what is due at once. Are particles on another level than they should be?
+    pub(crate) fn sort(&mut self, world: usize) -> Result<bool> {
         loop {
-            let outcome = self.submit(&[(world, time)], dt, &[Stretch { sort: true, steps: 0 }])?;
+            let outcome = self.submit(&[(world, 0.0)], 0.0, &[Stretch { sort: true, steps: 0 }])?;
             match outcome.halt {
-                None => return Ok(()),
+                None => return Ok(false),
+                Some(Halt::Misplaced) => return Ok(true),
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
-                Some(Halt::Misplaced) => self.adapt(world, None, couplings)?,
                 Some(_) => return Err(self.left_world(world, &outcome.status)),
             }
         }
@@ -1031,31 +1047,6 @@ impl WgpuBatch {
         Ok(ParticleState { lists, sort, levels: world.adapt.phase(BTreeSet::new()), ..ParticleState::default() })
     }
 
-    /// Brings a world's particles to the levels where they belong, splits and merges: on the host. `before` are its regions as they
-    /// were, if they have moved.
-    fn adapt(&mut self, w: usize, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<()> {
-        let begun = Instant::now();
-        self.settle()?;
-        // Particles come in any order: blocks' numbers are by cell here.
-        let (lists, _) = self.lists(w)?;
-        let adapt = &mut self.worlds[w].adapt;
-        let mut state = ParticleState { lists, levels: adapt.phase(BTreeSet::new()), ..ParticleState::default() };
-        adapt.round_on_host(&mut state, before, couplings)?;
-        self.take_in(vec![(w, state)])?;
-        self.adapt_seconds.0 += begun.elapsed().as_secs_f64();
-        self.adapt_seconds.1 += 1;
-        Ok(())
-    }
-
-    /// Moves a world's levels after the bodies that they follow.
-    fn follow(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
-        // Nothing soft is followed.
-        match self.worlds[w].adapt.follow(couplings, |_| None) {
-            Some(before) => self.adapt(w, Some(&before), couplings),
-            None => Ok(()),
-        }
-    }
-
     /// What the planes of a buffer hold of so many particles, plane by plane.
     fn stretch<T: bytemuck::Pod>(&self, sorted: Sorted, first: usize, count: usize) -> Result<Vec<T>> {
         self.stretch_of(sorted, usize::MAX, first, count)
@@ -1105,15 +1096,6 @@ impl WgpuBatch {
             });
         }
         if all > extent.slots as usize {
-            // The others' places are lost with the planes.
-            if arrivals.len() < self.worlds.len() {
-                return Err(Error::Capacity {
-                    what: "particles of an engine that was compiled for fewer",
-                    asked: all as u64,
-                    cap: u64::from(extent.slots),
-                    mend: "compile the scene anew",
-                });
-            }
             extent.slots = with_room(all).next_multiple_of(128);
         }
         let nodes = |(homes, level): (&Homes, &Level)| homes.nodes.len().max(level.node_blocks.len());
@@ -1148,7 +1130,9 @@ impl WgpuBatch {
             if let Some(phase) = &arrival.particles.levels {
                 world.adapt.restore(phase.clone());
             }
-            self.write_regions(&self.worlds[*w]);
+            let ids = arrival.particles.lists.iter().flat_map(|list| &list.id);
+            world.adapt.next_id = ids.max().map_or(0, |id| id + 1).max(world.adapt.next_id);
+            self.write_regions(&self.worlds[*w], Candidates::None);
             let world = &mut self.worlds[*w];
             world.torn = None;
             world.spoilt = spoilt.is_some();
@@ -1210,7 +1194,7 @@ impl WgpuBatch {
     }
 
     /// Writes much, a part at a time.
-    fn write(&self, buffer: &wgpu::Buffer, at: u64, bytes: &[u8]) {
+    pub(crate) fn write(&self, buffer: &wgpu::Buffer, at: u64, bytes: &[u8]) {
         const PART: usize = 64 << 20;
         for (i, part) in bytes.chunks(PART).enumerate() {
             self.gpu.queue.write_buffer(buffer, at + (i * PART) as u64, part);
@@ -1289,6 +1273,9 @@ impl WgpuBatch {
             let outcome = self.submit(&active, dt, &stretches)?;
             for (t, of_turn) in &driven {
                 go_back(turns[*t].couplings, of_turn, outcome.done)?;
+                if self.layers_of(turns[*t].world).any(|layer| outcome.status.sum(layer, ASTRAY) > 0) {
+                    self.adapt(turns[*t].world, None, turns[*t].couplings)?;
+                }
             }
             if outcome.done > 0 {
                 // What stopped the others is found again when they are tried again.
@@ -1297,10 +1284,7 @@ impl WgpuBatch {
             match outcome.halt {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
                 Some(Halt::Drifted) if !stretches[0].sort => {}
-                Some(Halt::Misplaced) => {
-                    let Turn { world, couplings, .. } = &turns[going[0]];
-                    self.adapt(*world, None, couplings)?;
-                }
+                Some(Halt::Misplaced) => {}
                 Some(Halt::TooFast | Halt::Strayed) if self.substeps > 1 => {
                     failed = turns.iter().map(|turn| self.fault(turn)).collect();
                 }
@@ -1593,7 +1577,7 @@ fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstant
         gravity: gravity.map(|g| (g * dt) as f32),
         slot: number as u32,
         level: ALL_LEVELS,
-        pad: [0; 3],
+        ..StepConstants::default()
     }
 }
 

@@ -140,7 +140,7 @@ impl WgpuBatch {
         if ground {
             if self.unlinked {
                 self.settle()?;
-                self.sort_now(WORLD, time, dt, couplings)?;
+                self.sort_now(WORLD, couplings)?;
             }
             loop {
                 let boxes: Vec<_> = couplings.iter().flat_map(|c| c.bounds()).collect();
@@ -148,7 +148,7 @@ impl WgpuBatch {
                 speed = status.speed(1, self.layers_of(WORLD));
                 let moves = speed * dt / self.h;
                 if status.halt() == Some(Halt::Drifted) && !sorted {
-                    self.sort_now(WORLD, time, dt, couplings)?;
+                    self.sort_now(WORLD, couplings)?;
                     sorted = true;
                     continue;
                 }

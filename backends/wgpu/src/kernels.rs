@@ -5,10 +5,11 @@ use crate::material;
 use crate::memory::MAX_STEPS;
 use crate::world::{MAX_MOVE, OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
-use barchan_core::levels::SPLIT_AHEAD;
+use barchan_core::levels::{MERGE_BEHIND, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Wall;
 use barchan_core::{Plan, Result, Stage};
+use barchan_grid::adapt::finest_volumes;
 use std::fmt::Write as _;
 
 /// Planes of particles, and what a sort lays out anew: there are two of each, one of which a sort writes.
@@ -68,6 +69,7 @@ const KEYS: Use = ("keys", "vec2<u32>", Role::Keys, false);
 const LOOSE: Use = ("loose", "u32", Role::Loose, false);
 const ORDER: Use = ("order", "u32", Role::Order, false);
 const OWNERS: Use = ("owners", "vec2<u32>", Role::Owners, false);
+const IDS: Use = ("ids", "vec2<u32>", Role::Now(Sorted::Ids), false);
 const COUNTS: Use = ("counts", "u32", Role::Next(Sorted::Cells), false);
 const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
 const RIMS: Use = ("rims", "vec4<u32>", Role::Rims, false);
@@ -77,6 +79,12 @@ const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 
 const fn written(binding: Use) -> Use {
     (binding.0, binding.1, binding.2, true)
+}
+
+/// Of the set of buffers that does not hold the particles.
+const fn next(name: &'static str, binding: Use) -> Use {
+    let Role::Now(sorted) = binding.2 else { panic!("only what is sorted has a next") };
+    (name, binding.1, Role::Next(sorted), true)
 }
 
 const fn atomic(binding: Use) -> Use {
@@ -151,6 +159,21 @@ pub(crate) struct Kernels {
     pub(crate) g2p: Kernel,
     pub(crate) stress: Kernel,
     pub(crate) collect: Option<Kernel>,
+    /// Rounds of split and merge, if there are several levels.
+    pub(crate) adapt: Option<AdaptKernels>,
+}
+
+/// What the device does in a round of split and merge.
+#[derive(Debug)]
+pub(crate) struct AdaptKernels {
+    /// Finds the particles that it may concern, and copies them.
+    pub(crate) find: [Kernel; 4],
+    /// Which cells are at least half full.
+    pub(crate) fill: Kernel,
+    /// Marks those that are to go.
+    pub(crate) remove: Kernel,
+    /// Stress of those that have come in.
+    pub(crate) stress: Kernel,
 }
 
 /// What the WGSL of a pass is made from.
@@ -197,6 +220,12 @@ impl Kernels {
             g2p: make(drafts.g2p),
             stress: make(drafts.stress),
             collect: drafts.collect.map(make),
+            adapt: drafts.adapt.map(|adapt| AdaptKernels {
+                find: adapt.find.map(make),
+                fill: make(adapt.fill),
+                remove: make(adapt.remove),
+                stress: make(adapt.stress),
+            }),
             constants: constants.clone(),
             step_layout,
         })
@@ -215,6 +244,15 @@ struct Drafts {
     g2p: Draft,
     stress: Draft,
     collect: Option<Draft>,
+    adapt: Option<AdaptDrafts>,
+}
+
+/// The passes of [`AdaptKernels`].
+struct AdaptDrafts {
+    find: [Draft; 4],
+    fill: Draft,
+    remove: Draft,
+    stress: Draft,
 }
 
 impl Drafts {
@@ -244,6 +282,7 @@ impl Drafts {
             g2p: g2p(&laws),
             stress: stress(&laws),
             collect: has_walls.then(collect),
+            adapt: levels.then(|| adapt(plan, &laws)),
         })
     }
 }
@@ -263,6 +302,8 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
         drafts.prolong.iter().chain(&drafts.mirror).chain([&drafts.g2p]).map(|draft| line("every step", draft)),
     );
     lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
+    let adapt = drafts.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
+    lines.extend(adapt.map(|draft| line("where levels move or particles leave theirs", draft)));
     lines.push(line("after an upload", &drafts.stress));
     Ok(lines)
 }
@@ -655,7 +696,8 @@ fn prolong() -> Draft {
 /// The boxes of levels, and what lies in them.
 fn regions(plan: &Plan) -> String {
     let boxes = boxes(plan);
-    let vectors = 2 * boxes * (plan.cell_widths.len() - 1);
+    // As they are now, and as split and merge see them before.
+    let vectors = 4 * boxes * (plan.cell_widths.len() - 1);
     format!(
         "const BOXES: u32 = {boxes}u;\nconst SPLIT_AHEAD: i32 = {SPLIT_AHEAD};\n\
          @group(0) @binding(1) var<uniform> regions: array<vec4<i32>, {vectors}>;\n{}",
@@ -958,14 +1000,9 @@ fn sort(plan: &Plan) -> Vec<Draft> {
     let only_with_levels = |text: &'static str| if levels { text } else { "" };
     let check = only_with_levels(
         " else if due && !is_placed(layer, cell, vec3<i32>(record[vector(q, 0u)].xyz >> vec3<u32>(31u))) {\n\
-         atomicStore(&status[HALT_STEP], step.number);\natomicMax(&status[HALTED], MISPLACED);\n}",
+         atomicStore(&status[sum_word(layer, ASTRAY)], 1u);\n}",
     );
     let rim = only_with_levels("reached |= u32(reached == 0u && on && takes_from_rim(layer, block));");
-    let next = |name, binding: Use| {
-        let Role::Now(sorted) = binding.2 else { unreachable!("only what is sorted has a next") };
-        (name, binding.1, Role::Next(sorted), true)
-    };
-    let ids: Use = ("ids", "vec2<u32>", Role::Now(Sorted::Ids), false);
     let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
     let rims = knowing(
         draft(
@@ -1071,10 +1108,10 @@ fn sort(plan: &Plan) -> Vec<Draft> {
             vec![
                 ORDER,
                 RECORD,
-                ids,
+                IDS,
                 REST,
                 next("new_record", RECORD),
-                next("new_ids", ids),
+                next("new_ids", IDS),
                 next("new_rest", REST),
                 STATUS,
             ],
@@ -1082,7 +1119,98 @@ fn sort(plan: &Plan) -> Vec<Draft> {
         ),
     ];
     if levels {
-        passes.push(rims);
+        let placed = include_str!("wgsl/sort_placed.wgsl");
+        passes.extend([rims, draft("placed", "placed", placed, vec![STATUS], Groups::One)]);
     }
     passes
+}
+
+/// Rounds of split and merge.
+fn adapt(plan: &Plan, laws: &str) -> AdaptDrafts {
+    const COMMON: &str = include_str!("wgsl/sort.wgsl");
+    let draft = |name, entry, body: &str, uses: Vec<Use>, groups| Draft {
+        name,
+        entry,
+        body: COMMON.to_owned() + body,
+        uses,
+        uniform: Uniform::None,
+        groups,
+        checked: true,
+    };
+    let volumes = finest_volumes(plan);
+    let volume = |b: usize| format!("{:?}", volumes[b] as f32);
+    let last = volumes.len() - 1;
+    let cases: String = (0..last).map(|b| format!("case {b}u: {{ return {}; }} ", volume(b))).collect();
+    // f32 may decide otherwise than the host by no more than some roundings.
+    let constants = format!(
+        "const MERGE_BEHIND: i32 = {MERGE_BEHIND};\nconst LESS: f32 = 0.99999;\nconst MORE: f32 = 1.00001;\n\
+         fn finest_volume(body: u32) -> f32 {{ switch body {{ {cases}default: {{ return {}; }} }} }}\n",
+        volume(last)
+    );
+    let find = draft(
+        "find",
+        "find_concerned",
+        &(regions(plan) + &constants + include_str!("wgsl/adapt_find.wgsl")),
+        vec![RECORD, REST, IDS, LISTS, CELLS, written(LOOSE), written(SUMS), STATUS],
+        Groups::Blocks,
+    );
+    let filled: Use = ("filled", "vec4<u32>", Role::Handed, true);
+    AdaptDrafts {
+        find: [
+            Draft { uniform: Uniform::Regions, ..find },
+            draft(
+                "sum found",
+                "sum_blocks",
+                include_str!("wgsl/sort_before.wgsl"),
+                vec![written(SUMS), STATUS],
+                Groups::One,
+            ),
+            draft(
+                "list",
+                "list_found",
+                include_str!("wgsl/adapt_list.wgsl"),
+                vec![RECORD, LISTS, CELLS, LOOSE, SUMS, written(ORDER), next("new_record", RECORD), STATUS],
+                Groups::Blocks,
+            ),
+            draft(
+                "copy",
+                "copy_found",
+                include_str!("wgsl/adapt_copy.wgsl"),
+                vec![
+                    ORDER,
+                    RECORD,
+                    IDS,
+                    REST,
+                    next("new_record", RECORD),
+                    next("new_ids", IDS),
+                    next("new_rest", REST),
+                    STATUS,
+                ],
+                Groups::ParticlesBy(128),
+            ),
+        ],
+        fill: draft(
+            "fill",
+            "fill",
+            include_str!("wgsl/adapt_fill.wgsl"),
+            vec![LISTS, CELLS, REST, filled, STATUS],
+            Groups::Blocks,
+        ),
+        remove: draft(
+            "remove",
+            "remove",
+            include_str!("wgsl/adapt_remove.wgsl"),
+            vec![ORDER, written(RECORD), STATUS],
+            Groups::ParticlesBy(128),
+        ),
+        stress: Draft {
+            name: "stress of new",
+            entry: "stress_of_new",
+            body: include_str!("wgsl/adapt_stress.wgsl").to_owned() + laws,
+            uses: vec![written(RECORD), written(REST), STATUS],
+            uniform: Uniform::Params,
+            groups: Groups::ParticlesBy(128),
+            checked: true,
+        },
+    }
 }

@@ -60,9 +60,10 @@ struct Step {
     slot: u32,
     // The level whose step it is, or ALL_LEVELS.
     level: u32,
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
+    // In passes over some particles: the first of them, and how many.
+    first: u32,
+    count: u32,
+    pad: u32,
 }
 
 const ALL_LEVELS: u32 = 0xffffffffu;
@@ -88,6 +89,8 @@ const NEW_BLOCKS: u32 = 5u;
 const NEW_NODE_BLOCKS: u32 = 6u;
 const OLD_BLOCKS: u32 = 7u;
 const SORTS: u32 = 8u;
+// What blocks held in all when that was summed last.
+const COUNTED: u32 = 9u;
 
 // Those of a layer that stay: its first block and node block; least and greatest block.
 const OF_LAYERS: u32 = 12u;
@@ -98,13 +101,14 @@ const LEAST_BLOCK: u32 = 2u;
 const GREATEST_BLOCK: u32 = 5u;
 
 // Those of a layer in a submission, zero when it begins: 1 + the step before which it was sorted last; particles' steps with strain
-// applied in parts; what walls gave [N s]; is it due in the sort under way?
+// applied in parts; what walls gave [N s]; is it due in the sort under way; did a sort find particles that belong on another level?
 const OF_SUMS: u32 = OF_LAYERS + PER_LAYER * LAYERS;
 const PER_SUM: u32 = 8u;
 const SORTED: u32 = 0u;
 const PARTED: u32 = 1u;
 const WALL_IMPULSE: u32 = 2u;
 const DUE: u32 = 5u;
+const ASTRAY: u32 = 6u;
 
 // Those of a layer in a step: greatest node speed [m/s], greatest move of a particle, and how far particles may have drifted before it
 // since the last sort [cells], as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN

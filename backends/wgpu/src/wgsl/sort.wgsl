@@ -6,6 +6,8 @@ var<workgroup> total: vec2<u32>;
 
 // Marks particles that keep their tags, in keys and order.
 const KEPT: u32 = 0x80000000u;
+// Marks the tag of a particle that split and merge have taken out: a sort leaves it behind.
+const GONE: u32 = 0x80000000u;
 
 fn is_sorted(layer: u32) -> bool {
     return atomicLoad(&status[sum_word(layer, DUE)]) != 0u;

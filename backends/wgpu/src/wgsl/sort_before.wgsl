@@ -1,4 +1,4 @@
-// Particles before each block. One workgroup.
+// Particles before each block, and those in it; and how many there are in all. One workgroup.
 @compute @workgroup_size(256)
 fn sum_blocks(@builtin(local_invocation_index) thread: u32) {
     let count = select(atomicLoad(&status[BLOCKS]), 0u, halted());
@@ -17,7 +17,10 @@ fn sum_blocks(@builtin(local_invocation_index) thread: u32) {
     }
     for (var i = source; i < to; i++) {
         let here = sums[i].x;
-        sums[i] = vec2<u32>(before, 0u);
+        sums[i] = vec2<u32>(before, here);
         before += here;
+    }
+    if thread == 255u {
+        atomicStore(&status[COUNTED], before);
     }
 }

@@ -1,4 +1,4 @@
-// Each particle's new cell, and how many there are in each; whether it keeps its tag.
+// Each particle's new cell, or none, and how many there are in each; whether it keeps its tag.
 @compute @workgroup_size(128)
 fn count_cells(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let b = group.y * extent.row + group.x;
@@ -10,7 +10,12 @@ fn count_cells(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     let due = is_sorted(layer);
     let end = cells[b * 64u + 64u];
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
-        let local = cell_to_be(record[vector(q, 0u)].w, due);
+        let tag = record[vector(q, 0u)].w;
+        if (tag & GONE) != 0u {
+            keys[q] = vec2<u32>(NONE);
+            continue;
+        }
+        let local = cell_to_be(tag, due);
         let at = place_in_box(layer, block + (local >> vec3<u32>(2u)));
         let inner = local & vec3<i32>(3);
         let cell = directory[at].x * 64u + u32(inner.x * 16 + inner.y * 4 + inner.z);

@@ -10,7 +10,11 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let due = is_sorted(layer);
     let end = cells[b * 64u + 64u];
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
-        let local = cell_to_be(record[vector(q, 0u)].w, due);
+        let tag = record[vector(q, 0u)].w;
+        if (tag & GONE) != 0u {
+            continue;
+        }
+        let local = cell_to_be(tag, due);
         let cell = block * 4 + local;
         if any(((cell < world_min(layer)) | (cell >= world_max(layer))) & (PERIOD == vec3<i32>(0))) {
             atomicMin(&status[WHO], q);

@@ -2,7 +2,7 @@
 @compute @workgroup_size(128)
 fn move_rest(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let i = (group.y * extent.row + group.x) * 128u + thread;
-    if halted() || i >= extent.particles {
+    if halted() || i >= extent.particles || order[i] == NONE {
         return;
     }
     let q = order[i] & ~KEPT;

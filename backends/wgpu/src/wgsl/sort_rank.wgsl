@@ -5,6 +5,10 @@ fn rank(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if halted() || i >= extent.particles {
         return;
     }
+    if i >= atomicLoad(&status[COUNTED]) {
+        order[i] = NONE;
+        return;
+    }
     let mine = loose[i];
     let q = mine & 0x0fffffffu;
     let cell = keys[q].x;

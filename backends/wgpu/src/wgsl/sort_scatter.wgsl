@@ -6,5 +6,8 @@ fn scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         return;
     }
     let key = keys[q];
+    if key.x == NONE {
+        return;
+    }
     loose[counts[key.x] + (key.y & ~KEPT)] = (law_of(record[vector(q, 0u)].w) << 28u) | q;
 }
