@@ -5,13 +5,13 @@
 //! once it is three parent cells away. In between, particles stay as they are, so an agent that trembles changes nothing.
 //!
 //! A round is [`find`](Adapt::find), which says who is concerned, then [`apply`](Adapt::apply). Backends hand in their levels as
-//! [`LevelStore`]s; one that holds its particles elsewhere hands in a copy, with [`round_on_host`](Adapt::round_on_host).
+//! [`LevelStore`]s; one that holds its particles elsewhere hands in those that a round may concern, as [`CopiedLevel`]s.
 
 mod clusters;
-mod host;
+mod copied;
 mod nearby;
 
-pub use host::soft_bounds;
+pub use copied::CopiedLevel;
 
 use crate::bounds::Bounds;
 use crate::particles::{MASS, MOTION, STRAIN, VOLUME};
@@ -117,6 +117,13 @@ pub trait LevelStore: Sync {
     fn remove(&mut self, list: usize, place: usize);
     /// Takes in particles, in the order of lists and numbers. They are in no block.
     fn push(&mut self, parcels: &[&Parcel]);
+    /// The cells of some blocks that are at least half full, as bits, for cells of a volume [m³]; block keys rise.
+    fn filled(&self, lists: usize, blocks: &[u64], volume: f64) -> Vec<u64>
+    where
+        Self: Sized,
+    {
+        nearby::filled(self, lists, blocks, volume)
+    }
 }
 
 /// Nested levels of one world: where they are, and what splits and merges remember from round to round.
@@ -177,11 +184,13 @@ enum Action {
 }
 
 /// Which particles may merge in a round, of those that are finer than need be.
-#[derive(Clone, Copy)]
-enum Candidates<'a> {
+#[derive(Clone, Copy, Debug)]
+pub enum Candidates<'a> {
+    /// None.
     None,
     /// Those that had to be as fine in these regions.
     New(&'a Regions),
+    /// All of them.
     All,
 }
 
@@ -254,10 +263,6 @@ impl Adapt {
     /// As a plan has its levels at the start.
     pub fn new(plan: &Plan) -> Self {
         let scene = &plan.scene;
-        let mut finest_volume: Vec<f64> = scene.body.iter().map(|body| scene.spacing(body).powi(3)).collect();
-        if finest_volume.is_empty() {
-            finest_volume.push(0.125 * plan.cell_widths[0].powi(3));
-        }
         let material = |planned: &barchan_core::plan::PlannedMaterial| Material {
             strain: planned.material.strain_planes(),
             rules: planned.material.states.iter().map(|state| state.merge).collect(),
@@ -271,7 +276,7 @@ impl Adapt {
             resampled: Resampled::default(),
             widths: plan.cell_widths.clone(),
             bounds: (0..plan.cell_widths.len()).map(|level| Bounds::new(plan, level)).collect(),
-            finest_volume,
+            finest_volume: finest_volumes(plan),
             materials: plan.materials.iter().map(material).collect(),
             gravity: scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt(),
             tolerance: scene.levels.tolerance,
@@ -328,19 +333,23 @@ impl Adapt {
         self.widths.len() > 1 && self.regions.clone().follow(&agent_bounds(&self.agents, couplings, |_| None))
     }
 
-    /// Looks for particles that have to move to another level, to split, or may merge. `before` are the regions as they were, if
-    /// any has moved: then what need not be as fine any more may merge; what was refused then is tried again now and then. As long as
-    /// regions stay, only levels that are `stirred` are looked at: the others' particles must not have moved by much of a cell since they
-    /// were looked at last.
-    pub fn find<S: LevelStore>(&mut self, levels: &[&S], before: Option<&Regions>, stirred: &[bool]) -> Round {
-        self.rounds += 1;
-        let candidates = match before {
-            _ if self.rounds.is_multiple_of(MERGE_ROUNDS) || self.rounds >= self.tried + STILL_ROUNDS => {
-                Candidates::All
-            }
+    /// Which particles may merge in the next round. `before` are the regions as they were, if any has moved: then what need not be as
+    /// fine any more may merge; what was refused then is tried again now and then.
+    pub fn candidates<'a>(&self, before: Option<&'a Regions>) -> Candidates<'a> {
+        let round = self.rounds + 1;
+        match before {
+            _ if round.is_multiple_of(MERGE_ROUNDS) || round >= self.tried + STILL_ROUNDS => Candidates::All,
             Some(before) => Candidates::New(before),
             None => Candidates::None,
-        };
+        }
+    }
+
+    /// Looks for particles that have to move to another level, to split, or may merge. `before` are the regions as they were, if
+    /// any has moved. As long as regions stay, only levels that are `stirred` are looked at: the others' particles must not have moved by
+    /// much of a cell since they were looked at last.
+    pub fn find<S: LevelStore>(&mut self, levels: &[&S], before: Option<&Regions>, stirred: &[bool]) -> Round {
+        let candidates = self.candidates(before);
+        self.rounds += 1;
         let merges = !matches!(candidates, Candidates::None);
         if merges {
             self.tried = self.rounds;
@@ -613,7 +622,7 @@ impl Adapt {
         gone: &mut Vec<Found>,
     ) -> Vec<Found> {
         self.resampled.refused.clear();
-        let candidates = self.candidates(levels, found);
+        let candidates = self.those_that_merge(levels, found);
         let mut merged = vec![false; candidates.len()];
         // Clusters at the surface first, since only some ways to cut it in cubes leave it whole; then bins, as the lattice lies; then
         // clusters of what is left over.
@@ -659,7 +668,7 @@ impl Adapt {
     }
 
     /// What merging needs to know of the particles that may merge.
-    fn candidates<S: LevelStore>(&self, levels: &[&S], found: Vec<Found>) -> Vec<Candidate> {
+    fn those_that_merge<S: LevelStore>(&self, levels: &[&S], found: Vec<Found>) -> Vec<Candidate> {
         let surface = |here: &[Found]| {
             let (l, lists) = (here[0].level, self.materials.len());
             let cells = here.iter().map(|one| levels[l].cell(one.list, one.place));
@@ -761,6 +770,16 @@ impl Adapt {
         let members = bin.iter().map(|binned| binned.5).collect();
         Some(Ok(Merged { level, parcel, change, members, x, clearance: AROUND_TOOL * side }))
     }
+}
+
+/// Rest volume of each body's particles on the finest level [m³]. Particles of no body are like the last one's.
+pub fn finest_volumes(plan: &Plan) -> Vec<f64> {
+    let scene = &plan.scene;
+    let mut volumes: Vec<f64> = scene.body.iter().map(|body| scene.spacing(body).powi(3)).collect();
+    if volumes.is_empty() {
+        volumes.push(0.125 * plan.cell_widths[0].powi(3));
+    }
+    volumes
 }
 
 /// Does a tool come so near that particles stay fine?

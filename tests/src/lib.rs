@@ -1,6 +1,8 @@
 //! What the suites share: a plain reference implementation, short ways to say a scene, and the cases that also run long.
 
+pub mod large_cases;
 pub mod long_cases;
 pub mod reference;
+pub mod report;
 pub mod scenes;
 pub mod sketch;

@@ -1,63 +1,12 @@
 //! Hard cases whose point is to last. The suite runs them short, `examples/long_cases.rs` whole; both run the same code.
 
+use crate::report::Outcome;
 use crate::scenes::{alter, options, rows, run_to, scene, simulation};
 use crate::sketch::{Head, bed, block, half, material, tool};
 use barchan::accuracy::{Grain, HeightMap};
 use barchan::scene::{Motion, Shape};
 use barchan::{Ledger, ParticleState, Precision, Simulation};
 use std::f64::consts::TAU;
-
-/// A measured figure beside what it must not exceed.
-#[derive(Clone, Debug)]
-pub struct Figure {
-    /// What was measured, with its unit.
-    pub what: String,
-    /// How much it is.
-    pub measured: f64,
-    /// How much it may be.
-    pub tolerance: f64,
-}
-
-impl Figure {
-    /// Is it within its tolerance?
-    pub fn passes(&self) -> bool {
-        self.measured <= self.tolerance
-    }
-}
-
-/// What a case came to.
-#[derive(Clone, Debug, Default)]
-pub struct Outcome {
-    /// Steps taken.
-    pub steps: u64,
-    /// What was measured.
-    pub figures: Vec<Figure>,
-}
-
-impl Outcome {
-    fn add(&mut self, what: impl Into<String>, measured: f64, tolerance: f64) {
-        self.figures.push(Figure { what: what.into(), measured, tolerance });
-    }
-
-    /// Prints all figures and asserts that they pass.
-    ///
-    /// # Panics
-    /// If one does not.
-    pub fn check(&self, case: &str) {
-        for Figure { what, measured, tolerance } in &self.figures {
-            println!("{case}: {what} {measured:.3e}, tolerance {tolerance:.1e}, {} steps", self.steps);
-        }
-        for figure in &self.figures {
-            assert!(
-                figure.passes(),
-                "{case}: {} is {:e}, allowed {:e}",
-                figure.what,
-                figure.measured,
-                figure.tolerance
-            );
-        }
-    }
-}
 
 /// Laws with parameters, all softer than 1 MPa.
 pub const LAWS: [(&str, &str); 7] = [

@@ -1019,3 +1019,141 @@ fn levels_follow_a_tool_as_on_the_cpu() {
         within("balance of momentum", norm(balance) / norm(gl.gravity_impulse), 1e-3);
     }
 }
+
+/// Snow and jelly at rest with an uneven surface, and an agent above that crosses it in leaps.
+fn leaps() -> String {
+    Head { gravity: [0.0; 3], ..Head::space(0.05) }.time("step = 1e-5\nover_bound = \"allow\"").with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e4"),
+        material("snow", 400.0, "young_modulus = 1e4"),
+        block("neo_hookean", [-1.0, -0.4, -0.2], [1.0, 0.4, 0.1], "around_tools = false"),
+        block("snow", [-1.0, -0.4, 0.1], [0.4, 0.2, 0.3], "sampling = \"jitter\"\naround_tools = false"),
+        "[levels]\ncount = 3\nhalf = 12\nagents = [\"eye\"]\n".to_owned(),
+        tool("eye", [-1.0, 0.0, 0.65], "sphere = { radius = 0.05 }", "\"slip\"", &driven([1.0, 0.0, 0.0])),
+    ])
+}
+
+/// For each level: particles; mass [kg], momentum [kg m/s], first moment [kg m], and second moment and history of all.
+fn on_each_level(rows: &[Row]) -> Vec<(usize, [f64; 9])> {
+    let mut levels = vec![(0, [0.0; 9]); 3];
+    for r in rows {
+        let (count, sums) = &mut levels[r.level as usize];
+        *count += 1;
+        let (square, past) = (r.x.iter().map(|x| x * x).sum::<f64>(), r.state.iter().sum::<f64>());
+        let values = [1.0, r.v[0], r.v[1], r.v[2], r.x[0], r.x[1], r.x[2], square, past];
+        sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += r.m * value);
+    }
+    levels
+}
+
+/// Rounds of split and merge in which only those particles leave the device that are concerned: of the same state they make the same as the
+/// CPU, level by level; they keep mass, momentum and the centre of mass, and give each particle a number of its own. A copy of what they leave
+/// behind is exact.
+#[test]
+fn rounds_on_the_device_leave_what_the_cpu_leaves() {
+    let (mut g, mut again, mut c) = (gpu(&leaps()), gpu(&leaps()), on("cpu", Precision::F32, &leaps()));
+    let mut noise = Noise::new(5);
+    // Histories and velocities that differ, so that their means show.
+    alter(&mut c, |row| {
+        row.state.iter_mut().for_each(|q| *q += 1e-3 * noise.draw());
+        row.v = [0.1 + 0.01 * noise.draw(), 0.01 * noise.draw(), 0.01 * noise.draw()];
+    });
+    let happened = |sim: &Simulation| {
+        let counts = sim.ledger().counts;
+        ["particles split", "particles merged", "particles that changed level"]
+            .map(|what| counts.get(what).copied().unwrap_or(0))
+    };
+    let (mut rounds, mut most) = (0, [0.0f64; 3]);
+    for leap in 0..60 {
+        // Away over the end and back.
+        let speed = if leap < 30 { 1e4 } else { -1e4 };
+        let state = c.particles();
+        [&mut g, &mut again].into_iter().for_each(|sim| sim.set_particles(state.clone()).unwrap());
+        [&mut g, &mut again, &mut c].into_iter().for_each(|sim| sim.drive("eye", [speed, 0.0, 0.0], [0.0; 3]).unwrap());
+        let (before, start) = (rows(&c), [happened(&g), happened(&c)]);
+        [&mut g, &mut again, &mut c].into_iter().for_each(|sim| take(sim, 1));
+        let (phase, there) = (c.particles().levels.unwrap(), g.particles());
+        if phase.boxes == state.levels.unwrap().boxes {
+            continue;
+        }
+        rounds += 1;
+        assert_eq!(there.levels, Some(phase), "leap {leap}");
+        assert!(again.particles() == there, "leap {leap}: two rounds differ");
+        let did = [(&g, start[0]), (&c, start[1])].map(|(sim, start)| {
+            let now = happened(sim);
+            [0, 1, 2].map(|k| now[k] - start[k])
+        });
+        assert_eq!(did[0], did[1], "leap {leap}: particles split, merged, and moved");
+        let (on_gpu, on_cpu) = (rows(&g), rows(&c));
+        assert!(on_gpu.windows(2).all(|pair| pair[0].id < pair[1].id), "leap {leap}: two particles with one number");
+        let (a, b) = (on_each_level(&on_gpu), on_each_level(&on_cpu));
+        let total = |levels: &[(usize, [f64; 9])], k: usize| levels.iter().map(|(_, sums)| sums[k]).sum::<f64>();
+        let start = on_each_level(&before);
+        let mass = total(&start, 0);
+        for (level, ((count, sums), (of_cpu, expected))) in a.iter().zip(&b).enumerate() {
+            assert_eq!(count, of_cpu, "leap {leap}: particles on level {level}");
+            let off = sums.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            most[0] = most[0].max(off / mass);
+        }
+        most[1] = most[1].max((total(&a, 0) - mass).abs() / mass);
+        for k in 1..7 {
+            // What moves in a step.
+            let by_step = if k > 3 { 1e-5 * total(&start, k - 3) } else { 0.0 };
+            most[2] = most[2].max((total(&a, k) - total(&start, k) - by_step).abs() / mass);
+        }
+        g.set_particles(there.clone()).unwrap();
+        assert!(g.particles() == there, "leap {leap}: a copy differs");
+    }
+    println!("{rounds} rounds, {:?}", happened(&g));
+    assert!(rounds > 20 && happened(&g).iter().all(|count| *count > 500), "the test must see something");
+    within("sums on a level beside the CPU's, by mass", most[0], 1e-6);
+    within("change of mass, relative", most[1], 1e-6);
+    within("change of momentum and centre of mass [m/s, m]", most[2], 1e-6);
+}
+
+/// A round with nothing to do changes nothing: a block that flies and spins while levels follow an agent far above it, and while that stands
+/// still. At rest not a bit of it changes.
+#[test]
+fn rounds_with_nothing_to_do_change_nothing() {
+    let fly = |motion: &str, speed: f64| {
+        let mut sim = gpu(&Head { gravity: [0.0; 3], ..Head::space(0.02) }.time("step = 1e-3").with(&[
+            material("hencky", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+            block("hencky", [0.0, 0.0, -0.1], [0.1, 0.1, 0.0], motion),
+            "[levels]\ncount = 2\nhalf = 8\nagents = [\"eye\"]\n".to_owned(),
+            tool("eye", [0.0, 0.0, 0.85], "sphere = { radius = 0.01 }", "\"slip\"", &driven([speed, 0.0, 0.0])),
+        ]));
+        let start = rows(&sim);
+        take(&mut sim, 40);
+        let phase = sim.particles().levels.unwrap();
+        assert!(phase.rounds == 0 && speed == 0.0 || phase.rounds >= 4, "{} rounds", phase.rounds);
+        assert!(sim.ledger().counts.iter().all(|(what, count)| what.contains("now") || *count == 0));
+        (start, rows(&sim))
+    };
+    let (start, end) = fly("", 8.0);
+    assert!(start == end, "a block at rest has changed");
+    let spin = "velocity = [1.0, 0.4, -0.2]\nangular_velocity = [0.0, 5.0, 9.0]";
+    within("distance of particles, in cells", apart(&fly(spin, 0.0).1, &fly(spin, 8.0).1) / 0.02, 1e-5);
+}
+
+/// A run that is saved between rounds goes on as if it had not been: the same particles, to what finding their stress anew rounds off.
+#[test]
+fn a_run_on_levels_goes_on_after_it_was_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.barchan");
+    let go_on = |sim: &mut Simulation| {
+        for step in 0..20 {
+            sim.drive("eye", [if step % 6 < 4 { 1e4 } else { -5e3 }, 0.0, 0.0], [0.0; 3]).unwrap();
+            take(sim, 1);
+        }
+    };
+    let mut sim = gpu(&leaps());
+    go_on(&mut sim);
+    sim.save(&file).unwrap();
+    let mut resumed = Simulation::resume(&barchan::registry(), &file, &on_gpu()).unwrap();
+    let before = sim.particles().levels.unwrap().rounds;
+    go_on(&mut sim);
+    go_on(&mut resumed);
+    let (a, b) = (sim.particles(), resumed.particles());
+    assert_eq!(a.levels, b.levels);
+    assert!(a.levels.unwrap().rounds >= before + 2);
+    within("distance of particles, in cells", apart(&rows(&sim), &rows(&resumed)) / 0.05, 1e-6);
+}

@@ -17,10 +17,10 @@ use barchan_core::{
     Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase,
     StepReport, Vec3, Wrench,
 };
+use barchan_grid::adapt::{Candidates, finest_volumes};
 use barchan_grid::block;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
-use std::time::Instant;
 
 /// No node that a particle feels may carry one further than this in a step, in cells: a little less than particles may move.
 pub(crate) const NODE_MOVE: f64 = 0.48;
@@ -45,6 +45,7 @@ const WHO: usize = 4;
 const NEW_BLOCKS: usize = 5;
 const NEW_NODE_BLOCKS: usize = 6;
 const SORTS: usize = 8;
+pub(crate) const COUNTED: usize = 9;
 /// Blocks of nodes near bodies whose law runs on the host: gathered, and in the next word those on their way back.
 pub(crate) const NEAR: usize = 10;
 /// Of a layer.
@@ -369,6 +370,8 @@ struct Fixed {
     laws: Vec<(String, String)>,
     /// How many there are, steps of the finest in one of the coarsest, and boxes of each.
     levels: (usize, u32, usize),
+    /// Of the finest particles of each body, if there are several levels [m³].
+    volumes: Vec<f64>,
 }
 
 impl Fixed {
@@ -379,6 +382,7 @@ impl Fixed {
             gravity: (plan.scene.gravity, plan.scene.gravity_ramp),
             laws: plan.materials.iter().map(law).collect(),
             levels: (plan.cell_widths.len(), plan.substeps, kernels::boxes(plan)),
+            volumes: if plan.cell_widths.len() > 1 { finest_volumes(plan) } else { Vec::new() },
         }
     }
 
@@ -401,6 +405,9 @@ impl Fixed {
         }
         if other.levels != self.levels {
             return differs("levels.count, levels.subcycle or the number of levels.agents", MEND);
+        }
+        if other.volumes != self.volumes {
+            return differs("how many bodies they have on levels, or how finely these are sampled", MEND);
         }
         if other.gravity != self.gravity {
             return differs("gravity", MEND);
@@ -457,9 +464,7 @@ impl WgpuBatch {
         let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
         let pairs = walls.iter().flatten().any(|wall| matches!(wall, Wall::Separate { .. }));
         let particles = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum::<usize>();
-        // Levels split particles.
-        let room = if count > 1 && levels > 1 { with_room(particles) as usize } else { particles };
-        let slots = room.next_multiple_of(128).max(128);
+        let slots = particles.next_multiple_of(128).max(128);
         let params: Vec<_> = worlds.iter().flat_map(|world| parameters(world.plan)).collect();
         let extent = Extent {
             slots: slots as u32,
@@ -543,7 +548,7 @@ impl WgpuBatch {
     }
 
     /// The levels of all worlds, in the order of layers.
-    fn all_levels(&self) -> impl Iterator<Item = &Level> {
+    pub(crate) fn all_levels(&self) -> impl Iterator<Item = &Level> {
         self.worlds.iter().flat_map(|world| &world.levels)
     }
 
@@ -586,16 +591,25 @@ impl WgpuBatch {
         (0..self.worlds.len()).flat_map(|w| (0..self.levels).map(move |l| (w, l))).map(layer).collect()
     }
 
-    /// Tells the device where a world's levels are.
-    fn write_regions(&self, w: usize) {
+    /// Tells the device where a world's levels are, and what may merge in a round.
+    pub(crate) fn write_regions(&self, w: usize, candidates: Candidates<'_>) {
         let world = &self.worlds[w];
         let each = self.memory.boxes().checked_div(self.levels - 1).unwrap_or(0);
-        let mut vectors = Vec::new();
-        for boxes in world.adapt.regions.boxes() {
-            let vector = |v: [i32; 3]| [v[0], v[1], v[2], 0];
-            vectors.extend(boxes.iter().take(each).flat_map(|one| [vector(one.min), vector(one.max)]));
-            // One that holds nothing, for each agent that has none.
-            vectors.extend((boxes.len()..each).flat_map(|_| [[i32::MAX / 4; 4], [i32::MIN / 4; 4]]));
+        // Boxes that hold nothing, for agents that have none, and such as hold everything.
+        let (nothing, all) = ([[i32::MAX / 4; 4], [i32::MIN / 4; 4]], [[i32::MIN / 4; 4], [i32::MAX / 4; 4]]);
+        let mut vectors: Vec<[i32; 4]> = Vec::new();
+        let mut write = |regions: &Regions| {
+            for boxes in regions.boxes() {
+                let vector = |v: [i32; 3]| [v[0], v[1], v[2], 0];
+                vectors.extend(boxes.iter().take(each).flat_map(|one| [vector(one.min), vector(one.max)]));
+                vectors.extend((boxes.len()..each).flat_map(|_| nothing));
+            }
+        };
+        write(&world.adapt.regions);
+        match candidates {
+            Candidates::None => write(&world.adapt.regions),
+            Candidates::New(before) => write(before),
+            Candidates::All => vectors.extend((0..self.memory.boxes()).flat_map(|_| all)),
         }
         let at = (16 * vectors.len() * w) as u64;
         self.gpu.queue.write_buffer(&self.memory.regions, at, bytemuck::cast_slice(&vectors));
@@ -966,6 +980,19 @@ impl WgpuBatch {
         self.memory.grow(&self.gpu, extent)
     }
 
+    /// Sorts what is due at once. Are particles on another level than they should be?
+    pub(crate) fn sort(&mut self, world: usize) -> Result<bool> {
+        loop {
+            let outcome = self.submit(&[(world, 0.0)], 0.0, &[Stretch { sort: true, steps: 0 }])?;
+            match outcome.halt {
+                None | Some(Halt::Fewer) => return Ok(false),
+                Some(Halt::Misplaced) => return Ok(true),
+                Some(Halt::Room) => self.make_room(&outcome.status)?,
+                Some(_) => return Err(self.left_world(world, &outcome.status)),
+            }
+        }
+    }
+
     /// The world of a particle that a halt names.
     pub(crate) fn world_of(&self, status: &Status) -> Option<usize> {
         let who = status.words[WHO] as usize;
@@ -1101,31 +1128,6 @@ impl WgpuBatch {
         Ok(ParticleState { lists, sort, levels: world.adapt.phase(BTreeSet::new()), ..ParticleState::default() })
     }
 
-    /// Brings a world's particles to the levels where they belong, splits and merges: on the host. `before` are its regions as they
-    /// were, if they have moved.
-    pub(crate) fn adapt(&mut self, w: usize, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<()> {
-        let begun = Instant::now();
-        self.settle()?;
-        // Particles come in any order: blocks' numbers are by cell here.
-        let (lists, _) = self.lists(w)?;
-        let adapt = &mut self.worlds[w].adapt;
-        let mut state = ParticleState { lists, levels: adapt.phase(BTreeSet::new()), ..ParticleState::default() };
-        adapt.round_on_host(&mut state, before, couplings)?;
-        self.take_in(vec![(w, state)])?;
-        self.adapt_seconds.0 += begun.elapsed().as_secs_f64();
-        self.adapt_seconds.1 += 1;
-        Ok(())
-    }
-
-    /// Moves a world's levels after the bodies that they follow.
-    fn follow(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
-        // Nothing soft is followed.
-        match self.worlds[w].adapt.follow(couplings, |_| None) {
-            Some(before) => self.adapt(w, Some(&before), couplings),
-            None => Ok(()),
-        }
-    }
-
     /// What the planes of a buffer hold of so many particles, plane by plane.
     fn stretch<T: bytemuck::Pod>(&self, sorted: Sorted, first: usize, count: usize) -> Result<Vec<T>> {
         self.stretch_of(sorted, usize::MAX, first, count)
@@ -1175,15 +1177,6 @@ impl WgpuBatch {
             });
         }
         if all > extent.slots as usize {
-            // The others' places are lost with the planes.
-            if arrivals.len() < self.worlds.len() {
-                return Err(Error::Capacity {
-                    what: "particles of an engine that was compiled for fewer",
-                    asked: all as u64,
-                    cap: u64::from(extent.slots),
-                    mend: "compile the scene anew",
-                });
-            }
             extent.slots = with_room(all).next_multiple_of(128);
         }
         let nodes = |(homes, level): (&Homes, &Level)| homes.nodes.len().max(level.node_blocks.len());
@@ -1218,7 +1211,9 @@ impl WgpuBatch {
             if let Some(phase) = &arrival.particles.levels {
                 world.adapt.restore(phase.clone());
             }
-            self.write_regions(*w);
+            let ids = arrival.particles.lists.iter().flat_map(|list| &list.id);
+            world.adapt.next_id = ids.max().map_or(0, |id| id + 1).max(world.adapt.next_id);
+            self.write_regions(*w, Candidates::None);
             let world = &mut self.worlds[*w];
             world.torn = None;
             world.spoilt = spoilt.is_some();
@@ -1280,7 +1275,7 @@ impl WgpuBatch {
     }
 
     /// Writes much, a part at a time.
-    fn write(&self, buffer: &wgpu::Buffer, at: u64, bytes: &[u8]) {
+    pub(crate) fn write(&self, buffer: &wgpu::Buffer, at: u64, bytes: &[u8]) {
         const PART: usize = 64 << 20;
         for (i, part) in bytes.chunks(PART).enumerate() {
             self.gpu.queue.write_buffer(buffer, at + (i * PART) as u64, part);
@@ -1360,6 +1355,9 @@ impl WgpuBatch {
             let outcome = self.submit(&active, dt, &stretches)?;
             for (t, of_turn) in &driven {
                 go_back(turns[*t].couplings, of_turn, outcome.done)?;
+                if outcome.status.is_astray(self.layers_of(turns[*t].world)) {
+                    self.adapt(turns[*t].world, None, turns[*t].couplings)?;
+                }
             }
             for &t in &going {
                 failed[t] = failed[t].take().or_else(|| self.fault(&turns[t]));
@@ -1372,11 +1370,7 @@ impl WgpuBatch {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
                 Some(Halt::Fewer) => {}
                 Some(Halt::Drifted) if !stretches[0].sort => {}
-                Some(Halt::Misplaced) => {
-                    let is_astray = |w: usize| outcome.status.is_astray(self.layers_of(w));
-                    let astray: Vec<_> = going.iter().filter(|t| is_astray(turns[**t].world)).collect();
-                    astray.into_iter().try_for_each(|&t| self.adapt(turns[t].world, None, turns[t].couplings))?;
-                }
+                Some(Halt::Misplaced) => {}
                 Some(Halt::TooFast) => dt = self.shorten(turns, &mut failed, &outcome, dt),
                 _ => {
                     // It cannot be told whose fault it was only if no particle is named.
@@ -1662,7 +1656,7 @@ fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstant
         gravity: gravity.map(|g| (g * dt) as f32),
         slot: number as u32,
         level: ALL_LEVELS,
-        pad: [0; 3],
+        ..StepConstants::default()
     }
 }
 

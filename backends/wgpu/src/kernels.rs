@@ -5,10 +5,11 @@ use crate::material;
 use crate::memory::{MAX_STEPS, NEAR_BLOCK};
 use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
-use barchan_core::levels::SPLIT_AHEAD;
+use barchan_core::levels::{MERGE_BEHIND, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Plan, Result, Stage};
+use barchan_grid::adapt::finest_volumes;
 use std::fmt::Write as _;
 
 /// Planes of particles, and what a sort lays out anew: there are two of each, one of which a sort writes.
@@ -72,6 +73,7 @@ const KEYS: Use = ("keys", "vec2<u32>", Role::Keys, false);
 const LOOSE: Use = ("loose", "u32", Role::Loose, false);
 const ORDER: Use = ("order", "u32", Role::Order, false);
 const OWNERS: Use = ("owners", "vec2<u32>", Role::Owners, false);
+const IDS: Use = ("ids", "vec2<u32>", Role::Now(Sorted::Ids), false);
 const COUNTS: Use = ("counts", "u32", Role::Next(Sorted::Cells), false);
 const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
 const RIMS: Use = ("rims", "vec4<u32>", Role::Rims, false);
@@ -81,6 +83,12 @@ const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 
 const fn written(binding: Use) -> Use {
     (binding.0, binding.1, binding.2, true)
+}
+
+/// Of the set of buffers that does not hold the particles.
+const fn next(name: &'static str, binding: Use) -> Use {
+    let Role::Now(sorted) = binding.2 else { panic!("only what is sorted has a next") };
+    (name, binding.1, Role::Next(sorted), true)
 }
 
 const fn atomic(binding: Use) -> Use {
@@ -157,6 +165,21 @@ pub(crate) struct Kernels {
     pub(crate) g2p: Kernel,
     pub(crate) stress: Kernel,
     pub(crate) collect: Option<Kernel>,
+    /// Rounds of split and merge, if there are several levels.
+    pub(crate) adapt: Option<AdaptKernels>,
+}
+
+/// What the device does in a round of split and merge.
+#[derive(Debug)]
+pub(crate) struct AdaptKernels {
+    /// Finds the particles that it may concern, and copies them.
+    pub(crate) find: [Kernel; 4],
+    /// Which cells are at least half full.
+    pub(crate) fill: Kernel,
+    /// Marks those that are to go.
+    pub(crate) remove: Kernel,
+    /// Stress of those that have come in.
+    pub(crate) stress: Kernel,
 }
 
 /// What the WGSL of a pass is made from.
@@ -203,6 +226,12 @@ impl Kernels {
             g2p: make(drafts.g2p),
             stress: make(drafts.stress),
             collect: drafts.collect.map(make),
+            adapt: drafts.adapt.map(|adapt| AdaptKernels {
+                find: adapt.find.map(make),
+                fill: make(adapt.fill),
+                remove: make(adapt.remove),
+                stress: make(adapt.stress),
+            }),
             constants: constants.clone(),
             step_layout,
         })
@@ -221,6 +250,15 @@ struct Drafts {
     g2p: Draft,
     stress: Draft,
     collect: Option<Draft>,
+    adapt: Option<AdaptDrafts>,
+}
+
+/// The passes of [`AdaptKernels`].
+struct AdaptDrafts {
+    find: [Draft; 4],
+    fill: Draft,
+    remove: Draft,
+    stress: Draft,
 }
 
 impl Drafts {
@@ -250,6 +288,7 @@ impl Drafts {
             g2p: g2p(&laws),
             stress: stress(&laws),
             collect: has_walls.then(collect),
+            adapt: levels.then(|| adapt(plan, &laws, worlds)),
         })
     }
 }
@@ -269,6 +308,8 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
         drafts.prolong.iter().chain(&drafts.mirror).chain([&drafts.g2p]).map(|draft| line("every step", draft)),
     );
     lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
+    let adapt = drafts.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
+    lines.extend(adapt.map(|draft| line("where levels move or particles leave theirs", draft)));
     lines.push(line("after an upload", &drafts.stress));
     Ok(lines)
 }
@@ -686,9 +727,9 @@ fn prolong() -> Draft {
     }
 }
 
-/// Vectors of four that hold the boxes of a world's levels.
+/// Vectors of four that hold the boxes of a world's levels, as they are now, and as split and merge see them before.
 pub(crate) fn region_vectors(plan: &Plan) -> usize {
-    2 * boxes(plan) * (plan.cell_widths.len() - 1)
+    4 * boxes(plan) * (plan.cell_widths.len() - 1)
 }
 
 /// The boxes of levels, and what lies in them.
@@ -1002,11 +1043,6 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
          atomicStore(&status[sum_word(layer, ASTRAY)], 1u);\n}",
     );
     let rim = only_with_levels("reached |= u32(reached == 0u && on && takes_from_rim(layer, block));");
-    let next = |name, binding: Use| {
-        let Role::Now(sorted) = binding.2 else { unreachable!("only what is sorted has a next") };
-        (name, binding.1, Role::Next(sorted), true)
-    };
-    let ids: Use = ("ids", "vec2<u32>", Role::Now(Sorted::Ids), false);
     let leaving = plan.scene.world.leaving;
     let is_error = leaving == Leaving::Error;
     // What becomes of a particle outside the world; where particles change, or what they gave is noted, passes write.
@@ -1132,10 +1168,10 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
             vec![
                 ORDER,
                 RECORD,
-                ids,
+                IDS,
                 REST,
                 next("new_record", RECORD),
-                next("new_ids", ids),
+                next("new_ids", IDS),
                 next("new_rest", REST),
                 STATUS,
             ],
@@ -1156,4 +1192,94 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         passes.push(draft("gone", "gone", include_str!("wgsl/sort_gone.wgsl"), vec![STATUS], Groups::One));
     }
     passes
+}
+
+/// Rounds of split and merge.
+fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptDrafts {
+    const COMMON: &str = include_str!("wgsl/sort.wgsl");
+    let draft = |name, entry, body: &str, uses: Vec<Use>, groups| Draft {
+        name,
+        entry,
+        body: COMMON.to_owned() + body,
+        uses,
+        uniform: Uniform::None,
+        groups,
+        checked: true,
+    };
+    let volumes = finest_volumes(plan);
+    let volume = |b: usize| format!("{:?}", volumes[b] as f32);
+    let last = volumes.len() - 1;
+    let cases: String = (0..last).map(|b| format!("case {b}u: {{ return {}; }} ", volume(b))).collect();
+    // f32 may decide otherwise than the host by no more than some roundings.
+    let constants = format!(
+        "const MERGE_BEHIND: i32 = {MERGE_BEHIND};\nconst LESS: f32 = 0.99999;\nconst MORE: f32 = 1.00001;\n\
+         fn finest_volume(body: u32) -> f32 {{ switch body {{ {cases}default: {{ return {}; }} }} }}\n",
+        volume(last)
+    );
+    let find = draft(
+        "find",
+        "find_concerned",
+        &(regions(plan, worlds) + &constants + include_str!("wgsl/adapt_find.wgsl")),
+        vec![RECORD, REST, IDS, LISTS, CELLS, written(LOOSE), written(SUMS), STATUS],
+        Groups::Blocks,
+    );
+    let filled: Use = ("filled", "vec4<u32>", Role::Handed, true);
+    AdaptDrafts {
+        find: [
+            Draft { uniform: Uniform::Regions, ..find },
+            draft(
+                "sum found",
+                "sum_blocks",
+                include_str!("wgsl/sort_before.wgsl"),
+                vec![written(SUMS), STATUS],
+                Groups::One,
+            ),
+            draft(
+                "list",
+                "list_found",
+                include_str!("wgsl/adapt_list.wgsl"),
+                vec![RECORD, LISTS, CELLS, LOOSE, SUMS, written(ORDER), next("new_record", RECORD), STATUS],
+                Groups::Blocks,
+            ),
+            draft(
+                "copy",
+                "copy_found",
+                include_str!("wgsl/adapt_copy.wgsl"),
+                vec![
+                    ORDER,
+                    RECORD,
+                    IDS,
+                    REST,
+                    next("new_record", RECORD),
+                    next("new_ids", IDS),
+                    next("new_rest", REST),
+                    STATUS,
+                ],
+                Groups::ParticlesBy(128),
+            ),
+        ],
+        fill: draft(
+            "fill",
+            "fill",
+            include_str!("wgsl/adapt_fill.wgsl"),
+            vec![LISTS, CELLS, REST, filled, STATUS],
+            Groups::Blocks,
+        ),
+        remove: draft(
+            "remove",
+            "remove",
+            include_str!("wgsl/adapt_remove.wgsl"),
+            vec![ORDER, written(RECORD), STATUS],
+            Groups::ParticlesBy(128),
+        ),
+        stress: Draft {
+            name: "stress of new",
+            entry: "stress_of_new",
+            body: include_str!("wgsl/adapt_stress.wgsl").to_owned() + laws,
+            uses: vec![written(RECORD), written(REST), STATUS],
+            uniform: Uniform::Params,
+            groups: Groups::ParticlesBy(128),
+            checked: true,
+        },
+    }
 }

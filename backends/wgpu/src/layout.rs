@@ -250,7 +250,8 @@ impl Planes {
         lists
     }
 
-    fn get(&self, q: usize, list: &mut ParticleList, block: Block, planned: &PlannedMaterial, slots: usize) {
+    /// Adds a particle to the list of its law.
+    pub(crate) fn get(&self, q: usize, list: &mut ParticleList, block: Block, planned: &PlannedMaterial, slots: usize) {
         let record = |k: usize| self.record[vector(q, k, slots)];
         let place = record(0);
         let real = |bits: u32| f64::from(f32::from_bits(bits));

@@ -2,12 +2,13 @@
 //! included.
 //!
 //! Nothing is read back in a step but what couplings on the host ask for; many steps go to the device at once. Where levels have to move, or
-//! particles between them, the particles come to the host for a round of split and merge. Sums run in
+//! particles between them, those that this concerns come to the host for a round of split and merge. Sums run in
 //! orders that do not depend on which workgroup comes first, and no float is added atomically: the same adapter gives the same
 //! bits.
 #![expect(unsafe_code, reason = "materials' callbacks cross the C ABI")]
 
 mod account;
+mod adapt;
 mod batch;
 mod contact;
 pub mod device;

@@ -86,7 +86,9 @@ pub(crate) struct StepConstants {
     pub(crate) gravity: [f32; 3],
     pub(crate) slot: u32,
     pub(crate) level: u32,
-    pub(crate) pad: [u32; 3],
+    pub(crate) first: u32,
+    pub(crate) count: u32,
+    pub(crate) pad: u32,
 }
 
 /// The level of a step that all take together.
@@ -216,6 +218,17 @@ impl Extent {
         }
     }
 
+    fn stretches(&self, sorted: Sorted, vectors: usize, first: usize, count: usize) -> Vec<(u64, u64)> {
+        let (planes, bytes) = match sorted {
+            Sorted::Record => (RECORD as u64, 16),
+            Sorted::Ids => (1, 8),
+            Sorted::Rest => (vectors as u64, 16),
+            Sorted::Lists | Sorted::Cells => (0, 0),
+        };
+        let of_plane = |k: u64| ((k * u64::from(self.slots) + first as u64) * bytes, count as u64 * bytes);
+        (0..planes).map(of_plane).filter(|(_, bytes)| *bytes > 0).collect()
+    }
+
     fn shared_bytes(&self, role: Role, asked: Asked) -> u64 {
         let (slots, blocks, nodes) = (u64::from(self.slots), u64::from(self.block_room), u64::from(self.node_room));
         let places = u64::from(self.places);
@@ -307,7 +320,7 @@ impl Memory {
         let params = table(gpu, "parameters", values.len(), asked.worlds);
         gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(values));
         let steps = uniform("steps", STEP_STRIDE * STEP_SLOTS);
-        let regions = uniform("regions", 32 * (asked.worlds * asked.boxes).max(1) as u64);
+        let regions = uniform("regions", 64 * (asked.worlds * asked.boxes).max(1) as u64);
         let layers = uniform("layers", (size_of::<Layer>() * asked.layers) as u64);
         let step_binding = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("step"),
@@ -408,14 +421,13 @@ impl Memory {
 
     /// Where a buffer of particles holds so many of them, plane by plane: first byte, bytes.
     pub(crate) fn stretches(&self, sorted: Sorted, first: usize, count: usize) -> Vec<(u64, u64)> {
-        let (planes, bytes) = match sorted {
-            Sorted::Record => (RECORD as u64, 16),
-            Sorted::Ids => (1, 8),
-            Sorted::Rest => (self.vectors as u64, 16),
-            Sorted::Lists | Sorted::Cells => (0, 0),
-        };
-        let of_plane = |k: u64| ((k * u64::from(self.extent.slots) + first as u64) * bytes, count as u64 * bytes);
-        (0..planes).map(of_plane).filter(|(_, bytes)| *bytes > 0).collect()
+        self.extent.stretches(sorted, self.vectors, first, count)
+    }
+
+    /// Says how many particles there are.
+    pub(crate) fn count(&mut self, gpu: &Gpu, particles: usize) {
+        self.extent.particles = particles as u32;
+        gpu.queue.write_buffer(&self.constants, 0, bytemuck::bytes_of(&self.extent));
     }
 
     /// Makes room for so many bytes to be read back at once.
@@ -440,12 +452,6 @@ impl Memory {
         self.asked.near
     }
 
-    /// Says how many particles there are.
-    pub(crate) fn count(&mut self, gpu: &Gpu, particles: usize) {
-        self.extent.particles = particles as u32;
-        gpu.queue.write_buffer(&self.constants, 0, bytemuck::bytes_of(&self.extent));
-    }
-
     /// Makes room for so many boxes around the bodies of each layer, and blocks of nodes near them.
     pub(crate) fn add_near(&mut self, gpu: &Gpu, around: usize, near: usize) -> Result<()> {
         if around <= self.asked.around && near <= self.asked.near {
@@ -456,8 +462,7 @@ impl Memory {
         self.grow(gpu, extent)
     }
 
-    /// Makes room for `extent`, keeping particles and blocks; but particles are lost if there is to be room for more of them. What the
-    /// grid holds is lost, and so are the links of blocks: a sort must follow.
+    /// Makes room for `extent`, keeping particles and blocks. What the grid holds is lost, and so are the links of blocks: a sort must follow.
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
         let extent = Extent { row: ROW, ..extent };
         extent.check(gpu, self.vectors, self.asked)?;
@@ -482,11 +487,23 @@ impl Memory {
                 self.sorted[set][sorted as usize] = new;
             }
         }
+        let held = self.extent.particles as usize;
         for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
-            for set in &mut self.sorted {
+            for set in 0..2 {
                 let bytes = extent.sorted_bytes(sorted, self.vectors);
-                if set[sorted as usize].size() < bytes {
-                    set[sorted as usize] = storage(sorted_name(sorted), bytes);
+                if extent.slots <= self.extent.slots {
+                    continue;
+                }
+                let new = storage(sorted_name(sorted), bytes);
+                let old = std::mem::replace(&mut self.sorted[set][sorted as usize], new);
+                if set == self.now {
+                    let new = &self.sorted[set][sorted as usize];
+                    let from = self.extent.stretches(sorted, self.vectors, 0, held);
+                    for ((from, bytes), (to, _)) in
+                        from.into_iter().zip(extent.stretches(sorted, self.vectors, 0, held))
+                    {
+                        encoder.copy_buffer_to_buffer(&old, from, new, to, bytes);
+                    }
                 }
             }
         }
@@ -561,6 +578,25 @@ pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, from: u64, count: u
         with_mapped(gpu, &staging, part, |bytes| out.extend_from_slice(&bytemuck::pod_collect_to_vec::<u8, T>(bytes)))?;
         at += part;
     }
+    Ok(out)
+}
+
+/// Copies stretches of several buffers to the host, (buffer, first byte, bytes) each, one after the other.
+pub(crate) fn read_all<T: Pod>(gpu: &Gpu, parts: &[(&wgpu::Buffer, u64, u64)]) -> Result<Vec<T>> {
+    let bytes: u64 = parts.iter().map(|(.., bytes)| bytes).sum();
+    if bytes == 0 {
+        return Ok(Vec::new());
+    }
+    let staging = mappable(gpu, bytes);
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    let mut at = 0;
+    for &(buffer, from, bytes) in parts {
+        encoder.copy_buffer_to_buffer(buffer, from, &staging, at, bytes);
+        at += bytes;
+    }
+    gpu.queue.submit([encoder.finish()]);
+    let mut out = Vec::new();
+    with_mapped(gpu, &staging, bytes, |bytes| out = bytemuck::pod_collect_to_vec(bytes))?;
     Ok(out)
 }
 

@@ -250,6 +250,29 @@ impl World {
         Ok(())
     }
 
+    /// What depends on particles that come in beside the others.
+    pub(crate) fn take_new(&mut self, lists: &[ParticleList]) -> Result<()> {
+        let masses = lists.iter().flat_map(|list| &list.mass);
+        self.least_mass = masses.fold(self.least_mass, |least, mass| least.min(mass * 1e-20));
+        for (level, lists) in self.levels.iter_mut().zip(lists.chunks(self.materials.len())) {
+            let speeds = lists.iter().flat_map(|list| &list.velocity).flatten();
+            level.particle_speed = speeds.fold(level.particle_speed, |most, v| most.max(v.abs()));
+        }
+        for list in lists {
+            let bound = stiffness::bound(std::slice::from_ref(list), &self.materials, self.substeps)?;
+            let hardens = self.materials[list.material as usize].material.has(abi::BARCHAN_CAP_HARDENS);
+            for held in [&mut self.stiffness].into_iter().chain((!hardens).then_some(&mut self.unchanging)) {
+                if bound.dt < held.dt {
+                    *held = bound.clone();
+                }
+            }
+            let densities = list.mass.iter().zip(&list.volume0).map(|(m, v)| m / v);
+            let least = &mut self.densities[list.material as usize];
+            *least = densities.fold(*least, f64::min);
+        }
+        Ok(())
+    }
+
     fn measure_stiffness(&mut self, lists: &[ParticleList]) -> Result<()> {
         self.stiffness_age = 0;
         self.stiffness = stiffness::bound(lists, &self.materials, self.substeps)?;

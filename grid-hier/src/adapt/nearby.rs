@@ -8,7 +8,7 @@ use barchan_core::levels::CellBox;
 use rayon::prelude::*;
 
 /// Part of a full cell below which a cell counts as empty: next to it is the surface.
-const EMPTY: f64 = 0.5;
+const HALF: f64 = 0.5;
 
 /// Cells along the side of a block with those next to it.
 const WIDE: usize = SIDE as usize + 2;
@@ -87,8 +87,8 @@ impl Surface {
         let mut near: Vec<u64> = blocks.iter().flat_map(around).collect();
         near.sort_unstable();
         near.dedup();
-        let filling = Filling::new(level, lists, near, h.powi(3));
-        let cells = blocks.par_iter().map(|&key| filling.near_empty(block::of_key(key), bounds)).collect();
+        let filled = level.filled(lists, &near, h.powi(3));
+        let cells = blocks.par_iter().map(|&key| near_empty(&near, &filled, block::of_key(key), bounds)).collect();
         Self { blocks, cells }
     }
 
@@ -99,71 +99,61 @@ impl Surface {
     }
 }
 
-/// Mass in each cell of some blocks, as a part of a full cell.
-struct Filling {
-    /// Keys, rising.
-    blocks: Vec<u64>,
-    cells: Vec<[f32; CELLS]>,
-}
-
-impl Filling {
-    /// Of cells with a volume [m³].
-    fn new<S: LevelStore>(level: &S, lists: usize, blocks: Vec<u64>, volume: f64) -> Self {
-        // Most particles are in their block; the others are added afterwards, in order.
-        let fill = |group: usize| {
-            let home = level.blocks().get(group).copied();
-            let (mut cells, mut strays) = ([0f32; CELLS], Vec::new());
-            for list in 0..lists {
-                for at in level.places(list, group) {
-                    let cell = level.cell(list, at);
-                    let part = (level.volume0(list, at) / volume) as f32;
-                    match block::key(block::of_cell(cell)) {
-                        key if key.is_some() && key == home => cells[place(cell)] += part,
-                        Some(key) => strays.push((key, place(cell), part)),
-                        None => {}
-                    }
+/// The cells of some blocks, of a volume [m³] each, that are at least half full, as bits; keys rise.
+pub(super) fn filled<S: LevelStore>(level: &S, lists: usize, blocks: &[u64], volume: f64) -> Vec<u64> {
+    // Most particles are in their block; the others are added afterwards, in order.
+    let fill = |group: usize| {
+        let home = level.blocks().get(group).copied();
+        let (mut cells, mut strays) = ([0f32; CELLS], Vec::new());
+        for list in 0..lists {
+            for at in level.places(list, group) {
+                let cell = level.cell(list, at);
+                let part = (level.volume0(list, at) / volume) as f32;
+                match block::key(block::of_cell(cell)) {
+                    key if key.is_some() && key == home => cells[place(cell)] += part,
+                    Some(key) => strays.push((key, place(cell), part)),
+                    None => {}
                 }
             }
-            (home, cells, strays)
-        };
-        let is_wanted = |&group: &usize| level.blocks().get(group).is_none_or(|key| blocks.binary_search(key).is_ok());
-        let wanted: Vec<usize> = (0..level.groups()).filter(is_wanted).collect();
-        let filled: Vec<_> = wanted.into_par_iter().map(fill).collect();
-        let mut filling = Self { cells: vec![[0.0; CELLS]; blocks.len()], blocks };
-        for (home, cells, _) in &filled {
-            if let Some(b) = home.and_then(|key| filling.blocks.binary_search(&key).ok()) {
-                filling.cells[b] = *cells;
-            }
         }
-        for (key, cell, part) in filled.into_iter().flat_map(|(.., strays)| strays) {
-            if let Ok(b) = filling.blocks.binary_search(&key) {
-                filling.cells[b][cell] += part;
-            }
+        (home, cells, strays)
+    };
+    let is_wanted = |&group: &usize| level.blocks().get(group).is_none_or(|key| blocks.binary_search(key).is_ok());
+    let wanted: Vec<usize> = (0..level.groups()).filter(is_wanted).collect();
+    let own: Vec<_> = wanted.into_par_iter().map(fill).collect();
+    let mut parts = vec![[0f32; CELLS]; blocks.len()];
+    for (home, cells, _) in &own {
+        if let Some(b) = home.and_then(|key| blocks.binary_search(&key).ok()) {
+            parts[b] = *cells;
         }
-        filling
     }
+    for (key, cell, part) in own.into_iter().flat_map(|(.., strays)| strays) {
+        if let Ok(b) = blocks.binary_search(&key) {
+            parts[b][cell] += part;
+        }
+    }
+    let is_full = |part: f32| u64::from(f64::from(part) >= HALF);
+    parts.iter().map(|parts| parts.iter().rev().fold(0, |bits, part| bits << 1 | is_full(*part))).collect()
+}
 
-    /// The cells of a block that have one around them that is less than half full, as bits.
-    fn near_empty(&self, at: [i32; 3], bounds: &Bounds) -> u64 {
-        let is_empty = |n: usize| {
-            let local = [n / WIDE / WIDE, n / WIDE % WIDE, n % WIDE];
-            let cell: [i32; 3] = std::array::from_fn(|d| {
-                let c = at[d] * SIDE + local[d] as i32 - 1;
-                // Behind a wall the ground goes on.
-                let c = if bounds.walled[d][0] { c.max(bounds.min[d]) } else { c };
-                if bounds.walled[d][1] { c.min(bounds.max[d] - 1) } else { c }
-            });
-            let key = block::key(bounds.wrap(block::of_cell(cell)));
-            let full =
-                key.and_then(|key| self.blocks.binary_search(&key).ok()).map_or(0.0, |b| self.cells[b][place(cell)]);
-            f64::from(full) < EMPTY
-        };
-        let empty: [bool; WIDE.pow(3)] = std::array::from_fn(is_empty);
-        let is_near = |n: &usize| {
-            let corner = [n / 16, n / 4 % 4, n % 4];
-            let around = |k: usize| [corner[0] + k / 9, corner[1] + k / 3 % 3, corner[2] + k % 3];
-            (0..27).map(around).any(|[x, y, z]| empty[(x * WIDE + y) * WIDE + z])
-        };
-        (0..CELLS).filter(is_near).fold(0, |bits, n| bits | 1 << n)
-    }
+/// The cells of a block that have one around them that is less than half full, as bits. `filled` are the cells of blocks that are not.
+fn near_empty(blocks: &[u64], filled: &[u64], at: [i32; 3], bounds: &Bounds) -> u64 {
+    let is_empty = |n: usize| {
+        let local = [n / WIDE / WIDE, n / WIDE % WIDE, n % WIDE];
+        let cell: [i32; 3] = std::array::from_fn(|d| {
+            let c = at[d] * SIDE + local[d] as i32 - 1;
+            // Behind a wall the ground goes on.
+            let c = if bounds.walled[d][0] { c.max(bounds.min[d]) } else { c };
+            if bounds.walled[d][1] { c.min(bounds.max[d] - 1) } else { c }
+        });
+        let block = block::key(bounds.wrap(block::of_cell(cell))).and_then(|key| blocks.binary_search(&key).ok());
+        block.is_none_or(|b| filled[b] >> place(cell) & 1 == 0)
+    };
+    let empty: [bool; WIDE.pow(3)] = std::array::from_fn(is_empty);
+    let is_near = |n: &usize| {
+        let corner = [n / 16, n / 4 % 4, n % 4];
+        let around = |k: usize| [corner[0] + k / 9, corner[1] + k / 3 % 3, corner[2] + k % 3];
+        (0..27).map(around).any(|[x, y, z]| empty[(x * WIDE + y) * WIDE + z])
+    };
+    (0..CELLS).filter(is_near).fold(0, |bits, n| bits | 1 << n)
 }

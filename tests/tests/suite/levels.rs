@@ -4,7 +4,6 @@
 
 mod agents;
 mod contact;
-mod copies;
 mod following;
 mod footprints;
 mod properties;

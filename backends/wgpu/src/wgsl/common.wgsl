@@ -60,9 +60,10 @@ struct Step {
     slot: u32,
     // The level whose step it is, or ALL_LEVELS.
     level: u32,
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
+    // In passes over some particles: the first of them, and how many.
+    first: u32,
+    count: u32,
+    pad: u32,
 }
 
 const ALL_LEVELS: u32 = 0xffffffffu;

@@ -1,0 +1,241 @@
+//! Split and merge: the device finds the particles that they may concern, the host decides about those, and the device takes out what is
+//! gone and takes in what has come.
+
+use crate::batch::{BLOCKS, COUNTED, Dispatch, HALTED, Part, WgpuBatch};
+use crate::kernels::{Role, Sorted, rest_vectors};
+use crate::layout::{self, Homes, Planes, RECORD};
+use crate::memory::{StepConstants, read_all, with_room};
+use barchan_core::{Coupling, Error, ParticleList, Regions, Result};
+use barchan_grid::adapt::{Candidates, CopiedLevel};
+use barchan_grid::block;
+use std::ops::Range;
+use std::time::Instant;
+
+/// Vectors that the device writes for each block whose cells are at least half full: the block, and bits.
+const FILLED: usize = 2;
+/// Where a particle's cell and layer stand in its record on the way to the host and back.
+const PLACE: usize = 5;
+const HAS_LEVELS: &str = "only scenes of several levels have rounds";
+
+/// Copies of particles of a world that a round may concern.
+struct Found {
+    /// Where each list's particles are, level by level.
+    slots: Vec<Vec<Vec<u32>>>,
+    levels: Vec<CopiedLevel>,
+}
+
+impl WgpuBatch {
+    /// Moves a world's levels after the bodies that they follow.
+    pub(crate) fn follow(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        // Nothing soft is followed.
+        match self.worlds[w].adapt.follow(couplings, |_| None) {
+            Some(before) => self.adapt(w, Some(&before), couplings),
+            None => Ok(()),
+        }
+    }
+
+    /// Brings a world's particles to the levels where they belong, splits and merges. `before` are its regions as they were, if they
+    /// have moved.
+    ///
+    /// 1. The device learns where levels are, and sorts particles that have moved since they were sorted last.
+    /// 2. It finds those that the round may concern.
+    /// 3. The host splits, merges and moves these.
+    /// 4. The device leaves out those that are gone, and sorts in those that have come.
+    pub(crate) fn adapt(&mut self, w: usize, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        let begun = Instant::now();
+        self.settle()?;
+        let candidates = self.worlds[w].adapt.candidates(before);
+        self.write_regions(w, candidates);
+        if self.worlds[w].levels.iter().any(|level| level.rhythm.drift != 0.0) {
+            self.worlds[w].levels.iter_mut().for_each(|level| level.rhythm.drift = f32::INFINITY);
+            self.sort(w)?;
+        } else {
+            // Where rims are is found by sorts.
+            self.unlinked |= before.is_some();
+        }
+        let Found { slots, mut levels } = self.find_concerned(w, !matches!(candidates, Candidates::None))?;
+        let adapt = &mut self.worlds[w].adapt;
+        let round = adapt.find(&levels.iter().collect::<Vec<_>>(), before, &vec![true; levels.len()]);
+        let changed = adapt.apply(&mut levels.iter_mut().collect::<Vec<_>>(), &round, couplings)?;
+        if changed.contains(&true) {
+            let gone = levels.iter().zip(&slots).map(|(level, slots)| {
+                level.gone().zip(slots).flat_map(|(gone, slots)| gone.map(|place| slots[place])).collect()
+            });
+            let gone: Vec<Vec<u32>> = gone.collect();
+            let come: Vec<ParticleList> = levels.iter().flat_map(CopiedLevel::come).collect();
+            self.exchange(w, &gone, &come)?;
+        }
+        self.adapt_seconds.0 += begun.elapsed().as_secs_f64();
+        self.adapt_seconds.1 += 1;
+        Ok(())
+    }
+
+    /// Particles of a world that a round may concern, and which cells are full if any may merge.
+    fn find_concerned(&mut self, w: usize, merges: bool) -> Result<Found> {
+        let kernels = self.kernels.adapt.as_ref().expect(HAS_LEVELS);
+        self.write_layers(&self.layers(|other| other == w));
+        self.write_words(HALTED, &[0]);
+        self.write_steps(0, &[self.step_constants(0.0, [0.0; 3], 0)]);
+        let now = self.memory.now;
+        let passes = kernels.find.iter().chain(merges.then_some(&kernels.fill));
+        let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();
+        let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;
+        let count = words[COUNTED] as usize;
+
+        let world = &self.worlds[w];
+        let (first, end) = (world.levels[0].blocks.start, world.levels[self.levels - 1].blocks.end);
+        let filled_bytes = if merges && count > 0 { 16 * FILLED * (end - first) } else { 0 };
+        let next =
+            |sorted: Sorted| (self.memory.buffer(Role::Next(sorted), now), self.memory.stretches(sorted, 0, count));
+        let planes = [Sorted::Record, Sorted::Ids, Sorted::Rest].map(next);
+        let mut stretches: Vec<_> = planes
+            .iter()
+            .flat_map(|(buffer, stretches)| stretches.iter().map(move |&(from, bytes)| (*buffer, from, bytes)))
+            .collect();
+        stretches.push((self.memory.buffer(Role::Order, now), 0, 4 * count as u64));
+        stretches.push((self.memory.buffer(Role::Handed, now), (16 * FILLED * first) as u64, filled_bytes as u64));
+        let words: Vec<u32> = read_all(&self.gpu, &stretches)?;
+        let (record, rest) = words.split_at(4 * RECORD * count);
+        let (ids, rest) = rest.split_at(2 * count);
+        let (rest, order) = rest.split_at(rest.len() - count - filled_bytes / 4);
+        let (order, filled) = order.split_at(count);
+        let planes = Planes {
+            record: bytemuck::pod_collect_to_vec(record),
+            ids: bytemuck::pod_collect_to_vec(ids),
+            rest: bytemuck::pod_collect_to_vec(rest),
+        };
+
+        let empty = |l: usize| planes.lists(&Homes::default(), &world.materials, (l, world.levels[l].h), count);
+        let mut lists: Vec<Vec<ParticleList>> = (0..self.levels).map(empty).collect();
+        let mut slots = vec![vec![Vec::new(); world.materials.len()]; self.levels];
+        for (i, &slot) in order.iter().enumerate() {
+            let [x, y, z, layer] = planes.record[layout::vector(i, PLACE, count)];
+            let (l, law) = (layer as usize - self.levels * w, planes.law(i));
+            let block = block::of_cell([x, y, z].map(|c| c as i32));
+            planes.get(i, &mut lists[l][law], block, &world.materials[law], count);
+            slots[l][law].push(slot);
+        }
+        let mut of_level = vec![Vec::new(); self.levels];
+        for entry in filled.chunks_exact(4 * FILLED) {
+            let key = block::key([0, 1, 2].map(|d| entry[d] as i32));
+            let bits = u64::from(entry[4]) | u64::from(entry[5]) << 32;
+            of_level[entry[3] as usize - self.levels * w].extend(key.map(|key| (key, bits)));
+        }
+        let levels = lists.into_iter().zip(of_level).map(|(lists, filled)| CopiedLevel::new(lists, filled));
+        Ok(Found { slots, levels: levels.collect() })
+    }
+
+    /// Takes particles out of a world, by their slots on each level, and others in, one list a level and material.
+    ///
+    /// 1. Those that come are written behind all others, in blocks of their own.
+    /// 2. Those that go are marked, and stress of those that come is found.
+    /// 3. A sort in which nobody is due brings all to their places.
+    fn exchange(&mut self, w: usize, gone: &[Vec<u32>], come: &[ParticleList]) -> Result<()> {
+        let before = self.particles();
+        let mut blocks = self.all_levels().last().map_or(0, |level| level.blocks.end);
+        let mut laid = Vec::new();
+        let world = &self.worlds[w];
+        for (lists, level) in come.chunks(world.materials.len()).zip(&world.levels) {
+            let homes = Homes::fresh(lists, &level.periods);
+            let count = homes.order.len();
+            laid.push((Planes::of(lists, &homes, &world.materials, count, rest_vectors(&world.materials))?, homes));
+        }
+        let more = |f: fn(&Homes) -> usize| laid.iter().map(|(_, homes)| f(homes)).sum::<usize>();
+        let end = before + more(|homes| homes.order.len());
+        self.make_room_for(end, blocks + more(|homes| homes.blocks.len()))?;
+
+        let (layers, mut first) = (self.layers_of(w), before);
+        for (layer, (mut planes, homes)) in layers.clone().zip(laid) {
+            let count = homes.order.len();
+            (0..count).for_each(|i| planes.record[layout::vector(i, PLACE, count)][3] = layer as u32);
+            self.write_behind(&planes, &homes, (first, blocks), layer);
+            (first, blocks) = (first + count, blocks + homes.blocks.len());
+            let level = &mut self.worlds[w].levels[layer - layers.start];
+            level.reach = level.reach.into_iter().chain(homes.extent()).reduce(|(a, b), (c, d)| {
+                ([0, 1, 2].map(|axis| a[axis].min(c[axis])), [0, 1, 2].map(|axis| b[axis].max(d[axis])))
+            });
+        }
+        self.write_words(BLOCKS, &[blocks as u32]);
+        self.write(self.memory.buffer(Role::Order, 0), 0, bytemuck::cast_slice(&gone.concat()));
+        self.memory.count(&self.gpu, end);
+        self.mark_and_stress(gone.iter().map(Vec::len).sum(), before..end);
+        self.sort(w)?;
+
+        let world = &mut self.worlds[w];
+        world.take_new(come)?;
+        for ((level, come), gone) in world.levels.iter_mut().zip(come.chunks(world.materials.len())).zip(gone) {
+            level.particles.end += come.iter().map(ParticleList::len).sum::<usize>();
+            level.particles.end -= gone.len();
+        }
+        let mut first = 0;
+        for level in self.worlds.iter_mut().flat_map(|world| &mut world.levels) {
+            level.particles = first..first + level.particles.len();
+            first = level.particles.end;
+        }
+        self.memory.count(&self.gpu, first);
+        Ok(())
+    }
+
+    /// Makes room for so many particles and blocks.
+    fn make_room_for(&mut self, particles: usize, blocks: usize) -> Result<()> {
+        if particles >= layout::MAX_PARTICLES {
+            return Err(Error::Capacity {
+                what: "particles on one adapter",
+                asked: particles as u64,
+                cap: layout::MAX_PARTICLES as u64 - 1,
+                mend: "use fewer levels, simulate fewer particles, or use the backend cpu",
+            });
+        }
+        let mut extent = self.memory.extent;
+        if particles > extent.slots as usize {
+            extent.slots = with_room(particles).next_multiple_of(128);
+        }
+        if blocks > extent.block_room as usize {
+            extent.block_room = with_room(blocks);
+        }
+        if extent == self.memory.extent { Ok(()) } else { self.memory.grow(&self.gpu, extent) }
+    }
+
+    /// Writes particles of a layer and their blocks behind all others: from that slot and that block on.
+    fn write_behind(&self, planes: &Planes, homes: &Homes, (slot, block): (usize, usize), layer: usize) {
+        for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
+            let mut bytes = planes.bytes(sorted);
+            for (at, length) in self.memory.stretches(sorted, slot, homes.order.len()) {
+                let (plane, rest) = bytes.split_at(length as usize);
+                self.write(self.memory.plane(sorted), at, plane);
+                bytes = rest;
+            }
+        }
+        let entry = |&[x, y, z]: &[i32; 3]| {
+            let mut entry = [[0; 4]; layout::ENTRY];
+            entry[0] = [x, y, z, layer as i32];
+            entry
+        };
+        let entries: Vec<_> = homes.blocks.iter().flat_map(entry).collect();
+        let cells: Vec<u32> = homes.cells.iter().map(|start| start + slot as u32).collect();
+        let at = (16 * layout::ENTRY * block) as u64;
+        self.write(self.memory.plane(Sorted::Lists), at, bytemuck::cast_slice(&entries));
+        self.write(self.memory.plane(Sorted::Cells), 256 * block as u64, bytemuck::cast_slice(&cells));
+    }
+
+    /// Marks so many particles that are to go, which the order of the sort lists, and finds the stress of those in some slots.
+    fn mark_and_stress(&mut self, gone: usize, come: Range<usize>) {
+        let kernels = self.kernels.adapt.as_ref().expect(HAS_LEVELS);
+        let passes = [(&kernels.remove, 0..gone), (&kernels.stress, come)];
+        let of = |some: &Range<usize>| StepConstants {
+            first: some.start as u32,
+            count: some.len() as u32,
+            ..StepConstants::default()
+        };
+        self.write_steps(0, &[of(&passes[0].1), of(&passes[1].1)]);
+        let now = self.memory.now;
+        let dispatches = passes.iter().enumerate().map(|(step, (kernel, _))| Dispatch { kernel, now, step }).collect();
+        let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
+        let dispatches: Vec<_> =
+            parts.iter().flat_map(|(part, groups)| part.dispatches.iter().zip(groups.iter().copied())).collect();
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        Self::encode(&self.gpu, &mut encoder, &mut self.memory, &dispatches, None);
+        self.gpu.queue.submit([encoder.finish()]);
+    }
+}

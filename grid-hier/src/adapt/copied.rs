@@ -1,0 +1,102 @@
+//! Levels whose particles are elsewhere: copies of those that a round may concern.
+
+use super::{LevelStore, Parcel};
+use crate::block;
+use barchan_core::ParticleList;
+use std::ops::Range;
+
+/// Particles of a level that a backend has copied since a round may concern them. A place is a particle's index in its list.
+#[derive(Clone, Debug)]
+pub struct CopiedLevel {
+    /// One a material.
+    lists: Vec<ParticleList>,
+    /// Keys of blocks with particles of the level, rising, and their cells that are at least half full, as bits.
+    filled: Vec<(u64, u64)>,
+    /// Keys of blocks with copied particles, rising, and where each list's stand.
+    blocks: Vec<u64>,
+    groups: Vec<Vec<Range<usize>>>,
+    /// Has it been taken out?
+    gone: Vec<Vec<bool>>,
+    come: Vec<Parcel>,
+}
+
+impl CopiedLevel {
+    /// One list a material, in which particles stand in the order of the blocks that they are in. `filled` says of the level's blocks, in the
+    /// order of their keys, which cells are at least half full, as bits; it is asked for only if any particle may merge.
+    pub fn new(lists: Vec<ParticleList>, filled: Vec<(u64, u64)>) -> Self {
+        // What is beyond the reach of blocks is in none.
+        let key = |cell: &[i32; 3]| block::key(block::of_cell(*cell)).unwrap_or(u64::MAX);
+        let mut blocks: Vec<u64> = lists.iter().flat_map(|list| &list.cell).map(key).collect();
+        blocks.sort_unstable();
+        blocks.dedup();
+        let groups_of = |list: &ParticleList| {
+            let end = |block: &u64| list.cell.partition_point(|cell| key(cell) <= *block);
+            let ends = blocks.iter().scan(0, |start, block| Some(std::mem::replace(start, end(block))..*start));
+            ends.collect::<Vec<_>>()
+        };
+        let groups = lists.iter().map(groups_of).collect();
+        blocks.pop_if(|key| *key == u64::MAX);
+        let gone = lists.iter().map(|list| vec![false; list.len()]).collect();
+        Self { lists, filled, blocks, groups, gone, come: Vec::new() }
+    }
+
+    /// For each list, the places of particles that have been taken out.
+    pub fn gone(&self) -> impl Iterator<Item = impl Iterator<Item = usize>> {
+        self.gone.iter().map(|gone| (0..gone.len()).filter(|&place| gone[place]))
+    }
+
+    /// Particles that have been taken in, as lists, each in the order of numbers.
+    pub fn come(&self) -> Vec<ParticleList> {
+        let empty = |list: &ParticleList| {
+            let (level, material) = (list.level as usize, list.material as usize);
+            ParticleList::empty(level, material, list.cell_width, list.strain.len(), list.state.len())
+        };
+        let mut lists: Vec<_> = self.lists.iter().map(empty).collect();
+        self.come.iter().for_each(|parcel| parcel.add_to(&mut lists[parcel.list]));
+        lists
+    }
+}
+
+impl LevelStore for CopiedLevel {
+    fn blocks(&self) -> &[u64] {
+        &self.blocks
+    }
+    fn groups(&self) -> usize {
+        self.groups.first().map_or(0, Vec::len)
+    }
+    fn places(&self, list: usize, group: usize) -> impl Iterator<Item = usize> {
+        self.groups[list][group].clone()
+    }
+    fn greatest_volume(&self, list: usize, group: usize) -> f64 {
+        self.places(list, group).map(|place| self.volume0(list, place)).fold(0.0, f64::max)
+    }
+    fn id(&self, list: usize, place: usize) -> u32 {
+        self.lists[list].id[place] as u32
+    }
+    fn body(&self, list: usize, place: usize) -> u16 {
+        self.lists[list].body[place]
+    }
+    fn cell(&self, list: usize, place: usize) -> [i32; 3] {
+        self.lists[list].cell[place]
+    }
+    fn offset(&self, list: usize, place: usize) -> [f64; 3] {
+        self.lists[list].offset[place]
+    }
+    fn volume0(&self, list: usize, place: usize) -> f64 {
+        self.lists[list].volume0[place]
+    }
+    fn parcel(&self, list: usize, place: usize) -> Parcel {
+        Parcel { list, ..Parcel::of(&self.lists[list], place) }
+    }
+    fn remove(&mut self, list: usize, place: usize) {
+        self.gone[list][place] = true;
+    }
+    fn push(&mut self, parcels: &[&Parcel]) {
+        self.come.extend(parcels.iter().map(|parcel| (*parcel).clone()));
+    }
+    fn filled(&self, _lists: usize, blocks: &[u64], _volume: f64) -> Vec<u64> {
+        let of_block =
+            |key: &u64| self.filled.binary_search_by_key(key, |(key, _)| *key).map_or(0, |b| self.filled[b].1);
+        blocks.iter().map(of_block).collect()
+    }
+}
