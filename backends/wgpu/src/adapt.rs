@@ -75,7 +75,7 @@ impl WgpuBatch {
         let kernels = self.kernels.adapt.as_ref().expect(HAS_LEVELS);
         self.write_layers(&self.layers(|other| other == w));
         self.write_words(HALTED, &[0]);
-        self.write_steps(0, &[self.step_constants(0.0, [0.0; 3], 0)]);
+        self.write_steps(0, &[self.step_constants(0.0, 0)]);
         let now = self.memory.now;
         let passes = kernels.find.iter().chain(merges.then_some(&kernels.fill));
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();

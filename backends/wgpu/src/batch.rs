@@ -64,6 +64,7 @@ const LEFT_MASS: usize = 11;
 /// Of a layer in a step.
 pub(crate) const SPEED: usize = 0;
 pub(crate) const MOVE: usize = 1;
+const GROWN: usize = 3;
 const BIAS: i32 = block::REACH;
 
 /// Why the device halted a submission.
@@ -219,9 +220,9 @@ pub(crate) struct Passes<'a> {
     h: f64,
     /// Which set of buffers is the present one.
     pub(crate) now: usize,
-    /// Number of the step under way, and its gravity [m/s²].
+    /// Number of the step under way, and gravity when it has grown [m/s²].
     number: usize,
-    pub(crate) gravity: Vec3,
+    gravity: Vec3,
     pub(crate) constants: Vec<StepConstants>,
     pub(crate) dispatches: Vec<Dispatch<'a>>,
     /// Constants of the step of each level that is under way, if levels take steps of their own.
@@ -229,7 +230,12 @@ pub(crate) struct Passes<'a> {
 }
 
 impl<'a> Passes<'a> {
-    pub(crate) fn new(kernels: &'a Kernels, contact: &'a Contact, [levels, now]: [usize; 2], h: f64) -> Self {
+    pub(crate) fn new(
+        kernels: &'a Kernels,
+        contact: &'a Contact,
+        [levels, now]: [usize; 2],
+        (h, gravity): (f64, Vec3),
+    ) -> Self {
         Self {
             kernels,
             contact: if let Contact::Device(contact) = contact { &contact.kernels } else { &[] },
@@ -237,7 +243,7 @@ impl<'a> Passes<'a> {
             h,
             now,
             number: 0,
-            gravity: [0.0; 3],
+            gravity,
             constants: Vec::new(),
             dispatches: Vec::new(),
             of_levels: vec![0; levels],
@@ -346,7 +352,7 @@ pub(crate) struct WgpuBatch {
     /// Levels of each world.
     pub(crate) levels: usize,
     /// What the passes were made for.
-    fixed: Fixed,
+    pub(crate) fixed: Fixed,
     /// Steps of the finest level in one of the simulation.
     pub(crate) substeps: usize,
     /// How far particles may have drifted before a step [cells].
@@ -364,9 +370,10 @@ pub(crate) struct WgpuBatch {
 
 /// What all worlds of a batch must have in common.
 #[derive(Clone, Debug, PartialEq)]
-struct Fixed {
+pub(crate) struct Fixed {
     world: String,
-    gravity: (Vec3, f64),
+    /// When it has grown [m/s²], and over what time it grows [s].
+    pub(crate) gravity: (Vec3, f64),
     laws: Vec<(String, String)>,
     /// How many there are, steps of the finest in one of the coarsest, and boxes of each.
     levels: (usize, u32, usize),
@@ -424,13 +431,6 @@ fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, F
     let levels = plan.cell_widths.len();
     let fixed = Fixed::of(plan);
     worlds.iter().enumerate().try_for_each(|(w, world)| fixed.check(world.plan, w))?;
-    if worlds.len() > 1 && plan.scene.gravity_ramp > 0.0 {
-        return Err(crate::lacks(
-            "gravity that grows, in a batch of worlds",
-            "gravity_ramp is above 0, and worlds that are reset would be at different times",
-            "set gravity_ramp = 0 and start with settled bodies, or run worlds on the backend cpu",
-        ));
-    }
     let of_regions = 16 * kernels::region_vectors(plan);
     let most = gpu.limits.max_uniform_buffer_binding_size as usize / (size_of::<Layer>() * levels).max(of_regions);
     if worlds.len() > most {
@@ -561,9 +561,25 @@ impl WgpuBatch {
         self.memory.extent.particles as usize
     }
 
-    /// The constants of a step.
-    pub(crate) fn step_constants(&self, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
-        step_constants(self.h, dt, gravity, number)
+    /// The constants of a step, with gravity as it is when it has grown.
+    pub(crate) fn step_constants(&self, dt: f64, number: usize) -> StepConstants {
+        step_constants(self.h, dt, self.fixed.gravity.0, number)
+    }
+
+    /// Zeros for the words of the status from one on to the end of some steps of `dt`, but for what part of gravity there is in each of the
+    /// worlds that take part, with their times [s] before the first of these steps.
+    pub(crate) fn fresh(&self, from: usize, steps: Range<usize>, dt: f64, active: &[(usize, f64)]) -> Vec<u32> {
+        let layout = self.words();
+        let mut words = vec![0; layout.of_step(steps.end, 0, 0) - from];
+        for &(w, mut time) in active.iter().filter(|(w, _)| self.worlds[*w].scene.gravity_ramp > 0.0) {
+            for s in steps.clone() {
+                let grown = self.worlds[w].grown(time);
+                self.layers_of(w).for_each(|layer| words[layout.of_step(s, layer, GROWN) - from] = grown.to_bits());
+                // As a simulation counts it.
+                time += dt;
+            }
+        }
+        words
     }
 
     /// The constants of steps from a slot on: one write, since each takes the queue microseconds.
@@ -695,11 +711,10 @@ impl WgpuBatch {
         self.write_words(HALTED, &[0, 0, u32::MAX]);
         self.write_words(SORTS, &[0]);
         let sums = layout.of_sum(0, 0);
-        self.write_words(sums, &vec![0; layout.of_step(count.max(1), 0, 0) - sums]);
+        self.write_words(sums, &self.fresh(sums, 0..count.max(1), dt, active));
 
-        // Gravity is the same for all: it depends on time only if there is one world.
-        let (first, time) = active[0];
-        let mut passes = Passes::new(&self.kernels, &self.contact, [self.levels, self.memory.now], self.h);
+        let measures = (self.h, self.fixed.gravity.0);
+        let mut passes = Passes::new(&self.kernels, &self.contact, [self.levels, self.memory.now], measures);
         let mut parts = Vec::new();
         for stretch in stretches {
             let sorting = stretch.sort.then_some(passes.now);
@@ -707,7 +722,6 @@ impl WgpuBatch {
                 passes.sort(dt);
             }
             for _ in 0..stretch.steps {
-                passes.gravity = self.worlds[first].scene.gravity_at(time + passes.number as f64 * dt);
                 if self.substeps > 1 {
                     passes.step_levels(dt, passes.number * self.substeps);
                 } else {
@@ -1313,7 +1327,7 @@ impl WgpuBatch {
         }
         for (dt, worlds) in by_step {
             self.write_layers(&self.layers(|w| worlds.contains(&w)));
-            self.write_steps(0, &[self.step_constants(f64::from_bits(dt), [0.0; 3], 0)]);
+            self.write_steps(0, &[self.step_constants(f64::from_bits(dt), 0)]);
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
             Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;

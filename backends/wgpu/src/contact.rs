@@ -4,7 +4,7 @@ use crate::batch::{
     Contact, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE, WgpuBatch, ending,
 };
 use crate::kernels::Role;
-use crate::memory::{ALL_LEVELS, NEAR_BLOCK, PER_STEP, read};
+use crate::memory::{ALL_LEVELS, NEAR_BLOCK, read};
 use crate::world::{FELT, MAX_DRIFT, Rhythm, World};
 use barchan_core::backend::Turn;
 use barchan_core::{Aabb, Coupling, Error, NodeBatch, Result, StepReport, Vec3, Wrench};
@@ -389,14 +389,13 @@ impl WgpuBatch {
         if slot == 0 {
             self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0]);
             let sums = words.of_sum(0, 0);
-            self.write_words(sums, &vec![0; words.of_step(1, 0, 0) - sums]);
+            self.write_words(sums, &self.fresh(sums, 0..1, dt, &active));
         }
         let changed = self.write_changed(visits);
         let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
         let before = self.memory.now;
-        let mut passes = Passes::new(&self.kernels, &self.contact, [self.levels, before], self.h);
-        let (first, time) = active[0];
-        passes.gravity = self.worlds[first].scene.gravity_at(time);
+        let measures = (self.h, self.fixed.gravity.0);
+        let mut passes = Passes::new(&self.kernels, &self.contact, [self.levels, before], measures);
         let step = passes.constants(dt, ALL_LEVELS, 0);
         if sort {
             passes.sort(dt);
@@ -578,9 +577,7 @@ impl WgpuBatch {
             }
         }
         self.write_layers(&layers);
-        // Gravity is the same for all: it depends on time only if there is one world.
-        let gravity = self.worlds[active[0].0].scene.gravity_at(active[0].1);
-        self.write_steps(1, &[self.step_constants(dt, gravity, 1)]);
+        self.write_steps(1, &[self.step_constants(dt, 1)]);
         let words = self.words();
         self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0]);
         self.write_words(NEAR, &[0]);
@@ -594,7 +591,8 @@ impl WgpuBatch {
             let drifts: Vec<u32> = self.worlds.iter().flat_map(|world| drifts(world, 0)).collect();
             self.write_words(words.of_step(0, 0, 0), &drifts);
         }
-        self.write_words(words.of_step(1, 0, 0), &vec![0; PER_STEP * words.layers]);
+        let from = words.of_step(1, 0, 0);
+        self.write_words(from, &self.fresh(from, 1..2, dt, &active));
         self.write_words(words.greatest(1), &[0]);
 
         let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
@@ -699,8 +697,9 @@ impl WgpuBatch {
     /// Nodes go back, and particles take their velocities. What it came to stays on the device until the next step asks for it.
     fn nodes_to_ground(&mut self, dt: f64, visits: &[Visit<'_, '_>]) -> Result<()> {
         let active = going(visits);
-        let Some(&(first, time)) = active.first() else { return Ok(()) };
-        let gravity = self.worlds[first].scene.gravity_at(time);
+        if active.is_empty() {
+            return Ok(());
+        }
         let goes = |visit: &&Visit<'_, '_>| visit.is_going();
         let speed_of = |w: usize| visits.iter().filter(goes).find(|visit| visit.world() == w).map(|visit| visit.speed);
         // Rounding must not stop what has been let through.
@@ -708,7 +707,7 @@ impl WgpuBatch {
         let speeds: Vec<_> =
             (0..self.worlds.len()).map(|w| speed_of(w).map_or(0.0, |speed| (speed as f32).min(allowed))).collect();
         let words = self.words();
-        self.write_steps(0, &[self.step_constants(dt, gravity, 0)]);
+        self.write_steps(0, &[self.step_constants(dt, 0)]);
         let sums = words.of_sum(0, 0);
         self.write_words(sums, &vec![0; words.of_sum(words.layers, 0) - sums]);
         let of_world = |(world, speed): (&World, &f32)| drifts(world, speed.to_bits());

@@ -553,6 +553,7 @@ pub(crate) fn constants(plan: &Plan) -> String {
         format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
         format!("const NODE_MOVE: f32 = {:?};\n", crate::batch::NODE_MOVE),
         format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
+        format!("const GRAVITY_GROWS: bool = {};\n", plan.scene.gravity_ramp > 0.0),
         format!("// Particles that leave: {:?}\n", plan.scene.world.leaving),
     ]
     .concat()
@@ -599,7 +600,7 @@ const XY: &str = "
     let m = s.w;
     let ax = m * width * r0.yzw + stress * vec3<f32>(t.x, t.z, s.x);
     let ay = m * width * r1.yzw + stress * vec3<f32>(t.z, t.y, s.y);
-    let base = vec2<f32>(fma(m, r0.x + step.gravity.x, dot(ax, d)), fma(m, r1.x + step.gravity.y, dot(ay, d)));
+    let base = vec2<f32>(fma(m, r0.x + gravity.x, dot(ax, d)), fma(m, r1.x + gravity.y, dot(ay, d)));
     let by_x = vec2<f32>(ax.x, ay.x);
     let by_y = vec2<f32>(ax.y, ay.y);
     let by_z = vec2<f32>(ax.z, ay.z);
@@ -608,7 +609,7 @@ const XY: &str = "
 const ZM: &str = "
     let m = s.w;
     let az = m * width * r2.yzw + stress * s.xyz;
-    let base = fma(m, r2.x + step.gravity.z, dot(az, d));
+    let base = fma(m, r2.x + gravity.z, dot(az, d));
     let by_x = az.x;
     let by_y = az.y;
     let by_z = az.z;

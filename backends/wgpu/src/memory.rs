@@ -12,7 +12,7 @@ use std::collections::HashMap;
 const OF_LAYERS: usize = 12;
 const PER_LAYER: usize = 8;
 const PER_SUM: usize = 12;
-pub(crate) const PER_STEP: usize = 4;
+const PER_STEP: usize = 4;
 /// Steps that one submission can take.
 pub(crate) const MAX_STEPS: usize = 64;
 /// Constants of steps in a submission: those of steps and sorts; subcycled, of less than one step of coarser levels for each of the finest,

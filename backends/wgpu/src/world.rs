@@ -290,6 +290,12 @@ impl World {
         Ok(())
     }
 
+    /// What part of gravity there is in a step that starts at a time [s].
+    pub(crate) fn grown(&self, time: f64) -> f32 {
+        let (now, full) = (self.scene.gravity_at(time), self.scene.gravity);
+        (0..3).find(|d| full[*d] != 0.0).map_or(1.0, |d| (now[d] / full[d]) as f32)
+    }
+
     /// Particles of that mass have been deleted [kg].
     pub(crate) fn delete(&mut self, mass: f64) {
         self.mass -= mass;

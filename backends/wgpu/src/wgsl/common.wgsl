@@ -125,6 +125,8 @@ const PER_STEP: u32 = 4u;
 const SPEED: u32 = 0u;
 const MOVE: u32 = 1u;
 const DRIFT: u32 = 2u;
+// What part of gravity there is, if it grows.
+const GROWN: u32 = 3u;
 
 fn layer_word(layer: u32, k: u32) -> u32 {
     return OF_LAYERS + PER_LAYER * layer + k;

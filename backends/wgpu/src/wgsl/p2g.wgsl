@@ -248,6 +248,10 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     // Cell width [m], and -4 dt / h.
     let width = H / shrink_of(layer_now);
     let stress = step.stress * shrink_of(layer_now);
+    var gravity = step.gravity;
+    if GRAVITY_GROWS {
+        gravity *= bitcast<f32>(atomicLoad(&status[step_word(step.number, layer_now, GROWN)]));
+    }
     let own_cell = vec3<u32>(own >> 4u, (own >> 2u) & 3u, own & 3u);
     let home = tag_of(vec3<i32>(own_cell));
 
