@@ -1,7 +1,7 @@
 //! The backend wgpu against the CPU in 64 bits, against truths, and against itself. Without an adapter these tests fail, and the
 //! error says how to get a software one.
 
-use barchan::scene::{Leaving, Motion, OverBound, Scene, Shape, Time};
+use barchan::scene::{Leaving, Motion, OverBound, Scene, Shape, Time, Wall};
 use barchan::worlds::Worlds;
 use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Simulation, Vec3};
 use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
@@ -627,6 +627,39 @@ fn others_go_on(flight: fn(usize) -> Scene) {
     assert_eq!([0, 1, 2].map(|w| worlds.world(w).step_count()), [60, 1, 61]);
     worlds.reset(0, None).unwrap();
     assert!(worlds.step().iter().all(Result::is_ok));
+}
+
+/// Sand that a blade throws out of an open side, on two levels which follow the blade: none is lost from the account while particles split, merge
+/// and leave; with steps for all levels and of their own, driven and beside a free cube.
+#[test]
+fn levels_lose_particles_too() {
+    for (subcycle, cube, leaving) in
+        [(false, false, Leaving::Delete), (true, true, Leaving::Delete), (true, false, Leaving::Clamp)]
+    {
+        println!("subcycled: {subcycle}, with a cube: {cube}, {leaving:?}");
+        let mut scene = followed(1, subcycle, cube);
+        scene.world.leaving = leaving;
+        scene.world.walls.x_max = Wall::Open;
+        scene.world.max[0] = 1.28;
+        scene.body[0].velocity[0] = 3.0;
+        scene.body[0].shape =
+            Shape::Box { min: Some([0.16, 0.0, 0.0]), max: Some([1.28, 0.48, 0.16]), center: None, half: None };
+        let mut sim = Simulation::new(&barchan::registry(), &scene, &on_gpu()).unwrap();
+        let before = sim.ledger();
+        let mut taken = 0;
+        while taken < 60 {
+            taken += sim.steps(60 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
+        }
+        let now = sim.ledger();
+        println!("{:?}", now.counts);
+        assert!(now.counts["particles that changed level"] > 0, "{:?}", now.counts);
+        within("mass there is and was", ((now.mass + now.deleted_mass) / before.mass - 1.0).abs(), 1e-5);
+        assert_eq!(now.particles as usize, sim.particle_count());
+        match leaving {
+            Leaving::Delete => assert!(now.deleted_mass > 0.02 * before.mass, "{}", now.deleted_mass),
+            _ => assert!(now.counts["particles put back into the world"] > 0 && now.deleted_mass == 0.0),
+        }
+    }
 }
 
 /// A world that loses particles, with and without bodies that move freely, is what it is alone, and so is one that loses none.

@@ -1369,8 +1369,9 @@ impl WgpuBatch {
             let outcome = self.submit(&active, dt, &stretches)?;
             for (t, of_turn) in &driven {
                 go_back(turns[*t].couplings, of_turn, outcome.done)?;
-                if outcome.status.is_astray(self.layers_of(turns[*t].world)) {
-                    self.adapt(turns[*t].world, None, turns[*t].couplings)?;
+                let world = turns[*t].world;
+                if outcome.status.is_astray(self.layers_of(world)) && self.worlds[world].torn.is_none() {
+                    self.adapt(world, None, turns[*t].couplings)?;
                 }
             }
             for &t in &going {

@@ -1051,7 +1051,8 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         Leaving::Error => {
             "atomicMin(&status[WHO], q);\natomicStore(&status[HALT_STEP], step.number);\natomicStore(&status[HALTED], LEFT_WORLD);"
         }
-        Leaving::Clamp => "mine += put_back(q, layer, block, &local);",
+        // One that keeps its home is put back when its layer is due.
+        Leaving::Clamp => "if due {\nmine += put_back(q, layer, block, &local);\n}",
         Leaving::Delete => {
             "record[vector(q, 0u)].w = tag | GONE;\nmine.w += bitcast<f32>(record[vector(q, 1u)].w);\n\
              atomicAdd(&status[sum_word(layer, LEFT)], 1u);\ncontinue;"
