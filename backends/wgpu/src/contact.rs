@@ -207,7 +207,12 @@ impl<'a, 'b> Visit<'a, 'b> {
 
 /// Lets something happen to the worlds that go on, side by side; those that it fails for go on no more.
 fn side_by_side(visits: &mut [Visit<'_, '_>], happen: impl Fn(&mut Visit<'_, '_>) -> Result<()> + Sync) {
-    visits.par_iter_mut().filter(|visit| visit.is_going()).for_each(|visit| visit.failed = happen(visit).err());
+    let happens = |visit: &mut Visit<'_, '_>| visit.failed = happen(visit).err();
+    match visits {
+        // One need not wait for a thread.
+        [only] if only.is_going() => happens(only),
+        _ => visits.par_iter_mut().filter(|visit| visit.is_going()).for_each(happens),
+    }
 }
 
 impl WgpuBatch {
