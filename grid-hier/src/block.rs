@@ -77,17 +77,6 @@ const fn overlap(offset: i32) -> (usize, usize, usize) {
     }
 }
 
-/// The nodes of a block, as bits, that the tile of a neighbour holds too; `offset` points from the tile's block to the nodes'.
-pub fn shared_nodes(offset: [i32; 3]) -> u64 {
-    let within = |d: usize, i: usize| {
-        let (_, first, count) = overlap(offset[d]);
-        (first..first + count).contains(&i)
-    };
-    (0..CELLS)
-        .filter(|n| within(0, n / 16) && within(1, n / 4 % 4) && within(2, n % 4))
-        .fold(0, |bits, n| bits | 1 << n)
-}
-
 /// Calls `$row` with the starts, in the tile and in the block, of each row of nodes along z that both hold, and with the row's
 /// length in scalars as a constant, so that a row is one or two vector operations.
 macro_rules! rows {

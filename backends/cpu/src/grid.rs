@@ -51,12 +51,10 @@ pub(crate) struct Ring {
     pub(crate) slaves: u64,
     /// Nodes of the coarser grid that hold the 4³ parents; `NONE` where none is needed.
     pub(crate) parents: [u32; CELLS],
-    /// Components that change their sign on the way to a parent, as bits: it is the image of one behind a wall.
-    pub(crate) flips: [u8; CELLS],
     /// Where in `carried` the sums of the 4³ parent cells around it are; `NONE` where there are none, or nobody asks.
     pub(crate) cells: [u32; CELLS],
-    /// Which of these are images behind a mirror: components of velocity that change their sign, and from the fourth bit axes that are
-    /// turned round.
+    /// Which of these, and of the parents, are images behind a mirror: components of velocity that change their sign, and from the
+    /// fourth bit axes that are turned round.
     pub(crate) mirrored: [u8; CELLS],
 }
 
@@ -265,7 +263,6 @@ impl<T: Float> Grid<T> {
                     block: g as u32,
                     slaves,
                     parents: [NONE; CELLS],
-                    flips: [0; CELLS],
                     cells: [NONE; CELLS],
                     mirrored: [0; CELLS],
                 });
@@ -282,13 +279,13 @@ impl<T: Float> Grid<T> {
                 let image = place(first, n);
                 let (cell, flipped) = coarser.mirrors.reflected(image);
                 let away: [i32; 3] = std::array::from_fn(|d| at[d] - (cell[d] >> 1));
+                let turned: [bool; 3] = std::array::from_fn(|d| cell[d] != image[d]);
+                let bits = flipped.into_iter().chain(turned).enumerate();
+                ring.mirrored[n] = bits.fold(0, |bits, (k, set)| bits | u8::from(set) << k);
                 let b = tiles_around[ring.block as usize][block::neighbour(away)];
                 if b != NONE {
                     let within = cell.iter().fold(0, |within, c| 2 * within + (c & 1) as u32);
-                    let turned: [bool; 3] = std::array::from_fn(|d| cell[d] != image[d]);
-                    let bits = flipped.into_iter().chain(turned).enumerate();
                     ring.cells[n] = b * PARENT_CELLS as u32 + within;
-                    ring.mirrored[n] = bits.fold(0, |bits, (k, set)| bits | u8::from(set) << k);
                 }
             }
         };
@@ -349,7 +346,6 @@ impl<T: Float> Grid<T> {
                 let node = (ring::node_in_block(cell) / 4) as u8;
                 let flips = (0..3).fold(0, |bits, d| bits | u8::from(flipped[d]) << d);
                 ring.parents[n] = block * CELLS as u32 + u32::from(node);
-                ring.flips[n] = flips;
                 links.push((block, Link { from: (r * CELLS + n) as u32, node, flips }));
             }
             links

@@ -371,7 +371,7 @@ impl<T: Scalar> Level<T> {
             for n in (0..CELLS).filter(|&n| ring.parents[n] != NONE) {
                 let node = &values[4 * ring.parents[n] as usize..][..4];
                 for d in 0..3 {
-                    let flipped = ring.flips[n] >> d & 1 == 1;
+                    let flipped = ring.mirrored[n] >> d & 1 == 1;
                     parents[4 * n + d] = if flipped { -node[d] } else { node[d] };
                     if flipped {
                         // What particles read is not what they would have read from the node itself.

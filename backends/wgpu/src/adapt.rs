@@ -5,7 +5,7 @@ use crate::batch::{BLOCKS, COUNTED, Dispatch, HALTED, Part, WgpuBatch};
 use crate::kernels::{Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes, RECORD};
 use crate::memory::{StepConstants, read_all, with_room};
-use barchan_core::{Coupling, Error, ParticleList, Regions, Result};
+use barchan_core::{Coupling, ParticleList, Regions, Result};
 use barchan_grid::adapt::{Candidates, CopiedLevel};
 use barchan_grid::block;
 use std::ops::Range;
@@ -179,14 +179,7 @@ impl WgpuBatch {
 
     /// Makes room for so many particles and blocks.
     fn make_room_for(&mut self, particles: usize, blocks: usize) -> Result<()> {
-        if particles >= layout::MAX_PARTICLES {
-            return Err(Error::Capacity {
-                what: "particles on one adapter",
-                asked: particles as u64,
-                cap: layout::MAX_PARTICLES as u64 - 1,
-                mend: "use fewer levels, simulate fewer particles, or use the backend cpu",
-            });
-        }
+        layout::check_count(particles, "use fewer levels, simulate fewer particles, or use the backend cpu")?;
         let mut extent = self.memory.extent;
         if particles > extent.slots as usize {
             extent.slots = with_room(particles).next_multiple_of(128);

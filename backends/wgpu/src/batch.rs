@@ -443,14 +443,7 @@ fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, F
     }
     worlds.iter().try_for_each(|world| layout::check(&world.particles, &world.plan.materials, levels))?;
     let particles: usize = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum();
-    if particles >= layout::MAX_PARTICLES {
-        return Err(Error::Capacity {
-            what: "particles on one adapter",
-            asked: particles as u64,
-            cap: layout::MAX_PARTICLES as u64 - 1,
-            mend: "simulate fewer, or use the backend cpu",
-        });
-    }
+    layout::check_count(particles, "simulate fewer, or use the backend cpu")?;
     Ok((plan, fixed))
 }
 
@@ -1182,14 +1175,7 @@ impl WgpuBatch {
         let counts: Vec<usize> = homes.iter().map(|homes| homes.cells.last().map_or(0, |end| *end as usize)).collect();
         let mut extent = self.memory.extent;
         let all: usize = counts.iter().sum();
-        if all >= layout::MAX_PARTICLES {
-            return Err(Error::Capacity {
-                what: "particles on one adapter",
-                asked: all as u64,
-                cap: layout::MAX_PARTICLES as u64 - 1,
-                mend: "simulate fewer, or use the backend cpu",
-            });
-        }
+        layout::check_count(all, "simulate fewer, or use the backend cpu")?;
         if all > extent.slots as usize {
             extent.slots = with_room(all).next_multiple_of(128);
         }

@@ -85,6 +85,12 @@ const fn written(binding: Use) -> Use {
     (binding.0, binding.1, binding.2, true)
 }
 
+/// For a pass that writes particles, in some order, where the next sort would.
+fn particles_to_next() -> Vec<Use> {
+    let next = [next("new_record", RECORD), next("new_ids", IDS), next("new_rest", REST)];
+    [ORDER, RECORD, IDS, REST].into_iter().chain(next).chain([STATUS]).collect()
+}
+
 /// Of the set of buffers that does not hold the particles.
 const fn next(name: &'static str, binding: Use) -> Use {
     let Role::Now(sorted) = binding.2 else { panic!("only what is sorted has a next") };
@@ -1163,22 +1169,7 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
             vec![COUNTS, KEYS, LOOSE, RECORD, written(ORDER), written(OWNERS), STATUS],
             Groups::ParticlesBy(128),
         ),
-        draft(
-            "move",
-            "move_rest",
-            include_str!("wgsl/sort_move.wgsl"),
-            vec![
-                ORDER,
-                RECORD,
-                IDS,
-                REST,
-                next("new_record", RECORD),
-                next("new_ids", IDS),
-                next("new_rest", REST),
-                STATUS,
-            ],
-            Groups::ParticlesBy(128),
-        ),
+        draft("move", "move_rest", include_str!("wgsl/sort_move.wgsl"), particles_to_next(), Groups::ParticlesBy(128)),
     ];
     if levels {
         let placed = include_str!("wgsl/sort_placed.wgsl");
@@ -1247,16 +1238,7 @@ fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptDrafts {
                 "copy",
                 "copy_found",
                 include_str!("wgsl/adapt_copy.wgsl"),
-                vec![
-                    ORDER,
-                    RECORD,
-                    IDS,
-                    REST,
-                    next("new_record", RECORD),
-                    next("new_ids", IDS),
-                    next("new_rest", REST),
-                    STATUS,
-                ],
+                particles_to_next(),
                 Groups::ParticlesBy(128),
             ),
         ],

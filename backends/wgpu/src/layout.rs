@@ -12,7 +12,7 @@ pub(crate) const ENTRY: usize = 10;
 /// Laws that a particle's tag can tell apart.
 pub(crate) const MAX_LAWS: usize = 16;
 /// Particles that the sort's order can tell apart.
-pub(crate) const MAX_PARTICLES: usize = 1 << 28;
+const MAX_PARTICLES: usize = 1 << 28;
 
 type Block = [i32; 3];
 
@@ -312,6 +312,19 @@ fn tag_of_home(cell: usize) -> u32 {
 /// A tag's cell along an axis, from the block's first one.
 fn local(tag: u32, axis: usize) -> i32 {
     (tag >> (6 - 3 * axis) & 7) as i32 - 2
+}
+
+/// Refuses more particles than an adapter can number; `mend` says what to do instead.
+pub(crate) fn check_count(particles: usize, mend: &'static str) -> Result<()> {
+    if particles < MAX_PARTICLES {
+        return Ok(());
+    }
+    Err(Error::Capacity {
+        what: "particles on one adapter",
+        asked: particles as u64,
+        cap: MAX_PARTICLES as u64 - 1,
+        mend,
+    })
 }
 
 /// The lists of a state, checked against the plan.

@@ -97,14 +97,7 @@ impl Backend for Wgpu {
                 "use fewer, or the backend cpu",
             ));
         }
-        if plan.particle_count >= layout::MAX_PARTICLES {
-            return Err(Error::Capacity {
-                what: "particles on one adapter",
-                asked: plan.particle_count as u64,
-                cap: layout::MAX_PARTICLES as u64 - 1,
-                mend: "simulate fewer, or use the backend cpu",
-            });
-        }
+        layout::check_count(plan.particle_count, "simulate fewer, or use the backend cpu")?;
         plan.materials.iter().try_for_each(|planned| material::check(&planned.material))
     }
 
