@@ -5,8 +5,8 @@ use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    ALL_LEVELS, Asked, BODY, Extent, Layer, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read,
-    with_mapped, with_room,
+    Asked, BODY, Extent, Layer, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read, with_mapped,
+    with_room,
 };
 use crate::stiffness::{self, Held};
 use crate::world::{Level, MAX_MOVE, Rhythm, Span, World, most_drift, parameters};
@@ -225,8 +225,6 @@ pub(crate) struct Passes<'a> {
     gravity: Vec3,
     pub(crate) constants: Vec<StepConstants>,
     pub(crate) dispatches: Vec<Dispatch<'a>>,
-    /// Constants of the step of each level that is under way, if levels take steps of their own.
-    of_levels: Vec<usize>,
 }
 
 impl<'a> Passes<'a> {
@@ -246,13 +244,20 @@ impl<'a> Passes<'a> {
             gravity,
             constants: Vec::new(),
             dispatches: Vec::new(),
-            of_levels: vec![0; levels],
         }
     }
 
-    pub(crate) fn constants(&mut self, dt: f64, level: u32, slot: usize) -> usize {
+    /// The constants of a step of `dt` of all levels.
+    pub(crate) fn constants(&mut self, dt: f64) -> usize {
+        self.constants.push(step_constants(self.h, dt, self.gravity, self.number));
+        self.constants.len() - 1
+    }
+
+    /// The constants of some levels' steps, of `dt` for the finest and twice as long for each coarser one, in a slot.
+    fn constants_of(&mut self, dt: f64, levels: Range<usize>, slot: usize) -> usize {
         let constants = step_constants(self.h, dt, self.gravity, self.number);
-        self.constants.push(StepConstants { slot: slot as u32, level, ..constants });
+        let (first_level, end_level) = (levels.start as u32, levels.end as u32);
+        self.constants.push(StepConstants { slot: slot as u32, first_level, end_level, ..constants });
         self.constants.len() - 1
     }
 
@@ -263,7 +268,7 @@ impl<'a> Passes<'a> {
 
     /// A sort moves the particles to the other set of buffers.
     pub(crate) fn sort(&mut self, dt: f64) {
-        let step = self.constants(dt, ALL_LEVELS, self.number);
+        let step = self.constants(dt);
         self.run(step, &self.kernels.sort);
         self.now = 1 - self.now;
     }
@@ -271,7 +276,7 @@ impl<'a> Passes<'a> {
     /// One step of all levels.
     fn step_together(&mut self, dt: f64) {
         let kernels = self.kernels;
-        let step = self.constants(dt, ALL_LEVELS, self.number);
+        let step = self.constants(dt);
         self.run(step, [&kernels.p2g].into_iter().chain(&kernels.restrict).chain(&kernels.grid).chain(self.contact));
         self.run(step, kernels.prolong.iter().chain(&kernels.mirror).chain([&kernels.g2p]));
     }
@@ -281,40 +286,42 @@ impl<'a> Passes<'a> {
     fn step_levels(&mut self, dt: f64, first: usize) {
         for slot in 0..1 << (self.levels - 1) {
             self.begin_slot(dt, first, slot);
-            self.end_slot(slot);
+            self.end_slot(dt, first, slot);
         }
     }
 
-    /// What the levels whose steps begin with a slot do before bodies touch them, coarser ones first.
+    /// What the levels whose steps begin with a slot do before bodies touch them, all of them in the same passes.
     pub(crate) fn begin_slot(&mut self, dt: f64, first: usize, slot: usize) {
         let kernels = self.kernels;
         let [halve, solve] = kernels.shared.as_ref().expect("a subcycled scene has them");
-        for l in (0..self.levels).rev().filter(|l| slot.is_multiple_of(1 << l)) {
-            let (dt, is_coarsest) = (dt / f64::from(1 << (self.levels - 1 - l)), l + 1 == self.levels);
-            let step = self.constants(dt, l as u32, first + slot + (1 << l) - 1);
-            self.of_levels[l] = step;
-            self.run(step, [&kernels.p2g]);
-            self.run(step, kernels.restrict.iter().filter(|_| !is_coarsest));
-            self.run(step, &kernels.grid);
-            if l > 0 {
-                // What shared nodes have without the step's forces.
-                let still = self.constants(0.0, l as u32, first + slot);
-                self.run(still, [&kernels.p2g, halve]);
-            }
-            if !is_coarsest {
-                self.run(step, [solve].into_iter().chain(&kernels.prolong));
-            }
+        let begin = beginning(self.levels, slot);
+        let coarser = 1..begin.end;
+        let step = self.constants_of(dt / self.substeps(), begin, first + slot);
+        self.run(step, [&kernels.p2g].into_iter().chain(&kernels.restrict).chain(&kernels.grid));
+        if !coarser.is_empty() {
+            // What shared nodes have without the step's forces.
+            let still = self.constants_of(0.0, coarser, first + slot);
+            self.run(still, [&kernels.p2g, halve]);
         }
+        self.run(step, [solve].into_iter().chain(&kernels.prolong));
     }
 
-    /// What the levels whose steps end with a slot do once their velocities are whole, finer ones first.
-    pub(crate) fn end_slot(&mut self, slot: usize) {
-        for l in ending(self.levels, slot) {
-            let step = self.of_levels[l];
-            self.run(step, self.contact);
-            self.run(step, self.kernels.mirror.iter().chain([&self.kernels.g2p]));
-        }
+    /// What the levels whose steps end with a slot do once their velocities are whole.
+    pub(crate) fn end_slot(&mut self, dt: f64, first: usize, slot: usize) {
+        let step = self.constants_of(dt / self.substeps(), ending(self.levels, slot), first + slot);
+        self.run(step, self.contact);
+        self.run(step, self.kernels.mirror.iter().chain([&self.kernels.g2p]));
     }
+
+    /// Steps of the finest level in one of the coarsest.
+    fn substeps(&self) -> f64 {
+        f64::from(1 << (self.levels - 1))
+    }
+}
+
+/// The levels whose steps begin with a slot.
+fn beginning(levels: usize, slot: usize) -> Range<usize> {
+    0..levels.min(slot.trailing_zeros() as usize + 1)
 }
 
 /// The levels whose steps end with a slot.
@@ -1656,7 +1663,7 @@ fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstant
         number: number as u32,
         gravity: gravity.map(|g| (g * dt) as f32),
         slot: number as u32,
-        level: ALL_LEVELS,
+        end_level: u32::MAX,
         ..StepConstants::default()
     }
 }

@@ -4,7 +4,7 @@ use crate::batch::{
     Contact, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE, WgpuBatch, ending,
 };
 use crate::kernels::Role;
-use crate::memory::{ALL_LEVELS, NEAR_BLOCK, read};
+use crate::memory::{NEAR_BLOCK, read};
 use crate::world::{FELT, MAX_DRIFT, Rhythm, World};
 use barchan_core::backend::Turn;
 use barchan_core::{Aabb, Coupling, Error, NodeBatch, Result, StepReport, Vec3, Wrench};
@@ -401,7 +401,7 @@ impl WgpuBatch {
         let before = self.memory.now;
         let measures = (self.h, self.fixed.gravity.0);
         let mut passes = Passes::new(&self.kernels, &self.contact, [self.levels, before], measures);
-        let step = passes.constants(dt, ALL_LEVELS, 0);
+        let step = passes.constants(dt);
         if sort {
             passes.sort(dt);
         }
@@ -409,7 +409,7 @@ impl WgpuBatch {
         for one in 0..self.substeps {
             passes.begin_slot(dt, 0, one);
             starts.push(passes.dispatches.len());
-            passes.end_slot(one);
+            passes.end_slot(dt, 0, one);
         }
         let end = starts.get(slot + 1).copied().unwrap_or(passes.dispatches.len());
         let own = passes.dispatches.drain(starts[slot]..end).collect::<Vec<_>>();

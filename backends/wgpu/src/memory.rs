@@ -85,14 +85,11 @@ pub(crate) struct StepConstants {
     pub(crate) number: u32,
     pub(crate) gravity: [f32; 3],
     pub(crate) slot: u32,
-    pub(crate) level: u32,
+    pub(crate) first_level: u32,
     pub(crate) first: u32,
     pub(crate) count: u32,
-    pub(crate) pad: u32,
+    pub(crate) end_level: u32,
 }
-
-/// The level of a step that all take together.
-pub(crate) const ALL_LEVELS: u32 = u32::MAX;
 
 /// Where words of the status stand, for so many layers.
 #[derive(Clone, Copy, Debug)]

@@ -48,7 +48,7 @@ struct Layer {
 }
 
 struct Step {
-    // Step [s], in finest cells per (m/s), and -4 dt / h of the finest level.
+    // Step [s], in finest cells per (m/s), and -4 dt / h of the finest level. Subcycled, of a coarser level it is twice as long each time.
     dt: f32,
     dt_per_h: f32,
     stress: f32,
@@ -56,17 +56,16 @@ struct Step {
     number: u32,
     // Gravity times dt [m/s].
     gravity: vec3<f32>,
-    // Number among the steps of the finest level in the submission: of a coarser one, that of the last of them within it.
+    // Number among the steps of the finest level in the submission.
     slot: u32,
-    // The level whose step it is, or ALL_LEVELS.
-    level: u32,
+    // The levels whose step it is: the first of them.
+    first_level: u32,
     // In passes over some particles: the first of them, and how many.
     first: u32,
     count: u32,
-    pad: u32,
+    // And one past the last of those levels.
+    end_level: u32,
 }
-
-const ALL_LEVELS: u32 = 0xffffffffu;
 
 @group(0) @binding(0) var<uniform> extent: Extent;
 @group(1) @binding(0) var<uniform> step: Step;
@@ -76,6 +75,8 @@ const NONE: u32 = 0xffffffffu;
 // Vectors of an entry in the lists: of a block, its coordinates and the 27 node blocks around it, what walls gave to it [N s], and
 // what they would give in the step under way; of a node block likewise, with the blocks whose tiles reach it.
 const ENTRY: u32 = 10u;
+// Behind those: do the block's particles give to nodes that the finer level takes part in? Subcycled levels ask.
+const NEAR_SHARED: u32 = 7u;
 const WALL: u32 = 8u;
 const PENDING: u32 = 9u;
 
@@ -206,6 +207,14 @@ fn shrink_of(layer: u32) -> f32 {
     return layers[layer].shrink;
 }
 
+// How long the layer's step is, in steps of the finest level.
+fn steps_of(layer: u32) -> f32 {
+    if SUBCYCLED {
+        return 1.0 / shrink_of(layer);
+    }
+    return 1.0;
+}
+
 // The world in a layer's cells: the first one, and one past the last.
 fn world_min(layer: u32) -> vec3<i32> {
     return WORLD_MIN >> vec3<u32>(level_of(layer));
@@ -277,7 +286,7 @@ fn layer_of_particle(q: u32) -> u32 {
 
 // Does a layer take part in this submission, and in this step? One that is alone does.
 fn is_live(layer: u32) -> bool {
-    if SUBCYCLED && step.level != ALL_LEVELS && step.level != level_of(layer) {
+    if SUBCYCLED && (level_of(layer) < step.first_level || level_of(layer) >= step.end_level) {
         return false;
     }
     return LAYERS == 1u || layers[layer].on != 0u;

@@ -72,7 +72,7 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         record[vector(q, 4u)] = bitcast<vec4<u32>>(vec4<f32>(v.z, c[0].z, c[1].z, c[2].z));
 
         // The move, in counts of 2^-32 cells.
-        let by_move = v * (step.dt_per_h * shrink_of(layer_now));
+        let by_move = v * (step.dt_per_h * shrink_of(layer_now) * steps_of(layer_now));
         let counts = vec3<i32>(round(by_move * 4294967296.0));
         let moved = p.xyz + bitcast<vec3<u32>>(counts);
         let up = (counts > vec3<i32>(0)) & (moved < p.xyz);
@@ -80,7 +80,7 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         cell += select(vec3<i32>(0), vec3<i32>(1), up) - select(vec3<i32>(0), vec3<i32>(1), down);
         record[vector(q, 0u)] = vec4<u32>(moved, (p.w & 0xfffffe00u) | tag_of(clamp(cell, vec3<i32>(-2), vec3<i32>(5))));
 
-        deform(q, law_of(p.w), mass, held, c, step.dt);
+        deform(q, law_of(p.w), mass, held, c, step.dt * steps_of(layer_now));
         let by_most = max(max(magnitude_bits(by_move.x), magnitude_bits(by_move.y)), magnitude_bits(by_move.z));
         // Threads that would change nothing need not queue.
         if layer_now != first_layer {

@@ -208,6 +208,10 @@ fn ready(b: u32) -> u32 {
     if !is_live(layer) {
         return 0u;
     }
+    // A step without length is for nodes that levels share.
+    if SUBCYCLED && step.dt == 0.0 && lists[b * ENTRY + NEAR_SHARED].w == 0 {
+        return 0u;
+    }
     var is_first = b == 0u;
     if LAYERS > 1u {
         is_first = b == atomicLoad(&status[layer_word(layer, FIRST_BLOCK)]);
@@ -247,8 +251,8 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     layer_now = layer_of_block(here);
     // Cell width [m], and -4 dt / h.
     let width = H / shrink_of(layer_now);
-    let stress = step.stress * shrink_of(layer_now);
-    var gravity = step.gravity;
+    let stress = step.stress * shrink_of(layer_now) * steps_of(layer_now);
+    var gravity = step.gravity * steps_of(layer_now);
     if GRAVITY_GROWS {
         gravity *= bitcast<f32>(atomicLoad(&status[step_word(step.number, layer_now, GROWN)]));
     }

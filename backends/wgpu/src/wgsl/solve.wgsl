@@ -1,12 +1,12 @@
 
-// Velocities of nodes that the finer layer, whose step it is, hands something to. Their own momentum is then what they have at that velocity,
+// Velocities of nodes that a finer layer, whose step it is, hands something to. Their own momentum is then what they have at that velocity,
 // and what the forces of the next such step add.
 @compute @workgroup_size(64)
 fn solve(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
     let g = group.y * extent.row + group.x;
     if n == 0u {
         let fits = atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]);
-        go = u32(fits && rims[min(g, extent.node_room - 1u)].z != 0u && level_of(layer_of(min(g, extent.node_room - 1u))) == step.level + 1u);
+        go = u32(fits && rims[min(g, extent.node_room - 1u)].z != 0u && level_of(layer_of(min(g, extent.node_room - 1u))) <= step.end_level);
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
