@@ -366,6 +366,8 @@ pub(crate) struct WgpuBatch {
     pub(crate) most_drift: f32,
     /// Are the links of blocks lost, so that a sort must come before the next step?
     pub(crate) unlinked: bool,
+    /// Did the last sort find particles that belong on another level? Then the next one will, too, as long as bodies move on.
+    astray: bool,
     /// Blocks of nodes near bodies in the last step whose contact was on the host.
     pub(crate) near_blocks: usize,
     pub(crate) clocks: Clocks,
@@ -490,6 +492,7 @@ impl WgpuBatch {
             substeps,
             most_drift: most_drift(plan),
             unlinked: true,
+            astray: false,
             near_blocks: 0,
             clocks: Clocks::default(),
             contact_seconds: (0.0, 0),
@@ -756,6 +759,7 @@ impl WgpuBatch {
         if sorts > 0 {
             self.memory.now ^= sorts & 1;
             self.unlinked = false;
+            self.astray = status.halt() == Some(Halt::Misplaced);
             for (layer, level) in self.worlds.iter_mut().flat_map(|world| &mut world.levels).enumerate() {
                 let block = |first: usize| [0, 1, 2].map(|d| status.of_layer(layer, first + d) as i32 - BIAS);
                 level.blocks = status.range(layer, FIRST_BLOCK, BLOCKS);
@@ -864,6 +868,10 @@ impl WgpuBatch {
             }
             if sort || stretches.is_empty() {
                 stretches.push(Stretch { sort, steps: 0 });
+            }
+            // Steps behind a sort that stops the submission would be written for nothing.
+            if sort && self.astray {
+                break;
             }
             for world in &mut worlds {
                 let sorted = is_due(world);
@@ -1376,9 +1384,9 @@ impl WgpuBatch {
             }
             match outcome.halt {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
-                Some(Halt::Fewer) => {}
+                // A sort on its own, or one that others have to follow.
+                None | Some(Halt::Fewer | Halt::Misplaced) => {}
                 Some(Halt::Drifted) if !stretches[0].sort => {}
-                Some(Halt::Misplaced) => {}
                 Some(Halt::TooFast) => dt = self.shorten(turns, &mut failed, &outcome, dt),
                 _ => {
                     // It cannot be told whose fault it was only if no particle is named.
