@@ -3,7 +3,7 @@
 
 use barchan::scene::{Leaving, Motion, OverBound, Scene, Shape, Time, Wall};
 use barchan::worlds::Worlds;
-use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Simulation, Vec3};
+use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Simulation, Spot, Vec3};
 use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
 use barchan_tests::sketch::{Head, PERIODIC, bed, block, driven, half, material, tool};
 use barchan_wgpu::Wgpu;
@@ -257,6 +257,30 @@ fn a_copy_is_exact() {
     a.sort_unstable();
     b.sort_unstable();
     assert!(a == b, "and loses none");
+}
+
+/// Places and sizes, which pictures ask for, and the particles of some of the ground are those of the whole copy; with several materials, and
+/// with several levels.
+#[test]
+fn parts_of_a_copy_are_as_in_the_whole() {
+    let mixed = Head::cells(0.02, [12, 12, 16], "").time("step = 2e-4").with(&[
+        material("sand", 1500.0, "young_modulus = 2e5, poisson_ratio = 0.2"),
+        material("neo_hookean", 1000.0, "young_modulus = 2e4, poisson_ratio = 0.3"),
+        block("sand", [0.0; 3], [0.24, 0.24, 0.1], "sampling = \"jitter\""),
+        block("neo_hookean", [0.06, 0.06, 0.1], [0.16, 0.16, 0.2], "velocity = [0.3, 0.1, -1.0]"),
+    ]);
+    for toml in [mixed, cut(3, "jitter")] {
+        let mut sim = gpu(&toml);
+        take(&mut sim, 10);
+        let whole = sim.particles();
+        let spots: Vec<Spot> = whole.lists.iter().flat_map(|l| (0..l.len()).map(|i| l.spot(i))).collect();
+        assert!(sim.spots() == spots, "other places");
+        let is_low = |spot: &Spot| spot.position[2] < 0.12;
+        let some = sim.ground_where(&is_low);
+        let mut wanted = whole.lists;
+        wanted.iter_mut().for_each(|list| list.retain(is_low));
+        assert!(some.lists == wanted && wanted.iter().any(|list| list.len() > 1000), "other particles");
+    }
 }
 
 /// Two materials of different kinds of strain, one falling on the other under gravity that grows: as on the CPU.

@@ -3,11 +3,13 @@
 
 use crate::batch::{BLOCKS, COUNTED, Dispatch, HALTED, Part, WgpuBatch};
 use crate::kernels::{Role, Sorted, rest_vectors};
-use crate::layout::{self, Homes, Planes, RECORD};
+use crate::layout::{self, Homes, Planes};
 use crate::memory::{StepConstants, read_all, with_room};
+use crate::world::Level;
 use barchan_core::{Coupling, ParticleList, Regions, Result};
 use barchan_grid::adapt::{Candidates, CopiedLevel};
 use barchan_grid::block;
+use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Instant;
 
@@ -96,26 +98,22 @@ impl WgpuBatch {
         stretches.push((self.memory.buffer(Role::Order, now), 0, 4 * count as u64));
         stretches.push((self.memory.buffer(Role::Handed, now), (16 * FILLED * first) as u64, filled_bytes as u64));
         let words: Vec<u32> = read_all(&self.gpu, &stretches)?;
-        let (record, rest) = words.split_at(4 * RECORD * count);
-        let (ids, rest) = rest.split_at(2 * count);
-        let (rest, order) = rest.split_at(rest.len() - count - filled_bytes / 4);
-        let (order, filled) = order.split_at(count);
-        let planes = Planes {
-            record: bytemuck::pod_collect_to_vec(record),
-            ids: bytemuck::pod_collect_to_vec(ids),
-            rest: bytemuck::pod_collect_to_vec(rest),
-        };
+        let (planes, rest) = words.split_at(words.len() - count - filled_bytes / 4);
+        let (order, filled) = rest.split_at(count);
+        let planes = Planes::of_words(planes, count);
 
-        let empty = |l: usize| planes.lists(&Homes::default(), &world.materials, (l, world.levels[l].h), count);
-        let mut lists: Vec<Vec<ParticleList>> = (0..self.levels).map(empty).collect();
+        let mut places = vec![Vec::new(); self.levels];
         let mut slots = vec![vec![Vec::new(); world.materials.len()]; self.levels];
         for (i, &slot) in order.iter().enumerate() {
             let [x, y, z, layer] = planes.record[layout::vector(i, PLACE, count)];
-            let (l, law) = (layer as usize - self.levels * w, planes.law(i));
-            let block = block::of_cell([x, y, z].map(|c| c as i32));
-            planes.get(i, &mut lists[l][law], block, &world.materials[law], count);
-            slots[l][law].push(slot);
+            let l = layer as usize - self.levels * w;
+            places[l].push((i, block::of_cell([x, y, z].map(|c| c as i32))));
+            slots[l][planes.law(i)].push(slot);
         }
+        let lists = |(l, places): (usize, &Vec<(usize, [i32; 3])>)| {
+            planes.lists(places, &world.materials, (l, world.levels[l].h), count)
+        };
+        let lists: Vec<_> = places.par_iter().enumerate().map(lists).collect();
         let mut of_level = vec![Vec::new(); self.levels];
         for entry in filled.chunks_exact(4 * FILLED) {
             let key = block::key([0, 1, 2].map(|d| entry[d] as i32));
@@ -134,13 +132,14 @@ impl WgpuBatch {
     fn exchange(&mut self, w: usize, gone: &[Vec<u32>], come: &[ParticleList]) -> Result<()> {
         let before = self.particles();
         let mut blocks = self.all_levels().last().map_or(0, |level| level.blocks.end);
-        let mut laid = Vec::new();
         let world = &self.worlds[w];
-        for (lists, level) in come.chunks(world.materials.len()).zip(&world.levels) {
+        let lay = |(lists, level): (&[ParticleList], &Level)| {
             let homes = Homes::fresh(lists, &level.periods);
             let count = homes.order.len();
-            laid.push((Planes::of(lists, &homes, &world.materials, count, rest_vectors(&world.materials))?, homes));
-        }
+            Ok((Planes::of(lists, &homes, &world.materials, count, rest_vectors(&world.materials))?, homes))
+        };
+        let of_levels = come.par_chunks(world.materials.len()).zip(&world.levels);
+        let laid = of_levels.map(lay).collect::<Result<Vec<_>>>()?;
         let more = |f: fn(&Homes) -> usize| laid.iter().map(|(_, homes)| f(homes)).sum::<usize>();
         let end = before + more(|homes| homes.order.len());
         self.make_room_for(end, blocks + more(|homes| homes.blocks.len()))?;

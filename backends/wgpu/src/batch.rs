@@ -5,8 +5,8 @@ use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, Layer, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read, with_mapped,
-    with_room,
+    Asked, BODY, Extent, Layer, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read, read_all,
+    with_mapped, with_room,
 };
 use crate::stiffness::{self, Held};
 use crate::world::{Level, MAX_MOVE, Rhythm, Span, World, most_drift, parameters};
@@ -14,11 +14,12 @@ use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{
-    Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase,
+    Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase, Spot,
     StepReport, Vec3, Wrench,
 };
 use barchan_grid::adapt::{Candidates, finest_volumes};
 use barchan_grid::block;
+use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
@@ -1120,16 +1121,59 @@ impl WgpuBatch {
         let world = &self.worlds[w];
         let (mut lists, mut laid) = (Vec::new(), Vec::new());
         for (l, (level, homes)) in world.levels.iter().zip(self.homes(w..w + 1)?).enumerate() {
-            let (first, count) = (level.particles.start, level.particles.len());
-            let planes = Planes {
-                record: self.stretch(Sorted::Record, first, count)?,
-                ids: self.stretch(Sorted::Ids, first, count)?,
-                rest: self.stretch(Sorted::Rest, first, count)?,
-            };
-            lists.extend(planes.lists(&homes, &world.materials, (l, level.h), count));
+            let planes = self.planes(level)?;
+            let of_level = (l, level.h);
+            lists.extend(planes.lists(&homes.places(), &world.materials, of_level, level.particles.len()));
             laid.push((homes, planes));
         }
         Ok((lists, laid))
+    }
+
+    /// The particles of a world for which `wanted` holds, likewise.
+    pub(crate) fn lists_where(&self, w: usize, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> Result<ParticleState> {
+        let world = &self.worlds[w];
+        let mut lists = Vec::new();
+        for (l, (level, homes)) in world.levels.iter().zip(self.homes(w..w + 1)?).enumerate() {
+            let (planes, count) = (self.planes(level)?, level.particles.len());
+            let is_wanted = |&(q, block): &(usize, [i32; 3])| wanted(&planes.spot(q, block, level.h, count));
+            let places: Vec<_> = homes.places().into_par_iter().filter(is_wanted).collect();
+            lists.extend(planes.lists(&places, &world.materials, (l, level.h), count));
+        }
+        Ok(ParticleState { lists, levels: world.adapt.phase(BTreeSet::new()), ..ParticleState::default() })
+    }
+
+    /// Where each particle of a world is and how large, in the order of [`lists`](Self::lists).
+    pub(crate) fn spots(&self, w: usize) -> Result<Vec<Spot>> {
+        let world = &self.worlds[w];
+        let mut spots = Vec::new();
+        for (level, homes) in world.levels.iter().zip(self.homes(w..w + 1)?) {
+            let (first, count) = (level.particles.start, level.particles.len());
+            let stretches = |sorted: Sorted| self.memory.stretches(sorted, first, count);
+            let last = stretches(Sorted::Rest).pop().expect("volumes are in the last");
+            let parts = [(Sorted::Record, stretches(Sorted::Record)[0]), (Sorted::Rest, last)];
+            let words: Vec<u32> =
+                read_all(&self.gpu, &parts.map(|(sorted, (from, bytes))| (self.memory.plane(sorted), from, bytes)))?;
+            let (record, rest) = words.split_at(4 * count);
+            let (record, rest) = (bytemuck::pod_collect_to_vec(record), bytemuck::pod_collect_to_vec(rest));
+            let planes = Planes { record, rest, ..Planes::default() };
+            let places = homes.places();
+            for law in 0..world.materials.len() {
+                let own = places.par_iter().filter(|(q, _)| planes.law(*q) == law);
+                spots.par_extend(own.map(|&(q, block)| planes.spot(q, block, level.h, count)));
+            }
+        }
+        Ok(spots)
+    }
+
+    /// All that the device holds of a level's particles.
+    fn planes(&self, level: &Level) -> Result<Planes> {
+        let (first, count) = (level.particles.start, level.particles.len());
+        let of = |sorted: Sorted| {
+            let stretches = self.memory.stretches(sorted, first, count).into_iter();
+            stretches.map(move |(from, bytes)| (self.memory.plane(sorted), from, bytes))
+        };
+        let stretches: Vec<_> = [Sorted::Record, Sorted::Ids, Sorted::Rest].into_iter().flat_map(of).collect();
+        Ok(Planes::of_words(&read_all(&self.gpu, &stretches)?, count))
     }
 
     /// A world's particles, with the phase of the sort and of its levels.

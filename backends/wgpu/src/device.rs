@@ -40,6 +40,8 @@ pub struct Gpu {
     /// The features that the device was opened with.
     pub features: Features,
     fault: Arc<Mutex<Option<Fault>>>,
+    /// What is read back passes through this.
+    pub(crate) passage: Mutex<Option<wgpu::Buffer>>,
 }
 
 /// What went wrong with a device, and what would mend it.
@@ -137,7 +139,7 @@ pub fn open_with(choice: Option<&str>, offer: Offer) -> Result<Gpu> {
     })?;
     let fault = Arc::default();
     watch(&device, &fault);
-    Ok(Gpu { device, queue, adapter_info, limits, features, fault })
+    Ok(Gpu { device, queue, adapter_info, limits, features, fault, passage: Mutex::default() })
 }
 
 impl Gpu {

@@ -2,8 +2,9 @@
 
 use crate::kernels::Sorted;
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Error, ParticleList, ParticleState, Result};
+use barchan_core::{Error, ParticleList, ParticleState, Result, Spot};
 use barchan_grid::block::{REACH, offset};
+use rayon::prelude::*;
 
 /// Vectors of four in a particle's record.
 pub(crate) const RECORD: usize = 6;
@@ -11,6 +12,8 @@ pub(crate) const RECORD: usize = 6;
 pub(crate) const ENTRY: usize = 10;
 /// Laws that a particle's tag can tell apart.
 pub(crate) const MAX_LAWS: usize = 16;
+/// So many particles are not worth another thread.
+const FEW: usize = 4096;
 /// Particles that the sort's order can tell apart.
 const MAX_PARTICLES: usize = 1 << 28;
 
@@ -119,6 +122,16 @@ impl Homes {
         homes
     }
 
+    /// Where each particle stands, and its block, in the order of memory.
+    pub(crate) fn places(&self) -> Vec<(usize, Block)> {
+        let of_block = |(b, block): (usize, &Block)| {
+            let here = self.cells[64 * b] as usize..self.cells[64 * b + 64] as usize;
+            let block = *block;
+            here.map(move |q| (q, block))
+        };
+        self.blocks.iter().enumerate().flat_map(of_block).collect()
+    }
+
     /// Least and greatest block, if there is any.
     pub(crate) fn extent(&self) -> Option<(Block, Block)> {
         let least =
@@ -225,53 +238,74 @@ impl Planes {
         Ok(())
     }
 
-    /// The particles of a level with cells of that width, one list a material, in the order of memory.
+    /// What a device has handed out of so many particles: records, ids, then the rest.
+    pub(crate) fn of_words(words: &[u32], count: usize) -> Self {
+        let (record, rest) = words.split_at(4 * RECORD * count);
+        let (ids, rest) = rest.split_at(2 * count);
+        Self {
+            record: bytemuck::pod_collect_to_vec(record),
+            ids: bytemuck::pod_collect_to_vec(ids),
+            rest: bytemuck::pod_collect_to_vec(rest),
+        }
+    }
+
+    /// Particles of a level with cells of that width, one list a material, in the order of their places; each with its block.
     pub(crate) fn lists(
         &self,
-        homes: &Homes,
+        places: &[(usize, Block)],
         materials: &[PlannedMaterial],
         (level, cell_width): (usize, f64),
         slots: usize,
     ) -> Vec<ParticleList> {
-        let mut lists: Vec<_> = materials
-            .iter()
-            .enumerate()
-            .map(|(m, planned)| {
-                let (strain, states) = (planned.material.strain_planes(), planned.material.states.len());
-                ParticleList::empty(level, m, cell_width, strain, states)
-            })
-            .collect();
-        for (b, block) in homes.blocks.iter().enumerate() {
-            for q in homes.cells[64 * b] as usize..homes.cells[64 * b + 64] as usize {
-                let law = self.law(q);
-                self.get(q, &mut lists[law], *block, &materials[law], slots);
-            }
-        }
-        lists
+        let list = |(m, planned): (usize, &PlannedMaterial)| {
+            let own: Vec<_> = places.iter().copied().filter(|&(q, _)| self.law(q) == m).collect();
+            let (strain, states) = (planned.material.strain_planes(), planned.material.states.len());
+            self.list(&own, ParticleList::empty(level, m, cell_width, strain, states), planned, slots)
+        };
+        materials.par_iter().enumerate().map(list).collect()
     }
 
-    /// Adds a particle to the list of its law.
-    pub(crate) fn get(&self, q: usize, list: &mut ParticleList, block: Block, planned: &PlannedMaterial, slots: usize) {
-        let record = |k: usize| self.record[vector(q, k, slots)];
-        let place = record(0);
+    /// The empty list with particles of one material, plane by plane.
+    fn list(
+        &self,
+        places: &[(usize, Block)],
+        mut list: ParticleList,
+        planned: &PlannedMaterial,
+        slots: usize,
+    ) -> ParticleList {
+        fn of_all<T: Send>(places: &[(usize, Block)], of: impl Fn(usize) -> T + Sync) -> Vec<T> {
+            places.par_iter().with_min_len(FEW).map(|&(q, _)| of(q)).collect()
+        }
+        let record = |q: usize, k: usize| self.record[vector(q, k, slots)];
         let real = |bits: u32| f64::from(f32::from_bits(bits));
-        list.id.push(u64::from(self.ids[q][0]));
-        list.body.push(self.ids[q][1] as u16);
-        list.cell.push(std::array::from_fn(|d| 4 * block[d] + local(place[3], d)));
-        list.offset.push(std::array::from_fn(|d| f64::from(place[d]) / TWO_32));
-        let motion = [2, 3, 4].map(|k| record(k).map(real));
-        list.velocity.push(motion.map(|row| row[0]));
-        list.affine.push(std::array::from_fn(|e| motion[e / 3][1 + e % 3]));
-        list.mass.push(real(record(1)[3]));
-        list.volume0.push(f64::from(self.rest[volume(self.rest.len(), q, slots)][3]));
-        let value = |k: usize| f64::from(self.rest[k / 4 * slots + q][k % 4]);
+        list.id = of_all(places, |q| u64::from(self.ids[q][0]));
+        list.body = of_all(places, |q| self.ids[q][1] as u16);
+        list.cell = places.par_iter().with_min_len(FEW).map(|&(q, block)| cell(record(q, 0), block)).collect();
+        list.offset = of_all(places, |q| offset_in_cell(record(q, 0)));
+        list.velocity = of_all(places, |q| std::array::from_fn(|d| real(record(q, 2 + d)[0])));
+        list.affine = of_all(places, |q| std::array::from_fn(|e| real(record(q, 2 + e / 3)[1 + e % 3])));
+        list.mass = of_all(places, |q| real(record(q, 1)[3]));
+        list.volume0 = of_all(places, |q| self.volume0(q, slots));
+        let value = |q: usize, k: usize| f64::from(self.rest[k / 4 * slots + q][k % 4]);
         let planes = list.strain.len();
         for (k, (plane, one)) in list.strain.iter_mut().zip(planned.material.strain_identity()).enumerate() {
-            plane.push(one + value(k));
+            *plane = of_all(places, |q| one + value(q, k));
         }
         for (k, plane) in list.state.iter_mut().enumerate() {
-            plane.push(value(planes + k));
+            *plane = of_all(places, |q| value(q, planes + k));
         }
+        list
+    }
+
+    /// Where a particle is, and how large, in cells of that width. Of the planes it needs the records' first and the last.
+    pub(crate) fn spot(&self, q: usize, block: Block, cell_width: f64, slots: usize) -> Spot {
+        let (cell, offset) = (cell(self.record[q], block), offset_in_cell(self.record[q]));
+        let position = std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * cell_width);
+        Spot { position, volume0: self.volume0(q, slots), material: self.law(q) as u32 }
+    }
+
+    fn volume0(&self, q: usize, slots: usize) -> f64 {
+        f64::from(self.rest[volume(self.rest.len(), q, slots)][3])
     }
 
     /// A particle's law.
@@ -309,9 +343,15 @@ fn tag_of_home(cell: usize) -> u32 {
     [cell >> 4, cell >> 2 & 3, cell & 3].into_iter().fold(0, |tag, c| tag << 3 | (c as u32 + 2))
 }
 
-/// A tag's cell along an axis, from the block's first one.
-fn local(tag: u32, axis: usize) -> i32 {
-    (tag >> (6 - 3 * axis) & 7) as i32 - 2
+/// A particle's cell, by its place in the record and its block.
+fn cell(place: [u32; 4], block: Block) -> [i32; 3] {
+    // The tag counts it from two before the block's first one.
+    std::array::from_fn(|d| 4 * block[d] + (place[3] >> (6 - 3 * d) & 7) as i32 - 2)
+}
+
+/// Where it is in its cell, [0, 1).
+fn offset_in_cell(place: [u32; 4]) -> [f64; 3] {
+    std::array::from_fn(|d| f64::from(place[d]) / TWO_32)
 }
 
 /// Refuses more particles than an adapter can number; `mend` says what to do instead.

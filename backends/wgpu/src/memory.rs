@@ -6,6 +6,7 @@ use crate::layout::{ENTRY, RECORD};
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
+use std::sync::PoisonError;
 
 /// Words of the status: before those of layers, of each layer that stay and that a submission sums up, and of each layer in each step;
 /// see `common.wgsl`.
@@ -557,43 +558,44 @@ fn mappable(gpu: &Gpu, size: u64) -> wgpu::Buffer {
     })
 }
 
-/// Copies a stretch of a buffer to the host, a part at a time.
+/// Copies a stretch of a buffer to the host.
 pub(crate) fn read<T: Pod>(gpu: &Gpu, buffer: &wgpu::Buffer, from: u64, count: usize) -> Result<Vec<T>> {
+    read_all(gpu, &[(buffer, from, (count * size_of::<T>()) as u64)])
+}
+
+/// Copies stretches of several buffers to the host, (buffer, first byte, bytes) each, one after the other, and much of it a part at a
+/// time. The memory that they pass through is kept: it takes longer to get than to fill.
+pub(crate) fn read_all<T: Pod>(gpu: &Gpu, stretches: &[(&wgpu::Buffer, u64, u64)]) -> Result<Vec<T>> {
     const PART: u64 = 64 << 20;
-    let bytes = (count * size_of::<T>()) as u64;
-    let mut out = Vec::with_capacity(count);
+    let bytes: u64 = stretches.iter().map(|(.., bytes)| bytes).sum();
+    let mut out = Vec::with_capacity(bytes as usize / size_of::<T>());
     if bytes == 0 {
         return Ok(out);
     }
-    let staging = mappable(gpu, bytes.min(PART));
-    let mut at = 0;
-    while at < bytes {
-        let part = PART.min(bytes - at);
-        let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(buffer, from + at, &staging, 0, part);
-        gpu.queue.submit([encoder.finish()]);
-        with_mapped(gpu, &staging, part, |bytes| out.extend_from_slice(&bytemuck::pod_collect_to_vec::<u8, T>(bytes)))?;
-        at += part;
-    }
-    Ok(out)
-}
-
-/// Copies stretches of several buffers to the host, (buffer, first byte, bytes) each, one after the other.
-pub(crate) fn read_all<T: Pod>(gpu: &Gpu, parts: &[(&wgpu::Buffer, u64, u64)]) -> Result<Vec<T>> {
-    let bytes: u64 = parts.iter().map(|(.., bytes)| bytes).sum();
-    if bytes == 0 {
-        return Ok(Vec::new());
-    }
-    let staging = mappable(gpu, bytes);
+    let mut passage = gpu.passage.lock().unwrap_or_else(PoisonError::into_inner);
+    let room = bytes.min(PART);
+    let staging = match passage.take().filter(|staging| staging.size() >= room) {
+        Some(staging) => staging,
+        None => mappable(gpu, room.next_power_of_two()),
+    };
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-    let mut at = 0;
-    for &(buffer, from, bytes) in parts {
-        encoder.copy_buffer_to_buffer(buffer, from, &staging, at, bytes);
-        at += bytes;
+    let mut filled = 0;
+    let mut left = bytes;
+    for &(buffer, mut from, mut bytes) in stretches {
+        while bytes > 0 {
+            let some = bytes.min(PART - filled);
+            encoder.copy_buffer_to_buffer(buffer, from, &staging, filled, some);
+            (from, bytes, filled, left) = (from + some, bytes - some, filled + some, left - some);
+            if filled == PART || left == 0 {
+                let fresh = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+                gpu.queue.submit([std::mem::replace(&mut encoder, fresh).finish()]);
+                let take = |bytes: &[u8]| out.extend(bytemuck::pod_collect_to_vec::<u8, T>(bytes));
+                with_mapped(gpu, &staging, filled, take)?;
+                filled = 0;
+            }
+        }
     }
-    gpu.queue.submit([encoder.finish()]);
-    let mut out = Vec::new();
-    with_mapped(gpu, &staging, bytes, |bytes| out = bytemuck::pod_collect_to_vec(bytes))?;
+    *passage = Some(staging);
     Ok(out)
 }
 

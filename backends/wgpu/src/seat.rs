@@ -3,7 +3,7 @@
 use crate::account;
 use crate::batch::WgpuBatch;
 use barchan_core::backend::{Batch, Bound, NewWorld, Timing, Turn};
-use barchan_core::{Coupling, Engine, Ledger, ParticleState, Result, StepReport};
+use barchan_core::{Coupling, Engine, Ledger, ParticleState, Result, Spot, StepReport};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Worlds on one device, shared by those who look at one of them.
@@ -68,6 +68,14 @@ impl Engine for Seat {
     fn download(&self) -> ParticleState {
         // A device that is lost has no particles left; the next step says so.
         self.seats.batch().state(self.world).unwrap_or_default()
+    }
+
+    fn spots(&self) -> Vec<Spot> {
+        self.seats.batch().spots(self.world).unwrap_or_default()
+    }
+
+    fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
+        self.seats.batch().lists_where(self.world, wanted).unwrap_or_default()
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
