@@ -6,7 +6,7 @@ mod scale;
 use crate::EngineArgs;
 use barchan::backend::Timing;
 use barchan::picture::Chart;
-use barchan::scene::{MaterialSpec, Motion, OverBound, Sampling};
+use barchan::scene::{MaterialSpec, Motion, OverBound, Sampling, Shape};
 use barchan::worlds::Worlds;
 use barchan::{Error, Registry, Result, Scene, Simulation};
 use clap::{Args, Subcommand};
@@ -56,6 +56,9 @@ pub(crate) struct Throughput {
     /// What the bed does.
     #[arg(long, value_enum, default_value_t = Ground::Struck)]
     ground: Ground,
+    /// Side of the bed [m], as deep as it is, instead of all of it: a multiple of the cell width.
+    #[arg(long, value_name = "METRES")]
+    side: Option<f64>,
     /// Worlds of it, which differ in their random seeds, stepped together.
     #[arg(long, default_value_t = 1)]
     worlds: usize,
@@ -112,6 +115,19 @@ fn bed(registry: &Registry, law: &str, grid: u32) -> Result<Scene> {
         }
     }
     Ok(scene)
+}
+
+/// Leaves of the bed a square, with its world, and the tools above its middle.
+fn cut(scene: &mut Scene, side: f64) {
+    for axis in 0..2 {
+        scene.world.max[axis] = scene.world.min[axis] + side;
+        for body in &mut scene.body {
+            if let Shape::Box { min: Some(min), max: Some(max), .. } = &mut body.shape {
+                (min[axis], max[axis]) = (scene.world.min[axis], scene.world.max[axis]);
+            }
+        }
+        scene.tool.iter_mut().for_each(|tool| tool.position[axis] = scene.world.min[axis] + 0.5 * side);
+    }
 }
 
 fn material(registry: &Registry, law: &str, name: &str) -> Result<MaterialSpec> {
@@ -267,6 +283,9 @@ fn quantile(values: &[f64], share: f64) -> f64 {
 fn throughput(args: &Throughput) -> Result<()> {
     let registry = args.engine.registry()?;
     let mut scene = bed(&registry, &args.material, args.grid)?;
+    if let Some(side) = args.side {
+        cut(&mut scene, side);
+    }
     if args.ground != Ground::Struck {
         scene.tool.clear();
         // Ground asleep takes no time: all of it is to be moved.
@@ -294,7 +313,7 @@ fn throughput(args: &Throughput) -> Result<()> {
         let effect = |t: &barchan::backend::Timing| json!({ "effect": t.effect, "ms_per_step": 1e3 * t.seconds / steps, "passes": t.passes });
         let figures = json!({
             "particle_steps_per_s": rate, "best": best, "ms_per_step": 1e3 * timed.step(), "material": args.material,
-            "grid": args.grid, "worlds": args.worlds, "particles": timed.subject.particles(), "precision": args.engine.precision,
+            "grid": args.grid, "side": args.side, "worlds": args.worlds, "particles": timed.subject.particles(), "precision": args.engine.precision,
             "threads": args.engine.threads, "steps": timed.steps, "repetitions_s": timed.seconds,
             "bytes_per_particle": timed.bytes_per_particle(), "peak_memory": barchan::run::peak_memory(),
             "start_and_warm_up_s": start_up, "effects": timings.iter().map(effect).collect::<Vec<_>>(),
