@@ -602,7 +602,7 @@ fn with_sleep(sleeps: bool, body: &str, texts: &[(&str, &str)]) -> String {
 /// Who sleeps in a step.
 fn watch(levels: bool) -> Draft {
     let tied =
-        "if any(rims[g].xyz != vec3<u32>(0u)) || rims[extent.node_room + b].x != 0u {\natomicStore(&restless, 1u);\n}";
+        "if any(rims[g].xyz != vec3<u32>(0u)) || rims[extent.node_room + b].x != 0u {\natomicStore(&tied, 1u);\n}";
     let body = include_str!("wgsl/watch.wgsl").replace("$TIED", if levels { tied } else { "" });
     let tools: Use = ("tools", "vec4<i32>", Role::Tools, false);
     let mut uses = vec![written(RECORD), CELLS, LISTS, WATCH, tools, STATUS];

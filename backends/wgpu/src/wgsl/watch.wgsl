@@ -5,6 +5,7 @@
 var<workgroup> go: u32;
 var<workgroup> stirred: atomic<u32>;
 var<workgroup> restless: atomic<u32>;
+var<workgroup> tied: atomic<u32>;
 // Are particles to be looked at: to be weighed, and stopped?
 var<workgroup> weigh: u32;
 var<workgroup> stop: u32;
@@ -79,6 +80,9 @@ fn watch_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
         var rest = rest_of(b);
         if atomicLoad(&stirred) != 0u {
             rest = min(rest, 1u);
+        } else if atomicLoad(&tied) != 0u {
+            // Levels may have moved.
+            rest = min(rest, RESTED);
         } else if rest != ASLEEP && atomicLoad(&restless) == 0u {
             rest = ASLEEP;
             stop = 1u;
