@@ -65,7 +65,7 @@ fn a_pulse_passes_through_ground_asleep() {
     within("delay over the time it took", (slept.2 / awake.2 - 1.0).abs(), 0.01);
 }
 
-/// Symptom: a tool meets ground asleep as if it were rock, or sinks into it as if it were air. Physics: force and furrow are those of
+/// Symptom: a tool meets ground asleep as if it were rock, or sinks into it as if it were air. Physics: its force, and how the ground then lies, are those of
 /// ground that never slept; on one level, on several, and with steps of their own.
 #[test]
 fn a_tool_finds_ground_asleep_as_it_would_awake() {
@@ -75,8 +75,8 @@ fn a_tool_finds_ground_asleep_as_it_would_awake() {
             let mut s = gpu(&bed(cells, "sand", SAND, sleep, &[levels.to_owned(), plate(cells, 0.15)]));
             let mut impulse = [0.0; 3];
             let (mut most, mut surface) = (0, 0.0);
-            while s.time() < 0.55 {
-                for report in s.steps(16, 0.55).unwrap_or_else(|e| panic!("{e}")) {
+            while s.time() < 0.36 {
+                for report in s.steps(16, 0.36).unwrap_or_else(|e| panic!("{e}")) {
                     let force = report.wrenches.as_ref().expect("the plate feels")[0].force;
                     (0..3).for_each(|d| impulse[d] += force[d] * report.dt);
                 }
@@ -100,9 +100,9 @@ fn a_tool_finds_ground_asleep_as_it_would_awake() {
 /// and levels follow it: what is split and merged stirs, comes to rest, and lies where it would lie awake.
 #[test]
 fn levels_pass_over_ground_asleep() {
-    let cells = [80, 8, 8];
+    let cells = [80, 4, 8];
     for levels in [LEVELS, SUBCYCLED] {
-        let over = tool("eye", [0.1, 0.08, 0.3], &half([0.02; 3]), "\"slip\"", &driven([2.5, 0.0, 0.0]));
+        let over = tool("eye", [0.1, 0.04, 0.3], &half([0.02; 3]), "\"slip\"", &driven([2.5, 0.0, 0.0]));
         let [slept, awake] = ["speed = 2e-3", "on = false"].map(|sleep| {
             let text = bed(cells, "sand", SAND, sleep, &[levels.to_owned(), over.clone()]);
             let mut s = gpu(&text);
@@ -122,8 +122,8 @@ fn levels_pass_over_ground_asleep() {
         let (counts, [least, most], mass, mean) = slept;
         assert!(counts["particles split"] > 0 && counts["particles merged"] > 0, "{levels}: levels did not move");
         assert!(least > 0 && awake.1 == [0, 0], "{levels}: nothing slept");
-        // Of settled ground, blocks of coarse cells have 8³ particles.
-        assert!(512 * counts["blocks that fell asleep"] > most, "{levels}: what has stirred never slept again");
+        // Of settled ground, blocks of coarse cells have 8³ particles, of which half are in this bed.
+        assert!(256 * counts["blocks that fell asleep"] > most, "{levels}: what has stirred never slept again");
         within("mass", (mass / awake.2 - 1.0).abs(), 1e-12);
         within("mean place, in cells", norm([0, 1, 2].map(|d| mean[d] - awake.3[d])) / CELL, 2e-4);
     }
@@ -151,7 +151,7 @@ fn ground_asleep_falls_when_its_support_goes() {
             let mut s = gpu(&text);
             run_to(&mut s, 0.4);
             let most = asleep(&s);
-            run_to(&mut s, 0.65);
+            run_to(&mut s, 0.55);
             let reach = rows(&s).iter().map(|r| r.x[0]).collect::<Vec<_>>();
             (most, reach.iter().sum::<f64>() / reach.len() as f64)
         });
@@ -164,17 +164,17 @@ fn ground_asleep_falls_when_its_support_goes() {
 
 /// A settled bed on one end of which a blade comes down, and perhaps a cube, once it sleeps; worlds differ in how fast the blade is.
 fn struck(world: u64, levels: &str, cube: bool) -> Scene {
-    let cells = if levels.is_empty() { [48, 8, 6] } else { [80, 8, 8] };
+    let cells = if levels.is_empty() { [40, 4, 4] } else { [80, 4, 8] };
     let top = CELL * f64::from(cells[2]);
     let down = [0.3, 0.0, -0.5 - 0.05 * world as f64];
-    let at = [0.06, 0.08, top + 0.075];
+    let at = [0.06, 0.04, top + 0.075];
     let mut more = vec![
         levels.to_owned(),
-        tool("blade", at, &half([0.02, 0.06, 0.05]), "{ coulomb = { friction = 0.4 } }", &driven(down)),
+        tool("blade", at, &half([0.02, 0.03, 0.05]), "{ coulomb = { friction = 0.4 } }", &driven(down)),
     ];
     if cube {
         let free = "{ free = { mass = 0.1, linear = [0.0, 0.0, -0.5] } }";
-        let at = [0.14, 0.08, top + 0.055];
+        let at = [0.14, 0.04, top + 0.055];
         more.push(tool("cube", at, &half([0.03; 3]), "{ coulomb = { friction = 0.3 } }", free));
     }
     scene(&bed(cells, "sand", SAND, "speed = 2e-3", &more).replace("safety = 0.6", "step = 8e-4"))
@@ -214,7 +214,7 @@ fn the_same_ground_sleeps_as_on_the_cpu() {
 fn a_world_of_a_batch_sleeps_as_it_does_alone_bit_for_bit() {
     const AT_ONCE: usize = 32;
     for (levels, cube) in KINDS {
-        let scenes = (0..3).map(|w| struck(w, levels, cube)).collect();
+        let scenes = (0..2).map(|w| struck(w, levels, cube)).collect();
         let mut worlds = Worlds::new(&barchan::registry(), scenes, &on_gpu()).unwrap();
         assert!(worlds.are_together());
         for round in 0..3 {
@@ -225,7 +225,7 @@ fn a_world_of_a_batch_sleeps_as_it_does_alone_bit_for_bit() {
                 worlds.reset(1, None).unwrap();
             }
         }
-        for w in 0..3 {
+        for w in 0..2 {
             let world = worlds.world(w);
             println!("{levels:?}, world {w}: {} of {} asleep", asleep(world), world.particle_count());
             assert!((1..world.particle_count() as u64).contains(&asleep(world)), "all or nothing sleeps");
