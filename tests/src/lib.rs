@@ -6,3 +6,4 @@ pub mod reference;
 pub mod report;
 pub mod scenes;
 pub mod sketch;
+pub mod sleeping;

@@ -9,6 +9,9 @@ use barchan_tests::sketch::{Head, PERIODIC, bed, block, driven, half, material, 
 use barchan_wgpu::Wgpu;
 use barchan_wgpu::device::Offer;
 
+#[path = "gpu/sleeping.rs"]
+mod sleeping;
+
 fn on(backend: &str, precision: Precision, toml: &str) -> Simulation {
     let options = Options { backend: backend.into(), precision, threads: 1, ..Options::default() };
     Simulation::new(&barchan::registry(), &scene(toml), &options).unwrap_or_else(|e| panic!("{e}\n{toml}"))

@@ -5,6 +5,7 @@ use crate::batch::{BLOCKS, COUNTED, Dispatch, HALTED, Part, WgpuBatch};
 use crate::kernels::{Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{StepConstants, read_all, with_room};
+use crate::sleep;
 use crate::world::Level;
 use barchan_core::{Coupling, ParticleList, Regions, Result};
 use barchan_grid::adapt::{Candidates, CopiedLevel};
@@ -209,6 +210,11 @@ impl WgpuBatch {
         let at = (16 * layout::ENTRY * block) as u64;
         self.write(self.memory.plane(Sorted::Lists), at, bytemuck::cast_slice(&entries));
         self.write(self.memory.plane(Sorted::Cells), 256 * block as u64, bytemuck::cast_slice(&cells));
+        if self.may_sleep() {
+            let words = vec![sleep::words_of_come(); homes.blocks.len()];
+            let at = (4 * sleep::WATCHED * block) as u64;
+            self.write(self.memory.plane(Sorted::Watch), at, bytemuck::cast_slice(&words));
+        }
     }
 
     /// Marks so many particles that are to go, which the order of the sort lists, and finds the stress of those in some slots.

@@ -8,6 +8,7 @@ use crate::memory::{
     Asked, BODY, Extent, Layer, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read, read_all,
     with_mapped, with_room,
 };
+use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
 use crate::world::{Level, MAX_MOVE, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
@@ -62,6 +63,7 @@ const ASTRAY: usize = 6;
 const LEFT: usize = 7;
 const LEFT_IMPULSE: usize = 8;
 const LEFT_MASS: usize = 11;
+pub(crate) const SLEPT: usize = 12;
 /// Of a layer in a step.
 pub(crate) const SPEED: usize = 0;
 pub(crate) const MOVE: usize = 1;
@@ -189,6 +191,8 @@ struct Driven {
     after: Vec<Vec<BodyState>>,
     /// As the device reads them, step by step.
     packed: Vec<Vec<[f32; 4]>>,
+    /// Boxes of blocks near them on each level, likewise.
+    near: Vec<Vec<Vec<BlockBox>>>,
 }
 
 /// Steps that follow on one another, after a sort or not.
@@ -278,7 +282,8 @@ impl<'a> Passes<'a> {
     fn step_together(&mut self, dt: f64) {
         let kernels = self.kernels;
         let step = self.constants(dt);
-        self.run(step, [&kernels.p2g].into_iter().chain(&kernels.restrict).chain(&kernels.grid).chain(self.contact));
+        self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
+        self.run(step, kernels.grid.iter().chain(self.contact));
         self.run(step, kernels.prolong.iter().chain(&kernels.mirror).chain([&kernels.g2p]));
     }
 
@@ -298,7 +303,7 @@ impl<'a> Passes<'a> {
         let begin = beginning(self.levels, slot);
         let coarser = 1..begin.end;
         let step = self.constants_of(dt / self.substeps(), begin, first + slot);
-        self.run(step, [&kernels.p2g].into_iter().chain(&kernels.restrict).chain(&kernels.grid));
+        self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict).chain(&kernels.grid));
         if !coarser.is_empty() {
             // What shared nodes have without the step's forces.
             let still = self.constants_of(0.0, coarser, first + slot);
@@ -342,6 +347,8 @@ pub(crate) struct Dispatch<'a> {
 /// Particles that come in, laid out level by level.
 struct Arrival {
     homes: Vec<Homes>,
+    /// For how many steps their blocks have rested.
+    rests: Vec<Vec<u16>>,
     planes: Vec<Planes>,
     particles: ParticleState,
 }
@@ -415,7 +422,7 @@ impl Fixed {
         };
         const MEND: &str = "give all worlds the same, or run them on the backend cpu";
         if other.world != self.world {
-            return differs("cell width, extent, walls, world.leaving, or what materials keep", MEND);
+            return differs("cell width, extent, walls, world.leaving, what sleeps, or what materials keep", MEND);
         }
         if other.laws != self.laws {
             return differs("their materials' laws", MEND);
@@ -479,8 +486,8 @@ impl WgpuBatch {
         let vectors = rest_vectors(&plan.materials);
         let boxes = (levels - 1) * kernels::boxes(plan);
         let substeps = plan.substeps as usize;
-        let asked =
-            Asked { pairs, bodies: 0, layers: count * levels, worlds: count, boxes, substeps, ..Asked::default() };
+        let sleeps = kernels::may_sleep(plan);
+        let asked = Asked { pairs, layers: count * levels, worlds: count, boxes, substeps, sleeps, ..Asked::default() };
         let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
         let mut batch = Self {
             gpu,
@@ -848,6 +855,8 @@ impl WgpuBatch {
             for d in 0..3 {
                 world.wall_impulse[d] += f64::from(f32::from_bits(status.sum(layer, WALL_IMPULSE + d)));
             }
+            let slept = world.slept.add(std::array::from_fn(|k| status.sum(layer, SLEPT + k)));
+            world.unbook_gravity(layer % self.levels, slept);
         }
     }
 
@@ -1097,7 +1106,7 @@ impl WgpuBatch {
     }
 
     /// Homes of some worlds' levels as the device has them, the particles of each counted from its first one.
-    fn homes(&self, worlds: Range<usize>) -> Result<Vec<Homes>> {
+    pub(crate) fn homes(&self, worlds: Range<usize>) -> Result<Vec<Homes>> {
         let levels: Vec<&Level> = self.worlds[worlds].iter().flat_map(|world| &world.levels).collect();
         let start = levels.first().map_or(0, |level| level.blocks.start);
         let count = levels.last().map_or(0, |level| level.blocks.end) - start;
@@ -1187,7 +1196,7 @@ impl WgpuBatch {
             age: rhythms.first().map_or(0, |rhythm| rhythm.age),
             drift: rhythms.iter().map(|rhythm| f64::from(rhythm.drift)).collect(),
             measured: Measured { stiffness_bound: world.stiffness.dt, stiffness_age: world.stiffness_age },
-            rest: vec![0; blocks.len()],
+            rest: self.rests(w..w + 1)?.concat(),
             blocks,
             kept_for: vec![None; rhythms.len()],
         });
@@ -1228,8 +1237,10 @@ impl WgpuBatch {
         let all = self.worlds.len();
         let mut homes =
             if arrivals.len() < all { self.homes(0..all)? } else { vec![Homes::default(); self.words().layers] };
+        let mut rests = if arrivals.len() < all { self.rests(0..all)? } else { vec![Vec::new(); self.words().layers] };
         for (w, arrival) in &arrivals {
             homes[self.layers_of(*w)].clone_from_slice(&arrival.homes);
+            rests[self.layers_of(*w)].clone_from_slice(&arrival.rests);
         }
         let counts: Vec<usize> = homes.iter().map(|homes| homes.cells.last().map_or(0, |end| *end as usize)).collect();
         let mut extent = self.memory.extent;
@@ -1254,7 +1265,7 @@ impl WgpuBatch {
             (slot, block) = (level.particles.end, level.blocks.end);
         }
         self.write_particles(&arrivals, &before);
-        self.write_lists(&homes);
+        self.write_lists(&homes, &rests);
         self.memory.now = 1 - self.memory.now;
         self.unlinked = true;
         self.cover_blocks(1)?;
@@ -1303,7 +1314,12 @@ impl WgpuBatch {
         if !is_restored {
             particles.sort = None;
         }
-        Ok(Arrival { homes, planes, particles })
+        let rest = |(l, (lists, homes)): (usize, (&[ParticleList], &Homes))| match &particles.sort {
+            Some(sort) => sleep::restored(sort, l, lists, homes),
+            None => vec![1; homes.blocks.len()],
+        };
+        let rests = particles.lists.chunks(materials.len()).zip(&homes).enumerate().map(rest).collect();
+        Ok(Arrival { homes, rests, planes, particles })
     }
 
     /// Writes the particles of all worlds into the other set of buffers: new ones from here, others from where they were.
@@ -1343,7 +1359,7 @@ impl WgpuBatch {
     }
 
     /// Writes where all blocks are into the other set of buffers, without their links.
-    fn write_lists(&self, homes: &[Homes]) {
+    fn write_lists(&self, homes: &[Homes], rests: &[Vec<u16>]) {
         let next = 1 - self.memory.now;
         let layout = self.words();
         let (mut entries, mut cells) = (Vec::new(), Vec::new());
@@ -1360,6 +1376,10 @@ impl WgpuBatch {
         cells.push(particles as u32);
         self.write(self.memory.buffer(Role::Now(Sorted::Lists), next), 0, bytemuck::cast_slice(&entries));
         self.write(self.memory.buffer(Role::Now(Sorted::Cells), next), 0, bytemuck::cast_slice(&cells));
+        if self.may_sleep() {
+            let words: Vec<_> = rests.iter().flatten().map(|rest| sleep::words_of(*rest)).collect();
+            self.write(self.memory.buffer(Role::Now(Sorted::Watch), next), 0, bytemuck::cast_slice(&words));
+        }
         self.write_words(BLOCKS, &[blocks as u32, 0]);
     }
 
@@ -1411,6 +1431,7 @@ impl WgpuBatch {
             }
             cut(&mut stretches, steps);
             self.write_bodies(turns, &driven, steps);
+            self.write_near(turns, &driven, steps)?;
             let outcome = self.submit(&active, dt, &stretches)?;
             for (t, of_turn) in &driven {
                 go_back(turns[*t].couplings, of_turn, outcome.done)?;
@@ -1535,12 +1556,14 @@ impl WgpuBatch {
     fn drive(&self, turn: &mut Turn<'_>, dt: f64, count: usize) -> Result<Option<Driven>> {
         let couplings = &mut *turn.couplings;
         let Some(coupling) = couplings.first() else { return Ok(None) };
-        let mut driven = Driven { saved: vec![coupling.save()], after: Vec::new(), packed: Vec::new() };
+        let saved = vec![coupling.save()];
+        let mut driven = Driven { saved, after: Vec::new(), packed: Vec::new(), near: Vec::new() };
         let mut go = || {
             let each = dt / self.substeps as f64;
             let levels = &self.worlds[turn.world].levels;
             for slot in 0..count * self.substeps {
                 let at = turn.time + slot as f64 * each;
+                driven.near.push(sleep::near_tools(couplings, levels));
                 couplings[0].before_step(at, each)?;
                 // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
                 let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
@@ -1578,6 +1601,18 @@ impl WgpuBatch {
             }
         }
         self.gpu.queue.write_buffer(self.memory.buffer(Role::Bodies, 0), 0, bytemuck::cast_slice(&packed));
+    }
+
+    /// Tells the device near what nothing sleeps in each step.
+    fn write_near(&mut self, turns: &[Turn<'_>], driven: &BTreeMap<usize, Option<Driven>>, steps: usize) -> Result<()> {
+        let mut near = vec![vec![Vec::new(); self.words().layers]; steps * self.substeps];
+        for (t, driven) in driven {
+            let layers = self.layers_of(turns[*t].world);
+            for (near, own) in near.iter_mut().zip(driven.iter().flat_map(|driven| &driven.near)) {
+                near[layers.clone()].clone_from_slice(own);
+            }
+        }
+        self.write_tools(0, &near)
     }
 
     /// Force and torque on each body of each world in each step, times the step.

@@ -5,6 +5,7 @@ use crate::batch::{
 };
 use crate::kernels::Role;
 use crate::memory::{NEAR_BLOCK, read};
+use crate::sleep::near_tools;
 use crate::world::{FELT, MAX_DRIFT, Rhythm, World};
 use barchan_core::backend::Turn;
 use barchan_core::{Aabb, Coupling, Error, NodeBatch, Result, StepReport, Vec3, Wrench};
@@ -334,6 +335,7 @@ impl WgpuBatch {
             visit.asked = boxes_of(visit.turn).into_iter().map(|one| one.grown(margin)).collect();
         };
         visits.iter_mut().filter(|visit| visit.is_going()).for_each(boxes);
+        self.write_near_tools(slot, visits)?;
         let mut sort = false;
         loop {
             let active = going(visits);
@@ -463,6 +465,7 @@ impl WgpuBatch {
         for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
             visit.asked = boxes_of(visit.turn);
         }
+        self.write_near_tools(1, visits)?;
         loop {
             let active = going(visits);
             let Some(&(first, _)) = active.first() else { return Ok(dt) };
@@ -539,6 +542,16 @@ impl WgpuBatch {
         Ok(())
     }
 
+    /// Tells the device near what nothing sleeps in a step.
+    fn write_near_tools(&mut self, step: usize, visits: &[Visit<'_, '_>]) -> Result<()> {
+        let mut near = vec![Vec::new(); self.words().layers];
+        for visit in visits {
+            let own = near_tools(visit.turn.couplings, &self.worlds[visit.world()].levels);
+            near[self.layers_of(visit.world())].clone_from_slice(&own);
+        }
+        self.write_tools(step, &[near])
+    }
+
     /// Are worlds due to be sorted, as far as is known?
     fn is_any_due(&self, active: &[(usize, f64)]) -> bool {
         let is_due = |world: &World| world.levels.iter().any(|level| world.likely(level).is_due(self.most_drift));
@@ -606,7 +619,8 @@ impl WgpuBatch {
         let now = if sort { 1 - before } else { before };
         let kernels = &self.kernels;
         let sorts = kernels.sort.iter().filter(|_| sort).map(|kernel| Dispatch { kernel, now: before, step: 1 });
-        let passes = [&kernels.p2g].into_iter().chain(&kernels.restrict).chain(&kernels.grid).chain([&near[0]]);
+        let to_tiles = kernels.watch.iter().chain([&kernels.p2g]);
+        let passes = to_tiles.chain(&kernels.restrict).chain(&kernels.grid).chain([&near[0]]);
         let dispatches = sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1 })).collect();
         let parts = self.with_groups(vec![Part { sorting, dispatches }]);
         let room = self.near_expected();
@@ -756,7 +770,7 @@ impl WgpuBatch {
 
     /// What walls gave a world in a step whose numbers are still on the device [N s].
     pub(crate) fn pending_walls(&self, w: usize) -> Vec3 {
-        if !self.worlds[w].pending || self.kernels.collect.is_none() {
+        if !self.worlds[w].pending || self.kernels.collect.is_empty() {
             return [0.0; 3];
         }
         let of_layer = |layer: usize| {

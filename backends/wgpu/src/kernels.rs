@@ -3,6 +3,7 @@
 use crate::device::Gpu;
 use crate::material;
 use crate::memory::{MAX_STEPS, NEAR_BLOCK};
+use crate::sleep::RESTED;
 use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::{MERGE_BEHIND, SPLIT_AHEAD};
@@ -20,6 +21,8 @@ pub(crate) enum Sorted {
     Rest,
     Lists,
     Cells,
+    /// What is known of the rest of blocks.
+    Watch,
 }
 
 /// A buffer as a pass sees it.
@@ -54,6 +57,8 @@ pub(crate) enum Role {
     Around,
     /// Blocks of nodes in them, there and back.
     Near,
+    /// Boxes of blocks near tools, in which nothing sleeps.
+    Tools,
 }
 
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
@@ -80,6 +85,7 @@ const RIMS: Use = ("rims", "vec4<u32>", Role::Rims, false);
 const HANDED: Use = ("handed", "vec4<f32>", Role::Handed, false);
 const KEPT: Use = ("shared_nodes", "vec4<f32>", Role::Shared, true);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
+const WATCH: Use = ("watch", "atomic<u32>", Role::Now(Sorted::Watch), true);
 
 const fn written(binding: Use) -> Use {
     (binding.0, binding.1, binding.2, true)
@@ -157,6 +163,8 @@ pub(crate) struct Kernels {
     pub(crate) constants: String,
     /// In the order of a sort.
     pub(crate) sort: Vec<Kernel>,
+    /// Who sleeps in a step, if anything ever does.
+    pub(crate) watch: Option<Kernel>,
     pub(crate) p2g: Kernel,
     /// What rims hand to the next coarser level.
     pub(crate) restrict: Vec<Kernel>,
@@ -170,7 +178,8 @@ pub(crate) struct Kernels {
     pub(crate) mirror: Vec<Kernel>,
     pub(crate) g2p: Kernel,
     pub(crate) stress: Kernel,
-    pub(crate) collect: Option<Kernel>,
+    /// Sums of what walls gave and sleep took.
+    pub(crate) collect: Vec<Kernel>,
     /// Rounds of split and merge, if there are several levels.
     pub(crate) adapt: Option<AdaptKernels>,
 }
@@ -223,6 +232,7 @@ impl Kernels {
         let drafts = Drafts::of(plan, worlds)?;
         Ok(Self {
             sort: all(drafts.sort),
+            watch: drafts.watch.map(make),
             p2g: make(drafts.p2g),
             restrict: all(drafts.restrict),
             grid: all(drafts.grid),
@@ -231,7 +241,7 @@ impl Kernels {
             mirror: all(drafts.mirror),
             g2p: make(drafts.g2p),
             stress: make(drafts.stress),
-            collect: drafts.collect.map(make),
+            collect: all(drafts.collect),
             adapt: drafts.adapt.map(|adapt| AdaptKernels {
                 find: adapt.find.map(make),
                 fill: make(adapt.fill),
@@ -247,6 +257,7 @@ impl Kernels {
 /// The passes of [`Kernels`], before a device has seen them.
 struct Drafts {
     sort: Vec<Draft>,
+    watch: Option<Draft>,
     p2g: Draft,
     restrict: Vec<Draft>,
     grid: Vec<Draft>,
@@ -255,7 +266,7 @@ struct Drafts {
     mirror: Vec<Draft>,
     g2p: Draft,
     stress: Draft,
-    collect: Option<Draft>,
+    collect: Vec<Draft>,
     adapt: Option<AdaptDrafts>,
 }
 
@@ -276,24 +287,28 @@ impl Drafts {
         let laws = laws(plan, worlds)?;
         let levels = plan.cell_widths.len() > 1;
         let subcycled = plan.substeps > 1;
-        let mut grid = vec![sum_tiles(separations.is_empty(), levels, subcycled)];
+        let sleeps = may_sleep(plan);
+        let mut grid = vec![sum_tiles(separations.is_empty(), levels, subcycled, sleeps)];
         grid.extend(separations.iter().map(|&axis| separate(axis, false)));
         if !separations.is_empty() {
             grid.push(velocities());
         }
         let mut mirror: Vec<_> = separations.iter().rev().map(|&axis| separate(axis, true)).collect();
-        mirror.extend(has_mirrors.then(reflect));
+        mirror.extend(has_mirrors.then(|| reflect(sleeps)));
+        let mut collect: Vec<_> = has_walls.then(collect).into_iter().collect();
+        collect.extend(sleeps.then(sum_sleep));
         Ok(Self {
             sort: sort(plan, worlds),
-            p2g: p2g(),
+            watch: sleeps.then(|| watch(levels)),
+            p2g: p2g(sleeps),
             restrict: if levels { restrict() } else { Vec::new() },
             grid,
             shared: subcycled.then(shared),
             prolong: levels.then(prolong),
             mirror,
-            g2p: g2p(&laws),
+            g2p: g2p(&laws, sleeps),
             stress: stress(&laws),
-            collect: has_walls.then(collect),
+            collect,
             adapt: levels.then(|| adapt(plan, &laws, worlds)),
         })
     }
@@ -304,7 +319,8 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     let drafts = Drafts::of(plan, 1)?;
     let mut lines: Vec<String> = drafts.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
     lines.extend(
-        [&drafts.p2g].into_iter().chain(&drafts.restrict).chain(&drafts.grid).map(|draft| line("every step", draft)),
+        (drafts.watch.iter().chain([&drafts.p2g]).chain(&drafts.restrict).chain(&drafts.grid))
+            .map(|draft| line("every step", draft)),
     );
     if plan.has(Stage::Contact) {
         lines.push("contact, every step: on the device for driven bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
@@ -500,6 +516,11 @@ fn separations(plan: &Plan) -> Vec<usize> {
     (0..3).filter(lets_go).collect()
 }
 
+/// Does ground at rest sleep?
+pub(crate) fn may_sleep(plan: &Plan) -> bool {
+    plan.slow > 0.0
+}
+
 /// Boxes of each level but the coarsest: as many as there are agents.
 pub(crate) fn boxes(plan: &Plan) -> usize {
     plan.agents.len().max(1)
@@ -561,11 +582,56 @@ pub(crate) fn constants(plan: &Plan) -> String {
         format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
         format!("const GRAVITY_GROWS: bool = {};\n", plan.scene.gravity_ramp > 0.0),
         format!("// Particles that leave: {:?}\n", plan.scene.world.leaving),
+        if may_sleep(plan) {
+            format!("const SLOW: f32 = {:?};\nconst RESTED: u32 = {RESTED}u;\n", plan.slow as f32)
+        } else {
+            String::new()
+        },
     ]
     .concat()
 }
 
-fn p2g() -> Draft {
+/// What passes know of the rest of blocks.
+const WATCH_WORDS: &str = include_str!("wgsl/watch_words.wgsl");
+
+/// Puts texts in places that stay empty where nothing sleeps.
+fn with_sleep(sleeps: bool, body: &str, texts: &[(&str, &str)]) -> String {
+    texts.iter().fold(body.to_owned(), |body, (place, text)| body.replace(place, if sleeps { text } else { "" }))
+}
+
+/// Who sleeps in a step.
+fn watch(levels: bool) -> Draft {
+    let tied =
+        "if any(rims[g].xyz != vec3<u32>(0u)) || rims[extent.node_room + b].x != 0u {\natomicStore(&tied, 1u);\n}";
+    let body = include_str!("wgsl/watch.wgsl").replace("$TIED", if levels { tied } else { "" });
+    let tools: Use = ("tools", "vec4<i32>", Role::Tools, false);
+    let mut uses = vec![written(RECORD), CELLS, LISTS, WATCH, tools, STATUS];
+    uses.extend(levels.then_some(RIMS));
+    Draft {
+        name: "watch",
+        entry: "watch_blocks",
+        body: [&body, WATCH_WORDS, include_str!("wgsl/watch_booked.wgsl"), include_str!("wgsl/rhythm.wgsl")].concat(),
+        uses,
+        uniform: Uniform::None,
+        groups: Groups::Blocks,
+        checked: true,
+    }
+}
+
+/// What sleep took, and kept gravity from.
+fn sum_sleep() -> Draft {
+    Draft {
+        name: "sleep",
+        entry: "sum_sleep",
+        body: [include_str!("wgsl/watch_sum.wgsl"), WATCH_WORDS, include_str!("wgsl/watch_booked.wgsl")].concat(),
+        uses: vec![WATCH, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::Layers,
+        checked: true,
+    }
+}
+
+fn p2g(sleeps: bool) -> Draft {
     let xy = Half {
         rows: &[("s", 1), ("t", 5), ("r0", 2), ("r1", 3)],
         add: add_momentum(XY, |node, w| format!("{node} = fma(vec2<f32>({w}), u, {node});")),
@@ -582,12 +648,18 @@ fn p2g() -> Draft {
         .replace("$OWN_ZM", &zm.own(""))
         .replace("$GUESTS_XY", &xy.guests())
         .replace("$GUESTS_ZM", &zm.guests())
-        .replace("$FLUSH", &flush());
+        .replace("$FLUSH", &flush())
+        .replace("$GIVES", if sleeps { "gives(b, layer)" } else { "1u" })
+        .replace("$BOOKED", if sleeps { "select(total, 0.0, is_frozen != 0u)" } else { "total" });
+    let body = with_sleep(sleeps, &body, &[("$SETTLE", "settle(b);")]);
+    let watch = if sleeps { [WATCH_WORDS, include_str!("wgsl/watch_p2g.wgsl")].concat() } else { String::new() };
+    let mut uses = vec![RECORD, CELLS, written(LISTS), GRID, STATUS];
+    uses.extend(sleeps.then_some(WATCH));
     Draft {
         name: "P2G",
         entry: "p2g",
-        body: body + include_str!("wgsl/wall.wgsl") + include_str!("wgsl/rhythm.wgsl"),
-        uses: vec![RECORD, CELLS, written(LISTS), GRID, STATUS],
+        body: body + &watch + include_str!("wgsl/wall.wgsl") + include_str!("wgsl/rhythm.wgsl"),
+        uses,
         uniform: Uniform::None,
         groups: Groups::Blocks,
         // A workgroup goes on only if its block is one of those that hold particles, for which the sort, or the host before it
@@ -703,10 +775,16 @@ fn restrict() -> Vec<Draft> {
     ]
 }
 
+/// For passes that need sums of tiles.
+fn plain_sums() -> String {
+    include_str!("wgsl/grid.wgsl")
+        .replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
+        .replace("$TOUCHED", "")
+}
+
 /// For passes that need sums of tiles at rims.
 fn sums_of_tiles() -> String {
-    include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
-        + include_str!("wgsl/rim_sums.wgsl")
+    plain_sums() + include_str!("wgsl/rim_sums.wgsl")
 }
 
 /// Adds a cell's sums to the tile: for one of its 27 nodes at a time, different cells touch different nodes.
@@ -751,7 +829,7 @@ fn regions(plan: &Plan, worlds: usize) -> String {
     )
 }
 
-fn sum_tiles(to_velocities: bool, levels: bool, subcycled: bool) -> Draft {
+fn sum_tiles(to_velocities: bool, levels: bool, subcycled: bool, sleeps: bool) -> Draft {
     let sum = match (levels, subcycled) {
         (false, _) => "sum_of_tiles(entry, n)",
         (true, false) => "kept(g, n, sum_of_tiles(entry, n) + handed_to(g, n))",
@@ -771,10 +849,19 @@ fn sum_tiles(to_velocities: bool, levels: bool, subcycled: bool) -> Draft {
     if subcycled {
         uses.push(KEPT);
     }
+    uses.extend(sleeps.then_some(WATCH));
+    // Half of the threads find out while the first one looks whether there is such a block.
+    let tied = if levels { "| u32(any(rims[min(g, extent.node_room - 1u)].xyz != vec3<u32>(0u)))" } else { "" };
+    let touched = format!(
+        "if n >= 32u && n < 59u {{\nlook_at(g, n - 32u);\n}}\nworkgroupBarrier();\n\
+         if n == 0u && go != 0u {{\ngo = atomicLoad(&touched) {tied};\natomicStore(&watch[touched_word(g)], go);\n}}"
+    );
+    let body = with_sleep(sleeps, include_str!("wgsl/grid.wgsl"), &[("$TOUCHED", &touched)]);
+    let watch = if sleeps { [WATCH_WORDS, include_str!("wgsl/watch_grid.wgsl")].concat() } else { String::new() };
     Draft {
         name: "grid",
         entry: "sum_tiles",
-        body: include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", &finish) + rims + shared,
+        body: body.replace("$SUM_TILES", &finish) + rims + shared + &watch,
         uses,
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
@@ -797,7 +884,7 @@ fn shared() -> [Draft; 2] {
 }
 
 fn velocities() -> Draft {
-    let body = include_str!("wgsl/grid.wgsl").replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);");
+    let body = plain_sums();
     Draft {
         name: "velocities",
         entry: "velocities",
@@ -824,17 +911,21 @@ fn separate(axis: usize, back: bool) -> Draft {
 }
 
 /// Velocities of nodes behind mirrors.
-fn reflect() -> Draft {
+fn reflect(sleeps: bool) -> Draft {
+    let touched = [("$IF_TOUCHED", " && atomicLoad(&watch[touched_word(w)]) != 0u")];
+    let mut uses = vec![DIRECTORY, written(LISTS), GRID, STATUS];
+    uses.extend(sleeps.then_some(WATCH));
     Draft {
         name: "reflect",
         entry: "reflect_nodes",
         body: [
-            include_str!("wgsl/reflect.wgsl"),
+            with_sleep(sleeps, include_str!("wgsl/reflect.wgsl"), &touched).as_str(),
             include_str!("wgsl/velocity_at.wgsl"),
             include_str!("wgsl/wall.wgsl"),
+            if sleeps { WATCH_WORDS } else { "" },
         ]
         .concat(),
-        uses: vec![DIRECTORY, written(LISTS), GRID, STATUS],
+        uses,
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
         checked: true,
@@ -900,13 +991,32 @@ fn gather() -> String {
     text
 }
 
-fn g2p(laws: &str) -> Draft {
-    let body = include_str!("wgsl/g2p.wgsl").replace("$GATHER", &gather());
+fn g2p(laws: &str, sleeps: bool) -> Draft {
+    // A workgroup whose particles are all of one block looks only once.
+    let texts = [
+        (
+            "$PASS_OVER",
+            "first_block = owners[min(q, extent.particles - 1u)].x;\n\
+             if go != 0u && is_live(first_layer) && owners[min(q + 127u, extent.particles - 1u)].x == first_block {\n\
+             go = u32(is_awake(first_block));\n}",
+        ),
+        ("$IF_AWAKE", " && is_awake(owners[q].x)"),
+        ("$NOTE_SPEED", "note_speed(b, v);"),
+        (
+            "$NOTE_FIRST",
+            "if is_live(first_layer) && !is_asleep(first_block) {\n\
+             note_happened(first_block, select(STEPPED, STEPPED | FAST, atomicLoad(&is_fast) != 0u));\n}",
+        ),
+    ];
+    let body = with_sleep(sleeps, include_str!("wgsl/g2p.wgsl"), &texts).replace("$GATHER", &gather());
+    let watch = if sleeps { [WATCH_WORDS, include_str!("wgsl/watch_g2p.wgsl")].concat() } else { String::new() };
+    let mut uses = vec![written(RECORD), written(REST), OWNERS, LISTS, NODES, STATUS];
+    uses.extend(sleeps.then_some(WATCH));
     Draft {
         name: "G2P",
         entry: "g2p",
-        body: body + laws,
-        uses: vec![written(RECORD), written(REST), OWNERS, LISTS, NODES, STATUS],
+        body: body + &watch + laws,
+        uses,
         uniform: Uniform::Params,
         groups: Groups::ParticlesBy(128),
         checked: true,
@@ -1071,6 +1181,23 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         .replace("$BEGIN", unless_error("var mine = vec4<f32>(0.0);"))
         .replace("$END", unless_error("note_left(b, thread, mine);"));
     let changed = |binding: Use| if is_error { binding } else { written(binding) };
+    let sleeps = may_sleep(plan);
+    // Where particles come or go, nobody goes on sleeping.
+    let words = if sleeps { WATCH_WORDS } else { "" };
+    let fresh = "if thread < WATCHED {\n\
+                 atomicStore(&watch[watch_word(w, thread)], select(select(0u, NONE, thread == DECIDED), 1u, thread == RESTS));\n}";
+    let link_text = with_sleep(sleeps, include_str!("wgsl/sort_link.wgsl"), &[("$FRESH", fresh)]);
+    let stir = "fn stir(at: u32) {\nif at != NONE && directory[at].x != NONE {\n\
+                note_happened(directory[at].x, STIRRED);\n}\n}\n";
+    let texts = [
+        ("$GONE", "stir(place_in_box(layer, block));"),
+        ("$COME", "if any((local >> vec3<u32>(2u)) != vec3<i32>(0)) {\nstir(at);\n}"),
+    ];
+    let count_text = with_sleep(sleeps, include_str!("wgsl/sort_count.wgsl"), &texts) + if sleeps { stir } else { "" };
+    let with_watch = |mut uses: Vec<Use>| {
+        uses.extend(sleeps.then_some(next("watch", WATCH)));
+        uses
+    };
     let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
     let rims = knowing(
         draft(
@@ -1123,15 +1250,15 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         draft(
             "link",
             "link",
-            include_str!("wgsl/sort_link.wgsl"),
-            vec![DIRECTORY, NEW_LISTS, written(COUNTS), STATUS],
+            &(link_text + words),
+            with_watch(vec![DIRECTORY, NEW_LISTS, written(COUNTS), STATUS]),
             Groups::NodeBlocks,
         ),
         draft(
             "count",
             "count_cells",
-            include_str!("wgsl/sort_count.wgsl"),
-            vec![RECORD, old_lists, CELLS, DIRECTORY, atomic(COUNTS), written(KEYS), STATUS],
+            &(count_text + words),
+            with_watch(vec![RECORD, old_lists, CELLS, DIRECTORY, atomic(COUNTS), written(KEYS), STATUS]),
             Groups::Blocks,
         ),
         draft(
@@ -1171,6 +1298,12 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         ),
         draft("move", "move_rest", include_str!("wgsl/sort_move.wgsl"), particles_to_next(), Groups::ParticlesBy(128)),
     ];
+    if sleeps {
+        let old_watch = ("old_watch", WATCH.1, WATCH.2, WATCH.3);
+        let text = include_str!("wgsl/watch_carry.wgsl").to_owned() + words;
+        let uses = with_watch(vec![old_lists, DIRECTORY, old_watch, STATUS]);
+        passes.push(draft("carry", "carry", &text, uses, Groups::BlocksBy(64)));
+    }
     if levels {
         let placed = include_str!("wgsl/sort_placed.wgsl");
         passes.extend([rims, draft("placed", "placed", placed, vec![STATUS], Groups::One)]);

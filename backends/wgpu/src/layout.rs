@@ -191,7 +191,7 @@ impl Planes {
             Sorted::Record => bytemuck::cast_slice(&self.record),
             Sorted::Ids => bytemuck::cast_slice(&self.ids),
             Sorted::Rest => bytemuck::cast_slice(&self.rest),
-            Sorted::Lists | Sorted::Cells => &[],
+            Sorted::Lists | Sorted::Cells | Sorted::Watch => &[],
         }
     }
 

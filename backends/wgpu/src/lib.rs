@@ -17,6 +17,7 @@ mod layout;
 pub mod material;
 mod memory;
 mod seat;
+mod sleep;
 mod stiffness;
 mod world;
 

@@ -3,6 +3,7 @@
 use crate::device::Gpu;
 use crate::kernels::{FIRST_BINDING, Kernel, Role, Sorted, Uniform};
 use crate::layout::{ENTRY, RECORD};
+use crate::sleep::WATCHED;
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
@@ -12,7 +13,7 @@ use std::sync::PoisonError;
 /// see `common.wgsl`.
 const OF_LAYERS: usize = 12;
 const PER_LAYER: usize = 8;
-const PER_SUM: usize = 12;
+const PER_SUM: usize = 18;
 const PER_STEP: usize = 4;
 /// Steps that one submission can take.
 pub(crate) const MAX_STEPS: usize = 64;
@@ -43,6 +44,9 @@ pub(crate) struct Asked {
     /// Where the couplings' law runs on the host: boxes around the bodies of a layer, and blocks of nodes that go there and back.
     pub(crate) around: usize,
     pub(crate) near: usize,
+    /// Does ground sleep, and how many boxes of a layer are there that it does not sleep in?
+    pub(crate) sleeps: bool,
+    pub(crate) tools: usize,
 }
 
 /// `Extent` of `common.wgsl`.
@@ -133,7 +137,7 @@ pub(crate) struct Memory {
     /// Vectors of four of strain and history.
     vectors: usize,
     asked: Asked,
-    sorted: [[wgpu::Buffer; 5]; 2],
+    sorted: [[wgpu::Buffer; 6]; 2],
     shared: HashMap<&'static str, wgpu::Buffer>,
     pub(crate) constants: wgpu::Buffer,
     pub(crate) params: wgpu::Buffer,
@@ -155,11 +159,12 @@ fn sorted_name(sorted: Sorted) -> &'static str {
         Sorted::Rest => "strain of particles",
         Sorted::Lists => "lists of blocks",
         Sorted::Cells => "starts of cells",
+        Sorted::Watch => "rest of blocks",
     }
 }
 
-const SORTED: [Sorted; 5] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells];
-const SHARED: [Role; 18] = [
+const SORTED: [Sorted; 6] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells, Sorted::Watch];
+const SHARED: [Role; 19] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -178,6 +183,7 @@ const SHARED: [Role; 18] = [
     Role::Shared,
     Role::Around,
     Role::Near,
+    Role::Tools,
 ];
 
 fn shared_name(role: Role) -> &'static str {
@@ -200,12 +206,13 @@ fn shared_name(role: Role) -> &'static str {
         Role::Shared => "nodes that levels share",
         Role::Around => "boxes around bodies",
         Role::Near => "nodes near bodies",
+        Role::Tools => "boxes near tools",
         Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
     }
 }
 
 impl Extent {
-    fn sorted_bytes(&self, sorted: Sorted, vectors: usize) -> u64 {
+    fn sorted_bytes(&self, sorted: Sorted, vectors: usize, asked: Asked) -> u64 {
         let (slots, blocks) = (u64::from(self.slots), u64::from(self.block_room));
         match sorted {
             Sorted::Record => 16 * RECORD as u64 * slots,
@@ -213,6 +220,8 @@ impl Extent {
             Sorted::Rest => 16 * vectors as u64 * slots,
             Sorted::Lists => 16 * ENTRY as u64 * (blocks + u64::from(self.node_room)),
             Sorted::Cells => 4 * (64 * blocks + 1),
+            Sorted::Watch if asked.sleeps => 4 * (WATCHED as u64 * blocks + u64::from(self.node_room)),
+            Sorted::Watch => 0,
         }
     }
 
@@ -221,7 +230,7 @@ impl Extent {
             Sorted::Record => (RECORD as u64, 16),
             Sorted::Ids => (1, 8),
             Sorted::Rest => (vectors as u64, 16),
-            Sorted::Lists | Sorted::Cells => (0, 0),
+            Sorted::Lists | Sorted::Cells | Sorted::Watch => (0, 0),
         };
         let of_plane = |k: u64| ((k * u64::from(self.slots) + first as u64) * bytes, count as u64 * bytes);
         (0..planes).map(of_plane).filter(|(_, bytes)| *bytes > 0).collect()
@@ -244,6 +253,7 @@ impl Extent {
             Role::Impulses => 32 * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
             Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
             Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
+            Role::Tools => 16 * (1 + 2 * MAX_STEPS * asked.layers * asked.tools) as u64,
             Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),
             Role::Handed if asked.boxes > 0 => 16 * (64 * nodes + 24 * blocks),
             Role::Shared if asked.substeps > 1 => 16 * 128 * nodes,
@@ -253,7 +263,7 @@ impl Extent {
 
     /// Bytes of each buffer of one set, and how many of it there are.
     fn all_bytes(&self, vectors: usize, asked: Asked) -> impl Iterator<Item = (&'static str, u64, u64)> {
-        let sorted = SORTED.map(|s| (sorted_name(s), self.sorted_bytes(s, vectors), 2));
+        let sorted = SORTED.map(|s| (sorted_name(s), self.sorted_bytes(s, vectors, asked), 2));
         let shared = SHARED.map(|r| (shared_name(r), self.shared_bytes(r, asked), 1));
         sorted.into_iter().chain(shared)
     }
@@ -309,7 +319,7 @@ impl Memory {
                 mapped_at_creation: false,
             })
         };
-        let set = || SORTED.map(|s| storage(sorted_name(s), extent.sorted_bytes(s, vectors)));
+        let set = || SORTED.map(|s| storage(sorted_name(s), extent.sorted_bytes(s, vectors, asked)));
         let shared =
             SHARED.iter().map(|&r| (shared_name(r), storage(shared_name(r), extent.shared_bytes(r, asked)))).collect();
         let constants = uniform("extent", size_of::<Extent>() as u64);
@@ -366,7 +376,7 @@ impl Memory {
             [Role::Grid, Role::Flags, Role::Directory, Role::Sums, Role::Pairs, Role::Rims, Role::Handed, Role::Shared]
                 .map(shared_name)
                 .contains(&name)
-                || [Sorted::Lists, Sorted::Cells].map(sorted_name).contains(&name)
+                || [Sorted::Lists, Sorted::Cells, Sorted::Watch].map(sorted_name).contains(&name)
         };
         let all = self.extent.all_bytes(self.vectors, self.asked);
         all.fold((0, 0), |(particles, grid), (name, bytes, copies)| {
@@ -460,6 +470,21 @@ impl Memory {
         self.grow(gpu, extent)
     }
 
+    /// Boxes of a layer that nothing sleeps in that there is room for.
+    pub(crate) fn tools(&self) -> usize {
+        self.asked.tools
+    }
+
+    /// Makes room for so many of them.
+    pub(crate) fn add_tools(&mut self, gpu: &Gpu, tools: usize) -> Result<()> {
+        if tools <= self.asked.tools {
+            return Ok(());
+        }
+        self.asked.tools = tools;
+        let extent = self.extent;
+        self.grow(gpu, extent)
+    }
+
     /// Makes room for `extent`, keeping particles and blocks. What the grid holds is lost, and so are the links of blocks: a sort must follow.
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
         let extent = Extent { row: ROW, ..extent };
@@ -473,10 +498,10 @@ impl Memory {
             })
         };
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        for sorted in [Sorted::Lists, Sorted::Cells] {
+        for sorted in [Sorted::Lists, Sorted::Cells, Sorted::Watch] {
             for set in 0..2 {
                 let old = &self.sorted[set][sorted as usize];
-                let bytes = extent.sorted_bytes(sorted, self.vectors);
+                let bytes = extent.sorted_bytes(sorted, self.vectors, self.asked);
                 if old.size() >= bytes {
                     continue;
                 }
@@ -488,7 +513,7 @@ impl Memory {
         let held = self.extent.particles as usize;
         for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
             for set in 0..2 {
-                let bytes = extent.sorted_bytes(sorted, self.vectors);
+                let bytes = extent.sorted_bytes(sorted, self.vectors, self.asked);
                 if extent.slots <= self.extent.slots {
                     continue;
                 }
@@ -523,6 +548,7 @@ impl Memory {
             Role::Shared,
             Role::Around,
             Role::Near,
+            Role::Tools,
         ] {
             let bytes = extent.shared_bytes(role, self.asked);
             if self.buffer(role, 0).size() < bytes {

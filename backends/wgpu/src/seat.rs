@@ -95,10 +95,15 @@ impl Engine for Seat {
             account::add_particles(ledger, &lists, &world.materials, &world.scene);
         }
         let pending = batch.pending_walls(self.world);
+        let (slept, kept) = batch.pending_sleep(self.world);
         for d in 0..3 {
             ledger.wall_impulse[d] += world.wall_impulse[d] + pending[d];
-            ledger.gravity_impulse[d] += world.gravity_impulse[d];
+            ledger.gravity_impulse[d] += world.gravity_impulse[d] - kept[d];
+            ledger.slept_momentum[d] += world.slept.momentum[d] + slept.momentum[d];
         }
+        ledger.slept_kinetic += world.slept.kinetic + slept.kinetic;
+        ledger.count("blocks that fell asleep", world.slept.blocks + slept.blocks);
+        ledger.count("particles asleep now", batch.asleep(self.world).unwrap_or(0));
         world.adapt.account(ledger);
         ledger.deleted_mass += world.deleted_mass;
         ledger.count("particles put back into the world", world.clamped);

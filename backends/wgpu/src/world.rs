@@ -3,6 +3,7 @@
 use crate::kernels::parameter_vectors;
 use crate::layout::Periods;
 use crate::memory::Layer;
+use crate::sleep::Slept;
 use crate::stiffness;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
@@ -126,6 +127,7 @@ pub(crate) struct World {
     pub(crate) parted: u64,
     pub(crate) wall_impulse: Vec3,
     pub(crate) gravity_impulse: Vec3,
+    pub(crate) slept: Slept,
 }
 
 impl Span {
@@ -177,6 +179,7 @@ impl World {
             parted: 0,
             wall_impulse: [0.0; 3],
             gravity_impulse: [0.0; 3],
+            slept: Slept::default(),
         }
     }
 
@@ -300,6 +303,17 @@ impl World {
     pub(crate) fn delete(&mut self, mass: f64) {
         self.mass -= mass;
         self.deleted_mass += mass;
+    }
+
+    /// Takes back what gravity has not given to ground asleep on a level: its mass, times gravity's part, summed over the level's steps [kg].
+    pub(crate) fn unbook_gravity(&mut self, l: usize, slept: f64) {
+        let impulse = self.kept_from_gravity(l, slept);
+        (0..3).for_each(|d| self.gravity_impulse[d] -= impulse[d]);
+    }
+
+    /// What that comes to in the last steps [N s].
+    pub(crate) fn kept_from_gravity(&self, l: usize, slept: f64) -> Vec3 {
+        self.scene.gravity.map(|g| slept * g * self.last_dt / f64::from(self.levels[l].steps_within))
     }
 
     pub(crate) fn book_gravity(&mut self, time: f64, dt: f64, steps: usize) {

@@ -3,38 +3,8 @@
 use barchan::{Options, Precision, Simulation};
 use barchan_tests::scenes::{alter, norm, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, half, material, tool};
+use barchan_tests::sleeping::{CELL, SAND, asleep, bed, plate};
 use std::time::Instant;
-
-/// Cell width [m].
-const CELL: f64 = 0.02;
-const WALLS: &str = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
-const SAND: &str = "young_modulus = 1e5, poisson_ratio = 0.2, friction_angle_deg = 35.0";
-
-/// A bed of so many cells that starts at rest under its own weight.
-fn bed(cells: [u32; 3], law: &str, parameters: &str, sleep: &str, more: &[String]) -> String {
-    let side = cells.map(|n| CELL * f64::from(n));
-    let head = Head::cells(CELL, [cells[0], cells[1], cells[2] + 16], WALLS).time("safety = 0.6");
-    let mut parts = vec![
-        format!("[sleep]\n{sleep}\n"),
-        material(law, 1000.0, parameters),
-        block(law, [0.0; 3], side, "settled = true"),
-    ];
-    parts.extend_from_slice(more);
-    head.with(&parts)
-}
-
-fn asleep(s: &Simulation) -> u64 {
-    s.ledger().counts.get("particles asleep now").copied().unwrap_or(0)
-}
-
-/// A plate that comes down on the bed's middle from just above, and goes through it sideways.
-fn plate(cells: [u32; 3], wait: f64) -> String {
-    let [x, y, z] = cells.map(|n| CELL * f64::from(n));
-    let at = |t: f64, x: f64, z: f64| format!("{{ time = {}, position = [{x}, {}, {z}] }}", wait + t, 0.5 * y);
-    let path = [(0.0, 0.3 * x, z + 0.08), (0.3, 0.3 * x, z), (0.8, 0.5 * x, z)].map(|(t, x, z)| at(t, x, z)).join(", ");
-    let motion = format!("{{ keyframes = {{ frames = [{}, {path}] }} }}", at(-wait, 0.3 * x, z + 0.08));
-    tool("plate", [0.3 * x, 0.5 * y, z + 0.08], &half([0.03, 0.06, 0.06]), "{ coulomb = { friction = 0.4 } }", &motion)
-}
 
 /// Symptom: a bed that nothing has touched for an hour costs as much as one that is ploughed. Physics: nothing happens in it, and where
 /// and how it is strained stays as it is.

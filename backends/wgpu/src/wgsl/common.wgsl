@@ -106,9 +106,10 @@ const GREATEST_BLOCK: u32 = 5u;
 
 // Those of a layer in a submission, zero when it begins: 1 + the step before which it was sorted last; particles' steps with strain
 // applied in parts; what walls gave [N s]; is it due in the sort under way; did a sort find particles that belong on another level; how often
-// it found one outside the world; the impulse of those it put back [N s], and the mass of those it took out [kg].
+// it found one outside the world; the impulse of those it put back [N s], and the mass of those it took out [kg]; mass asleep, times
+// gravity's part, summed over steps [kg]; blocks that fell asleep, and what momentum [N s] and kinetic energy [J] that took.
 const OF_SUMS: u32 = OF_LAYERS + PER_LAYER * LAYERS;
-const PER_SUM: u32 = 12u;
+const PER_SUM: u32 = 18u;
 const SORTED: u32 = 0u;
 const PARTED: u32 = 1u;
 const WALL_IMPULSE: u32 = 2u;
@@ -116,6 +117,9 @@ const DUE: u32 = 5u;
 const ASTRAY: u32 = 6u;
 const LEFT: u32 = 7u;
 const LEFT_IMPULSE: u32 = 8u;
+const SUM_SLEPT: u32 = 12u;
+const SUM_FELL: u32 = 13u;
+const SUM_LOST: u32 = 14u;
 
 // Those of a layer in a step: greatest node speed [m/s], greatest move of a particle, and how far particles may have drifted before it
 // since the last sort [cells], as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN

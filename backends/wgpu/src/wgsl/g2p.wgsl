@@ -43,12 +43,13 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     if thread == 0u {
         go = ready(q == 0u);
         first_layer = layer_of(q);
+        $PASS_OVER
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
     layer_now = layer_of(q);
-    if q < extent.particles && is_live(layer_now) {
+    if q < extent.particles && is_live(layer_now)$IF_AWAKE {
         let b = owners[q].x;
         let mass = bitcast<f32>(owners[q].y);
         let p = record[vector(q, 0u)];
@@ -88,9 +89,11 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         } else if by_most > atomicLoad(&greatest_move) {
             atomicMax(&greatest_move, by_most);
         }
+        $NOTE_SPEED
     }
     workgroupBarrier();
     if thread == 0u {
+        $NOTE_FIRST
         atomicMax(&status[step_word(step.number, first_layer, MOVE)], atomicLoad(&greatest_move));
     }
 }

@@ -67,6 +67,7 @@ fn sum_tiles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     if n == 0u {
         go = is_on(g);
     }
+    $TOUCHED
     if workgroupUniformLoad(&go) == 0u {
         return;
     }

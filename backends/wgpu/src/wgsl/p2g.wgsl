@@ -226,7 +226,7 @@ fn ready(b: u32) -> u32 {
         }
         return 0u;
     }
-    return 1u;
+    return $GIVES;
 }
 
 @compute @workgroup_size(128)
@@ -243,6 +243,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     if thread == 0u {
         corner = lists[here * ENTRY].xyz * 4 - vec3<i32>(2);
         walled = u32(reaches_wall(layer_of_block(here)));
+        $SETTLE
         go = ready(b);
     }
     if workgroupUniformLoad(&go) == 0u {
@@ -327,7 +328,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             for (var t = 0u; t < 64u; t++) {
                 total += bitcast<f32>(leavers[t * 3u + thread]);
             }
-            lists[b * ENTRY + PENDING][thread] = bitcast<i32>(total);
+            lists[b * ENTRY + PENDING][thread] = bitcast<i32>($BOOKED);
         }
     }
 

@@ -35,7 +35,7 @@ fn ready(w: u32) -> u32 {
         let entry = (extent.block_room + w) * ENTRY;
         lists[entry + WALL] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + WALL]) + bitcast<vec4<f32>>(lists[entry + PENDING]));
     }
-    return u32(has_nodes_behind(layer_of(w), first) && is_live(layer_of(w)));
+    return u32(has_nodes_behind(layer_of(w), first) && is_live(layer_of(w))$IF_TOUCHED);
 }
 
 @compute @workgroup_size(64)

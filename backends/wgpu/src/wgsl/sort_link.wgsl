@@ -9,6 +9,7 @@ fn link(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     if w < atomicLoad(&status[BLOCKS]) {
         counts[w * 64u + thread] = 0u;
+        $FRESH
     }
     if n >= 27u {
         return;

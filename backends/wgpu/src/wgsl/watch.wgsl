@@ -1,0 +1,132 @@
+// Who sleeps in the step that begins, a workgroup a block: ground that has been slow for RESTED steps, as all around it, and is neither near a
+// tool nor at a rim. It wakes as soon as something next to it is fast, or a tool comes near. What is decided holds from P2G on; to decide twice
+// without a step in between changes nothing.
+
+var<workgroup> go: u32;
+var<workgroup> stirred: atomic<u32>;
+var<workgroup> restless: atomic<u32>;
+var<workgroup> tied: atomic<u32>;
+// Are particles to be looked at: to be weighed, and stopped?
+var<workgroup> weigh: u32;
+var<workgroup> stop: u32;
+var<workgroup> masses: array<f32, 64>;
+var<workgroup> motions: array<vec4<f32>, 64>;
+
+// May this step go on? Not if P2G will halt it.
+fn ready(b: u32) -> u32 {
+    if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
+        return 0u;
+    }
+    let layer = u32(lists[b * ENTRY].w);
+    return u32(is_live(layer) && !is_world_due(layer, rhythm_of(layer)));
+}
+
+// A block's count after what has happened.
+fn rest_of(b: u32) -> u32 {
+    var rest = atomicLoad(&watch[watch_word(b, RESTS)]);
+    let happened = atomicLoad(&watch[watch_word(b, HAPPENED)]);
+    if (happened & FAST) != 0u {
+        rest = 0u;
+    } else if (happened & STEPPED) != 0u && rest != ASLEEP {
+        rest = min(rest + 1u, RESTED);
+    }
+    return select(rest, min(rest, 1u), (happened & STIRRED) != 0u);
+}
+
+// Looks at one of the 27 blocks around a block, itself among them.
+fn look_at(b: u32, n: u32) {
+    let g = u32(lists[b * ENTRY + 1u + (n >> 2u)][n & 3u]);
+    // The block with particles that has the node block's place is the one in the middle.
+    let other = u32(lists[(extent.block_room + g) * ENTRY + 4u].y);
+    if other != NONE {
+        let rest = rest_of(other);
+        if rest == 0u {
+            atomicStore(&stirred, 1u);
+        }
+        if rest < RESTED {
+            atomicStore(&restless, 1u);
+        }
+    }
+    $TIED
+}
+
+// Is a tool near? `tools` holds how many boxes a layer has, and for each step and layer those boxes, of blocks.
+fn is_near_tool(b: u32, tool: u32) -> bool {
+    let at = 1u + 2u * ((slot_now() * LAYERS + u32(lists[b * ENTRY].w)) * u32(tools[0].x) + tool);
+    let block = lists[b * ENTRY].xyz;
+    return all(block >= tools[at].xyz) && all(block <= tools[at + 1u].xyz);
+}
+
+@compute @workgroup_size(64)
+fn watch_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let b = group.y * extent.row + group.x;
+    if thread == 0u {
+        go = ready(b);
+    }
+    if workgroupUniformLoad(&go) == 0u {
+        return;
+    }
+    if thread < 27u {
+        look_at(b, thread);
+    }
+    for (var tool = thread; tool < u32(tools[0].x); tool += 64u) {
+        if is_near_tool(b, tool) {
+            atomicStore(&stirred, 1u);
+        }
+    }
+    workgroupBarrier();
+    if thread == 0u {
+        book_sleep(b);
+        var rest = rest_of(b);
+        if atomicLoad(&stirred) != 0u {
+            rest = min(rest, 1u);
+        } else if atomicLoad(&tied) != 0u {
+            // Levels may have moved.
+            rest = min(rest, RESTED);
+        } else if rest != ASLEEP && atomicLoad(&restless) == 0u {
+            rest = ASLEEP;
+            stop = 1u;
+            atomicStore(&watch[watch_word(b, FILLED)], 0u);
+            atomicAdd(&watch[watch_word(b, FELL)], 1u);
+        }
+        atomicStore(&watch[watch_word(b, DECIDED)], rest);
+        weigh = u32(rest == ASLEEP && (stop != 0u || atomicLoad(&watch[watch_word(b, MASS)]) == 0u));
+    }
+    if workgroupUniformLoad(&weigh) == 0u {
+        return;
+    }
+    // What its particles weigh, and how they move, in the order of threads.
+    let is_stopped = workgroupUniformLoad(&stop) != 0u;
+    let width = H / shrink_of(u32(lists[b * ENTRY].w));
+    let quarter = 0.25 * width * width;
+    var mass = 0.0;
+    var motion = vec4<f32>(0.0);
+    for (var q = cells[b * 64u] + thread; q < cells[b * 64u + 64u]; q += 64u) {
+        let m = bitcast<f32>(record[vector(q, 1u)].w);
+        mass += m;
+        if is_stopped {
+            for (var d = 0u; d < 3u; d++) {
+                let row = bitcast<vec4<f32>>(record[vector(q, 2u + d)]);
+                motion[d] += m * row.x;
+                motion.w += 0.5 * m * (row.x * row.x + quarter * dot(row.yzw, row.yzw));
+                record[vector(q, 2u + d)] = vec4<u32>(0u);
+            }
+        }
+    }
+    masses[thread] = mass;
+    motions[thread] = motion;
+    workgroupBarrier();
+    if thread == 0u {
+        var weighs = 0.0;
+        var taken = vec4<f32>(0.0);
+        for (var t = 0u; t < 64u; t++) {
+            weighs += masses[t];
+            taken += motions[t];
+        }
+        atomicStore(&watch[watch_word(b, MASS)], bitcast<u32>(weighs));
+        for (var k = 0u; k < 4u; k++) {
+            let word = watch_word(b, LOST + k);
+            atomicStore(&watch[word], bitcast<u32>(bitcast<f32>(atomicLoad(&watch[word])) + taken[k]));
+        }
+    }
+}

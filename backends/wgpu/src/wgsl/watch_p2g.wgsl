@@ -1,0 +1,33 @@
+
+var<workgroup> is_frozen: u32;
+
+// From here on, what the watch has decided holds.
+fn settle(b: u32) {
+    let decided = atomicLoad(&watch[watch_word(min(b, extent.block_room - 1u), DECIDED)]);
+    if decided != NONE && b < atomicLoad(&status[BLOCKS]) {
+        atomicStore(&watch[watch_word(b, RESTS)], decided);
+        atomicStore(&watch[watch_word(b, HAPPENED)], 0u);
+        atomicStore(&watch[watch_word(b, DECIDED)], NONE);
+    }
+}
+
+// Does a block give to its tile? One asleep does if the tile is not yet for a step like this one.
+fn gives(b: u32, layer: u32) -> u32 {
+    if !is_asleep(b) {
+        return 1u;
+    }
+    var gravity = bitcast<u32>(1.0);
+    if GRAVITY_GROWS {
+        gravity = atomicLoad(&status[step_word(step.number, layer, GROWN)]);
+    }
+    let filled = watch_word(b, FILLED);
+    let filled_gravity = watch_word(b, FILLED_GRAVITY);
+    let length = bitcast<u32>(step.dt);
+    if step.dt == 0.0 || (atomicLoad(&watch[filled]) == length && atomicLoad(&watch[filled_gravity]) == gravity) {
+        return 0u;
+    }
+    atomicStore(&watch[filled], length);
+    atomicStore(&watch[filled_gravity], gravity);
+    is_frozen = 1u;
+    return 1u;
+}
