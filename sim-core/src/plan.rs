@@ -520,7 +520,8 @@ impl Plan {
         if self.particle_count > 0 && self.slow > 0.0 {
             let because = match scene.sleep.on {
                 Some(_) => "sleep.on = true",
-                None => "gravity, and no law that flows with time: sleep.on = false keeps all awake",
+                None if scene.sleep.speed.is_some() => "sleep.speed",
+                None => "gravity, and no law that flows with time: sleep.on = false keeps all awake (so does wgpu, unless asked)",
             };
             let rest = format!("blocks that stay below {:.1e} m/s are left out of every pass", self.slow);
             add("ground at rest sleeps".to_owned(), because.to_owned(), rest);

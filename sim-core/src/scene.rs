@@ -161,7 +161,8 @@ impl Default for Levels {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sleep {
-    /// May ground sleep? Absent: yes, if there is gravity, no law feels the rate of deformation and no wall lets go.
+    /// May ground sleep? Absent: yes, if there is gravity, no law feels the rate of deformation and no wall lets go; on the backend
+    /// wgpu, where watching over it costs more, only if a speed is given.
     #[serde(default)]
     pub on: Option<bool>,
     /// Speed along an axis up to which ground counts as being at rest [m/s]; absent: 1e-4 of sqrt(g h), for the finest cell h.

@@ -516,9 +516,10 @@ fn separations(plan: &Plan) -> Vec<usize> {
     (0..3).filter(lets_go).collect()
 }
 
-/// Does ground at rest sleep?
+/// Does ground at rest sleep? Only where a scene says so: to watch over it costs a GPU a tenth of a step, and most ground that is worked on
+/// hardly sleeps.
 pub(crate) fn may_sleep(plan: &Plan) -> bool {
-    plan.slow > 0.0
+    plan.slow > 0.0 && (plan.scene.sleep.on.is_some() || plan.scene.sleep.speed.is_some())
 }
 
 /// Boxes of each level but the coarsest: as many as there are agents.
