@@ -347,8 +347,8 @@ pub(crate) struct Dispatch<'a> {
 /// Particles that come in, laid out level by level.
 struct Arrival {
     homes: Vec<Homes>,
-    /// For how many steps their blocks have rested.
-    rests: Vec<Vec<u16>>,
+    /// What is known of their blocks' rest.
+    watched: Vec<Vec<sleep::Words>>,
     planes: Vec<Planes>,
     particles: ParticleState,
 }
@@ -1196,7 +1196,7 @@ impl WgpuBatch {
             age: rhythms.first().map_or(0, |rhythm| rhythm.age),
             drift: rhythms.iter().map(|rhythm| f64::from(rhythm.drift)).collect(),
             measured: Measured { stiffness_bound: world.stiffness.dt, stiffness_age: world.stiffness_age },
-            rest: self.rests(w..w + 1)?.concat(),
+            rest: self.rests(w)?.concat(),
             blocks,
             kept_for: vec![None; rhythms.len()],
         });
@@ -1237,10 +1237,11 @@ impl WgpuBatch {
         let all = self.worlds.len();
         let mut homes =
             if arrivals.len() < all { self.homes(0..all)? } else { vec![Homes::default(); self.words().layers] };
-        let mut rests = if arrivals.len() < all { self.rests(0..all)? } else { vec![Vec::new(); self.words().layers] };
+        let mut watched =
+            if arrivals.len() < all { self.watched(0..all)? } else { vec![Vec::new(); self.words().layers] };
         for (w, arrival) in &arrivals {
             homes[self.layers_of(*w)].clone_from_slice(&arrival.homes);
-            rests[self.layers_of(*w)].clone_from_slice(&arrival.rests);
+            watched[self.layers_of(*w)].clone_from_slice(&arrival.watched);
         }
         let counts: Vec<usize> = homes.iter().map(|homes| homes.cells.last().map_or(0, |end| *end as usize)).collect();
         let mut extent = self.memory.extent;
@@ -1265,7 +1266,7 @@ impl WgpuBatch {
             (slot, block) = (level.particles.end, level.blocks.end);
         }
         self.write_particles(&arrivals, &before);
-        self.write_lists(&homes, &rests);
+        self.write_lists(&homes, &watched);
         self.memory.now = 1 - self.memory.now;
         self.unlinked = true;
         self.cover_blocks(1)?;
@@ -1316,10 +1317,10 @@ impl WgpuBatch {
         }
         let rest = |(l, (lists, homes)): (usize, (&[ParticleList], &Homes))| match &particles.sort {
             Some(sort) => sleep::restored(sort, l, lists, homes),
-            None => vec![1; homes.blocks.len()],
+            None => vec![sleep::words_of(1); homes.blocks.len()],
         };
-        let rests = particles.lists.chunks(materials.len()).zip(&homes).enumerate().map(rest).collect();
-        Ok(Arrival { homes, rests, planes, particles })
+        let watched = particles.lists.chunks(materials.len()).zip(&homes).enumerate().map(rest).collect();
+        Ok(Arrival { homes, watched, planes, particles })
     }
 
     /// Writes the particles of all worlds into the other set of buffers: new ones from here, others from where they were.
@@ -1359,7 +1360,7 @@ impl WgpuBatch {
     }
 
     /// Writes where all blocks are into the other set of buffers, without their links.
-    fn write_lists(&self, homes: &[Homes], rests: &[Vec<u16>]) {
+    fn write_lists(&self, homes: &[Homes], watched: &[Vec<sleep::Words>]) {
         let next = 1 - self.memory.now;
         let layout = self.words();
         let (mut entries, mut cells) = (Vec::new(), Vec::new());
@@ -1377,8 +1378,7 @@ impl WgpuBatch {
         self.write(self.memory.buffer(Role::Now(Sorted::Lists), next), 0, bytemuck::cast_slice(&entries));
         self.write(self.memory.buffer(Role::Now(Sorted::Cells), next), 0, bytemuck::cast_slice(&cells));
         if self.may_sleep() {
-            let words: Vec<_> = rests.iter().flatten().map(|rest| sleep::words_of(*rest)).collect();
-            self.write(self.memory.buffer(Role::Now(Sorted::Watch), next), 0, bytemuck::cast_slice(&words));
+            self.write(self.memory.buffer(Role::Now(Sorted::Watch), next), 0, bytemuck::cast_slice(&watched.concat()));
         }
         self.write_words(BLOCKS, &[blocks as u32, 0]);
     }

@@ -993,20 +993,18 @@ fn gather() -> String {
 }
 
 fn g2p(laws: &str, sleeps: bool) -> Draft {
-    // A workgroup whose particles are all of one block looks only once.
+    // Particles of blocks asleep stay as they are. Whose they are is asked for while the first thread looks whether the step goes on.
     let texts = [
-        (
-            "$PASS_OVER",
-            "first_block = owners[min(q, extent.particles - 1u)].x;\n\
-             if go != 0u && is_live(first_layer) && owners[min(q + 127u, extent.particles - 1u)].x == first_block {\n\
-             go = u32(is_awake(first_block));\n}",
-        ),
-        ("$IF_AWAKE", " && is_awake(owners[q].x)"),
+        ("$OWNER", "let owner = owners[min(q, extent.particles - 1u)].x;\nlet sleeps = is_asleep(owner);"),
+        ("$FIRST", "first_block = owner;"),
+        ("$IF_AWAKE", " && !sleeps"),
         ("$NOTE_SPEED", "note_speed(b, v);"),
+        ("$ELSE", " else if q < extent.particles && is_live(layer_now) {\nnote_happened(owner, STEPPED);\n}"),
         (
             "$NOTE_FIRST",
-            "if is_live(first_layer) && !is_asleep(first_block) {\n\
-             note_happened(first_block, select(STEPPED, STEPPED | FAST, atomicLoad(&is_fast) != 0u));\n}",
+            "if is_live(first_layer) {\n\
+             atomicOr(&watch[watch_word(first_block, HAPPENED)], select(STEPPED, STEPPED | FAST, atomicLoad(&is_fast) != 0u));\n}\n\
+             if atomicLoad(&greatest_move) == 0u {\nreturn;\n}",
         ),
     ];
     let body = with_sleep(sleeps, include_str!("wgsl/g2p.wgsl"), &texts).replace("$GATHER", &gather());

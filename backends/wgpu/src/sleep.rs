@@ -17,6 +17,7 @@ const NEAR_TOOL: f64 = 4.0;
 
 /// Words of a block; see `watch_words.wgsl`.
 pub(crate) const WATCHED: usize = 12;
+pub(crate) type Words = [u32; WATCHED];
 const RESTS: usize = 0;
 const DECIDED: usize = 1;
 const HAPPENED: usize = 2;
@@ -54,21 +55,21 @@ impl Slept {
 }
 
 /// The words of a block that has rested for so many steps.
-pub(crate) fn words_of(rest: u16) -> [u32; WATCHED] {
+pub(crate) fn words_of(rest: u16) -> Words {
     let mut words = [0; WATCHED];
     (words[RESTS], words[DECIDED]) = (rest.into(), NONE);
     words
 }
 
 /// The words of a block of particles that come in: it knows of no rest, and stirs the one that it falls to.
-pub(crate) fn words_of_come() -> [u32; WATCHED] {
+pub(crate) fn words_of_come() -> Words {
     let mut words = words_of(0);
     (words[RESTS], words[HAPPENED]) = (NONE, STIRRED);
     words
 }
 
-/// For how many steps the blocks of a level had rested whose particles come back. Whoever hands them back may have set them in motion.
-pub(crate) fn restored(sort: &SortPhase, level: usize, lists: &[ParticleList], homes: &Homes) -> Vec<u16> {
+/// What is known of the rest of a level's blocks whose particles come back. Whoever hands them back may have set them in motion.
+pub(crate) fn restored(sort: &SortPhase, level: usize, lists: &[ParticleList], homes: &Homes) -> Vec<Words> {
     let is_here =
         |(([_, l, ..], counts), _): &(&([i32; 5], Vec<u32>), &u16)| *l == level as i32 && counts.iter().any(|n| *n > 0);
     let rests = sort.blocks.iter().zip(&sort.rest).filter(is_here);
@@ -78,13 +79,13 @@ pub(crate) fn restored(sort: &SortPhase, level: usize, lists: &[ParticleList], h
     };
     let of_block = |(cells, (_, &rest)): (&[u32], (_, &u16))| {
         let particles = &homes.order[cells[0] as usize..cells[64] as usize];
-        if rest == ASLEEP && particles.iter().any(moves) { 0 } else { rest }
+        words_of(if rest == ASLEEP && particles.iter().any(moves) { 0 } else { rest })
     };
     (0..homes.blocks.len()).map(|b| &homes.cells[64 * b..]).zip(rests).map(of_block).collect()
 }
 
 /// For how many steps a block has rested, by its words: as `rest_of` of `watch.wgsl`.
-fn rest_of(words: &[u32]) -> u16 {
+fn rest_of(words: &Words) -> u16 {
     let (rest, happened) = (words[RESTS] as u16, words[HAPPENED]);
     let rest = match happened {
         _ if happened & FAST > 0 => 0,
@@ -116,19 +117,23 @@ impl WgpuBatch {
         self.kernels.watch.is_some()
     }
 
-    /// For how many steps the blocks of each level of some worlds have rested.
-    pub(crate) fn rests(&self, worlds: Range<usize>) -> Result<Vec<Vec<u16>>> {
+    /// What is known of the rest of the blocks of each level of some worlds.
+    pub(crate) fn watched(&self, worlds: Range<usize>) -> Result<Vec<Vec<Words>>> {
         let levels: Vec<&Level> = self.worlds[worlds].iter().flat_map(|world| &world.levels).collect();
         if !self.may_sleep() {
-            return Ok(levels.iter().map(|level| vec![0; level.blocks.len()]).collect());
+            return Ok(levels.iter().map(|level| vec![words_of(0); level.blocks.len()]).collect());
         }
         let start = levels.first().map_or(0, |level| level.blocks.start);
         let count = levels.last().map_or(0, |level| level.blocks.end) - start;
         let watch = self.memory.plane(Sorted::Watch);
         let words: Vec<u32> = read(&self.gpu, watch, (4 * WATCHED * start) as u64, WATCHED * count)?;
-        let of_blocks = |blocks: Range<usize>| words[WATCHED * blocks.start..WATCHED * blocks.end].chunks(WATCHED);
-        let of_level = |level: &&Level| of_blocks(level.blocks.start - start..level.blocks.end - start);
-        Ok(levels.iter().map(|level| of_level(level).map(rest_of).collect()).collect())
+        let all = words.as_chunks::<WATCHED>().0;
+        Ok(levels.iter().map(|level| all[level.blocks.start - start..level.blocks.end - start].to_vec()).collect())
+    }
+
+    /// For how many steps the blocks of each of a world's levels have rested.
+    pub(crate) fn rests(&self, w: usize) -> Result<Vec<Vec<u16>>> {
+        Ok(self.watched(w..w + 1)?.iter().map(|level| level.iter().map(rest_of).collect()).collect())
     }
 
     /// A world's particles asleep.
@@ -137,7 +142,7 @@ impl WgpuBatch {
             return Ok(0);
         }
         let mut count = 0;
-        for (homes, rests) in self.homes(w..w + 1)?.iter().zip(self.rests(w..w + 1)?) {
+        for (homes, rests) in self.homes(w..w + 1)?.iter().zip(self.rests(w)?) {
             for (b, _) in rests.iter().enumerate().filter(|(_, rest)| **rest == ASLEEP) {
                 count += u64::from(homes.cells[64 * b + 64] - homes.cells[64 * b]);
             }

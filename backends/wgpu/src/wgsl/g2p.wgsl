@@ -40,10 +40,11 @@ fn first_node(b: u32, x: u32, y: u32, z: u32) -> u32 {
 @compute @workgroup_size(128)
 fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let q = (group.y * extent.row + group.x) * 128u + thread;
+    $OWNER
     if thread == 0u {
         go = ready(q == 0u);
         first_layer = layer_of(q);
-        $PASS_OVER
+        $FIRST
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
@@ -90,7 +91,7 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             atomicMax(&greatest_move, by_most);
         }
         $NOTE_SPEED
-    }
+    }$ELSE
     workgroupBarrier();
     if thread == 0u {
         $NOTE_FIRST

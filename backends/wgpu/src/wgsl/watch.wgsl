@@ -3,6 +3,9 @@
 // without a step in between changes nothing.
 
 var<workgroup> go: u32;
+// The block's own count, and whether it slept until now.
+var<workgroup> own: u32;
+var<workgroup> slept: u32;
 var<workgroup> stirred: atomic<u32>;
 var<workgroup> restless: atomic<u32>;
 var<workgroup> tied: atomic<u32>;
@@ -46,6 +49,10 @@ fn look_at(b: u32, n: u32) {
         if rest < RESTED {
             atomicStore(&restless, 1u);
         }
+        if n == 13u {
+            own = rest;
+            slept = u32(is_asleep(b));
+        }
     }
     $TIED
 }
@@ -60,24 +67,27 @@ fn is_near_tool(b: u32, tool: u32) -> bool {
 @compute @workgroup_size(64)
 fn watch_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let b = group.y * extent.row + group.x;
-    if thread == 0u {
+    // All that can be asked for at once is, also where there is no such block.
+    let here = min(b, extent.block_room - 1u);
+    if thread < 27u {
+        look_at(here, thread);
+    } else if thread == 32u {
         go = ready(b);
+    } else if thread > 32u {
+        for (var tool = thread - 33u; tool < u32(tools[0].x); tool += 31u) {
+            if is_near_tool(here, tool) {
+                atomicStore(&stirred, 1u);
+            }
+        }
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
-    if thread < 27u {
-        look_at(b, thread);
-    }
-    for (var tool = thread; tool < u32(tools[0].x); tool += 64u) {
-        if is_near_tool(b, tool) {
-            atomicStore(&stirred, 1u);
-        }
-    }
-    workgroupBarrier();
     if thread == 0u {
-        book_sleep(b);
-        var rest = rest_of(b);
+        if slept != 0u {
+            book_sleep(b);
+        }
+        var rest = own;
         if atomicLoad(&stirred) != 0u {
             rest = min(rest, 1u);
         } else if atomicLoad(&tied) != 0u {

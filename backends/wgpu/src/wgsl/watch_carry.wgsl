@@ -14,7 +14,7 @@ fn carry(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     let rest = atomicLoad(&old_watch[watch_word(old, RESTS)]);
     if rest != NONE {
         atomicStore(&watch[watch_word(b, RESTS)], rest);
-        for (var k = SLEPT; k < WATCHED; k++) {
+        for (var k = MASS; k < WATCHED; k++) {
             atomicStore(&watch[watch_word(b, k)], atomicLoad(&old_watch[watch_word(old, k)]));
         }
     }

@@ -3,15 +3,7 @@
 var<workgroup> first_block: u32;
 var<workgroup> is_fast: atomic<u32>;
 
-// Particles of blocks asleep stay as they are.
-fn is_awake(b: u32) -> bool {
-    if is_asleep(b) {
-        note_happened(b, STEPPED);
-        return false;
-    }
-    return true;
-}
-
+// Notes how fast a particle of a block awake is.
 fn note_speed(b: u32, v: vec3<f32>) {
     // NaN is fast.
     let bits = select(STEPPED | FAST, STEPPED, all(abs(v) <= vec3<f32>(SLOW)));

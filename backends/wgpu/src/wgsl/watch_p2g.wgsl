@@ -1,9 +1,14 @@
 
 var<workgroup> is_frozen: u32;
+// The block's count, in the invocation that asks whether the block gives to its tile.
+var<private> rests: u32;
 
 // From here on, what the watch has decided holds.
 fn settle(b: u32) {
-    let decided = atomicLoad(&watch[watch_word(min(b, extent.block_room - 1u), DECIDED)]);
+    let here = min(b, extent.block_room - 1u);
+    let decided = atomicLoad(&watch[watch_word(here, DECIDED)]);
+    let before = atomicLoad(&watch[watch_word(here, RESTS)]);
+    rests = select(decided, before, decided == NONE);
     if decided != NONE && b < atomicLoad(&status[BLOCKS]) {
         atomicStore(&watch[watch_word(b, RESTS)], decided);
         atomicStore(&watch[watch_word(b, HAPPENED)], 0u);
@@ -13,7 +18,7 @@ fn settle(b: u32) {
 
 // Does a block give to its tile? One asleep does if the tile is not yet for a step like this one.
 fn gives(b: u32, layer: u32) -> u32 {
-    if !is_asleep(b) {
+    if rests != ASLEEP {
         return 1u;
     }
     var gravity = bitcast<u32>(1.0);

@@ -13,7 +13,7 @@ const STIRRED: u32 = 4u;
 // What the tile of a block asleep is filled for, as bits: the finest level's step [s], 0 if it is not filled; and what part of gravity there was.
 const FILLED: u32 = 3u;
 const FILLED_GRAVITY: u32 = 4u;
-// The block's mass if it sleeps, or 0 if that is not known yet; and that, times gravity's part, summed over steps asleep: [kg].
+// The block's mass if it sleeps, or 0 if that is not known; and that, times gravity's part, summed over steps asleep: [kg].
 const MASS: u32 = 5u;
 const SLEPT: u32 = 6u;
 // How often it fell asleep, and what that took: momentum [N s] and kinetic energy [J].
