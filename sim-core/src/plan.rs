@@ -521,7 +521,9 @@ impl Plan {
             let because = match scene.sleep.on {
                 Some(_) => "sleep.on = true",
                 None if scene.sleep.speed.is_some() => "sleep.speed",
-                None => "gravity, and no law that flows with time: sleep.on = false keeps all awake (so does wgpu, unless asked)",
+                None => {
+                    "gravity, and no law that flows with time: sleep.on = false keeps all awake (so does wgpu, unless asked)"
+                }
             };
             let rest = format!("blocks that stay below {:.1e} m/s are left out of every pass", self.slow);
             add("ground at rest sleeps".to_owned(), because.to_owned(), rest);

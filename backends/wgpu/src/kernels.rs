@@ -516,8 +516,8 @@ fn separations(plan: &Plan) -> Vec<usize> {
     (0..3).filter(lets_go).collect()
 }
 
-/// Does ground at rest sleep? Only where a scene says so: to watch over it costs a GPU a tenth of a step, and most ground that is worked on
-/// hardly sleeps.
+/// Does ground at rest sleep? Only where a scene says so: to watch over it is another pass, which small worlds feel, and most ground that is
+/// worked on hardly sleeps.
 pub(crate) fn may_sleep(plan: &Plan) -> bool {
     plan.slow > 0.0 && (plan.scene.sleep.on.is_some() || plan.scene.sleep.speed.is_some())
 }
