@@ -72,6 +72,7 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         record[vector(q, 2u)] = bitcast<vec4<u32>>(vec4<f32>(v.x, c[0].x, c[1].x, c[2].x));
         record[vector(q, 3u)] = bitcast<vec4<u32>>(vec4<f32>(v.y, c[0].y, c[1].y, c[2].y));
         record[vector(q, 4u)] = bitcast<vec4<u32>>(vec4<f32>(v.z, c[0].z, c[1].z, c[2].z));
+        $NOTE_SPEED
 
         // The move, in counts of 2^-32 cells.
         let by_move = v * (step.dt_per_h * shrink_of(layer_now) * steps_of(layer_now));
@@ -90,7 +91,6 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         } else if by_most > atomicLoad(&greatest_move) {
             atomicMax(&greatest_move, by_most);
         }
-        $NOTE_SPEED
     }$ELSE
     workgroupBarrier();
     if thread == 0u {

@@ -9,9 +9,10 @@ var<workgroup> slept: u32;
 var<workgroup> stirred: atomic<u32>;
 var<workgroup> restless: atomic<u32>;
 var<workgroup> tied: atomic<u32>;
-// Are particles to be looked at: to be weighed, and stopped?
-var<workgroup> weigh: u32;
+// Are particles to be visited, stopped, and what is their mark?
+var<workgroup> visit: u32;
 var<workgroup> stop: u32;
+var<workgroup> mark: u32;
 var<workgroup> masses: array<f32, 64>;
 var<workgroup> motions: array<vec4<f32>, 64>;
 
@@ -100,9 +101,12 @@ fn watch_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
             atomicAdd(&watch[watch_word(b, FELL)], 1u);
         }
         atomicStore(&watch[watch_word(b, DECIDED)], rest);
-        weigh = u32(rest == ASLEEP && (stop != 0u || atomicLoad(&watch[watch_word(b, MASS)]) == 0u));
+        // A sort has taken off all marks, and left tiles to be filled.
+        let is_new = atomicLoad(&watch[watch_word(b, FILLED)]) == 0u || atomicLoad(&watch[watch_word(b, MASS)]) == 0u;
+        mark = select(0u, OF_SLEEPERS, rest == ASLEEP);
+        visit = u32((rest == ASLEEP) != (slept != 0u) || (rest == ASLEEP && is_new));
     }
-    if workgroupUniformLoad(&weigh) == 0u {
+    if workgroupUniformLoad(&visit) == 0u {
         return;
     }
     // What its particles weigh, and how they move, in the order of threads.
@@ -113,6 +117,7 @@ fn watch_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     var motion = vec4<f32>(0.0);
     for (var q = cells[b * 64u] + thread; q < cells[b * 64u + 64u]; q += 64u) {
         let m = bitcast<f32>(record[vector(q, 1u)].w);
+        owners[q].y = bitcast<u32>(m) | mark;
         mass += m;
         if is_stopped {
             for (var d = 0u; d < 3u; d++) {
