@@ -535,9 +535,9 @@ impl<T: Scalar> CpuEngine<T> {
     /// Contact on one level. Returns whether there were any nodes.
     pub(crate) fn touch(&mut self, l: usize, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<bool> {
         let clock = Instant::now();
-        let (level, mut reached) = (&mut self.levels[l], false);
+        let (level, subcycled, mut reached) = (&mut self.levels[l], self.substeps > 1, false);
         for coupling in couplings {
-            level.gather(&coupling.bounds(), self.least_mass, &mut self.batch);
+            level.gather(&coupling.bounds(), self.least_mass, subcycled, &mut self.batch);
             if !self.batch.is_empty() {
                 reached = true;
                 coupling.contact(dt, &mut self.batch)?;

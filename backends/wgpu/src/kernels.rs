@@ -84,6 +84,7 @@ const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
 const RIMS: Use = ("rims", "vec4<u32>", Role::Rims, false);
 const HANDED: Use = ("handed", "vec4<f32>", Role::Handed, false);
 const KEPT: Use = ("shared_nodes", "vec4<f32>", Role::Shared, true);
+const OWN: Use = ("shared_nodes", "vec4<f32>", Role::Shared, false);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 const WATCH: Use = ("watch", "atomic<u32>", Role::Now(Sorted::Watch), true);
 
@@ -375,11 +376,12 @@ pub(crate) fn contact(
     let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
     let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
     let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
+    let (text, own) = of_own_mass(kernels, include_str!("wgsl/contact.wgsl"));
     let law = Draft {
         name: "contact",
         entry: "contact",
-        body: [&count, &table, &law.wgsl, include_str!("wgsl/contact.wgsl")].concat(),
-        uses: vec![LISTS, GRID, bodies_now, written(partials), STATUS],
+        body: [&count, &table, &law.wgsl, text.as_str()].concat(),
+        uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
         uniform: Uniform::Table,
         groups: Groups::NodeBlocks,
         checked: true,
@@ -401,6 +403,7 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
     let near: Use = ("near", "vec4<u32>", Role::Near, false);
     let around: Use = ("around", "vec4<i32>", Role::Around, false);
     let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
+    let (gather, own) = of_own_mass(kernels, include_str!("wgsl/gather.wgsl"));
     let draft = |name, body: &str, uses, groups| Draft {
         name,
         entry: name,
@@ -413,13 +416,22 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
     [
         draft(
             "gather",
-            include_str!("wgsl/gather.wgsl"),
-            vec![LISTS, NODES, around, written(near), STATUS],
+            &gather,
+            [LISTS, NODES, around, written(near), STATUS].into_iter().chain(own).collect(),
             Groups::NodeBlocks,
         ),
         draft("scatter_near", include_str!("wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near),
     ]
     .map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
+}
+
+/// The text of a pass in which bodies meet nodes, with what these weigh for them, and what it binds besides. Subcycled, a node may be two
+/// levels'.
+fn of_own_mass(kernels: &Kernels, text: &str) -> (String, Vec<Use>) {
+    if kernels.shared.is_none() {
+        return (text.replace("$MASS", "node.w"), Vec::new());
+    }
+    (include_str!("wgsl/own.wgsl").to_owned() + &text.replace("$MASS", "own_mass(g, n, node)"), vec![RIMS, OWN])
 }
 
 /// Vectors of four that hold a world's material parameters.
@@ -842,7 +854,7 @@ fn sum_tiles(to_velocities: bool, levels: bool, subcycled: bool, sleeps: bool) -
         format!("grid[g * 64u + n] = {sum};")
     };
     let rims = if levels { include_str!("wgsl/rim_sums.wgsl") } else { "" };
-    let shared = if subcycled { include_str!("wgsl/shared.wgsl") } else { "" };
+    let shared = if subcycled { concat!(include_str!("wgsl/own.wgsl"), include_str!("wgsl/shared.wgsl")) } else { "" };
     let mut uses = vec![LISTS, GRID, STATUS];
     if levels {
         uses.extend([DIRECTORY, RIMS, HANDED]);
@@ -875,7 +887,7 @@ fn shared() -> [Draft; 2] {
     let draft = |name, body: &str| Draft {
         name,
         entry: name,
-        body: sums_of_tiles() + include_str!("wgsl/shared.wgsl") + body,
+        body: sums_of_tiles() + include_str!("wgsl/own.wgsl") + include_str!("wgsl/shared.wgsl") + body,
         uses: vec![LISTS, GRID, STATUS, DIRECTORY, RIMS, HANDED, KEPT],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
