@@ -328,7 +328,7 @@ impl<T: Scalar> CpuEngine<T> {
         self.clocks.add(Pass::Grid, clock);
     }
 
-    /// Velocities of all rims, coarsest first.
+    /// Velocities of all rims, coarsest first. They read what stands behind walls that let go, too.
     fn prolong(&mut self) {
         if self.levels.len() == 1 {
             return;
@@ -336,6 +336,7 @@ impl<T: Scalar> CpuEngine<T> {
         let clock = Instant::now();
         for l in (1..self.levels.len()).rev() {
             if let ([.., finer], [coarser, ..]) = self.levels.split_at_mut(l) {
+                coarser.mirror_separated();
                 finer.prolong(self.isa, &coarser.grid);
                 finer.max_speed = greater(finer.max_speed, coarser.max_speed);
             }
@@ -490,10 +491,8 @@ impl<T: Scalar> CpuEngine<T> {
             self.prolong();
             let clock = Instant::now();
             let isa = self.isa;
-            self.levels.par_iter_mut().for_each(|level| {
-                level.mirror_separated();
-                level.grid_to_particles(isa, dt);
-            });
+            self.levels[0].mirror_separated();
+            self.levels.par_iter_mut().for_each(|level| level.grid_to_particles(isa, dt));
             self.clocks.add(Pass::G2P, clock);
         }
         for coupling in couplings {

@@ -284,7 +284,7 @@ impl<'a> Passes<'a> {
         let step = self.constants(dt);
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
         self.run(step, kernels.grid.iter().chain(self.contact));
-        self.run(step, kernels.prolong.iter().chain(&kernels.mirror).chain([&kernels.g2p]));
+        self.run(step, kernels.to_particles());
     }
 
     /// One step of the coarsest level in which each level takes two steps in one of the next coarser one, as in the backend cpu's
@@ -316,7 +316,7 @@ impl<'a> Passes<'a> {
     pub(crate) fn end_slot(&mut self, dt: f64, first: usize, slot: usize) {
         let step = self.constants_of(dt / self.substeps(), ending(self.levels, slot), first + slot);
         self.run(step, self.contact);
-        self.run(step, self.kernels.mirror.iter().chain([&self.kernels.g2p]));
+        self.run(step, self.kernels.reflect.iter().chain([&self.kernels.g2p]));
     }
 
     /// Steps of the finest level in one of the coarsest.

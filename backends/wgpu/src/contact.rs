@@ -740,7 +740,7 @@ impl WgpuBatch {
         let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
         let (kernels, now) = (&self.kernels, self.memory.now);
         let back = near[1..].iter().filter(|_| count > 0);
-        let passes = back.chain(&kernels.prolong).chain(&kernels.mirror).chain([&kernels.g2p]).chain(&kernels.collect);
+        let passes = back.chain(kernels.to_particles()).chain(&kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

@@ -173,10 +173,12 @@ pub(crate) struct Kernels {
     pub(crate) grid: Vec<Kernel>,
     /// Halves and solves nodes that two levels share, if there is subcycling.
     pub(crate) shared: Option<[Kernel; 2]>,
-    /// Velocities at rims.
-    pub(crate) prolong: Option<Kernel>,
     /// Velocities behind walls that let go.
     pub(crate) mirror: Vec<Kernel>,
+    /// Velocities at rims.
+    pub(crate) prolong: Option<Kernel>,
+    /// Velocities behind mirrors.
+    pub(crate) reflect: Option<Kernel>,
     pub(crate) g2p: Kernel,
     pub(crate) stress: Kernel,
     /// Sums of what walls gave and sleep took.
@@ -238,8 +240,9 @@ impl Kernels {
             restrict: all(drafts.restrict),
             grid: all(drafts.grid),
             shared: drafts.shared.map(|drafts| drafts.map(make)),
-            prolong: drafts.prolong.map(make),
             mirror: all(drafts.mirror),
+            prolong: drafts.prolong.map(make),
+            reflect: drafts.reflect.map(make),
             g2p: make(drafts.g2p),
             stress: make(drafts.stress),
             collect: all(drafts.collect),
@@ -253,6 +256,11 @@ impl Kernels {
             step_layout,
         })
     }
+
+    /// From whole velocities to particles. Rims read what stands behind walls that let go, and mirrors what stands at rims.
+    pub(crate) fn to_particles(&self) -> impl Iterator<Item = &Kernel> {
+        self.mirror.iter().chain(&self.prolong).chain(&self.reflect).chain([&self.g2p])
+    }
 }
 
 /// The passes of [`Kernels`], before a device has seen them.
@@ -263,8 +271,9 @@ struct Drafts {
     restrict: Vec<Draft>,
     grid: Vec<Draft>,
     shared: Option<[Draft; 2]>,
-    prolong: Option<Draft>,
     mirror: Vec<Draft>,
+    prolong: Option<Draft>,
+    reflect: Option<Draft>,
     g2p: Draft,
     stress: Draft,
     collect: Vec<Draft>,
@@ -290,12 +299,10 @@ impl Drafts {
         let subcycled = plan.substeps > 1;
         let sleeps = may_sleep(plan);
         let mut grid = vec![sum_tiles(separations.is_empty(), levels, subcycled, sleeps)];
-        grid.extend(separations.iter().map(|&axis| separate(axis, false)));
+        grid.extend(separations.iter().map(|&axis| separate(axis, false, levels)));
         if !separations.is_empty() {
             grid.push(velocities());
         }
-        let mut mirror: Vec<_> = separations.iter().rev().map(|&axis| separate(axis, true)).collect();
-        mirror.extend(has_mirrors.then(|| reflect(sleeps)));
         let mut collect: Vec<_> = has_walls.then(collect).into_iter().collect();
         collect.extend(sleeps.then(sum_sleep));
         Ok(Self {
@@ -305,8 +312,9 @@ impl Drafts {
             restrict: if levels { restrict() } else { Vec::new() },
             grid,
             shared: subcycled.then(shared),
+            mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
             prolong: levels.then(prolong),
-            mirror,
+            reflect: has_mirrors.then(|| reflect(sleeps)),
             g2p: g2p(&laws, sleeps),
             stress: stress(&laws),
             collect,
@@ -328,7 +336,13 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     }
     lines.extend(drafts.shared.iter().flatten().map(|draft| line("every step of a level", draft)));
     lines.extend(
-        drafts.prolong.iter().chain(&drafts.mirror).chain([&drafts.g2p]).map(|draft| line("every step", draft)),
+        drafts
+            .mirror
+            .iter()
+            .chain(&drafts.prolong)
+            .chain(&drafts.reflect)
+            .chain([&drafts.g2p])
+            .map(|draft| line("every step", draft)),
     );
     lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
     let adapt = drafts.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
@@ -909,14 +923,16 @@ fn velocities() -> Draft {
     }
 }
 
-/// A wall that lets go decides; afterwards (`back`) images take their nodes' velocities.
-fn separate(axis: usize, back: bool) -> Draft {
-    let constants = format!("const AXIS: u32 = {axis}u;\n");
+/// A wall that lets go decides; afterwards (`back`) images take their nodes' velocities. Nodes at rims are the next coarser level's business.
+fn separate(axis: usize, back: bool, levels: bool) -> Draft {
+    let is_slave = if levels { "(rims[g][n >> 5u] & (1u << (n & 31u))) != 0u" } else { "false" };
+    let constants =
+        format!("const AXIS: u32 = {axis}u;\nfn is_slave(g: u32, n: u32) -> bool {{ return {is_slave}; }}\n");
     Draft {
         name: if back { "mirror" } else { "separate" },
         entry: if back { "mirror_back" } else { "separate" },
         body: constants + include_str!("wgsl/separate.wgsl"),
-        uses: vec![DIRECTORY, written(LISTS), GRID, PAIRS, STATUS],
+        uses: [DIRECTORY, written(LISTS), GRID, PAIRS, STATUS].into_iter().chain(levels.then_some(RIMS)).collect(),
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
         checked: true,

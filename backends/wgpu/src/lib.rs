@@ -23,7 +23,6 @@ mod world;
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
 use barchan_core::levels::Agent;
-use barchan_core::scene::Wall;
 use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
 
@@ -68,24 +67,12 @@ impl Backend for Wgpu {
                 "use the backend cpu, or set levels.reach = 0",
             ));
         }
-        let levels = plan.cell_widths.len();
-        if levels > 1 {
-            if plan.agents.iter().any(|agent| matches!(agent, Agent::Soft(_))) {
-                return Err(lacks(
-                    "levels that follow soft bodies",
-                    "levels.agents names one",
-                    "let levels follow tools, use the backend cpu, or set levels.count = 1",
-                ));
-            }
-            let walls = &plan.scene.world.walls;
-            let lets_go = |axis: usize| walls.pair(axis).iter().any(|wall| matches!(wall, Wall::Separate { .. }));
-            if (0..3).any(lets_go) {
-                return Err(lacks(
-                    "walls that let go, with several levels",
-                    format!("a wall is 'separate', and levels.count = {levels}"),
-                    "use the backend cpu, slip or sticking walls, or levels.count = 1",
-                ));
-            }
+        if plan.cell_widths.len() > 1 && plan.agents.iter().any(|agent| matches!(agent, Agent::Soft(_))) {
+            return Err(lacks(
+                "levels that follow soft bodies",
+                "levels.agents names one",
+                "let levels follow tools, use the backend cpu, or set levels.count = 1",
+            ));
         }
         if plan.precision == Precision::F64 {
             return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));
