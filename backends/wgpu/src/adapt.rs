@@ -30,11 +30,12 @@ struct Found {
 impl WgpuBatch {
     /// Moves a world's levels after the bodies that they follow.
     pub(crate) fn follow(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
-        // Nothing soft is followed.
-        match self.worlds[w].adapt.follow(couplings, |_| None) {
-            Some(before) => self.adapt(w, Some(&before), couplings),
-            None => Ok(()),
-        }
+        self.look_for_soft(w)?;
+        let world = &mut self.worlds[w];
+        let boxes = world.softs.boxes(self.h);
+        let before = world.adapt.follow(couplings, |body| boxes.get(&body).copied());
+        self.write_soft(w);
+        before.map_or(Ok(()), |before| self.adapt(w, Some(&before), couplings))
     }
 
     /// Brings a world's particles to the levels where they belong, splits and merges. `before` are its regions as they were, if they

@@ -82,6 +82,8 @@ pub(crate) enum Halt {
     Strayed,
     /// There are fewer particles than before.
     Fewer,
+    /// Levels must move after soft bodies.
+    Follow,
 }
 
 impl Halt {
@@ -94,7 +96,8 @@ impl Halt {
             4 => Some(Self::Misplaced),
             5 => Some(Self::LeftWorld),
             6 => Some(Self::Strayed),
-            _ => Some(Self::Fewer),
+            7 => Some(Self::Fewer),
+            _ => Some(Self::Follow),
         }
     }
 }
@@ -284,7 +287,7 @@ impl<'a> Passes<'a> {
         let step = self.constants(dt);
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
         self.run(step, kernels.grid.iter().chain(self.contact));
-        self.run(step, kernels.to_particles());
+        self.run(step, kernels.to_particles().chain(kernels.soft()));
     }
 
     /// One step of the coarsest level in which each level takes two steps in one of the next coarser one, as in the backend cpu's
@@ -293,6 +296,15 @@ impl<'a> Passes<'a> {
         for slot in 0..1 << (self.levels - 1) {
             self.begin_slot(dt, first, slot);
             self.end_slot(dt, first, slot);
+        }
+        self.look_for_soft(dt);
+    }
+
+    /// Where soft bodies are after a step, if levels follow any.
+    pub(crate) fn look_for_soft(&mut self, dt: f64) {
+        if self.kernels.soft.is_some() {
+            let step = self.constants(dt);
+            self.run(step, self.kernels.soft());
         }
     }
 
@@ -392,8 +404,8 @@ pub(crate) struct Fixed {
     /// When it has grown [m/s²], and over what time it grows [s].
     pub(crate) gravity: (Vec3, f64),
     laws: Vec<(String, String)>,
-    /// How many there are, steps of the finest in one of the coarsest, and boxes of each.
-    levels: (usize, u32, usize),
+    /// How many there are, steps of the finest in one of the coarsest, boxes of each, and soft bodies that they follow.
+    levels: (usize, u32, usize, Vec<u16>),
     /// Of the finest particles of each body, if there are several levels [m³].
     volumes: Vec<f64>,
 }
@@ -405,7 +417,7 @@ impl Fixed {
             world: kernels::constants(plan),
             gravity: (plan.scene.gravity, plan.scene.gravity_ramp),
             laws: plan.materials.iter().map(law).collect(),
-            levels: (plan.cell_widths.len(), plan.substeps, kernels::boxes(plan)),
+            levels: (plan.cell_widths.len(), plan.substeps, kernels::boxes(plan), kernels::softs(plan)),
             volumes: if plan.cell_widths.len() > 1 { finest_volumes(plan) } else { Vec::new() },
         }
     }
@@ -428,7 +440,7 @@ impl Fixed {
             return differs("their materials' laws", MEND);
         }
         if other.levels != self.levels {
-            return differs("levels.count, levels.subcycle or the number of levels.agents", MEND);
+            return differs("levels.count, levels.subcycle, or the number or the soft ones of levels.agents", MEND);
         }
         if other.volumes != self.volumes {
             return differs("how many bodies they have on levels, or how finely these are sampled", MEND);
@@ -485,9 +497,18 @@ impl WgpuBatch {
         };
         let vectors = rest_vectors(&plan.materials);
         let boxes = (levels - 1) * kernels::boxes(plan);
-        let substeps = plan.substeps as usize;
+        let (substeps, softs) = (plan.substeps as usize, count * kernels::softs(plan).len());
         let sleeps = kernels::may_sleep(plan);
-        let asked = Asked { pairs, layers: count * levels, worlds: count, boxes, substeps, sleeps, ..Asked::default() };
+        let asked = Asked {
+            pairs,
+            layers: count * levels,
+            worlds: count,
+            boxes,
+            substeps,
+            sleeps,
+            softs,
+            ..Asked::default()
+        };
         let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
         let mut batch = Self {
             gpu,
@@ -1276,6 +1297,7 @@ impl WgpuBatch {
                 self.non_finite(*w, field, (particle, law), value, count, 0.0)
             });
             let world = &mut self.worlds[*w];
+            world.see_soft(&arrival.particles.lists);
             for (level, homes) in world.levels.iter_mut().zip(&arrival.homes) {
                 level.node_blocks = 0..homes.nodes.len();
             }
@@ -1450,7 +1472,7 @@ impl WgpuBatch {
             match outcome.halt {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
                 // A sort on its own, or one that others have to follow.
-                None | Some(Halt::Fewer | Halt::Misplaced) => {}
+                None | Some(Halt::Fewer | Halt::Misplaced | Halt::Follow) => {}
                 Some(Halt::Drifted) if !stretches[0].sort => {}
                 Some(Halt::TooFast) => dt = self.shorten(turns, &mut failed, &outcome, dt),
                 _ => {
@@ -1561,6 +1583,8 @@ impl WgpuBatch {
         let mut go = || {
             let each = dt / self.substeps as f64;
             let levels = &self.worlds[turn.world].levels;
+            // Soft ones are watched by the device.
+            let softs = self.worlds[turn.world].softs.boxes(self.h);
             for slot in 0..count * self.substeps {
                 let at = turn.time + slot as f64 * each;
                 driven.near.push(sleep::near_tools(couplings, levels));
@@ -1574,7 +1598,7 @@ impl WgpuBatch {
                 if (slot + 1) % self.substeps == 0 {
                     driven.after.push(couplings[0].bodies());
                     driven.saved.push(couplings[0].save());
-                    if self.worlds[turn.world].adapt.must_follow(couplings) {
+                    if self.worlds[turn.world].adapt.must_follow(couplings, |body| softs.get(&body).copied()) {
                         break;
                     }
                 }
@@ -1693,8 +1717,12 @@ impl WgpuBatch {
         }
         let with_bodies = turns.iter().any(|turn| !turn.couplings.is_empty());
         let on_host = with_bodies && matches!(self.contact, Contact::Host(_));
-        let hardens = turns.iter().any(|turn| self.worlds[turn.world].hardens);
-        let most = if hardens { STIFFNESS_AGE as usize } else { MAX_STEPS }.min(MAX_STEPS / self.substeps);
+        // Each world's stiffness is asked after as many of its own steps, whatever the others do.
+        let until_asked = |turn: &Turn<'_>| {
+            let world = &self.worlds[turn.world];
+            if world.hardens { STIFFNESS_AGE.saturating_sub(world.stiffness_age).max(1) as usize } else { MAX_STEPS }
+        };
+        let most = turns.iter().map(until_asked).fold(MAX_STEPS / self.substeps, usize::min);
         let reports = if on_host && ground && self.substeps > 1 {
             self.step_levels_on_host(dt, turns)?
         } else if on_host || !ground {

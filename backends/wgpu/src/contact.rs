@@ -413,6 +413,7 @@ impl WgpuBatch {
             starts.push(passes.dispatches.len());
             passes.end_slot(dt, 0, one);
         }
+        passes.look_for_soft(dt);
         let end = starts.get(slot + 1).copied().unwrap_or(passes.dispatches.len());
         let own = passes.dispatches.drain(starts[slot]..end).collect::<Vec<_>>();
         passes.dispatches.clear();
@@ -740,7 +741,7 @@ impl WgpuBatch {
         let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
         let (kernels, now) = (&self.kernels, self.memory.now);
         let back = near[1..].iter().filter(|_| count > 0);
-        let passes = back.chain(kernels.to_particles()).chain(&kernels.collect);
+        let passes = back.chain(kernels.to_particles()).chain(kernels.soft()).chain(&kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

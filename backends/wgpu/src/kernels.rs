@@ -6,7 +6,7 @@ use crate::memory::{MAX_STEPS, NEAR_BLOCK};
 use crate::sleep::RESTED;
 use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
-use barchan_core::levels::{MERGE_BEHIND, SPLIT_AHEAD};
+use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Plan, Result, Stage};
@@ -59,6 +59,8 @@ pub(crate) enum Role {
     Near,
     /// Boxes of blocks near tools, in which nothing sleeps.
     Tools,
+    /// Soft bodies that levels follow.
+    Soft,
 }
 
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
@@ -183,6 +185,8 @@ pub(crate) struct Kernels {
     pub(crate) stress: Kernel,
     /// Sums of what walls gave and sleep took.
     pub(crate) collect: Vec<Kernel>,
+    /// Where soft bodies are that levels follow.
+    pub(crate) soft: Option<[Kernel; 2]>,
     /// Rounds of split and merge, if there are several levels.
     pub(crate) adapt: Option<AdaptKernels>,
 }
@@ -246,6 +250,7 @@ impl Kernels {
             g2p: make(drafts.g2p),
             stress: make(drafts.stress),
             collect: all(drafts.collect),
+            soft: drafts.soft.map(|drafts| drafts.map(make)),
             adapt: drafts.adapt.map(|adapt| AdaptKernels {
                 find: adapt.find.map(make),
                 fill: make(adapt.fill),
@@ -260,6 +265,11 @@ impl Kernels {
     /// From whole velocities to particles. Rims read what stands behind walls that let go, and mirrors what stands at rims.
     pub(crate) fn to_particles(&self) -> impl Iterator<Item = &Kernel> {
         self.mirror.iter().chain(&self.prolong).chain(&self.reflect).chain([&self.g2p])
+    }
+
+    /// Where soft bodies are after a step.
+    pub(crate) fn soft(&self) -> impl Iterator<Item = &Kernel> {
+        self.soft.iter().flatten()
     }
 }
 
@@ -277,6 +287,7 @@ struct Drafts {
     g2p: Draft,
     stress: Draft,
     collect: Vec<Draft>,
+    soft: Option<[Draft; 2]>,
     adapt: Option<AdaptDrafts>,
 }
 
@@ -318,6 +329,7 @@ impl Drafts {
             g2p: g2p(&laws, sleeps),
             stress: stress(&laws),
             collect,
+            soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
             adapt: levels.then(|| adapt(plan, &laws, worlds)),
         })
     }
@@ -342,6 +354,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
             .chain(&drafts.prolong)
             .chain(&drafts.reflect)
             .chain([&drafts.g2p])
+            .chain(drafts.soft.iter().flatten())
             .map(|draft| line("every step", draft)),
     );
     lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
@@ -1060,6 +1073,42 @@ fn stress(laws: &str) -> Draft {
         groups: Groups::ParticlesBy(128),
         checked: true,
     }
+}
+
+/// Soft bodies that levels follow, in the order of agents.
+pub(crate) fn softs(plan: &Plan) -> Vec<u16> {
+    let soft = |agent: &Agent| if let Agent::Soft(body) = agent { Some(*body) } else { None };
+    plan.agents.iter().filter_map(soft).collect()
+}
+
+/// The cells around soft bodies after a step, and whether levels must move before the next one.
+fn soft(bodies: &[u16]) -> [Draft; 2] {
+    let cases: String =
+        bodies.iter().enumerate().map(|(i, body)| format!("case {body}u: {{ return {i}u; }} ")).collect();
+    let constants = format!("const SOFTS: u32 = {}u;\n", bodies.len());
+    let number = format!("fn number_of(body: u32) -> u32 {{ switch body {{ {cases}default: {{ return NONE; }} }} }}\n");
+    let softs: Use = ("softs", "atomic<i32>", Role::Soft, true);
+    let draft = |name, entry, body: String, uses, groups| Draft {
+        name,
+        entry,
+        body,
+        uses,
+        uniform: Uniform::None,
+        groups,
+        checked: true,
+    };
+    let measure = constants.clone() + &number + include_str!("wgsl/soft.wgsl");
+    let uses = vec![RECORD, IDS, OWNERS, LISTS, softs, STATUS];
+    [
+        draft("soft bodies", "measure", measure, uses, Groups::ParticlesBy(128)),
+        draft(
+            "follow",
+            "watch_soft",
+            constants + include_str!("wgsl/soft_watch.wgsl"),
+            vec![softs, STATUS],
+            Groups::One,
+        ),
+    ]
 }
 
 fn collect() -> Draft {

@@ -18,11 +18,11 @@ pub mod material;
 mod memory;
 mod seat;
 mod sleep;
+mod soft;
 mod stiffness;
 mod world;
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
-use barchan_core::levels::Agent;
 use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
 
@@ -65,13 +65,6 @@ impl Backend for Wgpu {
                 format!("form of the stage '{}'", Stage::Archive),
                 format!("levels.reach = {}", plan.scene.levels.reach),
                 "use the backend cpu, or set levels.reach = 0",
-            ));
-        }
-        if plan.cell_widths.len() > 1 && plan.agents.iter().any(|agent| matches!(agent, Agent::Soft(_))) {
-            return Err(lacks(
-                "levels that follow soft bodies",
-                "levels.agents names one",
-                "let levels follow tools, use the backend cpu, or set levels.count = 1",
             ));
         }
         if plan.precision == Precision::F64 {

@@ -4,6 +4,7 @@ use crate::device::Gpu;
 use crate::kernels::{FIRST_BINDING, Kernel, Role, Sorted, Uniform};
 use crate::layout::{ENTRY, RECORD};
 use crate::sleep::WATCHED;
+use crate::soft::WORDS as SOFT_WORDS;
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
@@ -41,6 +42,8 @@ pub(crate) struct Asked {
     pub(crate) boxes: usize,
     /// Steps of the finest level in one of the coarsest.
     pub(crate) substeps: usize,
+    /// Soft bodies that levels follow, in all worlds.
+    pub(crate) softs: usize,
     /// Where the couplings' law runs on the host: boxes around the bodies of a layer, and blocks of nodes that go there and back.
     pub(crate) around: usize,
     pub(crate) near: usize,
@@ -164,7 +167,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 6] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells, Sorted::Watch];
-const SHARED: [Role; 19] = [
+const SHARED: [Role; 20] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -184,6 +187,7 @@ const SHARED: [Role; 19] = [
     Role::Around,
     Role::Near,
     Role::Tools,
+    Role::Soft,
 ];
 
 fn shared_name(role: Role) -> &'static str {
@@ -207,6 +211,7 @@ fn shared_name(role: Role) -> &'static str {
         Role::Around => "boxes around bodies",
         Role::Near => "nodes near bodies",
         Role::Tools => "boxes near tools",
+        Role::Soft => "soft bodies that levels follow",
         Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
     }
 }
@@ -254,6 +259,7 @@ impl Extent {
             Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
             Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
             Role::Tools => 16 * (1 + 2 * MAX_STEPS * asked.layers * asked.tools) as u64,
+            Role::Soft => 4 * (SOFT_WORDS * asked.softs) as u64,
             Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),
             Role::Handed if asked.boxes > 0 => 16 * (64 * nodes + 24 * blocks),
             Role::Shared if asked.substeps > 1 => 16 * 128 * nodes,

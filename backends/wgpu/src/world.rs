@@ -1,9 +1,10 @@
 //! What the host knows of a world of a batch.
 
-use crate::kernels::parameter_vectors;
+use crate::kernels::{parameter_vectors, softs};
 use crate::layout::Periods;
 use crate::memory::Layer;
 use crate::sleep::Slept;
+use crate::soft::Softs;
 use crate::stiffness;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
@@ -99,6 +100,8 @@ pub(crate) struct World {
     pub(crate) levels: Vec<Level>,
     /// Where they are, and who is split and merged.
     pub(crate) adapt: Adapt,
+    /// Soft bodies that they follow.
+    pub(crate) softs: Softs,
     /// Steps of the finest level in one.
     pub(crate) substeps: u32,
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
@@ -159,6 +162,7 @@ impl World {
             scene: plan.scene.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             adapt: Adapt::new(plan),
+            softs: Softs::new(softs(plan).into_iter()),
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,
