@@ -27,10 +27,12 @@ use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Regis
 use std::sync::Arc;
 
 /// The backend called `wgpu`.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Wgpu {
     /// How much of what an adapter offers it takes: all of it, unless one wants to know what runs on the poorest.
     pub offer: device::Offer,
+    /// An open device to run everything on, whatever adapter is asked for; without one, each simulation opens its own.
+    pub device: Option<Arc<device::Gpu>>,
 }
 
 /// What this backend lacks, why the scene asks for it, and what would mend it.
@@ -103,7 +105,10 @@ impl Backend for Wgpu {
 fn seats(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<seat::Seats> {
     worlds.iter().try_for_each(|world| backend.check(world.plan))?;
     let adapter = worlds.first().and_then(|world| world.plan.adapter.as_deref());
-    let gpu = device::open_with(adapter, backend.offer)?;
+    let gpu = match &backend.device {
+        Some(gpu) => Arc::clone(gpu),
+        None => Arc::new(device::open_with(adapter, backend.offer)?),
+    };
     Ok(seat::Seats::new(batch::WgpuBatch::new(gpu, worlds)?))
 }
 

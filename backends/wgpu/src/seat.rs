@@ -78,6 +78,10 @@ impl Engine for Seat {
         self.seats.batch().lists_where(self.world, wanted).unwrap_or_default()
     }
 
+    fn check(&self) -> Result<()> {
+        self.seats.batch().gpu.check()
+    }
+
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
         let mut batch = self.seats.batch();
         batch.settle()?;

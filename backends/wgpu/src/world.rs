@@ -92,6 +92,15 @@ pub(crate) struct Level {
     pub(crate) gone: usize,
 }
 
+/// Where the law of a world's bodies runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Place {
+    /// It has no bodies.
+    Nowhere,
+    Host,
+    Device,
+}
+
 /// A world of a batch.
 pub(crate) struct World {
     pub(crate) materials: Vec<PlannedMaterial>,
@@ -102,6 +111,8 @@ pub(crate) struct World {
     pub(crate) adapt: Adapt,
     /// Soft bodies that they follow.
     pub(crate) softs: Softs,
+    /// Where its bodies' law runs, once that is known.
+    pub(crate) contact: Option<Place>,
     /// Steps of the finest level in one.
     pub(crate) substeps: u32,
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
@@ -163,6 +174,7 @@ impl World {
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             adapt: Adapt::new(plan),
             softs: Softs::new(softs(plan).into_iter()),
+            contact: None,
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,
