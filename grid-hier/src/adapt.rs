@@ -34,7 +34,7 @@ const MERGE_ROUNDS: u64 = 128;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 /// Particles' numbers are less than this.
-const IDS: u64 = u32::MAX as u64;
+pub(crate) const IDS: u64 = u32::MAX as u64;
 
 /// One particle outside of any list, on its way to another place or level. Numbers of a run's precision are exact in it.
 #[derive(Clone, Debug)]

@@ -4,6 +4,7 @@
 use barchan::scene::{Leaving, Motion, OverBound, Scene, Shape, Time, Wall};
 use barchan::worlds::Worlds;
 use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Registry, Simulation, Spot, Vec3};
+use barchan_tests::long_cases::{FURROW_CELL, furrow_depth, furrow_scene};
 use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
 use barchan_tests::sketch::{Head, PERIODIC, bed, block, driven, half, material, tool};
 use barchan_wgpu::Wgpu;
@@ -1343,6 +1344,71 @@ fn levels_follow_soft_bodies() {
             taken += alone.steps((count - taken).min(30), f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
         }
         assert!(left(worlds.world(1)) == left(&alone), "world 1 is not itself alone");
+    }
+}
+
+/// A ball that draws a furrow through settled sand of which only what is around it is live, and comes back through the air: tiles come and go as on
+/// the CPU, the ball finds the furrow that it left, mass and momentum are accounted for, and steps taken at once, one by one and after the run
+/// was saved go on alike.
+#[test]
+fn ground_comes_within_reach_and_leaves_it_as_on_the_cpu() {
+    let registry = barchan::registry();
+    let scene = scene(&furrow_scene(5.12, 0.64).replace("safety = 0.5", "step = 5e-4"));
+    let on_cpu = Options { precision: Precision::F32, threads: 1, ..Options::default() };
+    let mut c = Simulation::new(&registry, &scene, &on_cpu).unwrap();
+    let [mut g, mut many] = [(); 2].map(|()| Simulation::new(&registry, &scene, &on_gpu()).unwrap());
+    let start = g.ledger();
+    let mut given = [[0.0; 3]; 2];
+    let mut drawn = |g: &mut Simulation, c: &mut Simulation, steps: usize| {
+        for (sim, given) in [&mut *g, c].into_iter().zip(&mut given) {
+            for _ in 0..steps {
+                let dt = sim.step().unwrap_or_else(|e| panic!("{e}")).dt;
+                (0..3).for_each(|d| given[d] += sim.wrenches()[0].force[d] * dt);
+            }
+        }
+        let live = [&*g, c].map(|sim| sim.particles().levels.unwrap().live);
+        assert_eq!(live[0], live[1], "live tiles at {} s", g.time());
+    };
+    for _ in 0..5 {
+        drawn(&mut g, &mut c, 60);
+    }
+    let mut taken = 0;
+    while taken < 300 {
+        taken += many.steps(300 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
+    }
+    assert!(left(&many) == left(&g), "steps taken at once are something else");
+    let [on_gpu_now, on_cpu_now] = [&g, &c].map(|sim| furrow_depth(&sim.ground(), 0.3));
+    println!("furrow {on_gpu_now:.4} m and {on_cpu_now:.4} m deep; {:?}\n{:?}", g.ledger().counts, c.ledger().counts);
+    within("depth of the furrow beside the CPU's, in cells", (on_gpu_now - on_cpu_now).abs() / FURROW_CELL, 0.25);
+    for (velocity, steps) in [([0.0, 0.0, 4.0], 80), ([16.0, 0.0, 0.0], 180)] {
+        [&mut g, &mut c].into_iter().for_each(|sim| sim.drive("ball", velocity, [0.0; 3]).unwrap());
+        drawn(&mut g, &mut c, steps);
+    }
+    assert!(furrow_depth(&g.particles(), 0.1).is_nan(), "the furrow's beginning is out of reach");
+    let kept = furrow_depth(&g.ground(), 0.1);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.barchan");
+    g.save(&file).unwrap();
+    let mut resumed = Simulation::resume(&registry, &file, &on_gpu()).unwrap();
+    assert!(resumed.particles() == g.particles(), "what is resumed is what was saved");
+    [&mut g, &mut c, &mut resumed].into_iter().for_each(|sim| sim.drive("ball", [-16.0, 0.0, 0.0], [0.0; 3]).unwrap());
+    drawn(&mut g, &mut c, 220);
+    take(&mut resumed, 220);
+    let found = furrow_depth(&g.particles(), 0.1);
+    let (after, there) = (g.ledger(), c.ledger());
+    println!("kept {kept:.4} m deep, found {found:.4} m; {:?}\n{:?}", after.counts, there.counts);
+    within("furrow found on coming back: change of depth, in cells", (found - kept).abs() / FURROW_CELL, 0.25);
+    assert_eq!(resumed.particles().levels, g.particles().levels);
+    for what in ["tiles brought in from the terrain", "tiles brought back from the archive"] {
+        assert!(after.counts[what] > 0 && after.counts[what] == there.counts[what], "{what}");
+    }
+    let lost = |l: &Ledger| l.mass + l.deleted_mass - l.seeded_mass;
+    within("mass less what came in, change", (lost(&after) / lost(&start) - 1.0).abs(), 1e-6);
+    for (name, ledger, given) in [("the GPU", &after, given[0]), ("the CPU", &there, given[1])] {
+        let balance: Vec3 = std::array::from_fn(|d| {
+            ledger.momentum[d] - start.momentum[d] - ledger.wall_impulse[d] - ledger.gravity_impulse[d] + given[d]
+        });
+        within(&format!("balance of momentum on {name}"), norm(balance) / norm(ledger.gravity_impulse), 1e-4);
     }
 }
 

@@ -1,6 +1,5 @@
 //! The step.
 
-use crate::archive::Reach;
 use crate::isolated;
 use crate::level::{Level, Shares, Stopped, greater};
 use crate::sleep::Lulled;
@@ -15,6 +14,7 @@ use barchan_core::{
     StepReport,
 };
 use barchan_grid::adapt::Adapt;
+use barchan_grid::archive::Reach;
 use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
 use barchan_lanes::{Isa, LANES};

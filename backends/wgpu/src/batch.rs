@@ -19,9 +19,10 @@ use barchan_core::{
     StepReport, Vec3, Wrench,
 };
 use barchan_grid::adapt::{Candidates, finest_volumes};
+use barchan_grid::archive::Reach;
 use barchan_grid::block;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -496,16 +497,8 @@ impl WgpuBatch {
         let boxes = (levels - 1) * kernels::boxes(plan);
         let (substeps, softs) = (plan.substeps as usize, count * kernels::softs(plan).len());
         let sleeps = kernels::may_sleep(plan);
-        let asked = Asked {
-            pairs,
-            layers: count * levels,
-            worlds: count,
-            boxes,
-            substeps,
-            sleeps,
-            softs,
-            ..Asked::default()
-        };
+        let asked =
+            Asked { pairs, layers: count * levels, worlds: count, boxes, substeps, sleeps, softs, ..Asked::default() };
         let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
         let mut batch = Self {
             gpu,
@@ -1142,7 +1135,11 @@ impl WgpuBatch {
             let places: Vec<_> = homes.places().into_par_iter().filter(is_wanted).collect();
             lists.extend(planes.lists(&places, &world.materials, (l, level.h), count));
         }
-        Ok(ParticleState { lists, levels: world.adapt.phase(BTreeSet::new()), ..ParticleState::default() })
+        Ok(ParticleState {
+            lists,
+            levels: world.adapt.phase(world.reach.as_ref().map(Reach::live).unwrap_or_default()),
+            ..ParticleState::default()
+        })
     }
 
     /// Where each particle of a world is and how large, in the order of [`lists`](Self::lists).
@@ -1194,7 +1191,13 @@ impl WgpuBatch {
             blocks,
             kept_for: vec![None; rhythms.len()],
         });
-        Ok(ParticleState { lists, sort, levels: world.adapt.phase(BTreeSet::new()), ..ParticleState::default() })
+        Ok(ParticleState {
+            lists,
+            sort,
+            levels: world.adapt.phase(world.reach.as_ref().map(Reach::live).unwrap_or_default()),
+            archive: world.reach.as_ref().map(Reach::archive).unwrap_or_default(),
+            ..ParticleState::default()
+        })
     }
 
     /// What the planes of a buffer hold of so many particles, plane by plane.
@@ -1275,6 +1278,9 @@ impl WgpuBatch {
                 level.node_blocks = 0..homes.nodes.len();
             }
             if let Some(phase) = &arrival.particles.levels {
+                if let Some(reach) = &mut world.reach {
+                    reach.restore(phase.live.clone(), arrival.particles.archive.clone());
+                }
                 world.adapt.restore(phase.clone());
             }
             let ids = arrival.particles.lists.iter().flat_map(|list| &list.id);
@@ -1284,6 +1290,9 @@ impl WgpuBatch {
             world.torn = None;
             world.spoilt = spoilt.is_some();
             world.take_stock(&arrival.particles.lists, arrival.particles.sort.as_ref())?;
+        }
+        if self.worlds.iter().any(|world| world.reach.is_some()) {
+            self.write_live()?;
         }
         self.find_stress(&arrivals)
     }

@@ -61,6 +61,8 @@ pub(crate) enum Role {
     Tools,
     /// Soft bodies that levels follow.
     Soft,
+    /// Tiles of unbounded ground that are live.
+    Live,
 }
 
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
@@ -87,6 +89,7 @@ const RIMS: Use = ("rims", "vec4<u32>", Role::Rims, false);
 const HANDED: Use = ("handed", "vec4<f32>", Role::Handed, false);
 const KEPT: Use = ("shared_nodes", "vec4<f32>", Role::Shared, true);
 const OWN: Use = ("shared_nodes", "vec4<f32>", Role::Shared, false);
+const LIVE: Use = ("live", "vec2<i32>", Role::Live, false);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 const WATCH: Use = ("watch", "atomic<u32>", Role::Now(Sorted::Watch), true);
 
@@ -314,7 +317,11 @@ impl Drafts {
         if !separations.is_empty() {
             grid.push(velocities());
         }
-        let mut collect: Vec<_> = has_walls.then(collect).into_iter().collect();
+        let unbounded = plan.terrain.is_some();
+        if unbounded {
+            grid.push(hold());
+        }
+        let mut collect: Vec<_> = (has_walls || unbounded).then(collect).into_iter().collect();
         collect.extend(sleeps.then(sum_sleep));
         Ok(Self {
             sort: sort(plan, worlds),
@@ -325,7 +332,8 @@ impl Drafts {
             shared: subcycled.then(shared),
             mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
             prolong: levels.then(prolong),
-            reflect: has_mirrors.then(|| reflect(sleeps)),
+            // What holding the edge takes is booked there, too.
+            reflect: (has_mirrors || unbounded).then(|| reflect(sleeps)),
             g2p: g2p(&laws, sleeps),
             stress: stress(&laws),
             collect,
@@ -936,6 +944,19 @@ fn velocities() -> Draft {
     }
 }
 
+/// Nodes at the edge of live ground are held at rest.
+fn hold() -> Draft {
+    Draft {
+        name: "hold",
+        entry: "hold",
+        body: include_str!("wgsl/hold.wgsl").to_owned(),
+        uses: vec![written(LISTS), GRID, RIMS, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::NodeBlocks,
+        checked: true,
+    }
+}
+
 /// A wall that lets go decides; afterwards (`back`) images take their nodes' velocities. Nodes at rims are the next coarser level's business.
 fn separate(axis: usize, back: bool, levels: bool) -> Draft {
     let is_slave = if levels { "(rims[g][n >> 5u] & (1u << (n & 31u))) != 0u" } else { "false" };
@@ -1275,12 +1296,20 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         uses
     };
     let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
+    let unbounded = plan.terrain.is_some();
+    let (helpers, edge, find) = if unbounded {
+        (include_str!("wgsl/sort_edge.wgsl"), "atomicLoad(&edge)", "find_edge(layer, block, n);")
+    } else {
+        ("", "0u", "")
+    };
+    let rim_text =
+        helpers.to_owned() + &include_str!("wgsl/sort_rim.wgsl").replace("$EDGE", edge).replace("$FIND", find);
     let rims = knowing(
         draft(
             "rims",
             "find_rims",
-            include_str!("wgsl/sort_rim.wgsl"),
-            vec![DIRECTORY, NEW_LISTS, written(RIMS), STATUS],
+            &rim_text,
+            [DIRECTORY, NEW_LISTS, written(RIMS), STATUS].into_iter().chain(unbounded.then_some(LIVE)).collect(),
             Groups::NodeBlocks,
         ),
         "",

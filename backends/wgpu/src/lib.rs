@@ -9,6 +9,7 @@
 
 mod account;
 mod adapt;
+mod archive;
 mod batch;
 mod contact;
 pub mod device;
@@ -23,7 +24,7 @@ mod stiffness;
 mod world;
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
-use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
+use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result};
 use std::sync::Arc;
 
 /// The backend called `wgpu`.
@@ -62,13 +63,6 @@ impl Backend for Wgpu {
     }
 
     fn check(&self, plan: &Plan) -> Result<()> {
-        if plan.has(Stage::Archive) {
-            return Err(lacks(
-                format!("form of the stage '{}'", Stage::Archive),
-                format!("levels.reach = {}", plan.scene.levels.reach),
-                "use the backend cpu, or set levels.reach = 0",
-            ));
-        }
         if plan.precision == Precision::F64 {
             return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));
         }
