@@ -17,7 +17,7 @@ use crate::bounds::Bounds;
 use crate::particles::{MASS, MOTION, STRAIN, VOLUME};
 use crate::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split};
 use crate::transfer::MAX_STATE;
-use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
+use barchan_core::levels::{Agent, Leeway, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
 use barchan_core::{Aabb, Coupling, Error, Ledger, LevelPhase, ParticleList, Plan, Regions, Result};
 use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, PORTION};
 use nalgebra::{Matrix3, Vector3};
@@ -34,7 +34,7 @@ const MERGE_ROUNDS: u64 = 128;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 /// Particles' numbers are less than this.
-const IDS: u64 = u32::MAX as u64;
+pub(crate) const IDS: u64 = u32::MAX as u64;
 
 /// One particle outside of any list, on its way to another place or level. Numbers of a run's precision are exact in it.
 #[derive(Clone, Debug)]
@@ -328,9 +328,25 @@ impl Adapt {
         self.regions.follow(&agents).then_some(before)
     }
 
-    /// Would the boxes have to move after these bodies, if they follow nothing soft?
-    pub fn must_follow(&self, couplings: &[Box<dyn Coupling>]) -> bool {
-        self.widths.len() > 1 && self.regions.clone().follow(&agent_bounds(&self.agents, couplings, |_| None))
+    /// Would the boxes have to move after these bodies?
+    pub fn must_follow(&self, couplings: &[Box<dyn Coupling>], soft: impl Fn(u16) -> Option<Aabb>) -> bool {
+        self.widths.len() > 1 && self.regions.clone().follow(&agent_bounds(&self.agents, couplings, soft))
+    }
+
+    /// For each soft agent, in their order: where its cells may end before boxes have to move; `None` for one that is nowhere.
+    pub fn leeways(&self, soft: impl Fn(u16) -> Option<Aabb>) -> Vec<Option<Leeway>> {
+        let (mut leeways, mut present) = (Vec::new(), 0);
+        for agent in &self.agents {
+            let is_here = match agent {
+                Agent::Rigid(_) => true,
+                Agent::Soft(body) => soft(*body).is_some(),
+            };
+            if let Agent::Soft(_) = agent {
+                leeways.push(is_here.then(|| self.regions.leeway(present)));
+            }
+            present += usize::from(is_here);
+        }
+        leeways
     }
 
     /// Which particles may merge in the next round. `before` are the regions as they were, if any has moved: then what need not be as

@@ -9,6 +9,7 @@
 #![expect(unsafe_code, reason = "the transfers work on raw planes of particles, in vector registers")]
 
 pub mod adapt;
+pub mod archive;
 pub mod block;
 pub mod bounds;
 pub mod particles;

@@ -164,6 +164,13 @@ pub trait Engine: Send {
     }
     /// Copies the particles out, with the phase of the sort, so that a copy continues bit for bit.
     fn download(&self) -> ParticleState;
+    /// Are the particles still there to be copied out? A device can be lost.
+    ///
+    /// # Errors
+    /// [`Error::Device`](crate::Error::Device) if they are not: what was copied since is worth nothing.
+    fn check(&self) -> Result<()> {
+        Ok(())
+    }
     /// Where every particle is and how large, in the order of [`download`](Self::download) but without the rest of its state; then
     /// those in the archive of ground out of reach.
     fn spots(&self) -> Vec<Spot> {

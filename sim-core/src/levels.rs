@@ -78,6 +78,38 @@ pub enum Cover {
     None,
 }
 
+/// Where an agent's box may be while all levels stay where they are, in cells of the finest level: between which bounds its ends may lie, and
+/// their sum along each axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Leeway {
+    /// The ends.
+    pub ends: CellBox,
+    /// The least sum, and the greatest.
+    pub sums: [[i32; 3]; 2],
+}
+
+impl Leeway {
+    /// That of an agent that is nowhere: no box fits.
+    pub const fn none() -> Self {
+        Self { ends: CellBox { min: [i32::MAX; 3], max: [i32::MIN; 3] }, sums: [[i32::MIN; 3], [i32::MAX; 3]] }
+    }
+
+    /// With room for a box that is known to fit.
+    #[must_use]
+    pub fn with(self, known: CellBox) -> Self {
+        let sum = |d: usize| known.min[d] + known.max[d];
+        let ends = CellBox {
+            min: std::array::from_fn(|d| self.ends.min[d].min(known.min[d])),
+            max: std::array::from_fn(|d| self.ends.max[d].max(known.max[d])),
+        };
+        let sums = [
+            std::array::from_fn(|d| self.sums[0][d].min(sum(d))),
+            std::array::from_fn(|d| self.sums[1][d].max(sum(d))),
+        ];
+        Self { ends, sums }
+    }
+}
+
 /// The regions of all levels but the coarsest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Regions {
@@ -147,6 +179,25 @@ impl Regions {
             self.boxes[level] = boxes;
         }
         moved
+    }
+
+    /// Where the box of one of the agents may be before [`follow`](Self::follow) moves anything; on the safe side of rounding.
+    pub fn leeway(&self, agent: usize) -> Leeway {
+        let around = AROUND_AGENT.ceil() as i32;
+        let (mut ends, mut sums) = (CellBox { min: [i32::MIN; 3], max: [i32::MAX; 3] }, [[i32::MIN; 3], [i32::MAX; 3]]);
+        for (level, boxes) in self.boxes.iter().enumerate() {
+            let Some(one) = boxes.get(agent) else { continue };
+            // Twice as far as the middle.
+            let off = (2.0 * DEAD_ZONE * f64::from(2 << level)).floor() as i32;
+            for d in 0..3 {
+                let (min, max) = (one.min[d] << level, one.max[d] << level);
+                ends.min[d] = ends.min[d].max(min + around + 1);
+                ends.max[d] = ends.max[d].min(max - around - 1);
+                sums[0][d] = sums[0][d].max(min + max - off + 1);
+                sums[1][d] = sums[1][d].min(min + max + off - 1);
+            }
+        }
+        Leeway { ends, sums }
     }
 
     /// The box about an agent, of whole parent cells of width `parent` [m], that also holds `inner` (in cells of the level).

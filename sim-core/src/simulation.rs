@@ -243,10 +243,13 @@ impl Simulation {
     /// Writes everything needed to continue: to a temporary file beside `path`, then renamed.
     ///
     /// # Errors
-    /// [`Error::Io`] if it cannot be written; an older file of that name is intact then.
+    /// [`Error::Io`] if it cannot be written, [`Error::Device`] if the particles were lost with their device; an older file of that name is
+    /// intact then.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let mut carried = self.carried.clone();
         self.engine.account(&mut carried);
+        let particles = self.engine.download();
+        self.engine.check()?;
         // Absolute, so that a run can be resumed from another folder.
         let folder = &self.plan.scene.folder;
         let folder = std::env::current_dir().map_or_else(|_| folder.clone(), |here| here.join(folder));
@@ -260,7 +263,7 @@ impl Simulation {
             stop: self.stop.is_finite().then_some(self.stop),
             cut_steps: self.cut_steps,
             carried: only_sums(carried),
-            particles: self.engine.download(),
+            particles,
             couplings: self.couplings.iter().map(|c| (c.name().to_owned(), c.save())).collect(),
         }
         .write(path.as_ref())

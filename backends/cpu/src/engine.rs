@@ -1,6 +1,5 @@
 //! The step.
 
-use crate::archive::Reach;
 use crate::isolated;
 use crate::level::{Level, Shares, Stopped, greater};
 use crate::sleep::Lulled;
@@ -15,6 +14,7 @@ use barchan_core::{
     StepReport,
 };
 use barchan_grid::adapt::Adapt;
+use barchan_grid::archive::Reach;
 use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
 use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
 use barchan_lanes::{Isa, LANES};
@@ -328,7 +328,7 @@ impl<T: Scalar> CpuEngine<T> {
         self.clocks.add(Pass::Grid, clock);
     }
 
-    /// Velocities of all rims, coarsest first.
+    /// Velocities of all rims, coarsest first. They read what stands behind walls that let go, too.
     fn prolong(&mut self) {
         if self.levels.len() == 1 {
             return;
@@ -336,6 +336,7 @@ impl<T: Scalar> CpuEngine<T> {
         let clock = Instant::now();
         for l in (1..self.levels.len()).rev() {
             if let ([.., finer], [coarser, ..]) = self.levels.split_at_mut(l) {
+                coarser.mirror_separated();
                 finer.prolong(self.isa, &coarser.grid);
                 finer.max_speed = greater(finer.max_speed, coarser.max_speed);
             }
@@ -490,10 +491,8 @@ impl<T: Scalar> CpuEngine<T> {
             self.prolong();
             let clock = Instant::now();
             let isa = self.isa;
-            self.levels.par_iter_mut().for_each(|level| {
-                level.mirror_separated();
-                level.grid_to_particles(isa, dt);
-            });
+            self.levels[0].mirror_separated();
+            self.levels.par_iter_mut().for_each(|level| level.grid_to_particles(isa, dt));
             self.clocks.add(Pass::G2P, clock);
         }
         for coupling in couplings {
@@ -535,9 +534,9 @@ impl<T: Scalar> CpuEngine<T> {
     /// Contact on one level. Returns whether there were any nodes.
     pub(crate) fn touch(&mut self, l: usize, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<bool> {
         let clock = Instant::now();
-        let (level, mut reached) = (&mut self.levels[l], false);
+        let (level, subcycled, mut reached) = (&mut self.levels[l], self.substeps > 1, false);
         for coupling in couplings {
-            level.gather(&coupling.bounds(), self.least_mass, &mut self.batch);
+            level.gather(&coupling.bounds(), self.least_mass, subcycled, &mut self.batch);
             if !self.batch.is_empty() {
                 reached = true;
                 coupling.contact(dt, &mut self.batch)?;

@@ -10,6 +10,7 @@ use barchan_lanes::Float;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
+use std::ops::Range;
 
 /// Multiplies keys apart: they are already distinct integers, so a stronger hash would only cost time.
 #[derive(Default)]
@@ -165,6 +166,11 @@ impl<T: Float> Grid<T> {
     /// Cell of the first node of a block's tile.
     pub(crate) fn origin(&self, occupied: usize) -> [i32; 3] {
         block::of_key(self.occupied[occupied]).map(|b| b * SIDE - 2)
+    }
+
+    /// Which of the shared nodes are in a node block.
+    pub(crate) fn shared_of(&self, g: usize) -> Range<usize> {
+        self.shared_starts[g] as usize..self.shared_starts[g + 1] as usize
     }
 
     /// Bytes held.

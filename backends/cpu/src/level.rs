@@ -205,9 +205,9 @@ impl<T: Scalar> Level<T> {
                     }
                 }
                 if keep_shared {
-                    for k in grid.shared_starts[g]..grid.shared_starts[g + 1] {
+                    for k in grid.shared_of(g) {
                         // SAFETY: each shared node belongs to one block.
-                        let shared = unsafe { &mut *shared.at(k as usize) };
+                        let shared = unsafe { &mut *shared.at(k) };
                         let node = &mut nodes[4 * (shared.node as usize % CELLS)..][..4];
                         shared.own.copy_from_slice(node);
                         node.fill(T::default());
@@ -266,22 +266,20 @@ impl<T: Scalar> Level<T> {
             return Err(stopped);
         }
         let shared = Shared(self.grid.shared.as_ptr().cast_mut());
-        (0..grid.keys.len()).into_par_iter().filter(|&g| grid.shared_starts[g] < grid.shared_starts[g + 1]).for_each(
-            |g| {
-                let mut nodes = [T::default(); NODES];
-                let around = &grid.tiles_around[g];
-                isa.run::<T, _>(SumTiles { nodes: &mut nodes, tiles: &grid.tiles, around });
-                for k in grid.shared_starts[g]..grid.shared_starts[g + 1] {
-                    // SAFETY: each shared node belongs to one block.
-                    let shared = unsafe { &mut *shared.at(k as usize) };
-                    let carried = &nodes[4 * (shared.node as usize % CELLS)..][..4];
-                    for d in 0..3 {
-                        shared.gain[d] = T::from_f64(0.5) * (shared.own[d] - carried[d]);
-                        shared.own[d] = carried[d] + shared.gain[d];
-                    }
+        (0..grid.keys.len()).into_par_iter().filter(|&g| !grid.shared_of(g).is_empty()).for_each(|g| {
+            let mut nodes = [T::default(); NODES];
+            let around = &grid.tiles_around[g];
+            isa.run::<T, _>(SumTiles { nodes: &mut nodes, tiles: &grid.tiles, around });
+            for k in grid.shared_of(g) {
+                // SAFETY: each shared node belongs to one block.
+                let shared = unsafe { &mut *shared.at(k) };
+                let carried = &nodes[4 * (shared.node as usize % CELLS)..][..4];
+                for d in 0..3 {
+                    shared.gain[d] = T::from_f64(0.5) * (shared.own[d] - carried[d]);
+                    shared.own[d] = carried[d] + shared.gain[d];
                 }
-            },
-        );
+            }
+        });
         Ok(())
     }
 
@@ -407,8 +405,10 @@ impl<T: Scalar> Level<T> {
         }
     }
 
-    /// Collects the nodes inside any of the boxes, in the grid's order.
-    pub(crate) fn gather(&mut self, boxes: &[Aabb], least: f64, batch: &mut NodeBatch) {
+    /// Collects the nodes inside any of the boxes, in the grid's order. If levels take steps of their own (`subcycled`), a node that the
+    /// finer level shares weighs what this level's own particles weigh there: the finer ones have moved, and take nothing of what
+    /// bodies give to it.
+    pub(crate) fn gather(&mut self, boxes: &[Aabb], least: f64, subcycled: bool, batch: &mut NodeBatch) {
         batch.clear();
         self.batch_nodes.clear();
         let h = self.store.cell_width;
@@ -420,9 +420,11 @@ impl<T: Scalar> Level<T> {
             if !boxes.iter().any(|b| b.meets(&extent)) {
                 continue;
             }
+            let mut shared = self.grid.shared[self.grid.shared_of(g)].iter().filter(|_| subcycled).peekable();
             for n in 0..CELLS {
                 let node = &nodes[4 * n..4 * n + 4];
-                let mass = node[3].to_f64();
+                let own = shared.next_if(|shared| shared.node as usize % CELLS == n).map(|shared| shared.own[3]);
+                let mass = own.unwrap_or(node[3]).to_f64();
                 if mass <= least {
                     continue;
                 }

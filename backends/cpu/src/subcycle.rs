@@ -86,7 +86,6 @@ impl<T: Scalar> CpuEngine<T> {
         }
         let clock = Instant::now();
         let level = &mut self.levels[l];
-        level.mirror_separated();
         level.grid_to_particles(self.isa, dt);
         self.clocks.add(Pass::G2P, clock);
         self.check_moves(l, dt)?;

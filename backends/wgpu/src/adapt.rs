@@ -30,11 +30,12 @@ struct Found {
 impl WgpuBatch {
     /// Moves a world's levels after the bodies that they follow.
     pub(crate) fn follow(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
-        // Nothing soft is followed.
-        match self.worlds[w].adapt.follow(couplings, |_| None) {
-            Some(before) => self.adapt(w, Some(&before), couplings),
-            None => Ok(()),
-        }
+        self.look_for_soft(w)?;
+        let world = &mut self.worlds[w];
+        let boxes = world.softs.boxes(self.h);
+        let before = world.adapt.follow(couplings, |body| boxes.get(&body).copied());
+        self.write_soft(w);
+        before.map_or(Ok(()), |before| self.adapt(w, Some(&before), couplings))
     }
 
     /// Brings a world's particles to the levels where they belong, splits and merges. `before` are its regions as they were, if they
@@ -56,6 +57,7 @@ impl WgpuBatch {
             // Where rims are is found by sorts.
             self.unlinked |= before.is_some();
         }
+        self.exchange_with_archive(w, couplings)?;
         let Found { slots, mut levels } = self.find_concerned(w, !matches!(candidates, Candidates::None))?;
         let adapt = &mut self.worlds[w].adapt;
         let round = adapt.find(&levels.iter().collect::<Vec<_>>(), before, &vec![true; levels.len()]);
@@ -130,7 +132,7 @@ impl WgpuBatch {
     /// 1. Those that come are written behind all others, in blocks of their own.
     /// 2. Those that go are marked, and stress of those that come is found.
     /// 3. A sort in which nobody is due brings all to their places.
-    fn exchange(&mut self, w: usize, gone: &[Vec<u32>], come: &[ParticleList]) -> Result<()> {
+    pub(crate) fn exchange(&mut self, w: usize, gone: &[Vec<u32>], come: &[ParticleList]) -> Result<()> {
         let before = self.particles();
         let mut blocks = self.all_levels().last().map_or(0, |level| level.blocks.end);
         let world = &self.worlds[w];

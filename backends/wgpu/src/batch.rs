@@ -10,7 +10,7 @@ use crate::memory::{
 };
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
-use crate::world::{Level, MAX_MOVE, Rhythm, Span, World, most_drift, parameters};
+use crate::world::{Level, MAX_MOVE, Place, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::scene::{Leaving, Wall};
@@ -19,10 +19,12 @@ use barchan_core::{
     StepReport, Vec3, Wrench,
 };
 use barchan_grid::adapt::{Candidates, finest_volumes};
+use barchan_grid::archive::Reach;
 use barchan_grid::block;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// No node that a particle feels may carry one further than this in a step, in cells: a little less than particles may move.
 pub(crate) const NODE_MOVE: f64 = 0.48;
@@ -82,6 +84,8 @@ pub(crate) enum Halt {
     Strayed,
     /// There are fewer particles than before.
     Fewer,
+    /// Levels must move after soft bodies.
+    Follow,
 }
 
 impl Halt {
@@ -94,7 +98,8 @@ impl Halt {
             4 => Some(Self::Misplaced),
             5 => Some(Self::LeftWorld),
             6 => Some(Self::Strayed),
-            _ => Some(Self::Fewer),
+            7 => Some(Self::Fewer),
+            _ => Some(Self::Follow),
         }
     }
 }
@@ -163,14 +168,20 @@ pub(crate) struct Clock {
     pub(crate) passes: u64,
 }
 
-/// Where the couplings' law runs.
-pub(crate) enum Contact {
-    /// Nobody has asked yet.
-    Unknown,
+/// The couplings' laws, where they run: as far as any world has asked.
+#[derive(Default)]
+pub(crate) struct Contact {
     /// On the host, a step at a time: nodes near bodies are gathered, and scattered again.
-    Host(Box<[Kernel; 2]>),
+    pub(crate) host: Option<Box<[Kernel; 2]>>,
     /// On the device.
-    Device(Box<DeviceContact>),
+    device: Option<Box<DeviceContact>>,
+}
+
+impl Contact {
+    /// What the device does in each step.
+    fn on_device(&self) -> &[Kernel] {
+        self.device.as_ref().map_or(&[], |contact| &contact.kernels)
+    }
 }
 
 /// The law on the device.
@@ -235,21 +246,11 @@ pub(crate) struct Passes<'a> {
 impl<'a> Passes<'a> {
     pub(crate) fn new(
         kernels: &'a Kernels,
-        contact: &'a Contact,
+        contact: &'a [Kernel],
         [levels, now]: [usize; 2],
         (h, gravity): (f64, Vec3),
     ) -> Self {
-        Self {
-            kernels,
-            contact: if let Contact::Device(contact) = contact { &contact.kernels } else { &[] },
-            levels,
-            h,
-            now,
-            number: 0,
-            gravity,
-            constants: Vec::new(),
-            dispatches: Vec::new(),
-        }
+        Self { kernels, contact, levels, h, now, number: 0, gravity, constants: Vec::new(), dispatches: Vec::new() }
     }
 
     /// The constants of a step of `dt` of all levels.
@@ -284,7 +285,7 @@ impl<'a> Passes<'a> {
         let step = self.constants(dt);
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
         self.run(step, kernels.grid.iter().chain(self.contact));
-        self.run(step, kernels.prolong.iter().chain(&kernels.mirror).chain([&kernels.g2p]));
+        self.run(step, kernels.to_particles().chain(kernels.soft()));
     }
 
     /// One step of the coarsest level in which each level takes two steps in one of the next coarser one, as in the backend cpu's
@@ -293,6 +294,15 @@ impl<'a> Passes<'a> {
         for slot in 0..1 << (self.levels - 1) {
             self.begin_slot(dt, first, slot);
             self.end_slot(dt, first, slot);
+        }
+        self.look_for_soft(dt);
+    }
+
+    /// Where soft bodies are after a step, if levels follow any.
+    pub(crate) fn look_for_soft(&mut self, dt: f64) {
+        if self.kernels.soft.is_some() {
+            let step = self.constants(dt);
+            self.run(step, self.kernels.soft());
         }
     }
 
@@ -316,7 +326,7 @@ impl<'a> Passes<'a> {
     pub(crate) fn end_slot(&mut self, dt: f64, first: usize, slot: usize) {
         let step = self.constants_of(dt / self.substeps(), ending(self.levels, slot), first + slot);
         self.run(step, self.contact);
-        self.run(step, self.kernels.mirror.iter().chain([&self.kernels.g2p]));
+        self.run(step, self.kernels.reflect.iter().chain([&self.kernels.g2p]));
     }
 
     /// Steps of the finest level in one of the coarsest.
@@ -358,7 +368,7 @@ type Laid = (Homes, Planes);
 
 /// Worlds that take part in the same dispatches. Each level of each world is a layer.
 pub(crate) struct WgpuBatch {
-    pub(crate) gpu: Gpu,
+    pub(crate) gpu: Arc<Gpu>,
     pub(crate) kernels: Kernels,
     pub(crate) memory: Memory,
     pub(crate) worlds: Vec<World>,
@@ -392,8 +402,8 @@ pub(crate) struct Fixed {
     /// When it has grown [m/s²], and over what time it grows [s].
     pub(crate) gravity: (Vec3, f64),
     laws: Vec<(String, String)>,
-    /// How many there are, steps of the finest in one of the coarsest, and boxes of each.
-    levels: (usize, u32, usize),
+    /// How many there are, steps of the finest in one of the coarsest, boxes of each, and soft bodies that they follow.
+    levels: (usize, u32, usize, Vec<u16>),
     /// Of the finest particles of each body, if there are several levels [m³].
     volumes: Vec<f64>,
 }
@@ -405,7 +415,7 @@ impl Fixed {
             world: kernels::constants(plan),
             gravity: (plan.scene.gravity, plan.scene.gravity_ramp),
             laws: plan.materials.iter().map(law).collect(),
-            levels: (plan.cell_widths.len(), plan.substeps, kernels::boxes(plan)),
+            levels: (plan.cell_widths.len(), plan.substeps, kernels::boxes(plan), kernels::softs(plan)),
             volumes: if plan.cell_widths.len() > 1 { finest_volumes(plan) } else { Vec::new() },
         }
     }
@@ -428,7 +438,7 @@ impl Fixed {
             return differs("their materials' laws", MEND);
         }
         if other.levels != self.levels {
-            return differs("levels.count, levels.subcycle or the number of levels.agents", MEND);
+            return differs("levels.count, levels.subcycle, or the number or the soft ones of levels.agents", MEND);
         }
         if other.volumes != self.volumes {
             return differs("how many bodies they have on levels, or how finely these are sampled", MEND);
@@ -466,7 +476,7 @@ fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, F
 
 impl WgpuBatch {
     /// Worlds of one scene, each with its particles.
-    pub(crate) fn new(gpu: Gpu, worlds: Vec<NewWorld<'_>>) -> Result<Self> {
+    pub(crate) fn new(gpu: Arc<Gpu>, worlds: Vec<NewWorld<'_>>) -> Result<Self> {
         let (plan, fixed) = check_together(&gpu, &worlds)?;
         let (count, levels) = (worlds.len(), plan.cell_widths.len());
         let kernels = Kernels::new(&gpu, plan, count)?;
@@ -485,9 +495,10 @@ impl WgpuBatch {
         };
         let vectors = rest_vectors(&plan.materials);
         let boxes = (levels - 1) * kernels::boxes(plan);
-        let substeps = plan.substeps as usize;
+        let (substeps, softs) = (plan.substeps as usize, count * kernels::softs(plan).len());
         let sleeps = kernels::may_sleep(plan);
-        let asked = Asked { pairs, layers: count * levels, worlds: count, boxes, substeps, sleeps, ..Asked::default() };
+        let asked =
+            Asked { pairs, layers: count * levels, worlds: count, boxes, substeps, sleeps, softs, ..Asked::default() };
         let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
         let mut batch = Self {
             gpu,
@@ -505,12 +516,8 @@ impl WgpuBatch {
             clocks: Clocks::default(),
             contact_seconds: (0.0, 0),
             adapt_seconds: (0.0, 0),
-            contact: Contact::Unknown,
+            contact: Contact::default(),
         };
-        if count > 1 {
-            let couplings: Vec<_> = worlds.iter().map(|world| world.couplings).collect();
-            batch.settle_contact(&couplings)?;
-        }
         batch.take_in(worlds.into_iter().map(|world| world.particles).enumerate().collect())?;
         Ok(batch)
     }
@@ -519,25 +526,6 @@ impl WgpuBatch {
     pub(crate) fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
         self.fixed.check(new.plan, world)?;
         self.settle()?;
-        let is_alone = self.worlds.len() == 1;
-        let table = match &self.contact {
-            Contact::Device(contact) => match contact.table_of(new.couplings, world) {
-                Err(error) if !is_alone => return Err(error),
-                table => table.ok().map(|table| (table, contact.vectors)),
-            },
-            Contact::Host(_) | Contact::Unknown => None,
-        };
-        let as_before = match &self.contact {
-            Contact::Device(_) => table.is_some(),
-            Contact::Host(_) => device_law(new.couplings).is_none(),
-            Contact::Unknown => new.couplings.is_empty(),
-        };
-        match as_before {
-            true => {}
-            // One world alone may have other bodies from now on.
-            false if is_alone => self.contact = Contact::Unknown,
-            false => return Err(no_batch(world)),
-        }
         let before = std::mem::replace(&mut self.worlds[world], World::new(new.plan));
         let now = &mut self.worlds[world];
         now.levels.clone_from(&before.levels);
@@ -548,9 +536,6 @@ impl WgpuBatch {
         let vectors = parameters(new.plan);
         let at = (16 * vectors.len() * world) as u64;
         self.gpu.queue.write_buffer(&self.memory.params, at, bytemuck::cast_slice(&vectors));
-        if let (Some((table, vectors)), Some(buffer)) = (table, &self.memory.table) {
-            self.gpu.queue.write_buffer(buffer, (16 * vectors * world) as u64, bytemuck::cast_slice(&table));
-        }
         Ok(())
     }
 
@@ -725,7 +710,9 @@ impl WgpuBatch {
         self.write_words(sums, &self.fresh(sums, 0..count.max(1), dt, active));
 
         let measures = (self.h, self.fixed.gravity.0);
-        let mut passes = Passes::new(&self.kernels, &self.contact, [self.levels, self.memory.now], measures);
+        let is_felt = active.iter().any(|(w, _)| self.worlds[*w].contact == Some(Place::Device));
+        let contact = if is_felt { self.contact.on_device() } else { &[] };
+        let mut passes = Passes::new(&self.kernels, contact, [self.levels, self.memory.now], measures);
         let mut parts = Vec::new();
         for stretch in stretches {
             let sorting = stretch.sort.then_some(passes.now);
@@ -1148,7 +1135,11 @@ impl WgpuBatch {
             let places: Vec<_> = homes.places().into_par_iter().filter(is_wanted).collect();
             lists.extend(planes.lists(&places, &world.materials, (l, level.h), count));
         }
-        Ok(ParticleState { lists, levels: world.adapt.phase(BTreeSet::new()), ..ParticleState::default() })
+        Ok(ParticleState {
+            lists,
+            levels: world.adapt.phase(world.reach.as_ref().map(Reach::live).unwrap_or_default()),
+            ..ParticleState::default()
+        })
     }
 
     /// Where each particle of a world is and how large, in the order of [`lists`](Self::lists).
@@ -1200,7 +1191,13 @@ impl WgpuBatch {
             blocks,
             kept_for: vec![None; rhythms.len()],
         });
-        Ok(ParticleState { lists, sort, levels: world.adapt.phase(BTreeSet::new()), ..ParticleState::default() })
+        Ok(ParticleState {
+            lists,
+            sort,
+            levels: world.adapt.phase(world.reach.as_ref().map(Reach::live).unwrap_or_default()),
+            archive: world.reach.as_ref().map(Reach::archive).unwrap_or_default(),
+            ..ParticleState::default()
+        })
     }
 
     /// What the planes of a buffer hold of so many particles, plane by plane.
@@ -1276,10 +1273,14 @@ impl WgpuBatch {
                 self.non_finite(*w, field, (particle, law), value, count, 0.0)
             });
             let world = &mut self.worlds[*w];
+            world.see_soft(&arrival.particles.lists);
             for (level, homes) in world.levels.iter_mut().zip(&arrival.homes) {
                 level.node_blocks = 0..homes.nodes.len();
             }
             if let Some(phase) = &arrival.particles.levels {
+                if let Some(reach) = &mut world.reach {
+                    reach.restore(phase.live.clone(), arrival.particles.archive.clone());
+                }
                 world.adapt.restore(phase.clone());
             }
             let ids = arrival.particles.lists.iter().flat_map(|list| &list.id);
@@ -1289,6 +1290,9 @@ impl WgpuBatch {
             world.torn = None;
             world.spoilt = spoilt.is_some();
             world.take_stock(&arrival.particles.lists, arrival.particles.sort.as_ref())?;
+        }
+        if self.worlds.iter().any(|world| world.reach.is_some()) {
+            self.write_live()?;
         }
         self.find_stress(&arrivals)
     }
@@ -1450,7 +1454,7 @@ impl WgpuBatch {
             match outcome.halt {
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
                 // A sort on its own, or one that others have to follow.
-                None | Some(Halt::Fewer | Halt::Misplaced) => {}
+                None | Some(Halt::Fewer | Halt::Misplaced | Halt::Follow) => {}
                 Some(Halt::Drifted) if !stretches[0].sort => {}
                 Some(Halt::TooFast) => dt = self.shorten(turns, &mut failed, &outcome, dt),
                 _ => {
@@ -1508,7 +1512,8 @@ impl WgpuBatch {
         outcome: &Outcome,
         dt: f64,
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
-        let impulses = self.impulses(outcome.done)?;
+        let feels = driven.values().any(Option::is_some);
+        let impulses = if feels { self.impulses(outcome.done)? } else { Vec::new() };
         let mut all = Vec::new();
         for (t, error) in failed.into_iter().enumerate() {
             let world = turns[t].world;
@@ -1529,26 +1534,45 @@ impl WgpuBatch {
         Ok(all)
     }
 
-    /// Finds out where the couplings' law runs: on the device, if all worlds' bodies follow one law that can; on the host, if none of them can.
-    fn settle_contact(&mut self, worlds: &[&[Box<dyn Coupling>]]) -> Result<()> {
-        let with_bodies = || worlds.iter().filter(|couplings| !couplings.is_empty());
-        let (Contact::Unknown, Some(first)) = (&self.contact, with_bodies().next()) else { return Ok(()) };
-        let Some((first, bodies)) = device_law(first) else {
-            let other = worlds.iter().position(|couplings| device_law(couplings).is_some());
-            let kernels = kernels::near(&self.gpu, &self.kernels, self.worlds.len());
-            self.gpu.check()?;
-            self.contact = Contact::Host(Box::new(kernels));
-            return other.map_or(Ok(()), |world| Err(no_batch(world)));
-        };
-        let vectors = first.table.len().max(1);
-        let kernels = kernels::contact(&self.gpu, &self.kernels, &first, bodies, [self.worlds.len(), self.levels]);
-        let contact = DeviceContact { kernels, wgsl: first.wgsl, bodies, vectors };
-        let tables = worlds.iter().enumerate().map(|(w, couplings)| contact.table_of(couplings, w));
-        let table = tables.collect::<Result<Vec<_>>>()?.concat();
-        self.memory.add_bodies(&self.gpu, bodies, &table)?;
-        self.unlinked = true;
+    /// Finds out where the law of a world's bodies runs: on the device if that has it, as it has that of the first bodies whose law can run
+    /// there; else on the host.
+    fn settle_contact(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        if self.worlds[w].contact.is_some() {
+            return Ok(());
+        }
+        let mut place = if couplings.is_empty() { Place::Nowhere } else { Place::Host };
+        if let Some((law, bodies)) = device_law(couplings) {
+            if self.worlds.len() == 1 {
+                // One world alone may have other bodies from now on.
+                self.contact.device.take_if(|contact| !contact.has(&law, bodies));
+            }
+            if self.contact.device.is_none() {
+                self.add_law(&law, bodies)?;
+            }
+            if let (Some(contact), Some(buffer)) = (&self.contact.device, &self.memory.table)
+                && contact.has(&law, bodies)
+            {
+                let mut table = law.table;
+                table.resize(contact.vectors, [0.0; 4]);
+                self.gpu.queue.write_buffer(buffer, (16 * table.len() * w) as u64, bytemuck::cast_slice(&table));
+                place = Place::Device;
+            }
+        }
+        if place == Place::Host && self.contact.host.is_none() {
+            self.contact.host = Some(Box::new(kernels::near(&self.gpu, &self.kernels, self.worlds.len())));
+        }
         self.gpu.check()?;
-        self.contact = Contact::Device(Box::new(contact));
+        self.worlds[w].contact = Some(place);
+        Ok(())
+    }
+
+    /// Teaches the device a law for so many bodies in each world.
+    fn add_law(&mut self, law: &DeviceLaw, bodies: usize) -> Result<()> {
+        let (worlds, vectors) = (self.worlds.len(), law.table.len().max(1));
+        let kernels = kernels::contact(&self.gpu, &self.kernels, law, bodies, [worlds, self.levels]);
+        self.memory.add_bodies(&self.gpu, bodies, &vec![[0.0; 4]; worlds * vectors])?;
+        self.unlinked = true;
+        self.contact.device = Some(Box::new(DeviceContact { kernels, wgsl: law.wgsl.clone(), bodies, vectors }));
         Ok(())
     }
 
@@ -1561,6 +1585,8 @@ impl WgpuBatch {
         let mut go = || {
             let each = dt / self.substeps as f64;
             let levels = &self.worlds[turn.world].levels;
+            // Soft ones are watched by the device.
+            let softs = self.worlds[turn.world].softs.boxes(self.h);
             for slot in 0..count * self.substeps {
                 let at = turn.time + slot as f64 * each;
                 driven.near.push(sleep::near_tools(couplings, levels));
@@ -1574,7 +1600,7 @@ impl WgpuBatch {
                 if (slot + 1) % self.substeps == 0 {
                     driven.after.push(couplings[0].bodies());
                     driven.saved.push(couplings[0].save());
-                    if self.worlds[turn.world].adapt.must_follow(couplings) {
+                    if self.worlds[turn.world].adapt.must_follow(couplings, |body| softs.get(&body).copied()) {
                         break;
                     }
                 }
@@ -1590,9 +1616,11 @@ impl WgpuBatch {
 
     /// Tells the device where bodies are in each step.
     fn write_bodies(&self, turns: &[Turn<'_>], driven: &BTreeMap<usize, Option<Driven>>, steps: usize) {
-        let Contact::Device(contact) = &self.contact else { return };
+        let Some(contact) = &self.contact.device else { return };
         let each = self.levels * contact.bodies * BODY as usize;
-        let mut packed = vec![[0.0; 4]; steps * self.substeps * self.worlds.len() * each];
+        // Of worlds that have none there.
+        let nowhere = NOWHERE.repeat(steps * self.substeps * self.worlds.len() * each / NOWHERE.len());
+        let mut packed = nowhere;
         for (t, driven) in driven {
             // Another world may have stopped sooner.
             let packed_of = driven.iter().flat_map(|driven| &driven.packed).take(steps * self.substeps);
@@ -1617,14 +1645,14 @@ impl WgpuBatch {
 
     /// Force and torque on each body of each world in each step, times the step.
     fn impulses(&self, steps: usize) -> Result<Vec<[f32; 4]>> {
-        let Contact::Device(contact) = &self.contact else { return Ok(Vec::new()) };
+        let Some(contact) = &self.contact.device else { return Ok(Vec::new()) };
         let count = 2 * contact.bodies * self.words().layers * self.substeps * steps;
         read(&self.gpu, self.memory.buffer(Role::Impulses, 0), 0, count)
     }
 
     /// Says in each step's report where a world's bodies were and what they felt.
     fn report_bodies(&self, driven: Driven, impulses: &[[f32; 4]], turn: &mut Turn<'_>, reports: &mut [StepReport]) {
-        let Contact::Device(contact) = &self.contact else { return };
+        let Some(contact) = &self.contact.device else { return };
         let each = 2 * contact.bodies;
         for (s, (report, after)) in reports.iter_mut().zip(driven.after).enumerate() {
             // Over all levels' steps within this one.
@@ -1688,20 +1716,37 @@ impl WgpuBatch {
                 self.follow(turn.world, turn.couplings)?;
             }
         }
-        if let [turn] = turns {
-            self.settle_contact(&[&*turn.couplings])?;
+        for turn in turns.iter() {
+            self.settle_contact(turn.world, turn.couplings)?;
         }
-        let with_bodies = turns.iter().any(|turn| !turn.couplings.is_empty());
-        let on_host = with_bodies && matches!(self.contact, Contact::Host(_));
-        let hardens = turns.iter().any(|turn| self.worlds[turn.world].hardens);
-        let most = if hardens { STIFFNESS_AGE as usize } else { MAX_STEPS }.min(MAX_STEPS / self.substeps);
-        let reports = if on_host && ground && self.substeps > 1 {
-            self.step_levels_on_host(dt, turns)?
-        } else if on_host || !ground {
-            self.step_on_host(dt, turns)?
-        } else {
-            self.advance(dt, count.clamp(1, most), turns)?
+        // Each world's stiffness is asked after as many of its own steps, whatever the others do.
+        let until_asked = |turn: &Turn<'_>| {
+            let world = &self.worlds[turn.world];
+            if world.hardens { STIFFNESS_AGE.saturating_sub(world.stiffness_age).max(1) as usize } else { MAX_STEPS }
         };
+        let most = turns.iter().map(until_asked).fold(MAX_STEPS / self.substeps, usize::min);
+        let is_on_host: Vec<bool> =
+            turns.iter().map(|turn| !ground || self.worlds[turn.world].contact == Some(Place::Host)).collect();
+        let mut reports = Vec::new();
+        if is_on_host.contains(&false) {
+            // Beside worlds that go a step at a time, they do.
+            let count = if is_on_host.contains(&true) { 1 } else { count.clamp(1, most) };
+            reports = self.advance(dt, count, &mut some_turns(turns, |t| !is_on_host[t]))?;
+        }
+        if is_on_host.contains(&true) {
+            let taken = reports.iter().flatten().flatten().next().map_or(dt, |report| report.dt);
+            let mut turns = some_turns(turns, |t| is_on_host[t]);
+            let by_levels = ground && self.substeps > 1;
+            let others = reports;
+            let own = if by_levels {
+                self.step_levels_on_host(taken, &mut turns)?
+            } else {
+                self.step_on_host(taken, &mut turns)?
+            };
+            let (mut own, mut others) = (own.into_iter(), others.into_iter());
+            let next = |is_on_host: &bool| if *is_on_host { own.next() } else { others.next() };
+            reports = is_on_host.iter().filter_map(next).collect();
+        }
         for (turn, _) in turns.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
             self.follow_stiffness(turn.world)?;
         }
@@ -1710,16 +1755,16 @@ impl WgpuBatch {
 }
 
 impl DeviceContact {
-    /// The table of a world's bodies, which must follow the law that the device has.
-    fn table_of(&self, couplings: &[Box<dyn Coupling>], world: usize) -> Result<Vec<[f32; 4]>> {
-        let [coupling] = couplings else { return Err(no_batch(world)) };
-        let law = coupling.device_law().filter(|law| {
-            law.wgsl == self.wgsl && coupling.bodies().len() == self.bodies && law.table.len().max(1) == self.vectors
-        });
-        let mut table = law.ok_or_else(|| no_batch(world))?.table;
-        table.resize(self.vectors, [0.0; 4]);
-        Ok(table)
+    /// Is it made for that law, and so many bodies?
+    fn has(&self, law: &DeviceLaw, bodies: usize) -> bool {
+        law.wgsl == self.wgsl && bodies == self.bodies && law.table.len().max(1) == self.vectors
     }
+}
+
+/// Some of the turns.
+fn some_turns<'a>(turns: &'a mut [Turn<'_>], which: impl Fn(usize) -> bool) -> Vec<Turn<'a>> {
+    let own = turns.iter_mut().enumerate().filter(|(t, _)| which(*t));
+    own.map(|(_, turn)| Turn { world: turn.world, time: turn.time, couplings: &mut *turn.couplings }).collect()
 }
 
 /// The law on devices of a world's one coupling, and how many bodies it has.
@@ -1728,17 +1773,6 @@ fn device_law(couplings: &[Box<dyn Coupling>]) -> Option<(DeviceLaw, usize)> {
     let bodies = coupling.bodies().len();
     let fits = bodies == coupling.bounds().len() && bodies > 0;
     coupling.device_law().filter(|_| fits).map(|law| (law, bodies))
-}
-
-/// Bodies that cannot be batched.
-fn no_batch(world: usize) -> Error {
-    crate::lacks(
-        "batch of worlds whose bodies are of different kinds",
-        format!(
-            "the bodies of world {world} are not like the others': driven ones of simple shapes, as many of the same kinds in all worlds, or in each world one at least that moves freely, or is a mesh or height field"
-        ),
-        "make them alike, or run worlds on the backend cpu",
-    )
 }
 
 /// The constants of a step of all levels, where the finest cells have width `h` [m].
@@ -1784,6 +1818,14 @@ fn pack_all(coupling: &dyn Coupling, levels: &[Level]) -> Vec<[f32; 4]> {
     };
     levels.iter().flat_map(of_level).collect()
 }
+
+/// A body whose box holds no node, as `contact.wgsl` reads it.
+const NOWHERE: [[f32; 4]; BODY as usize] = {
+    let mut body = [[0.0; 4]; BODY as usize];
+    let far = f32::from_bits(1 << 30);
+    body[7] = [far, far, far, 0.0];
+    body
+};
 
 /// A body in a step, as `contact.wgsl` reads it.
 fn pack(body: &BodyState, bounds: &Aabb, h: f64) -> [[f32; 4]; BODY as usize] {

@@ -1,7 +1,7 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
 use crate::batch::{
-    Contact, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE, WgpuBatch, ending,
+    Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE, WgpuBatch, ending,
 };
 use crate::kernels::Role;
 use crate::memory::{NEAR_BLOCK, read};
@@ -12,6 +12,8 @@ use barchan_core::{Aabb, Coupling, Error, NodeBatch, Result, StepReport, Vec3, W
 use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Instant;
+
+const ON_HOST: &str = "a law runs on the host";
 
 /// A block of nodes on the host: velocities and masses.
 struct Block {
@@ -399,10 +401,10 @@ impl WgpuBatch {
             self.write_words(sums, &self.fresh(sums, 0..1, dt, &active));
         }
         let changed = self.write_changed(visits);
-        let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
+        let near = self.contact.host.as_ref().expect(ON_HOST);
         let before = self.memory.now;
         let measures = (self.h, self.fixed.gravity.0);
-        let mut passes = Passes::new(&self.kernels, &self.contact, [self.levels, before], measures);
+        let mut passes = Passes::new(&self.kernels, &[], [self.levels, before], measures);
         let step = passes.constants(dt);
         if sort {
             passes.sort(dt);
@@ -413,6 +415,7 @@ impl WgpuBatch {
             starts.push(passes.dispatches.len());
             passes.end_slot(dt, 0, one);
         }
+        passes.look_for_soft(dt);
         let end = starts.get(slot + 1).copied().unwrap_or(passes.dispatches.len());
         let own = passes.dispatches.drain(starts[slot]..end).collect::<Vec<_>>();
         passes.dispatches.clear();
@@ -613,7 +616,7 @@ impl WgpuBatch {
         self.write_words(from, &self.fresh(from, 1..2, dt, &active));
         self.write_words(words.greatest(1), &[0]);
 
-        let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
+        let near = self.contact.host.as_ref().expect(ON_HOST);
         let before = self.memory.now;
         let sorting = sort.then_some(before);
         let now = if sort { 1 - before } else { before };
@@ -677,7 +680,7 @@ impl WgpuBatch {
 
     /// Gathers the nodes in the boxes on its own.
     fn gather(&mut self) -> Result<Vec<Block>> {
-        let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
+        let near = self.contact.host.as_ref().expect(ON_HOST);
         let dispatches = vec![Dispatch { kernel: &near[0], now: self.memory.now, step: 1 }];
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let room = self.near_expected();
@@ -737,10 +740,10 @@ impl WgpuBatch {
             self.write_layers(&self.layers(|w| speed_of(w).is_some()));
         }
         let count = self.write_changed(visits);
-        let Contact::Host(near) = &self.contact else { unreachable!("contact runs on the host") };
+        let near = self.contact.host.as_ref().expect(ON_HOST);
         let (kernels, now) = (&self.kernels, self.memory.now);
         let back = near[1..].iter().filter(|_| count > 0);
-        let passes = back.chain(&kernels.prolong).chain(&kernels.mirror).chain([&kernels.g2p]).chain(&kernels.collect);
+        let passes = back.chain(kernels.to_particles()).chain(kernels.soft()).chain(&kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

@@ -171,11 +171,9 @@ fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<Fault>>>) {
         other => keep(&seen, other.to_string(), MEND_BUG),
     }));
     let seen = Arc::clone(fault);
-    device.set_device_lost_callback(move |reason, message| {
-        // Dropping the device ends in this, too.
-        if !matches!(reason, wgpu::DeviceLostReason::Destroyed) {
-            keep(&seen, format!("the device was lost: {message}"), MEND_LOST);
-        }
+    // Dropping the device ends in this, too, when nobody asks any more.
+    device.set_device_lost_callback(move |_, message| {
+        keep(&seen, format!("the device was lost: {message}"), MEND_LOST);
     });
 }
 

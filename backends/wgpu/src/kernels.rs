@@ -6,7 +6,7 @@ use crate::memory::{MAX_STEPS, NEAR_BLOCK};
 use crate::sleep::RESTED;
 use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
-use barchan_core::levels::{MERGE_BEHIND, SPLIT_AHEAD};
+use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Plan, Result, Stage};
@@ -59,6 +59,10 @@ pub(crate) enum Role {
     Near,
     /// Boxes of blocks near tools, in which nothing sleeps.
     Tools,
+    /// Soft bodies that levels follow.
+    Soft,
+    /// Tiles of unbounded ground that are live.
+    Live,
 }
 
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
@@ -84,6 +88,8 @@ const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
 const RIMS: Use = ("rims", "vec4<u32>", Role::Rims, false);
 const HANDED: Use = ("handed", "vec4<f32>", Role::Handed, false);
 const KEPT: Use = ("shared_nodes", "vec4<f32>", Role::Shared, true);
+const OWN: Use = ("shared_nodes", "vec4<f32>", Role::Shared, false);
+const LIVE: Use = ("live", "vec2<i32>", Role::Live, false);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 const WATCH: Use = ("watch", "atomic<u32>", Role::Now(Sorted::Watch), true);
 
@@ -172,14 +178,18 @@ pub(crate) struct Kernels {
     pub(crate) grid: Vec<Kernel>,
     /// Halves and solves nodes that two levels share, if there is subcycling.
     pub(crate) shared: Option<[Kernel; 2]>,
-    /// Velocities at rims.
-    pub(crate) prolong: Option<Kernel>,
     /// Velocities behind walls that let go.
     pub(crate) mirror: Vec<Kernel>,
+    /// Velocities at rims.
+    pub(crate) prolong: Option<Kernel>,
+    /// Velocities behind mirrors.
+    pub(crate) reflect: Option<Kernel>,
     pub(crate) g2p: Kernel,
     pub(crate) stress: Kernel,
     /// Sums of what walls gave and sleep took.
     pub(crate) collect: Vec<Kernel>,
+    /// Where soft bodies are that levels follow.
+    pub(crate) soft: Option<[Kernel; 2]>,
     /// Rounds of split and merge, if there are several levels.
     pub(crate) adapt: Option<AdaptKernels>,
 }
@@ -237,11 +247,13 @@ impl Kernels {
             restrict: all(drafts.restrict),
             grid: all(drafts.grid),
             shared: drafts.shared.map(|drafts| drafts.map(make)),
-            prolong: drafts.prolong.map(make),
             mirror: all(drafts.mirror),
+            prolong: drafts.prolong.map(make),
+            reflect: drafts.reflect.map(make),
             g2p: make(drafts.g2p),
             stress: make(drafts.stress),
             collect: all(drafts.collect),
+            soft: drafts.soft.map(|drafts| drafts.map(make)),
             adapt: drafts.adapt.map(|adapt| AdaptKernels {
                 find: adapt.find.map(make),
                 fill: make(adapt.fill),
@@ -251,6 +263,16 @@ impl Kernels {
             constants: constants.clone(),
             step_layout,
         })
+    }
+
+    /// From whole velocities to particles. Rims read what stands behind walls that let go, and mirrors what stands at rims.
+    pub(crate) fn to_particles(&self) -> impl Iterator<Item = &Kernel> {
+        self.mirror.iter().chain(&self.prolong).chain(&self.reflect).chain([&self.g2p])
+    }
+
+    /// Where soft bodies are after a step.
+    pub(crate) fn soft(&self) -> impl Iterator<Item = &Kernel> {
+        self.soft.iter().flatten()
     }
 }
 
@@ -262,11 +284,13 @@ struct Drafts {
     restrict: Vec<Draft>,
     grid: Vec<Draft>,
     shared: Option<[Draft; 2]>,
-    prolong: Option<Draft>,
     mirror: Vec<Draft>,
+    prolong: Option<Draft>,
+    reflect: Option<Draft>,
     g2p: Draft,
     stress: Draft,
     collect: Vec<Draft>,
+    soft: Option<[Draft; 2]>,
     adapt: Option<AdaptDrafts>,
 }
 
@@ -289,13 +313,15 @@ impl Drafts {
         let subcycled = plan.substeps > 1;
         let sleeps = may_sleep(plan);
         let mut grid = vec![sum_tiles(separations.is_empty(), levels, subcycled, sleeps)];
-        grid.extend(separations.iter().map(|&axis| separate(axis, false)));
+        grid.extend(separations.iter().map(|&axis| separate(axis, false, levels)));
         if !separations.is_empty() {
             grid.push(velocities());
         }
-        let mut mirror: Vec<_> = separations.iter().rev().map(|&axis| separate(axis, true)).collect();
-        mirror.extend(has_mirrors.then(|| reflect(sleeps)));
-        let mut collect: Vec<_> = has_walls.then(collect).into_iter().collect();
+        let unbounded = plan.terrain.is_some();
+        if unbounded {
+            grid.push(hold());
+        }
+        let mut collect: Vec<_> = (has_walls || unbounded).then(collect).into_iter().collect();
         collect.extend(sleeps.then(sum_sleep));
         Ok(Self {
             sort: sort(plan, worlds),
@@ -304,11 +330,14 @@ impl Drafts {
             restrict: if levels { restrict() } else { Vec::new() },
             grid,
             shared: subcycled.then(shared),
+            mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
             prolong: levels.then(prolong),
-            mirror,
+            // What holding the edge takes is booked there, too.
+            reflect: (has_mirrors || unbounded).then(|| reflect(sleeps)),
             g2p: g2p(&laws, sleeps),
             stress: stress(&laws),
             collect,
+            soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
             adapt: levels.then(|| adapt(plan, &laws, worlds)),
         })
     }
@@ -327,7 +356,14 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     }
     lines.extend(drafts.shared.iter().flatten().map(|draft| line("every step of a level", draft)));
     lines.extend(
-        drafts.prolong.iter().chain(&drafts.mirror).chain([&drafts.g2p]).map(|draft| line("every step", draft)),
+        drafts
+            .mirror
+            .iter()
+            .chain(&drafts.prolong)
+            .chain(&drafts.reflect)
+            .chain([&drafts.g2p])
+            .chain(drafts.soft.iter().flatten())
+            .map(|draft| line("every step", draft)),
     );
     lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
     let adapt = drafts.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
@@ -375,11 +411,12 @@ pub(crate) fn contact(
     let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
     let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
     let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
+    let (text, own) = of_own_mass(kernels, include_str!("wgsl/contact.wgsl"));
     let law = Draft {
         name: "contact",
         entry: "contact",
-        body: [&count, &table, &law.wgsl, include_str!("wgsl/contact.wgsl")].concat(),
-        uses: vec![LISTS, GRID, bodies_now, written(partials), STATUS],
+        body: [&count, &table, &law.wgsl, text.as_str()].concat(),
+        uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
         uniform: Uniform::Table,
         groups: Groups::NodeBlocks,
         checked: true,
@@ -401,6 +438,7 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
     let near: Use = ("near", "vec4<u32>", Role::Near, false);
     let around: Use = ("around", "vec4<i32>", Role::Around, false);
     let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
+    let (gather, own) = of_own_mass(kernels, include_str!("wgsl/gather.wgsl"));
     let draft = |name, body: &str, uses, groups| Draft {
         name,
         entry: name,
@@ -413,13 +451,22 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
     [
         draft(
             "gather",
-            include_str!("wgsl/gather.wgsl"),
-            vec![LISTS, NODES, around, written(near), STATUS],
+            &gather,
+            [LISTS, NODES, around, written(near), STATUS].into_iter().chain(own).collect(),
             Groups::NodeBlocks,
         ),
         draft("scatter_near", include_str!("wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near),
     ]
     .map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
+}
+
+/// The text of a pass in which bodies meet nodes, with what these weigh for them, and what it binds besides. Subcycled, a node may be two
+/// levels'.
+fn of_own_mass(kernels: &Kernels, text: &str) -> (String, Vec<Use>) {
+    if kernels.shared.is_none() {
+        return (text.replace("$MASS", "node.w"), Vec::new());
+    }
+    (include_str!("wgsl/own.wgsl").to_owned() + &text.replace("$MASS", "own_mass(g, n, node)"), vec![RIMS, OWN])
 }
 
 /// Vectors of four that hold a world's material parameters.
@@ -842,7 +889,7 @@ fn sum_tiles(to_velocities: bool, levels: bool, subcycled: bool, sleeps: bool) -
         format!("grid[g * 64u + n] = {sum};")
     };
     let rims = if levels { include_str!("wgsl/rim_sums.wgsl") } else { "" };
-    let shared = if subcycled { include_str!("wgsl/shared.wgsl") } else { "" };
+    let shared = if subcycled { concat!(include_str!("wgsl/own.wgsl"), include_str!("wgsl/shared.wgsl")) } else { "" };
     let mut uses = vec![LISTS, GRID, STATUS];
     if levels {
         uses.extend([DIRECTORY, RIMS, HANDED]);
@@ -875,7 +922,7 @@ fn shared() -> [Draft; 2] {
     let draft = |name, body: &str| Draft {
         name,
         entry: name,
-        body: sums_of_tiles() + include_str!("wgsl/shared.wgsl") + body,
+        body: sums_of_tiles() + include_str!("wgsl/own.wgsl") + include_str!("wgsl/shared.wgsl") + body,
         uses: vec![LISTS, GRID, STATUS, DIRECTORY, RIMS, HANDED, KEPT],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
@@ -897,14 +944,29 @@ fn velocities() -> Draft {
     }
 }
 
-/// A wall that lets go decides; afterwards (`back`) images take their nodes' velocities.
-fn separate(axis: usize, back: bool) -> Draft {
-    let constants = format!("const AXIS: u32 = {axis}u;\n");
+/// Nodes at the edge of live ground are held at rest.
+fn hold() -> Draft {
+    Draft {
+        name: "hold",
+        entry: "hold",
+        body: include_str!("wgsl/hold.wgsl").to_owned(),
+        uses: vec![written(LISTS), GRID, RIMS, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::NodeBlocks,
+        checked: true,
+    }
+}
+
+/// A wall that lets go decides; afterwards (`back`) images take their nodes' velocities. Nodes at rims are the next coarser level's business.
+fn separate(axis: usize, back: bool, levels: bool) -> Draft {
+    let is_slave = if levels { "(rims[g][n >> 5u] & (1u << (n & 31u))) != 0u" } else { "false" };
+    let constants =
+        format!("const AXIS: u32 = {axis}u;\nfn is_slave(g: u32, n: u32) -> bool {{ return {is_slave}; }}\n");
     Draft {
         name: if back { "mirror" } else { "separate" },
         entry: if back { "mirror_back" } else { "separate" },
         body: constants + include_str!("wgsl/separate.wgsl"),
-        uses: vec![DIRECTORY, written(LISTS), GRID, PAIRS, STATUS],
+        uses: [DIRECTORY, written(LISTS), GRID, PAIRS, STATUS].into_iter().chain(levels.then_some(RIMS)).collect(),
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
         checked: true,
@@ -1038,6 +1100,42 @@ fn stress(laws: &str) -> Draft {
         groups: Groups::ParticlesBy(128),
         checked: true,
     }
+}
+
+/// Soft bodies that levels follow, in the order of agents.
+pub(crate) fn softs(plan: &Plan) -> Vec<u16> {
+    let soft = |agent: &Agent| if let Agent::Soft(body) = agent { Some(*body) } else { None };
+    plan.agents.iter().filter_map(soft).collect()
+}
+
+/// The cells around soft bodies after a step, and whether levels must move before the next one.
+fn soft(bodies: &[u16]) -> [Draft; 2] {
+    let cases: String =
+        bodies.iter().enumerate().map(|(i, body)| format!("case {body}u: {{ return {i}u; }} ")).collect();
+    let constants = format!("const SOFTS: u32 = {}u;\n", bodies.len());
+    let number = format!("fn number_of(body: u32) -> u32 {{ switch body {{ {cases}default: {{ return NONE; }} }} }}\n");
+    let softs: Use = ("softs", "atomic<i32>", Role::Soft, true);
+    let draft = |name, entry, body: String, uses, groups| Draft {
+        name,
+        entry,
+        body,
+        uses,
+        uniform: Uniform::None,
+        groups,
+        checked: true,
+    };
+    let measure = constants.clone() + &number + include_str!("wgsl/soft.wgsl");
+    let uses = vec![RECORD, IDS, OWNERS, LISTS, softs, STATUS];
+    [
+        draft("soft bodies", "measure", measure, uses, Groups::ParticlesBy(128)),
+        draft(
+            "follow",
+            "watch_soft",
+            constants + include_str!("wgsl/soft_watch.wgsl"),
+            vec![softs, STATUS],
+            Groups::One,
+        ),
+    ]
 }
 
 fn collect() -> Draft {
@@ -1204,12 +1302,20 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         uses
     };
     let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
+    let unbounded = plan.terrain.is_some();
+    let (helpers, edge, find) = if unbounded {
+        (include_str!("wgsl/sort_edge.wgsl"), "atomicLoad(&edge)", "find_edge(layer, block, n);")
+    } else {
+        ("", "0u", "")
+    };
+    let rim_text =
+        helpers.to_owned() + &include_str!("wgsl/sort_rim.wgsl").replace("$EDGE", edge).replace("$FIND", find);
     let rims = knowing(
         draft(
             "rims",
             "find_rims",
-            include_str!("wgsl/sort_rim.wgsl"),
-            vec![DIRECTORY, NEW_LISTS, written(RIMS), STATUS],
+            &rim_text,
+            [DIRECTORY, NEW_LISTS, written(RIMS), STATUS].into_iter().chain(unbounded.then_some(LIVE)).collect(),
             Groups::NodeBlocks,
         ),
         "",

@@ -9,6 +9,7 @@
 
 mod account;
 mod adapt;
+mod archive;
 mod batch;
 mod contact;
 pub mod device;
@@ -18,20 +19,21 @@ pub mod material;
 mod memory;
 mod seat;
 mod sleep;
+mod soft;
 mod stiffness;
 mod world;
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
-use barchan_core::levels::Agent;
-use barchan_core::scene::Wall;
-use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
+use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result};
 use std::sync::Arc;
 
 /// The backend called `wgpu`.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Wgpu {
     /// How much of what an adapter offers it takes: all of it, unless one wants to know what runs on the poorest.
     pub offer: device::Offer,
+    /// An open device to run everything on, whatever adapter is asked for; without one, each simulation opens its own.
+    pub device: Option<Arc<device::Gpu>>,
 }
 
 /// What this backend lacks, why the scene asks for it, and what would mend it.
@@ -61,32 +63,6 @@ impl Backend for Wgpu {
     }
 
     fn check(&self, plan: &Plan) -> Result<()> {
-        if plan.has(Stage::Archive) {
-            return Err(lacks(
-                format!("form of the stage '{}'", Stage::Archive),
-                format!("levels.reach = {}", plan.scene.levels.reach),
-                "use the backend cpu, or set levels.reach = 0",
-            ));
-        }
-        let levels = plan.cell_widths.len();
-        if levels > 1 {
-            if plan.agents.iter().any(|agent| matches!(agent, Agent::Soft(_))) {
-                return Err(lacks(
-                    "levels that follow soft bodies",
-                    "levels.agents names one",
-                    "let levels follow tools, use the backend cpu, or set levels.count = 1",
-                ));
-            }
-            let walls = &plan.scene.world.walls;
-            let lets_go = |axis: usize| walls.pair(axis).iter().any(|wall| matches!(wall, Wall::Separate { .. }));
-            if (0..3).any(lets_go) {
-                return Err(lacks(
-                    "walls that let go, with several levels",
-                    format!("a wall is 'separate', and levels.count = {levels}"),
-                    "use the backend cpu, slip or sticking walls, or levels.count = 1",
-                ));
-            }
-        }
         if plan.precision == Precision::F64 {
             return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));
         }
@@ -123,7 +99,10 @@ impl Backend for Wgpu {
 fn seats(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<seat::Seats> {
     worlds.iter().try_for_each(|world| backend.check(world.plan))?;
     let adapter = worlds.first().and_then(|world| world.plan.adapter.as_deref());
-    let gpu = device::open_with(adapter, backend.offer)?;
+    let gpu = match &backend.device {
+        Some(gpu) => Arc::clone(gpu),
+        None => Arc::new(device::open_with(adapter, backend.offer)?),
+    };
     Ok(seat::Seats::new(batch::WgpuBatch::new(gpu, worlds)?))
 }
 

@@ -4,6 +4,7 @@ use crate::device::Gpu;
 use crate::kernels::{FIRST_BINDING, Kernel, Role, Sorted, Uniform};
 use crate::layout::{ENTRY, RECORD};
 use crate::sleep::WATCHED;
+use crate::soft::WORDS as SOFT_WORDS;
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
@@ -41,6 +42,10 @@ pub(crate) struct Asked {
     pub(crate) boxes: usize,
     /// Steps of the finest level in one of the coarsest.
     pub(crate) substeps: usize,
+    /// Soft bodies that levels follow, in all worlds.
+    pub(crate) softs: usize,
+    /// Tiles of unbounded ground that are live, in each world.
+    pub(crate) live: usize,
     /// Where the couplings' law runs on the host: boxes around the bodies of a layer, and blocks of nodes that go there and back.
     pub(crate) around: usize,
     pub(crate) near: usize,
@@ -164,7 +169,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 6] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells, Sorted::Watch];
-const SHARED: [Role; 19] = [
+const SHARED: [Role; 21] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -184,6 +189,8 @@ const SHARED: [Role; 19] = [
     Role::Around,
     Role::Near,
     Role::Tools,
+    Role::Soft,
+    Role::Live,
 ];
 
 fn shared_name(role: Role) -> &'static str {
@@ -207,6 +214,8 @@ fn shared_name(role: Role) -> &'static str {
         Role::Around => "boxes around bodies",
         Role::Near => "nodes near bodies",
         Role::Tools => "boxes near tools",
+        Role::Soft => "soft bodies that levels follow",
+        Role::Live => "live tiles",
         Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
     }
 }
@@ -254,6 +263,8 @@ impl Extent {
             Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
             Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
             Role::Tools => 16 * (1 + 2 * MAX_STEPS * asked.layers * asked.tools) as u64,
+            Role::Live => 8 * ((1 + asked.live) * asked.worlds) as u64,
+            Role::Soft => 4 * (SOFT_WORDS * asked.softs) as u64,
             Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),
             Role::Handed if asked.boxes > 0 => 16 * (64 * nodes + 24 * blocks),
             Role::Shared if asked.substeps > 1 => 16 * 128 * nodes,
@@ -485,6 +496,18 @@ impl Memory {
         self.grow(gpu, extent)
     }
 
+    /// Live tiles of a world that there is room for.
+    pub(crate) fn live(&self) -> usize {
+        self.asked.live
+    }
+
+    /// Makes room for so many live tiles in each world.
+    pub(crate) fn add_live(&mut self, gpu: &Gpu, live: usize) -> Result<()> {
+        self.asked.live = live;
+        let extent = self.extent;
+        self.grow(gpu, extent)
+    }
+
     /// Makes room for `extent`, keeping particles and blocks. What the grid holds is lost, and so are the links of blocks: a sort must follow.
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
         let extent = Extent { row: ROW, ..extent };
@@ -549,6 +572,7 @@ impl Memory {
             Role::Around,
             Role::Near,
             Role::Tools,
+            Role::Live,
         ] {
             let bytes = extent.shared_bytes(role, self.asked);
             if self.buffer(role, 0).size() < bytes {

@@ -4,6 +4,7 @@ use crate::account;
 use crate::batch::WgpuBatch;
 use barchan_core::backend::{Batch, Bound, NewWorld, Timing, Turn};
 use barchan_core::{Coupling, Engine, Ledger, ParticleState, Result, Spot, StepReport};
+use barchan_grid::archive::Reach;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Worlds on one device, shared by those who look at one of them.
@@ -71,11 +72,25 @@ impl Engine for Seat {
     }
 
     fn spots(&self) -> Vec<Spot> {
-        self.seats.batch().spots(self.world).unwrap_or_default()
+        let batch = self.seats.batch();
+        let mut spots = batch.spots(self.world).unwrap_or_default();
+        let archived = batch.worlds[self.world].reach.iter().flat_map(Reach::archived);
+        archived.for_each(|list| spots.extend((0..list.len()).map(|i| list.spot(i))));
+        spots
     }
 
     fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
-        self.seats.batch().lists_where(self.world, wanted).unwrap_or_default()
+        let batch = self.seats.batch();
+        let mut state = batch.lists_where(self.world, wanted).unwrap_or_default();
+        state.lists.extend(batch.worlds[self.world].reach.iter().flat_map(Reach::archived).map(|mut list| {
+            list.retain(wanted);
+            list
+        }));
+        state
+    }
+
+    fn check(&self) -> Result<()> {
+        self.seats.batch().gpu.check()
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
@@ -105,6 +120,9 @@ impl Engine for Seat {
         ledger.count("blocks that fell asleep", world.slept.blocks + slept.blocks);
         ledger.count("particles asleep now", batch.asleep(self.world).unwrap_or(0));
         world.adapt.account(ledger);
+        if let Some(reach) = &world.reach {
+            reach.account(ledger);
+        }
         ledger.deleted_mass += world.deleted_mass;
         ledger.count("particles put back into the world", world.clamped);
         ledger.count("particles deleted on leaving", world.deleted);
@@ -136,6 +154,9 @@ impl Engine for Seat {
         let own = batch.worlds[self.world].particles().len();
         let share = |bytes: u64| (u128::from(bytes) * own as u128 / all.max(1) as u128) as u64;
         let (particles, grid) = batch.memory.bytes();
-        if batch.worlds.len() == 1 { (particles, grid) } else { (share(particles), share(grid)) }
+        let archived = batch.worlds[self.world].reach.as_ref().map_or(0, Reach::bytes);
+        let (particles, grid) =
+            if batch.worlds.len() == 1 { (particles, grid) } else { (share(particles), share(grid)) };
+        (particles + archived, grid)
     }
 }

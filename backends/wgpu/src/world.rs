@@ -1,9 +1,10 @@
 //! What the host knows of a world of a batch.
 
-use crate::kernels::parameter_vectors;
+use crate::kernels::{parameter_vectors, softs};
 use crate::layout::Periods;
 use crate::memory::Layer;
 use crate::sleep::Slept;
+use crate::soft::Softs;
 use crate::stiffness;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
@@ -11,6 +12,7 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Wall;
 use barchan_core::{ParticleList, Plan, Result, Scene, SortPhase, Vec3};
 use barchan_grid::adapt::Adapt;
+use barchan_grid::archive::Reach;
 use std::ops::Range;
 
 /// Whenever so many steps have passed since its last sort, a world is sorted if its particles may have drifted by more than
@@ -91,6 +93,15 @@ pub(crate) struct Level {
     pub(crate) gone: usize,
 }
 
+/// Where the law of a world's bodies runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Place {
+    /// It has no bodies.
+    Nowhere,
+    Host,
+    Device,
+}
+
 /// A world of a batch.
 pub(crate) struct World {
     pub(crate) materials: Vec<PlannedMaterial>,
@@ -99,6 +110,12 @@ pub(crate) struct World {
     pub(crate) levels: Vec<Level>,
     /// Where they are, and who is split and merged.
     pub(crate) adapt: Adapt,
+    /// Soft bodies that they follow.
+    pub(crate) softs: Softs,
+    /// What is live, and the archive of what was, if not the whole world is.
+    pub(crate) reach: Option<Reach>,
+    /// Where its bodies' law runs, once that is known.
+    pub(crate) contact: Option<Place>,
     /// Steps of the finest level in one.
     pub(crate) substeps: u32,
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
@@ -159,6 +176,9 @@ impl World {
             scene: plan.scene.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             adapt: Adapt::new(plan),
+            softs: Softs::new(softs(plan).into_iter()),
+            reach: plan.terrain.clone().map(Reach::new),
+            contact: None,
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,
@@ -297,6 +317,11 @@ impl World {
     pub(crate) fn grown(&self, time: f64) -> f32 {
         let (now, full) = (self.scene.gravity_at(time), self.scene.gravity);
         (0..3).find(|d| full[*d] != 0.0).map_or(1.0, |d| (now[d] / full[d]) as f32)
+    }
+
+    /// Ground of that mass has come within reach, or fallen out of it [kg].
+    pub(crate) fn come(&mut self, mass: f64) {
+        self.mass += mass;
     }
 
     /// Particles of that mass have been deleted [kg].

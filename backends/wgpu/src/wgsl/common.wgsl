@@ -153,6 +153,7 @@ const MISPLACED: u32 = 4u;
 const LEFT_WORLD: u32 = 5u;
 const STRAYED: u32 = 6u;
 const FEWER: u32 = 7u;
+const FOLLOW: u32 = 8u;
 
 const BIAS: i32 = 1 << 20;
 

@@ -31,6 +31,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     let first = lists[(extent.block_room + g) * ENTRY].xyz * 4;
     let cell = first + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
     let node = grid[g * 64u + n];
+    let mass = $MASS;
     var u = node.xyz;
     var changed = false;
     for (var b = 0u; b < BODIES; b++) {
@@ -48,7 +49,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         }
         var impulse = vec3<f32>(0.0);
         var arm = vec3<f32>(0.0);
-        if node.w > layers[layer_now].least && all(cell >= least) && all(cell <= most) {
+        if mass > layers[layer_now].least && all(cell >= least) && all(cell <= most) {
             arm = (vec3<f32>(cell - int_vector(bodies[at])) + (vec3<f32>(0.5) - bodies[at + 1u].xyz)) * width;
             let row0 = bodies[at + 2u].xyz;
             let row1 = bodies[at + 3u].xyz;
@@ -62,7 +63,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
                 let taken = before - kept;
                 let change = vec3<f32>(dot(row0, taken), dot(row1, taken), dot(row2, taken));
                 u -= change;
-                impulse = node.w * change;
+                impulse = mass * change;
                 changed = true;
             }
         }
@@ -80,7 +81,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     }
     if changed {
         grid[g * 64u + n] = vec4<f32>(u, node.w);
-        let felt = min(node.w * layers[layer_now].felt, 1.0);
+        let felt = min(mass * layers[layer_now].felt, 1.0);
         atomicMax(&greatest, max(max(magnitude_bits(felt * u.x), magnitude_bits(felt * u.y)), magnitude_bits(felt * u.z)));
     }
     workgroupBarrier();

@@ -21,7 +21,8 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     let first = lists[entry].xyz * 4;
     let cell = first + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
     let node = grid[g * 64u + n];
-    if !(node.w <= layers[layer].least) {
+    let mass = $MASS;
+    if !(mass <= layers[layer].least) {
         let boxes = u32(around[0].x);
         for (var b = 0u; b < boxes; b++) {
             let at = 1u + 2u * (layer * boxes + b);
@@ -45,5 +46,5 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     if n == 0u {
         near[at * NEAR_BLOCK] = vec4<u32>(bitcast<vec3<u32>>(first), g);
     }
-    near[at * NEAR_BLOCK + 1u + n] = bitcast<vec4<u32>>(node);
+    near[at * NEAR_BLOCK + 1u + n] = bitcast<vec4<u32>>(vec4<f32>(node.xyz, mass));
 }

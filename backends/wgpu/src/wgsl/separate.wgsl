@@ -14,7 +14,7 @@ fn image_of(layer: u32, cell: vec3<i32>) -> Image {
         if friction >= 0.0 {
             let inward = select(1, -1, end == 1);
             var image = cell;
-            image[AXIS] = 2 * select(WORLD_MIN[AXIS], WORLD_MAX[AXIS], end == 1) - 1 - cell[AXIS];
+            image[AXIS] = 2 * select(world_min(layer)[AXIS], world_max(layer)[AXIS], end == 1) - 1 - cell[AXIS];
             let depth = (cell[AXIS] - image[AXIS]) * inward;
             // Twice the distance to the wall is 1 or 3 for the two nodes that the spline can mirror.
             if depth >= 0 && depth < 4 {
@@ -55,7 +55,7 @@ fn note(image: u32) -> u32 {
 @compute @workgroup_size(64)
 fn separate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
     let g = group.y * extent.row + group.x;
-    if is_on(g) == 0u {
+    if is_on(g) == 0u || is_slave(g, n) {
         return;
     }
     let image = image_of(layer_of(g), cell_of_node(g, n));
@@ -63,7 +63,9 @@ fn separate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
         return;
     }
     let p = grid[g * 64u + n];
-    let q = grid[image.at];
+    // What an image at a rim weighs, it has handed on.
+    let found = grid[image.at];
+    let q = select(found, vec4<f32>(0.0), found.w < 0.0);
     var sum = p + q;
     // A wall pushes or does nothing. Ground that has not reached it gives the image nothing, and is left alone.
     let presses = q[AXIS] * image.inward < 0.0;
@@ -102,7 +104,7 @@ fn mirror_back(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     }
     var impulse = vec3<f32>(0.0);
     let image = image_of(layer_of(g), cell_of_node(g, n));
-    if image.at != NONE {
+    if image.at != NONE && !is_slave(g, n) {
         let noted = pairs[note(image.at)];
         var u = grid[g * 64u + n].xyz;
         impulse = noted.xyz;

@@ -1,10 +1,4 @@
-
-// Subcycling: nodes that the finer layer hands something to take part in both of its steps within one of theirs. For each of a block's nodes
-// there stands, in `shared`, the momentum and mass of the own layer's particles, and then what their forces add in half a step.
-fn own_at(g: u32, n: u32) -> u32 {
-    return g * 128u + n;
-}
-
+// A layer's nodes that the finer one hands something to, in subcycling.
 fn is_shared(g: u32, n: u32) -> bool {
     return rims[g].z != 0u && !is_slave(g, n);
 }

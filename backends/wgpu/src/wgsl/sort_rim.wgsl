@@ -22,6 +22,7 @@ fn find_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         if is_slave(layer, 4 * block + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u))) {
             atomicOr(&slaves[n >> 5u], 1u << (n & 31u));
         }
+        $FIND
         if level_of(layer) > 0u {
             let finer = 2 * block - vec3<i32>(1) + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
             if hands_on(layer, finer) {
@@ -41,7 +42,7 @@ fn find_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     workgroupBarrier();
     if n == 0u {
         if w < atomicLoad(&status[NODE_BLOCKS]) {
-            rims[w] = vec4<u32>(atomicLoad(&slaves[0]), atomicLoad(&slaves[1]), atomicLoad(&takes), 0u);
+            rims[w] = vec4<u32>(atomicLoad(&slaves[0]), atomicLoad(&slaves[1]), atomicLoad(&takes), $EDGE);
         }
         if w < atomicLoad(&status[BLOCKS]) {
             rims[extent.node_room + w] = vec4<u32>(u32(is_near_edge(u32(lists[w * ENTRY].w), lists[w * ENTRY].xyz)), 0u, 0u, 0u);

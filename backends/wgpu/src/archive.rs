@@ -1,0 +1,106 @@
+//! Unbounded ground on the device; see `barchan_grid::archive`. Tiles come and go on the host, as particles do in rounds of split and merge.
+
+use crate::batch::WgpuBatch;
+use crate::kernels::Role;
+use crate::memory::with_room;
+use barchan_core::{Coupling, ParticleList, Result};
+use barchan_grid::adapt::{CopiedLevel, LevelStore, Parcel};
+use barchan_grid::archive::Reach;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A tile's particles, a list a level and material.
+type Lists = BTreeMap<[i32; 2], Vec<ParticleList>>;
+
+impl WgpuBatch {
+    /// Puts away what has fallen out of a world's reach, and brings in what has come within it. Its particles have just been sorted.
+    pub(crate) fn exchange_with_archive(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        let Some(mut reach) = self.worlds[w].reach.take() else { return Ok(()) };
+        let moved = reach.advance(&self.worlds[w].adapt.regions);
+        let turned = moved.map(|(coming, going)| self.turn_over(w, &mut reach, &coming, &going, couplings));
+        self.worlds[w].reach = Some(reach);
+        let Some((gone, come)) = turned.transpose()? else { return Ok(()) };
+        self.write_live()?;
+        let is_empty = gone.iter().all(Vec::is_empty) && come.iter().all(ParticleList::is_empty);
+        if is_empty { Ok(()) } else { self.exchange(w, &gone, &come) }
+    }
+
+    /// The slots of those that go, level by level, and those that come, a list a level and material.
+    fn turn_over(
+        &mut self,
+        w: usize,
+        reach: &mut Reach,
+        coming: &[[i32; 2]],
+        going: &BTreeSet<[i32; 2]>,
+        couplings: &[Box<dyn Coupling>],
+    ) -> Result<(Vec<Vec<u32>>, Vec<ParticleList>)> {
+        let (gone, tiles) = self.in_tiles(w, reach, going)?;
+        let world = &mut self.worlds[w];
+        for (tile, lists) in tiles {
+            let (mass, momentum) = reach.put_away(tile, lists, couplings, &world.adapt.regions)?;
+            world.come(-mass);
+            (0..3).for_each(|d| world.wall_impulse[d] -= momentum[d]);
+        }
+        let (mass, parcels) = reach.bring_in(coming, couplings, &mut world.adapt)?;
+        world.come(mass);
+        let mut come = Vec::new();
+        for (l, level) in world.levels.iter().enumerate() {
+            let empty = |(m, planned): (usize, &barchan_core::plan::PlannedMaterial)| {
+                let (strain, states) = (planned.material.strain_planes(), planned.material.states.len());
+                ParticleList::empty(l, m, level.h, strain, states)
+            };
+            let mut copied = CopiedLevel::new(world.materials.iter().enumerate().map(empty).collect(), Vec::new());
+            let here: Vec<&Parcel> = parcels.iter().filter(|(to, _)| *to == l).map(|(_, parcel)| parcel).collect();
+            copied.push(&here);
+            come.extend(copied.come());
+        }
+        Ok((gone, come))
+    }
+
+    /// The particles of each of the tiles, and the slots of all of them, level by level.
+    fn in_tiles(&self, w: usize, reach: &Reach, tiles: &BTreeSet<[i32; 2]>) -> Result<(Vec<Vec<u32>>, Lists)> {
+        let world = &self.worlds[w];
+        let mut gone = vec![Vec::new(); self.levels];
+        let mut found: Lists = tiles.iter().map(|tile| (*tile, Vec::new())).collect();
+        if tiles.is_empty() {
+            return Ok((gone, found));
+        }
+        let (lists, laid) = self.lists(w)?;
+        for (l, lists) in lists.chunks(world.materials.len()).enumerate() {
+            let (homes, planes) = &laid[l];
+            for (law, list) in lists.iter().enumerate() {
+                let own = homes.places().into_iter().map(|(q, _)| q).filter(|&q| planes.law(q) == law);
+                let home = |i: usize| reach.goes_with(list.body[i], list.position(i), &world.adapt.regions, tiles);
+                let homes: Vec<Option<[i32; 2]>> = (0..list.len()).map(home).collect();
+                let first = world.levels[l].particles.start;
+                gone[l].extend(own.zip(&homes).filter(|(_, home)| home.is_some()).map(|(q, _)| (first + q) as u32));
+                for (tile, found) in &mut found {
+                    let kept: Vec<bool> = homes.iter().map(|home| *home == Some(*tile)).collect();
+                    if kept.contains(&true) {
+                        let mut own = list.clone();
+                        own.keep(&kept);
+                        found.push(own);
+                    }
+                }
+            }
+        }
+        Ok((gone, found))
+    }
+
+    /// Tells the device which tiles of all worlds are live: sorts find the edge anew.
+    pub(crate) fn write_live(&mut self) -> Result<()> {
+        let live: Vec<_> = self.worlds.iter().map(|w| w.reach.as_ref().map(Reach::live).unwrap_or_default()).collect();
+        let most = live.iter().map(BTreeSet::len).max().unwrap_or(0);
+        if most > self.memory.live() {
+            self.memory.add_live(&self.gpu, with_room(most) as usize)?;
+        }
+        self.unlinked = true;
+        let mut words = Vec::new();
+        for tiles in live {
+            words.push([tiles.len() as i32, 0]);
+            words.extend(&tiles);
+            words.extend((tiles.len()..self.memory.live()).map(|_| [0; 2]));
+        }
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Live, 0), 0, bytemuck::cast_slice(&words));
+        Ok(())
+    }
+}

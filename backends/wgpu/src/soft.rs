@@ -1,0 +1,106 @@
+//! Soft bodies that levels follow. After each step the device finds the cells around them, and stops the submission if levels must move before
+//! the next one, so that it does not matter how steps are cut into submissions.
+
+use crate::batch::WgpuBatch;
+use crate::kernels::Role;
+use crate::memory::read;
+use crate::world::World;
+use barchan_core::levels::{CellBox, Leeway};
+use barchan_core::{Aabb, ParticleList, Result};
+use barchan_grid::adapt::around_cells;
+use std::collections::BTreeMap;
+
+/// Words of a soft body: ends of its cells as they are summed up, and as they were after the last step; where these and the middle may be.
+pub(crate) const WORDS: usize = 24;
+/// The second of these, and the third.
+const FOUND: usize = 6;
+const LEEWAY: usize = 12;
+/// Of a body without particles.
+const NOTHING: CellBox = CellBox { min: [i32::MAX; 3], max: [i32::MIN; 3] };
+
+/// A soft body that levels follow.
+#[derive(Clone, Debug)]
+pub(crate) struct Soft {
+    body: u16,
+    /// Cells of the finest level around its particles, if it has any.
+    cells: Option<CellBox>,
+}
+
+/// Those of a world.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Softs {
+    all: Vec<Soft>,
+    /// The steps after which they were seen last.
+    seen: u64,
+}
+
+impl Softs {
+    pub(crate) fn new(bodies: impl Iterator<Item = u16>) -> Self {
+        Self { all: bodies.map(|body| Soft { body, cells: None }).collect(), seen: 0 }
+    }
+
+    /// The boxes around them [m], where finest cells have that width [m].
+    pub(crate) fn boxes(&self, h: f64) -> BTreeMap<u16, Aabb> {
+        let around =
+            |cells: CellBox| around_cells([cells.min, cells.max.map(|end| end - 1)].map(|cell| (cell, h)).into_iter());
+        self.all.iter().filter_map(|soft| Some((soft.body, around(soft.cells?)?))).collect()
+    }
+}
+
+impl World {
+    /// Finds soft bodies among particles that come in.
+    pub(crate) fn see_soft(&mut self, lists: &[ParticleList]) {
+        self.softs.seen = self.steps;
+        for soft in &mut self.softs.all {
+            let cells = lists.iter().flat_map(|list| {
+                let own = (0..list.len()).filter(|&i| list.body[i] == soft.body);
+                own.map(|i| [list.cell[i], list.cell[i].map(|c| c + 1)].map(|corner| corner.map(|c| c << list.level)))
+            });
+            let around = cells.fold(NOTHING, |around, [min, max]| CellBox {
+                min: std::array::from_fn(|d| around.min[d].min(min[d])),
+                max: std::array::from_fn(|d| around.max[d].max(max[d])),
+            });
+            soft.cells = (around != NOTHING).then_some(around);
+        }
+    }
+}
+
+impl WgpuBatch {
+    /// Learns where a world's soft bodies are after its last step.
+    pub(crate) fn look_for_soft(&mut self, w: usize) -> Result<()> {
+        let world = &mut self.worlds[w];
+        let count = world.softs.all.len();
+        if count == 0 || world.softs.seen == world.steps {
+            return Ok(());
+        }
+        world.softs.seen = world.steps;
+        let at = 4 * (WORDS * count * w) as u64;
+        let words: Vec<i32> = read(&self.gpu, self.memory.buffer(Role::Soft, 0), at, WORDS * count)?;
+        for (soft, words) in world.softs.all.iter_mut().zip(words.chunks_exact(WORDS)) {
+            let end = |first: usize| [0, 1, 2].map(|d| words[FOUND + first + d]);
+            let around = CellBox { min: end(0), max: end(3) };
+            soft.cells = (around != NOTHING).then_some(around);
+        }
+        Ok(())
+    }
+
+    /// Tells the device where a world's soft bodies may go before levels have to move after them.
+    pub(crate) fn write_soft(&self, w: usize) {
+        let world = &self.worlds[w];
+        let boxes = world.softs.boxes(self.h);
+        let leeways = world.adapt.leeways(|body| boxes.get(&body).copied());
+        let mut words = Vec::new();
+        for (soft, leeway) in world.softs.all.iter().zip(leeways) {
+            // Where it is the host has found that nothing need move; a body that comes or goes is news.
+            let Leeway { ends, sums } =
+                leeway.zip(soft.cells).map_or_else(Leeway::none, |(leeway, now)| leeway.with(now));
+            words.extend(
+                [NOTHING.min, NOTHING.max, NOTHING.min, NOTHING.max, ends.min, ends.max, sums[0], sums[1]].concat(),
+            );
+        }
+        let at = 4 * (words.len() * w) as u64;
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Soft, 0), at, bytemuck::cast_slice(&words));
+    }
+}
+
+const _: () = assert!(LEEWAY + 12 == WORDS);

@@ -1,0 +1,202 @@
+//! Unbounded ground: what comes within reach of agents is brought in, what falls out of it is put away.
+//!
+//! Ground comes and goes in tiles, columns of the coarsest level's blocks. A tile is live, or archived if anything in it has
+//! changed, or else what the terrain says. Nodes whose support reaches a tile that is not live are held at rest: the other nodes have
+//! whole supports, so settled ground is in balance up to the edge. Backends hand over particles of tiles that go, and take those of
+//! tiles that come.
+
+use crate::adapt::{Adapt, IDS, Parcel};
+use crate::block::SIDE;
+use barchan_core::levels::TILE;
+use barchan_core::{Coupling, Error, Ledger, ParticleList, Regions, Result, Terrain, Tile};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+const _: () = assert!(TILE == SIDE, "a tile's columns are those of one block");
+
+/// Numbers of tiles along x and y.
+pub type Tiles = BTreeSet<[i32; 2]>;
+
+/// What is live, what is archived, and what has come and gone since the start.
+pub struct Reach {
+    terrain: Arc<Terrain>,
+    live: BTreeSet<[i32; 2]>,
+    archive: BTreeMap<[i32; 2], Tile>,
+    seeded: u64,
+    archived: u64,
+    returned: u64,
+    dropped: u64,
+    seeded_mass: f64,
+    kinetic: f64,
+}
+
+impl Reach {
+    /// Nothing live yet.
+    pub fn new(terrain: Arc<Terrain>) -> Self {
+        Self {
+            terrain,
+            live: BTreeSet::new(),
+            archive: BTreeMap::new(),
+            seeded: 0,
+            archived: 0,
+            returned: 0,
+            dropped: 0,
+            seeded_mass: 0.0,
+            kinetic: 0.0,
+        }
+    }
+
+    /// Tiles that are live.
+    pub fn live(&self) -> BTreeSet<[i32; 2]> {
+        self.live.clone()
+    }
+
+    /// Copies of the lists in the archive.
+    pub fn archived(&self) -> impl Iterator<Item = ParticleList> {
+        self.archive.values().flat_map(Tile::unpack)
+    }
+
+    /// The archive, for a snapshot.
+    pub fn archive(&self) -> BTreeMap<[i32; 2], Tile> {
+        self.archive.clone()
+    }
+
+    /// Takes over what a saved run had.
+    pub fn restore(&mut self, live: BTreeSet<[i32; 2]>, archive: BTreeMap<[i32; 2], Tile>) {
+        (self.live, self.archive) = (live, archive);
+    }
+
+    /// Bytes that the archive holds.
+    pub fn bytes(&self) -> u64 {
+        self.archive.values().map(Tile::bytes).sum()
+    }
+
+    /// Adds what is archived, and what has come and gone.
+    pub fn account(&self, ledger: &mut Ledger) {
+        let archived: f64 = self.archive.values().map(Tile::mass).sum();
+        ledger.mass += archived;
+        ledger.archived_mass += archived;
+        ledger.seeded_mass += self.seeded_mass;
+        ledger.archived_kinetic += self.kinetic;
+        ledger.count("tiles brought in from the terrain", self.seeded);
+        ledger.count("tiles given back to the terrain", self.dropped);
+        ledger.count("tiles archived", self.archived);
+        ledger.count("tiles brought back from the archive", self.returned);
+        ledger.count("tiles in the archive now", self.archive.len() as u64);
+    }
+
+    /// Is the column of a coarsest cell out of reach? Beyond the world there is nothing that could be.
+    fn is_away(&self, x: i32, y: i32, world: [[i32; 2]; 2]) -> bool {
+        let inside = [x, y].iter().zip(world).all(|(c, [min, max])| (min..max).contains(c));
+        inside && !self.live.contains(&[x, y].map(|c| c.div_euclid(TILE)))
+    }
+
+    /// Columns of a tile whose nodes touch ground out of reach, as bits: 4 x + y.
+    pub fn edge_of(&self, tile: [i32; 2], world: [[i32; 2]; 2]) -> u16 {
+        (0..16).fold(0, |bits, column| {
+            let [x, y] = [tile[0] * TILE + column / 4, tile[1] * TILE + column % 4];
+            let away = (-1..=1).any(|dx| (-1..=1).any(|dy| self.is_away(x + dx, y + dy, world)));
+            bits | u16::from(away) << column
+        })
+    }
+
+    /// Goes on to the tiles that are within reach now. Returns those that have come and those that fall out of it, if there are any.
+    pub fn advance(&mut self, regions: &Regions) -> Option<(Vec<[i32; 2]>, Tiles)> {
+        let live = regions.reached(&self.live);
+        let coming: Vec<_> = live.difference(&self.live).copied().collect();
+        let going: BTreeSet<_> = self.live.difference(&live).copied().collect();
+        self.live = live;
+        (!coming.is_empty() || !going.is_empty()).then_some((coming, going))
+    }
+
+    /// The tile with which a particle of a body at `x` [m] goes, of those that fall out of reach. One that has strayed over the edge goes with
+    /// the tile that it came from.
+    pub fn goes_with(&self, body: u16, x: [f64; 3], regions: &Regions, going: &BTreeSet<[i32; 2]>) -> Option<[i32; 2]> {
+        let tile = self.terrain.tile_of(body, x, regions);
+        if self.live.contains(&tile) {
+            return None;
+        }
+        let near = (0..9).map(|n| [tile[0] + n / 3 - 1, tile[1] + n % 3 - 1]);
+        std::iter::once(tile).chain(near).find(|tile| going.contains(tile))
+    }
+
+    /// Puts the particles of a tile into the archive, or forgets them where nothing has changed. Returns their mass [kg] and momentum
+    /// [kg m/s].
+    ///
+    /// # Errors
+    /// Those of settled ground that its material cannot carry.
+    pub fn put_away(
+        &mut self,
+        tile: [i32; 2],
+        lists: Vec<ParticleList>,
+        couplings: &[Box<dyn Coupling>],
+        regions: &Regions,
+    ) -> Result<(f64, [f64; 3])> {
+        let (mass, momentum, kinetic) = motion_of(&lists);
+        self.kinetic += kinetic;
+        if self.terrain.is_untouched(tile, &lists, couplings, regions)? {
+            self.dropped += 1;
+            self.seeded_mass -= mass;
+        } else {
+            self.archived += 1;
+            self.archive.insert(tile, Tile::pack(lists));
+        }
+        Ok((mass, momentum))
+    }
+
+    /// Takes tiles from the archive, or seeds them. Returns their mass [kg], and the particles with their levels.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] if there are no numbers left for new particles; settled ground that its material cannot carry.
+    pub fn bring_in(
+        &mut self,
+        tiles: &[[i32; 2]],
+        couplings: &[Box<dyn Coupling>],
+        adapt: &mut Adapt,
+    ) -> Result<(f64, Vec<(usize, Parcel)>)> {
+        let (mut mass, mut coming) = (0.0, Vec::new());
+        for tile in tiles {
+            let lists = match self.archive.remove(tile) {
+                Some(archived) => {
+                    self.returned += 1;
+                    archived.unpack()
+                }
+                None => {
+                    self.seeded += 1;
+                    let lists = self.terrain.seed_tiles(&[*tile], couplings, &adapt.regions, &mut adapt.next_id)?;
+                    self.seeded_mass += motion_of(&lists).0;
+                    lists
+                }
+            };
+            mass += motion_of(&lists).0;
+            for list in &lists {
+                let level = list.level as usize;
+                coming.extend((0..list.len()).map(|i| adapt.settled(Parcel::of(list, i), level)));
+            }
+        }
+        if adapt.next_id > IDS {
+            return Err(Error::Capacity {
+                what: "numbers for particles",
+                asked: adapt.next_id,
+                cap: IDS,
+                mend: "start a new run from what this one has made",
+            });
+        }
+        Ok((mass, coming))
+    }
+}
+
+/// Mass [kg], momentum [kg m/s] and kinetic energy of the particles' centres [J].
+fn motion_of(lists: &[ParticleList]) -> (f64, [f64; 3], f64) {
+    let (mut mass, mut momentum, mut kinetic) = (0.0, [0.0; 3], 0.0);
+    for list in lists {
+        for (m, v) in list.mass.iter().zip(&list.velocity) {
+            mass += m;
+            for d in 0..3 {
+                momentum[d] += m * v[d];
+                kinetic += 0.5 * m * v[d] * v[d];
+            }
+        }
+    }
+    (mass, momentum, kinetic)
+}
