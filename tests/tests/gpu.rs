@@ -212,6 +212,16 @@ fn the_poorest_adapter_gives_the_same_bits_or_says_what_does_not_fit() {
         engine.download().lists
     };
     assert!(run(Offer::Least) == run(Offer::All), "they differ");
+    // What binds most: levels with steps of their own, walls, a tool, and ground that sleeps.
+    let run = |offer: Offer| {
+        let (registry, options) = held(Wgpu { offer, device: None });
+        let mut scene = followed(0, true, false);
+        scene.sleep.on = Some(true);
+        let mut sim = Simulation::new(&registry, &scene, &options).unwrap();
+        take(&mut sim, 5);
+        sim.particles().lists
+    };
+    assert!(run(Offer::Least) == run(Offer::All), "they differ on levels");
 
     // One particle a block: blocks are what costs.
     let grains = Head::space(0.01).time("step = 1e-4").with(&[
