@@ -20,7 +20,7 @@ fn settled_ground_costs_nothing() {
         (0..tries).map(ten_steps).fold(f64::INFINITY, f64::min)
     };
     for precision in [Precision::F32, Precision::F64] {
-        let mut s = simulation(&bed([32, 16, 8], "sand", SAND, "speed = 5e-4", &[]), precision);
+        let mut s = simulation(&bed([64, 32, 8], "sand", SAND, "speed = 5e-4", &[]), precision);
         // It falls asleep after fifty steps.
         let awake = time(&mut s, 4);
         (0..260).for_each(|_| drop(s.step().unwrap()));
