@@ -14,6 +14,7 @@ pub mod block;
 pub mod bounds;
 pub mod particles;
 pub mod resample;
+pub mod rest;
 pub mod ring;
 pub mod spline;
 pub mod transfer;

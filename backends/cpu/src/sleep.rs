@@ -9,19 +9,14 @@ use crate::grid::Grid;
 use crate::level::Level;
 use crate::store::List;
 use barchan_core::Coupling;
-use barchan_grid::block::{self, NONE, SIDE};
+use barchan_grid::block::{self, NONE};
 use barchan_grid::particles::MASS;
+use barchan_grid::rest::{ASLEEP, RESTED, near_tool};
 use barchan_grid::transfer::{Scalar, Step};
 
-/// Steps of a level for which ground must have been slow before it sleeps.
-pub(crate) const RESTED: u16 = 50;
-/// In place of such a count: the block sleeps. 0 in its place: something in it moves, or did in the last step.
-pub(crate) const ASLEEP: u16 = u16::MAX;
 /// Steps that differ by less than this part of them are one step to tiles: those that land evenly on a stop differ in their last
 /// digits.
 const SAME_STEP: f64 = 1e-9;
-/// Cells around a tool that stay awake.
-const NEAR_TOOL: f64 = 4.0;
 
 /// Who is awake on one level.
 pub(crate) struct Watch {
@@ -129,8 +124,7 @@ impl<T: Scalar> Level<T> {
         }
         let h = self.store.cell_width;
         for tool in couplings.iter().flat_map(|coupling| coupling.bounds()) {
-            let near = tool.grown(NEAR_TOOL * h);
-            let [first, last] = [near.min, near.max].map(|x| x.map(|x| (x / (h * f64::from(SIDE))).floor() as i32));
+            let [first, last] = near_tool(&tool, h);
             grid.within(first, last).for_each(|b| stir(rest, b));
         }
         woken

@@ -4,13 +4,13 @@
 //! threads never share one; the last chunk of a block's run is padded with massless particles.
 
 use crate::memory::{Line, Shared, lines};
-use crate::sleep::ASLEEP;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, Result, Spot};
 use barchan_grid::adapt::Parcel;
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
+use barchan_grid::rest::ASLEEP;
 use barchan_grid::transfer::{Law, MAX_STATE, Scalar};
 use barchan_lanes::LANES;
 use rayon::prelude::*;

@@ -2,6 +2,7 @@
 
 use crate::batch::WgpuBatch;
 use crate::kernels::Role;
+use crate::layout::Planes;
 use crate::memory::with_room;
 use barchan_core::{Coupling, ParticleList, Result};
 use barchan_grid::adapt::{CopiedLevel, LevelStore, Parcel};
@@ -44,11 +45,8 @@ impl WgpuBatch {
         world.come(mass);
         let mut come = Vec::new();
         for (l, level) in world.levels.iter().enumerate() {
-            let empty = |(m, planned): (usize, &barchan_core::plan::PlannedMaterial)| {
-                let (strain, states) = (planned.material.strain_planes(), planned.material.states.len());
-                ParticleList::empty(l, m, level.h, strain, states)
-            };
-            let mut copied = CopiedLevel::new(world.materials.iter().enumerate().map(empty).collect(), Vec::new());
+            let empty = Planes::default().lists(&[], &world.materials, (l, level.h), 0);
+            let mut copied = CopiedLevel::new(empty, Vec::new());
             let here: Vec<&Parcel> = parcels.iter().filter(|(to, _)| *to == l).map(|(_, parcel)| parcel).collect();
             copied.push(&here);
             come.extend(copied.come());
@@ -67,8 +65,9 @@ impl WgpuBatch {
         let (lists, laid) = self.lists(w)?;
         for (l, lists) in lists.chunks(world.materials.len()).enumerate() {
             let (homes, planes) = &laid[l];
+            let places = homes.places();
             for (law, list) in lists.iter().enumerate() {
-                let own = homes.places().into_iter().map(|(q, _)| q).filter(|&q| planes.law(q) == law);
+                let own = places.iter().map(|(q, _)| *q).filter(|&q| planes.law(q) == law);
                 let home = |i: usize| reach.goes_with(list.body[i], list.position(i), &world.adapt.regions, tiles);
                 let homes: Vec<Option<[i32; 2]>> = (0..list.len()).map(home).collect();
                 let first = world.levels[l].particles.start;

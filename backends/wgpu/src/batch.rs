@@ -1135,11 +1135,7 @@ impl WgpuBatch {
             let places: Vec<_> = homes.places().into_par_iter().filter(is_wanted).collect();
             lists.extend(planes.lists(&places, &world.materials, (l, level.h), count));
         }
-        Ok(ParticleState {
-            lists,
-            levels: world.adapt.phase(world.reach.as_ref().map(Reach::live).unwrap_or_default()),
-            ..ParticleState::default()
-        })
+        Ok(ParticleState { lists, levels: world.phase(), ..ParticleState::default() })
     }
 
     /// Where each particle of a world is and how large, in the order of [`lists`](Self::lists).
@@ -1194,7 +1190,7 @@ impl WgpuBatch {
         Ok(ParticleState {
             lists,
             sort,
-            levels: world.adapt.phase(world.reach.as_ref().map(Reach::live).unwrap_or_default()),
+            levels: world.phase(),
             archive: world.reach.as_ref().map(Reach::archive).unwrap_or_default(),
             ..ParticleState::default()
         })

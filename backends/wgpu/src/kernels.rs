@@ -3,7 +3,6 @@
 use crate::device::Gpu;
 use crate::material;
 use crate::memory::{MAX_STEPS, NEAR_BLOCK};
-use crate::sleep::RESTED;
 use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD};
@@ -11,6 +10,7 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Plan, Result, Stage};
 use barchan_grid::adapt::finest_volumes;
+use barchan_grid::rest::RESTED;
 use std::fmt::Write as _;
 
 /// Planes of particles, and what a sort lays out anew: there are two of each, one of which a sort writes.

@@ -6,14 +6,8 @@ use crate::layout::Homes;
 use crate::memory::read;
 use crate::world::Level;
 use barchan_core::{Aabb, Coupling, ParticleList, Result, SortPhase, Vec3};
+use barchan_grid::rest::{ASLEEP, RESTED, near_tool};
 use std::ops::Range;
-
-/// Steps of a level for which ground must have been slow before it sleeps.
-pub(crate) const RESTED: u16 = 50;
-/// In place of such a count: the block sleeps.
-const ASLEEP: u16 = u16::MAX;
-/// Cells around a tool that stay awake.
-const NEAR_TOOL: f64 = 4.0;
 
 /// Words of a block; see `watch_words.wgsl`.
 pub(crate) const WATCHED: usize = 12;
@@ -99,13 +93,7 @@ fn rest_of(words: &Words) -> u16 {
 pub(crate) fn near_tools(couplings: &[Box<dyn Coupling>], levels: &[Level]) -> Vec<Vec<BlockBox>> {
     let tools: Vec<Aabb> = couplings.iter().flat_map(|coupling| coupling.bounds()).collect();
     let of_level = |level: &Level| {
-        let of_box = |tool: &Aabb| {
-            let near = tool.grown(NEAR_TOOL * level.h);
-            [near.min, near.max].map(|x| {
-                let [x, y, z] = x.map(|x| (x / (4.0 * level.h)).floor() as i32);
-                [x, y, z, 0]
-            })
-        };
+        let of_box = |tool: &Aabb| near_tool(tool, level.h).map(|[x, y, z]| [x, y, z, 0]);
         tools.iter().map(of_box).collect()
     };
     levels.iter().map(of_level).collect()

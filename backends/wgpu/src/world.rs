@@ -10,7 +10,7 @@ use barchan_abi as abi;
 use barchan_core::backend::Bound;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Wall;
-use barchan_core::{ParticleList, Plan, Result, Scene, SortPhase, Vec3};
+use barchan_core::{LevelPhase, ParticleList, Plan, Result, Scene, SortPhase, Vec3};
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
 use std::ops::Range;
@@ -328,6 +328,11 @@ impl World {
     pub(crate) fn delete(&mut self, mass: f64) {
         self.mass -= mass;
         self.deleted_mass += mass;
+    }
+
+    /// What a snapshot holds of its levels; `None` if there is one only.
+    pub(crate) fn phase(&self) -> Option<LevelPhase> {
+        self.adapt.phase(self.reach.as_ref().map(Reach::live).unwrap_or_default())
     }
 
     /// Takes back what gravity has not given to ground asleep on a level: its mass, times gravity's part, summed over the level's steps [kg].
