@@ -312,28 +312,38 @@ impl Drafts {
         let levels = plan.cell_widths.len() > 1;
         let subcycled = plan.substeps > 1;
         let sleeps = may_sleep(plan);
-        let mut grid = vec![sum_tiles(separations.is_empty(), levels, subcycled, sleeps)];
+        let unbounded = plan.terrain.is_some();
+        // Where nothing comes between the grid and the particles, nodes behind mirrors are found with the others.
+        let mirrored =
+            has_mirrors && !(levels || sleeps || unbounded || plan.has(Stage::Contact)) && separations.is_empty();
+        let finish = if !separations.is_empty() {
+            Finish::Sums
+        } else if mirrored {
+            Finish::Mirrored
+        } else {
+            Finish::Velocities
+        };
+        let mut grid = vec![sum_tiles(finish, levels, subcycled, sleeps)];
         grid.extend(separations.iter().map(|&axis| separate(axis, false, levels)));
         if !separations.is_empty() {
             grid.push(velocities());
         }
-        let unbounded = plan.terrain.is_some();
         if unbounded {
             grid.push(hold());
         }
-        let mut collect: Vec<_> = (has_walls || unbounded).then(collect).into_iter().collect();
+        let mut collect: Vec<_> = (has_walls || unbounded).then(|| collect(mirrored)).into_iter().collect();
         collect.extend(sleeps.then(sum_sleep));
         Ok(Self {
             sort: sort(plan, worlds),
             watch: sleeps.then(|| watch(levels)),
-            p2g: p2g(sleeps),
+            p2g: p2g(sleeps, mirrored),
             restrict: if levels { restrict() } else { Vec::new() },
             grid,
             shared: subcycled.then(shared),
             mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
             prolong: levels.then(prolong),
             // What holding the edge takes is booked there, too.
-            reflect: (has_mirrors || unbounded).then(|| reflect(sleeps)),
+            reflect: (has_mirrors && !mirrored || unbounded).then(|| reflect(sleeps)),
             g2p: g2p(&laws, sleeps),
             stress: stress(&laws),
             collect,
@@ -679,7 +689,7 @@ fn sum_sleep() -> Draft {
     }
 }
 
-fn p2g(sleeps: bool) -> Draft {
+fn p2g(sleeps: bool, mirrored: bool) -> Draft {
     let xy = Half {
         rows: &[("s", 1), ("t", 5), ("r0", 2), ("r1", 3)],
         add: add_momentum(XY, |node, w| format!("{node} = fma(vec2<f32>({w}), u, {node});")),
@@ -698,6 +708,7 @@ fn p2g(sleeps: bool) -> Draft {
         .replace("$GUESTS_ZM", &zm.guests())
         .replace("$FLUSH", &flush())
         .replace("$GIVES", if sleeps { "gives(b, layer)" } else { "1u" })
+        .replace("$BOOK_LAST", if mirrored { BOOK_LAST } else { "" })
         .replace("$BOOKED", if sleeps { "select(total, 0.0, is_frozen != 0u)" } else { "total" });
     let body = with_sleep(sleeps, &body, &[("$SETTLE", "settle(b);")]);
     let watch = if sleeps { [WATCH_WORDS, include_str!("wgsl/watch_p2g.wgsl")].concat() } else { String::new() };
@@ -716,6 +727,12 @@ fn p2g(sleeps: bool) -> Draft {
         checked: false,
     }
 }
+
+/// What the step before would give, it has given, since another follows.
+const BOOK_LAST: &str =
+    "let given = bitcast<f32>(lists[b * ENTRY + WALL][thread]) + bitcast<f32>(lists[b * ENTRY + PENDING][thread]);
+            lists[b * ENTRY + WALL][thread] = bitcast<i32>(given);
+            lists[b * ENTRY + PENDING].w = i32(step.number);";
 
 fn each_node(text: impl Fn(usize, [usize; 3]) -> String) -> String {
     (0..27).map(|n| text(n, [n / 9, n / 3 % 3, n % 3])).collect()
@@ -828,6 +845,7 @@ fn plain_sums() -> String {
     include_str!("wgsl/grid.wgsl")
         .replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
         .replace("$TOUCHED", "")
+        .replace("$AND_MIRRORS", "")
 }
 
 /// For passes that need sums of tiles at rims.
@@ -877,20 +895,43 @@ fn regions(plan: &Plan, worlds: usize) -> String {
     )
 }
 
-fn sum_tiles(to_velocities: bool, levels: bool, subcycled: bool, sleeps: bool) -> Draft {
+/// What the pass that sums tiles leaves at nodes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Finish {
+    /// Momenta, for walls that let go.
+    Sums,
+    Velocities,
+    /// Velocities, behind mirrors, too.
+    Mirrored,
+}
+
+fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Draft {
     let sum = match (levels, subcycled) {
         (false, _) => "sum_of_tiles(entry, n)",
         (true, false) => "kept(g, n, sum_of_tiles(entry, n) + handed_to(g, n))",
         (true, true) => "kept_back(g, n, sum_of_tiles(entry, n))",
     };
-    let finish = if to_velocities {
-        format!("let node = velocity(g, {sum});\ngrid[g * 64u + n] = node;\nnote_speed(g, node, n);")
+    let find = format!("let node = velocity(g, {sum});\n");
+    let text = match finish {
+        Finish::Sums => format!("grid[g * 64u + n] = {sum};"),
+        Finish::Velocities => find + "grid[g * 64u + n] = node;\nnote_speed(g, node, n);",
+        Finish::Mirrored => {
+            find + "note_speed(g, node, n);\nvar now = node;\n\
+             if on == 2u {\nnow = reflected(g, entry, n, node);\n}\ngrid[g * 64u + n] = now;"
+        }
+    };
+    let mirrored = finish == Finish::Mirrored;
+    let mirrors = if mirrored {
+        concat!(include_str!("wgsl/image.wgsl"), include_str!("wgsl/mirrored.wgsl"), include_str!("wgsl/wall.wgsl"))
     } else {
-        format!("grid[g * 64u + n] = {sum};")
+        ""
     };
     let rims = if levels { include_str!("wgsl/rim_sums.wgsl") } else { "" };
     let shared = if subcycled { concat!(include_str!("wgsl/own.wgsl"), include_str!("wgsl/shared.wgsl")) } else { "" };
     let mut uses = vec![LISTS, GRID, STATUS];
+    if mirrored {
+        uses = vec![written(LISTS), GRID, STATUS, DIRECTORY];
+    }
     if levels {
         uses.extend([DIRECTORY, RIMS, HANDED]);
     }
@@ -909,7 +950,13 @@ fn sum_tiles(to_velocities: bool, levels: bool, subcycled: bool, sleeps: bool) -
     Draft {
         name: "grid",
         entry: "sum_tiles",
-        body: body.replace("$SUM_TILES", &finish) + rims + shared + &watch,
+        body: body
+            .replace("$SUM_TILES", &text)
+            .replace("$AND_MIRRORS", if mirrored { " * select(1u, 2u, mirrors(g))" } else { "" })
+            + mirrors
+            + rims
+            + shared
+            + &watch,
         uses,
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
@@ -983,6 +1030,7 @@ fn reflect(sleeps: bool) -> Draft {
         entry: "reflect_nodes",
         body: [
             with_sleep(sleeps, include_str!("wgsl/reflect.wgsl"), &touched).as_str(),
+            include_str!("wgsl/image.wgsl"),
             include_str!("wgsl/velocity_at.wgsl"),
             include_str!("wgsl/wall.wgsl"),
             if sleeps { WATCH_WORDS } else { "" },
@@ -1138,11 +1186,16 @@ fn soft(bodies: &[u16]) -> [Draft; 2] {
     ]
 }
 
-fn collect() -> Draft {
+/// `mirrored`: the last step's gifts still wait for the next one.
+fn collect(mirrored: bool) -> Draft {
+    let pending = "if u32(lists[entry + PENDING].w) < done {\nsum += vec4<f32>(bitcast<vec3<f32>>(lists[entry + PENDING].xyz), 0.0);\n}\n\
+                   lists[entry + PENDING] = vec4<i32>(0);";
+    let done = "let done = select(NONE, atomicLoad(&status[HALT_STEP]), atomicLoad(&status[HALTED]) != 0u);\n";
     Draft {
         name: "wall impulse",
         entry: "collect",
-        body: include_str!("wgsl/collect.wgsl").to_owned(),
+        body: include_str!("wgsl/collect.wgsl")
+            .replace("$PENDING", &if mirrored { [done, pending].concat() } else { String::new() }),
         uses: vec![written(LISTS), STATUS],
         uniform: Uniform::None,
         groups: Groups::Layers,

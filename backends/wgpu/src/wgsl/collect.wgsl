@@ -1,6 +1,14 @@
 // What walls have given since the last time, in all: [N s]. One workgroup a layer, each thread in the blocks' order.
 var<workgroup> partial: array<vec4<f32>, 256>;
 
+// What has been booked at an entry. It forgets that.
+fn take(entry: u32) -> vec4<f32> {
+    var sum = bitcast<vec4<f32>>(lists[entry + WALL]);
+    lists[entry + WALL] = vec4<i32>(0);
+    $PENDING
+    return sum;
+}
+
 @compute @workgroup_size(256)
 fn collect(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     var sum = vec4<f32>(0.0);
@@ -11,13 +19,10 @@ fn collect(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         end.y = atomicLoad(&status[layer_word(layer + 1u, FIRST_NODE_BLOCK)]);
     }
     for (var b = atomicLoad(&status[layer_word(layer, FIRST_BLOCK)]) + thread; b < end.x; b += 256u) {
-        sum += bitcast<vec4<f32>>(lists[b * ENTRY + WALL]);
-        lists[b * ENTRY + WALL] = vec4<i32>(0);
+        sum += take(b * ENTRY);
     }
     for (var g = atomicLoad(&status[layer_word(layer, FIRST_NODE_BLOCK)]) + thread; g < end.y; g += 256u) {
-        let entry = (extent.block_room + g) * ENTRY;
-        sum += bitcast<vec4<f32>>(lists[entry + WALL]);
-        lists[entry + WALL] = vec4<i32>(0);
+        sum += take((extent.block_room + g) * ENTRY);
     }
     partial[thread] = sum;
     workgroupBarrier();

@@ -65,10 +65,11 @@ fn note_speed(g: u32, node: vec4<f32>, n: u32) {
 fn sum_tiles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
     let g = group.y * extent.row + group.x;
     if n == 0u {
-        go = is_on(g);
+        go = is_on(g)$AND_MIRRORS;
     }
     $TOUCHED
-    if workgroupUniformLoad(&go) == 0u {
+    let on = workgroupUniformLoad(&go);
+    if on == 0u {
         return;
     }
     let entry = (extent.block_room + g) * ENTRY;

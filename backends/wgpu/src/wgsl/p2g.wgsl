@@ -328,6 +328,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             for (var t = 0u; t < 64u; t++) {
                 total += bitcast<f32>(leavers[t * 3u + thread]);
             }
+            $BOOK_LAST
             lists[b * ENTRY + PENDING][thread] = bitcast<i32>($BOOKED);
         }
     }

@@ -1,13 +1,6 @@
 // Nodes behind mirrors move as their images before them, and what the walls give in this step is booked.
 
 var<workgroup> go: u32;
-var<workgroup> given: array<vec4<f32>, 64>;
-
-fn has_nodes_behind(layer: u32, first: vec3<i32>) -> bool {
-    let low = (LOW != vec3<u32>(0u)) & (first < world_min(layer));
-    let high = (HIGH != vec3<u32>(0u)) & (first + vec3<i32>(3) >= world_max(layer));
-    return any(low | high);
-}
 
 fn layer_of(g: u32) -> u32 {
     if LAYERS == 1u {
@@ -49,46 +42,16 @@ fn reflect_nodes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     }
     let entry = (extent.block_room + g) * ENTRY;
     let cell = lists[entry].xyz * 4 + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
-    // P2G folds along the first axis first: what the wall across it gives, the other mirrors have turned already.
-    let low = world_min(layer_of(g));
-    let high = world_max(layer_of(g));
-    var image = cell;
-    var outer = vec3<f32>(1.0);
-    var inner = vec3<f32>(1.0);
-    for (var axis = 0; axis < 3; axis++) {
-        for (var end = 0; end < 2; end++) {
-            let kind = select(LOW[axis], HIGH[axis], end == 1);
-            let beyond = select(cell[axis] < low[axis], cell[axis] >= high[axis], end == 1);
-            if kind != 0u && beyond {
-                if all(image == cell) {
-                    outer = wall_signs(kind, axis);
-                } else {
-                    inner *= wall_signs(kind, axis);
-                }
-                image[axis] = 2 * select(low[axis], high[axis], end == 1) - 1 - cell[axis];
-            }
-        }
-    }
+    let image = image_of(layer_of(g), cell);
     var impulse = vec3<f32>(0.0);
-    if any(image != cell) {
+    if any(image.cell != cell) {
         let mass = grid[g * 64u + n].w;
-        let u = inner * velocity_at(layer_of(g), image);
-        impulse = (outer - vec3<f32>(1.0)) * u * mass;
-        grid[g * 64u + n] = vec4<f32>(outer * u, mass);
+        let u = image.inner * velocity_at(layer_of(g), image.cell);
+        impulse = given_behind(image, u, mass);
+        grid[g * 64u + n] = vec4<f32>(image.outer * u, mass);
     }
-    given[n] = vec4<f32>(impulse, 0.0);
-    workgroupBarrier();
-    if n < 8u {
-        for (var t = 1u; t < 8u; t++) {
-            given[n] += given[n + 8u * t];
-        }
-    }
-    workgroupBarrier();
+    let total = sum_of_block(n, impulse);
     if n == 0u {
-        var total = bitcast<vec4<f32>>(lists[entry + WALL]);
-        for (var t = 0u; t < 8u; t++) {
-            total += given[t];
-        }
-        lists[entry + WALL] = bitcast<vec4<i32>>(total);
+        lists[entry + WALL] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + WALL]) + total);
     }
 }
