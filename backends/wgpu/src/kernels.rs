@@ -845,7 +845,7 @@ fn plain_sums() -> String {
     include_str!("wgsl/grid.wgsl")
         .replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
         .replace("$TOUCHED", "")
-        .replace("$AND_MIRRORS", "")
+        .replace("$IMAGE", "")
 }
 
 /// For passes that need sums of tiles at rims.
@@ -905,19 +905,40 @@ enum Finish {
     Mirrored,
 }
 
+/// Of nodes behind mirrors, what their velocity is made of.
+const IMAGE: &str = "let first = 4 * lists[entry].xyz;
+    let layer = layer_of(min(g, extent.node_room - 1u));
+    let behind = has_nodes_behind(layer, first);
+    var image = Image(first + local, vec3<f32>(1.0), vec3<f32>(1.0), false);
+    var there = tiles;
+    var booked = vec4<f32>(0.0);
+    if behind {
+        image = image_of(layer, first + local);
+        if image.is_other {
+            there = tiles_at(layer, image.cell);
+        }
+        if n == 0u {
+            booked = bitcast<vec4<f32>>(lists[entry + WALL]) + bitcast<vec4<f32>>(lists[entry + PENDING]);
+        }
+    }
+    if n == 0u {
+        mirrors = u32(behind);
+    }";
+
 fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Draft {
     let sum = match (levels, subcycled) {
-        (false, _) => "sum_of_tiles(entry, n)",
-        (true, false) => "kept(g, n, sum_of_tiles(entry, n) + handed_to(g, n))",
-        (true, true) => "kept_back(g, n, sum_of_tiles(entry, n))",
+        (false, _) => "sum_of(tiles, local)",
+        (true, false) => "kept(g, n, sum_of(tiles, local) + handed_to(g, n))",
+        (true, true) => "kept_back(g, n, sum_of(tiles, local))",
     };
     let find = format!("let node = velocity(g, {sum});\n");
     let text = match finish {
         Finish::Sums => format!("grid[g * 64u + n] = {sum};"),
         Finish::Velocities => find + "grid[g * 64u + n] = node;\nnote_speed(g, node, n);",
         Finish::Mirrored => {
-            find + "note_speed(g, node, n);\nvar now = node;\n\
-             if on == 2u {\nnow = reflected(g, entry, n, node);\n}\ngrid[g * 64u + n] = now;"
+            find + "var now = node;\n\
+             if workgroupUniformLoad(&mirrors) != 0u {\nnow = reflect(g, entry, n, image, there, booked, node);\n}\n\
+             grid[g * 64u + n] = now;\nnote_speed(g, node, n);"
         }
     };
     let mirrored = finish == Finish::Mirrored;
@@ -950,9 +971,7 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
     Draft {
         name: "grid",
         entry: "sum_tiles",
-        body: body
-            .replace("$SUM_TILES", &text)
-            .replace("$AND_MIRRORS", if mirrored { " * select(1u, 2u, mirrors(g))" } else { "" })
+        body: body.replace("$SUM_TILES", &text).replace("$IMAGE", if mirrored { IMAGE } else { "" })
             + mirrors
             + rims
             + shared

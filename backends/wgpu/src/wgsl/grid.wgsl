@@ -3,27 +3,51 @@
 var<workgroup> go: u32;
 var<workgroup> greatest: atomic<u32>;
 
-// What one of the tiles that reach a node holds for it. All eight are asked for at once, also where there is none.
-fn of_tile(entry: u32, local: vec3<i32>, other: vec3<bool>) -> vec4<f32> {
-    let upper = local >= vec3<i32>(2);
-    // From the tile's block to this node's, and the node in that tile.
-    let to_block = select(vec3<i32>(1), vec3<i32>(-1), upper);
-    let in_other = select(local + vec3<i32>(6), local - vec3<i32>(2), upper);
+// The tiles that reach a node, two along each axis, or NONE.
+struct Tiles {
+    low: vec4<u32>,
+    high: vec4<u32>,
+}
+
+// The block whose tile is this node's own one, or its neighbour's along some axes.
+fn tile_of(entry: u32, local: vec3<i32>, other: vec3<bool>) -> u32 {
+    let to_block = select(vec3<i32>(1), vec3<i32>(-1), local >= vec3<i32>(2));
     let by = select(vec3<i32>(0), to_block, other) + vec3<i32>(1);
-    let at = select(local + vec3<i32>(2), in_other, other);
     let which = u32(by.x * 9 + by.y * 3 + by.z);
-    let tile = u32(lists[entry + 1u + (which >> 2u)][which & 3u]);
+    return u32(lists[entry + 1u + (which >> 2u)][which & 3u]);
+}
+
+fn tiles_of(entry: u32, local: vec3<i32>) -> Tiles {
+    let low = vec4<u32>(tile_of(entry, local, vec3<bool>(false, false, false)), tile_of(entry, local, vec3<bool>(false, false, true)),
+        tile_of(entry, local, vec3<bool>(false, true, false)), tile_of(entry, local, vec3<bool>(false, true, true)));
+    let high = vec4<u32>(tile_of(entry, local, vec3<bool>(true, false, false)), tile_of(entry, local, vec3<bool>(true, false, true)),
+        tile_of(entry, local, vec3<bool>(true, true, false)), tile_of(entry, local, vec3<bool>(true, true, true)));
+    return Tiles(low, high);
+}
+
+// What one of them holds for the node. All eight are asked for at once, also where there is none.
+fn of_tile(tile: u32, local: vec3<i32>, other: vec3<bool>) -> vec4<f32> {
+    let in_other = select(local + vec3<i32>(6), local - vec3<i32>(2), local >= vec3<i32>(2));
+    let at = select(local + vec3<i32>(2), in_other, other);
     let held = grid[extent.node_room * 64u + select(tile, 0u, tile == NONE) * 512u + u32(at.x * 64 + at.y * 8 + at.z)];
     return select(held, vec4<f32>(0.0), tile == NONE);
 }
 
-// What the tiles around a node hold for it: two along each axis reach it.
+fn sum_of(tiles: Tiles, local: vec3<i32>) -> vec4<f32> {
+    return of_tile(tiles.low.x, local, vec3<bool>(false, false, false)) + of_tile(tiles.low.y, local, vec3<bool>(false, false, true))
+        + of_tile(tiles.low.z, local, vec3<bool>(false, true, false)) + of_tile(tiles.low.w, local, vec3<bool>(false, true, true))
+        + of_tile(tiles.high.x, local, vec3<bool>(true, false, false)) + of_tile(tiles.high.y, local, vec3<bool>(true, false, true))
+        + of_tile(tiles.high.z, local, vec3<bool>(true, true, false)) + of_tile(tiles.high.w, local, vec3<bool>(true, true, true));
+}
+
+// Place of a node in its block.
+fn local_of(n: u32) -> vec3<i32> {
+    return vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+}
+
+// What the tiles around a node hold for it.
 fn sum_of_tiles(entry: u32, n: u32) -> vec4<f32> {
-    let local = vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
-    return of_tile(entry, local, vec3<bool>(false, false, false)) + of_tile(entry, local, vec3<bool>(false, false, true))
-        + of_tile(entry, local, vec3<bool>(false, true, false)) + of_tile(entry, local, vec3<bool>(false, true, true))
-        + of_tile(entry, local, vec3<bool>(true, false, false)) + of_tile(entry, local, vec3<bool>(true, false, true))
-        + of_tile(entry, local, vec3<bool>(true, true, false)) + of_tile(entry, local, vec3<bool>(true, true, true));
+    return sum_of(tiles_of(entry, local_of(n)), local_of(n));
 }
 
 fn layer_of(g: u32) -> u32 {
@@ -34,7 +58,9 @@ fn layer_of(g: u32) -> u32 {
 }
 
 fn is_on(g: u32) -> u32 {
-    return u32(atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]) && is_live(layer_of(g)));
+    let is_halted = atomicLoad(&status[HALTED]) != 0u;
+    let node_blocks = atomicLoad(&status[NODE_BLOCKS]);
+    return u32(!is_halted && g < node_blocks && is_live(layer_of(g)));
 }
 
 // Momentum to velocity. Nodes that hardly weigh anything carry nothing; what is too slow to deform anything is at rest.
@@ -64,14 +90,17 @@ fn note_speed(g: u32, node: vec4<f32>, n: u32) {
 @compute @workgroup_size(64)
 fn sum_tiles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
     let g = group.y * extent.row + group.x;
+    // Asked for before it is known whether there is such a block.
+    let entry = (extent.block_room + min(g, extent.node_room - 1u)) * ENTRY;
+    let local = local_of(n);
+    let tiles = tiles_of(entry, local);
+    $IMAGE
     if n == 0u {
-        go = is_on(g)$AND_MIRRORS;
+        go = is_on(g);
     }
     $TOUCHED
-    let on = workgroupUniformLoad(&go);
-    if on == 0u {
+    if workgroupUniformLoad(&go) == 0u {
         return;
     }
-    let entry = (extent.block_room + g) * ENTRY;
     $SUM_TILES
 }

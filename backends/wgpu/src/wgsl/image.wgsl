@@ -14,22 +14,24 @@ struct Image {
     cell: vec3<i32>,
     outer: vec3<f32>,
     inner: vec3<f32>,
+    is_other: bool,
 }
 
 fn image_of(layer: u32, cell: vec3<i32>) -> Image {
     let low = world_min(layer);
     let high = world_max(layer);
-    var image = Image(cell, vec3<f32>(1.0), vec3<f32>(1.0));
+    var image = Image(cell, vec3<f32>(1.0), vec3<f32>(1.0), false);
     for (var axis = 0; axis < 3; axis++) {
         for (var end = 0; end < 2; end++) {
             let kind = select(LOW[axis], HIGH[axis], end == 1);
             let beyond = select(cell[axis] < low[axis], cell[axis] >= high[axis], end == 1);
             if kind != 0u && beyond {
-                if all(image.cell == cell) {
-                    image.outer = wall_signs(kind, axis);
-                } else {
+                if image.is_other {
                     image.inner *= wall_signs(kind, axis);
+                } else {
+                    image.outer = wall_signs(kind, axis);
                 }
+                image.is_other = true;
                 image.cell[axis] = 2 * select(low[axis], high[axis], end == 1) - 1 - cell[axis];
             }
         }

@@ -44,7 +44,7 @@ fn reflect_nodes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     let cell = lists[entry].xyz * 4 + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
     let image = image_of(layer_of(g), cell);
     var impulse = vec3<f32>(0.0);
-    if any(image.cell != cell) {
+    if image.is_other {
         let mass = grid[g * 64u + n].w;
         let u = image.inner * velocity_at(layer_of(g), image.cell);
         impulse = given_behind(image, u, mass);
