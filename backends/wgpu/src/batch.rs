@@ -754,7 +754,6 @@ impl WgpuBatch {
         if sorts > 0 {
             self.memory.now ^= sorts & 1;
             self.unlinked = false;
-            self.astray = status.halt() == Some(Halt::Misplaced);
             for (layer, level) in self.worlds.iter_mut().flat_map(|world| &mut world.levels).enumerate() {
                 let block = |first: usize| [0, 1, 2].map(|d| status.of_layer(layer, first + d) as i32 - BIAS);
                 level.blocks = status.range(layer, FIRST_BLOCK, BLOCKS);
@@ -1433,6 +1432,9 @@ impl WgpuBatch {
             self.write_bodies(turns, &driven, steps);
             self.write_near(turns, &driven, steps)?;
             let outcome = self.submit(&active, dt, &stretches)?;
+            if stretches[0].sort {
+                self.astray = outcome.halt == Some(Halt::Misplaced);
+            }
             for (t, of_turn) in &driven {
                 go_back(turns[*t].couplings, of_turn, outcome.done)?;
                 let world = turns[*t].world;
