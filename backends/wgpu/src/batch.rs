@@ -5,8 +5,8 @@ use crate::device::Gpu;
 use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, Layer, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read, read_all,
-    with_mapped, with_room,
+    Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read,
+    read_all, with_mapped, with_room,
 };
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
@@ -1242,10 +1242,12 @@ impl WgpuBatch {
         if all > extent.slots as usize {
             extent.slots = with_room(all).next_multiple_of(128);
         }
-        let nodes = |(homes, level): (&Homes, &Level)| homes.nodes.len().max(level.node_blocks.len());
+        let node_blocks: Vec<usize> =
+            homes.iter().zip(self.all_levels()).map(|(homes, level)| homes.node_blocks(&level.periods)).collect();
+        let nodes = self.all_levels().zip(&node_blocks).map(|(level, count)| level.node_blocks.len().max(*count)).sum();
         extent.particles = all as u32;
         extent.block_room = extent.block_room.max(with_room(homes.iter().map(|homes| homes.blocks.len()).sum()));
-        extent.node_room = extent.node_room.max(with_room(homes.iter().zip(self.all_levels()).map(nodes).sum()));
+        extent.node_room = extent.node_room.max(with_room(nodes));
         self.memory.grow(&self.gpu, extent)?;
 
         let before: Vec<_> = self.all_levels().map(|level| level.particles.clone()).collect();
@@ -1267,10 +1269,11 @@ impl WgpuBatch {
             let spoilt = account::find_non_finite(&arrival.particles.lists, |field, particle, law, value, count| {
                 self.non_finite(*w, field, (particle, law), value, count, 0.0)
             });
+            let layers = self.layers_of(*w);
             let world = &mut self.worlds[*w];
             world.see_soft(&arrival.particles.lists);
-            for (level, homes) in world.levels.iter_mut().zip(&arrival.homes) {
-                level.node_blocks = 0..homes.nodes.len();
+            for (level, count) in world.levels.iter_mut().zip(&node_blocks[layers]) {
+                level.node_blocks = 0..*count;
             }
             if let Some(phase) = &arrival.particles.levels {
                 if let Some(reach) = &mut world.reach {
@@ -1298,9 +1301,7 @@ impl WgpuBatch {
         layout::check(&particles, materials, self.levels)?;
         let of_levels = || particles.lists.chunks(materials.len()).zip(levels);
         let restored = particles.sort.as_ref().and_then(|sort| {
-            let restore = |(l, (lists, level)): (usize, (&[ParticleList], &Level))| {
-                Homes::restored(lists, l, &sort.blocks, &level.periods)
-            };
+            let restore = |(l, (lists, _)): (usize, (&[ParticleList], &Level))| Homes::restored(lists, l, &sort.blocks);
             of_levels().enumerate().map(restore).collect::<Option<Vec<_>>>()
         });
         let is_restored = restored.is_some();
@@ -1354,7 +1355,10 @@ impl WgpuBatch {
         const PART: usize = 64 << 20;
         for (i, part) in bytes.chunks(PART).enumerate() {
             self.gpu.queue.write_buffer(buffer, at + (i * PART) as u64, part);
-            self.gpu.queue.submit([]);
+            // What has been written waits for a submission, and takes memory until then.
+            if part.len() == PART {
+                self.gpu.queue.submit([]);
+            }
         }
     }
 
@@ -1722,7 +1726,7 @@ impl WgpuBatch {
             let world = &self.worlds[turn.world];
             if world.hardens { STIFFNESS_AGE.saturating_sub(world.stiffness_age).max(1) as usize } else { MAX_STEPS }
         };
-        let most = turns.iter().map(until_asked).fold(MAX_STEPS / self.substeps, usize::min);
+        let most = turns.iter().map(until_asked).fold(MAX_STEPS.min(MAX_SLOTS / self.substeps), usize::min);
         let is_on_host: Vec<bool> =
             turns.iter().map(|turn| !ground || self.worlds[turn.world].contact == Some(Place::Host)).collect();
         let mut reports = Vec::new();

@@ -13,7 +13,7 @@ pub(crate) const ENTRY: usize = 10;
 /// Laws that a particle's tag can tell apart.
 pub(crate) const MAX_LAWS: usize = 16;
 /// So many particles are not worth another thread.
-const FEW: usize = 4096;
+const FEW: usize = 1024;
 /// Particles that the sort's order can tell apart.
 const MAX_PARTICLES: usize = 1 << 28;
 
@@ -24,8 +24,6 @@ type Block = [i32; 3];
 pub(crate) struct Homes {
     /// Blocks with particles, in the order of their coordinates.
     pub(crate) blocks: Vec<Block>,
-    /// Blocks whose nodes they reach, likewise.
-    pub(crate) nodes: Vec<Block>,
     /// Where the particles of each cell begin, and the end.
     pub(crate) cells: Vec<u32>,
     /// The particle at each place: list and number.
@@ -65,17 +63,12 @@ impl Homes {
                 .map(move |(i, &cell)| (periods.wrap(cell.map(|c| c >> 2)), in_block(cell), l, i))
         });
         let mut all: Vec<_> = all.collect();
-        all.sort_unstable();
-        Self::of(&all, periods)
+        all.par_sort_unstable();
+        Self::of(&all)
     }
 
     /// Homes as a sort of this backend left them: for each block, the particles of each cell of each list.
-    pub(crate) fn restored(
-        lists: &[ParticleList],
-        level: usize,
-        blocks: &[([i32; 5], Vec<u32>)],
-        periods: &Periods,
-    ) -> Option<Self> {
+    pub(crate) fn restored(lists: &[ParticleList], level: usize, blocks: &[([i32; 5], Vec<u32>)]) -> Option<Self> {
         let mut next = vec![0; lists.len()];
         let mut all = Vec::new();
         for ([_, _, x, y, z], counts) in blocks.iter().filter(|([_, l, ..], _)| *l == level as i32) {
@@ -96,10 +89,10 @@ impl Homes {
             [bx, by, bz].into_iter().zip(at).all(|(b, c)| (-2..6).contains(&(c - 4 * b)))
         };
         let sorted = all.windows(2).all(|pair| pair[0] < pair[1]);
-        (complete && sorted && all.iter().all(within)).then(|| Self::of(&all, periods))
+        (complete && sorted && all.iter().all(within)).then(|| Self::of(&all))
     }
 
-    fn of(all: &[(Block, usize, usize, usize)], periods: &Periods) -> Self {
+    fn of(all: &[(Block, usize, usize, usize)]) -> Self {
         let mut homes = Self::default();
         for block in all.chunk_by(|a, b| a.0 == b.0) {
             homes.blocks.push(block[0].0);
@@ -112,14 +105,28 @@ impl Homes {
             }
         }
         homes.cells.push(homes.order.len() as u32);
+        homes
+    }
+
+    /// How many blocks there are whose nodes particles reach.
+    pub(crate) fn node_blocks(&self, periods: &Periods) -> usize {
         let around = |b: &Block| {
             let b = *b;
             (0..27).map(move |n| periods.wrap(std::array::from_fn(|d| b[d] + offset(n)[d])))
         };
-        homes.nodes = homes.blocks.iter().flat_map(around).collect();
-        homes.nodes.sort_unstable();
-        homes.nodes.dedup();
-        homes
+        let mut nodes: Vec<Block> = self.blocks.iter().flat_map(around).collect();
+        nodes.par_sort_unstable();
+        nodes.dedup();
+        nodes.len()
+    }
+
+    /// The home of each particle, block and cell, in the order of memory.
+    fn seats(&self) -> Vec<(Block, usize)> {
+        let of_cell = |c: usize| {
+            let seat = (self.blocks[c / 64], c % 64);
+            std::iter::repeat_n(seat, (self.cells[c + 1] - self.cells[c]) as usize)
+        };
+        (0..64 * self.blocks.len()).flat_map(of_cell).collect()
     }
 
     /// Where each particle stands, and its block, in the order of memory.
@@ -160,50 +167,32 @@ fn refuse(what: String) -> Error {
     Error::Body { path: "particles".into(), what, mend: "hand back particles of a simulation of the same scene".into() }
 }
 
-impl Planes {
-    /// Planes with room for `slots` particles each.
-    pub(crate) fn of(
-        lists: &[ParticleList],
-        homes: &Homes,
-        materials: &[PlannedMaterial],
-        slots: usize,
-        vectors: usize,
-    ) -> Result<Self> {
-        let mut planes = Self {
-            record: vec![[0; 4]; RECORD * slots],
-            ids: vec![[0; 2]; slots],
-            rest: vec![[0.0; 4]; vectors * slots],
-        };
-        for (b, block) in homes.blocks.iter().enumerate() {
-            for cell in 0..64 {
-                for q in homes.cells[64 * b + cell] as usize..homes.cells[64 * b + cell + 1] as usize {
-                    let (l, i) = homes.order[q];
-                    planes.put(q, &lists[l], i, (*block, cell), &materials[l], slots)?;
-                }
+/// A particle of a list, with the block and the cell that are its home.
+struct Ours<'a> {
+    list: &'a ParticleList,
+    i: usize,
+    seat: (Block, usize),
+    planned: &'a PlannedMaterial,
+}
+
+impl Ours<'_> {
+    /// A vector of its record.
+    fn record(&self, k: usize) -> [u32; 4] {
+        let (list, i) = (self.list, self.i);
+        match k {
+            0 => self.place(),
+            1 => [0, 0, 0, (list.mass[i] as f32).to_bits()],
+            2..5 => {
+                let c = &list.affine[i][3 * (k - 2)..][..3];
+                [list.velocity[i][k - 2], c[0], c[1], c[2]].map(|x| (x as f32).to_bits())
             }
-        }
-        Ok(planes)
-    }
-
-    /// What the planes of a buffer hold.
-    pub(crate) fn bytes(&self, sorted: Sorted) -> &[u8] {
-        match sorted {
-            Sorted::Record => bytemuck::cast_slice(&self.record),
-            Sorted::Ids => bytemuck::cast_slice(&self.ids),
-            Sorted::Rest => bytemuck::cast_slice(&self.rest),
-            Sorted::Lists | Sorted::Cells | Sorted::Watch => &[],
+            _ => [0; 4],
         }
     }
 
-    fn put(
-        &mut self,
-        q: usize,
-        list: &ParticleList,
-        i: usize,
-        (block, home): (Block, usize),
-        planned: &PlannedMaterial,
-        slots: usize,
-    ) -> Result<()> {
+    /// Where it is in its cell, and its tag.
+    fn place(&self) -> [u32; 4] {
+        let (list, i, (block, home)) = (self.list, self.i, self.seat);
         let (mut tag, mut place) = (0u32, [0u32; 4]);
         for d in 0..3 {
             // An offset of almost one rounds to the next cell's zero.
@@ -218,24 +207,67 @@ impl Planes {
             tag = tag << 3 | (local + 2) as u32;
         }
         place[3] = tag | list.material << 9 | tag_of_home(home) << 16;
-        let mut put = |k: usize, values: [u32; 4]| self.record[vector(q, k, slots)] = values;
-        put(0, place);
-        put(1, [0, 0, 0, (list.mass[i] as f32).to_bits()]);
-        for d in 0..3 {
-            let c = &list.affine[i][3 * d..3 * d + 3];
-            put(2 + d, [list.velocity[i][d], c[0], c[1], c[2]].map(|x| (x as f32).to_bits()));
+        place
+    }
+
+    /// A vector of its strain, history and, last in the last one, rest volume.
+    fn rest(&self, v: usize, vectors: usize) -> [f32; 4] {
+        let (list, i) = (self.list, self.i);
+        let identity = self.planned.material.strain_identity();
+        let value = |k: usize| {
+            let strain = list.strain.get(k).zip(identity.get(k)).map(|(plane, one)| plane[i] - one);
+            let state = || k.checked_sub(list.strain.len()).and_then(|k| list.state.get(k)).map(|plane| plane[i]);
+            let volume = || if k == 4 * vectors - 1 { list.volume0[i] } else { 0.0 };
+            strain.or_else(state).unwrap_or_else(volume) as f32
+        };
+        std::array::from_fn(|d| value(4 * v + d))
+    }
+}
+
+impl Planes {
+    /// Planes with room for `slots` particles each.
+    pub(crate) fn of(
+        lists: &[ParticleList],
+        homes: &Homes,
+        materials: &[PlannedMaterial],
+        slots: usize,
+        vectors: usize,
+    ) -> Result<Self> {
+        if let Some(id) = lists.iter().flat_map(|list| &list.id).find(|id| **id > u64::from(u32::MAX)) {
+            return Err(refuse(format!("a particle has the number {id}, which is {} or greater", 1u64 << 32)));
         }
-        let id =
-            u32::try_from(list.id[i]).map_err(|_| refuse(format!("a particle id is {} or greater", 1u64 << 32)))?;
-        self.ids[q] = [id, u32::from(list.body[i])];
-        let identity = planned.material.strain_identity();
-        let values = list.strain.iter().zip(identity).map(|(plane, one)| plane[i] - one);
-        for (k, value) in values.chain(list.state.iter().map(|plane| plane[i])).enumerate() {
-            self.rest[k / 4 * slots + q][k % 4] = value as f32;
+        let seats = homes.seats();
+        let particle = |&(q, seat): &(usize, (Block, usize))| {
+            let (l, i) = homes.order[q];
+            Ours { list: &lists[l], i, seat, planned: &materials[l] }
+        };
+        let all: Vec<Ours<'_>> =
+            seats.into_par_iter().enumerate().with_min_len(FEW).map(|seat| particle(&seat)).collect();
+        let mut planes = Self {
+            record: vec![[0; 4]; RECORD * slots],
+            ids: vec![[0; 2]; slots],
+            rest: vec![[0.0; 4]; vectors * slots],
+        };
+        fn fill<T: Send>(plane: &mut [T], all: &[Ours<'_>], of: impl Fn(&Ours<'_>) -> T + Sync) {
+            let pairs = plane.par_iter_mut().zip(all).with_min_len(FEW);
+            pairs.for_each(|(value, one)| *value = of(one));
         }
-        let volume = volume(self.rest.len(), q, slots);
-        self.rest[volume][3] = list.volume0[i] as f32;
-        Ok(())
+        let slots = slots.max(1);
+        planes.record.par_chunks_mut(slots).enumerate().for_each(|(k, plane)| fill(plane, &all, |one| one.record(k)));
+        fill(&mut planes.ids, &all, |one| [one.list.id[one.i] as u32, u32::from(one.list.body[one.i])]);
+        let rest = planes.rest.par_chunks_mut(slots).enumerate();
+        rest.for_each(|(v, plane)| fill(plane, &all, |one| one.rest(v, vectors)));
+        Ok(planes)
+    }
+
+    /// What the planes of a buffer hold.
+    pub(crate) fn bytes(&self, sorted: Sorted) -> &[u8] {
+        match sorted {
+            Sorted::Record => bytemuck::cast_slice(&self.record),
+            Sorted::Ids => bytemuck::cast_slice(&self.ids),
+            Sorted::Rest => bytemuck::cast_slice(&self.rest),
+            Sorted::Lists | Sorted::Cells | Sorted::Watch => &[],
+        }
     }
 
     /// What a device has handed out of so many particles: records, ids, then the rest.

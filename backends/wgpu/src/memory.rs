@@ -16,11 +16,12 @@ const OF_LAYERS: usize = 12;
 const PER_LAYER: usize = 8;
 const PER_SUM: usize = 18;
 const PER_STEP: usize = 4;
-/// Steps that one submission can take.
-pub(crate) const MAX_STEPS: usize = 64;
+/// Steps that one submission can take, and those of the finest level in them.
+pub(crate) const MAX_STEPS: usize = 128;
+pub(crate) const MAX_SLOTS: usize = 256;
 /// Constants of steps in a submission: those of steps and sorts; subcycled, of less than one step of coarser levels for each of the finest,
 /// twice.
-const STEP_SLOTS: u64 = 4 * MAX_STEPS as u64;
+const STEP_SLOTS: u64 = 4 * MAX_SLOTS as u64;
 /// Bytes from one step's constants to the next.
 pub(crate) const STEP_STRIDE: u64 = 256;
 /// Workgroups in a row of a dispatch.
@@ -257,12 +258,12 @@ impl Extent {
             Role::Keys | Role::Owners => 8 * slots,
             Role::Loose | Role::Order => 4 * slots,
             Role::Pairs => 16 * if asked.pairs { 3 * 64 * nodes } else { 1 },
-            Role::Bodies => 16 * BODY * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
+            Role::Bodies => 16 * BODY * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
             Role::Partials => 32 * nodes * asked.bodies as u64,
-            Role::Impulses => 32 * (MAX_STEPS * asked.layers * asked.bodies).max(1) as u64,
+            Role::Impulses => 32 * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
             Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
             Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
-            Role::Tools => 16 * (1 + 2 * MAX_STEPS * asked.layers * asked.tools) as u64,
+            Role::Tools => 16 * (1 + 2 * MAX_SLOTS * asked.layers * asked.tools) as u64,
             Role::Live => 8 * ((1 + asked.live) * asked.worlds) as u64,
             Role::Soft => 4 * (SOFT_WORDS * asked.softs) as u64,
             Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),

@@ -187,7 +187,7 @@ struct Start {
 }
 
 /// Steps after which progress is shown at the latest.
-const MOST_STEPS: u64 = 64;
+const MOST_STEPS: u64 = 128;
 
 /// What is summed up step by step.
 #[derive(Default)]
