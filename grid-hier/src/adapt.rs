@@ -539,7 +539,7 @@ impl Adapt {
         self.settled(parcel, from)
     }
 
-    /// Splits particles. Tools answer from one thread only, so those away from tools come first.
+    /// Splits particles.
     fn split_all<S: LevelStore>(
         &mut self,
         levels: &[&S],
@@ -548,17 +548,14 @@ impl Adapt {
         tools: &[Aabb],
         coming: &mut Vec<(usize, Parcel)>,
     ) -> Result<()> {
-        let is_away =
-            |places: &[[f64; 3]; CHILDREN]| !tools.iter().any(|tool| places.iter().any(|x| tool.contains(*x)));
-        let away: Vec<Option<Family>> = splitting
-            .par_iter()
-            .map(|one| self.split_up(levels[one.level], one, |places| is_away(places).then_some(true)))
-            .collect();
-        for (one, family) in splitting.iter().zip(away) {
-            let is_clear = |places: &[[f64; 3]; CHILDREN]| {
-                Some(is_away(places) || couplings.iter().all(|c| c.distance(places).iter().all(|d| *d >= 0.0)))
-            };
-            let Some(family) = family.or_else(|| self.split_up(levels[one.level], one, is_clear)) else { continue };
+        // Tools are asked only about what is near them.
+        let is_clear = |places: &[[f64; 3]; CHILDREN]| {
+            !tools.iter().any(|tool| places.iter().any(|x| tool.contains(*x)))
+                || couplings.iter().all(|c| c.distance(places).iter().all(|d| *d >= 0.0))
+        };
+        let split = |one: &Found| self.split_up(levels[one.level], one, is_clear);
+        let families: Vec<Family> = splitting.par_iter().map(split).collect();
+        for family in families {
             self.resampled.splits += family.splits;
             let first = self.new_ids(family.splits * (CHILDREN as u64 - 1))?;
             coming.extend(family.parcels.into_iter().map(|(level, mut parcel, child)| {
@@ -570,13 +567,13 @@ impl Adapt {
     }
 
     /// Replaces a particle by its children, and these by theirs, until none is too coarse for where it is. `is_clear` says whether
-    /// children at these places keep clear of tools; `None` if it cannot tell.
+    /// children at these places keep clear of tools.
     fn split_up<S: LevelStore>(
         &self,
         level: &S,
         one: &Found,
-        is_clear: impl Fn(&[[f64; 3]; CHILDREN]) -> Option<bool>,
-    ) -> Option<Family> {
+        is_clear: impl Fn(&[[f64; 3]; CHILDREN]) -> bool,
+    ) -> Family {
         let h = self.widths[one.level];
         let parcel = level.parcel(one.list, one.place);
         let planes = self.materials[one.list].planes();
@@ -598,7 +595,7 @@ impl Adapt {
             let mut tries = (0..5).map(|tries| split(&particle, planes, 0.5_f64.powi(tries)));
             let parts = loop {
                 let Some(parts) = tries.next() else { break split(&particle, planes, f64::MIN_POSITIVE) };
-                if is_clear(&parts.map(|part| std::array::from_fn(|d| corner[d] + part.x[d])))? {
+                if is_clear(&parts.map(|part| std::array::from_fn(|d| corner[d] + part.x[d]))) {
                     break parts;
                 }
             };
@@ -608,7 +605,7 @@ impl Adapt {
                 open.push((part, class - 1, number));
             }
         }
-        Some(family)
+        family
     }
 
     /// So many new numbers in a row: the first.

@@ -117,7 +117,7 @@ pub struct DeviceLaw {
 /// with all nodes inside [`bounds`](Self::bounds) unless there are none, [`after_step`](Self::after_step). So what was booked
 /// in the last step is cleared in `before_step`. An impulse is taken from the node where it acts and booked once, on the body,
 /// at that node's position.
-pub trait Coupling: Send {
+pub trait Coupling: Send + Sync {
     /// Name of the kind, as registered.
     fn name(&self) -> &str;
     /// Bodies in the scene's order, as they are now.

@@ -103,7 +103,8 @@ fn seats(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<seat::Seats> {
         Some(gpu) => Arc::clone(gpu),
         None => Arc::new(device::open_with(adapter, backend.offer)?),
     };
-    Ok(seat::Seats::new(batch::WgpuBatch::new(gpu, worlds)?))
+    let threads = worlds.first().map_or(0, |world| world.plan.threads);
+    seat::Seats::new(gpu, worlds, threads)
 }
 
 /// Registers the backend.

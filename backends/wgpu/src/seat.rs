@@ -2,14 +2,21 @@
 
 use crate::account;
 use crate::batch::WgpuBatch;
+use crate::device::Gpu;
 use barchan_core::backend::{Batch, Bound, NewWorld, Timing, Turn};
-use barchan_core::{Coupling, Engine, Ledger, ParticleState, Result, Spot, StepReport};
+use barchan_core::{Coupling, Engine, Error, Ledger, ParticleState, Result, Spot, StepReport};
 use barchan_grid::archive::Reach;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Worlds on one device, shared by those who look at one of them.
+/// Worlds on one device, shared by those who look at one of them, and the threads of what the host does for them; without any of their own,
+/// as many as the machine has.
 #[derive(Clone)]
-pub(crate) struct Seats(Arc<Mutex<WgpuBatch>>);
+pub(crate) struct Seats {
+    batch: Arc<Mutex<WgpuBatch>>,
+    pool: Option<Arc<ThreadPool>>,
+}
 
 /// One world of a batch.
 pub(crate) struct Seat {
@@ -18,8 +25,20 @@ pub(crate) struct Seat {
 }
 
 impl Seats {
-    pub(crate) fn new(batch: WgpuBatch) -> Self {
-        Self(Arc::new(Mutex::new(batch)))
+    /// A batch of worlds, with so many threads; 0: as many as the machine has.
+    pub(crate) fn new(gpu: Arc<Gpu>, worlds: Vec<NewWorld<'_>>, threads: usize) -> Result<Self> {
+        let start = || ThreadPoolBuilder::new().num_threads(threads).build();
+        let pool = (threads > 0).then(start).transpose().map_err(|e| Error::Io {
+            file: "threads".into(),
+            what: "starting worker threads",
+            source: io::Error::other(e),
+        })?;
+        let new = || WgpuBatch::new(gpu, worlds);
+        let batch = match &pool {
+            Some(pool) => pool.install(new),
+            None => new(),
+        }?;
+        Ok(Self { batch: Arc::new(Mutex::new(batch)), pool: pool.map(Arc::new) })
     }
 
     pub(crate) fn seat(&self, world: usize) -> Seat {
@@ -27,7 +46,18 @@ impl Seats {
     }
 
     fn batch(&self) -> MutexGuard<'_, WgpuBatch> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.batch.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Does something with the batch on its threads.
+    fn with<R: Send>(&self, f: impl FnOnce(&mut WgpuBatch) -> R + Send) -> R {
+        let mut batch = self.batch();
+        let batch = &mut *batch;
+        let f = || f(batch);
+        match &self.pool {
+            Some(pool) => pool.install(f),
+            None => f(),
+        }
     }
 }
 
@@ -37,11 +67,11 @@ impl Batch for Seats {
     }
 
     fn steps(&mut self, dt: f64, count: usize, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
-        self.batch().steps(dt, count, turns)
+        self.with(|batch| batch.steps(dt, count, turns))
     }
 
     fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
-        self.batch().replace(world, new)
+        self.with(|batch| batch.replace(world, new))
     }
 }
 
@@ -63,30 +93,32 @@ impl Engine for Seat {
         couplings: &mut [Box<dyn Coupling>],
     ) -> Result<Vec<StepReport>> {
         let turn = Turn { world: self.world, time, couplings };
-        self.seats.batch().steps(dt, count, &mut [turn])?.pop().expect("a report for each turn")
+        self.seats.with(|batch| batch.steps(dt, count, &mut [turn]))?.pop().expect("a report for each turn")
     }
 
     fn download(&self) -> ParticleState {
         // A device that is lost has no particles left; the next step says so.
-        self.seats.batch().state(self.world).unwrap_or_default()
+        self.seats.with(|batch| batch.state(self.world)).unwrap_or_default()
     }
 
     fn spots(&self) -> Vec<Spot> {
-        let batch = self.seats.batch();
-        let mut spots = batch.spots(self.world).unwrap_or_default();
-        let archived = batch.worlds[self.world].reach.iter().flat_map(Reach::archived);
-        archived.for_each(|list| spots.extend((0..list.len()).map(|i| list.spot(i))));
-        spots
+        self.seats.with(|batch| {
+            let mut spots = batch.spots(self.world).unwrap_or_default();
+            let archived = batch.worlds[self.world].reach.iter().flat_map(Reach::archived);
+            archived.for_each(|list| spots.extend((0..list.len()).map(|i| list.spot(i))));
+            spots
+        })
     }
 
     fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
-        let batch = self.seats.batch();
-        let mut state = batch.lists_where(self.world, wanted).unwrap_or_default();
-        state.lists.extend(batch.worlds[self.world].reach.iter().flat_map(Reach::archived).map(|mut list| {
-            list.retain(wanted);
-            list
-        }));
-        state
+        self.seats.with(|batch| {
+            let mut state = batch.lists_where(self.world, wanted).unwrap_or_default();
+            state.lists.extend(batch.worlds[self.world].reach.iter().flat_map(Reach::archived).map(|mut list| {
+                list.retain(wanted);
+                list
+            }));
+            state
+        })
     }
 
     fn check(&self) -> Result<()> {
@@ -94,9 +126,10 @@ impl Engine for Seat {
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
-        let mut batch = self.seats.batch();
-        batch.settle()?;
-        batch.take_in(vec![(self.world, particles)])
+        self.seats.with(|batch| {
+            batch.settle()?;
+            batch.take_in(vec![(self.world, particles)])
+        })
     }
 
     fn particle_count(&self) -> usize {
@@ -104,9 +137,10 @@ impl Engine for Seat {
     }
 
     fn account(&self, ledger: &mut Ledger) {
+        let lists = self.seats.with(|batch| batch.lists(self.world));
         let batch = self.seats.batch();
         let world = &batch.worlds[self.world];
-        if let Ok((lists, ..)) = batch.lists(self.world) {
+        if let Ok((lists, ..)) = lists {
             account::add_particles(ledger, &lists, &world.materials, &world.scene);
         }
         let pending = batch.pending_walls(self.world);

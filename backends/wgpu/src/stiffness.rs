@@ -6,7 +6,7 @@ use barchan_core::backend::Bound;
 use barchan_core::material::{ErrorBuffer, stable_step};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, Result};
-use std::thread;
+use rayon::prelude::*;
 
 const LANES: usize = 16;
 /// Particles that are worth a thread.
@@ -62,17 +62,8 @@ pub(crate) fn bound_of_hardening(
     let mut bound = nothing();
     for (law, planned) in materials.iter().enumerate().filter(|(_, m)| m.material.has(abi::BARCHAN_CAP_HARDENS)) {
         let starts: Vec<usize> = (0..held.count).step_by(GRAIN).collect();
-        let threads = thread::available_parallelism().map_or(1, usize::from).min(starts.len()).max(1);
-        let stretch = &|from: usize| of_stretch(held, law, planned, densities[law], h, from);
-        let starts = &starts;
-        let work = &|t: usize| {
-            let mine = starts.iter().skip(t).step_by(threads);
-            mine.map(|&from| stretch(from)).try_fold(f64::INFINITY, |least: f64, dt| Ok::<_, Error>(least.min(dt?)))
-        };
-        let least: Vec<_> = thread::scope(|scope| {
-            let handles: Vec<_> = (0..threads).map(|t| scope.spawn(move || work(t))).collect();
-            handles.into_iter().map(|handle| handle.join().expect("laws do not panic across the ABI")).collect()
-        });
+        let of_stretch = |from| of_stretch(held, law, planned, densities[law], h, from);
+        let least: Vec<Result<f64>> = starts.into_par_iter().map(of_stretch).collect();
         for least in least {
             tighten(&mut bound, least?, planned);
         }

@@ -186,8 +186,9 @@ struct Start {
     ledger: Ledger,
 }
 
-/// Steps after which progress is shown at the latest.
-const MOST_STEPS: u64 = 128;
+/// Time after which progress is shown at the latest [s], as far as the steps before tell, and steps to begin with.
+const MOST_WAIT: f64 = 0.25;
+const FIRST_STEPS: f64 = 8.0;
 
 /// What is summed up step by step.
 #[derive(Default)]
@@ -221,6 +222,7 @@ fn steps(
     }
     let mut progress = done(simulation);
     let mut swap = request.swap.as_ref();
+    let mut most = FIRST_STEPS;
     while progress < 1.0 {
         if let Some(Swap { registry, options, .. }) = swap.take_if(|swap| simulation.step_count() >= swap.step) {
             simulation.swap(registry, options)?;
@@ -229,8 +231,10 @@ fn steps(
         // Nobody looks in before the next output, the swap or the end.
         let end = if let Until::Step(end) = request.until { end } else { u64::MAX };
         let end = swap.map_or(end, |swap| end.min(swap.step));
-        let reports = simulation.steps(end.saturating_sub(from.1).min(MOST_STEPS) as usize, recorder.next_output())?;
-        tally.wall += before.elapsed().as_secs_f64();
+        let reports = simulation.steps(end.saturating_sub(from.1).min(most as u64) as usize, recorder.next_output())?;
+        let took = before.elapsed().as_secs_f64();
+        tally.wall += took;
+        most = (reports.len() as f64 * MOST_WAIT / took.max(1e-9)).clamp(1.0, 8.0 * most);
         for report in &reports {
             tally.steps += 1;
             tally.particle_steps += simulation.particle_count() as u64;

@@ -63,11 +63,12 @@ impl Worlds {
     /// If the system gives no threads.
     pub fn new(registry: &Registry, scenes: Vec<Scene>, options: &Options) -> Result<Self> {
         let pool = ThreadPoolBuilder::new().num_threads(options.threads).build().expect("worker threads start");
+        let together = Together::new(registry, &scenes, options)?;
         // How many threads a world has changes no bit of it.
         let options = Options { threads: 1, ..options.clone() };
         let make = |scene: &Scene| Simulation::new(registry, scene, &options);
         let apart = || pool.install(|| scenes.par_iter().map(make).collect::<Result<Vec<_>>>());
-        let machine = match Together::new(registry, &scenes, &options)? {
+        let machine = match together {
             Some(together) => Machine::Together(together),
             None => Machine::Apart(apart()?),
         };
@@ -134,9 +135,7 @@ impl Worlds {
             |reports: Vec<StepReport>| reports.into_iter().next_back().expect("a world takes a step or says why not");
         match &mut self.machine {
             Machine::Apart(_) => self.each(Simulation::step),
-            Machine::Together(together) => {
-                self.pool.install(|| together.steps(1)).into_iter().map(|reports| reports.map(last)).collect()
-            }
+            Machine::Together(together) => together.steps(1).into_iter().map(|reports| reports.map(last)).collect(),
         }
     }
 
