@@ -83,7 +83,7 @@ impl WgpuBatch {
         self.write_steps(0, &[self.step_constants(0.0, 0)]);
         let now = self.memory.now;
         let passes = kernels.find.iter().chain(merges.then_some(&kernels.fill));
-        let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();
+        let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0, end: self.levels }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;
         let count = words[COUNTED] as usize;
@@ -230,7 +230,11 @@ impl WgpuBatch {
         };
         self.write_steps(0, &[of(&passes[0].1), of(&passes[1].1)]);
         let now = self.memory.now;
-        let dispatches = passes.iter().enumerate().map(|(step, (kernel, _))| Dispatch { kernel, now, step }).collect();
+        let dispatches = passes
+            .iter()
+            .enumerate()
+            .map(|(step, (kernel, _))| Dispatch { kernel, now, step, end: self.levels })
+            .collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let dispatches: Vec<_> =
             parts.iter().flat_map(|(part, groups)| part.dispatches.iter().zip(groups.iter().copied())).collect();

@@ -2,7 +2,7 @@
 
 use crate::account;
 use crate::device::Gpu;
-use crate::kernels::{self, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
+use crate::kernels::{self, Found, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
     Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read,
@@ -52,6 +52,8 @@ const SORTS: usize = 8;
 pub(crate) const COUNTED: usize = 9;
 /// Blocks of nodes near bodies whose law runs on the host: gathered, and in the next word those on their way back.
 pub(crate) const NEAR: usize = 10;
+/// Blocks whose particles give to nodes that a finer level takes part in.
+const GIVERS: usize = 12;
 /// Of a layer.
 const FIRST_BLOCK: usize = 0;
 const FIRST_NODE_BLOCK: usize = 1;
@@ -269,7 +271,8 @@ impl<'a> Passes<'a> {
 
     pub(crate) fn run(&mut self, step: usize, kernels: impl IntoIterator<Item = &'a Kernel>) {
         let now = self.now;
-        self.dispatches.extend(kernels.into_iter().map(|kernel| Dispatch { kernel, now, step }));
+        let end = (self.constants[step].end_level as usize).min(self.levels);
+        self.dispatches.extend(kernels.into_iter().map(|kernel| Dispatch { kernel, now, step, end }));
     }
 
     /// A sort moves the particles to the other set of buffers.
@@ -309,17 +312,9 @@ impl<'a> Passes<'a> {
     /// What the levels whose steps begin with a slot do before bodies touch them, all of them in the same passes.
     pub(crate) fn begin_slot(&mut self, dt: f64, first: usize, slot: usize) {
         let kernels = self.kernels;
-        let [halve, solve] = kernels.shared.as_ref().expect("a subcycled scene has them");
-        let begin = beginning(self.levels, slot);
-        let coarser = 1..begin.end;
-        let step = self.constants_of(dt / self.substeps(), begin, first + slot);
+        let step = self.constants_of(dt / self.substeps(), beginning(self.levels, slot), first + slot);
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict).chain(&kernels.grid));
-        if !coarser.is_empty() {
-            // What shared nodes have without the step's forces.
-            let still = self.constants_of(0.0, coarser, first + slot);
-            self.run(still, [&kernels.p2g, halve]);
-        }
-        self.run(step, [solve].into_iter().chain(&kernels.prolong));
+        self.run(step, &kernels.solve);
     }
 
     /// What the levels whose steps end with a slot do once their velocities are whole.
@@ -352,6 +347,17 @@ pub(crate) struct Dispatch<'a> {
     pub(crate) now: usize,
     /// Number of the step's constants.
     pub(crate) step: usize,
+    /// One past the last of the levels whose step it is.
+    pub(crate) end: usize,
+}
+
+/// How many workgroups a dispatch has.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Size {
+    /// In a row, and rows.
+    Known(u32, u32),
+    /// As the device has counted them, at a byte of [`Role::Groups`].
+    Counted(u64),
 }
 
 /// Particles that come in, laid out level by level.
@@ -631,8 +637,8 @@ impl WgpuBatch {
         self.gpu.queue.write_buffer(&self.memory.layers, 0, bytemuck::cast_slice(layers));
     }
 
-    /// Workgroups of a pass, in rows.
-    fn groups(&self, groups: Groups) -> (u32, u32) {
+    /// Workgroups of a pass that concerns the levels before one.
+    fn size(&self, groups: Groups, end: usize) -> Size {
         let extent = &self.memory.extent;
         let layers = self.words().layers as u32;
         // A sort may find more blocks than there were, up to the room there is.
@@ -645,15 +651,29 @@ impl WgpuBatch {
             Groups::NodeBlocks => extent.node_room.max(extent.block_room),
             Groups::Near => self.memory.near() as u32,
             Groups::BlocksBy(n) => extent.block_room.div_ceil(n),
-            Groups::ParticlesBy(n) => extent.particles.div_ceil(n),
+            Groups::ParticlesBy(n) => self.particles_before(end).div_ceil(n),
             Groups::PlacesBy(n) => extent.places.div_ceil(n),
+            Groups::Found(found) => {
+                // Subcycled, the next coarser level shares nodes with those whose step it is.
+                let shares = self.substeps > 1 && found == Found::Rims;
+                let end = if shares { self.levels.min(end + 1) } else { end };
+                return Size::Counted(12 * (self.levels * found as usize + end - 1) as u64);
+            }
         };
-        (count.min(extent.row), count.div_ceil(extent.row))
+        Size::Known(count.min(extent.row), count.div_ceil(extent.row))
+    }
+
+    /// Particles of the levels before one: of a world that is alone, those stand together.
+    fn particles_before(&self, end: usize) -> u32 {
+        match &self.worlds[..] {
+            [world] if end < self.levels => world.levels[end - 1].particles.end as u32,
+            _ => self.memory.extent.particles,
+        }
     }
 
     /// Parts with the workgroups of their dispatches.
-    pub(crate) fn with_groups<'a>(&self, parts: Vec<Part<'a>>) -> Vec<(Part<'a>, Vec<(u32, u32)>)> {
-        let of = |part: &Part<'_>| part.dispatches.iter().map(|d| self.groups(d.kernel.groups)).collect();
+    pub(crate) fn with_groups<'a>(&self, parts: Vec<Part<'a>>) -> Vec<(Part<'a>, Vec<Size>)> {
+        let of = |part: &Part<'_>| part.dispatches.iter().map(|d| self.size(d.kernel.groups, d.end)).collect();
         parts.into_iter().map(|part| (of(&part), part)).map(|(groups, part)| (part, groups)).collect()
     }
 
@@ -662,16 +682,18 @@ impl WgpuBatch {
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         memory: &mut Memory,
-        dispatches: &[(&Dispatch<'_>, (u32, u32))],
+        dispatches: &[(&Dispatch<'_>, Size)],
         queries: Option<&wgpu::QuerySet>,
     ) {
-        let bind =
-            |pass: &mut wgpu::ComputePass<'_>, memory: &mut Memory, (d, groups): &(&Dispatch<'_>, (u32, u32))| {
-                pass.set_pipeline(&d.kernel.pipeline);
-                pass.set_bind_group(0, &memory.binding(&gpu.device, d.kernel, d.now), &[]);
-                pass.set_bind_group(1, &memory.step_binding, &[(STEP_STRIDE * d.step as u64) as u32]);
-                pass.dispatch_workgroups(groups.0, groups.1, 1);
-            };
+        let bind = |pass: &mut wgpu::ComputePass<'_>, memory: &mut Memory, (d, size): &(&Dispatch<'_>, Size)| {
+            pass.set_pipeline(&d.kernel.pipeline);
+            pass.set_bind_group(0, &memory.binding(&gpu.device, d.kernel, d.now), &[]);
+            pass.set_bind_group(1, &memory.step_binding, &[(STEP_STRIDE * d.step as u64) as u32]);
+            match size {
+                Size::Known(row, rows) => pass.dispatch_workgroups(*row, *rows, 1),
+                Size::Counted(at) => pass.dispatch_workgroups_indirect(memory.buffer(Role::Groups, 0), *at),
+            }
+        };
         let Some(queries) = queries else {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
             dispatches.iter().for_each(|dispatch| bind(&mut pass, memory, dispatch));
@@ -886,7 +908,7 @@ impl WgpuBatch {
         gpu: &Gpu,
         memory: &mut Memory,
         clocks: &mut Clocks,
-        parts: &[(Part<'_>, Vec<(u32, u32)>)],
+        parts: &[(Part<'_>, Vec<Size>)],
         near: usize,
     ) -> Result<Vec<u32>> {
         for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
@@ -910,12 +932,14 @@ impl WgpuBatch {
                 encoder.clear_buffer(memory.buffer(Role::Flags, now), 0, None);
             }
             let dispatches: Vec<_> = part.dispatches.iter().zip(groups.iter().copied()).collect();
-            let (timed, rest) = dispatches.split_at(if i == 0 { first } else { 0 });
+            let (timed, mut rest) = dispatches.split_at(if i == 0 { first } else { 0 });
             if !timed.is_empty() {
                 Self::encode(gpu, &mut encoder, memory, timed, queries.as_ref());
             }
-            for some in rest.chunks(PIECE) {
+            while !rest.is_empty() {
+                let (some, others) = rest.split_at(rest.len().min(piece - unsent));
                 Self::encode(gpu, &mut encoder, memory, some, None);
+                rest = others;
                 unsent += some.len();
                 if unsent >= piece {
                     gpu.queue.submit([std::mem::replace(&mut encoder, fresh()).finish()]);
@@ -994,16 +1018,22 @@ impl WgpuBatch {
         let mut extent = self.memory.extent;
         extent.block_room = extent.block_room.max(with_room(status.words[NEW_BLOCKS] as usize));
         extent.node_room = extent.node_room.max(with_room(status.words[NEW_NODE_BLOCKS] as usize));
+        if self.substeps > 1 {
+            extent.giver_room = extent.giver_room.max(with_room(status.words[GIVERS] as usize));
+        }
         self.unlinked = true;
         self.memory.grow(&self.gpu, extent)
     }
 
     /// Sorts what is due at once. Are particles on another level than they should be?
     pub(crate) fn sort(&mut self, world: usize) -> Result<bool> {
+        // One that is done before it finds too little room for lists leaves nobody due for the next.
+        let mut astray = false;
         loop {
             let outcome = self.submit(&[(world, 0.0)], 0.0, &[Stretch { sort: true, steps: 0 }])?;
+            astray |= outcome.status.is_astray(self.layers_of(world));
             match outcome.halt {
-                None | Some(Halt::Fewer) => return Ok(false),
+                None | Some(Halt::Fewer) => return Ok(astray),
                 Some(Halt::Misplaced) => return Ok(true),
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
                 Some(_) => return Err(self.left_world(world, &outcome.status)),
@@ -1396,7 +1426,7 @@ impl WgpuBatch {
         for (dt, worlds) in by_step {
             self.write_layers(&self.layers(|w| worlds.contains(&w)));
             self.write_steps(0, &[self.step_constants(f64::from_bits(dt), 0)]);
-            let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0 };
+            let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0, end: self.levels };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
             Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;
         }

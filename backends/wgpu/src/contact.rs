@@ -367,10 +367,12 @@ impl WgpuBatch {
         visits: &mut [Visit<'_, '_>],
     ) -> Result<()> {
         match halt {
-            Halt::Room => self.make_room(status)?,
             Halt::Fewer => {}
             Halt::Drifted if !*sort => *sort = true,
-            Halt::Misplaced => {
+            Halt::Room | Halt::Misplaced => {
+                if halt == Halt::Room {
+                    self.make_room(status)?;
+                }
                 let is_astray = |visit: &&Visit<'_, '_>| status.is_astray(self.layers_of(visit.world()));
                 let astray: Vec<_> = visits.iter().filter(is_astray).collect();
                 astray.into_iter().try_for_each(|visit| self.adapt(visit.world(), None, visit.turn.couplings))?;
@@ -621,10 +623,16 @@ impl WgpuBatch {
         let sorting = sort.then_some(before);
         let now = if sort { 1 - before } else { before };
         let kernels = &self.kernels;
-        let sorts = kernels.sort.iter().filter(|_| sort).map(|kernel| Dispatch { kernel, now: before, step: 1 });
+        let sorts = kernels.sort.iter().filter(|_| sort).map(|kernel| Dispatch {
+            kernel,
+            now: before,
+            step: 1,
+            end: self.levels,
+        });
         let to_tiles = kernels.watch.iter().chain([&kernels.p2g]);
         let passes = to_tiles.chain(&kernels.restrict).chain(&kernels.grid).chain([&near[0]]);
-        let dispatches = sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1 })).collect();
+        let dispatches =
+            sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1, end: self.levels })).collect();
         let parts = self.with_groups(vec![Part { sorting, dispatches }]);
         let room = self.near_expected();
         let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, room)?;
@@ -681,7 +689,7 @@ impl WgpuBatch {
     /// Gathers the nodes in the boxes on its own.
     fn gather(&mut self) -> Result<Vec<Block>> {
         let near = self.contact.host.as_ref().expect(ON_HOST);
-        let dispatches = vec![Dispatch { kernel: &near[0], now: self.memory.now, step: 1 }];
+        let dispatches = vec![Dispatch { kernel: &near[0], now: self.memory.now, step: 1, end: self.levels }];
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let room = self.near_expected();
         let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, room)?;
@@ -744,7 +752,7 @@ impl WgpuBatch {
         let (kernels, now) = (&self.kernels, self.memory.now);
         let back = near[1..].iter().filter(|_| count > 0);
         let passes = back.chain(kernels.to_particles()).chain(kernels.soft()).chain(&kernels.collect);
-        let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0 }).collect();
+        let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0, end: self.levels }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for (part, groups) in &parts {

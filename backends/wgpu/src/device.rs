@@ -177,7 +177,8 @@ fn watch(device: &wgpu::Device, fault: &Arc<Mutex<Option<Fault>>>) {
     });
 }
 
-/// One for the whole process: NVIDIA's driver finds no adapter any more once some dozens have come and gone.
+/// One for the whole process: NVIDIA's driver finds no adapter any more once some dozens have come and gone. Without flags, what the device counts
+/// its own dispatches by is not checked by another pass before each: a sort writes it, and there are no more blocks than there is room for.
 static INSTANCE: LazyLock<wgpu::Instance> = LazyLock::new(|| {
     wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends: wgpu::Backends::PRIMARY,

@@ -63,6 +63,10 @@ pub(crate) enum Role {
     Soft,
     /// Tiles of unbounded ground that are live.
     Live,
+    /// Blocks that only some passes visit; see `listed.wgsl`.
+    Listed,
+    /// Workgroups of the passes of a step, as the last sort has counted them.
+    Groups,
 }
 
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
@@ -90,6 +94,7 @@ const HANDED: Use = ("handed", "vec4<f32>", Role::Handed, false);
 const KEPT: Use = ("shared_nodes", "vec4<f32>", Role::Shared, true);
 const OWN: Use = ("shared_nodes", "vec4<f32>", Role::Shared, false);
 const LIVE: Use = ("live", "vec2<i32>", Role::Live, false);
+const LISTED: Use = ("listed", "u32", Role::Listed, false);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 const WATCH: Use = ("watch", "atomic<u32>", Role::Now(Sorted::Watch), true);
 
@@ -136,6 +141,27 @@ pub(crate) enum Groups {
     ParticlesBy(u32),
     /// One for this many places of the directory.
     PlacesBy(u32),
+    /// One for each that the last sort has found on the levels whose step it is.
+    Found(Found),
+}
+
+/// What a sort counts on levels, for the passes of a step to visit nothing else. All but the first two it lists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Found {
+    Blocks,
+    NodeBlocks,
+    /// Blocks of nodes with some at the rim of their level or, subcycled, which that level shares with the next finer one, whose step it is.
+    Rims,
+    /// Blocks, and once more those whose particles give to shared nodes.
+    Givers,
+    /// Blocks, or blocks of nodes of the same number, to which walls or the edge of live ground give something.
+    Walled,
+}
+
+impl Found {
+    /// How many kinds there are, and of those how many are listed.
+    pub(crate) const ALL: usize = 5;
+    pub(crate) const LISTED: usize = Self::ALL - 2;
 }
 
 /// A table that a pass reads besides.
@@ -173,11 +199,11 @@ pub(crate) struct Kernels {
     pub(crate) watch: Option<Kernel>,
     pub(crate) p2g: Kernel,
     /// What rims hand to the next coarser level.
-    pub(crate) restrict: Vec<Kernel>,
+    pub(crate) restrict: Option<Kernel>,
     /// From tiles to velocities.
     pub(crate) grid: Vec<Kernel>,
-    /// Halves and solves nodes that two levels share, if there is subcycling.
-    pub(crate) shared: Option<[Kernel; 2]>,
+    /// Velocities of nodes that two levels share and of those at rims, if there is subcycling.
+    pub(crate) solve: Option<Kernel>,
     /// Velocities behind walls that let go.
     pub(crate) mirror: Vec<Kernel>,
     /// Velocities at rims.
@@ -244,9 +270,9 @@ impl Kernels {
             sort: all(drafts.sort),
             watch: drafts.watch.map(make),
             p2g: make(drafts.p2g),
-            restrict: all(drafts.restrict),
+            restrict: drafts.restrict.map(make),
             grid: all(drafts.grid),
-            shared: drafts.shared.map(|drafts| drafts.map(make)),
+            solve: drafts.solve.map(make),
             mirror: all(drafts.mirror),
             prolong: drafts.prolong.map(make),
             reflect: drafts.reflect.map(make),
@@ -281,9 +307,9 @@ struct Drafts {
     sort: Vec<Draft>,
     watch: Option<Draft>,
     p2g: Draft,
-    restrict: Vec<Draft>,
+    restrict: Option<Draft>,
     grid: Vec<Draft>,
-    shared: Option<[Draft; 2]>,
+    solve: Option<Draft>,
     mirror: Vec<Draft>,
     prolong: Option<Draft>,
     reflect: Option<Draft>,
@@ -326,24 +352,24 @@ impl Drafts {
         let mut grid = vec![sum_tiles(finish, levels, subcycled, sleeps)];
         grid.extend(separations.iter().map(|&axis| separate(axis, false, levels)));
         if !separations.is_empty() {
-            grid.push(velocities());
+            grid.push(velocities(levels));
         }
         if unbounded {
-            grid.push(hold());
+            grid.push(hold(levels));
         }
         let mut collect: Vec<_> = (has_walls || unbounded).then(|| collect(mirrored)).into_iter().collect();
         collect.extend(sleeps.then(sum_sleep));
         Ok(Self {
             sort: sort(plan, worlds),
             watch: sleeps.then(|| watch(levels)),
-            p2g: p2g(sleeps, mirrored),
-            restrict: if levels { restrict() } else { Vec::new() },
+            p2g: p2g(sleeps, mirrored, levels, subcycled),
+            restrict: (levels && !subcycled).then(restrict),
             grid,
-            shared: subcycled.then(shared),
+            solve: subcycled.then(solve),
             mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
-            prolong: levels.then(prolong),
+            prolong: (levels && !subcycled).then(prolong),
             // What holding the edge takes is booked there, too.
-            reflect: (has_mirrors && !mirrored || unbounded).then(|| reflect(sleeps)),
+            reflect: (has_mirrors && !mirrored || unbounded).then(|| reflect(sleeps, levels)),
             g2p: g2p(&laws, sleeps),
             stress: stress(&laws),
             collect,
@@ -364,7 +390,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     if plan.has(Stage::Contact) {
         lines.push("contact, every step: on the device for driven bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
     }
-    lines.extend(drafts.shared.iter().flatten().map(|draft| line("every step of a level", draft)));
+    lines.extend(drafts.solve.iter().map(|draft| line("every step of a level", draft)));
     lines.extend(
         drafts
             .mirror
@@ -395,6 +421,16 @@ fn line(when: &str, draft: &Draft) -> String {
         Groups::BlocksBy(n) => format!("a workgroup for {n} blocks"),
         Groups::ParticlesBy(n) => format!("a workgroup for {n} particles"),
         Groups::PlacesBy(n) => format!("a workgroup for {n} places of the directory"),
+        Groups::Found(found) => format!(
+            "a workgroup {} of the levels whose step it is",
+            match found {
+                Found::Blocks => "a block with particles",
+                Found::NodeBlocks => "a block of nodes",
+                Found::Rims => "a block of nodes at rims",
+                Found::Givers => "a block with particles, and another where these give to nodes that levels share,",
+                Found::Walled => "a block at walls",
+            }
+        ),
     };
     let names = |write: bool| {
         let names: Vec<_> = draft.uses.iter().filter(|u| u.3 == write).map(|u| u.0).collect();
@@ -428,7 +464,7 @@ pub(crate) fn contact(
         body: [&count, &table, &law.wgsl, text.as_str()].concat(),
         uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
         uniform: Uniform::Table,
-        groups: Groups::NodeBlocks,
+        groups: node_blocks(levels > 1),
         checked: true,
     };
     let sums = Draft {
@@ -473,7 +509,7 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
 /// The text of a pass in which bodies meet nodes, with what these weigh for them, and what it binds besides. Subcycled, a node may be two
 /// levels'.
 fn of_own_mass(kernels: &Kernels, text: &str) -> (String, Vec<Use>) {
-    if kernels.shared.is_none() {
+    if kernels.solve.is_none() {
         return (text.replace("$MASS", "node.w"), Vec::new());
     }
     (include_str!("wgsl/own.wgsl").to_owned() + &text.replace("$MASS", "own_mass(g, n, node)"), vec![RIMS, OWN])
@@ -671,7 +707,7 @@ fn watch(levels: bool) -> Draft {
         body: [&body, WATCH_WORDS, include_str!("wgsl/watch_booked.wgsl"), include_str!("wgsl/rhythm.wgsl")].concat(),
         uses,
         uniform: Uniform::None,
-        groups: Groups::Blocks,
+        groups: blocks(levels),
         checked: true,
     }
 }
@@ -689,7 +725,14 @@ fn sum_sleep() -> Draft {
     }
 }
 
-fn p2g(sleeps: bool, mirrored: bool) -> Draft {
+/// Where there are several levels, P2G also sums parent cells for rims. Subcycled, further workgroups visit blocks once more that give to nodes which
+/// two levels share, and leave forces out.
+fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool) -> Draft {
+    let at_rim = match (levels, subcycled) {
+        (false, _) => "",
+        (true, false) => "at_rim = u32(lists[here * ENTRY + OF_RIMS].w) & 1u;",
+        (true, true) => "at_rim = select(u32(lists[here * ENTRY + OF_RIMS].w) & 1u, 0u, is_still);",
+    };
     let xy = Half {
         rows: &[("s", 1), ("t", 5), ("r0", 2), ("r1", 3)],
         add: add_momentum(XY, |node, w| format!("{node} = fma(vec2<f32>({w}), u, {node});")),
@@ -709,18 +752,42 @@ fn p2g(sleeps: bool, mirrored: bool) -> Draft {
         .replace("$FLUSH", &flush())
         .replace("$GIVES", if sleeps { "gives(b, layer)" } else { "1u" })
         .replace("$BOOK_LAST", if mirrored { BOOK_LAST } else { "" })
-        .replace("$BOOKED", if sleeps { "select(total, 0.0, is_frozen != 0u)" } else { "total" });
-    let body = with_sleep(sleeps, &body, &[("$SETTLE", "settle(b);")]);
+        .replace("$BOOKED", if sleeps { "select(total, 0.0, is_frozen != 0u)" } else { "total" })
+        .replace("$BLOCK", if subcycled { GIVER } else { "let b = group.y * extent.row + group.x;" })
+        .replace("$STILL", if subcycled { "if is_still {\nstress = 0.0;\ngravity = vec3<f32>(0.0);\n}" } else { "" })
+        .replace("$IF_MOVED", if subcycled { " && !is_still" } else { "" })
+        .replace("$AT_RIM", at_rim)
+        .replace("$TILE", if subcycled { TILE_OR_STILL } else { "grid[base + t] = node;" })
+        .replace("$PARENT_CELLS", if levels { PARENT_CELLS } else { "" });
+    let settle = if subcycled { "if !is_still {\nsettle(b);\n}" } else { "settle(b);" };
+    let body = with_sleep(sleeps, &body, &[("$SETTLE", settle)]);
     let watch = if sleeps { [WATCH_WORDS, include_str!("wgsl/watch_p2g.wgsl")].concat() } else { String::new() };
     let mut uses = vec![RECORD, CELLS, written(LISTS), GRID, STATUS];
     uses.extend(sleeps.then_some(WATCH));
+    uses.extend(levels.then_some(written(HANDED)));
+    uses.extend(subcycled.then_some(LISTED));
+    let if_levels = |text: &'static str| if levels { text } else { "" };
     Draft {
         name: "P2G",
         entry: "p2g",
-        body: body + &watch + include_str!("wgsl/wall.wgsl") + include_str!("wgsl/rhythm.wgsl"),
+        body: [
+            body.as_str(),
+            &watch,
+            if_levels(include_str!("wgsl/parent_cells.wgsl")),
+            if_levels(include_str!("wgsl/handed.wgsl")),
+            if subcycled {
+                concat!(include_str!("wgsl/listed.wgsl"), include_str!("wgsl/blocks_now.wgsl"))
+            } else {
+                ""
+            },
+            include_str!("wgsl/reaches_wall.wgsl"),
+            include_str!("wgsl/wall.wgsl"),
+            include_str!("wgsl/rhythm.wgsl"),
+        ]
+        .concat(),
         uses,
         uniform: Uniform::None,
-        groups: Groups::Blocks,
+        groups: if subcycled { Groups::Found(Found::Givers) } else { blocks(levels) },
         // A workgroup goes on only if its block is one of those that hold particles, for which the sort, or the host before it
         // wrote them, has made room in all planes. G2P keeps a particle's cell within three bits an axis; one outside the 6x6x6
         // cells of the tile is never an index, and leavers beyond the list's end are only counted.
@@ -733,6 +800,25 @@ const BOOK_LAST: &str =
     "let given = bitcast<f32>(lists[b * ENTRY + WALL][thread]) + bitcast<f32>(lists[b * ENTRY + PENDING][thread]);
             lists[b * ENTRY + WALL][thread] = bitcast<i32>(given);
             lists[b * ENTRY + PENDING].w = i32(step.number);";
+
+/// A workgroup's block, or, behind all of them, one that gives to nodes which two levels share.
+const GIVER: &str = "let which = group.y * extent.row + group.x;
+    let own_blocks = blocks_now();
+    let is_still = which >= own_blocks;
+    let number = max(which, own_blocks) - own_blocks;
+    let b = select(which, listed_block(GIVING, number), is_still);";
+
+const TILE_OR_STILL: &str = "if is_still {
+            handed[of_still_tile(number) + t] = node;
+        } else {
+            grid[base + t] = node;
+        }";
+
+const PARENT_CELLS: &str = "
+    // 6. Parent cells, for rims.
+    if workgroupUniformLoad(&at_rim) != 0u {
+        sum_parent_cells(b, thread, first, stop);
+    }";
 
 fn each_node(text: impl Fn(usize, [usize; 3]) -> String) -> String {
     (0..27).map(|n| text(n, [n / 9, n / 3 % 3, n % 3])).collect()
@@ -815,29 +901,57 @@ fn add_momentum(momentum: &str, sum: fn(&str, &str) -> String) -> String {
     text
 }
 
-/// What rims hand to the next coarser level: sums by parent cell, then what each block of nodes hands on.
-fn restrict() -> Vec<Draft> {
-    let handed = include_str!("wgsl/handed.wgsl");
-    vec![
-        Draft {
-            name: "parent cells",
-            entry: "sum_parent_cells",
-            body: include_str!("wgsl/parent_cells.wgsl").to_owned() + handed,
-            uses: vec![RECORD, CELLS, LISTS, RIMS, written(HANDED), STATUS],
-            uniform: Uniform::None,
-            groups: Groups::Blocks,
-            checked: true,
-        },
+/// A pass over all blocks: `$BLOCK` of its text is the one that a workgroup works on.
+fn on_all(draft: Draft) -> Draft {
+    Draft { body: draft.body.replace("$BLOCK", "group.y * extent.row + group.x"), ..draft }
+}
+
+/// A pass over blocks that a sort has listed, likewise.
+fn on_listed(found: Found, draft: Draft) -> Draft {
+    let kind = found as usize - (Found::ALL - Found::LISTED);
+    let block = format!("listed_block({kind}u, group.y * extent.row + group.x)");
+    Draft {
+        body: draft.body.replace("$BLOCK", &block) + include_str!("wgsl/listed.wgsl"),
+        uses: draft.uses.into_iter().chain([LISTED]).collect(),
+        groups: Groups::Found(found),
+        ..draft
+    }
+}
+
+/// A workgroup a block with particles.
+fn blocks(levels: bool) -> Groups {
+    if levels { Groups::Found(Found::Blocks) } else { Groups::Blocks }
+}
+
+/// A workgroup a block of nodes.
+fn node_blocks(levels: bool) -> Groups {
+    if levels { Groups::Found(Found::NodeBlocks) } else { Groups::NodeBlocks }
+}
+
+/// What rims hand to the next coarser level.
+fn restrict() -> Draft {
+    on_listed(
+        Found::Rims,
         Draft {
             name: "restrict",
             entry: "restrict_rims",
-            body: sums_of_tiles() + handed + include_str!("wgsl/restrict.wgsl") + include_str!("wgsl/wall.wgsl"),
+            body: sums_of_tiles() + hand_on() + include_str!("wgsl/restrict.wgsl"),
             uses: vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, written(HANDED)],
             uniform: Uniform::None,
             groups: Groups::NodeBlocks,
             checked: true,
         },
-    ]
+    )
+}
+
+/// For passes in which rims hand something on.
+fn hand_on() -> &'static str {
+    concat!(
+        include_str!("wgsl/handed.wgsl"),
+        include_str!("wgsl/hand_on.wgsl"),
+        include_str!("wgsl/parents_behind.wgsl"),
+        include_str!("wgsl/wall.wgsl")
+    )
 }
 
 /// For passes that need sums of tiles.
@@ -846,6 +960,7 @@ fn plain_sums() -> String {
         .replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
         .replace("$TOUCHED", "")
         .replace("$IMAGE", "")
+        .replace("$AT_RIM", "")
 }
 
 /// For passes that need sums of tiles at rims.
@@ -862,20 +977,23 @@ fn flush() -> String {
 
 /// Velocities at rims.
 fn prolong() -> Draft {
-    Draft {
+    let draft = Draft {
         name: "prolong",
         entry: "prolong",
         body: [
             include_str!("wgsl/prolong.wgsl"),
+            include_str!("wgsl/parents_behind.wgsl"),
             include_str!("wgsl/velocity_at.wgsl"),
             include_str!("wgsl/wall.wgsl"),
+            include_str!("wgsl/prolong_alone.wgsl"),
         ]
         .concat(),
         uses: vec![DIRECTORY, written(LISTS), GRID, RIMS, STATUS],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
         checked: true,
-    }
+    };
+    on_listed(Found::Rims, draft)
 }
 
 /// Vectors of four that hold the boxes of a world's levels, as they are now, and as split and merge see them before.
@@ -928,9 +1046,19 @@ const IMAGE: &str = "let first = 4 * lists[entry].xyz;
 fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Draft {
     let sum = match (levels, subcycled) {
         (false, _) => "sum_of(tiles, local)",
-        (true, false) => "kept(g, n, sum_of(tiles, local) + handed_to(g, n))",
-        (true, true) => "kept_back(g, n, sum_of(tiles, local))",
+        (true, false) => "kept(g, n, sum_of(tiles, local) + given)",
+        (true, true) => "kept_back(g, n, sum, tiles, local)",
     };
+    // Subcycled, what rims hand on is not needed here, and both begin with the same sums.
+    let hand_on_here = "let sum = sum_of(tiles, local);\nif workgroupUniformLoad(&at_rim) != 0u {\n\
+                        hand_on(g, entry, n, select(vec4<f32>(0.0), sum, is_slave(g, n)));\n}\n";
+    let at_rim = "at_rim = u32(any(rims[min(g, extent.node_room - 1u)].xy != vec2<u32>(0u)));";
+    // Else it is, where blocks get any.
+    let take_here = "var given = vec4<f32>(0.0);\nif workgroupUniformLoad(&takes) != 0u {\n\
+                     find_givers(g, n);\ngiven = handed_to(n);\n}\n";
+    let takes = "takes = rims[min(g, extent.node_room - 1u)].z;";
+    let if_subcycled = |text: &'static str| if subcycled { text } else { "" };
+    let if_taken = |text: &'static str| if levels && !subcycled { text } else { "" };
     let find = format!("let node = velocity(g, {sum});\n");
     let text = match finish {
         Finish::Sums => format!("grid[g * 64u + n] = {sum};"),
@@ -943,12 +1071,19 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
     };
     let mirrored = finish == Finish::Mirrored;
     let mirrors = if mirrored {
-        concat!(include_str!("wgsl/image.wgsl"), include_str!("wgsl/mirrored.wgsl"), include_str!("wgsl/wall.wgsl"))
+        concat!(
+            include_str!("wgsl/behind.wgsl"),
+            include_str!("wgsl/image.wgsl"),
+            include_str!("wgsl/mirrored.wgsl"),
+            include_str!("wgsl/wall.wgsl")
+        )
     } else {
         ""
     };
     let rims = if levels { include_str!("wgsl/rim_sums.wgsl") } else { "" };
-    let shared = if subcycled { concat!(include_str!("wgsl/own.wgsl"), include_str!("wgsl/shared.wgsl")) } else { "" };
+    let shared = if_subcycled(SHARED_NODES).to_owned()
+        + if_subcycled(include_str!("wgsl/keep_back.wgsl"))
+        + if_subcycled(hand_on());
     let mut uses = vec![LISTS, GRID, STATUS];
     if mirrored {
         uses = vec![written(LISTS), GRID, STATUS, DIRECTORY];
@@ -957,7 +1092,7 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
         uses.extend([DIRECTORY, RIMS, HANDED]);
     }
     if subcycled {
-        uses.push(KEPT);
+        uses = vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, written(HANDED), KEPT];
     }
     uses.extend(sleeps.then_some(WATCH));
     // Half of the threads find out while the first one looks whether there is such a block.
@@ -971,33 +1106,48 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
     Draft {
         name: "grid",
         entry: "sum_tiles",
-        body: body.replace("$SUM_TILES", &text).replace("$IMAGE", if mirrored { IMAGE } else { "" })
+        body: body
+            .replace("$SUM_TILES", &[if_subcycled(hand_on_here), if_taken(take_here), &text].concat())
+            .replace("$AT_RIM", &[if_subcycled(at_rim), if_taken(takes)].concat())
+            .replace("$IMAGE", if mirrored { IMAGE } else { "" })
             + mirrors
             + rims
-            + shared
+            + if_taken(include_str!("wgsl/handed_to.wgsl"))
+            + &shared
             + &watch,
         uses,
         uniform: Uniform::None,
-        groups: Groups::NodeBlocks,
+        groups: node_blocks(levels),
         checked: true,
     }
 }
 
-/// Nodes that two levels share are halved at the start of the coarser one's step, and solved in each of the finer one's.
-fn shared() -> [Draft; 2] {
-    let draft = |name, body: &str| Draft {
-        name,
-        entry: name,
-        body: sums_of_tiles() + include_str!("wgsl/own.wgsl") + include_str!("wgsl/shared.wgsl") + body,
-        uses: vec![LISTS, GRID, STATUS, DIRECTORY, RIMS, HANDED, KEPT],
+const SHARED_NODES: &str = concat!(include_str!("wgsl/own.wgsl"), include_str!("wgsl/shared.wgsl"));
+
+/// Nodes that two levels share, in each step of the finer one, and nodes at rims.
+fn solve() -> Draft {
+    let draft = Draft {
+        name: "solve",
+        entry: "solve",
+        body: [
+            sums_of_tiles().as_str(),
+            include_str!("wgsl/handed_to.wgsl"),
+            SHARED_NODES,
+            include_str!("wgsl/prolong.wgsl"),
+            include_str!("wgsl/parents_behind.wgsl"),
+            include_str!("wgsl/wall.wgsl"),
+            include_str!("wgsl/solve.wgsl"),
+        ]
+        .concat(),
+        uses: vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, HANDED, KEPT],
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
         checked: true,
     };
-    [draft("halve", include_str!("wgsl/halve.wgsl")), draft("solve", include_str!("wgsl/solve.wgsl"))]
+    on_listed(Found::Rims, draft)
 }
 
-fn velocities() -> Draft {
+fn velocities(levels: bool) -> Draft {
     let body = plain_sums();
     Draft {
         name: "velocities",
@@ -1005,20 +1155,20 @@ fn velocities() -> Draft {
         body: body + include_str!("wgsl/velocities.wgsl"),
         uses: vec![LISTS, GRID, STATUS],
         uniform: Uniform::None,
-        groups: Groups::NodeBlocks,
+        groups: node_blocks(levels),
         checked: true,
     }
 }
 
 /// Nodes at the edge of live ground are held at rest.
-fn hold() -> Draft {
+fn hold(levels: bool) -> Draft {
     Draft {
         name: "hold",
         entry: "hold",
         body: include_str!("wgsl/hold.wgsl").to_owned(),
         uses: vec![written(LISTS), GRID, RIMS, STATUS],
         uniform: Uniform::None,
-        groups: Groups::NodeBlocks,
+        groups: node_blocks(levels),
         checked: true,
     }
 }
@@ -1034,21 +1184,22 @@ fn separate(axis: usize, back: bool, levels: bool) -> Draft {
         body: constants + include_str!("wgsl/separate.wgsl"),
         uses: [DIRECTORY, written(LISTS), GRID, PAIRS, STATUS].into_iter().chain(levels.then_some(RIMS)).collect(),
         uniform: Uniform::None,
-        groups: Groups::NodeBlocks,
+        groups: node_blocks(levels),
         checked: true,
     }
 }
 
 /// Velocities of nodes behind mirrors.
-fn reflect(sleeps: bool) -> Draft {
+fn reflect(sleeps: bool, levels: bool) -> Draft {
     let touched = [("$IF_TOUCHED", " && atomicLoad(&watch[touched_word(w)]) != 0u")];
     let mut uses = vec![DIRECTORY, written(LISTS), GRID, STATUS];
     uses.extend(sleeps.then_some(WATCH));
-    Draft {
+    let draft = Draft {
         name: "reflect",
         entry: "reflect_nodes",
         body: [
             with_sleep(sleeps, include_str!("wgsl/reflect.wgsl"), &touched).as_str(),
+            include_str!("wgsl/behind.wgsl"),
             include_str!("wgsl/image.wgsl"),
             include_str!("wgsl/velocity_at.wgsl"),
             include_str!("wgsl/wall.wgsl"),
@@ -1059,7 +1210,8 @@ fn reflect(sleeps: bool) -> Draft {
         uniform: Uniform::None,
         groups: Groups::NodeBlocks,
         checked: true,
-    }
+    };
+    if levels { on_listed(Found::Walled, draft) } else { on_all(draft) }
 }
 
 /// Sums over the 27 nodes around a particle, row by row. The first of three nodes along an axis stands in the near block, the last
@@ -1380,14 +1532,24 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     } else {
         ("", "0u", "")
     };
-    let rim_text =
-        helpers.to_owned() + &include_str!("wgsl/sort_rim.wgsl").replace("$EDGE", edge).replace("$FIND", find);
+    let rim_text = [
+        include_str!("wgsl/listed.wgsl"),
+        include_str!("wgsl/reaches_wall.wgsl"),
+        include_str!("wgsl/behind.wgsl"),
+        include_str!("wgsl/parents_behind.wgsl"),
+        helpers,
+    ]
+    .concat()
+        + &include_str!("wgsl/sort_rim.wgsl").replace("$EDGE", edge).replace("$FIND", find);
     let rims = knowing(
         draft(
             "rims",
             "find_rims",
             &rim_text,
-            [DIRECTORY, NEW_LISTS, written(RIMS), STATUS].into_iter().chain(unbounded.then_some(LIVE)).collect(),
+            [DIRECTORY, NEW_LISTS, written(RIMS), STATUS, written(LISTED)]
+                .into_iter()
+                .chain(unbounded.then_some(LIVE))
+                .collect(),
             Groups::NodeBlocks,
         ),
         "",
@@ -1489,7 +1651,14 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     }
     if levels {
         let placed = include_str!("wgsl/sort_placed.wgsl");
-        passes.extend([rims, draft("placed", "placed", placed, vec![STATUS], Groups::One)]);
+        let listed = include_str!("wgsl/listed.wgsl").to_owned() + include_str!("wgsl/sort_list.wgsl");
+        let groups: Use = ("groups", "u32", Role::Groups, true);
+        let uses = vec![written(LISTED), groups, NEW_LISTS, STATUS];
+        passes.extend([
+            rims,
+            draft("lists", "list_blocks", &listed, uses, Groups::One),
+            draft("placed", "placed", placed, vec![STATUS], Groups::One),
+        ]);
     }
     if !is_error {
         // Before blocks are numbered anew.

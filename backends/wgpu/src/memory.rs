@@ -1,7 +1,7 @@
 //! Buffers on the device, and what fits into them.
 
 use crate::device::Gpu;
-use crate::kernels::{FIRST_BINDING, Kernel, Role, Sorted, Uniform};
+use crate::kernels::{FIRST_BINDING, Found, Kernel, Role, Sorted, Uniform};
 use crate::layout::{ENTRY, RECORD};
 use crate::sleep::WATCHED;
 use crate::soft::WORDS as SOFT_WORDS;
@@ -12,15 +12,14 @@ use std::sync::PoisonError;
 
 /// Words of the status: before those of layers, of each layer that stay and that a submission sums up, and of each layer in each step;
 /// see `common.wgsl`.
-const OF_LAYERS: usize = 12;
+const OF_LAYERS: usize = 13;
 const PER_LAYER: usize = 8;
 const PER_SUM: usize = 18;
 const PER_STEP: usize = 4;
 /// Steps that one submission can take, and those of the finest level in them.
 pub(crate) const MAX_STEPS: usize = 128;
 pub(crate) const MAX_SLOTS: usize = 256;
-/// Constants of steps in a submission: those of steps and sorts; subcycled, of less than one step of coarser levels for each of the finest,
-/// twice.
+/// Constants of steps in a submission: those of steps and sorts; subcycled, of what begins and what ends with each slot.
 const STEP_SLOTS: u64 = 4 * MAX_SLOTS as u64;
 /// Bytes from one step's constants to the next.
 pub(crate) const STEP_STRIDE: u64 = 256;
@@ -65,7 +64,8 @@ pub(crate) struct Extent {
     pub(crate) node_room: u32,
     pub(crate) row: u32,
     pub(crate) places: u32,
-    pub(crate) pad: [u32; 2],
+    pub(crate) giver_room: u32,
+    pub(crate) pad: u32,
 }
 
 /// `Layer` of `common.wgsl`.
@@ -170,7 +170,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 6] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells, Sorted::Watch];
-const SHARED: [Role; 21] = [
+const SHARED: [Role; 23] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -192,6 +192,8 @@ const SHARED: [Role; 21] = [
     Role::Tools,
     Role::Soft,
     Role::Live,
+    Role::Listed,
+    Role::Groups,
 ];
 
 fn shared_name(role: Role) -> &'static str {
@@ -217,6 +219,8 @@ fn shared_name(role: Role) -> &'static str {
         Role::Tools => "boxes near tools",
         Role::Soft => "soft bodies that levels follow",
         Role::Live => "live tiles",
+        Role::Listed => "lists of blocks at rims and walls",
+        Role::Groups => "workgroups of passes",
         Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
     }
 }
@@ -267,9 +271,14 @@ impl Extent {
             Role::Live => 8 * ((1 + asked.live) * asked.worlds) as u64,
             Role::Soft => 4 * (SOFT_WORDS * asked.softs) as u64,
             Role::Rims if asked.boxes > 0 => 16 * (nodes + blocks),
-            Role::Handed if asked.boxes > 0 => 16 * (64 * nodes + 24 * blocks),
-            Role::Shared if asked.substeps > 1 => 16 * 128 * nodes,
-            Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
+            Role::Handed if asked.boxes > 0 => 16 * (64 * nodes + 24 * blocks + 512 * u64::from(self.giver_room)),
+            Role::Shared if asked.substeps > 1 => 16 * 192 * nodes,
+            // Behind the lists, of which kinds each block is.
+            Role::Listed if asked.boxes > 0 => {
+                4 * (Found::LISTED as u64 + (Found::LISTED as u64 + 1) * nodes.max(blocks))
+            }
+            Role::Groups => 12 * (Found::ALL * asked.layers) as u64,
+            Role::Listed | Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
         }
     }
 
@@ -332,8 +341,9 @@ impl Memory {
             })
         };
         let set = || SORTED.map(|s| storage(sorted_name(s), extent.sorted_bytes(s, vectors, asked)));
-        let shared =
+        let mut shared: HashMap<_, _> =
             SHARED.iter().map(|&r| (shared_name(r), storage(shared_name(r), extent.shared_bytes(r, asked)))).collect();
+        shared.insert(shared_name(Role::Groups), groups(gpu, extent.shared_bytes(Role::Groups, asked)));
         let constants = uniform("extent", size_of::<Extent>() as u64);
         gpu.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&extent));
         let values = params;
@@ -574,6 +584,7 @@ impl Memory {
             Role::Near,
             Role::Tools,
             Role::Live,
+            Role::Listed,
         ] {
             let bytes = extent.shared_bytes(role, self.asked);
             if self.buffer(role, 0).size() < bytes {
@@ -595,6 +606,16 @@ fn table(gpu: &Gpu, label: &'static str, vectors: usize, worlds: usize) -> wgpu:
         label: Some(label),
         size: 16 * vectors as u64,
         usage: kind | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
+/// What the device counts its own dispatches by: none, until a sort has counted.
+fn groups(gpu: &Gpu, size: u64) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(shared_name(Role::Groups)),
+        size,
+        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_SRC,
         mapped_at_creation: false,
     })
 }

@@ -20,6 +20,8 @@ struct Extent {
     row: u32,
     // Places of the directory.
     places: u32,
+    // Room for tiles without forces.
+    giver_room: u32,
 }
 
 // A layer is one grid: that of one level of one world; a world's layers stand together, finest first, and each has cells twice as wide
@@ -75,8 +77,9 @@ const NONE: u32 = 0xffffffffu;
 // Vectors of an entry in the lists: of a block, its coordinates and the 27 node blocks around it, what walls gave to it [N s], and
 // what they would give in the step under way; of a node block likewise, with the blocks whose tiles reach it.
 const ENTRY: u32 = 10u;
-// Behind those: do the block's particles give to nodes that the finer level takes part in? Subcycled levels ask.
-const NEAR_SHARED: u32 = 7u;
+// Behind the 27, on levels: in the lowest bit whether rims need the block's parent cells; above it, counted from 1, its number among those whose
+// particles give to nodes that the finer level takes part in.
+const OF_RIMS: u32 = 7u;
 const WALL: u32 = 8u;
 const PENDING: u32 = 9u;
 
@@ -95,9 +98,11 @@ const COUNTED: u32 = 9u;
 // Blocks of nodes near bodies whose law runs on the host: gathered, and on their way back.
 const NEAR: u32 = 10u;
 const BACK: u32 = 11u;
+// Blocks whose particles give to nodes that a finer level takes part in, as the last sort has found.
+const GIVERS: u32 = 12u;
 
 // Those of a layer that stay: its first block and node block; least and greatest block.
-const OF_LAYERS: u32 = 12u;
+const OF_LAYERS: u32 = 13u;
 const PER_LAYER: u32 = 8u;
 const FIRST_BLOCK: u32 = 0u;
 const FIRST_NODE_BLOCK: u32 = 1u;

@@ -1,6 +1,8 @@
 // Nodes: sums of tiles, and velocities from them.
 
 var<workgroup> go: u32;
+var<workgroup> at_rim: u32;
+var<workgroup> takes: u32;
 var<workgroup> greatest: atomic<u32>;
 
 // The tiles that reach a node, two along each axis, or NONE.
@@ -25,11 +27,16 @@ fn tiles_of(entry: u32, local: vec3<i32>) -> Tiles {
     return Tiles(low, high);
 }
 
-// What one of them holds for the node. All eight are asked for at once, also where there is none.
-fn of_tile(tile: u32, local: vec3<i32>, other: vec3<bool>) -> vec4<f32> {
+// Where a node stands in its own block's tile, or in that of the neighbour along some axes.
+fn in_tile(local: vec3<i32>, other: vec3<bool>) -> u32 {
     let in_other = select(local + vec3<i32>(6), local - vec3<i32>(2), local >= vec3<i32>(2));
     let at = select(local + vec3<i32>(2), in_other, other);
-    let held = grid[extent.node_room * 64u + select(tile, 0u, tile == NONE) * 512u + u32(at.x * 64 + at.y * 8 + at.z)];
+    return u32(at.x * 64 + at.y * 8 + at.z);
+}
+
+// What one of them holds for the node. All eight are asked for at once, also where there is none.
+fn of_tile(tile: u32, local: vec3<i32>, other: vec3<bool>) -> vec4<f32> {
+    let held = grid[extent.node_room * 64u + select(tile, 0u, tile == NONE) * 512u + in_tile(local, other)];
     return select(held, vec4<f32>(0.0), tile == NONE);
 }
 
@@ -97,6 +104,7 @@ fn sum_tiles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     $IMAGE
     if n == 0u {
         go = is_on(g);
+        $AT_RIM
     }
     $TOUCHED
     if workgroupUniformLoad(&go) == 0u {

@@ -2,12 +2,6 @@
 
 var<workgroup> given: array<vec4<f32>, 64>;
 
-fn has_nodes_behind(layer: u32, first: vec3<i32>) -> bool {
-    let low = (LOW != vec3<u32>(0u)) & (first < world_min(layer));
-    let high = (HIGH != vec3<u32>(0u)) & (first + vec3<i32>(3) >= world_max(layer));
-    return any(low | high);
-}
-
 // The node that one behind mirrors is the image of, or itself. P2G folds along the first axis first: what the wall across it gives
 // (`outer`), the other mirrors have turned already (`inner`).
 struct Image {

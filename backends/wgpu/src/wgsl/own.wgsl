@@ -1,7 +1,8 @@
 // Subcycling: nodes that the finer layer hands something to take part in both of its steps within one of theirs. For each of a block's nodes
-// there stands, in `shared`, the momentum and mass of the own layer's particles, and then what their forces add in half a step.
+// there stands, in `shared`, the momentum and mass of the own layer's particles in the first of them, then what their forces add in half a step, and
+// then the momentum in the second.
 fn own_at(g: u32, n: u32) -> u32 {
-    return g * 128u + n;
+    return g * 192u + n;
 }
 
 // What a node weighs for bodies: what the own layer's particles weigh there. Those of the finer layer have moved when the layer meets bodies.

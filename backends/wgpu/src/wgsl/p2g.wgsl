@@ -18,7 +18,8 @@ var<workgroup> halo_cells: array<u32, 152>;
 var<workgroup> go: u32;
 var<workgroup> corner: vec3<i32>;
 var<workgroup> walled: u32;
-var<workgroup> listed: u32;
+var<workgroup> at_rim: u32;
+var<workgroup> all_listed: u32;
 
 const LEAVERS: u32 = 384u;
 
@@ -82,7 +83,7 @@ fn list_leaver(q: u32, index: u32, tag: u32) {
 }
 
 fn next_leaver(w: ptr<function, Walk>) -> u32 {
-    if listed == 0u {
+    if all_listed == 0u {
         // More leavers than the list holds: all of the block's particles are looked at.
         while (*w).start + (*w).after < (*w).end {
             let q = (*w).start + (*w).after;
@@ -128,17 +129,6 @@ fn list_halo(thread: u32) -> u32 {
         }
     }
     return halo_count;
-}
-
-// Node i of the tile and its image j behind a wall satisfy i + j = sum; are there such nodes?
-fn in_reach(sum: vec3<i32>) -> vec3<bool> {
-    return (sum >= vec3<i32>(1)) & (sum <= vec3<i32>(13));
-}
-
-fn reaches_wall(layer: u32) -> bool {
-    let low = (LOW != vec3<u32>(0u)) & in_reach(2 * (world_min(layer) - corner) - vec3<i32>(1));
-    let high = (HIGH != vec3<u32>(0u)) & in_reach(2 * (world_max(layer) - corner) - vec3<i32>(1));
-    return any(low | high);
 }
 
 // The tile's node number `t` of 64 in a plane across an axis.
@@ -201,48 +191,53 @@ fn fold(axis: i32, end: i32, thread: u32) -> vec3<f32> {
 // step's drift is noted for the next one.
 fn ready(b: u32) -> u32 {
     let layer = layer_of_block(min(b, extent.block_room - 1u));
-    let rhythm = rhythm_of(layer);
+    // Subcycled, sorts come where all levels' steps begin.
+    let may_be_due = !SUBCYCLED || step.slot % (1u << (LEVELS - 1u)) == 0u;
+    var rhythm = Rhythm(0u, 0.0);
+    if may_be_due {
+        rhythm = rhythm_of(layer);
+    }
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;
     }
     if !is_live(layer) {
         return 0u;
     }
-    // A step without length is for nodes that levels share.
-    if SUBCYCLED && step.dt == 0.0 && lists[b * ENTRY + NEAR_SHARED].w == 0 {
-        return 0u;
-    }
-    var is_first = b == 0u;
-    if LAYERS > 1u {
-        is_first = b == atomicLoad(&status[layer_word(layer, FIRST_BLOCK)]);
-    }
-    if is_first {
-        atomicStore(&status[step_word(step.number, layer, DRIFT)], bitcast<u32>(rhythm.drift));
-    }
-    if is_world_due(layer, rhythm) {
-        if is_first {
-            atomicStore(&status[HALT_STEP], step.number);
-            atomicStore(&status[HALTED], DRIFTED);
+    if may_be_due {
+        var is_first = b == 0u;
+        if LAYERS > 1u {
+            is_first = b == atomicLoad(&status[layer_word(layer, FIRST_BLOCK)]);
         }
-        return 0u;
+        if is_first {
+            atomicStore(&status[step_word(step.number, layer, DRIFT)], bitcast<u32>(rhythm.drift));
+        }
+        if is_world_due(layer, rhythm) {
+            if is_first {
+                atomicStore(&status[HALT_STEP], step.number);
+                atomicStore(&status[HALTED], DRIFTED);
+            }
+            return 0u;
+        }
     }
     return $GIVES;
 }
 
 @compute @workgroup_size(128)
 fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let b = group.y * extent.row + group.x;
+    $BLOCK
     let part = thread >> 6u;
     let own = thread & 63u;
     // Asked for before it is known whether there is such a block.
     let here = min(b, extent.block_room - 1u);
     let start = cells[here * 64u];
     let end = cells[here * 64u + 64u];
-    var next = cells[here * 64u + own];
+    let first = cells[here * 64u + own];
+    var next = first;
     let stop = cells[here * 64u + own + 1u];
     if thread == 0u {
         corner = lists[here * ENTRY].xyz * 4 - vec3<i32>(2);
-        walled = u32(reaches_wall(layer_of_block(here)));
+        walled = u32(reaches_wall(layer_of_block(here), corner));
+        $AT_RIM
         $SETTLE
         go = ready(b);
     }
@@ -252,8 +247,9 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     layer_now = layer_of_block(here);
     // Cell width [m], and -4 dt / h.
     let width = H / shrink_of(layer_now);
-    let stress = step.stress * shrink_of(layer_now) * steps_of(layer_now);
+    var stress = step.stress * shrink_of(layer_now) * steps_of(layer_now);
     var gravity = step.gravity * steps_of(layer_now);
+    $STILL
     if GRAVITY_GROWS {
         gravity *= bitcast<f32>(atomicLoad(&status[step_word(step.number, layer_now, GROWN)]));
     }
@@ -269,7 +265,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     }
     workgroupBarrier();
     if thread == 0u {
-        listed = u32(atomicLoad(&leaver_count) <= LEAVERS && end - start <= 65536u);
+        all_listed = u32(atomicLoad(&leaver_count) <= LEAVERS && end - start <= 65536u);
     }
 
     // 2. The cells outside the block that hold any, in order.
@@ -322,8 +318,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             }
         }
         workgroupBarrier();
-        // What a step without length would give is nothing.
-        if thread < 3u && (!SUBCYCLED || step.dt > 0.0) {
+        if thread < 3u$IF_MOVED {
             var total = 0.0;
             for (var t = 0u; t < 64u; t++) {
                 total += bitcast<f32>(leavers[t * 3u + thread]);
@@ -337,6 +332,9 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     let base = extent.node_room * 64u + b * 512u;
     for (var t = thread; t < 512u; t += 128u) {
         let k = in_tile(t >> 6u, (t >> 3u) & 7u, t & 7u);
-        grid[base + t] = vec4<f32>(tile[k], tile[512u + k]);
+        let node = vec4<f32>(tile[k], tile[512u + k]);
+        $TILE
     }
+
+    $PARENT_CELLS
 }

@@ -1,43 +1,55 @@
+
 // Mass and m C of a block's particles, by the parent cell (2x2x2 cells) in which they were sorted: for each of the eight, the columns of
-// m C [kg m/s a cell], with the mass behind the first.
-
-// What each cell holds: mass, and the rows of m C.
-var<workgroup> rows: array<array<vec4<f32>, 3>, 64>;
-
-@compute @workgroup_size(64)
-fn sum_parent_cells(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let b = group.y * extent.row + group.x;
-    let here = min(b, extent.block_room - 1u);
-    let layer = u32(lists[here * ENTRY].w);
-    let fits = atomicLoad(&status[HALTED]) == 0u && b < atomicLoad(&status[BLOCKS]);
-    let go = fits && rims[extent.node_room + here].x != 0u && is_live(layer);
-    var x = vec4<f32>(0.0);
-    var y = vec4<f32>(0.0);
-    var z = vec4<f32>(0.0);
-    if go {
-        let width = H / shrink_of(layer);
-        for (var q = cells[here * 64u + thread]; q < cells[here * 64u + thread + 1u]; q++) {
-            let m = bitcast<f32>(record[vector(q, 1u)].w);
-            let of_mass = m * width;
-            x += vec4<f32>(of_mass * bitcast<vec4<f32>>(record[vector(q, 2u)]).yzw, m);
-            y += vec4<f32>(of_mass * bitcast<vec4<f32>>(record[vector(q, 3u)]).yzw, 0.0);
-            z += vec4<f32>(of_mass * bitcast<vec4<f32>>(record[vector(q, 4u)]).yzw, 0.0);
+// m C [kg m/s a cell], with the mass behind the first. What each cell holds stands where the tile stood: the rows of m C, and mass.
+// The thread's cell has the particles from `first` on.
+fn sum_parent_cells(b: u32, thread: u32, first: u32, end: u32) {
+    let cell = thread & 63u;
+    let width = H / shrink_of(layer_now);
+    var sums: array<vec2<f32>, 3>;
+    // One half of the threads takes the first two rows, the other one the last, and mass. Four particles are asked for at once.
+    let is_first = thread < 64u;
+    for (var q = first; q < end; q += 4u) {
+        var masses: array<f32, 4>;
+        var rows: array<array<vec4<f32>, 2>, 4>;
+        for (var k = 0u; k < 4u; k++) {
+            let here = min(q + k, end - 1u);
+            masses[k] = bitcast<f32>(record[vector(here, 1u)].w);
+            rows[k][0] = bitcast<vec4<f32>>(record[vector(here, select(4u, 2u, is_first))]);
+            rows[k][1] = bitcast<vec4<f32>>(record[vector(here, select(4u, 3u, is_first))]);
+        }
+        for (var k = 0u; k < 4u; k++) {
+            if q + k < end {
+                let of_mass = masses[k] * width;
+                let one = of_mass * rows[k][0].yzw;
+                let other = of_mass * rows[k][1].yzw;
+                sums[0] += one.xy;
+                sums[1] += vec2<f32>(one.z, select(masses[k], other.x, is_first));
+                sums[2] += other.yz;
+            }
         }
     }
-    rows[thread][0] = x;
-    rows[thread][1] = y;
-    rows[thread][2] = z;
     workgroupBarrier();
-    if !go || thread >= 24u {
-        return;
+    let at = cell * 5u + select(3u, 0u, thread < 64u);
+    tile[at] = sums[0];
+    tile[at + 1u] = sums[1];
+    if thread < 64u {
+        tile[at + 2u] = sums[2];
     }
-    let parent = thread / 3u;
-    let column = thread % 3u;
-    let first = ((parent >> 2u) << 5u) + (((parent >> 1u) & 1u) << 3u) + ((parent & 1u) << 1u);
-    var sum = vec4<f32>(0.0);
-    for (var k = 0u; k < 8u; k++) {
-        let cell = first + ((k >> 2u) << 4u) + (((k >> 1u) & 1u) << 2u) + (k & 1u);
-        sum += vec4<f32>(rows[cell][0][column], rows[cell][1][column], rows[cell][2][column], rows[cell][0].w);
+    workgroupBarrier();
+    if thread < 24u {
+        let parent = thread / 3u;
+        let column = thread % 3u;
+        let corner = ((parent >> 2u) << 5u) + (((parent >> 1u) & 1u) << 3u) + ((parent & 1u) << 1u);
+        var sum = vec4<f32>(0.0);
+        for (var k = 0u; k < 8u; k++) {
+            let child = corner + ((k >> 2u) << 4u) + (((k >> 1u) & 1u) << 2u) + (k & 1u);
+            sum += vec4<f32>(of_cell(child, column), of_cell(child, 3u + column), of_cell(child, 6u + column), of_cell(child, 9u));
+        }
+        handed[of_parent_cell(b, parent, column)] = sum;
     }
-    handed[of_parent_cell(b, parent, column)] = sum;
+}
+
+// A cell's entry of m C, row by row, or its mass behind them.
+fn of_cell(cell: u32, k: u32) -> f32 {
+    return tile[cell * 5u + (k >> 1u)][k & 1u];
 }

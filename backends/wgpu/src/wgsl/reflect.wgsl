@@ -33,7 +33,7 @@ fn ready(w: u32) -> u32 {
 
 @compute @workgroup_size(64)
 fn reflect_nodes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
-    let g = group.y * extent.row + group.x;
+    let g = $BLOCK;
     if n == 0u {
         go = ready(g);
     }

@@ -1,167 +1,17 @@
-// What the nodes at the rim of a layer's region hold is handed to their parents on the next coarser layer: mass m_c = sum_f P m_f, momentum
-// p_c = sum_f P (p_f + M_f (x_c - x_f)), with the affine momentum M_f, which is the node's mass times the mean C about it. Per axis a node at
-// the even index 2I has the parents I (3/4) and I - 1 (1/4), one at 2I + 1 has I and I + 1. So the parents of a block's nodes, and
-// the parent cells around it, are 4x4x4, from one before the block's first on.
-
-// Of parent cells, then about nodes, then of nodes: columns of m C, with the mass behind the first.
-var<workgroup> columns: array<array<vec4<f32>, 3>, 64>;
-// Momentum and mass of nodes; then of parents.
-var<workgroup> sums: array<vec4<f32>, 64>;
-var<workgroup> impulses: array<vec3<f32>, 64>;
-
-fn place_of(n: u32) -> vec3<i32> {
-    return vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
-}
-
-// Brings the parent cell with the place of this thread; behind a mirror stands the image of one before it.
-fn fetch_parent_cell(layer: u32, first: vec3<i32>, n: u32) {
-    var cell = first + place_of(n);
-    // M becomes S M R: the signs of velocities, and of the axes that are turned round.
-    var signs = vec3<f32>(1.0);
-    var turned = vec3<f32>(1.0);
-    for (var axis = 0; axis < 3; axis++) {
-        let low = world_min(layer + 1u)[axis];
-        let high = world_max(layer + 1u)[axis];
-        let is_low = LOW[axis] != 0u && cell[axis] < low;
-        if is_low || (HIGH[axis] != 0u && cell[axis] >= high) {
-            cell[axis] = 2 * select(high, low, is_low) - 1 - cell[axis];
-            signs *= wall_signs(select(HIGH[axis], LOW[axis], is_low), axis);
-            turned[axis] = -1.0;
-        }
-    }
-    let at = place_in_box(layer, cell >> vec3<u32>(1u));
-    var b = NONE;
-    if at != NONE {
-        b = directory[at].x;
-    }
-    let is_summed = b != NONE && rims[extent.node_room + min(b, extent.block_room - 1u)].x != 0u;
-    let inner = vec3<u32>(cell & vec3<i32>(1));
-    for (var j = 0u; j < 3u; j++) {
-        columns[n][j] = vec4<f32>(0.0);
-        if is_summed {
-            let held = handed[of_parent_cell(b, inner.x * 4u + inner.y * 2u + inner.z, j)];
-            columns[n][j] = vec4<f32>(signs * turned[j] * held.xyz, held.w);
-        }
-    }
-}
-
-// Along one axis, means about nodes from sums of parent cells: the quadratic spline of twice the cell's width.
-fn spread(n: u32, place: i32, stride: u32) {
-    let first = n - u32(place) * stride + u32(place >> 1u) * stride;
-    let is_odd = (place & 1) == 1;
-    let before = select(9.0 / 32.0, 1.0 / 32.0, is_odd);
-    let after = select(1.0 / 32.0, 9.0 / 32.0, is_odd);
-    var to: array<vec4<f32>, 3>;
-    for (var j = 0u; j < 3u; j++) {
-        to[j] = before * columns[first][j] + 0.6875 * columns[first + stride][j] + after * columns[first + 2u * stride][j];
-    }
-    workgroupBarrier();
-    columns[n] = to;
-    workgroupBarrier();
-}
-
-// What a parent gets of the block's nodes.
-fn of_children(parent: vec3<i32>) -> vec4<f32> {
-    var sum = vec4<f32>(0.0);
-    let first = max(2 * parent - vec3<i32>(3), vec3<i32>(0));
-    let last = min(2 * parent, vec3<i32>(3));
-    for (var x = first.x; x <= last.x; x++) {
-        for (var y = first.y; y <= last.y; y++) {
-            for (var z = first.z; z <= last.z; z++) {
-                let child = u32(x * 16 + y * 4 + z);
-                let way = 2.0 * vec3<f32>(parent) - vec3<f32>(1.5) - vec3<f32>(vec3<i32>(x, y, z));
-                let share = vec3<f32>(1.0) - 0.5 * abs(way);
-                let carried = columns[child][0].xyz * way.x + columns[child][1].xyz * way.y + columns[child][2].xyz * way.z;
-                sum += share.x * share.y * share.z * (sums[child] + vec4<f32>(carried, 0.0));
-            }
-        }
-    }
-    return sum;
-}
-
-// Parents behind a mirror are images: what they get is their nodes', reflected. What a parent gets that way; of images, the negative of what
-// they give away, so that nothing is left.
-struct Mirrored { gain: vec4<f32>, impulse: vec3<f32> }
-
-fn mirrored(layer: u32, first: vec3<i32>, n: u32) -> Mirrored {
-    var out = Mirrored(vec4<f32>(0.0), vec3<f32>(0.0));
-    let low = world_min(layer + 1u);
-    let high = world_max(layer + 1u);
-    let cell = first + place_of(n);
-    let behind = ((LOW != vec3<u32>(0u)) & (cell < low)) | ((HIGH != vec3<u32>(0u)) & (cell >= high));
-    if any(behind) {
-        out.gain = -sums[n];
-        return out;
-    }
-    for (var which = 1u; which < 8u; which++) {
-        var image = place_of(n);
-        var signs = vec3<f32>(1.0);
-        var exists = true;
-        for (var axis = 0; axis < 3; axis++) {
-            if (which & (1u << u32(axis))) != 0u {
-                // A slave's parent is one cell behind a wall at most.
-                let at_low = LOW[axis] != 0u && cell[axis] == low[axis];
-                let at_high = HIGH[axis] != 0u && cell[axis] + 1 == high[axis];
-                image[axis] += select(1, -1, at_low);
-                signs *= wall_signs(select(HIGH[axis], LOW[axis], at_low), axis);
-                exists = exists && (at_low || at_high) && image[axis] >= 0 && image[axis] < 4;
-            }
-        }
-        if exists {
-            let given = sums[u32(image.x * 16 + image.y * 4 + image.z)];
-            out.gain += vec4<f32>(signs, 1.0) * given;
-            out.impulse += (signs - vec3<f32>(1.0)) * given.xyz;
-        }
-    }
-    return out;
-}
 
 @compute @workgroup_size(64)
 fn restrict_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
-    let g = group.y * extent.row + group.x;
+    let g = $BLOCK;
     if n == 0u {
-        go = is_on(g) & u32(any(rims[min(g, extent.node_room - 1u)].xy != vec2<u32>(0u)));
+        go = is_on(g);
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
     let entry = (extent.block_room + g) * ENTRY;
-    let layer = layer_of(g);
-    let first = 2 * lists[entry].xyz - vec3<i32>(1);
-    let place = place_of(n);
-    fetch_parent_cell(layer, first, n);
-    workgroupBarrier();
-    spread(n, place.x, 16u);
-    spread(n, place.y, 4u);
-    spread(n, place.z, 1u);
-
-    let near = columns[n][0].w;
     var node = vec4<f32>(0.0);
     if is_slave(g, n) {
         node = sum_of_tiles(entry, n);
     }
-    let part = select(0.0, node.w / near, near > 0.0);
-    for (var j = 0u; j < 3u; j++) {
-        columns[n][j] *= part;
-    }
-    sums[n] = node;
-    workgroupBarrier();
-    var sum = of_children(place);
-    if any((LOW != vec3<u32>(0u)) | (HIGH != vec3<u32>(0u))) {
-        workgroupBarrier();
-        sums[n] = sum;
-        workgroupBarrier();
-        let gain = mirrored(layer, first, n);
-        sum += gain.gain;
-        impulses[n] = gain.impulse;
-        workgroupBarrier();
-        if n == 0u {
-            var total = vec3<f32>(0.0);
-            for (var t = 0u; t < 64u; t++) {
-                total += impulses[t];
-            }
-            lists[entry + PENDING] = vec4<i32>(bitcast<vec3<i32>>(total), 0);
-        }
-    }
-    handed[g * 64u + n] = sum;
+    hand_on(g, entry, n, node);
 }

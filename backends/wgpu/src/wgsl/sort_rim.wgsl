@@ -41,12 +41,24 @@ fn find_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     }
     workgroupBarrier();
     if n == 0u {
+        var kinds = 0u;
         if w < atomicLoad(&status[NODE_BLOCKS]) {
-            rims[w] = vec4<u32>(atomicLoad(&slaves[0]), atomicLoad(&slaves[1]), atomicLoad(&takes), $EDGE);
+            let rim = vec4<u32>(atomicLoad(&slaves[0]), atomicLoad(&slaves[1]), atomicLoad(&takes), $EDGE);
+            rims[w] = rim;
+            let is_at_rim = any(rim.xy != vec2<u32>(0u));
+            let layer = u32(lists[entry].w);
+            let block = lists[entry].xyz;
+            let hands_behind = is_at_rim && has_parents_behind(layer, 2 * block - vec3<i32>(1));
+            let is_walled = hands_behind || rim.w != 0u || has_nodes_behind(layer, block * 4);
+            kinds |= (u32(is_at_rim || (SUBCYCLED && rim.z != 0u)) << AT_RIM) | (u32(is_walled) << WALLED);
         }
         if w < atomicLoad(&status[BLOCKS]) {
-            rims[extent.node_room + w] = vec4<u32>(u32(is_near_edge(u32(lists[w * ENTRY].w), lists[w * ENTRY].xyz)), 0u, 0u, 0u);
-            lists[w * ENTRY + NEAR_SHARED].w = i32(atomicLoad(&gives));
+            let layer = u32(lists[w * ENTRY].w);
+            let block = lists[w * ENTRY].xyz;
+            rims[extent.node_room + w] = vec4<u32>(u32(is_near_edge(layer, block)), 0u, 0u, 0u);
+            lists[w * ENTRY + OF_RIMS].w = i32(is_near_edge(layer, block));
+            kinds |= (atomicLoad(&gives) << GIVING) | (u32(reaches_wall(layer, block * 4 - vec3<i32>(2))) << WALLED);
         }
+        listed[place_in_list(LIST_KINDS, w)] = kinds;
     }
 }

@@ -28,7 +28,7 @@ fn gives(b: u32, layer: u32) -> u32 {
     let filled = watch_word(b, FILLED);
     let filled_gravity = watch_word(b, FILLED_GRAVITY);
     let length = bitcast<u32>(step.dt);
-    if step.dt == 0.0 || (atomicLoad(&watch[filled]) == length && atomicLoad(&watch[filled_gravity]) == gravity) {
+    if atomicLoad(&watch[filled]) == length && atomicLoad(&watch[filled_gravity]) == gravity {
         return 0u;
     }
     atomicStore(&watch[filled], length);
