@@ -186,9 +186,8 @@ struct Start {
     ledger: Ledger,
 }
 
-/// Time after which progress is shown at the latest [s], as far as the steps before tell, and steps to begin with.
-const MOST_WAIT: f64 = 0.25;
-const FIRST_STEPS: f64 = 8.0;
+/// Steps after which progress is shown at the latest. Not a time: sums of the ledger may be cut as submissions are, and a run is the same each time.
+const MOST_STEPS: u64 = 128;
 
 /// What is summed up step by step.
 #[derive(Default)]
@@ -222,7 +221,6 @@ fn steps(
     }
     let mut progress = done(simulation);
     let mut swap = request.swap.as_ref();
-    let mut most = FIRST_STEPS;
     while progress < 1.0 {
         if let Some(Swap { registry, options, .. }) = swap.take_if(|swap| simulation.step_count() >= swap.step) {
             simulation.swap(registry, options)?;
@@ -231,10 +229,8 @@ fn steps(
         // Nobody looks in before the next output, the swap or the end.
         let end = if let Until::Step(end) = request.until { end } else { u64::MAX };
         let end = swap.map_or(end, |swap| end.min(swap.step));
-        let reports = simulation.steps(end.saturating_sub(from.1).min(most as u64) as usize, recorder.next_output())?;
-        let took = before.elapsed().as_secs_f64();
-        tally.wall += took;
-        most = (reports.len() as f64 * MOST_WAIT / took.max(1e-9)).clamp(1.0, 8.0 * most);
+        let reports = simulation.steps(end.saturating_sub(from.1).min(MOST_STEPS) as usize, recorder.next_output())?;
+        tally.wall += before.elapsed().as_secs_f64();
         for report in &reports {
             tally.steps += 1;
             tally.particle_steps += simulation.particle_count() as u64;
