@@ -333,6 +333,14 @@ impl Adapt {
         self.widths.len() > 1 && self.regions.clone().follow(&agent_bounds(&self.agents, couplings, soft))
     }
 
+    /// How far a coupling's body, with those bounds, may move along each axis before boxes have to move after it [m].
+    pub fn leash(&self, name: &str, bounds: &Aabb, soft: impl Fn(u16) -> Option<Aabb>) -> Aabb {
+        let is_here = |agent: &&Agent| !matches!(agent, Agent::Soft(body) if soft(*body).is_none());
+        let followed = self.agents.iter().filter(is_here).position(|agent| *agent == Agent::Rigid(name.to_owned()));
+        let anywhere = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
+        followed.map_or(anywhere, |agent| self.regions.leash(agent, bounds))
+    }
+
     /// For each soft agent, in their order: where its cells may end before boxes have to move; `None` for one that is nowhere.
     pub fn leeways(&self, soft: impl Fn(u16) -> Option<Aabb>) -> Vec<Option<Leeway>> {
         let (mut leeways, mut present) = (Vec::new(), 0);

@@ -8,7 +8,7 @@ pub const RESTED: u16 = 50;
 /// In place of such a count: the block sleeps. 0 in its place: something in it moves, or did in the last step.
 pub const ASLEEP: u16 = u16::MAX;
 /// Cells around a tool that stay awake.
-const NEAR_TOOL: f64 = 4.0;
+pub const NEAR_TOOL: f64 = 4.0;
 
 /// First and last of the blocks that stay awake for a tool, on a level with cells of width `h` [m].
 pub fn near_tool(tool: &Aabb, h: f64) -> [[i32; 3]; 2] {

@@ -1,4 +1,4 @@
-// The contact law of `contact.rs` and the distances of `sdf.rs`, for driven bodies made of primitives.
+// The contact law of `contact.rs` and the distances of `sdf.rs`, for bodies made of primitives.
 //
 // coupling_table(i) holds, for each body: first part, parts, 0 stick | 1 Coulomb, friction; and from there for each part: primitive,
 // half its thickness; sizes; origin; and the three rows of its rotation.
@@ -62,9 +62,16 @@ fn rigid_primitive(kind: f32, size: vec3<f32>, x: vec3<f32>) -> RigidSurface {
     }
 }
 
-// What is left of the velocity `u` [m/s], relative to the surface, of a node at `x` [m] from the body's reference point; all in the
-// body's frame. `cell` is the cell's width [m].
-fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32) -> vec3<f32> {
+// How the surface grips a node.
+struct CouplingGrip { kind: u32, normal: vec3<f32>, friction: f32, deep: bool }
+const RIGID_OUTSIDE: u32 = 0u;
+const RIGID_STICK: u32 = 1u;
+const RIGID_COULOMB: u32 = 2u;
+// In the core of thin plates, where the node may not separate either.
+const RIGID_BILATERAL: u32 = 3u;
+
+// How the surface grips a node at `x` [m] from the body's reference point, in the body's frame. `cell` is the cell's width [m].
+fn coupling_grip(body: u32, x: vec3<f32>, cell: f32) -> CouplingGrip {
     let head = coupling_table(body);
     var nearest = RigidSurface(1e30, vec3<f32>(0.0), false);
     var half_thickness = 0.0;
@@ -87,21 +94,98 @@ fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32) -> vec3<f3
         }
     }
     if nearest.distance >= 0.0 {
-        return u;
+        return CouplingGrip(RIGID_OUTSIDE, vec3<f32>(0.0), 0.0, false);
     }
-    if head.z == 0.0 || !nearest.known || nearest.distance < -2.0 * cell {
-        return vec3<f32>(0.0);
+    let deep = nearest.distance < -2.0 * cell;
+    if head.z == 0.0 || !nearest.known || deep {
+        return CouplingGrip(RIGID_STICK, vec3<f32>(0.0), 0.0, deep);
     }
     let core = half_thickness < 1.5 * cell && -nearest.distance > max(half_thickness, cell) - 0.75 * cell;
-    let approach = -dot(u, nearest.normal);
-    let tangential = u + approach * nearest.normal;
+    return CouplingGrip(select(RIGID_COULOMB, RIGID_BILATERAL, core), nearest.normal, head.w, false);
+}
+
+// What is left of the velocity `u` [m/s], relative to the surface, of a node at `x` [m] from the body's reference point; all in the
+// body's frame. `cell` is the cell's width [m].
+fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32) -> vec3<f32> {
+    let grip = coupling_grip(body, x, cell);
+    if grip.kind == RIGID_OUTSIDE {
+        return u;
+    }
+    if grip.kind == RIGID_STICK {
+        return vec3<f32>(0.0);
+    }
+    let approach = -dot(u, grip.normal);
+    let tangential = u + approach * grip.normal;
     if approach <= 0.0 {
-        return select(u, tangential, core);
+        return select(u, tangential, grip.kind == RIGID_BILATERAL);
     }
     let speed = length(tangential);
-    let taken = head.w * approach;
-    if taken >= speed && head.w > 0.0 {
+    let taken = grip.friction * approach;
+    if taken >= speed && grip.friction > 0.0 {
         return vec3<f32>(0.0);
     }
     return tangential * (1.0 - taken / max(speed, 1e-30));
+}
+
+// What the law takes from a relative velocity u: K u with K = drag + (1 - drag) n nT, if anything is held; n = 0 and drag = 1 if all is. Where the
+// node slides, drag = friction |u_n| / |u_t|, with u_t along `along`.
+struct CouplingHold { held: bool, normal: vec3<f32>, drag: f32, along: vec3<f32>, friction: f32 }
+
+fn coupling_hold(grip: CouplingGrip, u: vec3<f32>) -> CouplingHold {
+    let all = CouplingHold(true, vec3<f32>(0.0), 1.0, vec3<f32>(0.0), 0.0);
+    if grip.kind == RIGID_STICK {
+        return all;
+    }
+    let approach = -dot(u, grip.normal);
+    let normal_only = CouplingHold(true, grip.normal, 0.0, vec3<f32>(0.0), 0.0);
+    if approach <= 0.0 {
+        let nothing = CouplingHold(false, vec3<f32>(0.0), 0.0, vec3<f32>(0.0), 0.0);
+        if grip.kind == RIGID_BILATERAL {
+            return normal_only;
+        }
+        return nothing;
+    }
+    if grip.friction == 0.0 {
+        return normal_only;
+    }
+    let tangential = u + approach * grip.normal;
+    let speed = length(tangential);
+    if grip.friction * approach >= speed {
+        return all;
+    }
+    return CouplingHold(true, grip.normal, grip.friction * approach / speed, tangential / speed, grip.friction);
+}
+
+// The corners of a body's box from its reference point [m], along the world's axes, if `rows` are those of its rotation. Contact in cells of
+// width `cell` [m] thickens it.
+fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f32>, 2> {
+    let head = coupling_table(body);
+    var least = vec3<f32>(1e30);
+    var most = vec3<f32>(-1e30);
+    for (var part = 0u; part < u32(head.y); part++) {
+        let at = u32(head.x) + 6u * part;
+        let kind = coupling_table(at);
+        let size = coupling_table(at + 1u).xyz;
+        var half = size;
+        switch i32(kind.x) {
+            case 0: { half = vec3<f32>(size.x); }
+            case 1: {}
+            case 2: { half = vec3<f32>(size.x, size.x, size.y); }
+            case 3: { half = vec3<f32>(size.x, size.x, size.x + size.y); }
+            default: { half = vec3<f32>(1e30); }
+        }
+        let origin = coupling_table(at + 2u).xyz;
+        let part0 = coupling_table(at + 3u).xyz;
+        let part1 = coupling_table(at + 4u).xyz;
+        let part2 = coupling_table(at + 5u).xyz;
+        let padding = max(cell - kind.y, 0.0);
+        var reach = vec3<f32>(0.0);
+        reach.x = dot(abs(rows[0].x * part0 + rows[0].y * part1 + rows[0].z * part2), half) + padding;
+        reach.y = dot(abs(rows[1].x * part0 + rows[1].y * part1 + rows[1].z * part2), half) + padding;
+        reach.z = dot(abs(rows[2].x * part0 + rows[2].y * part1 + rows[2].z * part2), half) + padding;
+        let centre = vec3<f32>(dot(rows[0], origin), dot(rows[1], origin), dot(rows[2], origin));
+        least = min(least, centre - reach);
+        most = max(most, centre + reach);
+    }
+    return array<vec3<f32>, 2>(least, most);
 }

@@ -6,15 +6,20 @@ use crate::mass::Filling;
 use crate::motion::{KeyframePath, Pose, Twist, rotation_from};
 use crate::sdf::{Primitive, Sdf};
 use crate::world::{RigidWorld, Role};
-use barchan_core::coupling::{Aabb, DeviceLaw};
-use barchan_core::scene::{Contact, Motion, Tool};
+use barchan_core::coupling::{Aabb, DeviceLaw, FreeState, Lent, Moved};
+use barchan_core::scene::{Contact, Motion, Tool, Wall};
 use barchan_core::{BodyState, Coupling, Error, NodeBatch, Result, Scene, Vec3, Wrench};
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use rapier3d_f64::prelude::PhysicsWorld;
 use serde::{Deserialize, Serialize};
 
 /// Depth inside a body, in cells, below which nodes move with it.
 const DEEP: f64 = 2.0;
+/// Free bodies are lent as long as their surfaces move by at most this much in a step [cells], and their boxes keep as far from walls and other
+/// bodies' boxes as two of them can come nearer; rapier looks ahead a little further, by less than this share of the smallest one's extent.
+const MOST_MOVE: f64 = 0.5;
+const CLEARANCE: f64 = 2.0 * MOST_MOVE;
+const LOOK_AHEAD: f64 = 0.01;
 
 /// The coupling "rigid". A body's reference point is its centre of mass if it is free, and its frame's origin if it is driven.
 ///
@@ -27,6 +32,8 @@ pub struct Rigid {
     /// Only with a free body.
     world: Option<RigidWorld>,
     counts: Counts,
+    /// Does a backend move the free bodies?
+    lent: bool,
     /// Nodes inside the body at hand; kept for its memory.
     touches: Vec<Touch>,
 }
@@ -280,6 +287,7 @@ impl Rigid {
             world_box: world_box.grown(4.0 * scene.world.cell),
             world: None,
             counts: Counts::default(),
+            lent: false,
             touches: Vec::new(),
             bodies,
         };
@@ -337,12 +345,100 @@ impl Rigid {
         Some(table)
     }
 
+    /// Greatest speed of a body's surface during a step [m/s].
+    fn fastest(&self, body: &Body, time: f64, dt: f64) -> f64 {
+        let world_size = (DVec3::from_array(self.world_box.max) - DVec3::from_array(self.world_box.min)).length();
+        let speed = |twist: &Twist| {
+            let turning = twist.angular.length();
+            // A plane has no extent of its own; only what lies in the world matters.
+            twist.linear.length() + if turning > 0.0 { turning * body.extent.min(world_size) } else { 0.0 }
+        };
+        let gravity = DVec3::from_array(self.scene.gravity).length();
+        match &body.mover {
+            Mover::Fixed => 0.0,
+            Mover::Velocity => speed(&body.state.command),
+            Mover::Free { .. } => speed(&body.state.twist) + gravity * dt,
+            // A step may turn out shorter than dt, so the chords of parts of it count too.
+            Mover::Path(path) => (0..4).fold(0.0, |fastest, part| {
+                let (from, to) =
+                    (path.pose(time + 0.25 * dt * f64::from(part)), path.pose(time + 0.25 * dt * f64::from(part + 1)));
+                speed(&from.chord(&to, 0.25 * dt)).max(fastest)
+            }),
+        }
+    }
+
+    /// How far along each axis a free body may go, as long as the others move for up to `duration` [s], before it comes too near to one of
+    /// them or to a wall; `None` if it is there.
+    fn leash(&self, of: usize, boxes: &[Aabb], time: f64, duration: f64) -> Option<Aabb> {
+        let world = &self.scene.world;
+        let free = self.bodies.iter().filter(|body| body.free().is_some());
+        let size = free.map(|body| body.extent).fold(f64::INFINITY, f64::min);
+        let clearance = CLEARANCE * world.cell + LOOK_AHEAD * size;
+        let mut leash = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
+        let mut shorten = |axis: usize, upwards: bool, by: f64| {
+            let end = if upwards { &mut leash.max[axis] } else { &mut leash.min[axis] };
+            *end = if upwards { end.min(by) } else { end.max(-by) };
+        };
+        let own = &boxes[of];
+        for axis in 0..3 {
+            let gaps = [own.min[axis] - world.min[axis], world.max[axis] - own.max[axis]];
+            for (wall, (gap, upwards)) in world.walls.pair(axis).into_iter().zip(gaps.into_iter().zip([false, true])) {
+                if matches!(wall, Wall::Open | Wall::Periodic) {
+                    continue;
+                }
+                if gap.is_nan() || gap <= clearance {
+                    return None;
+                }
+                shorten(axis, upwards, gap - clearance);
+            }
+        }
+        for (other, near) in self.bodies.iter().zip(boxes).enumerate().filter(|(i, _)| *i != of).map(|(_, pair)| pair) {
+            let gaps = (0..3).flat_map(|axis| {
+                [(axis, false, own.min[axis] - near.max[axis]), (axis, true, near.min[axis] - own.max[axis])]
+            });
+            let (axis, upwards, gap) = gaps.max_by(|a, b| a.2.total_cmp(&b.2))?;
+            if gap.is_nan() || gap <= clearance {
+                return None;
+            }
+            let spare = gap - clearance;
+            let by = if other.free().is_some() {
+                0.5 * spare
+            } else {
+                spare - duration * self.fastest(other, time, duration)
+            };
+            shorten(axis, upwards, by.max(0.0));
+        }
+        Some(leash)
+    }
+
+    /// A free body as it is lent.
+    fn lent(&self, number: usize, leash: Aabb) -> Option<Lent> {
+        let body = &self.bodies[number];
+        let Mover::Free { mass, inertia, .. } = body.mover else { return None };
+        let State { pose, twist, angular_momentum, .. } = &body.state;
+        Some(Lent {
+            body: number,
+            mass,
+            inertia: [0, 1, 2].map(|i| inertia.row(i).to_array()),
+            extent: body.extent,
+            state: FreeState {
+                position: pose.position.to_array(),
+                rotation: [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z],
+                velocity: twist.linear.to_array(),
+                angular_momentum: angular_momentum.to_array(),
+            },
+            leash,
+        })
+    }
+
     /// Lets rapier move the free bodies, with the velocities that gravity and ground gave them.
     fn move_free_bodies(&mut self, dt: f64) -> Result<()> {
         let Some(world) = &mut self.world else {
             return Ok(());
         };
         for (i, body) in self.bodies.iter().enumerate() {
+            // A backend may have moved bodies since.
+            world.place(i, &body.state.pose);
             match body.mover {
                 Mover::Fixed => {}
                 Mover::Path(_) | Mover::Velocity => world.send(i, &body.target),
@@ -384,25 +480,7 @@ impl Coupling for Rigid {
     }
 
     fn max_speed(&self, time: f64, dt: f64) -> f64 {
-        let world_size = (DVec3::from_array(self.world_box.max) - DVec3::from_array(self.world_box.min)).length();
-        let speed = |body: &Body, twist: &Twist| {
-            let turning = twist.angular.length();
-            // A plane has no extent of its own; only what lies in the world matters.
-            twist.linear.length() + if turning > 0.0 { turning * body.extent.min(world_size) } else { 0.0 }
-        };
-        let gravity = DVec3::from_array(self.scene.gravity).length();
-        let fastest = |body: &Body| match &body.mover {
-            Mover::Fixed => 0.0,
-            Mover::Velocity => speed(body, &body.state.command),
-            Mover::Free { .. } => speed(body, &body.state.twist) + gravity * dt,
-            // A step may turn out shorter than dt, so the chords of parts of it count too.
-            Mover::Path(path) => (0..4).fold(0.0, |fastest, part| {
-                let (from, to) =
-                    (path.pose(time + 0.25 * dt * f64::from(part)), path.pose(time + 0.25 * dt * f64::from(part + 1)));
-                speed(body, &from.chord(&to, 0.25 * dt)).max(fastest)
-            }),
-        };
-        self.bodies.iter().map(fastest).fold(0.0, f64::max)
+        self.bodies.iter().map(|body| self.fastest(body, time, dt)).fold(0.0, f64::max)
     }
 
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
@@ -414,6 +492,7 @@ impl Coupling for Rigid {
                     body.state.twist = body.state.pose.chord(&target, dt);
                     body.target = target;
                 }
+                None if self.lent => {}
                 None => body.state.twist.linear += gravity * dt,
             }
             if !body.state.twist.is_finite() {
@@ -468,9 +547,46 @@ impl Coupling for Rigid {
     }
 
     fn device_law(&self) -> Option<DeviceLaw> {
-        let driven = self.bodies.iter().all(|body| body.free().is_none());
-        let table = driven.then(|| self.device_table())??;
-        Some(DeviceLaw { wgsl: include_str!("contact.wgsl").to_owned(), table })
+        // Contact thickens a thin body by a cell at most.
+        let reach = |body: &Body| body.extent + self.scene.world.cell;
+        let free = self.bodies.iter().filter(|body| body.free().is_some()).map(reach).collect();
+        Some(DeviceLaw { wgsl: include_str!("contact.wgsl").to_owned(), table: self.device_table()?, free })
+    }
+
+    fn lend(&mut self, time: f64, dt: f64, steps: usize) -> Option<Vec<Lent>> {
+        let (boxes, duration) = (self.bounds(), dt * steps as f64);
+        let mut lent = Vec::new();
+        for (i, body) in self.bodies.iter().enumerate().filter(|(_, body)| body.free().is_some()) {
+            let moves = self.fastest(body, time, dt) * dt / self.scene.world.cell;
+            if moves > MOST_MOVE {
+                return None;
+            }
+            lent.push(self.lent(i, self.leash(i, &boxes, time, duration)?)?);
+        }
+        self.lent = true;
+        Some(lent)
+    }
+
+    fn adopt(&mut self, moved: &[Moved]) -> Result<()> {
+        let free = self.bodies.iter_mut().filter(|body| body.free().is_some());
+        for (body, Moved { state, deep_nodes, unconverged }) in free.zip(moved) {
+            let [w, x, y, z] = state.rotation;
+            body.state.pose =
+                Pose { position: DVec3::from_array(state.position), rotation: DQuat::from_xyzw(x, y, z, w) };
+            body.state.angular_momentum = DVec3::from_array(state.angular_momentum);
+            body.state.twist.linear = DVec3::from_array(state.velocity);
+            body.state.twist.angular = body.spin(&body.state.pose);
+            if !body.state.is_sound() {
+                return Err(body.lost("motion"));
+            }
+            self.counts.deep_nodes += deep_nodes;
+            self.counts.unconverged += unconverged;
+        }
+        Ok(())
+    }
+
+    fn take_back(&mut self) {
+        self.lent = false;
     }
 
     fn book(&mut self, wrenches: &[Wrench]) {
@@ -478,7 +594,9 @@ impl Coupling for Rigid {
     }
 
     fn after_step(&mut self, _time: f64, dt: f64) -> Result<()> {
-        self.move_free_bodies(dt)?;
+        if !self.lent {
+            self.move_free_bodies(dt)?;
+        }
         for body in &mut self.bodies {
             if body.free().is_none() {
                 body.state.pose = body.target;
@@ -550,7 +668,8 @@ impl Coupling for Rigid {
     fn save(&self) -> Vec<u8> {
         let states: Vec<&State> = self.bodies.iter().map(|body| &body.state).collect();
         let wrenches: Vec<_> = self.wrenches.iter().map(|w| (w.force, w.torque)).collect();
-        let physics = self.world.as_ref().map(RigidWorld::physics);
+        // While bodies are lent, rapier's world does not change.
+        let physics = self.world.as_ref().filter(|_| !self.lent).map(RigidWorld::physics);
         postcard::to_stdvec(&(states, wrenches, self.counts, physics)).expect("writing to memory does not fail")
     }
 
@@ -560,7 +679,7 @@ impl Coupling for Rigid {
             postcard::from_bytes(bytes).map_err(|e| format!("the rigid bodies' state cannot be read: {e}"))?;
         if states.len() != self.bodies.len()
             || wrenches.len() != states.len()
-            || physics.is_some() != self.world.is_some()
+            || physics.is_some() != (self.world.is_some() && !self.lent)
         {
             return Err(format!("it holds {} rigid bodies, and the scene {}", states.len(), self.bodies.len()));
         }

@@ -102,6 +102,17 @@ impl RigidWorld {
         self.handles.push(handle);
     }
 
+    /// Puts a body where it is at the start of the step, if it is not there: what rapier has not moved itself is off by more than rounding.
+    pub fn place(&mut self, body: usize, pose: &Pose) {
+        let handle = self.handles[body];
+        let now = self.physics.bodies[handle].position();
+        let turned = (now.rotation - pose.rotation).length().min((now.rotation + pose.rotation).length());
+        let moved = (now.translation - pose.position).length();
+        if turned > 1e-9 || moved > 1e-9 * (1.0 + pose.position.length()) {
+            self.physics.bodies[handle].set_position(to_rapier(pose), true);
+        }
+    }
+
     /// Tells where a driven body is at the end of the step.
     pub fn send(&mut self, body: usize, pose: &Pose) {
         self.physics.bodies[self.handles[body]].set_next_kinematic_position(to_rapier(pose));

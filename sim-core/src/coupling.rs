@@ -99,16 +99,71 @@ impl NodeBatch {
     }
 }
 
-/// What [`Coupling::contact`] does, as a device can do it: for bodies whose motion over a step does not depend on the ground.
+/// What [`Coupling::contact`] does, as a device can do it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DeviceLaw {
-    /// WGSL: pure functions, among them
+    /// WGSL: pure functions, which may read `fn coupling_table(i: u32) -> vec4<f32>`, which the backend adds. Among them is, for bodies
+    /// whose motion over a step does not depend on the ground,
     /// `fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32) -> vec3<f32>`, which gives what is left of the
     /// velocity `u` relative to the surface [m/s] of a node at `x` from the body's reference point [m], both in the body's
-    /// frame, in cells of width `cell` [m]. It may read `fn coupling_table(i: u32) -> vec4<f32>`, which the backend adds.
+    /// frame, in cells of width `cell` [m].
+    ///
+    /// If a body is free, these besides:
+    /// - `fn coupling_grip(body: u32, x: vec3<f32>, cell: f32) -> CouplingGrip`: how the surface grips a node there; its fields are `kind`,
+    ///   0 if the node is outside, else what the next function makes of it, `normal` out of the body, `friction`, and `deep`: does the
+    ///   node count as deep inside?
+    /// - `fn coupling_hold(grip: CouplingGrip, u: vec3<f32>) -> CouplingHold`: what the law takes from `u`, `K u` with
+    ///   `K = drag + (1 - drag) n nᵀ`: its fields are `held`, whether anything is taken, `normal`, 0 if all is taken with `drag` 1, `drag`, and,
+    ///   where the node slides, `along`, the direction of sliding, and `friction`, for `drag = friction |u_n| / |u_t|`; else 0.
+    /// - `fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f32>, 2>`: the least and greatest corner of the
+    ///   body's [`bounds`](Coupling::bounds), from its centre of mass [m], along the world's axes, if `rows` are those of its rotation.
     pub wgsl: String,
     /// What it reads: constant over the run.
     pub table: Vec<[f32; 4]>,
+    /// The free bodies' extents, in the bodies' order: the greatest distance of a point of [`bounds`](Coupling::bounds) from the centre of
+    /// mass at any rotation [m].
+    pub free: Vec<f64>,
+}
+
+/// What changes of a free body as it moves, as a device holds it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FreeState {
+    /// Centre of mass [m].
+    pub position: Vec3,
+    /// Orientation quaternion (w, x, y, z).
+    pub rotation: [f64; 4],
+    /// Velocity of the centre of mass [m/s].
+    pub velocity: Vec3,
+    /// Angular momentum about the centre of mass, world frame [kg m²/s].
+    pub angular_momentum: Vec3,
+}
+
+/// A free body that a backend moves itself; see [`Coupling::lend`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lent {
+    /// Its number among the bodies.
+    pub body: usize,
+    /// Mass [kg].
+    pub mass: f64,
+    /// Rows of its inertia about the centre of mass, body frame [kg m²].
+    pub inertia: [Vec3; 3],
+    /// Greatest distance of a surface point from the centre of mass [m].
+    pub extent: f64,
+    /// Where it is, and how it moves.
+    pub state: FreeState,
+    /// How far along each axis its surface may move before it may meet what only the coupling knows: least and greatest displacement [m].
+    pub leash: Aabb,
+}
+
+/// What happened to a lent body in a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Moved {
+    /// How it was afterwards.
+    pub state: FreeState,
+    /// Nodes that were deep inside it, all levels' together.
+    pub deep_nodes: u64,
+    /// How often its velocity and the nodes' were not found together.
+    pub unconverged: u64,
 }
 
 /// Rigid tools, free bodies, robots: anything that constrains node velocities and feels the reaction.
@@ -139,10 +194,30 @@ pub trait Coupling: Send + Sync {
     /// The law in a form for devices, if there is one for all of the bodies. A backend that uses it calls
     /// [`before_step`](Self::before_step), takes poses and velocities from [`bodies`](Self::bodies) and one box a body from
     /// [`bounds`](Self::bounds), and calls [`after_step`](Self::after_step), for several steps ahead; then it says what the
-    /// last of them gave, by [`book`](Self::book).
+    /// last of them gave, by [`book`](Self::book). If a body is free, it asks for all such by [`lend`](Self::lend) before.
     fn device_law(&self) -> Option<DeviceLaw> {
         None
     }
+    /// Lends its free bodies to a backend that moves them itself, for up to so many steps of `dt` from `time` [s]: until they are
+    /// [taken back](Self::take_back), [`before_step`](Self::before_step) and [`after_step`](Self::after_step) leave them where they are, and
+    /// what is [saved](Self::save) is only good for a coupling that has lent them, too.
+    ///
+    /// `None` if one of them is so near to anything but the ground that the coupling itself must take the next step. Whether it is
+    /// depends on where bodies are and how they move now, not on the number of steps.
+    fn lend(&mut self, time: f64, dt: f64, steps: usize) -> Option<Vec<Lent>> {
+        let _ = (time, dt, steps);
+        None
+    }
+    /// Takes in what happened to the lent bodies, in the order in which they were lent, in the next step that they were lent for.
+    ///
+    /// # Errors
+    /// If a body's state is no longer finite.
+    fn adopt(&mut self, moved: &[Moved]) -> Result<()> {
+        let _ = moved;
+        Ok(())
+    }
+    /// Takes lent bodies back, as they are now.
+    fn take_back(&mut self) {}
     /// Takes the mean wrench of the ground on each body over the last step from a backend that has applied the law itself.
     fn book(&mut self, wrenches: &[Wrench]) {
         let _ = wrenches;

@@ -200,6 +200,25 @@ impl Regions {
         Leeway { ends, sums }
     }
 
+    /// How far along each axis one of the agents, with those bounds, may move before [`follow`](Self::follow) moves anything: least and
+    /// greatest displacement of its box's ends [m].
+    pub fn leash(&self, agent: usize, bounds: &Aabb) -> Aabb {
+        let mut leash = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
+        let around = bounds.grown(AROUND_AGENT * self.h);
+        for (level, boxes) in self.boxes.iter().enumerate() {
+            let Some(one) = boxes.get(agent) else { continue };
+            let cell = self.h * f64::from(1 << level);
+            for d in 0..3 {
+                let (min, max) = (cell * f64::from(one.min[d]), cell * f64::from(one.max[d]));
+                let off = 0.5 * (around.min[d] + around.max[d]) - 0.5 * (min + max);
+                let dead = DEAD_ZONE * 2.0 * cell;
+                leash.min[d] = leash.min[d].max(min - around.min[d]).max(-dead - off);
+                leash.max[d] = leash.max[d].min(max - around.max[d]).min(dead - off);
+            }
+        }
+        leash
+    }
+
     /// The box about an agent, of whole parent cells of width `parent` [m], that also holds `inner` (in cells of the level).
     fn ideal(&self, agent: &Aabb, inner: Option<CellBox>, parent: f64) -> CellBox {
         let mut chosen = CellBox { min: [0; 3], max: [0; 3] };

@@ -85,7 +85,7 @@ impl WgpuBatch {
         let passes = kernels.find.iter().chain(merges.then_some(&kernels.fill));
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0, end: self.levels }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
-        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;
+        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, None)?;
         let count = words[COUNTED] as usize;
 
         let world = &self.worlds[w];

@@ -2,17 +2,18 @@
 
 use crate::account;
 use crate::device::Gpu;
-use crate::kernels::{self, Found, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
+use crate::free::{Felt, states};
+use crate::kernels::{self, Found, Free, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, NEAR_BLOCK, STEP_STRIDE, StepConstants, Words, read,
-    read_all, with_mapped, with_room,
+    Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, read, read_all,
+    touches_bytes, with_mapped, with_room,
 };
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
 use crate::world::{Level, MAX_MOVE, Place, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
-use barchan_core::coupling::DeviceLaw;
+use barchan_core::coupling::{DeviceLaw, Lent};
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{
     Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase, Spot,
@@ -39,6 +40,9 @@ const MOST_TIMED: usize = 64;
 const PIECE: usize = 32;
 /// A world's places of the directory are rounded up to a multiple of this, so that no workgroup has those of two.
 const PLACES: u32 = 1024;
+
+/// Blocks in a free body's box on a level that the device can look into: a larger body's law runs on the host.
+const MOST_ROOMS: usize = 8192;
 
 /// Words of the status; see `common.wgsl`.
 pub(crate) const BLOCKS: usize = 0;
@@ -86,7 +90,7 @@ pub(crate) enum Halt {
     Strayed,
     /// There are fewer particles than before.
     Fewer,
-    /// Levels must move after soft bodies.
+    /// Levels must move after soft bodies, or the host must look where free bodies are.
     Follow,
 }
 
@@ -155,11 +159,20 @@ impl Status {
 }
 
 /// What a submission did.
-struct Outcome {
+pub(crate) struct Outcome {
     /// Steps completed.
-    done: usize,
+    pub(crate) done: usize,
     halt: Option<Halt>,
     status: Status,
+    /// States of free bodies after each slot.
+    pub(crate) lent: Vec<u32>,
+}
+
+/// What is brought back behind the status.
+pub(crate) struct Behind {
+    pub(crate) role: Role,
+    pub(crate) from: u64,
+    pub(crate) bytes: u64,
 }
 
 /// A pass that is timed.
@@ -180,9 +193,51 @@ pub(crate) struct Contact {
 }
 
 impl Contact {
-    /// What the device does in each step.
-    fn on_device(&self) -> &[Kernel] {
-        self.device.as_ref().map_or(&[], |contact| &contact.kernels)
+    /// What the device does in each step: with driven bodies, and with free ones.
+    fn on_device(&self) -> [&[Kernel]; 2] {
+        let Some(contact) = &self.device else { return [&[], &[]] };
+        let driven: &[Kernel] = if contact.needs.driven { &contact.kernels } else { &[] };
+        [driven, contact.free.as_ref().map_or(&[], |kernels| kernels)]
+    }
+
+    /// Free bodies of each world that the device has room for.
+    pub(crate) fn free(&self) -> usize {
+        self.device.as_ref().map_or(0, |contact| contact.needs.free.bodies)
+    }
+}
+
+/// What a world's law asks of the device, or the laws of several worlds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Needs {
+    /// Bodies of each world, and vectors of each world's table.
+    bodies: usize,
+    vectors: usize,
+    free: Free,
+    /// Are there driven bodies?
+    driven: bool,
+}
+
+impl Needs {
+    /// Of a law for so many bodies, where finest cells have that width [m].
+    fn of(law: &DeviceLaw, bodies: usize, h: f64) -> Self {
+        // Blocks that a box of the bodies' extents can reach into along an axis.
+        let across = |extent: &f64| (2.0 * extent / (4.0 * h)).min(1e6) as usize + 2;
+        let rooms = law.free.iter().map(|extent| across(extent).saturating_pow(3)).max().unwrap_or(0);
+        let free = Free { bodies: law.free.len(), rooms };
+        Self { bodies, vectors: law.table.len().max(1), free, driven: law.free.len() < bodies }
+    }
+
+    /// Those of both.
+    fn with(self, other: Self) -> Self {
+        Self {
+            bodies: self.bodies.max(other.bodies),
+            vectors: self.vectors.max(other.vectors),
+            free: Free {
+                bodies: self.free.bodies.max(other.free.bodies),
+                rooms: self.free.rooms.max(other.free.rooms),
+            },
+            driven: self.driven || other.driven,
+        }
     }
 }
 
@@ -190,14 +245,16 @@ impl Contact {
 pub(crate) struct DeviceContact {
     /// The law, then the sums of impulses.
     kernels: [Kernel; 2],
+    /// Nodes inside free bodies, then what these do.
+    free: Option<[Kernel; 2]>,
     wgsl: String,
-    /// Bodies of each world, and vectors of each world's table.
-    bodies: usize,
-    vectors: usize,
+    needs: Needs,
+    /// Each world's table.
+    tables: Vec<Vec<[f32; 4]>>,
 }
 
-/// Driven bodies of a world over the steps of a submission.
-struct Driven {
+/// Bodies of a world over the steps of a submission.
+pub(crate) struct Driven {
     /// The coupling before each step, and after the last.
     saved: Vec<Vec<u8>>,
     /// Bodies after each step.
@@ -206,6 +263,9 @@ struct Driven {
     packed: Vec<Vec<[f32; 4]>>,
     /// Boxes of blocks near them on each level, likewise.
     near: Vec<Vec<Vec<BlockBox>>>,
+    /// Free bodies that the device moves, and what happened to them in each step.
+    pub(crate) lent: Vec<Lent>,
+    pub(crate) moved: Vec<Vec<Felt>>,
 }
 
 /// Steps that follow on one another, after a sort or not.
@@ -232,7 +292,8 @@ pub(crate) struct Clocks {
 /// Writes down the passes of a submission.
 pub(crate) struct Passes<'a> {
     kernels: &'a Kernels,
-    contact: &'a [Kernel],
+    /// With driven bodies, and with free ones.
+    contact: [&'a [Kernel]; 2],
     levels: usize,
     /// Width of the finest cell [m].
     h: f64,
@@ -248,7 +309,7 @@ pub(crate) struct Passes<'a> {
 impl<'a> Passes<'a> {
     pub(crate) fn new(
         kernels: &'a Kernels,
-        contact: &'a [Kernel],
+        contact: [&'a [Kernel]; 2],
         [levels, now]: [usize; 2],
         (h, gravity): (f64, Vec3),
     ) -> Self {
@@ -287,7 +348,7 @@ impl<'a> Passes<'a> {
         let kernels = self.kernels;
         let step = self.constants(dt);
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
-        self.run(step, kernels.grid.iter().chain(self.contact));
+        self.run(step, kernels.grid.iter().chain(self.contact.into_iter().flatten()));
         self.run(step, kernels.to_particles().chain(kernels.soft()));
     }
 
@@ -319,8 +380,17 @@ impl<'a> Passes<'a> {
 
     /// What the levels whose steps end with a slot do once their velocities are whole.
     pub(crate) fn end_slot(&mut self, dt: f64, first: usize, slot: usize) {
-        let step = self.constants_of(dt / self.substeps(), ending(self.levels, slot), first + slot);
-        self.run(step, self.contact);
+        let (each, ending) = (dt / self.substeps(), ending(self.levels, slot));
+        let [driven, free] = self.contact;
+        if !free.is_empty() {
+            // The finest level meets free bodies where they were, coarser ones where they have come.
+            for levels in [0..1, 1..ending.end].into_iter().filter(|levels| !levels.is_empty()) {
+                let step = self.constants_of(each, levels, first + slot);
+                self.run(step, free);
+            }
+        }
+        let step = self.constants_of(each, ending, first + slot);
+        self.run(step, driven);
         self.run(step, self.kernels.reflect.iter().chain([&self.kernels.g2p]));
     }
 
@@ -733,7 +803,8 @@ impl WgpuBatch {
 
         let measures = (self.h, self.fixed.gravity.0);
         let is_felt = active.iter().any(|(w, _)| self.worlds[*w].contact == Some(Place::Device));
-        let contact = if is_felt { self.contact.on_device() } else { &[] };
+        let contact: [&[Kernel]; 2] = if is_felt { self.contact.on_device() } else { [&[], &[]] };
+        let free = if is_felt { self.contact.free() } else { 0 };
         let mut passes = Passes::new(&self.kernels, contact, [self.levels, self.memory.now], measures);
         let mut parts = Vec::new();
         for stretch in stretches {
@@ -757,7 +828,9 @@ impl WgpuBatch {
         }
         self.write_steps(0, &passes.constants);
         let parts = self.with_groups(parts);
-        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;
+        let behind = states(free * self.worlds.len(), count * self.substeps);
+        let mut words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, behind)?;
+        let lent = words.split_off(layout.count());
         let status = Status::new(words, layout);
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
@@ -766,7 +839,7 @@ impl WgpuBatch {
         }
         // Who has left was there in these steps.
         self.take_blocks(&status);
-        Ok(Outcome { done, halt, status })
+        Ok(Outcome { done, halt, status, lent })
     }
 
     /// Takes in where blocks are after a submission, and who has left the world.
@@ -903,13 +976,13 @@ impl WgpuBatch {
         stretches
     }
 
-    /// Runs parts and brings back the status, and behind it so many blocks of nodes near bodies.
+    /// Runs parts and brings back the status, and what is asked for behind it.
     pub(crate) fn run(
         gpu: &Gpu,
         memory: &mut Memory,
         clocks: &mut Clocks,
         parts: &[(Part<'_>, Vec<Size>)],
-        near: usize,
+        behind: Option<Behind>,
     ) -> Result<Vec<u32>> {
         for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
             clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
@@ -947,12 +1020,12 @@ impl WgpuBatch {
                 }
             }
         }
-        let (status, of_nodes) = (memory.status_bytes(), (16 * NEAR_BLOCK * near) as u64);
-        let bytes = status + of_nodes;
+        let (status, behind) = (memory.status_bytes(), behind.filter(|behind| behind.bytes > 0));
+        let bytes = status + behind.as_ref().map_or(0, |behind| behind.bytes);
         memory.read_back_to(gpu, bytes);
         encoder.copy_buffer_to_buffer(memory.buffer(Role::Status, 0), 0, &memory.readback, 0, status);
-        if of_nodes > 0 {
-            encoder.copy_buffer_to_buffer(memory.buffer(Role::Near, 0), 0, &memory.readback, status, of_nodes);
+        if let Some(Behind { role, from, bytes }) = behind {
+            encoder.copy_buffer_to_buffer(memory.buffer(role, 0), from, &memory.readback, status, bytes);
         }
         let resolved = queries.map(|queries| {
             let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -1428,14 +1501,20 @@ impl WgpuBatch {
             self.write_steps(0, &[self.step_constants(f64::from_bits(dt), 0)]);
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0, end: self.levels };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
-            Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0)?;
+            Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, None)?;
         }
         Ok(())
     }
 
     /// Up to `count` steps of at most `dt` of the worlds that have a turn, without couplings or with such as run on the device. A world that
     /// fails is left out, and the others go on without it.
-    fn advance(&mut self, mut dt: f64, count: usize, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
+    fn advance(
+        &mut self,
+        mut dt: f64,
+        count: usize,
+        turns: &mut [Turn<'_>],
+        lent: &[Vec<Lent>],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
         self.settle()?;
         let mut failed: Vec<Option<Error>> = turns.iter().map(|turn| self.fault(turn)).collect();
         loop {
@@ -1448,7 +1527,7 @@ impl WgpuBatch {
             let mut steps = stretches.iter().map(|s| s.steps).sum();
             let mut driven = BTreeMap::new();
             for &t in &going {
-                match self.drive(&mut turns[t], dt, steps) {
+                match self.drive(&mut turns[t], dt, steps, &lent[t]) {
                     Ok(of_turn) => {
                         steps = of_turn.as_ref().map_or(steps, |driven| driven.after.len());
                         driven.insert(t, of_turn);
@@ -1464,13 +1543,15 @@ impl WgpuBatch {
             }
             cut(&mut stretches, steps);
             self.write_bodies(turns, &driven, steps);
+            self.write_lent(turns, lent);
             self.write_near(turns, &driven, steps)?;
             let outcome = self.submit(&active, dt, &stretches)?;
             if stretches[0].sort {
                 self.astray = outcome.halt == Some(Halt::Misplaced);
             }
-            for (t, of_turn) in &driven {
+            for (t, of_turn) in &mut driven {
                 go_back(turns[*t].couplings, of_turn, outcome.done)?;
+                failed[*t] = self.adopt(&mut turns[*t], of_turn, &outcome).err();
                 let world = turns[*t].world;
                 if outcome.status.is_astray(self.layers_of(world)) && self.worlds[world].torn.is_none() {
                     self.adapt(world, None, turns[*t].couplings)?;
@@ -1566,54 +1647,78 @@ impl WgpuBatch {
         Ok(all)
     }
 
-    /// Finds out where the law of a world's bodies runs: on the device if that has it, as it has that of the first bodies whose law can run
-    /// there; else on the host.
+    /// Finds out where the law of a world's bodies runs: on the device if it can run there and the other worlds' law is the same; else on the
+    /// host.
     fn settle_contact(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
         if self.worlds[w].contact.is_some() {
             return Ok(());
         }
         let mut place = if couplings.is_empty() { Place::Nowhere } else { Place::Host };
         if let Some((law, bodies)) = device_law(couplings) {
-            if self.worlds.len() == 1 {
-                // One world alone may have other bodies from now on.
-                self.contact.device.take_if(|contact| !contact.has(&law, bodies));
-            }
-            if self.contact.device.is_none() {
-                self.add_law(&law, bodies)?;
-            }
-            if let (Some(contact), Some(buffer)) = (&self.contact.device, &self.memory.table)
-                && contact.has(&law, bodies)
-            {
-                let mut table = law.table;
-                table.resize(contact.vectors, [0.0; 4]);
-                self.gpu.queue.write_buffer(buffer, (16 * table.len() * w) as u64, bytemuck::cast_slice(&table));
+            let needs = Needs::of(&law, bodies, self.h);
+            // One world alone may have other bodies from now on.
+            let before = self.contact.device.as_ref().filter(|_| self.worlds.len() > 1);
+            let all = before.map_or(needs, |contact| contact.needs.with(needs));
+            let is_known = self.contact.device.as_ref().is_some_and(|contact| contact.wgsl == law.wgsl);
+            if (is_known || before.is_none()) && self.has_room(all.free) {
+                if !is_known || self.contact.device.as_ref().is_some_and(|contact| contact.needs != all) {
+                    self.add_law(&law, all)?;
+                }
+                self.write_table(w, law.table);
+                self.worlds[w].free = law.free.len();
                 place = Place::Device;
             }
-        }
-        if place == Place::Host && self.contact.host.is_none() {
-            self.contact.host = Some(Box::new(kernels::near(&self.gpu, &self.kernels, self.worlds.len())));
         }
         self.gpu.check()?;
         self.worlds[w].contact = Some(place);
         Ok(())
     }
 
-    /// Teaches the device a law for so many bodies in each world.
-    fn add_law(&mut self, law: &DeviceLaw, bodies: usize) -> Result<()> {
-        let (worlds, vectors) = (self.worlds.len(), law.table.len().max(1));
-        let kernels = kernels::contact(&self.gpu, &self.kernels, law, bodies, [worlds, self.levels]);
-        self.memory.add_bodies(&self.gpu, bodies, &vec![[0.0; 4]; worlds * vectors])?;
+    /// Is there room on the device for what is inside so many free bodies?
+    fn has_room(&self, free: Free) -> bool {
+        let cap = self.gpu.limits.max_storage_buffer_binding_size.min(self.gpu.limits.max_buffer_size);
+        free.rooms <= MOST_ROOMS && touches_bytes(free, self.words().layers) <= cap
+    }
+
+    /// Teaches the device a law.
+    fn add_law(&mut self, law: &DeviceLaw, needs: Needs) -> Result<()> {
+        let (worlds, Needs { bodies, vectors, free, .. }) = (self.worlds.len(), needs);
+        let shape = [worlds, self.levels];
+        let kernels = kernels::contact(&self.gpu, &self.kernels, law, [bodies, vectors], shape);
+        let of_free = (free.bodies > 0).then(|| kernels::free(&self.gpu, &self.kernels, law, vectors, shape, free));
+        self.memory.add_bodies(&self.gpu, bodies, free, &vec![[0.0; 4]; worlds * vectors])?;
         self.unlinked = true;
-        self.contact.device = Some(Box::new(DeviceContact { kernels, wgsl: law.wgsl.clone(), bodies, vectors }));
+        let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);
+        let wgsl = law.wgsl.clone();
+        self.contact.device =
+            Some(Box::new(DeviceContact { kernels, free: of_free, wgsl, needs, tables: vec![Vec::new(); worlds] }));
+        before.into_iter().enumerate().for_each(|(w, table)| self.write_table(w, table));
         Ok(())
     }
 
+    /// Tells the device what the law of a world's bodies reads.
+    fn write_table(&mut self, w: usize, table: Vec<[f32; 4]>) {
+        if let (Some(contact), Some(buffer)) = (&mut self.contact.device, &self.memory.table) {
+            let at = (16 * contact.needs.vectors * w) as u64;
+            self.gpu.queue.write_buffer(buffer, at, bytemuck::cast_slice(&table));
+            contact.tables[w] = table;
+        }
+    }
+
     /// Lets a world's driven bodies go through up to `count` steps: no further than to where its levels have to move after them.
-    fn drive(&self, turn: &mut Turn<'_>, dt: f64, count: usize) -> Result<Option<Driven>> {
+    fn drive(&self, turn: &mut Turn<'_>, dt: f64, count: usize, lent: &[Lent]) -> Result<Option<Driven>> {
         let couplings = &mut *turn.couplings;
         let Some(coupling) = couplings.first() else { return Ok(None) };
         let saved = vec![coupling.save()];
-        let mut driven = Driven { saved, after: Vec::new(), packed: Vec::new(), near: Vec::new() };
+        let mut driven = Driven {
+            saved,
+            after: Vec::new(),
+            packed: Vec::new(),
+            near: Vec::new(),
+            lent: lent.to_vec(),
+            moved: Vec::new(),
+        };
+        let bodies = self.contact.device.as_ref().map_or(0, |contact| contact.needs.bodies);
         let mut go = || {
             let each = dt / self.substeps as f64;
             let levels = &self.worlds[turn.world].levels;
@@ -1625,9 +1730,9 @@ impl WgpuBatch {
                 couplings[0].before_step(at, each)?;
                 // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
                 let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
-                let mut packed = pack_all(couplings[0].as_ref(), before);
+                let mut packed = pack_all(couplings[0].as_ref(), before, lent, bodies);
                 couplings[0].after_step(at, each)?;
-                packed.extend(pack_all(couplings[0].as_ref(), after));
+                packed.extend(pack_all(couplings[0].as_ref(), after, lent, bodies));
                 driven.packed.push(packed);
                 if (slot + 1) % self.substeps == 0 {
                     driven.after.push(couplings[0].bodies());
@@ -1649,7 +1754,7 @@ impl WgpuBatch {
     /// Tells the device where bodies are in each step.
     fn write_bodies(&self, turns: &[Turn<'_>], driven: &BTreeMap<usize, Option<Driven>>, steps: usize) {
         let Some(contact) = &self.contact.device else { return };
-        let each = self.levels * contact.bodies * BODY as usize;
+        let each = self.levels * contact.needs.bodies * BODY as usize;
         // Of worlds that have none there.
         let nowhere = NOWHERE.repeat(steps * self.substeps * self.worlds.len() * each / NOWHERE.len());
         let mut packed = nowhere;
@@ -1677,20 +1782,23 @@ impl WgpuBatch {
 
     /// Force and torque on each body of each world in each step, times the step.
     fn impulses(&self, steps: usize) -> Result<Vec<[f32; 4]>> {
-        let Some(contact) = &self.contact.device else { return Ok(Vec::new()) };
-        let count = 2 * contact.bodies * self.words().layers * self.substeps * steps;
+        let Some(contact) = self.contact.device.as_ref().filter(|contact| contact.needs.driven) else {
+            return Ok(Vec::new());
+        };
+        let count = 2 * contact.needs.bodies * self.words().layers * self.substeps * steps;
         read(&self.gpu, self.memory.buffer(Role::Impulses, 0), 0, count)
     }
 
     /// Says in each step's report where a world's bodies were and what they felt.
     fn report_bodies(&self, driven: Driven, impulses: &[[f32; 4]], turn: &mut Turn<'_>, reports: &mut [StepReport]) {
         let Some(contact) = &self.contact.device else { return };
-        let each = 2 * contact.bodies;
-        for (s, (report, after)) in reports.iter_mut().zip(driven.after).enumerate() {
+        let each = 2 * contact.needs.bodies;
+        let Driven { after, lent, moved, .. } = driven;
+        for (s, (report, mut after)) in reports.iter_mut().zip(after).enumerate() {
             // Over all levels' steps within this one.
             let sum = |k: usize| {
                 let mut sum = [0.0; 3];
-                for slot in 0..self.substeps {
+                for slot in (0..self.substeps).filter(|_| !impulses.is_empty()) {
                     let has_stepped = |level: &usize| self.substeps == 1 || (slot + 1) % (1 << level) == 0;
                     for level in (0..self.levels).filter(has_stepped) {
                         let row = ((s * self.substeps + slot) * self.worlds.len() + turn.world) * self.levels + level;
@@ -1699,9 +1807,15 @@ impl WgpuBatch {
                 }
                 sum
             };
-            let per_step = |k: usize| sum(k).map(|x| x / report.dt);
-            let wrench = |body: usize| Wrench { force: per_step(2 * body), torque: per_step(2 * body + 1) };
-            report.wrenches = Some((0..contact.bodies).map(wrench).collect());
+            let per_step = |impulse: Vec3| impulse.map(|x| x / report.dt);
+            let wrench = |body: usize| Wrench { force: per_step(sum(2 * body)), torque: per_step(sum(2 * body + 1)) };
+            let mut wrenches: Vec<_> = (0..after.len()).map(wrench).collect();
+            for (lent, felt) in lent.iter().zip(moved.get(s).into_iter().flatten()) {
+                after[lent.body] = felt.body.clone();
+                wrenches[lent.body] =
+                    Wrench { force: per_step(felt.impulse.force), torque: per_step(felt.impulse.torque) };
+            }
+            report.wrenches = Some(wrenches);
             report.bodies = Some(after);
         }
         if let (Some(StepReport { wrenches: Some(wrenches), .. }), Some(coupling)) =
@@ -1757,13 +1871,44 @@ impl WgpuBatch {
             if world.hardens { STIFFNESS_AGE.saturating_sub(world.stiffness_age).max(1) as usize } else { MAX_STEPS }
         };
         let most = turns.iter().map(until_asked).fold(MAX_STEPS.min(MAX_SLOTS / self.substeps), usize::min);
-        let is_on_host: Vec<bool> =
-            turns.iter().map(|turn| !ground || self.worlds[turn.world].contact == Some(Place::Host)).collect();
+        let lent: Vec<Option<Vec<Lent>>> = turns
+            .iter_mut()
+            .map(|turn| match self.worlds[turn.world] {
+                _ if !ground => None,
+                World { contact: Some(Place::Host), .. } => None,
+                World { free: 0, .. } => Some(Vec::new()),
+                _ => self.borrow(turn, dt, MAX_STEPS.min(MAX_SLOTS / self.substeps)),
+            })
+            .collect();
+        let is_on_host: Vec<bool> = lent.iter().map(Option::is_none).collect();
+        if ground && is_on_host.contains(&true) && self.contact.host.is_none() {
+            self.contact.host = Some(Box::new(kernels::near(&self.gpu, &self.kernels, self.worlds.len())));
+        }
+        let taken = self.take_steps_where_bodies_are(dt, count.clamp(1, most), turns, lent, &is_on_host);
+        turns.iter_mut().filter_map(|turn| turn.couplings.first_mut()).for_each(|coupling| coupling.take_back());
+        let reports = taken?;
+        for (turn, _) in turns.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
+            self.follow_stiffness(turn.world)?;
+        }
+        Ok(reports)
+    }
+
+    /// The steps of worlds whose bodies the device moves, and a step of those whose bodies' law runs on the host.
+    fn take_steps_where_bodies_are(
+        &mut self,
+        dt: f64,
+        count: usize,
+        turns: &mut [Turn<'_>],
+        lent: Vec<Option<Vec<Lent>>>,
+        is_on_host: &[bool],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        let ground = self.particles() > 0;
         let mut reports = Vec::new();
         if is_on_host.contains(&false) {
             // Beside worlds that go a step at a time, they do.
-            let count = if is_on_host.contains(&true) { 1 } else { count.clamp(1, most) };
-            reports = self.advance(dt, count, &mut some_turns(turns, |t| !is_on_host[t]))?;
+            let count = if is_on_host.contains(&true) { 1 } else { count };
+            let lent: Vec<_> = lent.into_iter().flatten().collect();
+            reports = self.advance(dt, count, &mut some_turns(turns, |t| !is_on_host[t]), &lent)?;
         }
         if is_on_host.contains(&true) {
             let taken = reports.iter().flatten().flatten().next().map_or(dt, |report| report.dt);
@@ -1779,17 +1924,7 @@ impl WgpuBatch {
             let next = |is_on_host: &bool| if *is_on_host { own.next() } else { others.next() };
             reports = is_on_host.iter().filter_map(next).collect();
         }
-        for (turn, _) in turns.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
-            self.follow_stiffness(turn.world)?;
-        }
         Ok(reports)
-    }
-}
-
-impl DeviceContact {
-    /// Is it made for that law, and so many bodies?
-    fn has(&self, law: &DeviceLaw, bodies: usize) -> bool {
-        law.wgsl == self.wgsl && bodies == self.bodies && law.table.len().max(1) == self.vectors
     }
 }
 
@@ -1841,12 +1976,14 @@ fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven>, step: u
     })
 }
 
-/// A coupling's bodies as each of some levels sees them.
-fn pack_all(coupling: &dyn Coupling, levels: &[Level]) -> Vec<[f32; 4]> {
+/// A coupling's bodies as each of some levels sees them, of so many places for bodies: without those that are lent.
+fn pack_all(coupling: &dyn Coupling, levels: &[Level], lent: &[Lent], places: usize) -> Vec<[f32; 4]> {
     let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
+    let is_lent = |body: usize| lent.iter().any(|lent| lent.body == body);
     let of_level = |level: &Level| {
-        let pairs = bodies.iter().zip(&boxes);
-        pairs.flat_map(|(body, bounds)| pack(body, bounds, level.h)).collect::<Vec<_>>()
+        let pairs = bodies.iter().zip(&boxes).enumerate();
+        let packed = pairs.map(|(b, (body, bounds))| if is_lent(b) { NOWHERE } else { pack(body, bounds, level.h) });
+        packed.chain(std::iter::repeat(NOWHERE)).take(places).flatten().collect::<Vec<_>>()
     };
     levels.iter().flat_map(of_level).collect()
 }

@@ -1,7 +1,7 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
 use crate::batch::{
-    Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE, WgpuBatch, ending,
+    Behind, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE, WgpuBatch, ending,
 };
 use crate::kernels::Role;
 use crate::memory::{NEAR_BLOCK, read};
@@ -406,7 +406,7 @@ impl WgpuBatch {
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let before = self.memory.now;
         let measures = (self.h, self.fixed.gravity.0);
-        let mut passes = Passes::new(&self.kernels, &[], [self.levels, before], measures);
+        let mut passes = Passes::new(&self.kernels, [&[], &[]], [self.levels, before], measures);
         let step = passes.constants(dt);
         if sort {
             passes.sort(dt);
@@ -431,7 +431,7 @@ impl WgpuBatch {
         self.write_steps(0, &passes.constants);
         let parts = self.with_groups(vec![Part { sorting: sort.then_some(before), dispatches: passes.dispatches }]);
         let room = if slot < self.substeps { self.near_expected() } else { 0 };
-        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, room)?;
+        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, behind(room))?;
         let (status, of_nodes) = self.split(found);
         if slot == 0 {
             self.take_blocks(&status);
@@ -635,7 +635,7 @@ impl WgpuBatch {
             sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1, end: self.levels })).collect();
         let parts = self.with_groups(vec![Part { sorting, dispatches }]);
         let room = self.near_expected();
-        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, room)?;
+        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, behind(room))?;
         let (status, of_nodes) = self.split(found);
         self.take_pending(&status);
         self.take_blocks(&status);
@@ -692,7 +692,7 @@ impl WgpuBatch {
         let dispatches = vec![Dispatch { kernel: &near[0], now: self.memory.now, step: 1, end: self.levels }];
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let room = self.near_expected();
-        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, room)?;
+        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, behind(room))?;
         let (status, of_nodes) = self.split(found);
         self.blocks_near(&status, of_nodes)
     }
@@ -791,6 +791,11 @@ impl WgpuBatch {
         };
         self.layers_of(w).map(of_layer).fold([0.0; 3], |sum, v| std::array::from_fn(|d| sum[d] + v[d]))
     }
+}
+
+/// So many blocks of nodes near bodies, to be brought back.
+fn behind(blocks: usize) -> Option<Behind> {
+    Some(Behind { role: Role::Near, from: 0, bytes: (16 * NEAR_BLOCK * blocks) as u64 })
 }
 
 /// The worlds that go on, and their times [s].

@@ -10,7 +10,7 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Plan, Result, Stage};
 use barchan_grid::adapt::finest_volumes;
-use barchan_grid::rest::RESTED;
+use barchan_grid::rest::{NEAR_TOOL, RESTED};
 use std::fmt::Write as _;
 
 /// Planes of particles, and what a sort lays out anew: there are two of each, one of which a sort writes.
@@ -47,6 +47,12 @@ pub(crate) enum Role {
     Partials,
     /// What each step gave to each body.
     Impulses,
+    /// Free bodies, and their states in each step of a submission.
+    Lent,
+    /// Nodes inside them.
+    Touches,
+    /// Places of these, in their order.
+    TouchOrder,
     /// Nodes at rims of levels, and who gives to them.
     Rims,
     /// What each block hands to the next coarser level.
@@ -439,25 +445,21 @@ fn line(when: &str, draft: &Draft) -> String {
     format!("{}, {when}: {groups}; reads {}; writes {}", draft.name, names(false), names(true))
 }
 
-/// Contact with driven bodies on the device, so many in each of the worlds: the law, then the sums of impulses, level by level.
+/// Contact with driven bodies on the device, so many in each of the worlds, whose tables have so many vectors: the law, then the sums of
+/// impulses, level by level.
 pub(crate) fn contact(
     gpu: &Gpu,
     kernels: &Kernels,
     law: &DeviceLaw,
-    bodies: usize,
+    [bodies, vectors]: [usize; 2],
     [worlds, levels]: [usize; 2],
 ) -> [Kernel; 2] {
-    let vectors = law.table.len().max(1);
     let count = format!("const BODIES: u32 = {bodies}u;\n");
-    let (space, all, first) = table_of_worlds([worlds, levels], vectors);
-    let table = format!(
-        "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {all}>;\n\
-         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n"
-    );
+    let table = coupling_table([worlds, levels], vectors);
     let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
     let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
     let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
-    let (text, own) = of_own_mass(kernels, include_str!("wgsl/contact.wgsl"));
+    let (text, own) = of_own_mass(kernels.solve.is_some(), include_str!("wgsl/contact.wgsl"));
     let law = Draft {
         name: "contact",
         entry: "contact",
@@ -479,12 +481,67 @@ pub(crate) fn contact(
     [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
 }
 
+/// How many free bodies there are in each world, and blocks around each of them on each level, at most.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Free {
+    pub(crate) bodies: usize,
+    pub(crate) rooms: usize,
+}
+
+/// Contact with free bodies, and their motion: the nodes inside, then all that each body does in a step.
+pub(crate) fn free(
+    gpu: &Gpu,
+    kernels: &Kernels,
+    law: &DeviceLaw,
+    vectors: usize,
+    [worlds, levels]: [usize; 2],
+    free: Free,
+) -> [Kernel; 2] {
+    free_drafts(kernels.solve.is_some(), kernels.watch.is_some(), law, vectors, [worlds, levels], free)
+        .map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
+}
+
+fn free_drafts(
+    subcycled: bool,
+    sleeps: bool,
+    law: &DeviceLaw,
+    vectors: usize,
+    [worlds, levels]: [usize; 2],
+    Free { bodies, rooms }: Free,
+) -> [Draft; 2] {
+    let lent: Use = ("lent", "vec4<u32>", Role::Lent, false);
+    let touches: Use = ("touches", "vec4<u32>", Role::Touches, false);
+    let order: Use = ("touch_order", "u32", Role::TouchOrder, true);
+    let tools: Use = ("tools", "vec4<i32>", Role::Tools, true);
+    let counts = format!(
+        "const FREES: u32 = {bodies}u;\nconst ROOMS: u32 = {rooms}u;\nconst NEAR_TOOL: f32 = {NEAR_TOOL:?};\n{}",
+        include_str!("wgsl/lent.wgsl")
+    );
+    let table = coupling_table([worlds, levels], vectors);
+    let draft = |name, entry, body: &str, uses: Vec<Use>, groups: usize| Draft {
+        name,
+        entry,
+        body: [&counts, &table, &law.wgsl, body].concat(),
+        uses,
+        uniform: Uniform::Table,
+        groups: Groups::Exactly(groups as u32),
+        checked: true,
+    };
+    let (text, own) = of_own_mass(subcycled, include_str!("wgsl/touch.wgsl"));
+    let uses = [DIRECTORY, NODES, lent, written(touches), STATUS].into_iter().chain(own).collect();
+    let inside = draft("touch", "touch", &text, uses, worlds * levels * bodies * rooms);
+    let awake = if sleeps { include_str!("wgsl/free_awake.wgsl") } else { "" };
+    let text = include_str!("wgsl/free.wgsl").replace("$STAY_AWAKE", awake);
+    let uses = [GRID, written(lent), touches, order, STATUS].into_iter().chain(sleeps.then_some(tools)).collect();
+    [inside, draft("free bodies", "free_bodies", &text, uses, worlds * bodies)]
+}
+
 /// Contact whose law runs on the host: nodes near bodies are gathered for it, and take what it made of them.
 pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
     let near: Use = ("near", "vec4<u32>", Role::Near, false);
     let around: Use = ("around", "vec4<i32>", Role::Around, false);
     let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
-    let (gather, own) = of_own_mass(kernels, include_str!("wgsl/gather.wgsl"));
+    let (gather, own) = of_own_mass(kernels.solve.is_some(), include_str!("wgsl/gather.wgsl"));
     let draft = |name, body: &str, uses, groups| Draft {
         name,
         entry: name,
@@ -508,8 +565,8 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
 
 /// The text of a pass in which bodies meet nodes, with what these weigh for them, and what it binds besides. Subcycled, a node may be two
 /// levels'.
-fn of_own_mass(kernels: &Kernels, text: &str) -> (String, Vec<Use>) {
-    if kernels.solve.is_none() {
+fn of_own_mass(subcycled: bool, text: &str) -> (String, Vec<Use>) {
+    if !subcycled {
         return (text.replace("$MASS", "node.w"), Vec::new());
     }
     (include_str!("wgsl/own.wgsl").to_owned() + &text.replace("$MASS", "own_mass(g, n, node)"), vec![RIMS, OWN])
@@ -518,6 +575,15 @@ fn of_own_mass(kernels: &Kernels, text: &str) -> (String, Vec<Use>) {
 /// Vectors of four that hold a world's material parameters.
 pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
     plan.materials.iter().map(|m| m.parameters.len()).sum::<usize>().div_ceil(4).max(1)
+}
+
+/// What couplings' laws read, so many vectors for each world.
+fn coupling_table(worlds: [usize; 2], vectors: usize) -> String {
+    let (space, all, first) = table_of_worlds(worlds, vectors);
+    format!(
+        "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {all}>;\n\
+         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n"
+    )
 }
 
 /// A table of so many vectors for each world: the address space, which holds many only as storage; vectors in all; and what leads to

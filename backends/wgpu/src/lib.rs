@@ -13,6 +13,7 @@ mod archive;
 mod batch;
 mod contact;
 pub mod device;
+mod free;
 mod kernels;
 mod layout;
 pub mod material;

@@ -1,7 +1,7 @@
 //! Buffers on the device, and what fits into them.
 
 use crate::device::Gpu;
-use crate::kernels::{FIRST_BINDING, Found, Kernel, Role, Sorted, Uniform};
+use crate::kernels::{FIRST_BINDING, Found, Free, Kernel, Role, Sorted, Uniform};
 use crate::layout::{ENTRY, RECORD};
 use crate::sleep::WATCHED;
 use crate::soft::WORDS as SOFT_WORDS;
@@ -19,8 +19,9 @@ const PER_STEP: usize = 4;
 /// Steps that one submission can take, and those of the finest level in them.
 pub(crate) const MAX_STEPS: usize = 128;
 pub(crate) const MAX_SLOTS: usize = 256;
-/// Constants of steps in a submission: those of steps and sorts; subcycled, of what begins and what ends with each slot.
-const STEP_SLOTS: u64 = 4 * MAX_SLOTS as u64;
+/// Constants of steps in a submission: those of steps and sorts; subcycled, of what begins and what ends with each slot, and of free bodies that
+/// coarser levels meet on their own.
+const STEP_SLOTS: u64 = 6 * MAX_SLOTS as u64;
 /// Bytes from one step's constants to the next.
 pub(crate) const STEP_STRIDE: u64 = 256;
 /// Workgroups in a row of a dispatch.
@@ -28,6 +29,10 @@ const ROW: u32 = 32_768;
 
 /// Vectors of a body in a step; see `contact.wgsl`.
 pub(crate) const BODY: u64 = 9;
+/// Vectors of a free body that stay during a submission, of its state before a slot, and of a touch; see `lent.wgsl`.
+pub(crate) const LENT: usize = 10;
+pub(crate) const STATE: usize = 7;
+const TOUCH: usize = 3;
 /// Vectors of a block of nodes that goes to the host; see `gather.wgsl`.
 pub(crate) const NEAR_BLOCK: usize = 65;
 
@@ -36,6 +41,7 @@ pub(crate) const NEAR_BLOCK: usize = 65;
 pub(crate) struct Asked {
     pub(crate) pairs: bool,
     pub(crate) bodies: usize,
+    pub(crate) free: Free,
     pub(crate) layers: usize,
     pub(crate) worlds: usize,
     /// Boxes of the regions of a world's levels.
@@ -52,6 +58,18 @@ pub(crate) struct Asked {
     /// Does ground sleep, and how many boxes of a layer are there that it does not sleep in?
     pub(crate) sleeps: bool,
     pub(crate) tools: usize,
+}
+
+impl Asked {
+    /// Free bodies of all worlds.
+    fn lent(&self) -> usize {
+        self.worlds * self.free.bodies
+    }
+}
+
+/// Bytes of the nodes inside free bodies.
+pub(crate) fn touches_bytes(free: Free, layers: usize) -> u64 {
+    16 * (layers * free.bodies * free.rooms * (1 + 64 * TOUCH)) as u64
 }
 
 /// `Extent` of `common.wgsl`.
@@ -170,7 +188,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 6] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells, Sorted::Watch];
-const SHARED: [Role; 23] = [
+const SHARED: [Role; 26] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -184,6 +202,9 @@ const SHARED: [Role; 23] = [
     Role::Bodies,
     Role::Partials,
     Role::Impulses,
+    Role::Lent,
+    Role::Touches,
+    Role::TouchOrder,
     Role::Rims,
     Role::Handed,
     Role::Shared,
@@ -211,6 +232,9 @@ fn shared_name(role: Role) -> &'static str {
         Role::Bodies => "poses of bodies",
         Role::Partials => "parts of impulses",
         Role::Impulses => "impulses",
+        Role::Lent => "free bodies",
+        Role::Touches => "nodes inside free bodies",
+        Role::TouchOrder => "order of nodes inside free bodies",
         Role::Rims => "rims of levels",
         Role::Handed => "what rims hand on",
         Role::Shared => "nodes that levels share",
@@ -265,6 +289,9 @@ impl Extent {
             Role::Bodies => 16 * BODY * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
             Role::Partials => 32 * nodes * asked.bodies as u64,
             Role::Impulses => 32 * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
+            Role::Lent => 16 * (asked.lent() * (LENT + (MAX_SLOTS + 1) * STATE)) as u64,
+            Role::Touches => touches_bytes(asked.free, asked.layers),
+            Role::TouchOrder => 4 * (64 * asked.lent() * asked.free.rooms) as u64,
             Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
             Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
             Role::Tools => 16 * (1 + 2 * MAX_SLOTS * asked.layers * asked.tools) as u64,
@@ -467,12 +494,13 @@ impl Memory {
         }
     }
 
-    /// Makes room for bodies whose law runs on the device, so many in each layer, and takes in what it reads of all layers.
-    pub(crate) fn add_bodies(&mut self, gpu: &Gpu, bodies: usize, table: &[[f32; 4]]) -> Result<()> {
+    /// Makes room for bodies whose law runs on the device, so many in each layer and free ones in each world, and takes in what it reads of all
+    /// layers.
+    pub(crate) fn add_bodies(&mut self, gpu: &Gpu, bodies: usize, free: Free, table: &[[f32; 4]]) -> Result<()> {
         let buffer = self::table(gpu, "table of bodies", table.len(), self.asked.worlds);
         gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(table));
         self.table = Some(buffer);
-        self.asked.bodies = bodies;
+        (self.asked.bodies, self.asked.free) = (bodies, free);
         let extent = self.extent;
         self.grow(gpu, extent)
     }
@@ -577,6 +605,9 @@ impl Memory {
             Role::Bodies,
             Role::Partials,
             Role::Impulses,
+            Role::Lent,
+            Role::Touches,
+            Role::TouchOrder,
             Role::Rims,
             Role::Handed,
             Role::Shared,

@@ -116,6 +116,8 @@ pub(crate) struct World {
     pub(crate) reach: Option<Reach>,
     /// Where its bodies' law runs, once that is known.
     pub(crate) contact: Option<Place>,
+    /// Free bodies, if that is the device.
+    pub(crate) free: usize,
     /// Steps of the finest level in one.
     pub(crate) substeps: u32,
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
@@ -179,6 +181,7 @@ impl World {
             softs: Softs::new(softs(plan).into_iter()),
             reach: plan.terrain.clone().map(Reach::new),
             contact: None,
+            free: 0,
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,

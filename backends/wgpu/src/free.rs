@@ -1,0 +1,174 @@
+//! Free bodies that the device moves: as they are lent for a submission, and what came of it. See `lent.wgsl`.
+
+use crate::batch::{Behind, Driven, Outcome, WgpuBatch};
+use crate::kernels::Role;
+use crate::memory::{LENT, STATE};
+use barchan_core::backend::Turn;
+use barchan_core::coupling::{FreeState, Lent, Moved};
+use barchan_core::plan::TOOL_COURANT;
+use barchan_core::{Aabb, BodyState, Coupling, Result, Vec3, Wrench};
+
+/// One part of a cell, and of a rotation, in a state.
+const PLACE: f64 = 1.0 / 4_294_967_296.0;
+const ROTATION: f64 = 1.0 / 1_073_741_824.0;
+/// What rounding on the device may amount to in displacements [cells].
+const ROUNDING: f64 = 1e-4;
+/// In place of infinity [cells].
+const FAR: f64 = 1e9;
+
+/// A vector as the device reads it.
+type Words = [u32; 4];
+
+/// What happened to a free body in a step.
+#[derive(Clone, Debug)]
+pub(crate) struct Felt {
+    /// The body afterwards.
+    pub(crate) body: BodyState,
+    /// Impulse and angular impulse from the ground.
+    pub(crate) impulse: Wrench,
+}
+
+/// Where the states of so many free bodies after each of some slots stand, to be brought back.
+pub(crate) fn states(bodies: usize, slots: usize) -> Option<Behind> {
+    let of_slot = 16 * (bodies * STATE) as u64;
+    Some(Behind { role: Role::Lent, from: 16 * (bodies * LENT) as u64 + of_slot, bytes: of_slot * slots as u64 })
+}
+
+/// Parts of cells of width `h` [m] from the origin of the world; exact for what the device has come to.
+fn parts(position: Vec3, h: f64) -> [i64; 3] {
+    position.map(|x| (x / h / PLACE).round() as i64)
+}
+
+/// A state of a body, where finest cells have that width [m].
+fn state_words(state: &FreeState, h: f64) -> [Words; STATE] {
+    let [w, x, y, z] = state.rotation.map(|q| (q / ROTATION).round() as i32 as u32);
+    let real = |v: Vec3| [bits(v[0]), bits(v[1]), bits(v[2]), 0];
+    let [cell, place] = places(state.position, h);
+    let mut words = [[0; 4]; STATE];
+    (words[0], words[1], words[2]) = (cell, place, [x, y, z, w]);
+    (words[3], words[4]) = (real(state.velocity), real(state.angular_momentum));
+    words
+}
+
+/// Cell and place in it.
+fn places(position: Vec3, h: f64) -> [Words; 2] {
+    let [x, y, z] = parts(position, h);
+    [[(x >> 32) as u32, (y >> 32) as u32, (z >> 32) as u32, 0], [x as u32, y as u32, z as u32, 0]]
+}
+
+fn bits(x: f64) -> u32 {
+    (x as f32).to_bits()
+}
+
+/// What came of a body in a slot: how it is, its counts, and its impulses.
+fn read_state(words: &[Words], h: f64) -> (Moved, Wrench) {
+    let real = |v: Words| [0, 1, 2].map(|d| f64::from(f32::from_bits(v[d])));
+    let position = [0, 1, 2].map(|d| {
+        let parts = (i64::from(words[0][d] as i32) << 32) + i64::from(words[1][d]);
+        parts as f64 * PLACE * h
+    });
+    let [x, y, z, w] = words[2].map(|q| f64::from(q as i32) * ROTATION);
+    let state =
+        FreeState { position, rotation: [w, x, y, z], velocity: real(words[3]), angular_momentum: real(words[4]) };
+    let moved = Moved { state, deep_nodes: words[3][3].into(), unconverged: words[4][3].into() };
+    (moved, Wrench { force: real(words[5]), torque: real(words[6]) })
+}
+
+/// The inverse of a symmetric matrix.
+fn inverse([a, b, c]: [Vec3; 3]) -> [Vec3; 3] {
+    let cross = |u: Vec3, v: Vec3| [0, 1, 2].map(|i| u[(i + 1) % 3] * v[(i + 2) % 3] - u[(i + 2) % 3] * v[(i + 1) % 3]);
+    let rows = [cross(b, c), cross(c, a), cross(a, b)];
+    let determinant: f64 = (0..3).map(|d| a[d] * rows[0][d]).sum();
+    rows.map(|row| row.map(|x| x / determinant))
+}
+
+/// What a body is for the steps of a submission, where finest cells have width `h` and steps take `dt`.
+fn lent_words(lent: &Lent, h: f64) -> [Words; LENT] {
+    let row = |v: Vec3, last: u32| [bits(v[0]), bits(v[1]), bits(v[2]), last];
+    let [i, inverse] = [lent.inertia, inverse(lent.inertia)];
+    let end = |x: f64, inwards: f64| (x / h + inwards * ROUNDING).clamp(-FAR, FAR);
+    let [cell, place] = places(lent.state.position, h);
+    [
+        row(i[0], bits(lent.mass)),
+        row(i[1], 0),
+        row(i[2], bits(lent.extent / h)),
+        row(inverse[0], lent.body as u32),
+        row(inverse[1], bits(TOOL_COURANT * (1.0 - ROUNDING))),
+        row(inverse[2], 1),
+        row(lent.leash.min.map(|x| end(x, 1.0)), 0),
+        row(lent.leash.max.map(|x| end(x, -1.0)), 0),
+        cell,
+        place,
+    ]
+}
+
+fn common(a: Aabb, b: Aabb) -> Aabb {
+    Aabb { min: std::array::from_fn(|d| a.min[d].max(b.min[d])), max: std::array::from_fn(|d| a.max[d].min(b.max[d])) }
+}
+
+impl WgpuBatch {
+    /// Borrows the free bodies of a world for up to so many steps, on a leash that keeps its levels where they are, too; `None` if its coupling must
+    /// take the next step.
+    pub(crate) fn borrow(&self, turn: &mut Turn<'_>, dt: f64, steps: usize) -> Option<Vec<Lent>> {
+        let mut lent = turn.couplings.first_mut()?.lend(turn.time, dt, steps)?;
+        let world = &self.worlds[turn.world];
+        let softs = world.softs.boxes(self.h);
+        let coupling: &dyn Coupling = turn.couplings[0].as_ref();
+        let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
+        for one in &mut lent {
+            let of_levels =
+                world.adapt.leash(&bodies[one.body].name, &boxes[one.body], |body| softs.get(&body).copied());
+            one.leash = common(one.leash, of_levels);
+        }
+        Some(lent)
+    }
+
+    /// Tells the device which free bodies it moves, and how they are.
+    pub(crate) fn write_lent(&self, turns: &[Turn<'_>], lent: &[Vec<Lent>]) {
+        let free = self.contact.free();
+        if free == 0 {
+            return;
+        }
+        let all = self.worlds.len() * free;
+        let mut words = vec![[0; 4]; all * (LENT + STATE)];
+        for (turn, lent) in turns.iter().zip(lent) {
+            for (k, one) in (turn.world * free..).zip(lent) {
+                words[k * LENT..][..LENT].copy_from_slice(&lent_words(one, self.h));
+                words[all * LENT + k * STATE..][..STATE].copy_from_slice(&state_words(&one.state, self.h));
+            }
+        }
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Lent, 0), 0, bytemuck::cast_slice(&words));
+    }
+
+    /// Hands a world's free bodies their states after each step that is done.
+    pub(crate) fn adopt(&self, turn: &mut Turn<'_>, driven: &mut Option<Driven>, outcome: &Outcome) -> Result<()> {
+        let (Some(driven), Some(coupling)) = (driven, turn.couplings.first_mut()) else { return Ok(()) };
+        let (free, all): (usize, &[Words]) = (self.contact.free(), bytemuck::cast_slice(&outcome.lent));
+        if driven.lent.is_empty() {
+            return Ok(());
+        }
+        for s in 0..outcome.done {
+            let of_step = |b: usize| {
+                let slots = s * self.substeps..(s + 1) * self.substeps;
+                let of_slot = |slot: usize| {
+                    let at = (slot * self.worlds.len() * free + turn.world * free + b) * STATE;
+                    read_state(&all[at..at + STATE], self.h)
+                };
+                slots.map(of_slot).reduce(|(before, given), (now, more)| {
+                    let deep_nodes = before.deep_nodes + now.deep_nodes;
+                    let unconverged = before.unconverged + now.unconverged;
+                    let sum = |a: Vec3, b: Vec3| std::array::from_fn(|d| a[d] + b[d]);
+                    let impulse =
+                        Wrench { force: sum(given.force, more.force), torque: sum(given.torque, more.torque) };
+                    (Moved { deep_nodes, unconverged, ..now }, impulse)
+                })
+            };
+            let (moved, impulses): (Vec<_>, Vec<_>) = (0..driven.lent.len()).filter_map(of_step).unzip();
+            coupling.adopt(&moved)?;
+            let bodies = coupling.bodies();
+            let felt = driven.lent.iter().zip(impulses);
+            driven.moved.push(felt.map(|(lent, impulse)| Felt { body: bodies[lent.body].clone(), impulse }).collect());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,55 @@
+// Free bodies, which the device moves by itself for the steps of a submission. Lengths are in cells of the finest level but where units are given.
+//
+// For each, world by world, there stand in `lent` LENT vectors that stay: three rows of the inertia, body frame [kg m2], with mass [kg], its
+// inverse, and the extent; three rows of the inertia's inverse, with the body's number, how far a surface may move in a step, and
+// whether there is such a body; the leash: least and greatest displacement; and the cell and the place in it at the start.
+// Behind those there stand the states before each slot, and after the last: cell, and whether the host must look before the next step; place in the
+// cell, in 2^-32, and how far turning has moved the surface; rotation (x, y, z, w), in 2^-30; velocity [m/s], and nodes deep inside; angular
+// momentum [kg m2/s], and solutions that did not converge; and, in the slot before, impulse [N s] and angular impulse [N m s] from the ground.
+// All that a state holds, doubles hold, too: it does not matter how steps are cut into submissions.
+const LENT: u32 = 10u;
+const STATE: u32 = 7u;
+const WORLDS: u32 = LAYERS / LEVELS;
+const SUBSTEPS: u32 = select(1u, 1u << (LEVELS - 1u), SUBCYCLED);
+
+fn state_at(k: u32, slot: u32) -> u32 {
+    return WORLDS * FREES * LENT + (slot * WORLDS * FREES + k) * STATE;
+}
+
+// Number of the state in which levels find bodies: subcycled, coarser ones after the finest level's step.
+fn state_now() -> u32 {
+    return slot_now() + select(0u, 1u, SUBCYCLED && step.first_level > 0u);
+}
+
+fn real(v: vec4<u32>) -> vec4<f32> {
+    return bitcast<vec4<f32>>(v);
+}
+
+fn place_of(v: vec4<u32>) -> vec3<f32> {
+    return vec3<f32>(v.xyz) * 2.3283064365386963e-10;
+}
+
+fn rotation_of(v: vec4<u32>) -> vec4<f32> {
+    return vec4<f32>(bitcast<vec4<i32>>(v)) * 9.313225746154785e-10;
+}
+
+// Rows of the rotation from the body's frame to the world's.
+fn rows_of(q: vec4<f32>) -> array<vec3<f32>, 3> {
+    return array<vec3<f32>, 3>(
+        vec3<f32>(1.0 - 2.0 * (q.y * q.y + q.z * q.z), 2.0 * (q.x * q.y - q.w * q.z), 2.0 * (q.x * q.z + q.w * q.y)),
+        vec3<f32>(2.0 * (q.x * q.y + q.w * q.z), 1.0 - 2.0 * (q.x * q.x + q.z * q.z), 2.0 * (q.y * q.z - q.w * q.x)),
+        vec3<f32>(2.0 * (q.x * q.z - q.w * q.y), 2.0 * (q.y * q.z + q.w * q.x), 1.0 - 2.0 * (q.x * q.x + q.y * q.y)),
+    );
+}
+
+// Where `corner` [m] from a body is, in a level's cells from that which holds the body.
+fn in_level(cell: vec3<i32>, place: vec3<f32>, corner: vec3<f32>, level: u32, shrink: f32) -> vec3<f32> {
+    let base = cell >> vec3<u32>(level);
+    return (vec3<f32>(cell - (base << vec3<u32>(level))) + place + corner / H) * shrink;
+}
+
+// Touches: for each body, level and room for a block there stands how many nodes of the block are inside, how many of them deep, what they weigh [kg],
+// and in how many rooms there are blocks at all; then, TOUCH vectors for each, arm [m] and mass [kg], velocity [m/s] and the node with, from bit 30 on,
+// the kind of grip, normal and friction.
+const TOUCH: u32 = 3u;
+const HEADS: u32 = WORLDS * FREES * LEVELS * ROOMS;
