@@ -11,6 +11,8 @@ use barchan_wgpu::Wgpu;
 use barchan_wgpu::device::{self, Offer};
 use std::sync::Arc;
 
+#[path = "gpu/free.rs"]
+mod free;
 #[path = "gpu/sleeping.rs"]
 mod sleeping;
 

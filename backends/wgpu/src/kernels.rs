@@ -7,7 +7,7 @@ use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::scene::{Leaving, Wall};
+use barchan_core::scene::{Leaving, Motion, Wall};
 use barchan_core::{Plan, Result, Stage};
 use barchan_grid::adapt::finest_volumes;
 use barchan_grid::rest::{NEAR_TOOL, RESTED};
@@ -394,7 +394,17 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
             .map(|draft| line("every step", draft)),
     );
     if plan.has(Stage::Contact) {
-        lines.push("contact, every step: on the device for driven bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
+        lines.push("contact, every step: on the device for bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
+        if plan.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. })) {
+            let law = DeviceLaw::default();
+            let free = Free { bodies: 1, rooms: 1 };
+            let [touch, motion] = free_drafts(plan.substeps > 1, may_sleep(plan), &law, 1, [1, 1], free);
+            lines.push(line(
+                "every step with free bodies, but near walls and other bodies",
+                &Draft { groups: Groups::Near, ..touch },
+            ));
+            lines.push(line("every step with free bodies, but near walls and other bodies", &motion));
+        }
     }
     lines.extend(drafts.solve.iter().map(|draft| line("every step of a level", draft)));
     lines.extend(
