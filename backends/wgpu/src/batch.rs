@@ -222,8 +222,7 @@ impl Needs {
     fn of(law: &DeviceLaw, bodies: usize, h: f64) -> Self {
         // Blocks that a box of the bodies' extents can reach into along an axis.
         let across = |extent: &f64| (2.0 * extent / (4.0 * h)).min(1e6) as usize + 2;
-        let rooms = law.free.iter().map(|extent| across(extent).saturating_pow(3)).max().unwrap_or(0);
-        let free = Free { bodies: law.free.len(), rooms };
+        let free = Free { bodies: law.free.len(), across: law.free.iter().map(across).max().unwrap_or(0) };
         Self { bodies, vectors: law.table.len().max(1), free, driven: law.free.len() < bodies }
     }
 
@@ -234,7 +233,7 @@ impl Needs {
             vectors: self.vectors.max(other.vectors),
             free: Free {
                 bodies: self.free.bodies.max(other.free.bodies),
-                rooms: self.free.rooms.max(other.free.rooms),
+                across: self.free.across.max(other.free.across),
             },
             driven: self.driven || other.driven,
         }
@@ -1677,7 +1676,7 @@ impl WgpuBatch {
     /// Is there room on the device for what is inside so many free bodies?
     fn has_room(&self, free: Free) -> bool {
         let cap = self.gpu.limits.max_storage_buffer_binding_size.min(self.gpu.limits.max_buffer_size);
-        free.rooms <= MOST_ROOMS && touches_bytes(free, self.words().layers) <= cap
+        free.rooms(1) <= MOST_ROOMS && touches_bytes(free, self.worlds.len(), self.levels) <= cap
     }
 
     /// Teaches the device a law.

@@ -397,7 +397,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
         lines.push("contact, every step: on the device for bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
         if plan.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. })) {
             let law = DeviceLaw::default();
-            let free = Free { bodies: 1, rooms: 1 };
+            let free = Free { bodies: 1, across: 2 };
             let [touch, motion] = free_drafts(plan.substeps > 1, may_sleep(plan), &law, 1, [1, 1], free);
             lines.push(line(
                 "every step with free bodies, but near walls and other bodies",
@@ -491,11 +491,19 @@ pub(crate) fn contact(
     [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
 }
 
-/// How many free bodies there are in each world, and blocks around each of them on each level, at most.
+/// How many free bodies there are in each world, and blocks around each of them along an axis on the finest level, at most.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Free {
     pub(crate) bodies: usize,
-    pub(crate) rooms: usize,
+    pub(crate) across: usize,
+}
+
+impl Free {
+    /// Blocks around a body on all of so many levels.
+    pub(crate) fn rooms(self, levels: usize) -> usize {
+        let Some(inner) = self.across.checked_sub(2) else { return 0 };
+        (0..levels).map(|level| ((inner >> level) + 2).saturating_pow(3)).fold(0, usize::saturating_add)
+    }
 }
 
 /// Contact with free bodies, and their motion: the nodes inside, then all that each body does in a step.
@@ -517,14 +525,16 @@ fn free_drafts(
     law: &DeviceLaw,
     vectors: usize,
     [worlds, levels]: [usize; 2],
-    Free { bodies, rooms }: Free,
+    free: Free,
 ) -> [Draft; 2] {
     let lent: Use = ("lent", "vec4<u32>", Role::Lent, false);
     let touches: Use = ("touches", "vec4<u32>", Role::Touches, false);
     let order: Use = ("touch_order", "u32", Role::TouchOrder, true);
     let tools: Use = ("tools", "vec4<i32>", Role::Tools, true);
+    let (bodies, rooms) = (free.bodies, free.rooms(levels));
     let counts = format!(
-        "const FREES: u32 = {bodies}u;\nconst ROOMS: u32 = {rooms}u;\nconst NEAR_TOOL: f32 = {NEAR_TOOL:?};\n{}",
+        "const FREES: u32 = {bodies}u;\nconst ACROSS: u32 = {}u;\nconst ROOMS: u32 = {rooms}u;\nconst NEAR_TOOL: f32 = {NEAR_TOOL:?};\n{}",
+        free.across,
         include_str!("wgsl/lent.wgsl")
     );
     let table = coupling_table([worlds, levels], vectors);
@@ -539,7 +549,7 @@ fn free_drafts(
     };
     let (text, own) = of_own_mass(subcycled, include_str!("wgsl/touch.wgsl"));
     let uses = [DIRECTORY, NODES, lent, written(touches), STATUS].into_iter().chain(own).collect();
-    let inside = draft("touch", "touch", &text, uses, worlds * levels * bodies * rooms);
+    let inside = draft("touch", "touch", &text, uses, worlds * bodies * rooms);
     let awake = if sleeps { include_str!("wgsl/free_awake.wgsl") } else { "" };
     let text = include_str!("wgsl/free.wgsl").replace("$STAY_AWAKE", awake);
     let uses = [GRID, written(lent), touches, order, STATUS].into_iter().chain(sleeps.then_some(tools)).collect();

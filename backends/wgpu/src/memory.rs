@@ -65,11 +65,14 @@ impl Asked {
     fn lent(&self) -> usize {
         self.worlds * self.free.bodies
     }
+    fn levels(&self) -> usize {
+        self.layers / self.worlds.max(1)
+    }
 }
 
 /// Bytes of the nodes inside free bodies.
-pub(crate) fn touches_bytes(free: Free, layers: usize) -> u64 {
-    16 * (layers * free.bodies * free.rooms * (1 + 64 * TOUCH)) as u64
+pub(crate) fn touches_bytes(free: Free, worlds: usize, levels: usize) -> u64 {
+    16 * (worlds * free.bodies * free.rooms(levels) * (1 + 64 * TOUCH)) as u64
 }
 
 /// `Extent` of `common.wgsl`.
@@ -290,8 +293,8 @@ impl Extent {
             Role::Partials => 32 * nodes * asked.bodies as u64,
             Role::Impulses => 32 * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
             Role::Lent => 16 * (asked.lent() * (LENT + (MAX_SLOTS + 1) * STATE)) as u64,
-            Role::Touches => touches_bytes(asked.free, asked.layers),
-            Role::TouchOrder => 4 * (64 * asked.lent() * asked.free.rooms) as u64,
+            Role::Touches => touches_bytes(asked.free, asked.worlds, asked.levels()),
+            Role::TouchOrder => 4 * (64 * asked.lent() * asked.free.rooms(asked.levels())) as u64,
             Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
             Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
             Role::Tools => 16 * (1 + 2 * MAX_SLOTS * asked.layers * asked.tools) as u64,

@@ -27,6 +27,10 @@ const FOUND: u32 = 4u * COLUMNS;
 struct Touch { arm: vec3<f32>, mass: f32, velocity: vec3<f32>, node: u32, grip: CouplingGrip }
 struct Twist { linear: vec3<f32>, angular: vec3<f32> }
 
+// Touches that a thread keeps at hand.
+const KEPT: u32 = 4u;
+var<private> kept_touches: array<Touch, KEPT>;
+
 var<workgroup> go: u32;
 var<workgroup> columns: array<vec4<f32>, 780>;
 var<workgroup> parts: array<f32, 192>;
@@ -39,11 +43,15 @@ var<workgroup> weight: f32;
 var<workgroup> greatest: atomic<u32>;
 // The body: mass [kg] and inertia [kg m2], world frame; its twist without the contact at hand, and in the iteration.
 var<workgroup> body_mass: f32;
-var<workgroup> inertia: mat3x3<f32>;
+var<workgroup> inertia: array<f32, 9>;
 var<workgroup> free: Twist;
 var<workgroup> frozen: Twist;
 var<workgroup> met: Twist;
-// What the first thread alone knows: angular momentum, impulses in the slot, and counts.
+// What is left to the twist without contact, and what is out of balance [N s, N m s].
+var<workgroup> lag: array<f32, 6>;
+var<workgroup> missing: array<f32, 6>;
+// What the first thread alone knows: the inertia's inverse, body frame [1/(kg m2)], angular momentum, impulses in the slot, and counts.
+var<private> inverse: mat3x3<f32>;
 var<private> momentum: vec3<f32>;
 var<private> impulse: vec3<f32>;
 var<private> angular_impulse: vec3<f32>;
@@ -55,17 +63,23 @@ fn velocity_of(twist: Twist, arm: vec3<f32>) -> vec3<f32> {
     return twist.linear + cross(twist.angular, arm);
 }
 
-// A tensor of the body's frame, whose rows begin at a vector, in the world's.
-fn seen_from_world(at: u32, q: vec4<f32>) -> mat3x3<f32> {
+// A tensor of the body's frame, whose rows begin at a vector.
+fn tensor_at(at: u32) -> mat3x3<f32> {
+    return mat3x3<f32>(real(lent[at]).xyz, real(lent[at + 1u]).xyz, real(lent[at + 2u]).xyz);
+}
+
+// The same in the world's frame.
+fn seen_from_world(tensor: mat3x3<f32>, q: vec4<f32>) -> mat3x3<f32> {
     let rows = rows_of(q);
     let back = mat3x3<f32>(rows[0], rows[1], rows[2]);
-    let tensor = mat3x3<f32>(real(lent[at]).xyz, real(lent[at + 1u]).xyz, real(lent[at + 2u]).xyz);
     return transpose(back) * tensor * back;
 }
 
 // The angular velocity that the angular momentum makes at a rotation.
-fn spin(k: u32, q: vec4<f32>) -> vec3<f32> {
-    return seen_from_world(k * LENT + 3u, q) * momentum;
+fn spin(q: vec4<f32>) -> vec3<f32> {
+    let rows = rows_of(q);
+    let back = mat3x3<f32>(rows[0], rows[1], rows[2]);
+    return (inverse * (back * momentum)) * back;
 }
 
 // What turning by `angle` [rad] adds to a rotation.
@@ -95,9 +109,15 @@ fn begin(k: u32) -> u32 {
     }
     let q = rotation_of(lent[at + 2u]);
     body_mass = real(lent[k * LENT]).w;
-    inertia = seen_from_world(k * LENT, q);
+    let tensor = seen_from_world(tensor_at(k * LENT), q);
+    for (var j = 0u; j < 3u; j++) {
+        inertia[j] = tensor[0][j];
+        inertia[3u + j] = tensor[1][j];
+        inertia[6u + j] = tensor[2][j];
+    }
+    inverse = tensor_at(k * LENT + 3u);
     momentum = real(lent[at + 4u]).xyz;
-    free = Twist(real(lent[at + 3u]).xyz, spin(k, q));
+    free = Twist(real(lent[at + 3u]).xyz, spin(q));
     if is_first {
         var gravity = step.gravity;
         if GRAVITY_GROWS {
@@ -131,7 +151,11 @@ fn move_on(k: u32, at: u32, next: u32) {
     // The angular velocity half-way, by the implicit midpoint rule: each round gains a factor |w| dt / 2.
     var angular = free.angular;
     for (var again = 0u; again < 4u; again++) {
-        angular = spin(k, q + turning(q, 0.5 * step.dt * angular));
+        let before = angular;
+        angular = spin(q + turning(q, 0.5 * step.dt * angular));
+        if all(abs(angular - before) <= 1e-7 * abs(before)) {
+            break;
+        }
     }
     let turned = turning(q, step.dt * angular) + q * (0.5 - 0.5 * dot(q, q));
     lent[next + 2u] = lent[at + 2u] + bitcast<vec4<u32>>(vec4<i32>(round(turned * 1073741824.0)));
@@ -233,13 +257,21 @@ fn touch_at(k: u32, i: u32) -> Touch {
     return Touch(arm.xyz, arm.w, real(how).xyz, how.w & 0x3fffffffu, CouplingGrip(how.w >> 30u, grip.xyz, grip.w, false));
 }
 
+// The same, of which each thread keeps its first ones.
+fn touch_of(k: u32, i: u32) -> Touch {
+    if i < 256u * KEPT {
+        return kept_touches[i / 256u];
+    }
+    return touch_at(k, i);
+}
+
 // What the nodes give at the frozen twist, and G_iT m_i D G_i with D the law's derivative or its secant, summed: the columns of the 6 x 6 matrix,
 // upper and lower half; and, as fourth components, the six of the impulse, the sum of impulses' sizes [N s], and how many nodes slide.
 fn assemble(k: u32, count: u32, tangent: bool, thread: u32) {
     var own: array<vec4<f32>, COLUMNS>;
     let twist = frozen;
     for (var i = thread; i < count; i += 256u) {
-        let touch = touch_at(k, i);
+        let touch = touch_of(k, i);
         let u = touch.velocity - velocity_of(twist, touch.arm);
         let hold = coupling_hold(touch.grip, u);
         if !hold.held {
@@ -281,23 +313,22 @@ fn assemble(k: u32, count: u32, tangent: bool, thread: u32) {
 // An entry of the system's matrix: what nodes hold, and the body.
 fn entry(i: u32, j: u32) -> f32 {
     var own = 0.0;
-    var tensor = inertia;
     if i < 3u && i == j {
         own = body_mass;
     } else if i >= 3u && j >= 3u {
-        own = tensor[j - 3u][i - 3u];
+        own = inertia[(i - 3u) * 3u + j - 3u];
     }
     return weight * sums[(2u * j + i / 3u) * 4u + i % 3u] + own;
 }
 
 // What is out of balance at the frozen twist: an impulse, then an angular impulse.
 fn residual(i: u32) -> f32 {
-    let missing = inertia * (free.angular - frozen.angular);
-    var own = body_mass * (free.linear - frozen.linear);
+    var own = body_mass * lag[i];
     if i >= 3u {
-        own = missing;
+        let row = (i - 3u) * 3u;
+        own = inertia[row] * lag[3] + inertia[row + 1u] * lag[4] + inertia[row + 2u] * lag[5];
     }
-    return weight * sums[4u * i + 3u] + own[i % 3u];
+    return weight * sums[4u * i + 3u] + own;
 }
 
 // Solves the system by elimination, an entry a thread, scaled so that its diagonal is 1: the secant's is symmetric and positive then, and needs no pivots.
@@ -310,7 +341,8 @@ fn solve(thread: u32) {
         if j < 6u {
             matrix[thread] = entry(i, j) * scale * inverseSqrt(entry(j, j));
         } else {
-            matrix[thread] = residual(i) * scale;
+            missing[i] = residual(i);
+            matrix[thread] = missing[i] * scale;
         }
     }
     workgroupBarrier();
@@ -331,7 +363,21 @@ fn solve(thread: u32) {
 
 // Root of twice the kinetic energy of a twist of the body.
 fn energy_norm(twist: Twist) -> f32 {
-    return sqrt(body_mass * dot(twist.linear, twist.linear) + dot(twist.angular, inertia * twist.angular));
+    let w = twist.angular;
+    let turning = vec3<f32>(
+        dot(vec3<f32>(inertia[0], inertia[1], inertia[2]), w),
+        dot(vec3<f32>(inertia[3], inertia[4], inertia[5]), w),
+        dot(vec3<f32>(inertia[6], inertia[7], inertia[8]), w),
+    );
+    return sqrt(body_mass * dot(twist.linear, twist.linear) + dot(w, turning));
+}
+
+// Goes on from a twist.
+fn freeze(twist: Twist) {
+    frozen = twist;
+    let linear = free.linear - twist.linear;
+    let angular = free.angular - twist.angular;
+    lag = array<f32, 6>(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z);
 }
 
 // Takes the step that was found, or asks for another one.
@@ -345,7 +391,7 @@ fn decide() {
     }
     var ahead = 0.0;
     for (var i = 0u; i < 6u; i++) {
-        ahead += solution[i] * residual(i);
+        ahead += solution[i] * missing[i];
     }
     if mode == TANGENT && !(ahead >= 0.0) {
         // Such a direction is replaced by the secant's, which always leads towards balance.
@@ -365,7 +411,7 @@ fn decide() {
         mode = select(LAST, DONE, is_secant);
         return;
     }
-    frozen = moved;
+    freeze(moved);
     mode = TANGENT;
     if size <= SMALL * speed + noise {
         weight = min(HEAVIER * weight, 1.0);
@@ -374,7 +420,7 @@ fn decide() {
 
 // The body meets the nodes of a level.
 fn meet(k: u32, level: u32, thread: u32) {
-    let first_room = (k * LEVELS + level) * ROOMS;
+    let first_room = k * ROOMS + first_room_on(level);
     let count = list_touches(k, first_room, thread);
     if count == 0u {
         return;
@@ -383,9 +429,12 @@ fn meet(k: u32, level: u32, thread: u32) {
         deep_nodes += u32(total.y);
         iterations = 0u;
         mode = TANGENT;
-        frozen = free;
+        freeze(free);
         // Ground much heavier than the body is first taken as lighter: its true weight then finds the right nodes in contact.
         weight = min(LIGHT * body_mass / total.z, 1.0);
+    }
+    for (var i = thread; i < min(count, 256u * KEPT); i += 256u) {
+        kept_touches[i / 256u] = touch_at(k, i);
     }
     // A step more for each direction that is replaced, and the last.
     for (var turn = 0u; turn < 2u * MAX_ITERATIONS + 1u; turn++) {
@@ -403,7 +452,7 @@ fn meet(k: u32, level: u32, thread: u32) {
     let at_last = frozen;
     let surface = met;
     for (var i = thread; i < count; i += 256u) {
-        let touch = touch_at(k, i);
+        let touch = touch_of(k, i);
         let hold = coupling_hold(touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
         if !hold.held {
             continue;
@@ -426,7 +475,7 @@ fn meet(k: u32, level: u32, thread: u32) {
         angular_impulse += turns;
         momentum += turns;
         free.linear += given / body_mass;
-        free.angular = spin(k, rotation_of(lent[state_at(k, state_now()) + 2u]));
+        free.angular = spin(rotation_of(lent[state_at(k, state_now()) + 2u]));
         atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&greatest));
         if LAYERS > 1u {
             atomicMax(&status[greatest_word(step.number)], atomicLoad(&greatest));

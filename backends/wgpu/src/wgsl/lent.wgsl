@@ -52,4 +52,18 @@ fn in_level(cell: vec3<i32>, place: vec3<f32>, corner: vec3<f32>, level: u32, sh
 // and in how many rooms there are blocks at all; then, TOUCH vectors for each, arm [m] and mass [kg], velocity [m/s] and the node with, from bit 30 on,
 // the kind of grip, normal and friction.
 const TOUCH: u32 = 3u;
-const HEADS: u32 = WORLDS * FREES * LEVELS * ROOMS;
+const HEADS: u32 = WORLDS * FREES * ROOMS;
+
+// Rooms of a body on a level, and on finer ones.
+fn rooms_on(level: u32) -> u32 {
+    let across = ((ACROSS - 2u) >> level) + 2u;
+    return across * across * across;
+}
+
+fn first_room_on(level: u32) -> u32 {
+    var first = 0u;
+    for (var l = 0u; l < level; l++) {
+        first += rooms_on(l);
+    }
+    return first;
+}

@@ -1,4 +1,4 @@
-// Nodes inside free bodies. Around each body there are ROOMS rooms for blocks of each level, a workgroup each, which lists its block's nodes in their
+// Nodes inside free bodies. Around each body there are ROOMS rooms for blocks of all levels, finest first, a workgroup each, which lists its block's nodes in their
 // order.
 var<workgroup> go: u32;
 var<workgroup> layer: u32;
@@ -24,7 +24,7 @@ fn find_block(k: u32, level: u32, room: u32) {
     let high = base + vec3<i32>(floor(in_level(cell, place, corners[1], level, shrink) - 0.5));
     let first_block = low >> vec3<u32>(2u);
     let count = max((high >> vec3<u32>(2u)) - first_block + vec3<i32>(1), vec3<i32>(0));
-    rooms = min(u32(count.x * count.y * count.z), ROOMS);
+    rooms = min(u32(count.x * count.y * count.z), rooms_on(level));
     least = low;
     most = high;
     block = NONE;
@@ -43,15 +43,20 @@ fn find_block(k: u32, level: u32, room: u32) {
 @compute @workgroup_size(64)
 fn touch(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
     let w = group.y * extent.row + group.x;
-    let k = w / (ROOMS * LEVELS);
-    let level = (w / ROOMS) % LEVELS;
+    let k = w / ROOMS;
+    var level = 0u;
+    var room = w % ROOMS;
+    while room >= rooms_on(level) {
+        room -= rooms_on(level);
+        level++;
+    }
     if n == 0u {
         go = 0u;
         layer_now = min(k / FREES, WORLDS - 1u) * LEVELS + level;
         layer = layer_now;
         if atomicLoad(&status[HALTED]) == 0u && k < WORLDS * FREES && is_live(layer_now) && lent[k * LENT + 5u].w != 0u {
             go = 1u;
-            find_block(k, level, w % ROOMS);
+            find_block(k, level, room);
         }
     }
     if workgroupUniformLoad(&go) == 0u {
