@@ -41,6 +41,9 @@ var<workgroup> total: vec4<f32>;
 var<workgroup> mode: u32;
 var<workgroup> weight: f32;
 var<workgroup> greatest: atomic<u32>;
+// Touches on each level.
+var<workgroup> on_level: array<atomic<u32>, LEVELS>;
+var<workgroup> met_levels: u32;
 // The body: mass [kg] and inertia [kg m2], world frame; its twist without the contact at hand, and in the iteration.
 var<workgroup> body_mass: f32;
 var<workgroup> inertia: array<f32, 9>;
@@ -209,6 +212,28 @@ fn sum_up(thread: u32, own: array<vec4<f32>, COLUMNS>) {
         sums[thread] = parts[thread] + parts[FOUND + thread] + parts[2u * FOUND + thread] + parts[3u * FOUND + thread];
     }
     workgroupBarrier();
+}
+
+// Which levels there are touches on, as bits: all of them are asked for at once.
+fn levels_touched(k: u32, first_level: u32, end_level: u32, thread: u32) -> u32 {
+    for (var level = first_level; level < end_level; level++) {
+        let first_room = k * ROOMS + first_room_on(level);
+        let rooms = touches[first_room].w;
+        var count = 0u;
+        for (var r = thread; r < rooms; r += 256u) {
+            count += touches[first_room + r].x;
+        }
+        if count > 0u {
+            atomicAdd(&on_level[level], count);
+        }
+    }
+    workgroupBarrier();
+    if thread == 0u {
+        for (var level = first_level; level < end_level; level++) {
+            met_levels |= select(0u, 1u << level, atomicLoad(&on_level[level]) > 0u);
+        }
+    }
+    return workgroupUniformLoad(&met_levels);
 }
 
 // Lists the touches of a level in the order of rooms. Returns how many there are.
@@ -422,9 +447,6 @@ fn decide() {
 fn meet(k: u32, level: u32, thread: u32) {
     let first_room = k * ROOMS + first_room_on(level);
     let count = list_touches(k, first_room, thread);
-    if count == 0u {
-        return;
-    }
     if thread == 0u {
         deep_nodes += u32(total.y);
         iterations = 0u;
@@ -503,9 +525,12 @@ fn free_bodies(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         first_level = step.first_level;
         end_level = min(step.end_level, LEVELS);
     }
+    let touched = levels_touched(k, first_level, end_level, thread);
     for (var level = first_level; level < end_level; level++) {
-        layer_now = k / FREES * LEVELS + level;
-        meet(k, level, thread);
+        if (touched & (1u << level)) != 0u {
+            layer_now = k / FREES * LEVELS + level;
+            meet(k, level, thread);
+        }
     }
     if thread == 0u {
         layer_now = k / FREES * LEVELS;
