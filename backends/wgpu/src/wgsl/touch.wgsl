@@ -62,6 +62,7 @@ fn touch(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
+    // By way of memory also where there is one layer only: Mesa 22.3 fails to compile an index of `layers` that it can tell in advance.
     layer_now = workgroupUniformLoad(&layer);
     let g = workgroupUniformLoad(&block);
     if g == NONE {
