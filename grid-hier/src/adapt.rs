@@ -333,6 +333,11 @@ impl Adapt {
         self.widths.len() > 1 && self.regions.clone().follow(&agent_bounds(&self.agents, couplings, soft))
     }
 
+    /// Do levels follow a coupling's body? Then nothing coarser than the finest comes near it.
+    pub fn follows(&self, name: &str) -> bool {
+        self.agents.contains(&Agent::Rigid(name.to_owned()))
+    }
+
     /// How far a coupling's body, with those bounds, may move along each axis before boxes have to move after it [m].
     pub fn leash(&self, name: &str, bounds: &Aabb, soft: impl Fn(u16) -> Option<Aabb>) -> Aabb {
         let is_here = |agent: &&Agent| !matches!(agent, Agent::Soft(body) if soft(*body).is_none());

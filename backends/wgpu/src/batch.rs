@@ -301,6 +301,8 @@ pub(crate) struct Passes<'a> {
     /// Number of the step under way, and gravity when it has grown [m/s²].
     number: usize,
     gravity: Vec3,
+    /// May free bodies come near coarser levels?
+    roams: bool,
     pub(crate) constants: Vec<StepConstants>,
     pub(crate) dispatches: Vec<Dispatch<'a>>,
 }
@@ -312,7 +314,8 @@ impl<'a> Passes<'a> {
         [levels, now]: [usize; 2],
         (h, gravity): (f64, Vec3),
     ) -> Self {
-        Self { kernels, contact, levels, h, now, number: 0, gravity, constants: Vec::new(), dispatches: Vec::new() }
+        let (constants, dispatches) = (Vec::new(), Vec::new());
+        Self { kernels, contact, levels, h, now, number: 0, gravity, roams: true, constants, dispatches }
     }
 
     /// The constants of a step of `dt` of all levels.
@@ -382,8 +385,9 @@ impl<'a> Passes<'a> {
         let (each, ending) = (dt / self.substeps(), ending(self.levels, slot));
         let [driven, free] = self.contact;
         if !free.is_empty() {
-            // The finest level meets free bodies where they were, coarser ones where they have come.
-            for levels in [0..1, 1..ending.end].into_iter().filter(|levels| !levels.is_empty()) {
+            // The finest level meets free bodies where they were, coarser ones where they have come, if they come near any.
+            let coarser = if self.roams { 1..ending.end } else { 1..1 };
+            for levels in [0..1, coarser].into_iter().filter(|levels| !levels.is_empty()) {
                 let step = self.constants_of(each, levels, first + slot);
                 self.run(step, free);
             }
@@ -805,6 +809,7 @@ impl WgpuBatch {
         let contact: [&[Kernel]; 2] = if is_felt { self.contact.on_device() } else { [&[], &[]] };
         let free = if is_felt { self.contact.free() } else { 0 };
         let mut passes = Passes::new(&self.kernels, contact, [self.levels, self.memory.now], measures);
+        passes.roams = active.iter().any(|(w, _)| self.worlds[*w].roams);
         let mut parts = Vec::new();
         for stretch in stretches {
             let sorting = stretch.sort.then_some(passes.now);
@@ -1665,6 +1670,9 @@ impl WgpuBatch {
                 }
                 self.write_table(w, law.table);
                 self.worlds[w].free = law.free.len();
+                let mut bodies = couplings.iter().flat_map(|coupling| coupling.bodies());
+                let roams = |body: BodyState| !self.worlds[w].adapt.follows(&body.name);
+                self.worlds[w].roams = bodies.any(roams);
                 place = Place::Device;
             }
         }

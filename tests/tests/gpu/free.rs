@@ -72,19 +72,30 @@ fn a_free_body_gets_what_the_ground_loses() {
     }
 }
 
-/// A cube that drops into sand and slides, with levels and steps of their own or without: where it comes to is where it comes to on the CPU, and the
-/// same bits come of many steps at once and of single ones.
+/// A cube that drops into sand and slides, with levels and steps of their own or without, followed by them or on coarse ground: where it comes to is
+/// where it comes to on the CPU, and the same bits come of many steps at once and of single ones. Levels that follow it keep coarser ones
+/// away from it, which are not asked about it then.
 #[test]
 fn a_cube_slides_on_sand_as_on_the_cpu() {
     let h = 0.02;
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
-    let levels = "[levels]\ncount = 2\nhalf = 8\nagents = [\"cube\"]\n";
-    for (levels, step) in [("", 2.5e-4), (levels, 2.5e-4), (&format!("{levels}subcycle = true\n"), 5e-4)] {
+    let levels = |agent: &str, more: &str| format!("[levels]\ncount = 2\nhalf = 8\nagents = [\"{agent}\"]\n{more}");
+    let cases = [
+        (String::new(), 2.5e-4),
+        (levels("cube", ""), 2.5e-4),
+        (levels("cube", "subcycle = true\n"), 5e-4),
+        (levels("ball", "subcycle = true\n"), 5e-4),
+    ];
+    for (levels, step) in cases {
+        let is_coarse = levels.contains("ball");
+        // In the air.
+        let ball = tool("ball", [0.56, 0.24, 0.2], "sphere = { radius = 0.02 }", FRICTION, "{ free = { mass = 0.1 } }");
+        let ball = if is_coarse { ball } else { String::new() };
         let head = Head::cells(h, [32, 16, 16], walls).time(format!("step = {step}"));
         let toml = head.with(&[
             material("sand", 1500.0, "young_modulus = 2e5, poisson_ratio = 0.2, friction_angle_deg = 35"),
             block("sand", [0.0; 3], [0.64, 0.32, 0.1], ""),
-            levels.to_owned(),
+            levels.clone(),
             tool(
                 "cube",
                 [0.2, 0.16, 0.142],
@@ -92,6 +103,7 @@ fn a_cube_slides_on_sand_as_on_the_cpu() {
                 FRICTION,
                 "{ free = { mass = 0.6, linear = [0.8, 0.0, -0.3], angular = [0.0, 0.0, 2.0] } }",
             ),
+            ball,
         ]);
         let (mut g, mut single, mut c) = (gpu(&toml), gpu(&toml), cpu(&toml));
         let steps = (0.05 / step) as usize;
@@ -101,6 +113,9 @@ fn a_cube_slides_on_sand_as_on_the_cpu() {
         println!("{levels}{:?}\n{:?}", g.bodies()[0], c.bodies()[0]);
         let [on_device, on_host] = steps_on_device_and_host(&g);
         assert!(on_device >= steps as u64 && on_host == 0, "{on_device} {on_host}");
+        let passes = |name: &str| g.timings().iter().find(|t| t.effect == name).map_or(0, |timing| timing.passes);
+        let of_levels = if is_coarse { 3 * passes("solve") / 2 } else { passes("grid") };
+        assert_eq!(on_device, of_levels, "{levels}");
         assert!(super::left(&g) == super::left(&single), "many steps at once are something else");
         within("place of the cube, in cells", off(g.bodies()[0].position, c.bodies()[0].position) / h, 1e-4);
         within("velocity of the cube [m/s]", off(g.bodies()[0].velocity, c.bodies()[0].velocity), 1e-4);
