@@ -67,6 +67,14 @@ impl Aabb {
             max: std::array::from_fn(|d| self.max[d].max(other.max[d])),
         }
     }
+    /// What both hold; its ends are the wrong way round where they share nothing.
+    #[must_use]
+    pub fn intersection(&self, other: &Self) -> Self {
+        Self {
+            min: std::array::from_fn(|d| self.min[d].max(other.min[d])),
+            max: std::array::from_fn(|d| self.max[d].min(other.max[d])),
+        }
+    }
 }
 
 /// Grid nodes near a coupling's bodies, in the backend's fixed order.

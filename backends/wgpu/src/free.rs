@@ -6,7 +6,7 @@ use crate::memory::{LENT, STATE};
 use barchan_core::backend::Turn;
 use barchan_core::coupling::{FreeState, Lent, Moved};
 use barchan_core::plan::TOOL_COURANT;
-use barchan_core::{Aabb, BodyState, Coupling, Result, Vec3, Wrench};
+use barchan_core::{BodyState, Coupling, Result, Vec3, Wrench};
 
 /// One part of a cell, and of a rotation, in a state.
 const PLACE: f64 = 1.0 / 4_294_967_296.0;
@@ -102,10 +102,6 @@ fn lent_words(lent: &Lent, h: f64) -> [Words; LENT] {
     ]
 }
 
-fn common(a: Aabb, b: Aabb) -> Aabb {
-    Aabb { min: std::array::from_fn(|d| a.min[d].max(b.min[d])), max: std::array::from_fn(|d| a.max[d].min(b.max[d])) }
-}
-
 impl WgpuBatch {
     /// Borrows the free bodies of a world for up to so many steps, on a leash that keeps its levels where they are, too; `None` if its coupling must
     /// take the next step.
@@ -118,7 +114,7 @@ impl WgpuBatch {
         for one in &mut lent {
             let of_levels =
                 world.adapt.leash(&bodies[one.body].name, &boxes[one.body], |body| softs.get(&body).copied());
-            one.leash = common(one.leash, of_levels);
+            one.leash = one.leash.intersection(&of_levels);
         }
         Some(lent)
     }

@@ -1035,7 +1035,7 @@ fn hand_on() -> &'static str {
     concat!(
         include_str!("wgsl/handed.wgsl"),
         include_str!("wgsl/hand_on.wgsl"),
-        include_str!("wgsl/parents_behind.wgsl"),
+        include_str!("wgsl/behind.wgsl"),
         include_str!("wgsl/wall.wgsl")
     )
 }
@@ -1068,7 +1068,7 @@ fn prolong() -> Draft {
         entry: "prolong",
         body: [
             include_str!("wgsl/prolong.wgsl"),
-            include_str!("wgsl/parents_behind.wgsl"),
+            include_str!("wgsl/behind.wgsl"),
             include_str!("wgsl/velocity_at.wgsl"),
             include_str!("wgsl/wall.wgsl"),
             include_str!("wgsl/prolong_alone.wgsl"),
@@ -1220,7 +1220,7 @@ fn solve() -> Draft {
             include_str!("wgsl/handed_to.wgsl"),
             SHARED_NODES,
             include_str!("wgsl/prolong.wgsl"),
-            include_str!("wgsl/parents_behind.wgsl"),
+            include_str!("wgsl/behind.wgsl"),
             include_str!("wgsl/wall.wgsl"),
             include_str!("wgsl/solve.wgsl"),
         ]
@@ -1622,7 +1622,6 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         include_str!("wgsl/listed.wgsl"),
         include_str!("wgsl/reaches_wall.wgsl"),
         include_str!("wgsl/behind.wgsl"),
-        include_str!("wgsl/parents_behind.wgsl"),
         helpers,
     ]
     .concat()

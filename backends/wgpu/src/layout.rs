@@ -237,12 +237,11 @@ impl Planes {
             return Err(refuse(format!("a particle has the number {id}, which is {} or greater", 1u64 << 32)));
         }
         let seats = homes.seats();
-        let particle = |&(q, seat): &(usize, (Block, usize))| {
+        let particle = |(q, seat): (usize, (Block, usize))| {
             let (l, i) = homes.order[q];
             Ours { list: &lists[l], i, seat, planned: &materials[l] }
         };
-        let all: Vec<Ours<'_>> =
-            seats.into_par_iter().enumerate().with_min_len(FEW).map(|seat| particle(&seat)).collect();
+        let all: Vec<Ours<'_>> = seats.into_par_iter().enumerate().with_min_len(FEW).map(particle).collect();
         let mut planes = Self {
             record: vec![[0; 4]; RECORD * slots],
             ids: vec![[0; 2]; slots],

@@ -308,6 +308,11 @@ fn is_slow_enough(speed: f32) -> bool {
     return SUBCYCLED || speed * step.dt_per_h <= NODE_MOVE;
 }
 
+// Place of a node in its block, by its number.
+fn local_of(n: u32) -> vec3<i32> {
+    return vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+}
+
 fn offset_of(n: u32) -> vec3<i32> {
     return vec3<i32>(i32(n / 9u), i32((n / 3u) % 3u), i32(n % 3u)) - vec3<i32>(1);
 }

@@ -29,7 +29,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     layer_now = workgroupUniformLoad(&layer);
     let width = H / shrink_of(layer_now);
     let first = lists[(extent.block_room + g) * ENTRY].xyz * 4;
-    let cell = first + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+    let cell = first + local_of(n);
     let node = grid[g * 64u + n];
     let mass = $MASS;
     var u = node.xyz;

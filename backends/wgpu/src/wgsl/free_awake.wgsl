@@ -3,11 +3,12 @@
     let first_box = 1u + 2u * ((slot_now() + 1u) * LAYERS + layer_now) * u32(tools[0].x);
     if first_box < arrayLength(&tools) {
         let corners = coupling_box(number, rows_of(rotation_of(lent[next + 2u])), H);
+        let within = place_of(vec4<u32>(place, 0u));
         for (var level = 0u; level < LEVELS; level++) {
             let layer = layer_now + level;
             let base = cell >> vec3<u32>(level);
-            let low = in_level(cell, vec3<f32>(place) * 2.3283064365386963e-10, corners[0], level, shrink_of(layer)) - NEAR_TOOL;
-            let high = in_level(cell, vec3<f32>(place) * 2.3283064365386963e-10, corners[1], level, shrink_of(layer)) + NEAR_TOOL;
+            let low = in_level(cell, within, corners[0], level, shrink_of(layer)) - NEAR_TOOL;
+            let high = in_level(cell, within, corners[1], level, shrink_of(layer)) + NEAR_TOOL;
             let to = first_box + 2u * (level * u32(tools[0].x) + number);
             tools[to] = vec4<i32>((base + vec3<i32>(floor(low))) >> vec3<u32>(2u), 0);
             tools[to + 1u] = vec4<i32>((base + vec3<i32>(floor(high))) >> vec3<u32>(2u), 0);

@@ -19,7 +19,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     }
     let layer = u32(lists[entry].w);
     let first = lists[entry].xyz * 4;
-    let cell = first + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+    let cell = first + local_of(n);
     let node = grid[g * 64u + n];
     let mass = $MASS;
     if !(mass <= layers[layer].least) {

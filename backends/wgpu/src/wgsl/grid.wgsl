@@ -47,11 +47,6 @@ fn sum_of(tiles: Tiles, local: vec3<i32>) -> vec4<f32> {
         + of_tile(tiles.high.z, local, vec3<bool>(true, true, false)) + of_tile(tiles.high.w, local, vec3<bool>(true, true, true));
 }
 
-// Place of a node in its block.
-fn local_of(n: u32) -> vec3<i32> {
-    return vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
-}
-
 // What the tiles around a node hold for it.
 fn sum_of_tiles(entry: u32, n: u32) -> vec4<f32> {
     return sum_of(tiles_of(entry, local_of(n)), local_of(n));

@@ -10,13 +10,9 @@ var<workgroup> sums: array<vec4<f32>, 64>;
 var<workgroup> impulses: array<vec3<f32>, 64>;
 var<workgroup> is_walled: u32;
 
-fn place_of(n: u32) -> vec3<i32> {
-    return vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
-}
-
 // Brings the parent cell with the place of this thread; behind a mirror stands the image of one before it.
 fn fetch_parent_cell(layer: u32, first: vec3<i32>, n: u32) {
-    var cell = first + place_of(n);
+    var cell = first + local_of(n);
     // M becomes S M R: the signs of velocities, and of the axes that are turned round.
     var signs = vec3<f32>(1.0);
     var turned = vec3<f32>(1.0);
@@ -92,14 +88,14 @@ fn mirrored(layer: u32, first: vec3<i32>, n: u32) -> Mirrored {
     var out = Mirrored(vec4<f32>(0.0), vec3<f32>(0.0));
     let low = world_min(layer + 1u);
     let high = world_max(layer + 1u);
-    let cell = first + place_of(n);
+    let cell = first + local_of(n);
     let behind = ((LOW != vec3<u32>(0u)) & (cell < low)) | ((HIGH != vec3<u32>(0u)) & (cell >= high));
     if any(behind) {
         out.gain = -sums[n];
         return out;
     }
     for (var which = 1u; which < 8u; which++) {
-        var image = place_of(n);
+        var image = local_of(n);
         var signs = vec3<f32>(1.0);
         var exists = true;
         for (var axis = 0; axis < 3; axis++) {
@@ -125,7 +121,7 @@ fn mirrored(layer: u32, first: vec3<i32>, n: u32) -> Mirrored {
 fn hand_on(g: u32, entry: u32, n: u32, node: vec4<f32>) {
     let layer = layer_of(g);
     let first = 2 * lists[entry].xyz - vec3<i32>(1);
-    let place = place_of(n);
+    let place = local_of(n);
     fetch_parent_cell(layer, first, n);
     workgroupBarrier();
     spread(n, place.x, 16u);
@@ -142,7 +138,7 @@ fn hand_on(g: u32, entry: u32, n: u32, node: vec4<f32>) {
     var sum = of_children(place);
     // Elsewhere, walls give nothing.
     if n == 0u {
-        is_walled = u32(has_parents_behind(layer, first));
+        is_walled = u32(has_nodes_behind(layer + 1u, first));
     }
     if workgroupUniformLoad(&is_walled) != 0u {
         sums[n] = sum;

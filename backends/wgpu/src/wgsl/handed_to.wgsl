@@ -8,7 +8,7 @@ var<workgroup> givers: array<u32, 64>;
 // Finds them, a thread each.
 fn find_givers(g: u32, n: u32) {
     let finer = layer_of(g) - 1u;
-    let block = 2 * lists[(extent.block_room + g) * ENTRY].xyz - vec3<i32>(1) + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+    let block = 2 * lists[(extent.block_room + g) * ENTRY].xyz - vec3<i32>(1) + local_of(n);
     let at = place_in_box(finer, block);
     var rim = NONE;
     if at != NONE {

@@ -9,7 +9,7 @@ var<workgroup> signs: array<vec3<f32>, 64>;
 
 // Brings a parent, a thread each.
 fn fetch_parent(layer: u32, first: vec3<i32>, n: u32) {
-    var parent = first + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+    var parent = first + local_of(n);
     let low = world_min(layer);
     let high = world_max(layer);
     var turned = vec3<f32>(1.0);
@@ -30,7 +30,7 @@ fn fetch_parent(layer: u32, first: vec3<i32>, n: u32) {
 fn move_rim(g: u32, n: u32) {
     let entry = (extent.block_room + g) * ENTRY;
     if n == 0u {
-        is_walled = u32(has_parents_behind(u32(lists[entry].w), 2 * lists[entry].xyz - vec3<i32>(1)));
+        is_walled = u32(has_nodes_behind(u32(lists[entry].w) + 1u, 2 * lists[entry].xyz - vec3<i32>(1)));
     }
     fetch_parent(u32(lists[entry].w) + 1u, 2 * lists[entry].xyz - vec3<i32>(1), n);
     var impulse = vec3<f32>(0.0);
@@ -38,7 +38,7 @@ fn move_rim(g: u32, n: u32) {
     workgroupBarrier();
     // Nobody reads the velocity of nodes that weigh nothing.
     if (rims[g][n >> 5u] & (1u << (n & 31u))) != 0u && mass > 0.0 {
-        let place = vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+        let place = local_of(n);
         let near = (place >> vec3<u32>(1u)) + vec3<i32>(1);
         let far = near + select(vec3<i32>(-1), vec3<i32>(1), (place & vec3<i32>(1)) == vec3<i32>(1));
         var u = vec3<f32>(0.0);

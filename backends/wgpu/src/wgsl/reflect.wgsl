@@ -41,7 +41,7 @@ fn reflect_nodes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
         return;
     }
     let entry = (extent.block_room + g) * ENTRY;
-    let cell = lists[entry].xyz * 4 + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+    let cell = lists[entry].xyz * 4 + local_of(n);
     let image = image_of(layer_of(g), cell);
     var impulse = vec3<f32>(0.0);
     if image.is_other {

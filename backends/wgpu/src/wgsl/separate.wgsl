@@ -44,7 +44,7 @@ fn is_on(g: u32) -> u32 {
 }
 
 fn cell_of_node(g: u32, n: u32) -> vec3<i32> {
-    return lists[(extent.block_room + g) * ENTRY].xyz * 4 + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+    return lists[(extent.block_room + g) * ENTRY].xyz * 4 + local_of(n);
 }
 
 // Where what the wall gave to a pair is noted: impulse, and the image's mass, or -1 if the pair does not press.

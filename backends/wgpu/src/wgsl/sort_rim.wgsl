@@ -19,12 +19,12 @@ fn find_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     if w < atomicLoad(&status[NODE_BLOCKS]) {
         let layer = u32(lists[entry].w);
         let block = lists[entry].xyz;
-        if is_slave(layer, 4 * block + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u))) {
+        if is_slave(layer, 4 * block + local_of(n)) {
             atomicOr(&slaves[n >> 5u], 1u << (n & 31u));
         }
         $FIND
         if level_of(layer) > 0u {
-            let finer = 2 * block - vec3<i32>(1) + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+            let finer = 2 * block - vec3<i32>(1) + local_of(n);
             if hands_on(layer, finer) {
                 atomicStore(&takes, 1u);
             }
@@ -48,7 +48,7 @@ fn find_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
             let is_at_rim = any(rim.xy != vec2<u32>(0u));
             let layer = u32(lists[entry].w);
             let block = lists[entry].xyz;
-            let hands_behind = is_at_rim && has_parents_behind(layer, 2 * block - vec3<i32>(1));
+            let hands_behind = is_at_rim && has_nodes_behind(layer + 1u, 2 * block - vec3<i32>(1));
             let is_walled = hands_behind || rim.w != 0u || has_nodes_behind(layer, block * 4);
             kinds |= (u32(is_at_rim || (SUBCYCLED && rim.z != 0u)) << AT_RIM) | (u32(is_walled) << WALLED);
         }

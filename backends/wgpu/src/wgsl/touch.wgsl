@@ -73,7 +73,7 @@ fn touch(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     }
     let node = grid[g * 64u + n];
     let mass = $MASS;
-    let own = first + vec3<i32>(i32(n >> 4u), i32((n >> 2u) & 3u), i32(n & 3u));
+    let own = first + local_of(n);
     var grip = CouplingGrip(0u, vec3<f32>(0.0), 0.0, false);
     var arm = vec3<f32>(0.0);
     let at = state_at(k, state_now());
