@@ -41,7 +41,7 @@ impl WgpuBatch {
     /// Brings a world's particles to the levels where they belong, splits and merges. `before` are its regions as they were, if they
     /// have moved.
     ///
-    /// 1. The device learns where levels are, and sorts particles that have moved since they were sorted last.
+    /// 1. The device learns where levels are, and sorts particles that have moved since they were sorted last, or have never been.
     /// 2. It finds those that the round may concern.
     /// 3. The host splits, merges and moves these.
     /// 4. The device leaves out those that are gone, and sorts in those that have come.
@@ -50,8 +50,11 @@ impl WgpuBatch {
         self.settle()?;
         let candidates = self.worlds[w].adapt.candidates(before);
         self.write_regions(w, candidates);
-        if self.worlds[w].levels.iter().any(|level| level.rhythm.drift != 0.0) {
+        let have_moved = self.worlds[w].levels.iter().any(|level| level.rhythm.drift != 0.0);
+        if have_moved {
             self.worlds[w].levels.iter_mut().for_each(|level| level.rhythm.drift = f32::INFINITY);
+        }
+        if have_moved || self.unlinked {
             self.sort(w)?;
         } else {
             // Where rims are is found by sorts.

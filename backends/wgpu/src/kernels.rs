@@ -1,6 +1,7 @@
 //! The passes: their WGSL, what they bind, and their pipelines.
 
 use crate::device::Gpu;
+use crate::layout::{ROUNDS, TOGETHER};
 use crate::material;
 use crate::memory::{MAX_STEPS, NEAR_BLOCK};
 use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
@@ -714,6 +715,7 @@ fn layer_constants(plan: &Plan, worlds: usize) -> String {
     format!(
         "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\n\
          const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\n\
+         const TOGETHER: u32 = {TOGETHER}u;\nconst ROUNDS: u32 = {ROUNDS}u;\n\
          const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {most_drift:?};\n"
     )
 }
@@ -860,12 +862,14 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool) -> Draft {
             body.as_str(),
             &watch,
             if_levels(include_str!("wgsl/parent_cells.wgsl")),
+            if_levels(include_str!("wgsl/slot.wgsl")),
             if_levels(include_str!("wgsl/handed.wgsl")),
             if subcycled {
                 concat!(include_str!("wgsl/listed.wgsl"), include_str!("wgsl/blocks_now.wgsl"))
             } else {
                 ""
             },
+            include_str!("wgsl/rounds.wgsl"),
             include_str!("wgsl/reaches_wall.wgsl"),
             include_str!("wgsl/wall.wgsl"),
             include_str!("wgsl/rhythm.wgsl"),
@@ -903,7 +907,7 @@ const TILE_OR_STILL: &str = "if is_still {
 const PARENT_CELLS: &str = "
     // 6. Parent cells, for rims.
     if workgroupUniformLoad(&at_rim) != 0u {
-        sum_parent_cells(b, thread, first, stop);
+        sum_parent_cells(b, thread, count);
     }";
 
 fn each_node(text: impl Fn(usize, [usize; 3]) -> String) -> String {
@@ -939,18 +943,20 @@ struct Half {
 }
 
 impl Half {
-    /// Over the cell's own particles. The next one is fetched before the present one is added. `leaver` is done with one that is
-    /// no longer there.
+    /// Over the cell's own particles. The next one is fetched before the present one is added. `leaver` is done with one that is no
+    /// longer there.
     fn own(&self, leaver: &str) -> String {
         let each =
             |line: &dyn Fn(&str, u32) -> String| -> String { self.rows.iter().map(|(v, k)| line(v, *k)).collect() };
         let declare = each(&|v, _| format!("var next_{v} = vec4<f32>(0.0);\n"));
         let take = each(&|v, _| format!("let {v} = next_{v};\n"));
         let fetch = each(&|v, k| format!("next_{v} = bitcast<vec4<f32>>(record[vector(next, {k}u)]);\n"));
-        let fetch = format!("if next < stop {{\nnext_p = record[vector(next, 0u)];\n{fetch}}}\n");
+        let fetch = format!("if rank < count {{\nnext_p = record[vector(next, 0u)];\n{fetch}}}\n");
         format!(
-            "var next_p = vec4<u32>(0u);\n{declare}{fetch}\
-             while next < stop {{\nlet q = next;\nlet p = next_p;\n{take}next += 1u;\n{fetch}\
+            "var rank = 0u;\nvar next_p = vec4<u32>(0u);\n{declare}{fetch}\
+             while rank < count {{\nlet q = next;\nlet p = next_p;\n{take}rank += 1u;\nnext += 1u;\n\
+             if rank % TOGETHER == 0u && rank <= ROUNDS * TOGETHER {{\n\
+             next = ahead;\nahead = cells[round_at(here, round_of(rank) + u32(rank < ROUNDS * TOGETHER), own)];\n}}\n{fetch}\
              if (p.w & 511u) == home {{\n{}}} else {{ {leaver} }}\n}}\n",
             self.add
         )
@@ -1708,7 +1714,7 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         draft(
             "starts",
             "starts",
-            include_str!("wgsl/sort_starts.wgsl"),
+            concat!(include_str!("wgsl/rounds.wgsl"), include_str!("wgsl/sort_starts.wgsl")),
             vec![written(COUNTS), SUMS, STATUS],
             Groups::Blocks,
         ),
@@ -1722,7 +1728,7 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         draft(
             "rank",
             "rank",
-            include_str!("wgsl/sort_rank.wgsl"),
+            concat!(include_str!("wgsl/rounds.wgsl"), include_str!("wgsl/sort_rank.wgsl")),
             vec![COUNTS, KEYS, LOOSE, RECORD, written(ORDER), written(OWNERS), STATUS],
             Groups::ParticlesBy(128),
         ),
@@ -1800,7 +1806,11 @@ fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptDrafts {
             draft(
                 "list",
                 "list_found",
-                include_str!("wgsl/adapt_list.wgsl"),
+                concat!(
+                    include_str!("wgsl/rounds.wgsl"),
+                    include_str!("wgsl/slot.wgsl"),
+                    include_str!("wgsl/adapt_list.wgsl")
+                ),
                 vec![RECORD, LISTS, CELLS, LOOSE, SUMS, written(ORDER), next("new_record", RECORD), STATUS],
                 Groups::Blocks,
             ),
@@ -1815,7 +1825,11 @@ fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptDrafts {
         fill: draft(
             "fill",
             "fill",
-            include_str!("wgsl/adapt_fill.wgsl"),
+            concat!(
+                include_str!("wgsl/rounds.wgsl"),
+                include_str!("wgsl/slot.wgsl"),
+                include_str!("wgsl/adapt_fill.wgsl")
+            ),
             vec![LISTS, CELLS, REST, filled, STATUS],
             Groups::Blocks,
         ),

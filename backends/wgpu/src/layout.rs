@@ -14,6 +14,9 @@ pub(crate) const ENTRY: usize = 10;
 pub(crate) const MAX_LAWS: usize = 16;
 /// So many particles are not worth another thread.
 const FEW: usize = 1024;
+/// So many particles of a cell stand together, and so many times they take turns with those of their block's other cells; see `rounds.wgsl`.
+pub(crate) const TOGETHER: usize = 4;
+pub(crate) const ROUNDS: usize = 8;
 /// Particles that the sort's order can tell apart.
 const MAX_PARTICLES: usize = 1 << 28;
 
@@ -24,9 +27,9 @@ type Block = [i32; 3];
 pub(crate) struct Homes {
     /// Blocks with particles, in the order of their coordinates.
     pub(crate) blocks: Vec<Block>,
-    /// Where the particles of each cell begin, and the end.
+    /// Where the particles of each cell begin, counted cell by cell, and the end.
     pub(crate) cells: Vec<u32>,
-    /// The particle at each place: list and number.
+    /// The particle at each place of the memory: list and number.
     pub(crate) order: Vec<(usize, usize)>,
 }
 
@@ -96,16 +99,22 @@ impl Homes {
         let mut homes = Self::default();
         for block in all.chunk_by(|a, b| a.0 == b.0) {
             homes.blocks.push(block[0].0);
-            let mut at = block;
-            for cell in 0..64 {
-                homes.cells.push(homes.order.len() as u32);
-                let here = at.partition_point(|p| p.1 <= cell);
-                homes.order.extend(at[..here].iter().map(|p| (p.2, p.3)));
-                at = &at[here..];
+            let first = homes.order.len();
+            let starts = (0..64).map(|cell| (first + block.partition_point(|p| p.1 < cell)) as u32);
+            homes.cells.extend(starts);
+            homes.order.resize(first + block.len(), (0, 0));
+            for (p, slot) in block.iter().zip(slots(&homes.cells[homes.cells.len() - 64..], block.len())) {
+                homes.order[first + slot] = (p.2, p.3);
             }
         }
         homes.cells.push(homes.order.len() as u32);
         homes
+    }
+
+    /// The starts of a block's cells, and how many particles it holds.
+    fn starts(&self, block: usize) -> (&[u32], usize) {
+        let of_block = &self.cells[64 * block..=64 * block + 64];
+        (&of_block[..64], (of_block[64] - of_block[0]) as usize)
     }
 
     /// How many blocks there are whose nodes particles reach.
@@ -122,21 +131,24 @@ impl Homes {
 
     /// The home of each particle, block and cell, in the order of memory.
     fn seats(&self) -> Vec<(Block, usize)> {
-        let of_cell = |c: usize| {
-            let seat = (self.blocks[c / 64], c % 64);
-            std::iter::repeat_n(seat, (self.cells[c + 1] - self.cells[c]) as usize)
+        let of_block = |(b, block): (usize, &Block)| {
+            let (starts, count) = self.starts(b);
+            let mut seats = vec![(*block, 0); count];
+            let cells = (0..count).map(|i| starts.partition_point(|start| (start - starts[0]) as usize <= i) - 1);
+            slots(starts, count).into_iter().zip(cells).for_each(|(slot, cell)| seats[slot].1 = cell);
+            seats
         };
-        (0..64 * self.blocks.len()).flat_map(of_cell).collect()
+        self.blocks.par_iter().enumerate().flat_map_iter(of_block).collect()
     }
 
-    /// Where each particle stands, and its block, in the order of memory.
+    /// Where each particle stands, and its block, cell by cell.
     pub(crate) fn places(&self) -> Vec<(usize, Block)> {
         let of_block = |(b, block): (usize, &Block)| {
-            let here = self.cells[64 * b] as usize..self.cells[64 * b + 64] as usize;
-            let block = *block;
-            here.map(move |q| (q, block))
+            let ((starts, count), block) = (self.starts(b), *block);
+            let first = starts[0] as usize;
+            slots(starts, count).into_iter().map(move |slot| (first + slot, block))
         };
-        self.blocks.iter().enumerate().flat_map(of_block).collect()
+        self.blocks.par_iter().enumerate().flat_map_iter(of_block).collect()
     }
 
     /// Least and greatest block, if there is any.
@@ -145,6 +157,25 @@ impl Homes {
             |f: fn(i32, i32) -> i32| self.blocks.iter().copied().reduce(|a, b| std::array::from_fn(|d| f(a[d], b[d])));
         Some((least(i32::min)?, least(i32::max)?))
     }
+}
+
+/// Where the particles of a block stand, cell by cell, counted from its first one: by the starts of its cells, and how many it holds.
+fn slots(starts: &[u32], count: usize) -> Vec<usize> {
+    let first = |cell: usize| starts.get(cell).map_or(count, |start| (start - starts[0]) as usize);
+    let mut slots = vec![0; count];
+    let mut next = 0..count;
+    for round in 0..=ROUNDS {
+        if next.is_empty() {
+            break;
+        }
+        for cell in 0..64 {
+            let cell = first(cell)..first(cell + 1);
+            let begin = cell.start + TOGETHER * round;
+            let end = if round == ROUNDS { cell.end } else { cell.end.min(begin + TOGETHER) };
+            (begin..end).zip(&mut next).for_each(|(i, slot)| slots[i] = slot);
+        }
+    }
+    slots
 }
 
 /// Planes of all particles as the device holds them.
@@ -347,10 +378,13 @@ impl Planes {
     /// For each block, the particles of each cell of each list: what [`Homes::restored`] takes.
     pub(crate) fn counts(&self, homes: &Homes, lists: usize, level: usize) -> Vec<([i32; 5], Vec<u32>)> {
         let of_block = |(b, [x, y, z]): (usize, &Block)| {
+            let (starts, count) = homes.starts(b);
+            let slots = slots(starts, count);
             let mut counts = vec![0; 64 * lists];
             for cell in 0..64 {
-                for q in homes.cells[64 * b + cell]..homes.cells[64 * b + cell + 1] {
-                    counts[cell * lists + self.law(q as usize)] += 1;
+                let end = starts.get(cell + 1).map_or(count, |end| (end - starts[0]) as usize);
+                for slot in &slots[(starts[cell] - starts[0]) as usize..end] {
+                    counts[cell * lists + self.law(starts[0] as usize + slot)] += 1;
                 }
             }
             ([0, level as i32, *x, *y, *z], counts)

@@ -2,7 +2,7 @@
 
 use crate::device::Gpu;
 use crate::kernels::{FIRST_BINDING, Found, Free, Kernel, Role, Sorted, Uniform};
-use crate::layout::{ENTRY, RECORD};
+use crate::layout::{ENTRY, RECORD, ROUNDS};
 use crate::sleep::WATCHED;
 use crate::soft::WORDS as SOFT_WORDS;
 use barchan_core::{Error, Result};
@@ -260,7 +260,8 @@ impl Extent {
             Sorted::Ids => 8 * slots,
             Sorted::Rest => 16 * vectors as u64 * slots,
             Sorted::Lists => 16 * ENTRY as u64 * (blocks + u64::from(self.node_room)),
-            Sorted::Cells => 4 * (64 * blocks + 1),
+            // Starts, and those of rounds behind them.
+            Sorted::Cells => 4 * (64 * (blocks + 1) + 64 * (ROUNDS as u64 + 1) * blocks),
             Sorted::Watch if asked.sleeps => 4 * (WATCHED as u64 * blocks + u64::from(self.node_room)),
             Sorted::Watch => 0,
         }

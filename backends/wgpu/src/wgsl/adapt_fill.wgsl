@@ -8,8 +8,9 @@ fn fill(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if exists {
         let per_cell = ldexp(1.0 / (H * H * H), -3 * i32(level_of(u32(lists[b * ENTRY].w))));
         var part = 0.0;
-        for (var q = cells[b * 64u + n]; q < cells[b * 64u + n + 1u]; q++) {
-            part += rest[(REST - 1u) * extent.slots + q].w * per_cell;
+        let count = cells[b * 64u + n + 1u] - cells[b * 64u + n];
+        for (var rank = 0u; rank < count; rank++) {
+            part += rest[(REST - 1u) * extent.slots + slot_of(b, n, rank)].w * per_cell;
         }
         if part >= 0.5 {
             atomicOr(&full[n >> 5u], 1u << (n & 31u));

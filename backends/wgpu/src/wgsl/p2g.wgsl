@@ -231,9 +231,9 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     let here = min(b, extent.block_room - 1u);
     let start = cells[here * 64u];
     let end = cells[here * 64u + 64u];
-    let first = cells[here * 64u + own];
-    var next = first;
-    let stop = cells[here * 64u + own + 1u];
+    let count = cells[here * 64u + own + 1u] - cells[here * 64u + own];
+    var next = cells[round_at(here, 0u, own)];
+    var ahead = cells[round_at(here, 1u, own)];
     if thread == 0u {
         corner = lists[here * ENTRY].xyz * 4 - vec3<i32>(2);
         walled = u32(reaches_wall(layer_of_block(here), corner));
@@ -266,40 +266,46 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     workgroupBarrier();
     if thread == 0u {
         all_listed = u32(atomicLoad(&leaver_count) <= LEAVERS && end - start <= 65536u);
+        go = atomicLoad(&leaver_count);
     }
-
-    // 2. The cells outside the block that hold any, in order.
-    let halo_count = list_halo(thread);
-    if thread == 0u {
-        go = 1u + (halo_count + 63u) / 64u;
-    }
-    let batches = workgroupUniformLoad(&go);
-
-    // 3. Those that have come, to the block's own cells first; and the sums go to the tile.
-    let crowded = atomicLoad(&leaver_count) > 0u;
-    for (var batch = 0u; batch < batches; batch++) {
-        let own_number = ((own_cell.x + 1u) * 6u + own_cell.y + 1u) * 6u + own_cell.z + 1u;
-        var walk = Walk(home, own_number, 0u, start, end);
-        var on = true;
-        if batch > 0u {
-            let k = (batch - 1u) * 64u + own;
-            on = k < halo_count;
-            walk.cell = select(0u, halo_cells[min(k, 151u)], on);
-            let at = vec3<i32>(i32(walk.cell / 36u), i32((walk.cell / 6u) % 6u), i32(walk.cell % 6u)) - vec3<i32>(1);
-            walk.tag = tag_of(at);
-            $CLEAR
-        }
-        if on && crowded {
-            if part == 0u {
-                $GUESTS_XY
-            } else {
-                $GUESTS_ZM
-            }
-        }
-        let x = walk.cell / 36u;
-        let y = (walk.cell / 6u) % 6u;
-        let z = walk.cell % 6u;
+    if workgroupUniformLoad(&go) == 0u {
+        // 2. Where nobody has left, the sums go to the tile at once: apart from the loop below, in which they would have to stay in registers.
+        let x = own_cell.x + 1u;
+        let y = own_cell.y + 1u;
+        let z = own_cell.z + 1u;
+        let on = true;
         $FLUSH
+    } else {
+        // 3. Else those that have come are added, to the block's own cells first, then to the cells outside that hold any, in order.
+        let halo_count = list_halo(thread);
+        if thread == 0u {
+            go = 1u + (halo_count + 63u) / 64u;
+        }
+        let batches = workgroupUniformLoad(&go);
+        for (var batch = 0u; batch < batches; batch++) {
+            let own_number = ((own_cell.x + 1u) * 6u + own_cell.y + 1u) * 6u + own_cell.z + 1u;
+            var walk = Walk(home, own_number, 0u, start, end);
+            var on = true;
+            if batch > 0u {
+                let k = (batch - 1u) * 64u + own;
+                on = k < halo_count;
+                walk.cell = select(0u, halo_cells[min(k, 151u)], on);
+                let at = vec3<i32>(i32(walk.cell / 36u), i32((walk.cell / 6u) % 6u), i32(walk.cell % 6u)) - vec3<i32>(1);
+                walk.tag = tag_of(at);
+                $CLEAR
+            }
+            if on {
+                if part == 0u {
+                    $GUESTS_XY
+                } else {
+                    $GUESTS_ZM
+                }
+            }
+            let x = walk.cell / 36u;
+            let y = (walk.cell / 6u) % 6u;
+            let z = walk.cell % 6u;
+            $FLUSH
+        }
     }
 
     // 4. What lies behind mirrors is folded back, reflected.

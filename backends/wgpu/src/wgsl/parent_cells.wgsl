@@ -1,24 +1,25 @@
 
 // Mass and m C of a block's particles, by the parent cell (2x2x2 cells) in which they were sorted: for each of the eight, the columns of
 // m C [kg m/s a cell], with the mass behind the first. What each cell holds stands where the tile stood: the rows of m C, and mass.
-// The thread's cell has the particles from `first` on.
-fn sum_parent_cells(b: u32, thread: u32, first: u32, end: u32) {
+// The thread's cell has so many particles.
+fn sum_parent_cells(b: u32, thread: u32, count: u32) {
     let cell = thread & 63u;
     let width = H / shrink_of(layer_now);
     var sums: array<vec2<f32>, 3>;
-    // One half of the threads takes the first two rows, the other one the last, and mass. Four particles are asked for at once.
+    // One half of the threads takes the first two rows, the other one the last, and mass. Those that stand together are asked for at once.
     let is_first = thread < 64u;
-    for (var q = first; q < end; q += 4u) {
-        var masses: array<f32, 4>;
-        var rows: array<array<vec4<f32>, 2>, 4>;
-        for (var k = 0u; k < 4u; k++) {
-            let here = min(q + k, end - 1u);
+    for (var rank = 0u; rank < count; rank += TOGETHER) {
+        let q = slot_of(b, cell, rank);
+        var masses: array<f32, TOGETHER>;
+        var rows: array<array<vec4<f32>, 2>, TOGETHER>;
+        for (var k = 0u; k < TOGETHER; k++) {
+            let here = q + min(k, count - rank - 1u);
             masses[k] = bitcast<f32>(record[vector(here, 1u)].w);
             rows[k][0] = bitcast<vec4<f32>>(record[vector(here, select(4u, 2u, is_first))]);
             rows[k][1] = bitcast<vec4<f32>>(record[vector(here, select(4u, 3u, is_first))]);
         }
-        for (var k = 0u; k < 4u; k++) {
-            if q + k < end {
+        for (var k = 0u; k < TOGETHER; k++) {
+            if rank + k < count {
                 let of_mass = masses[k] * width;
                 let one = of_mass * rows[k][0].yzw;
                 let other = of_mass * rows[k][1].yzw;

@@ -18,6 +18,8 @@ fn rank(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     for (var j = first; j < last; j++) {
         before += u32(loose[j] < mine);
     }
-    order[first + before] = q | (keys[q].y & KEPT);
-    owners[first + before] = vec2<u32>(cell >> 6u, record[vector(q, 1u)].w);
+    let round = round_of(before);
+    let to = counts[round_at(cell >> 6u, round, cell & 63u)] + before - round * TOGETHER;
+    order[to] = q | (keys[q].y & KEPT);
+    owners[to] = vec2<u32>(cell >> 6u, record[vector(q, 1u)].w);
 }
