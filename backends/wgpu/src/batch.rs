@@ -558,11 +558,11 @@ impl WgpuBatch {
     pub(crate) fn new(gpu: Arc<Gpu>, worlds: Vec<NewWorld<'_>>) -> Result<Self> {
         let (plan, fixed) = check_together(&gpu, &worlds)?;
         let (count, levels) = (worlds.len(), plan.cell_widths.len());
-        let kernels = Kernels::new(&gpu, plan, count)?;
+        let particles = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum::<usize>();
+        let kernels = Kernels::new(&gpu, plan, count, particles)?;
         gpu.check()?;
         let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
         let pairs = walls.iter().flatten().any(|wall| matches!(wall, Wall::Separate { .. }));
-        let particles = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum::<usize>();
         let slots = particles.next_multiple_of(128).max(128);
         let params: Vec<_> = worlds.iter().flat_map(|world| parameters(world.plan)).collect();
         let extent = Extent {

@@ -4,7 +4,7 @@ use crate::device::Gpu;
 use crate::layout::{ROUNDS, TOGETHER};
 use crate::material;
 use crate::memory::{MAX_STEPS, NEAR_BLOCK};
-use crate::world::{OFTEN_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, most_drift};
+use crate::world::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
@@ -259,8 +259,8 @@ pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
 }
 
 impl Kernels {
-    /// The passes of a plan for so many worlds.
-    pub(crate) fn new(gpu: &Gpu, plan: &Plan, worlds: usize) -> Result<Self> {
+    /// The passes of a plan for so many worlds, which begin with so many particles in all.
+    pub(crate) fn new(gpu: &Gpu, plan: &Plan, worlds: usize, particles: usize) -> Result<Self> {
         let device = &gpu.device;
         let step_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("step"),
@@ -272,7 +272,7 @@ impl Kernels {
         let constants = constants(plan) + &layer_constants(plan, worlds);
         let make = |draft: Draft| build(device, &step_layout, &constants, worlds, draft);
         let all = |drafts: Vec<Draft>| drafts.into_iter().map(make).collect();
-        let drafts = Drafts::of(plan, worlds)?;
+        let drafts = Drafts::of(plan, worlds, particles)?;
         Ok(Self {
             sort: all(drafts.sort),
             watch: drafts.watch.map(make),
@@ -336,7 +336,7 @@ struct AdaptDrafts {
 }
 
 impl Drafts {
-    fn of(plan: &Plan, worlds: usize) -> Result<Self> {
+    fn of(plan: &Plan, worlds: usize, particles: usize) -> Result<Self> {
         let separations = separations(plan);
         let walls: Vec<Wall> = (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).collect();
         let has_walls = walls.iter().any(|w| !matches!(w, Wall::Open | Wall::Periodic));
@@ -377,7 +377,7 @@ impl Drafts {
             prolong: (levels && !subcycled).then(prolong),
             // What holding the edge takes is booked there, too.
             reflect: (has_mirrors && !mirrored || unbounded).then(|| reflect(sleeps, levels)),
-            g2p: g2p(&laws, sleeps),
+            g2p: g2p(plan, &laws, sleeps, particles),
             stress: stress(&laws),
             collect,
             soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
@@ -388,7 +388,7 @@ impl Drafts {
 
 /// The passes of a plan, a line each.
 pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
-    let drafts = Drafts::of(plan, 1)?;
+    let drafts = Drafts::of(plan, 1, plan.particle_count)?;
     let mut lines: Vec<String> = drafts.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
     lines.extend(
         (drafts.watch.iter().chain([&drafts.p2g]).chain(&drafts.restrict).chain(&drafts.grid))
@@ -657,8 +657,8 @@ fn build(
     }
     text.push_str(&draft.body);
     let mut checks = wgpu::ShaderRuntimeChecks::checked();
-    // Passes that read a table hold what plugins wrote.
-    checks.force_loop_bounding = is_table;
+    // Passes that read a table hold what plugins may have written.
+    checks.force_loop_bounding = is_table && draft.checked;
     checks.bounds_checks = draft.checked;
     let descriptor =
         wgpu::ShaderModuleDescriptor { label: Some(draft.name), source: wgpu::ShaderSource::Wgsl(text.into()) };
@@ -714,9 +714,9 @@ fn layer_constants(plan: &Plan, worlds: usize) -> String {
     let (subcycled, most_drift) = (plan.substeps > 1, most_drift(plan));
     format!(
         "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\n\
-         const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\n\
+         const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\nconst SORT_SELDOM: u32 = {SORT_SELDOM}u;\n\
          const TOGETHER: u32 = {TOGETHER}u;\nconst ROUNDS: u32 = {ROUNDS}u;\n\
-         const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {most_drift:?};\n"
+         const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst SELDOM_DRIFT: f32 = {SELDOM_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {most_drift:?};\n"
     )
 }
 
@@ -957,7 +957,9 @@ impl Half {
              while rank < count {{\nlet q = next;\nlet p = next_p;\n{take}rank += 1u;\nnext += 1u;\n\
              if rank % TOGETHER == 0u && rank <= ROUNDS * TOGETHER {{\n\
              next = ahead;\nahead = cells[round_at(here, round_of(rank) + u32(rank < ROUNDS * TOGETHER), own)];\n}}\n{fetch}\
-             if (p.w & 511u) == home {{\n{}}} else {{ {leaver} }}\n}}\n",
+             var f = fraction(p);\nvar is_here = (p.w & 511u) == home;\n\
+             if !is_here {{\nf = place_from(vec3<i32>(own_cell), p);\nis_here = is_beside(f);\n}}\n\
+             if is_here {{\n{}}} else {{ {leaver} }}\n}}\n",
             self.add
         )
     }
@@ -966,18 +968,19 @@ impl Half {
     fn guests(&self) -> String {
         let fetch = |(v, k): &(&str, u32)| format!("let {v} = bitcast<vec4<f32>>(record[vector(q, {k}u)]);\n");
         format!(
-            "for (var q = next_leaver(&walk); q != NONE; q = next_leaver(&walk)) {{\nlet p = record[vector(q, 0u)];\n{}{}}}\n",
+            "for (var q = next_leaver(&walk); q != NONE; q = next_leaver(&walk)) {{\nlet p = record[vector(q, 0u)];\n\
+             let f = fraction(p);\n{}{}}}\n",
             self.rows.iter().map(fetch).collect::<String>(),
             self.add
         )
     }
 }
 
-/// Adds a particle's momentum u as seen from each of the 27 nodes around: what it is at the first one and grows by along the axes; and
+/// Adds the momentum u of a particle at place `f` of its cell as seen from each of the 27 nodes around: what it is at the first one and grows by along the axes; and
 /// how, times a weight, it enters the node's sum.
 fn add_momentum(momentum: &str, sum: fn(&str, &str) -> String) -> String {
     let mut text = format!(
-        "let f = fraction(p);\nlet d = vec3<f32>(-0.5) - f;\n\
+        "let d = vec3<f32>(-0.5) - f;\n\
          let wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{momentum}"
     );
     for i in 0..3 {
@@ -1365,18 +1368,25 @@ fn gather() -> String {
     text
 }
 
-fn g2p(laws: &str, sleeps: bool) -> Draft {
+/// From so many particles on, G2P's threads take several each, so that workgroups start less often. For fewer the loop costs more than it saves.
+const VERY_MANY: usize = 1 << 22;
+
+/// Origin of the materials that come with the project.
+const BUILT_IN: &str = "built-in";
+
+fn g2p(plan: &Plan, laws: &str, sleeps: bool, particles: usize) -> Draft {
     // Particles of blocks asleep stay as they are. Whose they are is asked for while the first thread looks whether the step goes on: to ask for
     // the block's state next would keep all waiting (a sixth of the pass on an H200), so that the mass is marked.
     let texts = [
-        ("$OWNER", "let owner = owners[min(q, extent.particles - 1u)];"),
+        ("$OWNER", "var owner = owners[min(first + thread, extent.particles - 1u)];"),
+        ("$NEXT_OWNER", "owner = owners[min(q + 128u, extent.particles - 1u)];"),
         ("$FIRST", "first_block = owner.x;"),
         ("$IF_AWAKE", " && (owner.y & OF_SLEEPERS) == 0u"),
         ("$NOTE_SPEED", "note_speed(b, v);"),
         // The last lines tell of the first block.
         (
             "$ELSE",
-            " else if q < extent.particles && is_live(layer_now) && owner.x != first_block {\n\
+            " else if is_live(layer_now) && owner.x != first_block {\n\
              note_happened(owner.x, STEPPED);\n}",
         ),
         (
@@ -1386,7 +1396,14 @@ fn g2p(laws: &str, sleeps: bool) -> Draft {
              if atomicLoad(&greatest_move) == 0u {\nreturn;\n}",
         ),
     ];
+    let by_workgroup = if particles < VERY_MANY { 128 } else { 512 };
+    let each = if particles < VERY_MANY {
+        "let q = first + thread;\nif q < extent.particles"
+    } else {
+        "let end = min(first + BY_WORKGROUP, extent.particles);\nfor (var q = first + thread; q < end; q += 128u)"
+    };
     let body = with_sleep(sleeps, include_str!("wgsl/g2p.wgsl"), &texts).replace("$GATHER", &gather());
+    let body = format!("const BY_WORKGROUP: u32 = {by_workgroup}u;\n") + &body.replace("$EACH", each);
     let watch = if sleeps { [WATCH_WORDS, include_str!("wgsl/watch_g2p.wgsl")].concat() } else { String::new() };
     let mut uses = vec![written(RECORD), written(REST), OWNERS, LISTS, NODES, STATUS];
     uses.extend(sleeps.then_some(WATCH));
@@ -1396,8 +1413,9 @@ fn g2p(laws: &str, sleeps: bool) -> Draft {
         body: body + &watch + laws,
         uses,
         uniform: Uniform::Params,
-        groups: Groups::ParticlesBy(128),
-        checked: true,
+        groups: Groups::ParticlesBy(by_workgroup),
+        // Particles and the nodes around their blocks are those that a sort has found. What plugins wrote may ask for anything.
+        checked: plan.materials.iter().any(|m| m.material.origin != BUILT_IN),
     }
 }
 

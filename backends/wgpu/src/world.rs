@@ -20,6 +20,10 @@ use std::ops::Range;
 pub(crate) const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time [cells].
 pub(crate) const SORT_DRIFT: f32 = 0.1;
+/// Whenever so many have passed, if they may have drifted by more than [`SELDOM_DRIFT`]: few at rest cross into another cell, but whoever has costs
+/// P2G a fifth of its time in each step.
+pub(crate) const SORT_SELDOM: u32 = 160;
+pub(crate) const SELDOM_DRIFT: f32 = 0.002;
 /// Whenever so many have passed, if they may have drifted by more than [`OFTEN_DRIFT`].
 pub(crate) const SORT_OFTEN: u32 = 4;
 /// As much again in as many steps is what tiles allow for [cells].
@@ -56,6 +60,7 @@ impl Rhythm {
             || self.drift > most
             || (every(SORT_OFTEN) && self.drift > OFTEN_DRIFT)
             || (every(SORT_AGE) && self.drift > SORT_DRIFT)
+            || (every(SORT_SELDOM) && self.drift > SELDOM_DRIFT)
     }
 
     /// After a step in which particles moved by up to `moved` cells.

@@ -37,61 +37,68 @@ fn first_node(b: u32, x: u32, y: u32, z: u32) -> u32 {
     return 64u * u32(lists[b * ENTRY + 1u + (which >> 2u)][which & 3u]);
 }
 
+// Carries a particle of block `b` through the step; the bits of its greatest move along an axis [cells].
+fn carry(q: u32, b: u32) -> u32 {
+    let mass = bitcast<f32>(owners[q].y);
+    let p = record[vector(q, 0u)];
+    // Needed only later, but asked for now, so that it comes together with the nodes.
+    let held = held_by(q);
+    var cell = cell_of(p.w);
+    let f = fraction(p);
+    let wx = weights(f.x);
+    let wy = weights(f.y);
+    let wz = weights(f.z);
+    // The first of its nodes, counted from the first of the blocks around; those nodes stand in up to two blocks an axis.
+    let base = vec3<u32>(cell + vec3<i32>(3));
+    let near = base >> vec3<u32>(2u);
+    let far = (base + vec3<u32>(2u)) >> vec3<u32>(2u);
+    $GATHER
+    let per_cell = PER_CELL * shrink_of(layer_now);
+    // From the distance of each node from the middle one to that from the particle.
+    let c = mat3x3<f32>((by_x + (0.5 - f.x) * v) * per_cell, (by_y + (0.5 - f.y) * v) * per_cell, (by_z + (0.5 - f.z) * v) * per_cell);
+    record[vector(q, 2u)] = bitcast<vec4<u32>>(vec4<f32>(v.x, c[0].x, c[1].x, c[2].x));
+    record[vector(q, 3u)] = bitcast<vec4<u32>>(vec4<f32>(v.y, c[0].y, c[1].y, c[2].y));
+    record[vector(q, 4u)] = bitcast<vec4<u32>>(vec4<f32>(v.z, c[0].z, c[1].z, c[2].z));
+    $NOTE_SPEED
+
+    // The move, in counts of 2^-32 cells.
+    let by_move = v * (step.dt_per_h * shrink_of(layer_now) * steps_of(layer_now));
+    let counts = vec3<i32>(round(by_move * 4294967296.0));
+    let moved = p.xyz + bitcast<vec3<u32>>(counts);
+    let up = (counts > vec3<i32>(0)) & (moved < p.xyz);
+    let down = (counts < vec3<i32>(0)) & (moved > p.xyz);
+    cell += select(vec3<i32>(0), vec3<i32>(1), up) - select(vec3<i32>(0), vec3<i32>(1), down);
+    record[vector(q, 0u)] = vec4<u32>(moved, (p.w & 0xfffffe00u) | tag_of(clamp(cell, vec3<i32>(-2), vec3<i32>(5))));
+
+    deform(q, law_of(p.w), mass, held, c, step.dt * steps_of(layer_now));
+    return max(max(magnitude_bits(by_move.x), magnitude_bits(by_move.y)), magnitude_bits(by_move.z));
+}
+
 @compute @workgroup_size(128)
 fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let q = (group.y * extent.row + group.x) * 128u + thread;
+    let first = (group.y * extent.row + group.x) * BY_WORKGROUP;
     $OWNER
     if thread == 0u {
-        go = ready(q == 0u);
-        first_layer = layer_of(q);
+        go = ready(first == 0u);
+        first_layer = layer_of(first);
         $FIRST
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
-    layer_now = layer_of(q);
-    if q < extent.particles && is_live(layer_now)$IF_AWAKE {
-        let b = owners[q].x;
-        let mass = bitcast<f32>(owners[q].y);
-        let p = record[vector(q, 0u)];
-        // Needed only later, but asked for now, so that it comes together with the nodes.
-        let held = held_by(q);
-        var cell = cell_of(p.w);
-        let f = fraction(p);
-        let wx = weights(f.x);
-        let wy = weights(f.y);
-        let wz = weights(f.z);
-        // The first of its nodes, counted from the first of the blocks around; those nodes stand in up to two blocks an axis.
-        let base = vec3<u32>(cell + vec3<i32>(3));
-        let near = base >> vec3<u32>(2u);
-        let far = (base + vec3<u32>(2u)) >> vec3<u32>(2u);
-        $GATHER
-        let per_cell = PER_CELL * shrink_of(layer_now);
-        // From the distance of each node from the middle one to that from the particle.
-        let c = mat3x3<f32>((by_x + (0.5 - f.x) * v) * per_cell, (by_y + (0.5 - f.y) * v) * per_cell, (by_z + (0.5 - f.z) * v) * per_cell);
-        record[vector(q, 2u)] = bitcast<vec4<u32>>(vec4<f32>(v.x, c[0].x, c[1].x, c[2].x));
-        record[vector(q, 3u)] = bitcast<vec4<u32>>(vec4<f32>(v.y, c[0].y, c[1].y, c[2].y));
-        record[vector(q, 4u)] = bitcast<vec4<u32>>(vec4<f32>(v.z, c[0].z, c[1].z, c[2].z));
-        $NOTE_SPEED
-
-        // The move, in counts of 2^-32 cells.
-        let by_move = v * (step.dt_per_h * shrink_of(layer_now) * steps_of(layer_now));
-        let counts = vec3<i32>(round(by_move * 4294967296.0));
-        let moved = p.xyz + bitcast<vec3<u32>>(counts);
-        let up = (counts > vec3<i32>(0)) & (moved < p.xyz);
-        let down = (counts < vec3<i32>(0)) & (moved > p.xyz);
-        cell += select(vec3<i32>(0), vec3<i32>(1), up) - select(vec3<i32>(0), vec3<i32>(1), down);
-        record[vector(q, 0u)] = vec4<u32>(moved, (p.w & 0xfffffe00u) | tag_of(clamp(cell, vec3<i32>(-2), vec3<i32>(5))));
-
-        deform(q, law_of(p.w), mass, held, c, step.dt * steps_of(layer_now));
-        let by_most = max(max(magnitude_bits(by_move.x), magnitude_bits(by_move.y)), magnitude_bits(by_move.z));
-        // Threads that would change nothing need not queue.
-        if layer_now != first_layer {
-            atomicMax(&status[step_word(step.number, layer_now, MOVE)], by_most);
-        } else if by_most > atomicLoad(&greatest_move) {
-            atomicMax(&greatest_move, by_most);
-        }
-    }$ELSE
+    $EACH {
+        layer_now = layer_of(q);
+        if is_live(layer_now)$IF_AWAKE {
+            let by_most = carry(q, owners[q].x);
+            // Threads that would change nothing need not queue.
+            if layer_now != first_layer {
+                atomicMax(&status[step_word(step.number, layer_now, MOVE)], by_most);
+            } else if by_most > atomicLoad(&greatest_move) {
+                atomicMax(&greatest_move, by_most);
+            }
+        }$ELSE
+        $NEXT_OWNER
+    }
     workgroupBarrier();
     if thread == 0u {
         $NOTE_FIRST

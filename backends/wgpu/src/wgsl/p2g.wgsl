@@ -54,8 +54,21 @@ struct Walk {
     end: u32,
 }
 
-fn has_left(tag: u32) -> bool {
-    return (tag & 511u) != ((tag >> 16u) & 511u);
+// So far beyond its cell a particle still counts as in it, in cells: its weights are off by half the square of that, less than f32 rounds. Else
+// particles at rest between two cells would come and go.
+const BESIDE: f32 = 1.0 / 4096.0;
+
+// Where a particle is, from a cell's corner, in cells.
+fn place_from(cell: vec3<i32>, p: vec4<u32>) -> vec3<f32> {
+    return fraction(p) + vec3<f32>(cell_of(p.w) - cell);
+}
+
+fn is_beside(place: vec3<f32>) -> bool {
+    return all(abs(place - vec3<f32>(0.5)) <= vec3<f32>(0.5 + BESIDE));
+}
+
+fn has_left(p: vec4<u32>) -> bool {
+    return !is_beside(place_from(cell_of(p.w >> 16u), p));
 }
 
 // Notes a particle that has left its cell where those that have come to another are looked for.
@@ -88,8 +101,8 @@ fn next_leaver(w: ptr<function, Walk>) -> u32 {
         while (*w).start + (*w).after < (*w).end {
             let q = (*w).start + (*w).after;
             (*w).after += 1u;
-            let tag = record[vector(q, 0u)].w;
-            if (tag & 511u) == (*w).tag && has_left(tag) {
+            let p = record[vector(q, 0u)];
+            if (p.w & 511u) == (*w).tag && has_left(p) {
                 return q;
             }
         }

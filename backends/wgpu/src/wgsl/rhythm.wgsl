@@ -36,7 +36,8 @@ fn rhythm_of(layer: u32) -> Rhythm {
 fn is_due(rhythm: Rhythm) -> bool {
     return !(rhythm.drift <= MAX_DRIFT)
         || (rhythm.age % SORT_OFTEN == 0u && rhythm.drift > OFTEN_DRIFT)
-        || (rhythm.age % SORT_AGE == 0u && rhythm.drift > SORT_DRIFT);
+        || (rhythm.age % SORT_AGE == 0u && rhythm.drift > SORT_DRIFT)
+        || (rhythm.age % SORT_SELDOM == 0u && rhythm.drift > SELDOM_DRIFT);
 }
 
 // Must a layer be sorted, which has that rhythm? A world's levels are sorted together.
