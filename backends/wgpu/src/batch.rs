@@ -6,8 +6,8 @@ use crate::free::{Felt, states};
 use crate::kernels::{self, Found, Free, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, read, read_all,
-    touches_bytes, with_mapped, with_room,
+    Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, lent_bytes, read,
+    read_all, with_mapped, with_room,
 };
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
@@ -197,7 +197,7 @@ impl Contact {
     fn on_device(&self) -> [&[Kernel]; 2] {
         let Some(contact) = &self.device else { return [&[], &[]] };
         let driven: &[Kernel] = if contact.needs.driven { &contact.kernels } else { &[] };
-        [driven, contact.free.as_ref().map_or(&[], |kernels| kernels)]
+        [driven, contact.free.as_slice()]
     }
 
     /// Free bodies of each world that the device has room for.
@@ -244,8 +244,8 @@ impl Needs {
 pub(crate) struct DeviceContact {
     /// The law, then the sums of impulses.
     kernels: [Kernel; 2],
-    /// Nodes inside free bodies, then what these do.
-    free: Option<[Kernel; 2]>,
+    /// Free bodies' contact and motion.
+    free: Option<Kernel>,
     wgsl: String,
     needs: Needs,
     /// Each world's table.
@@ -1684,7 +1684,7 @@ impl WgpuBatch {
     /// Is there room on the device for what is inside so many free bodies?
     fn has_room(&self, free: Free) -> bool {
         let cap = self.gpu.limits.max_storage_buffer_binding_size.min(self.gpu.limits.max_buffer_size);
-        free.rooms(1) <= MOST_ROOMS && touches_bytes(free, self.worlds.len(), self.levels) <= cap
+        free.rooms() <= MOST_ROOMS && lent_bytes(free, self.worlds.len()) <= cap
     }
 
     /// Teaches the device a law.

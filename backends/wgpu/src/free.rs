@@ -82,8 +82,8 @@ fn inverse([a, b, c]: [Vec3; 3]) -> [Vec3; 3] {
     rows.map(|row| row.map(|x| x / determinant))
 }
 
-/// What a body is for the steps of a submission, where finest cells have width `h` and steps take `dt`.
-fn lent_words(lent: &Lent, h: f64) -> [Words; LENT] {
+/// What a body that meets so many levels is for the steps of a submission, where finest cells have width `h`.
+fn lent_words(lent: &Lent, levels: usize, h: f64) -> [Words; LENT] {
     let row = |v: Vec3, last: u32| [bits(v[0]), bits(v[1]), bits(v[2]), last];
     let [i, inverse] = [lent.inertia, inverse(lent.inertia)];
     let end = |x: f64, inwards: f64| (x / h + inwards * ROUNDING).clamp(-FAR, FAR);
@@ -94,7 +94,7 @@ fn lent_words(lent: &Lent, h: f64) -> [Words; LENT] {
         row(i[2], bits(lent.extent / h)),
         row(inverse[0], lent.body as u32),
         row(inverse[1], bits(TOOL_COURANT * (1.0 - ROUNDING))),
-        row(inverse[2], 1),
+        row(inverse[2], levels as u32),
         row(lent.leash.min.map(|x| end(x, 1.0)), 0),
         row(lent.leash.max.map(|x| end(x, -1.0)), 0),
         cell,
@@ -128,8 +128,12 @@ impl WgpuBatch {
         let all = self.worlds.len() * free;
         let mut words = vec![[0; 4]; all * (LENT + STATE)];
         for (turn, lent) in turns.iter().zip(lent) {
+            let bodies = turn.couplings.first().map(|coupling| coupling.bodies()).unwrap_or_default();
             for (k, one) in (turn.world * free..).zip(lent) {
-                words[k * LENT..][..LENT].copy_from_slice(&lent_words(one, self.h));
+                // Levels that follow a body keep coarser ones away from it.
+                let follow = self.worlds[turn.world].adapt.follows(&bodies[one.body].name);
+                let levels = if follow { 1 } else { self.levels };
+                words[k * LENT..][..LENT].copy_from_slice(&lent_words(one, levels, self.h));
                 words[all * LENT + k * STATE..][..STATE].copy_from_slice(&state_words(&one.state, self.h));
             }
         }

@@ -3,7 +3,7 @@
 use crate::device::Gpu;
 use crate::layout::{ROUNDS, TOGETHER};
 use crate::material;
-use crate::memory::{MAX_STEPS, NEAR_BLOCK};
+use crate::memory::{MAX_SLOTS, MAX_STEPS, NEAR_BLOCK};
 use crate::world::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD};
@@ -48,12 +48,8 @@ pub(crate) enum Role {
     Partials,
     /// What each step gave to each body.
     Impulses,
-    /// Free bodies, and their states in each step of a submission.
+    /// Free bodies, their states in each step of a submission, and the nodes inside them.
     Lent,
-    /// Nodes inside them.
-    Touches,
-    /// Places of these, in their order.
-    TouchOrder,
     /// Nodes at rims of levels, and who gives to them.
     Rims,
     /// What each block hands to the next coarser level.
@@ -399,11 +395,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
         if plan.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. })) {
             let law = DeviceLaw::default();
             let free = Free { bodies: 1, across: 2 };
-            let [touch, motion] = free_drafts(plan.substeps > 1, may_sleep(plan), &law, 1, [1, 1], free);
-            lines.push(line(
-                "every step with free bodies, but near walls and other bodies",
-                &Draft { groups: Groups::Near, ..touch },
-            ));
+            let motion = free_draft(plan.substeps > 1, may_sleep(plan), &law, 1, [1, 1], free);
             lines.push(line("every step with free bodies, but near walls and other bodies", &motion));
         }
     }
@@ -500,14 +492,13 @@ pub(crate) struct Free {
 }
 
 impl Free {
-    /// Blocks around a body on all of so many levels.
-    pub(crate) fn rooms(self, levels: usize) -> usize {
-        let Some(inner) = self.across.checked_sub(2) else { return 0 };
-        (0..levels).map(|level| ((inner >> level) + 2).saturating_pow(3)).fold(0, usize::saturating_add)
+    /// Blocks around a body on a level.
+    pub(crate) fn rooms(self) -> usize {
+        self.across.saturating_pow(3)
     }
 }
 
-/// Contact with free bodies, and their motion: the nodes inside, then all that each body does in a step.
+/// Contact with free bodies, and their motion.
 pub(crate) fn free(
     gpu: &Gpu,
     kernels: &Kernels,
@@ -515,46 +506,38 @@ pub(crate) fn free(
     vectors: usize,
     [worlds, levels]: [usize; 2],
     free: Free,
-) -> [Kernel; 2] {
-    free_drafts(kernels.solve.is_some(), kernels.watch.is_some(), law, vectors, [worlds, levels], free)
-        .map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
+) -> Kernel {
+    let draft = free_draft(kernels.solve.is_some(), kernels.watch.is_some(), law, vectors, [worlds, levels], free);
+    build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft)
 }
 
-fn free_drafts(
+fn free_draft(
     subcycled: bool,
     sleeps: bool,
     law: &DeviceLaw,
     vectors: usize,
     [worlds, levels]: [usize; 2],
     free: Free,
-) -> [Draft; 2] {
-    let lent: Use = ("lent", "vec4<u32>", Role::Lent, false);
-    let touches: Use = ("touches", "vec4<u32>", Role::Touches, false);
-    let order: Use = ("touch_order", "u32", Role::TouchOrder, true);
+) -> Draft {
+    let lent: Use = ("lent", "vec4<u32>", Role::Lent, true);
     let tools: Use = ("tools", "vec4<i32>", Role::Tools, true);
-    let (bodies, rooms) = (free.bodies, free.rooms(levels));
     let counts = format!(
-        "const FREES: u32 = {bodies}u;\nconst ACROSS: u32 = {}u;\nconst ROOMS: u32 = {rooms}u;\nconst NEAR_TOOL: f32 = {NEAR_TOOL:?};\n{}",
-        free.across,
-        include_str!("wgsl/lent.wgsl")
+        "const FREES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst NEAR_TOOL: f32 = {NEAR_TOOL:?};\n",
+        free.bodies,
+        free.rooms(),
     );
-    let table = coupling_table([worlds, levels], vectors);
-    let draft = |name, entry, body: &str, uses: Vec<Use>, groups: usize| Draft {
-        name,
-        entry,
-        body: [&counts, &table, &law.wgsl, body].concat(),
-        uses,
-        uniform: Uniform::Table,
-        groups: Groups::Exactly(groups as u32),
-        checked: true,
-    };
-    let (text, own) = of_own_mass(subcycled, include_str!("wgsl/touch.wgsl"));
-    let uses = [DIRECTORY, NODES, lent, written(touches), STATUS].into_iter().chain(own).collect();
-    let inside = draft("touch", "touch", &text, uses, worlds * bodies * rooms);
     let awake = if sleeps { include_str!("wgsl/free_awake.wgsl") } else { "" };
-    let text = include_str!("wgsl/free.wgsl").replace("$STAY_AWAKE", awake);
-    let uses = [GRID, written(lent), touches, order, STATUS].into_iter().chain(sleeps.then_some(tools)).collect();
-    [inside, draft("free bodies", "free_bodies", &text, uses, worlds * bodies)]
+    let (text, own) = of_own_mass(subcycled, &include_str!("wgsl/free.wgsl").replace("$STAY_AWAKE", awake));
+    Draft {
+        name: "free bodies",
+        entry: "free_bodies",
+        body: [&counts, include_str!("wgsl/lent.wgsl"), &coupling_table([worlds, levels], vectors), &law.wgsl, &text]
+            .concat(),
+        uses: [GRID, DIRECTORY, lent, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
+        uniform: Uniform::Table,
+        groups: Groups::Exactly((worlds * free.bodies) as u32),
+        checked: true,
+    }
 }
 
 /// Contact whose law runs on the host: nodes near bodies are gathered for it, and take what it made of them.

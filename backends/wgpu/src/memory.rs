@@ -60,19 +60,10 @@ pub(crate) struct Asked {
     pub(crate) tools: usize,
 }
 
-impl Asked {
-    /// Free bodies of all worlds.
-    fn lent(&self) -> usize {
-        self.worlds * self.free.bodies
-    }
-    fn levels(&self) -> usize {
-        self.layers / self.worlds.max(1)
-    }
-}
-
-/// Bytes of the nodes inside free bodies.
-pub(crate) fn touches_bytes(free: Free, worlds: usize, levels: usize) -> u64 {
-    16 * (worlds * free.bodies * free.rooms(levels) * (1 + 64 * TOUCH)) as u64
+/// Bytes of free bodies, their states in a submission, and the nodes inside them.
+pub(crate) fn lent_bytes(free: Free, worlds: usize) -> u64 {
+    let touches = 256 * free.rooms().div_ceil(4) * TOUCH;
+    16 * (worlds * free.bodies * (LENT + (MAX_SLOTS + 1) * STATE + touches)) as u64
 }
 
 /// `Extent` of `common.wgsl`.
@@ -191,7 +182,7 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 6] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells, Sorted::Watch];
-const SHARED: [Role; 26] = [
+const SHARED: [Role; 24] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -206,8 +197,6 @@ const SHARED: [Role; 26] = [
     Role::Partials,
     Role::Impulses,
     Role::Lent,
-    Role::Touches,
-    Role::TouchOrder,
     Role::Rims,
     Role::Handed,
     Role::Shared,
@@ -235,9 +224,7 @@ fn shared_name(role: Role) -> &'static str {
         Role::Bodies => "poses of bodies",
         Role::Partials => "parts of impulses",
         Role::Impulses => "impulses",
-        Role::Lent => "free bodies",
-        Role::Touches => "nodes inside free bodies",
-        Role::TouchOrder => "order of nodes inside free bodies",
+        Role::Lent => "free bodies and nodes inside them",
         Role::Rims => "rims of levels",
         Role::Handed => "what rims hand on",
         Role::Shared => "nodes that levels share",
@@ -293,9 +280,7 @@ impl Extent {
             Role::Bodies => 16 * BODY * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
             Role::Partials => 32 * nodes * asked.bodies as u64,
             Role::Impulses => 32 * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
-            Role::Lent => 16 * (asked.lent() * (LENT + (MAX_SLOTS + 1) * STATE)) as u64,
-            Role::Touches => touches_bytes(asked.free, asked.worlds, asked.levels()),
-            Role::TouchOrder => 4 * (64 * asked.lent() * asked.free.rooms(asked.levels())) as u64,
+            Role::Lent => lent_bytes(asked.free, asked.worlds),
             Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
             Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
             Role::Tools => 16 * (1 + 2 * MAX_SLOTS * asked.layers * asked.tools) as u64,
@@ -610,8 +595,6 @@ impl Memory {
             Role::Partials,
             Role::Impulses,
             Role::Lent,
-            Role::Touches,
-            Role::TouchOrder,
             Role::Rims,
             Role::Handed,
             Role::Shared,

@@ -3,6 +3,9 @@
 //   M (V - V_free) = sum_i G_iT m_i f(u_i - G_i V),
 // by Newton's method; the last step is that of the secant f(u) = K(u) u, K frozen, so that the body gets what the nodes lose, and the whole is
 // dissipative even where the iteration has not converged. All sums are in a fixed order.
+//
+// A body has some hundreds of nodes inside, and two iterations do: time goes by in waiting for memory and for one another. So all threads take up
+// the body, each keeps the nodes that it finds, and what one thread can do by itself is not shared.
 
 // As in `contact.rs`, but for the tolerance: f32 carries seven digits, of which sums over nodes lose some.
 const MAX_ITERATIONS: u32 = 24u;
@@ -19,47 +22,57 @@ const SECANT: u32 = 1u;
 const LAST: u32 = 2u;
 const DONE: u32 = 3u;
 
-// Columns of sums, with room between them so that threads do not wait for the same bank.
-const COLUMNS: u32 = 12u;
+// Columns of sums, and rows of each, with room between them so that threads do not wait for the same bank.
+const COLUMNS: u32 = 11u;
+const ROWS: u32 = 64u;
 const COLUMN: u32 = 65u;
-const FOUND: u32 = 4u * COLUMNS;
 
 struct Touch { arm: vec3<f32>, mass: f32, velocity: vec3<f32>, node: u32, grip: CouplingGrip }
 struct Twist { linear: vec3<f32>, angular: vec3<f32> }
 
-// Touches that a thread keeps at hand.
-const KEPT: u32 = 4u;
-var<private> kept_touches: array<Touch, KEPT>;
+// What touches add up to: upper and lower half of each column of the 6 x 6 matrix; as fourth components first the impulse and the angular impulse that
+// nodes give, then the sum of impulses' sizes [N s] and of masses [kg], and the last column's lower half.
+struct Sums {
+    upper0: vec4<f32>, upper1: vec4<f32>, upper2: vec4<f32>, upper3: vec4<f32>, upper4: vec4<f32>, upper5: vec4<f32>,
+    lower0: vec4<f32>, lower1: vec4<f32>, lower2: vec4<f32>, lower3: vec4<f32>, lower4: vec4<f32>,
+}
 
-var<workgroup> go: u32;
-var<workgroup> columns: array<vec4<f32>, 780>;
-var<workgroup> parts: array<f32, 192>;
-var<workgroup> sums: array<f32, 48>;
-var<workgroup> matrix: array<f32, 84>;
-var<workgroup> solution: array<f32, 6>;
-var<workgroup> total: vec4<f32>;
-var<workgroup> mode: u32;
-var<workgroup> weight: f32;
+// One past the last level that the body meets; rooms for blocks in its box; which of 256 rooms there is a block in, as bits; these blocks, with their
+// places from the box's first.
+var<workgroup> end_level: u32;
+var<workgroup> rooms: u32;
+var<workgroup> filled: array<atomic<u32>, 8>;
+var<workgroup> blocks: array<vec2<u32>, 256>;
+var<workgroup> touching: atomic<u32>;
+var<workgroup> deep: atomic<u32>;
+var<workgroup> sliding: atomic<u32>;
 var<workgroup> greatest: atomic<u32>;
-// Touches on each level.
-var<workgroup> on_level: array<atomic<u32>, LEVELS>;
-var<workgroup> met_levels: u32;
-// The body: mass [kg] and inertia [kg m2], world frame; its twist without the contact at hand, and in the iteration.
-var<workgroup> body_mass: f32;
-var<workgroup> inertia: array<f32, 9>;
-var<workgroup> free: Twist;
+var<workgroup> columns: array<vec4<f32>, 715>;
+var<workgroup> mode: u32;
+// The body's twist in the iteration, the one that the last step leads to, and the impulse of the nodes then.
 var<workgroup> frozen: Twist;
 var<workgroup> met: Twist;
-// What is left to the twist without contact, and what is out of balance [N s, N m s].
-var<workgroup> lag: array<f32, 6>;
-var<workgroup> missing: array<f32, 6>;
-// What the first thread alone knows: the inertia's inverse, body frame [1/(kg m2)], angular momentum, impulses in the slot, and counts.
+var<workgroup> given: Twist;
+
+// What each thread knows of the body: mass [kg], inertia [kg m2], world frame, and its inverse [1/(kg m2)], body frame; where it is; its angular momentum, and
+// its twist without the contact at hand.
+var<private> body_mass: f32;
+var<private> inertia: mat3x3<f32>;
 var<private> inverse: mat3x3<f32>;
+var<private> cell: vec3<i32>;
+var<private> place: vec4<u32>;
+var<private> rotation: vec4<u32>;
 var<private> momentum: vec3<f32>;
+var<private> free: Twist;
+// Impulses in the slot, and counts.
 var<private> impulse: vec3<f32>;
 var<private> angular_impulse: vec3<f32>;
 var<private> deep_nodes: u32;
 var<private> unconverged: u32;
+// Nodes that the thread keeps.
+var<private> kept_touches: u32;
+// What the first thread alone knows of the iteration.
+var<private> weight: f32;
 var<private> iterations: u32;
 
 fn velocity_of(twist: Twist, arm: vec3<f32>) -> vec3<f32> {
@@ -95,31 +108,16 @@ fn turning(q: vec4<f32>, angle: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(c * q.xyz + q.w * v + cross(v, q.xyz), c * q.w - dot(v, q.xyz));
 }
 
-// Takes up the body as it is, and gravity. Is there anything to do?
-fn begin(k: u32) -> u32 {
-    let world = k / FREES;
-    layer_now = world * LEVELS;
-    if atomicLoad(&status[HALTED]) != 0u || (LAYERS > 1u && layers[layer_now].on == 0u) || lent[k * LENT + 5u].w == 0u {
-        return 0u;
-    }
-    let is_first = !SUBCYCLED || step.first_level == 0u;
-    let at = state_at(k, state_now());
-    if is_first && slot_now() % SUBSTEPS == 0u && lent[at].w != 0u {
-        // Nothing has moved yet.
-        atomicStore(&status[HALT_STEP], step.number);
-        atomicStore(&status[HALTED], FOLLOW);
-        return 0u;
-    }
-    let q = rotation_of(lent[at + 2u]);
+// Takes up the body as it is, and gravity.
+fn take_up(k: u32, at: u32, is_first: bool) {
+    cell = bitcast<vec3<i32>>(lent[at].xyz);
+    place = lent[at + 1u];
+    rotation = lent[at + 2u];
     body_mass = real(lent[k * LENT]).w;
-    let tensor = seen_from_world(tensor_at(k * LENT), q);
-    for (var j = 0u; j < 3u; j++) {
-        inertia[j] = tensor[0][j];
-        inertia[3u + j] = tensor[1][j];
-        inertia[6u + j] = tensor[2][j];
-    }
     inverse = tensor_at(k * LENT + 3u);
     momentum = real(lent[at + 4u]).xyz;
+    let q = rotation_of(rotation);
+    inertia = seen_from_world(tensor_at(k * LENT), q);
     free = Twist(real(lent[at + 3u]).xyz, spin(q));
     if is_first {
         var gravity = step.gravity;
@@ -133,15 +131,468 @@ fn begin(k: u32) -> u32 {
         impulse = real(lent[at + 5u]).xyz;
         angular_impulse = real(lent[at + 6u]).xyz;
     }
-    return 1u;
+}
+
+// One past the last level that the body meets in this pass; 0 if there is nothing to do.
+fn last_level(k: u32, at: u32, is_first: bool) -> u32 {
+    if k >= WORLDS * FREES || atomicLoad(&status[HALTED]) != 0u || (LAYERS > 1u && layers[layer_now].on == 0u) {
+        return 0u;
+    }
+    let levels = lent[k * LENT + 5u].w;
+    if levels > 0u && is_first && slot_now() % SUBSTEPS == 0u && lent[at].w != 0u {
+        // Nothing has moved yet.
+        atomicStore(&status[HALT_STEP], step.number);
+        atomicStore(&status[HALTED], FOLLOW);
+        return 0u;
+    }
+    return select(levels, min(levels, step.end_level), SUBCYCLED);
+}
+
+// Finds the nodes inside the body on a level: of the blocks in its box those that there are are listed, lowest first, and dealt to the threads, a node of
+// each block to each of 64, turn by turn another one, so that a layer of nodes along any axis is many threads'.
+fn find_touches(k: u32, level: u32, thread: u32) {
+    let number = lent[k * LENT + 3u].w;
+    let shrink = shrink_of(layer_now);
+    let rows = rows_of(rotation_of(rotation));
+    let within = place_of(place);
+    let corners = coupling_box(number, rows, H);
+    let base = cell >> vec3<u32>(level);
+    // Nodes stand at the centres of cells.
+    let least = base + vec3<i32>(ceil(in_level(cell, within, corners[0], level, shrink) - 0.5));
+    let most = base + vec3<i32>(floor(in_level(cell, within, corners[1], level, shrink) - 0.5));
+    let first = least >> vec3<u32>(2u);
+    let size = vec3<u32>(max((most >> vec3<u32>(2u)) - first + vec3<i32>(1), vec3<i32>(0)));
+    if thread == 0u {
+        rooms = min(size.x * size.y * size.z, ROOMS);
+    }
+    kept_touches = 0u;
+    let own = thread >> 5u;
+    let all_rooms = workgroupUniformLoad(&rooms);
+    for (var room = 0u; room < all_rooms; room += 256u) {
+        let r = room + thread;
+        let at = vec3<u32>(r % size.x, (r / size.x) % size.y, r / (size.x * size.y));
+        var g = NONE;
+        if r < all_rooms {
+            // Bodies do not reach round a periodic world.
+            let b = first + vec3<i32>(at);
+            let here = place_in_box(layer_now, b);
+            if here != NONE && all(wrapped(layer_now, b) == b) {
+                g = directory[here].y;
+            }
+        }
+        let bit = 1u << (thread & 31u);
+        if g != NONE {
+            atomicOr(&filled[own], bit);
+        }
+        workgroupBarrier();
+        let one = vec4<u32>(atomicLoad(&filled[0]), atomicLoad(&filled[1]), atomicLoad(&filled[2]), atomicLoad(&filled[3]));
+        let two = vec4<u32>(atomicLoad(&filled[4]), atomicLoad(&filled[5]), atomicLoad(&filled[6]), atomicLoad(&filled[7]));
+        let count = countOneBits(one);
+        let more = countOneBits(two);
+        let listed = dot(count + more, vec4<u32>(1u));
+        if g != NONE {
+            let before = dot(count, vec4<u32>(vec4<u32>(0u, 1u, 2u, 3u) < vec4<u32>(own)))
+                + dot(more, vec4<u32>(vec4<u32>(4u, 5u, 6u, 7u) < vec4<u32>(own)));
+            blocks[before + countOneBits(atomicLoad(&filled[own]) & (bit - 1u))] = vec2<u32>(g, (at.x << 20u) | (at.y << 10u) | at.z);
+        }
+        workgroupBarrier();
+        if thread < 8u {
+            atomicStore(&filled[thread], 0u);
+        }
+        for (var start = thread >> 6u; start < listed; start += 128u) {
+            // Those with ground in the box, as bits.
+            var candidates = 0u;
+            for (var turn = 0u; turn < 32u && start + 4u * turn < listed; turn += 8u) {
+                let m = vec4<f32>(
+                    mass_at(start, turn, listed, thread),
+                    mass_at(start, turn + 1u, listed, thread),
+                    mass_at(start, turn + 2u, listed, thread),
+                    mass_at(start, turn + 3u, listed, thread),
+                );
+                let n = vec4<f32>(
+                    mass_at(start, turn + 4u, listed, thread),
+                    mass_at(start, turn + 5u, listed, thread),
+                    mass_at(start, turn + 6u, listed, thread),
+                    mass_at(start, turn + 7u, listed, thread),
+                );
+                let low = vec4<u32>(m > vec4<f32>(layers[layer_now].least));
+                let high = vec4<u32>(n > vec4<f32>(layers[layer_now].least));
+                candidates |= (dot(low, vec4<u32>(1u, 2u, 4u, 8u)) | dot(high, vec4<u32>(16u, 32u, 64u, 128u))) << turn;
+            }
+            while candidates != 0u {
+                let turn = firstTrailingBit(candidates);
+                candidates &= candidates - 1u;
+                let n = node_of(turn, thread);
+                let block = blocks[start + 4u * turn];
+                let g = block.x;
+                let node = grid[g * 64u + n];
+                let x = (first + vec3<i32>(vec3<u32>(block.y >> 20u, block.y >> 10u, block.y) & vec3<u32>(1023u))) * 4 + local_of(n);
+                if any(x < least) || any(x > most) {
+                    continue;
+                }
+                let mass = $MASS;
+                if mass > layers[layer_now].least {
+                    let centre = vec3<f32>(0.5 / shrink) - within;
+                    let arm = (vec3<f32>((x << vec3<u32>(level)) - cell) + centre) * H;
+                    let grip = coupling_grip(number, arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], H / shrink);
+                    if grip.kind != 0u {
+                        let normal = vec3<f32>(dot(rows[0], grip.normal), dot(rows[1], grip.normal), dot(rows[2], grip.normal));
+                        let to = touch_at(k, kept_touches, thread);
+                        lent[to] = bitcast<vec4<u32>>(vec4<f32>(arm, mass));
+                        lent[to + 256u] = vec4<u32>(bitcast<vec3<u32>>(node.xyz), (g * 64u + n) | (grip.kind << 30u));
+                        lent[to + 512u] = bitcast<vec4<u32>>(vec4<f32>(normal, grip.friction));
+                        kept_touches++;
+                        if grip.deep {
+                            atomicAdd(&deep, 1u);
+                        }
+                    }
+                }
+            }
+        }
+        workgroupBarrier();
+    }
+}
+
+// Which node of a block a thread looks at, turn by turn.
+fn node_of(turn: u32, thread: u32) -> u32 {
+    return (thread + 21u * turn) & 63u;
+}
+
+// What it weighs, if there is such a block.
+fn mass_at(start: u32, turn: u32, listed: u32, thread: u32) -> f32 {
+    let j = start + 4u * turn;
+    if j >= listed {
+        return 0.0;
+    }
+    return grid[blocks[j].x * 64u + node_of(turn, thread)].w;
+}
+
+// Where a node that a thread keeps stands.
+fn touch_at(k: u32, i: u32, thread: u32) -> u32 {
+    return TOUCHES + (k * EACH + i) * TOUCH * 256u + thread;
+}
+
+fn touch_of(k: u32, i: u32, thread: u32) -> Touch {
+    let at = touch_at(k, i, thread);
+    let arm = real(lent[at]);
+    let how = lent[at + 256u];
+    let grip = real(lent[at + 512u]);
+    return Touch(arm.xyz, arm.w, real(how).xyz, how.w & 0x3fffffffu, CouplingGrip(how.w >> 30u, grip.xyz, grip.w, false));
+}
+
+// What the nodes give at the frozen twist, and G_iT m_i D G_i with D the law's derivative or its secant, summed over a thread's.
+fn assemble(k: u32, tangent: bool, thread: u32) -> Sums {
+    var sum: Sums;
+    var slides = false;
+    let twist = frozen;
+    for (var i = 0u; i < kept_touches; i++) {
+        let touch = touch_of(k, i, thread);
+        sum.lower1.w += touch.mass;
+        let r = touch.arm;
+        let u = touch.velocity - velocity_of(twist, r);
+        let hold = coupling_hold(touch.grip, u);
+        if !hold.held {
+            continue;
+        }
+        let n = hold.normal;
+        let held = touch.mass * hold.drag;
+        let m = (touch.mass - held) * n;
+        var d = mat3x3<f32>(n.x * m, n.y * m, n.z * m);
+        d[0].x += held;
+        d[1].y += held;
+        d[2].z += held;
+        let taken = d * u;
+        let moment = cross(r, taken);
+        if tangent && hold.friction > 0.0 {
+            // d(f |u_n| t) = -f t nT + drag (1 - n nT - t tT)
+            let slope = touch.mass * (hold.friction * n + hold.drag * hold.along);
+            d[0] -= slope.x * hold.along;
+            d[1] -= slope.y * hold.along;
+            d[2] -= slope.z * hold.along;
+            slides = true;
+        }
+        let d3 = d[2] * r.y - d[1] * r.z;
+        let d4 = d[0] * r.z - d[2] * r.x;
+        let d5 = d[1] * r.x - d[0] * r.y;
+        let last = cross(r, d5);
+        sum.upper0 += vec4<f32>(d[0], taken.x);
+        sum.upper1 += vec4<f32>(d[1], taken.y);
+        sum.upper2 += vec4<f32>(d[2], taken.z);
+        sum.upper3 += vec4<f32>(d3, moment.x);
+        sum.upper4 += vec4<f32>(d4, moment.y);
+        sum.upper5 += vec4<f32>(d5, moment.z);
+        sum.lower0 += vec4<f32>(cross(r, d[0]), touch.mass * length(u));
+        sum.lower1 += vec4<f32>(cross(r, d[1]), 0.0);
+        sum.lower2 += vec4<f32>(cross(r, d[2]), last.x);
+        sum.lower3 += vec4<f32>(cross(r, d3), last.y);
+        sum.lower4 += vec4<f32>(cross(r, d4), last.z);
+    }
+    if slides {
+        atomicStore(&sliding, 1u);
+    }
+    return sum;
+}
+
+fn put(row: u32, own: Sums) {
+    columns[row] = own.upper0;
+    columns[COLUMN + row] = own.upper1;
+    columns[2u * COLUMN + row] = own.upper2;
+    columns[3u * COLUMN + row] = own.upper3;
+    columns[4u * COLUMN + row] = own.upper4;
+    columns[5u * COLUMN + row] = own.upper5;
+    columns[6u * COLUMN + row] = own.lower0;
+    columns[7u * COLUMN + row] = own.lower1;
+    columns[8u * COLUMN + row] = own.lower2;
+    columns[9u * COLUMN + row] = own.lower3;
+    columns[10u * COLUMN + row] = own.lower4;
+}
+
+fn with_row(row: u32, own: Sums) -> Sums {
+    return Sums(
+        own.upper0 + columns[row],
+        own.upper1 + columns[COLUMN + row],
+        own.upper2 + columns[2u * COLUMN + row],
+        own.upper3 + columns[3u * COLUMN + row],
+        own.upper4 + columns[4u * COLUMN + row],
+        own.upper5 + columns[5u * COLUMN + row],
+        own.lower0 + columns[6u * COLUMN + row],
+        own.lower1 + columns[7u * COLUMN + row],
+        own.lower2 + columns[8u * COLUMN + row],
+        own.lower3 + columns[9u * COLUMN + row],
+        own.lower4 + columns[10u * COLUMN + row],
+    );
+}
+
+// Sums what threads have into the first of each column's rows.
+fn sum_up(own: Sums, thread: u32) {
+    let row = thread % ROWS;
+    let quarter = thread / ROWS;
+    if quarter == 0u {
+        put(row, own);
+    }
+    workgroupBarrier();
+    if quarter == 1u {
+        put(row, with_row(row, own));
+    }
+    workgroupBarrier();
+    if quarter == 2u {
+        put(row, with_row(row, own));
+    }
+    workgroupBarrier();
+    if quarter == 3u {
+        put(row, with_row(row, own));
+    }
+    workgroupBarrier();
+    // A column's eighth of rows a thread, then a column.
+    if thread < 8u * COLUMNS {
+        let at = thread % COLUMNS * COLUMN + thread / COLUMNS;
+        columns[at] = eight(at, 8u);
+    }
+    workgroupBarrier();
+    if thread < COLUMNS {
+        columns[thread * COLUMN] = eight(thread * COLUMN, 1u);
+    }
+    workgroupBarrier();
+}
+
+fn eight(at: u32, by: u32) -> vec4<f32> {
+    return ((columns[at] + columns[at + by]) + (columns[at + 2u * by] + columns[at + 3u * by]))
+        + ((columns[at + 4u * by] + columns[at + 5u * by]) + (columns[at + 6u * by] + columns[at + 7u * by]));
+}
+
+// A row of the system: its coefficients, and what is out of balance, an impulse or an angular impulse.
+struct Row { linear: vec3<f32>, angular: vec3<f32>, missing: f32 }
+
+fn without(row: Row, other: Row, times: f32) -> Row {
+    return Row(row.linear - times * other.linear, row.angular - times * other.angular, row.missing - times * other.missing);
+}
+
+// Solves the system by elimination; the secant's is symmetric and positive, and needs no pivots.
+fn solve(rows: array<Row, 6>) -> Twist {
+    let a = rows[0];
+    var b = rows[1];
+    var c = rows[2];
+    var d = rows[3];
+    var e = rows[4];
+    var f = rows[5];
+    let pa = 1.0 / a.linear.x;
+    b = without(b, a, b.linear.x * pa);
+    c = without(c, a, c.linear.x * pa);
+    d = without(d, a, d.linear.x * pa);
+    e = without(e, a, e.linear.x * pa);
+    f = without(f, a, f.linear.x * pa);
+    let pb = 1.0 / b.linear.y;
+    c = without(c, b, c.linear.y * pb);
+    d = without(d, b, d.linear.y * pb);
+    e = without(e, b, e.linear.y * pb);
+    f = without(f, b, f.linear.y * pb);
+    let pc = 1.0 / c.linear.z;
+    d = without(d, c, d.linear.z * pc);
+    e = without(e, c, e.linear.z * pc);
+    f = without(f, c, f.linear.z * pc);
+    let pd = 1.0 / d.angular.x;
+    e = without(e, d, e.angular.x * pd);
+    f = without(f, d, f.angular.x * pd);
+    let pe = 1.0 / e.angular.y;
+    f = without(f, e, f.angular.y * pe);
+    var turns = vec3<f32>(0.0, 0.0, f.missing / f.angular.z);
+    turns.y = (e.missing - e.angular.z * turns.z) * pe;
+    turns.x = (d.missing - d.angular.y * turns.y - d.angular.z * turns.z) * pd;
+    var moves = vec3<f32>(0.0, 0.0, (c.missing - dot(c.angular, turns)) * pc);
+    moves.y = (b.missing - dot(b.angular, turns) - b.linear.z * moves.z) * pb;
+    moves.x = (a.missing - dot(a.angular, turns) - a.linear.y * moves.y - a.linear.z * moves.z) * pa;
+    return Twist(moves, turns);
+}
+
+// Root of twice the kinetic energy of a twist of the body.
+fn energy_norm(twist: Twist) -> f32 {
+    return sqrt(body_mass * dot(twist.linear, twist.linear) + dot(twist.angular, inertia * twist.angular));
+}
+
+// Solves the system of the sums, and takes the step that was found, or asks for another one.
+fn decide() {
+    if iterations == 0u && mode == TANGENT {
+        // Ground much heavier than the body is first taken as lighter: its true weight then finds the right nodes in contact.
+        weight = min(LIGHT * body_mass / columns[7u * COLUMN].w, 1.0);
+    }
+    let u0 = columns[0];
+    let u1 = columns[COLUMN];
+    let u2 = columns[2u * COLUMN];
+    let u3 = columns[3u * COLUMN];
+    let u4 = columns[4u * COLUMN];
+    let u5 = columns[5u * COLUMN];
+    let l0 = columns[6u * COLUMN];
+    let l1 = columns[7u * COLUMN];
+    let l2 = columns[8u * COLUMN];
+    let l3 = columns[9u * COLUMN];
+    let l4 = columns[10u * COLUMN];
+    let force = vec3<f32>(u0.w, u1.w, u2.w);
+    let torque = vec3<f32>(u3.w, u4.w, u5.w);
+    let size_of_all = l0.w;
+    // Rows of the four quarters of the nodes' matrix.
+    let p = transpose(mat3x3<f32>(u0.xyz, u1.xyz, u2.xyz));
+    let q = transpose(mat3x3<f32>(u3.xyz, u4.xyz, u5.xyz));
+    let r = transpose(mat3x3<f32>(l0.xyz, l1.xyz, l2.xyz));
+    let s = transpose(mat3x3<f32>(l3.xyz, l4.xyz, vec3<f32>(l2.w, l3.w, l4.w)));
+    let old = frozen;
+    let lag = Twist(free.linear - old.linear, free.angular - old.angular);
+    let f = weight * force + body_mass * lag.linear;
+    let t = weight * torque + inertia * lag.angular;
+    let own = body_mass;
+    let change = solve(array<Row, 6>(
+        Row(weight * p[0] + vec3<f32>(own, 0.0, 0.0), weight * q[0], f.x),
+        Row(weight * p[1] + vec3<f32>(0.0, own, 0.0), weight * q[1], f.y),
+        Row(weight * p[2] + vec3<f32>(0.0, 0.0, own), weight * q[2], f.z),
+        Row(weight * r[0], weight * s[0] + inertia[0], t.x),
+        Row(weight * r[1], weight * s[1] + inertia[1], t.y),
+        Row(weight * r[2], weight * s[2] + inertia[2], t.z),
+    ));
+    let slid = atomicLoad(&sliding) != 0u;
+    atomicStore(&sliding, 0u);
+    let moved = Twist(old.linear + change.linear, old.angular + change.angular);
+    if mode == TANGENT && !(dot(change.linear, f) + dot(change.angular, t) >= 0.0) {
+        // Such a direction is replaced by the secant's, which always leads towards balance.
+        mode = SECANT;
+        return;
+    }
+    if mode != LAST {
+        iterations++;
+        let size = energy_norm(change);
+        let speed = max(energy_norm(old), energy_norm(free));
+        let noise = ROUNDING * size_of_all * inverseSqrt(body_mass);
+        let converged = weight == 1.0 && size <= TOLERANCE * speed + noise;
+        if !converged && iterations < MAX_ITERATIONS {
+            frozen = moved;
+            mode = TANGENT;
+            if size <= SMALL * speed + noise {
+                weight = min(HEAVIER * weight, 1.0);
+            }
+            return;
+        }
+        unconverged += u32(!converged);
+        let is_secant = weight == 1.0 && (mode == SECANT || !slid);
+        weight = 1.0;
+        if !is_secant {
+            mode = LAST;
+            return;
+        }
+    }
+    mode = DONE;
+    met = moved;
+    given = Twist(
+        force - (change.linear * p + change.angular * q),
+        torque - (change.linear * r + change.angular * s),
+    );
+}
+
+// The body meets the nodes of a level.
+fn meet(k: u32, level: u32, thread: u32) {
+    find_touches(k, level, thread);
+    if kept_touches > 0u {
+        atomicStore(&touching, 1u);
+    }
+    workgroupBarrier();
+    if thread == 0u {
+        mode = select(DONE, TANGENT, atomicLoad(&touching) != 0u);
+        atomicStore(&touching, 0u);
+        deep_nodes += atomicLoad(&deep);
+        atomicStore(&deep, 0u);
+        iterations = 0u;
+        frozen = free;
+    }
+    if workgroupUniformLoad(&mode) == DONE {
+        return;
+    }
+    // A step more for each direction that is replaced, and the last.
+    for (var turn = 0u; turn < 2u * MAX_ITERATIONS + 1u; turn++) {
+        let now = workgroupUniformLoad(&mode);
+        if now == DONE {
+            break;
+        }
+        sum_up(assemble(k, now == TANGENT, thread), thread);
+        if thread == 0u {
+            decide();
+        }
+    }
+    let at_last = frozen;
+    let surface = met;
+    var fastest = 0u;
+    for (var i = 0u; i < kept_touches; i++) {
+        let touch = touch_of(k, i, thread);
+        let hold = coupling_hold(touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
+        if !hold.held {
+            continue;
+        }
+        let of_surface = velocity_of(surface, touch.arm);
+        let u = touch.velocity - of_surface;
+        let kept = of_surface + (1.0 - hold.drag) * (u - dot(u, hold.normal) * hold.normal);
+        grid[touch.node].x = kept.x;
+        grid[touch.node].y = kept.y;
+        grid[touch.node].z = kept.z;
+        let felt = min(touch.mass * layers[layer_now].felt, 1.0);
+        fastest = max(fastest, max(max(magnitude_bits(felt * kept.x), magnitude_bits(felt * kept.y)), magnitude_bits(felt * kept.z)));
+    }
+    atomicMax(&greatest, fastest);
+    impulse += given.linear;
+    angular_impulse += given.angular;
+    momentum += given.angular;
+    free.linear += given.linear / body_mass;
+    free.angular = spin(rotation_of(rotation));
+    workgroupBarrier();
+    if thread == 0u {
+        atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&greatest));
+        if LAYERS > 1u {
+            atomicMax(&status[greatest_word(step.number)], atomicLoad(&greatest));
+        }
+        atomicStore(&greatest, 0u);
+    }
 }
 
 // Notes what contact made of the body, and moves it if that is the slot's first.
 fn finish(k: u32) {
-    let at = state_at(k, state_now());
     let next = state_at(k, slot_now() + 1u);
     if !SUBCYCLED || step.first_level == 0u {
-        move_on(k, at, next);
+        move_on(k, next);
     }
     lent[next + 3u] = vec4<u32>(bitcast<vec3<u32>>(free.linear), deep_nodes);
     lent[next + 4u] = vec4<u32>(bitcast<vec3<u32>>(momentum), unconverged);
@@ -149,8 +600,8 @@ fn finish(k: u32) {
     lent[next + 6u] = vec4<u32>(bitcast<vec3<u32>>(angular_impulse), 0u);
 }
 
-fn move_on(k: u32, at: u32, next: u32) {
-    let q = rotation_of(lent[at + 2u]);
+fn move_on(k: u32, next: u32) {
+    let q = rotation_of(rotation);
     // The angular velocity half-way, by the implicit midpoint rule: each round gains a factor |w| dt / 2.
     var angular = free.angular;
     for (var again = 0u; again < 4u; again++) {
@@ -161,376 +612,49 @@ fn move_on(k: u32, at: u32, next: u32) {
         }
     }
     let turned = turning(q, step.dt * angular) + q * (0.5 - 0.5 * dot(q, q));
-    lent[next + 2u] = lent[at + 2u] + bitcast<vec4<u32>>(vec4<i32>(round(turned * 1073741824.0)));
+    rotation += bitcast<vec4<u32>>(vec4<i32>(round(turned * 1073741824.0)));
 
     let by = free.linear * step.dt_per_h;
     let whole = floor(abs(by));
     let part = vec3<u32>((abs(by) - whole) * 4294967296.0);
-    let old = lent[at + 1u].xyz;
-    let place = select(old - part, old + part, by >= vec3<f32>(0.0));
-    let carry = select(-vec3<i32>(place > old), vec3<i32>(place < old), by >= vec3<f32>(0.0));
-    let cell = bitcast<vec3<i32>>(lent[at].xyz) + vec3<i32>(sign(by) * whole) + carry;
+    let old = place.xyz;
+    let other = select(old - part, old + part, by >= vec3<f32>(0.0));
+    let carry = select(-vec3<i32>(other > old), vec3<i32>(other < old), by >= vec3<f32>(0.0));
+    cell += vec3<i32>(sign(by) * whole) + carry;
 
     // How far the surface has come, along the axes and by turning, and how far it goes in a step of all levels.
     let extent_in_cells = real(lent[k * LENT + 2u]).w;
-    let way = bitcast<f32>(lent[at + 1u].w) + length(angular) * step.dt * extent_in_cells;
+    let way = bitcast<f32>(place.w) + length(angular) * step.dt * extent_in_cells;
+    place = vec4<u32>(other, bitcast<u32>(way));
     let start = bitcast<vec3<i32>>(lent[k * LENT + 8u].xyz);
-    let come = vec3<f32>(cell - start) + (vec3<f32>(place) - vec3<f32>(lent[k * LENT + 9u].xyz)) * 2.3283064365386963e-10;
+    let come = vec3<f32>(cell - start) + (vec3<f32>(other) - vec3<f32>(lent[k * LENT + 9u].xyz)) * 2.3283064365386963e-10;
     let fits = all(come - way >= real(lent[k * LENT + 6u]).xyz) && all(come + way <= real(lent[k * LENT + 7u]).xyz);
     let surface = (length(free.linear) + length(step.gravity)) * step.dt_per_h + length(angular) * step.dt * extent_in_cells;
     let is_slow = surface * f32(SUBSTEPS) < real(lent[k * LENT + 4u]).w;
     lent[next] = vec4<u32>(bitcast<vec3<u32>>(cell), u32(!(fits && is_slow)));
-    lent[next + 1u] = vec4<u32>(place, bitcast<u32>(way));
+    lent[next + 1u] = place;
+    lent[next + 2u] = rotation;
     $STAY_AWAKE
-}
-
-// Sums what threads have, column by column, into `sums`.
-fn sum_up(thread: u32, own: array<vec4<f32>, COLUMNS>) {
-    var mine = own;
-    let row = thread & 63u;
-    for (var quarter = 0u; quarter < 4u; quarter++) {
-        if thread >> 6u == quarter {
-            for (var c = 0u; c < COLUMNS; c++) {
-                let before = columns[c * COLUMN + row];
-                columns[c * COLUMN + row] = select(before + mine[c], mine[c], quarter == 0u);
-            }
-        }
-        workgroupBarrier();
-    }
-    if thread < 4u * FOUND {
-        let c = thread % FOUND;
-        let start = thread / FOUND * 16u;
-        var sum = 0.0;
-        for (var r = 0u; r < 16u; r++) {
-            let four = columns[(c >> 2u) * COLUMN + start + r];
-            sum += select(select(four.x, four.y, (c & 1u) != 0u), select(four.z, four.w, (c & 1u) != 0u), (c & 2u) != 0u);
-        }
-        parts[thread] = sum;
-    }
-    workgroupBarrier();
-    if thread < FOUND {
-        sums[thread] = parts[thread] + parts[FOUND + thread] + parts[2u * FOUND + thread] + parts[3u * FOUND + thread];
-    }
-    workgroupBarrier();
-}
-
-// Which levels there are touches on, as bits: all of them are asked for at once.
-fn levels_touched(k: u32, first_level: u32, end_level: u32, thread: u32) -> u32 {
-    for (var level = first_level; level < end_level; level++) {
-        let first_room = k * ROOMS + first_room_on(level);
-        let rooms = touches[first_room].w;
-        var count = 0u;
-        for (var r = thread; r < rooms; r += 256u) {
-            count += touches[first_room + r].x;
-        }
-        if count > 0u {
-            atomicAdd(&on_level[level], count);
-        }
-    }
-    workgroupBarrier();
-    if thread == 0u {
-        for (var level = first_level; level < end_level; level++) {
-            met_levels |= select(0u, 1u << level, atomicLoad(&on_level[level]) > 0u);
-        }
-    }
-    return workgroupUniformLoad(&met_levels);
-}
-
-// Lists the touches of a level in the order of rooms. Returns how many there are.
-fn list_touches(k: u32, first_room: u32, thread: u32) -> u32 {
-    let rooms = touches[first_room].w;
-    let each = (rooms + 255u) / 256u;
-    let start = min(thread * each, rooms);
-    let end = min(start + each, rooms);
-    var own = vec4<f32>(0.0);
-    for (var r = start; r < end; r++) {
-        let head = touches[first_room + r];
-        own += vec4<f32>(f32(head.x), f32(head.y), bitcast<f32>(head.z), 0.0);
-    }
-    columns[thread] = own;
-    workgroupBarrier();
-    var side = 0u;
-    for (var by = 1u; by < 256u; by = by << 1u) {
-        var sum = columns[side * 256u + thread];
-        if thread >= by {
-            sum += columns[side * 256u + thread - by];
-        }
-        side = 1u - side;
-        columns[side * 256u + thread] = sum;
-        workgroupBarrier();
-    }
-    if thread == 255u {
-        total = columns[thread];
-    }
-    var to = k * ROOMS * 64u + u32(columns[thread].x - own.x);
-    for (var r = start; r < end; r++) {
-        let count = touches[first_room + r].x;
-        for (var rank = 0u; rank < count; rank++) {
-            touch_order[to] = (first_room + r) * 64u + rank;
-            to++;
-        }
-    }
-    storageBarrier();
-    return u32(workgroupUniformLoad(&total).x);
-}
-
-fn touch_at(k: u32, i: u32) -> Touch {
-    let at = HEADS + touch_order[k * ROOMS * 64u + i] * TOUCH;
-    let arm = real(touches[at]);
-    let how = touches[at + 1u];
-    let grip = real(touches[at + 2u]);
-    return Touch(arm.xyz, arm.w, real(how).xyz, how.w & 0x3fffffffu, CouplingGrip(how.w >> 30u, grip.xyz, grip.w, false));
-}
-
-// The same, of which each thread keeps its first ones.
-fn touch_of(k: u32, i: u32) -> Touch {
-    if i < 256u * KEPT {
-        return kept_touches[i / 256u];
-    }
-    return touch_at(k, i);
-}
-
-// What the nodes give at the frozen twist, and G_iT m_i D G_i with D the law's derivative or its secant, summed: the columns of the 6 x 6 matrix,
-// upper and lower half; and, as fourth components, the six of the impulse, the sum of impulses' sizes [N s], and how many nodes slide.
-fn assemble(k: u32, count: u32, tangent: bool, thread: u32) {
-    var own: array<vec4<f32>, COLUMNS>;
-    let twist = frozen;
-    for (var i = thread; i < count; i += 256u) {
-        let touch = touch_of(k, i);
-        let u = touch.velocity - velocity_of(twist, touch.arm);
-        let hold = coupling_hold(touch.grip, u);
-        if !hold.held {
-            continue;
-        }
-        let n = hold.normal;
-        var d = mat3x3<f32>((1.0 - hold.drag) * n.x * n, (1.0 - hold.drag) * n.y * n, (1.0 - hold.drag) * n.z * n);
-        d[0].x += hold.drag;
-        d[1].y += hold.drag;
-        d[2].z += hold.drag;
-        let taken = touch.mass * (d * u);
-        let slides = tangent && hold.friction > 0.0;
-        if slides {
-            // d(f |u_n| t) = -f t nT + drag (1 - n nT - t tT)
-            let slope = hold.friction * n + hold.drag * hold.along;
-            d -= mat3x3<f32>(slope.x * hold.along, slope.y * hold.along, slope.z * hold.along);
-        }
-        let r = touch.arm;
-        var upper = array<vec3<f32>, 6>(
-            d[0], d[1], d[2], d[2] * r.y - d[1] * r.z, d[0] * r.z - d[2] * r.x, d[1] * r.x - d[0] * r.y
-        );
-        for (var j = 0u; j < 6u; j++) {
-            own[2u * j] += vec4<f32>(touch.mass * upper[j], 0.0);
-            own[2u * j + 1u] += vec4<f32>(touch.mass * cross(r, upper[j]), 0.0);
-        }
-        let moment = cross(r, taken);
-        own[0].w += taken.x;
-        own[1].w += taken.y;
-        own[2].w += taken.z;
-        own[3].w += moment.x;
-        own[4].w += moment.y;
-        own[5].w += moment.z;
-        own[6].w += touch.mass * length(u);
-        own[7].w += select(0.0, 1.0, slides);
-    }
-    sum_up(thread, own);
-}
-
-// An entry of the system's matrix: what nodes hold, and the body.
-fn entry(i: u32, j: u32) -> f32 {
-    var own = 0.0;
-    if i < 3u && i == j {
-        own = body_mass;
-    } else if i >= 3u && j >= 3u {
-        own = inertia[(i - 3u) * 3u + j - 3u];
-    }
-    return weight * sums[(2u * j + i / 3u) * 4u + i % 3u] + own;
-}
-
-// What is out of balance at the frozen twist: an impulse, then an angular impulse.
-fn residual(i: u32) -> f32 {
-    var own = body_mass * lag[i];
-    if i >= 3u {
-        let row = (i - 3u) * 3u;
-        own = inertia[row] * lag[3] + inertia[row + 1u] * lag[4] + inertia[row + 2u] * lag[5];
-    }
-    return weight * sums[4u * i + 3u] + own;
-}
-
-// Solves the system by elimination, an entry a thread, scaled so that its diagonal is 1: the secant's is symmetric and positive then, and needs no pivots.
-fn solve(thread: u32) {
-    let i = thread / 7u;
-    let j = thread % 7u;
-    var scale = 1.0;
-    if thread < 42u {
-        scale = inverseSqrt(entry(i, i));
-        if j < 6u {
-            matrix[thread] = entry(i, j) * scale * inverseSqrt(entry(j, j));
-        } else {
-            missing[i] = residual(i);
-            matrix[thread] = missing[i] * scale;
-        }
-    }
-    workgroupBarrier();
-    var side = 0u;
-    for (var p = 0u; p < 6u; p++) {
-        if thread < 42u {
-            let row = matrix[side + p * 7u + j] / matrix[side + p * 7u + p];
-            matrix[42u - side + thread] = select(matrix[side + thread] - matrix[side + i * 7u + p] * row, row, i == p);
-        }
-        side = 42u - side;
-        workgroupBarrier();
-    }
-    if thread < 42u && j == 6u {
-        solution[i] = matrix[thread] * scale;
-    }
-    workgroupBarrier();
-}
-
-// Root of twice the kinetic energy of a twist of the body.
-fn energy_norm(twist: Twist) -> f32 {
-    let w = twist.angular;
-    let turning = vec3<f32>(
-        dot(vec3<f32>(inertia[0], inertia[1], inertia[2]), w),
-        dot(vec3<f32>(inertia[3], inertia[4], inertia[5]), w),
-        dot(vec3<f32>(inertia[6], inertia[7], inertia[8]), w),
-    );
-    return sqrt(body_mass * dot(twist.linear, twist.linear) + dot(w, turning));
-}
-
-// Goes on from a twist.
-fn freeze(twist: Twist) {
-    frozen = twist;
-    let linear = free.linear - twist.linear;
-    let angular = free.angular - twist.angular;
-    lag = array<f32, 6>(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z);
-}
-
-// Takes the step that was found, or asks for another one.
-fn decide() {
-    let change = Twist(vec3<f32>(solution[0], solution[1], solution[2]), vec3<f32>(solution[3], solution[4], solution[5]));
-    let moved = Twist(frozen.linear + change.linear, frozen.angular + change.angular);
-    if mode == LAST {
-        met = moved;
-        mode = DONE;
-        return;
-    }
-    var ahead = 0.0;
-    for (var i = 0u; i < 6u; i++) {
-        ahead += solution[i] * missing[i];
-    }
-    if mode == TANGENT && !(ahead >= 0.0) {
-        // Such a direction is replaced by the secant's, which always leads towards balance.
-        mode = SECANT;
-        return;
-    }
-    iterations++;
-    let size = energy_norm(change);
-    let speed = max(energy_norm(frozen), energy_norm(free));
-    let noise = ROUNDING * sums[4u * 6u + 3u] * inverseSqrt(body_mass);
-    let converged = weight == 1.0 && size <= TOLERANCE * speed + noise;
-    if converged || iterations == MAX_ITERATIONS {
-        unconverged += u32(!converged);
-        let is_secant = weight == 1.0 && (mode == SECANT || sums[4u * 7u + 3u] == 0.0);
-        met = moved;
-        weight = 1.0;
-        mode = select(LAST, DONE, is_secant);
-        return;
-    }
-    freeze(moved);
-    mode = TANGENT;
-    if size <= SMALL * speed + noise {
-        weight = min(HEAVIER * weight, 1.0);
-    }
-}
-
-// The body meets the nodes of a level.
-fn meet(k: u32, level: u32, thread: u32) {
-    let first_room = k * ROOMS + first_room_on(level);
-    let count = list_touches(k, first_room, thread);
-    if thread == 0u {
-        deep_nodes += u32(total.y);
-        iterations = 0u;
-        mode = TANGENT;
-        freeze(free);
-        // Ground much heavier than the body is first taken as lighter: its true weight then finds the right nodes in contact.
-        weight = min(LIGHT * body_mass / total.z, 1.0);
-    }
-    for (var i = thread; i < min(count, 256u * KEPT); i += 256u) {
-        kept_touches[i / 256u] = touch_at(k, i);
-    }
-    // A step more for each direction that is replaced, and the last.
-    for (var turn = 0u; turn < 2u * MAX_ITERATIONS + 1u; turn++) {
-        let now = workgroupUniformLoad(&mode);
-        if now == DONE {
-            break;
-        }
-        assemble(k, count, now == TANGENT, thread);
-        solve(thread);
-        if thread == 0u {
-            decide();
-        }
-    }
-    var own: array<vec4<f32>, COLUMNS>;
-    let at_last = frozen;
-    let surface = met;
-    for (var i = thread; i < count; i += 256u) {
-        let touch = touch_of(k, i);
-        let hold = coupling_hold(touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
-        if !hold.held {
-            continue;
-        }
-        let of_surface = velocity_of(surface, touch.arm);
-        let u = touch.velocity - of_surface;
-        let kept = of_surface + (1.0 - hold.drag) * (u - dot(u, hold.normal) * hold.normal);
-        let given = touch.mass * (touch.velocity - kept);
-        own[0] += vec4<f32>(given, 0.0);
-        own[1] += vec4<f32>(cross(touch.arm, given), 0.0);
-        grid[touch.node] = vec4<f32>(kept, grid[touch.node].w);
-        let felt = min(touch.mass * layers[layer_now].felt, 1.0);
-        atomicMax(&greatest, max(max(magnitude_bits(felt * kept.x), magnitude_bits(felt * kept.y)), magnitude_bits(felt * kept.z)));
-    }
-    sum_up(thread, own);
-    if thread == 0u {
-        let given = vec3<f32>(sums[0], sums[1], sums[2]);
-        let turns = vec3<f32>(sums[4], sums[5], sums[6]);
-        impulse += given;
-        angular_impulse += turns;
-        momentum += turns;
-        free.linear += given / body_mass;
-        free.angular = spin(rotation_of(lent[state_at(k, state_now()) + 2u]));
-        atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&greatest));
-        if LAYERS > 1u {
-            atomicMax(&status[greatest_word(step.number)], atomicLoad(&greatest));
-        }
-        atomicStore(&greatest, 0u);
-    }
-    workgroupBarrier();
 }
 
 @compute @workgroup_size(256)
 fn free_bodies(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let k = group.y * extent.row + group.x;
+    let is_first = !SUBCYCLED || step.first_level == 0u;
+    let at = state_at(k, state_now());
+    layer_now = k / FREES * LEVELS;
+    take_up(k, at, is_first);
     if thread == 0u {
-        go = 0u;
-        if k < WORLDS * FREES {
-            go = begin(k);
-        }
+        end_level = last_level(k, at, is_first);
     }
-    if workgroupUniformLoad(&go) == 0u {
+    let first_level = select(0u, step.first_level, SUBCYCLED);
+    let end = workgroupUniformLoad(&end_level);
+    if end <= first_level {
         return;
     }
-    var first_level = 0u;
-    var end_level = LEVELS;
-    if SUBCYCLED {
-        first_level = step.first_level;
-        end_level = min(step.end_level, LEVELS);
-    }
-    let touched = levels_touched(k, first_level, end_level, thread);
-    for (var level = first_level; level < end_level; level++) {
-        if (touched & (1u << level)) != 0u {
-            layer_now = k / FREES * LEVELS + level;
-            meet(k, level, thread);
-        }
+    for (var level = first_level; level < end; level++) {
+        layer_now = k / FREES * LEVELS + level;
+        meet(k, level, thread);
     }
     if thread == 0u {
         layer_now = k / FREES * LEVELS;

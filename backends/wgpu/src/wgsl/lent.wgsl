@@ -2,7 +2,7 @@
 //
 // For each, world by world, there stand in `lent` LENT vectors that stay: three rows of the inertia, body frame [kg m2], with mass [kg], its
 // inverse, and the extent; three rows of the inertia's inverse, with the body's number, how far a surface may move in a step, and
-// whether there is such a body; the leash: least and greatest displacement; and the cell and the place in it at the start.
+// how many levels it meets, none if there is no such body; the leash: least and greatest displacement; and the cell and the place in it at the start.
 // Behind those there stand the states before each slot, and after the last: cell, and whether the host must look before the next step; place in the
 // cell, in 2^-32, and how far turning has moved the surface; rotation (x, y, z, w), in 2^-30; velocity [m/s], and nodes deep inside; angular
 // momentum [kg m2/s], and solutions that did not converge; and, in the slot before, impulse [N s] and angular impulse [N m s] from the ground.
@@ -48,22 +48,9 @@ fn in_level(cell: vec3<i32>, place: vec3<f32>, corner: vec3<f32>, level: u32, sh
     return (vec3<f32>(cell - (base << vec3<u32>(level))) + place + corner / H) * shrink;
 }
 
-// Touches: for each body, level and room for a block there stands how many nodes of the block are inside, how many of them deep, what they weigh [kg],
-// and in how many rooms there are blocks at all; then, TOUCH vectors for each, arm [m] and mass [kg], velocity [m/s] and the node with, from bit 30 on,
-// the kind of grip, normal and friction.
+// Behind all states there is room for touches, the nodes inside a body on the level at hand, a row for each of its workgroup's threads: for each node
+// TOUCH vectors, arm [m] and mass [kg], velocity [m/s] and the node with, from bit 30 on, the kind of grip, normal and friction. There are no more than ROOMS
+// blocks in a body's box, so that a thread keeps EACH nodes at most.
 const TOUCH: u32 = 3u;
-const HEADS: u32 = WORLDS * FREES * ROOMS;
-
-// Rooms of a body on a level, and on finer ones.
-fn rooms_on(level: u32) -> u32 {
-    let across = ((ACROSS - 2u) >> level) + 2u;
-    return across * across * across;
-}
-
-fn first_room_on(level: u32) -> u32 {
-    var first = 0u;
-    for (var l = 0u; l < level; l++) {
-        first += rooms_on(l);
-    }
-    return first;
-}
+const TOUCHES: u32 = WORLDS * FREES * (LENT + (MAX_SLOTS + 1u) * STATE);
+const EACH: u32 = (ROOMS + 3u) / 4u;
