@@ -4,6 +4,8 @@
 
 // Levels where all of a block's cells belong: before they are split, and for merging as regions are and as they were; NONE if cells differ.
 var<workgroup> of_block: array<u32, 3>;
+// Likewise for each of its cells, which as a rule lie on one level even if the block does not.
+var<workgroup> of_cell: array<u32, 192>;
 var<workgroup> counted: atomic<u32>;
 
 // The finest level whose region, grown by so many parent cells, holds cells of the finest level; NONE if they differ in that.
@@ -31,6 +33,32 @@ fn least_volume(body: u32, class_of_size: u32) -> f32 {
     return select(0.0, ldexp(0.35355339 * finest_volume(body), i32(3u * class_of_size)), class_of_size > 0u);
 }
 
+// Does a round concern a particle of a block?
+fn concerns(block: vec3<i32>, layer: u32, place: vec4<u32>, body: u32, volume: f32) -> bool {
+    let level = level_of(layer);
+    let local = cell_of(place.w);
+    let n = u32(16 * local.x + 4 * local.y + local.z);
+    // Its cell of the finest level.
+    let within = (place.xyz >> vec3<u32>(1u)) >> vec3<u32>(31u - level);
+    let cell = ((4 * block + local) << vec3<u32>(level)) + vec3<i32>(within);
+    var of_this: array<u32, 3>;
+    for (var which = 0u; which < 3u; which++) {
+        of_this[which] = of_cell[which * 64u + n];
+        if of_this[which] == NONE {
+            of_this[which] = level_for(which, layer, cell, cell + vec3<i32>(1));
+        }
+    }
+    let home = of_this[0];
+    let behind = of_this[1];
+    let before = of_this[2];
+    let splits = volume >= LESS * least_volume(body, home + 1u);
+    let merges = behind > before && volume < MORE * least_volume(body, behind) && volume >= LESS * least_volume(body, before);
+    return splits || merges || home != level;
+}
+
+// Particles that a thread asks for at a time.
+const AT_ONCE: u32 = 4u;
+
 @compute @workgroup_size(128)
 fn find_concerned(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let b = group.y * extent.row + group.x;
@@ -52,29 +80,35 @@ fn find_concerned(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
         of_block[thread] = level_for(thread, layer, (4 * block) << vec3<u32>(level), (4 * block + vec3<i32>(4)) << vec3<u32>(level));
     }
     workgroupBarrier();
-    for (var q = start + thread; q < end; q += 128u) {
-        let p = record[vector(q, 0u)];
-        // Its cell of the finest level.
-        let within = (p.xyz >> vec3<u32>(1u)) >> vec3<u32>(31u - level);
-        let cell = ((4 * block + cell_of(p.w)) << vec3<u32>(level)) + vec3<i32>(within);
-        var of_this: array<u32, 3>;
-        for (var which = 0u; which < 3u; which++) {
-            of_this[which] = of_block[which];
-            if of_this[which] == NONE {
-                of_this[which] = level_for(which, layer, cell, cell + vec3<i32>(1));
-            }
+    for (var i = thread; i < 192u; i += 128u) {
+        let which = i / 64u;
+        of_cell[i] = of_block[which];
+        if of_cell[i] == NONE {
+            let cell = (4 * block + local_of(i % 64u)) << vec3<u32>(level);
+            of_cell[i] = level_for(which, layer, cell, cell + (vec3<i32>(1) << vec3<u32>(level)));
         }
-        let home = of_this[0];
-        let behind = of_this[1];
-        let before = of_this[2];
-        let body = ids[q].y;
-        let volume = rest[(REST - 1u) * extent.slots + q].w;
-        let splits = volume >= LESS * least_volume(body, home + 1u);
-        let merges = behind > before && volume < MORE * least_volume(body, behind) && volume >= LESS * least_volume(body, before);
-        let is_concerned = splits || merges || home != level;
-        loose[q] = u32(is_concerned);
-        if is_concerned {
-            atomicAdd(&counted, 1u);
+    }
+    workgroupBarrier();
+    // Several at a time, so that no thread waits for one before it asks for the next: a block under a footprint holds thousands.
+    for (var first = start + thread; first < end; first += AT_ONCE * 128u) {
+        var place: array<vec4<u32>, AT_ONCE>;
+        var body: array<u32, AT_ONCE>;
+        var volume: array<f32, AT_ONCE>;
+        for (var k = 0u; k < AT_ONCE; k++) {
+            let q = min(first + k * 128u, end - 1u);
+            place[k] = record[vector(q, 0u)];
+            body[k] = ids[q].y;
+            volume[k] = rest[(REST - 1u) * extent.slots + q].w;
+        }
+        for (var k = 0u; k < AT_ONCE; k++) {
+            let q = first + k * 128u;
+            if q < end {
+                let is_concerned = concerns(block, layer, place[k], body[k], volume[k]);
+                loose[q] = u32(is_concerned);
+                if is_concerned {
+                    atomicAdd(&counted, 1u);
+                }
+            }
         }
     }
     workgroupBarrier();

@@ -1,6 +1,5 @@
 // Regions of levels: unions of boxes of cells, two vectors a box, as many for each level of a world.
 
-const BOX_COPIES: u32 = 27u;
 // How much of a box of cells lies in a region: nothing; part of it, or all of it in several boxes; all of it in one.
 const NOTHING: u32 = 0u;
 const PART: u32 = 1u;
@@ -29,11 +28,14 @@ fn cover(table: u32, layer: u32, first: vec3<i32>, end: vec3<i32>, by: i32) -> u
     least = select(least, min(least, high - vec3<i32>(1)), HAS_HIGH_WALL);
     most = select(most, min(most, high), HAS_HIGH_WALL);
     let is_periodic = PERIOD > vec3<i32>(0);
+    // Beside a box itself, copies of it along periodic axes.
+    let first_copy = select(13u, 0u, any(is_periodic));
+    let end_copy = select(14u, 27u, any(is_periodic));
     for (var b = 0u; b < BOXES; b++) {
         let at = layer / LEVELS * PER_WORLD + 2u * ((table * (LEVELS - 1u) + level_of(layer)) * BOXES + b);
         let low_face = regions[at].xyz - vec3<i32>(by);
         let high_face = regions[at + 1u].xyz + vec3<i32>(by);
-        for (var copy = 0u; copy < BOX_COPIES; copy++) {
+        for (var copy = first_copy; copy < end_copy; copy++) {
             let shift = offset_of(copy);
             if all(is_periodic | (shift == vec3<i32>(0))) {
                 let moved = shift * (high - low);
