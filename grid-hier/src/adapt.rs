@@ -19,7 +19,7 @@ use crate::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split}
 use crate::transfer::MAX_STATE;
 use barchan_core::levels::{Agent, Leeway, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
 use barchan_core::{Aabb, Coupling, Error, Ledger, LevelPhase, ParticleList, Plan, Regions, Result};
-use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, PORTION};
+use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, Near, PORTION};
 use nalgebra::{Matrix3, Vector3};
 use nearby::{Nearby, Surface};
 use rayon::prelude::*;
@@ -75,18 +75,22 @@ impl Parcel {
         parcel
     }
 
-    /// Adds the particle to a list of its material.
-    pub fn add_to(&self, list: &mut ParticleList) {
-        list.id.push(u64::from(self.id));
-        list.body.push(self.body);
-        list.cell.push(self.cell);
-        list.offset.push(self.offset);
-        list.velocity.push(std::array::from_fn(|d| self.motion[d]));
-        list.affine.push(std::array::from_fn(|p| self.motion[3 + p]));
-        let planes = [&mut list.mass, &mut list.volume0].into_iter().chain(&mut list.strain).chain(&mut list.state);
-        for (value, plane) in self.rest.iter().zip(planes) {
-            plane.push(*value);
-        }
+    /// Adds particles to a list of their material, plane by plane.
+    pub fn add_all(parcels: &[&Self], list: &mut ParticleList) {
+        rayon::scope(|scope| {
+            let ParticleList { id, body, cell, offset, velocity, affine, mass, volume0, strain, state, .. } = list;
+            let all = || parcels.iter();
+            scope.spawn(move |_| id.extend(all().map(|parcel| u64::from(parcel.id))));
+            scope.spawn(move |_| body.extend(all().map(|parcel| parcel.body)));
+            scope.spawn(move |_| cell.extend(all().map(|parcel| parcel.cell)));
+            scope.spawn(move |_| offset.extend(all().map(|parcel| parcel.offset)));
+            scope.spawn(move |_| velocity.extend(all().map(|parcel| [0, 1, 2].map(|d| parcel.motion[d]))));
+            let affine_of = |parcel: &&Self| std::array::from_fn(|p| parcel.motion[3 + p]);
+            scope.spawn(move |_| affine.extend(all().map(affine_of)));
+            for (k, plane) in [mass, volume0].into_iter().chain(strain).chain(state).enumerate() {
+                scope.spawn(move |_| plane.extend(all().map(|parcel| parcel.rest[k])));
+            }
+        });
     }
 }
 
@@ -230,22 +234,35 @@ impl Round {
     }
 }
 
-/// What a particle was split into: where each belongs, and which of the new numbers it gets; `None`: its parent's.
+/// What a particle was split into.
 struct Family {
-    parcels: Vec<(usize, Parcel, Option<u32>)>,
+    /// Each with the level where it belongs.
+    parcels: Vec<(usize, Parcel)>,
+    /// Which of the new numbers each gets; `None`: its parent's.
+    children: Vec<Option<u32>>,
     splits: u64,
 }
 
-/// A merged particle, the level where it belongs, and what that cost.
+/// A merged particle with the level where it belongs, and what that cost.
 struct Merged {
-    level: usize,
-    parcel: Parcel,
+    parcel: (usize, Parcel),
     change: Change,
     /// Whose place it takes, by their numbers among the candidates.
     members: Vec<usize>,
     /// Where it is, and how far from tools it has to be [m].
     x: [f64; 3],
     clearance: f64,
+}
+
+/// What those that may merge have come to.
+#[derive(Default)]
+struct Merging {
+    merged: Vec<Merged>,
+    /// Those that have merged, and those that have not but must change level.
+    gone: Vec<Found>,
+    left: Vec<Found>,
+    /// Groups that were refused.
+    refused: BTreeMap<Refusal, u64>,
 }
 
 /// How candidates are put together.
@@ -383,9 +400,9 @@ impl Adapt {
         if merges {
             self.tried = self.rounds;
         }
-        let looked_at = (0..levels.len()).filter(|&l| stirred[l] || merges);
-        let found = looked_at.flat_map(|l| self.find_on(l, levels[l], candidates)).collect();
-        Round { found, merges, levels: levels.len() }
+        let looked_at = (0..levels.len()).into_par_iter().filter(|&l| stirred[l] || merges);
+        let found: Vec<_> = looked_at.map(|l| self.find_on(l, levels[l], candidates)).collect();
+        Round { found: found.concat(), merges, levels: levels.len() }
     }
 
     /// Splits, merges and moves what a round has found, and puts every particle on the level where it belongs. Returns which levels
@@ -400,41 +417,53 @@ impl Adapt {
         couplings: &[Box<dyn Coupling>],
     ) -> Result<Vec<bool>> {
         let shown: Vec<&S> = levels.iter().map(|level| &**level).collect();
-        let with = |action: Action| round.found.iter().filter(move |one| one.action == action).copied();
+        let of = |action: Action| round.found.iter().filter(move |one| one.action == action).copied().collect();
+        let [splitting, moving, merging]: [Vec<Found>; 3] = [Action::Split, Action::Move, Action::Merge].map(of);
         let tools: Vec<Aabb> = couplings.iter().flat_map(|c| c.bounds()).collect();
-        let mut coming: Vec<(usize, Parcel)> = Vec::new();
-        let mut gone: Vec<Found> = with(Action::Split).collect();
-        self.split_all(&shown, &gone, couplings, &tools, &mut coming)?;
-        let mut moving: Vec<Found> = with(Action::Move).collect();
+        let move_all = |some: &[Found]| -> Vec<(usize, Parcel)> {
+            let moved = |one: &Found| self.settled(shown[one.level].parcel(one.list, one.place), one.level);
+            some.par_iter().map(moved).collect()
+        };
+        // Neighbourhoods in which particles merge are few: beside them there is time for the others.
+        let ((mut families, moved), (merging, left)) = rayon::join(
+            || (self.split_all(&shown, &splitting, couplings, &tools), move_all(&moving)),
+            || {
+                let merging = round.merges.then(|| self.merge_all(&shown, merging, couplings, &tools));
+                let left = merging.as_ref().map(|merging| move_all(&merging.left));
+                (merging, left.unwrap_or_default())
+            },
+        );
+        self.number(&mut families)?;
+        let Merging { merged, gone, left: unmerged, refused } = merging.unwrap_or_default();
         if round.merges {
-            moving.extend(self.merge_all(
-                &shown,
-                with(Action::Merge).collect(),
-                couplings,
-                &tools,
-                &mut coming,
-                &mut gone,
-            ));
+            self.resampled.refused = refused;
         }
-        self.resampled.moves += moving.len() as u64;
-        let moved = |one: &Found| self.settled(shown[one.level].parcel(one.list, one.place), one.level);
-        let moved: Vec<(usize, Parcel)> = moving.par_iter().map(moved).collect();
-        gone.extend(moving);
+        self.resampled.moves += (moved.len() + left.len()) as u64;
+        self.resampled.merges += merged.len() as u64;
+        for one in &merged {
+            self.resampled.merged += one.members.len() as u64;
+            self.resampled.kinetic += one.change.kinetic;
+            self.resampled.angular += one.change.angular;
+        }
 
         let mut changed = vec![false; levels.len()];
-        for one in gone {
+        for one in [splitting, moving, gone, unmerged].iter().flatten() {
             changed[one.level] = true;
             levels[one.level].remove(one.list, one.place);
         }
-        for (l, level) in levels.iter_mut().enumerate() {
-            let here = coming.iter().chain(&moved).filter(|(to, _)| *to == l);
-            let mut here: Vec<_> = here.map(|(_, parcel)| (parcel.list, parcel.id, parcel)).collect();
-            if !here.is_empty() {
-                here.par_sort_unstable_by_key(|&(list, id, _)| (list, id));
-                let here: Vec<&Parcel> = here.into_iter().map(|(.., parcel)| parcel).collect();
-                changed[l] = true;
-                level.push(&here);
-            }
+        let children = families.par_iter().flat_map_iter(|family| &family.parcels);
+        let come = children.chain(&moved).chain(&left).chain(merged.par_iter().map(|one| &one.parcel));
+        // By level, list and number.
+        let key = |(level, parcel): &(usize, Parcel)| {
+            (*level as u64) << 56 | (parcel.list as u64) << 32 | u64::from(parcel.id)
+        };
+        let mut come: Vec<_> = come.map(|one| (key(one), one)).collect();
+        come.par_sort_unstable_by_key(|(key, _)| *key);
+        for here in come.chunk_by(|(_, a), (_, b)| a.0 == b.0) {
+            let parcels: Vec<&Parcel> = here.iter().map(|(_, (_, parcel))| parcel).collect();
+            let level = here[0].1.0;
+            changed[level] = true;
+            levels[level].push(&parcels);
         }
         Ok(changed)
     }
@@ -552,29 +581,31 @@ impl Adapt {
         self.settled(parcel, from)
     }
 
-    /// Splits particles.
+    /// Splits particles. The children have no numbers yet.
     fn split_all<S: LevelStore>(
-        &mut self,
+        &self,
         levels: &[&S],
         splitting: &[Found],
         couplings: &[Box<dyn Coupling>],
         tools: &[Aabb],
-        coming: &mut Vec<(usize, Parcel)>,
-    ) -> Result<()> {
+    ) -> Vec<Family> {
         // Tools are asked only about what is near them.
         let is_clear = |places: &[[f64; 3]; CHILDREN]| {
             !tools.iter().any(|tool| places.iter().any(|x| tool.contains(*x)))
                 || couplings.iter().all(|c| c.distance(places).iter().all(|d| *d >= 0.0))
         };
         let split = |one: &Found| self.split_up(levels[one.level], one, is_clear);
-        let families: Vec<Family> = splitting.par_iter().map(split).collect();
+        splitting.par_iter().map(split).collect()
+    }
+
+    /// Gives children their numbers.
+    fn number(&mut self, families: &mut [Family]) -> Result<()> {
         for family in families {
             self.resampled.splits += family.splits;
             let first = self.new_ids(family.splits * (CHILDREN as u64 - 1))?;
-            coming.extend(family.parcels.into_iter().map(|(level, mut parcel, child)| {
+            for (child, (_, parcel)) in family.children.iter().zip(&mut family.parcels) {
                 parcel.id = child.map_or(parcel.id, |child| first + child);
-                (level, parcel)
-            }));
+            }
         }
         Ok(())
     }
@@ -592,7 +623,7 @@ impl Adapt {
         let planes = self.materials[one.list].planes();
         let origin = parcel.cell;
         let corner: [f64; 3] = origin.map(|c| f64::from(c) * h);
-        let mut family = Family { parcels: Vec::new(), splits: 0 };
+        let mut family = Family { parcels: Vec::new(), children: Vec::new(), splits: 0 };
         let mut children = 0;
         let mut open = vec![(self.particle(&parcel, origin, h), one.class, None)];
         while let Some((particle, class, child)) = open.pop() {
@@ -600,8 +631,8 @@ impl Adapt {
             let cell: [i32; 3] = std::array::from_fn(|d| origin[d] + at[d].floor() as i32);
             let finest = finest_cell(cell, at.map(|x| x - x.floor()), one.level);
             if class as usize <= self.regions.finest_at(finest, SPLIT_AHEAD) {
-                let (level, parcel) = self.parcel_of(&particle, origin, one.level, &parcel);
-                family.parcels.push((level, parcel, child));
+                family.parcels.push(self.parcel_of(&particle, origin, one.level, &parcel));
+                family.children.push(child);
                 continue;
             }
             family.splits += 1;
@@ -637,31 +668,28 @@ impl Adapt {
         Ok(first as u32)
     }
 
-    /// Merges what can be merged, class by class. Returns those that cannot but have to change level.
+    /// Merges what can be merged, class by class.
     fn merge_all<S: LevelStore>(
-        &mut self,
+        &self,
         levels: &[&S],
         found: Vec<Found>,
         couplings: &[Box<dyn Coupling>],
         tools: &[Aabb],
-        coming: &mut Vec<(usize, Parcel)>,
-        gone: &mut Vec<Found>,
-    ) -> Vec<Found> {
-        self.resampled.refused.clear();
+    ) -> Merging {
+        let mut merging = Merging::default();
         let candidates = self.those_that_merge(levels, found);
         let mut merged = vec![false; candidates.len()];
         // Clusters at the surface first, since only some ways to cut it in cubes leave it whole; then bins, as the lattice lies; then
         // clusters of what is left over.
+        let shift = (self.rounds % 8) as usize;
+        let (in_neighbourhoods, in_bins) =
+            rayon::join(|| sorted_into_bins(&candidates, NEIGHBOURHOOD, shift), || sorted_into_bins(&candidates, 1, 0));
         for way in [Way::Surface, Way::Bins, Way::Rest] {
-            let (sides, shift) = match way {
-                Way::Bins => (1, 0),
-                _ => (NEIGHBOURHOOD, (self.rounds % 8) as usize),
-            };
-            let free = (0..candidates.len()).into_par_iter().filter(|&i| !merged[i]);
-            let mut binned: Vec<Binned> = free.map(|i| candidates[i].binned(i, sides, shift)).collect();
-            binned.par_sort_unstable();
-            let is_wanted = |bin: &&[Binned]| way != Way::Surface || bin.iter().any(|one| candidates[one.5].at_surface);
-            let bins = binned.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3));
+            let all = if way == Way::Bins { &in_bins } else { &in_neighbourhoods };
+            let binned: Vec<Binned> = all.iter().copied().filter(|one| !merged[one.i as usize]).collect();
+            let is_wanted =
+                |bin: &&[Binned]| way != Way::Surface || bin.iter().any(|one| one.of(&candidates).at_surface);
+            let bins = binned.chunk_by(Binned::is_beside);
             let bins: Vec<&[Binned]> = bins.filter(is_wanted).collect();
             let try_bin = |bin: &&[Binned]| match way {
                 Way::Bins => self.try_merge(levels, &candidates, bin, false).into_iter().collect(),
@@ -673,24 +701,21 @@ impl Adapt {
                 bins.par_iter().with_max_len(most.max(1)).map(try_bin).collect();
             for result in results.into_iter().flatten() {
                 match result {
-                    Err(refusal) => *self.resampled.refused.entry(refusal).or_default() += 1,
+                    Err(refusal) => *merging.refused.entry(refusal).or_default() += 1,
                     Ok(one) if is_near_tool(&one, couplings, tools) => {}
                     Ok(one) => {
-                        self.resampled.merges += 1;
-                        self.resampled.merged += one.members.len() as u64;
-                        self.resampled.kinetic += one.change.kinetic;
-                        self.resampled.angular += one.change.angular;
-                        for i in one.members {
+                        for &i in &one.members {
                             merged[i] = true;
-                            gone.push(candidates[i].found);
+                            merging.gone.push(candidates[i].found);
                         }
-                        coming.push((one.level, one.parcel));
+                        merging.merged.push(one);
                     }
                 }
             }
         }
         let left = candidates.iter().zip(merged).filter(|(_, merged)| !merged).map(|(one, _)| one.found);
-        left.filter(|one| one.home != one.level).collect()
+        merging.left = left.filter(|one| one.home != one.level).collect();
+        merging
     }
 
     /// What merging needs to know of the particles that may merge.
@@ -735,9 +760,10 @@ impl Adapt {
         let strict = 4.0 * self.tolerance * (1.0 + self.tolerance);
         // The members of a cluster tend to find the same one.
         let mut refused: HashSet<Vec<usize>> = HashSet::new();
-        let mut found = Vec::new();
+        let (mut near, mut found) = (Near::default(), Vec::new());
         for seed in loose.seeds(only_surface) {
-            let Some(members) = loose.cluster(seed, least, strict).filter(|members| !refused.contains(members)) else {
+            let members = loose.cluster(seed, least, strict, &mut near);
+            let Some(members) = members.filter(|members| !refused.contains(members)) else {
                 continue;
             };
             let cluster: Vec<Binned> = members.iter().map(|&i| bin[loose.number[i]]).collect();
@@ -759,7 +785,7 @@ impl Adapt {
         bin: &[Binned],
         pairs: bool,
     ) -> Option<Result<Merged, Refusal>> {
-        let members = || bin.iter().map(|binned| &candidates[binned.5]);
+        let members = || bin.iter().map(|binned| binned.of(candidates));
         let side = members().next()?.side;
         let volume: f64 = members().map(|one| one.volume0).sum();
         let least = if pairs { 0.0 } else { *PORTION.start() };
@@ -791,11 +817,19 @@ impl Adapt {
         let x: [f64; 3] = std::array::from_fn(|d| f64::from(origin[d]) * h + one.x[d]);
         let mut like = parcels[0].clone();
         like.id = parcels.iter().map(|parcel| parcel.id).min()?;
-        let (level, parcel) = self.parcel_of(&one, origin, level, &like);
+        let parcel = self.parcel_of(&one, origin, level, &like);
         // Angular momentum about the world's origin: the particles' own change, since momentum and centre stay.
-        let members = bin.iter().map(|binned| binned.5).collect();
-        Some(Ok(Merged { level, parcel, change, members, x, clearance: AROUND_TOOL * side }))
+        let members = bin.iter().map(|binned| binned.i as usize).collect();
+        Some(Ok(Merged { parcel, change, members, x, clearance: AROUND_TOOL * side }))
     }
+}
+
+/// Candidates by bins of so many merged particles' sides, those of a bin in the order of ids; see [`Candidate::binned`].
+fn sorted_into_bins(candidates: &[Candidate], sides: u32, shift: usize) -> Vec<Binned> {
+    let mut binned: Vec<Binned> =
+        candidates.par_iter().enumerate().map(|(i, one)| one.binned(i, sides, shift)).collect();
+    binned.par_sort_unstable();
+    binned
 }
 
 /// Rest volume of each body's particles on the finest level [m³]. Particles of no body are like the last one's.

@@ -70,7 +70,7 @@ impl WgpuBatch {
                 level.gone().zip(slots).flat_map(|(gone, slots)| gone.map(|place| slots[place])).collect()
             });
             let gone: Vec<Vec<u32>> = gone.collect();
-            let come: Vec<ParticleList> = levels.iter().flat_map(CopiedLevel::come).collect();
+            let come: Vec<ParticleList> = levels.into_iter().flat_map(CopiedLevel::come).collect();
             self.exchange(w, &gone, &come)?;
         }
         self.adapt_seconds.0 += begun.elapsed().as_secs_f64();

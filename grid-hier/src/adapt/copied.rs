@@ -17,7 +17,8 @@ pub struct CopiedLevel {
     groups: Vec<Vec<Range<usize>>>,
     /// Has it been taken out?
     gone: Vec<Vec<bool>>,
-    come: Vec<Parcel>,
+    /// Particles that have been taken in, a list a material.
+    come: Vec<ParticleList>,
 }
 
 impl CopiedLevel {
@@ -26,7 +27,12 @@ impl CopiedLevel {
     pub fn new(lists: Vec<ParticleList>, filled: Vec<(u64, u64)>) -> Self {
         // What is beyond the reach of blocks is in none.
         let key = |cell: &[i32; 3]| block::key(block::of_cell(*cell)).unwrap_or(u64::MAX);
-        let mut blocks: Vec<u64> = lists.iter().flat_map(|list| &list.cell).map(key).collect();
+        let blocks_of = |list: &ParticleList| {
+            let mut blocks: Vec<u64> = list.cell.iter().map(key).collect();
+            blocks.dedup();
+            blocks
+        };
+        let mut blocks: Vec<u64> = lists.iter().flat_map(blocks_of).collect();
         blocks.sort_unstable();
         blocks.dedup();
         let groups_of = |list: &ParticleList| {
@@ -37,7 +43,12 @@ impl CopiedLevel {
         let groups = lists.iter().map(groups_of).collect();
         blocks.pop_if(|key| *key == u64::MAX);
         let gone = lists.iter().map(|list| vec![false; list.len()]).collect();
-        Self { lists, filled, blocks, groups, gone, come: Vec::new() }
+        let empty = |list: &ParticleList| {
+            let (level, material) = (list.level as usize, list.material as usize);
+            ParticleList::empty(level, material, list.cell_width, list.strain.len(), list.state.len())
+        };
+        let come = lists.iter().map(empty).collect();
+        Self { lists, filled, blocks, groups, gone, come }
     }
 
     /// For each list, the places of particles that have been taken out.
@@ -46,14 +57,8 @@ impl CopiedLevel {
     }
 
     /// Particles that have been taken in, as lists, each in the order of numbers.
-    pub fn come(&self) -> Vec<ParticleList> {
-        let empty = |list: &ParticleList| {
-            let (level, material) = (list.level as usize, list.material as usize);
-            ParticleList::empty(level, material, list.cell_width, list.strain.len(), list.state.len())
-        };
-        let mut lists: Vec<_> = self.lists.iter().map(empty).collect();
-        self.come.iter().for_each(|parcel| parcel.add_to(&mut lists[parcel.list]));
-        lists
+    pub fn come(self) -> Vec<ParticleList> {
+        self.come
     }
 }
 
@@ -92,7 +97,9 @@ impl LevelStore for CopiedLevel {
         self.gone[list][place] = true;
     }
     fn push(&mut self, parcels: &[&Parcel]) {
-        self.come.extend(parcels.iter().map(|parcel| (*parcel).clone()));
+        for own in parcels.chunk_by(|a, b| a.list == b.list) {
+            Parcel::add_all(own, &mut self.come[own[0].list]);
+        }
     }
     fn filled(&self, _lists: usize, blocks: &[u64], _volume: f64) -> Vec<u64> {
         let of_block =
