@@ -1,7 +1,7 @@
 //! Split and merge: the device finds the particles that they may concern, the host decides about those, and the device takes out what is
 //! gone and takes in what has come.
 
-use crate::batch::{BLOCKS, COUNTED, Dispatch, HALTED, Part, WgpuBatch};
+use crate::batch::{BLOCKS, Behind, COUNTED, Dispatch, HALTED, Part, WgpuBatch};
 use crate::kernels::{Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{StepConstants, read_all, with_room};
@@ -18,6 +18,8 @@ use std::time::Instant;
 const FILLED: usize = 2;
 /// Where a particle's cell and layer stand in its record on the way to the host and back.
 const PLACE: usize = 5;
+/// So many particles come back with the search; as a rule a round that merges nothing concerns fewer.
+const AT_ONCE: usize = 2048;
 const HAS_LEVELS: &str = "only scenes of several levels have rounds";
 
 /// Copies of particles of a world that a round may concern.
@@ -88,36 +90,38 @@ impl WgpuBatch {
         let passes = kernels.find.iter().chain(merges.then_some(&kernels.fill));
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0, end: self.levels }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
-        let words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, None)?;
+        // Those that may merge are many, and it takes more to merge them.
+        let at_once = if merges { 0 } else { AT_ONCE.min(self.particles()) };
+        let few: Vec<_> = self.found(at_once).collect();
+        let mut words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, few)?;
         let count = words[COUNTED] as usize;
+        let mut words = words.split_off(self.words().count());
 
         let world = &self.worlds[w];
-        let (first, end) = (world.levels[0].blocks.start, world.levels[self.levels - 1].blocks.end);
-        let filled_bytes = if merges && count > 0 { 16 * FILLED * (end - first) } else { 0 };
-        let next =
-            |sorted: Sorted| (self.memory.buffer(Role::Next(sorted), now), self.memory.stretches(sorted, 0, count));
-        let planes = [Sorted::Record, Sorted::Ids, Sorted::Rest].map(next);
-        let mut stretches: Vec<_> = planes
-            .iter()
-            .flat_map(|(buffer, stretches)| stretches.iter().map(move |&(from, bytes)| (*buffer, from, bytes)))
-            .collect();
-        stretches.push((self.memory.buffer(Role::Order, now), 0, 4 * count as u64));
-        stretches.push((self.memory.buffer(Role::Handed, now), (16 * FILLED * first) as u64, filled_bytes as u64));
-        let words: Vec<u32> = read_all(&self.gpu, &stretches)?;
-        let (planes, rest) = words.split_at(words.len() - count - filled_bytes / 4);
-        let (order, filled) = rest.split_at(count);
-        let planes = Planes::of_words(planes, count);
+        let blocks = world.levels[0].blocks.start..world.levels[self.levels - 1].blocks.end;
+        let (mut room, mut filled) = (at_once, 0);
+        if count > at_once {
+            (room, filled) = (count, if merges { 4 * FILLED * blocks.len() } else { 0 });
+            let from = (16 * FILLED * blocks.start) as u64;
+            let cells = Behind { role: Role::Handed, from, bytes: 4 * filled as u64 };
+            let stretches = self.found(count).chain([cells]);
+            let stretches = stretches.map(|some| (self.memory.buffer(some.role, now), some.from, some.bytes));
+            words = read_all(&self.gpu, &stretches.collect::<Vec<_>>())?;
+        }
+        let (order, rest) = words.split_at(room);
+        let (planes, filled) = rest.split_at(rest.len() - filled);
+        let planes = Planes::of_words(planes, room);
 
         let mut places = vec![Vec::new(); self.levels];
         let mut slots = vec![vec![Vec::new(); world.materials.len()]; self.levels];
-        for (i, &slot) in order.iter().enumerate() {
-            let [x, y, z, layer] = planes.record[layout::vector(i, PLACE, count)];
+        for (i, &slot) in order[..count].iter().enumerate() {
+            let [x, y, z, layer] = planes.record[layout::vector(i, PLACE, room)];
             let l = layer as usize - self.levels * w;
             places[l].push((i, block::of_cell([x, y, z].map(|c| c as i32))));
             slots[l][planes.law(i)].push(slot);
         }
         let lists = |(l, places): (usize, &Vec<(usize, [i32; 3])>)| {
-            planes.lists(places, &world.materials, (l, world.levels[l].h), count)
+            planes.lists(places, &world.materials, (l, world.levels[l].h), room)
         };
         let lists: Vec<_> = places.par_iter().enumerate().map(lists).collect();
         let mut of_level = vec![Vec::new(); self.levels];
@@ -126,8 +130,18 @@ impl WgpuBatch {
             let bits = u64::from(entry[4]) | u64::from(entry[5]) << 32;
             of_level[entry[3] as usize - self.levels * w].extend(key.map(|key| (key, bits)));
         }
-        let levels = lists.into_iter().zip(of_level).map(|(lists, filled)| CopiedLevel::new(lists, filled));
+        let levels = lists.into_par_iter().zip(of_level).map(|(lists, filled)| CopiedLevel::new(lists, filled));
         Ok(Found { slots, levels: levels.collect() })
+    }
+
+    /// Where the device has put so many of those that it has found: their slots, then what it holds of them.
+    fn found(&self, count: usize) -> impl Iterator<Item = Behind> {
+        let order = Behind { role: Role::Order, from: 0, bytes: 4 * count as u64 };
+        let of = move |sorted: Sorted| {
+            let stretches = self.memory.stretches(sorted, 0, count).into_iter();
+            stretches.map(move |(from, bytes)| Behind { role: Role::Next(sorted), from, bytes })
+        };
+        [order].into_iter().chain([Sorted::Record, Sorted::Ids, Sorted::Rest].into_iter().flat_map(of))
     }
 
     /// Takes particles out of a world, by their slots on each level, and others in, one list a level and material.
@@ -153,7 +167,7 @@ impl WgpuBatch {
         let (layers, mut first) = (self.layers_of(w), before);
         for (layer, (mut planes, homes)) in layers.clone().zip(laid) {
             let count = homes.order.len();
-            (0..count).for_each(|i| planes.record[layout::vector(i, PLACE, count)][3] = layer as u32);
+            planes.record.to_mut()[layout::vector(0, PLACE, count)..].iter_mut().for_each(|v| v[3] = layer as u32);
             self.write_behind(&planes, &homes, (first, blocks), layer);
             (first, blocks) = (first + count, blocks + homes.blocks.len());
             let level = &mut self.worlds[w].levels[layer - layers.start];

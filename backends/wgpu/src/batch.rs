@@ -23,6 +23,7 @@ use barchan_grid::adapt::{Candidates, finest_volumes};
 use barchan_grid::archive::Reach;
 use barchan_grid::block;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
@@ -438,12 +439,12 @@ struct Arrival {
     homes: Vec<Homes>,
     /// What is known of their blocks' rest.
     watched: Vec<Vec<sleep::Words>>,
-    planes: Vec<Planes>,
+    planes: Vec<Planes<'static>>,
     particles: ParticleState,
 }
 
 /// How a level lies in memory.
-type Laid = (Homes, Planes);
+type Laid = (Homes, Planes<'static>);
 
 /// Worlds that take part in the same dispatches. Each level of each world is a layer.
 pub(crate) struct WgpuBatch {
@@ -980,13 +981,13 @@ impl WgpuBatch {
         stretches
     }
 
-    /// Runs parts and brings back the status, and what is asked for behind it.
+    /// Runs parts and brings back the status, and what is asked for behind it, one after the other.
     pub(crate) fn run(
         gpu: &Gpu,
         memory: &mut Memory,
         clocks: &mut Clocks,
         parts: &[(Part<'_>, Vec<Size>)],
-        behind: Option<Behind>,
+        behind: impl IntoIterator<Item = Behind>,
     ) -> Result<Vec<u32>> {
         for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
             clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
@@ -1024,12 +1025,14 @@ impl WgpuBatch {
                 }
             }
         }
-        let (status, behind) = (memory.status_bytes(), behind.filter(|behind| behind.bytes > 0));
-        let bytes = status + behind.as_ref().map_or(0, |behind| behind.bytes);
+        let status = Behind { role: Role::Status, from: 0, bytes: memory.status_bytes() };
+        let back: Vec<_> = [status].into_iter().chain(behind).filter(|some| some.bytes > 0).collect();
+        let bytes = back.iter().map(|some| some.bytes).sum();
         memory.read_back_to(gpu, bytes);
-        encoder.copy_buffer_to_buffer(memory.buffer(Role::Status, 0), 0, &memory.readback, 0, status);
-        if let Some(Behind { role, from, bytes }) = behind {
-            encoder.copy_buffer_to_buffer(memory.buffer(role, 0), from, &memory.readback, status, bytes);
+        let mut at = 0;
+        for Behind { role, from, bytes } in back {
+            encoder.copy_buffer_to_buffer(memory.buffer(role, memory.now), from, &memory.readback, at, bytes);
+            at += bytes;
         }
         let resolved = queries.map(|queries| {
             let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -1256,8 +1259,8 @@ impl WgpuBatch {
             let words: Vec<u32> =
                 read_all(&self.gpu, &parts.map(|(sorted, (from, bytes))| (self.memory.plane(sorted), from, bytes)))?;
             let (record, rest) = words.split_at(4 * count);
-            let (record, rest) = (bytemuck::pod_collect_to_vec(record), bytemuck::pod_collect_to_vec(rest));
-            let planes = Planes { record, rest, ..Planes::default() };
+            let (record, rest) = (bytemuck::cast_slice(record), bytemuck::cast_slice(rest));
+            let planes = Planes { record: Cow::Borrowed(record), rest: Cow::Borrowed(rest), ..Planes::default() };
             let places = homes.places();
             for law in 0..world.materials.len() {
                 let own = places.par_iter().filter(|(q, _)| planes.law(*q) == law);
@@ -1268,14 +1271,14 @@ impl WgpuBatch {
     }
 
     /// All that the device holds of a level's particles.
-    fn planes(&self, level: &Level) -> Result<Planes> {
+    fn planes(&self, level: &Level) -> Result<Planes<'static>> {
         let (first, count) = (level.particles.start, level.particles.len());
         let of = |sorted: Sorted| {
             let stretches = self.memory.stretches(sorted, first, count).into_iter();
             stretches.map(move |(from, bytes)| (self.memory.plane(sorted), from, bytes))
         };
         let stretches: Vec<_> = [Sorted::Record, Sorted::Ids, Sorted::Rest].into_iter().flat_map(of).collect();
-        Ok(Planes::of_words(&read_all(&self.gpu, &stretches)?, count))
+        Ok(Planes::of_words(&read_all(&self.gpu, &stretches)?, count).into_owned())
     }
 
     /// A world's particles, with the phase of the sort and of its levels.

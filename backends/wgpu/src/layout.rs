@@ -5,6 +5,7 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, ParticleState, Result, Spot};
 use barchan_grid::block::{REACH, offset};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// Vectors of four in a particle's record.
 pub(crate) const RECORD: usize = 6;
@@ -17,6 +18,8 @@ const FEW: usize = 1024;
 /// So many particles of a cell stand together, and so many times they take turns with those of their block's other cells; see `rounds.wgsl`.
 pub(crate) const TOGETHER: usize = 4;
 pub(crate) const ROUNDS: usize = 8;
+/// Blocks' coordinates lie between minus this and this.
+const FAR: i32 = 1 << 23;
 /// Particles that the sort's order can tell apart.
 const MAX_PARTICLES: usize = 1 << 28;
 
@@ -59,15 +62,23 @@ fn in_block(cell: Block) -> usize {
 impl Homes {
     /// Homes where the particles are.
     pub(crate) fn fresh(lists: &[ParticleList], periods: &Periods) -> Self {
-        let all = lists.iter().enumerate().flat_map(|(l, list)| {
-            list.cell
-                .iter()
-                .enumerate()
-                .map(move |(i, &cell)| (periods.wrap(cell.map(|c| c >> 2)), in_block(cell), l, i))
-        });
-        let mut all: Vec<_> = all.collect();
+        // Block, cell, list and number in one, since many are sorted.
+        let packed = |l: usize, i: usize, cell: Block| {
+            let block = periods.wrap(cell.map(|c| c >> 2)).map(|b| (b + FAR) as u32);
+            let block = block.into_iter().fold(0, |all, b| all << 24 | u128::from(b));
+            (block << 6 | in_block(cell) as u128) << 48 | (l as u128) << 32 | i as u128
+        };
+        let mut all: Vec<u128> = Vec::new();
+        for (l, list) in lists.iter().enumerate() {
+            all.par_extend(list.cell.par_iter().enumerate().map(|(i, &cell)| packed(l, i, cell)));
+        }
         all.par_sort_unstable();
-        Self::of(&all)
+        let unpacked = |one: &u128| {
+            let along = |axis: usize| (one >> (102 - 24 * axis)) as i32 & 0xff_ffff;
+            let block = [0, 1, 2].map(|axis| along(axis) - FAR);
+            (block, (one >> 48) as usize & 63, (one >> 32) as usize & 0xffff, *one as u32 as usize)
+        };
+        Self::of(&all.par_iter().map(unpacked).collect::<Vec<_>>())
     }
 
     /// Homes as a sort of this backend left them: for each block, the particles of each cell of each list.
@@ -180,11 +191,11 @@ fn slots(starts: &[u32], count: usize) -> Vec<usize> {
 
 /// Planes of all particles as the device holds them.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Planes {
+pub(crate) struct Planes<'a> {
     /// Six vectors a particle, in the order of [`vector`]; see `common.wgsl`.
-    pub(crate) record: Vec<[u32; 4]>,
-    pub(crate) ids: Vec<[u32; 2]>,
-    pub(crate) rest: Vec<[f32; 4]>,
+    pub(crate) record: Cow<'a, [[u32; 4]]>,
+    pub(crate) ids: Cow<'a, [[u32; 2]]>,
+    pub(crate) rest: Cow<'a, [[f32; 4]]>,
 }
 
 /// Where vector `k` of particle `q` stands in the record.
@@ -255,7 +266,7 @@ impl Ours<'_> {
     }
 }
 
-impl Planes {
+impl<'a> Planes<'a> {
     /// Planes with room for `slots` particles each.
     pub(crate) fn of(
         lists: &[ParticleList],
@@ -273,21 +284,19 @@ impl Planes {
             Ours { list: &lists[l], i, seat, planned: &materials[l] }
         };
         let all: Vec<Ours<'_>> = seats.into_par_iter().enumerate().with_min_len(FEW).map(particle).collect();
-        let mut planes = Self {
-            record: vec![[0; 4]; RECORD * slots],
-            ids: vec![[0; 2]; slots],
-            rest: vec![[0.0; 4]; vectors * slots],
-        };
+        let mut record = vec![[0; 4]; RECORD * slots];
+        let mut ids = vec![[0; 2]; slots];
+        let mut rest = vec![[0.0; 4]; vectors * slots];
         fn fill<T: Send>(plane: &mut [T], all: &[Ours<'_>], of: impl Fn(&Ours<'_>) -> T + Sync) {
             let pairs = plane.par_iter_mut().zip(all).with_min_len(FEW);
             pairs.for_each(|(value, one)| *value = of(one));
         }
         let slots = slots.max(1);
-        planes.record.par_chunks_mut(slots).enumerate().for_each(|(k, plane)| fill(plane, &all, |one| one.record(k)));
-        fill(&mut planes.ids, &all, |one| [one.list.id[one.i] as u32, u32::from(one.list.body[one.i])]);
-        let rest = planes.rest.par_chunks_mut(slots).enumerate();
-        rest.for_each(|(v, plane)| fill(plane, &all, |one| one.rest(v, vectors)));
-        Ok(planes)
+        record.par_chunks_mut(slots).enumerate().for_each(|(k, plane)| fill(plane, &all, |one| one.record(k)));
+        fill(&mut ids, &all, |one| [one.list.id[one.i] as u32, u32::from(one.list.body[one.i])]);
+        let of_rest = rest.par_chunks_mut(slots).enumerate();
+        of_rest.for_each(|(v, plane)| fill(plane, &all, |one| one.rest(v, vectors)));
+        Ok(Self { record: record.into(), ids: ids.into(), rest: rest.into() })
     }
 
     /// What the planes of a buffer hold.
@@ -301,13 +310,22 @@ impl Planes {
     }
 
     /// What a device has handed out of so many particles: records, ids, then the rest.
-    pub(crate) fn of_words(words: &[u32], count: usize) -> Self {
+    pub(crate) fn of_words(words: &'a [u32], count: usize) -> Self {
         let (record, rest) = words.split_at(4 * RECORD * count);
         let (ids, rest) = rest.split_at(2 * count);
         Self {
-            record: bytemuck::pod_collect_to_vec(record),
-            ids: bytemuck::pod_collect_to_vec(ids),
-            rest: bytemuck::pod_collect_to_vec(rest),
+            record: Cow::Borrowed(bytemuck::cast_slice(record)),
+            ids: Cow::Borrowed(bytemuck::cast_slice(ids)),
+            rest: Cow::Borrowed(bytemuck::cast_slice(rest)),
+        }
+    }
+
+    /// A copy that stays.
+    pub(crate) fn into_owned(self) -> Planes<'static> {
+        Planes {
+            record: self.record.into_owned().into(),
+            ids: self.ids.into_owned().into(),
+            rest: self.rest.into_owned().into(),
         }
     }
 
@@ -335,27 +353,32 @@ impl Planes {
         planned: &PlannedMaterial,
         slots: usize,
     ) -> ParticleList {
-        fn of_all<T: Send>(places: &[(usize, Block)], of: impl Fn(usize) -> T + Sync) -> Vec<T> {
-            places.par_iter().with_min_len(FEW).map(|&(q, _)| of(q)).collect()
+        fn fill<T: Send>(plane: &mut Vec<T>, places: &[(usize, Block)], of: impl Fn(usize, Block) -> T + Sync) {
+            plane.par_extend(places.par_iter().with_min_len(FEW).map(|&(q, block)| of(q, block)));
         }
         let record = |q: usize, k: usize| self.record[vector(q, k, slots)];
         let real = |bits: u32| f64::from(f32::from_bits(bits));
-        list.id = of_all(places, |q| u64::from(self.ids[q][0]));
-        list.body = of_all(places, |q| self.ids[q][1] as u16);
-        list.cell = places.par_iter().with_min_len(FEW).map(|&(q, block)| cell(record(q, 0), block)).collect();
-        list.offset = of_all(places, |q| offset_in_cell(record(q, 0)));
-        list.velocity = of_all(places, |q| std::array::from_fn(|d| real(record(q, 2 + d)[0])));
-        list.affine = of_all(places, |q| std::array::from_fn(|e| real(record(q, 2 + e / 3)[1 + e % 3])));
-        list.mass = of_all(places, |q| real(record(q, 1)[3]));
-        list.volume0 = of_all(places, |q| self.volume0(q, slots));
         let value = |q: usize, k: usize| f64::from(self.rest[k / 4 * slots + q][k % 4]);
-        let planes = list.strain.len();
-        for (k, (plane, one)) in list.strain.iter_mut().zip(planned.material.strain_identity()).enumerate() {
-            *plane = of_all(places, |q| one + value(q, k));
-        }
-        for (k, plane) in list.state.iter_mut().enumerate() {
-            *plane = of_all(places, |q| value(q, planes + k));
-        }
+        rayon::scope(|scope| {
+            let ParticleList { id, body, cell, offset, velocity, affine, mass, volume0, strain, state, .. } = &mut list;
+            let planes = strain.len();
+            scope.spawn(move |_| fill(id, places, |q, _| u64::from(self.ids[q][0])));
+            scope.spawn(move |_| fill(body, places, |q, _| self.ids[q][1] as u16));
+            scope.spawn(move |_| fill(cell, places, |q, block| self::cell(record(q, 0), block)));
+            scope.spawn(move |_| fill(offset, places, |q, _| offset_in_cell(record(q, 0))));
+            let velocity_of = move |q: usize, _| std::array::from_fn(|d| real(record(q, 2 + d)[0]));
+            scope.spawn(move |_| fill(velocity, places, velocity_of));
+            let affine_of = move |q: usize, _| std::array::from_fn(|e| real(record(q, 2 + e / 3)[1 + e % 3]));
+            scope.spawn(move |_| fill(affine, places, affine_of));
+            scope.spawn(move |_| fill(mass, places, |q, _| real(record(q, 1)[3])));
+            scope.spawn(move |_| fill(volume0, places, |q, _| self.volume0(q, slots)));
+            for (k, (plane, one)) in strain.iter_mut().zip(planned.material.strain_identity()).enumerate() {
+                scope.spawn(move |_| fill(plane, places, |q, _| one + value(q, k)));
+            }
+            for (k, plane) in state.iter_mut().enumerate() {
+                scope.spawn(move |_| fill(plane, places, |q, _| value(q, planes + k)));
+            }
+        });
         list
     }
 

@@ -679,7 +679,8 @@ pub(crate) fn read_all<T: Pod>(gpu: &Gpu, stretches: &[(&wgpu::Buffer, u64, u64)
             if filled == PART || left == 0 {
                 let fresh = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
                 gpu.queue.submit([std::mem::replace(&mut encoder, fresh).finish()]);
-                let take = |bytes: &[u8]| out.extend(bytemuck::pod_collect_to_vec::<u8, T>(bytes));
+                // What is mapped begins at a multiple of eight.
+                let take = |bytes: &[u8]| out.extend_from_slice(bytemuck::cast_slice(bytes));
                 with_mapped(gpu, &staging, filled, take)?;
                 filled = 0;
             }

@@ -49,14 +49,15 @@ impl Seats {
         self.batch.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does something with the batch on its threads.
+    /// Does something with the batch on its threads. From outside of them each parallel loop would wait to be taken up and to be told that it
+    /// has ended, tens of microseconds each time.
     fn with<R: Send>(&self, f: impl FnOnce(&mut WgpuBatch) -> R + Send) -> R {
         let mut batch = self.batch();
         let batch = &mut *batch;
         let f = || f(batch);
         match &self.pool {
             Some(pool) => pool.install(f),
-            None => f(),
+            None => rayon::scope(|_| f()),
         }
     }
 }
