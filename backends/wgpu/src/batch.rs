@@ -1880,14 +1880,15 @@ impl WgpuBatch {
             let world = &self.worlds[turn.world];
             if world.hardens { STIFFNESS_AGE.saturating_sub(world.stiffness_age).max(1) as usize } else { MAX_STEPS }
         };
-        let most = turns.iter().map(until_asked).fold(MAX_STEPS.min(MAX_SLOTS / self.substeps), usize::min);
+        let at_once = MAX_STEPS.min(MAX_SLOTS / self.substeps);
+        let most = turns.iter().map(until_asked).fold(at_once, usize::min);
         let lent: Vec<Option<Vec<Lent>>> = turns
             .iter_mut()
             .map(|turn| match self.worlds[turn.world] {
                 _ if !ground => None,
                 World { contact: Some(Place::Host), .. } => None,
                 World { free: 0, .. } => Some(Vec::new()),
-                _ => self.borrow(turn, dt, MAX_STEPS.min(MAX_SLOTS / self.substeps)),
+                _ => self.borrow(turn, dt, at_once),
             })
             .collect();
         let is_on_host: Vec<bool> = lent.iter().map(Option::is_none).collect();

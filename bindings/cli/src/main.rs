@@ -7,6 +7,8 @@ mod run;
 
 use barchan::{Error, Plan, Precision, Registry, Result, Scene};
 use clap::{Args, Parser, Subcommand};
+use std::fmt::Display;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -125,13 +127,19 @@ fn assemble(args: &SceneArgs) -> Result<Plan> {
 
 fn plan(args: &SceneArgs) -> Result<()> {
     let plan = assemble(args)?;
-    println!("{plan}");
     let passes = args.engine.registry()?.backend(&args.engine.backend)?.passes(&plan);
-    if !passes.is_empty() {
-        println!("\nPasses of the backend {}, in their order", args.engine.backend);
-        passes.iter().for_each(|pass| println!("  {pass}"));
-    }
+    let lines: String = passes.iter().map(|pass| format!("  {pass}\n")).collect();
+    let heading = format!("\nPasses of the backend {}, in their order\n", args.engine.backend);
+    show(format!("{plan}\n{}{lines}", if passes.is_empty() { "" } else { &heading }));
     Ok(())
+}
+
+/// Writes to the standard output. That nobody reads on is no error: `barchan schema | head`.
+fn show(text: impl Display) {
+    match write!(std::io::stdout(), "{text}") {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => eprintln!("error: standard output: {error}"),
+        _ => {}
+    }
 }
 
 fn check(args: &SceneArgs) -> Result<()> {
@@ -149,12 +157,12 @@ fn main() -> ExitCode {
         Command::Check(args) => check(args).map(|()| ExitCode::SUCCESS),
         Command::Plugins(args) => plugins::list(args).map(|()| ExitCode::SUCCESS),
         Command::Adapters => {
-            print!("{}", plugins::adapters(&barchan::registry()));
+            show(plugins::adapters(&barchan::registry()));
             Ok(ExitCode::SUCCESS)
         }
         Command::Bench(args) => bench::run(args).map(|()| ExitCode::SUCCESS),
         Command::Schema => {
-            println!("{:#}", Scene::schema());
+            show(format!("{:#}\n", Scene::schema()));
             Ok(ExitCode::SUCCESS)
         }
     };

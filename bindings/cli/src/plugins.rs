@@ -1,5 +1,6 @@
 //! `barchan plugins`.
 
+use crate::show;
 use barchan::material::Parameter;
 use barchan::{Material, Registry, Result};
 use clap::Args;
@@ -19,9 +20,9 @@ pub(crate) struct PluginArgs {
 pub(crate) fn list(args: &PluginArgs) -> Result<()> {
     let registry = crate::registry(&args.load)?;
     if args.json {
-        println!("{:#}", as_json(&registry));
+        show(format!("{:#}\n", as_json(&registry)));
     } else {
-        print!("{}", as_text(&registry));
+        show(as_text(&registry));
     }
     Ok(())
 }

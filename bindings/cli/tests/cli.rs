@@ -208,6 +208,19 @@ fn what_cannot_be_run_is_refused_with_place_and_mend() {
     assert!(error.contains(&format!("bad.toml:{line}: material[0].density")), "{error}");
 }
 
+/// Whoever reads only the first lines, as `head` does, closes the pipe: that is no error.
+#[test]
+fn nobody_has_to_read_all_that_is_printed() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [&["schema"][..], &["plugins", "--json"], &["plan", "letters"]] {
+        let mut command = barchan(folder.path());
+        let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop(child.stdout.take());
+        let Output { status, stderr, .. } = child.wait_with_output().unwrap();
+        assert!(status.success() && stderr.is_empty(), "{arguments:?}: {}", String::from_utf8_lossy(&stderr));
+    }
+}
+
 #[test]
 fn plans_plugins_and_the_schema_are_printed() {
     let folder = folder_with_scene();
