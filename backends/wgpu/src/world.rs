@@ -395,7 +395,8 @@ mod tests {
     #[test]
     fn ground_at_rest_is_not_sorted_and_fast_ground_before_it_leaves_its_tiles() {
         assert!(between(0.0).is_empty());
-        assert!(between(1e-4).is_empty());
+        assert!(between(1e-5).is_empty());
+        assert_eq!(between(1e-4), [160]);
         assert!(between(0.01).iter().all(|age| *age == 20));
         assert!(between(0.1).iter().all(|age| *age == 8));
         assert!(between(0.24).iter().all(|age| *age == 4));
