@@ -91,6 +91,8 @@ const ORDER: Use = ("order", "u32", Role::Order, false);
 const OWNERS: Use = ("owners", "vec2<u32>", Role::Owners, false);
 const IDS: Use = ("ids", "vec2<u32>", Role::Now(Sorted::Ids), false);
 const COUNTS: Use = ("counts", "u32", Role::Next(Sorted::Cells), false);
+/// The same once they are starts.
+const NEW_CELLS: Use = ("cells", "u32", Role::Next(Sorted::Cells), false);
 const NEW_LISTS: Use = ("lists", "vec4<i32>", Role::Next(Sorted::Lists), true);
 const RIMS: Use = ("rims", "vec4<u32>", Role::Rims, false);
 const HANDED: Use = ("handed", "vec4<f32>", Role::Handed, false);
@@ -845,7 +847,6 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool) -> Draft {
             body.as_str(),
             &watch,
             if_levels(include_str!("wgsl/parent_cells.wgsl")),
-            if_levels(include_str!("wgsl/slot.wgsl")),
             if_levels(include_str!("wgsl/handed.wgsl")),
             if subcycled {
                 concat!(include_str!("wgsl/listed.wgsl"), include_str!("wgsl/blocks_now.wgsl"))
@@ -1379,11 +1380,13 @@ fn g2p(plan: &Plan, laws: &str, sleeps: bool, particles: usize) -> Draft {
              if atomicLoad(&greatest_move) == 0u {\nreturn;\n}",
         ),
     ];
-    let by_workgroup = if particles < VERY_MANY { 128 } else { 512 };
-    let each = if particles < VERY_MANY {
-        "let q = first + thread;\nif q < extent.particles"
+    let (by_workgroup, each) = if particles < VERY_MANY {
+        (128, "let q = first + thread;\nif q < extent.particles")
     } else {
-        "let end = min(first + BY_WORKGROUP, extent.particles);\nfor (var q = first + thread; q < end; q += 128u)"
+        (
+            512,
+            "let end = min(first + BY_WORKGROUP, extent.particles);\nfor (var q = first + thread; q < end; q += 128u)",
+        )
     };
     let body = with_sleep(sleeps, include_str!("wgsl/g2p.wgsl"), &texts).replace("$GATHER", &gather());
     let body = format!("const BY_WORKGROUP: u32 = {by_workgroup}u;\n") + &body.replace("$EACH", each);
@@ -1716,7 +1719,7 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
             "starts",
             "starts",
             concat!(include_str!("wgsl/rounds.wgsl"), include_str!("wgsl/sort_starts.wgsl")),
-            vec![written(COUNTS), SUMS, STATUS],
+            vec![written(NEW_CELLS), SUMS, STATUS],
             Groups::Blocks,
         ),
         draft(
@@ -1730,7 +1733,7 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
             "rank",
             "rank",
             concat!(include_str!("wgsl/rounds.wgsl"), include_str!("wgsl/sort_rank.wgsl")),
-            vec![COUNTS, KEYS, LOOSE, RECORD, written(ORDER), written(OWNERS), STATUS],
+            vec![NEW_CELLS, KEYS, LOOSE, RECORD, written(ORDER), written(OWNERS), STATUS],
             Groups::ParticlesBy(128),
         ),
         draft("move", "move_rest", include_str!("wgsl/sort_move.wgsl"), particles_to_next(), Groups::ParticlesBy(128)),
@@ -1807,11 +1810,7 @@ fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptDrafts {
             draft(
                 "list",
                 "list_found",
-                concat!(
-                    include_str!("wgsl/rounds.wgsl"),
-                    include_str!("wgsl/slot.wgsl"),
-                    include_str!("wgsl/adapt_list.wgsl")
-                ),
+                concat!(include_str!("wgsl/rounds.wgsl"), include_str!("wgsl/adapt_list.wgsl")),
                 vec![RECORD, LISTS, CELLS, LOOSE, SUMS, written(ORDER), next("new_record", RECORD), STATUS],
                 Groups::Blocks,
             ),
@@ -1826,11 +1825,7 @@ fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptDrafts {
         fill: draft(
             "fill",
             "fill",
-            concat!(
-                include_str!("wgsl/rounds.wgsl"),
-                include_str!("wgsl/slot.wgsl"),
-                include_str!("wgsl/adapt_fill.wgsl")
-            ),
+            concat!(include_str!("wgsl/rounds.wgsl"), include_str!("wgsl/adapt_fill.wgsl")),
             vec![LISTS, CELLS, REST, filled, STATUS],
             Groups::Blocks,
         ),

@@ -6,6 +6,7 @@ use barchan_core::{Error, ParticleList, ParticleState, Result, Spot};
 use barchan_grid::block::{REACH, offset};
 use rayon::prelude::*;
 use std::borrow::Cow;
+use std::ops::Range;
 
 /// Vectors of four in a particle's record.
 pub(crate) const RECORD: usize = 6;
@@ -144,9 +145,10 @@ impl Homes {
     fn seats(&self) -> Vec<(Block, usize)> {
         let of_block = |(b, block): (usize, &Block)| {
             let (starts, count) = self.starts(b);
-            let mut seats = vec![(*block, 0); count];
-            let cells = (0..count).map(|i| starts.partition_point(|start| (start - starts[0]) as usize <= i) - 1);
-            slots(starts, count).into_iter().zip(cells).for_each(|(slot, cell)| seats[slot].1 = cell);
+            let (slots, mut seats) = (slots(starts, count), vec![(*block, 0); count]);
+            for cell in 0..64 {
+                slots[in_cell(starts, count, cell)].iter().for_each(|slot| seats[*slot].1 = cell);
+            }
             seats
         };
         self.blocks.par_iter().enumerate().flat_map_iter(of_block).collect()
@@ -170,9 +172,14 @@ impl Homes {
     }
 }
 
-/// Where the particles of a block stand, cell by cell, counted from its first one: by the starts of its cells, and how many it holds.
-fn slots(starts: &[u32], count: usize) -> Vec<usize> {
+/// A cell's particles, counted cell by cell from its block's first one: by the starts of the block's cells, and how many it holds.
+fn in_cell(starts: &[u32], count: usize, cell: usize) -> Range<usize> {
     let first = |cell: usize| starts.get(cell).map_or(count, |start| (start - starts[0]) as usize);
+    first(cell)..first(cell + 1)
+}
+
+/// Where the particles of a block stand, cell by cell, counted from its first one.
+fn slots(starts: &[u32], count: usize) -> Vec<usize> {
     let mut slots = vec![0; count];
     let mut next = 0..count;
     for round in 0..=ROUNDS {
@@ -180,7 +187,7 @@ fn slots(starts: &[u32], count: usize) -> Vec<usize> {
             break;
         }
         for cell in 0..64 {
-            let cell = first(cell)..first(cell + 1);
+            let cell = in_cell(starts, count, cell);
             let begin = cell.start + TOGETHER * round;
             let end = if round == ROUNDS { cell.end } else { cell.end.min(begin + TOGETHER) };
             (begin..end).zip(&mut next).for_each(|(i, slot)| slots[i] = slot);
@@ -405,8 +412,7 @@ impl<'a> Planes<'a> {
             let slots = slots(starts, count);
             let mut counts = vec![0; 64 * lists];
             for cell in 0..64 {
-                let end = starts.get(cell + 1).map_or(count, |end| (end - starts[0]) as usize);
-                for slot in &slots[(starts[cell] - starts[0]) as usize..end] {
+                for slot in &slots[in_cell(starts, count, cell)] {
                     counts[cell * lists + self.law(starts[0] as usize + slot)] += 1;
                 }
             }

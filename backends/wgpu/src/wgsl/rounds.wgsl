@@ -10,3 +10,9 @@ fn round_at(b: u32, round: u32, cell: u32) -> u32 {
 fn round_of(rank: u32) -> u32 {
     return min(rank / TOGETHER, ROUNDS);
 }
+
+// Where a cell's particle stands, by its number among them.
+fn slot_of(b: u32, cell: u32, rank: u32) -> u32 {
+    let round = round_of(rank);
+    return cells[round_at(b, round, cell)] + rank - round * TOGETHER;
+}

@@ -12,14 +12,13 @@ fn rank(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let mine = loose[i];
     let q = mine & 0x0fffffffu;
     let cell = keys[q].x;
-    let first = counts[cell];
-    let last = counts[cell + 1u];
+    let first = cells[cell];
+    let last = cells[cell + 1u];
     var before = 0u;
     for (var j = first; j < last; j++) {
         before += u32(loose[j] < mine);
     }
-    let round = round_of(before);
-    let to = counts[round_at(cell >> 6u, round, cell & 63u)] + before - round * TOGETHER;
+    let to = slot_of(cell >> 6u, cell & 63u, before);
     order[to] = q | (keys[q].y & KEPT);
     owners[to] = vec2<u32>(cell >> 6u, record[vector(q, 1u)].w);
 }

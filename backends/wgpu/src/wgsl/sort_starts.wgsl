@@ -5,7 +5,7 @@ fn starts(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     var mine = 0u;
     let on = !halted() && b < atomicLoad(&status[BLOCKS]);
     if on {
-        mine = counts[b * 64u + thread];
+        mine = cells[b * 64u + thread];
     }
     partial[thread] = vec2<u32>(mine, 0u);
     workgroupBarrier();
@@ -18,7 +18,7 @@ fn starts(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         before += select(0u, partial[t].x, t < thread);
         most = max(most, partial[t].x);
     }
-    counts[b * 64u + thread] = before;
+    cells[b * 64u + thread] = before;
     for (var round = 0u; round <= round_of(most); round++) {
         // Those of earlier rounds, and of this one in cells before.
         let earlier = round * TOGETHER;
@@ -27,9 +27,9 @@ fn starts(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         for (var t = 0u; t < 64u; t++) {
             at += min(partial[t].x, select(earlier, later, t < thread));
         }
-        counts[round_at(b, round, thread)] = at;
+        cells[round_at(b, round, thread)] = at;
     }
     if b + 1u == atomicLoad(&status[BLOCKS]) && thread == 63u {
-        counts[b * 64u + 64u] = before + mine;
+        cells[b * 64u + 64u] = before + mine;
     }
 }
