@@ -818,11 +818,13 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool) -> Draft {
     let body = include_str!("wgsl/p2g.wgsl")
         .replace("$ZERO", &each_node(|n, _| format!("var {}", zero(n))))
         .replace("$CLEAR", &each_node(|n, _| zero(n)))
-        .replace("$OWN_XY", &xy.own("list_leaver(q, q - start, p.w);"))
+        .replace("$OWN_XY", &xy.own("left |= 1u << min(rank, 31u);"))
         .replace("$OWN_ZM", &zm.own(""))
         .replace("$GUESTS_XY", &xy.guests())
         .replace("$GUESTS_ZM", &zm.guests())
-        .replace("$FLUSH", &flush())
+        .replace("$FOLD", &[0, 1, 2].map(fold).concat())
+        .replace("$FLUSH_GUESTS", &flush("if k < guest_count"))
+        .replace("$FLUSH", &flush(""))
         .replace("$GIVES", if sleeps { "gives(b, layer)" } else { "1u" })
         .replace("$BOOK_LAST", if mirrored { BOOK_LAST } else { "" })
         .replace("$BOOKED", if sleeps { "select(total, 0.0, is_frozen != 0u)" } else { "total" })
@@ -889,7 +891,7 @@ const TILE_OR_STILL: &str = "if is_still {
         }";
 
 const PARENT_CELLS: &str = "
-    // 6. Parent cells, for rims.
+    // 5. Parent cells, for rims.
     if workgroupUniformLoad(&at_rim) != 0u {
         sum_parent_cells(b, thread, count);
     }";
@@ -935,15 +937,15 @@ impl Half {
         let declare = each(&|v, _| format!("var next_{v} = vec4<f32>(0.0);\n"));
         let take = each(&|v, _| format!("let {v} = next_{v};\n"));
         let fetch = each(&|v, k| format!("next_{v} = bitcast<vec4<f32>>(record[vector(next, {k}u)]);\n"));
-        let fetch = format!("if rank < count {{\nnext_p = record[vector(next, 0u)];\n{fetch}}}\n");
+        let fetch = format!("if fetched < count {{\nnext_p = record[vector(next, 0u)];\n{fetch}}}\n");
         format!(
-            "var rank = 0u;\nvar next_p = vec4<u32>(0u);\n{declare}{fetch}\
-             while rank < count {{\nlet q = next;\nlet p = next_p;\n{take}rank += 1u;\nnext += 1u;\n\
-             if rank % TOGETHER == 0u && rank <= ROUNDS * TOGETHER {{\n\
-             next = ahead;\nahead = cells[round_at(here, round_of(rank) + u32(rank < ROUNDS * TOGETHER), own)];\n}}\n{fetch}\
-             var f = fraction(p);\nvar is_here = (p.w & 511u) == home;\n\
-             if !is_here {{\nf = place_from(vec3<i32>(own_cell), p);\nis_here = is_beside(f);\n}}\n\
-             if is_here {{\n{}}} else {{ {leaver} }}\n}}\n",
+            "var fetched = 0u;\nvar next_p = vec4<u32>(0u);\n{declare}{fetch}\
+             while fetched < count {{\nlet rank = fetched;\nlet p = next_p;\n{take}fetched += 1u;\nnext += 1u;\n\
+             if fetched % TOGETHER == 0u && fetched <= ROUNDS * TOGETHER {{\n\
+             next = ahead;\nahead = cells[round_at(here, round_of(fetched) + u32(fetched < ROUNDS * TOGETHER), own)];\n}}\n{fetch}\
+             var f = fraction(p);\n\
+             if (p.w & BESIDE) != 0u {{\nf += vec3<f32>(cell_of(p.w) - vec3<i32>(own_cell));\n}}\n\
+             if (p.w & LEFT_HOME) == 0u {{\n{}}} else {{ {leaver} }}\n}}\n",
             self.add
         )
     }
@@ -1047,10 +1049,19 @@ fn sums_of_tiles() -> String {
     plain_sums() + include_str!("wgsl/rim_sums.wgsl")
 }
 
-/// Adds a cell's sums to the tile: for one of its 27 nodes at a time, different cells touch different nodes.
-fn flush() -> String {
+/// Folds what lies behind the walls across an axis. The axis is written out, so that compilers see which walls there are.
+fn fold(axis: usize) -> String {
+    format!(
+        "if thread < 64u {{\nimpulse += fold({axis}, 0, thread) + fold({axis}, 1, thread);\n}}\nworkgroupBarrier();\n"
+    )
+}
+
+/// Adds the sums of the cell `at` to the tile, under a condition: for one of its 27 nodes at a time, different cells touch different nodes.
+fn flush(condition: &str) -> String {
     each_node(|n, [i, j, k]| {
-        format!("if on {{ tile[part * 512u + in_tile(x + {i}u, y + {j}u, z + {k}u)] += a{n}; }}\nworkgroupBarrier();\n")
+        format!(
+            "{condition} {{ tile[part * 512u + in_tile(at.x + {i}u, at.y + {j}u, at.z + {k}u)] += a{n}; }}\nworkgroupBarrier();\n"
+        )
     })
 }
 

@@ -12,6 +12,11 @@ use std::ops::Range;
 pub(crate) const RECORD: usize = 6;
 /// Vectors of four in an entry of the lists; see `common.wgsl`.
 pub(crate) const ENTRY: usize = 10;
+/// Of a particle's tag, as in `common.wgsl`: it has left its home, or is beside it, by less than so many counts.
+const LEFT_HOME: u32 = 1 << 25;
+const BESIDE: u32 = 1 << 26;
+const BESIDE_BY: u32 = 1 << 20;
+
 /// Laws that a particle's tag can tell apart.
 pub(crate) const MAX_LAWS: usize = 16;
 /// So many particles are not worth another thread.
@@ -243,6 +248,7 @@ impl Ours<'_> {
     fn place(&self) -> [u32; 4] {
         let (list, i, (block, home)) = (self.list, self.i, self.seat);
         let (mut tag, mut place) = (0u32, [0u32; 4]);
+        let mut shift = [0; 3];
         for d in 0..3 {
             // An offset of almost one rounds to the next cell's zero.
             let counts = (list.offset[i][d] * TWO_32).round_ties_even();
@@ -254,8 +260,9 @@ impl Ours<'_> {
             let drifted = cell - 4 * block[d];
             let local = if (-2..6).contains(&drifted) { drifted } else { local };
             tag = tag << 3 | (local + 2) as u32;
+            shift[d] = local - (home >> (4 - 2 * d) & 3) as i32;
         }
-        place[3] = tag | list.material << 9 | tag_of_home(home) << 16;
+        place[3] = tag | list.material << 9 | tag_of_home(home) << 16 | away(shift, place);
         place
     }
 
@@ -437,6 +444,23 @@ fn tag_of_home(cell: usize) -> u32 {
     [cell >> 4, cell >> 2 & 3, cell & 3].into_iter().fold(0, |tag, c| tag << 3 | (c as u32 + 2))
 }
 
+/// What a tag says of a particle that is so many cells from its home, at some place of the cell.
+fn away(shift: [i32; 3], place: [u32; 4]) -> u32 {
+    let is_near = |(shift, count): (i32, u32)| match shift {
+        0 => true,
+        1 => count < BESIDE_BY,
+        -1 => count >= 0u32.wrapping_sub(BESIDE_BY),
+        _ => false,
+    };
+    if shift == [0; 3] {
+        0
+    } else if shift.into_iter().zip(place).all(is_near) {
+        BESIDE
+    } else {
+        LEFT_HOME
+    }
+}
+
 /// A particle's cell, by its place in the record and its block.
 fn cell(place: [u32; 4], block: Block) -> [i32; 3] {
     // The tag counts it from two before the block's first one.
@@ -494,4 +518,24 @@ pub(crate) fn check(particles: &ParticleState, materials: &[PlannedMaterial], le
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_is_within_two_to_the_minus_twelve_cells_of_home_is_beside_it() {
+        let by = |part: f64| (part * TWO_32) as u32;
+        let (near, far) = (0.9 / 4096.0, 1.1 / 4096.0);
+        let middle = by(0.5);
+        assert_eq!(away([0, 0, 0], [middle; 4]), 0);
+        assert_eq!(away([1, 0, 0], [by(near), middle, middle, 0]), BESIDE);
+        assert_eq!(away([0, -1, 0], [middle, by(1.0 - near), middle, 0]), BESIDE);
+        assert_eq!(away([1, 0, -1], [by(near), middle, by(1.0 - near), 0]), BESIDE);
+        assert_eq!(away([1, 0, 0], [by(far), middle, middle, 0]), LEFT_HOME);
+        assert_eq!(away([0, -1, 0], [middle, by(1.0 - far), middle, 0]), LEFT_HOME);
+        assert_eq!(away([1, 0, -1], [by(near), middle, by(1.0 - far), 0]), LEFT_HOME);
+        assert_eq!(away([2, 0, 0], [by(near), middle, middle, 0]), LEFT_HOME);
+    }
 }

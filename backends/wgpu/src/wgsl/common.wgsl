@@ -2,8 +2,8 @@
 //
 // Blocks are 4x4x4 cells; a block's tile is the 8x8x8 nodes from two before its first cell on. Particles are sorted by cell, block
 // by block; a particle's place is its offset in its cell, in 2^-32 cells, and a tag: the cell counted from two before the block's
-// first one, three bits an axis; from bit 9 on the law, and from bit 16 on the cell that it had at the sort. So a block's particles may
-// drift by a cell and more.
+// first one, three bits an axis; from bit 9 on the law, from bit 16 on the cell that it had at the sort, its home, and whether it has left
+// that. So a block's particles may drift by a cell and more.
 //
 // What both transfers need of a particle are six vectors: place; V0 tau_xz, V0 tau_yz, V0 tau_zz [J] and mass; the rows (v_i, C_ij)
 // for i = x, y, z; V0 times tau_xx, tau_yy, tau_xy. Each is a plane of its own, so that neighbours which each write a particle write what
@@ -199,6 +199,28 @@ fn law_of(tag: u32) -> u32 {
 fn tag_of(cell: vec3<i32>) -> u32 {
     let c = vec3<u32>(cell + vec3<i32>(2));
     return (c.x << 6u) | (c.y << 3u) | c.z;
+}
+
+// Of a tag: the particle has left its home, or is beside it. So far beyond its home, in counts, it is beside it and still counts as in it: its
+// weights are off by half the square of that (2^-12 cells), less than f32 rounds. Else particles at rest between two cells would come and go.
+const LEFT_HOME: u32 = 1u << 25u;
+const BESIDE: u32 = 1u << 26u;
+const BESIDE_BY: u32 = 1u << 20u;
+
+// The tag of a particle that has come to `place` in a cell.
+fn tag_at(tag: u32, cell: vec3<i32>, place: vec3<u32>) -> u32 {
+    let kept = tag & ~(511u | LEFT_HOME | BESIDE);
+    let to = tag_of(cell);
+    let home = (tag >> 16u) & 511u;
+    if to == home {
+        return kept | to;
+    }
+    // Just above a cell's lower end it is beside the cell below, and just below its upper end beside the one above.
+    let is_low = place < vec3<u32>(BESIDE_BY);
+    let is_high = place >= vec3<u32>(0u - BESIDE_BY);
+    let near = select(select(vec3<i32>(0), vec3<i32>(-1), is_high), vec3<i32>(1), is_low);
+    let shift = cell - cell_of(home);
+    return kept | to | select(LEFT_HOME, BESIDE, all((shift == vec3<i32>(0)) | (shift == near)));
 }
 
 // How often a layer's cells are twice as wide as the finest.

@@ -68,7 +68,7 @@ fn carry(q: u32, b: u32) -> u32 {
     let up = (counts > vec3<i32>(0)) & (moved < p.xyz);
     let down = (counts < vec3<i32>(0)) & (moved > p.xyz);
     cell += select(vec3<i32>(0), vec3<i32>(1), up) - select(vec3<i32>(0), vec3<i32>(1), down);
-    record[vector(q, 0u)] = vec4<u32>(moved, (p.w & 0xfffffe00u) | tag_of(clamp(cell, vec3<i32>(-2), vec3<i32>(5))));
+    record[vector(q, 0u)] = vec4<u32>(moved, tag_at(p.w, clamp(cell, vec3<i32>(-2), vec3<i32>(5)), moved));
 
     deform(q, law_of(p.w), mass, held, c, step.dt * steps_of(layer_now));
     return max(max(magnitude_bits(by_move.x), magnitude_bits(by_move.y)), magnitude_bits(by_move.z));

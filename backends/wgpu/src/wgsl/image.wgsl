@@ -14,23 +14,19 @@ struct Image {
 fn image_of(layer: u32, cell: vec3<i32>) -> Image {
     let low = world_min(layer);
     let high = world_max(layer);
-    var image = Image(cell, vec3<f32>(1.0), vec3<f32>(1.0), false);
-    for (var axis = 0; axis < 3; axis++) {
-        for (var end = 0; end < 2; end++) {
-            let kind = select(LOW[axis], HIGH[axis], end == 1);
-            let beyond = select(cell[axis] < low[axis], cell[axis] >= high[axis], end == 1);
-            if kind != 0u && beyond {
-                if image.is_other {
-                    image.inner *= wall_signs(kind, axis);
-                } else {
-                    image.outer = wall_signs(kind, axis);
-                }
-                image.is_other = true;
-                image.cell[axis] = 2 * select(low[axis], high[axis], end == 1) - 1 - cell[axis];
-            }
-        }
-    }
-    return image;
+    let below = (LOW != vec3<u32>(0u)) & (cell < low);
+    let above = (HIGH != vec3<u32>(0u)) & (cell >= high);
+    let beyond = below | above;
+    let to = select(select(cell, 2 * high - 1 - cell, above), 2 * low - 1 - cell, below);
+    // Axis by axis: compilers put vectors that are indexed by a variable into memory.
+    let kind = select(LOW, HIGH, above);
+    let one = vec3<f32>(1.0);
+    let x = select(one, wall_signs(kind.x, 0), beyond.x);
+    let y = select(one, wall_signs(kind.y, 1), beyond.y);
+    let z = select(one, wall_signs(kind.z, 2), beyond.z);
+    let outer = select(select(z, y, beyond.y), x, beyond.x);
+    let inner = select(select(one, z, beyond.y), y * z, beyond.x);
+    return Image(to, outer, inner, any(beyond));
 }
 
 // What the wall gives to the mass behind it that comes to move with velocity `u`, turned by the wall [N s].

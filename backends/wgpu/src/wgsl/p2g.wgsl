@@ -1,9 +1,9 @@
 // Particles to grid, a block at a time: p_i = sum_p w_ip [m (v + dt g) + (m C - dt V0 (4/h2) tau) (x_i - x_p)], m_i = sum_p w_ip m.
 //
 // Two threads own a cell, one for the momentum along x and y, one for that along z and the mass, and sum its 27 nodes in registers
-// over the cell's particles. Those that have left their cell since the sort are listed on the way, by the cell they are in; then lists
-// are walked in the order of memory, so that sums do not depend on who came first. Then cells are added to the tile: for one of the
-// 27 nodes at a time, different cells touch different nodes.
+// over the cell's particles. Then cells are added to the tile: for one of the 27 nodes at a time, different cells touch different nodes.
+// Particles that have left their cell since the sort are listed on the way, by the cell they are in, and summed behind: two threads take a cell
+// that others have come to and walk its list in the order of memory, so that sums do not depend on who was listed first.
 
 // Momentum along x and y of the tile's nodes, then along z and mass.
 var<workgroup> tile: array<vec2<f32>, 1024>;
@@ -12,9 +12,9 @@ var<workgroup> head: array<atomic<u32>, 216>;
 // Leavers: index in the block, and the next one in 16 bits.
 var<workgroup> leavers: array<u32, 384>;
 var<workgroup> leaver_count: atomic<u32>;
-// Cells outside the block that hold particles, as bits, and in order.
-var<workgroup> halo: array<atomic<u32>, 7>;
-var<workgroup> halo_cells: array<u32, 152>;
+// Of these the ones that particles have come to, as bits, and in order.
+var<workgroup> come_to: array<atomic<u32>, 7>;
+var<workgroup> guest_cells: array<u32, 216>;
 var<workgroup> go: u32;
 var<workgroup> corner: vec3<i32>;
 var<workgroup> walled: u32;
@@ -26,13 +26,6 @@ const LEAVERS: u32 = 384u;
 // Spread over the banks of workgroup memory.
 fn in_tile(x: u32, y: u32, z: u32) -> u32 {
     return x * 64u + y * 8u + (z ^ ((y & 2u) << 1u));
-}
-
-fn is_halo(cell: u32) -> bool {
-    let x = cell / 36u;
-    let y = (cell / 6u) % 6u;
-    let z = cell % 6u;
-    return x == 0u || x == 5u || y == 0u || y == 5u || z == 0u || z == 5u;
 }
 
 fn layer_of_block(b: u32) -> u32 {
@@ -54,25 +47,11 @@ struct Walk {
     end: u32,
 }
 
-// So far beyond its cell a particle still counts as in it, in cells: its weights are off by half the square of that, less than f32 rounds. Else
-// particles at rest between two cells would come and go.
-const BESIDE: f32 = 1.0 / 4096.0;
-
-// Where a particle is, from a cell's corner, in cells.
-fn place_from(cell: vec3<i32>, p: vec4<u32>) -> vec3<f32> {
-    return fraction(p) + vec3<f32>(cell_of(p.w) - cell);
-}
-
-fn is_beside(place: vec3<f32>) -> bool {
-    return all(abs(place - vec3<f32>(0.5)) <= vec3<f32>(0.5 + BESIDE));
-}
-
-fn has_left(p: vec4<u32>) -> bool {
-    return !is_beside(place_from(cell_of(p.w >> 16u), p));
-}
-
 // Notes a particle that has left its cell where those that have come to another are looked for.
 fn list_leaver(q: u32, index: u32, tag: u32) {
+    if (tag & LEFT_HOME) == 0u {
+        return;
+    }
     let at = cell_of(tag) + vec3<i32>(1);
     if any(at < vec3<i32>(0)) || any(at > vec3<i32>(5)) {
         if SUBCYCLED {
@@ -90,9 +69,7 @@ fn list_leaver(q: u32, index: u32, tag: u32) {
     if k < LEAVERS {
         leavers[k] = (index << 16u) | atomicExchange(&head[cell], k + 1u);
     }
-    if is_halo(cell) {
-        atomicOr(&halo[cell >> 5u], 1u << (cell & 31u));
-    }
+    atomicOr(&come_to[cell >> 5u], 1u << (cell & 31u));
 }
 
 fn next_leaver(w: ptr<function, Walk>) -> u32 {
@@ -102,7 +79,7 @@ fn next_leaver(w: ptr<function, Walk>) -> u32 {
             let q = (*w).start + (*w).after;
             (*w).after += 1u;
             let p = record[vector(q, 0u)];
-            if (p.w & 511u) == (*w).tag && has_left(p) {
+            if (p.w & (511u | LEFT_HOME)) == ((*w).tag | LEFT_HOME) {
                 return q;
             }
         }
@@ -125,23 +102,23 @@ fn next_leaver(w: ptr<function, Walk>) -> u32 {
     return (*w).start + best;
 }
 
-// Lists the cells outside the block that hold any of its particles, in order; how many there are.
-fn list_halo(thread: u32) -> u32 {
-    var halo_count = 0u;
+// Lists the cells that particles have come to, in order; how many there are.
+fn list_guest_cells(thread: u32) -> u32 {
+    var all = 0u;
     for (var w = 0u; w < 7u; w++) {
-        halo_count += countOneBits(atomicLoad(&halo[w]));
+        all += countOneBits(atomicLoad(&come_to[w]));
     }
     for (var cell = thread; cell < 216u; cell += 128u) {
-        let bits = atomicLoad(&halo[cell >> 5u]);
+        let bits = atomicLoad(&come_to[cell >> 5u]);
         if (bits & (1u << (cell & 31u))) != 0u {
             var rank = countOneBits(bits & ((1u << (cell & 31u)) - 1u));
             for (var w = 0u; w < (cell >> 5u); w++) {
-                rank += countOneBits(atomicLoad(&halo[w]));
+                rank += countOneBits(atomicLoad(&come_to[w]));
             }
-            halo_cells[rank] = cell;
+            guest_cells[rank] = cell;
         }
     }
-    return halo_count;
+    return all;
 }
 
 // The tile's node number `t` of 64 in a plane across an axis.
@@ -198,6 +175,15 @@ fn fold(axis: i32, end: i32, thread: u32) -> vec3<f32> {
         tile[512u + source] = vec2<f32>(0.0, zm.y);
     }
     return impulse;
+}
+
+// Of a component of eight vectors of three, the first of which stands there in the list.
+fn sum_of_eight(first: u32) -> f32 {
+    var sum = 0.0;
+    for (var t = 0u; t < 8u; t++) {
+        sum += bitcast<f32>(leavers[first + 3u * t]);
+    }
+    return sum;
 }
 
 // May this step go on? It may not once the particles are to be sorted, and so before they have drifted too far for their tiles. The
@@ -267,87 +253,82 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         gravity *= bitcast<f32>(atomicLoad(&status[step_word(step.number, layer_now, GROWN)]));
     }
     let own_cell = vec3<u32>(own >> 4u, (own >> 2u) & 3u, own & 3u);
-    let home = tag_of(vec3<i32>(own_cell));
 
-    // 1. Sums over those of each cell's particles that are still there. The others are listed.
+    // 1. Sums over those of each cell's particles that are still there, and to the tile. The others are listed.
     $ZERO
+    // Those that have left, by their numbers in the cell; 31 stands for all from it on.
+    var left = 0u;
     if part == 0u {
         $OWN_XY
     } else {
         $OWN_ZM
     }
+    while left != 0u {
+        let rank = firstTrailingBit(left);
+        left &= left - 1u;
+        for (var r = rank; r < select(rank + 1u, count, rank == 31u); r++) {
+            let q = slot_of(here, own, r);
+            list_leaver(q, q - start, record[vector(q, 0u)].w);
+        }
+    }
     workgroupBarrier();
     if thread == 0u {
-        all_listed = u32(atomicLoad(&leaver_count) <= LEAVERS && end - start <= 65536u);
-        go = atomicLoad(&leaver_count);
+        let listed = atomicLoad(&leaver_count);
+        all_listed = u32(listed <= LEAVERS && end - start <= 65536u);
+        go = listed;
     }
-    if workgroupUniformLoad(&go) == 0u {
-        // 2. Where nobody has left, the sums go to the tile at once: apart from the loop below, in which they would have to stay in registers.
-        let x = own_cell.x + 1u;
-        let y = own_cell.y + 1u;
-        let z = own_cell.z + 1u;
-        let on = true;
+    {
+        let at = own_cell + vec3<u32>(1u);
         $FLUSH
-    } else {
-        // 3. Else those that have come are added, to the block's own cells first, then to the cells outside that hold any, in order.
-        let halo_count = list_halo(thread);
+    }
+
+    // 2. Then those that have come to others, a cell after the other.
+    if workgroupUniformLoad(&go) != 0u {
+        let guest_count = list_guest_cells(thread);
         if thread == 0u {
-            go = 1u + (halo_count + 63u) / 64u;
+            go = (guest_count + 63u) / 64u;
         }
         let batches = workgroupUniformLoad(&go);
         for (var batch = 0u; batch < batches; batch++) {
-            let own_number = ((own_cell.x + 1u) * 6u + own_cell.y + 1u) * 6u + own_cell.z + 1u;
-            var walk = Walk(home, own_number, 0u, start, end);
-            var on = true;
-            if batch > 0u {
-                let k = (batch - 1u) * 64u + own;
-                on = k < halo_count;
-                walk.cell = select(0u, halo_cells[min(k, 151u)], on);
-                let at = vec3<i32>(i32(walk.cell / 36u), i32((walk.cell / 6u) % 6u), i32(walk.cell % 6u)) - vec3<i32>(1);
-                walk.tag = tag_of(at);
-                $CLEAR
-            }
-            if on {
+            let k = batch * 64u + own;
+            let cell = select(0u, guest_cells[min(k, 215u)], k < guest_count);
+            let at = vec3<u32>(cell / 36u, (cell / 6u) % 6u, cell % 6u);
+            var walk = Walk(tag_of(vec3<i32>(at) - vec3<i32>(1)), cell, 0u, start, end);
+            $CLEAR
+            if k < guest_count {
                 if part == 0u {
                     $GUESTS_XY
                 } else {
                     $GUESTS_ZM
                 }
             }
-            let x = walk.cell / 36u;
-            let y = (walk.cell / 6u) % 6u;
-            let z = walk.cell % 6u;
-            $FLUSH
+            $FLUSH_GUESTS
         }
     }
 
-    // 4. What lies behind mirrors is folded back, reflected.
+    // 3. What lies behind mirrors is folded back, reflected.
     if workgroupUniformLoad(&walled) != 0u {
         var impulse = vec3<f32>(0.0);
-        for (var axis = 0; axis < 3; axis++) {
-            if thread < 64u {
-                impulse += fold(axis, 0, thread) + fold(axis, 1, thread);
-            }
-            workgroupBarrier();
-        }
-        // The list of leavers is done with.
+        $FOLD
+        // The list of leavers is done with: 64 vectors, then 8.
         if thread < 64u {
             for (var d = 0u; d < 3u; d++) {
                 leavers[thread * 3u + d] = bitcast<u32>(impulse[d]);
             }
         }
         workgroupBarrier();
+        if thread < 24u {
+            leavers[192u + thread] = bitcast<u32>(sum_of_eight(24u * (thread / 3u) + thread % 3u));
+        }
+        workgroupBarrier();
         if thread < 3u$IF_MOVED {
-            var total = 0.0;
-            for (var t = 0u; t < 64u; t++) {
-                total += bitcast<f32>(leavers[t * 3u + thread]);
-            }
+            let total = sum_of_eight(192u + thread);
             $BOOK_LAST
             lists[b * ENTRY + PENDING][thread] = bitcast<i32>($BOOKED);
         }
     }
 
-    // 5. The tile, for the grid to sum.
+    // 4. The tile, for the grid to sum.
     let base = extent.node_room * 64u + b * 512u;
     for (var t = thread; t < 512u; t += 128u) {
         let k = in_tile(t >> 6u, (t >> 3u) & 7u, t & 7u);

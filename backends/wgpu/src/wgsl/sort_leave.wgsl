@@ -37,6 +37,6 @@ fn put_back(q: u32, layer: u32, block: vec3<i32>, local: ptr<function, vec3<i32>
             atomicAdd(&status[sum_word(layer, LEFT)], 1u);
         }
     }
-    record[vector(q, 0u)] = vec4<u32>(p.xyz, (p.w & 0xfffffe00u) | tag_of(*local));
+    record[vector(q, 0u)] = vec4<u32>(p.xyz, tag_at(p.w, *local, p.xyz));
     return impulse;
 }
