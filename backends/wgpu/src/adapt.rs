@@ -93,9 +93,8 @@ impl WgpuBatch {
         // Those that may merge are many, and it takes more to merge them.
         let at_once = if merges { 0 } else { AT_ONCE.min(self.particles()) };
         let few: Vec<_> = self.found(at_once).collect();
-        let mut words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, few)?;
-        let count = words[COUNTED] as usize;
-        let mut words = words.split_off(self.words().count());
+        let (status, mut words) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0, few)?;
+        let count = status.words[COUNTED] as usize;
 
         let world = &self.worlds[w];
         let blocks = world.levels[0].blocks.start..world.levels[self.levels - 1].blocks.end;

@@ -36,11 +36,16 @@ const STIFFNESS_AGE: u32 = 10;
 const TIMED: u64 = 16;
 /// And of it so many passes at most.
 const MOST_TIMED: usize = 64;
-/// After so many passes the device begins with a submission while the rest is still being written; each piece is three times the
+/// After so many passes the device begins with a submission while the rest is still being written; each piece is twice the
 /// one before, since writing is faster than running.
-const PIECE: usize = 32;
+const PIECE: usize = 16;
 /// A world's places of the directory are rounded up to a multiple of this, so that no workgroup has those of two.
 const PLACES: u32 = 1024;
+/// Steps that a submission begins with; each that comes to its end may be followed by one twice as long, but one that had to stop since
+/// particles drifted otherwise than foreseen wastes what was written behind.
+const FEW_STEPS: usize = 128;
+/// By so many blocks parts of the directory reach further than they must, so that ground that moves on seldom leaves them.
+const SPARE_BLOCKS: i32 = 2;
 
 /// Blocks in a free body's box on a level that the device can look into: a larger body's law runs on the host.
 const MOST_ROOMS: usize = 8192;
@@ -466,6 +471,8 @@ pub(crate) struct WgpuBatch {
     pub(crate) unlinked: bool,
     /// Did the last sort find particles that belong on another level? Then the next one will, too, as long as bodies move on.
     astray: bool,
+    /// Steps that drifts are foreseen for.
+    horizon: usize,
     /// Blocks of nodes near bodies in the last step whose contact was on the host.
     pub(crate) near_blocks: usize,
     pub(crate) clocks: Clocks,
@@ -592,6 +599,7 @@ impl WgpuBatch {
             most_drift: most_drift(plan),
             unlinked: true,
             astray: false,
+            horizon: FEW_STEPS,
             near_blocks: 0,
             clocks: Clocks::default(),
             contact_seconds: (0.0, 0),
@@ -834,9 +842,7 @@ impl WgpuBatch {
         self.write_steps(0, &passes.constants);
         let parts = self.with_groups(parts);
         let behind = states(free * self.worlds.len(), count * self.substeps);
-        let mut words = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, behind)?;
-        let lent = words.split_off(layout.count());
-        let status = Status::new(words, layout);
+        let (status, lent) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, count.max(1), behind)?;
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
         for &(w, time) in active {
@@ -955,13 +961,14 @@ impl WgpuBatch {
         };
         let is_due = |world: &Vec<(Rhythm, f32)>| world.iter().any(|(rhythm, _)| rhythm.is_due(self.most_drift));
         let mut worlds: Vec<Vec<(Rhythm, f32)>> = active.iter().map(of_world).collect();
-        let mut stretches: Vec<Stretch> = Vec::new();
-        for step in 0..count {
+        let (mut stretches, mut sorts): (Vec<Stretch>, usize) = (Vec::new(), 0);
+        for step in 0..count.min(self.horizon) {
             let sort = (step == 0 && self.unlinked) || worlds.iter().any(is_due);
-            // The directory's boxes change before a submission that sorts, and fit the blocks from its first sort on.
-            if sort && stretches.first().is_some_and(|first| !first.sort) {
+            // Where the directory's boxes have to change they do so before a submission, and fit the blocks from its first sort on.
+            if sort && stretches.first().is_some_and(|first| !first.sort) && !self.covers(1 + sorts) {
                 break;
             }
+            sorts += usize::from(sort);
             if sort || stretches.is_empty() {
                 stretches.push(Stretch { sort, steps: 0 });
             }
@@ -981,14 +988,15 @@ impl WgpuBatch {
         stretches
     }
 
-    /// Runs parts and brings back the status, and what is asked for behind it, one after the other.
+    /// Runs parts and brings back the status with the words of so many steps, and what is asked for besides, one after the other.
     pub(crate) fn run(
         gpu: &Gpu,
         memory: &mut Memory,
         clocks: &mut Clocks,
         parts: &[(Part<'_>, Vec<Size>)],
+        steps: usize,
         behind: impl IntoIterator<Item = Behind>,
-    ) -> Result<Vec<u32>> {
+    ) -> Result<(Status, Vec<u32>)> {
         for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
             clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
         }
@@ -1021,11 +1029,12 @@ impl WgpuBatch {
                 unsent += some.len();
                 if unsent >= piece {
                     gpu.queue.submit([std::mem::replace(&mut encoder, fresh()).finish()]);
-                    (unsent, piece) = (0, 3 * piece);
+                    (unsent, piece) = (0, 2 * piece);
                 }
             }
         }
-        let status = Behind { role: Role::Status, from: 0, bytes: memory.status_bytes() };
+        let layout = memory.words();
+        let status = Behind { role: Role::Status, from: 0, bytes: 4 * layout.count(steps) as u64 };
         let back: Vec<_> = [status].into_iter().chain(behind).filter(|some| some.bytes > 0).collect();
         let bytes = back.iter().map(|some| some.bytes).sum();
         memory.read_back_to(gpu, bytes);
@@ -1056,36 +1065,51 @@ impl WgpuBatch {
                 clock.measured.1 += 1;
             }
         }
-        Ok(words)
+        let found = words.split_off(layout.count(steps));
+        Ok((Status::new(words, layout), found))
     }
 
-    /// Sets the worlds' parts of the directory around all blocks that a sort can find: they have drifted by up to a cell or two, and
-    /// nodes reach a block further.
-    pub(crate) fn cover_blocks(&mut self, sorts: usize) -> Result<()> {
+    /// The parts of the directory around all blocks of a world's levels that some sorts can find, and so many blocks more: they have drifted by up to a
+    /// cell or two, and nodes reach a block further.
+    fn spans(world: &World, sorts: usize, more: i32) -> impl Iterator<Item = Span> {
         // A cell and a half each time is less than a block in two.
-        let margin = 2 + sorts as i32 / 2;
+        let margin = 2 + sorts as i32 / 2 + more;
+        let with = |a: Option<[i32; 3]>, b: Option<[i32; 3]>, f: fn(i32, i32) -> i32| match (a, b) {
+            (Some(a), Some(b)) => Some([0, 1, 2].map(|d| f(a[d], b[d]))),
+            (one, other) => one.or(other),
+        };
+        // Where blocks of finer levels are, in blocks of the level.
+        world.levels.iter().scan(None, move |finer: &mut Option<([i32; 3], [i32; 3])>, level| {
+            let least = with(level.reach.map(|r| r.0), finer.map(|r| r.0), i32::min).unwrap_or_default();
+            let greatest = with(level.reach.map(|r| r.1), finer.map(|r| r.1), i32::max).unwrap_or_default();
+            *finer = level.reach.map(|_| (least.map(|b| b >> 1), greatest.map(|b| b >> 1)));
+            let along = |d: usize| match level.periods.count[d] {
+                0 => (least[d] - margin, greatest[d] - least[d] + 1 + 2 * margin),
+                count => (level.periods.first[d], count),
+            };
+            let axes = [0, 1, 2].map(along);
+            Some(Span { first: axes.map(|a| a.0), size: axes.map(|a| a.1) })
+        })
+    }
+
+    /// Do the worlds' parts of the directory cover all blocks that so many sorts can find?
+    fn covers(&self, sorts: usize) -> bool {
+        let covers =
+            |world: &World| world.levels.iter().zip(Self::spans(world, sorts, 0)).all(|(l, s)| l.span.holds(s));
+        self.worlds.iter().all(covers)
+    }
+
+    /// Sets the worlds' parts of the directory so that they cover all blocks that so many sorts can find, if they do not.
+    pub(crate) fn cover_blocks(&mut self, sorts: usize) -> Result<()> {
+        if self.covers(sorts) {
+            return Ok(());
+        }
         let mut places = 0u64;
         for world in &mut self.worlds {
-            // Where blocks of finer levels are, in blocks of the level.
-            let mut finer: Option<([i32; 3], [i32; 3])> = None;
-            for level in &mut world.levels {
-                let with = |a: Option<[i32; 3]>, b: Option<[i32; 3]>, f: fn(i32, i32) -> i32| match (a, b) {
-                    (Some(a), Some(b)) => Some([0, 1, 2].map(|d| f(a[d], b[d]))),
-                    (one, other) => one.or(other),
-                };
-                let least = with(level.reach.map(|r| r.0), finer.map(|r| r.0), i32::min).unwrap_or_default();
-                let greatest = with(level.reach.map(|r| r.1), finer.map(|r| r.1), i32::max).unwrap_or_default();
-                let mut span = Span::default();
-                for d in 0..3 {
-                    (span.first[d], span.size[d]) = if level.periods.count[d] > 0 {
-                        (level.periods.first[d], level.periods.count[d])
-                    } else {
-                        (least[d] - margin, greatest[d] - least[d] + 1 + 2 * margin)
-                    };
-                }
+            let spans: Vec<Span> = Self::spans(world, sorts, SPARE_BLOCKS).collect();
+            for (level, span) in world.levels.iter_mut().zip(spans) {
                 level.span = span;
                 places += span.places().min(u64::from(u32::MAX)).next_multiple_of(u64::from(PLACES));
-                finer = level.reach.map(|_| (least.map(|b| b >> 1), greatest.map(|b| b >> 1)));
             }
         }
         // The same rule as for all buffers finds what is too large for the adapter; this one keeps the number a u32.
@@ -1508,7 +1532,7 @@ impl WgpuBatch {
             self.write_steps(0, &[self.step_constants(f64::from_bits(dt), 0)]);
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0, end: self.levels };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
-            Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, None)?;
+            Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0, None)?;
         }
         Ok(())
     }
@@ -1555,6 +1579,11 @@ impl WgpuBatch {
             let outcome = self.submit(&active, dt, &stretches)?;
             if stretches[0].sort {
                 self.astray = outcome.halt == Some(Halt::Misplaced);
+            }
+            match outcome.halt {
+                Some(Halt::Drifted) => self.horizon = FEW_STEPS,
+                None if outcome.done == self.horizon => self.horizon = MAX_STEPS.min(2 * self.horizon),
+                _ => {}
             }
             for (t, of_turn) in &mut driven {
                 go_back(turns[*t].couplings, of_turn, outcome.done)?;
@@ -1880,7 +1909,8 @@ impl WgpuBatch {
             let world = &self.worlds[turn.world];
             if world.hardens { STIFFNESS_AGE.saturating_sub(world.stiffness_age).max(1) as usize } else { MAX_STEPS }
         };
-        let at_once = MAX_STEPS.min(MAX_SLOTS / self.substeps);
+        let has_bodies = turns.iter().any(|turn| !turn.couplings.is_empty());
+        let at_once = if has_bodies || self.substeps > 1 { MAX_SLOTS / self.substeps } else { MAX_STEPS };
         let most = turns.iter().map(until_asked).fold(at_once, usize::min);
         let lent: Vec<Option<Vec<Lent>>> = turns
             .iter_mut()

@@ -14,6 +14,8 @@ use std::ops::Range;
 use std::time::Instant;
 
 const ON_HOST: &str = "a law runs on the host";
+/// Steps that the status knows of where it does: the last one and the one under way.
+const STEPS: usize = 2;
 
 /// A block of nodes on the host: velocities and masses.
 struct Block {
@@ -431,8 +433,7 @@ impl WgpuBatch {
         self.write_steps(0, &passes.constants);
         let parts = self.with_groups(vec![Part { sorting: sort.then_some(before), dispatches: passes.dispatches }]);
         let room = if slot < self.substeps { self.near_expected() } else { 0 };
-        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, behind(room))?;
-        let (status, of_nodes) = self.split(found);
+        let (status, of_nodes) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
         if slot == 0 {
             self.take_blocks(&status);
         }
@@ -635,8 +636,7 @@ impl WgpuBatch {
             sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1, end: self.levels })).collect();
         let parts = self.with_groups(vec![Part { sorting, dispatches }]);
         let room = self.near_expected();
-        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, behind(room))?;
-        let (status, of_nodes) = self.split(found);
+        let (status, of_nodes) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
         self.take_pending(&status);
         self.take_blocks(&status);
         for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
@@ -651,13 +651,6 @@ impl WgpuBatch {
             self.hand_out(&status, of_nodes, visits)?;
         }
         Ok(status)
-    }
-
-    /// The status, and what stands behind it: blocks of nodes near bodies.
-    fn split(&self, mut found: Vec<u32>) -> (Status, Vec<u32>) {
-        let words = self.words();
-        let of_nodes = found.split_off(words.count());
-        (Status::new(found, words), of_nodes)
     }
 
     /// As many blocks as are brought back with the status: a quarter more than there were.
@@ -692,8 +685,7 @@ impl WgpuBatch {
         let dispatches = vec![Dispatch { kernel: &near[0], now: self.memory.now, step: 1, end: self.levels }];
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let room = self.near_expected();
-        let found = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, behind(room))?;
-        let (status, of_nodes) = self.split(found);
+        let (status, of_nodes) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
         self.blocks_near(&status, of_nodes)
     }
 
@@ -718,7 +710,7 @@ impl WgpuBatch {
     pub(crate) fn settle(&mut self) -> Result<()> {
         if self.worlds.iter().any(|world| world.pending) {
             let words = self.words();
-            let found = read(&self.gpu, self.memory.buffer(Role::Status, 0), 0, words.count())?;
+            let found = read(&self.gpu, self.memory.buffer(Role::Status, 0), 0, words.count(STEPS))?;
             self.take_pending(&Status::new(found, words));
         }
         Ok(())

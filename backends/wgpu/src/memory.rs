@@ -9,6 +9,7 @@ use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
 use std::sync::PoisonError;
+use std::time::{Duration, Instant};
 
 /// Words of the status: before those of layers, of each layer that stay and that a submission sums up, and of each layer in each step;
 /// see `common.wgsl`.
@@ -16,8 +17,11 @@ const OF_LAYERS: usize = 13;
 const PER_LAYER: usize = 8;
 const PER_SUM: usize = 18;
 const PER_STEP: usize = 4;
-/// Steps that one submission can take, and those of the finest level in them.
-pub(crate) const MAX_STEPS: usize = 128;
+/// So long a device that is not this machine's processor is asked again and again whether it is done, while others may go first: to be woken takes as
+/// long as some steps of a small world.
+const AWAKE: Duration = Duration::from_millis(20);
+/// Steps that one submission can take, and those of the finest level in them where levels take steps of their own or bodies move.
+pub(crate) const MAX_STEPS: usize = 512;
 pub(crate) const MAX_SLOTS: usize = 256;
 /// Constants of steps in a submission: those of steps and sorts; subcycled, of what begins and what ends with each slot, and of free bodies that
 /// coarser levels meet on their own.
@@ -138,9 +142,9 @@ impl Words {
         // Before them stand the greatest speeds of all layers.
         self.of_sum(self.layers, MAX_STEPS) + PER_STEP * (step * self.layers + layer) + k
     }
-    /// All of them.
-    pub(crate) fn count(self) -> usize {
-        self.of_step(MAX_STEPS, 0, 0)
+    /// How many there are with those of so many steps, which stand last.
+    pub(crate) fn count(self, steps: usize) -> usize {
+        self.of_step(steps, 0, 0)
     }
 }
 
@@ -270,7 +274,7 @@ impl Extent {
         let places = u64::from(self.places);
         match role {
             Role::Grid => 16 * (64 * nodes + 512 * blocks),
-            Role::Status => 4 * Words { layers: asked.layers }.count() as u64,
+            Role::Status => 4 * Words { layers: asked.layers }.count(MAX_STEPS) as u64,
             Role::Flags => 4 * places,
             Role::Directory => 8 * places,
             Role::Sums => 8 * places.div_ceil(1024).max(blocks),
@@ -383,7 +387,7 @@ impl Memory {
                 wgpu::BindGroupEntry { binding: 1, resource: layers.as_entire_binding() },
             ],
         });
-        let readback = mappable(gpu, 4 * Words { layers: asked.layers }.count() as u64);
+        let readback = mappable(gpu, 4 * Words { layers: asked.layers }.count(MAX_STEPS) as u64);
         Ok(Self {
             extent,
             vectors,
@@ -460,9 +464,9 @@ impl Memory {
         group
     }
 
-    /// Bytes of the status.
-    pub(crate) fn status_bytes(&self) -> u64 {
-        4 * Words { layers: self.asked.layers }.count() as u64
+    /// Where words of the status stand.
+    pub(crate) fn words(&self) -> Words {
+        Words { layers: self.asked.layers }
     }
 
     /// Where a buffer of particles holds so many of them, plane by plane: first byte, bytes.
@@ -700,6 +704,12 @@ pub(crate) fn with_mapped(gpu: &Gpu, buffer: &wgpu::Buffer, bytes: u64, see: imp
     };
     let slice = buffer.slice(0..bytes);
     slice.map_async(wgpu::MapMode::Read, |_| {});
+    let asked = Instant::now();
+    // An error shows when the device is waited for.
+    let is_busy = || gpu.device.poll(wgpu::PollType::Poll).is_ok_and(|status| !status.is_queue_empty());
+    while gpu.adapter_info.device_type != wgpu::DeviceType::Cpu && asked.elapsed() < AWAKE && is_busy() {
+        std::thread::yield_now();
+    }
     let polled = gpu.device.poll(wgpu::PollType::wait_indefinitely());
     gpu.check()?;
     polled.map_err(|e| lost(format!("waiting for it failed: {e}")))?;

@@ -161,6 +161,12 @@ impl Span {
     pub(crate) fn places(&self) -> u64 {
         self.size.iter().fold(1, |n: u64, &size| n.saturating_mul(size.max(1) as u64))
     }
+
+    /// Is another one part of it?
+    pub(crate) fn holds(&self, other: Self) -> bool {
+        let end = |span: &Self, d: usize| span.first[d] + span.size[d];
+        (0..3).all(|d| self.first[d] <= other.first[d] && end(self, d) >= end(&other, d))
+    }
 }
 
 impl Level {
