@@ -1,7 +1,8 @@
-// The contact law of `contact.rs` and the distances of `sdf.rs`, for bodies made of primitives.
+// The contact law of `contact.rs` and the distances of `sdf.rs`, for bodies made of primitives and meshes.
 //
 // coupling_table(i) holds, for each body: first part, parts, 0 stick | 1 Coulomb, friction; and from there for each part: primitive,
-// half its thickness; sizes; origin; and the three rows of its rotation.
+// half its thickness, where a mesh's samples begin; sizes; origin; and the three rows of its rotation. A mesh's origin is the middle of the box
+// around it, and its sizes are half that box's.
 
 struct RigidSurface { distance: f32, normal: vec3<f32>, known: bool }
 
@@ -49,8 +50,8 @@ fn rigid_cylinder(x: vec3<f32>, radius: f32, half_height: f32) -> RigidSurface {
     return RigidSurface(b, cap, true);
 }
 
-fn rigid_primitive(kind: f32, size: vec3<f32>, x: vec3<f32>) -> RigidSurface {
-    switch i32(kind) {
+fn rigid_primitive(kind: vec4<f32>, size: vec3<f32>, x: vec3<f32>) -> RigidSurface {
+    switch i32(kind.x) {
         case 0: { return rigid_direction(x, size.x, length(x) - size.x); }
         case 1: { return rigid_box(x, size); }
         case 2: { return rigid_cylinder(x, size.x, size.y); }
@@ -58,6 +59,7 @@ fn rigid_primitive(kind: f32, size: vec3<f32>, x: vec3<f32>) -> RigidSurface {
             let arm = x - vec3<f32>(0.0, 0.0, clamp(x.z, -size.y, size.y));
             return rigid_direction(arm, size.x, length(arm) - size.x);
         }
+        case 5: { return rigid_sampled(u32(kind.z), x); }
         default: { return RigidSurface(x.z, vec3<f32>(0.0, 0.0, 1.0), true); }
     }
 }
@@ -84,7 +86,7 @@ fn coupling_grip(body: u32, x: vec3<f32>, cell: f32) -> CouplingGrip {
         let row1 = coupling_table(at + 4u).xyz;
         let row2 = coupling_table(at + 5u).xyz;
         let back = local.x * row0 + local.y * row1 + local.z * row2;
-        var surface = rigid_primitive(kind.x, coupling_table(at + 1u).xyz, back);
+        var surface = rigid_primitive(kind, coupling_table(at + 1u).xyz, back);
         // Thin parts are grown to two cells.
         surface.distance -= max(cell - kind.y, 0.0);
         if surface.distance < nearest.distance {
@@ -169,7 +171,7 @@ fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f
         var half = size;
         switch i32(kind.x) {
             case 0: { half = vec3<f32>(size.x); }
-            case 1: {}
+            case 1, 5: {}
             case 2: { half = vec3<f32>(size.x, size.x, size.y); }
             case 3: { half = vec3<f32>(size.x, size.x, size.x + size.y); }
             default: { half = vec3<f32>(1e30); }

@@ -218,6 +218,15 @@ impl DistanceGrid {
         Surface { distance: at_grid, normal }
     }
 
+    /// As `sampled.wgsl` reads it, from the point `centre` on.
+    pub fn packed(&self, centre: DVec3) -> Vec<[f32; 4]> {
+        let origin = (self.origin - centre).as_vec3();
+        let size = self.size.map(|n| n as f32);
+        let head = [[origin.x, origin.y, origin.z, self.spacing as f32], [size[0], size[1], size[2], 0.0]];
+        let four = |some: &[f64]| std::array::from_fn(|i| some.get(i).map_or(0.0, |&value| value as f32));
+        head.into_iter().chain(self.values.chunks(4).map(four)).collect()
+    }
+
     /// Greatest depth inside [m]: the radius of the largest ball that fits.
     pub fn depth(&self) -> f64 {
         -self.values.iter().fold(f64::INFINITY, |a, &b| a.min(b))

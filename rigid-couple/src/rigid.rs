@@ -12,6 +12,7 @@ use barchan_core::{BodyState, Coupling, Error, NodeBatch, Result, Scene, Vec3, W
 use glam::{DMat3, DQuat, DVec3};
 use rapier3d_f64::prelude::PhysicsWorld;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Depth inside a body, in cells, below which nodes move with it.
 const DEEP: f64 = 2.0;
@@ -20,6 +21,8 @@ const DEEP: f64 = 2.0;
 const MOST_MOVE: f64 = 0.5;
 const CLEARANCE: f64 = 2.0 * MOST_MOVE;
 const LOOK_AHEAD: f64 = 0.01;
+/// Where bodies have no meshes, devices should not carry the text of `sampled.wgsl`.
+const NO_MESHES: &str = "fn rigid_sampled(first: u32, x: vec3<f32>) -> RigidSurface { return RigidSurface(1e30, vec3<f32>(0.0), false); }\n";
 
 /// The coupling "rigid". A body's reference point is its centre of mass if it is free, and its frame's origin if it is driven.
 ///
@@ -312,9 +315,9 @@ impl Rigid {
         Some(world)
     }
 
-    /// What `contact.wgsl` reads; `None` if a part is no primitive.
-    fn device_table(&self) -> Option<Vec<[f32; 4]>> {
-        let mut table = Vec::new();
+    /// What `contact.wgsl` and `sampled.wgsl` read; `None` if a part is a height field.
+    fn device_tables(&self) -> Option<[Vec<[f32; 4]>; 2]> {
+        let (mut table, mut samples) = (Vec::new(), Vec::new());
         let mut first = self.bodies.len();
         for body in &self.bodies {
             let parts = body.shape.parts().len();
@@ -326,23 +329,42 @@ impl Rigid {
             table.push([first as f32, parts as f32, kind, friction as f32]);
             first += 6 * parts;
         }
+        // Where each mesh's samples are: links of a robot often have the same.
+        let mut sampled: Vec<Range<usize>> = Vec::new();
         for part in self.bodies.iter().flat_map(|body| body.shape.parts()) {
+            let (mut position, mut begin) = (part.pose.position, 0);
+            let rotation = DMat3::from_quat(part.pose.rotation);
             let (kind, size) = match &part.primitive {
                 Primitive::Sphere { radius } => (0.0, DVec3::new(*radius, 0.0, 0.0)),
                 Primitive::Box { half } => (1.0, *half),
                 Primitive::Cylinder { radius, half_height } => (2.0, DVec3::new(*radius, *half_height, 0.0)),
                 Primitive::Capsule { radius, half_height } => (3.0, DVec3::new(*radius, *half_height, 0.0)),
                 Primitive::Plane => (4.0, DVec3::ZERO),
-                Primitive::HeightField(_) | Primitive::Mesh(_) => return None,
+                Primitive::Mesh(mesh) => {
+                    let (min, max) = mesh.mesh.bounds();
+                    let centre = 0.5 * (min + max);
+                    position += rotation * centre;
+                    let packed = mesh.grid.packed(centre);
+                    begin = match sampled.iter().find(|range| samples[range.start..range.end] == packed) {
+                        Some(known) => known.start,
+                        None => {
+                            sampled.push(samples.len()..samples.len() + packed.len());
+                            samples.extend(packed);
+                            sampled[sampled.len() - 1].start
+                        }
+                    };
+                    (5.0, 0.5 * (max - min))
+                }
+                Primitive::HeightField(_) => return None,
             };
             let row = |v: DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
-            let rotation = DMat3::from_quat(part.pose.rotation);
-            table.push([kind, part.half_thickness.min(1e30) as f32, 0.0, 0.0]);
+            table.push([kind, part.half_thickness.min(1e30) as f32, begin as f32, 0.0]);
             table.push(row(size));
-            table.push(row(part.pose.position));
+            table.push(row(position));
             table.extend([0, 1, 2].map(|i| row(rotation.row(i))));
         }
-        Some(table)
+        // Numbers up to here are exact in the table.
+        (samples.len() < 1 << 24).then_some([table, samples])
     }
 
     /// Greatest speed of a body's surface during a step [m/s].
@@ -550,7 +572,9 @@ impl Coupling for Rigid {
         // Contact thickens a thin body by a cell at most.
         let reach = |body: &Body| body.extent + self.scene.world.cell;
         let free = self.bodies.iter().filter(|body| body.free().is_some()).map(reach).collect();
-        Some(DeviceLaw { wgsl: include_str!("contact.wgsl").to_owned(), table: self.device_table()?, free })
+        let [table, samples] = self.device_tables()?;
+        let sampled = if samples.is_empty() { NO_MESHES } else { include_str!("sampled.wgsl") };
+        Some(DeviceLaw { wgsl: include_str!("contact.wgsl").to_owned() + sampled, table, samples, free })
     }
 
     fn lend(&mut self, time: f64, dt: f64, steps: usize) -> Option<Vec<Lent>> {

@@ -110,8 +110,9 @@ impl NodeBatch {
 /// What [`Coupling::contact`] does, as a device can do it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DeviceLaw {
-    /// WGSL: pure functions, which may read `fn coupling_table(i: u32) -> vec4<f32>`, which the backend adds. Among them is, for bodies
-    /// whose motion over a step does not depend on the ground,
+    /// WGSL: pure functions, which may read `fn coupling_table(i: u32) -> vec4<f32>` and, if there are samples,
+    /// `fn coupling_sample(i: u32) -> vec4<f32>`, which the backend adds. Among them is, for bodies whose motion over a step does not depend on
+    /// the ground,
     /// `fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32) -> vec3<f32>`, which gives what is left of the
     /// velocity `u` relative to the surface [m/s] of a node at `x` from the body's reference point [m], both in the body's
     /// frame, in cells of width `cell` [m].
@@ -128,6 +129,8 @@ pub struct DeviceLaw {
     pub wgsl: String,
     /// What it reads: constant over the run.
     pub table: Vec<[f32; 4]>,
+    /// What else it reads, likewise, and may be long, such as sampled distances. Worlds of a batch whose laws have the same share them.
+    pub samples: Vec<[f32; 4]>,
     /// The free bodies' extents, in the bodies' order: the greatest distance of a point of [`bounds`](Coupling::bounds) from the centre of
     /// mass at any rotation [m].
     pub free: Vec<f64>,

@@ -6,9 +6,10 @@ use barchan::worlds::Worlds;
 use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Registry, Simulation, Spot, Vec3};
 use barchan_tests::long_cases::{FURROW_CELL, furrow_depth, furrow_scene};
 use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
-use barchan_tests::sketch::{Head, PERIODIC, bed, block, driven, half, material, tool};
+use barchan_tests::sketch::{Head, PERIODIC, bed, block, box_mesh, driven, half, material, tool};
 use barchan_wgpu::Wgpu;
 use barchan_wgpu::device::{self, Offer};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 #[path = "gpu/free.rs"]
@@ -355,6 +356,85 @@ fn tools_feel_what_they_feel_on_the_cpu() {
     within("impulse on the blade, relative", norm(std::array::from_fn::<f64, 3, _>(|d| g[d] - c[d])) / norm(c), 0.02);
     let (g, c) = (gpu.bodies()[1].position, cpu.bodies()[1].position);
     within("place of the cube, in cells", norm(std::array::from_fn::<f64, 3, _>(|d| g[d] - c[d])) / 0.02, 0.01);
+}
+
+/// An octahedron with such half axes [m], as a mesh. Returns the file.
+fn octahedron(folder: &Path, half: Vec3) -> PathBuf {
+    let mut obj = String::new();
+    for d in 0..3 {
+        for sign in [1.0, -1.0] {
+            let corner: Vec3 = std::array::from_fn(|e| if d == e { sign * half[d] } else { 0.0 });
+            obj += &format!("v {} {} {}\n", corner[0], corner[1], corner[2]);
+        }
+    }
+    for (x, y, z) in (0..8).map(|n| (n & 1, n >> 1 & 1, n >> 2)) {
+        let (y, z) = if (x + y + z) % 2 == 0 { (3 + y, 5 + z) } else { (5 + z, 3 + y) };
+        obj += &format!("f {} {y} {z}\n", 1 + x);
+    }
+    let file = folder.join("octahedron.obj");
+    std::fs::write(&file, obj).unwrap();
+    file
+}
+
+/// Meshes are felt on the device, by their sampled distances, as they are on the CPU: a plough drawn through sand, in a union and turned, and a
+/// box of another mesh that drops into it; and worlds of a batch, which share the samples and go many steps at once, are what they are alone.
+#[test]
+fn meshes_are_felt_on_the_device_as_on_the_cpu() {
+    let folder = tempfile::tempdir().unwrap();
+    let plough = octahedron(folder.path(), [0.05, 0.04, 0.06]);
+    let cube = box_mesh(folder.path(), [0.03, 0.03, 0.03]);
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let with_speed = |speed: f64| {
+        Head::cells(0.02, [20, 12, 16], walls).time("step = 2.5e-4").with(&[
+            material("sand", 1500.0, "young_modulus = 1e5, poisson_ratio = 0.2"),
+            block("sand", [0.0; 3], [0.4, 0.24, 0.1], ""),
+            tool(
+                "plough",
+                [0.1, 0.12, 0.12],
+                &format!(
+                    "union = [{{ shape = {{ mesh = {{ file = {plough:?}, center = [0.01, 0.0, -0.02], rotation = [0.95, 0.1, 0.2, 0.1] }} }} }}, \
+                     {{ shape = {{ mesh = {{ file = {plough:?}, scale = 0.8 }} }}, position = [-0.02, 0.01, 0.03] }}]"
+                ),
+                "{ coulomb = { friction = 0.3 } }",
+                &driven([speed, 0.0, 0.0]),
+            ),
+            tool(
+                "cube",
+                [0.3, 0.12, 0.135],
+                &format!("mesh = {{ file = {cube:?} }}"),
+                "{ coulomb = { friction = 0.5 } }",
+                "{ free = { mass = 0.4, linear = [0.0, 0.0, -0.5], angular = [0.0, 1.0, 0.0] } }",
+            ),
+        ])
+    };
+    let (mut on_device, mut on_cpu) = (gpu(&with_speed(0.4)), cpu(&with_speed(0.4)));
+    let impulse = |sim: &mut Simulation| {
+        let mut sum = [0.0; 3];
+        for _ in 0..160 {
+            let dt = sim.step().unwrap_or_else(|e| panic!("{e}")).dt;
+            (0..3).for_each(|d| sum[d] += sim.wrenches()[0].force[d] * dt);
+        }
+        sum
+    };
+    let (g, c) = (impulse(&mut on_device), impulse(&mut on_cpu));
+    println!("impulse on the plough: {g:?} and {c:?} N s");
+    within("impulse on the plough, relative", norm(std::array::from_fn::<f64, 3, _>(|d| g[d] - c[d])) / norm(c), 1e-3);
+    let (at, there) = (on_device.bodies()[1].position, on_cpu.bodies()[1].position);
+    within("place of the cube, in cells", norm(std::array::from_fn::<f64, 3, _>(|d| at[d] - there[d])) / 0.02, 1e-3);
+    within("distance of particles, in cells", apart(&rows(&on_device), &rows(&on_cpu)) / 0.02, 5e-3);
+    let passes = |name: &str| on_device.timings().iter().find(|t| t.effect == name).map_or(0, |timing| timing.passes);
+    // Nodes are gathered for a law on the host.
+    assert_eq!([passes("gather"), passes("free bodies")], [0, 160]);
+
+    let scenes: Vec<Scene> = [0.4, -0.3].map(|speed| scene(&with_speed(speed))).into();
+    let mut worlds = Worlds::new(&barchan::registry(), scenes, &on_gpu()).unwrap();
+    worlds.steps(40).into_iter().for_each(|reports| assert_eq!(reports.unwrap().len(), 40));
+    let ends: Vec<String> = worlds.iter().map(left).collect();
+    for (speed, end) in [0.4, -0.3].into_iter().zip(ends) {
+        let mut alone = gpu(&with_speed(speed));
+        take(&mut alone, 40);
+        assert!(end == left(&alone), "a world is not itself alone");
+    }
 }
 
 /// A blade whose law runs on the device: many steps at once feel what single ones feel, and what the CPU feels.

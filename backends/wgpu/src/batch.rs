@@ -253,6 +253,7 @@ pub(crate) struct DeviceContact {
     /// Free bodies' contact and motion.
     free: Option<Kernel>,
     wgsl: String,
+    samples: Vec<[f32; 4]>,
     needs: Needs,
     /// Each world's table.
     tables: Vec<Vec<[f32; 4]>>,
@@ -1695,8 +1696,10 @@ impl WgpuBatch {
             // One world alone may have other bodies from now on.
             let before = self.contact.device.as_ref().filter(|_| self.worlds.len() > 1);
             let all = before.map_or(needs, |contact| contact.needs.with(needs));
-            let is_known = self.contact.device.as_ref().is_some_and(|contact| contact.wgsl == law.wgsl);
-            if (is_known || before.is_none()) && self.has_room(all.free) {
+            let is_same = |contact: &DeviceContact| contact.wgsl == law.wgsl && contact.samples == law.samples;
+            let is_known = self.contact.device.as_deref().is_some_and(is_same);
+            let vectors = self.worlds.len() * all.vectors + law.samples.len();
+            if (is_known || before.is_none()) && self.has_room(all.free, vectors) {
                 if !is_known || self.contact.device.as_ref().is_some_and(|contact| contact.needs != all) {
                     self.add_law(&law, all)?;
                 }
@@ -1713,10 +1716,10 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// Is there room on the device for what is inside so many free bodies?
-    fn has_room(&self, free: Free) -> bool {
+    /// Is there room on the device for what is inside so many free bodies, and for tables of so many vectors?
+    fn has_room(&self, free: Free, vectors: usize) -> bool {
         let cap = self.gpu.limits.max_storage_buffer_binding_size.min(self.gpu.limits.max_buffer_size);
-        free.rooms() <= MOST_ROOMS && lent_bytes(free, self.worlds.len()) <= cap
+        free.rooms() <= MOST_ROOMS && lent_bytes(free, self.worlds.len()).max(16 * vectors as u64) <= cap
     }
 
     /// Teaches the device a law.
@@ -1725,12 +1728,11 @@ impl WgpuBatch {
         let shape = [worlds, self.levels];
         let kernels = kernels::contact(&self.gpu, &self.kernels, law, [bodies, vectors], shape);
         let of_free = (free.bodies > 0).then(|| kernels::free(&self.gpu, &self.kernels, law, vectors, shape, free));
-        self.memory.add_bodies(&self.gpu, bodies, free, &vec![[0.0; 4]; worlds * vectors])?;
+        self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], free, &law.samples)?;
         self.unlinked = true;
         let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);
-        let wgsl = law.wgsl.clone();
-        self.contact.device =
-            Some(Box::new(DeviceContact { kernels, free: of_free, wgsl, needs, tables: vec![Vec::new(); worlds] }));
+        let (wgsl, samples, tables) = (law.wgsl.clone(), law.samples.clone(), vec![Vec::new(); worlds]);
+        self.contact.device = Some(Box::new(DeviceContact { kernels, free: of_free, wgsl, samples, needs, tables }));
         before.into_iter().enumerate().for_each(|(w, table)| self.write_table(w, table));
         Ok(())
     }

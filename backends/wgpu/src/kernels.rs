@@ -175,8 +175,10 @@ pub(crate) enum Uniform {
     None,
     /// The materials' parameters.
     Params,
-    /// What the coupling's law reads.
-    Table,
+    /// What the coupling's law reads, with samples or without.
+    Table {
+        sampled: bool,
+    },
     /// The boxes of levels.
     Regions,
 }
@@ -393,7 +395,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
             .map(|draft| line("every step", draft)),
     );
     if plan.has(Stage::Contact) {
-        lines.push("contact, every step: on the device for bodies made of boxes, spheres, cylinders, capsules and planes; else nodes near bodies go to the host and back".to_owned());
+        lines.push("contact, every step: on the device for bodies made of boxes, spheres, cylinders, capsules, planes and meshes; else (height fields) nodes near bodies go to the host and back".to_owned());
         if plan.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. })) {
             let law = DeviceLaw::default();
             let free = Free { bodies: 1, across: 2 };
@@ -460,7 +462,8 @@ pub(crate) fn contact(
     [worlds, levels]: [usize; 2],
 ) -> [Kernel; 2] {
     let count = format!("const BODIES: u32 = {bodies}u;\n");
-    let table = coupling_table([worlds, levels], vectors);
+    let sampled = !law.samples.is_empty();
+    let table = coupling_table([worlds, levels], vectors, law.samples.len());
     let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
     let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
     let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
@@ -470,7 +473,7 @@ pub(crate) fn contact(
         entry: "contact",
         body: [&count, &table, &law.wgsl, text.as_str()].concat(),
         uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
-        uniform: Uniform::Table,
+        uniform: Uniform::Table { sampled },
         groups: node_blocks(levels > 1),
         checked: true,
     };
@@ -528,15 +531,15 @@ fn free_draft(
         free.bodies,
         free.rooms(),
     );
+    let table = coupling_table([worlds, levels], vectors, law.samples.len());
     let awake = if sleeps { include_str!("wgsl/free_awake.wgsl") } else { "" };
     let (text, own) = of_own_mass(subcycled, &include_str!("wgsl/free.wgsl").replace("$STAY_AWAKE", awake));
     Draft {
         name: "free bodies",
         entry: "free_bodies",
-        body: [&counts, include_str!("wgsl/lent.wgsl"), &coupling_table([worlds, levels], vectors), &law.wgsl, &text]
-            .concat(),
+        body: [&counts, include_str!("wgsl/lent.wgsl"), &table, &law.wgsl, &text].concat(),
         uses: [GRID, DIRECTORY, lent, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
-        uniform: Uniform::Table,
+        uniform: Uniform::Table { sampled: !law.samples.is_empty() },
         groups: Groups::Exactly((worlds * free.bodies) as u32),
         checked: true,
     }
@@ -583,12 +586,15 @@ pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
     plan.materials.iter().map(|m| m.parameters.len()).sum::<usize>().div_ceil(4).max(1)
 }
 
-/// What couplings' laws read, so many vectors for each world.
-fn coupling_table(worlds: [usize; 2], vectors: usize) -> String {
-    let (space, all, first) = table_of_worlds(worlds, vectors);
+/// What couplings' laws read: so many vectors for each world, and behind them samples that all worlds share.
+fn coupling_table([worlds, levels]: [usize; 2], vectors: usize, samples: usize) -> String {
+    let (space, tables, first) = table_of_worlds([worlds, levels], vectors);
+    let of_samples = format!("fn coupling_sample(i: u32) -> vec4<f32> {{ return contact_table[{tables}u + i]; }}\n");
+    let (space, all, of_samples) =
+        if samples > 0 { ("storage, read", tables + samples, of_samples) } else { (space, tables, String::new()) };
     format!(
         "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {all}>;\n\
-         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n"
+         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n{of_samples}"
     )
 }
 
@@ -621,8 +627,8 @@ fn build(
     worlds: usize,
     draft: Draft,
 ) -> Kernel {
-    let is_table = matches!(draft.uniform, Uniform::Params | Uniform::Table);
-    let stored = usize::from(is_table && worlds > 1);
+    let is_table = matches!(draft.uniform, Uniform::Params | Uniform::Table { .. });
+    let stored = usize::from(is_table && worlds > 1 || draft.uniform == Uniform::Table { sampled: true });
     // What WebGPU promises everywhere.
     assert!(draft.uses.len() + stored <= 8, "pass {} binds {} storage buffers", draft.name, draft.uses.len() + stored);
     let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];

@@ -367,7 +367,7 @@ impl Memory {
         let constants = uniform("extent", size_of::<Extent>() as u64);
         gpu.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&extent));
         let values = params;
-        let params = table(gpu, "parameters", values.len(), asked.worlds);
+        let params = table(gpu, "parameters", values.len(), asked.worlds > 1);
         gpu.queue.write_buffer(&params, 0, bytemuck::cast_slice(values));
         let steps = uniform("steps", STEP_STRIDE * STEP_SLOTS);
         let regions = uniform("regions", 64 * (asked.worlds * asked.boxes).max(1) as u64);
@@ -447,7 +447,7 @@ impl Memory {
         let uniform = match kernel.uniform {
             Uniform::None => None,
             Uniform::Params => Some(&self.params),
-            Uniform::Table => self.table.as_ref(),
+            Uniform::Table { .. } => self.table.as_ref(),
             Uniform::Regions => Some(&self.regions),
         };
         entries.extend(uniform.map(|b| wgpu::BindGroupEntry { binding: 1, resource: b.as_entire_binding() }));
@@ -487,11 +487,18 @@ impl Memory {
         }
     }
 
-    /// Makes room for bodies whose law runs on the device, so many in each layer and free ones in each world, and takes in what it reads of all
-    /// layers.
-    pub(crate) fn add_bodies(&mut self, gpu: &Gpu, bodies: usize, free: Free, table: &[[f32; 4]]) -> Result<()> {
-        let buffer = self::table(gpu, "table of bodies", table.len(), self.asked.worlds);
-        gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(table));
+    /// Makes room for bodies whose law runs on the device, so many in each layer and free ones in each world, and for what it reads: so many
+    /// vectors of all worlds, and these samples.
+    pub(crate) fn add_bodies(
+        &mut self,
+        gpu: &Gpu,
+        [bodies, vectors]: [usize; 2],
+        free: Free,
+        samples: &[[f32; 4]],
+    ) -> Result<()> {
+        let stored = self.asked.worlds > 1 || !samples.is_empty();
+        let buffer = table(gpu, "table of bodies", vectors + samples.len(), stored);
+        gpu.queue.write_buffer(&buffer, 16 * vectors as u64, bytemuck::cast_slice(samples));
         self.table = Some(buffer);
         (self.asked.bodies, self.asked.free) = (bodies, free);
         let extent = self.extent;
@@ -621,9 +628,9 @@ impl Memory {
     }
 }
 
-/// A table of so many vectors that passes read: uniform if it is that of one world, and else as long as it must be.
-fn table(gpu: &Gpu, label: &'static str, vectors: usize, worlds: usize) -> wgpu::Buffer {
-    let kind = if worlds > 1 { wgpu::BufferUsages::STORAGE } else { wgpu::BufferUsages::UNIFORM };
+/// A table of so many vectors that passes read: uniform, or, as long as it must be, stored.
+fn table(gpu: &Gpu, label: &'static str, vectors: usize, stored: bool) -> wgpu::Buffer {
+    let kind = if stored { wgpu::BufferUsages::STORAGE } else { wgpu::BufferUsages::UNIFORM };
     gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some(label),
         size: 16 * vectors as u64,
