@@ -1,8 +1,8 @@
-// The contact law of `contact.rs` and the distances of `sdf.rs`, for bodies made of primitives and meshes.
+// The contact law of `contact.rs` and the distances of `sdf.rs`, for all shapes.
 //
 // coupling_table(i) holds, for each body: first part, parts, 0 stick | 1 Coulomb, friction; and from there for each part: primitive,
-// half its thickness, where a mesh's samples begin; sizes; origin; and the three rows of its rotation. A mesh's origin is the middle of the box
-// around it, and its sizes are half that box's.
+// half its thickness, where samples begin; sizes; origin; and the three rows of its rotation. Of what is sampled, the origin is the middle of the
+// box around it, and sizes are half that box's.
 
 struct RigidSurface { distance: f32, normal: vec3<f32>, known: bool }
 
@@ -59,7 +59,8 @@ fn rigid_primitive(kind: vec4<f32>, size: vec3<f32>, x: vec3<f32>) -> RigidSurfa
             let arm = x - vec3<f32>(0.0, 0.0, clamp(x.z, -size.y, size.y));
             return rigid_direction(arm, size.x, length(arm) - size.x);
         }
-        case 5: { return rigid_sampled(u32(kind.z), x); }
+        case 5: { return rigid_mesh(u32(kind.z), x); }
+        case 6: { return rigid_heights(u32(kind.z), size, x); }
         default: { return RigidSurface(x.z, vec3<f32>(0.0, 0.0, 1.0), true); }
     }
 }
@@ -171,7 +172,7 @@ fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f
         var half = size;
         switch i32(kind.x) {
             case 0: { half = vec3<f32>(size.x); }
-            case 1, 5: {}
+            case 1, 5, 6: {}
             case 2: { half = vec3<f32>(size.x, size.x, size.y); }
             case 3: { half = vec3<f32>(size.x, size.x, size.x + size.y); }
             default: { half = vec3<f32>(1e30); }

@@ -1,7 +1,7 @@
 //! Closed triangle meshes: reading, checking, sampled distance, and as solids to seed soft bodies from.
 
 use crate::Refusal;
-use crate::sdf::Surface;
+use crate::sdf::{Surface, four};
 use barchan_core::coupling::Aabb;
 use barchan_core::solid::Solid;
 use glam::DVec3;
@@ -223,7 +223,6 @@ impl DistanceGrid {
         let origin = (self.origin - centre).as_vec3();
         let size = self.size.map(|n| n as f32);
         let head = [[origin.x, origin.y, origin.z, self.spacing as f32], [size[0], size[1], size[2], 0.0]];
-        let four = |some: &[f64]| std::array::from_fn(|i| some.get(i).map_or(0.0, |&value| value as f32));
         head.into_iter().chain(self.values.chunks(4).map(four)).collect()
     }
 

@@ -21,8 +21,31 @@ const DEEP: f64 = 2.0;
 const MOST_MOVE: f64 = 0.5;
 const CLEARANCE: f64 = 2.0 * MOST_MOVE;
 const LOOK_AHEAD: f64 = 0.01;
-/// Where bodies have no meshes, devices should not carry the text of `sampled.wgsl`.
-const NO_MESHES: &str = "fn rigid_sampled(first: u32, x: vec3<f32>) -> RigidSurface { return RigidSurface(1e30, vec3<f32>(0.0), false); }\n";
+/// Where nothing is sampled, devices should not carry the text of `sampled.wgsl`.
+const NO_SAMPLES: &str = "
+fn rigid_mesh(first: u32, x: vec3<f32>) -> RigidSurface { return RigidSurface(1e30, vec3<f32>(0.0), false); }
+fn rigid_heights(first: u32, half: vec3<f32>, x: vec3<f32>) -> RigidSurface { return RigidSurface(1e30, vec3<f32>(0.0), false); }
+";
+
+/// What is sampled of shapes, each shape once: links of a robot often have the same.
+#[derive(Default)]
+struct Samples {
+    all: Vec<[f32; 4]>,
+    of_shapes: Vec<Range<usize>>,
+}
+
+impl Samples {
+    /// Where a shape's samples begin.
+    fn add(&mut self, samples: Vec<[f32; 4]>) -> usize {
+        let known = self.of_shapes.iter().find(|range| self.all[range.start..range.end] == samples);
+        known.map(|range| range.start).unwrap_or_else(|| {
+            let begin = self.all.len();
+            self.all.extend(samples);
+            self.of_shapes.push(begin..self.all.len());
+            begin
+        })
+    }
+}
 
 /// The coupling "rigid". A body's reference point is its centre of mass if it is free, and its frame's origin if it is driven.
 ///
@@ -315,9 +338,9 @@ impl Rigid {
         Some(world)
     }
 
-    /// What `contact.wgsl` and `sampled.wgsl` read; `None` if a part is a height field.
+    /// What `contact.wgsl` and `sampled.wgsl` read; `None` if there are too many samples to number.
     fn device_tables(&self) -> Option<[Vec<[f32; 4]>; 2]> {
-        let (mut table, mut samples) = (Vec::new(), Vec::new());
+        let (mut table, mut samples) = (Vec::new(), Samples::default());
         let mut first = self.bodies.len();
         for body in &self.bodies {
             let parts = body.shape.parts().len();
@@ -329,42 +352,28 @@ impl Rigid {
             table.push([first as f32, parts as f32, kind, friction as f32]);
             first += 6 * parts;
         }
-        // Where each mesh's samples are: links of a robot often have the same.
-        let mut sampled: Vec<Range<usize>> = Vec::new();
         for part in self.bodies.iter().flat_map(|body| body.shape.parts()) {
-            let (mut position, mut begin) = (part.pose.position, 0);
-            let rotation = DMat3::from_quat(part.pose.rotation);
-            let (kind, size) = match &part.primitive {
-                Primitive::Sphere { radius } => (0.0, DVec3::new(*radius, 0.0, 0.0)),
-                Primitive::Box { half } => (1.0, *half),
-                Primitive::Cylinder { radius, half_height } => (2.0, DVec3::new(*radius, *half_height, 0.0)),
-                Primitive::Capsule { radius, half_height } => (3.0, DVec3::new(*radius, *half_height, 0.0)),
-                Primitive::Plane => (4.0, DVec3::ZERO),
-                Primitive::Mesh(mesh) => {
-                    let (min, max) = mesh.mesh.bounds();
-                    let centre = 0.5 * (min + max);
-                    position += rotation * centre;
-                    let packed = mesh.grid.packed(centre);
-                    begin = match sampled.iter().find(|range| samples[range.start..range.end] == packed) {
-                        Some(known) => known.start,
-                        None => {
-                            sampled.push(samples.len()..samples.len() + packed.len());
-                            samples.extend(packed);
-                            sampled[sampled.len() - 1].start
-                        }
-                    };
-                    (5.0, 0.5 * (max - min))
-                }
-                Primitive::HeightField(_) => return None,
+            let (min, max) = part.primitive.bounds();
+            let (middle, half) = (0.5 * (min + max), 0.5 * (max - min));
+            let (kind, size, begin) = match &part.primitive {
+                Primitive::Sphere { radius } => (0.0, DVec3::new(*radius, 0.0, 0.0), None),
+                Primitive::Box { half } => (1.0, *half, None),
+                Primitive::Cylinder { radius, half_height } => (2.0, DVec3::new(*radius, *half_height, 0.0), None),
+                Primitive::Capsule { radius, half_height } => (3.0, DVec3::new(*radius, *half_height, 0.0), None),
+                Primitive::Plane => (4.0, DVec3::ZERO, None),
+                Primitive::Mesh(mesh) => (5.0, half, Some(samples.add(mesh.grid.packed(middle)))),
+                Primitive::HeightField(field) => (6.0, half, Some(samples.add(field.packed(middle.z)))),
             };
+            let rotation = DMat3::from_quat(part.pose.rotation);
+            let offset = if begin.is_some() { rotation * middle } else { DVec3::ZERO };
             let row = |v: DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
-            table.push([kind, part.half_thickness.min(1e30) as f32, begin as f32, 0.0]);
+            table.push([kind, part.half_thickness.min(1e30) as f32, begin.unwrap_or_default() as f32, 0.0]);
             table.push(row(size));
-            table.push(row(position));
+            table.push(row(part.pose.position + offset));
             table.extend([0, 1, 2].map(|i| row(rotation.row(i))));
         }
         // Numbers up to here are exact in the table.
-        (samples.len() < 1 << 24).then_some([table, samples])
+        (samples.all.len() < 1 << 24).then_some([table, samples.all])
     }
 
     /// Greatest speed of a body's surface during a step [m/s].
@@ -573,7 +582,7 @@ impl Coupling for Rigid {
         let reach = |body: &Body| body.extent + self.scene.world.cell;
         let free = self.bodies.iter().filter(|body| body.free().is_some()).map(reach).collect();
         let [table, samples] = self.device_tables()?;
-        let sampled = if samples.is_empty() { NO_MESHES } else { include_str!("sampled.wgsl") };
+        let sampled = if samples.is_empty() { NO_SAMPLES } else { include_str!("sampled.wgsl") };
         Some(DeviceLaw { wgsl: include_str!("contact.wgsl").to_owned() + sampled, table, samples, free })
     }
 

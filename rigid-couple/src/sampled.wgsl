@@ -1,12 +1,13 @@
-// The distances of `mesh.rs`, for meshes: coupling_sample(first) holds where the first sample stands, in the part's frame, and how far they are apart
-// [m]; the next one how many there are along x, y and z; and those that follow the distances [m], x fastest.
+// What `mesh.rs` and `sdf.rs` find between samples. They stand in a part's own frame, around the middle of its box.
 
-fn rigid_sample(first: u32, n: u32) -> f32 {
-    return coupling_sample(first + 2u + (n >> 2u))[n & 3u];
+fn rigid_sample(begin: u32, n: u32) -> f32 {
+    return coupling_sample(begin + (n >> 2u))[n & 3u];
 }
 
+// Of a mesh: coupling_sample(first) holds where the first sample is and how far they are apart [m], the next one how many there are along x, y
+// and z; distances [m] follow, x fastest.
 // Distance and normal, trilinear between samples. Beyond them: the distance to them plus what is there.
-fn rigid_sampled(first: u32, x: vec3<f32>) -> RigidSurface {
+fn rigid_mesh(first: u32, x: vec3<f32>) -> RigidSurface {
     let head = coupling_sample(first);
     let size = vec3<u32>(coupling_sample(first + 1u).xyz);
     let at = (x - head.xyz) / head.w;
@@ -17,10 +18,10 @@ fn rigid_sampled(first: u32, x: vec3<f32>) -> RigidSurface {
     let slab = size.x * size.y;
     let corner = cell.x + cell.y * row + cell.z * slab;
     // On the four edges along x: the values at both ends.
-    let left = vec4<f32>(rigid_sample(first, corner), rigid_sample(first, corner + row),
-        rigid_sample(first, corner + slab), rigid_sample(first, corner + row + slab));
-    let right = vec4<f32>(rigid_sample(first, corner + 1u), rigid_sample(first, corner + 1u + row),
-        rigid_sample(first, corner + 1u + slab), rigid_sample(first, corner + 1u + row + slab));
+    let left = vec4<f32>(rigid_sample(first + 2u, corner), rigid_sample(first + 2u, corner + row),
+        rigid_sample(first + 2u, corner + slab), rigid_sample(first + 2u, corner + row + slab));
+    let right = vec4<f32>(rigid_sample(first + 2u, corner + 1u), rigid_sample(first + 2u, corner + 1u + row),
+        rigid_sample(first + 2u, corner + 1u + slab), rigid_sample(first + 2u, corner + 1u + row + slab));
     let rise = right - left;
     let edge = left + f.x * rise;
     let face = mix(edge.xz, edge.yw, f.y);
@@ -37,4 +38,33 @@ fn rigid_sampled(first: u32, x: vec3<f32>) -> RigidSurface {
         return rigid_direction(beyond + value * normal, head.w, value + gap);
     }
     return RigidSurface(value, normal, known);
+}
+
+// Of a height field, half as large as `half`: coupling_sample(first) holds how many heights there are along x and y, and how far they are apart [m];
+// they follow [m], x fastest.
+fn rigid_heights(first: u32, half: vec3<f32>, x: vec3<f32>) -> RigidSurface {
+    let head = coupling_sample(first);
+    let count = vec2<u32>(head.xy);
+    let s = clamp((x.xy + half.xy) / head.zw, vec2<f32>(0.0), vec2<f32>(count - 1u));
+    let cell = min(vec2<u32>(s), count - 2u);
+    let f = s - vec2<f32>(cell);
+    let corner = cell.y * count.x + cell.x;
+    let near = vec2<f32>(rigid_sample(first + 1u, corner), rigid_sample(first + 1u, corner + 1u));
+    let far = vec2<f32>(rigid_sample(first + 1u, corner + count.x), rigid_sample(first + 1u, corner + count.x + 1u));
+    let along_y = mix(near, far, f.y);
+    let along_x = mix(vec2<f32>(near.x, far.x), vec2<f32>(near.y, far.y), f.x);
+    let slope = vec3<f32>(-(along_y.y - along_y.x) / head.z, -(along_x.y - along_x.x) / head.w, 1.0);
+    let steep = length(slope);
+    var surface = RigidSurface((x.z - mix(along_y.x, along_y.y, f.x)) / steep, slope / steep, true);
+    // The bottom and the four sides.
+    if -half.z - x.z > surface.distance {
+        surface = RigidSurface(-half.z - x.z, vec3<f32>(0.0, 0.0, -1.0), true);
+    }
+    if abs(x.x) - half.x > surface.distance {
+        surface = RigidSurface(abs(x.x) - half.x, vec3<f32>(rigid_sign(x.x), 0.0, 0.0), true);
+    }
+    if abs(x.y) - half.y > surface.distance {
+        surface = RigidSurface(abs(x.y) - half.y, vec3<f32>(0.0, rigid_sign(x.y), 0.0), true);
+    }
+    return surface;
 }

@@ -98,6 +98,11 @@ pub struct HeightField {
     pub heights: Vec<Vec<f64>>,
 }
 
+/// Up to four samples as devices read them.
+pub(crate) fn four(samples: &[f64]) -> [f32; 4] {
+    std::array::from_fn(|i| samples.get(i).map_or(0.0, |&sample| sample as f32))
+}
+
 /// Reach of a thin part's core on both sides of its middle, in cells.
 const CORE: f64 = 0.75;
 
@@ -202,6 +207,15 @@ impl HeightField {
         let hx = ((1.0 - b) * (h10 - h00) + b * (h11 - h01)) / dx;
         let hy = ((1.0 - a) * (h01 - h00) + a * (h11 - h10)) / dy;
         (h, hx, hy)
+    }
+
+    /// As `sampled.wgsl` reads it, heights from `middle` on.
+    pub fn packed(&self, middle: f64) -> Vec<[f32; 4]> {
+        let count = [self.heights[0].len(), self.heights.len()];
+        let spacing = [0, 1].map(|d| ((self.max[d] - self.min[d]) / (count[d] - 1) as f64) as f32);
+        let head = [count[0] as f32, count[1] as f32, spacing[0], spacing[1]];
+        let heights: Vec<f64> = self.heights.iter().flatten().map(|h| h - middle).collect();
+        std::iter::once(head).chain(heights.chunks(4).map(four)).collect()
     }
 
     fn surface(&self, x: DVec3) -> Surface {

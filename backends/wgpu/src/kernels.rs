@@ -175,9 +175,9 @@ pub(crate) enum Uniform {
     None,
     /// The materials' parameters.
     Params,
-    /// What the coupling's law reads, with samples or without.
+    /// What the coupling's law reads, stored if it is too much for a uniform.
     Table {
-        sampled: bool,
+        stored: bool,
     },
     /// The boxes of levels.
     Regions,
@@ -395,7 +395,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
             .map(|draft| line("every step", draft)),
     );
     if plan.has(Stage::Contact) {
-        lines.push("contact, every step: on the device for bodies made of boxes, spheres, cylinders, capsules, planes and meshes; else (height fields) nodes near bodies go to the host and back".to_owned());
+        lines.push("contact, every step: on the device, but for free bodies near walls or others and for couplings without a law in WGSL: for these nodes near bodies go to the host and back".to_owned());
         if plan.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. })) {
             let law = DeviceLaw::default();
             let free = Free { bodies: 1, across: 2 };
@@ -462,8 +462,7 @@ pub(crate) fn contact(
     [worlds, levels]: [usize; 2],
 ) -> [Kernel; 2] {
     let count = format!("const BODIES: u32 = {bodies}u;\n");
-    let sampled = !law.samples.is_empty();
-    let table = coupling_table([worlds, levels], vectors, law.samples.len());
+    let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
     let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
     let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
     let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
@@ -473,7 +472,7 @@ pub(crate) fn contact(
         entry: "contact",
         body: [&count, &table, &law.wgsl, text.as_str()].concat(),
         uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
-        uniform: Uniform::Table { sampled },
+        uniform: Uniform::Table { stored },
         groups: node_blocks(levels > 1),
         checked: true,
     };
@@ -531,7 +530,7 @@ fn free_draft(
         free.bodies,
         free.rooms(),
     );
-    let table = coupling_table([worlds, levels], vectors, law.samples.len());
+    let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
     let awake = if sleeps { include_str!("wgsl/free_awake.wgsl") } else { "" };
     let (text, own) = of_own_mass(subcycled, &include_str!("wgsl/free.wgsl").replace("$STAY_AWAKE", awake));
     Draft {
@@ -539,7 +538,7 @@ fn free_draft(
         entry: "free_bodies",
         body: [&counts, include_str!("wgsl/lent.wgsl"), &table, &law.wgsl, &text].concat(),
         uses: [GRID, DIRECTORY, lent, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
-        uniform: Uniform::Table { sampled: !law.samples.is_empty() },
+        uniform: Uniform::Table { stored },
         groups: Groups::Exactly((worlds * free.bodies) as u32),
         checked: true,
     }
@@ -586,16 +585,24 @@ pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
     plan.materials.iter().map(|m| m.parameters.len()).sum::<usize>().div_ceil(4).max(1)
 }
 
-/// What couplings' laws read: so many vectors for each world, and behind them samples that all worlds share.
-fn coupling_table([worlds, levels]: [usize; 2], vectors: usize, samples: usize) -> String {
-    let (space, tables, first) = table_of_worlds([worlds, levels], vectors);
+/// Is what couplings' laws read stored? A uniform holds so much everywhere, and not what differs from world to world.
+pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
+    worlds > 1 || 16 * (vectors + samples) > 65_536
+}
+
+/// What couplings' laws read: so many vectors for each world, and behind them samples that all worlds share. Is it stored?
+fn coupling_table([worlds, levels]: [usize; 2], vectors: usize, samples: usize) -> (bool, String) {
+    let stored = is_stored(worlds, vectors, samples);
+    let space = if stored { "storage, read" } else { "uniform" };
+    let (_, tables, first) = table_of_worlds([worlds, levels], vectors);
     let of_samples = format!("fn coupling_sample(i: u32) -> vec4<f32> {{ return contact_table[{tables}u + i]; }}\n");
-    let (space, all, of_samples) =
-        if samples > 0 { ("storage, read", tables + samples, of_samples) } else { (space, tables, String::new()) };
-    format!(
-        "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {all}>;\n\
-         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n{of_samples}"
-    )
+    let text = format!(
+        "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {}>;\n\
+         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n{}",
+        tables + samples,
+        if samples > 0 { of_samples } else { String::new() }
+    );
+    (stored, text)
 }
 
 /// A table of so many vectors for each world: the address space, which holds many only as storage; vectors in all; and what leads to
@@ -628,7 +635,8 @@ fn build(
     draft: Draft,
 ) -> Kernel {
     let is_table = matches!(draft.uniform, Uniform::Params | Uniform::Table { .. });
-    let stored = usize::from(is_table && worlds > 1 || draft.uniform == Uniform::Table { sampled: true });
+    let stored =
+        usize::from(draft.uniform == Uniform::Params && worlds > 1 || draft.uniform == Uniform::Table { stored: true });
     // What WebGPU promises everywhere.
     assert!(draft.uses.len() + stored <= 8, "pass {} binds {} storage buffers", draft.name, draft.uses.len() + stored);
     let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];

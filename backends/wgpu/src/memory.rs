@@ -1,7 +1,7 @@
 //! Buffers on the device, and what fits into them.
 
 use crate::device::Gpu;
-use crate::kernels::{FIRST_BINDING, Found, Free, Kernel, Role, Sorted, Uniform};
+use crate::kernels::{FIRST_BINDING, Found, Free, Kernel, Role, Sorted, Uniform, is_stored};
 use crate::layout::{ENTRY, RECORD, ROUNDS};
 use crate::sleep::WATCHED;
 use crate::soft::WORDS as SOFT_WORDS;
@@ -496,7 +496,7 @@ impl Memory {
         free: Free,
         samples: &[[f32; 4]],
     ) -> Result<()> {
-        let stored = self.asked.worlds > 1 || !samples.is_empty();
+        let stored = is_stored(self.asked.worlds, vectors, samples.len());
         let buffer = table(gpu, "table of bodies", vectors + samples.len(), stored);
         gpu.queue.write_buffer(&buffer, 16 * vectors as u64, bytemuck::cast_slice(samples));
         self.table = Some(buffer);
