@@ -6,6 +6,7 @@ fn rigid_sample(begin: u32, n: u32) -> f32 {
 
 // Of a mesh: coupling_sample(first) holds where the first sample is and how far they are apart [m], the next one how many there are along x, y
 // and z; distances [m] follow, x fastest.
+//
 // Distance and normal, trilinear between samples. Beyond them: the distance to them plus what is there.
 fn rigid_mesh(first: u32, x: vec3<f32>) -> RigidSurface {
     let head = coupling_sample(first);

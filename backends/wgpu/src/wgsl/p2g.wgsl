@@ -47,7 +47,7 @@ struct Walk {
     end: u32,
 }
 
-// Notes a particle that has left its cell where those that have come to another are looked for.
+// Notes a particle, if it has left its cell, where those that have come to another are looked for.
 fn list_leaver(q: u32, index: u32, tag: u32) {
     if (tag & LEFT_HOME) == 0u {
         return;
