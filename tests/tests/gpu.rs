@@ -36,6 +36,11 @@ fn take(simulation: &mut Simulation, steps: usize) {
     }
 }
 
+/// How far two places, or other vectors, are apart.
+fn off(a: Vec3, b: Vec3) -> f64 {
+    norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]))
+}
+
 /// Greatest distance between the same particles [m].
 fn apart(a: &[Row], b: &[Row]) -> f64 {
     assert_eq!(a.len(), b.len());
@@ -353,9 +358,9 @@ fn tools_feel_what_they_feel_on_the_cpu() {
     };
     let (g, c) = (impulse(&mut gpu), impulse(&mut cpu));
     println!("impulse on the blade: {g:?} and {c:?} N s");
-    within("impulse on the blade, relative", norm(std::array::from_fn::<f64, 3, _>(|d| g[d] - c[d])) / norm(c), 0.02);
+    within("impulse on the blade, relative", off(g, c) / norm(c), 0.02);
     let (g, c) = (gpu.bodies()[1].position, cpu.bodies()[1].position);
-    within("place of the cube, in cells", norm(std::array::from_fn::<f64, 3, _>(|d| g[d] - c[d])) / 0.02, 0.01);
+    within("place of the cube, in cells", off(g, c) / 0.02, 0.01);
 }
 
 /// An octahedron with such half axes [m], as a mesh. Returns the file.
@@ -428,10 +433,10 @@ fn sampled_shapes_are_felt_on_the_device_as_on_the_cpu() {
     };
     for (g, c) in impulse(&mut on_device).into_iter().zip(impulse(&mut on_cpu)) {
         println!("impulse: {g:?} and {c:?} N s");
-        within("impulse, relative", norm(std::array::from_fn::<f64, 3, _>(|d| g[d] - c[d])) / norm(c), 1e-3);
+        within("impulse, relative", off(g, c) / norm(c), 1e-3);
     }
     let (at, there) = (on_device.bodies()[2].position, on_cpu.bodies()[2].position);
-    within("place of the cube, in cells", norm(std::array::from_fn::<f64, 3, _>(|d| at[d] - there[d])) / 0.02, 1e-3);
+    within("place of the cube, in cells", off(at, there) / 0.02, 1e-3);
     within("distance of particles, in cells", apart(&rows(&on_device), &rows(&on_cpu)) / 0.02, 5e-3);
     let passes = |name: &str| on_device.timings().iter().find(|t| t.effect == name).map_or(0, |timing| timing.passes);
     // Nodes are gathered for a law on the host.
@@ -1176,7 +1181,6 @@ fn a_block_swings_across_rims_as_on_the_cpu() {
         within("distance of particles, in cells", apart(&rows(&gpu), &rows(&cpu)) / 0.05, 1e-3);
         let (g, c) = (gpu.ledger(), cpu.ledger());
         let scale = (2.0 * start.kinetic * start.mass).sqrt();
-        let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
         within("change of momentum", off(g.momentum, start.momentum) / scale, 1e-5);
         println!("spin at start {:?}, on the CPU afterwards {:?}", start.angular_momentum, c.angular_momentum);
         within(
@@ -1261,7 +1265,6 @@ fn tools_and_walls_meet_levels_as_on_the_cpu() {
         let start = c.ledger();
         let (on_gpu, on_cpu) = (run(&mut g), run(&mut c));
         println!("{motion}, subcycled: {subcycle}: impulse {on_gpu:?} and {on_cpu:?} N s, {:?}", c.ledger().counts);
-        let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
         within("distance of particles, in cells", apart(&rows(&g), &rows(&c)) / h, 1e-3);
         for (tool, (on_gpu, on_cpu)) in ["foot", "plate"].into_iter().zip(on_gpu.into_iter().zip(on_cpu)) {
             within(&format!("impulse on the {tool}, relative"), off(on_gpu, on_cpu) / norm(on_cpu), 1e-3);
@@ -1318,7 +1321,6 @@ fn walls_that_let_go_meet_levels_as_on_the_cpu() {
     println!("{:?}", c.ledger().counts);
     let (gl, cl) = (g.ledger(), c.ledger());
     println!("impulse of walls {:?} and {:?} N s", gl.wall_impulse, cl.wall_impulse);
-    let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
     let balance = |l: &Ledger| -> f64 {
         norm(std::array::from_fn::<f64, 3, _>(|d| {
             l.momentum[d] - start.momentum[d] - l.wall_impulse[d] - l.gravity_impulse[d]
@@ -1367,7 +1369,6 @@ fn levels_follow_a_tool_as_on_the_cpu() {
         let (on_gpu, on_cpu) = (run(&mut g), run(&mut c));
         println!("subcycled: {subcycle}; impulse {on_gpu:?} and {on_cpu:?} N s");
         println!("{:?}\n{:?}", g.ledger().counts, c.ledger().counts);
-        let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
         within("impulse on the blade, relative", off(on_gpu, on_cpu) / norm(on_cpu), 0.02);
         let (gl, cl) = (g.ledger(), c.ledger());
         within("mass", (gl.mass / before.mass - 1.0).abs(), 1e-6);
@@ -1455,7 +1456,6 @@ fn levels_follow_soft_bodies() {
         within("its particles on coarse levels at any time", coarse as f64, 0.0);
         within("times at which boxes are not where the CPU has them", unlike as f64, 0.0);
         within("mass", (after.mass / before.mass - 1.0).abs(), 1e-6);
-        let off = |a: Vec3, b: Vec3| norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]));
         within("momentum beside the CPU's", off(after.momentum, there.momentum) / norm(there.momentum), 1e-4);
 
         let mut worlds = Worlds::new(&registry, (0..2).map(scene).collect(), &on_gpu()).unwrap();

@@ -628,10 +628,6 @@ impl WgpuBatch {
         Ok(())
     }
 
-    pub(crate) fn words(&self) -> Words {
-        Words { layers: self.worlds.len() * self.levels }
-    }
-
     /// The levels of all worlds, in the order of layers.
     pub(crate) fn all_levels(&self) -> impl Iterator<Item = &Level> {
         self.worlds.iter().flat_map(|world| &world.levels)
@@ -654,7 +650,7 @@ impl WgpuBatch {
     /// Zeros for the words of the status from one on to the end of some steps of `dt`, but for what part of gravity there is in each of the
     /// worlds that take part, with their times [s] before the first of these steps.
     pub(crate) fn fresh(&self, from: usize, steps: Range<usize>, dt: f64, active: &[(usize, f64)]) -> Vec<u32> {
-        let layout = self.words();
+        let layout = self.memory.words();
         let mut words = vec![0; layout.of_step(steps.end, 0, 0) - from];
         for &(w, mut time) in active.iter().filter(|(w, _)| self.worlds[*w].scene.gravity_ramp > 0.0) {
             for s in steps.clone() {
@@ -723,7 +719,7 @@ impl WgpuBatch {
     /// Workgroups of a pass that concerns the levels before one.
     fn size(&self, groups: Groups, end: usize) -> Size {
         let extent = &self.memory.extent;
-        let layers = self.words().layers as u32;
+        let layers = self.memory.words().layers as u32;
         // A sort may find more blocks than there were, up to the room there is.
         let count = match groups {
             Groups::One => 1,
@@ -808,7 +804,7 @@ impl WgpuBatch {
             self.cover_blocks(sorts)?;
         }
         self.write_layers(&self.layers(|w| active.iter().any(|a| a.0 == w)));
-        let layout = self.words();
+        let layout = self.memory.words();
         self.write_words(HALTED, &[0, 0, u32::MAX]);
         self.write_words(SORTS, &[0]);
         let sums = layout.of_sum(0, 0);
@@ -1070,33 +1066,9 @@ impl WgpuBatch {
         Ok((Status::new(words, layout), found))
     }
 
-    /// The parts of the directory around all blocks of a world's levels that some sorts can find, and so many blocks more: they have drifted by up to a
-    /// cell or two, and nodes reach a block further.
-    fn spans(world: &World, sorts: usize, more: i32) -> impl Iterator<Item = Span> {
-        // A cell and a half each time is less than a block in two.
-        let margin = 2 + sorts as i32 / 2 + more;
-        let with = |a: Option<[i32; 3]>, b: Option<[i32; 3]>, f: fn(i32, i32) -> i32| match (a, b) {
-            (Some(a), Some(b)) => Some([0, 1, 2].map(|d| f(a[d], b[d]))),
-            (one, other) => one.or(other),
-        };
-        // Where blocks of finer levels are, in blocks of the level.
-        world.levels.iter().scan(None, move |finer: &mut Option<([i32; 3], [i32; 3])>, level| {
-            let least = with(level.reach.map(|r| r.0), finer.map(|r| r.0), i32::min).unwrap_or_default();
-            let greatest = with(level.reach.map(|r| r.1), finer.map(|r| r.1), i32::max).unwrap_or_default();
-            *finer = level.reach.map(|_| (least.map(|b| b >> 1), greatest.map(|b| b >> 1)));
-            let along = |d: usize| match level.periods.count[d] {
-                0 => (least[d] - margin, greatest[d] - least[d] + 1 + 2 * margin),
-                count => (level.periods.first[d], count),
-            };
-            let axes = [0, 1, 2].map(along);
-            Some(Span { first: axes.map(|a| a.0), size: axes.map(|a| a.1) })
-        })
-    }
-
     /// Do the worlds' parts of the directory cover all blocks that so many sorts can find?
     fn covers(&self, sorts: usize) -> bool {
-        let covers =
-            |world: &World| world.levels.iter().zip(Self::spans(world, sorts, 0)).all(|(l, s)| l.span.holds(s));
+        let covers = |world: &World| world.levels.iter().zip(world.spans(sorts, 0)).all(|(l, s)| l.span.holds(s));
         self.worlds.iter().all(covers)
     }
 
@@ -1107,7 +1079,7 @@ impl WgpuBatch {
         }
         let mut places = 0u64;
         for world in &mut self.worlds {
-            let spans: Vec<Span> = Self::spans(world, sorts, SPARE_BLOCKS).collect();
+            let spans: Vec<Span> = world.spans(sorts, SPARE_BLOCKS).collect();
             for (level, span) in world.levels.iter_mut().zip(spans) {
                 level.span = span;
                 places += span.places().min(u64::from(u32::MAX)).next_multiple_of(u64::from(PLACES));
@@ -1363,9 +1335,9 @@ impl WgpuBatch {
         }
         let all = self.worlds.len();
         let mut homes =
-            if arrivals.len() < all { self.homes(0..all)? } else { vec![Homes::default(); self.words().layers] };
+            if arrivals.len() < all { self.homes(0..all)? } else { vec![Homes::default(); self.memory.words().layers] };
         let mut watched =
-            if arrivals.len() < all { self.watched(0..all)? } else { vec![Vec::new(); self.words().layers] };
+            if arrivals.len() < all { self.watched(0..all)? } else { vec![Vec::new(); self.memory.words().layers] };
         for (w, arrival) in &arrivals {
             homes[self.layers_of(*w)].clone_from_slice(&arrival.homes);
             watched[self.layers_of(*w)].clone_from_slice(&arrival.watched);
@@ -1500,7 +1472,7 @@ impl WgpuBatch {
     /// Writes where all blocks are into the other set of buffers, without their links.
     fn write_lists(&self, homes: &[Homes], watched: &[Vec<sleep::Words>]) {
         let next = 1 - self.memory.now;
-        let layout = self.words();
+        let layout = self.memory.words();
         let (mut entries, mut cells) = (Vec::new(), Vec::new());
         for (layer, (level, homes)) in self.all_levels().zip(homes).enumerate() {
             self.write_words(layout.of_layer(layer, FIRST_BLOCK), &[level.blocks.start as u32, 0]);
@@ -1811,7 +1783,7 @@ impl WgpuBatch {
 
     /// Tells the device near what nothing sleeps in each step.
     fn write_near(&mut self, turns: &[Turn<'_>], driven: &BTreeMap<usize, Option<Driven>>, steps: usize) -> Result<()> {
-        let mut near = vec![vec![Vec::new(); self.words().layers]; steps * self.substeps];
+        let mut near = vec![vec![Vec::new(); self.memory.words().layers]; steps * self.substeps];
         for (t, driven) in driven {
             let layers = self.layers_of(turns[*t].world);
             for (near, own) in near.iter_mut().zip(driven.iter().flat_map(|driven| &driven.near)) {
@@ -1826,7 +1798,7 @@ impl WgpuBatch {
         let Some(contact) = self.contact.device.as_ref().filter(|contact| contact.needs.driven) else {
             return Ok(Vec::new());
         };
-        let count = 2 * contact.needs.bodies * self.words().layers * self.substeps * steps;
+        let count = 2 * contact.needs.bodies * self.memory.words().layers * self.substeps * steps;
         read(&self.gpu, self.memory.buffer(Role::Impulses, 0), 0, count)
     }
 

@@ -398,7 +398,7 @@ impl WgpuBatch {
             self.cover_blocks(1)?;
         }
         self.write_layers(&self.layers(|w| active.iter().any(|a| a.0 == w)));
-        let words = self.words();
+        let words = self.memory.words();
         if slot == 0 {
             self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0]);
             let sums = words.of_sum(0, 0);
@@ -529,7 +529,7 @@ impl WgpuBatch {
         // A box that holds nothing.
         let none = [[i32::MAX / 4, i32::MAX / 4, i32::MAX / 4, 0], [i32::MIN / 4, i32::MIN / 4, i32::MIN / 4, 0]];
         let mut vectors = vec![[most as i32, 0, 0, 0]];
-        vectors.extend(std::iter::repeat_n(none, self.words().layers * most).flatten());
+        vectors.extend(std::iter::repeat_n(none, self.memory.words().layers * most).flatten());
         for visit in visits.iter().filter(|visit| visit.is_going()) {
             for l in levels.clone() {
                 let (layer, h) = (self.layers_of(visit.world()).start + l, self.worlds[visit.world()].levels[l].h);
@@ -550,7 +550,7 @@ impl WgpuBatch {
 
     /// Tells the device near what nothing sleeps in a step.
     fn write_near_tools(&mut self, step: usize, visits: &[Visit<'_, '_>]) -> Result<()> {
-        let mut near = vec![Vec::new(); self.words().layers];
+        let mut near = vec![Vec::new(); self.memory.words().layers];
         for visit in visits {
             let own = near_tools(visit.turn.couplings, &self.worlds[visit.world()].levels);
             near[self.layers_of(visit.world())].clone_from_slice(&own);
@@ -602,7 +602,7 @@ impl WgpuBatch {
         }
         self.write_layers(&layers);
         self.write_steps(1, &[self.step_constants(dt, 1)]);
-        let words = self.words();
+        let words = self.memory.words();
         self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0]);
         self.write_words(NEAR, &[0]);
         if self.worlds.iter().any(|world| world.pending) {
@@ -709,7 +709,7 @@ impl WgpuBatch {
     /// Asks for the numbers of a step that are still on the device.
     pub(crate) fn settle(&mut self) -> Result<()> {
         if self.worlds.iter().any(|world| world.pending) {
-            let words = self.words();
+            let words = self.memory.words();
             let found = read(&self.gpu, self.memory.buffer(Role::Status, 0), 0, words.count(STEPS))?;
             self.take_pending(&Status::new(found, words));
         }
@@ -728,7 +728,7 @@ impl WgpuBatch {
         let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;
         let speeds: Vec<_> =
             (0..self.worlds.len()).map(|w| speed_of(w).map_or(0.0, |speed| (speed as f32).min(allowed))).collect();
-        let words = self.words();
+        let words = self.memory.words();
         self.write_steps(0, &[self.step_constants(dt, 0)]);
         let sums = words.of_sum(0, 0);
         self.write_words(sums, &vec![0; words.of_sum(words.layers, 0) - sums]);
@@ -764,7 +764,7 @@ impl WgpuBatch {
             if !self.worlds[w].pending {
                 return level.rhythm;
             }
-            let at = 4 * self.words().of_step(0, layer, MOVE) as u64;
+            let at = 4 * self.memory.words().of_step(0, layer, MOVE) as u64;
             let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 1);
             level.rhythm.after(words.map_or(MAX_DRIFT, |words| words[0]))
         };
@@ -777,7 +777,7 @@ impl WgpuBatch {
             return [0.0; 3];
         }
         let of_layer = |layer: usize| {
-            let at = 4 * self.words().of_sum(layer, WALL_IMPULSE) as u64;
+            let at = 4 * self.memory.words().of_sum(layer, WALL_IMPULSE) as u64;
             let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 3);
             words.map_or([0.0; 3], |w| [w[0], w[1], w[2]].map(f64::from))
         };

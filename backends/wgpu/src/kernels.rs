@@ -1,7 +1,7 @@
 //! The passes: their WGSL, what they bind, and their pipelines.
 
 use crate::device::Gpu;
-use crate::layout::{ROUNDS, TOGETHER};
+use crate::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER};
 use crate::material;
 use crate::memory::{MAX_SLOTS, MAX_STEPS, NEAR_BLOCK};
 use crate::world::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
@@ -593,8 +593,8 @@ pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
 /// What couplings' laws read: so many vectors for each world, and behind them samples that all worlds share. Is it stored?
 fn coupling_table([worlds, levels]: [usize; 2], vectors: usize, samples: usize) -> (bool, String) {
     let stored = is_stored(worlds, vectors, samples);
-    let space = if stored { "storage, read" } else { "uniform" };
-    let (_, tables, first) = table_of_worlds([worlds, levels], vectors);
+    let space = space(stored);
+    let (tables, first) = table_of_worlds([worlds, levels], vectors);
     let of_samples = format!("fn coupling_sample(i: u32) -> vec4<f32> {{ return contact_table[{tables}u + i]; }}\n");
     let text = format!(
         "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {}>;\n\
@@ -605,14 +605,15 @@ fn coupling_table([worlds, levels]: [usize; 2], vectors: usize, samples: usize) 
     (stored, text)
 }
 
-/// A table of so many vectors for each world: the address space, which holds many only as storage; vectors in all; and what leads to
-/// the world's own.
-fn table_of_worlds([worlds, levels]: [usize; 2], vectors: usize) -> (&'static str, usize, String) {
-    if worlds > 1 {
-        ("storage, read", worlds * vectors, format!("layer_now / {levels}u * {vectors}u + "))
-    } else {
-        ("uniform", vectors, String::new())
-    }
+/// The address space of a table.
+fn space(stored: bool) -> &'static str {
+    if stored { "storage, read" } else { "uniform" }
+}
+
+/// A table of so many vectors for each world: vectors in all, and what leads to the world's own.
+fn table_of_worlds([worlds, levels]: [usize; 2], vectors: usize) -> (usize, String) {
+    let first = if worlds > 1 { format!("layer_now / {levels}u * {vectors}u + ") } else { String::new() };
+    (worlds * vectors, first)
 }
 
 fn entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offset: bool) -> wgpu::BindGroupLayoutEntry {
@@ -715,6 +716,7 @@ fn layer_constants(plan: &Plan, worlds: usize) -> String {
         "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\n\
          const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\nconst SORT_SELDOM: u32 = {SORT_SELDOM}u;\n\
          const TOGETHER: u32 = {TOGETHER}u;\nconst ROUNDS: u32 = {ROUNDS}u;\n\
+         const LEFT_HOME: u32 = {LEFT_HOME}u;\nconst BESIDE: u32 = {BESIDE}u;\nconst BESIDE_BY: u32 = {BESIDE_BY}u;\n\
          const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst SELDOM_DRIFT: f32 = {SELDOM_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {most_drift:?};\n"
     )
 }
@@ -832,13 +834,13 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool) -> Draft {
     let body = include_str!("wgsl/p2g.wgsl")
         .replace("$ZERO", &each_node(|n, _| format!("var {}", zero(n))))
         .replace("$CLEAR", &each_node(|n, _| zero(n)))
-        .replace("$OWN_XY", &xy.own("left |= 1u << min(rank, 31u);"))
+        .replace("$OWN_XY", &xy.own("left |= 1u << min(rank - 1u, 31u);"))
         .replace("$OWN_ZM", &zm.own(""))
         .replace("$GUESTS_XY", &xy.guests())
         .replace("$GUESTS_ZM", &zm.guests())
         .replace("$FOLD", &[0, 1, 2].map(fold).concat())
         .replace("$FLUSH_GUESTS", &flush("if k < guest_count"))
-        .replace("$FLUSH", &flush(""))
+        .replace("$FLUSH_OWN", &flush(""))
         .replace("$GIVES", if sleeps { "gives(b, layer)" } else { "1u" })
         .replace("$BOOK_LAST", if mirrored { BOOK_LAST } else { "" })
         .replace("$BOOKED", if sleeps { "select(total, 0.0, is_frozen != 0u)" } else { "total" })
@@ -951,12 +953,12 @@ impl Half {
         let declare = each(&|v, _| format!("var next_{v} = vec4<f32>(0.0);\n"));
         let take = each(&|v, _| format!("let {v} = next_{v};\n"));
         let fetch = each(&|v, k| format!("next_{v} = bitcast<vec4<f32>>(record[vector(next, {k}u)]);\n"));
-        let fetch = format!("if fetched < count {{\nnext_p = record[vector(next, 0u)];\n{fetch}}}\n");
+        let fetch = format!("if rank < count {{\nnext_p = record[vector(next, 0u)];\n{fetch}}}\n");
         format!(
-            "var fetched = 0u;\nvar next_p = vec4<u32>(0u);\n{declare}{fetch}\
-             while fetched < count {{\nlet rank = fetched;\nlet p = next_p;\n{take}fetched += 1u;\nnext += 1u;\n\
-             if fetched % TOGETHER == 0u && fetched <= ROUNDS * TOGETHER {{\n\
-             next = ahead;\nahead = cells[round_at(here, round_of(fetched) + u32(fetched < ROUNDS * TOGETHER), own)];\n}}\n{fetch}\
+            "var rank = 0u;\nvar next_p = vec4<u32>(0u);\n{declare}{fetch}\
+             while rank < count {{\nlet p = next_p;\n{take}rank += 1u;\nnext += 1u;\n\
+             if rank % TOGETHER == 0u && rank <= ROUNDS * TOGETHER {{\n\
+             next = ahead;\nahead = cells[round_at(here, round_of(rank) + u32(rank < ROUNDS * TOGETHER), own)];\n}}\n{fetch}\
              var f = fraction(p);\n\
              if (p.w & BESIDE) != 0u {{\nf += vec3<f32>(cell_of(p.w) - vec3<i32>(own_cell));\n}}\n\
              if (p.w & LEFT_HOME) == 0u {{\n{}}} else {{ {leaver} }}\n}}\n",
@@ -1501,7 +1503,7 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     let mut text = material::module(&materials)?;
     let vectors = parameter_vectors(plan);
     let levels = plan.cell_widths.len();
-    let (space, all, _) = table_of_worlds([worlds, levels], vectors);
+    let (space, all) = (space(worlds > 1), worlds * vectors);
     let _ = write!(
         text,
         "@group(0) @binding(1) var<{space}> params: array<vec4<f32>, {all}>;\n\

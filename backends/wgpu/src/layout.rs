@@ -12,10 +12,11 @@ use std::ops::Range;
 pub(crate) const RECORD: usize = 6;
 /// Vectors of four in an entry of the lists; see `common.wgsl`.
 pub(crate) const ENTRY: usize = 10;
-/// Of a particle's tag, as in `common.wgsl`: it has left its home, or is beside it, by less than so many counts.
-const LEFT_HOME: u32 = 1 << 25;
-const BESIDE: u32 = 1 << 26;
-const BESIDE_BY: u32 = 1 << 20;
+/// Of a particle's tag: it has left its home, or is beside it. So far beyond its home, in counts, it is beside it and still counts as in it: its
+/// weights are off by half the square of that (2^-12 cells), less than f32 rounds. Else particles at rest between two cells would come and go.
+pub(crate) const LEFT_HOME: u32 = 1 << 25;
+pub(crate) const BESIDE: u32 = 1 << 26;
+pub(crate) const BESIDE_BY: u32 = 1 << 20;
 
 /// Laws that a particle's tag can tell apart.
 pub(crate) const MAX_LAWS: usize = 16;

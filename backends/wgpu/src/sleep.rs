@@ -143,7 +143,7 @@ impl WgpuBatch {
         let (mut slept, mut kept) = (Slept::default(), [0.0; 3]);
         if self.may_sleep() && self.worlds[w].pending {
             for (l, layer) in self.layers_of(w).enumerate() {
-                let at = 4 * self.words().of_sum(layer, SLEPT) as u64;
+                let at = 4 * self.memory.words().of_sum(layer, SLEPT) as u64;
                 let words: Vec<u32> =
                     read(&self.gpu, self.memory.buffer(Role::Status, 0), at, SUMS).unwrap_or_default();
                 if let Ok(words) = <[u32; SUMS]>::try_from(words) {
@@ -168,7 +168,7 @@ impl WgpuBatch {
         let vectors: Vec<[i32; 4]> = steps.iter().flatten().flat_map(padded).flatten().collect();
         let buffer = self.memory.buffer(Role::Tools, 0);
         self.gpu.queue.write_buffer(buffer, 0, bytemuck::cast_slice(&[[most as i32, 0, 0, 0]]));
-        let at = (16 + 32 * first * self.words().layers * most) as u64;
+        let at = (16 + 32 * first * self.memory.words().layers * most) as u64;
         self.gpu.queue.write_buffer(buffer, at, bytemuck::cast_slice(&vectors));
         Ok(())
     }

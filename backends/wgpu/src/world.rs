@@ -220,6 +220,29 @@ impl World {
         }
     }
 
+    /// The parts of the directory around all blocks of its levels that some sorts can find, and so many blocks more: they have drifted by up to a
+    /// cell or two, and nodes reach a block further.
+    pub(crate) fn spans(&self, sorts: usize, more: i32) -> impl Iterator<Item = Span> {
+        // A cell and a half each time is less than a block in two.
+        let margin = 2 + sorts as i32 / 2 + more;
+        let with = |a: Option<[i32; 3]>, b: Option<[i32; 3]>, f: fn(i32, i32) -> i32| match (a, b) {
+            (Some(a), Some(b)) => Some([0, 1, 2].map(|d| f(a[d], b[d]))),
+            (one, other) => one.or(other),
+        };
+        // Where blocks of finer levels are, in blocks of the level.
+        self.levels.iter().scan(None, move |finer: &mut Option<([i32; 3], [i32; 3])>, level| {
+            let least = with(level.reach.map(|r| r.0), finer.map(|r| r.0), i32::min).unwrap_or_default();
+            let greatest = with(level.reach.map(|r| r.1), finer.map(|r| r.1), i32::max).unwrap_or_default();
+            *finer = level.reach.map(|_| (least.map(|b| b >> 1), greatest.map(|b| b >> 1)));
+            let along = |d: usize| match level.periods.count[d] {
+                0 => (least[d] - margin, greatest[d] - least[d] + 1 + 2 * margin),
+                count => (level.periods.first[d], count),
+            };
+            let axes = [0, 1, 2].map(along);
+            Some(Span { first: axes.map(|a| a.0), size: axes.map(|a| a.1) })
+        })
+    }
+
     /// What the device knows of a level, with its part of the directory from `first_place` on.
     pub(crate) fn layer(&self, l: usize, first_place: u32, on: bool) -> Layer {
         let level = &self.levels[l];

@@ -1,6 +1,6 @@
 //! Free bodies, which the device moves by itself as long as they meet nothing but the ground.
 
-use super::{apart, cpu, gpu, norm, rows};
+use super::{apart, cpu, gpu, norm, off, rows};
 use barchan::{Simulation, Vec3};
 use barchan_tests::scenes::within;
 use barchan_tests::sketch::{Head, block, body, half, material, tool};
@@ -19,10 +19,6 @@ fn take_at_once(sim: &mut Simulation, steps: usize) {
 fn steps_on_device_and_host(sim: &Simulation) -> [u64; 2] {
     let passes = |name: &str| sim.timings().iter().find(|t| t.effect == name).map_or(0, |timing| timing.passes);
     [passes("free bodies"), passes("contact")]
-}
-
-fn off(a: Vec3, b: Vec3) -> f64 {
-    norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]))
 }
 
 /// A spinning ball of jelly that strikes a box of that mass [kg] in free space.

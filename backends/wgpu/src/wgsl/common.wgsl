@@ -201,12 +201,6 @@ fn tag_of(cell: vec3<i32>) -> u32 {
     return (c.x << 6u) | (c.y << 3u) | c.z;
 }
 
-// Of a tag: the particle has left its home, or is beside it. So far beyond its home, in counts, it is beside it and still counts as in it: its
-// weights are off by half the square of that (2^-12 cells), less than f32 rounds. Else particles at rest between two cells would come and go.
-const LEFT_HOME: u32 = 1u << 25u;
-const BESIDE: u32 = 1u << 26u;
-const BESIDE_BY: u32 = 1u << 20u;
-
 // The tag of a particle that has come to `place` in a cell.
 fn tag_at(tag: u32, cell: vec3<i32>, place: vec3<u32>) -> u32 {
     let kept = tag & ~(511u | LEFT_HOME | BESIDE);

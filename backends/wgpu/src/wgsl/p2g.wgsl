@@ -177,15 +177,6 @@ fn fold(axis: i32, end: i32, thread: u32) -> vec3<f32> {
     return impulse;
 }
 
-// Of a component of eight vectors of three, the first of which stands there in the list.
-fn sum_of_eight(first: u32) -> f32 {
-    var sum = 0.0;
-    for (var t = 0u; t < 8u; t++) {
-        sum += bitcast<f32>(leavers[first + 3u * t]);
-    }
-    return sum;
-}
-
 // May this step go on? It may not once the particles are to be sorted, and so before they have drifted too far for their tiles. The
 // step's drift is noted for the next one.
 fn ready(b: u32) -> u32 {
@@ -279,7 +270,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     }
     {
         let at = own_cell + vec3<u32>(1u);
-        $FLUSH
+        $FLUSH_OWN
     }
 
     // 2. Then those that have come to others, a cell after the other.
@@ -310,19 +301,18 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     if workgroupUniformLoad(&walled) != 0u {
         var impulse = vec3<f32>(0.0);
         $FOLD
-        // The list of leavers is done with: 64 vectors, then 8.
+        // The list of leavers is done with.
         if thread < 64u {
             for (var d = 0u; d < 3u; d++) {
                 leavers[thread * 3u + d] = bitcast<u32>(impulse[d]);
             }
         }
         workgroupBarrier();
-        if thread < 24u {
-            leavers[192u + thread] = bitcast<u32>(sum_of_eight(24u * (thread / 3u) + thread % 3u));
-        }
-        workgroupBarrier();
         if thread < 3u$IF_MOVED {
-            let total = sum_of_eight(192u + thread);
+            var total = 0.0;
+            for (var t = 0u; t < 64u; t++) {
+                total += bitcast<f32>(leavers[t * 3u + thread]);
+            }
             $BOOK_LAST
             lists[b * ENTRY + PENDING][thread] = bitcast<i32>($BOOKED);
         }
