@@ -199,11 +199,12 @@ pub(crate) struct Contact {
 }
 
 impl Contact {
-    /// What the device does in each step: with driven bodies, and with free ones.
-    fn on_device(&self) -> [&[Kernel]; 2] {
-        let Some(contact) = &self.device else { return [&[], &[]] };
+    /// What the device does in each step.
+    fn on_device(&self) -> ContactPasses<'_> {
+        let Some(contact) = &self.device else { return ContactPasses::default() };
         let driven: &[Kernel] = if contact.needs.driven { &contact.kernels } else { &[] };
-        [driven, contact.free.as_slice()]
+        let (free, with_rims) = contact.free.as_ref().map_or((None, None), |(free, rims)| (Some(free), rims.as_ref()));
+        ContactPasses { driven, free, with_rims }
     }
 
     /// Free bodies of each world that the device has room for.
@@ -250,8 +251,8 @@ impl Needs {
 pub(crate) struct DeviceContact {
     /// The law, then the sums of impulses.
     kernels: [Kernel; 2],
-    /// Free bodies' contact and motion.
-    free: Option<Kernel>,
+    /// Free bodies' contact and motion, alone and with rims.
+    free: Option<(Kernel, Option<Kernel>)>,
     wgsl: String,
     samples: Vec<[f32; 4]>,
     needs: Needs,
@@ -295,11 +296,18 @@ pub(crate) struct Clocks {
     submissions: u64,
 }
 
+/// Contact on the device: with driven bodies, and with free ones, alone or together with what is done at rims.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct ContactPasses<'a> {
+    driven: &'a [Kernel],
+    free: Option<&'a Kernel>,
+    with_rims: Option<&'a Kernel>,
+}
+
 /// Writes down the passes of a submission.
 pub(crate) struct Passes<'a> {
     kernels: &'a Kernels,
-    /// With driven bodies, and with free ones.
-    contact: [&'a [Kernel]; 2],
+    contact: ContactPasses<'a>,
     levels: usize,
     /// Width of the finest cell [m].
     h: f64,
@@ -317,7 +325,7 @@ pub(crate) struct Passes<'a> {
 impl<'a> Passes<'a> {
     pub(crate) fn new(
         kernels: &'a Kernels,
-        contact: [&'a [Kernel]; 2],
+        contact: ContactPasses<'a>,
         [levels, now]: [usize; 2],
         (h, gravity): (f64, Vec3),
     ) -> Self {
@@ -356,9 +364,21 @@ impl<'a> Passes<'a> {
     fn step_together(&mut self, dt: f64) {
         let kernels = self.kernels;
         let step = self.constants(dt);
+        let ContactPasses { driven, free, .. } = self.contact;
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
-        self.run(step, kernels.grid.iter().chain(self.contact.into_iter().flatten()));
-        self.run(step, kernels.to_particles().chain(kernels.soft()));
+        self.run(step, kernels.grid.iter().chain(driven));
+        if let Some(with_rims) = self.with_rims() {
+            self.run(step, [with_rims]);
+            self.run(step, kernels.reflect.iter().chain([&kernels.g2p]));
+        } else {
+            self.run(step, free.into_iter().chain(kernels.to_particles()));
+        }
+        self.run(step, kernels.soft());
+    }
+
+    /// The pass of free bodies in which rims are moved, too, if they need not wait for one another.
+    fn with_rims(&self) -> Option<&'a Kernel> {
+        self.contact.with_rims.filter(|_| !self.roams && self.kernels.mirror.is_empty())
     }
 
     /// One step of the coarsest level in which each level takes two steps in one of the next coarser one, as in the backend cpu's
@@ -384,14 +404,17 @@ impl<'a> Passes<'a> {
         let kernels = self.kernels;
         let step = self.constants_of(dt / self.substeps(), beginning(self.levels, slot), first + slot);
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict).chain(&kernels.grid));
-        self.run(step, &kernels.solve);
+        match self.with_rims() {
+            Some(with_rims) => self.run(step, [with_rims]),
+            None => self.run(step, &kernels.solve),
+        }
     }
 
     /// What the levels whose steps end with a slot do once their velocities are whole.
     pub(crate) fn end_slot(&mut self, dt: f64, first: usize, slot: usize) {
         let (each, ending) = (dt / self.substeps(), ending(self.levels, slot));
-        let [driven, free] = self.contact;
-        if !free.is_empty() {
+        let ContactPasses { driven, free, .. } = self.contact;
+        if free.is_some() && self.with_rims().is_none() {
             // The finest level meets free bodies where they were, coarser ones where they have come, if they come near any.
             let coarser = if self.roams { 1..ending.end } else { 1..1 };
             for levels in [0..1, coarser].into_iter().filter(|levels| !levels.is_empty()) {
@@ -734,7 +757,7 @@ impl WgpuBatch {
             Groups::PlacesBy(n) => extent.places.div_ceil(n),
             Groups::Found(found) => {
                 // Subcycled, the next coarser level shares nodes with those whose step it is.
-                let shares = self.substeps > 1 && found == Found::Rims;
+                let shares = self.substeps > 1 && found == Found::RimsBehindBodies;
                 let end = if shares { self.levels.min(end + 1) } else { end };
                 return Size::Counted(12 * (self.levels * found as usize + end - 1) as u64);
             }
@@ -812,7 +835,7 @@ impl WgpuBatch {
 
         let measures = (self.h, self.fixed.gravity.0);
         let is_felt = active.iter().any(|(w, _)| self.worlds[*w].contact == Some(Place::Device));
-        let contact: [&[Kernel]; 2] = if is_felt { self.contact.on_device() } else { [&[], &[]] };
+        let contact = if is_felt { self.contact.on_device() } else { ContactPasses::default() };
         let free = if is_felt { self.contact.free() } else { 0 };
         let mut passes = Passes::new(&self.kernels, contact, [self.levels, self.memory.now], measures);
         passes.roams = active.iter().any(|(w, _)| self.worlds[*w].roams);

@@ -1,7 +1,8 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
 use crate::batch::{
-    Behind, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE, WgpuBatch, ending,
+    Behind, ContactPasses, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE,
+    WgpuBatch, ending,
 };
 use crate::kernels::Role;
 use crate::memory::{NEAR_BLOCK, read};
@@ -408,7 +409,7 @@ impl WgpuBatch {
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let before = self.memory.now;
         let measures = (self.h, self.fixed.gravity.0);
-        let mut passes = Passes::new(&self.kernels, [&[], &[]], [self.levels, before], measures);
+        let mut passes = Passes::new(&self.kernels, ContactPasses::default(), [self.levels, before], measures);
         let step = passes.constants(dt);
         if sort {
             passes.sort(dt);

@@ -150,7 +150,7 @@ pub(crate) enum Groups {
     Found(Found),
 }
 
-/// What a sort counts on levels, for the passes of a step to visit nothing else. All but the first two it lists.
+/// What a sort counts on levels, for the passes of a step to visit nothing else. All but the first two it lists, the last with the rims.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Found {
     Blocks,
@@ -161,12 +161,16 @@ pub(crate) enum Found {
     Givers,
     /// Blocks, or blocks of nodes of the same number, to which walls or the edge of live ground give something.
     Walled,
+    /// Those at rims in fours, and before them as many workgroups as there are free bodies in the scenes.
+    RimsBehindBodies,
 }
 
 impl Found {
     /// How many kinds there are, and of those how many are listed.
-    pub(crate) const ALL: usize = 5;
-    pub(crate) const LISTED: usize = Self::ALL - 2;
+    pub(crate) const ALL: usize = 6;
+    pub(crate) const LISTED: usize = 3;
+    /// The first that is listed.
+    const FIRST_LIST: usize = 2;
 }
 
 /// A table that a pass reads besides.
@@ -200,6 +204,8 @@ pub(crate) struct Kernels {
     pub(crate) step_layout: wgpu::BindGroupLayout,
     /// What the scene fixes, for passes that are made later.
     pub(crate) constants: String,
+    /// Workgroups for free bodies in passes that begin with them.
+    free_room: usize,
     /// In the order of a sort.
     pub(crate) sort: Vec<Kernel>,
     /// Who sleeps in a step, if anything ever does.
@@ -252,6 +258,18 @@ struct Draft {
     checked: bool,
 }
 
+impl Draft {
+    /// Does its table stand in a storage buffer?
+    fn is_table_stored(&self, worlds: usize) -> bool {
+        self.uniform == Uniform::Params && worlds > 1 || self.uniform == Uniform::Table { stored: true }
+    }
+
+    /// Storage buffers that it binds.
+    fn bindings(&self, worlds: usize) -> usize {
+        self.uses.len() + usize::from(self.is_table_stored(worlds))
+    }
+}
+
 /// Vectors of four that hold a particle's strain, history and, in their last place, rest volume.
 pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
     let most = materials.iter().map(|m| m.material.strain_planes() + m.material.states.len()).max();
@@ -270,7 +288,7 @@ impl Kernels {
             ],
         });
         let constants = constants(plan) + &layer_constants(plan, worlds);
-        let make = |draft: Draft| build(device, &step_layout, &constants, worlds, draft);
+        let make = |draft: Draft| build(gpu, &step_layout, &constants, worlds, draft);
         let all = |drafts: Vec<Draft>| drafts.into_iter().map(make).collect();
         let drafts = Drafts::of(plan, worlds, particles)?;
         Ok(Self {
@@ -294,6 +312,7 @@ impl Kernels {
                 stress: make(adapt.stress),
             }),
             constants: constants.clone(),
+            free_room: worlds * free_bodies(plan),
             step_layout,
         })
     }
@@ -372,9 +391,9 @@ impl Drafts {
             p2g: p2g(sleeps, mirrored, levels, subcycled),
             restrict: (levels && !subcycled).then(restrict),
             grid,
-            solve: subcycled.then(solve),
+            solve: subcycled.then(|| rims_alone(true)),
             mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
-            prolong: (levels && !subcycled).then(prolong),
+            prolong: (levels && !subcycled).then(|| rims_alone(false)),
             // What holding the edge takes is booked there, too.
             reflect: (has_mirrors && !mirrored || unbounded).then(|| reflect(sleeps, levels)),
             g2p: g2p(plan, &laws, sleeps, particles),
@@ -399,8 +418,13 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
         if plan.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. })) {
             let law = DeviceLaw::default();
             let free = Free { bodies: 1, across: 2 };
-            let motion = free_draft(plan.substeps > 1, may_sleep(plan), &law, 1, [1, 1], free);
-            lines.push(line("every step with free bodies, but near walls and other bodies", &motion));
+            let kinds = [false, true].into_iter().filter(|&rims| !rims || plan.cell_widths.len() > 1);
+            lines.extend(kinds.map(|rims| {
+                let motion = free_draft([plan.substeps > 1, may_sleep(plan), rims], &law, 1, [1, 1], free);
+                let when =
+                    if rims { ", if levels follow all of them and the adapter lets a pass bind so much" } else { "" };
+                line(&format!("every step with free bodies, but near walls and other bodies{when}"), &motion)
+            }));
         }
     }
     lines.extend(drafts.solve.iter().map(|draft| line("every step of a level", draft)));
@@ -442,6 +466,7 @@ fn line(when: &str, draft: &Draft) -> String {
                 Found::Rims => "a block of nodes at rims",
                 Found::Givers => "a block with particles, and another where these give to nodes that levels share,",
                 Found::Walled => "a block at walls",
+                Found::RimsBehindBodies => "a free body, and one for four blocks of nodes at rims",
             }
         ),
     };
@@ -485,7 +510,7 @@ pub(crate) fn contact(
         groups: Groups::Exactly((bodies * worlds * levels) as u32),
         checked: true,
     };
-    [law, sums].map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
+    [law, sums].map(|draft| build(gpu, &kernels.step_layout, &kernels.constants, worlds, draft))
 }
 
 /// How many free bodies there are in each world, and blocks around each of them along an axis on the finest level, at most.
@@ -502,22 +527,33 @@ impl Free {
     }
 }
 
-/// Contact with free bodies, and their motion.
+/// Free bodies in each world of a scene.
+pub(crate) fn free_bodies(plan: &Plan) -> usize {
+    plan.scene.tool.iter().filter(|tool| matches!(tool.motion, Motion::Free { .. })).count()
+}
+
+/// Contact with free bodies, and their motion: in a pass of its own; and in one with what is done at rims, if there are any and the adapter lets a
+/// pass bind so much.
 pub(crate) fn free(
     gpu: &Gpu,
     kernels: &Kernels,
     law: &DeviceLaw,
     vectors: usize,
-    [worlds, levels]: [usize; 2],
+    shape: [usize; 2],
     free: Free,
-) -> Kernel {
-    let draft = free_draft(kernels.solve.is_some(), kernels.watch.is_some(), law, vectors, [worlds, levels], free);
-    build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft)
+) -> (Kernel, Option<Kernel>) {
+    let make = |draft| build_for(gpu, &kernels.step_layout, &kernels.constants, shape[0], draft);
+    let (subcycled, sleeps) = (kernels.solve.is_some(), kernels.watch.is_some());
+    let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
+    let has_room = |draft: &Draft| draft.bindings(shape[0]) <= gpu.limits.max_storage_buffers_per_shader_stage as usize;
+    let is_planned = shape[0] * free.bodies <= kernels.free_room;
+    let with_rims = (shape[1] > 1 && is_planned).then(|| draft(true)).filter(has_room);
+    (make(draft(false)), with_rims.map(make))
 }
 
+/// `rims`: with what is done at rims, for bodies that meet the finest level alone.
 fn free_draft(
-    subcycled: bool,
-    sleeps: bool,
+    [subcycled, sleeps, rims]: [bool; 3],
     law: &DeviceLaw,
     vectors: usize,
     [worlds, levels]: [usize; 2],
@@ -532,8 +568,9 @@ fn free_draft(
     );
     let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
     let awake = if sleeps { include_str!("wgsl/free_awake.wgsl") } else { "" };
-    let (text, own) = of_own_mass(subcycled, &include_str!("wgsl/free.wgsl").replace("$STAY_AWAKE", awake));
-    Draft {
+    // Nodes of the finest level are no finer one's.
+    let (text, own) = of_own_mass(subcycled && !rims, &include_str!("wgsl/free.wgsl").replace("$STAY_AWAKE", awake));
+    let alone = Draft {
         name: "free bodies",
         entry: "free_bodies",
         body: [&counts, include_str!("wgsl/lent.wgsl"), &table, &law.wgsl, &text].concat(),
@@ -541,6 +578,19 @@ fn free_draft(
         uniform: Uniform::Table { stored },
         groups: Groups::Exactly((worlds * free.bodies) as u32),
         checked: true,
+    };
+    if !rims {
+        return Draft { body: alone.body + include_str!("wgsl/free_alone.wgsl"), ..alone };
+    }
+    let of_rims = at_rims(subcycled);
+    let further: Vec<_> = of_rims.uses.into_iter().filter(|rim| alone.uses.iter().all(|own| own.2 != rim.2)).collect();
+    Draft {
+        name: "free bodies, rims",
+        entry: "free_and_rims",
+        body: alone.body + &of_rims.body + include_str!("wgsl/free_and_rims.wgsl"),
+        uses: alone.uses.into_iter().chain(further).collect(),
+        groups: of_rims.groups,
+        ..alone
     }
 }
 
@@ -568,7 +618,7 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
         ),
         draft("scatter_near", include_str!("wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near),
     ]
-    .map(|draft| build(&gpu.device, &kernels.step_layout, &kernels.constants, worlds, draft))
+    .map(|draft| build(gpu, &kernels.step_layout, &kernels.constants, worlds, draft))
 }
 
 /// The text of a pass in which bodies meet nodes, with what these weigh for them, and what it binds besides. Subcycled, a node may be two
@@ -628,22 +678,22 @@ fn entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offset: bool) ->
 /// First storage binding of a pass: before it stand the extent and the materials' parameters.
 pub(crate) const FIRST_BINDING: u32 = 2;
 
-fn build(
-    device: &wgpu::Device,
-    step_layout: &wgpu::BindGroupLayout,
-    constants: &str,
-    worlds: usize,
-    draft: Draft,
-) -> Kernel {
-    let is_table = matches!(draft.uniform, Uniform::Params | Uniform::Table { .. });
-    let stored =
-        usize::from(draft.uniform == Uniform::Params && worlds > 1 || draft.uniform == Uniform::Table { stored: true });
+fn build(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, worlds: usize, draft: Draft) -> Kernel {
+    let bound = draft.bindings(worlds);
     // What WebGPU promises everywhere.
-    assert!(draft.uses.len() + stored <= 8, "pass {} binds {} storage buffers", draft.name, draft.uses.len() + stored);
+    assert!(bound <= 8, "pass {} binds {bound} storage buffers", draft.name);
+    build_for(gpu, step_layout, constants, worlds, draft)
+}
+
+/// A pass that may bind more than adapters promise.
+fn build_for(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, worlds: usize, draft: Draft) -> Kernel {
+    let device = &gpu.device;
+    let is_table = matches!(draft.uniform, Uniform::Params | Uniform::Table { .. });
+    let stored = draft.is_table_stored(worlds);
     let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];
     let mut text = format!("{constants}{}", include_str!("wgsl/common.wgsl"));
     if draft.uniform != Uniform::None {
-        let ty = if stored > 0 {
+        let ty = if stored {
             wgpu::BufferBindingType::Storage { read_only: true }
         } else {
             wgpu::BufferBindingType::Uniform
@@ -711,9 +761,9 @@ pub(crate) fn boxes(plan: &Plan) -> usize {
 fn layer_constants(plan: &Plan, worlds: usize) -> String {
     let levels = plan.cell_widths.len();
     let layers = worlds * levels;
-    let (subcycled, most_drift) = (plan.substeps > 1, most_drift(plan));
+    let (subcycled, most_drift, free) = (plan.substeps > 1, most_drift(plan), worlds * free_bodies(plan));
     format!(
-        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\n\
+        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\nconst FREE_ROOM: u32 = {free}u;\n\
          const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\nconst SORT_SELDOM: u32 = {SORT_SELDOM}u;\n\
          const TOGETHER: u32 = {TOGETHER}u;\nconst ROUNDS: u32 = {ROUNDS}u;\n\
          const LEFT_HOME: u32 = {LEFT_HOME}u;\nconst BESIDE: u32 = {BESIDE}u;\nconst BESIDE_BY: u32 = {BESIDE_BY}u;\n\
@@ -1005,7 +1055,7 @@ fn on_all(draft: Draft) -> Draft {
 
 /// A pass over blocks that a sort has listed, likewise.
 fn on_listed(found: Found, draft: Draft) -> Draft {
-    let kind = found as usize - (Found::ALL - Found::LISTED);
+    let kind = found as usize - Found::FIRST_LIST;
     let block = format!("listed_block({kind}u, group.y * extent.row + group.x)");
     Draft {
         body: draft.body.replace("$BLOCK", &block) + include_str!("wgsl/listed.wgsl"),
@@ -1032,7 +1082,7 @@ fn restrict() -> Draft {
         Draft {
             name: "restrict",
             entry: "restrict_rims",
-            body: sums_of_tiles() + hand_on() + include_str!("wgsl/restrict.wgsl"),
+            body: sums_of_tiles(1) + hand_on() + include_str!("wgsl/restrict.wgsl"),
             uses: vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, written(HANDED)],
             uniform: Uniform::None,
             groups: Groups::NodeBlocks,
@@ -1051,18 +1101,24 @@ fn hand_on() -> &'static str {
     )
 }
 
+/// For passes whose workgroups work on so many blocks at once.
+fn abreast(blocks: u32) -> String {
+    format!("const ABREAST: u32 = {blocks}u;\n{}", include_str!("wgsl/abreast.wgsl"))
+}
+
 /// For passes that need sums of tiles.
-fn plain_sums() -> String {
-    include_str!("wgsl/grid.wgsl")
-        .replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
-        .replace("$TOUCHED", "")
-        .replace("$IMAGE", "")
-        .replace("$AT_RIM", "")
+fn plain_sums(blocks: u32) -> String {
+    abreast(blocks)
+        + &include_str!("wgsl/grid.wgsl")
+            .replace("$SUM_TILES", "grid[g * 64u + n] = sum_of_tiles(entry, n);")
+            .replace("$TOUCHED", "")
+            .replace("$IMAGE", "")
+            .replace("$AT_RIM", "")
 }
 
 /// For passes that need sums of tiles at rims.
-fn sums_of_tiles() -> String {
-    plain_sums() + include_str!("wgsl/rim_sums.wgsl")
+fn sums_of_tiles(blocks: u32) -> String {
+    plain_sums(blocks) + include_str!("wgsl/rim_sums.wgsl")
 }
 
 /// Folds what lies behind the walls across an axis. The axis is written out, so that compilers see which walls there are.
@@ -1081,25 +1137,41 @@ fn flush(condition: &str) -> String {
     })
 }
 
-/// Velocities at rims.
-fn prolong() -> Draft {
-    let draft = Draft {
-        name: "prolong",
-        entry: "prolong",
+/// Velocities at rims and, subcycled, of nodes that two levels share, but for the pass's entry.
+fn at_rims(subcycled: bool) -> Draft {
+    let take = "if (any_task & TAKES) != 0u {\nsolve_block(g, n, (all[abreast] & TAKES) != 0u);\n}";
+    let own: String = if subcycled {
+        [&sums_of_tiles(4), include_str!("wgsl/handed_to.wgsl"), SHARED_NODES, include_str!("wgsl/solve.wgsl")].concat()
+    } else {
+        [&abreast(4), include_str!("wgsl/velocity_at.wgsl"), include_str!("wgsl/prolong_alone.wgsl")].concat()
+    };
+    let mut uses = vec![DIRECTORY, written(LISTS), GRID, RIMS, STATUS, LISTED];
+    if subcycled {
+        uses.extend([HANDED, KEPT]);
+    }
+    Draft {
+        name: if subcycled { "solve" } else { "prolong" },
+        entry: "rims_alone",
         body: [
+            &own,
             include_str!("wgsl/prolong.wgsl"),
             include_str!("wgsl/behind.wgsl"),
-            include_str!("wgsl/velocity_at.wgsl"),
             include_str!("wgsl/wall.wgsl"),
-            include_str!("wgsl/prolong_alone.wgsl"),
+            &include_str!("wgsl/rims.wgsl").replace("$TAKE", if subcycled { take } else { "" }),
+            include_str!("wgsl/listed.wgsl"),
         ]
         .concat(),
-        uses: vec![DIRECTORY, written(LISTS), GRID, RIMS, STATUS],
+        uses,
         uniform: Uniform::None,
-        groups: Groups::NodeBlocks,
+        groups: Groups::Found(Found::RimsBehindBodies),
         checked: true,
-    };
-    on_listed(Found::Rims, draft)
+    }
+}
+
+/// In a pass of its own.
+fn rims_alone(subcycled: bool) -> Draft {
+    let draft = at_rims(subcycled);
+    Draft { body: draft.body + include_str!("wgsl/rims_alone.wgsl"), ..draft }
 }
 
 /// Vectors of four that hold the boxes of a world's levels, as they are now, and as split and merge see them before.
@@ -1161,7 +1233,7 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
     let at_rim = "at_rim = u32(any(rims[min(g, extent.node_room - 1u)].xy != vec2<u32>(0u)));";
     // Else it is, where blocks get any.
     let take_here = "var given = vec4<f32>(0.0);\nif workgroupUniformLoad(&takes) != 0u {\n\
-                     find_givers(g, n);\ngiven = handed_to(n);\n}\n";
+                     find_givers(g, n);\nworkgroupBarrier();\ngiven = handed_to(n);\n}\n";
     let takes = "takes = rims[min(g, extent.node_room - 1u)].z;";
     let if_subcycled = |text: &'static str| if subcycled { text } else { "" };
     let if_taken = |text: &'static str| if levels && !subcycled { text } else { "" };
@@ -1207,7 +1279,7 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
         "if n >= 32u && n < 59u {{\nlook_at(g, n - 32u);\n}}\nworkgroupBarrier();\n\
          if n == 0u && go != 0u {{\ngo = atomicLoad(&touched) {tied};\natomicStore(&watch[touched_word(g)], go);\n}}"
     );
-    let body = with_sleep(sleeps, include_str!("wgsl/grid.wgsl"), &[("$TOUCHED", &touched)]);
+    let body = abreast(1) + &with_sleep(sleeps, include_str!("wgsl/grid.wgsl"), &[("$TOUCHED", &touched)]);
     let watch = if sleeps { [WATCH_WORDS, include_str!("wgsl/watch_grid.wgsl")].concat() } else { String::new() };
     Draft {
         name: "grid",
@@ -1230,31 +1302,8 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
 
 const SHARED_NODES: &str = concat!(include_str!("wgsl/own.wgsl"), include_str!("wgsl/shared.wgsl"));
 
-/// Nodes that two levels share, in each step of the finer one, and nodes at rims.
-fn solve() -> Draft {
-    let draft = Draft {
-        name: "solve",
-        entry: "solve",
-        body: [
-            sums_of_tiles().as_str(),
-            include_str!("wgsl/handed_to.wgsl"),
-            SHARED_NODES,
-            include_str!("wgsl/prolong.wgsl"),
-            include_str!("wgsl/behind.wgsl"),
-            include_str!("wgsl/wall.wgsl"),
-            include_str!("wgsl/solve.wgsl"),
-        ]
-        .concat(),
-        uses: vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, HANDED, KEPT],
-        uniform: Uniform::None,
-        groups: Groups::NodeBlocks,
-        checked: true,
-    };
-    on_listed(Found::Rims, draft)
-}
-
 fn velocities(levels: bool) -> Draft {
-    let body = plain_sums();
+    let body = plain_sums(1);
     Draft {
         name: "velocities",
         entry: "velocities",

@@ -46,13 +46,13 @@ var<workgroup> blocks: array<vec2<u32>, 256>;
 var<workgroup> touching: atomic<u32>;
 var<workgroup> deep: atomic<u32>;
 var<workgroup> sliding: atomic<u32>;
-var<workgroup> greatest: atomic<u32>;
+var<workgroup> fastest_node: atomic<u32>;
 var<workgroup> columns: array<vec4<f32>, 715>;
 var<workgroup> mode: u32;
 // The body's twist in the iteration, the one that the last step leads to, and the impulse of the nodes then.
 var<workgroup> frozen: Twist;
 var<workgroup> met: Twist;
-var<workgroup> given: Twist;
+var<workgroup> gained: Twist;
 
 // What each thread knows of the body: mass [kg], inertia [kg m2], world frame, and its inverse [1/(kg m2)], body frame; where it is; its angular momentum, and
 // its twist without the contact at hand.
@@ -408,7 +408,7 @@ fn without(row: Row, other: Row, times: f32) -> Row {
 }
 
 // Solves the system by elimination; the secant's is symmetric and positive, and needs no pivots.
-fn solve(rows: array<Row, 6>) -> Twist {
+fn eliminate(rows: array<Row, 6>) -> Twist {
     let a = rows[0];
     var b = rows[1];
     var c = rows[2];
@@ -479,7 +479,7 @@ fn decide() {
     let f = weight * force + body_mass * lag.linear;
     let t = weight * torque + inertia * lag.angular;
     let own = body_mass;
-    let change = solve(array<Row, 6>(
+    let change = eliminate(array<Row, 6>(
         Row(weight * p[0] + vec3<f32>(own, 0.0, 0.0), weight * q[0], f.x),
         Row(weight * p[1] + vec3<f32>(0.0, own, 0.0), weight * q[1], f.y),
         Row(weight * p[2] + vec3<f32>(0.0, 0.0, own), weight * q[2], f.z),
@@ -519,7 +519,7 @@ fn decide() {
     }
     mode = DONE;
     met = moved;
-    given = Twist(
+    gained = Twist(
         force - (change.linear * p + change.angular * q),
         torque - (change.linear * r + change.angular * s),
     );
@@ -572,19 +572,19 @@ fn meet(k: u32, level: u32, thread: u32) {
         let felt = min(touch.mass * layers[layer_now].felt, 1.0);
         fastest = max(fastest, max(max(magnitude_bits(felt * kept.x), magnitude_bits(felt * kept.y)), magnitude_bits(felt * kept.z)));
     }
-    atomicMax(&greatest, fastest);
-    impulse += given.linear;
-    angular_impulse += given.angular;
-    momentum += given.angular;
-    free.linear += given.linear / body_mass;
+    atomicMax(&fastest_node, fastest);
+    impulse += gained.linear;
+    angular_impulse += gained.angular;
+    momentum += gained.angular;
+    free.linear += gained.linear / body_mass;
     free.angular = spin(rotation_of(rotation));
     workgroupBarrier();
     if thread == 0u {
-        atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&greatest));
+        atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&fastest_node));
         if LAYERS > 1u {
-            atomicMax(&status[greatest_word(step.number)], atomicLoad(&greatest));
+            atomicMax(&status[greatest_word(step.number)], atomicLoad(&fastest_node));
         }
-        atomicStore(&greatest, 0u);
+        atomicStore(&fastest_node, 0u);
     }
 }
 
@@ -637,9 +637,8 @@ fn move_on(k: u32, next: u32) {
     $STAY_AWAKE
 }
 
-@compute @workgroup_size(256)
-fn free_bodies(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let k = group.y * extent.row + group.x;
+// What happens to a body in a slot.
+fn free_body(k: u32, thread: u32) {
     let is_first = !SUBCYCLED || step.first_level == 0u;
     let at = state_at(k, state_now());
     layer_now = k / FREES * LEVELS;

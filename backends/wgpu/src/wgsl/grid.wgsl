@@ -3,7 +3,7 @@
 var<workgroup> go: u32;
 var<workgroup> at_rim: u32;
 var<workgroup> takes: u32;
-var<workgroup> greatest: atomic<u32>;
+var<workgroup> greatest: array<atomic<u32>, ABREAST>;
 
 // The tiles that reach a node, two along each axis, or NONE.
 struct Tiles {
@@ -79,12 +79,13 @@ fn velocity(g: u32, node: vec4<f32>) -> vec4<f32> {
 fn note_speed(g: u32, node: vec4<f32>, n: u32) {
     let felt = min(node.w * layers[layer_of(g)].felt, 1.0);
     let bits = max(max(magnitude_bits(felt * node.x), magnitude_bits(felt * node.y)), magnitude_bits(felt * node.z));
-    atomicMax(&greatest, bits);
+    atomicMax(&greatest[abreast], bits);
     workgroupBarrier();
     if n == 0u {
-        atomicMax(&status[step_word(step.number, layer_of(g), SPEED)], atomicLoad(&greatest));
+        let most = atomicLoad(&greatest[abreast]);
+        atomicMax(&status[step_word(step.number, layer_of(g), SPEED)], most);
         if LAYERS > 1u {
-            atomicMax(&status[greatest_word(step.number)], atomicLoad(&greatest));
+            atomicMax(&status[greatest_word(step.number)], most);
         }
     }
 }

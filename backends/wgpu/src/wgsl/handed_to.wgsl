@@ -3,9 +3,9 @@
 
 // The blocks of nodes of the next finer layer that may hand something to a block's nodes, from one before its own place on: 4x4x4. NONE stands
 // for those that do not.
-var<workgroup> givers: array<u32, 64>;
+var<workgroup> givers: array<u32, 64u * ABREAST>;
 
-// Finds them, a thread each.
+// Finds them, a thread each. A barrier must follow.
 fn find_givers(g: u32, n: u32) {
     let finer = layer_of(g) - 1u;
     let block = 2 * lists[(extent.block_room + g) * ENTRY].xyz - vec3<i32>(1) + local_of(n);
@@ -17,8 +17,7 @@ fn find_givers(g: u32, n: u32) {
     if rim != NONE && all(rims[rim].xy == vec2<u32>(0u)) {
         rim = NONE;
     }
-    givers[n] = rim;
-    workgroupBarrier();
+    givers[64u * abreast + n] = rim;
 }
 
 // What one of them hands to a node: `near` counts from the first of the two along each axis that have the node among their parents.
@@ -27,7 +26,7 @@ fn of_giver(n: u32, near: vec3<u32>) -> vec4<f32> {
     // From one before the block's own place on, as `givers`; of parents, from one before the giver's own place on.
     let which = ((local + vec3<u32>(1u)) >> vec3<u32>(1u)) + near;
     let place = local + vec3<u32>(3u) - 2u * which;
-    let rim = givers[which.x * 16u + which.y * 4u + which.z];
+    let rim = givers[64u * abreast + which.x * 16u + which.y * 4u + which.z];
     let held = handed[select(rim, 0u, rim == NONE) * 64u + place.x * 16u + place.y * 4u + place.z];
     return select(held, vec4<f32>(0.0), rim == NONE);
 }

@@ -1,11 +1,10 @@
 // Nodes at rims move with the next coarser layer: u_f = sum_c P u_c.
 
-var<workgroup> is_walled: u32;
-var<workgroup> given: array<vec4<f32>, 64>;
+var<workgroup> given: array<vec4<f32>, 64u * ABREAST>;
 // Of the parents of a block's nodes, which are 4x4x4, from one before its first one on: velocities, and signs of their components, for those
 // behind a mirror are images.
-var<workgroup> velocities: array<vec3<f32>, 64>;
-var<workgroup> signs: array<vec3<f32>, 64>;
+var<workgroup> velocities: array<vec3<f32>, 64u * ABREAST>;
+var<workgroup> signs: array<vec3<f32>, 64u * ABREAST>;
 
 // Brings a parent, a thread each.
 fn fetch_parent(layer: u32, first: vec3<i32>, n: u32) {
@@ -22,22 +21,24 @@ fn fetch_parent(layer: u32, first: vec3<i32>, n: u32) {
             turned *= wall_signs(HIGH[axis], axis);
         }
     }
-    velocities[n] = velocity_at(layer, parent);
-    signs[n] = turned;
+    velocities[64u * abreast + n] = velocity_at(layer, parent);
+    signs[64u * abreast + n] = turned;
 }
 
-// The nodes of a block that are at the rim.
-fn move_rim(g: u32, n: u32) {
+// The nodes of a block that are at the rim, if `is_rim`. What walls give that way is booked once the step is known to be short enough.
+fn move_rim(g: u32, n: u32, is_rim: bool) {
+    let own = 64u * abreast;
     let entry = (extent.block_room + g) * ENTRY;
-    if n == 0u {
-        is_walled = u32(has_nodes_behind(u32(lists[entry].w) + 1u, 2 * lists[entry].xyz - vec3<i32>(1)));
-    }
-    fetch_parent(u32(lists[entry].w) + 1u, 2 * lists[entry].xyz - vec3<i32>(1), n);
+    let coarser = u32(lists[entry].w) + 1u;
+    let first = 2 * lists[entry].xyz - vec3<i32>(1);
     var impulse = vec3<f32>(0.0);
     let mass = -grid[g * 64u + n].w;
+    if is_rim {
+        fetch_parent(coarser, first, n);
+    }
     workgroupBarrier();
     // Nobody reads the velocity of nodes that weigh nothing.
-    if (rims[g][n >> 5u] & (1u << (n & 31u))) != 0u && mass > 0.0 {
+    if is_rim && (rims[g][n >> 5u] & (1u << (n & 31u))) != 0u && mass > 0.0 {
         let place = local_of(n);
         let near = (place >> vec3<u32>(1u)) + vec3<i32>(1);
         let far = near + select(vec3<i32>(-1), vec3<i32>(1), (place & vec3<i32>(1)) == vec3<i32>(1));
@@ -46,7 +47,7 @@ fn move_rim(g: u32, n: u32) {
             let is_far = (vec3<u32>(k >> 2u, k >> 1u, k) & vec3<u32>(1u)) == vec3<u32>(1u);
             let share = select(vec3<f32>(0.75), vec3<f32>(0.25), is_far);
             let parent = vec3<u32>(select(near, far, is_far));
-            let which = parent.x * 16u + parent.y * 4u + parent.z;
+            let which = own + parent.x * 16u + parent.y * 4u + parent.z;
             let part = share.x * share.y * share.z * velocities[which];
             u += signs[which] * part;
             // What particles read is not what they would have read from the node itself.
@@ -54,16 +55,19 @@ fn move_rim(g: u32, n: u32) {
         }
         grid[g * 64u + n] = vec4<f32>(u, 0.0);
     }
-    if workgroupUniformLoad(&is_walled) == 0u {
-        return;
-    }
-    given[n] = vec4<f32>(impulse, 0.0);
+    given[own + n] = vec4<f32>(impulse, 0.0);
     workgroupBarrier();
-    if n == 0u {
-        var total = bitcast<vec4<f32>>(lists[entry + WALL]);
-        for (var t = 0u; t < 64u; t++) {
-            total += given[t];
+    if n < 8u {
+        for (var t = 1u; t < 8u; t++) {
+            given[own + n] += given[own + n + 8u * t];
         }
-        lists[entry + WALL] = bitcast<vec4<i32>>(total);
+    }
+    workgroupBarrier();
+    if n == 0u && is_rim && has_nodes_behind(coarser, first) {
+        var total = bitcast<vec4<f32>>(lists[entry + PENDING]);
+        for (var t = 0u; t < 8u; t++) {
+            total += given[own + t];
+        }
+        lists[entry + PENDING] = bitcast<vec4<i32>>(total);
     }
 }

@@ -1,20 +1,8 @@
 
-var<workgroup> go: u32;
-
-// May this step go on?
-fn ready(g: u32) -> u32 {
+// What is to be done with a block at a rim, as bits.
+fn tasks_of(g: u32) -> u32 {
+    let here = min(g, extent.node_room - 1u);
     let speed = bitcast<f32>(atomicLoad(&status[greatest_word(step.number)]));
     let fits = atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]) && is_slow_enough(speed);
-    return u32(fits && is_live(u32(lists[(extent.block_room + g) * ENTRY].w)));
-}
-
-@compute @workgroup_size(64)
-fn prolong(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
-    let g = $BLOCK;
-    if n == 0u {
-        go = ready(g);
-    }
-    if workgroupUniformLoad(&go) != 0u {
-        move_rim(g, n);
-    }
+    return u32(fits && is_live(u32(lists[(extent.block_room + here) * ENTRY].w))) * MOVES;
 }

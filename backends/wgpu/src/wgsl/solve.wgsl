@@ -47,10 +47,14 @@ fn velocity_at(layer: u32, cell: vec3<i32>) -> vec3<f32> {
     return grid[g * 64u + n].xyz;
 }
 
-fn solve_block(g: u32, n: u32) {
-    find_givers(g, n);
+// `is_on`: does a finer layer hand anything to the block's nodes in this slot?
+fn solve_block(g: u32, n: u32, is_on: bool) {
+    if is_on {
+        find_givers(g, n);
+    }
+    workgroupBarrier();
     var node = vec4<f32>(0.0);
-    if is_shared(g, n) {
+    if is_on && is_shared(g, n) {
         let at = own_at(g, n);
         let own = own_now(g, n);
         let gain = shared_nodes[at + 64u].xyz;
@@ -63,19 +67,13 @@ fn solve_block(g: u32, n: u32) {
     note_speed(g, node, n);
 }
 
-@compute @workgroup_size(64)
-fn solve(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
-    let g = $BLOCK;
-    if n == 0u {
-        let fits = atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]);
-        let rim = rims[min(g, extent.node_room - 1u)];
-        takes = u32(fits && rim.z != 0u && takes_part(layer_of(g)));
-        at_rim = u32(fits && any(rim.xy != vec2<u32>(0u)) && is_live(layer_of(g)));
+// What is to be done with a block, as bits: does it take something, and is it at a rim?
+fn tasks_of(g: u32) -> u32 {
+    let here = min(g, extent.node_room - 1u);
+    let rim = rims[here];
+    let layer = layer_of(here);
+    if atomicLoad(&status[HALTED]) != 0u || g >= atomicLoad(&status[NODE_BLOCKS]) {
+        return 0u;
     }
-    if workgroupUniformLoad(&takes) != 0u {
-        solve_block(g, n);
-    }
-    if workgroupUniformLoad(&at_rim) != 0u {
-        move_rim(g, n);
-    }
+    return (u32(rim.z != 0u && takes_part(layer)) * TAKES) | (u32(any(rim.xy != vec2<u32>(0u)) && is_live(layer)) * MOVES);
 }

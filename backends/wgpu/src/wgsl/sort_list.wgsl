@@ -1,7 +1,7 @@
 
 // Lists blocks of each kind, and counts the workgroups of passes: for each end among the levels, those of all levels before. Worlds of a batch
 // stand one behind the other, with all their levels: there passes visit all. P2G visits those that give to shared nodes twice. One workgroup.
-const FOUND: u32 = LIST_KINDS + 2u;
+const FOUND: u32 = LIST_KINDS + 3u;
 
 var<workgroup> found: array<vec3<u32>, 256>;
 
@@ -37,6 +37,9 @@ fn found_before(which: u32, level: u32) -> u32 {
     }
     if which - 2u == GIVING {
         return blocks + listed_before(GIVING, blocks);
+    }
+    if which == 2u + LIST_KINDS {
+        return FREE_ROOM + (listed_before(AT_RIM, node_blocks) + 3u) / 4u;
     }
     // There are no fewer blocks of nodes than blocks.
     return listed_before(which - 2u, node_blocks);
