@@ -389,13 +389,14 @@ fn sampled_shapes_are_felt_on_the_device_as_on_the_cpu() {
     let plough = octahedron(folder.path(), [0.05, 0.04, 0.06]);
     let cube = box_mesh(folder.path(), [0.03, 0.03, 0.03]);
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    // No node stands on a face or where normals change: there rounding decides.
     let with_speed = |speed: f64| {
         Head::cells(0.02, [20, 12, 16], walls).time("step = 2.5e-4").with(&[
             material("sand", 1500.0, "young_modulus = 1e5, poisson_ratio = 0.2"),
             block("sand", [0.0; 3], [0.4, 0.24, 0.1], ""),
             tool(
                 "plough",
-                [0.1, 0.12, 0.12],
+                [0.1007, 0.1213, 0.1211],
                 &format!(
                     "union = [{{ shape = {{ mesh = {{ file = {plough:?}, center = [0.01, 0.0, -0.02], rotation = [0.95, 0.1, 0.2, 0.1] }} }} }}, \
                      {{ shape = {{ mesh = {{ file = {plough:?}, scale = 0.8 }} }}, position = [-0.02, 0.01, 0.03] }}]"
@@ -405,7 +406,7 @@ fn sampled_shapes_are_felt_on_the_device_as_on_the_cpu() {
             ),
             tool(
                 "sole",
-                [0.2, 0.05, 0.12],
+                [0.2017, 0.0513, 0.1207],
                 "union = [{ shape = { height_field = { min = [-0.05, -0.03], max = [0.03, 0.04], bottom = -0.03, \
                  heights = [[0.01, 0.03, 0.0], [0.02, 0.01, 0.01]] } }, rotation = [0.1, 0.99, 0.1, 0.0] }]",
                 "{ coulomb = { friction = 0.3 } }",
@@ -413,7 +414,7 @@ fn sampled_shapes_are_felt_on_the_device_as_on_the_cpu() {
             ),
             tool(
                 "cube",
-                [0.3, 0.12, 0.135],
+                [0.3031, 0.1237, 0.1352],
                 &format!("mesh = {{ file = {cube:?} }}"),
                 "{ coulomb = { friction = 0.5 } }",
                 "{ free = { mass = 0.4, linear = [0.0, 0.0, -0.5], angular = [0.0, 1.0, 0.0] } }",

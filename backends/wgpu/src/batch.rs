@@ -757,7 +757,7 @@ impl WgpuBatch {
             Groups::PlacesBy(n) => extent.places.div_ceil(n),
             Groups::Found(found) => {
                 // Subcycled, the next coarser level shares nodes with those whose step it is.
-                let shares = self.substeps > 1 && found == Found::RimsBehindBodies;
+                let shares = self.substeps > 1 && matches!(found, Found::RimsInFours | Found::BodiesAndRims);
                 let end = if shares { self.levels.min(end + 1) } else { end };
                 return Size::Counted(12 * (self.levels * found as usize + end - 1) as u64);
             }

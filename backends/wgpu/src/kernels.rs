@@ -150,7 +150,7 @@ pub(crate) enum Groups {
     Found(Found),
 }
 
-/// What a sort counts on levels, for the passes of a step to visit nothing else. All but the first two it lists, the last with the rims.
+/// What a sort counts on levels, for the passes of a step to visit nothing else. It lists rims, givers and walled ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Found {
     Blocks,
@@ -161,13 +161,15 @@ pub(crate) enum Found {
     Givers,
     /// Blocks, or blocks of nodes of the same number, to which walls or the edge of live ground give something.
     Walled,
-    /// Those at rims in fours, and before them as many workgroups as there are free bodies in the scenes.
-    RimsBehindBodies,
+    /// Those at rims, in fours.
+    RimsInFours,
+    /// As many as there are free bodies in the scenes, and behind them those at rims, in fours or eights.
+    BodiesAndRims,
 }
 
 impl Found {
     /// How many kinds there are, and of those how many are listed.
-    pub(crate) const ALL: usize = 6;
+    pub(crate) const ALL: usize = 7;
     pub(crate) const LISTED: usize = 3;
     /// The first that is listed.
     const FIRST_LIST: usize = 2;
@@ -466,7 +468,8 @@ fn line(when: &str, draft: &Draft) -> String {
                 Found::Rims => "a block of nodes at rims",
                 Found::Givers => "a block with particles, and another where these give to nodes that levels share,",
                 Found::Walled => "a block at walls",
-                Found::RimsBehindBodies => "a free body, and one for four blocks of nodes at rims",
+                Found::RimsInFours => "for four blocks of nodes at rims",
+                Found::BodiesAndRims => "a free body, and one for four or eight blocks of nodes at rims",
             }
         ),
     };
@@ -573,7 +576,8 @@ fn free_draft(
     let alone = Draft {
         name: "free bodies",
         entry: "free_bodies",
-        body: [&counts, include_str!("wgsl/lent.wgsl"), &table, &law.wgsl, &text].concat(),
+        // Eleven columns of 65 rows; see `free.wgsl`.
+        body: [&exchange(715), &counts, include_str!("wgsl/lent.wgsl"), &table, &law.wgsl, &text].concat(),
         uses: [GRID, DIRECTORY, lent, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
         uniform: Uniform::Table { stored },
         groups: Groups::Exactly((worlds * free.bodies) as u32),
@@ -589,7 +593,7 @@ fn free_draft(
         entry: "free_and_rims",
         body: alone.body + &of_rims.body + include_str!("wgsl/free_and_rims.wgsl"),
         uses: alone.uses.into_iter().chain(further).collect(),
-        groups: of_rims.groups,
+        groups: Groups::Found(Found::BodiesAndRims),
         ..alone
     }
 }
@@ -1163,7 +1167,7 @@ fn at_rims(subcycled: bool) -> Draft {
         .concat(),
         uses,
         uniform: Uniform::None,
-        groups: Groups::Found(Found::RimsBehindBodies),
+        groups: Groups::Found(Found::RimsInFours),
         checked: true,
     }
 }
@@ -1171,7 +1175,12 @@ fn at_rims(subcycled: bool) -> Draft {
 /// In a pass of its own.
 fn rims_alone(subcycled: bool) -> Draft {
     let draft = at_rims(subcycled);
-    Draft { body: draft.body + include_str!("wgsl/rims_alone.wgsl"), ..draft }
+    Draft { body: [&exchange(256), &draft.body, include_str!("wgsl/rims_alone.wgsl")].concat(), ..draft }
+}
+
+/// Where threads hand something to one another; one for all that a pass does, since workgroup memory is scarce.
+fn exchange(vectors: u32) -> String {
+    format!("var<workgroup> exchange: array<vec4<f32>, {vectors}>;\n")
 }
 
 /// Vectors of four that hold the boxes of a world's levels, as they are now, and as split and merge see them before.

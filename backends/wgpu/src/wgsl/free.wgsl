@@ -47,7 +47,6 @@ var<workgroup> touching: atomic<u32>;
 var<workgroup> deep: atomic<u32>;
 var<workgroup> sliding: atomic<u32>;
 var<workgroup> fastest_node: atomic<u32>;
-var<workgroup> columns: array<vec4<f32>, 715>;
 var<workgroup> mode: u32;
 // The body's twist in the iteration, the one that the last step leads to, and the impulse of the nodes then.
 var<workgroup> frozen: Twist;
@@ -334,32 +333,32 @@ fn assemble(k: u32, tangent: bool, thread: u32) -> Sums {
 }
 
 fn put(row: u32, own: Sums) {
-    columns[row] = own.upper0;
-    columns[COLUMN + row] = own.upper1;
-    columns[2u * COLUMN + row] = own.upper2;
-    columns[3u * COLUMN + row] = own.upper3;
-    columns[4u * COLUMN + row] = own.upper4;
-    columns[5u * COLUMN + row] = own.upper5;
-    columns[6u * COLUMN + row] = own.lower0;
-    columns[7u * COLUMN + row] = own.lower1;
-    columns[8u * COLUMN + row] = own.lower2;
-    columns[9u * COLUMN + row] = own.lower3;
-    columns[10u * COLUMN + row] = own.lower4;
+    exchange[row] = own.upper0;
+    exchange[COLUMN + row] = own.upper1;
+    exchange[2u * COLUMN + row] = own.upper2;
+    exchange[3u * COLUMN + row] = own.upper3;
+    exchange[4u * COLUMN + row] = own.upper4;
+    exchange[5u * COLUMN + row] = own.upper5;
+    exchange[6u * COLUMN + row] = own.lower0;
+    exchange[7u * COLUMN + row] = own.lower1;
+    exchange[8u * COLUMN + row] = own.lower2;
+    exchange[9u * COLUMN + row] = own.lower3;
+    exchange[10u * COLUMN + row] = own.lower4;
 }
 
 fn with_row(row: u32, own: Sums) -> Sums {
     return Sums(
-        own.upper0 + columns[row],
-        own.upper1 + columns[COLUMN + row],
-        own.upper2 + columns[2u * COLUMN + row],
-        own.upper3 + columns[3u * COLUMN + row],
-        own.upper4 + columns[4u * COLUMN + row],
-        own.upper5 + columns[5u * COLUMN + row],
-        own.lower0 + columns[6u * COLUMN + row],
-        own.lower1 + columns[7u * COLUMN + row],
-        own.lower2 + columns[8u * COLUMN + row],
-        own.lower3 + columns[9u * COLUMN + row],
-        own.lower4 + columns[10u * COLUMN + row],
+        own.upper0 + exchange[row],
+        own.upper1 + exchange[COLUMN + row],
+        own.upper2 + exchange[2u * COLUMN + row],
+        own.upper3 + exchange[3u * COLUMN + row],
+        own.upper4 + exchange[4u * COLUMN + row],
+        own.upper5 + exchange[5u * COLUMN + row],
+        own.lower0 + exchange[6u * COLUMN + row],
+        own.lower1 + exchange[7u * COLUMN + row],
+        own.lower2 + exchange[8u * COLUMN + row],
+        own.lower3 + exchange[9u * COLUMN + row],
+        own.lower4 + exchange[10u * COLUMN + row],
     );
 }
 
@@ -386,18 +385,18 @@ fn sum_up(own: Sums, thread: u32) {
     // A column's eighth of rows a thread, then a column.
     if thread < 8u * COLUMNS {
         let at = thread % COLUMNS * COLUMN + thread / COLUMNS;
-        columns[at] = eight(at, 8u);
+        exchange[at] = eight(at, 8u);
     }
     workgroupBarrier();
     if thread < COLUMNS {
-        columns[thread * COLUMN] = eight(thread * COLUMN, 1u);
+        exchange[thread * COLUMN] = eight(thread * COLUMN, 1u);
     }
     workgroupBarrier();
 }
 
 fn eight(at: u32, by: u32) -> vec4<f32> {
-    return ((columns[at] + columns[at + by]) + (columns[at + 2u * by] + columns[at + 3u * by]))
-        + ((columns[at + 4u * by] + columns[at + 5u * by]) + (columns[at + 6u * by] + columns[at + 7u * by]));
+    return ((exchange[at] + exchange[at + by]) + (exchange[at + 2u * by] + exchange[at + 3u * by]))
+        + ((exchange[at + 4u * by] + exchange[at + 5u * by]) + (exchange[at + 6u * by] + exchange[at + 7u * by]));
 }
 
 // A row of the system: its coefficients, and what is out of balance, an impulse or an angular impulse.
@@ -453,19 +452,19 @@ fn energy_norm(twist: Twist) -> f32 {
 fn decide() {
     if iterations == 0u && mode == TANGENT {
         // Ground much heavier than the body is first taken as lighter: its true weight then finds the right nodes in contact.
-        weight = min(LIGHT * body_mass / columns[7u * COLUMN].w, 1.0);
+        weight = min(LIGHT * body_mass / exchange[7u * COLUMN].w, 1.0);
     }
-    let u0 = columns[0];
-    let u1 = columns[COLUMN];
-    let u2 = columns[2u * COLUMN];
-    let u3 = columns[3u * COLUMN];
-    let u4 = columns[4u * COLUMN];
-    let u5 = columns[5u * COLUMN];
-    let l0 = columns[6u * COLUMN];
-    let l1 = columns[7u * COLUMN];
-    let l2 = columns[8u * COLUMN];
-    let l3 = columns[9u * COLUMN];
-    let l4 = columns[10u * COLUMN];
+    let u0 = exchange[0];
+    let u1 = exchange[COLUMN];
+    let u2 = exchange[2u * COLUMN];
+    let u3 = exchange[3u * COLUMN];
+    let u4 = exchange[4u * COLUMN];
+    let u5 = exchange[5u * COLUMN];
+    let l0 = exchange[6u * COLUMN];
+    let l1 = exchange[7u * COLUMN];
+    let l2 = exchange[8u * COLUMN];
+    let l3 = exchange[9u * COLUMN];
+    let l4 = exchange[10u * COLUMN];
     let force = vec3<f32>(u0.w, u1.w, u2.w);
     let torque = vec3<f32>(u3.w, u4.w, u5.w);
     let size_of_all = l0.w;

@@ -87,6 +87,7 @@ fn note_speed(g: u32, node: vec4<f32>, n: u32) {
         if LAYERS > 1u {
             atomicMax(&status[greatest_word(step.number)], most);
         }
+        atomicStore(&greatest[abreast], 0u);
     }
 }
 

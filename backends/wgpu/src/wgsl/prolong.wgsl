@@ -1,12 +1,7 @@
 // Nodes at rims move with the next coarser layer: u_f = sum_c P u_c.
 
-var<workgroup> given: array<vec4<f32>, 64u * ABREAST>;
-// Of the parents of a block's nodes, which are 4x4x4, from one before its first one on: velocities, and signs of their components, for those
-// behind a mirror are images.
-var<workgroup> velocities: array<vec3<f32>, 64u * ABREAST>;
-var<workgroup> signs: array<vec3<f32>, 64u * ABREAST>;
-
-// Brings a parent, a thread each.
+// Brings a parent of a block's nodes, which are 4x4x4, from one before its first one on: its velocity and, as bits of a whole number, whose components'
+// signs are turned, for behind a mirror stand images.
 fn fetch_parent(layer: u32, first: vec3<i32>, n: u32) {
     var parent = first + local_of(n);
     let low = world_min(layer);
@@ -21,8 +16,12 @@ fn fetch_parent(layer: u32, first: vec3<i32>, n: u32) {
             turned *= wall_signs(HIGH[axis], axis);
         }
     }
-    velocities[64u * abreast + n] = velocity_at(layer, parent);
-    signs[64u * abreast + n] = turned;
+    let are_turned = dot(vec3<u32>(turned < vec3<f32>(0.0)), vec3<u32>(1u, 2u, 4u));
+    exchange[64u * abreast + n] = vec4<f32>(velocity_at(layer, parent), f32(are_turned));
+}
+
+fn signs_of(parent: vec4<f32>) -> vec3<f32> {
+    return select(vec3<f32>(1.0), vec3<f32>(-1.0), (vec3<u32>(u32(parent.w)) & vec3<u32>(1u, 2u, 4u)) != vec3<u32>(0u));
 }
 
 // The nodes of a block that are at the rim, if `is_rim`. What walls give that way is booked once the step is known to be short enough.
@@ -46,27 +45,29 @@ fn move_rim(g: u32, n: u32, is_rim: bool) {
         for (var k = 0u; k < 8u; k++) {
             let is_far = (vec3<u32>(k >> 2u, k >> 1u, k) & vec3<u32>(1u)) == vec3<u32>(1u);
             let share = select(vec3<f32>(0.75), vec3<f32>(0.25), is_far);
-            let parent = vec3<u32>(select(near, far, is_far));
-            let which = own + parent.x * 16u + parent.y * 4u + parent.z;
-            let part = share.x * share.y * share.z * velocities[which];
-            u += signs[which] * part;
+            let at = vec3<u32>(select(near, far, is_far));
+            let parent = exchange[own + at.x * 16u + at.y * 4u + at.z];
+            let signs = signs_of(parent);
+            let part = share.x * share.y * share.z * parent.xyz;
+            u += signs * part;
             // What particles read is not what they would have read from the node itself.
-            impulse += mass * (signs[which] - vec3<f32>(1.0)) * part;
+            impulse += mass * (signs - vec3<f32>(1.0)) * part;
         }
         grid[g * 64u + n] = vec4<f32>(u, 0.0);
     }
-    given[own + n] = vec4<f32>(impulse, 0.0);
+    workgroupBarrier();
+    exchange[own + n] = vec4<f32>(impulse, 0.0);
     workgroupBarrier();
     if n < 8u {
         for (var t = 1u; t < 8u; t++) {
-            given[own + n] += given[own + n + 8u * t];
+            exchange[own + n] += exchange[own + n + 8u * t];
         }
     }
     workgroupBarrier();
     if n == 0u && is_rim && has_nodes_behind(coarser, first) {
         var total = bitcast<vec4<f32>>(lists[entry + PENDING]);
         for (var t = 0u; t < 8u; t++) {
-            total += given[own + t];
+            total += exchange[own + t];
         }
         lists[entry + PENDING] = bitcast<vec4<i32>>(total);
     }

@@ -1,7 +1,9 @@
 
 // Lists blocks of each kind, and counts the workgroups of passes: for each end among the levels, those of all levels before. Worlds of a batch
 // stand one behind the other, with all their levels: there passes visit all. P2G visits those that give to shared nodes twice. One workgroup.
-const FOUND: u32 = LIST_KINDS + 3u;
+const FOUND: u32 = LIST_KINDS + 4u;
+// So many workgroups of rims leave the bodies' multiprocessors to them on large GPUs, which have a hundred and more.
+const ONE_TURN: u32 = 120u;
 
 var<workgroup> found: array<vec3<u32>, 256>;
 
@@ -38,8 +40,10 @@ fn found_before(which: u32, level: u32) -> u32 {
     if which - 2u == GIVING {
         return blocks + listed_before(GIVING, blocks);
     }
-    if which == 2u + LIST_KINDS {
-        return FREE_ROOM + (listed_before(AT_RIM, node_blocks) + 3u) / 4u;
+    if which >= 2u + LIST_KINDS {
+        let at_rims = listed_before(AT_RIM, node_blocks);
+        let in_fours = (at_rims + 3u) / 4u;
+        return select(FREE_ROOM + max(min(in_fours, ONE_TURN), (at_rims + 7u) / 8u), in_fours, which == 2u + LIST_KINDS);
     }
     // There are no fewer blocks of nodes than blocks.
     return listed_before(which - 2u, node_blocks);
