@@ -203,8 +203,8 @@ impl Contact {
     fn on_device(&self) -> ContactPasses<'_> {
         let Some(contact) = &self.device else { return ContactPasses::default() };
         let driven: &[Kernel] = if contact.needs.driven { &contact.kernels } else { &[] };
-        let (free, with_rims) = contact.free.as_ref().map_or((None, None), |(free, rims)| (Some(free), rims.as_ref()));
-        ContactPasses { driven, free, with_rims }
+        let (free, with_rims) = contact.free.as_ref().map_or((None, false), |(free, rims)| (Some(free), *rims));
+        ContactPasses { driven, free, with_rims, roams: contact.needs.roams }
     }
 
     /// Free bodies of each world that the device has room for.
@@ -222,15 +222,17 @@ struct Needs {
     free: Free,
     /// Are there driven bodies?
     driven: bool,
+    /// May bodies come near coarser levels?
+    roams: bool,
 }
 
 impl Needs {
     /// Of a law for so many bodies, where finest cells have that width [m].
-    fn of(law: &DeviceLaw, bodies: usize, h: f64) -> Self {
+    fn of(law: &DeviceLaw, bodies: usize, h: f64, roams: bool) -> Self {
         // Blocks that a box of the bodies' extents can reach into along an axis.
         let across = |extent: &f64| (2.0 * extent / (4.0 * h)).min(1e6) as usize + 2;
         let free = Free { bodies: law.free.len(), across: law.free.iter().map(across).max().unwrap_or(0) };
-        Self { bodies, vectors: law.table.len().max(1), free, driven: law.free.len() < bodies }
+        Self { bodies, vectors: law.table.len().max(1), free, driven: law.free.len() < bodies, roams }
     }
 
     /// Those of both.
@@ -243,6 +245,7 @@ impl Needs {
                 across: self.free.across.max(other.free.across),
             },
             driven: self.driven || other.driven,
+            roams: self.roams || other.roams,
         }
     }
 }
@@ -251,8 +254,8 @@ impl Needs {
 pub(crate) struct DeviceContact {
     /// The law, then the sums of impulses.
     kernels: [Kernel; 2],
-    /// Free bodies' contact and motion, alone and with rims.
-    free: Option<(Kernel, Option<Kernel>)>,
+    /// Free bodies' contact and motion; does it move rims, too?
+    free: Option<(Kernel, bool)>,
     wgsl: String,
     samples: Vec<[f32; 4]>,
     needs: Needs,
@@ -296,12 +299,14 @@ pub(crate) struct Clocks {
     submissions: u64,
 }
 
-/// Contact on the device: with driven bodies, and with free ones, alone or together with what is done at rims.
+/// Contact on the device: with driven bodies, and with free ones, alone or together with what is done at rims; and whether bodies may come near
+/// coarser levels.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ContactPasses<'a> {
     driven: &'a [Kernel],
     free: Option<&'a Kernel>,
-    with_rims: Option<&'a Kernel>,
+    with_rims: bool,
+    roams: bool,
 }
 
 /// Writes down the passes of a submission.
@@ -316,8 +321,6 @@ pub(crate) struct Passes<'a> {
     /// Number of the step under way, and gravity when it has grown [m/s²].
     number: usize,
     gravity: Vec3,
-    /// May free bodies come near coarser levels?
-    roams: bool,
     pub(crate) constants: Vec<StepConstants>,
     pub(crate) dispatches: Vec<Dispatch<'a>>,
 }
@@ -330,7 +333,7 @@ impl<'a> Passes<'a> {
         (h, gravity): (f64, Vec3),
     ) -> Self {
         let (constants, dispatches) = (Vec::new(), Vec::new());
-        Self { kernels, contact, levels, h, now, number: 0, gravity, roams: true, constants, dispatches }
+        Self { kernels, contact, levels, h, now, number: 0, gravity, constants, dispatches }
     }
 
     /// The constants of a step of `dt` of all levels.
@@ -364,21 +367,15 @@ impl<'a> Passes<'a> {
     fn step_together(&mut self, dt: f64) {
         let kernels = self.kernels;
         let step = self.constants(dt);
-        let ContactPasses { driven, free, .. } = self.contact;
+        let ContactPasses { driven, free, with_rims, .. } = self.contact;
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
-        self.run(step, kernels.grid.iter().chain(driven));
-        if let Some(with_rims) = self.with_rims() {
-            self.run(step, [with_rims]);
+        self.run(step, kernels.grid.iter().chain(driven).chain(free));
+        if with_rims {
             self.run(step, kernels.reflect.iter().chain([&kernels.g2p]));
         } else {
-            self.run(step, free.into_iter().chain(kernels.to_particles()));
+            self.run(step, kernels.to_particles());
         }
         self.run(step, kernels.soft());
-    }
-
-    /// The pass of free bodies in which rims are moved, too, if they need not wait for one another.
-    fn with_rims(&self) -> Option<&'a Kernel> {
-        self.contact.with_rims.filter(|_| !self.roams && self.kernels.mirror.is_empty())
     }
 
     /// One step of the coarsest level in which each level takes two steps in one of the next coarser one, as in the backend cpu's
@@ -404,22 +401,19 @@ impl<'a> Passes<'a> {
         let kernels = self.kernels;
         let step = self.constants_of(dt / self.substeps(), beginning(self.levels, slot), first + slot);
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict).chain(&kernels.grid));
-        match self.with_rims() {
-            Some(with_rims) => self.run(step, [with_rims]),
-            None => self.run(step, &kernels.solve),
-        }
+        self.run(step, self.contact.free.filter(|_| self.contact.with_rims).or(kernels.solve.as_ref()));
     }
 
     /// What the levels whose steps end with a slot do once their velocities are whole.
     pub(crate) fn end_slot(&mut self, dt: f64, first: usize, slot: usize) {
         let (each, ending) = (dt / self.substeps(), ending(self.levels, slot));
-        let ContactPasses { driven, free, .. } = self.contact;
-        if free.is_some() && self.with_rims().is_none() {
+        let ContactPasses { driven, free, with_rims, roams } = self.contact;
+        if let (Some(free), false) = (free, with_rims) {
             // The finest level meets free bodies where they were, coarser ones where they have come, if they come near any.
-            let coarser = if self.roams { 1..ending.end } else { 1..1 };
+            let coarser = if roams { 1..ending.end } else { 1..1 };
             for levels in [0..1, coarser].into_iter().filter(|levels| !levels.is_empty()) {
                 let step = self.constants_of(each, levels, first + slot);
-                self.run(step, free);
+                self.run(step, [free]);
             }
         }
         let step = self.constants_of(each, ending, first + slot);
@@ -838,7 +832,6 @@ impl WgpuBatch {
         let contact = if is_felt { self.contact.on_device() } else { ContactPasses::default() };
         let free = if is_felt { self.contact.free() } else { 0 };
         let mut passes = Passes::new(&self.kernels, contact, [self.levels, self.memory.now], measures);
-        passes.roams = active.iter().any(|(w, _)| self.worlds[*w].roams);
         let mut parts = Vec::new();
         for stretch in stretches {
             let sorting = stretch.sort.then_some(passes.now);
@@ -1687,7 +1680,9 @@ impl WgpuBatch {
         }
         let mut place = if couplings.is_empty() { Place::Nowhere } else { Place::Host };
         if let Some((law, bodies)) = device_law(couplings) {
-            let needs = Needs::of(&law, bodies, self.h);
+            let adapt = &self.worlds[w].adapt;
+            let roams = couplings.iter().flat_map(|coupling| coupling.bodies()).any(|body| !adapt.follows(&body.name));
+            let needs = Needs::of(&law, bodies, self.h, roams);
             // One world alone may have other bodies from now on.
             let before = self.contact.device.as_ref().filter(|_| self.worlds.len() > 1);
             let all = before.map_or(needs, |contact| contact.needs.with(needs));
@@ -1700,9 +1695,6 @@ impl WgpuBatch {
                 }
                 self.write_table(w, law.table);
                 self.worlds[w].free = law.free.len();
-                let mut bodies = couplings.iter().flat_map(|coupling| coupling.bodies());
-                let roams = |body: BodyState| !self.worlds[w].adapt.follows(&body.name);
-                self.worlds[w].roams = bodies.any(roams);
                 place = Place::Device;
             }
         }
@@ -1722,7 +1714,8 @@ impl WgpuBatch {
         let (worlds, Needs { bodies, vectors, free, .. }) = (self.worlds.len(), needs);
         let shape = [worlds, self.levels];
         let kernels = kernels::contact(&self.gpu, &self.kernels, law, [bodies, vectors], shape);
-        let of_free = (free.bodies > 0).then(|| kernels::free(&self.gpu, &self.kernels, law, vectors, shape, free));
+        let of_free =
+            (free.bodies > 0).then(|| kernels::free(&self.gpu, &self.kernels, law, vectors, shape, free, needs.roams));
         self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], free, &law.samples)?;
         self.unlinked = true;
         let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);

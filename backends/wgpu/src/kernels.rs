@@ -535,8 +535,8 @@ pub(crate) fn free_bodies(plan: &Plan) -> usize {
     plan.scene.tool.iter().filter(|tool| matches!(tool.motion, Motion::Free { .. })).count()
 }
 
-/// Contact with free bodies, and their motion: in a pass of its own; and in one with what is done at rims, if there are any and the adapter lets a
-/// pass bind so much.
+/// The pass of free bodies, their contact and their motion, and whether it does what is to be done at rims, too: so it is if no body `roams`, which
+/// is to come near coarser levels, and if the adapter lets a pass bind so much.
 pub(crate) fn free(
     gpu: &Gpu,
     kernels: &Kernels,
@@ -544,14 +544,17 @@ pub(crate) fn free(
     vectors: usize,
     shape: [usize; 2],
     free: Free,
-) -> (Kernel, Option<Kernel>) {
+    roams: bool,
+) -> (Kernel, bool) {
     let make = |draft| build_for(gpu, &kernels.step_layout, &kernels.constants, shape[0], draft);
     let (subcycled, sleeps) = (kernels.solve.is_some(), kernels.watch.is_some());
     let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
     let has_room = |draft: &Draft| draft.bindings(shape[0]) <= gpu.limits.max_storage_buffers_per_shader_stage as usize;
-    let is_planned = shape[0] * free.bodies <= kernels.free_room;
-    let with_rims = (shape[1] > 1 && is_planned).then(|| draft(true)).filter(has_room);
-    (make(draft(false)), with_rims.map(make))
+    // Walls that let go come between bodies and rims.
+    let is_apart = roams || shape[1] == 1 || !kernels.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
+    let with_rims = Some(true).filter(|_| !is_apart).map(draft).filter(has_room);
+    let is_with_rims = with_rims.is_some();
+    (make(with_rims.unwrap_or_else(|| draft(false))), is_with_rims)
 }
 
 /// `rims`: with what is done at rims, for bodies that meet the finest level alone.

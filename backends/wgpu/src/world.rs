@@ -123,8 +123,6 @@ pub(crate) struct World {
     pub(crate) contact: Option<Place>,
     /// Free bodies, if that is the device.
     pub(crate) free: usize,
-    /// Is there a body that levels do not follow, so that coarser ones than the finest may meet it?
-    pub(crate) roams: bool,
     /// Steps of the finest level in one.
     pub(crate) substeps: u32,
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
@@ -195,7 +193,6 @@ impl World {
             reach: plan.terrain.clone().map(Reach::new),
             contact: None,
             free: 0,
-            roams: false,
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,

@@ -2,7 +2,7 @@
 // Lists blocks of each kind, and counts the workgroups of passes: for each end among the levels, those of all levels before. Worlds of a batch
 // stand one behind the other, with all their levels: there passes visit all. P2G visits those that give to shared nodes twice. One workgroup.
 const FOUND: u32 = LIST_KINDS + 4u;
-// So many workgroups of rims leave the bodies' multiprocessors to them on large GPUs, which have a hundred and more.
+// So many workgroups of rims begin at once on large GPUs, whatever else is there.
 const ONE_TURN: u32 = 120u;
 
 var<workgroup> found: array<vec3<u32>, 256>;
