@@ -546,15 +546,17 @@ pub(crate) fn free(
     free: Free,
     roams: bool,
 ) -> (Kernel, bool) {
-    let make = |draft| build_for(gpu, &kernels.step_layout, &kernels.constants, shape[0], draft);
     let (subcycled, sleeps) = (kernels.solve.is_some(), kernels.watch.is_some());
     let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
     let has_room = |draft: &Draft| draft.bindings(shape[0]) <= gpu.limits.max_storage_buffers_per_shader_stage as usize;
     // Walls that let go come between bodies and rims.
     let is_apart = roams || shape[1] == 1 || !kernels.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
     let with_rims = Some(true).filter(|_| !is_apart).map(draft).filter(has_room);
-    let is_with_rims = with_rims.is_some();
-    (make(with_rims.unwrap_or_else(|| draft(false))), is_with_rims)
+    let (layout, constants) = (&kernels.step_layout, kernels.constants.as_str());
+    match with_rims {
+        Some(draft) => (build_for(gpu, layout, constants, shape[0], draft), true),
+        None => (build(gpu, layout, constants, shape[0], draft(false)), false),
+    }
 }
 
 /// `rims`: with what is done at rims, for bodies that meet the finest level alone.
