@@ -423,8 +423,12 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
             let kinds = [false, true].into_iter().filter(|&rims| !rims || plan.cell_widths.len() > 1);
             lines.extend(kinds.map(|rims| {
                 let motion = free_draft([plan.substeps > 1, may_sleep(plan), rims], &law, 1, [1, 1], free);
-                let when =
-                    if rims { ", if levels follow all of them and the adapter lets a pass bind so much" } else { "" };
+                let of_rims = if plan.substeps > 1 { "solve" } else { "prolong" };
+                let when = if rims {
+                    format!(", in place of that and {of_rims}, if levels follow them all and a pass may bind so much")
+                } else {
+                    String::new()
+                };
                 line(&format!("every step with free bodies, but near walls and other bodies{when}"), &motion)
             }));
         }
