@@ -41,6 +41,11 @@ fn off(a: Vec3, b: Vec3) -> f64 {
     norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]))
 }
 
+/// How often a pass was made.
+fn passes_of(sim: &Simulation, name: &str) -> u64 {
+    sim.timings().iter().find(|timing| timing.effect == name).map_or(0, |timing| timing.passes)
+}
+
 /// Greatest distance between the same particles [m].
 fn apart(a: &[Row], b: &[Row]) -> f64 {
     assert_eq!(a.len(), b.len());
@@ -439,9 +444,8 @@ fn sampled_shapes_are_felt_on_the_device_as_on_the_cpu() {
     let (at, there) = (on_device.bodies()[2].position, on_cpu.bodies()[2].position);
     within("place of the cube, in cells", off(at, there) / 0.02, 1e-3);
     within("distance of particles, in cells", apart(&rows(&on_device), &rows(&on_cpu)) / 0.02, 5e-3);
-    let passes = |name: &str| on_device.timings().iter().find(|t| t.effect == name).map_or(0, |timing| timing.passes);
     // Nodes are gathered for a law on the host.
-    assert_eq!([passes("gather"), passes("free bodies")], [0, 160]);
+    assert_eq!([passes_of(&on_device, "gather"), passes_of(&on_device, "free bodies")], [0, 160]);
 
     let scenes: Vec<Scene> = [0.4, -0.3].map(|speed| scene(&with_speed(speed))).into();
     let mut worlds = Worlds::new(&barchan::registry(), scenes, &on_gpu()).unwrap();

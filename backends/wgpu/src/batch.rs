@@ -371,7 +371,7 @@ impl<'a> Passes<'a> {
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
         self.run(step, kernels.grid.iter().chain(driven).chain(free));
         if with_rims {
-            self.run(step, kernels.reflect.iter().chain([&kernels.g2p]));
+            self.run(step, kernels.behind_rims());
         } else {
             self.run(step, kernels.to_particles());
         }
@@ -418,7 +418,7 @@ impl<'a> Passes<'a> {
         }
         let step = self.constants_of(each, ending, first + slot);
         self.run(step, driven);
-        self.run(step, self.kernels.reflect.iter().chain([&self.kernels.g2p]));
+        self.run(step, self.kernels.behind_rims());
     }
 
     /// Steps of the finest level in one of the coarsest.

@@ -321,7 +321,12 @@ impl Kernels {
 
     /// From whole velocities to particles. Rims read what stands behind walls that let go, and mirrors what stands at rims.
     pub(crate) fn to_particles(&self) -> impl Iterator<Item = &Kernel> {
-        self.mirror.iter().chain(&self.prolong).chain(&self.reflect).chain([&self.g2p])
+        self.mirror.iter().chain(&self.prolong).chain(self.behind_rims())
+    }
+
+    /// The same once rims have moved, too.
+    pub(crate) fn behind_rims(&self) -> impl Iterator<Item = &Kernel> {
+        self.reflect.iter().chain([&self.g2p])
     }
 
     /// Where soft bodies are after a step.
@@ -552,15 +557,14 @@ pub(crate) fn free(
 ) -> (Kernel, bool) {
     let (subcycled, sleeps) = (kernels.solve.is_some(), kernels.watch.is_some());
     let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
-    let has_room = |draft: &Draft| draft.bindings(shape[0]) <= gpu.limits.max_storage_buffers_per_shader_stage as usize;
+    let (layout, constants) = (&kernels.step_layout, kernels.constants.as_str());
     // Walls that let go come between bodies and rims.
     let is_apart = roams || shape[1] == 1 || !kernels.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
-    let with_rims = Some(true).filter(|_| !is_apart).map(draft).filter(has_room);
-    let (layout, constants) = (&kernels.step_layout, kernels.constants.as_str());
-    match with_rims {
-        Some(draft) => (build_for(gpu, layout, constants, shape[0], draft), true),
-        None => (build(gpu, layout, constants, shape[0], draft(false)), false),
+    let with_rims = draft(true);
+    if is_apart || with_rims.bindings(shape[0]) > gpu.limits.max_storage_buffers_per_shader_stage as usize {
+        return (build(gpu, layout, constants, shape[0], draft(false)), false);
     }
+    (build_for(gpu, layout, constants, shape[0], with_rims), true)
 }
 
 /// `rims`: with what is done at rims, for bodies that meet the finest level alone.
@@ -1156,7 +1160,7 @@ fn at_rims(subcycled: bool) -> Draft {
     let own: String = if subcycled {
         [&sums_of_tiles(4), include_str!("wgsl/handed_to.wgsl"), SHARED_NODES, include_str!("wgsl/solve.wgsl")].concat()
     } else {
-        [&abreast(4), include_str!("wgsl/velocity_at.wgsl"), include_str!("wgsl/prolong_alone.wgsl")].concat()
+        [&abreast(4), include_str!("wgsl/velocity_at.wgsl"), include_str!("wgsl/prolong_tasks.wgsl")].concat()
     };
     let mut uses = vec![DIRECTORY, written(LISTS), GRID, RIMS, STATUS, LISTED];
     if subcycled {
@@ -1168,6 +1172,7 @@ fn at_rims(subcycled: bool) -> Draft {
         body: [
             &own,
             include_str!("wgsl/prolong.wgsl"),
+            include_str!("wgsl/sum_of_block.wgsl"),
             include_str!("wgsl/behind.wgsl"),
             include_str!("wgsl/wall.wgsl"),
             &include_str!("wgsl/rims.wgsl").replace("$TAKE", if subcycled { take } else { "" }),
@@ -1266,16 +1271,7 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
         }
     };
     let mirrored = finish == Finish::Mirrored;
-    let mirrors = if mirrored {
-        concat!(
-            include_str!("wgsl/behind.wgsl"),
-            include_str!("wgsl/image.wgsl"),
-            include_str!("wgsl/mirrored.wgsl"),
-            include_str!("wgsl/wall.wgsl")
-        )
-    } else {
-        ""
-    };
+    let mirrors = if mirrored { images(include_str!("wgsl/mirrored.wgsl")) } else { String::new() };
     let rims = if levels { include_str!("wgsl/rim_sums.wgsl") } else { "" };
     let shared = if_subcycled(SHARED_NODES).to_owned()
         + if_subcycled(include_str!("wgsl/keep_back.wgsl"))
@@ -1306,7 +1302,7 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
             .replace("$SUM_TILES", &[if_subcycled(hand_on_here), if_taken(take_here), &text].concat())
             .replace("$AT_RIM", &[if_subcycled(at_rim), if_taken(takes)].concat())
             .replace("$IMAGE", if mirrored { IMAGE } else { "" })
-            + mirrors
+            + &mirrors
             + rims
             + if_taken(include_str!("wgsl/handed_to.wgsl"))
             + &shared
@@ -1362,6 +1358,19 @@ fn separate(axis: usize, back: bool, levels: bool) -> Draft {
     }
 }
 
+/// For passes in which nodes behind mirrors take the velocities of their images, a block a workgroup.
+fn images(text: &str) -> String {
+    [
+        exchange(64).as_str(),
+        include_str!("wgsl/behind.wgsl"),
+        include_str!("wgsl/image.wgsl"),
+        text,
+        include_str!("wgsl/sum_of_block.wgsl"),
+        include_str!("wgsl/wall.wgsl"),
+    ]
+    .concat()
+}
+
 /// Velocities of nodes behind mirrors.
 fn reflect(sleeps: bool, levels: bool) -> Draft {
     let touched = [("$IF_TOUCHED", " && atomicLoad(&watch[touched_word(w)]) != 0u")];
@@ -1371,11 +1380,9 @@ fn reflect(sleeps: bool, levels: bool) -> Draft {
         name: "reflect",
         entry: "reflect_nodes",
         body: [
-            with_sleep(sleeps, include_str!("wgsl/reflect.wgsl"), &touched).as_str(),
-            include_str!("wgsl/behind.wgsl"),
-            include_str!("wgsl/image.wgsl"),
+            abreast(1).as_str(),
+            &images(&with_sleep(sleeps, include_str!("wgsl/reflect.wgsl"), &touched)),
             include_str!("wgsl/velocity_at.wgsl"),
-            include_str!("wgsl/wall.wgsl"),
             if sleeps { WATCH_WORDS } else { "" },
         ]
         .concat(),

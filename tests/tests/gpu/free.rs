@@ -1,6 +1,6 @@
 //! Free bodies, which the device moves by itself as long as they meet nothing but the ground.
 
-use super::{apart, cpu, gpu, norm, off, rows};
+use super::{apart, cpu, gpu, norm, off, passes_of, rows};
 use barchan::{Simulation, Vec3};
 use barchan_tests::scenes::{scene, within};
 use barchan_tests::sketch::{Head, block, body, half, material, tool};
@@ -15,11 +15,6 @@ fn take_at_once(sim: &mut Simulation, steps: usize) {
     while taken < steps {
         taken += sim.steps(steps - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
     }
-}
-
-/// How often a pass was made.
-fn passes_of(sim: &Simulation, name: &str) -> u64 {
-    sim.timings().iter().find(|timing| timing.effect == name).map_or(0, |timing| timing.passes)
 }
 
 /// In how many steps the device moved free bodies, and in how many the host did.

@@ -1,7 +1,5 @@
 // Nodes behind mirrors are images of nodes before them.
 
-var<workgroup> given: array<vec4<f32>, 64>;
-
 // The node that one behind mirrors is the image of, or itself. P2G folds along the first axis first: what the wall across it gives
 // (`outer`), the other mirrors have turned already (`inner`).
 struct Image {
@@ -32,23 +30,4 @@ fn image_of(layer: u32, cell: vec3<i32>) -> Image {
 // What the wall gives to the mass behind it that comes to move with velocity `u`, turned by the wall [N s].
 fn given_behind(image: Image, u: vec3<f32>, mass: f32) -> vec3<f32> {
     return (image.outer - vec3<f32>(1.0)) * u * mass;
-}
-
-// The sum over a block's nodes, for the first thread.
-fn sum_of_block(n: u32, impulse: vec3<f32>) -> vec4<f32> {
-    given[n] = vec4<f32>(impulse, 0.0);
-    workgroupBarrier();
-    if n < 8u {
-        for (var t = 1u; t < 8u; t++) {
-            given[n] += given[n + 8u * t];
-        }
-    }
-    workgroupBarrier();
-    var total = vec4<f32>(0.0);
-    if n == 0u {
-        for (var t = 0u; t < 8u; t++) {
-            total += given[t];
-        }
-    }
-    return total;
 }

@@ -26,7 +26,6 @@ fn signs_of(parent: vec4<f32>) -> vec3<f32> {
 
 // The nodes of a block that are at the rim, if `is_rim`. What walls give that way is booked once the step is known to be short enough.
 fn move_rim(g: u32, n: u32, is_rim: bool) {
-    let own = 64u * abreast;
     let entry = (extent.block_room + g) * ENTRY;
     let coarser = u32(lists[entry].w) + 1u;
     let first = 2 * lists[entry].xyz - vec3<i32>(1);
@@ -46,7 +45,7 @@ fn move_rim(g: u32, n: u32, is_rim: bool) {
             let is_far = (vec3<u32>(k >> 2u, k >> 1u, k) & vec3<u32>(1u)) == vec3<u32>(1u);
             let share = select(vec3<f32>(0.75), vec3<f32>(0.25), is_far);
             let at = vec3<u32>(select(near, far, is_far));
-            let parent = exchange[own + at.x * 16u + at.y * 4u + at.z];
+            let parent = exchange[64u * abreast + at.x * 16u + at.y * 4u + at.z];
             let signs = signs_of(parent);
             let part = share.x * share.y * share.z * parent.xyz;
             u += signs * part;
@@ -55,20 +54,10 @@ fn move_rim(g: u32, n: u32, is_rim: bool) {
         }
         grid[g * 64u + n] = vec4<f32>(u, 0.0);
     }
+    // Parents are done with.
     workgroupBarrier();
-    exchange[own + n] = vec4<f32>(impulse, 0.0);
-    workgroupBarrier();
-    if n < 8u {
-        for (var t = 1u; t < 8u; t++) {
-            exchange[own + n] += exchange[own + n + 8u * t];
-        }
-    }
-    workgroupBarrier();
+    let total = sum_of_block(n, impulse);
     if n == 0u && is_rim && has_nodes_behind(coarser, first) {
-        var total = bitcast<vec4<f32>>(lists[entry + PENDING]);
-        for (var t = 0u; t < 8u; t++) {
-            total += exchange[own + t];
-        }
-        lists[entry + PENDING] = bitcast<vec4<i32>>(total);
+        lists[entry + PENDING] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + PENDING]) + total);
     }
 }
