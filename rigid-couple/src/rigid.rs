@@ -583,7 +583,7 @@ impl Coupling for Rigid {
         let free = self.bodies.iter().filter(|body| body.free().is_some()).map(reach).collect();
         let [table, samples] = self.device_tables()?;
         let sampled = if samples.is_empty() { NO_SAMPLES } else { include_str!("sampled.wgsl") };
-        Some(DeviceLaw { wgsl: include_str!("contact.wgsl").to_owned() + sampled, table, samples, free })
+        Some(DeviceLaw { counted: true, wgsl: include_str!("contact.wgsl").to_owned() + sampled, table, samples, free })
     }
 
     fn lend(&mut self, time: f64, dt: f64, steps: usize) -> Option<Vec<Lent>> {

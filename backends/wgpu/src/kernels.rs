@@ -163,7 +163,7 @@ pub(crate) enum Found {
     Walled,
     /// Those at rims, in fours.
     RimsInFours,
-    /// As many as there are free bodies in the scenes, and behind them those at rims, in fours or eights.
+    /// One more than there are free bodies in the scenes, and behind them those at rims, in eights.
     BodiesAndRims,
 }
 
@@ -181,9 +181,10 @@ pub(crate) enum Uniform {
     None,
     /// The materials' parameters.
     Params,
-    /// What the coupling's law reads, stored if it is too much for a uniform.
+    /// What the coupling's law reads, stored if it is too much for a uniform; are all of its loops counted?
     Table {
         stored: bool,
+        counted: bool,
     },
     /// The boxes of levels.
     Regions,
@@ -263,7 +264,7 @@ struct Draft {
 impl Draft {
     /// Does its table stand in a storage buffer?
     fn is_table_stored(&self, worlds: usize) -> bool {
-        self.uniform == Uniform::Params && worlds > 1 || self.uniform == Uniform::Table { stored: true }
+        self.uniform == Uniform::Params && worlds > 1 || matches!(self.uniform, Uniform::Table { stored: true, .. })
     }
 
     /// Storage buffers that it binds.
@@ -403,7 +404,7 @@ impl Drafts {
             prolong: (levels && !subcycled).then(|| rims_alone(false)),
             // What holding the edge takes is booked there, too.
             reflect: (has_mirrors && !mirrored || unbounded).then(|| reflect(sleeps, levels)),
-            g2p: g2p(plan, &laws, sleeps, particles),
+            g2p: g2p(plan, &laws, sleeps, [particles, worlds * plan.cell_widths.len()]),
             stress: stress(&laws),
             collect,
             soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
@@ -478,7 +479,7 @@ fn line(when: &str, draft: &Draft) -> String {
                 Found::Givers => "a block with particles, and another where these give to nodes that levels share,",
                 Found::Walled => "a block at walls",
                 Found::RimsInFours => "for four blocks of nodes at rims",
-                Found::BodiesAndRims => "a free body, and one for four or eight blocks of nodes at rims",
+                Found::BodiesAndRims => "a free body, one more, and one for eight blocks of nodes at rims",
             }
         ),
     };
@@ -509,7 +510,7 @@ pub(crate) fn contact(
         entry: "contact",
         body: [&count, &table, &law.wgsl, text.as_str()].concat(),
         uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
-        uniform: Uniform::Table { stored },
+        uniform: Uniform::Table { stored, counted: law.counted },
         groups: node_blocks(levels > 1),
         checked: true,
     };
@@ -544,6 +545,9 @@ pub(crate) fn free_bodies(plan: &Plan) -> usize {
     plan.scene.tool.iter().filter(|tool| matches!(tool.motion, Motion::Free { .. })).count()
 }
 
+/// Blocks at rims that a workgroup takes up in the pass of free bodies and rims.
+const RIMS_BESIDE: u32 = 8;
+
 /// The pass of free bodies, their contact and their motion, and whether it does what is to be done at rims, too: so it is if no body `roams`, which
 /// is to come near coarser levels, and if the adapter lets a pass bind so much.
 pub(crate) fn free(
@@ -561,7 +565,10 @@ pub(crate) fn free(
     // Walls that let go come between bodies and rims.
     let is_apart = roams || shape[1] == 1 || !kernels.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
     let with_rims = draft(true);
-    if is_apart || with_rims.bindings(shape[0]) > gpu.limits.max_storage_buffers_per_shader_stage as usize {
+    let limits = &gpu.limits;
+    let fits = with_rims.bindings(shape[0]) <= limits.max_storage_buffers_per_shader_stage as usize
+        && 64 * RIMS_BESIDE <= limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
+    if is_apart || !fits {
         return (build(gpu, layout, constants, shape[0], draft(false)), false);
     }
     (build_for(gpu, layout, constants, shape[0], with_rims), true)
@@ -592,14 +599,14 @@ fn free_draft(
         // Eleven columns of 65 rows; see `free.wgsl`.
         body: [&exchange(715), &counts, include_str!("wgsl/lent.wgsl"), &table, &law.wgsl, &text].concat(),
         uses: [GRID, DIRECTORY, lent, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
-        uniform: Uniform::Table { stored },
-        groups: Groups::Exactly((worlds * free.bodies) as u32),
+        uniform: Uniform::Table { stored, counted: law.counted },
+        groups: Groups::Exactly((worlds * free.bodies) as u32 + 1),
         checked: true,
     };
     if !rims {
         return Draft { body: alone.body + include_str!("wgsl/free_alone.wgsl"), ..alone };
     }
-    let of_rims = at_rims(subcycled);
+    let of_rims = at_rims(subcycled, RIMS_BESIDE);
     let further: Vec<_> = of_rims.uses.into_iter().filter(|rim| alone.uses.iter().all(|own| own.2 != rim.2)).collect();
     Draft {
         name: "free bodies, rims",
@@ -705,7 +712,6 @@ fn build(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, worlds
 /// A pass that may bind more than adapters promise.
 fn build_for(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, worlds: usize, draft: Draft) -> Kernel {
     let device = &gpu.device;
-    let is_table = matches!(draft.uniform, Uniform::Params | Uniform::Table { .. });
     let stored = draft.is_table_stored(worlds);
     let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];
     let mut text = format!("{constants}{}", include_str!("wgsl/common.wgsl"));
@@ -725,7 +731,11 @@ fn build_for(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, wo
     text.push_str(&draft.body);
     let mut checks = wgpu::ShaderRuntimeChecks::checked();
     // Passes that read a table hold what plugins may have written.
-    checks.force_loop_bounding = is_table && draft.checked;
+    checks.force_loop_bounding = match draft.uniform {
+        Uniform::Params => draft.checked,
+        Uniform::Table { counted, .. } => !counted,
+        _ => false,
+    };
     checks.bounds_checks = draft.checked;
     let descriptor =
         wgpu::ShaderModuleDescriptor { label: Some(draft.name), source: wgpu::ShaderSource::Wgsl(text.into()) };
@@ -780,7 +790,7 @@ fn layer_constants(plan: &Plan, worlds: usize) -> String {
     let layers = worlds * levels;
     let (subcycled, most_drift, free) = (plan.substeps > 1, most_drift(plan), worlds * free_bodies(plan));
     format!(
-        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\nconst FREE_ROOM: u32 = {free}u;\n\
+        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\nconst FREE_ROOM: u32 = {free}u;\nconst RIMS_BESIDE: u32 = {RIMS_BESIDE}u;\n\
          const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\nconst SORT_SELDOM: u32 = {SORT_SELDOM}u;\n\
          const TOGETHER: u32 = {TOGETHER}u;\nconst ROUNDS: u32 = {ROUNDS}u;\n\
          const LEFT_HOME: u32 = {LEFT_HOME}u;\nconst BESIDE: u32 = {BESIDE}u;\nconst BESIDE_BY: u32 = {BESIDE_BY}u;\n\
@@ -1099,7 +1109,7 @@ fn restrict() -> Draft {
         Draft {
             name: "restrict",
             entry: "restrict_rims",
-            body: sums_of_tiles(1) + hand_on() + include_str!("wgsl/restrict.wgsl"),
+            body: sums_of_tiles(1) + &hand_on() + include_str!("wgsl/restrict.wgsl"),
             uses: vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, written(HANDED)],
             uniform: Uniform::None,
             groups: Groups::NodeBlocks,
@@ -1109,13 +1119,16 @@ fn restrict() -> Draft {
 }
 
 /// For passes in which rims hand something on.
-fn hand_on() -> &'static str {
-    concat!(
+fn hand_on() -> String {
+    [
+        exchange(256).as_str(),
         include_str!("wgsl/handed.wgsl"),
         include_str!("wgsl/hand_on.wgsl"),
+        include_str!("wgsl/sum_of_block.wgsl"),
         include_str!("wgsl/behind.wgsl"),
-        include_str!("wgsl/wall.wgsl")
-    )
+        include_str!("wgsl/wall.wgsl"),
+    ]
+    .concat()
 }
 
 /// For passes whose workgroups work on so many blocks at once.
@@ -1154,13 +1167,14 @@ fn flush(condition: &str) -> String {
     })
 }
 
-/// Velocities at rims and, subcycled, of nodes that two levels share, but for the pass's entry.
-fn at_rims(subcycled: bool) -> Draft {
+/// Velocities at rims and, subcycled, of nodes that two levels share, so many blocks a workgroup, but for the pass's entry.
+fn at_rims(subcycled: bool, blocks: u32) -> Draft {
     let take = "if (any_task & TAKES) != 0u {\nsolve_block(g, n, (all[abreast] & TAKES) != 0u);\n}";
     let own: String = if subcycled {
-        [&sums_of_tiles(4), include_str!("wgsl/handed_to.wgsl"), SHARED_NODES, include_str!("wgsl/solve.wgsl")].concat()
+        [&sums_of_tiles(blocks), include_str!("wgsl/handed_to.wgsl"), SHARED_NODES, include_str!("wgsl/solve.wgsl")]
+            .concat()
     } else {
-        [&abreast(4), include_str!("wgsl/velocity_at.wgsl"), include_str!("wgsl/prolong_tasks.wgsl")].concat()
+        [&abreast(blocks), include_str!("wgsl/velocity_at.wgsl"), include_str!("wgsl/prolong_tasks.wgsl")].concat()
     };
     let mut uses = vec![DIRECTORY, written(LISTS), GRID, RIMS, STATUS, LISTED];
     if subcycled {
@@ -1188,7 +1202,7 @@ fn at_rims(subcycled: bool) -> Draft {
 
 /// In a pass of its own.
 fn rims_alone(subcycled: bool) -> Draft {
-    let draft = at_rims(subcycled);
+    let draft = at_rims(subcycled, 4);
     Draft { body: [&exchange(256), &draft.body, include_str!("wgsl/rims_alone.wgsl")].concat(), ..draft }
 }
 
@@ -1273,9 +1287,11 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
     let mirrored = finish == Finish::Mirrored;
     let mirrors = if mirrored { images(include_str!("wgsl/mirrored.wgsl")) } else { String::new() };
     let rims = if levels { include_str!("wgsl/rim_sums.wgsl") } else { "" };
-    let shared = if_subcycled(SHARED_NODES).to_owned()
-        + if_subcycled(include_str!("wgsl/keep_back.wgsl"))
-        + if_subcycled(hand_on());
+    let shared = if subcycled {
+        [SHARED_NODES, include_str!("wgsl/keep_back.wgsl"), &hand_on()].concat()
+    } else {
+        String::new()
+    };
     let mut uses = vec![LISTS, GRID, STATUS];
     if mirrored {
         uses = vec![written(LISTS), GRID, STATUS, DIRECTORY];
@@ -1459,12 +1475,10 @@ const VERY_MANY: usize = 1 << 22;
 /// Origin of the materials that come with the project.
 const BUILT_IN: &str = "built-in";
 
-fn g2p(plan: &Plan, laws: &str, sleeps: bool, particles: usize) -> Draft {
-    // Particles of blocks asleep stay as they are. Whose they are is asked for while the first thread looks whether the step goes on: to ask for
-    // the block's state next would keep all waiting (a sixth of the pass on an H200), so that the mass is marked.
+fn g2p(plan: &Plan, laws: &str, sleeps: bool, [particles, layers]: [usize; 2]) -> Draft {
+    // Particles of blocks asleep stay as they are. To ask for the block's state would keep all waiting (a sixth of the pass on an H200), so that
+    // the mass is marked.
     let texts = [
-        ("$OWNER", "var owner = owners[min(first + thread, extent.particles - 1u)];"),
-        ("$NEXT_OWNER", "owner = owners[min(q + 128u, extent.particles - 1u)];"),
         ("$FIRST", "first_block = owner.x;"),
         ("$IF_AWAKE", " && (owner.y & OF_SLEEPERS) == 0u"),
         ("$NOTE_SPEED", "note_speed(b, v);"),
@@ -1481,15 +1495,35 @@ fn g2p(plan: &Plan, laws: &str, sleeps: bool, particles: usize) -> Draft {
              if atomicLoad(&greatest_move) == 0u {\nreturn;\n}",
         ),
     ];
-    let (by_workgroup, each) = if particles < VERY_MANY {
-        (128, "let q = first + thread;\nif q < extent.particles")
+    let asks = layers > 1 || sleeps;
+    let (by_workgroup, each, next) = if particles < VERY_MANY {
+        (128, "let q = first + thread;\nif q < extent.particles", "")
     } else {
         (
             512,
             "let end = min(first + BY_WORKGROUP, extent.particles);\nfor (var q = first + thread; q < end; q += 128u)",
+            "ask(q + 128u);",
         )
     };
+    let of_one = if asks {
+        [
+            ("$ASKING", include_str!("wgsl/asking.wgsl")),
+            ("$ASK", "ask(first + thread);"),
+            ("$OWN_BLOCK", "owner.x"),
+            ("$OF_PARTICLE", "let mass = bitcast<f32>(owner.y);\nlet p = place;"),
+            ("$NEXT", next),
+        ]
+    } else {
+        [
+            ("$ASKING", ""),
+            ("$ASK", ""),
+            ("$OWN_BLOCK", "owners[q].x"),
+            ("$OF_PARTICLE", "let mass = bitcast<f32>(owners[q].y);\nlet p = record[vector(q, 0u)];"),
+            ("$NEXT", ""),
+        ]
+    };
     let body = with_sleep(sleeps, include_str!("wgsl/g2p.wgsl"), &texts).replace("$GATHER", &gather());
+    let body = of_one.iter().fold(body, |body, (at, text)| body.replace(at, text));
     let body = format!("const BY_WORKGROUP: u32 = {by_workgroup}u;\n") + &body.replace("$EACH", each);
     let watch = if sleeps { [WATCH_WORDS, include_str!("wgsl/watch_g2p.wgsl")].concat() } else { String::new() };
     let mut uses = vec![written(RECORD), written(REST), OWNERS, LISTS, NODES, STATUS];

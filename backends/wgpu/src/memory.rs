@@ -67,7 +67,7 @@ pub(crate) struct Asked {
 /// Bytes of free bodies, their states in a submission, and the nodes inside them.
 pub(crate) fn lent_bytes(free: Free, worlds: usize) -> u64 {
     let touches = 256 * free.rooms().div_ceil(4) * TOUCH;
-    16 * (worlds * free.bodies * (LENT + (MAX_SLOTS + 1) * STATE + touches)) as u64
+    16 * (worlds * free.bodies * (LENT + (MAX_SLOTS + 2) * STATE + touches)) as u64
 }
 
 /// `Extent` of `common.wgsl`.

@@ -5,7 +5,11 @@
 // dissipative even where the iteration has not converged. All sums are in a fixed order.
 //
 // A body has some hundreds of nodes inside, and two iterations do: time goes by in waiting for memory and for one another. So all threads take up
-// the body, each keeps the nodes that it finds, and what one thread can do by itself is not shared.
+// the body, each keeps the nodes that it finds, and what one thread can do by itself is not shared. Where a workgroup is wider than this needs, the
+// threads beyond come along and keep none.
+//
+// Where a slot has many particles, this text has left a GPU's caches when its turn comes, and is fetched piece by piece on the way. So one workgroup
+// more goes through the solution at once, with nodes of a slot before, while the others still look for theirs. What it finds nobody reads.
 
 // As in `contact.rs`, but for the tolerance: f32 carries seven digits, of which sums over nodes lose some.
 const MAX_ITERATIONS: u32 = 24u;
@@ -22,7 +26,8 @@ const SECANT: u32 = 1u;
 const LAST: u32 = 2u;
 const DONE: u32 = 3u;
 
-// Columns of sums, and rows of each, with room between them so that threads do not wait for the same bank.
+// Threads that keep nodes. Columns of sums, and rows of each, with room between them so that threads do not wait for the same bank.
+const THREADS: u32 = 256u;
 const COLUMNS: u32 = 11u;
 const ROWS: u32 = 64u;
 const COLUMN: u32 = 65u;
@@ -54,7 +59,7 @@ var<workgroup> met: Twist;
 var<workgroup> gained: Twist;
 
 // What each thread knows of the body: mass [kg], inertia [kg m2], world frame, and its inverse [1/(kg m2)], body frame; where it is; its angular momentum, and
-// its twist without the contact at hand.
+// its twist without the contact at hand, and the one that is expected with it.
 var<private> body_mass: f32;
 var<private> inertia: mat3x3<f32>;
 var<private> inverse: mat3x3<f32>;
@@ -63,11 +68,14 @@ var<private> place: vec4<u32>;
 var<private> rotation: vec4<u32>;
 var<private> momentum: vec3<f32>;
 var<private> free: Twist;
+var<private> expected: Twist;
 // Impulses in the slot, and counts.
 var<private> impulse: vec3<f32>;
 var<private> angular_impulse: vec3<f32>;
 var<private> deep_nodes: u32;
 var<private> unconverged: u32;
+// Is all this only for the text to be there? See above.
+var<private> rehearses: bool;
 // Nodes that the thread keeps.
 var<private> kept_touches: u32;
 // What the first thread alone knows of the iteration.
@@ -90,11 +98,11 @@ fn seen_from_world(tensor: mat3x3<f32>, q: vec4<f32>) -> mat3x3<f32> {
     return transpose(back) * tensor * back;
 }
 
-// The angular velocity that the angular momentum makes at a rotation.
-fn spin(q: vec4<f32>) -> vec3<f32> {
+// The angular velocity that an angular momentum makes at a rotation.
+fn spin(q: vec4<f32>, turning_momentum: vec3<f32>) -> vec3<f32> {
     let rows = rows_of(q);
     let back = mat3x3<f32>(rows[0], rows[1], rows[2]);
-    return (inverse * (back * momentum)) * back;
+    return (inverse * (back * turning_momentum)) * back;
 }
 
 // What turning by `angle` [rad] adds to a rotation.
@@ -117,7 +125,9 @@ fn take_up(k: u32, at: u32, is_first: bool) {
     momentum = real(lent[at + 4u]).xyz;
     let q = rotation_of(rotation);
     inertia = seen_from_world(tensor_at(k * LENT), q);
-    free = Twist(real(lent[at + 3u]).xyz, spin(q));
+    free = Twist(real(lent[at + 3u]).xyz, spin(q, momentum));
+    let before = real(lent[at + 5u]).xyz;
+    let angular_before = real(lent[at + 6u]).xyz;
     if is_first {
         var gravity = step.gravity;
         if GRAVITY_GROWS {
@@ -127,8 +137,14 @@ fn take_up(k: u32, at: u32, is_first: bool) {
     } else {
         deep_nodes = lent[at + 3u].w;
         unconverged = lent[at + 4u].w;
-        impulse = real(lent[at + 5u]).xyz;
-        angular_impulse = real(lent[at + 6u]).xyz;
+        impulse = before;
+        angular_impulse = angular_before;
+    }
+    expected = free;
+    // From one slot of a step to the next impulses change little. What lies before a step is not looked at: it may have been another submission's.
+    if is_first && slot_now() % SUBSTEPS != 0u {
+        expected.linear += before / body_mass;
+        expected.angular = spin(q, momentum + angular_before);
     }
 }
 
@@ -171,7 +187,7 @@ fn find_touches(k: u32, level: u32, thread: u32) {
         let r = room + thread;
         let at = vec3<u32>(r % size.x, (r / size.x) % size.y, r / (size.x * size.y));
         var g = NONE;
-        if r < all_rooms {
+        if thread < THREADS && r < all_rooms {
             // Bodies do not reach round a periodic world.
             let b = first + vec3<i32>(at);
             let here = place_in_box(layer_now, b);
@@ -181,7 +197,7 @@ fn find_touches(k: u32, level: u32, thread: u32) {
         }
         let bit = 1u << (thread & 31u);
         if g != NONE {
-            atomicOr(&filled[own], bit);
+            atomicOr(&filled[own & 7u], bit);
         }
         workgroupBarrier();
         let one = vec4<u32>(atomicLoad(&filled[0]), atomicLoad(&filled[1]), atomicLoad(&filled[2]), atomicLoad(&filled[3]));
@@ -192,13 +208,13 @@ fn find_touches(k: u32, level: u32, thread: u32) {
         if g != NONE {
             let before = dot(count, vec4<u32>(vec4<u32>(0u, 1u, 2u, 3u) < vec4<u32>(own)))
                 + dot(more, vec4<u32>(vec4<u32>(4u, 5u, 6u, 7u) < vec4<u32>(own)));
-            blocks[before + countOneBits(atomicLoad(&filled[own]) & (bit - 1u))] = vec2<u32>(g, (at.x << 20u) | (at.y << 10u) | at.z);
+            blocks[before + countOneBits(atomicLoad(&filled[own & 7u]) & (bit - 1u))] = vec2<u32>(g, (at.x << 20u) | (at.y << 10u) | at.z);
         }
         workgroupBarrier();
         if thread < 8u {
             atomicStore(&filled[thread], 0u);
         }
-        for (var start = thread >> 6u; start < listed; start += 128u) {
+        for (var start = select(listed, thread >> 6u, thread < THREADS); start < listed; start += 128u) {
             // Those with ground in the box, as bits.
             var candidates = 0u;
             for (var turn = 0u; turn < 32u && start + 4u * turn < listed; turn += 8u) {
@@ -502,7 +518,10 @@ fn decide() {
         let converged = weight == 1.0 && size <= TOLERANCE * speed + noise;
         if !converged && iterations < MAX_ITERATIONS {
             frozen = moved;
-            mode = TANGENT;
+            // Newton's steps square what is missing. Where a small one was found and nodes slide, the secant's tells as well whether that was all, and
+            // serves as the last.
+            let was_small = weight == 1.0 && size * size <= TOLERANCE * speed * speed + noise * noise;
+            mode = select(TANGENT, SECANT, mode == TANGENT && slid && was_small);
             if size <= SMALL * speed + noise {
                 weight = min(HEAVIER * weight, 1.0);
             }
@@ -526,7 +545,11 @@ fn decide() {
 
 // The body meets the nodes of a level.
 fn meet(k: u32, level: u32, thread: u32) {
-    find_touches(k, level, thread);
+    if rehearses {
+        kept_touches = u32(thread < THREADS);
+    } else {
+        find_touches(k, level, thread);
+    }
     if kept_touches > 0u {
         atomicStore(&touching, 1u);
     }
@@ -537,13 +560,13 @@ fn meet(k: u32, level: u32, thread: u32) {
         deep_nodes += atomicLoad(&deep);
         atomicStore(&deep, 0u);
         iterations = 0u;
-        frozen = free;
+        frozen = expected;
     }
     if workgroupUniformLoad(&mode) == DONE {
         return;
     }
     // A step more for each direction that is replaced, and the last.
-    for (var turn = 0u; turn < 2u * MAX_ITERATIONS + 1u; turn++) {
+    for (var turn = 0u; turn < select(2u * MAX_ITERATIONS + 1u, 1u, rehearses); turn++) {
         let now = workgroupUniformLoad(&mode);
         if now == DONE {
             break;
@@ -562,6 +585,9 @@ fn meet(k: u32, level: u32, thread: u32) {
         if !hold.held {
             continue;
         }
+        if rehearses {
+            break;
+        }
         let of_surface = velocity_of(surface, touch.arm);
         let u = touch.velocity - of_surface;
         let kept = of_surface + (1.0 - hold.drag) * (u - dot(u, hold.normal) * hold.normal);
@@ -576,7 +602,8 @@ fn meet(k: u32, level: u32, thread: u32) {
     angular_impulse += gained.angular;
     momentum += gained.angular;
     free.linear += gained.linear / body_mass;
-    free.angular = spin(rotation_of(rotation));
+    free.angular = spin(rotation_of(rotation), momentum);
+    expected = free;
     workgroupBarrier();
     if thread == 0u {
         atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&fastest_node));
@@ -589,7 +616,7 @@ fn meet(k: u32, level: u32, thread: u32) {
 
 // Notes what contact made of the body, and moves it if that is the slot's first.
 fn finish(k: u32) {
-    let next = state_at(k, slot_now() + 1u);
+    let next = state_at(k, select(slot_now(), MAX_SLOTS, rehearses) + 1u);
     if !SUBCYCLED || step.first_level == 0u {
         move_on(k, next);
     }
@@ -605,7 +632,7 @@ fn move_on(k: u32, next: u32) {
     var angular = free.angular;
     for (var again = 0u; again < 4u; again++) {
         let before = angular;
-        angular = spin(q + turning(q, 0.5 * step.dt * angular));
+        angular = spin(q + turning(q, 0.5 * step.dt * angular), momentum);
         if all(abs(angular - before) <= 1e-7 * abs(before)) {
             break;
         }
@@ -633,11 +660,15 @@ fn move_on(k: u32, next: u32) {
     lent[next] = vec4<u32>(bitcast<vec3<u32>>(cell), u32(!(fits && is_slow)));
     lent[next + 1u] = place;
     lent[next + 2u] = rotation;
-    $STAY_AWAKE
+    if !rehearses {
+        $STAY_AWAKE
+    }
 }
 
-// What happens to a body in a slot.
-fn free_body(k: u32, thread: u32) {
+// What happens to a body in a slot. Behind the last one stands the workgroup that rehearses.
+fn free_body(w: u32, thread: u32) {
+    rehearses = w >= WORLDS * FREES;
+    let k = select(w, 0u, rehearses);
     let is_first = !SUBCYCLED || step.first_level == 0u;
     let at = state_at(k, state_now());
     layer_now = k / FREES * LEVELS;

@@ -23,14 +23,7 @@ fn ready(is_first: bool) -> u32 {
     return 1u;
 }
 
-// The layer of a particle.
-fn layer_of(q: u32) -> u32 {
-    if LAYERS == 1u {
-        return 0u;
-    }
-    return u32(lists[owners[min(q, extent.particles - 1u)].x * ENTRY].w);
-}
-
+$ASKING
 // First node of a node block, by its place among the 27 around block `b`.
 fn first_node(b: u32, x: u32, y: u32, z: u32) -> u32 {
     let which = x * 9u + y * 3u + z;
@@ -39,8 +32,7 @@ fn first_node(b: u32, x: u32, y: u32, z: u32) -> u32 {
 
 // Carries a particle of block `b` through the step; the bits of its greatest move along an axis [cells].
 fn carry(q: u32, b: u32) -> u32 {
-    let mass = bitcast<f32>(owners[q].y);
-    let p = record[vector(q, 0u)];
+    $OF_PARTICLE
     // Needed only later, but asked for now, so that it comes together with the nodes.
     let held = held_by(q);
     var cell = cell_of(p.w);
@@ -77,19 +69,18 @@ fn carry(q: u32, b: u32) -> u32 {
 @compute @workgroup_size(128)
 fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let first = (group.y * extent.row + group.x) * BY_WORKGROUP;
-    $OWNER
+    $ASK
     if thread == 0u {
         go = ready(first == 0u);
-        first_layer = layer_of(first);
+        first_layer = layer_now;
         $FIRST
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
     $EACH {
-        layer_now = layer_of(q);
         if is_live(layer_now)$IF_AWAKE {
-            let by_most = carry(q, owners[q].x);
+            let by_most = carry(q, $OWN_BLOCK);
             // Threads that would change nothing need not queue.
             if layer_now != first_layer {
                 atomicMax(&status[step_word(step.number, layer_now, MOVE)], by_most);
@@ -97,7 +88,7 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
                 atomicMax(&greatest_move, by_most);
             }
         }$ELSE
-        $NEXT_OWNER
+        $NEXT
     }
     workgroupBarrier();
     if thread == 0u {

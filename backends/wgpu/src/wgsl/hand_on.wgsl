@@ -3,12 +3,15 @@
 // the even index 2I has the parents I (3/4) and I - 1 (1/4), one at 2I + 1 has I and I + 1. So the parents of a block's nodes, and
 // the parent cells around it, are 4x4x4, from one before the block's first on.
 
-// Of parent cells, then about nodes, then of nodes: columns of m C, with the mass behind the first.
-var<workgroup> columns: array<array<vec4<f32>, 3>, 64>;
-// Momentum and mass of nodes; then of parents.
-var<workgroup> sums: array<vec4<f32>, 64>;
-var<workgroup> impulses: array<vec3<f32>, 64>;
+// In `exchange` there stand, column by column, columns of m C, with the mass behind the first: of parent cells, then about nodes, then of nodes. Behind
+// them, momentum and mass of nodes; then of parents.
+const SUMS: u32 = 192u;
+
 var<workgroup> is_walled: u32;
+
+fn column(n: u32, j: u32) -> u32 {
+    return 64u * j + n;
+}
 
 // Brings the parent cell with the place of this thread; behind a mirror stands the image of one before it.
 fn fetch_parent_cell(layer: u32, first: vec3<i32>, n: u32) {
@@ -34,10 +37,10 @@ fn fetch_parent_cell(layer: u32, first: vec3<i32>, n: u32) {
     let is_summed = b != NONE && rims[extent.node_room + min(b, extent.block_room - 1u)].x != 0u;
     let inner = vec3<u32>(cell & vec3<i32>(1));
     for (var j = 0u; j < 3u; j++) {
-        columns[n][j] = vec4<f32>(0.0);
+        exchange[column(n, j)] = vec4<f32>(0.0);
         if is_summed {
             let held = handed[of_parent_cell(b, inner.x * 4u + inner.y * 2u + inner.z, j)];
-            columns[n][j] = vec4<f32>(signs * turned[j] * held.xyz, held.w);
+            exchange[column(n, j)] = vec4<f32>(signs * turned[j] * held.xyz, held.w);
         }
     }
 }
@@ -50,10 +53,12 @@ fn spread(n: u32, place: i32, stride: u32) {
     let after = select(1.0 / 32.0, 9.0 / 32.0, is_odd);
     var to: array<vec4<f32>, 3>;
     for (var j = 0u; j < 3u; j++) {
-        to[j] = before * columns[first][j] + 0.6875 * columns[first + stride][j] + after * columns[first + 2u * stride][j];
+        to[j] = before * exchange[column(first, j)] + 0.6875 * exchange[column(first + stride, j)] + after * exchange[column(first + 2u * stride, j)];
     }
     workgroupBarrier();
-    columns[n] = to;
+    for (var j = 0u; j < 3u; j++) {
+        exchange[column(n, j)] = to[j];
+    }
     workgroupBarrier();
 }
 
@@ -71,8 +76,8 @@ fn of_children(parent: vec3<i32>) -> vec4<f32> {
                 let child = u32(within.x * 16 + within.y * 4 + within.z);
                 let way = 2.0 * vec3<f32>(parent) - vec3<f32>(1.5) - vec3<f32>(within);
                 let share = vec3<f32>(1.0) - 0.5 * abs(way);
-                let carried = columns[child][0].xyz * way.x + columns[child][1].xyz * way.y + columns[child][2].xyz * way.z;
-                let given = share.x * share.y * share.z * (sums[child] + vec4<f32>(carried, 0.0));
+                let carried = exchange[column(child, 0u)].xyz * way.x + exchange[column(child, 1u)].xyz * way.y + exchange[column(child, 2u)].xyz * way.z;
+                let given = share.x * share.y * share.z * (exchange[SUMS + child] + vec4<f32>(carried, 0.0));
                 sum += select(vec4<f32>(0.0), given, all(at <= last));
             }
         }
@@ -91,7 +96,7 @@ fn mirrored(layer: u32, first: vec3<i32>, n: u32) -> Mirrored {
     let cell = first + local_of(n);
     let behind = ((LOW != vec3<u32>(0u)) & (cell < low)) | ((HIGH != vec3<u32>(0u)) & (cell >= high));
     if any(behind) {
-        out.gain = -sums[n];
+        out.gain = -exchange[SUMS + n];
         return out;
     }
     for (var which = 1u; which < 8u; which++) {
@@ -109,7 +114,7 @@ fn mirrored(layer: u32, first: vec3<i32>, n: u32) -> Mirrored {
             }
         }
         if exists {
-            let given = sums[u32(image.x * 16 + image.y * 4 + image.z)];
+            let given = exchange[SUMS + u32(image.x * 16 + image.y * 4 + image.z)];
             out.gain += vec4<f32>(signs, 1.0) * given;
             out.impulse += (signs - vec3<f32>(1.0)) * given.xyz;
         }
@@ -128,12 +133,12 @@ fn hand_on(g: u32, entry: u32, n: u32, node: vec4<f32>) {
     spread(n, place.y, 4u);
     spread(n, place.z, 1u);
 
-    let near = columns[n][0].w;
+    let near = exchange[column(n, 0u)].w;
     let part = select(0.0, node.w / near, near > 0.0);
     for (var j = 0u; j < 3u; j++) {
-        columns[n][j] *= part;
+        exchange[column(n, j)] *= part;
     }
-    sums[n] = node;
+    exchange[SUMS + n] = node;
     workgroupBarrier();
     var sum = of_children(place);
     // Elsewhere, walls give nothing.
@@ -141,18 +146,13 @@ fn hand_on(g: u32, entry: u32, n: u32, node: vec4<f32>) {
         is_walled = u32(has_nodes_behind(layer + 1u, first));
     }
     if workgroupUniformLoad(&is_walled) != 0u {
-        sums[n] = sum;
+        exchange[SUMS + n] = sum;
         workgroupBarrier();
         let gain = mirrored(layer, first, n);
         sum += gain.gain;
-        impulses[n] = gain.impulse;
-        workgroupBarrier();
+        let total = sum_of_block(n, gain.impulse);
         if n == 0u {
-            var total = vec3<f32>(0.0);
-            for (var t = 0u; t < 64u; t++) {
-                total += impulses[t];
-            }
-            lists[entry + PENDING] = vec4<i32>(bitcast<vec3<i32>>(total), 0);
+            lists[entry + PENDING] = vec4<i32>(bitcast<vec3<i32>>(total.xyz), 0);
         }
     }
     handed[g * 64u + n] = sum;

@@ -3,7 +3,7 @@
 // For each, world by world, there stand in `lent` LENT vectors that stay: three rows of the inertia, body frame [kg m2], with mass [kg], its
 // inverse, and the extent; three rows of the inertia's inverse, with the body's number, how far a surface may move in a step, and
 // how many levels it meets, none if there is no such body; the leash: least and greatest displacement; and the cell and the place in it at the start.
-// Behind those there stand the states before each slot, and after the last: cell, and whether the host must look before the next step; place in the
+// Behind those there stand the states before each slot, after the last, and one that is not read: cell, and whether the host must look before the next step; place in the
 // cell, in 2^-32, and how far turning has moved the surface; rotation (x, y, z, w), in 2^-30; velocity [m/s], and nodes deep inside; angular
 // momentum [kg m2/s], and solutions that did not converge; and, in the slot before, impulse [N s] and angular impulse [N m s] from the ground.
 // All that a state holds, doubles hold, too: it does not matter how steps are cut into submissions.
@@ -52,5 +52,5 @@ fn in_level(cell: vec3<i32>, place: vec3<f32>, corner: vec3<f32>, level: u32, sh
 // TOUCH vectors, arm [m] and mass [kg], velocity [m/s] and the node with, from bit 30 on, the kind of grip, normal and friction. There are no more than ROOMS
 // blocks in a body's box, so that a thread keeps EACH nodes at most.
 const TOUCH: u32 = 3u;
-const TOUCHES: u32 = WORLDS * FREES * (LENT + (MAX_SLOTS + 1u) * STATE);
+const TOUCHES: u32 = WORLDS * FREES * (LENT + (MAX_SLOTS + 2u) * STATE);
 const EACH: u32 = (ROOMS + 3u) / 4u;

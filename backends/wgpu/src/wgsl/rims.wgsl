@@ -13,7 +13,10 @@ fn rims_of(first: u32, thread: u32) {
         tasks[abreast] = tasks_of(listed_one);
     }
     let all = workgroupUniformLoad(&tasks);
-    let any_task = all[0] | all[1] | all[2] | all[3];
+    var any_task = 0u;
+    for (var k = 0u; k < ABREAST; k++) {
+        any_task |= all[k];
+    }
     let g = min(listed_one, extent.node_room - 1u);
     $TAKE
     if (any_task & MOVES) != 0u {

@@ -2,8 +2,6 @@
 // Lists blocks of each kind, and counts the workgroups of passes: for each end among the levels, those of all levels before. Worlds of a batch
 // stand one behind the other, with all their levels: there passes visit all. P2G visits those that give to shared nodes twice. One workgroup.
 const FOUND: u32 = LIST_KINDS + 4u;
-// So many workgroups of rims begin at once on large GPUs, whatever else is there.
-const ONE_TURN: u32 = 120u;
 
 var<workgroup> found: array<vec3<u32>, 256>;
 
@@ -42,8 +40,7 @@ fn found_before(which: u32, level: u32) -> u32 {
     }
     if which >= 2u + LIST_KINDS {
         let at_rims = listed_before(AT_RIM, node_blocks);
-        let in_fours = (at_rims + 3u) / 4u;
-        return select(FREE_ROOM + max(min(in_fours, ONE_TURN), (at_rims + 7u) / 8u), in_fours, which == 2u + LIST_KINDS);
+        return select(FREE_ROOM + 1u + (at_rims + RIMS_BESIDE - 1u) / RIMS_BESIDE, (at_rims + 3u) / 4u, which == 2u + LIST_KINDS);
     }
     // There are no fewer blocks of nodes than blocks.
     return listed_before(which - 2u, node_blocks);
