@@ -110,8 +110,8 @@ impl NodeBatch {
 /// What [`Coupling::contact`] does, as a device can do it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DeviceLaw {
-    /// Do all loops of the text count to a bound that they find at their start, whatever the tables hold? Only if so are they left as they are:
-    /// else the backend counts along in each, lest one hold a device for ever.
+    /// Do all loops of the text count to a bound that they find at their start? Only if so are they left as they are: of a loop without an end
+    /// a driver's compiler may make anything, so that else the backend counts along in each, which costs time.
     pub counted: bool,
     /// WGSL: pure functions, which may read `fn coupling_table(i: u32) -> vec4<f32>` and, if there are samples,
     /// `fn coupling_sample(i: u32) -> vec4<f32>`, which the backend adds. Among them is, for bodies whose motion over a step does not depend on

@@ -431,7 +431,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
                 let motion = free_draft([plan.substeps > 1, may_sleep(plan), rims], &law, 1, [1, 1], free);
                 let of_rims = if plan.substeps > 1 { "solve" } else { "prolong" };
                 let when = if rims {
-                    format!(", in place of that and {of_rims}, if levels follow them all and a pass may bind so much")
+                    format!(", in place of that and {of_rims}, if levels follow them all and a pass may bind so much and be so wide")
                 } else {
                     String::new()
                 };
@@ -549,7 +549,7 @@ pub(crate) fn free_bodies(plan: &Plan) -> usize {
 const RIMS_BESIDE: u32 = 8;
 
 /// The pass of free bodies, their contact and their motion, and whether it does what is to be done at rims, too: so it is if no body `roams`, which
-/// is to come near coarser levels, and if the adapter lets a pass bind so much.
+/// is to come near coarser levels, and if the adapter lets a pass bind so much and its workgroups be so wide.
 pub(crate) fn free(
     gpu: &Gpu,
     kernels: &Kernels,
@@ -739,7 +739,7 @@ fn build_for(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, wo
     checks.bounds_checks = draft.checked;
     let descriptor =
         wgpu::ShaderModuleDescriptor { label: Some(draft.name), source: wgpu::ShaderSource::Wgsl(text.into()) };
-    // SAFETY: without plugins' text, all loops count to a bound that they find at their start, or walk a list that has no circles;
+    // SAFETY: without plugins' text, or if that says so of its own, all loops count to a bound that they find at their start, or walk a list that has no circles;
     // a pass whose indices are not checked says why they are in range.
     let module = unsafe { device.create_shader_module_trusted(descriptor, checks) };
     let layout = device
