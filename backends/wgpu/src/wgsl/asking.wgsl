@@ -1,6 +1,6 @@
 
-// Where there are layers, the first things that must be known of a particle wait for one another, and are asked for before it is known whether the step
-// goes on: its block and mass, its place, and its layer. Where there is one layer alone that would cost an H200 a twentieth of the pass.
+// Where there are layers, or ground sleeps, the first things that must be known of a particle wait for one another, and are asked for before it is known
+// whether the step goes on: its block and mass, its place, and its layer. Where there is one layer alone, awake, that would cost an H200 4 % of the pass.
 var<private> owner: vec2<u32>;
 var<private> place: vec4<u32>;
 

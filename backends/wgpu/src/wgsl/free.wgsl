@@ -150,7 +150,7 @@ fn take_up(k: u32, at: u32, is_first: bool) {
 
 // One past the last level that the body meets in this pass; 0 if there is nothing to do.
 fn last_level(k: u32, at: u32, is_first: bool) -> u32 {
-    if k >= WORLDS * FREES || atomicLoad(&status[HALTED]) != 0u || (LAYERS > 1u && layers[layer_now].on == 0u) {
+    if atomicLoad(&status[HALTED]) != 0u || (LAYERS > 1u && layers[layer_now].on == 0u) {
         return 0u;
     }
     let levels = lent[k * LENT + 5u].w;
@@ -183,7 +183,7 @@ fn find_touches(k: u32, level: u32, thread: u32) {
     kept_touches = 0u;
     let own = thread >> 5u;
     let all_rooms = workgroupUniformLoad(&rooms);
-    for (var room = 0u; room < all_rooms; room += 256u) {
+    for (var room = 0u; room < all_rooms; room += THREADS) {
         let r = room + thread;
         let at = vec3<u32>(r % size.x, (r / size.x) % size.y, r / (size.x * size.y));
         var g = NONE;
@@ -197,7 +197,7 @@ fn find_touches(k: u32, level: u32, thread: u32) {
         }
         let bit = 1u << (thread & 31u);
         if g != NONE {
-            atomicOr(&filled[own & 7u], bit);
+            atomicOr(&filled[own], bit);
         }
         workgroupBarrier();
         let one = vec4<u32>(atomicLoad(&filled[0]), atomicLoad(&filled[1]), atomicLoad(&filled[2]), atomicLoad(&filled[3]));
@@ -208,7 +208,7 @@ fn find_touches(k: u32, level: u32, thread: u32) {
         if g != NONE {
             let before = dot(count, vec4<u32>(vec4<u32>(0u, 1u, 2u, 3u) < vec4<u32>(own)))
                 + dot(more, vec4<u32>(vec4<u32>(4u, 5u, 6u, 7u) < vec4<u32>(own)));
-            blocks[before + countOneBits(atomicLoad(&filled[own & 7u]) & (bit - 1u))] = vec2<u32>(g, (at.x << 20u) | (at.y << 10u) | at.z);
+            blocks[before + countOneBits(atomicLoad(&filled[own]) & (bit - 1u))] = vec2<u32>(g, (at.x << 20u) | (at.y << 10u) | at.z);
         }
         workgroupBarrier();
         if thread < 8u {
@@ -254,8 +254,8 @@ fn find_touches(k: u32, level: u32, thread: u32) {
                         let normal = vec3<f32>(dot(rows[0], grip.normal), dot(rows[1], grip.normal), dot(rows[2], grip.normal));
                         let to = touch_at(k, kept_touches, thread);
                         lent[to] = bitcast<vec4<u32>>(vec4<f32>(arm, mass));
-                        lent[to + 256u] = vec4<u32>(bitcast<vec3<u32>>(node.xyz), (g * 64u + n) | (grip.kind << 30u));
-                        lent[to + 512u] = bitcast<vec4<u32>>(vec4<f32>(normal, grip.friction));
+                        lent[to + THREADS] = vec4<u32>(bitcast<vec3<u32>>(node.xyz), (g * 64u + n) | (grip.kind << 30u));
+                        lent[to + 2u * THREADS] = bitcast<vec4<u32>>(vec4<f32>(normal, grip.friction));
                         kept_touches++;
                         if grip.deep {
                             atomicAdd(&deep, 1u);
@@ -284,14 +284,14 @@ fn mass_at(start: u32, turn: u32, listed: u32, thread: u32) -> f32 {
 
 // Where a node that a thread keeps stands.
 fn touch_at(k: u32, i: u32, thread: u32) -> u32 {
-    return TOUCHES + (k * EACH + i) * TOUCH * 256u + thread;
+    return TOUCHES + (k * EACH + i) * TOUCH * THREADS + thread;
 }
 
 fn touch_of(k: u32, i: u32, thread: u32) -> Touch {
     let at = touch_at(k, i, thread);
     let arm = real(lent[at]);
-    let how = lent[at + 256u];
-    let grip = real(lent[at + 512u]);
+    let how = lent[at + THREADS];
+    let grip = real(lent[at + 2u * THREADS]);
     return Touch(arm.xyz, arm.w, real(how).xyz, how.w & 0x3fffffffu, CouplingGrip(how.w >> 30u, grip.xyz, grip.w, false));
 }
 
