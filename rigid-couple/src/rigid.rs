@@ -16,8 +16,8 @@ use std::ops::Range;
 
 /// Depth inside a body, in cells, below which nodes move with it.
 const DEEP: f64 = 2.0;
-/// Free bodies are lent as long as their surfaces move by at most this much in a step [cells], and their boxes keep as far from walls and other
-/// bodies' boxes as two of them can come nearer; rapier looks ahead a little further, by less than this share of the smallest one's extent.
+/// Free bodies are lent as long as their surfaces move by at most this much in a step [cells], and their boxes keep as far from other bodies' boxes, and a
+/// cell further from walls, as two of them can come nearer; rapier looks ahead a little further, by less than this share of the smallest one's extent.
 const MOST_MOVE: f64 = 0.5;
 const CLEARANCE: f64 = 2.0 * MOST_MOVE;
 const LOOK_AHEAD: f64 = 0.01;
@@ -405,6 +405,8 @@ impl Rigid {
         let free = self.bodies.iter().filter(|body| body.free().is_some());
         let size = free.map(|body| body.extent).fold(f64::INFINITY, f64::min);
         let clearance = CLEARANCE * world.cell + LOOK_AHEAD * size;
+        // Nodes behind walls move as their images before them, which may be two layers of nodes. Those are not to be a body's.
+        let off_walls = clearance + world.cell;
         let mut leash = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
         let mut shorten = |axis: usize, upwards: bool, by: f64| {
             let end = if upwards { &mut leash.max[axis] } else { &mut leash.min[axis] };
@@ -417,10 +419,10 @@ impl Rigid {
                 if matches!(wall, Wall::Open | Wall::Periodic) {
                     continue;
                 }
-                if gap.is_nan() || gap <= clearance {
+                if gap.is_nan() || gap <= off_walls {
                     return None;
                 }
-                shorten(axis, upwards, gap - clearance);
+                shorten(axis, upwards, gap - off_walls);
             }
         }
         for (other, near) in self.bodies.iter().zip(boxes).enumerate().filter(|(i, _)| *i != of).map(|(_, pair)| pair) {

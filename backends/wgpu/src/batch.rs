@@ -3,11 +3,11 @@
 use crate::account;
 use crate::device::Gpu;
 use crate::free::{Felt, states};
-use crate::kernels::{self, Found, Free, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
+use crate::kernels::{self, Free, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, lent_bytes, read,
-    read_all, with_mapped, with_room,
+    Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, Writes, lent_bytes,
+    read, read_all, with_mapped, with_room,
 };
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
@@ -56,14 +56,14 @@ const NODE_BLOCKS: usize = 1;
 pub(crate) const HALTED: usize = 2;
 const HALT_STEP: usize = 3;
 const WHO: usize = 4;
-const NEW_BLOCKS: usize = 5;
-const NEW_NODE_BLOCKS: usize = 6;
-const SORTS: usize = 8;
-pub(crate) const COUNTED: usize = 9;
+const NEW_BLOCKS: usize = 6;
+const NEW_NODE_BLOCKS: usize = 7;
+const SORTS: usize = 9;
+pub(crate) const COUNTED: usize = 10;
 /// Blocks of nodes near bodies whose law runs on the host: gathered, and in the next word those on their way back.
-pub(crate) const NEAR: usize = 10;
+pub(crate) const NEAR: usize = 11;
 /// Blocks whose particles give to nodes that a finer level takes part in.
-const GIVERS: usize = 12;
+const GIVERS: usize = 13;
 /// Of a layer.
 const FIRST_BLOCK: usize = 0;
 const FIRST_NODE_BLOCK: usize = 1;
@@ -204,7 +204,7 @@ impl Contact {
         let Some(contact) = &self.device else { return ContactPasses::default() };
         let driven: &[Kernel] = if contact.needs.driven { &contact.kernels } else { &[] };
         let (free, with_rims) = contact.free.as_ref().map_or((None, false), |(free, rims)| (Some(free), *rims));
-        ContactPasses { driven, free, with_rims, roams: contact.needs.roams }
+        ContactPasses { driven, free, with_rims, roams: contact.needs.roams, on_host: false }
     }
 
     /// Free bodies of each world that the device has room for.
@@ -307,6 +307,20 @@ pub(crate) struct ContactPasses<'a> {
     free: Option<&'a Kernel>,
     with_rims: bool,
     roams: bool,
+    /// Does the law run on the host, where bodies come near walls and others?
+    on_host: bool,
+}
+
+impl ContactPasses<'_> {
+    /// None, for the law runs on the host.
+    pub(crate) fn on_host() -> Self {
+        Self { on_host: true, ..Self::default() }
+    }
+
+    /// May nodes near walls change after the grid's turn?
+    fn comes_to_walls(&self) -> bool {
+        self.on_host || self.roams || !self.driven.is_empty()
+    }
 }
 
 /// Writes down the passes of a submission.
@@ -346,7 +360,8 @@ impl<'a> Passes<'a> {
     fn constants_of(&mut self, dt: f64, levels: Range<usize>, slot: usize) -> usize {
         let constants = step_constants(self.h, dt, self.gravity, self.number);
         let (first_level, end_level) = (levels.start as u32, levels.end as u32);
-        self.constants.push(StepConstants { slot: slot as u32, first_level, end_level, ..constants });
+        let mirrors = u32::from(!self.contact.comes_to_walls());
+        self.constants.push(StepConstants { slot: slot as u32, first_level, end_level, mirrors, ..constants });
         self.constants.len() - 1
     }
 
@@ -407,7 +422,7 @@ impl<'a> Passes<'a> {
     /// What the levels whose steps end with a slot do once their velocities are whole.
     pub(crate) fn end_slot(&mut self, dt: f64, first: usize, slot: usize) {
         let (each, ending) = (dt / self.substeps(), ending(self.levels, slot));
-        let ContactPasses { driven, free, with_rims, roams } = self.contact;
+        let ContactPasses { driven, free, with_rims, roams, .. } = self.contact;
         if let (Some(free), false) = (free, with_rims) {
             // The finest level meets free bodies where they were, coarser ones where they have come, if they come near any.
             let coarser = if roams { 1..ending.end } else { 1..1 };
@@ -418,7 +433,9 @@ impl<'a> Passes<'a> {
         }
         let step = self.constants_of(each, ending, first + slot);
         self.run(step, driven);
-        self.run(step, self.kernels.behind_rims());
+        let kernels = self.kernels;
+        let reflects = !kernels.mirrored || self.contact.comes_to_walls();
+        self.run(step, kernels.reflect.iter().filter(|_| reflects).chain([&kernels.g2p]));
     }
 
     /// Steps of the finest level in one of the coarsest.
@@ -682,11 +699,7 @@ impl WgpuBatch {
 
     /// The constants of steps from a slot on: one write, since each takes the queue microseconds.
     pub(crate) fn write_steps(&self, slot: usize, constants: &[StepConstants]) {
-        let mut bytes = vec![0; STEP_STRIDE as usize * constants.len()];
-        for (room, constants) in bytes.chunks_exact_mut(STEP_STRIDE as usize).zip(constants) {
-            room[..size_of::<StepConstants>()].copy_from_slice(bytemuck::bytes_of(constants));
-        }
-        self.gpu.queue.write_buffer(&self.memory.steps, STEP_STRIDE * slot as u64, &bytes);
+        self.gpu.queue.write_buffer(&self.memory.steps, STEP_STRIDE * slot as u64, &padded(constants));
     }
 
     pub(crate) fn write_words(&self, from: usize, words: &[u32]) {
@@ -750,9 +763,6 @@ impl WgpuBatch {
             Groups::ParticlesBy(n) => self.particles_before(end).div_ceil(n),
             Groups::PlacesBy(n) => extent.places.div_ceil(n),
             Groups::Found(found) => {
-                // Subcycled, the next coarser level shares nodes with those whose step it is.
-                let shares = self.substeps > 1 && matches!(found, Found::RimsInFours | Found::BodiesAndRims);
-                let end = if shares { self.levels.min(end + 1) } else { end };
                 return Size::Counted(12 * (self.levels * found as usize + end - 1) as u64);
             }
         };
@@ -810,7 +820,13 @@ impl WgpuBatch {
 
     /// Takes steps of `dt` in stretches, each after a sort if it begins with one, without asking the device in between. The worlds
     /// that take part are given with their times [s].
-    fn submit(&mut self, active: &[(usize, f64)], dt: f64, stretches: &[Stretch]) -> Result<Outcome> {
+    fn submit(
+        &mut self,
+        active: &[(usize, f64)],
+        dt: f64,
+        stretches: &[Stretch],
+        mut writes: Writes,
+    ) -> Result<Outcome> {
         let count: usize = stretches.iter().map(|s| s.steps).sum();
         debug_assert!(
             count <= MAX_STEPS && !self.worlds.iter().any(|w| w.pending),
@@ -820,12 +836,12 @@ impl WgpuBatch {
         if sorts > 0 {
             self.cover_blocks(sorts)?;
         }
-        self.write_layers(&self.layers(|w| active.iter().any(|a| a.0 == w)));
-        let layout = self.memory.words();
-        self.write_words(HALTED, &[0, 0, u32::MAX]);
-        self.write_words(SORTS, &[0]);
-        let sums = layout.of_sum(0, 0);
-        self.write_words(sums, &self.fresh(sums, 0..count.max(1), dt, active));
+        writes.add(&self.memory.layers, 0, &self.layers(|w| active.iter().any(|a| a.0 == w)));
+        let status = self.memory.buffer(Role::Status, 0);
+        let sums = self.memory.words().of_sum(0, 0);
+        writes.add(status, 4 * HALTED as u64, &[0, 0, u32::MAX, 0]);
+        writes.add(status, 4 * SORTS as u64, &[0u32]);
+        writes.add(status, 4 * sums as u64, &self.fresh(sums, 0..count.max(1), dt, active));
 
         let measures = (self.h, self.fixed.gravity.0);
         let is_felt = active.iter().any(|(w, _)| self.worlds[*w].contact == Some(Place::Device));
@@ -852,10 +868,12 @@ impl WgpuBatch {
             }
             parts.push(Part { sorting, dispatches: std::mem::take(&mut passes.dispatches) });
         }
-        self.write_steps(0, &passes.constants);
+        writes.add(&self.memory.steps, 0, &padded(&passes.constants));
         let parts = self.with_groups(parts);
         let behind = states(free * self.worlds.len(), count * self.substeps);
-        let (status, lent) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, count.max(1), behind)?;
+        let steps = count.max(1);
+        let (status, lent) =
+            Self::run_after(&writes, &self.gpu, &mut self.memory, &mut self.clocks, &parts, steps, behind)?;
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
         for &(w, time) in active {
@@ -1010,6 +1028,19 @@ impl WgpuBatch {
         steps: usize,
         behind: impl IntoIterator<Item = Behind>,
     ) -> Result<(Status, Vec<u32>)> {
+        Self::run_after(&Writes::default(), gpu, memory, clocks, parts, steps, behind)
+    }
+
+    /// The same after writes.
+    fn run_after(
+        writes: &Writes,
+        gpu: &Gpu,
+        memory: &mut Memory,
+        clocks: &mut Clocks,
+        parts: &[(Part<'_>, Vec<Size>)],
+        steps: usize,
+        behind: impl IntoIterator<Item = Behind>,
+    ) -> Result<(Status, Vec<u32>)> {
         for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
             clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
         }
@@ -1026,6 +1057,7 @@ impl WgpuBatch {
         });
         let fresh = || gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let (mut encoder, mut unsent, mut piece) = (fresh(), 0, PIECE);
+        memory.write(gpu, &mut encoder, writes);
         for (i, (part, groups)) in parts.iter().enumerate() {
             if let Some(now) = part.sorting {
                 encoder.clear_buffer(memory.buffer(Role::Flags, now), 0, None);
@@ -1123,7 +1155,7 @@ impl WgpuBatch {
         // One that is done before it finds too little room for lists leaves nobody due for the next.
         let mut astray = false;
         loop {
-            let outcome = self.submit(&[(world, 0.0)], 0.0, &[Stretch { sort: true, steps: 0 }])?;
+            let outcome = self.submit(&[(world, 0.0)], 0.0, &[Stretch { sort: true, steps: 0 }], Writes::default())?;
             astray |= outcome.status.is_astray(self.layers_of(world));
             match outcome.halt {
                 None | Some(Halt::Fewer) => return Ok(astray),
@@ -1563,9 +1595,10 @@ impl WgpuBatch {
             }
             cut(&mut stretches, steps);
             self.write_bodies(turns, &driven, steps);
-            self.write_lent(turns, lent);
+            let mut writes = Writes::default();
+            self.write_lent(turns, lent, &mut writes);
             self.write_near(turns, &driven, steps)?;
-            let outcome = self.submit(&active, dt, &stretches)?;
+            let outcome = self.submit(&active, dt, &stretches, writes)?;
             if stretches[0].sort {
                 self.astray = outcome.halt == Some(Halt::Misplaced);
             }
@@ -1748,14 +1781,19 @@ impl WgpuBatch {
             moved: Vec::new(),
         };
         let bodies = self.contact.device.as_ref().map_or(0, |contact| contact.needs.bodies);
+        // Bodies that are all lent stay where they are until they come back: one step is like the next.
+        let all_lent = lent.len() == coupling.bodies().len();
+        let seen = if all_lent { count.min(1) } else { count };
         let mut go = || {
             let each = dt / self.substeps as f64;
             let levels = &self.worlds[turn.world].levels;
             // Soft ones are watched by the device.
             let softs = self.worlds[turn.world].softs.boxes(self.h);
-            for slot in 0..count * self.substeps {
+            for slot in 0..seen * self.substeps {
                 let at = turn.time + slot as f64 * each;
-                driven.near.push(sleep::near_tools(couplings, levels));
+                if self.may_sleep() {
+                    driven.near.push(sleep::near_tools(couplings, levels));
+                }
                 couplings[0].before_step(at, each)?;
                 // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
                 let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
@@ -1777,12 +1815,17 @@ impl WgpuBatch {
             go_back(turn.couplings, &Some(driven), 0)?;
             return Err(error);
         }
+        if all_lent {
+            go_on(&mut driven.after, count);
+            go_on(&mut driven.saved, count + 1);
+            go_on(&mut driven.near, count * self.substeps);
+        }
         Ok(Some(driven))
     }
 
     /// Tells the device where bodies are in each step.
     fn write_bodies(&self, turns: &[Turn<'_>], driven: &BTreeMap<usize, Option<Driven>>, steps: usize) {
-        let Some(contact) = &self.contact.device else { return };
+        let Some(contact) = self.contact.device.as_ref().filter(|contact| contact.needs.driven) else { return };
         let each = self.levels * contact.needs.bodies * BODY as usize;
         // Of worlds that have none there.
         let nowhere = NOWHERE.repeat(steps * self.substeps * self.worlds.len() * each / NOWHERE.len());
@@ -1799,6 +1842,9 @@ impl WgpuBatch {
 
     /// Tells the device near what nothing sleeps in each step.
     fn write_near(&mut self, turns: &[Turn<'_>], driven: &BTreeMap<usize, Option<Driven>>, steps: usize) -> Result<()> {
+        if !self.may_sleep() {
+            return Ok(());
+        }
         let mut near = vec![vec![Vec::new(); self.memory.words().layers]; steps * self.substeps];
         for (t, driven) in driven {
             let layers = self.layers_of(turns[*t].world);
@@ -1973,6 +2019,15 @@ fn device_law(couplings: &[Box<dyn Coupling>]) -> Option<(DeviceLaw, usize)> {
     coupling.device_law().filter(|_| fits).map(|law| (law, bodies))
 }
 
+/// Constants of steps as the device reads them.
+fn padded(constants: &[StepConstants]) -> Vec<u8> {
+    let mut bytes = vec![0; STEP_STRIDE as usize * constants.len()];
+    for (room, constants) in bytes.chunks_exact_mut(STEP_STRIDE as usize).zip(constants) {
+        room[..size_of::<StepConstants>()].copy_from_slice(bytemuck::bytes_of(constants));
+    }
+    bytes
+}
+
 /// The constants of a step of all levels, where the finest cells have width `h` [m].
 fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
     StepConstants {
@@ -1995,6 +2050,13 @@ fn cut(stretches: &mut Vec<Stretch>, mut steps: usize) {
         steps -= stretch.steps;
         stretch.steps > 0 || wanted == 0
     });
+}
+
+/// Repeats the last one until there are so many.
+fn go_on<T: Clone>(all: &mut Vec<T>, count: usize) {
+    if let Some(last) = all.last().cloned() {
+        all.resize(count, last);
+    }
 }
 
 /// Takes a world's coupling back, or on, to what it was before a step.

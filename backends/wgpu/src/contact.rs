@@ -401,7 +401,7 @@ impl WgpuBatch {
         self.write_layers(&self.layers(|w| active.iter().any(|a| a.0 == w)));
         let words = self.memory.words();
         if slot == 0 {
-            self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0]);
+            self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0, 0]);
             let sums = words.of_sum(0, 0);
             self.write_words(sums, &self.fresh(sums, 0..1, dt, &active));
         }
@@ -409,7 +409,8 @@ impl WgpuBatch {
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let before = self.memory.now;
         let measures = (self.h, self.fixed.gravity.0);
-        let mut passes = Passes::new(&self.kernels, ContactPasses::default(), [self.levels, before], measures);
+        let contact = ContactPasses::on_host();
+        let mut passes = Passes::new(&self.kernels, contact, [self.levels, before], measures);
         let step = passes.constants(dt);
         if sort {
             passes.sort(dt);
@@ -604,7 +605,7 @@ impl WgpuBatch {
         self.write_layers(&layers);
         self.write_steps(1, &[self.step_constants(dt, 1)]);
         let words = self.memory.words();
-        self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0]);
+        self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0, 0]);
         self.write_words(NEAR, &[0]);
         if self.worlds.iter().any(|world| world.pending) {
             for w in (0..self.worlds.len()).filter(|w| !self.worlds[*w].pending) {

@@ -2,7 +2,7 @@
 
 use crate::batch::{Behind, Driven, Outcome, WgpuBatch};
 use crate::kernels::Role;
-use crate::memory::{LENT, STATE};
+use crate::memory::{LENT, STATE, Writes};
 use barchan_core::backend::Turn;
 use barchan_core::coupling::{FreeState, Lent, Moved};
 use barchan_core::plan::TOOL_COURANT;
@@ -120,7 +120,7 @@ impl WgpuBatch {
     }
 
     /// Tells the device which free bodies it moves, and how they are.
-    pub(crate) fn write_lent(&self, turns: &[Turn<'_>], lent: &[Vec<Lent>]) {
+    pub(crate) fn write_lent(&self, turns: &[Turn<'_>], lent: &[Vec<Lent>], writes: &mut Writes) {
         let free = self.contact.free();
         if free == 0 {
             return;
@@ -137,7 +137,7 @@ impl WgpuBatch {
                 words[all * LENT + k * STATE..][..STATE].copy_from_slice(&state_words(&one.state, self.h));
             }
         }
-        self.gpu.queue.write_buffer(self.memory.buffer(Role::Lent, 0), 0, bytemuck::cast_slice(&words));
+        writes.add(self.memory.buffer(Role::Lent, 0), 0, &words);
     }
 
     /// Hands a world's free bodies their states after each step that is done.

@@ -155,22 +155,22 @@ pub(crate) enum Groups {
 pub(crate) enum Found {
     Blocks,
     NodeBlocks,
-    /// Blocks of nodes with some at the rim of their level or, subcycled, which that level shares with the next finer one, whose step it is.
+    /// Blocks of nodes with some at the rim of their level.
     Rims,
     /// Blocks, and once more those whose particles give to shared nodes.
     Givers,
     /// Blocks, or blocks of nodes of the same number, to which walls or the edge of live ground give something.
     Walled,
-    /// Those at rims, in fours.
+    /// In fours those at rims and, subcycled, those that share nodes with the next finer level and that walls are behind.
     RimsInFours,
-    /// One more than there are free bodies in the scenes, and behind them those at rims, in eights.
+    /// One more than there are free bodies in the scenes, and behind them the same in eights.
     BodiesAndRims,
 }
 
 impl Found {
-    /// How many kinds there are, and of those how many are listed.
+    /// How many kinds there are, and how many lists.
     pub(crate) const ALL: usize = 7;
-    pub(crate) const LISTED: usize = 3;
+    pub(crate) const LISTED: usize = 4;
     /// The first that is listed.
     const FIRST_LIST: usize = 2;
 }
@@ -224,8 +224,9 @@ pub(crate) struct Kernels {
     pub(crate) mirror: Vec<Kernel>,
     /// Velocities at rims.
     pub(crate) prolong: Option<Kernel>,
-    /// Velocities behind mirrors.
+    /// Velocities behind mirrors; are they found early, if no body comes near walls?
     pub(crate) reflect: Option<Kernel>,
+    pub(crate) mirrored: bool,
     pub(crate) g2p: Kernel,
     pub(crate) stress: Kernel,
     /// Sums of what walls gave and sleep took.
@@ -316,6 +317,7 @@ impl Kernels {
             }),
             constants: constants.clone(),
             free_room: worlds * free_bodies(plan),
+            mirrored: mirrors_early(plan),
             step_layout,
         })
     }
@@ -367,18 +369,15 @@ impl Drafts {
         let separations = separations(plan);
         let walls: Vec<Wall> = (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).collect();
         let has_walls = walls.iter().any(|w| !matches!(w, Wall::Open | Wall::Periodic));
-        let has_mirrors = walls.iter().any(|w| matches!(w, Wall::Slip | Wall::Stick));
         let laws = laws(plan, worlds)?;
         let levels = plan.cell_widths.len() > 1;
         let subcycled = plan.substeps > 1;
         let sleeps = may_sleep(plan);
         let unbounded = plan.terrain.is_some();
-        // Where nothing comes between the grid and the particles, nodes behind mirrors are found with the others.
-        let mirrored =
-            has_mirrors && !(levels || sleeps || unbounded || plan.has(Stage::Contact)) && separations.is_empty();
+        let mirrored = mirrors_early(plan);
         let finish = if !separations.is_empty() {
             Finish::Sums
-        } else if mirrored {
+        } else if mirrored && !levels {
             Finish::Mirrored
         } else {
             Finish::Velocities
@@ -403,7 +402,8 @@ impl Drafts {
             mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
             prolong: (levels && !subcycled).then(|| rims_alone(false)),
             // What holding the edge takes is booked there, too.
-            reflect: (has_mirrors && !mirrored || unbounded).then(|| reflect(sleeps, levels)),
+            reflect: (has_mirrors(plan) && (!mirrored || plan.has(Stage::Contact)) || unbounded)
+                .then(|| reflect(sleeps, levels, mirrored)),
             g2p: g2p(plan, &laws, sleeps, [particles, worlds * plan.cell_widths.len()]),
             stress: stress(&laws),
             collect,
@@ -440,16 +440,19 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
         }
     }
     lines.extend(drafts.solve.iter().map(|draft| line("every step of a level", draft)));
+    let is_mirrored = mirrors_early(plan);
     lines.extend(
         drafts
             .mirror
             .iter()
             .chain(&drafts.prolong)
-            .chain(&drafts.reflect)
+            .chain(drafts.reflect.iter().filter(|_| !is_mirrored))
             .chain([&drafts.g2p])
             .chain(drafts.soft.iter().flatten())
             .map(|draft| line("every step", draft)),
     );
+    let seldom = drafts.reflect.iter().filter(|_| is_mirrored);
+    lines.extend(seldom.map(|draft| line("every step in which bodies may come near walls, after theirs", draft)));
     lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
     let adapt = drafts.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
     lines.extend(adapt.map(|draft| line("where levels move or particles leave theirs", draft)));
@@ -478,8 +481,10 @@ fn line(when: &str, draft: &Draft) -> String {
                 Found::Rims => "a block of nodes at rims",
                 Found::Givers => "a block with particles, and another where these give to nodes that levels share,",
                 Found::Walled => "a block at walls",
-                Found::RimsInFours => "for four blocks of nodes at rims",
-                Found::BodiesAndRims => "a free body, one more, and one for eight blocks of nodes at rims",
+                Found::RimsInFours =>
+                    "for four blocks of nodes at rims or shared with the next finer level or, where mirrors are found with these, at walls",
+                Found::BodiesAndRims =>
+                    "a free body, one more, and one for eight blocks of nodes at rims, shared, or at walls,",
             }
         ),
     };
@@ -767,6 +772,22 @@ fn build_for(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, wo
     }
 }
 
+/// Are there walls behind which nodes are images?
+fn has_mirrors(plan: &Plan) -> bool {
+    (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).any(|wall| matches!(wall, Wall::Slip | Wall::Stick))
+}
+
+/// Are nodes behind mirrors found with the others? So it is where nothing but bodies that keep away from walls comes between the grid and the particles, and
+/// where, on levels, no step is halted any more once the grid's turn has come. If a body comes near walls after all, another pass does it again.
+fn mirrors_early(plan: &Plan) -> bool {
+    let fits = if plan.cell_widths.len() > 1 {
+        plan.substeps > 1 && plan.scene.tool.iter().all(|tool| matches!(tool.motion, Motion::Free { .. }))
+    } else {
+        !plan.has(Stage::Contact)
+    };
+    has_mirrors(plan) && fits && !may_sleep(plan) && plan.terrain.is_none() && separations(plan).is_empty()
+}
+
 /// Axes with a wall that lets go.
 fn separations(plan: &Plan) -> Vec<usize> {
     let lets_go = |axis: &usize| plan.scene.world.walls.pair(*axis).iter().any(|w| matches!(w, Wall::Separate { .. }));
@@ -789,8 +810,9 @@ fn layer_constants(plan: &Plan, worlds: usize) -> String {
     let levels = plan.cell_widths.len();
     let layers = worlds * levels;
     let (subcycled, most_drift, free) = (plan.substeps > 1, most_drift(plan), worlds * free_bodies(plan));
+    let mirrored = mirrors_early(plan);
     format!(
-        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\nconst FREE_ROOM: u32 = {free}u;\nconst RIMS_BESIDE: u32 = {RIMS_BESIDE}u;\n\
+        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MIRRORED: bool = {mirrored};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\nconst FREE_ROOM: u32 = {free}u;\nconst RIMS_BESIDE: u32 = {RIMS_BESIDE}u;\n\
          const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\nconst SORT_SELDOM: u32 = {SORT_SELDOM}u;\n\
          const TOGETHER: u32 = {TOGETHER}u;\nconst ROUNDS: u32 = {ROUNDS}u;\n\
          const LEFT_HOME: u32 = {LEFT_HOME}u;\nconst BESIDE: u32 = {BESIDE}u;\nconst BESIDE_BY: u32 = {BESIDE_BY}u;\n\
@@ -1170,6 +1192,7 @@ fn flush(condition: &str) -> String {
 /// Velocities at rims and, subcycled, of nodes that two levels share, so many blocks a workgroup, but for the pass's entry.
 fn at_rims(subcycled: bool, blocks: u32) -> Draft {
     let take = "if (any_task & TAKES) != 0u {\nsolve_block(g, n, (all[abreast] & TAKES) != 0u);\n}";
+    let reflect = "if (any_task & REFLECTS) != 0u {\nreflect(g, n, (all[abreast] & REFLECTS) != 0u);\n}";
     let own: String = if subcycled {
         [&sums_of_tiles(blocks), include_str!("wgsl/handed_to.wgsl"), SHARED_NODES, include_str!("wgsl/solve.wgsl")]
             .concat()
@@ -1188,8 +1211,11 @@ fn at_rims(subcycled: bool, blocks: u32) -> Draft {
             include_str!("wgsl/prolong.wgsl"),
             include_str!("wgsl/sum_of_block.wgsl"),
             include_str!("wgsl/behind.wgsl"),
+            include_str!("wgsl/image.wgsl"),
             include_str!("wgsl/wall.wgsl"),
-            &include_str!("wgsl/rims.wgsl").replace("$TAKE", if subcycled { take } else { "" }),
+            &include_str!("wgsl/rims.wgsl")
+                .replace("$TAKE", if subcycled { take } else { "" })
+                .replace("$REFLECT", if subcycled { reflect } else { "" }),
             include_str!("wgsl/listed.wgsl"),
         ]
         .concat(),
@@ -1266,12 +1292,13 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
     };
     // Subcycled, what rims hand on is not needed here, and both begin with the same sums.
     let hand_on_here = "let sum = sum_of(tiles, local);\nif workgroupUniformLoad(&at_rim) != 0u {\n\
-                        hand_on(g, entry, n, select(vec4<f32>(0.0), sum, is_slave(g, n)));\n}\n";
-    let at_rim = "at_rim = u32(any(rims[min(g, extent.node_room - 1u)].xy != vec2<u32>(0u)));";
+                        let hands = is_slave(g, n) && !(MIRRORED && is_behind(layer_of(g), 4 * lists[entry].xyz + local));\n\
+                        hand_on(g, entry, n, select(vec4<f32>(0.0), sum, hands));\n}\n";
+    let at_rim = "at_rim = rims[min(g, extent.node_room - 1u)].z & HANDS_ON;";
     // Else it is, where blocks get any.
     let take_here = "var given = vec4<f32>(0.0);\nif workgroupUniformLoad(&takes) != 0u {\n\
                      find_givers(g, n);\nworkgroupBarrier();\ngiven = handed_to(n);\n}\n";
-    let takes = "takes = rims[min(g, extent.node_room - 1u)].z;";
+    let takes = "takes = rims[min(g, extent.node_room - 1u)].z & IS_GIVEN;";
     let if_subcycled = |text: &'static str| if subcycled { text } else { "" };
     let if_taken = |text: &'static str| if levels && !subcycled { text } else { "" };
     let find = format!("let node = velocity(g, {sum});\n");
@@ -1285,7 +1312,7 @@ fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Dra
         }
     };
     let mirrored = finish == Finish::Mirrored;
-    let mirrors = if mirrored { images(include_str!("wgsl/mirrored.wgsl")) } else { String::new() };
+    let mirrors = if mirrored { images() + include_str!("wgsl/mirrored.wgsl") } else { String::new() };
     let rims = if levels { include_str!("wgsl/rim_sums.wgsl") } else { "" };
     let shared = if subcycled {
         [SHARED_NODES, include_str!("wgsl/keep_back.wgsl"), &hand_on()].concat()
@@ -1375,20 +1402,31 @@ fn separate(axis: usize, back: bool, levels: bool) -> Draft {
 }
 
 /// For passes in which nodes behind mirrors take the velocities of their images, a block a workgroup.
-fn images(text: &str) -> String {
+fn images() -> String {
     [
         exchange(64).as_str(),
         include_str!("wgsl/behind.wgsl"),
         include_str!("wgsl/image.wgsl"),
-        text,
         include_str!("wgsl/sum_of_block.wgsl"),
         include_str!("wgsl/wall.wgsl"),
     ]
     .concat()
 }
 
-/// Velocities of nodes behind mirrors.
-fn reflect(sleeps: bool, levels: bool) -> Draft {
+/// What folding gave to a block's nodes, and handing on to parents behind walls.
+const PENDING: &str = "let blocks = atomicLoad(&status[BLOCKS]);
+    let pending = bitcast<vec4<f32>>(lists[w * ENTRY + PENDING]);
+    let before = bitcast<vec4<f32>>(lists[w * ENTRY + WALL]);";
+const BOOK: &str = "if w < blocks && any(pending != vec4<f32>(0.0)) && is_live(u32(lists[w * ENTRY].w)) {
+        lists[w * ENTRY + WALL] = bitcast<vec4<i32>>(before + pending);
+    }
+    if LEVELS > 1u && is_live(layer_of(w)) {
+        let entry = (extent.block_room + w) * ENTRY;
+        lists[entry + WALL] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + WALL]) + bitcast<vec4<f32>>(lists[entry + PENDING]));
+    }";
+
+/// Velocities of nodes behind mirrors. Where these are found early if no body comes near walls (`mirrored`), what others give to walls is booked at once.
+fn reflect(sleeps: bool, levels: bool, mirrored: bool) -> Draft {
     let touched = [("$IF_TOUCHED", " && atomicLoad(&watch[touched_word(w)]) != 0u")];
     let mut uses = vec![DIRECTORY, written(LISTS), GRID, STATUS];
     uses.extend(sleeps.then_some(WATCH));
@@ -1397,7 +1435,10 @@ fn reflect(sleeps: bool, levels: bool) -> Draft {
         entry: "reflect_nodes",
         body: [
             abreast(1).as_str(),
-            &images(&with_sleep(sleeps, include_str!("wgsl/reflect.wgsl"), &touched)),
+            &images(),
+            &with_sleep(sleeps, include_str!("wgsl/reflect.wgsl"), &touched)
+                .replace("$PENDING", if mirrored { "" } else { PENDING })
+                .replace("$BOOK", if mirrored { "" } else { BOOK }),
             include_str!("wgsl/velocity_at.wgsl"),
             if sleeps { WATCH_WORDS } else { "" },
         ]
@@ -1407,7 +1448,8 @@ fn reflect(sleeps: bool, levels: bool) -> Draft {
         groups: Groups::NodeBlocks,
         checked: true,
     };
-    if levels { on_listed(Found::Walled, draft) } else { on_all(draft) }
+    // Where it is seldom asked for, all blocks are visited.
+    if levels && !mirrored { on_listed(Found::Walled, draft) } else { on_all(draft) }
 }
 
 /// Sums over the 27 nodes around a particle, row by row. The first of three nodes along an axis stands in the near block, the last

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 /// Words of the status: before those of layers, of each layer that stay and that a submission sums up, and of each layer in each step;
 /// see `common.wgsl`.
-const OF_LAYERS: usize = 13;
+const OF_LAYERS: usize = 14;
 const PER_LAYER: usize = 8;
 const PER_SUM: usize = 18;
 const PER_STEP: usize = 4;
@@ -116,6 +116,9 @@ pub(crate) struct StepConstants {
     pub(crate) first: u32,
     pub(crate) count: u32,
     pub(crate) end_level: u32,
+    pub(crate) mirrors: u32,
+    /// WGSL rounds a uniform's size up.
+    pub(crate) padding: [u32; 3],
 }
 
 /// Where words of the status stand, for so many layers.
@@ -168,6 +171,7 @@ pub(crate) struct Memory {
     pub(crate) steps: wgpu::Buffer,
     pub(crate) layers: wgpu::Buffer,
     pub(crate) readback: wgpu::Buffer,
+    upload: wgpu::Buffer,
     bindings: HashMap<(&'static str, usize), wgpu::BindGroup>,
     pub(crate) step_binding: wgpu::BindGroup,
     /// Which of the two sets holds the particles.
@@ -295,7 +299,7 @@ impl Extent {
             Role::Shared if asked.substeps > 1 => 16 * 192 * nodes,
             // Behind the lists, of which kinds each block is.
             Role::Listed if asked.boxes > 0 => {
-                4 * (Found::LISTED as u64 + (Found::LISTED as u64 + 1) * nodes.max(blocks))
+                4 * ((Found::LISTED * (1 + asked.layers)) as u64 + (Found::LISTED as u64 + 1) * nodes.max(blocks))
             }
             Role::Groups => 12 * (Found::ALL * asked.layers) as u64,
             Role::Listed | Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
@@ -401,6 +405,7 @@ impl Memory {
             steps,
             layers,
             readback,
+            upload: upload(gpu, 1 << 16),
             bindings: HashMap::new(),
             step_binding,
             now: 0,
@@ -478,6 +483,21 @@ impl Memory {
     pub(crate) fn count(&mut self, gpu: &Gpu, particles: usize) {
         self.extent.particles = particles as u32;
         gpu.queue.write_buffer(&self.constants, 0, bytemuck::bytes_of(&self.extent));
+    }
+
+    /// Lets a submission begin with writes.
+    pub(crate) fn write(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, writes: &Writes) {
+        if self.upload.size() < writes.bytes.len() as u64 {
+            self.upload = upload(gpu, (writes.bytes.len() + writes.bytes.len() / 4).next_multiple_of(16) as u64);
+        }
+        if !writes.bytes.is_empty() {
+            gpu.queue.write_buffer(&self.upload, 0, &writes.bytes);
+        }
+        let mut at = 0;
+        for (buffer, from, bytes) in &writes.places {
+            encoder.copy_buffer_to_buffer(&self.upload, at, buffer, *from, *bytes);
+            at += bytes;
+        }
     }
 
     /// Makes room for so many bytes to be read back at once.
@@ -645,6 +665,31 @@ fn groups(gpu: &Gpu, size: u64) -> wgpu::Buffer {
         label: Some(shared_name(Role::Groups)),
         size,
         usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_SRC,
+        mapped_at_creation: false,
+    })
+}
+
+/// What a submission begins with writing. Each write of its own takes a queue tens of microseconds.
+#[derive(Default)]
+pub(crate) struct Writes {
+    bytes: Vec<u8>,
+    /// Buffer, first byte there, and bytes.
+    places: Vec<(wgpu::Buffer, u64, u64)>,
+}
+
+impl Writes {
+    pub(crate) fn add<T: Pod>(&mut self, buffer: &wgpu::Buffer, from: u64, what: &[T]) {
+        self.bytes.extend_from_slice(bytemuck::cast_slice(what));
+        self.places.push((buffer.clone(), from, size_of_val(what) as u64));
+    }
+}
+
+/// A buffer that is filled for what is written with a submission.
+fn upload(gpu: &Gpu, size: u64) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("upload"),
+        size,
+        usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     })
 }

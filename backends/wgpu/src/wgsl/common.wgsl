@@ -67,6 +67,8 @@ struct Step {
     count: u32,
     // And one past the last of those levels.
     end_level: u32,
+    // May nodes behind mirrors be found with what moves at rims, since no body comes near walls?
+    mirrors: u32,
 }
 
 @group(0) @binding(0) var<uniform> extent: Extent;
@@ -83,26 +85,34 @@ const OF_RIMS: u32 = 7u;
 const WALL: u32 = 8u;
 const PENDING: u32 = 9u;
 
+// What is known of a block of nodes on levels, as bits: finer ones hand something to it; it has nodes at a rim, before mirrors, that hand something on; nodes
+// behind mirrors, if these are found with what moves at rims; and among these images of nodes that finer ones hand something to.
+const IS_GIVEN: u32 = 1u;
+const HANDS_ON: u32 = 2u;
+const IS_BEHIND: u32 = 4u;
+const IMAGES_GIVEN: u32 = 8u;
+
 // Words of the status.
 const BLOCKS: u32 = 0u;
 const NODE_BLOCKS: u32 = 1u;
 const HALTED: u32 = 2u;
 const HALT_STEP: u32 = 3u;
 const WHO: u32 = 4u;
-const NEW_BLOCKS: u32 = 5u;
-const NEW_NODE_BLOCKS: u32 = 6u;
-const OLD_BLOCKS: u32 = 7u;
-const SORTS: u32 = 8u;
+// Must the host look where free bodies are before the next step?
+const FOLLOWED: u32 = 5u;
+const NEW_BLOCKS: u32 = 6u;
+const NEW_NODE_BLOCKS: u32 = 7u;
+const OLD_BLOCKS: u32 = 8u;
+const SORTS: u32 = 9u;
 // What blocks held in all when that was summed last.
-const COUNTED: u32 = 9u;
+const COUNTED: u32 = 10u;
 // Blocks of nodes near bodies whose law runs on the host: gathered, and on their way back.
-const NEAR: u32 = 10u;
-const BACK: u32 = 11u;
+const NEAR: u32 = 11u;
+const BACK: u32 = 12u;
 // Blocks whose particles give to nodes that a finer level takes part in, as the last sort has found.
-const GIVERS: u32 = 12u;
-
+const GIVERS: u32 = 13u;
 // Those of a layer that stay: its first block and node block; least and greatest block.
-const OF_LAYERS: u32 = 13u;
+const OF_LAYERS: u32 = 14u;
 const PER_LAYER: u32 = 8u;
 const FIRST_BLOCK: u32 = 0u;
 const FIRST_NODE_BLOCK: u32 = 1u;

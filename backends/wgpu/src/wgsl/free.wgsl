@@ -149,17 +149,11 @@ fn take_up(k: u32, at: u32, is_first: bool) {
 }
 
 // One past the last level that the body meets in this pass; 0 if there is nothing to do.
-fn last_level(k: u32, at: u32, is_first: bool) -> u32 {
+fn last_level(k: u32) -> u32 {
     if atomicLoad(&status[HALTED]) != 0u || (LAYERS > 1u && layers[layer_now].on == 0u) {
         return 0u;
     }
     let levels = lent[k * LENT + 5u].w;
-    if levels > 0u && is_first && slot_now() % SUBSTEPS == 0u && lent[at].w != 0u {
-        // Nothing has moved yet.
-        atomicStore(&status[HALT_STEP], step.number);
-        atomicStore(&status[HALTED], FOLLOW);
-        return 0u;
-    }
     return select(levels, min(levels, step.end_level), SUBCYCLED);
 }
 
@@ -657,10 +651,13 @@ fn move_on(k: u32, next: u32) {
     let fits = all(come - way >= real(lent[k * LENT + 6u]).xyz) && all(come + way <= real(lent[k * LENT + 7u]).xyz);
     let surface = (length(free.linear) + length(step.gravity)) * step.dt_per_h + length(angular) * step.dt * extent_in_cells;
     let is_slow = surface * f32(SUBSTEPS) < real(lent[k * LENT + 4u]).w;
-    lent[next] = vec4<u32>(bitcast<vec3<u32>>(cell), u32(!(fits && is_slow)));
+    lent[next] = vec4<u32>(bitcast<vec3<u32>>(cell), 0u);
     lent[next + 1u] = place;
     lent[next + 2u] = rotation;
     if !rehearses {
+        if !(fits && is_slow) && (slot_now() + 1u) % SUBSTEPS == 0u {
+            atomicStore(&status[FOLLOWED], 1u);
+        }
         $STAY_AWAKE
     }
 }
@@ -674,7 +671,7 @@ fn free_body(w: u32, thread: u32) {
     layer_now = k / FREES * LEVELS;
     take_up(k, at, is_first);
     if thread == 0u {
-        end_level = last_level(k, at, is_first);
+        end_level = last_level(k);
     }
     let first_level = select(0u, step.first_level, SUBCYCLED);
     let end = workgroupUniformLoad(&end_level);

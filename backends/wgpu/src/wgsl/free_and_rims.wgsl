@@ -8,6 +8,6 @@ fn free_and_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     if w < bodies {
         free_body(w, thread);
     } else {
-        rims_of(ABREAST * (w - bodies), thread);
+        rims_and_walls(w - bodies, thread);
     }
 }

@@ -62,27 +62,26 @@ fn spread(n: u32, place: i32, stride: u32) {
     workgroupBarrier();
 }
 
-// What a parent gets of the block's nodes.
-fn of_children(parent: vec3<i32>) -> vec4<f32> {
-    var sum = vec4<f32>(0.0);
-    let first = max(2 * parent - vec3<i32>(3), vec3<i32>(0));
-    let last = min(2 * parent, vec3<i32>(3));
-    // Never more than three along an axis; counted to a number, the loops are unrolled.
+// Along one axis, what parents get of nodes: of their sums by their shares, and of the columns of that axis by shares times ways.
+fn gather(n: u32, place: i32, stride: u32, axis: u32) {
+    let first = max(2 * place - 3, 0);
+    let last = min(2 * place, 3);
+    let row = n - u32(place) * stride;
+    var to = array<vec4<f32>, 4>();
+    // Never more than three.
     for (var i = 0; i < 3; i++) {
-        for (var j = 0; j < 3; j++) {
-            for (var k = 0; k < 3; k++) {
-                let at = first + vec3<i32>(i, j, k);
-                let within = min(at, last);
-                let child = u32(within.x * 16 + within.y * 4 + within.z);
-                let way = 2.0 * vec3<f32>(parent) - vec3<f32>(1.5) - vec3<f32>(within);
-                let share = vec3<f32>(1.0) - 0.5 * abs(way);
-                let carried = exchange[column(child, 0u)].xyz * way.x + exchange[column(child, 1u)].xyz * way.y + exchange[column(child, 2u)].xyz * way.z;
-                let given = share.x * share.y * share.z * (exchange[SUMS + child] + vec4<f32>(carried, 0.0));
-                sum += select(vec4<f32>(0.0), given, all(at <= last));
-            }
+        let child = row + u32(min(first + i, last)) * stride;
+        let way = 2.0 * f32(place) - 1.5 - f32(first + i);
+        let share = select(0.0, 1.0 - 0.5 * abs(way), first + i <= last);
+        for (var j = 0u; j < 4u; j++) {
+            to[j] += select(share, share * way, j == axis) * exchange[column(child, j)];
         }
     }
-    return sum;
+    workgroupBarrier();
+    for (var j = 0u; j < 4u; j++) {
+        exchange[column(n, j)] = to[j];
+    }
+    workgroupBarrier();
 }
 
 // Parents behind a mirror are images: what they get is their nodes', reflected. What a parent gets that way; of images, the negative of what
@@ -140,7 +139,11 @@ fn hand_on(g: u32, entry: u32, n: u32, node: vec4<f32>) {
     }
     exchange[SUMS + n] = node;
     workgroupBarrier();
-    var sum = of_children(place);
+    gather(n, place.x, 16u, 0u);
+    gather(n, place.y, 4u, 1u);
+    gather(n, place.z, 1u, 2u);
+    let carried = exchange[column(n, 0u)].xyz + exchange[column(n, 1u)].xyz + exchange[column(n, 2u)].xyz;
+    var sum = exchange[SUMS + n] + vec4<f32>(carried, 0.0);
     // Elsewhere, walls give nothing.
     if n == 0u {
         is_walled = u32(has_nodes_behind(layer + 1u, first));
@@ -152,7 +155,8 @@ fn hand_on(g: u32, entry: u32, n: u32, node: vec4<f32>) {
         sum += gain.gain;
         let total = sum_of_block(n, gain.impulse);
         if n == 0u {
-            lists[entry + PENDING] = vec4<i32>(bitcast<vec3<i32>>(total.xyz), 0);
+            let before = select(vec4<f32>(0.0), bitcast<vec4<f32>>(lists[entry + WALL]), MIRRORED);
+            lists[entry + TO_BOOK] = bitcast<vec4<i32>>(before + total);
         }
     }
     handed[g * 64u + n] = sum;

@@ -14,7 +14,7 @@ fn find_givers(g: u32, n: u32) {
     if at != NONE {
         rim = directory[at].y;
     }
-    if rim != NONE && all(rims[rim].xy == vec2<u32>(0u)) {
+    if rim != NONE && (rims[rim].z & HANDS_ON) == 0u {
         rim = NONE;
     }
     givers[64u * abreast + n] = rim;

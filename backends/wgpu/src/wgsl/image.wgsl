@@ -15,7 +15,6 @@ fn image_of(layer: u32, cell: vec3<i32>) -> Image {
     let below = (LOW != vec3<u32>(0u)) & (cell < low);
     let above = (HIGH != vec3<u32>(0u)) & (cell >= high);
     let beyond = below | above;
-    let to = select(select(cell, 2 * high - 1 - cell, above), 2 * low - 1 - cell, below);
     // Axis by axis: compilers put vectors that are indexed by a variable into memory.
     let kind = select(LOW, HIGH, above);
     let one = vec3<f32>(1.0);
@@ -24,7 +23,7 @@ fn image_of(layer: u32, cell: vec3<i32>) -> Image {
     let z = select(one, wall_signs(kind.z, 2), beyond.z);
     let outer = select(select(z, y, beyond.y), x, beyond.x);
     let inner = select(select(one, z, beyond.y), y * z, beyond.x);
-    return Image(to, outer, inner, any(beyond));
+    return Image(before_mirrors(layer, cell), outer, inner, any(beyond));
 }
 
 // What the wall gives to the mass behind it that comes to move with velocity `u`, turned by the wall [N s].

@@ -3,8 +3,8 @@
 // For each, world by world, there stand in `lent` LENT vectors that stay: three rows of the inertia, body frame [kg m2], with mass [kg], its
 // inverse, and the extent; three rows of the inertia's inverse, with the body's number, how far a surface may move in a step, and
 // how many levels it meets, none if there is no such body; the leash: least and greatest displacement; and the cell and the place in it at the start.
-// Behind those there stand the states before each slot, after the last, and one that is not read: cell, and whether the host must look before the next step; place in the
-// cell, in 2^-32, and how far turning has moved the surface; rotation (x, y, z, w), in 2^-30; velocity [m/s], and nodes deep inside; angular
+// Behind those there stand the states before each slot, after the last, and one that is not read: cell; place in it, in 2^-32, and how far turning has
+// moved the surface; rotation (x, y, z, w), in 2^-30; velocity [m/s], and nodes deep inside; angular
 // momentum [kg m2/s], and solutions that did not converge; and, in the slot before, impulse [N s] and angular impulse [N m s] from the ground.
 // All that a state holds, doubles hold, too: it does not matter how steps are cut into submissions.
 const LENT: u32 = 10u;

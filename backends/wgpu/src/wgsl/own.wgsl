@@ -7,7 +7,7 @@ fn own_at(g: u32, n: u32) -> u32 {
 
 // What a node weighs for bodies: what the own layer's particles weigh there. Those of the finer layer have moved when the layer meets bodies.
 fn own_mass(g: u32, n: u32, node: vec4<f32>) -> f32 {
-    if rims[g].z != 0u && node.w > 0.0 {
+    if (rims[g].z & IS_GIVEN) != 0u && node.w > 0.0 {
         return shared_nodes[own_at(g, n)].w;
     }
     return node.w;

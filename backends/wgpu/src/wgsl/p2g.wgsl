@@ -184,8 +184,12 @@ fn ready(b: u32) -> u32 {
     // Subcycled, sorts come where all levels' steps begin.
     let may_be_due = !SUBCYCLED || step.slot % (1u << (LEVELS - 1u)) == 0u;
     var rhythm = Rhythm(0u, 0.0);
+    var followed = 0u;
     if may_be_due {
         rhythm = rhythm_of(layer);
+        if FREE_ROOM > 0u {
+            followed = atomicLoad(&status[FOLLOWED]);
+        }
     }
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;
@@ -201,10 +205,10 @@ fn ready(b: u32) -> u32 {
         if is_first {
             atomicStore(&status[step_word(step.number, layer, DRIFT)], bitcast<u32>(rhythm.drift));
         }
-        if is_world_due(layer, rhythm) {
+        if followed != 0u || is_world_due(layer, rhythm) {
             if is_first {
                 atomicStore(&status[HALT_STEP], step.number);
-                atomicStore(&status[HALTED], DRIFTED);
+                atomicStore(&status[HALTED], select(DRIFTED, FOLLOW, followed != 0u));
             }
             return 0u;
         }

@@ -24,7 +24,7 @@ fn signs_of(parent: vec4<f32>) -> vec3<f32> {
     return select(vec3<f32>(1.0), vec3<f32>(-1.0), (vec3<u32>(u32(parent.w)) & vec3<u32>(1u, 2u, 4u)) != vec3<u32>(0u));
 }
 
-// The nodes of a block that are at the rim, if `is_rim`. What walls give that way is booked once the step is known to be short enough.
+// The nodes of a block that are at the rim, if `is_rim`. Those behind mirrors whose images are there find the same as these, reflected.
 fn move_rim(g: u32, n: u32, is_rim: bool) {
     let entry = (extent.block_room + g) * ENTRY;
     let coarser = u32(lists[entry].w) + 1u;
@@ -53,11 +53,17 @@ fn move_rim(g: u32, n: u32, is_rim: bool) {
             impulse += mass * (signs - vec3<f32>(1.0)) * part;
         }
         grid[g * 64u + n] = vec4<f32>(u, 0.0);
+        if MIRRORED {
+            let image = image_of(coarser - 1u, 4 * lists[entry].xyz + place);
+            if image.is_other {
+                impulse = given_behind(image, image.outer * u, mass);
+            }
+        }
     }
     // Parents are done with.
     workgroupBarrier();
     let total = sum_of_block(n, impulse);
     if n == 0u && is_rim && has_nodes_behind(coarser, first) {
-        lists[entry + PENDING] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + PENDING]) + total);
+        lists[entry + TO_BOOK] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + TO_BOOK]) + total);
     }
 }

@@ -14,20 +14,12 @@ fn ready(w: u32) -> u32 {
     let speed = bitcast<f32>(atomicLoad(&status[greatest_word(step.number)]));
     let is_halted = atomicLoad(&status[HALTED]) != 0u;
     let node_blocks = atomicLoad(&status[NODE_BLOCKS]);
-    let blocks = atomicLoad(&status[BLOCKS]);
     let first = lists[(extent.block_room + w) * ENTRY].xyz * 4;
-    let pending = bitcast<vec4<f32>>(lists[w * ENTRY + PENDING]);
-    let before = bitcast<vec4<f32>>(lists[w * ENTRY + WALL]);
+    $PENDING
     if is_halted || w >= node_blocks || !is_slow_enough(speed) {
         return 0u;
     }
-    if w < blocks && any(pending != vec4<f32>(0.0)) && is_live(u32(lists[w * ENTRY].w)) {
-        lists[w * ENTRY + WALL] = bitcast<vec4<i32>>(before + pending);
-    }
-    if LEVELS > 1u && is_live(layer_of(w)) {
-        let entry = (extent.block_room + w) * ENTRY;
-        lists[entry + WALL] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + WALL]) + bitcast<vec4<f32>>(lists[entry + PENDING]));
-    }
+    $BOOK
     return u32(has_nodes_behind(layer_of(w), first) && is_live(layer_of(w))$IF_TOUCHED);
 }
 
@@ -45,10 +37,10 @@ fn reflect_nodes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     let image = image_of(layer_of(g), cell);
     var impulse = vec3<f32>(0.0);
     if image.is_other {
-        let mass = grid[g * 64u + n].w;
+        let node = grid[g * 64u + n];
         let u = image.inner * velocity_at(layer_of(g), image.cell);
-        impulse = given_behind(image, u, mass);
-        grid[g * 64u + n] = vec4<f32>(image.outer * u, mass);
+        impulse = given_behind(image, u, node.w);
+        grid[g * 64u + n] = vec4<f32>(image.outer * u, node.w);
     }
     let total = sum_of_block(n, impulse);
     if n == 0u {

@@ -61,23 +61,3 @@ fn is_edge(layer: u32, block: vec3<i32>) -> bool {
 fn is_near_edge(layer: u32, block: vec3<i32>) -> bool {
     return !holds(layer, 4 * block - vec3<i32>(4), 4 * block + vec3<i32>(8), 0);
 }
-
-// Is the node of a cell at the rim? Then its spline reaches out of the region, and particles of the layer may give to it: when they are
-// sorted they are up to SPLIT_AHEAD parent cells outside, drift by a cell, and touch the next cell's node.
-fn is_slave(layer: u32, cell: vec3<i32>) -> bool {
-    let behind = ((LOW != vec3<u32>(0u)) & (cell < world_min(layer))) | ((HIGH != vec3<u32>(0u)) & (cell >= world_max(layer)));
-    if any(behind) || !holds(layer, cell, cell + vec3<i32>(1), 2 * SPLIT_AHEAD + 2) {
-        return false;
-    }
-    if holds(layer, cell - vec3<i32>(1), cell + vec3<i32>(2), 0) {
-        return false;
-    }
-    // Several boxes may hold them together.
-    for (var n = 0u; n < 27u; n++) {
-        let here = cell + offset_of(n);
-        if !holds(layer, here, here + vec3<i32>(1), 0) {
-            return true;
-        }
-    }
-    return false;
-}

@@ -24,7 +24,7 @@ fn handed_to_cell(finer: u32, cell: vec3<i32>) -> vec4<f32> {
     }
     var sum = vec4<f32>(0.0);
     for (var k = 0u; k < 8u; k++) {
-        let is_rim = held[k] != NONE && any(rims[select(held[k] >> 6u, 0u, held[k] == NONE)].xy != vec2<u32>(0u));
+        let is_rim = held[k] != NONE && (rims[select(held[k] >> 6u, 0u, held[k] == NONE)].z & HANDS_ON) != 0u;
         let of_giver = handed[select(0u, held[k], is_rim)];
         sum += select(vec4<f32>(0.0), of_giver, is_rim);
     }
@@ -67,13 +67,41 @@ fn solve_block(g: u32, n: u32, is_on: bool) {
     note_speed(g, node, n);
 }
 
-// What is to be done with a block, as bits: does it take something, and is it at a rim?
-fn tasks_of(g: u32) -> u32 {
+// Nodes behind mirrors move as their images before them; those at rims have found that. Of a block with images of given ones, walls are booked for
+// what particles read in the end.
+fn reflect(g: u32, n: u32, is_on: bool) {
+    let layer = layer_of(g);
+    let entry = (extent.block_room + g) * ENTRY;
+    var impulse = vec3<f32>(0.0);
+    if is_on && !is_slave(g, n) {
+        let image = image_of(layer, 4 * lists[entry].xyz + local_of(n));
+        if image.is_other {
+            let u = image.inner * velocity_at(layer, image.cell);
+            let mass = grid[g * 64u + n].w;
+            grid[g * 64u + n] = vec4<f32>(image.outer * u, mass);
+            impulse = given_behind(image, u, mass);
+        }
+    }
+    // What is exchanged before is done with.
+    workgroupBarrier();
+    let total = sum_of_block(n, impulse);
+    if n == 0u && is_on && is_live(layer) != ((rims[g].z & IMAGES_GIVEN) != 0u) {
+        lists[entry + TO_BOOK] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + TO_BOOK]) + total);
+    }
+}
+
+// What is to be done with a block on a list, as bits: does it take something, is it at a rim, and has it nodes behind mirrors?
+fn tasks_of(g: u32, list: u32) -> u32 {
     let here = min(g, extent.node_room - 1u);
     let rim = rims[here];
     let layer = layer_of(here);
     if atomicLoad(&status[HALTED]) != 0u || g >= atomicLoad(&status[NODE_BLOCKS]) {
         return 0u;
     }
-    return (u32(rim.z != 0u && takes_part(layer)) * TAKES) | (u32(any(rim.xy != vec2<u32>(0u)) && is_live(layer)) * MOVES);
+    let is_behind = step.mirrors != 0u && (rim.z & IS_BEHIND) != 0u;
+    let images_given = (rim.z & IMAGES_GIVEN) != 0u;
+    if list == TAKING {
+        return select(0u, u32((rim.z & IS_GIVEN) != 0u) * TAKES | u32(is_behind && images_given) * REFLECTS, takes_part(layer));
+    }
+    return select(0u, u32(any(rim.xy != vec2<u32>(0u))) * MOVES | u32(is_behind && !images_given) * REFLECTS, is_live(layer));
 }

@@ -1,12 +1,14 @@
 
 // Lists blocks of each kind, and counts the workgroups of passes: for each end among the levels, those of all levels before. Worlds of a batch
 // stand one behind the other, with all their levels: there passes visit all. P2G visits those that give to shared nodes twice. One workgroup.
-const FOUND: u32 = LIST_KINDS + 4u;
+const FOUND: u32 = 7u;
+// Those of them that are workgroups for several blocks of several lists.
+const IN_FOURS: u32 = 5u;
 
-var<workgroup> found: array<vec3<u32>, 256>;
+var<workgroup> found: array<vec4<u32>, 256>;
 
-fn is_of(kinds: u32) -> vec3<u32> {
-    return (vec3<u32>(kinds) >> vec3<u32>(AT_RIM, GIVING, WALLED)) & vec3<u32>(1u);
+fn is_of(kinds: u32) -> vec4<u32> {
+    return (vec4<u32>(kinds) >> vec4<u32>(AT_RIM, GIVING, WALLED, TAKING)) & vec4<u32>(1u);
 }
 
 // How many of a list's blocks come before one.
@@ -24,6 +26,16 @@ fn listed_before(kind: u32, block: u32) -> u32 {
     return low;
 }
 
+// How many of a list's blocks are on the levels before one.
+fn listed_before_level(kind: u32, level: u32) -> u32 {
+    var node_blocks = atomicLoad(&status[NODE_BLOCKS]);
+    if level < LEVELS && LAYERS == LEVELS {
+        node_blocks = atomicLoad(&status[layer_word(level, FIRST_NODE_BLOCK)]);
+    }
+    // There are no fewer blocks of nodes than blocks.
+    return listed_before(kind, node_blocks);
+}
+
 // How many there are of what a pass visits on the levels before one.
 fn found_before(which: u32, level: u32) -> u32 {
     var blocks = atomicLoad(&status[BLOCKS]);
@@ -38,12 +50,20 @@ fn found_before(which: u32, level: u32) -> u32 {
     if which - 2u == GIVING {
         return blocks + listed_before(GIVING, blocks);
     }
-    if which >= 2u + LIST_KINDS {
-        let at_rims = listed_before(AT_RIM, node_blocks);
-        return select(FREE_ROOM + 1u + (at_rims + RIMS_BESIDE - 1u) / RIMS_BESIDE, (at_rims + 3u) / 4u, which == 2u + LIST_KINDS);
+    if which < IN_FOURS {
+        return listed_before_level(which - 2u, level);
     }
-    // There are no fewer blocks of nodes than blocks.
-    return listed_before(which - 2u, node_blocks);
+    // Rims, what shares nodes, and walls, in the order in which `rims.wgsl` visits them.
+    let abreast = select(RIMS_BESIDE, 4u, which == IN_FOURS);
+    var visits = select(FREE_ROOM + 1u, 0u, which == IN_FOURS) + (listed_before_level(AT_RIM, level) + abreast - 1u) / abreast;
+    if SUBCYCLED {
+        // The next coarser level shares nodes with those whose step it is.
+        visits += (listed_before_level(TAKING, min(level + 1u, LEVELS)) + abreast - 1u) / abreast;
+    }
+    if MIRRORED {
+        visits += (listed_before_level(WALLED, level) + abreast - 1u) / abreast;
+    }
+    return visits;
 }
 
 @compute @workgroup_size(256)
@@ -53,13 +73,13 @@ fn list_blocks(@builtin(local_invocation_index) thread: u32) {
     let each = (count + 255u) / 256u;
     let source = min(thread * each, count);
     let to = min(source + each, count);
-    var own = vec3<u32>(0u);
+    var own = vec4<u32>(0u);
     for (var w = source; w < to; w++) {
         own += is_of(listed[place_in_list(LIST_KINDS, w)]);
     }
     found[thread] = own;
     workgroupBarrier();
-    var next = vec3<u32>(0u);
+    var next = vec4<u32>(0u);
     for (var t = 0u; t < thread; t++) {
         next += found[t];
     }
@@ -86,6 +106,12 @@ fn list_blocks(@builtin(local_invocation_index) thread: u32) {
         }
     }
     storageBarrier();
+    for (var k = thread; k < LIST_KINDS * LEVELS; k += 256u) {
+        let before = listed_before_level(k / LEVELS, k % LEVELS + 1u);
+        if on {
+            listed[until_level(k / LEVELS, k % LEVELS + 1u)] = before;
+        }
+    }
     for (var k = thread; k < FOUND * LEVELS; k += 256u) {
         let groups_now = found_before(k / LEVELS, k % LEVELS + 1u);
         if on {
