@@ -1293,6 +1293,66 @@ fn tools_and_walls_meet_levels_as_on_the_cpu() {
     }
 }
 
+/// Where a free body alone meets levels that take steps of their own, nodes behind mirrors are found in its pass; with a driven one beside it, by a pass of
+/// their own after contact. Rims of both finer levels meet walls here, which stand within blocks of nodes of the coarser two: the same bits both ways, what the
+/// body, the ground and the walls get as on the CPU, and momentum is accounted for. The body stands so that no node is as near to one of its faces as to another.
+#[test]
+fn mirrors_found_with_rims_are_those_found_later() {
+    let h = 0.05;
+    let walls = "z_min = \"stick\"\nx_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"stick\"";
+    let bed = |beside: &str| {
+        Head::cells(h, [36, 36, 32], walls).time("step = 1e-3").with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+            block("neo_hookean", [0.0; 3], [1.8, 1.8, 0.6], "velocity = [0.06, 0.04, 0.0]"),
+            "[levels]\ncount = 3\nhalf = 8\nagents = [\"foot\"]\nsubcycle = true\n".to_owned(),
+            tool(
+                "foot",
+                [0.357, 0.411, 0.703],
+                &half([0.1, 0.1, 0.11]),
+                "{ coulomb = { friction = 0.3 } }",
+                "{ free = { mass = 20.0 } }",
+            ),
+            beside.to_owned(),
+        ])
+    };
+    let marker = tool("marker", [1.5, 1.5, 1.4], "sphere = { radius = 0.001 }", "\"slip\"", "\"fixed\"");
+    let run = |mut sim: Simulation| {
+        let (steps, mut taken, mut impulse) = (12, 0, [0.0; 3]);
+        while taken < steps {
+            for report in sim.steps(steps - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")) {
+                let wrenches = report.wrenches.unwrap_or_else(|| sim.wrenches());
+                (0..3).for_each(|d| impulse[d] += wrenches[0].force[d] * report.dt);
+                taken += 1;
+            }
+        }
+        (sim, impulse)
+    };
+    let start = cpu(&bed("")).ledger();
+    let ((early, on_gpu), (late, _), (cpu, on_cpu)) = (run(gpu(&bed(""))), run(gpu(&bed(&marker))), run(cpu(&bed(""))));
+    assert_eq!(passes_of(&early, "reflect"), 0);
+    assert!(passes_of(&late, "reflect") >= 4 * 12);
+    assert!(early.particles().lists == late.particles().lists, "found later, they are others");
+    println!("impulse on the foot {on_gpu:?} and {on_cpu:?} N s, {:?}", cpu.ledger().counts);
+    assert!(
+        early.ledger().counts.is_empty(),
+        "backends may change levels at different times: {:?}",
+        early.ledger().counts
+    );
+    within("distance of particles, in cells", apart(&rows(&early), &rows(&cpu)) / h, 1e-3);
+    within("impulse on the foot, relative", off(on_gpu, on_cpu) / norm(on_cpu), 1e-3);
+    within("place of the foot, in cells", off(early.bodies()[0].position, cpu.bodies()[0].position) / h, 1e-3);
+    let (el, ll, cl) = (early.ledger(), late.ledger(), cpu.ledger());
+    let scale = norm(cl.wall_impulse);
+    within("impulse of walls, relative", off(el.wall_impulse, cl.wall_impulse) / scale, 1e-4);
+    within("impulse of walls found later, relative", off(el.wall_impulse, ll.wall_impulse) / scale, 1e-5);
+    let gave: Vec3 = std::array::from_fn(|d| {
+        el.momentum[d] - start.momentum[d] - el.wall_impulse[d] - el.gravity_impulse[d] + on_gpu[d]
+    });
+    println!("walls gave {:?} N s, balance {gave:?}", el.wall_impulse);
+    // Gravity moves the foot as well.
+    within("balance of momentum", norm([gave[0], gave[1], 0.0]) / scale, 1e-5);
+}
+
 /// Symptom guarded against: a rim that reads what stands behind a wall that lets go before it has been decided what that is; particles there lose
 /// momentum that no wall has taken. A block that slides over such a floor, tips and presses on such a side, cut by the rims of three levels
 /// that meet both: places and impulses as on the CPU, and momentum is accounted for.

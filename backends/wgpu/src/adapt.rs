@@ -4,7 +4,7 @@
 use crate::batch::{BLOCKS, Behind, COUNTED, Dispatch, HALTED, Part, WgpuBatch};
 use crate::kernels::{Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
-use crate::memory::{StepConstants, read_all, with_room};
+use crate::memory::{StepConstants, Writes, read_all, with_room};
 use crate::sleep;
 use crate::world::Level;
 use barchan_core::{Coupling, ParticleList, Regions, Result};
@@ -93,7 +93,8 @@ impl WgpuBatch {
         // Those that may merge are many, and it takes more to merge them.
         let at_once = if merges { 0 } else { AT_ONCE.min(self.particles()) };
         let few: Vec<_> = self.found(at_once).collect();
-        let (status, mut words) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0, few)?;
+        let (status, mut words) =
+            Self::run(&Writes::default(), &self.gpu, &mut self.memory, &mut self.clocks, &parts, 0, few)?;
         let count = status.words[COUNTED] as usize;
 
         let world = &self.worlds[w];

@@ -872,8 +872,7 @@ impl WgpuBatch {
         let parts = self.with_groups(parts);
         let behind = states(free * self.worlds.len(), count * self.substeps);
         let steps = count.max(1);
-        let (status, lent) =
-            Self::run_after(&writes, &self.gpu, &mut self.memory, &mut self.clocks, &parts, steps, behind)?;
+        let (status, lent) = Self::run(&writes, &self.gpu, &mut self.memory, &mut self.clocks, &parts, steps, behind)?;
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
         for &(w, time) in active {
@@ -1019,20 +1018,9 @@ impl WgpuBatch {
         stretches
     }
 
-    /// Runs parts and brings back the status with the words of so many steps, and what is asked for besides, one after the other.
+    /// Writes what is to be written, runs parts and brings back the status with the words of so many steps, and what is asked for besides, one after the
+    /// other.
     pub(crate) fn run(
-        gpu: &Gpu,
-        memory: &mut Memory,
-        clocks: &mut Clocks,
-        parts: &[(Part<'_>, Vec<Size>)],
-        steps: usize,
-        behind: impl IntoIterator<Item = Behind>,
-    ) -> Result<(Status, Vec<u32>)> {
-        Self::run_after(&Writes::default(), gpu, memory, clocks, parts, steps, behind)
-    }
-
-    /// The same after writes.
-    fn run_after(
         writes: &Writes,
         gpu: &Gpu,
         memory: &mut Memory,
@@ -1553,7 +1541,7 @@ impl WgpuBatch {
             self.write_steps(0, &[self.step_constants(f64::from_bits(dt), 0)]);
             let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0, end: self.levels };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
-            Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, 0, None)?;
+            Self::run(&Writes::default(), &self.gpu, &mut self.memory, &mut self.clocks, &parts, 0, None)?;
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use crate::batch::{
     WgpuBatch, ending,
 };
 use crate::kernels::Role;
-use crate::memory::{NEAR_BLOCK, read};
+use crate::memory::{NEAR_BLOCK, Writes, read};
 use crate::sleep::near_tools;
 use crate::world::{FELT, MAX_DRIFT, Rhythm, World};
 use barchan_core::backend::Turn;
@@ -435,7 +435,8 @@ impl WgpuBatch {
         self.write_steps(0, &passes.constants);
         let parts = self.with_groups(vec![Part { sorting: sort.then_some(before), dispatches: passes.dispatches }]);
         let room = if slot < self.substeps { self.near_expected() } else { 0 };
-        let (status, of_nodes) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
+        let (status, of_nodes) =
+            Self::run(&Writes::default(), &self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
         if slot == 0 {
             self.take_blocks(&status);
         }
@@ -638,7 +639,8 @@ impl WgpuBatch {
             sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1, end: self.levels })).collect();
         let parts = self.with_groups(vec![Part { sorting, dispatches }]);
         let room = self.near_expected();
-        let (status, of_nodes) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
+        let (status, of_nodes) =
+            Self::run(&Writes::default(), &self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
         self.take_pending(&status);
         self.take_blocks(&status);
         for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
@@ -687,7 +689,8 @@ impl WgpuBatch {
         let dispatches = vec![Dispatch { kernel: &near[0], now: self.memory.now, step: 1, end: self.levels }];
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let room = self.near_expected();
-        let (status, of_nodes) = Self::run(&self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
+        let (status, of_nodes) =
+            Self::run(&Writes::default(), &self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
         self.blocks_near(&status, of_nodes)
     }
 
