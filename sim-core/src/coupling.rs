@@ -214,9 +214,11 @@ pub trait Coupling: Send + Sync {
     }
     /// Lends its free bodies to a backend that moves them itself, for up to so many steps of `dt` from `time` [s]: until they are
     /// [taken back](Self::take_back), [`before_step`](Self::before_step) and [`after_step`](Self::after_step) leave them where they are, and
-    /// what is [saved](Self::save) is only good for a coupling that has lent them, too.
+    /// what is [saved](Self::save) is only good for a coupling that has lent them, too. As long as all of its bodies are lent, a backend may call
+    /// the two for the first of the steps alone.
     ///
-    /// `None` if one of them is so near to anything but the ground that the coupling itself must take the next step. Whether it is
+    /// `None` if one of them is so near to anything but the ground that the coupling itself must take the next step; nearer than two finest cells to a wall
+    /// is too near, and leashes keep bodies from it. Whether it is
     /// depends on where bodies are and how they move now, not on the number of steps.
     fn lend(&mut self, time: f64, dt: f64, steps: usize) -> Option<Vec<Lent>> {
         let _ = (time, dt, steps);

@@ -1345,6 +1345,14 @@ fn mirrors_found_with_rims_are_those_found_later() {
     let scale = norm(cl.wall_impulse);
     within("impulse of walls, relative", off(el.wall_impulse, cl.wall_impulse) / scale, 1e-4);
     within("impulse of walls found later, relative", off(el.wall_impulse, ll.wall_impulse) / scale, 1e-5);
+    // A second free body near a wall has all contact on the host, in the midst of each step.
+    let near_wall =
+        tool("ball", [0.06, 1.5, 1.4], "sphere = { radius = 0.01 }", "\"slip\"", "{ free = { mass = 0.01 } }");
+    let (host, on_host) = run(gpu(&bed(&near_wall)));
+    assert!(passes_of(&host, "gather") >= 4 * 12 && passes_of(&host, "reflect") >= 4 * 12);
+    within("distance of particles with the host, in cells", apart(&rows(&early), &rows(&host)) / h, 1e-5);
+    within("impulse on the foot with the host, relative", off(on_gpu, on_host) / norm(on_cpu), 1e-4);
+    within("impulse of walls with the host, relative", off(el.wall_impulse, host.ledger().wall_impulse) / scale, 1e-5);
     let gave: Vec3 = std::array::from_fn(|d| {
         el.momentum[d] - start.momentum[d] - el.wall_impulse[d] - el.gravity_impulse[d] + on_gpu[d]
     });

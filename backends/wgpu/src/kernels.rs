@@ -150,7 +150,7 @@ pub(crate) enum Groups {
     Found(Found),
 }
 
-/// What a sort counts on levels, for the passes of a step to visit nothing else. It lists rims, givers and walled ones.
+/// What a sort counts on levels, for the passes of a step to visit nothing else. It lists rims, givers, walled ones, and those that share nodes with a finer level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Found {
     Blocks,
@@ -224,7 +224,7 @@ pub(crate) struct Kernels {
     pub(crate) mirror: Vec<Kernel>,
     /// Velocities at rims.
     pub(crate) prolong: Option<Kernel>,
-    /// Velocities behind mirrors; are they found early, if no body comes near walls?
+    /// Velocities behind mirrors; are they found early, if no body comes near walls? Other worlds of a batch may have such bodies.
     pub(crate) reflect: Option<Kernel>,
     pub(crate) mirrored: bool,
     pub(crate) g2p: Kernel,
@@ -402,7 +402,7 @@ impl Drafts {
             mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
             prolong: (levels && !subcycled).then(|| rims_alone(false)),
             // What holding the edge takes is booked there, too.
-            reflect: (has_mirrors(plan) && (!mirrored || plan.has(Stage::Contact)) || unbounded)
+            reflect: (has_mirrors(plan) && (!mirrored || levels) || unbounded)
                 .then(|| reflect(sleeps, levels, mirrored)),
             g2p: g2p(plan, &laws, sleeps, [particles, worlds * plan.cell_widths.len()]),
             stress: stress(&laws),

@@ -326,8 +326,7 @@ impl Recorder {
 
     /// When something is due next [s].
     fn next_output(&self) -> f64 {
-        let frame = self.next_frame as f64 * self.interval - 1e-9 * self.interval;
-        if self.view.is_some() || self.export.is_some() { frame.min(self.next_snapshot) } else { self.next_snapshot }
+        (self.next_frame as f64 * self.interval - 1e-9 * self.interval).min(self.next_snapshot)
     }
 
     /// Pictures, particle files and snapshots that are due.

@@ -187,9 +187,7 @@ fn ready(b: u32) -> u32 {
     var followed = 0u;
     if may_be_due {
         rhythm = rhythm_of(layer);
-        if FREE_ROOM > 0u {
-            followed = atomicLoad(&status[FOLLOWED]);
-        }
+        followed = atomicLoad(&status[FOLLOWED]);
     }
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;

@@ -35,8 +35,8 @@ fn rims_and_walls(w: u32, thread: u32) {
         let end = min(step.end_level, LEVELS);
         let at_rims = (listed[until_level(AT_RIM, end)] + ABREAST - 1u) / ABREAST;
         let taking = (listed[until_level(TAKING, min(end + 1u, LEVELS))] + ABREAST - 1u) / ABREAST;
-        list = select(select(AT_RIM, TAKING, w >= at_rims), WALLED, w >= at_rims + taking);
-        number -= select(select(0u, at_rims, w >= at_rims), at_rims + taking, w >= at_rims + taking);
+        list = select(select(AT_RIM, TAKING, w >= at_rims), WALLED, MIRRORED && w >= at_rims + taking);
+        number -= select(select(0u, at_rims, list == TAKING), at_rims + taking, list == WALLED);
     }
     rims_of(list, ABREAST * number, thread);
 }

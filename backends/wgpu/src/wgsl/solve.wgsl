@@ -101,7 +101,7 @@ fn tasks_of(g: u32, list: u32) -> u32 {
     let is_behind = step.mirrors != 0u && (rim.z & IS_BEHIND) != 0u;
     let images_given = (rim.z & IMAGES_GIVEN) != 0u;
     if list == TAKING {
-        return select(0u, u32((rim.z & IS_GIVEN) != 0u) * TAKES | u32(is_behind && images_given) * REFLECTS, takes_part(layer));
+        return select(0u, (u32((rim.z & IS_GIVEN) != 0u) * TAKES) | (u32(is_behind && images_given) * REFLECTS), takes_part(layer));
     }
-    return select(0u, u32(any(rim.xy != vec2<u32>(0u))) * MOVES | u32(is_behind && !images_given) * REFLECTS, is_live(layer));
+    return select(0u, (u32(any(rim.xy != vec2<u32>(0u))) * MOVES) | (u32(is_behind && !images_given) * REFLECTS), is_live(layer));
 }
