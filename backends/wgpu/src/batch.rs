@@ -386,7 +386,7 @@ impl<'a> Passes<'a> {
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
         self.run(step, kernels.grid.iter().chain(driven).chain(free));
         if with_rims {
-            self.run(step, kernels.behind_rims());
+            self.run(step, kernels.behind_rims(true));
         } else {
             self.run(step, kernels.to_particles());
         }
@@ -433,9 +433,8 @@ impl<'a> Passes<'a> {
         }
         let step = self.constants_of(each, ending, first + slot);
         self.run(step, driven);
-        let kernels = self.kernels;
-        let reflects = !kernels.mirrored || self.contact.comes_to_walls();
-        self.run(step, kernels.reflect.iter().filter(|_| reflects).chain([&kernels.g2p]));
+        let reflects = !self.kernels.mirrored || self.contact.comes_to_walls();
+        self.run(step, self.kernels.behind_rims(reflects));
     }
 
     /// Steps of the finest level in one of the coarsest.

@@ -324,12 +324,12 @@ impl Kernels {
 
     /// From whole velocities to particles. Rims read what stands behind walls that let go, and mirrors what stands at rims.
     pub(crate) fn to_particles(&self) -> impl Iterator<Item = &Kernel> {
-        self.mirror.iter().chain(&self.prolong).chain(self.behind_rims())
+        self.mirror.iter().chain(&self.prolong).chain(self.behind_rims(true))
     }
 
-    /// The same once rims have moved, too.
-    pub(crate) fn behind_rims(&self) -> impl Iterator<Item = &Kernel> {
-        self.reflect.iter().chain([&self.g2p])
+    /// The same once rims have moved, too; `reflects`: are nodes behind mirrors still to be found?
+    pub(crate) fn behind_rims(&self, reflects: bool) -> impl Iterator<Item = &Kernel> {
+        self.reflect.iter().filter(move |_| reflects).chain([&self.g2p])
     }
 
     /// Where soft bodies are after a step.
@@ -1422,7 +1422,7 @@ const BOOK: &str = "if w < blocks && any(pending != vec4<f32>(0.0)) && is_live(u
     }
     if LEVELS > 1u && is_live(layer_of(w)) {
         let entry = (extent.block_room + w) * ENTRY;
-        lists[entry + WALL] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + WALL]) + bitcast<vec4<f32>>(lists[entry + PENDING]));
+        book(entry + WALL, bitcast<vec4<f32>>(lists[entry + PENDING]));
     }";
 
 /// Velocities of nodes behind mirrors. Where these are found early if no body comes near walls (`mirrored`), what others give to walls is booked at once.

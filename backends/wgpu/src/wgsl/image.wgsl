@@ -10,20 +10,17 @@ struct Image {
 }
 
 fn image_of(layer: u32, cell: vec3<i32>) -> Image {
-    let low = world_min(layer);
-    let high = world_max(layer);
-    let below = (LOW != vec3<u32>(0u)) & (cell < low);
-    let above = (HIGH != vec3<u32>(0u)) & (cell >= high);
-    let beyond = below | above;
+    let to = before_mirrors(layer, cell);
+    let beyond = to != cell;
     // Axis by axis: compilers put vectors that are indexed by a variable into memory.
-    let kind = select(LOW, HIGH, above);
+    let kind = select(LOW, HIGH, to < cell);
     let one = vec3<f32>(1.0);
     let x = select(one, wall_signs(kind.x, 0), beyond.x);
     let y = select(one, wall_signs(kind.y, 1), beyond.y);
     let z = select(one, wall_signs(kind.z, 2), beyond.z);
     let outer = select(select(z, y, beyond.y), x, beyond.x);
     let inner = select(select(one, z, beyond.y), y * z, beyond.x);
-    return Image(before_mirrors(layer, cell), outer, inner, any(beyond));
+    return Image(to, outer, inner, any(beyond));
 }
 
 // What the wall gives to the mass behind it that comes to move with velocity `u`, turned by the wall [N s].

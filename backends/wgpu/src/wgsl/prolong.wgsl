@@ -64,6 +64,6 @@ fn move_rim(g: u32, n: u32, is_rim: bool) {
     workgroupBarrier();
     let total = sum_of_block(n, impulse);
     if n == 0u && is_rim && has_nodes_behind(coarser, first) {
-        lists[entry + TO_BOOK] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + TO_BOOK]) + total);
+        book(entry + TO_BOOK, total);
     }
 }

@@ -44,6 +44,6 @@ fn reflect_nodes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     }
     let total = sum_of_block(n, impulse);
     if n == 0u {
-        lists[entry + WALL] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + WALL]) + total);
+        book(entry + WALL, total);
     }
 }

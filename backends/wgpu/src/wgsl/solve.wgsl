@@ -86,7 +86,7 @@ fn reflect(g: u32, n: u32, is_on: bool) {
     workgroupBarrier();
     let total = sum_of_block(n, impulse);
     if n == 0u && is_on && is_live(layer) != ((rims[g].z & IMAGES_GIVEN) != 0u) {
-        lists[entry + TO_BOOK] = bitcast<vec4<i32>>(bitcast<vec4<f32>>(lists[entry + TO_BOOK]) + total);
+        book(entry + TO_BOOK, total);
     }
 }
 

@@ -26,26 +26,24 @@ fn listed_before(kind: u32, block: u32) -> u32 {
     return low;
 }
 
-// How many of a list's blocks are on the levels before one.
-fn listed_before_level(kind: u32, level: u32) -> u32 {
-    var node_blocks = atomicLoad(&status[NODE_BLOCKS]);
+// How many blocks, or blocks of nodes, are on the levels before one: `all` there are, and where that level's `first` one stands.
+fn before_level(all: u32, first: u32, level: u32) -> u32 {
     if level < LEVELS && LAYERS == LEVELS {
-        node_blocks = atomicLoad(&status[layer_word(level, FIRST_NODE_BLOCK)]);
+        return atomicLoad(&status[layer_word(level, first)]);
     }
-    // There are no fewer blocks of nodes than blocks.
-    return listed_before(kind, node_blocks);
+    return atomicLoad(&status[all]);
+}
+
+// How many of a list's blocks are there. There are no fewer blocks of nodes than blocks.
+fn listed_before_level(kind: u32, level: u32) -> u32 {
+    return listed_before(kind, before_level(NODE_BLOCKS, FIRST_NODE_BLOCK, level));
 }
 
 // How many there are of what a pass visits on the levels before one.
 fn found_before(which: u32, level: u32) -> u32 {
-    var blocks = atomicLoad(&status[BLOCKS]);
-    var node_blocks = atomicLoad(&status[NODE_BLOCKS]);
-    if level < LEVELS && LAYERS == LEVELS {
-        blocks = atomicLoad(&status[layer_word(level, FIRST_BLOCK)]);
-        node_blocks = atomicLoad(&status[layer_word(level, FIRST_NODE_BLOCK)]);
-    }
+    let blocks = before_level(BLOCKS, FIRST_BLOCK, level);
     if which < 2u {
-        return select(blocks, node_blocks, which == 1u);
+        return select(blocks, before_level(NODE_BLOCKS, FIRST_NODE_BLOCK, level), which == 1u);
     }
     if which - 2u == GIVING {
         return blocks + listed_before(GIVING, blocks);
