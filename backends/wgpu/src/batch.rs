@@ -7,7 +7,7 @@ use crate::kernels::{self, Free, Groups, Kernel, Kernels, Role, Sorted, rest_vec
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
     Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, Writes, lent_bytes,
-    read, read_all, with_mapped, with_room,
+    pad, read, read_all, with_mapped, with_room,
 };
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
@@ -44,6 +44,8 @@ const PLACES: u32 = 1024;
 /// Steps that a submission begins with; each that comes to its end may be followed by one twice as long, but one that had to stop since
 /// particles drifted otherwise than foreseen wastes what was written behind.
 const FEW_STEPS: usize = 128;
+/// From so many particles on, a sort that nobody needs takes longer than steps that are written for nothing behind one that is missing.
+const MANY: usize = 500_000;
 /// By so many blocks parts of the directory reach further than they must, so that ground that moves on seldom leaves them.
 const SPARE_BLOCKS: i32 = 2;
 
@@ -507,6 +509,8 @@ pub(crate) struct WgpuBatch {
     astray: bool,
     /// Steps that drifts are foreseen for.
     horizon: usize,
+    /// Room for what submissions begin with writing.
+    writes: Writes,
     /// Blocks of nodes near bodies in the last step whose contact was on the host.
     pub(crate) near_blocks: usize,
     pub(crate) clocks: Clocks,
@@ -634,6 +638,7 @@ impl WgpuBatch {
             unlinked: true,
             astray: false,
             horizon: FEW_STEPS,
+            writes: Writes::default(),
             near_blocks: 0,
             clocks: Clocks::default(),
             contact_seconds: (0.0, 0),
@@ -671,6 +676,15 @@ impl WgpuBatch {
         self.levels * world..self.levels * (world + 1)
     }
 
+    /// Do steps ask no more of the host than to wait for the device? Bodies near walls do, levels and ground without bounds.
+    pub(crate) fn only_waits(&self) -> bool {
+        let only_waits = |world: &World| {
+            let on_device = matches!(world.contact, Some(Place::Nowhere | Place::Device));
+            on_device && world.free == 0 && world.reach.is_none()
+        };
+        self.levels == 1 && self.worlds.iter().all(only_waits)
+    }
+
     pub(crate) fn particles(&self) -> usize {
         self.memory.extent.particles as usize
     }
@@ -698,7 +712,9 @@ impl WgpuBatch {
 
     /// The constants of steps from a slot on: one write, since each takes the queue microseconds.
     pub(crate) fn write_steps(&self, slot: usize, constants: &[StepConstants]) {
-        self.gpu.queue.write_buffer(&self.memory.steps, STEP_STRIDE * slot as u64, &padded(constants));
+        let mut bytes = Vec::new();
+        pad(constants, &mut bytes);
+        self.gpu.queue.write_buffer(&self.memory.steps, STEP_STRIDE * slot as u64, &bytes);
     }
 
     pub(crate) fn write_words(&self, from: usize, words: &[u32]) {
@@ -867,11 +883,13 @@ impl WgpuBatch {
             }
             parts.push(Part { sorting, dispatches: std::mem::take(&mut passes.dispatches) });
         }
-        writes.add(&self.memory.steps, 0, &padded(&passes.constants));
+        writes.add_steps(&self.memory.steps, &passes.constants);
         let parts = self.with_groups(parts);
         let behind = states(free * self.worlds.len(), count * self.substeps);
         let steps = count.max(1);
         let (status, lent) = Self::run(&writes, &self.gpu, &mut self.memory, &mut self.clocks, &parts, steps, behind)?;
+        writes.clear();
+        self.writes = writes;
         let halt = status.halt();
         let done = if halt.is_some() { status.words[HALT_STEP] as usize } else { count };
         for &(w, time) in active {
@@ -981,7 +999,7 @@ impl WgpuBatch {
         }
     }
 
-    /// Cuts steps into stretches between sorts, as far as the present speeds tell when worlds will be due. Where they tell wrong, a sort
+    /// Cuts steps into stretches between sorts, as far as the present speeds tell when worlds will be, or may be due. Where they tell wrong, a sort
     /// that nobody needs changes nothing, and the device stops before a step that needs one.
     fn plan_stretches(&self, active: &[(usize, f64)], dt: f64, count: usize) -> Vec<Stretch> {
         let of_world = |&(w, _): &(usize, f64)| {
@@ -989,10 +1007,13 @@ impl WgpuBatch {
             self.worlds[w].levels.iter().map(each).collect()
         };
         let is_due = |world: &Vec<(Rhythm, f32)>| world.iter().any(|(rhythm, _)| rhythm.is_due(self.most_drift));
+        // To sort many takes longer than to be stopped, and levels would look for those on a wrong one each time.
+        let cheap = self.levels == 1 && self.particles() < MANY;
+        let may_be_due = |world: &Vec<(Rhythm, f32)>| cheap && world.iter().any(|(rhythm, _)| rhythm.may_be_due());
         let mut worlds: Vec<Vec<(Rhythm, f32)>> = active.iter().map(of_world).collect();
         let (mut stretches, mut sorts): (Vec<Stretch>, usize) = (Vec::new(), 0);
         for step in 0..count.min(self.horizon) {
-            let sort = (step == 0 && self.unlinked) || worlds.iter().any(is_due);
+            let sort = (step == 0 && self.unlinked) || worlds.iter().any(|world| is_due(world) || may_be_due(world));
             // Where the directory's boxes have to change they do so before a submission, and fit the blocks from its first sort on.
             if sort && stretches.first().is_some_and(|first| !first.sort) && !self.covers(1 + sorts) {
                 break;
@@ -1028,9 +1049,6 @@ impl WgpuBatch {
         steps: usize,
         behind: impl IntoIterator<Item = Behind>,
     ) -> Result<(Status, Vec<u32>)> {
-        for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
-            clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
-        }
         // The first is not worth timing: caches are cold. Of the others, the first part stands for all.
         let timed = gpu.features.contains(wgpu::Features::TIMESTAMP_QUERY) && clocks.submissions % TIMED == 1;
         clocks.submissions += 1;
@@ -1086,6 +1104,10 @@ impl WgpuBatch {
             buffer
         });
         gpu.queue.submit([encoder.finish()]);
+        // The device works meanwhile.
+        for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
+            clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
+        }
         let mut words = Vec::new();
         with_mapped(gpu, &memory.readback, bytes, |bytes| words = bytemuck::pod_collect_to_vec(bytes))?;
         if let (Some(buffer), Some((part, _))) = (resolved, parts.first()) {
@@ -1582,7 +1604,7 @@ impl WgpuBatch {
             }
             cut(&mut stretches, steps);
             self.write_bodies(turns, &driven, steps);
-            let mut writes = Writes::default();
+            let mut writes = std::mem::take(&mut self.writes);
             self.write_lent(turns, lent, &mut writes);
             self.write_near(turns, &driven, steps)?;
             let outcome = self.submit(&active, dt, &stretches, writes)?;
@@ -2004,15 +2026,6 @@ fn device_law(couplings: &[Box<dyn Coupling>]) -> Option<(DeviceLaw, usize)> {
     let bodies = coupling.bodies().len();
     let fits = bodies == coupling.bounds().len() && bodies > 0;
     coupling.device_law().filter(|_| fits).map(|law| (law, bodies))
-}
-
-/// Constants of steps as the device reads them.
-fn padded(constants: &[StepConstants]) -> Vec<u8> {
-    let mut bytes = vec![0; STEP_STRIDE as usize * constants.len()];
-    for (room, constants) in bytes.chunks_exact_mut(STEP_STRIDE as usize).zip(constants) {
-        room[..size_of::<StepConstants>()].copy_from_slice(bytemuck::bytes_of(constants));
-    }
-    bytes
 }
 
 /// The constants of a step of all levels, where the finest cells have width `h` [m].

@@ -682,6 +682,28 @@ impl Writes {
         self.bytes.extend_from_slice(bytemuck::cast_slice(what));
         self.places.push((buffer.clone(), from, size_of_val(what) as u64));
     }
+
+    /// The constants of steps.
+    pub(crate) fn add_steps(&mut self, buffer: &wgpu::Buffer, constants: &[StepConstants]) {
+        pad(constants, &mut self.bytes);
+        self.places.push((buffer.clone(), 0, STEP_STRIDE * constants.len() as u64));
+    }
+
+    /// Forgets what has been written, but keeps the room: some hundred steps need as many kilobytes.
+    pub(crate) fn clear(&mut self) {
+        self.bytes.clear();
+        self.places.clear();
+    }
+}
+
+/// Adds the constants of steps as the device reads them.
+pub(crate) fn pad(constants: &[StepConstants], bytes: &mut Vec<u8>) {
+    bytes.reserve(STEP_STRIDE as usize * constants.len());
+    for one in constants {
+        let end = bytes.len() + STEP_STRIDE as usize;
+        bytes.extend_from_slice(bytemuck::bytes_of(one));
+        bytes.resize(end, 0);
+    }
 }
 
 /// A buffer that is filled for what is written with a submission.
