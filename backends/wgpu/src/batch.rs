@@ -11,7 +11,7 @@ use crate::memory::{
 };
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
-use crate::world::{Level, MAX_MOVE, Place, Rhythm, Span, World, most_drift, parameters};
+use crate::world::{Foresight, Level, MAX_MOVE, Place, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::coupling::{DeviceLaw, Lent};
 use barchan_core::scene::{Leaving, Wall};
@@ -44,7 +44,7 @@ const PLACES: u32 = 1024;
 /// Steps that a submission begins with; each that comes to its end may be followed by one twice as long, but one that had to stop since
 /// particles drifted otherwise than foreseen wastes what was written behind.
 const FEW_STEPS: usize = 128;
-/// From so many particles on, a sort that nobody needs takes longer than steps that are written for nothing behind one that is missing.
+/// From so many particles on, sorts that nobody needs take longer than steps that are written for nothing behind one that is missing.
 const MANY: usize = 500_000;
 /// By so many blocks parts of the directory reach further than they must, so that ground that moves on seldom leaves them.
 const SPARE_BLOCKS: i32 = 2;
@@ -676,13 +676,13 @@ impl WgpuBatch {
         self.levels * world..self.levels * (world + 1)
     }
 
-    /// Do steps ask no more of the host than to wait for the device? Bodies near walls do, levels and ground without bounds.
+    /// Do steps ask no more of the host than to wait for the device? They do until it is known where laws run, and where the host has a part in them.
     pub(crate) fn only_waits(&self) -> bool {
         let only_waits = |world: &World| {
             let on_device = matches!(world.contact, Some(Place::Nowhere | Place::Device));
-            on_device && world.free == 0 && world.reach.is_none()
+            on_device && world.free == 0 && world.reach.is_none() && !world.hardens
         };
-        self.levels == 1 && self.worlds.iter().all(only_waits)
+        self.levels == 1 && self.particles() > 0 && self.worlds.iter().all(only_waits)
     }
 
     pub(crate) fn particles(&self) -> usize {
@@ -999,21 +999,24 @@ impl WgpuBatch {
         }
     }
 
-    /// Cuts steps into stretches between sorts, as far as the present speeds tell when worlds will be, or may be due. Where they tell wrong, a sort
-    /// that nobody needs changes nothing, and the device stops before a step that needs one.
+    /// Cuts steps into stretches between sorts, as far as the present speeds tell when worlds will be due, or might be. Where they tell wrong, a sort
+    /// that nobody needs leaves all particles as they are, and the device stops before a step that needs one.
     fn plan_stretches(&self, active: &[(usize, f64)], dt: f64, count: usize) -> Vec<Stretch> {
         let of_world = |&(w, _): &(usize, f64)| {
-            let each = |level: &Level| (level.rhythm, (level.particle_speed * dt / level.h) as f32);
+            let each = |level: &Level| {
+                let each = (level.particle_speed * dt / level.h) as f32;
+                Foresight { foreseen: level.rhythm, faster: level.rhythm, each }
+            };
             self.worlds[w].levels.iter().map(each).collect()
         };
-        let is_due = |world: &Vec<(Rhythm, f32)>| world.iter().any(|(rhythm, _)| rhythm.is_due(self.most_drift));
-        // To sort many takes longer than to be stopped, and levels would look for those on a wrong one each time.
-        let cheap = self.levels == 1 && self.particles() < MANY;
-        let may_be_due = |world: &Vec<(Rhythm, f32)>| cheap && world.iter().any(|(rhythm, _)| rhythm.may_be_due());
-        let mut worlds: Vec<Vec<(Rhythm, f32)>> = active.iter().map(of_world).collect();
+        // To sort many takes longer than to be stopped; levels would look for those on a wrong one, and of many worlds one might always be due.
+        let guesses = self.levels == 1 && self.worlds.len() == 1 && self.particles() < MANY;
+        let is_due = |world: &Vec<Foresight>| world.iter().any(|level| level.foreseen.is_due(self.most_drift));
+        let might_be = |world: &Vec<Foresight>| guesses && world.iter().any(|level| level.faster.is_far());
+        let mut worlds: Vec<Vec<Foresight>> = active.iter().map(of_world).collect();
         let (mut stretches, mut sorts): (Vec<Stretch>, usize) = (Vec::new(), 0);
         for step in 0..count.min(self.horizon) {
-            let sort = (step == 0 && self.unlinked) || worlds.iter().any(|world| is_due(world) || may_be_due(world));
+            let sort = (step == 0 && self.unlinked) || worlds.iter().any(|world| is_due(world) || might_be(world));
             // Where the directory's boxes have to change they do so before a submission, and fit the blocks from its first sort on.
             if sort && stretches.first().is_some_and(|first| !first.sort) && !self.covers(1 + sorts) {
                 break;
@@ -1028,10 +1031,7 @@ impl WgpuBatch {
             }
             for world in &mut worlds {
                 let sorted = is_due(world);
-                for (rhythm, each) in world {
-                    let before = if sorted { Rhythm::default() } else { *rhythm };
-                    *rhythm = before.after(*each);
-                }
+                world.iter_mut().for_each(|level| level.step(sorted));
             }
             stretches.iter_mut().next_back().expect("there is one").steps += 1;
         }
@@ -1134,17 +1134,19 @@ impl WgpuBatch {
         if self.covers(sorts) {
             return Ok(());
         }
-        let mut places = 0u64;
-        for world in &mut self.worlds {
-            let spans: Vec<Span> = world.spans(sorts, SPARE_BLOCKS).collect();
-            for (level, span) in world.levels.iter_mut().zip(spans) {
-                level.span = span;
-                places += span.places().min(u64::from(u32::MAX)).next_multiple_of(u64::from(PLACES));
-            }
-        }
+        let spans: Vec<Vec<Span>> =
+            self.worlds.iter().map(|world| world.spans(sorts, SPARE_BLOCKS).collect()).collect();
+        let room = |span: &Span| span.places().min(u64::from(u32::MAX)).next_multiple_of(u64::from(PLACES));
+        let places: u64 = spans.iter().flatten().map(room).sum();
         // The same rule as for all buffers finds what is too large for the adapter; this one keeps the number a u32.
         let extent = Extent { places: u32::try_from(places).unwrap_or(!(PLACES - 1)), ..self.memory.extent };
-        if extent != self.memory.extent { self.memory.grow(&self.gpu, extent) } else { Ok(()) }
+        if extent != self.memory.extent {
+            self.memory.grow(&self.gpu, extent)?;
+        }
+        for (world, spans) in self.worlds.iter_mut().zip(spans) {
+            world.levels.iter_mut().zip(spans).for_each(|(level, span)| level.span = span);
+        }
+        Ok(())
     }
 
     /// Makes room for as many blocks as the last sort found, and a quarter more.

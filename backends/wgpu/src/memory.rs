@@ -689,7 +689,7 @@ impl Writes {
         self.places.push((buffer.clone(), 0, STEP_STRIDE * constants.len() as u64));
     }
 
-    /// Forgets what has been written, but keeps the room: some hundred steps need as many kilobytes.
+    /// Forgets what has been written, but keeps the room: 400 steps need a hundred kilobytes.
     pub(crate) fn clear(&mut self) {
         self.bytes.clear();
         self.places.clear();

@@ -20,7 +20,7 @@ use std::ops::Range;
 pub(crate) const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time [cells].
 pub(crate) const SORT_DRIFT: f32 = 0.1;
-/// So many times faster than foreseen particles may come to be: drifts add up the fastest particle's moves of each step, which jump.
+/// So many times faster than now particles might become: drifts add up the fastest particle's moves of each step, which jump.
 const FASTER: f32 = 2.0;
 /// Whenever so many have passed, if they may have drifted by more than [`SELDOM_DRIFT`]: few at rest cross into another cell, but whoever has costs
 /// P2G a fifth of its time in each step.
@@ -65,15 +65,36 @@ impl Rhythm {
             || (every(SORT_SELDOM) && self.drift > SELDOM_DRIFT)
     }
 
-    /// Is it likely enough to be due, although by the speeds that were foreseen it is not? A sort that nobody needs takes a small world's time of two or three
-    /// steps; one that is missing stops it, and what has been written down behind is in vain.
-    pub(crate) fn may_be_due(self) -> bool {
-        self.age.is_multiple_of(SORT_AGE) && FASTER * self.drift > SORT_DRIFT
+    /// Would so much drift be reason for a sort after every [`SORT_AGE`] steps?
+    pub(crate) fn is_far(self) -> bool {
+        self.age.is_multiple_of(SORT_AGE) && self.drift > SORT_DRIFT
     }
 
     /// After a step in which particles moved by up to `moved` cells.
     pub(crate) fn after(self, moved: f32) -> Self {
         Self { age: self.age + 1, drift: self.drift + moved }
+    }
+}
+
+/// How a level goes on in a submission, before anybody has seen it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Foresight {
+    /// As its particles move now, and if they become faster. A sort that nobody needs takes a small world's time of two or three steps; one that is missing stops it,
+    /// and what has been written down behind is in vain.
+    pub(crate) foreseen: Rhythm,
+    pub(crate) faster: Rhythm,
+    /// How far they move in a step [cells].
+    pub(crate) each: f32,
+}
+
+impl Foresight {
+    /// A step, behind a sort that was due, or not.
+    pub(crate) fn step(&mut self, sorted: bool) {
+        if sorted {
+            (self.foreseen, self.faster) = Default::default();
+        }
+        self.foreseen = self.foreseen.after(self.each);
+        self.faster = self.faster.after(FASTER * self.each);
     }
 }
 

@@ -34,7 +34,7 @@ fn before_level(all: u32, first: u32, level: u32) -> u32 {
     return atomicLoad(&status[all]);
 }
 
-// How many of a list's blocks are there. There are no fewer blocks of nodes than blocks.
+// How many of a list's blocks are on the levels before one. There are no fewer blocks of nodes than blocks.
 fn listed_before_level(kind: u32, level: u32) -> u32 {
     return listed_before(kind, before_level(NODE_BLOCKS, FIRST_NODE_BLOCK, level));
 }
