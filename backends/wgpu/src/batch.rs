@@ -676,7 +676,7 @@ impl WgpuBatch {
         self.levels * world..self.levels * (world + 1)
     }
 
-    /// Do steps ask no more of the host than to wait for the device? They do until it is known where laws run, and where the host has a part in them.
+    /// Do steps ask no more of the host than to wait for the device? They ask more until it is known where laws run, and where the host has a part in them.
     pub(crate) fn only_waits(&self) -> bool {
         let only_waits = |world: &World| {
             let on_device = matches!(world.contact, Some(Place::Nowhere | Place::Device));
