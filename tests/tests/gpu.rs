@@ -36,6 +36,14 @@ fn take(simulation: &mut Simulation, steps: usize) {
     }
 }
 
+/// Takes steps, as many at once as the backend likes.
+fn take_at_once(sim: &mut Simulation, steps: usize) {
+    let mut taken = 0;
+    while taken < steps {
+        taken += sim.steps(steps - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
+    }
+}
+
 /// How far two places, or other vectors, are apart.
 fn off(a: Vec3, b: Vec3) -> f64 {
     norm(std::array::from_fn::<f64, 3, _>(|d| a[d] - b[d]))
@@ -84,10 +92,7 @@ fn a_jelly_bounces_as_on_the_cpu() {
         take(&mut cpu, 200);
         println!("{walls}");
         let mut at_once = gpu_of(walls);
-        let mut taken = 0;
-        while taken < 200 {
-            taken += at_once.steps(200 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
-        }
+        take_at_once(&mut at_once, 200);
         within("distance if many steps are taken at once, in cells", apart(&rows(&at_once), &rows(&gpu)) / 0.02, 1e-4);
         let walls_gave = [at_once.ledger().wall_impulse, gpu.ledger().wall_impulse];
         let off = norm(std::array::from_fn::<f64, 3, _>(|d| walls_gave[0][d] - walls_gave[1][d]));
@@ -118,10 +123,7 @@ fn a_fast_block_lands_in_many_steps_at_once() {
             block("hencky", [0.1, 0.1, 0.13], [0.2, 0.2, 0.23], "velocity = [0.5, 0.2, -3.0]"),
         ]);
     let (mut many, mut single) = (gpu(&toml), gpu(&toml));
-    let mut taken = 0;
-    while taken < 200 {
-        taken += many.steps(200 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
-    }
+    take_at_once(&mut many, 200);
     take(&mut single, 200);
     within("distance, in cells", apart(&rows(&many), &rows(&single)) / 0.02, 1e-3);
     assert!(many.ledger().wall_impulse[2] > 0.0, "it has landed");
@@ -136,10 +138,8 @@ fn sorts_that_nobody_needs_change_nothing() {
         block("hencky", [0.0; 3], [0.2, 0.2, 0.2], "velocity = [0.1, 0.05, 0.0]\nsampling = \"jitter\""),
     ]);
     let (mut many, mut single) = (gpu(&toml), gpu(&toml));
-    let (start, mut taken) = (rows(&many), 0);
-    while taken < 200 {
-        taken += many.steps(200 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
-    }
+    let start = rows(&many);
+    take_at_once(&mut many, 200);
     take(&mut single, 200);
     let sorts = [&many, &single].map(|sim| passes_of(sim, "due"));
     println!("sorts at once and step by step: {sorts:?}");
@@ -956,10 +956,7 @@ fn levels_lose_particles_too() {
             Shape::Box { min: Some([0.16, 0.0, 0.0]), max: Some([1.28, 0.48, 0.16]), center: None, half: None };
         let mut sim = Simulation::new(&barchan::registry(), &scene, &on_gpu()).unwrap();
         let before = sim.ledger();
-        let mut taken = 0;
-        while taken < 60 {
-            taken += sim.steps(60 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
-        }
+        take_at_once(&mut sim, 60);
         let now = sim.ledger();
         println!("{:?}", now.counts);
         assert!(now.counts["particles that changed level"] > 0, "{:?}", now.counts);
@@ -1411,10 +1408,7 @@ fn walls_that_let_go_meet_levels_as_on_the_cpu() {
     within("distance before any has changed level, in cells", apart(&rows(&g), &rows(&c)) / h, 1e-5);
     take(&mut g, 85);
     take(&mut c, 85);
-    let mut taken = 0;
-    while taken < 100 {
-        taken += many.steps(100 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
-    }
+    take_at_once(&mut many, 100);
     println!("{:?}", c.ledger().counts);
     let (gl, cl) = (g.ledger(), c.ledger());
     println!("impulse of walls {:?} and {:?} N s", gl.wall_impulse, cl.wall_impulse);
@@ -1596,10 +1590,7 @@ fn ground_comes_within_reach_and_leaves_it_as_on_the_cpu() {
     for _ in 0..5 {
         drawn(&mut g, &mut c, 60);
     }
-    let mut taken = 0;
-    while taken < 300 {
-        taken += many.steps(300 - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
-    }
+    take_at_once(&mut many, 300);
     assert!(left(&many) == left(&g), "steps taken at once are something else");
     let [on_gpu_now, on_cpu_now] = [&g, &c].map(|sim| furrow_depth(&sim.ground(), 0.3));
     println!("furrow {on_gpu_now:.4} m and {on_cpu_now:.4} m deep; {:?}\n{:?}", g.ledger().counts, c.ledger().counts);

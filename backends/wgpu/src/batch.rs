@@ -56,6 +56,8 @@ const MOST_ROOMS: usize = 8192;
 pub(crate) const BLOCKS: usize = 0;
 const NODE_BLOCKS: usize = 1;
 pub(crate) const HALTED: usize = 2;
+/// Words from there on to that of sorts, as steps begin.
+pub(crate) const AT_START: [u32; 8] = [0, 0, u32::MAX, 0, 0, 0, 0, 0];
 const HALT_STEP: usize = 3;
 const WHO: usize = 4;
 const NEW_BLOCKS: usize = 6;
@@ -854,8 +856,7 @@ impl WgpuBatch {
         writes.add(&self.memory.layers, 0, &self.layers(|w| active.iter().any(|a| a.0 == w)));
         let status = self.memory.buffer(Role::Status, 0);
         let sums = self.memory.words().of_sum(0, 0);
-        writes.add(status, 4 * HALTED as u64, &[0, 0, u32::MAX, 0]);
-        writes.add(status, 4 * SORTS as u64, &[0u32]);
+        writes.add(status, 4 * HALTED as u64, &AT_START);
         writes.add(status, 4 * sums as u64, &self.fresh(sums, 0..count.max(1), dt, active));
 
         let measures = (self.h, self.fixed.gravity.0);
@@ -1166,7 +1167,8 @@ impl WgpuBatch {
         // One that is done before it finds too little room for lists leaves nobody due for the next.
         let mut astray = false;
         loop {
-            let outcome = self.submit(&[(world, 0.0)], 0.0, &[Stretch { sort: true, steps: 0 }], Writes::default())?;
+            let writes = std::mem::take(&mut self.writes);
+            let outcome = self.submit(&[(world, 0.0)], 0.0, &[Stretch { sort: true, steps: 0 }], writes)?;
             astray |= outcome.status.is_astray(self.layers_of(world));
             match outcome.halt {
                 None | Some(Halt::Fewer) => return Ok(astray),

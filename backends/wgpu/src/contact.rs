@@ -1,7 +1,7 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
 use crate::batch::{
-    Behind, ContactPasses, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE,
+    AT_START, Behind, ContactPasses, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE,
     WgpuBatch, ending,
 };
 use crate::kernels::Role;
@@ -401,7 +401,7 @@ impl WgpuBatch {
         self.write_layers(&self.layers(|w| active.iter().any(|a| a.0 == w)));
         let words = self.memory.words();
         if slot == 0 {
-            self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0, 0]);
+            self.write_words(HALTED, &AT_START);
             let sums = words.of_sum(0, 0);
             self.write_words(sums, &self.fresh(sums, 0..1, dt, &active));
         }
@@ -606,7 +606,7 @@ impl WgpuBatch {
         self.write_layers(&layers);
         self.write_steps(1, &[self.step_constants(dt, 1)]);
         let words = self.memory.words();
-        self.write_words(HALTED, &[0, 0, u32::MAX, 0, 0, 0, 0, 0]);
+        self.write_words(HALTED, &AT_START);
         self.write_words(NEAR, &[0]);
         if self.worlds.iter().any(|world| world.pending) {
             for w in (0..self.worlds.len()).filter(|w| !self.worlds[*w].pending) {

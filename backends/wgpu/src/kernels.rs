@@ -1194,8 +1194,14 @@ fn at_rims(subcycled: bool, blocks: u32) -> Draft {
     let take = "if (any_task & TAKES) != 0u {\nsolve_block(g, n, (all[abreast] & TAKES) != 0u);\n}";
     let reflect = "if (any_task & REFLECTS) != 0u {\nreflect(g, n, (all[abreast] & REFLECTS) != 0u);\n}";
     let own: String = if subcycled {
-        [&sums_of_tiles(blocks), include_str!("wgsl/handed_to.wgsl"), SHARED_NODES, include_str!("wgsl/solve.wgsl")]
-            .concat()
+        [
+            &sums_of_tiles(blocks),
+            include_str!("wgsl/handed_to.wgsl"),
+            SHARED_NODES,
+            include_str!("wgsl/solve.wgsl"),
+            include_str!("wgsl/mirror_node.wgsl"),
+        ]
+        .concat()
     } else {
         [&abreast(blocks), include_str!("wgsl/velocity_at.wgsl"), include_str!("wgsl/prolong_tasks.wgsl")].concat()
     };
@@ -1440,6 +1446,7 @@ fn reflect(sleeps: bool, levels: bool, mirrored: bool) -> Draft {
                 .replace("$PENDING", if mirrored { "" } else { PENDING })
                 .replace("$BOOK", if mirrored { "" } else { BOOK }),
             include_str!("wgsl/velocity_at.wgsl"),
+            include_str!("wgsl/mirror_node.wgsl"),
             if sleeps { WATCH_WORDS } else { "" },
         ]
         .concat(),

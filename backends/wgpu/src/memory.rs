@@ -348,21 +348,9 @@ impl Memory {
         let extent = Extent { row: ROW, ..extent };
         extent.check(gpu, vectors, asked)?;
         let device = &gpu.device;
-        let storage = |label: &'static str, size: u64| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: size.next_multiple_of(16).max(16),
-                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            })
-        };
+        let storage = |label: &'static str, size: u64| storage(gpu, label, size);
         let uniform = |label: &'static str, size: u64| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size,
-                usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            })
+            buffer(gpu, label, size, wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST)
         };
         let set = || SORTED.map(|s| storage(sorted_name(s), extent.sorted_bytes(s, vectors, asked)));
         let mut shared: HashMap<_, _> =
@@ -571,14 +559,7 @@ impl Memory {
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
         let extent = Extent { row: ROW, ..extent };
         extent.check(gpu, self.vectors, self.asked)?;
-        let storage = |label: &'static str, size: u64| {
-            gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: size.next_multiple_of(16).max(16),
-                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            })
-        };
+        let storage = |label: &'static str, size: u64| storage(gpu, label, size);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for sorted in [Sorted::Lists, Sorted::Cells, Sorted::Watch] {
             for set in 0..2 {
@@ -648,25 +629,27 @@ impl Memory {
     }
 }
 
+fn buffer(gpu: &Gpu, label: &'static str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    let label = Some(label);
+    gpu.device.create_buffer(&wgpu::BufferDescriptor { label, size, usage, mapped_at_creation: false })
+}
+
+/// A buffer that passes read and write.
+fn storage(gpu: &Gpu, label: &'static str, size: u64) -> wgpu::Buffer {
+    let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
+    buffer(gpu, label, size.next_multiple_of(16).max(16), usage)
+}
+
 /// A table of so many vectors that passes read: uniform, or, as long as it must be, stored.
 fn table(gpu: &Gpu, label: &'static str, vectors: usize, stored: bool) -> wgpu::Buffer {
     let kind = if stored { wgpu::BufferUsages::STORAGE } else { wgpu::BufferUsages::UNIFORM };
-    gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some(label),
-        size: 16 * vectors as u64,
-        usage: kind | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
+    buffer(gpu, label, 16 * vectors as u64, kind | wgpu::BufferUsages::COPY_DST)
 }
 
 /// What the device counts its own dispatches by: none, until a sort has counted.
 fn groups(gpu: &Gpu, size: u64) -> wgpu::Buffer {
-    gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some(shared_name(Role::Groups)),
-        size,
-        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_SRC,
-        mapped_at_creation: false,
-    })
+    let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_SRC;
+    buffer(gpu, shared_name(Role::Groups), size, usage)
 }
 
 /// What a submission begins with writing. Each write of its own takes a queue tens of microseconds.
@@ -708,22 +691,12 @@ pub(crate) fn pad(constants: &[StepConstants], bytes: &mut Vec<u8>) {
 
 /// A buffer that is filled for what is written with a submission.
 fn upload(gpu: &Gpu, size: u64) -> wgpu::Buffer {
-    gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("upload"),
-        size,
-        usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
+    buffer(gpu, "upload", size, wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST)
 }
 
 /// A buffer that the host can look into.
 fn mappable(gpu: &Gpu, size: u64) -> wgpu::Buffer {
-    gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("readback"),
-        size,
-        usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
+    buffer(gpu, "readback", size, wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST)
 }
 
 /// Copies a stretch of a buffer to the host.

@@ -61,11 +61,11 @@ impl Rhythm {
         self.drift.is_nan()
             || self.drift > most
             || (every(SORT_OFTEN) && self.drift > OFTEN_DRIFT)
-            || (every(SORT_AGE) && self.drift > SORT_DRIFT)
+            || self.is_far()
             || (every(SORT_SELDOM) && self.drift > SELDOM_DRIFT)
     }
 
-    /// Would so much drift be reason for a sort after every [`SORT_AGE`] steps?
+    /// Have particles come far enough for a sort as there may be one every [`SORT_AGE`] steps?
     pub(crate) fn is_far(self) -> bool {
         self.age.is_multiple_of(SORT_AGE) && self.drift > SORT_DRIFT
     }

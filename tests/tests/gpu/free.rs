@@ -1,6 +1,6 @@
 //! Free bodies, which the device moves by itself as long as they meet nothing but the ground.
 
-use super::{apart, cpu, gpu, norm, off, passes_of, rows};
+use super::{apart, cpu, gpu, norm, off, passes_of, rows, take_at_once};
 use barchan::{Simulation, Vec3};
 use barchan_tests::scenes::{scene, within};
 use barchan_tests::sketch::{Head, block, body, half, material, tool};
@@ -8,14 +8,6 @@ use barchan_wgpu::Wgpu;
 use barchan_wgpu::device::Offer;
 
 const FRICTION: &str = "{ coulomb = { friction = 0.4 } }";
-
-/// Takes steps, as many at once as the backend likes.
-fn take_at_once(sim: &mut Simulation, steps: usize) {
-    let mut taken = 0;
-    while taken < steps {
-        taken += sim.steps(steps - taken, f64::INFINITY).unwrap_or_else(|e| panic!("{e}")).len();
-    }
-}
 
 /// In how many steps the device moved free bodies, and in how many the host did.
 fn steps_on_device_and_host(sim: &Simulation) -> [u64; 2] {

@@ -37,10 +37,7 @@ fn reflect_nodes(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     let image = image_of(layer_of(g), cell);
     var impulse = vec3<f32>(0.0);
     if image.is_other {
-        let node = grid[g * 64u + n];
-        let u = image.inner * velocity_at(layer_of(g), image.cell);
-        impulse = given_behind(image, u, node.w);
-        grid[g * 64u + n] = vec4<f32>(image.outer * u, node.w);
+        impulse = mirror_node(g, n, layer_of(g), image);
     }
     let total = sum_of_block(n, impulse);
     if n == 0u {

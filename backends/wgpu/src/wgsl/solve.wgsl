@@ -76,10 +76,7 @@ fn reflect(g: u32, n: u32, is_on: bool) {
     if is_on && !is_slave(g, n) {
         let image = image_of(layer, 4 * lists[entry].xyz + local_of(n));
         if image.is_other {
-            let u = image.inner * velocity_at(layer, image.cell);
-            let mass = grid[g * 64u + n].w;
-            grid[g * 64u + n] = vec4<f32>(image.outer * u, mass);
-            impulse = given_behind(image, u, mass);
+            impulse = mirror_node(g, n, layer, image);
         }
     }
     // What is exchanged before is done with.
