@@ -933,7 +933,7 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool) -> Draft {
     let body = include_str!("wgsl/p2g.wgsl")
         .replace("$ZERO", &each_node(|n, _| format!("var {}", zero(n))))
         .replace("$CLEAR", &each_node(|n, _| zero(n)))
-        .replace("$OWN_XY", &xy.own("left |= 1u << min(rank - 1u, 31u);"))
+        .replace("$OWN_XY", &xy.own("left |= select(0u, 1u << min(rank - 1u, 31u), has_left);\n"))
         .replace("$OWN_ZM", &zm.own(""))
         .replace("$GUESTS_XY", &xy.guests())
         .replace("$GUESTS_ZM", &zm.guests())
@@ -1044,23 +1044,25 @@ struct Half {
 }
 
 impl Half {
-    /// Over the cell's own particles. The next one is fetched before the present one is added. `leaver` is done with one that is no
-    /// longer there.
+    /// Over the cell's own particles. The next one is fetched before the present one is added; behind the last, some particle of the block. One that is no
+    /// longer there weighs nothing, and `leaver` is done with it. Nothing here is left out where it is not needed: small worlds wait for branches more than
+    /// for arithmetic.
     fn own(&self, leaver: &str) -> String {
         let each =
             |line: &dyn Fn(&str, u32) -> String| -> String { self.rows.iter().map(|(v, k)| line(v, *k)).collect() };
         let declare = each(&|v, _| format!("var next_{v} = vec4<f32>(0.0);\n"));
         let take = each(&|v, _| format!("let {v} = next_{v};\n"));
-        let fetch = each(&|v, k| format!("next_{v} = bitcast<vec4<f32>>(record[vector(next, {k}u)]);\n"));
-        let fetch = format!("if rank < count {{\nnext_p = record[vector(next, 0u)];\n{fetch}}}\n");
+        let fetch = each(&|v, k| format!("next_{v} = bitcast<vec4<f32>>(record[vector(at, {k}u)]);\n"));
+        let fetch =
+            format!("{{\nlet at = select(start, next, rank < count);\nnext_p = record[vector(at, 0u)];\n{fetch}}}\n");
         format!(
             "var rank = 0u;\nvar next_p = vec4<u32>(0u);\n{declare}{fetch}\
              while rank < count {{\nlet p = next_p;\n{take}rank += 1u;\nnext += 1u;\n\
              if rank % TOGETHER == 0u && rank <= ROUNDS * TOGETHER {{\n\
              next = ahead;\nahead = cells[round_at(here, round_of(rank) + u32(rank < ROUNDS * TOGETHER), own)];\n}}\n{fetch}\
-             var f = fraction(p);\n\
-             if (p.w & BESIDE) != 0u {{\nf += vec3<f32>(cell_of(p.w) - vec3<i32>(own_cell));\n}}\n\
-             if (p.w & LEFT_HOME) == 0u {{\n{}}} else {{ {leaver} }}\n}}\n",
+             let is_beside = (p.w & BESIDE) != 0u;\n\
+             let f = fraction(p) + select(vec3<f32>(0.0), vec3<f32>(cell_of(p.w) - vec3<i32>(own_cell)), is_beside);\n\
+             let has_left = (p.w & LEFT_HOME) != 0u;\nlet part_here = select(1.0, 0.0, has_left);\n{leaver}{}}}\n",
             self.add
         )
     }
@@ -1070,19 +1072,19 @@ impl Half {
         let fetch = |(v, k): &(&str, u32)| format!("let {v} = bitcast<vec4<f32>>(record[vector(q, {k}u)]);\n");
         format!(
             "for (var q = next_leaver(&walk); q != NONE; q = next_leaver(&walk)) {{\nlet p = record[vector(q, 0u)];\n\
-             let f = fraction(p);\n{}{}}}\n",
+             let f = fraction(p);\nlet part_here = 1.0;\n{}{}}}\n",
             self.rows.iter().map(fetch).collect::<String>(),
             self.add
         )
     }
 }
 
-/// Adds the momentum u of a particle at place `f` of its cell as seen from each of the 27 nodes around: what it is at the first one and grows by along the axes; and
-/// how, times a weight, it enters the node's sum.
+/// Adds the momentum u of a particle at place `f` of its cell, times `part_here`, as seen from each of the 27 nodes around: what it is at the first one and grows by
+/// along the axes; and how, times a weight, it enters the node's sum.
 fn add_momentum(momentum: &str, sum: fn(&str, &str) -> String) -> String {
     let mut text = format!(
         "let d = vec3<f32>(-0.5) - f;\n\
-         let wx = weights(f.x);\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{momentum}"
+         let wx = weights(f.x) * part_here;\nlet wy = weights(f.y);\nlet wz = weights(f.z);\n{momentum}"
     );
     for i in 0..3 {
         for j in 0..3 {
