@@ -938,8 +938,7 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool) -> Draft {
         .replace("$GUESTS_XY", &xy.guests())
         .replace("$GUESTS_ZM", &zm.guests())
         .replace("$FOLD", &[0, 1, 2].map(fold).concat())
-        .replace("$FLUSH_GUESTS", &flush("if k < guest_count"))
-        .replace("$FLUSH_OWN", &flush(""))
+        .replace("$FLUSH", &flush())
         .replace("$GIVES", if sleeps { "gives(b, layer)" } else { "1u" })
         .replace("$BOOK_LAST", if mirrored { BOOK_LAST } else { "" })
         .replace("$BOOKED", if sleeps { "select(total, 0.0, is_frozen != 0u)" } else { "total" })
@@ -1175,19 +1174,43 @@ fn sums_of_tiles(blocks: u32) -> String {
     plain_sums(blocks) + include_str!("wgsl/rim_sums.wgsl")
 }
 
-/// Folds what lies behind the walls across an axis. The axis is written out, so that compilers see which walls there are.
+/// Folds what lies behind the walls across an axis, every other plane by the one half of the threads and the rest by the other, a thread a row. The axis is
+/// written out, so that compilers see which walls there are.
 fn fold(axis: usize) -> String {
-    format!(
-        "if thread < 64u {{\nimpulse += fold({axis}, 0, thread) + fold({axis}, 1, thread);\n}}\nworkgroupBarrier();\n"
-    )
+    let d = ["x", "y", "z"][axis];
+    let node = |plane: &str| match axis {
+        0 => format!("vec3<u32>(u32({plane}), row)"),
+        1 => format!("vec3<u32>(row.x, u32({plane}), row.y)"),
+        _ => format!("vec3<u32>(row, u32({plane}))"),
+    };
+    // Node and image are as far from the wall: the sum of their planes is known. Beyond the low wall lie the lower planes, beyond the high one the upper.
+    let end = |kind: &str, bound: &str, first: &str, last: &str| {
+        let (source, to) = (node("image"), node("sum - image"));
+        format!(
+            "{{\nlet sum = 2 * ({bound}.{d} - first_node.{d}) - 1;\n\
+             if {kind}.{d} != 0u && sum >= 1 && sum <= 13 && !is_done {{\n\
+             let signs = wall_signs({kind}.{d}, {axis});\n\
+             for (var image = {first} + i32(part); image <= {last}; image += 2) {{\n\
+             impulse += fold_node({source}, {to}, signs);\n}}\n}}\n}}\n"
+        )
+    };
+    // What is behind a wall across an axis before has been folded already.
+    let behind = |before: usize| {
+        let (b, row) = (["x", "y"][before], ["x", "y"][before]);
+        format!(
+            " || (LOW.{b} != 0u && first_node.{b} + i32(row.{row}) < least.{b}) || (HIGH.{b} != 0u && first_node.{b} + i32(row.{row}) >= end_node.{b})"
+        )
+    };
+    let is_done: String = (0..axis).map(behind).collect();
+    let low = end("LOW", "least", "max(sum - 7, 0)", "(sum - 1) / 2");
+    let high = end("HIGH", "end_node", "(sum + 1) / 2", "min(sum, 7)");
+    format!("{{\nlet is_done = false{is_done};\n{low}{high}}}\nworkgroupBarrier();\n")
 }
 
-/// Adds the sums of the cell `at` to the tile, under a condition: for one of its 27 nodes at a time, different cells touch different nodes.
-fn flush(condition: &str) -> String {
+/// Adds the sums of the cell `at` to the tile: for one of its 27 nodes at a time, different cells touch different nodes.
+fn flush() -> String {
     each_node(|n, [i, j, k]| {
-        format!(
-            "{condition} {{ tile[part * 512u + in_tile(at.x + {i}u, at.y + {j}u, at.z + {k}u)] += a{n}; }}\nworkgroupBarrier();\n"
-        )
+        format!("tile[part * 512u + in_tile(at.x + {i}u, at.y + {j}u, at.z + {k}u)] += a{n};\nworkgroupBarrier();\n")
     })
 }
 

@@ -12,7 +12,7 @@ var<workgroup> head: array<atomic<u32>, 216>;
 // Leavers: index in the block, and the next one in 16 bits.
 var<workgroup> leavers: array<u32, 384>;
 var<workgroup> leaver_count: atomic<u32>;
-// Of these the ones that particles have come to, as bits, and in order.
+// Of these the ones that particles have come to, as bits; and all of them, those first, else in order.
 var<workgroup> come_to: array<atomic<u32>, 7>;
 var<workgroup> guest_cells: array<u32, 216>;
 var<workgroup> go: u32;
@@ -102,7 +102,7 @@ fn next_leaver(w: ptr<function, Walk>) -> u32 {
     return (*w).start + best;
 }
 
-// Lists the cells that particles have come to, in order; how many there are.
+// Lists the cells, those that particles have come to before the others; how many these are.
 fn list_guest_cells(thread: u32) -> u32 {
     var all = 0u;
     for (var w = 0u; w < 7u; w++) {
@@ -110,71 +110,40 @@ fn list_guest_cells(thread: u32) -> u32 {
     }
     for (var cell = thread; cell < 216u; cell += 128u) {
         let bits = atomicLoad(&come_to[cell >> 5u]);
-        if (bits & (1u << (cell & 31u))) != 0u {
-            var rank = countOneBits(bits & ((1u << (cell & 31u)) - 1u));
-            for (var w = 0u; w < (cell >> 5u); w++) {
-                rank += countOneBits(atomicLoad(&come_to[w]));
-            }
-            guest_cells[rank] = cell;
+        var before = countOneBits(bits & ((1u << (cell & 31u)) - 1u));
+        for (var w = 0u; w < (cell >> 5u); w++) {
+            before += countOneBits(atomicLoad(&come_to[w]));
         }
+        let is_come_to = (bits & (1u << (cell & 31u))) != 0u;
+        guest_cells[select(all + cell - before, before, is_come_to)] = cell;
     }
     return all;
 }
 
-// The tile's node number `t` of 64 in a plane across an axis.
-fn plane_node(axis: i32, plane: u32, t: u32) -> vec3<u32> {
-    let a = t >> 3u;
-    let c = t & 7u;
-    if axis == 0 {
-        return vec3<u32>(plane, a, c);
-    }
-    if axis == 1 {
-        return vec3<u32>(a, plane, c);
-    }
-    return vec3<u32>(a, c, plane);
+// Folds a node behind a wall onto its image; what the wall gives: [N s].
+fn fold_node(node: vec3<u32>, onto: vec3<u32>, signs: vec3<f32>) -> vec3<f32> {
+    let source = in_tile(node.x, node.y, node.z);
+    let to = in_tile(onto.x, onto.y, onto.z);
+    let xy = tile[source];
+    let zm = tile[512u + source];
+    tile[to] += signs.xy * xy;
+    tile[512u + to] += vec2<f32>(signs.z * zm.x, zm.y);
+    // The mass stays, for what walls give when velocities are read.
+    tile[source] = vec2<f32>(0.0);
+    tile[512u + source] = vec2<f32>(0.0, zm.y);
+    return (signs - vec3<f32>(1.0)) * vec3<f32>(xy, zm.x);
 }
 
-fn in_plane(axis: i32, plane: u32, t: u32) -> u32 {
-    let n = plane_node(axis, plane, t);
-    return in_tile(n.x, n.y, n.z);
-}
-
-// Is that node behind a wall across an axis before this one, which has folded it already?
-fn behind(axis: i32, t: u32, origin: vec3<i32>) -> bool {
-    let node = origin + vec3<i32>(plane_node(axis, 0u, t));
-    for (var d = 0; d < axis; d++) {
-        if (LOW[d] != 0u && node[d] < world_min(layer_now)[d]) || (HIGH[d] != 0u && node[d] >= world_max(layer_now)[d]) {
-            return true;
+// Sums components of what stands where leavers did: so many sums, each of so many terms that far apart, to where the first of them stands.
+fn sum_leavers(thread: u32, sums: u32, terms: u32, step_by: u32) {
+    if thread < 3u * sums {
+        let first = thread % 3u + thread / 3u * terms * step_by;
+        var total = 0.0;
+        for (var t = 0u; t < terms; t++) {
+            total += bitcast<f32>(leavers[first + t * step_by]);
         }
+        leavers[first] = bitcast<u32>(total);
     }
-    return false;
-}
-
-// Folds the planes behind the wall at one end of an axis, a thread a row of them across; what the wall gives: [N s].
-fn fold(axis: i32, end: i32, thread: u32) -> vec3<f32> {
-    let kind = select(LOW[axis], HIGH[axis], end == 1);
-    let sum = 2 * (select(world_min(layer_now)[axis], world_max(layer_now)[axis], end == 1) - corner[axis]) - 1;
-    var impulse = vec3<f32>(0.0);
-    if kind == 0u || sum < 1 || sum > 13 || behind(axis, thread, corner) {
-        return impulse;
-    }
-    let signs = wall_signs(kind, axis);
-    // Beyond the low wall lie the lower planes, beyond the high one the upper.
-    let first = select(max(sum - 7, 0), (sum + 1) / 2, end == 1);
-    let last = select((sum - 1) / 2, min(sum, 7), end == 1);
-    for (var image = first; image <= last; image++) {
-        let source = in_plane(axis, u32(image), thread);
-        let to = in_plane(axis, u32(sum - image), thread);
-        let xy = tile[source];
-        let zm = tile[512u + source];
-        tile[to] += signs.xy * xy;
-        tile[512u + to] += vec2<f32>(signs.z * zm.x, zm.y);
-        impulse += (signs - vec3<f32>(1.0)) * vec3<f32>(xy, zm.x);
-        // The mass stays, for what walls give when velocities are read.
-        tile[source] = vec2<f32>(0.0);
-        tile[512u + source] = vec2<f32>(0.0, zm.y);
-    }
-    return impulse;
 }
 
 // May this step go on? It may not once the particles are to be sorted, and so before they have drifted too far for their tiles. The
@@ -272,7 +241,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     }
     {
         let at = own_cell + vec3<u32>(1u);
-        $FLUSH_OWN
+        $FLUSH
     }
 
     // 2. Then those that have come to others, a cell after the other.
@@ -284,7 +253,8 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         let batches = workgroupUniformLoad(&go);
         for (var batch = 0u; batch < batches; batch++) {
             let k = batch * 64u + own;
-            let cell = select(0u, guest_cells[min(k, 215u)], k < guest_count);
+            // Those that have none add nothing to another cell, for without branches that is faster.
+            let cell = guest_cells[k % 216u];
             let at = vec3<u32>(cell / 36u, (cell / 6u) % 6u, cell % 6u);
             var walk = Walk(tag_of(vec3<i32>(at) - vec3<i32>(1)), cell, 0u, start, end);
             $CLEAR
@@ -295,26 +265,29 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
                     $GUESTS_ZM
                 }
             }
-            $FLUSH_GUESTS
+            $FLUSH
         }
     }
 
     // 3. What lies behind mirrors is folded back, reflected.
     if workgroupUniformLoad(&walled) != 0u {
+        let first_node = corner;
+        let least = world_min(layer_now);
+        let end_node = world_max(layer_now);
+        // A row across the planes behind walls.
+        let row = vec2<u32>(own >> 3u, own & 7u);
         var impulse = vec3<f32>(0.0);
         $FOLD
         // The list of leavers is done with.
-        if thread < 64u {
-            for (var d = 0u; d < 3u; d++) {
-                leavers[thread * 3u + d] = bitcast<u32>(impulse[d]);
-            }
+        for (var d = 0u; d < 3u; d++) {
+            leavers[thread * 3u + d] = bitcast<u32>(impulse[d]);
         }
         workgroupBarrier();
+        sum_leavers(thread, 8u, 16u, 3u);
+        workgroupBarrier();
+        sum_leavers(thread, 1u, 8u, 48u);
         if thread < 3u$IF_MOVED {
-            var total = 0.0;
-            for (var t = 0u; t < 64u; t++) {
-                total += bitcast<f32>(leavers[t * 3u + thread]);
-            }
+            let total = bitcast<f32>(leavers[thread]);
             $BOOK_LAST
             lists[b * ENTRY + PENDING][thread] = bitcast<i32>($BOOKED);
         }
