@@ -1207,11 +1207,12 @@ fn fold(axis: usize) -> String {
     format!("{{\nlet is_done = false{is_done};\n{low}{high}}}\nworkgroupBarrier();\n")
 }
 
-/// Adds the sums of the cell `at` to the tile: for one of its 27 nodes at a time, different cells touch different nodes.
+/// Adds the sums of the cell `at` to the tile: for one of its 27 nodes at a time, different cells touch different nodes. Places that differ along x alone are
+/// found once.
 fn flush() -> String {
-    each_node(|n, [i, j, k]| {
-        format!("tile[part * 512u + in_tile(at.x + {i}u, at.y + {j}u, at.z + {k}u)] += a{n};\nworkgroupBarrier();\n")
-    })
+    let place = |n: usize| format!("let t{n} = part * 512u + in_tile(at.x, at.y + {}u, at.z + {}u);\n", n / 3, n % 3);
+    let add = |n: usize, [i, ..]: [usize; 3]| format!("tile[t{} + {}u] += a{n};\nworkgroupBarrier();\n", n % 9, 64 * i);
+    (0..9).map(place).collect::<String>() + &each_node(add)
 }
 
 /// Velocities at rims and, subcycled, of nodes that two levels share, so many blocks a workgroup, but for the pass's entry.
