@@ -2,7 +2,33 @@
 // and, among those, as they were. Each entry point is one pass; those over particles run block by block of the old order.
 
 var<workgroup> partial: array<vec2<u32>, 256>;
-var<workgroup> total: vec2<u32>;
+var<workgroup> of_sixteen: array<vec2<u32>, 16>;
+
+// Sums over the threads of a workgroup of 256: those before one, and all.
+struct Sums {
+    before: vec2<u32>,
+    all: vec2<u32>,
+}
+
+fn sums_of(thread: u32, mine: vec2<u32>) -> Sums {
+    partial[thread] = mine;
+    workgroupBarrier();
+    if thread < 16u {
+        var sum = vec2<u32>(0u);
+        for (var t = 0u; t < 16u; t++) {
+            sum += partial[thread * 16u + t];
+        }
+        of_sixteen[thread] = sum;
+    }
+    workgroupBarrier();
+    var sums = Sums(vec2<u32>(0u), vec2<u32>(0u));
+    for (var t = 0u; t < 16u; t++) {
+        let here = (thread & ~15u) + t;
+        sums.before += select(vec2<u32>(0u), of_sixteen[t], t < thread / 16u) + select(vec2<u32>(0u), partial[here], here < thread);
+        sums.all += of_sixteen[t];
+    }
+    return sums;
+}
 
 // Marks particles that keep their tags, in keys and order.
 const KEPT: u32 = 0x80000000u;

@@ -9,12 +9,7 @@ fn sum_blocks(@builtin(local_invocation_index) thread: u32) {
     for (var i = source; i < to; i++) {
         sum += sums[i].x;
     }
-    partial[thread] = vec2<u32>(sum, 0u);
-    workgroupBarrier();
-    var before = 0u;
-    for (var t = 0u; t < thread; t++) {
-        before += partial[t].x;
-    }
+    var before = sums_of(thread, vec2<u32>(sum, 0u)).before.x;
     for (var i = source; i < to; i++) {
         let here = sums[i].x;
         sums[i] = vec2<u32>(before, here);

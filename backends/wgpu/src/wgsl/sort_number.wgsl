@@ -14,8 +14,7 @@ fn number(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         }
         count += here[k];
     }
-    partial[thread] = count;
-    workgroupBarrier();
+    let before = sums_of(thread, count).before;
     if halted() {
         return;
     }
@@ -24,9 +23,7 @@ fn number(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         atomicStore(&status[layer_word(layer, FIRST_BLOCK)], next.x);
         atomicStore(&status[layer_word(layer, FIRST_NODE_BLOCK)], next.y);
     }
-    for (var t = 0u; t < thread; t++) {
-        next += partial[t];
-    }
+    next += before;
     for (var k = 0u; k < 4u; k++) {
         let at = w * 1024u + thread * 4u + k;
         if at < end {

@@ -14,9 +14,8 @@ fn survey(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
             var reached = 0u;
             for (var n = 0u; n < 27u; n++) {
                 let other = place_in_box(layer, block + offset_of(n));
-                if other != NONE {
-                    reached |= flags[other];
-                }
+                // Asked for in any case, so that none waits for another.
+                reached |= select(flags[min(other, extent.places - 1u)], 0u, other == NONE);
             }
             $RIM
             let here = vec2<u32>(flags[at], reached);
@@ -24,13 +23,8 @@ fn survey(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
             count += here;
         }
     }
-    partial[thread] = count;
-    workgroupBarrier();
+    let all = sums_of(thread, count).all;
     if thread == 0u {
-        var sum = vec2<u32>(0u);
-        for (var t = 0u; t < 256u; t++) {
-            sum += partial[t];
-        }
-        sums[w] = sum;
+        sums[w] = all;
     }
 }

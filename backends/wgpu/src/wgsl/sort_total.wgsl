@@ -9,20 +9,13 @@ fn total_blocks(@builtin(local_invocation_index) thread: u32) {
     for (var i = source; i < to; i++) {
         sum += sums[i];
     }
-    partial[thread] = sum;
-    workgroupBarrier();
-    var before = vec2<u32>(0u);
-    for (var t = 0u; t < thread; t++) {
-        before += partial[t];
-    }
+    let found = sums_of(thread, sum);
+    let all = found.all;
+    var before = found.before;
     for (var i = source; i < to; i++) {
         let here = sums[i];
         sums[i] = before;
         before += here;
-    }
-    var all = vec2<u32>(0u);
-    for (var t = 0u; t < 256u; t++) {
-        all += partial[t];
     }
     let fits = all.x <= extent.block_room && all.y <= extent.node_room;
     if halted() {
