@@ -45,7 +45,7 @@ const PLACES: u32 = 1024;
 /// particles drifted otherwise than foreseen wastes what was written behind.
 const FEW_STEPS: usize = 128;
 /// From so many particles on, sorts that nobody needs take longer than steps that are written for nothing behind one that is missing.
-const MANY: usize = 500_000;
+pub(crate) const MANY: usize = 500_000;
 /// By so many blocks parts of the directory reach further than they must, so that ground that moves on seldom leaves them.
 const SPARE_BLOCKS: i32 = 2;
 

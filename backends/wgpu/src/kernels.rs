@@ -1,5 +1,6 @@
 //! The passes: their WGSL, what they bind, and their pipelines.
 
+use crate::batch::MANY;
 use crate::device::Gpu;
 use crate::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER};
 use crate::material;
@@ -395,7 +396,7 @@ impl Drafts {
         Ok(Self {
             sort: sort(plan, worlds),
             watch: sleeps.then(|| watch(levels)),
-            p2g: p2g(sleeps, mirrored, levels, subcycled),
+            p2g: p2g(sleeps, mirrored, levels, subcycled, particles),
             restrict: (levels && !subcycled).then(restrict),
             grid,
             solve: subcycled.then(|| rims_alone(true)),
@@ -915,7 +916,9 @@ fn sum_sleep() -> Draft {
 
 /// Where there are several levels, P2G also sums parent cells for rims. Subcycled, further workgroups visit blocks once more that give to nodes which
 /// two levels share, and leave forces out.
-fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool) -> Draft {
+fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool, particles: usize) -> Draft {
+    // Where there are few, the memory waits for nobody else; many are faster with the registers that another takes.
+    let ahead = if particles < MANY { 2 } else { 1 };
     let at_rim = match (levels, subcycled) {
         (false, _) => "",
         (true, false) => "at_rim = u32(lists[here * ENTRY + OF_RIMS].w) & 1u;",
@@ -933,8 +936,8 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool) -> Draft {
     let body = include_str!("wgsl/p2g.wgsl")
         .replace("$ZERO", &each_node(|n, _| format!("var {}", zero(n))))
         .replace("$CLEAR", &each_node(|n, _| zero(n)))
-        .replace("$OWN_XY", &xy.own("left |= select(0u, 1u << min(rank - 1u, 31u), has_left);\n"))
-        .replace("$OWN_ZM", &zm.own(""))
+        .replace("$OWN_XY", &xy.own(ahead, "left |= select(0u, 1u << min(done, 31u), has_left);\n"))
+        .replace("$OWN_ZM", &zm.own(ahead, ""))
         .replace("$GUESTS_XY", &xy.guests())
         .replace("$GUESTS_ZM", &zm.guests())
         .replace("$FOLD", &[0, 1, 2].map(fold).concat())
@@ -1043,27 +1046,43 @@ struct Half {
 }
 
 impl Half {
-    /// Over the cell's own particles. The next one is fetched before the present one is added; behind the last, some particle of the block. One that is no
+    /// Over the cell's own particles. So many are fetched before the present one is added; behind the last, some particle of the block. One that is no
     /// longer there weighs nothing, and `leaver` is done with it. Nothing here is left out where it is not needed: small worlds wait for branches more than
     /// for arithmetic.
-    fn own(&self, leaver: &str) -> String {
+    fn own(&self, ahead: usize, leaver: &str) -> String {
         let each =
             |line: &dyn Fn(&str, u32) -> String| -> String { self.rows.iter().map(|(v, k)| line(v, *k)).collect() };
-        let declare = each(&|v, _| format!("var next_{v} = vec4<f32>(0.0);\n"));
-        let take = each(&|v, _| format!("let {v} = next_{v};\n"));
-        let fetch = each(&|v, k| format!("next_{v} = bitcast<vec4<f32>>(record[vector(at, {k}u)]);\n"));
-        let fetch =
-            format!("{{\nlet at = select(start, next, rank < count);\nnext_p = record[vector(at, 0u)];\n{fetch}}}\n");
-        format!(
-            "var rank = 0u;\nvar next_p = vec4<u32>(0u);\n{declare}{fetch}\
-             while rank < count {{\nlet p = next_p;\n{take}rank += 1u;\nnext += 1u;\n\
-             if rank % TOGETHER == 0u && rank <= ROUNDS * TOGETHER {{\n\
-             next = ahead;\nahead = cells[round_at(here, round_of(rank) + u32(rank < ROUNDS * TOGETHER), own)];\n}}\n{fetch}\
-             let is_beside = (p.w & BESIDE) != 0u;\n\
-             let f = fraction(p) + select(vec3<f32>(0.0), vec3<f32>(cell_of(p.w) - vec3<i32>(own_cell)), is_beside);\n\
-             let has_left = (p.w & LEFT_HOME) != 0u;\nlet part_here = select(1.0, 0.0, has_left);\n{leaver}{}}}\n",
-            self.add
-        )
+        let declare = |n: usize| {
+            format!("var p_{n} = vec4<u32>(0u);\n{}", each(&|v, _| format!("var {v}_{n} = vec4<f32>(0.0);\n")))
+        };
+        let fetch = |n: usize| {
+            let rows = each(&|v, k| format!("{v}_{n} = bitcast<vec4<f32>>(record[vector(at, {k}u)]);\n"));
+            format!("{{\nlet at = select(start, next, rank < count);\np_{n} = record[vector(at, 0u)];\n{rows}}}\n")
+        };
+        let advance = "rank += 1u;\nnext += 1u;\n\
+                       if rank % TOGETHER == 0u && rank <= ROUNDS * TOGETHER {\n\
+                       next = ahead;\nahead = cells[round_at(here, round_of(rank) + u32(rank < ROUNDS * TOGETHER), own)];\n}\n";
+        let shift = |n: usize| format!("p_{} = p_{n};\n{}", n - 1, each(&|v, _| format!("{v}_{} = {v}_{n};\n", n - 1)));
+        let take = format!("let p = p_0;\n{}", each(&|v, _| format!("let {v} = {v}_0;\n")));
+        let last = ahead - 1;
+        [
+            "var rank = 0u;\n".to_owned(),
+            (0..ahead).map(declare).collect(),
+            fetch(0),
+            (1..ahead).map(|n| advance.to_owned() + &fetch(n)).collect(),
+            format!("while rank < count + {last}u {{\n{take}"),
+            (1..ahead).map(shift).collect(),
+            advance.to_owned(),
+            fetch(last),
+            format!(
+                "let is_beside = (p.w & BESIDE) != 0u;\n\
+                 let f = fraction(p) + select(vec3<f32>(0.0), vec3<f32>(cell_of(p.w) - vec3<i32>(own_cell)), is_beside);\n\
+                 let has_left = (p.w & LEFT_HOME) != 0u;\nlet part_here = select(1.0, 0.0, has_left);\n\
+                 let done = rank - {ahead}u;\n{leaver}{}}}\n",
+                self.add
+            ),
+        ]
+        .concat()
     }
 
     /// Over those that have come from other cells.
