@@ -114,6 +114,27 @@ fn a_jelly_bounces_as_on_the_cpu() {
     }
 }
 
+/// A jelly between walls that are so near that both fold onto the same nodes falls and squashes as on the CPU in 64 bits, to a ten-thousandth of a cell.
+#[test]
+fn between_walls_nearer_than_a_block_is_as_on_the_cpu() {
+    for wide in [1, 2, 3] {
+        let head = Head::cells(0.02, [wide, 12, 16], "x_min = \"slip\"\nx_max = \"stick\"\nz_min = \"slip\"");
+        let far = [0.02 * wide as f64, 0.16, 0.15];
+        let scene = head.time("step = 4e-4").with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 2e4, poisson_ratio = 0.3"),
+            block("neo_hookean", [0.0, 0.06, 0.03], far, "velocity = [-0.3, 0.2, -1.0]"),
+        ]);
+        let (mut gpu, mut cpu) = (gpu(&scene), cpu(&scene));
+        take_at_once(&mut gpu, 100);
+        take(&mut cpu, 100);
+        println!("{wide} wide");
+        within("distance of particles, in cells", apart(&rows(&gpu), &rows(&cpu)) / 0.02, 1e-4);
+        let (g, c) = (gpu.ledger(), cpu.ledger());
+        let off = norm(std::array::from_fn::<f64, 3, _>(|d| g.wall_impulse[d] - c.wall_impulse[d]));
+        within("impulse of walls", off / norm(c.wall_impulse), 1e-4);
+    }
+}
+
 /// A block that falls fast on a wall that lets go, in as many steps at once as the backend likes, sorts among them: as step by step.
 #[test]
 fn a_fast_block_lands_in_many_steps_at_once() {

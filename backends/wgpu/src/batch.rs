@@ -44,7 +44,8 @@ const PLACES: u32 = 1024;
 /// Steps that a submission begins with; each that comes to its end may be followed by one twice as long, but one that had to stop since
 /// particles drifted otherwise than foreseen wastes what was written behind.
 const FEW_STEPS: usize = 128;
-/// From so many particles on, sorts that nobody needs take longer than steps that are written for nothing behind one that is missing.
+/// From so many particles on a device is busy: sorts that nobody needs take longer than steps that are written for nothing behind one that is missing, and
+/// P2G's registers are scarcer than its time to wait.
 pub(crate) const MANY: usize = 500_000;
 /// By so many blocks parts of the directory reach further than they must, so that ground that moves on seldom leaves them.
 const SPARE_BLOCKS: i32 = 2;

@@ -1046,8 +1046,8 @@ struct Half {
 }
 
 impl Half {
-    /// Over the cell's own particles. So many are fetched before the present one is added; behind the last, some particle of the block. One that is no
-    /// longer there weighs nothing, and `leaver` is done with it. Nothing here is left out where it is not needed: small worlds wait for branches more than
+    /// Over the cell's own particles. So many are fetched before the present one is added; behind the last, the block's first. One that is no longer
+    /// there weighs nothing, and `leaver` is done with it. Nothing here is left out where it is not needed: small worlds wait for branches more than
     /// for arithmetic.
     fn own(&self, ahead: usize, leaver: &str) -> String {
         let each =
@@ -1215,15 +1215,19 @@ fn fold(axis: usize) -> String {
     };
     // What is behind a wall across an axis before has been folded already.
     let behind = |before: usize| {
-        let (b, row) = (["x", "y"][before], ["x", "y"][before]);
+        let b = ["x", "y"][before];
         format!(
-            " || (LOW.{b} != 0u && first_node.{b} + i32(row.{row}) < least.{b}) || (HIGH.{b} != 0u && first_node.{b} + i32(row.{row}) >= end_node.{b})"
+            " || (LOW.{b} != 0u && first_node.{b} + i32(row.{b}) < least.{b}) || (HIGH.{b} != 0u && first_node.{b} + i32(row.{b}) >= end_node.{b})"
         )
     };
     let is_done: String = (0..axis).map(behind).collect();
     let low = end("LOW", "least", "max(sum - 7, 0)", "(sum - 1) / 2");
     let high = end("HIGH", "end_node", "(sum + 1) / 2", "min(sum, 7)");
-    format!("{{\nlet is_done = false{is_done};\n{low}{high}}}\nworkgroupBarrier();\n")
+    // Across a world narrower than this, both walls fold onto the same planes.
+    let narrow = format!(
+        "if LOW.{d} != 0u && HIGH.{d} != 0u && ((WORLD_MAX.{d} - WORLD_MIN.{d}) >> (LEVELS - 1u)) < 4 {{\nworkgroupBarrier();\n}}\n"
+    );
+    format!("{{\nlet is_done = false{is_done};\n{low}{narrow}{high}}}\nworkgroupBarrier();\n")
 }
 
 /// Adds the sums of the cell `at` to the tile: for one of its 27 nodes at a time, different cells touch different nodes. Places that differ along x alone are

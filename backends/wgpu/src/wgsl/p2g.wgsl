@@ -102,7 +102,7 @@ fn next_leaver(w: ptr<function, Walk>) -> u32 {
     return (*w).start + best;
 }
 
-// Lists the cells, those that particles have come to before the others; how many these are.
+// Lists the cells, those that particles have come to before the others; how many have been come to.
 fn list_guest_cells(thread: u32) -> u32 {
     var all = 0u;
     for (var w = 0u; w < 7u; w++) {

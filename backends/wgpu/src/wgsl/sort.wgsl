@@ -21,13 +21,13 @@ fn sums_of(thread: u32, mine: vec2<u32>) -> Sums {
         of_sixteen[thread] = sum;
     }
     workgroupBarrier();
-    var sums = Sums(vec2<u32>(0u), vec2<u32>(0u));
+    var result = Sums(vec2<u32>(0u), vec2<u32>(0u));
     for (var t = 0u; t < 16u; t++) {
         let here = (thread & ~15u) + t;
-        sums.before += select(vec2<u32>(0u), of_sixteen[t], t < thread / 16u) + select(vec2<u32>(0u), partial[here], here < thread);
-        sums.all += of_sixteen[t];
+        result.before += select(vec2<u32>(0u), of_sixteen[t], t < thread / 16u) + select(vec2<u32>(0u), partial[here], here < thread);
+        result.all += of_sixteen[t];
     }
-    return sums;
+    return result;
 }
 
 // Marks particles that keep their tags, in keys and order.
