@@ -105,7 +105,7 @@ pub struct Adapter {
 pub struct Bound {
     /// Seconds; infinite if nothing bounds it.
     pub dt: f64,
-    /// Such as "material 'sand': stiffness" or "particle speed".
+    /// Such as "stiffness of material 'sand'" or "particle speed".
     pub by: String,
 }
 

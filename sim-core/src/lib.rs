@@ -28,6 +28,7 @@ pub mod simulation;
 pub mod snapshot;
 pub mod solid;
 pub mod state;
+pub mod stiffness;
 pub mod task;
 pub mod together;
 

@@ -139,6 +139,8 @@ pub struct Material {
     pub states: Vec<StateVariable>,
     /// WGSL of the update; empty if there is none.
     pub wgsl: String,
+    /// WGSL of the stiffness; empty if there is none.
+    pub wgsl_stiffness: String,
     /// The table, cut or zero-filled to this host's size.
     pub table: abi::BarchanMaterial,
 }
@@ -211,6 +213,7 @@ impl Material {
                 doc: read_text(table.doc, "doc")?,
                 reference: read_text(table.reference, "reference")?,
                 wgsl: read_text(table.wgsl, "wgsl")?,
+                wgsl_stiffness: read_text(table.wgsl_stiffness, "wgsl_stiffness")?,
                 origin: origin.to_owned(),
                 name,
                 parameters,
@@ -309,13 +312,4 @@ impl ErrorBuffer {
             particle: self.particle().map(ids).filter(|id| *id != u64::MAX),
         })
     }
-}
-
-/// Greatest stable time step of an isolated particle [s], for cell width `h` [m], density at rest [kg/m³], and the tangent
-/// moduli λ + 2μ and 3λ + 2μ [Pa]: h/c_p · sqrt((λ + 2μ)/(3λ + 2μ)) with c_p² = (λ + 2μ)/ρ, that is h sqrt(ρ/(3λ + 2μ)).
-///
-/// This is below the bound of a filled grid, so it holds for spray as well as for bulk.
-pub fn stable_step(h: f64, density: f64, p_modulus: f64, three_bulk: f64) -> f64 {
-    // Where λ is negative the bulk's bound is the lower one.
-    h * (density / three_bulk.max(p_modulus)).sqrt()
 }

@@ -6,6 +6,7 @@ use crate::material::ErrorBuffer;
 use crate::scene::{Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest};
 use crate::seed::Terrain;
 use crate::simulation::Options;
+use crate::stiffness::{Moduli, Stiffness};
 use crate::{Coupling, Error, Material, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
 use barchan_abi as abi;
 use std::collections::HashSet;
@@ -184,69 +185,14 @@ impl PlannedMaterial {
         (indices + real * (3 + 9 + 2 + planes)) as u64
     }
 
-    /// Greatest stable step of an undeformed particle alone in its cells, in a grid of cell width `h` [m]:
-    /// dt < (h / c_p) sqrt((lambda + 2 mu) / (3 lambda + 2 mu)), which lies below the bound of the bulk. Fluids have
-    /// the bulk's, h / c_p. `None` if the law gives no tangent moduli.
+    /// Greatest stable step of an undeformed particle alone in its cells, in a grid of cell width `h` [m] ([`Moduli::need`]), and what
+    /// sets it. `None` if the law gives no tangent moduli.
     ///
     /// # Errors
-    /// [`Error::MaterialFailed`] if the callback fails or gives moduli that are not above 0.
-    pub fn bound(&self, h: f64) -> Result<Option<f64>> {
-        Ok(self.moduli()?.map(|[p_wave, bulk]| {
-            let speed = (p_wave / self.density).sqrt();
-            let isolated = if self.material.has(abi::BARCHAN_CAP_FLUID) { 1.0 } else { (p_wave / bulk).sqrt() };
-            h / speed * isolated
-        }))
-    }
-
-    /// lambda + 2 mu and 3 lambda + 2 mu of the undeformed material [Pa].
-    fn moduli(&self) -> Result<Option<[f64; 2]>> {
-        const STRIDE: usize = 16;
-        /// One plane, aligned as the ABI promises.
-        #[derive(Clone, Copy)]
-        #[repr(C, align(64))]
-        struct Plane([f32; STRIDE]);
-        let Some(callback) = self.material.table.tangent_moduli_f32 else { return Ok(None) };
-        let filled = |values: &[f64]| values.iter().map(|v| Plane([*v as f32; STRIDE])).collect::<Vec<_>>();
-        let blank = |planes: usize| vec![Plane([0.0; STRIDE]); planes];
-        let params: Vec<f32> = self.parameters.iter().map(|p| *p as f32).collect();
-        let trial = filled(self.material.strain_identity());
-        let state = filled(&self.material.states.iter().map(|s| s.initial).collect::<Vec<_>>());
-        let vel_grad = blank(9);
-        let (mut strain, mut kirchhoff) = (trial.clone(), blank(6));
-        let (mut state_out, mut moduli) = (state.clone(), blank(2));
-        let batch = abi::BarchanBatchF32 {
-            struct_size: size_of::<abi::BarchanBatchF32>(),
-            n: 1,
-            stride: STRIDE,
-            dt: 0.0,
-            reserved: 0,
-            params: params.as_ptr(),
-            strain_trial: trial.as_ptr().cast(),
-            vel_grad: if self.material.has(abi::BARCHAN_CAP_VEL_GRAD) {
-                vel_grad.as_ptr().cast()
-            } else {
-                std::ptr::null()
-            },
-            state_in: if state.is_empty() { std::ptr::null() } else { state.as_ptr().cast() },
-            strain: strain.as_mut_ptr().cast(),
-            kirchhoff: kirchhoff.as_mut_ptr().cast(),
-            state_out: if state.is_empty() { std::ptr::null_mut() } else { state_out.as_mut_ptr().cast() },
-        };
-        let mut buffer = ErrorBuffer::default();
-        // SAFETY: the batch describes planes of STRIDE floats that live until the call returns, as the ABI asks.
-        let status = unsafe { callback(&raw const batch, moduli.as_mut_ptr().cast(), buffer.as_raw()) };
-        buffer.check(status, &self.material, "tangent_moduli_f32", |i| i)?;
-        let moduli = [moduli[0].0[0], moduli[1].0[0]].map(f64::from);
-        if moduli.iter().all(|m| m.is_finite() && *m > 0.0) {
-            return Ok(Some(moduli));
-        }
-        Err(Error::MaterialFailed {
-            material: self.name.clone(),
-            origin: self.material.origin.clone(),
-            callback: "tangent_moduli_f32",
-            message: format!("moduli of the undeformed material are {moduli:?} Pa; they must be finite and above 0"),
-            particle: None,
-        })
+    /// [`Error::MaterialFailed`] if a callback fails or gives what bounds no step.
+    pub fn bound(&self, h: f64) -> Result<Option<Bound>> {
+        let Some(stiffness) = Stiffness::of(self) else { return Ok(None) };
+        Ok(Some(stiffness.bound(stiffness.at_rest()?.need(h, self.density), 1)))
     }
 
     /// Poisson's ratio of the undeformed material, if it bears shear and gives its moduli.
@@ -254,10 +200,10 @@ impl PlannedMaterial {
         if self.material.has(abi::BARCHAN_CAP_FLUID) {
             return Ok(None);
         }
-        Ok(self.moduli()?.map(|[p_wave, bulk]| {
-            let (lambda, mu) = (0.5 * (bulk - p_wave), 0.25 * (3.0 * p_wave - bulk));
-            0.5 * lambda / (lambda + mu)
-        }))
+        let Some(stiffness) = Stiffness::of(self) else { return Ok(None) };
+        let Moduli { p_wave, triple_bulk, .. } = stiffness.at_rest()?;
+        let (lambda, mu) = (0.5 * (triple_bulk - p_wave), 0.25 * (3.0 * p_wave - triple_bulk));
+        Ok(Some(0.5 * lambda / (lambda + mu)))
     }
 
     /// Value of a parameter by name.
@@ -864,9 +810,9 @@ fn start_bound(scene: &Scene, materials: &[PlannedMaterial], couplings: &[Box<dy
     let h = scene.world.cell;
     let mut bound = Bound { dt: f64::INFINITY, by: "nothing".to_owned() };
     for planned in materials {
-        let whole = planned.bound(h)?.map(|dt| dt * f64::from(scene.levels.substeps()));
-        if let Some(dt) = whole.filter(|dt| *dt < bound.dt) {
-            bound = Bound { dt, by: format!("material '{}': stiffness", planned.name) };
+        let whole = |own: Bound| Bound { dt: own.dt * f64::from(scene.levels.substeps()), ..own };
+        if let Some(own) = planned.bound(h)?.map(whole).filter(|own| own.dt < bound.dt) {
+            bound = own;
         }
     }
     Ok(tighten(bound, couplings, 0.0, h, scene.output.interval))

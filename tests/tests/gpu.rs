@@ -16,6 +16,8 @@ use std::sync::Arc;
 mod free;
 #[path = "gpu/sleeping.rs"]
 mod sleeping;
+#[path = "gpu/stiffness.rs"]
+mod stiffness;
 
 fn on(backend: &str, precision: Precision, toml: &str) -> Simulation {
     let options = Options { backend: backend.into(), precision, threads: 1, ..Options::default() };

@@ -10,7 +10,9 @@ mod libraries;
 
 use barchan::{Material, Options, Registry, Simulation};
 use barchan_material_kit::random::Random;
-use barchan_material_kit::{Answer, BARCHAN_CAP_FLUID, Mat3, Particle, Precision, Subject, SymMat3};
+use barchan_material_kit::{
+    Answer, BARCHAN_CAP_FLUID, BARCHAN_CAP_HARDENS, Mat3, Particle, Precision, Subject, SymMat3,
+};
 use barchan_tests::scenes::{options, scene};
 use barchan_tests::sketch::{self, Head, block};
 use barchan_wgpu::{device, material};
@@ -21,6 +23,8 @@ const COUNT: usize = 2000;
 const DT: f64 = 1e-4;
 /// Error in stress allowed, over the present λ + 2μ; or over the stress where that is greater.
 const STRESS: f64 = 2e-6;
+/// Error in moduli and viscosity allowed, relative to their own size.
+const STIFFNESS: f64 = 1e-4;
 /// Error in strain and state allowed, relative to their own size or 1.
 const STATE: f64 = 1e-5;
 /// Roundings of the strain given, of 2⁻²⁴ of its greatest component or 1, that the answer may be off by: those of the eigenvalues in
@@ -126,14 +130,17 @@ impl State {
     }
 }
 
-/// One dispatch over all laws and states, through the dispatcher that the engine uses.
-fn on_gpu(laws: &[(&Material, Vec<f64>, Vec<State>)]) -> Vec<Vec<Answer>> {
+/// Tangent moduli [Pa] and viscosity [Pa s].
+type Stiffness = [f64; 3];
+
+/// One dispatch over all laws and states, through the dispatchers that the engine uses.
+fn on_gpu(laws: &[(&Material, Vec<f64>, Vec<State>)]) -> Vec<Vec<(Answer, Stiffness)>> {
     const KERNEL: &str = "
         @group(0) @binding(0) var<storage, read> parameters: array<f32>;
         @group(0) @binding(1) var<storage, read> input: array<f32>;
         @group(0) @binding(2) var<storage, read_write> output: array<f32>;
         fn barchan_param(base: u32, i: u32) -> f32 { return parameters[base + i]; }
-        const STRIDE: u32 = 20u + BARCHAN_MAX_STATE;
+        const STRIDE: u32 = 23u + BARCHAN_MAX_STATE;
         fn matrix(at: u32) -> mat3x3<f32> {
             return transpose(mat3x3<f32>(input[at], input[at + 1u], input[at + 2u], input[at + 3u], input[at + 4u],
                 input[at + 5u], input[at + 6u], input[at + 7u], input[at + 8u]));
@@ -148,20 +155,24 @@ fn on_gpu(laws: &[(&Material, Vec<f64>, Vec<State>)]) -> Vec<Vec<Answer>> {
             let at = id.x * STRIDE;
             if at >= arrayLength(&input) { return; }
             var q: array<f32, BARCHAN_MAX_STATE>;
-            for (var i = 0u; i < BARCHAN_MAX_STATE; i++) { q[i] = input[at + 20u + i]; }
+            for (var i = 0u; i < BARCHAN_MAX_STATE; i++) { q[i] = input[at + 23u + i]; }
             let x = MatIn(matrix(at + 2u), matrix(at + 11u), 1e-4);
             let out = update_material(bitcast<u32>(input[at]), x, bitcast<u32>(input[at + 1u]), &q);
             put(at + 2u, out.strain);
             put(at + 11u, out.kirchhoff);
-            for (var i = 0u; i < BARCHAN_MAX_STATE; i++) { output[at + 20u + i] = q[i]; }
+            for (var i = 0u; i < BARCHAN_MAX_STATE; i++) { output[at + 23u + i] = q[i]; }
+            let stiffness = stiffness_of_material(bitcast<u32>(input[at]), out.strain, bitcast<u32>(input[at + 1u]), &q);
+            output[at + 20u] = stiffness.p_wave;
+            output[at + 21u] = stiffness.triple_bulk;
+            output[at + 22u] = stiffness.viscosity;
         }";
     let most = laws.iter().map(|(law, ..)| law.states.len()).max().unwrap_or(0).max(1);
-    let stride = 20 + most;
+    let stride = 23 + most;
     let (mut parameters, mut input) = (Vec::<f32>::new(), Vec::<f32>::new());
     for (i, (_, values, states)) in laws.iter().enumerate() {
         for state in states {
             input.extend([f32::from_bits(i as u32), f32::from_bits(parameters.len() as u32)]);
-            input.extend(state.strain.iter().chain(&state.vel_grad).chain(&state.history));
+            input.extend(state.strain.iter().chain(&state.vel_grad).chain(&[0.0; 3]).chain(&state.history));
             input.resize(input.len().next_multiple_of(stride), 0.0);
         }
         parameters.extend(values.iter().map(|p| *p as f32));
@@ -183,10 +194,10 @@ fn on_gpu(laws: &[(&Material, Vec<f64>, Vec<State>)]) -> Vec<Vec<Answer>> {
                 for (plane, c) in [0, 4, 8, 1, 2, 5].into_iter().enumerate() {
                     answer.kirchhoff[plane] = f64::from(record[11 + c]);
                 }
-                for (to, from) in answer.state.iter_mut().zip(&record[20..20 + law.states.len()]) {
+                for (to, from) in answer.state.iter_mut().zip(&record[23..23 + law.states.len()]) {
                     *to = f64::from(*from);
                 }
-                answer
+                (answer, [20, 21, 22].map(|k| f64::from(record[k])))
             };
             records.by_ref().take(states.len()).map(answer).collect()
         })
@@ -261,6 +272,40 @@ fn errors(answer: &Answer, exact: &Answer, modulus: f64) -> [f64; 2] {
     [stress, own]
 }
 
+/// Moduli and viscosity in WGSL are those that the CPU gives for the same strain and history, in laws whose bound follows the state.
+fn check_stiffness(
+    law: &Material,
+    subject: &Subject<'_>,
+    parameters: &[f64],
+    answers: &[Answer],
+    found: &[Stiffness],
+) -> Vec<String> {
+    let asked = subject.has(BARCHAN_CAP_HARDENS);
+    if law.wgsl_stiffness.is_empty() {
+        assert!(!asked, "{}: the bound follows the state, so there must be WGSL for it", law.name);
+        return Vec::new();
+    }
+    let particle = |a: &Answer| Particle { strain: a.strain, state: a.state, ..subject.particle_at_rest() };
+    let particles: Vec<_> = answers.iter().map(particle).collect();
+    let moduli = subject.tangent_moduli(parameters, &particles).unwrap().unwrap();
+    let viscosity = subject.viscosity(parameters, &particles).unwrap();
+    let mut worst = 0f64;
+    let mut failures = Vec::new();
+    for (i, found) in found[..answers.len()].iter().enumerate() {
+        let [p_wave, triple_bulk] = moduli[i];
+        let own = [p_wave, triple_bulk, viscosity.as_ref().map_or(0.0, |v| v[i])];
+        for (found, own) in found.iter().zip(own) {
+            let error = (found - own).abs() / own.abs().max(f64::MIN_POSITIVE);
+            worst = worst.max(if own == 0.0 && *found == 0.0 { 0.0 } else { error });
+            if !(error <= STIFFNESS) && own != *found {
+                failures.push(format!("{} stiffness: {found} is not {own} for {:?}", law.name, answers[i]));
+            }
+        }
+    }
+    println!("{:<22}{:<14}{worst:>10.1e}", law.name, "stiffness");
+    failures
+}
+
 #[test]
 fn every_law_gives_the_same_answer_on_a_gpu_as_on_the_cpu() {
     let mut registry: Registry = barchan::registry();
@@ -288,6 +333,8 @@ fn every_law_gives_the_same_answer_on_a_gpu_as_on_the_cpu() {
         let subject = unsafe { Subject::new(&law.table) }.unwrap();
         let determined = states.iter().filter(|s| s.kind != Degenerate).count();
         let (states, degenerate) = states.split_at(determined);
+        let (answers, stiffness): (Vec<_>, Vec<_>) = answers.into_iter().unzip();
+        failures.extend(check_stiffness(law, &subject, parameters, &answers[..determined], &stiffness));
         let (answers, beyond_f32) = answers.split_at(determined);
         // A liquid resists being squashed to nothing with more than f32 can say, on the CPU as well.
         let finite = |a: &Answer| a.strain.iter().chain(&a.kirchhoff).chain(&a.state).all(|x| x.is_finite());

@@ -6,16 +6,17 @@ use crate::sleep::Lulled;
 use crate::store::{Departures, List};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
-use barchan_core::material::{ErrorBuffer, stable_step};
+use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
+use barchan_core::stiffness::{Need, Stiffness};
 use barchan_core::{
     Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene, SortPhase, Spot,
     StepReport,
 };
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
-use barchan_grid::particles::{MASS, Run, STRAIN, VOLUME};
+use barchan_grid::particles::{Run, STRAIN};
 use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
 use barchan_lanes::{Isa, LANES};
 use rayon::ThreadPool;
@@ -555,80 +556,24 @@ impl<T: Scalar> CpuEngine<T> {
         self.stiffness = Bound { dt: f64::INFINITY, by: "nothing".into() };
         for (l, level) in self.levels.iter().enumerate() {
             // The bound is on a whole step: subcycled, a level takes a part of it.
-            let reach = level.h() * f64::from(self.steps_within(l));
+            let (h, steps_within) = (level.h(), self.steps_within(l));
             for list in &level.store.lists {
                 let planned = &self.materials[list.material];
-                let Some(moduli) = planned.material.table.tangent_moduli_f32 else { continue };
-                let planes = list.strain_planes();
-                let params: Vec<f32> = planned.parameters.iter().map(|&p| p as f32).collect();
+                let Some(stiffness) = Stiffness::of(planned) else { continue };
                 let blocks = list.runs.iter().filter(|run| run.count > 0);
                 // A law that does not harden is as stiff everywhere as at its first particle.
                 let hardens = planned.material.has(abi::BARCHAN_CAP_HARDENS);
                 let runs: Vec<_> = if hardens { blocks.collect() } else { blocks.take(1).collect() };
-                // Stiffness is asked of matter at rest.
-                const NO_RATE: [[f32; LANES]; 9] = [[0.0; LANES]; 9];
-                type Planes<const N: usize> = [[f32; LANES]; N];
-                type Scratch = (Planes<9>, Planes<{ barchan_grid::transfer::MAX_STATE }>, ErrorBuffer);
-                let chunk_bound = |chunk: usize, count: usize, (strain, state, message): &mut Scratch| -> Result<f64> {
-                    let mut out = [[0f32; LANES]; 2];
-                    for (p, plane) in strain[..planes].iter_mut().enumerate() {
-                        *plane = list.rest_plane(chunk, STRAIN + p).map(|x| x.to_f64() as f32);
-                    }
-                    for (q, plane) in state[..list.law.table.n_state].iter_mut().enumerate() {
-                        *plane = list.rest_plane(chunk, STRAIN + planes + q).map(|x| x.to_f64() as f32);
-                    }
-                    let batch = abi::BarchanBatchF32 {
-                        struct_size: size_of::<abi::BarchanBatchF32>(),
-                        n: LANES,
-                        stride: LANES,
-                        dt: 0.0,
-                        reserved: 0,
-                        params: params.as_ptr(),
-                        strain_trial: strain.as_ptr().cast(),
-                        vel_grad: NO_RATE.as_ptr().cast(),
-                        state_in: state.as_ptr().cast(),
-                        strain: std::ptr::null_mut(),
-                        kirchhoff: std::ptr::null_mut(),
-                        state_out: std::ptr::null_mut(),
-                    };
-                    // SAFETY: the planes that this callback reads, and the two that it writes, hold 16 values each.
-                    let status = unsafe { moduli(&batch, out.as_mut_ptr().cast(), message.as_raw()) };
-                    message.check(status, &planned.material, "tangent_moduli", |i| {
-                        // A callback may name any number.
-                        usize::try_from(i)
-                            .ok()
-                            .and_then(|i| list.id[chunk].get(i))
-                            .map_or(u64::MAX, |&id| u64::from(id))
-                    })?;
-                    // The minimum would lose a NaN, and with it the bound.
-                    let wrong = |lane: usize| !out.iter().all(|m| m[lane].is_finite() && m[lane] > 0.0);
-                    if let Some(lane) = (0..count).find(|&lane| wrong(lane)) {
-                        let moduli = [out[0][lane], out[1][lane]];
-                        return Err(Error::MaterialFailed {
-                            material: planned.name.clone(),
-                            origin: planned.material.origin.clone(),
-                            callback: "tangent_moduli",
-                            message: format!("the moduli are {moduli:?} Pa; they must be finite and above 0"),
-                            particle: Some(u64::from(list.id[chunk][lane])),
-                        });
-                    }
-                    let (mass, volume0) = (list.rest_plane(chunk, MASS), list.rest_plane(chunk, VOLUME));
-                    let step = |lane: usize| {
-                        let density = mass[lane].to_f64() / volume0[lane].to_f64();
-                        stable_step(reach, density, f64::from(out[0][lane]), f64::from(out[1][lane]))
-                    };
-                    Ok((0..count).map(step).fold(f64::INFINITY, f64::min))
-                };
-                let run_bound = |run: &&Run| {
-                    let mut scratch: Scratch = (Default::default(), Default::default(), ErrorBuffer::default());
-                    (0..run.chunks()).try_fold(f64::INFINITY, |least: f64, k| {
+                let of_run = |run: &&Run| {
+                    (0..run.chunks()).try_fold(Need::default(), |need, k| {
                         let count = (run.count - k * LANES).min(LANES);
-                        Ok(least.min(chunk_bound(run.first + k, count, &mut scratch)?))
+                        Ok(need.or(list.need(&stiffness, run.first + k, count, h)?))
                     })
                 };
-                let least = runs.par_iter().map(run_bound).try_reduce(|| f64::INFINITY, |a, b| Ok(a.min(b)))?;
-                if least < self.stiffness.dt {
-                    self.stiffness = Bound { dt: least, by: format!("stiffness of material '{}'", planned.name) };
+                let need = runs.par_iter().map(of_run).try_reduce(Need::default, |a, b| Ok(a.or(b)))?;
+                let bound = stiffness.bound(need, steps_within);
+                if bound.dt < self.stiffness.dt {
+                    self.stiffness = bound;
                 }
             }
         }

@@ -5,6 +5,7 @@
 
 use crate::memory::{Line, Shared, lines};
 use barchan_core::plan::PlannedMaterial;
+use barchan_core::stiffness::{self, Need, Stiffness};
 use barchan_core::{Error, ParticleList, Result, Spot};
 use barchan_grid::adapt::Parcel;
 use barchan_grid::block::{self, CELLS};
@@ -119,6 +120,21 @@ impl<T: Scalar> List<T> {
     }
     pub(crate) fn volume0_of(&self, chunk: usize, lane: usize) -> f64 {
         self.rest_of(chunk, lane, VOLUME)
+    }
+
+    /// How many steps a second the first particles of a chunk need.
+    pub(crate) fn need(&self, law: &Stiffness<'_>, chunk: usize, count: usize, h: f64) -> Result<Need> {
+        let (mut strain, mut state) = ([stiffness::Plane::default(); 9], [stiffness::Plane::default(); MAX_STATE]);
+        let planes = self.strain_planes();
+        let n_state = self.law.table.n_state;
+        let values = strain[..planes].iter_mut().chain(&mut state[..n_state]);
+        for (plane, value) in values.zip(STRAIN..) {
+            plane.0 = self.rest_plane(chunk, value).map(|x| x.to_f64() as f32);
+        }
+        let id = |lane: usize| Some(u64::from(self.id[chunk][lane]));
+        let moduli = law.moduli(&strain, &state, count, id)?;
+        let density = |lane: usize| self.mass_of(chunk, lane) / self.volume0_of(chunk, lane);
+        Ok((0..).zip(moduli).fold(Need::default(), |need, (lane, m)| need.or(m.need(h, density(lane)))))
     }
 
     /// A copy of one particle.

@@ -30,8 +30,6 @@ use std::sync::Arc;
 
 /// No node that a particle feels may carry one further than this in a step, in cells: a little less than particles may move.
 pub(crate) const NODE_MOVE: f64 = 0.48;
-/// Steps between measurements of the stiffness of materials that harden.
-const STIFFNESS_AGE: u32 = 10;
 /// Every so manieth submission is timed pass by pass.
 const TIMED: u64 = 16;
 /// And of it so many passes at most.
@@ -87,6 +85,8 @@ pub(crate) const SLEPT: usize = 12;
 pub(crate) const SPEED: usize = 0;
 pub(crate) const MOVE: usize = 1;
 const GROWN: usize = 3;
+/// Of a layer in a submission, after an even step and after an odd one.
+const NEED: usize = 18;
 const BIAS: i32 = block::REACH;
 
 /// Why the device halted a submission.
@@ -103,6 +103,8 @@ pub(crate) enum Halt {
     Fewer,
     /// Levels must move after soft bodies, or the host must look where free bodies are.
     Follow,
+    /// Particles need shorter steps.
+    TooStiff,
 }
 
 impl Halt {
@@ -116,7 +118,8 @@ impl Halt {
             5 => Some(Self::LeftWorld),
             6 => Some(Self::Strayed),
             7 => Some(Self::Fewer),
-            _ => Some(Self::Follow),
+            8 => Some(Self::Follow),
+            _ => Some(Self::TooStiff),
         }
     }
 }
@@ -683,7 +686,7 @@ impl WgpuBatch {
     pub(crate) fn only_waits(&self) -> bool {
         let only_waits = |world: &World| {
             let on_device = matches!(world.contact, Some(Place::Nowhere | Place::Device));
-            on_device && world.free == 0 && world.reach.is_none() && !world.hardens
+            on_device && world.free == 0 && world.reach.is_none() && world.ask_after.is_none()
         };
         self.levels == 1 && self.particles() > 0 && self.worlds.iter().all(only_waits)
     }
@@ -986,6 +989,17 @@ impl WgpuBatch {
         world.stiffness_age += done as u32;
         world.book_gravity(time, dt, done);
         self.take_sums(status, w);
+        if let Some(last) = done.checked_sub(1) {
+            self.take_needs(status, w, last);
+        }
+    }
+
+    /// What particles need after a step, as far as laws are asked on the device.
+    pub(crate) fn take_needs(&mut self, status: &Status, w: usize, step: usize) {
+        let layers = self.layers_of(w);
+        if self.worlds[w].stiffens {
+            self.worlds[w].take_needs(layers.map(|layer| f32::from_bits(status.sum(layer, NEED + step % 2))));
+        }
     }
 
     /// What was summed on the device in a submission.
@@ -1350,7 +1364,7 @@ impl WgpuBatch {
             // A world's levels are sorted together.
             age: rhythms.first().map_or(0, |rhythm| rhythm.age),
             drift: rhythms.iter().map(|rhythm| f64::from(rhythm.drift)).collect(),
-            measured: Measured { stiffness_bound: world.stiffness.dt, stiffness_age: world.stiffness_age },
+            measured: Measured { stiffness_bound: world.stiffness().dt, stiffness_age: world.stiffness_age },
             rest: self.rests(w)?.concat(),
             blocks,
             kept_for: vec![None; rhythms.len()],
@@ -1617,7 +1631,7 @@ impl WgpuBatch {
                 self.astray = outcome.halt == Some(Halt::Misplaced);
             }
             match outcome.halt {
-                Some(Halt::Drifted) => self.horizon = FEW_STEPS,
+                Some(Halt::Drifted | Halt::TooStiff) => self.horizon = FEW_STEPS,
                 None if outcome.done == self.horizon => self.horizon = MAX_STEPS.min(2 * self.horizon),
                 _ => {}
             }
@@ -1914,27 +1928,30 @@ impl WgpuBatch {
         }
     }
 
-    /// Reads a world's stiffness anew where it follows the state.
+    /// Asks a world's laws on the host how stiff their particles are, if that is due.
     fn follow_stiffness(&mut self, w: usize) -> Result<()> {
         let world = &self.worlds[w];
-        if !world.hardens || world.stiffness_age < STIFFNESS_AGE {
+        let is_wrong = world.stiffness().dt.is_nan();
+        if world.ask_after.is_none_or(|age| world.stiffness_age < age) && !is_wrong {
             return Ok(());
         }
-        let mut bound = world.unchanging.clone();
+        let (mut asked, mut needed) = (stiffness::nothing(), stiffness::nothing());
         for level in world.levels.iter().filter(|level| !level.particles.is_empty()) {
             let (first, count) = (level.particles.start, level.particles.len());
             let rest = self.stretch(Sorted::Rest, first, count)?;
             let places =
                 if world.materials.len() > 1 { Some(self.stretch_of(Sorted::Record, 1, first, count)?) } else { None };
             let held = Held { rest: &rest, places: places.as_deref(), slots: count, count };
-            let reach = level.h * f64::from(level.steps_within);
-            let hardening = stiffness::bound_of_hardening(&held, &world.materials, &world.densities, reach)?;
-            if hardening.dt < bound.dt {
-                bound = hardening;
+            let of_level = (level.h, level.steps_within);
+            let ask = |is_asked| stiffness::bound_held(&held, &world.materials, is_asked, &world.densities, of_level);
+            asked = stiffness::lesser(asked, ask(stiffness::is_asked_on_host)?);
+            if world.asks_those_asleep() || is_wrong {
+                needed = stiffness::lesser(needed, ask(stiffness::is_asked_on_device)?);
             }
         }
         let world = &mut self.worlds[w];
-        (world.stiffness, world.stiffness_age) = (bound, 0);
+        let needed = (world.asks_those_asleep() || is_wrong).then_some(needed);
+        world.take_asked(asked, needed);
         Ok(())
     }
 
@@ -1954,10 +1971,10 @@ impl WgpuBatch {
         for turn in turns.iter() {
             self.settle_contact(turn.world, turn.couplings)?;
         }
-        // Each world's stiffness is asked after as many of its own steps, whatever the others do.
+        // Each world's laws are asked on the host after as many of its own steps, whatever the others do.
         let until_asked = |turn: &Turn<'_>| {
             let world = &self.worlds[turn.world];
-            if world.hardens { STIFFNESS_AGE.saturating_sub(world.stiffness_age).max(1) as usize } else { MAX_STEPS }
+            world.ask_after.map_or(MAX_STEPS, |age| age.saturating_sub(world.stiffness_age).max(1) as usize)
         };
         let has_bodies = turns.iter().any(|turn| !turn.couplings.is_empty());
         let at_once = if has_bodies || self.substeps > 1 { MAX_SLOTS / self.substeps } else { MAX_STEPS };
@@ -2036,6 +2053,7 @@ fn device_law(couplings: &[Box<dyn Coupling>]) -> Option<(DeviceLaw, usize)> {
 /// The constants of a step of all levels, where the finest cells have width `h` [m].
 fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
     StepConstants {
+        most_need: (1.000_001 / dt).min(f64::from(f32::MAX)) as f32,
         dt: dt as f32,
         dt_per_h: (dt / h) as f32,
         stress: (-4.0 * dt / h) as f32,

@@ -5,7 +5,7 @@ use crate::batch::{
     WgpuBatch, ending,
 };
 use crate::kernels::Role;
-use crate::memory::{NEAR_BLOCK, Writes, read};
+use crate::memory::{NEAR_BLOCK, StepConstants, Writes, read};
 use crate::sleep::near_tools;
 use crate::world::{FELT, MAX_DRIFT, Rhythm, World};
 use barchan_core::backend::Turn;
@@ -604,7 +604,8 @@ impl WgpuBatch {
             }
         }
         self.write_layers(&layers);
-        self.write_steps(1, &[self.step_constants(dt, 1)]);
+        // What particles need has not been seen when the step is chosen: the next one takes it into account.
+        self.write_steps(1, &[StepConstants { most_need: f32::MAX, ..self.step_constants(dt, 1) }]);
         let words = self.memory.words();
         self.write_words(HALTED, &AT_START);
         self.write_words(NEAR, &[0]);
@@ -708,6 +709,7 @@ impl WgpuBatch {
                 level.particle_speed = f64::from(moved) * level.h / world.last_dt;
             }
             self.take_sums(status, w);
+            self.take_needs(status, w, 0);
         }
     }
 

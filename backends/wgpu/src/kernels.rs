@@ -5,7 +5,10 @@ use crate::device::Gpu;
 use crate::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER};
 use crate::material;
 use crate::memory::{MAX_SLOTS, MAX_STEPS, NEAR_BLOCK};
-use crate::world::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
+use crate::stiffness::{is_asked_on_device, is_asked_on_host};
+use crate::world::{
+    OFTEN_DRIFT, SELDOM_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, STIFFNESS_AGE, most_drift,
+};
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
@@ -396,7 +399,7 @@ impl Drafts {
         Ok(Self {
             sort: sort(plan, worlds),
             watch: sleeps.then(|| watch(levels)),
-            p2g: p2g(sleeps, mirrored, levels, subcycled, particles),
+            p2g: p2g([sleeps, mirrored, levels, subcycled, stiffens(plan)], particles),
             restrict: (levels && !subcycled).then(restrict),
             grid,
             solve: subcycled.then(|| rims_alone(true)),
@@ -458,6 +461,13 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     let adapt = drafts.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
     lines.extend(adapt.map(|draft| line("where levels move or particles leave theirs", draft)));
     lines.push(line("after an upload", &drafts.stress));
+    for planned in plan.materials.iter().filter(|planned| is_asked_on_host(planned)) {
+        let megabytes = 16.0 * rest_vectors(&plan.materials) as f64 * plan.particle_count as f64 / 1e6;
+        lines.push(format!(
+            "stiffness, every {STIFFNESS_AGE} steps: material '{}' has no wgsl_stiffness, so all strains and histories are copied to the host ({megabytes:.1} MB), which takes longer than the steps; its author can mend that",
+            planned.name
+        ));
+    }
     Ok(lines)
 }
 
@@ -916,7 +926,7 @@ fn sum_sleep() -> Draft {
 
 /// Where there are several levels, P2G also sums parent cells for rims. Subcycled, further workgroups visit blocks once more that give to nodes which
 /// two levels share, and leave forces out.
-fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool, particles: usize) -> Draft {
+fn p2g([sleeps, mirrored, levels, subcycled, stiffens]: [bool; 5], particles: usize) -> Draft {
     // Where there are few, the memory waits for nobody else; many are faster with the registers that another takes.
     let ahead = if particles < MANY { 2 } else { 1 };
     let at_rim = match (levels, subcycled) {
@@ -942,6 +952,8 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool, particles: u
         .replace("$GUESTS_ZM", &zm.guests())
         .replace("$FOLD", &[0, 1, 2].map(fold).concat())
         .replace("$FLUSH", &flush())
+        .replace("$IS_STIFF", if stiffens { "is_stiff = is_too_stiff(layer);" } else { "" })
+        .replace("$HALT_IF_STIFF", if stiffens { HALT_IF_STIFF } else { "" })
         .replace("$GIVES", if sleeps { "gives(b, layer)" } else { "1u" })
         .replace("$BOOK_LAST", if mirrored { BOOK_LAST } else { "" })
         .replace("$BOOKED", if sleeps { "select(total, 0.0, is_frozen != 0u)" } else { "total" })
@@ -976,6 +988,7 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool, particles: u
             include_str!("wgsl/reaches_wall.wgsl"),
             include_str!("wgsl/wall.wgsl"),
             include_str!("wgsl/rhythm.wgsl"),
+            if stiffens { include_str!("wgsl/too_stiff.wgsl") } else { "" },
         ]
         .concat(),
         uses,
@@ -987,6 +1000,18 @@ fn p2g(sleeps: bool, mirrored: bool, levels: bool, subcycled: bool, particles: u
         checked: false,
     }
 }
+
+/// The next step's needs come into the word in which those of the step before the last have been.
+const HALT_IF_STIFF: &str = "if is_first {
+            atomicStore(&status[need_word(step.number, layer)], 0u);
+        }
+        if is_stiff {
+            if is_first {
+                atomicStore(&status[HALT_STEP], step.number);
+                atomicStore(&status[HALTED], TOO_STIFF);
+            }
+            return 0u;
+        }";
 
 /// What the step before would give, it has given, since another follows.
 const BOOK_LAST: &str =
@@ -1621,6 +1646,19 @@ fn g2p(plan: &Plan, laws: &str, sleeps: bool, [particles, layers]: [usize; 2]) -
         ]
     };
     let body = with_sleep(sleeps, include_str!("wgsl/g2p.wgsl"), &texts).replace("$GATHER", &gather());
+    let of_needs = [
+        ("$NEED_VARIABLE", "var<workgroup> greatest_need: atomic<u32>;"),
+        (
+            "$SEE_NEED",
+            "if layer_now != first_layer {\n\
+             atomicMax(&status[need_word(step.number, layer_now)], need_now);\n\
+             } else if need_now > atomicLoad(&greatest_need) {\n\
+             atomicMax(&greatest_need, need_now);\n}",
+        ),
+        ("$NOTE_NEED", "atomicMax(&status[need_word(step.number, first_layer)], atomicLoad(&greatest_need));"),
+    ];
+    let stiffens = stiffens(plan);
+    let body = of_needs.iter().fold(body, |body, (at, text)| body.replace(at, if stiffens { text } else { "" }));
     let body = of_one.iter().fold(body, |body, (at, text)| body.replace(at, text));
     let body = format!("const BY_WORKGROUP: u32 = {by_workgroup}u;\n") + &body.replace("$EACH", each);
     let watch = if sleeps { [WATCH_WORDS, include_str!("wgsl/watch_g2p.wgsl")].concat() } else { String::new() };
@@ -1703,6 +1741,11 @@ fn collect(mirrored: bool) -> Draft {
     }
 }
 
+/// Does the device ask laws how stiff their particles are?
+pub(crate) fn stiffens(plan: &Plan) -> bool {
+    plan.materials.iter().any(is_asked_on_device)
+}
+
 /// The materials, and the update of a particle's strain and stress.
 fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     let materials: Vec<_> = plan.materials.iter().map(|m| &m.material).collect();
@@ -1751,6 +1794,13 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
         let _ = writeln!(load, "var r{k} = held.r{k};");
         let _ = writeln!(store, "rest[{plane}q] = r{k};");
     }
+    let volume = format!("r{}.w", vectors - 1);
+    let mut need = String::new();
+    if stiffens(plan) {
+        let asked = format!("need_of(stiffness_of_material(law, strain, param_base(law), &state), mass, {volume})");
+        need = format!("need_now = 0u;\nif gives_stiffness(law) {{\nneed_now = {asked};\n}}");
+        text += include_str!("wgsl/stiffness.wgsl");
+    }
     let any = |full: bool| plan.materials.iter().any(|m| (m.material.strain_planes() == 9) == full);
     let branch = |full: &str, symmetric: &str| match (any(true), any(false)) {
         (true, true) => format!("if has_def_grad(law) {{\n{full}}} else {{\n{symmetric}}}\n"),
@@ -1784,7 +1834,8 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     text += &include_str!("wgsl/deform.wgsl")
         .replace("$FIELDS", &fields)
         .replace("$FETCH", &fetch)
-        .replace("$VOLUME", &format!("r{}.w", vectors - 1))
+        .replace("$VOLUME", &volume)
+        .replace("$NEED", &need)
         .replace("$LOAD", &(load + "var strain: mat3x3<f32>;\nvar state: array<f32, BARCHAN_MAX_STATE>;\n" + &branch(&load_full, &load_sym)))
         .replace("$TRIAL", &branch("trial = strain + g + g * strain;\n", "let half = strain + g * strain;\nlet back = transpose(g);\ntrial = half + half * back + g + back + g * back;\n"))
         .replace("$STORE", &(branch(&(store_full + &history(true, true)), &(store_sym + &history(false, true))) + &store));

@@ -15,12 +15,24 @@ fn barchan_param(base: u32, i: u32) -> f32 { return f32(base + i); }
 fn barchan_update(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut {
     return MatOut(x.strain, x.vel_grad);
 }
+fn barchan_stiffness_of(strain: mat3x3<f32>, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> Stiffness {
+    return Stiffness(1.0, 1.0, 0.0);
+}
 ";
-const MODEL: &str = "barchan_update";
+
+/// A function that a material defines: what stands behind its name, the function whose type it must have, and that type.
+type Wanted = (&'static str, &'static str, &'static str);
+const UPDATE: Wanted =
+    ("update", "barchan_update", "(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut");
+const STIFFNESS: Wanted = (
+    "stiffness",
+    "barchan_stiffness_of",
+    "(strain: mat3x3<f32>, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> Stiffness",
+);
 
 /// Checks a material's WGSL alone: it parses and is valid without any optional capability of a device, defines
-/// `<name>_update` of the right type, starts all its names with its own, and has neither variables, constants set from outside
-/// nor entry points at module scope, nor barriers.
+/// `<name>_update` of the right type, and `<name>_stiffness` if it has text for that, starts all its names with its own, and has neither
+/// variables, constants set from outside nor entry points at module scope, nor barriers.
 ///
 /// # Errors
 /// [`Error::Missing`] if there is no WGSL, [`Error::Plugin`] naming the material, its library and the line.
@@ -35,11 +47,13 @@ pub fn check(material: &Material) -> Result<()> {
             mend: format!("supply {}_update in the table's slot wgsl, or use the backend cpu", material.name),
         });
     }
-    check_text(&material.name, material.states.len(), &material.wgsl).map_err(|Refusal { line, what, mend }| {
+    let texts = [("WGSL", &*material.wgsl), ("WGSL of the stiffness", &*material.wgsl_stiffness)];
+    check_texts(&material.name, material.states.len(), texts.map(|(_, text)| text)).map_err(|refusal| {
+        let Refusal { text, line, what, mend } = refusal;
         let place = line.map_or_else(String::new, |line| format!(" line {line}"));
         Error::Plugin {
             library: material.origin.clone().into(),
-            what: format!("material '{}': WGSL{place}: {what}", material.name),
+            what: format!("material '{}': {}{place}: {what}", material.name, texts[text].0),
             mend,
         }
     })
@@ -49,10 +63,12 @@ pub fn check(material: &Material) -> Result<()> {
 ///
 /// ```wgsl
 /// fn update_material(law: u32, x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut
+/// fn gives_stiffness(law: u32) -> bool
+/// fn stiffness_of_material(law: u32, strain: mat3x3<f32>, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> Stiffness
 /// ```
 ///
-/// which calls the law at position `law` of `laws`. The engine adds `fn barchan_param(base: u32, i: u32) -> f32`, which reads
-/// parameter `i` of a material whose parameters begin at `base`.
+/// which call the law at position `law` of `laws`; the stiffness is zero of one that gives none. The engine adds
+/// `fn barchan_param(base: u32, i: u32) -> f32`, which reads parameter `i` of a material whose parameters begin at `base`.
 ///
 /// # Errors
 /// Those of [`check`] for the first law that fails it.
@@ -62,19 +78,28 @@ pub fn module(laws: &[&Material]) -> Result<String> {
     let mut text = prelude(states);
     for (i, law) in laws.iter().enumerate() {
         if !laws[..i].iter().any(|earlier| earlier.name == law.name) {
-            text += &law.wgsl;
-            text.push('\n');
+            let _ = writeln!(text, "{}\n{}", law.wgsl, law.wgsl_stiffness);
         }
     }
-    text += "fn update_material(law: u32, x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut {\n";
-    text += "    switch law {\n";
-    for (i, law) in laws.iter().enumerate().skip(1) {
-        let _ = writeln!(text, "        case {i}u: {{ return {}_update(x, base, q); }}", law.name);
-    }
-    let first = laws
-        .first()
-        .map_or_else(|| "MatOut(x.strain, mat3x3<f32>())".to_owned(), |law| format!("{}_update(x, base, q)", law.name));
-    let _ = writeln!(text, "        default: {{ return {first}; }}\n    }}\n}}");
+    let mut pick = |signature: &str, none: &str, of: &dyn Fn(&Material) -> String| {
+        let (first, others) = laws.split_first().map_or((none.to_owned(), &[][..]), |(first, rest)| (of(first), rest));
+        let case = |(i, law): (usize, &&Material)| format!("case {}u: {{ return {}; }}\n", i + 1, of(law));
+        let cases: String = others.iter().enumerate().map(case).collect();
+        let _ = writeln!(text, "fn {signature} {{\nswitch law {{\n{cases}default: {{ return {first}; }}\n}}\n}}");
+    };
+    const STATE: &str = "ptr<function, array<f32, BARCHAN_MAX_STATE>>";
+    pick(
+        &format!("update_material(law: u32, x: MatIn, base: u32, q: {STATE}) -> MatOut"),
+        "MatOut(x.strain, mat3x3<f32>())",
+        &|law| format!("{}_update(x, base, q)", law.name),
+    );
+    let gives = |law: &Material| !law.wgsl_stiffness.is_empty();
+    pick("gives_stiffness(law: u32) -> bool", "false", &|law| gives(law).to_string());
+    pick(
+        &format!("stiffness_of_material(law: u32, strain: mat3x3<f32>, base: u32, q: {STATE}) -> Stiffness"),
+        "Stiffness()",
+        &|law| if gives(law) { format!("{}_stiffness(strain, base, q)", law.name) } else { "Stiffness()".to_owned() },
+    );
     Ok(text)
 }
 
@@ -87,7 +112,8 @@ fn prelude(states: usize) -> String {
 /// Why a text is refused.
 #[derive(Debug)]
 struct Refusal {
-    /// Line of the material's own text, from 1.
+    /// Which of the material's texts, and its line, from 1.
+    text: usize,
     line: Option<usize>,
     what: String,
     mend: String,
@@ -95,32 +121,43 @@ struct Refusal {
 
 impl Refusal {
     fn new(line: Option<usize>, what: impl Into<String>, mend: impl Into<String>) -> Self {
-        Self { line, what: what.into(), mend: mend.into() }
+        Self { text: 0, line, what: what.into(), mend: mend.into() }
     }
 }
 
-fn check_text(name: &str, states: usize, wgsl: &str) -> Result<(), Refusal> {
-    check_declarations(name, wgsl)?;
+/// Checks the text of the update, and that of the stiffness, which may be empty and call what is in the first.
+fn check_texts(name: &str, states: usize, texts: [&str; 2]) -> Result<(), Refusal> {
+    for (text, wgsl) in texts.iter().enumerate() {
+        check_declarations(name, wgsl).map_err(|refusal| Refusal { text, ..refusal })?;
+    }
     let before = prelude(states) + HOST;
-    let source = format!("{before}{wgsl}");
-    let first = before.lines().count();
-    let own = |line: u32| (line as usize).checked_sub(first).filter(|line| *line > 0);
+    let source = format!("{before}{}\n{}", texts[0], texts[1]);
+    let firsts = [before.lines().count(), before.lines().count() + texts[0].split('\n').count()];
+    let at_own = |refusal: Refusal, line: Option<u32>| {
+        let line = line.map_or(0, |line| line as usize);
+        let text = usize::from(line > firsts[1]);
+        Refusal { text, line: line.checked_sub(firsts[text]).filter(|line| *line > 0), ..refusal }
+    };
     let module = naga::front::wgsl::parse_str(&source).map_err(|error| {
-        let line = error.location(&source).and_then(|at| own(at.line_number));
-        Refusal::new(line, error.message(), "correct it; backends/wgpu/src/prelude.wgsl says what may be used")
+        let mend = "correct it; backends/wgpu/src/prelude.wgsl says what may be used";
+        at_own(Refusal::new(None, error.message(), mend), error.location(&source).map(|at| at.line_number))
     })?;
     let info = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module).map_err(|error| {
-        let line = error.location(&source).and_then(|at| own(at.line_number));
         let mut what = error.as_inner().to_string();
         let mut cause = error.as_inner().source();
         while let Some(deeper) = cause {
             let _ = write!(what, ": {deeper}");
             cause = deeper.source();
         }
-        Refusal::new(line, what, "correct it; no optional feature of a device may be used")
+        let mend = "correct it; no optional feature of a device may be used";
+        at_own(Refusal::new(None, what, mend), error.location(&source).map(|at| at.line_number))
     })?;
     check_purity(&module, &info, name)?;
-    check_update(&module, name)
+    check_function(&module, name, UPDATE)?;
+    if texts[1].is_empty() {
+        return Ok(());
+    }
+    check_function(&module, name, STIFFNESS).map_err(|refusal| Refusal { text: 1, ..refusal })
 }
 
 /// Nothing but functions that any stage could call.
@@ -138,23 +175,22 @@ fn check_purity(module: &naga::Module, info: &ModuleInfo, name: &str) -> Result<
     Ok(())
 }
 
-/// The update is there and of the model's type.
-fn check_update(module: &naga::Module, name: &str) -> Result<(), Refusal> {
-    const TYPE: &str = "(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut";
-    let wanted = format!("{name}_update");
+/// The function is there and of the model's type.
+fn check_function(module: &naga::Module, name: &str, (suffix, model, ty): Wanted) -> Result<(), Refusal> {
+    let wanted = format!("{name}_{suffix}");
     let find = |name: &str| module.functions.iter().map(|(_, f)| f).find(|f| f.name.as_deref() == Some(name));
     let type_of = |f: &naga::Function| {
         let arguments: Vec<_> = f.arguments.iter().map(|a| a.ty).collect();
         (arguments, f.result.as_ref().map(|r| r.ty))
     };
-    let Some(update) = find(&wanted) else {
-        return Err(Refusal::new(None, format!("there is no function {wanted}"), format!("define fn {wanted}{TYPE}")));
+    let Some(own) = find(&wanted) else {
+        return Err(Refusal::new(None, format!("there is no function {wanted}"), format!("define fn {wanted}{ty}")));
     };
-    if find(MODEL).map(type_of) != Some(type_of(update)) {
+    if find(model).map(type_of) != Some(type_of(own)) {
         return Err(Refusal::new(
             None,
             format!("{wanted} has other arguments or another result than it must"),
-            format!("define fn {wanted}{TYPE}"),
+            format!("define fn {wanted}{ty}"),
         ));
     }
     Ok(())
@@ -249,9 +285,11 @@ mod tests {
 
     const SIGNATURE: &str = "(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut { return MatOut(x.strain, x.vel_grad); }";
 
+    const STIFFNESS_TYPE: &str = STIFFNESS.2;
+
     /// What is said of a text for a material 'toy' of two state variables.
     fn refusal(wgsl: &str) -> Refusal {
-        check_text("toy", 2, wgsl).expect_err("a text that must be refused")
+        check_texts("toy", 2, [wgsl, ""]).expect_err("a text that must be refused")
     }
 
     #[test]
@@ -260,7 +298,27 @@ mod tests {
              fn toy_law(base: u32) -> toy_Law { const local = 2.0; return toy_Law(local * barchan_param(base, 0u)); }\n\
              fn toy_update(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut {\n\
              (*q)[1] = toy_law(base).e * barchan_log1p(x.dt);\n return MatOut(x.strain, x.vel_grad); }";
-        check_text("toy", 2, text).unwrap();
+        check_texts("toy", 2, [text, ""]).unwrap();
+        // The stiffness may call what stands beside the update.
+        let stiffness =
+            format!("fn toy_stiffness{STIFFNESS_TYPE} {{ return Stiffness(toy_law(base).e, toy_ONE, 0.0); }}");
+        check_texts("toy", 2, [text, &stiffness]).unwrap();
+    }
+
+    #[test]
+    fn what_is_wrong_with_the_stiffness_is_told_by_its_own_line() {
+        let update = format!("fn toy_update{SIGNATURE}\n");
+        for (text, line, said) in [
+            ("\nfn other() {}", Some(2), "'other'"),
+            ("\n\nfn toy_stiffness() -> f32 { return vec9(1.0); }", Some(3), "vec9"),
+            ("\nfn toy_stiffness() -> f32 { return 1u; }", Some(2), ""),
+            ("fn toy_stiff() {}", None, "no function toy_stiffness"),
+            ("fn toy_stiffness(x: f32) -> f32 { return x; }", None, "arguments"),
+        ] {
+            let refused = check_texts("toy", 2, [&update, text]).expect_err("a text that must be refused");
+            assert_eq!((refused.text, refused.line), (1, line), "{text}: {refused:?}");
+            assert!(refused.what.contains(said), "{text}: {refused:?}");
+        }
     }
 
     #[test]

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 /// see `common.wgsl`.
 const OF_LAYERS: usize = 14;
 const PER_LAYER: usize = 8;
-const PER_SUM: usize = 18;
+const PER_SUM: usize = 20;
 const PER_STEP: usize = 4;
 /// So long a device that is not this machine's processor is asked again and again whether it is done, while others may go first: to be woken takes as
 /// long as some steps of a small world.
@@ -117,8 +117,9 @@ pub(crate) struct StepConstants {
     pub(crate) count: u32,
     pub(crate) end_level: u32,
     pub(crate) mirrors: u32,
+    pub(crate) most_need: f32,
     /// WGSL rounds a uniform's size up.
-    pub(crate) padding: [u32; 3],
+    pub(crate) padding: [u32; 2],
 }
 
 /// Where words of the status stand, for so many layers.

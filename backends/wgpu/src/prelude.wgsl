@@ -7,6 +7,12 @@
 // a pure function of one particle. Its parameters are barchan_param(base, 0u), barchan_param(base, 1u), ... in the order of their
 // declaration, [SI]; (*q)[0], (*q)[1], ... are its state variables before and after. Every name at module scope starts with foo_.
 //
+// and, if its stiffness changes with its state (BARCHAN_CAP_HARDENS),
+//
+//   fn foo_stiffness(strain: mat3x3<f32>, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> Stiffness
+//
+// which bounds the time step; without it, particles are copied to the host every few steps to ask there.
+//
 // Strains are held minus I, here and in memory: f32 then keeps seven digits of a strain of a millionth. The host's
 // planes are row-major and WGSL's matrices are lists of columns; F - I is given as the matrix it is: component ij is m[j][i].
 // `log`, `exp`, `sin` and `cos` of WGSL are only good to 2^-11 to 2^-21 near where laws need them: use those below.
@@ -20,6 +26,9 @@ struct MatIn { strain: mat3x3<f32>, vel_grad: mat3x3<f32>, dt: f32 }
 
 // Strain after the return map, minus I, and Kirchhoff stress [Pa].
 struct MatOut { strain: mat3x3<f32>, kirchhoff: mat3x3<f32> }
+
+// Tangent moduli lambda + 2 mu and 3 lambda + 2 mu [Pa], and viscosity [Pa s].
+struct Stiffness { p_wave: f32, triple_bulk: f32, viscosity: f32 }
 
 // Least principal stretch squared that a logarithm is taken of, and least determinant of b.
 const BARCHAN_MIN_STRETCH_SQUARED: f32 = 1e-8;
@@ -227,6 +236,11 @@ struct Lame { lambda: f32, mu: f32 }
 fn barchan_lame(young_modulus: f32, poisson_ratio: f32) -> Lame {
     let twice_mu = young_modulus / (1.0 + poisson_ratio);
     return Lame(twice_mu * poisson_ratio / (1.0 - poisson_ratio - poisson_ratio), 0.5 * twice_mu);
+}
+
+// Tangent moduli of the linear law, without viscosity.
+fn barchan_stiffness(law: Lame) -> Stiffness {
+    return Stiffness(law.lambda + 2.0 * law.mu, 3.0 * law.lambda + 2.0 * law.mu, 0.0);
 }
 
 // Principal Kirchhoff stresses of Hencky's law: 2 mu e + lambda tr(e).

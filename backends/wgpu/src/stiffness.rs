@@ -1,40 +1,42 @@
-//! The step that materials' stiffness allows, asked of their laws on the host.
+//! The step that materials' stiffness and viscosity allow, asked of their laws on the host.
 
 use crate::layout::law_of;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
-use barchan_core::material::{ErrorBuffer, stable_step};
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Error, ParticleList, Result};
+use barchan_core::stiffness::{Need, PARTICLES, Plane, Stiffness};
+use barchan_core::{ParticleList, Result};
 use rayon::prelude::*;
 
-const LANES: usize = 16;
 /// Particles that are worth a thread.
 const GRAIN: usize = 1 << 14;
 
-/// One plane of a chunk, aligned as the ABI promises.
-#[derive(Clone, Copy)]
-#[repr(C, align(64))]
-struct Plane([f32; LANES]);
-
 /// The least stable step of all particles in the cells of their lists, of which the finest level takes so many within it.
-pub(crate) fn bound(lists: &[ParticleList], materials: &[PlannedMaterial], substeps: u32) -> Result<Bound> {
+pub(crate) fn bound<'a>(
+    lists: impl IntoIterator<Item = &'a ParticleList>,
+    materials: &[PlannedMaterial],
+    substeps: u32,
+) -> Result<Bound> {
     let mut bound = nothing();
     for list in lists {
         let planned = &materials[list.material as usize];
-        let reach = list.cell_width * f64::from(steps_within(substeps, list.level));
+        let Some(stiffness) = Stiffness::of(planned) else { continue };
         // A law that does not harden is as stiff everywhere as at its first particle.
         let hardens = planned.material.has(abi::BARCHAN_CAP_HARDENS);
-        let count = if hardens { list.len() } else { list.len().min(LANES) };
-        for from in (0..count).step_by(LANES) {
-            let n = (count - from).min(LANES);
+        let count = if hardens { list.len() } else { list.len().min(PARTICLES) };
+        let mut need = Need::default();
+        for from in (0..count).step_by(PARTICLES) {
+            let n = (count - from).min(PARTICLES);
             // Lanes without a particle repeat the last one: laws see nothing they have not seen.
             let fill = |plane: &Vec<f64>| Plane(std::array::from_fn(|i| plane[from + i.min(n - 1)] as f32));
-            let planes: Vec<_> = list.strain.iter().chain(&list.state).map(fill).collect();
-            let density = |i: usize| list.mass[from + i] / list.volume0[from + i];
-            let least = of_chunk(&planes, n, planned, reach, density, |i| Some(list.id[from + i]))?;
-            tighten(&mut bound, least, planned);
+            let strain: Vec<_> = list.strain.iter().map(fill).collect();
+            let state: Vec<_> = list.state.iter().map(fill).collect();
+            let moduli = stiffness.moduli(&strain, &state, n, |i| Some(list.id[from + i]))?;
+            for (q, moduli) in (from..).zip(moduli) {
+                need = need.or(moduli.need(list.cell_width, list.mass[q] / list.volume0[q]));
+            }
         }
+        bound = lesser(bound, stiffness.bound(need, steps_within(substeps, list.level)));
     }
     Ok(bound)
 }
@@ -52,108 +54,85 @@ pub(crate) struct Held<'a> {
     pub(crate) count: usize,
 }
 
-/// The least stable step of particles whose law hardens, with at least the density that each law has in `densities` [kg/m³].
-pub(crate) fn bound_of_hardening(
+/// The least stable step of a level's particles whose law `is_asked`, with at least the density that each law has in `densities` [kg/m³].
+pub(crate) fn bound_held(
     held: &Held<'_>,
     materials: &[PlannedMaterial],
+    is_asked: fn(&PlannedMaterial) -> bool,
     densities: &[f64],
-    h: f64,
+    (h, steps_within): (f64, u32),
 ) -> Result<Bound> {
     let mut bound = nothing();
-    for (law, planned) in materials.iter().enumerate().filter(|(_, m)| m.material.has(abi::BARCHAN_CAP_HARDENS)) {
+    for (law, planned) in materials.iter().enumerate().filter(|(_, planned)| is_asked(planned)) {
+        let Some(stiffness) = Stiffness::of(planned) else { continue };
         let starts: Vec<usize> = (0..held.count).step_by(GRAIN).collect();
-        let of_stretch = |from| of_stretch(held, law, planned, densities[law], h, from);
-        let least: Vec<Result<f64>> = starts.into_par_iter().map(of_stretch).collect();
-        for least in least {
-            tighten(&mut bound, least?, planned);
-        }
+        let of_stretch = |from| of_stretch(held, law, (planned, &stiffness), densities[law], h, from);
+        let need = starts.into_par_iter().map(of_stretch).try_reduce(Need::default, |a, b| Ok(a.or(b)))?;
+        bound = lesser(bound, stiffness.bound(need, steps_within));
     }
     Ok(bound)
 }
 
-/// The least step of one law's particles among [`GRAIN`] slots from `from` on.
+/// Does a law's stiffness follow the state?
+pub(crate) fn hardens(planned: &PlannedMaterial) -> bool {
+    planned.material.has(abi::BARCHAN_CAP_HARDENS) && planned.material.table.tangent_moduli_f32.is_some()
+}
+
+/// Is such a law asked on the device, in each step?
+pub(crate) fn is_asked_on_device(planned: &PlannedMaterial) -> bool {
+    hardens(planned) && !planned.material.wgsl_stiffness.is_empty()
+}
+
+/// Is it asked on the host now and then, because it has no WGSL for that?
+pub(crate) fn is_asked_on_host(planned: &PlannedMaterial) -> bool {
+    hardens(planned) && planned.material.wgsl_stiffness.is_empty()
+}
+
+/// What one law's particles need among [`GRAIN`] slots from `from` on.
 fn of_stretch(
     held: &Held<'_>,
     law: usize,
-    planned: &PlannedMaterial,
+    (planned, stiffness): (&PlannedMaterial, &Stiffness<'_>),
     density: f64,
     h: f64,
     from: usize,
-) -> Result<f64> {
+) -> Result<Need> {
     let is_own = |q: &usize| held.places.is_none_or(|places| law_of(places[*q][3]) == law);
     let own: Vec<usize> = (from..(from + GRAIN).min(held.count)).filter(is_own).collect();
     let identity = planned.material.strain_identity();
     let planes = identity.len() + planned.material.states.len();
-    let mut least = f64::INFINITY;
-    for chunk in own.chunks(LANES) {
+    let mut need = Need::default();
+    for chunk in own.chunks(PARTICLES) {
         let value = |k: usize, q: usize| {
             // Strain is held minus I.
             held.rest[k / 4 * held.slots + q][k % 4] + identity.get(k).map_or(0.0, |one| *one as f32)
         };
         let fill = |k: usize| Plane(std::array::from_fn(|i| value(k, chunk[i.min(chunk.len() - 1)])));
         let planes: Vec<_> = (0..planes).map(fill).collect();
-        least = least.min(of_chunk(&planes, chunk.len(), planned, h, |_| density, |_| None)?);
+        let (strain, state) = planes.split_at(identity.len());
+        let moduli = stiffness.moduli(strain, state, chunk.len(), |_| None)?;
+        need = moduli.fold(need, |need, moduli| need.or(moduli.need(h, density)));
     }
-    Ok(least)
+    Ok(need)
 }
 
-fn nothing() -> Bound {
+/// What particles whose laws are asked on the device set as a bound, of which those of a level that takes so many steps within one of the
+/// simulation need so many steps a second, for each level.
+pub(crate) fn bound_of_needs(materials: &[PlannedMaterial], needs: impl Iterator<Item = (f32, u32)>) -> Bound {
+    let least = needs.map(|(need, steps_within)| f64::from(steps_within) / f64::from(need));
+    // A level without particles needs none; NaN stays.
+    let least = least.fold(f64::INFINITY, |least, dt| if least.is_nan() || dt >= least { least } else { dt });
+    let names: Vec<_> = materials.iter().filter(|planned| is_asked_on_device(planned)).collect();
+    let names: Vec<_> = names.iter().map(|planned| format!("'{}'", planned.name)).collect();
+    let kind = if names.len() > 1 { "one of the materials" } else { "material" };
+    Bound { dt: least, by: format!("stiffness of {kind} {}", names.join(", ")) }
+}
+
+/// The lesser of two bounds. NaN is for whoever asks laws next to find.
+pub(crate) fn lesser(a: Bound, b: Bound) -> Bound {
+    if b.dt < a.dt || b.dt.is_nan() { b } else { a }
+}
+
+pub(crate) fn nothing() -> Bound {
     Bound { dt: f64::INFINITY, by: "nothing".into() }
-}
-
-fn tighten(bound: &mut Bound, least: f64, planned: &PlannedMaterial) {
-    if least < bound.dt {
-        *bound = Bound { dt: least, by: format!("stiffness of material '{}'", planned.name) };
-    }
-}
-
-/// The least step of up to 16 particles: their planes of strain and history, densities and ids.
-fn of_chunk(
-    planes: &[Plane],
-    count: usize,
-    planned: &PlannedMaterial,
-    h: f64,
-    density: impl Fn(usize) -> f64,
-    id: impl Fn(usize) -> Option<u64>,
-) -> Result<f64> {
-    let Some(moduli) = planned.material.table.tangent_moduli_f32 else { return Ok(f64::INFINITY) };
-    let (strain, state) = planes.split_at(planned.material.strain_planes());
-    // Stiffness is asked of matter at rest.
-    let no_rate = [Plane([0.0; LANES]); 9];
-    let mut out = [Plane([0.0; LANES]); 2];
-    let params: Vec<f32> = planned.parameters.iter().map(|&p| p as f32).collect();
-    let batch = abi::BarchanBatchF32 {
-        struct_size: size_of::<abi::BarchanBatchF32>(),
-        n: LANES,
-        stride: LANES,
-        dt: 0.0,
-        reserved: 0,
-        params: params.as_ptr(),
-        strain_trial: strain.as_ptr().cast(),
-        vel_grad: no_rate.as_ptr().cast(),
-        state_in: state.as_ptr().cast(),
-        strain: std::ptr::null_mut(),
-        kirchhoff: std::ptr::null_mut(),
-        state_out: std::ptr::null_mut(),
-    };
-    let mut message = ErrorBuffer::default();
-    // SAFETY: the planes that this callback reads, and the two that it writes, hold 16 values each.
-    let status = unsafe { moduli(&batch, out.as_mut_ptr().cast(), message.as_raw()) };
-    let named = |i: u64| usize::try_from(i).ok().filter(|i| *i < count).and_then(&id).unwrap_or(u64::MAX);
-    message.check(status, &planned.material, "tangent_moduli", named)?;
-    let mut least = f64::INFINITY;
-    for i in 0..count {
-        let [p_wave, bulk] = [out[0].0[i], out[1].0[i]].map(f64::from);
-        if !(p_wave.is_finite() && bulk.is_finite() && p_wave > 0.0 && bulk > 0.0) {
-            return Err(Error::MaterialFailed {
-                material: planned.name.clone(),
-                origin: planned.material.origin.clone(),
-                callback: "tangent_moduli",
-                message: format!("the moduli are {:?} Pa; they must be finite and above 0", [p_wave, bulk]),
-                particle: id(i),
-            });
-        }
-        least = least.min(stable_step(h, density(i), p_wave, bulk));
-    }
-    Ok(least)
 }

@@ -1,12 +1,11 @@
 //! What the host knows of a world of a batch.
 
-use crate::kernels::{parameter_vectors, softs};
+use crate::kernels::{may_sleep, parameter_vectors, softs, stiffens};
 use crate::layout::Periods;
 use crate::memory::Layer;
 use crate::sleep::Slept;
 use crate::soft::Softs;
-use crate::stiffness;
-use barchan_abi as abi;
+use crate::stiffness::{self, lesser};
 use barchan_core::backend::Bound;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Wall;
@@ -38,6 +37,10 @@ pub(crate) fn most_drift(plan: &Plan) -> f32 {
     if plan.substeps > 1 { MAX_DRIFT - MAX_MOVE as f32 } else { MAX_DRIFT }
 }
 
+/// Steps between two askings of laws that are asked on the host; the particles' strain and history are copied there.
+pub(crate) const STIFFNESS_AGE: u32 = 10;
+/// Steps after which laws that are asked on the device are asked on the host, where ground may sleep: the device asks those awake.
+const ASLEEP_AGE: u32 = 1000;
 /// No particle may move further in a step, in cells.
 pub(crate) const MAX_MOVE: f64 = 0.5;
 /// From how many times the least mass on a node's speed counts in full; see the backend cpu.
@@ -161,13 +164,21 @@ pub(crate) struct World {
     pub(crate) pending: bool,
     /// Nodes lighter than this carry nothing [kg].
     pub(crate) least_mass: f64,
-    pub(crate) stiffness: Bound,
-    /// Of the laws that do not harden.
-    pub(crate) unchanging: Bound,
+    /// Of the laws whose stiffness does not follow the state; of those that are asked on the device; of those that are asked on the host, when they
+    /// were asked last.
+    unchanging: Bound,
+    needed: Bound,
+    asked: Bound,
     /// The least of each material [kg/m³].
     pub(crate) densities: Vec<f64>,
+    /// Steps since a law was asked on the host, if any is.
     pub(crate) stiffness_age: u32,
-    pub(crate) hardens: bool,
+    /// After so many steps that is to be done again.
+    pub(crate) ask_after: Option<u32>,
+    /// Are laws asked on the device?
+    pub(crate) stiffens: bool,
+    /// Is that a bound of those awake only?
+    sleeps: bool,
     pub(crate) spoilt: bool,
     pub(crate) steps: u64,
     mass: f64,
@@ -212,7 +223,7 @@ impl Level {
 impl World {
     /// A world without particles.
     pub(crate) fn new(plan: &Plan) -> Self {
-        let unbounded = || Bound { dt: f64::INFINITY, by: "nothing".into() };
+        let unbounded = stiffness::nothing;
         Self {
             materials: plan.materials.clone(),
             scene: plan.scene.clone(),
@@ -227,11 +238,18 @@ impl World {
             last_dt: 0.0,
             pending: false,
             least_mass: 0.0,
-            stiffness: unbounded(),
             unchanging: unbounded(),
+            needed: unbounded(),
+            asked: unbounded(),
             densities: Vec::new(),
             stiffness_age: 0,
-            hardens: plan.materials.iter().any(|m| m.material.has(abi::BARCHAN_CAP_HARDENS)),
+            ask_after: if plan.materials.iter().any(stiffness::is_asked_on_host) {
+                Some(STIFFNESS_AGE)
+            } else {
+                (stiffens(plan) && may_sleep(plan)).then_some(ASLEEP_AGE)
+            },
+            stiffens: stiffens(plan),
+            sleeps: may_sleep(plan),
             spoilt: false,
             steps: 0,
             mass: 0.0,
@@ -307,10 +325,11 @@ impl World {
         // NaN, too, is for the step to find.
         let speed =
             self.levels.iter().map(of_level).fold(f64::INFINITY, |least, dt| if dt < least { dt } else { least });
-        if speed < self.stiffness.dt && speed > 0.0 {
+        let stiffness = self.stiffness();
+        if speed < stiffness.dt && speed > 0.0 {
             Bound { dt: speed, by: "particle speed: no particle may move further than half a cell in a step".into() }
         } else {
-            self.stiffness.clone()
+            stiffness
         }
     }
 
@@ -333,7 +352,9 @@ impl World {
             level.rhythm = sort.map_or_else(Rhythm::default, |sort| Rhythm { age: sort.age, drift: drift(sort) });
         }
         if let Some(sort) = sort {
-            self.stiffness.dt = sort.measured.stiffness_bound;
+            for bound in [&mut self.needed, &mut self.asked].into_iter().filter(|bound| bound.dt.is_finite()) {
+                bound.dt = sort.measured.stiffness_bound;
+            }
             self.stiffness_age = sort.measured.stiffness_age;
         }
         Ok(())
@@ -349,12 +370,13 @@ impl World {
         }
         for list in lists {
             let bound = stiffness::bound(std::slice::from_ref(list), &self.materials, self.substeps)?;
-            let hardens = self.materials[list.material as usize].material.has(abi::BARCHAN_CAP_HARDENS);
-            for held in [&mut self.stiffness].into_iter().chain((!hardens).then_some(&mut self.unchanging)) {
-                if bound.dt < held.dt {
-                    *held = bound.clone();
-                }
-            }
+            let planned = &self.materials[list.material as usize];
+            let known = match planned {
+                planned if stiffness::is_asked_on_device(planned) => &mut self.needed,
+                planned if stiffness::is_asked_on_host(planned) => &mut self.asked,
+                _ => &mut self.unchanging,
+            };
+            *known = lesser(known.clone(), bound);
             let densities = list.mass.iter().zip(&list.volume0).map(|(m, v)| m / v);
             let least = &mut self.densities[list.material as usize];
             *least = densities.fold(*least, f64::min);
@@ -364,19 +386,44 @@ impl World {
 
     fn measure_stiffness(&mut self, lists: &[ParticleList]) -> Result<()> {
         self.stiffness_age = 0;
-        self.stiffness = stiffness::bound(lists, &self.materials, self.substeps)?;
-        self.unchanging = self.stiffness.clone();
-        if self.hardens {
-            let hardens = |m: u32| self.materials[m as usize].material.has(abi::BARCHAN_CAP_HARDENS);
-            let others: Vec<_> = lists.iter().filter(|list| !hardens(list.material)).cloned().collect();
-            self.unchanging = stiffness::bound(&others, &self.materials, self.substeps)?;
-        }
+        let of = |is_asked: fn(&PlannedMaterial) -> bool| {
+            let lists = lists.iter().filter(|list| is_asked(&self.materials[list.material as usize]));
+            stiffness::bound(lists, &self.materials, self.substeps)
+        };
+        self.unchanging = of(|planned| !stiffness::hardens(planned))?;
+        self.needed = of(stiffness::is_asked_on_device)?;
+        self.asked = of(stiffness::is_asked_on_host)?;
         let density = |list: &ParticleList| {
             list.mass.iter().zip(&list.volume0).fold(f64::INFINITY, |least, (m, v)| least.min(m / v))
         };
         let of_material = |m: usize| lists.iter().skip(m).step_by(self.materials.len()).map(density);
         self.densities = (0..self.materials.len()).map(|m| of_material(m).fold(f64::INFINITY, f64::min)).collect();
         Ok(())
+    }
+
+    /// Laws have been asked on the device: particles of each level, finest first, need so many steps a second.
+    pub(crate) fn take_needs(&mut self, needs: impl Iterator<Item = f32>) {
+        let needs = needs.zip(&self.levels).map(|(need, level)| (need, level.steps_within));
+        let needed = stiffness::bound_of_needs(&self.materials, needs);
+        // Those asleep were not asked; what they needed when they fell asleep is kept.
+        self.needed = if self.sleeps { lesser(needed, self.needed.clone()) } else { needed };
+    }
+
+    /// Laws have been asked on the host: those that are always asked there, and, if ground may sleep, the others, whose bounds are these.
+    pub(crate) fn take_asked(&mut self, asked: Bound, needed: Option<Bound>) {
+        self.stiffness_age = 0;
+        self.asked = asked;
+        self.needed = needed.unwrap_or(self.needed.clone());
+    }
+
+    /// Are those that the device asks asked on the host, too, since some may be asleep?
+    pub(crate) fn asks_those_asleep(&self) -> bool {
+        self.stiffens && self.sleeps
+    }
+
+    /// The greatest step that stiffness allows.
+    pub(crate) fn stiffness(&self) -> Bound {
+        [&self.needed, &self.asked].into_iter().cloned().fold(self.unchanging.clone(), lesser)
     }
 
     /// What part of gravity there is in a step that starts at a time [s].

@@ -19,6 +19,7 @@ impl Material for FixedCorotated {
     const PARAMS: &'static [Param] = &[young_modulus(1e5), poisson_ratio(0.3)];
     const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
     const WGSL: &'static str = include_str!("fixed_corotated.wgsl");
+    const WGSL_STIFFNESS: &'static str = include_str!("fixed_corotated_stiffness.wgsl");
     type Strain<T: Real> = Mat3<T>;
     type Law<T: Real> = Lame<T>;
 

@@ -47,6 +47,8 @@ impl<M: Material> Table<M> {
             count_f64: Some(count::<M>),
             wgsl: BarchanStr::new(M::WGSL),
             wgsl_adj: BarchanStr::new(""),
+            viscosity_f32: if M::CAPABILITIES & BARCHAN_CAP_VEL_GRAD != 0 { Some(viscosity::<M>) } else { None },
+            wgsl_stiffness: BarchanStr::new(M::WGSL_STIFFNESS),
         }
     };
 }
@@ -305,6 +307,26 @@ impl<M: Material> Job<M, f32> for Moduli {
     }
 }
 
+struct Viscosity;
+impl<M: Material> Job<M, f32> for Viscosity {
+    const OUTPUTS: [usize; 3] = [1, 0, 0];
+    #[inline(always)]
+    unsafe fn chunk<V: Lanes<Scalar = f32>>(
+        &mut self,
+        law: &M::Law<V>,
+        x: MatIn<V, M::Strain<V>>,
+        state: [V; MAX_STATE],
+        _valid: u16,
+        outputs: Outputs<f32>,
+        _stride: usize,
+    ) -> V::Mask {
+        let viscosity = M::viscosity::<V>(law, x.strain, &state[..M::STATES.len()]);
+        // SAFETY: the caller vouches for 16 scalars in the plane.
+        unsafe { viscosity.store(outputs[0]) };
+        viscosity.is_finite()
+    }
+}
+
 struct Energy;
 impl<M: Material> Job<M, f64> for Energy {
     const OUTPUTS: [usize; 3] = [1, 0, 0];
@@ -513,6 +535,15 @@ unsafe extern "C" fn tangent_moduli<M: Material>(
 ) -> BarchanStatus {
     // SAFETY: see above.
     unsafe { guard(error, || walk::<M, _, _>(batch, &mut Moduli, |_| [moduli, null_mut(), null_mut()])) }
+}
+
+unsafe extern "C" fn viscosity<M: Material>(
+    batch: *const BarchanBatchF32,
+    viscosity: *mut f32,
+    error: *mut BarchanError,
+) -> BarchanStatus {
+    // SAFETY: see above.
+    unsafe { guard(error, || walk::<M, _, _>(batch, &mut Viscosity, |_| [viscosity, null_mut(), null_mut()])) }
 }
 
 unsafe extern "C" fn energy<M: Material>(

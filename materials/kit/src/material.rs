@@ -143,6 +143,9 @@ pub trait Material: 'static {
     const CAPABILITIES: u64 = 0;
     /// `<NAME>_update` in WGSL; empty: not available on the GPU.
     const WGSL: &'static str = "";
+    /// `<NAME>_stiffness` in WGSL, [`tangent_moduli`](Material::tangent_moduli) and [`viscosity`](Material::viscosity) of a particle; empty:
+    /// for a law with `BARCHAN_CAP_HARDENS` they are asked on the host, which slows a GPU down.
+    const WGSL_STIFFNESS: &'static str = "";
 
     /// [`Mat3`] or [`SymMat3`].
     type Strain<T: Real>: Strain<T>;
@@ -158,6 +161,14 @@ pub trait Material: 'static {
 
     /// Moduli of the present tangent, none below its value at rest unless the material has softened.
     fn tangent_moduli<T: Real>(law: &Self::Law<T>, strain: Self::Strain<T>, state: &[T]) -> TangentModuli<T>;
+
+    /// Greatest ratio [Pa s] of a Kirchhoff stress that follows the rate of deformation to twice that rate: η where τ = 2 η dev D. It bounds the
+    /// time step, and is asked only of laws with `BARCHAN_CAP_VEL_GRAD`.
+    #[inline(always)]
+    fn viscosity<T: Real>(law: &Self::Law<T>, strain: Self::Strain<T>, state: &[T]) -> T {
+        let _ = (law, strain, state);
+        T::zero()
+    }
 
     /// Elastic energy per rest volume [J/m³], whose derivative the Kirchhoff stress is: τ = (∂ψ/∂F) Fᵀ.
     fn energy<T: Real>(law: &Self::Law<T>, strain: Self::Strain<T>, state: &[T]) -> T;

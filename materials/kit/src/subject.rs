@@ -307,6 +307,20 @@ impl<'a> Subject<'a> {
         Ok(Some((0..n).map(|i| [f64::from(moduli[i]), f64::from(moduli[n + i])]).collect()))
     }
 
+    /// Viscosity [Pa s] of each particle; `None` if the table lacks the callback: then stress does not follow the rate of deformation.
+    ///
+    /// # Errors
+    /// What the callback answers.
+    pub fn viscosity(&self, params: &[f64], particles: &[Particle]) -> Result<Option<Vec<f64>>, SubjectError> {
+        let Some(callback) = self.table.viscosity_f32 else { return Ok(None) };
+        let n = particles.len();
+        let mut viscosity = vec![0f32; n];
+        let out = viscosity.as_mut_ptr();
+        // SAFETY: as in `update_strided`; `viscosity` holds one plane of n.
+        self.with_f32(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
+        Ok(Some(viscosity.into_iter().map(f64::from).collect()))
+    }
+
     /// Elastic energy [J/m³] of each particle; `None` if the table lacks the callback.
     ///
     /// # Errors

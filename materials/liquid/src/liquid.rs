@@ -34,6 +34,7 @@ impl Material for Liquid {
     ];
     const CAPABILITIES: u64 = BARCHAN_CAP_FLUID | BARCHAN_CAP_VEL_GRAD | BARCHAN_CAP_HARDENS;
     const WGSL: &'static str = include_str!("liquid.wgsl");
+    const WGSL_STIFFNESS: &'static str = include_str!("liquid_stiffness.wgsl");
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = LiquidLaw<T>;
 
@@ -62,6 +63,11 @@ impl Material for Liquid {
         let bulk = law.stiffness * power.mul_add((-power * ln_j).exp(), ln_j.exp());
         let bulk = bulk.max(law.stiffness * law.exponent);
         TangentModuli { p_wave: bulk, triple_bulk: T::splat(3.0) * bulk }
+    }
+
+    #[inline(always)]
+    fn viscosity<T: Real>(law: &LiquidLaw<T>, b: SymMat3<T>, _state: &[T]) -> T {
+        law.viscosity * log_volume(b).0.exp()
     }
 
     #[inline(always)]

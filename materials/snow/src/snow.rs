@@ -79,6 +79,7 @@ impl Material for Snow {
         &[state("plastic_volume", "1", 1.0, "J_p, volume change kept by plastic flow.").merge_log_mean()];
     const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
     const WGSL: &'static str = include_str!("snow.wgsl");
+    const WGSL_STIFFNESS: &'static str = include_str!("snow_stiffness.wgsl");
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = SnowLaw<T>;
 

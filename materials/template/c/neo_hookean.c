@@ -17,6 +17,7 @@
 _Static_assert(sizeof(BarchanBatchF32) == 88 && sizeof(BarchanBatchF64) == 88, "batch layout of ABI 1.0");
 _Static_assert(sizeof(BarchanParam) == 80 && sizeof(BarchanError) == 40, "declaration layout of ABI 1.0");
 _Static_assert(offsetof(BarchanMaterial, update_f32) == 144, "table layout of ABI 1.0");
+_Static_assert(offsetof(BarchanMaterial, wgsl_stiffness) == 248, "table layout of ABI 1.1");
 #endif
 
 /* A string of the ABI from a literal; its length leaves out the final NUL. */
@@ -156,7 +157,15 @@ static const char WGSL[] =
     "    return MatOut(x.strain, barchan_mat(kirchhoff));\n"
     "}\n";
 
-/* Slots that are left out are NULL: no gradients, no check of parameters, no counts. */
+/* How stiff a particle is, there too; without it, its particles would be copied to the host every few steps to ask tangent_moduli_f32. */
+static const char WGSL_STIFFNESS[] =
+    "fn c_neo_hookean_stiffness(strain: mat3x3<f32>, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> Stiffness {\n"
+    "    let law = barchan_lame(barchan_param(base, 0u), barchan_param(base, 1u));\n"
+    "    let bound = 1.0 + sqrt(barchan_norm2(barchan_sym(strain)));\n"
+    "    return barchan_stiffness(Lame(law.lambda, law.mu * bound));\n"
+    "}\n";
+
+/* Slots that are left out are NULL: no gradients, no check of parameters, no counts, no viscosity. */
 static const BarchanMaterial NEO_HOOKEAN = {
     .struct_size = sizeof(BarchanMaterial),
     .abi_major = BARCHAN_ABI_MAJOR,
@@ -176,6 +185,7 @@ static const BarchanMaterial NEO_HOOKEAN = {
     .tangent_moduli_f32 = tangent_moduli_f32,
     .energy_f64 = energy_f64,
     .wgsl = {(const uint8_t *)WGSL, sizeof(WGSL) - 1},
+    .wgsl_stiffness = {(const uint8_t *)WGSL_STIFFNESS, sizeof(WGSL_STIFFNESS) - 1},
 };
 
 static const BarchanMaterial *const MATERIALS[] = {&NEO_HOOKEAN};

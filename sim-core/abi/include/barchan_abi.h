@@ -1,4 +1,4 @@
-/* The stable C interface between Barchan and its material plugins, version 1.0.
+/* The stable C interface between Barchan and its material plugins, version 1.1.
  * Generated from sim-core/abi/src/raw.rs by cbindgen; edit that file, not this one. */
 
 #ifndef BARCHAN_ABI_H
@@ -11,7 +11,7 @@
 #define BARCHAN_ABI_MAJOR 1
 
 // Minor version: counts fields appended.
-#define BARCHAN_ABI_MINOR 0
+#define BARCHAN_ABI_MINOR 1
 
 // Strain is the deformation gradient F: 9 planes, row-major.
 #define BARCHAN_STRAIN_DEF_GRAD 0
@@ -43,10 +43,10 @@
 // The material reads `vel_grad`; otherwise the pointer is NULL.
 #define BARCHAN_CAP_VEL_GRAD 1
 
-// The tangent moduli change with the particle's state, so the host asks for them at every sort.
+// The tangent moduli or the viscosity change with the particle's state, so the host asks for them again and again.
 #define BARCHAN_CAP_HARDENS 2
 
-// The material never bears shear (a fluid): the time-step bound of solids is replaced by the bulk one.
+// The material never bears shear at rest (a fluid).
 #define BARCHAN_CAP_FLUID 4
 
 // The plugin was built with panic = "abort": a panic in it ends the process.
@@ -254,6 +254,12 @@ typedef BarchanStatus (*BarchanCountF64)(const struct BarchanBatchF64 *batch,
                                          uint64_t *counts,
                                          struct BarchanError *error);
 
+// Writes one plane of `stride` to `viscosity` [Pa s]: the greatest ratio of a Kirchhoff stress that follows the rate of deformation to
+// twice that rate, eta where tau = 2 eta dev D. Reads strain_trial as the present strain and state_in as the present state.
+typedef BarchanStatus (*BarchanViscosityF32)(const struct BarchanBatchF32 *batch,
+                                             float *viscosity,
+                                             struct BarchanError *error);
+
 // One material.
 typedef struct BarchanMaterial {
   // sizeof(BarchanMaterial) as the plugin knows it.
@@ -309,6 +315,12 @@ typedef struct BarchanMaterial {
   struct BarchanStr wgsl;
   // WGSL text of `<name>_update_adj`; empty: no gradient on the GPU.
   struct BarchanStr wgsl_adj;
+  // Needed for the time-step bound of a law whose stress follows the rate of deformation; NULL: it does not. Since minor version 1.
+  BarchanViscosityF32 viscosity_f32;
+  // WGSL text of `<name>_stiffness`, which gives the tangent moduli and the viscosity of one particle on the GPU; it may call what `wgsl`
+  // defines. Empty: the stiffness of a law with BARCHAN_CAP_HARDENS is asked on the host, for which the GPU's particles are copied there
+  // every few steps. Since minor version 1.
+  struct BarchanStr wgsl_stiffness;
 } BarchanMaterial;
 
 // What `const BarchanPlugin *barchan_plugin_v1(void)` returns.

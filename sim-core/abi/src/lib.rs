@@ -15,7 +15,7 @@
 pub mod raw;
 pub use raw::*;
 
-/// The layout of version 1.0, which old plugins rely on: fields may be appended, never moved.
+/// The layout that old plugins rely on: fields may be appended, never moved. The material's table of version 1.0 ends before `viscosity_f32`.
 #[cfg(target_pointer_width = "64")]
 const _: () = {
     use core::mem::{offset_of, size_of};
@@ -27,7 +27,7 @@ const _: () = {
     assert!(size_of::<BarchanBatchF64>() == 88 && offset_of!(BarchanBatchF64, params) == 32);
     assert!(offset_of!(BarchanBatchF32, strain) == 64 && offset_of!(BarchanBatchF64, strain) == 64);
     assert!(size_of::<BarchanAdjointF32>() == 64 && size_of::<BarchanAdjointF64>() == 64);
-    assert!(size_of::<BarchanMaterial>() == 240);
+    assert!(size_of::<BarchanMaterial>() == 264 && offset_of!(BarchanMaterial, viscosity_f32) == 240);
     assert!(offset_of!(BarchanMaterial, name) == 32 && offset_of!(BarchanMaterial, params) == 96);
     assert!(offset_of!(BarchanMaterial, update_f32) == 144 && offset_of!(BarchanMaterial, wgsl) == 208);
     assert!(size_of::<BarchanPlugin>() == 40 && offset_of!(BarchanPlugin, materials) == 24);

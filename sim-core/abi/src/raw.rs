@@ -3,7 +3,7 @@
 /// Major version: another one is refused. It is also in the entry symbol's name, `barchan_plugin_v1`.
 pub const BARCHAN_ABI_MAJOR: u32 = 1;
 /// Minor version: counts fields appended.
-pub const BARCHAN_ABI_MINOR: u32 = 0;
+pub const BARCHAN_ABI_MINOR: u32 = 1;
 
 /// Result of a callback: one of the `BARCHAN_OK` / `BARCHAN_E_*` values; any other value is read as `BARCHAN_E_OTHER`.
 pub type BarchanStatus = i32;
@@ -41,9 +41,9 @@ pub const BARCHAN_MERGE_REFUSE: u32 = 2;
 
 /// The material reads `vel_grad`; otherwise the pointer is NULL.
 pub const BARCHAN_CAP_VEL_GRAD: u64 = 1;
-/// The tangent moduli change with the particle's state, so the host asks for them at every sort.
+/// The tangent moduli or the viscosity change with the particle's state, so the host asks for them again and again.
 pub const BARCHAN_CAP_HARDENS: u64 = 2;
-/// The material never bears shear (a fluid): the time-step bound of solids is replaced by the bulk one.
+/// The material never bears shear at rest (a fluid).
 pub const BARCHAN_CAP_FLUID: u64 = 4;
 
 /// The plugin was built with panic = "abort": a panic in it ends the process.
@@ -242,6 +242,11 @@ pub type BarchanAdjointFnF64 = Option<
 pub type BarchanModuliF32 = Option<
     unsafe extern "C" fn(batch: *const BarchanBatchF32, moduli: *mut f32, error: *mut BarchanError) -> BarchanStatus,
 >;
+/// Writes one plane of `stride` to `viscosity` [Pa s]: the greatest ratio of a Kirchhoff stress that follows the rate of deformation to
+/// twice that rate, eta where tau = 2 eta dev D. Reads strain_trial as the present strain and state_in as the present state.
+pub type BarchanViscosityF32 = Option<
+    unsafe extern "C" fn(batch: *const BarchanBatchF32, viscosity: *mut f32, error: *mut BarchanError) -> BarchanStatus,
+>;
 /// Writes one plane: elastic energy per rest volume [J/m^3] at strain_trial and state_in.
 pub type BarchanEnergyF64 = Option<
     unsafe extern "C" fn(batch: *const BarchanBatchF64, energy: *mut f64, error: *mut BarchanError) -> BarchanStatus,
@@ -323,6 +328,12 @@ pub struct BarchanMaterial {
     pub wgsl: BarchanStr,
     /// WGSL text of `<name>_update_adj`; empty: no gradient on the GPU.
     pub wgsl_adj: BarchanStr,
+    /// Needed for the time-step bound of a law whose stress follows the rate of deformation; NULL: it does not. Since minor version 1.
+    pub viscosity_f32: BarchanViscosityF32,
+    /// WGSL text of `<name>_stiffness`, which gives the tangent moduli and the viscosity of one particle on the GPU; it may call what `wgsl`
+    /// defines. Empty: the stiffness of a law with BARCHAN_CAP_HARDENS is asked on the host, for which the GPU's particles are copied there
+    /// every few steps. Since minor version 1.
+    pub wgsl_stiffness: BarchanStr,
 }
 
 /// What `const BarchanPlugin *barchan_plugin_v1(void)` returns.

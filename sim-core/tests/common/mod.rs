@@ -113,6 +113,8 @@ const ELASTIC: BarchanMaterial = BarchanMaterial {
     count_f64: None,
     wgsl: BarchanStr::new(""),
     wgsl_adj: BarchanStr::new(""),
+    viscosity_f32: None,
+    wgsl_stiffness: BarchanStr::new(""),
 };
 pub static MATERIAL: BarchanMaterial = ELASTIC;
 pub static FLUID: BarchanMaterial =

@@ -9,7 +9,7 @@ use barchan_wgpu::device::Offer;
 
 const FRICTION: &str = "{ coulomb = { friction = 0.4 } }";
 
-/// In how many steps the device moved free bodies, and in how many the host did.
+/// In how many steps the device moved free bodies, those in vain behind a stop among them, and in how many the host did.
 fn steps_on_device_and_host(sim: &Simulation) -> [u64; 2] {
     [passes_of(sim, "free bodies") + passes_of(sim, "free bodies, rims"), passes_of(sim, "contact")]
 }
@@ -39,7 +39,8 @@ fn a_free_body_gets_what_the_ground_loses() {
         (0..steps).for_each(|_| drop(c.step().unwrap()));
         let (after, there) = (g.ledger(), c.ledger());
         println!("{contact}, {mass} kg: {:?}\n{:?}", g.bodies()[0], c.bodies()[0]);
-        assert_eq!(steps_on_device_and_host(&g), [steps as u64, 0]);
+        let [on_device, on_host] = steps_on_device_and_host(&g);
+        assert!(on_device >= steps as u64 && on_host == 0, "{on_device} {on_host}");
         assert!(norm(after.body_momentum) > 1e-4 * momentum, "they never met");
         let total = |l: &barchan::Ledger| -> Vec3 { std::array::from_fn(|d| l.momentum[d] + l.body_momentum[d]) };
         let turning = |l: &barchan::Ledger| -> Vec3 {

@@ -32,14 +32,14 @@ pub(crate) fn build_c(source: &Path, include: &str, name: &str) -> PathBuf {
     library
 }
 
-/// The C template, built against the present header or against the frozen one of version 1.0.
+/// The C template built against the present header, or as it was at version 1.0 of the ABI against the header of then.
 pub(crate) fn c_template(frozen: bool) -> PathBuf {
     static BUILT: [OnceLock<PathBuf>; 2] = [OnceLock::new(), OnceLock::new()];
-    let (include, name) = match frozen {
-        false => ("sim-core/abi/include", "c_template"),
-        true => ("tests/golden/abi_v1_0", "c_template_v1_0"),
+    let (source, include, name) = match frozen {
+        false => ("materials/template/c", "sim-core/abi/include", "c_template"),
+        true => ("tests/golden/abi_v1_0", "tests/golden/abi_v1_0", "c_template_v1_0"),
     };
-    let build = || build_c(&root().join("materials/template/c/neo_hookean.c"), include, name);
+    let build = || build_c(&root().join(source).join("neo_hookean.c"), include, name);
     BUILT[usize::from(frozen)].get_or_init(build).clone()
 }
 

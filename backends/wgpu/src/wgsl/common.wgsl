@@ -69,6 +69,8 @@ struct Step {
     end_level: u32,
     // May nodes behind mirrors be found with what moves at rims, since no body comes near walls?
     mirrors: u32,
+    // So many steps a second of the finest level may particles need before the next step has to be shorter [1/s].
+    most_need: f32,
 }
 
 @group(0) @binding(0) var<uniform> extent: Extent;
@@ -122,9 +124,10 @@ const GREATEST_BLOCK: u32 = 5u;
 // Those of a layer in a submission, zero when it begins: 1 + the step before which it was sorted last; particles' steps with strain
 // applied in parts; what walls gave [N s]; is it due in the sort under way; did a sort find particles that belong on another level; how often
 // it found one outside the world; the impulse of those it put back [N s], and the mass of those it took out [kg]; mass asleep, times
-// gravity's part, summed over steps [kg]; blocks that fell asleep, and what momentum [N s] and kinetic energy [J] that took.
+// gravity's part, summed over steps [kg]; blocks that fell asleep, and what momentum [N s] and kinetic energy [J] that took; how many steps a
+// second particles whose stiffness follows their state need after an even step, and after an odd one, as the bits of a float.
 const OF_SUMS: u32 = OF_LAYERS + PER_LAYER * LAYERS;
-const PER_SUM: u32 = 18u;
+const PER_SUM: u32 = 20u;
 const SORTED: u32 = 0u;
 const PARTED: u32 = 1u;
 const WALL_IMPULSE: u32 = 2u;
@@ -135,6 +138,7 @@ const LEFT_IMPULSE: u32 = 8u;
 const SUM_SLEPT: u32 = 12u;
 const SUM_FELL: u32 = 13u;
 const SUM_LOST: u32 = 14u;
+const NEED: u32 = 18u;
 
 // Those of a layer in a step: greatest node speed [m/s], greatest move of a particle, and how far particles may have drifted before it
 // since the last sort [cells], as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN
@@ -169,6 +173,7 @@ const LEFT_WORLD: u32 = 5u;
 const STRAYED: u32 = 6u;
 const FEWER: u32 = 7u;
 const FOLLOW: u32 = 8u;
+const TOO_STIFF: u32 = 9u;
 
 const BIAS: i32 = 1 << 20;
 
@@ -187,6 +192,11 @@ fn vector(q: u32, k: u32) -> u32 {
 
 fn magnitude_bits(x: f32) -> u32 {
     return bitcast<u32>(x) & 0x7fffffffu;
+}
+
+// What particles of a layer need after a step.
+fn need_word(number: u32, layer: u32) -> u32 {
+    return sum_word(layer, NEED + (number & 1u));
 }
 
 // Where the greatest node speed of all layers in a step stands.

@@ -51,6 +51,7 @@ fn deform(q: u32, law: u32, mass: f32, held: Held, c: mat3x3<f32>, dt: f32) {
     if dt > 0.0 {
         $STORE
     }
+    $NEED
     // Times the rest volume: [J].
     let tau = $VOLUME * out.kirchhoff;
     record[vector(q, 1u)] = bitcast<vec4<u32>>(vec4<f32>(tau[2].x, tau[2].y, tau[2].z, mass));

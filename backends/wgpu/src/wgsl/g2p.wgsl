@@ -6,6 +6,7 @@ var<workgroup> go: u32;
 // The layer of the first particle. Those of further layers note their moves by themselves.
 var<workgroup> first_layer: u32;
 var<workgroup> greatest_move: atomic<u32>;
+$NEED_VARIABLE
 
 // Is this step short enough for the speeds that the nodes have?
 fn ready(is_first: bool) -> u32 {
@@ -87,11 +88,13 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             } else if by_most > atomicLoad(&greatest_move) {
                 atomicMax(&greatest_move, by_most);
             }
+            $SEE_NEED
         }$ELSE
         $NEXT
     }
     workgroupBarrier();
     if thread == 0u {
+        $NOTE_NEED
         $NOTE_FIRST
         atomicMax(&status[step_word(step.number, first_layer, MOVE)], atomicLoad(&greatest_move));
     }

@@ -154,9 +154,11 @@ fn ready(b: u32) -> u32 {
     let may_be_due = !SUBCYCLED || step.slot % (1u << (LEVELS - 1u)) == 0u;
     var rhythm = Rhythm(0u, 0.0);
     var followed = 0u;
+    var is_stiff = false;
     if may_be_due {
         rhythm = rhythm_of(layer);
         followed = atomicLoad(&status[FOLLOWED]);
+        $IS_STIFF
     }
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;
@@ -179,6 +181,7 @@ fn ready(b: u32) -> u32 {
             }
             return 0u;
         }
+        $HALT_IF_STIFF
     }
     return $GIVES;
 }

@@ -20,6 +20,7 @@ impl Material for TemplateNeoHookean {
     ];
     const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
     const WGSL: &'static str = include_str!("template_neo_hookean.wgsl");
+    const WGSL_STIFFNESS: &'static str = include_str!("template_neo_hookean_stiffness.wgsl");
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = Lame<T>;
 

@@ -1,0 +1,162 @@
+//! The step that a law's stiffness and viscosity allow, asked of its callbacks for 16 particles at a time.
+
+use crate::backend::Bound;
+use crate::material::ErrorBuffer;
+use crate::plan::PlannedMaterial;
+use crate::{Error, Result};
+use barchan_abi as abi;
+
+/// Particles that are asked about at once.
+pub const PARTICLES: usize = 16;
+
+/// One component of 16 particles, aligned as the ABI promises.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub struct Plane(pub [f32; PARTICLES]);
+
+/// A law that is asked how long a step its particles bear.
+#[derive(Debug)]
+pub struct Stiffness<'a> {
+    planned: &'a PlannedMaterial,
+    moduli: abi::BarchanModuliF32,
+    params: Vec<f32>,
+}
+
+/// What bounds the step of one particle.
+#[derive(Clone, Copy, Debug)]
+pub struct Moduli {
+    /// λ + 2μ [Pa].
+    pub p_wave: f64,
+    /// 3λ + 2μ [Pa].
+    pub triple_bulk: f64,
+    /// Viscosity [Pa s].
+    pub viscosity: f64,
+}
+
+/// How many steps a second some particles need.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Need {
+    /// The greatest number among them [1/s].
+    pub rate: f64,
+    /// Is it viscosity that asks for so many? Without it, less than half would do.
+    pub is_viscous: bool,
+}
+
+impl Need {
+    /// That of both.
+    pub fn or(self, other: Self) -> Self {
+        if other.rate > self.rate { other } else { self }
+    }
+}
+
+impl Moduli {
+    /// What a particle that is alone in its cells needs, for cell width `h` [m] and density at rest [kg/m³].
+    ///
+    /// The strain rate C of such a particle, with stress τ = k ε + 2 η C, follows C' = C − dt (4/(ρ h²)) (k ε' + 2 η C), ε' = ε + dt C, with
+    /// k = 3λ + 2μ where it swells, and less in shear. That is stable where a dt² + v dt <= 1, a = k/(ρ h²), v = 4 η/(ρ h²). So without
+    /// viscosity the step is at most h sqrt(ρ/k) = (h/c_p) sqrt((λ + 2μ)/(3λ + 2μ)), c_p² = (λ + 2μ)/ρ, and without stiffness ρ h²/(4 η).
+    /// Both are below the bounds of a filled grid, so this holds for spray as well as for bulk.
+    pub fn need(&self, h: f64, density: f64) -> Need {
+        // Where λ is negative the bulk's bound is the lower one.
+        let a = self.triple_bulk.max(self.p_wave) / (density * h * h);
+        let half_v = 2.0 * self.viscosity / (density * h * h);
+        let rate = half_v + (half_v * half_v + a).sqrt();
+        Need { rate, is_viscous: rate > 2.0 * a.sqrt() }
+    }
+}
+
+impl<'a> Stiffness<'a> {
+    /// `None` if the law does not give its tangent moduli.
+    pub fn of(planned: &'a PlannedMaterial) -> Option<Self> {
+        let moduli = planned.material.table.tangent_moduli_f32;
+        moduli?;
+        let params = planned.parameters.iter().map(|&p| p as f32).collect();
+        Some(Self { planned, moduli, params })
+    }
+
+    /// The moduli of the first `count` of 16 particles, given their planes of strain and of history.
+    ///
+    /// # Errors
+    /// [`Error::MaterialFailed`] if a callback fails, or gives what is not finite and, of moduli, above 0; with the id that `id` gives of
+    /// the particle.
+    pub fn moduli(
+        &self,
+        strain: &[Plane],
+        state: &[Plane],
+        count: usize,
+        id: impl Fn(usize) -> Option<u64>,
+    ) -> Result<impl Iterator<Item = Moduli>> {
+        // Stiffness is asked of matter at rest.
+        const NO_RATE: [Plane; 9] = [Plane([0.0; PARTICLES]); 9];
+        let batch = abi::BarchanBatchF32 {
+            struct_size: size_of::<abi::BarchanBatchF32>(),
+            n: PARTICLES,
+            stride: PARTICLES,
+            dt: 0.0,
+            reserved: 0,
+            params: self.params.as_ptr(),
+            strain_trial: strain.as_ptr().cast(),
+            vel_grad: NO_RATE.as_ptr().cast(),
+            state_in: state.as_ptr().cast(),
+            strain: std::ptr::null_mut(),
+            kirchhoff: std::ptr::null_mut(),
+            state_out: std::ptr::null_mut(),
+        };
+        let law = &self.planned.material;
+        let mut out = [Plane::default(); 2];
+        let mut viscosity = Plane::default();
+        let mut message = ErrorBuffer::default();
+        let named = |i: u64| usize::try_from(i).ok().filter(|i| *i < count).and_then(&id).unwrap_or(u64::MAX);
+        if let Some(callback) = self.moduli {
+            // SAFETY: the planes that this callback reads, and the two that it writes, hold 16 values each.
+            let status = unsafe { callback(&batch, out.as_mut_ptr().cast(), message.as_raw()) };
+            message.check(status, law, "tangent_moduli_f32", named)?;
+        }
+        if let Some(callback) = law.table.viscosity_f32 {
+            // SAFETY: as above; it writes one plane.
+            let status = unsafe { callback(&batch, viscosity.0.as_mut_ptr(), message.as_raw()) };
+            message.check(status, law, "viscosity_f32", named)?;
+        }
+        let wrong = |callback: &'static str, message: String, i: usize| Error::MaterialFailed {
+            material: self.planned.name.clone(),
+            origin: law.origin.clone(),
+            callback,
+            message,
+            particle: id(i),
+        };
+        for i in 0..count {
+            let moduli = [out[0].0[i], out[1].0[i]];
+            if !moduli.iter().all(|m| m.is_finite() && *m > 0.0) {
+                let what = format!("the moduli are {moduli:?} Pa; they must be finite and above 0");
+                return Err(wrong("tangent_moduli_f32", what, i));
+            }
+            let viscosity = viscosity.0[i];
+            if !(viscosity.is_finite() && viscosity >= 0.0) {
+                let what = format!("the viscosity is {viscosity} Pa s; it must be finite and not below 0");
+                return Err(wrong("viscosity_f32", what, i));
+            }
+        }
+        Ok((0..count).map(move |i| Moduli {
+            p_wave: f64::from(out[0].0[i]),
+            triple_bulk: f64::from(out[1].0[i]),
+            viscosity: f64::from(viscosity.0[i]),
+        }))
+    }
+
+    /// The moduli of the undeformed material.
+    ///
+    /// # Errors
+    /// As [`moduli`](Self::moduli).
+    pub fn at_rest(&self) -> Result<Moduli> {
+        let filled = |value: &f64| Plane([*value as f32; PARTICLES]);
+        let strain: Vec<_> = self.planned.material.strain_identity().iter().map(filled).collect();
+        let state: Vec<_> = self.planned.material.states.iter().map(|s| filled(&s.initial)).collect();
+        Ok(self.moduli(&strain, &state, 1, |_| None)?.next().expect("there is one for each particle"))
+    }
+
+    /// The bound that particles of the law set which need so much, on steps of the simulation within which theirs is one of so many.
+    pub fn bound(&self, need: Need, steps_within: u32) -> Bound {
+        let what = if need.is_viscous { "viscosity" } else { "stiffness" };
+        Bound { dt: f64::from(steps_within) / need.rate, by: format!("{what} of material '{}'", self.planned.name) }
+    }
+}
