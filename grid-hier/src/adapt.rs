@@ -318,6 +318,12 @@ impl Adapt {
         self.next_id = phase.next_id.max(self.next_id);
     }
 
+    /// Goes on from what splits and merges of an engine before this one have summed up.
+    pub fn carry_on(&mut self, sums: &Ledger) {
+        self.resampled.kinetic = sums.resampled_kinetic;
+        self.resampled.angular = sums.resampled_angular_momentum.into();
+    }
+
     /// Adds what splits and merges have done since the start.
     pub fn account(&self, ledger: &mut Ledger) {
         let done = &self.resampled;

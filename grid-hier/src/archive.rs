@@ -71,6 +71,11 @@ impl Reach {
         self.archive.values().map(Tile::bytes).sum()
     }
 
+    /// Goes on from what came and went in an engine before this one.
+    pub fn carry_on(&mut self, sums: &Ledger) {
+        (self.seeded_mass, self.kinetic) = (sums.seeded_mass, sums.archived_kinetic);
+    }
+
     /// Adds what is archived, and what has come and gone.
     pub fn account(&self, ledger: &mut Ledger) {
         let archived: f64 = self.archive.values().map(Tile::mass).sum();

@@ -3,7 +3,7 @@
 use crate::block::SIDE;
 use crate::wall::{Mirror, Mirrors, Separation};
 use barchan_core::Plan;
-use barchan_core::scene::Wall;
+use barchan_core::scene::{WHOLE_CELL, Wall};
 
 /// Where the world ends, in cells of one level.
 #[derive(Clone, Debug)]
@@ -14,6 +14,12 @@ pub struct Bounds {
     pub max: [i32; 3],
     /// Axes whose ends are joined.
     pub periodic: [bool; 3],
+    /// Sides without a wall.
+    pub open: [[bool; 2]; 3],
+    /// Where the sides are: cell of the finest level, and place in it [cells]. Open sides may cut cells.
+    pub sides: [[(i32, f64); 2]; 3],
+    /// The level.
+    level: usize,
     /// Ends with a wall of any kind.
     pub walled: [[bool; 2]; 3],
     /// Slip and stick walls.
@@ -45,14 +51,46 @@ impl Bounds {
                 }
             }
         }
+        let (h, world) = (plan.cell_widths[0], &plan.scene.world);
+        let side = |axis: usize, x: f64, cell: i32| {
+            let cells = x / h;
+            let cuts = (cells - cells.round()).abs() > WHOLE_CELL;
+            // Walls, and sides that mean a face, lie there.
+            let first = cells.floor() as i32;
+            if cuts && ends[axis].contains(&Wall::Open) { (first, cells - cells.floor()) } else { (cell, 0.0) }
+        };
         Self {
             min,
             max,
             periodic: ends.map(|axis| axis[0] == Wall::Periodic),
+            open: ends.map(|axis| axis.map(|wall| wall == Wall::Open)),
+            sides: [0, 1, 2]
+                .map(|d| [side(d, world.min[d], plan.cell_min[d]), side(d, world.max[d], plan.cell_max[d])]),
+            level,
             walled: ends.map(|axis| axis.map(|wall| !matches!(wall, Wall::Open | Wall::Periodic))),
             mirrors: Mirrors { kind, min, max },
             separations,
         }
+    }
+
+    /// Is a place beyond a side of the world? Unlike [`min`](Self::min) and [`max`](Self::max), open sides that cut cells are exact.
+    pub fn is_beyond(&self, cell: [i32; 3], offset: [f64; 3]) -> bool {
+        let fine = f64::from(1 << self.level);
+        (0..3).filter(|d| !self.periodic[*d]).any(|d| {
+            // Differences of cells are exact, also far from the origin.
+            let from = |(side, part): (i32, f64)| {
+                (i64::from(cell[d]) * i64::from(1 << self.level) - i64::from(side)) as f64 + offset[d] * fine - part
+            };
+            from(self.sides[d][0]) < 0.0 || from(self.sides[d][1]) >= 0.0
+        })
+    }
+
+    /// Does a block reach a side without a wall, or come nearer to it than two cells?
+    pub fn is_at_open_side(&self, block: [i32; 3]) -> bool {
+        (0..3).any(|d| {
+            let [low, high] = self.open[d];
+            (low && block[d] * SIDE - 2 < self.min[d]) || (high && (block[d] + 1) * SIDE + 2 > self.max[d])
+        })
     }
 
     /// A block's coordinates brought into the world along periodic axes.

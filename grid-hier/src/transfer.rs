@@ -142,6 +142,13 @@ pub enum Fault {
         /// Its lane.
         lane: usize,
     },
+    /// What the material gives for a particle is NaN or infinite.
+    Unsound {
+        /// Its chunk.
+        chunk: usize,
+        /// Its lane.
+        lane: usize,
+    },
     /// A particle is further from its block than the halo reaches.
     Strayed {
         /// Its chunk.
@@ -383,6 +390,24 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 // At the first part nothing of this batch has been written back: its strain is what it was.
                 debug_assert!(part < step.strain_parts);
                 return Err(Fault::Material { status, chunk: first });
+            }
+            for k in 0..chunks {
+                let at = k * LANES;
+                // Nothing of a chunk is written back that is not a number, nor felt by a node.
+                let mut sum = V::zero();
+                for p in 0..planes {
+                    sum += V::load(&raw const (*scratch).strain[p][at]);
+                }
+                for c in 0..6 {
+                    sum += V::load(&raw const (*scratch).kirchhoff[c][at]);
+                }
+                for q in 0..n_state {
+                    sum += V::load(&raw const (*scratch).state_out[q][at]);
+                }
+                let finite = sum.is_finite();
+                if !finite.all() {
+                    return Err(Fault::Unsound { chunk: first + k, lane: (!finite.bits()).trailing_zeros() as usize });
+                }
             }
             for k in 0..if step.frozen { 0 } else { chunks } {
                 let at = k * LANES;

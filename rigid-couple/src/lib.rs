@@ -41,6 +41,7 @@ pub fn register(registry: &mut Registry) -> Result<()> {
     registry.add_coupling(
         "rigid",
         "Rigid tools and free rigid bodies in contact with the ground",
+        Vec::new(),
         Arc::new(|scene| Ok(Box::new(Rigid::new(scene)?) as _)),
     )
 }

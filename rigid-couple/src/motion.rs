@@ -112,6 +112,15 @@ fn hermite(s: f64) -> (f64, f64, f64) {
     (s * s * (3.0 - 2.0 * s), s * (1.0 - s) * (1.0 - s), s * s * (s - 1.0))
 }
 
+/// Greatest slope, either way, of the cubic that [`hermite`] describes between `from` and `to`, of [0, 1]: its mean slope is `secant`, those at
+/// its ends are `out` and `into`.
+fn steepest(secant: f64, out: f64, into: f64, from: f64, to: f64) -> f64 {
+    let slope = |s: f64| 6.0 * secant * s * (1.0 - s) + out * (1.0 - s) * (1.0 - 3.0 * s) + into * s * (3.0 * s - 2.0);
+    // A parabola: greatest at an end or where its own slope is 0.
+    let top = (3.0 * secant - 2.0 * out - into) / (3.0 * (2.0 * secant - out - into));
+    [from, to, if from < top && top < to { top } else { from }].into_iter().map(|s| slope(s).abs()).fold(0.0, f64::max)
+}
+
 impl KeyframePath {
     /// A path through `frames`. A frame without rotation keeps the one before, the first one `start`.
     ///
@@ -156,6 +165,32 @@ impl KeyframePath {
             }
         }
         Ok(Self { times, poses, turns, velocities, rates, interpolation })
+    }
+
+    /// Bounds on how fast the path is at any moment from `from` to `to` [s]: the greatest speed along each axis [m/s], and the greatest angular
+    /// velocity [rad/s]. So no step within is faster, however it is cut.
+    pub fn fastest(&self, from: f64, to: f64) -> (DVec3, DVec3) {
+        let (mut linear, mut angular) = (DVec3::ZERO, DVec3::ZERO);
+        // The pieces that have begun by `to` and have not ended at `from`.
+        let first = self.times.partition_point(|&t| t <= from).saturating_sub(1);
+        let end = self.times.partition_point(|&t| t < to);
+        for i in first..end.min(self.times.len() - 1) {
+            let span = self.times[i + 1] - self.times[i];
+            let [from, to] = [from, to].map(|t| ((t - self.times[i]) / span).clamp(0.0, 1.0));
+            let way = self.poses[i + 1].position - self.poses[i].position;
+            let angle = self.turns[i].length();
+            let rate = |way: f64, out: f64, into: f64| match self.interpolation {
+                Interpolation::Linear => way.abs() / span,
+                Interpolation::Smooth => steepest(way / span, out, into, from, to),
+            };
+            let (out, into) = (self.velocities[i], self.velocities[i + 1]);
+            linear = linear.max(DVec3::from_array(std::array::from_fn(|d| rate(way[d], out[d], into[d]))));
+            let turning = rate(angle, self.rates[i], self.rates[i + 1]);
+            if turning > angular.length() {
+                angular = self.turns[i] / angle * turning;
+            }
+        }
+        (linear, angular)
     }
 
     /// The pose at `time` [s]; at a keyframe's time exactly the keyframe's.

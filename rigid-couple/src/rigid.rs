@@ -389,12 +389,10 @@ impl Rigid {
             Mover::Fixed => 0.0,
             Mover::Velocity => speed(&body.state.command),
             Mover::Free { .. } => speed(&body.state.twist) + gravity * dt,
-            // A step may turn out shorter than dt, so the chords of parts of it count too.
-            Mover::Path(path) => (0..4).fold(0.0, |fastest, part| {
-                let (from, to) =
-                    (path.pose(time + 0.25 * dt * f64::from(part)), path.pose(time + 0.25 * dt * f64::from(part + 1)));
-                speed(&from.chord(&to, 0.25 * dt)).max(fastest)
-            }),
+            Mover::Path(path) => {
+                let (linear, angular) = path.fastest(time, time + dt);
+                speed(&Twist { linear, angular })
+            }
         }
     }
 

@@ -140,15 +140,26 @@ pub struct Timing {
 pub trait Engine: Send {
     /// Greatest stable step of the present state, before any safety factor. Cheap: called before every step.
     fn bound(&self) -> Bound;
+    /// How many steps are to have one length: it is chosen before every so manieth step of the simulation, or more often where tools become
+    /// faster, wherever anyone looks in between, so that looking changes nothing. An engine that knows its bound after each step says 1.
+    fn stride(&self) -> u64 {
+        1
+    }
+    /// Has the ground become too stiff for steps of `dt` [s] that were chosen before? They are chosen anew then. An engine that takes many steps
+    /// at once stops before the next one in just this case, so that looking in between changes nothing.
+    fn is_outgrown(&self, dt: f64) -> bool {
+        let _ = dt;
+        false
+    }
     /// One step of at most `dt` seconds from `time`. The engine may take a shorter one (and says so) if node speeds or
-    /// deformations would otherwise exceed their limits. On an error the particles are those before the step.
+    /// deformations would otherwise exceed their limits. On an error the particles are those before the step, and so is what it has booked.
     ///
     /// # Errors
     /// NaN or infinity, a material's failure, a particle that left the world.
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport>;
     /// Up to `count` steps of at most `dt` each, one after the other from `time`; at least one. An engine that is faster when it is
-    /// asked for many at once takes as many as it can without anyone looking in between; gravity follows the time. Returns what
-    /// each did. On an error, everything is as before the first of them.
+    /// asked for many at once takes as many as it can without anyone looking in between; gravity follows the time. One that is shorter than
+    /// asked is the last. Returns what each did. On an error, everything is as before the first of them.
     ///
     /// # Errors
     /// As [`step`](Self::step), of the first step.
@@ -195,6 +206,9 @@ pub trait Engine: Send {
     fn particle_count(&self) -> usize;
     /// Adds the particles' mass, momenta, energies and counts to a ledger.
     fn account(&self, ledger: &mut Ledger);
+    /// Goes on from what another engine has summed up over time, all but the counts: what is summed from then on is added to these numbers one
+    /// by one, so that a run that is cut in two has the sums of a whole one, bit for bit. Called before the first step.
+    fn carry_on(&mut self, sums: &Ledger);
     /// Time by effect since the start.
     fn timings(&self) -> Vec<Timing>;
     /// Bytes resident for particles and grid: (particles, grid).

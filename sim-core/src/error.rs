@@ -147,7 +147,7 @@ pub enum Error {
     },
     /// Energy grows without a cause.
     #[error(
-        "energy grew from {before:.3e} J to {after:.3e} J within {steps} steps (step {step}), more than work done on the scene explains; particle {particle} moves fastest; lower time.step or time.safety"
+        "energy of the ground grew from {before:.3e} J to {after:.3e} J within {steps} steps (step {step}), more than work done on it explains; particle {particle} moves fastest; lower time.step or time.safety"
     )]
     Unstable {
         /// Step number.
@@ -186,6 +186,16 @@ pub enum Error {
     Snapshot {
         /// The file.
         file: PathBuf,
+        /// What is wrong.
+        what: String,
+        /// What would mend it.
+        mend: String,
+    },
+    /// An output folder that a run may not write into.
+    #[error("{}: this output folder {what}; {mend}", folder.display())]
+    Folder {
+        /// The folder.
+        folder: PathBuf,
         /// What is wrong.
         what: String,
         /// What would mend it.

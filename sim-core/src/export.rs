@@ -1,7 +1,7 @@
 //! Particle files that other programs read.
 
+use crate::file::write_whole;
 use crate::scene::Export;
-use crate::snapshot::write_whole;
 use crate::{ParticleState, Plan, Result, Vec3};
 use std::io::{self, Write};
 use std::path::Path;

@@ -6,7 +6,7 @@
 
 use crate::coupling::Aabb;
 use crate::scene::{Scene, Wall};
-use crate::{BodyState, Coupling, ParticleState, Vec3};
+use crate::{BodyState, Coupling, LevelPhase, ParticleState, Vec3};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap};
 
@@ -158,6 +158,33 @@ impl Regions {
         self.boxes = boxes;
     }
 
+    /// What is wrong with where a saved run says that its levels were: boxes are of whole parent cells and nest, each agent's within its own, and
+    /// tiles that are live lie in the world.
+    pub fn check(&self, phase: &LevelPhase) -> Result<(), String> {
+        if phase.boxes.len() != self.boxes.len() {
+            return Err(format!("boxes of {} levels where the plan has {}", phase.boxes.len() + 1, self.levels()));
+        }
+        let farthest = crate::plan::FARTHEST_CELL as i32;
+        let is_whole = |one: &CellBox| {
+            let ends = || one.min.iter().chain(&one.max);
+            (0..3).all(|d| one.min[d] < one.max[d]) && ends().all(|c| c % 2 == 0 && (-farthest..=farthest).contains(c))
+        };
+        for (level, boxes) in phase.boxes.iter().enumerate() {
+            if let Some(one) = boxes.iter().find(|one| !is_whole(one)) {
+                return Err(format!("a box of level {level} is {one:?}"));
+            }
+            let Some(finer) = level.checked_sub(1).map(|finer| &phase.boxes[finer]) else { continue };
+            let nests = |(inner, outer): (&CellBox, &CellBox)| outer.holds(&inner.in_parents().grown(NESTING));
+            if finer.len() != boxes.len() || !finer.iter().zip(boxes).all(nests) {
+                return Err(format!("boxes of level {level} do not hold those of the next finer one"));
+            }
+        }
+        match phase.live.iter().find(|tile| !self.is_tile_of_world(**tile)) {
+            Some(tile) => Err(format!("tile {tile:?} is live and lies outside the world")),
+            None => Ok(()),
+        }
+    }
+
     /// Moves the boxes after their agents. Returns whether any has moved.
     pub fn follow(&mut self, agents: &[Aabb]) -> bool {
         let mut moved = false;
@@ -255,6 +282,11 @@ impl Regions {
         let ([x0, y0, _], [x1, y1, _]) = (self.world.min, self.world.max);
         let ([x0, y0], [x1, y1]) = (self.tile_of([x0, y0, 0]), self.tile_of([x1 - 1, y1 - 1, 0]));
         [[x0, x1], [y0, y1]]
+    }
+
+    /// Does a tile lie in the world?
+    pub fn is_tile_of_world(&self, tile: [i32; 2]) -> bool {
+        tile.iter().zip(self.tiles_of_world()).all(|(t, [first, last])| (first..=last).contains(t))
     }
 
     /// Tiles that are live with the boxes where they are: those within reach, and of the ones that were `live` those that are

@@ -15,6 +15,7 @@ pub mod backend;
 pub mod coupling;
 pub mod error;
 pub mod export;
+pub mod file;
 pub mod ledger;
 pub mod levels;
 pub mod loader;

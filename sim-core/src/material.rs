@@ -5,7 +5,7 @@ use crate::{Error, Result};
 use barchan_abi as abi;
 use std::path::Path;
 
-/// One parameter of a material.
+/// One parameter of a material, or of a coupling.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameter {
     /// snake_case name.
@@ -45,6 +45,10 @@ fn is_snake_case(name: &str) -> bool {
 }
 
 impl Parameter {
+    /// A parameter that may have any value of a closed range.
+    pub fn new(name: &str, unit: &str, default: f64, [min, max]: [f64; 2], doc: &str) -> Self {
+        Self { name: name.to_owned(), unit: unit.to_owned(), doc: doc.to_owned(), default, min, max, flags: 0 }
+    }
     /// Is the value in the declared range? NaN never is.
     pub fn allows(&self, value: f64) -> bool {
         let above = if self.flags & abi::BARCHAN_PARAM_MIN_OPEN != 0 { value > self.min } else { value >= self.min };

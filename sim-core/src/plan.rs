@@ -1,9 +1,10 @@
 //! The plan: the effects that a scene calls for, and why; the stages they need; what bounds the step; what memory they take.
 
 use crate::backend::Bound;
+use crate::file::Stamp;
 use crate::levels::{Agent, CellBox, LEAST_DEPTH, Regions, TILE, agent_bounds, surface_depths};
 use crate::material::ErrorBuffer;
-use crate::scene::{Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest};
+use crate::scene::{Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest, plain};
 use crate::seed::Terrain;
 use crate::simulation::Options;
 use crate::stiffness::{Moduli, Stiffness};
@@ -13,6 +14,10 @@ use std::collections::HashSet;
 use std::fmt;
 use std::sync::Arc;
 
+/// What errors about particles that do not fit a plan name as their place.
+pub(crate) const PARTICLES: &str = "particles";
+/// Where laws come from that need no library.
+pub const BUILT_IN: &str = "built-in";
 /// Registered name of the coupling that a scene's tools call for.
 pub const TOOL_COUPLING: &str = "rigid";
 /// Greatest fraction of a cell that a tool's surface may move in one step. Of sand that a plate strikes faster than sound,
@@ -26,11 +31,13 @@ const NEARLY_INCOMPRESSIBLE: f64 = 0.49;
 /// Resident bytes of one occupied block of 4³ cells in f32: its nodes with their halo, and bookkeeping.
 const BLOCK_BYTES: u64 = 9 * 1024;
 /// Cells further from the origin than any backend reaches; coordinates up to here can be added without overflow.
-const FARTHEST_CELL: u32 = 1 << 30;
+pub(crate) const FARTHEST_CELL: u32 = 1 << 30;
 /// Ground slower than this part of sqrt(g h) is at rest: at 1 cm, 3e-5 m/s.
 const SLOW: f64 = 1e-4;
-/// Without a bound or a fixed step, a run advances in steps of this fraction of the output's interval.
-const UNBOUND_STEP: f64 = 0.1;
+/// Where no ground bounds it, an automatic step is at most this long [s].
+const UNBOUND_STEP: f64 = 5e-3;
+/// Relative width to which the longest step is found that tools bear: it is short of what it might be by that at most.
+const TOOL_STEP_WIDTH: f64 = 1e-3;
 
 /// Number format of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -128,6 +135,8 @@ pub struct PlannedMaterial {
 pub struct Plan {
     /// The scene.
     pub scene: Scene,
+    /// The files that it reads, as they were.
+    pub files: Vec<Stamp>,
     /// Number format.
     pub precision: Precision,
     /// Worker threads; 0: as many as the machine has.
@@ -176,6 +185,14 @@ pub struct Plan {
 }
 
 impl PlannedMaterial {
+    /// How errors name it: with its law and library, if it comes from one.
+    pub fn label(&self) -> String {
+        match self.material.origin.as_str() {
+            BUILT_IN => self.name.clone(),
+            library => format!("{}: law '{}' of {library}", self.name, self.material.name),
+        }
+    }
+
     /// Resident bytes of one of its particles in a backend.
     pub fn particle_bytes(&self, precision: Precision) -> u64 {
         let planes = self.material.strain_planes() + self.material.states.len();
@@ -212,6 +229,12 @@ impl PlannedMaterial {
     }
 }
 
+/// The materials among some that come from libraries, for errors that cannot tell which one it was.
+pub fn loaded(materials: &[PlannedMaterial]) -> String {
+    let loaded = materials.iter().filter(|planned| planned.material.origin != BUILT_IN);
+    loaded.map(PlannedMaterial::label).collect::<Vec<_>>().join(", ")
+}
+
 /// Everything that a simulation is made from.
 pub type Assembly = (Plan, ParticleState, Vec<Box<dyn Coupling>>);
 
@@ -236,14 +259,16 @@ impl Plan {
         options: &Options,
         particles: Option<ParticleState>,
     ) -> Result<Assembly> {
+        options.check()?;
         let mut scene = scene.clone();
         scene.check()?;
         let materials = plan_materials(registry, &scene, options.precision)?;
+        check_couplings(registry, &scene)?;
         let kinds = coupling_kinds(&scene);
         // One coupling a kind: it finds its own entries in the scene.
         let couplings = kinds
             .iter()
-            .map(|(kind, path)| registry.coupling(kind).map_err(|e| e.at(&scene.place(path)))?(&scene))
+            .map(|(kind, path)| registry.coupling(kind).map_err(|e| e.at(&scene.place(path)))?.make(&scene))
             .collect::<Result<Vec<_>>>()?;
         let h = scene.world.cell;
         let whole = |side: &Vec3, round: fn(f64) -> f64| {
@@ -276,23 +301,18 @@ impl Plan {
                 terrain.seed(&couplings, &regions, cap)?
             }
         };
-        let levels = scene.levels.count;
-        let cell_widths: Vec<f64> = (0..levels).map(|level| h * f64::from(1 << level)).collect();
-        let ground_cells = match levels {
-            1 => vec![None],
-            _ => {
-                let depths = surface_depths(&particles, cell_widths.len()).into_iter().zip(&cell_widths);
-                depths.map(|(depth, width)| depth.map(|depth| depth / width)).collect()
-            }
-        };
-        let bound = start_bound(&scene, &materials, &couplings)?;
-        let dt = first_step(&scene, &bound, resumed)?;
+        let cell_widths: Vec<f64> = (0..scene.levels.count).map(|level| h * f64::from(1 << level)).collect();
+        let ground = ground_bound(&scene, &materials)?;
+        let bound = tighten(ground.clone(), &couplings, 0.0, h, 1);
+        let dt = first_step(&scene, &ground, &bound, resumed)?;
+        let files = scene.files().into_iter().map(|file| Stamp::of(&scene.folder, file)).collect::<Result<_>>()?;
         let mut plan = Self {
+            files,
             precision: options.precision,
             threads: options.threads,
             adapter: options.adapter.clone(),
             cell_widths,
-            ground_cells,
+            ground_cells: Vec::new(),
             cell_min,
             cell_max,
             terrain: terrain.filter(|_| regions.unbounded()),
@@ -313,6 +333,13 @@ impl Plan {
             scene,
         };
         plan.check_particles(&particles)?;
+        plan.ground_cells = match plan.cell_widths.as_slice() {
+            [_] => vec![None],
+            widths => {
+                let depths = surface_depths(&particles, widths.len()).into_iter().zip(widths);
+                depths.map(|(depth, width)| depth.map(|depth| depth / width)).collect()
+            }
+        };
         plan.memory = plan.estimate_memory(&particles);
         plan.stages = plan.list_stages();
         let by_level =
@@ -339,7 +366,7 @@ impl Plan {
     pub(crate) fn check_particles(&self, particles: &ParticleState) -> Result<()> {
         let refuse = |what: String| {
             Err(Error::Body {
-                path: "particles".to_owned(),
+                path: PARTICLES.to_owned(),
                 what,
                 mend: "use particles of a simulation of the same scene".to_owned(),
             })
@@ -351,8 +378,11 @@ impl Plan {
                 particles.lists.len()
             ));
         }
-        if let Some(phase) = particles.levels.as_ref().filter(|phase| phase.boxes.len() + 1 != levels) {
-            return refuse(format!("boxes of {} levels where the plan has {levels}", phase.boxes.len() + 1));
+        if let Some(phase) = &particles.levels {
+            self.regions.check(phase).or_else(refuse)?;
+        }
+        if let Some(tile) = particles.archive.keys().find(|tile| !self.regions.is_tile_of_world(**tile)) {
+            return refuse(format!("tile {tile:?} of the archive lies outside the world"));
         }
         if let Some(sort) = particles.sort.as_ref().filter(|sort| sort.rest.len() != sort.blocks.len()) {
             return refuse(format!("{} blocks of which {} say whether they sleep", sort.blocks.len(), sort.rest.len()));
@@ -452,7 +482,9 @@ impl Plan {
     fn list_effects(&self, particles_by_level: &[usize], live: usize) -> Vec<Effect> {
         let scene = &self.scene;
         let mut effects = Vec::new();
-        let mut add = |name: String, because: String, adds: String| effects.push(Effect { name, because, adds });
+        let mut add = |name: String, because: String, adds: String| {
+            effects.push(Effect { name: plain(&name), because: plain(&because), adds: plain(&adds) });
+        };
         if self.particle_count > 0 {
             add(
                 format!("soft ground, {}", self.precision),
@@ -663,6 +695,7 @@ impl Plan {
         }
         warnings.extend(couplings.iter().flat_map(|c| c.warnings(self.scene.world.cell)));
         self.warnings.extend(warnings);
+        self.warnings.iter_mut().for_each(|warning| *warning = plain(warning));
         Ok(())
     }
 }
@@ -728,12 +761,7 @@ fn resolve(scene: &Scene, path: &str, spec: &MaterialSpec, law: &Material) -> Re
                     std::iter::once(p.name.clone()).chain((p.unit == "rad").then(|| format!("{}_deg", p.name)))
                 })
                 .collect();
-            let meant = nearest(key, &keys).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
-            return Err(scene.fault(
-                &path,
-                format!("law '{}' has no parameter `{key}`", law.name),
-                format!("it has {}{meant}", if keys.is_empty() { "none".to_owned() } else { keys.join(", ") }),
-            ));
+            return Err(scene.fault(&path, format!("law '{}' has no parameter `{key}`", law.name), it_has(key, &keys)));
         };
         let parameter = &law.parameters[i];
         let si = if degrees { value.to_radians() } else { value };
@@ -791,6 +819,36 @@ fn agents(scene: &Scene) -> Vec<Agent> {
     }
 }
 
+/// Holds what the scene says of couplings to what their kinds have declared.
+fn check_couplings(registry: &Registry, scene: &Scene) -> Result<()> {
+    for (i, spec) in scene.coupling.iter().enumerate() {
+        let path = format!("coupling[{i}]");
+        let kind = registry.coupling(&spec.kind).map_err(|e| e.at(&scene.place(&format!("{path}.kind"))))?;
+        for (key, value) in &spec.parameters {
+            let path = format!("{path}.parameters.{key}");
+            let Some(parameter) = kind.parameters.iter().find(|p| p.name == *key) else {
+                let keys: Vec<String> = kind.parameters.iter().map(|p| p.name.clone()).collect();
+                return Err(scene.fault(
+                    &path,
+                    format!("coupling '{}' has no parameter `{key}`", spec.kind),
+                    it_has(key, &keys),
+                ));
+            };
+            if !parameter.allows(*value) {
+                let mend = format!("must be in {} {}", parameter.range(), parameter.unit);
+                return Err(scene.fault(&path, format!("is {value}"), mend));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// What there is in the place of a name that is not known, and which was most likely meant.
+fn it_has(name: &str, known: &[String]) -> String {
+    let meant = nearest(name, known).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
+    format!("it has {}{meant}", if known.is_empty() { "none".to_owned() } else { known.join(", ") })
+}
+
 /// The kinds of couplings called for, each with the key path that calls for it first.
 fn coupling_kinds(scene: &Scene) -> Vec<(String, String)> {
     let mut kinds: Vec<(String, String)> = Vec::new();
@@ -805,35 +863,51 @@ fn coupling_kinds(scene: &Scene) -> Vec<(String, String)> {
     kinds
 }
 
-/// The bound of the undeformed scene at time 0.
-fn start_bound(scene: &Scene, materials: &[PlannedMaterial], couplings: &[Box<dyn Coupling>]) -> Result<Bound> {
-    let h = scene.world.cell;
+/// The bound that the undeformed ground sets.
+fn ground_bound(scene: &Scene, materials: &[PlannedMaterial]) -> Result<Bound> {
     let mut bound = Bound { dt: f64::INFINITY, by: "nothing".to_owned() };
     for planned in materials {
         let whole = |own: Bound| Bound { dt: own.dt * f64::from(scene.levels.substeps()), ..own };
-        if let Some(own) = planned.bound(h)?.map(whole).filter(|own| own.dt < bound.dt) {
+        if let Some(own) = planned.bound(scene.world.cell)?.map(whole).filter(|own| own.dt < bound.dt) {
             bound = own;
         }
     }
-    Ok(tighten(bound, couplings, 0.0, h, scene.output.interval))
+    Ok(bound)
 }
 
-/// Tightens a bound so that no tool's surface moves more than [`TOOL_COURANT`] cells in a step.
-pub(crate) fn tighten(bound: Bound, couplings: &[Box<dyn Coupling>], time: f64, h: f64, longest: f64) -> Bound {
-    couplings.iter().fold(bound, |bound, coupling| {
-        let dt = TOOL_COURANT * h / coupling.max_speed(time, bound.dt.min(longest));
-        if dt < bound.dt { Bound { dt, by: format!("coupling '{}': speed of a tool", coupling.name()) } } else { bound }
+/// Tightens what the ground bears so that no tool's surface moves more than [`TOOL_COURANT`] cells in any of so many steps from `time` [s].
+pub(crate) fn tighten(ground: Bound, couplings: &[Box<dyn Coupling>], time: f64, h: f64, steps: u64) -> Bound {
+    couplings.iter().fold(ground, |bound, coupling| {
+        let longest = if bound.dt.is_finite() { bound.dt } else { UNBOUND_STEP };
+        let borne = |dt: f64| TOOL_COURANT * h / coupling.max_speed(time, dt * steps as f64);
+        // A shorter step sees less of what a tool is about to do, so that it bears at least what a longer one does.
+        let (mut least, mut most) = (borne(longest), longest);
+        if least.total_cmp(&most).is_ge() {
+            return if least < bound.dt { by_tool(coupling.as_ref(), least) } else { bound };
+        }
+        // Of one that is as fast at once there is nothing to find.
+        while least > 0.0 && least < (1.0 - TOOL_STEP_WIDTH) * most && borne(least) > least {
+            let middle = (least * most).sqrt();
+            let borne = borne(middle);
+            if borne < middle { (least, most) = (least.max(borne), middle) } else { least = middle }
+        }
+        by_tool(coupling.as_ref(), least)
     })
 }
 
-/// The step that a scene asks for under a bound, before [`OverBound`] is considered [s].
-pub(crate) fn wanted_step(scene: &Scene, bound: &Bound) -> f64 {
-    let given = scene.time.step.map(|step| step * f64::from(scene.levels.substeps()));
-    given.unwrap_or_else(|| (scene.time.safety * bound.dt).min(UNBOUND_STEP * scene.output.interval))
+fn by_tool(coupling: &dyn Coupling, dt: f64) -> Bound {
+    Bound { dt, by: format!("coupling '{}': speed of a tool", coupling.name()) }
 }
 
-fn first_step(scene: &Scene, bound: &Bound, resumed: bool) -> Result<f64> {
-    let dt = wanted_step(scene, bound);
+/// The step that a scene asks for under a bound, before [`OverBound`] is considered [s]. Where the ground sets none, there is a longest one.
+pub(crate) fn wanted_step(scene: &Scene, ground: &Bound, bound: &Bound) -> f64 {
+    let longest = if ground.dt.is_finite() { f64::INFINITY } else { UNBOUND_STEP };
+    let given = scene.time.step.map(|step| step * f64::from(scene.levels.substeps()));
+    given.unwrap_or_else(|| (scene.time.safety * bound.dt).min(longest))
+}
+
+fn first_step(scene: &Scene, ground: &Bound, bound: &Bound, resumed: bool) -> Result<f64> {
+    let dt = wanted_step(scene, ground, bound);
     if dt <= bound.dt || resumed {
         return Ok(dt);
     }
@@ -890,9 +964,9 @@ impl Export {
 /// The plan as a table for people.
 impl fmt::Display for Plan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "scene     {}", self.scene.name)?;
-        if !self.scene.doc.is_empty() {
-            writeln!(f, "          {}", self.scene.doc)?;
+        writeln!(f, "scene     {}", plain(&self.scene.name))?;
+        for line in self.scene.doc.lines() {
+            writeln!(f, "          {}", plain(line))?;
         }
         let cells: Vec<_> = (0..3).map(|d| (self.cell_max[d] - self.cell_min[d]).to_string()).collect();
         let widths: Vec<_> = self.cell_widths.iter().map(f64::to_string).collect();

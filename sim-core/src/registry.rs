@@ -1,5 +1,6 @@
 //! Where plugins meet: by kind and name.
 
+use crate::material::Parameter;
 use crate::solid::Solid;
 use crate::{Backend, Coupling, Error, Material, Result, Scene, Task, loader};
 use barchan_abi as abi;
@@ -15,11 +16,31 @@ pub type TaskMaker = Arc<dyn Fn() -> Box<dyn Task> + Send + Sync>;
 /// Reads a triangle mesh as a solid: file, factor to metres.
 pub type MeshReader = Arc<dyn Fn(&Path, f64) -> Result<Box<dyn Solid>> + Send + Sync>;
 
+/// A kind of coupling.
+#[derive(Clone)]
+pub struct CouplingKind {
+    /// One sentence.
+    pub doc: String,
+    /// What an entry of the scene may set: scenes are held to it.
+    pub parameters: Vec<Parameter>,
+    maker: CouplingMaker,
+}
+
+impl CouplingKind {
+    /// Makes it for a scene.
+    ///
+    /// # Errors
+    /// If the scene cannot be used.
+    pub fn make(&self, scene: &Scene) -> Result<Box<dyn Coupling>> {
+        (self.maker)(scene)
+    }
+}
+
 /// All plugins known to a program.
 #[derive(Clone, Default)]
 pub struct Registry {
     materials: BTreeMap<String, Material>,
-    couplings: BTreeMap<String, (String, CouplingMaker)>,
+    couplings: BTreeMap<String, CouplingKind>,
     backends: BTreeMap<String, Arc<dyn Backend>>,
     tasks: BTreeMap<String, (String, TaskMaker)>,
     mesh_reader: Option<MeshReader>,
@@ -54,12 +75,18 @@ impl Registry {
         self.insert_materials(vec![material])
     }
 
-    /// Registers a coupling that scenes call for by `name`.
+    /// Registers a coupling that scenes call for by `name`, with the parameters that they may set.
     ///
     /// # Errors
     /// [`Error::Duplicate`] if the name is taken.
-    pub fn add_coupling(&mut self, name: &str, doc: &str, maker: CouplingMaker) -> Result<()> {
-        insert(&mut self.couplings, "coupling", name, (doc.to_owned(), maker))
+    pub fn add_coupling(
+        &mut self,
+        name: &str,
+        doc: &str,
+        parameters: Vec<Parameter>,
+        maker: CouplingMaker,
+    ) -> Result<()> {
+        insert(&mut self.couplings, "coupling", name, CouplingKind { doc: doc.to_owned(), parameters, maker })
     }
 
     /// Registers a backend under its own name.
@@ -121,12 +148,12 @@ impl Registry {
     pub fn material(&self, name: &str) -> Result<&Material> {
         find(&self.materials, "material", name)
     }
-    /// What makes couplings of that kind.
+    /// The kind of couplings of that name.
     ///
     /// # Errors
     /// [`Error::Unknown`] listing the known ones.
-    pub fn coupling(&self, name: &str) -> Result<&CouplingMaker> {
-        find(&self.couplings, "coupling", name).map(|(_, maker)| maker)
+    pub fn coupling(&self, name: &str) -> Result<&CouplingKind> {
+        find(&self.couplings, "coupling", name)
     }
     /// The backend of that name.
     ///
@@ -151,9 +178,9 @@ impl Registry {
     pub fn materials(&self) -> impl Iterator<Item = &Material> {
         self.materials.values()
     }
-    /// Names and documentation of all couplings.
-    pub fn couplings(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.couplings.iter().map(|(name, (doc, _))| (name.as_str(), doc.as_str()))
+    /// Names and kinds of all couplings.
+    pub fn couplings(&self) -> impl Iterator<Item = (&str, &CouplingKind)> {
+        self.couplings.iter().map(|(name, kind)| (name.as_str(), kind))
     }
     /// All backends by name.
     pub fn backends(&self) -> impl Iterator<Item = &dyn Backend> {

@@ -6,8 +6,8 @@
 use crate::Vec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 mod check;
@@ -70,11 +70,33 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// The files that its shapes are read from, as it names them, each once.
+    pub fn files(&self) -> BTreeSet<&Path> {
+        fn add<'a>(shape: &'a Shape, files: &mut BTreeSet<&'a Path>) {
+            match shape {
+                Shape::Mesh { file, .. } | Shape::HeightField { file: Some(file), .. } => {
+                    files.insert(file);
+                }
+                Shape::Union(parts) => parts.iter().for_each(|part| add(&part.shape, files)),
+                _ => {}
+            }
+        }
+        let mut files = BTreeSet::new();
+        let shapes = self.body.iter().map(|body| &body.shape).chain(self.tool.iter().map(|tool| &tool.shape));
+        shapes.for_each(|shape| add(shape, &mut files));
+        files
+    }
+
     /// Mean gravity over a step that starts at `time` [m/s²].
     pub fn gravity_at(&self, time: f64) -> Vec3 {
         let grown = if time < self.gravity_ramp { time / self.gravity_ramp } else { 1.0 };
         self.gravity.map(|g| g * grown)
     }
+}
+
+/// Text of a scene or a plugin, on one line and without control characters: what it says cannot act on a terminal or pass for another line.
+pub fn plain(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).collect()
 }
 
 fn default_gravity() -> Vec3 {

@@ -1,13 +1,16 @@
 //! A running simulation.
 
 use crate::backend::{Bound, Timing, Turn};
-use crate::plan::{cut, tighten, wanted_step};
+use crate::file::Stamp;
+use crate::plan::{PARTICLES, cut, tighten, wanted_step};
 use crate::scene::OverBound;
 use crate::snapshot::Snapshot;
 use crate::{
     Backend, BodyState, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, Spot,
     StepReport, Vec3, Wrench,
 };
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -33,9 +36,33 @@ impl Default for Options {
     }
 }
 
+impl Options {
+    /// More threads than any machine has.
+    pub const MOST_THREADS: usize = 1024;
+
+    /// Holds what could not be meant to be refused before it is tried.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] for more than [`MOST_THREADS`](Self::MOST_THREADS).
+    pub fn check(&self) -> Result<()> {
+        if self.threads <= Self::MOST_THREADS {
+            return Ok(());
+        }
+        Err(Error::Capacity {
+            what: "worker threads",
+            asked: self.threads as u64,
+            cap: Self::MOST_THREADS as u64,
+            mend: "ask for 0 to have as many as the machine has",
+        })
+    }
+}
+
 /// What summed-up times may be off, in steps: half a unit in the last place of 1000 s is 6e-9 steps of 10 µs, times
 /// hundreds of steps between two stops.
 const ROUNDING: f64 = 1e-6;
+/// A step is chosen for this many at least, if the engine likes many, and for more as long as it is no shorter than this part of what the next one bears.
+const LEAST_STRIDE: u64 = 8;
+const MOST_LOSS: f64 = 0.95;
 /// Steps over which growth of energy is judged.
 const WATCH_STEPS: u64 = 50;
 /// Growth of energy within them that ends a run.
@@ -54,8 +81,10 @@ pub struct Simulation {
     step: u64,
     /// Where steps must land; infinite: nowhere.
     stop: f64,
-    /// Ledger entries that add up over time, from before this process took over.
-    carried: Ledger,
+    /// The length of the next steps, if it has been chosen.
+    chosen: Option<Chosen>,
+    /// Counts from before this process took over.
+    carried: BTreeMap<String, u64>,
     /// Steps that were cut since they were above the bound.
     cut_steps: u64,
     watch: Option<Watch>,
@@ -76,6 +105,19 @@ impl fmt::Debug for Simulation {
     }
 }
 
+/// The length of the steps up to one, chosen before the first of them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Chosen {
+    /// Length of each [s]: steps of this length land on the stop, if there is one.
+    dt: f64,
+    /// The step before which another is chosen.
+    until: u64,
+    /// Is it above the bound?
+    above: bool,
+    /// Is it below the scene's, since that is above the bound?
+    cut: bool,
+}
+
 /// Steps that a simulation is to take next.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wish {
@@ -89,14 +131,14 @@ pub(crate) struct Wish {
     pub(crate) above: bool,
 }
 
-/// Energy at the start of a stretch of [`WATCH_STEPS`] steps above the bound.
+/// Energy of the ground at the start of a stretch of [`WATCH_STEPS`] steps above the bound.
 #[derive(Clone, Copy, Debug)]
 struct Watch {
     step: u64,
     /// Kinetic and elastic.
     inner: f64,
     potential: f64,
-    /// Work that driven bodies have done on the ground since.
+    /// Work that bodies have done on it since.
     work: f64,
     /// What has come within reach, and what has fallen out of it [kg]: as either changes, so does energy.
     exchanged: [f64; 2],
@@ -155,7 +197,8 @@ impl Simulation {
             time: 0.0,
             step: 0,
             stop: f64::INFINITY,
-            carried: Ledger::default(),
+            chosen: None,
+            carried: BTreeMap::new(),
             cut_steps: 0,
             watch: None,
             wrenches: None,
@@ -179,12 +222,27 @@ impl Simulation {
             ));
         }
         let backend = find_backend(registry, options)?;
-        let scene = Scene::from_str(&snapshot.scene, &path.display().to_string(), &snapshot.folder)?;
+        let mut scene = Scene::from_str(&snapshot.scene, &path.display().to_string(), &snapshot.folder)?;
+        scene.note_overrides(snapshot.set);
+        for then in &snapshot.files {
+            if Stamp::of(&scene.folder, &then.file)? != *then {
+                let file = scene.folder.join(&then.file);
+                return Err(refuse(
+                    format!("continues a scene whose file {} has changed since the run began", file.display()),
+                    "put the file back as it was, or start a new run",
+                ));
+            }
+        }
         if !snapshot.backend.is_empty() && snapshot.backend != backend.name() {
             snapshot.particles.sort = None;
         }
-        let (plan, particles, mut couplings) =
-            Plan::assemble_with(registry, &scene, options, Some(snapshot.particles))?;
+        let assembled = Plan::assemble_with(registry, &scene, options, Some(snapshot.particles));
+        let (plan, particles, mut couplings) = assembled.map_err(|error| match error {
+            Error::Body { path, what, .. } if path == PARTICLES => {
+                refuse(format!("holds particles that do not fit its scene: {what}"), "resume from another snapshot")
+            }
+            other => other,
+        })?;
         let named: Vec<_> = couplings.iter().map(|c| c.name().to_owned()).collect();
         let saved: Vec<_> = snapshot.couplings.iter().map(|(name, _)| name.clone()).collect();
         if named != saved {
@@ -198,13 +256,15 @@ impl Simulation {
                 refuse(format!("coupling '{name}': {what}"), "resume with the version that wrote it")
             })?;
         }
-        let engine = backend.compile(&plan, particles)?;
+        let mut engine = backend.compile(&plan, particles)?;
+        engine.carry_on(&snapshot.carried);
         Ok(Self {
             time: snapshot.time,
             step: snapshot.step,
             stop: snapshot.stop.unwrap_or(f64::INFINITY),
+            chosen: snapshot.chosen,
             cut_steps: snapshot.cut_steps,
-            carried: snapshot.carried,
+            carried: snapshot.carried.counts,
             ..Self::start(plan, backend.name(), engine, couplings)
         })
     }
@@ -225,10 +285,11 @@ impl Simulation {
         }
         // The couplings that go with a new plan are those of the start: ours stay.
         let (plan, particles, _) = Plan::assemble_with(registry, &self.plan.scene, options, Some(particles))?;
-        let engine = backend.compile(&plan, particles)?;
-        let mut carried = std::mem::take(&mut self.carried);
-        self.engine.account(&mut carried);
-        self.carried = only_sums(carried);
+        let plan = Plan { files: self.plan.files.clone(), ..plan };
+        let mut engine = backend.compile(&plan, particles)?;
+        let sums = self.sums();
+        engine.carry_on(&sums);
+        self.carried = sums.counts;
         let named =
             |t: Timing| Timing { effect: format!("{} ({} {})", t.effect, self.backend, self.plan.precision), ..t };
         self.past.extend(self.engine.timings().into_iter().map(named));
@@ -237,6 +298,7 @@ impl Simulation {
         self.engine = engine;
         self.in_batch = false;
         self.watch = None;
+        self.chosen = None;
         Ok(())
     }
 
@@ -246,8 +308,7 @@ impl Simulation {
     /// [`Error::Io`] if it cannot be written, [`Error::Device`] if the particles were lost with their device; an older file of that name is
     /// intact then.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
-        let mut carried = self.carried.clone();
-        self.engine.account(&mut carried);
+        let carried = self.sums();
         let particles = self.engine.download();
         self.engine.check()?;
         // Absolute, so that a run can be resumed from another folder.
@@ -256,13 +317,16 @@ impl Simulation {
         Snapshot {
             scene: self.plan.scene.to_toml()?,
             folder,
+            set: self.plan.scene.overrides().to_vec(),
+            files: self.plan.files.clone(),
             precision: self.plan.precision,
             backend: self.backend.clone(),
             time: self.time,
             step: self.step,
             stop: self.stop.is_finite().then_some(self.stop),
+            chosen: self.chosen,
             cut_steps: self.cut_steps,
-            carried: only_sums(carried),
+            carried,
             particles,
             couplings: self.couplings.iter().map(|c| (c.name().to_owned(), c.save())).collect(),
         }
@@ -312,6 +376,7 @@ impl Simulation {
     /// If the state does not fit the plan.
     pub fn set_particles(&mut self, particles: ParticleState) -> Result<()> {
         self.plan.check_particles(&particles)?;
+        self.chosen = None;
         self.engine.upload(particles)
     }
     /// All bodies of all couplings, in the scene's order.
@@ -338,7 +403,7 @@ impl Simulation {
 
     /// Totals, and counts of everything clamped, floored, cut or lost since the scene's start.
     pub fn ledger(&self) -> Ledger {
-        let mut ledger = self.carried.clone();
+        let mut ledger = Ledger { counts: self.carried.clone(), ..Ledger::default() };
         self.engine.account(&mut ledger);
         ledger.count("steps cut below time.step", self.cut_steps);
         for coupling in &self.couplings {
@@ -357,6 +422,13 @@ impl Simulation {
         ledger
     }
 
+    /// The entries of the ledger that add up over time.
+    fn sums(&self) -> Ledger {
+        let mut ledger = Ledger { counts: self.carried.clone(), ..Ledger::default() };
+        self.engine.account(&mut ledger);
+        only_sums(ledger)
+    }
+
     /// Sets the velocity [m/s] and angular velocity [rad/s] of a driven body from now on.
     ///
     /// # Errors
@@ -364,6 +436,7 @@ impl Simulation {
     pub fn drive(&mut self, body: &str, velocity: Vec3, angular_velocity: Vec3) -> Result<()> {
         for coupling in &mut self.couplings {
             if coupling.bodies().iter().any(|b| b.name == body) {
+                self.chosen = None;
                 return coupling.drive(body, velocity, angular_velocity);
             }
         }
@@ -382,18 +455,21 @@ impl Simulation {
     /// Makes steps land on `time` [s]: the time left is divided evenly, and the last step ends there exactly. A stop that
     /// is not ahead means none.
     pub fn set_stop(&mut self, time: f64) {
-        self.stop = if time > self.time { time } else { f64::INFINITY };
+        let stop = if time > self.time { time } else { f64::INFINITY };
+        if stop != self.stop {
+            (self.stop, self.chosen) = (stop, None);
+        }
     }
 
     /// Greatest stable step of the present state, tools included.
     pub fn bound(&self) -> Bound {
-        let scene = &self.plan.scene;
-        tighten(self.engine.bound(), &self.couplings, self.time, scene.world.cell, scene.output.interval)
+        tighten(self.engine.bound(), &self.couplings, self.time, self.plan.scene.world.cell, 1)
     }
 
     /// One step of the engine.
     ///
-    /// 1. The step is the scene's, or what the bound allows; a step above the bound is refused, cut, or watched.
+    /// 1. The step is the scene's, or what the bound allows; a step above the bound is refused, cut, or watched. One choice holds for as many
+    ///    steps as the engine likes ([`Engine::stride`]), whoever looks in between.
     /// 2. It is shortened so that equal steps land on the stop.
     /// 3. The engine takes it, calling the couplings; on an error everything is as before the step.
     ///
@@ -405,7 +481,7 @@ impl Simulation {
     }
 
     /// As [`step`](Self::step), up to `most` times if the engine is faster when it is asked for many steps at once; none of them
-    /// begins at `until` [s] or later. The length of all is chosen before the first.
+    /// begins at `until` [s] or later. Where calls begin and end changes no bit of what is simulated.
     ///
     /// # Errors
     /// As [`step`](Self::step): everything is as before the first of these steps.
@@ -418,23 +494,25 @@ impl Simulation {
 
     /// The steps that are to be taken next.
     pub(crate) fn wish(&mut self, most: usize, until: f64) -> Result<Wish> {
-        let bound = self.bound();
-        let (mut dt, above) = self.choose(&bound)?;
+        let holds = |chosen: &Chosen| self.step < chosen.until && !self.engine.is_outgrown(chosen.dt);
+        let chosen = match self.chosen.filter(holds) {
+            Some(chosen) => chosen,
+            None => self.choose()?,
+        };
         let left = self.stop - self.time;
-        // Energy is watched step by step.
-        let mut count = if above { 1 } else { most.max(1) };
-        let mut to_stop = usize::MAX;
-        if left.is_finite() {
-            let parts = (left / dt - ROUNDING).ceil().max(1.0);
-            // Steps that divide the time left but for rounding keep their bits.
-            if (left - parts * dt).abs() > ROUNDING * dt {
-                dt = left / parts;
-            }
-            to_stop = parts as usize;
-            count = count.min(to_stop);
+        // In a batch, steps may have been shorter than what was chosen.
+        let chosen = Chosen { dt: landing(left, chosen.dt), ..chosen };
+        self.chosen = Some(chosen);
+        let Chosen { dt, above, .. } = chosen;
+        let mut count = usize::try_from(chosen.until - self.step).unwrap_or(usize::MAX).min(most.max(1));
+        if above {
+            // Energy is watched step by step.
+            count = 1;
         }
+        let to_stop = if left.is_finite() { parts(left, dt) as usize } else { usize::MAX };
+        count = count.min(to_stop);
         if count > 1 && until.is_finite() {
-            count = count.min(((until - self.time) / dt - ROUNDING).ceil().max(1.0) as usize);
+            count = count.min(parts(until - self.time, dt) as usize);
         }
         Ok(Wish { dt, count, to_stop, above })
     }
@@ -477,14 +555,21 @@ impl Simulation {
         };
         for (i, report) in reports.iter().enumerate() {
             self.step += 1;
+            self.cut_steps += u64::from(self.chosen.is_some_and(|chosen| chosen.cut));
             self.wrenches.clone_from(&report.wrenches);
             if i + 1 == wish.to_stop && report.dt == wish.dt {
                 self.time = self.stop;
                 self.stop = f64::INFINITY;
+                self.chosen = None;
             } else {
                 self.time += report.dt;
             }
             self.judge_watch(report.dt)?;
+        }
+        // What was too fast for the length that was chosen is likely to be so in the steps that it was chosen for.
+        let shorter = reports.last().map_or(wish.dt, |report| report.dt);
+        if let Some(chosen) = self.chosen.filter(|_| shorter < wish.dt) {
+            self.chosen = Some(Chosen { dt: shorter, ..chosen });
         }
         Ok(reports)
     }
@@ -518,21 +603,35 @@ impl Simulation {
         Ok(true)
     }
 
-    /// The step under the scene's rule, and whether it is above the bound.
-    fn choose(&mut self, bound: &Bound) -> Result<(f64, bool)> {
+    /// The length of the next steps under the scene's rule.
+    fn choose(&mut self) -> Result<Chosen> {
         let scene = &self.plan.scene;
-        let dt = wanted_step(scene, bound);
-        if dt <= bound.dt {
-            return Ok((dt, false));
-        }
-        match scene.time.over_bound {
-            OverBound::Refuse => Err(Error::TimeStep { step: self.step, dt, bound: bound.dt, by: bound.by.clone() }),
-            OverBound::Substep => {
-                self.cut_steps += 1;
-                Ok((cut(dt, scene.time.safety * bound.dt), false))
+        let ground = self.engine.bound();
+        let bound_until =
+            |until: u64| tighten(ground.clone(), &self.couplings, self.time, scene.world.cell, until - self.step);
+        // Where tools are about to be faster, fewer steps are chosen for: none is much shorter than it need be.
+        let (next, mut stride) = (bound_until(self.step + 1).dt, self.engine.stride().max(1));
+        let (until, bound) = loop {
+            let until = (self.step / stride + 1) * stride;
+            let bound = bound_until(until);
+            if stride <= LEAST_STRIDE || bound.dt >= MOST_LOSS * next {
+                break (until, bound);
             }
-            OverBound::Allow => Ok((dt, true)),
+            stride /= 2;
+        };
+        let refuse = |dt: f64| Error::TimeStep { step: self.step, dt, bound: bound.dt, by: bound.by.clone() };
+        let wanted = wanted_step(scene, &ground, &bound);
+        let (dt, above, is_cut) = match scene.time.over_bound {
+            _ if wanted <= bound.dt => (wanted, false, false),
+            OverBound::Refuse => return Err(refuse(wanted)),
+            OverBound::Substep => (cut(wanted, scene.time.safety * bound.dt), false, true),
+            OverBound::Allow => (wanted, true, false),
+        };
+        // Time must not stand still, nor go astray.
+        if !(self.time < self.time + dt && dt.is_finite()) {
+            return Err(refuse(dt));
         }
+        Ok(Chosen { dt, until, above, cut: is_cut })
     }
 
     fn begin_watch(&mut self) {
@@ -541,18 +640,18 @@ impl Simulation {
             self.watch = Some(Watch {
                 step: self.step,
                 inner: inner(&ledger),
-                potential: potential(&ledger),
+                potential: ledger.potential,
                 work: 0.0,
                 exchanged: exchanged(&ledger),
             });
         }
     }
 
-    /// Ends the run if, within [`WATCH_STEPS`] steps above the bound, energy grew more than [`WATCH_GROWTH`]-fold and
-    /// neither falling nor driven tools explain it.
+    /// Ends the run if, within [`WATCH_STEPS`] steps above the bound, energy of the ground grew more than [`WATCH_GROWTH`]-fold and neither
+    /// falling nor the bodies that push it explain it. What bodies do to each other is no concern of the bound.
     fn judge_watch(&mut self, dt: f64) -> Result<()> {
         let Some(mut watch) = self.watch else { return Ok(()) };
-        for (body, wrench) in self.bodies().iter().zip(self.wrenches()).filter(|(body, _)| body.mass.is_infinite()) {
+        for (body, wrench) in self.bodies().iter().zip(self.wrenches()) {
             for d in 0..3 {
                 let power = wrench.force[d] * body.velocity[d] + wrench.torque[d] * body.angular_velocity[d];
                 watch.work -= power * dt;
@@ -564,7 +663,7 @@ impl Simulation {
             return Ok(());
         }
         let ledger = self.ledger();
-        let fallen = watch.potential - potential(&ledger);
+        let fallen = watch.potential - ledger.potential;
         let unexplained = inner(&ledger) - watch.inner - fallen - watch.work;
         // Below a thousandth of the speed of one cell a step, growth is rounding's; of what falls and is pushed, a tenth
         // is allowed for the scheme's own error.
@@ -592,13 +691,21 @@ impl Simulation {
     }
 }
 
-/// Kinetic and elastic energy; laws that give no elastic energy are left out.
-fn inner(ledger: &Ledger) -> f64 {
-    ledger.kinetic + ledger.body_kinetic + if ledger.elastic.is_nan() { 0.0 } else { ledger.elastic }
+/// Steps of `dt` in the time left to a stop.
+fn parts(left: f64, dt: f64) -> f64 {
+    (left / dt - ROUNDING).ceil().max(1.0)
 }
 
-fn potential(ledger: &Ledger) -> f64 {
-    ledger.potential + ledger.body_potential
+/// The length of equal steps of at most `dt` that land on a stop, if there is one; steps that divide the time left but for rounding keep
+/// their bits.
+fn landing(left: f64, dt: f64) -> f64 {
+    let parts = parts(left, dt);
+    if left.is_finite() && (left - parts * dt).abs() > ROUNDING * dt { left / parts } else { dt }
+}
+
+/// Kinetic and elastic energy of the ground; laws that give no elastic energy are left out.
+fn inner(ledger: &Ledger) -> f64 {
+    ledger.kinetic + if ledger.elastic.is_nan() { 0.0 } else { ledger.elastic }
 }
 
 /// The entries that add up over time, without those that describe the present; such counts end in "now".

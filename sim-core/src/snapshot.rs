@@ -8,15 +8,17 @@
 //! point likewise, else as f64; a plane of equal numbers as one of them.
 
 use crate::archive::Tile;
+use crate::file::{Stamp, write_whole};
+use crate::simulation::Chosen;
 use crate::{Error, Ledger, LevelPhase, Measured, ParticleList, ParticleState, Precision, Result, SortPhase};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 pub(crate) const MAGIC: &[u8; 8] = b"BARCHAN\x1a";
 /// Version of the format that this program writes, and the only one it reads.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 
 const HEAD: &[u8; 4] = b"HEAD";
 const LIST: &[u8; 4] = b"LIST";
@@ -25,12 +27,51 @@ const TILE: &[u8; 4] = b"TILE";
 const COUPLING: &[u8; 4] = b"COUP";
 const END: &[u8; 4] = b"END ";
 
-/// Step that a snapshot was written at, counted from the scene's start.
+/// What a snapshot says of the run that it continues.
+#[derive(Clone, Debug, PartialEq)]
+pub struct About {
+    /// The scene as it runs, as TOML.
+    pub scene: String,
+    /// Folder that the scene's relative paths start from.
+    pub folder: PathBuf,
+    /// What the scene was [changed](crate::Scene::set) by when the run began.
+    pub set: Vec<String>,
+    /// Number format.
+    pub precision: Precision,
+    /// Name of the backend that wrote it.
+    pub backend: String,
+    /// Simulated time [s].
+    pub time: f64,
+    /// Step, counted from the scene's start.
+    pub step: u64,
+}
+
+/// Reads what a snapshot says of its run, without its particles.
 ///
 /// # Errors
 /// [`Error::Snapshot`] if the file cannot be used.
-pub fn step(path: impl AsRef<Path>) -> Result<u64> {
-    Snapshot::read(path.as_ref()).map(|snapshot| snapshot.step)
+pub fn about(path: impl AsRef<Path>) -> Result<About> {
+    let path = path.as_ref();
+    let read = || -> std::io::Result<Vec<u8>> {
+        let mut file = File::open(path)?;
+        let mut start = Vec::new();
+        (&mut file as &mut dyn Read).take(START as u64).read_to_end(&mut start)?;
+        // The header comes first. No more is read than there is.
+        let length = start.last_chunk::<12>().map_or(0, |end| u64::from_le_bytes(std::array::from_fn(|i| end[i])));
+        file.take(length).read_to_end(&mut start)?;
+        Ok(start)
+    };
+    let bytes = read().map_err(|source| Error::Io { file: path.to_owned(), what: "reading a snapshot", source })?;
+    let decode = || {
+        let mut file = start(&bytes)?;
+        match file.section()? {
+            (tag, payload) if &tag == HEAD => read_head(payload),
+            _ => Err(damaged("does not begin with a header".to_owned())),
+        }
+    };
+    let head = decode().map_err(|flaw| flaw.of(path))?;
+    let Head { scene, folder, set, precision, backend, time, step, .. } = head;
+    Ok(About { scene, folder, set, precision, backend, time, step })
 }
 
 /// What a snapshot holds.
@@ -40,12 +81,18 @@ pub(crate) struct Snapshot {
     pub(crate) scene: String,
     /// Folder that the scene's relative paths start from.
     pub(crate) folder: PathBuf,
+    /// What the scene was changed by when the run began.
+    pub(crate) set: Vec<String>,
+    /// The files that it reads, as they were then.
+    pub(crate) files: Vec<Stamp>,
     pub(crate) precision: Precision,
-    /// Name of the backend whose phase of the sort it holds; empty in older files, which nothing but the first backend wrote.
+    /// Name of the backend whose phase of the sort it holds.
     pub(crate) backend: String,
     pub(crate) time: f64,
     pub(crate) step: u64,
     pub(crate) stop: Option<f64>,
+    /// The length of the next steps.
+    pub(crate) chosen: Option<Chosen>,
     pub(crate) cut_steps: u64,
     /// Ledger entries that add up over time.
     pub(crate) carried: Ledger,
@@ -59,16 +106,17 @@ pub(crate) struct Snapshot {
 struct Head {
     scene: String,
     folder: PathBuf,
+    set: Vec<String>,
+    files: Vec<Stamp>,
     precision: Precision,
-    #[serde(default)]
     backend: String,
     time: f64,
     step: u64,
     stop: Option<f64>,
+    chosen: Option<Chosen>,
     cut_steps: u64,
     carried: Ledger,
     strain_dt: f64,
-    #[serde(default)]
     levels: Option<LevelPhase>,
 }
 
@@ -78,11 +126,14 @@ impl Snapshot {
         let head = Head {
             scene: self.scene.clone(),
             folder: self.folder.clone(),
+            set: self.set.clone(),
+            files: self.files.clone(),
             precision: self.precision,
             backend: self.backend.clone(),
             time: self.time,
             step: self.step,
             stop: self.stop,
+            chosen: self.chosen,
             cut_steps: self.cut_steps,
             carried: self.carried.clone(),
             strain_dt: self.particles.strain_dt,
@@ -119,25 +170,11 @@ impl Snapshot {
             what: "reading a snapshot",
             source,
         })?;
-        Self::decode(&bytes).map_err(|Flaw { what, mend }| Error::Snapshot {
-            file: path.to_owned(),
-            what,
-            mend: mend.to_owned(),
-        })
+        Self::decode(&bytes).map_err(|flaw| flaw.of(path))
     }
 
     fn decode(bytes: &[u8]) -> Result<Self, Flaw> {
-        let mut file = Reader(bytes);
-        if file.take(MAGIC.len()).ok() != Some(MAGIC) {
-            return Err(Flaw { what: "is no snapshot".to_owned(), mend: "give a file that `save` has written" });
-        }
-        let version = u32::from_le_bytes(file.array()?);
-        if version != VERSION {
-            return Err(Flaw {
-                what: format!("has format version {version}, this program reads {VERSION}"),
-                mend: "resume with the version of the program that wrote it",
-            });
-        }
+        let mut file = start(bytes)?;
         let mut head: Option<Head> = None;
         let mut particles = ParticleState::default();
         let mut couplings = Vec::new();
@@ -145,7 +182,7 @@ impl Snapshot {
             let (tag, payload) = file.section()?;
             let mut inner = Reader(payload);
             match &tag {
-                HEAD => head = Some(serde_json::from_slice(payload).map_err(|e| damaged(format!("header: {e}")))?),
+                HEAD => head = Some(read_head(payload)?),
                 LIST => particles.lists.push(decode_list(&mut inner)?),
                 SORT => particles.sort = Some(decode_sort(&mut inner)?),
                 TILE => {
@@ -172,11 +209,14 @@ impl Snapshot {
         Ok(Self {
             scene: head.scene,
             folder: head.folder,
+            set: head.set,
+            files: head.files,
             precision: head.precision,
             backend: head.backend,
             time: head.time,
             step: head.step,
             stop: head.stop,
+            chosen: head.chosen,
             cut_steps: head.cut_steps,
             carried: head.carried,
             particles,
@@ -185,34 +225,40 @@ impl Snapshot {
     }
 }
 
-/// Writes a file under a temporary name beside `path`, forces it to disk, then renames it: at no time does a half
-/// written file bear the name.
-pub(crate) fn write_whole(
-    path: &Path,
-    what: &'static str,
-    write: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
-) -> Result<()> {
-    let mut name = std::ffi::OsString::from(".");
-    name.push(path.file_name().unwrap_or_default());
-    name.push(format!(".{}.part", std::process::id()));
-    let part = path.with_file_name(name);
-    let attempt = || {
-        let mut out = BufWriter::new(File::create(&part)?);
-        write(&mut out)?;
-        out.into_inner().map_err(std::io::IntoInnerError::into_error)?.sync_all()?;
-        std::fs::rename(&part, path)
-    };
-    attempt().map_err(|source| {
-        // The first error counts; a part that cannot be removed either is left.
-        let _ = std::fs::remove_file(&part);
-        Error::Io { file: path.to_owned(), what, source }
-    })
-}
-
 /// What is wrong with a file's bytes.
 pub(crate) struct Flaw {
     what: String,
     mend: &'static str,
+}
+
+impl Flaw {
+    /// The error it becomes for a file.
+    fn of(self, file: &Path) -> Error {
+        Error::Snapshot { file: file.to_owned(), what: self.what, mend: self.mend.to_owned() }
+    }
+}
+
+/// Bytes of what comes before the header's payload.
+const START: usize = MAGIC.len() + 4 + 16;
+
+/// What follows on magic and version.
+fn start(bytes: &[u8]) -> Result<Reader<'_>, Flaw> {
+    let mut file = Reader(bytes);
+    if file.take(MAGIC.len()).ok() != Some(MAGIC) {
+        return Err(Flaw { what: "is no snapshot".to_owned(), mend: "give a file that `save` has written" });
+    }
+    let version = u32::from_le_bytes(file.array()?);
+    if version != VERSION {
+        return Err(Flaw {
+            what: format!("has format version {version}, this program reads {VERSION}"),
+            mend: "resume with the version of the program that wrote it",
+        });
+    }
+    Ok(file)
+}
+
+fn read_head(payload: &[u8]) -> Result<Head, Flaw> {
+    serde_json::from_slice(payload).map_err(|e| damaged(format!("header: {e}")))
 }
 
 fn damaged(what: String) -> Flaw {
@@ -405,6 +451,7 @@ fn encode_sort(sort: &SortPhase) -> Vec<u8> {
     sort.drift.iter().for_each(|drift| out.extend_from_slice(&drift.to_le_bytes()));
     out.extend_from_slice(&sort.measured.stiffness_bound.to_le_bytes());
     out.extend_from_slice(&sort.measured.stiffness_age.to_le_bytes());
+    [sort.measured.mass, sort.measured.least_mass].iter().for_each(|mass| out.extend_from_slice(&mass.to_le_bytes()));
     out.extend_from_slice(&(sort.blocks.len() as u64).to_le_bytes());
     for (key, counts) in &sort.blocks {
         key.iter().for_each(|k| out.extend_from_slice(&k.to_le_bytes()));
@@ -424,7 +471,12 @@ fn decode_sort(from: &mut Reader<'_>) -> Result<SortPhase, Flaw> {
     let age = from.u32()?;
     let levels = from.length(8)?;
     let drift = (0..levels).map(|_| from.f64()).collect::<Result<_, _>>()?;
-    let measured = Measured { stiffness_bound: from.f64()?, stiffness_age: from.u32()? };
+    let measured = Measured {
+        stiffness_bound: from.f64()?,
+        stiffness_age: from.u32()?,
+        mass: from.f64()?,
+        least_mass: from.f64()?,
+    };
     // A block takes 20 bytes of key and 8 of count at least.
     let count = from.length(20 + 8)?;
     let blocks = (0..count)

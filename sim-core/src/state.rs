@@ -157,11 +157,15 @@ pub struct SortPhase {
     pub kept_for: Vec<Option<(f64, Vec3)>>,
 }
 
-/// Measurements that are not taken anew at every step: without them a resumed run would choose other time steps.
+/// Measurements that are not taken anew at every step: without them a resumed run would choose other time steps, or sum up in another order.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measured {
     /// Greatest step that the materials' stiffness allowed when it was measured last [s].
     pub stiffness_bound: f64,
     /// Steps since then.
     pub stiffness_age: u32,
+    /// Mass of all particles, summed up when they came in and kept since [kg].
+    pub mass: f64,
+    /// Mass up to which a node carries nothing that a particle could feel [kg].
+    pub least_mass: f64,
 }

@@ -265,7 +265,7 @@ fn a_sort_phase_survives() {
     let (mut running, path) = saved(folder.path(), 1);
     let mut particles = running.particles();
     particles.sort = Some(barchan_core::SortPhase {
-        measured: barchan_core::Measured { stiffness_bound: 1e-3, stiffness_age: 7 },
+        measured: barchan_core::Measured { stiffness_bound: 1e-3, stiffness_age: 7, mass: 3.0, least_mass: 1e-21 },
         age: 7,
         drift: vec![0.123_456_789],
         blocks: vec![([0, 0, -3, 4, i32::MAX], vec![1, 2]), ([0; 5], vec![])],
@@ -295,7 +295,7 @@ fn damaged_snapshots_are_refused_and_say_how() {
     };
     assert!(read(b"").contains("is no snapshot; give a file that `save` has written"));
     assert!(read(b"not a snapshot at all").contains("is no snapshot"));
-    assert!(read(&with(8, &9_u32.to_le_bytes())).contains("has format version 9, this program reads 3"));
+    assert!(read(&with(8, &9_u32.to_le_bytes())).contains("has format version 9, this program reads 4"));
     // A length that no file could bear out is not believed.
     assert!(read(&with(16, &u64::MAX.to_le_bytes())).contains("section HEAD should have 18446744073709551615 bytes"));
     assert!(read(&with(40, b"\0")).contains("section HEAD has a wrong checksum"));

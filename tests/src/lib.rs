@@ -1,9 +1,13 @@
 //! What the suites share: a plain reference implementation, short ways to say a scene, and the cases that also run long.
 
 pub mod large_cases;
+pub mod leaving;
 pub mod long_cases;
+pub mod random;
 pub mod reference;
 pub mod report;
 pub mod scenes;
 pub mod sketch;
 pub mod sleeping;
+pub mod snapshots;
+pub mod stops;

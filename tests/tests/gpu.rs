@@ -14,6 +14,8 @@ use std::sync::Arc;
 
 #[path = "gpu/free.rs"]
 mod free;
+#[path = "gpu/robust.rs"]
+mod robust;
 #[path = "gpu/sleeping.rs"]
 mod sleeping;
 #[path = "gpu/stiffness.rs"]

@@ -84,9 +84,8 @@ impl<T: Scalar> CpuEngine<T> {
             }
             let (mass, momentum) = reach.put_away(tile, lists, couplings, &self.adapt.regions)?;
             self.mass -= mass;
-            let coarsest = self.levels.len() - 1;
             for d in 0..3 {
-                self.levels[coarsest].wall_impulse[d] -= momentum[d];
+                self.wall_impulse[d] -= momentum[d];
             }
         }
         Ok(())

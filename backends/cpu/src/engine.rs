@@ -7,7 +7,7 @@ use crate::store::{Departures, List};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
 use barchan_core::material::ErrorBuffer;
-use barchan_core::plan::PlannedMaterial;
+use barchan_core::plan::{PlannedMaterial, loaded};
 use barchan_core::scene::Leaving;
 use barchan_core::stiffness::{Need, Stiffness};
 use barchan_core::{
@@ -122,9 +122,11 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Does any material harden, so that the bound follows the state?
     hardens: bool,
     steps: u64,
-    /// Mass of all particles that ever came in and are not out of reach [kg].
+    /// Mass of all live particles [kg].
     pub(crate) mass: f64,
     departures: Departures,
+    /// Impulse that walls have given since the start [N s].
+    pub(crate) wall_impulse: [f64; 3],
     pub(crate) lulled: Lulled,
     /// What is live, and the archive of what was, if not the whole world is.
     pub(crate) reach: Option<Reach>,
@@ -162,6 +164,7 @@ impl<T: Scalar> CpuEngine<T> {
             steps: 0,
             mass: 0.0,
             departures: Departures::default(),
+            wall_impulse: [0.0; 3],
             lulled: Lulled::default(),
             reach: plan.terrain.clone().map(Reach::new),
             shortened: 0,
@@ -177,11 +180,14 @@ impl<T: Scalar> CpuEngine<T> {
     /// Sorts the levels whose particles are too far from home, or have been so for long; before that, brings particles to the
     /// levels they belong on; `before` are the regions as they were if they have moved. Returns whether anything was sorted.
     fn keep_in_order(&mut self, time: f64, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
-        // A subcycled step moves particles several times before they can be sorted.
-        let allowed = if self.substeps > 1 { MAX_DRIFT - MAX_MOVE } else { MAX_DRIFT };
+        // A subcycled step moves particles several times before they can be sorted; and who leaves the world is to be found within a cell.
+        let allowed = |level: &Level<T>| {
+            let soon = self.substeps > 1 || (self.leaving == Leaving::Error && level.near_open);
+            if soon { MAX_DRIFT - MAX_MOVE } else { MAX_DRIFT }
+        };
         let late = |level: &Level<T>| match self.age {
             None => true,
-            Some(age) => level.drift > allowed || (age >= SORT_AGE && level.drift > SORT_DRIFT),
+            Some(age) => level.drift > allowed(level) || (age >= SORT_AGE && level.drift > SORT_DRIFT),
         };
         let mut due: Vec<bool> = self.levels.iter().map(late).collect();
         if before.is_none() && !due.contains(&true) {
@@ -197,8 +203,15 @@ impl<T: Scalar> CpuEngine<T> {
         }
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
         let clock = Instant::now();
+        let mut left = None;
         for l in (0..self.levels.len()).filter(|&l| due[l]) {
-            self.sort_level(l, holes[l])?;
+            let found = self.sort_level(l, holes[l])?;
+            left = [left, found].into_iter().flatten().min_by_key(|(id, _)| *id);
+        }
+        if let Some((id, position)) = left {
+            // All lie in order, to be saved, and whoever goes on finds the same.
+            self.age = None;
+            return Err(Error::LeftWorld { step: self.steps, particle: u64::from(id), position });
         }
         self.rebuild_grids(before.is_some());
         self.age = Some(0);
@@ -206,26 +219,21 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(true)
     }
 
-    /// Sorts one level. `holes`: have particles been taken out, or come in?
-    fn sort_level(&mut self, l: usize, holes: bool) -> Result<()> {
+    /// Sorts one level. `holes`: have particles been taken out, or come in? Returns the particle of least number that has left the world where
+    /// that is an error, and its place [m].
+    fn sort_level(&mut self, l: usize, holes: bool) -> Result<Option<(u32, [f64; 3])>> {
         let (level, leaving) = (&mut self.levels[l], self.leaving);
         let departures = level.store.sort(&level.bounds, leaving, holes)?;
-        if let Some((list, chunk, lane)) = departures.refused {
-            let list = &level.store.lists[list];
-            return Err(Error::LeftWorld {
-                step: self.steps,
-                particle: u64::from(list.id[chunk][lane]),
-                position: list.position_of(chunk, lane, level.h()),
-            });
-        }
         self.departures.clamped += departures.clamped;
         self.departures.deleted += departures.deleted;
         self.departures.deleted_mass += departures.deleted_mass;
+        self.mass -= departures.deleted_mass;
         for d in 0..3 {
-            level.wall_impulse[d] += departures.impulse[d];
+            self.wall_impulse[d] += departures.impulse[d];
         }
         level.drift = 0.0;
-        Ok(())
+        level.find_open();
+        Ok(departures.refused)
     }
 
     /// Lets every grid take up its store's blocks, and ties the rims of levels to the next coarser ones.
@@ -365,6 +373,16 @@ impl<T: Scalar> CpuEngine<T> {
             }
             // The particle is finite, so its momentum has overflowed.
             Fault::NonFinite { chunk, lane } => self.non_finite("momentum", place, chunk, lane, f64::INFINITY, 1),
+            Fault::Unsound { chunk, lane } => {
+                let planned = &self.materials[l.material];
+                Error::MaterialFailed {
+                    material: planned.material.name.clone(),
+                    origin: planned.material.origin.clone(),
+                    callback: "update",
+                    message: "what it gives for a finite strain is NaN or infinite".into(),
+                    particle: l.id.get(chunk).map(|ids| u64::from(ids[lane])),
+                }
+            }
             Fault::Strayed { chunk } => self.non_finite("cell", place, chunk, 0, f64::NAN, 1),
         }
     }
@@ -384,7 +402,7 @@ impl<T: Scalar> CpuEngine<T> {
             time: 0.0,
             field,
             particle: u64::from(list.id[chunk][lane]),
-            list: self.materials[list.material].name.clone(),
+            list: self.materials[list.material].label(),
             value,
             count,
         }
@@ -435,7 +453,6 @@ impl<T: Scalar> CpuEngine<T> {
 
     /// P2G and the grid update, repeated with a shorter step while nodes would carry particles too far. Returns the step.
     fn ground_to_nodes(&mut self, time: f64, mut dt: f64) -> Result<f64> {
-        let walls_before: Vec<_> = self.levels.iter().map(|level| level.wall_impulse).collect();
         loop {
             self.particles_to_grid(0..self.levels.len(), dt).map_err(|error| at_time(error, time))?;
             self.update_grids();
@@ -446,7 +463,7 @@ impl<T: Scalar> CpuEngine<T> {
                     time,
                     field: "node velocity",
                     particle: 0,
-                    list: String::new(),
+                    list: loaded(&self.materials),
                     value: moves,
                     count: 0,
                 });
@@ -455,13 +472,16 @@ impl<T: Scalar> CpuEngine<T> {
             if moves <= NODE_MOVE {
                 return Ok(dt);
             }
-            // Too fast for this step: take a shorter one. The impulse of gravity and stress shrinks with it.
-            dt *= (0.9 * NODE_MOVE / moves).max(0.1);
-            for (level, before) in self.levels.iter_mut().zip(&walls_before) {
-                level.wall_impulse = *before;
-            }
-            self.shortened += 1;
+            // The impulse of gravity and stress shrinks with the step.
+            dt = self.shorten(dt, moves);
         }
+    }
+
+    /// The step that is short enough where one of `dt` would carry particles by so many cells. It begins anew.
+    fn shorten(&mut self, dt: f64, moves: f64) -> f64 {
+        self.levels.iter_mut().for_each(|level| level.wall_impulse = [0.0; 3]);
+        self.shortened += 1;
+        dt * (0.9 * NODE_MOVE / moves).max(0.1)
     }
 
     /// One step of all levels together. Returns the step taken [s].
@@ -474,19 +494,34 @@ impl<T: Scalar> CpuEngine<T> {
     ) -> Result<f64> {
         if ground {
             (0..self.levels.len()).for_each(|l| self.keep_watch(l, couplings));
-            dt = self.ground_to_nodes(time, dt)?;
+            loop {
+                dt = self.ground_to_nodes(time, dt)?;
+                let before = self.before_contact(time, dt, couplings);
+                self.contact(time, dt, couplings)?;
+                let moves = self.greatest_move(dt);
+                if moves <= NODE_MOVE * (1.0 + 1e-9) {
+                    break;
+                }
+                if !moves.is_finite() || before.is_empty() {
+                    return Err(Error::TimeStep {
+                        step: self.steps,
+                        dt,
+                        bound: NODE_MOVE * dt / moves,
+                        by: "the speed that a coupling gave to a node".into(),
+                    });
+                }
+                for (coupling, before) in couplings.iter_mut().zip(&before) {
+                    coupling.restore(before).map_err(|what| Error::Body {
+                        path: format!("coupling '{}'", coupling.name()),
+                        what: format!("cannot go back to before a step that turned out too long: {what}"),
+                        mend: "lower time.safety".into(),
+                    })?;
+                }
+                dt = self.shorten(dt, moves);
+            }
         } else {
             self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
-        }
-        self.contact(time, dt, couplings)?;
-        let moves = self.greatest_move(dt);
-        if moves.is_nan() || moves > NODE_MOVE * (1.0 + 1e-9) {
-            return Err(Error::TimeStep {
-                step: self.steps,
-                dt,
-                bound: NODE_MOVE * dt / moves,
-                by: "the speed that a coupling gave to a node".into(),
-            });
+            self.contact(time, dt, couplings)?;
         }
         if ground {
             self.prolong();
@@ -519,6 +554,16 @@ impl<T: Scalar> CpuEngine<T> {
     /// How far nodes would carry particles in a step, in cells of their level.
     fn greatest_move(&self, dt: f64) -> f64 {
         self.levels.iter().fold(0.0, |most, level| greater(level.max_speed * dt / level.h(), most))
+    }
+
+    /// The couplings before a step's contact, if that might make nodes too fast; else nothing. A law leaves no more of a node's velocity relative
+    /// to a surface than it had, so that it gives a node twice the surface's speed at most.
+    fn before_contact(&self, time: f64, dt: f64, couplings: &[Box<dyn Coupling>]) -> Vec<Vec<u8>> {
+        let finest = self.levels[0].h();
+        let bodies =
+            couplings.iter().fold(0.0, |most: f64, coupling| most.max(coupling.max_speed(time, dt))) * dt / finest;
+        let might = 3f64.sqrt() * self.greatest_move(dt) + 2.0 * bodies > NODE_MOVE;
+        if might { couplings.iter().map(|coupling| coupling.save()).collect() } else { Vec::new() }
     }
 
     /// Hands the nodes near each coupling's bodies to it, and takes back their velocities. Where none is near, nothing is run.
@@ -612,7 +657,12 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         let sort = self.age.map(|age| SortPhase {
             age,
             drift: self.levels.iter().map(|level| level.drift).collect(),
-            measured: Measured { stiffness_bound: self.stiffness.dt, stiffness_age: self.stiffness_age },
+            measured: Measured {
+                stiffness_bound: self.stiffness.dt,
+                stiffness_age: self.stiffness_age,
+                mass: self.mass,
+                least_mass: self.least_mass,
+            },
             blocks: self
                 .levels
                 .iter()
@@ -658,7 +708,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     fn account(&self, ledger: &mut Ledger) {
         self.account_particles(ledger);
         for d in 0..3 {
-            ledger.wall_impulse[d] += self.levels.iter().map(|level| level.wall_impulse[d]).sum::<f64>();
+            ledger.wall_impulse[d] += self.wall_impulse[d];
             ledger.gravity_impulse[d] += self.gravity_impulse[d];
         }
         self.adapt.account(ledger);
@@ -680,6 +730,16 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             |(l, level): (usize, &Level<T>)| isolated::count(&level.store.lists, &level.bounds, &self.adapt.regions, l);
         let isolated = self.levels.iter().enumerate().map(of_level).sum();
         ledger.count("particles with an isolated stencil now", isolated);
+    }
+
+    fn carry_on(&mut self, sums: &Ledger) {
+        (self.wall_impulse, self.gravity_impulse) = (sums.wall_impulse, sums.gravity_impulse);
+        self.departures.deleted_mass = sums.deleted_mass;
+        (self.lulled.kinetic, self.lulled.momentum) = (sums.slept_kinetic, sums.slept_momentum);
+        self.adapt.carry_on(sums);
+        if let Some(reach) = &mut self.reach {
+            reach.carry_on(sums);
+        }
     }
 
     fn timings(&self) -> Vec<Timing> {
@@ -718,6 +778,8 @@ impl<T: Scalar> CpuEngine<T> {
             // Found here, it has touched nothing yet.
             self.find_non_finite().map_or(Ok(()), |error| Err(at_time(error, time)))?;
         }
+        // A step that failed has given nothing.
+        self.levels.iter_mut().for_each(|level| level.wall_impulse = [0.0; 3]);
         let before = if ground { self.follow_agents(couplings) } else { None };
         let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
         self.gravity = self.scene.gravity_at(time);
@@ -727,12 +789,16 @@ impl<T: Scalar> CpuEngine<T> {
         } else {
             (self.advance_together(time, dt, ground, couplings)?, None)
         };
+        for level in &mut self.levels {
+            let impulse = std::mem::take(&mut level.wall_impulse);
+            (0..3).for_each(|d| self.wall_impulse[d] += impulse[d]);
+        }
         self.stiffness_age += 1;
         if self.hardens && self.stiffness_age >= STIFFNESS_AGE {
             self.measure_stiffness()?;
         }
         let asleep: f64 = self.levels.iter().map(|level| level.watch.mass).sum();
-        let mass = self.total_mass() - asleep;
+        let mass = self.mass - asleep;
         for d in 0..3 {
             self.gravity_impulse[d] += mass * self.gravity[d] * dt;
         }
@@ -790,8 +856,10 @@ impl<T: Scalar> CpuEngine<T> {
                     level.watch.tiles_for = kept_for;
                 }
                 self.rebuild_grids(true);
+                self.levels.iter_mut().for_each(Level::find_open);
                 self.stiffness.dt = sort.measured.stiffness_bound;
                 self.stiffness_age = sort.measured.stiffness_age;
+                (self.mass, self.least_mass) = (sort.measured.mass, sort.measured.least_mass);
             }
             None => {
                 self.age = None;
@@ -811,17 +879,11 @@ impl<T: Scalar> CpuEngine<T> {
         }
     }
 
-    /// Total mass, kept from the last upload and corrected for what was deleted.
-    fn total_mass(&self) -> f64 {
-        self.mass - self.departures.deleted_mass
-    }
-
     /// What depends on the particles as they come in: total and least mass, greatest deformation rate and speed.
     fn take_stock(&mut self) {
         let isa = self.isa;
         let least = self.levels.iter_mut().fold(f64::INFINITY, |least, level| level.take_stock(isa).min(least));
-        let mass: f64 = self.lists().flat_map(|(_, list)| list.places().map(|(c, l)| list.mass_of(c, l))).sum();
-        self.mass = mass + self.departures.deleted_mass;
+        self.mass = self.lists().flat_map(|(_, list)| list.places().map(|(c, l)| list.mass_of(c, l))).sum();
         self.least_mass = if least.is_finite() { least * 1e-20 } else { 0.0 };
     }
 

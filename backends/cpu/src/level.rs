@@ -42,6 +42,8 @@ pub(crate) struct Level<T: Scalar> {
     pub(crate) bounds: Bounds,
     /// Upper bound of any particle's move since the last sort, in cells.
     pub(crate) drift: f64,
+    /// Are particles so near to an open side that they may be beyond it before the next sort?
+    pub(crate) near_open: bool,
     /// Step over which C has carried the particles but not yet their strain [s].
     pub(crate) strain_dt: f64,
     /// Greatest Frobenius norm of C [1/s].
@@ -50,7 +52,7 @@ pub(crate) struct Level<T: Scalar> {
     pub(crate) max_speed: f64,
     /// Greatest speed of any particle along an axis [m/s]. Bounds the next step: unlike the nodes', it is part of a snapshot.
     pub(crate) particle_speed: f64,
-    /// Impulse that walls have given [N s].
+    /// Impulse that walls have given in the step under way [N s].
     pub(crate) wall_impulse: [f64; 3],
     /// Who sleeps.
     pub(crate) watch: Watch,
@@ -64,6 +66,7 @@ impl<T: Scalar> Level<T> {
             grid: Grid::default(),
             bounds: Bounds::new(plan, index),
             drift: 0.0,
+            near_open: false,
             strain_dt: 0.0,
             deformation_rate: 0.0,
             max_speed: 0.0,
@@ -77,6 +80,12 @@ impl<T: Scalar> Level<T> {
     /// Cell width [m].
     pub(crate) fn h(&self) -> f64 {
         self.store.cell_width
+    }
+
+    /// Looks whether any block lies at an open side.
+    pub(crate) fn find_open(&mut self) {
+        let bounds = &self.bounds;
+        self.near_open = self.store.blocks.iter().any(|&key| bounds.is_at_open_side(block::of_key(key)));
     }
 
     fn book(&mut self, impulses: impl IntoIterator<Item = [f64; 3]>) {

@@ -86,6 +86,12 @@ impl<T: Scalar> List<T> {
 
     /// (chunk, lane) of every particle, block by block.
     pub(crate) fn places(&self) -> impl Iterator<Item = (usize, usize)> {
+        // A step that failed may have left lanes that wait to be sorted out.
+        self.lanes().filter(|&(chunk, lane)| self.id[chunk][lane] != PAD)
+    }
+
+    /// (chunk, lane) of every lane that a run counts.
+    fn lanes(&self) -> impl Iterator<Item = (usize, usize)> {
         self.runs.iter().flat_map(|run| run.places())
     }
 
@@ -261,7 +267,7 @@ impl<T: Scalar> List<T> {
     fn take_in(&mut self, list: &ParticleList, counts: impl Iterator<Item = usize>) {
         let chunks = self.lay_out(counts);
         self.resize(chunks);
-        let places: Vec<_> = self.places().collect();
+        let places: Vec<_> = self.lanes().collect();
         for (i, (chunk, lane)) in places.into_iter().enumerate() {
             self.put(&Parcel::of(list, i), chunk, lane);
         }
@@ -319,8 +325,8 @@ pub(crate) struct Departures {
     pub(crate) deleted: u64,
     /// Their mass [kg].
     pub(crate) deleted_mass: f64,
-    /// One particle outside, if the scene calls that an error: list, chunk, lane.
-    pub(crate) refused: Option<(usize, usize, usize)>,
+    /// The particle of least number outside, if the scene calls that an error, and where it is [m].
+    pub(crate) refused: Option<(u32, [f64; 3])>,
 }
 
 impl Departures {
@@ -331,7 +337,7 @@ impl Departures {
         for (sum, x) in self.impulse.iter_mut().zip(other.impulse) {
             *sum += x;
         }
-        self.refused = self.refused.or(other.refused);
+        self.refused = [self.refused, other.refused].into_iter().flatten().min_by_key(|(id, _)| *id);
     }
 }
 
@@ -529,9 +535,6 @@ impl<T: Scalar> Store<T> {
                 keys.push(self.blocks[b]);
             }
         }
-        if departures.refused.is_some() {
-            return Ok(departures);
-        }
         movers.par_sort_unstable();
         keys.extend(movers.iter().map(|m| m.0));
         keys.sort_unstable();
@@ -578,7 +581,7 @@ impl<T: Scalar> Store<T> {
                         *cell = bounds.min[d] + (*cell - bounds.min[d]).rem_euclid(bounds.max[d] - bounds.min[d]);
                     } else if !inside && list.id[chunk][lane] != PAD {
                         match leaving {
-                            Leaving::Error => gone.refused = gone.refused.or(Some((l, chunk, lane))),
+                            Leaving::Error => {}
                             Leaving::Delete => {
                                 gone.deleted += 1;
                                 gone.deleted_mass += list.mass_of(chunk, lane);
@@ -603,8 +606,15 @@ impl<T: Scalar> Store<T> {
                     }
                     at[d] = *cell;
                 }
-                if list.id[chunk][lane] == PAD {
+                let id = list.id[chunk][lane];
+                if id == PAD {
                     continue;
+                }
+                if leaving == Leaving::Error
+                    && bounds.is_beyond(at, list.offset_of(chunk, lane))
+                    && gone.refused.is_none_or(|(first, _)| id < first)
+                {
+                    gone.refused = Some((id, list.position_of(chunk, lane, self.cell_width)));
                 }
                 match block::key(block::of_cell(at)) {
                     Some(key) if Some(key) == home => stays = true,

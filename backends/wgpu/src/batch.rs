@@ -11,9 +11,10 @@ use crate::memory::{
 };
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
-use crate::world::{Foresight, Level, MAX_MOVE, Place, Rhythm, Span, World, most_drift, parameters};
+use crate::world::{Foresight, Level, MAX_MOVE, Place, Rhythm, Span, World, most_drift, most_need, parameters};
 use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::coupling::{DeviceLaw, Lent};
+use barchan_core::plan::loaded;
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{
     Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase, Spot,
@@ -1243,7 +1244,7 @@ impl WgpuBatch {
                 time,
                 field: "node velocity",
                 particle: 0,
-                list: String::new(),
+                list: loaded(&self.worlds[w].materials),
                 value: speed,
                 count: 0,
             },
@@ -1260,7 +1261,7 @@ impl WgpuBatch {
         time: f64,
     ) -> Error {
         let world = &self.worlds[w];
-        let list = world.materials[law % world.materials.len()].name.clone();
+        let list = world.materials[law % world.materials.len()].label();
         Error::NonFinite { step: world.steps, time, field, particle, list, value, count }
     }
 
@@ -1326,6 +1327,9 @@ impl WgpuBatch {
         let mut spots = Vec::new();
         for (level, homes) in world.levels.iter().zip(self.homes(w..w + 1)?) {
             let (first, count) = (level.particles.start, level.particles.len());
+            if count == 0 {
+                continue;
+            }
             let stretches = |sorted: Sorted| self.memory.stretches(sorted, first, count);
             let last = stretches(Sorted::Rest).pop().expect("volumes are in the last");
             let parts = [(Sorted::Record, stretches(Sorted::Record)[0]), (Sorted::Rest, last)];
@@ -1364,7 +1368,12 @@ impl WgpuBatch {
             // A world's levels are sorted together.
             age: rhythms.first().map_or(0, |rhythm| rhythm.age),
             drift: rhythms.iter().map(|rhythm| f64::from(rhythm.drift)).collect(),
-            measured: Measured { stiffness_bound: world.stiffness().dt, stiffness_age: world.stiffness_age },
+            measured: Measured {
+                stiffness_bound: world.stiffness().dt,
+                stiffness_age: world.stiffness_age,
+                mass: world.mass,
+                least_mass: world.least_mass,
+            },
             rest: self.rests(w)?.concat(),
             blocks,
             kept_for: vec![None; rhythms.len()],
@@ -1591,7 +1600,7 @@ impl WgpuBatch {
     fn advance(
         &mut self,
         mut dt: f64,
-        count: usize,
+        mut count: usize,
         turns: &mut [Turn<'_>],
         lent: &[Vec<Lent>],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
@@ -1655,7 +1664,8 @@ impl WgpuBatch {
                 // A sort on its own, or one that others have to follow.
                 None | Some(Halt::Fewer | Halt::Misplaced | Halt::Follow) => {}
                 Some(Halt::Drifted) if !stretches[0].sort => {}
-                Some(Halt::TooFast) => dt = self.shorten(turns, &mut failed, &outcome, dt),
+                // Who asked for the steps decides how long the others are.
+                Some(Halt::TooFast) => (dt, count) = (self.shorten(turns, &mut failed, &outcome, dt), 1),
                 _ => {
                     // It cannot be told whose fault it was only if no particle is named.
                     let culprit = self.world_of(&outcome.status).unwrap_or(active[0].0);
@@ -2053,7 +2063,7 @@ fn device_law(couplings: &[Box<dyn Coupling>]) -> Option<(DeviceLaw, usize)> {
 /// The constants of a step of all levels, where the finest cells have width `h` [m].
 fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
     StepConstants {
-        most_need: (1.000_001 / dt).min(f64::from(f32::MAX)) as f32,
+        most_need: most_need(dt),
         dt: dt as f32,
         dt_per_h: (dt / h) as f32,
         stress: (-4.0 * dt / h) as f32,

@@ -15,6 +15,7 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Leaving, Motion, Wall};
 use barchan_core::{Plan, Result, Stage};
 use barchan_grid::adapt::finest_volumes;
+use barchan_grid::bounds::Bounds;
 use barchan_grid::rest::{NEAR_TOOL, RESTED};
 use std::fmt::Write as _;
 
@@ -281,7 +282,8 @@ impl Draft {
 /// Vectors of four that hold a particle's strain, history and, in their last place, rest volume.
 pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
     let most = materials.iter().map(|m| m.material.strain_planes() + m.material.states.len()).max();
-    (most.unwrap_or(0) + 1).div_ceil(4)
+    // Without a material passes are made for a symmetric strain, and nobody runs them.
+    (most.unwrap_or(6) + 1).div_ceil(4)
 }
 
 impl Kernels {
@@ -846,6 +848,11 @@ pub(crate) fn constants(plan: &Plan) -> String {
     let (min, max) = (plan.cell_min, plan.cell_max);
     let periodic = |d: usize| walls[d][0] == Wall::Periodic;
     let ints = |name: &str, v: [i32; 3]| format!("const {name} = vec3<i32>({}, {}, {});\n", v[0], v[1], v[2]);
+    let bounds = Bounds::new(plan, 0);
+    let counts = |name: &str, parts: [f64; 3]| {
+        let [x, y, z] = parts.map(|part| (part * (1_u64 << 32) as f64) as u32);
+        format!("const {name} = vec3<u32>({x}u, {y}u, {z}u);\n")
+    };
     let kinds = |name: &str, end: usize| {
         let k = walls.map(|axis| kind(axis[end]));
         format!("const {name} = vec3<u32>({}u, {}u, {}u);\n", k[0], k[1], k[2])
@@ -862,6 +869,10 @@ pub(crate) fn constants(plan: &Plan) -> String {
     [
         ints("WORLD_MIN", min),
         ints("WORLD_MAX", max),
+        ints("SIDE_LOW", bounds.sides.map(|side| side[0].0)),
+        ints("SIDE_HIGH", bounds.sides.map(|side| side[1].0)),
+        counts("SIDE_LOW_PART", bounds.sides.map(|side| side[0].1)),
+        counts("SIDE_HIGH_PART", bounds.sides.map(|side| side[1].1)),
         ints("PERIOD_MIN", min.map(|c| c.div_euclid(4))),
         ints("PERIOD", std::array::from_fn(|d| if periodic(d) { (max[d] - min[d]) / 4 } else { 0 })),
         kinds("LOW", 0),
@@ -1760,7 +1771,9 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     );
     let mut base = 0;
     let switch = |cases: Vec<String>, name: &str, ty: &str| {
-        let (last, rest) = cases.split_last().map_or((String::new(), &[][..]), |(last, rest)| (last.clone(), rest));
+        // Without a material nobody asks.
+        let none = || (format!("{ty}()"), &[][..]);
+        let (last, rest) = cases.split_last().map_or_else(none, |(last, rest)| (last.clone(), rest));
         let rest: String = rest.iter().enumerate().map(|(i, c)| format!("case {i}u: {{ return {c}; }} ")).collect();
         format!("fn {name}(law: u32) -> {ty} {{ switch law {{ {rest}default: {{ return {last}; }} }} }}\n")
     };
@@ -1881,9 +1894,17 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
              atomicAdd(&status[sum_word(layer, LEFT)], 1u);\ncontinue;"
         }
     };
+    // Whom the world ends for at a face of cells is put back there, or goes; an error is one at the side itself. Those of layers that are not
+    // due stand in their homes.
+    let outside = if is_error {
+        "due && is_beyond(layer, cell, record[vector(q, 0u)].xyz)"
+    } else {
+        "any(((cell < world_min(layer)) | (cell >= world_max(layer))) & (PERIOD == vec3<i32>(0)))"
+    };
     let unless_error = |text: &'static str| if is_error { "" } else { text };
     let mark_text = include_str!("wgsl/sort_mark.wgsl")
         .replace("$CHECK", check)
+        .replace("$OUTSIDE", outside)
         .replace("$LEAVE", leave)
         .replace("$BEGIN", unless_error("var mine = vec4<f32>(0.0);"))
         .replace("$END", unless_error("note_left(b, thread, mine);"));

@@ -92,6 +92,14 @@ impl Engine for Seat {
         self.seats.batch().worlds[self.world].bound()
     }
 
+    fn stride(&self) -> u64 {
+        self.seats.batch().worlds[self.world].stride()
+    }
+
+    fn is_outgrown(&self, dt: f64) -> bool {
+        self.seats.batch().worlds[self.world].is_outgrown(dt)
+    }
+
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
         let mut reports = self.steps(time, dt, 1, couplings)?;
         Ok(reports.pop().expect("at least one step"))
@@ -174,6 +182,10 @@ impl Engine for Seat {
         ledger.count("particles deleted on leaving", world.deleted);
         ledger.count("steps shortened for speed", world.shortened);
         ledger.count("particles' steps with strain applied in parts", world.parted);
+    }
+
+    fn carry_on(&mut self, sums: &Ledger) {
+        self.seats.batch().worlds[self.world].carry_on(sums);
     }
 
     /// Of the whole batch: passes are shared.

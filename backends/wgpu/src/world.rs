@@ -2,14 +2,14 @@
 
 use crate::kernels::{may_sleep, parameter_vectors, softs, stiffens};
 use crate::layout::Periods;
-use crate::memory::Layer;
+use crate::memory::{Layer, MAX_SLOTS, MAX_STEPS};
 use crate::sleep::Slept;
 use crate::soft::Softs;
 use crate::stiffness::{self, lesser};
 use barchan_core::backend::Bound;
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::scene::Wall;
-use barchan_core::{LevelPhase, ParticleList, Plan, Result, Scene, SortPhase, Vec3};
+use barchan_core::scene::{Leaving, Wall};
+use barchan_core::{Ledger, LevelPhase, ParticleList, Plan, Result, Scene, SortPhase, Vec3};
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
 use std::ops::Range;
@@ -32,15 +32,24 @@ pub(crate) const OFTEN_DRIFT: f32 = 0.5;
 /// Tiles allow for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f32 = 1.0;
 
-/// So much may particles have drifted before a step [cells]: a subcycled one moves them several times before they can be sorted.
+/// So much may particles have drifted before a step [cells]: a subcycled one moves them several times before they can be sorted, and who has left
+/// the world is to be found within a cell.
 pub(crate) fn most_drift(plan: &Plan) -> f32 {
-    if plan.substeps > 1 { MAX_DRIFT - MAX_MOVE as f32 } else { MAX_DRIFT }
+    let world = &plan.scene.world;
+    let open = (0..3).flat_map(|axis| world.walls.pair(axis)).any(|wall| wall == Wall::Open);
+    let watched = world.leaving == Leaving::Error && open;
+    if plan.substeps > 1 || watched { MAX_DRIFT - MAX_MOVE as f32 } else { MAX_DRIFT }
 }
 
 /// Steps between two askings of laws that are asked on the host; the particles' strain and history are copied there.
 pub(crate) const STIFFNESS_AGE: u32 = 10;
 /// Steps after which laws that are asked on the device are asked on the host, where ground may sleep: the device asks those awake.
 const ASLEEP_AGE: u32 = 1000;
+/// Ground that needs no more than so many steps a second bears steps of `dt` [s].
+pub(crate) fn most_need(dt: f64) -> f32 {
+    (1.000_001 / dt).min(f64::from(f32::MAX)) as f32
+}
+
 /// No particle may move further in a step, in cells.
 pub(crate) const MAX_MOVE: f64 = 0.5;
 /// From how many times the least mass on a node's speed counts in full; see the backend cpu.
@@ -169,6 +178,8 @@ pub(crate) struct World {
     unchanging: Bound,
     needed: Bound,
     asked: Bound,
+    /// Most steps a second that the device found to be needed.
+    need: f32,
     /// The least of each material [kg/m³].
     pub(crate) densities: Vec<f64>,
     /// Steps since a law was asked on the host, if any is.
@@ -181,7 +192,8 @@ pub(crate) struct World {
     sleeps: bool,
     pub(crate) spoilt: bool,
     pub(crate) steps: u64,
-    mass: f64,
+    /// Of all live particles [kg].
+    pub(crate) mass: f64,
     /// Of the particles that were deleted on leaving the world [kg], and how many they were.
     pub(crate) deleted_mass: f64,
     pub(crate) deleted: u64,
@@ -241,6 +253,7 @@ impl World {
             unchanging: unbounded(),
             needed: unbounded(),
             asked: unbounded(),
+            need: 0.0,
             densities: Vec::new(),
             stiffness_age: 0,
             ask_after: if plan.materials.iter().any(stiffness::is_asked_on_host) {
@@ -356,6 +369,7 @@ impl World {
                 bound.dt = sort.measured.stiffness_bound;
             }
             self.stiffness_age = sort.measured.stiffness_age;
+            (self.mass, self.least_mass) = (sort.measured.mass, sort.measured.least_mass);
         }
         Ok(())
     }
@@ -403,8 +417,14 @@ impl World {
 
     /// Laws have been asked on the device: particles of each level, finest first, need so many steps a second.
     pub(crate) fn take_needs(&mut self, needs: impl Iterator<Item = f32>) {
-        let needs = needs.zip(&self.levels).map(|(need, level)| (need, level.steps_within));
-        let needed = stiffness::bound_of_needs(&self.materials, needs);
+        let needs: Vec<_> = needs.zip(&self.levels).map(|(need, level)| (need, level.steps_within)).collect();
+        let most = |most: f32, (need, steps): &(f32, u32)| {
+            // A power of two: exact, as on the device.
+            let need = need / *steps as f32;
+            if most.is_nan() || need <= most { most } else { need }
+        };
+        self.need = needs.iter().fold(0.0, most);
+        let needed = stiffness::bound_of_needs(&self.materials, needs.into_iter());
         // Those asleep were not asked; what they needed when they fell asleep is kept.
         self.needed = if self.sleeps { lesser(needed, self.needed.clone()) } else { needed };
     }
@@ -441,6 +461,34 @@ impl World {
     pub(crate) fn delete(&mut self, mass: f64) {
         self.mass -= mass;
         self.deleted_mass += mass;
+    }
+
+    /// Goes on from what an engine before this one has summed up.
+    pub(crate) fn carry_on(&mut self, sums: &Ledger) {
+        (self.wall_impulse, self.gravity_impulse) = (sums.wall_impulse, sums.gravity_impulse);
+        self.deleted_mass = sums.deleted_mass;
+        (self.slept.kinetic, self.slept.momentum) = (sums.slept_kinetic, sums.slept_momentum);
+        self.adapt.carry_on(sums);
+        if let Some(reach) = &mut self.reach {
+            reach.carry_on(sums);
+        }
+    }
+
+    /// Steps that are to have one length.
+    pub(crate) fn stride(&self) -> u64 {
+        match self.scene.tool.is_empty() && self.scene.coupling.is_empty() {
+            _ if self.ask_after == Some(STIFFNESS_AGE) => u64::from(STIFFNESS_AGE),
+            // What grew stiff for a while is not to shorten all of them.
+            true if !self.stiffens => MAX_STEPS as u64,
+            // A step has to be short enough for all that bodies do in so many.
+            _ => MAX_SLOTS as u64 / 2,
+        }
+    }
+
+    /// Has the ground become too stiff for steps of this length? The device stops before one in just this case.
+    pub(crate) fn is_outgrown(&self, dt: f64) -> bool {
+        let is_borne = self.need <= most_need(dt) && dt <= 1.000_002 * self.stiffness().dt;
+        self.stiffens && !is_borne
     }
 
     /// What a snapshot holds of its levels; `None` if there is one only.

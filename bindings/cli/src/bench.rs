@@ -4,6 +4,7 @@ mod accuracy;
 mod scale;
 
 use crate::EngineArgs;
+use crate::print::show;
 use barchan::backend::Timing;
 use barchan::picture::Chart;
 use barchan::scene::{MaterialSpec, Motion, OverBound, Sampling, Shape};
@@ -318,11 +319,11 @@ fn throughput(args: &Throughput) -> Result<()> {
             "bytes_per_particle": timed.bytes_per_particle(), "peak_memory": barchan::run::peak_memory(),
             "start_and_warm_up_s": start_up, "effects": timings.iter().map(effect).collect::<Vec<_>>(),
         });
-        println!("{figures:#}");
+        show(format!("{figures:#}\n"));
         return Ok(());
     }
-    println!(
-        "{}, {}{} particles, {} threads, {}: {:.2} million particle_steps_per_s (best {:.2}), {:.3} ms a step, {:.0} bytes a particle",
+    show(format!(
+        "{}, {}{} particles, {} threads, {}: {:.2} million particle_steps_per_s (best {:.2}), {:.3} ms a step, {:.0} bytes a particle\n",
         args.material,
         if args.worlds > 1 { format!("{} worlds, in all ", args.worlds) } else { String::new() },
         timed.subject.particles(),
@@ -332,9 +333,9 @@ fn throughput(args: &Throughput) -> Result<()> {
         1e-6 * best,
         1e3 * timed.step(),
         timed.bytes_per_particle()
-    );
+    ));
     for t in timings {
-        println!("  {:<28}{:>9.3} ms a step", t.effect, 1e3 * t.seconds / steps);
+        show(format!("  {:<28}{:>9.3} ms a step\n", t.effect, 1e3 * t.seconds / steps));
     }
     Ok(())
 }
@@ -450,22 +451,22 @@ fn effects(args: &Effects) -> Result<()> {
         let figures = json!({
             "grid": args.grid, "precision": args.engine.precision, "threads": args.engine.threads, "effects": table,
         });
-        println!("{figures:#}");
+        show(format!("{figures:#}\n"));
         return Ok(());
     }
-    println!("{:<74}   declared but not used", "");
-    println!(
-        "{:<28}{:>10}{:>14}{:>10}{:>12}   {:>10}{:>9}{:>9}",
+    show(format!("{:<74}   declared but not used\n", ""));
+    show(format!(
+        "{:<28}{:>10}{:>14}{:>10}{:>12}   {:>10}{:>9}{:>9}\n",
         "effect", "ms/step", "ns/particle", "passes", "B/particle", "time", "passes", "bytes"
-    );
+    ));
     for Line { effect, cost, unused } in table {
         let unused = unused.map_or_else(String::new, |u| {
             format!("{:>+8.1} %{:>+9.1}{:>+9.1}", 100.0 * u.time, u.passes_per_step, u.bytes_per_particle)
         });
-        println!(
-            "{effect:<28}{:>10.3}{:>14.2}{:>10.1}{:>12.0}   {unused}",
+        show(format!(
+            "{effect:<28}{:>10.3}{:>14.2}{:>10.1}{:>12.0}   {unused}\n",
             cost.ms_per_step, cost.ns_per_particle_step, cost.passes_per_step, cost.bytes_per_particle
-        );
+        ));
     }
     Ok(())
 }

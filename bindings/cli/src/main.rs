@@ -1,14 +1,17 @@
 //! Barchan's command line: runs, plans and checks scenes, lists plugins, measures.
 
+#![deny(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the terminal is gone: see `print`")]
+
 mod bench;
 mod plugins;
+mod print;
 mod report;
 mod run;
+mod signals;
 
 use barchan::{Error, Plan, Precision, Registry, Result, Scene};
 use clap::{Args, Parser, Subcommand};
-use std::fmt::Display;
-use std::io::Write as _;
+use print::{show, tell};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -44,9 +47,8 @@ enum Command {
 /// Which scene, and how it is to be run.
 #[derive(Args)]
 struct SceneArgs {
-    /// A built-in scene (see `barchan plugins`) or a TOML file.
-    #[arg(default_value = "letters")]
-    scene: String,
+    /// A built-in scene (see `barchan plugins`) or a TOML file [default: letters].
+    scene: Option<String>,
     /// Changes a key of the scene, such as world.cell=0.02 or tool.cube.motion.free.mass=5; may be given again.
     #[arg(long, value_name = "KEY.PATH=VALUE")]
     set: Vec<String>,
@@ -64,7 +66,7 @@ struct EngineArgs {
     #[arg(long, default_value = "f32")]
     precision: Precision,
     /// Worker threads; 0: as many as the machine has.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, value_parser = threads)]
     threads: usize,
     /// Name or number of the adapter to run on (see `barchan adapters`) [default: the first].
     #[arg(long, value_name = "NAME|INDEX")]
@@ -76,7 +78,16 @@ struct EngineArgs {
 
 impl SceneArgs {
     fn scene(&self) -> Result<Scene> {
-        scene(&self.scene, &self.set)
+        scene(self.scene.as_deref().unwrap_or("letters"), &self.set)
+    }
+}
+
+/// A number of threads that a machine may have.
+fn threads(text: &str) -> std::result::Result<usize, String> {
+    let most = barchan::Options::MOST_THREADS;
+    match text.parse() {
+        Ok(count) if count <= most => Ok(count),
+        _ => Err(format!("must be a whole number from 0 to {most}")),
     }
 }
 
@@ -111,7 +122,7 @@ impl EngineArgs {
 fn registry(load: &[PathBuf]) -> Result<Registry> {
     let mut registry = barchan::registry();
     load.iter().try_for_each(|library| registry.load(library).map(drop))?;
-    registry.warnings().iter().for_each(|warning| eprintln!("warning: {warning}"));
+    registry.warnings().iter().for_each(|warning| tell(format!("warning: {warning}")));
     Ok(registry)
 }
 
@@ -134,18 +145,10 @@ fn plan(args: &SceneArgs) -> Result<()> {
     Ok(())
 }
 
-/// Writes to the standard output. That nobody reads on is no error: `barchan schema | head`.
-fn show(text: impl Display) {
-    match write!(std::io::stdout(), "{text}") {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => eprintln!("error: standard output: {error}"),
-        _ => {}
-    }
-}
-
 fn check(args: &SceneArgs) -> Result<()> {
     let plan = assemble(args)?;
-    plan.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
-    println!("{}: ok, {} particles, steps of {:.3e} s", plan.scene.name, plan.particle_count, plan.dt);
+    plan.warnings.iter().for_each(|warning| tell(format!("warning: {warning}")));
+    show(format!("{}: ok, {} particles, steps of {:.3e} s\n", plan.scene.name, plan.particle_count, plan.dt));
     Ok(())
 }
 
@@ -166,10 +169,16 @@ fn main() -> ExitCode {
             Ok(ExitCode::SUCCESS)
         }
     };
-    done.unwrap_or_else(|error: Error| {
-        eprintln!("error: {error}");
-        ExitCode::FAILURE
-    })
+    match done {
+        // A run leaves files; of the others nothing is left but what they have shown.
+        Ok(_) if print::failed() && !matches!(command, Command::Run(_)) => ExitCode::FAILURE,
+        Ok(code) => code,
+        Err(error) => {
+            let error: Error = error;
+            tell(format!("error: {error}"));
+            ExitCode::FAILURE
+        }
+    }
 }
 
 #[cfg(test)]
@@ -185,6 +194,6 @@ mod tests {
     #[test]
     fn no_argument_means_letters() {
         assert!(Cli::parse_from(["barchan"]).command.is_none());
-        assert_eq!(run::RunArgs::letters().scene.scene, "letters");
+        assert_eq!(run::RunArgs::letters().scene.scene().unwrap().name, "letters");
     }
 }

@@ -1,6 +1,6 @@
 //! `barchan plugins`.
 
-use crate::show;
+use crate::print::show;
 use barchan::material::Parameter;
 use barchan::{Material, Registry, Result};
 use clap::Args;
@@ -48,25 +48,32 @@ fn as_text(registry: &Registry) -> String {
     for material in registry.materials() {
         text += &format!("  {} {} ({})\n", material.name, material.version, material.origin);
         text += &format!("      {}\n      {}\n", material.doc, material.reference);
-        for p in &material.parameters {
-            let value = format!("{} {}", number(p.default), p.unit);
-            text += &format!("      {:<22}{value:<16}{:<18}{}\n", p.name, range(p), p.doc);
-        }
+        text.extend(material.parameters.iter().map(as_line));
         for s in &material.states {
             let value = format!("{} {}", number(s.initial), s.unit);
             text += &format!("      {:<22}{value:<16}{:<18}{}\n", s.name, "state", s.doc);
         }
+    }
+    text += "couplings\n";
+    for (name, kind) in registry.couplings() {
+        text += &format!("  {name:<20}{}\n", kind.doc);
+        text.extend(kind.parameters.iter().map(as_line));
     }
     let mut section = |title: &str, entries: &mut dyn Iterator<Item = (String, String)>| {
         text += &format!("{title}\n");
         entries.for_each(|(name, doc)| text += &format!("  {name:<20}{doc}\n"));
     };
     let pair = |(name, doc): (&str, &str)| (name.to_owned(), doc.to_owned());
-    section("couplings", &mut registry.couplings().map(pair));
     section("backends", &mut registry.backends().map(|b| pair((b.name(), b.doc()))));
     section("tasks", &mut registry.tasks().map(pair));
     section("scenes", &mut scenes().into_iter());
     text
+}
+
+/// A parameter: name, default, range, what it is.
+fn as_line(p: &Parameter) -> String {
+    let value = format!("{} {}", number(p.default), p.unit);
+    format!("      {:<22}{value:<16}{:<18}{}\n", p.name, range(p), p.doc)
 }
 
 /// A number with at most four digits.
@@ -111,7 +118,9 @@ fn as_json(registry: &Registry) -> Value {
     let pair = |(name, doc): (&str, &str)| (name.to_owned(), doc.to_owned());
     json!({
         "materials": registry.materials().map(material).collect::<Vec<_>>(),
-        "couplings": pairs(&mut registry.couplings().map(pair)),
+        "couplings": registry.couplings().map(|(name, kind)| json!({
+            "name": name, "doc": kind.doc, "parameters": kind.parameters.iter().map(parameter).collect::<Vec<_>>(),
+        })).collect::<Vec<_>>(),
         "backends": pairs(&mut registry.backends().map(|b| pair((b.name(), b.doc())))),
         "tasks": pairs(&mut registry.tasks().map(pair)),
         "scenes": pairs(&mut scenes().into_iter()),

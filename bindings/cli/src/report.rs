@@ -1,6 +1,8 @@
 //! What is printed at the end of a run.
 
+use crate::print::show;
 use barchan::run::Summary;
+use barchan::scene::plain;
 use barchan::{Ledger, Scene, Vec3};
 use serde_json::Value;
 
@@ -16,30 +18,36 @@ const SAME_CELL: f64 = 1.5;
 /// Prints where the time went, how fast it was, and the ledger.
 pub(crate) fn print(summary: &Summary) {
     let [least, mean, greatest] = summary.dt.map(|dt| 1e3 * dt);
-    println!(
-        "\n{}: {:.4} s in {} steps of {mean:.4} ms ({least:.4} to {greatest:.4}), {} particles, {}",
-        summary.scene, summary.simulated, summary.steps, summary.particles, summary.precision
+    let mut text = format!(
+        "\n{}: {:.4} s in {} steps of {mean:.4} ms ({least:.4} to {greatest:.4}), {} particles, {}\n",
+        plain(&summary.scene),
+        summary.simulated,
+        summary.steps,
+        summary.particles,
+        summary.precision
     );
-    println!("\n  {:<28}{:>10}{:>9}{:>11}", "time by effect", "seconds", "share", "passes");
+    text += &format!("\n  {:<28}{:>10}{:>9}{:>11}\n", "time by effect", "seconds", "share", "passes");
     for effect in &summary.effects {
-        println!("  {:<28}{:>10.3}{:>8.1} %{:>10}", effect.effect, effect.seconds, 100.0 * effect.share, effect.passes);
+        let (name, share) = (plain(&effect.effect), 100.0 * effect.share);
+        text += &format!("  {name:<28}{:>10.3}{share:>8.1} %{:>10}\n", effect.seconds, effect.passes);
     }
-    println!("  {:<28}{:>10.3}{:>8.1} %", "whole run", summary.wall, 100.0);
-    println!(
-        "\n  real-time factor {:.4}, {:.1} million particle-steps/s, peak memory {}",
+    text += &format!("  {:<28}{:>10.3}{:>8.1} %\n", "whole run", summary.wall, 100.0);
+    text += &format!(
+        "\n  real-time factor {:.4}, {:.1} million particle-steps/s, peak memory {}\n",
         summary.real_time_factor,
         1e-6 * summary.particle_steps_per_s,
         summary.peak_memory.map_or_else(|| "unknown".to_owned(), bytes)
     );
-    ledger(&summary.ledger_start, &summary.ledger_end);
-    summary.warnings.iter().for_each(|warning| println!("  warning: {warning}"));
+    text += &ledger(&summary.ledger_start, &summary.ledger_end);
+    summary.warnings.iter().for_each(|warning| text += &format!("  warning: {}\n", plain(warning)));
+    show(text);
 }
 
-fn ledger(start: &Ledger, end: &Ledger) {
-    println!("\n  {:<36}{:>30}{:>30}", "ledger", "start", "end");
-    let line = |what: &str, value: &dyn Fn(&Ledger) -> String| {
+fn ledger(start: &Ledger, end: &Ledger) -> String {
+    let mut text = format!("\n  {:<36}{:>30}{:>30}\n", "ledger", "start", "end");
+    let mut line = |what: &str, value: &dyn Fn(&Ledger) -> String| {
         let (a, b) = (value(start), value(end));
-        println!("  {what:<36}{a:>30}{b:>30}");
+        text += &format!("  {:<36}{a:>30}{b:>30}\n", plain(what));
     };
     let scalar = |get: fn(&Ledger) -> f64| move |l: &Ledger| format!("{:.6e}", get(l));
     let vector = |get: fn(&Ledger) -> Vec3| {
@@ -67,6 +75,7 @@ fn ledger(start: &Ledger, end: &Ledger) {
     for name in names {
         line(name, &|l| l.counts.get(name).copied().unwrap_or(0).to_string());
     }
+    text
 }
 
 /// What the scene's ladder says about its resolution; `None` if it has no ladder, or no rung of that cell and number of levels.

@@ -1,37 +1,42 @@
 //! `barchan run`.
 
+use crate::print::{show, tell};
+use crate::signals::Signals;
 use crate::{SceneArgs, report};
-use barchan::run::{Progress, Request, SNAPSHOT, Swap, Until};
-use barchan::scene::Export;
-use barchan::{Options, Plan, Precision, Registry, Result, Simulation};
+use barchan::run::{self, Existing, Progress, Request, SNAPSHOT, Swap, Until};
+use barchan::scene::{Export, plain};
+use barchan::snapshot::About;
+use barchan::{Error, Options, Plan, Precision, Registry, Result, Scene, Simulation};
 use clap::{Args, Parser, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Exit status after Ctrl-C, as shells have it: 128 + SIGINT.
-const INTERRUPTED: u8 = 130;
+/// Where output goes, scene by scene and run by run, unless a folder is named.
+const OUT: &str = "out";
 
 #[derive(Args)]
 pub(crate) struct RunArgs {
     #[command(flatten)]
     pub(crate) scene: SceneArgs,
-    /// Output folder [default: ./out/<scene>].
+    /// Output folder [default: the next of ./out/<scene>-001, ./out/<scene>-002, …]. One that holds a run is refused.
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Replace the run that the output folder holds: the files that it wrote are removed, and no others.
+    #[arg(long, conflicts_with = "resume")]
+    overwrite: bool,
     /// Stop at this step, counted from the scene's start.
     #[arg(long, conflicts_with = "seconds")]
     steps: Option<u64>,
     /// Stop at this simulated time [s] instead of the scene's time.end.
-    #[arg(long)]
+    #[arg(long, value_parser = seconds)]
     seconds: Option<f64>,
-    /// Go on from a snapshot [default: the one in the output folder]; the folder's output is kept up to there.
+    /// Go on from a snapshot [default: the one in the output folder, or that of the last run of the scene]; the folder's output is kept up to
+    /// there. The scene is the one that the run began with, --set included.
     #[arg(long, value_name = "SNAPSHOT", require_equals = true, num_args = 0..=1)]
     resume: Option<Option<PathBuf>>,
     /// Write particles beside the pictures.
@@ -46,6 +51,12 @@ pub(crate) struct RunArgs {
     /// Print nothing but errors.
     #[arg(long, short)]
     quiet: bool,
+}
+
+/// A simulated time.
+fn seconds(text: &str) -> std::result::Result<f64, String> {
+    let seconds = text.parse::<f64>().ok().filter(|seconds| seconds.is_finite() && *seconds >= 0.0);
+    seconds.ok_or_else(|| "must be a finite number of seconds, 0 or above".to_owned())
 }
 
 /// `STEP:BACKEND[:PRECISION]`.
@@ -115,93 +126,181 @@ impl RunArgs {
     }
 }
 
+/// Where a run goes on from, and as what.
+struct Resumed {
+    snapshot: PathBuf,
+    about: About,
+}
+
+impl RunArgs {
+    /// The run that is to be gone on with: the snapshot that is named, or that of the output folder, or of the last one of the scene.
+    ///
+    /// # Errors
+    /// If there is none, or if the command line asks for anything else than the run was.
+    fn resumed(&self) -> Result<Option<Resumed>> {
+        let Some(snapshot) = &self.resume else { return Ok(None) };
+        let refuse = |what: String, mend: String| Error::Body { path: "--resume".to_owned(), what, mend };
+        let snapshot = match (snapshot, &self.out) {
+            (Some(snapshot), _) => snapshot.clone(),
+            (None, Some(out)) => out.join(SNAPSHOT),
+            (None, None) => {
+                let name = self.scene.scene()?.name;
+                let folder = run::last_folder(Path::new(OUT), &name);
+                let folder = folder.ok_or_else(|| {
+                    refuse(
+                        format!("no run of '{name}' has left a {SNAPSHOT} in {OUT}"),
+                        "name one, --resume=SNAPSHOT, or its folder with --out".to_owned(),
+                    )
+                })?;
+                folder.join(SNAPSHOT)
+            }
+        };
+        let about = barchan::snapshot::about(&snapshot)?;
+        if !self.scene.set.is_empty() {
+            let then = match about.set.as_slice() {
+                [] => "without any".to_owned(),
+                set => format!("with --set {}", set.join(" --set ")),
+            };
+            let what =
+                format!("a run goes on as it began, {then}, and --set {} is given", self.scene.set.join(" --set "));
+            return Err(refuse(what, "leave --set out, or start a new run".to_owned()));
+        }
+        let then = Scene::from_str(&about.scene, &snapshot.display().to_string(), &about.folder)?;
+        if let Some(given) = &self.scene.scene {
+            let now = crate::scene(given, &about.set)?;
+            if now.name != then.name {
+                return Err(refuse(
+                    format!("{} continues the scene '{}', and '{}' is given", snapshot.display(), then.name, now.name),
+                    "leave the scene out, or name the snapshot of a run of it".to_owned(),
+                ));
+            }
+            if let Some((key, [then, now])) = then.difference(&now) {
+                return Err(refuse(
+                    format!("the scene has changed since the run began: {key} was {then} and is {now}"),
+                    "leave the scene out to go on with what it was, or start a new run".to_owned(),
+                ));
+            }
+        }
+        Ok(Some(Resumed { snapshot, about }))
+    }
+
+    /// The output folder: the one that is named, or that of the run that is gone on with, or a new one.
+    fn folder(&self, name: &str, resumed: Option<&Resumed>) -> Result<PathBuf> {
+        match (&self.out, resumed) {
+            (Some(out), _) => Ok(out.clone()),
+            (None, Some(Resumed { snapshot, .. })) if snapshot.ends_with(SNAPSHOT) => {
+                Ok(snapshot.parent().map_or_else(PathBuf::new, Path::to_owned))
+            }
+            (None, _) => run::next_folder(Path::new(OUT), name),
+        }
+    }
+}
+
 pub(crate) fn run(args: &RunArgs) -> Result<ExitCode> {
+    let resumed = args.resumed()?;
+    let existing = match (&resumed, args.overwrite) {
+        (Some(_), _) => Existing::Resume,
+        (None, true) => Existing::Overwrite,
+        (None, false) => Existing::Refuse,
+    };
+    // Before anything is seeded.
+    args.out.as_ref().map_or(Ok(()), |out| run::check_folder(out, existing))?;
     let registry = args.scene.engine.registry()?;
     let mut options = args.scene.engine.options();
     let swap = args.swap_at.as_ref().map(|at| at.swap(&registry, &mut options)).transpose()?;
-    let scene = args.scene.scene()?;
-    let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out").join(&scene.name));
-    let mut simulation = match &args.resume {
-        Some(path) => {
-            let path = path.clone().unwrap_or_else(|| out.join(SNAPSHOT));
+    let mut simulation = match &resumed {
+        Some(Resumed { snapshot, about }) => {
             // Past the swap, the snapshot is one of the second backend.
             let options = match &swap {
-                Some(swap) if barchan::snapshot::step(&path)? > swap.step => &swap.options,
+                Some(swap) if about.step > swap.step => &swap.options,
                 _ => &options,
             };
-            Simulation::resume(&registry, &path, options)?
+            Simulation::resume(&registry, snapshot, options)?
         }
-        None => Simulation::new(&registry, &scene, &options)?,
+        None => Simulation::new(&registry, &args.scene.scene()?, &options)?,
     };
     let until = match (args.steps, args.seconds) {
         (Some(step), _) => Until::Step(step),
         (None, seconds) => Until::Time(seconds.unwrap_or(simulation.plan().scene.time.end)),
     };
+    if let Some(Swap { registry, options, .. }) = &swap {
+        // What the second backend lacks is found out now, not in the middle.
+        let plan = Plan { precision: options.precision, ..simulation.plan().clone() };
+        registry.backend(&options.backend)?.check(&plan)?;
+    }
+    let out = args.folder(&simulation.plan().scene.name, resumed.as_ref())?;
     let request = Request {
         out: out.clone(),
         until,
         pictures: !args.no_pictures,
         export: args.export.map(Into::into),
-        resumed: args.resume.is_some(),
+        existing,
         swap: swap.filter(|swap| simulation.step_count() <= swap.step),
     };
-    if let Some(Swap { registry, options, .. }) = &request.swap {
-        // What the second backend lacks is found out now, not in the middle.
-        let plan = Plan { precision: options.precision, ..simulation.plan().clone() };
-        registry.backend(&options.backend)?.check(&plan)?;
-    }
     if !args.quiet {
-        println!("{}", simulation.plan());
+        show(format!("{}\n", simulation.plan()));
+        if let Some(Resumed { snapshot, about }) = &resumed {
+            let set = about.set.iter().fold(String::new(), |set, one| set + " --set " + one);
+            show(format!(
+                "goes on with '{}'{set} of {}, from step {} at {:.4} s\n",
+                plain(&simulation.plan().scene.name),
+                snapshot.display(),
+                about.step,
+                about.time
+            ));
+        }
+        show(format!("output goes to {}\n", out.display()));
     }
-    let stop = stop_flag();
+    let stop = Signals::new();
     let mut shown = Shown::new(args.quiet);
-    let summary = barchan::run::run(&mut simulation, &request, &mut |progress| {
+    let summary = run::run(&mut simulation, &request, &mut |progress| {
         shown.update(progress);
-        if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if stop.caught().is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     shown.finish();
+    if args.out.is_none() {
+        // One that was made for nothing is empty, and only then goes.
+        let _ = std::fs::remove_dir(&out);
+    }
     let summary = summary?;
     if !args.quiet {
         report::print(&summary);
         if let Some(line) = report::accuracy(&simulation.plan().scene) {
-            println!("\n  {line}");
+            show(format!("\n  {line}\n"));
         }
-        println!("output in {}", out.display());
+        show(format!("output in {}\n", out.display()));
     }
-    if summary.interrupted {
-        eprintln!("stopped at {:.4} s; go on with\n    {}", summary.time, resume_line(std::env::args()));
-        return Ok(ExitCode::from(INTERRUPTED));
+    match stop.caught() {
+        Some(signal) if summary.interrupted => {
+            let line = resume_line(std::env::args(), &out);
+            tell(format!("stopped at {:.4} s; go on with\n{line}", summary.time));
+            Ok(ExitCode::from(signal.status()))
+        }
+        _ => Ok(ExitCode::SUCCESS),
     }
-    Ok(ExitCode::SUCCESS)
 }
 
-/// Set by Ctrl-C; a second one ends the process at once.
-fn stop_flag() -> Arc<AtomicBool> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    let handler = ctrlc::set_handler(move || {
-        if flag.swap(true, Ordering::Relaxed) {
-            std::process::exit(INTERRUPTED.into());
-        }
-    });
-    if let Err(error) = handler {
-        eprintln!("warning: Ctrl-C will end the run without saving it: {error}");
-    }
-    stop
-}
-
-/// The command line that goes on with this run from its own snapshot.
-fn resume_line(args: impl Iterator<Item = String>) -> String {
+/// The command line that goes on with this run from its own snapshot. What the scene was set to is in there.
+fn resume_line(args: impl Iterator<Item = String>, out: &Path) -> String {
     let quoted = |arg: String| {
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=+:,".contains(c);
         if !arg.is_empty() && arg.chars().all(plain) { arg } else { format!("'{}'", arg.replace('\'', r"'\''")) }
     };
-    let mut words: Vec<String> =
-        args.filter(|arg| arg != "--resume" && !arg.starts_with("--resume=")).map(quoted).collect();
+    let mut words = Vec::new();
+    let mut value_follows = false;
+    for arg in args {
+        let left_out = ["--resume", "--overwrite", "--set", "--out"]
+            .iter()
+            .any(|name| arg == *name || arg.strip_prefix(name).is_some_and(|rest| rest.starts_with('=')));
+        if !left_out && !value_follows {
+            words.push(quoted(arg.clone()));
+        }
+        value_follows = arg == "--set" || arg == "--out";
+    }
     if words.len() == 1 {
         words.push("run".to_owned());
     }
-    words.push("--resume".to_owned());
+    words.extend(["--out".to_owned(), quoted(out.display().to_string()), "--resume".to_owned()]);
     words.join(" ")
 }
 
@@ -238,13 +337,13 @@ impl Shown {
                 let now = (progress.done * 20.0) as u32;
                 if now > *twentieths {
                     *twentieths = now;
-                    println!(
-                        "{:>3} %  t = {:.3} s  step {}  {} left",
+                    show(format!(
+                        "{:>3} %  t = {:.3} s  step {}  {} left\n",
                         now * 5,
                         progress.time,
                         progress.step,
                         report::duration(left)
-                    );
+                    ));
                 }
             }
         }
@@ -272,11 +371,15 @@ mod tests {
 
     #[test]
     fn the_resume_line_repeats_the_command_once() {
-        let line = |words: &[&str]| resume_line(words.iter().map(|w| (*w).to_owned()));
-        assert_eq!(line(&["barchan"]), "barchan run --resume");
+        let line = |words: &[&str]| resume_line(words.iter().map(|w| (*w).to_owned()), Path::new("out/a b"));
+        assert_eq!(line(&["barchan"]), "barchan run --out 'out/a b' --resume");
         assert_eq!(
-            line(&["barchan", "run", "dig", "--set", "name=a b", "--resume=x"]),
-            "barchan run dig --set 'name=a b' --resume"
+            line(&["barchan", "run", "dig", "--set", "name=a b", "--out=x", "--steps", "9", "--resume=x", "--set=a=1"]),
+            "barchan run dig --steps 9 --out 'out/a b' --resume"
+        );
+        assert_eq!(
+            line(&["barchan", "run", "dig", "--overwrite", "--out", "y", "-q"]),
+            "barchan run dig -q --out 'out/a b' --resume"
         );
     }
 }

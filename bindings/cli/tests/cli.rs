@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 /// A bed of nearly 1000 particles and a stirrer: a step takes a fraction of a millisecond.
@@ -78,7 +78,8 @@ fn a_run_leaves_everything_in_its_folder() {
     for figure in ["P2G", "material sand", "G2P", "output", "real-time factor", "particle-steps/s", "mass [kg]"] {
         assert!(text.contains(figure), "'{figure}' is not in\n{text}");
     }
-    let out = folder.path().join("out/small");
+    assert!(text.contains("output in out/small-001"), "{text}");
+    let out = folder.path().join("out/small-001");
     assert_eq!(frames(&out).len(), 6, "frames at 0, 10, … 50 ms");
     for file in ["contact-sheet.png", "animation.gif", "snapshot.barchan", "particles/00005.ply"] {
         assert!(fs::metadata(out.join(file)).unwrap().len() > 100, "{file} is empty");
@@ -130,25 +131,274 @@ fn pictures_do_not_change_the_physics() {
     assert!(!folder.path().join("without/frames").exists());
 }
 
-#[cfg(unix)]
-#[test]
-fn ctrl_c_saves_and_tells_how_to_go_on() {
-    let folder = folder_with_scene();
-    let args = ["run", "small.toml", "--out", "out/a b", "--set", "time.end=1000"];
-    let child = barchan(folder.path()).args(args).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
-    let (start, frame) = (Instant::now(), folder.path().join("out/a b/frames/00001.png"));
-    while !frame.exists() && start.elapsed() < Duration::from_secs(60) {
+/// Waits until a run has come so far that a file is there.
+fn wait_for(file: &Path) {
+    let start = Instant::now();
+    while !file.exists() && start.elapsed() < Duration::from_secs(60) {
         std::thread::sleep(Duration::from_millis(10));
     }
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    let output = child.wait_with_output().unwrap();
-    let error = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(130), "{error}");
-    assert!(error.contains("barchan run small.toml --out 'out/a b' --set time.end=1000 --resume"), "{error}");
-    let summary = fs::read_to_string(folder.path().join("out/a b/summary.json")).unwrap();
-    assert!(summary.contains("\"interrupted\": true"));
-    let more = ["run", "small.toml", "--out", "out/a b", "--quiet", "--seconds", "0", "--resume"];
-    succeed(folder.path(), &more);
+    assert!(file.exists(), "{} does not come", file.display());
+}
+
+/// A command whose process begins with an action for a signal, and whose errors are kept.
+#[cfg(unix)]
+fn with_action(command: &mut Command, signal: i32, action: libc::sighandler_t) -> &mut Command {
+    use std::os::unix::process::CommandExt;
+    // SAFETY: between fork and exec, setting an action is allowed.
+    unsafe {
+        command.pre_exec(move || {
+            libc::signal(signal, action);
+            Ok(())
+        });
+    }
+    command.stdout(Stdio::null()).stderr(Stdio::piped())
+}
+
+#[cfg(unix)]
+fn signal(child: &Child, signal: &str) {
+    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+}
+
+/// What asks a run to end, a batch system or a terminal that is gone, must not cost what has been simulated.
+#[cfg(unix)]
+#[test]
+fn signals_that_ask_a_run_to_end_save_it_and_tell_how_to_go_on() {
+    let folder = folder_with_scene();
+    for (name, number, status) in
+        [("-INT", libc::SIGINT, 130), ("-TERM", libc::SIGTERM, 143), ("-HUP", libc::SIGHUP, 129)]
+    {
+        let out = format!("out/a b{name}");
+        let args = ["run", "small.toml", "--out", &out, "--set", "time.end=1000"];
+        let mut command = barchan(folder.path());
+        // Whoever runs the tests may have them ignored.
+        let child = with_action(command.args(args), number, libc::SIG_DFL).spawn().unwrap();
+        wait_for(&folder.path().join(&out).join("frames/00001.png"));
+        signal(&child, name);
+        let output = child.wait_with_output().unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(status), "{name}: {error}");
+        assert!(error.contains(&format!("barchan run small.toml --out '{out}' --resume")), "{name}: {error}");
+        let summary = fs::read_to_string(folder.path().join(&out).join("summary.json")).unwrap();
+        assert!(summary.contains("\"interrupted\": true"), "{name}");
+        let more = ["run", "--out", &out, "--seconds", "0", "--resume"];
+        let text = succeed(folder.path(), &more);
+        assert!(text.contains("goes on with 'small' --set time.end=1000 of "), "{text}");
+    }
+}
+
+/// A run that is to outlive its terminal does.
+#[cfg(unix)]
+#[test]
+fn a_run_under_nohup_hears_no_hang_up() {
+    let folder = folder_with_scene();
+    let mut command = barchan(folder.path());
+    command.args(["run", "small.toml", "--out", "on", "--quiet", "--set", "time.end=1000"]);
+    let child = with_action(&mut command, libc::SIGHUP, libc::SIG_IGN).spawn().unwrap();
+    wait_for(&folder.path().join("on/frames/00001.png"));
+    signal(&child, "-HUP");
+    let frames = frames(&folder.path().join("on")).len();
+    wait_for(&folder.path().join(format!("on/frames/{:05}.png", frames + 2)));
+    signal(&child, "-TERM");
+    assert_eq!(child.wait_with_output().unwrap().status.code(), Some(143));
+}
+
+/// Symptom: `barchan run … | head -1` panics at the next line of progress, and so does a run whose log's disk is full.
+#[cfg(unix)]
+#[test]
+fn a_standard_output_that_closes_or_fills_ends_no_run() {
+    let folder = folder_with_scene();
+    let run = ["run", "small.toml", "--seconds", "0.05", "--no-pictures"];
+    let mut child = barchan(folder.path()).args(run).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let closed = child.wait_with_output().unwrap();
+    assert!(closed.status.success() && closed.stderr.is_empty(), "{}", String::from_utf8_lossy(&closed.stderr));
+    let full = || fs::File::options().write(true).open("/dev/full").unwrap();
+    let filled = barchan(folder.path()).args(run).stdout(full()).output().unwrap();
+    let error = String::from_utf8_lossy(&filled.stderr);
+    assert!(filled.status.success() && error.lines().count() == 1, "said once: {error}");
+    assert!(error.contains("standard output: "), "{error}");
+    for out in ["out/small-001", "out/small-002"] {
+        let summary = fs::read_to_string(folder.path().join(out).join("summary.json")).unwrap();
+        assert!(summary.contains("\"interrupted\": false"), "{out}");
+    }
+    // Where what is shown is all there is, losing it is an error; and nobody has to hear of it.
+    let lost = barchan(folder.path()).arg("schema").stdout(full()).stderr(full()).status().unwrap();
+    assert_eq!(lost.code(), Some(1));
+}
+
+/// Symptom: a run replaced the one before it in the same folder, and removed pictures that a user had put there.
+#[test]
+fn a_folder_that_holds_a_run_is_not_written_over() {
+    let folder = folder_with_scene();
+    let run = ["run", "small.toml", "--out", "kept", "--quiet", "--seconds", "0.02", "--export", "ply"];
+    succeed(folder.path(), &run);
+    let out = folder.path().join("kept");
+    let before = fs::read(out.join("trace.csv")).unwrap();
+    let error = fail(folder.path(), &run);
+    assert!(error.contains("kept: ") && error.contains("--resume") && error.contains("--overwrite"), "{error}");
+    assert!(fs::read(out.join("trace.csv")).unwrap() == before);
+
+    // What a user has put there stays, whatever it is called; under a name that the run would use it stops the run.
+    let own =
+        ["frames/0001.jpg", "frames/00000.txt", "frames/notes.png", "particles/00001.csv", "readme", ".mine.7.part"];
+    own.iter().for_each(|name| fs::write(out.join(name), "mine").unwrap());
+    let overwrite = [&run[..5], &["--seconds", "0.01", "--overwrite"]].concat();
+    succeed(folder.path(), &overwrite);
+    own.iter().for_each(|name| assert_eq!(fs::read_to_string(out.join(name)).unwrap(), "mine", "{name}"));
+    assert!(
+        !out.join("particles/00000.ply").exists() && !out.join("frames/00002.png").exists(),
+        "the older run's are gone"
+    );
+    assert_eq!(frames(&out), ["00000.png", "00000.txt", "00001.png", "0001.jpg", "notes.png"]);
+
+    fs::write(out.join("frames/00007.png"), "mine").unwrap();
+    let error = fail(folder.path(), &overwrite);
+    assert!(error.contains("holds frames/00007.png, which no run"), "{error}");
+    assert_eq!(fs::read_to_string(out.join("frames/00007.png")).unwrap(), "mine");
+    let foreign = folder.path().join("foreign");
+    fs::create_dir(&foreign).unwrap();
+    fs::write(foreign.join("trace.csv"), "mine").unwrap();
+    for more in [&[][..], &["--overwrite"]] {
+        let error = fail(folder.path(), &[&["run", "small.toml", "--out", "foreign"], more].concat());
+        assert!(error.contains("foreign: ") && error.contains("trace.csv"), "{error}");
+    }
+    assert_eq!(fs::read_to_string(foreign.join("trace.csv")).unwrap(), "mine");
+    assert_eq!(fs::read_dir(&foreign).unwrap().count(), 1, "something was left behind");
+}
+
+#[test]
+fn runs_without_a_folder_are_numbered_and_the_last_is_gone_on_with() {
+    let folder = folder_with_scene();
+    for number in 1..=2 {
+        let text = succeed(folder.path(), &["run", "small.toml", "--steps", "20", "--no-pictures"]);
+        assert!(text.contains(&format!("output in out/small-00{number}")), "{text}");
+    }
+    let text = succeed(folder.path(), &["run", "small.toml", "--steps", "30", "--no-pictures", "--resume"]);
+    assert!(
+        text.contains("goes on with 'small' of out/small-002/snapshot.barchan, from step 20 at 0.0020 s"),
+        "{text}"
+    );
+    let lines = |out: &str| fs::read_to_string(folder.path().join(out).join("trace.csv")).unwrap().lines().count();
+    assert_eq!((lines("out/small-001"), lines("out/small-002")), (21, 31));
+    let error = fail(folder.path(), &["run", "letters", "--resume"]);
+    assert!(error.contains("no run of 'letters' has left a snapshot.barchan in out"), "{error}");
+    // What is refused leaves no folder behind.
+    fail(folder.path(), &["run", "small.toml", "--set", "time.step=1"]);
+    assert!(!folder.path().join("out/small-003").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_second_run_is_kept_out_of_a_folder_as_long_as_the_first_one_writes() {
+    let folder = folder_with_scene();
+    let set = ["--set", "time.end=1000", "--set", "output.snapshot_interval=5e-3"];
+    let args = [&["run", "small.toml", "--out", "one", "--quiet"], &set[..]].concat();
+    let mut child = barchan(folder.path()).args(args).stderr(Stdio::null()).spawn().unwrap();
+    wait_for(&folder.path().join("one/snapshot.barchan"));
+    for more in [&["small.toml", "--overwrite"][..], &["--resume"]] {
+        let error = fail(folder.path(), &[&["run", "--out", "one"], more].concat());
+        assert!(error.contains("one: this output folder is being written into by another run"), "{error}");
+    }
+    // However it ends, it holds the folder no longer.
+    child.kill().unwrap();
+    child.wait().unwrap();
+    succeed(folder.path(), &["run", "small.toml", "--out", "one", "--overwrite", "--steps", "3", "--quiet"]);
+}
+
+/// Symptom: the trace lay in memory when a run was killed, so that the resumed run's had a hole from the last picture to the snapshot. What
+/// was half written stayed for ever.
+#[cfg(unix)]
+#[test]
+fn what_a_killed_run_leaves_goes_on_without_a_gap() {
+    let folder = folder_with_scene();
+    let set = ["--set", "time.end=1000", "--set", "output={interval=100, snapshot_interval=5e-3, picture={on=false}}"];
+    let args = [&["run", "small.toml", "--out", "killed", "--quiet"], &set[..]].concat();
+    let mut child = barchan(folder.path()).args(args).stderr(Stdio::null()).spawn().unwrap();
+    let out = folder.path().join("killed");
+    wait_for(&out.join("snapshot.barchan"));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    for left in [".snapshot.barchan.4000000.part", ".probe.4000000.part"] {
+        fs::write(out.join(left), "half").unwrap();
+    }
+    succeed(folder.path(), &["run", "--out", "killed", "--quiet", "--seconds", "0.02", "--resume"]);
+    let trace = fs::read_to_string(out.join("trace.csv")).unwrap();
+    let steps: Vec<u64> = trace.lines().skip(1).map(|line| line.split(',').nth(1).unwrap().parse().unwrap()).collect();
+    assert!(steps.iter().copied().eq(1..=200), "{} lines from {:?} to {:?}", steps.len(), steps.first(), steps.last());
+    let names = fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut names: Vec<String> = names.collect();
+    names.sort();
+    assert_eq!(names, ["files.txt", "snapshot.barchan", "summary.json", "trace.csv"]);
+}
+
+/// A closed tetrahedron around the origin.
+fn tetrahedron(size: f64) -> String {
+    format!(
+        "v {size} {size} {size}\nv {size} -{size} -{size}\nv -{size} {size} -{size}\nv -{size} -{size} {size}\n\
+         f 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n"
+    )
+}
+
+/// Symptom: `run other.toml --resume` went on with the old scene and said nothing, and a mesh that had been edited meanwhile was the body's
+/// from then on.
+#[test]
+fn a_run_goes_on_as_the_scene_that_it_began_with() {
+    let folder = folder_with_scene();
+    let here = folder.path();
+    let meshed = SMALL
+        .replace("name = \"small\"", "name = \"meshed\"")
+        .replace("sphere = { radius = 0.02 }", "mesh = { file = \"rod.obj\", scale = 0.02 }");
+    fs::write(here.join("meshed.toml"), meshed).unwrap();
+    fs::write(here.join("rod.obj"), tetrahedron(1.0)).unwrap();
+    let resume =
+        |more: &[&'static str]| [&["run"], more, &["--out", "one", "--quiet", "--steps", "40", "--resume"]].concat();
+    let set = ["--set", "gravity=[0, 0, -5]"];
+    succeed(here, &[&["run", "meshed.toml", "--out", "one", "--quiet", "--steps", "20"], &set[..]].concat());
+    for (more, says) in [
+        (&["small.toml"][..], &["continues the scene 'meshed', and 'small' is given"][..]),
+        (&["letters"], &["'meshed'", "'letters'"]),
+        (&["meshed.toml", "--set", "gravity=[0, 0, -5]"], &["began, with --set gravity=[0, 0, -5], and --set"]),
+        (&["--set", "time.end=3"], &["--resume", "--set time.end=3"]),
+    ] {
+        let error = fail(here, &resume(more));
+        says.iter().for_each(|part| assert!(error.contains(part), "{more:?}: '{part}' is not in: {error}"));
+    }
+    let text = fs::read_to_string(here.join("meshed.toml")).unwrap();
+    fs::write(here.join("meshed.toml"), text.replace("density = 1600.0", "density = 1700.0")).unwrap();
+    let error = fail(here, &resume(&["meshed.toml"]));
+    assert!(error.contains("material[0].density was 1600") && error.contains("is 1700"), "{error}");
+    // Without a scene it is the one that the run began with.
+    succeed(here, &resume(&[]));
+    fs::write(here.join("rod.obj"), tetrahedron(0.9)).unwrap();
+    let error = fail(here, &resume(&[]));
+    assert!(error.contains("rod.obj has changed since the run began"), "{error}");
+    fs::write(here.join("rod.obj"), tetrahedron(1.0)).unwrap();
+    succeed(here, &resume(&[]));
+    assert_eq!(fs::read_to_string(here.join("one/trace.csv")).unwrap().lines().count(), 41);
+}
+
+/// Names come from files that others may have written.
+#[test]
+fn names_cannot_break_a_table_nor_act_on_a_terminal() {
+    let folder = folder_with_scene();
+    let (escape, name) = ('\u{1b}', r#"a "rod", x\u001b[31m\nerror: y"#);
+    let text =
+        SMALL.replace("name = \"rod\"", &format!("name = {:?}", "NAME")).replace("NAME", &name.replace('"', "\\\""));
+    let text = text
+        .replace("name = \"sand\"\nlaw", "name = \"sa\\u001bnd\"\nlaw")
+        .replace("material = \"sand\"", "material = \"sa\\u001bnd\"");
+    fs::write(folder.path().join("odd.toml"), text).unwrap();
+    let output = run(folder.path(), &["run", "odd.toml", "--out", "odd", "--steps", "5"]);
+    let shown = String::from_utf8(output.stdout).unwrap() + std::str::from_utf8(&output.stderr).unwrap();
+    assert!(output.status.success(), "{shown}");
+    assert!(shown.contains("[31m") && !shown.contains(escape), "{shown}");
+    assert!(!shown.lines().any(|line| line.starts_with("error:")), "{shown}");
+    let trace = fs::read_to_string(folder.path().join("odd/trace.csv")).unwrap();
+    let head = trace.lines().next().unwrap();
+    assert!(head.starts_with(r#"time [s],step,dt [s],"a ""rod"", x[31merror: y x [m]","#), "{head}");
+    assert_eq!(trace.lines().count(), 6, "{trace}");
+    let error = fail(folder.path(), &["check", "odd.toml", "--set", "body[0].material=\"x\\u001b[2J\""]);
+    assert!(error.contains("x[2J") && !error.contains(escape), "{error}");
 }
 
 #[cfg(unix)]
@@ -160,8 +410,8 @@ fn a_full_disk_is_found_before_the_first_step() {
     let output = Command::new("bash").args(["-c", &script]).current_dir(folder.path()).output().unwrap();
     let error = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
-    assert!(error.contains("out/small: this output folder cannot be used") && error.contains("--out"), "{error}");
-    assert_eq!(fs::read_dir(folder.path().join("out/small")).unwrap().count(), 0, "something was left behind");
+    assert!(error.contains("out/small-001: this output folder cannot be used") && error.contains("--out"), "{error}");
+    assert_eq!(fs::read_dir(folder.path().join("out")).unwrap().count(), 0, "something was left behind");
 }
 
 #[cfg(unix)]
@@ -175,7 +425,7 @@ fn a_disk_that_fills_up_ends_the_run_and_keeps_what_there_is() {
     let error = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
     assert!(error.contains("trace.csv: writing the trace"), "{error}");
-    let out = folder.path().join("out/small");
+    let out = folder.path().join("out/small-001");
     let trace = fs::read_to_string(out.join("trace.csv")).unwrap();
     assert!(trace.lines().count() > 300, "{} lines were kept", trace.lines().count());
     let summary = fs::read_to_string(out.join("summary.json")).unwrap();
@@ -194,13 +444,76 @@ fn what_cannot_be_run_is_refused_with_place_and_mend() {
         (&["check", "small.toml", "--backend", "gpu"], &["'gpu'", "known are: cpu"]),
         (&["check", "small.toml", "--set", "time.step=1"], &["time step", "above the bound", "lower time.step"]),
         (&["run", "small.toml", "--out", "small.toml/x"], &["small.toml/x", "--out"]),
-        (&["run", "small.toml", "--resume"], &["snapshot.barchan"]),
+        (&["run", "small.toml", "--resume"], &["--resume", "snapshot.barchan"]),
+        (&["run", "small.toml", "--out", "none", "--resume"], &["none/snapshot.barchan"]),
+        (&["check", "small.toml", "--set", "gravity_ramp=-1"], &["--set: gravity_ramp: is -1", "0 or above"]),
+        (
+            &["check", "small.toml", "--set", "body.0.spacing=0.01"],
+            &["--set: body.0.spacing", "write body[0].spacing=0.01"],
+        ),
+        (
+            &["check", "small.toml", "--set", "body[0]spacing=0.01"],
+            &["--set: body[0]spacing", "write body[0].spacing=0.01"],
+        ),
+        (
+            &["check", "small.toml", "--set", "body[1].spacing=0.01"],
+            &["--set: body[1].spacing", "write body[0].spacing=0.01"],
+        ),
+        (
+            &["check", "small.toml", "--set", "bdoy[0].spacing=0.01"],
+            &["--set: bdoy[0].spacing", "write body[0].spacing=0.01"],
+        ),
+        (
+            &["check", "small.toml", "--set", "tool.rad.position=[0,0,0]"],
+            &["--set: tool.rad", "write tool[0].", "name one of rod"],
+        ),
+        (&["check", "small.toml", "--set", "gravity[2]=-1"], &["--set: gravity[2]", "write all of it, gravity=[…]"]),
+        (
+            &["check", "small.toml", "--set", "body[0].shape.sphere.radius=1"],
+            &["body[0].shape: with --set body[0].shape.sphere"],
+        ),
+        (
+            &["check", "small.toml", "--set", "coupling=[{ kind = \"rigid\", parameters = { mass = 1 } }]"],
+            &["--set: coupling[0].parameters.mass: coupling 'rigid' has no parameter `mass`; it has none"],
+        ),
+        (
+            &["run", "small.toml", "--steps", "10", "--swap-at", "10:cpu:f64"],
+            &["--swap-at: step 10 never comes", "at step 10"],
+        ),
+        (&["run", "small.toml", "--seconds", "1e-3", "--swap-at", "99:cpu:f64"], &["--swap-at: step 99 never comes"]),
         (&["plugins", "--load", "small.toml"], &["small.toml"]),
     ] {
         let error = fail(here, args);
         for part in says {
             assert!(error.contains(part), "{args:?}: '{part}' is not in: {error}");
         }
+    }
+    // What could not be meant is refused by whoever reads the command line.
+    let meant = ["--seconds=nan", "--seconds=inf", "--seconds=-1", "--threads=100000000", "--threads=1.5"];
+    for option in meant {
+        let output = run(here, &["run", "small.toml", option]);
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{option}: {error}");
+        assert!(error.contains(option.split('=').next().unwrap()) && error.contains("must be"), "{error}");
+    }
+    let twice = SMALL.to_owned()
+        + "[[body]]\nmaterial = \"sand\"\nshape = { box = { half = [0.05, 0.05, 0.05], center = [0.05, 0.05, 0.05] } }\n";
+    fs::write(here.join("twice.toml"), twice).unwrap();
+    let error = fail(here, &["check", "twice.toml"]);
+    assert!(error.contains("twice.toml:") && error.contains("body[1].shape: is exactly where body[0] is"), "{error}");
+    // The limits themselves are allowed, however they are rounded.
+    for (cell, spacing) in
+        [("0.001", "0.0002"), ("0.03", "0.006"), ("0.007", "0.0014"), ("0.3", "0.06"), ("0.1", "0.1")]
+    {
+        let max = format!("world.max=[{0}, {0}, {0}]", 40.0 * cell.parse::<f64>().unwrap());
+        let sets = [format!("world.cell={cell}"), max, format!("body[0].spacing={spacing}")];
+        let side = cell.parse::<f64>().unwrap();
+        let body = format!("body[0].shape.box.max=[{side}, {side}, {side}]");
+        let tool = "tool=[]".to_owned();
+        let step = "time.step=1e-9".to_owned();
+        let sets: Vec<String> = sets.into_iter().chain([body, tool, step]).collect();
+        let sets: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
+        succeed(here, &[&["check", "small.toml"], &sets[..]].concat());
     }
     fs::write(here.join("bad.toml"), SMALL.replace("density = 1600.0", "density = -1.0")).unwrap();
     let line = SMALL.lines().position(|line| line.starts_with("density")).unwrap() + 1;
@@ -364,7 +677,7 @@ fn a_swap_in_the_middle_leaves_one_run() {
 
     let error = fail(folder.path(), &["run", "small.toml", "--swap-at", "50:abacus", "--quiet"]);
     assert!(error.contains("no backend is called 'abacus'"), "{error}");
-    assert!(!folder.path().join("out/small/trace.csv").exists(), "refused before the first step");
+    assert!(!folder.path().join("out").exists(), "refused before the first step");
 }
 
 #[test]

@@ -27,7 +27,7 @@ pub mod worlds;
 pub use barchan_core::{
     Backend, BodyState, Coupling, Effect, Engine, Error, Ledger, Material, Measured, NodeBatch, Options, ParticleList,
     ParticleState, Plan, Precision, Registry, Result, Scene, Simulation, SortPhase, Spot, Stage, StepReport, Task,
-    Vec3, Wrench, backend, coupling, export, ledger, material, plan, registry as registries, scene, simulation,
+    Vec3, Wrench, backend, coupling, export, file, ledger, material, plan, registry as registries, scene, simulation,
     snapshot, solid, state, task,
 };
 pub use barchan_tasks as tasks;
@@ -48,7 +48,7 @@ pub fn registry() -> Registry {
     let registered = materials
         .into_iter()
         .flatten()
-        .try_for_each(|table| registry.add_material(table, "built-in"))
+        .try_for_each(|table| registry.add_material(table, plan::BUILT_IN))
         .and_then(|()| barchan_rigid::register(&mut registry))
         .and_then(|()| barchan_backend_cpu::register(&mut registry))
         .and_then(|()| barchan_wgpu::register(&mut registry));

@@ -8,17 +8,23 @@
 //! | `trace.csv` | every step: time, step size, pose, velocity and wrench of every body |
 //! | `summary.json` | every figure of the run |
 //! | `snapshot.barchan` | the state at the end, on interruption or before an error: the run continues from it bit for bit |
+//! | `files.txt` | what the run has written: nothing else is ever removed or overwritten |
 //!
 //! Output never changes the physics: steps are those of a run without output (only the end is met exactly), and a picture
 //! shows the first step at or past its time.
 
+mod folder;
+
+pub use folder::{Existing, check as check_folder, last as last_folder, next as next_folder};
+
 use crate::picture::{self, Image, View};
 use barchan_core::backend::Timing;
 use barchan_core::export::export;
-use barchan_core::scene::Export;
+use barchan_core::scene::{Export, plain};
 use barchan_core::{
     BodyState, Error, Ledger, Options, Precision, Registry, Result, Simulation, StepReport, Vec3, Wrench,
 };
+use folder::Folder;
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -28,6 +34,12 @@ use std::time::Instant;
 
 /// Name of the snapshot within an output folder.
 pub const SNAPSHOT: &str = "snapshot.barchan";
+const TRACE: &str = "trace.csv";
+const SUMMARY: &str = "summary.json";
+const CONTACT_SHEET: &str = "contact-sheet.png";
+const ANIMATION: &str = "animation.gif";
+const FRAMES: &str = "frames";
+const PARTICLES: &str = "particles";
 /// Animations stay below this many bytes and frames.
 const ANIMATION_BYTES: usize = 6 << 20;
 const ANIMATION_FRAMES: usize = 240;
@@ -58,8 +70,8 @@ pub struct Request {
     pub pictures: bool,
     /// Particle files; absent: as the scene says.
     pub export: Option<Export>,
-    /// Keep what the folder holds up to the simulation's present step, and go on from there.
-    pub resumed: bool,
+    /// What becomes of a run that the folder holds.
+    pub existing: Existing,
     /// Another backend that takes over in the middle.
     pub swap: Option<Swap>,
 }
@@ -156,27 +168,46 @@ pub struct Summary {
 /// if it had come so far only: everything is saved.
 ///
 /// # Errors
-/// If the output folder cannot be used, which is found out before the first step. If a step fails: what was simulated until
-/// then is saved first. If the disk fills up: files written before stay.
+/// If the output folder cannot be used or another run is writing into it, which is found out before the first step. If a step fails: what was
+/// simulated until then is saved first. If the disk fills up: files written before stay. If the run ends before the step at which another
+/// backend was to take over.
 pub fn run(
     simulation: &mut Simulation,
     request: &Request,
     watch: &mut dyn FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Summary> {
     let start = Instant::now();
+    if let (Some(Swap { step, .. }), Until::Step(end)) = (&request.swap, request.until)
+        && *step >= end
+    {
+        return Err(too_late(*step, end));
+    }
     let mut recorder = Recorder::new(simulation, request)?;
     let first = Start { time: simulation.time(), step: simulation.step_count(), ledger: simulation.ledger() };
     let mut tally = Tally::default();
     recorder.record(simulation)?;
     let result = steps(simulation, request, &first, &mut recorder, &mut tally, start, watch);
     // An error of the physics leaves the state before the step: it is saved like any other end.
-    let snapshot = simulation.save(request.out.join(SNAPSHOT));
+    let snapshot = recorder.save(simulation);
     let interrupted = !matches!(result, Ok(true));
     let error = result.as_ref().err().map(ToString::to_string);
     let summary = recorder.finish(simulation, &first, &tally, interrupted, error, start);
     result?;
     snapshot?;
-    summary
+    let summary = summary?;
+    match &request.swap {
+        Some(Swap { step, .. }) if !interrupted && summary.step < *step => Err(too_late(*step, summary.step)),
+        _ => Ok(summary),
+    }
+}
+
+/// The error for a swap that never comes.
+fn too_late(swap: u64, end: u64) -> Error {
+    Error::Body {
+        path: "--swap-at".to_owned(),
+        what: format!("step {swap} never comes: the run ends at step {end}"),
+        mend: "name an earlier step, or run further".to_owned(),
+    }
 }
 
 /// Where a run began.
@@ -257,7 +288,7 @@ fn steps(
 
 /// Writes a run's files as it goes.
 struct Recorder {
-    out: PathBuf,
+    folder: Folder,
     interval: f64,
     view: Option<View>,
     export: Option<Export>,
@@ -271,34 +302,40 @@ struct Recorder {
 impl Recorder {
     fn new(simulation: &Simulation, request: &Request) -> Result<Self> {
         let begin = Instant::now();
-        let out = request.out.clone();
         let output = &simulation.plan().scene.output;
         let pictures = request.pictures && output.picture.on;
-        let format = request.export.or(output.export);
-        check_folder(&out, simulation.plan().memory.0)?;
-        let time = simulation.time();
-        // Pictures up to now are kept when a run goes on, all others are of an older run.
-        let past = if request.resumed { (time / output.interval + 1e-9).floor() as u64 + 1 } else { 0 };
-        let frames = numbered(&out.join("frames"), past)?;
-        numbered(&out.join("particles"), past)?;
-        let folder = |on: bool, name: &str| if on { make_folder(&out.join(name)) } else { Ok(()) };
-        folder(pictures, "frames")?;
-        folder(format.is_some(), "particles")?;
+        let mut folder = Folder::open(&request.out, request.existing, simulation.plan().memory.0)?;
+        let (time, resumed) = (simulation.time(), request.existing == Existing::Resume);
+        // Pictures up to now are kept when a run goes on.
+        let past = if resumed { (time / output.interval + 1e-9).floor() as u64 + 1 } else { 0 };
+        let frames = folder.numbered(FRAMES, past)?;
+        folder.numbered(PARTICLES, past)?;
         let view = match frames.last().filter(|_| pictures).and_then(|path| view_of(path)) {
             Some(view) => Some(view),
             None => pictures.then(|| View::new(simulation)),
         };
         Ok(Self {
-            trace: open_trace(&out.join("trace.csv"), simulation, request.resumed)?,
+            trace: open_trace(&folder.claim(TRACE)?, simulation, resumed)?,
+            folder,
             interval: output.interval,
             snapshot_interval: output.snapshot_interval,
             next_snapshot: output.snapshot_interval.map_or(f64::INFINITY, |interval| time + interval),
             next_frame: past,
-            out,
             view,
-            export: format,
+            export: request.export.or(output.export),
             seconds: begin.elapsed().as_secs_f64(),
         })
+    }
+
+    /// A snapshot of the simulation as it is, and of the trace as far as it has come: so the trace of a run that goes on from it has no gap.
+    fn save(&mut self, simulation: &Simulation) -> Result<()> {
+        let flushed = self.flush_trace();
+        let saved = self.folder.claim(SNAPSHOT).and_then(|path| simulation.save(path));
+        flushed.and(saved)
+    }
+
+    fn flush_trace(&mut self) -> Result<()> {
+        self.trace.flush().map_err(|e| io_error(&self.folder.join(TRACE), "writing the trace", e))
     }
 
     /// A line of the trace for each step since `from` (time, step).
@@ -318,8 +355,8 @@ impl Recorder {
             }
             line.push('\n');
         }
-        let path = self.out.join("trace.csv");
-        self.trace.write_all(line.as_bytes()).map_err(|e| io_error(&path, "writing the trace", e))?;
+        let written = self.trace.write_all(line.as_bytes());
+        written.map_err(|e| io_error(&self.folder.join(TRACE), "writing the trace", e))?;
         self.seconds += begin.elapsed().as_secs_f64();
         Ok(())
     }
@@ -338,22 +375,22 @@ impl Recorder {
             // A step longer than the interval skips pictures rather than repeat one.
             self.next_frame = (time / self.interval + 1e-9).floor() as u64 + 1;
             if let Some(view) = &mut self.view {
-                let path = self.out.join("frames").join(format!("{number:05}.png"));
                 let picture = view.draw(simulation)?;
-                let view = serde_json::to_string(view).expect("a view is plain numbers and text");
-                let notes = [(TIME, time.to_string()), (VIEW, view)];
-                let notes = notes.each_ref().map(|(keyword, text)| (*keyword, text.as_str()));
-                picture.write_png(&path, &notes).map_err(|e| io_error(&path, "writing a picture", e))?;
+                let view = serde_json::to_string(view).map_err(io::Error::other);
+                let name = format!("{FRAMES}/{number:05}.png");
+                self.folder.write(&name, "writing a picture", |out| {
+                    let notes = [(TIME, time.to_string()), (VIEW, view?)];
+                    picture.encode_png(out, &notes.each_ref().map(|(keyword, text)| (*keyword, text.as_str())))
+                })?;
             }
             if let Some(format) = self.export {
-                let path = self.out.join("particles").join(format!("{number:05}.{}", format.extension()));
+                let path = self.folder.claim(&format!("{PARTICLES}/{number:05}.{}", format.extension()))?;
                 export(&simulation.ground(), simulation.plan(), path, format)?;
             }
-            let path = self.out.join("trace.csv");
-            self.trace.flush().map_err(|e| io_error(&path, "writing the trace", e))?;
+            self.flush_trace()?;
         }
         if let Some(interval) = self.snapshot_interval.filter(|_| time >= self.next_snapshot) {
-            simulation.save(self.out.join(SNAPSHOT))?;
+            self.save(simulation)?;
             self.next_snapshot = ((time / interval + 1e-9).floor() + 1.0) * interval;
         }
         self.seconds += begin.elapsed().as_secs_f64();
@@ -373,15 +410,13 @@ impl Recorder {
         // Asked before the animation, which is no part of the simulation.
         let peak_memory = peak_memory();
         let begin = Instant::now();
-        let path = self.out.join("trace.csv");
         // After an error, the rest is written all the same.
-        match self.trace.flush() {
-            Err(e) if error.is_none() => return Err(io_error(&path, "writing the trace", e)),
+        match self.flush_trace() {
+            Err(e) if error.is_none() => return Err(e),
             _ => {}
         }
         if let Some(view) = &self.view {
-            let frames = numbered(&self.out.join("frames"), u64::MAX)?;
-            overview(&frames, view, self.interval, &self.out)?;
+            overview(&mut self.folder, view, self.interval)?;
         }
         self.seconds += begin.elapsed().as_secs_f64();
 
@@ -420,57 +455,14 @@ impl Recorder {
             ledger_end: simulation.ledger(),
             warnings: plan.warnings.clone(),
         };
-        let json = serde_json::to_string_pretty(&summary).expect("a summary is plain numbers and text");
-        write_whole(&self.out.join("summary.json"), "writing the summary", json.as_bytes())?;
+        let json = serde_json::to_string_pretty(&summary).map_err(io::Error::other);
+        self.folder.write(SUMMARY, "writing the summary", |out| out.write_all(json?.as_bytes()))?;
         Ok(summary)
     }
 }
 
-/// Is the folder there, may it be written, and does it have room for a snapshot (up to 64 MiB are tried)?
-fn check_folder(out: &Path, snapshot: u64) -> Result<()> {
-    const WHAT: &str = "this output folder cannot be used (choose another with --out, or make room)";
-    make_folder(out)?;
-    let probe = out.join(format!(".probe-{}", std::process::id()));
-    let zeros = vec![0u8; snapshot.clamp(1 << 16, 64 << 20) as usize];
-    let written = File::create(&probe).and_then(|mut file| file.write_all(&zeros).and_then(|()| file.sync_all()));
-    let removed = if probe.exists() { fs::remove_file(&probe) } else { Ok(()) };
-    written.and(removed).map_err(|source| io_error(out, WHAT, source))
-}
-
-fn make_folder(path: &Path) -> Result<()> {
-    fs::create_dir_all(path)
-        .map_err(|e| io_error(path, "this output folder cannot be made (choose another with --out)", e))
-}
-
 fn io_error(path: &Path, what: &'static str, source: io::Error) -> Error {
     Error::Io { file: path.to_owned(), what, source }
-}
-
-/// Writes a file under a temporary name, then renames it: there is never half a file.
-fn write_whole(path: &Path, what: &'static str, bytes: &[u8]) -> Result<()> {
-    let temporary = path.with_extension("part");
-    let written = fs::write(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
-    written.map_err(|e| io_error(path, what, e))
-}
-
-/// The numbered files of a folder below `end`, in order; those from `end` on are deleted.
-fn numbered(folder: &Path, end: u64) -> Result<Vec<PathBuf>> {
-    let entries = match fs::read_dir(folder) {
-        Ok(entries) => entries,
-        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(e) => return Err(io_error(folder, "reading the folder", e)),
-    };
-    let mut kept = Vec::new();
-    for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
-        let number = path.file_stem().and_then(|stem| stem.to_str()?.parse::<u64>().ok());
-        match number {
-            Some(number) if number < end => kept.push((number, path)),
-            Some(_) => fs::remove_file(&path).map_err(|e| io_error(&path, "deleting a file of an older run", e))?,
-            None => {}
-        }
-    }
-    kept.sort();
-    Ok(kept.into_iter().map(|(_, path)| path).collect())
 }
 
 /// The view that a picture was drawn with.
@@ -525,8 +517,14 @@ const COLUMNS: [&str; 19] = [
 ];
 
 fn header(bodies: &[BodyState]) -> String {
-    let columns = bodies.iter().flat_map(|body| COLUMNS.map(|column| format!("{} {column}", body.name)));
+    let columns = bodies.iter().flat_map(|body| COLUMNS.map(|column| quoted(&format!("{} {column}", body.name))));
     ["time [s]", "step", "dt [s]"].map(str::to_owned).into_iter().chain(columns).collect::<Vec<_>>().join(",")
+}
+
+/// A field of a CSV file (RFC 4180), on one line.
+fn quoted(field: &str) -> String {
+    let field = plain(field);
+    if field.contains(['"', ',']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field }
 }
 
 fn row(body: &BodyState, wrench: &Wrench) -> String {
@@ -536,7 +534,8 @@ fn row(body: &BodyState, wrench: &Wrench) -> String {
 }
 
 /// Makes the contact sheet and the animation from the pictures of a run.
-fn overview(frames: &[PathBuf], view: &View, interval: f64, out: &Path) -> Result<()> {
+fn overview(folder: &mut Folder, view: &View, interval: f64) -> Result<()> {
+    let frames = folder.numbered(FRAMES, u64::MAX)?;
     if frames.is_empty() {
         return Ok(());
     }
@@ -551,16 +550,14 @@ fn overview(frames: &[PathBuf], view: &View, interval: f64, out: &Path) -> Resul
         })
         .collect::<Result<_>>()?;
     let sheet = picture::contact_sheet(&pictures, 3, 480);
-    let path = out.join("contact-sheet.png");
-    sheet.write_png(&path, &[]).map_err(|e| io_error(&path, "writing the contact sheet", e))?;
+    folder.write(CONTACT_SHEET, "writing the contact sheet", |out| sheet.encode_png(out, &[]))?;
 
-    let path = out.join("animation.gif");
     let stride = frames.len().div_ceil(ANIMATION_FRAMES);
     let shown: Vec<&PathBuf> = frames.iter().step_by(stride).collect();
     let small = |i: usize| Ok(Image::read_png(shown[i])?.0.shrunk(ANIMATION_WIDTH));
     let bytes = picture::gif(shown.len(), small, interval * stride as f64, ANIMATION_BYTES)
-        .map_err(|e| io_error(&path, "making the animation", e))?;
-    write_whole(&path, "writing the animation", &bytes)
+        .map_err(|e| io_error(&folder.join(ANIMATION), "making the animation", e))?;
+    folder.write(ANIMATION, "writing the animation", |out| out.write_all(&bytes))
 }
 
 /// Peak resident memory of this process [bytes], where the system tells (Linux).

@@ -62,6 +62,7 @@ impl Worlds {
     /// # Panics
     /// If the system gives no threads.
     pub fn new(registry: &Registry, scenes: Vec<Scene>, options: &Options) -> Result<Self> {
+        options.check()?;
         let pool = ThreadPoolBuilder::new().num_threads(options.threads).build().expect("worker threads start");
         let together = Together::new(registry, &scenes, options)?;
         // How many threads a world has changes no bit of it.

@@ -4,6 +4,7 @@ use super::{Body, Contact, Motion, Placed, Scene, Shape, Tool, Wall, Walls};
 use crate::coupling::Aabb;
 use crate::levels::NESTING;
 use crate::{Error, Result, Vec3};
+use std::collections::BTreeMap;
 
 /// How far a bound may be from a whole cell and still mean it, in cells.
 pub const WHOLE_CELL: f64 = 1e-6;
@@ -12,6 +13,8 @@ const BLOCK: i64 = 4;
 /// Cells are counted in 32 bits; half of their range leaves room for neighbours.
 const MOST_CELLS: f64 = (1 << 30) as f64;
 const AXES: [&str; 3] = ["x", "y", "z"];
+/// Distances between particles, in cells.
+const SPACINGS: std::ops::RangeInclusive<f64> = 0.2..=1.0;
 /// More would make the coarsest cells 256 times as wide as the finest.
 const MOST_LEVELS: u32 = 8;
 /// Cells from a box's middle to its side: fewer leave no room between two levels, more than one level can be.
@@ -104,6 +107,7 @@ impl Scene {
         self.check_levels()?;
         self.check_sleep()?;
         self.check_time_and_output()?;
+        self.not_negative("gravity_ramp", self.gravity_ramp)?;
         for (i, material) in self.material.iter().enumerate() {
             self.positive(&format!("material[{i}].density"), material.density)?;
         }
@@ -114,6 +118,7 @@ impl Scene {
             self.check_tool(&format!("tool[{i}]"), tool)?;
         }
         self.normalise_rotations();
+        self.check_overlaps()?;
         for (i, tool) in self.tool.iter().enumerate() {
             self.check_tool_place(&format!("tool[{i}]"), tool)?;
         }
@@ -174,7 +179,9 @@ impl Scene {
     }
 
     fn check_names(&self) -> Result<()> {
-        let good = !self.name.trim().is_empty() && !self.name.contains(['/', '\\']) && self.name != "..";
+        let good = !self.name.trim().is_empty()
+            && !self.name.contains(|c: char| matches!(c, '/' | '\\') || c.is_control())
+            && ![".", ".."].contains(&self.name.trim());
         self.require(good, "name", format!("is '{}'", self.name), "it becomes a folder: give a word without slashes")?;
         self.require(
             i64::try_from(self.seed).is_ok(),
@@ -194,7 +201,7 @@ impl Scene {
     }
 
     fn unique<'a>(&self, list: &str, names: impl Iterator<Item = &'a str>, required: bool) -> Result<()> {
-        let mut seen = std::collections::BTreeMap::new();
+        let mut seen = BTreeMap::new();
         for (i, name) in names.enumerate() {
             let path = format!("{list}[{i}].name");
             self.require(!name.is_empty() || !required, &path, "is empty", "give it a name")?;
@@ -483,8 +490,10 @@ impl Scene {
             });
         }
         let cells = self.spacing(body) / self.world.cell;
+        // A quotient is off by rounding.
+        let (least, most) = (SPACINGS.start() * (1.0 - WHOLE_CELL), SPACINGS.end() * (1.0 + WHOLE_CELL));
         self.require(
-            (0.2..=1.0).contains(&cells),
+            (least..=most).contains(&cells),
             &format!("{path}.spacing"),
             format!("is {cells:.3} cells"),
             format!("must be from 0.2 to 1 cells, {} to {} m", 0.2 * self.world.cell, self.world.cell),
@@ -502,6 +511,26 @@ impl Scene {
             Some(bounds) => self.check_inside(path, bounds),
             None => Ok(()),
         }
+    }
+
+    /// No two bodies have the same shape at the same place: matter would be there twice.
+    fn check_overlaps(&self) -> Result<()> {
+        let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+        for (i, body) in self.body.iter().enumerate() {
+            // A box may be given by its corners or by its middle.
+            let place = match (&body.shape, body.shape.bounds()) {
+                (Shape::Box { .. }, Some(bounds)) => format!("box {:?} {:?}", bounds.min, bounds.max),
+                (shape, _) => format!("{shape:?}"),
+            };
+            if let Some(first) = seen.insert(place, i) {
+                return Err(self.fault(
+                    &format!("body[{i}].shape"),
+                    format!("is exactly where body[{first}] is: the two overlap in all of their volume"),
+                    "move or cut one of them, or leave it out",
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// Settled ground has a surface above each of its points, a weight along -z from the start, and rests.

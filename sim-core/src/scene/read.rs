@@ -2,7 +2,7 @@
 
 use super::Scene;
 use crate::{Error, Result, snapshot};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 use toml::Value;
@@ -17,11 +17,13 @@ pub struct Source {
     file: String,
     /// Line by key path; `None`: the value came from `--set`.
     lines: BTreeMap<String, Option<usize>>,
+    /// Overrides, in their order.
+    overrides: Vec<String>,
 }
 
 impl Source {
     fn of(file: &str, text: &str, table: &DeTable<'_>) -> Self {
-        let mut source = Self { file: file.to_owned(), lines: BTreeMap::new() };
+        let mut source = Self { file: file.to_owned(), ..Self::default() };
         source.note_table(&Lines::of(text), "", table);
         source
     }
@@ -61,6 +63,12 @@ impl Source {
                 },
             }
         }
+    }
+
+    /// An override of something below a key path.
+    fn overridden_below(&self, path: &str) -> Option<&str> {
+        let is_below = |known: &str| known.strip_prefix(path).is_some_and(|rest| rest.starts_with(['.', '[']));
+        self.lines.iter().find(|(known, line)| line.is_none() && is_below(known)).map(|(known, _)| known.as_str())
     }
 
     /// Notes that everything at `path` now comes from an override.
@@ -157,10 +165,41 @@ impl Scene {
         Ok(())
     }
 
+    /// What has been [set](Self::set) since the scene was read from its file, in order.
+    pub fn overrides(&self) -> &[String] {
+        &self.source.overrides
+    }
+
+    /// Takes over what the scene of a resumed run was changed by.
+    pub(crate) fn note_overrides(&mut self, overrides: Vec<String>) {
+        self.source = Arc::new(Source { overrides, ..(*self.source).clone() });
+    }
+
+    /// The first key in which two scenes differ, and what stands there in each: nothing, if it is absent.
+    pub fn difference(&self, other: &Self) -> Option<(String, [String; 2])> {
+        fn find(path: String, a: Option<&Value>, b: Option<&Value>) -> Option<(String, [String; 2])> {
+            match (a, b) {
+                _ if a == b => None,
+                (Some(Value::Table(a)), Some(Value::Table(b))) => {
+                    let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+                    let below = |key: &String| if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                    keys.into_iter().find_map(|key| find(below(key), a.get(key), b.get(key)))
+                }
+                (Some(Value::Array(a)), Some(Value::Array(b))) => {
+                    (0..a.len().max(b.len())).find_map(|i| find(format!("{path}[{i}]"), a.get(i), b.get(i)))
+                }
+                _ => Some((path, [a, b].map(|value| value.map_or_else(|| "nothing".to_owned(), Value::to_string)))),
+            }
+        }
+        let [a, b] = [self, other].map(|scene| Value::try_from(scene).ok());
+        find(String::new(), a.as_ref(), b.as_ref())
+    }
+
     fn from_value(mut value: Value, mut source: Source, folder: &Path, overrides: &[impl AsRef<str>]) -> Result<Self> {
         for text in overrides {
             let path = apply(&mut value, text.as_ref())?;
             source.overridden(&path);
+            source.overrides.push(text.as_ref().to_owned());
         }
         let mut scene: Self = serde_path_to_error::deserialize(value).map_err(|e| explain(&e, &source))?;
         scene.folder = folder.to_owned();
@@ -190,11 +229,12 @@ impl Scene {
 
 fn fault(source: &Source, path: &str, what: String, mend: String) -> Error {
     let (file, line) = source.place(path);
+    let with = source.overridden_below(path).filter(|_| file != SET);
     Error::Scene {
         file: if file.is_empty() { "scene".to_owned() } else { file.to_owned() },
         line,
         path: path.to_owned(),
-        what,
+        what: what + &with.map_or_else(String::new, |key| format!(" (with {SET} {key})")),
         allowed: (!mend.is_empty()).then_some(mend),
     }
 }
@@ -268,27 +308,27 @@ fn apply(root: &mut Value, text: &str) -> Result<String> {
             "write a number, true, false, \"text\", [list] or { key = value }",
         )
     })?;
+    let form = right_form(root, keys);
     let mut node = root;
     let mut path = String::new();
     for segment in keys.replace('[', ".[").split('.') {
         let index = segment.strip_prefix('[').map(|rest| rest.strip_suffix(']').and_then(|i| i.parse::<usize>().ok()));
         if segment.is_empty() || index == Some(None) {
-            return Err(refuse(
-                keys,
-                format!("`{segment}` is no key"),
-                "write key.path=value, such as body[0].spacing=0.01",
-            ));
+            let form = form.as_deref().unwrap_or("body[0].spacing");
+            return Err(refuse(keys, format!("`{segment}` is no key"), &format!("write {form}={raw}")));
         }
         node = match node {
             Value::Array(items) => {
-                let names: Vec<String> = items.iter().map(|item| name_of(item).unwrap_or("?").to_owned()).collect();
-                let found = index.flatten().or_else(|| names.iter().position(|n| n == segment));
+                let names: Vec<String> = items.iter().filter_map(name_of).map(str::to_owned).collect();
+                let found = index.flatten().or_else(|| items.iter().position(|item| name_of(item) == Some(segment)));
+                let count = items.len();
                 let Some((i, item)) = found.and_then(|i| items.get_mut(i).map(|item| (i, item))) else {
-                    return Err(refuse(
-                        keys,
-                        format!("`{path}` has {} entries and none is `{segment}`", names.len()),
-                        &format!("name one by [0], [1], … or by its name: {}", names.join(", ")),
-                    ));
+                    let what = format!("`{path}` is a list of {count}, and none is `{segment}`");
+                    let mut mend = format!("write {}={raw}", form.as_deref().unwrap_or("body[0].spacing"));
+                    if !names.is_empty() {
+                        mend += &format!(", or name one of {}", names.join(", "));
+                    }
+                    return Err(refuse(keys, what, &mend));
                 };
                 path = format!("{path}[{i}]");
                 item
@@ -296,7 +336,15 @@ fn apply(root: &mut Value, text: &str) -> Result<String> {
             // A choice written as a word, such as motion = "fixed", may be replaced by one with keys.
             scalar_or_table => {
                 if index.is_some() {
-                    return Err(refuse(keys, format!("`{path}` is no list"), "leave out the index"));
+                    // What was not there before has just been made.
+                    let is_new = scalar_or_table.as_table().is_some_and(toml::Table::is_empty);
+                    let what = if is_new { "is not set by the scene" } else { "is no list" };
+                    let mend = match &form {
+                        Some(form) => format!("write {form}={raw}"),
+                        None if is_new => format!("write all of it, {path}=[…]"),
+                        None => "leave out the index".to_owned(),
+                    };
+                    return Err(refuse(keys, format!("`{path}` {what}"), &mend));
                 }
                 if !scalar_or_table.is_table() {
                     *scalar_or_table = Value::Table(toml::Table::new());
@@ -309,6 +357,36 @@ fn apply(root: &mut Value, text: &str) -> Result<String> {
     }
     *node = value;
     Ok(path)
+}
+
+/// The key path that was most likely meant: entries of lists in brackets, misspelt keys by those that the scene sets. `None` if it asks for the entry of
+/// what is no list.
+fn right_form(root: &Value, keys: &str) -> Option<String> {
+    let (mut node, mut form) = (Some(root), String::new());
+    let mut words = keys.split(['.', '[', ']']).filter(|word| !word.is_empty()).peekable();
+    while let Some(word) = words.next() {
+        if let Some(Value::Array(items)) = node {
+            let number = word.parse::<usize>().ok();
+            let entry = number.or_else(|| items.iter().position(|item| name_of(item) == Some(word)));
+            let place = entry.filter(|entry| *entry < items.len()).unwrap_or(0);
+            form += &format!("[{place}]");
+            node = items.get(place);
+            // Before a key stands an entry, if a wrong one.
+            let is_key = words.peek().is_none() || node.is_some_and(|item| item.get(word).is_some());
+            if entry.is_some() || !is_key {
+                continue;
+            }
+        }
+        if word.parse::<usize>().is_ok() {
+            return None;
+        }
+        let known: Vec<String> =
+            node.and_then(Value::as_table).into_iter().flat_map(toml::Table::keys).cloned().collect();
+        let key = if known.iter().any(|k| k == word) { word } else { nearest(word, &known).unwrap_or(word) };
+        form = if form.is_empty() { key.to_owned() } else { format!("{form}.{key}") };
+        node = node.and_then(|node| node.get(key));
+    }
+    Some(form).filter(|form| !form.is_empty())
 }
 
 fn name_of(item: &Value) -> Option<&str> {

@@ -128,7 +128,9 @@ pub fn registry() -> Registry {
     for table in [&MATERIAL, &FLUID, &SILENT] {
         registry.add_material(table, "built-in").unwrap();
     }
-    registry.add_coupling("rigid", "Boxes.", Arc::new(|scene| Ok(Box::new(Boxes::new(scene)) as _))).unwrap();
+    registry
+        .add_coupling("rigid", "Boxes.", Vec::new(), Arc::new(|scene| Ok(Box::new(Boxes::new(scene)) as _)))
+        .unwrap();
     registry.add_backend(Arc::new(Ballistic)).unwrap();
     registry
 }
@@ -267,6 +269,7 @@ impl Backend for Ballistic {
             gravity: plan.gravity,
             bound: plan.bound.clone(),
             steps: 0,
+            summed: 0.0,
             fate: FATE.with(Arc::clone),
         }))
     }
@@ -277,6 +280,8 @@ struct Falling {
     gravity: Vec3,
     bound: Bound,
     steps: u64,
+    /// Steps that an engine before this one has summed up as an impulse.
+    summed: f64,
     fate: Arc<Fate>,
 }
 
@@ -339,8 +344,11 @@ impl Engine for Falling {
             }
         }
         ledger.elastic = f64::NAN;
-        ledger.gravity_impulse[2] += self.steps as f64;
+        ledger.gravity_impulse[2] += self.summed + self.steps as f64;
         ledger.count("fallen", self.steps);
+    }
+    fn carry_on(&mut self, sums: &Ledger) {
+        self.summed = sums.gravity_impulse[2];
     }
     fn timings(&self) -> Vec<Timing> {
         Vec::new()

@@ -101,7 +101,9 @@ fn a_coupling_from_outside_acts_on_every_node_once() {
     let error = Simulation::new(&registry(), &scene(&text), &Options::default()).unwrap_err().to_string();
     println!("{error}");
     assert!(
-        error.contains("coupling[0].parameters.rates: a current has no such parameter; it has rate, x, y, z"),
+        error.contains(
+            "coupling[0].parameters.rates: coupling 'current' has no parameter `rates`; it has rate, x, y, z"
+        ),
         "{error}"
     );
 }

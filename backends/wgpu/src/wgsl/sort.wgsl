@@ -44,6 +44,20 @@ fn cell_to_be(tag: u32, layer_is_due: bool) -> vec3<i32> {
     return cell_of(select(tag >> 16u, tag, layer_is_due));
 }
 
+// Is a place, a cell of the layer and counts in it, beyond a side of the world? Open sides may cut cells.
+fn is_beyond(layer: u32, cell: vec3<i32>, counts: vec3<u32>) -> bool {
+    let level = vec3<u32>(level_of(layer));
+    // In cells of the finest level, whose first counts are the layer's last.
+    var fine = cell << level;
+    if level.x > 0u {
+        fine += vec3<i32>(counts >> (vec3<u32>(32u) - level));
+    }
+    let part = counts << level;
+    let low = (fine < SIDE_LOW) | ((fine == SIDE_LOW) & (part < SIDE_LOW_PART));
+    let high = (fine > SIDE_HIGH) | ((fine == SIDE_HIGH) & (part >= SIDE_HIGH_PART));
+    return any((low | high) & (PERIOD == vec3<i32>(0)));
+}
+
 fn halted() -> bool {
     return atomicLoad(&status[HALTED]) != 0u;
 }

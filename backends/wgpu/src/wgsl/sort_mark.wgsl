@@ -22,7 +22,7 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         }
         var local = cell_to_be(tag, due);
         let cell = block * 4 + local;
-        if any(((cell < world_min(layer)) | (cell >= world_max(layer))) & (PERIOD == vec3<i32>(0))) {
+        if $OUTSIDE {
             $LEAVE
         }$CHECK
         let at = place_in_box(layer, block + (local >> vec3<u32>(2u)));

@@ -7,6 +7,7 @@ mod pareto;
 mod write;
 
 use crate::EngineArgs;
+use crate::print::show;
 use crate::run::Shown;
 use barchan::accuracy::{Balance, Cost, Errors, Record, record, rung};
 use barchan::scene::{Levels, Sampling};
@@ -148,13 +149,13 @@ pub(crate) fn run(args: &Accuracy) -> Result<()> {
     let (scene, length) = base(args)?;
     let entries = entries(args, length);
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out/accuracy").join(&scene.name));
-    println!(
-        "{}: {} runs of {} s and a reference of n = {}",
+    show(format!(
+        "{}: {} runs of {} s and a reference of n = {}\n",
         scene.name,
         entries.len(),
         scene.time.end,
         args.reference
-    );
+    ));
     let entry = Entry { label: format!("reference n {}", args.reference), ..finest(args, length) };
     let (reference, walls) = measure(args, &scene, &entry)?;
     let row = |entry: Entry, run: &Record, walls: Vec<f64>| {
@@ -190,20 +191,20 @@ pub(crate) fn run(args: &Accuracy) -> Result<()> {
         reference: row(entry, &reference, walls),
         rows: Vec::new(),
     };
-    println!("  {}", write::line(&report.reference));
+    show(format!("  {}\n", write::line(&report.reference)));
     for entry in entries {
         let next = match measure(args, &scene, &entry) {
             Ok((run, walls)) => row(entry, &run, walls),
             // What cannot be run is a line of the table; the others are worth having all the same.
             Err(error) => Row { entry, skipped: Some(error.to_string()), figures: None },
         };
-        println!("  {}", write::line(&next));
+        show(format!("  {}\n", write::line(&next)));
         report.rows.push(next);
         // After every run, so that a ladder that is broken off leaves what it has.
         write::all(&report, &out)?;
     }
-    println!("\n{}", write::markdown(&report));
-    println!("output in {}", out.display());
+    show(format!("\n{}\n", write::markdown(&report)));
+    show(format!("output in {}\n", out.display()));
     Ok(())
 }
 

@@ -2,6 +2,7 @@
 
 use super::{Effort, Subject, Timed};
 use crate::EngineArgs;
+use crate::print::show;
 use barchan::picture::{Chart, Series};
 use barchan::{Error, Plan, Registry, Result, Scene};
 use clap::Args;
@@ -120,7 +121,7 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
     for (levels, reach, extents) in whole.chain(reached) {
         let beds = measure(args, &registry, extents, levels, reach)?;
         if !args.effort.json {
-            beds.iter().for_each(|row| println!("{}", line(row)));
+            beds.iter().for_each(|row| show(format!("{}\n", line(row))));
         }
         rows.extend(beds);
     }
@@ -140,9 +141,9 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
         super::write_chart(&chart(args, &rows, y, value), &out.join(name))?;
     }
     if args.effort.json {
-        println!("{report:#}");
+        show(format!("{report:#}\n"));
     } else {
-        println!("\n{statement}\noutput in {}", out.display());
+        show(format!("\n{statement}\noutput in {}\n", out.display()));
     }
     Ok(())
 }

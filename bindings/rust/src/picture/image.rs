@@ -156,18 +156,23 @@ impl Image {
     /// What the file system says.
     pub fn write_png(&self, path: &Path, notes: &[(&str, &str)]) -> io::Result<()> {
         let mut file = BufWriter::new(File::create(path)?);
-        {
-            let mut encoder = png::Encoder::new(&mut file, self.width as u32, self.height as u32);
-            encoder.set_color(png::ColorType::Rgb);
-            encoder.set_compression(png::Compression::Fast);
-            for (keyword, text) in notes {
-                encoder.add_text_chunk((*keyword).to_owned(), (*text).to_owned())?;
-            }
-            let mut writer = encoder.write_header()?;
-            writer.write_image_data(self.pixels.as_flattened())?;
-            writer.finish()?;
-        }
+        self.encode_png(&mut file, notes)?;
         file.flush()
+    }
+    /// Writes what a PNG file holds, with text chunks.
+    ///
+    /// # Errors
+    /// What the writer or the encoder says.
+    pub fn encode_png(&self, out: &mut impl Write, notes: &[(&str, &str)]) -> io::Result<()> {
+        let mut encoder = png::Encoder::new(out, self.width as u32, self.height as u32);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_compression(png::Compression::Fast);
+        for (keyword, text) in notes {
+            encoder.add_itxt_chunk((*keyword).to_owned(), (*text).to_owned())?;
+        }
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(self.pixels.as_flattened())?;
+        Ok(writer.finish()?)
     }
     /// Reads a PNG file as [`write_png`](Self::write_png) writes it, with its text chunks.
     ///
@@ -181,8 +186,9 @@ impl Image {
         }
         let mut pixels = vec![[0; 3]; width * height];
         reader.next_frame(pixels.as_flattened_mut())?;
-        let texts = &reader.info().uncompressed_latin1_text;
-        let notes = texts.iter().map(|chunk| (chunk.keyword.clone(), chunk.text.clone())).collect();
+        let texts = &reader.info().utf8_text;
+        let notes = texts.iter().map(|chunk| Ok((chunk.keyword.clone(), chunk.get_text()?)));
+        let notes = notes.collect::<Result<_, png::DecodingError>>()?;
         Ok((Self { width, height, pixels }, notes))
     }
 }

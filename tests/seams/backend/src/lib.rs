@@ -105,6 +105,9 @@ impl Engine for Flight {
             }
         }
     }
+    fn carry_on(&mut self, _: &Ledger) {
+        // Nothing is summed up over time.
+    }
     fn timings(&self) -> Vec<Timing> {
         vec![Timing { effect: "flight".to_owned(), seconds: self.seconds, passes: self.steps }]
     }

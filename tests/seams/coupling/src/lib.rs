@@ -5,6 +5,7 @@
 //! node gains, a pump without an end of mass loses.
 
 use barchan::coupling::Aabb;
+use barchan::material::Parameter;
 use barchan::{BodyState, Coupling, Error, NodeBatch, Registry, Result, Scene, Vec3, Wrench};
 use std::sync::Arc;
 
@@ -16,8 +17,14 @@ pub const KIND: &str = "current";
 /// # Errors
 /// If the name is taken.
 pub fn register(registry: &mut Registry) -> Result<()> {
-    let doc = "A current that drags the ground along: rate [1/s]; x, y, z [m/s].";
-    registry.add_coupling(KIND, doc, Arc::new(|scene| Ok(Box::new(Current::new(scene)?))))
+    let along = |axis: &str| {
+        let doc = format!("Speed of the current along {axis}.");
+        Parameter::new(axis, "m/s", 0.0, [f64::MIN, f64::MAX], &doc)
+    };
+    let rate = Parameter::new("rate", "1/s", 0.0, [0.0, f64::MAX], "How fast the ground takes it up.");
+    let parameters = [rate].into_iter().chain(["x", "y", "z"].map(along)).collect();
+    let doc = "A current that drags the ground along.";
+    registry.add_coupling(KIND, doc, parameters, Arc::new(|scene| Ok(Box::new(Current::new(scene)?))))
 }
 
 /// The current, and what it felt in the last step.
@@ -34,21 +41,17 @@ impl Current {
     /// Reads its parameters from the scene.
     ///
     /// # Errors
-    /// [`Error::Scene`] if one is unknown, or `rate` is negative or missing.
+    /// [`Error::Scene`] if `rate` is missing or 0.
     pub fn new(scene: &Scene) -> Result<Self> {
-        const KNOWN: [&str; 4] = ["rate", "x", "y", "z"];
         let Some(index) = scene.coupling.iter().position(|spec| spec.kind == KIND) else {
             return Err(scene.fault("coupling", "none is a current", "add [[coupling]] kind = \"current\""));
         };
         let parameters = &scene.coupling[index].parameters;
         let path = |key: &str| format!("coupling[{index}].parameters.{key}");
-        if let Some(key) = parameters.keys().find(|key| !KNOWN.contains(&key.as_str())) {
-            return Err(scene.fault(&path(key), "a current has no such parameter", "it has rate, x, y, z"));
-        }
         let value = |key: &str| parameters.get(key).copied().unwrap_or(0.0);
         let rate = value("rate");
-        if !(rate > 0.0 && rate.is_finite()) {
-            return Err(scene.fault(&path("rate"), format!("is {rate}"), "must be finite and above 0"));
+        if rate == 0.0 {
+            return Err(scene.fault(&path("rate"), "is 0", "give a rate above 0"));
         }
         Ok(Self {
             rate,

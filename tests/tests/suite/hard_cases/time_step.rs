@@ -1,6 +1,6 @@
 //! Time step and stiffness.
 
-use super::{all_finite, norm, plan, refusal, says, steps, stresses, until, within};
+use super::{all_finite, momentum, norm, plan, refusal, says, steps, stresses, until, within};
 use barchan::plan::TOOL_COURANT;
 use barchan::{Error, Precision, Simulation};
 use barchan_tests::long_cases;
@@ -370,4 +370,109 @@ fn b07_resting_tool_in_resting_sand_changes_nothing() {
     let changed = start.iter().zip(rows(&still)).filter(|(a, b)| **a != *b).count();
     within(&format!("B7: of {} particles around a tool, changed", start.len()), changed as f64, 0.0);
     assert_eq!(still.wrenches()[0].force, [0.0; 3]);
+}
+
+/// Symptom: a tool that turns by half a turn within 44 ms, far faster than the ground's bound is long, has its speed averaged over quarters of that
+/// bound; the step that follows is refused since a node is too fast, with the advice to set what is set. Physics: no step may carry the tool's
+/// surface further than its share of a cell, wherever in the path it begins.
+#[test]
+fn a_turn_that_is_over_within_one_bound_of_the_ground_is_resolved() {
+    let (extent, turn) = (f64::sqrt(1.0 + 1.0 + 0.25), 0.044);
+    let shape = "height_field = { min = [-1, -1], max = [1, 1], bottom = -0.5, heights = [[0.5, 0.5], [0.5, 0.5]] }";
+    for begin in [0.0, 0.3] {
+        let motion = format!(
+            "{{ keyframes = {{ frames = [{{ time = {begin}, position = [12, 12, 3] }}, \
+             {{ time = {}, position = [12, 12, 3], rotation = [0, 1, 0, 0] }}] }} }}",
+            begin + turn
+        );
+        let head = Head { world: "leaving = \"delete\"", ..Head::cells(1.0, [24, 24, 8], "z_min = \"stick\"") };
+        let mut spun = simulation(
+            &head.time("over_bound = \"substep\"\nsafety = 1").with(&[
+                material("fixed_corotated", 7800.0, "young_modulus = 3284.0"),
+                block("fixed_corotated", [0.0; 3], [24.0, 24.0, 4.0], "around_tools = false"),
+                tool("paddle", [12.0, 12.0, 3.0], shape, "{ coulomb = { friction = 0.5 } }", &motion),
+            ]),
+            Precision::F32,
+        );
+        let (mut most, mut before) = (0f64, 0);
+        while spun.time() < begin + turn {
+            let dt = spun.step().unwrap_or_else(|e| panic!("{e}")).dt;
+            let angular = norm(spun.bodies()[0].angular_velocity);
+            most = most.max(angular * extent * dt);
+            before += u32::from(spun.time() < begin);
+        }
+        within(
+            &format!("turn at {begin} s: greatest move of the tool's surface in a step [cells]"),
+            most,
+            TOOL_COURANT + 1e-9,
+        );
+        assert!(most > 0.7 * TOOL_COURANT, "{most}: steps are shorter than need be");
+        assert!(before < 30, "{before} steps before anything moves: it is waited for with long ones");
+        for _ in 0..50 {
+            spun.step().unwrap_or_else(|e| panic!("{e}"));
+        }
+        assert!(all_finite(&rows(&spun)));
+    }
+}
+
+/// Symptom: a frictionless plate that meets fast ground at a slant gives a node more speed along an axis than either has, and the run ends where a
+/// shorter step would do. Physics: speeds do not depend on the step, so it is shortened, as it is for fast ground, and counted.
+#[test]
+fn a_step_in_which_contact_makes_nodes_too_fast_is_shortened() {
+    let (half_angle, h) = (f64::to_radians(25.0), 0.1);
+    let (sine, cosine) = (2.0 * half_angle).sin_cos();
+    let plate = format!(
+        "[[tool]]\nname = \"plate\"\nposition = [0.75, 0.4, 0.4]\nrotation = [{}, 0, 0, {}]\n\
+         shape = {{ box = {{ half = [0.12, 0.5, 0.3] }} }}\ncontact = \"slip\"\n\
+         motion = {{ velocity = {{ linear = [{}, {}, 0] }} }}\n",
+        half_angle.cos(),
+        half_angle.sin(),
+        -16.0 * cosine,
+        -16.0 * sine
+    );
+    let mut head = Head::space(h);
+    head.gravity = [0.0; 3];
+    let mut met = simulation(
+        &head.time("safety = 0.9").with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 1e3"),
+            block("neo_hookean", [0.0, 0.2, 0.2], [0.4, 0.6, 0.6], "velocity = [20, 0, 0]"),
+            plate,
+        ]),
+        Precision::F64,
+    );
+    let mut most = 0f64;
+    for _ in 0..40 {
+        let dt = met.step().unwrap_or_else(|e| panic!("step {}: {e}", met.step_count())).dt;
+        most = rows(&met).iter().flat_map(|row| row.v).fold(most, |most, v| most.max(v.abs() * dt / h));
+    }
+    println!("greatest move of a particle in a step: {most:.3} cells; {:?}", met.ledger().counts);
+    assert!(most <= 0.5, "{most} cells");
+    assert!(met.wrenches().iter().any(|wrench| wrench.force != [0.0; 3]), "they must have met");
+    let speed = norm(momentum(&rows(&met))) / met.ledger().mass;
+    assert!(speed < 45.0, "a plate at 16 m/s made ground of 20 m/s {speed} m/s fast");
+}
+
+/// Symptom: a plate lifts a free body, no ground far and wide, and the run ends since "energy grew more than work done explains": the plate's work
+/// on the body was nobody's. Bodies do not heed the ground's bound. Growth of the ground's own energy is still found (B2).
+#[test]
+fn work_of_one_body_on_another_is_no_instability() {
+    let mut head = Head::space(0.02).time("step = 0.041\nover_bound = \"allow\"");
+    head.gravity = [0.0; 3];
+    let mut lifted = simulation(
+        &head.with(&[
+            tool("cube", [0.2, 0.2, 0.15], &half([0.04; 3]), "\"slip\"", "{ free = { mass = 1 } }"),
+            tool(
+                "plate",
+                [0.2, 0.2, 0.08],
+                &half([0.1, 0.1, 0.02]),
+                "\"slip\"",
+                "{ velocity = { linear = [0, 0, 0.2] } }",
+            ),
+        ]),
+        Precision::F32,
+    );
+    steps(&mut lifted, 200);
+    let speed = lifted.bodies()[0].velocity[2];
+    println!("the cube goes up at {speed:.3} m/s");
+    assert!(speed > 0.15, "the plate carries it");
 }

@@ -1,0 +1,641 @@
+//! Drawing scenes from their declarations.
+
+use crate::scenes::Noise;
+use barchan::material::Parameter;
+use barchan::{Registry, Scene};
+use std::fs;
+use std::io;
+use std::path::Path;
+use toml::{Table, Value};
+
+type Json = serde_json::Value;
+
+/// The meshes and heights that scenes name, by file.
+const FILES: [(&str, &str); 3] = [
+    (
+        "cube.obj",
+        "v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\nf 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
+    ),
+    ("tetra.obj", "v 1 1 1\nv 1 -1 -1\nv -1 1 -1\nv -1 -1 1\nf 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n"),
+    ("heights.csv", "0.4,0.6,0.5\n0.7,1.0,0.6\n0.5,0.8,0.4\n"),
+];
+
+/// Writes the files that scenes name into a folder.
+///
+/// # Errors
+/// What the file system says.
+pub fn write_files(folder: &Path) -> io::Result<()> {
+    FILES.iter().try_for_each(|(name, text)| fs::write(folder.join(name), text))
+}
+
+/// Draws scenes.
+pub struct Generator {
+    schema: Json,
+    /// Name and parameters of each law.
+    laws: Vec<(String, Vec<Parameter>)>,
+    /// Likewise of couplings that scenes may call for by name.
+    couplings: Vec<(String, Vec<Parameter>)>,
+}
+
+/// What a scene's numbers are drawn to fit: everything is small enough to be run in no time.
+struct Frame {
+    noise: Noise,
+    /// Finest cell [m].
+    cell: f64,
+    /// Extent of the world in cells, and its least corner.
+    cells: [i64; 3],
+    first: [i64; 3],
+    levels: u32,
+    /// Greatest speed [m/s].
+    speed: f64,
+    materials: usize,
+    bodies: usize,
+    tools: usize,
+    /// Index of the entry of a list that is being drawn.
+    entry: usize,
+}
+
+impl Frame {
+    fn uniform(&mut self) -> f64 {
+        0.5 + 0.5 * self.noise.draw()
+    }
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + self.uniform() * (high - low)
+    }
+    /// As likely in each decade.
+    fn decades(&mut self, low: f64, high: f64) -> f64 {
+        (self.between(low.ln(), high.ln())).exp()
+    }
+    fn below(&mut self, count: usize) -> usize {
+        ((self.uniform() * count as f64) as usize).min(count.saturating_sub(1))
+    }
+    fn is(&mut self, chance: f64) -> bool {
+        self.uniform() < chance
+    }
+    fn pick<T: Clone>(&mut self, from: &[T]) -> T {
+        from[self.below(from.len())].clone()
+    }
+    /// A length of some cells [m], now and then of whole ones.
+    fn length(&mut self, low: f64, high: f64) -> f64 {
+        let cells = self.between(low, high);
+        self.cell * if self.is(0.3) { cells.round().max(1.0) } else { cells }
+    }
+    /// A point of the world [m], so many cells away from its sides.
+    fn point(&mut self, margin: f64) -> [f64; 3] {
+        std::array::from_fn(|d| {
+            let (low, high) = (self.first[d] as f64 + margin, (self.first[d] + self.cells[d]) as f64 - margin);
+            let at = self.between(low, high.max(low));
+            self.cell * if self.is(0.3) { at.round() } else { at }
+        })
+    }
+    /// A direction of any length up to 1; now and then along an axis, or none.
+    fn direction(&mut self) -> [f64; 3] {
+        match self.below(4) {
+            0 => [0.0; 3],
+            1 => {
+                let axis = self.below(3);
+                std::array::from_fn(|d| if d == axis { self.pick(&[-1.0, 1.0]) } else { 0.0 })
+            }
+            _ => std::array::from_fn(|_| self.noise.draw()),
+        }
+    }
+}
+
+fn floats(values: impl IntoIterator<Item = f64>) -> Value {
+    Value::Array(values.into_iter().map(Value::Float).collect())
+}
+
+impl Generator {
+    /// A generator for what a registry knows.
+    pub fn new(registry: &Registry) -> Self {
+        let laws = registry.materials().map(|law| (law.name.clone(), law.parameters.clone())).collect();
+        let named = registry.couplings().filter(|(name, _)| *name != barchan::plan::TOOL_COUPLING);
+        let couplings = named.map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
+        Self { schema: Scene::schema(), laws, couplings }
+    }
+
+    /// The scene of a seed, as TOML. Not all of them can be run.
+    pub fn scene(&self, seed: u64) -> Table {
+        let mut noise = Noise::new(seed.wrapping_add(1));
+        // Seeds that lie side by side begin alike.
+        for _ in 0..8 {
+            noise.draw();
+        }
+        let mut frame = Frame {
+            noise,
+            cell: 0.0,
+            cells: [0; 3],
+            first: [0; 3],
+            levels: 1,
+            speed: 0.0,
+            materials: 0,
+            bodies: 0,
+            tools: 0,
+            entry: 0,
+        };
+        frame.cell = frame.pick(&[1e-3, 0.01, 0.02, 0.03, 0.05, 0.1, 1.0]);
+        frame.levels = frame.pick(&[1, 1, 1, 2, 2, 3, 4]);
+        let unit = 4 << (frame.levels - 1);
+        frame.cells = std::array::from_fn(|_| ((16 + 8 * frame.below(3) as i64) / unit).max(1) * unit);
+        let far = frame.pick(&[0, 0, 0, -20, 400_000]);
+        frame.first = std::array::from_fn(|_| if frame.is(0.5) { 0 } else { far / unit * unit });
+        frame.speed = frame.cell.sqrt() * frame.decades(0.1, 10.0);
+        frame.materials = 1 + frame.below(3);
+        frame.bodies = frame.pick(&[0, 1, 1, 1, 2, 2, 3]);
+        frame.tools = frame.pick(&[0, 1, 1, 2, 3]);
+        let Value::Table(mut scene) = self.object(&self.schema, "", &mut frame) else { return Table::new() };
+        for (list, name, known) in [("material", "law", &self.laws), ("coupling", "kind", &self.couplings)] {
+            for entry in entries(&mut scene, list) {
+                let is_named = |known: &&(String, Vec<Parameter>)| entry[name].as_str() == Some(&known.0);
+                let parameters = known.iter().find(is_named).map(|known| Self::parameters(&known.1, &mut frame));
+                entry.insert("parameters".to_owned(), Value::Table(parameters.unwrap_or_default()));
+            }
+        }
+        // Most scenes are to run: what types and units cannot say is mended.
+        if !frame.is(0.05) {
+            mend(&mut scene, &mut frame);
+        }
+        scene
+    }
+
+    /// What a declaration refers to.
+    fn resolved<'a>(&'a self, declared: &'a Json) -> &'a Json {
+        let name = declared["$ref"].as_str().and_then(|path| path.strip_prefix("#/$defs/"));
+        name.map_or(declared, |name| &self.schema["$defs"][name])
+    }
+
+    fn object(&self, declared: &Json, path: &str, frame: &mut Frame) -> Value {
+        let required = declared["required"].as_array();
+        let is_required = |key: &str| required.is_some_and(|keys| keys.iter().any(|k| k == key));
+        let mut table = Table::new();
+        for (key, property) in declared["properties"].as_object().into_iter().flatten() {
+            let below = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+            if is_required(key) || frame.is(wanted(&below)) {
+                let doc = property["description"].as_str().unwrap_or_default();
+                if let Some(value) = self.value(property, &below, doc, frame) {
+                    table.insert(key.clone(), value);
+                }
+            }
+        }
+        Value::Table(table)
+    }
+
+    /// A value for a key.
+    fn value(&self, declared: &Json, path: &str, doc: &str, frame: &mut Frame) -> Option<Value> {
+        if let Some(value) = self.known(path, frame) {
+            return value;
+        }
+        let declared = self.resolved(declared);
+        if let Some(choices) = declared["oneOf"].as_array() {
+            let all: Vec<&Json> = choices.iter().filter(|choice| is_open(choice, path)).collect();
+            let chosen = frame.pick(&all);
+            return match chosen["const"].as_str() {
+                Some(word) => Some(Value::String(word.to_owned())),
+                None => self.value(chosen, path, doc, frame),
+            };
+        }
+        // Of what may be absent, what is there.
+        if let Some(choices) = declared["anyOf"].as_array() {
+            let present = choices.iter().find(|choice| choice["type"] != "null")?;
+            return self.value(present, path, doc, frame);
+        }
+        if let Some(words) = declared["enum"].as_array() {
+            return frame.pick(words).as_str().map(|word| Value::String(word.to_owned()));
+        }
+        let kind = match &declared["type"] {
+            Json::String(kind) => kind.as_str(),
+            Json::Array(kinds) => kinds.iter().filter_map(Json::as_str).find(|kind| *kind != "null")?,
+            _ => return None,
+        };
+        let doc = declared["description"].as_str().unwrap_or(doc);
+        Some(match kind {
+            "boolean" => Value::Boolean(frame.is(0.5)),
+            "string" => Value::String(format!("text {}", frame.below(100))),
+            "integer" => {
+                let least = declared["minimum"].as_i64().unwrap_or(0);
+                Value::Integer(least + frame.below(20) as i64)
+            }
+            "number" => Value::Float(self.number(doc, frame)),
+            "object" => self.object(declared, path, frame),
+            "array" => {
+                let count = declared["minItems"].as_u64();
+                match count {
+                    Some(count) => self.vector(count as usize, doc, frame),
+                    None => self.list(&declared["items"], path, frame),
+                }
+            }
+            _ => return None,
+        })
+    }
+
+    /// A number, by its unit.
+    fn number(&self, doc: &str, frame: &mut Frame) -> f64 {
+        match unit(doc) {
+            "m" => frame.length(0.5, 3.0),
+            "m/s" => frame.speed * frame.uniform(),
+            "rad/s" => frame.speed / (4.0 * frame.cell) * frame.uniform(),
+            "s" => frame.decades(1e-4, 0.1),
+            "kg" => 1000.0 * (2.0 * frame.cell).powi(3) * frame.decades(1e-2, 1e2),
+            "kg/m³" => frame.pick(&[1000.0, 1600.0, 400.0, 7800.0, 2.0]),
+            "Pa" => frame.decades(1e3, 1e7),
+            _ => frame.pick(&[0.0, 0.25, 0.5, 1.0, 3.0]) * frame.uniform().round().max(0.5),
+        }
+    }
+
+    fn vector(&self, count: usize, doc: &str, frame: &mut Frame) -> Value {
+        match (count, unit(doc)) {
+            (4, _) => floats(std::array::from_fn::<f64, 4, _>(|_| frame.noise.draw())),
+            (_, "m") => floats(frame.point(3.0).into_iter().take(count)),
+            (_, "m/s") => floats(frame.direction().map(|x| x * frame.speed).into_iter().take(count)),
+            (_, "rad/s") => {
+                let most = frame.speed / (4.0 * frame.cell);
+                floats(frame.direction().map(|x| x * most).into_iter().take(count))
+            }
+            _ => floats((0..count).map(|_| frame.noise.draw()).collect::<Vec<_>>()),
+        }
+    }
+
+    fn list(&self, items: &Json, path: &str, frame: &mut Frame) -> Value {
+        let count = match path {
+            "material" => frame.materials,
+            "body" => frame.bodies,
+            "tool" => frame.tools,
+            "coupling" => usize::from(!self.couplings.is_empty()),
+            _ => 1 + frame.below(3),
+        };
+        let entry = |i: usize, frame: &mut Frame| {
+            let before = std::mem::replace(&mut frame.entry, i);
+            let value = self.value(items, &format!("{path}[]"), "", frame);
+            frame.entry = if path.contains('[') { before } else { i };
+            value
+        };
+        Value::Array((0..count).filter_map(|i| entry(i, frame)).collect())
+    }
+
+    /// What is known of some keys beyond their types and units; `Some(None)` leaves the key out.
+    fn known(&self, path: &str, frame: &mut Frame) -> Option<Option<Value>> {
+        let text = |text: String| Some(Some(Value::String(text)));
+        let number = |number: f64| Some(Some(Value::Float(number)));
+        let named = |i: usize, prefix: &str| Value::String(format!("{prefix}{i}"));
+        // Where a tool's shape stands in its own frame, and a soft body's in the world.
+        let of_tool = path.starts_with("tool[]");
+        match path {
+            "name" => return text("random".to_owned()),
+            "material[].name" => return text(format!("m{}", frame.entry)),
+            "body[].name" => return text(format!("b{}", frame.entry)),
+            "tool[].name" => return text(format!("t{}", frame.entry)),
+            "seed" => return Some(Some(Value::Integer(frame.pick(&[0, 1, 77, i64::MAX])))),
+            "gravity" => {
+                let all = [[0.0; 3], [0.0, 0.0, -9.81], [0.0, 0.0, -9.81], [3.0, 0.0, -9.0], [-5.0, 5.0, 0.0]];
+                return Some(Some(floats(frame.pick(&all))));
+            }
+            "world.cell" => return number(frame.cell),
+            "world.min" => return Some(Some(floats(frame.first.map(|c| c as f64 * frame.cell)))),
+            "world.max" => {
+                let ends: [i64; 3] = std::array::from_fn(|d| frame.first[d] + frame.cells[d]);
+                return Some(Some(floats(ends.map(|c| c as f64 * frame.cell))));
+            }
+            "levels.count" => return Some(Some(Value::Integer(frame.levels.into()))),
+            "levels.half" => return Some(Some(Value::Integer(frame.pick(&[8, 8, 10, 12, 16])))),
+            "levels.reach" => return Some(Some(Value::Integer(frame.pick(&[0, 0, 0, 4, 6])))),
+            "levels.tolerance" => return number(frame.pick(&[0.0, 0.01, 0.1, 1.0])),
+            "levels.agents" => {
+                let all = (0..frame.bodies).map(|i| named(i, "b")).chain((0..frame.tools).map(|i| named(i, "t")));
+                let all: Vec<Value> = all.collect();
+                return Some(Some(Value::Array(all.into_iter().filter(|_| frame.is(0.5)).collect())));
+            }
+            "sleep.speed" => return number(frame.speed * frame.decades(1e-4, 1.0)),
+            "time.end" => return number(1000.0),
+            "time.step" => return number(frame.decades(1e-6, 1e-2)),
+            "time.safety" => return number(frame.pick(&[0.3, 0.6, 0.9, 1.0])),
+            "output.picture.pixels" => return Some(Some(Value::Integer(16 + frame.below(200) as i64))),
+            "output.picture.cut_y" => return number(frame.point(1.0)[1]),
+            "material[].law" => {
+                let law = frame.pick(&self.laws);
+                return text(law.0);
+            }
+            // Once the law is known.
+            "material[].parameters" | "coupling[].parameters" => return Some(Some(Value::Table(Table::new()))),
+            "coupling[].kind" => return text(self.couplings.first()?.0.clone()),
+            "body[].material" => return text(format!("m{}", frame.below(frame.materials))),
+            "body[].spacing" => {
+                let cells = frame.pick(&[0.5, 0.5, 0.5, 0.34, 0.66, 1.0]);
+                return number(cells * frame.cell);
+            }
+            "tool[].motion.free.restitution" => return number(frame.pick(&[0.0, 0.5, 1.0])),
+            _ => {}
+        }
+        let (_, shape) = path.split_once(".shape.")?;
+        let key = shape.rsplit_once("shape.").map_or(shape, |(_, inner)| inner);
+        let of_union = shape.contains("union");
+        match key {
+            "box" => Some(Some(self.cuboid(of_tool, frame))),
+            "height_field.min" => Some(Some(floats([-1.0, -1.0]))),
+            "height_field.max" => Some(Some(floats([1.0, 1.0]))),
+            "height_field.bottom" => number(-0.5),
+            "height_field.heights" => {
+                let row = |frame: &mut Frame| floats((0..3).map(|_| 0.2 + 0.3 * frame.uniform()).collect::<Vec<_>>());
+                Some(Some(Value::Array((0..2).map(|_| row(frame)).collect())))
+            }
+            "height_field.file" => text("heights.csv".to_owned()),
+            "mesh.file" => text(frame.pick(&["cube.obj", "tetra.obj"]).to_owned()),
+            "mesh.scale" => number(frame.length(0.6, 2.0)),
+            _ if key.ends_with(".center") && (of_tool || of_union) => {
+                Some(Some(floats(frame.direction().map(|x| x * frame.cell))))
+            }
+            // So far from the sides that few bodies reach out of the world.
+            _ if key.ends_with(".center") => Some(Some(floats(frame.point(5.0)))),
+            _ if key.ends_with(".point") => Some(Some(floats([0.0; 3]))),
+            _ if key.ends_with(".position") => Some(Some(floats(frame.direction().map(|x| 2.0 * x * frame.cell)))),
+            _ => None,
+        }
+    }
+
+    /// A box: the ground of the world now and then, if it is a soft body's.
+    fn cuboid(&self, of_tool: bool, frame: &mut Frame) -> Value {
+        let mut table = Table::new();
+        let half: [f64; 3] = std::array::from_fn(|_| frame.length(0.5, 2.5));
+        if frame.is(0.4) {
+            table.insert("half".to_owned(), floats(half));
+            if !of_tool || frame.is(0.2) {
+                let center = frame.point(3.5);
+                table.insert(
+                    "center".to_owned(),
+                    floats(if of_tool { frame.direction().map(|x| x * half[0]) } else { center }),
+                );
+            }
+            return Value::Table(table);
+        }
+        if of_tool {
+            table.insert("min".to_owned(), floats(half.map(|x| -x)));
+            table.insert("max".to_owned(), floats(half));
+            return Value::Table(table);
+        }
+        let (min, max): ([f64; 3], [f64; 3]) = if frame.is(0.4) {
+            let depth = frame.length(1.0, 3.0);
+            let ends = [0, 1, 2].map(|d| (frame.first[d], frame.first[d] + frame.cells[d]));
+            let [x, y, z] = ends.map(|(low, high)| (low as f64 * frame.cell, high as f64 * frame.cell));
+            ([x.0, y.0, z.0], [x.1, y.1, z.0 + depth])
+        } else {
+            let center = frame.point(3.5);
+            (std::array::from_fn(|d| center[d] - half[d]), std::array::from_fn(|d| center[d] + half[d]))
+        };
+        table.insert("min".to_owned(), floats(min));
+        table.insert("max".to_owned(), floats(max));
+        Value::Table(table)
+    }
+
+    /// Parameters of one of some declarations, a few of them at random.
+    fn parameters(of: &[Parameter], frame: &mut Frame) -> Table {
+        let mut table = Table::new();
+        for parameter in of {
+            if !frame.is(0.4) {
+                continue;
+            }
+            let (low, high) = (parameter.min.max(-1e9), parameter.max.min(1e9));
+            let near = if parameter.default > 0.0 && low >= 0.0 {
+                parameter.default * frame.decades(0.03, 3.0)
+            } else {
+                frame.between(low.max(-10.0), high.min(10.0))
+            };
+            let value = match frame.below(8) {
+                0 if parameter.allows(low) => low,
+                1 if high <= 100.0 && parameter.allows(high) => high,
+                _ => near,
+            };
+            if parameter.allows(value) {
+                table.insert(parameter.name.clone(), Value::Float(value));
+            }
+        }
+        table
+    }
+
+    /// All keys that a scene may have, entries of lists as `[]`: those below a union's parts once.
+    pub fn keys(&self) -> Vec<String> {
+        let mut keys = Vec::new();
+        self.add_keys(&self.schema, "", &mut keys);
+        keys.sort();
+        keys.dedup();
+        keys
+    }
+
+    fn add_keys(&self, declared: &Json, path: &str, keys: &mut Vec<String>) {
+        let declared = self.resolved(declared);
+        if path.matches("union").count() > 1 || path.matches("shape").count() > 2 {
+            return;
+        }
+        for choice in ["oneOf", "anyOf"].iter().flat_map(|of| declared[of].as_array().into_iter().flatten()) {
+            if is_open(choice, path) {
+                self.add_keys(choice, path, keys);
+            }
+        }
+        for (key, property) in declared["properties"].as_object().into_iter().flatten() {
+            let below = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+            keys.push(below.clone());
+            self.add_keys(property, &below, keys);
+        }
+        if declared["minItems"].is_null() && declared["items"].is_object() {
+            self.add_keys(&declared["items"], &format!("{path}[]"), keys);
+        }
+    }
+}
+
+/// How often an optional key is set.
+fn wanted(path: &str) -> f64 {
+    match path {
+        // What a scene is made of.
+        "levels" | "levels.count" | "material" | "body" | "tool" | "tool[].position" | "material[].parameters" => 1.0,
+        "body[].name" | "tool[].motion" => 0.9,
+        "levels.half" => 1.0,
+        // The origin is seldom in the world.
+        _ if path.starts_with("body") && path.ends_with(".center") => 1.0,
+        "time.step" => 0.05,
+        "coupling" | "gravity_ramp" | "body[].settled" | "levels.reach" | "sleep" | "output" => 0.15,
+        _ => 0.35,
+    }
+}
+
+/// May a choice be drawn here? A soft body is no plane and no union, and unions are one deep.
+fn is_open(choice: &Json, path: &str) -> bool {
+    let is = |name: &str| choice["properties"].get(name).is_some();
+    let open = path.starts_with("body") || path.contains("union");
+    !(open && (is("union") || is("plane")))
+}
+
+/// The last unit in brackets.
+fn unit(doc: &str) -> &str {
+    let end = doc.rfind(']').unwrap_or(0);
+    doc[..end].rfind('[').map_or("", |start| &doc[start + 1..end])
+}
+
+/// The tables of a list of the scene.
+fn entries<'a>(scene: &'a mut Table, list: &str) -> impl Iterator<Item = &'a mut Table> {
+    scene.get_mut(list).and_then(Value::as_array_mut).into_iter().flatten().filter_map(Value::as_table_mut)
+}
+
+/// Mends what declarations do not say: what refers to each other, and what excludes each other.
+fn mend(scene: &mut Table, frame: &mut Frame) {
+    mend_walls(scene, frame);
+    for body in entries(scene, "body") {
+        mend_heights(body, frame, false);
+    }
+    for tool in entries(scene, "tool") {
+        mend_heights(tool, frame, true);
+        mend_path(tool, frame);
+        // What has no mass does not move freely.
+        let heavy = !["plane", "height_field"].iter().any(|shape| tool["shape"].to_string().contains(shape));
+        if !heavy && below(tool, &["motion", "free"]).is_some() {
+            tool.remove("motion");
+        }
+    }
+    mend_levels(scene, frame);
+    mend_rest(scene);
+}
+
+/// A value below some keys.
+fn below<'a>(table: &'a Table, keys: &[&str]) -> Option<&'a Value> {
+    let (first, rest) = keys.split_first()?;
+    rest.iter().try_fold(table.get(*first)?, |value, key| value.get(key))
+}
+
+/// A table below a key of another.
+fn within<'a>(table: &'a mut Table, key: &str) -> Option<&'a mut Table> {
+    table.get_mut(key).and_then(Value::as_table_mut)
+}
+
+/// A periodic side has another across; an open one may lie anywhere.
+fn mend_walls(scene: &mut Table, frame: &mut Frame) {
+    let Some(world) = within(scene, "world") else { return };
+    let word = |world: &Table, side: &str| below(world, &["walls", side]).cloned();
+    let mut ends = ["min", "max"].map(|end| world[end].as_array().cloned().unwrap_or_default());
+    for (d, axis) in ["x", "y", "z"].into_iter().enumerate() {
+        let sides = ["min", "max"].map(|side| format!("{axis}_{side}"));
+        let periodic = sides.each_ref().map(|side| word(world, side).is_some_and(|w| w.as_str() == Some("periodic")));
+        if let (Some(walls), true) = (within(world, "walls"), periodic[0] != periodic[1]) {
+            sides.iter().for_each(|side| drop(walls.insert(side.clone(), Value::String("periodic".to_owned()))));
+        }
+        for (side, end) in sides.iter().zip(&mut ends) {
+            let is_open = word(world, side).is_none_or(|w| w.as_str() == Some("open"));
+            let joined = periodic[0] || periodic[1];
+            if let (Some(Value::Float(x)), true) = (end.get_mut(d), is_open && !joined && frame.is(0.2)) {
+                let outwards = if side.ends_with("min") { -1.0 } else { 1.0 };
+                *x += outwards * frame.cell * frame.uniform();
+            }
+        }
+    }
+    let [min, max] = ends;
+    world.insert("min".to_owned(), Value::Array(min));
+    world.insert("max".to_owned(), Value::Array(max));
+}
+
+/// A height field lies on the world's floor, or about a tool's origin, and has its heights from one place.
+fn mend_heights(of: &mut Table, frame: &mut Frame, of_tool: bool) {
+    let Some(shape) = within(of, "shape") else { return };
+    entries(shape, "union").for_each(|part| mend_heights(part, frame, of_tool));
+    let Some(field) = within(shape, "height_field") else { return };
+    let (cell, first) = (frame.cell, frame.first.map(|c| c as f64));
+    let (origin, span, scale) = if of_tool {
+        ([-2.0 * cell; 3], [4.0 * cell; 2], cell)
+    } else {
+        (first.map(|c| c * cell), [0, 1].map(|d| frame.cells[d] as f64 * cell), 4.0 * cell)
+    };
+    field.insert("min".to_owned(), floats([origin[0], origin[1]]));
+    field.insert("max".to_owned(), floats([origin[0] + span[0], origin[1] + span[1]]));
+    field.insert("bottom".to_owned(), Value::Float(origin[2]));
+    if frame.is(0.2) {
+        field.insert("file".to_owned(), Value::String("heights.csv".to_owned()));
+        field.remove("heights");
+    } else {
+        field.remove("file");
+        let mut row = || floats((0..3).map(|_| origin[2] + scale * frame.between(0.2, 1.0)).collect::<Vec<_>>());
+        field.insert("heights".to_owned(), Value::Array(vec![row(), row()]));
+    }
+}
+
+/// A path begins where its tool is, and goes on at a speed that others have too.
+fn mend_path(tool: &mut Table, frame: &mut Frame) {
+    let at: Vec<f64> =
+        tool.get("position").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_float).collect();
+    let Some(path) = within(tool, "motion").and_then(|motion| within(motion, "keyframes")) else { return };
+    let mut time = 0.0;
+    let mut at = at;
+    for keyframe in entries(path, "frames") {
+        keyframe.insert("time".to_owned(), Value::Float(time));
+        keyframe.insert("position".to_owned(), floats(at.clone()));
+        let span = frame.cell / frame.speed * frame.decades(0.1, 10.0);
+        let way = frame.direction().map(|x| x * frame.speed * span);
+        time += span;
+        at.iter_mut().zip(way).for_each(|(x, way)| *x += way);
+    }
+}
+
+/// Levels follow what there is, and what does not go with them is left out.
+fn mend_levels(scene: &mut Table, frame: &mut Frame) {
+    let lets_go = |scene: &Table| {
+        let walls = below(scene, &["world", "walls"]).and_then(Value::as_table);
+        walls.into_iter().flatten().any(|(_, wall)| wall.is_table())
+    };
+    let lets_go = lets_go(scene);
+    let mut names =
+        |list: &str| -> Vec<Value> { entries(scene, list).filter_map(|entry| entry.get("name").cloned()).collect() };
+    let (bodies, tools) = (names("body"), names("tool"));
+    let Some(levels) = within(scene, "levels") else { return };
+    if lets_go {
+        levels.remove("subcycle");
+    }
+    if let Some(agents) = levels.get_mut("agents").and_then(Value::as_array_mut) {
+        agents.retain(|agent| bodies.contains(agent) || tools.contains(agent));
+    }
+    if levels.get("reach").and_then(Value::as_integer).unwrap_or(0) == 0 {
+        return;
+    }
+    // Ground that comes within reach is at rest, and follows tools.
+    if frame.levels == 1 || tools.is_empty() {
+        levels.remove("reach");
+        return;
+    }
+    levels.insert("agents".to_owned(), Value::Array(tools[..1].to_vec()));
+    scene.remove("gravity_ramp");
+    let weight = floats([0.0, 0.0, -9.81]);
+    scene.insert("gravity".to_owned(), weight);
+    if let Some(walls) = within(scene, "world").and_then(|world| within(world, "walls")) {
+        walls.retain(|_, wall| wall.as_str() != Some("periodic"));
+    }
+    if let Some(bodies) = scene.get_mut("body").and_then(Value::as_array_mut) {
+        bodies.retain(|body| ["box", "height_field"].iter().any(|shape| body["shape"].get(shape).is_some()));
+    }
+    for body in entries(scene, "body") {
+        body.insert("settled".to_owned(), Value::Boolean(true));
+    }
+}
+
+/// Ground that starts settled, and ground that sleeps, asks for other things too.
+fn mend_rest(scene: &mut Table) {
+    let gravity: Vec<f64> = below(scene, &["gravity"])
+        .and_then(Value::as_array)
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_float)
+        .collect();
+    let down = gravity.is_empty() || (gravity[..2] == [0.0; 2] && gravity[2] <= 0.0);
+    let ramp = scene.contains_key("gravity_ramp");
+    for body in entries(scene, "body") {
+        let layered = ["box", "height_field"].iter().any(|shape| body["shape"].get(shape).is_some());
+        if body.get("settled").and_then(Value::as_bool) == Some(true) {
+            if down && !ramp && layered {
+                body.remove("velocity");
+                body.remove("angular_velocity");
+            } else {
+                body.remove("settled");
+            }
+        }
+    }
+    let walls = below(scene, &["world", "walls"]).and_then(Value::as_table);
+    let lets_go = walls.into_iter().flatten().any(|(_, wall)| wall.is_table());
+    let weightless = gravity == [0.0; 3];
+    if let Some(sleep) = within(scene, "sleep")
+        && (lets_go || (weightless && !sleep.contains_key("speed")))
+    {
+        sleep.remove("on");
+    }
+}
