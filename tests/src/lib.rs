@@ -2,6 +2,7 @@
 
 pub mod large_cases;
 pub mod leaving;
+pub mod limits;
 pub mod long_cases;
 pub mod random;
 pub mod reference;

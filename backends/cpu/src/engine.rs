@@ -451,30 +451,24 @@ impl<T: Scalar> CpuEngine<T> {
         first.map(|(_, field, l, chunk, lane, value)| self.non_finite(field, l, chunk, lane, value, count))
     }
 
-    /// P2G and the grid update, repeated with a shorter step while nodes would carry particles too far. Returns the step.
-    fn ground_to_nodes(&mut self, time: f64, mut dt: f64) -> Result<f64> {
-        loop {
-            self.particles_to_grid(0..self.levels.len(), dt).map_err(|error| at_time(error, time))?;
-            self.update_grids();
-            let moves = self.greatest_move(dt);
-            if !moves.is_finite() {
-                let error = self.find_non_finite().unwrap_or_else(|| Error::NonFinite {
-                    step: self.steps,
-                    time,
-                    field: "node velocity",
-                    particle: 0,
-                    list: loaded(&self.materials),
-                    value: moves,
-                    count: 0,
-                });
-                return Err(at_time(error, time));
-            }
-            if moves <= NODE_MOVE {
-                return Ok(dt);
-            }
-            // The impulse of gravity and stress shrinks with the step.
-            dt = self.shorten(dt, moves);
+    /// P2G and the grid update. Are nodes too fast for the step, as they are before bodies act on them?
+    fn ground_to_nodes(&mut self, time: f64, dt: f64) -> Result<bool> {
+        self.particles_to_grid(0..self.levels.len(), dt).map_err(|error| at_time(error, time))?;
+        self.update_grids();
+        let moves = self.greatest_move(dt);
+        if moves.is_finite() {
+            return Ok(moves > NODE_MOVE);
         }
+        let error = self.find_non_finite().unwrap_or_else(|| Error::NonFinite {
+            step: self.steps,
+            time,
+            field: "node velocity",
+            particle: 0,
+            list: loaded(&self.materials),
+            value: moves,
+            count: 0,
+        });
+        Err(at_time(error, time))
     }
 
     /// The step that is short enough where one of `dt` would carry particles by so many cells. It begins anew.
@@ -485,6 +479,11 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// One step of all levels together. Returns the step taken [s].
+    ///
+    /// 1. Particles give to nodes.
+    /// 2. Bodies act on the nodes. Where ground is squeezed, nodes that hardly weigh anything shoot off into the body that squeezes it, and
+    ///    are held there: only what is too fast behind that has everything repeated with a shorter step.
+    /// 3. Particles take their velocities.
     fn advance_together(
         &mut self,
         time: f64,
@@ -494,34 +493,32 @@ impl<T: Scalar> CpuEngine<T> {
     ) -> Result<f64> {
         if ground {
             (0..self.levels.len()).for_each(|l| self.keep_watch(l, couplings));
-            loop {
-                dt = self.ground_to_nodes(time, dt)?;
-                let before = self.before_contact(time, dt, couplings);
-                self.contact(time, dt, couplings)?;
-                let moves = self.greatest_move(dt);
-                if moves <= NODE_MOVE * (1.0 + 1e-9) {
-                    break;
-                }
-                if !moves.is_finite() || before.is_empty() {
-                    return Err(Error::TimeStep {
-                        step: self.steps,
-                        dt,
-                        bound: NODE_MOVE * dt / moves,
-                        by: "the speed that a coupling gave to a node".into(),
-                    });
-                }
-                for (coupling, before) in couplings.iter_mut().zip(&before) {
-                    coupling.restore(before).map_err(|what| Error::Body {
-                        path: format!("coupling '{}'", coupling.name()),
-                        what: format!("cannot go back to before a step that turned out too long: {what}"),
-                        mend: "lower time.safety".into(),
-                    })?;
-                }
-                dt = self.shorten(dt, moves);
-            }
         } else {
             self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
+        }
+        loop {
+            let is_fast = ground && self.ground_to_nodes(time, dt)?;
+            let before = self.before_contact(time, dt, couplings);
             self.contact(time, dt, couplings)?;
+            if is_fast {
+                self.levels.iter_mut().for_each(|level| level.find_speed(self.least_mass));
+            }
+            let moves = self.greatest_move(dt);
+            if moves <= NODE_MOVE * (1.0 + 1e-9) {
+                break;
+            }
+            if !moves.is_finite() || before.is_empty() && !is_fast {
+                return Err(Error::TimeStep {
+                    step: self.steps,
+                    dt,
+                    bound: NODE_MOVE * dt / moves,
+                    by: "the speed that a coupling gave to a node".into(),
+                });
+            }
+            for (coupling, before) in couplings.iter_mut().zip(&before) {
+                coupling.restore(before).map_err(|what| cannot_go_back(&**coupling, what))?;
+            }
+            dt = self.shorten(dt, moves);
         }
         if ground {
             self.prolong();
@@ -623,6 +620,14 @@ impl<T: Scalar> CpuEngine<T> {
             }
         }
         Ok(())
+    }
+}
+
+fn cannot_go_back(coupling: &dyn Coupling, what: String) -> Error {
+    Error::Body {
+        path: format!("coupling '{}'", coupling.name()),
+        what: format!("cannot go back to the start of the step: {what}"),
+        mend: "lower time.safety or time.step, so that no step has to be repeated".to_owned(),
     }
 }
 

@@ -461,6 +461,15 @@ impl<T: Scalar> Level<T> {
         }
     }
 
+    /// Finds the greatest speed of nodes as they are now.
+    pub(crate) fn find_speed(&mut self, least: f64) {
+        let felt = |mass: f64| (mass / (least * FELT)).min(1.0);
+        let of_node =
+            |node: &[T]| felt(node[3].to_f64()) * node[..3].iter().map(|u| u.to_f64().abs()).fold(0.0, greater);
+        let of_block = |&g: &u32| self.grid.nodes[g as usize].chunks_exact(4).map(of_node).fold(0.0, greater);
+        self.max_speed = self.watch.nodes.par_iter().map(of_block).reduce(|| 0.0, greater);
+    }
+
     /// New velocities and affine matrices, and the move.
     pub(crate) fn grid_to_particles(&mut self, isa: Isa, dt: f64) {
         let step = Step { h: self.h(), dt, strain_dt: 0.0, strain_parts: 1, gravity: [0.0; 3], frozen: false };

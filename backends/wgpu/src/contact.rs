@@ -621,7 +621,7 @@ impl WgpuBatch {
         }
         let from = words.of_step(1, 0, 0);
         self.write_words(from, &self.fresh(from, 1..2, dt, &active));
-        self.write_words(words.greatest(1), &[0]);
+        self.write_words(words.fast(1), &[0]);
 
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let before = self.memory.now;
@@ -731,17 +731,15 @@ impl WgpuBatch {
         }
         let goes = |visit: &&Visit<'_, '_>| visit.is_going();
         let speed_of = |w: usize| visits.iter().filter(goes).find(|visit| visit.world() == w).map(|visit| visit.speed);
-        // Rounding must not stop what has been let through.
-        let allowed = (NODE_MOVE * self.h / dt * (1.0 - 1e-6)) as f32;
-        let speeds: Vec<_> =
-            (0..self.worlds.len()).map(|w| speed_of(w).map_or(0.0, |speed| (speed as f32).min(allowed))).collect();
+        let speeds: Vec<_> = (0..self.worlds.len()).map(|w| speed_of(w).unwrap_or(0.0) as f32).collect();
         let words = self.memory.words();
         self.write_steps(0, &[self.step_constants(dt, 0)]);
         let sums = words.of_sum(0, 0);
         self.write_words(sums, &vec![0; words.of_sum(words.layers, 0) - sums]);
         let of_world = |(world, speed): (&World, &f32)| drifts(world, speed.to_bits());
         let drifts: Vec<u32> = self.worlds.iter().zip(&speeds).flat_map(of_world).collect();
-        self.write_words(words.greatest(0), &[speeds.iter().copied().fold(0.0, f32::max).to_bits()]);
+        // Nodes that were too fast have been found out by now.
+        self.write_words(words.fast(0), &[0]);
         self.write_words(words.of_step(0, 0, 0), &drifts);
         if active.len() < visits.len() {
             self.write_layers(&self.layers(|w| speed_of(w).is_some()));

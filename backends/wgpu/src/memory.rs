@@ -137,13 +137,13 @@ impl Words {
     pub(crate) fn of_sum(self, layer: usize, k: usize) -> usize {
         OF_LAYERS + PER_LAYER * self.layers + PER_SUM * layer + k
     }
-    /// The greatest node speed of all layers in a step, if there are several.
-    pub(crate) fn greatest(self, step: usize) -> usize {
+    /// How many nodes of all layers are too fast for a step.
+    pub(crate) fn fast(self, step: usize) -> usize {
         self.of_sum(self.layers, step)
     }
     /// A word of a layer in a step.
     pub(crate) fn of_step(self, step: usize, layer: usize, k: usize) -> usize {
-        // Before them stand the greatest speeds of all layers.
+        // Before them stands how many nodes are too fast.
         self.of_sum(self.layers, MAX_STEPS) + PER_STEP * (step * self.layers + layer) + k
     }
     /// How many there are with those of so many steps, which stand last.

@@ -2,6 +2,7 @@
 
 use super::{cpu, gpu, on, take, take_at_once};
 use barchan::{Error, Options, ParticleState, Precision, Registry, Simulation};
+use barchan_tests::limits::{self, Lie};
 use barchan_tests::scenes::{scene, within};
 use barchan_tests::sketch::{Head, block, driven, half, material, tool};
 use std::path::PathBuf;
@@ -154,4 +155,25 @@ fn beside_a_law_on_the_host_the_bound_is_followed_too() {
     cpu.set_particles(unsorted(&sim)).unwrap();
     println!("{fresh:.3e} s at rest, {:.3e} s, {:.3e} s", sim.bound().dt, cpu.bound().dt);
     within("bound against the CPU's", (sim.bound().dt / cpu.bound().dt - 1.0).abs(), 1e-2);
+}
+
+/// B1 for liquids on the device: a lone particle's step is stable below the bound by viscosity and not above, as in 64 bits on the CPU, and no other
+/// arrangement bears less.
+#[test]
+fn viscosity_bounds_the_step() {
+    for (eta, bulk) in [(4000.0, 1e-3), (0.5, 2000.0)] {
+        let liquid =
+            material("liquid", 1000.0, &format!("viscosity = {eta}, bulk_modulus = {bulk}, tait_exponent = 1.0"));
+        let bound = gpu(&limits::scene_of(Lie::Lone, &liquid, "liquid", "")).bound().dt;
+        let bears = |lie: Lie, factor: f64| {
+            let time = format!("step = {}\nover_bound = \"allow\"", factor * bound);
+            let mut sim = gpu(&limits::scene_of(lie, &liquid, "liquid", &time));
+            limits::stir(&mut sim);
+            limits::bears(&mut sim)
+        };
+        for lie in [Lie::Lone, Lie::Sheet, Lie::Levels] {
+            assert!(bears(lie, 0.99), "eta {eta}, K {bulk}: {lie:?} grows below the bound");
+        }
+        assert!(!bears(Lie::Lone, 1.05), "eta {eta}, K {bulk}: a lone particle bears more than the bound");
+    }
 }

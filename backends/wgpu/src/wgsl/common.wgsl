@@ -142,9 +142,9 @@ const NEED: u32 = 18u;
 
 // Those of a layer in a step: greatest node speed [m/s], greatest move of a particle, and how far particles may have drifted before it
 // since the last sort [cells], as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN
-// is above all. Before them stands, for each step, the greatest node speed of all layers if there are several.
-const OF_GREATEST: u32 = OF_SUMS + PER_SUM * LAYERS;
-const OF_STEPS: u32 = OF_GREATEST + MAX_STEPS;
+// is above all. Before them stands, for each step, how many nodes of all layers are too fast for it.
+const OF_FAST: u32 = OF_SUMS + PER_SUM * LAYERS;
+const OF_STEPS: u32 = OF_FAST + MAX_STEPS;
 const PER_STEP: u32 = 4u;
 const SPEED: u32 = 0u;
 const MOVE: u32 = 1u;
@@ -199,12 +199,9 @@ fn need_word(number: u32, layer: u32) -> u32 {
     return sum_word(layer, NEED + (number & 1u));
 }
 
-// Where the greatest node speed of all layers in a step stands.
-fn greatest_word(number: u32) -> u32 {
-    if LAYERS == 1u {
-        return step_word(number, 0u, SPEED);
-    }
-    return OF_GREATEST + number;
+// Where the number of nodes stands that are too fast for a step.
+fn fast_word(number: u32) -> u32 {
+    return OF_FAST + number;
 }
 
 // The cell of a tag, from the block's first cell.
@@ -338,10 +335,10 @@ fn is_live(layer: u32) -> bool {
     return LAYERS == 1u || layers[layer].on != 0u;
 }
 
-// Is the step short enough for nodes of that speed? Levels that take steps of their own cannot take one again: there what counts is how far
-// particles move, which the fastest nodes hardly carry, and the host looks at that when the step is done.
-fn is_slow_enough(speed: f32) -> bool {
-    return SUBCYCLED || speed * step.dt_per_h <= NODE_MOVE;
+// Is the step too long for a node of a layer, as fast as a particle may feel it? Levels that take steps of their own cannot take one again: there what
+// counts is how far particles move, which the fastest nodes hardly carry, and the host looks at that when the step is done.
+fn is_too_fast(layer: u32, speed: f32) -> bool {
+    return !SUBCYCLED && !(speed * shrink_of(layer) * step.dt_per_h <= NODE_MOVE);
 }
 
 // Place of a node in its block, by its number.

@@ -15,6 +15,12 @@ fn int_vector(v: vec4<f32>) -> vec3<i32> {
     return bitcast<vec3<i32>>(v.xyz);
 }
 
+// The greatest component of a velocity, as much as a particle may feel of it.
+fn felt_bits(u: vec3<f32>, mass: f32) -> u32 {
+    let felt = min(mass * layers[layer_now].felt, 1.0);
+    return max(max(magnitude_bits(felt * u.x), magnitude_bits(felt * u.y)), magnitude_bits(felt * u.z));
+}
+
 @compute @workgroup_size(64)
 fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
     let g = group.y * extent.row + group.x;
@@ -81,14 +87,19 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     }
     if changed {
         grid[g * 64u + n] = vec4<f32>(u, node.w);
-        let felt = min(mass * layers[layer_now].felt, 1.0);
-        atomicMax(&greatest, max(max(magnitude_bits(felt * u.x), magnitude_bits(felt * u.y)), magnitude_bits(felt * u.z)));
+        let bits = felt_bits(u, mass);
+        atomicMax(&greatest, bits);
+        // Where ground is squeezed, nodes that hardly weigh anything shoot off into the body that squeezes it, and are held there.
+        let was_too_fast = is_too_fast(layer_now, bitcast<f32>(felt_bits(node.xyz, mass)));
+        let is_now = is_too_fast(layer_now, bitcast<f32>(bits));
+        if was_too_fast && !is_now {
+            atomicSub(&status[fast_word(step.number)], 1u);
+        } else if is_now && !was_too_fast {
+            atomicAdd(&status[fast_word(step.number)], 1u);
+        }
     }
     workgroupBarrier();
     if n == 0u && atomicLoad(&greatest) > 0u {
         atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&greatest));
-        if LAYERS > 1u {
-            atomicMax(&status[greatest_word(step.number)], atomicLoad(&greatest));
-        }
     }
 }

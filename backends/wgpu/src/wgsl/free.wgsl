@@ -601,8 +601,8 @@ fn meet(k: u32, level: u32, thread: u32) {
     workgroupBarrier();
     if thread == 0u {
         atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&fastest_node));
-        if LAYERS > 1u {
-            atomicMax(&status[greatest_word(step.number)], atomicLoad(&fastest_node));
+        if is_too_fast(layer_now, bitcast<f32>(atomicLoad(&fastest_node))) {
+            atomicAdd(&status[fast_word(step.number)], 1u);
         }
         atomicStore(&fastest_node, 0u);
     }

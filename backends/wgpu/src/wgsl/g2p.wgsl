@@ -10,11 +10,11 @@ $NEED_VARIABLE
 
 // Is this step short enough for the speeds that the nodes have?
 fn ready(is_first: bool) -> u32 {
-    let speed = bitcast<f32>(atomicLoad(&status[greatest_word(step.number)]));
+    let too_fast = atomicLoad(&status[fast_word(step.number)]);
     if atomicLoad(&status[HALTED]) != 0u {
         return 0u;
     }
-    if !is_slow_enough(speed) {
+    if too_fast != 0u {
         if is_first {
             atomicStore(&status[HALT_STEP], step.number);
             atomicStore(&status[HALTED], TOO_FAST);

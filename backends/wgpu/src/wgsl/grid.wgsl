@@ -80,13 +80,13 @@ fn note_speed(g: u32, node: vec4<f32>, n: u32) {
     let felt = min(node.w * layers[layer_of(g)].felt, 1.0);
     let bits = max(max(magnitude_bits(felt * node.x), magnitude_bits(felt * node.y)), magnitude_bits(felt * node.z));
     atomicMax(&greatest[abreast], bits);
+    // Bodies may hold it yet.
+    if is_too_fast(layer_of(g), bitcast<f32>(bits)) {
+        atomicAdd(&status[fast_word(step.number)], 1u);
+    }
     workgroupBarrier();
     if n == 0u {
-        let most = atomicLoad(&greatest[abreast]);
-        atomicMax(&status[step_word(step.number, layer_of(g), SPEED)], most);
-        if LAYERS > 1u {
-            atomicMax(&status[greatest_word(step.number)], most);
-        }
+        atomicMax(&status[step_word(step.number, layer_of(g), SPEED)], atomicLoad(&greatest[abreast]));
         atomicStore(&greatest[abreast], 0u);
     }
 }

@@ -11,12 +11,12 @@ fn layer_of(g: u32) -> u32 {
 
 // Books what folding gave to a block's nodes, and handing on to parents behind walls, unless the step is too long: then it will be repeated. All is asked for at once.
 fn ready(w: u32) -> u32 {
-    let speed = bitcast<f32>(atomicLoad(&status[greatest_word(step.number)]));
+    let too_fast = atomicLoad(&status[fast_word(step.number)]);
     let is_halted = atomicLoad(&status[HALTED]) != 0u;
     let node_blocks = atomicLoad(&status[NODE_BLOCKS]);
     let first = lists[(extent.block_room + w) * ENTRY].xyz * 4;
     $PENDING
-    if is_halted || w >= node_blocks || !is_slow_enough(speed) {
+    if is_halted || w >= node_blocks || too_fast != 0u {
         return 0u;
     }
     $BOOK

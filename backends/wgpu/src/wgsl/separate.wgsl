@@ -95,7 +95,7 @@ fn mirror_back(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     if n == 0u {
         go = is_on(g);
         // What a step that is too long does is not booked: it will be repeated.
-        if !(bitcast<f32>(atomicLoad(&status[greatest_word(step.number)])) * step.dt_per_h <= NODE_MOVE) {
+        if atomicLoad(&status[fast_word(step.number)]) != 0u {
             go = 0u;
         }
     }

@@ -3,6 +3,7 @@
 use super::{all_finite, momentum, norm, plan, refusal, says, steps, stresses, until, within};
 use barchan::plan::TOOL_COURANT;
 use barchan::{Error, Precision, Simulation};
+use barchan_tests::limits::{self, Lie};
 use barchan_tests::long_cases;
 use barchan_tests::scenes::{Noise, alter, rows, run_to, simulation};
 use barchan_tests::sketch::{Head, bed, block, half, material, tool};
@@ -54,6 +55,73 @@ fn b01_isolated_particle_sets_the_bound() {
         println!("B1 nu {nu}: growth over 30 steps at 1.01 of the bound {growth:.1e}, at least 1e2");
         assert!(growth > 100.0, "{growth}");
     }
+}
+
+/// B1 for liquids. Symptom: liquid with η = 4000 Pa s at cells of 2 cm gained 52 J by itself in steps of its stiffness' bound. Physics: a
+/// particle alone in its cells loses the part 8 η dt/(ρ h²) of its rate of shear in a step, which is stable up to 2:
+/// dt < ρ h²/(4 η). No arrangement of particles bears less, since no node's mass is less than what its particles bring; ground that
+/// fills its cells bears more than twice as much. Stiffness at the same time shortens the step.
+#[test]
+fn b01_viscosity_bounds_the_step() {
+    let (h, density) = (0.1, 1000.0);
+    for (eta, bulk) in [(0.5, 1e-6), (4000.0, 1e-6), (0.5, 0.3), (0.5, 2000.0)] {
+        let parameters = format!("viscosity = {eta}, bulk_modulus = {bulk}, tait_exponent = 1.0");
+        let liquid =
+            |lie: Lie, time: &str| limits::scene_of(lie, &material("liquid", density, &parameters), "liquid", time);
+        let bound = plan(&liquid(Lie::Lone, "")).bound;
+        // a dt² + v dt = 1.
+        let (v, a) = (4.0 * eta / (density * h * h), 3.0 * bulk / (density * h * h));
+        let exact = 2.0 / (v + f64::sqrt(v * v + 4.0 * a));
+        within(&format!("B1 eta {eta}, K {bulk}: bound {:.4e} s, off", bound.dt), (bound.dt / exact - 1.0).abs(), 1e-6);
+        let by = if v * v > 0.5 * a { "viscosity" } else { "stiffness" };
+        assert_eq!(bound.by, format!("{by} of material 'liquid'"));
+        let bears = |lie: Lie, factor: f64| {
+            let time = format!("step = {}\nover_bound = \"allow\"", factor * bound.dt);
+            let mut sim = simulation(&liquid(lie, &time), Precision::F64);
+            limits::stir(&mut sim);
+            limits::bears(&mut sim)
+        };
+        for lie in [Lie::Lone, Lie::Bulk, Lie::Sheet, Lie::Levels] {
+            assert!(bears(lie, 0.99), "B1 eta {eta}, K {bulk}: {lie:?} grows below the bound");
+        }
+        // Sharp for a lone particle where one of the two acts alone; where both are as strong, they act on different motions.
+        let beyond = if bulk == 0.3 { 1.65 } else { 1.05 };
+        assert!(!bears(Lie::Lone, beyond), "B1 eta {eta}, K {bulk}: a lone particle bears {beyond} of the bound");
+        assert!(
+            bears(Lie::Bulk, 2.0) && !bears(Lie::Bulk, 3.0),
+            "B1 eta {eta}, K {bulk}: bulk bears two of the bound, not three"
+        );
+    }
+}
+
+/// B1, as a user meets it: a column of lava in steps that are chosen for it only ever loses energy; a step that suits its stiffness alone
+/// is refused, and the message says that it is viscosity.
+#[test]
+fn b01_lava_gains_no_energy() {
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let lava = |time: &str| {
+        Head::cells(0.02, [20, 4, 15], walls).time(time).with(&[
+            material("liquid", 1000.0, "viscosity = 4000.0"),
+            block("liquid", [0.0; 3], [0.16, 0.08, 0.16], ""),
+        ])
+    };
+    let refused = refusal(&lava("step = 3e-4"));
+    says(
+        &refused,
+        &["time step", "is above the bound 2.5", "viscosity of material 'liquid'", "over_bound = \"substep\""],
+    );
+    let mut flow = simulation(&lava(""), Precision::F32);
+    assert_eq!(flow.plan().bound.by, "viscosity of material 'liquid'");
+    let start = flow.ledger().energy();
+    let mut last = start;
+    for _ in 0..20 {
+        steps(&mut flow, 100);
+        let energy = flow.ledger().energy();
+        assert!(energy <= last + 1e-6 * start, "B1 lava: energy rises from {last} to {energy} J");
+        last = energy;
+    }
+    println!("B1 lava: {start:.4} J, after {} steps of {:.2e} s {last:.4} J", flow.step_count(), flow.bound().dt);
+    assert!(last < start);
 }
 
 /// A stiff cube with a little noise in its velocities.
