@@ -19,6 +19,7 @@ use crate::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split}
 use crate::transfer::MAX_STATE;
 use barchan_core::levels::{Agent, Leeway, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
 use barchan_core::{Aabb, Coupling, Error, Ledger, LevelPhase, ParticleList, Plan, Regions, Result};
+use barchan_lanes::Isa;
 use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, Near, PORTION};
 use nalgebra::{Matrix3, Vector3};
 use nearby::{Nearby, Surface};
@@ -117,8 +118,8 @@ pub trait LevelStore: Sync {
     fn volume0(&self, list: usize, place: usize) -> f64;
     /// A copy of it.
     fn parcel(&self, list: usize, place: usize) -> Parcel;
-    /// Takes it out. Other places stay what they are.
-    fn remove(&mut self, list: usize, place: usize);
+    /// Takes particles of a list out. Other places stay what they are.
+    fn remove(&mut self, list: usize, places: impl Iterator<Item = usize>);
     /// Takes in particles, in the order of lists and numbers. They are in no block.
     fn push(&mut self, parcels: &[&Parcel]);
     /// The cells of some blocks that are at least half full, as bits, for cells of a volume [m³]; block keys rise.
@@ -151,6 +152,7 @@ pub struct Adapt {
     /// Size of gravity [m/s²].
     gravity: f64,
     tolerance: f64,
+    isa: Isa,
 }
 
 /// A material's planes.
@@ -297,6 +299,7 @@ impl Adapt {
             materials: plan.materials.iter().map(material).collect(),
             gravity: scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt(),
             tolerance: scene.levels.tolerance,
+            isa: plan.isa,
         }
     }
 
@@ -453,9 +456,11 @@ impl Adapt {
         }
 
         let mut changed = vec![false; levels.len()];
-        for one in [splitting, moving, gone, unmerged].iter().flatten() {
-            changed[one.level] = true;
-            levels[one.level].remove(one.list, one.place);
+        for some in [splitting, moving, gone, unmerged] {
+            for here in some.chunk_by(|a, b| (a.level, a.list) == (b.level, b.list)) {
+                changed[here[0].level] = true;
+                levels[here[0].level].remove(here[0].list, here.iter().map(|one| one.place));
+            }
         }
         let children = families.par_iter().flat_map_iter(|family| &family.parcels);
         let come = children.chain(&moved).chain(&left).chain(merged.par_iter().map(|one| &one.parcel));
@@ -767,8 +772,8 @@ impl Adapt {
         // The members of a cluster tend to find the same one.
         let mut refused: HashSet<Vec<usize>> = HashSet::new();
         let (mut near, mut found) = (Near::default(), Vec::new());
-        for seed in loose.seeds(only_surface) {
-            let members = loose.cluster(seed, least, strict, &mut near);
+        for seed in loose.seeds(self.isa, only_surface) {
+            let members = loose.cluster(self.isa, seed, least, strict, &mut near);
             let Some(members) = members.filter(|members| !refused.contains(members)) else {
                 continue;
             };

@@ -66,61 +66,56 @@ pub const fn in_block(x: usize, y: usize, z: usize) -> usize {
     ((x * 4 + y) * 4 + z) * 4
 }
 
-/// Where a tile and the nodes of the block at `offset` from it overlap along one axis: first node in the tile, first node in
-/// the block, number of nodes.
+/// Along one axis a node of a block is in two tiles: for each the offset from the tile's block to the node's, and the node's place in it.
 #[inline(always)]
-const fn overlap(offset: i32) -> (usize, usize, usize) {
-    match offset {
-        -1 => (0, 2, 2),
-        0 => (2, 0, 4),
-        _ => (6, 0, 2),
-    }
+pub const fn holders(node: usize) -> [(i32, usize); 2] {
+    if node < 2 { [(0, node + 2), (1, node + 6)] } else { [(-1, node - 2), (0, node + 2)] }
 }
 
-/// Calls `$row` with the starts, in the tile and in the block, of each row of nodes along z that both hold, and with the row's
-/// length in scalars as a constant, so that a row is one or two vector operations.
-macro_rules! rows {
-    ($offset:expr, |$tile:ident, $block:ident, $width:ident| $row:expr) => {{
-        let [(tx, bx, nx), (ty, by, ny), (tz, bz, nz)] =
-            [overlap($offset[0]), overlap($offset[1]), overlap($offset[2])];
-        for x in 0..nx {
-            for y in 0..ny {
-                let $tile = in_tile(tx + x, ty + y, tz);
-                let $block = in_block(bx + x, by + y, bz);
-                if nz == 4 {
-                    const $width: usize = 16;
-                    $row
-                } else {
-                    const $width: usize = 8;
-                    $row
+/// Sums for a block's nodes what tiles hold for them: those of the block itself and its neighbours, by the offset from the tile's block to
+/// the nodes', in the order of [`neighbour`].
+#[inline(always)]
+pub fn sum_tiles<T: Float>(nodes: &mut [T; NODES], tiles: [&[T; TILE]; 27]) {
+    for (row, nodes) in nodes.as_chunks_mut::<16>().0.iter_mut().enumerate() {
+        let (mut low, mut high) = ([T::default(); 8], [T::default(); 8]);
+        for (x, at_x) in holders(row / 4) {
+            for (y, at_y) in holders(row % 4) {
+                let first = neighbour([x, y, -1]);
+                let [before, own, behind] = [tiles[first], tiles[first + 1], tiles[first + 2]]
+                    .map(|tile| &tile[in_tile(at_x, at_y, 0)..][..32]);
+                for i in 0..8 {
+                    high[i] += before[i];
+                    low[i] += own[8 + i];
+                    high[i] += own[16 + i];
+                    low[i] += behind[24 + i];
                 }
             }
         }
-    }};
+        nodes[..8].copy_from_slice(&low);
+        nodes[8..].copy_from_slice(&high);
+    }
 }
 
-/// Adds to a block's nodes what the tile of a neighbour holds for them. `offset` points from the tile's block to the nodes'.
+/// Copies into a block's tile the nodes of the block itself and its neighbours, by the offset from the tile's block to the nodes', in the
+/// order of [`neighbour`].
 #[inline(always)]
-pub fn add_tile<T: Float>(nodes: &mut [T; NODES], tile: &[T; TILE], offset: [i32; 3]) {
-    rows!(offset, |t, b, WIDTH| {
-        let (to, from) = (&mut nodes[b..b + WIDTH], &tile[t..t + WIDTH]);
-        for i in 0..WIDTH {
-            to[i] += from[i];
+pub fn fill_tile<T: Float>(tile: &mut [T; TILE], nodes: [&[T; NODES]; 27]) {
+    /// Along one axis: the offset of the block that a tile's node belongs to, and its place there.
+    const fn home(node: usize) -> (i32, usize) {
+        match node {
+            0..2 => (-1, node + 2),
+            2..6 => (0, node - 2),
+            _ => (1, node - 6),
         }
-    });
-}
-
-/// Copies a block's nodes to where they stand in the tile of a neighbour; without a block there, zeros. `offset` points from
-/// the tile's block to the nodes'.
-#[inline(always)]
-pub fn fill_tile<T: Float>(tile: &mut [T; TILE], nodes: Option<&[T; NODES]>, offset: [i32; 3]) {
-    match nodes {
-        Some(nodes) => rows!(offset, |t, b, WIDTH| {
-            tile[t..t + WIDTH].copy_from_slice(&nodes[b..b + WIDTH]);
-        }),
-        None => rows!(offset, |t, _b, WIDTH| {
-            tile[t..t + WIDTH].fill(T::default());
-        }),
+    }
+    for (row, to) in tile.as_chunks_mut::<32>().0[..TILE_SIDE * TILE_SIDE].iter_mut().enumerate() {
+        let ((x, at_x), (y, at_y)) = (home(row / TILE_SIDE), home(row % TILE_SIDE));
+        let first = neighbour([x, y, -1]);
+        let [before, own, behind] =
+            [nodes[first], nodes[first + 1], nodes[first + 2]].map(|nodes| &nodes[in_block(at_x, at_y, 0)..][..16]);
+        to[..8].copy_from_slice(&before[8..]);
+        to[8..24].copy_from_slice(own);
+        to[24..].copy_from_slice(&behind[..8]);
     }
 }
 
@@ -151,9 +146,11 @@ mod tests {
         let (mut total, mut back) = (0.0, [0.0; TILE]);
         for n in 0..27 {
             let mut nodes = [0.0; NODES];
-            add_tile(&mut nodes, &tile, offset(n));
+            sum_tiles(&mut nodes, std::array::from_fn(|i| if i == n { &tile } else { &[0.0; TILE] }));
             total += nodes.iter().sum::<f64>();
-            fill_tile(&mut back, Some(&nodes), offset(n));
+            let mut part = [0.0; TILE];
+            fill_tile(&mut part, std::array::from_fn(|i| if i == n { &nodes } else { &[0.0; NODES] }));
+            back.iter_mut().zip(part).for_each(|(back, part)| *back += part);
             assert_eq!(neighbour(offset(n)), n);
         }
         assert_eq!(total, tile.iter().sum::<f64>());

@@ -1,6 +1,6 @@
 //! How particles lie in memory while they are transferred: planes of chunks of 16.
 
-use barchan_lanes::{Float, LANES};
+use barchan_lanes::{CHUNK, Float};
 
 /// Planes of motion: velocity (3), then the affine matrix C row by row (9).
 pub const MOTION: usize = 12;
@@ -41,7 +41,7 @@ impl<T: Float> Particles<T> {
     #[inline(always)]
     pub unsafe fn cell(&self, chunk: usize, axis: usize) -> *mut i32 {
         // SAFETY: the caller vouches for the chunk.
-        unsafe { self.cell.add((chunk * 3 + axis) * LANES) }
+        unsafe { self.cell.add((chunk * 3 + axis) * CHUNK) }
     }
     /// Offsets of a chunk along an axis.
     ///
@@ -50,7 +50,7 @@ impl<T: Float> Particles<T> {
     #[inline(always)]
     pub unsafe fn offset(&self, chunk: usize, axis: usize) -> *mut T::Offset {
         // SAFETY: the caller vouches for the chunk.
-        unsafe { self.offset.add((chunk * 3 + axis) * LANES) }
+        unsafe { self.offset.add((chunk * 3 + axis) * CHUNK) }
     }
     /// A plane of motion of a chunk.
     ///
@@ -59,7 +59,7 @@ impl<T: Float> Particles<T> {
     #[inline(always)]
     pub unsafe fn motion(&self, chunk: usize, plane: usize) -> *mut T {
         // SAFETY: the caller vouches for the chunk.
-        unsafe { self.motion.add((chunk * MOTION + plane) * LANES) }
+        unsafe { self.motion.add((chunk * MOTION + plane) * CHUNK) }
     }
     /// A plane of the rest of a chunk.
     ///
@@ -68,7 +68,7 @@ impl<T: Float> Particles<T> {
     #[inline(always)]
     pub unsafe fn rest(&self, chunk: usize, plane: usize) -> *mut T {
         // SAFETY: the caller vouches for the chunk.
-        unsafe { self.rest.add((chunk * self.rest_planes + plane) * LANES) }
+        unsafe { self.rest.add((chunk * self.rest_planes + plane) * CHUNK) }
     }
 }
 
@@ -85,10 +85,10 @@ impl Run {
     /// Number of chunks.
     #[inline(always)]
     pub fn chunks(self) -> usize {
-        self.count.div_ceil(LANES)
+        self.count.div_ceil(CHUNK)
     }
     /// (chunk, lane) of every particle.
     pub fn places(self) -> impl Iterator<Item = (usize, usize)> {
-        (0..self.count).map(move |i| (self.first + i / LANES, i % LANES))
+        (0..self.count).map(move |i| (self.first + i / CHUNK, i % CHUNK))
     }
 }

@@ -12,12 +12,12 @@
 //! Truncated hierarchical B-splines: Giannelli, Jüttler, Speleers 2012.
 
 use crate::block::{CELLS, NODES, in_block};
-use barchan_lanes::{Float, LANES, Lanes, tabulate};
+use barchan_lanes::{CHUNK, Float, Lanes, tabulate};
 
 /// What hangs on to a slave node, or to a parent cell: momentum and mass, then the three columns of m C, each with a zero behind it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
-pub struct Carried<T>(pub [T; LANES]);
+pub struct Carried<T>(pub [T; CHUNK]);
 
 impl<T> Carried<T> {
     /// Where the mass is.
@@ -127,17 +127,25 @@ pub fn parent_cells(slaves: u64) -> u64 {
     (0..CELLS).filter(|node| slaves >> node & 1 == 1).fold(0, |used, node| used | AROUND[node])
 }
 
+/// The lines of four nodes of a block along an axis, by number, and for each where the parts start that lanes hold of what a node carries.
+#[inline(always)]
+fn parts_of_lines<V: Lanes>() -> impl Iterator<Item = (usize, usize)> {
+    let parts = CHUNK / V::COUNT;
+    (0..CELLS / 4 * parts).map(move |i| (i / parts, i % parts * V::COUNT))
+}
+
 /// Means about the nodes of a block, from sums over the 4³ parent cells around it, with the quadratic spline of twice the cell's
 /// width: these reach as far as any particle that gives a node mass, be it a cell away from where it was sorted.
 #[inline(always)]
 pub fn spread<V: Lanes>(carried: &mut [Carried<V::Scalar>; CELLS]) {
+    let [far, near, own] = [V::splat(1.0 / 32.0), V::splat(9.0 / 32.0), V::splat(11.0 / 16.0)];
     for stride in [16, 4, 1] {
-        // SAFETY: a node carries 16 scalars.
-        unsafe {
-            let [far, near, own] = [V::splat(1.0 / 32.0), V::splat(9.0 / 32.0), V::splat(11.0 / 16.0)];
-            for line in 0..CELLS / 4 {
-                let line = carried.as_mut_ptr().add(line / stride * 4 * stride + line % stride);
-                let f: [V; 4] = tabulate!(4, |i| V::load(line.add(i * stride).cast()));
+        for (line, part) in parts_of_lines::<V>() {
+            // SAFETY: a node carries 16 scalars.
+            unsafe {
+                let line =
+                    carried.as_mut_ptr().add(line / stride * 4 * stride + line % stride).cast::<V::Scalar>().add(part);
+                let f: [V; 4] = tabulate!(4, |i| V::load(line.add(i * stride * CHUNK)));
                 let to = [
                     near.mul_add(f[0], own.mul_add(f[1], far * f[2])),
                     far.mul_add(f[0], own.mul_add(f[1], near * f[2])),
@@ -145,7 +153,7 @@ pub fn spread<V: Lanes>(carried: &mut [Carried<V::Scalar>; CELLS]) {
                     far.mul_add(f[1], own.mul_add(f[2], near * f[3])),
                 ];
                 for i in 0..4 {
-                    to[i].store(line.add(i * stride).cast());
+                    to[i].store(line.add(i * stride * CHUNK));
                 }
             }
         }
@@ -168,19 +176,20 @@ pub fn restrict<V: Lanes>(carried: &mut [Carried<V::Scalar>; CELLS], parents: &m
 /// One axis of the restriction, along each line of four nodes: to[I] = Σ P (from[i] + column[i] (x_I - x_i)).
 #[inline(always)]
 fn restrict_axis<V: Lanes, const AXIS: usize>(carried: &mut [Carried<V::Scalar>; CELLS]) {
-    // A column is momentum, whose lanes are the first four.
-    const LEVER: [f64; LANES] = [0.375, 0.375, 0.375, 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0.];
+    // A column is momentum, whose lanes are the first four. It lies behind them, so that it is still there when they are summed.
+    const LEVER: [f64; CHUNK] = [0.375, 0.375, 0.375, 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0.];
     let stride = [16, 4, 1][AXIS];
     let (near, far) = (V::splat(0.75), V::splat(0.25));
-    // SAFETY: a node carries 16 scalars, of which a column starts at most at the twelfth.
-    unsafe {
-        let lever = V::load(LEVER.map(V::Scalar::from_f64).as_ptr());
-        for line in 0..CELLS / 4 {
-            let first = line / stride * 4 * stride + line % stride;
-            let line = carried.as_mut_ptr().add(first);
-            let f: [V; 4] = tabulate!(4, |i| V::load(line.add(i * stride).cast()));
+    let lever = LEVER.map(V::Scalar::from_f64);
+    for (line, part) in parts_of_lines::<V>() {
+        // SAFETY: a node carries 16 scalars, of which a column starts at most at the twelfth.
+        unsafe {
+            let lever = V::load(lever.as_ptr().add(part));
+            let node = carried.as_mut_ptr().add(line / stride * 4 * stride + line % stride).cast::<V::Scalar>();
+            let line = node.add(part);
+            let f: [V; 4] = tabulate!(4, |i| V::load(line.add(i * stride * CHUNK)));
             let s: [V; 4] = tabulate!(4, |i| {
-                V::repeat4(line.add(i * stride).cast::<V::Scalar>().add(Carried::<V::Scalar>::column(AXIS))) * lever
+                V::repeat4(node.add(i * stride * CHUNK + Carried::<V::Scalar>::column(AXIS))) * lever
             });
             let to = [
                 far * f[0] - s[0],
@@ -189,7 +198,7 @@ fn restrict_axis<V: Lanes, const AXIS: usize>(carried: &mut [Carried<V::Scalar>;
                 far.mul_add(f[3], s[3]),
             ];
             for i in 0..4 {
-                to[i].store(line.add(i * stride).cast());
+                to[i].store(line.add(i * stride * CHUNK));
             }
         }
     }

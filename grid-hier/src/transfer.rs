@@ -3,9 +3,10 @@
 //! MLS-MPM with APIC: p_i = sum_p w_ip [ m (v + dt g) + (m C - dt V0 (4/h²) tau) (x_i - x_p) ], m_i = sum_p w_ip m, and back
 //! v = sum_i w_ip u_i, C = (4/h²) sum_i w_ip u_i (x_i - x_p)ᵀ, x += dt v.
 //!
-//! Particles are sorted by cell, so consecutive ones mostly touch the same 27 nodes. Those are kept in nine vectors, each a row
-//! of three nodes along z times (p_x, p_y, p_z, m), and written when the cell changes. Everything that is per particle alone
-//! (weights, strain, stress, affine momentum) is computed with particles in lanes and then transposed.
+//! Particles come in batches. Everything that is per particle alone (weights, strain, stress, affine momentum) is computed with
+//! particles in lanes and then transposed. They are sorted by cell, so consecutive ones mostly touch the same 27 nodes: for each run
+//! of them these are kept in nine registers, each a row of three nodes along z times (p_x, p_y, p_z, m). Where a register does not
+//! hold a row, the run is gone through once for each part of it (see [`Row`]).
 //!
 //! # Source
 //! Hu et al. 2018 (MLS-MPM), eq. 16; Jiang et al. 2015 (APIC). Gravity is scattered with the momentum, so that mirror walls
@@ -17,19 +18,23 @@ use crate::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
 use crate::ring::{Carried, PARENT_CELLS};
 use crate::spline::{first_distance, weights};
 use barchan_abi as abi;
-use barchan_lanes::{Float, Kernel, LANES, Lanes, Mask, Real, prefetch, tabulate};
+use barchan_lanes::{CHUNK, Float, Kernel, Lanes, Mask, Real, Row, prefetch, tabulate};
+use core::marker::PhantomData;
 use core::mem::MaybeUninit;
+use core::ops::Range;
 use std::time::Instant;
 
-/// Particles handed to a material at a time.
+/// Particles worked on at a time: those handed to a material.
 pub const BATCH: usize = 64;
 /// Most history variables that a material may have.
 pub const MAX_STATE: usize = 16;
 
 const X: usize = TILE_SIDE * TILE_SIDE * 4;
 const Y: usize = TILE_SIDE * 4;
+/// Scalars in the longest row that a register holds: three nodes, and room for a fourth.
+const ROW: usize = 16;
 /// Which of the three z-nodes a lane of a row belongs to, as a factor.
-const NODE_OF_LANE: [f64; LANES] = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2., 0., 0., 0., 0.];
+const NODE_OF_LANE: [f64; ROW] = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2., 0., 0., 0., 0.];
 
 /// A scalar that materials can be called with.
 pub trait Scalar: Float {
@@ -207,56 +212,78 @@ struct Scratch<T> {
     state_out: [[T; BATCH]; MAX_STATE],
 }
 
-/// One plane for each of `N` quantities of a chunk's particles.
-#[repr(C, align(64))]
-pub(crate) struct Planes<T, const N: usize>(pub(crate) [[T; LANES]; N]);
-
 /// Each particle's four values of `N` quantities, side by side so that one load repeats them over a row. Values of a quantity
-/// lie `4 * LANES` behind those of the one before, and start for each particle at [`QUAD`].
+/// start for each particle at [`Batches::QUAD`].
 ///
-/// Four lines a quantity, particle p = 4 g + k at group g of line k: planes come here by transposing within groups of four
-/// lanes only, which is half the work of transposing 16 x 16.
+/// As many particles as there are lanes, then the next ones: four registers, the k-th with particles k, 4 + k, ... of them. So planes
+/// come here by transposing within groups of four lanes only, which is half the work of transposing all.
 #[repr(C, align(64))]
-pub(crate) struct Quads<T, const N: usize>(pub(crate) [[[T; LANES]; 4]; N]);
+struct Quads<T, const N: usize>([[T; 4 * BATCH]; N]);
 
-/// Where each particle's values start in [`Quads`]: a table, because to look it up is less work than to compute it.
-pub(crate) const QUAD: [usize; LANES] = {
-    let mut table = [0; LANES];
-    let mut p = 0;
-    while p < LANES {
-        table[p] = p % 4 * LANES + p / 4 * 4;
-        p += 1;
+/// How a batch lies in the registers of `V`.
+struct Batches<V>(PhantomData<V>);
+
+impl<V: Lanes> Batches<V> {
+    /// Where each particle's values start in [`Quads`]: a table, because to look it up is less work than to compute it.
+    const QUAD: [usize; BATCH] = {
+        let mut table = [0; BATCH];
+        let mut p = 0;
+        while p < BATCH {
+            table[p] = p / V::COUNT * 4 * V::COUNT + p % 4 * V::COUNT + p % V::COUNT / 4 * 4;
+            p += 1;
+        }
+        table
+    };
+
+    /// As many particles of a batch at a time as there are lanes: where they start in the batch, their chunk and their first lane.
+    #[inline(always)]
+    fn parts(first: usize, count: usize) -> impl Iterator<Item = (usize, usize, usize)> {
+        (0..count).step_by(V::COUNT).map(move |at| (at, first + at / CHUNK, at % CHUNK))
     }
-    table
-};
 
-/// Writes one quantity of [`Quads`] from its four planes.
-///
-/// # Safety
-/// `lines` must be valid for writing.
-#[inline(always)]
-pub(crate) unsafe fn write_quads<V: Lanes>(lines: *mut [[V::Scalar; LANES]; 4], mut planes: [V; 4]) {
-    V::transpose4(&mut planes);
-    for (k, plane) in planes.iter().enumerate() {
-        // SAFETY: the caller vouches for the lines.
-        unsafe { plane.store((&raw mut (*lines)[k]).cast()) };
+    /// Writes one quantity of [`Quads`], of the particles from `at` on, from its four planes.
+    ///
+    /// # Safety
+    /// `quads` must be valid for writing.
+    #[inline(always)]
+    unsafe fn write_quads(quads: *mut [V::Scalar; 4 * BATCH], at: usize, mut planes: [V; 4]) {
+        V::transpose4(&mut planes);
+        for (k, plane) in planes.iter().enumerate() {
+            // SAFETY: the caller vouches for the quads.
+            unsafe { plane.store(quads.cast::<V::Scalar>().add(4 * at + k * V::COUNT)) };
+        }
     }
 }
 
-/// The nine products of weights along x and y.
-#[inline(always)]
-pub(crate) fn products<'a, V: Lanes>(
-    to: &'a mut MaybeUninit<Planes<V::Scalar, 9>>,
-    w: &[[V; 3]; 3],
-) -> &'a Planes<V::Scalar, 9> {
-    for i in 0..3 {
-        for j in 0..3 {
-            // SAFETY: a plane holds 16 scalars.
-            unsafe { (w[0][i] * w[1][j]).store((&raw mut (*to.as_mut_ptr()).0[3 * i + j]).cast()) };
+/// Runs of neighbours with the same node.
+struct Runs<'a> {
+    nodes: &'a [u32],
+    from: usize,
+}
+
+impl Iterator for Runs<'_> {
+    type Item = Range<usize>;
+    #[inline(always)]
+    fn next(&mut self) -> Option<Range<usize>> {
+        let from = self.from;
+        let node = *self.nodes.get(from)?;
+        let mut to = from + 1;
+        while to < self.nodes.len() && self.nodes[to] == node {
+            to += 1;
         }
+        self.from = to;
+        Some(from..to)
     }
-    // SAFETY: all nine planes are written.
-    unsafe { to.assume_init_ref() }
+}
+
+/// What the particles of a batch give to nodes: momentum and mass as seen from the first node, the columns of A with zeros, the
+/// weights along z and a zero; for a rim the columns of m C with the mass. And the products of weights along x and y.
+#[repr(C, align(64))]
+struct Gifts<T> {
+    quads: Quads<T, 8>,
+    weights: [[T; BATCH]; 9],
+    /// Start in the tile of each particle's first node.
+    nodes: [u32; BATCH],
 }
 
 impl<T: Scalar> Kernel<T> for ParticlesToGrid<'_, T> {
@@ -274,54 +301,50 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
     fn sum<V: Lanes<Scalar = T>, const EDGE: bool>(mut self) -> Result<(), Fault> {
         let mut scratch = MaybeUninit::<Scratch<T>>::uninit();
         let scratch = scratch.as_mut_ptr();
-        let chunks = self.run.chunks();
+        let mut gifts = MaybeUninit::<Gifts<T>>::uninit();
+        let gifts = gifts.as_mut_ptr();
         // A copy, so that the compiler knows it constant.
         let step = *self.step;
-        let mut row_sums = RowSums::<V>::new(self.tile.as_mut_ptr());
-        let mut edge_sums = self.parent_cells.take().map(EdgeSums::<V>::new);
         // Where nothing has moved and no force is asked for, matter is left alone.
         let parts = if step.dt == 0.0 && step.strain_dt == 0.0 { 0 } else { step.strain_parts };
-        // The sums stay in memory between chunks: rows that live across the call of the material cost a register too many, and
-        // then one of them goes through memory for each particle.
-        core::hint::black_box(&mut row_sums);
-        for first in (0..chunks).step_by(BATCH / LANES) {
-            let chunks_here = (chunks - first).min(BATCH / LANES);
-            let first = self.run.first + first;
-            for part in 0..parts {
-                // SAFETY: the run's chunks exist, and the scratch is this call's own.
-                unsafe { self.deform::<V>(&step, scratch, first, chunks_here, part) }?;
-            }
-            for k in 0..chunks_here {
-                let chunk = first + k;
-                let count = (self.run.count - (chunk - self.run.first) * LANES).min(LANES);
-                // SAFETY: as above; `deform` has written the stresses of this chunk, if there are any forces.
-                unsafe {
-                    self.scatter::<V, EDGE>(
-                        &step,
-                        (&mut row_sums, edge_sums.as_mut()),
-                        scratch,
-                        chunk,
-                        k * LANES,
-                        count,
-                    )
-                }?;
+        for from in (0..self.run.count).step_by(BATCH) {
+            let count = (self.run.count - from).min(BATCH);
+            let first = self.run.first + from / CHUNK;
+            // SAFETY: the run's chunks exist, the scratch and the gifts are this call's own; `deform` writes the stresses of these
+            // particles, if there are any forces, and `prepare` what they give.
+            unsafe {
+                for part in 0..parts {
+                    self.deform::<V>(&step, scratch, first, count, part)?;
+                }
+                self.prepare::<V, EDGE>(&step, scratch, gifts, first, count)?;
+                let nodes: &[u32; BATCH] = &(*gifts).nodes;
+                for run in (Runs { nodes: &nodes[..count], from: 0 }) {
+                    let node = nodes[run.start] as usize;
+                    let tile = self.tile.as_mut_ptr().add(node);
+                    self.scatter::<V, V::Near>(tile, gifts, first, run.clone(), 0);
+                    let mut z = V::Near::NODES;
+                    while z < 3 {
+                        self.scatter::<V, V::Far>(tile, gifts, first, run.clone(), z);
+                        z += V::Far::NODES;
+                    }
+                    if let Some(cells) = self.parent_cells.as_deref_mut().filter(|_| EDGE) {
+                        carry::<V>(&mut cells[parent_cell(node)], gifts, run);
+                    }
+                }
             }
         }
-        if let Some(mut edge_sums) = edge_sums {
-            edge_sums.flush(row_sums.current);
-        }
-        row_sums.flushed();
         Ok(())
     }
 
-    /// Trial strain, material update, strain and history back, for up to [`BATCH`] particles. Stresses stay in the scratch.
+    /// Trial strain, material update, strain and history back, for up to [`BATCH`] particles from a chunk on. Stresses stay in the
+    /// scratch.
     #[inline(always)]
     unsafe fn deform<V: Lanes<Scalar = T>>(
         &mut self,
         step: &Step,
         scratch: *mut Scratch<T>,
         first: usize,
-        chunks: usize,
+        count: usize,
         part: u32,
     ) -> Result<(), Fault> {
         let planes = self.law.strain_planes();
@@ -329,14 +352,12 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
         let dt = step.strain_dt / f64::from(step.strain_parts);
         let wants_gradient = self.law.table.capabilities & abi::BARCHAN_CAP_VEL_GRAD != 0;
         let s = &self.particles;
-        // SAFETY: for the whole body, the caller vouches for the chunks; scratch planes are BATCH long and k < BATCH / LANES.
+        // SAFETY: for the whole body, the caller vouches for the chunks; scratch planes are BATCH long.
         unsafe {
-            for k in 0..chunks {
-                let chunk = first + k;
-                let at = k * LANES;
+            for (at, chunk, lane) in Batches::<V>::parts(first, count) {
                 let mut C = [V::zero(); 9];
                 for (c, C) in C.iter_mut().enumerate() {
-                    *C = V::load(s.motion(chunk, 3 + c));
+                    *C = V::load(s.motion(chunk, 3 + c).add(lane));
                     if wants_gradient {
                         C.store(&raw mut (*scratch).vel_grad[c][at]);
                     }
@@ -345,7 +366,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 if planes == 9 {
                     let mut F = [V::zero(); 9];
                     for (p, F) in F.iter_mut().enumerate() {
-                        *F = V::load(s.rest(chunk, STRAIN + p));
+                        *F = V::load(s.rest(chunk, STRAIN + p).add(lane));
                     }
                     for i in 0..3 {
                         for j in 0..3 {
@@ -359,18 +380,19 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 } else {
                     let mut b = [V::zero(); 6];
                     for (p, b) in b.iter_mut().enumerate() {
-                        *b = V::load(s.rest(chunk, STRAIN + p));
+                        *b = V::load(s.rest(chunk, STRAIN + p).add(lane));
                     }
                     for (p, trial) in push_forward(&C, &b).into_iter().enumerate() {
                         trial.store(&raw mut (*scratch).trial[p][at]);
                     }
                 }
                 for q in 0..n_state {
-                    V::load(s.rest(chunk, STRAIN + planes + q)).store(&raw mut (*scratch).state_in[q][at]);
+                    let state = V::load(s.rest(chunk, STRAIN + planes + q).add(lane));
+                    state.store(&raw mut (*scratch).state_in[q][at]);
                 }
             }
             let batch = Batch {
-                n: chunks * LANES,
+                n: count.next_multiple_of(V::COUNT),
                 stride: BATCH,
                 dt: T::from_f64(dt),
                 params: self.law.params.as_ptr(),
@@ -391,9 +413,8 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 debug_assert!(part < step.strain_parts);
                 return Err(Fault::Material { status, chunk: first });
             }
-            for k in 0..chunks {
-                let at = k * LANES;
-                // Nothing of a chunk is written back that is not a number, nor felt by a node.
+            // Nothing of these particles is written back that is not a number, nor felt by a node.
+            for (at, chunk, lane) in Batches::<V>::parts(first, count) {
                 let mut sum = V::zero();
                 for p in 0..planes {
                     sum += V::load(&raw const (*scratch).strain[p][at]);
@@ -406,143 +427,189 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 }
                 let finite = sum.is_finite();
                 if !finite.all() {
-                    return Err(Fault::Unsound { chunk: first + k, lane: (!finite.bits()).trailing_zeros() as usize });
+                    return Err(Fault::Unsound { chunk, lane: lane + (!finite.bits()).trailing_zeros() as usize });
                 }
             }
-            for k in 0..if step.frozen { 0 } else { chunks } {
-                let at = k * LANES;
+            for (at, chunk, lane) in Batches::<V>::parts(first, if step.frozen { 0 } else { count }) {
                 for p in 0..planes {
                     let strain = V::load(&raw const (*scratch).strain[p][at]);
                     // Of b_e and F, what lies off the diagonal.
                     let off = if planes == 6 { p >= 3 } else { p % 4 != 0 };
                     let strain = if off { without_dust(strain) } else { strain };
-                    strain.store(s.rest(first + k, STRAIN + p));
+                    strain.store(s.rest(chunk, STRAIN + p).add(lane));
                 }
                 for q in 0..n_state {
-                    V::load(&raw const (*scratch).state_out[q][at]).store(s.rest(first + k, STRAIN + planes + q));
+                    let state = V::load(&raw const (*scratch).state_out[q][at]);
+                    state.store(s.rest(chunk, STRAIN + planes + q).add(lane));
                 }
             }
         }
         Ok(())
     }
 
-    /// Mass and momentum of one chunk, added to the rows of the cells its particles are in.
+    /// What up to [`BATCH`] particles from a chunk on give, and where.
     #[inline(always)]
-    unsafe fn scatter<V: Lanes<Scalar = T>, const EDGE: bool>(
+    unsafe fn prepare<V: Lanes<Scalar = T>, const EDGE: bool>(
         &self,
         step: &Step,
-        (sums, mut edge): (&mut RowSums<V>, Option<&mut EdgeSums<'_, V>>),
         scratch: *const Scratch<T>,
-        chunk: usize,
-        at: usize,
+        gifts: *mut Gifts<T>,
+        first: usize,
         count: usize,
     ) -> Result<(), Fault> {
         let s = &self.particles;
         let (h, dt, gravity) = (step.h, step.dt, step.gravity);
-        // SAFETY: for the whole body, the caller vouches for the chunk and that the scratch holds its stresses.
+        // SAFETY: for the whole body, the caller vouches for the chunks and that the scratch holds their stresses.
         unsafe {
-            for axis in 0..3 {
-                ahead(s.offset, 3, chunk, axis);
-                ahead(s.cell, 3, chunk, axis);
-            }
-            let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
-            let w = [weights(f[0]), weights(f[1]), weights(f[2])];
-            let d0 = tabulate!(3, |d| first_distance(f[d]));
-            let m = V::load(s.rest(chunk, MASS));
-            let stress = V::load(s.rest(chunk, VOLUME)) * V::splat(-4.0 * dt / h);
-            let mut tau = [V::zero(); 6];
-            if dt != 0.0 {
-                tau = tabulate!(6, |c| V::load(&raw const (*scratch).kirchhoff[c][at]));
-            }
-            let tau = [tau[0], tau[3], tau[4], tau[3], tau[1], tau[5], tau[4], tau[5], tau[2]];
-            let affine_mass = m * V::splat(h);
-            // A: momentum per cell of distance; B: momentum and mass as seen from the first node.
-            let A: [V; 9] = tabulate!(9, |c| affine_mass.mul_add(V::load(s.motion(chunk, 3 + c)), stress * tau[c]));
-            let mut B = [m; 4];
-            for i in 0..3 {
-                let v = V::load(s.motion(chunk, i)) + V::splat(dt * gravity[i]);
-                let p = A[3 * i].mul_add(d0[0], A[3 * i + 1].mul_add(d0[1], A[3 * i + 2] * d0[2]));
-                B[i] = m.mul_add(v, p);
-            }
-            let finite = (B[0] + B[1] + B[2] + m).is_finite();
-            if !finite.all() {
-                return Err(Fault::NonFinite { chunk, lane: (!finite.bits()).trailing_zeros() as usize });
-            }
-            let zero = V::zero();
-            let mut quads = MaybeUninit::<Quads<T, 8>>::uninit();
-            let lines = &raw mut (*quads.as_mut_ptr()).0;
-            if EDGE {
-                for j in 0..3 {
-                    let column: [V; 3] = tabulate!(3, |i| affine_mass * V::load(s.motion(chunk, 3 + 3 * i + j)));
-                    write_quads(&raw mut (*lines)[5 + j], [column[0], column[1], column[2], m]);
+            for (at, chunk, lane) in Batches::<V>::parts(first, count) {
+                for p in (at..at + V::COUNT).step_by(4) {
+                    ahead(s.offset(first, 0), 3, p);
+                    ahead(s.cell(first, 0), 3, p);
                 }
-            }
-            write_quads(&raw mut (*lines)[0], B);
-            for j in 0..3 {
-                write_quads(&raw mut (*lines)[1 + j], [A[j], A[3 + j], A[6 + j], zero]);
-            }
-            write_quads(&raw mut (*lines)[4], [w[2][0], w[2][1], w[2][2], zero]);
-            let quads = quads.as_ptr().cast::<T>();
-            let mut weight = MaybeUninit::uninit();
-            let weight = products(&mut weight, &w);
-
-            let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
-            if strayed {
-                return Err(Fault::Strayed { chunk });
-            }
-            let lane_node = V::load(NODE_OF_LANE.map(T::from_f64).as_ptr());
-            // A copy, not a reference: the nine rows must stay in registers over the whole loop.
-            let mut rows = sums.rows;
-            let mut current = sums.current;
-            for (p, &node) in node[..count].iter().enumerate() {
-                if node as usize != current {
-                    if let Some(edge) = edge.as_deref_mut().filter(|_| EDGE) {
-                        edge.flush(current);
-                    }
-                    rows = RowSums { rows, current, ..*sums }.flushed();
-                    current = node as usize;
-                }
-                ahead(s.motion, MOTION, chunk, p);
-                ahead(s.rest, s.rest_planes, chunk, p);
-                let quad = quads.add(QUAD[p]);
-                if let Some(edge) = edge.as_deref_mut().filter(|_| EDGE) {
-                    for (j, column) in edge.columns.iter_mut().enumerate() {
-                        *column += V::repeat4(quad.add((5 + j) * 4 * LANES));
-                    }
-                }
-                let [b, x, y, z, weights_z] = [0, 1, 2, 3, 4].map(|q| quad.add(q * 4 * LANES));
-                let weight_z = V::spread3(weights_z);
-                let x_step = V::repeat4(x) * weight_z;
-                let y_step = V::repeat4(y) * weight_z;
-                let mut row = V::repeat4(z).mul_add(lane_node, V::repeat4(b)) * weight_z;
+                let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d).add(lane)));
+                let w = [weights(f[0]), weights(f[1]), weights(f[2])];
                 for i in 0..3 {
-                    let next = row + y_step;
-                    let last = next + y_step;
-                    rows[3 * i] = V::fill(weight.0[3 * i][p]).mul_add(row, rows[3 * i]);
-                    rows[3 * i + 1] = V::fill(weight.0[3 * i + 1][p]).mul_add(next, rows[3 * i + 1]);
-                    rows[3 * i + 2] = V::fill(weight.0[3 * i + 2][p]).mul_add(last, rows[3 * i + 2]);
-                    row += x_step;
+                    for j in 0..3 {
+                        (w[0][i] * w[1][j]).store(&raw mut (*gifts).weights[3 * i + j][at]);
+                    }
+                }
+                let quads = &raw mut (*gifts).quads.0;
+                let zero = V::zero();
+                Batches::write_quads(&raw mut (*quads)[4], at, [w[2][0], w[2][1], w[2][2], zero]);
+
+                let d0 = tabulate!(3, |d| first_distance(f[d]));
+                let m = V::load(s.rest(chunk, MASS).add(lane));
+                let stress = V::load(s.rest(chunk, VOLUME).add(lane)) * V::splat(-4.0 * dt / h);
+                let mut tau = [V::zero(); 6];
+                if dt != 0.0 {
+                    tau = tabulate!(6, |c| V::load(&raw const (*scratch).kirchhoff[c][at]));
+                }
+                let tau = [tau[0], tau[3], tau[4], tau[3], tau[1], tau[5], tau[4], tau[5], tau[2]];
+                let affine_mass = m * V::splat(h);
+                // A: momentum per cell of distance; B: momentum and mass as seen from the first node.
+                let A: [V; 9] =
+                    tabulate!(9, |c| affine_mass.mul_add(V::load(s.motion(chunk, 3 + c).add(lane)), stress * tau[c]));
+                let mut B = [m; 4];
+                for i in 0..3 {
+                    let v = V::load(s.motion(chunk, i).add(lane)) + V::splat(dt * gravity[i]);
+                    let p = A[3 * i].mul_add(d0[0], A[3 * i + 1].mul_add(d0[1], A[3 * i + 2] * d0[2]));
+                    B[i] = m.mul_add(v, p);
+                }
+                let finite = (B[0] + B[1] + B[2] + m).is_finite();
+                if !finite.all() {
+                    return Err(Fault::NonFinite { chunk, lane: lane + (!finite.bits()).trailing_zeros() as usize });
+                }
+                Batches::write_quads(&raw mut (*quads)[0], at, B);
+                for j in 0..3 {
+                    Batches::write_quads(&raw mut (*quads)[1 + j], at, [A[j], A[3 + j], A[6 + j], zero]);
+                }
+                if EDGE {
+                    for j in 0..3 {
+                        let mut column = [m; 4];
+                        for i in 0..3 {
+                            column[i] = affine_mass * V::load(s.motion(chunk, 3 + 3 * i + j).add(lane));
+                        }
+                        Batches::write_quads(&raw mut (*quads)[5 + j], at, column);
+                    }
+                }
+                if first_nodes::<V>(s, chunk, lane, self.origin, &raw mut (*gifts).nodes[at]) {
+                    return Err(Fault::Strayed { chunk });
                 }
             }
-            (sums.rows, sums.current) = (rows, current);
         }
         Ok(())
     }
+
+    /// Mass and momentum of a run of particles, added to the nodes from `z` on of each row around their cell, as many as fit into `R`.
+    #[inline(always)]
+    unsafe fn scatter<V: Lanes<Scalar = T>, R: Row<Scalar = T>>(
+        &self,
+        tile: *mut T,
+        gifts: *const Gifts<T>,
+        first: usize,
+        run: Range<usize>,
+        z: usize,
+    ) {
+        let s = &self.particles;
+        // SAFETY: the caller vouches that the gifts are there. `first_nodes` has checked that the node's 3 x 3 x 3 neighbours lie in
+        // the tile; a fourth group of lanes is zero and may touch the next row or the room behind the last one.
+        unsafe {
+            let lane_node = R::load(NODE_OF_LANE.map(T::from_f64).as_ptr().add(4 * z));
+            let weights: *const T = (&raw const (*gifts).weights).cast();
+            let quads: *const T = (&raw const (*gifts).quads).cast();
+            let (motion, rest) = (s.motion(first, 0), s.rest(first, 0));
+            let mut rows = [R::fill(T::default()); 9];
+            for p in run {
+                if z == 0 {
+                    ahead(motion, MOTION, p);
+                    ahead(rest, s.rest_planes, p);
+                }
+                let quad = quads.add(*Batches::<V>::QUAD.get_unchecked(p));
+                let weight_z = R::spread(quad.add(4 * 4 * BATCH + z));
+                let x_step = R::repeat4(quad.add(4 * BATCH)) * weight_z;
+                let y_step = R::repeat4(quad.add(2 * 4 * BATCH)) * weight_z;
+                let mut row = R::repeat4(quad);
+                row.add_product(R::repeat4(quad.add(3 * 4 * BATCH)), lane_node);
+                row = row * weight_z;
+                let weight = weights.add(p);
+                for i in 0..3 {
+                    // In place: with one register more a sum would go through memory for each particle.
+                    let mut node = row;
+                    rows[3 * i].add_product(R::fill(*weight.add(3 * i * BATCH)), node);
+                    node += y_step;
+                    rows[3 * i + 1].add_product(R::fill(*weight.add((3 * i + 1) * BATCH)), node);
+                    node += y_step;
+                    rows[3 * i + 2].add_product(R::fill(*weight.add((3 * i + 2) * BATCH)), node);
+                    row += x_step;
+                }
+            }
+            for i in 0..3 {
+                for j in 0..3 {
+                    let at = tile.add(i * X + j * Y + 4 * z);
+                    (R::load(at) + rows[3 * i + j]).store(at);
+                }
+            }
+        }
+    }
 }
 
-/// Chunks between the one at work and the one asked for: far enough for memory to answer, and for the particles of the next
-/// batch to be there when the material wants them.
-const AHEAD: usize = BATCH / LANES;
-
-/// Asks for plane `plane`, if there is one, of a chunk further on, which may lie behind the last. One plane at a time, between
-/// the sums of two particles: a whole chunk at once is more than the memory takes, and the core would wait for it.
+/// Adds what a run of particles carries for a rim to the parent of their cell: the columns of m C, and their mass with the first.
 #[inline(always)]
-fn ahead<W>(start: *const W, planes: usize, chunk: usize, plane: usize) {
-    if plane < planes {
-        let at = start.wrapping_add(((chunk + AHEAD) * planes + plane) * LANES).cast::<u8>();
-        for byte in (0..size_of::<[W; LANES]>()).step_by(64) {
-            prefetch(at.wrapping_add(byte));
+unsafe fn carry<V: Lanes>(parent: &mut Carried<V::Scalar>, gifts: *const Gifts<V::Scalar>, run: Range<usize>) {
+    let mut columns = [[V::Scalar::zero(); 4]; 3];
+    for p in run {
+        for (j, column) in columns.iter_mut().enumerate() {
+            for (i, sum) in column.iter_mut().enumerate() {
+                // SAFETY: the caller vouches that the gifts are there.
+                *sum += unsafe { (*gifts).quads.0[5 + j][Batches::<V>::QUAD[p] + i] };
+            }
         }
+    }
+    parent.0[Carried::<V::Scalar>::MASS] += columns[0][3];
+    for (j, column) in columns.iter().enumerate() {
+        for i in 0..3 {
+            parent.0[Carried::<V::Scalar>::column(j) + i] += column[i];
+        }
+    }
+}
+
+/// Which of a block's parent cells holds the cell whose first node starts at a place in the tile.
+#[inline(always)]
+fn parent_cell(node: usize) -> usize {
+    // The first node of the block's third cell along an axis is the tile's fourth.
+    let node = [node / X, node % X / Y, node % Y / 4];
+    node.iter().fold(0, |parent, n| 2 * parent + usize::from(*n >= 3))
+}
+
+/// Asks for what stands in for particle `p` of a batch in the next one, which may lie behind the last: far enough ahead for memory to
+/// answer, and a little at a time, between the sums of two particles. A whole chunk at once is more than the memory takes, and the core
+/// would wait for it. The batch at work starts at `start` and has so many planes.
+#[inline(always)]
+fn ahead<W>(start: *const W, planes: usize, p: usize) {
+    // Each particle stands for as many bytes as it has, wherever they are: a line of 64 or two.
+    let at = start.wrapping_add((BATCH + p) * planes).cast::<u8>();
+    for byte in (0..size_of::<[W; CHUNK]>()).step_by(64) {
+        prefetch(at.wrapping_add(byte));
     }
 }
 
@@ -575,94 +642,22 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
     })
 }
 
-/// The nine rows of nodes around the current cell.
-struct RowSums<V: Lanes> {
-    rows: [V; 9],
-    tile: *mut V::Scalar,
-    /// Start of the cell's first node in the tile; `usize::MAX` before the first cell.
-    current: usize,
-}
-
-impl<V: Lanes> RowSums<V> {
-    #[inline(always)]
-    fn new(tile: *mut V::Scalar) -> Self {
-        Self { rows: [V::zero(); 9], tile, current: usize::MAX }
-    }
-    /// Adds the rows to the tile and gives back empty ones.
-    #[inline(always)]
-    fn flushed(self) -> [V; 9] {
-        if self.current != usize::MAX {
-            for i in 0..3 {
-                for j in 0..3 {
-                    // SAFETY: `first_nodes` has checked that the node's 3 x 3 x 3 neighbours lie in the tile; the fourth
-                    // group of lanes is zero and may touch the next row or the room behind the last one.
-                    unsafe {
-                        let at = self.tile.add(self.current + i * X + j * Y);
-                        (V::load(at) + self.rows[3 * i + j]).store(at);
-                    }
-                }
-            }
-        }
-        [V::zero(); 9]
-    }
-}
-
-/// What particles of the current cell carry for a rim: the columns of m C with their mass, the same in each group of lanes.
-struct EdgeSums<'a, V: Lanes> {
-    columns: [V; 3],
-    parent_cells: &'a mut [Carried<V::Scalar>; PARENT_CELLS],
-}
-
-impl<'a, V: Lanes> EdgeSums<'a, V>
-where
-    V::Scalar: Scalar,
-{
-    fn new(parent_cells: &'a mut [Carried<V::Scalar>; PARENT_CELLS]) -> Self {
-        Self { columns: [V::zero(); 3], parent_cells }
-    }
-    /// Adds them to the parent of the cell whose first node starts at `current`, and starts anew.
-    #[inline(always)]
-    fn flush(&mut self, current: usize) {
-        // The lanes of what a cell carries that come from each column: the mass with the first.
-        const FROM: [[f64; LANES]; 3] = [
-            [0., 0., 0., 1., 1., 1., 1., 0., 0., 0., 0., 0., 0., 0., 0., 0.],
-            [0., 0., 0., 0., 0., 0., 0., 0., 1., 1., 1., 0., 0., 0., 0., 0.],
-            [0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 0., 1., 1., 1., 0.],
-        ];
-        if current != usize::MAX {
-            // The first node of the block's third cell along an axis is the tile's fourth.
-            let node = [current / X, current % X / Y, current % Y / 4];
-            let parent = &mut self.parent_cells[node.iter().fold(0, |parent, n| 2 * parent + usize::from(*n >= 3))];
-            // SAFETY: a cell carries 16 scalars.
-            unsafe {
-                let mut sum = V::load(parent.0.as_ptr());
-                for j in 0..3 {
-                    sum = self.columns[j].mul_add(V::load(FROM[j].map(V::Scalar::from_f64).as_ptr()), sum);
-                }
-                sum.store(parent.0.as_mut_ptr());
-            }
-        }
-        self.columns = [V::zero(); 3];
-    }
-}
-
-/// Start in the tile of each particle's first node, and whether any of them lies outside.
+/// Start in the tile of the first node of as many particles as there are lanes. Returns whether any of them lies outside.
 #[inline(always)]
-pub(crate) unsafe fn first_nodes<V: Lanes>(
+unsafe fn first_nodes<V: Lanes>(
     s: &Particles<V::Scalar>,
     chunk: usize,
+    lane: usize,
     origin: [i32; 3],
-) -> ([u32; LANES], bool)
-where
-    V::Scalar: Scalar,
-{
+    nodes: *mut u32,
+) -> bool {
     // The first node is one before the particle's cell.
     let first = [origin[0] + 1, origin[1] + 1, origin[2] + 1];
     let most = TILE_SIDE as u32 - 3;
-    // SAFETY: the caller vouches for the chunk.
+    // SAFETY: the caller vouches for the chunk and the room for nodes.
     unsafe {
-        let cells = [s.cell(chunk, 0).cast_const(), s.cell(chunk, 1).cast_const(), s.cell(chunk, 2).cast_const()];
-        V::places(cells, first, [X as i32, Y as i32, 4], most)
+        let cell = [s.cell(chunk, 0).add(lane), s.cell(chunk, 1).add(lane), s.cell(chunk, 2).add(lane)];
+        V::places(cell.map(<*mut i32>::cast_const), first, [X as i32, Y as i32, 4], most, nodes)
     }
 }
 
@@ -678,6 +673,20 @@ pub struct GridToParticles<'a, T: Scalar> {
     pub step: &'a Step,
     /// Node velocities.
     pub tile: &'a [T; TILE],
+}
+
+/// Sums of particles' rows over their nodes, and what the third node has more than the first, with particles in lanes. Rows of the
+/// same sum are three apart.
+#[inline(always)]
+unsafe fn folded<V: Lanes>(rows: *const V::Scalar) -> ([V; 4], [V; 4]) {
+    let (mut sum, mut difference) = ([V::zero(); 4], [V::zero(); 4]);
+    for k in 0..4 {
+        // SAFETY: the caller vouches for the rows. Of particles k, 4 + k, ...
+        (sum[k], difference[k]) = unsafe { V::fold(rows.add(k * 3 * ROW), 4 * 3 * ROW) };
+    }
+    V::transpose4(&mut sum);
+    V::transpose4(&mut difference);
+    (sum, difference)
 }
 
 /// The greatest rates among particles.
@@ -730,11 +739,11 @@ impl<T: Scalar> Kernel<T> for Survey<T> {
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) -> Rates<T> {
         let mut greatest = Greatest::<V>::new();
-        for chunk in self.run.first..self.run.first + self.run.chunks() {
+        for (_, chunk, lane) in Batches::<V>::parts(self.run.first, self.run.count) {
             // SAFETY: the run's chunks exist.
             unsafe {
-                let v = tabulate!(3, |d| V::load(self.particles.motion(chunk, d)));
-                let c = tabulate!(9, |e| V::load(self.particles.motion(chunk, 3 + e)));
+                let v = tabulate!(3, |d| V::load(self.particles.motion(chunk, d).add(lane)));
+                let c = tabulate!(9, |e| V::load(self.particles.motion(chunk, 3 + e).add(lane)));
                 greatest.see(&v, &c);
             }
         }
@@ -742,103 +751,179 @@ impl<T: Scalar> Kernel<T> for Survey<T> {
     }
 }
 
+/// What particles of a batch need of nodes, and get.
+#[repr(C, align(64))]
+struct Reads<T> {
+    /// Weights along x, and along y.
+    weights: [[T; BATCH]; 6],
+    /// Weights along z and a zero.
+    z: Quads<T, 1>,
+    /// Start in the tile of each particle's first node.
+    nodes: [u32; BATCH],
+    /// Sums over x and y of w u, and of w u times the node's distance from the middle one along x or y. Nodes along z are still apart.
+    sums: [[[T; ROW]; 3]; BATCH],
+}
+
 impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
     type Output = Rates<T>;
 
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) -> Rates<T> {
-        let s = &self.particles;
-        let Step { h, dt, .. } = *self.step;
         let mut greatest = Greatest::<V>::new();
-        let mut rows = [V::zero(); 9];
-        let mut current = usize::MAX;
-        for k in 0..self.run.chunks() {
-            let chunk = self.run.first + k;
-            let count = (self.run.count - k * LANES).min(LANES);
-            // SAFETY: for the whole body, the run's chunks exist; nodes were checked by the scatter of this step, and are
-            // checked again here because reading outside the tile must be impossible.
+        let mut reads = MaybeUninit::<Reads<T>>::uninit();
+        let reads = reads.as_mut_ptr();
+        for from in (0..self.run.count).step_by(BATCH) {
+            let count = (self.run.count - from).min(BATCH);
+            let first = self.run.first + from / CHUNK;
+            // SAFETY: the run's chunks exist, and what is read is this call's own; nodes were checked by the scatter of this step, and
+            // are checked again because reading outside the tile must be impossible.
             unsafe {
-                let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d)));
-                let mut quads = MaybeUninit::<Quads<T, 1>>::uninit();
-                for axis in 0..3 {
-                    ahead(s.offset, 3, chunk, axis);
-                    ahead(s.cell, 3, chunk, axis);
+                self.weigh::<V>(reads, first, count);
+                let nodes: &[u32; BATCH] = &(*reads).nodes;
+                for run in (Runs { nodes: &nodes[..count], from: 0 }) {
+                    let tile = self.tile.as_ptr().add(nodes[run.start] as usize);
+                    let mut z = V::Near::NODES;
+                    while z < 3 {
+                        self.gather::<V, V::Far>(tile, reads, first, run.clone(), z);
+                        z += V::Far::NODES;
+                    }
+                    self.gather::<V, V::Near>(tile, reads, first, run, 0);
                 }
-                let [z0, z1, z2] = weights(f[2]);
-                write_quads(&raw mut (*quads.as_mut_ptr()).0[0], [z0, z1, z2, V::zero()]);
-                let quads = quads.as_ptr().cast::<T>();
-                let mut weight = MaybeUninit::<Planes<T, 6>>::uninit();
+                // Padding gets no motion.
+                for p in count..count.next_multiple_of(V::COUNT) {
+                    (*reads).sums[p] = [[T::zero(); ROW]; 3];
+                }
+                self.finish::<V>(reads, first, count, &mut greatest);
+            }
+        }
+        greatest.rates()
+    }
+}
+
+impl<T: Scalar> GridToParticles<'_, T> {
+    /// Weights and nodes of up to [`BATCH`] particles from a chunk on.
+    #[inline(always)]
+    unsafe fn weigh<V: Lanes<Scalar = T>>(&self, reads: *mut Reads<T>, first: usize, count: usize) {
+        let s = &self.particles;
+        for (at, chunk, lane) in Batches::<V>::parts(first, count) {
+            // SAFETY: the caller vouches for the chunks.
+            unsafe {
+                for p in (at..at + V::COUNT).step_by(4) {
+                    ahead(s.offset(first, 0), 3, p);
+                    ahead(s.cell(first, 0), 3, p);
+                }
+                let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d).add(lane)));
                 for d in 0..2 {
                     for (i, w) in weights(f[d]).into_iter().enumerate() {
-                        w.store((&raw mut (*weight.as_mut_ptr()).0[3 * d + i]).cast());
+                        w.store(&raw mut (*reads).weights[3 * d + i][at]);
                     }
                 }
-                let weight = weight.assume_init_ref();
-                let (node, strayed) = first_nodes::<V>(s, chunk, self.origin);
+                let [z0, z1, z2] = weights(f[2]);
+                Batches::write_quads(&raw mut (*reads).z.0[0], at, [z0, z1, z2, V::zero()]);
+                let strayed = first_nodes::<V>(s, chunk, lane, self.origin, &raw mut (*reads).nodes[at]);
                 assert!(!strayed, "a particle strayed between the transfers of one step");
+            }
+        }
+    }
 
-                // Sums over x and y of w u, and of w u times the node's distance from the middle one along x or y. Nodes along
-                // z are still apart.
-                let mut sums = MaybeUninit::<Planes<[T; 3], LANES>>::uninit();
-                let sums = sums.as_mut_ptr().cast::<T>();
-                let sum = |q: usize, p: usize| sums.add((3 * p + q) * LANES);
-                for (p, &node) in node[..count].iter().enumerate() {
-                    if node as usize != current {
-                        current = node as usize;
-                        for i in 0..3 {
-                            for j in 0..3 {
-                                rows[3 * i + j] = V::load(self.tile.as_ptr().add(current + i * X + j * Y));
-                            }
+    /// Sums over x and y for a run of particles, of the nodes from `z` on of each row around their cell, as many as fit into `R`.
+    #[inline(always)]
+    unsafe fn gather<V: Lanes<Scalar = T>, R: Row<Scalar = T>>(
+        &self,
+        tile: *const T,
+        reads: *mut Reads<T>,
+        first: usize,
+        run: Range<usize>,
+        z: usize,
+    ) {
+        // SAFETY: the caller vouches for the weights, and that the node's 3 x 3 x 3 neighbours lie in the tile; a fourth group of
+        // lanes may read the next row or the room behind the last one, and has no weight.
+        unsafe {
+            let mut rows = [R::fill(T::default()); 9];
+            for i in 0..3 {
+                for j in 0..3 {
+                    rows[3 * i + j] = R::load(tile.add(i * X + j * Y + 4 * z));
+                }
+            }
+            let weights: *const T = (&raw const (*reads).weights).cast();
+            let motion = self.particles.motion(first, 0);
+            for p in run {
+                if z == 0 {
+                    ahead(motion, MOTION, p);
+                }
+                let weight = weights.add(p);
+                let [y0, y1, y2] =
+                    [R::fill(*weight.add(3 * BATCH)), R::fill(*weight.add(4 * BATCH)), R::fill(*weight.add(5 * BATCH))];
+                let zero = R::fill(T::default());
+                let (mut plain, mut by_x, mut by_y) = (zero, zero, zero);
+                for i in 0..3 {
+                    let x = R::fill(*weight.add(i * BATCH));
+                    let mut row = y0 * rows[3 * i];
+                    let mut across = -row;
+                    across.add_product(y2, rows[3 * i + 2]);
+                    row.add_product(y1, rows[3 * i + 1]);
+                    row.add_product(y2, rows[3 * i + 2]);
+                    match i {
+                        0 => {
+                            plain = x * row;
+                            by_x = -plain;
+                            by_y = x * across;
+                        }
+                        1 => {
+                            plain.add_product(x, row);
+                            by_y.add_product(x, across);
+                        }
+                        _ => {
+                            plain.add_product(x, row);
+                            by_x.add_product(x, row);
+                            by_y.add_product(x, across);
                         }
                     }
-                    ahead(s.motion, MOTION, chunk, p);
-                    let [x0, x1, x2, y0, y1, y2] = tabulate!(6, |i| V::fill(weight.0[i][p]));
-                    let mut plain = [V::zero(); 3];
-                    let mut by_y = [V::zero(); 3];
-                    for i in 0..3 {
-                        let first = y0 * rows[3 * i];
-                        by_y[i] = y2.mul_add(rows[3 * i + 2], -first);
-                        plain[i] = y2.mul_add(rows[3 * i + 2], y1.mul_add(rows[3 * i + 1], first));
-                    }
-                    let first = x0 * plain[0];
-                    let z = V::spread3(quads.add(QUAD[p]));
-                    (x2.mul_add(plain[2], x1.mul_add(plain[1], first)) * z).store(sum(0, p));
-                    (x2.mul_add(plain[2], -first) * z).store(sum(1, p));
-                    (x2.mul_add(by_y[2], x1.mul_add(by_y[1], x0 * by_y[0])) * z).store(sum(2, p));
                 }
-                for p in count..LANES {
-                    for q in 0..3 {
-                        V::zero().store(sum(q, p));
-                    }
-                }
-                // Sums over z too, with particles in lanes: velocity, and its moments along x, y and z.
-                let mut moments = [[V::zero(); 4]; 4];
-                for k in 0..4 {
-                    let rows =
-                        |q: usize| [sum(q, k), sum(q, 4 + k), sum(q, 8 + k), sum(q, 12 + k)].map(<*mut T>::cast_const);
-                    (moments[0][k], moments[3][k]) = V::fold4(rows(0));
-                    (moments[1][k], _) = V::fold4(rows(1));
-                    (moments[2][k], _) = V::fold4(rows(2));
-                }
-                for moment in &mut moments {
-                    V::transpose4(moment);
-                }
-                let [v, by_node @ ..] = moments;
+                let weight_z =
+                    R::spread((&raw const (*reads).z).cast::<T>().add(*Batches::<V>::QUAD.get_unchecked(p) + z));
+                let sums: *mut T = (&raw mut (*reads).sums[p]).cast();
+                (plain * weight_z).store(sums.add(4 * z));
+                (by_x * weight_z).store(sums.add(ROW + 4 * z));
+                (by_y * weight_z).store(sums.add(2 * ROW + 4 * z));
+            }
+        }
+    }
 
-                let per_cell = V::splat(4.0 / h);
+    /// Sums over z too, with particles in lanes: velocity, and its moments along x, y and z; then the affine matrix, and the move.
+    #[inline(always)]
+    unsafe fn finish<V: Lanes<Scalar = T>>(
+        &self,
+        reads: *const Reads<T>,
+        first: usize,
+        count: usize,
+        greatest: &mut Greatest<V>,
+    ) {
+        let s = &self.particles;
+        let Step { h, dt, .. } = *self.step;
+        let per_cell = V::splat(4.0 / h);
+        for (at, chunk, lane) in Batches::<V>::parts(first, count) {
+            // SAFETY: the caller vouches for the chunks and the sums.
+            unsafe {
+                let f: [V; 3] = tabulate!(3, |d| V::load_offset(s.offset(chunk, d).add(lane)));
+                let sums: *const T = (&raw const (*reads).sums[at]).cast();
+                let (v, along_z) = folded::<V>(sums);
                 let mut c = [V::zero(); 9];
-                for i in 0..3 {
-                    v[i].store(s.motion(chunk, i));
-                    for j in 0..3 {
+                // One axis after the other: all of them at once are more than the registers hold.
+                for j in [2, 0, 1] {
+                    let by_node = if j == 2 { along_z } else { folded::<V>(sums.add((1 + j) * ROW)).0 };
+                    for i in 0..3 {
                         // From the distance of each node from the middle one to that from the particle.
-                        c[3 * i + j] = (V::splat(0.5) - f[j]).mul_add(v[i], by_node[j][i]) * per_cell;
-                        c[3 * i + j].store(s.motion(chunk, 3 + 3 * i + j));
+                        c[3 * i + j] = (V::splat(0.5) - f[j]).mul_add(v[i], by_node[i]) * per_cell;
+                        c[3 * i + j].store(s.motion(chunk, 3 + 3 * i + j).add(lane));
                     }
-                    V::advance(s.offset(chunk, i), s.cell(chunk, i), v[i] * V::splat(dt / h));
+                }
+                for i in 0..3 {
+                    v[i].store(s.motion(chunk, i).add(lane));
+                    V::advance(s.offset(chunk, i).add(lane), s.cell(chunk, i).add(lane), v[i] * V::splat(dt / h));
                 }
                 greatest.see(&[v[0], v[1], v[2]], &c);
             }
         }
-        greatest.rates()
     }
 }

@@ -44,6 +44,9 @@ pub enum Error {
         /// The names there are.
         known: Vec<String>,
     },
+    /// An instruction set that this machine lacks.
+    #[error(transparent)]
+    Isa(barchan_lanes::UnknownIsa),
     /// Two plugins of one kind and name.
     #[error("{kind} '{name}' is registered twice, by {first} and by {second}; rename one of them")]
     Duplicate {

@@ -318,11 +318,10 @@ impl Regions {
         level == self.boxes.len() || self.cover(level, CellBox { min: cell, max: cell.map(|c| c + 1) }) == Cover::All
     }
 
-    /// Can particles of a level touch the node of a cell? They lie up to [`SPLIT_AHEAD`] outside the region when they are
-    /// sorted, drift by a cell, and touch the next cell's node.
-    pub fn touched(&self, level: usize, cell: [i32; 3]) -> bool {
-        let node = CellBox { min: cell, max: cell.map(|c| c + 1) };
-        self.cover_grown(level, node, 2 * SPLIT_AHEAD + 2) == Cover::All
+    /// How many nodes of a box of cells of a level can its particles touch? They lie up to [`SPLIT_AHEAD`] outside the region when they
+    /// are sorted, drift by a cell, and touch the next cell's node.
+    pub fn touched(&self, level: usize, cells: CellBox) -> Cover {
+        self.cover_grown(level, cells, 2 * SPLIT_AHEAD + 2)
     }
 
     /// How much of a box of cells of a level lies in its region.

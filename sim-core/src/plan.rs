@@ -10,6 +10,7 @@ use crate::simulation::Options;
 use crate::stiffness::{Moduli, Stiffness};
 use crate::{Coupling, Error, Material, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
 use barchan_abi as abi;
+use barchan_lanes::Isa;
 use std::collections::HashSet;
 use std::fmt;
 use std::sync::Arc;
@@ -141,6 +142,8 @@ pub struct Plan {
     pub precision: Precision,
     /// Worker threads; 0: as many as the machine has.
     pub threads: usize,
+    /// Instruction set of what runs on the processor.
+    pub isa: Isa,
     /// Name or number of the adapter that the backend runs on; `None`: its first.
     pub adapter: Option<String>,
     /// Cell width of each level, finest first [m].
@@ -260,6 +263,7 @@ impl Plan {
         particles: Option<ParticleState>,
     ) -> Result<Assembly> {
         options.check()?;
+        let isa = Isa::current().map_err(Error::Isa)?;
         let mut scene = scene.clone();
         scene.check()?;
         let materials = plan_materials(registry, &scene, options.precision)?;
@@ -310,6 +314,7 @@ impl Plan {
             files,
             precision: options.precision,
             threads: options.threads,
+            isa,
             adapter: options.adapter.clone(),
             cell_widths,
             ground_cells: Vec::new(),
@@ -990,6 +995,8 @@ impl fmt::Display for Plan {
             mib(self.memory.1)
         )?;
         writeln!(f, "step      {:.3e} s; bound {:.3e} s by {}", self.dt, self.bound.dt, self.bound.by)?;
+        let isas: Vec<_> = Isa::available().map(Isa::name).collect();
+        writeln!(f, "isa       {}, by BARCHAN_ISA one of {}", self.isa.name(), isas.join(", "))?;
         let stages: Vec<_> = self.stages.iter().map(Stage::to_string).collect();
         writeln!(f, "stages    {}", if stages.is_empty() { "none".to_owned() } else { stages.join(" -> ") })?;
         let width = |pick: fn(&Effect) -> &str, head: &str| {

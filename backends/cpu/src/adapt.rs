@@ -6,7 +6,7 @@ use barchan_core::{Coupling, Regions, Result};
 use barchan_grid::adapt::{LevelStore, Parcel, around_cells};
 use barchan_grid::particles::VOLUME;
 use barchan_grid::transfer::Scalar;
-use barchan_lanes::LANES;
+use barchan_lanes::CHUNK;
 use std::time::Instant;
 
 impl<T: Scalar> CpuEngine<T> {
@@ -54,7 +54,7 @@ impl<T: Scalar> CpuEngine<T> {
 
 /// Chunk and lane of a place, which is the number of its lane.
 fn lane_of(place: usize) -> (usize, usize) {
-    (place / LANES, place % LANES)
+    (place / CHUNK, place % CHUNK)
 }
 
 impl<T: Scalar> LevelStore for Store<T> {
@@ -67,10 +67,10 @@ impl<T: Scalar> LevelStore for Store<T> {
     fn places(&self, list: usize, group: usize) -> impl Iterator<Item = usize> {
         let list = &self.lists[list];
         let held = list.runs[group].places().filter(|&(chunk, lane)| list.id[chunk][lane] != PAD);
-        held.map(|(chunk, lane)| chunk * LANES + lane)
+        held.map(|(chunk, lane)| chunk * CHUNK + lane)
     }
     fn greatest_volume(&self, list: usize, group: usize) -> f64 {
-        let (list, mut greatest) = (&self.lists[list], [T::default(); LANES]);
+        let (list, mut greatest) = (&self.lists[list], [T::default(); CHUNK]);
         let run = list.runs[group];
         for chunk in run.first..run.first + run.chunks() {
             for (greatest, volume) in greatest.iter_mut().zip(list.rest_plane(chunk, VOLUME)) {
@@ -103,9 +103,8 @@ impl<T: Scalar> LevelStore for Store<T> {
         let (chunk, lane) = lane_of(place);
         self.lists[list].parcel(list, chunk, lane)
     }
-    fn remove(&mut self, list: usize, place: usize) {
-        let (chunk, lane) = lane_of(place);
-        Store::remove(self, list, chunk, lane);
+    fn remove(&mut self, list: usize, places: impl Iterator<Item = usize>) {
+        Store::remove(self, list, places);
     }
     fn push(&mut self, parcels: &[&Parcel]) {
         Store::push(self, parcels);

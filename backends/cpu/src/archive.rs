@@ -8,6 +8,7 @@ use barchan_grid::adapt::Parcel;
 use barchan_grid::archive::Reach;
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::transfer::Scalar;
+use barchan_lanes::CHUNK;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::time::Instant;
 
@@ -78,9 +79,10 @@ impl<T: Scalar> CpuEngine<T> {
                 same.iter().for_each(|&(_, _, chunk, lane)| list.copy_to(&mut out, chunk, lane));
                 lists.push(out);
             }
-            for &(l, i, chunk, lane) in &places {
+            for same in places.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+                let (l, i, ..) = same[0];
                 changed[l] = true;
-                self.levels[l].store.remove(i, chunk, lane);
+                self.levels[l].store.remove(i, same.iter().map(|&(_, _, chunk, lane)| chunk * CHUNK + lane));
             }
             let (mass, momentum) = reach.put_away(tile, lists, couplings, &self.adapt.regions)?;
             self.mass -= mass;

@@ -18,7 +18,7 @@ use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
 use barchan_grid::particles::{Run, STRAIN};
 use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
-use barchan_lanes::{Isa, LANES};
+use barchan_lanes::{CHUNK, Isa};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -147,7 +147,7 @@ impl<T: Scalar> CpuEngine<T> {
         let shares = Shares { materials: vec![0; plan.materials.len()], sampled: 0 };
         let mut engine = Self {
             pool: Arc::new(pool),
-            isa: Isa::current(),
+            isa: plan.isa,
             materials: plan.materials.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             adapt: Adapt::new(plan),
@@ -363,7 +363,7 @@ impl<T: Scalar> CpuEngine<T> {
         match fault {
             Fault::Material { status, chunk } => {
                 let id = |i: u64| {
-                    l.id.get(chunk + i as usize / LANES).map_or(u64::MAX, |ids| u64::from(ids[i as usize % LANES]))
+                    l.id.get(chunk + i as usize / CHUNK).map_or(u64::MAX, |ids| u64::from(ids[i as usize % CHUNK]))
                 };
                 let planned = &self.materials[l.material];
                 match message.check(status, &planned.material, "update", id) {
@@ -608,7 +608,7 @@ impl<T: Scalar> CpuEngine<T> {
                 let runs: Vec<_> = if hardens { blocks.collect() } else { blocks.take(1).collect() };
                 let of_run = |run: &&Run| {
                     (0..run.chunks()).try_fold(Need::default(), |need, k| {
-                        let count = (run.count - k * LANES).min(LANES);
+                        let count = (run.count - k * CHUNK).min(CHUNK);
                         Ok(need.or(list.need(&stiffness, run.first + k, count, h)?))
                     })
                 };
@@ -935,7 +935,7 @@ impl<T: Scalar> CpuEngine<T> {
         for run in &list.runs {
             for from in (0..run.count).step_by(BATCH) {
                 let n = (run.count - from).min(BATCH);
-                let place = |i: usize| (run.first + (from + i) / LANES, (from + i) % LANES);
+                let place = |i: usize| (run.first + (from + i) / CHUNK, (from + i) % CHUNK);
                 for i in 0..n {
                     let (chunk, lane) = place(i);
                     for (p, plane) in strain[..planes].iter_mut().enumerate() {

@@ -98,7 +98,9 @@ pub(crate) struct Grid<T> {
     pub(crate) images: Vec<Vec<T>>,
     /// Pairs at walls that let go, grouped by axis, x first.
     pub(crate) pairs: [Vec<Pair>; 3],
-    /// Blocks at the rim of the level's region.
+    /// Nodes of each block at the rim of the level's region, as bits, as far as they are known.
+    slaves: Vec<Option<u64>>,
+    /// Blocks that have any.
     pub(crate) rings: Vec<Ring>,
     /// For each node block: its ring, or `NONE`.
     pub(crate) ring_of: Vec<u32>,
@@ -117,7 +119,8 @@ pub(crate) struct Grid<T> {
     /// The nodes that links lead to; those of node block g are `shared[shared_starts[g]..shared_starts[g + 1]]`.
     pub(crate) shared: Vec<SharedNode<T>>,
     pub(crate) shared_starts: Vec<u32>,
-    /// Occupied blocks whose tiles hold any of them.
+    /// Occupied blocks whose tiles hold any of them, and those with any in the blocks around.
+    pub(crate) give_to_shared: Vec<u32>,
     pub(crate) near_shared: Vec<u32>,
     /// Nodes that ground out of reach holds: the block, and its nodes as bits.
     pub(crate) held: Vec<(u32, u64)>,
@@ -141,6 +144,7 @@ impl<T: Float> Default for Grid<T> {
             mirrored: Vec::new(),
             images: Vec::new(),
             pairs: [const { Vec::new() }; 3],
+            slaves: Vec::new(),
             rings: Vec::new(),
             ring_of: Vec::new(),
             handed: Vec::new(),
@@ -152,6 +156,7 @@ impl<T: Float> Default for Grid<T> {
             rim_reflects: false,
             shared: Vec::new(),
             shared_starts: Vec::new(),
+            give_to_shared: Vec::new(),
             near_shared: Vec::new(),
             held: Vec::new(),
             parent_keys: Vec::new(),
@@ -198,13 +203,9 @@ impl<T: Float> Grid<T> {
                 bounds.wrap(std::array::from_fn(|d| at[d] + sign * offset[d]))
             })
         };
-        let mut keys: Vec<u64> = occupied
-            .iter()
-            .flat_map(|&key| around(key, 1))
-            .filter(|&b| !bounds.is_behind_mirror(b))
-            .filter_map(block::key)
-            .chain(parent_keys.iter().copied())
-            .collect();
+        let reached = |&key: &u64| around(key, 1).into_iter().filter(|&b| !bounds.is_behind_mirror(b));
+        let mut keys: Vec<u64> = occupied.par_iter().flat_map_iter(reached).filter_map(block::key).collect();
+        keys.extend(&parent_keys);
         keys.par_sort_unstable();
         keys.dedup();
         let (node_index, tile_index) = (index(&keys), index(occupied));
@@ -213,6 +214,10 @@ impl<T: Float> Grid<T> {
         self.mirrored =
             occupied.iter().map(|&key| bounds.mirrors.meet(block::of_key(key).map(|b| b * SIDE - 2))).collect();
         self.images.resize(occupied.len(), Vec::new());
+        // As long as regions stay, so do their rims.
+        let known =
+            |key: &u64| self.keys.binary_search(key).ok().and_then(|g| *self.slaves.get(g)?).filter(|_| !changed);
+        self.slaves = keys.par_iter().map(known).collect();
         (self.occupied, self.keys, self.parent_keys) = (occupied.to_vec(), keys, parent_keys);
         grow(&mut self.tiles, self.occupied.len(), [T::default(); TILE]);
         grow(&mut self.nodes, self.keys.len(), [T::default(); NODES]);
@@ -225,6 +230,7 @@ impl<T: Float> Grid<T> {
         self.shared.clear();
         self.shared_starts.clear();
         self.shared_starts.resize(self.keys.len() + 1, 0);
+        self.give_to_shared.clear();
         self.near_shared.clear();
         self.pairs = self.pair_up(&node_index, bounds);
         true
@@ -237,16 +243,17 @@ impl<T: Float> Grid<T> {
         self.ring_of.fill(NONE);
         let slaves_of = |key: u64| {
             let first = block::of_key(key).map(|b| b * SIDE);
-            let support =
-                |cell: [i32; 3], side: i32| CellBox { min: cell.map(|c| c - 1), max: cell.map(|c| c + side + 1) };
-            if regions.cover(level, support(first, SIDE)) == Cover::All {
+            let cells = |first: [i32; 3], side: i32| CellBox { min: first, max: first.map(|c| c + side) };
+            let support = |cell: [i32; 3], side: i32| cells(cell, side).grown(1);
+            let whole = regions.cover(level, support(first, SIDE));
+            if whole == Cover::All || regions.touched(level, cells(first, SIDE)) == Cover::None {
                 return 0;
             }
             let mut slaves = 0;
             for n in 0..CELLS {
                 let local = [n / 16, n / 4 % 4, n % 4];
                 let cell: [i32; 3] = std::array::from_fn(|d| first[d] + local[d] as i32);
-                let inside = match regions.cover(level, support(cell, 1)) {
+                let inside = match if whole == Cover::None { whole } else { regions.cover(level, support(cell, 1)) } {
                     Cover::All => true,
                     Cover::None => false,
                     // Several boxes may hold the support together.
@@ -255,14 +262,17 @@ impl<T: Float> Grid<T> {
                         regions.contains(level, std::array::from_fn(|d| cell[d] + offset[d]))
                     }),
                 };
-                if !inside && regions.touched(level, cell) && !bounds.mirrors.is_behind(cell) {
+                let is_touched = || regions.touched(level, cells(cell, 1)) == Cover::All;
+                if !inside && is_touched() && !bounds.mirrors.is_behind(cell) {
                     slaves |= 1 << n;
                 }
             }
             slaves
         };
-        let slaves: Vec<u64> = self.keys.par_iter().map(|&key| slaves_of(key)).collect();
-        for (g, slaves) in slaves.into_iter().enumerate() {
+        self.keys.par_iter().zip(&mut self.slaves).for_each(|(&key, slaves)| {
+            slaves.get_or_insert_with(|| slaves_of(key));
+        });
+        for (g, slaves) in self.slaves.iter().flatten().copied().enumerate() {
             if slaves != 0 {
                 self.ring_of[g] = self.rings.len() as u32;
                 self.rings.push(Ring {
@@ -356,32 +366,51 @@ impl<T: Float> Grid<T> {
             }
             links
         };
-        let mut links: Vec<_> = self.rings.par_iter_mut().enumerate().flat_map_iter(tie).collect();
+        let links: Vec<_> = self.rings.par_iter_mut().enumerate().flat_map_iter(tie).collect();
         self.rim_reflects = links.iter().any(|(_, link)| link.flips != 0);
         coarser.links_reflect = self.rim_reflects;
-        links.par_sort_unstable_by_key(|(block, link)| (*block, link.node, link.from));
-        coarser.link_starts =
-            (0..=coarser.keys.len() as u32).map(|g| links.partition_point(|(block, _)| *block < g) as u32).collect();
-        coarser.links = links.iter().map(|(_, link)| *link).collect();
+        // By node, those of a node in the order of rings.
+        let node_of = |(block, link): &(u32, Link)| *block as usize * CELLS + usize::from(link.node);
+        let mut starts = vec![0; coarser.keys.len() * CELLS + 1];
+        links.iter().for_each(|link| starts[node_of(link) + 1] += 1);
+        (1..starts.len()).for_each(|node| starts[node] += starts[node - 1]);
+        let mut next = starts.clone();
+        coarser.links.resize(links.len(), Link { from: 0, node: 0, flips: 0 });
+        for link in &links {
+            let at = &mut next[node_of(link)];
+            coarser.links[*at as usize] = link.1;
+            *at += 1;
+        }
+        coarser.link_starts = starts.iter().copied().step_by(CELLS).collect();
 
         coarser.shared.clear();
-        let mut from = 0;
-        for same in links.chunk_by(|a, b| (a.0, a.1.node) == (b.0, b.1.node)) {
-            let node = same[0].0 * CELLS as u32 + u32::from(same[0].1.node);
-            let links = (from, from + same.len() as u32);
-            from = links.1;
-            // What is at the rim itself hands on at once.
-            let ring = coarser.rings.get(coarser.ring_of[same[0].0 as usize] as usize);
-            if ring.is_some_and(|ring| ring.slaves >> same[0].1.node & 1 == 1) {
+        coarser.shared_starts.clear();
+        for (g, starts) in starts.windows(CELLS + 1).step_by(CELLS).enumerate() {
+            coarser.shared_starts.push(coarser.shared.len() as u32);
+            if starts[0] == starts[CELLS] {
                 continue;
             }
-            coarser.shared.push(SharedNode { node, links, own: [T::default(); 4], gain: [T::default(); 3] });
+            // What is at the rim itself hands on at once.
+            let slaves = coarser.rings.get(coarser.ring_of[g] as usize).map_or(0, |ring| ring.slaves);
+            for n in (0..CELLS).filter(|&n| starts[n] < starts[n + 1] && slaves >> n & 1 == 0) {
+                let (node, links) = ((g * CELLS + n) as u32, (starts[n], starts[n + 1]));
+                coarser.shared.push(SharedNode { node, links, own: [T::default(); 4], gain: [T::default(); 3] });
+            }
         }
-        let shared = &coarser.shared;
-        coarser.shared_starts = (0..=coarser.keys.len() as u32)
-            .map(|g| shared.partition_point(|shared| shared.node < g * CELLS as u32) as u32)
-            .collect();
+        coarser.shared_starts.push(coarser.shared.len() as u32);
         let starts = &coarser.shared_starts;
+        let mut gives = vec![false; coarser.occupied.len()];
+        for shared in &coarser.shared {
+            let (g, n) = (shared.node as usize / CELLS, shared.node as usize % CELLS);
+            let [x, y, z] = [n / 16, n / 4 % 4, n % 4].map(|n| block::holders(n).map(|(offset, _)| offset));
+            for offset in (0..8).map(|k| [x[k & 1], y[k >> 1 & 1], z[k >> 2]]) {
+                let b = coarser.tiles_around[g][block::neighbour(offset)];
+                if b != NONE {
+                    gives[b as usize] = true;
+                }
+            }
+        }
+        coarser.give_to_shared = (0..coarser.occupied.len() as u32).filter(|&b| gives[b as usize]).collect();
         let holds = |g: u32| g != NONE && starts[g as usize] < starts[g as usize + 1];
         let near = |around: &[u32; 27]| around.iter().any(|&g| holds(g));
         coarser.near_shared =

@@ -11,7 +11,7 @@ use barchan_grid::bounds::Bounds;
 use barchan_grid::ring::{self, Carried};
 use barchan_grid::transfer::{Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
 use barchan_grid::wall::Mirror;
-use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
+use barchan_lanes::{CHUNK, Float, Isa, Kernel, Lanes};
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -244,7 +244,7 @@ impl<T: Scalar> Level<T> {
         let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
         let fault = grid
-            .near_shared
+            .give_to_shared
             .par_iter()
             .map(|&b| {
                 // SAFETY: each block has a tile of its own, whose sums have been taken.
@@ -580,6 +580,18 @@ impl<T: Float> Kernel<T> for Clear<'_, T> {
     }
 }
 
+/// The blocks around one, as a list has them; zeros for those that do not exist.
+#[inline(always)]
+fn those<'a, T: Float, const N: usize>(list: &'a [[T; N]], around: &[u32; 27]) -> [&'a [T; N]; 27] {
+    #[repr(align(64))]
+    struct Zeros(#[expect(dead_code, reason = "seen as scalars")] [u64; TILE]);
+    static NOWHERE: Zeros = Zeros([0; TILE]);
+    const { assert!(size_of::<[T; N]>() <= size_of::<Zeros>() && align_of::<[T; N]>() <= align_of::<Zeros>()) };
+    // SAFETY: it is large enough, and zero in both precisions is no bits.
+    let nowhere = unsafe { &*(&raw const NOWHERE).cast::<[T; N]>() };
+    around.map(|at| list.get(at as usize).unwrap_or(nowhere))
+}
+
 /// Sums what the tiles around a node block hold for it.
 struct SumTiles<'a, T> {
     nodes: &'a mut [T; NODES],
@@ -591,12 +603,7 @@ impl<T: Float> Kernel<T> for SumTiles<'_, T> {
     type Output = ();
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) {
-        self.nodes.fill(T::default());
-        for (n, &tile) in self.around.iter().enumerate() {
-            if tile != NONE {
-                block::add_tile(self.nodes, &self.tiles[tile as usize], block::offset(n));
-            }
-        }
+        block::sum_tiles(self.nodes, those(self.tiles, self.around));
     }
 }
 
@@ -619,14 +626,13 @@ impl<T: Float> Kernel<T> for HandOver<'_, T> {
             self.handed.fill(T::default());
             return;
         }
-        let mut all = [Carried([T::default(); LANES]); CELLS];
+        let mut all = [Carried([T::default(); CHUNK]); CELLS];
         for n in 0..CELLS {
             if ring.cells[n] != NONE {
-                // SAFETY: a cell carries 16 scalars.
-                unsafe {
-                    let cell = V::load(self.carried[ring.cells[n] as usize].0.as_ptr());
-                    let cell = if ring.mirrored[n] == 0 { cell } else { cell * mirrored::<V>(ring.mirrored[n]) };
-                    cell.store(all[n].0.as_mut_ptr());
+                all[n] = self.carried[ring.cells[n] as usize];
+                if ring.mirrored[n] != 0 {
+                    let signs = mirrored::<T>(ring.mirrored[n]);
+                    all[n].0.iter_mut().zip(signs).for_each(|(value, sign)| *value *= sign);
                 }
             }
         }
@@ -635,8 +641,7 @@ impl<T: Float> Kernel<T> for HandOver<'_, T> {
             let (node, near) = (&mut nodes[4 * n..4 * n + 4], all[n].0[Carried::<T>::MASS]);
             let is_slave = ring.slaves >> n & 1 == 1;
             let part = if is_slave && near > T::default() { node[3] / near } else { T::default() };
-            // SAFETY: a node carries 16 scalars.
-            unsafe { (V::load(all[n].0.as_ptr()) * V::fill(part)).store(all[n].0.as_mut_ptr()) };
+            all[n].0.iter_mut().for_each(|value| *value *= part);
             if is_slave {
                 all[n].0[..4].copy_from_slice(node);
                 node.fill(T::default());
@@ -648,17 +653,16 @@ impl<T: Float> Kernel<T> for HandOver<'_, T> {
 
 /// What a mirror makes of an affine momentum, as factors: M becomes S M R, with the signs S of velocities and R, which turns axes round.
 #[inline(always)]
-fn mirrored<V: Lanes>(bits: u8) -> V {
+fn mirrored<T: Float>(bits: u8) -> [T; CHUNK] {
     let sign = |bit: usize| if bits >> bit & 1 == 1 { -1.0 } else { 1.0 };
-    let mut signs = [V::Scalar::default(); LANES];
-    signs[Carried::<V::Scalar>::MASS] = V::Scalar::from_f64(1.0);
+    let mut signs = [T::default(); CHUNK];
+    signs[Carried::<T>::MASS] = T::from_f64(1.0);
     for j in 0..3 {
         for i in 0..3 {
-            signs[Carried::<V::Scalar>::column(j) + i] = V::Scalar::from_f64(sign(i) * sign(3 + j));
+            signs[Carried::<T>::column(j) + i] = T::from_f64(sign(i) * sign(3 + j));
         }
     }
-    // SAFETY: 16 scalars.
-    unsafe { V::load(signs.as_ptr()) }
+    signs
 }
 
 /// Gives a block's rim nodes the velocity of their parents.
@@ -686,13 +690,10 @@ impl<T: Scalar> Kernel<T> for Velocities<'_, T> {
     type Output = T;
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) -> T {
-        const MASS_LANE: [f64; LANES] = [0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 0., 1.];
-        let mut lanes = [T::default(); LANES];
-        for (lane, one) in lanes.iter_mut().zip(MASS_LANE) {
-            *lane = T::from_f64(one);
-        }
-        // SAFETY: 16 scalars.
-        let is_mass = unsafe { V::load(lanes.as_ptr()) }.gt(V::zero());
+        // The same in each node's four lanes.
+        const MASS_LANE: [f64; CHUNK] = [0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 0., 1.];
+        // SAFETY: no lanes are more than a chunk's.
+        let is_mass = unsafe { V::load(MASS_LANE.map(T::from_f64).as_ptr()) }.gt(V::zero());
         let dust = V::fill(T::from_f64(T::NEGLIGIBLE * 1e-6));
         let per_mass = V::fill(if self.least > T::default() {
             T::from_f64(1.0 / (self.least.to_f64() * FELT))
@@ -701,10 +702,10 @@ impl<T: Scalar> Kernel<T> for Velocities<'_, T> {
         });
         let all = per_mass.gt(V::zero());
         let (mut greatest, mut bad) = (V::zero(), V::zero());
-        for four in self.nodes.as_chunks_mut::<LANES>().0 {
-            // SAFETY: 16 scalars, four nodes.
+        for part in self.nodes.chunks_exact_mut(V::COUNT) {
+            // SAFETY: it has as many scalars as there are lanes, some whole nodes.
             unsafe {
-                let node = V::load(four.as_ptr());
+                let node = V::load(part.as_ptr());
                 let mass = node.fourth();
                 let carries = mass.gt(V::fill(self.least));
                 let u = V::select(carries, node / mass, V::zero());
@@ -715,7 +716,7 @@ impl<T: Scalar> Kernel<T> for Velocities<'_, T> {
                 greatest = greatest.max(speed * felt);
                 // 0 for finite numbers, NaN for others; the maximum might lose a NaN.
                 bad += speed * V::zero();
-                V::select(is_mass, node, u).store(four.as_mut_ptr());
+                V::select(is_mass, node, u).store(part.as_mut_ptr());
             }
         }
         greatest.max_lane() + bad.sum()
@@ -733,8 +734,6 @@ impl<T: Float> Kernel<T> for FillTile<'_, T> {
     type Output = ();
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) {
-        for (n, &nodes) in self.around.iter().enumerate() {
-            block::fill_tile(self.tile, self.nodes.get(nodes as usize), block::offset(n));
-        }
+        block::fill_tile(self.tile, those(self.nodes, self.around));
     }
 }

@@ -1,18 +1,18 @@
 //! Aligned planes, and sharing them between threads that write disjoint parts.
 
-use barchan_lanes::LANES;
+use barchan_lanes::CHUNK;
 
 /// Sixteen values on a cache line's boundary: one plane of one chunk.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
-pub(crate) struct Line<W>(pub(crate) [W; LANES]);
+pub(crate) struct Line<W>(pub(crate) [W; CHUNK]);
 
 /// A vector of lines that asks the system for large pages: the transfers walk hundreds of megabytes, and with small pages a
 /// good part of their time goes into address translation.
 pub(crate) fn lines<W: Copy>(count: usize, value: W) -> Vec<Line<W>> {
     let mut lines = Vec::with_capacity(count);
     advise_large_pages(&lines);
-    lines.resize(count, Line([value; LANES]));
+    lines.resize(count, Line([value; CHUNK]));
     lines
 }
 

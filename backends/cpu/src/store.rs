@@ -13,8 +13,9 @@ use barchan_grid::bounds::Bounds;
 use barchan_grid::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
 use barchan_grid::rest::ASLEEP;
 use barchan_grid::transfer::{Law, MAX_STATE, Scalar};
-use barchan_lanes::LANES;
+use barchan_lanes::CHUNK;
 use rayon::prelude::*;
+use std::borrow::Borrow;
 
 /// Marks a padding lane in a permutation.
 pub(crate) const PAD: u32 = u32::MAX;
@@ -29,8 +30,8 @@ pub(crate) struct List<T: Scalar> {
     identity: &'static [f64],
     /// Chunks in each block.
     pub(crate) runs: Vec<Run>,
-    pub(crate) id: Vec<[u32; LANES]>,
-    pub(crate) body: Vec<[u16; LANES]>,
+    pub(crate) id: Vec<[u32; CHUNK]>,
+    pub(crate) body: Vec<[u16; CHUNK]>,
     cell: Vec<Line<i32>>,
     offset: Vec<Line<T::Offset>>,
     motion: Vec<Line<T>>,
@@ -118,7 +119,7 @@ impl<T: Scalar> List<T> {
     pub(crate) fn rest_of(&self, chunk: usize, lane: usize, plane: usize) -> f64 {
         self.rest[chunk * self.rest_planes + plane].0[lane].to_f64()
     }
-    pub(crate) fn rest_plane(&self, chunk: usize, plane: usize) -> [T; LANES] {
+    pub(crate) fn rest_plane(&self, chunk: usize, plane: usize) -> [T; CHUNK] {
         self.rest[chunk * self.rest_planes + plane].0
     }
     pub(crate) fn mass_of(&self, chunk: usize, lane: usize) -> f64 {
@@ -160,44 +161,58 @@ impl<T: Scalar> List<T> {
         }
     }
 
-    /// Puts a particle into a lane.
-    fn put(&mut self, parcel: &Parcel, chunk: usize, lane: usize) {
-        self.id[chunk][lane] = parcel.id;
-        self.body[chunk][lane] = parcel.body;
-        for d in 0..3 {
-            let (cell, offset) = match T::offset_from_f64(parcel.offset[d]) {
-                Some(offset) => (parcel.cell[d], offset),
-                None => (parcel.cell[d] + 1, T::Offset::default()),
-            };
-            self.cell[chunk * 3 + d].0[lane] = cell;
-            self.offset[chunk * 3 + d].0[lane] = offset;
+    /// One chunk, to be written to.
+    ///
+    /// # Safety
+    /// The chunk must exist, and nobody else may look at it meanwhile.
+    #[expect(clippy::mut_from_ref, reason = "several threads write to chunks of their own")]
+    unsafe fn chunk(&self, chunk: usize) -> Chunk<'_, T> {
+        /// So many planes of each chunk.
+        unsafe fn planes<W>(all: &[W], chunk: usize, count: usize) -> &mut [W] {
+            // SAFETY: the caller vouches for the chunk.
+            unsafe { std::slice::from_raw_parts_mut(all.as_ptr().cast_mut().add(chunk * count), count) }
         }
-        for (p, &value) in parcel.motion.iter().enumerate() {
-            self.motion[chunk * MOTION + p].0[lane] = T::from_f64(value);
+        // SAFETY: the caller vouches for the chunk.
+        unsafe {
+            Chunk {
+                id: &mut planes(&self.id, chunk, 1)[0],
+                body: &mut planes(&self.body, chunk, 1)[0],
+                cell: planes(&self.cell, chunk, 3),
+                offset: planes(&self.offset, chunk, 3),
+                motion: planes(&self.motion, chunk, MOTION),
+                rest: planes(&self.rest, chunk, self.rest_planes),
+            }
         }
-        let rest = &mut self.rest[chunk * self.rest_planes..][..self.rest_planes];
-        for (plane, &value) in rest.iter_mut().zip(&parcel.rest) {
-            plane.0[lane] = T::from_f64(value);
-        }
+    }
+
+    /// Puts particles into the lanes of a run, in their order, and pads it.
+    fn fill<P: Borrow<Parcel>>(&self, run: Run, parcel: impl Fn(usize) -> P + Sync) {
+        (0..run.chunks()).into_par_iter().for_each(|k| {
+            // SAFETY: the run is the caller's own, and each task has a chunk of its own.
+            let mut chunk = unsafe { self.chunk(run.first + k) };
+            let here = k * CHUNK..run.count.min((k + 1) * CHUNK);
+            here.clone().for_each(|i| chunk.put(parcel(i).borrow(), i % CHUNK));
+            chunk.pad(here.len(), self.identity);
+        });
     }
 
     /// Does any particle of a run move?
     fn moves(&self, run: Run) -> bool {
         let planes = &self.motion[run.first * MOTION..(run.first + run.chunks()) * MOTION];
-        planes.iter().any(|plane| plane.0 != [T::default(); LANES])
+        planes.iter().any(|plane| plane.0 != [T::default(); CHUNK])
     }
 
     /// Takes all motion from a run's particles.
     pub(crate) fn stop(&mut self, run: Run) {
         for plane in &mut self.motion[run.first * MOTION..(run.first + run.chunks()) * MOTION] {
-            plane.0 = [T::default(); LANES];
+            plane.0 = [T::default(); CHUNK];
         }
     }
 
     /// Bytes held.
     fn bytes(&self) -> u64 {
-        (self.id.capacity() * size_of::<[u32; LANES]>()
-            + self.body.capacity() * size_of::<[u16; LANES]>()
+        (self.id.capacity() * size_of::<[u32; CHUNK]>()
+            + self.body.capacity() * size_of::<[u16; CHUNK]>()
             + self.cell.capacity() * size_of::<Line<i32>>()
             + self.offset.capacity() * size_of::<Line<T::Offset>>()
             + (self.motion.capacity() + self.rest.capacity()) * size_of::<Line<T>>()) as u64
@@ -211,10 +226,10 @@ impl<T: Scalar> List<T> {
                 grown[..plane.len()].copy_from_slice(plane);
                 *plane = grown;
             }
-            plane.resize(count, Line([value; LANES]));
+            plane.resize(count, Line([value; CHUNK]));
         }
-        self.id.resize(chunks, [PAD; LANES]);
-        self.body.resize(chunks, [0; LANES]);
+        self.id.resize(chunks, [PAD; CHUNK]);
+        self.body.resize(chunks, [0; CHUNK]);
         fit(&mut self.cell, chunks * 3, 0);
         fit(&mut self.offset, chunks * 3, T::Offset::default());
         fit(&mut self.motion, chunks * MOTION, T::default());
@@ -233,45 +248,23 @@ impl<T: Scalar> List<T> {
         first
     }
 
-    /// Turns the lanes behind the particles of each run into massless particles at rest in the run's last cell.
+    /// Pads each run.
     fn pad(&mut self) {
-        for run in &self.runs {
-            let used = run.count % LANES;
-            if used == 0 {
-                continue;
-            }
-            let chunk = run.first + run.chunks() - 1;
-            for lane in used..LANES {
-                self.id[chunk][lane] = PAD;
-                for d in 0..3 {
-                    self.cell[chunk * 3 + d].0[lane] = self.cell[chunk * 3 + d].0[used - 1];
-                    self.offset[chunk * 3 + d].0[lane] = T::Offset::default();
-                }
-                for plane in &mut self.motion[chunk * MOTION..][..MOTION] {
-                    plane.0[lane] = T::default();
-                }
-                for (p, plane) in self.rest[chunk * self.rest_planes..][..self.rest_planes].iter_mut().enumerate() {
-                    // History planes keep some particle's value, which the material has seen before.
-                    plane.0[lane] = match p {
-                        MASS | VOLUME => T::default(),
-                        _ => match self.identity.get(p - STRAIN) {
-                            Some(&one) => T::from_f64(one),
-                            None => plane.0[used - 1],
-                        },
-                    };
-                }
-            }
-        }
+        let list = &*self;
+        list.runs.par_iter().filter(|run| run.count % CHUNK > 0).for_each(|run| {
+            // SAFETY: runs have chunks of their own.
+            unsafe { list.chunk(run.first + run.count / CHUNK) }.pad(run.count % CHUNK, list.identity);
+        });
     }
 
     fn take_in(&mut self, list: &ParticleList, counts: impl Iterator<Item = usize>) {
         let chunks = self.lay_out(counts);
         self.resize(chunks);
-        let places: Vec<_> = self.lanes().collect();
-        for (i, (chunk, lane)) in places.into_iter().enumerate() {
-            self.put(&Parcel::of(list, i), chunk, lane);
+        let mut first = 0;
+        for &run in &self.runs {
+            self.fill(run, |i| Parcel::of(list, first + i));
+            first += run.count;
         }
-        self.pad();
     }
 
     /// Where a particle is and how large.
@@ -314,6 +307,58 @@ impl<T: Scalar> List<T> {
     }
 }
 
+/// Sixteen lanes of a list.
+struct Chunk<'a, T: Scalar> {
+    id: &'a mut [u32; CHUNK],
+    body: &'a mut [u16; CHUNK],
+    cell: &'a mut [Line<i32>],
+    offset: &'a mut [Line<T::Offset>],
+    motion: &'a mut [Line<T>],
+    rest: &'a mut [Line<T>],
+}
+
+impl<T: Scalar> Chunk<'_, T> {
+    /// Puts a particle into a lane.
+    fn put(&mut self, parcel: &Parcel, lane: usize) {
+        self.id[lane] = parcel.id;
+        self.body[lane] = parcel.body;
+        for d in 0..3 {
+            let (cell, offset) = match T::offset_from_f64(parcel.offset[d]) {
+                Some(offset) => (parcel.cell[d], offset),
+                None => (parcel.cell[d] + 1, T::Offset::default()),
+            };
+            self.cell[d].0[lane] = cell;
+            self.offset[d].0[lane] = offset;
+        }
+        let (motion, rest) = (self.motion.iter_mut().zip(&parcel.motion), self.rest.iter_mut().zip(&parcel.rest));
+        motion.chain(rest).for_each(|(plane, &value)| plane.0[lane] = T::from_f64(value));
+    }
+
+    /// Turns the lanes behind the first `used` into massless particles at rest in the last one's cell. `identity`: undeformed strain.
+    fn pad(&mut self, used: usize, identity: &[f64]) {
+        for lane in used..CHUNK {
+            self.id[lane] = PAD;
+            for d in 0..3 {
+                self.cell[d].0[lane] = self.cell[d].0[used - 1];
+                self.offset[d].0[lane] = T::Offset::default();
+            }
+            for plane in &mut *self.motion {
+                plane.0[lane] = T::default();
+            }
+            for (p, plane) in self.rest.iter_mut().enumerate() {
+                // History planes keep some particle's value, which the material has seen before.
+                plane.0[lane] = match p {
+                    MASS | VOLUME => T::default(),
+                    _ => match identity.get(p - STRAIN) {
+                        Some(&one) => T::from_f64(one),
+                        None => plane.0[used - 1],
+                    },
+                };
+            }
+        }
+    }
+}
+
 /// What a sort did with particles that left the world.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Departures {
@@ -351,7 +396,7 @@ pub(crate) struct Store<T: Scalar> {
     pub(crate) rest: Vec<u16>,
     /// Room for the largest group of planes of the largest list while it is permuted.
     scratch: Vec<Line<T>>,
-    order: Vec<[u32; LANES]>,
+    order: Vec<[u32; CHUNK]>,
 }
 
 /// A block as a sort left it: its coordinates, the particles of each list in it, and for how long it has been at rest.
@@ -378,7 +423,7 @@ impl<T: Scalar> Store<T> {
 
     pub(crate) fn bytes(&self) -> u64 {
         self.lists.iter().map(List::bytes).sum::<u64>()
-            + (self.scratch.capacity() * size_of::<Line<T>>() + self.order.capacity() * size_of::<[u32; LANES]>())
+            + (self.scratch.capacity() * size_of::<Line<T>>() + self.order.capacity() * size_of::<[u32; CHUNK]>())
                 as u64
     }
 
@@ -482,24 +527,29 @@ impl<T: Scalar> Store<T> {
     /// Takes in particles from elsewhere. They are in no block until the next sort.
     pub(crate) fn push(&mut self, parcels: &[&Parcel]) {
         for (index, list) in self.lists.iter_mut().enumerate() {
-            let here = || parcels.iter().filter(|parcel| parcel.list == index);
-            let run = Run { first: list.chunks(), count: here().count() };
+            let here: Vec<&Parcel> = parcels.iter().copied().filter(|parcel| parcel.list == index).collect();
+            let run = Run { first: list.chunks(), count: here.len() };
             list.resize(run.first + run.chunks());
-            for (i, parcel) in here().enumerate() {
-                list.put(parcel, run.first + i / LANES, i % LANES);
-            }
+            list.fill(run, |i| here[i]);
             list.runs.push(run);
-            list.pad();
         }
     }
 
-    /// Makes a lane empty until the next sort, which must be told that there are holes.
-    pub(crate) fn remove(&mut self, list: usize, chunk: usize, lane: usize) {
-        self.lists[list].id[chunk][lane] = PAD;
-        // Runs without particles start where the next one does.
-        let b = self.lists[list].runs.partition_point(|run| run.first + run.chunks() <= chunk);
-        if let Some(rest) = self.rest.get_mut(b) {
-            *rest = (*rest).min(1);
+    /// Makes lanes of a list empty until the next sort, which must be told that there are holes. Places are numbers of lanes.
+    pub(crate) fn remove(&mut self, list: usize, places: impl Iterator<Item = usize>) {
+        let Self { lists, rest, .. } = self;
+        let List { id, runs, .. } = &mut lists[list];
+        let mut here = 0;
+        for place in places {
+            let chunk = place / CHUNK;
+            id[chunk][place % CHUNK] = PAD;
+            // As a rule it is in the same block as the one before. Runs without particles start where the next one does.
+            if runs.get(here).is_none_or(|run| !(run.first..run.first + run.chunks()).contains(&chunk)) {
+                here = runs.partition_point(|run| run.first + run.chunks() <= chunk);
+            }
+            if let Some(rest) = rest.get_mut(here) {
+                *rest = (*rest).min(1);
+            }
         }
     }
 
@@ -571,7 +621,7 @@ impl<T: Scalar> Store<T> {
             let view = list.view();
             let run = list.runs[b];
             for i in 0..run.count {
-                let (chunk, lane) = (run.first + i / LANES, i % LANES);
+                let (chunk, lane) = (run.first + i / CHUNK, i % CHUNK);
                 let mut at = [0; 3];
                 for d in 0..3 {
                     // SAFETY: the chunk is this block's own, and this call alone works on the block.
@@ -618,7 +668,7 @@ impl<T: Scalar> Store<T> {
                 }
                 match block::key(block::of_cell(at)) {
                     Some(key) if Some(key) == home => stays = true,
-                    Some(key) => movers.push((key, l as u16, (chunk * LANES + lane) as u32)),
+                    Some(key) => movers.push((key, l as u16, (chunk * CHUNK + lane) as u32)),
                     None => far = true,
                 }
             }
@@ -637,24 +687,24 @@ impl<T: Scalar> Store<T> {
             (run, block::of_key(blocks[b]))
         };
         let (cells, ids) = (&list.cell, &list.id);
-        let each = |b: usize, take: &mut dyn FnMut(&[u32; LANES], usize, usize)| {
+        let each = |b: usize, take: &mut dyn FnMut(&[u32; CHUNK], usize, usize)| {
             let (run, home) = staying(b);
             for chunk in run.first..run.first + run.chunks() {
-                let count = (run.count - (chunk - run.first) * LANES).min(LANES);
+                let count = (run.count - (chunk - run.first) * CHUNK).min(CHUNK);
                 let mut local = local_cells(&cells[chunk * 3..], home);
                 if deleted {
                     for (local, &id) in local.iter_mut().zip(&ids[chunk]) {
                         *local = if id == PAD { ELSEWHERE } else { *local };
                     }
                 }
-                take(&local, chunk * LANES, count);
+                take(&local, chunk * CHUNK, count);
             }
             // Newcomers, one at a time.
             let from = movers.partition_point(|m| (m.0, m.1) < (blocks[b], index as u16));
             let to = movers.partition_point(|m| (m.0, m.1) <= (blocks[b], index as u16));
             for mover in &movers[from..to] {
-                let (chunk, lane) = (mover.2 as usize / LANES, mover.2 as usize % LANES);
-                take(&[local_cells(&cells[chunk * 3..], home)[lane]; LANES], mover.2 as usize, 1);
+                let (chunk, lane) = (mover.2 as usize / CHUNK, mover.2 as usize % CHUNK);
+                take(&[local_cells(&cells[chunk * 3..], home)[lane]; CHUNK], mover.2 as usize, 1);
             }
         };
         // How many particles each block has in each of its cells, and at the end those that are elsewhere.
@@ -679,11 +729,11 @@ impl<T: Scalar> Store<T> {
 
         // The permutation, chunk by chunk: a stable counting sort by cell within each block.
         self.order.clear();
-        self.order.resize(chunks, [PAD; LANES]);
+        self.order.resize(chunks, [PAD; CHUNK]);
         let order = Shared(self.order.as_mut_ptr().cast::<u32>());
         (0..blocks.len()).into_par_iter().for_each(|b| {
             let mut next = in_cells[b];
-            let mut start = (runs[b].first * LANES) as u32;
+            let mut start = (runs[b].first * CHUNK) as u32;
             for next in &mut next {
                 start += std::mem::replace(next, start);
             }
@@ -712,7 +762,7 @@ impl<T: Scalar> Store<T> {
         if needed > self.scratch.capacity() {
             self.scratch = lines(needed + needed / 32, T::default());
         }
-        self.scratch.resize(needed, Line([T::default(); LANES]));
+        self.scratch.resize(needed, Line([T::default(); CHUNK]));
         let old_chunks = list.chunks();
         list.resize(room);
         let scratch = self.scratch.as_mut_ptr();
@@ -748,7 +798,7 @@ trait Plane: Send + Sync {
 impl<W: Copy + Send + Sync> Plane for Line<W> {
     type Word = W;
 }
-impl<W: Copy + Send + Sync> Plane for [W; LANES] {
+impl<W: Copy + Send + Sync> Plane for [W; CHUNK] {
     type Word = W;
 }
 
@@ -757,10 +807,10 @@ const ELSEWHERE: u32 = CELLS as u32;
 
 /// The cell within block `home` of each particle of a chunk, or [`ELSEWHERE`]. No branches, so that it becomes vector code.
 #[inline]
-fn local_cells(cells: &[Line<i32>], home: [i32; 3]) -> [u32; LANES] {
+fn local_cells(cells: &[Line<i32>], home: [i32; 3]) -> [u32; CHUNK] {
     let [x, y, z] = [&cells[0].0, &cells[1].0, &cells[2].0];
-    let mut local = [0; LANES];
-    for l in 0..LANES {
+    let mut local = [0; CHUNK];
+    for l in 0..CHUNK {
         let away = ((x[l] >> 2) ^ home[0]) | ((y[l] >> 2) ^ home[1]) | ((z[l] >> 2) ^ home[2]);
         let cell = (x[l] & 3) * 16 + (y[l] & 3) * 4 + (z[l] & 3);
         local[l] = if away == 0 { cell as u32 } else { ELSEWHERE };
@@ -769,8 +819,8 @@ fn local_cells(cells: &[Line<i32>], home: [i32; 3]) -> [u32; LANES] {
 }
 
 /// Do the particles of a chunk stay where they are? Padding lanes do not matter.
-fn is_own(chunk: usize, lanes: &[u32; LANES]) -> bool {
-    lanes.iter().enumerate().all(|(l, &p)| p == PAD || p as usize == chunk * LANES + l)
+fn is_own(chunk: usize, lanes: &[u32; CHUNK]) -> bool {
+    lanes.iter().enumerate().all(|(l, &p)| p == PAD || p as usize == chunk * CHUNK + l)
 }
 
 /// Chunks that one task moves: enough to outweigh handing it out.
@@ -778,16 +828,16 @@ const GRAIN: usize = 256;
 
 /// Moves the particles of a group of planes: lane `l` of chunk `c` becomes the particle at `order[c][l]`. Padding lanes are
 /// left as they come.
-fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; LANES]], scratch: *mut P) {
-    let moves = |chunk: usize, lanes: &[u32; LANES]| !is_own(chunk, lanes);
+fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; CHUNK]], scratch: *mut P) {
+    let moves = |chunk: usize, lanes: &[u32; CHUNK]| !is_own(chunk, lanes);
     gather(group.as_mut_ptr(), planes, order, scratch, moves);
     let (from, to) = (Shared(scratch.cast::<P::Word>()), Shared(group.as_mut_ptr().cast::<P::Word>()));
     order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
         for (k, lanes) in chunks.iter().enumerate() {
-            let at = (task * GRAIN + k) * planes * LANES;
+            let at = (task * GRAIN + k) * planes * CHUNK;
             if moves(task * GRAIN + k, lanes) {
                 // SAFETY: each task writes chunks of its own; the group has room for all chunks of the order.
-                unsafe { std::ptr::copy_nonoverlapping(from.at(at), to.at(at), planes * LANES) };
+                unsafe { std::ptr::copy_nonoverlapping(from.at(at), to.at(at), planes * CHUNK) };
             }
         }
     });
@@ -797,9 +847,9 @@ fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; LANES]], scr
 fn gather<P: Plane>(
     group: *mut P,
     planes: usize,
-    order: &[[u32; LANES]],
+    order: &[[u32; CHUNK]],
     to: *mut P,
-    wanted: impl Fn(usize, &[u32; LANES]) -> bool + Sync,
+    wanted: impl Fn(usize, &[u32; CHUNK]) -> bool + Sync,
 ) {
     let (from, to) = (Shared(group.cast::<P::Word>()), Shared(to.cast::<P::Word>()));
     order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
@@ -808,21 +858,21 @@ fn gather<P: Plane>(
             if !wanted(chunk, lanes) {
                 continue;
             }
-            if lanes[0] % LANES as u32 == 0 && (0..LANES).all(|l| lanes[l] == lanes[0].wrapping_add(l as u32)) {
+            if lanes[0] % CHUNK as u32 == 0 && (0..CHUNK).all(|l| lanes[l] == lanes[0].wrapping_add(l as u32)) {
                 // SAFETY: places are lanes of existing chunks; the scratch holds the whole group; each task writes chunks of
                 // its own.
                 unsafe {
                     let source = from.at(lanes[0] as usize * planes);
-                    std::ptr::copy_nonoverlapping(source, to.at(chunk * planes * LANES), planes * LANES);
+                    std::ptr::copy_nonoverlapping(source, to.at(chunk * planes * CHUNK), planes * CHUNK);
                 }
                 continue;
             }
             for (l, &place) in lanes.iter().enumerate() {
                 let place = if place == PAD { lanes[0] } else { place } as usize;
-                let source = place / LANES * planes * LANES + place % LANES;
+                let source = place / CHUNK * planes * CHUNK + place % CHUNK;
                 for p in 0..planes {
                     // SAFETY: as above.
-                    unsafe { *to.at((chunk * planes + p) * LANES + l) = *from.at(source + p * LANES) };
+                    unsafe { *to.at((chunk * planes + p) * CHUNK + l) = *from.at(source + p * CHUNK) };
                 }
             }
         }

@@ -19,11 +19,14 @@ use std::process::ExitCode;
 ///
 /// Without a command: `run letters`.
 #[derive(Parser)]
-#[command(version, arg_required_else_help = false)]
+#[command(version, arg_required_else_help = false, after_help = ENVIRONMENT)]
 struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
 }
+
+const ENVIRONMENT: &str = "Environment:
+  BARCHAN_ISA  instruction set of what runs on the processor: baseline, avx2 or avx512 [default: the last that is there]";
 
 #[derive(Subcommand)]
 enum Command {

@@ -690,3 +690,19 @@ fn adapters_are_listed_and_refused_where_there_are_none() {
     let error = fail(folder.path(), &["run", "small.toml", "--adapter", "0", "--quiet"]);
     assert!(error.contains("backend 'cpu'") && error.contains("has no adapters"), "{error}");
 }
+
+/// A misspelt instruction set was passed over in silence, and the run took another one. Now it is refused, and the plan says which it is.
+#[test]
+fn an_instruction_set_is_taken_or_refused() {
+    let folder = folder_with_scene();
+    let with = |isa: &str, args: &[&str]| barchan(folder.path()).env("BARCHAN_ISA", isa).args(args).output().unwrap();
+    let plan = with("baseline", &["plan", "small.toml"]);
+    let text = String::from_utf8(plan.stdout).unwrap();
+    assert!(plan.status.success() && text.contains("isa       baseline, by BARCHAN_ISA one of baseline"), "{text}");
+    for args in [&["plan", "small.toml"] as &[&str], &["check", "small.toml"], &["run", "small.toml"]] {
+        let refused = with("avx1024", args);
+        let error = String::from_utf8(refused.stderr).unwrap();
+        assert_eq!(refused.status.code(), Some(1), "{args:?}");
+        assert!(error.contains("BARCHAN_ISA: instruction set 'avx1024'") && error.contains("baseline"), "{error}");
+    }
+}

@@ -1,7 +1,7 @@
 //! Who merges with whom.
 
 use super::Found;
-use barchan_lanes::{Isa, Kernel, LANES, Lanes, Mask};
+use barchan_lanes::{CHUNK, Isa, Kernel, Lanes, Mask};
 use nalgebra::{Matrix3, Vector3};
 use std::ops::Range;
 
@@ -77,7 +77,7 @@ impl Candidate {
 /// Corners of a cube about a particle; the middle of the cube that it becomes a part of lies near one of them.
 const CORNERS: usize = 8;
 
-/// Places, a plane an axis, and behind them [`LANES`] that are near nothing.
+/// Places, a plane an axis, and behind them [`CHUNK`] that are near nothing.
 #[derive(Default)]
 struct Places([Vec<f64>; 3]);
 
@@ -123,19 +123,19 @@ impl Places {
 
     /// Adds those that are near nothing: now it can be looked into.
     fn close(&mut self) {
-        self.0.iter_mut().for_each(|plane| plane.extend([f64::INFINITY; LANES]));
+        self.0.iter_mut().for_each(|plane| plane.extend([f64::INFINITY; CHUNK]));
     }
 
     fn at(&self, i: usize) -> Vector3<f64> {
         Vector3::new(self.0[0][i], self.0[1][i], self.0[2][i])
     }
 
-    /// Which of [`LANES`] from one on lie nearer to a point than a distance, given as its square, as bits.
+    /// Which of as many as there are lanes, from one on, lie nearer to a point than a distance, given as its square, as bits.
     #[inline(always)]
     fn nearer<V: Lanes<Scalar = f64>>(&self, first: usize, point: &Vector3<f64>, square: f64) -> u16 {
         let mut sum = V::zero();
         for d in 0..3 {
-            let plane = &self.0[d][first..first + LANES];
+            let plane = &self.0[d][first..first + V::COUNT];
             // SAFETY: the slice has as many entries.
             let arm = unsafe { V::load(plane.as_ptr()) } - V::splat(point[d]);
             sum += arm * arm;
@@ -146,8 +146,8 @@ impl Places {
     /// Likewise, of those of a run from `first` on.
     #[inline(always)]
     fn nearer_of_run<V: Lanes<Scalar = f64>>(&self, first: usize, run: &Range<usize>, point: &Vector3<f64>) -> u16 {
-        let left = (run.end - first).min(LANES);
-        self.nearer::<V>(first, point, 1.0) & (u16::MAX >> (LANES - left))
+        let left = (run.end - first).min(V::COUNT);
+        self.nearer::<V>(first, point, 1.0) & (u16::MAX >> (u16::BITS as usize - left))
     }
 }
 
@@ -164,7 +164,7 @@ impl Kernel<f64> for Choices<'_> {
         for &i in of {
             let (x, mut choice) = (loose.x.at(i), 0);
             for run in loose.around(i) {
-                for first in run.clone().step_by(LANES) {
+                for first in run.clone().step_by(V::COUNT) {
                     choice += loose.x.nearer_of_run::<V>(first, &run, &x).count_ones() as usize;
                 }
             }
@@ -185,7 +185,7 @@ impl Kernel<f64> for FindNear<'_> {
         let Self(loose, seed, near) = self;
         let x = loose.x.at(seed);
         for run in loose.around(seed) {
-            for first in run.clone().step_by(LANES) {
+            for first in run.clone().step_by(V::COUNT) {
                 let mut bits = loose.x.nearer_of_run::<V>(first, &run, &x);
                 while bits != 0 {
                     let i = first + bits.trailing_zeros() as usize;
@@ -325,9 +325,9 @@ impl Loose {
     }
 
     /// Particles in the order in which they look for partners: those with the least choice first, and in the bin's order.
-    pub(super) fn seeds(&self, only_surface: bool) -> Vec<usize> {
+    pub(super) fn seeds(&self, isa: Isa, only_surface: bool) -> Vec<usize> {
         let wanted: Vec<usize> = (0..self.free.len()).filter(|&i| !only_surface || self.surface[i]).collect();
-        let choices = Isa::current().run(Choices(self, &wanted));
+        let choices = isa.run(Choices(self, &wanted));
         let mut seeds: Vec<(usize, usize, usize)> =
             choices.into_iter().zip(wanted).map(|(choice, i)| (choice, self.number[i], i)).collect();
         seeds.sort_unstable();
@@ -336,16 +336,23 @@ impl Loose {
 
     /// Of the clusters about a particle's eight corners, with at least so much volume, the one most like the merged cube, and as bins lie
     /// where that is a tie; at the surface no less like it than `strict`. In the bin's order. `near` is overwritten.
-    pub(super) fn cluster(&self, seed: usize, least: f64, strict: f64, near: &mut Near) -> Option<Vec<usize>> {
+    pub(super) fn cluster(
+        &self,
+        isa: Isa,
+        seed: usize,
+        least: f64,
+        strict: f64,
+        near: &mut Near,
+    ) -> Option<Vec<usize>> {
         if !self.free[seed] {
             return None;
         }
         near.particles.clear();
-        Isa::current().run(FindNear(self, seed, near));
+        isa.run(FindNear(self, seed, near));
         if near.particles.len() < 2 || near.particles.iter().map(|one| one.volume).sum::<f64>() < least {
             return None;
         }
-        Isa::current().run(FindCorners(self.x.at(seed), near));
+        isa.run(FindCorners(self.x.at(seed), near));
         let mut best: Option<(f64, usize)> = None;
         for corner in 0..CORNERS {
             let (centre, volume) = (near.centre(corner), near.volume[corner]);

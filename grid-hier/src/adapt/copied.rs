@@ -93,8 +93,8 @@ impl LevelStore for CopiedLevel {
     fn parcel(&self, list: usize, place: usize) -> Parcel {
         Parcel { list, ..Parcel::of(&self.lists[list], place) }
     }
-    fn remove(&mut self, list: usize, place: usize) {
-        self.gone[list][place] = true;
+    fn remove(&mut self, list: usize, places: impl Iterator<Item = usize>) {
+        places.for_each(|place| self.gone[list][place] = true);
     }
     fn push(&mut self, parcels: &[&Parcel]) {
         for own in parcels.chunk_by(|a, b| a.list == b.list) {

@@ -4,7 +4,7 @@ use crate::declare::{Param, State};
 use crate::material::{Events, MAX_PARAMS, MAX_STATE, MatIn, Material, Strain};
 use crate::tensor::Mat3;
 use barchan_abi::*;
-use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes, Mask, Real};
+use barchan_lanes::{CHUNK, Float, Isa, Kernel, Lanes, Mask, Real};
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
 use core::ptr::null_mut;
@@ -223,16 +223,16 @@ unsafe fn open<M: Material, B: AbiBatch>(batch: *const B) -> Result<Batch<B::Sca
     Ok(fields)
 }
 
-/// What is done with each chunk of 16 particles.
+/// What is done with as many particles as lanes hold.
 trait Job<M: Material, T: Float> {
     /// Planes in each of the outputs.
     const OUTPUTS: [usize; 3];
-    /// Computes 16 particles of which bit i of `valid` says whether particle i exists, and writes their outputs.
+    /// Computes them, of which bit i of `valid` says whether particle i exists, and writes their outputs.
     /// True where all that was read and written is finite.
     ///
     /// # Safety
-    /// `outputs` must be valid for writing 16 scalars in each plane, planes `stride` apart.
-    unsafe fn chunk<V: Lanes<Scalar = T>>(
+    /// `outputs` must be valid for writing a scalar for each lane in each plane, planes `stride` apart.
+    unsafe fn lanes<V: Lanes<Scalar = T>>(
         &mut self,
         law: &M::Law<V>,
         x: MatIn<V, M::Strain<V>>,
@@ -243,21 +243,21 @@ trait Job<M: Material, T: Float> {
     ) -> V::Mask;
 }
 
-/// Sum of the components: finite only if all of them are.
+/// Sum of the components: finite only if all of them are. Not one after the other, so that no sum waits for all those before it.
 #[inline(always)]
 fn sum<V: Real>(first: V, rest: &[V]) -> V {
-    let mut s = first;
-    for &x in rest {
-        s += x;
+    let mut sums = [first, V::zero(), V::zero(), V::zero()];
+    for (i, &x) in rest.iter().enumerate() {
+        sums[i % 4] += x;
     }
-    s
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
 struct Update;
 impl<M: Material, T: Float> Job<M, T> for Update {
     const OUTPUTS: [usize; 3] = [<M::Strain<f64> as Strain<f64>>::PLANES, 6, M::STATES.len()];
     #[inline(always)]
-    unsafe fn chunk<V: Lanes<Scalar = T>>(
+    unsafe fn lanes<V: Lanes<Scalar = T>>(
         &mut self,
         law: &M::Law<V>,
         x: MatIn<V, M::Strain<V>>,
@@ -270,13 +270,13 @@ impl<M: Material, T: Float> Job<M, T> for Update {
         let out = M::update::<V>(law, x, &mut state[..M::STATES.len()]);
         let kirchhoff = out.kirchhoff.components();
         let strain = out.strain.into_planes();
-        let written = sum(sum(read, &kirchhoff), &state[..M::STATES.len()]);
-        let finite = sum(written, &strain[..M::Strain::<V>::PLANES]).is_finite();
+        let written = sum(sum(V::zero(), &kirchhoff), &state[..M::STATES.len()]);
+        let finite = (read + written + sum(V::zero(), &strain[..M::Strain::<V>::PLANES])).is_finite();
         for (to, from) in
             outputs.into_iter().zip([&strain[..M::Strain::<V>::PLANES], &kirchhoff, &state[..M::STATES.len()]])
         {
             for (c, value) in from.iter().enumerate() {
-                // SAFETY: the caller vouches for 16 scalars in each plane.
+                // SAFETY: the caller vouches for the scalars in each plane.
                 unsafe { value.store(to.add(c * stride)) };
             }
         }
@@ -288,7 +288,7 @@ struct Moduli;
 impl<M: Material> Job<M, f32> for Moduli {
     const OUTPUTS: [usize; 3] = [2, 0, 0];
     #[inline(always)]
-    unsafe fn chunk<V: Lanes<Scalar = f32>>(
+    unsafe fn lanes<V: Lanes<Scalar = f32>>(
         &mut self,
         law: &M::Law<V>,
         x: MatIn<V, M::Strain<V>>,
@@ -298,7 +298,7 @@ impl<M: Material> Job<M, f32> for Moduli {
         stride: usize,
     ) -> V::Mask {
         let moduli = M::tangent_moduli::<V>(law, x.strain, &state[..M::STATES.len()]);
-        // SAFETY: the caller vouches for 16 scalars in each of the two planes.
+        // SAFETY: the caller vouches for the scalars in each of the two planes.
         unsafe {
             moduli.p_wave.store(outputs[0]);
             moduli.triple_bulk.store(outputs[0].add(stride));
@@ -311,7 +311,7 @@ struct Viscosity;
 impl<M: Material> Job<M, f32> for Viscosity {
     const OUTPUTS: [usize; 3] = [1, 0, 0];
     #[inline(always)]
-    unsafe fn chunk<V: Lanes<Scalar = f32>>(
+    unsafe fn lanes<V: Lanes<Scalar = f32>>(
         &mut self,
         law: &M::Law<V>,
         x: MatIn<V, M::Strain<V>>,
@@ -321,7 +321,7 @@ impl<M: Material> Job<M, f32> for Viscosity {
         _stride: usize,
     ) -> V::Mask {
         let viscosity = M::viscosity::<V>(law, x.strain, &state[..M::STATES.len()]);
-        // SAFETY: the caller vouches for 16 scalars in the plane.
+        // SAFETY: the caller vouches for the scalars in the plane.
         unsafe { viscosity.store(outputs[0]) };
         viscosity.is_finite()
     }
@@ -331,7 +331,7 @@ struct Energy;
 impl<M: Material> Job<M, f64> for Energy {
     const OUTPUTS: [usize; 3] = [1, 0, 0];
     #[inline(always)]
-    unsafe fn chunk<V: Lanes<Scalar = f64>>(
+    unsafe fn lanes<V: Lanes<Scalar = f64>>(
         &mut self,
         law: &M::Law<V>,
         x: MatIn<V, M::Strain<V>>,
@@ -341,7 +341,7 @@ impl<M: Material> Job<M, f64> for Energy {
         _stride: usize,
     ) -> V::Mask {
         let energy = M::energy::<V>(law, x.strain, &state[..M::STATES.len()]);
-        // SAFETY: the caller vouches for 16 scalars in the plane.
+        // SAFETY: the caller vouches for the scalars in the plane.
         unsafe { energy.store(outputs[0]) };
         energy.is_finite()
     }
@@ -351,7 +351,7 @@ struct Count([u64; BARCHAN_N_COUNTERS]);
 impl<M: Material> Job<M, f64> for Count {
     const OUTPUTS: [usize; 3] = [0; 3];
     #[inline(always)]
-    unsafe fn chunk<V: Lanes<Scalar = f64>>(
+    unsafe fn lanes<V: Lanes<Scalar = f64>>(
         &mut self,
         law: &M::Law<V>,
         x: MatIn<V, M::Strain<V>>,
@@ -371,7 +371,7 @@ impl<M: Material> Job<M, f64> for Count {
     }
 }
 
-/// The walk over a batch, 16 particles at a time; returns the first particle with a number that is not finite.
+/// The walk over a batch, as many particles at a time as lanes hold; returns the first particle with a number that is not finite.
 struct Walk<'a, M, T, J> {
     batch: Batch<T>,
     outputs: Outputs<T>,
@@ -397,13 +397,13 @@ impl<M: Material, T: Float, J: Job<M, T>> Kernel<T> for Walk<'_, M, T, J> {
         }
         let law = M::law::<V>(&lanes[..M::PARAMS.len()]);
         let dt = V::fill(dt);
-        let mut scratch = MaybeUninit::<[[T; LANES]; 2 * MAX_PLANES]>::uninit();
+        let mut scratch = MaybeUninit::<[[T; CHUNK]; 2 * MAX_PLANES]>::uninit();
         let scratch = scratch.as_mut_ptr().cast::<T>();
 
-        for start in (0..n).step_by(LANES) {
-            let count = (n - start).min(LANES);
-            // The last particles of a batch whose length is no multiple of 16 are worked on in a padded copy.
-            let whole = count == LANES;
+        for start in (0..n).step_by(V::COUNT) {
+            let count = (n - start).min(V::COUNT);
+            // The last particles of a batch whose length is no multiple of that are worked on in a padded copy.
+            let whole = count == V::COUNT;
             // SAFETY: `open` checked the pointers that the material reads, the caller vouches for n entries a plane; the
             // scratch holds MAX_PLANES planes of inputs, and as many of outputs behind them.
             let (from, to, to_stride) = unsafe {
@@ -418,25 +418,25 @@ impl<M: Material, T: Float, J: Job<M, T>> Kernel<T> for Walk<'_, M, T, J> {
                 } else {
                     let from = Planes {
                         strain: scratch,
-                        vel_grad: scratch.add(9 * LANES),
-                        state: scratch.add(18 * LANES),
-                        stride: LANES,
+                        vel_grad: scratch.add(9 * CHUNK),
+                        state: scratch.add(18 * CHUNK),
+                        stride: CHUNK,
                     };
                     pad(inputs.strain, inputs.stride, start, count, strain_planes, from.strain.cast_mut());
                     if wants_vel_grad {
                         pad(inputs.vel_grad, inputs.stride, start, count, 9, from.vel_grad.cast_mut());
                     }
                     pad(inputs.state, inputs.stride, start, count, M::STATES.len(), from.state.cast_mut());
-                    let out = scratch.add(MAX_PLANES * LANES);
-                    let first = out.add(J::OUTPUTS[0] * LANES);
-                    (from, [out, first, first.add(J::OUTPUTS[1] * LANES)], LANES)
+                    let out = scratch.add(MAX_PLANES * CHUNK);
+                    let first = out.add(J::OUTPUTS[0] * CHUNK);
+                    (from, [out, first, first.add(J::OUTPUTS[1] * CHUNK)], CHUNK)
                 }
             };
 
             let mut strain = [V::zero(); 9];
             let mut vel_grad = [V::zero(); 9];
             let mut state = [V::zero(); MAX_STATE];
-            // SAFETY: each plane holds 16 scalars from here on.
+            // SAFETY: each plane holds a scalar for each lane from here on.
             unsafe {
                 for (c, lane) in strain[..strain_planes].iter_mut().enumerate() {
                     *lane = V::load(from.strain.add(c * from.stride));
@@ -451,9 +451,9 @@ impl<M: Material, T: Float, J: Job<M, T>> Kernel<T> for Walk<'_, M, T, J> {
                 }
             }
             let x = MatIn { strain: M::Strain::from_planes(strain), vel_grad: Mat3::from_components(vel_grad), dt };
-            let valid = u16::MAX >> (LANES - count);
-            // SAFETY: the outputs hold 16 scalars a plane from here on.
-            let finite = unsafe { self.job.chunk::<V>(&law, x, state, valid, to, to_stride) };
+            let valid = u16::MAX >> (u16::BITS as usize - count);
+            // SAFETY: the outputs hold a scalar for each lane a plane from here on.
+            let finite = unsafe { self.job.lanes::<V>(&law, x, state, valid, to, to_stride) };
 
             if !whole {
                 for (block, planes) in J::OUTPUTS.into_iter().enumerate() {
@@ -461,7 +461,7 @@ impl<M: Material, T: Float, J: Job<M, T>> Kernel<T> for Walk<'_, M, T, J> {
                         // SAFETY: both planes hold `count` entries there, and the scratch overlaps nothing.
                         unsafe {
                             let plane = self.outputs[block].add(c * inputs.stride + start);
-                            core::ptr::copy_nonoverlapping(to[block].add(c * LANES), plane, count);
+                            core::ptr::copy_nonoverlapping(to[block].add(c * CHUNK), plane, count);
                         }
                     }
                 }
@@ -484,9 +484,9 @@ impl<M: Material, T: Float, J: Job<M, T>> Kernel<T> for Walk<'_, M, T, J> {
 #[inline(always)]
 unsafe fn pad<T: Copy>(from: *const T, stride: usize, start: usize, count: usize, planes: usize, to: *mut T) {
     for c in 0..planes {
-        for i in 0..LANES {
+        for i in 0..CHUNK {
             // SAFETY: the caller vouches for the planes, and i is cut at the last particle.
-            unsafe { to.add(c * LANES + i).write(from.add(c * stride + start + i.min(count - 1)).read()) };
+            unsafe { to.add(c * CHUNK + i).write(from.add(c * stride + start + i.min(count - 1)).read()) };
         }
     }
 }
@@ -510,7 +510,8 @@ unsafe fn walk<M: Material, B: AbiBatch, J: Job<M, B::Scalar>>(
             return Err(Failure::new(BARCHAN_E_OTHER, message));
         }
     }
-    match Isa::current().run(Walk { batch, outputs, job, material: PhantomData::<M> }) {
+    let isa = Isa::current().map_err(|e| Failure::new(BARCHAN_E_OTHER, e.to_string()))?;
+    match isa.run(Walk { batch, outputs, job, material: PhantomData::<M> }) {
         None => Ok(()),
         Some(particle) => Err(Failure {
             status: BARCHAN_E_NON_FINITE,

@@ -1,24 +1,21 @@
 //! AVX2 and FMA registers.
 
-use crate::base::Advance;
-use crate::vector::{Register, Wide, advance_f64, lanes_through_memory, transpose_through_memory};
-use crate::{LANES, Lanes, Real};
+use crate::vector::{Plain, Register, Wide, sums_through_memory};
+use crate::{Lanes, Real, Row};
 use core::arch::x86_64::*;
 
-/// 16 lanes of f32 in two registers.
-pub type Avx2F32 = Wide<__m256, 2>;
-/// 16 lanes of f64 in four registers.
-pub type Avx2F64 = Wide<__m256d, 4>;
+/// Eight lanes of f32.
+pub type Avx2F32 = Wide<__m256>;
+/// Four lanes of f64.
+pub type Avx2F64 = Wide<__m256d>;
 
-macro_rules! register {
-    ($reg:ident, $scalar:ident, $width:expr, $set1:ident, $zero:ident, $add:ident, $sub:ident, $mul:ident, $div:ident, $fma:ident,
-     $sqrt:ident, $min:ident, $max:ident, $round:ident, $cmp:ident, $blend:ident, $and:ident, $andnot:ident, $or:ident, $xor:ident,
-     $movemask:ident, $split:ident, $scale:ident) => {
-        // SAFETY of every block below: values of this type exist only in code that `Isa::run` entered after asking the
-        // machine for AVX2 and FMA.
-        impl Register for $reg {
+// SAFETY of every block of this file: values of these types exist only in code that `Isa::run` entered after asking the machine
+// for AVX2 and FMA; that pointers are valid, callers vouch for.
+
+macro_rules! plain {
+    ($reg:ident, $scalar:ident, $width:expr, $set1:ident, $add:ident, $mul:ident, $fma:ident, $xor:ident, |$from:ident| $repeat4:expr, $spread:expr) => {
+        impl Plain for $reg {
             type Scalar = $scalar;
-            type Bits = $reg;
             const WIDTH: usize = $width;
             #[inline(always)]
             fn fill(x: $scalar) -> Self {
@@ -31,19 +28,9 @@ macro_rules! register {
                 unsafe { $add(self, o) }
             }
             #[inline(always)]
-            fn sub(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $sub(self, o) }
-            }
-            #[inline(always)]
             fn mul(self, o: Self) -> Self {
                 // SAFETY: see above.
                 unsafe { $mul(self, o) }
-            }
-            #[inline(always)]
-            fn div(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $div(self, o) }
             }
             #[inline(always)]
             fn fma(self, a: Self, b: Self) -> Self {
@@ -54,6 +41,72 @@ macro_rules! register {
             fn neg(self) -> Self {
                 // SAFETY: see above.
                 unsafe { $xor(self, $set1(-0.0)) }
+            }
+            #[inline(always)]
+            unsafe fn repeat4($from: *const $scalar) -> Self {
+                // SAFETY: see above.
+                unsafe { $repeat4 }
+            }
+            #[inline(always)]
+            unsafe fn spread($from: *const $scalar) -> Self {
+                // SAFETY: see above.
+                unsafe { $spread }
+            }
+        }
+    };
+}
+pub(crate) use plain;
+plain!(
+    __m256,
+    f32,
+    8,
+    _mm256_set1_ps,
+    _mm256_add_ps,
+    _mm256_mul_ps,
+    _mm256_fmadd_ps,
+    _mm256_xor_ps,
+    |from| _mm256_broadcast_ps(&from.cast::<__m128>().read_unaligned()),
+    _mm256_blend_ps::<0xf0>(_mm256_set1_ps(*from), _mm256_set1_ps(*from.add(1)))
+);
+plain!(
+    __m128,
+    f32,
+    4,
+    _mm_set1_ps,
+    _mm_add_ps,
+    _mm_mul_ps,
+    _mm_fmadd_ps,
+    _mm_xor_ps,
+    |from| _mm_loadu_ps(from),
+    _mm_set1_ps(*from)
+);
+plain!(
+    __m256d,
+    f64,
+    4,
+    _mm256_set1_pd,
+    _mm256_add_pd,
+    _mm256_mul_pd,
+    _mm256_fmadd_pd,
+    _mm256_xor_pd,
+    |from| _mm256_loadu_pd(from),
+    _mm256_set1_pd(*from)
+);
+
+macro_rules! register {
+    ($reg:ident, $set1:ident, $zero:ident, $sub:ident, $div:ident, $sqrt:ident, $min:ident, $max:ident, $round:ident, $cmp:ident,
+     $blend:ident, $and:ident, $andnot:ident, $or:ident, $xor:ident, $movemask:ident, $split:ident, $scale:ident) => {
+        impl Register for $reg {
+            type Bits = $reg;
+            #[inline(always)]
+            fn sub(self, o: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $sub(self, o) }
+            }
+            #[inline(always)]
+            fn div(self, o: Self) -> Self {
+                // SAFETY: see above.
+                unsafe { $div(self, o) }
             }
             #[inline(always)]
             fn abs(self) -> Self {
@@ -135,15 +188,10 @@ macro_rules! register {
 }
 register!(
     __m256,
-    f32,
-    8,
     _mm256_set1_ps,
     _mm256_setzero_ps,
-    _mm256_add_ps,
     _mm256_sub_ps,
-    _mm256_mul_ps,
     _mm256_div_ps,
-    _mm256_fmadd_ps,
     _mm256_sqrt_ps,
     _mm256_min_ps,
     _mm256_max_ps,
@@ -160,15 +208,10 @@ register!(
 );
 register!(
     __m256d,
-    f64,
-    4,
     _mm256_set1_pd,
     _mm256_setzero_pd,
-    _mm256_add_pd,
     _mm256_sub_pd,
-    _mm256_mul_pd,
     _mm256_div_pd,
-    _mm256_fmadd_pd,
     _mm256_sqrt_pd,
     _mm256_min_pd,
     _mm256_max_pd,
@@ -226,112 +269,160 @@ fn scale_f64(x: __m256d, k: __m256d) -> __m256d {
     _mm256_mul_pd(x, _mm256_castsi256_pd(_mm256_slli_epi64::<52>(biased)))
 }
 
+/// Places of eight cells: [`Lanes::places`].
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+pub(crate) unsafe fn places_of_eight(
+    cells: [*const i32; 3],
+    first: [i32; 3],
+    stride: [i32; 3],
+    most: u32,
+    places: *mut u32,
+) -> bool {
+    let limit = _mm256_set1_epi32(most.cast_signed());
+    let (mut place, mut beyond) = (_mm256_setzero_si256(), _mm256_setzero_si256());
+    for d in 0..3 {
+        // SAFETY: the caller vouches for eight readable entries.
+        let cell = unsafe { _mm256_loadu_si256(cells[d].cast()) };
+        let from_first = _mm256_sub_epi32(cell, _mm256_set1_epi32(first[d]));
+        // As unsigned numbers: what is not beyond the limit leaves it the greater one.
+        beyond = _mm256_or_si256(beyond, _mm256_xor_si256(_mm256_max_epu32(from_first, limit), limit));
+        place = _mm256_add_epi32(place, _mm256_mullo_epi32(from_first, _mm256_set1_epi32(stride[d])));
+    }
+    // SAFETY: the caller vouches for eight writable entries.
+    unsafe { _mm256_storeu_si256(places.cast(), place) };
+    _mm256_testz_si256(beyond, beyond) == 0
+}
+
 impl Lanes for Avx2F32 {
-    lanes_through_memory!(f32);
-    transpose_through_memory!(f32);
+    type Near = Self;
+    type Far = Wide<__m128>;
+    sums_through_memory!(f32);
 
     #[inline(always)]
-    unsafe fn repeat4(from: *const f32) -> Self {
-        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX2.
-        unsafe { Wide([_mm256_broadcast_ps(&from.cast::<__m128>().read_unaligned()); 2]) }
+    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32, places: *mut u32) -> bool {
+        // SAFETY: see above.
+        unsafe { places_of_eight(cells, first, stride, most, places) }
     }
     #[inline(always)]
-    unsafe fn spread3(from: *const f32) -> Self {
-        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX2.
+    unsafe fn fold(rows: *const f32, stride: usize) -> (Self, Self) {
+        // A node of both rows. Put together while they are loaded, they do not queue for the port that shuffles.
+        #[inline(always)]
+        unsafe fn both(low: *const f32, high: *const f32) -> __m256 {
+            // SAFETY: see above.
+            unsafe { _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(_mm_loadu_ps(low)), _mm_loadu_ps(high)) }
+        }
+        // SAFETY: see above.
         unsafe {
-            let four = _mm256_castps128_ps256(_mm_loadu_ps(from));
-            let low = _mm256_permutevar8x32_ps(four, _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1));
-            let high = _mm256_permutevar8x32_ps(four, _mm256_setr_epi32(2, 2, 2, 2, 2, 2, 2, 2));
-            Wide([low, _mm256_blend_ps::<0x0f>(_mm256_setzero_ps(), high)])
+            let (low, high) = (rows, rows.add(stride));
+            let [a, b, c] = [both(low, high), both(low.add(4), high.add(4)), both(low.add(8), high.add(8))];
+            (Wide(_mm256_add_ps(_mm256_add_ps(a, c), b)), Wide(_mm256_sub_ps(c, a)))
         }
     }
     #[inline(always)]
     fn fourth(self) -> Self {
-        // SAFETY: the machine has AVX2.
-        unsafe { Wide([_mm256_permute_ps::<0xff>(self.0[0]), _mm256_permute_ps::<0xff>(self.0[1])]) }
+        // SAFETY: see above.
+        unsafe { Wide(_mm256_permute_ps::<0xff>(self.0)) }
     }
     #[inline(always)]
-    unsafe fn fold4(rows: [*const f32; 4]) -> (Self, Self) {
-        // SAFETY: the caller vouches for 16 readable scalars a row; the machine has AVX2.
+    fn transpose4(rows: &mut [Self; 4]) {
+        // SAFETY: see above.
         unsafe {
-            let [a, b, c, d] =
-                [Self::load(rows[0]).0, Self::load(rows[1]).0, Self::load(rows[2]).0, Self::load(rows[3]).0];
-            let (mut sum, mut difference) = (Self::zero(), Self::zero());
-            for (half, (a, b)) in [(a, b), (c, d)].into_iter().enumerate() {
-                let (sum_a, sum_b) = (_mm256_add_ps(a[0], a[1]), _mm256_add_ps(b[0], b[1]));
-                let (even, odd) =
-                    (_mm256_permute2f128_ps::<0x20>(sum_a, sum_b), _mm256_permute2f128_ps::<0x31>(sum_a, sum_b));
-                sum.0[half] = _mm256_add_ps(even, odd);
-                difference.0[half] =
-                    _mm256_permute2f128_ps::<0x20>(_mm256_sub_ps(a[1], a[0]), _mm256_sub_ps(b[1], b[0]));
-            }
-            (sum, difference)
+            let [a, b, c, d] = rows.map(|row| row.0);
+            let (ab, cd) = (_mm256_unpacklo_ps(a, b), _mm256_unpacklo_ps(c, d));
+            let (ab, cd) = (_mm256_castps_pd(ab), _mm256_castps_pd(cd));
+            rows[0].0 = _mm256_castpd_ps(_mm256_unpacklo_pd(ab, cd));
+            rows[1].0 = _mm256_castpd_ps(_mm256_unpackhi_pd(ab, cd));
+            let (ab, cd) = (_mm256_unpackhi_ps(a, b), _mm256_unpackhi_ps(c, d));
+            let (ab, cd) = (_mm256_castps_pd(ab), _mm256_castps_pd(cd));
+            rows[2].0 = _mm256_castpd_ps(_mm256_unpacklo_pd(ab, cd));
+            rows[3].0 = _mm256_castpd_ps(_mm256_unpackhi_pd(ab, cd));
         }
     }
     #[inline(always)]
     unsafe fn load_offset(from: *const u32) -> Self {
-        let mut fractions = [0.0f32; LANES];
-        for (i, f) in fractions.iter_mut().enumerate() {
-            // SAFETY: the caller vouches for 16 readable offsets.
-            *f = unsafe { *from.add(i) } as f32 * (1.0 / 4_294_967_296.0);
+        // There is no conversion of unsigned numbers. Both halves of one are exact, so that their sum is rounded as it would be.
+        // SAFETY: see above.
+        unsafe {
+            let counts = _mm256_loadu_si256(from.cast());
+            let high = _mm256_cvtepi32_ps(_mm256_srli_epi32::<16>(counts));
+            let low = _mm256_cvtepi32_ps(_mm256_and_si256(counts, _mm256_set1_epi32(0xffff)));
+            let low = _mm256_mul_ps(low, _mm256_set1_ps(1.0 / 4_294_967_296.0));
+            Wide(_mm256_fmadd_ps(high, _mm256_set1_ps(1.0 / 65_536.0), low))
         }
-        // SAFETY: the array holds 16 scalars.
-        unsafe { Self::load(fractions.as_ptr()) }
     }
     #[inline(always)]
     unsafe fn advance(offset: *mut u32, cell: *mut i32, delta: Self) {
-        let mut moves = [0.0f32; LANES];
-        // SAFETY: the array holds 16 scalars.
-        unsafe { delta.store(moves.as_mut_ptr()) };
-        for (i, &by) in moves.iter().enumerate() {
-            // SAFETY: the caller vouches for 16 readable and writable entries of each.
-            unsafe { f32::advance_one(&mut *offset.add(i), &mut *cell.add(i), by) }
+        // SAFETY: see above.
+        unsafe {
+            let exact = _mm256_mul_ps(delta.0, _mm256_set1_ps(4_294_967_296.0));
+            // Half a cell forwards is one count more than fits: the conversion makes i32::MIN of it, whose bits turned round are
+            // i32::MAX.
+            let over = _mm256_castps_si256(_mm256_cmp_ps::<_CMP_GE_OQ>(exact, _mm256_set1_ps(2_147_483_648.0)));
+            let counts = _mm256_xor_si256(_mm256_cvtps_epi32(exact), over);
+            let old = _mm256_loadu_si256(offset.cast());
+            let moved = _mm256_add_epi32(old, counts);
+            // Less than before, as unsigned numbers: it has wrapped round. Forwards that is a carry; backwards it is a carry if it has
+            // not.
+            let sign = _mm256_set1_epi32(i32::MIN);
+            let wrapped = _mm256_cmpgt_epi32(_mm256_xor_si256(old, sign), _mm256_xor_si256(moved, sign));
+            let carry = _mm256_sub_epi32(_mm256_srai_epi32::<31>(counts), wrapped);
+            let cells = _mm256_add_epi32(_mm256_loadu_si256(cell.cast()), carry);
+            _mm256_storeu_si256(offset.cast(), moved);
+            _mm256_storeu_si256(cell.cast(), cells);
         }
     }
 }
 
 impl Lanes for Avx2F64 {
-    lanes_through_memory!(f64);
-    transpose_through_memory!(f64);
-    advance_f64!();
+    type Near = Self;
+    type Far = Self;
+    sums_through_memory!(f64);
 
     #[inline(always)]
-    unsafe fn repeat4(from: *const f64) -> Self {
-        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX2.
-        unsafe { Wide([_mm256_loadu_pd(from); 4]) }
-    }
-    #[inline(always)]
-    unsafe fn spread3(from: *const f64) -> Self {
-        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX2.
+    unsafe fn fold(rows: *const f64, _stride: usize) -> (Self, Self) {
+        // SAFETY: see above.
         unsafe {
-            Wide([
-                _mm256_set1_pd(*from),
-                _mm256_set1_pd(*from.add(1)),
-                _mm256_set1_pd(*from.add(2)),
-                _mm256_setzero_pd(),
-            ])
+            let [a, b, c] = [_mm256_loadu_pd(rows), _mm256_loadu_pd(rows.add(4)), _mm256_loadu_pd(rows.add(8))];
+            (Wide(_mm256_add_pd(_mm256_add_pd(a, c), b)), Wide(_mm256_sub_pd(c, a)))
         }
     }
     #[inline(always)]
     fn fourth(self) -> Self {
-        let mut out = self;
-        for register in &mut out.0 {
-            // SAFETY: the machine has AVX2.
-            *register = unsafe { _mm256_permute4x64_pd::<0xff>(*register) };
-        }
-        out
+        // SAFETY: see above.
+        unsafe { Wide(_mm256_permute4x64_pd::<0xff>(self.0)) }
     }
     #[inline(always)]
-    unsafe fn fold4(rows: [*const f64; 4]) -> (Self, Self) {
-        let (mut sum, mut difference) = (Self::zero(), Self::zero());
-        for (g, row) in rows.into_iter().enumerate() {
-            // SAFETY: the caller vouches for 16 readable scalars; the machine has AVX2.
-            unsafe {
-                let row = Self::load(row).0;
-                sum.0[g] = _mm256_add_pd(_mm256_add_pd(row[0], row[2]), _mm256_add_pd(row[1], row[3]));
-                difference.0[g] = _mm256_sub_pd(row[2], row[0]);
-            }
+    fn transpose4(rows: &mut [Self; 4]) {
+        // SAFETY: see above.
+        unsafe {
+            let [a, b, c, d] = rows.map(|row| row.0);
+            let (ab, cd) = (_mm256_unpacklo_pd(a, b), _mm256_unpacklo_pd(c, d));
+            rows[0].0 = _mm256_permute2f128_pd::<0x20>(ab, cd);
+            rows[2].0 = _mm256_permute2f128_pd::<0x31>(ab, cd);
+            let (ab, cd) = (_mm256_unpackhi_pd(a, b), _mm256_unpackhi_pd(c, d));
+            rows[1].0 = _mm256_permute2f128_pd::<0x20>(ab, cd);
+            rows[3].0 = _mm256_permute2f128_pd::<0x31>(ab, cd);
         }
-        (sum, difference)
+    }
+    #[inline(always)]
+    unsafe fn load_offset(from: *const f64) -> Self {
+        // SAFETY: see above.
+        unsafe { Self::load(from) }
+    }
+    #[inline(always)]
+    unsafe fn advance(offset: *mut f64, cell: *mut i32, delta: Self) {
+        // SAFETY: see above.
+        unsafe {
+            let moved = _mm256_add_pd(_mm256_loadu_pd(offset), delta.0);
+            let whole = _mm256_floor_pd(moved);
+            let fraction = _mm256_sub_pd(moved, whole);
+            // A tiny negative move from 0 rounds to fraction 1: that is the next cell's 0.
+            let one = _mm256_set1_pd(1.0);
+            let rounds_up = _mm256_cmp_pd::<_CMP_GE_OQ>(fraction, one);
+            _mm256_storeu_pd(offset, _mm256_andnot_pd(rounds_up, fraction));
+            let carry = _mm256_cvttpd_epi32(_mm256_add_pd(whole, _mm256_and_pd(rounds_up, one)));
+            _mm_storeu_si128(cell.cast(), _mm_add_epi32(_mm_loadu_si128(cell.cast()), carry));
+        }
     }
 }

@@ -1,61 +1,65 @@
 //! AVX-512 registers.
 
-use crate::base::Advance;
-use crate::vector::{Register, Wide, advance_f64, lanes_through_memory, transpose_through_memory};
-use crate::{LANES, Lanes, Real};
+use crate::avx2::{places_of_eight, plain};
+use crate::vector::{Plain, Register, Wide, sums_through_memory};
+use crate::{Lanes, Real, Row};
 use core::arch::x86_64::*;
 
-/// 16 lanes of f32 in one register.
-pub type Avx512F32 = Wide<__m512, 1>;
-/// 16 lanes of f64 in two registers.
-pub type Avx512F64 = Wide<__m512d, 2>;
+/// 16 lanes of f32.
+pub type Avx512F32 = Wide<__m512>;
+/// Eight lanes of f64.
+pub type Avx512F64 = Wide<__m512d>;
 
 const NEAREST: i32 = _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC;
 
+// SAFETY of every block of this file: values of these types exist only in code that `Isa::run` entered after asking the machine
+// for AVX-512 F, DQ and VL; that pointers are valid, callers vouch for.
+
+plain!(
+    __m512,
+    f32,
+    16,
+    _mm512_set1_ps,
+    _mm512_add_ps,
+    _mm512_mul_ps,
+    _mm512_fmadd_ps,
+    _mm512_xor_ps,
+    |from| _mm512_broadcast_f32x4(_mm_loadu_ps(from)),
+    {
+        let four = _mm512_castps128_ps512(_mm_loadu_ps(from));
+        _mm512_permutexvar_ps(_mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3), four)
+    }
+);
+plain!(
+    __m512d,
+    f64,
+    8,
+    _mm512_set1_pd,
+    _mm512_add_pd,
+    _mm512_mul_pd,
+    _mm512_fmadd_pd,
+    _mm512_xor_pd,
+    |from| _mm512_broadcast_f64x4(_mm256_loadu_pd(from)),
+    {
+        let two = _mm512_castpd128_pd512(_mm_loadu_pd(from));
+        _mm512_permutexvar_pd(_mm512_setr_epi64(0, 0, 0, 0, 1, 1, 1, 1), two)
+    }
+);
+
 macro_rules! register {
-    ($reg:ident, $scalar:ident, $mask:ident, $width:expr, $set1:ident, $add:ident, $sub:ident, $mul:ident, $div:ident, $fma:ident,
-     $abs:ident, $sqrt:ident, $min:ident, $max:ident, $round:ident, $cmp:ident, $blend:ident, $getmant:ident, $getexp:ident, $scalef:ident,
-     $xor:ident) => {
-        // SAFETY of every block below: values of this type exist only in code that `Isa::run` entered after asking the
-        // machine for AVX-512 F, DQ and VL.
+    ($reg:ident, $mask:ident, $set1:ident, $add:ident, $sub:ident, $div:ident, $abs:ident, $sqrt:ident, $min:ident, $max:ident,
+     $round:ident, $cmp:ident, $blend:ident, $getmant:ident, $getexp:ident, $scalef:ident) => {
         impl Register for $reg {
-            type Scalar = $scalar;
             type Bits = $mask;
-            const WIDTH: usize = $width;
-            #[inline(always)]
-            fn fill(x: $scalar) -> Self {
-                // SAFETY: see above.
-                unsafe { $set1(x) }
-            }
-            #[inline(always)]
-            fn add(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $add(self, o) }
-            }
             #[inline(always)]
             fn sub(self, o: Self) -> Self {
                 // SAFETY: see above.
                 unsafe { $sub(self, o) }
             }
             #[inline(always)]
-            fn mul(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $mul(self, o) }
-            }
-            #[inline(always)]
             fn div(self, o: Self) -> Self {
                 // SAFETY: see above.
                 unsafe { $div(self, o) }
-            }
-            #[inline(always)]
-            fn fma(self, a: Self, b: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $fma(self, a, b) }
-            }
-            #[inline(always)]
-            fn neg(self) -> Self {
-                // SAFETY: see above.
-                unsafe { $xor(self, $set1(-0.0)) }
             }
             #[inline(always)]
             fn abs(self) -> Self {
@@ -138,15 +142,11 @@ macro_rules! register {
 }
 register!(
     __m512,
-    f32,
     __mmask16,
-    16,
     _mm512_set1_ps,
     _mm512_add_ps,
     _mm512_sub_ps,
-    _mm512_mul_ps,
     _mm512_div_ps,
-    _mm512_fmadd_ps,
     _mm512_abs_ps,
     _mm512_sqrt_ps,
     _mm512_min_ps,
@@ -156,20 +156,15 @@ register!(
     _mm512_mask_blend_ps,
     _mm512_getmant_ps,
     _mm512_getexp_ps,
-    _mm512_scalef_ps,
-    _mm512_xor_ps
+    _mm512_scalef_ps
 );
 register!(
     __m512d,
-    f64,
     __mmask8,
-    8,
     _mm512_set1_pd,
     _mm512_add_pd,
     _mm512_sub_pd,
-    _mm512_mul_pd,
     _mm512_div_pd,
-    _mm512_fmadd_pd,
     _mm512_abs_pd,
     _mm512_sqrt_pd,
     _mm512_min_pd,
@@ -179,63 +174,40 @@ register!(
     _mm512_mask_blend_pd,
     _mm512_getmant_pd,
     _mm512_getexp_pd,
-    _mm512_scalef_pd,
-    _mm512_xor_pd
+    _mm512_scalef_pd
 );
 
-/// [`Lanes::places`] for both widths.
-#[inline]
-#[target_feature(enable = "avx512f,avx512dq,avx512vl,avx2,fma")]
-unsafe fn places_avx512(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32) -> ([u32; LANES], bool) {
-    let limit = _mm512_set1_epi32(most.cast_signed());
-    let mut place = _mm512_setzero_si512();
-    let mut outside = 0;
-    for d in 0..3 {
-        // SAFETY: the caller vouches for 16 readable entries.
-        let cell = unsafe { _mm512_loadu_si512(cells[d].cast()) };
-        let from_first = _mm512_sub_epi32(cell, _mm512_set1_epi32(first[d]));
-        outside |= _mm512_cmpgt_epu32_mask(from_first, limit);
-        place = _mm512_add_epi32(place, _mm512_mullo_epi32(from_first, _mm512_set1_epi32(stride[d])));
-    }
-    let mut places = [0u32; LANES];
-    // SAFETY: the array holds 16 entries.
-    unsafe { _mm512_storeu_si512(places.as_mut_ptr().cast(), place) };
-    (places, outside != 0)
-}
-
 impl Lanes for Avx512F32 {
-    lanes_through_memory!(f32);
+    type Near = Self;
+    type Far = Self;
+    sums_through_memory!(f32);
 
     #[inline(always)]
-    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32) -> ([u32; LANES], bool) {
-        // SAFETY: the caller vouches for the entries; the machine has AVX-512.
-        unsafe { places_avx512(cells, first, stride, most) }
-    }
-
-    #[inline(always)]
-    unsafe fn repeat4(from: *const f32) -> Self {
-        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX-512.
-        unsafe { Wide([_mm512_broadcast_f32x4(_mm_loadu_ps(from))]) }
-    }
-    #[inline(always)]
-    unsafe fn spread3(from: *const f32) -> Self {
-        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX-512.
+    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32, places: *mut u32) -> bool {
+        // SAFETY: see above.
         unsafe {
-            let four = _mm512_castps128_ps512(_mm_loadu_ps(from));
-            let pick = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
-            Wide([_mm512_maskz_permutexvar_ps(0x0fff, pick, four)])
+            let limit = _mm512_set1_epi32(most.cast_signed());
+            let (mut place, mut outside) = (_mm512_setzero_si512(), 0);
+            for d in 0..3 {
+                let from_first = _mm512_sub_epi32(_mm512_loadu_si512(cells[d].cast()), _mm512_set1_epi32(first[d]));
+                outside |= _mm512_cmpgt_epu32_mask(from_first, limit);
+                place = _mm512_add_epi32(place, _mm512_mullo_epi32(from_first, _mm512_set1_epi32(stride[d])));
+            }
+            _mm512_storeu_si512(places.cast(), place);
+            outside != 0
         }
     }
     #[inline(always)]
-    unsafe fn fold4([a, b, c, d]: [*const f32; 4]) -> (Self, Self) {
+    unsafe fn fold(rows: *const f32, stride: usize) -> (Self, Self) {
         // Halves of two rows side by side. Put together while they are loaded, they do not queue for the one port that shuffles.
         #[inline(always)]
         unsafe fn halves(low: *const f32, high: *const f32) -> __m512 {
-            // SAFETY: the caller vouches for 8 readable scalars; the machine has AVX-512.
+            // SAFETY: see above.
             unsafe { _mm512_insertf32x8::<1>(_mm512_castps256_ps512(_mm256_loadu_ps(low)), _mm256_loadu_ps(high)) }
         }
-        // SAFETY: the caller vouches for 16 readable scalars a row; the machine has AVX-512.
+        // SAFETY: see above.
         unsafe {
+            let [a, b, c, d] = [rows, rows.add(stride), rows.add(2 * stride), rows.add(3 * stride)];
             let (ac, bd) = (halves(a, c), halves(b, d));
             let (ac_far, bd_far) = (halves(a.add(8), c.add(8)), halves(b.add(8), d.add(8)));
             let even = _mm512_setr_epi32(0, 1, 2, 3, 16, 17, 18, 19, 8, 9, 10, 11, 24, 25, 26, 27);
@@ -246,42 +218,42 @@ impl Lanes for Avx512F32 {
                 _mm512_permutex2var_ps(ac_sum, odd, bd_sum),
             );
             let difference = _mm512_permutex2var_ps(_mm512_sub_ps(ac_far, ac), even, _mm512_sub_ps(bd_far, bd));
-            (Wide([sum]), Wide([difference]))
+            (Wide(sum), Wide(difference))
         }
     }
     #[inline(always)]
     fn fourth(self) -> Self {
-        // SAFETY: the machine has AVX-512.
-        unsafe { Wide([_mm512_permute_ps::<0xff>(self.0[0])]) }
+        // SAFETY: see above.
+        unsafe { Wide(_mm512_permute_ps::<0xff>(self.0)) }
     }
     #[inline(always)]
     fn transpose4(rows: &mut [Self; 4]) {
-        // SAFETY: the machine has AVX-512.
+        // SAFETY: see above.
         unsafe {
-            let [a, b, c, d] = [rows[0].0[0], rows[1].0[0], rows[2].0[0], rows[3].0[0]];
+            let [a, b, c, d] = rows.map(|row| row.0);
             let (ab, cd) = (_mm512_unpacklo_ps(a, b), _mm512_unpacklo_ps(c, d));
             let (ab, cd) = (_mm512_castps_pd(ab), _mm512_castps_pd(cd));
-            rows[0].0[0] = _mm512_castpd_ps(_mm512_unpacklo_pd(ab, cd));
-            rows[1].0[0] = _mm512_castpd_ps(_mm512_unpackhi_pd(ab, cd));
+            rows[0].0 = _mm512_castpd_ps(_mm512_unpacklo_pd(ab, cd));
+            rows[1].0 = _mm512_castpd_ps(_mm512_unpackhi_pd(ab, cd));
             let (ab, cd) = (_mm512_unpackhi_ps(a, b), _mm512_unpackhi_ps(c, d));
             let (ab, cd) = (_mm512_castps_pd(ab), _mm512_castps_pd(cd));
-            rows[2].0[0] = _mm512_castpd_ps(_mm512_unpacklo_pd(ab, cd));
-            rows[3].0[0] = _mm512_castpd_ps(_mm512_unpackhi_pd(ab, cd));
+            rows[2].0 = _mm512_castpd_ps(_mm512_unpacklo_pd(ab, cd));
+            rows[3].0 = _mm512_castpd_ps(_mm512_unpackhi_pd(ab, cd));
         }
     }
     #[inline(always)]
     unsafe fn load_offset(from: *const u32) -> Self {
-        // SAFETY: the caller vouches for 16 readable offsets; the machine has AVX-512.
+        // SAFETY: see above.
         unsafe {
             let counts = _mm512_cvtepu32_ps(_mm512_loadu_si512(from.cast()));
-            Wide([_mm512_mul_ps(counts, _mm512_set1_ps(1.0 / 4_294_967_296.0))])
+            Wide(_mm512_mul_ps(counts, _mm512_set1_ps(1.0 / 4_294_967_296.0)))
         }
     }
     #[inline(always)]
     unsafe fn advance(offset: *mut u32, cell: *mut i32, delta: Self) {
-        // SAFETY: the caller vouches for 16 readable and writable entries of each; the machine has AVX-512.
+        // SAFETY: see above.
         unsafe {
-            let exact = _mm512_mul_ps(delta.0[0], _mm512_set1_ps(4_294_967_296.0));
+            let exact = _mm512_mul_ps(delta.0, _mm512_set1_ps(4_294_967_296.0));
             // Half a cell forwards is one count more than fits, and the conversion would make half a cell backwards of it.
             let over = _mm512_cmp_ps_mask::<_CMP_GE_OQ>(exact, _mm512_set1_ps(2_147_483_648.0));
             let counts = _mm512_mask_mov_epi32(_mm512_cvtps_epi32(exact), over, _mm512_set1_epi32(i32::MAX));
@@ -301,51 +273,69 @@ impl Lanes for Avx512F32 {
 }
 
 impl Lanes for Avx512F64 {
-    lanes_through_memory!(f64);
+    type Near = Self;
+    type Far = Wide<__m256d>;
+    sums_through_memory!(f64);
 
     #[inline(always)]
-    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32) -> ([u32; LANES], bool) {
-        // SAFETY: the caller vouches for the entries; the machine has AVX-512.
-        unsafe { places_avx512(cells, first, stride, most) }
-    }
-    transpose_through_memory!(f64);
-    advance_f64!();
-
-    #[inline(always)]
-    unsafe fn repeat4(from: *const f64) -> Self {
-        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX-512.
-        unsafe { Wide([_mm512_broadcast_f64x4(_mm256_loadu_pd(from)); 2]) }
+    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32, places: *mut u32) -> bool {
+        // SAFETY: see above.
+        unsafe { places_of_eight(cells, first, stride, most, places) }
     }
     #[inline(always)]
-    unsafe fn spread3(from: *const f64) -> Self {
-        // SAFETY: the caller vouches for 4 readable scalars; the machine has AVX-512.
+    unsafe fn fold(rows: *const f64, stride: usize) -> (Self, Self) {
+        // A node of both rows.
+        #[inline(always)]
+        unsafe fn both(low: *const f64, high: *const f64) -> __m512d {
+            // SAFETY: see above.
+            unsafe { _mm512_insertf64x4::<1>(_mm512_castpd256_pd512(_mm256_loadu_pd(low)), _mm256_loadu_pd(high)) }
+        }
+        // SAFETY: see above.
         unsafe {
-            let four = _mm512_castpd256_pd512(_mm256_loadu_pd(from));
-            let low = _mm512_permutexvar_pd(_mm512_setr_epi64(0, 0, 0, 0, 1, 1, 1, 1), four);
-            let high = _mm512_maskz_permutexvar_pd(0x0f, _mm512_setr_epi64(2, 2, 2, 2, 3, 3, 3, 3), four);
-            Wide([low, high])
+            let (low, high) = (rows, rows.add(stride));
+            let [a, b, c] = [both(low, high), both(low.add(4), high.add(4)), both(low.add(8), high.add(8))];
+            (Wide(_mm512_add_pd(_mm512_add_pd(a, c), b)), Wide(_mm512_sub_pd(c, a)))
         }
     }
     #[inline(always)]
     fn fourth(self) -> Self {
-        // SAFETY: the machine has AVX-512.
-        unsafe { Wide([_mm512_permutex_pd::<0xff>(self.0[0]), _mm512_permutex_pd::<0xff>(self.0[1])]) }
+        // SAFETY: see above.
+        unsafe { Wide(_mm512_permutex_pd::<0xff>(self.0)) }
     }
     #[inline(always)]
-    unsafe fn fold4(rows: [*const f64; 4]) -> (Self, Self) {
-        // SAFETY: the caller vouches for 16 readable scalars a row; the machine has AVX-512.
+    fn transpose4(rows: &mut [Self; 4]) {
+        // SAFETY: see above.
         unsafe {
-            let [a, b, c, d] =
-                [Self::load(rows[0]).0, Self::load(rows[1]).0, Self::load(rows[2]).0, Self::load(rows[3]).0];
-            let (mut sum, mut difference) = (Self::zero(), Self::zero());
-            for (half, (a, b)) in [(a, b), (c, d)].into_iter().enumerate() {
-                let (sum_a, sum_b) = (_mm512_add_pd(a[0], a[1]), _mm512_add_pd(b[0], b[1]));
-                let (even, odd) =
-                    (_mm512_shuffle_f64x2::<0x44>(sum_a, sum_b), _mm512_shuffle_f64x2::<0xee>(sum_a, sum_b));
-                sum.0[half] = _mm512_add_pd(even, odd);
-                difference.0[half] = _mm512_shuffle_f64x2::<0x44>(_mm512_sub_pd(a[1], a[0]), _mm512_sub_pd(b[1], b[0]));
-            }
-            (sum, difference)
+            let [a, b, c, d] = rows.map(|row| row.0);
+            let first = _mm512_setr_epi64(0, 1, 8, 9, 4, 5, 12, 13);
+            let last = _mm512_setr_epi64(2, 3, 10, 11, 6, 7, 14, 15);
+            let (ab, cd) = (_mm512_unpacklo_pd(a, b), _mm512_unpacklo_pd(c, d));
+            rows[0].0 = _mm512_permutex2var_pd(ab, first, cd);
+            rows[2].0 = _mm512_permutex2var_pd(ab, last, cd);
+            let (ab, cd) = (_mm512_unpackhi_pd(a, b), _mm512_unpackhi_pd(c, d));
+            rows[1].0 = _mm512_permutex2var_pd(ab, first, cd);
+            rows[3].0 = _mm512_permutex2var_pd(ab, last, cd);
+        }
+    }
+    #[inline(always)]
+    unsafe fn load_offset(from: *const f64) -> Self {
+        // SAFETY: see above.
+        unsafe { Self::load(from) }
+    }
+    #[inline(always)]
+    unsafe fn advance(offset: *mut f64, cell: *mut i32, delta: Self) {
+        const DOWN: i32 = _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC;
+        // SAFETY: see above.
+        unsafe {
+            let moved = _mm512_add_pd(_mm512_loadu_pd(offset), delta.0);
+            let whole = _mm512_roundscale_pd::<DOWN>(moved);
+            let fraction = _mm512_sub_pd(moved, whole);
+            // A tiny negative move from 0 rounds to fraction 1: that is the next cell's 0.
+            let one = _mm512_set1_pd(1.0);
+            let stays = _mm512_cmp_pd_mask::<_CMP_LT_OQ>(fraction, one);
+            _mm512_storeu_pd(offset, _mm512_maskz_mov_pd(stays, fraction));
+            let carry = _mm512_cvttpd_epi32(_mm512_mask_add_pd(whole, !stays, whole, one));
+            _mm256_storeu_si256(cell.cast(), _mm256_add_epi32(_mm256_loadu_si256(cell.cast()), carry));
         }
     }
 }

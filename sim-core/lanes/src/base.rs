@@ -1,17 +1,17 @@
-//! 16 lanes as a plain array: what every machine has, and what the compiler vectorises as far as it may.
+//! A chunk as a plain array: what every machine has, and what the compiler vectorises as far as it may.
 
-use crate::{Float, LANES, Lanes, Mask, Real};
+use crate::{CHUNK, Float, Lanes, Mask, Real, Row};
 use core::array::from_fn;
 use core::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
 /// 16 scalars without any instruction-set extension.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-pub struct Base<T>([T; LANES]);
+pub struct Base<T>([T; CHUNK]);
 
 /// Truth values of [`Base`].
 #[derive(Clone, Copy, Debug)]
-pub struct BaseMask([bool; LANES]);
+pub struct BaseMask([bool; CHUNK]);
 
 impl BitAnd for BaseMask {
     type Output = Self;
@@ -37,7 +37,7 @@ impl Not for BaseMask {
 impl Mask for BaseMask {
     #[inline(always)]
     fn splat(value: bool) -> Self {
-        Self([value; LANES])
+        Self([value; CHUNK])
     }
     #[inline(always)]
     fn any(self) -> bool {
@@ -49,7 +49,7 @@ impl Mask for BaseMask {
     }
     #[inline(always)]
     fn bits(self) -> u16 {
-        (0..LANES).fold(0, |bits, i| bits | (u16::from(self.0[i]) << i))
+        (0..CHUNK).fold(0, |bits, i| bits | (u16::from(self.0[i]) << i))
     }
 }
 
@@ -95,7 +95,7 @@ impl<T: Float> Real for Base<T> {
 
     #[inline(always)]
     fn splat(x: f64) -> Self {
-        Self([T::splat(x); LANES])
+        Self([T::splat(x); CHUNK])
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
@@ -144,7 +144,7 @@ impl<T: Float> Real for Base<T> {
     }
 }
 
-/// Moves one coordinate; shared with the vector types where their instruction set has nothing better.
+/// Moves one coordinate.
 pub(crate) trait Advance: Float {
     /// See [`Lanes::advance`].
     fn advance_one(offset: &mut Self::Offset, cell: &mut i32, delta: Self);
@@ -171,18 +171,23 @@ impl Advance for f64 {
     }
 }
 
-impl<T: Float + Advance> Lanes for Base<T> {
+impl<T: Float> Row for Base<T> {
     type Scalar = T;
+    const NODES: usize = CHUNK / 4;
 
     #[inline(always)]
     unsafe fn load(from: *const T) -> Self {
         // SAFETY: the caller vouches for 16 readable scalars.
-        Self(unsafe { from.cast::<[T; LANES]>().read_unaligned() })
+        Self(unsafe { from.cast::<[T; CHUNK]>().read_unaligned() })
     }
     #[inline(always)]
     unsafe fn store(self, to: *mut T) {
         // SAFETY: the caller vouches for 16 writable scalars.
-        unsafe { to.cast::<[T; LANES]>().write_unaligned(self.0) }
+        unsafe { to.cast::<[T; CHUNK]>().write_unaligned(self.0) }
+    }
+    #[inline(always)]
+    fn fill(x: T) -> Self {
+        Self([x; CHUNK])
     }
     #[inline(always)]
     unsafe fn repeat4(from: *const T) -> Self {
@@ -191,21 +196,27 @@ impl<T: Float + Advance> Lanes for Base<T> {
         Self(from_fn(|i| four[i % 4]))
     }
     #[inline(always)]
-    fn fill(x: T) -> Self {
-        Self([x; LANES])
-    }
-    #[inline(always)]
-    unsafe fn spread3(from: *const T) -> Self {
+    unsafe fn spread(from: *const T) -> Self {
         // SAFETY: the caller vouches for 4 readable scalars.
         let four = unsafe { from.cast::<[T; 4]>().read_unaligned() };
-        Self(from_fn(|i| if i < 12 { four[i / 4] } else { T::zero() }))
+        Self(from_fn(|i| four[i / 4]))
     }
     #[inline(always)]
-    unsafe fn fold4(rows: [*const T; 4]) -> (Self, Self) {
-        // SAFETY: the caller vouches for 16 readable scalars.
-        let rows = rows.map(|row| unsafe { Self::load(row) }.0);
+    fn add_product(&mut self, a: Self, b: Self) {
+        *self = a.mul_add(b, *self);
+    }
+}
+
+impl<T: Float + Advance> Lanes for Base<T> {
+    type Near = Self;
+    type Far = Self;
+
+    #[inline(always)]
+    unsafe fn fold(rows: *const T, stride: usize) -> (Self, Self) {
+        // SAFETY: the caller vouches for 16 readable scalars in each of four rows.
+        let rows: [[T; CHUNK]; 4] = from_fn(|g| unsafe { Self::load(rows.add(g * stride)) }.0);
         let of = |i: usize, g: usize| rows[i / 4][4 * g + i % 4];
-        let sum = Self(from_fn(|i| (of(i, 0) + of(i, 2)) + (of(i, 1) + of(i, 3))));
+        let sum = Self(from_fn(|i| of(i, 0) + of(i, 2) + of(i, 1)));
         (sum, Self(from_fn(|i| of(i, 2) - of(i, 0))))
     }
     #[inline(always)]
@@ -230,12 +241,12 @@ impl<T: Float + Advance> Lanes for Base<T> {
     #[inline(always)]
     unsafe fn load_offset(from: *const T::Offset) -> Self {
         // SAFETY: the caller vouches for 16 readable offsets.
-        let offsets = unsafe { from.cast::<[T::Offset; LANES]>().read_unaligned() };
+        let offsets = unsafe { from.cast::<[T::Offset; CHUNK]>().read_unaligned() };
         Self(offsets.map(|o| T::from_f64(T::offset_to_f64(o))))
     }
     #[inline(always)]
     unsafe fn advance(offset: *mut T::Offset, cell: *mut i32, delta: Self) {
-        for i in 0..LANES {
+        for i in 0..CHUNK {
             // SAFETY: the caller vouches for 16 readable and writable entries of each.
             unsafe { T::advance_one(&mut *offset.add(i), &mut *cell.add(i), delta.0[i]) }
         }

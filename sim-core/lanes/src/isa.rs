@@ -15,13 +15,18 @@ pub enum Isa {
 }
 
 /// `BARCHAN_ISA` names no instruction set, or one that this machine lacks.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownIsa(pub String);
 
 impl std::fmt::Display for UnknownIsa {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let known: Vec<&str> = Isa::available().map(Isa::name).collect();
-        write!(f, "instruction set '{}' is not available here; BARCHAN_ISA may be one of: {}", self.0, known.join(", "))
+        write!(
+            f,
+            "BARCHAN_ISA: instruction set '{}' is not available here; known are: {}, or leave it unset for the last of them",
+            self.0,
+            known.join(", ")
+        )
     }
 }
 impl std::error::Error for UnknownIsa {}
@@ -67,24 +72,20 @@ impl Isa {
         [Self::Baseline, Self::Avx2, Self::Avx512].into_iter().filter(|isa| isa.is_available())
     }
 
-    /// The instruction set that `BARCHAN_ISA` names, or else the best one here.
+    /// The instruction set in use: the one that `BARCHAN_ISA` names, or else the best one here. As it is at the first call.
     ///
     /// # Errors
     /// [`UnknownIsa`] if the variable names none that this machine has.
-    pub fn from_environment() -> Result<Self, UnknownIsa> {
-        match std::env::var("BARCHAN_ISA") {
-            Ok(name) => Self::available().find(|isa| isa.name() == name).ok_or(UnknownIsa(name)),
-            Err(_) => Ok(Self::available().last().unwrap_or(Self::Baseline)),
-        }
-    }
-
-    /// The instruction set in use: as [`Isa::from_environment`] finds it at the first call, the best one on error.
     #[inline]
-    pub fn current() -> Self {
-        static CURRENT: OnceLock<Isa> = OnceLock::new();
-        *CURRENT.get_or_init(|| {
-            Self::from_environment().unwrap_or_else(|_| Self::available().last().unwrap_or(Self::Baseline))
-        })
+    pub fn current() -> Result<Self, UnknownIsa> {
+        static CURRENT: OnceLock<Result<Isa, UnknownIsa>> = OnceLock::new();
+        let find = || match std::env::var_os("BARCHAN_ISA") {
+            Some(name) => Self::available()
+                .find(|isa| name == isa.name())
+                .ok_or_else(|| UnknownIsa(name.to_string_lossy().into())),
+            None => Ok(Self::available().last().unwrap_or(Self::Baseline)),
+        };
+        CURRENT.get_or_init(find).clone()
     }
 
     /// Runs `kernel` compiled for this instruction set.

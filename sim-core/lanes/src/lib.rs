@@ -3,7 +3,7 @@
 //! A kernel is written once, generic over [`Real`] (constitutive laws) or [`Lanes`] (transfers), and runs as
 //! - a plain `f32` or `f64`, for reference and for single particles;
 //! - [`Dual`], carrying a directional derivative;
-//! - 16 lanes of `f32` or `f64` in the registers of the machine's instruction set, chosen at run time by
+//! - as many lanes of `f32` or `f64` as a register of the machine's instruction set holds, chosen at run time by
 //!   [`Isa::run`], so that one binary is fast everywhere.
 //!
 //! There is no branching on values: comparisons give a [`Mask`], and [`Real::select`] picks per lane. `mul_add` is fused
@@ -35,8 +35,8 @@ pub use {
 use core::fmt::Debug;
 use core::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, MulAssign, Neg, Not, Sub, SubAssign};
 
-/// Lanes of the wide types, and particles in a chunk.
-pub const LANES: usize = 16;
+/// Particles in a chunk, which lanes of every type divide: no register holds more.
+pub const CHUNK: usize = 16;
 
 /// An array of numbers, entry by entry: `tabulate!(3, |d| x[d] * y[d])`.
 ///
@@ -174,12 +174,12 @@ pub trait Real:
 pub trait Float: Real<Mask = bool> + PartialOrd + Default + Send + Sync {
     /// How a position inside its cell is stored: `u32` counts of 2^-32 cell for f32, the fraction itself for f64.
     type Offset: Copy + Default + Debug + PartialEq + Send + Sync + 'static;
-    /// 16 lanes without any instruction-set extension.
+    /// Lanes without any instruction-set extension.
     type Base: Lanes<Scalar = Self>;
-    /// 16 lanes on AVX2 and FMA.
+    /// Lanes on AVX2 and FMA.
     #[cfg(target_arch = "x86_64")]
     type Avx2: Lanes<Scalar = Self>;
-    /// 16 lanes on AVX-512.
+    /// Lanes on AVX-512.
     #[cfg(target_arch = "x86_64")]
     type Avx512: Lanes<Scalar = Self>;
     /// "f32" or "f64".
@@ -195,39 +195,57 @@ pub trait Float: Real<Mask = bool> + PartialOrd + Default + Send + Sync {
     fn offset_from_f64(fraction: f64) -> Option<Self::Offset>;
 }
 
-/// [`LANES`] reals in registers, with the moves that the transfers between particles and grid need.
-pub trait Lanes: Real {
+/// Nodes of a row along z in a register, each with four scalars: momentum (or velocity) and mass.
+///
+/// A row that particles touch has three nodes. Where a register holds fewer it is cut in parts, of [`Lanes::Near`] and [`Lanes::Far`].
+pub trait Row: Copy + Add<Output = Self> + Mul<Output = Self> + Neg<Output = Self> + AddAssign {
     /// The scalar in each lane.
     type Scalar: Float;
+    /// Nodes in it: a quarter of its lanes.
+    const NODES: usize;
 
-    /// Reads 16 scalars.
+    /// Reads a scalar for each lane.
     ///
     /// # Safety
-    /// `from` must be valid for reading 16 scalars; no alignment is asked for.
+    /// `from` must be valid for reading as many scalars; no alignment is asked for.
     unsafe fn load(from: *const Self::Scalar) -> Self;
-    /// Writes 16 scalars.
+    /// Writes the scalar of each lane.
     ///
     /// # Safety
-    /// `to` must be valid for writing 16 scalars; no alignment is asked for.
+    /// `to` must be valid for writing as many scalars; no alignment is asked for.
     unsafe fn store(self, to: *mut Self::Scalar);
-    /// Reads four scalars and repeats them four times.
+    /// The same scalar in every lane.
+    fn fill(x: Self::Scalar) -> Self;
+    /// Reads four scalars and repeats them for each node.
     ///
     /// # Safety
     /// `from` must be valid for reading 4 scalars.
     unsafe fn repeat4(from: *const Self::Scalar) -> Self;
-    /// The same scalar in every lane.
-    fn fill(x: Self::Scalar) -> Self;
-    /// Lane 4 g + c becomes the scalar `from[g]` for g = 0, 1, 2, and 0 for g = 3.
+    /// Reads a scalar for each node: lane 4 g + c becomes the scalar `from[g]`.
     ///
     /// # Safety
-    /// `from` must be valid for reading 4 scalars.
-    unsafe fn spread3(from: *const Self::Scalar) -> Self;
-    /// Folds rows of four groups of four scalars: group g of the first result is the sum of row g's groups, group g of the
-    /// second its third group less its first.
+    /// `from` must be valid for reading as many scalars as there are nodes.
+    unsafe fn spread(from: *const Self::Scalar) -> Self;
+    /// Adds `a * b`, fused where the instruction set fuses.
+    fn add_product(&mut self, a: Self, b: Self);
+}
+
+/// Reals that fill a register, with the moves that the transfers between particles and grid need.
+pub trait Lanes: Real + Row {
+    /// Lanes in it; they divide a chunk.
+    const COUNT: usize = 4 * Self::NODES;
+    /// The first nodes of a row: all three, or as many as fit.
+    type Near: Row<Scalar = Self::Scalar>;
+    /// The others, if there are any: as many as fit, again and again.
+    type Far: Row<Scalar = Self::Scalar>;
+
+    /// Folds rows of three nodes with as many zeros behind them as make four, `stride` scalars apart: group g of the first result is the
+    /// sum of the g-th row's nodes, group g of the second its third node less its first.
     ///
     /// # Safety
-    /// Each of `rows` must be valid for reading 16 scalars.
-    unsafe fn fold4(rows: [*const Self::Scalar; 4]) -> (Self, Self);
+    /// `rows` must be valid for reading 16 scalars of each of [`Row::NODES`] rows; the zeros may be missing where
+    /// [`Lanes::Near`] is no longer than three nodes.
+    unsafe fn fold(rows: *const Self::Scalar, stride: usize) -> (Self, Self);
     /// The last lane of each group of four, in all lanes of the group.
     fn fourth(self) -> Self;
     /// Transposes within each group of four lanes: lane 4 g + c of row k and lane 4 g + k of row c change places.
@@ -237,34 +255,36 @@ pub trait Lanes: Real {
     /// Greatest lane.
     fn max_lane(self) -> Self::Scalar;
 
-    /// Places of 16 cells in an array: the sum over axes of (cell − first) · stride, and whether any cell − first is outside
-    /// 0..=most.
+    /// Places of cells in an array, one a lane: the sum over axes of (cell − first) · stride. Returns whether any cell − first is
+    /// outside 0..=most.
     ///
     /// # Safety
-    /// Each of `cells` must be valid for reading 16 entries.
+    /// Each of `cells` must be valid for reading an entry for each lane, `places` for writing them.
     #[inline(always)]
-    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32) -> ([u32; LANES], bool) {
-        let mut places = [0u32; LANES];
+    unsafe fn places(cells: [*const i32; 3], first: [i32; 3], stride: [i32; 3], most: u32, places: *mut u32) -> bool {
         let mut outside = false;
-        for d in 0..3 {
-            for (lane, place) in places.iter_mut().enumerate() {
-                // SAFETY: the caller vouches for 16 readable entries.
+        for lane in 0..Self::COUNT {
+            let mut place = 0u32;
+            for d in 0..3 {
+                // SAFETY: the caller vouches for the entries.
                 let from_first = unsafe { *cells[d].add(lane) }.wrapping_sub(first[d]);
                 outside |= from_first as u32 > most;
-                *place = place.wrapping_add(from_first.wrapping_mul(stride[d]) as u32);
+                place = place.wrapping_add(from_first.wrapping_mul(stride[d]) as u32);
             }
+            // SAFETY: as above.
+            unsafe { *places.add(lane) = place };
         }
-        (places, outside)
+        outside
     }
 
-    /// Reads 16 offsets as fractions of a cell.
+    /// Reads offsets, one a lane, as fractions of a cell.
     ///
     /// # Safety
-    /// `from` must be valid for reading 16 offsets.
+    /// `from` must be valid for reading as many offsets.
     unsafe fn load_offset(from: *const <Self::Scalar as Float>::Offset) -> Self;
-    /// Moves 16 particles along one axis by `delta` cells, |delta| <= 0.5, carrying into the integer cell.
+    /// Moves particles, one a lane, along one axis by `delta` cells, |delta| <= 0.5, carrying into the integer cell.
     ///
     /// # Safety
-    /// Both pointers must be valid for reading and writing 16 entries.
+    /// Both pointers must be valid for reading and writing as many entries.
     unsafe fn advance(offset: *mut <Self::Scalar as Float>::Offset, cell: *mut i32, delta: Self);
 }

@@ -50,10 +50,10 @@ pub(crate) fn exp<T: Real>(x: T) -> T {
     let (high, low) = LN2_PARTS[usize::from(double)];
     let r = (-k).mul_add(T::splat(low), (-k).mul_add(T::splat(high), clamped));
     // Taylor's series; the first omitted term is below 2^-28 (f32) and 2^-57 (f64).
-    let degree: u32 = if double { 13 } else { 7 };
-    let mut p = T::one();
-    for i in (1..=degree).rev() {
-        p = (p * r).mul_add(T::splat(1.0 / f64::from(i)), T::one());
+    let terms = &INVERSE_FACTORIALS[if double { 0 } else { 6 }..];
+    let mut p = T::splat(terms[0]);
+    for &c in &terms[1..] {
+        p = p.mul_add(r, T::splat(c));
     }
     let y = p.scale_exponent(k);
     if finite.all() { y } else { T::select(finite | x.gt(T::zero()) | x.lt(T::zero()), y, x) }
@@ -62,3 +62,14 @@ pub(crate) fn exp<T: Real>(x: T) -> T {
 /// (high, low) parts of ln 2 for f32 and f64.
 const LN2_PARTS: [(f64, f64); 2] =
     [(0.693_145_751_953_125, 1.428_606_765_330_187e-6), (0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10)];
+
+/// 1/13!, 1/12!, ... 1/0!.
+const INVERSE_FACTORIALS: [f64; 14] = {
+    let mut terms = [1.0; 14];
+    let mut k = 1;
+    while k < 14 {
+        terms[13 - k] = terms[14 - k] / k as f64;
+        k += 1;
+    }
+    terms
+};

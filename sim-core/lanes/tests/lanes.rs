@@ -5,12 +5,12 @@
     reason = "every block loads from or stores to an array of 16 entries that is in plain sight"
 )]
 
-use barchan_lanes::{Dual, Float, Isa, Kernel, LANES, Lanes, Mask, Real};
+use barchan_lanes::{CHUNK, Dual, Float, Isa, Kernel, Lanes, Mask, Real, Row};
 
 fn samples() -> Vec<f64> {
     let mut xs = vec![1.0, 0.75, 1.5, 2.0, 1.0 + 1e-7, 1.0 - 1e-7, 1e-6, 1e6, 0.5, 3.0, 0.999, 1.001];
     xs.extend((0..500).map(|i| 10f64.powf(-6.0 + 12.0 * f64::from(i) / 499.0)));
-    xs.resize(xs.len().next_multiple_of(LANES), 1.0);
+    xs.resize(xs.len().next_multiple_of(CHUNK), 1.0);
     xs
 }
 
@@ -20,8 +20,8 @@ impl<T: Float> Kernel<T> for Elementary {
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) -> (f64, f64) {
         let (mut ln_error, mut exp_error) = (0f64, 0f64);
-        let mut out = [T::default(); LANES];
-        for xs in samples().chunks(LANES) {
+        let mut out = [T::default(); CHUNK];
+        for xs in samples().chunks(V::COUNT) {
             let x: Vec<T> = xs.iter().map(|&x| T::from_f64(x)).collect();
             let v = unsafe { V::load(x.as_ptr()) };
             unsafe { v.ln().store(out.as_mut_ptr()) };
@@ -54,83 +54,71 @@ fn logarithm_and_exponential_keep_their_stated_error_on_every_instruction_set() 
     }
 }
 
+/// The lanes of a register, as plain numbers.
+fn read<R: Row>(row: R) -> Vec<f64> {
+    let mut out = [R::Scalar::default(); CHUNK];
+    unsafe { row.store(out.as_mut_ptr()) };
+    out[..4 * R::NODES].iter().map(|x| x.to_f64()).collect()
+}
+
+fn scalars<T: Float>(value: impl Fn(usize) -> f64) -> [T; CHUNK] {
+    core::array::from_fn(|i| T::from_f64(value(i)))
+}
+
+/// What each lane must hold.
+fn assert_lanes<R: Row>(row: R, expected: impl Fn(usize) -> f64) {
+    assert_eq!(read(row), (0..4 * R::NODES).map(expected).collect::<Vec<_>>());
+}
+
 struct Moves;
+impl Moves {
+    /// What all parts of a row can do.
+    fn of_row<R: Row>() {
+        let numbers = scalars::<R::Scalar>(|i| i as f64 + 1.0);
+        let row = unsafe { R::load(numbers.as_ptr()) };
+        assert_lanes(row, |i| i as f64 + 1.0);
+        assert_lanes(unsafe { R::repeat4(numbers.as_ptr()) }, |i| (i % 4 + 1) as f64);
+        assert_lanes(unsafe { R::spread(numbers.as_ptr()) }, |i| (i / 4 + 1) as f64);
+        assert_lanes(R::fill(numbers[6]), |_| 7.0);
+        assert_lanes(row + row * row, |i| (i as f64 + 1.0) * (i as f64 + 2.0));
+        assert_lanes(-row, |i| -(i as f64 + 1.0));
+        let mut sum = row;
+        sum.add_product(row, R::fill(numbers[2]));
+        sum += row;
+        assert_lanes(sum, |i| 5.0 * (i as f64 + 1.0));
+    }
+}
 impl<T: Float> Kernel<T> for Moves {
     type Output = ();
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) {
-        let value = |i: usize, j: usize| (i * LANES + j) as f64;
-        let read = |v: V| {
-            let mut out = [T::default(); LANES];
-            unsafe { v.store(out.as_mut_ptr()) };
-            out.map(T::to_f64)
-        };
-        let make = |i: usize| {
-            let row: Vec<T> = (0..LANES).map(|j| T::from_f64(value(i, j))).collect();
-            unsafe { V::load(row.as_ptr()) }
-        };
+        assert!(CHUNK.is_multiple_of(V::COUNT) && V::COUNT.is_multiple_of(4));
+        Self::of_row::<V>();
+        Self::of_row::<V::Near>();
+        Self::of_row::<V::Far>();
+
+        let value = |i: usize, j: usize| (i * CHUNK + j) as f64;
+        let make = |i: usize| unsafe { V::load(scalars(|j| value(i, j)).as_ptr()) };
         let mut rows: [V; 4] = core::array::from_fn(make);
         V::transpose4(&mut rows);
         for (c, &row) in rows.iter().enumerate() {
-            assert_eq!(read(row), core::array::from_fn(|i| value(i % 4, i / 4 * 4 + c)));
+            assert_lanes(row, |i| value(i % 4, i / 4 * 4 + c));
         }
-        let four = [1.0, 2.0, 3.0, 4.0].map(T::from_f64);
-        assert_eq!(read(unsafe { V::repeat4(four.as_ptr()) }), core::array::from_fn(|i| (i % 4 + 1) as f64));
-        assert_eq!(
-            read(unsafe { V::spread3(four.as_ptr()) }),
-            core::array::from_fn(|i| if i < 12 { (i / 4 + 1) as f64 } else { 0.0 })
-        );
-        let lines: [[T; LANES]; 4] = core::array::from_fn(|i| core::array::from_fn(|j| T::from_f64(value(i, j * j))));
-        let (sum, difference) = unsafe { V::fold4(core::array::from_fn(|i| lines[i].as_ptr())) };
-        for i in 0..LANES {
-            let of = |g: usize| lines[i / 4][4 * g + i % 4].to_f64();
-            assert_eq!(read(sum)[i], of(0) + of(1) + of(2) + of(3));
-            assert_eq!(read(difference)[i], of(2) - of(0));
-        }
-        assert_eq!(read(make(1).fourth()), core::array::from_fn(|i| value(1, i | 3)));
-        assert_eq!(make(1).sum().to_f64(), (16..32).sum::<i32>() as f64);
-        assert_eq!(make(2).max_lane().to_f64(), 47.0);
+        // Rows of three nodes and zeros.
+        let lines: [[T; CHUNK]; 4] = core::array::from_fn(|i| scalars(|j| if j < 12 { value(i, j * j) } else { 0.0 }));
+        let (sum, difference) = unsafe { V::fold(lines.as_ptr().cast(), CHUNK) };
+        let of = |i: usize, g: usize| lines[i / 4][4 * g + i % 4].to_f64();
+        assert_lanes(sum, |i| of(i, 0) + of(i, 1) + of(i, 2));
+        assert_lanes(difference, |i| of(i, 2) - of(i, 0));
+        assert_lanes(make(1).fourth(), |i| value(1, i | 3));
+        assert_eq!(make(1).sum().to_f64(), (16..16 + V::COUNT).sum::<usize>() as f64);
+        assert_eq!(make(2).max_lane().to_f64(), (31 + V::COUNT) as f64);
         assert_eq!(make(0).lt(V::splat(3.0)).bits(), 0b111);
-        assert_eq!((!make(0).le(V::splat(3.0))).bits(), 0xfff0);
+        assert_eq!((!make(0).le(V::splat(3.0))).bits(), u16::MAX >> (CHUNK - V::COUNT) & 0xfff0);
         assert!(make(0).is_finite().all() && !(make(0) / V::zero()).is_finite().any());
-        assert_eq!(read(V::splat(2.5).round()), [2.0; LANES]);
-        assert_eq!(read(V::splat(-2.5).abs()), [2.5; LANES]);
+        assert_lanes(V::splat(2.5).round(), |_| 2.0);
+        assert_lanes(V::splat(-2.5).abs(), |_| 2.5);
         assert!(read((V::zero() / V::zero()).exp()).iter().all(|x| x.is_nan()), "exp must not swallow NaN");
-
-        let axis = |d: i32| -> [i32; LANES] { core::array::from_fn(|i| (i as i32 * (d + 1)) % 6 - 3) };
-        let cells = [axis(0), axis(1), axis(2)];
-        let (places, outside) =
-            unsafe { V::places([cells[0].as_ptr(), cells[1].as_ptr(), cells[2].as_ptr()], [-3; 3], [256, 32, 4], 5) };
-        assert!(!outside);
-        for i in 0..LANES {
-            let expected = (0..3).map(|d| (cells[d][i] + 3) * [256, 32, 4][d]).sum::<i32>();
-            assert_eq!(places[i] as i32, expected);
-        }
-        for most in [4, 0] {
-            let pointers = [cells[0].as_ptr(), cells[1].as_ptr(), cells[2].as_ptr()];
-            assert!(unsafe { V::places(pointers, [-3; 3], [256, 32, 4], most) }.1);
-        }
-        assert!(unsafe { V::places([cells[0].as_ptr(); 3], [-2; 3], [1; 3], 5) }.1, "below the first");
-
-        // Offsets: up, down, tiny, and across faces in both directions.
-        let deltas = [0.0, 0.3, -0.3, 0.49, -0.49, 1e-9, -1e-9, 0.5, -0.5, -0.2, 0.25, -0.25, 0.4, -0.4, 1e-4, -1e-4];
-        for start in [0.0, 0.1, 0.5, 0.999_999] {
-            let mut offset = [T::offset_from_f64(start).unwrap(); LANES];
-            let mut cell = [7; LANES];
-            let delta = deltas.map(T::from_f64);
-            unsafe { V::advance(offset.as_mut_ptr(), cell.as_mut_ptr(), V::load(delta.as_ptr())) };
-            for i in 0..LANES {
-                let (before, after) =
-                    (T::offset_to_f64(T::offset_from_f64(start).unwrap()), T::offset_to_f64(offset[i]));
-                assert!((0.0..1.0).contains(&after));
-                let moved = f64::from(cell[i] - 7) + after - before;
-                assert!((moved - delta[i].to_f64()).abs() < 3e-10, "moved {moved} instead of {}", deltas[i]);
-            }
-            let fractions = read(unsafe { V::load_offset(offset.as_ptr()) });
-            for i in 0..LANES {
-                assert!((fractions[i] - T::offset_to_f64(offset[i])).abs() <= T::EPSILON);
-            }
-        }
     }
 }
 
@@ -139,6 +127,127 @@ fn register_moves_do_what_they_say_on_every_instruction_set() {
     for isa in Isa::available() {
         isa.run::<f32, _>(Moves);
         isa.run::<f64, _>(Moves);
+    }
+}
+
+/// Sixteen coordinates: read as fractions, moved, and looked up.
+#[derive(Clone, Debug, PartialEq)]
+struct Coordinates<T: Float> {
+    offset: [T::Offset; CHUNK],
+    cell: [i32; CHUNK],
+    delta: [T; CHUNK],
+    /// Bits of the fractions before the move; places of the cells after it, and whether any group of lanes has one outside.
+    fraction: [u64; CHUNK],
+    places: [u32; CHUNK],
+    outside: bool,
+}
+
+const FIRST: [i32; 3] = [-3, 2, i32::MIN + 5];
+
+impl<T: Float> Kernel<T> for Coordinates<T> {
+    type Output = Self;
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = T>>(mut self) -> Self {
+        let mut fraction = [T::default(); CHUNK];
+        for at in (0..CHUNK).step_by(V::COUNT) {
+            unsafe {
+                let (offset, cell) = (self.offset[at..].as_mut_ptr(), self.cell[at..].as_mut_ptr());
+                V::load_offset(offset).store(fraction[at..].as_mut_ptr());
+                V::advance(offset, cell, V::load(self.delta[at..].as_ptr()));
+                let cells = [cell.cast_const(); 3];
+                self.outside |= V::places(cells, FIRST, [256, 32, 4], 5, self.places[at..].as_mut_ptr());
+            }
+        }
+        self.fraction = fraction.map(|x| x.to_f64().to_bits());
+        self
+    }
+}
+
+/// Offsets and moves next to every place where the carry changes, and many at random.
+fn coordinates<T: Float>() -> Vec<Coordinates<T>> {
+    let mut state = 1u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1u64 << 53) as f64
+    };
+    let count = 2f64.powi(-32);
+    let edges =
+        [0.0, 1.0, 2.0, 127.0, 65_535.0, 65_536.0, 16_777_217.0, 2_147_483_647.0, 2_147_483_648.0, 4_294_967_295.0];
+    let starts: Vec<f64> = edges.into_iter().map(|e| e * count).chain([1.0 - 2f64.powi(-53), 0.1, 0.5]).collect();
+    let moves =
+        [0.0, 0.5, 0.49, 0.3, 0.25, 1e-4, 1e-9, 2f64.powi(-33), 1.5 * count, 2.5 * count, 2f64.powi(-60), 1e-300];
+    let cells = [0, -1, 7, i32::MAX - 1, i32::MIN + 1, FIRST[0] + 5];
+    let mut pairs = Vec::new();
+    for &start in &starts {
+        for by in moves {
+            pairs.extend([(start, by), (start, -by)]);
+        }
+    }
+    pairs.extend((0..20_000).map(|_| (random(), random() - 0.5)));
+    pairs.resize(pairs.len().next_multiple_of(CHUNK), (0.0, 0.0));
+    let one = |(i, pairs): (usize, &[(f64, f64)])| Coordinates {
+        offset: core::array::from_fn(|l| T::offset_from_f64(pairs[l].0).unwrap_or_default()),
+        cell: core::array::from_fn(|l| cells[(i + l / 3) % cells.len()]),
+        delta: scalars(|l| pairs[l].1),
+        fraction: [0; CHUNK],
+        places: [0; CHUNK],
+        outside: false,
+    };
+    pairs.chunks(CHUNK).enumerate().map(one).collect()
+}
+
+/// Offsets are moved by whole counts with a carry into the cell: exactly what one number after the other gives, and within a count of the
+/// distance asked for.
+fn moves_agree<T: Float>() {
+    for given in coordinates::<T>() {
+        let plain = Isa::Baseline.run(given.clone());
+        for i in 0..CHUNK {
+            let (before, after) = (T::offset_to_f64(given.offset[i]), T::offset_to_f64(plain.offset[i]));
+            assert!((0.0..1.0).contains(&after));
+            let moved = f64::from(plain.cell[i].wrapping_sub(given.cell[i])) + after - before;
+            let by = given.delta[i].to_f64();
+            assert!((moved - by).abs() < 3e-10, "moved {moved} instead of {by}");
+            assert!((f64::from_bits(plain.fraction[i]) - before).abs() <= T::EPSILON);
+            let from_first = FIRST.map(|first| plain.cell[i].wrapping_sub(first));
+            let place = (0..3).fold(0i32, |sum, d| sum.wrapping_add(from_first[d].wrapping_mul([256, 32, 4][d])));
+            assert_eq!(plain.places[i], place as u32);
+            assert!(plain.outside || from_first.iter().all(|x| (0..=5).contains(x)));
+        }
+        for isa in Isa::available() {
+            let vector = isa.run(given.clone());
+            assert_eq!(vector, plain, "{} in {}, from {given:?}", isa.name(), T::NAME);
+        }
+    }
+}
+
+#[test]
+fn positions_move_by_the_same_bits_on_every_instruction_set() {
+    moves_agree::<f32>();
+    moves_agree::<f64>();
+}
+
+/// Cells at the edge of what is allowed, one lane at a time.
+struct Edge(usize, i32);
+impl Kernel<f32> for Edge {
+    type Output = bool;
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = f32>>(self) -> bool {
+        let mut cells = [[3; CHUNK], [-4; CHUNK], [0; CHUNK]];
+        cells[self.0 % 3][self.0 % V::COUNT] += self.1;
+        let mut places = [0; CHUNK];
+        let pointers = [cells[0].as_ptr(), cells[1].as_ptr(), cells[2].as_ptr()];
+        unsafe { V::places(pointers, [3, -4, 0], [256, 32, 4], 5, places.as_mut_ptr()) }
+    }
+}
+
+#[test]
+fn one_cell_outside_is_seen_in_every_lane_and_along_every_axis() {
+    for isa in Isa::available() {
+        for lane in 0..3 * CHUNK {
+            for (by, outside) in [(0, false), (5, false), (6, true), (-1, true), (i32::MAX - 4, true)] {
+                assert_eq!(isa.run::<f32, _>(Edge(lane, by)), outside, "{}: lane {lane}, {by}", isa.name());
+            }
+        }
     }
 }
 

@@ -5,7 +5,7 @@
 use barchan::state::Measured;
 use barchan::{Options, ParticleState, Precision, Registry, Simulation, SortPhase};
 use barchan_grid::spline::{first_distance, weights};
-use barchan_lanes::{Float, Isa, Kernel, LANES, Lanes};
+use barchan_lanes::{CHUNK, Float, Isa, Kernel, Lanes};
 use barchan_tests::scenes::{scene, simulation};
 use barchan_tests::sketch::{Head, block, material};
 use barchan_tests::snapshots;
@@ -14,22 +14,25 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 /// Weights of 16 particles and their distances to the first node, lane by lane.
-struct Weights([f64; LANES]);
+struct Weights([f64; CHUNK]);
 
 impl<T: Float> Kernel<T> for Weights {
-    type Output = [[f64; LANES]; 4];
+    type Output = [[f64; CHUNK]; 4];
     #[inline(always)]
-    fn run<V: Lanes<Scalar = T>>(self) -> [[f64; LANES]; 4] {
+    fn run<V: Lanes<Scalar = T>>(self) -> [[f64; CHUNK]; 4] {
         let given = self.0.map(T::from_f64);
-        // SAFETY: 16 scalars.
-        let f = unsafe { V::load(given.as_ptr()) };
-        let [a, b, c] = weights(f);
-        [a, b, c, first_distance(f)].map(|v| {
-            let mut out = [T::default(); LANES];
-            // SAFETY: 16 scalars.
-            unsafe { v.store(out.as_mut_ptr()) };
-            out.map(T::to_f64)
-        })
+        let mut out = [[T::default(); CHUNK]; 4];
+        for part in (0..CHUNK).step_by(V::COUNT) {
+            // SAFETY: lanes divide the 16 scalars.
+            unsafe {
+                let f = V::load(given.as_ptr().add(part));
+                let [a, b, c] = weights(f);
+                for (out, v) in out.iter_mut().zip([a, b, c, first_distance(f)]) {
+                    v.store(out.as_mut_ptr().add(part));
+                }
+            }
+        }
+        out.map(|out| out.map(T::to_f64))
     }
 }
 
@@ -47,12 +50,12 @@ proptest! {
     /// Momentum is exact since weights sum to one, affine fields since their first moment vanishes, and D = h²/4 is the second
     /// moment at every place in the cell: in either precision, in every instruction set, also next to the faces.
     #[test]
-    fn splines_have_their_moments(mut f in prop::array::uniform16(0.0_f64..1.0), near in 0.0_f64..1e-6, at in 0..LANES) {
+    fn splines_have_their_moments(mut f in prop::array::uniform16(0.0_f64..1.0), near in 0.0_f64..1e-6, at in 0..CHUNK) {
         f[at] = near;
-        f[(at + 1) % LANES] = 1.0 - near;
+        f[(at + 1) % CHUNK] = 1.0 - near;
         for isa in Isa::available() {
             for (w, tolerance) in [(isa.run::<f64, _>(Weights(f)), 1e-15), (isa.run::<f32, _>(Weights(f)), 5e-7)] {
-                for lane in 0..LANES {
+                for lane in 0..CHUNK {
                     let [sum, first, second] = [0, 1, 2].map(|power| {
                         (0..3).map(|i| w[i][lane] * (w[3][lane] + i as f64).powi(power)).sum::<f64>()
                     });
@@ -77,9 +80,9 @@ proptest! {
 
 /// Moves 16 coordinates by as many distances, `count` times.
 struct Move<'a, T: Float> {
-    offset: &'a mut [T::Offset; LANES],
-    cell: &'a mut [i32; LANES],
-    delta: [T; LANES],
+    offset: &'a mut [T::Offset; CHUNK],
+    cell: &'a mut [i32; CHUNK],
+    delta: [T; CHUNK],
     count: u32,
 }
 
@@ -87,9 +90,12 @@ impl<T: Float> Kernel<T> for Move<'_, T> {
     type Output = ();
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) {
-        for _ in 0..self.count {
-            // SAFETY: 16 entries each.
-            unsafe { V::advance(self.offset.as_mut_ptr(), self.cell.as_mut_ptr(), V::load(self.delta.as_ptr())) };
+        for part in (0..CHUNK).step_by(V::COUNT) {
+            let (offset, cell) = (&mut self.offset[part..], &mut self.cell[part..]);
+            for _ in 0..self.count {
+                // SAFETY: as many entries as there are lanes.
+                unsafe { V::advance(offset.as_mut_ptr(), cell.as_mut_ptr(), V::load(self.delta[part..].as_ptr())) };
+            }
         }
     }
 }
@@ -129,7 +135,7 @@ proptest! {
         for isa in Isa::available() {
             let (mut offset, mut cell) = (start, cells);
             isa.run::<f32, _>(Move { offset: &mut offset, cell: &mut cell, delta, count });
-            for lane in 0..LANES {
+            for lane in 0..CHUNK {
                 let place = |cell: i32, offset: u32| (i64::from(cell) << 32) + i64::from(offset);
                 let moved = place(cell[lane], offset[lane]) - place(cells[lane], start[lane]);
                 let counts = (f64::from(delta[lane]) * CELL).round_ties_even();
@@ -153,7 +159,7 @@ proptest! {
         for isa in Isa::available() {
             let (mut offset, mut cell) = (start, cells);
             isa.run::<f64, _>(Move { offset: &mut offset, cell: &mut cell, delta, count });
-            for lane in 0..LANES {
+            for lane in 0..CHUNK {
                 prop_assert!((0.0..1.0).contains(&offset[lane]), "{isa:?}: offset {:e}", offset[lane]);
                 let moved = f64::from(cell[lane] - cells[lane]) + (offset[lane] - start[lane]);
                 let off = (moved - delta[lane] * f64::from(count)).abs();

@@ -5,7 +5,7 @@ use barchan_core::levels::{CellBox, Regions, SPLIT_AHEAD};
 use barchan_grid::block::{CELLS, NODES};
 use barchan_grid::resample::{Particle, Planes, merge, split};
 use barchan_grid::ring::{Carried, restrict};
-use barchan_lanes::{Isa, Kernel, LANES, Lanes};
+use barchan_lanes::{CHUNK, Isa, Kernel, Lanes};
 use barchan_tests::scenes::scene;
 use barchan_tests::sketch::{Head, half, tool};
 use nalgebra::{Matrix3, Vector3};
@@ -98,7 +98,7 @@ proptest! {
         values in prop::collection::vec(-1.0_f64..1.0, NODES),
         affine in prop::collection::vec(prop::array::uniform9(-1.0_f64..1.0), CELLS),
     ) {
-        let mut carried = [Carried([0.0; LANES]); CELLS];
+        let mut carried = [Carried([0.0; CHUNK]); CELLS];
         let (mut before, mut spin) = ([0.0; 7], [0.0; 3]);
         for node in (0..CELLS).filter(|node| slaves >> node & 1 == 1) {
             let x = [node / 16, node / 4 % 4, node % 4].map(|i| i as f64);
@@ -110,7 +110,7 @@ proptest! {
             }
         }
         let mut parents = [0.0; NODES];
-        Isa::current().run::<f64, _>(Restrict { carried: &mut carried, parents: &mut parents });
+        Isa::current().unwrap().run::<f64, _>(Restrict { carried: &mut carried, parents: &mut parents });
         let mut after = [0.0; 7];
         for node in 0..CELLS {
             let x = [node / 16, node / 4 % 4, node % 4].map(|i| 2.0 * i as f64 - 1.5);
