@@ -21,6 +21,15 @@ pub trait Backend: Send + Sync {
         let _ = plan;
         Ok(())
     }
+    /// Most particles that the adapter has room for, of a law with so many values of strain and history: asked before any is seeded. `None`: only
+    /// memory bounds them.
+    ///
+    /// # Errors
+    /// No such adapter.
+    fn most_particles(&self, adapter: Option<&str>, values: usize) -> Result<Option<u64>> {
+        let _ = (adapter, values);
+        Ok(None)
+    }
     /// The passes that a plan calls for, a line each, for people: what each takes and touches. Empty where there is nothing to say
     /// beyond the plan's stages.
     fn passes(&self, plan: &Plan) -> Vec<String> {

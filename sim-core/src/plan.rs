@@ -238,6 +238,9 @@ pub fn loaded(materials: &[PlannedMaterial]) -> String {
     loaded.map(PlannedMaterial::label).collect::<Vec<_>>().join(", ")
 }
 
+/// A count that has been estimated from some of the points is this part of itself at least.
+const ABOUT: f64 = 0.8;
+
 /// Everything that a simulation is made from.
 pub type Assembly = (Plan, ParticleState, Vec<Box<dyn Coupling>>);
 
@@ -301,6 +304,7 @@ impl Plan {
             (None, Some(terrain)) => {
                 let soft = |body: u16| scene.body[usize::from(body)].shape.bounds();
                 regions.follow(&agent_bounds(&agents, &couplings, soft));
+                check_room(registry, options, terrain, &materials)?;
                 let cap = options.max_bytes.unwrap_or_else(available_bytes);
                 terrain.seed(&couplings, &regions, cap)?
             }
@@ -926,6 +930,25 @@ fn first_step(scene: &Scene, ground: &Bound, bound: &Bound, resumed: bool) -> Re
 /// `dt` divided into the fewest equal parts that are at most `most`.
 pub(crate) fn cut(dt: f64, most: f64) -> f64 {
     dt / (dt / most).ceil().max(1.0)
+}
+
+/// Has the backend room for what is to be seeded? Nobody waits for particles that it then refuses.
+fn check_room(registry: &Registry, options: &Options, terrain: &Terrain, materials: &[PlannedMaterial]) -> Result<()> {
+    let values = materials.iter().map(|m| m.material.strain_planes() + m.material.states.len()).max().unwrap_or(0);
+    // An unknown backend is found out when it is to compile the plan.
+    let Ok(backend) = registry.backend(&options.backend) else { return Ok(()) };
+    let Some(cap) = backend.most_particles(options.adapter.as_deref(), values)? else { return Ok(()) };
+    // What is only nearly too much is counted when it is there.
+    let asked = terrain.about_how_many();
+    if ABOUT * asked <= cap as f64 {
+        return Ok(());
+    }
+    Err(Error::Capacity {
+        what: "particles on the adapter, about",
+        asked: asked as u64,
+        cap,
+        mend: "raise world.cell or spacing, shrink the bodies, choose an adapter that binds more (--adapter), or use the backend cpu",
+    })
 }
 
 /// Four fifths of the memory that the machine says is available, or of what this process' control group may take;

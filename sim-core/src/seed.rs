@@ -128,6 +128,27 @@ impl Terrain {
         Ok(lists)
     }
 
+    /// About how many particles a single level is seeded with, from a few thousand points of each body. 0 on several levels, where that depends on
+    /// where they are.
+    pub(crate) fn about_how_many(&self) -> f64 {
+        const SAMPLES: u64 = 16;
+        let of_plot = |plot: &Plot| {
+            let taken = plot.axes.each_ref().map(|axis| axis.count.min(SAMPLES));
+            let site = |d: usize, i: u64| {
+                let axis = &plot.axes[d];
+                axis.site((i * axis.count + axis.count / 2) as f64 / taken[d] as f64).position
+            };
+            let row = |i, j| {
+                (0..taken[2]).filter(move |&k| plot.solid.contains([site(0, i), site(1, j), site(2, k)])).count()
+            };
+            let inside: usize =
+                (0..taken[0]).flat_map(|i| (0..taken[1]).map(move |j| (i, j))).map(|(i, j)| row(i, j)).sum();
+            let each = |d: usize| plot.axes[d].count as f64 / taken[d] as f64;
+            inside as f64 * each(0) * each(1) * each(2)
+        };
+        if self.scene.levels.count > 1 { 0.0 } else { self.plots.iter().map(of_plot).sum() }
+    }
+
     /// Are these the particles of a tile as it was at the start, split and merged perhaps but else unchanged? That is so if
     ///
     /// 1. their mass is the tile's;

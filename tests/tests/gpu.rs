@@ -3,7 +3,7 @@
 
 use barchan::scene::{CouplingSpec, Leaving, Motion, OverBound, Scene, Shape, Time, Wall};
 use barchan::worlds::Worlds;
-use barchan::{Backend, Ledger, Options, ParticleState, Plan, Precision, Registry, Simulation, Spot, Vec3};
+use barchan::{Backend, Error, Ledger, Options, ParticleState, Plan, Precision, Registry, Simulation, Spot, Vec3};
 use barchan_tests::long_cases::{FURROW_CELL, furrow_depth, furrow_scene};
 use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
 use barchan_tests::sketch::{Head, PERIODIC, bed, block, box_mesh, driven, half, material, tool};
@@ -293,6 +293,32 @@ fn the_poorest_adapter_gives_the_same_bits_or_says_what_does_not_fit() {
     let spread = |particles: &mut ParticleState| particles.lists[0].cell.iter_mut().flatten().for_each(|c| *c *= 4);
     let refused = on(Offer::Least, &grains, spread).map(|_| ()).unwrap_err().to_string();
     assert!(refused.contains("nodes and tiles") && refused.contains("134217728"), "{refused}");
+}
+
+/// Symptom: an adapter refused a large bed after it had been seeded for a minute. What cannot fit is refused at once: no machine could seed these. Planes
+/// that stand apart let an adapter hold as many particles as fit into one plane, six times those that fit into one binding of all.
+#[test]
+fn what_cannot_fit_is_refused_before_anything_is_seeded() {
+    let bed = Head::cells(0.01, [4000, 4000, 400], "z_min = \"stick\"").time("step = 1e-5").with(&[
+        material("hencky", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+        block("hencky", [0.0; 3], [40.0, 40.0, 3.0], ""),
+    ]);
+    let options = Options { max_bytes: Some(u64::MAX), ..on_gpu() };
+    let Err(error) = Simulation::new(&barchan::registry(), &scene(&bed), &options) else { panic!("38.4 billion fit") };
+    let Error::Capacity { what: "particles on the adapter, about", asked, cap, mend } = error else {
+        panic!("{error}")
+    };
+    assert!((asked as f64 / 3.84e10 - 1.0).abs() < 1e-9, "{asked} of 38.4 billion particles");
+    assert!(mend.contains("--adapter"), "{mend}");
+    // A symmetric strain and the volume take two vectors.
+    let most = |offer: Offer| Wgpu { offer, device: None }.most_particles(None, 6).unwrap().unwrap();
+    assert_eq!(cap, most(Offer::All));
+    // 128 MiB of six vectors each.
+    assert_eq!(most(Offer::Least), (128 << 20) / 96 / 128 * 128);
+    let gpu = device::open(None).unwrap();
+    if gpu.limits.max_storage_buffers_per_shader_stage >= 20 {
+        assert_eq!(cap, gpu.limits.max_storage_buffer_binding_size.min(gpu.limits.max_buffer_size) / 16 / 128 * 128);
+    }
 }
 
 /// So many particles leave their cells between two sorts that the lists of those that have do not hold them: none is lost.

@@ -4,7 +4,7 @@
 use crate::batch::{BLOCKS, Behind, COUNTED, Dispatch, HALTED, Part, WgpuBatch};
 use crate::kernels::{Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
-use crate::memory::{StepConstants, Writes, read_all, with_room};
+use crate::memory::{StepConstants, Writes, read_all, slots_for, with_room};
 use crate::sleep;
 use crate::world::Level;
 use barchan_core::{Coupling, ParticleList, Regions, Result};
@@ -103,10 +103,10 @@ impl WgpuBatch {
         if count > at_once {
             (room, filled) = (count, if merges { 4 * FILLED * blocks.len() } else { 0 });
             let from = (16 * FILLED * blocks.start) as u64;
-            let cells = Behind { role: Role::Handed, from, bytes: 4 * filled as u64 };
+            let cells = Behind::of(Role::Handed, from, 4 * filled as u64);
             let stretches = self.found(count).chain([cells]);
-            let stretches = stretches.map(|some| (self.memory.buffer(some.role, now), some.from, some.bytes));
-            words = read_all(&self.gpu, &stretches.collect::<Vec<_>>())?;
+            let places: Vec<_> = stretches.map(|some| some.place(&self.memory, now)).collect();
+            words = read_all(&self.gpu, &places)?;
         }
         let (order, rest) = words.split_at(room);
         let (planes, filled) = rest.split_at(rest.len() - filled);
@@ -136,10 +136,10 @@ impl WgpuBatch {
 
     /// Where the device has put so many of those that it has found: their slots, then what it holds of them.
     fn found(&self, count: usize) -> impl Iterator<Item = Behind> {
-        let order = Behind { role: Role::Order, from: 0, bytes: 4 * count as u64 };
+        let order = Behind::of(Role::Order, 0, 4 * count as u64);
         let of = move |sorted: Sorted| {
             let stretches = self.memory.stretches(sorted, 0, count).into_iter();
-            stretches.map(move |(from, bytes)| Behind { role: Role::Next(sorted), from, bytes })
+            stretches.map(move |piece| Behind::next(sorted, piece))
         };
         [order].into_iter().chain([Sorted::Record, Sorted::Ids, Sorted::Rest].into_iter().flat_map(of))
     }
@@ -201,7 +201,7 @@ impl WgpuBatch {
         layout::check_count(particles, "use fewer levels, simulate fewer particles, or use the backend cpu")?;
         let mut extent = self.memory.extent;
         if particles > extent.slots as usize {
-            extent.slots = with_room(particles).next_multiple_of(128);
+            extent.slots = slots_for(particles) as u32;
         }
         if blocks > extent.block_room as usize {
             extent.block_room = with_room(blocks);
@@ -213,9 +213,9 @@ impl WgpuBatch {
     fn write_behind(&self, planes: &Planes, homes: &Homes, (slot, block): (usize, usize), layer: usize) {
         for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
             let mut bytes = planes.bytes(sorted);
-            for (at, length) in self.memory.stretches(sorted, slot, homes.order.len()) {
+            for (buffer, from, length) in self.memory.held(sorted, slot, homes.order.len()) {
                 let (plane, rest) = bytes.split_at(length as usize);
-                self.write(self.memory.plane(sorted), at, plane);
+                self.write(buffer, from, plane);
                 bytes = rest;
             }
         }

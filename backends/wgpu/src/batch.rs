@@ -6,8 +6,8 @@ use crate::free::{Felt, states};
 use crate::kernels::{self, Free, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
-    Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, STEP_STRIDE, StepConstants, Words, Writes, lent_bytes,
-    pad, read, read_all, with_mapped, with_room,
+    Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, Particles, Piece, STEP_STRIDE, StepConstants, Words,
+    Writes, lent_bytes, pad, read, read_all, slots_for, with_mapped, with_room,
 };
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
@@ -185,9 +185,27 @@ pub(crate) struct Outcome {
 
 /// What is brought back behind the status.
 pub(crate) struct Behind {
-    pub(crate) role: Role,
-    pub(crate) from: u64,
-    pub(crate) bytes: u64,
+    role: Role,
+    part: usize,
+    from: u64,
+    bytes: u64,
+}
+
+impl Behind {
+    /// Of a buffer in one part: from that byte on, so many.
+    pub(crate) fn of(role: Role, from: u64, bytes: u64) -> Self {
+        Self { role, part: 0, from, bytes }
+    }
+
+    /// Where particles stand that a pass has written for the next sort.
+    pub(crate) fn next(sorted: Sorted, Piece { part, from, bytes }: Piece) -> Self {
+        Self { role: Role::Next(sorted), part, from, bytes }
+    }
+
+    /// Buffer, first byte, bytes.
+    pub(crate) fn place<'a>(&self, memory: &'a Memory, now: usize) -> (&'a wgpu::Buffer, u64, u64) {
+        (memory.part(self.role, self.part, now), self.from, self.bytes)
+    }
 }
 
 /// A pass that is timed.
@@ -625,13 +643,13 @@ impl WgpuBatch {
             places: PLACES * (count * levels) as u32,
             ..Extent::default()
         };
-        let vectors = rest_vectors(&plan.materials);
+        let particles = Particles { vectors: rest_vectors(&plan.materials), parts: kernels.setting.parts };
         let boxes = (levels - 1) * kernels::boxes(plan);
         let (substeps, softs) = (plan.substeps as usize, count * kernels::softs(plan).len());
         let sleeps = kernels::may_sleep(plan);
         let asked =
             Asked { pairs, layers: count * levels, worlds: count, boxes, substeps, sleeps, softs, ..Asked::default() };
-        let memory = Memory::new(&gpu, extent, vectors, asked, &params, &kernels.step_layout)?;
+        let memory = Memory::new(&gpu, extent, particles, asked, &params, &kernels.step_layout)?;
         let mut batch = Self {
             gpu,
             kernels,
@@ -1101,13 +1119,13 @@ impl WgpuBatch {
             }
         }
         let layout = memory.words();
-        let status = Behind { role: Role::Status, from: 0, bytes: 4 * layout.count(steps) as u64 };
+        let status = Behind::of(Role::Status, 0, 4 * layout.count(steps) as u64);
         let back: Vec<_> = [status].into_iter().chain(behind).filter(|some| some.bytes > 0).collect();
         let bytes = back.iter().map(|some| some.bytes).sum();
         memory.read_back_to(gpu, bytes);
         let mut at = 0;
-        for Behind { role, from, bytes } in back {
-            encoder.copy_buffer_to_buffer(memory.buffer(role, memory.now), from, &memory.readback, at, bytes);
+        for (buffer, from, bytes) in back.iter().map(|some| some.place(memory, memory.now)) {
+            encoder.copy_buffer_to_buffer(buffer, from, &memory.readback, at, bytes);
             at += bytes;
         }
         let resolved = queries.map(|queries| {
@@ -1330,11 +1348,9 @@ impl WgpuBatch {
             if count == 0 {
                 continue;
             }
-            let stretches = |sorted: Sorted| self.memory.stretches(sorted, first, count);
-            let last = stretches(Sorted::Rest).pop().expect("volumes are in the last");
-            let parts = [(Sorted::Record, stretches(Sorted::Record)[0]), (Sorted::Rest, last)];
-            let words: Vec<u32> =
-                read_all(&self.gpu, &parts.map(|(sorted, (from, bytes))| (self.memory.plane(sorted), from, bytes)))?;
+            let held = |sorted: Sorted| self.memory.held(sorted, first, count);
+            let last = held(Sorted::Rest).pop().expect("volumes are in the last");
+            let words: Vec<u32> = read_all(&self.gpu, &[held(Sorted::Record)[0], last])?;
             let (record, rest) = words.split_at(4 * count);
             let (record, rest) = (bytemuck::cast_slice(record), bytemuck::cast_slice(rest));
             let planes = Planes { record: Cow::Borrowed(record), rest: Cow::Borrowed(rest), ..Planes::default() };
@@ -1350,10 +1366,7 @@ impl WgpuBatch {
     /// All that the device holds of a level's particles.
     fn planes(&self, level: &Level) -> Result<Planes<'static>> {
         let (first, count) = (level.particles.start, level.particles.len());
-        let of = |sorted: Sorted| {
-            let stretches = self.memory.stretches(sorted, first, count).into_iter();
-            stretches.map(move |(from, bytes)| (self.memory.plane(sorted), from, bytes))
-        };
+        let of = |sorted: Sorted| self.memory.held(sorted, first, count);
         let stretches: Vec<_> = [Sorted::Record, Sorted::Ids, Sorted::Rest].into_iter().flat_map(of).collect();
         Ok(Planes::of_words(&read_all(&self.gpu, &stretches)?, count).into_owned())
     }
@@ -1401,8 +1414,8 @@ impl WgpuBatch {
         count: usize,
     ) -> Result<Vec<T>> {
         let mut values = Vec::new();
-        for (from, bytes) in self.memory.stretches(sorted, first, count).into_iter().take(planes) {
-            values.extend(read::<T>(&self.gpu, self.memory.plane(sorted), from, bytes as usize / size_of::<T>())?);
+        for (buffer, from, bytes) in self.memory.held(sorted, first, count).into_iter().take(planes) {
+            values.extend(read::<T>(&self.gpu, buffer, from, bytes as usize / size_of::<T>())?);
         }
         Ok(values)
     }
@@ -1432,7 +1445,7 @@ impl WgpuBatch {
         let all: usize = counts.iter().sum();
         layout::check_count(all, "simulate fewer, or use the backend cpu")?;
         if all > extent.slots as usize {
-            extent.slots = with_room(all).next_multiple_of(128);
+            extent.slots = slots_for(all) as u32;
         }
         let node_blocks: Vec<usize> =
             homes.iter().zip(self.all_levels()).map(|(homes, level)| homes.node_blocks(&level.periods)).collect();
@@ -1523,18 +1536,18 @@ impl WgpuBatch {
             let (to, l) = (&level.particles, layer % self.levels);
             for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
                 let stretches = self.memory.stretches(sorted, to.start, to.len());
-                let buffer = self.memory.buffer(Role::Now(sorted), next);
                 if let Some(arrival) = arrivals.get(&(layer / self.levels)) {
                     let mut bytes = arrival.planes[l].bytes(sorted);
-                    for (at, length) in stretches {
-                        let (plane, rest) = bytes.split_at(length as usize);
-                        self.write(buffer, at, plane);
+                    for to in stretches {
+                        let (plane, rest) = bytes.split_at(to.bytes as usize);
+                        self.write(self.memory.part(Role::Now(sorted), to.part, next), to.from, plane);
                         bytes = rest;
                     }
                 } else {
-                    let sources = self.memory.stretches(sorted, before[layer].start, to.len());
-                    for ((from, length), (at, _)) in sources.into_iter().zip(stretches) {
-                        encoder.copy_buffer_to_buffer(self.memory.plane(sorted), from, buffer, at, length);
+                    let sources = self.memory.held(sorted, before[layer].start, to.len());
+                    for ((buffer, from, bytes), to) in sources.into_iter().zip(stretches) {
+                        let next = self.memory.part(Role::Now(sorted), to.part, next);
+                        encoder.copy_buffer_to_buffer(buffer, from, next, to.from, bytes);
                     }
                 }
             }

@@ -792,7 +792,7 @@ impl WgpuBatch {
 
 /// So many blocks of nodes near bodies, to be brought back.
 fn behind(blocks: usize) -> Option<Behind> {
-    Some(Behind { role: Role::Near, from: 0, bytes: (16 * NEAR_BLOCK * blocks) as u64 })
+    Some(Behind::of(Role::Near, 0, (16 * NEAR_BLOCK * blocks) as u64))
 }
 
 /// The worlds that go on, and their times [s].

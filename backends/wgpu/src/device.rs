@@ -108,20 +108,41 @@ pub fn open(choice: Option<&str>) -> Result<Gpu> {
     open_with(choice, Offer::All)
 }
 
+/// The adapter that `choice` names.
+fn find(choice: Option<&str>) -> Result<Adapter> {
+    let mut adapters = found();
+    let infos: Vec<_> = adapters.iter().map(Adapter::get_info).collect();
+    let names: Vec<_> = infos.iter().map(|info| info.name.as_str()).collect();
+    Ok(adapters.swap_remove(choose(&names, choice)?))
+}
+
+fn limits_of(adapter: &Adapter, offer: Offer) -> Limits {
+    match offer {
+        Offer::All => adapter.limits(),
+        // An adapter below WebGPU's defaults gives what it has.
+        Offer::Least => Limits::defaults().or_worse_values_from(&adapter.limits()),
+    }
+}
+
+/// What a device is held to, without opening it.
+///
+/// # Errors
+/// As [`open`], but for what drivers refuse.
+pub fn limits(choice: Option<&str>, offer: Offer) -> Result<Limits> {
+    Ok(limits_of(&find(choice)?, offer))
+}
+
 /// As [`open`], with as much of the adapter's offer as is asked for.
 ///
 /// # Errors
 /// As [`open`].
 pub fn open_with(choice: Option<&str>, offer: Offer) -> Result<Gpu> {
-    let adapters = found();
-    let infos: Vec<_> = adapters.iter().map(Adapter::get_info).collect();
-    let names: Vec<_> = infos.iter().map(|info| info.name.as_str()).collect();
-    let adapter = &adapters[choose(&names, choice)?];
-    let (features, limits) = match offer {
-        Offer::All => (adapter.features() & WELCOME, adapter.limits()),
-        // An adapter below WebGPU's defaults gives what it has.
-        Offer::Least => (Features::empty(), Limits::defaults().or_worse_values_from(&adapter.limits())),
+    let adapter = find(choice)?;
+    let features = match offer {
+        Offer::All => adapter.features() & WELCOME,
+        Offer::Least => Features::empty(),
     };
+    let limits = limits_of(&adapter, offer);
     let adapter_info = adapter.get_info();
     let request = adapter.request_device(&wgpu::DeviceDescriptor {
         label: Some("barchan"),

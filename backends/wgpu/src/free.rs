@@ -31,7 +31,7 @@ pub(crate) struct Felt {
 /// Where the states of so many free bodies after each of some slots stand, to be brought back.
 pub(crate) fn states(bodies: usize, slots: usize) -> Option<Behind> {
     let of_slot = 16 * (bodies * STATE) as u64;
-    Some(Behind { role: Role::Lent, from: 16 * (bodies * LENT) as u64 + of_slot, bytes: of_slot * slots as u64 })
+    Some(Behind::of(Role::Lent, 16 * (bodies * LENT) as u64 + of_slot, of_slot * slots as u64))
 }
 
 /// Parts of cells of width `h` [m] from the origin of the world; exact for what the device has come to.

@@ -2,7 +2,7 @@
 
 use crate::batch::MANY;
 use crate::device::Gpu;
-use crate::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER};
+use crate::layout::{BESIDE, BESIDE_BY, LEFT_HOME, RECORD as RECORD_PLANES, ROUNDS, TOGETHER};
 use crate::material;
 use crate::memory::{MAX_SLOTS, MAX_STEPS, NEAR_BLOCK};
 use crate::stiffness::{is_asked_on_device, is_asked_on_host};
@@ -201,17 +201,90 @@ pub(crate) struct Kernel {
     pub(crate) name: &'static str,
     pub(crate) pipeline: wgpu::ComputePipeline,
     pub(crate) layout: wgpu::BindGroupLayout,
-    pub(crate) roles: Vec<Role>,
+    /// Buffers in the order of their bindings, and which part of each.
+    pub(crate) roles: Vec<(Role, usize)>,
     pub(crate) uniform: Uniform,
     pub(crate) groups: Groups,
+}
+
+/// Storage buffers that any adapter lets a pass bind.
+const LEAST_BINDINGS: usize = 8;
+
+/// In how many buffers the planes of particles stand: one each where passes may bind so many, so that a binding's greatest size bounds particles
+/// alone, and not particles times planes; else all in one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Parts {
+    record: usize,
+    rest: usize,
+}
+
+impl Parts {
+    /// Of particles with so many vectors of strain and history.
+    pub(crate) fn new(limits: &wgpu::Limits, vectors: usize) -> Self {
+        // A sort reads all planes, and writes all.
+        let most = LEAST_BINDINGS + 2 * (RECORD_PLANES - 1) + 2 * (vectors - 1);
+        if limits.max_storage_buffers_per_shader_stage as usize >= most {
+            Self { record: RECORD_PLANES, rest: vectors }
+        } else {
+            Self { record: 1, rest: 1 }
+        }
+    }
+
+    /// Of what plays this role.
+    pub(crate) fn of(self, role: Role) -> usize {
+        match role {
+            Role::Now(sorted) | Role::Next(sorted) => self.of_sorted(sorted),
+            _ => 1,
+        }
+    }
+
+    pub(crate) fn of_sorted(self, sorted: Sorted) -> usize {
+        match sorted {
+            Sorted::Record => self.record,
+            Sorted::Rest => self.rest,
+            _ => 1,
+        }
+    }
+
+    /// The WGSL by which a pass reads and writes the vectors of particles by their numbers.
+    fn accessors(self, &(name, ty, role, write): &Use) -> String {
+        let (Role::Now(sorted) | Role::Next(sorted)) = role else { return String::new() };
+        if !matches!(sorted, Sorted::Record | Sorted::Rest) {
+            return String::new();
+        }
+        let parts = self.of_sorted(sorted);
+        let each = |line: &dyn Fn(String) -> String| match parts {
+            1 => line(format!("{name}[vector(q, k)]")),
+            // What the number is, is known when a pass is compiled.
+            _ => {
+                let case = |k: usize| if k + 1 < parts { format!("case {k}u: {{") } else { "default: {".to_owned() };
+                let cases: String =
+                    (0..parts).map(|k| format!("{} {} }}\n", case(k), line(format!("{name}_{k}[q]")))).collect();
+                format!("switch k {{\n{cases}}}\n")
+            }
+        };
+        let mut text = format!("fn {name}_of(q: u32, k: u32) -> {ty} {{\n{}}}\n", each(&|at| format!("return {at};")));
+        if write {
+            let body = each(&|at| format!("{at} = value;"));
+            let _ = writeln!(text, "fn set_{name}(q: u32, k: u32, value: {ty}) {{\n{body}}}");
+        }
+        text
+    }
+}
+
+/// What a scene and the adapter fix for all passes.
+#[derive(Debug)]
+pub(crate) struct Setting {
+    constants: String,
+    pub(crate) parts: Parts,
 }
 
 /// All passes that a scene calls for.
 #[derive(Debug)]
 pub(crate) struct Kernels {
     pub(crate) step_layout: wgpu::BindGroupLayout,
-    /// What the scene fixes, for passes that are made later.
-    pub(crate) constants: String,
+    /// For passes that are made later.
+    pub(crate) setting: Setting,
     /// Workgroups for free bodies in passes that begin with them.
     free_room: usize,
     /// In the order of a sort.
@@ -283,7 +356,12 @@ impl Draft {
 pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
     let most = materials.iter().map(|m| m.material.strain_planes() + m.material.states.len()).max();
     // Without a material passes are made for a symmetric strain, and nobody runs them.
-    (most.unwrap_or(6) + 1).div_ceil(4)
+    vectors_for(most.unwrap_or(6))
+}
+
+/// The same for so many values of strain and history.
+pub(crate) fn vectors_for(values: usize) -> usize {
+    (values + 1).div_ceil(4)
 }
 
 impl Kernels {
@@ -298,7 +376,8 @@ impl Kernels {
             ],
         });
         let constants = constants(plan) + &layer_constants(plan, worlds);
-        let make = |draft: Draft| build(gpu, &step_layout, &constants, worlds, draft);
+        let setting = Setting { constants, parts: Parts::new(&gpu.limits, rest_vectors(&plan.materials)) };
+        let make = |draft: Draft| build(gpu, &step_layout, &setting, worlds, draft);
         let all = |drafts: Vec<Draft>| drafts.into_iter().map(make).collect();
         let drafts = Drafts::of(plan, worlds, particles)?;
         Ok(Self {
@@ -321,9 +400,9 @@ impl Kernels {
                 remove: make(adapt.remove),
                 stress: make(adapt.stress),
             }),
-            constants: constants.clone(),
             free_room: worlds * free_bodies(plan),
             mirrored: mirrors_early(plan),
+            setting,
             step_layout,
         })
     }
@@ -541,7 +620,7 @@ pub(crate) fn contact(
         groups: Groups::Exactly((bodies * worlds * levels) as u32),
         checked: true,
     };
-    [law, sums].map(|draft| build(gpu, &kernels.step_layout, &kernels.constants, worlds, draft))
+    [law, sums].map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft))
 }
 
 /// How many free bodies there are in each world, and blocks around each of them along an axis on the finest level, at most.
@@ -579,7 +658,7 @@ pub(crate) fn free(
 ) -> (Kernel, bool) {
     let (subcycled, sleeps) = (kernels.solve.is_some(), kernels.watch.is_some());
     let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
-    let (layout, constants) = (&kernels.step_layout, kernels.constants.as_str());
+    let (layout, setting) = (&kernels.step_layout, &kernels.setting);
     // Walls that let go come between bodies and rims.
     let is_apart = roams || shape[1] == 1 || !kernels.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
     let with_rims = draft(true);
@@ -587,9 +666,9 @@ pub(crate) fn free(
     let fits = with_rims.bindings(shape[0]) <= limits.max_storage_buffers_per_shader_stage as usize
         && 64 * RIMS_BESIDE <= limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
     if is_apart || !fits {
-        return (build(gpu, layout, constants, shape[0], draft(false)), false);
+        return (build(gpu, layout, setting, shape[0], draft(false)), false);
     }
-    (build_for(gpu, layout, constants, shape[0], with_rims), true)
+    (build_for(gpu, layout, setting, shape[0], with_rims), true)
 }
 
 /// `rims`: with what is done at rims, for bodies that meet the finest level alone.
@@ -660,7 +739,7 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
         ),
         draft("scatter_near", include_str!("wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near),
     ]
-    .map(|draft| build(gpu, &kernels.step_layout, &kernels.constants, worlds, draft))
+    .map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft))
 }
 
 /// The text of a pass in which bodies meet nodes, with what these weigh for them, and what it binds besides. Subcycled, a node may be two
@@ -720,19 +799,19 @@ fn entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offset: bool) ->
 /// First storage binding of a pass: before it stand the extent and the materials' parameters.
 pub(crate) const FIRST_BINDING: u32 = 2;
 
-fn build(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, worlds: usize, draft: Draft) -> Kernel {
+fn build(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, setting: &Setting, worlds: usize, draft: Draft) -> Kernel {
     let bound = draft.bindings(worlds);
     // What WebGPU promises everywhere.
-    assert!(bound <= 8, "pass {} binds {bound} storage buffers", draft.name);
-    build_for(gpu, step_layout, constants, worlds, draft)
+    assert!(bound <= LEAST_BINDINGS, "pass {} binds {bound} storage buffers", draft.name);
+    build_for(gpu, step_layout, setting, worlds, draft)
 }
 
 /// A pass that may bind more than adapters promise.
-fn build_for(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, worlds: usize, draft: Draft) -> Kernel {
+fn build_for(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, setting: &Setting, worlds: usize, draft: Draft) -> Kernel {
     let device = &gpu.device;
     let stored = draft.is_table_stored(worlds);
     let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];
-    let mut text = format!("{constants}{}", include_str!("wgsl/common.wgsl"));
+    let mut text = format!("{}{}", setting.constants, include_str!("wgsl/common.wgsl"));
     if draft.uniform != Uniform::None {
         let ty = if stored {
             wgpu::BufferBindingType::Storage { read_only: true }
@@ -741,10 +820,18 @@ fn build_for(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, wo
         };
         entries.push(entry(1, ty, false));
     }
-    for (binding, &(name, ty, _, write)) in (FIRST_BINDING..).zip(&draft.uses) {
-        entries.push(entry(binding, wgpu::BufferBindingType::Storage { read_only: !write }, false));
-        let access = if write { "read_write" } else { "read" };
-        let _ = writeln!(text, "@group(0) @binding({binding}) var<storage, {access}> {name}: array<{ty}>;");
+    let mut roles = Vec::new();
+    for one @ &(name, ty, role, write) in &draft.uses {
+        let parts = setting.parts.of(role);
+        for part in 0..parts {
+            let binding = FIRST_BINDING + roles.len() as u32;
+            roles.push((role, part));
+            entries.push(entry(binding, wgpu::BufferBindingType::Storage { read_only: !write }, false));
+            let access = if write { "read_write" } else { "read" };
+            let number = if parts > 1 { format!("_{part}") } else { String::new() };
+            let _ = writeln!(text, "@group(0) @binding({binding}) var<storage, {access}> {name}{number}: array<{ty}>;");
+        }
+        text += &setting.parts.accessors(one);
     }
     text.push_str(&draft.body);
     let mut checks = wgpu::ShaderRuntimeChecks::checked();
@@ -775,14 +862,7 @@ fn build_for(gpu: &Gpu, step_layout: &wgpu::BindGroupLayout, constants: &str, wo
         compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,
     });
-    Kernel {
-        name: draft.name,
-        pipeline,
-        layout,
-        roles: draft.uses.iter().map(|u| u.2).collect(),
-        uniform: draft.uniform,
-        groups: draft.groups,
-    }
+    Kernel { name: draft.name, pipeline, layout, roles, uniform: draft.uniform, groups: draft.groups }
 }
 
 /// Are there walls behind which nodes are images?
@@ -1092,8 +1172,8 @@ impl Half {
             format!("var p_{n} = vec4<u32>(0u);\n{}", each(&|v, _| format!("var {v}_{n} = vec4<f32>(0.0);\n")))
         };
         let fetch = |n: usize| {
-            let rows = each(&|v, k| format!("{v}_{n} = bitcast<vec4<f32>>(record[vector(at, {k}u)]);\n"));
-            format!("{{\nlet at = select(start, next, rank < count);\np_{n} = record[vector(at, 0u)];\n{rows}}}\n")
+            let rows = each(&|v, k| format!("{v}_{n} = bitcast<vec4<f32>>(record_of(at, {k}u));\n"));
+            format!("{{\nlet at = select(start, next, rank < count);\np_{n} = record_of(at, 0u);\n{rows}}}\n")
         };
         let advance = "rank += 1u;\nnext += 1u;\n\
                        if rank % TOGETHER == 0u && rank <= ROUNDS * TOGETHER {\n\
@@ -1123,9 +1203,9 @@ impl Half {
 
     /// Over those that have come from other cells.
     fn guests(&self) -> String {
-        let fetch = |(v, k): &(&str, u32)| format!("let {v} = bitcast<vec4<f32>>(record[vector(q, {k}u)]);\n");
+        let fetch = |(v, k): &(&str, u32)| format!("let {v} = bitcast<vec4<f32>>(record_of(q, {k}u));\n");
         format!(
-            "for (var q = next_leaver(&walk); q != NONE; q = next_leaver(&walk)) {{\nlet p = record[vector(q, 0u)];\n\
+            "for (var q = next_leaver(&walk); q != NONE; q = next_leaver(&walk)) {{\nlet p = record_of(q, 0u);\n\
              let f = fraction(p);\nlet part_here = 1.0;\n{}{}}}\n",
             self.rows.iter().map(fetch).collect::<String>(),
             self.add
@@ -1652,7 +1732,7 @@ fn g2p(plan: &Plan, laws: &str, sleeps: bool, [particles, layers]: [usize; 2]) -
             ("$ASKING", ""),
             ("$ASK", ""),
             ("$OWN_BLOCK", "owners[q].x"),
-            ("$OF_PARTICLE", "let mass = bitcast<f32>(owners[q].y);\nlet p = record[vector(q, 0u)];"),
+            ("$OF_PARTICLE", "let mass = bitcast<f32>(owners[q].y);\nlet p = record_of(q, 0u);"),
             ("$NEXT", ""),
         ]
     };
@@ -1801,11 +1881,10 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     };
     let (mut fields, mut fetch, mut load, mut store) = (String::new(), String::new(), String::new(), String::new());
     for k in 0..vectors {
-        let plane = if k == 0 { String::new() } else { format!("{k}u * extent.slots + ") };
         let _ = writeln!(fields, "r{k}: vec4<f32>,");
-        let _ = writeln!(fetch, "held.r{k} = rest[{plane}q];");
+        let _ = writeln!(fetch, "held.r{k} = rest_of(q, {k}u);");
         let _ = writeln!(load, "var r{k} = held.r{k};");
-        let _ = writeln!(store, "rest[{plane}q] = r{k};");
+        let _ = writeln!(store, "set_rest(q, {k}u, r{k});");
     }
     let volume = format!("r{}.w", vectors - 1);
     let mut need = String::new();
@@ -1876,7 +1955,7 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     };
     let only_with_levels = |text: &'static str| if levels { text } else { "" };
     let check = only_with_levels(
-        " else if due && !is_placed(layer, cell, vec3<i32>(record[vector(q, 0u)].xyz >> vec3<u32>(31u))) {\n\
+        " else if due && !is_placed(layer, cell, vec3<i32>(record_of(q, 0u).xyz >> vec3<u32>(31u))) {\n\
          atomicStore(&status[sum_word(layer, ASTRAY)], 1u);\n}",
     );
     let rim = only_with_levels("reached |= u32(reached == 0u && on && takes_from_rim(layer, block));");
@@ -1890,14 +1969,14 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         // One that keeps its home is put back when its layer is due.
         Leaving::Clamp => "if due {\nmine += put_back(q, layer, block, &local);\n}",
         Leaving::Delete => {
-            "record[vector(q, 0u)].w = tag | GONE;\nmine.w += bitcast<f32>(record[vector(q, 1u)].w);\n\
+            "set_record(q, 0u, vec4<u32>(record_of(q, 0u).xyz, tag | GONE));\nmine.w += bitcast<f32>(record_of(q, 1u).w);\n\
              atomicAdd(&status[sum_word(layer, LEFT)], 1u);\ncontinue;"
         }
     };
     // Whom the world ends for at a face of cells is put back there, or goes; an error is one at the side itself. Those of layers that are not
     // due stand in their homes.
     let outside = if is_error {
-        "due && is_beyond(layer, cell, record[vector(q, 0u)].xyz)"
+        "due && is_beyond(layer, cell, record_of(q, 0u).xyz)"
     } else {
         "any(((cell < world_min(layer)) | (cell >= world_max(layer))) & (PERIOD == vec3<i32>(0)))"
     };

@@ -79,6 +79,14 @@ impl Backend for Wgpu {
         plan.materials.iter().try_for_each(|planned| material::check(&planned.material))
     }
 
+    fn most_particles(&self, adapter: Option<&str>, values: usize) -> Result<Option<u64>> {
+        let limits = match &self.device {
+            Some(gpu) => gpu.limits.clone(),
+            None => device::limits(adapter, self.offer)?,
+        };
+        Ok(Some(memory::most_particles(&limits, values)))
+    }
+
     fn passes(&self, plan: &Plan) -> Vec<String> {
         kernels::describe(plan).unwrap_or_default()
     }

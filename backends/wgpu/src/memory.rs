@@ -1,7 +1,7 @@
 //! Buffers on the device, and what fits into them.
 
 use crate::device::Gpu;
-use crate::kernels::{FIRST_BINDING, Found, Free, Kernel, Role, Sorted, Uniform, is_stored};
+use crate::kernels::{FIRST_BINDING, Found, Free, Kernel, Parts, Role, Sorted, Uniform, is_stored, vectors_for};
 use crate::layout::{ENTRY, RECORD, ROUNDS};
 use crate::sleep::WATCHED;
 use crate::soft::WORDS as SOFT_WORDS;
@@ -152,18 +152,24 @@ impl Words {
     }
 }
 
-/// Room for as many as there are now and a quarter more, so that it rarely has to grow.
+/// Room for as many particles as there are now and a quarter more, so that it rarely has to grow; beside many millions, a part that is worth its
+/// memory.
+pub(crate) fn slots_for(particles: usize) -> usize {
+    (particles + (particles / 4).min(1 << 22) + 64).next_multiple_of(128)
+}
+
+/// Likewise of blocks, of places of the directory, and of tiles.
 pub(crate) fn with_room(count: usize) -> u32 {
-    (count + count / 4 + 64) as u32
+    (count + (count / 4).min(1 << 14) + 64) as u32
 }
 
 /// All buffers of an engine.
 pub(crate) struct Memory {
     pub(crate) extent: Extent,
-    /// Vectors of four of strain and history.
-    vectors: usize,
+    particles: Particles,
     asked: Asked,
-    sorted: [[wgpu::Buffer; 6]; 2],
+    /// Of each as many as there are parts.
+    sorted: [[Vec<wgpu::Buffer>; 6]; 2],
     shared: HashMap<&'static str, wgpu::Buffer>,
     pub(crate) constants: wgpu::Buffer,
     pub(crate) params: wgpu::Buffer,
@@ -248,13 +254,57 @@ fn shared_name(role: Role) -> &'static str {
     }
 }
 
+/// How particles stand in memory.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Particles {
+    /// Vectors of four of strain and history.
+    pub(crate) vectors: usize,
+    pub(crate) parts: Parts,
+}
+
+impl Particles {
+    /// Planes of a particle, and bytes in each.
+    fn planes(self, sorted: Sorted) -> (usize, u64) {
+        match sorted {
+            Sorted::Record => (RECORD, 16),
+            Sorted::Ids => (1, 8),
+            Sorted::Rest => (self.vectors, 16),
+            Sorted::Lists | Sorted::Cells | Sorted::Watch => (0, 0),
+        }
+    }
+
+    /// Bytes of a particle in a part.
+    fn part_bytes(self, sorted: Sorted) -> u64 {
+        let (planes, bytes) = self.planes(sorted);
+        (planes / self.parts.of_sorted(sorted)) as u64 * bytes
+    }
+}
+
+/// Most particles with so many values of strain and history that fit what a pass may bind.
+pub(crate) fn most_particles(limits: &wgpu::Limits, values: usize) -> u64 {
+    let vectors = vectors_for(values);
+    let particles = Particles { vectors, parts: Parts::new(limits, vectors) };
+    let cap = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    let bytes = [Sorted::Record, Sorted::Ids, Sorted::Rest].map(|sorted| particles.part_bytes(sorted));
+    let slots = bytes.into_iter().max().map_or(0, |bytes| cap / bytes);
+    // Slots are counted in full workgroups.
+    slots / 128 * 128
+}
+
+/// Some of a buffer: which part it is, the first byte there, and bytes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Piece {
+    pub(crate) part: usize,
+    pub(crate) from: u64,
+    pub(crate) bytes: u64,
+}
+
 impl Extent {
-    fn sorted_bytes(&self, sorted: Sorted, vectors: usize, asked: Asked) -> u64 {
+    /// Bytes of a part.
+    fn sorted_bytes(&self, sorted: Sorted, particles: Particles, asked: Asked) -> u64 {
         let (slots, blocks) = (u64::from(self.slots), u64::from(self.block_room));
         match sorted {
-            Sorted::Record => 16 * RECORD as u64 * slots,
-            Sorted::Ids => 8 * slots,
-            Sorted::Rest => 16 * vectors as u64 * slots,
+            Sorted::Record | Sorted::Ids | Sorted::Rest => particles.part_bytes(sorted) * slots,
             Sorted::Lists => 16 * ENTRY as u64 * (blocks + u64::from(self.node_room)),
             // Starts, and those of rounds behind them.
             Sorted::Cells => 4 * (64 * (blocks + 1) + 64 * (ROUNDS as u64 + 1) * blocks),
@@ -263,15 +313,15 @@ impl Extent {
         }
     }
 
-    fn stretches(&self, sorted: Sorted, vectors: usize, first: usize, count: usize) -> Vec<(u64, u64)> {
-        let (planes, bytes) = match sorted {
-            Sorted::Record => (RECORD as u64, 16),
-            Sorted::Ids => (1, 8),
-            Sorted::Rest => (vectors as u64, 16),
-            Sorted::Lists | Sorted::Cells | Sorted::Watch => (0, 0),
+    fn stretches(&self, sorted: Sorted, particles: Particles, first: usize, count: usize) -> Vec<Piece> {
+        let (planes, each) = particles.planes(sorted);
+        let is_apart = particles.parts.of_sorted(sorted) > 1;
+        let of_plane = |k: usize| {
+            let (part, within) = if is_apart { (k, 0) } else { (0, k as u64) };
+            let from = (within * u64::from(self.slots) + first as u64) * each;
+            Piece { part, from, bytes: count as u64 * each }
         };
-        let of_plane = |k: u64| ((k * u64::from(self.slots) + first as u64) * bytes, count as u64 * bytes);
-        (0..planes).map(of_plane).filter(|(_, bytes)| *bytes > 0).collect()
+        (0..planes).map(of_plane).filter(|piece| piece.bytes > 0).collect()
     }
 
     fn shared_bytes(&self, role: Role, asked: Asked) -> u64 {
@@ -308,16 +358,17 @@ impl Extent {
     }
 
     /// Bytes of each buffer of one set, and how many of it there are.
-    fn all_bytes(&self, vectors: usize, asked: Asked) -> impl Iterator<Item = (&'static str, u64, u64)> {
-        let sorted = SORTED.map(|s| (sorted_name(s), self.sorted_bytes(s, vectors, asked), 2));
+    fn all_bytes(&self, particles: Particles, asked: Asked) -> impl Iterator<Item = (&'static str, u64, u64)> {
+        let copies = |s| 2 * particles.parts.of_sorted(s) as u64;
+        let sorted = SORTED.map(|s| (sorted_name(s), self.sorted_bytes(s, particles, asked), copies(s)));
         let shared = SHARED.map(|r| (shared_name(r), self.shared_bytes(r, asked), 1));
         sorted.into_iter().chain(shared)
     }
 
     /// Does every buffer fit what the adapter binds?
-    fn check(&self, gpu: &Gpu, vectors: usize, asked: Asked) -> Result<()> {
+    fn check(&self, gpu: &Gpu, particles: Particles, asked: Asked) -> Result<()> {
         let cap = (gpu.limits.max_storage_buffer_binding_size).min(gpu.limits.max_buffer_size);
-        let Some((what, asked, _)) = self.all_bytes(vectors, asked).find(|(_, bytes, _)| *bytes > cap) else {
+        let Some((what, asked, _)) = self.all_bytes(particles, asked).find(|(_, bytes, _)| *bytes > cap) else {
             return Ok(());
         };
         Err(Error::Capacity {
@@ -341,19 +392,23 @@ impl Memory {
     pub(crate) fn new(
         gpu: &Gpu,
         extent: Extent,
-        vectors: usize,
+        particles: Particles,
         asked: Asked,
         params: &[[f32; 4]],
         step_layout: &wgpu::BindGroupLayout,
     ) -> Result<Self> {
         let extent = Extent { row: ROW, ..extent };
-        extent.check(gpu, vectors, asked)?;
+        extent.check(gpu, particles, asked)?;
         let device = &gpu.device;
         let storage = |label: &'static str, size: u64| storage(gpu, label, size);
         let uniform = |label: &'static str, size: u64| {
             buffer(gpu, label, size, wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST)
         };
-        let set = || SORTED.map(|s| storage(sorted_name(s), extent.sorted_bytes(s, vectors, asked)));
+        let of_parts = |s: Sorted| {
+            let part = |_| storage(sorted_name(s), extent.sorted_bytes(s, particles, asked));
+            (0..particles.parts.of_sorted(s)).map(part).collect::<Vec<_>>()
+        };
+        let set = || SORTED.map(of_parts);
         let mut shared: HashMap<_, _> =
             SHARED.iter().map(|&r| (shared_name(r), storage(shared_name(r), extent.shared_bytes(r, asked)))).collect();
         shared.insert(shared_name(Role::Groups), groups(gpu, extent.shared_bytes(Role::Groups, asked)));
@@ -383,7 +438,7 @@ impl Memory {
         let readback = mappable(gpu, 4 * Words { layers: asked.layers }.count(MAX_STEPS) as u64);
         Ok(Self {
             extent,
-            vectors,
+            particles,
             asked,
             sorted: [set(), set()],
             shared,
@@ -414,23 +469,35 @@ impl Memory {
                 .contains(&name)
                 || [Sorted::Lists, Sorted::Cells, Sorted::Watch].map(sorted_name).contains(&name)
         };
-        let all = self.extent.all_bytes(self.vectors, self.asked);
+        let all = self.extent.all_bytes(self.particles, self.asked);
         all.fold((0, 0), |(particles, grid), (name, bytes, copies)| {
             if of_grid(name) { (particles, grid + bytes * copies) } else { (particles + bytes * copies, grid) }
         })
     }
 
+    /// A buffer, the first if it has several parts.
     pub(crate) fn buffer(&self, role: Role, now: usize) -> &wgpu::Buffer {
+        self.part(role, 0, now)
+    }
+
+    /// A part of a buffer.
+    pub(crate) fn part(&self, role: Role, part: usize, now: usize) -> &wgpu::Buffer {
         match role {
-            Role::Now(sorted) => &self.sorted[now][sorted as usize],
-            Role::Next(sorted) => &self.sorted[1 - now][sorted as usize],
+            Role::Now(sorted) => &self.sorted[now][sorted as usize][part],
+            Role::Next(sorted) => &self.sorted[1 - now][sorted as usize][part],
             shared => &self.shared[shared_name(shared)],
         }
     }
 
-    /// The buffer of a plane that holds the particles.
+    /// What a sort has laid out.
     pub(crate) fn plane(&self, sorted: Sorted) -> &wgpu::Buffer {
         self.buffer(Role::Now(sorted), self.now)
+    }
+
+    /// Where to read so many particles from one on, plane by plane: buffer, first byte, bytes.
+    pub(crate) fn held(&self, sorted: Sorted, first: usize, count: usize) -> Vec<(&wgpu::Buffer, u64, u64)> {
+        let buffer = |s: Piece| (self.part(Role::Now(sorted), s.part, self.now), s.from, s.bytes);
+        self.stretches(sorted, first, count).into_iter().map(buffer).collect()
     }
 
     pub(crate) fn binding(&mut self, device: &wgpu::Device, kernel: &Kernel, now: usize) -> wgpu::BindGroup {
@@ -445,9 +512,9 @@ impl Memory {
             Uniform::Regions => Some(&self.regions),
         };
         entries.extend(uniform.map(|b| wgpu::BindGroupEntry { binding: 1, resource: b.as_entire_binding() }));
-        entries.extend((FIRST_BINDING..).zip(&kernel.roles).map(|(binding, &role)| wgpu::BindGroupEntry {
+        entries.extend((FIRST_BINDING..).zip(&kernel.roles).map(|(binding, &(role, part))| wgpu::BindGroupEntry {
             binding,
-            resource: self.buffer(role, now).as_entire_binding(),
+            resource: self.part(role, part, now).as_entire_binding(),
         }));
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(kernel.name),
@@ -463,9 +530,9 @@ impl Memory {
         Words { layers: self.asked.layers }
     }
 
-    /// Where a buffer of particles holds so many of them, plane by plane: first byte, bytes.
-    pub(crate) fn stretches(&self, sorted: Sorted, first: usize, count: usize) -> Vec<(u64, u64)> {
-        self.extent.stretches(sorted, self.vectors, first, count)
+    /// Where so many particles stand, plane by plane.
+    pub(crate) fn stretches(&self, sorted: Sorted, first: usize, count: usize) -> Vec<Piece> {
+        self.extent.stretches(sorted, self.particles, first, count)
     }
 
     /// Says how many particles there are.
@@ -559,37 +626,38 @@ impl Memory {
     /// Makes room for `extent`, keeping particles and blocks. What the grid holds is lost, and so are the links of blocks: a sort must follow.
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
         let extent = Extent { row: ROW, ..extent };
-        extent.check(gpu, self.vectors, self.asked)?;
+        extent.check(gpu, self.particles, self.asked)?;
         let storage = |label: &'static str, size: u64| storage(gpu, label, size);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         for sorted in [Sorted::Lists, Sorted::Cells, Sorted::Watch] {
             for set in 0..2 {
-                let old = &self.sorted[set][sorted as usize];
-                let bytes = extent.sorted_bytes(sorted, self.vectors, self.asked);
+                let old = &self.sorted[set][sorted as usize][0];
+                let bytes = extent.sorted_bytes(sorted, self.particles, self.asked);
                 if old.size() >= bytes {
                     continue;
                 }
                 let new = storage(sorted_name(sorted), bytes);
                 encoder.copy_buffer_to_buffer(old, 0, &new, 0, old.size());
-                self.sorted[set][sorted as usize] = new;
+                self.sorted[set][sorted as usize][0] = new;
             }
         }
         let held = self.extent.particles as usize;
         for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
+            if extent.slots <= self.extent.slots {
+                continue;
+            }
             for set in 0..2 {
-                let bytes = extent.sorted_bytes(sorted, self.vectors, self.asked);
-                if extent.slots <= self.extent.slots {
-                    continue;
-                }
-                let new = storage(sorted_name(sorted), bytes);
-                let old = std::mem::replace(&mut self.sorted[set][sorted as usize], new);
-                if set == self.now {
-                    let new = &self.sorted[set][sorted as usize];
-                    let from = self.extent.stretches(sorted, self.vectors, 0, held);
-                    for ((from, bytes), (to, _)) in
-                        from.into_iter().zip(extent.stretches(sorted, self.vectors, 0, held))
-                    {
-                        encoder.copy_buffer_to_buffer(&old, from, new, to, bytes);
+                let bytes = extent.sorted_bytes(sorted, self.particles, self.asked);
+                let stretches = |extent: &Extent| extent.stretches(sorted, self.particles, 0, held);
+                for (part, buffer) in self.sorted[set][sorted as usize].iter_mut().enumerate() {
+                    let old = std::mem::replace(buffer, storage(sorted_name(sorted), bytes));
+                    if set != self.now {
+                        continue;
+                    }
+                    for (from, to) in stretches(&self.extent).iter().zip(stretches(&extent)) {
+                        if to.part == part {
+                            encoder.copy_buffer_to_buffer(&old, from.from, buffer, to.from, to.bytes);
+                        }
                     }
                 }
             }

@@ -7,10 +7,10 @@ fn copy_found(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     }
     let q = order[i];
     for (var k = 0u; k < 5u; k++) {
-        new_record[vector(i, k)] = record[vector(q, k)];
+        set_new_record(i, k, record_of(q, k));
     }
     new_ids[i] = ids[q];
     for (var k = 0u; k < REST; k++) {
-        new_rest[k * extent.slots + i] = rest[k * extent.slots + q];
+        set_new_rest(i, k, rest_of(q, k));
     }
 }

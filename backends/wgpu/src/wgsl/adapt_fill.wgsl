@@ -10,7 +10,7 @@ fn fill(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         var part = 0.0;
         let count = cells[b * 64u + n + 1u] - cells[b * 64u + n];
         for (var rank = 0u; rank < count; rank++) {
-            part += rest[(REST - 1u) * extent.slots + slot_of(b, n, rank)].w * per_cell;
+            part += rest_of(slot_of(b, n, rank), REST - 1u).w * per_cell;
         }
         if part >= 0.5 {
             atomicOr(&full[n >> 5u], 1u << (n & 31u));

@@ -96,9 +96,9 @@ fn find_concerned(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invoca
         var volume: array<f32, AT_ONCE>;
         for (var k = 0u; k < AT_ONCE; k++) {
             let q = min(first + k * 128u, end - 1u);
-            place[k] = record[vector(q, 0u)];
+            place[k] = record_of(q, 0u);
             body[k] = ids[q].y;
-            volume[k] = rest[(REST - 1u) * extent.slots + q].w;
+            volume[k] = rest_of(q, REST - 1u).w;
         }
         for (var k = 0u; k < AT_ONCE; k++) {
             let q = first + k * 128u;

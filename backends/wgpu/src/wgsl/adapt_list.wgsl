@@ -24,8 +24,8 @@ fn list_found(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
         let q = slot_of(b, cell, rank);
         if loose[q] != 0u {
             order[next] = q;
-            let at = 4 * place.xyz + cell_of(record[vector(q, 0u)].w);
-            new_record[vector(next, 5u)] = vec4<u32>(bitcast<vec3<u32>>(at), u32(place.w));
+            let at = 4 * place.xyz + cell_of(record_of(q, 0u).w);
+            set_new_record(next, 5u, vec4<u32>(bitcast<vec3<u32>>(at), u32(place.w)));
             next++;
         }
     }

@@ -3,6 +3,7 @@
 fn remove(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let i = (group.y * extent.row + group.x) * 128u + thread;
     if i < step.count {
-        record[vector(order[i], 0u)].w |= GONE;
+        let p = record_of(order[i], 0u);
+        set_record(order[i], 0u, vec4<u32>(p.xyz, p.w | GONE));
     }
 }

@@ -6,7 +6,7 @@ fn stress_of_new(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
         return;
     }
     let q = step.first + i;
-    layer_now = record[vector(q, 5u)].w;
-    let mass = bitcast<f32>(record[vector(q, 1u)].w);
-    deform(q, law_of(record[vector(q, 0u)].w), mass, held_by(q), mat3x3<f32>(), 0.0);
+    layer_now = record_of(q, 5u).w;
+    let mass = bitcast<f32>(record_of(q, 1u).w);
+    deform(q, law_of(record_of(q, 0u).w), mass, held_by(q), mat3x3<f32>(), 0.0);
 }

@@ -7,7 +7,7 @@ var<private> place: vec4<u32>;
 fn ask(q: u32) {
     let at = min(q, extent.particles - 1u);
     owner = owners[at];
-    place = record[vector(at, 0u)];
+    place = record_of(at, 0u);
     if LAYERS > 1u {
         layer_now = u32(lists[owner.x * ENTRY].w);
     }

@@ -54,6 +54,6 @@ fn deform(q: u32, law: u32, mass: f32, held: Held, c: mat3x3<f32>, dt: f32) {
     $NEED
     // Times the rest volume: [J].
     let tau = $VOLUME * out.kirchhoff;
-    record[vector(q, 1u)] = bitcast<vec4<u32>>(vec4<f32>(tau[2].x, tau[2].y, tau[2].z, mass));
-    record[vector(q, 5u)] = bitcast<vec4<u32>>(vec4<f32>(tau[0].x, tau[1].y, tau[1].x, 0.0));
+    set_record(q, 1u, bitcast<vec4<u32>>(vec4<f32>(tau[2].x, tau[2].y, tau[2].z, mass)));
+    set_record(q, 5u, bitcast<vec4<u32>>(vec4<f32>(tau[0].x, tau[1].y, tau[1].x, 0.0)));
 }

@@ -49,9 +49,9 @@ fn carry(q: u32, b: u32) -> u32 {
     let per_cell = PER_CELL * shrink_of(layer_now);
     // From the distance of each node from the middle one to that from the particle.
     let c = mat3x3<f32>((by_x + (0.5 - f.x) * v) * per_cell, (by_y + (0.5 - f.y) * v) * per_cell, (by_z + (0.5 - f.z) * v) * per_cell);
-    record[vector(q, 2u)] = bitcast<vec4<u32>>(vec4<f32>(v.x, c[0].x, c[1].x, c[2].x));
-    record[vector(q, 3u)] = bitcast<vec4<u32>>(vec4<f32>(v.y, c[0].y, c[1].y, c[2].y));
-    record[vector(q, 4u)] = bitcast<vec4<u32>>(vec4<f32>(v.z, c[0].z, c[1].z, c[2].z));
+    set_record(q, 2u, bitcast<vec4<u32>>(vec4<f32>(v.x, c[0].x, c[1].x, c[2].x)));
+    set_record(q, 3u, bitcast<vec4<u32>>(vec4<f32>(v.y, c[0].y, c[1].y, c[2].y)));
+    set_record(q, 4u, bitcast<vec4<u32>>(vec4<f32>(v.z, c[0].z, c[1].z, c[2].z)));
     $NOTE_SPEED
 
     // The move, in counts of 2^-32 cells.
@@ -61,7 +61,7 @@ fn carry(q: u32, b: u32) -> u32 {
     let up = (counts > vec3<i32>(0)) & (moved < p.xyz);
     let down = (counts < vec3<i32>(0)) & (moved > p.xyz);
     cell += select(vec3<i32>(0), vec3<i32>(1), up) - select(vec3<i32>(0), vec3<i32>(1), down);
-    record[vector(q, 0u)] = vec4<u32>(moved, tag_at(p.w, clamp(cell, vec3<i32>(-2), vec3<i32>(5)), moved));
+    set_record(q, 0u, vec4<u32>(moved, tag_at(p.w, clamp(cell, vec3<i32>(-2), vec3<i32>(5)), moved)));
 
     deform(q, law_of(p.w), mass, held, c, step.dt * steps_of(layer_now));
     return max(max(magnitude_bits(by_move.x), magnitude_bits(by_move.y)), magnitude_bits(by_move.z));

@@ -78,7 +78,7 @@ fn next_leaver(w: ptr<function, Walk>) -> u32 {
         while (*w).start + (*w).after < (*w).end {
             let q = (*w).start + (*w).after;
             (*w).after += 1u;
-            let p = record[vector(q, 0u)];
+            let p = record_of(q, 0u);
             if (p.w & (511u | LEFT_HOME)) == ((*w).tag | LEFT_HOME) {
                 return q;
             }
@@ -233,7 +233,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         left &= left - 1u;
         for (var r = rank; r < select(rank + 1u, count, rank == 31u); r++) {
             let q = slot_of(here, own, r);
-            list_leaver(q, q - start, record[vector(q, 0u)].w);
+            list_leaver(q, q - start, record_of(q, 0u).w);
         }
     }
     workgroupBarrier();

@@ -14,9 +14,9 @@ fn sum_parent_cells(b: u32, thread: u32, count: u32) {
         var rows: array<array<vec4<f32>, 2>, TOGETHER>;
         for (var k = 0u; k < TOGETHER; k++) {
             let here = q + min(k, count - rank - 1u);
-            masses[k] = bitcast<f32>(record[vector(here, 1u)].w);
-            rows[k][0] = bitcast<vec4<f32>>(record[vector(here, select(4u, 2u, is_first))]);
-            rows[k][1] = bitcast<vec4<f32>>(record[vector(here, select(4u, 3u, is_first))]);
+            masses[k] = bitcast<f32>(record_of(here, 1u).w);
+            rows[k][0] = bitcast<vec4<f32>>(record_of(here, select(4u, 2u, is_first)));
+            rows[k][1] = bitcast<vec4<f32>>(record_of(here, select(4u, 3u, is_first)));
         }
         for (var k = 0u; k < TOGETHER; k++) {
             if rank + k < count {

@@ -25,7 +25,7 @@ fn measure(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         let soft = number_of(ids[q].y);
         if soft < SOFTS && is_live(layer) {
             let shift = vec3<u32>(level_of(layer));
-            let cell = 4 * lists[owners[q].x * ENTRY].xyz + cell_of(record[vector(q, 0u)].w);
+            let cell = 4 * lists[owners[q].x * ENTRY].xyz + cell_of(record_of(q, 0u).w);
             let least = cell << shift;
             let end = (cell + vec3<i32>(1)) << shift;
             for (var d = 0u; d < 3u; d++) {

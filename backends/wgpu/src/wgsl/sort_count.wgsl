@@ -10,7 +10,7 @@ fn count_cells(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     let due = is_sorted(layer);
     let end = cells[b * 64u + 64u];
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
-        let tag = record[vector(q, 0u)].w;
+        let tag = record_of(q, 0u).w;
         if (tag & GONE) != 0u {
             keys[q] = vec2<u32>(NONE);
             $GONE

@@ -17,8 +17,8 @@ fn note_left(b: u32, thread: u32, mine: vec4<f32>) {
 
 // Puts a particle back to the edge of the world, and takes what speed it has outwards: the impulse [N s].
 fn put_back(q: u32, layer: u32, block: vec3<i32>, local: ptr<function, vec3<i32>>) -> vec4<f32> {
-    var p = record[vector(q, 0u)];
-    let mass = bitcast<f32>(record[vector(q, 1u)].w);
+    var p = record_of(q, 0u);
+    let mass = bitcast<f32>(record_of(q, 1u).w);
     let first = world_min(layer);
     let last = world_max(layer) - vec3<i32>(1);
     var impulse = vec4<f32>(0.0);
@@ -28,15 +28,16 @@ fn put_back(q: u32, layer: u32, block: vec3<i32>, local: ptr<function, vec3<i32>
         if PERIOD[d] == 0 && (low || cell > last[d]) {
             (*local)[d] = select(last[d], first[d], low) - 4 * block[d];
             p[d] = select(0xfffffe00u, 0u, low);
-            let row = vector(q, 2u + d);
-            let v = bitcast<f32>(record[row].x);
+            var row = record_of(q, 2u + d);
+            let v = bitcast<f32>(row.x);
             if select(v > 0.0, v < 0.0, low) {
                 impulse[d] -= mass * v;
-                record[row].x = 0u;
+                row.x = 0u;
+                set_record(q, 2u + d, row);
             }
             atomicAdd(&status[sum_word(layer, LEFT)], 1u);
         }
     }
-    record[vector(q, 0u)] = vec4<u32>(p.xyz, tag_at(p.w, *local, p.xyz));
+    set_record(q, 0u, vec4<u32>(p.xyz, tag_at(p.w, *local, p.xyz)));
     return impulse;
 }

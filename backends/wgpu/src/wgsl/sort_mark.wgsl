@@ -16,7 +16,7 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let end = cells[b * 64u + 64u];
     $BEGIN
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
-        let tag = record[vector(q, 0u)].w;
+        let tag = record_of(q, 0u).w;
         if (tag & GONE) != 0u {
             continue;
         }

@@ -6,18 +6,18 @@ fn move_rest(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         return;
     }
     let q = order[i] & ~KEPT;
-    let p = record[vector(q, 0u)];
+    let p = record_of(q, 0u);
     var tag = p.w;
     if (order[i] & KEPT) == 0u {
         let home = tag_of(cell_of(p.w) & vec3<i32>(3));
         tag = home | (law_of(p.w) << 9u) | (home << 16u);
     }
-    new_record[vector(i, 0u)] = vec4<u32>(p.xyz, tag);
+    set_new_record(i, 0u, vec4<u32>(p.xyz, tag));
     for (var k = 1u; k < 6u; k++) {
-        new_record[vector(i, k)] = record[vector(q, k)];
+        set_new_record(i, k, record_of(q, k));
     }
     new_ids[i] = ids[q];
     for (var k = 0u; k < REST; k++) {
-        new_rest[k * extent.slots + i] = rest[k * extent.slots + q];
+        set_new_rest(i, k, rest_of(q, k));
     }
 }

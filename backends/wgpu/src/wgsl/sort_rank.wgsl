@@ -20,5 +20,5 @@ fn rank(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     let to = slot_of(cell >> 6u, cell & 63u, before);
     order[to] = q | (keys[q].y & KEPT);
-    owners[to] = vec2<u32>(cell >> 6u, record[vector(q, 1u)].w);
+    owners[to] = vec2<u32>(cell >> 6u, record_of(q, 1u).w);
 }

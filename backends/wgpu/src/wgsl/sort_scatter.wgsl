@@ -9,5 +9,5 @@ fn scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     if key.x == NONE {
         return;
     }
-    loose[counts[key.x] + (key.y & ~KEPT)] = (law_of(record[vector(q, 0u)].w) << 28u) | q;
+    loose[counts[key.x] + (key.y & ~KEPT)] = (law_of(record_of(q, 0u).w) << 28u) | q;
 }

@@ -9,10 +9,10 @@ fn stress_of_all(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     if !is_live(layer_now) {
         return;
     }
-    let x = bitcast<vec4<f32>>(record[vector(q, 2u)]).yzw;
-    let y = bitcast<vec4<f32>>(record[vector(q, 3u)]).yzw;
-    let z = bitcast<vec4<f32>>(record[vector(q, 4u)]).yzw;
+    let x = bitcast<vec4<f32>>(record_of(q, 2u)).yzw;
+    let y = bitcast<vec4<f32>>(record_of(q, 3u)).yzw;
+    let z = bitcast<vec4<f32>>(record_of(q, 4u)).yzw;
     let c = transpose(mat3x3<f32>(x, y, z));
-    let mass = bitcast<f32>(record[vector(q, 1u)].w);
-    deform(q, law_of(record[vector(q, 0u)].w), mass, held_by(q), c, step.dt);
+    let mass = bitcast<f32>(record_of(q, 1u).w);
+    deform(q, law_of(record_of(q, 0u).w), mass, held_by(q), c, step.dt);
 }

@@ -116,15 +116,15 @@ fn watch_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     var mass = 0.0;
     var motion = vec4<f32>(0.0);
     for (var q = cells[b * 64u] + thread; q < cells[b * 64u + 64u]; q += 64u) {
-        let m = bitcast<f32>(record[vector(q, 1u)].w);
+        let m = bitcast<f32>(record_of(q, 1u).w);
         owners[q].y = bitcast<u32>(m) | mark;
         mass += m;
         if is_stopped {
             for (var d = 0u; d < 3u; d++) {
-                let row = bitcast<vec4<f32>>(record[vector(q, 2u + d)]);
+                let row = bitcast<vec4<f32>>(record_of(q, 2u + d));
                 motion[d] += m * row.x;
                 motion.w += 0.5 * m * (row.x * row.x + quarter * dot(row.yzw, row.yzw));
-                record[vector(q, 2u + d)] = vec4<u32>(0u);
+                set_record(q, 2u + d, vec4<u32>(0u));
             }
         }
     }
