@@ -2,12 +2,13 @@
 
 mod accuracy;
 mod scale;
+mod throughput;
 
 use crate::EngineArgs;
 use crate::print::show;
 use barchan::backend::Timing;
 use barchan::picture::Chart;
-use barchan::scene::{MaterialSpec, Motion, OverBound, Sampling, Shape};
+use barchan::scene::{MaterialSpec, Motion, OverBound};
 use barchan::worlds::Worlds;
 use barchan::{Error, Registry, Result, Scene, Simulation};
 use clap::{Args, Subcommand};
@@ -19,8 +20,8 @@ use std::{fs, io};
 
 #[derive(Subcommand)]
 pub(crate) enum Bench {
-    /// Particle-steps per second in the cube drop of UBSoft's Table 1, sorting included.
-    Throughput(Throughput),
+    /// Particle-steps per second in the cube drop of UBSoft's Table 1, sorting included; with `--all`, of every law on every backend.
+    Throughput(throughput::Throughput),
     /// What each effect adds to a step, and what it costs when it is declared but not used.
     Effects(Effects),
     /// Errors against a run of the finest uniform grid, over time and memory: uniform grids and nested levels.
@@ -47,40 +48,6 @@ struct Effort {
 }
 
 #[derive(Args)]
-pub(crate) struct Throughput {
-    /// Law of the bed.
-    #[arg(long, default_value = "sand")]
-    material: String,
-    /// Cells along 1.28 m: 32, 64, 128 or 256.
-    #[arg(long, default_value_t = 64)]
-    grid: u32,
-    /// What the bed does.
-    #[arg(long, value_enum, default_value_t = Ground::Struck)]
-    ground: Ground,
-    /// Side of the bed [m], as deep as it is, instead of all of it: a multiple of the cell width.
-    #[arg(long, value_name = "METRES")]
-    side: Option<f64>,
-    /// Worlds of it, which differ in their random seeds, stepped together.
-    #[arg(long, default_value_t = 1)]
-    worlds: usize,
-    #[command(flatten)]
-    effort: Effort,
-    #[command(flatten)]
-    engine: EngineArgs,
-}
-
-/// What the bed does while it is timed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Ground {
-    /// The cube falls on it.
-    Struck,
-    /// It rests: a lattice, eight particles a cell, without the cube.
-    Resting,
-    /// Its particles, jittered, move at 1.2 m/s and pile up on a wall, without the cube.
-    Moving,
-}
-
-#[derive(Args)]
 pub(crate) struct Effects {
     /// Cells along 1.28 m: 32, 64, 128 or 256.
     #[arg(long, default_value_t = 64)]
@@ -93,7 +60,7 @@ pub(crate) struct Effects {
 
 pub(crate) fn run(bench: &Bench) -> Result<()> {
     match bench {
-        Bench::Throughput(args) => throughput(args),
+        Bench::Throughput(args) => throughput::run(args),
         Bench::Effects(args) => effects(args),
         Bench::Accuracy(args) => accuracy::run(args),
         Bench::Scale(args) => scale::run(args),
@@ -116,19 +83,6 @@ fn bed(registry: &Registry, law: &str, grid: u32) -> Result<Scene> {
         }
     }
     Ok(scene)
-}
-
-/// Leaves of the bed a square, with its world, and the tools above its middle.
-fn cut(scene: &mut Scene, side: f64) {
-    for axis in 0..2 {
-        scene.world.max[axis] = scene.world.min[axis] + side;
-        for body in &mut scene.body {
-            if let Shape::Box { min: Some(min), max: Some(max), .. } = &mut body.shape {
-                (min[axis], max[axis]) = (scene.world.min[axis], scene.world.max[axis]);
-            }
-        }
-        scene.tool.iter_mut().for_each(|tool| tool.position[axis] = scene.world.min[axis] + 0.5 * side);
-    }
 }
 
 fn material(registry: &Registry, law: &str, name: &str) -> Result<MaterialSpec> {
@@ -279,65 +233,6 @@ fn quantile(values: &[f64], share: f64) -> f64 {
     let place = share * (sorted.len() - 1) as f64;
     let (low, high) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
     low + place.fract() * (high - low)
-}
-
-fn throughput(args: &Throughput) -> Result<()> {
-    let registry = args.engine.registry()?;
-    let mut scene = bed(&registry, &args.material, args.grid)?;
-    if let Some(side) = args.side {
-        cut(&mut scene, side);
-    }
-    if args.ground != Ground::Struck {
-        scene.tool.clear();
-        // Ground asleep takes no time: all of it is to be moved.
-        scene.sleep.on = Some(false);
-    }
-    if args.ground == Ground::Moving {
-        for body in &mut scene.body {
-            body.sampling = Sampling::Jitter;
-            body.velocity = [1.2, 0.0, 0.0];
-        }
-        scene.time.over_bound = OverBound::Substep;
-    }
-    let start = Instant::now();
-    let subject = Subject::new(&registry, &scene, &args.engine, args.worlds.max(1))?;
-    let mut timed = Timed::new(subject, &args.effort)?;
-    let start_up = start.elapsed().as_secs_f64();
-    for _ in 0..args.effort.repetitions.max(1) {
-        timed.repeat()?;
-    }
-    let rate = timed.particles() / timed.step();
-    let best = timed.particles() * f64::from(timed.steps) / timed.seconds.iter().copied().fold(f64::INFINITY, f64::min);
-    let timings = timed.subject.timings();
-    let steps = timed.simulation().step_count() as f64;
-    if args.effort.json {
-        let effect = |t: &barchan::backend::Timing| json!({ "effect": t.effect, "ms_per_step": 1e3 * t.seconds / steps, "passes": t.passes });
-        let figures = json!({
-            "particle_steps_per_s": rate, "best": best, "ms_per_step": 1e3 * timed.step(), "material": args.material,
-            "grid": args.grid, "side": args.side, "worlds": args.worlds, "particles": timed.subject.particles(), "precision": args.engine.precision,
-            "threads": args.engine.threads, "steps": timed.steps, "repetitions_s": timed.seconds,
-            "bytes_per_particle": timed.bytes_per_particle(), "peak_memory": barchan::run::peak_memory(),
-            "start_and_warm_up_s": start_up, "effects": timings.iter().map(effect).collect::<Vec<_>>(),
-        });
-        show(format!("{figures:#}\n"));
-        return Ok(());
-    }
-    show(format!(
-        "{}, {}{} particles, {} threads, {}: {:.2} million particle_steps_per_s (best {:.2}), {:.3} ms a step, {:.0} bytes a particle\n",
-        args.material,
-        if args.worlds > 1 { format!("{} worlds, in all ", args.worlds) } else { String::new() },
-        timed.subject.particles(),
-        args.engine.threads,
-        args.engine.precision,
-        1e-6 * rate,
-        1e-6 * best,
-        1e3 * timed.step(),
-        timed.bytes_per_particle()
-    ));
-    for t in timings {
-        show(format!("  {:<28}{:>9.3} ms a step\n", t.effect, 1e3 * t.seconds / steps));
-    }
-    Ok(())
 }
 
 /// A row of the ablation table: the scene with the effect, and the base with the effect declared but out of use.

@@ -62,9 +62,9 @@ struct SceneArgs {
 /// What runs the scene.
 #[derive(Args, Clone)]
 struct EngineArgs {
-    /// Backend.
-    #[arg(long, default_value = "cpu")]
-    backend: String,
+    /// Backend [default: cpu].
+    #[arg(long)]
+    backend: Option<String>,
     /// Number format: f32 or f64.
     #[arg(long, default_value = "f32")]
     precision: Precision,
@@ -110,9 +110,12 @@ impl EngineArgs {
     fn registry(&self) -> Result<Registry> {
         registry(&self.load)
     }
+    fn backend(&self) -> &str {
+        self.backend.as_deref().unwrap_or("cpu")
+    }
     fn options(&self) -> barchan::Options {
         barchan::Options {
-            backend: self.backend.clone(),
+            backend: self.backend().to_owned(),
             precision: self.precision,
             threads: self.threads,
             adapter: self.adapter.clone(),
@@ -141,9 +144,9 @@ fn assemble(args: &SceneArgs) -> Result<Plan> {
 
 fn plan(args: &SceneArgs) -> Result<()> {
     let plan = assemble(args)?;
-    let passes = args.engine.registry()?.backend(&args.engine.backend)?.passes(&plan);
+    let passes = args.engine.registry()?.backend(args.engine.backend())?.passes(&plan);
     let lines: String = passes.iter().map(|pass| format!("  {pass}\n")).collect();
-    let heading = format!("\nPasses of the backend {}, in their order\n", args.engine.backend);
+    let heading = format!("\nPasses of the backend {}, in their order\n", args.engine.backend());
     show(format!("{plan}\n{}{lines}", if passes.is_empty() { "" } else { &heading }));
     Ok(())
 }

@@ -565,6 +565,41 @@ fn throughput_is_measured() {
     assert!(figures["particle_steps_per_s"].as_f64().unwrap() > 1e3);
 }
 
+/// Every law on every backend that there is, or on one of them.
+#[test]
+fn throughput_of_all_laws_is_a_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let all = ["bench", "throughput", "--all", "--grid", "32", "--side", "0.16", "--steps", "1", "--repetitions", "1"];
+    let text = succeed(folder.path(), &[&all[..], &["--json"]].concat());
+    let figures: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let plugins: serde_json::Value = serde_json::from_str(&succeed(folder.path(), &["plugins", "--json"])).unwrap();
+    let names = |kind: &str| -> Vec<&str> {
+        plugins[kind].as_array().unwrap().iter().map(|plugin| plugin["name"].as_str().unwrap()).collect()
+    };
+    let entries = figures["throughput"].as_array().unwrap();
+    assert_eq!(entries.len(), 2 * names("materials").len() * names("backends").len(), "{text}");
+    for law in names("materials") {
+        for backend in names("backends") {
+            for ground in ["resting", "moving"] {
+                let found =
+                    entries.iter().find(|e| e["law"] == law && e["backend"] == backend && e["ground"] == ground);
+                let entry = found.unwrap_or_else(|| panic!("{law} on {backend}, {ground}, is not in {text}"));
+                assert!(entry["particle_steps_per_s"].as_f64().is_some_and(|rate| rate > 1e2), "{entry}");
+                assert!(entry["particles"].as_u64().is_some_and(|count| count > 100), "{entry}");
+            }
+        }
+    }
+    let isa = figures["isa"].as_str().unwrap();
+    assert!(["baseline", "avx2", "avx512"].contains(&isa), "{isa}");
+
+    let one = [&all[..], &["--backend", "cpu", "--ground", "resting"]].concat();
+    let table = succeed(folder.path(), &one);
+    assert!(table.contains("cpu, resting") && !table.contains("moving") && !table.contains("wgpu"), "{table}");
+    assert!(table.lines().any(|line| line.starts_with("| neo_hookean ")), "{table}");
+    let error = fail(folder.path(), &["bench", "throughput", "--all", "--backend", "abacus"]);
+    assert!(error.contains("no backend is called 'abacus'"), "{error}");
+}
+
 /// A tiny ladder of a falling cube: errors are finite and fall with the cell, a nested run lies near its finest cell's uniform
 /// grid, and what cannot be run is a line of the table.
 #[test]

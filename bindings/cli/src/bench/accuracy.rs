@@ -184,7 +184,7 @@ pub(crate) fn run(args: &Accuracy) -> Result<()> {
         scene: scene.name.clone(),
         seconds: scene.time.end,
         length_m: length,
-        backend: args.engine.backend.clone(),
+        backend: args.engine.backend().to_owned(),
         threads: args.engine.threads,
         cores: std::thread::available_parallelism().map_or(0, Into::into),
         near_m: barchan::accuracy::NEAR,
@@ -228,7 +228,7 @@ fn uniform(args: &Accuracy, length: f64, n: u32) -> Entry {
         half,
         subcycle: false,
         tolerance,
-        backend: args.engine.backend.clone(),
+        backend: args.engine.backend().to_owned(),
         spacing_cells: None,
         precision: args.engine.precision,
         seed: None,
@@ -237,7 +237,7 @@ fn uniform(args: &Accuracy, length: f64, n: u32) -> Entry {
 
 /// The reference's grid, on its backend.
 fn finest(args: &Accuracy, length: f64) -> Entry {
-    let backend = args.reference_backend.as_ref().unwrap_or(&args.engine.backend).clone();
+    let backend = args.reference_backend.as_deref().unwrap_or(args.engine.backend()).to_owned();
     Entry { backend, ..uniform(args, length, args.reference) }
 }
 

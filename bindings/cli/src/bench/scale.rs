@@ -128,7 +128,7 @@ pub(crate) fn run(args: &Scale) -> Result<()> {
     let statement = [statement(&rows), statement_of_reach(&rows)].join("\n");
     let report = json!({
         "version": env!("CARGO_PKG_VERSION"), "cell_m": 1.0 / f64::from(args.cells), "half": args.half, "reach": args.reach, "subcycle": args.subcycle,
-        "backend": args.engine.backend, "precision": args.engine.precision, "threads": args.engine.threads,
+        "backend": args.engine.backend(), "precision": args.engine.precision, "threads": args.engine.threads,
         "rows": rows, "statement": statement,
     });
     let table = markdown(args, &rows, &statement);
@@ -286,7 +286,7 @@ fn markdown(args: &Scale, rows: &[Row], statement: &str) -> String {
         args.cells,
         args.half,
         if args.subcycle { ", subcycled" } else { "" },
-        args.engine.backend,
+        args.engine.backend(),
         args.engine.precision,
         args.effort.repetitions,
         args.effort.steps
