@@ -17,7 +17,7 @@ pub(crate) struct Throughput {
     /// Every law, at rest and moving, on every backend that has something to run on here, or on the one that `--backend` names.
     #[arg(long, conflicts_with = "material")]
     all: bool,
-    /// Cells along 1.28 m: 32, 64, 128 or 256.
+    /// Cells along 1.28 m: 32, 64, 128, 256 or 512: at 512 93 million particles, 40 GB on a GPU.
     #[arg(long, default_value_t = 64)]
     grid: u32,
     /// What the bed does [default: struck; with --all: resting, and moving].
