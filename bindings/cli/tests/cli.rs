@@ -512,7 +512,7 @@ fn what_cannot_be_run_is_refused_with_place_and_mend() {
         (&["check", "small.toml", "--set", "gravity[2]=-1"], &["--set: gravity[2]", "write all of it, gravity=[…]"]),
         (
             &["check", "small.toml", "--set", "body[0].shape.sphere.radius=1"],
-            &["body[0].shape: with --set body[0].shape.sphere"],
+            &["body[0].shape: ", "(with --set body[0].shape.sphere.radius); give exactly one"],
         ),
         (
             &["check", "small.toml", "--set", "coupling=[{ kind = \"rigid\", parameters = { mass = 1 } }]"],
