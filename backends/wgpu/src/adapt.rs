@@ -158,8 +158,8 @@ impl WgpuBatch {
             let count = homes.order.len();
             Ok((Planes::of(lists, &homes, &world.materials, count, rest_vectors(&world.materials))?, homes))
         };
-        let of_levels = come.par_chunks(world.materials.len()).zip(&world.levels);
-        let laid = of_levels.map(lay).collect::<Result<Vec<_>>>()?;
+        let of_levels: Vec<_> = layout::by_level(come, world.materials.len()).zip(&world.levels).collect();
+        let laid = of_levels.into_par_iter().map(lay).collect::<Result<Vec<_>>>()?;
         let more = |f: fn(&Homes) -> usize| laid.iter().map(|(_, homes)| f(homes)).sum::<usize>();
         let end = before + more(|homes| homes.order.len());
         self.make_room_for(end, blocks + more(|homes| homes.blocks.len()))?;
@@ -183,7 +183,9 @@ impl WgpuBatch {
 
         let world = &mut self.worlds[w];
         world.take_new(come)?;
-        for ((level, come), gone) in world.levels.iter_mut().zip(come.chunks(world.materials.len())).zip(gone) {
+        for ((level, come), gone) in
+            world.levels.iter_mut().zip(layout::by_level(come, world.materials.len())).zip(gone)
+        {
             level.particles.end += come.iter().map(ParticleList::len).sum::<usize>();
             level.particles.end -= gone.len();
         }

@@ -2,7 +2,7 @@
 
 use crate::batch::WgpuBatch;
 use crate::kernels::Role;
-use crate::layout::Planes;
+use crate::layout::{Planes, by_level};
 use crate::memory::with_room;
 use barchan_core::{Coupling, ParticleList, Result};
 use barchan_grid::adapt::{CopiedLevel, LevelStore, Parcel};
@@ -63,8 +63,7 @@ impl WgpuBatch {
             return Ok((gone, found));
         }
         let (lists, laid) = self.lists(w)?;
-        for (l, lists) in lists.chunks(world.materials.len()).enumerate() {
-            let (homes, planes) = &laid[l];
+        for (l, (lists, (homes, planes))) in by_level(&lists, world.materials.len()).zip(&laid).enumerate() {
             let places = homes.places();
             for (law, list) in lists.iter().enumerate() {
                 let own = places.iter().map(|(q, _)| *q).filter(|&q| planes.law(q) == law);

@@ -1504,7 +1504,7 @@ impl WgpuBatch {
     fn arrival(&self, w: usize, mut particles: ParticleState) -> Result<Arrival> {
         let World { materials, levels, .. } = &self.worlds[w];
         layout::check(&particles, materials, self.levels)?;
-        let of_levels = || particles.lists.chunks(materials.len()).zip(levels);
+        let of_levels = || layout::by_level(&particles.lists, materials.len()).zip(levels);
         let restored = particles.sort.as_ref().and_then(|sort| {
             let restore = |(l, (lists, _)): (usize, (&[ParticleList], &Level))| Homes::restored(lists, l, &sort.blocks);
             of_levels().enumerate().map(restore).collect::<Option<Vec<_>>>()
@@ -1524,7 +1524,7 @@ impl WgpuBatch {
             Some(sort) => sleep::restored(sort, l, lists, homes),
             None => vec![sleep::words_of(1); homes.blocks.len()],
         };
-        let watched = particles.lists.chunks(materials.len()).zip(&homes).enumerate().map(rest).collect();
+        let watched = layout::by_level(&particles.lists, materials.len()).zip(&homes).enumerate().map(rest).collect();
         Ok(Arrival { homes, watched, planes, particles })
     }
 

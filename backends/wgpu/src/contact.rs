@@ -43,7 +43,6 @@ impl Block {
 }
 
 /// A world's nodes near its bodies.
-#[derive(Default)]
 struct Near {
     /// In the order of their numbers.
     blocks: Vec<Block>,
@@ -156,8 +155,8 @@ struct Visit<'a, 'b> {
 }
 
 impl<'a, 'b> Visit<'a, 'b> {
-    fn new(turn: &'a mut Turn<'b>, failed: Option<Error>) -> Self {
-        let (asked, near, wrenches) = (Vec::new(), Near::default(), Vec::new());
+    fn new(turn: &'a mut Turn<'b>, world: &World, failed: Option<Error>) -> Self {
+        let (asked, near, wrenches) = (Vec::new(), Near::new(world), Vec::new());
         Self { turn, asked, near, speed: 0.0, sorted: false, wrenches, failed }
     }
 
@@ -454,7 +453,8 @@ impl WgpuBatch {
     fn visits<'a, 'b>(&self, turns: &'a mut [Turn<'b>]) -> Vec<Visit<'a, 'b>> {
         let visit = |turn: &'a mut Turn<'b>| {
             let failed = self.fault(turn);
-            Visit::new(turn, failed)
+            let world = &self.worlds[turn.world];
+            Visit::new(turn, world, failed)
         };
         turns.iter_mut().map(visit).collect()
     }

@@ -1045,6 +1045,7 @@ fn p2g([sleeps, mirrored, levels, subcycled, stiffens]: [bool; 5], particles: us
         .replace("$FLUSH", &flush())
         .replace("$IS_STIFF", if stiffens { "is_stiff = is_too_stiff(layer);" } else { "" })
         .replace("$HALT_IF_STIFF", if stiffens { HALT_IF_STIFF } else { "" })
+        .replace("$KEPT_NEED", if sleeps { "atomicLoad(&status[need_word(step.number + 1u, layer)])" } else { "0u" })
         .replace("$GIVES", if sleeps { "gives(b, layer)" } else { "1u" })
         .replace("$BOOK_LAST", if mirrored { BOOK_LAST } else { "" })
         .replace("$BOOKED", if sleeps { "select(total, 0.0, is_frozen != 0u)" } else { "total" })
@@ -1092,9 +1093,10 @@ fn p2g([sleeps, mirrored, levels, subcycled, stiffens]: [bool; 5], particles: us
     }
 }
 
-/// The next step's needs come into the word in which those of the step before the last have been.
+/// The next step's needs come into the word in which those of the step before the last have been; those asleep, which nobody asks, go on needing
+/// what they did.
 const HALT_IF_STIFF: &str = "if is_first {
-            atomicStore(&status[need_word(step.number, layer)], 0u);
+            atomicStore(&status[need_word(step.number, layer)], $KEPT_NEED);
         }
         if is_stiff {
             if is_first {

@@ -486,6 +486,11 @@ pub(crate) fn check_count(particles: usize, mend: &'static str) -> Result<()> {
     })
 }
 
+/// The lists of each level, finest first, one a material. Without materials, as many levels without a list as anyone asks for.
+pub(crate) fn by_level<T>(lists: &[T], materials: usize) -> impl Iterator<Item = &[T]> {
+    (0..).map_while(move |l| lists.get(l * materials..(l + 1) * materials))
+}
+
 /// The lists of a state, checked against the plan.
 ///
 /// # Errors

@@ -116,16 +116,12 @@ fn of_stretch(
     Ok(need)
 }
 
-/// What particles whose laws are asked on the device set as a bound, of which those of a level that takes so many steps within one of the
-/// simulation need so many steps a second, for each level.
-pub(crate) fn bound_of_needs(materials: &[PlannedMaterial], needs: impl Iterator<Item = (f32, u32)>) -> Bound {
-    let least = needs.map(|(need, steps_within)| f64::from(steps_within) / f64::from(need));
-    // A level without particles needs none; NaN stays.
-    let least = least.fold(f64::INFINITY, |least, dt| if least.is_nan() || dt >= least { least } else { dt });
+/// What particles whose laws are asked on the device set as a bound, if they need so many steps of the simulation a second; NaN stays.
+pub(crate) fn bound_of_need(materials: &[PlannedMaterial], need: f32) -> Bound {
     let names: Vec<_> = materials.iter().filter(|planned| is_asked_on_device(planned)).collect();
     let names: Vec<_> = names.iter().map(|planned| format!("'{}'", planned.name)).collect();
     let kind = if names.len() > 1 { "one of the materials" } else { "material" };
-    Bound { dt: least, by: format!("stiffness of {kind} {}", names.join(", ")) }
+    Bound { dt: 1.0 / f64::from(need), by: format!("stiffness of {kind} {}", names.join(", ")) }
 }
 
 /// The lesser of two bounds. NaN is for whoever asks laws next to find.

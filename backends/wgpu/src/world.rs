@@ -1,7 +1,7 @@
 //! What the host knows of a world of a batch.
 
 use crate::kernels::{may_sleep, parameter_vectors, softs, stiffens};
-use crate::layout::Periods;
+use crate::layout::{Periods, by_level};
 use crate::memory::{Layer, MAX_SLOTS, MAX_STEPS};
 use crate::sleep::Slept;
 use crate::soft::Softs;
@@ -178,7 +178,7 @@ pub(crate) struct World {
     unchanging: Bound,
     needed: Bound,
     asked: Bound,
-    /// Most steps a second that the device found to be needed.
+    /// Most steps a second of the simulation that are needed by those whom the device asks.
     need: f32,
     /// The least of each material [kg/m³].
     pub(crate) densities: Vec<f64>,
@@ -352,7 +352,7 @@ impl World {
         let least = masses.clone().copied().fold(f64::INFINITY, f64::min);
         self.mass = masses.sum();
         self.least_mass = if least.is_finite() { least * 1e-20 } else { 0.0 };
-        for (level, lists) in self.levels.iter_mut().zip(lists.chunks(self.materials.len())) {
+        for (level, lists) in self.levels.iter_mut().zip(by_level(lists, self.materials.len())) {
             let speeds = lists.iter().flat_map(|list| &list.velocity).flatten();
             level.particle_speed = speeds.fold(0.0, |most: f64, v| if v.is_nan() { *v } else { most.max(v.abs()) });
         }
@@ -368,6 +368,7 @@ impl World {
             for bound in [&mut self.needed, &mut self.asked].into_iter().filter(|bound| bound.dt.is_finite()) {
                 bound.dt = sort.measured.stiffness_bound;
             }
+            self.set_needed(self.needed.clone());
             self.stiffness_age = sort.measured.stiffness_age;
             (self.mass, self.least_mass) = (sort.measured.mass, sort.measured.least_mass);
         }
@@ -378,7 +379,7 @@ impl World {
     pub(crate) fn take_new(&mut self, lists: &[ParticleList]) -> Result<()> {
         let masses = lists.iter().flat_map(|list| &list.mass);
         self.least_mass = masses.fold(self.least_mass, |least, mass| least.min(mass * 1e-20));
-        for (level, lists) in self.levels.iter_mut().zip(lists.chunks(self.materials.len())) {
+        for (level, lists) in self.levels.iter_mut().zip(by_level(lists, self.materials.len())) {
             let speeds = lists.iter().flat_map(|list| &list.velocity).flatten();
             level.particle_speed = speeds.fold(level.particle_speed, |most, v| most.max(v.abs()));
         }
@@ -405,35 +406,43 @@ impl World {
             stiffness::bound(lists, &self.materials, self.substeps)
         };
         self.unchanging = of(|planned| !stiffness::hardens(planned))?;
-        self.needed = of(stiffness::is_asked_on_device)?;
+        let needed = of(stiffness::is_asked_on_device)?;
         self.asked = of(stiffness::is_asked_on_host)?;
+        self.set_needed(needed);
         let density = |list: &ParticleList| {
             list.mass.iter().zip(&list.volume0).fold(f64::INFINITY, |least, (m, v)| least.min(m / v))
         };
-        let of_material = |m: usize| lists.iter().skip(m).step_by(self.materials.len()).map(density);
+        let of_material = |m: usize| by_level(lists, self.materials.len()).map(move |lists| density(&lists[m]));
         self.densities = (0..self.materials.len()).map(|m| of_material(m).fold(f64::INFINITY, f64::min)).collect();
         Ok(())
     }
 
     /// Laws have been asked on the device: particles of each level, finest first, need so many steps a second.
     pub(crate) fn take_needs(&mut self, needs: impl Iterator<Item = f32>) {
-        let needs: Vec<_> = needs.zip(&self.levels).map(|(need, level)| (need, level.steps_within)).collect();
-        let most = |most: f32, (need, steps): &(f32, u32)| {
+        // Those asleep are not asked: what they needed when they fell asleep is kept. The device does so, too, from step to step, so that it
+        // does not matter after which of them anyone looks.
+        let before = if self.sleeps { self.need } else { 0.0 };
+        self.need = needs.zip(&self.levels).fold(before, |most, (need, level)| {
             // A power of two: exact, as on the device.
-            let need = need / *steps as f32;
+            let need = need / level.steps_within as f32;
             if most.is_nan() || need <= most { most } else { need }
-        };
-        self.need = needs.iter().fold(0.0, most);
-        let needed = stiffness::bound_of_needs(&self.materials, needs.into_iter());
-        // Those asleep were not asked; what they needed when they fell asleep is kept.
-        self.needed = if self.sleeps { lesser(needed, self.needed.clone()) } else { needed };
+        });
+        self.needed = stiffness::bound_of_need(&self.materials, self.need);
+    }
+
+    /// Laws that the device asks have been asked here.
+    fn set_needed(&mut self, needed: Bound) {
+        self.need = (1.0 / needed.dt) as f32;
+        self.needed = needed;
     }
 
     /// Laws have been asked on the host: those that are always asked there, and, if ground may sleep, the others, whose bounds are these.
     pub(crate) fn take_asked(&mut self, asked: Bound, needed: Option<Bound>) {
         self.stiffness_age = 0;
         self.asked = asked;
-        self.needed = needed.unwrap_or(self.needed.clone());
+        if let Some(needed) = needed {
+            self.set_needed(needed);
+        }
     }
 
     /// Are those that the device asks asked on the host, too, since some may be asleep?

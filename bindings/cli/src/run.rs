@@ -189,7 +189,8 @@ impl RunArgs {
         match (&self.out, resumed) {
             (Some(out), _) => Ok(out.clone()),
             (None, Some(Resumed { snapshot, .. })) if snapshot.ends_with(SNAPSHOT) => {
-                Ok(snapshot.parent().map_or_else(PathBuf::new, Path::to_owned))
+                let folder = snapshot.parent().filter(|folder| *folder != Path::new(""));
+                Ok(folder.unwrap_or(Path::new(".")).to_owned())
             }
             (None, _) => run::next_folder(Path::new(OUT), name),
         }

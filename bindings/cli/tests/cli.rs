@@ -266,6 +266,43 @@ fn a_folder_that_holds_a_run_is_not_written_over() {
     assert_eq!(fs::read_dir(&foreign).unwrap().count(), 1, "something was left behind");
 }
 
+/// Symptom: a user's own `files.txt` passed for the list of a run, so that `--overwrite` removed the files that it names. Only what a run writes can stand
+/// in its list, and a list that a full disk cut off within a line goes on with a new one.
+#[test]
+fn a_list_of_files_that_is_somebody_elses_is_left_alone() {
+    let folder = folder_with_scene();
+    let out = folder.path().join("own");
+    fs::create_dir(&out).unwrap();
+    fs::write(out.join("data.csv"), "mine").unwrap();
+    for text in ["data.csv\n", "trace.csv\n../small.toml\n", "my notes", "frames/00001.png\n\u{1b}"] {
+        fs::write(out.join("files.txt"), text).unwrap();
+        for more in [&[][..], &["--overwrite"]] {
+            let error = fail(folder.path(), &[&["run", "small.toml", "--out", "own", "--quiet"], more].concat());
+            assert!(error.contains("own: ") && error.contains("holds files.txt, which no run has written"), "{error}");
+        }
+        assert_eq!(fs::read_to_string(out.join("files.txt")).unwrap(), text);
+    }
+    fs::write(out.join("files.txt"), "frames/000").unwrap();
+    let run = ["run", "small.toml", "--out", "own", "--quiet", "--steps", "3", "--no-pictures"];
+    succeed(folder.path(), &run);
+    assert_eq!(
+        fs::read_to_string(out.join("files.txt")).unwrap(),
+        "trace.csv\nsnapshot.barchan\nsummary.json\n",
+        "each name on its own line"
+    );
+    succeed(folder.path(), &[&run[..], &["--overwrite"]].concat());
+    assert_eq!(fs::read_to_string(out.join("data.csv")).unwrap(), "mine");
+    #[cfg(unix)]
+    {
+        let linked = folder.path().join("linked");
+        fs::create_dir(&linked).unwrap();
+        std::os::unix::fs::symlink(out.join("data.csv"), linked.join("files.txt")).unwrap();
+        let error = fail(folder.path(), &["run", "small.toml", "--out", "linked", "--quiet"]);
+        assert!(error.contains("holds files.txt, which is no file of a run"), "{error}");
+        assert_eq!(fs::read_to_string(out.join("data.csv")).unwrap(), "mine");
+    }
+}
+
 #[test]
 fn runs_without_a_folder_are_numbered_and_the_last_is_gone_on_with() {
     let folder = folder_with_scene();
@@ -280,6 +317,11 @@ fn runs_without_a_folder_are_numbered_and_the_last_is_gone_on_with() {
     );
     let lines = |out: &str| fs::read_to_string(folder.path().join(out).join("trace.csv")).unwrap().lines().count();
     assert_eq!((lines("out/small-001"), lines("out/small-002")), (21, 31));
+    // Also from within.
+    let inside = folder.path().join("out/small-002");
+    let text = succeed(&inside, &["run", "--resume=snapshot.barchan", "--steps", "40", "--no-pictures"]);
+    assert!(text.contains("output goes to .\n"), "{text}");
+    assert_eq!((lines("out/small-001"), lines("out/small-002")), (21, 41));
     let error = fail(folder.path(), &["run", "letters", "--resume"]);
     assert!(error.contains("no run of 'letters' has left a snapshot.barchan in out"), "{error}");
     // What is refused leaves no folder behind.
@@ -470,7 +512,7 @@ fn what_cannot_be_run_is_refused_with_place_and_mend() {
         (&["check", "small.toml", "--set", "gravity[2]=-1"], &["--set: gravity[2]", "write all of it, gravity=[…]"]),
         (
             &["check", "small.toml", "--set", "body[0].shape.sphere.radius=1"],
-            &["body[0].shape: with --set body[0].shape.sphere"],
+            &["body[0].shape: ", "(with --set body[0].shape.sphere.radius); give exactly one"],
         ),
         (
             &["check", "small.toml", "--set", "coupling=[{ kind = \"rigid\", parameters = { mass = 1 } }]"],

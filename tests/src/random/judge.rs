@@ -40,6 +40,8 @@ pub enum Rule {
     Precision,
     /// Another backend is near the CPU.
     Backend,
+    /// It takes many steps at once as it takes them one by one.
+    Looking,
 }
 
 impl fmt::Display for Rule {
@@ -54,6 +56,7 @@ impl fmt::Display for Rule {
             Self::Resume => "resumed it has other bits",
             Self::Precision => "f32 is far from f64",
             Self::Backend => "the backend is far from the CPU",
+            Self::Looking => "many steps at once give other bits than one by one",
         })
     }
 }
@@ -167,6 +170,7 @@ impl Judge {
             return Ok(Outcome::Ran(one.step_count(), Some(error.to_string())));
         }
         self.is_near_others(&scene, one.plan().dt)?;
+        self.is_the_same_at_once(&scene)?;
         Ok(Outcome::Ran(one.step_count(), None))
     }
 
@@ -193,6 +197,27 @@ impl Judge {
         let Some(other) = backend.transpose()?.flatten() else { return Ok(()) };
         other.is_closed(&scene, MOMENTUM[1])?;
         are_near(Rule::Backend, &exact, &other)
+    }
+
+    /// Does the other backend give the same bits whether anyone looks after each step or only at the end?
+    fn is_the_same_at_once(&self, scene: &Scene) -> Held<()> {
+        let Some(backend) = &self.backend else { return Ok(()) };
+        let options = Options { backend: backend.clone(), ..self.options(Precision::F32, 1) };
+        let start = || match Simulation::new(&self.registry, scene, &options) {
+            Ok(simulation) => Ok(Some(simulation)),
+            Err(Error::Missing { .. }) => Ok(None),
+            Err(error) => broken(Rule::Looking, error.to_string()),
+        };
+        let (Some(one), Some(many)) = (start()?, start()?) else { return Ok(()) };
+        let (one, mut many) = (self.run(one, None)?, Run::new(many));
+        while many.simulation.step_count() < self.steps && many.error.is_none() {
+            let left = self.steps - many.simulation.step_count();
+            many.error = many.simulation.steps(left as usize, f64::INFINITY).err();
+        }
+        if self.bits(&one.simulation, "one")? != self.bits(&many.simulation, "many")? || one.says() != many.says() {
+            return broken(Rule::Looking, difference(&one.simulation, &many.simulation));
+        }
+        Ok(())
     }
 
     fn read(&self, text: &str) -> Result<Scene, Error> {

@@ -98,6 +98,32 @@ fn the_device_stops_before_a_step_that_the_ground_no_longer_bears() {
     }
 }
 
+/// When a step is chosen anew, since the ground has become too stiff for it, is for the ground to say: whoever looks after each step, or after
+/// a hundred, sees the same particles, bit for bit. Symptom where ground may sleep: what it needed was kept from those steps only after
+/// which somebody looked.
+#[test]
+fn looking_in_between_changes_no_bit() {
+    let levels = "[levels]\ncount = 2\nhalf = 8\nsubcycle = true\nagents = [\"block\"]\n";
+    for (law, more) in [(LAWS[0], "[sleep]\nspeed = 0.3\n"), (LAWS[3], levels)] {
+        let text = thrown(law, 3.0, more, "safety = 0.9").replace("0.12, 0.12, 0.16", "0.06, 0.06, 0.08");
+        let run = |most: usize| {
+            let (mut sim, mut lengths) = (gpu(&text), Vec::new());
+            while lengths.len() < 150 {
+                let reports = sim.steps(most.min(150 - lengths.len()), f64::INFINITY);
+                lengths.extend(reports.unwrap_or_else(|e| panic!("{e}")).iter().map(|report| report.dt));
+            }
+            (sim.particles(), lengths)
+        };
+        let (one, many) = (run(1), run(100));
+        let [least, most] = [f64::min, f64::max].map(|of| one.1.iter().copied().reduce(of).unwrap());
+        println!("{} {more:?}: steps of {least:.3e} to {most:.3e} s", law.0);
+        assert!(least < 0.97 * most, "{}: it never grows too stiff", law.0);
+        let first = one.1.iter().zip(&many.1).position(|(a, b)| a.to_bits() != b.to_bits());
+        assert!(first.is_none(), "{} {more:?}: step {first:?} has another length", law.0);
+        assert!(one.0 == many.0, "{} {more:?}: other bits", law.0);
+    }
+}
+
 /// Ground asleep is as stiff as it was: what wakes it meets the bound that it set.
 #[test]
 fn what_sleeps_still_bounds_the_step() {

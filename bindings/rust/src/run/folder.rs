@@ -5,11 +5,12 @@
 //! operating system, which lets go of it however the run ends.
 
 use barchan_core::file::{of_temporary, try_room, write_whole};
+use barchan_core::scene::plain;
 use barchan_core::{Error, Result};
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 /// The list of what a run has written.
 const LIST: &str = "files.txt";
@@ -46,7 +47,11 @@ pub(super) struct Folder {
 /// # Errors
 /// [`Error::Folder`] then.
 pub fn check(out: &Path, existing: Existing) -> Result<()> {
-    let listed = File::open(out.join(LIST)).and_then(|mut list| read_list(&mut list)).unwrap_or_default();
+    check_list(out)?;
+    let listed = match File::open(out.join(LIST)) {
+        Ok(mut list) => read_list(out, &mut list)?.names,
+        Err(_) => BTreeSet::new(),
+    };
     check_content(out, &listed, existing)
 }
 
@@ -92,8 +97,23 @@ fn make(path: &Path) -> Result<()> {
     fs::create_dir_all(path).map_err(|source| Error::Io { file: path.to_owned(), what: MAKING, source })
 }
 
+/// Refuses a folder since something in it is not a run's.
+fn foreign(out: &Path, what: String) -> Error {
+    let mend = "move it elsewhere, or choose another folder with --out".to_owned();
+    Error::Folder { folder: out.to_owned(), what, mend }
+}
+
+/// What bears the list's name is a file and no link to one.
+fn check_list(out: &Path) -> Result<()> {
+    match fs::symlink_metadata(out.join(LIST)) {
+        Ok(found) if !found.is_file() => Err(foreign(out, format!("holds {LIST}, which is no file of a run"))),
+        _ => Ok(()),
+    }
+}
+
 /// Opens the list of a folder's files and locks it.
 fn lock(out: &Path) -> Result<File> {
+    check_list(out)?;
     let path = out.join(LIST);
     let list = File::options().read(true).write(true).create(true).truncate(false).open(&path);
     let list = list.map_err(|source| Error::Io { file: out.to_owned(), what: UNUSABLE, source })?;
@@ -110,15 +130,28 @@ fn lock(out: &Path) -> Result<File> {
     }
 }
 
-/// Names from a list; what leads out of the folder is none.
-fn read_list(list: &mut File) -> io::Result<BTreeSet<String>> {
-    let mut text = String::new();
-    list.read_to_string(&mut text)?;
-    let stays =
-        |name: &&str| !name.is_empty() && Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-    // A line that was cut off names nothing that is there.
-    let whole = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
-    Ok(whole.lines().filter(stays).map(str::to_owned).collect())
+/// What a list holds.
+struct Listed {
+    names: BTreeSet<String>,
+    /// Bytes of whole lines.
+    whole: u64,
+}
+
+/// Reads a list. A line that was cut off names nothing that is there; one that names what no run writes is somebody else's.
+fn read_list(out: &Path, list: &mut File) -> Result<Listed> {
+    let mut text = Vec::new();
+    let read = list.read_to_end(&mut text);
+    read.map_err(|source| Error::Io { file: out.join(LIST), what: "reading the list of a run's files", source })?;
+    let text = String::from_utf8_lossy(&text);
+    let is_own = |line: &str| match line.strip_suffix('\n') {
+        Some(name) => FIXED.contains(&name) || number_of(name).is_some(),
+        None => may_begin(line),
+    };
+    if let Some(line) = text.split_inclusive('\n').find(|line| !is_own(line)) {
+        return Err(foreign(out, format!("holds {LIST}, which no run has written (it has a line '{}')", plain(line))));
+    }
+    let whole = text.rfind('\n').map_or(0, |end| end + 1);
+    Ok(Listed { names: text[..whole].lines().map(str::to_owned).collect(), whole: whole as u64 })
 }
 
 /// The number of a numbered file, if a run could have written one of that name.
@@ -129,6 +162,18 @@ fn number_of(name: &str) -> Option<u64> {
     (endings.contains(&ending) && stem.len() >= DIGITS && stem.bytes().all(|c| c.is_ascii_digit()))
         .then(|| stem.parse().ok())
         .flatten()
+}
+
+/// Might a name that a run writes begin like that?
+fn may_begin(text: &str) -> bool {
+    let numbered = |(folder, _): &(&str, _)| match text.strip_prefix(folder) {
+        Some(rest) => {
+            rest.is_empty()
+                || rest.starts_with('/') && rest[1..].bytes().all(|c| c.is_ascii_alphanumeric() || c == b'.')
+        }
+        None => folder.starts_with(text),
+    };
+    FIXED.iter().any(|name| name.starts_with(text)) || NUMBERED.iter().any(numbered)
 }
 
 /// What lies in a folder under names that a run uses.
@@ -146,19 +191,17 @@ fn found(out: &Path) -> Vec<String> {
 /// Holds what a folder holds to what is to become of it.
 fn check_content(out: &Path, listed: &BTreeSet<String>, existing: Existing) -> Result<()> {
     let found = found(out);
-    let refuse = |what: String, mend: &str| Err(Error::Folder { folder: out.to_owned(), what, mend: mend.to_owned() });
     if existing == Existing::Refuse && !found.is_empty() {
-        return refuse(
-            format!("holds a run ({})", found[0]),
-            "go on with it by --resume, replace it by --overwrite, or choose another folder with --out",
-        );
+        let mend = "go on with it by --resume, replace it by --overwrite, or choose another folder with --out";
+        return Err(Error::Folder {
+            folder: out.to_owned(),
+            what: format!("holds a run ({})", found[0]),
+            mend: mend.to_owned(),
+        });
     }
     // What is not listed is somebody else's.
     match found.iter().find(|name| !listed.contains(*name)) {
-        Some(name) => refuse(
-            format!("holds {name}, which no run that wrote here has listed in {LIST}"),
-            "move it elsewhere, or choose another folder with --out",
-        ),
+        Some(name) => Err(foreign(out, format!("holds {name}, which no run that wrote here has listed in {LIST}"))),
         None => Ok(()),
     }
 }
@@ -173,10 +216,11 @@ impl Folder {
     pub(super) fn open(out: &Path, existing: Existing, snapshot: u64) -> Result<Self> {
         let is_new = !out.exists();
         make(out)?;
+        let was_listed = out.join(LIST).exists();
         let list = lock(out)?;
         let mut folder = Self { path: out.to_owned(), list, written: BTreeSet::new() };
         let ready = folder.prepare(existing, snapshot);
-        if ready.is_err() && folder.written.is_empty() {
+        if ready.is_err() && !was_listed {
             // As if it had never been asked for. What fails here is of no concern beside what went wrong.
             let _ = fs::remove_file(out.join(LIST));
             let _ = if is_new { fs::remove_dir(out) } else { Ok(()) };
@@ -185,12 +229,12 @@ impl Folder {
     }
 
     fn prepare(&mut self, existing: Existing, snapshot: u64) -> Result<()> {
-        self.written = read_list(&mut self.list).map_err(|source| Error::Io {
-            file: self.join(LIST),
-            what: "reading the list of a run's files",
-            source,
-        })?;
+        let listed = read_list(&self.path, &mut self.list)?;
+        self.written = listed.names;
         check_content(&self.path, &self.written, existing)?;
+        // What comes next begins a line.
+        let cut = self.list.set_len(listed.whole);
+        cut.map_err(|source| Error::Io { file: self.join(LIST), what: "listing a file", source })?;
         self.clear_leftovers()?;
         try_room(&self.join(PROBE), snapshot.clamp(1 << 16, 64 << 20) as usize).map_err(|source| Error::Io {
             file: self.path.clone(),
