@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs every check and every test of Barchan, and installs by itself what they need.
 #
-# Needs: Rust (rustup.rs) and a C compiler. Takes about 15 minutes on two cores the first time.
+# Needs: Rust (rustup.rs) and a C compiler. Takes up to an hour on two slow cores the first time, and ends with its slowest tests and its minutes.
 # Installs, if missing:
 #   rustfmt, clippy   into the Rust toolchain, by rustup                        about 15 MB
 #   mesa-vulkan-drivers  by apt-get, as root, on Linux without a Vulkan driver      about 150 MB
@@ -69,4 +69,15 @@ step "Documentation"
 RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 
 step "Tests"
-cargo test --workspace --no-fail-fast
+# Only tests that take themselves for those of a nightly Rust tell their times; the compiler is told nothing of it.
+log="${CARGO_TARGET_DIR:-target}/tests.log"
+passed=true
+cargo test --workspace --no-fail-fast --lib --bins --tests --config 'target."cfg(all())".runner = ["env", "RUSTC_BOOTSTRAP=1"]' \
+    -- -Z unstable-options --report-time 2>&1 | tee "$log" || passed=false
+cargo test --workspace --no-fail-fast --doc || passed=false
+
+step "The slowest tests, in seconds"
+sed -nE 's/^test (.*) \.\.\. .*<([0-9.]+)s>$/\2 \1/p' "$log" | sort -rn | sed -n 1,15p
+
+printf '\n%s after %d minutes.\n' "$("$passed" && echo "All passed" || echo "Something failed")" $((SECONDS / 60))
+"$passed"

@@ -413,14 +413,11 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 debug_assert!(part < step.strain_parts);
                 return Err(Fault::Material { status, chunk: first });
             }
-            // Nothing of these particles is written back that is not a number, nor felt by a node.
-            for (at, chunk, lane) in Batches::<V>::parts(first, count) {
+            for (at, chunk, lane) in Batches::<V>::parts(first, if step.frozen { 0 } else { count }) {
+                // Nothing is written back that is not a number. Stress that is not one shows in the momentum that it gives.
                 let mut sum = V::zero();
                 for p in 0..planes {
                     sum += V::load(&raw const (*scratch).strain[p][at]);
-                }
-                for c in 0..6 {
-                    sum += V::load(&raw const (*scratch).kirchhoff[c][at]);
                 }
                 for q in 0..n_state {
                     sum += V::load(&raw const (*scratch).state_out[q][at]);
@@ -429,8 +426,6 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 if !finite.all() {
                     return Err(Fault::Unsound { chunk, lane: lane + (!finite.bits()).trailing_zeros() as usize });
                 }
-            }
-            for (at, chunk, lane) in Batches::<V>::parts(first, if step.frozen { 0 } else { count }) {
                 for p in 0..planes {
                     let strain = V::load(&raw const (*scratch).strain[p][at]);
                     // Of b_e and F, what lies off the diagonal.
@@ -497,7 +492,14 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 }
                 let finite = (B[0] + B[1] + B[2] + m).is_finite();
                 if !finite.all() {
-                    return Err(Fault::NonFinite { chunk, lane: lane + (!finite.bits()).trailing_zeros() as usize });
+                    let sound = (tau[0] + tau[1] + tau[2] + tau[4] + tau[5] + tau[8]).is_finite();
+                    let first_of = |lanes: V::Mask| lane + lanes.bits().trailing_zeros() as usize;
+                    let by_law = !finite & !sound;
+                    return Err(if by_law.any() {
+                        Fault::Unsound { chunk, lane: first_of(by_law) }
+                    } else {
+                        Fault::NonFinite { chunk, lane: first_of(!finite) }
+                    });
                 }
                 Batches::write_quads(&raw mut (*quads)[0], at, B);
                 for j in 0..3 {

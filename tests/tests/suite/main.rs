@@ -5,6 +5,7 @@ mod coupling;
 mod determinism;
 mod effects;
 mod hard_cases;
+mod instruction_sets;
 mod levels;
 mod libraries;
 mod output;
