@@ -1237,11 +1237,12 @@ impl WgpuBatch {
     ) -> Option<(u64, Vec3, usize)> {
         let world = &self.worlds[world];
         let l = world.levels.iter().position(|level| level.particles.contains(&slot))?;
-        let (slot, planes) = (slot - world.levels[l].particles.start, &laid[l].1);
+        let (slot, (homes, planes)) = (slot - world.levels[l].particles.start, &laid[l]);
         let law = planes.law(slot);
-        let before = (0..slot).filter(|&q| planes.law(q) == law).count();
-        let list = lists.get(l * world.materials.len() + law).filter(|list| before < list.len())?;
-        Some((list.id[before], list.position(before), law))
+        // Lists go by places, not by slots.
+        let own = homes.places().into_iter().map(|(q, _)| q).filter(|&q| planes.law(q) == law);
+        let (i, list) = own.zip(0..).find(|(q, _)| *q == slot).zip(lists.get(l * world.materials.len() + law))?;
+        Some((*list.id.get(i.1)?, list.position(i.1), law))
     }
 
     /// Turns a halt that no shorter step mends into what a user can act upon.
@@ -1840,8 +1841,9 @@ impl WgpuBatch {
             let levels = &self.worlds[turn.world].levels;
             // Soft ones are watched by the device.
             let softs = self.worlds[turn.world].softs.boxes(self.h);
+            let mut time = turn.time;
             for slot in 0..seen * self.substeps {
-                let at = turn.time + slot as f64 * each;
+                let at = time + (slot % self.substeps) as f64 * each;
                 if self.may_sleep() {
                     driven.near.push(sleep::near_tools(couplings, levels));
                 }
@@ -1853,6 +1855,8 @@ impl WgpuBatch {
                 packed.extend(pack_all(couplings[0].as_ref(), after, lent, bodies));
                 driven.packed.push(packed);
                 if (slot + 1) % self.substeps == 0 {
+                    // As a simulation counts it: a path knows the last bit.
+                    time += dt;
                     driven.after.push(couplings[0].bodies());
                     driven.saved.push(couplings[0].save());
                     if self.worlds[turn.world].adapt.must_follow(couplings, |body| softs.get(&body).copied()) {

@@ -516,9 +516,11 @@ impl World {
         self.scene.gravity.map(|g| slept * g * self.last_dt / f64::from(self.levels[l].steps_within))
     }
 
-    pub(crate) fn book_gravity(&mut self, time: f64, dt: f64, steps: usize) {
-        for s in 0..steps {
-            let gravity = self.scene.gravity_at(time + s as f64 * dt);
+    pub(crate) fn book_gravity(&mut self, mut time: f64, dt: f64, steps: usize) {
+        for _ in 0..steps {
+            let gravity = self.scene.gravity_at(time);
+            // As a simulation counts it.
+            time += dt;
             for (impulse, g) in self.gravity_impulse.iter_mut().zip(gravity) {
                 *impulse += self.mass * g * dt;
             }

@@ -199,7 +199,7 @@ impl Judge {
         are_near(Rule::Backend, &exact, &other)
     }
 
-    /// Does the other backend give the same bits whether anyone looks after each step or only at the end?
+    /// Does the other backend leave the same particles and bodies, bit for bit, whether anyone looks after each step or only at the end?
     fn is_the_same_at_once(&self, scene: &Scene) -> Held<()> {
         let Some(backend) = &self.backend else { return Ok(()) };
         let options = Options { backend: backend.clone(), ..self.options(Precision::F32, 1) };
@@ -214,7 +214,13 @@ impl Judge {
             let left = self.steps - many.simulation.step_count();
             many.error = many.simulation.steps(left as usize, f64::INFINITY).err();
         }
-        if self.bits(&one.simulation, "one")? != self.bits(&many.simulation, "many")? || one.says() != many.says() {
+        // Not the ledger: what many steps come to is summed up on a device in 32 bits.
+        let left = |run: &Run| {
+            let (simulation, particles) = (&run.simulation, run.simulation.particles());
+            let time = (simulation.step_count(), simulation.time().to_bits());
+            (particles.lists, particles.levels, particles.archive, simulation.bodies(), time, run.says())
+        };
+        if left(&one) != left(&many) {
             return broken(Rule::Looking, difference(&one.simulation, &many.simulation));
         }
         Ok(())

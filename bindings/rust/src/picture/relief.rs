@@ -224,7 +224,10 @@ impl Surface {
                 let sky = sky + fill;
                 let light = [1.18 * direct + 0.40 * sky, 1.14 * direct + 0.42 * sky, 1.06 * direct + 0.47 * sky];
                 let nearest = ground[((u + 0.5) as usize).min(self.columns - 1)];
-                let ground = palette[usize::from(nearest)].at(0.5 + 0.5 * (h - level) / range);
+                // Without soft bodies there is floor alone.
+                let ground = palette
+                    .get(usize::from(nearest))
+                    .map_or(floor, |ground| ground.at(0.5 + 0.5 * (h - level) / range));
                 let grain = 1.0 + 0.05 * speckle(column as u32, row as u32);
                 let bare = sky.powi(2) * 0.9;
                 *pixel = std::array::from_fn(|c| {
