@@ -432,7 +432,7 @@ fn b07_rest_stays_and_ringing_decays() {
     within("B7: greatest rise of a peak of energy", rise, 1e-12);
 }
 
-/// Symptom: the CPU's elastic energy was that of the start of the last step, next to a kinetic one of its end: 4 to 60 % apart in a cube that rings.
+/// Symptom: the CPU's elastic energy was that of the start of the last step, next to a kinetic one of its end.
 /// Physics: energies that are added up are of one time. What particles hold says their energy: b, carried along by I + dt C.
 #[test]
 fn energies_in_a_ledger_are_of_one_time() {
@@ -527,7 +527,7 @@ fn a_turn_that_is_over_within_one_bound_of_the_ground_is_resolved() {
 }
 
 /// Symptom: a ball that is pressed slowly into soft ground on levels has a third of its steps, in a larger bed more than half, cut for speed. It was the
-/// speed of nodes inside the ball, which weigh a millionth of a particle and which the ground squeezes out: contact holds them, and nobody feels them.
+/// speed of nodes inside the ball, which hardly weigh anything and which the ground squeezes out: contact holds them, and nobody feels them.
 /// Physics: what no particle feels bounds no step.
 #[test]
 fn b05_pressing_on_levels_is_not_cut_for_what_contact_holds() {
