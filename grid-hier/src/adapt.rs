@@ -609,8 +609,9 @@ impl Adapt {
         splitting.par_iter().map(split).collect()
     }
 
-    /// Gives children their numbers.
+    /// Gives children their numbers, in the order of their parents' numbers: so they are the same in whatever order a backend holds particles.
     fn number(&mut self, families: &mut [Family]) -> Result<()> {
+        families.par_sort_unstable_by_key(|family| family.parcels.first().map(|(_, parent)| parent.id));
         for family in families {
             self.resampled.splits += family.splits;
             let first = self.new_ids(family.splits * (CHILDREN as u64 - 1))?;

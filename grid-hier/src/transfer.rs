@@ -644,6 +644,25 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
     })
 }
 
+/// Strain (F row by row, or b_e) after a motion by I + G, before the material has its say.
+pub fn deformed<R: Real>(G: &[R; 9], strain: &[R]) -> [R; 9] {
+    let mut trial = [R::zero(); 9];
+    match strain.first_chunk::<9>() {
+        Some(F) => {
+            for e in 0..9 {
+                let (i, j) = (e / 3, e % 3);
+                trial[e] = (0..3).fold(F[e], |sum, k| G[3 * i + k].mul_add(F[3 * k + j], sum));
+            }
+        }
+        None => {
+            if let Some(b) = strain.first_chunk::<6>() {
+                trial[..6].copy_from_slice(&push_forward(G, b));
+            }
+        }
+    }
+    trial
+}
+
 /// Start in the tile of the first node of as many particles as there are lanes. Returns whether any of them lies outside.
 #[inline(always)]
 unsafe fn first_nodes<V: Lanes>(

@@ -52,7 +52,7 @@ pub struct Ledger {
     /// Kinetic energy that ground had left when it fell asleep, summed since the start [J].
     #[serde(default)]
     pub slept_kinetic: f64,
-    /// Momentum likewise [kg m/s].
+    /// Momentum likewise, and what ground asleep has taken from ground awake beside it [kg m/s].
     #[serde(default)]
     pub slept_momentum: Vec3,
     /// Named counts: yielding, at the apex, stretch floored, state clamped, positions clamped, steps shortened, …

@@ -128,8 +128,10 @@ pub struct Levels {
     /// Number of levels; cells of each are twice as wide as those of the next finer one. With 1 there is nothing to nest.
     #[serde(default = "one_level")]
     pub count: u32,
-    /// Cells along each level's box around an agent, counted from its middle in cells of the level. The coarsest level is the
-    /// whole world, or what is within `reach`.
+    /// Cells of a level from the middle of its box around an agent to each of its sides: boxes are twice as many cells wide, and wider where the agent
+    /// is. Even, from 8 to 512. Ground that a tool presses should be fine for 6 cells below the tool's lowest point, and a box follows its agent only once
+    /// that is 4 cells off its middle: so 10 more than half the tool's height. With less, the coarse ground beyond the box's bottom, its rim, makes the tool
+    /// feel more (a sphere 7.5 % with 8, 0.1 % with 12), and the plan warns. The coarsest level is the whole world, or what is within `reach`.
     #[serde(default = "default_half")]
     pub half: u32,
     /// Names of the tools and bodies that the boxes follow; absent: all tools that move.

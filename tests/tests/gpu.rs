@@ -12,6 +12,8 @@ use barchan_wgpu::device::{self, Offer};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+#[path = "gpu/agree.rs"]
+mod agree;
 #[path = "gpu/free.rs"]
 mod free;
 #[path = "gpu/robust.rs"]
@@ -115,6 +117,21 @@ fn a_jelly_bounces_as_on_the_cpu() {
             within(&format!("balance of momentum along {name}"), balance.abs() / scale, 1e-4);
         }
         within("mass", (g.mass - c.mass).abs() / c.mass, 1e-6);
+    }
+}
+
+/// Symptom: elastic energies of the two backends were a step apart. Physics: each is that of the end of the last step.
+#[test]
+fn energies_in_a_ledger_are_those_of_the_cpu() {
+    let text = jelly("x_min = \"slip\"\nz_min = \"slip\"");
+    let (mut gpu, mut cpu) = (gpu(&text), cpu(&text));
+    for steps in [100, 7, 9] {
+        take(&mut gpu, steps);
+        take(&mut cpu, steps);
+        let (a, b) = (gpu.ledger(), cpu.ledger());
+        println!("{:.6} and {:.6} J elastic, {:.6} and {:.6} J kinetic", a.elastic, b.elastic, a.kinetic, b.kinetic);
+        assert!(b.elastic > 0.05 * b.kinetic);
+        within("elastic energy apart", (a.elastic - b.elastic).abs() / (b.elastic + b.kinetic), 1e-4);
     }
 }
 
@@ -756,9 +773,9 @@ fn particles_that_leave_are_clamped_or_deleted_as_on_the_cpu() {
     assert!(rows(&g).iter().all(|r| r.x.iter().all(|x| (-0.03..0.27).contains(x))));
     let balance: Vec3 = std::array::from_fn(|d| now.momentum[d] - before.momentum[d] - now.wall_impulse[d]);
     within("balance of momentum", norm(balance) / momentum(&before), 1e-5);
-    within("impulse on the side", (now.wall_impulse[0] / there.wall_impulse[0] - 1.0).abs(), 0.1);
+    within("impulse on the side", (now.wall_impulse[0] / there.wall_impulse[0] - 1.0).abs(), 0.02);
     let centre = |sim: &Simulation| rows(sim).iter().map(|r| r.x[0]).sum::<f64>() / sim.particle_count() as f64;
-    within("centre beside the CPU's, in cells", (centre(&g) - centre(&c)).abs() / 0.02, 0.7);
+    within("centre beside the CPU's, in cells", (centre(&g) - centre(&c)).abs() / 0.02, 0.05);
 }
 
 fn on_gpu() -> Options {

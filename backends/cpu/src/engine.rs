@@ -17,7 +17,8 @@ use barchan_core::{
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
 use barchan_grid::particles::{Run, STRAIN};
-use barchan_grid::transfer::{BATCH, Fault, Scalar, Step};
+use barchan_grid::rest::ASLEEP;
+use barchan_grid::transfer::{BATCH, Batch, Fault, MAX_STATE, Scalar, Step, deformed};
 use barchan_lanes::{CHUNK, Isa};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -33,6 +34,9 @@ const SORT_DRIFT: f64 = 0.4;
 /// As long as regions stay, nobody on a level has to change it before something there has moved by this since the last sort, in cells:
 /// levels have a margin for that.
 const MARGIN_DRIFT: f64 = 0.2;
+/// Particles are put back into the world when they are sorted: by then none shall be further outside than this, in cells. It is the same on all
+/// backends, whose sorts come at other times otherwise.
+const PUT_BACK_DRIFT: f64 = 0.05;
 /// The halo allows for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f64 = 1.0;
 /// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.
@@ -48,6 +52,13 @@ const MAX_PARTS: f64 = 1000.0;
 /// Steps between measurements of the stiffness of materials that harden: it takes about as long as a transfer, and strain
 /// changes little in between.
 const STIFFNESS_AGE: u32 = 10;
+
+/// Values of the particles of a batch.
+type Planes<const N: usize> = [[f64; BATCH]; N];
+
+/// Planes where materials expect them.
+#[repr(align(64))]
+struct Aligned<A>(A);
 
 /// A pass that is timed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -183,7 +194,14 @@ impl<T: Scalar> CpuEngine<T> {
         // A subcycled step moves particles several times before they can be sorted; and who leaves the world is to be found within a cell.
         let allowed = |level: &Level<T>| {
             let soon = self.substeps > 1 || (self.leaving == Leaving::Error && level.near_open);
-            if soon { MAX_DRIFT - MAX_MOVE } else { MAX_DRIFT }
+            let puts_back = self.leaving == Leaving::Clamp && level.near_open;
+            if puts_back {
+                PUT_BACK_DRIFT
+            } else if soon {
+                MAX_DRIFT - MAX_MOVE
+            } else {
+                MAX_DRIFT
+            }
         };
         let late = |level: &Level<T>| match self.age {
             None => true,
@@ -526,12 +544,21 @@ impl<T: Scalar> CpuEngine<T> {
             let isa = self.isa;
             self.levels[0].mirror_separated();
             self.levels.par_iter_mut().for_each(|level| level.grid_to_particles(isa, dt));
+            (0..self.levels.len()).for_each(|l| self.book_sleepers(l, dt));
             self.clocks.add(Pass::G2P, clock);
         }
         for coupling in couplings {
             coupling.after_step(time, dt)?;
         }
         Ok(dt)
+    }
+
+    /// Books what a level's ground asleep took in its step that has just ended, and what gravity did not give to it.
+    pub(crate) fn book_sleepers(&mut self, l: usize, dt: f64) {
+        let asleep = self.levels[l].watch.mass;
+        (0..3).for_each(|d| self.gravity_impulse[d] -= asleep * self.gravity[d] * dt);
+        let taken = self.levels[l].taken_by_those_asleep(self.isa);
+        (0..3).for_each(|d| self.lulled.momentum[d] += taken[d]);
     }
 
     /// Carries strain of levels up to where their particles are, before some change to a level with another step.
@@ -802,10 +829,8 @@ impl<T: Scalar> CpuEngine<T> {
         if self.hardens && self.stiffness_age >= STIFFNESS_AGE {
             self.measure_stiffness()?;
         }
-        let asleep: f64 = self.levels.iter().map(|level| level.watch.mass).sum();
-        let mass = self.mass - asleep;
         for d in 0..3 {
-            self.gravity_impulse[d] += mass * self.gravity[d] * dt;
+            self.gravity_impulse[d] += self.mass * self.gravity[d] * dt;
         }
         let max_speed = self.levels.iter().fold(0.0, |most, level| greater(level.max_speed, most));
         self.age = self.age.map(|age| age + 1);
@@ -914,37 +939,82 @@ impl<T: Scalar> CpuEngine<T> {
                 }
                 ledger.kinetic += list.kinetic_of(chunk, lane, h);
             }
-            self.account_material(list, ledger);
+            self.account_material(level, list, ledger);
         }
     }
 
+    /// Strain and history of up to [`BATCH`] particles of a run, in planes, where the particles are now: strain is held as it was when the
+    /// last step began, and is carried along here as the next `step` would do it. `None` if the material cannot.
+    fn strain_now(list: &List<T>, run: &Run, from: usize, step: &Step) -> Option<(Planes<9>, Planes<MAX_STATE>)> {
+        let (planes, n_state) = (list.strain_planes(), list.law.table.n_state);
+        let wants_rate = list.law.table.capabilities & abi::BARCHAN_CAP_VEL_GRAD != 0;
+        let n = (run.count - from).min(BATCH);
+        let zeros = [T::default(); BATCH];
+        let (mut strain, mut state) = (Aligned([zeros; 9]), Aligned([zeros; MAX_STATE]));
+        let mut rate = Aligned([zeros; 9]);
+        // The last particle stands in for those behind it, so that no material sees a strain that nothing can have.
+        for i in 0..BATCH {
+            let at = from + i.min(n - 1);
+            let (chunk, lane) = (run.first + at / CHUNK, at % CHUNK);
+            let rest = |plane: usize| T::from_f64(list.rest_of(chunk, lane, STRAIN + plane));
+            strain.0[..planes].iter_mut().enumerate().for_each(|(p, plane)| plane[i] = rest(p));
+            state.0[..n_state].iter_mut().enumerate().for_each(|(q, plane)| plane[i] = rest(planes + q));
+            let motion = list.motion_of(chunk, lane);
+            rate.0.iter_mut().zip(&motion[3..]).for_each(|(plane, c)| plane[i] = T::from_f64(*c));
+        }
+        let dt = T::from_f64(step.strain_dt / f64::from(step.strain_parts));
+        for _ in 0..if step.strain_dt > 0.0 { step.strain_parts } else { 0 } {
+            let (mut trial, mut kirchhoff, before) = (Aligned([zeros; 9]), Aligned([zeros; 6]), Aligned(state.0));
+            for i in 0..BATCH {
+                let old: [T; 9] = std::array::from_fn(|p| strain.0[p][i]);
+                let new = deformed(&std::array::from_fn(|c| rate.0[c][i] * dt), &old[..planes]);
+                trial.0.iter_mut().zip(new).for_each(|(plane, x)| plane[i] = x);
+            }
+            let batch = Batch {
+                n,
+                stride: BATCH,
+                dt,
+                params: list.law.params.as_ptr(),
+                strain_trial: trial.0.as_ptr().cast(),
+                vel_grad: if wants_rate { rate.0.as_ptr().cast() } else { std::ptr::null() },
+                state_in: if n_state > 0 { before.0.as_ptr().cast() } else { std::ptr::null() },
+                strain: strain.0.as_mut_ptr().cast(),
+                kirchhoff: kirchhoff.0.as_mut_ptr().cast(),
+                state_out: if n_state > 0 { state.0.as_mut_ptr().cast() } else { std::ptr::null_mut() },
+            };
+            // SAFETY: all planes are BATCH long, n <= BATCH, and nothing overlaps.
+            let status = unsafe { T::update(&list.law.table, &batch, ErrorBuffer::default().as_raw()) };
+            if status != abi::BARCHAN_OK {
+                return None;
+            }
+        }
+        Some((strain.0.map(|plane| plane.map(T::to_f64)), state.0.map(|plane| plane.map(T::to_f64))))
+    }
+
     /// Adds elastic energy and the counts of one list.
-    fn account_material(&self, list: &List<T>, ledger: &mut Ledger) {
+    fn account_material(&self, level: usize, list: &List<T>, ledger: &mut Ledger) {
         let planned = &self.materials[list.material];
         let table = &planned.material.table;
         if table.energy_f64.is_none() {
             ledger.elastic = f64::NAN;
         }
-        let (planes, n_state) = (list.strain_planes(), table.n_state);
-        let mut strain = [[0f64; BATCH]; 9];
-        let mut state = [[0f64; BATCH]; barchan_grid::transfer::MAX_STATE];
+        let n_state = table.n_state;
+        // What cannot be carried along ends the next step, which says why.
+        let lagging = self.whole_step(level, 0.0).ok();
+        let asleep = Step { strain_dt: 0.0, strain_parts: 1, ..self.step_of(level, 0.0) };
         let mut energy = [0f64; BATCH];
         let no_rate = [[0f64; BATCH]; 9];
         let wants_rate = planned.material.has(abi::BARCHAN_CAP_VEL_GRAD);
         let mut counts = [0u64; abi::BARCHAN_N_COUNTERS];
-        for run in &list.runs {
+        for (run, &rest) in list.runs.iter().zip(&self.levels[level].store.rest) {
+            let step = if rest == ASLEEP { Some(&asleep) } else { lagging.as_ref() };
             for from in (0..run.count).step_by(BATCH) {
                 let n = (run.count - from).min(BATCH);
                 let place = |i: usize| (run.first + (from + i) / CHUNK, (from + i) % CHUNK);
-                for i in 0..n {
-                    let (chunk, lane) = place(i);
-                    for (p, plane) in strain[..planes].iter_mut().enumerate() {
-                        plane[i] = list.rest_of(chunk, lane, STRAIN + p);
-                    }
-                    for (q, plane) in state[..n_state].iter_mut().enumerate() {
-                        plane[i] = list.rest_of(chunk, lane, STRAIN + planes + q);
-                    }
-                }
+                let Some((strain, state)) = step.and_then(|step| Self::strain_now(list, run, from, step)) else {
+                    ledger.elastic = f64::NAN;
+                    continue;
+                };
                 let batch = abi::BarchanBatchF64 {
                     struct_size: size_of::<abi::BarchanBatchF64>(),
                     n,

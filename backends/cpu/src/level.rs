@@ -724,10 +724,10 @@ impl<T: Scalar> Kernel<T> for Velocities<'_, T> {
 }
 
 /// Collects the velocities that a block's particles read.
-struct FillTile<'a, T> {
-    tile: &'a mut [T; TILE],
-    nodes: &'a [[T; NODES]],
-    around: &'a [u32; 27],
+pub(crate) struct FillTile<'a, T> {
+    pub(crate) tile: &'a mut [T; TILE],
+    pub(crate) nodes: &'a [[T; NODES]],
+    pub(crate) around: &'a [u32; 27],
 }
 
 impl<T: Float> Kernel<T> for FillTile<'_, T> {

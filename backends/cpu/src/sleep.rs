@@ -6,13 +6,15 @@
 //! Blocks at the rim of a level, and those that share nodes with a finer one, stay awake.
 
 use crate::grid::Grid;
-use crate::level::Level;
+use crate::level::{FillTile, Level};
 use crate::store::List;
 use barchan_core::Coupling;
-use barchan_grid::block::{self, NONE};
+use barchan_grid::block::{self, NONE, TILE};
 use barchan_grid::particles::MASS;
 use barchan_grid::rest::{ASLEEP, RESTED, near_tool};
 use barchan_grid::transfer::{Scalar, Step};
+use barchan_lanes::Isa;
+use rayon::prelude::*;
 
 /// Steps that differ by less than this part of them are one step to tiles: those that land evenly on a stop differ in their last
 /// digits.
@@ -28,6 +30,8 @@ pub(crate) struct Watch {
     pub(crate) stale: Vec<u32>,
     /// Node blocks that anyone awake touches, or that other levels do, rising.
     pub(crate) nodes: Vec<u32>,
+    /// Blocks asleep with nodes that anyone awake touches, rising.
+    border: Vec<u32>,
     /// Mass of the blocks asleep [kg].
     pub(crate) mass: f64,
     /// Step and gravity that the tiles of those asleep are for [s, m/s²].
@@ -36,7 +40,7 @@ pub(crate) struct Watch {
     filled: bool,
 }
 
-/// What falling asleep took.
+/// What falling asleep took, and what those asleep took from others.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Lulled {
     /// Blocks that fell asleep.
@@ -54,6 +58,7 @@ impl Watch {
             awake: Vec::new(),
             stale: Vec::new(),
             nodes: Vec::new(),
+            border: Vec::new(),
             mass: 0.0,
             tiles_for: None,
             filled: false,
@@ -169,7 +174,7 @@ impl<T: Scalar> Level<T> {
             }
         }
         watch.nodes = (0..grid.keys.len() as u32).filter(|&g| touched[g as usize]).collect();
-        watch.mass = 0.0;
+        (watch.mass, watch.border) = (0.0, Vec::new());
         if watch.awake.len() == grid.occupied.len() {
             return;
         }
@@ -180,6 +185,30 @@ impl<T: Scalar> Level<T> {
                 watch.mass += chunks.flat_map(|chunk| list.rest_plane(chunk, MASS)).map(|m| m.to_f64()).sum::<f64>();
             }
         }
+        let is_touched = |g: &u32| *g != NONE && touched[*g as usize];
+        let is_border = |b: &u32| rest[*b as usize] == ASLEEP && grid.nodes_around[*b as usize].iter().any(is_touched);
+        watch.border = (0..grid.occupied.len() as u32).filter(is_border).collect();
+    }
+
+    /// Momentum that ground asleep has taken in a step from nodes that it shares with ground awake [kg m/s]: what it has at their velocity, less what it gave
+    /// to them. It stays at rest, so that is gone.
+    pub(crate) fn taken_by_those_asleep(&self, isa: Isa) -> [f64; 3] {
+        let grid = &self.grid;
+        let of_block = |&b: &u32| {
+            let mut nodes = [T::default(); TILE];
+            let awake = |g: u32| if self.watch.nodes.binary_search(&g).is_ok() { g } else { NONE };
+            let around = grid.nodes_around[b as usize].map(awake);
+            isa.run::<T, _>(FillTile { tile: &mut nodes, nodes: &grid.nodes, around: &around });
+            let gave = grid.tiles[b as usize].as_chunks::<4>().0;
+            nodes.as_chunks::<4>().0.iter().zip(gave).filter(|(node, _)| node[3] > T::default()).fold(
+                [0.0; 3],
+                |sum: [f64; 3], (node, gave)| {
+                    std::array::from_fn(|d| sum[d] + gave[3].to_f64() * node[d].to_f64() - gave[d].to_f64())
+                },
+            )
+        };
+        let taken: Vec<[f64; 3]> = self.watch.border.par_iter().map(of_block).collect();
+        taken.iter().fold([0.0; 3], |sum, taken| std::array::from_fn(|d| sum[d] + taken[d]))
     }
 }
 

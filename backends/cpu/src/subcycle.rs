@@ -87,6 +87,7 @@ impl<T: Scalar> CpuEngine<T> {
         let clock = Instant::now();
         let level = &mut self.levels[l];
         level.grid_to_particles(self.isa, dt);
+        self.book_sleepers(l, dt);
         self.clocks.add(Pass::G2P, clock);
         self.check_moves(l, dt)?;
         if l == 0 {

@@ -32,11 +32,17 @@ pub(crate) const OFTEN_DRIFT: f32 = 0.5;
 /// Tiles allow for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f32 = 1.0;
 
+/// Particles are put back into the world when they are sorted: by then none shall be further outside than this [cells]. As in the backend cpu.
+const PUT_BACK_DRIFT: f32 = 0.05;
+
 /// So much may particles have drifted before a step [cells]: a subcycled one moves them several times before they can be sorted, and who has left
 /// the world is to be found within a cell.
 pub(crate) fn most_drift(plan: &Plan) -> f32 {
     let world = &plan.scene.world;
     let open = (0..3).flat_map(|axis| world.walls.pair(axis)).any(|wall| wall == Wall::Open);
+    if world.leaving == Leaving::Clamp && open {
+        return PUT_BACK_DRIFT;
+    }
     let watched = world.leaving == Leaving::Error && open;
     if plan.substeps > 1 || watched { MAX_DRIFT - MAX_MOVE as f32 } else { MAX_DRIFT }
 }

@@ -256,3 +256,36 @@ fn b45_stacks_and_extreme_masses_are_stable_with_levels() {
         }
     }
 }
+
+/// Symptom: a ball pressed into elastic ground feels 7.5 % more where its box's half side is 8 cells than where it is 12, and nothing says so. Physics: ground
+/// that is coarse from 4 cells below the ball on is stiffer. The plan says how far away the rim is, and which `levels.half` keeps it away.
+#[test]
+fn a_rim_close_under_a_tool_is_warned_of() {
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let warnings = |half: u32, depth: f64, height: f64| -> Vec<String> {
+        let scene = Head::cells(0.01, [48, 48, 40], walls).with(&[
+            levels(2, half, &["ball"]),
+            material("hencky", 1500.0, "young_modulus = 1e5"),
+            block("hencky", [0.0; 3], [0.48, 0.48, depth], ""),
+            tool(
+                "ball",
+                [0.24, 0.24, depth + height],
+                "sphere = { radius = 0.04 }",
+                "\"slip\"",
+                &driven([0.0, 0.0, -0.1]),
+            ),
+        ]);
+        let all = simulation(&scene, Precision::F32).plan().warnings.clone();
+        all.into_iter().filter(|warning| warning.contains("rim")).collect()
+    };
+    for height in [0.04, 0.02, 0.1] {
+        let [warning] = &warnings(8, 0.24, height)[..] else { panic!("no warning {height} m above") };
+        println!("{warning}");
+        for part in ["fine cells between the lowest point of tool 'ball'", "fewer than 6", "set levels.half = 14"] {
+            assert!(warning.contains(part), "'{part}' is not in: {warning}");
+        }
+        assert_eq!(warnings(14, 0.24, height), [""; 0]);
+    }
+    // The box reaches down to the floor.
+    assert_eq!(warnings(8, 0.04, 0.04), [""; 0]);
+}
