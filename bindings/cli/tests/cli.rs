@@ -776,7 +776,8 @@ fn an_instruction_set_is_taken_or_refused() {
     let plan = with("baseline", &["plan", "small.toml"]);
     let text = String::from_utf8(plan.stdout).unwrap();
     assert!(plan.status.success() && text.contains("isa       baseline, by BARCHAN_ISA one of baseline"), "{text}");
-    for args in [&["plan", "small.toml"] as &[&str], &["check", "small.toml"], &["run", "small.toml"]] {
+    let all = ["bench", "throughput", "--all", "--grid", "32"];
+    for args in [&["plan", "small.toml"] as &[&str], &["check", "small.toml"], &["run", "small.toml"], &all] {
         let refused = with("avx1024", args);
         let error = String::from_utf8(refused.stderr).unwrap();
         assert_eq!(refused.status.code(), Some(1), "{args:?}");

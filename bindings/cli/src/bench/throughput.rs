@@ -170,7 +170,7 @@ fn all(args: &Throughput) -> Result<()> {
     let registry = args.engine.registry()?;
     let engines = engines(args, &registry)?;
     let grounds = args.ground.map_or_else(|| vec![Ground::Resting, Ground::Moving], |ground| vec![ground]);
-    let (mut entries, mut isa) = (Vec::new(), "");
+    let (mut entries, mut isa, mut first_refusal) = (Vec::new(), "", None);
     for law in registry.materials().map(|law| law.name.clone()) {
         for engine in &engines {
             for &ground in &grounds {
@@ -188,12 +188,20 @@ fn all(args: &Throughput) -> Result<()> {
                             bytes_per_particle: timed.bytes_per_particle(),
                         }
                     }
-                    Err(error) => Outcome::Refused { error: error.to_string() },
+                    Err(error) => {
+                        let refused = Outcome::Refused { error: error.to_string() };
+                        first_refusal.get_or_insert(error);
+                        refused
+                    }
                 };
                 let law = law.clone();
                 entries.push(Entry { law, backend: engine.backend().to_owned(), ground, outcome });
             }
         }
+    }
+    if let Some(error) = first_refusal.filter(|_| isa.is_empty()) {
+        // Nothing was measured.
+        return Err(error);
     }
     if args.effort.json {
         let figures = json!({
