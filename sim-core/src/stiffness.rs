@@ -87,7 +87,8 @@ impl<'a> Stiffness<'a> {
         id: impl Fn(usize) -> Option<u64>,
     ) -> Result<impl Iterator<Item = Moduli>> {
         // Stiffness is asked of matter at rest.
-        const NO_RATE: [Plane; 9] = [Plane([0.0; PARTICLES]); 9];
+        static NO_RATE: [Plane; 9] = [Plane([0.0; PARTICLES]); 9];
+        let law = &self.planned.material;
         let batch = abi::BarchanBatchF32 {
             struct_size: size_of::<abi::BarchanBatchF32>(),
             n: PARTICLES,
@@ -96,13 +97,12 @@ impl<'a> Stiffness<'a> {
             reserved: 0,
             params: self.params.as_ptr(),
             strain_trial: strain.as_ptr().cast(),
-            vel_grad: NO_RATE.as_ptr().cast(),
+            vel_grad: if law.has(abi::BARCHAN_CAP_VEL_GRAD) { NO_RATE.as_ptr().cast() } else { std::ptr::null() },
             state_in: state.as_ptr().cast(),
             strain: std::ptr::null_mut(),
             kirchhoff: std::ptr::null_mut(),
             state_out: std::ptr::null_mut(),
         };
-        let law = &self.planned.material;
         let mut out = [Plane::default(); 2];
         let mut viscosity = Plane::default();
         let mut message = ErrorBuffer::default();

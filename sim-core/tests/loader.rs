@@ -129,11 +129,11 @@ fn each_fault_is_refused_by_name_and_nothing_is_registered() {
         (
             "entry_v2",
             "ENTRY=barchan_plugin_v2",
-            "built for plugin ABI 2, this program has 1.0",
+            "built for plugin ABI 2, this program has 1.1",
             "rebuild it against major version 1",
         ),
         ("null_table", "RESULT=0", "its BarchanPlugin pointer is 0x0", "static table"),
-        ("major", "PLUGIN=.abi_major=2", "the library was built for plugin ABI 2.7, this program has 1.0", "rebuild"),
+        ("major", "PLUGIN=.abi_major=2", "the library was built for plugin ABI 2.7, this program has 1.1", "rebuild"),
         (
             "short",
             "PLUGIN=.struct_size=16",

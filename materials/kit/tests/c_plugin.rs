@@ -2,7 +2,8 @@
 //! header of then: old plugins must keep working.
 #![expect(unsafe_code, reason = "loading a library runs its code")]
 
-use barchan_material_kit::{Subject, abi::BarchanPlugin, conformance};
+use barchan_material_kit::abi::{BarchanMaterial, BarchanPlugin};
+use barchan_material_kit::{Subject, conformance};
 use std::path::Path;
 use std::process::Command;
 
@@ -33,8 +34,17 @@ fn conforms(source: &str, include: &str) {
         plugin
     };
     assert_eq!(plugin.n_materials, 1);
+    // As a host reads it: what a table of an older version lacks is zero.
+    let mut table = std::mem::MaybeUninit::<BarchanMaterial>::zeroed();
+    // SAFETY: as above; a table begins with its size, and all of this version's may be zero.
+    let table = unsafe {
+        let from = *plugin.materials;
+        let size = (*from.cast::<usize>()).min(size_of::<BarchanMaterial>());
+        std::ptr::copy_nonoverlapping(from.cast::<u8>(), table.as_mut_ptr().cast::<u8>(), size);
+        BarchanMaterial { struct_size: size_of::<BarchanMaterial>(), ..table.assume_init() }
+    };
     // SAFETY: as above.
-    let subject = unsafe { Subject::new(&**plugin.materials) }.expect("a table of this version");
+    let subject = unsafe { Subject::new(&table) }.expect("a table of this version");
     assert_eq!(subject.name(), "c_neo_hookean");
     match conformance::run_all(&subject, &subject.default_params()) {
         Ok(measured) => measured.iter().for_each(|m| println!("{m}")),
