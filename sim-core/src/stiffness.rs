@@ -110,12 +110,12 @@ impl<'a> Stiffness<'a> {
         if let Some(callback) = self.moduli {
             // SAFETY: the planes that this callback reads, and the two that it writes, hold 16 values each.
             let status = unsafe { callback(&batch, out.as_mut_ptr().cast(), message.as_raw()) };
-            message.check(status, law, "tangent_moduli_f32", named)?;
+            message.check(status, law, "tangent_moduli", named)?;
         }
         if let Some(callback) = law.table.viscosity_f32 {
             // SAFETY: as above; it writes one plane.
             let status = unsafe { callback(&batch, viscosity.0.as_mut_ptr(), message.as_raw()) };
-            message.check(status, law, "viscosity_f32", named)?;
+            message.check(status, law, "viscosity", named)?;
         }
         let wrong = |callback: &'static str, message: String, i: usize| Error::MaterialFailed {
             material: self.planned.name.clone(),
@@ -128,12 +128,12 @@ impl<'a> Stiffness<'a> {
             let moduli = [out[0].0[i], out[1].0[i]];
             if !moduli.iter().all(|m| m.is_finite() && *m > 0.0) {
                 let what = format!("the moduli are {moduli:?} Pa; they must be finite and above 0");
-                return Err(wrong("tangent_moduli_f32", what, i));
+                return Err(wrong("tangent_moduli", what, i));
             }
             let viscosity = viscosity.0[i];
             if !(viscosity.is_finite() && viscosity >= 0.0) {
                 let what = format!("the viscosity is {viscosity} Pa s; it must be finite and not below 0");
-                return Err(wrong("viscosity_f32", what, i));
+                return Err(wrong("viscosity", what, i));
             }
         }
         Ok((0..count).map(move |i| Moduli {
