@@ -231,12 +231,17 @@ fn meshes_need_a_reader_and_are_turned_scaled_and_moved() {
         }
     }
     // A quarter turn about z takes x to y.
-    let scene = scene("shape = { mesh = { file = 'slab.stl', center = [0.5, 0.1, 0.2], rotation = [1, 0, 0, 1] } }");
+    let mut scene =
+        scene("shape = { mesh = { file = 'slab.stl', center = [0.5, 0.1, 0.2], rotation = [1, 0, 0, 1] } }");
+    // What a run was made from is noted, so the file has to be there.
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("slab.stl"), "a slab").unwrap();
+    scene.folder = folder.path().to_owned();
     let error = particles_of(&scene, &Options::default()).unwrap_err().to_string();
     assert!(error.contains("body[0].shape: nothing registered reads meshes"), "{error}");
     let mut registry = common::registry();
     registry.set_mesh_reader(Arc::new(|file, scale| {
-        assert_eq!((file.to_str(), scale), (Some("slab.stl"), 1.0));
+        assert!(file.ends_with("slab.stl") && scale == 1.0);
         Ok(Box::new(Slab))
     }));
     let (_, state, _) = Plan::assemble(&registry, &scene, &Options::default()).unwrap();
