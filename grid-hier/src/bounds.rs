@@ -5,6 +5,10 @@ use crate::wall::{Mirror, Mirrors, Separation};
 use barchan_core::Plan;
 use barchan_core::scene::{WHOLE_CELL, Wall};
 
+/// Particles are put back into the world when they are sorted: by then none shall be further outside than this, in cells. It is the same on all
+/// backends, whose sorts come at other times otherwise.
+pub const PUT_BACK_DRIFT: f64 = 0.05;
+
 /// Where the world ends, in cells of one level.
 #[derive(Clone, Debug)]
 pub struct Bounds {

@@ -231,6 +231,10 @@ impl Material {
     pub fn strain_planes(&self) -> usize {
         if self.table.strain_kind == abi::BARCHAN_STRAIN_DEF_GRAD { 9 } else { 6 }
     }
+    /// Values of strain and history of one of its particles.
+    pub fn values(&self) -> usize {
+        self.strain_planes() + self.states.len()
+    }
     /// The undeformed strain, plane by plane.
     pub fn strain_identity(&self) -> &'static [f64] {
         if self.table.strain_kind == abi::BARCHAN_STRAIN_DEF_GRAD {

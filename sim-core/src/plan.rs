@@ -203,7 +203,7 @@ impl PlannedMaterial {
 
     /// Resident bytes of one of its particles in a backend.
     pub fn particle_bytes(&self, precision: Precision) -> u64 {
-        let planes = self.material.strain_planes() + self.material.states.len();
+        let planes = self.material.values();
         let (real, offset) = if precision == Precision::F32 { (4, 4) } else { (8, 8) };
         let indices = 3 * 4 + 3 * offset + 8 + 2;
         // Velocity, affine matrix, mass, rest volume, strain and history.
@@ -970,7 +970,7 @@ pub(crate) fn cut(dt: f64, most: f64) -> f64 {
 
 /// Has the backend room for what is to be seeded? Nobody waits for particles that it then refuses.
 fn check_room(registry: &Registry, options: &Options, terrain: &Terrain, materials: &[PlannedMaterial]) -> Result<()> {
-    let values = materials.iter().map(|m| m.material.strain_planes() + m.material.states.len()).max().unwrap_or(0);
+    let values = materials.iter().map(|m| m.material.values()).max().unwrap_or(0);
     // An unknown backend is found out when it is to compile the plan.
     let Ok(backend) = registry.backend(&options.backend) else { return Ok(()) };
     let Some(cap) = backend.most_particles(options.adapter.as_deref(), values)? else { return Ok(()) };

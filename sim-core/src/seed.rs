@@ -613,8 +613,7 @@ struct Cubes<'a> {
 
 /// Bytes of one particle in a [`ParticleList`] and in a backend, which coexist when a run starts.
 fn bytes_while_seeding(planned: &PlannedMaterial, precision: Precision) -> u64 {
-    let planes = planned.material.strain_planes() + planned.material.states.len();
-    (8 + 2 + 12 + 8 * (3 + 3 + 9 + 2 + planes)) as u64 + planned.particle_bytes(precision)
+    (8 + 2 + 12 + 8 * (3 + 3 + 9 + 2 + planned.material.values())) as u64 + planned.particle_bytes(precision)
 }
 
 /// A row of candidates.

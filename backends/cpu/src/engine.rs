@@ -16,6 +16,7 @@ use barchan_core::{
 };
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
+use barchan_grid::bounds::PUT_BACK_DRIFT;
 use barchan_grid::particles::{Run, STRAIN};
 use barchan_grid::rest::ASLEEP;
 use barchan_grid::transfer::{BATCH, Batch, Fault, MAX_STATE, Scalar, Step, deformed};
@@ -34,9 +35,6 @@ const SORT_DRIFT: f64 = 0.4;
 /// As long as regions stay, nobody on a level has to change it before something there has moved by this since the last sort, in cells:
 /// levels have a margin for that.
 const MARGIN_DRIFT: f64 = 0.2;
-/// Particles are put back into the world when they are sorted: by then none shall be further outside than this, in cells. It is the same on all
-/// backends, whose sorts come at other times otherwise.
-const PUT_BACK_DRIFT: f64 = 0.05;
 /// The halo allows for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f64 = 1.0;
 /// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.

@@ -43,7 +43,7 @@ impl<T: Scalar> List<T> {
     fn new(index: usize, planned: &PlannedMaterial) -> Self {
         let law =
             Law { table: planned.material.table, params: planned.parameters.iter().map(|&p| T::from_f64(p)).collect() };
-        let rest_planes = STRAIN + planned.material.strain_planes() + planned.material.states.len();
+        let rest_planes = STRAIN + planned.material.values();
         Self {
             material: index,
             law,

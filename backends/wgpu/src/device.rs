@@ -1,6 +1,7 @@
 //! Adapters and the device opened on one of them.
 
 use barchan_core::{Error, Result};
+use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use wgpu::{Adapter, AdapterInfo, DeviceType, Features, Limits};
 
@@ -116,20 +117,30 @@ fn find(choice: Option<&str>) -> Result<Adapter> {
     Ok(adapters.swap_remove(choose(&names, choice)?))
 }
 
-fn limits_of(adapter: &Adapter, offer: Offer) -> Limits {
+fn limits_of(offered: Limits, offer: Offer) -> Limits {
     match offer {
-        Offer::All => adapter.limits(),
+        Offer::All => offered,
         // An adapter below WebGPU's defaults gives what it has.
-        Offer::Least => Limits::defaults().or_worse_values_from(&adapter.limits()),
+        Offer::Least => Limits::defaults().or_worse_values_from(&offered),
     }
 }
 
-/// What a device is held to, without opening it.
+/// What a device is held to, without opening it. Adapters are looked for once a process: every world that is put into a batch asks.
 ///
 /// # Errors
 /// As [`open`], but for what drivers refuse.
 pub fn limits(choice: Option<&str>, offer: Offer) -> Result<Limits> {
-    Ok(limits_of(&find(choice)?, offer))
+    static OFFERED: Mutex<BTreeMap<Option<String>, Limits>> = Mutex::new(BTreeMap::new());
+    let mut offered = OFFERED.lock().unwrap_or_else(PoisonError::into_inner);
+    let choice = choice.map(str::to_owned);
+    let limits = match offered.get(&choice) {
+        Some(limits) => limits.clone(),
+        None => {
+            let limits = find(choice.as_deref())?.limits();
+            offered.entry(choice).or_insert(limits).clone()
+        }
+    };
+    Ok(limits_of(limits, offer))
 }
 
 /// As [`open`], with as much of the adapter's offer as is asked for.
@@ -142,7 +153,7 @@ pub fn open_with(choice: Option<&str>, offer: Offer) -> Result<Gpu> {
         Offer::All => adapter.features() & WELCOME,
         Offer::Least => Features::empty(),
     };
-    let limits = limits_of(&adapter, offer);
+    let limits = limits_of(adapter.limits(), offer);
     let adapter_info = adapter.get_info();
     let request = adapter.request_device(&wgpu::DeviceDescriptor {
         label: Some("barchan"),

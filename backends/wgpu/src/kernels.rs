@@ -354,7 +354,7 @@ impl Draft {
 
 /// Vectors of four that hold a particle's strain, history and, in their last place, rest volume.
 pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
-    let most = materials.iter().map(|m| m.material.strain_planes() + m.material.states.len()).max();
+    let most = materials.iter().map(|m| m.material.values()).max();
     // Without a material passes are made for a symmetric strain, and nobody runs them.
     vectors_for(most.unwrap_or(6))
 }

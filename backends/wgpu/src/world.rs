@@ -12,6 +12,7 @@ use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Ledger, LevelPhase, ParticleList, Plan, Result, Scene, SortPhase, Vec3};
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
+use barchan_grid::bounds::PUT_BACK_DRIFT;
 use std::ops::Range;
 
 /// Whenever so many steps have passed since its last sort, a world is sorted if its particles may have drifted by more than
@@ -32,16 +33,13 @@ pub(crate) const OFTEN_DRIFT: f32 = 0.5;
 /// Tiles allow for this much drift since the last sort, in cells.
 pub(crate) const MAX_DRIFT: f32 = 1.0;
 
-/// Particles are put back into the world when they are sorted: by then none shall be further outside than this [cells]. As in the backend cpu.
-const PUT_BACK_DRIFT: f32 = 0.05;
-
 /// So much may particles have drifted before a step [cells]: a subcycled one moves them several times before they can be sorted, and who has left
 /// the world is to be found within a cell.
 pub(crate) fn most_drift(plan: &Plan) -> f32 {
     let world = &plan.scene.world;
     let open = (0..3).flat_map(|axis| world.walls.pair(axis)).any(|wall| wall == Wall::Open);
     if world.leaving == Leaving::Clamp && open {
-        return PUT_BACK_DRIFT;
+        return PUT_BACK_DRIFT as f32;
     }
     let watched = world.leaving == Leaving::Error && open;
     if plan.substeps > 1 || watched { MAX_DRIFT - MAX_MOVE as f32 } else { MAX_DRIFT }
@@ -502,8 +500,8 @@ impl World {
 
     /// Has the ground become too stiff for steps of this length? The device stops before one in just this case.
     pub(crate) fn is_outgrown(&self, dt: f64) -> bool {
-        let is_borne = self.need <= most_need(dt) && dt <= 1.000_002 * self.stiffness().dt;
-        self.stiffens && !is_borne
+        let is_borne = || self.need <= most_need(dt) && dt <= 1.000_002 * self.stiffness().dt;
+        self.stiffens && !is_borne()
     }
 
     /// What a snapshot holds of its levels; `None` if there is one only.

@@ -12,6 +12,20 @@ pub type Avx2F64 = Wide<__m256d>;
 // SAFETY of every block of this file: values of these types exist only in code that `Isa::run` entered after asking the machine
 // for AVX2 and FMA; that pointers are valid, callers vouch for.
 
+/// Methods of a register that are an instruction each.
+macro_rules! instructions {
+    ($($name:ident($($operand:ident),*) = $instruction:ident),*) => {
+        $(
+            #[inline(always)]
+            fn $name(self $(, $operand: Self)*) -> Self {
+                // SAFETY: see above.
+                unsafe { $instruction(self $(, $operand)*) }
+            }
+        )*
+    };
+}
+pub(crate) use instructions;
+
 macro_rules! plain {
     ($reg:ident, $scalar:ident, $width:expr, $set1:ident, $add:ident, $mul:ident, $fma:ident, $xor:ident, |$from:ident| $repeat4:expr, $spread:expr) => {
         impl Plain for $reg {
@@ -22,21 +36,7 @@ macro_rules! plain {
                 // SAFETY: see above.
                 unsafe { $set1(x) }
             }
-            #[inline(always)]
-            fn add(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $add(self, o) }
-            }
-            #[inline(always)]
-            fn mul(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $mul(self, o) }
-            }
-            #[inline(always)]
-            fn fma(self, a: Self, b: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $fma(self, a, b) }
-            }
+            instructions!(add(o) = $add, mul(o) = $mul, fma(a, b) = $fma);
             #[inline(always)]
             fn neg(self) -> Self {
                 // SAFETY: see above.
@@ -98,35 +98,18 @@ macro_rules! register {
      $blend:ident, $and:ident, $andnot:ident, $or:ident, $xor:ident, $movemask:ident, $split:ident, $scale:ident) => {
         impl Register for $reg {
             type Bits = $reg;
-            #[inline(always)]
-            fn sub(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $sub(self, o) }
-            }
-            #[inline(always)]
-            fn div(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $div(self, o) }
-            }
+            instructions!(
+                sub(o) = $sub,
+                div(o) = $div,
+                sqrt() = $sqrt,
+                min(o) = $min,
+                max(o) = $max,
+                scale_exponent(k) = $scale
+            );
             #[inline(always)]
             fn abs(self) -> Self {
                 // SAFETY: see above.
                 unsafe { $andnot($set1(-0.0), self) }
-            }
-            #[inline(always)]
-            fn sqrt(self) -> Self {
-                // SAFETY: see above.
-                unsafe { $sqrt(self) }
-            }
-            #[inline(always)]
-            fn min(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $min(self, o) }
-            }
-            #[inline(always)]
-            fn max(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $max(self, o) }
             }
             #[inline(always)]
             fn round(self) -> Self {
@@ -152,11 +135,6 @@ macro_rules! register {
             fn split_exponent(self) -> (Self, Self) {
                 // SAFETY: see above.
                 unsafe { $split(self) }
-            }
-            #[inline(always)]
-            fn scale_exponent(self, k: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $scale(self, k) }
             }
             #[inline(always)]
             fn and(a: Self, b: Self) -> Self {

@@ -1,6 +1,6 @@
 //! AVX-512 registers.
 
-use crate::avx2::{places_of_eight, plain};
+use crate::avx2::{instructions, places_of_eight, plain};
 use crate::vector::{Plain, Register, Wide, sums_through_memory};
 use crate::{Lanes, Real, Row};
 use core::arch::x86_64::*;
@@ -51,36 +51,15 @@ macro_rules! register {
      $round:ident, $cmp:ident, $blend:ident, $getmant:ident, $getexp:ident, $scalef:ident) => {
         impl Register for $reg {
             type Bits = $mask;
-            #[inline(always)]
-            fn sub(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $sub(self, o) }
-            }
-            #[inline(always)]
-            fn div(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $div(self, o) }
-            }
-            #[inline(always)]
-            fn abs(self) -> Self {
-                // SAFETY: see above.
-                unsafe { $abs(self) }
-            }
-            #[inline(always)]
-            fn sqrt(self) -> Self {
-                // SAFETY: see above.
-                unsafe { $sqrt(self) }
-            }
-            #[inline(always)]
-            fn min(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $min(self, o) }
-            }
-            #[inline(always)]
-            fn max(self, o: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $max(self, o) }
-            }
+            instructions!(
+                sub(o) = $sub,
+                div(o) = $div,
+                abs() = $abs,
+                sqrt() = $sqrt,
+                min(o) = $min,
+                max(o) = $max,
+                scale_exponent(k) = $scalef
+            );
             #[inline(always)]
             fn round(self) -> Self {
                 // SAFETY: see above.
@@ -111,11 +90,6 @@ macro_rules! register {
                     let halved = $cmp::<_CMP_LT_OQ>(m, $set1(1.0));
                     (m, $blend(halved, e, $add(e, $set1(1.0))))
                 }
-            }
-            #[inline(always)]
-            fn scale_exponent(self, k: Self) -> Self {
-                // SAFETY: see above.
-                unsafe { $scalef(self, k) }
             }
             #[inline(always)]
             fn and(a: $mask, b: $mask) -> $mask {
