@@ -18,6 +18,7 @@ use crate::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
 use crate::ring::{Carried, PARENT_CELLS};
 use crate::spline::{first_distance, weights};
 use barchan_abi as abi;
+use barchan_core::stiffness::Damping;
 use barchan_lanes::{CHUNK, Float, Kernel, Lanes, Mask, Real, Row, prefetch, tabulate};
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
@@ -120,6 +121,8 @@ pub struct Law<T> {
     pub table: abi::BarchanMaterial,
     /// Parameters in the table's order.
     pub params: Vec<T>,
+    /// Damping, if the scene asks for any.
+    pub damping: Option<Damping>,
 }
 
 impl<T> Law<T> {
@@ -195,6 +198,8 @@ pub struct ParticlesToGrid<'a, T: Scalar> {
     /// Where mass and m C [kg m/s a cell] of each parent cell are added, if the rim of a level wants them (see [`crate::ring`]).
     /// What has left the block counts where it left.
     pub parent_cells: Option<&'a mut [Carried<T>; PARENT_CELLS]>,
+    /// Where what damping dissipates is added [J], in the order of the particles.
+    pub damped: &'a mut f64,
     /// Where the material writes its message.
     pub error: *mut abi::BarchanError,
     /// Counts nanoseconds spent in the material, if wanted.
@@ -413,6 +418,10 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 debug_assert!(part < step.strain_parts);
                 return Err(Fault::Material { status, chunk: first });
             }
+            // Without a step nothing tells what of the rate of strain is elastic.
+            if let Some(damping) = self.law.damping.filter(|_| dt > 0.0) {
+                *self.damped += dt * self.damp::<V>(damping, dt, scratch, first, count);
+            }
             for (at, chunk, lane) in Batches::<V>::parts(first, if step.frozen { 0 } else { count }) {
                 // Nothing is written back that is not a number. Stress that is not one shows in the momentum that it gives.
                 let mut sum = V::zero();
@@ -440,6 +449,60 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             }
         }
         Ok(())
+    }
+
+    /// Adds to the stresses of up to [`BATCH`] particles from a chunk on what damping gives for a strain that grew over `dt`. Returns the power
+    /// that it dissipates [W].
+    ///
+    /// The elastic part of the rate of strain is 2 dt D = G + Gᵀ + G Gᵀ - (b* - b) / m, G = dt C: what the motion does to b = I, less what plastic flow
+    /// takes from the trial strain b* to b; for isotropic laws that is 2 dt b times the rate of flow, and m = tr b / 3 stands for that b. So flow is
+    /// resisted by no more than its part in the deviator of b, and not at all where there is no stress, however fast it is.
+    #[inline(always)]
+    unsafe fn damp<V: Lanes<Scalar = T>>(
+        &self,
+        damping: Damping,
+        dt: f64,
+        scratch: *mut Scratch<T>,
+        first: usize,
+        count: usize,
+    ) -> f64 {
+        let planes = self.law.strain_planes();
+        let s = &self.particles;
+        let (lambda, twice_mu) = (V::splat(damping.lambda), V::splat(2.0 * damping.mu));
+        let per_strain = V::splat(0.5 / dt);
+        let mut all = 0.0;
+        // SAFETY: for the whole body, the caller vouches for the chunks and that the material has written its strains and stresses.
+        unsafe {
+            for (at, chunk, lane) in Batches::<V>::parts(first, count) {
+                let G: [V; 9] =
+                    tabulate!(9, |c| without_dust(V::load(s.motion(chunk, 3 + c).add(lane)) * V::splat(dt)));
+                let trial = left_cauchy_green::<V>(&raw const (*scratch).trial, at, planes);
+                let b = left_cauchy_green::<V>(&raw const (*scratch).strain, at, planes);
+                let flow = V::splat(3.0) / (b[0] + b[1] + b[2]);
+                let D: [V; 6] = tabulate!(6, |e| {
+                    let (i, j) = ENTRIES[e];
+                    let square = G[3 * i].mul_add(
+                        G[3 * j],
+                        G[3 * i + 1]
+                            .mul_add(G[3 * j + 1], G[3 * i + 2].mul_add(G[3 * j + 2], G[3 * i + j] + G[3 * j + i])),
+                    );
+                    per_strain * (b[e] - trial[e]).mul_add(flow, square)
+                });
+                let swelling = D[0] + D[1] + D[2];
+                let mut power = lambda * swelling * swelling;
+                for (e, D) in D.into_iter().enumerate() {
+                    let (pressure, twice) = if e < 3 { (lambda * swelling, D) } else { (V::zero(), D + D) };
+                    let tau = twice_mu.mul_add(D, pressure);
+                    power = (twice_mu * D).mul_add(twice, power);
+                    let kirchhoff = &raw mut (*scratch).kirchhoff[e][at];
+                    (V::load(kirchhoff) + tau).store(kirchhoff.cast());
+                }
+                // Lanes without a particle have no volume.
+                let power = power * V::load(s.rest(chunk, VOLUME).add(lane));
+                all += power.sum().to_f64();
+            }
+        }
+        all
     }
 
     /// What up to [`BATCH`] particles from a chunk on give, and where.
@@ -625,6 +688,24 @@ where
     V::select(V::fill(V::Scalar::from_f64(V::Scalar::NEGLIGIBLE)).gt(strain.abs()), V::zero(), strain)
 }
 
+/// Row and column of each plane of a symmetric tensor.
+const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+
+/// b = F Fᵀ of as many particles as there are lanes, from the planes of F or from its own.
+#[inline(always)]
+unsafe fn left_cauchy_green<V: Lanes>(strain: *const [[V::Scalar; BATCH]; 9], at: usize, planes: usize) -> [V; 6] {
+    // SAFETY: the caller vouches for so many planes.
+    let plane = |p: usize| unsafe { V::load(&raw const (*strain)[p][at]) };
+    if planes == 6 {
+        return tabulate!(6, |p| plane(p));
+    }
+    let F: [V; 9] = tabulate!(9, |p| plane(p));
+    tabulate!(6, |e| {
+        let (i, j) = (3 * ENTRIES[e].0, 3 * ENTRIES[e].1);
+        F[i].mul_add(F[j], F[i + 1].mul_add(F[j + 1], F[i + 2] * F[j + 2]))
+    })
+}
+
 /// b* = (I + G) b (I + G)ᵀ for symmetric b (xx yy zz xy xz yz) and G = dt C row by row.
 #[inline(always)]
 fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
@@ -634,7 +715,6 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
         let (i, j) = (e / 3, e % 3);
         G[3 * i].mul_add(full[j], G[3 * i + 1].mul_add(full[3 + j], G[3 * i + 2].mul_add(full[6 + j], full[e])))
     });
-    const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
     tabulate!(6, |e| {
         let (i, j) = ENTRIES[e];
         half[3 * i].mul_add(

@@ -55,6 +55,9 @@ pub struct Ledger {
     /// Momentum likewise, and what ground asleep has taken from ground awake beside it [kg m/s].
     #[serde(default)]
     pub slept_momentum: Vec3,
+    /// Energy that the damping of materials has dissipated since the start [J].
+    #[serde(default)]
+    pub damped: f64,
     /// Named counts: yielding, at the apex, stretch floored, state clamped, positions clamped, steps shortened, …
     pub counts: BTreeMap<String, u64>,
 }

@@ -9,7 +9,7 @@ use crate::material::ErrorBuffer;
 use crate::scene::{Body, Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest, plain};
 use crate::seed::Terrain;
 use crate::simulation::Options;
-use crate::stiffness::{Moduli, Stiffness};
+use crate::stiffness::{Damping, Moduli, Stiffness};
 use crate::{Coupling, Error, Material, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
 use barchan_abi as abi;
 use barchan_lanes::Isa;
@@ -134,6 +134,8 @@ pub struct PlannedMaterial {
     pub parameters: Vec<f64>,
     /// Density at rest [kg/m³].
     pub density: f64,
+    /// Damping of elastic strain, if the scene asks for any.
+    pub damping: Option<Damping>,
 }
 
 /// What a backend builds.
@@ -571,6 +573,14 @@ impl Plan {
                     if law.has(abi::BARCHAN_CAP_HARDENS) { ", moduli at every step" } else { "" },
                 ),
             );
+            let of_planned = |spec: &&MaterialSpec| planned.damping.is_some() && spec.name == planned.name;
+            if let Some(spec) = scene.material.iter().find(of_planned) {
+                add(
+                    format!("damping of material {}", planned.name),
+                    format!("damping = {} s", spec.damping),
+                    "a stress that follows the elastic rate of strain, and what it dissipates".to_owned(),
+                );
+            }
         }
         if self.particle_count > 0 && scene.gravity != [0.0; 3] {
             add("gravity".to_owned(), format!("gravity = {:?}", scene.gravity), "one addition a node".to_owned());
@@ -778,12 +788,23 @@ fn plan_materials(registry: &Registry, scene: &Scene, precision: Precision) -> R
                 "set time.step, or add the callback to the plugin",
             ));
         }
-        planned.push(PlannedMaterial {
+        if law.table.tangent_moduli_f32.is_none() && spec.damping > 0.0 {
+            return Err(missing(
+                "tangent_moduli_f32",
+                format!("{path}.damping = {} is a part of the material's stiffness", spec.damping),
+                "set the damping to 0, or add the callback to the plugin",
+            ));
+        }
+        let undamped = PlannedMaterial {
             name: spec.name.clone(),
             material: law.clone(),
             parameters,
             density: spec.density,
-        });
+            damping: None,
+        };
+        let at_rest = Stiffness::of(&undamped).filter(|_| spec.damping > 0.0).map(|law| law.at_rest()).transpose()?;
+        let damping = at_rest.map(|moduli| Damping::new(spec.damping, &moduli));
+        planned.push(PlannedMaterial { damping, ..undamped });
     }
     Ok(planned)
 }

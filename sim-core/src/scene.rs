@@ -381,6 +381,11 @@ pub struct MaterialSpec {
     pub law: String,
     /// Density at rest [kg/m³].
     pub density: f64,
+    /// Damping of elastic strain, a time β [s]; 0: none. To the stress comes β times what the linear law, with the stiffness at rest, gives for the elastic
+    /// part of the rate of strain; flow is not slowed. A wave of angular frequency ω then dies away as exp(-½ β ω² t), and a step that could be dt long must
+    /// be sqrt(β² + dt²) - β.
+    #[serde(default)]
+    pub damping: f64,
     /// Parameters of the law; those absent keep their defaults. An angle may be given in degrees as `<name>_deg`.
     #[serde(default)]
     pub parameters: BTreeMap<String, f64>,

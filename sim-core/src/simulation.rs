@@ -721,6 +721,7 @@ fn only_sums(mut ledger: Ledger) -> Ledger {
         resampled_angular_momentum: ledger.resampled_angular_momentum,
         slept_kinetic: ledger.slept_kinetic,
         slept_momentum: ledger.slept_momentum,
+        damped: ledger.damped,
         counts: ledger.counts,
         ..Ledger::default()
     }

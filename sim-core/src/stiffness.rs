@@ -1,4 +1,4 @@
-//! The step that a law's stiffness and viscosity allow, asked of its callbacks for 16 particles at a time.
+//! The step that a law's stiffness, viscosity and damping allow, asked of its callbacks for 16 particles at a time.
 
 use crate::backend::Bound;
 use crate::material::ErrorBuffer;
@@ -31,6 +31,46 @@ pub struct Moduli {
     pub triple_bulk: f64,
     /// Viscosity [Pa s].
     pub viscosity: f64,
+    /// The viscosity that bounds the step as damping does [Pa s]; see [`Damping::viscosity`].
+    pub damping: f64,
+}
+
+/// Kelvin and Voigt's damping of a material: stress λ tr(D) I + 2 μ D of the elastic part D of its rate of strain.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Damping {
+    /// β λ [Pa s].
+    pub lambda: f64,
+    /// β μ [Pa s].
+    pub mu: f64,
+}
+
+impl Damping {
+    /// Of a material with these moduli at rest, by a time β [s]: the same part of every elastic wave's energy is lost in a time, whatever its kind.
+    pub fn new(time: f64, at_rest: &Moduli) -> Self {
+        let Moduli { p_wave, triple_bulk, .. } = at_rest;
+        // Rounding may leave a liquid a shear modulus below zero, which would feed its motion.
+        let mu = (0.25 * (3.0 * p_wave - triple_bulk)).max(0.0);
+        Self { lambda: time * (p_wave - 2.0 * mu), mu: time * mu }
+    }
+
+    /// η [Pa s] in [`Moduli::need`]. There stress grows by 2 η C, here by β k C with the k of stiffness: where the particle swells, or stretches along
+    /// an axis if λ is negative.
+    pub fn viscosity(&self) -> f64 {
+        let Self { lambda, mu } = self;
+        mu + 0.5 * lambda.max(3.0 * lambda)
+    }
+}
+
+/// What asks for steps as short as they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Limit {
+    /// The moduli of the present tangent.
+    #[default]
+    Stiffness,
+    /// A stress that follows the rate of deformation; without it, less than half as many steps would do.
+    Viscosity,
+    /// The same by damping that a scene asks for.
+    Damping,
 }
 
 /// How many steps a second some particles need.
@@ -38,8 +78,8 @@ pub struct Moduli {
 pub struct Need {
     /// The greatest number among them [1/s].
     pub rate: f64,
-    /// Is it viscosity that asks for so many? Without it, less than half would do.
-    pub is_viscous: bool,
+    /// What asks for so many.
+    pub by: Limit,
 }
 
 impl Need {
@@ -59,9 +99,14 @@ impl Moduli {
     pub fn need(&self, h: f64, density: f64) -> Need {
         // Where λ is negative the bulk's bound is the lower one.
         let a = self.triple_bulk.max(self.p_wave) / (density * h * h);
-        let half_v = 2.0 * self.viscosity / (density * h * h);
+        let half_v = 2.0 * (self.viscosity + self.damping) / (density * h * h);
         let rate = half_v + (half_v * half_v + a).sqrt();
-        Need { rate, is_viscous: rate > 2.0 * a.sqrt() }
+        let by = match rate > 2.0 * a.sqrt() {
+            false => Limit::Stiffness,
+            true if self.damping > self.viscosity => Limit::Damping,
+            true => Limit::Viscosity,
+        };
+        Need { rate, by }
     }
 }
 
@@ -140,6 +185,7 @@ impl<'a> Stiffness<'a> {
             p_wave: f64::from(out[0].0[i]),
             triple_bulk: f64::from(out[1].0[i]),
             viscosity: f64::from(viscosity.0[i]),
+            damping: self.planned.damping.map_or(0.0, |damping| damping.viscosity()),
         }))
     }
 
@@ -156,7 +202,11 @@ impl<'a> Stiffness<'a> {
 
     /// The bound that particles of the law set which need so much, on steps of the simulation within which theirs is one of so many.
     pub fn bound(&self, need: Need, steps_within: u32) -> Bound {
-        let what = if need.is_viscous { "viscosity" } else { "stiffness" };
+        let what = match need.by {
+            Limit::Stiffness => "stiffness",
+            Limit::Viscosity => "viscosity",
+            Limit::Damping => "damping",
+        };
         Bound { dt: f64::from(steps_within) / need.rate, by: format!("{what} of material '{}'", self.planned.name) }
     }
 }

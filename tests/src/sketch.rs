@@ -78,6 +78,11 @@ pub fn material(law: &str, density: f64, parameters: &str) -> String {
     format!("[[material]]\nname = \"{law}\"\nlaw = \"{law}\"\ndensity = {density}\nparameters = {{ {parameters} }}\n")
 }
 
+/// The same, with damping of elastic strain [s].
+pub fn damped(law: &str, density: f64, parameters: &str, damping: f64) -> String {
+    format!("{}damping = {damping:e}\n", material(law, density, parameters))
+}
+
 /// A box of a material; `more` holds further keys.
 pub fn block(law: &str, min: Vec3, max: Vec3, more: &str) -> String {
     body(law, &format!("box = {{ min = {min:?}, max = {max:?} }}"), more)

@@ -14,6 +14,8 @@ use std::sync::Arc;
 
 #[path = "gpu/agree.rs"]
 mod agree;
+#[path = "gpu/damping.rs"]
+mod damping;
 #[path = "gpu/free.rs"]
 mod free;
 #[path = "gpu/robust.rs"]

@@ -137,6 +137,8 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Impulse that walls have given since the start [N s].
     pub(crate) wall_impulse: [f64; 3],
     pub(crate) lulled: Lulled,
+    /// What damping has dissipated since the start [J].
+    damped: f64,
     /// What is live, and the archive of what was, if not the whole world is.
     pub(crate) reach: Option<Reach>,
     shortened: u64,
@@ -175,6 +177,7 @@ impl<T: Scalar> CpuEngine<T> {
             departures: Departures::default(),
             wall_impulse: [0.0; 3],
             lulled: Lulled::default(),
+            damped: 0.0,
             reach: plan.terrain.clone().map(Reach::new),
             shortened: 0,
             parted: 0,
@@ -746,6 +749,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         for d in 0..3 {
             ledger.slept_momentum[d] += self.lulled.momentum[d];
         }
+        ledger.damped += self.damped;
         ledger.count("blocks that fell asleep", self.lulled.blocks);
         ledger.count("particles asleep now", self.levels.iter().map(Level::asleep).sum());
         if let Some(reach) = &self.reach {
@@ -766,6 +770,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         (self.wall_impulse, self.gravity_impulse) = (sums.wall_impulse, sums.gravity_impulse);
         self.departures.deleted_mass = sums.deleted_mass;
         (self.lulled.kinetic, self.lulled.momentum) = (sums.slept_kinetic, sums.slept_momentum);
+        self.damped = sums.damped;
         self.adapt.carry_on(sums);
         if let Some(reach) = &mut self.reach {
             reach.carry_on(sums);
@@ -822,6 +827,7 @@ impl<T: Scalar> CpuEngine<T> {
         for level in &mut self.levels {
             let impulse = std::mem::take(&mut level.wall_impulse);
             (0..3).for_each(|d| self.wall_impulse[d] += impulse[d]);
+            self.damped += std::mem::take(&mut level.damped);
         }
         self.stiffness_age += 1;
         if self.hardens && self.stiffness_age >= STIFFNESS_AGE {

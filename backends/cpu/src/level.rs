@@ -54,6 +54,8 @@ pub(crate) struct Level<T: Scalar> {
     pub(crate) particle_speed: f64,
     /// Impulse that walls have given in the step under way [N s].
     pub(crate) wall_impulse: [f64; 3],
+    /// What damping has dissipated and nobody has taken note of [J].
+    pub(crate) damped: f64,
     /// Who sleeps.
     pub(crate) watch: Watch,
     batch_nodes: Vec<u32>,
@@ -72,6 +74,7 @@ impl<T: Scalar> Level<T> {
             max_speed: 0.0,
             particle_speed: 0.0,
             wall_impulse: [0.0; 3],
+            damped: 0.0,
             watch: Watch::new(plan.slow),
             batch_nodes: Vec::new(),
         }
@@ -112,6 +115,9 @@ impl<T: Scalar> Level<T> {
         let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
         let impulse_of = Shared(impulses.as_mut_ptr());
         let images = Shared(self.grid.images.as_ptr().cast_mut());
+        let is_damped = lists.iter().any(|list| list.law.damping.is_some());
+        let mut damped = vec![0.0; if is_damped { grid.occupied.len() } else { 0 }];
+        let damped_in = Shared(damped.as_mut_ptr());
         let blocks = self.watch.awake.par_iter().map(|&b| (b as usize, step));
         let (fault, measured) = blocks
             .chain(stale.par_iter().map(|&b| (b as usize, &frozen)))
@@ -125,7 +131,7 @@ impl<T: Scalar> Level<T> {
                 let timed = b % TIMED_BLOCKS == 0;
                 let begun = timed.then(Instant::now);
                 let mut materials = if timed { vec![0; n_materials] } else { Vec::new() };
-                let mut fault = None;
+                let (mut fault, mut damped) = (None, 0.0);
                 isa.run::<T, _>(Clear(tile));
                 if let Some(cells) = &mut parent_cells {
                     cells.fill(Carried::default());
@@ -144,6 +150,7 @@ impl<T: Scalar> Level<T> {
                         step,
                         tile,
                         parent_cells: parent_cells.as_deref_mut(),
+                        damped: &mut damped,
                         error: message.as_raw(),
                         material_time: timed.then_some(&mut spent),
                     });
@@ -153,6 +160,10 @@ impl<T: Scalar> Level<T> {
                     if timed {
                         materials[list.material] += std::mem::take(&mut spent);
                     }
+                }
+                if is_damped {
+                    // SAFETY: each block has an entry of its own.
+                    unsafe { *damped_in.at(b) = damped };
                 }
                 if walls && grid.mirrored[b] {
                     // SAFETY: each block has an entry of its own.
@@ -180,6 +191,8 @@ impl<T: Scalar> Level<T> {
             return Err(stopped);
         }
         self.book(impulses);
+        // In the order of blocks, whoever worked on them.
+        self.damped += damped.iter().sum::<f64>();
         Ok(measured)
     }
 
@@ -255,9 +268,19 @@ impl<T: Scalar> Level<T> {
                     let (particles, run, origin, law) = (list.view(), list.runs[b], grid.origin(b), &list.law);
                     let mut message = ErrorBuffer::default();
                     let error = message.as_raw();
-                    let (parent_cells, material_time) = (None, None);
-                    let scatter =
-                        ParticlesToGrid { particles, run, origin, law, step, tile, parent_cells, error, material_time };
+                    let (parent_cells, material_time, damped) = (None, None, &mut 0.0);
+                    let scatter = ParticlesToGrid {
+                        particles,
+                        run,
+                        origin,
+                        law,
+                        step,
+                        tile,
+                        parent_cells,
+                        damped,
+                        error,
+                        material_time,
+                    };
                     if run.count > 0
                         && let Err(f) = isa.run::<T, _>(scatter)
                     {

@@ -41,8 +41,11 @@ pub(crate) struct List<T: Scalar> {
 
 impl<T: Scalar> List<T> {
     fn new(index: usize, planned: &PlannedMaterial) -> Self {
-        let law =
-            Law { table: planned.material.table, params: planned.parameters.iter().map(|&p| T::from_f64(p)).collect() };
+        let law = Law {
+            table: planned.material.table,
+            params: planned.parameters.iter().map(|&p| T::from_f64(p)).collect(),
+            damping: planned.damping,
+        };
         let rest_planes = STRAIN + planned.material.values();
         Self {
             material: index,

@@ -88,6 +88,10 @@ pub(crate) const MOVE: usize = 1;
 const GROWN: usize = 3;
 /// Of a layer in a submission, after an even step and after an odd one.
 const NEED: usize = 18;
+/// Of a layer in a submission: what damping has dissipated, in so many digits of 32 bits, and the least of these [J].
+pub(crate) const DAMPED: usize = 20;
+pub(crate) const DAMPED_DIGITS: usize = 4;
+const DAMPED_UNIT: f64 = 1.0 / (1_u128 << 80) as f64;
 const BIAS: i32 = block::REACH;
 
 /// Why the device halted a submission.
@@ -545,13 +549,18 @@ pub(crate) struct WgpuBatch {
     pub(crate) contact: Contact,
 }
 
+/// What digits of dissipated energy come to [J].
+pub(crate) fn energy_of(digits: [u32; DAMPED_DIGITS]) -> f64 {
+    digits.iter().rev().fold(0.0, |sum, digit| sum * 2f64.powi(32) + f64::from(*digit)) * DAMPED_UNIT
+}
+
 /// What all worlds of a batch must have in common.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Fixed {
     world: String,
     /// When it has grown [m/s²], and over what time it grows [s].
     pub(crate) gravity: (Vec3, f64),
-    laws: Vec<(String, String)>,
+    laws: Vec<(String, String, bool)>,
     /// How many there are, steps of the finest in one of the coarsest, boxes of each, and soft bodies that they follow.
     levels: (usize, u32, usize, Vec<u16>),
     /// Of the finest particles of each body, if there are several levels [m³].
@@ -560,7 +569,9 @@ pub(crate) struct Fixed {
 
 impl Fixed {
     fn of(plan: &Plan) -> Self {
-        let law = |m: &barchan_core::plan::PlannedMaterial| (m.material.name.clone(), m.material.origin.clone());
+        let law = |m: &barchan_core::plan::PlannedMaterial| {
+            (m.material.name.clone(), m.material.origin.clone(), m.damping.is_some())
+        };
         Self {
             world: kernels::constants(plan),
             gravity: (plan.scene.gravity, plan.scene.gravity_ramp),
@@ -585,7 +596,7 @@ impl Fixed {
             return differs("cell width, extent, walls, world.leaving, what sleeps, or what materials keep", MEND);
         }
         if other.laws != self.laws {
-            return differs("their materials' laws", MEND);
+            return differs("their materials' laws, or which of these are damped", MEND);
         }
         if other.levels != self.levels {
             return differs("levels.count, levels.subcycle, or the number or the soft ones of levels.agents", MEND);
@@ -1026,6 +1037,7 @@ impl WgpuBatch {
         for layer in self.layers_of(w) {
             let world = &mut self.worlds[w];
             world.parted += u64::from(status.sum(layer, PARTED));
+            world.damped += energy_of(std::array::from_fn(|k| status.sum(layer, DAMPED + k)));
             for d in 0..3 {
                 world.wall_impulse[d] += f64::from(f32::from_bits(status.sum(layer, WALL_IMPULSE + d)));
             }

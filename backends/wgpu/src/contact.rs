@@ -1,8 +1,8 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
 use crate::batch::{
-    AT_START, Behind, ContactPasses, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Passes, Status, WALL_IMPULSE,
-    WgpuBatch, ending,
+    AT_START, Behind, ContactPasses, DAMPED, DAMPED_DIGITS, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part,
+    Passes, Status, WALL_IMPULSE, WgpuBatch, ending, energy_of,
 };
 use crate::kernels::Role;
 use crate::memory::{NEAR_BLOCK, StepConstants, Writes, read};
@@ -787,6 +787,20 @@ impl WgpuBatch {
             words.map_or([0.0; 3], |w| [w[0], w[1], w[2]].map(f64::from))
         };
         self.layers_of(w).map(of_layer).fold([0.0; 3], |sum, v| std::array::from_fn(|d| sum[d] + v[d]))
+    }
+
+    /// What damping dissipated of a world in such a step [J].
+    pub(crate) fn pending_damped(&self, w: usize) -> f64 {
+        if !self.worlds[w].pending || self.worlds[w].materials.iter().all(|m| m.damping.is_none()) {
+            return 0.0;
+        }
+        let of_layer = |layer: usize| {
+            let at = 4 * self.memory.words().of_sum(layer, DAMPED) as u64;
+            let words: Vec<u32> =
+                read(&self.gpu, self.memory.buffer(Role::Status, 0), at, DAMPED_DIGITS).unwrap_or_default();
+            words.try_into().map_or(0.0, energy_of)
+        };
+        self.layers_of(w).map(of_layer).sum()
     }
 }
 

@@ -753,7 +753,7 @@ fn of_own_mass(subcycled: bool, text: &str) -> (String, Vec<Use>) {
 
 /// Vectors of four that hold a world's material parameters.
 pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
-    plan.materials.iter().map(|m| m.parameters.len()).sum::<usize>().div_ceil(4).max(1)
+    plan.materials.iter().flat_map(parameters_of).count().div_ceil(4).max(1)
 }
 
 /// Is what couplings' laws read stored? A uniform holds so much everywhere, and not what differs from world to world.
@@ -1750,7 +1750,14 @@ fn g2p(plan: &Plan, laws: &str, sleeps: bool, [particles, layers]: [usize; 2]) -
         ),
         ("$NOTE_NEED", "atomicMax(&status[need_word(step.number, first_layer)], atomicLoad(&greatest_need));"),
     ];
-    let stiffens = stiffens(plan);
+    let of_damping = [
+        ("$DAMPED_SUMS", include_str!("wgsl/damped.wgsl")),
+        ("$SEE_DAMPED", "see_damped(layer_now == first_layer);"),
+        ("$NOTE_DAMPED", "damped_by[thread] = damped_there;"),
+        ("$BOOK_DAMPED", "book_all_damped(first_layer);"),
+    ];
+    let (stiffens, damps) = (stiffens(plan), damps(plan));
+    let body = of_damping.iter().fold(body, |body, (at, text)| body.replace(at, if damps { text } else { "" }));
     let body = of_needs.iter().fold(body, |body, (at, text)| body.replace(at, if stiffens { text } else { "" }));
     let body = of_one.iter().fold(body, |body, (at, text)| body.replace(at, text));
     let body = format!("const BY_WORKGROUP: u32 = {by_workgroup}u;\n") + &body.replace("$EACH", each);
@@ -1839,6 +1846,16 @@ pub(crate) fn stiffens(plan: &Plan) -> bool {
     plan.materials.iter().any(is_asked_on_device)
 }
 
+/// Is any material damped?
+pub(crate) fn damps(plan: &Plan) -> bool {
+    plan.materials.iter().any(|m| m.damping.is_some())
+}
+
+/// What passes read of a material: its parameters, and behind them its damping if it has any.
+pub(crate) fn parameters_of(m: &PlannedMaterial) -> impl Iterator<Item = f64> + '_ {
+    m.parameters.iter().copied().chain(m.damping.iter().flat_map(|damping| [damping.lambda, damping.mu]))
+}
+
 /// The materials, and the update of a particle's strain and stress.
 fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     let materials: Vec<_> = plan.materials.iter().map(|m| &m.material).collect();
@@ -1864,7 +1881,7 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
         .iter()
         .map(|m| {
             let at = base;
-            base += m.parameters.len();
+            base += parameters_of(m).count();
             if worlds > 1 { format!("layer_now / {levels}u * {}u + {at}u", 4 * vectors) } else { format!("{at}u") }
         })
         .collect();
@@ -1873,6 +1890,15 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     text += &switch(full, "has_def_grad", "bool");
     let rates = plan.materials.iter().map(|m| m.material.has(barchan_abi::BARCHAN_CAP_VEL_GRAD).to_string()).collect();
     text += &switch(rates, "wants_rate", "bool");
+
+    let damps = damps(plan);
+    if damps {
+        let damped = plan.materials.iter().map(|m| m.damping.is_some().to_string()).collect();
+        text += &switch(damped, "is_damped", "bool");
+        let behind = plan.materials.iter().map(|m| format!("{}u", m.parameters.len())).collect();
+        text += &switch(behind, "damping_at", "u32");
+        text += include_str!("wgsl/damping.wgsl");
+    }
 
     // A particle's values, by number.
     let vectors = rest_vectors(&plan.materials);
@@ -1891,7 +1917,9 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     let volume = format!("r{}.w", vectors - 1);
     let mut need = String::new();
     if stiffens(plan) {
-        let asked = format!("need_of(stiffness_of_material(law, strain, param_base(law), &state), mass, {volume})");
+        let stiffness = "stiffness_of_material(law, strain, param_base(law), &state)";
+        let stiffness = if damps { format!("with_damping(law, {stiffness})") } else { stiffness.to_owned() };
+        let asked = format!("need_of({stiffness}, mass, {volume})");
         need = format!("need_now = 0u;\nif gives_stiffness(law) {{\nneed_now = {asked};\n}}");
         text += include_str!("wgsl/stiffness.wgsl");
     }
@@ -1925,8 +1953,14 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
     let store_sym: String =
         entries.iter().enumerate().map(|(e, &(i, j))| format!("{} = {};\n", value(e), kept(i, j))).collect();
+    let damp = format!(
+        "if is_damped(law) && dt > 0.0 {{\n\
+         out.kirchhoff = damp(law, out.kirchhoff, trial, out.strain, g, step_part, {volume});\n}}"
+    );
     text += &include_str!("wgsl/deform.wgsl")
         .replace("$FIELDS", &fields)
+        .replace("$UNDAMPED", if damps { "damped_now = 0.0;" } else { "" })
+        .replace("$DAMP", if damps { &damp } else { "" })
         .replace("$FETCH", &fetch)
         .replace("$VOLUME", &volume)
         .replace("$NEED", &need)

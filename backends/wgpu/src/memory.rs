@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 /// see `common.wgsl`.
 const OF_LAYERS: usize = 14;
 const PER_LAYER: usize = 8;
-const PER_SUM: usize = 20;
+const PER_SUM: usize = 24;
 const PER_STEP: usize = 4;
 /// So long a device that is not this machine's processor is asked again and again whether it is done, while others may go first: to be woken takes as
 /// long as some steps of a small world.

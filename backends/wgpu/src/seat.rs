@@ -170,6 +170,7 @@ impl Engine for Seat {
             ledger.gravity_impulse[d] += world.gravity_impulse[d] - kept[d];
             ledger.slept_momentum[d] += world.slept.momentum[d] + slept.momentum[d];
         }
+        ledger.damped += world.damped + batch.pending_damped(self.world);
         ledger.slept_kinetic += world.slept.kinetic + slept.kinetic;
         ledger.count("blocks that fell asleep", world.slept.blocks + slept.blocks);
         ledger.count("particles asleep now", batch.asleep(self.world).unwrap_or(0));

@@ -121,7 +121,9 @@ pub(crate) fn bound_of_need(materials: &[PlannedMaterial], need: f32) -> Bound {
     let names: Vec<_> = materials.iter().filter(|planned| is_asked_on_device(planned)).collect();
     let names: Vec<_> = names.iter().map(|planned| format!("'{}'", planned.name)).collect();
     let kind = if names.len() > 1 { "one of the materials" } else { "material" };
-    Bound { dt: 1.0 / f64::from(need), by: format!("stiffness of {kind} {}", names.join(", ")) }
+    let damps = materials.iter().any(|planned| is_asked_on_device(planned) && planned.damping.is_some());
+    let what = if damps { "stiffness or damping" } else { "stiffness" };
+    Bound { dt: 1.0 / f64::from(need), by: format!("{what} of {kind} {}", names.join(", ")) }
 }
 
 /// The lesser of two bounds. NaN is for whoever asks laws next to find.

@@ -1,6 +1,6 @@
 //! What the host knows of a world of a batch.
 
-use crate::kernels::{may_sleep, parameter_vectors, softs, stiffens};
+use crate::kernels::{may_sleep, parameter_vectors, parameters_of, softs, stiffens};
 use crate::layout::{Periods, by_level};
 use crate::memory::{Layer, MAX_SLOTS, MAX_STEPS};
 use crate::sleep::Slept;
@@ -205,6 +205,8 @@ pub(crate) struct World {
     pub(crate) clamped: u64,
     pub(crate) shortened: u64,
     pub(crate) parted: u64,
+    /// What damping has dissipated since the start [J].
+    pub(crate) damped: f64,
     pub(crate) wall_impulse: Vec3,
     pub(crate) gravity_impulse: Vec3,
     pub(crate) slept: Slept,
@@ -275,6 +277,7 @@ impl World {
             clamped: 0,
             shortened: 0,
             parted: 0,
+            damped: 0.0,
             wall_impulse: [0.0; 3],
             gravity_impulse: [0.0; 3],
             slept: Slept::default(),
@@ -481,6 +484,7 @@ impl World {
         (self.wall_impulse, self.gravity_impulse) = (sums.wall_impulse, sums.gravity_impulse);
         self.deleted_mass = sums.deleted_mass;
         (self.slept.kinetic, self.slept.momentum) = (sums.slept_kinetic, sums.slept_momentum);
+        self.damped = sums.damped;
         self.adapt.carry_on(sums);
         if let Some(reach) = &mut self.reach {
             reach.carry_on(sums);
@@ -534,7 +538,7 @@ impl World {
 
 /// The materials' parameters of a world, as passes read them.
 pub(crate) fn parameters(plan: &Plan) -> Vec<[f32; 4]> {
-    let mut values: Vec<f32> = plan.materials.iter().flat_map(|m| &m.parameters).map(|&p| p as f32).collect();
+    let mut values: Vec<f32> = plan.materials.iter().flat_map(parameters_of).map(|p| p as f32).collect();
     values.resize(4 * parameter_vectors(plan), 0.0);
     values.chunks_exact(4).map(|v| [v[0], v[1], v[2], v[3]]).collect()
 }

@@ -99,6 +99,7 @@ fn material(registry: &Registry, law: &str, name: &str) -> Result<MaterialSpec> 
         name: name.to_owned(),
         law: law.to_owned(),
         density: 1000.0,
+        damping: 0.0,
         parameters: parameters.map(|(key, value)| (key.to_owned(), value)).collect(),
     })
 }

@@ -68,6 +68,7 @@ fn ledger(start: &Ledger, end: &Ledger) -> String {
     line("bodies: kinetic energy [J]", &scalar(|l| l.body_kinetic));
     line("bodies: potential energy [J]", &scalar(|l| l.body_potential));
     line("all energy [J]", &scalar(Ledger::energy));
+    line("energy damped [J]", &scalar(|l| l.damped));
     line("impulse from gravity [N s]", &vector(|l| l.gravity_impulse));
     line("impulse from walls [N s]", &vector(|l| l.wall_impulse));
     line("mass deleted [kg]", &scalar(|l| l.deleted_mass));

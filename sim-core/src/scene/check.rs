@@ -110,6 +110,7 @@ impl Scene {
         self.not_negative("gravity_ramp", self.gravity_ramp)?;
         for (i, material) in self.material.iter().enumerate() {
             self.positive(&format!("material[{i}].density"), material.density)?;
+            self.not_negative(&format!("material[{i}].damping"), material.damping)?;
         }
         for (i, body) in self.body.iter().enumerate() {
             self.check_body(&format!("body[{i}]"), body)?;

@@ -310,6 +310,7 @@ impl Generator {
             "time.safety" => return number(frame.pick(&[0.3, 0.6, 0.9, 1.0])),
             "output.picture.pixels" => return Some(Some(Value::Integer(16 + frame.below(200) as i64))),
             "output.picture.cut_y" => return number(frame.point(1.0)[1]),
+            "material[].damping" => return number(frame.decades(1e-6, 1e-2)),
             "material[].law" => {
                 let law = frame.pick(&self.laws);
                 return text(law.0);
@@ -450,7 +451,9 @@ fn wanted(path: &str) -> f64 {
         // The origin is seldom in the world.
         _ if path.starts_with("body") && path.ends_with(".center") => 1.0,
         "time.step" => 0.05,
-        "coupling" | "gravity_ramp" | "body[].settled" | "levels.reach" | "sleep" | "output" => 0.15,
+        "coupling" | "gravity_ramp" | "material[].damping" | "body[].settled" | "levels.reach" | "sleep" | "output" => {
+            0.15
+        }
         _ => 0.35,
     }
 }

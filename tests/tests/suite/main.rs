@@ -2,6 +2,7 @@
 
 mod conformance;
 mod coupling;
+mod damping;
 mod determinism;
 mod effects;
 mod hard_cases;

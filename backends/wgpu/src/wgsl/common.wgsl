@@ -125,9 +125,10 @@ const GREATEST_BLOCK: u32 = 5u;
 // applied in parts; what walls gave [N s]; is it due in the sort under way; did a sort find particles that belong on another level; how often
 // it found one outside the world; the impulse of those it put back [N s], and the mass of those it took out [kg]; mass asleep, times
 // gravity's part, summed over steps [kg]; blocks that fell asleep, and what momentum [N s] and kinetic energy [J] that took; how many steps a
-// second particles whose stiffness follows their state need after an even step, and after an odd one, as the bits of a float.
+// second particles whose stiffness follows their state need after an even step, and after an odd one, as the bits of a float; what damping has
+// dissipated, in units of 2^-80 J: four digits of 32 bits, the least first.
 const OF_SUMS: u32 = OF_LAYERS + PER_LAYER * LAYERS;
-const PER_SUM: u32 = 20u;
+const PER_SUM: u32 = 24u;
 const SORTED: u32 = 0u;
 const PARTED: u32 = 1u;
 const WALL_IMPULSE: u32 = 2u;
@@ -139,6 +140,7 @@ const SUM_SLEPT: u32 = 12u;
 const SUM_FELL: u32 = 13u;
 const SUM_LOST: u32 = 14u;
 const NEED: u32 = 18u;
+const DAMPED: u32 = 20u;
 
 // Those of a layer in a step: greatest node speed [m/s], greatest move of a particle, and how far particles may have drifted before it
 // since the last sort [cells], as the bits of a float: for numbers that are not negative, their order is that of unsigned integers, and NaN

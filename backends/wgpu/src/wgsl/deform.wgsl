@@ -34,6 +34,7 @@ fn deform(q: u32, law: u32, mass: f32, held: Held, c: mat3x3<f32>, dt: f32) {
     }
     let step_part = dt / parts;
     let g = step_part * c;
+    $UNDAMPED
     var out: MatOut;
     for (var part = 0u; part < u32(parts); part++) {
         var trial: mat3x3<f32>;
@@ -45,6 +46,7 @@ fn deform(q: u32, law: u32, mass: f32, held: Held, c: mat3x3<f32>, dt: f32) {
         }
         x.dt = step_part;
         out = update_material(law, x, param_base(law), &state);
+        $DAMP
         strain = out.strain;
     }
     // Without a step, matter is as it was.

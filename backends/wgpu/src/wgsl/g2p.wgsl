@@ -7,6 +7,7 @@ var<workgroup> go: u32;
 var<workgroup> first_layer: u32;
 var<workgroup> greatest_move: atomic<u32>;
 $NEED_VARIABLE
+$DAMPED_SUMS
 
 // Is this step short enough for the speeds that the nodes have?
 fn ready(is_first: bool) -> u32 {
@@ -89,12 +90,15 @@ fn g2p(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
                 atomicMax(&greatest_move, by_most);
             }
             $SEE_NEED
+            $SEE_DAMPED
         }$ELSE
         $NEXT
     }
+    $NOTE_DAMPED
     workgroupBarrier();
     if thread == 0u {
         $NOTE_NEED
+        $BOOK_DAMPED
         $NOTE_FIRST
         atomicMax(&status[step_word(step.number, first_layer, MOVE)], atomicLoad(&greatest_move));
     }
