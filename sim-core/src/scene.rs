@@ -382,8 +382,9 @@ pub struct MaterialSpec {
     /// Density at rest [kg/m³].
     pub density: f64,
     /// Damping of elastic strain, a time β [s]; 0: none. To the stress comes β times what the linear law, with the stiffness at rest, gives for the elastic
-    /// part of the rate of strain; flow is not slowed. A wave of angular frequency ω then dies away as exp(-½ β ω² t), and a step that could be dt long must
-    /// be sqrt(β² + dt²) - β.
+    /// part of the rate of strain; flow is not slowed. A wave of angular frequency ω dies away as exp(-½ β ω² t), by the ratio ζ = ½ β ω to critical damping:
+    /// so β = 2 ζ/ω with ω of the slowest wave, which for a bed of depth H and speed of sound c is π c/(2 H). A step that could be dt long without it may be
+    /// sqrt(β² + dt²) - β.
     #[serde(default)]
     pub damping: f64,
     /// Parameters of the law; those absent keep their defaults. An angle may be given in degrees as `<name>_deg`.

@@ -1,8 +1,10 @@
 //! Damping of elastic strain on the device: as on the CPU, with what it dissipates.
 
-use super::{apart, cpu, gpu, take, take_at_once};
+use super::{apart, cpu, gpu, left, on_gpu, take, take_at_once, with_currents};
+use barchan::worlds::Worlds;
+use barchan::{Options, Precision, Simulation};
 use barchan_tests::limits::{self, Lie};
-use barchan_tests::scenes::{rows, within};
+use barchan_tests::scenes::{options, rows, scene, within};
 use barchan_tests::sketch::{Head, block, damped, material};
 
 /// Laws with either form of strain, with and without flow, asked for their stiffness on the device and not; and a damping that takes the ringing of a block within
@@ -68,6 +70,41 @@ fn what_damping_takes_is_summed_the_same_each_time() {
         assert_eq!(once.ledger().damped, before);
         take(&mut once, 10);
         assert!(once.ledger().damped > before);
+    }
+}
+
+/// Worlds of a batch may be damped by different times, and each has what it would have alone; one that nobody damps is refused beside them, by name.
+#[test]
+fn worlds_are_damped_each_by_its_own_time() {
+    let of = |damping: f64| scene(&fallen("hencky", LAWS[0].1, damping, "step = 3e-4", ""));
+    let scenes = [of(1e-3), of(3e-3)];
+    let mut worlds = Worlds::new(&barchan::registry(), scenes.to_vec(), &on_gpu()).unwrap();
+    (0..40).for_each(|_| drop(worlds.step()));
+    for (w, scene) in scenes.iter().enumerate() {
+        let mut alone = Simulation::new(&barchan::registry(), scene, &on_gpu()).unwrap();
+        take(&mut alone, 40);
+        assert!(left(worlds.world(w)) == left(&alone), "world {w} is not itself alone");
+        let (here, there) = (worlds.world(w).ledger().damped, alone.ledger().damped);
+        within(&format!("world {w} dissipates {here:.4e} J, off"), (here / there - 1.0).abs(), 1e-6);
+    }
+    let error =
+        Worlds::new(&barchan::registry(), vec![of(1e-3), of(0.0)], &on_gpu()).map(drop).unwrap_err().to_string();
+    assert!(error.contains("damped") && error.contains("world 1"), "{error}");
+}
+
+/// Where a law of contact runs on the host, the last step's numbers are still on the device when the ledger is read.
+#[test]
+fn beside_a_law_on_the_host_the_last_step_counts() {
+    let current = format!("[[coupling]]\nkind = \"{}\"\n", barchan_seam_coupling::KIND);
+    let text = fallen("hencky", LAWS[0].1, LAWS[0].2, "step = 3e-4", &current);
+    let on = |backend: &str, steps: usize| {
+        let options = Options { backend: backend.to_owned(), ..options(Precision::F32) };
+        let mut sim = Simulation::new(&with_currents(), &scene(&text), &options).unwrap();
+        take(&mut sim, steps);
+        sim.ledger().damped
+    };
+    for steps in [20, 21] {
+        within("dissipated energy, off", (on("wgpu", steps) / on("cpu", steps + 1) - 1.0).abs(), 1e-4);
     }
 }
 
