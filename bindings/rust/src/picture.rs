@@ -19,7 +19,6 @@ mod tools;
 pub use animation::{contact_sheet, gif};
 pub use chart::{Chart, Series};
 pub use image::{Align, Colour, Image, Rect, text_width};
-pub use tools::Tools;
 
 use crate::stress::pressure;
 use barchan_core::levels::CellBox;
@@ -30,7 +29,7 @@ use colour::{Ground, viridis};
 use rayon::prelude::*;
 use relief::{Dot, Surface};
 use serde::{Deserialize, Serialize};
-use tools::Frame;
+use tools::{Frame, Tools};
 
 /// Colour of the page around the panels.
 pub const PAGE: Colour = [250, 248, 244];
@@ -64,6 +63,58 @@ pub struct View {
     scale: f64,
     /// Sides of the picture that are walls: x_min, x_max, y_min, y_max, z_min.
     walls: [bool; 5],
+}
+
+/// What a picture shows, taken from a simulation; the drawing is still to be done.
+pub(crate) struct Sketch {
+    /// As it was then.
+    pub(crate) view: View,
+    /// When [s].
+    pub(crate) time: f64,
+    heights: (f32, f32),
+    dots: Vec<Dot>,
+    /// The surface, where it has been found already.
+    surface: Option<Surface>,
+    cut: Vec<Dot>,
+    tools: Tools,
+    /// Boxes of levels, with the width of their cells.
+    levels: Vec<(CellBox, f64)>,
+    grounds: Vec<Ground>,
+}
+
+impl Sketch {
+    /// How many particles it holds.
+    pub(crate) fn len(&self) -> usize {
+        self.dots.len()
+    }
+
+    /// Draws it: the relief, the cut, and a page around both.
+    pub(crate) fn draw(&self) -> Image {
+        let Self { view, time, heights, dots, cut: cut_dots, tools, levels, grounds, .. } = self;
+        let found;
+        let surface = match &self.surface {
+            Some(surface) => surface,
+            None => {
+                found = view.surface(dots);
+                &found
+            }
+        };
+        let (width, depth, height) = view.panels();
+        let mut relief = Image::new(width, depth, AIR);
+        surface.draw(&mut relief, view.scale as f32, grounds, heights.0, heights.1, FLOOR);
+        tools.draw_above(&mut relief, view.frame_above(), surface);
+
+        let mut cut = Image::new(width, height, AIR);
+        let top = view.top.max(f64::MIN_POSITIVE) as f32;
+        cut::draw(&mut cut, Frame { origin: [0.0, view.min[2]], scale: view.scale }, cut_dots, top);
+        tools.draw_cut(&mut cut, view.frame_of_cut());
+
+        for (one, cell) in levels {
+            view.outline(&mut relief, &mut cut, one, *cell);
+        }
+        let ground = grounds.first().copied().unwrap_or_else(|| Ground::of_law("sand"));
+        view.page(&relief, &cut, ground, *heights, *time)
+    }
 }
 
 impl View {
@@ -101,13 +152,34 @@ impl View {
 
     /// Draws a simulation as it is now.
     ///
-    /// 1. Of all particles only place and size are asked for: the relief needs no more.
-    /// 2. Those near the cut come with everything else, for what colours them.
-    ///
     /// # Errors
     /// If a material fails to give its stress.
     pub fn draw(&mut self, simulation: &Simulation) -> Result<Image> {
+        Ok(self.look(simulation)?.draw())
+    }
+
+    /// Takes from a simulation what a picture of it as it is now shows, to be drawn while it goes on.
+    ///
+    /// 1. Of all particles only place and size are asked for: the relief needs no more.
+    /// 2. Those near the cut come with everything else, for what colours them.
+    /// 3. Bodies are looked at where pixels are.
+    ///
+    /// # Errors
+    /// If a material fails to give its stress.
+    pub(crate) fn look(&mut self, simulation: &Simulation) -> Result<Sketch> {
         let plan = simulation.plan();
+        let dots: Vec<Dot> = simulation.spots().par_iter().map(|spot| self.dot(spot, 0.0)).collect();
+        let surface = self.heights.is_none().then(|| self.surface(&dots));
+        let heights = *self.heights.get_or_insert_with(|| {
+            let level = surface.as_ref().and_then(Surface::median).unwrap_or(self.min[2] as f32);
+            (level, cut::round_up(0.35 * (f64::from(level) - self.min[2])).max(2.0 * self.spacing) as f32)
+        });
+
+        let cut_y = self.cut_y;
+        // Within one of their sides.
+        let near = simulation.ground_where(&|spot| (spot.position[1] - cut_y).abs().powi(3) < spot.volume0);
+        let cut = self.cut_dots(plan, &near)?;
+
         let distance = |points: &[Vec3]| {
             let mut nearest = vec![f64::INFINITY; points.len()];
             for coupling in simulation.couplings() {
@@ -115,41 +187,32 @@ impl View {
             }
             nearest
         };
-        let bounds = simulation.couplings().iter().flat_map(|coupling| coupling.bounds()).collect();
-        let tools = Tools { bounds, distance: &distance };
+        let boxes: Vec<_> = simulation.couplings().iter().flat_map(|coupling| coupling.bounds()).collect();
+        let (width, depth, height) = self.panels();
+        let above = ((width, depth), self.frame_above());
+        let tools = Tools::new(&boxes, &distance, above, ((width, height), self.frame_of_cut()), cut_y);
 
-        let dots: Vec<Dot> = simulation.spots().par_iter().map(|spot| self.dot(spot, 0.0)).collect();
-        let surface = Surface::new(
-            &dots,
-            self.spacing as f32,
-            [0.0; 2],
-            [(self.max[0] - self.min[0]) as f32, (self.max[1] - self.min[1]) as f32],
-            self.min[2] as f32,
-        );
-        let (level, range) = *self.heights.get_or_insert_with(|| {
-            let level = surface.median().unwrap_or(self.min[2] as f32);
-            (level, cut::round_up(0.35 * (f64::from(level) - self.min[2])).max(2.0 * self.spacing) as f32)
-        });
-        let grounds: Vec<Ground> = plan.materials.iter().map(|m| Ground::of_law(&m.material.name)).collect();
-        let (width, height, _) = self.panels();
-        let mut relief = Image::new(width, height, AIR);
-        surface.draw(&mut relief, self.scale as f32, &grounds, level, range, FLOOR);
-        let frame = Frame { origin: [self.min[0], self.min[1]], scale: self.scale };
-        tools.draw_above(&mut relief, frame, &surface);
-
-        let cut_y = self.cut_y;
-        // Within one of their sides.
-        let near = simulation.ground_where(&|spot| (spot.position[1] - cut_y).abs().powi(3) < spot.volume0);
-        let mut cut = self.cut(plan, &near, &tools)?;
+        let mut levels = Vec::new();
         if plan.scene.output.picture.levels {
             for (level, boxes) in near.levels.iter().flat_map(|phase| phase.boxes.iter().enumerate()) {
-                for one in boxes {
-                    self.outline(&mut relief, &mut cut, one, plan.cell_widths[level]);
-                }
+                levels.extend(boxes.iter().map(|&one| (one, plan.cell_widths[level])));
             }
         }
-        let ground = grounds.first().copied().unwrap_or_else(|| Ground::of_law("sand"));
-        Ok(self.page(&relief, &cut, ground, (level, range), simulation.time()))
+        let grounds = plan.materials.iter().map(|m| Ground::of_law(&m.material.name)).collect();
+        Ok(Sketch { view: self.clone(), heights, dots, surface, cut, tools, levels, grounds, time: simulation.time() })
+    }
+
+    fn surface(&self, dots: &[Dot]) -> Surface {
+        let far = [(self.max[0] - self.min[0]) as f32, (self.max[1] - self.min[1]) as f32];
+        Surface::new(dots, self.spacing as f32, [0.0; 2], far, self.min[2] as f32)
+    }
+
+    fn frame_above(&self) -> Frame {
+        Frame { origin: [self.min[0], self.min[1]], scale: self.scale }
+    }
+
+    fn frame_of_cut(&self) -> Frame {
+        Frame { origin: [self.min[0], self.min[2]], scale: self.scale }
     }
 
     /// Where the relief lies within a frame.
@@ -174,8 +237,8 @@ impl View {
         Dot { position, ground: spot.material as u8, value: value as f32, side: (spot.volume0 as f32).cbrt() }
     }
 
-    /// The vertical cut through the particles near it.
-    fn cut(&mut self, plan: &Plan, near: &ParticleState, tools: &Tools<'_>) -> Result<Image> {
+    /// The particles near the vertical cut, with what colours them.
+    fn cut_dots(&mut self, plan: &Plan, near: &ParticleState) -> Result<Vec<Dot>> {
         let (mut dots, mut values) = (Vec::new(), Vec::new());
         for list in &near.lists {
             let all: Vec<usize> = (0..list.len()).collect();
@@ -192,12 +255,7 @@ impl View {
             let high = *values.select_nth_unstable_by(index, f64::total_cmp).1;
             self.top = self.top.max(cut::round_up(high));
         }
-        let (width, _, height) = self.panels();
-        let mut image = Image::new(width, height, AIR);
-        let top = self.top.max(f64::MIN_POSITIVE) as f32;
-        cut::draw(&mut image, Frame { origin: [0.0, self.min[2]], scale: self.scale }, &dots, top);
-        tools.draw_cut(&mut image, Frame { origin: [self.min[0], self.min[2]], scale: self.scale }, self.cut_y);
-        Ok(image)
+        Ok(dots)
     }
 
     /// Draws where a level's box ends, in both panels, with the width of its cells.

@@ -10,6 +10,8 @@
 //! | `snapshot.barchan` | the state at the end, on interruption or before an error: the run continues from it bit for bit |
 //! | `files.txt` | what the run has written: nothing else is ever removed or overwritten |
 //!
+//! Pictures are drawn and written while the run goes on; one that cannot be written ends it a few pictures later at most.
+//!
 //! Output never changes the physics: steps are those of a run without output (only the end is met exactly), and a picture
 //! shows the first step at or past its time.
 
@@ -17,19 +19,22 @@ mod folder;
 
 pub use folder::{Existing, check as check_folder, last as last_folder, next as next_folder};
 
-use crate::picture::{self, Image, View};
+use crate::picture::{self, Image, Sketch, View};
 use barchan_core::backend::Timing;
 use barchan_core::export::export;
+use barchan_core::file::write_whole;
 use barchan_core::scene::{Export, plain};
 use barchan_core::{
     BodyState, Error, Ledger, Options, Precision, Registry, Result, Simulation, StepReport, Vec3, Wrench,
 };
 use folder::Folder;
 use serde::Serialize;
+use std::collections::VecDeque;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
 use std::time::Instant;
 
 /// Name of the snapshot within an output folder.
@@ -286,11 +291,55 @@ fn steps(
     Ok(true)
 }
 
+/// Pictures that are drawn and written while the run goes on.
+#[derive(Default)]
+struct Painters(VecDeque<JoinHandle<Result<()>>>);
+
+impl Painters {
+    /// So many pictures are drawn at once, of so many particles in all: they take memory.
+    const MOST: usize = 4;
+    const MOST_PARTICLES: usize = 4_000_000;
+
+    /// Begins to draw a picture. Waits for one that is under way if there are too many, and fails if that one could not be written.
+    fn paint(&mut self, sketch: Sketch, path: PathBuf) -> Result<()> {
+        let at_once = (Self::MOST_PARTICLES / sketch.len().max(1)).clamp(1, Self::MOST);
+        self.wait(at_once - 1)?;
+        self.0.push_back(std::thread::spawn(move || {
+            let view = serde_json::to_string(&sketch.view).map_err(io::Error::other);
+            let picture = sketch.draw();
+            write_whole(&path, "writing a picture", |out| {
+                let notes = [(TIME, sketch.time.to_string()), (VIEW, view?)];
+                picture.encode_png(out, &notes.each_ref().map(|(keyword, text)| (*keyword, text.as_str())))
+            })
+        }));
+        Ok(())
+    }
+
+    /// Waits until no more than so many are under way.
+    fn wait(&mut self, left: usize) -> Result<()> {
+        while self.0.len() > left {
+            let oldest = self.0.pop_front().expect("there are more than none");
+            oldest.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        }
+        Ok(())
+    }
+
+    /// Waits for all. Fails as the first of them that did.
+    fn finish(&mut self) -> Result<()> {
+        let mut first = Ok(());
+        while !self.0.is_empty() {
+            first = first.and(self.wait(self.0.len() - 1));
+        }
+        first
+    }
+}
+
 /// Writes a run's files as it goes.
 struct Recorder {
     folder: Folder,
     interval: f64,
     view: Option<View>,
+    painters: Painters,
     export: Option<Export>,
     snapshot_interval: Option<f64>,
     next_frame: u64,
@@ -322,6 +371,7 @@ impl Recorder {
             next_snapshot: output.snapshot_interval.map_or(f64::INFINITY, |interval| time + interval),
             next_frame: past,
             view,
+            painters: Painters::default(),
             export: request.export.or(output.export),
             seconds: begin.elapsed().as_secs_f64(),
         })
@@ -375,13 +425,9 @@ impl Recorder {
             // A step longer than the interval skips pictures rather than repeat one.
             self.next_frame = (time / self.interval + 1e-9).floor() as u64 + 1;
             if let Some(view) = &mut self.view {
-                let picture = view.draw(simulation)?;
-                let view = serde_json::to_string(view).map_err(io::Error::other);
-                let name = format!("{FRAMES}/{number:05}.png");
-                self.folder.write(&name, "writing a picture", |out| {
-                    let notes = [(TIME, time.to_string()), (VIEW, view?)];
-                    picture.encode_png(out, &notes.each_ref().map(|(keyword, text)| (*keyword, text.as_str())))
-                })?;
+                let sketch = view.look(simulation)?;
+                let path = self.folder.claim(&format!("{FRAMES}/{number:05}.png"))?;
+                self.painters.paint(sketch, path)?;
             }
             if let Some(format) = self.export {
                 let path = self.folder.claim(&format!("{PARTICLES}/{number:05}.{}", format.extension()))?;
@@ -411,7 +457,7 @@ impl Recorder {
         let peak_memory = peak_memory();
         let begin = Instant::now();
         // After an error, the rest is written all the same.
-        match self.flush_trace() {
+        match self.painters.finish().and(self.flush_trace()) {
             Err(e) if error.is_none() => return Err(e),
             _ => {}
         }

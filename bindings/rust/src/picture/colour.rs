@@ -27,13 +27,13 @@ pub(super) fn viridis(t: f32) -> Colour {
 
 /// What ground looks like in full light: linear reflectance low down, at its starting height, and high up.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ground {
+pub(super) struct Ground {
     stops: [[f32; 3]; 3],
 }
 
 impl Ground {
     /// The look of a material law, by its name in the registry; others look like clay.
-    pub fn of_law(law: &str) -> Self {
+    pub(super) fn of_law(law: &str) -> Self {
         let stops: [Colour; 3] = match law {
             "sand" => [[166, 124, 78], [222, 186, 132], [246, 224, 182]],
             "snow" => [[150, 172, 204], [214, 222, 234], [240, 244, 250]],
@@ -44,7 +44,7 @@ impl Ground {
         Self { stops: stops.map(|stop| stop.map(linear)) }
     }
     /// Reflectance at `t`: 0 low, ½ as it started, 1 high.
-    pub fn at(&self, t: f32) -> [f32; 3] {
+    pub(super) fn at(&self, t: f32) -> [f32; 3] {
         let t = t.clamp(0.0, 1.0) * 2.0;
         let (a, b, f) =
             if t < 1.0 { (self.stops[0], self.stops[1], t) } else { (self.stops[1], self.stops[2], t - 1.0) };

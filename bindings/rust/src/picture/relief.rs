@@ -16,7 +16,7 @@ const SUN_STEPS: [f32; 8] = [1.0, 2.0, 3.0, 4.5, 6.0, 8.5, 12.0, 17.0];
 
 /// A particle as the picture needs it.
 #[derive(Clone, Copy, Debug)]
-pub struct Dot {
+pub(super) struct Dot {
     /// Position [m].
     pub position: [f32; 3],
     /// Index of its ground in the palette.
@@ -28,7 +28,7 @@ pub struct Dot {
 }
 
 /// A height map on nodes half the finest particle spacing apart.
-pub struct Surface {
+pub(super) struct Surface {
     columns: usize,
     rows: usize,
     pitch: f32,
@@ -45,7 +45,7 @@ pub struct Surface {
 
 impl Surface {
     /// The surface of particles, the finest `spacing` apart, within a rectangle, above a floor.
-    pub fn new(dots: &[Dot], spacing: f32, min: [f32; 2], max: [f32; 2], floor: f32) -> Self {
+    pub(super) fn new(dots: &[Dot], spacing: f32, min: [f32; 2], max: [f32; 2], floor: f32) -> Self {
         let pitch = 0.5 * spacing;
         let count = |d: usize| ((max[d] - min[d]) / pitch).ceil() as usize + 1;
         let (columns, rows) = (count(0), count(1));
@@ -183,7 +183,15 @@ impl Surface {
 
     /// Draws the surface, north up, `scale` pixels to the metre. Colour goes by height above `level`, `range` [m] at the
     /// palette's end; `floor` is the colour of bare floor.
-    pub fn draw(&self, image: &mut Image, scale: f32, palette: &[Ground], level: f32, range: f32, floor: [f32; 3]) {
+    pub(super) fn draw(
+        &self,
+        image: &mut Image,
+        scale: f32,
+        palette: &[Ground],
+        level: f32,
+        range: f32,
+        floor: [f32; 3],
+    ) {
         let (width, height) = (image.width(), image.height());
         // Where each column of pixels reads the nodes: place, taps, weights.
         let at = |column: usize| {
@@ -238,7 +246,7 @@ impl Surface {
     }
 
     /// Height of the surface at a point [m], from the nearest node.
-    pub fn height_at(&self, x: f32, y: f32) -> f32 {
+    pub(super) fn height_at(&self, x: f32, y: f32) -> f32 {
         let index = |value: f32, d: usize, count: usize| {
             (((value - self.min[d]) / self.pitch).round().max(0.0) as usize).min(count - 1)
         };
@@ -246,7 +254,7 @@ impl Surface {
     }
 
     /// Middle height of all that is covered [m], or `None` if nothing is.
-    pub fn median(&self) -> Option<f32> {
+    pub(super) fn median(&self) -> Option<f32> {
         let mut heights: Vec<f32> =
             self.height.iter().zip(&self.cover).filter(|&(_, &c)| c > 0.5).map(|(&h, _)| h).collect();
         let middle = heights.len() / 2;

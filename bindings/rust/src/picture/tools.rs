@@ -10,17 +10,36 @@ const EDGE: Colour = [38, 42, 50];
 /// Most distances asked for in one picture of one body: wide bodies are sampled more coarsely.
 const SAMPLES: f64 = 40_000.0;
 
-/// The tools of a moment.
-pub struct Tools<'a> {
-    /// A box around each body.
-    pub bounds: Vec<Aabb>,
-    /// Signed distance to the nearest body's surface at each point [m], negative inside.
-    pub distance: &'a dyn Fn(&[Vec3]) -> Vec<f64>,
+/// The tools of a moment, as far as a picture shows them.
+#[derive(Debug, Default)]
+pub(super) struct Tools {
+    above: Vec<Traced>,
+    cut: Vec<Sampled>,
 }
+
+/// A body seen from above: where rays hit it (−∞ if nowhere), and how near they come [m], −1 pixel for a hit and at most 1 pixel.
+#[derive(Debug)]
+struct Traced {
+    mesh: Mesh,
+    top: Vec<f64>,
+    nearest: Vec<f64>,
+}
+
+/// Signed distances from a body's surface in the plane of the cut [m].
+#[derive(Debug)]
+struct Sampled {
+    mesh: Mesh,
+    distance: Vec<f64>,
+}
+
+/// Width and height of a panel in pixels.
+type Size = (usize, usize);
+/// Signed distance to the nearest body's surface at each point [m], negative inside.
+type Distance<'a> = &'a dyn Fn(&[Vec3]) -> Vec<f64>;
 
 /// Where a picture's pixels lie in the world.
 #[derive(Clone, Copy, Debug)]
-pub struct Frame {
+pub(super) struct Frame {
     /// World coordinates of the lower left corner: x, and y or z [m].
     pub origin: [f64; 2],
     /// Pixels per metre.
@@ -28,6 +47,7 @@ pub struct Frame {
 }
 
 /// Samples on a coarse mesh of pixels, read bilinearly.
+#[derive(Debug)]
 struct Mesh {
     left: usize,
     top: usize,
@@ -37,14 +57,14 @@ struct Mesh {
 }
 
 impl Mesh {
-    /// The pixels of `image` under a box's face, or `None` if there are none.
-    fn new(image: &Image, frame: Frame, min: [f64; 2], max: [f64; 2]) -> Option<Self> {
+    /// The pixels of a panel under a box's face, or `None` if there are none.
+    fn new((across, down): Size, frame: Frame, min: [f64; 2], max: [f64; 2]) -> Option<Self> {
         let clip = |v: f64, count: usize| v.clamp(0.0, count as f64) as usize;
-        let left = clip((min[0] - frame.origin[0]) * frame.scale - 2.0, image.width());
-        let right = clip((max[0] - frame.origin[0]) * frame.scale + 3.0, image.width());
-        let height = image.height() as f64;
-        let top = clip(height - (max[1] - frame.origin[1]) * frame.scale - 2.0, image.height());
-        let bottom = clip(height - (min[1] - frame.origin[1]) * frame.scale + 3.0, image.height());
+        let left = clip((min[0] - frame.origin[0]) * frame.scale - 2.0, across);
+        let right = clip((max[0] - frame.origin[0]) * frame.scale + 3.0, across);
+        let height = down as f64;
+        let top = clip(height - (max[1] - frame.origin[1]) * frame.scale - 2.0, down);
+        let bottom = clip(height - (min[1] - frame.origin[1]) * frame.scale + 3.0, down);
         let (width, height) = (right.saturating_sub(left), bottom.saturating_sub(top));
         if width == 0 || height == 0 {
             return None;
@@ -52,14 +72,14 @@ impl Mesh {
         let stride = ((width * height) as f64 / SAMPLES).sqrt().ceil().max(1.0) as usize;
         Some(Self { left, top, columns: width.div_ceil(stride) + 1, rows: height.div_ceil(stride) + 1, stride })
     }
-    /// World coordinates of the samples, row by row.
-    fn points(&self, image: &Image, frame: Frame) -> Vec<[f64; 2]> {
+    /// World coordinates of the samples, row by row, in a panel so many pixels high.
+    fn points(&self, height: usize, frame: Frame) -> Vec<[f64; 2]> {
         let at = |i: usize, first: usize| (first + i * self.stride) as f64 + 0.5;
         (0..self.rows)
             .flat_map(|j| (0..self.columns).map(move |i| (i, j)))
             .map(|(i, j)| {
                 let x = frame.origin[0] + at(i, self.left) / frame.scale;
-                let y = frame.origin[1] + (image.height() as f64 - at(j, self.top)) / frame.scale;
+                let y = frame.origin[1] + (height as f64 - at(j, self.top)) / frame.scale;
                 [x, y]
             })
             .collect()
@@ -81,16 +101,38 @@ impl Mesh {
     }
 }
 
-impl Tools<'_> {
+impl Tools {
+    /// Of bodies in boxes: from above in a panel of some size and frame, and in the plane y = `cut_y` in another one.
+    pub(super) fn new(
+        boxes: &[Aabb],
+        distance: Distance<'_>,
+        above: (Size, Frame),
+        cut: (Size, Frame),
+        cut_y: f64,
+    ) -> Self {
+        let seen = |body: &Aabb| {
+            let (size, frame) = above;
+            let mesh = Mesh::new(size, frame, [body.min[0], body.min[1]], [body.max[0], body.max[1]])?;
+            let (top, nearest) = trace(&mesh.points(size.1, frame), body, 1.0 / frame.scale, distance);
+            Some(Traced { mesh, top, nearest })
+        };
+        let sampled = |body: &Aabb| {
+            let (size, frame) = cut;
+            let mesh = Mesh::new(size, frame, [body.min[0], body.min[2]], [body.max[0], body.max[2]])?;
+            let at: Vec<Vec3> = mesh.points(size.1, frame).into_iter().map(|[x, z]| [x, cut_y, z]).collect();
+            Some(Sampled { mesh, distance: distance(&at) })
+        };
+        let is_cut = |body: &&Aabb| body.min[1] <= cut_y && cut_y <= body.max[1];
+        Self {
+            above: boxes.iter().filter_map(seen).collect(),
+            cut: boxes.iter().filter(is_cut).filter_map(sampled).collect(),
+        }
+    }
+
     /// Draws the tools as seen from above over a surface, lit as it is, a little transparent.
-    pub fn draw_above(&self, image: &mut Image, frame: Frame, surface: &Surface) {
-        for body in &self.bounds {
-            let Some(mesh) = Mesh::new(image, frame, [body.min[0], body.min[1]], [body.max[0], body.max[1]]) else {
-                continue;
-            };
-            let points = mesh.points(image, frame);
-            let pixel = 1.0 / frame.scale;
-            let (top, nearest) = self.trace(&points, body, pixel);
+    pub(super) fn draw_above(&self, image: &mut Image, frame: Frame, surface: &Surface) {
+        let pixel = 1.0 / frame.scale;
+        for Traced { mesh, top, nearest } in &self.above {
             let step = mesh.stride as f64 * pixel;
             let mut out = Vec::new();
             mesh.pixels(image, |x, y, corners| {
@@ -130,42 +172,9 @@ impl Tools<'_> {
         }
     }
 
-    /// Follows rays straight down through a body's box: where they hit (−∞ if nowhere), and how near they come [m], −`pixel`
-    /// for a hit and at most `pixel`.
-    fn trace(&self, points: &[[f64; 2]], body: &Aabb, pixel: f64) -> (Vec<f64>, Vec<f64>) {
-        let mut height = vec![f64::NEG_INFINITY; points.len()];
-        let mut nearest = vec![pixel; points.len()];
-        let mut rays: Vec<(usize, f64)> = (0..points.len()).map(|i| (i, body.max[2])).collect();
-        for _ in 0..64 {
-            if rays.is_empty() {
-                break;
-            }
-            let at: Vec<Vec3> = rays.iter().map(|&(i, z)| [points[i][0], points[i][1], z]).collect();
-            let distance = (self.distance)(&at);
-            rays = rays
-                .into_iter()
-                .zip(distance)
-                .filter_map(|((i, z), d)| {
-                    if d < 0.05 * pixel {
-                        (height[i], nearest[i]) = (z, -pixel);
-                        return None;
-                    }
-                    nearest[i] = nearest[i].min(d);
-                    (z - d > body.min[2]).then_some((i, z - d))
-                })
-                .collect();
-        }
-        (height, nearest)
-    }
-
-    /// Draws the tools as cut by the plane y = `cut_y`.
-    pub fn draw_cut(&self, image: &mut Image, frame: Frame, cut_y: f64) {
-        for body in self.bounds.iter().filter(|b| b.min[1] <= cut_y && cut_y <= b.max[1]) {
-            let Some(mesh) = Mesh::new(image, frame, [body.min[0], body.min[2]], [body.max[0], body.max[2]]) else {
-                continue;
-            };
-            let at: Vec<Vec3> = mesh.points(image, frame).into_iter().map(|[x, z]| [x, cut_y, z]).collect();
-            let distance = (self.distance)(&at);
+    /// Draws the tools as cut by the plane.
+    pub(super) fn draw_cut(&self, image: &mut Image, frame: Frame) {
+        for Sampled { mesh, distance } in &self.cut {
             let mut out = Vec::new();
             mesh.pixels(image, |x, y, corners| {
                 let d = corners.iter().map(|&(n, w)| w * distance[n]).sum::<f64>() * frame.scale;
@@ -176,4 +185,32 @@ impl Tools<'_> {
             out.into_iter().for_each(|(x, y, colour, alpha)| image.blend(x as i64, y as i64, colour, alpha));
         }
     }
+}
+
+/// Follows rays straight down through a body's box: where they hit (−∞ if nowhere), and how near they come [m], −`pixel`
+/// for a hit and at most `pixel`.
+fn trace(points: &[[f64; 2]], body: &Aabb, pixel: f64, distance: Distance<'_>) -> (Vec<f64>, Vec<f64>) {
+    let mut height = vec![f64::NEG_INFINITY; points.len()];
+    let mut nearest = vec![pixel; points.len()];
+    let mut rays: Vec<(usize, f64)> = (0..points.len()).map(|i| (i, body.max[2])).collect();
+    for _ in 0..64 {
+        if rays.is_empty() {
+            break;
+        }
+        let at: Vec<Vec3> = rays.iter().map(|&(i, z)| [points[i][0], points[i][1], z]).collect();
+        let distance = distance(&at);
+        rays = rays
+            .into_iter()
+            .zip(distance)
+            .filter_map(|((i, z), d)| {
+                if d < 0.05 * pixel {
+                    (height[i], nearest[i]) = (z, -pixel);
+                    return None;
+                }
+                nearest[i] = nearest[i].min(d);
+                (z - d > body.min[2]).then_some((i, z - d))
+            })
+            .collect();
+    }
+    (height, nearest)
 }
