@@ -573,8 +573,9 @@ impl Plan {
                     if law.has(abi::BARCHAN_CAP_HARDENS) { ", moduli at every step" } else { "" },
                 ),
             );
-            let of_planned = |spec: &&MaterialSpec| planned.damping.is_some() && spec.name == planned.name;
-            if let Some(spec) = scene.material.iter().find(of_planned) {
+            if planned.damping.is_some()
+                && let Some(spec) = scene.material.iter().find(|spec| spec.name == planned.name)
+            {
                 add(
                     format!("damping of material {}", planned.name),
                     format!("damping = {} s", spec.damping),

@@ -41,7 +41,7 @@ pub fn scene_of(lie: Lie, material: &str, law: &str, time: &str) -> String {
 }
 
 /// Gives every particle a velocity of its own, or the lone one a velocity gradient: far too little to deform anything much.
-pub fn stir(sim: &mut Simulation) {
+fn stir(sim: &mut Simulation) {
     let scale = 1e-6 * H / sim.bound().dt;
     let (lone, mut noise) = (sim.particle_count() == 1, Noise::new(3));
     alter(sim, |r| {
@@ -53,11 +53,14 @@ pub fn stir(sim: &mut Simulation) {
     });
 }
 
-/// Does the noise stay within thirty times what it was at the start?
-pub fn bears(sim: &mut Simulation) -> bool {
+/// Does a simulation of a scene bear steps of this length [s], so that noise stays within thirty times what it was at the start? `of_time` makes
+/// it of what the scene says of time.
+pub fn bears(step: f64, of_time: impl FnOnce(&str) -> Simulation) -> bool {
+    let mut sim = of_time(&format!("step = {step}\nover_bound = \"allow\""));
+    stir(&mut sim);
     let square = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>();
     let noise = |sim: &Simulation| rows(sim).iter().map(|r| square(&r.v) + 0.25 * H * H * square(&r.c)).sum::<f64>();
-    let start = noise(sim);
+    let start = noise(&sim);
     // NaN is not within.
-    (0..STEPS).all(|step| sim.step().is_ok() && (step % 50 != 49 || noise(sim) < 900.0 * start))
+    (0..STEPS).all(|step| sim.step().is_ok() && (step % 50 != 49 || noise(&sim) < 900.0 * start))
 }

@@ -4,7 +4,7 @@ use crate::batch::{
     AT_START, Behind, ContactPasses, DAMPED, DAMPED_DIGITS, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part,
     Passes, Status, WALL_IMPULSE, WgpuBatch, ending, energy_of,
 };
-use crate::kernels::Role;
+use crate::kernels::{Role, damps};
 use crate::memory::{NEAR_BLOCK, StepConstants, Writes, read};
 use crate::sleep::near_tools;
 use crate::world::{FELT, MAX_DRIFT, Rhythm, World};
@@ -791,7 +791,7 @@ impl WgpuBatch {
 
     /// What damping dissipated of a world in such a step [J].
     pub(crate) fn pending_damped(&self, w: usize) -> f64 {
-        if !self.worlds[w].pending || self.worlds[w].materials.iter().all(|m| m.damping.is_none()) {
+        if !self.worlds[w].pending || !damps(&self.worlds[w].materials) {
             return 0.0;
         }
         let of_layer = |layer: usize| {

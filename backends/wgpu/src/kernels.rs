@@ -1756,7 +1756,7 @@ fn g2p(plan: &Plan, laws: &str, sleeps: bool, [particles, layers]: [usize; 2]) -
         ("$NOTE_DAMPED", "damped_by[thread] = damped_there;"),
         ("$BOOK_DAMPED", "book_all_damped(first_layer);"),
     ];
-    let (stiffens, damps) = (stiffens(plan), damps(plan));
+    let (stiffens, damps) = (stiffens(plan), damps(&plan.materials));
     let body = of_damping.iter().fold(body, |body, (at, text)| body.replace(at, if damps { text } else { "" }));
     let body = of_needs.iter().fold(body, |body, (at, text)| body.replace(at, if stiffens { text } else { "" }));
     let body = of_one.iter().fold(body, |body, (at, text)| body.replace(at, text));
@@ -1847,8 +1847,8 @@ pub(crate) fn stiffens(plan: &Plan) -> bool {
 }
 
 /// Is any material damped?
-pub(crate) fn damps(plan: &Plan) -> bool {
-    plan.materials.iter().any(|m| m.damping.is_some())
+pub(crate) fn damps(materials: &[PlannedMaterial]) -> bool {
+    materials.iter().any(|m| m.damping.is_some())
 }
 
 /// What passes read of a material: its parameters, and behind them its damping if it has any.
@@ -1891,7 +1891,7 @@ fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     let rates = plan.materials.iter().map(|m| m.material.has(barchan_abi::BARCHAN_CAP_VEL_GRAD).to_string()).collect();
     text += &switch(rates, "wants_rate", "bool");
 
-    let damps = damps(plan);
+    let damps = damps(&plan.materials);
     if damps {
         let damped = plan.materials.iter().map(|m| m.damping.is_some().to_string()).collect();
         text += &switch(damped, "is_damped", "bool");

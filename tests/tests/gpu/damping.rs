@@ -121,10 +121,7 @@ fn damping_bounds_the_step() {
         println!("{law}: {:.4e} s by {}, CPU {:.4e} s", sim.bound().dt, sim.bound().by, exact.dt);
         within("bound, off", (sim.bound().dt / exact.dt - 1.0).abs(), 1e-5);
         let bears = |lie: Lie, factor: f64| {
-            let time = format!("step = {}\nover_bound = \"allow\"", factor * exact.dt);
-            let mut sim = gpu(&limits::scene_of(lie, &soft, law, &time));
-            limits::stir(&mut sim);
-            limits::bears(&mut sim)
+            limits::bears(factor * exact.dt, |time| gpu(&limits::scene_of(lie, &soft, law, time)))
         };
         assert!(bears(Lie::Lone, 0.99) && bears(Lie::Sheet, 0.99), "{law}: grows below the bound");
         assert!(!bears(Lie::Lone, 1.05), "{law}: a lone particle bears more than the bound");

@@ -193,10 +193,7 @@ fn viscosity_bounds_the_step() {
             material("liquid", 1000.0, &format!("viscosity = {eta}, bulk_modulus = {bulk}, tait_exponent = 1.0"));
         let bound = gpu(&limits::scene_of(Lie::Lone, &liquid, "liquid", "")).bound().dt;
         let bears = |lie: Lie, factor: f64| {
-            let time = format!("step = {}\nover_bound = \"allow\"", factor * bound);
-            let mut sim = gpu(&limits::scene_of(lie, &liquid, "liquid", &time));
-            limits::stir(&mut sim);
-            limits::bears(&mut sim)
+            limits::bears(factor * bound, |time| gpu(&limits::scene_of(lie, &liquid, "liquid", time)))
         };
         for lie in [Lie::Lone, Lie::Sheet, Lie::Levels] {
             assert!(bears(lie, 0.99), "eta {eta}, K {bulk}: {lie:?} grows below the bound");

@@ -232,10 +232,7 @@ fn damping_bounds_the_step() {
         let by = if times > 0.75 { "damping" } else { "stiffness" };
         assert_eq!(bound.by, format!("{by} of material 'hencky'"));
         let bears = |lie: Lie, factor: f64| {
-            let time = format!("step = {}\nover_bound = \"allow\"", factor * bound.dt);
-            let mut sim = simulation(&scene_of(lie, &time), Precision::F64);
-            limits::stir(&mut sim);
-            limits::bears(&mut sim)
+            limits::bears(factor * bound.dt, |time| simulation(&scene_of(lie, time), Precision::F64))
         };
         for lie in [Lie::Lone, Lie::Bulk, Lie::Sheet, Lie::Levels] {
             assert!(bears(lie, 0.99), "β {times} of dt: {lie:?} grows below the bound");

@@ -76,10 +76,7 @@ fn b01_viscosity_bounds_the_step() {
         let by = if v * v > 0.5 * a { "viscosity" } else { "stiffness" };
         assert_eq!(bound.by, format!("{by} of material 'liquid'"));
         let bears = |lie: Lie, factor: f64| {
-            let time = format!("step = {}\nover_bound = \"allow\"", factor * bound.dt);
-            let mut sim = simulation(&liquid(lie, &time), Precision::F64);
-            limits::stir(&mut sim);
-            limits::bears(&mut sim)
+            limits::bears(factor * bound.dt, |time| simulation(&liquid(lie, time), Precision::F64))
         };
         for lie in [Lie::Lone, Lie::Bulk, Lie::Sheet, Lie::Levels] {
             assert!(bears(lie, 0.99), "B1 eta {eta}, K {bulk}: {lie:?} grows below the bound");
