@@ -1068,11 +1068,15 @@ impl WgpuBatch {
             if sort && stretches.first().is_some_and(|first| !first.sort) && !self.covers(1 + sorts) {
                 break;
             }
+            // A sort that stops the submission is one by itself: steps behind it would be written for nothing, and before it levels may have to follow
+            // their agents.
+            if sort && self.astray && step > 0 {
+                break;
+            }
             sorts += usize::from(sort);
             if sort || stretches.is_empty() {
                 stretches.push(Stretch { sort, steps: 0 });
             }
-            // Steps behind a sort that stops the submission would be written for nothing.
             if sort && self.astray {
                 break;
             }
