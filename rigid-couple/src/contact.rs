@@ -1,15 +1,20 @@
 //! The contact law between grid nodes and rigid surfaces, and its implicit solution for free bodies.
 //!
-//! A node inside a body has a velocity `u` relative to the surface, of which the law takes a part `f(u)`:
-//! - stick: all of it;
-//! - Coulomb with coefficient μ, where `u·n < 0` (approach): the normal part and, of the tangential part, at most μ times as
-//!   much; nothing on separation. μ = 0 is free slip;
-//! - in the core of thin plates (see [`crate::Sdf::contact_surface`]): the normal part both ways, so that nothing crosses the
-//!   plate; friction on approach only;
-//! - nodes without a normal or deeper than two cells move with the body: a direction out of the body would be arbitrary there.
+//! Particles that overlap a body press on it, each with a force of at most M d² o/(1 − o) along the surface's normal: M is the ground's λ +
+//! 2μ at rest, d the particle's width and o the share of the width by which it overlaps. These forces go to nodes by the weights of the
+//! transfers, and what a node gets bounds what the body may take of the node's velocity in a step. So contact begins where particles are,
+//! not where nodes are, and what it does in a second does not depend on the step: ground slides into the body until the bound bears its
+//! pressure, by a share p/M of a particle's width.
 //!
-//! Positions are never corrected, so an initial overlap ejects nothing. The law acts on nodes strictly inside only: a contact
-//! begins when the surface passes a node.
+//! A node has a velocity `u` relative to the surface, of which the law takes a part `f(u) = K(u) u`, with 0 ≤ K ≤ 1 symmetric:
+//! - stick: all of it up to the bound, all of it inside the body;
+//! - Coulomb with coefficient μ, where `u·n < 0` (approach), n along the sum of the forces: of the normal part as much as the bound allows
+//!   and, of the tangential part, at most μ times as much; nothing on separation. μ = 0 is free slip;
+//! - in the core of thin plates (see [`crate::Sdf::contact_surface`]): all of the normal part both ways, so that nothing crosses the
+//!   plate; friction on approach only;
+//! - nodes deeper than two cells, which no particle outside reaches, move with the body.
+//!
+//! Positions are never corrected, so an initial overlap ejects nothing.
 //!
 //! For a free body the surface's velocity depends on what the nodes give: m ΔV = Σ Gᵀ m_i f(u_i − G_i V), with V the body's
 //! twist and G_i V its velocity at node i. Taking V from before the step instead would be unstable as soon as the nodes in
@@ -27,73 +32,90 @@ use nalgebra::{Matrix6, Vector6};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Grip {
     /// The node moves with the surface.
-    Stick,
+    Stick {
+        /// Greatest speed that may be taken [m/s].
+        most: f64,
+    },
     /// The node may separate; Coulomb friction on approach.
     Coulomb {
         /// Unit normal out of the body.
         normal: DVec3,
         /// Coefficient of friction.
         friction: f64,
-        /// May the node not separate either? In the core of thin plates.
-        bilateral: bool,
+        /// Greatest speed of approach that may be taken [m/s].
+        most: f64,
+    },
+    /// As Coulomb without a bound, but that the node may not separate either: in the core of thin plates.
+    Bilateral {
+        /// Unit normal out of the body.
+        normal: DVec3,
+        /// Coefficient of friction.
+        friction: f64,
     },
 }
 
-/// What the law takes from a relative velocity u.
-enum Regime {
-    /// Nothing.
-    Separate,
-    /// All.
-    Stick,
-    /// The normal part and the share `drag` of the tangential part, K = drag + (1 − drag) n nᵀ.
-    Hold { normal: DVec3, drag: f64, slide: Option<Slide> },
-}
-
-/// A sliding node: `drag` is μ |u_n| / |u_t|.
-struct Slide {
-    along: DVec3,
-    friction: f64,
+/// What the law takes from a relative velocity u: K u with K = hold n nᵀ + drag (1 − n nᵀ).
+struct Regime {
+    /// Any unit vector where hold is drag.
+    normal: DVec3,
+    hold: f64,
+    drag: f64,
+    /// Is `hold` less than it would be without the bound?
+    bounded: bool,
+    /// The direction in which the node slides, and the coefficient of friction.
+    slide: Option<(DVec3, f64)>,
 }
 
 impl Grip {
-    fn regime(&self, u: DVec3) -> Regime {
-        let Self::Coulomb { normal, friction, bilateral } = *self else {
-            return Regime::Stick;
+    /// `None` if nothing is taken.
+    fn regime(&self, u: DVec3) -> Option<Regime> {
+        let (normal, friction, most, bilateral) = match *self {
+            Self::Stick { most } => {
+                let share = if u.length() > most { most / u.length() } else { 1.0 };
+                return (share > 0.0).then_some(Regime {
+                    normal: DVec3::Z,
+                    hold: share,
+                    drag: share,
+                    bounded: false,
+                    slide: None,
+                });
+            }
+            Self::Coulomb { normal, friction, most } => (normal, friction, most, false),
+            Self::Bilateral { normal, friction } => (normal, friction, f64::INFINITY, true),
         };
         let approach = -u.dot(normal);
         if approach <= 0.0 {
-            return if bilateral { Regime::Hold { normal, drag: 0.0, slide: None } } else { Regime::Separate };
+            return bilateral.then_some(Regime { normal, hold: 1.0, drag: 0.0, bounded: false, slide: None });
         }
-        if friction == 0.0 {
-            return Regime::Hold { normal, drag: 0.0, slide: None };
-        }
+        let bounded = approach > most;
+        let taken = if bounded { most } else { approach };
         let tangential = u + approach * normal;
         let speed = tangential.length();
-        if friction * approach >= speed {
-            return Regime::Stick;
-        }
-        let slide = Some(Slide { along: tangential / speed, friction });
-        Regime::Hold { normal, drag: friction * approach / speed, slide }
+        let (drag, slide) = if friction == 0.0 {
+            (0.0, None)
+        } else if friction * taken >= speed {
+            (1.0, None)
+        } else {
+            (friction * taken / speed, Some((tangential / speed, friction)))
+        };
+        Some(Regime { normal, hold: taken / approach, drag, bounded, slide })
     }
 
     /// What is left of the relative velocity `u` [m/s].
     pub fn kept(&self, u: DVec3) -> DVec3 {
-        self.regime(u).kept(u)
+        self.regime(u).map_or(u, |regime| regime.kept(u))
     }
 }
 
 impl Regime {
     /// (1 − K) u.
     fn kept(&self, u: DVec3) -> DVec3 {
-        match self {
-            Self::Separate => u,
-            Self::Stick => DVec3::ZERO,
-            Self::Hold { normal, drag, .. } => (1.0 - drag) * (u - u.dot(*normal) * *normal),
-        }
+        let along = u.dot(self.normal) * self.normal;
+        (1.0 - self.hold) * along + (1.0 - self.drag) * (u - along)
     }
 }
 
-/// A node inside a body.
+/// A node that a body acts on.
 #[derive(Clone, Copy, Debug)]
 pub struct Touch {
     /// Its place in the batch.
@@ -156,11 +178,13 @@ pub struct Solved {
 }
 
 /// Iterations after which the frozen law is taken as it is.
-const MAX_ITERATIONS: u32 = 24;
+const MAX_ITERATIONS: u32 = 40;
 /// Weight of the ground in terms of the body's at which the iteration starts, if it is heavier than that, and the factor by
 /// which it grows once the last step was relatively small.
 const LIGHT: f64 = 10.0;
 const HEAVIER: f64 = 4.0;
+/// What may be out of balance along a step behind it, as a part of what was before it.
+const OVERSHOT: f64 = 0.5;
 const SMALL: f64 = 0.03;
 /// Relative size of the last step but one at convergence, in the norm of the kinetic energy. The law's part in momentum and
 /// energy is exact whatever it is.
@@ -179,9 +203,21 @@ impl FreeBody {
         let secant_step = |twist: &Twist, weight: f64| assemble(twist, weight, false).solve().unwrap_or(NOT_FINITE);
         let mut frozen = *free;
         let mut iterations = 0;
+        // The last step, and what was out of balance along it before.
+        let mut last: Option<(Vector6<f64>, f64)> = None;
         let (last_step, converged) = loop {
             iterations += 1;
             let system = assemble(&frozen, weight, true);
+            // Where bounds are reached on the way, a step may lead beyond what balances along it: it is cut back.
+            if let Some((step, before)) = last.take() {
+                let beyond = -step.dot(&system.residual);
+                if beyond > OVERSHOT * before && iterations < MAX_ITERATIONS {
+                    let back = beyond / (before + beyond);
+                    frozen = moved(&frozen, &(-back * step));
+                    last = Some(((1.0 - back) * step, (1.0 - back) * before));
+                    continue;
+                }
+            }
             // A direction that does not lead towards balance is replaced by the secant's, which always does.
             let newton = system.solve().filter(|step| step.dot(&system.residual) >= 0.0);
             let step = newton.unwrap_or_else(|| secant_step(&frozen, weight));
@@ -189,12 +225,14 @@ impl FreeBody {
             let size = self.energy_norm(&step);
             let converged = weight == 1.0 && size <= TOLERANCE * scale;
             if converged || iterations == MAX_ITERATIONS {
-                let is_secant = weight == 1.0 && system.symmetric;
+                let is_secant = weight == 1.0 && system.is_secant;
                 break (if is_secant { step } else { secant_step(&frozen, 1.0) }, converged);
             }
             frozen = moved(&frozen, &step);
-            if size <= SMALL * scale {
+            last = Some((step, step.dot(&system.residual)));
+            if size <= SMALL * scale && weight < 1.0 {
                 weight = (HEAVIER * weight).min(1.0);
+                last = None;
             }
         };
         let twist = moved(&frozen, &last_step);
@@ -202,8 +240,7 @@ impl FreeBody {
         for touch in touches {
             let velocity = &mut velocities[touch.node];
             let old = DVec3::from_array(*velocity);
-            let regime = touch.grip.regime(old - frozen.at(touch.arm));
-            if !matches!(regime, Regime::Separate) {
+            if let Some(regime) = touch.grip.regime(old - frozen.at(touch.arm)) {
                 let surface = twist.at(touch.arm);
                 add(&mut impulse, hand_over(touch, velocity, surface + regime.kept(old - surface)));
             }
@@ -227,26 +264,25 @@ impl FreeBody {
         // D = drag + rank-one terms: the first part of all nodes together is a rigid body of point masses.
         let (mut mass, mut first, mut second) = (self.mass, DVec3::ZERO, DMat3::ZERO);
         let mut matrix = Matrix6::zeros();
-        let mut symmetric = true;
+        let (mut symmetric, mut is_secant) = (true, true);
         for &Touch { node, mass: m, arm, ref grip } in touches {
             let u = DVec3::from_array(velocities[node]) - twist.at(arm);
-            let regime = grip.regime(u);
+            let Some(regime) = grip.regime(u) else { continue };
             let m = m * weight;
-            let held = match &regime {
-                Regime::Separate => continue,
-                Regime::Stick => m,
-                Regime::Hold { normal, drag, slide } => {
-                    let n = reach(arm, *normal);
-                    matrix.ger(m * (1.0 - drag), &n, &n, 1.0);
-                    if let (true, Some(Slide { along, friction })) = (tangent, slide) {
-                        // d(μ |u_n| t) = −μ t nᵀ + drag (1 − n nᵀ − t tᵀ)
-                        let t = reach(arm, *along);
-                        matrix.ger(-m, &t, &(n * *friction + t * *drag), 1.0);
-                        symmetric = false;
-                    }
-                    m * drag
-                }
-            };
+            let Regime { normal, hold, drag, bounded, ref slide } = regime;
+            // Where the bound is reached, more approach is not met by more.
+            let hold = if tangent && bounded { 0.0 } else { hold };
+            is_secant &= !(tangent && (bounded || slide.is_some()));
+            let n = reach(arm, normal);
+            matrix.ger(m * (hold - drag), &n, &n, 1.0);
+            if let (true, Some((along, friction))) = (tangent, slide) {
+                // d(μ |f_n| t) = −μ t nᵀ + drag (1 − n nᵀ − t tᵀ), without the first term where f_n is bounded
+                let t = reach(arm, *along);
+                let friction = if bounded { 0.0 } else { *friction };
+                matrix.ger(-m, &t, &(n * friction + t * drag), 1.0);
+                symmetric &= bounded;
+            }
+            let held = m * drag;
             let taken = m * (u - regime.kept(u));
             force += taken;
             torque += arm.cross(taken);
@@ -263,7 +299,7 @@ impl FreeBody {
         );
         let blocks = [[DMat3::from_diagonal(DVec3::splat(mass)), lower.transpose()], [lower, angular]];
         matrix += Matrix6::from_fn(|i, j| blocks[i / 3][j / 3].col(j % 3)[i % 3]);
-        System { residual: joined(force, torque), matrix, symmetric }
+        System { residual: joined(force, torque), matrix, symmetric, is_secant }
     }
 
     /// Size of a twist, as the root of twice its kinetic energy.
@@ -277,8 +313,10 @@ impl FreeBody {
 struct System {
     residual: Vector6<f64>,
     matrix: Matrix6<f64>,
-    /// Is the matrix symmetric, hence positive definite? So it is where no node slides, and for the secant.
+    /// Is the matrix symmetric, hence positive definite? So it is where no node slides without a bound, and for the secant.
     symmetric: bool,
+    /// Is it that of the secant? So it is where no node slides and no bound is reached.
+    is_secant: bool,
 }
 
 /// What no solution gives: the nodes were not finite, and the impulse will not be.

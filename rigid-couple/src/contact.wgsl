@@ -50,11 +50,17 @@ fn rigid_cylinder(x: vec3<f32>, radius: f32, half_height: f32) -> RigidSurface {
     return RigidSurface(b, cap, true);
 }
 
-fn rigid_primitive(kind: vec4<f32>, size: vec3<f32>, x: vec3<f32>) -> RigidSurface {
+// A surface further out by so much.
+fn rigid_offset(surface: RigidSurface, by: f32) -> RigidSurface {
+    return RigidSurface(surface.distance - by, surface.normal, surface.known);
+}
+
+// Edges of boxes and cylinders are rounded to the radius `edge`.
+fn rigid_primitive(kind: vec4<f32>, size: vec3<f32>, x: vec3<f32>, edge: f32) -> RigidSurface {
     switch i32(kind.x) {
         case 0: { return rigid_direction(x, size.x, length(x) - size.x); }
-        case 1: { return rigid_box(x, size); }
-        case 2: { return rigid_cylinder(x, size.x, size.y); }
+        case 1: { return rigid_offset(rigid_box(x, size - vec3<f32>(edge)), edge); }
+        case 2: { return rigid_offset(rigid_cylinder(x, size.x - edge, size.y - edge), edge); }
         case 3: {
             let arm = x - vec3<f32>(0.0, 0.0, clamp(x.z, -size.y, size.y));
             return rigid_direction(arm, size.x, length(arm) - size.x);
@@ -65,16 +71,11 @@ fn rigid_primitive(kind: vec4<f32>, size: vec3<f32>, x: vec3<f32>) -> RigidSurfa
     }
 }
 
-// How the surface grips a node.
-struct CouplingGrip { kind: u32, normal: vec3<f32>, friction: f32, deep: bool }
-const RIGID_OUTSIDE: u32 = 0u;
-const RIGID_STICK: u32 = 1u;
-const RIGID_COULOMB: u32 = 2u;
-// In the core of thin plates, where the node may not separate either.
-const RIGID_BILATERAL: u32 = 3u;
+// A body's surface as contact sees it on a grid, and whether the point is in the core of a thin part.
+struct RigidNear { surface: RigidSurface, core: bool }
 
-// How the surface grips a node at `x` [m] from the body's reference point, in the body's frame. `cell` is the cell's width [m].
-fn coupling_grip(body: u32, x: vec3<f32>, cell: f32) -> CouplingGrip {
+// At `x` [m] from the body's reference point, in the body's frame. `cell` is the cell's width [m].
+fn rigid_near(body: u32, x: vec3<f32>, cell: f32) -> RigidNear {
     let head = coupling_table(body);
     var nearest = RigidSurface(1e30, vec3<f32>(0.0), false);
     var half_thickness = 0.0;
@@ -87,76 +88,107 @@ fn coupling_grip(body: u32, x: vec3<f32>, cell: f32) -> CouplingGrip {
         let row1 = coupling_table(at + 4u).xyz;
         let row2 = coupling_table(at + 5u).xyz;
         let back = local.x * row0 + local.y * row1 + local.z * row2;
-        var surface = rigid_primitive(kind, coupling_table(at + 1u).xyz, back);
-        // Thin parts are grown to two cells.
-        surface.distance -= max(cell - kind.y, 0.0);
-        if surface.distance < nearest.distance {
+        // Thin parts are grown to two cells, which rounds their edges, too.
+        let padding = max(cell - kind.y, 0.0);
+        let edge = clamp(1.5 * cell - padding, 0.0, kind.y);
+        let surface = rigid_primitive(kind, coupling_table(at + 1u).xyz, back, edge);
+        if surface.distance - padding < nearest.distance {
             let n = surface.normal;
-            nearest = RigidSurface(surface.distance, vec3<f32>(dot(row0, n), dot(row1, n), dot(row2, n)), surface.known);
+            let normal = vec3<f32>(dot(row0, n), dot(row1, n), dot(row2, n));
+            nearest = RigidSurface(surface.distance - padding, normal, surface.known);
             half_thickness = kind.y;
         }
     }
-    if nearest.distance >= 0.0 {
-        return CouplingGrip(RIGID_OUTSIDE, vec3<f32>(0.0), 0.0, false);
-    }
-    let deep = nearest.distance < -2.0 * cell;
-    if head.z == 0.0 || !nearest.known || deep {
-        return CouplingGrip(RIGID_STICK, vec3<f32>(0.0), 0.0, deep);
-    }
     let core = half_thickness < 1.5 * cell && -nearest.distance > max(half_thickness, cell) - 0.75 * cell;
-    return CouplingGrip(select(RIGID_COULOMB, RIGID_BILATERAL, core), nearest.normal, head.w, false);
+    return RigidNear(nearest, core);
 }
 
-// What is left of the velocity `u` [m/s], relative to the surface, of a node at `x` [m] from the body's reference point; all in the
-// body's frame. `cell` is the cell's width [m].
-fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32) -> vec3<f32> {
-    let grip = coupling_grip(body, x, cell);
+// How far a point is from a body's surface as contact sees it [m], negative inside.
+fn coupling_distance(body: u32, x: vec3<f32>, cell: f32) -> f32 {
+    return rigid_near(body, x, cell).surface.distance;
+}
+
+// The greatest force [N] with which a particle at `x` presses on a body, in the body's frame: half as wide as `half` [m], with an elastic modulus [Pa].
+fn coupling_press(body: u32, x: vec3<f32>, half: f32, modulus: f32, cell: f32) -> vec3<f32> {
+    let surface = rigid_near(body, x, cell).surface;
+    let overlap = min((half - surface.distance) / (2.0 * half), 0.9);
+    if overlap <= 0.0 || !surface.known {
+        return vec3<f32>(0.0);
+    }
+    return (4.0 * modulus * half * half * overlap / (1.0 - overlap)) * surface.normal;
+}
+
+// How the surface grips a node. `most` is the greatest speed that may be taken [m/s].
+struct CouplingGrip { kind: u32, normal: vec3<f32>, most: f32, deep: bool }
+const RIGID_OUTSIDE: u32 = 0u;
+const RIGID_STICK: u32 = 1u;
+const RIGID_COULOMB: u32 = 2u;
+// In the core of thin plates, where the node may not separate either.
+const RIGID_BILATERAL: u32 = 3u;
+const RIGID_UNBOUNDED: f32 = 3e38;
+
+// At `x` [m] from the body's reference point, in the body's frame, where particles press by `press`: their forces over the node's mass, times the step [m/s].
+fn coupling_grip(body: u32, x: vec3<f32>, cell: f32, press: vec3<f32>) -> CouplingGrip {
+    let near = rigid_near(body, x, cell);
+    let most = length(press);
+    if near.surface.distance < -2.0 * cell {
+        return CouplingGrip(RIGID_STICK, vec3<f32>(0.0), RIGID_UNBOUNDED, true);
+    }
+    if coupling_table(body).z == 0.0 {
+        let bound = select(most, RIGID_UNBOUNDED, near.surface.distance < 0.0);
+        return CouplingGrip(select(RIGID_OUTSIDE, RIGID_STICK, bound > 0.0), vec3<f32>(0.0), bound, false);
+    }
+    if near.core && near.surface.known {
+        return CouplingGrip(RIGID_BILATERAL, near.surface.normal, RIGID_UNBOUNDED, false);
+    }
+    if most == 0.0 {
+        return CouplingGrip(RIGID_OUTSIDE, vec3<f32>(0.0), 0.0, false);
+    }
+    return CouplingGrip(RIGID_COULOMB, press / most, most, false);
+}
+
+// What the law takes from a relative velocity u: K u with K = hold n nT + drag (1 - n nT), if anything is held; n = 0 and drag = hold if that is
+// isotropic. Where the node slides, drag = friction |f_n| / |u_t|, with u_t along `along`. `bounded`: is the normal part held by less than all?
+struct CouplingHold { held: bool, normal: vec3<f32>, hold: f32, drag: f32, bounded: bool, along: vec3<f32>, friction: f32 }
+
+fn coupling_hold(body: u32, grip: CouplingGrip, u: vec3<f32>) -> CouplingHold {
+    let none = vec3<f32>(0.0);
+    if grip.kind == RIGID_STICK {
+        let share = min(grip.most / max(length(u), 1e-30), 1.0);
+        return CouplingHold(true, none, share, share, false, none, 0.0);
+    }
+    let friction = coupling_table(body).w;
+    let approach = -dot(u, grip.normal);
+    if approach <= 0.0 {
+        return CouplingHold(grip.kind == RIGID_BILATERAL, grip.normal, 1.0, 0.0, false, none, 0.0);
+    }
+    let bounded = approach > grip.most;
+    let taken = min(approach, grip.most);
+    let hold = select(1.0, grip.most / approach, bounded);
+    if friction == 0.0 {
+        return CouplingHold(true, grip.normal, hold, 0.0, bounded, none, 0.0);
+    }
+    let tangential = u + approach * grip.normal;
+    let speed = length(tangential);
+    if friction * taken >= speed {
+        return CouplingHold(true, grip.normal, hold, 1.0, bounded, none, 0.0);
+    }
+    return CouplingHold(true, grip.normal, hold, friction * taken / speed, bounded, tangential / speed, friction);
+}
+
+// What is left of the velocity `u` [m/s], relative to the surface, of a node at `x` [m] from the body's reference point, where particles press by
+// `press` [m/s]; all in the body's frame. `cell` is the cell's width [m].
+fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32, press: vec3<f32>) -> vec3<f32> {
+    let grip = coupling_grip(body, x, cell, press);
     if grip.kind == RIGID_OUTSIDE {
         return u;
     }
-    if grip.kind == RIGID_STICK {
-        return vec3<f32>(0.0);
+    let hold = coupling_hold(body, grip, u);
+    if !hold.held {
+        return u;
     }
-    let approach = -dot(u, grip.normal);
-    let tangential = u + approach * grip.normal;
-    if approach <= 0.0 {
-        return select(u, tangential, grip.kind == RIGID_BILATERAL);
-    }
-    let speed = length(tangential);
-    let taken = grip.friction * approach;
-    if taken >= speed && grip.friction > 0.0 {
-        return vec3<f32>(0.0);
-    }
-    return tangential * (1.0 - taken / max(speed, 1e-30));
-}
-
-// What the law takes from a relative velocity u: K u with K = drag + (1 - drag) n nT, if anything is held; n = 0 and drag = 1 if all is. Where the
-// node slides, drag = friction |u_n| / |u_t|, with u_t along `along`.
-struct CouplingHold { held: bool, normal: vec3<f32>, drag: f32, along: vec3<f32>, friction: f32 }
-
-fn coupling_hold(grip: CouplingGrip, u: vec3<f32>) -> CouplingHold {
-    let all = CouplingHold(true, vec3<f32>(0.0), 1.0, vec3<f32>(0.0), 0.0);
-    if grip.kind == RIGID_STICK {
-        return all;
-    }
-    let approach = -dot(u, grip.normal);
-    let normal_only = CouplingHold(true, grip.normal, 0.0, vec3<f32>(0.0), 0.0);
-    if approach <= 0.0 {
-        let nothing = CouplingHold(false, vec3<f32>(0.0), 0.0, vec3<f32>(0.0), 0.0);
-        if grip.kind == RIGID_BILATERAL {
-            return normal_only;
-        }
-        return nothing;
-    }
-    if grip.friction == 0.0 {
-        return normal_only;
-    }
-    let tangential = u + approach * grip.normal;
-    let speed = length(tangential);
-    if grip.friction * approach >= speed {
-        return all;
-    }
-    return CouplingHold(true, grip.normal, grip.friction * approach / speed, tangential / speed, grip.friction);
+    let along = dot(u, hold.normal) * hold.normal;
+    return (1.0 - hold.hold) * along + (1.0 - hold.drag) * (u - along);
 }
 
 // The corners of a body's box from its reference point [m], along the world's axes, if `rows` are those of its rotation. Contact in cells of

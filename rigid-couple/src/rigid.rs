@@ -4,20 +4,29 @@ use crate::Refusal;
 use crate::contact::{self, FreeBody, Grip, Touch};
 use crate::mass::Filling;
 use crate::motion::{KeyframePath, Pose, Twist, rotation_from};
-use crate::sdf::{Primitive, Sdf};
+use crate::sdf::{Primitive, Sdf, Surface};
 use crate::world::{RigidWorld, Role};
 use barchan_core::coupling::{Aabb, DeviceLaw, FreeState, Lent, Moved};
 use barchan_core::scene::{Contact, Motion, Tool, Wall};
-use barchan_core::{BodyState, Coupling, Error, NodeBatch, Result, Scene, Vec3, Wrench};
+use barchan_core::{BodyState, Coupling, Error, NearParticle, NodeBatch, Result, Scene, Vec3, Wrench};
 use glam::{DMat3, DQuat, DVec3};
 use rapier3d_f64::prelude::PhysicsWorld;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// Depth inside a body, in cells, below which nodes move with it.
 const DEEP: f64 = 2.0;
-/// Free bodies are lent as long as their surfaces move by at most this much in a step [cells], and their boxes keep as far from other bodies' boxes, and a
-/// cell further from walls, as two of them can come nearer; rapier looks ahead a little further, by less than this share of the smallest one's extent.
+/// How far from a surface particles touch it at most [cells]: half their width. How far from it the nodes are on which they act then.
+const TOUCHING: f64 = 0.5;
+const REACH: f64 = TOUCHING + NodeBatch::SPREAD;
+/// So many nodes or particles are looked at by one thread at least.
+const FEW: usize = 128;
+/// Overlap at which a particle presses most, as a share of its width.
+const MOST_OVERLAP: f64 = 0.9;
+/// Free bodies are lent as long as their surfaces move by at most this much in a step [cells], and what they act on keeps as far from what
+/// others act on, and a cell further from walls, as two of them can come nearer; rapier looks ahead a little further, by less than this
+/// share of the smallest one's extent.
 const MOST_MOVE: f64 = 0.5;
 const CLEARANCE: f64 = 2.0 * MOST_MOVE;
 const LOOK_AHEAD: f64 = 0.01;
@@ -206,34 +215,63 @@ impl Body {
         })
     }
 
-    /// Finds the nodes inside this body. Returns how many are deep inside.
-    fn touch(&self, nodes: &NodeBatch, touches: &mut Vec<Touch>) -> u64 {
+    /// Finds the nodes that this body acts on in a step of `dt` [s]. Returns how many are deep inside.
+    fn touch(&self, nodes: &NodeBatch, dt: f64, touches: &mut Vec<Touch>) -> u64 {
         touches.clear();
         let cell = nodes.cell_width;
         let bounds = self.shape.bounds(&self.state.pose, cell);
+        let around = bounds.grown(TOUCHING * cell);
         let to_world = DMat3::from_quat(self.state.pose.rotation);
         let to_body = to_world.transpose();
+        let surface_at =
+            |x: Vec3| self.shape.contact_surface(to_body * (DVec3::from_array(x) - self.state.pose.position), cell);
+        let press_of = |particle: &NearParticle| {
+            let at = particle.position;
+            let (Surface { distance, normal }, _) = around.contains(at).then(|| surface_at(at))?;
+            // Most are too far off, which is told without a root.
+            if (2.0 * distance).powi(3) >= particle.volume {
+                return None;
+            }
+            let width = particle.volume.cbrt();
+            let overlap = (0.5 - distance / width).clamp(0.0, MOST_OVERLAP);
+            Some(particle.modulus * width * width * overlap / (1.0 - overlap) * normal?)
+        };
+        let presses: Vec<Option<DVec3>> = nodes.particles.par_iter().with_min_len(FEW).map(press_of).collect();
+        let mut forces = vec![DVec3::ZERO; nodes.len()];
+        for (particle, press) in nodes.particles.iter().zip(presses) {
+            let Some(press) = press else { continue };
+            for (&node, weight) in nodes.cells[particle.cell as usize].iter().zip(particle.weights()) {
+                if node != NodeBatch::NONE {
+                    forces[node as usize] += weight * press;
+                }
+            }
+        }
+        let inside_of =
+            |&x: &Vec3| bounds.contains(x).then(|| surface_at(x)).filter(|(surface, _)| surface.distance < 0.0);
+        let inside: Vec<Option<(Surface, bool)>> = nodes.position.par_iter().with_min_len(FEW).map(inside_of).collect();
         let mut deep = 0;
-        for (node, (&position, &mass)) in nodes.position.iter().zip(&nodes.mass).enumerate() {
-            if mass <= 0.0 || !bounds.contains(position) {
+        for (node, (inside, &mass)) in inside.iter().zip(&nodes.mass).enumerate() {
+            let force = to_world * forces[node];
+            if inside.is_none() && force == DVec3::ZERO {
                 continue;
             }
-            let arm = DVec3::from_array(position) - self.state.pose.position;
-            let (surface, core) = self.shape.contact_surface(to_body * arm, cell);
-            if surface.distance >= 0.0 {
-                continue;
-            }
-            let is_deep = surface.distance < -DEEP * cell;
+            let is_deep = inside.is_some_and(|(surface, _)| surface.distance < -DEEP * cell);
             deep += u64::from(is_deep);
-            let grip = match (self.contact, surface.normal) {
-                (Contact::Coulomb { friction }, Some(normal)) if !is_deep => {
-                    Grip::Coulomb { normal: to_world * normal, friction, bilateral: core }
-                }
-                (Contact::Slip, Some(normal)) if !is_deep => {
-                    Grip::Coulomb { normal: to_world * normal, friction: 0.0, bilateral: core }
-                }
-                _ => Grip::Stick,
+            let most = force.length() * dt / mass;
+            let core_normal = inside.filter(|(_, core)| *core).and_then(|(surface, _)| surface.normal);
+            let friction = match self.contact {
+                Contact::Stick => None,
+                Contact::Slip => Some(0.0),
+                Contact::Coulomb { friction } => Some(friction),
             };
+            let grip = match (friction, core_normal, force.try_normalize()) {
+                _ if is_deep => Grip::Stick { most: f64::INFINITY },
+                (None, ..) => Grip::Stick { most: if inside.is_some() { f64::INFINITY } else { most } },
+                (Some(friction), Some(normal), _) => Grip::Bilateral { normal: to_world * normal, friction },
+                (Some(friction), None, Some(normal)) => Grip::Coulomb { normal, friction, most },
+                (Some(_), None, None) => continue,
+            };
+            let arm = DVec3::from_array(nodes.position[node]) - self.state.pose.position;
             touches.push(Touch { node, mass, arm, grip });
         }
         deep
@@ -396,6 +434,19 @@ impl Rigid {
         }
     }
 
+    /// The width of the widest cells that a body meets [m]: one that levels follow meets the finest alone.
+    fn widest(&self, body: &Body) -> f64 {
+        let (cell, levels) = (self.scene.world.cell, &self.scene.levels);
+        let is_followed = levels.agents.as_ref().is_none_or(|agents| agents.contains(&body.name));
+        if is_followed { cell } else { cell * f64::from(1 << (levels.count - 1)) }
+    }
+
+    /// How far beyond its box a body acts [cells of the widest that it meets]: coarser cells thicken it more than its box says.
+    fn reach_of(&self, body: &Body) -> f64 {
+        let widest = self.widest(body);
+        REACH + (body.shape.padding(widest) - body.shape.padding(self.scene.world.cell)) / widest
+    }
+
     /// How far along each axis a free body may go, as long as the others move for up to `duration` [s], before it comes too near to one of
     /// them or to a wall; `None` if it is there.
     fn leash(&self, of: usize, boxes: &[Aabb], time: f64, duration: f64) -> Option<Aabb> {
@@ -403,8 +454,10 @@ impl Rigid {
         let free = self.bodies.iter().filter(|body| body.free().is_some());
         let size = free.map(|body| body.extent).fold(f64::INFINITY, f64::min);
         let clearance = CLEARANCE * world.cell + LOOK_AHEAD * size;
+        let reach = |body: &Body| self.reach_of(body) * self.widest(body);
+        let own_reach = reach(&self.bodies[of]);
         // Nodes behind walls move as their images before them, which may be two layers of nodes. Those are not to be a body's.
-        let off_walls = clearance + world.cell;
+        let off_walls = clearance + world.cell + own_reach;
         let mut leash = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
         let mut shorten = |axis: usize, upwards: bool, by: f64| {
             let end = if upwards { &mut leash.max[axis] } else { &mut leash.min[axis] };
@@ -428,6 +481,8 @@ impl Rigid {
                 [(axis, false, own.min[axis] - near.max[axis]), (axis, true, near.min[axis] - own.max[axis])]
             });
             let (axis, upwards, gap) = gaps.max_by(|a, b| a.2.total_cmp(&b.2))?;
+            // Where both act, one would have to wait for the other.
+            let clearance = clearance + 2.0 * own_reach.min(reach(other));
             if gap.is_nan() || gap <= clearance {
                 return None;
             }
@@ -549,9 +604,13 @@ impl Coupling for Rigid {
         self.bodies.iter().map(|body| clipped(body.shape.bounds(&body.state.pose, self.scene.world.cell))).collect()
     }
 
+    fn reach(&self) -> f64 {
+        self.bodies.iter().map(|body| self.reach_of(body)).fold(0.0, f64::max)
+    }
+
     fn contact(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()> {
         for (body, wrench) in self.bodies.iter_mut().zip(&mut self.wrenches) {
-            self.counts.deep_nodes += body.touch(nodes, &mut self.touches);
+            self.counts.deep_nodes += body.touch(nodes, dt, &mut self.touches);
             if self.touches.is_empty() {
                 continue;
             }
@@ -578,8 +637,8 @@ impl Coupling for Rigid {
     }
 
     fn device_law(&self) -> Option<DeviceLaw> {
-        // Contact thickens a thin body by a cell at most.
-        let reach = |body: &Body| body.extent + self.scene.world.cell;
+        // Contact thickens a thin body by a cell at most, and acts on nodes further off.
+        let reach = |body: &Body| body.extent + (1.0 + REACH) * self.scene.world.cell;
         let free = self.bodies.iter().filter(|body| body.free().is_some()).map(reach).collect();
         let [table, samples] = self.device_tables()?;
         let sampled = if samples.is_empty() { NO_SAMPLES } else { include_str!("sampled.wgsl") };

@@ -77,7 +77,30 @@ impl Aabb {
     }
 }
 
-/// Grid nodes near a coupling's bodies, in the backend's fixed order.
+/// A particle of the ground near a coupling's bodies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearParticle {
+    /// Its cell, as a number in [`NodeBatch::cells`].
+    pub cell: u32,
+    /// World position [m].
+    pub position: Vec3,
+    /// Place in its cell, 0 to 1 along each axis.
+    pub place: Vec3,
+    /// Its volume at rest [m³].
+    pub volume: f64,
+    /// Its stiffness against being pushed into, λ + 2μ at rest [Pa].
+    pub modulus: f64,
+}
+
+impl NearParticle {
+    /// Its weights on the nodes of the 27 cells around it, z fastest: those of the transfers.
+    pub fn weights(&self) -> [f64; 27] {
+        let along = self.place.map(|f| [0.5 * (1.0 - f) * (1.0 - f), 0.75 - (f - 0.5) * (f - 0.5), 0.5 * f * f]);
+        std::array::from_fn(|n| along[0][n / 9] * along[1][n / 3 % 3] * along[2][n % 3])
+    }
+}
+
+/// Grid nodes near a coupling's bodies, in the backend's fixed order, and the particles among them.
 #[derive(Clone, Debug, Default)]
 pub struct NodeBatch {
     /// Cell width [m]; contact thickness is measured against it.
@@ -88,9 +111,19 @@ pub struct NodeBatch {
     pub mass: Vec<f64>,
     /// Node velocities after forces and gravity [m/s]; the coupling overwrites them.
     pub velocity: Vec<Vec3>,
+    /// The particles near the bodies, in the backend's fixed order, if the coupling has a [`reach`](Coupling::reach).
+    pub particles: Vec<NearParticle>,
+    /// The cells of these particles, each as the numbers of the nodes of the 27 cells around it, z fastest; [`NONE`](Self::NONE) where the
+    /// node is not among these.
+    pub cells: Vec<[u32; 27]>,
 }
 
 impl NodeBatch {
+    /// The number of no node.
+    pub const NONE: u32 = u32::MAX;
+    /// How far from a particle the nodes that it acts on are at most, along each axis [cells].
+    pub const SPREAD: f64 = 1.5;
+
     /// Number of nodes.
     pub fn len(&self) -> usize {
         self.mass.len()
@@ -104,6 +137,8 @@ impl NodeBatch {
         self.position.clear();
         self.mass.clear();
         self.velocity.clear();
+        self.particles.clear();
+        self.cells.clear();
     }
 }
 
@@ -114,21 +149,28 @@ pub struct DeviceLaw {
     /// a driver's compiler may make anything, so that else the backend counts along in each, which costs time.
     pub counted: bool,
     /// WGSL: pure functions, which may read `fn coupling_table(i: u32) -> vec4<f32>` and, if there are samples,
-    /// `fn coupling_sample(i: u32) -> vec4<f32>`, which the backend adds. Among them is, for bodies whose motion over a step does not depend on
-    /// the ground,
-    /// `fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32) -> vec3<f32>`, which gives what is left of the
-    /// velocity `u` relative to the surface [m/s] of a node at `x` from the body's reference point [m], both in the body's
-    /// frame, in cells of width `cell` [m].
+    /// `fn coupling_sample(i: u32) -> vec4<f32>`, which the backend adds. All places `x` are in the body's frame, from its reference point [m], in cells
+    /// of width `cell` [m]. Among them are:
+    /// - `fn coupling_distance(body: u32, x: vec3<f32>, cell: f32) -> f32`: how far a point is from the body's surface [m], negative inside;
+    /// - `fn coupling_press(body: u32, x: vec3<f32>, half: f32, modulus: f32, cell: f32) -> vec3<f32>`: the greatest force with which a particle there
+    ///   presses on the body [N], in its frame; `half` is half the particle's width [m], `modulus` its stiffness [Pa]. As for
+    ///   [`NearParticle`], the backend adds these up on nodes by the weights of the transfers; no force may exceed 9 `modulus` (2 `half`)².
     ///
-    /// If a body is free, these besides:
-    /// - `fn coupling_grip(body: u32, x: vec3<f32>, cell: f32) -> CouplingGrip`: how the surface grips a node there; its fields are `kind`,
-    ///   0 if the node is outside, else what the next function makes of it, `normal` out of the body, `friction`, and `deep`: does the
-    ///   node count as deep inside?
-    /// - `fn coupling_hold(grip: CouplingGrip, u: vec3<f32>) -> CouplingHold`: what the law takes from `u`, `K u` with
-    ///   `K = drag + (1 - drag) n nᵀ`: its fields are `held`, whether anything is taken, `normal`, 0 if all is taken with `drag` 1, `drag`, and,
-    ///   where the node slides, `along`, the direction of sliding, and `friction`, for `drag = friction |u_n| / |u_t|`; else 0.
+    /// For bodies whose motion over a step does not depend on the ground,
+    /// - `fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32, press: vec3<f32>) -> vec3<f32>`: what is left of the
+    ///   velocity `u` relative to the surface [m/s] of a node, in the body's frame; `press` is the sum of forces there, times the step, over the
+    ///   node's mass [m/s].
+    ///
+    /// If a body is free:
+    /// - `fn coupling_grip(body: u32, x: vec3<f32>, cell: f32, press: vec3<f32>) -> CouplingGrip`: how the surface grips a node there; its fields are
+    ///   `kind` from 0 to 3, 0 if nothing is taken from it, else what the next function makes of it, `normal` out of the body, `most`, a speed [m/s], and
+    ///   `deep`: does the node count as deep inside?
+    /// - `fn coupling_hold(body: u32, grip: CouplingGrip, u: vec3<f32>) -> CouplingHold`: what the law takes from `u`, `K u` with
+    ///   `K = hold n nᵀ + drag (1 - n nᵀ)`: its fields are `held`, whether anything is taken, `normal`, 0 if `hold` is `drag`, `hold`, `drag`, `bounded`, whether
+    ///   more approach is not met by more, and, where the node slides, `along`, the direction of sliding, and `friction`, for `drag = friction |f_n| / |u_t|` with
+    ///   f_n what is taken along the normal; else 0.
     /// - `fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f32>, 2>`: the least and greatest corner of the
-    ///   body's [`bounds`](Coupling::bounds), from its centre of mass [m], along the world's axes, if `rows` are those of its rotation.
+    ///   body's [`bounds`](Coupling::bounds), from its centre of mass [m], along the world's axes, if `rows` are those of its rotation. On coarser cells it may be larger.
     pub wgsl: String,
     /// What it reads: constant over the run.
     pub table: Vec<[f32; 4]>,
@@ -198,8 +240,14 @@ pub trait Coupling: Send + Sync {
     /// # Errors
     /// If a body's motion is not defined there.
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()>;
-    /// Where contact can happen during this step; nodes outside are not handed over.
+    /// Where contact can happen during this step. Nodes are handed over that lie in these boxes, or beyond them by no more than the
+    /// [`reach`](Self::reach).
     fn bounds(&self) -> Vec<Aabb>;
+    /// How far beyond its [`bounds`](Self::bounds) it acts on nodes [cells of their level]. Above 0, particles are handed over, too: those less far
+    /// out by [`SPREAD`](NodeBatch::SPREAD), whose nodes are all in reach.
+    fn reach(&self) -> f64 {
+        0.0
+    }
     /// Applies the contact law: overwrites `nodes.velocity` and books the impulses on the bodies.
     ///
     /// # Errors

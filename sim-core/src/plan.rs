@@ -222,6 +222,19 @@ impl PlannedMaterial {
         Ok(Some(stiffness.bound(stiffness.at_rest()?.need(h, self.density), 1)))
     }
 
+    /// Its stiffness against being pushed into, λ + 2μ of the undeformed material [Pa]; of a law without tangent moduli the greatest that the
+    /// scene's step bears.
+    ///
+    /// # Errors
+    /// [`Error::MaterialFailed`] if a callback fails or gives what bounds no step.
+    pub fn contact_modulus(&self, scene: &Scene) -> Result<f64> {
+        if let Some(stiffness) = Stiffness::of(self) {
+            return Ok(stiffness.at_rest()?.p_wave);
+        }
+        let step = scene.time.step.expect("a law without moduli is refused where the scene gives no step");
+        Ok(self.density * (scene.world.cell / step).powi(2))
+    }
+
     /// Poisson's ratio of the undeformed material, if it bears shear and gives its moduli.
     fn poisson_ratio(&self) -> Result<Option<f64>> {
         if self.material.has(abi::BARCHAN_CAP_FLUID) {

@@ -55,7 +55,7 @@ pub fn hold(text: &str, backend: &str, end: f64) {
 pub fn struck(law: &str) -> String {
     let path = "{ keyframes = { frames = [{ time = 0, position = [0.2, 0.4, 0.2] }, { time = 0.04, position = [0.45, 0.4, 0.2] }, \
                 { time = 0.07, position = [0.45, 0.4, 0.2], rotation = [0.7, 0, 0, 0.7] }] } }";
-    Head::cells(0.05, [16, 16, 12], "z_min = \"stick\"").with(&[
+    Head::cells(0.05, [24, 16, 12], "z_min = \"stick\"").with(&[
         material(law, 900.0, "young_modulus = 5e4"),
         block(law, [0.35, 0.25, 0.05], [0.6, 0.5, 0.25], "velocity = [0, 0.5, -2]\nsampling = \"jitter\""),
         tool("paddle", [0.2, 0.4, 0.2], &half([0.06, 0.12, 0.12]), "{ coulomb = { friction = 0.4 } }", path),

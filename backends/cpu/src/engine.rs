@@ -145,6 +145,8 @@ pub(crate) struct CpuEngine<T: Scalar> {
     parted: u64,
     gravity_impulse: [f64; 3],
     batch: NodeBatch,
+    /// The materials' stiffness against being pushed into [Pa].
+    contact_moduli: Vec<f64>,
     pub(crate) clocks: Clocks,
 }
 
@@ -183,6 +185,7 @@ impl<T: Scalar> CpuEngine<T> {
             parted: 0,
             gravity_impulse: [0.0; 3],
             batch: NodeBatch::default(),
+            contact_moduli: plan.materials.iter().map(|m| m.contact_modulus(&plan.scene)).collect::<Result<_>>()?,
             clocks: Clocks { shares, ..Clocks::default() },
         };
         engine.upload(particles)?;
@@ -607,9 +610,15 @@ impl<T: Scalar> CpuEngine<T> {
         let clock = Instant::now();
         let (level, subcycled, mut reached) = (&mut self.levels[l], self.substeps > 1, false);
         for coupling in couplings {
-            level.gather(&coupling.bounds(), self.least_mass, subcycled, &mut self.batch);
+            let (bounds, reach) = (coupling.bounds(), coupling.reach());
+            let grown = |by: f64| -> Vec<_> { bounds.iter().map(|one| one.grown(by * level.h())).collect() };
+            let (of_nodes, of_particles) = (grown(reach), grown(reach - NodeBatch::SPREAD));
+            level.gather(&of_nodes, self.least_mass, subcycled, &mut self.batch);
             if !self.batch.is_empty() {
                 reached = true;
+                if reach > 0.0 {
+                    level.gather_particles(&of_particles, &self.contact_moduli, &mut self.batch);
+                }
                 coupling.contact(dt, &mut self.batch)?;
                 level.scatter(&self.batch, self.least_mass);
             }

@@ -5,7 +5,7 @@ use crate::memory::Shared;
 use crate::sleep::Watch;
 use crate::store::Store;
 use barchan_core::material::ErrorBuffer;
-use barchan_core::{Aabb, NodeBatch, Plan};
+use barchan_core::{Aabb, NearParticle, NodeBatch, Plan};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::ring::{self, Carried};
@@ -58,7 +58,11 @@ pub(crate) struct Level<T: Scalar> {
     pub(crate) damped: f64,
     /// Who sleeps.
     pub(crate) watch: Watch,
+    /// The nodes that were gathered last. For each node block: its place among those with any of them, or `NONE`; of each of these, which node
+    /// of the batch each node is.
     batch_nodes: Vec<u32>,
+    batch_block_of: Vec<u32>,
+    batch_blocks: Vec<[u32; CELLS]>,
 }
 
 impl<T: Scalar> Level<T> {
@@ -77,6 +81,8 @@ impl<T: Scalar> Level<T> {
             damped: 0.0,
             watch: Watch::new(plan.slow),
             batch_nodes: Vec::new(),
+            batch_block_of: Vec::new(),
+            batch_blocks: Vec::new(),
         }
     }
 
@@ -443,6 +449,9 @@ impl<T: Scalar> Level<T> {
     pub(crate) fn gather(&mut self, boxes: &[Aabb], least: f64, subcycled: bool, batch: &mut NodeBatch) {
         batch.clear();
         self.batch_nodes.clear();
+        self.batch_block_of.clear();
+        self.batch_block_of.resize(self.grid.keys.len(), NONE);
+        self.batch_blocks.clear();
         let h = self.store.cell_width;
         batch.cell_width = h;
         let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
@@ -452,6 +461,8 @@ impl<T: Scalar> Level<T> {
             if !boxes.iter().any(|b| b.meets(&extent)) {
                 continue;
             }
+            let mut numbers = [NodeBatch::NONE; CELLS];
+            let so_far = batch.len();
             let mut shared = self.grid.shared[self.grid.shared_of(g)].iter().filter(|_| subcycled).peekable();
             for n in 0..CELLS {
                 let node = &nodes[4 * n..4 * n + 4];
@@ -463,13 +474,90 @@ impl<T: Scalar> Level<T> {
                 let local = [(n / 16) as i32, (n / 4 % 4) as i32, (n % 4) as i32];
                 let x = std::array::from_fn(|d| centre(first[d] + local[d]));
                 if boxes.iter().any(|b| b.contains(x)) {
+                    numbers[n] = batch.len() as u32;
                     batch.position.push(x);
                     batch.mass.push(mass);
                     batch.velocity.push([node[0].to_f64(), node[1].to_f64(), node[2].to_f64()]);
                     self.batch_nodes.push((g * CELLS + n) as u32);
                 }
             }
+            if batch.len() > so_far {
+                self.batch_block_of[g] = self.batch_blocks.len() as u32;
+                self.batch_blocks.push(numbers);
+            }
         }
+    }
+
+    /// Collects the particles inside any of the boxes, block by block, and their cells among the nodes that were gathered last; `moduli` are
+    /// the materials' stiffness [Pa].
+    pub(crate) fn gather_particles(&self, boxes: &[Aabb], moduli: &[f64], batch: &mut NodeBatch) {
+        // Particles may have left their block by a cell since they were sorted.
+        let extent = |b: usize| {
+            let first = block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
+            let corner = |by: i32| first.map(|c| f64::from(c + by) * self.h());
+            Aabb { min: corner(-1), max: corner(SIDE + 1) }
+        };
+        let meets = |&b: &usize| boxes.iter().any(|one| one.meets(&extent(b)));
+        let blocks: Vec<usize> = (0..self.grid.occupied.len()).filter(meets).collect();
+        let found: Vec<_> = blocks.par_iter().map(|&b| self.near_particles(b, boxes, moduli)).collect();
+        for (cells, particles) in found {
+            let first = batch.cells.len() as u32;
+            batch.cells.extend(cells);
+            batch.particles.extend(particles.into_iter().map(|one| NearParticle { cell: first + one.cell, ..one }));
+        }
+    }
+
+    /// A block's particles inside any of the boxes, and their cells.
+    fn near_particles(&self, b: usize, boxes: &[Aabb], moduli: &[f64]) -> (Vec<[u32; 27]>, Vec<NearParticle>) {
+        /// Cells along a side of what a block's particles may lie in.
+        const REACHED: usize = SIDE as usize + 2;
+        let h = self.h();
+        let first = block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
+        let absent = [NodeBatch::NONE; CELLS];
+        let in_batch = |g: u32| self.batch_block_of.get(g as usize).filter(|&&i| i != NONE);
+        let blocks =
+            self.grid.nodes_around[b].map(|g| in_batch(g).map_or(&absent, |&i| &self.batch_blocks[i as usize]));
+        let around = |cell: [i32; 3]| -> [u32; 27] {
+            let along = cell.map(|x| [x - 1, x, x + 1].map(|x| (x.div_euclid(SIDE), x.rem_euclid(SIDE) as usize)));
+            std::array::from_fn(|n| {
+                let [x, y, z] = [along[0][n / 9], along[1][n / 3 % 3], along[2][n % 3]];
+                blocks[block::neighbour([x.0, y.0, z.0])][block::in_block(x.1, y.1, z.1) / 4]
+            })
+        };
+        let ranges: Vec<_> =
+            boxes.iter().map(|one| [one.min, one.max].map(|x| x.map(|x| (x / h).floor() as i32))).collect();
+        let (mut cells, mut particles) = (Vec::new(), Vec::new());
+        let mut numbers = [NodeBatch::NONE; REACHED * REACHED * REACHED];
+        for list in &self.store.lists {
+            let run = list.runs[b];
+            let chunks =
+                (0..run.chunks()).filter(|k| ranges.iter().any(|range| list.is_any_within(run.first + k, range)));
+            for (k, lane) in chunks.flat_map(|k| (0..(run.count - k * CHUNK).min(CHUNK)).map(move |lane| (k, lane))) {
+                let chunk = run.first + k;
+                let position = list.position_of(chunk, lane, h);
+                if !boxes.iter().any(|one| one.contains(position)) {
+                    continue;
+                }
+                let cell = list.cell_of(chunk, lane);
+                let local: [i32; 3] = std::array::from_fn(|d| cell[d] - first[d]);
+                let number = &mut numbers[local.iter().fold(0, |i, x| i * REACHED + (x + 1) as usize)];
+                if *number == NodeBatch::NONE {
+                    *number = cells.len() as u32;
+                    cells.push(around(local));
+                }
+                // At rims some nodes are the coarser level's, and those in boxes may all be.
+                if cells[*number as usize].iter().any(|&node| node != NodeBatch::NONE) {
+                    particles.push(NearParticle {
+                        cell: *number,
+                        position,
+                        place: list.offset_of(chunk, lane),
+                        volume: list.volume0_of(chunk, lane),
+                        modulus: moduli[list.material],
+                    });
+                }
+            }
+        }
+        (cells, particles)
     }
 
     /// Takes back the velocities of the nodes that were gathered last.

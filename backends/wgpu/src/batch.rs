@@ -224,7 +224,7 @@ pub(crate) struct Clock {
 #[derive(Default)]
 pub(crate) struct Contact {
     /// On the host, a step at a time: nodes near bodies are gathered, and scattered again.
-    pub(crate) host: Option<Box<[Kernel; 2]>>,
+    pub(crate) host: Option<Box<[Kernel; 3]>>,
     /// On the device.
     device: Option<Box<DeviceContact>>,
 }
@@ -234,7 +234,8 @@ impl Contact {
     fn on_device(&self) -> ContactPasses<'_> {
         let Some(contact) = &self.device else { return ContactPasses::default() };
         let driven: &[Kernel] = if contact.needs.driven { &contact.kernels } else { &[] };
-        let (free, with_rims) = contact.free.as_ref().map_or((None, false), |(free, rims)| (Some(free), *rims));
+        let (free, with_rims): (&[Kernel], _) =
+            contact.free.as_ref().map_or((&[], false), |(free, rims)| (free, *rims));
         ContactPasses { driven, free, with_rims, roams: contact.needs.roams, on_host: false }
     }
 
@@ -259,11 +260,11 @@ struct Needs {
 
 impl Needs {
     /// Of a law for so many bodies, where finest cells have that width [m].
-    fn of(law: &DeviceLaw, bodies: usize, h: f64, roams: bool) -> Self {
+    fn of(law: &DeviceLaw, materials: usize, bodies: usize, h: f64, roams: bool) -> Self {
         // Blocks that a box of the bodies' extents can reach into along an axis.
         let across = |extent: &f64| (2.0 * extent / (4.0 * h)).min(1e6) as usize + 2;
         let free = Free { bodies: law.free.len(), across: law.free.iter().map(across).max().unwrap_or(0) };
-        Self { bodies, vectors: law.table.len().max(1), free, driven: law.free.len() < bodies, roams }
+        Self { bodies, vectors: law.table.len() + materials, free, driven: law.free.len() < bodies, roams }
     }
 
     /// Those of both.
@@ -283,10 +284,10 @@ impl Needs {
 
 /// The law on the device.
 pub(crate) struct DeviceContact {
-    /// The law, then the sums of impulses.
-    kernels: [Kernel; 2],
+    /// How particles press, the law, then the sums of impulses.
+    kernels: [Kernel; 3],
     /// Free bodies' contact and motion; does it move rims, too?
-    free: Option<(Kernel, bool)>,
+    free: Option<([Kernel; 2], bool)>,
     wgsl: String,
     samples: Vec<[f32; 4]>,
     needs: Needs,
@@ -335,7 +336,7 @@ pub(crate) struct Clocks {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ContactPasses<'a> {
     driven: &'a [Kernel],
-    free: Option<&'a Kernel>,
+    free: &'a [Kernel],
     with_rims: bool,
     roams: bool,
     /// Does the law run on the host, where bodies come near walls and others?
@@ -447,19 +448,23 @@ impl<'a> Passes<'a> {
         let kernels = self.kernels;
         let step = self.constants_of(dt / self.substeps(), beginning(self.levels, slot), first + slot);
         self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict).chain(&kernels.grid));
-        self.run(step, self.contact.free.filter(|_| self.contact.with_rims).or(kernels.solve.as_ref()));
+        if self.contact.with_rims {
+            self.run(step, self.contact.free);
+        } else {
+            self.run(step, &kernels.solve);
+        }
     }
 
     /// What the levels whose steps end with a slot do once their velocities are whole.
     pub(crate) fn end_slot(&mut self, dt: f64, first: usize, slot: usize) {
         let (each, ending) = (dt / self.substeps(), ending(self.levels, slot));
         let ContactPasses { driven, free, with_rims, roams, .. } = self.contact;
-        if let (Some(free), false) = (free, with_rims) {
+        if !free.is_empty() && !with_rims {
             // The finest level meets free bodies where they were, coarser ones where they have come, if they come near any.
             let coarser = if roams { 1..ending.end } else { 1..1 };
             for levels in [0..1, coarser].into_iter().filter(|levels| !levels.is_empty()) {
                 let step = self.constants_of(each, levels, first + slot);
-                self.run(step, [free]);
+                self.run(step, free);
             }
         }
         let step = self.constants_of(each, ending, first + slot);
@@ -1783,7 +1788,7 @@ impl WgpuBatch {
         if let Some((law, bodies)) = device_law(couplings) {
             let adapt = &self.worlds[w].adapt;
             let roams = couplings.iter().flat_map(|coupling| coupling.bodies()).any(|body| !adapt.follows(&body.name));
-            let needs = Needs::of(&law, bodies, self.h, roams);
+            let needs = Needs::of(&law, self.worlds[w].materials.len(), bodies, self.h, roams);
             // One world alone may have other bodies from now on.
             let before = self.contact.device.as_ref().filter(|_| self.worlds.len() > 1);
             let all = before.map_or(needs, |contact| contact.needs.with(needs));
@@ -1807,16 +1812,17 @@ impl WgpuBatch {
     /// Is there room on the device for what is inside so many free bodies, and for tables of so many vectors?
     fn has_room(&self, free: Free, vectors: usize) -> bool {
         let cap = self.gpu.limits.max_storage_buffer_binding_size.min(self.gpu.limits.max_buffer_size);
-        free.rooms() <= MOST_ROOMS && lent_bytes(free, self.worlds.len()).max(16 * vectors as u64) <= cap
+        free.rooms() <= MOST_ROOMS && lent_bytes(free, self.worlds.len(), self.levels).max(16 * vectors as u64) <= cap
     }
 
     /// Teaches the device a law.
     fn add_law(&mut self, law: &DeviceLaw, needs: Needs) -> Result<()> {
         let (worlds, Needs { bodies, vectors, free, .. }) = (self.worlds.len(), needs);
         let shape = [worlds, self.levels];
-        let kernels = kernels::contact(&self.gpu, &self.kernels, law, [bodies, vectors], shape);
-        let of_free =
-            (free.bodies > 0).then(|| kernels::free(&self.gpu, &self.kernels, law, vectors, shape, free, needs.roams));
+        let materials = self.worlds[0].materials.len();
+        let kernels = kernels::contact(&self.gpu, &self.kernels, law, [bodies, vectors, materials], shape);
+        let of_free = (free.bodies > 0)
+            .then(|| kernels::free(&self.gpu, &self.kernels, law, [vectors, materials], shape, free, needs.roams));
         self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], free, &law.samples)?;
         self.unlinked = true;
         let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);
@@ -1830,7 +1836,11 @@ impl WgpuBatch {
     fn write_table(&mut self, w: usize, table: Vec<[f32; 4]>) {
         if let (Some(contact), Some(buffer)) = (&mut self.contact.device, &self.memory.table) {
             let at = (16 * contact.needs.vectors * w) as u64;
-            self.gpu.queue.write_buffer(buffer, at, bytemuck::cast_slice(&table));
+            let materials = self.worlds[w].contact_materials.clone();
+            let mut all = table.clone();
+            all.resize(contact.needs.vectors - materials.len(), [0.0; 4]);
+            all.extend(materials);
+            self.gpu.queue.write_buffer(buffer, at, bytemuck::cast_slice(&all));
             contact.tables[w] = table;
         }
     }
@@ -2141,7 +2151,9 @@ fn pack_all(coupling: &dyn Coupling, levels: &[Level], lent: &[Lent], places: us
     let is_lent = |body: usize| lent.iter().any(|lent| lent.body == body);
     let of_level = |level: &Level| {
         let pairs = bodies.iter().zip(&boxes).enumerate();
-        let packed = pairs.map(|(b, (body, bounds))| if is_lent(b) { NOWHERE } else { pack(body, bounds, level.h) });
+        let packed = pairs.map(|(b, (body, bounds))| {
+            if is_lent(b) { NOWHERE } else { pack(body, &bounds.grown(coupling.reach() * level.h), level.h) }
+        });
         packed.chain(std::iter::repeat(NOWHERE)).take(places).flatten().collect::<Vec<_>>()
     };
     levels.iter().flat_map(of_level).collect()

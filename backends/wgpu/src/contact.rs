@@ -7,16 +7,19 @@ use crate::batch::{
 use crate::kernels::{Role, damps};
 use crate::memory::{NEAR_BLOCK, StepConstants, Writes, read};
 use crate::sleep::near_tools;
-use crate::world::{FELT, MAX_DRIFT, Rhythm, World};
+use crate::world::{FELT, Level, MAX_DRIFT, Rhythm, World};
 use barchan_core::backend::Turn;
-use barchan_core::{Aabb, Coupling, Error, NodeBatch, Result, StepReport, Vec3, Wrench};
+use barchan_core::{Aabb, Coupling, Error, NearParticle, NodeBatch, Result, StepReport, Vec3, Wrench};
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::ops::Range;
 use std::time::Instant;
 
 const ON_HOST: &str = "a law runs on the host";
 /// Steps that the status knows of where it does: the last one and the one under way.
 const STEPS: usize = 2;
+/// Behind the passes that gather stands the one that scatters.
+const SCATTER: usize = 2;
 
 /// A block of nodes on the host: velocities and masses.
 struct Block {
@@ -42,50 +45,126 @@ impl Block {
     }
 }
 
-/// A world's nodes near its bodies.
+/// A particle near bodies, as `gather_particles.wgsl` writes it.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Particle {
+    layer: u32,
+    cell: [i32; 3],
+    /// Place in its cell, in units of 2^-24.
+    place: [u32; 3],
+    material: u32,
+    /// Bits of its mass [kg].
+    mass: u32,
+}
+
+impl Particle {
+    fn of(layer: u32, [at, place]: [[u32; 4]; 2]) -> Self {
+        let [x, y, z, material] = at;
+        let [u, v, w, mass] = place;
+        Self { layer, cell: [x, y, z].map(|c| c as i32), place: [u, v, w], material, mass }
+    }
+}
+
+/// What a gathering has found.
+#[derive(Default)]
+struct Found {
+    /// In the order of their numbers.
+    blocks: Vec<Block>,
+    /// Sorted: the device finds them in any order.
+    particles: Vec<Particle>,
+}
+
+impl Found {
+    fn of(words: &[[u32; 4]]) -> Self {
+        let mut found = Self::default();
+        for block in words.chunks_exact(NEAR_BLOCK) {
+            let [count, layer, _, number] = block[0];
+            if number == u32::MAX {
+                let (pairs, _) = block[1..].as_chunks::<2>();
+                found.particles.extend(pairs[..count as usize].iter().map(|pair| Particle::of(layer, *pair)));
+            } else {
+                found.blocks.push(Block::of(block));
+            }
+        }
+        found.blocks.sort_unstable_by_key(|block| block.number);
+        found.particles.sort_unstable();
+        found
+    }
+}
+
+/// A level as bodies meet it.
+struct Met {
+    /// Cell width [m].
+    h: f64,
+    /// Numbers of its blocks of nodes.
+    blocks: Range<usize>,
+    layer: u32,
+}
+
+/// A world's nodes and particles near its bodies.
 struct Near {
     /// In the order of their numbers.
     blocks: Vec<Block>,
-    /// Cell width [m] and numbers of blocks of each level.
-    levels: Vec<(f64, Range<usize>)>,
+    particles: Vec<Particle>,
+    levels: Vec<Met>,
+    /// Of each material, stiffness against being pushed into [Pa], and volume over mass [m³/kg].
+    materials: Vec<[f32; 4]>,
     /// Nodes lighter than this carry nothing [kg].
     least_mass: f64,
 }
 
 impl Near {
-    /// A world's nodes, none of which has come yet.
-    fn new(world: &World) -> Self {
-        let levels = world.levels.iter().map(|level| (level.h, level.node_blocks.clone())).collect();
-        Self { blocks: Vec::new(), levels, least_mass: world.least_mass }
+    /// A world's nodes, none of which has come yet; its first layer has this number.
+    fn new(world: &World, first_layer: usize) -> Self {
+        let met = |(layer, level): (usize, &Level)| Met {
+            h: level.h,
+            blocks: level.node_blocks.clone(),
+            layer: layer as u32,
+        };
+        Self {
+            blocks: Vec::new(),
+            particles: Vec::new(),
+            levels: (first_layer..).zip(&world.levels).map(met).collect(),
+            materials: world.contact_materials.clone(),
+            least_mass: world.least_mass,
+        }
     }
 
-    /// Takes its own that it does not have yet, in the order of their numbers.
-    fn take(&mut self, blocks: &mut Vec<Block>) {
-        let is_own = |block: &Block| self.levels.iter().any(|(_, own)| own.contains(&(block.number as usize)));
-        let (own, others): (Vec<_>, _) = std::mem::take(blocks).into_iter().partition(is_own);
-        *blocks = others;
+    /// Takes its own that it does not have yet.
+    fn take(&mut self, found: &mut Found) {
+        let is_own = |block: &Block| self.levels.iter().any(|level| level.blocks.contains(&(block.number as usize)));
+        let (own, others): (Vec<_>, _) = std::mem::take(&mut found.blocks).into_iter().partition(is_own);
+        found.blocks = others;
         let is_here = |block: &Block| self.blocks.binary_search_by_key(&block.number, |here| here.number).is_ok();
         let new: Vec<_> = own.into_iter().filter(|block| !is_here(block)).collect();
         self.blocks.extend(new);
         self.blocks.sort_unstable_by_key(|block| block.number);
+        // Of a level that was asked for, all have come.
+        let come: Vec<Particle> =
+            found.particles.iter().copied().filter(|p| self.levels.iter().any(|l| l.layer == p.layer)).collect();
+        self.particles.retain(|here| come.binary_search_by_key(&here.layer, |p| p.layer).is_err());
+        self.particles.extend(come);
+        self.particles.sort_unstable();
     }
 
     /// The law of all couplings on the nodes of some levels. Returns the greatest speed that particles may feel [m/s].
     fn touch(&mut self, levels: Range<usize>, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<f64> {
         let mut speed = 0.0;
         for coupling in couplings {
-            let boxes = coupling.bounds();
             for level in levels.clone() {
-                speed = greater(speed, self.apply(level, &boxes, |batch| coupling.contact(dt, batch))?);
+                speed = greater(speed, self.apply(level, dt, coupling.as_mut())?);
             }
         }
         Ok(speed)
     }
 
-    /// Hands a level's nodes in the boxes to a law, and takes back their velocities.
-    fn apply(&mut self, level: usize, boxes: &[Aabb], law: impl FnOnce(&mut NodeBatch) -> Result<()>) -> Result<f64> {
-        let (h, own) = self.levels[level].clone();
+    /// Hands a level's nodes near a coupling's bodies to its law, and takes back their velocities.
+    fn apply(&mut self, level: usize, dt: f64, coupling: &mut dyn Coupling) -> Result<f64> {
+        let Met { h, blocks: ref own, layer } = self.levels[level];
+        let reach = coupling.reach();
+        let boxes: Vec<Aabb> = coupling.bounds().into_iter().map(|one| one.grown(reach * h)).collect();
         let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
+        let mut numbers = HashMap::new();
         let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
         for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
             let extent = Aabb { min: block.first.map(centre), max: block.first.map(|c| centre(c + 3)) };
@@ -98,8 +177,10 @@ impl Near {
                     continue;
                 }
                 let local = [(n / 16) as i32, (n / 4 % 4) as i32, (n % 4) as i32];
-                let x = std::array::from_fn(|d| centre(block.first[d] + local[d]));
+                let cell: [i32; 3] = std::array::from_fn(|d| block.first[d] + local[d]);
+                let x = cell.map(centre);
                 if boxes.iter().any(|b| b.contains(x)) {
+                    numbers.insert(cell, batch.len() as u32);
                     batch.position.push(x);
                     batch.mass.push(mass);
                     batch.velocity.push([node[0], node[1], node[2]].map(f64::from));
@@ -110,7 +191,23 @@ impl Near {
         if batch.is_empty() {
             return Ok(0.0);
         }
-        law(&mut batch)?;
+        if reach > 0.0 {
+            let number = |cell: [i32; 3]| numbers.get(&cell).copied().unwrap_or(NodeBatch::NONE);
+            let own = self.particles.iter().filter(|p| p.layer == layer);
+            for of_cell in own.collect::<Vec<_>>().chunk_by(|a, b| a.cell == b.cell) {
+                let cell = of_cell[0].cell;
+                let nodes = std::array::from_fn(|n| {
+                    let offset = [n / 9, n / 3 % 3, n % 3].map(|x| x as i32 - 1);
+                    number(std::array::from_fn(|d| cell[d] + offset[d]))
+                });
+                if nodes.iter().any(|&node| node != NodeBatch::NONE) {
+                    batch.cells.push(nodes);
+                    let last = batch.cells.len() as u32 - 1;
+                    batch.particles.extend(of_cell.iter().map(|particle| self.near_particle(particle, h, last)));
+                }
+            }
+        }
+        coupling.contact(dt, &mut batch)?;
         let mut fastest = 0.0f64;
         for ((&(b, n), u), mass) in places.iter().zip(&batch.velocity).zip(&batch.mass) {
             let felt = (mass / (self.least_mass * FELT)).min(1.0);
@@ -123,6 +220,19 @@ impl Near {
         }
         Ok(fastest)
     }
+
+    /// A particle as a law sees it, in a cell of the batch that is so wide [m].
+    fn near_particle(&self, particle: &Particle, h: f64, cell: u32) -> NearParticle {
+        let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
+        let place = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
+        NearParticle {
+            cell,
+            position: std::array::from_fn(|d| (f64::from(particle.cell[d]) + place[d]) * h),
+            place,
+            volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
+            modulus,
+        }
+    }
 }
 
 /// The greater of two speeds, or NaN if one is.
@@ -130,21 +240,33 @@ fn greater(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
 }
 
-/// A world's boxes around its bodies.
-fn boxes_of(turn: &Turn<'_>) -> Vec<Aabb> {
-    turn.couplings.iter().flat_map(|coupling| coupling.bounds()).collect()
+/// A box around a body, and how far beyond it this acts [cells of a level].
+struct Around {
+    bounds: Aabb,
+    reach: f64,
+}
+
+/// A world's boxes around its bodies, grown by a margin [m].
+fn boxes_of(turn: &Turn<'_>, margin: f64) -> Vec<Around> {
+    let mut all = Vec::new();
+    for coupling in turn.couplings.iter() {
+        let around = |bounds: Aabb| Around { bounds: bounds.grown(margin), reach: coupling.reach() };
+        all.extend(coupling.bounds().into_iter().map(around));
+    }
+    all
 }
 
 /// Is each box in the one that was asked for?
-fn are_within(boxes: &[Aabb], asked: &[Aabb]) -> bool {
-    boxes.len() == asked.len() && boxes.iter().zip(asked).all(|(one, asked)| one.union(asked) == *asked)
+fn are_within(boxes: &[Around], asked: &[Around]) -> bool {
+    let is_within = |(one, asked): (&Around, &Around)| one.bounds.union(&asked.bounds) == asked.bounds;
+    boxes.len() == asked.len() && boxes.iter().zip(asked).all(is_within)
 }
 
 /// A world in a step whose contact is on the host.
 struct Visit<'a, 'b> {
     turn: &'a mut Turn<'b>,
     /// The boxes whose nodes were asked for.
-    asked: Vec<Aabb>,
+    asked: Vec<Around>,
     near: Near,
     /// Greatest node speed [m/s].
     speed: f64,
@@ -156,7 +278,8 @@ struct Visit<'a, 'b> {
 
 impl<'a, 'b> Visit<'a, 'b> {
     fn new(turn: &'a mut Turn<'b>, world: &World, failed: Option<Error>) -> Self {
-        let (asked, near, wrenches) = (Vec::new(), Near::new(world), Vec::new());
+        let (asked, wrenches) = (Vec::new(), Vec::new());
+        let near = Near::new(world, turn.world * world.levels.len());
         Self { turn, asked, near, speed: 0.0, sorted: false, wrenches, failed }
     }
 
@@ -336,7 +459,7 @@ impl WgpuBatch {
         let boxes = |visit: &mut Visit<'_, '_>| {
             // Bodies will have moved when they meet coarser levels.
             let margin = if levels.len() > 1 { self.h } else { 0.0 };
-            visit.asked = boxes_of(visit.turn).into_iter().map(|one| one.grown(margin)).collect();
+            visit.asked = boxes_of(visit.turn, margin);
         };
         visits.iter_mut().filter(|visit| visit.is_going()).for_each(boxes);
         self.write_near_tools(slot, visits)?;
@@ -424,10 +547,10 @@ impl WgpuBatch {
         let end = starts.get(slot + 1).copied().unwrap_or(passes.dispatches.len());
         let own = passes.dispatches.drain(starts[slot]..end).collect::<Vec<_>>();
         passes.dispatches.clear();
-        passes.run(step, near[1..].iter().filter(|_| changed > 0));
+        passes.run(step, near[SCATTER..].iter().filter(|_| changed > 0));
         passes.dispatches.extend(own);
         if slot < self.substeps {
-            passes.run(step, [&near[0]]);
+            passes.run(step, &near[..SCATTER]);
         } else {
             passes.run(step, &self.kernels.collect);
         }
@@ -472,7 +595,7 @@ impl WgpuBatch {
     fn bring_near(&mut self, mut dt: f64, visits: &mut [Visit<'_, '_>]) -> Result<f64> {
         let mut sort = false;
         for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            visit.asked = boxes_of(visit.turn);
+            visit.asked = boxes_of(visit.turn, 0.0);
         }
         self.write_near_tools(1, visits)?;
         loop {
@@ -495,7 +618,7 @@ impl WgpuBatch {
     fn fetch(&mut self, levels: Range<usize>, visits: &mut [Visit<'_, '_>]) -> Result<()> {
         let mut is_here = true;
         for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            let boxes = boxes_of(visit.turn);
+            let boxes = boxes_of(visit.turn, 0.0);
             if !are_within(&boxes, &visit.asked) {
                 (visit.asked, is_here) = (boxes, false);
             }
@@ -505,8 +628,8 @@ impl WgpuBatch {
         }
         self.write_around(levels, visits)?;
         self.write_words(NEAR, &[0]);
-        let mut blocks = self.gather()?;
-        visits.iter_mut().for_each(|visit| visit.near.take(&mut blocks));
+        let mut found = self.gather()?;
+        visits.iter_mut().for_each(|visit| visit.near.take(&mut found));
         Ok(())
     }
 
@@ -536,12 +659,14 @@ impl WgpuBatch {
         for visit in visits.iter().filter(|visit| visit.is_going()) {
             for l in levels.clone() {
                 let (layer, h) = (self.layers_of(visit.world()).start + l, self.worlds[visit.world()].levels[l].h);
-                for (b, one) in visit.asked.iter().enumerate() {
+                for (b, Around { bounds, reach }) in visit.asked.iter().enumerate() {
+                    let one = bounds.grown(reach * h);
                     // Nodes stand at the centres of cells; which of them are inside, the host finds out.
                     let node = |x: f64, round: fn(f64) -> f64| round(x / h - 0.5).clamp(-1e9, 1e9) as i32;
                     let [x, y, z] = one.min.map(|x| node(x, f64::floor));
                     let at = 1 + 2 * (layer * most + b);
-                    vectors[at] = [x, y, z, 0];
+                    // Particles are asked for where they are looked at.
+                    vectors[at] = [x, y, z, i32::from(*reach > 0.0)];
                     let [x, y, z] = one.max.map(|x| node(x, f64::ceil));
                     vectors[at + 1] = [x, y, z, 0];
                 }
@@ -569,10 +694,11 @@ impl WgpuBatch {
 
     /// The nodes that have come, to the worlds whose they are.
     fn hand_out(&mut self, status: &Status, of_nodes: Vec<u32>, visits: &mut [Visit<'_, '_>]) -> Result<()> {
-        let mut blocks = self.blocks_near(status, of_nodes)?;
+        let mut found = self.found_near(status, of_nodes)?;
         for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            visit.near = Near::new(&self.worlds[visit.world()]);
-            visit.near.take(&mut blocks);
+            let world = visit.world();
+            visit.near = Near::new(&self.worlds[world], self.layers_of(world).start);
+            visit.near.take(&mut found);
         }
         Ok(())
     }
@@ -635,7 +761,7 @@ impl WgpuBatch {
             end: self.levels,
         });
         let to_tiles = kernels.watch.iter().chain([&kernels.p2g]);
-        let passes = to_tiles.chain(&kernels.restrict).chain(&kernels.grid).chain([&near[0]]);
+        let passes = to_tiles.chain(&kernels.restrict).chain(&kernels.grid).chain(&near[..SCATTER]);
         let dispatches =
             sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1, end: self.levels })).collect();
         let parts = self.with_groups(vec![Part { sorting, dispatches }]);
@@ -663,9 +789,8 @@ impl WgpuBatch {
         (self.near_blocks + self.near_blocks / 4 + 16).min(self.memory.near())
     }
 
-    /// All blocks of nodes near bodies that a gathering has found, in the order of their numbers. If more than were expected, they are asked
-    /// for; if more than there is room for, gathered again.
-    fn blocks_near(&mut self, status: &Status, mut of_nodes: Vec<u32>) -> Result<Vec<Block>> {
+    /// All that a gathering has found. If that is more than was expected, it is asked for; if more than there is room for, gathered again.
+    fn found_near(&mut self, status: &Status, mut of_nodes: Vec<u32>) -> Result<Found> {
         let count = status.words[NEAR] as usize;
         self.near_blocks = count;
         if count > self.memory.near() {
@@ -678,21 +803,19 @@ impl WgpuBatch {
             let rest = wanted - here;
             of_nodes.extend(read::<u32>(&self.gpu, self.memory.buffer(Role::Near, 0), 4 * here as u64, rest)?);
         }
-        let vectors: &[[u32; 4]] = bytemuck::cast_slice(&of_nodes[..wanted]);
-        let mut blocks: Vec<Block> = vectors.chunks_exact(NEAR_BLOCK).map(Block::of).collect();
-        blocks.sort_unstable_by_key(|block| block.number);
-        Ok(blocks)
+        Ok(Found::of(bytemuck::cast_slice(&of_nodes[..wanted])))
     }
 
-    /// Gathers the nodes in the boxes on its own.
-    fn gather(&mut self) -> Result<Vec<Block>> {
+    /// Gathers what is in the boxes on its own.
+    fn gather(&mut self) -> Result<Found> {
         let near = self.contact.host.as_ref().expect(ON_HOST);
-        let dispatches = vec![Dispatch { kernel: &near[0], now: self.memory.now, step: 1, end: self.levels }];
+        let (now, end) = (self.memory.now, self.levels);
+        let dispatches = near[..SCATTER].iter().map(|kernel| Dispatch { kernel, now, step: 1, end }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let room = self.near_expected();
         let (status, of_nodes) =
             Self::run(&Writes::default(), &self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
-        self.blocks_near(&status, of_nodes)
+        self.found_near(&status, of_nodes)
     }
 
     /// Takes in the numbers of a step that were still on the device.
@@ -747,7 +870,7 @@ impl WgpuBatch {
         let count = self.write_changed(visits);
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let (kernels, now) = (&self.kernels, self.memory.now);
-        let back = near[1..].iter().filter(|_| count > 0);
+        let back = near[SCATTER..].iter().filter(|_| count > 0);
         let passes = back.chain(kernels.to_particles()).chain(kernels.soft()).chain(&kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0, end: self.levels }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);

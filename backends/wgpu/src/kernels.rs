@@ -49,7 +49,7 @@ pub(crate) enum Role {
     Pairs,
     /// Poses and motions of bodies, for each step of a submission.
     Bodies,
-    /// What each node block gives to each body.
+    /// What each node block gives to each body, and how particles press on it at each node.
     Partials,
     /// What each step gave to each body.
     Impulses,
@@ -105,6 +105,7 @@ const KEPT: Use = ("shared_nodes", "vec4<f32>", Role::Shared, true);
 const OWN: Use = ("shared_nodes", "vec4<f32>", Role::Shared, false);
 const LIVE: Use = ("live", "vec2<i32>", Role::Live, false);
 const LISTED: Use = ("listed", "u32", Role::Listed, false);
+const LENT_BODIES: Use = ("lent", "vec4<u32>", Role::Lent, true);
 const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 const WATCH: Use = ("watch", "atomic<u32>", Role::Now(Sorted::Watch), true);
 
@@ -587,25 +588,30 @@ fn line(when: &str, draft: &Draft) -> String {
     format!("{}, {when}: {groups}; reads {}; writes {}", draft.name, names(false), names(true))
 }
 
-/// Contact with driven bodies on the device, so many in each of the worlds, whose tables have so many vectors: the law, then the sums of
-/// impulses, level by level.
+/// Contact with driven bodies on the device, so many in each of the worlds, whose tables have so many vectors, of which the last are the
+/// materials': how particles press, the law, then the sums of impulses, level by level.
 pub(crate) fn contact(
     gpu: &Gpu,
     kernels: &Kernels,
     law: &DeviceLaw,
-    [bodies, vectors]: [usize; 2],
+    [bodies, vectors, materials]: [usize; 3],
     [worlds, levels]: [usize; 2],
-) -> [Kernel; 2] {
+) -> [Kernel; 3] {
     let count = format!("const BODIES: u32 = {bodies}u;\n");
+    let body = include_str!("wgsl/body.wgsl");
     let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
     let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
     let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
     let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
+    let of_bodies = [&count, body, include_str!("wgsl/press_driven.wgsl")].concat();
+    let press =
+        press_draft("press", law, &of_bodies, [vectors, materials], [worlds, levels], [bodies_now, written(partials)]);
     let (text, own) = of_own_mass(kernels.solve.is_some(), include_str!("wgsl/contact.wgsl"));
+    let mirrors = include_str!("wgsl/mirrors.wgsl");
     let law = Draft {
         name: "contact",
         entry: "contact",
-        body: [&count, &table, &law.wgsl, text.as_str()].concat(),
+        body: [&count, body, mirrors, &table, &law.wgsl, text.as_str()].concat(),
         uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
         uniform: Uniform::Table { stored, counted: law.counted },
         groups: node_blocks(levels > 1),
@@ -620,7 +626,38 @@ pub(crate) fn contact(
         groups: Groups::Exactly((bodies * worlds * levels) as u32),
         checked: true,
     };
-    [law, sums].map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft))
+    [press, law, sums].map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft))
+}
+
+/// How particles press on bodies; `of_bodies` says where these are, and where the forces go.
+fn press_draft<const N: usize>(
+    name: &'static str,
+    law: &DeviceLaw,
+    of_bodies: &str,
+    [vectors, materials]: [usize; 2],
+    shape: [usize; 2],
+    uses: [Use; N],
+) -> Draft {
+    let of_materials = format!("const MATERIALS: u32 = {materials}u;\nconst MODULI: u32 = {}u;\n", vectors - materials);
+    let (stored, table) = coupling_table(shape, vectors, law.samples.len());
+    Draft {
+        name,
+        entry: "press",
+        body: [
+            &of_materials,
+            include_str!("wgsl/pressed.wgsl"),
+            &table,
+            &law.wgsl,
+            of_bodies,
+            include_str!("wgsl/rounds.wgsl"),
+            include_str!("wgsl/press.wgsl"),
+        ]
+        .concat(),
+        uses: [LISTS, CELLS, RECORD, STATUS].into_iter().chain(uses).collect(),
+        uniform: Uniform::Table { stored, counted: law.counted },
+        groups: node_blocks(shape[1] > 1),
+        checked: true,
+    }
 }
 
 /// How many free bodies there are in each world, and blocks around each of them along an axis on the finest level, at most.
@@ -645,20 +682,23 @@ pub(crate) fn free_bodies(plan: &Plan) -> usize {
 /// Blocks at rims that a workgroup takes up in the pass of free bodies and rims.
 const RIMS_BESIDE: u32 = 8;
 
-/// The pass of free bodies, their contact and their motion, and whether it does what is to be done at rims, too: so it is if no body `roams`, which
-/// is to come near coarser levels, and if the adapter lets a pass bind so much and its workgroups be so wide.
+/// How particles press on free bodies, and the pass of their contact and their motion; and does that pass do what is to be done at rims, too? So it is
+/// if no body `roams`, which is to come near coarser levels, and if the adapter lets a pass bind so much and its workgroups be so wide.
 pub(crate) fn free(
     gpu: &Gpu,
     kernels: &Kernels,
     law: &DeviceLaw,
-    vectors: usize,
+    [vectors, materials]: [usize; 2],
     shape: [usize; 2],
     free: Free,
     roams: bool,
-) -> (Kernel, bool) {
+) -> ([Kernel; 2], bool) {
     let (subcycled, sleeps) = (kernels.solve.is_some(), kernels.watch.is_some());
     let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
     let (layout, setting) = (&kernels.step_layout, &kernels.setting);
+    let of_bodies = [&free_counts(free), include_str!("wgsl/lent.wgsl"), include_str!("wgsl/press_free.wgsl")].concat();
+    let press = press_draft("press on free bodies", law, &of_bodies, [vectors, materials], shape, [LENT_BODIES]);
+    let press = build(gpu, layout, setting, shape[0], press);
     // Walls that let go come between bodies and rims.
     let is_apart = roams || shape[1] == 1 || !kernels.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
     let with_rims = draft(true);
@@ -666,9 +706,17 @@ pub(crate) fn free(
     let fits = with_rims.bindings(shape[0]) <= limits.max_storage_buffers_per_shader_stage as usize
         && 64 * RIMS_BESIDE <= limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
     if is_apart || !fits {
-        return (build(gpu, layout, setting, shape[0], draft(false)), false);
+        return ([press, build(gpu, layout, setting, shape[0], draft(false))], false);
     }
-    (build_for(gpu, layout, setting, shape[0], with_rims), true)
+    ([press, build_for(gpu, layout, setting, shape[0], with_rims)], true)
+}
+
+fn free_counts(free: Free) -> String {
+    format!(
+        "const FREES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\n",
+        free.bodies,
+        free.rooms(),
+    )
 }
 
 /// `rims`: with what is done at rims, for bodies that meet the finest level alone.
@@ -679,13 +727,8 @@ fn free_draft(
     [worlds, levels]: [usize; 2],
     free: Free,
 ) -> Draft {
-    let lent: Use = ("lent", "vec4<u32>", Role::Lent, true);
     let tools: Use = ("tools", "vec4<i32>", Role::Tools, true);
-    let counts = format!(
-        "const FREES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst NEAR_TOOL: f32 = {NEAR_TOOL:?};\n",
-        free.bodies,
-        free.rooms(),
-    );
+    let counts = free_counts(free) + &format!("const NEAR_TOOL: f32 = {NEAR_TOOL:?};\n");
     let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
     let awake = if sleeps { include_str!("wgsl/free_awake.wgsl") } else { "" };
     // Nodes of the finest level are no finer one's.
@@ -695,7 +738,7 @@ fn free_draft(
         entry: "free_bodies",
         // Eleven columns of 65 rows; see `free.wgsl`.
         body: [&exchange(715), &counts, include_str!("wgsl/lent.wgsl"), &table, &law.wgsl, &text].concat(),
-        uses: [GRID, DIRECTORY, lent, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
+        uses: [GRID, DIRECTORY, LENT_BODIES, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
         uniform: Uniform::Table { stored, counted: law.counted },
         groups: Groups::Exactly((worlds * free.bodies) as u32 + 1),
         checked: true,
@@ -715,12 +758,14 @@ fn free_draft(
     }
 }
 
-/// Contact whose law runs on the host: nodes near bodies are gathered for it, and take what it made of them.
-pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
+/// Contact whose law runs on the host: nodes near bodies are gathered for it, then particles, and nodes take what it made of them.
+pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 3] {
     let near: Use = ("near", "vec4<u32>", Role::Near, false);
     let around: Use = ("around", "vec4<i32>", Role::Around, false);
     let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
-    let (gather, own) = of_own_mass(kernels.solve.is_some(), include_str!("wgsl/gather.wgsl"));
+    let mirrors = include_str!("wgsl/mirrors.wgsl");
+    let (gather, own) = of_own_mass(kernels.solve.is_some(), &(mirrors.to_owned() + include_str!("wgsl/gather.wgsl")));
+    let rounds = include_str!("wgsl/rounds.wgsl");
     let draft = |name, body: &str, uses, groups| Draft {
         name,
         entry: name,
@@ -736,6 +781,12 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 2] {
             &gather,
             [LISTS, NODES, around, written(near), STATUS].into_iter().chain(own).collect(),
             Groups::NodeBlocks,
+        ),
+        draft(
+            "gather_particles",
+            &(rounds.to_owned() + include_str!("wgsl/gather_particles.wgsl")),
+            vec![LISTS, CELLS, RECORD, around, written(near), STATUS],
+            Groups::Blocks,
         ),
         draft("scatter_near", include_str!("wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near),
     ]
@@ -1285,6 +1336,7 @@ fn hand_on() -> String {
         include_str!("wgsl/handed.wgsl"),
         include_str!("wgsl/hand_on.wgsl"),
         include_str!("wgsl/sum_of_block.wgsl"),
+        include_str!("wgsl/mirrors.wgsl"),
         include_str!("wgsl/behind.wgsl"),
         include_str!("wgsl/wall.wgsl"),
     ]
@@ -1383,6 +1435,7 @@ fn at_rims(subcycled: bool, blocks: u32) -> Draft {
             &own,
             include_str!("wgsl/prolong.wgsl"),
             include_str!("wgsl/sum_of_block.wgsl"),
+            include_str!("wgsl/mirrors.wgsl"),
             include_str!("wgsl/behind.wgsl"),
             include_str!("wgsl/image.wgsl"),
             include_str!("wgsl/wall.wgsl"),
@@ -1578,6 +1631,7 @@ fn separate(axis: usize, back: bool, levels: bool) -> Draft {
 fn images() -> String {
     [
         exchange(64).as_str(),
+        include_str!("wgsl/mirrors.wgsl"),
         include_str!("wgsl/behind.wgsl"),
         include_str!("wgsl/image.wgsl"),
         include_str!("wgsl/sum_of_block.wgsl"),
@@ -2051,6 +2105,7 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     let rim_text = [
         include_str!("wgsl/listed.wgsl"),
         include_str!("wgsl/reaches_wall.wgsl"),
+        include_str!("wgsl/mirrors.wgsl"),
         include_str!("wgsl/behind.wgsl"),
         helpers,
     ]

@@ -64,10 +64,11 @@ pub(crate) struct Asked {
     pub(crate) tools: usize,
 }
 
-/// Bytes of free bodies, their states in a submission, and the nodes inside them.
-pub(crate) fn lent_bytes(free: Free, worlds: usize) -> u64 {
+/// Bytes of free bodies, their states in a submission, the nodes near them, and how particles press on them on each level.
+pub(crate) fn lent_bytes(free: Free, worlds: usize, levels: usize) -> u64 {
     let touches = 256 * free.rooms().div_ceil(4) * TOUCH;
-    16 * (worlds * free.bodies * (LENT + (MAX_SLOTS + 2) * STATE + touches)) as u64
+    let pressed = 64 * free.rooms() * levels;
+    16 * (worlds * free.bodies * (LENT + (MAX_SLOTS + 2) * STATE + touches + pressed)) as u64
 }
 
 /// `Extent` of `common.wgsl`.
@@ -337,9 +338,9 @@ impl Extent {
             Role::Loose | Role::Order => 4 * slots,
             Role::Pairs => 16 * if asked.pairs { 3 * 64 * nodes } else { 1 },
             Role::Bodies => 16 * BODY * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
-            Role::Partials => 32 * nodes * asked.bodies as u64,
+            Role::Partials => (32 + 1024) * nodes * asked.bodies as u64,
             Role::Impulses => 32 * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
-            Role::Lent => lent_bytes(asked.free, asked.worlds),
+            Role::Lent => lent_bytes(asked.free, asked.worlds, asked.layers / asked.worlds.max(1)),
             Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
             Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
             Role::Tools => 16 * (1 + 2 * MAX_SLOTS * asked.layers * asked.tools) as u64,

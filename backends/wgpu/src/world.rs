@@ -155,6 +155,8 @@ pub(crate) enum Place {
 /// A world of a batch.
 pub(crate) struct World {
     pub(crate) materials: Vec<PlannedMaterial>,
+    /// Of each, what contact asks of it: stiffness against being pushed into [Pa], and volume over mass [m³/kg].
+    pub(crate) contact_materials: Vec<[f32; 4]>,
     pub(crate) scene: Scene,
     /// Finest first.
     pub(crate) levels: Vec<Level>,
@@ -244,6 +246,7 @@ impl World {
         let unbounded = stiffness::nothing;
         Self {
             materials: plan.materials.clone(),
+            contact_materials: plan.materials.iter().map(|m| contact_material(m, plan)).collect(),
             scene: plan.scene.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             adapt: Adapt::new(plan),
@@ -534,6 +537,12 @@ impl World {
             }
         }
     }
+}
+
+/// See [`World::contact_materials`].
+fn contact_material(material: &PlannedMaterial, plan: &Plan) -> [f32; 4] {
+    let modulus = material.contact_modulus(&plan.scene).expect("the plan has asked for it");
+    [modulus as f32, (1.0 / material.density) as f32, 0.0, 0.0]
 }
 
 /// The materials' parameters of a world, as passes read them.

@@ -1,7 +1,7 @@
 //! The contact law, and free bodies solved with it.
 
 use crate::{Random, angular_momentum, batch, energy, momentum, rigid, step, within};
-use barchan_core::{Coupling, NodeBatch};
+use barchan_core::{Coupling, NearParticle, NodeBatch};
 use barchan_rigid::contact::{FreeBody, Grip, Touch};
 use barchan_rigid::motion::Twist;
 use glam::{DMat3, DVec3};
@@ -42,9 +42,9 @@ fn laws_have_their_closed_forms() {
 
 #[test]
 fn nodes_outside_are_left_alone() {
-    // Contact at a distance would make tools hover: a node on the surface or above it keeps its velocity to the bit.
+    // Contact at a distance would make tools hover: a node outside on which no particle presses keeps its velocity to the bit.
     let mut rigid = rigid("[[tool]]\nname = 'floor'\nshape = { plane = { normal = [0, 0, 1] } }\ncontact = 'stick'");
-    let mut nodes = batch(&[([0.1, 0.2, 0.0], 2.0, [1.0, 2.0, -3.0]), ([0.1, 0.2, 1e-9], 2.0, [1.0, 2.0, -3.0])]);
+    let mut nodes = batch(&[([0.1, 0.2, 1e-9], 2.0, [1.0, 2.0, -3.0]), ([0.1, 0.2, 1e-3], 2.0, [1.0, 2.0, -3.0])]);
     let before = nodes.velocity.clone();
     step(&mut rigid, 0.0, 1e-3, &mut nodes);
     assert_eq!(nodes.velocity, before);
@@ -170,7 +170,8 @@ fn solution_satisfies_the_law_at_the_final_motion() {
         let normal = rotation * DVec3::NEG_Z;
         let nodes: Vec<_> = (0..40)
             .map(|_| {
-                let r = random.vector() * DVec3::new(0.04, 0.05, 0.0) + DVec3::new(0.0, 0.0, -0.065);
+                // Away from the edges, which contact rounds.
+                let r = random.vector() * DVec3::new(0.03, 0.04, 0.0) + DVec3::new(0.0, 0.0, -0.065);
                 ((DVec3::from_array(body.position) + rotation * r).to_array(), 0.03, (0.3 * random.vector()).to_array())
             })
             .collect();
@@ -224,10 +225,11 @@ fn any_mass_ratio_is_stable() {
     for law in LAWS {
         for ratio in [1e-2, 1.0, 1e2, 1e4] {
             let mut rigid = rigid(&free_box(law, 0.1, "linear = [0.4, 0.1, -1], angular = [2, -3, 1]"));
-            let patch: Vec<_> = (-4..=4)
+            // Away from the edges, which contact rounds: what slips off there keeps its approach.
+            let patch: Vec<_> = (-3..=3)
                 .flat_map(|i| {
-                    (-5..=5).map(move |j| {
-                        ([0.01 * f64::from(i), 0.01 * f64::from(j), -0.065], 0.1 * ratio / 99.0, [0.0; 3])
+                    (-4..=4).map(move |j| {
+                        ([0.01 * f64::from(i), 0.01 * f64::from(j), -0.065], 0.1 * ratio / 63.0, [0.0; 3])
                     })
                 })
                 .collect();
@@ -248,6 +250,91 @@ fn any_mass_ratio_is_stable() {
             let approach = -(rigid.bodies()[0].velocity[2] - momentum(&nodes).z / (0.1 * ratio));
             within(&format!("{law}, ratio {ratio:e}: approach left [m/s]"), approach, 1e-3);
         }
+    }
+}
+
+/// Laws of all kinds.
+fn any_grip(random: &mut Random, kind: usize) -> Grip {
+    let (normal, friction, most) = (random.vector().normalize(), 1.0 + random.number(), 0.5 + 0.5 * random.number());
+    match kind {
+        0 => Grip::Stick { most },
+        1 => Grip::Coulomb { normal, friction, most },
+        2 => Grip::Coulomb { normal, friction: 0.0, most },
+        3 => Grip::Coulomb { normal, friction, most: f64::INFINITY },
+        4 => Grip::Coulomb { normal, friction, most: 0.0 },
+        _ => Grip::Bilateral { normal, friction },
+    }
+}
+
+#[test]
+fn what_a_law_takes_is_a_part_of_what_there_is() {
+    // What is taken of u is K u with K symmetric and 0 <= K <= 1. Seen from outside: |K u|² <= u · K u. Without it the solution for a
+    // free body need not exist, and contact could gain energy.
+    let mut random = Random(20);
+    let (mut beyond, mut gain, mut bound) = (0f64, 0f64, 0f64);
+    for i in 0..60_000 {
+        let grip = any_grip(&mut random, i % 6);
+        let u = 3.0 * random.vector();
+        let kept = grip.kept(u);
+        let taken = u - kept;
+        beyond = beyond.max(taken.length_squared() - u.dot(taken));
+        gain = gain.max(kept.length() - u.length());
+        bound = bound.max(match grip {
+            Grip::Stick { most } => taken.length() - most,
+            Grip::Coulomb { normal, friction, most } => {
+                let hold = -taken.dot(normal);
+                (hold - most).max((taken + hold * normal).length() - friction * hold)
+            }
+            Grip::Bilateral { normal, .. } => kept.dot(normal).abs(),
+        });
+    }
+    within("|K u|² beyond u · K u [m²/s²]", beyond, 1e-14);
+    within("speed gained [m/s]", gain, 1e-14);
+    within("taken beyond the bound or the cone [m/s]", bound, 1e-14);
+}
+
+#[test]
+fn laws_have_no_jumps() {
+    // A law that jumps at its bound, at the friction cone or between approach and separation makes contact chatter, and no iteration finds a
+    // balance. The normal part changes at most as fast as u, the tangential part by 1 and μ times as fast.
+    let mut random = Random(21);
+    let mut worst = 0f64;
+    for i in 0..600 {
+        let grip = any_grip(&mut random, i % 6);
+        let (start, end) = (3.0 * random.vector(), 3.0 * random.vector());
+        let taken = |s: i32| {
+            let u = start.lerp(end, f64::from(s) / 1000.0);
+            u - grip.kept(u)
+        };
+        let step = start.distance(end) / 1000.0;
+        worst = (0..1000).fold(worst, |worst, s| worst.max(taken(s).distance(taken(s + 1)) / step));
+    }
+    within("change of what is taken, as a share of the change of u", worst, 1.0 + 1.0 + 2.0);
+}
+
+#[test]
+fn a_particle_presses_with_what_its_overlap_gives() {
+    // The whole law of one particle: M d² o / (1 − o) along the normal, on nodes by its weights, and no more than that in a step.
+    let (modulus, width, cell) = (1e6, 4e-3, 0.01);
+    let mut rigid = rigid("[[tool]]\nname = 'floor'\nshape = { plane = { normal = [0, 0, 1] } }\ncontact = 'slip'");
+    for overlap in [-0.1, 0.0, 0.2, 0.5, 0.9] {
+        // The particle is over the origin, as high as its overlap says.
+        let place = [0.3, 0.6, 0.05];
+        let node_at = |n: usize| [n / 9, n / 3 % 3, n % 3].map(|i| i as f64 - 1.0);
+        let height = width * (0.5 - overlap);
+        let at = |n: usize, d: usize| cell * (node_at(n)[d] + 0.5 - place[d]) + if d == 2 { height } else { 0.0 };
+        let (mass, fall) = (1e-3, -1e3);
+        let nodes: Vec<_> = (0..27).map(|n| ([0, 1, 2].map(|d| at(n, d)), mass, [0.0, 0.0, fall])).collect();
+        let mut nodes = batch(&nodes);
+        nodes.cells = vec![std::array::from_fn(|n| n as u32)];
+        nodes.particles =
+            vec![NearParticle { cell: 0, position: [0.0, 0.0, height], place, volume: width.powi(3), modulus }];
+        step(&mut rigid, 0.0, 1e-6, &mut nodes);
+        let force = if overlap > 0.0 { modulus * width * width * overlap / (1.0 - overlap) } else { 0.0 };
+        within(&format!("overlap {overlap}: force [N]"), (rigid.wrenches()[0].force[2] + force).abs() / 100.0, 1e-9);
+        let weights = nodes.particles[0].weights();
+        let off = (0..27).map(|n| (nodes.velocity[n][2] - fall - weights[n] * force * 1e-6 / mass).abs());
+        within(&format!("overlap {overlap}: nodes [m/s]"), off.fold(0.0, f64::max), 1e-9);
     }
 }
 
@@ -283,9 +370,10 @@ fn solutions_converge_for_all_frictions_and_mass_ratios() {
     // Coulomb sliding has no energy to minimise, and Newton's method may cycle: however rough the surface and heavy the ground, the
     // result dissipates and closes; that the iteration itself converges is the rule.
     let mut random = Random(10);
-    for friction in [0.0, 0.1, 0.5, 1.0, 2.0] {
+    let cases = [f64::INFINITY, 0.3].map(|most| [0.0, 0.1, 0.5, 1.0, 2.0].map(|friction| (friction, most)));
+    for (friction, most) in cases.into_iter().flatten() {
         for ratio in [1e-2, 1.0, 1e2, 1e4] {
-            let (mut most, mut failed, mut gain, mut solved) = (0, 0, 0f64, 0);
+            let (mut longest, mut failed, mut gain, mut solved) = (0, 0, 0f64, 0);
             for _ in 0..250 {
                 let body = FreeBody { mass: 1.0, inertia: DMat3::from_diagonal(DVec3::new(2e-3, 3e-3, 4e-3)) };
                 // A corner of a box in the ground: three faces at once.
@@ -297,7 +385,7 @@ fn solutions_converge_for_all_frictions_and_mass_ratios() {
                         let normal = DVec3::AXES[node % 3];
                         let arm = 0.1 * (normal + (random.vector() + 1.0) * 0.5 * (1.0 - normal));
                         let mass = ratio / 48.0 * (1.0 + 0.99 * random.number());
-                        Touch { node, mass, arm, grip: Grip::Coulomb { normal, friction, bilateral: false } }
+                        Touch { node, mass, arm, grip: Grip::Coulomb { normal, friction, most } }
                     })
                     .collect();
                 let free = Twist { linear: random.vector(), angular: 10.0 * random.vector() };
@@ -312,12 +400,12 @@ fn solutions_converge_for_all_frictions_and_mass_ratios() {
                     angular: free.angular + body.inertia.inverse() * DVec3::from_array(result.impulse.torque),
                 };
                 gain = gain.max((ground(&velocities) + own(&after)) / before - 1.0);
-                most = most.max(result.iterations);
+                longest = longest.max(result.iterations);
                 failed += i32::from(!result.converged);
                 solved += 1;
             }
             println!(
-                "friction {friction}, ratio {ratio:e}: at most {most} iterations, {failed} of {solved} not converged"
+                "friction {friction}, bound {most} m/s, ratio {ratio:e}: at most {longest} iterations, {failed} of {solved} not converged"
             );
             within("relative energy gain", gain, 1e-12);
             let share = f64::from(failed) / f64::from(solved);

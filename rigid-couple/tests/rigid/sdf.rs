@@ -334,3 +334,52 @@ fn slivers_do_no_harm() {
     }
     within("distance [m]", worst, 5e-3);
 }
+
+#[test]
+fn contact_rounds_edges_and_nothing_else() {
+    // An edge that acts in steps lets a slot or a plate jump as it moves over the grid: near the surface the normal turns on a radius of a cell
+    // and a half. Rounding only takes away, and faces stay where they are.
+    let (cell, edge) = (0.02, 0.03);
+    let mut random = Random(12);
+    for (name, text) in &EXACT[1..3] {
+        let sdf = shape(text);
+        let (mut grown, mut moved, mut jump, mut turned, mut taken) = (0f64, 0f64, 0f64, 0f64, 0f64);
+        for _ in 0..20_000 {
+            let x = 0.4 * random.vector();
+            let (sharp, (round, core)) = (sdf.surface(x), sdf.contact_surface(x, cell));
+            assert!(!core, "nothing here is thin");
+            grown = grown.max(sharp.distance - round.distance);
+            // The foot on the sharp surface, and what of the other faces is near it.
+            let foot = x - sharp.distance * sharp.normal.unwrap();
+            let (others, along) = if *name == "box" {
+                let q = (foot.abs() - DVec3::new(0.1, 0.2, 0.3)).to_array();
+                let face = (0..3).max_by(|&a, &b| q[a].total_cmp(&q[b])).unwrap();
+                ((0..3).filter(|&d| d != face).map(|d| q[d]).fold(f64::NEG_INFINITY, f64::max), sharp.distance.abs())
+            } else {
+                let q = [foot.x.hypot(foot.y) - 0.2, foot.z.abs() - 0.3];
+                (q[0].min(q[1]), sharp.distance.abs())
+            };
+            if others < -edge && (sharp.distance > 0.0 || along < edge) {
+                moved = moved.max((round.distance - sharp.distance).abs());
+            } else if sharp.distance.abs() < 1e-3 {
+                taken = taken.max(round.distance - sharp.distance);
+            }
+            let step = 1e-4 * random.vector();
+            let (there, _) = sdf.contact_surface(x + step, cell);
+            jump = jump.max((there.distance - round.distance).abs() / step.length());
+            if round.distance.min(there.distance) > -0.5 * edge {
+                turned = turned.max(there.normal.unwrap().distance(round.normal.unwrap()) / step.length());
+            }
+        }
+        within(&format!("{name}: round surface beyond the sharp one [m]"), grown, 1e-14);
+        within(&format!("{name}: faces away from edges moved by [m]"), moved, 1e-14);
+        within(&format!("{name}: change of distance over a way"), jump, 1.0 + 1e-9);
+        within(
+            &format!("{name}: turn of the normal over a way [rad per radius at half depth]"),
+            turned * 0.5 * edge,
+            1.01,
+        );
+        println!("{name}: rounding takes up to {:.2} cells", taken / cell);
+        assert!(taken > 0.2 * cell, "edges are round");
+    }
+}

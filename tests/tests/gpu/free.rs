@@ -78,17 +78,21 @@ fn a_cube_slides_on_sand_as_on_the_cpu() {
     ];
     for (levels, step) in cases {
         let is_coarse = levels.contains("ball");
-        // In the air.
-        let ball = tool("ball", [0.56, 0.24, 0.2], "sphere = { radius = 0.02 }", FRICTION, "{ free = { mass = 0.1 } }");
-        let ball = if is_coarse { ball } else { String::new() };
-        let head = Head::cells(h, [32, 16, 16], walls).time(format!("step = {step}"));
+        // In the air. What acts on coarse ground reaches further, and keeps further off walls.
+        let (cells, top, y, ball) = if is_coarse {
+            let free = "{ free = { mass = 0.1 } }";
+            ([32, 24, 20], 0.16, 0.24, tool("ball", [0.5, 0.36, 0.3], "sphere = { radius = 0.02 }", FRICTION, free))
+        } else {
+            ([32, 16, 16], 0.1, 0.16, String::new())
+        };
+        let head = Head::cells(h, cells, walls).time(format!("step = {step}"));
         let toml = head.with(&[
             material("sand", 1500.0, "young_modulus = 2e5, poisson_ratio = 0.2, friction_angle_deg = 35"),
-            block("sand", [0.0; 3], [0.64, 0.32, 0.1], ""),
+            block("sand", [0.0; 3], [0.64, 2.0 * y, top], ""),
             levels.clone(),
             tool(
                 "cube",
-                [0.2, 0.16, 0.142],
+                [0.2, y, top + 0.042],
                 &half([0.04; 3]),
                 FRICTION,
                 "{ free = { mass = 0.6, linear = [0.8, 0.0, -0.3], angular = [0.0, 0.0, 2.0] } }",

@@ -177,7 +177,7 @@ fn struck(world: u64, levels: &str, cube: bool) -> Scene {
         let at = [0.14, 0.04, top + 0.055];
         more.push(tool("cube", at, &half([0.03; 3]), "{ coulomb = { friction = 0.3 } }", free));
     }
-    scene(&bed(cells, "sand", SAND, "speed = 2e-3", &more).replace("safety = 0.6", "step = 8e-4"))
+    scene(&bed(cells, "sand", SAND, "speed = 3e-3", &more).replace("safety = 0.6", "step = 8e-4"))
 }
 
 const KINDS: [(&str, bool); 3] = [("", false), (LEVELS, false), (SUBCYCLED, true)];
@@ -190,14 +190,15 @@ fn the_same_ground_sleeps_as_on_the_cpu() {
             let options = Options { backend: backend.into(), ..on_gpu() };
             Simulation::new(&barchan::registry(), &struck(0, levels, cube), &options).unwrap()
         });
-        let (mut most, all) = (0, gpu.particle_count() as u64);
-        for _ in 0..20 {
+        let (mut before, mut woke) = (0, false);
+        for _ in 0..28 {
             take(&mut gpu, 5);
             take(&mut cpu, 5);
             assert_eq!(asleep(&gpu), asleep(&cpu), "{levels}: after {} steps", gpu.step_count());
-            most = asleep(&gpu).max(most);
+            woke |= asleep(&gpu) < before;
+            before = asleep(&gpu);
         }
-        assert!(asleep(&gpu) > 0 && asleep(&gpu) < most, "{levels}: {most} of {all} slept, and nothing woke");
+        assert!(woke, "{levels}: nothing fell asleep and woke");
         let (g, c) = (gpu.ledger(), cpu.ledger());
         assert_eq!(g.counts["blocks that fell asleep"], c.counts["blocks that fell asleep"]);
         within("kinetic energy that was lost", (g.slept_kinetic / c.slept_kinetic - 1.0).abs(), 0.1);
@@ -257,7 +258,7 @@ fn sleeping_survives_a_snapshot() {
         take(&mut s, 30);
         take(&mut again, 30);
         assert!(s.particles().sort.unwrap().rest == again.particles().sort.unwrap().rest, "{levels}: others sleep");
-        within("distance of particles, in cells", apart(&rows(&s), &rows(&again)) / CELL, 1e-5);
+        within("distance of particles, in cells", apart(&rows(&s), &rows(&again)) / CELL, 5e-5);
         take(&mut cpu, 30);
         within("distance from the cpu's, in cells", apart(&rows(&s), &rows(&cpu)) / CELL, 0.01);
     }

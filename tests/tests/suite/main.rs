@@ -1,6 +1,7 @@
 //! All suites that cross crates, in one binary: one module a subject.
 
 mod conformance;
+mod contact_edges;
 mod coupling;
 mod damping;
 mod determinism;

@@ -1,19 +1,11 @@
 // Contact with driven bodies: the coupling's law on the nodes in a body's box, and what they give to it.
 
-// Vectors of a body in a step: cell of its reference point, place in that cell, three rows of its rotation, velocity, angular
-// velocity, least and greatest node of its box.
-const BODY: u32 = 9u;
-
 var<workgroup> go: u32;
 var<workgroup> near: u32;
 var<workgroup> layer: u32;
 var<workgroup> greatest: atomic<u32>;
 var<workgroup> forces: array<vec4<f32>, 64>;
 var<workgroup> torques: array<vec4<f32>, 64>;
-
-fn int_vector(v: vec4<f32>) -> vec3<i32> {
-    return bitcast<vec3<i32>>(v.xyz);
-}
 
 // The greatest component of a velocity, as much as a particle may feel of it.
 fn felt_bits(u: vec3<f32>, mass: f32) -> u32 {
@@ -55,7 +47,9 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         }
         var impulse = vec3<f32>(0.0);
         var arm = vec3<f32>(0.0);
-        if mass > layers[layer_now].least && all(cell >= least) && all(cell <= most) {
+        // Nodes behind mirrors move as their images.
+        let is_own = mass > layers[layer_now].least && !is_behind(layer_now, cell);
+        if is_own && all(cell >= least) && all(cell <= most) {
             arm = (vec3<f32>(cell - int_vector(bodies[at])) + (vec3<f32>(0.5) - bodies[at + 1u].xyz)) * width;
             let row0 = bodies[at + 2u].xyz;
             let row1 = bodies[at + 3u].xyz;
@@ -64,7 +58,8 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
             let relative = u - surface;
             let x = arm.x * row0 + arm.y * row1 + arm.z * row2;
             let before = relative.x * row0 + relative.y * row1 + relative.z * row2;
-            let kept = coupling_contact(b, x, before, width);
+            let press = partials[pressed_at(g, b, n)].xyz * (step.dt * steps_of(layer_now) / mass);
+            let kept = coupling_contact(b, x, before, width, press);
             if any(kept != before) {
                 let taken = before - kept;
                 let change = vec3<f32>(dot(row0, taken), dot(row1, taken), dot(row2, taken));

@@ -12,7 +12,8 @@
 // more goes through the solution at once, with nodes of a slot before, while the others still look for theirs. What it finds nobody reads.
 
 // As in `contact.rs`, but for the tolerance: f32 carries seven digits, of which sums over nodes lose some.
-const MAX_ITERATIONS: u32 = 24u;
+const MAX_ITERATIONS: u32 = 40u;
+const OVERSHOT: f32 = 0.5;
 const LIGHT: f32 = 10.0;
 const HEAVIER: f32 = 4.0;
 const SMALL: f32 = 0.03;
@@ -81,6 +82,9 @@ var<private> kept_touches: u32;
 // What the first thread alone knows of the iteration.
 var<private> weight: f32;
 var<private> iterations: u32;
+// The last step, and what was out of balance along it before; 0 where there is none to cut back.
+var<private> last_step: Twist;
+var<private> before_step: f32;
 
 fn velocity_of(twist: Twist, arm: vec3<f32>) -> vec3<f32> {
     return twist.linear + cross(twist.angular, arm);
@@ -164,11 +168,9 @@ fn find_touches(k: u32, level: u32, thread: u32) {
     let shrink = shrink_of(layer_now);
     let rows = rows_of(rotation_of(rotation));
     let within = place_of(place);
-    let corners = coupling_box(number, rows, H);
-    let base = cell >> vec3<u32>(level);
-    // Nodes stand at the centres of cells.
-    let least = base + vec3<i32>(ceil(in_level(cell, within, corners[0], level, shrink) - 0.5));
-    let most = base + vec3<i32>(floor(in_level(cell, within, corners[1], level, shrink) - 0.5));
+    let nodes = nodes_near(number, rows, cell, within, level, shrink);
+    let least = nodes[0];
+    let most = nodes[1];
     let first = least >> vec3<u32>(2u);
     let size = vec3<u32>(max((most >> vec3<u32>(2u)) - first + vec3<i32>(1), vec3<i32>(0)));
     if thread == 0u {
@@ -243,13 +245,16 @@ fn find_touches(k: u32, level: u32, thread: u32) {
                 if mass > layers[layer_now].least {
                     let centre = vec3<f32>(0.5 / shrink) - within;
                     let arm = (vec3<f32>((x << vec3<u32>(level)) - cell) + centre) * H;
-                    let grip = coupling_grip(number, arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], H / shrink);
+                    let place = vec3<u32>(block.y >> 20u, block.y >> 10u, block.y) & vec3<u32>(1023u);
+                    let room_here = place.x + size.x * (place.y + size.y * place.z);
+                    let press = real(lent[pressed_at(k, level, room_here, n)]).xyz * (step.dt * steps_of(layer_now) / mass);
+                    let grip = coupling_grip(number, arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], H / shrink, press);
                     if grip.kind != 0u {
                         let normal = vec3<f32>(dot(rows[0], grip.normal), dot(rows[1], grip.normal), dot(rows[2], grip.normal));
                         let to = touch_at(k, kept_touches, thread);
                         lent[to] = bitcast<vec4<u32>>(vec4<f32>(arm, mass));
                         lent[to + THREADS] = vec4<u32>(bitcast<vec3<u32>>(node.xyz), (g * 64u + n) | (grip.kind << 30u));
-                        lent[to + 2u * THREADS] = bitcast<vec4<u32>>(vec4<f32>(normal, grip.friction));
+                        lent[to + 2u * THREADS] = bitcast<vec4<u32>>(vec4<f32>(normal, grip.most));
                         kept_touches++;
                         if grip.deep {
                             atomicAdd(&deep, 1u);
@@ -294,32 +299,39 @@ fn assemble(k: u32, tangent: bool, thread: u32) -> Sums {
     var sum: Sums;
     var slides = false;
     let twist = frozen;
+    let number = lent[k * LENT + 3u].w;
     for (var i = 0u; i < kept_touches; i++) {
         let touch = touch_of(k, i, thread);
         sum.lower1.w += touch.mass;
         let r = touch.arm;
         let u = touch.velocity - velocity_of(twist, r);
-        let hold = coupling_hold(touch.grip, u);
+        let hold = coupling_hold(number, touch.grip, u);
         if !hold.held {
             continue;
         }
         let n = hold.normal;
         let held = touch.mass * hold.drag;
-        let m = (touch.mass - held) * n;
+        // Where the bound is reached, more approach is not met by more.
+        let is_cut = tangent && hold.bounded;
+        let m = (touch.mass * select(hold.hold, 0.0, is_cut) - held) * n;
         var d = mat3x3<f32>(n.x * m, n.y * m, n.z * m);
         d[0].x += held;
         d[1].y += held;
         d[2].z += held;
-        let taken = d * u;
+        var taken = d * u;
+        if is_cut {
+            taken += touch.mass * hold.hold * dot(n, u) * n;
+        }
         let moment = cross(r, taken);
         if tangent && hold.friction > 0.0 {
             // d(f |u_n| t) = -f t nT + drag (1 - n nT - t tT)
-            let slope = touch.mass * (hold.friction * n + hold.drag * hold.along);
+            let slope = touch.mass * (select(hold.friction, 0.0, hold.bounded) * n + hold.drag * hold.along);
             d[0] -= slope.x * hold.along;
             d[1] -= slope.y * hold.along;
             d[2] -= slope.z * hold.along;
             slides = true;
         }
+        slides |= is_cut;
         let d3 = d[2] * r.y - d[1] * r.z;
         let d4 = d[0] * r.z - d[2] * r.x;
         let d5 = d[1] * r.x - d[0] * r.y;
@@ -487,6 +499,20 @@ fn decide() {
     let lag = Twist(free.linear - old.linear, free.angular - old.angular);
     let f = weight * force + body_mass * lag.linear;
     let t = weight * torque + inertia * lag.angular;
+    if mode == TANGENT && before_step > 0.0 && iterations < MAX_ITERATIONS {
+        // Where bounds are reached on the way, a step may lead beyond what balances along it: it is cut back.
+        let beyond = -(dot(last_step.linear, f) + dot(last_step.angular, t));
+        if beyond > OVERSHOT * before_step {
+            let back = beyond / (before_step + beyond);
+            frozen = Twist(old.linear - back * last_step.linear, old.angular - back * last_step.angular);
+            last_step = Twist((1.0 - back) * last_step.linear, (1.0 - back) * last_step.angular);
+            before_step *= 1.0 - back;
+            iterations++;
+            atomicStore(&sliding, 0u);
+            return;
+        }
+    }
+    before_step = 0.0;
     let own = body_mass;
     let change = eliminate(array<Row, 6>(
         Row(weight * p[0] + vec3<f32>(own, 0.0, 0.0), weight * q[0], f.x),
@@ -512,12 +538,15 @@ fn decide() {
         let converged = weight == 1.0 && size <= TOLERANCE * speed + noise;
         if !converged && iterations < MAX_ITERATIONS {
             frozen = moved;
+            last_step = change;
+            before_step = dot(change.linear, f) + dot(change.angular, t);
             // Newton's steps square what is missing. Where a small one was found and nodes slide, the secant's tells as well whether that was all, and
             // serves as the last.
             let was_small = weight == 1.0 && size * size <= TOLERANCE * speed * speed + noise * noise;
             mode = select(TANGENT, SECANT, mode == TANGENT && slid && was_small);
-            if size <= SMALL * speed + noise {
+            if size <= SMALL * speed + noise && weight < 1.0 {
                 weight = min(HEAVIER * weight, 1.0);
+                before_step = 0.0;
             }
             return;
         }
@@ -554,6 +583,7 @@ fn meet(k: u32, level: u32, thread: u32) {
         deep_nodes += atomicLoad(&deep);
         atomicStore(&deep, 0u);
         iterations = 0u;
+        before_step = 0.0;
         frozen = expected;
     }
     if workgroupUniformLoad(&mode) == DONE {
@@ -571,11 +601,12 @@ fn meet(k: u32, level: u32, thread: u32) {
         }
     }
     let at_last = frozen;
+    let number = lent[k * LENT + 3u].w;
     let surface = met;
     var fastest = 0u;
     for (var i = 0u; i < kept_touches; i++) {
         let touch = touch_of(k, i, thread);
-        let hold = coupling_hold(touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
+        let hold = coupling_hold(number, touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
         if !hold.held {
             continue;
         }
@@ -584,7 +615,8 @@ fn meet(k: u32, level: u32, thread: u32) {
         }
         let of_surface = velocity_of(surface, touch.arm);
         let u = touch.velocity - of_surface;
-        let kept = of_surface + (1.0 - hold.drag) * (u - dot(u, hold.normal) * hold.normal);
+        let along = dot(u, hold.normal) * hold.normal;
+        let kept = of_surface + (1.0 - hold.hold) * along + (1.0 - hold.drag) * (u - along);
         grid[touch.node].x = kept.x;
         grid[touch.node].y = kept.y;
         grid[touch.node].z = kept.z;

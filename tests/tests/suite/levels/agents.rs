@@ -301,11 +301,11 @@ fn b38_a_footprint_outlasts_its_agent() {
         (0.16 - under.iter().sum::<f64>() / under.len() as f64, volume)
     };
     let start = on_levels(&s);
-    // Down to 40 mm, up again, away, and back.
+    // Down to 40 mm, up again, slowly, since sand that has borne the foot springs back after a quick one, away, and back.
     run_to(&mut s, 0.12);
     s.drive("foot", [0.0; 3], [0.0; 3]).unwrap();
     run_to(&mut s, 0.14);
-    s.drive("foot", [0.0, 0.0, 1.0], [0.0; 3]).unwrap();
+    s.drive("foot", [0.0, 0.0, 0.5], [0.0; 3]).unwrap();
     run_to(&mut s, 0.3);
     s.drive("foot", [0.0; 3], [0.0; 3]).unwrap();
     run_to(&mut s, 0.36);

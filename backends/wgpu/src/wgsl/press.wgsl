@@ -1,0 +1,168 @@
+// How particles press on bodies: for each node of a block near one, the sum of their greatest forces [N], in the body's frame. Each particle
+// gives to nodes by the weights of the transfers. Sums are of whole numbers, so that their order does not matter.
+
+// These are two: so many of the first one's unit make a modulus times the square of a cell's width, and so many of the second one's the first one's unit.
+const COARSE_UNITS: f32 = 4096.0;
+const FINE_UNITS: f32 = 524288.0;
+// How far from a cell's node a particle of that cell may be, drift and all, and how far a particle reaches [cells].
+const PRESS_NEAR: f32 = 3.3;
+
+// Threads, those that write a node each, and how many particles near a body are dealt to all; a thread sees to further ones by itself.
+const PRESSING: u32 = 256u;
+const NODES: u32 = 64u;
+const DEALT: u32 = 1024u;
+
+var<workgroup> go: u32;
+var<workgroup> near: u32;
+var<workgroup> layer: u32;
+var<workgroup> sums: array<atomic<i32>, 384>;
+var<workgroup> found: atomic<u32>;
+// Where they stand, and the first cell of their block, counted from the first of the nodes' block.
+var<workgroup> dealt: array<vec2<u32>, DEALT>;
+
+// The greatest modulus of the world's materials [Pa].
+fn greatest_modulus() -> f32 {
+    var most = 0.0;
+    for (var m = 0u; m < MATERIALS; m++) {
+        most = max(most, coupling_table(MODULI + m).x);
+    }
+    return most;
+}
+
+@compute @workgroup_size(256)
+fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let g = group.y * extent.row + group.x;
+    let entry = (extent.block_room + min(g, extent.node_room - 1u)) * ENTRY;
+    if thread == 0u {
+        go = u32(atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]));
+        layer = u32(lists[entry].w);
+        go = select(0u, go, is_live(layer));
+    }
+    if workgroupUniformLoad(&go) == 0u {
+        return;
+    }
+    layer_now = workgroupUniformLoad(&layer);
+    let width = H / shrink_of(layer_now);
+    let first = lists[entry].xyz * 4;
+    for (var b = 0u; b < PRESSED_BODIES; b++) {
+        if thread == 0u {
+            let body = pressed_body(b);
+            near = u32(all(first + vec3<i32>(3) >= body.least) && all(first <= body.most));
+        }
+        if workgroupUniformLoad(&near) == 0u {
+            continue;
+        }
+        let unit = greatest_modulus() * width * width / COARSE_UNITS;
+        let body = pressed_body(b);
+        // From the body's reference point to the block's first cell [cells].
+        let corner = vec3<f32>(first - body.cell) - body.place;
+        // Cells by whose particles these nodes may be reached: a cell around the block, and one more since they drift.
+        for (var start = 0u; start < 512u; start += PRESSING) {
+            let c = start + thread;
+            let cell = vec3<i32>(vec3<u32>(c >> 6u, (c >> 3u) & 7u, c & 7u)) - vec3<i32>(2);
+            let arm = (corner + vec3<f32>(cell) + vec3<f32>(0.5)) * width;
+            let middle = arm.x * body.rows[0] + arm.y * body.rows[1] + arm.z * body.rows[2];
+            let block = block_beside(entry, cell >> vec3<u32>(2u));
+            if block != NONE {
+                let in_block = vec3<u32>(cell & vec3<i32>(3));
+                let own = (in_block.x << 4u) | (in_block.y << 2u) | in_block.z;
+                let count = cells[block * 64u + own + 1u] - cells[block * 64u + own];
+                if count > 0u && coupling_distance(body.number, middle, width) <= PRESS_NEAR * width {
+                    let to = atomicAdd(&found, count);
+                    for (var r = 0u; r < count; r++) {
+                        let one = vec2<u32>(slot_of(block, own, r), u32(pack_block(cell >> vec3<u32>(2u))));
+                        if to + r < DEALT {
+                            dealt[to + r] = one;
+                        } else {
+                            press_of(one, body.number, corner, body.rows, width, unit);
+                        }
+                    }
+                }
+            }
+            workgroupBarrier();
+            let count = min(atomicLoad(&found), DEALT);
+            for (var i = thread; i < count; i += PRESSING) {
+                press_of(dealt[i], body.number, corner, body.rows, width, unit);
+            }
+            workgroupBarrier();
+            if thread == 0u {
+                atomicStore(&found, 0u);
+            }
+            workgroupBarrier();
+        }
+        if thread < NODES {
+            let sum = vec3<f32>(sum_at(thread), sum_at(64u + thread), sum_at(128u + thread));
+            put_pressed(b, g, first >> vec3<u32>(2u), thread, sum * unit);
+        }
+        workgroupBarrier();
+    }
+}
+
+// Blocks beside the nodes' one, by an offset of -1, 0 or 1 along each axis.
+fn pack_block(to: vec3<i32>) -> i32 {
+    return ((to.x + 1) << 4u) | ((to.y + 1) << 2u) | (to.z + 1);
+}
+
+fn unpack_block(packed: u32) -> vec3<i32> {
+    return vec3<i32>(vec3<u32>(packed >> 4u, (packed >> 2u) & 3u, packed & 3u)) - vec3<i32>(1);
+}
+
+// Powers are not exact to the last digits, and a particle that just touches a body makes all of them count.
+fn cube_root(x: f32) -> f32 {
+    let guess = pow(x, 1.0 / 3.0);
+    return guess - (guess - x / (guess * guess)) / 3.0;
+}
+
+// Adds to a sum, in the first unit.
+fn add_to(at: u32, part: f32) {
+    let coarse = round(part);
+    if coarse != 0.0 {
+        atomicAdd(&sums[at], i32(coarse));
+    }
+    atomicAdd(&sums[192u + at], i32(round((part - coarse) * FINE_UNITS)));
+}
+
+// What a sum came to, and begins it anew.
+fn sum_at(at: u32) -> f32 {
+    return f32(atomicExchange(&sums[at], 0)) + f32(atomicExchange(&sums[192u + at], 0)) / FINE_UNITS;
+}
+
+// The block with particles beside a block of nodes, by an offset along each axis.
+fn block_beside(entry: u32, to: vec3<i32>) -> u32 {
+    // Entries go by the offset from those to these.
+    let by = vec3<i32>(1) - to;
+    let which = u32(by.x * 9 + by.y * 3 + by.z);
+    return u32(lists[entry + 1u + (which >> 2u)][which & 3u]);
+}
+
+// What a particle gives to the nodes of the block: it stands there, in the block beside.
+fn press_of(one: vec2<u32>, body: u32, corner: vec3<f32>, rows: array<vec3<f32>, 3>, width: f32, unit: f32) {
+    let place = record_of(one.x, 0u);
+    let weight = bitcast<f32>(record_of(one.x, 1u).w);
+    let now = cell_of(place.w) + unpack_block(one.y) * 4;
+    if any(now < vec3<i32>(-1)) || any(now > vec3<i32>(4)) {
+        return;
+    }
+    let f = fraction(place);
+    let arm = (corner + vec3<f32>(now) + f) * width;
+    let material = coupling_table(MODULI + law_of(place.w));
+    let half = 0.5 * cube_root(weight * material.y);
+    let force = coupling_press(body, arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], half, material.x, width) / unit;
+    if all(force == vec3<f32>(0.0)) {
+        return;
+    }
+    let wx = weights(f.x);
+    let wy = weights(f.y);
+    let wz = weights(f.z);
+    for (var k = 0u; k < 27u; k++) {
+        let node = now + offset_of(k);
+        if any(node < vec3<i32>(0)) || any(node > vec3<i32>(3)) {
+            continue;
+        }
+        let n = u32((node.x << 4u) | (node.y << 2u) | node.z);
+        let part = (wx[k / 9u] * wy[(k / 3u) % 3u] * wz[k % 3u]) * force;
+        add_to(n, part.x);
+        add_to(64u + n, part.y);
+        add_to(128u + n, part.z);
+    }
+}
