@@ -3,7 +3,7 @@
 use crate::account;
 use crate::device::Gpu;
 use crate::free::{Felt, states};
-use crate::kernels::{self, Free, Groups, Kernel, Kernels, Role, Sorted, rest_vectors};
+use crate::kernels::{self, Free, Groups, Kernel, Kernels, NearKernels, Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{
     Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, Particles, Piece, STEP_STRIDE, StepConstants, Words,
@@ -223,8 +223,8 @@ pub(crate) struct Clock {
 /// The couplings' laws, where they run: as far as any world has asked.
 #[derive(Default)]
 pub(crate) struct Contact {
-    /// On the host, a step at a time: nodes near bodies are gathered, and scattered again.
-    pub(crate) host: Option<Box<[Kernel; 3]>>,
+    /// On the host, a step at a time: what is near bodies is gathered, and nodes are scattered again.
+    pub(crate) host: Option<Box<NearKernels>>,
     /// On the device.
     device: Option<Box<DeviceContact>>,
 }

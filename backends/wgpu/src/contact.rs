@@ -18,8 +18,6 @@ use std::time::Instant;
 const ON_HOST: &str = "a law runs on the host";
 /// Steps that the status knows of where it does: the last one and the one under way.
 const STEPS: usize = 2;
-/// Behind the passes that gather stands the one that scatters.
-const SCATTER: usize = 2;
 
 /// A block of nodes on the host: velocities and masses.
 struct Block {
@@ -547,10 +545,10 @@ impl WgpuBatch {
         let end = starts.get(slot + 1).copied().unwrap_or(passes.dispatches.len());
         let own = passes.dispatches.drain(starts[slot]..end).collect::<Vec<_>>();
         passes.dispatches.clear();
-        passes.run(step, near[SCATTER..].iter().filter(|_| changed > 0));
+        passes.run(step, Some(&near.scatter).filter(|_| changed > 0));
         passes.dispatches.extend(own);
         if slot < self.substeps {
-            passes.run(step, &near[..SCATTER]);
+            passes.run(step, &near.gather);
         } else {
             passes.run(step, &self.kernels.collect);
         }
@@ -761,7 +759,7 @@ impl WgpuBatch {
             end: self.levels,
         });
         let to_tiles = kernels.watch.iter().chain([&kernels.p2g]);
-        let passes = to_tiles.chain(&kernels.restrict).chain(&kernels.grid).chain(&near[..SCATTER]);
+        let passes = to_tiles.chain(&kernels.restrict).chain(&kernels.grid).chain(&near.gather);
         let dispatches =
             sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1, end: self.levels })).collect();
         let parts = self.with_groups(vec![Part { sorting, dispatches }]);
@@ -810,7 +808,7 @@ impl WgpuBatch {
     fn gather(&mut self) -> Result<Found> {
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let (now, end) = (self.memory.now, self.levels);
-        let dispatches = near[..SCATTER].iter().map(|kernel| Dispatch { kernel, now, step: 1, end }).collect();
+        let dispatches = near.gather.iter().map(|kernel| Dispatch { kernel, now, step: 1, end }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let room = self.near_expected();
         let (status, of_nodes) =
@@ -870,7 +868,7 @@ impl WgpuBatch {
         let count = self.write_changed(visits);
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let (kernels, now) = (&self.kernels, self.memory.now);
-        let back = near[SCATTER..].iter().filter(|_| count > 0);
+        let back = Some(&near.scatter).filter(|_| count > 0).into_iter();
         let passes = back.chain(kernels.to_particles()).chain(kernels.soft()).chain(&kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0, end: self.levels }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);

@@ -758,8 +758,15 @@ fn free_draft(
     }
 }
 
-/// Contact whose law runs on the host: nodes near bodies are gathered for it, then particles, and nodes take what it made of them.
-pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 3] {
+/// Contact whose law runs on the host.
+pub(crate) struct NearKernels {
+    /// Nodes near bodies come to the host, then particles.
+    pub(crate) gather: [Kernel; 2],
+    /// Nodes take what the law made of them.
+    pub(crate) scatter: Kernel,
+}
+
+pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> NearKernels {
     let near: Use = ("near", "vec4<u32>", Role::Near, false);
     let around: Use = ("around", "vec4<i32>", Role::Around, false);
     let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
@@ -775,7 +782,8 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 3] {
         groups,
         checked: true,
     };
-    [
+    let build = |draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft);
+    let gather = [
         draft(
             "gather",
             &gather,
@@ -788,9 +796,9 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> [Kernel; 3] {
             vec![LISTS, CELLS, RECORD, around, written(near), STATUS],
             Groups::Blocks,
         ),
-        draft("scatter_near", include_str!("wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near),
-    ]
-    .map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft))
+    ];
+    let scatter = draft("scatter_near", include_str!("wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near);
+    NearKernels { gather: gather.map(build), scatter: build(scatter) }
 }
 
 /// The text of a pass in which bodies meet nodes, with what these weigh for them, and what it binds besides. Subcycled, a node may be two

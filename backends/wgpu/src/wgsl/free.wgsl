@@ -237,7 +237,8 @@ fn find_touches(k: u32, level: u32, thread: u32) {
                 let block = blocks[start + 4u * turn];
                 let g = block.x;
                 let node = grid[g * 64u + n];
-                let x = (first + vec3<i32>(vec3<u32>(block.y >> 20u, block.y >> 10u, block.y) & vec3<u32>(1023u))) * 4 + local_of(n);
+                let at = vec3<u32>(block.y >> 20u, block.y >> 10u, block.y) & vec3<u32>(1023u);
+                let x = (first + vec3<i32>(at)) * 4 + local_of(n);
                 if any(x < least) || any(x > most) {
                     continue;
                 }
@@ -245,9 +246,8 @@ fn find_touches(k: u32, level: u32, thread: u32) {
                 if mass > layers[layer_now].least {
                     let centre = vec3<f32>(0.5 / shrink) - within;
                     let arm = (vec3<f32>((x << vec3<u32>(level)) - cell) + centre) * H;
-                    let place = vec3<u32>(block.y >> 20u, block.y >> 10u, block.y) & vec3<u32>(1023u);
-                    let room_here = place.x + size.x * (place.y + size.y * place.z);
-                    let press = real(lent[pressed_at(k, level, room_here, n)]).xyz * (step.dt * steps_of(layer_now) / mass);
+                    let room = at.x + size.x * (at.y + size.y * at.z);
+                    let press = real(lent[pressed_at(k, level, room, n)]).xyz * (step.dt * steps_of(layer_now) / mass);
                     let grip = coupling_grip(number, arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], H / shrink, press);
                     if grip.kind != 0u {
                         let normal = vec3<f32>(dot(rows[0], grip.normal), dot(rows[1], grip.normal), dot(rows[2], grip.normal));

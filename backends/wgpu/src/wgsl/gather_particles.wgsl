@@ -7,11 +7,12 @@ var<workgroup> found: atomic<u32>;
 var<workgroup> put: atomic<u32>;
 var<workgroup> slot: u32;
 
-fn is_near(layer: u32, cell: vec3<i32>) -> bool {
+// Is there anything between two cells of a layer that is asked for?
+fn is_asked_for(layer: u32, least: vec3<i32>, most: vec3<i32>) -> bool {
     let boxes = u32(around[0].x);
     for (var b = 0u; b < boxes; b++) {
         let at = 1u + 2u * (layer * boxes + b);
-        if all(cell >= around[at].xyz) && all(cell <= around[at + 1u].xyz) && around[at].w != 0 {
+        if all(most >= around[at].xyz) && all(least <= around[at + 1u].xyz) && around[at].w != 0 {
             return true;
         }
     }
@@ -21,21 +22,24 @@ fn is_near(layer: u32, cell: vec3<i32>) -> bool {
 @compute @workgroup_size(64)
 fn gather_particles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
     let b = group.y * extent.row + group.x;
+    let entry = min(b, extent.block_room - 1u) * ENTRY;
+    let layer = u32(lists[entry].w);
+    let first = lists[entry].xyz * 4;
     if n == 0u {
-        go = 0u;
-        if atomicLoad(&status[HALTED]) == 0u && b < atomicLoad(&status[BLOCKS]) {
-            go = u32(is_live(u32(lists[b * ENTRY].w)));
+        go = u32(atomicLoad(&status[HALTED]) == 0u && b < atomicLoad(&status[BLOCKS]) && is_live(layer));
+        // Tags tell of cells up to two beyond the block.
+        if go == 1u {
+            go = u32(is_asked_for(layer, first - vec3<i32>(2), first + vec3<i32>(5)));
         }
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
-    let layer = u32(lists[b * ENTRY].w);
-    let first = lists[b * ENTRY].xyz * 4;
     let count = cells[b * 64u + n + 1u] - cells[b * 64u + n];
     var own = 0u;
     for (var r = 0u; r < count; r++) {
-        own += u32(is_near(layer, first + cell_of(record_of(slot_of(b, n, r), 0u).w)));
+        let cell = first + cell_of(record_of(slot_of(b, n, r), 0u).w);
+        own += u32(is_asked_for(layer, cell, cell));
     }
     atomicAdd(&found, own);
     workgroupBarrier();
@@ -56,7 +60,7 @@ fn gather_particles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invo
         let q = slot_of(b, n, r);
         let place = record_of(q, 0u);
         let cell = first + cell_of(place.w);
-        if is_near(layer, cell) {
+        if is_asked_for(layer, cell, cell) {
             let to = atomicAdd(&put, 1u);
             let at = (start + to / EACH) * NEAR_BLOCK + 1u + 2u * (to % EACH);
             near[at] = vec4<u32>(bitcast<vec3<u32>>(cell), law_of(place.w));
