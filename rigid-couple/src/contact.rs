@@ -1,8 +1,8 @@
 //! The contact law between grid nodes and rigid surfaces, and its implicit solution for free bodies.
 //!
 //! Particles that overlap a body press on it, each with a force of at most M d² o/(1 − o) along the surface's normal: M is the ground's λ +
-//! 2μ at rest, d the particle's width and o the share of the width by which it overlaps. These forces go to nodes by the weights of the
-//! transfers, and what a node gets bounds what the body may take of the node's velocity in a step. So contact begins where particles are,
+//! 2μ at rest, d the particle's width and o the share of the width by which it overlaps. These forces go to the eight nodes
+//! around, by linear weights, and what a node gets bounds what the body may take of the node's velocity in a step. So contact begins where particles are,
 //! not where nodes are, and what it does in a second does not depend on the step: ground slides into the body until the bound bears its
 //! pressure, by a share p/M of a particle's width.
 //!

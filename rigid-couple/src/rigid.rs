@@ -240,7 +240,7 @@ impl Body {
         let mut forces = vec![DVec3::ZERO; nodes.len()];
         for (particle, press) in nodes.particles.iter().zip(presses) {
             let Some(press) = press else { continue };
-            for (&node, weight) in nodes.cells[particle.cell as usize].iter().zip(particle.weights()) {
+            for (&node, weight) in nodes.cubes[particle.cube as usize].iter().zip(particle.weights()) {
                 if node != NodeBatch::NONE {
                     forces[node as usize] += weight * press;
                 }
@@ -642,7 +642,8 @@ impl Coupling for Rigid {
         let free = self.bodies.iter().filter(|body| body.free().is_some()).map(reach).collect();
         let [table, samples] = self.device_tables()?;
         let sampled = if samples.is_empty() { NO_SAMPLES } else { include_str!("sampled.wgsl") };
-        Some(DeviceLaw { counted: true, wgsl: include_str!("contact.wgsl").to_owned() + sampled, table, samples, free })
+        let wgsl = include_str!("contact.wgsl").to_owned() + sampled;
+        Some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, free })
     }
 
     fn lend(&mut self, time: f64, dt: f64, steps: usize) -> Option<Vec<Lent>> {

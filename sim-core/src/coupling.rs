@@ -80,11 +80,11 @@ impl Aabb {
 /// A particle of the ground near a coupling's bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NearParticle {
-    /// Its cell, as a number in [`NodeBatch::cells`].
-    pub cell: u32,
+    /// The cube of nodes around it, as a number in [`NodeBatch::cubes`].
+    pub cube: u32,
     /// World position [m].
     pub position: Vec3,
-    /// Place in its cell, 0 to 1 along each axis.
+    /// Place between these nodes, 0 to 1 along each axis.
     pub place: Vec3,
     /// Its volume at rest [m³].
     pub volume: f64,
@@ -93,10 +93,18 @@ pub struct NearParticle {
 }
 
 impl NearParticle {
-    /// Its weights on the nodes of the 27 cells around it, z fastest: those of the transfers.
-    pub fn weights(&self) -> [f64; 27] {
-        let along = self.place.map(|f| [0.5 * (1.0 - f) * (1.0 - f), 0.75 - (f - 0.5) * (f - 0.5), 0.5 * f * f]);
-        std::array::from_fn(|n| along[0][n / 9] * along[1][n / 3 % 3] * along[2][n % 3])
+    /// Finds the cube of nodes that a place in a cell, 0 to 1 along each axis, lies in: how many cells on its first node is, 0 or -1 along each
+    /// axis, and the place between its nodes.
+    pub fn between_nodes(in_cell: Vec3) -> ([i32; 3], Vec3) {
+        // Nodes stand at the centres of cells.
+        let first = in_cell.map(|f| if f < 0.5 { -1 } else { 0 });
+        (first, std::array::from_fn(|d| in_cell[d] - 0.5 - f64::from(first[d])))
+    }
+
+    /// Its weights on the eight nodes around it, z fastest: linear along each axis.
+    pub fn weights(&self) -> [f64; 8] {
+        let along = self.place.map(|f| [1.0 - f, f]);
+        std::array::from_fn(|n| along[0][n / 4] * along[1][n / 2 % 2] * along[2][n % 2])
     }
 }
 
@@ -113,16 +121,16 @@ pub struct NodeBatch {
     pub velocity: Vec<Vec3>,
     /// The particles near the bodies, in the backend's fixed order, if the coupling has a [`reach`](Coupling::reach).
     pub particles: Vec<NearParticle>,
-    /// The cells of these particles, each as the numbers of the nodes of the 27 cells around it, z fastest; [`NONE`](Self::NONE) where the
-    /// node is not among these.
-    pub cells: Vec<[u32; 27]>,
+    /// The cubes of nodes around these particles, each as the numbers of its eight nodes, z fastest; [`NONE`](Self::NONE) where the node is not
+    /// among these.
+    pub cubes: Vec<[u32; 8]>,
 }
 
 impl NodeBatch {
     /// The number of no node.
     pub const NONE: u32 = u32::MAX;
     /// How far from a particle the nodes that it acts on are at most, along each axis [cells].
-    pub const SPREAD: f64 = 1.5;
+    pub const SPREAD: f64 = 1.0;
 
     /// Number of nodes.
     pub fn len(&self) -> usize {
@@ -138,7 +146,7 @@ impl NodeBatch {
         self.mass.clear();
         self.velocity.clear();
         self.particles.clear();
-        self.cells.clear();
+        self.cubes.clear();
     }
 }
 
@@ -154,7 +162,7 @@ pub struct DeviceLaw {
     /// - `fn coupling_distance(body: u32, x: vec3<f32>, cell: f32) -> f32`: how far a point is from the body's surface [m], negative inside;
     /// - `fn coupling_press(body: u32, x: vec3<f32>, half: f32, modulus: f32, cell: f32) -> vec3<f32>`: the greatest force with which a particle there
     ///   presses on the body [N], in its frame; `half` is half the particle's width [m], `modulus` its stiffness [Pa]. As for
-    ///   [`NearParticle`], the backend adds these up on nodes by the weights of the transfers; no force may exceed 9 `modulus` (2 `half`)².
+    ///   [`NearParticle`], the backend adds these up on the eight nodes around; no force may exceed 9 `modulus` (2 `half`)².
     ///
     /// For bodies whose motion over a step does not depend on the ground,
     /// - `fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32, press: vec3<f32>) -> vec3<f32>`: what is left of the
@@ -172,6 +180,8 @@ pub struct DeviceLaw {
     /// - `fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f32>, 2>`: the least and greatest corner of the
     ///   body's [`bounds`](Coupling::bounds), from its centre of mass [m], along the world's axes, if `rows` are those of its rotation. On coarser cells it may be larger.
     pub wgsl: String,
+    /// How far beyond `coupling_box` it acts on nodes [cells of their level].
+    pub reach: f64,
     /// What it reads: constant over the run.
     pub table: Vec<[f32; 4]>,
     /// What else it reads, likewise, and may be long, such as sampled distances. Worlds of a batch whose laws have the same share them.

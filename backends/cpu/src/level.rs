@@ -500,33 +500,33 @@ impl<T: Scalar> Level<T> {
         let meets = |&b: &usize| boxes.iter().any(|one| one.meets(&extent(b)));
         let blocks: Vec<usize> = (0..self.grid.occupied.len()).filter(meets).collect();
         let found: Vec<_> = blocks.par_iter().map(|&b| self.near_particles(b, boxes, moduli)).collect();
-        for (cells, particles) in found {
-            let first = batch.cells.len() as u32;
-            batch.cells.extend(cells);
-            batch.particles.extend(particles.into_iter().map(|one| NearParticle { cell: first + one.cell, ..one }));
+        for (cubes, particles) in found {
+            let first = batch.cubes.len() as u32;
+            batch.cubes.extend(cubes);
+            batch.particles.extend(particles.into_iter().map(|one| NearParticle { cube: first + one.cube, ..one }));
         }
     }
 
-    /// A block's particles inside any of the boxes, and their cells.
-    fn near_particles(&self, b: usize, boxes: &[Aabb], moduli: &[f64]) -> (Vec<[u32; 27]>, Vec<NearParticle>) {
-        /// Cells along a side of what a block's particles may lie in.
-        const REACHED: usize = SIDE as usize + 2;
+    /// A block's particles inside any of the boxes, and the cubes of nodes around them.
+    fn near_particles(&self, b: usize, boxes: &[Aabb], moduli: &[f64]) -> (Vec<[u32; 8]>, Vec<NearParticle>) {
+        /// Cubes along a side of what a block's particles may lie in: a cell beyond the block at either end, and half a cell more.
+        const REACHED: usize = SIDE as usize + 3;
         let h = self.h();
         let first = block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
         let absent = [NodeBatch::NONE; CELLS];
         let in_batch = |g: u32| self.batch_block_of.get(g as usize).filter(|&&i| i != NONE);
         let blocks =
             self.grid.nodes_around[b].map(|g| in_batch(g).map_or(&absent, |&i| &self.batch_blocks[i as usize]));
-        let around = |cell: [i32; 3]| -> [u32; 27] {
-            let along = cell.map(|x| [x - 1, x, x + 1].map(|x| (x.div_euclid(SIDE), x.rem_euclid(SIDE) as usize)));
+        let cube = |first: [i32; 3]| -> [u32; 8] {
+            let along = first.map(|x| [x, x + 1].map(|x| (x.div_euclid(SIDE), x.rem_euclid(SIDE) as usize)));
             std::array::from_fn(|n| {
-                let [x, y, z] = [along[0][n / 9], along[1][n / 3 % 3], along[2][n % 3]];
+                let [x, y, z] = [along[0][n / 4], along[1][n / 2 % 2], along[2][n % 2]];
                 blocks[block::neighbour([x.0, y.0, z.0])][block::in_block(x.1, y.1, z.1) / 4]
             })
         };
         let ranges: Vec<_> =
             boxes.iter().map(|one| [one.min, one.max].map(|x| x.map(|x| (x / h).floor() as i32))).collect();
-        let (mut cells, mut particles) = (Vec::new(), Vec::new());
+        let (mut cubes, mut particles) = (Vec::new(), Vec::new());
         let mut numbers = [NodeBatch::NONE; REACHED * REACHED * REACHED];
         for list in &self.store.lists {
             let run = list.runs[b];
@@ -539,25 +539,26 @@ impl<T: Scalar> Level<T> {
                     continue;
                 }
                 let cell = list.cell_of(chunk, lane);
-                let local: [i32; 3] = std::array::from_fn(|d| cell[d] - first[d]);
-                let number = &mut numbers[local.iter().fold(0, |i, x| i * REACHED + (x + 1) as usize)];
+                let (to_first, place) = NearParticle::between_nodes(list.offset_of(chunk, lane));
+                let local: [i32; 3] = std::array::from_fn(|d| cell[d] - first[d] + to_first[d]);
+                let number = &mut numbers[local.iter().fold(0, |i, x| i * REACHED + (x + 2) as usize)];
                 if *number == NodeBatch::NONE {
-                    *number = cells.len() as u32;
-                    cells.push(around(local));
+                    *number = cubes.len() as u32;
+                    cubes.push(cube(local));
                 }
                 // At rims some nodes are the coarser level's, and those in boxes may all be.
-                if cells[*number as usize].iter().any(|&node| node != NodeBatch::NONE) {
+                if cubes[*number as usize].iter().any(|&node| node != NodeBatch::NONE) {
                     particles.push(NearParticle {
-                        cell: *number,
+                        cube: *number,
                         position,
-                        place: list.offset_of(chunk, lane),
+                        place,
                         volume: list.volume0_of(chunk, lane),
                         modulus: moduli[list.material],
                     });
                 }
             }
         }
-        (cells, particles)
+        (cubes, particles)
     }
 
     /// Takes back the velocities of the nodes that were gathered last.

@@ -191,17 +191,15 @@ impl Near {
         }
         if reach > 0.0 {
             let number = |cell: [i32; 3]| numbers.get(&cell).copied().unwrap_or(NodeBatch::NONE);
-            let own = self.particles.iter().filter(|p| p.layer == layer);
-            for of_cell in own.collect::<Vec<_>>().chunk_by(|a, b| a.cell == b.cell) {
-                let cell = of_cell[0].cell;
+            for particle in self.particles.iter().filter(|p| p.layer == layer) {
+                let (to_first, near) = self.near_particle(particle, h, batch.cubes.len() as u32);
                 let nodes = std::array::from_fn(|n| {
-                    let offset = [n / 9, n / 3 % 3, n % 3].map(|x| x as i32 - 1);
-                    number(std::array::from_fn(|d| cell[d] + offset[d]))
+                    let offset = [n / 4, n / 2 % 2, n % 2].map(|x| x as i32);
+                    number(std::array::from_fn(|d| particle.cell[d] + to_first[d] + offset[d]))
                 });
                 if nodes.iter().any(|&node| node != NodeBatch::NONE) {
-                    batch.cells.push(nodes);
-                    let last = batch.cells.len() as u32 - 1;
-                    batch.particles.extend(of_cell.iter().map(|particle| self.near_particle(particle, h, last)));
+                    batch.cubes.push(nodes);
+                    batch.particles.push(near);
                 }
             }
         }
@@ -219,17 +217,19 @@ impl Near {
         Ok(fastest)
     }
 
-    /// A particle as a law sees it, in a cell of the batch that is so wide [m].
-    fn near_particle(&self, particle: &Particle, h: f64, cell: u32) -> NearParticle {
+    /// A particle as a law sees it, on a level with cells so wide [m], in a cube of the batch, and how many cells on the cube's first node is.
+    fn near_particle(&self, particle: &Particle, h: f64, cube: u32) -> ([i32; 3], NearParticle) {
         let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
-        let place = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
-        NearParticle {
-            cell,
-            position: std::array::from_fn(|d| (f64::from(particle.cell[d]) + place[d]) * h),
+        let in_cell = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
+        let (to_first, place) = NearParticle::between_nodes(in_cell);
+        let near = NearParticle {
+            cube,
+            position: std::array::from_fn(|d| (f64::from(particle.cell[d]) + in_cell[d]) * h),
             place,
             volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
             modulus,
-        }
+        };
+        (to_first, near)
     }
 }
 

@@ -696,7 +696,8 @@ pub(crate) fn free(
     let (subcycled, sleeps) = (kernels.solve.is_some(), kernels.watch.is_some());
     let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
     let (layout, setting) = (&kernels.step_layout, &kernels.setting);
-    let of_bodies = [&free_counts(free), include_str!("wgsl/lent.wgsl"), include_str!("wgsl/press_free.wgsl")].concat();
+    let of_bodies =
+        [&free_counts(free, law), include_str!("wgsl/lent.wgsl"), include_str!("wgsl/press_free.wgsl")].concat();
     let press = press_draft("press on free bodies", law, &of_bodies, [vectors, materials], shape, [LENT_BODIES]);
     let press = build(gpu, layout, setting, shape[0], press);
     // Walls that let go come between bodies and rims.
@@ -711,11 +712,12 @@ pub(crate) fn free(
     ([press, build_for(gpu, layout, setting, shape[0], with_rims)], true)
 }
 
-fn free_counts(free: Free) -> String {
+fn free_counts(free: Free, law: &DeviceLaw) -> String {
     format!(
-        "const FREES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\n",
+        "const FREES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst REACH: f32 = {:?};\n",
         free.bodies,
         free.rooms(),
+        law.reach,
     )
 }
 
@@ -728,7 +730,7 @@ fn free_draft(
     free: Free,
 ) -> Draft {
     let tools: Use = ("tools", "vec4<i32>", Role::Tools, true);
-    let counts = free_counts(free) + &format!("const NEAR_TOOL: f32 = {NEAR_TOOL:?};\n");
+    let counts = free_counts(free, law) + &format!("const NEAR_TOOL: f32 = {NEAR_TOOL:?};\n");
     let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
     let awake = if sleeps { include_str!("wgsl/free_awake.wgsl") } else { "" };
     // Nodes of the finest level are no finer one's.

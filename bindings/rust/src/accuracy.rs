@@ -139,7 +139,7 @@ pub struct Cost {
 pub struct Balance {
     /// Energy of ground and free bodies at the end less that at the start [J].
     pub energy_change_j: f64,
-    /// Change of the ground's momentum that gravity, walls and tools do not explain [N s].
+    /// Change of the ground's momentum that gravity, walls, tools and sleep do not explain [N s].
     pub momentum_drift_ns: f64,
     /// Change of the angular momentum of ground and free bodies, about where the first tool was lowest [kg m²/s]: 0 where the
     /// scene is symmetric about it.
@@ -232,7 +232,9 @@ impl Record {
         let (start, end) = (&self.ledger_start, &self.ledger_end);
         let given =
             plus(minus(end.gravity_impulse, start.gravity_impulse), minus(end.wall_impulse, start.wall_impulse));
-        let gained = minus(end.momentum, start.momentum);
+        // Ground that falls asleep, or lies asleep beside ground awake, takes momentum with it.
+        let had = |ledger: &Ledger| plus(ledger.momentum, ledger.slept_momentum);
+        let gained = minus(had(end), had(start));
         let about = self.lowest().unwrap_or_default();
         let spin = |ledger: &Ledger| {
             let p = plus(ledger.momentum, ledger.body_momentum);
@@ -532,10 +534,11 @@ mod tests {
         assert!((crater.volume_cm3 / (1e6 * 0.12 * 0.12 * 0.04) - 1.0).abs() < 0.1, "{crater:?}");
     }
 
-    /// What gravity, a wall and a tool give adds up to what the ground gains, and a turn about the tool stays one.
+    /// What gravity, a wall, a tool and sleep give adds up to what the ground gains, and a turn about the tool stays one.
     #[test]
     fn a_balance_explains_what_it_can() {
-        let mut end = Ledger { momentum: [1.0, 0.0, -4.0], gravity_impulse: [0.0, 0.0, -10.0], ..Ledger::default() };
+        let mut end = Ledger { momentum: [1.0, 0.0, -4.25], gravity_impulse: [0.0, 0.0, -10.0], ..Ledger::default() };
+        end.slept_momentum = [0.0, 0.0, 0.25];
         (end.wall_impulse, end.angular_momentum) = ([1.0, 0.0, 3.0], [0.0, -4.0 - 2.0, 0.0]);
         let tool = Moment { position: [-1.0, 0.0, 2.0], ..Moment::default() };
         let record = Record {
@@ -552,7 +555,7 @@ mod tests {
         };
         let balance = record.balance();
         assert!((balance.momentum_drift_ns - 0.5).abs() < 1e-12, "{balance:?}");
-        // Of what turns about the origin, tool x p = (0, -2, 0) is no turn about the tool.
-        assert!((balance.angular_momentum_change - 4.0).abs() < 1e-12, "{balance:?}");
+        // Of what turns about the origin, tool x p = (0, -2.25, 0) is no turn about the tool.
+        assert!((balance.angular_momentum_change - 3.75).abs() < 1e-12, "{balance:?}");
     }
 }

@@ -32,17 +32,17 @@ fn refusal(tools: &str) -> String {
 
 /// Nodes, and on each a particle so small that it is inside a body or outside, and so stiff that what it presses with bounds nothing.
 fn batch(nodes: &[([f64; 3], f64, [f64; 3])]) -> NodeBatch {
-    let particle = |(cell, node): (u32, &([f64; 3], f64, [f64; 3]))| NearParticle {
-        cell,
+    let particle = |(cube, node): (u32, &([f64; 3], f64, [f64; 3]))| NearParticle {
+        cube,
         position: node.0,
-        place: [0.5; 3],
+        place: [0.0; 3],
         volume: 1e-27,
         modulus: 1e40,
     };
-    let around = |node: u32| std::array::from_fn(|n| if n == 13 { node } else { NodeBatch::NONE });
+    let around = |node: u32| std::array::from_fn(|n| if n == 0 { node } else { NodeBatch::NONE });
     NodeBatch {
         particles: (0..).zip(nodes).map(particle).collect(),
-        cells: (0..nodes.len() as u32).map(around).collect(),
+        cubes: (0..nodes.len() as u32).map(around).collect(),
         cell_width: 0.01,
         position: nodes.iter().map(|n| n.0).collect(),
         mass: nodes.iter().map(|n| n.1).collect(),

@@ -146,7 +146,7 @@ fn ground_asleep_falls_when_its_support_goes() {
         tool("ball", [0.6, 0.5 * side[1], z], "sphere = { radius = 0.02 }", "\"slip\"", motion)
     };
     for more in [vec![gate.clone()], vec![gate.clone(), ball(0.4)]] {
-        let [slept, awake] = ["on = true\nspeed = 5e-3", "on = false"].map(|sleep| {
+        let [slept, awake] = ["on = true\nspeed = 1e-2", "on = false"].map(|sleep| {
             let text = bed(cells, "sand", SAND, sleep, &more).replace(&format!("max = [{:?}", side[0]), "max = [0.64");
             let mut s = gpu(&text);
             run_to(&mut s, 0.4);

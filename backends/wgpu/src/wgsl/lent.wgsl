@@ -60,13 +60,12 @@ fn pressed_at(k: u32, level: u32, room: u32, n: u32) -> u32 {
     return TOUCHES + WORLDS * FREES * EACH * TOUCH * 256u + ((k * LEVELS + level) * ROOMS + room) * 64u + n;
 }
 
-// The least and the greatest node of a level that a body may act on: those of its box, and REACH further.
-const REACH: i32 = 2;
+// The least and the greatest node of a level that a body may act on: those of its box, and REACH cells further.
 fn nodes_near(number: u32, rows: array<vec3<f32>, 3>, cell: vec3<i32>, place: vec3<f32>, level: u32, shrink: f32) -> array<vec3<i32>, 2> {
     let corners = coupling_box(number, rows, H / shrink);
     let base = cell >> vec3<u32>(level);
     // Nodes stand at the centres of cells.
-    let least = base + vec3<i32>(ceil(in_level(cell, place, corners[0], level, shrink) - 0.5)) - vec3<i32>(REACH);
-    let most = base + vec3<i32>(floor(in_level(cell, place, corners[1], level, shrink) - 0.5)) + vec3<i32>(REACH);
+    let least = base + vec3<i32>(ceil(in_level(cell, place, corners[0], level, shrink) - 0.5 - REACH));
+    let most = base + vec3<i32>(floor(in_level(cell, place, corners[1], level, shrink) - 0.5 + REACH));
     return array<vec3<i32>, 2>(least, most);
 }

@@ -1,5 +1,5 @@
 // How particles press on bodies: for each node of a block near one, the sum of their greatest forces [N], in the body's frame. Each particle
-// gives to nodes by the weights of the transfers. Sums are of whole numbers, so that their order does not matter.
+// gives to the eight nodes around it, by linear weights. Sums are of whole numbers, so that their order does not matter.
 
 // These are two: so many of the first one's unit make a modulus times the square of a cell's width, and so many of the second one's the first one's unit.
 const COARSE_UNITS: f32 = 4096.0;
@@ -151,16 +151,18 @@ fn press_of(one: vec2<u32>, body: u32, corner: vec3<f32>, rows: array<vec3<f32>,
     if all(force == vec3<f32>(0.0)) {
         return;
     }
-    let wx = weights(f.x);
-    let wy = weights(f.y);
-    let wz = weights(f.z);
-    for (var k = 0u; k < 27u; k++) {
-        let node = now + offset_of(k);
+    // Nodes stand at the centres of cells.
+    let least = floor(f - 0.5);
+    let beyond = f - 0.5 - least;
+    for (var k = 0u; k < 8u; k++) {
+        let to = vec3<u32>(k >> 2u, (k >> 1u) & 1u, k & 1u);
+        let node = now + vec3<i32>(least) + vec3<i32>(to);
         if any(node < vec3<i32>(0)) || any(node > vec3<i32>(3)) {
             continue;
         }
         let n = u32((node.x << 4u) | (node.y << 2u) | node.z);
-        let part = (wx[k / 9u] * wy[(k / 3u) % 3u] * wz[k % 3u]) * force;
+        let weights = select(1.0 - beyond, beyond, to == vec3<u32>(1u));
+        let part = (weights.x * weights.y * weights.z) * force;
         add_to(n, part.x);
         add_to(64u + n, part.y);
         add_to(128u + n, part.z);

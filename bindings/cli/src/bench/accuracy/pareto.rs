@@ -8,8 +8,10 @@ pub(super) type Point = (f64, f64);
 pub(super) enum Time {
     /// Between two rungs, straight in logarithms.
     Between(f64),
-    /// Beyond an end of the ladder, the nearest two rungs' line carried on.
+    /// Beyond an end of the ladder, the nearest two rungs' line carried on, at the fine end by one more such rung at most.
     Beyond(f64),
+    /// More than one rung beyond the fine end: more than that rung's time.
+    MoreThan(f64),
     /// The ladder's error does not fall towards that end, or there are fewer than two rungs.
     Unknown,
 }
@@ -26,15 +28,23 @@ pub(super) fn time_to(ladder: &[Point], error: f64) -> Time {
         return beyond(first);
     }
     let across = ladder.windows(2).find(|pair| (pair[1].1..=pair[0].1).contains(&error));
-    across.map_or_else(|| beyond(last), |pair| Time::Between(on(pair)))
+    // A line that hardly falls would meet any error in the end, and say nothing.
+    let one_more = last[1].0 * last[1].0 / last[0].0;
+    across.map_or_else(
+        || match beyond(last) {
+            Time::Beyond(seconds) if seconds > one_more => Time::MoreThan(one_more),
+            time => time,
+        },
+        |pair| Time::Between(on(pair)),
+    )
 }
 
 /// Order q and the reference's own error, from two rungs (cell width, error against the reference): an error a hᵠ seen from a
-/// reference of cell `h` is a (hᵠ − h_refᵠ) (Richardson). `None` if no order from 0.1 to 4 fits.
+/// reference of cell `h` is a (hᵠ − h_refᵠ) (Richardson). `None` if no order from 0.5 to 4 fits: rungs whose errors hardly differ tell of none.
 pub(super) fn order(coarse: (f64, f64), fine: (f64, f64), h: f64) -> Option<(f64, f64)> {
     let ratio = |q: f64| (coarse.0.powf(q) - h.powf(q)) / (fine.0.powf(q) - h.powf(q));
     let wanted = coarse.1 / fine.1;
-    let (mut low, mut high) = (0.1, 4.0);
+    let (mut low, mut high) = (0.5, 4.0);
     if !(ratio(low)..=ratio(high)).contains(&wanted) {
         return None;
     }
@@ -60,6 +70,7 @@ mod tests {
         assert!(matches!(time_to(&LADDER, 1.0), Time::Between(seconds) if near(seconds, 8.0)));
         assert!(matches!(time_to(&LADDER, 0.25), Time::Beyond(seconds) if near(seconds, 32.0)));
         assert!(matches!(time_to(&LADDER, 16.0), Time::Beyond(seconds) if near(seconds, 0.5)));
+        assert_eq!(time_to(&LADDER, 0.1), Time::MoreThan(64.0));
         assert_eq!(time_to(&LADDER[..1], 1.0), Time::Unknown);
         assert_eq!(time_to(&[(1.0, 2.0), (4.0, 3.0)], 1.0), Time::Unknown);
     }

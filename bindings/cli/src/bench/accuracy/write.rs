@@ -244,7 +244,7 @@ fn surfaces(report: &Report, out: &mut String) {
              is off by about {} mm: smaller differences mean nothing.\n\n",
             digits(own)
         ),
-        None => "The two finest rungs show no order of convergence from 0.1 to 4 for the height near the tool.\n\n"
+        None => "The two finest rungs show no order of convergence from 0.5 to 4 for the height near the tool.\n\n"
             .to_owned(),
     };
     out.push_str(&text);
@@ -297,7 +297,7 @@ fn balances(report: &Report, out: &mut String) {
     });
     table(out, "What should be kept", &head, rows);
     out.push_str(
-        "Momentum unexplained is what gravity, walls and tools do not account for. Angular momentum is that of ground and free bodies \
+        "Momentum unexplained is what gravity, walls, tools and ground that fell asleep do not account for. Angular momentum is that of ground and free bodies \
          about where the tool was lowest: 0 where the scene is symmetric about it.\n\n",
     );
 }
@@ -387,17 +387,19 @@ fn times(report: &Report, out: &mut String) {
     let head = ["run", "height near, mean error [mm]", "its time [s]", "uniform grids need [s]", "ratio", "how known"];
     let rows = ran(report).filter(|(row, _)| row.entry.levels > 1).map(|(row, f)| {
         let (error, wall) = (f.errors.height_near.mean_mm, f.cost.wall_s);
-        let (seconds, how) = match time_to(&points, error) {
-            Time::Between(seconds) => (Some(seconds), "between two rungs".to_owned()),
-            Time::Beyond(seconds) if seconds > most => {
-                (Some(most), "beyond the finest rung: at most the reference's own time".to_owned())
+        let (seconds, above, how) = match time_to(&points, error) {
+            Time::Between(seconds) => (Some(seconds), "", "between two rungs"),
+            Time::Beyond(seconds) | Time::MoreThan(seconds) if seconds > most => {
+                (Some(most), "", "beyond the finest rung: at most the reference's own time")
             }
-            Time::Beyond(seconds) => (Some(seconds), "beyond the ladder, its line carried on".to_owned()),
-            Time::Unknown => (None, "the ladder's error does not fall that far".to_owned()),
+            Time::Beyond(seconds) => (Some(seconds), "", "beyond the ladder, its line carried on"),
+            Time::MoreThan(seconds) => (Some(seconds), "> ", "more than one rung beyond the ladder"),
+            Time::Unknown => (None, "", "the ladder's error does not fall that far"),
         };
         let mut cells = vec![row.entry.label.clone(), digits(error), digits(wall)];
-        cells.extend([seconds, seconds.map(|s| s / wall)].map(|v| v.map_or("–".to_owned(), digits)));
-        cells.push(how);
+        let figure = |value: f64| format!("{above}{}", digits(value));
+        cells.extend([seconds, seconds.map(|s| s / wall)].map(|v| v.map_or("–".to_owned(), figure)));
+        cells.push(how.to_owned());
         cells
     });
     table(out, "Time to reach the same error near the tool", &head, rows);
