@@ -9,14 +9,21 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
+const OPTIONS: [&str; 6] = ["--count", "--seed", "--steps", "--backend", "--only", "--out"];
 /// Scenes that are tried to find the least one that breaks a rule.
 const TRIES: usize = 400;
 
 fn main() -> ExitCode {
     let mut options: BTreeMap<String, String> = BTreeMap::new();
-    let mut args = std::env::args().skip(1);
-    while let (Some(option), Some(value)) = (args.next(), args.next()) {
-        options.insert(option, value);
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    for pair in args.chunks(2) {
+        match pair {
+            [option, value] if OPTIONS.contains(&option.as_str()) => options.insert(option.clone(), value.clone()),
+            _ => {
+                println!("'{}' is no option with a value; there are {}", pair[0], OPTIONS.join(", "));
+                return ExitCode::from(2);
+            }
+        };
     }
     let number = |name: &str, default: u64| options.get(name).map_or(Some(default), |text| text.parse().ok());
     let (Some(count), Some(seed), Some(steps)) = (number("--count", 1000), number("--seed", 1), number("--steps", 20))
