@@ -7,7 +7,7 @@
 //! this process's instruction set and does nothing else.
 
 use barchan_lanes::Isa;
-use barchan_tests::goldens::{Hashes, compute, file, lines, read};
+use barchan_tests::goldens::{Hashes, adapters, compute, file, lines, read};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -35,7 +35,7 @@ fn run(arguments: &[String]) -> Result<bool, String> {
     }
     let backends: Vec<&str> = match asked {
         Some(one) => vec![one],
-        None if adapters() > 0 => vec!["cpu", "wgpu"],
+        None if !adapters("wgpu").map_err(|e| e.to_string())?.is_empty() => vec!["cpu", "wgpu"],
         None => vec!["cpu"],
     };
     if has("--print") {
@@ -74,11 +74,6 @@ fn run(arguments: &[String]) -> Result<bool, String> {
         keys.into_iter().cloned().collect::<Vec<_>>().join("; ")
     );
     Ok(differ == 0)
-}
-
-fn adapters() -> usize {
-    let registry = barchan::registry();
-    registry.backends().find(|b| b.name() == "wgpu").and_then(|b| b.adapters()).map_or(0, |all| all.len())
 }
 
 /// Hashes of a build of this example, which prints them: on the CPU with each instruction set of the machine.

@@ -3,6 +3,7 @@
 //! Prints for every law, at rest and moving, and for the steps of two scenes, the median time of a step with either and the median of the rounds' ratios, new over old.
 //! Options: `--rounds 9`, `--backend cpu` or `wgpu`, `--threads 2`, `--grid 64`, `--steps 100`.
 
+use barchan_tests::arguments;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -30,12 +31,8 @@ fn run(arguments: &[String]) -> Result<(), String> {
     };
     let mut options: BTreeMap<&str, &str> =
         [("--rounds", "9"), ("--backend", "cpu"), ("--threads", "2"), ("--grid", "64"), ("--steps", "100")].into();
-    for pair in rest.chunks(2) {
-        match pair {
-            [name, value] if options.contains_key(name.as_str()) => options.insert(name, value),
-            _ => return Err(format!("'{}' is no option with a value", pair[0])),
-        };
-    }
+    let known: Vec<&str> = options.keys().copied().collect();
+    options.extend(arguments::options(rest, &known)?);
     let rounds: usize = options["--rounds"].parse().map_err(|_| "--rounds wants a whole number")?;
     let mut found: [BTreeMap<String, Vec<f64>>; 2] = Default::default();
     for round in 0..rounds {

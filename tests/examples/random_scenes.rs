@@ -3,6 +3,7 @@
 //! `--backend wgpu` holds that backend against the CPU besides; `--only SEED` judges one scene and prints it. What breaks a rule is shrunk, printed as
 //! TOML, and written into `--out` (default `out/random`), beside the files that scenes name. Ends with 1 if any scene broke a rule.
 
+use barchan_tests::arguments;
 use barchan_tests::random::{Generator, Judge, Outcome, shrink, write_files};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -14,31 +15,28 @@ const OPTIONS: [&str; 6] = ["--count", "--seed", "--steps", "--backend", "--only
 const TRIES: usize = 400;
 
 fn main() -> ExitCode {
-    let mut options: BTreeMap<String, String> = BTreeMap::new();
     let args: Vec<String> = std::env::args().skip(1).collect();
-    for pair in args.chunks(2) {
-        match pair {
-            [option, value] if OPTIONS.contains(&option.as_str()) => options.insert(option.clone(), value.clone()),
-            _ => {
-                println!("'{}' is no option with a value; there are {}", pair[0], OPTIONS.join(", "));
-                return ExitCode::from(2);
-            }
-        };
-    }
+    let options = match arguments::options(&args, &OPTIONS) {
+        Ok(options) => options,
+        Err(message) => {
+            println!("{message}");
+            return ExitCode::from(2);
+        }
+    };
     let number = |name: &str, default: u64| options.get(name).map_or(Some(default), |text| text.parse().ok());
     let (Some(count), Some(seed), Some(steps)) = (number("--count", 1000), number("--seed", 1), number("--steps", 20))
     else {
         println!("--count, --seed and --steps want whole numbers");
         return ExitCode::from(2);
     };
-    let out = PathBuf::from(options.get("--out").map_or("out/random", String::as_str));
+    let out = PathBuf::from(options.get("--out").unwrap_or(&"out/random"));
     if let Err(error) = std::fs::create_dir_all(&out).and_then(|()| write_files(&out)) {
         println!("{}: {error}", out.display());
         return ExitCode::from(2);
     }
     let registry = barchan::registry();
     let generator = Generator::new(&registry);
-    let judge = Judge::new(registry, &out, steps, options.get("--backend").cloned());
+    let judge = Judge::new(registry, &out, steps, options.get("--backend").map(|&name| name.to_owned()));
     if let Some(only) = options.get("--only").and_then(|seed| seed.parse().ok()) {
         let scene = generator.scene(only);
         println!("{}\n{:#?}", toml::to_string(&scene).unwrap_or_default(), judge.judge(&scene));

@@ -8,8 +8,11 @@ use crate::sketch::{Head, bed, block, box_mesh, damped, driven, half, material, 
 use crate::sleeping;
 use barchan::worlds::Worlds;
 use barchan::{Options, Precision, Result, Simulation};
+use barchan_core::backend::Adapter;
 use barchan_lanes::Isa;
+use fnv::FnvHasher;
 use std::collections::BTreeMap;
+use std::hash::Hasher;
 use std::path::{Path, PathBuf};
 
 /// Steps that are taken in each scene.
@@ -26,12 +29,13 @@ pub fn file() -> PathBuf {
 /// The scenes by name, each as the texts of its worlds. Meshes are written into `folder`.
 pub fn scenes(folder: &Path) -> Vec<(&'static str, Vec<String>)> {
     let cell = 0.05;
-    let falling = |law: &'static str, parameters: &str| {
+    let falling_of = |law: &str, material: String| {
         let walls = "x_min = \"slip\"\ny_min = { separate = { friction = 0.3 } }\nz_min = \"stick\"";
         let shape =
             block(law, [0.1, 0.1, 0.1], [0.4, 0.35, 0.4], "velocity = [-0.5, 0.3, -1.0]\nsampling = \"jitter\"");
-        Head::cells(cell, [16, 16, 16], walls).time("safety = 0.5").with(&[material(law, 1000.0, parameters), shape])
+        Head::cells(cell, [16, 16, 16], walls).time("safety = 0.5").with(&[material, shape])
     };
+    let falling = |law: &str, parameters: &str| falling_of(law, material(law, 1000.0, parameters));
     let of_sand = |more: &[String]| {
         let (head, mut parts) = bed(cell, [16, 8], 4, 12, "young_modulus = 1e5, friction_angle_deg = 30");
         parts.extend_from_slice(more);
@@ -51,15 +55,12 @@ pub fn scenes(folder: &Path) -> Vec<(&'static str, Vec<String>)> {
         head.with(&parts)
     };
     let mesh = format!("mesh = {{ file = {:?} }}", box_mesh(folder, [0.1, 0.06, 0.05]));
-    let damped_fall = falling("hencky", "young_modulus = 1e5").replace(
-        &material("hencky", 1000.0, "young_modulus = 1e5"),
-        &damped("hencky", 1000.0, "young_modulus = 1e5", 1e-3),
-    );
+    let damped = damped("hencky", 1000.0, "young_modulus = 1e5", 1e-3);
     // The blade keeps one end of the bed awake while the other falls asleep.
     let stir = tool("blade", [0.08, 0.08, 0.12], &half([0.03, 0.04, 0.03]), grip, &driven([0.1, 0.0, -0.05]));
     let asleep = sleeping::bed([24, 8, 6], "sand", sleeping::SAND, "on = true\nspeed = 1e-2", &[stir]);
     let worlds = [0.4, 0.6, 0.9].map(|speed| of_sand(&[blade(speed)]));
-    let mut all = vec![
+    vec![
         ("fixed corotated", vec![falling("fixed_corotated", "young_modulus = 1e5")]),
         ("Hencky", vec![falling("hencky", "young_modulus = 1e5")]),
         ("liquid", vec![falling("liquid", "")]),
@@ -67,7 +68,7 @@ pub fn scenes(folder: &Path) -> Vec<(&'static str, Vec<String>)> {
         ("sand", vec![falling("sand", "young_modulus = 1e5")]),
         ("snow", vec![falling("snow", "young_modulus = 1e5")]),
         ("von Mises", vec![falling("von_mises", "young_modulus = 1e5")]),
-        ("damping", vec![damped_fall]),
+        ("damping", vec![falling_of("hencky", damped)]),
         ("driven tool", vec![of_sand(&[blade(0.5)])]),
         (
             "free bodies",
@@ -78,9 +79,16 @@ pub fn scenes(folder: &Path) -> Vec<(&'static str, Vec<String>)> {
         ("levels with steps of their own", vec![levels("subcycle = true\n")]),
         ("sleep", vec![asleep]),
         ("unbounded ground", vec![furrow_scene(5.12, 2.56)]),
-    ];
-    all.push(("worlds", worlds.to_vec()));
-    all
+        ("worlds", worlds.to_vec()),
+    ]
+}
+
+/// What a backend can run on.
+///
+/// # Errors
+/// If there is no such backend.
+pub fn adapters(backend: &str) -> Result<Vec<Adapter>> {
+    Ok(barchan::registry().backend(backend)?.adapters().unwrap_or_default())
 }
 
 /// Runs a scene of one world.
@@ -101,31 +109,30 @@ pub fn run(text: &str, options: &Options) -> Result<Simulation> {
 /// # Errors
 /// Those of the run.
 pub fn hash(worlds: &[String], options: &Options) -> Result<u64> {
-    let mut sum = Fnv::default();
+    let mut sum = FnvHasher::default();
     if let [text] = worlds {
-        sum.take_in(&run(text, options)?);
+        add(&mut sum, &run(text, options)?);
     } else {
         let mut worlds = Worlds::new(&barchan::registry(), worlds.iter().map(|text| scene(text)).collect(), options)?;
         for _ in 0..STEPS {
             worlds.step().into_iter().try_for_each(|report| report.map(drop))?;
         }
-        worlds.iter().for_each(|world| sum.take_in(world));
+        worlds.iter().for_each(|world| add(&mut sum, world));
     }
-    Ok(sum.0)
+    Ok(sum.finish())
 }
 
 /// What computes hashes: the backend with its precision, on a GPU the adapter and its driver, and the instruction set.
 ///
 /// # Errors
-/// If the environment asks for an instruction set that there is not.
+/// If the environment asks for an instruction set that there is not, or the backend has nothing to run on.
 pub fn key(options: &Options) -> std::result::Result<String, String> {
     let isa = Isa::current().map_err(|e| e.to_string())?.name();
     if options.backend == "cpu" {
         return Ok(format!("cpu, {:?}, {isa}", options.precision));
     }
-    let registry = barchan::registry();
-    let adapters = registry.backends().find(|b| b.name() == options.backend).and_then(|backend| backend.adapters());
-    let first = adapters.into_iter().flatten().next().ok_or(format!("no adapter for {}", options.backend))?;
+    let adapters = adapters(&options.backend).map_err(|e| e.to_string())?;
+    let first = adapters.first().ok_or_else(|| format!("no adapter for {}", options.backend))?;
     // Of what an adapter says of itself, up to what it offers.
     let driver = first.doc.split("), ").next().unwrap_or_default();
     Ok(format!("{}, {}, {driver}), {isa}", options.backend, first.name))
@@ -164,41 +171,21 @@ pub fn read(text: &str) -> Hashes {
     text.lines().filter_map(hash_of).collect()
 }
 
-/// The hash FNV-1a, 64 bits.
-struct Fnv(u64);
-
-impl Default for Fnv {
-    fn default() -> Self {
-        Self(0xcbf2_9ce4_8422_2325)
+/// Adds everything that a run leaves to a hash.
+fn add(sum: &mut FnvHasher, simulation: &Simulation) {
+    let mut add = |bits: u64| sum.write(&bits.to_le_bytes());
+    add(simulation.time().to_bits());
+    for row in rows(simulation) {
+        add(row.id);
+        add(row.level.into());
+        let own = row.x.into_iter().chain(row.v).chain(row.c).chain([row.m, row.volume0]);
+        own.chain(row.strain).chain(row.state).for_each(|value| add(value.to_bits()));
     }
-}
-
-impl Fnv {
-    fn add(&mut self, bits: u64) {
-        for byte in bits.to_le_bytes() {
-            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-        }
+    for body in simulation.bodies() {
+        let pose = body.position.into_iter().chain(body.rotation);
+        pose.chain(body.velocity).chain(body.angular_velocity).for_each(|value| add(value.to_bits()));
     }
-
-    fn add_all(&mut self, values: impl IntoIterator<Item = f64>) {
-        values.into_iter().for_each(|value| self.add(value.to_bits()));
-    }
-
-    fn take_in(&mut self, simulation: &Simulation) {
-        self.add_all([simulation.time()]);
-        for row in rows(simulation) {
-            self.add(row.id);
-            self.add(row.level.into());
-            self.add_all(row.x.into_iter().chain(row.v).chain(row.c).chain([row.m, row.volume0]));
-            self.add_all(row.strain.into_iter().chain(row.state));
-        }
-        for body in simulation.bodies() {
-            self.add_all(
-                body.position.into_iter().chain(body.rotation).chain(body.velocity).chain(body.angular_velocity),
-            );
-        }
-        for wrench in simulation.wrenches() {
-            self.add_all(wrench.force.into_iter().chain(wrench.torque));
-        }
+    for wrench in simulation.wrenches() {
+        wrench.force.into_iter().chain(wrench.torque).for_each(|value| add(value.to_bits()));
     }
 }

@@ -191,15 +191,30 @@ impl Near {
         }
         if reach > 0.0 {
             let number = |cell: [i32; 3]| numbers.get(&cell).copied().unwrap_or(NodeBatch::NONE);
-            for particle in self.particles.iter().filter(|p| p.layer == layer) {
-                let (to_first, near) = self.near_particle(particle, h, batch.cubes.len() as u32);
-                let nodes = std::array::from_fn(|n| {
+            let around = |first: [i32; 3]| -> [u32; 8] {
+                std::array::from_fn(|n| {
                     let offset = [n / 4, n / 2 % 2, n % 2].map(|x| x as i32);
-                    number(std::array::from_fn(|d| particle.cell[d] + to_first[d] + offset[d]))
+                    number(std::array::from_fn(|d| first[d] + offset[d]))
+                })
+            };
+            let mut cubes = HashMap::new();
+            for particle in self.particles.iter().filter(|p| p.layer == layer) {
+                let in_cell = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
+                let (to_first, place) = NearParticle::between_nodes(in_cell);
+                let first: [i32; 3] = std::array::from_fn(|d| particle.cell[d] + to_first[d]);
+                let cube = *cubes.entry(first).or_insert_with(|| {
+                    batch.cubes.push(around(first));
+                    batch.cubes.len() as u32 - 1
                 });
-                if nodes.iter().any(|&node| node != NodeBatch::NONE) {
-                    batch.cubes.push(nodes);
-                    batch.particles.push(near);
+                if batch.cubes[cube as usize].iter().any(|&node| node != NodeBatch::NONE) {
+                    let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
+                    batch.particles.push(NearParticle {
+                        cube,
+                        position: std::array::from_fn(|d| (f64::from(particle.cell[d]) + in_cell[d]) * h),
+                        place,
+                        volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
+                        modulus,
+                    });
                 }
             }
         }
@@ -215,21 +230,6 @@ impl Near {
             }
         }
         Ok(fastest)
-    }
-
-    /// A particle as a law sees it, on a level with cells so wide [m], in a cube of the batch, and how many cells on the cube's first node is.
-    fn near_particle(&self, particle: &Particle, h: f64, cube: u32) -> ([i32; 3], NearParticle) {
-        let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
-        let in_cell = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
-        let (to_first, place) = NearParticle::between_nodes(in_cell);
-        let near = NearParticle {
-            cube,
-            position: std::array::from_fn(|d| (f64::from(particle.cell[d]) + in_cell[d]) * h),
-            place,
-            volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
-            modulus,
-        };
-        (to_first, near)
     }
 }
 

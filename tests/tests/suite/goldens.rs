@@ -2,6 +2,7 @@
 
 use barchan::{Options, Simulation};
 use barchan_tests::goldens::{compute, file, read, run, scenes};
+use barchan_tests::sleeping::asleep;
 
 /// Every law, levels, sleep, bodies, worlds and unbounded ground on the CPU, in both precisions, against the hashes that are kept.
 #[test]
@@ -37,8 +38,7 @@ fn kept_scenes_do_what_they_are_called_after() {
         );
     }
     let s = run("sleep");
-    let asleep = count(&s, "particles asleep now");
-    assert!(asleep > 0 && (asleep as usize) < s.particle_count(), "sleep: {asleep} asleep");
+    assert!((1..s.particle_count() as u64).contains(&asleep(&s)), "sleep: {} asleep", asleep(&s));
     let archive = run("unbounded ground").particles().archive;
     assert!(!archive.is_empty(), "unbounded ground: nothing was left behind");
     for name in ["driven tool", "free bodies", "mesh"] {
