@@ -1,6 +1,6 @@
 //! Backends: where particles live and a step is carried out.
 
-use crate::{BodyState, Coupling, Ledger, ParticleState, Plan, Result, Spot, Tile, Wrench};
+use crate::{BodyState, Coupling, Form, Ledger, ParticleState, Plan, Result, Spot, Stage, Tile, Wrench};
 
 /// A way to run a plan, such as `cpu`.
 pub trait Backend: Send + Sync {
@@ -13,6 +13,8 @@ pub trait Backend: Send + Sync {
     fn adapters(&self) -> Option<Vec<Adapter>> {
         None
     }
+    /// Has it this form of a stage? A plan with a stage that it cannot carry out is refused by the stage's name.
+    fn has_form(&self, stage: Stage, form: Form) -> bool;
     /// Finds out what [`compile`](Self::compile) would refuse of the plan, without building anything.
     ///
     /// # Errors

@@ -7,10 +7,11 @@ use crate::levels::{
 };
 use crate::material::ErrorBuffer;
 use crate::scene::{Body, Export, Leaving, MaterialSpec, Motion, OverBound, Wall, nearest, plain};
+use crate::schedule::{Form, Needs, Schedule, Stage};
 use crate::seed::Terrain;
 use crate::simulation::Options;
 use crate::stiffness::{Damping, Moduli, Stiffness};
-use crate::{Coupling, Error, Material, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
+use crate::{Backend, Coupling, Error, Material, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
 use barchan_abi as abi;
 use barchan_lanes::Isa;
 use std::collections::HashSet;
@@ -70,45 +71,6 @@ impl std::str::FromStr for Precision {
             "f64" => Ok(Self::F64),
             _ => Err(format!("'{text}' is no precision; use f32 or f64")),
         }
-    }
-}
-
-/// A stage of the step, as backends understand it. A backend lacking one is refused by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Stage {
-    /// Particles into blocks and cells.
-    Sort,
-    /// Particles to grid, the material update inside.
-    P2G,
-    /// Nodes at the rim of a finer level handed to the next coarser one.
-    Restrict,
-    /// Node sums, gravity and walls.
-    GridUpdate,
-    /// Couplings on the nodes near their bodies.
-    Contact,
-    /// Velocities of the next coarser level handed to the rim of a finer one.
-    Prolong,
-    /// Grid to particles, and advection.
-    G2P,
-    /// Regions moved after their agents, particles split and merged.
-    Adapt,
-    /// Ground brought in as agents come near, and put away behind them.
-    Archive,
-}
-
-impl fmt::Display for Stage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Sort => "sort",
-            Self::P2G => "P2G",
-            Self::Adapt => "adapt",
-            Self::Archive => "archive",
-            Self::Restrict => "restrict",
-            Self::Prolong => "prolong",
-            Self::GridUpdate => "grid update",
-            Self::Contact => "contact",
-            Self::G2P => "G2P",
-        })
     }
 }
 
@@ -180,8 +142,8 @@ pub struct Plan {
     pub couplings: Vec<String>,
     /// Effects and reasons.
     pub effects: Vec<Effect>,
-    /// Stages in order.
-    pub stages: Vec<Stage>,
+    /// The stages of a step, in order.
+    pub schedule: Schedule,
     /// Number of particles at the start.
     pub particle_count: usize,
     /// Estimated resident bytes: particles, grid.
@@ -352,7 +314,7 @@ impl Plan {
             slow: slow(&scene, &materials),
             couplings: kinds.into_iter().map(|(kind, _)| kind).collect(),
             effects: Vec::new(),
-            stages: Vec::new(),
+            schedule: Schedule::new(Needs::default()),
             particle_count: particles.lists.iter().map(ParticleList::len).sum(),
             memory: (0, 0),
             bound,
@@ -370,18 +332,41 @@ impl Plan {
             }
         };
         plan.memory = plan.estimate_memory(&particles);
-        plan.stages = plan.list_stages();
+        plan.schedule = Schedule::new(plan.needs());
         let by_level =
             particles.lists.chunks(plan.materials.len().max(1)).map(|level| level.iter().map(ParticleList::len).sum());
         let live = particles.levels.as_ref().map_or(0, |phase| phase.live.len());
         plan.effects = plan.list_effects(&by_level.collect::<Vec<usize>>(), live);
         plan.warn(registry, &couplings)?;
+        // An unknown backend is found out when it is to compile the plan.
+        if let Ok(backend) = registry.backend(&options.backend) {
+            plan.check_forms(backend.as_ref())?;
+        }
         Ok((plan, particles, couplings))
     }
 
     /// Is the stage part of the plan?
     pub fn has(&self, stage: Stage) -> bool {
-        self.stages.contains(&stage)
+        self.schedule.has(stage)
+    }
+
+    /// Holds the stages to the forms that a backend has.
+    ///
+    /// # Errors
+    /// [`Error::Missing`], which names the first stage that it cannot carry out.
+    pub fn check_forms(&self, backend: &dyn Backend) -> Result<()> {
+        let form = Form::Forward;
+        let lacks = |stage: &Stage| !backend.has_form(*stage, form);
+        self.schedule.stages().into_iter().find(lacks).map_or(Ok(()), |stage| {
+            Err(Error::Missing {
+                kind: "backend",
+                name: backend.name().to_owned(),
+                origin: "registered".to_owned(),
+                what: format!("{form} of the stage '{stage}'"),
+                why: format!("a step of this scene goes {}", self.schedule.to_string().replace('\n', "; ")),
+                mend: "choose another backend".to_owned(),
+            })
+        })
     }
 
     /// Does a tool move freely, so that forces act both ways?
@@ -492,20 +477,16 @@ impl Plan {
         (bytes, blocks.len() as u64 * BLOCK_BYTES * width)
     }
 
-    fn list_stages(&self) -> Vec<Stage> {
-        let (ground, levels) = (self.particle_count > 0, self.cell_widths.len() > 1);
-        let in_order = [
-            (Stage::Archive, ground && self.terrain.is_some()),
-            (Stage::Adapt, ground && levels),
-            (Stage::Sort, ground),
-            (Stage::P2G, ground),
-            (Stage::Restrict, ground && levels),
-            (Stage::GridUpdate, ground),
-            (Stage::Contact, !self.couplings.is_empty()),
-            (Stage::Prolong, ground && levels),
-            (Stage::G2P, ground),
-        ];
-        in_order.into_iter().filter(|(_, called_for)| *called_for).map(|(stage, _)| stage).collect()
+    fn needs(&self) -> Needs {
+        Needs {
+            // Without a body there is no list that particles could come into.
+            ground: !self.materials.is_empty(),
+            levels: self.cell_widths.len(),
+            subcycled: self.substeps > 1,
+            sleeps: self.slow > 0.0,
+            unbounded: self.terrain.is_some(),
+            bodies: !self.couplings.is_empty(),
+        }
     }
 
     fn list_effects(&self, particles_by_level: &[usize], live: usize) -> Vec<Effect> {
@@ -1091,8 +1072,9 @@ impl fmt::Display for Plan {
         writeln!(f, "step      {:.3e} s; bound {:.3e} s by {}", self.dt, self.bound.dt, self.bound.by)?;
         let isas: Vec<_> = Isa::available().map(Isa::name).collect();
         writeln!(f, "isa       {}, by BARCHAN_ISA one of {}", self.isa.name(), isas.join(", "))?;
-        let stages: Vec<_> = self.stages.iter().map(Stage::to_string).collect();
-        writeln!(f, "stages    {}", if stages.is_empty() { "none".to_owned() } else { stages.join(" -> ") })?;
+        for (i, line) in self.schedule.to_string().lines().enumerate() {
+            writeln!(f, "{:10}{line}", if i == 0 { "stages" } else { "" })?;
+        }
         let width = |pick: fn(&Effect) -> &str, head: &str| {
             self.effects.iter().map(|e| pick(e).chars().count()).chain([head.len()]).max().unwrap_or(0)
         };

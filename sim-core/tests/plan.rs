@@ -42,7 +42,8 @@ fn names(effects: &[Effect]) -> Vec<&str> {
 #[test]
 fn a_plan_holds_what_is_called_for_and_why() {
     let plan = plan(&scene("")).unwrap();
-    assert_eq!(plan.stages, [Stage::Sort, Stage::P2G, Stage::GridUpdate, Stage::G2P]);
+    let ground = [Stage::SORT, Stage::SLEEP, Stage::P2G, Stage::GRID_UPDATE, Stage::LIMIT, Stage::G2P];
+    assert_eq!(plan.schedule.stages(), ground);
     assert_eq!(
         names(&plan.effects),
         [
@@ -63,7 +64,11 @@ fn a_plan_holds_what_is_called_for_and_why() {
     // 12 cell, 12 offset, 8 id, 2 body, 12 velocity, 36 affine, 4 mass, 4 volume, 28 strain and state; 2³ blocks.
     assert_eq!(plan.memory, (4096 * 118, 8 * 9 * 1024));
     let text = plan.to_string();
-    for part in ["particles 4096", "stages    sort -> P2G -> grid update -> G2P", "world.walls.z_min = \"stick\""] {
+    for part in [
+        "particles 4096",
+        "stages    when due: sort\n          each step: sleep -> P2G -> grid update -> limit -> G2P\n",
+        "world.walls.z_min = \"stick\"",
+    ] {
         assert!(text.contains(part), "{text}");
     }
 }
@@ -73,7 +78,7 @@ fn tools_bring_contact_and_free_ones_both_ways() {
     let tool = "[[tool]]\nname = 'plate'\nposition = [0.5, 0.2, 0.5]\nshape = { box = { half = [0.1, 0.1, 0.1] } }";
     let driven = plan(&scene(tool)).unwrap();
     assert_eq!(driven.couplings, ["rigid"]);
-    assert!(driven.has(Stage::Contact) && !driven.two_way());
+    assert!(driven.has(Stage::CONTACT) && !driven.two_way());
     assert!(names(&driven.effects).contains(&"contact with tool plate"));
     assert!(driven.warnings.contains(&"boxes do not turn".to_owned()));
     let free = plan(&scene(&format!("{tool}\nmotion = {{ free = {{ mass = 1 }} }}"))).unwrap();
@@ -87,7 +92,7 @@ fn what_is_declared_but_unused_is_no_part_of_the_plan() {
     let rest = "[[material]]\nname = 'spare'\nlaw = 'fluid'\ndensity = 1\n[[coupling]]\nkind = 'rigid'";
     let plan = plan(&scene(rest)).unwrap();
     assert_eq!(plan.materials.len(), 1);
-    assert!(plan.couplings.is_empty() && !plan.has(Stage::Contact));
+    assert!(plan.couplings.is_empty() && !plan.has(Stage::CONTACT));
     let unused: Vec<_> = plan.effects.iter().filter(|e| e.adds == "costs nothing").collect();
     assert_eq!(unused[0].name, "declared but unused: material spare");
     assert_eq!(unused[1].name, "declared but unused: coupling rigid");
@@ -105,7 +110,7 @@ fn an_empty_scene_has_no_stages_and_a_finite_step() {
     )
     .unwrap();
     let plan = plan(&scene).unwrap();
-    assert!(plan.stages.is_empty() && plan.particle_count == 0 && plan.memory == (0, 0));
+    assert!(plan.schedule.stages().is_empty() && plan.particle_count == 0 && plan.memory == (0, 0));
     assert!(plan.bound.dt.is_infinite() && plan.dt > 0.0 && plan.dt <= 0.05);
 }
 

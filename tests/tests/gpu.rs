@@ -3,7 +3,9 @@
 
 use barchan::scene::{CouplingSpec, Leaving, Motion, OverBound, Scene, Shape, Time, Wall};
 use barchan::worlds::Worlds;
-use barchan::{Backend, Error, Ledger, Options, ParticleState, Plan, Precision, Registry, Simulation, Spot, Vec3};
+use barchan::{
+    Backend, Error, Form, Ledger, Options, ParticleState, Plan, Precision, Registry, Simulation, Spot, Stage, Vec3,
+};
 use barchan_tests::long_cases::{FURROW_CELL, furrow_depth, furrow_scene};
 use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
 use barchan_tests::sketch::{Head, PERIODIC, bed, block, box_mesh, driven, half, material, tool};
@@ -656,6 +658,9 @@ impl Backend for Held {
     }
     fn doc(&self) -> &str {
         self.0.doc()
+    }
+    fn has_form(&self, stage: Stage, form: Form) -> bool {
+        self.0.has_form(stage, form)
     }
     fn check(&self, plan: &Plan) -> barchan::Result<()> {
         self.0.check(plan)

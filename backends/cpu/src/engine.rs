@@ -3,16 +3,18 @@
 use crate::isolated;
 use crate::level::{Level, Shares, Stopped, greater};
 use crate::sleep::Lulled;
+use crate::step::{self, Forward};
 use crate::store::{Departures, List};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
 use barchan_core::material::ErrorBuffer;
-use barchan_core::plan::{PlannedMaterial, loaded};
+use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
+use barchan_core::schedule::Call;
 use barchan_core::stiffness::{Need, Stiffness};
 use barchan_core::{
-    Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene, SortPhase, Spot,
-    StepReport,
+    Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene, Schedule,
+    SortPhase, Spot, Stage, StepReport,
 };
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
@@ -41,7 +43,7 @@ pub(crate) const MAX_DRIFT: f64 = 1.0;
 pub(crate) const MAX_MOVE: f64 = 0.5;
 /// So no node that a particle feels may carry one further than this in a step, in cells; those that hardly weigh anything may
 /// add the rest.
-const NODE_MOVE: f64 = 0.48;
+pub(crate) const NODE_MOVE: f64 = 0.48;
 /// Strain is applied in parts that deform by no more than this.
 const MAX_DEFORMATION: f64 = 0.5;
 /// More parts than any motion needs that the grid gave: nodes move by half a cell at most.
@@ -113,8 +115,9 @@ pub(crate) struct CpuEngine<T: Scalar> {
     pub(crate) materials: Vec<PlannedMaterial>,
     pub(crate) levels: Vec<Level<T>>,
     pub(crate) adapt: Adapt,
-    /// Steps of the finest level in one step.
-    substeps: u32,
+    pub(crate) schedule: Schedule,
+    /// Its calls, with what carries them out.
+    pub(crate) calls: Arc<[(Call, Forward<T>)]>,
     leaving: Leaving,
     pub(crate) scene: Scene,
     /// Gravity of the present step [m/s²].
@@ -122,7 +125,7 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Steps since the last sort; `None` before the first one.
     pub(crate) age: Option<u32>,
     /// Nodes lighter than this carry nothing that a particle could feel [kg].
-    least_mass: f64,
+    pub(crate) least_mass: f64,
     /// Stiffness bound when it was measured last, and the steps since then.
     stiffness: Bound,
     stiffness_age: u32,
@@ -130,7 +133,7 @@ pub(crate) struct CpuEngine<T: Scalar> {
     spoilt: bool,
     /// Does any material harden, so that the bound follows the state?
     hardens: bool,
-    steps: u64,
+    pub(crate) steps: u64,
     /// Mass of all live particles [kg].
     pub(crate) mass: f64,
     departures: Departures,
@@ -141,7 +144,7 @@ pub(crate) struct CpuEngine<T: Scalar> {
     damped: f64,
     /// What is live, and the archive of what was, if not the whole world is.
     pub(crate) reach: Option<Reach>,
-    shortened: u64,
+    pub(crate) shortened: u64,
     parted: u64,
     gravity_impulse: [f64; 3],
     batch: NodeBatch,
@@ -164,7 +167,8 @@ impl<T: Scalar> CpuEngine<T> {
             materials: plan.materials.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             adapt: Adapt::new(plan),
-            substeps: plan.substeps,
+            calls: step::calls(&plan.schedule),
+            schedule: plan.schedule.clone(),
             leaving: plan.scene.world.leaving,
             scene: plan.scene.clone(),
             gravity: plan.gravity,
@@ -197,7 +201,7 @@ impl<T: Scalar> CpuEngine<T> {
     fn keep_in_order(&mut self, time: f64, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
         // A subcycled step moves particles several times before they can be sorted; and who leaves the world is to be found within a cell.
         let allowed = |level: &Level<T>| {
-            let soon = self.substeps > 1 || (self.leaving == Leaving::Error && level.near_open);
+            let soon = self.schedule.slots > 1 || (self.leaving == Leaving::Error && level.near_open);
             let puts_back = self.leaving == Leaving::Clamp && level.near_open;
             if puts_back {
                 PUT_BACK_DRIFT
@@ -216,7 +220,7 @@ impl<T: Scalar> CpuEngine<T> {
             return Ok(false);
         }
         let mut holes = vec![false; self.levels.len()];
-        if self.levels.len() > 1 {
+        if self.schedule.has(Stage::ADAPT) {
             let exchanged = self.exchange_with_archive(time, couplings)?;
             let stirred: Vec<bool> =
                 self.levels.iter().zip(&due).map(|(level, due)| *due || level.drift > MARGIN_DRIFT).collect();
@@ -289,10 +293,11 @@ impl<T: Scalar> CpuEngine<T> {
         self.hold_edges();
     }
 
-    /// P2G of some levels, side by side. Strain is up to date afterwards.
+    /// P2G of some levels in a step of `dt` of all, side by side. Strain is up to date afterwards.
     pub(crate) fn particles_to_grid(&mut self, levels: Range<usize>, dt: f64) -> Result<()> {
         let clock = Instant::now();
-        let steps: Vec<Step> = levels.clone().map(|l| self.whole_step(l, dt)).collect::<Result<_>>()?;
+        let steps: Vec<Step> =
+            levels.clone().map(|l| self.whole_step(l, self.schedule.dt_of(l, dt))).collect::<Result<_>>()?;
         self.parted += steps.iter().filter(|step| step.strain_parts > 1).count() as u64;
         let (isa, materials) = (self.isa, self.materials.len());
         let one = |(level, step): (&mut Level<T>, &Step)| level.particles_to_grid(isa, step, materials);
@@ -322,57 +327,14 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(Step { strain_parts: (parts as u32).max(1), ..self.step_of(l, dt) })
     }
 
-    /// Decides which of a level's ground sleeps in its next step.
-    pub(crate) fn keep_watch(&mut self, l: usize, couplings: &[Box<dyn Coupling>]) {
-        let clock = Instant::now();
-        if self.levels[l].keep_watch(couplings, &mut self.lulled) {
-            self.clocks.add(Pass::Sleep, clock);
-        }
-    }
-
     /// Steps that a level takes in one of the simulation.
     fn steps_within(&self, l: usize) -> u32 {
-        (self.substeps >> l).max(1)
+        (self.schedule.slots as u32 >> l).max(1)
     }
 
     pub(crate) fn step_of(&self, l: usize, dt: f64) -> Step {
         let level = &self.levels[l];
         Step { h: level.h(), dt, strain_dt: level.strain_dt, strain_parts: 1, gravity: self.gravity, frozen: false }
-    }
-
-    pub(crate) fn least_mass(&self) -> f64 {
-        self.least_mass
-    }
-
-    pub(crate) fn steps(&self) -> u64 {
-        self.steps
-    }
-
-    /// Node sums of all levels, finest first: each hands what its rim holds to the next.
-    fn update_grids(&mut self) {
-        let clock = Instant::now();
-        let mut finer: Option<&mut Level<T>> = None;
-        for level in &mut self.levels {
-            level.update_grid(self.isa, self.least_mass, finer.map(|finer| &finer.grid), false);
-            finer = Some(level);
-        }
-        self.clocks.add(Pass::Grid, clock);
-    }
-
-    /// Velocities of all rims, coarsest first. They read what stands behind walls that let go, too.
-    fn prolong(&mut self) {
-        if self.levels.len() == 1 {
-            return;
-        }
-        let clock = Instant::now();
-        for l in (1..self.levels.len()).rev() {
-            if let ([.., finer], [coarser, ..]) = self.levels.split_at_mut(l) {
-                coarser.mirror_separated();
-                finer.prolong(self.isa, &coarser.grid);
-                finer.max_speed = greater(finer.max_speed, coarser.max_speed);
-            }
-        }
-        self.clocks.add(Pass::Prolong, clock);
     }
 
     /// Turns a fault of a transfer into what a user can act upon.
@@ -473,90 +435,6 @@ impl<T: Scalar> CpuEngine<T> {
         first.map(|(_, field, l, chunk, lane, value)| self.non_finite(field, l, chunk, lane, value, count))
     }
 
-    /// P2G and the grid update. Are nodes too fast for the step, as they are before bodies act on them?
-    fn ground_to_nodes(&mut self, time: f64, dt: f64) -> Result<bool> {
-        self.particles_to_grid(0..self.levels.len(), dt).map_err(|error| at_time(error, time))?;
-        self.update_grids();
-        let moves = self.greatest_move(dt);
-        if moves.is_finite() {
-            return Ok(moves > NODE_MOVE);
-        }
-        let error = self.find_non_finite().unwrap_or_else(|| Error::NonFinite {
-            step: self.steps,
-            time,
-            field: "node velocity",
-            particle: 0,
-            list: loaded(&self.materials),
-            value: moves,
-            count: 0,
-        });
-        Err(at_time(error, time))
-    }
-
-    /// The step that is short enough where one of `dt` would carry particles by so many cells. It begins anew.
-    fn shorten(&mut self, dt: f64, moves: f64) -> f64 {
-        self.levels.iter_mut().for_each(|level| level.wall_impulse = [0.0; 3]);
-        self.shortened += 1;
-        dt * (0.9 * NODE_MOVE / moves).max(0.1)
-    }
-
-    /// One step of all levels together. Returns the step taken [s].
-    ///
-    /// 1. Particles give to nodes.
-    /// 2. Bodies act on the nodes. Where ground is squeezed, nodes that hardly weigh anything shoot off into the body that squeezes it, and
-    ///    are held there: only what is too fast behind that has everything repeated with a shorter step.
-    /// 3. Particles take their velocities.
-    fn advance_together(
-        &mut self,
-        time: f64,
-        mut dt: f64,
-        ground: bool,
-        couplings: &mut [Box<dyn Coupling>],
-    ) -> Result<f64> {
-        if ground {
-            (0..self.levels.len()).for_each(|l| self.keep_watch(l, couplings));
-        } else {
-            self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
-        }
-        loop {
-            let is_fast = ground && self.ground_to_nodes(time, dt)?;
-            let before = self.before_contact(time, dt, couplings);
-            self.contact(time, dt, couplings)?;
-            if is_fast {
-                self.levels.iter_mut().for_each(|level| level.find_speed(self.least_mass));
-            }
-            let moves = self.greatest_move(dt);
-            if moves <= NODE_MOVE * (1.0 + 1e-9) {
-                break;
-            }
-            if !moves.is_finite() || before.is_empty() && !is_fast {
-                return Err(Error::TimeStep {
-                    step: self.steps,
-                    dt,
-                    bound: NODE_MOVE * dt / moves,
-                    by: "the speed that a coupling gave to a node".into(),
-                });
-            }
-            for (coupling, before) in couplings.iter_mut().zip(&before) {
-                coupling.restore(before).map_err(|what| cannot_go_back(&**coupling, what))?;
-            }
-            dt = self.shorten(dt, moves);
-        }
-        if ground {
-            self.prolong();
-            let clock = Instant::now();
-            let isa = self.isa;
-            self.levels[0].mirror_separated();
-            self.levels.par_iter_mut().for_each(|level| level.grid_to_particles(isa, dt));
-            (0..self.levels.len()).for_each(|l| self.book_sleepers(l, dt));
-            self.clocks.add(Pass::G2P, clock);
-        }
-        for coupling in couplings {
-            coupling.after_step(time, dt)?;
-        }
-        Ok(dt)
-    }
-
     /// Books what a level's ground asleep took in its step that has just ended, and what gravity did not give to it.
     pub(crate) fn book_sleepers(&mut self, l: usize, dt: f64) {
         let asleep = self.levels[l].watch.mass;
@@ -567,7 +445,7 @@ impl<T: Scalar> CpuEngine<T> {
 
     /// Carries strain of levels up to where their particles are, before some change to a level with another step.
     pub(crate) fn flush_strain(&mut self, time: f64, concerned: &[bool]) -> Result<()> {
-        if self.substeps == 1 || self.age.is_none() {
+        if self.schedule.slots == 1 || self.age.is_none() {
             return Ok(());
         }
         for l in (0..self.levels.len()).filter(|&l| concerned[l]) {
@@ -579,36 +457,10 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(())
     }
 
-    /// How far nodes would carry particles in a step, in cells of their level.
-    fn greatest_move(&self, dt: f64) -> f64 {
-        self.levels.iter().fold(0.0, |most, level| greater(level.max_speed * dt / level.h(), most))
-    }
-
-    /// The couplings before a step's contact, if that might make nodes too fast; else nothing. A law leaves no more of a node's velocity relative
-    /// to a surface than it had, so that it gives a node twice the surface's speed at most.
-    fn before_contact(&self, time: f64, dt: f64, couplings: &[Box<dyn Coupling>]) -> Vec<Vec<u8>> {
-        let finest = self.levels[0].h();
-        let bodies =
-            couplings.iter().fold(0.0, |most: f64, coupling| most.max(coupling.max_speed(time, dt))) * dt / finest;
-        let might = 3f64.sqrt() * self.greatest_move(dt) + 2.0 * bodies > NODE_MOVE;
-        if might { couplings.iter().map(|coupling| coupling.save()).collect() } else { Vec::new() }
-    }
-
-    /// Hands the nodes near each coupling's bodies to it, and takes back their velocities. Where none is near, nothing is run.
-    fn contact(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<()> {
-        for coupling in couplings.iter_mut() {
-            coupling.before_step(time, dt)?;
-        }
-        for l in 0..self.levels.len() {
-            self.touch(l, dt, couplings)?;
-        }
-        Ok(())
-    }
-
     /// Contact on one level. Returns whether there were any nodes.
     pub(crate) fn touch(&mut self, l: usize, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<bool> {
         let clock = Instant::now();
-        let (level, subcycled, mut reached) = (&mut self.levels[l], self.substeps > 1, false);
+        let (level, subcycled, mut reached) = (&mut self.levels[l], self.schedule.slots > 1, false);
         for coupling in couplings {
             let (bounds, reach) = (coupling.bounds(), coupling.reach());
             let grown = |by: f64| -> Vec<_> { bounds.iter().map(|one| one.grown(by * level.h())).collect() };
@@ -660,7 +512,7 @@ impl<T: Scalar> CpuEngine<T> {
     }
 }
 
-fn cannot_go_back(coupling: &dyn Coupling, what: String) -> Error {
+pub(crate) fn cannot_go_back(coupling: &dyn Coupling, what: String) -> Error {
     Error::Body {
         path: format!("coupling '{}'", coupling.name()),
         what: format!("cannot go back to the start of the step: {what}"),
@@ -827,11 +679,13 @@ impl<T: Scalar> CpuEngine<T> {
         let before = if ground { self.follow_agents(couplings) } else { None };
         let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
         self.gravity = self.scene.gravity_at(time);
-        let (dt, wrenches) = if self.substeps > 1 && ground {
-            let wrenches = self.advance_subcycled(time, dt, couplings)?;
-            (dt, Some(wrenches))
+        let (dt, wrenches) = if ground {
+            self.carry_out(time, dt, couplings)?
         } else {
-            (self.advance_together(time, dt, ground, couplings)?, None)
+            self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
+            couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))?;
+            couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))?;
+            (dt, None)
         };
         for level in &mut self.levels {
             let impulse = std::mem::take(&mut level.wall_impulse);
@@ -866,7 +720,7 @@ impl<T: Scalar> CpuEngine<T> {
         }
         for l in 0..self.levels.len() {
             // It was saved for the finest level.
-            let strain_dt = particles.strain_dt * f64::from(self.substeps / self.steps_within(l));
+            let strain_dt = particles.strain_dt * f64::from(self.steps_within(0) / self.steps_within(l));
             let level = &mut self.levels[l];
             let blocks: Option<Vec<_>> = particles.sort.as_ref().map(|sort| {
                 let all = sort.blocks.iter().zip(&sort.rest);

@@ -12,10 +12,10 @@ mod isolated;
 mod level;
 mod memory;
 mod sleep;
+mod step;
 mod store;
-mod subcycle;
 
-use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result, Stage};
+use barchan_core::{Backend, Engine, Error, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
 use barchan_grid::transfer::MAX_STATE;
 use std::sync::Arc;
 
@@ -33,28 +33,12 @@ impl Backend for Cpu {
          the same bits for any number of threads."
     }
 
+    fn has_form(&self, stage: Stage, form: Form) -> bool {
+        form == Form::Forward && step::forward::<f32>(stage).is_some()
+    }
+
     fn check(&self, plan: &Plan) -> Result<()> {
-        const FORMS: [Stage; 9] = [
-            Stage::Archive,
-            Stage::Adapt,
-            Stage::Sort,
-            Stage::P2G,
-            Stage::Restrict,
-            Stage::GridUpdate,
-            Stage::Contact,
-            Stage::Prolong,
-            Stage::G2P,
-        ];
-        if let Some(stage) = plan.stages.iter().find(|stage| !FORMS.contains(stage)) {
-            return Err(Error::Missing {
-                kind: "backend",
-                name: self.name().into(),
-                origin: "built-in".into(),
-                what: format!("form of the stage '{stage}'"),
-                why: "the plan lists it".into(),
-                mend: "choose another backend".into(),
-            });
-        }
+        plan.check_forms(self)?;
         if let Some(planned) = plan.materials.iter().find(|m| m.material.states.len() > MAX_STATE) {
             return Err(Error::Missing {
                 kind: "backend",

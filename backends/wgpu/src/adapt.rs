@@ -1,10 +1,11 @@
 //! Split and merge: the device finds the particles that they may concern, the host decides about those, and the device takes out what is
 //! gone and takes in what has come.
 
-use crate::batch::{BLOCKS, Behind, COUNTED, Dispatch, HALTED, Part, WgpuBatch};
+use crate::batch::{BLOCKS, Behind, COUNTED, HALTED, Part, WgpuBatch};
 use crate::kernels::{Role, Sorted, rest_vectors};
 use crate::layout::{self, Homes, Planes};
 use crate::memory::{StepConstants, Writes, read_all, slots_for, with_room};
+use crate::schedule::Dispatch;
 use crate::sleep;
 use crate::world::Level;
 use barchan_core::{Coupling, ParticleList, Regions, Result};
@@ -82,7 +83,7 @@ impl WgpuBatch {
 
     /// Particles of a world that a round may concern, and which cells are full if any may merge.
     fn find_concerned(&mut self, w: usize, merges: bool) -> Result<Found> {
-        let kernels = self.kernels.adapt.as_ref().expect(HAS_LEVELS);
+        let kernels = self.kernels.set.adapt.as_ref().expect(HAS_LEVELS);
         self.write_layers(&self.layers(|other| other == w));
         self.write_words(HALTED, &[0]);
         self.write_steps(0, &[self.step_constants(0.0, 0)]);
@@ -240,7 +241,7 @@ impl WgpuBatch {
 
     /// Marks so many particles that are to go, which the order of the sort lists, and finds the stress of those in some slots.
     fn mark_and_stress(&mut self, gone: usize, come: Range<usize>) {
-        let kernels = self.kernels.adapt.as_ref().expect(HAS_LEVELS);
+        let kernels = self.kernels.set.adapt.as_ref().expect(HAS_LEVELS);
         let passes = [(&kernels.remove, 0..gone), (&kernels.stress, come)];
         let of = |some: &Range<usize>| StepConstants {
             first: some.start as u32,

@@ -9,16 +9,17 @@ use crate::memory::{
     Asked, BODY, Extent, Layer, MAX_SLOTS, MAX_STEPS, Memory, Particles, Piece, STEP_STRIDE, StepConstants, Words,
     Writes, lent_bytes, pad, read, read_all, slots_for, with_mapped, with_room,
 };
+use crate::schedule::{self, ContactPasses, Dispatch, Passes, step_constants};
 use crate::sleep::{self, BlockBox};
 use crate::stiffness::{self, Held};
-use crate::world::{Foresight, Level, MAX_MOVE, Place, Rhythm, Span, World, most_drift, most_need, parameters};
+use crate::world::{Foresight, Level, MAX_MOVE, Place, Rhythm, Span, World, most_drift, parameters};
 use barchan_core::backend::{NewWorld, Turn};
 use barchan_core::coupling::{DeviceLaw, Lent};
 use barchan_core::plan::loaded;
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{
-    Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, SortPhase, Spot,
-    StepReport, Vec3, Wrench,
+    Aabb, BodyState, Coupling, Error, Measured, ParticleList, ParticleState, Plan, Regions, Result, Schedule,
+    SortPhase, Spot, StepReport, Vec3, Wrench,
 };
 use barchan_grid::adapt::{Candidates, finest_volumes};
 use barchan_grid::archive::Reach;
@@ -331,175 +332,6 @@ pub(crate) struct Clocks {
     submissions: u64,
 }
 
-/// Contact on the device: with driven bodies, and with free ones, alone or together with what is done at rims; and whether bodies may come near
-/// coarser levels.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct ContactPasses<'a> {
-    driven: &'a [Kernel],
-    free: &'a [Kernel],
-    with_rims: bool,
-    roams: bool,
-    /// Does the law run on the host, where bodies come near walls and others?
-    on_host: bool,
-}
-
-impl ContactPasses<'_> {
-    /// None, for the law runs on the host.
-    pub(crate) fn on_host() -> Self {
-        Self { on_host: true, ..Self::default() }
-    }
-
-    /// May nodes near walls change after the grid's turn?
-    fn comes_to_walls(&self) -> bool {
-        self.on_host || self.roams || !self.driven.is_empty()
-    }
-}
-
-/// Writes down the passes of a submission.
-pub(crate) struct Passes<'a> {
-    kernels: &'a Kernels,
-    contact: ContactPasses<'a>,
-    levels: usize,
-    /// Width of the finest cell [m].
-    h: f64,
-    /// Which set of buffers is the present one.
-    pub(crate) now: usize,
-    /// Number of the step under way, and gravity when it has grown [m/s²].
-    number: usize,
-    gravity: Vec3,
-    pub(crate) constants: Vec<StepConstants>,
-    pub(crate) dispatches: Vec<Dispatch<'a>>,
-}
-
-impl<'a> Passes<'a> {
-    pub(crate) fn new(
-        kernels: &'a Kernels,
-        contact: ContactPasses<'a>,
-        [levels, now]: [usize; 2],
-        (h, gravity): (f64, Vec3),
-    ) -> Self {
-        let (constants, dispatches) = (Vec::new(), Vec::new());
-        Self { kernels, contact, levels, h, now, number: 0, gravity, constants, dispatches }
-    }
-
-    /// The constants of a step of `dt` of all levels.
-    pub(crate) fn constants(&mut self, dt: f64) -> usize {
-        self.constants.push(step_constants(self.h, dt, self.gravity, self.number));
-        self.constants.len() - 1
-    }
-
-    /// The constants of some levels' steps, of `dt` for the finest and twice as long for each coarser one, in a slot.
-    fn constants_of(&mut self, dt: f64, levels: Range<usize>, slot: usize) -> usize {
-        let constants = step_constants(self.h, dt, self.gravity, self.number);
-        let (first_level, end_level) = (levels.start as u32, levels.end as u32);
-        let mirrors = u32::from(!self.contact.comes_to_walls());
-        self.constants.push(StepConstants { slot: slot as u32, first_level, end_level, mirrors, ..constants });
-        self.constants.len() - 1
-    }
-
-    pub(crate) fn run(&mut self, step: usize, kernels: impl IntoIterator<Item = &'a Kernel>) {
-        let now = self.now;
-        let end = (self.constants[step].end_level as usize).min(self.levels);
-        self.dispatches.extend(kernels.into_iter().map(|kernel| Dispatch { kernel, now, step, end }));
-    }
-
-    /// A sort moves the particles to the other set of buffers.
-    pub(crate) fn sort(&mut self, dt: f64) {
-        let step = self.constants(dt);
-        self.run(step, &self.kernels.sort);
-        self.now = 1 - self.now;
-    }
-
-    /// One step of all levels.
-    fn step_together(&mut self, dt: f64) {
-        let kernels = self.kernels;
-        let step = self.constants(dt);
-        let ContactPasses { driven, free, with_rims, .. } = self.contact;
-        self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict));
-        self.run(step, kernels.grid.iter().chain(driven).chain(free));
-        if with_rims {
-            self.run(step, kernels.behind_rims(true));
-        } else {
-            self.run(step, kernels.to_particles());
-        }
-        self.run(step, kernels.soft());
-    }
-
-    /// One step of the coarsest level in which each level takes two steps in one of the next coarser one, as in the backend cpu's
-    /// `subcycle.rs`. A slot is a step of the finest level; `first` is the number of the first.
-    fn step_levels(&mut self, dt: f64, first: usize) {
-        for slot in 0..1 << (self.levels - 1) {
-            self.begin_slot(dt, first, slot);
-            self.end_slot(dt, first, slot);
-        }
-        self.look_for_soft(dt);
-    }
-
-    /// Where soft bodies are after a step, if levels follow any.
-    pub(crate) fn look_for_soft(&mut self, dt: f64) {
-        if self.kernels.soft.is_some() {
-            let step = self.constants(dt);
-            self.run(step, self.kernels.soft());
-        }
-    }
-
-    /// What the levels whose steps begin with a slot do before bodies touch them, all of them in the same passes.
-    pub(crate) fn begin_slot(&mut self, dt: f64, first: usize, slot: usize) {
-        let kernels = self.kernels;
-        let step = self.constants_of(dt / self.substeps(), beginning(self.levels, slot), first + slot);
-        self.run(step, kernels.watch.iter().chain([&kernels.p2g]).chain(&kernels.restrict).chain(&kernels.grid));
-        if self.contact.with_rims {
-            self.run(step, self.contact.free);
-        } else {
-            self.run(step, &kernels.solve);
-        }
-    }
-
-    /// What the levels whose steps end with a slot do once their velocities are whole.
-    pub(crate) fn end_slot(&mut self, dt: f64, first: usize, slot: usize) {
-        let (each, ending) = (dt / self.substeps(), ending(self.levels, slot));
-        let ContactPasses { driven, free, with_rims, roams, .. } = self.contact;
-        if !free.is_empty() && !with_rims {
-            // The finest level meets free bodies where they were, coarser ones where they have come, if they come near any.
-            let coarser = if roams { 1..ending.end } else { 1..1 };
-            for levels in [0..1, coarser].into_iter().filter(|levels| !levels.is_empty()) {
-                let step = self.constants_of(each, levels, first + slot);
-                self.run(step, free);
-            }
-        }
-        let step = self.constants_of(each, ending, first + slot);
-        self.run(step, driven);
-        let reflects = !self.kernels.mirrored || self.contact.comes_to_walls();
-        self.run(step, self.kernels.behind_rims(reflects));
-    }
-
-    /// Steps of the finest level in one of the coarsest.
-    fn substeps(&self) -> f64 {
-        f64::from(1 << (self.levels - 1))
-    }
-}
-
-/// The levels whose steps begin with a slot.
-fn beginning(levels: usize, slot: usize) -> Range<usize> {
-    0..levels.min(slot.trailing_zeros() as usize + 1)
-}
-
-/// The levels whose steps end with a slot.
-pub(crate) fn ending(levels: usize, slot: usize) -> Range<usize> {
-    0..levels.min((slot + 1).trailing_zeros() as usize + 1)
-}
-
-/// One dispatch of a submission.
-pub(crate) struct Dispatch<'a> {
-    pub(crate) kernel: &'a Kernel,
-    /// Which set of buffers is the present one.
-    pub(crate) now: usize,
-    /// Number of the step's constants.
-    pub(crate) step: usize,
-    /// One past the last of the levels whose step it is.
-    pub(crate) end: usize,
-}
-
 /// How many workgroups a dispatch has.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Size {
@@ -533,6 +365,7 @@ pub(crate) struct WgpuBatch {
     pub(crate) levels: usize,
     /// What the passes were made for.
     pub(crate) fixed: Fixed,
+    pub(crate) schedule: Schedule,
     /// Steps of the finest level in one of the simulation.
     pub(crate) substeps: usize,
     /// How far particles may have drifted before a step [cells].
@@ -674,6 +507,7 @@ impl WgpuBatch {
             h: plan.cell_widths[0],
             levels,
             fixed,
+            schedule: schedule::of_batch(plan),
             substeps,
             most_drift: most_drift(plan),
             unlinked: true,
@@ -902,7 +736,7 @@ impl WgpuBatch {
         let is_felt = active.iter().any(|(w, _)| self.worlds[*w].contact == Some(Place::Device));
         let contact = if is_felt { self.contact.on_device() } else { ContactPasses::default() };
         let free = if is_felt { self.contact.free() } else { 0 };
-        let mut passes = Passes::new(&self.kernels, contact, [self.levels, self.memory.now], measures);
+        let mut passes = Passes::new(&self.kernels, contact, &self.schedule, self.memory.now, measures);
         let mut parts = Vec::new();
         for stretch in stretches {
             let sorting = stretch.sort.then_some(passes.now);
@@ -910,16 +744,11 @@ impl WgpuBatch {
                 passes.sort(dt);
             }
             for _ in 0..stretch.steps {
-                if self.substeps > 1 {
-                    passes.step_levels(dt, passes.number * self.substeps);
-                } else {
-                    passes.step_together(dt);
-                }
-                passes.number += 1;
+                passes.step(dt);
             }
             // A sort forgets what walls gave.
             if stretch.steps > 0 {
-                passes.run(0, &self.kernels.collect);
+                passes.run(0, &self.kernels.set.collect);
             }
             parts.push(Part { sorting, dispatches: std::mem::take(&mut passes.dispatches) });
         }
@@ -1623,7 +1452,8 @@ impl WgpuBatch {
         for (dt, worlds) in by_step {
             self.write_layers(&self.layers(|w| worlds.contains(&w)));
             self.write_steps(0, &[self.step_constants(f64::from_bits(dt), 0)]);
-            let dispatch = Dispatch { kernel: &self.kernels.stress, now: self.memory.now, step: 0, end: self.levels };
+            let dispatch =
+                Dispatch { kernel: &self.kernels.set.stress, now: self.memory.now, step: 0, end: self.levels };
             let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![dispatch] }]);
             Self::run(&Writes::default(), &self.gpu, &mut self.memory, &mut self.clocks, &parts, 0, None)?;
         }
@@ -1869,7 +1699,7 @@ impl WgpuBatch {
             let softs = self.worlds[turn.world].softs.boxes(self.h);
             let mut time = turn.time;
             for slot in 0..seen * self.substeps {
-                let at = time + (slot % self.substeps) as f64 * each;
+                let at = self.schedule.time_of(slot % self.substeps, time, dt);
                 if self.may_sleep() {
                     driven.near.push(sleep::near_tools(couplings, levels));
                 }
@@ -2101,21 +1931,6 @@ fn device_law(couplings: &[Box<dyn Coupling>]) -> Option<(DeviceLaw, usize)> {
     let bodies = coupling.bodies().len();
     let fits = bodies == coupling.bounds().len() && bodies > 0;
     coupling.device_law().filter(|_| fits).map(|law| (law, bodies))
-}
-
-/// The constants of a step of all levels, where the finest cells have width `h` [m].
-fn step_constants(h: f64, dt: f64, gravity: Vec3, number: usize) -> StepConstants {
-    StepConstants {
-        most_need: most_need(dt),
-        dt: dt as f32,
-        dt_per_h: (dt / h) as f32,
-        stress: (-4.0 * dt / h) as f32,
-        number: number as u32,
-        gravity: gravity.map(|g| (g * dt) as f32),
-        slot: number as u32,
-        end_level: u32::MAX,
-        ..StepConstants::default()
-    }
 }
 
 /// Leaves out what goes beyond so many steps.

@@ -1,14 +1,16 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
 use crate::batch::{
-    AT_START, Behind, ContactPasses, DAMPED, DAMPED_DIGITS, Dispatch, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part,
-    Passes, Status, WALL_IMPULSE, WgpuBatch, ending, energy_of,
+    AT_START, Behind, DAMPED, DAMPED_DIGITS, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Status, WALL_IMPULSE,
+    WgpuBatch, energy_of,
 };
 use crate::kernels::{Role, damps};
 use crate::memory::{NEAR_BLOCK, StepConstants, Writes, read};
+use crate::schedule::{ContactPasses, Dispatch, Passes, around_contact, passes_beside_host};
 use crate::sleep::near_tools;
 use crate::world::{FELT, Level, MAX_DRIFT, Rhythm, World};
 use barchan_core::backend::Turn;
+use barchan_core::schedule::ending;
 use barchan_core::{Aabb, Coupling, Error, NearParticle, NodeBatch, Result, StepReport, Vec3, Wrench};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -400,7 +402,8 @@ impl WgpuBatch {
         self.settle()?;
         let (each, steps) = (dt / self.substeps as f64, self.steps_so_far());
         for slot in 0..self.substeps {
-            let late = |visit: &Visit<'_, '_>| visit.turn.time + slot as f64 * each;
+            let schedule = self.schedule.clone();
+            let late = |visit: &Visit<'_, '_>| schedule.time_of(slot, visit.turn.time, dt);
             let before = going(&visits);
             side_by_side(&mut visits, |visit| visit.begin(late(visit), each));
             self.slot_to_nodes(dt, slot, &mut visits)?;
@@ -530,16 +533,17 @@ impl WgpuBatch {
         let before = self.memory.now;
         let measures = (self.h, self.fixed.gravity.0);
         let contact = ContactPasses::on_host();
-        let mut passes = Passes::new(&self.kernels, contact, [self.levels, before], measures);
+        let mut passes = Passes::new(&self.kernels, contact, &self.schedule, before, measures);
         let step = passes.constants(dt);
         if sort {
             passes.sort(dt);
         }
         let mut starts = vec![0];
         for one in 0..self.substeps {
-            passes.begin_slot(dt, 0, one);
+            let (before, after) = around_contact(&self.schedule, one);
+            passes.carry_out(&before, dt);
             starts.push(passes.dispatches.len());
-            passes.end_slot(dt, 0, one);
+            passes.carry_out(&after, dt);
         }
         passes.look_for_soft(dt);
         let end = starts.get(slot + 1).copied().unwrap_or(passes.dispatches.len());
@@ -550,7 +554,7 @@ impl WgpuBatch {
         if slot < self.substeps {
             passes.run(step, &near.gather);
         } else {
-            passes.run(step, &self.kernels.collect);
+            passes.run(step, &self.kernels.set.collect);
         }
         self.write_steps(0, &passes.constants);
         let parts = self.with_groups(vec![Part { sorting: sort.then_some(before), dispatches: passes.dispatches }]);
@@ -752,14 +756,14 @@ impl WgpuBatch {
         let sorting = sort.then_some(before);
         let now = if sort { 1 - before } else { before };
         let kernels = &self.kernels;
-        let sorts = kernels.sort.iter().filter(|_| sort).map(|kernel| Dispatch {
+        let sorts = kernels.set.sort.iter().filter(|_| sort).map(|kernel| Dispatch {
             kernel,
             now: before,
             step: 1,
             end: self.levels,
         });
-        let to_tiles = kernels.watch.iter().chain([&kernels.p2g]);
-        let passes = to_tiles.chain(&kernels.restrict).chain(&kernels.grid).chain(&near.gather);
+        let (calls, _) = around_contact(&self.schedule, 0);
+        let passes = passes_beside_host(&kernels.set, &self.schedule, &calls).chain(&near.gather);
         let dispatches =
             sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1, end: self.levels })).collect();
         let parts = self.with_groups(vec![Part { sorting, dispatches }]);
@@ -867,9 +871,13 @@ impl WgpuBatch {
         }
         let count = self.write_changed(visits);
         let near = self.contact.host.as_ref().expect(ON_HOST);
-        let (kernels, now) = (&self.kernels, self.memory.now);
+        let (kernels, now) = (&self.kernels.set, self.memory.now);
         let back = Some(&near.scatter).filter(|_| count > 0).into_iter();
-        let passes = back.chain(kernels.to_particles()).chain(kernels.soft()).chain(&kernels.collect);
+        let (_, calls) = around_contact(&self.schedule, 0);
+        let passes = back
+            .chain(passes_beside_host(kernels, &self.schedule, &calls))
+            .chain(kernels.soft())
+            .chain(&kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0, end: self.levels }).collect();
         let parts = self.with_groups(vec![Part { sorting: None, dispatches }]);
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -899,7 +907,7 @@ impl WgpuBatch {
 
     /// What walls gave a world in a step whose numbers are still on the device [N s].
     pub(crate) fn pending_walls(&self, w: usize) -> Vec3 {
-        if !self.worlds[w].pending || self.kernels.collect.is_empty() {
+        if !self.worlds[w].pending || self.kernels.set.collect.is_empty() {
             return [0.0; 3];
         }
         let of_layer = |layer: usize| {

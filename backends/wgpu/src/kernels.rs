@@ -5,6 +5,7 @@ use crate::device::Gpu;
 use crate::layout::{BESIDE, BESIDE_BY, LEFT_HOME, RECORD as RECORD_PLANES, ROUNDS, TOGETHER};
 use crate::material;
 use crate::memory::{MAX_SLOTS, MAX_STEPS, NEAR_BLOCK};
+use crate::schedule::{ContactPasses, passes};
 use crate::stiffness::{is_asked_on_device, is_asked_on_host};
 use crate::world::{
     OFTEN_DRIFT, SELDOM_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, STIFFNESS_AGE, most_drift,
@@ -280,7 +281,84 @@ pub(crate) struct Setting {
     pub(crate) parts: Parts,
 }
 
-/// All passes that a scene calls for.
+/// All passes that a scene calls for: what they are made from, or as a device has compiled them.
+#[derive(Debug)]
+pub(crate) struct Set<K> {
+    /// In the order of a sort.
+    pub(crate) sort: Vec<K>,
+    /// Who sleeps in a step, if anything ever does.
+    pub(crate) watch: Option<K>,
+    pub(crate) p2g: K,
+    /// What rims hand to the next coarser level.
+    pub(crate) restrict: Option<K>,
+    /// From tiles to velocities.
+    pub(crate) grid: Vec<K>,
+    /// Velocities of nodes that two levels share and of those at rims, if there is subcycling.
+    pub(crate) solve: Option<K>,
+    /// Velocities behind walls that let go.
+    pub(crate) mirror: Vec<K>,
+    /// Velocities at rims.
+    pub(crate) prolong: Option<K>,
+    /// Velocities behind mirrors; are they found early, if no body comes near walls? Other worlds of a batch may have such bodies.
+    pub(crate) reflect: Option<K>,
+    pub(crate) mirrored: bool,
+    pub(crate) g2p: K,
+    pub(crate) stress: K,
+    /// Sums of what walls gave and sleep took.
+    pub(crate) collect: Vec<K>,
+    /// Where soft bodies are that levels follow.
+    pub(crate) soft: Option<[K; 2]>,
+    /// Rounds of split and merge, if there are several levels.
+    pub(crate) adapt: Option<AdaptSet<K>>,
+}
+
+/// What the device does in a round of split and merge.
+#[derive(Debug)]
+pub(crate) struct AdaptSet<K> {
+    /// Finds the particles that it may concern, and copies them.
+    pub(crate) find: [K; 4],
+    /// Which cells are at least half full.
+    pub(crate) fill: K,
+    /// Marks those that are to go.
+    pub(crate) remove: K,
+    /// Stress of those that have come in.
+    pub(crate) stress: K,
+}
+
+impl<K> Set<K> {
+    fn map<L>(self, make: impl Fn(K) -> L) -> Set<L> {
+        let all = |passes: Vec<K>| passes.into_iter().map(&make).collect();
+        Set {
+            sort: all(self.sort),
+            watch: self.watch.map(&make),
+            p2g: make(self.p2g),
+            restrict: self.restrict.map(&make),
+            grid: all(self.grid),
+            solve: self.solve.map(&make),
+            mirror: all(self.mirror),
+            prolong: self.prolong.map(&make),
+            reflect: self.reflect.map(&make),
+            mirrored: self.mirrored,
+            g2p: make(self.g2p),
+            stress: make(self.stress),
+            collect: all(self.collect),
+            soft: self.soft.map(|passes| passes.map(&make)),
+            adapt: self.adapt.map(|adapt| AdaptSet {
+                find: adapt.find.map(&make),
+                fill: make(adapt.fill),
+                remove: make(adapt.remove),
+                stress: make(adapt.stress),
+            }),
+        }
+    }
+
+    /// Where soft bodies are after a step.
+    pub(crate) fn soft(&self) -> impl Iterator<Item = &K> {
+        self.soft.iter().flatten()
+    }
+}
+
+/// The passes as a device has compiled them.
 #[derive(Debug)]
 pub(crate) struct Kernels {
     pub(crate) step_layout: wgpu::BindGroupLayout,
@@ -288,45 +366,7 @@ pub(crate) struct Kernels {
     pub(crate) setting: Setting,
     /// Workgroups for free bodies in passes that begin with them.
     free_room: usize,
-    /// In the order of a sort.
-    pub(crate) sort: Vec<Kernel>,
-    /// Who sleeps in a step, if anything ever does.
-    pub(crate) watch: Option<Kernel>,
-    pub(crate) p2g: Kernel,
-    /// What rims hand to the next coarser level.
-    pub(crate) restrict: Option<Kernel>,
-    /// From tiles to velocities.
-    pub(crate) grid: Vec<Kernel>,
-    /// Velocities of nodes that two levels share and of those at rims, if there is subcycling.
-    pub(crate) solve: Option<Kernel>,
-    /// Velocities behind walls that let go.
-    pub(crate) mirror: Vec<Kernel>,
-    /// Velocities at rims.
-    pub(crate) prolong: Option<Kernel>,
-    /// Velocities behind mirrors; are they found early, if no body comes near walls? Other worlds of a batch may have such bodies.
-    pub(crate) reflect: Option<Kernel>,
-    pub(crate) mirrored: bool,
-    pub(crate) g2p: Kernel,
-    pub(crate) stress: Kernel,
-    /// Sums of what walls gave and sleep took.
-    pub(crate) collect: Vec<Kernel>,
-    /// Where soft bodies are that levels follow.
-    pub(crate) soft: Option<[Kernel; 2]>,
-    /// Rounds of split and merge, if there are several levels.
-    pub(crate) adapt: Option<AdaptKernels>,
-}
-
-/// What the device does in a round of split and merge.
-#[derive(Debug)]
-pub(crate) struct AdaptKernels {
-    /// Finds the particles that it may concern, and copies them.
-    pub(crate) find: [Kernel; 4],
-    /// Which cells are at least half full.
-    pub(crate) fill: Kernel,
-    /// Marks those that are to go.
-    pub(crate) remove: Kernel,
-    /// Stress of those that have come in.
-    pub(crate) stress: Kernel,
+    pub(crate) set: Set<Kernel>,
 }
 
 /// What the WGSL of a pass is made from.
@@ -378,171 +418,79 @@ impl Kernels {
         });
         let constants = constants(plan) + &layer_constants(plan, worlds);
         let setting = Setting { constants, parts: Parts::new(&gpu.limits, rest_vectors(&plan.materials)) };
-        let make = |draft: Draft| build(gpu, &step_layout, &setting, worlds, draft);
-        let all = |drafts: Vec<Draft>| drafts.into_iter().map(make).collect();
-        let drafts = Drafts::of(plan, worlds, particles)?;
-        Ok(Self {
-            sort: all(drafts.sort),
-            watch: drafts.watch.map(make),
-            p2g: make(drafts.p2g),
-            restrict: drafts.restrict.map(make),
-            grid: all(drafts.grid),
-            solve: drafts.solve.map(make),
-            mirror: all(drafts.mirror),
-            prolong: drafts.prolong.map(make),
-            reflect: drafts.reflect.map(make),
-            g2p: make(drafts.g2p),
-            stress: make(drafts.stress),
-            collect: all(drafts.collect),
-            soft: drafts.soft.map(|drafts| drafts.map(make)),
-            adapt: drafts.adapt.map(|adapt| AdaptKernels {
-                find: adapt.find.map(make),
-                fill: make(adapt.fill),
-                remove: make(adapt.remove),
-                stress: make(adapt.stress),
-            }),
-            free_room: worlds * free_bodies(plan),
-            mirrored: mirrors_early(plan),
-            setting,
-            step_layout,
-        })
-    }
-
-    /// From whole velocities to particles. Rims read what stands behind walls that let go, and mirrors what stands at rims.
-    pub(crate) fn to_particles(&self) -> impl Iterator<Item = &Kernel> {
-        self.mirror.iter().chain(&self.prolong).chain(self.behind_rims(true))
-    }
-
-    /// The same once rims have moved, too; `reflects`: are nodes behind mirrors still to be found?
-    pub(crate) fn behind_rims(&self, reflects: bool) -> impl Iterator<Item = &Kernel> {
-        self.reflect.iter().filter(move |_| reflects).chain([&self.g2p])
-    }
-
-    /// Where soft bodies are after a step.
-    pub(crate) fn soft(&self) -> impl Iterator<Item = &Kernel> {
-        self.soft.iter().flatten()
+        let set = drafts(plan, worlds, particles)?.map(|draft| build(gpu, &step_layout, &setting, worlds, draft));
+        Ok(Self { set, free_room: worlds * free_bodies(plan), setting, step_layout })
     }
 }
 
-/// The passes of [`Kernels`], before a device has seen them.
-struct Drafts {
-    sort: Vec<Draft>,
-    watch: Option<Draft>,
-    p2g: Draft,
-    restrict: Option<Draft>,
-    grid: Vec<Draft>,
-    solve: Option<Draft>,
-    mirror: Vec<Draft>,
-    prolong: Option<Draft>,
-    reflect: Option<Draft>,
-    g2p: Draft,
-    stress: Draft,
-    collect: Vec<Draft>,
-    soft: Option<[Draft; 2]>,
-    adapt: Option<AdaptDrafts>,
-}
-
-/// The passes of [`AdaptKernels`].
-struct AdaptDrafts {
-    find: [Draft; 4],
-    fill: Draft,
-    remove: Draft,
-    stress: Draft,
-}
-
-impl Drafts {
-    fn of(plan: &Plan, worlds: usize, particles: usize) -> Result<Self> {
-        let separations = separations(plan);
-        let walls: Vec<Wall> = (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).collect();
-        let has_walls = walls.iter().any(|w| !matches!(w, Wall::Open | Wall::Periodic));
-        let laws = laws(plan, worlds)?;
-        let levels = plan.cell_widths.len() > 1;
-        let subcycled = plan.substeps > 1;
-        let sleeps = may_sleep(plan);
-        let unbounded = plan.terrain.is_some();
-        let mirrored = mirrors_early(plan);
-        let finish = if !separations.is_empty() {
-            Finish::Sums
-        } else if mirrored && !levels {
-            Finish::Mirrored
-        } else {
-            Finish::Velocities
-        };
-        let mut grid = vec![sum_tiles(finish, levels, subcycled, sleeps)];
-        grid.extend(separations.iter().map(|&axis| separate(axis, false, levels)));
-        if !separations.is_empty() {
-            grid.push(velocities(levels));
-        }
-        if unbounded {
-            grid.push(hold(levels));
-        }
-        let mut collect: Vec<_> = (has_walls || unbounded).then(|| collect(mirrored)).into_iter().collect();
-        collect.extend(sleeps.then(sum_sleep));
-        Ok(Self {
-            sort: sort(plan, worlds),
-            watch: sleeps.then(|| watch(levels)),
-            p2g: p2g([sleeps, mirrored, levels, subcycled, stiffens(plan)], particles),
-            restrict: (levels && !subcycled).then(restrict),
-            grid,
-            solve: subcycled.then(|| rims_alone(true)),
-            mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
-            prolong: (levels && !subcycled).then(|| rims_alone(false)),
-            // What holding the edge takes is booked there, too.
-            reflect: (has_mirrors(plan) && (!mirrored || levels) || unbounded)
-                .then(|| reflect(sleeps, levels, mirrored)),
-            g2p: g2p(plan, &laws, sleeps, [particles, worlds * plan.cell_widths.len()]),
-            stress: stress(&laws),
-            collect,
-            soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
-            adapt: levels.then(|| adapt(plan, &laws, worlds)),
-        })
+/// What a plan's passes are made from.
+fn drafts(plan: &Plan, worlds: usize, particles: usize) -> Result<Set<Draft>> {
+    let separations = separations(plan);
+    let walls: Vec<Wall> = (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).collect();
+    let has_walls = walls.iter().any(|w| !matches!(w, Wall::Open | Wall::Periodic));
+    let laws = laws(plan, worlds)?;
+    let levels = plan.cell_widths.len() > 1;
+    let subcycled = plan.substeps > 1;
+    let sleeps = may_sleep(plan);
+    let unbounded = plan.terrain.is_some();
+    let mirrored = mirrors_early(plan);
+    let finish = if !separations.is_empty() {
+        Finish::Sums
+    } else if mirrored && !levels {
+        Finish::Mirrored
+    } else {
+        Finish::Velocities
+    };
+    let mut grid = vec![sum_tiles(finish, levels, subcycled, sleeps)];
+    grid.extend(separations.iter().map(|&axis| separate(axis, false, levels)));
+    if !separations.is_empty() {
+        grid.push(velocities(levels));
     }
+    if unbounded {
+        grid.push(hold(levels));
+    }
+    let mut collect: Vec<_> = (has_walls || unbounded).then(|| collect(mirrored)).into_iter().collect();
+    collect.extend(sleeps.then(sum_sleep));
+    Ok(Set {
+        sort: sort(plan, worlds),
+        watch: sleeps.then(|| watch(levels)),
+        p2g: p2g([sleeps, mirrored, levels, subcycled, stiffens(plan)], particles),
+        restrict: (levels && !subcycled).then(restrict),
+        grid,
+        solve: subcycled.then(|| rims_alone(true)),
+        mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
+        prolong: (levels && !subcycled).then(|| rims_alone(false)),
+        // What holding the edge takes is booked there, too.
+        reflect: (has_mirrors(plan) && (!mirrored || levels) || unbounded).then(|| reflect(sleeps, levels, mirrored)),
+        mirrored,
+        g2p: g2p(plan, &laws, sleeps, [particles, worlds * plan.cell_widths.len()]),
+        stress: stress(&laws),
+        collect,
+        soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
+        adapt: levels.then(|| adapt(plan, &laws, worlds)),
+    })
 }
 
 /// The passes of a plan, a line each.
 pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
-    let drafts = Drafts::of(plan, 1, plan.particle_count)?;
-    let mut lines: Vec<String> = drafts.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
-    lines.extend(
-        (drafts.watch.iter().chain([&drafts.p2g]).chain(&drafts.restrict).chain(&drafts.grid))
-            .map(|draft| line("every step", draft)),
-    );
-    if plan.has(Stage::Contact) {
-        lines.push("contact, every step: on the device, but for free bodies near walls or others and for couplings without a law in WGSL: for these nodes near bodies go to the host and back".to_owned());
-        if plan.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. })) {
-            let law = DeviceLaw::default();
-            let free = Free { bodies: 1, across: 2 };
-            let kinds = [false, true].into_iter().filter(|&rims| !rims || plan.cell_widths.len() > 1);
-            lines.extend(kinds.map(|rims| {
-                let motion = free_draft([plan.substeps > 1, may_sleep(plan), rims], &law, 1, [1, 1], free);
-                let of_rims = if plan.substeps > 1 { "solve" } else { "prolong" };
-                let when = if rims {
-                    format!(", in place of that and {of_rims}, if levels follow them all and a pass may bind so much and be so wide")
-                } else {
-                    String::new()
-                };
-                line(&format!("every step with free bodies, but near walls and other bodies{when}"), &motion)
-            }));
+    let set = drafts(plan, 1, plan.particle_count)?;
+    let mut lines: Vec<String> = set.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
+    // In the slot with which all levels begin, and in which one ends, there is a call of every stage.
+    for call in plan.schedule.step.iter().filter(|call| call.slot == 0) {
+        if call.stage == Stage::CONTACT {
+            lines.extend(describe_contact(plan));
         }
+        let often = if plan.substeps > 1 { "every step of a level" } else { "every step" };
+        let own = passes(&set, ContactPasses::default(), &plan.schedule, call);
+        lines.extend(own.into_iter().map(|(_, draft)| line(often, draft)));
     }
-    lines.extend(drafts.solve.iter().map(|draft| line("every step of a level", draft)));
-    let is_mirrored = mirrors_early(plan);
-    lines.extend(
-        drafts
-            .mirror
-            .iter()
-            .chain(&drafts.prolong)
-            .chain(drafts.reflect.iter().filter(|_| !is_mirrored))
-            .chain([&drafts.g2p])
-            .chain(drafts.soft.iter().flatten())
-            .map(|draft| line("every step", draft)),
-    );
-    let seldom = drafts.reflect.iter().filter(|_| is_mirrored);
+    lines.extend(set.soft().map(|draft| line("every step", draft)));
+    let seldom = set.reflect.iter().filter(|_| set.mirrored && plan.substeps > 1);
     lines.extend(seldom.map(|draft| line("every step in which bodies may come near walls, after theirs", draft)));
-    lines.extend(drafts.collect.iter().map(|draft| line("every submission", draft)));
-    let adapt = drafts.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
+    lines.extend(set.collect.iter().map(|draft| line("every submission", draft)));
+    let adapt = set.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
     lines.extend(adapt.map(|draft| line("where levels move or particles leave theirs", draft)));
-    lines.push(line("after an upload", &drafts.stress));
+    lines.push(line("after an upload", &set.stress));
     for planned in plan.materials.iter().filter(|planned| is_asked_on_host(planned)) {
         let megabytes = 16.0 * rest_vectors(&plan.materials) as f64 * plan.particle_count as f64 / 1e6;
         lines.push(format!(
@@ -551,6 +499,26 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
         ));
     }
     Ok(lines)
+}
+
+fn describe_contact(plan: &Plan) -> Vec<String> {
+    let mut lines = vec!["contact, every step: on the device, but for free bodies near walls or others and for couplings without a law in WGSL: for these nodes near bodies go to the host and back".to_owned()];
+    if free_bodies(plan) > 0 {
+        let law = DeviceLaw::default();
+        let free = Free { bodies: 1, across: 2 };
+        let kinds = [false, true].into_iter().filter(|&rims| !rims || plan.cell_widths.len() > 1);
+        lines.extend(kinds.map(|rims| {
+            let motion = free_draft([plan.substeps > 1, may_sleep(plan), rims], &law, 1, [1, 1], free);
+            let of_rims = if plan.substeps > 1 { "solve" } else { "prolong" };
+            let when = if rims {
+                format!(", in place of that and {of_rims}, if levels follow them all and a pass may bind so much and be so wide")
+            } else {
+                String::new()
+            };
+            line(&format!("every step with free bodies, but near walls and other bodies{when}"), &motion)
+        }));
+    }
+    lines
 }
 
 /// One pass: when, how many workgroups, and the buffers it binds.
@@ -606,7 +574,7 @@ pub(crate) fn contact(
     let of_bodies = [&count, body, include_str!("wgsl/press_driven.wgsl")].concat();
     let press =
         press_draft("press", law, &of_bodies, [vectors, materials], [worlds, levels], [bodies_now, written(partials)]);
-    let (text, own) = of_own_mass(kernels.solve.is_some(), include_str!("wgsl/contact.wgsl"));
+    let (text, own) = of_own_mass(kernels.set.solve.is_some(), include_str!("wgsl/contact.wgsl"));
     let mirrors = include_str!("wgsl/mirrors.wgsl");
     let law = Draft {
         name: "contact",
@@ -693,7 +661,7 @@ pub(crate) fn free(
     free: Free,
     roams: bool,
 ) -> ([Kernel; 2], bool) {
-    let (subcycled, sleeps) = (kernels.solve.is_some(), kernels.watch.is_some());
+    let (subcycled, sleeps) = (kernels.set.solve.is_some(), kernels.set.watch.is_some());
     let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
     let (layout, setting) = (&kernels.step_layout, &kernels.setting);
     let of_bodies =
@@ -701,7 +669,8 @@ pub(crate) fn free(
     let press = press_draft("press on free bodies", law, &of_bodies, [vectors, materials], shape, [LENT_BODIES]);
     let press = build(gpu, layout, setting, shape[0], press);
     // Walls that let go come between bodies and rims.
-    let is_apart = roams || shape[1] == 1 || !kernels.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
+    let is_apart =
+        roams || shape[1] == 1 || !kernels.set.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
     let with_rims = draft(true);
     let limits = &gpu.limits;
     let fits = with_rims.bindings(shape[0]) <= limits.max_storage_buffers_per_shader_stage as usize
@@ -773,7 +742,8 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> NearKernels {
     let around: Use = ("around", "vec4<i32>", Role::Around, false);
     let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
     let mirrors = include_str!("wgsl/mirrors.wgsl");
-    let (gather, own) = of_own_mass(kernels.solve.is_some(), &(mirrors.to_owned() + include_str!("wgsl/gather.wgsl")));
+    let (gather, own) =
+        of_own_mass(kernels.set.solve.is_some(), &(mirrors.to_owned() + include_str!("wgsl/gather.wgsl")));
     let rounds = include_str!("wgsl/rounds.wgsl");
     let draft = |name, body: &str, uses, groups| Draft {
         name,
@@ -937,7 +907,7 @@ fn mirrors_early(plan: &Plan) -> bool {
     let fits = if plan.cell_widths.len() > 1 {
         plan.substeps > 1 && plan.scene.tool.iter().all(|tool| matches!(tool.motion, Motion::Free { .. }))
     } else {
-        !plan.has(Stage::Contact)
+        !plan.has(Stage::CONTACT)
     };
     has_mirrors(plan) && fits && !may_sleep(plan) && plan.terrain.is_none() && separations(plan).is_empty()
 }
@@ -2253,7 +2223,7 @@ fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
 }
 
 /// Rounds of split and merge.
-fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptDrafts {
+fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptSet<Draft> {
     const COMMON: &str = include_str!("wgsl/sort.wgsl");
     let draft = |name, entry, body: &str, uses: Vec<Use>, groups| Draft {
         name,
@@ -2282,7 +2252,7 @@ fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptDrafts {
         Groups::Blocks,
     );
     let filled: Use = ("filled", "vec4<u32>", Role::Handed, true);
-    AdaptDrafts {
+    AdaptSet {
         find: [
             Draft { uniform: Uniform::Regions, ..find },
             draft(

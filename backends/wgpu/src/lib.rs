@@ -18,6 +18,7 @@ mod kernels;
 mod layout;
 pub mod material;
 mod memory;
+mod schedule;
 mod seat;
 mod sleep;
 mod soft;
@@ -25,7 +26,7 @@ mod stiffness;
 mod world;
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
-use barchan_core::{Backend, Engine, Error, ParticleState, Plan, Precision, Registry, Result};
+use barchan_core::{Backend, Engine, Error, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
 
 /// The backend called `wgpu`.
@@ -59,11 +60,16 @@ impl Backend for Wgpu {
          bits on the same adapter."
     }
 
+    fn has_form(&self, stage: Stage, form: Form) -> bool {
+        form == Form::Forward && schedule::form(stage).is_some()
+    }
+
     fn adapters(&self) -> Option<Vec<Adapter>> {
         Some(device::list())
     }
 
     fn check(&self, plan: &Plan) -> Result<()> {
+        plan.check_forms(self)?;
         if plan.precision == Precision::F64 {
             return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));
         }

@@ -102,7 +102,7 @@ pub(crate) fn near_tools(couplings: &[Box<dyn Coupling>], levels: &[Level]) -> V
 impl WgpuBatch {
     /// Does ground at rest sleep?
     pub(crate) fn may_sleep(&self) -> bool {
-        self.kernels.watch.is_some()
+        self.kernels.set.watch.is_some()
     }
 
     /// What is known of the rest of the blocks of each level of some worlds.

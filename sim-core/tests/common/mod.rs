@@ -7,8 +7,8 @@ use barchan_core::backend::{Bound, Timing};
 use barchan_core::coupling::Aabb;
 use barchan_core::scene::{Motion, Shape};
 use barchan_core::{
-    Backend, BodyState, Coupling, Engine, Error, Ledger, NodeBatch, ParticleState, Plan, Registry, Result, Scene,
-    StepReport, Vec3, Wrench,
+    Backend, BodyState, Coupling, Engine, Error, Form, Ledger, NodeBatch, ParticleState, Plan, Registry, Result, Scene,
+    Stage, StepReport, Vec3, Wrench,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -262,6 +262,9 @@ impl Backend for Ballistic {
     }
     fn doc(&self) -> &str {
         "Free fall."
+    }
+    fn has_form(&self, _: Stage, form: Form) -> bool {
+        form == Form::Forward
     }
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
         Ok(Box::new(Falling {

@@ -1,7 +1,8 @@
 //! A scene pays only for the effects it calls for, counted in passes, bytes and bits. (That time differs by less than 1 % is
 //! measured by `barchan bench effects`.)
 
-use barchan::{Options, Precision, Simulation, Stage, Wrench};
+use barchan::schedule::Call;
+use barchan::{Form, Options, Plan, Precision, Simulation, Stage, Wrench};
 use barchan_tests::scenes::{options, rows, scene, simulation};
 use barchan_tests::sketch::{Head, bed, half, material, tool};
 use std::collections::BTreeMap;
@@ -37,7 +38,7 @@ fn run(text: &str) -> (Cost, Simulation) {
         s.step().unwrap_or_else(|e| panic!("{e}"));
     }
     let cost = Cost {
-        stages: s.plan().stages.clone(),
+        stages: s.plan().schedule.stages(),
         passes: s.timings().into_iter().map(|t| (t.effect, t.passes)).collect(),
         bytes: s.memory(),
         planned: s.plan().memory,
@@ -52,7 +53,8 @@ fn run(text: &str) -> (Cost, Simulation) {
 fn what_is_declared_but_unused_costs_nothing() {
     let (plain, s) = run(&sand(&[]));
     println!("plain: {:?}, {:?}, {:?} bytes", plain.stages, plain.passes, plain.bytes);
-    assert_eq!(plain.stages, [Stage::Sort, Stage::P2G, Stage::GridUpdate, Stage::G2P]);
+    let ground = [Stage::SORT, Stage::SLEEP, Stage::P2G, Stage::GRID_UPDATE, Stage::LIMIT, Stage::G2P];
+    assert_eq!(plain.stages, ground);
     assert!(s.plan().effects.iter().all(|e| !e.name.contains("unused")));
     // Snow has more history than sand, so that planes laid out for the widest material declared would show in the bytes.
     let cases: [(&str, Vec<String>, &str); 4] = [
@@ -113,7 +115,7 @@ fn exactly_the_passes_of_the_plan_are_run() {
         let (cost, s) = run(&sand(&more));
         let passes = |effect: &str| cost.passes.get(effect).copied().unwrap_or(0);
         println!("{name}, {STEPS} steps: {:?}", cost.passes);
-        assert_eq!(cost.stages.contains(&Stage::Contact), planned, "{name}");
+        assert_eq!(cost.stages.contains(&Stage::CONTACT), planned, "{name}");
         for (effect, wanted) in [
             ("P2G", STEPS),
             ("material sand", STEPS),
@@ -167,7 +169,9 @@ fn a_tool_that_has_left_the_ground_feels_nothing() {
 #[test]
 fn a_scene_without_ground_runs_no_transfer() {
     let plate = tool("plate", [0.3, 0.3, 0.3], &half([0.1; 3]), "\"slip\"", "{ velocity = { linear = [0, 0, -0.5] } }");
-    for (name, parts, stages) in [("empty", vec![], vec![]), ("a tool alone", vec![plate], vec![Stage::Contact])] {
+    for (name, parts, stages) in
+        [("empty", vec![], vec![]), ("a tool alone", vec![plate], vec![Stage::CONTACT, Stage::BODIES])]
+    {
         let text = Head::cells(H, [12, 12, 12], "z_min = \"slip\"").time("step = 1e-3").with(&parts);
         let (cost, s) = run(&text);
         println!("{name}: stages {:?}, passes {:?}, bytes {:?}", cost.stages, cost.passes, cost.bytes);
@@ -245,5 +249,25 @@ fn memory_is_bounded_and_as_the_plan_says() {
         let ratio = (planned_particles + planned_grid) as f64 / (particles + grid) as f64;
         assert!((0.5..2.0).contains(&ratio), "{law}: the plan estimates {ratio:.2} of what is resident");
         assert_eq!(rows(&s).len() as f64, n);
+    }
+}
+
+/// A stage that a backend cannot carry out is refused by name before anything is built, not left out.
+#[test]
+fn a_stage_that_a_backend_has_no_form_of_is_refused_by_name() {
+    let registry = barchan::registry();
+    let assembled = Plan::assemble(&registry, &scene(&sand(&[])), &options(Precision::F32));
+    let (mut plan, particles, _) = assembled.unwrap_or_else(|e| panic!("{e}"));
+    plan.schedule.step.insert(1, Call { stage: Stage::new("smooth"), levels: 0..1, slot: 0 });
+    for name in ["cpu", "wgpu"] {
+        let backend = registry.backend(name).unwrap();
+        for refused in [backend.check(&plan).err(), backend.compile(&plan, particles.clone()).err()] {
+            let error = refused.expect("it has no such stage").to_string();
+            assert!(error.contains(&format!("backend '{name}'")), "{error}");
+            assert!(error.contains("has no forward form of the stage 'smooth'"), "{error}");
+            assert!(error.contains("sleep -> smooth -> P2G"), "{error}");
+        }
+        // Gradients are asked for in the same way.
+        assert!(backend.has_form(Stage::P2G, Form::Forward) && !backend.has_form(Stage::P2G, Form::Adjoint));
     }
 }

@@ -148,7 +148,7 @@ fn a_backend_from_outside_takes_over_a_run() {
     let text = head.with(&[cube("").concat(), plate]);
     let error = Simulation::new(&registry(), &scene(&text), &dust).unwrap_err().to_string();
     println!("{error}");
-    assert!(error.contains("backend 'dust' (barchan-seam-backend) has no form of the stage 'contact'"), "{error}");
+    assert!(error.contains("backend 'dust' (registered) has no forward form of the stage 'contact'"), "{error}");
 }
 
 /// A task from outside is found by name, resets and steps, and pays for what happened: the rewards add up to the cube's way.

@@ -4,7 +4,7 @@
 
 use barchan::backend::{Bound, Timing};
 use barchan::{
-    Backend, Coupling, Engine, Error, Ledger, ParticleList, ParticleState, Plan, Registry, Result, Scene, Stage,
+    Backend, Coupling, Engine, Form, Ledger, ParticleList, ParticleState, Plan, Registry, Result, Scene, Stage,
     StepReport,
 };
 use std::sync::Arc;
@@ -29,21 +29,11 @@ impl Backend for Dust {
     fn doc(&self) -> &str {
         "Particles fly without touching each other: no grid, no stress, no contact."
     }
-    fn check(&self, plan: &Plan) -> Result<()> {
-        if plan.has(Stage::Contact) {
-            return Err(Error::Missing {
-                kind: "backend",
-                name: self.name().to_owned(),
-                origin: env!("CARGO_PKG_NAME").to_owned(),
-                what: format!("form of the stage '{}'", Stage::Contact),
-                why: format!("the scene calls for {}", plan.couplings.join(", ")),
-                mend: "use the backend cpu".to_owned(),
-            });
-        }
-        Ok(())
+    fn has_form(&self, stage: Stage, form: Form) -> bool {
+        form == Form::Forward && ![Stage::CONTACT, Stage::BODIES].contains(&stage)
     }
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
-        self.check(plan)?;
+        plan.check_forms(self)?;
         let start = plan.scene.clone();
         Ok(Box::new(Flight { particles, scene: start, seconds: 0.0, steps: 0 }))
     }
