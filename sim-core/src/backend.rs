@@ -75,8 +75,8 @@ pub struct NewWorld<'a> {
     pub couplings: &'a [Box<dyn Coupling>],
 }
 
-/// A world that takes part in steps of a batch.
-pub struct Turn<'a> {
+/// A world's part in steps of a batch.
+pub struct WorldStep<'a> {
     /// Number of the world.
     pub world: usize,
     /// Its time [s].
@@ -89,12 +89,12 @@ pub struct Turn<'a> {
 pub trait Batch: Send {
     /// A world's engine, which shares the batch. Steps that are taken through it move that world alone.
     fn engine(&self, world: usize) -> Box<dyn Engine>;
-    /// As [`Engine::steps`], for all worlds that have a turn; the others stay as they are. All that succeed take the same steps. A world
+    /// As [`Engine::steps`], for the worlds given; the others stay as they are. All that succeed take the same steps. A world
     /// that fails is as it was, its result says why, and the others go on without it.
     ///
     /// # Errors
     /// What is no world's own fault, such as a device that was lost.
-    fn steps(&mut self, dt: f64, count: usize, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>>;
+    fn steps(&mut self, dt: f64, count: usize, worlds: &mut [WorldStep<'_>]) -> Result<Vec<Result<Vec<StepReport>>>>;
     /// Puts a new world in the place of an old one, which is as it was on an error.
     ///
     /// # Errors

@@ -1,6 +1,6 @@
 //! A running simulation.
 
-use crate::backend::{Bound, Timing, Turn};
+use crate::backend::{Bound, Timing, WorldStep};
 use crate::file::Stamp;
 use crate::plan::{PARTICLES, cut, tighten, wanted_step};
 use crate::scene::OverBound;
@@ -120,7 +120,7 @@ pub(crate) struct Chosen {
 
 /// Steps that a simulation is to take next.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Wish {
+pub(crate) struct WantedSteps {
     /// Length of each [s].
     pub(crate) dt: f64,
     /// How many at once.
@@ -486,14 +486,14 @@ impl Simulation {
     /// # Errors
     /// As [`step`](Self::step): everything is as before the first of these steps.
     pub fn steps(&mut self, most: usize, until: f64) -> Result<Vec<StepReport>> {
-        let wish = self.wish(most, until)?;
-        let before = self.begin(&wish);
-        let result = self.engine.steps(self.time, wish.dt, wish.count, &mut self.couplings);
-        self.finish(&wish, &before, result)
+        let wanted = self.wanted(most, until)?;
+        let before = self.begin(&wanted);
+        let result = self.engine.steps(self.time, wanted.dt, wanted.count, &mut self.couplings);
+        self.finish(&wanted, &before, result)
     }
 
     /// The steps that are to be taken next.
-    pub(crate) fn wish(&mut self, most: usize, until: f64) -> Result<Wish> {
+    pub(crate) fn wanted(&mut self, most: usize, until: f64) -> Result<WantedSteps> {
         let holds = |chosen: &Chosen| self.step < chosen.until && !self.engine.is_outgrown(chosen.dt);
         let chosen = match self.chosen.filter(holds) {
             Some(chosen) => chosen,
@@ -514,12 +514,12 @@ impl Simulation {
         if count > 1 && until.is_finite() {
             count = count.min(parts(until - self.time, dt) as usize);
         }
-        Ok(Wish { dt, count, to_stop, above })
+        Ok(WantedSteps { dt, count, to_stop, above })
     }
 
     /// What must be kept to go back to before the steps: what each coupling saves.
-    pub(crate) fn begin(&mut self, wish: &Wish) -> Vec<Vec<u8>> {
-        if wish.above {
+    pub(crate) fn begin(&mut self, wanted: &WantedSteps) -> Vec<Vec<u8>> {
+        if wanted.above {
             self.begin_watch();
         } else {
             self.watch = None;
@@ -530,7 +530,7 @@ impl Simulation {
     /// Takes in what the engine did, or goes back.
     pub(crate) fn finish(
         &mut self,
-        wish: &Wish,
+        wanted: &WantedSteps,
         before: &[Vec<u8>],
         result: Result<Vec<StepReport>>,
     ) -> Result<Vec<StepReport>> {
@@ -557,7 +557,7 @@ impl Simulation {
             self.step += 1;
             self.cut_steps += u64::from(self.chosen.is_some_and(|chosen| chosen.cut));
             self.wrenches.clone_from(&report.wrenches);
-            if i + 1 == wish.to_stop && report.dt == wish.dt {
+            if i + 1 == wanted.to_stop && report.dt == wanted.dt {
                 self.time = self.stop;
                 self.stop = f64::INFINITY;
                 self.chosen = None;
@@ -567,16 +567,16 @@ impl Simulation {
             self.judge_watch(report.dt)?;
         }
         // What was too fast for the length that was chosen is likely to be so in the steps that it was chosen for.
-        let shorter = reports.last().map_or(wish.dt, |report| report.dt);
-        if let Some(chosen) = self.chosen.filter(|_| shorter < wish.dt) {
+        let shorter = reports.last().map_or(wanted.dt, |report| report.dt);
+        if let Some(chosen) = self.chosen.filter(|_| shorter < wanted.dt) {
             self.chosen = Some(Chosen { dt: shorter, ..chosen });
         }
         Ok(reports)
     }
 
-    /// A turn of this world in a batch.
-    pub(crate) fn turn(&mut self, world: usize) -> Turn<'_> {
-        Turn { world, time: self.time, couplings: &mut self.couplings }
+    /// This world's part in steps of a batch.
+    pub(crate) fn world_step(&mut self, world: usize) -> WorldStep<'_> {
+        WorldStep { world, time: self.time, couplings: &mut self.couplings }
     }
 
     /// Does the engine that it started with still run it?

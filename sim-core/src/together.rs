@@ -1,7 +1,7 @@
 //! Worlds that a backend steps together.
 
 use crate::backend::{Batch, NewWorld};
-use crate::simulation::{Wish, find_backend};
+use crate::simulation::{WantedSteps, find_backend};
 use crate::{Error, Options, Plan, Registry, Result, Scene, Simulation, StepReport};
 use std::fmt;
 
@@ -63,43 +63,49 @@ impl Together {
     /// says why; the others have taken their steps.
     pub fn steps(&mut self, most: usize) -> Vec<Result<Vec<StepReport>>> {
         let mut results: Vec<Option<Result<Vec<StepReport>>>> = Vec::new();
-        let mut wishes = Vec::new();
+        let mut all_wanted = Vec::new();
         for (w, world) in self.worlds.iter_mut().enumerate() {
-            let wish = if world.is_in_batch() { world.wish(most, f64::INFINITY).map(Some) } else { Ok(None) };
-            results.push(match wish {
-                Ok(Some(wish)) => {
-                    wishes.push((w, wish));
+            let wanted = if world.is_in_batch() { world.wanted(most, f64::INFINITY).map(Some) } else { Ok(None) };
+            results.push(match wanted {
+                Ok(Some(wanted)) => {
+                    all_wanted.push((w, wanted));
                     None
                 }
                 Ok(None) => Some(world.step().map(|report| vec![report])),
                 Err(error) => Some(Err(error)),
             });
         }
-        for (w, result) in self.take(&wishes) {
+        for (w, result) in self.take(&all_wanted) {
             results[w] = Some(result);
         }
-        results.into_iter().map(|result| result.expect("every world has a wish or a result")).collect()
+        results.into_iter().map(|result| result.expect("every world wants steps or has failed")).collect()
     }
 
-    /// Takes the steps that all wishes allow.
-    fn take(&mut self, wishes: &[(usize, Wish)]) -> Vec<(usize, Result<Vec<StepReport>>)> {
-        let dt = wishes.iter().fold(f64::INFINITY, |least, (_, wish)| least.min(wish.dt));
-        let count = wishes.iter().fold(usize::MAX, |least, (_, wish)| least.min(wish.count));
+    /// Takes the steps that all worlds want.
+    fn take(&mut self, all_wanted: &[(usize, WantedSteps)]) -> Vec<(usize, Result<Vec<StepReport>>)> {
+        let dt = all_wanted.iter().fold(f64::INFINITY, |least, (_, wanted)| least.min(wanted.dt));
+        let count = all_wanted.iter().fold(usize::MAX, |least, (_, wanted)| least.min(wanted.count));
         // A stop is reached by steps of the length that was chosen for it.
-        let common = |wish: &Wish| Wish { dt, to_stop: if wish.dt == dt { wish.to_stop } else { usize::MAX }, ..*wish };
-        let before: Vec<_> = wishes.iter().map(|(w, wish)| self.worlds[*w].begin(wish)).collect();
-        let going = |w: usize| wishes.iter().any(|wish| wish.0 == w);
+        let common = |wanted: &WantedSteps| WantedSteps {
+            dt,
+            to_stop: if wanted.dt == dt { wanted.to_stop } else { usize::MAX },
+            ..*wanted
+        };
+        let before: Vec<_> = all_wanted.iter().map(|(w, wanted)| self.worlds[*w].begin(wanted)).collect();
+        let going = |w: usize| all_wanted.iter().any(|wanted| wanted.0 == w);
         let worlds = self.worlds.iter_mut().enumerate().filter(|(w, _)| going(*w));
-        let mut turns: Vec<_> = worlds.map(|(w, world)| world.turn(w)).collect();
-        if turns.is_empty() {
+        let mut world_steps: Vec<_> = worlds.map(|(w, world)| world.world_step(w)).collect();
+        if world_steps.is_empty() {
             return Vec::new();
         }
         let results = self
             .batch
-            .steps(dt, count, &mut turns)
-            .unwrap_or_else(|error| all_failed(&self.backend, error, wishes.len()));
-        let taken = wishes.iter().zip(&before).zip(results);
-        taken.map(|(((w, wish), before), result)| (*w, self.worlds[*w].finish(&common(wish), before, result))).collect()
+            .steps(dt, count, &mut world_steps)
+            .unwrap_or_else(|error| all_failed(&self.backend, error, all_wanted.len()));
+        let taken = all_wanted.iter().zip(&before).zip(results);
+        taken
+            .map(|(((w, wanted), before), result)| (*w, self.worlds[*w].finish(&common(wanted), before, result)))
+            .collect()
     }
 
     /// Puts a world at the start of a scene, in the place of another.

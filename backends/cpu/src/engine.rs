@@ -1,13 +1,13 @@
 //! The step.
 
+use crate::faults::at_time;
 use crate::isolated;
-use crate::level::{Level, Shares, Stopped, greater};
-use crate::sleep::Lulled;
+use crate::level::{Level, Shares, greater};
+use crate::sleep::SleepSums;
 use crate::step::{self, Forward};
 use crate::store::{Departures, List};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
-use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
 use barchan_core::schedule::Call;
@@ -19,9 +19,8 @@ use barchan_core::{
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
 use barchan_grid::bounds::PUT_BACK_DRIFT;
-use barchan_grid::particles::{Run, STRAIN};
-use barchan_grid::rest::ASLEEP;
-use barchan_grid::transfer::{BATCH, Batch, Fault, MAX_STATE, Scalar, Step, deformed};
+use barchan_grid::particles::Run;
+use barchan_grid::transfer::{Scalar, Step};
 use barchan_lanes::{CHUNK, Isa};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -52,13 +51,6 @@ const MAX_PARTS: f64 = 1000.0;
 /// Steps between measurements of the stiffness of materials that harden: it takes about as long as a transfer, and strain
 /// changes little in between.
 const STIFFNESS_AGE: u32 = 10;
-
-/// Values of the particles of a batch.
-type Planes<const N: usize> = [[f64; BATCH]; N];
-
-/// Planes where materials expect them.
-#[repr(align(64))]
-struct Aligned<A>(A);
 
 /// A pass that is timed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -139,7 +131,7 @@ pub(crate) struct CpuEngine<T: Scalar> {
     departures: Departures,
     /// Impulse that walls have given since the start [N s].
     pub(crate) wall_impulse: [f64; 3],
-    pub(crate) lulled: Lulled,
+    pub(crate) slept: SleepSums,
     /// What damping has dissipated since the start [J].
     damped: f64,
     /// What is live, and the archive of what was, if not the whole world is.
@@ -182,7 +174,7 @@ impl<T: Scalar> CpuEngine<T> {
             mass: 0.0,
             departures: Departures::default(),
             wall_impulse: [0.0; 3],
-            lulled: Lulled::default(),
+            slept: SleepSums::default(),
             damped: 0.0,
             reach: plan.terrain.clone().map(Reach::new),
             shortened: 0,
@@ -311,7 +303,7 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// A level's step, with the strain that lags behind carried along in parts that are small enough.
-    fn whole_step(&self, l: usize, dt: f64) -> Result<Step> {
+    pub(crate) fn whole_step(&self, l: usize, dt: f64) -> Result<Step> {
         let level = &self.levels[l];
         let parts = (level.deformation_rate * level.strain_dt / MAX_DEFORMATION).ceil();
         if parts > MAX_PARTS {
@@ -337,63 +329,8 @@ impl<T: Scalar> CpuEngine<T> {
         Step { h: level.h(), dt, strain_dt: level.strain_dt, strain_parts: 1, gravity: self.gravity, frozen: false }
     }
 
-    /// Turns a fault of a transfer into what a user can act upon.
-    pub(crate) fn explain(&self, level: usize, (list, fault, message): Stopped) -> Error {
-        if let Some(error) = self.find_non_finite() {
-            return error;
-        }
-        let place = (level, list);
-        let l = &self.levels[level].store.lists[list];
-        match fault {
-            Fault::Material { status, chunk } => {
-                let id = |i: u64| {
-                    l.id.get(chunk + i as usize / CHUNK).map_or(u64::MAX, |ids| u64::from(ids[i as usize % CHUNK]))
-                };
-                let planned = &self.materials[l.material];
-                match message.check(status, &planned.material, "update", id) {
-                    Err(error) => error,
-                    Ok(()) => unreachable!("a fault carries a status that is not OK"),
-                }
-            }
-            // The particle is finite, so its momentum has overflowed.
-            Fault::NonFinite { chunk, lane } => self.non_finite("momentum", place, chunk, lane, f64::INFINITY, 1),
-            Fault::Unsound { chunk, lane } => {
-                let planned = &self.materials[l.material];
-                Error::MaterialFailed {
-                    material: planned.material.name.clone(),
-                    origin: planned.material.origin.clone(),
-                    callback: "update",
-                    message: "what it gives for a finite strain is NaN or infinite".into(),
-                    particle: l.id.get(chunk).map(|ids| u64::from(ids[lane])),
-                }
-            }
-            Fault::Strayed { chunk } => self.non_finite("cell", place, chunk, 0, f64::NAN, 1),
-        }
-    }
-
-    fn non_finite(
-        &self,
-        field: &'static str,
-        (level, list): (usize, usize),
-        chunk: usize,
-        lane: usize,
-        value: f64,
-        count: u64,
-    ) -> Error {
-        let list = &self.levels[level].store.lists[list];
-        Error::NonFinite {
-            step: self.steps,
-            time: 0.0,
-            field,
-            particle: u64::from(list.id[chunk][lane]),
-            list: self.materials[list.material].label(),
-            value,
-            count,
-        }
-    }
-
     /// All lists, with the indices of level and list.
-    fn lists(&self) -> impl Iterator<Item = ((usize, usize), &List<T>)> {
+    pub(crate) fn lists(&self) -> impl Iterator<Item = ((usize, usize), &List<T>)> {
         let of_level = |(l, level): (usize, &'_ Level<T>)| (l, level.store.lists.len());
         self.levels
             .iter()
@@ -403,44 +340,12 @@ impl<T: Scalar> CpuEngine<T> {
             .map(|(l, i)| ((l, i), &self.levels[l].store.lists[i]))
     }
 
-    /// The particle of least id with a NaN or infinite value.
-    pub(crate) fn find_non_finite(&self) -> Option<Error> {
-        /// Id, field, level and list, chunk, lane, value.
-        type Fallen = (u32, &'static str, (usize, usize), usize, usize, f64);
-        let mut first: Option<Fallen> = None;
-        let mut count = 0;
-        for (l, list) in self.lists() {
-            let planes = list.strain_planes();
-            for (chunk, lane) in list.places() {
-                let motion = list.motion_of(chunk, lane);
-                let fields = motion.iter().enumerate().map(|(p, &x)| (if p < 3 { "velocity" } else { "affine" }, x));
-                let rest = (0..STRAIN + planes + list.law.table.n_state).map(|p| {
-                    let field = match p {
-                        0 => "mass",
-                        1 => "volume0",
-                        p if p < STRAIN + planes => "strain",
-                        _ => "history",
-                    };
-                    (field, list.rest_of(chunk, lane, p))
-                });
-                if let Some((field, value)) = fields.chain(rest).find(|(_, x)| !x.is_finite()) {
-                    count += 1;
-                    let id = list.id[chunk][lane];
-                    if first.is_none_or(|f| id < f.0) {
-                        first = Some((id, field, l, chunk, lane, value));
-                    }
-                }
-            }
-        }
-        first.map(|(_, field, l, chunk, lane, value)| self.non_finite(field, l, chunk, lane, value, count))
-    }
-
     /// Books what a level's ground asleep took in its step that has just ended, and what gravity did not give to it.
     pub(crate) fn book_sleepers(&mut self, l: usize, dt: f64) {
         let asleep = self.levels[l].watch.mass;
         (0..3).for_each(|d| self.gravity_impulse[d] -= asleep * self.gravity[d] * dt);
         let taken = self.levels[l].taken_by_those_asleep(self.isa);
-        (0..3).for_each(|d| self.lulled.momentum[d] += taken[d]);
+        (0..3).for_each(|d| self.slept.momentum[d] += taken[d]);
     }
 
     /// Carries strain of levels up to where their particles are, before some change to a level with another step.
@@ -509,24 +414,6 @@ impl<T: Scalar> CpuEngine<T> {
             }
         }
         Ok(())
-    }
-}
-
-pub(crate) fn cannot_go_back(coupling: &dyn Coupling, what: String) -> Error {
-    Error::Body {
-        path: format!("coupling '{}'", coupling.name()),
-        what: format!("cannot go back to the start of the step: {what}"),
-        mend: "lower time.safety or time.step, so that no step has to be repeated".to_owned(),
-    }
-}
-
-/// A fault in the state, with the time at which it was found.
-pub(crate) fn at_time(error: Error, at: f64) -> Error {
-    match error {
-        Error::NonFinite { step, field, particle, list, value, count, .. } => {
-            Error::NonFinite { step, time: at, field, particle, list, value, count }
-        }
-        other => other,
     }
 }
 
@@ -606,12 +493,12 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             ledger.gravity_impulse[d] += self.gravity_impulse[d];
         }
         self.adapt.account(ledger);
-        ledger.slept_kinetic += self.lulled.kinetic;
+        ledger.slept_kinetic += self.slept.kinetic;
         for d in 0..3 {
-            ledger.slept_momentum[d] += self.lulled.momentum[d];
+            ledger.slept_momentum[d] += self.slept.momentum[d];
         }
         ledger.damped += self.damped;
-        ledger.count("blocks that fell asleep", self.lulled.blocks);
+        ledger.count("blocks that fell asleep", self.slept.blocks);
         ledger.count("particles asleep now", self.levels.iter().map(Level::asleep).sum());
         if let Some(reach) = &self.reach {
             reach.account(ledger);
@@ -630,7 +517,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     fn carry_on(&mut self, sums: &Ledger) {
         (self.wall_impulse, self.gravity_impulse) = (sums.wall_impulse, sums.gravity_impulse);
         self.departures.deleted_mass = sums.deleted_mass;
-        (self.lulled.kinetic, self.lulled.momentum) = (sums.slept_kinetic, sums.slept_momentum);
+        (self.slept.kinetic, self.slept.momentum) = (sums.slept_kinetic, sums.slept_momentum);
         self.damped = sums.damped;
         self.adapt.carry_on(sums);
         if let Some(reach) = &mut self.reach {
@@ -782,147 +669,5 @@ impl<T: Scalar> CpuEngine<T> {
         let least = self.levels.iter_mut().fold(f64::INFINITY, |least, level| level.take_stock(isa).min(least));
         self.mass = self.lists().flat_map(|(_, list)| list.places().map(|(c, l)| list.mass_of(c, l))).sum();
         self.least_mass = if least.is_finite() { least * 1e-20 } else { 0.0 };
-    }
-
-    /// Adds mass, momenta, energies and the materials' counts.
-    fn account_particles(&self, ledger: &mut Ledger) {
-        for ((level, _), list) in self.lists() {
-            let h = self.levels[level].h();
-            let quarter = 0.25 * h * h;
-            for (chunk, lane) in list.places() {
-                let m = list.mass_of(chunk, lane);
-                let motion = list.motion_of(chunk, lane);
-                let (v, c) = ([motion[0], motion[1], motion[2]], &motion[3..]);
-                let x = list.position_of(chunk, lane, h);
-                ledger.particles += 1;
-                ledger.mass += m;
-                for d in 0..3 {
-                    let (a, b) = ((d + 1) % 3, (d + 2) % 3);
-                    ledger.momentum[d] += m * v[d];
-                    // x × v, and the spin that C carries about the particle.
-                    ledger.angular_momentum[d] +=
-                        m * (x[a] * v[b] - x[b] * v[a] + quarter * (c[3 * b + a] - c[3 * a + b]));
-                    ledger.potential -= m * self.scene.gravity[d] * x[d];
-                }
-                ledger.kinetic += list.kinetic_of(chunk, lane, h);
-            }
-            self.account_material(level, list, ledger);
-        }
-    }
-
-    /// Strain and history of up to [`BATCH`] particles of a run, in planes, where the particles are now: strain is held as it was when the
-    /// last step began, and is carried along here as the next `step` would do it. `None` if the material cannot.
-    fn strain_now(list: &List<T>, run: &Run, from: usize, step: &Step) -> Option<(Planes<9>, Planes<MAX_STATE>)> {
-        let (planes, n_state) = (list.strain_planes(), list.law.table.n_state);
-        let wants_rate = list.law.table.capabilities & abi::BARCHAN_CAP_VEL_GRAD != 0;
-        let n = (run.count - from).min(BATCH);
-        let zeros = [T::default(); BATCH];
-        let (mut strain, mut state) = (Aligned([zeros; 9]), Aligned([zeros; MAX_STATE]));
-        let mut rate = Aligned([zeros; 9]);
-        // The last particle stands in for those behind it, so that no material sees a strain that nothing can have.
-        for i in 0..BATCH {
-            let at = from + i.min(n - 1);
-            let (chunk, lane) = (run.first + at / CHUNK, at % CHUNK);
-            let rest = |plane: usize| T::from_f64(list.rest_of(chunk, lane, STRAIN + plane));
-            strain.0[..planes].iter_mut().enumerate().for_each(|(p, plane)| plane[i] = rest(p));
-            state.0[..n_state].iter_mut().enumerate().for_each(|(q, plane)| plane[i] = rest(planes + q));
-            let motion = list.motion_of(chunk, lane);
-            rate.0.iter_mut().zip(&motion[3..]).for_each(|(plane, c)| plane[i] = T::from_f64(*c));
-        }
-        let dt = T::from_f64(step.strain_dt / f64::from(step.strain_parts));
-        for _ in 0..if step.strain_dt > 0.0 { step.strain_parts } else { 0 } {
-            let (mut trial, mut kirchhoff, before) = (Aligned([zeros; 9]), Aligned([zeros; 6]), Aligned(state.0));
-            for i in 0..BATCH {
-                let old: [T; 9] = std::array::from_fn(|p| strain.0[p][i]);
-                let new = deformed(&std::array::from_fn(|c| rate.0[c][i] * dt), &old[..planes]);
-                trial.0.iter_mut().zip(new).for_each(|(plane, x)| plane[i] = x);
-            }
-            let batch = Batch {
-                n,
-                stride: BATCH,
-                dt,
-                params: list.law.params.as_ptr(),
-                strain_trial: trial.0.as_ptr().cast(),
-                vel_grad: if wants_rate { rate.0.as_ptr().cast() } else { std::ptr::null() },
-                state_in: if n_state > 0 { before.0.as_ptr().cast() } else { std::ptr::null() },
-                strain: strain.0.as_mut_ptr().cast(),
-                kirchhoff: kirchhoff.0.as_mut_ptr().cast(),
-                state_out: if n_state > 0 { state.0.as_mut_ptr().cast() } else { std::ptr::null_mut() },
-            };
-            // SAFETY: all planes are BATCH long, n <= BATCH, and nothing overlaps.
-            let status = unsafe { T::update(&list.law.table, &batch, ErrorBuffer::default().as_raw()) };
-            if status != abi::BARCHAN_OK {
-                return None;
-            }
-        }
-        Some((strain.0.map(|plane| plane.map(T::to_f64)), state.0.map(|plane| plane.map(T::to_f64))))
-    }
-
-    /// Adds elastic energy and the counts of one list.
-    fn account_material(&self, level: usize, list: &List<T>, ledger: &mut Ledger) {
-        let planned = &self.materials[list.material];
-        let table = &planned.material.table;
-        if table.energy_f64.is_none() {
-            ledger.elastic = f64::NAN;
-        }
-        let n_state = table.n_state;
-        // What cannot be carried along ends the next step, which says why.
-        let lagging = self.whole_step(level, 0.0).ok();
-        let asleep = Step { strain_dt: 0.0, strain_parts: 1, ..self.step_of(level, 0.0) };
-        let mut energy = [0f64; BATCH];
-        let no_rate = [[0f64; BATCH]; 9];
-        let wants_rate = planned.material.has(abi::BARCHAN_CAP_VEL_GRAD);
-        let mut counts = [0u64; abi::BARCHAN_N_COUNTERS];
-        for (run, &rest) in list.runs.iter().zip(&self.levels[level].store.rest) {
-            let step = if rest == ASLEEP { Some(&asleep) } else { lagging.as_ref() };
-            for from in (0..run.count).step_by(BATCH) {
-                let n = (run.count - from).min(BATCH);
-                let place = |i: usize| (run.first + (from + i) / CHUNK, (from + i) % CHUNK);
-                let Some((strain, state)) = step.and_then(|step| Self::strain_now(list, run, from, step)) else {
-                    ledger.elastic = f64::NAN;
-                    continue;
-                };
-                let batch = abi::BarchanBatchF64 {
-                    struct_size: size_of::<abi::BarchanBatchF64>(),
-                    n,
-                    stride: BATCH,
-                    dt: 0.0,
-                    params: planned.parameters.as_ptr(),
-                    strain_trial: strain.as_ptr().cast(),
-                    vel_grad: if wants_rate { no_rate.as_ptr().cast() } else { std::ptr::null() },
-                    state_in: if n_state > 0 { state.as_ptr().cast() } else { std::ptr::null() },
-                    strain: std::ptr::null_mut(),
-                    kirchhoff: std::ptr::null_mut(),
-                    state_out: std::ptr::null_mut(),
-                };
-                let mut message = ErrorBuffer::default();
-                if let Some(callback) = table.energy_f64 {
-                    // SAFETY: the planes that this callback reads are BATCH long and n <= BATCH.
-                    let status = unsafe { callback(&batch, energy.as_mut_ptr(), message.as_raw()) };
-                    for (i, e) in energy[..n].iter().enumerate() {
-                        let (chunk, lane) = place(i);
-                        ledger.elastic +=
-                            if status == abi::BARCHAN_OK { e * list.volume0_of(chunk, lane) } else { f64::NAN };
-                    }
-                }
-                if let Some(callback) = table.count_f64 {
-                    let mut here = [0u64; abi::BARCHAN_N_COUNTERS];
-                    // SAFETY: as above.
-                    if unsafe { callback(&batch, here.as_mut_ptr(), message.as_raw()) } == abi::BARCHAN_OK {
-                        for (sum, count) in counts.iter_mut().zip(here) {
-                            *sum += count;
-                        }
-                    }
-                }
-            }
-        }
-        for (what, index) in [
-            ("yielding", abi::BARCHAN_COUNT_YIELDING),
-            ("stress-free at the apex", abi::BARCHAN_COUNT_APEX),
-            ("with a floored stretch", abi::BARCHAN_COUNT_FLOORED),
-            ("with a clamped state", abi::BARCHAN_COUNT_CLAMPED),
-        ] {
-            ledger.count(&format!("{} particles {what} now", planned.name), counts[index]);
-        }
     }
 }

@@ -4,9 +4,11 @@
 //! into blocks of cells, never by thread count; no two blocks write the same memory; sums over blocks run in the blocks' order.
 #![expect(unsafe_code, reason = "blocks write disjoint parts of shared planes from several threads")]
 
+mod account;
 mod adapt;
 mod archive;
 mod engine;
+mod faults;
 mod grid;
 mod isolated;
 mod level;

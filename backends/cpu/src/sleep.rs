@@ -42,7 +42,7 @@ pub(crate) struct Watch {
 
 /// What falling asleep took, and what those asleep took from others.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Lulled {
+pub(crate) struct SleepSums {
     /// Blocks that fell asleep.
     pub(crate) blocks: u64,
     /// Kinetic energy [J].
@@ -74,12 +74,12 @@ impl Watch {
 impl<T: Scalar> Level<T> {
     /// Decides who sleeps in the next step: wakes those next to what moves or near a tool, and lets those sleep around whom all has
     /// been slow for long. Returns whether anything can sleep here at all.
-    pub(crate) fn keep_watch(&mut self, couplings: &[Box<dyn Coupling>], lulled: &mut Lulled) -> bool {
+    pub(crate) fn keep_watch(&mut self, couplings: &[Box<dyn Coupling>], slept: &mut SleepSums) -> bool {
         if self.watch.slow == 0.0 {
             return false;
         }
         let woken = self.wake(couplings);
-        if self.lull(lulled) || woken {
+        if self.put_to_sleep(slept) || woken {
             self.list_watch(false);
         }
         true
@@ -136,21 +136,21 @@ impl<T: Scalar> Level<T> {
     }
 
     /// Puts blocks to sleep that have been slow for long, as all around them. Returns whether there were any.
-    fn lull(&mut self, lulled: &mut Lulled) -> bool {
+    fn put_to_sleep(&mut self, slept: &mut SleepSums) -> bool {
         let (rest, grid) = (&self.store.rest, &self.grid);
         let has_rested = |b: u32| rest[b as usize] >= RESTED;
         let may_sleep = |b: &u32| has_rested(*b) && grid.neighbours(*b as usize).all(has_rested) && !grid.is_tied(*b);
         let tired: Vec<u32> = self.watch.awake.iter().copied().filter(may_sleep).collect();
         for &b in &tired {
             self.store.rest[b as usize] = ASLEEP;
-            lulled.blocks += 1;
+            slept.blocks += 1;
             for list in &mut self.store.lists {
                 let run = list.runs[b as usize];
                 for (chunk, lane) in run.places() {
                     let (m, motion) = (list.mass_of(chunk, lane), list.motion_of(chunk, lane));
-                    lulled.kinetic += list.kinetic_of(chunk, lane, self.store.cell_width);
+                    slept.kinetic += list.kinetic_of(chunk, lane, self.store.cell_width);
                     for d in 0..3 {
-                        lulled.momentum[d] += m * motion[d];
+                        slept.momentum[d] += m * motion[d];
                     }
                 }
                 list.stop(run);

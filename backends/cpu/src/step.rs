@@ -6,7 +6,8 @@
 //! time on both of its ends, and momentum is exact. Particles of the coarser level move with the velocity at the end of their
 //! step; with the mean one they would gain energy without bound.
 
-use crate::engine::{CpuEngine, MAX_DRIFT, MAX_MOVE, NODE_MOVE, Pass, at_time, cannot_go_back};
+use crate::engine::{CpuEngine, MAX_DRIFT, MAX_MOVE, NODE_MOVE, Pass};
+use crate::faults::{at_time, cannot_go_back};
 use crate::level::{Level, greater};
 use barchan_core::plan::loaded;
 use barchan_core::schedule::{Call, Stage};
@@ -135,7 +136,7 @@ impl<T: Scalar> CpuEngine<T> {
     fn sleep(&mut self, call: &Call, step: &mut UnderWay<'_>) -> Result<Next> {
         let clock = Instant::now();
         for level in &mut self.levels[call.levels.clone()] {
-            level.keep_watch(step.couplings, &mut self.lulled);
+            level.keep_watch(step.couplings, &mut self.slept);
         }
         self.clocks.add(Pass::Sleep, clock);
         Ok(Next::Call)

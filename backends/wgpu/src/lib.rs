@@ -7,23 +7,13 @@
 //! bits.
 #![expect(unsafe_code, reason = "materials' callbacks cross the C ABI")]
 
-mod account;
-mod adapt;
-mod archive;
-mod batch;
-mod contact;
 pub mod device;
-mod free;
-mod kernels;
-mod layout;
-pub mod material;
-mod memory;
+mod passes;
+mod readback;
 mod schedule;
-mod seat;
-mod sleep;
-mod soft;
-mod stiffness;
-mod world;
+mod worlds;
+
+pub use passes::material;
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
 use barchan_core::{Backend, Engine, Error, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
@@ -73,15 +63,15 @@ impl Backend for Wgpu {
         if plan.precision == Precision::F64 {
             return Err(lacks("64-bit floats", "the run is in f64", "run in f32, or use the backend cpu"));
         }
-        if plan.materials.len() > layout::MAX_LAWS {
+        if plan.materials.len() > device::layout::MAX_LAWS {
             let why = format!("bodies use {} materials", plan.materials.len());
             return Err(lacks(
-                format!("room for more than {} materials", layout::MAX_LAWS),
+                format!("room for more than {} materials", device::layout::MAX_LAWS),
                 why,
                 "use fewer, or the backend cpu",
             ));
         }
-        layout::check_count(plan.particle_count, "simulate fewer, or use the backend cpu")?;
+        device::layout::check_count(plan.particle_count, "simulate fewer, or use the backend cpu")?;
         plan.materials.iter().try_for_each(|planned| material::check(&planned.material))
     }
 
@@ -90,15 +80,15 @@ impl Backend for Wgpu {
             Some(gpu) => gpu.limits.clone(),
             None => device::limits(adapter, self.offer)?,
         };
-        Ok(Some(memory::most_particles(&limits, values)))
+        Ok(Some(device::memory::most_particles(&limits, values)))
     }
 
     fn passes(&self, plan: &Plan) -> Vec<String> {
-        kernels::describe(plan).unwrap_or_default()
+        crate::passes::describe(plan).unwrap_or_default()
     }
 
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
-        Ok(Box::new(seats(self, vec![NewWorld { plan, particles, couplings: &[] }])?.seat(0)))
+        Ok(Box::new(batch_of(self, vec![NewWorld { plan, particles, couplings: &[] }])?.engine(0)))
     }
 
     fn has_batches(&self) -> bool {
@@ -106,12 +96,12 @@ impl Backend for Wgpu {
     }
 
     fn compile_batch(&self, worlds: Vec<NewWorld<'_>>) -> Result<Box<dyn Batch>> {
-        Ok(Box::new(seats(self, worlds)?))
+        Ok(Box::new(batch_of(self, worlds)?))
     }
 }
 
 /// Worlds on the adapter that the first one asks for.
-fn seats(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<seat::Seats> {
+fn batch_of(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<worlds::engine::Worlds> {
     worlds.iter().try_for_each(|world| backend.check(world.plan))?;
     let adapter = worlds.first().and_then(|world| world.plan.adapter.as_deref());
     let gpu = match &backend.device {
@@ -119,7 +109,7 @@ fn seats(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<seat::Seats> {
         None => Arc::new(device::open_with(adapter, backend.offer)?),
     };
     let threads = worlds.first().map_or(0, |world| world.plan.threads);
-    seat::Seats::new(gpu, worlds, threads)
+    worlds::engine::Worlds::new(gpu, worlds, threads)
 }
 
 /// Registers the backend.

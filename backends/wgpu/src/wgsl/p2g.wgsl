@@ -152,11 +152,11 @@ fn ready(b: u32) -> u32 {
     let layer = layer_of_block(min(b, extent.block_room - 1u));
     // Subcycled, sorts come where all levels' steps begin.
     let may_be_due = !SUBCYCLED || step.slot % (1u << (LEVELS - 1u)) == 0u;
-    var rhythm = Rhythm(0u, 0.0);
+    var since_sort = SinceSort(0u, 0.0);
     var followed = 0u;
     var is_stiff = false;
     if may_be_due {
-        rhythm = rhythm_of(layer);
+        since_sort = since_sort_of(layer);
         followed = atomicLoad(&status[FOLLOWED]);
         $IS_STIFF
     }
@@ -172,9 +172,9 @@ fn ready(b: u32) -> u32 {
             is_first = b == atomicLoad(&status[layer_word(layer, FIRST_BLOCK)]);
         }
         if is_first {
-            atomicStore(&status[step_word(step.number, layer, DRIFT)], bitcast<u32>(rhythm.drift));
+            atomicStore(&status[step_word(step.number, layer, DRIFT)], bitcast<u32>(since_sort.drift));
         }
-        if followed != 0u || is_world_due(layer, rhythm) {
+        if followed != 0u || is_world_due(layer, since_sort) {
             if is_first {
                 atomicStore(&status[HALT_STEP], step.number);
                 atomicStore(&status[HALTED], select(DRIFTED, FOLLOW, followed != 0u));

@@ -22,7 +22,7 @@ fn ready(b: u32) -> u32 {
         return 0u;
     }
     let layer = u32(lists[b * ENTRY].w);
-    return u32(is_live(layer) && !is_world_due(layer, rhythm_of(layer)));
+    return u32(is_live(layer) && !is_world_due(layer, since_sort_of(layer)));
 }
 
 // A block's count after what has happened.

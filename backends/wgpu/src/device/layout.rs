@@ -1,6 +1,6 @@
 //! Particles laid out for the device: by block, cell, law and, among those, in their order; and back.
 
-use crate::kernels::Sorted;
+use crate::passes::binding::Sorted;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, ParticleState, Result, Spot};
 use barchan_grid::block::{REACH, offset};
@@ -148,14 +148,14 @@ impl Homes {
     }
 
     /// The home of each particle, block and cell, in the order of memory.
-    fn seats(&self) -> Vec<(Block, usize)> {
+    fn worlds_of(&self) -> Vec<(Block, usize)> {
         let of_block = |(b, block): (usize, &Block)| {
             let (starts, count) = self.starts(b);
-            let (slots, mut seats) = (slots(starts, count), vec![(*block, 0); count]);
+            let (slots, mut worlds_of) = (slots(starts, count), vec![(*block, 0); count]);
             for cell in 0..64 {
-                slots[in_cell(starts, count, cell)].iter().for_each(|slot| seats[*slot].1 = cell);
+                slots[in_cell(starts, count, cell)].iter().for_each(|slot| worlds_of[*slot].1 = cell);
             }
-            seats
+            worlds_of
         };
         self.blocks.par_iter().enumerate().flat_map_iter(of_block).collect()
     }
@@ -226,7 +226,7 @@ fn refuse(what: String) -> Error {
 struct Ours<'a> {
     list: &'a ParticleList,
     i: usize,
-    seat: (Block, usize),
+    engine: (Block, usize),
     planned: &'a PlannedMaterial,
 }
 
@@ -247,7 +247,7 @@ impl Ours<'_> {
 
     /// Where it is in its cell, and its tag.
     fn place(&self) -> [u32; 4] {
-        let (list, i, (block, home)) = (self.list, self.i, self.seat);
+        let (list, i, (block, home)) = (self.list, self.i, self.engine);
         let (mut tag, mut place) = (0u32, [0u32; 4]);
         let mut shift = [0; 3];
         for d in 0..3 {
@@ -293,12 +293,12 @@ impl<'a> Planes<'a> {
         if let Some(id) = lists.iter().flat_map(|list| &list.id).find(|id| **id > u64::from(u32::MAX)) {
             return Err(refuse(format!("a particle has the number {id}, which is {} or greater", 1u64 << 32)));
         }
-        let seats = homes.seats();
-        let particle = |(q, seat): (usize, (Block, usize))| {
+        let worlds_of = homes.worlds_of();
+        let particle = |(q, engine): (usize, (Block, usize))| {
             let (l, i) = homes.order[q];
-            Ours { list: &lists[l], i, seat, planned: &materials[l] }
+            Ours { list: &lists[l], i, engine, planned: &materials[l] }
         };
-        let all: Vec<Ours<'_>> = seats.into_par_iter().enumerate().with_min_len(FEW).map(particle).collect();
+        let all: Vec<Ours<'_>> = worlds_of.into_par_iter().enumerate().with_min_len(FEW).map(particle).collect();
         let mut record = vec![[0; 4]; RECORD * slots];
         let mut ids = vec![[0; 2]; slots];
         let mut rest = vec![[0.0; 4]; vectors * slots];

@@ -1,16 +1,16 @@
 //! Unbounded ground on the device; see `barchan_grid::archive`. Tiles come and go on the host, as particles do in rounds of split and merge.
 
-use crate::batch::WgpuBatch;
-use crate::kernels::Role;
-use crate::layout::{Planes, by_level};
-use crate::memory::with_room;
+use crate::device::layout::{Planes, by_level};
+use crate::device::memory::with_room;
+use crate::passes::binding::Role;
+use crate::worlds::WgpuBatch;
 use barchan_core::{Coupling, ParticleList, Result};
 use barchan_grid::adapt::{CopiedLevel, LevelStore, Parcel};
 use barchan_grid::archive::Reach;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A tile's particles, a list a level and material.
-type Lists = BTreeMap<[i32; 2], Vec<ParticleList>>;
+pub(crate) type Lists = BTreeMap<[i32; 2], Vec<ParticleList>>;
 
 impl WgpuBatch {
     /// Puts away what has fallen out of a world's reach, and brings in what has come within it. Its particles have just been sorted.
@@ -26,7 +26,7 @@ impl WgpuBatch {
     }
 
     /// The slots of those that go, level by level, and those that come, a list a level and material.
-    fn turn_over(
+    pub(crate) fn turn_over(
         &mut self,
         w: usize,
         reach: &mut Reach,
@@ -55,7 +55,12 @@ impl WgpuBatch {
     }
 
     /// The particles of each of the tiles, and the slots of all of them, level by level.
-    fn in_tiles(&self, w: usize, reach: &Reach, tiles: &BTreeSet<[i32; 2]>) -> Result<(Vec<Vec<u32>>, Lists)> {
+    pub(crate) fn in_tiles(
+        &self,
+        w: usize,
+        reach: &Reach,
+        tiles: &BTreeSet<[i32; 2]>,
+    ) -> Result<(Vec<Vec<u32>>, Lists)> {
         let world = &self.worlds[w];
         let mut gone = vec![Vec::new(); self.levels];
         let mut found: Lists = tiles.iter().map(|tile| (*tile, Vec::new())).collect();

@@ -1,10 +1,11 @@
 //! Ground at rest that is left out: what the host knows of it. The rule is that of the backend cpu's `sleep.rs`, in `watch.wgsl`.
 
-use crate::batch::{SLEPT, WgpuBatch};
-use crate::kernels::{Role, Sorted};
-use crate::layout::Homes;
-use crate::memory::read;
-use crate::world::Level;
+use crate::device::layout::Homes;
+use crate::device::memory::read;
+use crate::passes::binding::{Role, Sorted};
+use crate::schedule::status::SLEPT;
+use crate::worlds::WgpuBatch;
+use crate::worlds::world::Level;
 use barchan_core::{Aabb, Coupling, ParticleList, Result, SortPhase, Vec3};
 use barchan_grid::rest::{ASLEEP, RESTED, near_tool};
 use std::ops::Range;
@@ -12,13 +13,13 @@ use std::ops::Range;
 /// Words of a block; see `watch_words.wgsl`.
 pub(crate) const WATCHED: usize = 12;
 pub(crate) type Words = [u32; WATCHED];
-const RESTS: usize = 0;
-const DECIDED: usize = 1;
-const HAPPENED: usize = 2;
-const STEPPED: u32 = 1;
-const FAST: u32 = 2;
-const STIRRED: u32 = 4;
-const NONE: u32 = u32::MAX;
+pub(crate) const RESTS: usize = 0;
+pub(crate) const DECIDED: usize = 1;
+pub(crate) const HAPPENED: usize = 2;
+pub(crate) const STEPPED: u32 = 1;
+pub(crate) const FAST: u32 = 2;
+pub(crate) const STIRRED: u32 = 4;
+pub(crate) const NONE: u32 = u32::MAX;
 
 /// First and last block of a box, as the device reads them.
 pub(crate) type BlockBox = [[i32; 4]; 2];
@@ -79,7 +80,7 @@ pub(crate) fn restored(sort: &SortPhase, level: usize, lists: &[ParticleList], h
 }
 
 /// For how many steps a block has rested, by its words: as `rest_of` of `watch.wgsl`.
-fn rest_of(words: &Words) -> u16 {
+pub(crate) fn rest_of(words: &Words) -> u16 {
     let (rest, happened) = (words[RESTS] as u16, words[HAPPENED]);
     let rest = match happened {
         _ if happened & FAST > 0 => 0,

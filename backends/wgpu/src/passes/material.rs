@@ -7,7 +7,7 @@ use std::error::Error as _;
 use std::fmt::Write as _;
 
 /// What a material's WGSL may use.
-const PRELUDE: &str = include_str!("prelude.wgsl");
+const PRELUDE: &str = include_str!("../prelude.wgsl");
 
 /// What the engine supplies to a material checked alone, and a function of the type that its update must have.
 const HOST: &str = "

@@ -1,10 +1,12 @@
 //! Buffers on the device, and what fits into them.
 
 use crate::device::Gpu;
-use crate::kernels::{FIRST_BINDING, Found, Free, Kernel, Parts, Role, Sorted, Uniform, is_stored, vectors_for};
-use crate::layout::{ENTRY, RECORD, ROUNDS};
-use crate::sleep::WATCHED;
-use crate::soft::WORDS as SOFT_WORDS;
+use crate::device::layout::{ENTRY, RECORD, ROUNDS};
+use crate::passes::binding::{FIRST_BINDING, Found, Kernel, Parts, Role, Sorted, Uniform};
+use crate::passes::bodies::Free;
+use crate::passes::scene::{is_stored, vectors_for};
+use crate::worlds::sleep::WATCHED;
+use crate::worlds::soft::WORDS as SOFT_WORDS;
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;

@@ -1,13 +1,15 @@
 //! Split and merge: the device finds the particles that they may concern, the host decides about those, and the device takes out what is
 //! gone and takes in what has come.
 
-use crate::batch::{BLOCKS, Behind, COUNTED, HALTED, Part, WgpuBatch};
-use crate::kernels::{Role, Sorted, rest_vectors};
-use crate::layout::{self, Homes, Planes};
-use crate::memory::{StepConstants, Writes, read_all, slots_for, with_room};
+use crate::device::layout::{self, Homes, Planes};
+use crate::device::memory::{StepConstants, Writes, read_all, slots_for, with_room};
+use crate::passes::binding::{Role, Sorted};
+use crate::passes::scene::rest_vectors;
 use crate::schedule::Dispatch;
-use crate::sleep;
-use crate::world::Level;
+use crate::schedule::status::{BLOCKS, COUNTED, HALTED};
+use crate::schedule::submission::{Behind, Part};
+use crate::worlds::world::Level;
+use crate::worlds::{WgpuBatch, sleep};
 use barchan_core::{Coupling, ParticleList, Regions, Result};
 use barchan_grid::adapt::{Candidates, CopiedLevel};
 use barchan_grid::block;
@@ -16,15 +18,15 @@ use std::ops::Range;
 use std::time::Instant;
 
 /// Vectors that the device writes for each block whose cells are at least half full: the block, and bits.
-const FILLED: usize = 2;
+pub(crate) const FILLED: usize = 2;
 /// Where a particle's cell and layer stand in its record on the way to the host and back.
-const PLACE: usize = 5;
+pub(crate) const PLACE: usize = 5;
 /// So many particles come back with the search; as a rule a round that merges nothing concerns fewer.
-const AT_ONCE: usize = 2048;
-const HAS_LEVELS: &str = "only scenes of several levels have rounds";
+pub(crate) const AT_ONCE: usize = 2048;
+pub(crate) const HAS_LEVELS: &str = "only scenes of several levels have rounds";
 
 /// Copies of particles of a world that a round may concern.
-struct Found {
+pub(crate) struct Found {
     /// Where each list's particles are, level by level.
     slots: Vec<Vec<Vec<u32>>>,
     levels: Vec<CopiedLevel>,
@@ -53,9 +55,9 @@ impl WgpuBatch {
         self.settle()?;
         let candidates = self.worlds[w].adapt.candidates(before);
         self.write_regions(w, candidates);
-        let have_moved = self.worlds[w].levels.iter().any(|level| level.rhythm.drift != 0.0);
+        let have_moved = self.worlds[w].levels.iter().any(|level| level.since_sort.drift != 0.0);
         if have_moved {
-            self.worlds[w].levels.iter_mut().for_each(|level| level.rhythm.drift = f32::INFINITY);
+            self.worlds[w].levels.iter_mut().for_each(|level| level.since_sort.drift = f32::INFINITY);
         }
         if have_moved || self.unlinked {
             self.sort(w)?;
@@ -82,7 +84,7 @@ impl WgpuBatch {
     }
 
     /// Particles of a world that a round may concern, and which cells are full if any may merge.
-    fn find_concerned(&mut self, w: usize, merges: bool) -> Result<Found> {
+    pub(crate) fn find_concerned(&mut self, w: usize, merges: bool) -> Result<Found> {
         let kernels = self.kernels.set.adapt.as_ref().expect(HAS_LEVELS);
         self.write_layers(&self.layers(|other| other == w));
         self.write_words(HALTED, &[0]);
@@ -136,7 +138,7 @@ impl WgpuBatch {
     }
 
     /// Where the device has put so many of those that it has found: their slots, then what it holds of them.
-    fn found(&self, count: usize) -> impl Iterator<Item = Behind> {
+    pub(crate) fn found(&self, count: usize) -> impl Iterator<Item = Behind> {
         let order = Behind::of(Role::Order, 0, 4 * count as u64);
         let of = move |sorted: Sorted| {
             let stretches = self.memory.stretches(sorted, 0, count).into_iter();
@@ -200,7 +202,7 @@ impl WgpuBatch {
     }
 
     /// Makes room for so many particles and blocks.
-    fn make_room_for(&mut self, particles: usize, blocks: usize) -> Result<()> {
+    pub(crate) fn make_room_for(&mut self, particles: usize, blocks: usize) -> Result<()> {
         layout::check_count(particles, "use fewer levels, simulate fewer particles, or use the backend cpu")?;
         let mut extent = self.memory.extent;
         if particles > extent.slots as usize {
@@ -213,7 +215,7 @@ impl WgpuBatch {
     }
 
     /// Writes particles of a layer and their blocks behind all others: from that slot and that block on.
-    fn write_behind(&self, planes: &Planes, homes: &Homes, (slot, block): (usize, usize), layer: usize) {
+    pub(crate) fn write_behind(&self, planes: &Planes, homes: &Homes, (slot, block): (usize, usize), layer: usize) {
         for sorted in [Sorted::Record, Sorted::Ids, Sorted::Rest] {
             let mut bytes = planes.bytes(sorted);
             for (buffer, from, length) in self.memory.held(sorted, slot, homes.order.len()) {
@@ -240,7 +242,7 @@ impl WgpuBatch {
     }
 
     /// Marks so many particles that are to go, which the order of the sort lists, and finds the stress of those in some slots.
-    fn mark_and_stress(&mut self, gone: usize, come: Range<usize>) {
+    pub(crate) fn mark_and_stress(&mut self, gone: usize, come: Range<usize>) {
         let kernels = self.kernels.set.adapt.as_ref().expect(HAS_LEVELS);
         let passes = [(&kernels.remove, 0..gone), (&kernels.stress, come)];
         let of = |some: &Range<usize>| StepConstants {

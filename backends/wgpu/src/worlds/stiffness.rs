@@ -1,6 +1,6 @@
 //! The step that materials' stiffness and viscosity allow, asked of their laws on the host.
 
-use crate::layout::law_of;
+use crate::device::layout::law_of;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
 use barchan_core::plan::PlannedMaterial;
@@ -9,7 +9,7 @@ use barchan_core::{ParticleList, Result};
 use rayon::prelude::*;
 
 /// Particles that are worth a thread.
-const GRAIN: usize = 1 << 14;
+pub(crate) const GRAIN: usize = 1 << 14;
 
 /// The least stable step of all particles in the cells of their lists, of which the finest level takes so many within it.
 pub(crate) fn bound<'a>(
@@ -89,7 +89,7 @@ pub(crate) fn is_asked_on_host(planned: &PlannedMaterial) -> bool {
 }
 
 /// What one law's particles need among [`GRAIN`] slots from `from` on.
-fn of_stretch(
+pub(crate) fn of_stretch(
     held: &Held<'_>,
     law: usize,
     (planned, stiffness): (&PlannedMaterial, &Stiffness<'_>),

@@ -1,270 +1,32 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
-use crate::batch::{
-    AT_START, Behind, DAMPED, DAMPED_DIGITS, HALTED, Halt, MOVE, NEAR, NODE_MOVE, Part, Status, WALL_IMPULSE,
-    WgpuBatch, energy_of,
+use crate::device::memory::{NEAR_BLOCK, StepConstants, Writes, read};
+use crate::passes::binding::Role;
+use crate::passes::scene::damps;
+use crate::schedule::near::{Around, Block, Found, Near, are_within, behind, boxes_of, greater};
+use crate::schedule::status::{
+    AT_START, DAMPED, DAMPED_DIGITS, HALTED, Halt, MOVE, NEAR, Status, WALL_IMPULSE, energy_of,
 };
-use crate::kernels::{Role, damps};
-use crate::memory::{NEAR_BLOCK, StepConstants, Writes, read};
+use crate::schedule::steps::NODE_MOVE;
+use crate::schedule::submission::Part;
 use crate::schedule::{ContactPasses, Dispatch, Passes, around_contact, passes_beside_host};
-use crate::sleep::near_tools;
-use crate::world::{FELT, Level, MAX_DRIFT, Rhythm, World};
-use barchan_core::backend::Turn;
+use crate::worlds::WgpuBatch;
+use crate::worlds::sleep::near_tools;
+use crate::worlds::world::{MAX_DRIFT, SinceSort, World};
+use barchan_core::backend::WorldStep;
 use barchan_core::schedule::ending;
-use barchan_core::{Aabb, Coupling, Error, NearParticle, NodeBatch, Result, StepReport, Vec3, Wrench};
+use barchan_core::{Error, Result, StepReport, Vec3, Wrench};
 use rayon::prelude::*;
-use std::collections::HashMap;
 use std::ops::Range;
 use std::time::Instant;
 
-const ON_HOST: &str = "a law runs on the host";
+pub(crate) const ON_HOST: &str = "a law runs on the host";
 /// Steps that the status knows of where it does: the last one and the one under way.
-const STEPS: usize = 2;
-
-/// A block of nodes on the host: velocities and masses.
-struct Block {
-    number: u32,
-    /// Its first cell.
-    first: [i32; 3],
-    nodes: Vec<[f32; 4]>,
-    changed: bool,
-}
-
-impl Block {
-    /// As `gather.wgsl` writes it.
-    fn of(words: &[[u32; 4]]) -> Self {
-        let [x, y, z, number] = words[0];
-        let nodes = words[1..].iter().map(|node| node.map(f32::from_bits)).collect();
-        Self { number, first: [x, y, z].map(|c| c as i32), nodes, changed: false }
-    }
-
-    /// As `scatter_near.wgsl` reads it.
-    fn words(&self) -> impl Iterator<Item = [u32; 4]> {
-        let [x, y, z] = self.first.map(|c| c as u32);
-        std::iter::once([x, y, z, self.number]).chain(self.nodes.iter().map(|node| node.map(f32::to_bits)))
-    }
-}
-
-/// A particle near bodies, as `gather_particles.wgsl` writes it.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Particle {
-    layer: u32,
-    cell: [i32; 3],
-    /// Place in its cell, in units of 2^-24.
-    place: [u32; 3],
-    material: u32,
-    /// Bits of its mass [kg].
-    mass: u32,
-}
-
-impl Particle {
-    fn of(layer: u32, [at, place]: [[u32; 4]; 2]) -> Self {
-        let [x, y, z, material] = at;
-        let [u, v, w, mass] = place;
-        Self { layer, cell: [x, y, z].map(|c| c as i32), place: [u, v, w], material, mass }
-    }
-}
-
-/// What a gathering has found.
-#[derive(Default)]
-struct Found {
-    /// In the order of their numbers.
-    blocks: Vec<Block>,
-    /// Sorted: the device finds them in any order.
-    particles: Vec<Particle>,
-}
-
-impl Found {
-    fn of(words: &[[u32; 4]]) -> Self {
-        let mut found = Self::default();
-        for block in words.chunks_exact(NEAR_BLOCK) {
-            let [count, layer, _, number] = block[0];
-            if number == u32::MAX {
-                let (pairs, _) = block[1..].as_chunks::<2>();
-                found.particles.extend(pairs[..count as usize].iter().map(|pair| Particle::of(layer, *pair)));
-            } else {
-                found.blocks.push(Block::of(block));
-            }
-        }
-        found.blocks.sort_unstable_by_key(|block| block.number);
-        found.particles.sort_unstable();
-        found
-    }
-}
-
-/// A level as bodies meet it.
-struct Met {
-    /// Cell width [m].
-    h: f64,
-    /// Numbers of its blocks of nodes.
-    blocks: Range<usize>,
-    layer: u32,
-}
-
-/// A world's nodes and particles near its bodies.
-struct Near {
-    /// In the order of their numbers.
-    blocks: Vec<Block>,
-    particles: Vec<Particle>,
-    levels: Vec<Met>,
-    /// Of each material, stiffness against being pushed into [Pa], and volume over mass [m³/kg].
-    materials: Vec<[f32; 4]>,
-    /// Nodes lighter than this carry nothing [kg].
-    least_mass: f64,
-}
-
-impl Near {
-    /// A world's nodes, none of which has come yet; its first layer has this number.
-    fn new(world: &World, first_layer: usize) -> Self {
-        let met = |(layer, level): (usize, &Level)| Met {
-            h: level.h,
-            blocks: level.node_blocks.clone(),
-            layer: layer as u32,
-        };
-        Self {
-            blocks: Vec::new(),
-            particles: Vec::new(),
-            levels: (first_layer..).zip(&world.levels).map(met).collect(),
-            materials: world.contact_materials.clone(),
-            least_mass: world.least_mass,
-        }
-    }
-
-    /// Takes its own that it does not have yet.
-    fn take(&mut self, found: &mut Found) {
-        let is_own = |block: &Block| self.levels.iter().any(|level| level.blocks.contains(&(block.number as usize)));
-        let (own, others): (Vec<_>, _) = std::mem::take(&mut found.blocks).into_iter().partition(is_own);
-        found.blocks = others;
-        let is_here = |block: &Block| self.blocks.binary_search_by_key(&block.number, |here| here.number).is_ok();
-        let new: Vec<_> = own.into_iter().filter(|block| !is_here(block)).collect();
-        self.blocks.extend(new);
-        self.blocks.sort_unstable_by_key(|block| block.number);
-        // Of a level that was asked for, all have come.
-        let come: Vec<Particle> =
-            found.particles.iter().copied().filter(|p| self.levels.iter().any(|l| l.layer == p.layer)).collect();
-        self.particles.retain(|here| come.binary_search_by_key(&here.layer, |p| p.layer).is_err());
-        self.particles.extend(come);
-        self.particles.sort_unstable();
-    }
-
-    /// The law of all couplings on the nodes of some levels. Returns the greatest speed that particles may feel [m/s].
-    fn touch(&mut self, levels: Range<usize>, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<f64> {
-        let mut speed = 0.0;
-        for coupling in couplings {
-            for level in levels.clone() {
-                speed = greater(speed, self.apply(level, dt, coupling.as_mut())?);
-            }
-        }
-        Ok(speed)
-    }
-
-    /// Hands a level's nodes near a coupling's bodies to its law, and takes back their velocities.
-    fn apply(&mut self, level: usize, dt: f64, coupling: &mut dyn Coupling) -> Result<f64> {
-        let Met { h, blocks: ref own, layer } = self.levels[level];
-        let reach = coupling.reach();
-        let boxes: Vec<Aabb> = coupling.bounds().into_iter().map(|one| one.grown(reach * h)).collect();
-        let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
-        let mut numbers = HashMap::new();
-        let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
-        for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
-            let extent = Aabb { min: block.first.map(centre), max: block.first.map(|c| centre(c + 3)) };
-            if !boxes.iter().any(|one| one.meets(&extent)) {
-                continue;
-            }
-            for (n, node) in block.nodes.iter().enumerate() {
-                let mass = f64::from(node[3]);
-                if mass <= self.least_mass {
-                    continue;
-                }
-                let local = [(n / 16) as i32, (n / 4 % 4) as i32, (n % 4) as i32];
-                let cell: [i32; 3] = std::array::from_fn(|d| block.first[d] + local[d]);
-                let x = cell.map(centre);
-                if boxes.iter().any(|b| b.contains(x)) {
-                    numbers.insert(cell, batch.len() as u32);
-                    batch.position.push(x);
-                    batch.mass.push(mass);
-                    batch.velocity.push([node[0], node[1], node[2]].map(f64::from));
-                    places.push((b, n));
-                }
-            }
-        }
-        if batch.is_empty() {
-            return Ok(0.0);
-        }
-        if reach > 0.0 {
-            let number = |cell: [i32; 3]| numbers.get(&cell).copied().unwrap_or(NodeBatch::NONE);
-            let around = |first: [i32; 3]| -> [u32; 8] {
-                std::array::from_fn(|n| {
-                    let offset = [n / 4, n / 2 % 2, n % 2].map(|x| x as i32);
-                    number(std::array::from_fn(|d| first[d] + offset[d]))
-                })
-            };
-            let mut cubes = HashMap::new();
-            for particle in self.particles.iter().filter(|p| p.layer == layer) {
-                let in_cell = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
-                let (to_first, place) = NearParticle::between_nodes(in_cell);
-                let first: [i32; 3] = std::array::from_fn(|d| particle.cell[d] + to_first[d]);
-                let cube = *cubes.entry(first).or_insert_with(|| {
-                    batch.cubes.push(around(first));
-                    batch.cubes.len() as u32 - 1
-                });
-                if batch.cubes[cube as usize].iter().any(|&node| node != NodeBatch::NONE) {
-                    let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
-                    batch.particles.push(NearParticle {
-                        cube,
-                        position: std::array::from_fn(|d| (f64::from(particle.cell[d]) + in_cell[d]) * h),
-                        place,
-                        volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
-                        modulus,
-                    });
-                }
-            }
-        }
-        coupling.contact(dt, &mut batch)?;
-        let mut fastest = 0.0f64;
-        for ((&(b, n), u), mass) in places.iter().zip(&batch.velocity).zip(&batch.mass) {
-            let felt = (mass / (self.least_mass * FELT)).min(1.0);
-            let block = &mut self.blocks[b];
-            block.changed = true;
-            for d in 0..3 {
-                block.nodes[n][d] = u[d] as f32;
-                fastest = greater(fastest, felt * u[d].abs());
-            }
-        }
-        Ok(fastest)
-    }
-}
-
-/// The greater of two speeds, or NaN if one is.
-fn greater(a: f64, b: f64) -> f64 {
-    if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
-}
-
-/// A box around a body, and how far beyond it this acts [cells of a level].
-struct Around {
-    bounds: Aabb,
-    reach: f64,
-}
-
-/// A world's boxes around its bodies, grown by a margin [m].
-fn boxes_of(turn: &Turn<'_>, margin: f64) -> Vec<Around> {
-    let mut all = Vec::new();
-    for coupling in turn.couplings.iter() {
-        let around = |bounds: Aabb| Around { bounds: bounds.grown(margin), reach: coupling.reach() };
-        all.extend(coupling.bounds().into_iter().map(around));
-    }
-    all
-}
-
-/// Is each box in the one that was asked for?
-fn are_within(boxes: &[Around], asked: &[Around]) -> bool {
-    let is_within = |(one, asked): (&Around, &Around)| one.bounds.union(&asked.bounds) == asked.bounds;
-    boxes.len() == asked.len() && boxes.iter().zip(asked).all(is_within)
-}
+pub(crate) const STEPS: usize = 2;
 
 /// A world in a step whose contact is on the host.
-struct Visit<'a, 'b> {
-    turn: &'a mut Turn<'b>,
+pub(crate) struct HostedStep<'a, 'b> {
+    world_step: &'a mut WorldStep<'b>,
     /// The boxes whose nodes were asked for.
     asked: Vec<Around>,
     near: Near,
@@ -276,38 +38,38 @@ struct Visit<'a, 'b> {
     failed: Option<Error>,
 }
 
-impl<'a, 'b> Visit<'a, 'b> {
-    fn new(turn: &'a mut Turn<'b>, world: &World, failed: Option<Error>) -> Self {
+impl<'a, 'b> HostedStep<'a, 'b> {
+    pub(crate) fn new(world_step: &'a mut WorldStep<'b>, world: &World, failed: Option<Error>) -> Self {
         let (asked, wrenches) = (Vec::new(), Vec::new());
-        let near = Near::new(world, turn.world * world.levels.len());
-        Self { turn, asked, near, speed: 0.0, sorted: false, wrenches, failed }
+        let near = Near::new(world, world_step.world * world.levels.len());
+        Self { world_step, asked, near, speed: 0.0, sorted: false, wrenches, failed }
     }
 
-    fn world(&self) -> usize {
-        self.turn.world
+    pub(crate) fn world(&self) -> usize {
+        self.world_step.world
     }
 
-    fn is_going(&self) -> bool {
+    pub(crate) fn is_going(&self) -> bool {
         self.failed.is_none()
     }
 
-    fn begin(&mut self, time: f64, dt: f64) -> Result<()> {
-        self.turn.couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))
+    pub(crate) fn begin(&mut self, time: f64, dt: f64) -> Result<()> {
+        self.world_step.couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))
     }
 
-    fn end(&mut self, time: f64, dt: f64) -> Result<()> {
-        self.turn.couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))
+    pub(crate) fn end(&mut self, time: f64, dt: f64) -> Result<()> {
+        self.world_step.couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))
     }
 
     /// The bodies meet the nodes of some levels.
-    fn meet(&mut self, levels: Range<usize>, dt: f64) -> Result<()> {
-        let reached = self.near.touch(levels, dt, self.turn.couplings)?;
+    pub(crate) fn meet(&mut self, levels: Range<usize>, dt: f64) -> Result<()> {
+        let reached = self.near.touch(levels, dt, self.world_step.couplings)?;
         self.speed = greater(self.speed, reached);
         Ok(())
     }
 
     /// Have nodes become no faster than particles bear?
-    fn is_slow_enough(&self, most: f64, step: u64, dt: f64) -> Result<()> {
+    pub(crate) fn is_slow_enough(&self, most: f64, step: u64, dt: f64) -> Result<()> {
         if self.speed * dt <= most * (1.0 + 1e-9) {
             return Ok(());
         }
@@ -315,12 +77,12 @@ impl<'a, 'b> Visit<'a, 'b> {
         Err(Error::TimeStep { step, dt, bound: most / self.speed, by })
     }
 
-    fn wrenches_now(&self) -> Vec<Wrench> {
-        self.turn.couplings.iter().flat_map(|coupling| coupling.wrenches().iter().copied()).collect()
+    pub(crate) fn wrenches_now(&self) -> Vec<Wrench> {
+        self.world_step.couplings.iter().flat_map(|coupling| coupling.wrenches().iter().copied()).collect()
     }
 
     /// What bodies felt since, so many times.
-    fn feel(&mut self, before: &[Wrench], times: f64) {
+    pub(crate) fn feel(&mut self, before: &[Wrench], times: f64) {
         let now = self.wrenches_now();
         self.wrenches.resize(now.len(), Wrench::default());
         for (i, (sum, now)) in self.wrenches.iter_mut().zip(&now).enumerate() {
@@ -334,57 +96,64 @@ impl<'a, 'b> Visit<'a, 'b> {
 }
 
 /// Lets something happen to the worlds that go on, side by side; those that it fails for go on no more.
-fn side_by_side(visits: &mut [Visit<'_, '_>], happen: impl Fn(&mut Visit<'_, '_>) -> Result<()> + Sync) {
-    let happens = |visit: &mut Visit<'_, '_>| visit.failed = happen(visit).err();
-    match visits {
+pub(crate) fn side_by_side(
+    hosted_steps: &mut [HostedStep<'_, '_>],
+    happen: impl Fn(&mut HostedStep<'_, '_>) -> Result<()> + Sync,
+) {
+    let happens = |hosted: &mut HostedStep<'_, '_>| hosted.failed = happen(hosted).err();
+    match hosted_steps {
         // One need not wait for a thread.
         [only] if only.is_going() => happens(only),
-        _ => visits.par_iter_mut().filter(|visit| visit.is_going()).for_each(happens),
+        _ => hosted_steps.par_iter_mut().filter(|hosted| hosted.is_going()).for_each(happens),
     }
 }
 
 impl WgpuBatch {
-    /// One step of the worlds that have a turn, whose couplings' law runs on the host, or that have no particles. A world that fails is left
+    /// One step of the worlds given, whose couplings' law runs on the host, or that have no particles. A world that fails is left
     /// out, and the others go on without it.
     ///
     /// 1. What is due is sorted, particles give to nodes, and the nodes near the bodies of all worlds come to the host, in one submission: the
     ///    only one that is waited for. If it turns out that a sort or a shorter step was called for, it is repeated: particles are as they were.
     /// 2. Couplings fix their bodies' velocities, meet the nodes and move, the worlds side by side.
     /// 3. Nodes go back, and particles take their velocities; what that came to stays on the device until the next step.
-    pub(crate) fn step_on_host(&mut self, mut dt: f64, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
+    pub(crate) fn step_on_host(
+        &mut self,
+        mut dt: f64,
+        world_steps: &mut [WorldStep<'_>],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
         let ground = self.particles() > 0;
-        let mut visits = self.visits(turns);
+        let mut hosted_steps = self.hosted_steps(world_steps);
         if ground {
-            dt = self.bring_near(dt, &mut visits)?;
+            dt = self.bring_near(dt, &mut hosted_steps)?;
         }
-        side_by_side(&mut visits, |visit| visit.begin(visit.turn.time, dt));
+        side_by_side(&mut hosted_steps, |hosted| hosted.begin(hosted.world_step.time, dt));
         if ground {
-            self.fetch(0..self.levels, &mut visits)?;
+            self.fetch(0..self.levels, &mut hosted_steps)?;
         }
         let begun = Instant::now();
         let (levels, most, steps) = (self.levels, NODE_MOVE * self.h, self.steps_so_far());
-        side_by_side(&mut visits, |visit| {
-            visit.meet(0..levels, dt)?;
-            visit.is_slow_enough(most, steps[visit.world()], dt)?;
-            visit.end(visit.turn.time, dt)
+        side_by_side(&mut hosted_steps, |hosted| {
+            hosted.meet(0..levels, dt)?;
+            hosted.is_slow_enough(most, steps[hosted.world()], dt)?;
+            hosted.end(hosted.world_step.time, dt)
         });
         self.book_contact(begun);
         if ground {
-            self.nodes_to_ground(dt, &visits)?;
+            self.nodes_to_ground(dt, &hosted_steps)?;
         }
         let mut reports = Vec::new();
-        for visit in visits {
-            let world = &mut self.worlds[visit.world()];
-            reports.push(if let Some(error) = visit.failed {
+        for hosted in hosted_steps {
+            let world = &mut self.worlds[hosted.world()];
+            reports.push(if let Some(error) = hosted.failed {
                 Err(error)
             } else {
                 if ground {
-                    world.book_gravity(visit.turn.time, dt, 1);
+                    world.book_gravity(hosted.world_step.time, dt, 1);
                     world.stiffness_age += 1;
                 }
                 world.steps += 1;
                 world.last_dt = dt;
-                let (sorted, max_speed) = (visit.sorted, visit.speed);
+                let (sorted, max_speed) = (hosted.sorted, hosted.speed);
                 Ok(vec![StepReport { dt, sorted, max_speed, ..StepReport::default() }])
             });
         }
@@ -396,101 +165,109 @@ impl WgpuBatch {
     pub(crate) fn step_levels_on_host(
         &mut self,
         dt: f64,
-        turns: &mut [Turn<'_>],
+        world_steps: &mut [WorldStep<'_>],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
-        let mut visits = self.visits(turns);
+        let mut hosted_steps = self.hosted_steps(world_steps);
         self.settle()?;
         let (each, steps) = (dt / self.substeps as f64, self.steps_so_far());
         for slot in 0..self.substeps {
             let schedule = self.schedule.clone();
-            let late = |visit: &Visit<'_, '_>| schedule.time_of(slot, visit.turn.time, dt);
-            let before = going(&visits);
-            side_by_side(&mut visits, |visit| visit.begin(late(visit), each));
-            self.slot_to_nodes(dt, slot, &mut visits)?;
+            let late = |hosted: &HostedStep<'_, '_>| schedule.time_of(slot, hosted.world_step.time, dt);
+            let before = going(&hosted_steps);
+            side_by_side(&mut hosted_steps, |hosted| hosted.begin(late(hosted), each));
+            self.slot_to_nodes(dt, slot, &mut hosted_steps)?;
             let begun = Instant::now();
-            side_by_side(&mut visits, |visit| {
-                visit.meet(0..1, each)?;
-                visit.end(late(visit), each)?;
-                visit.feel(&[], 1.0);
+            side_by_side(&mut hosted_steps, |hosted| {
+                hosted.meet(0..1, each)?;
+                hosted.end(late(hosted), each)?;
+                hosted.feel(&[], 1.0);
                 Ok(())
             });
             let coarser = 1..ending(self.levels, slot).end;
             if !coarser.is_empty() {
-                self.fetch(coarser.clone(), &mut visits)?;
+                self.fetch(coarser.clone(), &mut hosted_steps)?;
             }
-            side_by_side(&mut visits, |visit| {
+            side_by_side(&mut hosted_steps, |hosted| {
                 for l in coarser.clone() {
-                    let (times, before) = (f64::from(1 << l), visit.wrenches_now());
-                    visit.meet(l..l + 1, times * each)?;
-                    visit.feel(&before, times);
+                    let (times, before) = (f64::from(1 << l), hosted.wrenches_now());
+                    hosted.meet(l..l + 1, times * each)?;
+                    hosted.feel(&before, times);
                 }
                 // How far particles move is what counts.
-                visit.is_slow_enough(f64::MAX, steps[visit.world()], each)
+                hosted.is_slow_enough(f64::MAX, steps[hosted.world()], each)
             });
             self.book_contact(begun);
             // Particles have moved in the slots before.
-            let now = going(&visits);
+            let now = going(&hosted_steps);
             for (w, _) in before.into_iter().filter(|one| slot > 0 && !now.contains(one)) {
                 self.worlds[w].torn.get_or_insert((dt, 0.5 * dt));
             }
         }
-        let active = going(&visits);
+        let active = going(&hosted_steps);
         if !active.is_empty() {
-            let status = self.run_slot(dt, self.substeps, false, &mut visits)?;
+            let status = self.run_slot(dt, self.substeps, false, &mut hosted_steps)?;
             active.iter().for_each(|&(w, time)| self.take_steps(&status, w, time, dt, 1));
         }
-        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            visit.failed = self.fault(visit.turn);
+        for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
+            hosted.failed = self.fault(hosted.world_step);
         }
         let mean = |wrench: &Wrench| {
             let per_slot = |x: f64| x / self.substeps as f64;
             Wrench { force: wrench.force.map(per_slot), torque: wrench.torque.map(per_slot) }
         };
-        let report = |visit: Visit<'_, '_>| {
-            let wrenches = Some(visit.wrenches.iter().map(mean).collect());
-            let report = StepReport { dt, sorted: visit.sorted, max_speed: visit.speed, wrenches, bodies: None };
-            visit.failed.map_or(Ok(vec![report]), Err)
+        let report = |hosted: HostedStep<'_, '_>| {
+            let wrenches = Some(hosted.wrenches.iter().map(mean).collect());
+            let report = StepReport { dt, sorted: hosted.sorted, max_speed: hosted.speed, wrenches, bodies: None };
+            hosted.failed.map_or(Ok(vec![report]), Err)
         };
-        Ok(visits.into_iter().map(report).collect())
+        Ok(hosted_steps.into_iter().map(report).collect())
     }
 
     /// From where bodies have met the ground in the slot before, to where nodes are near them in this one.
-    fn slot_to_nodes(&mut self, dt: f64, slot: usize, visits: &mut [Visit<'_, '_>]) -> Result<()> {
+    pub(crate) fn slot_to_nodes(
+        &mut self,
+        dt: f64,
+        slot: usize,
+        hosted_steps: &mut [HostedStep<'_, '_>],
+    ) -> Result<()> {
         let levels = ending(self.levels, slot);
-        let boxes = |visit: &mut Visit<'_, '_>| {
+        let boxes = |hosted: &mut HostedStep<'_, '_>| {
             // Bodies will have moved when they meet coarser levels.
             let margin = if levels.len() > 1 { self.h } else { 0.0 };
-            visit.asked = boxes_of(visit.turn, margin);
+            hosted.asked = boxes_of(hosted.world_step, margin);
         };
-        visits.iter_mut().filter(|visit| visit.is_going()).for_each(boxes);
-        self.write_near_tools(slot, visits)?;
+        hosted_steps.iter_mut().filter(|hosted| hosted.is_going()).for_each(boxes);
+        self.write_near_tools(slot, hosted_steps)?;
         let mut sort = false;
         loop {
-            let active = going(visits);
+            let active = going(hosted_steps);
             let Some(&(first, _)) = active.first() else { return Ok(()) };
-            self.write_around(levels.clone(), visits)?;
-            let status = self.run_slot(dt, slot, sort, visits)?;
+            self.write_around(levels.clone(), hosted_steps)?;
+            let status = self.run_slot(dt, slot, sort, hosted_steps)?;
             match status.halt() {
                 None => {
-                    for visit in visits.iter_mut().filter(|visit| visit.is_going() && !visit.speed.is_finite()) {
-                        visit.failed = Some(self.explain(visit.world(), &status, visit.speed, visit.turn.time));
+                    for hosted in
+                        hosted_steps.iter_mut().filter(|hosted| hosted.is_going() && !hosted.speed.is_finite())
+                    {
+                        hosted.failed =
+                            Some(self.explain(hosted.world(), &status, hosted.speed, hosted.world_step.time));
                     }
                     return Ok(());
                 }
                 // Only the first slot of a step is halted.
-                Some(halt) => self.mend(halt, &status, &mut sort, first, visits)?,
+                Some(halt) => self.mend(halt, &status, &mut sort, first, hosted_steps)?,
             }
         }
     }
 
     /// What makes a submission possible that was halted before particles moved.
-    fn mend(
+    pub(crate) fn mend(
         &mut self,
         halt: Halt,
         status: &Status,
         sort: &mut bool,
         first: usize,
-        visits: &mut [Visit<'_, '_>],
+        hosted_steps: &mut [HostedStep<'_, '_>],
     ) -> Result<()> {
         match halt {
             Halt::Fewer => {}
@@ -499,14 +276,16 @@ impl WgpuBatch {
                 if halt == Halt::Room {
                     self.make_room(status)?;
                 }
-                let is_astray = |visit: &&Visit<'_, '_>| status.is_astray(self.layers_of(visit.world()));
-                let astray: Vec<_> = visits.iter().filter(is_astray).collect();
-                astray.into_iter().try_for_each(|visit| self.adapt(visit.world(), None, visit.turn.couplings))?;
+                let is_astray = |hosted: &&HostedStep<'_, '_>| status.is_astray(self.layers_of(hosted.world()));
+                let astray: Vec<_> = hosted_steps.iter().filter(is_astray).collect();
+                astray
+                    .into_iter()
+                    .try_for_each(|hosted| self.adapt(hosted.world(), None, hosted.world_step.couplings))?;
             }
             _ => {
                 let culprit = self.world_of(status).unwrap_or(first);
-                if let Some(visit) = visits.iter_mut().find(|visit| visit.world() == culprit) {
-                    visit.failed = Some(self.explain(culprit, status, f64::NAN, visit.turn.time));
+                if let Some(hosted) = hosted_steps.iter_mut().find(|hosted| hosted.world() == culprit) {
+                    hosted.failed = Some(self.explain(culprit, status, f64::NAN, hosted.world_step.time));
                 }
             }
         }
@@ -515,8 +294,14 @@ impl WgpuBatch {
 
     /// Runs the passes from where bodies met the ground in the slot before a slot to where they meet it in that one, or, behind the last slot, to
     /// the end of the step.
-    fn run_slot(&mut self, dt: f64, slot: usize, sort: bool, visits: &mut [Visit<'_, '_>]) -> Result<Status> {
-        let active = going(visits);
+    pub(crate) fn run_slot(
+        &mut self,
+        dt: f64,
+        slot: usize,
+        sort: bool,
+        hosted_steps: &mut [HostedStep<'_, '_>],
+    ) -> Result<Status> {
+        let active = going(hosted_steps);
         let sort = slot == 0 && (sort || self.is_any_due(&active));
         if sort {
             self.cover_blocks(1)?;
@@ -528,7 +313,7 @@ impl WgpuBatch {
             let sums = words.of_sum(0, 0);
             self.write_words(sums, &self.fresh(sums, 0..1, dt, &active));
         }
-        let changed = self.write_changed(visits);
+        let changed = self.write_changed(hosted_steps);
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let before = self.memory.now;
         let measures = (self.h, self.fixed.gravity.0);
@@ -564,52 +349,52 @@ impl WgpuBatch {
         if slot == 0 {
             self.take_blocks(&status);
         }
-        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            let layers = self.layers_of(visit.world());
-            visit.sorted = status.sorted_before(layers.start).is_some();
-            visit.speed = greater(visit.speed, status.speed(0, layers));
+        for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
+            let layers = self.layers_of(hosted.world());
+            hosted.sorted = status.sorted_before(layers.start).is_some();
+            hosted.speed = greater(hosted.speed, status.speed(0, layers));
         }
         if slot < self.substeps && status.halt().is_none() {
-            self.hand_out(&status, of_nodes, visits)?;
+            self.hand_out(&status, of_nodes, hosted_steps)?;
         }
         Ok(status)
     }
 
-    fn visits<'a, 'b>(&self, turns: &'a mut [Turn<'b>]) -> Vec<Visit<'a, 'b>> {
-        let visit = |turn: &'a mut Turn<'b>| {
-            let failed = self.fault(turn);
-            let world = &self.worlds[turn.world];
-            Visit::new(turn, world, failed)
+    pub(crate) fn hosted_steps<'a, 'b>(&self, world_steps: &'a mut [WorldStep<'b>]) -> Vec<HostedStep<'a, 'b>> {
+        let hosted = |world_step: &'a mut WorldStep<'b>| {
+            let failed = self.fault(world_step);
+            let world = &self.worlds[world_step.world];
+            HostedStep::new(world_step, world, failed)
         };
-        turns.iter_mut().map(visit).collect()
+        world_steps.iter_mut().map(hosted).collect()
     }
 
-    fn steps_so_far(&self) -> Vec<u64> {
+    pub(crate) fn steps_so_far(&self) -> Vec<u64> {
         self.worlds.iter().map(|world| world.steps).collect()
     }
 
-    fn book_contact(&mut self, begun: Instant) {
+    pub(crate) fn book_contact(&mut self, begun: Instant) {
         self.contact_seconds.0 += begun.elapsed().as_secs_f64();
         self.contact_seconds.1 += 1;
     }
 
     /// Particles give to nodes, and the nodes near bodies come to the host. Returns the step that all worlds bear [s].
-    fn bring_near(&mut self, mut dt: f64, visits: &mut [Visit<'_, '_>]) -> Result<f64> {
+    pub(crate) fn bring_near(&mut self, mut dt: f64, hosted_steps: &mut [HostedStep<'_, '_>]) -> Result<f64> {
         let mut sort = false;
-        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            visit.asked = boxes_of(visit.turn, 0.0);
+        for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
+            hosted.asked = boxes_of(hosted.world_step, 0.0);
         }
-        self.write_near_tools(1, visits)?;
+        self.write_near_tools(1, hosted_steps)?;
         loop {
-            let active = going(visits);
+            let active = going(hosted_steps);
             let Some(&(first, _)) = active.first() else { return Ok(dt) };
-            let status = self.ground_to_nodes(dt, sort, visits)?;
+            let status = self.ground_to_nodes(dt, sort, hosted_steps)?;
             if let Some(halt) = status.halt() {
-                self.mend(halt, &status, &mut sort, first, visits)?;
+                self.mend(halt, &status, &mut sort, first, hosted_steps)?;
                 continue;
             }
-            let shorter = self.bearable(visits, &status, dt);
-            if shorter == dt && going(visits).len() == active.len() {
+            let shorter = self.bearable(hosted_steps, &status, dt);
+            if shorter == dt && going(hosted_steps).len() == active.len() {
                 return Ok(dt);
             }
             dt = shorter;
@@ -617,33 +402,33 @@ impl WgpuBatch {
     }
 
     /// Brings those nodes near bodies that have not come, since bodies reach further than they did when nodes were asked for.
-    fn fetch(&mut self, levels: Range<usize>, visits: &mut [Visit<'_, '_>]) -> Result<()> {
+    pub(crate) fn fetch(&mut self, levels: Range<usize>, hosted_steps: &mut [HostedStep<'_, '_>]) -> Result<()> {
         let mut is_here = true;
-        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            let boxes = boxes_of(visit.turn, 0.0);
-            if !are_within(&boxes, &visit.asked) {
-                (visit.asked, is_here) = (boxes, false);
+        for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
+            let boxes = boxes_of(hosted.world_step, 0.0);
+            if !are_within(&boxes, &hosted.asked) {
+                (hosted.asked, is_here) = (boxes, false);
             }
         }
         if is_here {
             return Ok(());
         }
-        self.write_around(levels, visits)?;
+        self.write_around(levels, hosted_steps)?;
         self.write_words(NEAR, &[0]);
         let mut found = self.gather()?;
-        visits.iter_mut().for_each(|visit| visit.near.take(&mut found));
+        hosted_steps.iter_mut().for_each(|hosted| hosted.near.take(&mut found));
         Ok(())
     }
 
     /// The step that the fastest world bears; worlds that bear none have failed.
-    fn bearable(&mut self, visits: &mut [Visit<'_, '_>], status: &Status, mut dt: f64) -> f64 {
+    pub(crate) fn bearable(&mut self, hosted_steps: &mut [HostedStep<'_, '_>], status: &Status, mut dt: f64) -> f64 {
         let asked = dt;
-        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            let moves = visit.speed * asked / self.h;
+        for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
+            let moves = hosted.speed * asked / self.h;
             if !moves.is_finite() {
-                visit.failed = Some(self.explain(visit.world(), status, visit.speed, visit.turn.time));
+                hosted.failed = Some(self.explain(hosted.world(), status, hosted.speed, hosted.world_step.time));
             } else if moves > NODE_MOVE {
-                self.worlds[visit.world()].shortened += 1;
+                self.worlds[hosted.world()].shortened += 1;
                 dt = dt.min(asked * (0.9 * NODE_MOVE / moves).max(0.1));
             }
         }
@@ -651,17 +436,17 @@ impl WgpuBatch {
     }
 
     /// Tells the device the boxes around bodies, as cells of each of some levels.
-    fn write_around(&mut self, levels: Range<usize>, visits: &[Visit<'_, '_>]) -> Result<()> {
-        let most = visits.iter().map(|visit| visit.asked.len()).max().unwrap_or(0).max(1);
+    pub(crate) fn write_around(&mut self, levels: Range<usize>, hosted_steps: &[HostedStep<'_, '_>]) -> Result<()> {
+        let most = hosted_steps.iter().map(|hosted| hosted.asked.len()).max().unwrap_or(0).max(1);
         self.memory.add_near(&self.gpu, most, 64 * self.worlds.len())?;
         // A box that holds nothing.
         let none = [[i32::MAX / 4, i32::MAX / 4, i32::MAX / 4, 0], [i32::MIN / 4, i32::MIN / 4, i32::MIN / 4, 0]];
         let mut vectors = vec![[most as i32, 0, 0, 0]];
         vectors.extend(std::iter::repeat_n(none, self.memory.words().layers * most).flatten());
-        for visit in visits.iter().filter(|visit| visit.is_going()) {
+        for hosted in hosted_steps.iter().filter(|hosted| hosted.is_going()) {
             for l in levels.clone() {
-                let (layer, h) = (self.layers_of(visit.world()).start + l, self.worlds[visit.world()].levels[l].h);
-                for (b, Around { bounds, reach }) in visit.asked.iter().enumerate() {
+                let (layer, h) = (self.layers_of(hosted.world()).start + l, self.worlds[hosted.world()].levels[l].h);
+                for (b, Around { bounds, reach }) in hosted.asked.iter().enumerate() {
                     let one = bounds.grown(reach * h);
                     // Nodes stand at the centres of cells; which of them are inside, the host finds out.
                     let node = |x: f64, round: fn(f64) -> f64| round(x / h - 0.5).clamp(-1e9, 1e9) as i32;
@@ -679,36 +464,41 @@ impl WgpuBatch {
     }
 
     /// Tells the device near what nothing sleeps in a step.
-    fn write_near_tools(&mut self, step: usize, visits: &[Visit<'_, '_>]) -> Result<()> {
+    pub(crate) fn write_near_tools(&mut self, step: usize, hosted_steps: &[HostedStep<'_, '_>]) -> Result<()> {
         let mut near = vec![Vec::new(); self.memory.words().layers];
-        for visit in visits {
-            let own = near_tools(visit.turn.couplings, &self.worlds[visit.world()].levels);
-            near[self.layers_of(visit.world())].clone_from_slice(&own);
+        for hosted in hosted_steps {
+            let own = near_tools(hosted.world_step.couplings, &self.worlds[hosted.world()].levels);
+            near[self.layers_of(hosted.world())].clone_from_slice(&own);
         }
         self.write_tools(step, &[near])
     }
 
     /// Are worlds due to be sorted, as far as is known?
-    fn is_any_due(&self, active: &[(usize, f64)]) -> bool {
+    pub(crate) fn is_any_due(&self, active: &[(usize, f64)]) -> bool {
         let is_due = |world: &World| world.levels.iter().any(|level| world.likely(level).is_due(self.most_drift));
         self.unlinked || active.iter().any(|(w, _)| is_due(&self.worlds[*w]))
     }
 
     /// The nodes that have come, to the worlds whose they are.
-    fn hand_out(&mut self, status: &Status, of_nodes: Vec<u32>, visits: &mut [Visit<'_, '_>]) -> Result<()> {
+    pub(crate) fn hand_out(
+        &mut self,
+        status: &Status,
+        of_nodes: Vec<u32>,
+        hosted_steps: &mut [HostedStep<'_, '_>],
+    ) -> Result<()> {
         let mut found = self.found_near(status, of_nodes)?;
-        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            let world = visit.world();
-            visit.near = Near::new(&self.worlds[world], self.layers_of(world).start);
-            visit.near.take(&mut found);
+        for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
+            let world = hosted.world();
+            hosted.near = Near::new(&self.worlds[world], self.layers_of(world).start);
+            hosted.near.take(&mut found);
         }
         Ok(())
     }
 
     /// Hands back the blocks of nodes that have changed; how many there are.
-    fn write_changed(&self, visits: &[Visit<'_, '_>]) -> usize {
-        let going = visits.iter().filter(|visit| visit.is_going());
-        let blocks = going.flat_map(|visit| &visit.near.blocks).filter(|block| block.changed);
+    pub(crate) fn write_changed(&self, hosted_steps: &[HostedStep<'_, '_>]) -> usize {
+        let going = hosted_steps.iter().filter(|hosted| hosted.is_going());
+        let blocks = going.flat_map(|hosted| &hosted.near.blocks).filter(|block| block.changed);
         let changed: Vec<[u32; 4]> = blocks.flat_map(Block::words).collect();
         let count = changed.len() / NEAR_BLOCK;
         self.write_words(NEAR, &[0, count as u32]);
@@ -717,13 +507,18 @@ impl WgpuBatch {
     }
 
     /// A sort if one is asked for or likely to be due, P2G and the grid update; brings back the status and the nodes near bodies.
-    fn ground_to_nodes(&mut self, dt: f64, sort: bool, visits: &mut [Visit<'_, '_>]) -> Result<Status> {
-        let active = going(visits);
+    pub(crate) fn ground_to_nodes(
+        &mut self,
+        dt: f64,
+        sort: bool,
+        hosted_steps: &mut [HostedStep<'_, '_>],
+    ) -> Result<Status> {
+        let active = going(hosted_steps);
         let sort = sort || self.is_any_due(&active);
         if sort {
             self.cover_blocks(1)?;
         }
-        self.write_around(0..self.levels, visits)?;
+        self.write_around(0..self.levels, hosted_steps)?;
         // The last step's numbers stand in the words of step 0.
         let mut layers = self.layers(|w| active.iter().any(|a| a.0 == w));
         for (layer, of_layer) in layers.iter_mut().enumerate() {
@@ -772,27 +567,27 @@ impl WgpuBatch {
             Self::run(&Writes::default(), &self.gpu, &mut self.memory, &mut self.clocks, &parts, STEPS, behind(room))?;
         self.take_pending(&status);
         self.take_blocks(&status);
-        for visit in visits.iter_mut().filter(|visit| visit.is_going()) {
-            let layers = self.layers_of(visit.world());
+        for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
+            let layers = self.layers_of(hosted.world());
             if status.sorted_before(layers.start).is_some() {
-                self.worlds[visit.world()].levels.iter_mut().for_each(|level| level.rhythm = Rhythm::default());
-                visit.sorted = true;
+                self.worlds[hosted.world()].levels.iter_mut().for_each(|level| level.since_sort = SinceSort::default());
+                hosted.sorted = true;
             }
-            visit.speed = status.speed(1, layers);
+            hosted.speed = status.speed(1, layers);
         }
         if status.halt().is_none() {
-            self.hand_out(&status, of_nodes, visits)?;
+            self.hand_out(&status, of_nodes, hosted_steps)?;
         }
         Ok(status)
     }
 
     /// As many blocks as are brought back with the status: a quarter more than there were.
-    fn near_expected(&self) -> usize {
+    pub(crate) fn near_expected(&self) -> usize {
         (self.near_blocks + self.near_blocks / 4 + 16).min(self.memory.near())
     }
 
     /// All that a gathering has found. If that is more than was expected, it is asked for; if more than there is room for, gathered again.
-    fn found_near(&mut self, status: &Status, mut of_nodes: Vec<u32>) -> Result<Found> {
+    pub(crate) fn found_near(&mut self, status: &Status, mut of_nodes: Vec<u32>) -> Result<Found> {
         let count = status.words[NEAR] as usize;
         self.near_blocks = count;
         if count > self.memory.near() {
@@ -809,7 +604,7 @@ impl WgpuBatch {
     }
 
     /// Gathers what is in the boxes on its own.
-    fn gather(&mut self) -> Result<Found> {
+    pub(crate) fn gather(&mut self) -> Result<Found> {
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let (now, end) = (self.memory.now, self.levels);
         let dispatches = near.gather.iter().map(|kernel| Dispatch { kernel, now, step: 1, end }).collect();
@@ -821,7 +616,7 @@ impl WgpuBatch {
     }
 
     /// Takes in the numbers of a step that were still on the device.
-    fn take_pending(&mut self, status: &Status) {
+    pub(crate) fn take_pending(&mut self, status: &Status) {
         for w in 0..self.worlds.len() {
             if !std::mem::take(&mut self.worlds[w].pending) {
                 continue;
@@ -830,7 +625,7 @@ impl WgpuBatch {
             let world = &mut self.worlds[w];
             for (layer, level) in layers.zip(&mut world.levels) {
                 let moved = status.in_step(0, layer, MOVE);
-                level.rhythm = level.rhythm.after(moved);
+                level.since_sort = level.since_sort.after(moved);
                 level.particle_speed = f64::from(moved) * level.h / world.last_dt;
             }
             self.take_sums(status, w);
@@ -849,13 +644,14 @@ impl WgpuBatch {
     }
 
     /// Nodes go back, and particles take their velocities. What it came to stays on the device until the next step asks for it.
-    fn nodes_to_ground(&mut self, dt: f64, visits: &[Visit<'_, '_>]) -> Result<()> {
-        let active = going(visits);
+    pub(crate) fn nodes_to_ground(&mut self, dt: f64, hosted_steps: &[HostedStep<'_, '_>]) -> Result<()> {
+        let active = going(hosted_steps);
         if active.is_empty() {
             return Ok(());
         }
-        let goes = |visit: &&Visit<'_, '_>| visit.is_going();
-        let speed_of = |w: usize| visits.iter().filter(goes).find(|visit| visit.world() == w).map(|visit| visit.speed);
+        let goes = |hosted: &&HostedStep<'_, '_>| hosted.is_going();
+        let speed_of =
+            |w: usize| hosted_steps.iter().filter(goes).find(|hosted| hosted.world() == w).map(|hosted| hosted.speed);
         let speeds: Vec<_> = (0..self.worlds.len()).map(|w| speed_of(w).unwrap_or(0.0) as f32).collect();
         let words = self.memory.words();
         self.write_steps(0, &[self.step_constants(dt, 0)]);
@@ -866,10 +662,10 @@ impl WgpuBatch {
         // Nodes that were too fast have been found out by now.
         self.write_words(words.fast(0), &[0]);
         self.write_words(words.of_step(0, 0, 0), &drifts);
-        if active.len() < visits.len() {
+        if active.len() < hosted_steps.len() {
             self.write_layers(&self.layers(|w| speed_of(w).is_some()));
         }
-        let count = self.write_changed(visits);
+        let count = self.write_changed(hosted_steps);
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let (kernels, now) = (&self.kernels.set, self.memory.now);
         let back = Some(&near.scatter).filter(|_| count > 0).into_iter();
@@ -892,17 +688,17 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// The rhythms of a world's levels after its last step, also if that step's numbers are still on the device.
-    pub(crate) fn rhythms(&self, w: usize) -> Vec<Rhythm> {
-        let rhythm = |(layer, level): (usize, &crate::world::Level)| {
+    /// The age and drift of a world's levels since their last sort, after its last step, also if that step's numbers are still on the device.
+    pub(crate) fn since_sorts(&self, w: usize) -> Vec<SinceSort> {
+        let since_sort = |(layer, level): (usize, &crate::worlds::world::Level)| {
             if !self.worlds[w].pending {
-                return level.rhythm;
+                return level.since_sort;
             }
             let at = 4 * self.memory.words().of_step(0, layer, MOVE) as u64;
             let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 1);
-            level.rhythm.after(words.map_or(MAX_DRIFT, |words| words[0]))
+            level.since_sort.after(words.map_or(MAX_DRIFT, |words| words[0]))
         };
-        self.layers_of(w).zip(&self.worlds[w].levels).map(rhythm).collect()
+        self.layers_of(w).zip(&self.worlds[w].levels).map(since_sort).collect()
     }
 
     /// What walls gave a world in a step whose numbers are still on the device [N s].
@@ -933,17 +729,16 @@ impl WgpuBatch {
     }
 }
 
-/// So many blocks of nodes near bodies, to be brought back.
-fn behind(blocks: usize) -> Option<Behind> {
-    Some(Behind::of(Role::Near, 0, (16 * NEAR_BLOCK * blocks) as u64))
-}
-
 /// The worlds that go on, and their times [s].
-fn going(visits: &[Visit<'_, '_>]) -> Vec<(usize, f64)> {
-    visits.iter().filter(|visit| visit.is_going()).map(|visit| (visit.world(), visit.turn.time)).collect()
+pub(crate) fn going(hosted_steps: &[HostedStep<'_, '_>]) -> Vec<(usize, f64)> {
+    hosted_steps
+        .iter()
+        .filter(|hosted| hosted.is_going())
+        .map(|hosted| (hosted.world(), hosted.world_step.time))
+        .collect()
 }
 
 /// Words of a world's levels in a step that begins, with that greatest node speed.
-fn drifts(world: &World, speed: u32) -> Vec<u32> {
-    world.levels.iter().flat_map(|level| [speed, 0, level.rhythm.drift.to_bits(), 0]).collect()
+pub(crate) fn drifts(world: &World, speed: u32) -> Vec<u32> {
+    world.levels.iter().flat_map(|level| [speed, 0, level.since_sort.drift.to_bits(), 0]).collect()
 }

@@ -1,8 +1,18 @@
 //! The schedule on a device: which passes carry out each stage, and what a submission dispatches.
 
-use crate::kernels::{Kernel, Kernels, Set};
-use crate::memory::StepConstants;
-use crate::world::most_need;
+pub(crate) mod bodies;
+pub(crate) mod contact_on_host;
+pub(crate) mod free;
+pub(crate) mod near;
+pub(crate) mod outcome;
+pub(crate) mod status;
+pub(crate) mod steps;
+pub(crate) mod submission;
+
+use crate::device::memory::StepConstants;
+use crate::passes::binding::Kernel;
+use crate::passes::{Kernels, Set};
+use crate::worlds::world::most_need;
 use barchan_core::schedule::{Call, Needs, Stage, beginning, ending};
 use barchan_core::{Plan, Schedule, Vec3};
 use std::ops::Range;
@@ -69,8 +79,8 @@ impl<K> ContactPasses<'_, K> {
         Self { on_host: true, ..Self::default() }
     }
 
-    /// May nodes near walls change after the grid's turn?
-    fn comes_to_walls(&self) -> bool {
+    /// May nodes near walls change after the grid update?
+    pub(crate) fn comes_to_walls(&self) -> bool {
         self.on_host || self.roams || !self.driven.is_empty()
     }
 }
@@ -186,7 +196,7 @@ impl<'a> Passes<'a> {
     }
 
     /// The constants of some levels' steps in a slot of a step of `dt`; the last ones if they will do.
-    fn constants_of(&mut self, dt: f64, levels: Range<usize>, slot: usize) -> usize {
+    pub(crate) fn constants_of(&mut self, dt: f64, levels: Range<usize>, slot: usize) -> usize {
         let wanted = Some((levels, self.number * self.schedule.slots + slot));
         if self.last == wanted {
             return self.constants.len() - 1;

@@ -1,11 +1,11 @@
 //! What the host knows of a world of a batch.
 
-use crate::kernels::{may_sleep, parameter_vectors, parameters_of, softs, stiffens};
-use crate::layout::{Periods, by_level};
-use crate::memory::{Layer, MAX_SLOTS, MAX_STEPS};
-use crate::sleep::Slept;
-use crate::soft::Softs;
-use crate::stiffness::{self, lesser};
+use crate::device::layout::{Periods, by_level};
+use crate::device::memory::{Layer, MAX_SLOTS, MAX_STEPS};
+use crate::passes::scene::{may_sleep, parameter_vectors, parameters_of, softs, stiffens};
+use crate::worlds::sleep::Slept;
+use crate::worlds::soft::Softs;
+use crate::worlds::stiffness::{self, lesser};
 use barchan_core::backend::Bound;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Leaving, Wall};
@@ -21,7 +21,7 @@ pub(crate) const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time [cells].
 pub(crate) const SORT_DRIFT: f32 = 0.1;
 /// So many times faster than now particles might become: drifts add up the fastest particle's moves of each step, which jump.
-const FASTER: f32 = 2.0;
+pub(crate) const FASTER: f32 = 2.0;
 /// Whenever so many have passed, if they may have drifted by more than [`SELDOM_DRIFT`]: few at rest cross into another cell, but whoever has costs
 /// P2G a fifth of its time in each step.
 pub(crate) const SORT_SELDOM: u32 = 160;
@@ -48,7 +48,7 @@ pub(crate) fn most_drift(plan: &Plan) -> f32 {
 /// Steps between two askings of laws that are asked on the host; the particles' strain and history are copied there.
 pub(crate) const STIFFNESS_AGE: u32 = 10;
 /// Steps after which laws that are asked on the device are asked on the host, where ground may sleep: the device asks those awake.
-const ASLEEP_AGE: u32 = 1000;
+pub(crate) const ASLEEP_AGE: u32 = 1000;
 /// Ground that needs no more than so many steps a second bears steps of `dt` [s].
 pub(crate) fn most_need(dt: f64) -> f32 {
     (1.000_001 / dt).min(f64::from(f32::MAX)) as f32
@@ -60,16 +60,16 @@ pub(crate) const MAX_MOVE: f64 = 0.5;
 pub(crate) const FELT: f64 = 1e17;
 
 /// When a world is sorted. This goes by its own steps and its own particles' drift since its last sort alone, so that it does not matter
-/// how steps are cut into submissions, or what other worlds do. `rhythm.wgsl` is the same rule on the device.
+/// how steps are cut into submissions, or what other worlds do. `since_sort.wgsl` is the same rule on the device.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Rhythm {
+pub(crate) struct SinceSort {
     /// Steps since the last sort.
     pub(crate) age: u32,
     /// Upper bound of the drift since then [cells], summed in the order and the number format of the device.
     pub(crate) drift: f32,
 }
 
-impl Rhythm {
+impl SinceSort {
     /// Must the world be sorted before its next step, if particles may drift by so much?
     pub(crate) fn is_due(self, most: f32) -> bool {
         let every = |steps: u32| self.age.is_multiple_of(steps);
@@ -97,8 +97,8 @@ impl Rhythm {
 pub(crate) struct Foresight {
     /// As its particles move now, and if they become faster. A sort that nobody needs takes a small world's time of two or three steps; one that is missing stops it,
     /// and what has been written down behind is in vain.
-    pub(crate) foreseen: Rhythm,
-    pub(crate) faster: Rhythm,
+    pub(crate) foreseen: SinceSort,
+    pub(crate) faster: SinceSort,
     /// How far they move in a step [cells].
     pub(crate) each: f32,
 }
@@ -134,7 +134,7 @@ pub(crate) struct Level {
     /// Least and greatest block, if there are any.
     pub(crate) reach: Option<([i32; 3], [i32; 3])>,
     pub(crate) span: Span,
-    pub(crate) rhythm: Rhythm,
+    pub(crate) since_sort: SinceSort,
     /// Greatest speed of any particle along an axis [m/s].
     pub(crate) particle_speed: f64,
     /// Its steps in one of the simulation.
@@ -228,7 +228,7 @@ impl Span {
 }
 
 impl Level {
-    fn new(plan: &Plan, level: usize) -> Self {
+    pub(crate) fn new(plan: &Plan, level: usize) -> Self {
         let (min, max) = (plan.cell_min.map(|c| c >> level), plan.cell_max.map(|c| ((c - 1) >> level) + 1));
         let is_periodic = |d: usize| plan.scene.world.walls.pair(d)[0] == Wall::Periodic;
         let periods = Periods {
@@ -320,8 +320,8 @@ impl World {
             box_size: level.span.size,
             places: level.span.places() as u32,
             on: u32::from(on),
-            age: level.rhythm.age,
-            drift: level.rhythm.drift,
+            age: level.since_sort.age,
+            drift: level.since_sort.drift,
             least: self.least_mass as f32,
             felt: felt as f32,
             first_particle: level.particles.start as u32,
@@ -330,10 +330,10 @@ impl World {
         }
     }
 
-    /// The rhythm of one of its levels, as far as is known if the last step's numbers stayed on the device.
-    pub(crate) fn likely(&self, level: &Level) -> Rhythm {
+    /// The age and drift of one of its levels since its last sort, as far as is known if the last step's numbers stayed on the device.
+    pub(crate) fn likely(&self, level: &Level) -> SinceSort {
         let moved = (level.particle_speed * self.last_dt / level.h) as f32;
-        if self.pending { level.rhythm.after(moved) } else { level.rhythm }
+        if self.pending { level.since_sort.after(moved) } else { level.since_sort }
     }
 
     /// Slots of its particles.
@@ -372,7 +372,8 @@ impl World {
         // Without a phase, they lie as a sort would put them.
         for (l, level) in self.levels.iter_mut().enumerate() {
             let drift = |sort: &SortPhase| sort.drift.get(l).map_or(MAX_DRIFT, |drift| *drift as f32);
-            level.rhythm = sort.map_or_else(Rhythm::default, |sort| Rhythm { age: sort.age, drift: drift(sort) });
+            level.since_sort =
+                sort.map_or_else(SinceSort::default, |sort| SinceSort { age: sort.age, drift: drift(sort) });
         }
         if let Some(sort) = sort {
             for bound in [&mut self.needed, &mut self.asked].into_iter().filter(|bound| bound.dt.is_finite()) {
@@ -409,7 +410,7 @@ impl World {
         Ok(())
     }
 
-    fn measure_stiffness(&mut self, lists: &[ParticleList]) -> Result<()> {
+    pub(crate) fn measure_stiffness(&mut self, lists: &[ParticleList]) -> Result<()> {
         self.stiffness_age = 0;
         let of = |is_asked: fn(&PlannedMaterial) -> bool| {
             let lists = lists.iter().filter(|list| is_asked(&self.materials[list.material as usize]));
@@ -441,7 +442,7 @@ impl World {
     }
 
     /// Laws that the device asks have been asked here.
-    fn set_needed(&mut self, needed: Bound) {
+    pub(crate) fn set_needed(&mut self, needed: Bound) {
         self.need = (1.0 / needed.dt) as f32;
         self.needed = needed;
     }
@@ -540,7 +541,7 @@ impl World {
 }
 
 /// See [`World::contact_materials`].
-fn contact_material(material: &PlannedMaterial, plan: &Plan) -> [f32; 4] {
+pub(crate) fn contact_material(material: &PlannedMaterial, plan: &Plan) -> [f32; 4] {
     let modulus = material.contact_modulus(&plan.scene).expect("the plan has asked for it");
     [modulus as f32, (1.0 / material.density) as f32, 0.0, 0.0]
 }
@@ -557,21 +558,21 @@ mod tests {
     use super::*;
 
     /// Steps between sorts at a steady speed, in cells a step.
-    fn between(speed: f32) -> Vec<u32> {
-        let (mut rhythm, mut ages) = (Rhythm::default(), Vec::new());
+    pub(crate) fn between(speed: f32) -> Vec<u32> {
+        let (mut since_sort, mut ages) = (SinceSort::default(), Vec::new());
         for _ in 0..200 {
-            if rhythm.is_due(MAX_DRIFT) {
-                ages.push(rhythm.age);
-                rhythm = Rhythm::default();
+            if since_sort.is_due(MAX_DRIFT) {
+                ages.push(since_sort.age);
+                since_sort = SinceSort::default();
             }
-            rhythm = rhythm.after(speed);
-            assert!(rhythm.drift <= MAX_DRIFT + 0.5, "tiles do not allow for {} cells", rhythm.drift);
+            since_sort = since_sort.after(speed);
+            assert!(since_sort.drift <= MAX_DRIFT + 0.5, "tiles do not allow for {} cells", since_sort.drift);
         }
         ages
     }
 
     #[test]
-    fn ground_at_rest_is_not_sorted_and_fast_ground_before_it_leaves_its_tiles() {
+    pub(crate) fn ground_at_rest_is_not_sorted_and_fast_ground_before_it_leaves_its_tiles() {
         assert!(between(0.0).is_empty());
         assert!(between(1e-5).is_empty());
         assert_eq!(between(1e-4), [160]);

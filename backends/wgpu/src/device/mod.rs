@@ -1,5 +1,8 @@
 //! Adapters and the device opened on one of them.
 
+pub(crate) mod layout;
+pub(crate) mod memory;
+
 use barchan_core::{Error, Result};
 use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};

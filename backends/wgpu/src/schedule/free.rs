@@ -1,27 +1,29 @@
 //! Free bodies that the device moves: as they are lent for a submission, and what came of it. See `lent.wgsl`.
 
-use crate::batch::{Behind, Driven, Outcome, WgpuBatch};
-use crate::kernels::Role;
-use crate::memory::{LENT, STATE, Writes};
-use barchan_core::backend::Turn;
+use crate::device::memory::{LENT, STATE, Writes};
+use crate::passes::binding::Role;
+use crate::schedule::bodies::Driven;
+use crate::schedule::submission::{Behind, Outcome};
+use crate::worlds::WgpuBatch;
+use barchan_core::backend::WorldStep;
 use barchan_core::coupling::{FreeState, Lent, Moved};
 use barchan_core::plan::TOOL_COURANT;
 use barchan_core::{BodyState, Coupling, Result, Vec3, Wrench};
 
 /// One part of a cell, and of a rotation, in a state.
-const PLACE: f64 = 1.0 / 4_294_967_296.0;
-const ROTATION: f64 = 1.0 / 1_073_741_824.0;
+pub(crate) const PLACE: f64 = 1.0 / 4_294_967_296.0;
+pub(crate) const ROTATION: f64 = 1.0 / 1_073_741_824.0;
 /// What rounding on the device may amount to in displacements [cells].
-const ROUNDING: f64 = 1e-4;
+pub(crate) const ROUNDING: f64 = 1e-4;
 /// In place of infinity [cells].
-const FAR: f64 = 1e9;
+pub(crate) const FAR: f64 = 1e9;
 
 /// A vector as the device reads it.
-type Words = [u32; 4];
+pub(crate) type Words = [u32; 4];
 
 /// What happened to a free body in a step.
 #[derive(Clone, Debug)]
-pub(crate) struct Felt {
+pub(crate) struct FreeStep {
     /// The body afterwards.
     pub(crate) body: BodyState,
     /// Impulse and angular impulse from the ground.
@@ -35,12 +37,12 @@ pub(crate) fn states(bodies: usize, slots: usize) -> Option<Behind> {
 }
 
 /// Parts of cells of width `h` [m] from the origin of the world; exact for what the device has come to.
-fn parts(position: Vec3, h: f64) -> [i64; 3] {
+pub(crate) fn parts(position: Vec3, h: f64) -> [i64; 3] {
     position.map(|x| (x / h / PLACE).round() as i64)
 }
 
 /// A state of a body, where finest cells have that width [m].
-fn state_words(state: &FreeState, h: f64) -> [Words; STATE] {
+pub(crate) fn state_words(state: &FreeState, h: f64) -> [Words; STATE] {
     let [w, x, y, z] = state.rotation.map(|q| (q / ROTATION).round() as i32 as u32);
     let real = |v: Vec3| [bits(v[0]), bits(v[1]), bits(v[2]), 0];
     let [cell, place] = places(state.position, h);
@@ -51,17 +53,17 @@ fn state_words(state: &FreeState, h: f64) -> [Words; STATE] {
 }
 
 /// Cell and place in it.
-fn places(position: Vec3, h: f64) -> [Words; 2] {
+pub(crate) fn places(position: Vec3, h: f64) -> [Words; 2] {
     let [x, y, z] = parts(position, h);
     [[(x >> 32) as u32, (y >> 32) as u32, (z >> 32) as u32, 0], [x as u32, y as u32, z as u32, 0]]
 }
 
-fn bits(x: f64) -> u32 {
+pub(crate) fn bits(x: f64) -> u32 {
     (x as f32).to_bits()
 }
 
 /// What came of a body in a slot: how it is, its counts, and its impulses.
-fn read_state(words: &[Words], h: f64) -> (Moved, Wrench) {
+pub(crate) fn read_state(words: &[Words], h: f64) -> (Moved, Wrench) {
     let real = |v: Words| [0, 1, 2].map(|d| f64::from(f32::from_bits(v[d])));
     let position = [0, 1, 2].map(|d| {
         let parts = (i64::from(words[0][d] as i32) << 32) + i64::from(words[1][d]);
@@ -75,7 +77,7 @@ fn read_state(words: &[Words], h: f64) -> (Moved, Wrench) {
 }
 
 /// The inverse of a symmetric matrix.
-fn inverse([a, b, c]: [Vec3; 3]) -> [Vec3; 3] {
+pub(crate) fn inverse([a, b, c]: [Vec3; 3]) -> [Vec3; 3] {
     let cross = |u: Vec3, v: Vec3| [0, 1, 2].map(|i| u[(i + 1) % 3] * v[(i + 2) % 3] - u[(i + 2) % 3] * v[(i + 1) % 3]);
     let rows = [cross(b, c), cross(c, a), cross(a, b)];
     let determinant: f64 = (0..3).map(|d| a[d] * rows[0][d]).sum();
@@ -83,7 +85,7 @@ fn inverse([a, b, c]: [Vec3; 3]) -> [Vec3; 3] {
 }
 
 /// What a body that meets so many levels is for the steps of a submission, where finest cells have width `h`.
-fn lent_words(lent: &Lent, levels: usize, h: f64) -> [Words; LENT] {
+pub(crate) fn lent_words(lent: &Lent, levels: usize, h: f64) -> [Words; LENT] {
     let row = |v: Vec3, last: u32| [bits(v[0]), bits(v[1]), bits(v[2]), last];
     let [i, inverse] = [lent.inertia, inverse(lent.inertia)];
     let end = |x: f64, inwards: f64| (x / h + inwards * ROUNDING).clamp(-FAR, FAR);
@@ -105,11 +107,11 @@ fn lent_words(lent: &Lent, levels: usize, h: f64) -> [Words; LENT] {
 impl WgpuBatch {
     /// Borrows the free bodies of a world for up to so many steps, on a leash that keeps its levels where they are, too; `None` if its coupling must
     /// take the next step.
-    pub(crate) fn borrow(&self, turn: &mut Turn<'_>, dt: f64, steps: usize) -> Option<Vec<Lent>> {
-        let mut lent = turn.couplings.first_mut()?.lend(turn.time, dt, steps)?;
-        let world = &self.worlds[turn.world];
+    pub(crate) fn borrow(&self, world_step: &mut WorldStep<'_>, dt: f64, steps: usize) -> Option<Vec<Lent>> {
+        let mut lent = world_step.couplings.first_mut()?.lend(world_step.time, dt, steps)?;
+        let world = &self.worlds[world_step.world];
         let softs = world.softs.boxes(self.h);
-        let coupling: &dyn Coupling = turn.couplings[0].as_ref();
+        let coupling: &dyn Coupling = world_step.couplings[0].as_ref();
         let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
         for one in &mut lent {
             let of_levels =
@@ -120,18 +122,18 @@ impl WgpuBatch {
     }
 
     /// Tells the device which free bodies it moves, and how they are.
-    pub(crate) fn write_lent(&self, turns: &[Turn<'_>], lent: &[Vec<Lent>], writes: &mut Writes) {
+    pub(crate) fn write_lent(&self, world_steps: &[WorldStep<'_>], lent: &[Vec<Lent>], writes: &mut Writes) {
         let free = self.contact.free();
         if free == 0 {
             return;
         }
         let all = self.worlds.len() * free;
         let mut words = vec![[0; 4]; all * (LENT + STATE)];
-        for (turn, lent) in turns.iter().zip(lent) {
-            let bodies = turn.couplings.first().map(|coupling| coupling.bodies()).unwrap_or_default();
-            for (k, one) in (turn.world * free..).zip(lent) {
+        for (world_step, lent) in world_steps.iter().zip(lent) {
+            let bodies = world_step.couplings.first().map(|coupling| coupling.bodies()).unwrap_or_default();
+            for (k, one) in (world_step.world * free..).zip(lent) {
                 // Levels that follow a body keep coarser ones away from it.
-                let follow = self.worlds[turn.world].adapt.follows(&bodies[one.body].name);
+                let follow = self.worlds[world_step.world].adapt.follows(&bodies[one.body].name);
                 let levels = if follow { 1 } else { self.levels };
                 words[k * LENT..][..LENT].copy_from_slice(&lent_words(one, levels, self.h));
                 words[all * LENT + k * STATE..][..STATE].copy_from_slice(&state_words(&one.state, self.h));
@@ -141,8 +143,13 @@ impl WgpuBatch {
     }
 
     /// Hands a world's free bodies their states after each step that is done.
-    pub(crate) fn adopt(&self, turn: &mut Turn<'_>, driven: &mut Option<Driven>, outcome: &Outcome) -> Result<()> {
-        let (Some(driven), Some(coupling)) = (driven, turn.couplings.first_mut()) else { return Ok(()) };
+    pub(crate) fn adopt(
+        &self,
+        world_step: &mut WorldStep<'_>,
+        driven: &mut Option<Driven>,
+        outcome: &Outcome,
+    ) -> Result<()> {
+        let (Some(driven), Some(coupling)) = (driven, world_step.couplings.first_mut()) else { return Ok(()) };
         let (free, all): (usize, &[Words]) = (self.contact.free(), bytemuck::cast_slice(&outcome.lent));
         if driven.lent.is_empty() {
             return Ok(());
@@ -151,7 +158,7 @@ impl WgpuBatch {
             let of_step = |b: usize| {
                 let slots = s * self.substeps..(s + 1) * self.substeps;
                 let of_slot = |slot: usize| {
-                    let at = (slot * self.worlds.len() * free + turn.world * free + b) * STATE;
+                    let at = (slot * self.worlds.len() * free + world_step.world * free + b) * STATE;
                     read_state(&all[at..at + STATE], self.h)
                 };
                 slots.map(of_slot).reduce(|(before, given), (now, more)| {
@@ -167,7 +174,9 @@ impl WgpuBatch {
             coupling.adopt(&moved)?;
             let bodies = coupling.bodies();
             let felt = driven.lent.iter().zip(impulses);
-            driven.moved.push(felt.map(|(lent, impulse)| Felt { body: bodies[lent.body].clone(), impulse }).collect());
+            driven
+                .moved
+                .push(felt.map(|(lent, impulse)| FreeStep { body: bodies[lent.body].clone(), impulse }).collect());
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, Ledger, ParticleList, Scene};
 
 /// Particles handed to a material at a time.
-const BATCH: usize = 64;
+pub(crate) const BATCH: usize = 64;
 
 /// Adds mass, momenta, energies and the materials' counts.
 pub(crate) fn add_particles(ledger: &mut Ledger, lists: &[ParticleList], materials: &[PlannedMaterial], scene: &Scene) {
@@ -31,7 +31,7 @@ pub(crate) fn add_particles(ledger: &mut Ledger, lists: &[ParticleList], materia
 }
 
 /// Adds elastic energy and the counts of one list.
-fn add_material(ledger: &mut Ledger, list: &ParticleList, planned: &PlannedMaterial) {
+pub(crate) fn add_material(ledger: &mut Ledger, list: &ParticleList, planned: &PlannedMaterial) {
     let table = &planned.material.table;
     if table.energy_f64.is_none() {
         ledger.elastic = f64::NAN;

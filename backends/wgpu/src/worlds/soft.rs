@@ -1,10 +1,10 @@
 //! Soft bodies that levels follow. After each step the device finds the cells around them, and stops the submission if levels must move before
 //! the next one, so that it does not matter how steps are cut into submissions.
 
-use crate::batch::WgpuBatch;
-use crate::kernels::Role;
-use crate::memory::read;
-use crate::world::World;
+use crate::device::memory::read;
+use crate::passes::binding::Role;
+use crate::worlds::WgpuBatch;
+use crate::worlds::world::World;
 use barchan_core::levels::{CellBox, Leeway};
 use barchan_core::{Aabb, ParticleList, Result};
 use barchan_grid::adapt::around_cells;
@@ -13,10 +13,10 @@ use std::collections::BTreeMap;
 /// Words of a soft body: ends of its cells as they are summed up, and as they were after the last step; where these and the middle may be.
 pub(crate) const WORDS: usize = 24;
 /// The second of these, and the third.
-const FOUND: usize = 6;
-const LEEWAY: usize = 12;
+pub(crate) const FOUND: usize = 6;
+pub(crate) const LEEWAY: usize = 12;
 /// Of a body without particles.
-const NOTHING: CellBox = CellBox { min: [i32::MAX; 3], max: [i32::MIN; 3] };
+pub(crate) const NOTHING: CellBox = CellBox { min: [i32::MAX; 3], max: [i32::MIN; 3] };
 
 /// A soft body that levels follow.
 #[derive(Clone, Debug)]

@@ -1,9 +1,9 @@
 //! A world's place in a batch, as the simulation sees it.
 
-use crate::account;
-use crate::batch::WgpuBatch;
 use crate::device::Gpu;
-use barchan_core::backend::{Batch, Bound, NewWorld, Timing, Turn};
+use crate::readback::account;
+use crate::worlds::WgpuBatch;
+use barchan_core::backend::{Batch, Bound, NewWorld, Timing, WorldStep};
 use barchan_core::{Coupling, Engine, Error, Ledger, ParticleState, Result, Spot, StepReport};
 use barchan_grid::archive::Reach;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -13,18 +13,18 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Worlds on one device, shared by those who look at one of them, and the threads of what the host does for them; without any of their own,
 /// as many as the machine has.
 #[derive(Clone)]
-pub(crate) struct Seats {
+pub(crate) struct Worlds {
     batch: Arc<Mutex<WgpuBatch>>,
     pool: Option<Arc<ThreadPool>>,
 }
 
 /// One world of a batch.
-pub(crate) struct Seat {
-    seats: Seats,
+pub(crate) struct WorldEngine {
+    shared: Worlds,
     world: usize,
 }
 
-impl Seats {
+impl Worlds {
     /// A batch of worlds, with so many threads; 0: as many as the machine has.
     pub(crate) fn new(gpu: Arc<Gpu>, worlds: Vec<NewWorld<'_>>, threads: usize) -> Result<Self> {
         let start = || ThreadPoolBuilder::new().num_threads(threads).build();
@@ -41,28 +41,33 @@ impl Seats {
         Ok(Self { batch: Arc::new(Mutex::new(batch)), pool: pool.map(Arc::new) })
     }
 
-    pub(crate) fn seat(&self, world: usize) -> Seat {
-        Seat { seats: self.clone(), world }
+    pub(crate) fn engine(&self, world: usize) -> WorldEngine {
+        WorldEngine { shared: self.clone(), world }
     }
 
-    fn batch(&self) -> MutexGuard<'_, WgpuBatch> {
+    pub(crate) fn batch(&self) -> MutexGuard<'_, WgpuBatch> {
         self.batch.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes steps. What only waits for the device needs none of the batch's threads: to be taken up by one of them and told that it is done takes as long as
     /// some steps of a small world.
-    fn take_steps(&self, dt: f64, count: usize, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
+    pub(crate) fn take_steps(
+        &self,
+        dt: f64,
+        count: usize,
+        world_steps: &mut [WorldStep<'_>],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
         let mut batch = self.batch();
         if batch.only_waits() {
-            return batch.steps(dt, count, turns);
+            return batch.steps(dt, count, world_steps);
         }
         drop(batch);
-        self.with(|batch| batch.steps(dt, count, turns))
+        self.with(|batch| batch.steps(dt, count, world_steps))
     }
 
     /// Does something with the batch on its threads. From outside of them each parallel loop would wait to be taken up and to be told that it
     /// has ended, tens of microseconds each time.
-    fn with<R: Send>(&self, f: impl FnOnce(&mut WgpuBatch) -> R + Send) -> R {
+    pub(crate) fn with<R: Send>(&self, f: impl FnOnce(&mut WgpuBatch) -> R + Send) -> R {
         let mut batch = self.batch();
         let batch = &mut *batch;
         let f = || f(batch);
@@ -73,13 +78,18 @@ impl Seats {
     }
 }
 
-impl Batch for Seats {
+impl Batch for Worlds {
     fn engine(&self, world: usize) -> Box<dyn Engine> {
-        Box::new(self.seat(world))
+        Box::new(self.engine(world))
     }
 
-    fn steps(&mut self, dt: f64, count: usize, turns: &mut [Turn<'_>]) -> Result<Vec<Result<Vec<StepReport>>>> {
-        self.take_steps(dt, count, turns)
+    fn steps(
+        &mut self,
+        dt: f64,
+        count: usize,
+        world_steps: &mut [WorldStep<'_>],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        self.take_steps(dt, count, world_steps)
     }
 
     fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
@@ -87,17 +97,17 @@ impl Batch for Seats {
     }
 }
 
-impl Engine for Seat {
+impl Engine for WorldEngine {
     fn bound(&self) -> Bound {
-        self.seats.batch().worlds[self.world].bound()
+        self.shared.batch().worlds[self.world].bound()
     }
 
     fn stride(&self) -> u64 {
-        self.seats.batch().worlds[self.world].stride()
+        self.shared.batch().worlds[self.world].stride()
     }
 
     fn is_outgrown(&self, dt: f64) -> bool {
-        self.seats.batch().worlds[self.world].is_outgrown(dt)
+        self.shared.batch().worlds[self.world].is_outgrown(dt)
     }
 
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
@@ -112,17 +122,17 @@ impl Engine for Seat {
         count: usize,
         couplings: &mut [Box<dyn Coupling>],
     ) -> Result<Vec<StepReport>> {
-        let turn = Turn { world: self.world, time, couplings };
-        self.seats.take_steps(dt, count, &mut [turn])?.pop().expect("a report for each turn")
+        let world_step = WorldStep { world: self.world, time, couplings };
+        self.shared.take_steps(dt, count, &mut [world_step])?.pop().expect("a report for each world_step")
     }
 
     fn download(&self) -> ParticleState {
         // A device that is lost has no particles left; the next step says so.
-        self.seats.with(|batch| batch.state(self.world)).unwrap_or_default()
+        self.shared.with(|batch| batch.state(self.world)).unwrap_or_default()
     }
 
     fn spots(&self) -> Vec<Spot> {
-        self.seats.with(|batch| {
+        self.shared.with(|batch| {
             let mut spots = batch.spots(self.world).unwrap_or_default();
             let archived = batch.worlds[self.world].reach.iter().flat_map(Reach::archived);
             archived.for_each(|list| spots.extend((0..list.len()).map(|i| list.spot(i))));
@@ -131,7 +141,7 @@ impl Engine for Seat {
     }
 
     fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
-        self.seats.with(|batch| {
+        self.shared.with(|batch| {
             let mut state = batch.lists_where(self.world, wanted).unwrap_or_default();
             state.lists.extend(batch.worlds[self.world].reach.iter().flat_map(Reach::archived).map(|mut list| {
                 list.retain(wanted);
@@ -142,23 +152,23 @@ impl Engine for Seat {
     }
 
     fn check(&self) -> Result<()> {
-        self.seats.batch().gpu.check()
+        self.shared.batch().gpu.check()
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
-        self.seats.with(|batch| {
+        self.shared.with(|batch| {
             batch.settle()?;
             batch.take_in(vec![(self.world, particles)])
         })
     }
 
     fn particle_count(&self) -> usize {
-        self.seats.batch().worlds[self.world].particles().len()
+        self.shared.batch().worlds[self.world].particles().len()
     }
 
     fn account(&self, ledger: &mut Ledger) {
-        let lists = self.seats.with(|batch| batch.lists(self.world));
-        let batch = self.seats.batch();
+        let lists = self.shared.with(|batch| batch.lists(self.world));
+        let batch = self.shared.batch();
         let world = &batch.worlds[self.world];
         if let Ok((lists, ..)) = lists {
             account::add_particles(ledger, &lists, &world.materials, &world.scene);
@@ -186,13 +196,13 @@ impl Engine for Seat {
     }
 
     fn carry_on(&mut self, sums: &Ledger) {
-        self.seats.batch().worlds[self.world].carry_on(sums);
+        self.shared.batch().worlds[self.world].carry_on(sums);
     }
 
     /// Of the whole batch: passes are shared.
     fn timings(&self) -> Vec<Timing> {
-        let batch = self.seats.batch();
-        let timing = |(name, clock): (&&str, &crate::batch::Clock)| Timing {
+        let batch = self.shared.batch();
+        let timing = |(name, clock): (&&str, &crate::schedule::submission::Clock)| Timing {
             effect: (*name).to_owned(),
             seconds: clock.measured.0 / clock.measured.1.max(1) as f64 * clock.passes as f64,
             passes: clock.passes,
@@ -208,7 +218,7 @@ impl Engine for Seat {
 
     /// The world's share of the batch's, by particles.
     fn memory(&self) -> (u64, u64) {
-        let batch = self.seats.batch();
+        let batch = self.shared.batch();
         let all: usize = batch.worlds.iter().map(|world| world.particles().len()).sum();
         let own = batch.worlds[self.world].particles().len();
         let share = |bytes: u64| (u128::from(bytes) * own as u128 / all.max(1) as u128) as u64;

@@ -1,0 +1,92 @@
+//! Rounds of split and merge.
+
+use crate::passes::AdaptSet;
+use crate::passes::binding::{
+    CELLS, Draft, Groups, IDS, LISTS, LOOSE, ORDER, RECORD, REST, Role, STATUS, SUMS, Uniform, Use, next,
+    particles_to_next, written,
+};
+use crate::passes::scene::regions;
+use barchan_core::Plan;
+use barchan_core::levels::MERGE_BEHIND;
+use barchan_grid::adapt::finest_volumes;
+
+/// Rounds of split and merge.
+pub(crate) fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptSet<Draft> {
+    const COMMON: &str = include_str!("../wgsl/sort.wgsl");
+    let draft = |name, entry, body: &str, uses: Vec<Use>, groups| Draft {
+        name,
+        entry,
+        body: COMMON.to_owned() + body,
+        uses,
+        uniform: Uniform::None,
+        groups,
+        checked: true,
+    };
+    let volumes = finest_volumes(plan);
+    let volume = |b: usize| format!("{:?}", volumes[b] as f32);
+    let last = volumes.len() - 1;
+    let cases: String = (0..last).map(|b| format!("case {b}u: {{ return {}; }} ", volume(b))).collect();
+    // f32 may decide otherwise than the host by no more than some roundings.
+    let constants = format!(
+        "const MERGE_BEHIND: i32 = {MERGE_BEHIND};\nconst LESS: f32 = 0.99999;\nconst MORE: f32 = 1.00001;\n\
+         fn finest_volume(body: u32) -> f32 {{ switch body {{ {cases}default: {{ return {}; }} }} }}\n",
+        volume(last)
+    );
+    let find = draft(
+        "find",
+        "find_concerned",
+        &(regions(plan, worlds) + &constants + include_str!("../wgsl/adapt_find.wgsl")),
+        vec![RECORD, REST, IDS, LISTS, CELLS, written(LOOSE), written(SUMS), STATUS],
+        Groups::Blocks,
+    );
+    let filled: Use = ("filled", "vec4<u32>", Role::Handed, true);
+    AdaptSet {
+        find: [
+            Draft { uniform: Uniform::Regions, ..find },
+            draft(
+                "sum found",
+                "sum_blocks",
+                include_str!("../wgsl/sort_before.wgsl"),
+                vec![written(SUMS), STATUS],
+                Groups::One,
+            ),
+            draft(
+                "list",
+                "list_found",
+                concat!(include_str!("../wgsl/rounds.wgsl"), include_str!("../wgsl/adapt_list.wgsl")),
+                vec![RECORD, LISTS, CELLS, LOOSE, SUMS, written(ORDER), next("new_record", RECORD), STATUS],
+                Groups::Blocks,
+            ),
+            draft(
+                "copy",
+                "copy_found",
+                include_str!("../wgsl/adapt_copy.wgsl"),
+                particles_to_next(),
+                Groups::ParticlesBy(128),
+            ),
+        ],
+        fill: draft(
+            "fill",
+            "fill",
+            concat!(include_str!("../wgsl/rounds.wgsl"), include_str!("../wgsl/adapt_fill.wgsl")),
+            vec![LISTS, CELLS, REST, filled, STATUS],
+            Groups::Blocks,
+        ),
+        remove: draft(
+            "remove",
+            "remove",
+            include_str!("../wgsl/adapt_remove.wgsl"),
+            vec![ORDER, written(RECORD), STATUS],
+            Groups::ParticlesBy(128),
+        ),
+        stress: Draft {
+            name: "stress of new",
+            entry: "stress_of_new",
+            body: include_str!("../wgsl/adapt_stress.wgsl").to_owned() + laws,
+            uses: vec![written(RECORD), written(REST), STATUS],
+            uniform: Uniform::Params,
+            groups: Groups::ParticlesBy(128),
+            checked: true,
+        },
+    }
+}

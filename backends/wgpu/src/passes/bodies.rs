@@ -1,0 +1,235 @@
+//! Contact with bodies and the motion of free ones.
+
+use crate::device::Gpu;
+use crate::device::memory::{MAX_SLOTS, NEAR_BLOCK};
+use crate::passes::Kernels;
+use crate::passes::binding::{
+    CELLS, DIRECTORY, Draft, Found, GRID, Groups, Kernel, LENT_BODIES, LISTS, NODES, OWN, RECORD, RIMS, Role, STATUS,
+    Uniform, Use, build, build_for, exchange, node_blocks, written,
+};
+use crate::passes::rims::at_rims;
+use crate::passes::scene::coupling_table;
+use barchan_core::coupling::DeviceLaw;
+use barchan_grid::rest::NEAR_TOOL;
+
+/// Contact with driven bodies on the device, so many in each of the worlds, whose tables have so many vectors, of which the last are the
+/// materials': how particles press, the law, then the sums of impulses, level by level.
+pub(crate) fn contact(
+    gpu: &Gpu,
+    kernels: &Kernels,
+    law: &DeviceLaw,
+    [bodies, vectors, materials]: [usize; 3],
+    [worlds, levels]: [usize; 2],
+) -> [Kernel; 3] {
+    let count = format!("const BODIES: u32 = {bodies}u;\n");
+    let body = include_str!("../wgsl/body.wgsl");
+    let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
+    let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
+    let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
+    let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
+    let of_bodies = [&count, body, include_str!("../wgsl/press_driven.wgsl")].concat();
+    let press =
+        press_draft("press", law, &of_bodies, [vectors, materials], [worlds, levels], [bodies_now, written(partials)]);
+    let (text, own) = of_own_mass(kernels.set.solve.is_some(), include_str!("../wgsl/contact.wgsl"));
+    let mirrors = include_str!("../wgsl/mirrors.wgsl");
+    let law = Draft {
+        name: "contact",
+        entry: "contact",
+        body: [&count, body, mirrors, &table, &law.wgsl, text.as_str()].concat(),
+        uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
+        uniform: Uniform::Table { stored, counted: law.counted },
+        groups: node_blocks(levels > 1),
+        checked: true,
+    };
+    let sums = Draft {
+        name: "impulse",
+        entry: "impulse_on_bodies",
+        body: count + include_str!("../wgsl/impulse.wgsl"),
+        uses: vec![partials, impulses, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::Exactly((bodies * worlds * levels) as u32),
+        checked: true,
+    };
+    [press, law, sums].map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft))
+}
+
+/// How particles press on bodies; `of_bodies` says where these are, and where the forces go.
+pub(crate) fn press_draft<const N: usize>(
+    name: &'static str,
+    law: &DeviceLaw,
+    of_bodies: &str,
+    [vectors, materials]: [usize; 2],
+    shape: [usize; 2],
+    uses: [Use; N],
+) -> Draft {
+    let of_materials = format!("const MATERIALS: u32 = {materials}u;\nconst MODULI: u32 = {}u;\n", vectors - materials);
+    let (stored, table) = coupling_table(shape, vectors, law.samples.len());
+    Draft {
+        name,
+        entry: "press",
+        body: [
+            &of_materials,
+            include_str!("../wgsl/pressed.wgsl"),
+            &table,
+            &law.wgsl,
+            of_bodies,
+            include_str!("../wgsl/rounds.wgsl"),
+            include_str!("../wgsl/press.wgsl"),
+        ]
+        .concat(),
+        uses: [LISTS, CELLS, RECORD, STATUS].into_iter().chain(uses).collect(),
+        uniform: Uniform::Table { stored, counted: law.counted },
+        groups: node_blocks(shape[1] > 1),
+        checked: true,
+    }
+}
+
+/// How many free bodies there are in each world, and blocks around each of them along an axis on the finest level, at most.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Free {
+    pub(crate) bodies: usize,
+    pub(crate) across: usize,
+}
+
+impl Free {
+    /// Blocks around a body on a level.
+    pub(crate) fn rooms(self) -> usize {
+        self.across.saturating_pow(3)
+    }
+}
+
+/// Blocks at rims that a workgroup takes up in the pass of free bodies and rims.
+pub(crate) const RIMS_BESIDE: u32 = 8;
+
+/// How particles press on free bodies, and the pass of their contact and their motion; and does that pass do what is to be done at rims, too? So it is
+/// if no body `roams`, which is to come near coarser levels, and if the adapter lets a pass bind so much and its workgroups be so wide.
+pub(crate) fn free(
+    gpu: &Gpu,
+    kernels: &Kernels,
+    law: &DeviceLaw,
+    [vectors, materials]: [usize; 2],
+    shape: [usize; 2],
+    free: Free,
+    roams: bool,
+) -> ([Kernel; 2], bool) {
+    let (subcycled, sleeps) = (kernels.set.solve.is_some(), kernels.set.watch.is_some());
+    let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
+    let (layout, setting) = (&kernels.step_layout, &kernels.setting);
+    let of_bodies =
+        [&free_counts(free, law), include_str!("../wgsl/lent.wgsl"), include_str!("../wgsl/press_free.wgsl")].concat();
+    let press = press_draft("press on free bodies", law, &of_bodies, [vectors, materials], shape, [LENT_BODIES]);
+    let press = build(gpu, layout, setting, shape[0], press);
+    // Walls that let go come between bodies and rims.
+    let is_apart =
+        roams || shape[1] == 1 || !kernels.set.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
+    let with_rims = draft(true);
+    let limits = &gpu.limits;
+    let fits = with_rims.bindings(shape[0]) <= limits.max_storage_buffers_per_shader_stage as usize
+        && 64 * RIMS_BESIDE <= limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
+    if is_apart || !fits {
+        return ([press, build(gpu, layout, setting, shape[0], draft(false))], false);
+    }
+    ([press, build_for(gpu, layout, setting, shape[0], with_rims)], true)
+}
+
+pub(crate) fn free_counts(free: Free, law: &DeviceLaw) -> String {
+    format!(
+        "const FREES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst REACH: f32 = {:?};\n",
+        free.bodies,
+        free.rooms(),
+        law.reach,
+    )
+}
+
+/// `rims`: with what is done at rims, for bodies that meet the finest level alone.
+pub(crate) fn free_draft(
+    [subcycled, sleeps, rims]: [bool; 3],
+    law: &DeviceLaw,
+    vectors: usize,
+    [worlds, levels]: [usize; 2],
+    free: Free,
+) -> Draft {
+    let tools: Use = ("tools", "vec4<i32>", Role::Tools, true);
+    let counts = free_counts(free, law) + &format!("const NEAR_TOOL: f32 = {NEAR_TOOL:?};\n");
+    let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
+    let awake = if sleeps { include_str!("../wgsl/free_awake.wgsl") } else { "" };
+    // Nodes of the finest level are no finer one's.
+    let (text, own) = of_own_mass(subcycled && !rims, &include_str!("../wgsl/free.wgsl").replace("$STAY_AWAKE", awake));
+    let alone = Draft {
+        name: "free bodies",
+        entry: "free_bodies",
+        // Eleven columns of 65 rows; see `free.wgsl`.
+        body: [&exchange(715), &counts, include_str!("../wgsl/lent.wgsl"), &table, &law.wgsl, &text].concat(),
+        uses: [GRID, DIRECTORY, LENT_BODIES, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
+        uniform: Uniform::Table { stored, counted: law.counted },
+        groups: Groups::Exactly((worlds * free.bodies) as u32 + 1),
+        checked: true,
+    };
+    if !rims {
+        return Draft { body: alone.body + include_str!("../wgsl/free_alone.wgsl"), ..alone };
+    }
+    let of_rims = at_rims(subcycled, RIMS_BESIDE);
+    let further: Vec<_> = of_rims.uses.into_iter().filter(|rim| alone.uses.iter().all(|own| own.2 != rim.2)).collect();
+    Draft {
+        name: "free bodies, rims",
+        entry: "free_and_rims",
+        body: alone.body + &of_rims.body + include_str!("../wgsl/free_and_rims.wgsl"),
+        uses: alone.uses.into_iter().chain(further).collect(),
+        groups: Groups::Found(Found::BodiesAndRims),
+        ..alone
+    }
+}
+
+/// Contact whose law runs on the host.
+pub(crate) struct NearKernels {
+    /// Nodes near bodies come to the host, then particles.
+    pub(crate) gather: [Kernel; 2],
+    /// Nodes take what the law made of them.
+    pub(crate) scatter: Kernel,
+}
+
+pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> NearKernels {
+    let near: Use = ("near", "vec4<u32>", Role::Near, false);
+    let around: Use = ("around", "vec4<i32>", Role::Around, false);
+    let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
+    let mirrors = include_str!("../wgsl/mirrors.wgsl");
+    let (gather, own) =
+        of_own_mass(kernels.set.solve.is_some(), &(mirrors.to_owned() + include_str!("../wgsl/gather.wgsl")));
+    let rounds = include_str!("../wgsl/rounds.wgsl");
+    let draft = |name, body: &str, uses, groups| Draft {
+        name,
+        entry: name,
+        body: block.clone() + body,
+        uses,
+        uniform: Uniform::None,
+        groups,
+        checked: true,
+    };
+    let build = |draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft);
+    let gather = [
+        draft(
+            "gather",
+            &gather,
+            [LISTS, NODES, around, written(near), STATUS].into_iter().chain(own).collect(),
+            Groups::NodeBlocks,
+        ),
+        draft(
+            "gather_particles",
+            &(rounds.to_owned() + include_str!("../wgsl/gather_particles.wgsl")),
+            vec![LISTS, CELLS, RECORD, around, written(near), STATUS],
+            Groups::Blocks,
+        ),
+    ];
+    let scatter =
+        draft("scatter_near", include_str!("../wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near);
+    NearKernels { gather: gather.map(build), scatter: build(scatter) }
+}
+
+/// The text of a pass in which bodies meet nodes, with what these weigh for them, and what it binds besides. Subcycled, a node may be two
+/// levels'.
+pub(crate) fn of_own_mass(subcycled: bool, text: &str) -> (String, Vec<Use>) {
+    if !subcycled {
+        return (text.replace("$MASS", "node.w"), Vec::new());
+    }
+    (include_str!("../wgsl/own.wgsl").to_owned() + &text.replace("$MASS", "own_mass(g, n, node)"), vec![RIMS, OWN])
+}

@@ -1,0 +1,275 @@
+//! The passes: their WGSL, what they bind, and their pipelines.
+
+pub(crate) mod adapt;
+pub(crate) mod binding;
+pub(crate) mod bodies;
+pub(crate) mod g2p;
+pub(crate) mod grid;
+pub(crate) mod laws;
+pub mod material;
+pub(crate) mod p2g;
+pub(crate) mod rims;
+pub(crate) mod scene;
+pub(crate) mod sleep;
+pub(crate) mod sort;
+
+use crate::device::Gpu;
+use crate::passes::adapt::adapt;
+use crate::passes::binding::{Draft, Found, Groups, Kernel, Parts, Setting, build, entry};
+use crate::passes::bodies::{Free, free_draft};
+use crate::passes::g2p::{g2p, soft, stress};
+use crate::passes::grid::{Finish, collect, hold, reflect, separate, sum_tiles, velocities};
+use crate::passes::laws::laws;
+use crate::passes::p2g::p2g;
+use crate::passes::rims::{restrict, rims_alone};
+use crate::passes::scene::{
+    constants, free_bodies, has_mirrors, layer_constants, may_sleep, mirrors_early, rest_vectors, separations, softs,
+    stiffens,
+};
+use crate::passes::sleep::{sum_sleep, watch};
+use crate::passes::sort::sort;
+use crate::schedule::{ContactPasses, passes};
+use crate::worlds::stiffness::is_asked_on_host;
+use crate::worlds::world::STIFFNESS_AGE;
+use barchan_core::coupling::DeviceLaw;
+use barchan_core::scene::Wall;
+use barchan_core::{Plan, Result, Stage};
+
+/// All passes that a scene calls for: what they are made from, or as a device has compiled them.
+#[derive(Debug)]
+pub(crate) struct Set<K> {
+    /// In the order of a sort.
+    pub(crate) sort: Vec<K>,
+    /// Who sleeps in a step, if anything ever does.
+    pub(crate) watch: Option<K>,
+    pub(crate) p2g: K,
+    /// What rims hand to the next coarser level.
+    pub(crate) restrict: Option<K>,
+    /// From tiles to velocities.
+    pub(crate) grid: Vec<K>,
+    /// Velocities of nodes that two levels share and of those at rims, if there is subcycling.
+    pub(crate) solve: Option<K>,
+    /// Velocities behind walls that let go.
+    pub(crate) mirror: Vec<K>,
+    /// Velocities at rims.
+    pub(crate) prolong: Option<K>,
+    /// Velocities behind mirrors; are they found early, if no body comes near walls? Other worlds of a batch may have such bodies.
+    pub(crate) reflect: Option<K>,
+    pub(crate) mirrored: bool,
+    pub(crate) g2p: K,
+    pub(crate) stress: K,
+    /// Sums of what walls gave and sleep took.
+    pub(crate) collect: Vec<K>,
+    /// Where soft bodies are that levels follow.
+    pub(crate) soft: Option<[K; 2]>,
+    /// Rounds of split and merge, if there are several levels.
+    pub(crate) adapt: Option<AdaptSet<K>>,
+}
+
+/// What the device does in a round of split and merge.
+#[derive(Debug)]
+pub(crate) struct AdaptSet<K> {
+    /// Finds the particles that it may concern, and copies them.
+    pub(crate) find: [K; 4],
+    /// Which cells are at least half full.
+    pub(crate) fill: K,
+    /// Marks those that are to go.
+    pub(crate) remove: K,
+    /// Stress of those that have come in.
+    pub(crate) stress: K,
+}
+
+impl<K> Set<K> {
+    pub(crate) fn map<L>(self, make: impl Fn(K) -> L) -> Set<L> {
+        let all = |passes: Vec<K>| passes.into_iter().map(&make).collect();
+        Set {
+            sort: all(self.sort),
+            watch: self.watch.map(&make),
+            p2g: make(self.p2g),
+            restrict: self.restrict.map(&make),
+            grid: all(self.grid),
+            solve: self.solve.map(&make),
+            mirror: all(self.mirror),
+            prolong: self.prolong.map(&make),
+            reflect: self.reflect.map(&make),
+            mirrored: self.mirrored,
+            g2p: make(self.g2p),
+            stress: make(self.stress),
+            collect: all(self.collect),
+            soft: self.soft.map(|passes| passes.map(&make)),
+            adapt: self.adapt.map(|adapt| AdaptSet {
+                find: adapt.find.map(&make),
+                fill: make(adapt.fill),
+                remove: make(adapt.remove),
+                stress: make(adapt.stress),
+            }),
+        }
+    }
+
+    /// Where soft bodies are after a step.
+    pub(crate) fn soft(&self) -> impl Iterator<Item = &K> {
+        self.soft.iter().flatten()
+    }
+}
+
+/// The passes as a device has compiled them.
+#[derive(Debug)]
+pub(crate) struct Kernels {
+    pub(crate) step_layout: wgpu::BindGroupLayout,
+    /// For passes that are made later.
+    pub(crate) setting: Setting,
+    /// Workgroups for free bodies in passes that begin with them.
+    pub(crate) free_room: usize,
+    pub(crate) set: Set<Kernel>,
+}
+
+impl Kernels {
+    /// The passes of a plan for so many worlds, which begin with so many particles in all.
+    pub(crate) fn new(gpu: &Gpu, plan: &Plan, worlds: usize, particles: usize) -> Result<Self> {
+        let device = &gpu.device;
+        let step_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("step"),
+            entries: &[
+                entry(0, wgpu::BufferBindingType::Uniform, true),
+                entry(1, wgpu::BufferBindingType::Uniform, false),
+            ],
+        });
+        let constants = constants(plan) + &layer_constants(plan, worlds);
+        let setting = Setting { constants, parts: Parts::new(&gpu.limits, rest_vectors(&plan.materials)) };
+        let set = drafts(plan, worlds, particles)?.map(|draft| build(gpu, &step_layout, &setting, worlds, draft));
+        Ok(Self { set, free_room: worlds * free_bodies(plan), setting, step_layout })
+    }
+}
+
+/// What a plan's passes are made from.
+pub(crate) fn drafts(plan: &Plan, worlds: usize, particles: usize) -> Result<Set<Draft>> {
+    let separations = separations(plan);
+    let walls: Vec<Wall> = (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).collect();
+    let has_walls = walls.iter().any(|w| !matches!(w, Wall::Open | Wall::Periodic));
+    let laws = laws(plan, worlds)?;
+    let levels = plan.cell_widths.len() > 1;
+    let subcycled = plan.substeps > 1;
+    let sleeps = may_sleep(plan);
+    let unbounded = plan.terrain.is_some();
+    let mirrored = mirrors_early(plan);
+    let finish = if !separations.is_empty() {
+        Finish::Sums
+    } else if mirrored && !levels {
+        Finish::Mirrored
+    } else {
+        Finish::Velocities
+    };
+    let mut grid = vec![sum_tiles(finish, levels, subcycled, sleeps)];
+    grid.extend(separations.iter().map(|&axis| separate(axis, false, levels)));
+    if !separations.is_empty() {
+        grid.push(velocities(levels));
+    }
+    if unbounded {
+        grid.push(hold(levels));
+    }
+    let mut collect: Vec<_> = (has_walls || unbounded).then(|| collect(mirrored)).into_iter().collect();
+    collect.extend(sleeps.then(sum_sleep));
+    Ok(Set {
+        sort: sort(plan, worlds),
+        watch: sleeps.then(|| watch(levels)),
+        p2g: p2g([sleeps, mirrored, levels, subcycled, stiffens(plan)], particles),
+        restrict: (levels && !subcycled).then(restrict),
+        grid,
+        solve: subcycled.then(|| rims_alone(true)),
+        mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
+        prolong: (levels && !subcycled).then(|| rims_alone(false)),
+        // What holding the edge takes is booked there, too.
+        reflect: (has_mirrors(plan) && (!mirrored || levels) || unbounded).then(|| reflect(sleeps, levels, mirrored)),
+        mirrored,
+        g2p: g2p(plan, &laws, sleeps, [particles, worlds * plan.cell_widths.len()]),
+        stress: stress(&laws),
+        collect,
+        soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
+        adapt: levels.then(|| adapt(plan, &laws, worlds)),
+    })
+}
+
+/// The passes of a plan, a line each.
+pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
+    let set = drafts(plan, 1, plan.particle_count)?;
+    let mut lines: Vec<String> = set.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
+    // In the slot with which all levels begin, and in which one ends, there is a call of every stage.
+    for call in plan.schedule.step.iter().filter(|call| call.slot == 0) {
+        if call.stage == Stage::CONTACT {
+            lines.extend(describe_contact(plan));
+        }
+        let often = if plan.substeps > 1 { "every step of a level" } else { "every step" };
+        let own = passes(&set, ContactPasses::default(), &plan.schedule, call);
+        lines.extend(own.into_iter().map(|(_, draft)| line(often, draft)));
+    }
+    lines.extend(set.soft().map(|draft| line("every step", draft)));
+    let seldom = set.reflect.iter().filter(|_| set.mirrored && plan.substeps > 1);
+    lines.extend(seldom.map(|draft| line("every step in which bodies may come near walls, after theirs", draft)));
+    lines.extend(set.collect.iter().map(|draft| line("every submission", draft)));
+    let adapt = set.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
+    lines.extend(adapt.map(|draft| line("where levels move or particles leave theirs", draft)));
+    lines.push(line("after an upload", &set.stress));
+    for planned in plan.materials.iter().filter(|planned| is_asked_on_host(planned)) {
+        let megabytes = 16.0 * rest_vectors(&plan.materials) as f64 * plan.particle_count as f64 / 1e6;
+        lines.push(format!(
+            "stiffness, every {STIFFNESS_AGE} steps: material '{}' has no wgsl_stiffness, so all strains and histories are copied to the host ({megabytes:.1} MB), which takes longer than the steps; its author can mend that",
+            planned.name
+        ));
+    }
+    Ok(lines)
+}
+
+pub(crate) fn describe_contact(plan: &Plan) -> Vec<String> {
+    let mut lines = vec!["contact, every step: on the device, but for free bodies near walls or others and for couplings without a law in WGSL: for these nodes near bodies go to the host and back".to_owned()];
+    if free_bodies(plan) > 0 {
+        let law = DeviceLaw::default();
+        let free = Free { bodies: 1, across: 2 };
+        let kinds = [false, true].into_iter().filter(|&rims| !rims || plan.cell_widths.len() > 1);
+        lines.extend(kinds.map(|rims| {
+            let motion = free_draft([plan.substeps > 1, may_sleep(plan), rims], &law, 1, [1, 1], free);
+            let of_rims = if plan.substeps > 1 { "solve" } else { "prolong" };
+            let when = if rims {
+                format!(", in place of that and {of_rims}, if levels follow them all and a pass may bind so much and be so wide")
+            } else {
+                String::new()
+            };
+            line(&format!("every step with free bodies, but near walls and other bodies{when}"), &motion)
+        }));
+    }
+    lines
+}
+
+/// One pass: when, how many workgroups, and the buffers it binds.
+pub(crate) fn line(when: &str, draft: &Draft) -> String {
+    let groups = match draft.groups {
+        Groups::One => "one workgroup".to_owned(),
+        Groups::Layers => "a workgroup a layer".to_owned(),
+        Groups::LayersBy(n) => format!("a workgroup for {n} layers"),
+        Groups::Exactly(count) => format!("{count} workgroups"),
+        Groups::Blocks => "a workgroup a block with particles".to_owned(),
+        Groups::NodeBlocks => "a workgroup a block of nodes".to_owned(),
+        Groups::Near => "a workgroup a block of nodes near bodies".to_owned(),
+        Groups::BlocksBy(n) => format!("a workgroup for {n} blocks"),
+        Groups::ParticlesBy(n) => format!("a workgroup for {n} particles"),
+        Groups::PlacesBy(n) => format!("a workgroup for {n} places of the directory"),
+        Groups::Found(found) => format!(
+            "a workgroup {} of the levels whose step it is",
+            match found {
+                Found::Blocks => "a block with particles",
+                Found::NodeBlocks => "a block of nodes",
+                Found::Rims => "a block of nodes at rims",
+                Found::Givers => "a block with particles, and another where these give to nodes that levels share,",
+                Found::Walled => "a block at walls",
+                Found::RimsInFours =>
+                    "for four blocks of nodes at rims or shared with the next finer level or, where mirrors are found with these, at walls",
+                Found::BodiesAndRims =>
+                    "a free body, one more, and one for eight blocks of nodes at rims, shared, or at walls,",
+            }
+        ),
+    };
+    let names = |write: bool| {
+        let names: Vec<_> = draft.uses.iter().filter(|u| u.3 == write).map(|u| u.0).collect();
+        if names.is_empty() { "nothing".to_owned() } else { names.join(", ") }
+    };
+    format!("{}, {when}: {groups}; reads {}; writes {}", draft.name, names(false), names(true))
+}

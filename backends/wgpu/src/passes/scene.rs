@@ -1,0 +1,214 @@
+//! What a scene fixes for all passes, as WGSL.
+
+use crate::device::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER};
+use crate::device::memory::MAX_STEPS;
+use crate::passes::bodies::RIMS_BESIDE;
+use crate::worlds::stiffness::is_asked_on_device;
+use crate::worlds::world::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
+use barchan_core::levels::{Agent, SPLIT_AHEAD};
+use barchan_core::plan::PlannedMaterial;
+use barchan_core::scene::{Motion, Wall};
+use barchan_core::{Plan, Stage};
+use barchan_grid::bounds::Bounds;
+use barchan_grid::rest::RESTED;
+
+/// Vectors of four that hold a particle's strain, history and, in their last place, rest volume.
+pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
+    let most = materials.iter().map(|m| m.material.values()).max();
+    // Without a material passes are made for a symmetric strain, and nobody runs them.
+    vectors_for(most.unwrap_or(6))
+}
+
+/// The same for so many values of strain and history.
+pub(crate) fn vectors_for(values: usize) -> usize {
+    (values + 1).div_ceil(4)
+}
+
+/// Free bodies in each world of a scene.
+pub(crate) fn free_bodies(plan: &Plan) -> usize {
+    plan.scene.tool.iter().filter(|tool| matches!(tool.motion, Motion::Free { .. })).count()
+}
+
+/// Vectors of four that hold a world's material parameters.
+pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
+    plan.materials.iter().flat_map(parameters_of).count().div_ceil(4).max(1)
+}
+
+/// Is what couplings' laws read stored? A uniform holds so much everywhere, and not what differs from world to world.
+pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
+    worlds > 1 || 16 * (vectors + samples) > 65_536
+}
+
+/// What couplings' laws read: so many vectors for each world, and behind them samples that all worlds share. Is it stored?
+pub(crate) fn coupling_table([worlds, levels]: [usize; 2], vectors: usize, samples: usize) -> (bool, String) {
+    let stored = is_stored(worlds, vectors, samples);
+    let space = space(stored);
+    let (tables, first) = table_of_worlds([worlds, levels], vectors);
+    let of_samples = format!("fn coupling_sample(i: u32) -> vec4<f32> {{ return contact_table[{tables}u + i]; }}\n");
+    let text = format!(
+        "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {}>;\n\
+         fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n{}",
+        tables + samples,
+        if samples > 0 { of_samples } else { String::new() }
+    );
+    (stored, text)
+}
+
+/// The address space of a table.
+pub(crate) fn space(stored: bool) -> &'static str {
+    if stored { "storage, read" } else { "uniform" }
+}
+
+/// A table of so many vectors for each world: vectors in all, and what leads to the world's own.
+pub(crate) fn table_of_worlds([worlds, levels]: [usize; 2], vectors: usize) -> (usize, String) {
+    let first = if worlds > 1 { format!("layer_now / {levels}u * {vectors}u + ") } else { String::new() };
+    (worlds * vectors, first)
+}
+
+/// Are there walls behind which nodes are images?
+pub(crate) fn has_mirrors(plan: &Plan) -> bool {
+    (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).any(|wall| matches!(wall, Wall::Slip | Wall::Stick))
+}
+
+/// Are nodes behind mirrors found with the others? So it is where nothing but bodies that keep away from walls comes between the grid and the particles, and
+/// where, on levels, no step is halted any more once the grid update has come. If a body comes near walls after all, another pass does it again.
+pub(crate) fn mirrors_early(plan: &Plan) -> bool {
+    let fits = if plan.cell_widths.len() > 1 {
+        plan.substeps > 1 && plan.scene.tool.iter().all(|tool| matches!(tool.motion, Motion::Free { .. }))
+    } else {
+        !plan.has(Stage::CONTACT)
+    };
+    has_mirrors(plan) && fits && !may_sleep(plan) && plan.terrain.is_none() && separations(plan).is_empty()
+}
+
+/// Axes with a wall that lets go.
+pub(crate) fn separations(plan: &Plan) -> Vec<usize> {
+    let lets_go = |axis: &usize| plan.scene.world.walls.pair(*axis).iter().any(|w| matches!(w, Wall::Separate { .. }));
+    (0..3).filter(lets_go).collect()
+}
+
+/// Does ground at rest sleep? Only where a scene says so: to watch over it is another pass, which small worlds feel, and most ground that is
+/// worked on hardly sleeps.
+pub(crate) fn may_sleep(plan: &Plan) -> bool {
+    plan.slow > 0.0 && (plan.scene.sleep.on.is_some() || plan.scene.sleep.speed.is_some())
+}
+
+/// Boxes of each level but the coarsest: as many as there are agents.
+pub(crate) fn boxes(plan: &Plan) -> usize {
+    plan.agents.len().max(1)
+}
+
+/// What the number of layers fixes, and the rule of sorts.
+pub(crate) fn layer_constants(plan: &Plan, worlds: usize) -> String {
+    let levels = plan.cell_widths.len();
+    let layers = worlds * levels;
+    let (subcycled, most_drift, free) = (plan.substeps > 1, most_drift(plan), worlds * free_bodies(plan));
+    let mirrored = mirrors_early(plan);
+    format!(
+        "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MIRRORED: bool = {mirrored};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\nconst FREE_ROOM: u32 = {free}u;\nconst RIMS_BESIDE: u32 = {RIMS_BESIDE}u;\n\
+         const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\nconst SORT_SELDOM: u32 = {SORT_SELDOM}u;\n\
+         const TOGETHER: u32 = {TOGETHER}u;\nconst ROUNDS: u32 = {ROUNDS}u;\n\
+         const LEFT_HOME: u32 = {LEFT_HOME}u;\nconst BESIDE: u32 = {BESIDE}u;\nconst BESIDE_BY: u32 = {BESIDE_BY}u;\n\
+         const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst SELDOM_DRIFT: f32 = {SELDOM_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {most_drift:?};\n"
+    )
+}
+
+/// What the scene fixes.
+pub(crate) fn constants(plan: &Plan) -> String {
+    let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
+    let kind = |wall: Wall| match wall {
+        Wall::Slip => 1u32,
+        Wall::Stick => 2,
+        Wall::Open | Wall::Periodic | Wall::Separate { .. } => 0,
+    };
+    let friction = |wall: Wall| match wall {
+        Wall::Separate { friction } => friction as f32,
+        _ => -1.0,
+    };
+    let (min, max) = (plan.cell_min, plan.cell_max);
+    let periodic = |d: usize| walls[d][0] == Wall::Periodic;
+    let ints = |name: &str, v: [i32; 3]| format!("const {name} = vec3<i32>({}, {}, {});\n", v[0], v[1], v[2]);
+    let bounds = Bounds::new(plan, 0);
+    let counts = |name: &str, parts: [f64; 3]| {
+        let [x, y, z] = parts.map(|part| (part * (1_u64 << 32) as f64) as u32);
+        format!("const {name} = vec3<u32>({x}u, {y}u, {z}u);\n")
+    };
+    let kinds = |name: &str, end: usize| {
+        let k = walls.map(|axis| kind(axis[end]));
+        format!("const {name} = vec3<u32>({}u, {}u, {}u);\n", k[0], k[1], k[2])
+    };
+    let frictions = |name: &str, end: usize| {
+        let f = walls.map(|axis| friction(axis[end]));
+        format!("const {name} = vec3<f32>({:?}, {:?}, {:?});\n", f[0], f[1], f[2])
+    };
+    let any_wall = |name: &str, end: usize| {
+        let w = walls.map(|axis| !matches!(axis[end], Wall::Open | Wall::Periodic));
+        format!("const {name} = vec3<bool>({}, {}, {});\n", w[0], w[1], w[2])
+    };
+    let h = plan.cell_widths[0] as f32;
+    [
+        ints("WORLD_MIN", min),
+        ints("WORLD_MAX", max),
+        ints("SIDE_LOW", bounds.sides.map(|side| side[0].0)),
+        ints("SIDE_HIGH", bounds.sides.map(|side| side[1].0)),
+        counts("SIDE_LOW_PART", bounds.sides.map(|side| side[0].1)),
+        counts("SIDE_HIGH_PART", bounds.sides.map(|side| side[1].1)),
+        ints("PERIOD_MIN", min.map(|c| c.div_euclid(4))),
+        ints("PERIOD", std::array::from_fn(|d| if periodic(d) { (max[d] - min[d]) / 4 } else { 0 })),
+        kinds("LOW", 0),
+        kinds("HIGH", 1),
+        any_wall("HAS_LOW_WALL", 0),
+        any_wall("HAS_HIGH_WALL", 1),
+        frictions("LOW_FRICTION", 0),
+        frictions("HIGH_FRICTION", 1),
+        format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
+        format!("const NODE_MOVE: f32 = {:?};\n", crate::schedule::steps::NODE_MOVE),
+        format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
+        format!("const GRAVITY_GROWS: bool = {};\n", plan.scene.gravity_ramp > 0.0),
+        format!("// Particles that leave: {:?}\n", plan.scene.world.leaving),
+        if may_sleep(plan) {
+            format!("const SLOW: f32 = {:?};\nconst RESTED: u32 = {RESTED}u;\n", plan.slow as f32)
+        } else {
+            String::new()
+        },
+    ]
+    .concat()
+}
+
+/// Vectors of four that hold the boxes of a world's levels, as they are now, and as split and merge see them before.
+pub(crate) fn region_vectors(plan: &Plan) -> usize {
+    4 * boxes(plan) * (plan.cell_widths.len() - 1)
+}
+
+/// The boxes of levels, and what lies in them.
+pub(crate) fn regions(plan: &Plan, worlds: usize) -> String {
+    let boxes = boxes(plan);
+    let each = region_vectors(plan);
+    let vectors = worlds * each;
+    format!(
+        "const BOXES: u32 = {boxes}u;\nconst PER_WORLD: u32 = {each}u;\nconst SPLIT_AHEAD: i32 = {SPLIT_AHEAD};\n\
+         @group(0) @binding(1) var<uniform> regions: array<vec4<i32>, {vectors}>;\n{}",
+        include_str!("../wgsl/regions.wgsl")
+    )
+}
+
+/// Soft bodies that levels follow, in the order of agents.
+pub(crate) fn softs(plan: &Plan) -> Vec<u16> {
+    let soft = |agent: &Agent| if let Agent::Soft(body) = agent { Some(*body) } else { None };
+    plan.agents.iter().filter_map(soft).collect()
+}
+
+/// Does the device ask laws how stiff their particles are?
+pub(crate) fn stiffens(plan: &Plan) -> bool {
+    plan.materials.iter().any(is_asked_on_device)
+}
+
+/// Is any material damped?
+pub(crate) fn damps(materials: &[PlannedMaterial]) -> bool {
+    materials.iter().any(|m| m.damping.is_some())
+}
+
+/// What passes read of a material: its parameters, and behind them its damping if it has any.
+pub(crate) fn parameters_of(m: &PlannedMaterial) -> impl Iterator<Item = f64> + '_ {
+    m.parameters.iter().copied().chain(m.damping.iter().flat_map(|damping| [damping.lambda, damping.mu]))
+}

@@ -1,0 +1,46 @@
+//! Who sleeps.
+
+use crate::passes::binding::{
+    CELLS, Draft, Groups, LISTS, OWNERS, RECORD, RIMS, Role, STATUS, Uniform, Use, WATCH, blocks, written,
+};
+
+/// What passes know of the rest of blocks.
+pub(crate) const WATCH_WORDS: &str = include_str!("../wgsl/watch_words.wgsl");
+
+/// Puts texts in places that stay empty where nothing sleeps.
+pub(crate) fn with_sleep(sleeps: bool, body: &str, texts: &[(&str, &str)]) -> String {
+    texts.iter().fold(body.to_owned(), |body, (place, text)| body.replace(place, if sleeps { text } else { "" }))
+}
+
+/// Who sleeps in a step.
+pub(crate) fn watch(levels: bool) -> Draft {
+    let tied =
+        "if any(rims[g].xyz != vec3<u32>(0u)) || rims[extent.node_room + b].x != 0u {\natomicStore(&tied, 1u);\n}";
+    let body = include_str!("../wgsl/watch.wgsl").replace("$TIED", if levels { tied } else { "" });
+    let tools: Use = ("tools", "vec4<i32>", Role::Tools, false);
+    let mut uses = vec![written(RECORD), written(OWNERS), CELLS, LISTS, WATCH, tools, STATUS];
+    uses.extend(levels.then_some(RIMS));
+    Draft {
+        name: "watch",
+        entry: "watch_blocks",
+        body: [&body, WATCH_WORDS, include_str!("../wgsl/watch_booked.wgsl"), include_str!("../wgsl/since_sort.wgsl")]
+            .concat(),
+        uses,
+        uniform: Uniform::None,
+        groups: blocks(levels),
+        checked: true,
+    }
+}
+
+/// What sleep took, and kept gravity from.
+pub(crate) fn sum_sleep() -> Draft {
+    Draft {
+        name: "sleep",
+        entry: "sum_sleep",
+        body: [include_str!("../wgsl/watch_sum.wgsl"), WATCH_WORDS, include_str!("../wgsl/watch_booked.wgsl")].concat(),
+        uses: vec![WATCH, STATUS],
+        uniform: Uniform::None,
+        groups: Groups::Layers,
+        checked: true,
+    }
+}

@@ -1,0 +1,412 @@
+//! Bodies whose law runs on the device: the law itself, where they are in each step, what they felt.
+
+use crate::device::memory::{BODY, lent_bytes, read};
+use crate::passes::binding::{Kernel, Role};
+use crate::passes::bodies::{Free, NearKernels};
+use crate::schedule::ContactPasses;
+use crate::schedule::free::FreeStep;
+use crate::worlds::WgpuBatch;
+use crate::worlds::sleep::{self, BlockBox};
+use crate::worlds::world::{Level, Place};
+use barchan_core::backend::WorldStep;
+use barchan_core::coupling::{DeviceLaw, Lent};
+use barchan_core::{Aabb, BodyState, Coupling, Error, Result, StepReport, Vec3, Wrench};
+use std::collections::BTreeMap;
+
+/// Blocks in a free body's box on a level that the device can look into: a larger body's law runs on the host.
+pub(crate) const MOST_ROOMS: usize = 8192;
+
+/// The couplings' laws, where they run: as far as any world has asked.
+#[derive(Default)]
+pub(crate) struct Contact {
+    /// On the host, a step at a time: what is near bodies is gathered, and nodes are scattered again.
+    pub(crate) host: Option<Box<NearKernels>>,
+    /// On the device.
+    pub(crate) device: Option<Box<DeviceContact>>,
+}
+
+impl Contact {
+    /// What the device does in each step.
+    pub(crate) fn on_device(&self) -> ContactPasses<'_> {
+        let Some(contact) = &self.device else { return ContactPasses::default() };
+        let driven: &[Kernel] = if contact.needs.driven { &contact.kernels } else { &[] };
+        let (free, with_rims): (&[Kernel], _) =
+            contact.free.as_ref().map_or((&[], false), |(free, rims)| (free, *rims));
+        ContactPasses { driven, free, with_rims, roams: contact.needs.roams, on_host: false }
+    }
+
+    /// Free bodies of each world that the device has room for.
+    pub(crate) fn free(&self) -> usize {
+        self.device.as_ref().map_or(0, |contact| contact.needs.free.bodies)
+    }
+}
+
+/// What a world's law asks of the device, or the laws of several worlds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Needs {
+    /// Bodies of each world, and vectors of each world's table.
+    pub(crate) bodies: usize,
+    pub(crate) vectors: usize,
+    pub(crate) free: Free,
+    /// Are there driven bodies?
+    pub(crate) driven: bool,
+    /// May bodies come near coarser levels?
+    pub(crate) roams: bool,
+}
+
+impl Needs {
+    /// Of a law for so many bodies, where finest cells have that width [m].
+    pub(crate) fn of(law: &DeviceLaw, materials: usize, bodies: usize, h: f64, roams: bool) -> Self {
+        // Blocks that a box of the bodies' extents can reach into along an axis.
+        let across = |extent: &f64| (2.0 * extent / (4.0 * h)).min(1e6) as usize + 2;
+        let free = Free { bodies: law.free.len(), across: law.free.iter().map(across).max().unwrap_or(0) };
+        Self { bodies, vectors: law.table.len() + materials, free, driven: law.free.len() < bodies, roams }
+    }
+
+    /// Those of both.
+    pub(crate) fn with(self, other: Self) -> Self {
+        Self {
+            bodies: self.bodies.max(other.bodies),
+            vectors: self.vectors.max(other.vectors),
+            free: Free {
+                bodies: self.free.bodies.max(other.free.bodies),
+                across: self.free.across.max(other.free.across),
+            },
+            driven: self.driven || other.driven,
+            roams: self.roams || other.roams,
+        }
+    }
+}
+
+/// The law on the device.
+pub(crate) struct DeviceContact {
+    /// How particles press, the law, then the sums of impulses.
+    kernels: [Kernel; 3],
+    /// Free bodies' contact and motion; does it move rims, too?
+    free: Option<([Kernel; 2], bool)>,
+    wgsl: String,
+    samples: Vec<[f32; 4]>,
+    needs: Needs,
+    /// Each world's table.
+    tables: Vec<Vec<[f32; 4]>>,
+}
+
+/// Bodies of a world over the steps of a submission.
+pub(crate) struct Driven {
+    /// The coupling before each step, and after the last.
+    pub(crate) saved: Vec<Vec<u8>>,
+    /// Bodies after each step.
+    pub(crate) after: Vec<Vec<BodyState>>,
+    /// As the device reads them, step by step.
+    pub(crate) packed: Vec<Vec<[f32; 4]>>,
+    /// Boxes of blocks near them on each level, likewise.
+    pub(crate) near: Vec<Vec<Vec<BlockBox>>>,
+    /// Free bodies that the device moves, and what happened to them in each step.
+    pub(crate) lent: Vec<Lent>,
+    pub(crate) moved: Vec<Vec<FreeStep>>,
+}
+
+/// The law on devices of a world's one coupling, and how many bodies it has.
+pub(crate) fn device_law(couplings: &[Box<dyn Coupling>]) -> Option<(DeviceLaw, usize)> {
+    let [coupling] = couplings else { return None };
+    let bodies = coupling.bodies().len();
+    let fits = bodies == coupling.bounds().len() && bodies > 0;
+    coupling.device_law().filter(|_| fits).map(|law| (law, bodies))
+}
+
+/// Repeats the last one until there are so many.
+pub(crate) fn go_on<T: Clone>(all: &mut Vec<T>, count: usize) {
+    if let Some(last) = all.last().cloned() {
+        all.resize(count, last);
+    }
+}
+
+/// Takes a world's coupling back, or on, to what it was before a step.
+pub(crate) fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven>, step: usize) -> Result<()> {
+    let (Some(coupling), Some(driven)) = (couplings.first_mut(), driven) else { return Ok(()) };
+    coupling.restore(&driven.saved[step]).map_err(|what| Error::Body {
+        path: format!("coupling '{}'", coupling.name()),
+        what: format!("cannot go back to an earlier step: {what}"),
+        mend: "resume from the last snapshot".to_owned(),
+    })
+}
+
+/// A coupling's bodies as each of some levels sees them, of so many places for bodies: without those that are lent.
+pub(crate) fn pack_all(coupling: &dyn Coupling, levels: &[Level], lent: &[Lent], places: usize) -> Vec<[f32; 4]> {
+    let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
+    let is_lent = |body: usize| lent.iter().any(|lent| lent.body == body);
+    let of_level = |level: &Level| {
+        let pairs = bodies.iter().zip(&boxes).enumerate();
+        let packed = pairs.map(|(b, (body, bounds))| {
+            if is_lent(b) { NOWHERE } else { pack(body, &bounds.grown(coupling.reach() * level.h), level.h) }
+        });
+        packed.chain(std::iter::repeat(NOWHERE)).take(places).flatten().collect::<Vec<_>>()
+    };
+    levels.iter().flat_map(of_level).collect()
+}
+
+/// A body whose box holds no node, as `contact.wgsl` reads it.
+pub(crate) const NOWHERE: [[f32; 4]; BODY as usize] = {
+    let mut body = [[0.0; 4]; BODY as usize];
+    let far = f32::from_bits(1 << 30);
+    body[7] = [far, far, far, 0.0];
+    body
+};
+
+/// A body in a step, as `contact.wgsl` reads it.
+pub(crate) fn pack(body: &BodyState, bounds: &Aabb, h: f64) -> [[f32; 4]; BODY as usize] {
+    let ints =
+        |v: [i32; 3]| [f32::from_bits(v[0] as u32), f32::from_bits(v[1] as u32), f32::from_bits(v[2] as u32), 0.0];
+    let reals = |v: Vec3| [v[0] as f32, v[1] as f32, v[2] as f32, 0.0];
+    let cell = body.position.map(|x| (x / h).floor());
+    let place = std::array::from_fn(|d| body.position[d] / h - cell[d]);
+    let [w, x, y, z] = body.rotation;
+    let rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ];
+    // Nodes stand at the centres of cells.
+    let node = |x: f64, round: fn(f64) -> f64| round(x / h - 0.5).clamp(-1e9, 1e9) as i32;
+    [
+        ints(cell.map(|c| c as i32)),
+        reals(place),
+        reals(rows[0]),
+        reals(rows[1]),
+        reals(rows[2]),
+        reals(body.velocity),
+        reals(body.angular_velocity),
+        ints(bounds.min.map(|x| node(x, f64::ceil))),
+        ints(bounds.max.map(|x| node(x, f64::floor))),
+    ]
+}
+
+impl WgpuBatch {
+    /// Finds out where the law of a world's bodies runs: on the device if it can run there and the other worlds' law is the same; else on the
+    /// host.
+    pub(crate) fn settle_contact(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        if self.worlds[w].contact.is_some() {
+            return Ok(());
+        }
+        let mut place = if couplings.is_empty() { Place::Nowhere } else { Place::Host };
+        if let Some((law, bodies)) = device_law(couplings) {
+            let adapt = &self.worlds[w].adapt;
+            let roams = couplings.iter().flat_map(|coupling| coupling.bodies()).any(|body| !adapt.follows(&body.name));
+            let needs = Needs::of(&law, self.worlds[w].materials.len(), bodies, self.h, roams);
+            // One world alone may have other bodies from now on.
+            let before = self.contact.device.as_ref().filter(|_| self.worlds.len() > 1);
+            let all = before.map_or(needs, |contact| contact.needs.with(needs));
+            let is_same = |contact: &DeviceContact| contact.wgsl == law.wgsl && contact.samples == law.samples;
+            let is_known = self.contact.device.as_deref().is_some_and(is_same);
+            let vectors = self.worlds.len() * all.vectors + law.samples.len();
+            if (is_known || before.is_none()) && self.has_room(all.free, vectors) {
+                if !is_known || self.contact.device.as_ref().is_some_and(|contact| contact.needs != all) {
+                    self.add_law(&law, all)?;
+                }
+                self.write_table(w, law.table);
+                self.worlds[w].free = law.free.len();
+                place = Place::Device;
+            }
+        }
+        self.gpu.check()?;
+        self.worlds[w].contact = Some(place);
+        Ok(())
+    }
+
+    /// Is there room on the device for what is inside so many free bodies, and for tables of so many vectors?
+    pub(crate) fn has_room(&self, free: Free, vectors: usize) -> bool {
+        let cap = self.gpu.limits.max_storage_buffer_binding_size.min(self.gpu.limits.max_buffer_size);
+        free.rooms() <= MOST_ROOMS && lent_bytes(free, self.worlds.len(), self.levels).max(16 * vectors as u64) <= cap
+    }
+
+    /// Teaches the device a law.
+    pub(crate) fn add_law(&mut self, law: &DeviceLaw, needs: Needs) -> Result<()> {
+        let (worlds, Needs { bodies, vectors, free, .. }) = (self.worlds.len(), needs);
+        let shape = [worlds, self.levels];
+        let materials = self.worlds[0].materials.len();
+        let kernels =
+            crate::passes::bodies::contact(&self.gpu, &self.kernels, law, [bodies, vectors, materials], shape);
+        let of_free = (free.bodies > 0).then(|| {
+            crate::passes::bodies::free(&self.gpu, &self.kernels, law, [vectors, materials], shape, free, needs.roams)
+        });
+        self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], free, &law.samples)?;
+        self.unlinked = true;
+        let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);
+        let (wgsl, samples, tables) = (law.wgsl.clone(), law.samples.clone(), vec![Vec::new(); worlds]);
+        self.contact.device = Some(Box::new(DeviceContact { kernels, free: of_free, wgsl, samples, needs, tables }));
+        before.into_iter().enumerate().for_each(|(w, table)| self.write_table(w, table));
+        Ok(())
+    }
+
+    /// Tells the device what the law of a world's bodies reads.
+    pub(crate) fn write_table(&mut self, w: usize, table: Vec<[f32; 4]>) {
+        if let (Some(contact), Some(buffer)) = (&mut self.contact.device, &self.memory.table) {
+            let at = (16 * contact.needs.vectors * w) as u64;
+            let materials = self.worlds[w].contact_materials.clone();
+            let mut all = table.clone();
+            all.resize(contact.needs.vectors - materials.len(), [0.0; 4]);
+            all.extend(materials);
+            self.gpu.queue.write_buffer(buffer, at, bytemuck::cast_slice(&all));
+            contact.tables[w] = table;
+        }
+    }
+
+    /// Lets a world's driven bodies go through up to `count` steps: no further than to where its levels have to move after them.
+    pub(crate) fn drive(
+        &self,
+        world_step: &mut WorldStep<'_>,
+        dt: f64,
+        count: usize,
+        lent: &[Lent],
+    ) -> Result<Option<Driven>> {
+        let couplings = &mut *world_step.couplings;
+        let Some(coupling) = couplings.first() else { return Ok(None) };
+        let saved = vec![coupling.save()];
+        let mut driven = Driven {
+            saved,
+            after: Vec::new(),
+            packed: Vec::new(),
+            near: Vec::new(),
+            lent: lent.to_vec(),
+            moved: Vec::new(),
+        };
+        let bodies = self.contact.device.as_ref().map_or(0, |contact| contact.needs.bodies);
+        // Bodies that are all lent stay where they are until they come back: one step is like the next.
+        let all_lent = lent.len() == coupling.bodies().len();
+        let seen = if all_lent { count.min(1) } else { count };
+        let mut go = || {
+            let each = dt / self.substeps as f64;
+            let levels = &self.worlds[world_step.world].levels;
+            // Soft ones are watched by the device.
+            let softs = self.worlds[world_step.world].softs.boxes(self.h);
+            let mut time = world_step.time;
+            for slot in 0..seen * self.substeps {
+                let at = self.schedule.time_of(slot % self.substeps, time, dt);
+                if self.may_sleep() {
+                    driven.near.push(sleep::near_tools(couplings, levels));
+                }
+                couplings[0].before_step(at, each)?;
+                // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
+                let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
+                let mut packed = pack_all(couplings[0].as_ref(), before, lent, bodies);
+                couplings[0].after_step(at, each)?;
+                packed.extend(pack_all(couplings[0].as_ref(), after, lent, bodies));
+                driven.packed.push(packed);
+                if (slot + 1) % self.substeps == 0 {
+                    // As a simulation counts it: a path knows the last bit.
+                    time += dt;
+                    driven.after.push(couplings[0].bodies());
+                    driven.saved.push(couplings[0].save());
+                    if self.worlds[world_step.world].adapt.must_follow(couplings, |body| softs.get(&body).copied()) {
+                        break;
+                    }
+                }
+            }
+            Ok(())
+        };
+        if let Err(error) = go() {
+            go_back(world_step.couplings, &Some(driven), 0)?;
+            return Err(error);
+        }
+        if all_lent {
+            go_on(&mut driven.after, count);
+            go_on(&mut driven.saved, count + 1);
+            go_on(&mut driven.near, count * self.substeps);
+        }
+        Ok(Some(driven))
+    }
+
+    /// Tells the device where bodies are in each step.
+    pub(crate) fn write_bodies(
+        &self,
+        world_steps: &[WorldStep<'_>],
+        driven: &BTreeMap<usize, Option<Driven>>,
+        steps: usize,
+    ) {
+        let Some(contact) = self.contact.device.as_ref().filter(|contact| contact.needs.driven) else { return };
+        let each = self.levels * contact.needs.bodies * BODY as usize;
+        // Of worlds that have none there.
+        let nowhere = NOWHERE.repeat(steps * self.substeps * self.worlds.len() * each / NOWHERE.len());
+        let mut packed = nowhere;
+        for (t, driven) in driven {
+            // Another world may have stopped sooner.
+            let packed_of = driven.iter().flat_map(|driven| &driven.packed).take(steps * self.substeps);
+            for (s, bodies) in packed_of.enumerate() {
+                packed[(s * self.worlds.len() + world_steps[*t].world) * each..][..each].copy_from_slice(bodies);
+            }
+        }
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Bodies, 0), 0, bytemuck::cast_slice(&packed));
+    }
+
+    /// Tells the device near what nothing sleeps in each step.
+    pub(crate) fn write_near(
+        &mut self,
+        world_steps: &[WorldStep<'_>],
+        driven: &BTreeMap<usize, Option<Driven>>,
+        steps: usize,
+    ) -> Result<()> {
+        if !self.may_sleep() {
+            return Ok(());
+        }
+        let mut near = vec![vec![Vec::new(); self.memory.words().layers]; steps * self.substeps];
+        for (t, driven) in driven {
+            let layers = self.layers_of(world_steps[*t].world);
+            for (near, own) in near.iter_mut().zip(driven.iter().flat_map(|driven| &driven.near)) {
+                near[layers.clone()].clone_from_slice(own);
+            }
+        }
+        self.write_tools(0, &near)
+    }
+
+    /// Force and torque on each body of each world in each step, times the step.
+    pub(crate) fn impulses(&self, steps: usize) -> Result<Vec<[f32; 4]>> {
+        let Some(contact) = self.contact.device.as_ref().filter(|contact| contact.needs.driven) else {
+            return Ok(Vec::new());
+        };
+        let count = 2 * contact.needs.bodies * self.memory.words().layers * self.substeps * steps;
+        read(&self.gpu, self.memory.buffer(Role::Impulses, 0), 0, count)
+    }
+
+    /// Says in each step's report where a world's bodies were and what they felt.
+    pub(crate) fn report_bodies(
+        &self,
+        driven: Driven,
+        impulses: &[[f32; 4]],
+        world_step: &mut WorldStep<'_>,
+        reports: &mut [StepReport],
+    ) {
+        let Some(contact) = &self.contact.device else { return };
+        let each = 2 * contact.needs.bodies;
+        let Driven { after, lent, moved, .. } = driven;
+        for (s, (report, mut after)) in reports.iter_mut().zip(after).enumerate() {
+            // Over all levels' steps within this one.
+            let sum = |k: usize| {
+                let mut sum = [0.0; 3];
+                for slot in (0..self.substeps).filter(|_| !impulses.is_empty()) {
+                    let has_stepped = |level: &usize| self.substeps == 1 || (slot + 1) % (1 << level) == 0;
+                    for level in (0..self.levels).filter(has_stepped) {
+                        let row =
+                            ((s * self.substeps + slot) * self.worlds.len() + world_step.world) * self.levels + level;
+                        (0..3).for_each(|d| sum[d] += f64::from(impulses[row * each + k][d]));
+                    }
+                }
+                sum
+            };
+            let per_step = |impulse: Vec3| impulse.map(|x| x / report.dt);
+            let wrench = |body: usize| Wrench { force: per_step(sum(2 * body)), torque: per_step(sum(2 * body + 1)) };
+            let mut wrenches: Vec<_> = (0..after.len()).map(wrench).collect();
+            for (lent, felt) in lent.iter().zip(moved.get(s).into_iter().flatten()) {
+                after[lent.body] = felt.body.clone();
+                wrenches[lent.body] =
+                    Wrench { force: per_step(felt.impulse.force), torque: per_step(felt.impulse.torque) };
+            }
+            report.wrenches = Some(wrenches);
+            report.bodies = Some(after);
+        }
+        if let (Some(StepReport { wrenches: Some(wrenches), .. }), Some(coupling)) =
+            (reports.last(), world_step.couplings.first_mut())
+        {
+            coupling.book(wrenches);
+        }
+    }
+}

@@ -1,0 +1,256 @@
+//! What is near bodies whose law runs on the host: blocks of nodes with their particles, and the law on them.
+
+use crate::device::memory::NEAR_BLOCK;
+use crate::passes::binding::Role;
+use crate::schedule::submission::Behind;
+use crate::worlds::world::{FELT, Level, World};
+use barchan_core::backend::WorldStep;
+use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
+use std::collections::HashMap;
+use std::ops::Range;
+
+/// A block of nodes on the host: velocities and masses.
+pub(crate) struct Block {
+    number: u32,
+    /// Its first cell.
+    first: [i32; 3],
+    nodes: Vec<[f32; 4]>,
+    pub(crate) changed: bool,
+}
+
+impl Block {
+    /// As `gather.wgsl` writes it.
+    pub(crate) fn of(words: &[[u32; 4]]) -> Self {
+        let [x, y, z, number] = words[0];
+        let nodes = words[1..].iter().map(|node| node.map(f32::from_bits)).collect();
+        Self { number, first: [x, y, z].map(|c| c as i32), nodes, changed: false }
+    }
+
+    /// As `scatter_near.wgsl` reads it.
+    pub(crate) fn words(&self) -> impl Iterator<Item = [u32; 4]> {
+        let [x, y, z] = self.first.map(|c| c as u32);
+        std::iter::once([x, y, z, self.number]).chain(self.nodes.iter().map(|node| node.map(f32::to_bits)))
+    }
+}
+
+/// A particle near bodies, as `gather_particles.wgsl` writes it.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Particle {
+    layer: u32,
+    cell: [i32; 3],
+    /// Place in its cell, in units of 2^-24.
+    place: [u32; 3],
+    material: u32,
+    /// Bits of its mass [kg].
+    mass: u32,
+}
+
+impl Particle {
+    pub(crate) fn of(layer: u32, [at, place]: [[u32; 4]; 2]) -> Self {
+        let [x, y, z, material] = at;
+        let [u, v, w, mass] = place;
+        Self { layer, cell: [x, y, z].map(|c| c as i32), place: [u, v, w], material, mass }
+    }
+}
+
+/// What a gathering has found.
+#[derive(Default)]
+pub(crate) struct Found {
+    /// In the order of their numbers.
+    blocks: Vec<Block>,
+    /// Sorted: the device finds them in any order.
+    particles: Vec<Particle>,
+}
+
+impl Found {
+    pub(crate) fn of(words: &[[u32; 4]]) -> Self {
+        let mut found = Self::default();
+        for block in words.chunks_exact(NEAR_BLOCK) {
+            let [count, layer, _, number] = block[0];
+            if number == u32::MAX {
+                let (pairs, _) = block[1..].as_chunks::<2>();
+                found.particles.extend(pairs[..count as usize].iter().map(|pair| Particle::of(layer, *pair)));
+            } else {
+                found.blocks.push(Block::of(block));
+            }
+        }
+        found.blocks.sort_unstable_by_key(|block| block.number);
+        found.particles.sort_unstable();
+        found
+    }
+}
+
+/// A level as bodies meet it.
+pub(crate) struct Met {
+    /// Cell width [m].
+    h: f64,
+    /// Numbers of its blocks of nodes.
+    blocks: Range<usize>,
+    layer: u32,
+}
+
+/// A world's nodes and particles near its bodies.
+pub(crate) struct Near {
+    /// In the order of their numbers.
+    pub(crate) blocks: Vec<Block>,
+    particles: Vec<Particle>,
+    levels: Vec<Met>,
+    /// Of each material, stiffness against being pushed into [Pa], and volume over mass [m³/kg].
+    materials: Vec<[f32; 4]>,
+    /// Nodes lighter than this carry nothing [kg].
+    least_mass: f64,
+}
+
+impl Near {
+    /// A world's nodes, none of which has come yet; its first layer has this number.
+    pub(crate) fn new(world: &World, first_layer: usize) -> Self {
+        let met = |(layer, level): (usize, &Level)| Met {
+            h: level.h,
+            blocks: level.node_blocks.clone(),
+            layer: layer as u32,
+        };
+        Self {
+            blocks: Vec::new(),
+            particles: Vec::new(),
+            levels: (first_layer..).zip(&world.levels).map(met).collect(),
+            materials: world.contact_materials.clone(),
+            least_mass: world.least_mass,
+        }
+    }
+
+    /// Takes its own that it does not have yet.
+    pub(crate) fn take(&mut self, found: &mut Found) {
+        let is_own = |block: &Block| self.levels.iter().any(|level| level.blocks.contains(&(block.number as usize)));
+        let (own, others): (Vec<_>, _) = std::mem::take(&mut found.blocks).into_iter().partition(is_own);
+        found.blocks = others;
+        let is_here = |block: &Block| self.blocks.binary_search_by_key(&block.number, |here| here.number).is_ok();
+        let new: Vec<_> = own.into_iter().filter(|block| !is_here(block)).collect();
+        self.blocks.extend(new);
+        self.blocks.sort_unstable_by_key(|block| block.number);
+        // Of a level that was asked for, all have come.
+        let come: Vec<Particle> =
+            found.particles.iter().copied().filter(|p| self.levels.iter().any(|l| l.layer == p.layer)).collect();
+        self.particles.retain(|here| come.binary_search_by_key(&here.layer, |p| p.layer).is_err());
+        self.particles.extend(come);
+        self.particles.sort_unstable();
+    }
+
+    /// The law of all couplings on the nodes of some levels. Returns the greatest speed that particles may feel [m/s].
+    pub(crate) fn touch(&mut self, levels: Range<usize>, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<f64> {
+        let mut speed = 0.0;
+        for coupling in couplings {
+            for level in levels.clone() {
+                speed = greater(speed, self.apply(level, dt, coupling.as_mut())?);
+            }
+        }
+        Ok(speed)
+    }
+
+    /// Hands a level's nodes near a coupling's bodies to its law, and takes back their velocities.
+    pub(crate) fn apply(&mut self, level: usize, dt: f64, coupling: &mut dyn Coupling) -> Result<f64> {
+        let Met { h, blocks: ref own, layer } = self.levels[level];
+        let reach = coupling.reach();
+        let boxes: Vec<Aabb> = coupling.bounds().into_iter().map(|one| one.grown(reach * h)).collect();
+        let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
+        let mut numbers = HashMap::new();
+        let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
+        for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
+            let extent = Aabb { min: block.first.map(centre), max: block.first.map(|c| centre(c + 3)) };
+            if !boxes.iter().any(|one| one.meets(&extent)) {
+                continue;
+            }
+            for (n, node) in block.nodes.iter().enumerate() {
+                let mass = f64::from(node[3]);
+                if mass <= self.least_mass {
+                    continue;
+                }
+                let local = [(n / 16) as i32, (n / 4 % 4) as i32, (n % 4) as i32];
+                let cell: [i32; 3] = std::array::from_fn(|d| block.first[d] + local[d]);
+                let x = cell.map(centre);
+                if boxes.iter().any(|b| b.contains(x)) {
+                    numbers.insert(cell, batch.len() as u32);
+                    batch.position.push(x);
+                    batch.mass.push(mass);
+                    batch.velocity.push([node[0], node[1], node[2]].map(f64::from));
+                    places.push((b, n));
+                }
+            }
+        }
+        if batch.is_empty() {
+            return Ok(0.0);
+        }
+        if reach > 0.0 {
+            let number = |cell: [i32; 3]| numbers.get(&cell).copied().unwrap_or(NodeBatch::NONE);
+            let around = |first: [i32; 3]| -> [u32; 8] {
+                std::array::from_fn(|n| {
+                    let offset = [n / 4, n / 2 % 2, n % 2].map(|x| x as i32);
+                    number(std::array::from_fn(|d| first[d] + offset[d]))
+                })
+            };
+            let mut cubes = HashMap::new();
+            for particle in self.particles.iter().filter(|p| p.layer == layer) {
+                let in_cell = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
+                let (to_first, place) = NearParticle::between_nodes(in_cell);
+                let first: [i32; 3] = std::array::from_fn(|d| particle.cell[d] + to_first[d]);
+                let cube = *cubes.entry(first).or_insert_with(|| {
+                    batch.cubes.push(around(first));
+                    batch.cubes.len() as u32 - 1
+                });
+                if batch.cubes[cube as usize].iter().any(|&node| node != NodeBatch::NONE) {
+                    let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
+                    batch.particles.push(NearParticle {
+                        cube,
+                        position: std::array::from_fn(|d| (f64::from(particle.cell[d]) + in_cell[d]) * h),
+                        place,
+                        volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
+                        modulus,
+                    });
+                }
+            }
+        }
+        coupling.contact(dt, &mut batch)?;
+        let mut fastest = 0.0f64;
+        for ((&(b, n), u), mass) in places.iter().zip(&batch.velocity).zip(&batch.mass) {
+            let felt = (mass / (self.least_mass * FELT)).min(1.0);
+            let block = &mut self.blocks[b];
+            block.changed = true;
+            for d in 0..3 {
+                block.nodes[n][d] = u[d] as f32;
+                fastest = greater(fastest, felt * u[d].abs());
+            }
+        }
+        Ok(fastest)
+    }
+}
+
+/// The greater of two speeds, or NaN if one is.
+pub(crate) fn greater(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
+}
+
+/// A box around a body, and how far beyond it this acts [cells of a level].
+pub(crate) struct Around {
+    pub(crate) bounds: Aabb,
+    pub(crate) reach: f64,
+}
+
+/// A world's boxes around its bodies, grown by a margin [m].
+pub(crate) fn boxes_of(world_step: &WorldStep<'_>, margin: f64) -> Vec<Around> {
+    let mut all = Vec::new();
+    for coupling in world_step.couplings.iter() {
+        let around = |bounds: Aabb| Around { bounds: bounds.grown(margin), reach: coupling.reach() };
+        all.extend(coupling.bounds().into_iter().map(around));
+    }
+    all
+}
+
+/// Is each box in the one that was asked for?
+pub(crate) fn are_within(boxes: &[Around], asked: &[Around]) -> bool {
+    let is_within = |(one, asked): (&Around, &Around)| one.bounds.union(&asked.bounds) == asked.bounds;
+    boxes.len() == asked.len() && boxes.iter().zip(asked).all(is_within)
+}
+
+/// So many blocks of nodes near bodies, to be brought back.
+pub(crate) fn behind(blocks: usize) -> Option<Behind> {
+    Some(Behind::of(Role::Near, 0, (16 * NEAR_BLOCK * blocks) as u64))
+}

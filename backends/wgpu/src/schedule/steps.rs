@@ -1,0 +1,268 @@
+//! Steps of the worlds of a batch.
+
+use crate::device::memory::{MAX_SLOTS, MAX_STEPS};
+use crate::schedule::bodies::{Driven, go_back};
+use crate::schedule::status::Halt;
+use crate::schedule::submission::{FEW_STEPS, Outcome, cut};
+use crate::worlds::WgpuBatch;
+use crate::worlds::world::{Place, World};
+use barchan_core::backend::WorldStep;
+use barchan_core::coupling::Lent;
+use barchan_core::{Error, Result, StepReport};
+use std::collections::BTreeMap;
+
+/// No node that a particle feels may carry one further than this in a step, in cells: a little less than particles may move.
+pub(crate) const NODE_MOVE: f64 = 0.48;
+
+/// Some of the worlds.
+pub(crate) fn some_of<'a>(world_steps: &'a mut [WorldStep<'_>], which: impl Fn(usize) -> bool) -> Vec<WorldStep<'a>> {
+    let own = world_steps.iter_mut().enumerate().filter(|(t, _)| which(*t));
+    own.map(|(_, world_step)| WorldStep {
+        world: world_step.world,
+        time: world_step.time,
+        couplings: &mut *world_step.couplings,
+    })
+    .collect()
+}
+
+impl WgpuBatch {
+    /// Up to `count` steps of at most `dt` of the worlds given, without couplings or with such as run on the device. A world that
+    /// fails is left out, and the others go on without it.
+    pub(crate) fn advance(
+        &mut self,
+        mut dt: f64,
+        mut count: usize,
+        world_steps: &mut [WorldStep<'_>],
+        lent: &[Vec<Lent>],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        self.settle()?;
+        let mut failed: Vec<Option<Error>> = world_steps.iter().map(|world_step| self.fault(world_step)).collect();
+        loop {
+            let going: Vec<usize> = (0..world_steps.len()).filter(|&t| failed[t].is_none()).collect();
+            let active: Vec<(usize, f64)> =
+                going.iter().map(|&t| (world_steps[t].world, world_steps[t].time)).collect();
+            if active.is_empty() {
+                return Ok(failed.into_iter().map(|error| Err(error.expect("all have failed"))).collect());
+            }
+            let mut stretches = self.plan_stretches(&active, dt, count);
+            let mut steps = stretches.iter().map(|s| s.steps).sum();
+            let mut driven = BTreeMap::new();
+            for &t in &going {
+                match self.drive(&mut world_steps[t], dt, steps, &lent[t]) {
+                    Ok(of_turn) => {
+                        steps = of_turn.as_ref().map_or(steps, |driven| driven.after.len());
+                        driven.insert(t, of_turn);
+                    }
+                    Err(error) => failed[t] = Some(error),
+                }
+            }
+            if driven.len() < going.len() {
+                for (t, of_turn) in &driven {
+                    go_back(world_steps[*t].couplings, of_turn, 0)?;
+                }
+                continue;
+            }
+            cut(&mut stretches, steps);
+            self.write_bodies(world_steps, &driven, steps);
+            let mut writes = std::mem::take(&mut self.writes);
+            self.write_lent(world_steps, lent, &mut writes);
+            self.write_near(world_steps, &driven, steps)?;
+            let outcome = self.submit(&active, dt, &stretches, writes)?;
+            if stretches[0].sort {
+                self.astray = outcome.halt == Some(Halt::Misplaced);
+            }
+            match outcome.halt {
+                Some(Halt::Drifted | Halt::TooStiff) => self.horizon = FEW_STEPS,
+                None if outcome.done == self.horizon => self.horizon = MAX_STEPS.min(2 * self.horizon),
+                _ => {}
+            }
+            for (t, of_turn) in &mut driven {
+                go_back(world_steps[*t].couplings, of_turn, outcome.done)?;
+                failed[*t] = self.adopt(&mut world_steps[*t], of_turn, &outcome).err();
+                let world = world_steps[*t].world;
+                if outcome.status.is_astray(self.layers_of(world)) && self.worlds[world].torn.is_none() {
+                    self.adapt(world, None, world_steps[*t].couplings)?;
+                }
+            }
+            for &t in &going {
+                failed[t] = failed[t].take().or_else(|| self.fault(&world_steps[t]));
+            }
+            if outcome.done > 0 {
+                // What stopped the others is found again when they are tried again.
+                return self.reports(world_steps, failed, driven, &outcome, dt);
+            }
+            match outcome.halt {
+                Some(Halt::Room) => self.make_room(&outcome.status)?,
+                // A sort on its own, or one that others have to follow.
+                None | Some(Halt::Fewer | Halt::Misplaced | Halt::Follow) => {}
+                Some(Halt::Drifted) if !stretches[0].sort => {}
+                // Who asked for the steps decides how long the others are.
+                Some(Halt::TooFast) => (dt, count) = (self.shorten(world_steps, &mut failed, &outcome, dt), 1),
+                _ => {
+                    // It cannot be told whose fault it was only if no particle is named.
+                    let culprit = self.world_of(&outcome.status).unwrap_or(active[0].0);
+                    let t = going.iter().copied().find(|&t| world_steps[t].world == culprit).unwrap_or(going[0]);
+                    failed[t] =
+                        Some(self.explain(world_steps[t].world, &outcome.status, f64::NAN, world_steps[t].time));
+                }
+            }
+        }
+    }
+
+    /// What is wrong with a world's particles as they came in.
+    pub(crate) fn fault(&self, world_step: &WorldStep<'_>) -> Option<Error> {
+        let world = &self.worlds[world_step.world];
+        if world.spoilt || world.torn.is_some() {
+            let torn = world.torn.map(|(dt, bound)| Error::TimeStep {
+                step: world.steps,
+                dt,
+                bound,
+                by:
+                    "the speed of a particle within a subcycled step: set levels.subcycle = false, or lower time.safety"
+                        .into(),
+            });
+            self.find_non_finite(world_step.world, world_step.time).or(torn)
+        } else {
+            None
+        }
+    }
+
+    /// The step that the fastest world bears; worlds that bear none have failed.
+    pub(crate) fn shorten(
+        &mut self,
+        world_steps: &[WorldStep<'_>],
+        failed: &mut [Option<Error>],
+        outcome: &Outcome,
+        dt: f64,
+    ) -> f64 {
+        let mut fastest = 0.0f64;
+        for t in (0..world_steps.len()).filter(|&t| failed[t].is_none()).collect::<Vec<_>>() {
+            let WorldStep { world, time, .. } = world_steps[t];
+            let speed = outcome.status.speed(0, self.layers_of(world));
+            let moves = speed * dt / self.h;
+            if !moves.is_finite() {
+                failed[t] = Some(self.explain(world, &outcome.status, speed, time));
+            } else if moves > NODE_MOVE * (1.0 - 1e-6) {
+                self.worlds[world].shortened += 1;
+                fastest = fastest.max(moves);
+            }
+        }
+        // What was too fast may have been left out.
+        if fastest > 0.0 { dt * (0.9 * NODE_MOVE / fastest).max(0.1) } else { dt }
+    }
+
+    /// What each world did in the steps that are done.
+    pub(crate) fn reports(
+        &mut self,
+        world_steps: &mut [WorldStep<'_>],
+        failed: Vec<Option<Error>>,
+        mut driven: BTreeMap<usize, Option<Driven>>,
+        outcome: &Outcome,
+        dt: f64,
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        let feels = driven.values().any(Option::is_some);
+        let impulses = if feels { self.impulses(outcome.done)? } else { Vec::new() };
+        let mut all = Vec::new();
+        for (t, error) in failed.into_iter().enumerate() {
+            let world = world_steps[t].world;
+            let layers = self.layers_of(world);
+            let sorted = outcome.status.sorted_before(layers.start);
+            let report = |s: usize| StepReport {
+                dt,
+                sorted: sorted == Some(s),
+                max_speed: outcome.status.speed(s, layers.clone()),
+                ..StepReport::default()
+            };
+            let mut reports: Vec<_> = (0..outcome.done).map(report).collect();
+            if let Some(driven) = driven.remove(&t).flatten() {
+                self.report_bodies(driven, &impulses, &mut world_steps[t], &mut reports);
+            }
+            all.push(error.map_or(Ok(reports), Err));
+        }
+        Ok(all)
+    }
+
+    /// Up to `count` steps of at most `dt` of the worlds given; the others stay as they are. All that succeed take the same steps.
+    pub(crate) fn steps(
+        &mut self,
+        dt: f64,
+        count: usize,
+        world_steps: &mut [WorldStep<'_>],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        let ground = self.particles() > 0;
+        for world_step in world_steps.iter().filter(|_| ground) {
+            if self.fault(world_step).is_none() {
+                self.follow(world_step.world, world_step.couplings)?;
+            }
+        }
+        for world_step in world_steps.iter() {
+            self.settle_contact(world_step.world, world_step.couplings)?;
+        }
+        // Each world's laws are asked on the host after as many of its own steps, whatever the others do.
+        let until_asked = |world_step: &WorldStep<'_>| {
+            let world = &self.worlds[world_step.world];
+            world.ask_after.map_or(MAX_STEPS, |age| age.saturating_sub(world.stiffness_age).max(1) as usize)
+        };
+        let has_bodies = world_steps.iter().any(|world_step| !world_step.couplings.is_empty());
+        let at_once = if has_bodies || self.substeps > 1 { MAX_SLOTS / self.substeps } else { MAX_STEPS };
+        let most = world_steps.iter().map(until_asked).fold(at_once, usize::min);
+        let lent: Vec<Option<Vec<Lent>>> = world_steps
+            .iter_mut()
+            .map(|world_step| match self.worlds[world_step.world] {
+                _ if !ground => None,
+                World { contact: Some(Place::Host), .. } => None,
+                World { free: 0, .. } => Some(Vec::new()),
+                _ => self.borrow(world_step, dt, at_once),
+            })
+            .collect();
+        let is_on_host: Vec<bool> = lent.iter().map(Option::is_none).collect();
+        if ground && is_on_host.contains(&true) && self.contact.host.is_none() {
+            self.contact.host =
+                Some(Box::new(crate::passes::bodies::near(&self.gpu, &self.kernels, self.worlds.len())));
+        }
+        let taken = self.take_steps_where_bodies_are(dt, count.clamp(1, most), world_steps, lent, &is_on_host);
+        world_steps
+            .iter_mut()
+            .filter_map(|world_step| world_step.couplings.first_mut())
+            .for_each(|coupling| coupling.take_back());
+        let reports = taken?;
+        for (world_step, _) in world_steps.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
+            self.follow_stiffness(world_step.world)?;
+        }
+        Ok(reports)
+    }
+
+    /// The steps of worlds whose bodies the device moves, and a step of those whose bodies' law runs on the host.
+    pub(crate) fn take_steps_where_bodies_are(
+        &mut self,
+        dt: f64,
+        count: usize,
+        world_steps: &mut [WorldStep<'_>],
+        lent: Vec<Option<Vec<Lent>>>,
+        is_on_host: &[bool],
+    ) -> Result<Vec<Result<Vec<StepReport>>>> {
+        let ground = self.particles() > 0;
+        let mut reports = Vec::new();
+        if is_on_host.contains(&false) {
+            // Beside worlds that go a step at a time, they do.
+            let count = if is_on_host.contains(&true) { 1 } else { count };
+            let lent: Vec<_> = lent.into_iter().flatten().collect();
+            reports = self.advance(dt, count, &mut some_of(world_steps, |t| !is_on_host[t]), &lent)?;
+        }
+        if is_on_host.contains(&true) {
+            let taken = reports.iter().flatten().flatten().next().map_or(dt, |report| report.dt);
+            let mut world_steps = some_of(world_steps, |t| is_on_host[t]);
+            let by_levels = ground && self.substeps > 1;
+            let others = reports;
+            let own = if by_levels {
+                self.step_levels_on_host(taken, &mut world_steps)?
+            } else {
+                self.step_on_host(taken, &mut world_steps)?
+            };
+            let (mut own, mut others) = (own.into_iter(), others.into_iter());
+            let next = |is_on_host: &bool| if *is_on_host { own.next() } else { others.next() };
+            reports = is_on_host.iter().filter_map(next).collect();
+        }
+        Ok(reports)
+    }
+}

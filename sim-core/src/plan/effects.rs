@@ -1,0 +1,211 @@
+//! Which effects a scene calls for, and why.
+
+use super::{Effect, Plan, TOOL_COUPLING};
+use crate::levels::{Agent, TILE};
+use crate::scene::{Export, Leaving, Motion, Wall, plain};
+
+use barchan_abi as abi;
+
+fn listed(items: impl Iterator<Item = String>) -> String {
+    let items: Vec<_> = items.collect();
+    match items.as_slice() {
+        [first, second, third, .., _] => format!("{first}, {second}, {third}, … ({} in all)", items.len()),
+        _ => items.join(", "),
+    }
+}
+
+fn wall_text(wall: Wall) -> String {
+    match wall {
+        Wall::Separate { friction } => format!("{{ separate = {{ friction = {friction} }} }}"),
+        other => format!("\"{}\"", format!("{other:?}").to_lowercase()),
+    }
+}
+
+impl Export {
+    /// The usual ending of such files' names.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            Self::Npz => "npz",
+            Self::Vtk => "vtu",
+        }
+    }
+}
+
+impl Plan {
+    pub(super) fn list_effects(&self, particles_by_level: &[usize], live: usize) -> Vec<Effect> {
+        let scene = &self.scene;
+        let mut effects = Vec::new();
+        let mut add = |name: String, because: String, adds: String| {
+            effects.push(Effect { name: plain(&name), because: plain(&because), adds: plain(&adds) });
+        };
+        if self.particle_count > 0 {
+            add(
+                format!("soft ground, {}", self.precision),
+                listed(scene.body.iter().enumerate().map(|(i, b)| match b.name.as_str() {
+                    "" => format!("body[{i}]"),
+                    name => format!("body '{name}'"),
+                })),
+                "sort, P2G, grid update, G2P".to_owned(),
+            );
+        }
+        if self.particle_count > 0 && self.slow > 0.0 {
+            let because = match scene.sleep.on {
+                Some(_) => "sleep.on = true",
+                None if scene.sleep.speed.is_some() => "sleep.speed",
+                None => {
+                    "gravity, and no law that flows with time: sleep.on = false keeps all awake (so does wgpu, unless asked)"
+                }
+            };
+            let rest = format!("blocks that stay below {:.1e} m/s are left out of every pass", self.slow);
+            add("ground at rest sleeps".to_owned(), because.to_owned(), rest);
+        }
+        if self.particle_count > 0 && self.cell_widths.len() > 1 {
+            let followed = self.agents.iter().map(|agent| match agent {
+                Agent::Rigid(name) => name.clone(),
+                Agent::Soft(body) => scene.body[usize::from(*body)].name.clone(),
+            });
+            let counts = particles_by_level.iter().map(usize::to_string).collect::<Vec<_>>();
+            add(
+                format!("{} levels", self.cell_widths.len()),
+                format!("levels.count = {} around {}", scene.levels.count, listed(followed)),
+                format!(
+                    "adapt, restrict, prolong; {} particles, finest first; boxes of {}³ cells",
+                    counts.join(" + "),
+                    2 * scene.levels.half
+                ),
+            );
+        }
+        if self.terrain.is_some() {
+            let tile = f64::from(TILE) * self.cell_widths[self.cell_widths.len() - 1];
+            let tiles: i64 = self.regions.tiles_of_world().iter().map(|[a, b]| i64::from(b - a + 1)).product();
+            add(
+                "unbounded ground".to_owned(),
+                format!("levels.reach = {}", scene.levels.reach),
+                format!(
+                    "archive; {live} of {tiles} tiles of {tile} m live, the others are what the bodies' shapes say or what agents have left"
+                ),
+            );
+        }
+        if self.substeps > 1 {
+            add(
+                "subcycling".to_owned(),
+                "levels.subcycle = true".to_owned(),
+                format!("{} steps of the finest level in one of the coarsest", self.substeps),
+            );
+        }
+        for planned in &self.materials {
+            let users = scene.body.iter().enumerate().filter(|(_, b)| b.material == planned.name);
+            let law = &planned.material;
+            let planes = |n: usize, what: &str| format!("{n} {what} plane{}", if n == 1 { "" } else { "s" });
+            add(
+                format!("material {}", planned.name),
+                listed(users.map(|(i, _)| format!("body[{i}].material = \"{}\"", planned.name))),
+                format!(
+                    "law {} ({}): update_{}, {}, {}{}",
+                    law.name,
+                    law.origin,
+                    self.precision,
+                    planes(law.strain_planes(), "strain"),
+                    planes(law.states.len(), "state"),
+                    if law.has(abi::BARCHAN_CAP_HARDENS) { ", moduli at every step" } else { "" },
+                ),
+            );
+            if planned.damping.is_some()
+                && let Some(spec) = scene.material.iter().find(|spec| spec.name == planned.name)
+            {
+                add(
+                    format!("damping of material {}", planned.name),
+                    format!("damping = {} s", spec.damping),
+                    "a stress that follows the elastic rate of strain, and what it dissipates".to_owned(),
+                );
+            }
+        }
+        if self.particle_count > 0 && scene.gravity != [0.0; 3] {
+            add("gravity".to_owned(), format!("gravity = {:?}", scene.gravity), "one addition a node".to_owned());
+        }
+        for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+            for (side, wall) in ["min", "max"].into_iter().zip(scene.world.walls.pair(axis)) {
+                let key = format!("world.walls.{name}_{side}");
+                match wall {
+                    Wall::Open => {}
+                    Wall::Periodic if side == "max" => {}
+                    Wall::Periodic => add(
+                        format!("periodic {name}"),
+                        format!("{key} = \"periodic\""),
+                        "blocks wrap around".to_owned(),
+                    ),
+                    wall => add(
+                        format!("wall {name}_{side}"),
+                        format!("{key} = {}", wall_text(wall)),
+                        "ghost nodes folded back in blocks at the wall".to_owned(),
+                    ),
+                }
+            }
+        }
+        for tool in &scene.tool {
+            let (motion, adds) = match &tool.motion {
+                Motion::Fixed => ("fixed", "contact on nodes near it"),
+                Motion::Keyframes { .. } => ("keyframes", "contact on nodes near it; path at every step"),
+                Motion::Velocity { .. } => ("velocity", "contact on nodes near it; moved at every step"),
+                Motion::Free { .. } => ("free", "contact on nodes near it; rigid-body step"),
+            };
+            add(format!("contact with tool {}", tool.name), format!("its motion is {motion}"), adds.to_owned());
+        }
+        if self.two_way() {
+            let free = scene.tool.iter().filter(|t| matches!(t.motion, Motion::Free { .. }));
+            add(
+                "two-way coupling".to_owned(),
+                listed(free.map(|t| format!("tool '{}' moves freely", t.name))),
+                "impulses of nodes summed on bodies".to_owned(),
+            );
+        }
+        for kind in self.couplings.iter().filter(|kind| *kind != TOOL_COUPLING) {
+            add(
+                format!("coupling {kind}"),
+                format!("coupling.kind = \"{kind}\""),
+                "contact on nodes near it".to_owned(),
+            );
+        }
+        match scene.world.leaving {
+            Leaving::Error => {}
+            Leaving::Clamp => {
+                add("clamping".to_owned(), "world.leaving = \"clamp\"".to_owned(), "impulse booked".to_owned())
+            }
+            Leaving::Delete => {
+                add("deletion".to_owned(), "world.leaving = \"delete\"".to_owned(), "mass booked".to_owned())
+            }
+        }
+        let output = &scene.output;
+        let every = format!("output.interval = {}", output.interval);
+        if output.picture.on {
+            let cut = format!("{:?}", output.picture.cut).to_lowercase();
+            add(format!("{cut} pictures"), every.clone(), "a top view and a vertical cut, outside the step".to_owned());
+        }
+        if let Some(format) = output.export {
+            add(format!("{} export", format.extension()), every, "a particle file, outside the step".to_owned());
+        }
+        if let Some(interval) = output.snapshot_interval {
+            add(
+                "snapshots".to_owned(),
+                format!("output.snapshot_interval = {interval}"),
+                "a copy of all particles, outside the step".to_owned(),
+            );
+        }
+        for material in scene.material.iter().filter(|m| self.materials.iter().all(|p| p.name != m.name)) {
+            add(
+                format!("declared but unused: material {}", material.name),
+                "no body names it".to_owned(),
+                "costs nothing".to_owned(),
+            );
+        }
+        if scene.tool.is_empty() && scene.coupling.iter().any(|c| c.kind == TOOL_COUPLING) {
+            add(
+                format!("declared but unused: coupling {TOOL_COUPLING}"),
+                "the scene has no tool".to_owned(),
+                "costs nothing".to_owned(),
+            );
+        }
+        effects
+    }
+}

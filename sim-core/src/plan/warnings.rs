@@ -1,0 +1,103 @@
+//! What the user should know.
+
+use super::Plan;
+use crate::levels::{AROUND_AGENT, Agent, CellBox, DEAD_ZONE, LEAST_DEPTH, agent_bounds};
+use crate::scene::{Body, Motion, OverBound, plain};
+use crate::{Coupling, Registry, Result};
+
+/// Fine cells that should lie below a tool before a rim: a sphere pressed into elastic ground, its box's half side 12, 10 and 8 cells, felt 0.1, 1.4 and
+/// 7.5 % more than in fine ground throughout.
+const LEAST_BELOW: f64 = 6.0;
+
+/// Friction angle above which a cone matched in triaxial compression never fails in plane strain [rad]: there
+/// 2 sqrt(3) sin(phi) / (3 - sin(phi)) = 1.
+const NO_PLANE_STRAIN_FAILURE: f64 = 0.736_9;
+
+/// Poisson's ratio above which the pressure of a displacement-only method checkers.
+const NEARLY_INCOMPRESSIBLE: f64 = 0.49;
+
+impl Plan {
+    pub(super) fn warn(&mut self, registry: &Registry, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        let mut warnings = registry.warnings().to_vec();
+        for planned in &self.materials {
+            let name = &planned.name;
+            match planned.poisson_ratio()? {
+                Some(nu) if nu > NEARLY_INCOMPRESSIBLE => warnings.push(format!(
+                    "material '{name}': Poisson's ratio {nu:.4} is above {NEARLY_INCOMPRESSIBLE}: pressure checkers from cell to cell and the time step collapses; lower it"
+                )),
+                _ => {}
+            }
+            if planned.material.table.tangent_moduli_f32.is_none() {
+                warnings.push(format!(
+                    "material '{name}': its law gives no tangent moduli, so nothing checks that time.step is stable"
+                ));
+            }
+            let matched_in_triaxial_compression = planned.parameter("cone").unwrap_or(0.0) == 0.0;
+            match planned.parameter("friction_angle") {
+                Some(phi) if phi > NO_PLANE_STRAIN_FAILURE && matched_in_triaxial_compression => warnings.push(format!(
+                    "material '{name}': a friction angle of {:.2} deg is above 42.22 deg, where a cone matched in triaxial compression has no shear failure in plane strain: sin(phi_ps) = 2 sqrt(3) sin(phi) / (3 - sin(phi)) would be above 1, and a vertical face stands; lower it, or set cone = 1",
+                    phi.to_degrees()
+                )),
+                _ => {}
+            }
+        }
+        for (level, (cells, width)) in self.ground_cells.iter().zip(&self.cell_widths).enumerate() {
+            // Volumes add up to whole cells but for rounding.
+            let Some(cells) = cells.filter(|cells| *cells < LEAST_DEPTH - 1e-4) else { continue };
+            let finer = (1e5 * self.cell_widths[0] * cells / LEAST_DEPTH + 1e-3).floor() / 1e5;
+            let fewer = if level > 0 { format!("set levels.count = {level}, or ") } else { String::new() };
+            warnings.push(format!(
+                "level {level}: where it has the surface, the ground is {cells:.2} cells of {width} m deep, and fewer than {LEAST_DEPTH} neither bear nor flow as deep ground does; {fewer}set world.cell to {finer} or less"
+            ));
+        }
+        warnings.extend(self.near_rims(couplings));
+        let time = &self.scene.time;
+        let step = time.step.unwrap_or(0.0);
+        if step > self.bound.dt && time.over_bound != OverBound::Refuse {
+            warnings.push(format!(
+                "time.step = {step} is above the bound {:.3e} s set by {}; {}",
+                self.bound.dt,
+                self.bound.by,
+                if time.over_bound == OverBound::Substep {
+                    "each step is cut"
+                } else {
+                    "it is taken all the same, and energy is watched"
+                }
+            ));
+        }
+        warnings.extend(couplings.iter().flat_map(|c| c.warnings(self.scene.world.cell)));
+        self.warnings.extend(warnings);
+        self.warnings.iter_mut().for_each(|warning| *warning = plain(warning));
+        Ok(())
+    }
+
+    /// Says which tools have too little fine ground below them when they press it, wherever in its box the tool is: a box follows only once its agent is out of
+    /// the dead zone.
+    fn near_rims(&self, couplings: &[Box<dyn Coupling>]) -> Vec<String> {
+        let Some(boxes) = self.regions.boxes().first() else { return Vec::new() };
+        let (h, world) = (self.scene.world.cell, &self.scene.world);
+        let ends = |body: &Body| body.shape.bounds().map_or([world.min[2], world.max[2]], |b| [b.min[2], b.max[2]]);
+        let ground = self.scene.body.iter().map(ends).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        let Some([bottom, top]) = ground else { return Vec::new() };
+        let warning = |(agent, around): (&Agent, &CellBox)| {
+            let Agent::Rigid(name) = agent else { return None };
+            let bounds = *agent_bounds(std::slice::from_ref(agent), couplings, |_| None).first()?;
+            let tall = 0.5 * (bounds.max[2] - bounds.min[2]) / h;
+            let moves = !self.scene.tool.iter().any(|tool| tool.name == *name && matches!(tool.motion, Motion::Fixed));
+            let below = if moves {
+                (0.5 * f64::from(around.max[2] - around.min[2]) - tall - 2.0 * DEAD_ZONE).max(AROUND_AGENT)
+            } else {
+                bounds.min[2] / h - f64::from(around.min[2])
+            };
+            // Where it touches the ground, the rim may lie below all of it.
+            if below >= LEAST_BELOW - 1e-6 || bounds.min[2].min(top) - below * h < bottom + 0.5 * h {
+                return None;
+            }
+            let half = 2.0 * (0.5 * (tall + LEAST_BELOW + 2.0 * DEAD_ZONE) - 1e-6).ceil();
+            Some(format!(
+                "levels: there may be as few as {below:.1} fine cells between the lowest point of tool '{name}' and the rim below it; with fewer than {LEAST_BELOW} the coarse ground beyond stiffens what the tool feels; set levels.half = {half} or more"
+            ))
+        };
+        self.agents.iter().zip(boxes).filter_map(warning).collect()
+    }
+}
