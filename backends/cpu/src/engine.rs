@@ -2,7 +2,7 @@
 
 use crate::faults::at_time;
 use crate::isolated;
-use crate::level::{Level, Shares, greater};
+use crate::level::{Level, Shares};
 use crate::sleep::SleepSums;
 use crate::step::{self, Forward};
 use crate::store::{Departures, List};
@@ -19,6 +19,9 @@ use barchan_core::{
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
 use barchan_grid::bounds::PUT_BACK_DRIFT;
+use barchan_grid::limits::{
+    LEAST_MASS, MAX_DEFORMATION, MAX_DRIFT, MAX_MOVE, MAX_PARTS, SORT_AGE, STIFFNESS_AGE, greater,
+};
 use barchan_grid::particles::Run;
 use barchan_grid::transfer::{Scalar, Step};
 use barchan_lanes::{CHUNK, Isa};
@@ -29,29 +32,11 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Steps after which particles are sorted again, if they have moved at all: a late sort costs the transfers more than it saves.
-const SORT_AGE: u32 = 20;
 /// A sort that finds nobody far from home is not worth its time.
 const SORT_DRIFT: f64 = 0.4;
 /// As long as regions stay, nobody on a level has to change it before something there has moved by this since the last sort, in cells:
 /// levels have a margin for that.
 const MARGIN_DRIFT: f64 = 0.2;
-/// The halo allows for this much drift since the last sort, in cells.
-pub(crate) const MAX_DRIFT: f64 = 1.0;
-/// No particle may move further in a step, in cells: fixed-point positions and the halo rely on it.
-pub(crate) const MAX_MOVE: f64 = 0.5;
-/// So no node that a particle feels may carry one further than this in a step, in cells; those that hardly weigh anything may
-/// add the rest.
-pub(crate) const NODE_MOVE: f64 = 0.48;
-/// Strain is applied in parts that deform by no more than this.
-const MAX_DEFORMATION: f64 = 0.5;
-/// More parts than any motion needs that the grid gave: nodes move by half a cell at most.
-const MAX_PARTS: f64 = 1000.0;
-
-/// Steps between measurements of the stiffness of materials that harden: it takes about as long as a transfer, and strain
-/// changes little in between.
-const STIFFNESS_AGE: u32 = 10;
-
 /// A pass that is timed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Pass {
@@ -668,6 +653,6 @@ impl<T: Scalar> CpuEngine<T> {
         let isa = self.isa;
         let least = self.levels.iter_mut().fold(f64::INFINITY, |least, level| level.take_stock(isa).min(least));
         self.mass = self.lists().flat_map(|(_, list)| list.places().map(|(c, l)| list.mass_of(c, l))).sum();
-        self.least_mass = if least.is_finite() { least * 1e-20 } else { 0.0 };
+        self.least_mass = if least.is_finite() { least * LEAST_MASS } else { 0.0 };
     }
 }

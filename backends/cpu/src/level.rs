@@ -8,6 +8,7 @@ use barchan_core::material::ErrorBuffer;
 use barchan_core::{Aabb, NearParticle, NodeBatch, Plan};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
 use barchan_grid::bounds::Bounds;
+use barchan_grid::limits::{FULL_SPEED, greater};
 use barchan_grid::ring::{self, Carried};
 use barchan_grid::transfer::{Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
 use barchan_grid::wall::Mirror;
@@ -17,10 +18,6 @@ use std::time::Instant;
 
 /// Every so manieth block measures how much of P2G its materials take.
 const TIMED_BLOCKS: usize = 16;
-
-/// From how many times the least mass on a node's speed counts in full: a thousandth of the lightest particle's. A node takes part
-/// in a particle's velocity by no more than its mass over the particle's, so the speed of lighter ones counts in proportion.
-const FELT: f64 = 1e17;
 
 /// Shared nodes that are solved as one task.
 const SHARED_AT_ONCE: usize = 256;
@@ -342,7 +339,7 @@ impl<T: Scalar> Level<T> {
             }
             // SAFETY: no two shared nodes are one node of the grid.
             let node = unsafe { &mut *nodes.at(shared.node as usize) };
-            let felt = T::from_f64((sum[3].to_f64() / (least * FELT)).min(1.0));
+            let felt = T::from_f64((sum[3].to_f64() / (least * FULL_SPEED)).min(1.0));
             let mut speed = T::default();
             for d in 0..3 {
                 node[d] = if sum[3] > T::default() { sum[d] / sum[3] } else { T::default() };
@@ -565,7 +562,7 @@ impl<T: Scalar> Level<T> {
     pub(crate) fn scatter(&mut self, batch: &NodeBatch, least: f64) {
         let nodes = self.grid.nodes.as_flattened_mut();
         for ((&at, u), mass) in self.batch_nodes.iter().zip(&batch.velocity).zip(&batch.mass) {
-            let felt = (mass / (least * FELT)).min(1.0);
+            let felt = (mass / (least * FULL_SPEED)).min(1.0);
             for d in 0..3 {
                 nodes[4 * at as usize + d] = T::from_f64(u[d]);
                 self.max_speed = greater(self.max_speed, felt * u[d].abs());
@@ -575,7 +572,7 @@ impl<T: Scalar> Level<T> {
 
     /// Finds the greatest speed of nodes as they are now.
     pub(crate) fn find_speed(&mut self, least: f64) {
-        let felt = |mass: f64| (mass / (least * FELT)).min(1.0);
+        let felt = |mass: f64| (mass / (least * FULL_SPEED)).min(1.0);
         let of_node =
             |node: &[T]| felt(node[3].to_f64()) * node[..3].iter().map(|u| u.to_f64().abs()).fold(0.0, greater);
         let of_block = |&g: &u32| self.grid.nodes[g as usize].chunks_exact(4).map(of_node).fold(0.0, greater);
@@ -669,11 +666,6 @@ impl<T: Float> Grid<T> {
         }
         impulse
     }
-}
-
-/// The greater of two magnitudes; NaN wins, so that it cannot hide.
-pub(crate) fn greater<T: Float>(a: T, b: T) -> T {
-    if a >= b || a.to_f64().is_nan() { a } else { b }
 }
 
 /// The greater of each.
@@ -808,7 +800,7 @@ impl<T: Scalar> Kernel<T> for Velocities<'_, T> {
         let is_mass = unsafe { V::load(MASS_LANE.map(T::from_f64).as_ptr()) }.gt(V::zero());
         let dust = V::fill(T::from_f64(T::NEGLIGIBLE * 1e-6));
         let per_mass = V::fill(if self.least > T::default() {
-            T::from_f64(1.0 / (self.least.to_f64() * FELT))
+            T::from_f64(1.0 / (self.least.to_f64() * FULL_SPEED))
         } else {
             T::default()
         });

@@ -6,12 +6,13 @@
 //! time on both of its ends, and momentum is exact. Particles of the coarser level move with the velocity at the end of their
 //! step; with the mean one they would gain energy without bound.
 
-use crate::engine::{CpuEngine, MAX_DRIFT, MAX_MOVE, NODE_MOVE, Pass};
+use crate::engine::{CpuEngine, Pass};
 use crate::faults::{at_time, cannot_go_back};
-use crate::level::{Level, greater};
+use crate::level::Level;
 use barchan_core::plan::loaded;
 use barchan_core::schedule::{Call, Stage};
 use barchan_core::{Coupling, Error, Result, Schedule, Wrench};
+use barchan_grid::limits::{MAX_DRIFT, MAX_MOVE, NODE_MOVE, greater};
 use barchan_grid::transfer::Scalar;
 use rayon::prelude::*;
 use std::sync::Arc;

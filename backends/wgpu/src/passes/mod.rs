@@ -30,10 +30,10 @@ use crate::passes::sleep::{sum_sleep, watch};
 use crate::passes::sort::sort;
 use crate::schedule::{ContactPasses, passes};
 use crate::worlds::stiffness::is_asked_on_host;
-use crate::worlds::world::STIFFNESS_AGE;
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::scene::Wall;
 use barchan_core::{Plan, Result, Stage};
+use barchan_grid::limits::STIFFNESS_AGE;
 
 /// All passes that a scene calls for: what they are made from, or as a device has compiled them.
 #[derive(Debug)]

@@ -4,12 +4,13 @@ use crate::device::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER};
 use crate::device::memory::MAX_STEPS;
 use crate::passes::bodies::RIMS_BESIDE;
 use crate::worlds::stiffness::is_asked_on_device;
-use crate::worlds::world::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_AGE, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
+use crate::worlds::world::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
 use barchan_core::levels::{Agent, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Motion, Wall};
 use barchan_core::{Plan, Stage};
 use barchan_grid::bounds::Bounds;
+use barchan_grid::limits::{MAX_DEFORMATION, MAX_PARTS, NODE_MOVE, SORT_AGE};
 use barchan_grid::rest::RESTED;
 
 /// Vectors of four that hold a particle's strain, history and, in their last place, rest volume.
@@ -162,7 +163,7 @@ pub(crate) fn constants(plan: &Plan) -> String {
         frictions("LOW_FRICTION", 0),
         frictions("HIGH_FRICTION", 1),
         format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
-        format!("const NODE_MOVE: f32 = {:?};\n", crate::schedule::steps::NODE_MOVE),
+        format!("const NODE_MOVE: f32 = {NODE_MOVE:?};\nconst MAX_DEFORMATION: f32 = {MAX_DEFORMATION:?};\nconst MAX_PARTS: f32 = {MAX_PARTS:?};\n"),
         format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
         format!("const GRAVITY_GROWS: bool = {};\n", plan.scene.gravity_ramp > 0.0),
         format!("// Particles that leave: {:?}\n", plan.scene.world.leaving),

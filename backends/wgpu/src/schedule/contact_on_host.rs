@@ -3,19 +3,19 @@
 use crate::device::memory::{NEAR_BLOCK, StepConstants, Writes, read};
 use crate::passes::binding::Role;
 use crate::passes::scene::damps;
-use crate::schedule::near::{Around, Block, Found, Near, are_within, behind, boxes_of, greater};
+use crate::schedule::near::{Around, Block, Found, Near, are_within, behind, boxes_of};
 use crate::schedule::status::{
     AT_START, DAMPED, DAMPED_DIGITS, HALTED, Halt, MOVE, NEAR, Status, WALL_IMPULSE, energy_of,
 };
-use crate::schedule::steps::NODE_MOVE;
 use crate::schedule::submission::Part;
 use crate::schedule::{ContactPasses, Dispatch, Passes, around_contact, passes_beside_host};
 use crate::worlds::WgpuBatch;
 use crate::worlds::sleep::near_tools;
-use crate::worlds::world::{MAX_DRIFT, SinceSort, World};
+use crate::worlds::world::{SinceSort, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::schedule::ending;
 use barchan_core::{Error, Result, StepReport, Vec3, Wrench};
+use barchan_grid::limits::{MAX_DRIFT, NODE_MOVE, greater};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Instant;
@@ -696,7 +696,7 @@ impl WgpuBatch {
             }
             let at = 4 * self.memory.words().of_step(0, layer, MOVE) as u64;
             let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 1);
-            level.since_sort.after(words.map_or(MAX_DRIFT, |words| words[0]))
+            level.since_sort.after(words.map_or(MAX_DRIFT as f32, |words| words[0]))
         };
         self.layers_of(w).zip(&self.worlds[w].levels).map(since_sort).collect()
     }

@@ -3,9 +3,10 @@
 use crate::device::memory::NEAR_BLOCK;
 use crate::passes::binding::Role;
 use crate::schedule::submission::Behind;
-use crate::worlds::world::{FELT, Level, World};
+use crate::worlds::world::{Level, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
+use barchan_grid::limits::{FULL_SPEED, greater};
 use std::collections::HashMap;
 use std::ops::Range;
 
@@ -211,7 +212,7 @@ impl Near {
         coupling.contact(dt, &mut batch)?;
         let mut fastest = 0.0f64;
         for ((&(b, n), u), mass) in places.iter().zip(&batch.velocity).zip(&batch.mass) {
-            let felt = (mass / (self.least_mass * FELT)).min(1.0);
+            let felt = (mass / (self.least_mass * FULL_SPEED)).min(1.0);
             let block = &mut self.blocks[b];
             block.changed = true;
             for d in 0..3 {
@@ -221,11 +222,6 @@ impl Near {
         }
         Ok(fastest)
     }
-}
-
-/// The greater of two speeds, or NaN if one is.
-pub(crate) fn greater(a: f64, b: f64) -> f64 {
-    if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
 }
 
 /// A box around a body, and how far beyond it this acts [cells of a level].

@@ -7,9 +7,10 @@ use crate::schedule::status::{
 };
 use crate::worlds::WgpuBatch;
 use crate::worlds::stiffness::{self, Held};
-use crate::worlds::world::{MAX_MOVE, SinceSort};
+use crate::worlds::world::SinceSort;
 use barchan_core::Result;
 use barchan_core::scene::Leaving;
+use barchan_grid::limits::MAX_MOVE;
 
 impl WgpuBatch {
     /// Takes in where blocks are after a submission, and who has left the world.

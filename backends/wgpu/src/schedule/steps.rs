@@ -9,10 +9,8 @@ use crate::worlds::world::{Place, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::coupling::Lent;
 use barchan_core::{Error, Result, StepReport};
+use barchan_grid::limits::NODE_MOVE;
 use std::collections::BTreeMap;
-
-/// No node that a particle feels may carry one further than this in a step, in cells: a little less than particles may move.
-pub(crate) const NODE_MOVE: f64 = 0.48;
 
 /// Some of the worlds.
 pub(crate) fn some_of<'a>(world_steps: &'a mut [WorldStep<'_>], which: impl Fn(usize) -> bool) -> Vec<WorldStep<'a>> {

@@ -1,7 +1,3 @@
-// Strain is applied in parts that deform by no more than this.
-const MAX_DEFORMATION: f32 = 0.5;
-const MAX_PARTS: f32 = 1000.0;
-
 // Strains minus I, rounded to what 1 + x holds in 64 bits: so that a copy that is held as 1 + x comes back the same.
 fn representable(x: f32) -> f32 {
     let quantum = 3.7252903e-9;

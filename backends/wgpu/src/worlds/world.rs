@@ -13,12 +13,11 @@ use barchan_core::{Ledger, LevelPhase, ParticleList, Plan, Result, Scene, SortPh
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
 use barchan_grid::bounds::PUT_BACK_DRIFT;
+use barchan_grid::limits::{FULL_SPEED, LEAST_MASS, MAX_DRIFT, MAX_MOVE, SORT_AGE, STIFFNESS_AGE};
 use std::ops::Range;
 
-/// Whenever so many steps have passed since its last sort, a world is sorted if its particles may have drifted by more than
-/// [`SORT_DRIFT`].
-pub(crate) const SORT_AGE: u32 = 20;
-/// A sort that finds nobody far from home is not worth its time [cells].
+/// Whenever [`SORT_AGE`] steps have passed since its last sort, a world is sorted if its particles may have drifted by more than this: a sort that
+/// finds nobody far from home is not worth its time [cells].
 pub(crate) const SORT_DRIFT: f32 = 0.1;
 /// So many times faster than now particles might become: drifts add up the fastest particle's moves of each step, which jump.
 pub(crate) const FASTER: f32 = 2.0;
@@ -30,8 +29,6 @@ pub(crate) const SELDOM_DRIFT: f32 = 0.002;
 pub(crate) const SORT_OFTEN: u32 = 4;
 /// As much again in as many steps is what tiles allow for [cells].
 pub(crate) const OFTEN_DRIFT: f32 = 0.5;
-/// Tiles allow for this much drift since the last sort, in cells.
-pub(crate) const MAX_DRIFT: f32 = 1.0;
 
 /// So much may particles have drifted before a step [cells]: a subcycled one moves them several times before they can be sorted, and who has left
 /// the world is to be found within a cell.
@@ -42,22 +39,15 @@ pub(crate) fn most_drift(plan: &Plan) -> f32 {
         return PUT_BACK_DRIFT as f32;
     }
     let watched = world.leaving == Leaving::Error && open;
-    if plan.substeps > 1 || watched { MAX_DRIFT - MAX_MOVE as f32 } else { MAX_DRIFT }
+    if plan.substeps > 1 || watched { (MAX_DRIFT - MAX_MOVE) as f32 } else { MAX_DRIFT as f32 }
 }
 
-/// Steps between two askings of laws that are asked on the host; the particles' strain and history are copied there.
-pub(crate) const STIFFNESS_AGE: u32 = 10;
 /// Steps after which laws that are asked on the device are asked on the host, where ground may sleep: the device asks those awake.
 pub(crate) const ASLEEP_AGE: u32 = 1000;
 /// Ground that needs no more than so many steps a second bears steps of `dt` [s].
 pub(crate) fn most_need(dt: f64) -> f32 {
     (1.000_001 / dt).min(f64::from(f32::MAX)) as f32
 }
-
-/// No particle may move further in a step, in cells.
-pub(crate) const MAX_MOVE: f64 = 0.5;
-/// From how many times the least mass on a node's speed counts in full; see the backend cpu.
-pub(crate) const FELT: f64 = 1e17;
 
 /// When a world is sorted. This goes by its own steps and its own particles' drift since its last sort alone, so that it does not matter
 /// how steps are cut into submissions, or what other worlds do. `since_sort.wgsl` is the same rule on the device.
@@ -313,7 +303,7 @@ impl World {
     /// What the device knows of a level, with its part of the directory from `first_place` on.
     pub(crate) fn layer(&self, l: usize, first_place: u32, on: bool) -> Layer {
         let level = &self.levels[l];
-        let felt = if self.least_mass > 0.0 { 1.0 / (self.least_mass * FELT) } else { f64::from(f32::MAX) };
+        let felt = if self.least_mass > 0.0 { 1.0 / (self.least_mass * FULL_SPEED) } else { f64::from(f32::MAX) };
         Layer {
             box_min: level.span.first,
             first_place,
@@ -361,7 +351,7 @@ impl World {
         let masses = lists.iter().flat_map(|list| &list.mass);
         let least = masses.clone().copied().fold(f64::INFINITY, f64::min);
         self.mass = masses.sum();
-        self.least_mass = if least.is_finite() { least * 1e-20 } else { 0.0 };
+        self.least_mass = if least.is_finite() { least * LEAST_MASS } else { 0.0 };
         for (level, lists) in self.levels.iter_mut().zip(by_level(lists, self.materials.len())) {
             let speeds = lists.iter().flat_map(|list| &list.velocity).flatten();
             level.particle_speed = speeds.fold(0.0, |most: f64, v| if v.is_nan() { *v } else { most.max(v.abs()) });
@@ -371,7 +361,7 @@ impl World {
         }
         // Without a phase, they lie as a sort would put them.
         for (l, level) in self.levels.iter_mut().enumerate() {
-            let drift = |sort: &SortPhase| sort.drift.get(l).map_or(MAX_DRIFT, |drift| *drift as f32);
+            let drift = |sort: &SortPhase| sort.drift.get(l).map_or(MAX_DRIFT as f32, |drift| *drift as f32);
             level.since_sort =
                 sort.map_or_else(SinceSort::default, |sort| SinceSort { age: sort.age, drift: drift(sort) });
         }
@@ -389,7 +379,7 @@ impl World {
     /// What depends on particles that come in beside the others.
     pub(crate) fn take_new(&mut self, lists: &[ParticleList]) -> Result<()> {
         let masses = lists.iter().flat_map(|list| &list.mass);
-        self.least_mass = masses.fold(self.least_mass, |least, mass| least.min(mass * 1e-20));
+        self.least_mass = masses.fold(self.least_mass, |least, mass| least.min(mass * LEAST_MASS));
         for (level, lists) in self.levels.iter_mut().zip(by_level(lists, self.materials.len())) {
             let speeds = lists.iter().flat_map(|list| &list.velocity).flatten();
             level.particle_speed = speeds.fold(level.particle_speed, |most, v| most.max(v.abs()));
@@ -561,12 +551,12 @@ mod tests {
     pub(crate) fn between(speed: f32) -> Vec<u32> {
         let (mut since_sort, mut ages) = (SinceSort::default(), Vec::new());
         for _ in 0..200 {
-            if since_sort.is_due(MAX_DRIFT) {
+            if since_sort.is_due(MAX_DRIFT as f32) {
                 ages.push(since_sort.age);
                 since_sort = SinceSort::default();
             }
             since_sort = since_sort.after(speed);
-            assert!(since_sort.drift <= MAX_DRIFT + 0.5, "tiles do not allow for {} cells", since_sort.drift);
+            assert!(since_sort.drift <= MAX_DRIFT as f32 + 0.5, "tiles do not allow for {} cells", since_sort.drift);
         }
         ages
     }
