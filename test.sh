@@ -66,6 +66,11 @@ step "C header is what cbindgen makes of the ABI crate"
 step "Lints"
 cargo clippy --workspace --all-targets --quiet -- -D warnings
 
+step "The crate barchan with fewer features"
+for features in "" pictures wgpu; do
+    cargo clippy -p barchan --lib --no-default-features --features "$features" --quiet -- -D warnings
+done
+
 step "Documentation"
 RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 

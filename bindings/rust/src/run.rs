@@ -16,25 +16,24 @@
 //! shows the first step at or past its time.
 
 mod folder;
+#[cfg_attr(not(feature = "pictures"), path = "run/no_pictures.rs")]
+mod pictures;
 
 pub use folder::{Existing, check as check_folder, last as last_folder, next as next_folder};
 
-use crate::picture::{self, Image, Sketch, View};
 use barchan_core::backend::Timing;
 use barchan_core::export::export;
-use barchan_core::file::write_whole;
 use barchan_core::scene::{Export, plain};
 use barchan_core::{
     BodyState, Error, Ledger, Options, Precision, Registry, Result, Simulation, StepReport, Vec3, Wrench,
 };
 use folder::Folder;
+use pictures::Pictures;
 use serde::Serialize;
-use std::collections::VecDeque;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::thread::JoinHandle;
 use std::time::Instant;
 
 /// Name of the snapshot within an output folder.
@@ -45,15 +44,6 @@ const CONTACT_SHEET: &str = "contact-sheet.png";
 const ANIMATION: &str = "animation.gif";
 const FRAMES: &str = "frames";
 const PARTICLES: &str = "particles";
-/// Animations stay below this many bytes and frames.
-const ANIMATION_BYTES: usize = 6 << 20;
-const ANIMATION_FRAMES: usize = 240;
-const ANIMATION_WIDTH: usize = 640;
-/// Pictures on a contact sheet.
-const SHEET: usize = 12;
-/// Keyword of the view in the pictures' text chunks.
-const VIEW: &str = "barchan view";
-const TIME: &str = "time";
 
 /// How far to run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -291,55 +281,11 @@ fn steps(
     Ok(true)
 }
 
-/// Pictures that are drawn and written while the run goes on.
-#[derive(Default)]
-struct Painters(VecDeque<JoinHandle<Result<()>>>);
-
-impl Painters {
-    /// So many pictures are drawn at once, of so many particles in all: they take memory.
-    const MOST: usize = 4;
-    const MOST_PARTICLES: usize = 4_000_000;
-
-    /// Begins to draw a picture. Waits for one that is under way if there are too many, and fails if that one could not be written.
-    fn paint(&mut self, sketch: Sketch, path: PathBuf) -> Result<()> {
-        let at_once = (Self::MOST_PARTICLES / sketch.len().max(1)).clamp(1, Self::MOST);
-        self.wait(at_once - 1)?;
-        self.0.push_back(std::thread::spawn(move || {
-            let view = serde_json::to_string(&sketch.view).map_err(io::Error::other);
-            let picture = sketch.draw();
-            write_whole(&path, "writing a picture", |out| {
-                let notes = [(TIME, sketch.time.to_string()), (VIEW, view?)];
-                picture.encode_png(out, &notes.each_ref().map(|(keyword, text)| (*keyword, text.as_str())))
-            })
-        }));
-        Ok(())
-    }
-
-    /// Waits until no more than so many are under way.
-    fn wait(&mut self, left: usize) -> Result<()> {
-        while self.0.len() > left {
-            let oldest = self.0.pop_front().expect("there are more than none");
-            oldest.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
-        }
-        Ok(())
-    }
-
-    /// Waits for all. Fails as the first of them that did.
-    fn finish(&mut self) -> Result<()> {
-        let mut first = Ok(());
-        while !self.0.is_empty() {
-            first = first.and(self.wait(self.0.len() - 1));
-        }
-        first
-    }
-}
-
 /// Writes a run's files as it goes.
 struct Recorder {
     folder: Folder,
     interval: f64,
-    view: Option<View>,
-    painters: Painters,
+    pictures: Option<Pictures>,
     export: Option<Export>,
     snapshot_interval: Option<f64>,
     next_frame: u64,
@@ -353,16 +299,16 @@ impl Recorder {
         let begin = Instant::now();
         let output = &simulation.plan().scene.output;
         let pictures = request.pictures && output.picture.on;
+        if pictures {
+            pictures::check()?;
+        }
         let mut folder = Folder::open(&request.out, request.existing, simulation.plan().memory.0)?;
         let (time, resumed) = (simulation.time(), request.existing == Existing::Resume);
         // Pictures up to now are kept when a run goes on.
         let past = if resumed { (time / output.interval + 1e-9).floor() as u64 + 1 } else { 0 };
         let frames = folder.numbered(FRAMES, past)?;
         folder.numbered(PARTICLES, past)?;
-        let view = match frames.last().filter(|_| pictures).and_then(|path| view_of(path)) {
-            Some(view) => Some(view),
-            None => pictures.then(|| View::new(simulation)),
-        };
+        let pictures = pictures.then(|| Pictures::new(simulation, frames.last().map(PathBuf::as_path))).transpose()?;
         Ok(Self {
             trace: open_trace(&folder.claim(TRACE)?, simulation, resumed)?,
             folder,
@@ -370,8 +316,7 @@ impl Recorder {
             snapshot_interval: output.snapshot_interval,
             next_snapshot: output.snapshot_interval.map_or(f64::INFINITY, |interval| time + interval),
             next_frame: past,
-            view,
-            painters: Painters::default(),
+            pictures,
             export: request.export.or(output.export),
             seconds: begin.elapsed().as_secs_f64(),
         })
@@ -424,10 +369,8 @@ impl Recorder {
             let number = self.next_frame;
             // A step longer than the interval skips pictures rather than repeat one.
             self.next_frame = (time / self.interval + 1e-9).floor() as u64 + 1;
-            if let Some(view) = &mut self.view {
-                let sketch = view.look(simulation)?;
-                let path = self.folder.claim(&format!("{FRAMES}/{number:05}.png"))?;
-                self.painters.paint(sketch, path)?;
+            if let Some(pictures) = &mut self.pictures {
+                pictures.take(simulation, || self.folder.claim(&format!("{FRAMES}/{number:05}.png")))?;
             }
             if let Some(format) = self.export {
                 let path = self.folder.claim(&format!("{PARTICLES}/{number:05}.{}", format.extension()))?;
@@ -457,12 +400,13 @@ impl Recorder {
         let peak_memory = peak_memory();
         let begin = Instant::now();
         // After an error, the rest is written all the same.
-        match self.painters.finish().and(self.flush_trace()) {
+        let drawn = self.pictures.as_mut().map_or(Ok(()), Pictures::wait);
+        match drawn.and(self.flush_trace()) {
             Err(e) if error.is_none() => return Err(e),
             _ => {}
         }
-        if let Some(view) = &self.view {
-            overview(&mut self.folder, view, self.interval)?;
+        if let Some(pictures) = &self.pictures {
+            pictures.overview(&mut self.folder, self.interval)?;
         }
         self.seconds += begin.elapsed().as_secs_f64();
 
@@ -509,12 +453,6 @@ impl Recorder {
 
 fn io_error(path: &Path, what: &'static str, source: io::Error) -> Error {
     Error::Io { file: path.to_owned(), what, source }
-}
-
-/// The view that a picture was drawn with.
-fn view_of(path: &Path) -> Option<View> {
-    let (_, notes) = Image::read_png(path).ok()?;
-    notes.iter().find(|(keyword, _)| keyword == VIEW).and_then(|(_, text)| serde_json::from_str(text).ok())
 }
 
 /// Opens the trace; one that goes on is cut after the present step.
@@ -577,33 +515,6 @@ fn row(body: &BodyState, wrench: &Wrench) -> String {
     let vectors: [&Vec3; 4] = [&body.velocity, &body.angular_velocity, &wrench.force, &wrench.torque];
     let numbers = body.position.iter().chain(&body.rotation).chain(vectors.into_iter().flatten());
     numbers.fold(String::new(), |row, number| format!("{row},{number}"))
-}
-
-/// Makes the contact sheet and the animation from the pictures of a run.
-fn overview(folder: &mut Folder, view: &View, interval: f64) -> Result<()> {
-    let frames = folder.numbered(FRAMES, u64::MAX)?;
-    if frames.is_empty() {
-        return Ok(());
-    }
-    let load = |path: &Path| Image::read_png(path).map_err(|e| io_error(path, "reading a picture", e));
-    let count = frames.len().min(SHEET);
-    let picked = (0..count).map(|i| &frames[if count > 1 { i * (frames.len() - 1) / (count - 1) } else { 0 }]);
-    let pictures: Vec<(Image, String)> = picked
-        .map(|path| {
-            let (image, notes) = load(path)?;
-            let time = notes.iter().find(|(k, _)| k == TIME).and_then(|(_, t)| t.parse::<f64>().ok()).unwrap_or(0.0);
-            Ok((image.crop(view.relief_rect()), format!("t = {time:.2} s")))
-        })
-        .collect::<Result<_>>()?;
-    let sheet = picture::contact_sheet(&pictures, 3, 480);
-    folder.write(CONTACT_SHEET, "writing the contact sheet", |out| sheet.encode_png(out, &[]))?;
-
-    let stride = frames.len().div_ceil(ANIMATION_FRAMES);
-    let shown: Vec<&PathBuf> = frames.iter().step_by(stride).collect();
-    let small = |i: usize| Ok(Image::read_png(shown[i])?.0.shrunk(ANIMATION_WIDTH));
-    let bytes = picture::gif(shown.len(), small, interval * stride as f64, ANIMATION_BYTES)
-        .map_err(|e| io_error(&folder.join(ANIMATION), "making the animation", e))?;
-    folder.write(ANIMATION, "writing the animation", |out| out.write_all(&bytes))
 }
 
 /// Peak resident memory of this process [bytes], where the system tells (Linux).
