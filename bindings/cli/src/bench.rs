@@ -58,12 +58,12 @@ pub(crate) struct Effects {
     engine: EngineArgs,
 }
 
-pub(crate) fn run(bench: &Bench) -> Result<()> {
+pub(crate) fn run(bench: &Bench, registry: Registry) -> Result<()> {
     match bench {
-        Bench::Throughput(args) => throughput::run(args),
-        Bench::Effects(args) => effects(args),
-        Bench::Accuracy(args) => accuracy::run(args),
-        Bench::Scale(args) => scale::run(args),
+        Bench::Throughput(args) => throughput::run(args, registry),
+        Bench::Effects(args) => effects(args, registry),
+        Bench::Accuracy(args) => accuracy::run(args, registry),
+        Bench::Scale(args) => scale::run(args, registry),
     }
 }
 
@@ -327,8 +327,8 @@ struct Line {
     unused: Option<Unused>,
 }
 
-fn effects(args: &Effects) -> Result<()> {
-    let registry = args.engine.registry()?;
+fn effects(args: &Effects, registry: Registry) -> Result<()> {
+    let registry = args.engine.load_into(registry)?;
     let rows = rows(&registry, args.grid)?;
     let timed = |scene: &Scene| Timed::new(Subject::new(&registry, scene, &args.engine, 1)?, &args.effort);
     let repetitions = args.effort.repetitions.max(1);

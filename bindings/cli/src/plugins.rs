@@ -17,8 +17,8 @@ pub(crate) struct PluginArgs {
     json: bool,
 }
 
-pub(crate) fn list(args: &PluginArgs) -> Result<()> {
-    let registry = crate::registry(&args.load)?;
+pub(crate) fn list(args: &PluginArgs, registry: Registry) -> Result<()> {
+    let registry = crate::load(registry, &args.load)?;
     if args.json {
         show(format!("{:#}\n", as_json(&registry)));
     } else {

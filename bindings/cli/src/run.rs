@@ -197,7 +197,7 @@ impl RunArgs {
     }
 }
 
-pub(crate) fn run(args: &RunArgs) -> Result<ExitCode> {
+pub(crate) fn run(args: &RunArgs, registry: Registry) -> Result<ExitCode> {
     let resumed = args.resumed()?;
     let existing = match (&resumed, args.overwrite) {
         (Some(_), _) => Existing::Resume,
@@ -206,7 +206,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode> {
     };
     // Before anything is seeded.
     args.out.as_ref().map_or(Ok(()), |out| run::check_folder(out, existing))?;
-    let registry = args.scene.engine.registry()?;
+    let registry = args.scene.engine.load_into(registry)?;
     let mut options = args.scene.engine.options();
     let swap = args.swap_at.as_ref().map(|at| at.swap(&registry, &mut options)).transpose()?;
     let mut simulation = match &resumed {

@@ -597,6 +597,64 @@ fn the_scene_in_the_readme_runs() {
     succeed(folder.path(), &["run", "press.toml", "--steps", "20", "--quiet"]);
 }
 
+/// Commands of the command line.
+const COMMANDS: [&str; 9] = ["run", "plan", "check", "plugins", "adapters", "bench", "schema", "completions", "man"];
+
+#[test]
+fn completions_name_every_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let help = succeed(folder.path(), &["--help"]);
+    let listed: Vec<&str> = help.split("Commands:").nth(1).expect("a list of commands").split("Options:").collect();
+    let listed = listed[0].lines().filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help");
+    assert_eq!(listed.collect::<Vec<_>>(), COMMANDS);
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = succeed(folder.path(), &["completions", shell]);
+        for word in COMMANDS.iter().chain(&["throughput", "swap-at", "barchan"]) {
+            assert!(script.contains(word), "{shell} is not told of {word}");
+        }
+    }
+    // And bash takes what it is given.
+    fs::write(folder.path().join("barchan.bash"), succeed(folder.path(), &["completions", "bash"])).unwrap();
+    let ask =
+        "source barchan.bash; COMP_WORDS=(barchan ru); COMP_CWORD=1; _barchan barchan ru barchan; echo ${COMPREPLY[@]}";
+    let reply = Command::new("bash").args(["-c", ask]).current_dir(folder.path()).output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&reply.stdout).trim(), "run", "{}", String::from_utf8_lossy(&reply.stderr));
+    let unknown = run(folder.path(), &["completions", "abacus"]);
+    assert!(String::from_utf8_lossy(&unknown.stderr).contains("bash, elvish, fish, powershell, zsh"));
+}
+
+#[test]
+fn the_manual_names_every_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = succeed(folder.path(), &["man"]);
+    assert!(page.contains(".TH barchan 1"), "{page}");
+    succeed(folder.path(), &["man", "--out", "man1"]);
+    for command in COMMANDS {
+        assert!(page.contains(&format!("barchan\\-{command}(1)")), "the page does not name {command}: {page}");
+        let own = fs::read_to_string(folder.path().join(format!("man1/barchan-{command}.1"))).unwrap();
+        assert!(own.contains(&format!(".TH barchan-{command} 1")), "{own}");
+    }
+    let run = fs::read_to_string(folder.path().join("man1/barchan-run.1")).unwrap();
+    assert!(run.contains("\\-\\-swap\\-at"), "{run}");
+    fs::write(folder.path().join("file"), "").unwrap();
+    let error = fail(folder.path(), &["man", "--out", "file"]);
+    assert!(error.contains("file") && error.contains("choose another with --out"), "{error}");
+}
+
+/// What only another crate's command line has (tests/seams/cli, which runs this scene) is refused by name.
+#[test]
+fn plugins_of_other_crates_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/seams/cli/current.toml");
+    let scene = scene.to_str().unwrap();
+    for command in ["plan", "check", "run"] {
+        let error = fail(folder.path(), &[command, scene]);
+        assert!(error.contains("coupling[0].kind: no coupling is called 'current'; known are: rigid"), "{error}");
+        let error = fail(folder.path(), &[command, scene, "--set", "coupling=[]", "--backend", "dust"]);
+        assert!(error.contains("no backend is called 'dust'; known are: cpu, wgpu"), "{error}");
+    }
+}
+
 #[test]
 fn throughput_is_measured() {
     let folder = tempfile::tempdir().unwrap();

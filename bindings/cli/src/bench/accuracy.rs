@@ -11,7 +11,7 @@ use crate::print::show;
 use crate::run::Shown;
 use barchan::accuracy::{Balance, Cost, Errors, Record, record, rung};
 use barchan::scene::{Levels, Sampling};
-use barchan::{Precision, Result, Scene};
+use barchan::{Precision, Registry, Result, Scene};
 use clap::Args;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -145,7 +145,8 @@ struct Report {
     rows: Vec<Row>,
 }
 
-pub(crate) fn run(args: &Accuracy) -> Result<()> {
+pub(crate) fn run(args: &Accuracy, registry: Registry) -> Result<()> {
+    let registry = args.engine.load_into(registry)?;
     let (scene, length) = base(args)?;
     let entries = entries(args, length);
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out/accuracy").join(&scene.name));
@@ -157,7 +158,7 @@ pub(crate) fn run(args: &Accuracy) -> Result<()> {
         args.reference
     ));
     let entry = Entry { label: format!("reference n {}", args.reference), ..finest(args, length) };
-    let (reference, walls) = measure(args, &scene, &entry)?;
+    let (reference, walls) = measure(args, &registry, &scene, &entry)?;
     let row = |entry: Entry, run: &Record, walls: Vec<f64>| {
         let cost = Cost { wall_s: super::median(&walls), ..run.cost.clone() };
         let errors = Errors::of(run, &reference);
@@ -193,7 +194,7 @@ pub(crate) fn run(args: &Accuracy) -> Result<()> {
     };
     show(format!("  {}\n", write::line(&report.reference)));
     for entry in entries {
-        let next = match measure(args, &scene, &entry) {
+        let next = match measure(args, &registry, &scene, &entry) {
             Ok((run, walls)) => row(entry, &run, walls),
             // What cannot be run is a line of the table; the others are worth having all the same.
             Err(error) => Row { entry, skipped: Some(error.to_string()), figures: None },
@@ -285,8 +286,7 @@ fn entries(args: &Accuracy, length: f64) -> Vec<Entry> {
 }
 
 /// Runs an entry for a moment, then as often as asked: the last record, and the wall seconds of all.
-fn measure(args: &Accuracy, scene: &Scene, entry: &Entry) -> Result<(Record, Vec<f64>)> {
-    let registry = args.engine.registry()?;
+fn measure(args: &Accuracy, registry: &Registry, scene: &Scene, entry: &Entry) -> Result<(Record, Vec<f64>)> {
     let (precision, backend) = (entry.precision, entry.backend.clone());
     let options = barchan::Options { precision, backend, ..args.engine.options() };
     let levels = Levels {
@@ -304,7 +304,7 @@ fn measure(args: &Accuracy, scene: &Scene, entry: &Entry) -> Result<(Record, Vec
     }
     let one = |scene: &Scene, quiet: bool| -> Result<Record> {
         let mut shown = Shown::new(quiet);
-        let run = record(&registry, scene, &options, &mut |progress| shown.update(progress));
+        let run = record(registry, scene, &options, &mut |progress| shown.update(progress));
         shown.finish();
         run
     };

@@ -112,8 +112,8 @@ motion = {{ velocity = {{ linear = [0.3, 0.0, 0.0] }} }}
     Scene::from_str(&text, "the bed of bench scale", "")
 }
 
-pub(crate) fn run(args: &Scale) -> Result<()> {
-    let registry = args.engine.registry()?;
+pub(crate) fn run(args: &Scale, registry: Registry) -> Result<()> {
+    let registry = args.engine.load_into(registry)?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out/scale"));
     let mut rows = Vec::new();
     let whole = std::iter::once(1).chain(args.levels.iter().copied()).map(|levels| (levels, 0, &args.extents));

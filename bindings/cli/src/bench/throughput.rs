@@ -57,8 +57,9 @@ impl Ground {
     }
 }
 
-pub(super) fn run(args: &Throughput) -> Result<()> {
-    if args.all { all(args) } else { one(args) }
+pub(super) fn run(args: &Throughput, registry: Registry) -> Result<()> {
+    let registry = args.engine.load_into(registry)?;
+    if args.all { all(args, &registry) } else { one(args, &registry) }
 }
 
 /// The bed of a law, as the command line wants it.
@@ -108,12 +109,11 @@ fn rates(timed: &Timed) -> (f64, f64) {
     (timed.particles() / timed.step(), timed.particles() * f64::from(timed.steps) / least)
 }
 
-fn one(args: &Throughput) -> Result<()> {
-    let registry = args.engine.registry()?;
+fn one(args: &Throughput, registry: &Registry) -> Result<()> {
     let ground = args.ground.unwrap_or(Ground::Struck);
-    let scene = scene(args, &registry, &args.material, ground)?;
+    let scene = scene(args, registry, &args.material, ground)?;
     let start = std::time::Instant::now();
-    let timed = timed(args, &registry, &scene, &args.engine)?;
+    let timed = timed(args, registry, &scene, &args.engine)?;
     let start_up = start.elapsed().as_secs_f64() - timed.seconds.iter().sum::<f64>();
     let (rate, best) = rates(&timed);
     let timings = timed.subject.timings();
@@ -166,17 +166,16 @@ enum Outcome {
 }
 
 /// The table of laws and backends, one measurement after the other.
-fn all(args: &Throughput) -> Result<()> {
-    let registry = args.engine.registry()?;
-    let engines = engines(args, &registry)?;
+fn all(args: &Throughput, registry: &Registry) -> Result<()> {
+    let engines = engines(args, registry)?;
     let grounds = args.ground.map_or_else(|| vec![Ground::Resting, Ground::Moving], |ground| vec![ground]);
     let (mut entries, mut isa, mut first_refusal) = (Vec::new(), "", None);
     for law in registry.materials().map(|law| law.name.clone()) {
         for engine in &engines {
             for &ground in &grounds {
-                let scene = scene(args, &registry, &law, ground)?;
+                let scene = scene(args, registry, &law, ground)?;
                 // What one backend lacks, others may have: that is what the table is to show.
-                let outcome = match timed(args, &registry, &scene, engine) {
+                let outcome = match timed(args, registry, &scene, engine) {
                     Ok(timed) => {
                         let (particle_steps_per_s, best) = rates(&timed);
                         isa = timed.simulation().plan().isa.name();
