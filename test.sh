@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # Runs every check and every test of Barchan, and installs by itself what they need.
 #
-# Needs: Rust (rustup.rs) and a C compiler. Takes 33 minutes on two cores of a Zen 4 the first time (15 of them tests), up to an hour on two slow ones, and
+# Needs: Rust (rustup.rs) and a compiler for C and C++. Takes 33 minutes on two cores of a Zen 4 the first time (15 of them tests), up to an hour on two slow ones, and
 # ends with its slowest tests and its minutes.
 # Installs, if missing:
 #   rustfmt, clippy   into the Rust toolchain, by rustup                        about 15 MB
 #   mesa-vulkan-drivers  by apt-get, as root, on Linux without a Vulkan driver      about 150 MB
-#   gcc, libc6-dev    by apt-get, as root, unless there is a C compiler already  about 150 MB
+#   g++, libc6-dev    by apt-get, as root, unless there are cc and c++ already     about 200 MB
 #   cbindgen          into target/tools, built by cargo install, once            about 10 MB, two minutes
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
@@ -29,14 +29,14 @@ Install your distribution's package of $component, then run this script again."
         rustup component add "$component"
     fi
 done
-if ! command -v cc >/dev/null; then
-    install="apt-get install -y --no-install-recommends gcc libc6-dev"
-    command -v apt-get >/dev/null || stop "A C compiler is missing: the plugin tests build a material written in C.
-Install one so that 'cc' runs it, then run this script again."
-    [ "$(id -u)" -eq 0 ] || stop "A C compiler is missing: the plugin tests build a material written in C.
-Run this line (about 150 MB), then this script again:
+if ! command -v cc >/dev/null || ! command -v c++ >/dev/null; then
+    install="apt-get install -y --no-install-recommends g++ libc6-dev"
+    command -v apt-get >/dev/null || stop "A compiler for C and C++ is missing: the plugin tests build materials written in both.
+Install one so that 'cc' and 'c++' run it, then run this script again."
+    [ "$(id -u)" -eq 0 ] || stop "A compiler for C and C++ is missing: the plugin tests build materials written in both.
+Run this line (about 200 MB), then this script again:
     sudo apt-get update && sudo $install"
-    echo "Installing gcc and libc6-dev (about 150 MB)."
+    echo "Installing g++ and libc6-dev (about 200 MB)."
     apt-get update && $install
 fi
 # The GPU backend is tested on whatever adapter there is; software ones do.

@@ -1,25 +1,32 @@
-//! The conformance suite on the C template, compiled here and loaded as a plugin is, and on what it was at version 1.0 of the ABI, with the
-//! header of then: old plugins must keep working.
+//! The conformance suite on the templates in C and C++, compiled here and loaded as a plugin is, and on what the C one was at version 1.0 of
+//! the ABI, with the header of then: old plugins must keep working.
 #![expect(unsafe_code, reason = "loading a library runs its code")]
 
-use barchan_material_kit::abi::{BarchanMaterial, BarchanPlugin};
+use barchan_material_kit::abi::{BarchanMaterial, BarchanPlugin, BarchanStr};
 use barchan_material_kit::{Subject, conformance};
 use std::path::Path;
 use std::process::Command;
 
-fn conforms(source: &str, include: &str) {
+/// Compiler: the variable that names another one, its usual name, what it is told.
+type Compiler = (&'static str, &'static str, &'static [&'static str]);
+const C: Compiler = ("CC", "cc", &["-std=c11"]);
+const CXX: Compiler = ("CXX", "c++", &["-std=c++17", "-Wpedantic"]);
+
+/// Holds the one law of a source to the suite, and returns its WGSL, the update's and the stiffness'.
+fn conforms((variable, usual, told): Compiler, source: &str, include: &str, name: &str) -> [String; 2] {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let folder = tempfile::tempdir().expect("a temporary folder");
     let library = folder.path().join("libneo_hookean.so");
-    let output = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()))
-        .args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
+    let output = Command::new(std::env::var_os(variable).unwrap_or_else(|| usual.into()))
+        .args(told)
+        .args(["-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
         .arg(root.join(include))
-        .arg(root.join(source).join("neo_hookean.c"))
+        .arg(root.join(source))
         .arg("-o")
         .arg(&library)
         .arg("-lm")
         .output()
-        .expect("a C compiler: install cc or set CC");
+        .unwrap_or_else(|error| panic!("{error}: install {usual} or set {variable}"));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 
     // SAFETY: the library is ours; its entry has this type, and its table obeys the ABI (that is what the suite checks).
@@ -45,19 +52,38 @@ fn conforms(source: &str, include: &str) {
     };
     // SAFETY: as above.
     let subject = unsafe { Subject::new(&table) }.expect("a table of this version");
-    assert_eq!(subject.name(), "c_neo_hookean");
+    assert_eq!(subject.name(), name);
     match conformance::run_all(&subject, &subject.default_params()) {
         Ok(measured) => measured.iter().for_each(|m| println!("{m}")),
         Err(violation) => panic!("{violation}"),
     }
+    [table.wgsl, table.wgsl_stiffness].map(text)
 }
 
+/// A text of a loaded table.
+fn text(text: BarchanStr) -> String {
+    if text.len == 0 {
+        return String::new();
+    }
+    // SAFETY: a text of a table lives as long as its library, which is never unloaded.
+    let bytes = unsafe { std::slice::from_raw_parts(text.ptr, text.len) };
+    String::from_utf8(bytes.to_vec()).expect("a text is UTF-8")
+}
+
+/// Both hold one law. That its WGSL does what its C does is tested on GPUs (`tests/tests/shaders.rs`); that in C++ is the same.
 #[test]
-fn the_c_template_conforms() {
-    conforms("materials/template/c", "sim-core/abi/include");
+fn the_templates_in_c_and_cpp_conform() {
+    let include = "sim-core/abi/include";
+    let c = conforms(C, "materials/template/c/neo_hookean.c", include, "c_neo_hookean");
+    let cpp = conforms(CXX, "materials/template/cpp/neo_hookean.cpp", include, "cpp_neo_hookean");
+    for (c, cpp) in c.iter().zip(&cpp) {
+        assert!(!c.is_empty(), "the template has a form for GPUs");
+        assert_eq!(cpp.replace("cpp_neo_hookean", "c_neo_hookean").trim(), c.trim());
+    }
 }
 
 #[test]
 fn the_c_template_of_version_1_0_still_conforms() {
-    conforms("tests/golden/abi_v1_0", "tests/golden/abi_v1_0");
+    let [_, stiffness] = conforms(C, "tests/golden/abi_v1_0/neo_hookean.c", "tests/golden/abi_v1_0", "c_neo_hookean");
+    assert_eq!(stiffness, "", "version 1.0 had none");
 }

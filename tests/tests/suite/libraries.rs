@@ -1,4 +1,4 @@
-//! Material plugins built as their authors would build them: C by one call of cc, Rust by cargo.
+//! Material plugins built as their authors would build them: C and C++ by one call of a compiler, Rust by cargo.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -16,18 +16,20 @@ fn folder() -> &'static Path {
     folder
 }
 
-/// Builds a C source against the header in `include`, a folder of the repository.
+/// Builds a source in C, or in C++ if it ends so, against the header in `include`, a folder of the repository.
 pub(crate) fn build_c(source: &Path, include: &str, name: &str) -> PathBuf {
     let library = folder().join(format!("lib{name}.so"));
-    let output = Command::new(std::env::var_os("CC").unwrap_or_else(|| "cc".into()))
-        .args(["-std=c11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
+    let cpp = source.extension().is_some_and(|extension| extension == "cpp");
+    let (variable, usual, standard) = if cpp { ("CXX", "c++", "-std=c++17") } else { ("CC", "cc", "-std=c11") };
+    let output = Command::new(std::env::var_os(variable).unwrap_or_else(|| usual.into()))
+        .args([standard, "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-I"])
         .arg(root().join(include))
         .arg(source)
         .arg("-o")
         .arg(&library)
         .arg("-lm")
         .output()
-        .expect("a C compiler: install cc or set CC");
+        .unwrap_or_else(|error| panic!("{error}: install {usual} or set {variable}"));
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     library
 }

@@ -37,12 +37,14 @@ fn after_200(registry: &Registry, law: &str, precision: Precision) -> Vec<[f64; 
 }
 
 /// The engine cannot tell a loaded law from a built-in one. The templates hold the built-in neo-Hookean law; in Rust it is the
-/// same code, in C another logarithm and another order of sums, so that only rounding may differ: 1e-5 cells in f32, 1e-12 in
+/// same code, in C and C++ another logarithm and another order of sums, so that only rounding may differ: 1e-5 cells in f32, 1e-12 in
 /// f64, after a landing at 1.5 m/s. A plane swapped or a stride mistaken anywhere on the way would differ in the first digit.
 #[test]
 fn a_loaded_law_runs_like_the_built_in_one() {
     let mut registry = barchan::registry();
     assert_eq!(registry.load(&c_template(false)).unwrap(), ["c_neo_hookean"]);
+    let cpp = build_c(&root().join("materials/template/cpp/neo_hookean.cpp"), "sim-core/abi/include", "cpp_template");
+    assert_eq!(registry.load(&cpp).unwrap(), ["cpp_neo_hookean"]);
     assert_eq!(registry.load(&rust_library("barchan-material-template")).unwrap(), ["template_neo_hookean"]);
     assert!(registry.warnings().is_empty(), "{:?}", registry.warnings());
     // What was built against the header of version 1.0 must load for as long as the major version is 1.
@@ -56,6 +58,7 @@ fn a_loaded_law_runs_like_the_built_in_one() {
         for (name, registry, law) in [
             ("C", &registry, "c_neo_hookean"),
             ("C against the header of 1.0", &old, "c_neo_hookean"),
+            ("C++", &registry, "cpp_neo_hookean"),
             ("Rust", &registry, "template_neo_hookean"),
         ] {
             let loaded = after_200(registry, law, precision);
