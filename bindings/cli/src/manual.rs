@@ -32,7 +32,8 @@ pub(crate) fn completions(args: &CompletionArgs) {
 /// # Errors
 /// If the folder cannot be written to.
 pub(crate) fn man(args: &ManArgs) -> Result<()> {
-    let command = Cli::command().display_name(program());
+    let program = program();
+    let command = Cli::command().disable_help_subcommand(true).display_name(program.clone()).bin_name(program);
     let Some(out) = &args.out else {
         let mut page = Vec::new();
         Man::new(command).render(&mut page).expect("memory takes what is written");

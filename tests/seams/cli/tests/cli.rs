@@ -78,6 +78,18 @@ fn the_backend_runs_a_scene_and_is_measured() {
     assert_eq!(figures["effects"][0]["effect"], "flight");
 }
 
+/// Shells and `man` hear of it by its own name.
+#[test]
+fn completions_and_the_manual_are_of_this_program() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = succeed(folder.path(), &["man"]);
+    for text in [".TH barchan-seam-cli 1", "\\fBbarchan\\-seam\\-cli\\fR [", "barchan\\-seam\\-cli\\-run(1)"] {
+        assert!(page.contains(text), "no '{text}' in {page}");
+    }
+    let script = succeed(folder.path(), &["completions", "fish"]);
+    assert!(script.contains("complete -c barchan-seam-cli "), "{script}");
+}
+
 /// Libraries come on top of the registry.
 #[test]
 fn a_library_is_loaded_beside_them() {
