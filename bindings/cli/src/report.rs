@@ -8,9 +8,9 @@ use serde_json::Value;
 
 /// What `barchan bench accuracy` wrote for built-in scenes.
 const LADDERS: [(&str, &str); 3] = [
-    ("cube-drop", include_str!("../../../docs/reports/accuracy-cube-drop.json")),
-    ("dig", include_str!("../../../docs/reports/accuracy-dig.json")),
-    ("letters", include_str!("../../../docs/reports/accuracy-letters.json")),
+    ("cube-drop", include_str!("../ladders/cube-drop.json")),
+    ("dig", include_str!("../ladders/dig.json")),
+    ("letters", include_str!("../ladders/letters.json")),
 ];
 /// A rung stands for cells up to this many times wider or narrower than its own.
 const SAME_CELL: f64 = 1.5;
