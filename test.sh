@@ -68,7 +68,7 @@ cargo clippy --workspace --all-targets --quiet -- -D warnings
 
 step "The crate barchan with fewer features"
 for features in "" pictures wgpu; do
-    cargo clippy -p barchan --lib --no-default-features --features "$features" --quiet -- -D warnings
+    cargo clippy -p barchan --all-targets --no-default-features --features "$features" --quiet -- -D warnings
 done
 
 step "Documentation"
