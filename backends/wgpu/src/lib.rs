@@ -13,7 +13,7 @@ mod readback;
 mod schedule;
 mod worlds;
 
-pub use passes::material;
+pub use passes::{Shader, material, shaders};
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
 use barchan_core::{Backend, Engine, Error, Form, ParticleState, Plan, Precision, Registry, Result, Stage};

@@ -12,6 +12,7 @@ mod instruction_sets;
 mod levels;
 mod libraries;
 mod output;
+mod passes;
 mod plugins;
 mod properties;
 mod random;

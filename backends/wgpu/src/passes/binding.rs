@@ -209,10 +209,20 @@ impl Parts {
         // A sort reads all planes, and writes all.
         let most = LEAST_BINDINGS + 2 * (RECORD_PLANES - 1) + 2 * (vectors - 1);
         if limits.max_storage_buffers_per_shader_stage as usize >= most {
-            Self { record: RECORD_PLANES, rest: vectors }
+            Self::apart(vectors)
         } else {
-            Self { record: 1, rest: 1 }
+            Self::together()
         }
+    }
+
+    /// Each plane in a binding of its own.
+    pub(crate) fn apart(vectors: usize) -> Self {
+        Self { record: RECORD_PLANES, rest: vectors }
+    }
+
+    /// All planes in one.
+    pub(crate) fn together() -> Self {
+        Self { record: 1, rest: 1 }
     }
 
     /// Of what plays this role.
@@ -313,20 +323,20 @@ pub(crate) fn build(
     build_for(gpu, step_layout, setting, worlds, draft)
 }
 
-/// A pass that may bind more than adapters promise.
-pub(crate) fn build_for(
-    gpu: &Gpu,
-    step_layout: &wgpu::BindGroupLayout,
-    setting: &Setting,
-    worlds: usize,
-    draft: Draft,
-) -> Kernel {
-    let device = &gpu.device;
-    let stored = draft.is_table_stored(worlds);
+/// A pass as a device is to compile it.
+pub(crate) struct Composed {
+    pub(crate) text: String,
+    entries: Vec<wgpu::BindGroupLayoutEntry>,
+    /// What each binding is, and which part of it.
+    roles: Vec<(Role, usize)>,
+}
+
+/// Puts what a scene fixes, what passes share and the bindings before a pass's own text.
+pub(crate) fn compose(setting: &Setting, worlds: usize, draft: &Draft) -> Composed {
     let mut entries = vec![entry(0, wgpu::BufferBindingType::Uniform, false)];
     let mut text = format!("{}{}", setting.constants, include_str!("../wgsl/common.wgsl"));
     if draft.uniform != Uniform::None {
-        let ty = if stored {
+        let ty = if draft.is_table_stored(worlds) {
             wgpu::BufferBindingType::Storage { read_only: true }
         } else {
             wgpu::BufferBindingType::Uniform
@@ -347,6 +357,19 @@ pub(crate) fn build_for(
         text += &setting.parts.accessors(one);
     }
     text.push_str(&draft.body);
+    Composed { text, entries, roles }
+}
+
+/// A pass that may bind more than adapters promise.
+pub(crate) fn build_for(
+    gpu: &Gpu,
+    step_layout: &wgpu::BindGroupLayout,
+    setting: &Setting,
+    worlds: usize,
+    draft: Draft,
+) -> Kernel {
+    let device = &gpu.device;
+    let Composed { text, entries, roles } = compose(setting, worlds, &draft);
     let mut checks = wgpu::ShaderRuntimeChecks::checked();
     // Passes that read a table hold what plugins may have written.
     checks.force_loop_bounding = match draft.uniform {

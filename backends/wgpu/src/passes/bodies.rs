@@ -18,9 +18,19 @@ pub(crate) fn contact(
     gpu: &Gpu,
     kernels: &Kernels,
     law: &DeviceLaw,
+    counts: [usize; 3],
+    shape: [usize; 2],
+) -> [Kernel; 3] {
+    let drafts = contact_drafts(kernels.set.solve.is_some(), law, counts, shape);
+    drafts.map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, shape[0], draft))
+}
+
+pub(crate) fn contact_drafts(
+    subcycled: bool,
+    law: &DeviceLaw,
     [bodies, vectors, materials]: [usize; 3],
     [worlds, levels]: [usize; 2],
-) -> [Kernel; 3] {
+) -> [Draft; 3] {
     let count = format!("const BODIES: u32 = {bodies}u;\n");
     let body = include_str!("../wgsl/body.wgsl");
     let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
@@ -30,7 +40,7 @@ pub(crate) fn contact(
     let of_bodies = [&count, body, include_str!("../wgsl/press_driven.wgsl")].concat();
     let press =
         press_draft("press", law, &of_bodies, [vectors, materials], [worlds, levels], [bodies_now, written(partials)]);
-    let (text, own) = of_own_mass(kernels.set.solve.is_some(), include_str!("../wgsl/contact.wgsl"));
+    let (text, own) = of_own_mass(subcycled, include_str!("../wgsl/contact.wgsl"));
     let mirrors = include_str!("../wgsl/mirrors.wgsl");
     let law = Draft {
         name: "contact",
@@ -50,7 +60,7 @@ pub(crate) fn contact(
         groups: Groups::Exactly((bodies * worlds * levels) as u32),
         checked: true,
     };
-    [press, law, sums].map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft))
+    [press, law, sums]
 }
 
 /// How particles press on bodies; `of_bodies` says where these are, and where the forces go.
@@ -115,10 +125,7 @@ pub(crate) fn free(
     let (subcycled, sleeps) = (kernels.set.solve.is_some(), kernels.set.watch.is_some());
     let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
     let (layout, setting) = (&kernels.step_layout, &kernels.setting);
-    let of_bodies =
-        [&free_counts(free, law), include_str!("../wgsl/lent.wgsl"), include_str!("../wgsl/press_free.wgsl")].concat();
-    let press = press_draft("press on free bodies", law, &of_bodies, [vectors, materials], shape, [LENT_BODIES]);
-    let press = build(gpu, layout, setting, shape[0], press);
+    let press = build(gpu, layout, setting, shape[0], press_free_draft(law, [vectors, materials], shape, free));
     // Walls that let go come between bodies and rims.
     let is_apart =
         roams || shape[1] == 1 || !kernels.set.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
@@ -130,6 +137,12 @@ pub(crate) fn free(
         return ([press, build(gpu, layout, setting, shape[0], draft(false))], false);
     }
     ([press, build_for(gpu, layout, setting, shape[0], with_rims)], true)
+}
+
+pub(crate) fn press_free_draft(law: &DeviceLaw, counts: [usize; 2], shape: [usize; 2], free: Free) -> Draft {
+    let of_bodies =
+        [&free_counts(free, law), include_str!("../wgsl/lent.wgsl"), include_str!("../wgsl/press_free.wgsl")].concat();
+    press_draft("press on free bodies", law, &of_bodies, counts, shape, [LENT_BODIES])
 }
 
 pub(crate) fn free_counts(free: Free, law: &DeviceLaw) -> String {
@@ -189,12 +202,18 @@ pub(crate) struct NearKernels {
 }
 
 pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> NearKernels {
+    let drafts = near_drafts(kernels.set.solve.is_some());
+    let [nodes, particles, scatter] =
+        drafts.map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft));
+    NearKernels { gather: [nodes, particles], scatter }
+}
+
+pub(crate) fn near_drafts(subcycled: bool) -> [Draft; 3] {
     let near: Use = ("near", "vec4<u32>", Role::Near, false);
     let around: Use = ("around", "vec4<i32>", Role::Around, false);
     let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
     let mirrors = include_str!("../wgsl/mirrors.wgsl");
-    let (gather, own) =
-        of_own_mass(kernels.set.solve.is_some(), &(mirrors.to_owned() + include_str!("../wgsl/gather.wgsl")));
+    let (gather, own) = of_own_mass(subcycled, &(mirrors.to_owned() + include_str!("../wgsl/gather.wgsl")));
     let rounds = include_str!("../wgsl/rounds.wgsl");
     let draft = |name, body: &str, uses, groups| Draft {
         name,
@@ -205,8 +224,7 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> NearKernels {
         groups,
         checked: true,
     };
-    let build = |draft| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft);
-    let gather = [
+    let [nodes, particles] = [
         draft(
             "gather",
             &gather,
@@ -222,7 +240,7 @@ pub(crate) fn near(gpu: &Gpu, kernels: &Kernels, worlds: usize) -> NearKernels {
     ];
     let scatter =
         draft("scatter_near", include_str!("../wgsl/scatter_near.wgsl"), vec![GRID, near, STATUS], Groups::Near);
-    NearKernels { gather: gather.map(build), scatter: build(scatter) }
+    [nodes, particles, scatter]
 }
 
 /// The text of a pass in which bodies meet nodes, with what these weigh for them, and what it binds besides. Subcycled, a node may be two

@@ -15,7 +15,7 @@ pub(crate) mod sort;
 
 use crate::device::Gpu;
 use crate::passes::adapt::adapt;
-use crate::passes::binding::{Draft, Found, Groups, Kernel, Parts, Setting, build, entry};
+use crate::passes::binding::{Draft, Found, Groups, Kernel, Parts, Setting, build, compose, entry};
 use crate::passes::bodies::{Free, free_draft};
 use crate::passes::g2p::{g2p, soft, stress};
 use crate::passes::grid::{Finish, collect, hold, reflect, separate, sum_tiles, velocities};
@@ -32,7 +32,7 @@ use crate::schedule::{ContactPasses, passes};
 use crate::worlds::stiffness::is_asked_on_host;
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::scene::Wall;
-use barchan_core::{Plan, Result, Stage};
+use barchan_core::{Coupling, Plan, Result, Stage};
 use barchan_grid::limits::STIFFNESS_AGE;
 
 /// All passes that a scene calls for: what they are made from, or as a device has compiled them.
@@ -104,6 +104,14 @@ impl<K> Set<K> {
                 stress: make(adapt.stress),
             }),
         }
+    }
+
+    /// Every one of them.
+    fn all(&self) -> impl Iterator<Item = &K> {
+        let step = self.sort.iter().chain(&self.watch).chain([&self.p2g]).chain(&self.restrict).chain(&self.grid);
+        let rims = self.solve.iter().chain(&self.mirror).chain(&self.prolong).chain(&self.reflect);
+        let adapt = self.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
+        step.chain(rims).chain([&self.g2p, &self.stress]).chain(&self.collect).chain(self.soft()).chain(adapt)
     }
 
     /// Where soft bodies are after a step.
@@ -187,6 +195,53 @@ pub(crate) fn drafts(plan: &Plan, worlds: usize, particles: usize) -> Result<Set
         soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
         adapt: levels.then(|| adapt(plan, &laws, worlds)),
     })
+}
+
+/// A pass as WGSL.
+#[derive(Clone, Debug)]
+pub struct Shader {
+    /// Name of the pass.
+    pub name: &'static str,
+    /// Its entry point.
+    pub entry: &'static str,
+    /// All of its text.
+    pub wgsl: String,
+}
+
+/// The WGSL of all passes that so many worlds of a plan can ask for, which begin with so many particles in all. `apart`: for an adapter where each plane of
+/// particles has a binding of its own. No adapter is needed.
+///
+/// # Errors
+/// A law that cannot be put into a pass.
+pub fn shaders(
+    plan: &Plan,
+    couplings: &[Box<dyn Coupling>],
+    worlds: usize,
+    particles: usize,
+    apart: bool,
+) -> Result<Vec<Shader>> {
+    let set = drafts(plan, worlds, particles)?;
+    let vectors = rest_vectors(&plan.materials);
+    let parts = if apart { Parts::apart(vectors) } else { Parts::together() };
+    let setting = Setting { constants: constants(plan) + &layer_constants(plan, worlds), parts };
+    let (subcycled, shape) = (plan.substeps > 1, [worlds, plan.cell_widths.len()]);
+    let mut contact: Vec<Draft> = bodies::near_drafts(subcycled).into();
+    if let Some(law) = couplings.iter().find_map(|coupling| coupling.device_law()) {
+        let count = couplings.iter().map(|coupling| coupling.bodies().len()).sum();
+        let materials = plan.materials.len();
+        let vectors = law.table.len() + materials;
+        contact.extend(bodies::contact_drafts(subcycled, &law, [count, vectors, materials], shape));
+        if !law.free.is_empty() {
+            let free = Free { bodies: law.free.len(), across: 4 };
+            contact.push(bodies::press_free_draft(&law, [vectors, materials], shape, free));
+            let kinds = [false, true].into_iter().filter(|rims| !rims || shape[1] > 1);
+            let motion = |rims| free_draft([subcycled, may_sleep(plan), rims], &law, vectors, shape, free);
+            contact.extend(kinds.map(motion));
+        }
+    }
+    let shader =
+        |draft: &Draft| Shader { name: draft.name, entry: draft.entry, wgsl: compose(&setting, worlds, draft).text };
+    Ok(set.all().chain(&contact).map(shader).collect())
 }
 
 /// The passes of a plan, a line each.
