@@ -98,19 +98,6 @@ pub struct Needs {
     pub bodies: bool,
 }
 
-impl Needs {
-    /// What both need, who differ in nothing but whether they have particles, couplings and an archive.
-    #[must_use]
-    pub fn or(self, other: Self) -> Self {
-        Self {
-            ground: self.ground || other.ground,
-            unbounded: self.unbounded || other.unbounded,
-            bodies: self.bodies || other.bodies,
-            ..self
-        }
-    }
-}
-
 /// The stages of a step, in order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Schedule {
@@ -212,6 +199,8 @@ pub fn ending(levels: usize, slot: usize) -> Range<usize> {
     beginning(levels, slot + 1)
 }
 
+/// What the numbers mean where there are several slots.
+const LEGEND: &str = "behind each stage its levels, 0 the finest; a slot is a step of level 0";
 /// Slots that are printed one by one.
 const SHOWN_SLOTS: usize = 8;
 
@@ -239,9 +228,10 @@ impl fmt::Display for Schedule {
                 writeln!(f)?;
             }
         }
-        if self.slots > SHOWN_SLOTS {
-            write!(f, "\n… {} slots in all, each a step of level 0", self.slots)?;
+        match self.slots {
+            1 => Ok(()),
+            slots if slots > SHOWN_SLOTS => write!(f, "\n… {slots} slots in all; {LEGEND}"),
+            _ => write!(f, "\n{LEGEND}"),
         }
-        Ok(())
     }
 }

@@ -51,7 +51,7 @@ impl Backend for Wgpu {
     }
 
     fn has_form(&self, stage: Stage, form: Form) -> bool {
-        form == Form::Forward && schedule::form(stage).is_some()
+        form == Form::Forward && schedule::has_form(stage)
     }
 
     fn adapters(&self) -> Option<Vec<Adapter>> {

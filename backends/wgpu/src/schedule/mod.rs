@@ -17,29 +17,13 @@ use barchan_core::schedule::{Call, Needs, Stage, beginning, ending};
 use barchan_core::{Plan, Schedule, Vec3};
 use std::ops::Range;
 
-/// How a stage is carried out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Form {
-    /// By passes of its own.
-    Passes,
-    /// Within the passes of another stage.
-    Within(Stage),
-    /// Between steps, where it is due.
-    Upkeep,
-}
-
-/// The form of a stage, if this backend has one.
-pub(crate) fn form(stage: Stage) -> Option<Form> {
-    Some(match stage {
-        Stage::ARCHIVE | Stage::ADAPT | Stage::SORT => Form::Upkeep,
-        Stage::SLEEP | Stage::P2G | Stage::GRID_UPDATE | Stage::CONTACT | Stage::PROLONG | Stage::G2P => Form::Passes,
-        // Together, it is a pass of its own; subcycled, the grid update keeps shared nodes back.
-        Stage::RESTRICT => Form::Passes,
-        Stage::LIMIT => Form::Within(Stage::GRID_UPDATE),
-        // Driven bodies move on the host.
-        Stage::BODIES => Form::Within(Stage::CONTACT),
-        _ => return None,
-    })
+/// Has this backend a form of the stage? Of most it is [`passes`]; archive, adapt and sort are carried out between steps, where they are due; the limit is
+/// held within the grid update, and free bodies move within the contact, while the host moves driven ones.
+pub(crate) fn has_form(stage: Stage) -> bool {
+    let between = [Stage::ARCHIVE, Stage::ADAPT, Stage::SORT];
+    let to_grid = [Stage::SLEEP, Stage::P2G, Stage::RESTRICT, Stage::GRID_UPDATE, Stage::LIMIT];
+    let from_grid = [Stage::CONTACT, Stage::BODIES, Stage::PROLONG, Stage::G2P];
+    between.iter().chain(&to_grid).chain(&from_grid).any(|known| *known == stage)
 }
 
 /// The schedule that the worlds of a batch share. Some may have particles or bodies only later.
