@@ -124,7 +124,7 @@ fn a_refused_swap_leaves_the_run_as_it_was() {
     steps(&mut asked, 20);
     let error = asked.swap(&registry(), &dust).unwrap_err().to_string();
     println!("{error}");
-    assert!(error.contains("backend 'dust' (barchan-seam-backend) has no form of the stage 'contact'"), "{error}");
+    assert!(error.contains("backend 'dust' (registered) has no forward form of the stage 'contact'"), "{error}");
     let abacus = Options { backend: "abacus".to_owned(), ..cpu.clone() };
     let error = asked.swap(&registry(), &abacus).unwrap_err().to_string();
     assert!(error.contains("no backend is called 'abacus'"), "{error}");
