@@ -11,6 +11,22 @@ pub struct Wrench {
     pub torque: Vec3,
 }
 
+impl Wrench {
+    /// So many times as much.
+    #[must_use]
+    pub fn scaled(&self, by: f64) -> Self {
+        Self { force: self.force.map(|x| by * x), torque: self.torque.map(|x| by * x) }
+    }
+
+    /// Adds what came between `before` and `now`, so many times.
+    pub fn add_change(&mut self, before: &Self, now: &Self, times: f64) {
+        for d in 0..3 {
+            self.force[d] += times * (now.force[d] - before.force[d]);
+            self.torque[d] += times * (now.torque[d] - before.torque[d]);
+        }
+    }
+}
+
 /// What a body is doing, world frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BodyState {

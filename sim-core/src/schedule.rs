@@ -105,7 +105,7 @@ pub struct Schedule {
     pub needs: Needs,
     /// Stages between steps, where they are due.
     pub upkeep: Vec<Stage>,
-    /// Stages of every step.
+    /// Stages of every step, slot by slot.
     pub step: Vec<Call>,
     /// Steps of the finest level in a step: 1 unless levels are subcycled.
     pub slots: usize,
@@ -176,6 +176,12 @@ impl Schedule {
         self.upkeep.contains(&stage) || self.step.iter().any(|call| call.stage == stage)
     }
 
+    /// The calls of a slot.
+    pub fn of_slot(&self, slot: usize) -> &[Call] {
+        let before = |slot: usize| self.step.partition_point(|call| call.slot < slot);
+        &self.step[before(slot)..before(slot + 1)]
+    }
+
     /// The length of a level's step in a step of `dt` [s].
     pub fn dt_of(&self, level: usize, dt: f64) -> f64 {
         let steps = (self.slots >> level).max(1);
@@ -221,9 +227,9 @@ impl fmt::Display for Schedule {
                 one if one.len() == 1 => format!("{} {}", call.stage, one.start),
                 some => format!("{} {}-{}", call.stage, some.start, some.end - 1),
             };
-            let calls: Vec<_> = self.step.iter().filter(|call| call.slot == slot).map(with_levels).collect();
-            let of_slot = if self.slots == 1 { "each step".to_owned() } else { format!("slot {slot}") };
-            write!(f, "{of_slot}: {}", names(&calls))?;
+            let calls: Vec<_> = self.of_slot(slot).iter().map(with_levels).collect();
+            let when = if self.slots == 1 { "each step".to_owned() } else { format!("slot {slot}") };
+            write!(f, "{when}: {}", names(&calls))?;
             if slot + 1 < self.slots.min(SHOWN_SLOTS) {
                 writeln!(f)?;
             }

@@ -56,11 +56,11 @@ fn subcycled_levels_take_twice_as_many_steps_as_the_next_coarser_one() {
 #[test]
 fn subcycled_bodies_meet_coarser_levels_where_they_have_come() {
     let schedule = levels(3, true);
-    let last: Vec<Call> = schedule.step.iter().filter(|call| call.slot == 3).cloned().collect();
-    assert!(position(&last, Stage::PROLONG, 0) < position(&last, Stage::CONTACT, 0));
-    assert!(position(&last, Stage::CONTACT, 0) < position(&last, Stage::BODIES, 0));
-    assert!(position(&last, Stage::BODIES, 0) < position(&last, Stage::CONTACT, 2));
-    assert!(position(&last, Stage::CONTACT, 2) < position(&last, Stage::G2P, 2));
+    let last = schedule.of_slot(3);
+    assert!(position(last, Stage::PROLONG, 0) < position(last, Stage::CONTACT, 0));
+    assert!(position(last, Stage::CONTACT, 0) < position(last, Stage::BODIES, 0));
+    assert!(position(last, Stage::BODIES, 0) < position(last, Stage::CONTACT, 2));
+    assert!(position(last, Stage::CONTACT, 2) < position(last, Stage::G2P, 2));
     assert_eq!(
         schedule.to_string().lines().nth(2),
         Some(

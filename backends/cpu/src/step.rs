@@ -74,19 +74,19 @@ pub(crate) struct UnderWay<'a> {
     is_fast: bool,
     /// The couplings before bodies acted, if that might make nodes too fast.
     saved: Vec<Vec<u8>>,
-    /// What bodies felt, as a sum over the slots of mean forces and torques.
+    /// What bodies felt, as a sum over the slots of mean forces and torques; empty if there is one slot only.
     wrenches: Vec<Wrench>,
 }
 
 impl UnderWay<'_> {
+    fn wrenches_now(&self) -> Vec<Wrench> {
+        self.couplings.iter().flat_map(|coupling| coupling.wrenches()).copied().collect()
+    }
+
     fn add_wrenches(&mut self, before: &[Wrench], times: f64) {
         let now = self.couplings.iter().flat_map(|coupling| coupling.wrenches());
         for (i, (sum, now)) in self.wrenches.iter_mut().zip(now).enumerate() {
-            let before = before.get(i).copied().unwrap_or_default();
-            for d in 0..3 {
-                sum.force[d] += times * (now.force[d] - before.force[d]);
-                sum.torque[d] += times * (now.torque[d] - before.torque[d]);
-            }
+            sum.add_change(&before.get(i).copied().unwrap_or_default(), now, times);
         }
     }
 }
@@ -103,16 +103,13 @@ impl<T: Scalar> CpuEngine<T> {
         dt: f64,
         couplings: &mut [Box<dyn Coupling>],
     ) -> Result<(f64, Option<Vec<Wrench>>)> {
-        let bodies = couplings.iter().map(|coupling| coupling.wrenches().len()).sum();
-        let wrenches = vec![Wrench::default(); bodies];
+        // Couplings know what a single slot came to.
+        let summed = couplings.iter().filter(|_| self.is_subcycled()).flat_map(|coupling| coupling.wrenches());
+        let wrenches = summed.map(|_| Wrench::default()).collect();
         let mut step = UnderWay { time, dt, couplings, is_fast: false, saved: Vec::new(), wrenches };
         self.carry_out_calls(&mut step)?;
-        let slots = self.schedule.slots as f64;
-        let mean = |wrench: Wrench| Wrench {
-            force: wrench.force.map(|x| x / slots),
-            torque: wrench.torque.map(|x| x / slots),
-        };
-        let wrenches = (self.schedule.slots > 1).then(|| step.wrenches.into_iter().map(mean).collect());
+        let mean = |sum: &Wrench| sum.scaled(1.0 / self.schedule.slots as f64);
+        let wrenches = self.is_subcycled().then(|| step.wrenches.iter().map(mean).collect());
         Ok((step.dt, wrenches))
     }
 
@@ -211,7 +208,7 @@ impl<T: Scalar> CpuEngine<T> {
             step.couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))?;
         }
         for l in call.levels.clone() {
-            let before: Vec<Wrench> = step.couplings.iter().flat_map(|c| c.wrenches()).copied().collect();
+            let before: Vec<Wrench> = if finest { Vec::new() } else { step.wrenches_now() };
             let reached = self.touch(l, self.schedule.dt_of(l, step.dt), step.couplings)?;
             if reached && !finest {
                 step.add_wrenches(&before, f64::from(1 << l));

@@ -6,22 +6,13 @@ use crate::passes::binding::{
     particles_to_next, written,
 };
 use crate::passes::scene::regions;
+use crate::passes::sort::draft;
 use barchan_core::Plan;
 use barchan_core::levels::MERGE_BEHIND;
 use barchan_grid::adapt::finest_volumes;
 
 /// Rounds of split and merge.
 pub(crate) fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptSet<Draft> {
-    const COMMON: &str = include_str!("../wgsl/sort.wgsl");
-    let draft = |name, entry, body: &str, uses: Vec<Use>, groups| Draft {
-        name,
-        entry,
-        body: COMMON.to_owned() + body,
-        uses,
-        uniform: Uniform::None,
-        groups,
-        checked: true,
-    };
     let volumes = finest_volumes(plan);
     let volume = |b: usize| format!("{:?}", volumes[b] as f32);
     let last = volumes.len() - 1;

@@ -110,8 +110,13 @@ impl<K> Set<K> {
     fn all(&self) -> impl Iterator<Item = &K> {
         let step = self.sort.iter().chain(&self.watch).chain([&self.p2g]).chain(&self.restrict).chain(&self.grid);
         let rims = self.solve.iter().chain(&self.mirror).chain(&self.prolong).chain(&self.reflect);
-        let adapt = self.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
-        step.chain(rims).chain([&self.g2p, &self.stress]).chain(&self.collect).chain(self.soft()).chain(adapt)
+        let seldom = self.collect.iter().chain(self.soft()).chain(self.adapt());
+        step.chain(rims).chain([&self.g2p, &self.stress]).chain(seldom)
+    }
+
+    /// Those of rounds of split and merge.
+    fn adapt(&self) -> impl Iterator<Item = &K> {
+        self.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]))
     }
 
     /// Where soft bodies are after a step.
@@ -249,7 +254,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     let set = drafts(plan, 1, plan.particle_count)?;
     let mut lines: Vec<String> = set.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
     // In the slot with which all levels begin, and in which one ends, there is a call of every stage.
-    for call in plan.schedule.step.iter().filter(|call| call.slot == 0) {
+    for call in plan.schedule.of_slot(0) {
         if call.stage == Stage::CONTACT {
             lines.extend(describe_contact(plan));
         }
@@ -261,8 +266,7 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     let seldom = set.reflect.iter().filter(|_| set.mirrored && plan.substeps > 1);
     lines.extend(seldom.map(|draft| line("every step in which bodies may come near walls, after theirs", draft)));
     lines.extend(set.collect.iter().map(|draft| line("every submission", draft)));
-    let adapt = set.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]));
-    lines.extend(adapt.map(|draft| line("where levels move or particles leave theirs", draft)));
+    lines.extend(set.adapt().map(|draft| line("where levels move or particles leave theirs", draft)));
     lines.push(line("after an upload", &set.stress));
     for planned in plan.materials.iter().filter(|planned| is_asked_on_host(planned)) {
         let megabytes = 16.0 * rest_vectors(&plan.materials) as f64 * plan.particle_count as f64 / 1e6;

@@ -9,18 +9,14 @@ use crate::passes::sleep::{WATCH_WORDS, with_sleep};
 use barchan_core::Plan;
 use barchan_core::scene::Leaving;
 
+/// A pass over particles as a sort sees them.
+pub(crate) fn draft(name: &'static str, entry: &'static str, body: &str, uses: Vec<Use>, groups: Groups) -> Draft {
+    let body = include_str!("../wgsl/sort.wgsl").to_owned() + body;
+    Draft { name, entry, body, uses, uniform: Uniform::None, groups, checked: true }
+}
+
 pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     let levels = plan.cell_widths.len() > 1;
-    const COMMON: &str = include_str!("../wgsl/sort.wgsl");
-    let draft = |name, entry, body: &str, uses: Vec<Use>, groups| Draft {
-        name,
-        entry,
-        body: COMMON.to_owned() + body,
-        uses,
-        uniform: Uniform::None,
-        groups,
-        checked: true,
-    };
     // With several levels, some passes know their regions.
     let knowing = |draft: Draft, helpers: &str| {
         if !levels {

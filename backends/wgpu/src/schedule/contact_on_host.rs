@@ -14,7 +14,7 @@ use crate::worlds::sleep::near_tools;
 use crate::worlds::world::{SinceSort, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::schedule::ending;
-use barchan_core::{Error, Result, StepReport, Vec3, Wrench};
+use barchan_core::{Error, Result, Schedule, StepReport, Vec3, Wrench};
 use barchan_grid::limits::{MAX_DRIFT, NODE_MOVE, greater};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -86,11 +86,7 @@ impl<'a, 'b> HostedStep<'a, 'b> {
         let now = self.wrenches_now();
         self.wrenches.resize(now.len(), Wrench::default());
         for (i, (sum, now)) in self.wrenches.iter_mut().zip(&now).enumerate() {
-            let before = before.get(i).copied().unwrap_or_default();
-            for d in 0..3 {
-                sum.force[d] += times * (now.force[d] - before.force[d]);
-                sum.torque[d] += times * (now.torque[d] - before.torque[d]);
-            }
+            sum.add_change(&before.get(i).copied().unwrap_or_default(), now, times);
         }
     }
 }
@@ -171,15 +167,15 @@ impl WgpuBatch {
         self.settle()?;
         let (each, steps) = (dt / self.substeps as f64, self.steps_so_far());
         for slot in 0..self.substeps {
-            let schedule = self.schedule.clone();
-            let late = |hosted: &HostedStep<'_, '_>| schedule.time_of(slot, hosted.world_step.time, dt);
+            let late =
+                |schedule: &Schedule, hosted: &HostedStep<'_, '_>| schedule.time_of(slot, hosted.world_step.time, dt);
             let before = going(&hosted_steps);
-            side_by_side(&mut hosted_steps, |hosted| hosted.begin(late(hosted), each));
+            side_by_side(&mut hosted_steps, |hosted| hosted.begin(late(&self.schedule, hosted), each));
             self.slot_to_nodes(dt, slot, &mut hosted_steps)?;
             let begun = Instant::now();
             side_by_side(&mut hosted_steps, |hosted| {
                 hosted.meet(0..1, each)?;
-                hosted.end(late(hosted), each)?;
+                hosted.end(late(&self.schedule, hosted), each)?;
                 hosted.feel(&[], 1.0);
                 Ok(())
             });
@@ -211,10 +207,7 @@ impl WgpuBatch {
         for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
             hosted.failed = self.fault(hosted.world_step);
         }
-        let mean = |wrench: &Wrench| {
-            let per_slot = |x: f64| x / self.substeps as f64;
-            Wrench { force: wrench.force.map(per_slot), torque: wrench.torque.map(per_slot) }
-        };
+        let mean = |sum: &Wrench| sum.scaled(1.0 / self.substeps as f64);
         let report = |hosted: HostedStep<'_, '_>| {
             let wrenches = Some(hosted.wrenches.iter().map(mean).collect());
             let report = StepReport { dt, sorted: hosted.sorted, max_speed: hosted.speed, wrenches, bodies: None };
@@ -326,9 +319,9 @@ impl WgpuBatch {
         let mut starts = vec![0];
         for one in 0..self.substeps {
             let (before, after) = around_contact(&self.schedule, one);
-            passes.carry_out(&before, dt);
+            passes.carry_out(before, dt);
             starts.push(passes.dispatches.len());
-            passes.carry_out(&after, dt);
+            passes.carry_out(after, dt);
         }
         passes.look_for_soft(dt);
         let end = starts.get(slot + 1).copied().unwrap_or(passes.dispatches.len());
@@ -558,7 +551,7 @@ impl WgpuBatch {
             end: self.levels,
         });
         let (calls, _) = around_contact(&self.schedule, 0);
-        let passes = passes_beside_host(&kernels.set, &self.schedule, &calls).chain(&near.gather);
+        let passes = passes_beside_host(&kernels.set, &self.schedule, calls).chain(&near.gather);
         let dispatches =
             sorts.chain(passes.map(|kernel| Dispatch { kernel, now, step: 1, end: self.levels })).collect();
         let parts = self.with_groups(vec![Part { sorting, dispatches }]);
@@ -671,7 +664,7 @@ impl WgpuBatch {
         let back = Some(&near.scatter).filter(|_| count > 0).into_iter();
         let (_, calls) = around_contact(&self.schedule, 0);
         let passes = back
-            .chain(passes_beside_host(kernels, &self.schedule, &calls))
+            .chain(passes_beside_host(kernels, &self.schedule, calls))
             .chain(kernels.soft())
             .chain(&kernels.collect);
         let dispatches = passes.map(|kernel| Dispatch { kernel, now, step: 0, end: self.levels }).collect();

@@ -20,10 +20,21 @@ use std::ops::Range;
 /// Has this backend a form of the stage? Of most it is [`passes`]; archive, adapt and sort are carried out between steps, where they are due; the limit is
 /// held within the grid update, and free bodies move within the contact, while the host moves driven ones.
 pub(crate) fn has_form(stage: Stage) -> bool {
-    let between = [Stage::ARCHIVE, Stage::ADAPT, Stage::SORT];
-    let to_grid = [Stage::SLEEP, Stage::P2G, Stage::RESTRICT, Stage::GRID_UPDATE, Stage::LIMIT];
-    let from_grid = [Stage::CONTACT, Stage::BODIES, Stage::PROLONG, Stage::G2P];
-    between.iter().chain(&to_grid).chain(&from_grid).any(|known| *known == stage)
+    matches!(
+        stage,
+        Stage::ARCHIVE
+            | Stage::ADAPT
+            | Stage::SORT
+            | Stage::SLEEP
+            | Stage::P2G
+            | Stage::RESTRICT
+            | Stage::GRID_UPDATE
+            | Stage::CONTACT
+            | Stage::LIMIT
+            | Stage::BODIES
+            | Stage::PROLONG
+            | Stage::G2P
+    )
 }
 
 /// The schedule that the worlds of a batch share. Some may have particles or bodies only later.
@@ -125,10 +136,9 @@ pub(crate) fn passes_beside_host<'a>(
 }
 
 /// The calls of a slot before bodies act on the ground, and those from there on.
-pub(crate) fn around_contact(schedule: &Schedule, slot: usize) -> (Vec<Call>, Vec<Call>) {
-    let calls: Vec<Call> = schedule.step.iter().filter(|call| call.slot == slot).cloned().collect();
-    let contact = calls.iter().position(|call| call.stage == Stage::CONTACT).unwrap_or(calls.len());
-    (calls[..contact].to_vec(), calls[contact..].to_vec())
+pub(crate) fn around_contact(schedule: &Schedule, slot: usize) -> (&[Call], &[Call]) {
+    let calls = schedule.of_slot(slot);
+    calls.split_at(calls.iter().position(|call| call.stage == Stage::CONTACT).unwrap_or(calls.len()))
 }
 
 /// One dispatch of a submission.
