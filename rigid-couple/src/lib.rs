@@ -3,8 +3,8 @@
 //! One step of [`Rigid`], the coupling that a scene's `tool` entries make:
 //! 1. [`motion`]: a driven tool's velocity is the chord of its path over the step, so that its pose afterwards is exact; a
 //!    free body takes up gravity.
-//! 2. [`sdf`]: every grid node inside a body gets its distance and normal.
-//! 3. [`contact`]: the node's velocity relative to the surface loses what the contact law forbids. For a free body this is
+//! 2. [`sdf`]: every grid node inside a body gets its distance and normal, and how it is held (`grip.rs`).
+//! 3. [`barchan_core::contact`]: the node's velocity relative to the surface loses what the contact law forbids. For a free body this is
 //!    solved together with the body's own velocity, so that no mass ratio is unstable, and the body receives exactly the
 //!    momentum that the nodes lose.
 //! 4. [`world`]: contacts of rigid bodies among themselves and with the world's walls (rapier), and the free bodies' motion.
@@ -14,7 +14,7 @@
 
 #![expect(clippy::result_large_err, reason = "errors are rare, carry what a user needs, and end the run")]
 
-pub mod contact;
+mod grip;
 pub mod mass;
 pub mod mesh;
 pub mod motion;

@@ -1,6 +1,7 @@
 //! Poses, and paths through poses at given times.
 
 use crate::Refusal;
+use barchan_core::contact::Twist;
 use barchan_core::scene::{Interpolation, Keyframe};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -37,26 +38,6 @@ impl Pose {
     pub fn chord(&self, to: &Self, dt: f64) -> Twist {
         let linear = (to.position - self.position) / dt;
         Twist { linear, angular: rotation_vector(to.rotation * self.rotation.conjugate()) / dt }
-    }
-}
-
-/// Velocity of a rigid frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Twist {
-    /// Of its origin [m/s].
-    pub linear: DVec3,
-    /// Angular velocity [rad/s].
-    pub angular: DVec3,
-}
-
-impl Twist {
-    /// Velocity of the point at `arm` from the origin [m/s].
-    pub fn at(&self, arm: DVec3) -> DVec3 {
-        self.linear + self.angular.cross(arm)
-    }
-    /// Are all numbers finite?
-    pub fn is_finite(&self) -> bool {
-        self.linear.is_finite() && self.angular.is_finite()
     }
 }
 

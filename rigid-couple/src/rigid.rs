@@ -1,32 +1,24 @@
 //! The coupling "rigid": a scene's tools and free bodies.
 
 use crate::Refusal;
-use crate::contact::{self, FreeBody, Grip, Touch};
+use crate::grip::{self, REACH};
 use crate::mass::Filling;
-use crate::motion::{KeyframePath, Pose, Twist, rotation_from};
-use crate::sdf::{Primitive, Sdf, Surface};
+use crate::motion::{KeyframePath, Pose, rotation_from};
+use crate::sdf::{Primitive, Sdf};
 use crate::world::{RigidWorld, Role};
-use barchan_core::coupling::{Aabb, DeviceLaw, FreeState, Lent, Moved};
+use barchan_core::contact::{Reaction, System, Touch, Twist};
+use barchan_core::coupling::{Aabb, DeviceLaw, FreeState, Group, Lent, Moved};
 use barchan_core::scene::{Contact, Motion, Tool, Wall};
-use barchan_core::{BodyState, Coupling, Error, NearParticle, NodeBatch, Result, Scene, Vec3, Wrench};
+use barchan_core::{BodyState, Coupling, Error, NodeBatch, Result, Scene, Vec3, Wrench};
 use glam::{DMat3, DQuat, DVec3};
+use nalgebra::{Matrix6, Vector6};
 use rapier3d_f64::prelude::PhysicsWorld;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// Depth inside a body, in cells, below which nodes move with it.
-const DEEP: f64 = 2.0;
 /// Forces on tools thinner than this are off by a third [cells]: the stirrer of `letters` on cells of 14, 7 and 3.5 mm, 3.1, 6.3 and 12.6 of them across, 48.7, 42.4 and
 /// 36.4 N s.
 const ROUGH_THICKNESS: f64 = 4.0;
-/// How far from a surface particles touch it at most [cells]: half their width. How far from it the nodes are on which they act then.
-const TOUCHING: f64 = 0.5;
-const REACH: f64 = TOUCHING + NodeBatch::SPREAD;
-/// So many nodes or particles are looked at by one thread at least.
-const FEW: usize = 128;
-/// Overlap at which a particle presses most, as a share of its width.
-const MOST_OVERLAP: f64 = 0.9;
 /// Free bodies are lent as long as their surfaces move by at most this much in a step [cells], and what they act on keeps as far from what
 /// others act on, and a cell further from walls, as two of them can come nearer; rapier looks ahead a little further, by less than this
 /// share of the smallest one's extent.
@@ -60,8 +52,6 @@ impl Samples {
 }
 
 /// The coupling "rigid". A body's reference point is its centre of mass if it is free, and its frame's origin if it is driven.
-///
-/// Bodies act on nodes one after the other, in the scene's order: a node inside two of them ends with the later one's law.
 pub struct Rigid {
     bodies: Vec<Body>,
     wrenches: Vec<Wrench>,
@@ -72,8 +62,6 @@ pub struct Rigid {
     counts: Counts,
     /// Does a backend move the free bodies?
     lent: bool,
-    /// Nodes inside the body at hand; kept for its memory.
-    touches: Vec<Touch>,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -124,6 +112,46 @@ enum Mover {
     Path(KeyframePath),
     Velocity,
     Free { mass: f64, inertia: DMat3, inverse_inertia: DMat3 },
+}
+
+/// What a free body is made of.
+#[derive(Clone, Copy, Debug)]
+struct FreeBody {
+    /// Mass [kg].
+    mass: f64,
+    /// Inertia about the centre of mass, world frame [kg m²].
+    inertia: DMat3,
+}
+
+impl FreeBody {
+    /// What it has out of balance at the twist `at`, with what contact gives it, if it would move by `free` alone [N s, N m s].
+    fn residual(&self, free: &Twist, at: &Twist, system: &System) -> Vector6<f64> {
+        let force = self.mass * (free.linear - at.linear);
+        let torque = self.inertia * (free.angular - at.angular);
+        Vector6::from(system.impulse) + vector6(force, torque)
+    }
+
+    /// By how much the twist has to change for balance; `None` if that has no solution.
+    fn answer(&self, residual: &Vector6<f64>, system: &System) -> Option<Twist> {
+        let contact = Matrix6::from_fn(|i, j| system.matrix[i][j]);
+        let own = Matrix6::from_fn(|i, j| match (i / 3, j / 3) {
+            (0, 0) if i == j => self.mass,
+            (1, 1) => self.inertia.col(j % 3)[i % 3],
+            _ => 0.0,
+        });
+        let matrix = own + contact;
+        let step = if system.symmetric { matrix.cholesky()?.solve(residual) } else { matrix.lu().solve(residual)? };
+        Some(Twist { linear: DVec3::new(step[0], step[1], step[2]), angular: DVec3::new(step[3], step[4], step[5]) })
+    }
+
+    /// Twice its kinetic energy at a twist [J].
+    fn twice_energy(&self, twist: &Twist) -> f64 {
+        self.mass * twist.linear.length_squared() + twist.angular.dot(self.inertia * twist.angular)
+    }
+}
+
+fn vector6(a: DVec3, b: DVec3) -> Vector6<f64> {
+    Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
 }
 
 impl Body {
@@ -218,68 +246,6 @@ impl Body {
         })
     }
 
-    /// Finds the nodes that this body acts on in a step of `dt` [s]. Returns how many are deep inside.
-    fn touch(&self, nodes: &NodeBatch, dt: f64, touches: &mut Vec<Touch>) -> u64 {
-        touches.clear();
-        let cell = nodes.cell_width;
-        let bounds = self.shape.bounds(&self.state.pose, cell);
-        let around = bounds.grown(TOUCHING * cell);
-        let to_world = DMat3::from_quat(self.state.pose.rotation);
-        let to_body = to_world.transpose();
-        let surface_at =
-            |x: Vec3| self.shape.contact_surface(to_body * (DVec3::from_array(x) - self.state.pose.position), cell);
-        let press_of = |particle: &NearParticle| {
-            let at = particle.position;
-            let (Surface { distance, normal }, _) = around.contains(at).then(|| surface_at(at))?;
-            // Most are too far off, which is told without a root.
-            if (2.0 * distance).powi(3) >= particle.volume {
-                return None;
-            }
-            let width = particle.volume.cbrt();
-            let overlap = (0.5 - distance / width).clamp(0.0, MOST_OVERLAP);
-            Some(particle.modulus * width * width * overlap / (1.0 - overlap) * normal?)
-        };
-        let presses: Vec<Option<DVec3>> = nodes.particles.par_iter().with_min_len(FEW).map(press_of).collect();
-        let mut forces = vec![DVec3::ZERO; nodes.len()];
-        for (particle, press) in nodes.particles.iter().zip(presses) {
-            let Some(press) = press else { continue };
-            for (&node, weight) in nodes.cubes[particle.cube as usize].iter().zip(particle.weights()) {
-                if node != NodeBatch::NONE {
-                    forces[node as usize] += weight * press;
-                }
-            }
-        }
-        let inside_of =
-            |&x: &Vec3| bounds.contains(x).then(|| surface_at(x)).filter(|(surface, _)| surface.distance < 0.0);
-        let inside: Vec<Option<(Surface, bool)>> = nodes.position.par_iter().with_min_len(FEW).map(inside_of).collect();
-        let mut deep = 0;
-        for (node, (inside, &mass)) in inside.iter().zip(&nodes.mass).enumerate() {
-            let force = to_world * forces[node];
-            if inside.is_none() && force == DVec3::ZERO {
-                continue;
-            }
-            let is_deep = inside.is_some_and(|(surface, _)| surface.distance < -DEEP * cell);
-            deep += u64::from(is_deep);
-            let most = force.length() * dt / mass;
-            let core_normal = inside.filter(|(_, core)| *core).and_then(|(surface, _)| surface.normal);
-            let friction = match self.contact {
-                Contact::Stick => None,
-                Contact::Slip => Some(0.0),
-                Contact::Coulomb { friction } => Some(friction),
-            };
-            let grip = match (friction, core_normal, force.try_normalize()) {
-                _ if is_deep => Grip::Stick { most: f64::INFINITY },
-                (None, ..) => Grip::Stick { most: if inside.is_some() { f64::INFINITY } else { most } },
-                (Some(friction), Some(normal), _) => Grip::Bilateral { normal: to_world * normal, friction },
-                (Some(friction), None, Some(normal)) => Grip::Coulomb { normal, friction, most },
-                (Some(_), None, None) => continue,
-            };
-            let arm = DVec3::from_array(nodes.position[node]) - self.state.pose.position;
-            touches.push(Touch { node, mass, arm, grip });
-        }
-        deep
-    }
-
     fn lost(&self, what: &str) -> Error {
         Refusal::new(format!("its {what} is no longer finite"), "lower time.step, or start from the last snapshot")
             .at(&format!("tool '{}'", self.name))
@@ -355,7 +321,6 @@ impl Rigid {
             world: None,
             counts: Counts::default(),
             lent: false,
-            touches: Vec::new(),
             bodies,
         };
         rigid.world = rigid.rigid_world(scene);
@@ -379,7 +344,7 @@ impl Rigid {
         Some(world)
     }
 
-    /// What `contact.wgsl` and `sampled.wgsl` read; `None` if there are too many samples to number.
+    /// What `grip.wgsl` and `sampled.wgsl` read; `None` if there are too many samples to number.
     fn device_tables(&self) -> Option<[Vec<[f32; 4]>; 2]> {
         let (mut table, mut samples) = (Vec::new(), Samples::default());
         let mut first = self.bodies.len();
@@ -611,23 +576,51 @@ impl Coupling for Rigid {
         self.bodies.iter().map(|body| self.reach_of(body)).fold(0.0, f64::max)
     }
 
-    fn contact(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()> {
-        for (body, wrench) in self.bodies.iter_mut().zip(&mut self.wrenches) {
-            self.counts.deep_nodes += body.touch(nodes, dt, &mut self.touches);
-            if self.touches.is_empty() {
-                continue;
+    fn touch(&mut self, body: usize, dt: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {
+        let body = &self.bodies[body];
+        grip::touch(&body.shape, body.contact, &body.state.pose, nodes, dt, touches);
+    }
+
+    fn twist(&self, body: usize) -> Twist {
+        self.bodies[body].state.twist
+    }
+
+    fn groups(&self) -> Vec<Group> {
+        let free = self.bodies.iter().enumerate().filter_map(|(i, body)| body.free().map(|free| (i, free)));
+        free.map(|(i, free)| Group { bodies: i..i + 1, mass: free.mass }).collect()
+    }
+
+    fn answer(&self, group: Range<usize>, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
+        let answer = |((body, at), system): ((&Body, &Twist), &System)| {
+            let free = body.free()?;
+            free.answer(&free.residual(&body.state.twist, at, system), system)
+        };
+        self.bodies[group].iter().zip(at).zip(systems).map(answer).collect()
+    }
+
+    fn balance(&self, group: Range<usize>, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
+        let of_body = |(((body, at), system), along): (((&Body, &Twist), &System), &Twist)| {
+            let residual = body.free().map(|free| free.residual(&body.state.twist, at, system));
+            residual.map_or(0.0, |residual| vector6(along.linear, along.angular).dot(&residual))
+        };
+        self.bodies[group].iter().zip(at).zip(systems).zip(along).map(of_body).sum()
+    }
+
+    fn twice_energy(&self, group: Range<usize>, twists: &[Twist]) -> f64 {
+        let of_body = |(body, twist): (&Body, &Twist)| body.free().map_or(0.0, |free| free.twice_energy(twist));
+        self.bodies[group].iter().zip(twists).map(of_body).sum()
+    }
+
+    fn feel(&mut self, bodies: Range<usize>, _: &[Twist], reactions: &[Reaction], dt: f64) -> Result<()> {
+        for (i, Reaction { impulse, deep_nodes, converged }) in bodies.zip(reactions) {
+            let (body, wrench) = (&mut self.bodies[i], &mut self.wrenches[i]);
+            self.counts.deep_nodes += deep_nodes;
+            self.counts.unconverged += u64::from(!converged);
+            if let Some(free) = body.free() {
+                body.state.twist.linear += DVec3::from_array(impulse.force) / free.mass;
+                body.state.angular_momentum += DVec3::from_array(impulse.torque);
+                body.state.twist.angular = body.spin(&body.state.pose);
             }
-            let impulse = match body.free() {
-                None => contact::drive(&self.touches, &mut nodes.velocity, &body.state.twist),
-                Some(free) => {
-                    let solved = free.solve(&self.touches, &mut nodes.velocity, &body.state.twist);
-                    self.counts.unconverged += u64::from(!solved.converged);
-                    body.state.twist.linear += DVec3::from_array(solved.impulse.force) / free.mass;
-                    body.state.angular_momentum += DVec3::from_array(solved.impulse.torque);
-                    body.state.twist.angular = body.spin(&body.state.pose);
-                    solved.impulse
-                }
-            };
             for d in 0..3 {
                 wrench.force[d] += impulse.force[d] / dt;
                 wrench.torque[d] += impulse.torque[d] / dt;
@@ -645,7 +638,7 @@ impl Coupling for Rigid {
         let free = self.bodies.iter().filter(|body| body.free().is_some()).map(reach).collect();
         let [table, samples] = self.device_tables()?;
         let sampled = if samples.is_empty() { NO_SAMPLES } else { include_str!("sampled.wgsl") };
-        let wgsl = include_str!("contact.wgsl").to_owned() + sampled;
+        let wgsl = include_str!("grip.wgsl").to_owned() + sampled;
         Some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, free })
     }
 

@@ -3,8 +3,9 @@
 //! Made only where a scene has a free body. Rapier sees no gravity, no damping, no sleep and no ground: the bodies' velocities
 //! come in with all that done, and rapier changes them where rigid bodies touch.
 
-use crate::motion::{Pose, Twist};
+use crate::motion::Pose;
 use crate::sdf::{HeightField, MeshPart, Part, Primitive, Sdf};
+use barchan_core::contact::Twist;
 use barchan_core::scene::{Contact, Wall, World};
 use glam::{DMat3, DQuat, DVec3};
 use rapier3d_f64::math::Pose as RapierPose;

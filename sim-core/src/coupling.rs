@@ -1,6 +1,8 @@
 //! Couplings: what acts on the soft ground through grid nodes, and what it feels in return.
 
+use crate::contact::{Reaction, System, Touch, Twist};
 use crate::{Result, Vec3};
+use std::ops::Range;
 
 /// Force and torque, or, times a step, impulse and angular impulse.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -166,37 +168,36 @@ impl NodeBatch {
     }
 }
 
-/// What [`Coupling::contact`] does, as a device can do it.
+/// How a coupling acts on nodes, as a device can do it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DeviceLaw {
     /// Do all loops of the text count to a bound that they find at their start? Only if so are they left as they are: of a loop without an end
     /// a driver's compiler may make anything, so that else the backend counts along in each, which costs time.
     pub counted: bool,
     /// WGSL: pure functions, which may read `fn coupling_table(i: u32) -> vec4<f32>` and, if there are samples,
-    /// `fn coupling_sample(i: u32) -> vec4<f32>`, which the backend adds. All places `x` are in the body's frame, from its reference point [m], in cells
-    /// of width `cell` [m]. Among them are:
+    /// `fn coupling_sample(i: u32) -> vec4<f32>`, which the backend adds. Couplings of a scene share a module: where there are several, the backend gives
+    /// what a text declares at module scope names of its own. All places `x` are in the body's frame, from its reference point [m], in cells
+    /// of width `cell` [m].
+    ///
+    /// Of a [field](Coupling::is_field) there is
+    /// - `fn coupling_field(body: u32, x: vec3<f32>, u: vec3<f32>, mass: f32, dt: f32) -> vec3<f32>`: what becomes in a step of `dt` [s] of the velocity `u`,
+    ///   relative to the body's own there [m/s], of a node of that mass [kg], all in the body's frame.
+    ///
+    /// Of bodies that grip nodes:
     /// - `fn coupling_distance(body: u32, x: vec3<f32>, cell: f32) -> f32`: how far a point is from the body's surface [m], negative inside;
     /// - `fn coupling_press(body: u32, x: vec3<f32>, half: f32, modulus: f32, cell: f32) -> vec3<f32>`: the greatest force with which a particle there
     ///   presses on the body [N], in its frame; `half` is half the particle's width [m], `modulus` its stiffness [Pa]. As for
-    ///   [`NearParticle`], the backend adds these up on the eight nodes around; no force may exceed 9 `modulus` (2 `half`)².
-    ///
-    /// For bodies whose motion over a step does not depend on the ground,
-    /// - `fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32, press: vec3<f32>) -> vec3<f32>`: what is left of the
-    ///   velocity `u` relative to the surface [m/s] of a node, in the body's frame; `press` is the sum of forces there, times the step, over the
-    ///   node's mass [m/s].
-    ///
-    /// If a body is free:
-    /// - `fn coupling_grip(body: u32, x: vec3<f32>, cell: f32, press: vec3<f32>) -> CouplingGrip`: how the surface grips a node there; its fields are
-    ///   `kind` from 0 to 3, 0 if nothing is taken from it, else what the next function makes of it, `normal` out of the body, `most`, a speed [m/s], and
-    ///   `deep`: does the node count as deep inside?
-    /// - `fn coupling_hold(body: u32, grip: CouplingGrip, u: vec3<f32>) -> CouplingHold`: what the law takes from `u`, `K u` with
-    ///   `K = hold n nᵀ + drag (1 - n nᵀ)`: its fields are `held`, whether anything is taken, `normal`, 0 if `hold` is `drag`, `hold`, `drag`, `bounded`, whether
-    ///   more approach is not met by more, and, where the node slides, `along`, the direction of sliding, and `friction`, for `drag = friction |f_n| / |u_t|` with
-    ///   f_n what is taken along the normal; else 0.
-    /// - `fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f32>, 2>`: the least and greatest corner of the
-    ///   body's [`bounds`](Coupling::bounds), from its centre of mass [m], along the world's axes, if `rows` are those of its rotation. On coarser cells it may be larger.
+    ///   [`NearParticle`], the backend adds these up on the eight nodes around; no force may exceed 9 `modulus` (2 `half`)². Only if `reach` is above 0;
+    /// - `fn coupling_grip(body: u32, x: vec3<f32>, cell: f32, press: vec3<f32>) -> CouplingGrip`: how the surface grips a node there, as
+    ///   [`Grip`](crate::contact::Grip) says it; `press` is the sum of forces there, times the step, over the node's mass [m/s].
+    ///   `struct CouplingGrip { kind: u32, normal: vec3<f32>, most: f32, deep: bool, distance: f32 }` is the backend's, with the kinds `GRIP_NONE`,
+    ///   `GRIP_STICK`, `GRIP_COULOMB` and `GRIP_BILATERAL`, and `GRIP_UNBOUNDED` for `most` where nothing bounds it;
+    /// - `fn coupling_friction(body: u32) -> f32`: its coefficient of friction;
+    /// - if any is free, `fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f32>, 2>`: the least and greatest corner of the
+    ///   body's [`bounds`](Coupling::bounds), from its centre of mass [m], along the world's axes, if `rows` are those of its rotation. On coarser cells it
+    ///   may be larger.
     pub wgsl: String,
-    /// How far beyond `coupling_box` it acts on nodes [cells of their level].
+    /// How far beyond its bodies' boxes it acts on nodes [cells of their level].
     pub reach: f64,
     /// What it reads: constant over the run.
     pub table: Vec<[f32; 4]>,
@@ -248,10 +249,20 @@ pub struct Moved {
     pub unconverged: u64,
 }
 
-/// Rigid tools, free bodies, robots: anything that constrains node velocities and feels the reaction.
+/// Bodies that answer the ground's impulses together: a free body alone, the links of a robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    /// Their numbers among the coupling's bodies.
+    pub bodies: Range<usize>,
+    /// Their mass [kg].
+    pub mass: f64,
+}
+
+/// Rigid tools, free bodies, robots, wind: anything that acts on nodes and feels the reaction.
 ///
-/// In each step the simulation calls, in this order: [`before_step`](Self::before_step), [`contact`](Self::contact) once
-/// with all nodes inside [`bounds`](Self::bounds) unless there are none, [`after_step`](Self::after_step). So what was booked
+/// In each step the simulation calls, in this order: [`before_step`](Self::before_step), then, on each level, fields
+/// ([`act_as_field`](Self::act_as_field)) and bodies ([`touch`](Self::touch), [`answer`](Self::answer), [`feel`](Self::feel); see [`contact`](crate::contact)),
+/// and [`after_step`](Self::after_step). So what was booked
 /// in the last step is cleared in `before_step`. An impulse is taken from the node where it acts and booked once, on the body,
 /// at that node's position.
 pub trait Coupling: Send + Sync {
@@ -266,19 +277,66 @@ pub trait Coupling: Send + Sync {
     /// # Errors
     /// If a body's motion is not defined there.
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()>;
-    /// Where contact can happen during this step. Nodes are handed over that lie in these boxes, or beyond them by no more than the
-    /// [`reach`](Self::reach).
+    /// Where each body can act during this step. Nodes are handed over that lie in these boxes, or beyond them by no more than the
+    /// [`reach`](Self::reach), and maybe others, near other couplings' bodies.
     fn bounds(&self) -> Vec<Aabb>;
     /// How far beyond its [`bounds`](Self::bounds) it acts on nodes [cells of their level]. Above 0, particles are handed over, too: those less far
     /// out by [`SPREAD`](NodeBatch::SPREAD), whose nodes are all in reach.
     fn reach(&self) -> f64 {
         0.0
     }
-    /// Applies the contact law: overwrites `nodes.velocity` and books the impulses on the bodies.
+    /// Does it act on all nodes within its [`bounds`](Self::bounds) as wind does, instead of gripping them? Fields act first, in the scene's order.
+    fn is_field(&self) -> bool {
+        false
+    }
+    /// A field changes the velocities of nodes in a step of `dt` [s] and books the impulses on its bodies. A field only: the nodes are those near its own
+    /// bodies.
+    ///
+    /// # Errors
+    /// If its state is no longer finite.
+    fn act_as_field(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()> {
+        let _ = (dt, nodes);
+        Ok(())
+    }
+    /// Which nodes a body grips in a step of `dt` [s], and how: they are added to `touches`, each node at most once.
+    fn touch(&mut self, body: usize, dt: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {
+        let _ = (body, dt, nodes, touches);
+    }
+    /// The twist of a body's reference point: as it is given over this step if the body is driven, else as it would be without contact.
+    fn twist(&self, body: usize) -> Twist {
+        let _ = body;
+        Twist::default()
+    }
+    /// Bodies that answer impulses, in groups that answer together. The others are driven: they move as they are told, whatever they feel.
+    fn groups(&self) -> Vec<Group> {
+        Vec::new()
+    }
+    /// By how much the twists `at` of a group have to change so that all is in balance: solves (H + Σ A) δ = r + Σ b, with A and b of `systems`, one a body, r
+    /// what the bodies themselves have out of balance at these twists, and H what they set against a change: their inertias and, for a robot, what its
+    /// joints allow. `None` if there is no solution.
+    fn answer(&self, group: Range<usize>, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
+        let _ = (group, at, systems);
+        None
+    }
+    /// What is out of balance at the twists `at` of a group, along some change of them: (r + Σ b) · δ, see [`answer`](Self::answer) [J].
+    fn balance(&self, group: Range<usize>, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
+        let _ = (group, at, systems, along);
+        0.0
+    }
+    /// Twice the kinetic energy that a group has at some twists [J].
+    fn twice_energy(&self, group: Range<usize>, twists: &[Twist]) -> f64 {
+        let _ = (group, twists);
+        0.0
+    }
+    /// Takes in what bodies felt of the ground in a step of `dt` [s], one driven body or a group: books it, and lets those that answer move by it;
+    /// `twists` is what was found for them.
     ///
     /// # Errors
     /// If a body's state is no longer finite.
-    fn contact(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()>;
+    fn feel(&mut self, bodies: Range<usize>, twists: &[Twist], reactions: &[Reaction], dt: f64) -> Result<()> {
+        let _ = (bodies, twists, reactions, dt);
+        Ok(())
+    }
     /// The law in a form for devices, if there is one for all of the bodies. A backend that uses it calls
     /// [`before_step`](Self::before_step), takes poses and velocities from [`bodies`](Self::bodies) and one box a body from
     /// [`bounds`](Self::bounds), and calls [`after_step`](Self::after_step), for several steps ahead; then it says what the
@@ -317,7 +375,7 @@ pub trait Coupling: Send + Sync {
     /// # Errors
     /// If a body's state is no longer finite.
     fn after_step(&mut self, time: f64, dt: f64) -> Result<()>;
-    /// Mean wrench of the soft ground on each body over the last step.
+    /// Mean wrench of the soft ground on each body over the last step; as many as there are bodies.
     fn wrenches(&self) -> &[Wrench];
     /// Signed distance to the nearest body's surface [m], negative inside, at each point; used to seed ground around
     /// bodies and by tests. Bodies of a coupling without a surface answer infinity.

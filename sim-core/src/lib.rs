@@ -12,6 +12,7 @@
 
 pub mod archive;
 pub mod backend;
+pub mod contact;
 pub mod coupling;
 pub mod error;
 pub mod export;
@@ -50,6 +51,9 @@ pub use simulation::{Options, Simulation};
 pub use state::{LevelPhase, Measured, ParticleList, ParticleState, SortPhase, Spot};
 pub use task::Task;
 pub use together::Together;
+
+/// The vectors and matrices of [`contact`].
+pub use glam;
 
 /// A point, vector or triple of factors: x, y, z.
 pub type Vec3 = [f64; 3];

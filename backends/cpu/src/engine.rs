@@ -8,12 +8,13 @@ use crate::step::{self, Forward};
 use crate::store::{Departures, List};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
+use barchan_core::contact::{self, Contact};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
 use barchan_core::schedule::Call;
 use barchan_core::stiffness::{Need, Stiffness};
 use barchan_core::{
-    Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene, Schedule,
+    Aabb, Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene, Schedule,
     SortPhase, Spot, Stage, StepReport,
 };
 use barchan_grid::adapt::Adapt;
@@ -125,6 +126,7 @@ pub(crate) struct CpuEngine<T: Scalar> {
     parted: u64,
     gravity_impulse: [f64; 3],
     batch: NodeBatch,
+    contact: Contact,
     /// The materials' stiffness against being pushed into [Pa].
     contact_moduli: Vec<f64>,
     pub(crate) clocks: Clocks,
@@ -166,6 +168,7 @@ impl<T: Scalar> CpuEngine<T> {
             parted: 0,
             gravity_impulse: [0.0; 3],
             batch: NodeBatch::default(),
+            contact: Contact::default(),
             contact_moduli: plan.materials.iter().map(|m| m.contact_modulus(&plan.scene)).collect::<Result<_>>()?,
             clocks: Clocks { shares, ..Clocks::default() },
         };
@@ -347,28 +350,45 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(())
     }
 
-    /// Contact on one level. Returns whether there were any nodes.
+    /// Couplings act on the nodes of one level: fields one after the other, then all bodies. Returns whether there were any nodes.
     pub(crate) fn touch(&mut self, l: usize, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<bool> {
         let clock = Instant::now();
-        let (level, subcycled, mut reached) = (&mut self.levels[l], self.schedule.slots > 1, false);
-        for coupling in couplings {
-            let (bounds, reach) = (coupling.bounds(), coupling.reach());
-            let grown = |by: f64| -> Vec<_> { bounds.iter().map(|one| one.grown(by * level.h())).collect() };
-            let (of_nodes, of_particles) = (grown(reach), grown(reach - NodeBatch::SPREAD));
-            level.gather(&of_nodes, self.least_mass, subcycled, &mut self.batch);
-            if !self.batch.is_empty() {
-                reached = true;
-                if reach > 0.0 {
-                    level.gather_particles(&of_particles, &self.contact_moduli, &mut self.batch);
-                }
-                coupling.contact(dt, &mut self.batch)?;
-                level.scatter(&self.batch, self.least_mass);
-            }
+        let (fields, h) = (couplings.iter().filter(|coupling| coupling.is_field()).count(), self.levels[l].h());
+        let mut reached = false;
+        for coupling in couplings.iter_mut().filter(|coupling| coupling.is_field()) {
+            let [of_nodes, _] = contact::boxes(&**coupling, h);
+            reached |= self.with_nodes_near(l, [&of_nodes, &[]], |_, nodes| coupling.act_as_field(dt, nodes))?;
+        }
+        if fields < couplings.len() {
+            let bodies = couplings.iter().filter(|coupling| !coupling.is_field());
+            let (of_nodes, of_particles): (Vec<_>, Vec<_>) = bodies.map(|one| contact::boxes(&**one, h).into()).unzip();
+            let boxes = [&of_nodes.concat()[..], &of_particles.concat()];
+            reached |= self.with_nodes_near(l, boxes, |contact, nodes| contact.meet(couplings, dt, nodes))?;
         }
         if reached {
             self.clocks.add(Pass::Contact, clock);
         }
         Ok(reached)
+    }
+
+    /// Hands over the nodes of a level in the first boxes and the particles in the second ones, and takes the nodes' velocities back, unless there are none.
+    fn with_nodes_near(
+        &mut self,
+        l: usize,
+        [of_nodes, of_particles]: [&[Aabb]; 2],
+        act: impl FnOnce(&mut Contact, &mut NodeBatch) -> Result<()>,
+    ) -> Result<bool> {
+        let (level, subcycled) = (&mut self.levels[l], self.schedule.slots > 1);
+        level.gather(of_nodes, self.least_mass, subcycled, &mut self.batch);
+        if self.batch.is_empty() {
+            return Ok(false);
+        }
+        if !of_particles.is_empty() {
+            level.gather_particles(of_particles, &self.contact_moduli, &mut self.batch);
+        }
+        act(&mut self.contact, &mut self.batch)?;
+        level.scatter(&self.batch, self.least_mass);
+        Ok(true)
     }
 
     /// Asks every material for its stiffness and keeps the least stable step.

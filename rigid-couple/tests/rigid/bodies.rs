@@ -1,6 +1,6 @@
 //! Free bodies: flight, stacks, snapshots, and what is refused.
 
-use crate::{batch, refusal, rigid, step, within, world};
+use crate::{batch, meet, refusal, rigid, step, within, world};
 use barchan_core::{Coupling, NodeBatch, Registry};
 use barchan_rigid::Rigid;
 use glam::DVec3;
@@ -123,7 +123,7 @@ fn forged_states_are_errors_and_no_panics() {
         Ok(()) => {
             let mut steps = (0..2).map(|_| {
                 rigid.before_step(0.4, 1e-3)?;
-                rigid.contact(1e-3, &mut dust())?;
+                meet(&mut rigid, 1e-3, &mut dust())?;
                 rigid.after_step(0.4, 1e-3)
             });
             if steps.any(|step| step.is_err()) { failed += 1 } else { went_on += 1 }
@@ -260,7 +260,7 @@ fn ground_that_is_not_finite_is_reported() {
         let mut rigid = rigid(&format!("[[tool]]\nname = 'ball'\nshape = {{ sphere = {{ radius = 0.1 }} }}\n{motion}"));
         rigid.before_step(0.0, 1e-3).unwrap();
         let mut nodes = batch(&[([0.0, 0.0, 0.095], 1.0, [f64::NAN, 0.0, 0.0])]);
-        let message = rigid.contact(1e-3, &mut nodes).unwrap_err().to_string();
+        let message = meet(&mut rigid, 1e-3, &mut nodes).unwrap_err().to_string();
         assert!(message.contains("'ball'") && message.contains("no longer finite"), "{message}");
     }
 }

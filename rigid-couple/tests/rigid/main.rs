@@ -5,6 +5,7 @@ mod contact;
 mod motion;
 mod sdf;
 
+use barchan_core::contact::Contact;
 use barchan_core::{Coupling, NearParticle, NodeBatch, Scene};
 use barchan_rigid::Rigid;
 use glam::DVec3;
@@ -52,8 +53,12 @@ fn batch(nodes: &[([f64; 3], f64, [f64; 3])]) -> NodeBatch {
 
 fn step(rigid: &mut Rigid, time: f64, dt: f64, nodes: &mut NodeBatch) {
     rigid.before_step(time, dt).unwrap();
-    rigid.contact(dt, nodes).unwrap();
+    meet(rigid, dt, nodes).unwrap();
     rigid.after_step(time, dt).unwrap();
+}
+
+fn meet(rigid: &mut Rigid, dt: f64, nodes: &mut NodeBatch) -> barchan_core::Result<()> {
+    Contact::default().meet(&mut [rigid], dt, nodes)
 }
 
 fn momentum(nodes: &NodeBatch) -> DVec3 {

@@ -4,6 +4,7 @@
 
 use barchan_abi::*;
 use barchan_core::backend::{Bound, Timing};
+use barchan_core::contact::Contact;
 use barchan_core::coupling::Aabb;
 use barchan_core::scene::{Motion, Shape};
 use barchan_core::{
@@ -191,9 +192,6 @@ impl Coupling for Boxes {
     fn bounds(&self) -> Vec<Aabb> {
         Vec::new()
     }
-    fn contact(&mut self, _: f64, _: &mut NodeBatch) -> Result<()> {
-        Ok(())
-    }
     fn after_step(&mut self, _: f64, dt: f64) -> Result<()> {
         for body in &mut self.bodies {
             (0..3).for_each(|d| body.position[d] += dt * body.velocity[d]);
@@ -301,11 +299,9 @@ impl Engine for Falling {
         Bound { dt: self.bound.dt * factor, by: self.bound.by.clone() }
     }
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
-        for coupling in couplings.iter_mut() {
-            coupling.before_step(time, dt)?;
-            coupling.contact(dt, &mut NodeBatch::default())?;
-            coupling.after_step(time, dt)?;
-        }
+        couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))?;
+        Contact::default().meet(couplings, dt, &mut NodeBatch::default())?;
+        couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))?;
         if self.past(&self.fate.fails_at) {
             return Err(Error::LeftWorld { step: self.steps, particle: 0, position: [0.0; 3] });
         }

@@ -7,47 +7,41 @@ use crate::passes::binding::{
     CELLS, DIRECTORY, Draft, Found, GRID, Groups, Kernel, LENT_BODIES, LISTS, NODES, OWN, RECORD, RIMS, Role, STATUS,
     Uniform, Use, build, build_for, exchange, node_blocks, written,
 };
+use crate::passes::couplings::Laws;
 use crate::passes::rims::at_rims;
 use crate::passes::scene::coupling_table;
-use barchan_core::coupling::DeviceLaw;
 use barchan_grid::rest::NEAR_TOOL;
 
 /// Contact with driven bodies on the device, so many in each of the worlds, whose tables have so many vectors, of which the last are the
 /// materials': how particles press, the law, then the sums of impulses, level by level.
-pub(crate) fn contact(
-    gpu: &Gpu,
-    kernels: &Kernels,
-    law: &DeviceLaw,
-    counts: [usize; 3],
-    shape: [usize; 2],
-) -> [Kernel; 3] {
-    let drafts = contact_drafts(kernels.set.solve.is_some(), law, counts, shape);
+pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, laws: &Laws, counts: [usize; 3], shape: [usize; 2]) -> [Kernel; 3] {
+    let drafts = contact_drafts(kernels.set.solve.is_some(), laws, counts, shape);
     drafts.map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, shape[0], draft))
 }
 
 pub(crate) fn contact_drafts(
     subcycled: bool,
-    law: &DeviceLaw,
+    laws: &Laws,
     [bodies, vectors, materials]: [usize; 3],
     [worlds, levels]: [usize; 2],
 ) -> [Draft; 3] {
     let count = format!("const BODIES: u32 = {bodies}u;\n");
     let body = include_str!("../wgsl/body.wgsl");
-    let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
+    let (stored, table) = coupling_table([worlds, levels], vectors, laws.samples.len());
     let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
     let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
     let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
     let of_bodies = [&count, body, include_str!("../wgsl/press_driven.wgsl")].concat();
     let press =
-        press_draft("press", law, &of_bodies, [vectors, materials], [worlds, levels], [bodies_now, written(partials)]);
+        press_draft("press", laws, &of_bodies, [vectors, materials], [worlds, levels], [bodies_now, written(partials)]);
     let (text, own) = of_own_mass(subcycled, include_str!("../wgsl/contact.wgsl"));
     let mirrors = include_str!("../wgsl/mirrors.wgsl");
-    let law = Draft {
+    let contact = Draft {
         name: "contact",
         entry: "contact",
-        body: [&count, body, mirrors, &table, &law.wgsl, text.as_str()].concat(),
+        body: [&count, body, mirrors, &table, &laws.wgsl, text.as_str()].concat(),
         uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
-        uniform: Uniform::Table { stored, counted: law.counted },
+        uniform: Uniform::Table { stored, counted: laws.counted },
         groups: node_blocks(levels > 1),
         checked: true,
     };
@@ -60,20 +54,20 @@ pub(crate) fn contact_drafts(
         groups: Groups::Exactly((bodies * worlds * levels) as u32),
         checked: true,
     };
-    [press, law, sums]
+    [press, contact, sums]
 }
 
 /// How particles press on bodies; `of_bodies` says where these are, and where the forces go.
 pub(crate) fn press_draft<const N: usize>(
     name: &'static str,
-    law: &DeviceLaw,
+    laws: &Laws,
     of_bodies: &str,
     [vectors, materials]: [usize; 2],
     shape: [usize; 2],
     uses: [Use; N],
 ) -> Draft {
     let of_materials = format!("const MATERIALS: u32 = {materials}u;\nconst MODULI: u32 = {}u;\n", vectors - materials);
-    let (stored, table) = coupling_table(shape, vectors, law.samples.len());
+    let (stored, table) = coupling_table(shape, vectors, laws.samples.len());
     Draft {
         name,
         entry: "press",
@@ -81,14 +75,14 @@ pub(crate) fn press_draft<const N: usize>(
             &of_materials,
             include_str!("../wgsl/pressed.wgsl"),
             &table,
-            &law.wgsl,
+            &laws.wgsl,
             of_bodies,
             include_str!("../wgsl/rounds.wgsl"),
             include_str!("../wgsl/press.wgsl"),
         ]
         .concat(),
         uses: [LISTS, CELLS, RECORD, STATUS].into_iter().chain(uses).collect(),
-        uniform: Uniform::Table { stored, counted: law.counted },
+        uniform: Uniform::Table { stored, counted: laws.counted },
         groups: node_blocks(shape[1] > 1),
         checked: true,
     }
@@ -116,16 +110,16 @@ pub(crate) const RIMS_BESIDE: u32 = 8;
 pub(crate) fn free(
     gpu: &Gpu,
     kernels: &Kernels,
-    law: &DeviceLaw,
+    laws: &Laws,
     [vectors, materials]: [usize; 2],
     shape: [usize; 2],
     free: Free,
     roams: bool,
 ) -> ([Kernel; 2], bool) {
     let (subcycled, sleeps) = (kernels.set.solve.is_some(), kernels.set.watch.is_some());
-    let draft = |rims| free_draft([subcycled, sleeps, rims], law, vectors, shape, free);
+    let draft = |rims| free_draft([subcycled, sleeps, rims], laws, vectors, shape, free);
     let (layout, setting) = (&kernels.step_layout, &kernels.setting);
-    let press = build(gpu, layout, setting, shape[0], press_free_draft(law, [vectors, materials], shape, free));
+    let press = build(gpu, layout, setting, shape[0], press_free_draft(laws, [vectors, materials], shape, free));
     // Walls that let go come between bodies and rims.
     let is_apart =
         roams || shape[1] == 1 || !kernels.set.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
@@ -139,32 +133,32 @@ pub(crate) fn free(
     ([press, build_for(gpu, layout, setting, shape[0], with_rims)], true)
 }
 
-pub(crate) fn press_free_draft(law: &DeviceLaw, counts: [usize; 2], shape: [usize; 2], free: Free) -> Draft {
+pub(crate) fn press_free_draft(laws: &Laws, counts: [usize; 2], shape: [usize; 2], free: Free) -> Draft {
     let of_bodies =
-        [&free_counts(free, law), include_str!("../wgsl/lent.wgsl"), include_str!("../wgsl/press_free.wgsl")].concat();
-    press_draft("press on free bodies", law, &of_bodies, counts, shape, [LENT_BODIES])
+        [&free_counts(free, laws), include_str!("../wgsl/lent.wgsl"), include_str!("../wgsl/press_free.wgsl")].concat();
+    press_draft("press on free bodies", laws, &of_bodies, counts, shape, [LENT_BODIES])
 }
 
-pub(crate) fn free_counts(free: Free, law: &DeviceLaw) -> String {
+pub(crate) fn free_counts(free: Free, laws: &Laws) -> String {
     format!(
         "const FREES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst REACH: f32 = {:?};\n",
         free.bodies,
         free.rooms(),
-        law.reach,
+        laws.reach,
     )
 }
 
 /// `rims`: with what is done at rims, for bodies that meet the finest level alone.
 pub(crate) fn free_draft(
     [subcycled, sleeps, rims]: [bool; 3],
-    law: &DeviceLaw,
+    laws: &Laws,
     vectors: usize,
     [worlds, levels]: [usize; 2],
     free: Free,
 ) -> Draft {
     let tools: Use = ("tools", "vec4<i32>", Role::Tools, true);
-    let counts = free_counts(free, law) + &format!("const NEAR_TOOL: f32 = {NEAR_TOOL:?};\n");
-    let (stored, table) = coupling_table([worlds, levels], vectors, law.samples.len());
+    let counts = free_counts(free, laws) + &format!("const NEAR_TOOL: f32 = {NEAR_TOOL:?};\n");
+    let (stored, table) = coupling_table([worlds, levels], vectors, laws.samples.len());
     let awake = if sleeps { include_str!("../wgsl/free_awake.wgsl") } else { "" };
     // Nodes of the finest level are no finer one's.
     let (text, own) = of_own_mass(subcycled && !rims, &include_str!("../wgsl/free.wgsl").replace("$STAY_AWAKE", awake));
@@ -172,9 +166,9 @@ pub(crate) fn free_draft(
         name: "free bodies",
         entry: "free_bodies",
         // Eleven columns of 65 rows; see `free.wgsl`.
-        body: [&exchange(715), &counts, include_str!("../wgsl/lent.wgsl"), &table, &law.wgsl, &text].concat(),
+        body: [&exchange(715), &counts, include_str!("../wgsl/lent.wgsl"), &table, &laws.wgsl, &text].concat(),
         uses: [GRID, DIRECTORY, LENT_BODIES, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
-        uniform: Uniform::Table { stored, counted: law.counted },
+        uniform: Uniform::Table { stored, counted: laws.counted },
         groups: Groups::Exactly((worlds * free.bodies) as u32 + 1),
         checked: true,
     };

@@ -1,6 +1,7 @@
 //! Materials in WGSL: each is checked alone, so that an error names the material and its own line, then all of a scene's
 //! laws become one text with a function that picks among them.
 
+use crate::passes::wgsl_words::words_at_module_scope;
 use barchan_core::{Error, Material, Result};
 use naga::valid::{Capabilities, ModuleInfo, ShaderStages, ValidationFlags, Validator};
 use std::error::Error as _;
@@ -237,46 +238,6 @@ fn check_declarations(name: &str, wgsl: &str) -> Result<(), Refusal> {
         }
     }
     Ok(())
-}
-
-/// Words outside braces and comments, each with its line from 1.
-fn words_at_module_scope(wgsl: &str) -> impl Iterator<Item = (usize, String)> {
-    let mut words = Vec::new();
-    let (mut line, mut braces, mut block) = (1, 0usize, 0usize);
-    let mut rest = wgsl;
-    while let Some(c) = rest.chars().next() {
-        let word = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
-        let taken = match c {
-            _ if rest.starts_with("/*") => {
-                block += 1;
-                2
-            }
-            _ if block > 0 && rest.starts_with("*/") => {
-                block -= 1;
-                2
-            }
-            _ if block > 0 => c.len_utf8(),
-            _ if rest.starts_with("//") => rest.find('\n').unwrap_or(rest.len()),
-            '{' => {
-                braces += 1;
-                1
-            }
-            '}' => {
-                braces = braces.saturating_sub(1);
-                1
-            }
-            _ if word > 0 => {
-                if braces == 0 {
-                    words.push((line, rest[..word].to_owned()));
-                }
-                word
-            }
-            _ => c.len_utf8(),
-        };
-        line += usize::from(c == '\n');
-        rest = &rest[taken..];
-    }
-    words.into_iter()
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 pub(crate) mod adapt;
 pub(crate) mod binding;
 pub(crate) mod bodies;
+pub(crate) mod couplings;
 pub(crate) mod g2p;
 pub(crate) mod grid;
 pub(crate) mod laws;
@@ -12,11 +13,13 @@ pub(crate) mod rims;
 pub(crate) mod scene;
 pub(crate) mod sleep;
 pub(crate) mod sort;
+mod wgsl_words;
 
 use crate::device::Gpu;
 use crate::passes::adapt::adapt;
 use crate::passes::binding::{Draft, Found, Groups, Kernel, Parts, Setting, build, compose, entry};
 use crate::passes::bodies::{Free, free_draft};
+use crate::passes::couplings::Laws;
 use crate::passes::g2p::{g2p, soft, stress};
 use crate::passes::grid::{Finish, collect, hold, reflect, separate, sum_tiles, velocities};
 use crate::passes::laws::laws;
@@ -30,7 +33,6 @@ use crate::passes::sleep::{sum_sleep, watch};
 use crate::passes::sort::sort;
 use crate::schedule::{ContactPasses, passes};
 use crate::worlds::stiffness::is_asked_on_host;
-use barchan_core::coupling::DeviceLaw;
 use barchan_core::scene::Wall;
 use barchan_core::{Coupling, Plan, Result, Stage};
 use barchan_grid::limits::STIFFNESS_AGE;
@@ -231,16 +233,15 @@ pub fn shaders(
     let setting = Setting { constants: constants(plan) + &layer_constants(plan, worlds), parts };
     let (subcycled, shape) = (plan.substeps > 1, [worlds, plan.cell_widths.len()]);
     let mut contact: Vec<Draft> = bodies::near_drafts(subcycled).into();
-    if let Some(law) = couplings.iter().find_map(|coupling| coupling.device_law()) {
-        let count = couplings.iter().map(|coupling| coupling.bodies().len()).sum();
+    if let Some(laws) = Laws::of(couplings) {
         let materials = plan.materials.len();
-        let vectors = law.table.len() + materials;
-        contact.extend(bodies::contact_drafts(subcycled, &law, [count, vectors, materials], shape));
-        if !law.free.is_empty() {
-            let free = Free { bodies: law.free.len(), across: 4 };
-            contact.push(bodies::press_free_draft(&law, [vectors, materials], shape, free));
+        let vectors = laws.table.len() + materials;
+        contact.extend(bodies::contact_drafts(subcycled, &laws, [laws.bodies, vectors, materials], shape));
+        if !laws.free.is_empty() {
+            let free = Free { bodies: laws.free.len(), across: 4 };
+            contact.push(bodies::press_free_draft(&laws, [vectors, materials], shape, free));
             let kinds = [false, true].into_iter().filter(|rims| !rims || shape[1] > 1);
-            let motion = |rims| free_draft([subcycled, may_sleep(plan), rims], &law, vectors, shape, free);
+            let motion = |rims| free_draft([subcycled, may_sleep(plan), rims], &laws, vectors, shape, free);
             contact.extend(kinds.map(motion));
         }
     }
@@ -281,11 +282,11 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
 pub(crate) fn describe_contact(plan: &Plan) -> Vec<String> {
     let mut lines = vec!["contact, every step: on the device, but for free bodies near walls or others and for couplings without a law in WGSL: for these nodes near bodies go to the host and back".to_owned()];
     if free_bodies(plan) > 0 {
-        let law = DeviceLaw::default();
+        let laws = Laws::none();
         let free = Free { bodies: 1, across: 2 };
         let kinds = [false, true].into_iter().filter(|&rims| !rims || plan.cell_widths.len() > 1);
         lines.extend(kinds.map(|rims| {
-            let motion = free_draft([plan.substeps > 1, may_sleep(plan), rims], &law, 1, [1, 1], free);
+            let motion = free_draft([plan.substeps > 1, may_sleep(plan), rims], &laws, 1, [1, 1], free);
             let of_rims = if plan.substeps > 1 { "solve" } else { "prolong" };
             let when = if rims {
                 format!(", in place of that and {of_rims}, if levels follow them all and a pass may bind so much and be so wide")

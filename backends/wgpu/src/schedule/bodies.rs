@@ -3,13 +3,13 @@
 use crate::device::memory::{BODY, lent_bytes, read};
 use crate::passes::binding::{Kernel, Role};
 use crate::passes::bodies::{Free, NearKernels};
+use crate::passes::couplings::Laws;
 use crate::schedule::ContactPasses;
-use crate::schedule::free::FreeStep;
+use crate::schedule::free::{Borrowed, FreeStep};
 use crate::worlds::WgpuBatch;
 use crate::worlds::sleep::{self, BlockBox};
 use crate::worlds::world::{Level, Place};
 use barchan_core::backend::WorldStep;
-use barchan_core::coupling::{DeviceLaw, Lent};
 use barchan_core::{Aabb, BodyState, Coupling, Error, Result, StepReport, Vec3, Wrench};
 use std::collections::BTreeMap;
 
@@ -55,12 +55,13 @@ pub(crate) struct Needs {
 }
 
 impl Needs {
-    /// Of a law for so many bodies, where finest cells have that width [m].
-    pub(crate) fn of(law: &DeviceLaw, materials: usize, bodies: usize, h: f64, roams: bool) -> Self {
+    /// Of a world's couplings with so many materials, where finest cells have that width [m].
+    pub(crate) fn of(laws: &Laws, materials: usize, h: f64, roams: bool) -> Self {
         // Blocks that a box of the bodies' extents can reach into along an axis.
         let across = |extent: &f64| (2.0 * extent / (4.0 * h)).min(1e6) as usize + 2;
-        let free = Free { bodies: law.free.len(), across: law.free.iter().map(across).max().unwrap_or(0) };
-        Self { bodies, vectors: law.table.len() + materials, free, driven: law.free.len() < bodies, roams }
+        let free = Free { bodies: laws.free.len(), across: laws.free.iter().map(across).max().unwrap_or(0) };
+        let (bodies, vectors) = (laws.bodies, laws.table.len() + materials);
+        Self { bodies, vectors, free, driven: laws.free.len() < bodies, roams }
     }
 
     /// Those of both.
@@ -93,25 +94,17 @@ pub(crate) struct DeviceContact {
 
 /// Bodies of a world over the steps of a submission.
 pub(crate) struct Driven {
-    /// The coupling before each step, and after the last.
-    pub(crate) saved: Vec<Vec<u8>>,
-    /// Bodies after each step.
+    /// The couplings before each step, and after the last.
+    pub(crate) saved: Vec<Vec<Vec<u8>>>,
+    /// Bodies of all couplings after each step.
     pub(crate) after: Vec<Vec<BodyState>>,
     /// As the device reads them, step by step.
     pub(crate) packed: Vec<Vec<[f32; 4]>>,
     /// Boxes of blocks near them on each level, likewise.
     pub(crate) near: Vec<Vec<Vec<BlockBox>>>,
     /// Free bodies that the device moves, and what happened to them in each step.
-    pub(crate) lent: Vec<Lent>,
+    pub(crate) lent: Vec<Borrowed>,
     pub(crate) moved: Vec<Vec<FreeStep>>,
-}
-
-/// The law on devices of a world's one coupling, and how many bodies it has.
-pub(crate) fn device_law(couplings: &[Box<dyn Coupling>]) -> Option<(DeviceLaw, usize)> {
-    let [coupling] = couplings else { return None };
-    let bodies = coupling.bodies().len();
-    let fits = bodies == coupling.bounds().len() && bodies > 0;
-    coupling.device_law().filter(|_| fits).map(|law| (law, bodies))
 }
 
 /// Repeats the last one until there are so many.
@@ -121,28 +114,48 @@ pub(crate) fn go_on<T: Clone>(all: &mut Vec<T>, count: usize) {
     }
 }
 
-/// Takes a world's coupling back, or on, to what it was before a step.
+/// Takes a world's couplings back, or on, to what they were before a step.
 pub(crate) fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven>, step: usize) -> Result<()> {
-    let (Some(coupling), Some(driven)) = (couplings.first_mut(), driven) else { return Ok(()) };
-    coupling.restore(&driven.saved[step]).map_err(|what| Error::Body {
-        path: format!("coupling '{}'", coupling.name()),
-        what: format!("cannot go back to an earlier step: {what}"),
-        mend: "resume from the last snapshot".to_owned(),
+    let saved = driven.iter().flat_map(|driven| &driven.saved[step]);
+    couplings.iter_mut().zip(saved).try_for_each(|(coupling, saved)| {
+        coupling.restore(saved).map_err(|what| Error::Body {
+            path: format!("coupling '{}'", coupling.name()),
+            what: format!("cannot go back to an earlier step: {what}"),
+            mend: "resume from the last snapshot".to_owned(),
+        })
     })
 }
 
-/// A coupling's bodies as each of some levels sees them, of so many places for bodies: without those that are lent.
-pub(crate) fn pack_all(coupling: &dyn Coupling, levels: &[Level], lent: &[Lent], places: usize) -> Vec<[f32; 4]> {
-    let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
-    let is_lent = |body: usize| lent.iter().any(|lent| lent.body == body);
-    let of_level = |level: &Level| {
-        let pairs = bodies.iter().zip(&boxes).enumerate();
-        let packed = pairs.map(|(b, (body, bounds))| {
-            if is_lent(b) { NOWHERE } else { pack(body, &bounds.grown(coupling.reach() * level.h), level.h) }
-        });
-        packed.chain(std::iter::repeat(NOWHERE)).take(places).flatten().collect::<Vec<_>>()
-    };
-    levels.iter().flat_map(of_level).collect()
+fn save(couplings: &[Box<dyn Coupling>]) -> Vec<Vec<u8>> {
+    couplings.iter().map(|coupling| coupling.save()).collect()
+}
+
+fn bodies_of(couplings: &[Box<dyn Coupling>]) -> Vec<BodyState> {
+    couplings.iter().flat_map(|coupling| coupling.bodies()).collect()
+}
+
+/// The bodies of couplings as each of some levels sees them, of so many places for bodies: without those that are lent. `firsts` are the numbers of the
+/// couplings' first bodies.
+pub(crate) fn pack_all(
+    couplings: &[Box<dyn Coupling>],
+    firsts: &[usize],
+    levels: &[Level],
+    lent: &[Borrowed],
+    places: usize,
+) -> Vec<[f32; 4]> {
+    let mut packed = vec![NOWHERE; levels.len() * places];
+    for (coupling, &first) in couplings.iter().zip(firsts) {
+        let (bodies, boxes, reach) = (coupling.bodies(), coupling.bounds(), coupling.reach());
+        for (number, (body, bounds)) in (first..).zip(bodies.iter().zip(&boxes)) {
+            if lent.iter().any(|lent| lent.number == number) {
+                continue;
+            }
+            for (l, level) in levels.iter().enumerate() {
+                packed[l * places + number] = pack(body, &bounds.grown(reach * level.h), level.h);
+            }
+        }
+    }
+    packed.into_flattened()
 }
 
 /// A body whose box holds no node, as `contact.wgsl` reads it.
@@ -189,22 +202,23 @@ impl WgpuBatch {
             return Ok(());
         }
         let mut place = if couplings.is_empty() { Place::Nowhere } else { Place::Host };
-        if let Some((law, bodies)) = device_law(couplings) {
+        if let Some(laws) = Laws::of(couplings) {
             let adapt = &self.worlds[w].adapt;
-            let roams = couplings.iter().flat_map(|coupling| coupling.bodies()).any(|body| !adapt.follows(&body.name));
-            let needs = Needs::of(&law, self.worlds[w].materials.len(), bodies, self.h, roams);
+            let roams = bodies_of(couplings).iter().any(|body| !adapt.follows(&body.name));
+            let needs = Needs::of(&laws, self.worlds[w].materials.len(), self.h, roams);
             // One world alone may have other bodies from now on.
             let before = self.contact.device.as_ref().filter(|_| self.worlds.len() > 1);
             let all = before.map_or(needs, |contact| contact.needs.with(needs));
-            let is_same = |contact: &DeviceContact| contact.wgsl == law.wgsl && contact.samples == law.samples;
+            let is_same = |contact: &DeviceContact| contact.wgsl == laws.wgsl && contact.samples == laws.samples;
             let is_known = self.contact.device.as_deref().is_some_and(is_same);
-            let vectors = self.worlds.len() * all.vectors + law.samples.len();
+            let vectors = self.worlds.len() * all.vectors + laws.samples.len();
             if (is_known || before.is_none()) && self.has_room(all.free, vectors) {
                 if !is_known || self.contact.device.as_ref().is_some_and(|contact| contact.needs != all) {
-                    self.add_law(&law, all)?;
+                    self.add_laws(&laws, all)?;
                 }
-                self.write_table(w, law.table);
-                self.worlds[w].free = law.free.len();
+                self.write_table(w, laws.table);
+                self.worlds[w].free = laws.free.len();
+                self.worlds[w].first_bodies = laws.firsts;
                 place = Place::Device;
             }
         }
@@ -219,20 +233,20 @@ impl WgpuBatch {
         free.rooms() <= MOST_ROOMS && lent_bytes(free, self.worlds.len(), self.levels).max(16 * vectors as u64) <= cap
     }
 
-    /// Teaches the device a law.
-    pub(crate) fn add_law(&mut self, law: &DeviceLaw, needs: Needs) -> Result<()> {
+    /// Teaches the device the laws of a world's couplings.
+    pub(crate) fn add_laws(&mut self, laws: &Laws, needs: Needs) -> Result<()> {
         let (worlds, Needs { bodies, vectors, free, .. }) = (self.worlds.len(), needs);
         let shape = [worlds, self.levels];
         let materials = self.worlds[0].materials.len();
         let kernels =
-            crate::passes::bodies::contact(&self.gpu, &self.kernels, law, [bodies, vectors, materials], shape);
+            crate::passes::bodies::contact(&self.gpu, &self.kernels, laws, [bodies, vectors, materials], shape);
         let of_free = (free.bodies > 0).then(|| {
-            crate::passes::bodies::free(&self.gpu, &self.kernels, law, [vectors, materials], shape, free, needs.roams)
+            crate::passes::bodies::free(&self.gpu, &self.kernels, laws, [vectors, materials], shape, free, needs.roams)
         });
-        self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], free, &law.samples)?;
+        self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], free, &laws.samples)?;
         self.unlinked = true;
         let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);
-        let (wgsl, samples, tables) = (law.wgsl.clone(), law.samples.clone(), vec![Vec::new(); worlds]);
+        let (wgsl, samples, tables) = (laws.wgsl.clone(), laws.samples.clone(), vec![Vec::new(); worlds]);
         self.contact.device = Some(Box::new(DeviceContact { kernels, free: of_free, wgsl, samples, needs, tables }));
         before.into_iter().enumerate().for_each(|(w, table)| self.write_table(w, table));
         Ok(())
@@ -257,11 +271,13 @@ impl WgpuBatch {
         world_step: &mut WorldStep<'_>,
         dt: f64,
         count: usize,
-        lent: &[Lent],
+        lent: &[Borrowed],
     ) -> Result<Option<Driven>> {
         let couplings = &mut *world_step.couplings;
-        let Some(coupling) = couplings.first() else { return Ok(None) };
-        let saved = vec![coupling.save()];
+        if couplings.is_empty() {
+            return Ok(None);
+        }
+        let saved = vec![save(couplings)];
         let mut driven = Driven {
             saved,
             after: Vec::new(),
@@ -272,11 +288,11 @@ impl WgpuBatch {
         };
         let bodies = self.contact.device.as_ref().map_or(0, |contact| contact.needs.bodies);
         // Bodies that are all lent stay where they are until they come back: one step is like the next.
-        let all_lent = lent.len() == coupling.bodies().len();
+        let all_lent = lent.len() == bodies_of(couplings).len();
         let seen = if all_lent { count.min(1) } else { count };
         let mut go = || {
             let each = dt / self.substeps as f64;
-            let levels = &self.worlds[world_step.world].levels;
+            let (levels, firsts) = (&self.worlds[world_step.world].levels, &self.worlds[world_step.world].first_bodies);
             // Soft ones are watched by the device.
             let softs = self.worlds[world_step.world].softs.boxes(self.h);
             let mut time = world_step.time;
@@ -285,18 +301,18 @@ impl WgpuBatch {
                 if self.may_sleep() {
                     driven.near.push(sleep::near_tools(couplings, levels));
                 }
-                couplings[0].before_step(at, each)?;
+                couplings.iter_mut().try_for_each(|coupling| coupling.before_step(at, each))?;
                 // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
                 let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
-                let mut packed = pack_all(couplings[0].as_ref(), before, lent, bodies);
-                couplings[0].after_step(at, each)?;
-                packed.extend(pack_all(couplings[0].as_ref(), after, lent, bodies));
+                let mut packed = pack_all(couplings, firsts, before, lent, bodies);
+                couplings.iter_mut().try_for_each(|coupling| coupling.after_step(at, each))?;
+                packed.extend(pack_all(couplings, firsts, after, lent, bodies));
                 driven.packed.push(packed);
                 if (slot + 1) % self.substeps == 0 {
                     // As a simulation counts it: a path knows the last bit.
                     time += dt;
-                    driven.after.push(couplings[0].bodies());
-                    driven.saved.push(couplings[0].save());
+                    driven.after.push(bodies_of(couplings));
+                    driven.saved.push(save(couplings));
                     if self.worlds[world_step.world].adapt.must_follow(couplings, |body| softs.get(&body).copied()) {
                         break;
                     }
@@ -393,20 +409,33 @@ impl WgpuBatch {
                 sum
             };
             let per_step = |impulse: Vec3| impulse.map(|x| x / report.dt);
-            let wrench = |body: usize| Wrench { force: per_step(sum(2 * body)), torque: per_step(sum(2 * body + 1)) };
-            let mut wrenches: Vec<_> = (0..after.len()).map(wrench).collect();
+            let of_impulse = |[force, torque]: [Vec3; 2]| Wrench { force: per_step(force), torque: per_step(torque) };
+            let numbers = self.numbers(world_step);
+            let mut wrenches: Vec<_> =
+                numbers.iter().map(|number| of_impulse([sum(2 * number), sum(2 * number + 1)])).collect();
             for (lent, felt) in lent.iter().zip(moved.get(s).into_iter().flatten()) {
-                after[lent.body] = felt.body.clone();
-                wrenches[lent.body] =
-                    Wrench { force: per_step(felt.impulse.force), torque: per_step(felt.impulse.torque) };
+                if let Some(b) = numbers.iter().position(|number| *number == lent.number) {
+                    after[b] = felt.body.clone();
+                    wrenches[b] = of_impulse([felt.impulse.force, felt.impulse.torque]);
+                }
             }
             report.wrenches = Some(wrenches);
             report.bodies = Some(after);
         }
-        if let (Some(StepReport { wrenches: Some(wrenches), .. }), Some(coupling)) =
-            (reports.last(), world_step.couplings.first_mut())
-        {
-            coupling.book(wrenches);
+        if let Some(StepReport { wrenches: Some(wrenches), .. }) = reports.last() {
+            let mut rest = &wrenches[..];
+            for coupling in world_step.couplings.iter_mut() {
+                let (own, others) = rest.split_at(coupling.wrenches().len());
+                coupling.book(own);
+                rest = others;
+            }
         }
+    }
+
+    /// The numbers on the device of a world's bodies, in the couplings' order.
+    fn numbers(&self, world_step: &WorldStep<'_>) -> Vec<usize> {
+        let firsts = &self.worlds[world_step.world].first_bodies;
+        let pairs = world_step.couplings.iter().zip(firsts);
+        pairs.flat_map(|(coupling, &first)| first..first + coupling.wrenches().len()).collect()
     }
 }

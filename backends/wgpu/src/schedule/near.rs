@@ -5,6 +5,7 @@ use crate::passes::binding::Role;
 use crate::schedule::submission::Behind;
 use crate::worlds::world::{Level, World};
 use barchan_core::backend::WorldStep;
+use barchan_core::contact::{self, Contact};
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
 use barchan_grid::limits::{FULL_SPEED, greater};
 use std::collections::HashMap;
@@ -136,22 +137,35 @@ impl Near {
         self.particles.sort_unstable();
     }
 
-    /// The law of all couplings on the nodes of some levels. Returns the greatest speed that particles may feel [m/s].
+    /// All couplings act on the nodes of some levels: on each, fields one after the other, then all bodies. Returns the greatest speed that particles
+    /// may feel [m/s].
     pub(crate) fn touch(&mut self, levels: Range<usize>, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<f64> {
         let mut speed = 0.0;
-        for coupling in couplings {
-            for level in levels.clone() {
-                speed = greater(speed, self.apply(level, dt, coupling.as_mut())?);
+        for level in levels {
+            let h = self.levels[level].h;
+            for coupling in couplings.iter_mut().filter(|coupling| coupling.is_field()) {
+                let [of_nodes, _] = contact::boxes(&**coupling, h);
+                speed = greater(speed, self.apply(level, &of_nodes, false, |nodes| coupling.act_as_field(dt, nodes))?);
             }
+            let bodies = couplings.iter().filter(|coupling| !coupling.is_field());
+            let boxes: Vec<_> = bodies.map(|one| contact::boxes(&**one, h)).collect();
+            let of_nodes: Vec<Aabb> = boxes.iter().flat_map(|[of_nodes, _]| of_nodes).copied().collect();
+            let wants_particles = boxes.iter().any(|[_, of_particles]| !of_particles.is_empty());
+            let meet = |nodes: &mut NodeBatch| Contact::default().meet(couplings, dt, nodes);
+            speed = greater(speed, self.apply(level, &of_nodes, wants_particles, meet)?);
         }
         Ok(speed)
     }
 
-    /// Hands a level's nodes near a coupling's bodies to its law, and takes back their velocities.
-    pub(crate) fn apply(&mut self, level: usize, dt: f64, coupling: &mut dyn Coupling) -> Result<f64> {
+    /// Hands over a level's nodes in some boxes, and the particles there, and takes back the nodes' velocities.
+    fn apply(
+        &mut self,
+        level: usize,
+        boxes: &[Aabb],
+        wants_particles: bool,
+        act: impl FnOnce(&mut NodeBatch) -> Result<()>,
+    ) -> Result<f64> {
         let Met { h, blocks: ref own, layer } = self.levels[level];
-        let reach = coupling.reach();
-        let boxes: Vec<Aabb> = coupling.bounds().into_iter().map(|one| one.grown(reach * h)).collect();
         let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
         let mut numbers = HashMap::new();
         let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
@@ -180,7 +194,7 @@ impl Near {
         if batch.is_empty() {
             return Ok(0.0);
         }
-        if reach > 0.0 {
+        if wants_particles {
             let number = |cell: [i32; 3]| numbers.get(&cell).copied().unwrap_or(NodeBatch::NONE);
             let around = |first: [i32; 3]| -> [u32; 8] {
                 std::array::from_fn(|n| {
@@ -209,7 +223,7 @@ impl Near {
                 }
             }
         }
-        coupling.contact(dt, &mut batch)?;
+        act(&mut batch)?;
         let mut fastest = 0.0f64;
         for ((&(b, n), u), mass) in places.iter().zip(&batch.velocity).zip(&batch.mass) {
             let felt = (mass / (self.least_mass * FULL_SPEED)).min(1.0);

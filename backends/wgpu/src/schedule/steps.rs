@@ -2,12 +2,12 @@
 
 use crate::device::memory::{MAX_SLOTS, MAX_STEPS};
 use crate::schedule::bodies::{Driven, go_back};
+use crate::schedule::free::Borrowed;
 use crate::schedule::status::Halt;
 use crate::schedule::submission::{FEW_STEPS, Outcome, cut};
 use crate::worlds::WgpuBatch;
 use crate::worlds::world::{Place, World};
 use barchan_core::backend::WorldStep;
-use barchan_core::coupling::Lent;
 use barchan_core::{Error, Result, StepReport};
 use barchan_grid::limits::NODE_MOVE;
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ impl WgpuBatch {
         mut dt: f64,
         mut count: usize,
         world_steps: &mut [WorldStep<'_>],
-        lent: &[Vec<Lent>],
+        lent: &[Vec<Borrowed>],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
         self.settle()?;
         let mut failed: Vec<Option<Error>> = world_steps.iter().map(|world_step| self.fault(world_step)).collect();
@@ -204,7 +204,7 @@ impl WgpuBatch {
         let has_bodies = world_steps.iter().any(|world_step| !world_step.couplings.is_empty());
         let at_once = if has_bodies || self.substeps > 1 { MAX_SLOTS / self.substeps } else { MAX_STEPS };
         let most = world_steps.iter().map(until_asked).fold(at_once, usize::min);
-        let lent: Vec<Option<Vec<Lent>>> = world_steps
+        let lent: Vec<Option<Vec<Borrowed>>> = world_steps
             .iter_mut()
             .map(|world_step| match self.worlds[world_step.world] {
                 _ if !ground => None,
@@ -221,7 +221,7 @@ impl WgpuBatch {
         let taken = self.take_steps_where_bodies_are(dt, count.clamp(1, most), world_steps, lent, &is_on_host);
         world_steps
             .iter_mut()
-            .filter_map(|world_step| world_step.couplings.first_mut())
+            .flat_map(|world_step| world_step.couplings.iter_mut())
             .for_each(|coupling| coupling.take_back());
         let reports = taken?;
         for (world_step, _) in world_steps.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
@@ -236,7 +236,7 @@ impl WgpuBatch {
         dt: f64,
         count: usize,
         world_steps: &mut [WorldStep<'_>],
-        lent: Vec<Option<Vec<Lent>>>,
+        lent: Vec<Option<Vec<Borrowed>>>,
         is_on_host: &[bool],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
         let ground = self.particles() > 0;

@@ -11,3 +11,8 @@ fn pressed_at(g: u32, body: u32, n: u32) -> u32 {
     return extent.node_room * BODIES * 2u + (g * BODIES + body) * 64u + n;
 }
 
+
+// Where a body stands in this slot, as the layer sees it.
+fn body_at(b: u32) -> u32 {
+    return ((slot_now() * LAYERS + layer_now) * BODIES + b) * BODY;
+}

@@ -249,7 +249,7 @@ fn find_touches(k: u32, level: u32, thread: u32) {
                     let room = at.x + size.x * (at.y + size.y * at.z);
                     let press = real(lent[pressed_at(k, level, room, n)]).xyz * (step.dt * steps_of(layer_now) / mass);
                     let grip = coupling_grip(number, arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], H / shrink, press);
-                    if grip.kind != 0u {
+                    if grip.kind != GRIP_NONE {
                         let normal = vec3<f32>(dot(rows[0], grip.normal), dot(rows[1], grip.normal), dot(rows[2], grip.normal));
                         let to = touch_at(k, kept_touches, thread);
                         lent[to] = bitcast<vec4<u32>>(vec4<f32>(arm, mass));
@@ -291,7 +291,7 @@ fn touch_of(k: u32, i: u32, thread: u32) -> Touch {
     let arm = real(lent[at]);
     let how = lent[at + THREADS];
     let grip = real(lent[at + 2u * THREADS]);
-    return Touch(arm.xyz, arm.w, real(how).xyz, how.w & 0x3fffffffu, CouplingGrip(how.w >> 30u, grip.xyz, grip.w, false));
+    return Touch(arm.xyz, arm.w, real(how).xyz, how.w & 0x3fffffffu, CouplingGrip(how.w >> 30u, grip.xyz, grip.w, false, 0.0));
 }
 
 // What the nodes give at the frozen twist, and G_iT m_i D G_i with D the law's derivative or its secant, summed over a thread's.
@@ -305,7 +305,7 @@ fn assemble(k: u32, tangent: bool, thread: u32) -> Sums {
         sum.lower1.w += touch.mass;
         let r = touch.arm;
         let u = touch.velocity - velocity_of(twist, r);
-        let hold = coupling_hold(number, touch.grip, u);
+        let hold = hold_of(coupling_friction(number), touch.grip, u);
         if !hold.held {
             continue;
         }
@@ -606,7 +606,7 @@ fn meet(k: u32, level: u32, thread: u32) {
     var fastest = 0u;
     for (var i = 0u; i < kept_touches; i++) {
         let touch = touch_of(k, i, thread);
-        let hold = coupling_hold(number, touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
+        let hold = hold_of(coupling_friction(number), touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
         if !hold.held {
             continue;
         }
@@ -615,8 +615,7 @@ fn meet(k: u32, level: u32, thread: u32) {
         }
         let of_surface = velocity_of(surface, touch.arm);
         let u = touch.velocity - of_surface;
-        let along = dot(u, hold.normal) * hold.normal;
-        let kept = of_surface + (1.0 - hold.hold) * along + (1.0 - hold.drag) * (u - along);
+        let kept = of_surface + kept_by(hold, u);
         grid[touch.node].x = kept.x;
         grid[touch.node].y = kept.y;
         grid[touch.node].z = kept.z;

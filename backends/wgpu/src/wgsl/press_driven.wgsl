@@ -1,9 +1,12 @@
 const PRESSED_BODIES: u32 = BODIES;
 
 fn pressed_body(b: u32) -> PressedBody {
-    let at = ((slot_now() * LAYERS + layer_now) * BODIES + b) * BODY;
+    let at = body_at(b);
     let rows = array<vec3<f32>, 3>(bodies[at + 2u].xyz, bodies[at + 3u].xyz, bodies[at + 4u].xyz);
-    return PressedBody(int_vector(bodies[at + 7u]), int_vector(bodies[at + 8u]), int_vector(bodies[at]), bodies[at + 1u].xyz, rows, b);
+    let least = int_vector(bodies[at + 7u]);
+    // On fields nothing presses.
+    let most = select(int_vector(bodies[at + 8u]), least - vec3<i32>(1), is_field(b));
+    return PressedBody(least, most, int_vector(bodies[at]), bodies[at + 1u].xyz, rows, b);
 }
 
 fn put_pressed(b: u32, g: u32, block: vec3<i32>, n: u32, force: vec3<f32>) {

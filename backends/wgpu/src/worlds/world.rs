@@ -158,6 +158,8 @@ pub(crate) struct World {
     pub(crate) reach: Option<Reach>,
     /// Where its bodies' law runs, once that is known.
     pub(crate) contact: Option<Place>,
+    /// On the device, the number of each coupling's first body there.
+    pub(crate) first_bodies: Vec<usize>,
     /// Free bodies, if that is the device.
     pub(crate) free: usize,
     /// Steps of the finest level in one.
@@ -243,6 +245,7 @@ impl World {
             softs: Softs::new(softs(plan).into_iter()),
             reach: plan.terrain.clone().map(Reach::new),
             contact: None,
+            first_bodies: Vec::new(),
             free: 0,
             substeps: plan.substeps,
             torn: None,

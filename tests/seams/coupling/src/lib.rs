@@ -4,7 +4,7 @@
 //! is the whole world. A node's velocity u follows du/dt = rate (w - u), taken implicitly, so that any step is stable; what the
 //! node gains, a pump without an end of mass loses.
 
-use barchan::coupling::Aabb;
+use barchan::coupling::{Aabb, DeviceLaw};
 use barchan::material::Parameter;
 use barchan::{BodyState, Coupling, Error, NodeBatch, Registry, Result, Scene, Vec3, Wrench};
 use std::sync::Arc;
@@ -26,6 +26,15 @@ pub fn register(registry: &mut Registry) -> Result<()> {
     let doc = "A current that drags the ground along.";
     registry.add_coupling(KIND, doc, parameters, Arc::new(|scene| Ok(Box::new(Current::new(scene)?))))
 }
+
+/// The same for GPUs; the table holds the rate and the velocity.
+const WGSL: &str = "
+fn coupling_field(body: u32, x: vec3<f32>, u: vec3<f32>, mass: f32, dt: f32) -> vec3<f32> {
+    let current = coupling_table(body);
+    let share = current.x * dt / (1.0 + current.x * dt);
+    return u + share * (current.yzw - u);
+}
+";
 
 /// The current, and what it felt in the last step.
 #[derive(Clone, Debug)]
@@ -91,7 +100,10 @@ impl Coupling for Current {
     fn bounds(&self) -> Vec<Aabb> {
         vec![self.extent]
     }
-    fn contact(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()> {
+    fn is_field(&self) -> bool {
+        true
+    }
+    fn act_as_field(&mut self, dt: f64, nodes: &mut NodeBatch) -> Result<()> {
         let share = self.rate * dt / (1.0 + self.rate * dt);
         for (u, &mass) in nodes.velocity.iter_mut().zip(&nodes.mass) {
             for d in 0..3 {
@@ -101,6 +113,14 @@ impl Coupling for Current {
             }
         }
         Ok(())
+    }
+    fn device_law(&self) -> Option<DeviceLaw> {
+        let [x, y, z] = self.velocity.map(|v| v as f32);
+        let table = vec![[self.rate as f32, x, y, z]];
+        Some(DeviceLaw { counted: true, wgsl: WGSL.to_owned(), table, ..DeviceLaw::default() })
+    }
+    fn book(&mut self, wrenches: &[Wrench]) {
+        self.wrench.copy_from_slice(wrenches);
     }
     fn after_step(&mut self, _: f64, dt: f64) -> Result<()> {
         self.wrench[0] = Wrench { force: self.impulse.map(|i| i / dt), torque: [0.0; 3] };

@@ -1,4 +1,4 @@
-// The contact law of `contact.rs` and the distances of `sdf.rs`, for all shapes.
+// How bodies grip nodes, as in `grip.rs`, and the distances of `sdf.rs`, for all shapes.
 //
 // coupling_table(i) holds, for each body: first part, parts, 0 stick | 1 Coulomb, friction; and from there for each part: primitive,
 // half its thickness, where samples begin; sizes; origin; and the three rows of its rotation. Of what is sampled, the origin is the middle of the
@@ -118,77 +118,31 @@ fn coupling_press(body: u32, x: vec3<f32>, half: f32, modulus: f32, cell: f32) -
     return (4.0 * modulus * half * half * overlap / (1.0 - overlap)) * surface.normal;
 }
 
-// How the surface grips a node. `most` is the greatest speed that may be taken [m/s].
-struct CouplingGrip { kind: u32, normal: vec3<f32>, most: f32, deep: bool }
-const RIGID_OUTSIDE: u32 = 0u;
-const RIGID_STICK: u32 = 1u;
-const RIGID_COULOMB: u32 = 2u;
-// In the core of thin plates, where the node may not separate either.
-const RIGID_BILATERAL: u32 = 3u;
-const RIGID_UNBOUNDED: f32 = 3e38;
-
 // At `x` [m] from the body's reference point, in the body's frame, where particles press by `press`: their forces over the node's mass, times the step [m/s].
 fn coupling_grip(body: u32, x: vec3<f32>, cell: f32, press: vec3<f32>) -> CouplingGrip {
     let near = rigid_near(body, x, cell);
+    let distance = near.surface.distance;
     let most = length(press);
-    if near.surface.distance < -2.0 * cell {
-        return CouplingGrip(RIGID_STICK, vec3<f32>(0.0), RIGID_UNBOUNDED, true);
+    let none = vec3<f32>(0.0);
+    if distance < -2.0 * cell {
+        return CouplingGrip(GRIP_STICK, none, GRIP_UNBOUNDED, true, distance);
     }
     if coupling_table(body).z == 0.0 {
-        let bound = select(most, RIGID_UNBOUNDED, near.surface.distance < 0.0);
-        return CouplingGrip(select(RIGID_OUTSIDE, RIGID_STICK, bound > 0.0), vec3<f32>(0.0), bound, false);
+        let bound = select(most, GRIP_UNBOUNDED, distance < 0.0);
+        return CouplingGrip(select(GRIP_NONE, GRIP_STICK, bound > 0.0), none, bound, false, distance);
     }
     if near.core && near.surface.known {
-        return CouplingGrip(RIGID_BILATERAL, near.surface.normal, RIGID_UNBOUNDED, false);
+        return CouplingGrip(GRIP_BILATERAL, near.surface.normal, GRIP_UNBOUNDED, false, distance);
     }
     if most == 0.0 {
-        return CouplingGrip(RIGID_OUTSIDE, vec3<f32>(0.0), 0.0, false);
+        return CouplingGrip(GRIP_NONE, none, 0.0, false, distance);
     }
-    return CouplingGrip(RIGID_COULOMB, press / most, most, false);
+    return CouplingGrip(GRIP_COULOMB, press / most, most, false, distance);
 }
 
-// What the law takes from a relative velocity u: K u with K = hold n nT + drag (1 - n nT), if anything is held; n = 0 and drag = hold if that is
-// isotropic. Where the node slides, drag = friction |f_n| / |u_t|, with u_t along `along`. `bounded`: is the normal part held by less than all?
-struct CouplingHold { held: bool, normal: vec3<f32>, hold: f32, drag: f32, bounded: bool, along: vec3<f32>, friction: f32 }
-
-fn coupling_hold(body: u32, grip: CouplingGrip, u: vec3<f32>) -> CouplingHold {
-    let none = vec3<f32>(0.0);
-    if grip.kind == RIGID_STICK {
-        let share = min(grip.most / max(length(u), 1e-30), 1.0);
-        return CouplingHold(true, none, share, share, false, none, 0.0);
-    }
-    let friction = coupling_table(body).w;
-    let approach = -dot(u, grip.normal);
-    if approach <= 0.0 {
-        return CouplingHold(grip.kind == RIGID_BILATERAL, grip.normal, 1.0, 0.0, false, none, 0.0);
-    }
-    let bounded = approach > grip.most;
-    let taken = min(approach, grip.most);
-    let hold = select(1.0, grip.most / approach, bounded);
-    if friction == 0.0 {
-        return CouplingHold(true, grip.normal, hold, 0.0, bounded, none, 0.0);
-    }
-    let tangential = u + approach * grip.normal;
-    let speed = length(tangential);
-    if friction * taken >= speed {
-        return CouplingHold(true, grip.normal, hold, 1.0, bounded, none, 0.0);
-    }
-    return CouplingHold(true, grip.normal, hold, friction * taken / speed, bounded, tangential / speed, friction);
-}
-
-// What is left of the velocity `u` [m/s], relative to the surface, of a node at `x` [m] from the body's reference point, where particles press by
-// `press` [m/s]; all in the body's frame. `cell` is the cell's width [m].
-fn coupling_contact(body: u32, x: vec3<f32>, u: vec3<f32>, cell: f32, press: vec3<f32>) -> vec3<f32> {
-    let grip = coupling_grip(body, x, cell, press);
-    if grip.kind == RIGID_OUTSIDE {
-        return u;
-    }
-    let hold = coupling_hold(body, grip, u);
-    if !hold.held {
-        return u;
-    }
-    let along = dot(u, hold.normal) * hold.normal;
-    return (1.0 - hold.hold) * along + (1.0 - hold.drag) * (u - along);
+// A body's coefficient of friction.
+fn coupling_friction(body: u32) -> f32 {
+    return coupling_table(body).w;
 }
 
 // The corners of a body's box from its reference point [m], along the world's axes, if `rows` are those of its rotation. Contact in cells of

@@ -1,0 +1,91 @@
+//! WGSL word by word, for texts of plugins: what they declare, and the same text under other names.
+
+/// A piece of a text: a word, or what stands between words.
+enum Piece<'a> {
+    Word(&'a str),
+    Between(&'a str),
+}
+
+/// The pieces of a text, each with how many braces are open there, and its line from 1. Comments are between words.
+fn pieces(wgsl: &str) -> Vec<(Piece<'_>, usize, usize)> {
+    let mut all = Vec::new();
+    let (mut line, mut braces, mut block) = (1, 0usize, 0usize);
+    let mut rest = wgsl;
+    while let Some(c) = rest.chars().next() {
+        let word = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+        let (taken, is_word) = match c {
+            _ if rest.starts_with("/*") => {
+                block += 1;
+                (2, false)
+            }
+            _ if block > 0 && rest.starts_with("*/") => {
+                block -= 1;
+                (2, false)
+            }
+            _ if block > 0 => (c.len_utf8(), false),
+            _ if rest.starts_with("//") => (rest.find('\n').unwrap_or(rest.len()), false),
+            _ if word > 0 => (word, true),
+            _ => (c.len_utf8(), false),
+        };
+        let text = &rest[..taken];
+        match text {
+            "{" if block == 0 => braces += 1,
+            "}" if block == 0 => braces = braces.saturating_sub(1),
+            _ => {}
+        }
+        all.push((if is_word { Piece::Word(text) } else { Piece::Between(text) }, braces, line));
+        line += text.matches('\n').count();
+        rest = &rest[taken..];
+    }
+    all
+}
+
+/// Words outside braces and comments, each with its line from 1.
+pub(crate) fn words_at_module_scope(wgsl: &str) -> impl Iterator<Item = (usize, String)> {
+    pieces(wgsl).into_iter().filter_map(|(piece, braces, line)| match piece {
+        Piece::Word(word) if braces == 0 => Some((line, word.to_owned())),
+        _ => None,
+    })
+}
+
+/// The names of the functions, constants and types that a text declares at module scope.
+pub(crate) fn declared_names(wgsl: &str) -> Vec<String> {
+    let words: Vec<String> = words_at_module_scope(wgsl).map(|(_, word)| word).collect();
+    let declares = |pair: &&[String]| ["fn", "const", "struct", "alias"].contains(&pair[0].as_str());
+    words.windows(2).filter(declares).map(|pair| pair[1].clone()).collect()
+}
+
+/// The text with other names for some of its words, but for components of vectors.
+pub(crate) fn renamed(wgsl: &str, to: impl Fn(&str) -> Option<String>) -> String {
+    let mut all = String::with_capacity(wgsl.len());
+    for (piece, ..) in pieces(wgsl) {
+        match piece {
+            Piece::Word(word) if all.ends_with('.') && word.chars().all(|c| "xyzwrgba".contains(c)) => all += word,
+            Piece::Word(word) => all += &to(word).unwrap_or_else(|| word.to_owned()),
+            Piece::Between(text) => all += text,
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = "// fn other() in a comment\n/* struct block {} */\nconst SIZE: u32 = 2u;\nstruct Place { x: f32, size: f32 }\n\
+        fn half(v: f32) -> f32 { let other = v; return 0.5 * other; }\nfn coupling_distance(p: Place) -> f32 { return half(p.size) * f32(SIZE); }\n";
+
+    #[test]
+    fn what_a_text_declares_is_found_and_nothing_else() {
+        assert_eq!(declared_names(TEXT), ["SIZE", "Place", "half", "coupling_distance"]);
+    }
+
+    #[test]
+    fn names_are_changed_where_they_stand_as_words_and_nowhere_else() {
+        let names = declared_names(TEXT);
+        let other = renamed(TEXT, |word| names.iter().any(|name| name == word).then(|| format!("{word}_1")));
+        assert!(other.contains("return half_1(p.size) * f32(SIZE_1);"), "{other}");
+        assert!(other.contains("struct Place_1 { x: f32, size: f32 }") && other.contains("let other = v;"), "{other}");
+        assert!(other.starts_with("// fn other() in a comment\n/* struct block {} */\n"), "{other}");
+    }
+}
