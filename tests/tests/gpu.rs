@@ -16,6 +16,8 @@ use std::sync::Arc;
 
 #[path = "gpu/agree.rs"]
 mod agree;
+#[path = "gpu/couplings.rs"]
+mod couplings;
 #[path = "gpu/damping.rs"]
 mod damping;
 #[path = "gpu/free.rs"]
@@ -843,9 +845,9 @@ fn bumpy(world: u64) -> Scene {
     scene
 }
 
-/// The patch in a slow current, whose law has no WGSL, so that the blade's runs on the host, too.
+/// The patch in a slow current, whose law the host applies, so that the blade's runs there, too.
 fn dragged(world: u64) -> Scene {
-    let parameters = [("rate".to_owned(), 0.5), ("x".to_owned(), 0.2)].into_iter().collect();
+    let parameters = [("rate".to_owned(), 0.5), ("x".to_owned(), 0.2), ("host".to_owned(), 1.0)].into_iter().collect();
     let current = CouplingSpec { kind: barchan_seam_coupling::KIND.into(), parameters };
     Scene { coupling: vec![current], ..patch(world) }
 }

@@ -27,7 +27,10 @@ fn unknown_names_are_answered_with_the_known_ones() {
     let text = head.with(&[cube("").concat(), "[[coupling]]\nkind = \"magnet\"\n".to_owned()]);
     let error = Simulation::new(&registry, &scene(&text), &Options::default()).unwrap_err().to_string();
     println!("{error}");
-    assert!(error.contains("coupling[0].kind: no coupling is called 'magnet'; known are: current, rigid"), "{error}");
+    assert!(
+        error.contains("coupling[0].kind: no coupling is called 'magnet'; known are: current, rigid, rollers"),
+        "{error}"
+    );
 
     let text = head.with(&cube("")).replace("law = \"neo_hookean\"", "law = \"granite\"");
     let error = Simulation::new(&registry, &scene(&text), &Options::default()).unwrap_err().to_string();
@@ -102,10 +105,48 @@ fn a_coupling_from_outside_acts_on_every_node_once() {
     println!("{error}");
     assert!(
         error.contains(
-            "coupling[0].parameters.rates: coupling 'current' has no parameter `rates`; it has rate, x, y, z"
+            "coupling[0].parameters.rates: coupling 'current' has no parameter `rates`; it has rate, x, y, z, host"
         ),
         "{error}"
     );
+}
+
+/// Bodies of a coupling from outside grip the ground by the law that all share: rollers on either side draw a block down between them, evenly, no faster
+/// than their surfaces, and feel what it gains. With a current besides, whichever stands first in the scene, the field acts before the bodies do.
+#[test]
+fn bodies_from_outside_grip_the_ground() {
+    let rollers = "[[coupling]]\nkind = \"rollers\"\nparameters = { radius = 0.3, gap = 0.3, z = 0.1, rate = 2, friction = 0.4 }\n";
+    let current = "[[coupling]]\nkind = \"current\"\nparameters = { rate = 5, y = 1 }\n";
+    let (steps, dt) = (100, 1e-3);
+    let run = |couplings: &[&str]| {
+        let text = Head::space(0.05).time(format!("step = {dt}")).with(&[cube("").concat(), couplings.concat()]);
+        let mut s = Simulation::new(&registry(), &scene(&text), &options(Precision::F64)).unwrap();
+        let before = s.ledger();
+        let mut booked = vec![[0.0; 3]; s.wrenches().len()];
+        for _ in 0..steps {
+            s.step().unwrap();
+            for (booked, wrench) in booked.iter_mut().zip(s.wrenches()) {
+                (0..3).for_each(|d| booked[d] += wrench.force[d] * dt);
+            }
+        }
+        let after = s.ledger();
+        let gained: [f64; 3] = std::array::from_fn(|d| after.momentum[d] - before.momentum[d]);
+        let missing = (0..3).map(|d| gained[d] + booked.iter().map(|one| one[d]).sum::<f64>());
+        let missing = missing.fold(0.0, |most: f64, x| most.max(x.abs())) / after.mass;
+        println!("{couplings:?}: gained {gained:?} N s, booked {booked:?}, missing {missing:.1e} m/s");
+        assert!(missing < 1e-12, "what is booked is not what the ground gains");
+        (gained, booked, after.mass, rows(&s))
+    };
+    let (gained, booked, mass, _) = run(&[rollers]);
+    let surface = 2.0 * 0.3;
+    assert!(gained[2] < -0.05 * mass * surface && gained[2] > -mass * surface, "{gained:?}");
+    assert!(gained[0].abs() < 1e-9 * mass && (booked[0][2] / booked[1][2] - 1.0).abs() < 1e-6, "{booked:?}");
+    assert!(booked[0][0] < 0.0 && booked[1][0] > 0.0, "the block pushes them apart: {booked:?}");
+    // Fields act first, whatever the order.
+    let (one, other) = (run(&[rollers, current]), run(&[current, rollers]));
+    assert!(one.0[1] > 0.1 * mass * (1.0 - (1.0f64 + 5.0 * dt).powi(-steps)), "{:?}", one.0);
+    let apart = one.3.iter().zip(&other.3).flat_map(|(a, b)| (0..3).map(|d| (a.x[d] - b.x[d]).abs()));
+    assert!(apart.fold(0.0, f64::max) == 0.0, "their order in the scene matters");
 }
 
 /// A backend from outside runs a plan, takes over another's run in its middle, and is refused by name where it lacks a stage.

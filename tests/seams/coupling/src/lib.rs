@@ -1,8 +1,10 @@
-//! A coupling outside Barchan's own crates: a current within a box that drags the ground along.
+//! Couplings outside Barchan's own crates: [`rollers`], bodies that grip the ground, and a current, a field that drags the ground along.
 //!
 //! A scene calls for it by `[[coupling]] kind = "current"`, with the parameters `rate` [1/s] and `x`, `y`, `z` [m/s]. The box
 //! is the whole world. A node's velocity u follows du/dt = rate (w - u), taken implicitly, so that any step is stable; what the
 //! node gains, a pump without an end of mass loses.
+
+pub mod rollers;
 
 use barchan::coupling::{Aabb, DeviceLaw};
 use barchan::material::Parameter;
@@ -12,7 +14,7 @@ use std::sync::Arc;
 /// Name of the kind.
 pub const KIND: &str = "current";
 
-/// Registers the coupling.
+/// Registers both couplings.
 ///
 /// # Errors
 /// If the name is taken.
@@ -22,9 +24,12 @@ pub fn register(registry: &mut Registry) -> Result<()> {
         Parameter::new(axis, "m/s", 0.0, [f64::MIN, f64::MAX], &doc)
     };
     let rate = Parameter::new("rate", "1/s", 0.0, [0.0, f64::MAX], "How fast the ground takes it up.");
-    let parameters = [rate].into_iter().chain(["x", "y", "z"].map(along)).collect();
+    let host =
+        Parameter::new("host", "1", 0.0, [0.0, 1.0], "1: beside a GPU the host applies it, as if it had no WGSL.");
+    let parameters = [rate].into_iter().chain(["x", "y", "z"].map(along)).chain([host]).collect();
     let doc = "A current that drags the ground along.";
-    registry.add_coupling(KIND, doc, parameters, Arc::new(|scene| Ok(Box::new(Current::new(scene)?))))
+    registry.add_coupling(KIND, doc, parameters, Arc::new(|scene| Ok(Box::new(Current::new(scene)?))))?;
+    rollers::register(registry)
 }
 
 /// The same for GPUs; the table holds the rate and the velocity.
@@ -41,6 +46,7 @@ fn coupling_field(body: u32, x: vec3<f32>, u: vec3<f32>, mass: f32, dt: f32) -> 
 pub struct Current {
     rate: f64,
     velocity: Vec3,
+    on_host: bool,
     extent: Aabb,
     impulse: Vec3,
     wrench: [Wrench; 1],
@@ -65,6 +71,7 @@ impl Current {
         Ok(Self {
             rate,
             velocity: [value("x"), value("y"), value("z")],
+            on_host: value("host") != 0.0,
             extent: scene.world_box(),
             impulse: [0.0; 3],
             wrench: [Wrench::default()],
@@ -117,7 +124,8 @@ impl Coupling for Current {
     fn device_law(&self) -> Option<DeviceLaw> {
         let [x, y, z] = self.velocity.map(|v| v as f32);
         let table = vec![[self.rate as f32, x, y, z]];
-        Some(DeviceLaw { counted: true, wgsl: WGSL.to_owned(), table, ..DeviceLaw::default() })
+        let law = DeviceLaw { counted: true, wgsl: WGSL.to_owned(), table, ..DeviceLaw::default() };
+        (!self.on_host).then_some(law)
     }
     fn book(&mut self, wrenches: &[Wrench]) {
         self.wrench.copy_from_slice(wrenches);
