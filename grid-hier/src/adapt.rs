@@ -1,11 +1,13 @@
-//! Levels after their agents: who changes level, who is split, who merges.
+//! Moves levels after their agents: which particles change level, are split, or merge.
 //!
-//! A particle's class says how many lattice points of its body it stands for along a side, as a power of two: class l is the
-//! size that belongs to level l. Regions grown by one parent cell hold nothing coarser than their level; what is finer merges
-//! once it is three parent cells away. In between, particles stay as they are, so an agent that trembles changes nothing.
+//! A particle's class is its size: 2^class lattice points of its body along a side. Class l is the size that belongs to
+//! level l. A region grown by one parent cell holds nothing coarser than its level. Particles finer than needed merge
+//! once they are three parent cells away. In between, particles stay as they are, so an agent that trembles changes
+//! nothing.
 //!
-//! A round is [`find`](Adapt::find), which says who is concerned, then [`apply`](Adapt::apply). Backends hand in their levels as
-//! [`LevelStore`]s; one that holds its particles elsewhere hands in those that a round may concern, as [`CopiedLevel`]s.
+//! A round is [`find`](Adapt::find), which lists the particles concerned, then [`apply`](Adapt::apply). Backends pass
+//! their levels as [`LevelStore`]s. A backend whose particles are elsewhere, such as on a device, passes copies of
+//! those that a round may concern, as [`CopiedLevel`]s.
 
 mod clusters;
 mod copied;
@@ -37,7 +39,8 @@ const AROUND_TOOL: f64 = 2.0;
 /// Particles' numbers are less than this.
 pub(crate) const IDS: u64 = u32::MAX as u64;
 
-/// One particle outside of any list, on its way to another place or level. Numbers of a run's precision are exact in it.
+/// One particle outside of any list, on its way to another place or level. It holds numbers of the run's precision
+/// exactly.
 #[derive(Clone, Debug)]
 pub struct Parcel {
     /// Index of the list within the level.
@@ -95,12 +98,12 @@ impl Parcel {
     }
 }
 
-/// Particles of one level as split and merge need them: lists by material, in groups that are the same for all lists. Results depend
-/// on the order of groups and of places, in the numbers of children and in the last bits.
+/// Access to the particles of one level for split and merge: lists by material, in groups that are the same for all
+/// lists. The order of groups and of places decides the numbers of children and the last bits of results.
 pub trait LevelStore: Sync {
-    /// Keys of the blocks that the first groups were sorted into, rising. No particle is more than a cell outside its block.
+    /// Keys of the blocks of the first groups, in rising order. No particle is more than a cell outside its block.
     fn blocks(&self) -> &[u64];
-    /// Number of groups; those behind the blocks' are in no block yet.
+    /// Number of groups. Groups after those of the blocks hold particles that are in no block yet.
     fn groups(&self) -> usize;
     /// Places of the particles of a list in a group.
     fn places(&self, list: usize, group: usize) -> impl Iterator<Item = usize>;
@@ -118,11 +121,12 @@ pub trait LevelStore: Sync {
     fn volume0(&self, list: usize, place: usize) -> f64;
     /// A copy of it.
     fn parcel(&self, list: usize, place: usize) -> Parcel;
-    /// Takes particles of a list out. Other places stay what they are.
+    /// Removes particles of a list. All other places stay valid.
     fn remove(&mut self, list: usize, places: impl Iterator<Item = usize>);
-    /// Takes in particles, in the order of lists and numbers. They are in no block.
+    /// Adds particles, in the order of lists and numbers. They are in no block yet.
     fn push(&mut self, parcels: &[&Parcel]);
-    /// The cells of some blocks that are at least half full, as bits, for cells of a volume [m³]; block keys rise.
+    /// For each of some blocks, the cells that are at least half full, as bits. `volume` is a cell's volume [m³]; block
+    /// keys rise.
     fn filled(&self, lists: usize, blocks: &[u64], volume: f64) -> Vec<u64>
     where
         Self: Sized,
@@ -131,11 +135,11 @@ pub trait LevelStore: Sync {
     }
 }
 
-/// Nested levels of one world: where they are, and what splits and merges remember from round to round.
+/// Nested levels of one world: their regions, and what split and merge keep from round to round.
 pub struct Adapt {
     /// Where the levels are.
     pub regions: Regions,
-    /// Number of the next particle that comes into being.
+    /// Number of the next new particle.
     pub next_id: u64,
     /// What the levels follow.
     agents: Vec<Agent>,
@@ -189,12 +193,12 @@ enum Action {
     Merge,
 }
 
-/// Which particles may merge in a round, of those that are finer than need be.
+/// Which of the particles that are finer than needed may merge in a round.
 #[derive(Clone, Copy, Debug)]
 pub enum Candidates<'a> {
     /// None.
     None,
-    /// Those that had to be as fine in these regions.
+    /// Those that had to be as fine as they are in these regions.
     New(&'a Regions),
     /// All of them.
     All,
@@ -212,7 +216,7 @@ struct Found {
     action: Action,
 }
 
-/// What a round is to do.
+/// What a round will do.
 pub struct Round {
     found: Vec<Found>,
     /// Was anything tried to be merged?
@@ -221,8 +225,8 @@ pub struct Round {
 }
 
 impl Round {
-    /// The levels that particles may leave or come to. Where levels have steps of their own, strain lags behind by one: theirs must
-    /// be up to date before the round is applied.
+    /// The levels that particles may leave or enter. With subcycling, strain lags behind by one step: these levels'
+    /// strain must be brought up to date before the round is applied.
     pub fn concerned(&self) -> Vec<bool> {
         let mut concerned = vec![false; self.levels];
         for one in &self.found {
@@ -279,7 +283,7 @@ enum Way {
 }
 
 impl Adapt {
-    /// As a plan has its levels at the start.
+    /// The levels of a plan at the start.
     pub fn new(plan: &Plan) -> Self {
         let scene = &plan.scene;
         let material = |planned: &barchan_core::plan::PlannedMaterial| Material {
@@ -303,7 +307,7 @@ impl Adapt {
         }
     }
 
-    /// What a snapshot holds of it; `None` if there is one level only. `live` are the tiles within reach.
+    /// What a snapshot stores of the levels; `None` if there is only one level. `live` are the tiles within reach.
     pub fn phase(&self, live: BTreeSet<[i32; 2]>) -> Option<LevelPhase> {
         (self.widths.len() > 1).then(|| LevelPhase {
             boxes: self.regions.boxes().to_vec(),
@@ -314,20 +318,20 @@ impl Adapt {
         })
     }
 
-    /// Takes over what a saved run had.
+    /// Takes over the levels of a saved run.
     pub fn restore(&mut self, phase: LevelPhase) {
         self.regions.restore(phase.boxes);
         (self.rounds, self.tried) = (phase.rounds, phase.tried);
         self.next_id = phase.next_id.max(self.next_id);
     }
 
-    /// Goes on from what splits and merges of an engine before this one have summed up.
+    /// Continues the sums of splits and merges of the engine before this one.
     pub fn carry_on(&mut self, sums: &Ledger) {
         self.resampled.kinetic = sums.resampled_kinetic;
         self.resampled.angular = sums.resampled_angular_momentum.into();
     }
 
-    /// Adds what splits and merges have done since the start.
+    /// Adds what splits and merges have done since the start to the ledger.
     pub fn account(&self, ledger: &mut Ledger) {
         let done = &self.resampled;
         ledger.count("particles that changed level", done.moves);
@@ -354,17 +358,17 @@ impl Adapt {
         self.regions.follow(&agents).then_some(before)
     }
 
-    /// Would the boxes have to move after these bodies?
+    /// Whether the boxes have to move after these bodies.
     pub fn must_follow(&self, couplings: &[Box<dyn Coupling>], soft: impl Fn(u16) -> Option<Aabb>) -> bool {
         self.widths.len() > 1 && self.regions.clone().follow(&agent_bounds(&self.agents, couplings, soft))
     }
 
-    /// Do levels follow a coupling's body? Then nothing coarser than the finest comes near it.
+    /// Whether levels follow a coupling's body. If so, nothing coarser than the finest level comes near it.
     pub fn follows(&self, name: &str) -> bool {
         self.agents.contains(&Agent::Rigid(name.to_owned()))
     }
 
-    /// How far a coupling's body, with those bounds, may move along each axis before boxes have to move after it [m].
+    /// How far a coupling's body with the given bounds may move along each axis before boxes have to move after it [m].
     pub fn leash(&self, name: &str, bounds: &Aabb, soft: impl Fn(u16) -> Option<Aabb>) -> Aabb {
         let is_here = |agent: &&Agent| !matches!(agent, Agent::Soft(body) if soft(*body).is_none());
         let followed = self.agents.iter().filter(is_here).position(|agent| *agent == Agent::Rigid(name.to_owned()));
@@ -372,7 +376,8 @@ impl Adapt {
         followed.map_or(anywhere, |agent| self.regions.leash(agent, bounds))
     }
 
-    /// For each soft agent, in their order: where its cells may end before boxes have to move; `None` for one that is nowhere.
+    /// For each soft agent, in order: where its cells may end before boxes have to move; `None` for an agent without
+    /// particles.
     pub fn leeways(&self, soft: impl Fn(u16) -> Option<Aabb>) -> Vec<Option<Leeway>> {
         let (mut leeways, mut present) = (Vec::new(), 0);
         for agent in &self.agents {
@@ -388,8 +393,8 @@ impl Adapt {
         leeways
     }
 
-    /// Which particles may merge in the next round. `before` are the regions as they were, if any has moved: then what need not be as
-    /// fine any more may merge; what was refused then is tried again now and then.
+    /// Which particles may merge in the next round. `before` are the former regions, if any region has moved: particles
+    /// that no longer need to be as fine may then merge. Clusters that were refused are tried again now and then.
     pub fn candidates<'a>(&self, before: Option<&'a Regions>) -> Candidates<'a> {
         let round = self.rounds + 1;
         match before {
@@ -399,9 +404,9 @@ impl Adapt {
         }
     }
 
-    /// Looks for particles that have to move to another level, to split, or may merge. `before` are the regions as they were, if
-    /// any has moved. As long as regions stay, only levels that are `stirred` are looked at: the others' particles must not have moved by
-    /// much of a cell since they were looked at last.
+    /// Finds particles that have to change level or split, or may merge. `before` are the former regions, if any region
+    /// has moved. While regions stay, only levels marked in `stirred` are searched: in the others, particles must not
+    /// have moved by much of a cell since the last search.
     pub fn find<S: LevelStore>(&mut self, levels: &[&S], before: Option<&Regions>, stirred: &[bool]) -> Round {
         let candidates = self.candidates(before);
         self.rounds += 1;
@@ -414,8 +419,8 @@ impl Adapt {
         Round { found: found.concat(), merges, levels: levels.len() }
     }
 
-    /// Splits, merges and moves what a round has found, and puts every particle on the level where it belongs. Returns which levels
-    /// have lost or gained particles, and must be sorted.
+    /// Splits, merges and moves what a round has found, and puts every particle on its level. Returns which levels have
+    /// lost or gained particles; these must be sorted.
     ///
     /// # Errors
     /// [`Error::Capacity`] if there are no numbers left for new particles.
@@ -541,7 +546,7 @@ impl Adapt {
         found.concat()
     }
 
-    /// A parcel with coordinates of level `from`, on the level where it belongs.
+    /// Moves a parcel with coordinates of level `from` to the level where it belongs.
     pub fn settled(&self, mut parcel: Parcel, from: usize) -> (usize, Parcel) {
         let finest = finest_cell(parcel.cell, parcel.offset, from);
         let to = self.regions.finest_at(finest, SPLIT_AHEAD);
@@ -844,7 +849,8 @@ fn sorted_into_bins(candidates: &[Candidate], sides: u32, shift: usize) -> Vec<B
     binned
 }
 
-/// Rest volume of each body's particles on the finest level [m³]. Particles of no body are like the last one's.
+/// Rest volume of each body's particles on the finest level [m³]. Particles that belong to no body count as the last
+/// body's.
 pub fn finest_volumes(plan: &Plan) -> Vec<f64> {
     let scene = &plan.scene;
     let mut volumes: Vec<f64> = scene.body.iter().map(|body| scene.spacing(body).powi(3)).collect();

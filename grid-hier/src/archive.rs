@@ -1,9 +1,9 @@
-//! Unbounded ground: what comes within reach of agents is brought in, what falls out of it is put away.
+//! Unbounded ground: adds ground that comes within reach of agents, and archives ground that goes out of reach.
 //!
-//! Ground comes and goes in tiles, columns of the coarsest level's blocks. A tile is live, or archived if anything in it has
-//! changed, or else what the terrain says. Nodes whose support reaches a tile that is not live are held at rest: the other nodes have
-//! whole supports, so settled ground is in balance up to the edge. Backends hand over particles of tiles that go, and take those of
-//! tiles that come.
+//! Ground comes and goes in tiles: columns of the coarsest level's blocks. A tile is live; or it is archived, if
+//! anything in it has changed; or else it is what the terrain says. Nodes whose support reaches a tile that is not live
+//! are held at rest. All other nodes have whole supports, so settled ground is in balance up to the edge. Backends give
+//! the particles of tiles that go, and get those of tiles that come.
 
 use crate::adapt::{Adapt, IDS, Parcel};
 use crate::block::SIDE;
@@ -17,7 +17,7 @@ const _: () = assert!(TILE == SIDE, "a tile's columns are those of one block");
 /// Numbers of tiles along x and y.
 pub type Tiles = BTreeSet<[i32; 2]>;
 
-/// What is live, what is archived, and what has come and gone since the start.
+/// The live tiles, the archive, and sums of what has come and gone since the start.
 pub struct Reach {
     terrain: Arc<Terrain>,
     live: BTreeSet<[i32; 2]>,
@@ -61,7 +61,7 @@ impl Reach {
         self.archive.clone()
     }
 
-    /// Takes over what a saved run had.
+    /// Takes over the tiles of a saved run.
     pub fn restore(&mut self, live: BTreeSet<[i32; 2]>, archive: BTreeMap<[i32; 2], Tile>) {
         (self.live, self.archive) = (live, archive);
     }
@@ -71,12 +71,12 @@ impl Reach {
         self.archive.values().map(Tile::bytes).sum()
     }
 
-    /// Goes on from what came and went in an engine before this one.
+    /// Continues the sums of the engine before this one.
     pub fn carry_on(&mut self, sums: &Ledger) {
         (self.seeded_mass, self.kinetic) = (sums.seeded_mass, sums.archived_kinetic);
     }
 
-    /// Adds what is archived, and what has come and gone.
+    /// Adds what is archived, and what has come and gone, to the ledger.
     pub fn account(&self, ledger: &mut Ledger) {
         let archived: f64 = self.archive.values().map(Tile::mass).sum();
         ledger.mass += archived;
@@ -90,7 +90,7 @@ impl Reach {
         ledger.count("tiles in the archive now", self.archive.len() as u64);
     }
 
-    /// Is the column of a coarsest cell out of reach? Beyond the world there is nothing that could be.
+    /// Whether the column of a coarsest cell is out of reach. Columns beyond the world are not.
     fn is_away(&self, x: i32, y: i32, world: [[i32; 2]; 2]) -> bool {
         let inside = [x, y].iter().zip(world).all(|(c, [min, max])| (min..max).contains(c));
         inside && !self.live.contains(&[x, y].map(|c| c.div_euclid(TILE)))
@@ -105,7 +105,7 @@ impl Reach {
         })
     }
 
-    /// Goes on to the tiles that are within reach now. Returns those that have come and those that fall out of it, if there are any.
+    /// Moves on to the tiles that are within reach now. Returns those that come and those that go, if there are any.
     pub fn advance(&mut self, regions: &Regions) -> Option<(Vec<[i32; 2]>, Tiles)> {
         let live = regions.reached(&self.live);
         let coming: Vec<_> = live.difference(&self.live).copied().collect();
@@ -114,8 +114,8 @@ impl Reach {
         (!coming.is_empty() || !going.is_empty()).then_some((coming, going))
     }
 
-    /// The tile with which a particle of a body at `x` [m] goes, of those that fall out of reach. One that has strayed over the edge goes with
-    /// the tile that it came from.
+    /// The tile, of those that go out of reach, with which a particle of a body at `x` [m] goes. A particle that has
+    /// strayed over the edge goes with the tile that it came from.
     pub fn goes_with(&self, body: u16, x: [f64; 3], regions: &Regions, going: &BTreeSet<[i32; 2]>) -> Option<[i32; 2]> {
         let tile = self.terrain.tile_of(body, x, regions);
         if self.live.contains(&tile) {
@@ -125,8 +125,8 @@ impl Reach {
         std::iter::once(tile).chain(near).find(|tile| going.contains(tile))
     }
 
-    /// Puts the particles of a tile into the archive, or forgets them where nothing has changed. Returns their mass [kg] and momentum
-    /// [kg m/s].
+    /// Puts the particles of a tile into the archive, or drops them if nothing has changed. Returns their mass [kg] and
+    /// momentum [kg m/s].
     ///
     /// # Errors
     /// Those of settled ground that its material cannot carry.

@@ -66,14 +66,15 @@ pub const fn in_block(x: usize, y: usize, z: usize) -> usize {
     ((x * 4 + y) * 4 + z) * 4
 }
 
-/// Along one axis a node of a block is in two tiles: for each the offset from the tile's block to the node's, and the node's place in it.
+/// Along one axis a node of a block is in two tiles. For each of them: the offset from the tile's block to the node's
+/// block, and the node's place in the tile.
 #[inline(always)]
 pub const fn holders(node: usize) -> [(i32, usize); 2] {
     if node < 2 { [(0, node + 2), (1, node + 6)] } else { [(-1, node - 2), (0, node + 2)] }
 }
 
-/// Sums for a block's nodes what tiles hold for them: those of the block itself and its neighbours, by the offset from the tile's block to
-/// the nodes', in the order of [`neighbour`].
+/// Sums the tiles of a block and its neighbours into the block's nodes. Tiles are ordered by the offset from the tile's
+/// block to the nodes' block, as in [`neighbour`].
 #[inline(always)]
 pub fn sum_tiles<T: Float>(nodes: &mut [T; NODES], tiles: [&[T; TILE]; 27]) {
     for (row, nodes) in nodes.as_chunks_mut::<16>().0.iter_mut().enumerate() {
@@ -96,8 +97,8 @@ pub fn sum_tiles<T: Float>(nodes: &mut [T; NODES], tiles: [&[T; TILE]; 27]) {
     }
 }
 
-/// Copies into a block's tile the nodes of the block itself and its neighbours, by the offset from the tile's block to the nodes', in the
-/// order of [`neighbour`].
+/// Copies the nodes of a block and its neighbours into the block's tile. Nodes are ordered by the offset from the
+/// tile's block to the nodes' block, as in [`neighbour`].
 #[inline(always)]
 pub fn fill_tile<T: Float>(tile: &mut [T; TILE], nodes: [&[T; NODES]; 27]) {
     /// Along one axis: the offset of the block that a tile's node belongs to, and its place there.

@@ -1,12 +1,12 @@
-//! Where the world ends on a level.
+//! The world's sides on a level.
 
 use crate::block::SIDE;
 use crate::wall::{Mirror, Mirrors, Separation};
 use barchan_core::Plan;
 use barchan_core::scene::{WHOLE_CELL, Wall};
 
-/// Particles are put back into the world when they are sorted: by then none shall be further outside than this, in cells. It is the same on all
-/// backends, whose sorts come at other times otherwise.
+/// Particles that left the world are put back when particles are sorted, which is before any is further outside than
+/// this, in cells. Backends sort at different times, and this makes them put particles back in the same step.
 pub const PUT_BACK_DRIFT: f64 = 0.05;
 
 /// Where the world ends, in cells of one level.
@@ -77,7 +77,8 @@ impl Bounds {
         }
     }
 
-    /// Is a place beyond a side of the world? Unlike [`min`](Self::min) and [`max`](Self::max), open sides that cut cells are exact.
+    /// Whether a place is beyond a side of the world. Unlike [`min`](Self::min) and [`max`](Self::max), this is exact
+    /// for open sides that cut cells.
     pub fn is_beyond(&self, cell: [i32; 3], offset: [f64; 3]) -> bool {
         let fine = f64::from(1 << self.level);
         (0..3).filter(|d| !self.periodic[*d]).any(|d| {
@@ -89,7 +90,7 @@ impl Bounds {
         })
     }
 
-    /// Does a block reach a side without a wall, or come nearer to it than two cells?
+    /// Whether a block reaches a side without a wall, or comes nearer to it than two cells.
     pub fn is_at_open_side(&self, block: [i32; 3]) -> bool {
         (0..3).any(|d| {
             let [low, high] = self.open[d];
@@ -97,7 +98,7 @@ impl Bounds {
         })
     }
 
-    /// A block's coordinates brought into the world along periodic axes.
+    /// A block's coordinates, wrapped into the world along periodic axes.
     pub fn wrap(&self, mut block: [i32; 3]) -> [i32; 3] {
         for d in 0..3 {
             if self.periodic[d] {
@@ -108,7 +109,7 @@ impl Bounds {
         block
     }
 
-    /// Does the block lie wholly behind a mirror, where nothing is ever stored?
+    /// Whether the block lies wholly behind a mirror, where nothing is ever stored.
     pub fn is_behind_mirror(&self, block: [i32; 3]) -> bool {
         (0..3).any(|d| {
             let [low, high] = self.mirrors.kind[d];

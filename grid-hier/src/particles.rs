@@ -1,4 +1,4 @@
-//! How particles lie in memory while they are transferred: planes of chunks of 16.
+//! Layout of particles in memory for the transfers: planes of chunks of 16.
 
 use barchan_lanes::{CHUNK, Float};
 
@@ -72,12 +72,12 @@ impl<T: Float> Particles<T> {
     }
 }
 
-/// The chunks of one list that lie in one block.
+/// The chunks of one list in one block.
 #[derive(Clone, Copy, Debug)]
 pub struct Run {
     /// First chunk.
     pub first: usize,
-    /// Particles; they fill whole chunks but for the last.
+    /// Number of particles; they fill whole chunks except for the last.
     pub count: usize,
 }
 

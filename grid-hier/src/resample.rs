@@ -1,9 +1,10 @@
 //! Splitting particles into finer ones and merging them into coarser ones.
 //!
-//! A particle is a cube of side a = (V0 J)^(1/3) with inertia a²/12 per mass, and its C is the velocity gradient within it.
-//! Judged so, a split changes neither mass, momentum, angular momentum nor any energy, and a merge never raises energy.
-//! Strain merges as the V0-weighted mean of the Hencky strain: for laws that are linear in it, the force on the grid stays;
-//! elastic energy cannot rise; and where yield surfaces are convex in it, the mean does not yield.
+//! A particle is a cube of side a = (V0 J)^(1/3) with inertia a²/12 per mass, and its C is the velocity gradient within
+//! it. By these measures a split changes neither mass, momentum, angular momentum nor any energy, and a merge never
+//! raises energy. Strain merges as the V0-weighted mean of the Hencky strain. For laws that are linear in it, the force
+//! on the grid stays the same; elastic energy cannot rise; and where yield surfaces are convex in it, the mean does not
+//! yield.
 //!
 //! # Source
 //! Affine particles: Jiang et al. 2015. Least squares for C: Yue et al. 2015, with the particles' own inertia.
@@ -23,7 +24,7 @@ const LOPSIDED: f64 = 0.2;
 /// One particle, away from any list.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Particle {
-    /// Position, from wherever the caller likes [m].
+    /// Position relative to any origin that the caller chooses [m].
     pub x: Vector3<f64>,
     /// Velocity [m/s].
     pub v: Vector3<f64>,
@@ -73,7 +74,7 @@ impl Refusal {
     }
 }
 
-/// What an event did to a conserved quantity, by the particles' own inertia.
+/// Change of conserved quantities by an event, computed with the particles' own inertia.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Change {
     /// Kinetic energy [J].
@@ -142,8 +143,9 @@ fn with_eigenvalues(eigen: &SymmetricEigen<f64, nalgebra::Const<3>>, values: Vec
     q * Matrix3::from_diagonal(&values) * q.transpose()
 }
 
-/// Eight children in the octants of the particle's cube: v_k = v + C (x_k - x), everything else as it is, or an eighth of it.
-/// `scale` in (0, 1] pulls them together, to keep clear of a tool; it leaves mass and momentum as they are.
+/// Eight children in the octants of the particle's cube: v_k = v + C (x_k - x); mass and volume are an eighth, and
+/// everything else is copied. `scale` in (0, 1] pulls them together, to stay clear of a tool; it does not change mass
+/// and momentum.
 pub fn split(parent: &Particle, planes: Planes<'_>, scale: f64) -> [Particle; CHILDREN] {
     let quarter = 0.25 * scale * parent.side(planes);
     std::array::from_fn(|k| {
@@ -159,14 +161,16 @@ pub fn split(parent: &Particle, planes: Planes<'_>, scale: f64) -> [Particle; CH
     })
 }
 
-/// One particle in place of several: mass, momentum, V0 and centre of mass stay; C is the least-squares fit to the particles'
-/// velocities and gradients, strain the mean Hencky strain. `gravity` [m/s²] says what motion is negligible; histories may
-/// differ by `tolerance`, of their magnitude or 1. With `surface`, the cube must end where they do, however they are turned: along
-/// each axis the mean distances of matter from the middle must agree to `tolerance`, on average to half of it, and matter must
-/// lie evenly about the middle. With 0.1, eight cubes of which one is missing pass; with two missing they do not.
+/// One particle in place of several. Mass, momentum, V0 and centre of mass stay. C is the least-squares fit to the
+/// particles' velocities and gradients, and strain the mean Hencky strain. `gravity` [m/s²] decides which motion is
+/// negligible. Histories may differ by `tolerance`, relative to their magnitude or 1. With `surface`, the cube must end
+/// where the particles do, however they are turned: along each axis the mean distance of matter from the middle must
+/// agree to `tolerance`, on average to half of it, and matter must lie evenly about the middle. With 0.1, eight cubes
+/// of which one is missing pass; with two missing they do not.
 ///
-/// The merged cube is wider than particles that overlap, and would carry their C with more energy than they have. So where they
-/// are narrower than the cube, C is fitted as if they were as wide: their spin stays, and energy never rises.
+/// The merged cube is wider than particles that overlap, and with their C it would have more energy than they have. So
+/// where they are narrower than the cube, C is fitted as if they were as wide. Their spin stays, and energy never
+/// rises.
 ///
 /// # Errors
 /// A [`Refusal`] if too much would be lost.

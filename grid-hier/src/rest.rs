@@ -1,11 +1,11 @@
-//! When ground at rest sleeps: what the rule is made of, for every backend.
+//! When ground at rest sleeps: the constants of the rule, for every backend.
 
 use crate::block::SIDE;
 use barchan_core::Aabb;
 
 /// Steps of a level for which ground must have been slow before it sleeps.
 pub const RESTED: u16 = 50;
-/// In place of such a count: the block sleeps. 0 in its place: something in it moves, or did in the last step.
+/// Value of that count for a block that sleeps. 0 means that something in it moves, or did in the last step.
 pub const ASLEEP: u16 = u16::MAX;
 /// Cells around a tool that stay awake.
 pub const NEAR_TOOL: f64 = 4.0;

@@ -1,12 +1,14 @@
-//! The rim of a level: nodes whose support reaches out of the level's region, and what ties them to the next coarser level.
+//! The rim of a level: nodes whose support reaches out of the level's region, and their relation to the next coarser
+//! level.
 //!
 //! Per axis, N_I of the coarse level = ¼ N_{2I-1} + ¾ N_{2I} + ¾ N_{2I+1} + ¼ N_{2I+2}. A rim node ("slave") at an even index
 //! 2I therefore has the parents I (¾) and I - 1 (¼), one at 2I + 1 has I (¾) and I + 1 (¼); in three dimensions products of
 //! these. What particles give to a slave is handed to its parents, and its velocity is theirs. A block of 4³ slaves has its
 //! parents among 4³ coarse nodes, the first one before the parent cell of the block's first cell.
 //!
-//! Momentum alone would reach the parents as if each slave's neighbourhood moved as one, and spin and stretch would be lost. So a
-//! slave hands on its affine momentum too: its mass times the mean C of the particles about it, from sums over parent cells.
+//! With momentum alone, the parents would see each slave's neighbourhood move as one, and spin and stretch would be
+//! lost. So a slave also gives its affine momentum: its mass times the mean C of the particles about it, from sums over
+//! parent cells.
 //!
 //! # Source
 //! Truncated hierarchical B-splines: Giannelli, Jüttler, Speleers 2012.
@@ -14,7 +16,8 @@
 use crate::block::{CELLS, NODES, in_block};
 use barchan_lanes::{CHUNK, Float, Lanes, tabulate};
 
-/// What hangs on to a slave node, or to a parent cell: momentum and mass, then the three columns of m C, each with a zero behind it.
+/// Sums for a slave node, or for a parent cell: momentum and mass, then the three columns of m C, each followed by a
+/// zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 pub struct Carried<T>(pub [T; CHUNK]);
@@ -108,7 +111,7 @@ fn units<const W: usize, T: Float>(values: &[T; NODES], at: [usize; 4]) -> [[T; 
     units
 }
 
-/// Places among the 4³ parent cells around a block that any of its slaves has its mean C from, as bits.
+/// Which of the 4³ parent cells around a block enter the mean C of any of its slaves, as bits.
 pub fn parent_cells(slaves: u64) -> u64 {
     // Per axis, places 0 and 1 have it from the first three, 2 and 3 from the last three.
     const AROUND: [u64; CELLS] = {
@@ -134,8 +137,9 @@ fn parts_of_lines<V: Lanes>() -> impl Iterator<Item = (usize, usize)> {
     (0..CELLS / 4 * parts).map(move |i| (i / parts, i % parts * V::COUNT))
 }
 
-/// Means about the nodes of a block, from sums over the 4³ parent cells around it, with the quadratic spline of twice the cell's
-/// width: these reach as far as any particle that gives a node mass, be it a cell away from where it was sorted.
+/// Means about the nodes of a block, from sums over the 4³ parent cells around it, with the quadratic spline of twice
+/// the cell's width. These reach as far as any particle that gives mass to a node, even one that is a cell away from
+/// where it was sorted.
 #[inline(always)]
 pub fn spread<V: Lanes>(carried: &mut [Carried<V::Scalar>; CELLS]) {
     let [far, near, own] = [V::splat(1.0 / 32.0), V::splat(9.0 / 32.0), V::splat(11.0 / 16.0)];
@@ -160,8 +164,9 @@ pub fn spread<V: Lanes>(carried: &mut [Carried<V::Scalar>; CELLS]) {
     }
 }
 
-/// Hands what a block's slaves carry to their parents: mass m_c = Σ P m_f, momentum p_c = Σ P (p_f + M_f (x_c - x_f)) with the
-/// affine momentum M_f [kg m/s a cell], which is their mass times the mean C about them. Nodes that are no slaves must carry nothing.
+/// Gives what a block's slaves carry to their parents: mass m_c = Σ P m_f, momentum p_c = Σ P (p_f + M_f (x_c - x_f)).
+/// The affine momentum M_f [kg m/s a cell] of a slave is its mass times the mean C about it. Nodes that are no slaves
+/// must carry nothing.
 #[inline(always)]
 pub fn restrict<V: Lanes>(carried: &mut [Carried<V::Scalar>; CELLS], parents: &mut [V::Scalar; NODES]) {
     // Axis by axis; the columns of the axes that are still to come go along.

@@ -3,10 +3,11 @@
 //! MLS-MPM with APIC: p_i = sum_p w_ip [ m (v + dt g) + (m C - dt V0 (4/h²) tau) (x_i - x_p) ], m_i = sum_p w_ip m, and back
 //! v = sum_i w_ip u_i, C = (4/h²) sum_i w_ip u_i (x_i - x_p)ᵀ, x += dt v.
 //!
-//! Particles come in batches. Everything that is per particle alone (weights, strain, stress, affine momentum) is computed with
-//! particles in lanes and then transposed. They are sorted by cell, so consecutive ones mostly touch the same 27 nodes: for each run
-//! of them these are kept in nine registers, each a row of three nodes along z times (p_x, p_y, p_z, m). Where a register does not
-//! hold a row, the run is gone through once for each part of it (see [`Row`]).
+//! Particles are processed in batches. Everything that belongs to one particle alone (weights, strain, stress, affine
+//! momentum) is computed with particles in lanes and then transposed. Particles are sorted by cell, so consecutive ones
+//! mostly touch the same 27 nodes. For each run of such particles these nodes are kept in nine registers, each a row of
+//! three nodes along z times (p_x, p_y, p_z, m). Where a register does not hold a row, the run is processed once for
+//! each part of it (see [`Row`]).
 //!
 //! # Source
 //! Hu et al. 2018 (MLS-MPM), eq. 16; Jiang et al. 2015 (APIC). Gravity is scattered with the momentum, so that mirror walls
@@ -26,7 +27,7 @@ use core::ops::Range;
 pub use g2p::{GridToParticles, Rates, Survey};
 pub use p2g::ParticlesToGrid;
 
-/// Particles worked on at a time: those handed to a material.
+/// Particles processed at a time, in one call of a material.
 pub const BATCH: usize = 64;
 /// Most history variables that a material may have.
 pub const MAX_STATE: usize = 16;
@@ -40,8 +41,8 @@ const NODE_OF_LANE: [f64; ROW] = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2.
 
 /// A scalar that materials can be called with.
 pub trait Scalar: Float {
-    /// Strains below this mean nothing next to 1. They are set to zero, since their products would be denormal numbers, which
-    /// take some processors a hundred times as long: a bed at rest would halve the speed.
+    /// Strains below this are negligible next to 1. They are set to zero, since their products would be denormal
+    /// numbers, which take some processors a hundred times as long. A bed at rest would run at half the speed.
     const NEGLIGIBLE: f64;
     /// The material's update in this precision, if it has one.
     ///
@@ -165,20 +166,20 @@ pub enum Fault {
     },
 }
 
-/// What all blocks of a step share.
+/// What is common to all blocks of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
     /// Cell width [m].
     pub h: f64,
     /// Time step [s].
     pub dt: f64,
-    /// Step over which C has carried the particles but not yet their strain [s].
+    /// Length of the step by which C has moved the particles, but not yet changed their strain [s].
     pub strain_dt: f64,
-    /// In how many parts that strain is applied, so that each deforms by less than half.
+    /// Number of parts in which that strain is applied, so that each deforms by less than half.
     pub strain_parts: u32,
     /// Gravity [m/s²].
     pub gravity: [f64; 3],
-    /// Does ground stay as it is? Strain and history are then read but not written.
+    /// Whether ground stays as it is. If so, strain and history are read but not written.
     pub frozen: bool,
 }
 
@@ -279,7 +280,7 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
     })
 }
 
-/// Strain (F row by row, or b_e) after a motion by I + G, before the material has its say.
+/// Strain (F row by row, or b_e) after a motion by I + G, before the material's update.
 pub fn deformed<R: Real>(G: &[R; 9], strain: &[R]) -> [R; 9] {
     let mut trial = [R::zero(); 9];
     match strain.first_chunk::<9>() {

@@ -1,9 +1,9 @@
 //! Walls as mirrors.
 //!
-//! A wall lies on a cell face. Nodes beyond it mirror the nodes before it: what particles give to a mirrored node is folded
-//! back, reflected, and velocities read there are those of the mirror image. So the spline's support near a wall is complete,
-//! stress at the wall is right, and the wall is exactly where it is drawn. (Zeroing outside nodes instead makes it half a
-//! cell soft.)
+//! A wall lies on a cell face. Nodes beyond it mirror the nodes before it. What particles give to a mirrored node is
+//! reflected and added to its image, and velocities read there are those of the image, reflected. So the spline's
+//! support near a wall is complete, stress at the wall is right, and the wall is exactly where it is drawn. (If nodes
+//! outside are set to zero instead, the wall is half a cell soft.)
 //!
 //! Slip and stick walls are linear, so each block folds its own tile. A wall that lets go of the ground has to see a node's
 //! whole momentum first; see [`Separation`].
@@ -62,7 +62,7 @@ impl Mirrors {
         })
     }
 
-    /// Does any wall cross the tile that starts at `origin`?
+    /// Whether any wall crosses the tile that starts at `origin`.
     pub fn meet(&self, origin: [i32; 3]) -> bool {
         (0..3).any(|axis| self.planes(origin, axis).next().is_some())
     }
@@ -112,7 +112,7 @@ impl Mirrors {
         (cell, flipped)
     }
 
-    /// Does the cell lie behind a mirror?
+    /// Whether the cell lies behind a mirror.
     pub fn is_behind(&self, cell: [i32; 3]) -> bool {
         self.reflected(cell).0 != cell
     }

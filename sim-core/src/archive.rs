@@ -1,7 +1,8 @@
-//! The tile archive: ground that an agent has changed and walked away from.
+//! The tile archive: ground that an agent has changed, and that is now out of its reach.
 //!
-//! A tile keeps everything of its particles but their motion: place, mass, strain and history come back bit for bit, velocity
-//! and its gradient as zero. Planes of equal numbers take one number, so that a particle of sand in f32 takes about 60 bytes.
+//! A tile keeps everything of its particles but their motion. Place, mass, strain and history come back bit for bit,
+//! velocity and its gradient as zero. A plane of equal numbers is stored as one number, so a particle of sand in f32
+//! takes about 60 bytes.
 
 use crate::snapshot::{Flaw, decode_tile, encode_list};
 use crate::{ParticleList, Vec3};
@@ -23,7 +24,7 @@ impl fmt::Debug for Tile {
 }
 
 impl Tile {
-    /// Packs lists of particles; those without any are left out.
+    /// Packs lists of particles; empty lists are left out.
     pub fn pack(mut lists: Vec<ParticleList>) -> Self {
         let mut bytes = Vec::new();
         lists.retain(|list| !list.is_empty());
@@ -41,7 +42,7 @@ impl Tile {
         Self { particles, mass, lists: bytes.into() }
     }
 
-    /// The particles again, one list per level and material that has any.
+    /// The particles, one list per level and material that has any.
     pub fn unpack(&self) -> Vec<ParticleList> {
         decode_tile(&self.lists).unwrap_or_default()
     }

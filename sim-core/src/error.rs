@@ -1,6 +1,6 @@
 //! What can go wrong, and what the user is told.
 //!
-//! Every message says what is wrong, where (file and line, key path, plugin, particle), and what would mend it.
+//! Every message says what is wrong, where (file and line, key path, plugin, particle), and how to mend it.
 
 use std::path::PathBuf;
 
@@ -41,7 +41,7 @@ pub enum Error {
         kind: &'static str,
         /// The name asked for.
         name: String,
-        /// The names there are.
+        /// The known names.
         known: Vec<String>,
     },
     /// An instruction set that this machine lacks.
@@ -54,9 +54,9 @@ pub enum Error {
         kind: &'static str,
         /// Its name.
         name: String,
-        /// Who came first.
+        /// Where the first one comes from.
         first: String,
-        /// Who came second.
+        /// Where the second one comes from.
         second: String,
     },
     /// Something a plugin lacks that the scene calls for.
@@ -221,7 +221,7 @@ pub enum Error {
         what: &'static str,
         /// How much was asked.
         asked: u64,
-        /// How much there may be.
+        /// The limit.
         cap: u64,
         /// What would mend it.
         mend: &'static str,

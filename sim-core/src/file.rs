@@ -1,4 +1,4 @@
-//! Files: written whole or not at all, and told apart from what they were.
+//! Files: written completely or not at all, and compared with what they held before.
 
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 /// How temporary names end. They begin with a dot, and hold the file's own name and the process' number.
 const PART: &str = ".part";
 
-/// Writes a file under a temporary name beside `path`, forces it to disk, then renames it: at no time does a half
-/// written file bear the name. What bears the temporary name is removed first, never written through.
+/// Writes a file under a temporary name beside `path`, forces it to disk, then renames it. So a half-written file never
+/// has the final name. Whatever has the temporary name before is removed, never written through.
 ///
 /// # Errors
-/// [`Error::Io`] with `what` was being done; an older file of that name is intact then.
+/// [`Error::Io`], which names `what` was being done. An older file of that name is then intact.
 pub fn write_whole(
     path: &Path,
     what: &'static str,
@@ -34,10 +34,11 @@ pub fn write_whole(
     })
 }
 
-/// Is there room for so many bytes beside `path`? They are written under its temporary name, forced to disk, and removed.
+/// Checks that `bytes` bytes fit on the disk of `path`: they are written under its temporary name, forced to disk, and
+/// removed.
 ///
 /// # Errors
-/// What the file system says if there is not.
+/// The file system's error if they do not fit.
 pub fn try_room(path: &Path, bytes: usize) -> io::Result<()> {
     let part = temporary(path);
     let attempt = || {
@@ -74,7 +75,7 @@ pub fn of_temporary(name: &str) -> Option<&str> {
     (!file.is_empty() && process.parse::<u32>().is_ok()).then_some(file)
 }
 
-/// What a file held when it was read: whether it has changed since.
+/// A file's length and checksum when it was read, to tell whether it has changed since.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
     /// As the scene names it.

@@ -3,20 +3,20 @@
 use crate::Vec3;
 use std::collections::BTreeMap;
 
-/// Totals over all particles and free bodies, world frame. Ground out of reach counts in the mass alone.
+/// Totals over all particles and free bodies, world frame. Ground out of reach counts only in the mass.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Ledger {
     /// Particles.
     pub particles: u64,
     /// Mass of particles, those in the archive included [kg].
     pub mass: f64,
-    /// Mass of particles that rest in the archive of changed ground out of reach [kg].
+    /// Mass of archived particles: changed ground that is out of reach [kg].
     #[serde(default)]
     pub archived_mass: f64,
-    /// Mass of the ground that came within reach since the start, less that which fell out of it unchanged [kg].
+    /// Mass of the ground that came within reach since the start, minus that which went out of reach unchanged [kg].
     #[serde(default)]
     pub seeded_mass: f64,
-    /// Kinetic energy of ground at the moment it fell out of reach, which is taken [J].
+    /// Kinetic energy that ground had when it went out of reach, and which is removed from it [J].
     #[serde(default)]
     pub archived_kinetic: f64,
     /// Momentum of particles [kg m/s].
@@ -37,22 +37,22 @@ pub struct Ledger {
     pub body_momentum: Vec3,
     /// Angular momentum of free bodies about the world's origin [kg m²/s].
     pub body_angular_momentum: Vec3,
-    /// Impulse that walls, and ground out of reach, have given to particles since the start, but not to those asleep [N s].
+    /// Impulse from walls, and from ground out of reach, on particles since the start; ground asleep is left out [N s].
     pub wall_impulse: Vec3,
-    /// Impulse that gravity has given to particles since the start, but not to those asleep [N s].
+    /// Impulse of gravity on particles since the start; ground asleep is left out [N s].
     pub gravity_impulse: Vec3,
     /// Mass of particles that were deleted on leaving the world [kg].
     pub deleted_mass: f64,
-    /// Change of kinetic energy by merging particles since the start, by the particles' own inertia [J].
+    /// Change of kinetic energy by merging particles since the start, computed with the particles' own inertia [J].
     #[serde(default)]
     pub resampled_kinetic: f64,
-    /// Angular momentum that merging particles has changed since the start, likewise [kg m²/s].
+    /// Change of angular momentum by merging particles since the start, computed likewise [kg m²/s].
     #[serde(default)]
     pub resampled_angular_momentum: Vec3,
-    /// Kinetic energy that ground had left when it fell asleep, summed since the start [J].
+    /// Kinetic energy that ground had when it fell asleep, and which is removed from it; sum since the start [J].
     #[serde(default)]
     pub slept_kinetic: f64,
-    /// Momentum likewise, and what ground asleep has taken from ground awake beside it [kg m/s].
+    /// Momentum removed likewise, and momentum that ground awake gave to ground asleep beside it [kg m/s].
     #[serde(default)]
     pub slept_momentum: Vec3,
     /// Energy that the damping of materials has dissipated since the start [J].

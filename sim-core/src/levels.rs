@@ -1,8 +1,9 @@
 //! Regions of nested levels, and how they follow agents.
 //!
-//! Level l has cells of width 2^l h. Its region is a union of boxes of whole parent cells, one around each agent; the coarsest
-//! level has the whole world. A particle belongs to the finest level whose region, grown by [`SPLIT_AHEAD`], holds its cell when
-//! particles are sorted. Regions nest with a margin, so that no three levels meet, and move by whole parent cells once an agent has left a dead zone about their middle.
+//! Level l has cells of width 2^l h. Its region is a union of boxes of whole parent cells, one around each agent. The
+//! coarsest level covers the whole world. A particle belongs to the finest level whose region, grown by
+//! [`SPLIT_AHEAD`], holds its cell when particles are sorted. Regions nest with a margin, so that no three levels meet.
+//! They move by whole parent cells once an agent has left a dead zone about their middle.
 
 use crate::coupling::Aabb;
 use crate::scene::{Scene, Wall};
@@ -10,25 +11,25 @@ use crate::{BodyState, Coupling, LevelPhase, ParticleState, Vec3};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap};
 
-/// Parent cells between a region's faces and those of the next coarser one, at least.
+/// Least number of parent cells between a region's faces and those of the next coarser region.
 pub const NESTING: i32 = 4;
-/// Parent cells that an agent may be off the middle of its boxes.
+/// Distance that an agent may have from the middle of its boxes before they move, in parent cells.
 pub const DEAD_ZONE: f64 = 2.0;
-/// Cells of the finest level around an agent that its finest box holds, so that contact is decided there.
+/// Cells of the finest level that the finest box holds on each side of an agent, so that contact is decided there.
 pub const AROUND_AGENT: f64 = 4.0;
-/// A particle closer than this to a region, in parent cells of that region, is on its level, and split until it is as fine.
-/// Fine particles outside their region see the coarser level's field through the rim; a coarse one that drifts into a finer
-/// region before the next sort, by a cell at most, sees nodes that it alone has touched. Without the margin a ball that spins
-/// through a rim gains 5e-4 of its angular momentum a turn, with it none.
+/// A particle closer than this to a region, in parent cells of that region, is on its level, and is split until it is
+/// as fine. Fine particles outside their region see the coarser level's field through the rim. A coarse particle that
+/// drifts into a finer region before the next sort, by a cell at most, would see nodes that only it has touched.
+/// Without this margin a ball that spins through a rim gains 5e-4 of its angular momentum a turn, with it none.
 pub const SPLIT_AHEAD: i32 = 1;
 /// Particles merge when they are further than this from a finer region, in parent cells of that region.
 pub const MERGE_BEHIND: i32 = 3;
 
-/// Cells of depth that ground needs below the surface to bear and give way as deep ground does: the stencil of a node is three
-/// cells wide, and one must lie between the surface and the floor that none of both reaches.
+/// Depth below the surface, in cells, that ground needs to bear and give way as deep ground does. The stencil of a node
+/// is three cells wide, and one more cell must lie between the surface and the floor that neither of them reaches.
 pub const LEAST_DEPTH: f64 = 4.0;
-/// Cells of the coarsest level along a side of a tile, the unit in which ground comes within reach and leaves it. A tile is a
-/// column of blocks over the whole height of the world.
+/// Cells of the coarsest level along a side of a tile. A tile is a column over the whole height of the world; ground
+/// comes within reach and goes out of it by tiles.
 pub const TILE: i32 = 4;
 
 /// A box of cells of one level, from `min` up to but without `max`.
@@ -41,15 +42,15 @@ pub struct CellBox {
 }
 
 impl CellBox {
-    /// Does it hold the cell?
+    /// Whether the cell lies in the box.
     pub fn contains(&self, cell: [i32; 3]) -> bool {
         (0..3).all(|d| self.min[d] <= cell[d] && cell[d] < self.max[d])
     }
-    /// Does it hold all of `other`?
+    /// Whether all of `other` lies in the box.
     pub fn holds(&self, other: &Self) -> bool {
         (0..3).all(|d| self.min[d] <= other.min[d] && other.max[d] <= self.max[d])
     }
-    /// Have they a cell in common?
+    /// Whether the boxes have a cell in common.
     pub fn meets(&self, other: &Self) -> bool {
         (0..3).all(|d| self.min[d] < other.max[d] && other.min[d] < self.max[d])
     }
@@ -78,23 +79,23 @@ pub enum Cover {
     None,
 }
 
-/// Where an agent's box may be while all levels stay where they are, in cells of the finest level: between which bounds its ends may lie, and
-/// their sum along each axis.
+/// How far an agent may move before any level has to: bounds on the ends of its box, and on their sum along each axis,
+/// in cells of the finest level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Leeway {
-    /// The ends.
+    /// Bounds of the ends of the agent's box.
     pub ends: CellBox,
-    /// The least sum, and the greatest.
+    /// Least and greatest sum of the two ends, along each axis.
     pub sums: [[i32; 3]; 2],
 }
 
 impl Leeway {
-    /// That of an agent that is nowhere: no box fits.
+    /// The leeway of an agent that has no place yet: no box fits.
     pub const fn none() -> Self {
         Self { ends: CellBox { min: [i32::MAX; 3], max: [i32::MIN; 3] }, sums: [[i32::MIN; 3], [i32::MAX; 3]] }
     }
 
-    /// With room for a box that is known to fit.
+    /// Extended so that `known` fits: a box that is known to fit.
     #[must_use]
     pub fn with(self, known: CellBox) -> Self {
         let sum = |d: usize| known.min[d] + known.max[d];
@@ -153,13 +154,13 @@ impl Regions {
         &self.boxes
     }
 
-    /// Takes over boxes of a saved run.
+    /// Takes over the boxes of a saved run.
     pub fn restore(&mut self, boxes: Vec<Vec<CellBox>>) {
         self.boxes = boxes;
     }
 
-    /// What is wrong with where a saved run says that its levels were: boxes are of whole parent cells and nest, each agent's within its own, and
-    /// tiles that are live lie in the world.
+    /// Checks the levels of a saved run: boxes must be of whole parent cells and nest, each agent's within its own, and
+    /// live tiles must lie in the world. The error says what is wrong.
     pub fn check(&self, phase: &LevelPhase) -> Result<(), String> {
         if phase.boxes.len() != self.boxes.len() {
             return Err(format!("boxes of {} levels where the plan has {}", phase.boxes.len() + 1, self.levels()));
@@ -208,7 +209,7 @@ impl Regions {
         moved
     }
 
-    /// Where the box of one of the agents may be before [`follow`](Self::follow) moves anything; on the safe side of rounding.
+    /// The leeway of an agent before [`follow`](Self::follow) moves anything, rounded to the safe side.
     pub fn leeway(&self, agent: usize) -> Leeway {
         let around = AROUND_AGENT.ceil() as i32;
         let (mut ends, mut sums) = (CellBox { min: [i32::MIN; 3], max: [i32::MAX; 3] }, [[i32::MIN; 3], [i32::MAX; 3]]);
@@ -227,8 +228,8 @@ impl Regions {
         Leeway { ends, sums }
     }
 
-    /// How far along each axis one of the agents, with those bounds, may move before [`follow`](Self::follow) moves anything: least and
-    /// greatest displacement of its box's ends [m].
+    /// How far along each axis an agent with the given bounds may move before [`follow`](Self::follow) moves anything:
+    /// least and greatest displacement of the ends of its box [m].
     pub fn leash(&self, agent: usize, bounds: &Aabb) -> Aabb {
         let mut leash = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
         let around = bounds.grown(AROUND_AGENT * self.h);
@@ -262,7 +263,7 @@ impl Regions {
         chosen
     }
 
-    /// Is only the ground around agents live?
+    /// Whether only the ground around agents is live.
     pub fn unbounded(&self) -> bool {
         self.reach > 0
     }
@@ -272,7 +273,7 @@ impl Regions {
         [cell[0], cell[1]].map(|c| (c >> self.boxes.len()).div_euclid(TILE))
     }
 
-    /// Cells of the finest level along x and y, from the first up to but without the second, that a tile holds.
+    /// Cells of the finest level that a tile holds along x and y: first, and one past the last.
     pub fn cells_of_tile(&self, tile: [i32; 2]) -> [[i32; 2]; 2] {
         tile.map(|t| [t * TILE, (t + 1) * TILE].map(|c| c << self.boxes.len()))
     }
@@ -289,8 +290,8 @@ impl Regions {
         tile.iter().zip(self.tiles_of_world()).all(|(t, [first, last])| (first..=last).contains(t))
     }
 
-    /// Tiles that are live with the boxes where they are: those within reach, and of the ones that were `live` those that are
-    /// less than a tile beyond, so that an agent that trembles brings nothing in and puts nothing away.
+    /// Tiles that are live for the present boxes: those within reach, and those of `live` that are less than a tile
+    /// beyond. So an agent that trembles neither adds nor removes tiles.
     pub fn reached(&self, live: &BTreeSet<[i32; 2]>) -> BTreeSet<[i32; 2]> {
         let world = self.tiles_of_world();
         let mut reached = BTreeSet::new();
@@ -313,13 +314,13 @@ impl Regions {
         reached
     }
 
-    /// Does a level's region hold a cell of that level? Cells behind a wall belong where the wall's own cells do.
+    /// Whether a level's region holds a cell of that level. Cells behind a wall count as the cell next to the wall.
     pub fn contains(&self, level: usize, cell: [i32; 3]) -> bool {
         level == self.boxes.len() || self.cover(level, CellBox { min: cell, max: cell.map(|c| c + 1) }) == Cover::All
     }
 
-    /// How many nodes of a box of cells of a level can its particles touch? They lie up to [`SPLIT_AHEAD`] outside the region when they
-    /// are sorted, drift by a cell, and touch the next cell's node.
+    /// How much of a box of cells of a level its particles can touch. Particles lie up to [`SPLIT_AHEAD`] outside the
+    /// region when they are sorted, drift by a cell, and touch the next cell's node.
     pub fn touched(&self, level: usize, cells: CellBox) -> Cover {
         self.cover_grown(level, cells, 2 * SPLIT_AHEAD + 2)
     }
@@ -329,8 +330,8 @@ impl Regions {
         self.cover_grown(level, cells, 0)
     }
 
-    /// The finest level whose region, grown by so many of its parent cells, holds all of a box of cells of the finest
-    /// level; `None` if they differ in that.
+    /// The finest level whose region, grown by `margin` of its parent cells, holds all of a box of cells of the finest
+    /// level; `None` if the cells differ in that.
     pub fn finest(&self, cells: CellBox, margin: i32) -> Option<usize> {
         for level in 0..self.boxes.len() {
             let scaled = CellBox { min: cells.min.map(|x| x >> level), max: cells.max.map(|x| ((x - 1) >> level) + 1) };
@@ -343,7 +344,7 @@ impl Regions {
         Some(self.boxes.len())
     }
 
-    /// The finest level whose region, grown by so many of its parent cells, holds a cell of the finest level.
+    /// The finest level whose region, grown by `margin` of its parent cells, holds a cell of the finest level.
     pub fn finest_at(&self, cell: [i32; 3], margin: i32) -> usize {
         self.finest(CellBox { min: cell, max: cell.map(|c| c + 1) }, margin).unwrap_or(0)
     }
@@ -419,8 +420,8 @@ pub fn agent_bounds(
         .collect()
 }
 
-/// Depth of the ground where each level has its surface [m]: the median over columns one coarsest cell wide, each of its volume
-/// over its area. `None` for a level without surface.
+/// Depth of the ground where each level has the surface [m]: the median over columns one coarsest cell wide, each its
+/// volume over its area. `None` for a level without surface.
 pub(crate) fn surface_depths(particles: &ParticleState, levels: usize) -> Vec<Option<f64>> {
     #[derive(Default)]
     struct Column {

@@ -32,8 +32,8 @@ impl Refusal {
     }
 }
 
-/// Opens a library, asks it for its table, and reads all its materials. It is never unloaded: function pointers and
-/// strings of its materials live on.
+/// Opens a library, gets its table, and reads all its materials. It is never unloaded, because function pointers and
+/// strings of its materials stay in use.
 pub(crate) fn load(library: &Path) -> Result<Loaded> {
     let path = library.canonicalize().map_err(|e| {
         Refusal::new(format!("cannot be opened: {e}"), "give the path of a built library (.so, .dylib or .dll)")

@@ -49,7 +49,7 @@ impl Parameter {
     pub fn new(name: &str, unit: &str, default: f64, [min, max]: [f64; 2], doc: &str) -> Self {
         Self { name: name.to_owned(), unit: unit.to_owned(), doc: doc.to_owned(), default, min, max, flags: 0 }
     }
-    /// Is the value in the declared range? NaN never is.
+    /// Whether the value is in the declared range; NaN never is.
     pub fn allows(&self, value: f64) -> bool {
         let above = if self.flags & abi::BARCHAN_PARAM_MIN_OPEN != 0 { value > self.min } else { value >= self.min };
         let below = if self.flags & abi::BARCHAN_PARAM_MAX_OPEN != 0 { value < self.max } else { value <= self.max };
@@ -159,8 +159,8 @@ impl Material {
         unsafe { Self::read_table(table, origin) }.map_err(|refusal| refusal.of(Path::new(origin)))
     }
 
-    /// Copies a table by the prefix rule (fields of newer minor versions are ignored, those an older one lacks are
-    /// zero) and holds it to the ABI's rules.
+    /// Copies a table by the prefix rule, and checks it against the ABI's rules. Fields of newer minor versions are
+    /// ignored; fields that an older version lacks are zero.
     ///
     /// # Safety
     /// The pointer is null or a table as the ABI describes it, which lives as long as the process.
@@ -231,7 +231,7 @@ impl Material {
     pub fn strain_planes(&self) -> usize {
         if self.table.strain_kind == abi::BARCHAN_STRAIN_DEF_GRAD { 9 } else { 6 }
     }
-    /// Values of strain and history of one of its particles.
+    /// Number of values of strain and history of one particle.
     pub fn values(&self) -> usize {
         self.strain_planes() + self.states.len()
     }
@@ -243,7 +243,7 @@ impl Material {
             &[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
         }
     }
-    /// Does the capability bit stand?
+    /// Whether the capability bit is set.
     pub fn has(&self, capability: u64) -> bool {
         self.table.capabilities & capability != 0
     }
@@ -274,7 +274,7 @@ impl Default for ErrorBuffer {
 }
 
 impl ErrorBuffer {
-    /// The struct to hand to a callback; valid while the buffer is neither moved nor dropped.
+    /// The struct to pass to a callback; valid while the buffer is neither moved nor dropped.
     pub fn as_raw(&mut self) -> *mut abi::BarchanError {
         self.raw.message = self.text.as_mut_ptr();
         self.raw.capacity = self.text.len();

@@ -10,16 +10,17 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Particles that fixed-point offsets can tell from a cell's face, in cells: half of the last place.
 const SNAP: f64 = 1.0 / (1_u64 << 33) as f64;
-/// How far, in spacings, a particle may be off its seeded place and still count as not moved.
+/// How far, in spacings, a particle may be from its seeded place and still count as not moved.
 pub const UNMOVED: f64 = 0.1;
-/// By how much its history may have changed, of the larger of 1 and the value it started with.
+/// How much a particle's history may have changed and still count as unchanged, relative to the larger of 1 and its
+/// value at the start.
 pub const UNCHANGED: f64 = 1e-3;
 /// Relative difference of masses and volumes that is rounding.
 const ROUNDING: f64 = 1e-5;
 /// Last place of a fixed-point offset: one cell is this many.
 const FIXED: f64 = (1_u64 << 32) as f64;
 
-/// A scene's soft bodies as functions of position: where their particles stand, and under what weight.
+/// A scene's soft bodies as functions of position: where their particles are, and which weight they carry.
 pub struct Terrain {
     scene: Scene,
     materials: Vec<PlannedMaterial>,
@@ -77,17 +78,18 @@ impl Terrain {
 
     /// Seeds all bodies, one list per level and planned material.
     ///
-    /// Particles stand on a cubic lattice, centred in the shape's bounds (from the bottom up in height fields), so that a
-    /// box of n spacings holds n particles along that side, the first half a spacing from the face. A particle's rest
-    /// volume is the cube of the spacing. Coordinates are computed relative to the cell of the shape's corner, so a scene
+    /// Particles form a cubic lattice, centred in the shape's bounds (from the bottom up in height fields). So a box of
+    /// n spacings holds n particles along that side, the first half a spacing from the face. A particle's rest volume
+    /// is the cube of the spacing. Coordinates are computed relative to the cell of the shape's corner, so a scene
     /// moved by whole cells has the same offsets, bit for bit.
     ///
-    /// With several levels the lattice is that of the finest one, and whole cubes of 2, 4, 8, … points along each side are one
-    /// particle in their middle where only coarser levels reach: so mass and shape are those of the finest lattice.
+    /// With several levels the lattice is that of the finest one. Where only coarser levels reach, whole cubes of 2, 4,
+    /// 8, … points along each side become one particle in their middle. So mass and shape are those of the finest
+    /// lattice.
     ///
     /// # Errors
-    /// [`Error::Scene`] for a body without particles, [`Error::Capacity`] if they would take more than `max_bytes`, and
-    /// settled ground that its material cannot carry.
+    /// [`Error::Scene`] for a body without particles; [`Error::Capacity`] if they would take more than `max_bytes`; an
+    /// error for settled ground that its material cannot carry.
     pub(crate) fn seed(
         &self,
         couplings: &[Box<dyn Coupling>],
@@ -109,8 +111,8 @@ impl Terrain {
         Ok(ParticleState { lists, levels, ..ParticleState::default() })
     }
 
-    /// Seeds some tiles as they were at the start, in the resolution that they have with the regions where they are. Numbers of
-    /// particles go on from `next_id`. One list per level and planned material.
+    /// Seeds some tiles as they were at the start, in the resolution of the present regions. Numbers of particles start
+    /// at `next_id`. One list per level and planned material.
     ///
     /// # Errors
     /// Settled ground that its material cannot carry.
@@ -128,8 +130,8 @@ impl Terrain {
         Ok(lists)
     }
 
-    /// About how many particles a single level is seeded with, from a few thousand points of each body. 0 on several levels, where that depends on
-    /// where they are.
+    /// Estimate of how many particles a single level is seeded with, from a few thousand points of each body. 0 on
+    /// several levels, where the number depends on where the levels are.
     pub(crate) fn about_how_many(&self) -> f64 {
         const SAMPLES: u64 = 16;
         let of_plot = |plot: &Plot| {
@@ -149,7 +151,8 @@ impl Terrain {
         if self.scene.levels.count > 1 { 0.0 } else { self.plots.iter().map(of_plot).sum() }
     }
 
-    /// Are these the particles of a tile as it was at the start, split and merged perhaps but else unchanged? That is so if
+    /// Whether these are the particles of a tile as it was at the start, perhaps split and merged but otherwise
+    /// unchanged. That is so if
     ///
     /// 1. their mass is the tile's;
     /// 2. those that have never merged are off their seeded place by no more than [`UNMOVED`];
@@ -231,8 +234,8 @@ impl Terrain {
         filling
     }
 
-    /// The tile that a particle of a body at `x` counts for: that of the coarsest cube of the body's lattice in which it lies, so that what
-    /// is seeded with a tile belongs to it whatever the lattice's corner.
+    /// The tile to which a particle of a body at `x` belongs: that of the coarsest cube of the body's lattice in which
+    /// it lies. So a particle that is seeded with a tile belongs to it, wherever the lattice's corner is.
     pub fn tile_of(&self, body: u16, x: Vec3, regions: &Regions) -> [i32; 2] {
         let plot = self.plots.iter().find(|plot| plot.index == usize::from(body));
         let side = f64::from(1 << (regions.levels() - 1));

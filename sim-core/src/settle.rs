@@ -1,9 +1,10 @@
 //! Ground that starts at rest: the strain in which a material carries the weight above it.
 //!
-//! Particles stand where the settled ground has them: mass, place and rest volume are those of ground that is not settled, and
-//! the Kirchhoff stress along z is the weight of the ground above. So forces on nodes cancel to rounding, and nothing moves at
-//! the start but what side walls fail to hold. (With the Cauchy stress in its place the ground would be out of balance by the
-//! compression itself, and shrinking each particle's rest volume instead would make particles of one body unlike.)
+//! Particles are where the settled ground has them. Mass, place and rest volume are those of ground that is not
+//! settled, and the Kirchhoff stress along z is the weight of the ground above. So forces on nodes cancel to rounding,
+//! and nothing moves at the start except where side walls do not hold it. (With the Cauchy stress in its place the
+//! ground would be out of balance by the compression itself. Shrinking each particle's rest volume instead would make
+//! particles of one body unlike.)
 
 use crate::material::ErrorBuffer;
 use crate::plan::PlannedMaterial;
@@ -32,7 +33,8 @@ pub(crate) enum Unsettled {
 #[repr(C, align(64))]
 struct Plane([f64; BATCH]);
 
-/// Strain and history planes of a material that is pressed along z, held sideways, until it carries each of `loads` [Pa].
+/// Strain and history planes of a material that is pressed along z, and held sideways, until it carries each of `loads`
+/// [Pa].
 pub(crate) fn under(planned: &PlannedMaterial, loads: &[f64]) -> Result<Vec<Vec<f64>>, Unsettled> {
     // Most ground is flat: particles of a layer share their load.
     let mut different = loads.to_vec();

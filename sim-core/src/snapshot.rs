@@ -4,8 +4,8 @@
 //! magic (8 bytes) | version u32 | sections | section "END "
 //! section: tag (4 bytes) | length u64 | CRC-32 of the payload u32 | payload
 //! ```
-//! All numbers are little-endian. Planes of numbers are stored as f32 where that loses nothing, offsets as 32-bit fixed
-//! point likewise, else as f64; a plane of equal numbers as one of them.
+//! All numbers are little-endian. Planes of numbers are stored as f32, and offsets as 32-bit fixed point, where that
+//! loses nothing, else as f64. A plane of equal numbers is stored as one of them.
 
 use crate::archive::Tile;
 use crate::file::{Stamp, write_whole};
@@ -27,14 +27,14 @@ const TILE: &[u8; 4] = b"TILE";
 const COUPLING: &[u8; 4] = b"COUP";
 const END: &[u8; 4] = b"END ";
 
-/// What a snapshot says of the run that it continues.
+/// What a snapshot tells about its run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct About {
     /// The scene as it runs, as TOML.
     pub scene: String,
     /// Folder that the scene's relative paths start from.
     pub folder: PathBuf,
-    /// What the scene was [changed](crate::Scene::set) by when the run began.
+    /// Overrides by which the scene was [changed](crate::Scene::set) when the run began.
     pub set: Vec<String>,
     /// Number format.
     pub precision: Precision,
@@ -46,7 +46,7 @@ pub struct About {
     pub step: u64,
 }
 
-/// Reads what a snapshot says of its run, without its particles.
+/// Reads what a snapshot tells about its run, without its particles.
 ///
 /// # Errors
 /// [`Error::Snapshot`] if the file cannot be used.

@@ -11,11 +11,13 @@ pub trait Solid: Send + Sync {
     fn bounds(&self) -> Aabb;
     /// Is the point inside?
     fn contains(&self, x: Vec3) -> bool;
-    /// Are all points of a box inside (`Some(true)`), or none (`Some(false)`)? `None` says nothing: points have to be tried.
+    /// Whether all points of a box are inside (`Some(true)`), or none (`Some(false)`). `None`: unknown, so points have
+    /// to be tried.
     fn cover(&self, region: &Aabb) -> Option<bool> {
         if region.meets(&self.bounds()) { None } else { Some(false) }
     }
-    /// Lower and upper end of the solid above a point of the ground plan [m]. `None`: nothing is there, or it is not one piece.
+    /// Lower and upper end of the solid above a point of the ground plan [m]. `None`: nothing is there, or it is not in
+    /// one piece.
     fn column(&self, _x: f64, _y: f64) -> Option<[f64; 2]> {
         None
     }
@@ -33,8 +35,7 @@ fn cover_convex(solid: &dyn Solid, region: &Aabb) -> Option<bool> {
 /// The solid of a soft body's shape, world frame; `path` is the shape's key path.
 ///
 /// # Errors
-/// If the shape is none that can be filled, a file cannot be read, or a mesh is asked for and nothing registered reads
-/// meshes.
+/// If the shape cannot be filled, a file cannot be read, or the shape is a mesh and no reader of meshes is registered.
 pub fn of_shape(shape: &Shape, scene: &Scene, registry: &Registry, path: &str) -> Result<Box<dyn Solid>> {
     let bounds = shape.bounds();
     Ok(match (shape, bounds) {

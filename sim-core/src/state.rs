@@ -11,28 +11,28 @@ use std::collections::{BTreeMap, BTreeSet};
 pub struct ParticleState {
     /// One list per (world, level, material), in the plan's order.
     pub lists: Vec<ParticleList>,
-    /// The step over which `affine` has carried the particles but not yet their strain [s].
+    /// Length of the step by which `affine` has moved the particles, but not yet changed their strain [s].
     pub strain_dt: f64,
-    /// How the backend holds them, if it must be reproduced; `None` asks for a fresh sort.
+    /// How the backend holds the particles, if that must be reproduced; `None` asks for a fresh sort.
     pub sort: Option<SortPhase>,
-    /// Where the levels are, if there are several; `None` lets them settle around their agents anew.
+    /// Where the levels are, if there are several; `None` places them anew around their agents.
     pub levels: Option<LevelPhase>,
     /// Ground out of reach that agents have changed, by tile.
     pub archive: BTreeMap<[i32; 2], Tile>,
 }
 
-/// Where nested levels are, and what their particles need to be split and merged on.
+/// Where nested levels are, and what is needed to go on splitting and merging their particles.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LevelPhase {
     /// Boxes of each level but the coarsest, in cells of the level.
     pub boxes: Vec<Vec<CellBox>>,
-    /// Number of the next particle that comes into being.
+    /// Number of the next new particle.
     pub next_id: u64,
-    /// Times that particles have been split and merged.
+    /// Number of rounds of split and merge so far.
     pub rounds: u64,
-    /// The last of them in which anything could merge.
+    /// The last round in which merging was tried.
     pub tried: u64,
-    /// Tiles that are live, if only what is within reach is.
+    /// Live tiles, if only the ground within reach is live.
     #[serde(default)]
     pub live: BTreeSet<[i32; 2]>,
 }
@@ -140,32 +140,34 @@ impl Spot {
     }
 }
 
-/// How a backend had its particles sorted: enough to rebuild chunks, order and phase.
+/// How a backend had its particles sorted: enough to rebuild chunks and order, and to sort again at the same step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SortPhase {
     /// Steps since the last sort.
     pub age: u32,
     /// Upper bound of any particle's move since then on each level, in cells.
     pub drift: Vec<f64>,
-    /// What the backend has measured of these particles and goes by in its next steps.
+    /// What the backend has measured of these particles, and uses in its next steps.
     pub measured: Measured,
-    /// Blocks in order: (world, level, block x, y, z) and the number of particles in it of each list of that world and level.
+    /// Blocks in order: (world, level, block x, y, z), and for each list of that world and level the number of
+    /// particles in the block.
     pub blocks: Vec<([i32; 5], Vec<u32>)>,
     /// For how many steps each block's particles have been slow; [`u16::MAX`] if it sleeps.
     pub rest: Vec<u16>,
-    /// For each level, the step [s] and gravity [m/s²] that what its ground asleep does to nodes is kept for.
+    /// For each level, the step [s] and gravity [m/s²] for which the stored tiles of ground asleep are valid.
     pub kept_for: Vec<Option<(f64, Vec3)>>,
 }
 
-/// Measurements that are not taken anew at every step: without them a resumed run would choose other time steps, or sum up in another order.
+/// Measurements that are not repeated at every step. Without them, a resumed run would choose other time steps, or sum
+/// in another order.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measured {
     /// Greatest step that the materials' stiffness allowed when it was measured last [s].
     pub stiffness_bound: f64,
     /// Steps since then.
     pub stiffness_age: u32,
-    /// Mass of all particles, summed up when they came in and kept since [kg].
+    /// Mass of all particles, summed when they entered the backend and kept since [kg].
     pub mass: f64,
-    /// Mass up to which a node carries nothing that a particle could feel [kg].
+    /// Nodes up to this mass carry nothing that a particle could feel [kg].
     pub least_mass: f64,
 }

@@ -1,4 +1,5 @@
-//! The step that a law's stiffness, viscosity and damping allow, asked of its callbacks for 16 particles at a time.
+//! The step that a law's stiffness, viscosity and damping allow. The law's callbacks give it for 16 particles at a
+//! time.
 
 use crate::backend::Bound;
 use crate::material::ErrorBuffer;
@@ -6,7 +7,7 @@ use crate::plan::PlannedMaterial;
 use crate::{Error, Result};
 use barchan_abi as abi;
 
-/// Particles that are asked about at once.
+/// Particles in one call of a law.
 pub const PARTICLES: usize = 16;
 
 /// One component of 16 particles, aligned as the ABI promises.
@@ -14,7 +15,7 @@ pub const PARTICLES: usize = 16;
 #[repr(C, align(64))]
 pub struct Plane(pub [f32; PARTICLES]);
 
-/// A law that is asked how long a step its particles bear.
+/// A law, ready to be asked how long a step its particles allow.
 #[derive(Debug)]
 pub struct Stiffness<'a> {
     planned: &'a PlannedMaterial,
@@ -45,7 +46,8 @@ pub struct Damping {
 }
 
 impl Damping {
-    /// Of a material with these moduli at rest, by a time β [s]: the same part of every elastic wave's energy is lost in a time, whatever its kind.
+    /// Damping by a time β [s] of a material with these moduli at rest. Every kind of elastic wave loses the same part
+    /// of its energy in a given time.
     pub fn new(time: f64, at_rest: &Moduli) -> Self {
         let Moduli { p_wave, triple_bulk, .. } = at_rest;
         // Rounding may leave a liquid a shear modulus below zero, which would feed its motion.
@@ -53,49 +55,50 @@ impl Damping {
         Self { lambda: time * (p_wave - 2.0 * mu), mu: time * mu }
     }
 
-    /// η [Pa s] in [`Moduli::need`]. There stress grows by 2 η C, here by β k C with the k of stiffness: where the particle swells, or stretches along
-    /// an axis if λ is negative.
+    /// η [Pa s] in [`Moduli::need`]. There stress grows by 2 η C, and here by β k C, with the k of stiffness: of volume
+    /// change, or of stretch along an axis if λ is negative.
     pub fn viscosity(&self) -> f64 {
         let Self { lambda, mu } = self;
         mu + 0.5 * lambda.max(3.0 * lambda)
     }
 }
 
-/// What asks for steps as short as they are.
+/// What bounds the step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Limit {
     /// The moduli of the present tangent.
     #[default]
     Stiffness,
-    /// A stress that follows the rate of deformation; without it, less than half as many steps would do.
+    /// Viscosity: without it, less than half as many steps would do.
     Viscosity,
-    /// The same by damping that a scene asks for.
+    /// Damping that the scene asks for, by the same rule.
     Damping,
 }
 
-/// How many steps a second some particles need.
+/// How many steps a second a set of particles needs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Need {
-    /// The greatest number among them [1/s].
+    /// The greatest number among the particles [1/s].
     pub rate: f64,
-    /// What asks for so many.
+    /// What bounds it.
     pub by: Limit,
 }
 
 impl Need {
-    /// That of both.
+    /// The need of both sets together.
     pub fn or(self, other: Self) -> Self {
         if other.rate > self.rate { other } else { self }
     }
 }
 
 impl Moduli {
-    /// What a particle that is alone in its cells needs, for cell width `h` [m] and density at rest [kg/m³].
+    /// Steps a second that a particle alone in its cells needs, for cell width `h` [m] and density at rest [kg/m³].
     ///
-    /// The strain rate C of such a particle, with stress τ = k ε + 2 η C, follows C' = C − dt (4/(ρ h²)) (k ε' + 2 η C), ε' = ε + dt C, with
-    /// k = 3λ + 2μ where it swells, and less in shear. That is stable where a dt² + v dt <= 1, a = k/(ρ h²), v = 4 η/(ρ h²). So without
-    /// viscosity the step is at most h sqrt(ρ/k) = (h/c_p) sqrt((λ + 2μ)/(3λ + 2μ)), c_p² = (λ + 2μ)/ρ, and without stiffness ρ h²/(4 η).
-    /// Both are below the bounds of a filled grid, so this holds for spray as well as for bulk.
+    /// The strain rate C of such a particle, with stress τ = k ε + 2 η C, follows C' = C − dt (4/(ρ h²)) (k ε' + 2 η
+    /// C), ε' = ε + dt C. k = 3λ + 2μ for a change of volume, and less in shear. That is stable where a dt² + v dt <=
+    /// 1, a = k/(ρ h²), v = 4 η/(ρ h²). So without viscosity the step is at most h sqrt(ρ/k) = (h/c_p) sqrt((λ +
+    /// 2μ)/(3λ + 2μ)), c_p² = (λ + 2μ)/ρ, and without stiffness ρ h²/(4 η). Both are below the bounds of a filled grid,
+    /// so they hold for spray as well as for bulk.
     pub fn need(&self, h: f64, density: f64) -> Need {
         // Where λ is negative the bulk's bound is the lower one.
         let a = self.triple_bulk.max(self.p_wave) / (density * h * h);
@@ -122,8 +125,8 @@ impl<'a> Stiffness<'a> {
     /// The moduli of the first `count` of 16 particles, given their planes of strain and of history.
     ///
     /// # Errors
-    /// [`Error::MaterialFailed`] if a callback fails, or gives what is not finite and, of moduli, above 0; with the id that `id` gives of
-    /// the particle.
+    /// [`Error::MaterialFailed`] if a callback fails, or if its moduli are not finite and above 0. The error names the
+    /// particle by the number that `id` gives.
     pub fn moduli(
         &self,
         strain: &[Plane],
@@ -200,7 +203,8 @@ impl<'a> Stiffness<'a> {
         Ok(self.moduli(&strain, &state, 1, |_| None)?.next().expect("there is one for each particle"))
     }
 
-    /// The bound that particles of the law set which need so much, on steps of the simulation within which theirs is one of so many.
+    /// The bound of the step from particles of the law with this need. The simulation's step contains `steps_within`
+    /// steps of theirs.
     pub fn bound(&self, need: Need, steps_within: u32) -> Bound {
         let what = match need.by {
             Limit::Stiffness => "stiffness",

@@ -1,10 +1,10 @@
 //! The GPU backend: every pass in WGSL, in f32, on any adapter that Vulkan, Metal or Direct3D 12 offers, software ones
 //! included.
 //!
-//! Nothing is read back in a step but what couplings on the host ask for; many steps go to the device at once. Where levels have to move, or
-//! particles between them, those that this concerns come to the host for a round of split and merge. Sums run in
-//! orders that do not depend on which workgroup comes first, and no float is added atomically: the same adapter gives the same
-//! bits.
+//! Within a step nothing is copied to the host, except for couplings whose law runs there. Many steps go to the device
+//! in one submission. Where levels have to move, or particles between them, the particles concerned are copied to the
+//! host for a round of split and merge. Sums run in orders that do not depend on which workgroup comes first, and no
+//! float is added atomically. So the same adapter gives the same bits.
 #![expect(unsafe_code, reason = "materials' callbacks cross the C ABI")]
 
 pub mod device;
@@ -22,9 +22,9 @@ use std::sync::Arc;
 /// The backend called `wgpu`.
 #[derive(Clone, Debug, Default)]
 pub struct Wgpu {
-    /// How much of what an adapter offers it takes: all of it, unless one wants to know what runs on the poorest.
+    /// How much of what an adapter offers is used: all of it, except to test what runs on the poorest adapter.
     pub offer: device::Offer,
-    /// An open device to run everything on, whatever adapter is asked for; without one, each simulation opens its own.
+    /// An open device to run everything on, whatever adapter is asked for. If absent, each simulation opens its own.
     pub device: Option<Arc<device::Gpu>>,
 }
 

@@ -1,4 +1,4 @@
-//! Who merges with whom.
+//! Finds clusters of particles that merge into one.
 
 use super::Found;
 use barchan_lanes::{CHUNK, Isa, Kernel, Lanes, Mask};

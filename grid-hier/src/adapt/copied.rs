@@ -1,11 +1,12 @@
-//! Levels whose particles are elsewhere: copies of those that a round may concern.
+//! Levels whose particles are elsewhere, such as on a device: copies of those that a round may concern.
 
 use super::{LevelStore, Parcel};
 use crate::block;
 use barchan_core::ParticleList;
 use std::ops::Range;
 
-/// Particles of a level that a backend has copied since a round may concern them. A place is a particle's index in its list.
+/// The particles of a level that a backend has copied because a round may concern them. A place is a particle's index
+/// in its list.
 #[derive(Clone, Debug)]
 pub struct CopiedLevel {
     /// One a material.
@@ -22,8 +23,8 @@ pub struct CopiedLevel {
 }
 
 impl CopiedLevel {
-    /// One list a material, in which particles stand in the order of the blocks that they are in. `filled` says of the level's blocks, in the
-    /// order of their keys, which cells are at least half full, as bits; it is asked for only if any particle may merge.
+    /// Takes one list a material, its particles in the order of their blocks. `filled` gives for the level's blocks, in
+    /// the order of their keys, which cells are at least half full, as bits. It is used only if particles may merge.
     pub fn new(lists: Vec<ParticleList>, filled: Vec<(u64, u64)>) -> Self {
         // What is beyond the reach of blocks is in none.
         let key = |cell: &[i32; 3]| block::key(block::of_cell(*cell)).unwrap_or(u64::MAX);
@@ -51,12 +52,12 @@ impl CopiedLevel {
         Self { lists, filled, blocks, groups, gone, come }
     }
 
-    /// For each list, the places of particles that have been taken out.
+    /// For each list, the places of the removed particles.
     pub fn gone(&self) -> impl Iterator<Item = impl Iterator<Item = usize>> {
         self.gone.iter().map(|gone| (0..gone.len()).filter(|&place| gone[place]))
     }
 
-    /// Particles that have been taken in, as lists, each in the order of numbers.
+    /// The added particles, as lists, each in the order of numbers.
     pub fn come(self) -> Vec<ParticleList> {
         self.come
     }

@@ -73,7 +73,7 @@ impl<V: Lanes> Greatest<V> {
     }
 }
 
-/// The rates of one run of chunks as they are: those that [`GridToParticles`] gave.
+/// The present rates of one run of chunks: those that [`GridToParticles`] gave.
 pub struct Survey<T: Scalar> {
     /// The list.
     pub particles: Particles<T>,

@@ -30,8 +30,8 @@ pub struct ParticlesToGrid<'a, T: Scalar> {
     pub step: &'a Step,
     /// Where mass and momentum are added.
     pub tile: &'a mut [T; TILE],
-    /// Where mass and m C [kg m/s a cell] of each parent cell are added, if the rim of a level wants them (see [`crate::ring`]).
-    /// What has left the block counts where it left.
+    /// Where mass and m C [kg m/s a cell] of each parent cell are added, if the rim of a level needs them (see
+    /// [`crate::ring`]). Particles that have left the block count where they left it.
     pub parent_cells: Option<&'a mut [Carried<T>; PARENT_CELLS]>,
     /// Where what damping dissipates is added [J], in the order of the particles.
     pub damped: &'a mut f64,

@@ -27,7 +27,7 @@ impl Walls {
     pub fn pair(&self, axis: usize) -> [Wall; 2] {
         [[self.x_min, self.x_max], [self.y_min, self.y_max], [self.z_min, self.z_max]][axis]
     }
-    /// Is any a wall that lets go of the ground?
+    /// Whether any wall lets go of the ground.
     pub fn let_go(&self) -> bool {
         (0..3).flat_map(|axis| self.pair(axis)).any(|wall| matches!(wall, Wall::Separate { .. }))
     }
@@ -95,8 +95,8 @@ fn normalise(q: &mut [f64; 4]) {
 }
 
 impl Scene {
-    /// Holds the scene to everything that its types cannot say, and makes its quaternions unit ones. Scenes that were
-    /// read have been checked; call this on scenes put together in code.
+    /// Checks everything about the scene that its types cannot express, and normalises its quaternions. Scenes that
+    /// were read have been checked; call this on scenes put together in code.
     ///
     /// # Errors
     /// [`Error::Scene`] with file, line and key path.
@@ -126,7 +126,7 @@ impl Scene {
         Ok(())
     }
 
-    /// What the user should know although the scene can be run.
+    /// Warnings about a scene that can be run.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         for body in &self.body {

@@ -170,12 +170,12 @@ impl Scene {
         &self.source.overrides
     }
 
-    /// Takes over what the scene of a resumed run was changed by.
+    /// Takes over the overrides of a resumed run's scene.
     pub(crate) fn note_overrides(&mut self, overrides: Vec<String>) {
         self.source = Arc::new(Source { overrides, ..(*self.source).clone() });
     }
 
-    /// The first key in which two scenes differ, and what stands there in each: nothing, if it is absent.
+    /// The first key in which two scenes differ, and its value in each: empty, if the key is absent.
     pub fn difference(&self, other: &Self) -> Option<(String, [String; 2])> {
         fn find(path: String, a: Option<&Value>, b: Option<&Value>) -> Option<(String, [String; 2])> {
             match (a, b) {

@@ -1,6 +1,5 @@
 //! Cases that blow up other codes. A good simulator stays right, or refuses with an error that says what is wrong: it is never
-//! silently wrong. The numbers are those of the project's list of hard cases; gaps are cases that need several levels, a GPU or
-//! a robot.
+//! silently wrong. The codes are those of docs/cases.md, which also says where the cases are that need several levels or a GPU.
 
 mod degeneracies;
 mod precision;

@@ -1,4 +1,5 @@
-//! Particles laid out for the device: by block, cell, law and, among those, in their order; and back.
+//! Conversion between particles on the host and their layout on the device: sorted by block, cell and law, and within
+//! those in their former order.
 
 use crate::passes::binding::Sorted;
 use barchan_core::plan::PlannedMaterial;

@@ -1,4 +1,4 @@
-//! Buffers on the device, and what fits into them.
+//! Buffers on the device, and how many particles and blocks fit into them.
 
 use crate::device::Gpu;
 use crate::device::layout::{ENTRY, RECORD, ROUNDS};

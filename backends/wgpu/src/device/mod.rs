@@ -1,4 +1,4 @@
-//! Adapters and the device opened on one of them.
+//! Adapters, and the device that is opened on one of them.
 
 pub(crate) mod layout;
 pub(crate) mod memory;

@@ -1,4 +1,4 @@
-//! Sums over particles on the host: the ledger, and what is not finite.
+//! Sums over particles on the host: for the ledger, and to find what is not finite.
 
 use barchan_abi as abi;
 use barchan_core::material::ErrorBuffer;

@@ -1,4 +1,4 @@
-//! What went wrong, in words that a user can act upon.
+//! Errors of a step, in words that a user can act upon.
 
 use crate::readback::{Laid, account};
 use crate::schedule::status::{Halt, Status, WHO};

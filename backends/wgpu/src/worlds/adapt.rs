@@ -1,5 +1,5 @@
-//! Split and merge: the device finds the particles that they may concern, the host decides about those, and the device takes out what is
-//! gone and takes in what has come.
+//! Split and merge. The device finds the particles that may be concerned, the host decides about them, and the device
+//! removes the old ones and adds the new ones.
 
 use crate::device::layout::{self, Homes, Planes};
 use crate::device::memory::{StepConstants, Writes, read_all, slots_for, with_room};

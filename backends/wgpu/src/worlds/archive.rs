@@ -1,4 +1,5 @@
-//! Unbounded ground on the device; see `barchan_grid::archive`. Tiles come and go on the host, as particles do in rounds of split and merge.
+//! Unbounded ground on the device; see `barchan_grid::archive`. The host adds and removes tiles, as it does particles
+//! in rounds of split and merge.
 
 use crate::device::layout::{Planes, by_level};
 use crate::device::memory::with_room;

@@ -1,4 +1,4 @@
-//! A world's place in a batch, as the simulation sees it.
+//! One world of a batch, as the engine that a simulation drives.
 
 use crate::device::Gpu;
 use crate::readback::account;

@@ -1,4 +1,4 @@
-//! Worlds on one device.
+//! The worlds of a batch on one device.
 
 pub(crate) mod adapt;
 pub(crate) mod archive;

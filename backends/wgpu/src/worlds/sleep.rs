@@ -1,4 +1,5 @@
-//! Ground at rest that is left out: what the host knows of it. The rule is that of the backend cpu's `sleep.rs`, in `watch.wgsl`.
+//! Sleep: what the host knows of ground at rest that is left out. The rule is that of the CPU backend's `sleep.rs`, in
+//! `watch.wgsl`.
 
 use crate::device::layout::Homes;
 use crate::device::memory::read;

@@ -1,5 +1,5 @@
-//! Soft bodies that levels follow. After each step the device finds the cells around them, and stops the submission if levels must move before
-//! the next one, so that it does not matter how steps are cut into submissions.
+//! Soft bodies that levels follow. After each step the device finds the cells around them, and stops the submission if
+//! levels must move before the next one. So results do not depend on how steps are cut into submissions.
 
 use crate::device::memory::read;
 use crate::passes::binding::Role;

@@ -1,4 +1,4 @@
-//! The step that materials' stiffness and viscosity allow, asked of their laws on the host.
+//! The step that materials' stiffness and viscosity allow, from callbacks of their laws on the host.
 
 use crate::device::layout::law_of;
 use barchan_abi as abi;

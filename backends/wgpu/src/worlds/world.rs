@@ -1,4 +1,4 @@
-//! What the host knows of a world of a batch.
+//! The host's record of a world of a batch.
 
 use crate::device::layout::{Periods, by_level};
 use crate::device::memory::{Layer, MAX_SLOTS, MAX_STEPS};
