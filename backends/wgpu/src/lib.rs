@@ -11,6 +11,7 @@ pub mod device;
 mod passes;
 mod readback;
 mod schedule;
+pub mod shared;
 mod worlds;
 
 pub use passes::{Shader, material, shaders};

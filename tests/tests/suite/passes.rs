@@ -3,11 +3,13 @@
 use barchan::{Options, Plan, Precision, Scene};
 use barchan_tests::scenes::options;
 use barchan_tests::sketch::{Head, block, driven, half, material, tool};
+use barchan_wgpu::shared::{CONSTANTS, LAYOUTS};
 use barchan_wgpu::{Shader, shaders};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use wgpu::naga::front::wgsl;
 use wgpu::naga::valid::{Capabilities, ValidationFlags, Validator};
+use wgpu::naga::{Expression, Literal, Module, TypeInner};
 
 const H: f64 = 0.05;
 
@@ -35,6 +37,14 @@ const LAWS: [(&str, &str); 7] = [
     ("von_mises", "young_modulus = 1e5, poisson_ratio = 0.3"),
 ];
 
+/// Couplings from outside Barchan beside the tools: none, a field, bodies that grip, both.
+const COUPLINGS: [&str; 4] = [
+    "",
+    "[[coupling]]\nkind = \"current\"\nparameters = { rate = 0.5 }\n",
+    "[[coupling]]\nkind = \"rollers\"\n",
+    "[[coupling]]\nkind = \"rollers\"\n[[coupling]]\nkind = \"current\"\nparameters = { rate = 0.5 }\n",
+];
+
 /// Of everything else, so many picks for each of these.
 const PICKS: usize = 8;
 
@@ -58,6 +68,7 @@ fn case(walls: &str, levels: &str, bodies: usize, number: usize) -> (String, usi
     let damping = pick(&["", "damping = 1e-3\n"], n);
     let (worlds, many, apart) = (pick(&[1, 3], n), pick(&[false, true], n), pick(&[false, true], n));
     let (subcycle, soft) = (pick(&["false", "true"], n), pick(&[false, true], n));
+    let couplings = pick(&COUPLINGS, n).to_owned();
     // What is to come within reach later stands as it has settled, and nothing lies on it.
     let unbounded = levels.contains("reach");
     let agents = match bodies {
@@ -70,6 +81,7 @@ fn case(walls: &str, levels: &str, bodies: usize, number: usize) -> (String, usi
         block(law, [0.0; 3], [1.6, 0.8, 0.2], if unbounded { "settled = true" } else { "" }),
         levels.replace("AGENTS", agents).replace("SUBCYCLE", subcycle),
         sleep,
+        couplings,
     ];
     if !unbounded {
         parts.push(block(law, [0.6, 0.3, 0.25], [0.8, 0.5, 0.4], "name = \"soft\""));
@@ -92,11 +104,45 @@ fn case(walls: &str, levels: &str, bodies: usize, number: usize) -> (String, usi
 fn passes(text: &str, worlds: usize, particles: usize, apart: bool) -> Result<Vec<Shader>, String> {
     let with = Options { backend: "wgpu".into(), ..options(Precision::F32) };
     let scene = Scene::from_str(text, "case", "").map_err(|e| e.to_string())?;
-    let (plan, _, couplings) = Plan::assemble(&barchan::registry(), &scene, &with).map_err(|e| e.to_string())?;
+    let mut registry = barchan::registry();
+    barchan_seam_coupling::register(&mut registry).map_err(|e| e.to_string())?;
+    let (plan, _, couplings) = Plan::assemble(&registry, &scene, &with).map_err(|e| e.to_string())?;
     shaders(&plan, &couplings, worlds, particles, apart).map_err(|e| e.to_string())
 }
 
-/// Symptom guarded against: a scene that nobody has tried asks for passes that do not fit together, which a user finds out when a driver refuses them.
+/// The names that Rust and a pass share, all of which must mean the same in both.
+fn shared(module: &Module) -> Result<BTreeSet<&'static str>, String> {
+    let mut names = BTreeSet::new();
+    for (_, constant) in module.constants.iter() {
+        let Some((name, value)) = CONSTANTS.iter().find(|(name, _)| constant.name.as_deref() == Some(name)) else {
+            continue;
+        };
+        let said = match module.global_expressions[constant.init] {
+            Expression::Literal(Literal::U32(x)) => i64::from(x),
+            Expression::Literal(Literal::I32(x)) => i64::from(x),
+            ref other => return Err(format!("{name} is no whole number but {other:?}")),
+        };
+        if said != *value {
+            return Err(format!("{name} is {said} in WGSL and {value} in Rust"));
+        }
+        names.insert(*name);
+    }
+    for (_, ty) in module.types.iter() {
+        let Some(layout) = LAYOUTS.iter().find(|layout| ty.name.as_deref() == Some(layout.name)) else { continue };
+        let TypeInner::Struct { members, span } = &ty.inner else {
+            return Err(format!("{} is no struct", layout.name));
+        };
+        let said: Vec<_> = members.iter().map(|m| (m.name.as_deref().unwrap_or(""), m.offset as usize)).collect();
+        if said != layout.members || *span as usize > layout.size {
+            return Err(format!("{} is {said:?} of {span} bytes in WGSL and {layout:?} in Rust", layout.name));
+        }
+        names.insert(layout.name);
+    }
+    Ok(names)
+}
+
+/// Symptoms guarded against: a scene that nobody has tried asks for passes that do not fit together, which a user finds out when a driver refuses them; and
+/// a number or a layout that is changed in Rust and not in WGSL, which nobody finds out.
 #[test]
 fn every_pass_that_a_plan_can_ask_for_is_sound() {
     let mut cases = Vec::new();
@@ -116,19 +162,25 @@ fn every_pass_that_a_plan_can_ask_for_is_sound() {
     }
     let check = |(text, worlds, particles, apart): &(String, usize, usize, bool)| {
         let all = passes(text, *worlds, *particles, *apart).map_err(|e| format!("{e}\n{text}"))?;
+        let mut known = BTreeSet::new();
         for shader in &all {
             let refuse = |what: String| -> ! { panic!("pass '{}': {what}\n{text}", shader.name) };
             let module = wgsl::parse_str(&shader.wgsl).unwrap_or_else(|e| refuse(e.emit_to_string(&shader.wgsl)));
             let valid = Validator::new(ValidationFlags::all(), Capabilities::all()).validate(&module);
             valid.unwrap_or_else(|e| refuse(e.emit_to_string(&shader.wgsl)));
+            known.extend(shared(&module).unwrap_or_else(|what| refuse(what)));
             assert!(module.entry_points.iter().any(|point| point.name == shader.entry), "no {} in it", shader.entry);
         }
-        Ok::<_, String>(all.iter().map(|shader| shader.name).collect::<BTreeSet<_>>())
+        Ok::<_, String>((all.iter().map(|shader| shader.name).collect::<BTreeSet<_>>(), known))
     };
     let checked: Vec<_> = cases.par_iter().map(check).collect();
     let refused: Vec<&String> = checked.iter().filter_map(|names| names.as_ref().err()).collect();
     assert!(refused.is_empty(), "{} scenes are refused, the first: {}", refused.len(), refused[0]);
-    let names: Vec<BTreeSet<&str>> = checked.into_iter().flatten().collect();
+    let (names, known): (Vec<BTreeSet<&str>>, Vec<BTreeSet<&str>>) = checked.into_iter().flatten().unzip();
+    let known: BTreeSet<&str> = known.into_iter().flatten().collect();
+    for name in CONSTANTS.iter().map(|(name, _)| *name).chain(LAYOUTS.iter().map(|layout| layout.name)) {
+        assert!(known.contains(name), "no pass has {name}, which Rust takes for shared");
+    }
     let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
     names.iter().flatten().for_each(|name| *seen.entry(name).or_default() += 1);
     println!("{} plans; how many of them ask for each pass: {seen:?}", cases.len());

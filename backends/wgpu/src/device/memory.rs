@@ -15,10 +15,10 @@ use std::time::{Duration, Instant};
 
 /// Words of the status: before those of layers, of each layer that stay and that a submission sums up, and of each layer in each step;
 /// see `common.wgsl`.
-const OF_LAYERS: usize = 14;
-const PER_LAYER: usize = 8;
-const PER_SUM: usize = 24;
-const PER_STEP: usize = 4;
+pub(crate) const OF_LAYERS: usize = 14;
+pub(crate) const PER_LAYER: usize = 8;
+pub(crate) const PER_SUM: usize = 24;
+pub(crate) const PER_STEP: usize = 4;
 /// So long a device that is not this machine's processor is asked again and again whether it is done, while others may go first: to be woken takes as
 /// long as some steps of a small world.
 const AWAKE: Duration = Duration::from_millis(20);
@@ -38,7 +38,7 @@ pub(crate) const BODY: u64 = 9;
 /// Vectors of a free body that stay during a submission, of its state before a slot, and of a touch; see `lent.wgsl`.
 pub(crate) const LENT: usize = 10;
 pub(crate) const STATE: usize = 7;
-const TOUCH: usize = 3;
+pub(crate) const TOUCH: usize = 3;
 /// Vectors of a block of nodes that goes to the host; see `gather.wgsl`.
 pub(crate) const NEAR_BLOCK: usize = 65;
 

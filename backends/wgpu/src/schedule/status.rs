@@ -49,7 +49,7 @@ pub(crate) const BIAS: i32 = block::REACH;
 /// Why the device halted a submission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Halt {
-    TooFast,
+    TooFast = 1,
     Drifted,
     Room,
     /// Particles are on another level than they should be.
@@ -65,19 +65,22 @@ pub(crate) enum Halt {
 }
 
 impl Halt {
+    /// In the order of their words.
+    const ALL: [Self; 9] = [
+        Self::TooFast,
+        Self::Drifted,
+        Self::Room,
+        Self::Misplaced,
+        Self::LeftWorld,
+        Self::Strayed,
+        Self::Fewer,
+        Self::Follow,
+        Self::TooStiff,
+    ];
+
+    /// `None` for 0, where nothing has halted it.
     pub(crate) fn of(word: u32) -> Option<Self> {
-        match word {
-            0 => None,
-            1 => Some(Self::TooFast),
-            2 => Some(Self::Drifted),
-            3 => Some(Self::Room),
-            4 => Some(Self::Misplaced),
-            5 => Some(Self::LeftWorld),
-            6 => Some(Self::Strayed),
-            7 => Some(Self::Fewer),
-            8 => Some(Self::Follow),
-            _ => Some(Self::TooStiff),
-        }
+        Self::ALL.into_iter().find(|halt| *halt as u32 == word)
     }
 }
 
