@@ -289,8 +289,9 @@ pub trait Coupling: Send + Sync {
     fn is_field(&self) -> bool {
         false
     }
-    /// A field changes the velocities of nodes in a step of `dt` [s] and books the impulses on its bodies. A field only: the nodes are those near its own
-    /// bodies.
+    /// A field changes the velocities of nodes in a step of `dt` [s], and adds what that takes from its bodies, over `dt`, to their
+    /// [`wrenches`](Self::wrenches). The nodes are those near its own bodies. Levels come one after the other, coarser ones maybe
+    /// behind [`after_step`](Self::after_step).
     ///
     /// # Errors
     /// If its state is no longer finite.

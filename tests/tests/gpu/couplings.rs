@@ -8,14 +8,14 @@ use barchan_tests::sketch::{Head, block, driven, half, material, tool};
 
 const CURRENT: &str = "[[coupling]]\nkind = \"current\"\nparameters = { rate = 3, x = 0.4, y = 0.1 }\n";
 const ROLLERS: &str =
-    "[[coupling]]\nkind = \"rollers\"\nparameters = { radius = 0.05, gap = 0.08, x = 0.28, z = 0.12, rate = 8 }\n";
+    "[[coupling]]\nkind = \"rollers\"\nparameters = { radius = 0.05, gap = 0.08, x = 0.28, z = 0.07, rate = 8 }\n";
 
 /// A bed of sand with couplings, tools and levels.
 fn yard(couplings: &str, tools: &[&str], levels: &str, step: f64) -> String {
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
     let mut parts = vec![
         material("sand", 1500.0, "young_modulus = 1e5, poisson_ratio = 0.2"),
-        block("sand", [0.0; 3], [0.4, 0.24, 0.1], ""),
+        block("sand", [0.0; 3], [0.4, 0.24, 0.1], "velocity = [0.1, 0.0, -0.3]"),
         couplings.to_owned(),
         levels.to_owned(),
     ];
@@ -30,7 +30,7 @@ fn blade() -> String {
 
 fn cube() -> String {
     let motion = "{ free = { mass = 0.4, linear = [0.0, 0.0, -0.5] } }";
-    tool("cube", [0.12, 0.12, 0.135], &half([0.03; 3]), "{ coulomb = { friction = 0.5 } }", motion)
+    tool("cube", [0.12, 0.12, 0.128], &half([0.03; 3]), "{ coulomb = { friction = 0.5 } }", motion)
 }
 
 fn start(toml: &str, backend: &str, precision: Precision) -> Simulation {

@@ -48,7 +48,6 @@ pub struct Current {
     velocity: Vec3,
     on_host: bool,
     extent: Aabb,
-    impulse: Vec3,
     wrench: [Wrench; 1],
 }
 
@@ -73,7 +72,6 @@ impl Current {
             velocity: [value("x"), value("y"), value("z")],
             on_host: value("host") != 0.0,
             extent: scene.world_box(),
-            impulse: [0.0; 3],
             wrench: [Wrench::default()],
         })
     }
@@ -101,7 +99,7 @@ impl Coupling for Current {
         0.0
     }
     fn before_step(&mut self, _: f64, _: f64) -> Result<()> {
-        self.impulse = [0.0; 3];
+        self.wrench = [Wrench::default()];
         Ok(())
     }
     fn bounds(&self) -> Vec<Aabb> {
@@ -116,7 +114,7 @@ impl Coupling for Current {
             for d in 0..3 {
                 let gain = share * (self.velocity[d] - u[d]);
                 u[d] += gain;
-                self.impulse[d] -= mass * gain;
+                self.wrench[0].force[d] -= mass * gain / dt;
             }
         }
         Ok(())
@@ -130,8 +128,7 @@ impl Coupling for Current {
     fn book(&mut self, wrenches: &[Wrench]) {
         self.wrench.copy_from_slice(wrenches);
     }
-    fn after_step(&mut self, _: f64, dt: f64) -> Result<()> {
-        self.wrench[0] = Wrench { force: self.impulse.map(|i| i / dt), torque: [0.0; 3] };
+    fn after_step(&mut self, _: f64, _: f64) -> Result<()> {
         Ok(())
     }
     fn wrenches(&self) -> &[Wrench] {
