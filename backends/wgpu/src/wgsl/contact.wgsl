@@ -7,6 +7,8 @@ var<workgroup> go: u32;
 // The bodies near whose boxes there are nodes of the block, as bits: first as threads find them, then to be read by all.
 var<workgroup> found_near: array<atomic<u32>, NEAR_WORDS>;
 var<workgroup> near: array<u32, NEAR_WORDS>;
+var<workgroup> found_any: atomic<u32>;
+var<workgroup> any_near: u32;
 var<workgroup> layer: u32;
 var<workgroup> greatest: atomic<u32>;
 var<workgroup> forces: array<vec4<f32>, 64>;
@@ -42,28 +44,38 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     layer_now = workgroupUniformLoad(&layer);
     let width = H / shrink_of(layer_now);
     let first = lists[(extent.block_room + g) * ENTRY].xyz * 4;
-    let cell = first + local_of(n);
-    let node = grid[g * 64u + n];
-    let mass = $MASS;
-    var u = node.xyz;
-    var changed = false;
     for (var b = n; b < BODIES; b += 64u) {
         let at = body_at(b);
         if all(first + vec3<i32>(3) >= int_vector(bodies[at + 7u])) && all(first <= int_vector(bodies[at + 8u])) {
             atomicOr(&found_near[b >> 5u], 1u << (b & 31u));
+            atomicStore(&found_any, 1u);
         }
     }
     workgroupBarrier();
     for (var word = n; word < NEAR_WORDS; word += 64u) {
         near[word] = atomicLoad(&found_near[word]);
     }
+    if n == 0u {
+        any_near = atomicLoad(&found_any);
+    }
+    if workgroupUniformLoad(&any_near) == 0u {
+        for (var at = n; at < 2u * BODIES; at += 64u) {
+            partials[g * BODIES * 2u + at] = vec4<f32>(0.0);
+        }
+        return;
+    }
+    let cell = first + local_of(n);
+    let node = grid[g * 64u + n];
+    let mass = $MASS;
+    var u = node.xyz;
+    var changed = false;
     // Nodes behind mirrors move as their images.
     let is_own = mass > layers[layer_now].least && !is_behind(layer_now, cell);
     // The body that holds the node, and how.
     var owner = NONE;
     var grip: CouplingGrip;
     for (var word = 0u; word < NEAR_WORDS; word++) {
-        var left = workgroupUniformLoad(&near[word]);
+        var left = near[word];
         while left != 0u {
             let b = 32u * word + firstTrailingBit(left);
             left &= left - 1u;
