@@ -88,7 +88,8 @@ macro_rules! number {
             }
             #[inline]
             fn raw(pointers: Pointers<Self>) -> $batch {
-                let Pointers { n, stride, dt, params, strain_trial, vel_grad, state_in, strain, kirchhoff, state_out } = pointers;
+                let Pointers { n, stride, dt, params, strain_trial, vel_grad, state_in, .. } = pointers;
+                let Pointers { strain, kirchhoff, state_out, .. } = pointers;
                 $batch {
                     struct_size: size_of::<$batch>(),
                     n,
