@@ -97,9 +97,10 @@ impl TriangleMesh {
             return Err(Refusal::new(what, "close the hole, or join vertices that should be one, then export again"));
         }
         let (min, max) = self.bounds();
-        if !((max - min).max_element() <= LARGEST && (max - min).max_element() >= SMALLEST) {
+        let side = (max - min).max_element();
+        if !(SMALLEST..=LARGEST).contains(&side) {
             return Err(Refusal::new(
-                format!("the mesh reaches from {min} to {max} m"),
+                format!("the mesh's longest side is {side:e} m"),
                 "export it in another unit, or set its scale, which takes the file's unit to metres",
             ));
         }
