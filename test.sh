@@ -7,6 +7,7 @@
 #   rustfmt, clippy   into the Rust toolchain, by rustup                        about 15 MB
 #   mesa-vulkan-drivers  by apt-get, as root, on Linux without a Vulkan driver      about 150 MB
 #   g++, libc6-dev    by apt-get, as root, unless there are cc and c++ already     about 200 MB
+#   valgrind          by apt-get, as root, on Linux without it                      about 80 MB
 #   cbindgen          into target/tools, built by cargo install, once            about 10 MB, two minutes
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
@@ -51,6 +52,16 @@ Run this line (about 150 MB), then this script again:
     echo "Installing mesa-vulkan-drivers (about 150 MB)."
     apt-get update && $install
 fi
+if [ "$(uname)" = Linux ] && ! command -v valgrind >/dev/null; then
+    install="apt-get install -y --no-install-recommends valgrind"
+    command -v apt-get >/dev/null || stop "valgrind is missing: a small scene is run under it.
+Install your distribution's package of valgrind, then run this script again."
+    [ "$(id -u)" -eq 0 ] || stop "valgrind is missing: a small scene is run under it.
+Run this line (about 80 MB), then this script again:
+    sudo apt-get update && sudo $install"
+    echo "Installing valgrind (about 80 MB)."
+    apt-get update && $install
+fi
 if [ "$("$tools/bin/cbindgen" --version 2>/dev/null)" != "cbindgen $cbindgen_version" ]; then
     echo "Building cbindgen $cbindgen_version into $tools (about 10 MB, two minutes)."
     cargo install --quiet --locked --root "$tools" --version "$cbindgen_version" cbindgen
@@ -81,6 +92,19 @@ passed=true
 cargo test --workspace --no-fail-fast --lib --bins --tests --config 'target."cfg(all())".runner = ["env", "RUSTC_BOOTSTRAP=1"]' \
     -- -Z unstable-options --report-time 2>&1 | tee "$log" || passed=false
 cargo test --workspace --no-fail-fast --doc || passed=false
+
+# Reads and writes beside what was allocated, and decisions on what was never written. With baseline instructions: valgrind knows no AVX-512.
+if [ "$(uname)" = Linux ]; then
+    step "Memory"
+    folder="$(mktemp -d)"
+    in_valgrind() {
+        BARCHAN_ISA=baseline valgrind -q --error-exitcode=1 --errors-for-leak-kinds=none "${CARGO_TARGET_DIR:-target}/debug/barchan" \
+            run tests/memory.toml --out "$folder" --overwrite --threads 2 --steps 6 --no-pictures -q "$@" || passed=false
+    }
+    in_valgrind
+    in_valgrind --precision f64 --set 'world.walls.y_min="slip"' --set levels.subcycle=true
+    rm -r "$folder"
+fi
 
 step "The slowest tests, in seconds"
 sed -nE 's/^test (.*) \.\.\. .*<([0-9.]+)s>$/\2 \1/p' "$log" | sort -rn | sed -n 1,15p

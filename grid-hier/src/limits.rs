@@ -1,5 +1,6 @@
 //! Limits on motion in a step, and how often the host checks; the same for every backend.
 
+use barchan_core::backend::Bound;
 use barchan_lanes::Float;
 
 /// No particle may move further than this in a step, in cells. Fixed-point positions and the halo rely on it.
@@ -24,6 +25,16 @@ pub const LEAST_MASS: f64 = 1e-20;
 /// node takes part in a particle's velocity by no more than its mass over the particle's, so the speed of lighter nodes
 /// counts in proportion.
 pub const FULL_SPEED: f64 = 1e17;
+
+/// The bound that is the lower: of stiffness, or that on a step of so many seconds in which the fastest particle would move as far as any may.
+/// What is not a bound at all, of infinite or NaN speed, is for the step to find, with the particle's name.
+pub fn bound(speed: f64, stiffness: Bound) -> Bound {
+    if speed < stiffness.dt && speed > 0.0 {
+        Bound { dt: speed, by: "particle speed: no particle may move further than half a cell in a step".into() }
+    } else {
+        stiffness
+    }
+}
 
 /// The greater of two magnitudes; NaN wins, so that it cannot hide.
 pub fn greater<T: Float>(a: T, b: T) -> T {

@@ -1,6 +1,7 @@
 //! Layout of particles in memory for the transfers: planes of chunks of 16.
 
 use barchan_lanes::{CHUNK, Float};
+use core::marker::PhantomData;
 
 /// Planes of motion: velocity (3), then the affine matrix C row by row (9).
 pub const MOTION: usize = 12;
@@ -11,35 +12,62 @@ pub const VOLUME: usize = 1;
 /// First plane of strain within the rest.
 pub const STRAIN: usize = 2;
 
-/// Particles of one list, seen through raw pointers. Plane p of chunk c is the 16 values at `(c * planes + p) * 16`.
+/// The particles of one list in one block, for one thread to read and write. Plane p of chunk c is the 16 values at `(c * planes + p) * 16`,
+/// where chunks count from the block's first.
 ///
-/// Padding lanes at a chunk's end have mass and volume 0, a valid cell, no motion and the strain identity.
-#[derive(Clone, Copy, Debug)]
-pub struct Particles<T: Float> {
-    /// Integer cells, 3 planes.
-    pub cell: *mut i32,
-    /// Offsets in the cell, 3 planes.
-    pub offset: *mut T::Offset,
-    /// Velocity [m/s] and affine matrix [1/s], [`MOTION`] planes.
-    pub motion: *mut T,
-    /// Mass [kg], rest volume [m³], strain, history.
-    pub rest: *mut T,
-    /// Planes of `rest`.
-    pub rest_planes: usize,
+/// Padding lanes at the last chunk's end have mass and volume 0, a valid cell, no motion and the strain identity.
+#[derive(Debug)]
+pub struct Particles<'a, T: Float> {
+    count: usize,
+    cell: *mut i32,
+    offset: *mut T::Offset,
+    motion: *mut T,
+    rest: *mut T,
+    rest_planes: usize,
+    planes: PhantomData<&'a mut [T]>,
 }
 
-// SAFETY: a view is only data; who shares one between threads gives each thread chunks of its own.
-unsafe impl<T: Float> Send for Particles<T> {}
-// SAFETY: as above.
-unsafe impl<T: Float> Sync for Particles<T> {}
+impl<'a, T: Float> Particles<'a, T> {
+    /// So many particles, in whole chunks: integer cells (3 planes), offsets in the cell (3 planes), velocity [m/s] and affine matrix [1/s]
+    /// ([`MOTION`] planes), and the rest: mass [kg], rest volume [m³], strain, history (`rest_planes` planes).
+    ///
+    /// # Panics
+    /// If a slice does not hold just these planes.
+    #[inline]
+    pub fn new(
+        count: usize,
+        cell: &'a mut [i32],
+        offset: &'a mut [T::Offset],
+        motion: &'a mut [T],
+        (rest, rest_planes): (&'a mut [T], usize),
+    ) -> Self {
+        let plane = count.div_ceil(CHUNK) * CHUNK;
+        let held = [cell.len(), offset.len(), motion.len(), rest.len()];
+        assert!(
+            held == [3 * plane, 3 * plane, MOTION * plane, rest_planes * plane],
+            "{held:?} values of {count} particles"
+        );
+        let (cell, offset) = (cell.as_mut_ptr(), offset.as_mut_ptr());
+        let (motion, rest) = (motion.as_mut_ptr(), rest.as_mut_ptr());
+        Self { count, cell, offset, motion, rest, rest_planes, planes: PhantomData }
+    }
 
-impl<T: Float> Particles<T> {
+    /// How many there are.
+    #[inline(always)]
+    pub fn count(&self) -> usize {
+        self.count
+    }
+    /// Planes of mass, rest volume, strain and history.
+    #[inline(always)]
+    pub(crate) fn rest_planes(&self) -> usize {
+        self.rest_planes
+    }
     /// Integer cells of a chunk along an axis.
     ///
     /// # Safety
     /// The chunk must exist.
     #[inline(always)]
-    pub unsafe fn cell(&self, chunk: usize, axis: usize) -> *mut i32 {
+    pub(crate) unsafe fn cell(&self, chunk: usize, axis: usize) -> *mut i32 {
         // SAFETY: the caller vouches for the chunk.
         unsafe { self.cell.add((chunk * 3 + axis) * CHUNK) }
     }
@@ -48,7 +76,7 @@ impl<T: Float> Particles<T> {
     /// # Safety
     /// The chunk must exist.
     #[inline(always)]
-    pub unsafe fn offset(&self, chunk: usize, axis: usize) -> *mut T::Offset {
+    pub(crate) unsafe fn offset(&self, chunk: usize, axis: usize) -> *mut T::Offset {
         // SAFETY: the caller vouches for the chunk.
         unsafe { self.offset.add((chunk * 3 + axis) * CHUNK) }
     }
@@ -57,7 +85,7 @@ impl<T: Float> Particles<T> {
     /// # Safety
     /// The chunk must exist.
     #[inline(always)]
-    pub unsafe fn motion(&self, chunk: usize, plane: usize) -> *mut T {
+    pub(crate) unsafe fn motion(&self, chunk: usize, plane: usize) -> *mut T {
         // SAFETY: the caller vouches for the chunk.
         unsafe { self.motion.add((chunk * MOTION + plane) * CHUNK) }
     }
@@ -66,7 +94,7 @@ impl<T: Float> Particles<T> {
     /// # Safety
     /// The chunk must exist.
     #[inline(always)]
-    pub unsafe fn rest(&self, chunk: usize, plane: usize) -> *mut T {
+    pub(crate) unsafe fn rest(&self, chunk: usize, plane: usize) -> *mut T {
         // SAFETY: the caller vouches for the chunk.
         unsafe { self.rest.add((chunk * self.rest_planes + plane) * CHUNK) }
     }

@@ -20,6 +20,7 @@ mod p2g;
 use crate::block::TILE_SIDE;
 use crate::particles::Particles;
 use barchan_abi as abi;
+use barchan_abi::batch::Number;
 use barchan_core::stiffness::Damping;
 use barchan_lanes::{CHUNK, Float, Lanes, Real, prefetch, tabulate};
 use core::marker::PhantomData;
@@ -40,81 +41,19 @@ const ROW: usize = 16;
 const NODE_OF_LANE: [f64; ROW] = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2., 0., 0., 0., 0.];
 
 /// A scalar that materials can be called with.
-pub trait Scalar: Float {
-    /// Strains below this are negligible next to 1. They are set to zero, since their products would be denormal
-    /// numbers, which take some processors a hundred times as long. A bed at rest would run at half the speed.
+pub trait Scalar: Float + Number {
+    /// Strains below this mean nothing next to 1. They are set to zero, since their products would be denormal numbers, which
+    /// take some processors a hundred times as long: a bed at rest would halve the speed.
     const NEGLIGIBLE: f64;
-    /// The material's update in this precision, if it has one.
-    ///
-    /// # Safety
-    /// The pointers of `batch` must be as the ABI asks.
-    unsafe fn update(
-        table: &abi::BarchanMaterial,
-        batch: &Batch<Self>,
-        error: *mut abi::BarchanError,
-    ) -> abi::BarchanStatus;
 }
 
-/// A batch of particles as the ABI sees it, in either precision.
-#[derive(Clone, Copy, Debug)]
-pub struct Batch<T> {
-    /// Particles.
-    pub n: usize,
-    /// Distance between planes.
-    pub stride: usize,
-    /// Step over which the velocity gradient acted [s].
-    pub dt: T,
-    /// Parameters.
-    pub params: *const T,
-    /// Trial strain.
-    pub strain_trial: *const T,
-    /// Velocity gradient, or null.
-    pub vel_grad: *const T,
-    /// History before.
-    pub state_in: *const T,
-    /// Strain after.
-    pub strain: *mut T,
-    /// Kirchhoff stress [Pa].
-    pub kirchhoff: *mut T,
-    /// History after.
-    pub state_out: *mut T,
+impl Scalar for f32 {
+    const NEGLIGIBLE: f64 = 1e-12;
 }
 
-macro_rules! scalar {
-    ($t:ident, $negligible:literal, $batch:ident, $slot:ident $(, $reserved:ident)?) => {
-        impl Scalar for $t {
-            const NEGLIGIBLE: f64 = $negligible;
-            #[inline]
-            unsafe fn update(
-                table: &abi::BarchanMaterial,
-                b: &Batch<$t>,
-                error: *mut abi::BarchanError,
-            ) -> abi::BarchanStatus {
-                let raw = abi::$batch {
-                    struct_size: size_of::<abi::$batch>(),
-                    n: b.n,
-                    stride: b.stride,
-                    dt: b.dt,
-                    $($reserved: 0,)?
-                    params: b.params,
-                    strain_trial: b.strain_trial,
-                    vel_grad: b.vel_grad,
-                    state_in: b.state_in,
-                    strain: b.strain,
-                    kirchhoff: b.kirchhoff,
-                    state_out: b.state_out,
-                };
-                match table.$slot {
-                    // SAFETY: the caller vouches for the pointers.
-                    Some(update) => unsafe { update(&raw, error) },
-                    None => abi::BARCHAN_E_OTHER,
-                }
-            }
-        }
-    };
+impl Scalar for f64 {
+    const NEGLIGIBLE: f64 = 1e-100;
 }
-scalar!(f32, 1e-12, BarchanBatchF32, update_f32, reserved);
-scalar!(f64, 1e-100, BarchanBatchF64, update_f64);
 
 /// A material with its parameters, ready to be called.
 #[derive(Clone, Debug)]
@@ -142,7 +81,7 @@ pub enum Fault {
     Material {
         /// Its status.
         status: abi::BarchanStatus,
-        /// Chunk of the first particle of the batch.
+        /// Chunk of the first particle of the batch, as all chunks here counted from the block's first.
         chunk: usize,
     },
     /// A particle's momentum is NaN or infinite.
@@ -302,7 +241,7 @@ pub fn deformed<R: Real>(G: &[R; 9], strain: &[R]) -> [R; 9] {
 /// Start in the tile of the first node of as many particles as there are lanes. Returns whether any of them lies outside.
 #[inline(always)]
 unsafe fn first_nodes<V: Lanes>(
-    s: &Particles<V::Scalar>,
+    s: &Particles<'_, V::Scalar>,
     chunk: usize,
     lane: usize,
     origin: [i32; 3],

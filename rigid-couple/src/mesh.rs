@@ -17,11 +17,15 @@ pub struct TriangleMesh {
     triangles: Vec<[u32; 3]>,
 }
 
+/// Longest and shortest longest side that a mesh may have [m]: products of lengths stay numbers in between.
+const LARGEST: f64 = 1e9;
+const SMALLEST: f64 = 1e-9;
+
 impl TriangleMesh {
     /// Joins equal vertices, drops triangles that have two corners in common, and checks what is left.
     ///
     /// # Errors
-    /// If the mesh is empty, not finite, not closed, or inside out; the first offending edge is named.
+    /// If the mesh is empty, not finite, not closed, inside out, or of a size that nothing on Earth has; the first offending edge is named.
     pub fn new(corners: impl IntoIterator<Item = [DVec3; 3]>) -> Result<Self, Refusal> {
         let mut mesh = Self { vertices: Vec::new(), triangles: Vec::new() };
         let mut index = HashMap::new();
@@ -92,6 +96,14 @@ impl TriangleMesh {
             let what = format!("the mesh is not closed: the edge {} belongs to one triangle only", place(edge));
             return Err(Refusal::new(what, "close the hole, or join vertices that should be one, then export again"));
         }
+        let (min, max) = self.bounds();
+        let side = (max - min).max_element();
+        if !(SMALLEST..=LARGEST).contains(&side) {
+            return Err(Refusal::new(
+                format!("the mesh's longest side is {side:e} m"),
+                "export it in another unit, or set its scale, which takes the file's unit to metres",
+            ));
+        }
         if self.corners().map(|[a, b, c]| a.dot(b.cross(c))).sum::<f64>() <= 0.0 {
             let edge = [self.triangles[0][0], self.triangles[0][1]];
             let what = format!("the mesh is inside out: its triangles face inwards, from the edge {} on", place(&edge));
@@ -118,7 +130,7 @@ impl TriangleMesh {
     /// The mesh with what exact distance queries need.
     fn queries(&self) -> TriMesh {
         TriMesh::with_flags(self.vertices.clone(), self.triangles.clone(), TriMeshFlags::ORIENTED)
-            .expect("a checked mesh is a closed surface")
+            .expect("a mesh that is not a closed surface is refused when it is made")
     }
 }
 

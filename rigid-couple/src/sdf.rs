@@ -255,7 +255,8 @@ impl HeightField {
             (self.min[1] - x.y, DVec3::NEG_Y),
             (x.y - self.max[1], DVec3::Y),
         ];
-        let (distance, normal) = faces.into_iter().reduce(|a, b| if b.0 > a.0 { b } else { a }).expect("six faces");
+        let (distance, normal) =
+            faces.into_iter().reduce(|a, b| if b.0 > a.0 { b } else { a }).expect("there are six faces, listed above");
         Surface { distance, normal: Some(normal) }
     }
 }
@@ -332,7 +333,8 @@ impl Sdf {
 
     fn nearest(&self, surface: impl Fn(&Part) -> Surface) -> (Surface, &Part) {
         let all = self.parts.iter().map(|part| (surface(part), part));
-        all.reduce(|a, b| if b.0.distance < a.0.distance { b } else { a }).expect("a shape has parts")
+        all.reduce(|a, b| if b.0.distance < a.0.distance { b } else { a })
+            .expect("a shape without parts is refused when it is made")
     }
 
     /// A box that holds the shape at `pose`, grown where contact on a grid of width `cell` thickens it.
@@ -351,7 +353,7 @@ impl Sdf {
             let reach = reach + part.padding(cell);
             Aabb { min: (centre - reach).to_array(), max: (centre + reach).to_array() }
         });
-        boxes.reduce(|a, b| a.union(&b)).expect("a shape has parts")
+        boxes.reduce(|a, b| a.union(&b)).expect("a shape without parts is refused when it is made")
     }
 
     /// Half the thickness of the thinnest part [m].
@@ -479,7 +481,7 @@ fn primitive(shape: &Shape, folder: &Path) -> Result<(Primitive, Pose), Refusal>
             let grid = DistanceGrid::sample(&mesh);
             (Primitive::Mesh(Arc::new(MeshPart { mesh, grid })), placement(*center, *rotation)?)
         }
-        Shape::Union(_) => unreachable!("unions are taken apart before"),
+        Shape::Union(_) => unreachable!("`collect`, the only caller, takes unions apart before"),
     })
 }
 

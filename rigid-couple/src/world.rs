@@ -249,7 +249,8 @@ fn solid(part: &Part, free: bool) -> (SharedShape, RapierPose) {
         Primitive::Mesh(mesh) if free => convex_parts(mesh),
         Primitive::Mesh(mesh) => {
             let (vertices, triangles) = mesh.mesh.parts();
-            SharedShape::trimesh(vertices.to_vec(), triangles.to_vec()).expect("a checked mesh has triangles")
+            SharedShape::trimesh(vertices.to_vec(), triangles.to_vec())
+                .expect("a mesh without triangles is refused when it is made")
         }
     };
     (shape, place)
@@ -270,7 +271,8 @@ fn terrain(field: &HeightField) -> SharedShape {
             [[a, b, d], [a, d, c]].map(|t| t.map(|i| i as u32))
         })
         .collect();
-    SharedShape::trimesh(vertices, triangles).expect("a checked height field has triangles")
+    SharedShape::trimesh(vertices, triangles)
+        .expect("a height field of fewer than two rows and columns is refused when it is read")
 }
 
 /// A mesh as convex bodies, which collide well in motion: its hull if that fits within 1 %, else a decomposition.

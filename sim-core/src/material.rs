@@ -309,15 +309,22 @@ impl ErrorBuffer {
         callback: &'static str,
         ids: impl Fn(u64) -> u64,
     ) -> Result<()> {
-        if status == abi::BARCHAN_OK {
-            return Ok(());
-        }
-        Err(Error::MaterialFailed {
+        if status == abi::BARCHAN_OK { Ok(()) } else { Err(self.failure(status, material, callback, ids)) }
+    }
+    /// The error that a status other than OK stands for, as in [`check`](Self::check).
+    pub fn failure(
+        &self,
+        status: abi::BarchanStatus,
+        material: &Material,
+        callback: &'static str,
+        ids: impl Fn(u64) -> u64,
+    ) -> Error {
+        Error::MaterialFailed {
             material: material.name.clone(),
             origin: material.origin.clone(),
             callback,
             message: self.message(status),
             particle: self.particle().map(ids).filter(|id| *id != u64::MAX),
-        })
+        }
     }
 }

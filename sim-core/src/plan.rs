@@ -189,7 +189,7 @@ impl Plan {
                 }
                 particles
             }
-            (None, None) => unreachable!("there is terrain unless a run is resumed"),
+            (None, None) => unreachable!("there is terrain unless a run is resumed, and that brings its particles"),
             (None, Some(terrain)) => {
                 let soft = |body: u16| scene.body[usize::from(body)].shape.bounds();
                 regions.follow(&agent_bounds(&agents, &couplings, soft));

@@ -6,10 +6,10 @@
 //! ground would be out of balance by the compression itself. Shrinking each particle's rest volume instead would make
 //! particles of one body unlike.)
 
+use crate::batch::{Answer, Matter, Plane};
 use crate::material::ErrorBuffer;
 use crate::plan::PlannedMaterial;
 use crate::{Error, Result};
-use barchan_abi as abi;
 
 /// Ground that would have to be pressed to less of its height is refused.
 pub(crate) const LEAST_STRETCH: f64 = 0.5;
@@ -28,19 +28,13 @@ pub(crate) enum Unsettled {
     Load(f64),
 }
 
-/// One plane, aligned as the ABI promises.
-#[derive(Clone, Copy)]
-#[repr(C, align(64))]
-struct Plane([f64; BATCH]);
-
-/// Strain and history planes of a material that is pressed along z, and held sideways, until it carries each of `loads`
-/// [Pa].
+/// Strain and history planes of a material that is pressed along z, held sideways, until it carries each of `loads` [Pa].
 pub(crate) fn under(planned: &PlannedMaterial, loads: &[f64]) -> Result<Vec<Vec<f64>>, Unsettled> {
     // Most ground is flat: particles of a layer share their load.
     let mut different = loads.to_vec();
     different.sort_unstable_by(f64::total_cmp);
     different.dedup();
-    let mut press = Press::new(planned).map_err(Unsettled::Error)?;
+    let mut press = Press::new(planned);
     let mut solved: Vec<Vec<f64>> = vec![Vec::with_capacity(different.len()); press.planes()];
     for batch in different.chunks(BATCH) {
         press.solve(batch)?;
@@ -55,37 +49,39 @@ pub(crate) fn under(planned: &PlannedMaterial, loads: &[f64]) -> Result<Vec<Vec<
 /// A material between two plates.
 struct Press<'a> {
     planned: &'a PlannedMaterial,
-    callback: unsafe extern "C" fn(*const abi::BarchanBatchF64, *mut abi::BarchanError) -> abi::BarchanStatus,
-    trial: Vec<Plane>,
-    state_in: Vec<Plane>,
-    strain: Vec<Plane>,
-    state_out: Vec<Plane>,
-    kirchhoff: [Plane; 6],
+    trial: Vec<Plane<f64, BATCH>>,
+    state_in: Vec<Plane<f64, BATCH>>,
+    strain: Vec<Plane<f64, BATCH>>,
+    state_out: Vec<Plane<f64, BATCH>>,
+    kirchhoff: [Plane<f64, BATCH>; 6],
 }
 
 impl<'a> Press<'a> {
-    fn new(planned: &'a PlannedMaterial) -> Result<Self> {
+    fn new(planned: &'a PlannedMaterial) -> Self {
         let material = &planned.material;
-        let callback = material.table.update_f64.ok_or_else(|| Error::Missing {
+        let filled = |values: &[f64]| values.iter().map(|v| Plane([*v; BATCH])).collect::<Vec<_>>();
+        let trial: Vec<Plane<f64, BATCH>> = filled(material.strain_identity());
+        let state_in = filled(&material.states.iter().map(|s| s.initial).collect::<Vec<_>>());
+        Self {
+            planned,
+            strain: trial.clone(),
+            state_out: state_in.clone(),
+            trial,
+            state_in,
+            kirchhoff: [Plane([0.0; BATCH]); 6],
+        }
+    }
+
+    fn without_update(&self) -> Error {
+        let material = &self.planned.material;
+        Error::Missing {
             kind: "material",
             name: material.name.clone(),
             origin: material.origin.clone(),
             what: "update_f64".to_owned(),
             why: "a body is settled, which asks for exact stress".to_owned(),
             mend: "leave settled out, or add the callback to the plugin".to_owned(),
-        })?;
-        let filled = |values: &[f64]| values.iter().map(|v| Plane([*v; BATCH])).collect::<Vec<_>>();
-        let trial = filled(material.strain_identity());
-        let state_in = filled(&material.states.iter().map(|s| s.initial).collect::<Vec<_>>());
-        Ok(Self {
-            planned,
-            callback,
-            strain: trial.clone(),
-            state_out: state_in.clone(),
-            trial,
-            state_in,
-            kirchhoff: [Plane([0.0; BATCH]); 6],
-        })
+        }
     }
 
     fn planes(&self) -> usize {
@@ -137,25 +133,13 @@ impl<'a> Press<'a> {
         for (place, e) in self.trial[zz].0.iter_mut().zip(compressions) {
             *place = (-if is_gradient { *e } else { 2.0 * e }).exp();
         }
-        let vel_grad = [Plane([0.0; BATCH]); 9];
         let material = &self.planned.material;
-        let stateless = self.state_in.is_empty();
-        let batch = abi::BarchanBatchF64 {
-            struct_size: size_of::<abi::BarchanBatchF64>(),
-            n,
-            stride: BATCH,
-            dt: 0.0,
-            params: self.planned.parameters.as_ptr(),
-            strain_trial: self.trial.as_ptr().cast(),
-            vel_grad: if material.has(abi::BARCHAN_CAP_VEL_GRAD) { vel_grad.as_ptr().cast() } else { std::ptr::null() },
-            state_in: if stateless { std::ptr::null() } else { self.state_in.as_ptr().cast() },
-            strain: self.strain.as_mut_ptr().cast(),
-            kirchhoff: self.kirchhoff.as_mut_ptr().cast(),
-            state_out: if stateless { std::ptr::null_mut() } else { self.state_out.as_mut_ptr().cast() },
-        };
+        let parameters = &self.planned.parameters;
+        let trial = Matter { count: n, parameters, strain: &self.trial, state: &self.state_in };
+        let answer = Answer { strain: &mut self.strain, kirchhoff: &mut self.kirchhoff, state: &mut self.state_out };
         let mut buffer = ErrorBuffer::default();
-        // SAFETY: the batch describes planes of BATCH numbers that live until the call returns, as the ABI asks.
-        let status = unsafe { (self.callback)(&raw const batch, buffer.as_raw()) };
+        let status = material.update(&trial, None, answer, &mut buffer);
+        let status = status.ok_or_else(|| Unsettled::Error(self.without_update()))?;
         buffer.check(status, material, "update_f64", |_| u64::MAX).map_err(Unsettled::Error)?;
         Ok(self.kirchhoff[2].0[..n].iter().map(|tau| -tau).collect())
     }

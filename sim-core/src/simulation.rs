@@ -118,6 +118,13 @@ pub(crate) struct Chosen {
     cut: bool,
 }
 
+impl Chosen {
+    /// Does it move time on?
+    pub(crate) fn is_sound(&self) -> bool {
+        self.dt > 0.0 && self.dt.is_finite()
+    }
+}
+
 /// Steps that a simulation is to take next.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct WantedSteps {
@@ -220,6 +227,9 @@ impl Simulation {
                 format!("was written by a run in {}, and {} is asked for", snapshot.precision, options.precision),
                 "resume with the same precision",
             ));
+        }
+        if let Some(what) = snapshot.unsound_clock() {
+            return Err(refuse(what, "the file is damaged: resume from an earlier snapshot"));
         }
         let backend = find_backend(registry, options)?;
         let mut scene = Scene::from_str(&snapshot.scene, &path.display().to_string(), &snapshot.folder)?;
@@ -477,7 +487,7 @@ impl Simulation {
     /// [`Error::TimeStep`], [`Error::Unstable`], and the engine's.
     pub fn step(&mut self) -> Result<StepReport> {
         let mut reports = self.steps(1, f64::INFINITY)?;
-        Ok(reports.pop().expect("an engine takes a step or says why not"))
+        Ok(reports.pop().expect("`finish` has refused an engine that takes no step"))
     }
 
     /// As [`step`](Self::step), up to `most` times if the engine is faster when it is asked for many steps at once; none of them
@@ -534,7 +544,8 @@ impl Simulation {
         before: &[Vec<u8>],
         result: Result<Vec<StepReport>>,
     ) -> Result<Vec<StepReport>> {
-        let reports = match result {
+        let some = |reports: Vec<_>| if reports.is_empty() { Err(no_step(&self.backend)) } else { Ok(reports) };
+        let reports = match result.and_then(some) {
             Ok(reports) => reports,
             Err(mut error) => {
                 // The engine counts from where it was compiled or resumed.
@@ -694,6 +705,16 @@ impl Simulation {
 /// Steps of `dt` in the time left to a stop.
 fn parts(left: f64, dt: f64) -> f64 {
     (left / dt - ROUNDING).ceil().max(1.0)
+}
+
+/// What is wrong with an engine that gives neither a step nor an error.
+pub(crate) fn no_step(backend: &str) -> Error {
+    Error::Device {
+        backend: backend.to_owned(),
+        device: "this machine".to_owned(),
+        what: "its engine took no step and did not say why".to_owned(),
+        mend: "use another backend, and tell the author of this one".to_owned(),
+    }
 }
 
 /// The length of equal steps of at most `dt` that land on a stop, if there is one; steps that divide the time left but for rounding keep

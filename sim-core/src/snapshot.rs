@@ -20,6 +20,9 @@ pub(crate) const MAGIC: &[u8; 8] = b"BARCHAN\x1a";
 /// Version of the format that this program writes, and the only one it reads.
 pub const VERSION: u32 = 4;
 
+/// More steps than any run takes.
+const MOST_STEPS: u64 = 1 << 62;
+
 const HEAD: &[u8; 4] = b"HEAD";
 const LIST: &[u8; 4] = b"LIST";
 const SORT: &[u8; 4] = b"SORT";
@@ -171,6 +174,18 @@ impl Snapshot {
             source,
         })?;
         Self::decode(&bytes).map_err(|flaw| flaw.of(path))
+    }
+
+    /// What is wrong with the time and the steps that it says, if anything: what goes on from there must be able to count and to add.
+    pub(crate) fn unsound_clock(&self) -> Option<String> {
+        let Self { time, step, stop, chosen, .. } = self;
+        if !time.is_finite() || *step > MOST_STEPS {
+            return Some(format!("was saved at step {step} and {time} s"));
+        }
+        if stop.is_some_and(|stop| stop.is_nan()) || chosen.is_some_and(|chosen| !chosen.is_sound()) {
+            return Some(format!("goes on to {stop:?} s with steps as {chosen:?}"));
+        }
+        None
     }
 
     fn decode(bytes: &[u8]) -> Result<Self, Flaw> {

@@ -2,24 +2,18 @@
 //! time.
 
 use crate::backend::Bound;
+use crate::batch::{Matter, Plane};
 use crate::material::ErrorBuffer;
 use crate::plan::PlannedMaterial;
 use crate::{Error, Result};
-use barchan_abi as abi;
 
 /// Particles in one call of a law.
 pub const PARTICLES: usize = 16;
 
-/// One component of 16 particles, aligned as the ABI promises.
-#[derive(Clone, Copy, Debug, Default)]
-#[repr(C, align(64))]
-pub struct Plane(pub [f32; PARTICLES]);
-
-/// A law, ready to be asked how long a step its particles allow.
+/// A law that is asked how long a step its particles bear.
 #[derive(Debug)]
 pub struct Stiffness<'a> {
     planned: &'a PlannedMaterial,
-    moduli: abi::BarchanModuliF32,
     params: Vec<f32>,
 }
 
@@ -116,10 +110,9 @@ impl Moduli {
 impl<'a> Stiffness<'a> {
     /// `None` if the law does not give its tangent moduli.
     pub fn of(planned: &'a PlannedMaterial) -> Option<Self> {
-        let moduli = planned.material.table.tangent_moduli_f32;
-        moduli?;
+        planned.material.table.tangent_moduli_f32?;
         let params = planned.parameters.iter().map(|&p| p as f32).collect();
-        Some(Self { planned, moduli, params })
+        Some(Self { planned, params })
     }
 
     /// The moduli of the first `count` of 16 particles, given their planes of strain and of history.
@@ -129,40 +122,21 @@ impl<'a> Stiffness<'a> {
     /// particle by the number that `id` gives.
     pub fn moduli(
         &self,
-        strain: &[Plane],
-        state: &[Plane],
+        strain: &[Plane<f32, PARTICLES>],
+        state: &[Plane<f32, PARTICLES>],
         count: usize,
         id: impl Fn(usize) -> Option<u64>,
     ) -> Result<impl Iterator<Item = Moduli>> {
-        // Stiffness is asked of matter at rest.
-        static NO_RATE: [Plane; 9] = [Plane([0.0; PARTICLES]); 9];
         let law = &self.planned.material;
-        let batch = abi::BarchanBatchF32 {
-            struct_size: size_of::<abi::BarchanBatchF32>(),
-            n: PARTICLES,
-            stride: PARTICLES,
-            dt: 0.0,
-            reserved: 0,
-            params: self.params.as_ptr(),
-            strain_trial: strain.as_ptr().cast(),
-            vel_grad: if law.has(abi::BARCHAN_CAP_VEL_GRAD) { NO_RATE.as_ptr().cast() } else { std::ptr::null() },
-            state_in: state.as_ptr().cast(),
-            strain: std::ptr::null_mut(),
-            kirchhoff: std::ptr::null_mut(),
-            state_out: std::ptr::null_mut(),
-        };
-        let mut out = [Plane::default(); 2];
+        let matter = Matter { count: PARTICLES, parameters: &self.params, strain, state };
+        let mut out = [Plane::<f32, PARTICLES>::default(); 2];
         let mut viscosity = Plane::default();
         let mut message = ErrorBuffer::default();
         let named = |i: u64| usize::try_from(i).ok().filter(|i| *i < count).and_then(&id).unwrap_or(u64::MAX);
-        if let Some(callback) = self.moduli {
-            // SAFETY: the planes that this callback reads, and the two that it writes, hold 16 values each.
-            let status = unsafe { callback(&batch, out.as_mut_ptr().cast(), message.as_raw()) };
+        if let Some(status) = law.tangent_moduli(&matter, &mut out, &mut message) {
             message.check(status, law, "tangent_moduli", named)?;
         }
-        if let Some(callback) = law.table.viscosity_f32 {
-            // SAFETY: as above; it writes one plane.
-            let status = unsafe { callback(&batch, viscosity.0.as_mut_ptr(), message.as_raw()) };
+        if let Some(status) = law.viscosity(&matter, &mut viscosity, &mut message) {
             message.check(status, law, "viscosity", named)?;
         }
         let wrong = |callback: &'static str, message: String, i: usize| Error::MaterialFailed {
@@ -200,7 +174,10 @@ impl<'a> Stiffness<'a> {
         let filled = |value: &f64| Plane([*value as f32; PARTICLES]);
         let strain: Vec<_> = self.planned.material.strain_identity().iter().map(filled).collect();
         let state: Vec<_> = self.planned.material.states.iter().map(|s| filled(&s.initial)).collect();
-        Ok(self.moduli(&strain, &state, 1, |_| None)?.next().expect("there is one for each particle"))
+        Ok(self
+            .moduli(&strain, &state, 1, |_| None)?
+            .next()
+            .expect("there are moduli for each particle that is asked about, and one is"))
     }
 
     /// The bound of the step from particles of the law with this need. The simulation's step contains `steps_within`

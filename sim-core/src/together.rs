@@ -1,7 +1,7 @@
 //! Worlds that a backend steps together.
 
 use crate::backend::{Batch, NewWorld};
-use crate::simulation::{WantedSteps, find_backend};
+use crate::simulation::{WantedSteps, find_backend, no_step};
 use crate::{Error, Options, Plan, Registry, Result, Scene, Simulation, StepReport};
 use std::fmt;
 
@@ -78,7 +78,12 @@ impl Together {
         for (w, result) in self.take(&all_wanted) {
             results[w] = Some(result);
         }
-        results.into_iter().map(|result| result.expect("every world wants steps or has failed")).collect()
+        results
+            .into_iter()
+            .map(|result| {
+                result.expect("a world that wants no steps has its result, and `take` gives one for each other")
+            })
+            .collect()
     }
 
     /// Takes the steps that all worlds want.
@@ -102,6 +107,7 @@ impl Together {
             .batch
             .steps(dt, count, &mut world_steps)
             .unwrap_or_else(|error| all_failed(&self.backend, error, all_wanted.len()));
+        let results = results.into_iter().chain(std::iter::repeat_with(|| Err(no_step(&self.backend))));
         let taken = all_wanted.iter().zip(&before).zip(results);
         taken
             .map(|(((w, wanted), before), result)| (*w, self.worlds[*w].finish(&common(wanted), before, result)))

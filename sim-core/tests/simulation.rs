@@ -116,6 +116,19 @@ fn an_engines_error_leaves_everything_as_before_the_step() {
     failing.step().unwrap();
 }
 
+/// Symptom: an engine of another crate that gives neither steps nor an error ended the program. It is an error that names the backend.
+#[test]
+fn an_engine_that_takes_no_step_is_an_error() {
+    let mut running = simulation(&[]);
+    common::FATE.with(|fate| fate.mute.store(true, Relaxed));
+    for error in [running.step().unwrap_err(), running.steps(7, 1.0).unwrap_err()] {
+        assert!(error.to_string().contains("backend 'cpu'") && error.to_string().contains("took no step"), "{error}");
+    }
+    common::FATE.with(|fate| fate.mute.store(false, Relaxed));
+    running.step().unwrap();
+    assert_eq!(running.step_count(), 1);
+}
+
 #[test]
 fn a_bound_that_falls_below_the_step_is_refused_or_cut() {
     common::FATE.with(|fate| fate.stiffens_at.store(3, Relaxed));
@@ -322,6 +335,41 @@ fn absurd_counts_inside_a_section_with_a_good_checksum_are_refused() {
     std::fs::write(&path, bytes).unwrap();
     let error = resume(&path).unwrap_err().to_string();
     assert!(error.contains("announces 1152921504606846976 entries of 22 bytes"), "{error}");
+}
+
+/// Symptom: a snapshot of a step near the greatest number there is ended the program with an overflow at the next one, and one whose steps
+/// have no length went on for ever.
+#[test]
+fn a_snapshot_whose_clock_cannot_go_on_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, path) = saved(folder.path(), 1);
+    let good = std::fs::read(&path).unwrap();
+    let length = u64::from_le_bytes(good[16..24].try_into().unwrap()) as usize;
+    let head: serde_json::Value = serde_json::from_slice(&good[28..28 + length]).unwrap();
+    let with = |change: &dyn Fn(&mut serde_json::Value)| {
+        let mut head = head.clone();
+        change(&mut head);
+        let head = serde_json::to_vec(&head).unwrap();
+        let mut bytes = good[..16].to_vec();
+        bytes.extend_from_slice(&(head.len() as u64).to_le_bytes());
+        bytes.extend_from_slice(&crc32fast::hash(&head).to_le_bytes());
+        bytes.extend_from_slice(&head);
+        bytes.extend_from_slice(&good[28 + length..]);
+        std::fs::write(&path, bytes).unwrap();
+        resume(&path).and_then(|mut resumed| resumed.step())
+    };
+    assert!(with(&|_| ()).is_ok());
+    for (key, value, said) in [
+        (&["step"][..], serde_json::json!(u64::MAX), "step 18446744073709551615"),
+        (&["chosen", "dt"], serde_json::json!(0.0), "goes on"),
+        (&["chosen", "dt"], serde_json::json!(-1e-3), "goes on"),
+    ] {
+        let change = |head: &mut serde_json::Value| {
+            *key.iter().fold(head, |value, key| &mut value[*key]) = value.clone();
+        };
+        let error = with(&change).unwrap_err().to_string();
+        assert!(error.contains(said) && error.contains("earlier snapshot"), "{error}");
+    }
 }
 
 #[test]

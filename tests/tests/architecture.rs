@@ -1,4 +1,5 @@
-//! ARCHITECTURE.md is true: the paths of its stage table exist, and crates depend on each other as it says.
+//! ARCHITECTURE.md is true: the paths of its stage table exist, and crates depend on each other as it says. And what can end a program says
+//! why it cannot happen.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -110,4 +111,54 @@ fn crates_depend_on_each_other_along_the_arrows_only() {
         .map(|p| p["name"].as_str().unwrap())
         .collect();
     assert!(plugins.len() >= 8 && plugins.is_subset(&arrows["barchan"]), "the facade lacks some of {plugins:?}");
+}
+
+/// Rust files below a folder that are neither tests, benches nor examples.
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
+        let path = entry.unwrap().path();
+        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        if path.is_dir() && !["tests", "benches", "examples", "target"].contains(&name) {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|kind| kind == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+/// A program that ends in a panic loses what it has simulated, and tells a user nothing to act upon. Input never leads to one: what is left
+/// says in words why it cannot happen.
+#[test]
+fn what_can_panic_says_why_it_does_not() {
+    let mut files = Vec::new();
+    for folder in ["sim-core", "grid-hier", "rigid-couple", "backends", "tasks", "bindings"] {
+        sources(&root().join(folder), &mut files);
+    }
+    assert!(files.len() > 100, "{} files", files.len());
+    let mut bare = Vec::new();
+    for file in files {
+        let text = std::fs::read_to_string(&file).unwrap();
+        let code = text.split("#[cfg(test)]").next().unwrap_or_default();
+        let lines = code.lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with("//"));
+        for (i, line) in lines {
+            let said = |call: &str| line.split(call).skip(1).map(str::to_owned).collect::<Vec<_>>();
+            // A reason is a literal of a few words, on the line or behind it, or a constant.
+            let is_reason = |rest: &String| {
+                let next = code.lines().nth(i + 1).unwrap_or_default().trim();
+                let rest = if rest.trim().is_empty() { next } else { rest };
+                match rest.strip_prefix('"') {
+                    Some(words) => words.split('"').next().unwrap_or_default().split_whitespace().count() >= 4,
+                    None => rest.starts_with(|c: char| c.is_ascii_uppercase()),
+                }
+            };
+            let calls = [".expect(", "panic!(", "unreachable!("].iter().flat_map(|call| said(call));
+            if line.contains(".unwrap()")
+                || line.contains(".unwrap_err()")
+                || !calls.collect::<Vec<_>>().iter().all(is_reason)
+            {
+                bare.push(format!("{}:{}: {}", file.display(), i + 1, line.trim()));
+            }
+        }
+    }
+    assert!(bare.is_empty(), "give an error, or say in at least four words why it cannot happen:\n{}", bare.join("\n"));
 }

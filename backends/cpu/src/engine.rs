@@ -21,7 +21,7 @@ use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
 use barchan_grid::bounds::PUT_BACK_DRIFT;
 use barchan_grid::limits::{
-    LEAST_MASS, MAX_DEFORMATION, MAX_DRIFT, MAX_MOVE, MAX_PARTS, SORT_AGE, STIFFNESS_AGE, greater,
+    self, LEAST_MASS, MAX_DEFORMATION, MAX_DRIFT, MAX_MOVE, MAX_PARTS, SORT_AGE, STIFFNESS_AGE, greater,
 };
 use barchan_grid::particles::Run;
 use barchan_grid::transfer::{Scalar, Step};
@@ -425,13 +425,7 @@ impl<T: Scalar> CpuEngine<T> {
 impl<T: Scalar> Engine for CpuEngine<T> {
     fn bound(&self) -> Bound {
         let speed = self.levels.iter().fold(0.0, |most, level| greater(level.particle_speed / level.h(), most));
-        let speed = MAX_MOVE / speed;
-        // An infinite speed is for the step to find, with the particle's name.
-        if speed < self.stiffness.dt && speed > 0.0 {
-            Bound { dt: speed, by: "particle speed: no particle may move further than half a cell in a step".into() }
-        } else {
-            self.stiffness.clone()
-        }
+        limits::bound(MAX_MOVE / speed, self.stiffness.clone())
     }
 
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {

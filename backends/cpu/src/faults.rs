@@ -2,6 +2,7 @@
 
 use crate::engine::CpuEngine;
 use crate::level::Stopped;
+use barchan_core::account::NonFinite;
 use barchan_core::{Coupling, Error};
 use barchan_grid::particles::STRAIN;
 use barchan_grid::transfer::{Fault, Scalar};
@@ -27,25 +28,26 @@ pub(crate) fn at_time(error: Error, at: f64) -> Error {
 
 impl<T: Scalar> CpuEngine<T> {
     /// Turns a fault of a transfer into what a user can act upon.
-    pub(crate) fn explain(&self, level: usize, (list, fault, message): Stopped) -> Error {
+    pub(crate) fn explain(&self, level: usize, stopped: Stopped) -> Error {
         if let Some(error) = self.find_non_finite() {
             return error;
         }
+        let Stopped { block, list, fault, message } = stopped;
         let place = (level, list);
         let l = &self.levels[level].store.lists[list];
+        let first = l.runs[block].first;
         match fault {
             Fault::Material { status, chunk } => {
                 let id = |i: u64| {
-                    l.id.get(chunk + i as usize / CHUNK).map_or(u64::MAX, |ids| u64::from(ids[i as usize % CHUNK]))
+                    let chunk = first + chunk + i as usize / CHUNK;
+                    l.id.get(chunk).map_or(u64::MAX, |ids| u64::from(ids[i as usize % CHUNK]))
                 };
-                let planned = &self.materials[l.material];
-                match message.check(status, &planned.material, "update", id) {
-                    Err(error) => error,
-                    Ok(()) => unreachable!("a fault carries a status that is not OK"),
-                }
+                message.failure(status, &self.materials[l.material].material, "update", id)
             }
             // The particle is finite, so its momentum has overflowed.
-            Fault::NonFinite { chunk, lane } => self.non_finite("momentum", place, chunk, lane, f64::INFINITY, 1),
+            Fault::NonFinite { chunk, lane } => {
+                self.non_finite("momentum", place, first + chunk, lane, f64::INFINITY, 1)
+            }
             Fault::Unsound { chunk, lane } => {
                 let planned = &self.materials[l.material];
                 Error::MaterialFailed {
@@ -53,10 +55,10 @@ impl<T: Scalar> CpuEngine<T> {
                     origin: planned.material.origin.clone(),
                     callback: "update",
                     message: "what it gives for a finite strain is NaN or infinite".into(),
-                    particle: l.id.get(chunk).map(|ids| u64::from(ids[lane])),
+                    particle: l.id.get(first + chunk).map(|ids| u64::from(ids[lane])),
                 }
             }
-            Fault::Strayed { chunk } => self.non_finite("cell", place, chunk, 0, f64::NAN, 1),
+            Fault::Strayed { chunk } => self.non_finite("cell", place, first + chunk, 0, f64::NAN, 1),
         }
     }
 
@@ -83,33 +85,16 @@ impl<T: Scalar> CpuEngine<T> {
 
     /// The particle of least id with a NaN or infinite value.
     pub(crate) fn find_non_finite(&self) -> Option<Error> {
-        /// Id, field, level and list, chunk, lane, value.
-        type Fallen = (u32, &'static str, (usize, usize), usize, usize, f64);
-        let mut first: Option<Fallen> = None;
-        let mut count = 0;
-        for (l, list) in self.lists() {
+        let mut search = NonFinite::default();
+        for (_, list) in self.lists() {
             let planes = list.strain_planes();
             for (chunk, lane) in list.places() {
                 let motion = list.motion_of(chunk, lane);
-                let fields = motion.iter().enumerate().map(|(p, &x)| (if p < 3 { "velocity" } else { "affine" }, x));
-                let rest = (0..STRAIN + planes + list.law.table.n_state).map(|p| {
-                    let field = match p {
-                        0 => "mass",
-                        1 => "volume0",
-                        p if p < STRAIN + planes => "strain",
-                        _ => "history",
-                    };
-                    (field, list.rest_of(chunk, lane, p))
-                });
-                if let Some((field, value)) = fields.chain(rest).find(|(_, x)| !x.is_finite()) {
-                    count += 1;
-                    let id = list.id[chunk][lane];
-                    if first.is_none_or(|f| id < f.0) {
-                        first = Some((id, field, l, chunk, lane, value));
-                    }
-                }
+                let rest = (0..STRAIN + planes + list.law.table.n_state).map(|p| list.rest_of(chunk, lane, p));
+                let who = (u64::from(list.id[chunk][lane]), list.material);
+                search.see(who, (&motion[..3], &motion[3..]), rest, planes);
             }
         }
-        first.map(|(_, field, l, chunk, lane, value)| self.non_finite(field, l, chunk, lane, value, count))
+        search.error(self.steps, 0.0, &self.materials)
     }
 }

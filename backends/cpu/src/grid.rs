@@ -168,16 +168,6 @@ impl<T: Float> Default for Grid<T> {
 }
 
 impl<T: Float> Grid<T> {
-    /// Cell of the first node of a block's tile.
-    pub(crate) fn origin(&self, occupied: usize) -> [i32; 3] {
-        block::of_key(self.occupied[occupied]).map(|b| b * SIDE - 2)
-    }
-
-    /// Which of the shared nodes are in a node block.
-    pub(crate) fn shared_of(&self, g: usize) -> Range<usize> {
-        self.shared_starts[g] as usize..self.shared_starts[g + 1] as usize
-    }
-
     /// Bytes held.
     pub(crate) fn bytes(&self) -> u64 {
         (self.tiles.capacity() * size_of::<[T; TILE]>()
@@ -211,8 +201,7 @@ impl<T: Float> Grid<T> {
         let (node_index, tile_index) = (index(&keys), index(occupied));
         self.nodes_around = occupied.par_iter().map(|&key| around(key, 1).map(|b| find(&node_index, b))).collect();
         self.tiles_around = keys.par_iter().map(|&key| around(key, -1).map(|b| find(&tile_index, b))).collect();
-        self.mirrored =
-            occupied.iter().map(|&key| bounds.mirrors.meet(block::of_key(key).map(|b| b * SIDE - 2))).collect();
+        self.mirrored = occupied.iter().map(|&key| bounds.mirrors.meet(origin(key))).collect();
         self.images.resize(occupied.len(), Vec::new());
         // As long as regions stay, so do their rims.
         let known =
@@ -451,6 +440,16 @@ impl<T: Float> Grid<T> {
         }
         pairs
     }
+}
+
+/// Cell of the first node of the tile of the block with a key.
+pub(crate) fn origin(key: u64) -> [i32; 3] {
+    block::of_key(key).map(|b| b * SIDE - 2)
+}
+
+/// Which entries of a list belong to a node block, given where those of each start in it.
+pub(crate) fn entries(starts: &[u32], g: usize) -> Range<usize> {
+    starts[g] as usize..starts[g + 1] as usize
 }
 
 /// Where each key stands.

@@ -1,9 +1,10 @@
 //! One level: its particles, its grid, and the passes over them.
+#![expect(unsafe_code, reason = "kernels load and store registers")]
 
-use crate::grid::{Grid, Ring, SharedNode};
-use crate::memory::Shared;
+use crate::grid::{Grid, Link, Ring, SharedNode, entries, origin};
+use crate::memory::Parts;
 use crate::sleep::Watch;
-use crate::store::Store;
+use crate::store::{List, Store};
 use barchan_core::material::ErrorBuffer;
 use barchan_core::{Aabb, NearParticle, NodeBatch, Plan};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
@@ -29,8 +30,13 @@ pub(crate) struct Shares {
     pub(crate) sampled: u64,
 }
 
-/// What stopped P2G: the list, the fault, the material's words.
-pub(crate) type Stopped = (usize, Fault, ErrorBuffer);
+/// What stopped P2G: where, the fault, the material's words.
+pub(crate) struct Stopped {
+    pub(crate) block: usize,
+    pub(crate) list: usize,
+    pub(crate) fault: Fault,
+    pub(crate) message: ErrorBuffer,
+}
 
 /// One level of one world.
 pub(crate) struct Level<T: Scalar> {
@@ -111,25 +117,24 @@ impl<T: Scalar> Level<T> {
     /// much of the time went to each of so many materials.
     pub(crate) fn particles_to_grid(&mut self, isa: Isa, step: &Step, n_materials: usize) -> Result<Shares, Stopped> {
         let (stale, frozen) = if step.dt > 0.0 { self.stale_tiles(step) } else { (Vec::new(), *step) };
-        let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
-        let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
-        let carried = Shared(self.grid.carried.as_ptr().cast_mut());
         let walls = self.has_mirrors();
-        let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
-        let impulse_of = Shared(impulses.as_mut_ptr());
-        let images = Shared(self.grid.images.as_ptr().cast_mut());
+        let mirrors = &self.bounds.mirrors;
+        let Grid { occupied, edge_of, mirrored, tiles, carried, images, .. } = &mut self.grid;
+        let lists: Vec<_> = self.store.lists.iter_mut().map(List::open).collect();
+        // Each block has a tile of its own, and, if it has any at all, parent cells, images, and an entry of what walls and damping take.
+        let (tiles, carried, images) = (Parts::of(tiles), Parts::of(carried), Parts::of(images));
+        let mut impulses = vec![[0.0; 3]; if walls { occupied.len() } else { 0 }];
+        let impulse_of = Parts::of(&mut impulses);
         let is_damped = lists.iter().any(|list| list.law.damping.is_some());
-        let mut damped = vec![0.0; if is_damped { grid.occupied.len() } else { 0 }];
-        let damped_in = Shared(damped.as_mut_ptr());
+        let mut damped = vec![0.0; if is_damped { occupied.len() } else { 0 }];
+        let damped_in = Parts::of(&mut damped);
         let blocks = self.watch.awake.par_iter().map(|&b| (b as usize, step));
         let (fault, measured) = blocks
             .chain(stale.par_iter().map(|&b| (b as usize, &frozen)))
             .map(|(b, step)| {
-                // SAFETY: each block has a tile of its own.
-                let tile = unsafe { &mut *tiles.at(b) };
-                let edge = grid.edge_of.get(b).copied().filter(|&edge| edge != NONE && step.dt > 0.0);
-                // SAFETY: each block at the rim has parent cells of its own.
-                let mut parent_cells = edge.map(|edge| unsafe { &mut *carried.at(edge as usize) });
+                let (tile, origin) = (tiles.one(b), origin(occupied[b]));
+                let edge = edge_of.get(b).copied().filter(|&edge| edge != NONE && step.dt > 0.0);
+                let mut parent_cells = edge.map(|edge| carried.one(edge as usize));
                 let mut spent = 0;
                 let timed = b % TIMED_BLOCKS == 0;
                 let begun = timed.then(Instant::now);
@@ -140,16 +145,14 @@ impl<T: Scalar> Level<T> {
                     cells.fill(Carried::default());
                 }
                 for (l, list) in lists.iter().enumerate() {
-                    let run = list.runs[b];
-                    if run.count == 0 {
+                    if list.runs[b].count == 0 {
                         continue;
                     }
                     let mut message = ErrorBuffer::default();
                     let outcome = isa.run::<T, _>(ParticlesToGrid {
-                        particles: list.view(),
-                        run,
-                        origin: grid.origin(b),
-                        law: &list.law,
+                        particles: list.of_block(b),
+                        origin,
+                        law: list.law,
                         step,
                         tile,
                         parent_cells: parent_cells.as_deref_mut(),
@@ -158,22 +161,19 @@ impl<T: Scalar> Level<T> {
                         material_time: timed.then_some(&mut spent),
                     });
                     if let Err(f) = outcome {
-                        fault = fault.or(Some((b, (l, f, message))));
+                        fault = fault.or(Some((b, Stopped { block: b, list: l, fault: f, message })));
                     }
                     if timed {
                         materials[list.material] += std::mem::take(&mut spent);
                     }
                 }
                 if is_damped {
-                    // SAFETY: each block has an entry of its own.
-                    unsafe { *damped_in.at(b) = damped };
+                    *damped_in.one(b) = damped;
                 }
-                if walls && grid.mirrored[b] {
-                    // SAFETY: each block has an entry of its own.
-                    let impulse = unsafe { mirrors.fold(tile, grid.origin(b), &mut *images.at(b)) };
+                if walls && mirrored[b] {
+                    let impulse = mirrors.fold(tile, origin, images.one(b));
                     if !step.frozen {
-                        // SAFETY: as above.
-                        unsafe { *impulse_of.at(b) = impulse };
+                        *impulse_of.one(b) = impulse;
                     }
                 }
                 (fault, Shares { materials, sampled: begun.map_or(0, |t| t.elapsed().as_nanos() as u64) })
@@ -205,43 +205,38 @@ impl<T: Scalar> Level<T> {
     /// With `keep_shared`, nodes that the finer level's rim hands something to keep their momentum for
     /// [`solve_shared`](Self::solve_shared) and show nothing here.
     pub(crate) fn update_grid(&mut self, isa: Isa, least: f64, finer: Option<&Grid<T>>, keep_shared: bool) {
-        let (grid, least) = (&self.grid, T::from_f64(least));
-        let nodes = Shared(self.grid.nodes.as_ptr().cast_mut());
-        let handed = Shared(self.grid.handed.as_ptr().cast_mut());
+        let least = T::from_f64(least);
         let separate = !self.bounds.separations.is_empty();
+        let grid = &mut self.grid;
         let reflects = grid.links_reflect && finer.is_some();
         let mut impulses = vec![[0.0; 3]; if reflects { grid.keys.len() } else { 0 }];
-        let impulse_of = Shared(impulses.as_mut_ptr());
-        let shared = Shared(self.grid.shared.as_ptr().cast_mut());
+        // Each node block is one's own, with its ring, its impulse and its shared nodes.
+        let (nodes, handed, shared) =
+            (Parts::of(&mut grid.nodes), Parts::of(&mut grid.handed), Parts::of(&mut grid.shared));
+        let (impulse_of, carried) = (Parts::of(&mut impulses), grid.carried.as_flattened());
         let speed = self
             .watch
             .nodes
             .par_iter()
             .map(|&g| {
                 let g = g as usize;
-                // SAFETY: each task has a node block of its own, with its ring and its impulse.
-                let nodes = unsafe { &mut *nodes.at(g) };
+                let nodes = nodes.one(g);
                 isa.run::<T, _>(SumTiles { nodes, tiles: &grid.tiles, around: &grid.tiles_around[g] });
                 if let Some(finer) = finer {
-                    let impulse = grid.take_up(g, &finer.handed, nodes);
+                    let impulse = take_up(&grid.links[entries(&grid.link_starts, g)], &finer.handed, nodes);
                     if reflects {
-                        // SAFETY: as above.
-                        unsafe { *impulse_of.at(g) = impulse };
+                        *impulse_of.one(g) = impulse;
                     }
                 }
                 if keep_shared {
-                    for k in grid.shared_of(g) {
-                        // SAFETY: each shared node belongs to one block.
-                        let shared = unsafe { &mut *shared.at(k) };
+                    for shared in shared.take(entries(&grid.shared_starts, g)) {
                         let node = &mut nodes[4 * (shared.node as usize % CELLS)..][..4];
                         shared.own.copy_from_slice(node);
                         node.fill(T::default());
                     }
                 }
                 if let Some(ring) = grid.rings.get(grid.ring_of[g] as usize) {
-                    // SAFETY: as above.
-                    let handed = unsafe { &mut *handed.at(grid.ring_of[g] as usize) };
-                    let carried = grid.carried.as_flattened();
+                    let handed = handed.one(grid.ring_of[g] as usize);
                     isa.run::<T, _>(HandOver { ring, carried, nodes, handed });
                 }
                 if separate { T::default() } else { isa.run::<T, _>(Velocities { nodes, least }) }
@@ -257,42 +252,40 @@ impl<T: Scalar> Level<T> {
 
     /// Splits what shared nodes keep after a step's P2G, p + dt f, into p + ½ dt f and ½ dt f. A `step` of no length gives p.
     pub(crate) fn halve(&mut self, isa: Isa, step: &Step) -> Result<(), Stopped> {
-        let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
-        let tiles = Shared(self.grid.tiles.as_ptr().cast_mut());
+        let (mirrors, grid) = (&self.bounds.mirrors, &mut self.grid);
+        let lists: Vec<_> = self.store.lists.iter_mut().map(List::open).collect();
+        // Each block has a tile of its own, whose sums have been taken.
+        let tiles = Parts::of(&mut grid.tiles);
         let fault = grid
             .give_to_shared
             .par_iter()
             .map(|&b| {
-                // SAFETY: each block has a tile of its own, whose sums have been taken.
-                let tile = unsafe { &mut *tiles.at(b as usize) };
-                isa.run::<T, _>(Clear(tile));
                 let (b, mut fault) = (b as usize, None);
+                let (tile, origin) = (tiles.one(b), origin(grid.occupied[b]));
+                isa.run::<T, _>(Clear(tile));
                 for (l, list) in lists.iter().enumerate() {
-                    let (particles, run, origin, law) = (list.view(), list.runs[b], grid.origin(b), &list.law);
+                    if list.runs[b].count == 0 {
+                        continue;
+                    }
                     let mut message = ErrorBuffer::default();
-                    let error = message.as_raw();
-                    let (parent_cells, material_time, damped) = (None, None, &mut 0.0);
                     let scatter = ParticlesToGrid {
-                        particles,
-                        run,
+                        particles: list.of_block(b),
                         origin,
-                        law,
+                        law: list.law,
                         step,
                         tile,
-                        parent_cells,
-                        damped,
-                        error,
-                        material_time,
+                        parent_cells: None,
+                        damped: &mut 0.0,
+                        error: message.as_raw(),
+                        material_time: None,
                     };
-                    if run.count > 0
-                        && let Err(f) = isa.run::<T, _>(scatter)
-                    {
-                        fault = fault.or(Some((l, f, message)));
+                    if let Err(f) = isa.run::<T, _>(scatter) {
+                        fault = fault.or(Some(Stopped { block: b, list: l, fault: f, message }));
                     }
                 }
                 if grid.mirrored[b] {
                     // Its impulse has been booked, and its masses noted, when the whole step's was folded.
-                    mirrors.fold(tile, grid.origin(b), &mut Vec::new());
+                    mirrors.fold(tile, origin, &mut Vec::new());
                 }
                 fault
             })
@@ -300,14 +293,12 @@ impl<T: Scalar> Level<T> {
         if let Some(stopped) = fault {
             return Err(stopped);
         }
-        let shared = Shared(self.grid.shared.as_ptr().cast_mut());
-        (0..grid.keys.len()).into_par_iter().filter(|&g| !grid.shared_of(g).is_empty()).for_each(|g| {
+        let Grid { tiles, tiles_around, shared, shared_starts, .. } = grid;
+        let shared = Parts::of(shared);
+        (0..tiles_around.len()).into_par_iter().filter(|&g| !entries(shared_starts, g).is_empty()).for_each(|g| {
             let mut nodes = [T::default(); NODES];
-            let around = &grid.tiles_around[g];
-            isa.run::<T, _>(SumTiles { nodes: &mut nodes, tiles: &grid.tiles, around });
-            for k in grid.shared_of(g) {
-                // SAFETY: each shared node belongs to one block.
-                let shared = unsafe { &mut *shared.at(k) };
+            isa.run::<T, _>(SumTiles { nodes: &mut nodes, tiles, around: &tiles_around[g] });
+            for shared in shared.take(entries(shared_starts, g)) {
                 let carried = &nodes[4 * (shared.node as usize % CELLS)..][..4];
                 for d in 0..3 {
                     shared.gain[d] = T::from_f64(0.5) * (shared.own[d] - carried[d]);
@@ -322,7 +313,8 @@ impl<T: Scalar> Level<T> {
     /// they have at that velocity, and what the forces of the next such step add.
     pub(crate) fn solve_shared(&mut self, handed: &[[T; NODES]], least: f64) {
         let Grid { nodes, shared, links, .. } = &mut self.grid;
-        let (nodes, links, handed) = (Shared(nodes.as_mut_ptr().cast::<[T; 4]>()), &*links, handed.as_flattened());
+        let nodes = Parts::of(nodes.as_flattened_mut().as_chunks_mut::<4>().0);
+        let (links, handed) = (&*links, handed.as_flattened());
         let solve = |shared: &mut SharedNode<T>| {
             let (mut sum, mut impulse) = (shared.own, [0.0; 3]);
             for link in &links[shared.links.0 as usize..shared.links.1 as usize] {
@@ -337,8 +329,8 @@ impl<T: Scalar> Level<T> {
                 }
                 sum[3] += from[3];
             }
-            // SAFETY: no two shared nodes are one node of the grid.
-            let node = unsafe { &mut *nodes.at(shared.node as usize) };
+            // No two shared nodes are one node of the grid.
+            let node = nodes.one(shared.node as usize);
             let felt = T::from_f64((sum[3].to_f64() / (least * FULL_SPEED)).min(1.0));
             let mut speed = T::default();
             for d in 0..3 {
@@ -363,13 +355,13 @@ impl<T: Scalar> Level<T> {
 
     /// The grid update at walls that let go of the ground.
     fn separate(&mut self, isa: Isa, least: T) {
-        let nodes = Shared(self.grid.nodes.as_mut_ptr().cast::<[T; 4]>());
+        let nodes = self.grid.nodes.as_flattened_mut().as_chunks_mut::<4>().0;
         let separations = &self.bounds.separations;
         for pairs in &mut self.grid.pairs {
             for pair in pairs {
-                // SAFETY: pairs name two different nodes of the grid, and this loop alone works on them.
-                let (node, image) =
-                    unsafe { (&mut *nodes.at(pair.node as usize), &mut *nodes.at(pair.image as usize)) };
+                let [node, image] = nodes
+                    .get_disjoint_mut([pair.node as usize, pair.image as usize])
+                    .expect("a node before a wall and its image behind it are two of the grid's");
                 pair.image_mass = image[3].to_f64();
                 let (presses, impulse) = separations[pair.separation as usize].0.fold(node, image);
                 pair.presses = presses;
@@ -378,26 +370,19 @@ impl<T: Scalar> Level<T> {
                 }
             }
         }
-        let blocks = Shared(self.grid.nodes.as_mut_ptr());
-        let count = self.grid.keys.len();
-        let speed = (0..count)
-            .into_par_iter()
-            // SAFETY: each task has a node block of its own.
-            .map(|g| isa.run::<T, _>(Velocities { nodes: unsafe { &mut *blocks.at(g) }, least }))
-            .reduce(T::default, greater);
-        self.max_speed = speed.to_f64();
+        let of_block = |nodes: &mut [T; NODES]| isa.run::<T, _>(Velocities { nodes, least });
+        self.max_speed = self.grid.nodes.par_iter_mut().map(of_block).reduce(T::default, greater).to_f64();
     }
 
     /// Gives rim nodes the velocity of the coarser level. Returns the impulse that walls gave in doing so, where the parent is
     /// behind a mirror.
     pub(crate) fn prolong(&mut self, isa: Isa, coarser: &Grid<T>) {
-        let grid = &self.grid;
-        let nodes = Shared(self.grid.nodes.as_ptr().cast_mut());
-        let reflects = grid.rim_reflects;
+        let Grid { nodes, handed, rings, rim_reflects, .. } = &mut self.grid;
+        let (nodes, reflects) = (Parts::of(nodes), *rim_reflects);
         let one = |(r, ring): (usize, &Ring)| {
             let (mut parents, mut impulse) = ([T::default(); NODES], [0.0; 3]);
             // Nobody reads the velocity of nodes that weigh nothing.
-            if grid.handed[r].as_chunks::<4>().0.iter().all(|node| node[3] == T::default()) {
+            if handed[r].as_chunks::<4>().0.iter().all(|node| node[3] == T::default()) {
                 return impulse;
             }
             let values = coarser.nodes.as_flattened();
@@ -408,16 +393,16 @@ impl<T: Scalar> Level<T> {
                     parents[4 * n + d] = if flipped { -node[d] } else { node[d] };
                     if flipped {
                         // What particles read is not what they would have read from the node itself.
-                        impulse[d] -= 2.0 * node[d].to_f64() * grid.handed[r][4 * n + 3].to_f64();
+                        impulse[d] -= 2.0 * node[d].to_f64() * handed[r][4 * n + 3].to_f64();
                     }
                 }
             }
-            // SAFETY: each ring has a node block of its own.
-            let nodes = unsafe { &mut *nodes.at(ring.block as usize) };
+            // Each ring has a node block of its own.
+            let nodes = nodes.one(ring.block as usize);
             isa.run::<T, _>(TakeBack { slaves: ring.slaves, parents: &parents, nodes });
             impulse
         };
-        let impulses: Vec<[f64; 3]> = grid.rings.par_iter().enumerate().map(one).collect();
+        let impulses: Vec<[f64; 3]> = rings.par_iter().enumerate().map(one).collect();
         if reflects {
             self.book(impulses);
         }
@@ -425,17 +410,13 @@ impl<T: Scalar> Level<T> {
 
     /// Gives images behind walls that let go the velocity of their nodes.
     pub(crate) fn mirror_separated(&mut self) {
-        let nodes = Shared(self.grid.nodes.as_mut_ptr().cast::<[T; 4]>());
+        let nodes = self.grid.nodes.as_flattened_mut().as_chunks_mut::<4>().0;
         for pair in self.grid.pairs.iter().rev().flatten() {
             let separation = &self.bounds.separations[pair.separation as usize].0;
-            // SAFETY: as in `separate`.
-            unsafe {
-                let node = *nodes.at(pair.node as usize);
-                let (image, impulse) = separation.unfold(&node, pair.presses, pair.image_mass);
-                *nodes.at(pair.image as usize) = image;
-                for d in 0..3 {
-                    self.wall_impulse[d] += impulse[d];
-                }
+            let (image, impulse) = separation.unfold(&nodes[pair.node as usize], pair.presses, pair.image_mass);
+            nodes[pair.image as usize] = image;
+            for d in 0..3 {
+                self.wall_impulse[d] += impulse[d];
             }
         }
     }
@@ -460,7 +441,8 @@ impl<T: Scalar> Level<T> {
             }
             let mut numbers = [NodeBatch::NONE; CELLS];
             let so_far = batch.len();
-            let mut shared = self.grid.shared[self.grid.shared_of(g)].iter().filter(|_| subcycled).peekable();
+            let mut shared =
+                self.grid.shared[entries(&self.grid.shared_starts, g)].iter().filter(|_| subcycled).peekable();
             for n in 0..CELLS {
                 let node = &nodes[4 * n..4 * n + 4];
                 let own = shared.next_if(|shared| shared.node as usize % CELLS == n).map(|shared| shared.own[3]);
@@ -582,25 +564,23 @@ impl<T: Scalar> Level<T> {
     /// New velocities and affine matrices, and the move.
     pub(crate) fn grid_to_particles(&mut self, isa: Isa, dt: f64) {
         let step = Step { h: self.h(), dt, strain_dt: 0.0, strain_parts: 1, gravity: [0.0; 3], frozen: false };
-        let (lists, grid, mirrors) = (&self.store.lists, &self.grid, &self.bounds.mirrors);
         let walls = self.has_mirrors();
+        let (grid, mirrors, watch) = (&self.grid, &self.bounds.mirrors, &self.watch);
+        let lists: Vec<_> = self.store.lists.iter_mut().map(List::open).collect();
+        // Each block has entries of its own.
         let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
-        let impulse_of = Shared(impulses.as_mut_ptr());
-        let rest = Shared(self.store.rest.as_ptr().cast_mut());
-        let watch = &self.watch;
+        let (impulse_of, rest) = (Parts::of(&mut impulses), Parts::of(&mut self.store.rest));
         let fetch = |tile: &mut [T; TILE], b: usize| {
             isa.run::<T, _>(FillTile { tile, nodes: &grid.nodes, around: &grid.nodes_around[b] });
+            let origin = origin(grid.occupied[b]);
             if grid.mirrored[b] {
-                // SAFETY: each block has an entry of its own.
-                unsafe { *impulse_of.at(b) = mirrors.unfold(tile, grid.origin(b), &grid.images[b]) };
+                *impulse_of.one(b) = mirrors.unfold(tile, origin, &grid.images[b]);
             }
-            let origin = grid.origin(b);
             let rates = lists.iter().filter(|list| list.runs[b].count > 0).fold(Rates::default(), |greatest, list| {
-                let (particles, run) = (list.view(), list.runs[b]);
-                faster(greatest, isa.run::<T, _>(GridToParticles { particles, run, origin, step: &step, tile }))
+                let particles = list.of_block(b);
+                faster(greatest, isa.run::<T, _>(GridToParticles { particles, origin, step: &step, tile }))
             });
-            // SAFETY: as above.
-            let rest = unsafe { &mut *rest.at(b) };
+            let rest = rest.one(b);
             *rest = watch.count(*rest, rates.speed.to_f64());
             rates
         };
@@ -622,10 +602,11 @@ impl<T: Scalar> Level<T> {
     pub(crate) fn take_stock(&mut self, isa: Isa) -> f64 {
         let mut rates = Rates::default();
         let mut least = f64::INFINITY;
-        for list in &self.store.lists {
+        for list in &mut self.store.lists {
             least = list.places().fold(least, |least, (chunk, lane)| least.min(list.mass_of(chunk, lane)));
-            for &run in &list.runs {
-                rates = faster(rates, isa.run::<T, _>(Survey { particles: list.view(), run }));
+            let list = list.open();
+            for b in 0..list.runs.len() {
+                rates = faster(rates, isa.run::<T, _>(Survey { particles: list.of_block(b) }));
             }
         }
         self.take_rates(rates);
@@ -647,25 +628,23 @@ impl Shares {
     }
 }
 
-impl<T: Float> Grid<T> {
-    /// Adds what the finer level's rim hands to a node block. Returns the impulse that walls gave in doing so [N s].
-    fn take_up(&self, g: usize, handed: &[[T; NODES]], nodes: &mut [T; NODES]) -> [f64; 3] {
-        let mut impulse = [0.0; 3];
-        for link in &self.links[self.link_starts[g] as usize..self.link_starts[g + 1] as usize] {
-            let from = &handed.as_flattened()[4 * link.from as usize..][..4];
-            let to = &mut nodes[4 * usize::from(link.node)..][..4];
-            for d in 0..3 {
-                if link.flips >> d & 1 == 1 {
-                    to[d] += -from[d];
-                    impulse[d] -= 2.0 * from[d].to_f64();
-                } else {
-                    to[d] += from[d];
-                }
+/// Adds what the finer level's rim hands to a node block through its links. Returns the impulse that walls gave in doing so [N s].
+fn take_up<T: Float>(links: &[Link], handed: &[[T; NODES]], nodes: &mut [T; NODES]) -> [f64; 3] {
+    let mut impulse = [0.0; 3];
+    for link in links {
+        let from = &handed.as_flattened()[4 * link.from as usize..][..4];
+        let to = &mut nodes[4 * usize::from(link.node)..][..4];
+        for d in 0..3 {
+            if link.flips >> d & 1 == 1 {
+                to[d] += -from[d];
+                impulse[d] -= 2.0 * from[d].to_f64();
+            } else {
+                to[d] += from[d];
             }
-            to[3] += from[3];
         }
-        impulse
+        to[3] += from[3];
     }
+    impulse
 }
 
 /// The greater of each.

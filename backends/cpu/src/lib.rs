@@ -2,7 +2,8 @@
 //!
 //! Determinism is a contract: the same input gives the same bits with any number of threads (per instruction set). Work is cut
 //! into blocks of cells, never by thread count; no two blocks write the same memory; sums over blocks run in the blocks' order.
-#![expect(unsafe_code, reason = "blocks write disjoint parts of shared planes from several threads")]
+//! What hands them out is one type, `memory::Parts`, which no code here can make give the same memory to two threads.
+#![deny(unsafe_code)]
 
 mod account;
 mod adapt;

@@ -9,6 +9,7 @@ use crate::grid::Grid;
 use crate::level::{FillTile, Level};
 use crate::store::List;
 use barchan_core::Coupling;
+use barchan_core::account::kinetic;
 use barchan_grid::block::{self, NONE, TILE};
 use barchan_grid::particles::MASS;
 use barchan_grid::rest::{ASLEEP, RESTED, near_tool};
@@ -148,7 +149,7 @@ impl<T: Scalar> Level<T> {
                 let run = list.runs[b as usize];
                 for (chunk, lane) in run.places() {
                     let (m, motion) = (list.mass_of(chunk, lane), list.motion_of(chunk, lane));
-                    slept.kinetic += list.kinetic_of(chunk, lane, self.store.cell_width);
+                    slept.kinetic += kinetic(m, &motion[..3], &motion[3..], self.store.cell_width);
                     for d in 0..3 {
                         slept.momentum[d] += m * motion[d];
                     }

@@ -3,9 +3,11 @@
 //! Each list (one material) lies in chunks of 16 particles, structure of arrays within the chunk. Blocks own whole chunks, so
 //! threads never share one; the last chunk of a block's run is padded with massless particles.
 
-use crate::memory::{Line, Shared, lines};
+use crate::memory::{Line, Parts, Plane, Rows, lines, room};
+use barchan_core::batch::Plane as Values;
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::stiffness::{self, Need, Stiffness};
+use barchan_core::scene::Leaving;
+use barchan_core::stiffness::{Need, PARTICLES, Stiffness};
 use barchan_core::{Error, ParticleList, Result, Spot};
 use barchan_grid::adapt::Parcel;
 use barchan_grid::block::{self, CELLS};
@@ -13,7 +15,7 @@ use barchan_grid::bounds::Bounds;
 use barchan_grid::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
 use barchan_grid::rest::ASLEEP;
 use barchan_grid::transfer::{Law, MAX_STATE, Scalar};
-use barchan_lanes::CHUNK;
+use barchan_lanes::{CHUNK, Float, Plain};
 use rayon::prelude::*;
 use std::borrow::Borrow;
 
@@ -62,14 +64,22 @@ impl<T: Scalar> List<T> {
         }
     }
 
-    /// The particles as the transfers see them.
-    pub(crate) fn view(&self) -> Particles<T> {
-        Particles {
-            cell: self.cell.as_ptr().cast::<i32>().cast_mut(),
-            offset: self.offset.as_ptr().cast::<T::Offset>().cast_mut(),
-            motion: self.motion.as_ptr().cast::<T>().cast_mut(),
-            rest: self.rest.as_ptr().cast::<T>().cast_mut(),
+    /// The list with its chunks to be handed out.
+    pub(crate) fn open(&mut self) -> OpenList<'_, T> {
+        let planes = (
+            (
+                (Rows::new(&mut self.id, 1), Rows::new(&mut self.body, 1)),
+                (Rows::new(&mut self.cell, 3), Rows::new(&mut self.offset, 3)),
+            ),
+            (Rows::new(&mut self.motion, MOTION), Rows::new(&mut self.rest, self.rest_planes)),
+        );
+        OpenList {
+            material: self.material,
+            law: &self.law,
+            runs: &self.runs,
+            identity: self.identity,
             rest_planes: self.rest_planes,
+            chunks: Parts::new(planes),
         }
     }
 
@@ -121,12 +131,6 @@ impl<T: Scalar> List<T> {
         let (cell, offset) = (self.cell_of(chunk, lane), self.offset_of(chunk, lane));
         std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * h)
     }
-    /// Kinetic energy of a particle and of what its C carries, in cells `h` wide [J].
-    pub(crate) fn kinetic_of(&self, chunk: usize, lane: usize, h: f64) -> f64 {
-        let motion = self.motion_of(chunk, lane);
-        let square = |values: &[f64]| values.iter().map(|y| y * y).sum::<f64>();
-        0.5 * self.mass_of(chunk, lane) * (square(&motion[..3]) + 0.25 * h * h * square(&motion[3..]))
-    }
     pub(crate) fn motion_of(&self, chunk: usize, lane: usize) -> [f64; MOTION] {
         std::array::from_fn(|p| self.motion[chunk * MOTION + p].0[lane].to_f64())
     }
@@ -145,7 +149,8 @@ impl<T: Scalar> List<T> {
 
     /// How many steps a second the first particles of a chunk need.
     pub(crate) fn need(&self, law: &Stiffness<'_>, chunk: usize, count: usize, h: f64) -> Result<Need> {
-        let (mut strain, mut state) = ([stiffness::Plane::default(); 9], [stiffness::Plane::default(); MAX_STATE]);
+        let (mut strain, mut state) =
+            ([Values::<f32, PARTICLES>::default(); 9], [Values::<f32, PARTICLES>::default(); MAX_STATE]);
         let planes = self.strain_planes();
         let n_state = self.law.table.n_state;
         let values = strain[..planes].iter_mut().chain(&mut state[..n_state]);
@@ -173,41 +178,6 @@ impl<T: Scalar> List<T> {
             motion: self.motion_of(chunk, lane),
             rest,
         }
-    }
-
-    /// One chunk, to be written to.
-    ///
-    /// # Safety
-    /// The chunk must exist, and nobody else may look at it meanwhile.
-    #[expect(clippy::mut_from_ref, reason = "several threads write to chunks of their own")]
-    unsafe fn chunk(&self, chunk: usize) -> Chunk<'_, T> {
-        /// So many planes of each chunk.
-        unsafe fn planes<W>(all: &[W], chunk: usize, count: usize) -> &mut [W] {
-            // SAFETY: the caller vouches for the chunk.
-            unsafe { std::slice::from_raw_parts_mut(all.as_ptr().cast_mut().add(chunk * count), count) }
-        }
-        // SAFETY: the caller vouches for the chunk.
-        unsafe {
-            Chunk {
-                id: &mut planes(&self.id, chunk, 1)[0],
-                body: &mut planes(&self.body, chunk, 1)[0],
-                cell: planes(&self.cell, chunk, 3),
-                offset: planes(&self.offset, chunk, 3),
-                motion: planes(&self.motion, chunk, MOTION),
-                rest: planes(&self.rest, chunk, self.rest_planes),
-            }
-        }
-    }
-
-    /// Puts particles into the lanes of a run, in their order, and pads it.
-    fn fill<P: Borrow<Parcel>>(&self, run: Run, parcel: impl Fn(usize) -> P + Sync) {
-        (0..run.chunks()).into_par_iter().for_each(|k| {
-            // SAFETY: the run is the caller's own, and each task has a chunk of its own.
-            let mut chunk = unsafe { self.chunk(run.first + k) };
-            let here = k * CHUNK..run.count.min((k + 1) * CHUNK);
-            here.clone().for_each(|i| chunk.put(parcel(i).borrow(), i % CHUNK));
-            chunk.pad(here.len(), self.identity);
-        });
     }
 
     /// Does any particle of a run move?
@@ -262,21 +232,12 @@ impl<T: Scalar> List<T> {
         first
     }
 
-    /// Pads each run.
-    fn pad(&mut self) {
-        let list = &*self;
-        list.runs.par_iter().filter(|run| run.count % CHUNK > 0).for_each(|run| {
-            // SAFETY: runs have chunks of their own.
-            unsafe { list.chunk(run.first + run.count / CHUNK) }.pad(run.count % CHUNK, list.identity);
-        });
-    }
-
     fn take_in(&mut self, list: &ParticleList, counts: impl Iterator<Item = usize>) {
         let chunks = self.lay_out(counts);
         self.resize(chunks);
-        let mut first = 0;
-        for &run in &self.runs {
-            self.fill(run, |i| Parcel::of(list, first + i));
+        let (open, mut first) = (self.open(), 0);
+        for &run in open.runs {
+            open.fill(run, |i| Parcel::of(list, first + i));
             first += run.count;
         }
     }
@@ -321,21 +282,80 @@ impl<T: Scalar> List<T> {
     }
 }
 
-/// Sixteen lanes of a list.
-struct Chunk<'a, T: Scalar> {
-    id: &'a mut [u32; CHUNK],
-    body: &'a mut [u16; CHUNK],
+/// Planes of a list side by side: id and body, cell and offset, motion and rest.
+type Planes<'a, T> = (
+    ((Rows<'a, [u32; CHUNK]>, Rows<'a, [u16; CHUNK]>), (Rows<'a, Line<i32>>, Rows<'a, Line<<T as Float>::Offset>>)),
+    (Rows<'a, Line<T>>, Rows<'a, Line<T>>),
+);
+
+/// A list whose chunks are handed out to threads, each to one of them.
+pub(crate) struct OpenList<'a, T: Scalar> {
+    pub(crate) material: usize,
+    pub(crate) law: &'a Law<T>,
+    pub(crate) runs: &'a [Run],
+    identity: &'static [f64],
+    rest_planes: usize,
+    chunks: Parts<Planes<'a, T>>,
+}
+
+impl<'a, T: Scalar> OpenList<'a, T> {
+    /// A block's particles, for a transfer.
+    pub(crate) fn of_block(&self, b: usize) -> Particles<'a, T> {
+        let run = self.runs[b];
+        let Chunks { cell, offset, motion, rest, .. } = self.take(run.first, run.chunks());
+        let rest = (Line::flat(rest), self.rest_planes);
+        Particles::new(run.count, Line::flat(cell), Line::flat(offset), Line::flat(motion), rest)
+    }
+
+    fn take(&self, first: usize, count: usize) -> Chunks<'a, T> {
+        let (((id, body), (cell, offset)), (motion, rest)) = self.chunks.take(first..first + count);
+        Chunks { id, body, cell, offset, motion, rest, rest_planes: self.rest_planes }
+    }
+
+    /// Puts particles into the lanes of a run, in their order, and pads it.
+    fn fill<P: Borrow<Parcel>>(&self, run: Run, parcel: impl Fn(usize) -> P + Sync) {
+        (0..run.chunks()).into_par_iter().for_each(|k| {
+            let mut chunk = self.take(run.first + k, 1);
+            let here = k * CHUNK..run.count.min((k + 1) * CHUNK);
+            here.clone().for_each(|i| chunk.put(parcel(i).borrow(), i % CHUNK));
+            chunk.pad(here.len(), self.identity);
+        });
+    }
+
+    /// Pads each run.
+    fn pad(&self) {
+        self.runs.par_iter().filter(|run| run.count % CHUNK > 0).for_each(|run| {
+            self.take(run.first + run.count / CHUNK, 1).pad(run.count % CHUNK, self.identity);
+        });
+    }
+}
+
+/// Chunks of a list, to be written to.
+struct Chunks<'a, T: Scalar> {
+    id: &'a mut [[u32; CHUNK]],
+    body: &'a mut [[u16; CHUNK]],
     cell: &'a mut [Line<i32>],
     offset: &'a mut [Line<T::Offset>],
     motion: &'a mut [Line<T>],
     rest: &'a mut [Line<T>],
+    rest_planes: usize,
 }
 
-impl<T: Scalar> Chunk<'_, T> {
-    /// Puts a particle into a lane.
+impl<T: Scalar> Chunks<'_, T> {
+    /// Mass of a particle [kg].
+    fn mass_of(&self, chunk: usize, lane: usize) -> f64 {
+        self.rest[chunk * self.rest_planes + MASS].0[lane].to_f64()
+    }
+
+    /// Where a particle is in its cell.
+    fn offset_of(&self, chunk: usize, lane: usize) -> [f64; 3] {
+        std::array::from_fn(|d| T::offset_to_f64(self.offset[chunk * 3 + d].0[lane]))
+    }
+
+    /// Puts a particle into a lane of the first chunk.
     fn put(&mut self, parcel: &Parcel, lane: usize) {
-        self.id[lane] = parcel.id;
-        self.body[lane] = parcel.body;
+        self.id[0][lane] = parcel.id;
+        self.body[0][lane] = parcel.body;
         for d in 0..3 {
             let (cell, offset) = match T::offset_from_f64(parcel.offset[d]) {
                 Some(offset) => (parcel.cell[d], offset),
@@ -348,10 +368,10 @@ impl<T: Scalar> Chunk<'_, T> {
         motion.chain(rest).for_each(|(plane, &value)| plane.0[lane] = T::from_f64(value));
     }
 
-    /// Turns the lanes behind the first `used` into massless particles at rest in the last one's cell. `identity`: undeformed strain.
+    /// Turns the lanes behind the first `used` of the first chunk into massless particles at rest in the last one's cell. `identity`: undeformed strain.
     fn pad(&mut self, used: usize, identity: &[f64]) {
         for lane in used..CHUNK {
-            self.id[lane] = PAD;
+            self.id[0][lane] = PAD;
             for d in 0..3 {
                 self.cell[d].0[lane] = self.cell[d].0[used - 1];
                 self.offset[d].0[lane] = T::Offset::default();
@@ -544,7 +564,7 @@ impl<T: Scalar> Store<T> {
             let here: Vec<&Parcel> = parcels.iter().copied().filter(|parcel| parcel.list == index).collect();
             let run = Run { first: list.chunks(), count: here.len() };
             list.resize(run.first + run.chunks());
-            list.fill(run, |i| here[i]);
+            list.open().fill(run, |i| here[i]);
             list.runs.push(run);
         }
     }
@@ -570,17 +590,13 @@ impl<T: Scalar> Store<T> {
     /// Sorts particles into blocks, and within a block by cell. Particles of a cell keep their order; newcomers to a block
     /// come after those that stayed, in the order of where they were.
     /// `holes` says whether particles have been removed since the last sort.
-    pub(crate) fn sort(
-        &mut self,
-        bounds: &Bounds,
-        leaving: barchan_core::scene::Leaving,
-        holes: bool,
-    ) -> Result<Departures> {
+    pub(crate) fn sort(&mut self, bounds: &Bounds, leaving: Leaving, holes: bool) -> Result<Departures> {
         // 1. Who leaves the world, who changes the block?
         let n_blocks = self.lists.first().map_or(0, |list| list.runs.len());
-        let this = &*self;
-        let found: Vec<(Vec<Mover>, bool, Departures, bool)> =
-            (0..n_blocks).into_par_iter().map(|b| this.find_movers(b, bounds, leaving)).collect();
+        let lists: Vec<_> = self.lists.iter_mut().map(List::open).collect();
+        let (blocks, h) = (&self.blocks, self.cell_width);
+        let of_block = |b: usize| find_movers(&lists, (b, blocks.get(b).copied()), h, bounds, leaving);
+        let found: Vec<(Vec<Mover>, bool, Departures, bool)> = (0..n_blocks).into_par_iter().map(of_block).collect();
         let mut departures = Departures::default();
         let mut movers: Vec<Mover> = Vec::with_capacity(found.iter().map(|f| f.0.len()).sum());
         let mut keys: Vec<u64> = Vec::with_capacity(n_blocks);
@@ -618,76 +634,6 @@ impl<T: Scalar> Store<T> {
             self.sort_list(index, &old_blocks, &movers, holes || departures.deleted > 0);
         }
         Ok(departures)
-    }
-
-    /// Looks at one block's particles: those that belong elsewhere, whether any stays, those outside the world, and whether
-    /// one is too far away to be keyed.
-    fn find_movers(
-        &self,
-        b: usize,
-        bounds: &Bounds,
-        leaving: barchan_core::scene::Leaving,
-    ) -> (Vec<Mover>, bool, Departures, bool) {
-        use barchan_core::scene::Leaving;
-        let home = self.blocks.get(b).copied();
-        let (mut movers, mut stays, mut gone, mut far) = (Vec::new(), false, Departures::default(), false);
-        for (l, list) in self.lists.iter().enumerate() {
-            let view = list.view();
-            let run = list.runs[b];
-            for i in 0..run.count {
-                let (chunk, lane) = (run.first + i / CHUNK, i % CHUNK);
-                let mut at = [0; 3];
-                for d in 0..3 {
-                    // SAFETY: the chunk is this block's own, and this call alone works on the block.
-                    let cell = unsafe { &mut *view.cell(chunk, d).add(lane) };
-                    let inside = (bounds.min[d]..bounds.max[d]).contains(cell);
-                    if !inside && bounds.periodic[d] {
-                        *cell = bounds.min[d] + (*cell - bounds.min[d]).rem_euclid(bounds.max[d] - bounds.min[d]);
-                    } else if !inside && list.id[chunk][lane] != PAD {
-                        match leaving {
-                            Leaving::Error => {}
-                            Leaving::Delete => {
-                                gone.deleted += 1;
-                                gone.deleted_mass += list.mass_of(chunk, lane);
-                                // SAFETY: as above. The mark is read when the list is laid out.
-                                unsafe { *list.id.as_ptr().add(chunk).cast::<u32>().add(lane).cast_mut() = PAD };
-                            }
-                            // SAFETY: as above.
-                            Leaving::Clamp => unsafe {
-                                let low = *cell < bounds.min[d];
-                                *cell = if low { bounds.min[d] } else { bounds.max[d] - 1 };
-                                let edge = if low { 0.0 } else { 1.0 - f64::from(f32::EPSILON) };
-                                *view.offset(chunk, d).add(lane) = T::offset_from_f64(edge).unwrap_or_default();
-                                let v = &mut *view.motion(chunk, d).add(lane);
-                                let outward = if low { v.to_f64() < 0.0 } else { v.to_f64() > 0.0 };
-                                if outward {
-                                    gone.impulse[d] -= v.to_f64() * list.mass_of(chunk, lane);
-                                    *v = T::default();
-                                }
-                                gone.clamped += 1;
-                            },
-                        }
-                    }
-                    at[d] = *cell;
-                }
-                let id = list.id[chunk][lane];
-                if id == PAD {
-                    continue;
-                }
-                if leaving == Leaving::Error
-                    && bounds.is_beyond(at, list.offset_of(chunk, lane))
-                    && gone.refused.is_none_or(|(first, _)| id < first)
-                {
-                    gone.refused = Some((id, list.position_of(chunk, lane, self.cell_width)));
-                }
-                match block::key(block::of_cell(at)) {
-                    Some(key) if Some(key) == home => stays = true,
-                    Some(key) => movers.push((key, l as u16, (chunk * CHUNK + lane) as u32)),
-                    None => far = true,
-                }
-            }
-        }
-        (movers, stays, gone, far)
     }
 
     /// Lays one list out for the new blocks and moves its particles there.
@@ -744,18 +690,18 @@ impl<T: Scalar> Store<T> {
         // The permutation, chunk by chunk: a stable counting sort by cell within each block.
         self.order.clear();
         self.order.resize(chunks, [PAD; CHUNK]);
-        let order = Shared(self.order.as_mut_ptr().cast::<u32>());
+        let order = Parts::of(&mut self.order);
         (0..blocks.len()).into_par_iter().for_each(|b| {
+            let own = order.take(runs[b].first..runs[b].first + runs[b].chunks()).as_flattened_mut();
             let mut next = in_cells[b];
-            let mut start = (runs[b].first * CHUNK) as u32;
+            let mut start = 0;
             for next in &mut next {
                 start += std::mem::replace(next, start);
             }
             each(b, &mut |local, place, n| {
                 for (l, &cell) in local[..n].iter().enumerate() {
                     if cell != ELSEWHERE {
-                        // SAFETY: the run's lanes are this block's own.
-                        unsafe { *order.at(next[cell as usize] as usize) = (place + l) as u32 };
+                        own[next[cell as usize] as usize] = (place + l) as u32;
                         next[cell as usize] += 1;
                     }
                 }
@@ -767,7 +713,7 @@ impl<T: Scalar> Store<T> {
         list.runs = runs;
         if unchanged {
             // A run may have gone to another block as it is; its padding must lie there too.
-            list.pad();
+            list.open().pad();
             return;
         }
         let room = chunks.max(list.chunks());
@@ -779,41 +725,101 @@ impl<T: Scalar> Store<T> {
         self.scratch.resize(needed, Line([T::default(); CHUNK]));
         let old_chunks = list.chunks();
         list.resize(room);
-        let scratch = self.scratch.as_mut_ptr();
-        let order = &self.order;
-        permute(&mut list.id, 1, order, scratch.cast());
-        permute(&mut list.body, 1, order, scratch.cast());
-        permute(&mut list.cell, 3, order, scratch.cast());
-        permute(&mut list.offset, 3, order, scratch.cast());
+        let (order, scratch) = (&self.order, &mut self.scratch);
+        permute(&mut list.id, 1, order, scratch);
+        permute(&mut list.body, 1, order, scratch);
+        permute(&mut list.cell, 3, order, scratch);
+        permute(&mut list.offset, 3, order, scratch);
         let (mut narrow, mut wide) = ((&mut list.motion, MOTION), (&mut list.rest, list.rest_planes));
         if narrow.1 > wide.1 {
             std::mem::swap(&mut narrow, &mut wide);
         }
-        permute(narrow.0, narrow.1, order, scratch.cast());
+        permute(narrow.0, narrow.1, order, scratch);
         // The widest group and the scratch may change places, which saves the way back; but not if that leaves too little for a
         // longer list, nor if few chunks have changed.
         if wide.0.capacity() >= most.max(needed) && wide.0.len() == needed && 2 * changed > chunks {
-            gather(wide.0.as_mut_ptr(), wide.1, order, scratch.cast(), |_, _| true);
-            std::mem::swap(wide.0, &mut self.scratch);
+            gather(wide.0, wide.1, order, scratch, |_, _| true);
+            std::mem::swap(wide.0, scratch);
         } else {
-            permute(wide.0, wide.1, order, scratch.cast());
+            permute(wide.0, wide.1, order, scratch);
         }
         if old_chunks != chunks {
             list.resize(chunks);
         }
-        list.pad();
+        list.open().pad();
     }
 }
 
-/// A plane's storage for 16 lanes of plain words.
-trait Plane: Send + Sync {
-    type Word: Copy + Send + Sync;
-}
-impl<W: Copy + Send + Sync> Plane for Line<W> {
-    type Word = W;
-}
-impl<W: Copy + Send + Sync> Plane for [W; CHUNK] {
-    type Word = W;
+/// Looks at one block's particles, given its number and its key if it has one: those that belong elsewhere, whether any stays, those
+/// outside the world, and whether one is too far away to be keyed.
+fn find_movers<T: Scalar>(
+    lists: &[OpenList<'_, T>],
+    (b, home): (usize, Option<u64>),
+    h: f64,
+    bounds: &Bounds,
+    leaving: Leaving,
+) -> (Vec<Mover>, bool, Departures, bool) {
+    let (mut movers, mut stays, mut gone, mut far) = (Vec::new(), false, Departures::default(), false);
+    for (l, list) in lists.iter().enumerate() {
+        let run = list.runs[b];
+        let own = list.take(run.first, run.chunks());
+        for i in 0..run.count {
+            let (chunk, lane) = (i / CHUNK, i % CHUNK);
+            let mut at = [0; 3];
+            for d in 0..3 {
+                let cell = own.cell[chunk * 3 + d].0[lane];
+                at[d] = cell;
+                if (bounds.min[d]..bounds.max[d]).contains(&cell) {
+                    continue;
+                }
+                if bounds.periodic[d] {
+                    at[d] = bounds.min[d] + (cell - bounds.min[d]).rem_euclid(bounds.max[d] - bounds.min[d]);
+                } else if own.id[chunk][lane] != PAD {
+                    match leaving {
+                        Leaving::Error => {}
+                        Leaving::Delete => {
+                            gone.deleted += 1;
+                            gone.deleted_mass += own.mass_of(chunk, lane);
+                            // The mark is read when the list is laid out.
+                            own.id[chunk][lane] = PAD;
+                        }
+                        Leaving::Clamp => {
+                            let low = cell < bounds.min[d];
+                            at[d] = if low { bounds.min[d] } else { bounds.max[d] - 1 };
+                            let edge = if low { 0.0 } else { 1.0 - f64::from(f32::EPSILON) };
+                            own.offset[chunk * 3 + d].0[lane] = T::offset_from_f64(edge).unwrap_or_default();
+                            let mass = own.mass_of(chunk, lane);
+                            let v = &mut own.motion[chunk * MOTION + d].0[lane];
+                            let outward = if low { v.to_f64() < 0.0 } else { v.to_f64() > 0.0 };
+                            if outward {
+                                gone.impulse[d] -= v.to_f64() * mass;
+                                *v = T::default();
+                            }
+                            gone.clamped += 1;
+                        }
+                    }
+                }
+                own.cell[chunk * 3 + d].0[lane] = at[d];
+            }
+            let id = own.id[chunk][lane];
+            if id == PAD {
+                continue;
+            }
+            if leaving == Leaving::Error
+                && bounds.is_beyond(at, own.offset_of(chunk, lane))
+                && gone.refused.is_none_or(|(first, _)| id < first)
+            {
+                let offset = own.offset_of(chunk, lane);
+                gone.refused = Some((id, std::array::from_fn(|d| (f64::from(at[d]) + offset[d]) * h)));
+            }
+            match block::key(block::of_cell(at)) {
+                Some(key) if Some(key) == home => stays = true,
+                Some(key) => movers.push((key, l as u16, ((run.first + chunk) * CHUNK + lane) as u32)),
+                None => far = true,
+            }
+        }
+    }
+    (movers, stays, gone, far)
 }
 
 /// Marks a particle that is not in the block asked about.
@@ -842,16 +848,16 @@ const GRAIN: usize = 256;
 
 /// Moves the particles of a group of planes: lane `l` of chunk `c` becomes the particle at `order[c][l]`. Padding lanes are
 /// left as they come.
-fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; CHUNK]], scratch: *mut P) {
+fn permute<P: Plane, W: Plain>(group: &mut [P], planes: usize, order: &[[u32; CHUNK]], scratch: &mut [Line<W>]) {
     let moves = |chunk: usize, lanes: &[u32; CHUNK]| !is_own(chunk, lanes);
-    gather(group.as_mut_ptr(), planes, order, scratch, moves);
-    let (from, to) = (Shared(scratch.cast::<P::Word>()), Shared(group.as_mut_ptr().cast::<P::Word>()));
-    order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
-        for (k, lanes) in chunks.iter().enumerate() {
-            let at = (task * GRAIN + k) * planes * CHUNK;
+    let moved = room(scratch, order.len() * planes);
+    gather(group, planes, order, moved, moves);
+    let tasks = group.par_chunks_mut(GRAIN * planes).zip(moved.par_chunks(GRAIN * planes)).zip(order.par_chunks(GRAIN));
+    tasks.enumerate().for_each(|(task, ((group, moved), chunks))| {
+        let each = group.chunks_exact_mut(planes).zip(moved.chunks_exact(planes)).zip(chunks);
+        for (k, ((to, from), lanes)) in each.enumerate() {
             if moves(task * GRAIN + k, lanes) {
-                // SAFETY: each task writes chunks of its own; the group has room for all chunks of the order.
-                unsafe { std::ptr::copy_nonoverlapping(from.at(at), to.at(at), planes * CHUNK) };
+                to.copy_from_slice(from);
             }
         }
     });
@@ -859,34 +865,27 @@ fn permute<P: Plane>(group: &mut [P], planes: usize, order: &[[u32; CHUNK]], scr
 
 /// Collects the particles of those chunks of the new order that are wanted.
 fn gather<P: Plane>(
-    group: *mut P,
+    from: &[P],
     planes: usize,
     order: &[[u32; CHUNK]],
-    to: *mut P,
+    to: &mut [P],
     wanted: impl Fn(usize, &[u32; CHUNK]) -> bool + Sync,
 ) {
-    let (from, to) = (Shared(group.cast::<P::Word>()), Shared(to.cast::<P::Word>()));
-    order.par_chunks(GRAIN).enumerate().for_each(|(task, chunks)| {
-        for (k, lanes) in chunks.iter().enumerate() {
-            let chunk = task * GRAIN + k;
-            if !wanted(chunk, lanes) {
+    let tasks = to.par_chunks_mut(GRAIN * planes).zip(order.par_chunks(GRAIN));
+    tasks.enumerate().for_each(|(task, (to, chunks))| {
+        for (k, (to, lanes)) in to.chunks_exact_mut(planes).zip(chunks).enumerate() {
+            if !wanted(task * GRAIN + k, lanes) {
                 continue;
             }
             if lanes[0] % CHUNK as u32 == 0 && (0..CHUNK).all(|l| lanes[l] == lanes[0].wrapping_add(l as u32)) {
-                // SAFETY: places are lanes of existing chunks; the scratch holds the whole group; each task writes chunks of
-                // its own.
-                unsafe {
-                    let source = from.at(lanes[0] as usize * planes);
-                    std::ptr::copy_nonoverlapping(source, to.at(chunk * planes * CHUNK), planes * CHUNK);
-                }
+                to.copy_from_slice(&from[lanes[0] as usize / CHUNK * planes..][..planes]);
                 continue;
             }
             for (l, &place) in lanes.iter().enumerate() {
                 let place = if place == PAD { lanes[0] } else { place } as usize;
-                let source = place / CHUNK * planes * CHUNK + place % CHUNK;
-                for p in 0..planes {
-                    // SAFETY: as above.
-                    unsafe { *to.at((chunk * planes + p) * CHUNK + l) = *from.at(source + p * CHUNK) };
+                let source = &from[place / CHUNK * planes..][..planes];
+                for (to, from) in to.iter_mut().zip(source) {
+                    to.values_mut()[l] = from.values()[place % CHUNK];
                 }
             }
         }

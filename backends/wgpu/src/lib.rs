@@ -5,7 +5,10 @@
 //! in one submission. Where levels have to move, or particles between them, the particles concerned are copied to the
 //! host for a round of split and merge. Sums run in orders that do not depend on which workgroup comes first, and no
 //! float is added atomically. So the same adapter gives the same bits.
-#![expect(unsafe_code, reason = "materials' callbacks cross the C ABI")]
+#![expect(
+    unsafe_code,
+    reason = "drivers get shaders whose bounds checks are left out where naga's have been shown not to be needed"
+)]
 
 pub mod device;
 mod passes;

@@ -107,7 +107,7 @@ pub(crate) fn accuracy(scene: &Scene) -> Option<String> {
 
 /// To one significant digit: more is not known of an error.
 fn one_digit(value: f64) -> f64 {
-    format!("{value:.0e}").parse().expect("a number that was just written")
+    format!("{value:.0e}").parse().expect("Rust reads the numbers that it writes")
 }
 
 /// Bytes for people.

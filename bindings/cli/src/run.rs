@@ -320,7 +320,7 @@ impl Shown {
         if !std::io::stderr().is_terminal() {
             return Self::Lines(0);
         }
-        let style = ProgressStyle::with_template("{bar:40} {percent:>3} %  {msg}").expect("a constant template");
+        let style = ProgressStyle::with_template("{bar:40} {percent:>3} %  {msg}").expect("the template is a constant");
         Self::Bar(ProgressBar::new(1000).with_style(style), Instant::now() - Duration::from_secs(1))
     }
     pub(crate) fn update(&mut self, progress: &Progress) {

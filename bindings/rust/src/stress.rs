@@ -1,6 +1,7 @@
 //! Stress of particles as they are, for pictures and probes.
 
-use barchan_abi::{BARCHAN_CAP_VEL_GRAD, BarchanBatchF64};
+use barchan_core::account::BATCH;
+use barchan_core::batch::{Answer, Matter, Plane};
 use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, Result};
@@ -13,53 +14,30 @@ use barchan_core::{Error, ParticleList, Result};
 /// If the material has no f64 update, or fails.
 pub fn kirchhoff(material: &PlannedMaterial, list: &ParticleList, which: &[usize]) -> Result<Vec<[f64; 6]>> {
     let law = &material.material;
-    let update = law.table.update_f64.ok_or_else(|| Error::Missing {
-        kind: "material",
-        name: law.name.clone(),
-        origin: law.origin.clone(),
-        what: "f64 update".to_owned(),
-        why: "pictures and probes ask for stress in f64".to_owned(),
-        mend: "set output.picture.cut to \"speed\", or give the plugin update_f64".to_owned(),
-    })?;
-    if which.is_empty() {
-        return Ok(Vec::new());
+    let mut stress = Vec::with_capacity(which.len());
+    for which in which.chunks(BATCH) {
+        // The last particle stands in for those behind it, so that no material sees a strain that nothing can have.
+        let fill = |values: &Vec<f64>| Plane(std::array::from_fn(|i| values[which[i.min(which.len() - 1)]]));
+        let strain: Vec<Plane<f64, BATCH>> = list.strain.iter().map(fill).collect();
+        let state: Vec<_> = list.state.iter().map(fill).collect();
+        let matter = Matter { count: which.len(), parameters: &material.parameters, strain: &strain, state: &state };
+        let (mut strain, mut state, mut tau) = (strain.clone(), state.clone(), [Plane::default(); 6]);
+        let answer = Answer { strain: &mut strain, kirchhoff: &mut tau, state: &mut state };
+        let mut error = ErrorBuffer::default();
+        let status = law.update(&matter, None, answer, &mut error).ok_or_else(|| Error::Missing {
+            kind: "material",
+            name: law.name.clone(),
+            origin: law.origin.clone(),
+            what: "f64 update".to_owned(),
+            why: "pictures and probes ask for stress in f64".to_owned(),
+            mend: "set output.picture.cut to \"speed\", or give the plugin update_f64".to_owned(),
+        })?;
+        // A callback may name any particle at all.
+        let named = |i: u64| usize::try_from(i).ok().and_then(|i| which.get(i)).map_or(u64::MAX, |&i| list.id[i]);
+        error.check(status, law, "update_f64", named)?;
+        stress.extend((0..which.len()).map(|i| tau.map(|plane| plane.0[i])));
     }
-    let stride = which.len().next_multiple_of(16);
-    // Padded lanes are at rest, so that no material sees a singular strain.
-    let planes = |of: &[Vec<f64>], rest: &dyn Fn(usize) -> f64| -> Vec<f64> {
-        let plane = |(c, values): (usize, &Vec<f64>)| {
-            let mut plane = vec![rest(c); stride];
-            plane.iter_mut().zip(which).for_each(|(out, &i)| *out = values[i]);
-            plane
-        };
-        of.iter().enumerate().flat_map(plane).collect()
-    };
-    let identity = law.strain_identity();
-    let strain = planes(&list.strain, &|c| identity[c]);
-    let state = planes(&list.state, &|c| law.states[c].initial);
-    let no_gradient = law.has(BARCHAN_CAP_VEL_GRAD).then(|| vec![0.0; 9 * stride]);
-    let mut strain_out = strain.clone();
-    let mut state_out = state.clone();
-    let mut tau = vec![0.0; 6 * stride];
-    let batch = BarchanBatchF64 {
-        struct_size: size_of::<BarchanBatchF64>(),
-        n: which.len(),
-        stride,
-        dt: 0.0,
-        params: material.parameters.as_ptr(),
-        strain_trial: strain.as_ptr(),
-        vel_grad: no_gradient.as_ref().map_or(std::ptr::null(), |zeros| zeros.as_ptr()),
-        state_in: if state.is_empty() { std::ptr::null() } else { state.as_ptr() },
-        strain: strain_out.as_mut_ptr(),
-        kirchhoff: tau.as_mut_ptr(),
-        state_out: if state.is_empty() { std::ptr::null_mut() } else { state_out.as_mut_ptr() },
-    };
-    let mut error = ErrorBuffer::default();
-    // SAFETY: every plane holds `stride` values and there are as many planes as the table declares; nothing overlaps and
-    // all buffers outlive the call.
-    let status = unsafe { update(&raw const batch, error.as_raw()) };
-    error.check(status, law, "update_f64", |i| list.id[which[i as usize]])?;
-    Ok((0..which.len()).map(|i| std::array::from_fn(|c| tau[c * stride + i])).collect())
+    Ok(stress)
 }
 
 /// Pressure of the particles `which` of a list [Pa]: minus a third of the trace of the Cauchy stress.
@@ -82,4 +60,31 @@ pub fn pressure(material: &PlannedMaterial, list: &ParticleList, which: &[usize]
     };
     let tau = kirchhoff(material, list, which)?;
     Ok(which.iter().zip(tau).map(|(&i, t)| -(t[0] + t[1] + t[2]) / (3.0 * volume(i))).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use barchan_abi::{BARCHAN_E_OTHER, BarchanBatchF64, BarchanError, BarchanStatus};
+
+    /// Fails, and blames a particle that is not in the batch.
+    unsafe extern "C" fn blame(_: *const BarchanBatchF64, error: *mut BarchanError) -> BarchanStatus {
+        // SAFETY: the host hands over an error struct.
+        unsafe { (*error).particle = 1 << 40 };
+        BARCHAN_E_OTHER
+    }
+
+    /// Symptom: a law whose update blames a particle beyond the batch ended the program while a picture was drawn. It is an error that names none.
+    #[test]
+    fn a_law_that_blames_a_particle_beyond_the_batch_is_an_error() {
+        let mut material = crate::registry().material("neo_hookean").unwrap().clone();
+        material.table.update_f64 = Some(blame);
+        let parameters = material.parameters.iter().map(|parameter| parameter.default).collect();
+        let planned = PlannedMaterial { name: "m".into(), material, parameters, density: 1000.0, damping: None };
+        let identity = planned.material.strain_identity();
+        let list = ParticleList { id: vec![7; 3], ..ParticleList::empty(0, 0, 0.1, identity.len(), 0) };
+        let list = ParticleList { strain: identity.iter().map(|one| vec![*one; 3]).collect(), ..list };
+        let error = kirchhoff(&planned, &list, &[0, 2]).unwrap_err();
+        assert!(matches!(error, Error::MaterialFailed { particle: None, .. }), "{error}");
+    }
 }

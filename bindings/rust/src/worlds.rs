@@ -21,7 +21,7 @@
 //! # }
 //! ```
 
-use barchan_core::{Options, Registry, Result, Scene, Simulation, StepReport, Together};
+use barchan_core::{Error, Options, Registry, Result, Scene, Simulation, StepReport, Together};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -57,13 +57,14 @@ impl Worlds {
     ///
     /// # Errors
     /// Those of [`Simulation::new`] for the first world that cannot be assembled; on a backend that steps worlds together, also if they
-    /// differ in what they must have in common.
-    ///
-    /// # Panics
-    /// If the system gives no threads.
+    /// differ in what they must have in common. [`Error::Io`] if the system gives no threads.
     pub fn new(registry: &Registry, scenes: Vec<Scene>, options: &Options) -> Result<Self> {
         options.check()?;
-        let pool = ThreadPoolBuilder::new().num_threads(options.threads).build().expect("worker threads start");
+        let pool = ThreadPoolBuilder::new().num_threads(options.threads).build().map_err(|error| Error::Io {
+            file: "threads".into(),
+            what: "starting worker threads",
+            source: std::io::Error::other(error),
+        })?;
         let together = Together::new(registry, &scenes, options)?;
         // How many threads a world has changes no bit of it.
         let options = Options { threads: 1, ..options.clone() };
@@ -132,8 +133,9 @@ impl Worlds {
 
     /// One step of every world. A world that fails stays as it was and keeps its error; the others have taken their step.
     pub fn step(&mut self) -> Vec<Result<StepReport>> {
-        let last =
-            |reports: Vec<StepReport>| reports.into_iter().next_back().expect("a world takes a step or says why not");
+        let last = |reports: Vec<StepReport>| {
+            reports.into_iter().next_back().expect("a simulation refuses an engine that takes no step")
+        };
         match &mut self.machine {
             Machine::Apart(_) => self.each(Simulation::step),
             Machine::Together(together) => together.steps(1).into_iter().map(|reports| reports.map(last)).collect(),

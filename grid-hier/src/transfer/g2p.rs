@@ -2,19 +2,17 @@
 
 use super::{BATCH, Batches, Quads, ROW, Runs, Scalar, Step, X, Y, ahead, first_nodes};
 use crate::block::TILE;
-use crate::particles::{MOTION, Particles, Run};
+use crate::particles::{MOTION, Particles};
 use crate::spline::weights;
 use barchan_lanes::{CHUNK, Kernel, Lanes, Row, tabulate};
 
 use core::mem::MaybeUninit;
 use core::ops::Range;
 
-/// Grid to particles for one run of chunks: velocity, affine matrix, and the move.
+/// Grid to particles for one list in one block: velocity, affine matrix, and the move.
 pub struct GridToParticles<'a, T: Scalar> {
-    /// The list.
-    pub particles: Particles<T>,
-    /// Its chunks in the block.
-    pub run: Run,
+    /// The particles.
+    pub particles: Particles<'a, T>,
     /// Cell of the tile's first node.
     pub origin: [i32; 3],
     /// The step.
@@ -73,22 +71,20 @@ impl<V: Lanes> Greatest<V> {
     }
 }
 
-/// The present rates of one run of chunks: those that [`GridToParticles`] gave.
-pub struct Survey<T: Scalar> {
-    /// The list.
-    pub particles: Particles<T>,
-    /// Its chunks in the block.
-    pub run: Run,
+/// The rates of one list in one block as they are: those that [`GridToParticles`] gave.
+pub struct Survey<'a, T: Scalar> {
+    /// The particles.
+    pub particles: Particles<'a, T>,
 }
 
-impl<T: Scalar> Kernel<T> for Survey<T> {
+impl<T: Scalar> Kernel<T> for Survey<'_, T> {
     type Output = Rates<T>;
 
     #[inline(always)]
     fn run<V: Lanes<Scalar = T>>(self) -> Rates<T> {
         let mut greatest = Greatest::<V>::new();
-        for (_, chunk, lane) in Batches::<V>::parts(self.run.first, self.run.count) {
-            // SAFETY: the run's chunks exist.
+        for (_, chunk, lane) in Batches::<V>::parts(0, self.particles.count()) {
+            // SAFETY: the chunks of so many particles exist.
             unsafe {
                 let v = tabulate!(3, |d| V::load(self.particles.motion(chunk, d).add(lane)));
                 let c = tabulate!(9, |e| V::load(self.particles.motion(chunk, 3 + e).add(lane)));
@@ -120,10 +116,10 @@ impl<T: Scalar> Kernel<T> for GridToParticles<'_, T> {
         let mut greatest = Greatest::<V>::new();
         let mut reads = MaybeUninit::<Reads<T>>::uninit();
         let reads = reads.as_mut_ptr();
-        for from in (0..self.run.count).step_by(BATCH) {
-            let count = (self.run.count - from).min(BATCH);
-            let first = self.run.first + from / CHUNK;
-            // SAFETY: the run's chunks exist, and what is read is this call's own; nodes were checked by the scatter of this step, and
+        let all = self.particles.count();
+        for from in (0..all).step_by(BATCH) {
+            let (count, first) = ((all - from).min(BATCH), from / CHUNK);
+            // SAFETY: the chunks of so many particles exist, and what is read is this call's own; nodes were checked by the scatter of this step, and
             // are checked again because reading outside the tile must be impossible.
             unsafe {
                 self.weigh::<V>(reads, first, count);
@@ -169,7 +165,10 @@ impl<T: Scalar> GridToParticles<'_, T> {
                 let [z0, z1, z2] = weights(f[2]);
                 Batches::write_quads(&raw mut (*reads).z.0[0], at, [z0, z1, z2, V::zero()]);
                 let strayed = first_nodes::<V>(s, chunk, lane, self.origin, &raw mut (*reads).nodes[at]);
-                assert!(!strayed, "a particle strayed between the transfers of one step");
+                assert!(
+                    !strayed,
+                    "P2G has refused the step if a particle is off its block's tile, and none has moved since"
+                );
             }
         }
     }

@@ -2,26 +2,25 @@
 #![expect(non_snake_case, reason = "symbols follow Hu et al. 2018")]
 
 use super::{
-    BATCH, Batch, Batches, ENTRIES, Fault, Law, MAX_STATE, NODE_OF_LANE, Quads, Runs, Scalar, Step, X, Y, ahead,
-    first_nodes, push_forward,
+    BATCH, Batches, ENTRIES, Fault, Law, MAX_STATE, NODE_OF_LANE, Quads, Runs, Scalar, Step, X, Y, ahead, first_nodes,
+    push_forward,
 };
 use crate::block::TILE;
-use crate::particles::{MASS, MOTION, Particles, Run, STRAIN, VOLUME};
+use crate::particles::{MASS, MOTION, Particles, STRAIN, VOLUME};
 use crate::ring::{Carried, PARENT_CELLS};
 use crate::spline::{first_distance, weights};
 use barchan_abi as abi;
+use barchan_abi::batch::{Batch, Pointers};
 use barchan_core::stiffness::Damping;
 use barchan_lanes::{CHUNK, Float, Kernel, Lanes, Mask, Real, Row, tabulate};
 use core::mem::MaybeUninit;
 use core::ops::Range;
 use std::time::Instant;
 
-/// Particles to grid for one run of chunks: strain, stress, then mass and momentum into the tile.
+/// Particles to grid for one list in one block: strain, stress, then mass and momentum into the tile.
 pub struct ParticlesToGrid<'a, T: Scalar> {
-    /// The list.
-    pub particles: Particles<T>,
-    /// Its chunks in the block.
-    pub run: Run,
+    /// The particles.
+    pub particles: Particles<'a, T>,
     /// Cell of the tile's first node.
     pub origin: [i32; 3],
     /// The list's material.
@@ -83,10 +82,14 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
         let step = *self.step;
         // Where nothing has moved and no force is asked for, matter is left alone.
         let parts = if step.dt == 0.0 && step.strain_dt == 0.0 { 0 } else { step.strain_parts };
-        for from in (0..self.run.count).step_by(BATCH) {
-            let count = (self.run.count - from).min(BATCH);
-            let first = self.run.first + from / CHUNK;
-            // SAFETY: the run's chunks exist, the scratch and the gifts are this call's own; `deform` writes the stresses of these
+        let (all, values) = (self.particles.count(), self.law.strain_planes() + self.law.table.n_state);
+        assert!(
+            self.law.table.n_state <= MAX_STATE && self.particles.rest_planes() == STRAIN + values,
+            "lists are made with planes for all that their law keeps, and laws with too much history are refused by the plan"
+        );
+        for from in (0..all).step_by(BATCH) {
+            let (count, first) = ((all - from).min(BATCH), from / CHUNK);
+            // SAFETY: the chunks of so many particles exist, with a plane for each of the law's values; the scratch and the gifts are this call's own; `deform` writes the stresses of these
             // particles, if there are any forces, and `prepare` what they give.
             unsafe {
                 for part in 0..parts {
@@ -167,7 +170,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                     state.store(&raw mut (*scratch).state_in[q][at]);
                 }
             }
-            let batch = Batch {
+            let batch = Batch::from_pointers(Pointers {
                 n: count.next_multiple_of(V::COUNT),
                 stride: BATCH,
                 dt: T::from_f64(dt),
@@ -178,9 +181,10 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 strain: (&raw mut (*scratch).strain).cast(),
                 kirchhoff: (&raw mut (*scratch).kirchhoff).cast(),
                 state_out: if n_state > 0 { (&raw mut (*scratch).state_out).cast() } else { core::ptr::null_mut() },
-            };
+            });
             let clock = self.material_time.is_some().then(Instant::now);
-            let status = T::update(&self.law.table, &batch, self.error);
+            let update = T::update_of(&self.law.table);
+            let status = update.map_or(abi::BARCHAN_E_OTHER, |update| update(batch.as_raw(), self.error));
             if let (Some(clock), Some(time)) = (clock, self.material_time.as_deref_mut()) {
                 *time += clock.elapsed().as_nanos() as u64;
             }
@@ -378,7 +382,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
             for p in run {
                 if z == 0 {
                     ahead(motion, MOTION, p);
-                    ahead(rest, s.rest_planes, p);
+                    ahead(rest, s.rest_planes(), p);
                 }
                 let quad = quads.add(*Batches::<V>::QUAD.get_unchecked(p));
                 let weight_z = R::spread(quad.add(4 * 4 * BATCH + z));

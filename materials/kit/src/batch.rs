@@ -416,17 +416,13 @@ impl<M: Material, T: Float, J: Job<M, T>> Kernel<T> for Walk<'_, M, T, J> {
                     };
                     (from, self.outputs.map(|p| p.wrapping_add(start)), inputs.stride)
                 } else {
-                    let from = Planes {
-                        strain: scratch,
-                        vel_grad: scratch.add(9 * CHUNK),
-                        state: scratch.add(18 * CHUNK),
-                        stride: CHUNK,
-                    };
-                    pad(inputs.strain, inputs.stride, start, count, strain_planes, from.strain.cast_mut());
+                    let (strain, vel_grad, state) = (scratch, scratch.add(9 * CHUNK), scratch.add(18 * CHUNK));
+                    pad(inputs.strain, inputs.stride, start, count, strain_planes, strain);
                     if wants_vel_grad {
-                        pad(inputs.vel_grad, inputs.stride, start, count, 9, from.vel_grad.cast_mut());
+                        pad(inputs.vel_grad, inputs.stride, start, count, 9, vel_grad);
                     }
-                    pad(inputs.state, inputs.stride, start, count, M::STATES.len(), from.state.cast_mut());
+                    pad(inputs.state, inputs.stride, start, count, M::STATES.len(), state);
+                    let from = Planes { strain, vel_grad, state, stride: CHUNK };
                     let out = scratch.add(MAX_PLANES * CHUNK);
                     let first = out.add(J::OUTPUTS[0] * CHUNK);
                     (from, [out, first, first.add(J::OUTPUTS[1] * CHUNK)], CHUNK)

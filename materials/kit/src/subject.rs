@@ -1,9 +1,10 @@
 //! A host in miniature: calls a material's table from safe code, in either precision.
 
 use crate::material::MAX_STATE;
+use barchan_abi::batch::{Batch, Inputs, Number, Outputs};
 use barchan_abi::*;
+use barchan_lanes::Float;
 use core::fmt;
-use core::ptr::{null, null_mut};
 use core::slice::from_raw_parts;
 
 /// A material under test.
@@ -104,60 +105,6 @@ fn spread<T: Copy + Default>(
     out
 }
 
-macro_rules! with_batch {
-    ($name:ident, $batch:ident, $t:ident $(, $reserved:ident)?) => {
-        /// Builds a batch, hands it to `callback`, and returns strain, stress and state planes.
-        fn $name(
-            &self,
-            params: &[f64],
-            dt: f64,
-            particles: &[Particle],
-            stride: usize,
-            callback: impl FnOnce(&$batch, *mut BarchanError) -> BarchanStatus,
-        ) -> Result<Vec<Answer>, SubjectError> {
-            assert!(stride >= particles.len() && params.len() == self.table.n_params);
-            let (strains, states) = (self.strain_planes(), self.table.n_state);
-            let params: Vec<$t> = params.iter().map(|&p| p as $t).collect();
-            let strain_trial = spread(particles, strains, stride, |p, c| p.strain[c] as $t);
-            let vel_grad = spread(particles, 9, stride, |p, c| p.vel_grad[c] as $t);
-            let state_in = spread(particles, states, stride, |p, c| p.state[c] as $t);
-            let mut strain = vec![0 as $t; strains * stride];
-            let mut kirchhoff = vec![0 as $t; 6 * stride];
-            let mut state_out = vec![0 as $t; states * stride];
-            let batch = $batch {
-                struct_size: size_of::<$batch>(),
-                n: particles.len(),
-                stride,
-                dt: dt as $t,
-                $($reserved: 0,)?
-                params: params.as_ptr(),
-                strain_trial: strain_trial.as_ptr(),
-                vel_grad: if self.has(BARCHAN_CAP_VEL_GRAD) { vel_grad.as_ptr() } else { null() },
-                state_in: if states > 0 { state_in.as_ptr() } else { null() },
-                strain: strain.as_mut_ptr(),
-                kirchhoff: kirchhoff.as_mut_ptr(),
-                state_out: if states > 0 { state_out.as_mut_ptr() } else { null_mut() },
-            };
-            call(|error| callback(&batch, error))?;
-            Ok((0..particles.len())
-                .map(|i| {
-                    let mut answer = Answer { strain: [0.0; 9], kirchhoff: [0.0; 6], state: [0.0; MAX_STATE] };
-                    for c in 0..strains {
-                        answer.strain[c] = f64::from(strain[c * stride + i]);
-                    }
-                    for c in 0..6 {
-                        answer.kirchhoff[c] = f64::from(kirchhoff[c * stride + i]);
-                    }
-                    for c in 0..states {
-                        answer.state[c] = f64::from(state_out[c * stride + i]);
-                    }
-                    answer
-                })
-                .collect())
-        }
-    };
-}
-
 impl<'a> Subject<'a> {
     /// Wraps a table.
     ///
@@ -246,8 +193,40 @@ impl<'a> Subject<'a> {
         Particle { strain, vel_grad: [0.0; 9], state }
     }
 
-    with_batch!(with_f32, BarchanBatchF32, f32, reserved);
-    with_batch!(with_f64, BarchanBatchF64, f64);
+    /// Builds a batch, hands it to `callback`, and returns strain, stress and state planes.
+    fn with<T: Float + Number>(
+        &self,
+        params: &[f64],
+        dt: f64,
+        particles: &[Particle],
+        stride: usize,
+        callback: impl FnOnce(*const T::Batch, *mut BarchanError) -> BarchanStatus,
+    ) -> Result<Vec<Answer>, SubjectError> {
+        let (strains, states) = (self.strain_planes(), self.table.n_state);
+        let params: Vec<T> = params.iter().map(|&p| T::from_f64(p)).collect();
+        let trial = spread(particles, strains, stride, |p, c| T::from_f64(p.strain[c]));
+        let vel_grad = spread(particles, 9, stride, |p, c| T::from_f64(p.vel_grad[c]));
+        let before = spread(particles, states, stride, |p, c| T::from_f64(p.state[c]));
+        let (mut strain, mut state) = (vec![T::default(); strains * stride], vec![T::default(); states * stride]);
+        let mut kirchhoff = vec![T::default(); 6 * stride];
+        let (n, dt) = (particles.len(), T::from_f64(dt));
+        let inputs = Inputs { n, stride, dt, params: &params, strain: &trial, vel_grad: &vel_grad, state: &before };
+        let outputs = Outputs { strain: &mut strain, kirchhoff: &mut kirchhoff, state: &mut state };
+        let batch = Batch::new(self.table, inputs, Some(outputs));
+        call(|error| callback(batch.as_raw(), error))?;
+        let answer = |i: usize| {
+            let mut answer = Answer { strain: [0.0; 9], kirchhoff: [0.0; 6], state: [0.0; MAX_STATE] };
+            for (to, from) in [
+                (&mut answer.strain[..strains], &strain),
+                (&mut answer.kirchhoff, &kirchhoff),
+                (&mut answer.state[..states], &state),
+            ] {
+                to.iter_mut().enumerate().for_each(|(c, to)| *to = from[c * stride + i].to_f64());
+            }
+            answer
+        };
+        Ok((0..particles.len()).map(answer).collect())
+    }
 
     /// Calls the update with planes `stride` apart.
     ///
@@ -264,13 +243,13 @@ impl<'a> Subject<'a> {
         match precision {
             Precision::F32 => {
                 let update = self.table.update_f32.ok_or_else(|| absent("update_f32"))?;
-                // SAFETY: `new`'s caller vouches for the function, `with_f32` for the batch.
-                self.with_f32(params, dt, particles, stride, |batch, error| unsafe { update(batch, error) })
+                // SAFETY: `new`'s caller vouches for the function, `with` for the batch.
+                self.with::<f32>(params, dt, particles, stride, |batch, error| unsafe { update(batch, error) })
             }
             Precision::F64 => {
                 let update = self.table.update_f64.ok_or_else(|| absent("update_f64"))?;
                 // SAFETY: as above.
-                self.with_f64(params, dt, particles, stride, |batch, error| unsafe { update(batch, error) })
+                self.with::<f64>(params, dt, particles, stride, |batch, error| unsafe { update(batch, error) })
             }
         }
     }
@@ -303,7 +282,7 @@ impl<'a> Subject<'a> {
         let mut moduli = vec![0f32; 2 * n];
         let out = moduli.as_mut_ptr();
         // SAFETY: as in `update_strided`; `moduli` holds two planes of n.
-        self.with_f32(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
+        self.with::<f32>(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
         Ok(Some((0..n).map(|i| [f64::from(moduli[i]), f64::from(moduli[n + i])]).collect()))
     }
 
@@ -317,7 +296,7 @@ impl<'a> Subject<'a> {
         let mut viscosity = vec![0f32; n];
         let out = viscosity.as_mut_ptr();
         // SAFETY: as in `update_strided`; `viscosity` holds one plane of n.
-        self.with_f32(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
+        self.with::<f32>(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
         Ok(Some(viscosity.into_iter().map(f64::from).collect()))
     }
 
@@ -331,7 +310,7 @@ impl<'a> Subject<'a> {
         let mut energy = vec![0f64; n];
         let out = energy.as_mut_ptr();
         // SAFETY: as in `update_strided`; `energy` holds one plane of n.
-        self.with_f64(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
+        self.with::<f64>(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
         Ok(Some(energy))
     }
 
@@ -348,7 +327,9 @@ impl<'a> Subject<'a> {
         let mut counts = [0; BARCHAN_N_COUNTERS];
         let out = counts.as_mut_ptr();
         // SAFETY: as in `update_strided`; `counts` holds BARCHAN_N_COUNTERS numbers.
-        self.with_f64(params, 0.0, particles, particles.len(), |batch, error| unsafe { callback(batch, out, error) })?;
+        self.with::<f64>(params, 0.0, particles, particles.len(), |batch, error| unsafe {
+            callback(batch, out, error)
+        })?;
         Ok(Some(counts))
     }
 

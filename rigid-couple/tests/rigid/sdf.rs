@@ -206,6 +206,11 @@ fn meshes_that_are_no_solid_are_refused() {
     mixed[0].swap(0, 1);
     let message = TriangleMesh::new(mixed).unwrap_err();
     assert!(message.what.contains("two triangles run the same way along the edge ["), "{message:?}");
+    // In other units than metres it is a size at which products of lengths overflow, or vanish.
+    for scale in [1e300, 1e120, 1e-120, 1e-300] {
+        let message = TriangleMesh::new(good.iter().map(|t| t.map(|x| scale * x))).unwrap_err();
+        assert!(message.what.contains("longest side is") && message.mend.contains("scale"), "{message:?}");
+    }
     let mut infinite = good;
     infinite[0][0].x = f64::NAN;
     assert!(TriangleMesh::new(infinite).unwrap_err().what.contains("NaN"));

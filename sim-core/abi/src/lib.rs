@@ -1,7 +1,8 @@
 //! The stable C interface between Barchan and its material plugins.
 //!
 //! Everything a plugin sees is `#[repr(C)]`, made of fixed-width integers, floats, raw pointers and nullable function
-//! pointers, and lives in [`raw`]. `include/barchan_abi.h` is generated from that file by cbindgen and checked in CI.
+//! pointers, and lives in [`raw`]. `include/barchan_abi.h` is generated from that file by cbindgen and checked in CI. [`batch`] makes what
+//! hosts hand to callbacks.
 //!
 //! Rules that the types cannot express:
 //! - Every struct starts with `struct_size`; fields are only appended. The host copies `min(struct_size, sizeof)` bytes
@@ -12,6 +13,7 @@
 #![no_std]
 #![expect(unsafe_code, reason = "an ABI crate declares unsafe function pointers and Sync for static tables")]
 
+pub mod batch;
 pub mod raw;
 pub use raw::*;
 

@@ -170,10 +170,26 @@ pub trait Real:
     }
 }
 
+/// A plain number.
+///
+/// # Safety
+/// Whatever its bits are, they must be a number of the type, and none of them may be padding.
+pub unsafe trait Plain: Copy + Default + Debug + PartialEq + Send + Sync + 'static {}
+// SAFETY: integers and floats are that.
+unsafe impl Plain for u16 {}
+// SAFETY: as above.
+unsafe impl Plain for u32 {}
+// SAFETY: as above.
+unsafe impl Plain for i32 {}
+// SAFETY: as above.
+unsafe impl Plain for f32 {}
+// SAFETY: as above.
+unsafe impl Plain for f64 {}
+
 /// A scalar that state is stored in: `f32` or `f64`.
-pub trait Float: Real<Mask = bool> + PartialOrd + Default + Send + Sync {
+pub trait Float: Real<Mask = bool> + PartialOrd + Plain {
     /// How a position inside its cell is stored: `u32` counts of 2^-32 cell for f32, the fraction itself for f64.
-    type Offset: Copy + Default + Debug + PartialEq + Send + Sync + 'static;
+    type Offset: Plain;
     /// Lanes without any instruction-set extension.
     type Base: Lanes<Scalar = Self>;
     /// Lanes on AVX2 and FMA.

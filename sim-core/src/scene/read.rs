@@ -350,7 +350,9 @@ fn apply(root: &mut Value, text: &str) -> Result<String> {
                     *scalar_or_table = Value::Table(toml::Table::new());
                 }
                 path = if path.is_empty() { segment.to_owned() } else { format!("{path}.{segment}") };
-                let Value::Table(table) = scalar_or_table else { unreachable!("made a table above") };
+                let Value::Table(table) = scalar_or_table else {
+                    unreachable!("what was no table has just been made one")
+                };
                 table.entry(segment).or_insert_with(|| Value::Table(toml::Table::new()))
             }
         };

@@ -12,7 +12,7 @@ use barchan_core::{
     Stage, StepReport, Vec3, Wrench,
 };
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 const PARAMETERS: [BarchanParam; 4] = [
     parameter("young_modulus", "Pa", 1e6, 0.0, 1e12, BARCHAN_PARAM_MIN_OPEN),
@@ -242,6 +242,8 @@ pub struct Fate {
     pub fails_at: AtomicU64,
     /// From this step on the bound is a tenth; 0: never.
     pub stiffens_at: AtomicU64,
+    /// Do they take no steps at all, and not say why?
+    pub mute: AtomicBool,
     /// Factor by which velocities grow every step, in thousandths; 0: they do not.
     pub grows: AtomicU64,
 }
@@ -297,6 +299,10 @@ impl Engine for Falling {
     fn bound(&self) -> Bound {
         let factor = if self.past(&self.fate.stiffens_at) { 0.1 } else { 1.0 };
         Bound { dt: self.bound.dt * factor, by: self.bound.by.clone() }
+    }
+    fn steps(&mut self, time: f64, dt: f64, _: usize, couplings: &mut [Box<dyn Coupling>]) -> Result<Vec<StepReport>> {
+        let is_mute = self.fate.mute.load(Ordering::Relaxed);
+        if is_mute { Ok(Vec::new()) } else { Ok(vec![self.step(time, dt, couplings)?]) }
     }
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
         couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))?;

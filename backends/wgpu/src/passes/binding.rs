@@ -105,7 +105,9 @@ pub(crate) fn particles_to_next() -> Vec<Use> {
 
 /// Of the set of buffers that does not hold the particles.
 pub(crate) const fn next(name: &'static str, binding: Use) -> Use {
-    let Role::Now(sorted) = binding.2 else { panic!("only what is sorted has a next") };
+    let Role::Now(sorted) = binding.2 else {
+        panic!("tables of passes in this crate ask for the next of what is sorted only")
+    };
     (name, binding.1, Role::Next(sorted), true)
 }
 

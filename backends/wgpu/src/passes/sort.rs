@@ -226,7 +226,8 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     }
     if !is_error {
         // Before blocks are numbered anew.
-        let at = passes.iter().position(|pass| pass.name == "survey").expect("a sort has it");
+        let at =
+            passes.iter().position(|pass| pass.name == "survey").expect("the passes of a sort, listed above, have it");
         let left = include_str!("../wgsl/sort_left.wgsl");
         passes.insert(at, draft("left", "sum_left", left, vec![LISTS, STATUS], Groups::Layers));
     }

@@ -81,9 +81,10 @@ impl WgpuBatch {
     /// The particle of least id with a NaN or infinite value.
     pub(crate) fn find_non_finite(&self, w: usize, time: f64) -> Option<Error> {
         match self.lists(w) {
-            Ok((lists, ..)) => account::find_non_finite(&lists, |field, particle, law, value, count| {
-                self.non_finite(w, field, (particle, law), value, count, time)
-            }),
+            Ok((lists, ..)) => {
+                let world = &self.worlds[w];
+                account::find_non_finite(&lists).error(world.steps, time, &world.materials)
+            }
             Err(error) => Some(error),
         }
     }

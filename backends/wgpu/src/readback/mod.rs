@@ -74,7 +74,9 @@ impl WgpuBatch {
                 continue;
             }
             let held = |sorted: Sorted| self.memory.held(sorted, first, count);
-            let last = held(Sorted::Rest).pop().expect("volumes are in the last");
+            let last = held(Sorted::Rest)
+                .pop()
+                .expect("every law has a strain, so there are planes, with volumes in the last");
             let words: Vec<u32> = read_all(&self.gpu, &[held(Sorted::Record)[0], last])?;
             let (record, rest) = words.split_at(4 * count);
             let (record, rest) = (bytemuck::cast_slice(record), bytemuck::cast_slice(rest));

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Instant;
 
-pub(crate) const ON_HOST: &str = "a law runs on the host";
+pub(crate) const ON_HOST: &str = "this is called where a law runs on the host, and its memory is made with the batch";
 /// Steps that the status knows of where it does: the last one and the one under way.
 pub(crate) const STEPS: usize = 2;
 

@@ -40,7 +40,10 @@ impl WgpuBatch {
             let active: Vec<(usize, f64)> =
                 going.iter().map(|&t| (world_steps[t].world, world_steps[t].time)).collect();
             if active.is_empty() {
-                return Ok(failed.into_iter().map(|error| Err(error.expect("all have failed"))).collect());
+                return Ok(failed
+                    .into_iter()
+                    .map(|error| Err(error.expect("no world is left, so each has failed")))
+                    .collect());
             }
             let mut stretches = self.plan_stretches(&active, dt, count);
             let mut steps = stretches.iter().map(|s| s.steps).sum();

@@ -313,7 +313,7 @@ impl WgpuBatch {
                 let sorted = is_due(world);
                 world.iter_mut().for_each(|level| level.step(sorted));
             }
-            stretches.iter_mut().next_back().expect("there is one").steps += 1;
+            stretches.iter_mut().next_back().expect("the first step begins a stretch").steps += 1;
         }
         stretches
     }

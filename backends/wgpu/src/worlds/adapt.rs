@@ -23,7 +23,8 @@ pub(crate) const FILLED: usize = 2;
 pub(crate) const PLACE: usize = 5;
 /// So many particles come back with the search; as a rule a round that merges nothing concerns fewer.
 pub(crate) const AT_ONCE: usize = 2048;
-pub(crate) const HAS_LEVELS: &str = "only scenes of several levels have rounds";
+pub(crate) const HAS_LEVELS: &str =
+    "only scenes of several levels have rounds, and their passes are made with the others";
 
 /// Copies of particles of a world that a round may concern.
 pub(crate) struct Found {

@@ -76,9 +76,7 @@ impl WgpuBatch {
         self.cover_blocks(1)?;
 
         for (w, arrival) in &arrivals {
-            let spoilt = account::find_non_finite(&arrival.particles.lists, |field, particle, law, value, count| {
-                self.non_finite(*w, field, (particle, law), value, count, 0.0)
-            });
+            let spoilt = account::find_non_finite(&arrival.particles.lists).any();
             let layers = self.layers_of(*w);
             let world = &mut self.worlds[*w];
             world.see_soft(&arrival.particles.lists);
@@ -96,7 +94,7 @@ impl WgpuBatch {
             self.write_regions(*w, Candidates::None);
             let world = &mut self.worlds[*w];
             world.torn = None;
-            world.spoilt = spoilt.is_some();
+            world.spoilt = spoilt;
             world.take_stock(&arrival.particles.lists, arrival.particles.sort.as_ref())?;
         }
         if self.worlds.iter().any(|world| world.reach.is_some()) {

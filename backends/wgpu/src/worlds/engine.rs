@@ -112,7 +112,7 @@ impl Engine for WorldEngine {
 
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
         let mut reports = self.steps(time, dt, 1, couplings)?;
-        Ok(reports.pop().expect("at least one step"))
+        Ok(reports.pop().expect("whatever is submitted has a step, and what fails says so"))
     }
 
     fn steps(
@@ -123,7 +123,10 @@ impl Engine for WorldEngine {
         couplings: &mut [Box<dyn Coupling>],
     ) -> Result<Vec<StepReport>> {
         let world_step = WorldStep { world: self.world, time, couplings };
-        self.shared.take_steps(dt, count, &mut [world_step])?.pop().expect("a report for each world_step")
+        self.shared
+            .take_steps(dt, count, &mut [world_step])?
+            .pop()
+            .expect("there is a result for each world, and one world is asked")
     }
 
     fn download(&self) -> ParticleState {

@@ -181,7 +181,7 @@ impl WgpuBatch {
             gpu,
             kernels,
             memory,
-            worlds: worlds.iter().map(|world| World::new(world.plan)).collect(),
+            worlds: worlds.iter().map(|world| World::new(world.plan)).collect::<Result<_>>()?,
             h: plan.cell_widths[0],
             levels,
             fixed,
@@ -206,7 +206,7 @@ impl WgpuBatch {
     pub(crate) fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
         self.fixed.check(new.plan, world)?;
         self.settle()?;
-        let before = std::mem::replace(&mut self.worlds[world], World::new(new.plan));
+        let before = std::mem::replace(&mut self.worlds[world], World::new(new.plan)?);
         let now = &mut self.worlds[world];
         now.levels.clone_from(&before.levels);
         if let Err(error) = self.take_in(vec![(world, new.particles)]) {

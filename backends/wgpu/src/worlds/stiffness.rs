@@ -3,8 +3,9 @@
 use crate::device::layout::law_of;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
+use barchan_core::batch::Plane;
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::stiffness::{Need, PARTICLES, Plane, Stiffness};
+use barchan_core::stiffness::{Need, PARTICLES, Stiffness};
 use barchan_core::{ParticleList, Result};
 use rayon::prelude::*;
 

@@ -13,7 +13,7 @@ use barchan_core::{Ledger, LevelPhase, ParticleList, Plan, Result, Scene, SortPh
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
 use barchan_grid::bounds::PUT_BACK_DRIFT;
-use barchan_grid::limits::{FULL_SPEED, LEAST_MASS, MAX_DRIFT, MAX_MOVE, SORT_AGE, STIFFNESS_AGE};
+use barchan_grid::limits::{self, FULL_SPEED, LEAST_MASS, MAX_DRIFT, MAX_MOVE, SORT_AGE, STIFFNESS_AGE};
 use std::ops::Range;
 
 /// Whenever [`SORT_AGE`] steps have passed since its last sort, a world is sorted if its particles may have drifted by more than this: a sort that
@@ -234,11 +234,14 @@ impl Level {
 
 impl World {
     /// A world without particles.
-    pub(crate) fn new(plan: &Plan) -> Self {
+    ///
+    /// # Errors
+    /// If a material does not say how stiff it is.
+    pub(crate) fn new(plan: &Plan) -> Result<Self> {
         let unbounded = stiffness::nothing;
-        Self {
+        Ok(Self {
             materials: plan.materials.clone(),
-            contact_materials: plan.materials.iter().map(|m| contact_material(m, plan)).collect(),
+            contact_materials: plan.materials.iter().map(|m| contact_material(m, plan)).collect::<Result<_>>()?,
             scene: plan.scene.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             adapt: Adapt::new(plan),
@@ -277,7 +280,7 @@ impl World {
             wall_impulse: [0.0; 3],
             gravity_impulse: [0.0; 3],
             slept: Slept::default(),
-        }
+        })
     }
 
     /// The parts of the directory around all blocks of its levels that some sorts can find, and so many blocks more: they have drifted by up to a
@@ -341,12 +344,7 @@ impl World {
         // NaN, too, is for the step to find.
         let speed =
             self.levels.iter().map(of_level).fold(f64::INFINITY, |least, dt| if dt < least { dt } else { least });
-        let stiffness = self.stiffness();
-        if speed < stiffness.dt && speed > 0.0 {
-            Bound { dt: speed, by: "particle speed: no particle may move further than half a cell in a step".into() }
-        } else {
-            stiffness
-        }
+        limits::bound(speed, self.stiffness())
     }
 
     /// What depends on the particles as they come in.
@@ -534,9 +532,9 @@ impl World {
 }
 
 /// See [`World::contact_materials`].
-pub(crate) fn contact_material(material: &PlannedMaterial, plan: &Plan) -> [f32; 4] {
-    let modulus = material.contact_modulus(&plan.scene).expect("the plan has asked for it");
-    [modulus as f32, (1.0 / material.density) as f32, 0.0, 0.0]
+fn contact_material(material: &PlannedMaterial, plan: &Plan) -> Result<[f32; 4]> {
+    let modulus = material.contact_modulus(&plan.scene)?;
+    Ok([modulus as f32, (1.0 / material.density) as f32, 0.0, 0.0])
 }
 
 /// The materials' parameters of a world, as passes read them.

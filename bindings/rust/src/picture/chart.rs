@@ -221,7 +221,7 @@ fn place(at: [f64; 2], label: &str, taken: &[Area]) -> Area {
         let outside = width * height - area.shared(&page);
         taken.iter().map(|other| area.shared(other)).sum::<f64>() + 10.0 * outside
     };
-    candidates.min_by(|a, b| covered(a).total_cmp(&covered(b))).expect("there are candidates")
+    candidates.min_by(|a, b| covered(a).total_cmp(&covered(b))).expect("the candidates listed above are some")
 }
 
 fn image(strokes: &[Stroke]) -> Image {

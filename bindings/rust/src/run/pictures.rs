@@ -110,7 +110,7 @@ impl Painters {
     /// Waits until no more than so many are under way.
     fn wait(&mut self, left: usize) -> Result<()> {
         while self.0.len() > left {
-            let oldest = self.0.pop_front().expect("there are more than none");
+            let oldest = self.0.pop_front().expect("the queue is longer than its limit, which is not below 0");
             oldest.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
         }
         Ok(())
