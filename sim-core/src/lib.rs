@@ -20,6 +20,7 @@ pub mod ledger;
 pub mod levels;
 pub mod loader;
 pub mod material;
+pub mod parameter;
 pub mod plan;
 pub mod registry;
 pub mod scene;
@@ -36,7 +37,7 @@ pub mod together;
 
 pub use archive::Tile;
 pub use backend::{Backend, Engine, StepReport};
-pub use coupling::{Aabb, BodyState, Coupling, NearParticle, NodeBatch, Wrench};
+pub use coupling::{Aabb, BodyState, Command, Coupling, NearParticle, NodeBatch, Wrench};
 pub use error::{Error, Result};
 pub use ledger::Ledger;
 pub use levels::Regions;

@@ -95,8 +95,10 @@ fn worlds_are_damped_each_by_its_own_time() {
 /// Where a law of contact runs on the host, the last step's numbers are still on the device when the ledger is read.
 #[test]
 fn beside_a_law_on_the_host_the_last_step_counts() {
-    let current =
-        format!("[[coupling]]\nkind = \"{}\"\nparameters = {{ rate = 0.5, x = 0.2 }}\n", barchan_seam_coupling::KIND);
+    let current = format!(
+        "[[coupling]]\nkind = \"{}\"\nparameters = {{ rate = 0.5, velocity = [0.2, 0, 0] }}\n",
+        barchan_seam_coupling::CURRENT
+    );
     let text = fallen("hencky", LAWS[0].1, LAWS[0].2, "step = 3e-4", &current);
     let on = |backend: &str, steps: usize| {
         let options = Options { backend: backend.to_owned(), ..options(Precision::F32) };
