@@ -229,7 +229,6 @@ impl RigidWorld {
             let Some((saved, link)) = saved.multibody_joints.get(handle) else { return false };
             link == place.id
                 && saved.num_links() == multibody.num_links()
-                && saved.ndofs() == multibody.ndofs()
                 && saved.generalized_velocity().iter().all(|v| v.is_finite())
                 && saved.link(link).is_some_and(|link| {
                     link.rigid_body_handle() == own.rigid_body_handle()
@@ -382,6 +381,8 @@ mod tests {
         let hinge = RevoluteJointBuilder::new(DVec3::Y).local_anchor1(DVec3::X * LENGTH).local_anchor2(left);
         let ball = SphericalJointBuilder::new().local_anchor1(right).local_anchor2(left);
         let RigidWorld { physics, .. } = &mut world;
+        // A coupling moves its bodies by gravity itself; rapier alone knows what that does to links of a multibody.
+        physics.gravity = DVec3::new(0.0, 0.1, -9.81);
         match joints {
             Joints::None => {}
             Joints::Impulses => {
@@ -396,16 +397,8 @@ mod tests {
         world
     }
 
-    /// Moves the pendulum under gravity, which rapier is not told of.
     fn swing(world: &mut RigidWorld, steps: usize) {
-        for _ in 0..steps {
-            for body in [1, 2] {
-                let (_, mut twist) = world.state(body);
-                twist.linear += DVec3::new(0.0, 0.1, -9.81) * DT;
-                world.throw(body, &twist);
-            }
-            world.step(DT).unwrap();
-        }
+        (0..steps).for_each(|_| world.step(DT).unwrap());
     }
 
     fn bits(world: &RigidWorld) -> Vec<u64> {
