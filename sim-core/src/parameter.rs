@@ -426,11 +426,11 @@ impl Parameters {
     /// # Panics
     /// If no array of tables of that name was declared.
     pub fn tables(&self, name: &str) -> Vec<&Self> {
-        let table = |item| match item {
-            &Value::Table(ref table) => table,
+        let tables = self.array(name).iter().map(|item| match item {
+            Value::Table(table) => table,
             other => undeclared("array of tables", name, Some(other)),
-        };
-        self.array(name).iter().map(table).collect()
+        });
+        tables.collect()
     }
     /// The files that are named, as they were given.
     pub fn files(&self) -> Vec<&Path> {
