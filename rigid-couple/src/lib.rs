@@ -26,6 +26,7 @@ pub use mesh::MeshSolid;
 pub use rigid::Rigid;
 pub use sdf::Sdf;
 
+use barchan_core::plan::TOOL_COUPLING;
 use barchan_core::{Error, Registry, Result};
 use std::sync::Arc;
 
@@ -39,10 +40,10 @@ pub fn register(registry: &mut Registry) -> Result<()> {
         Ok(Box::new(MeshSolid::new(&mesh)) as _)
     }));
     registry.add_coupling(
-        "rigid",
+        TOOL_COUPLING,
         "Rigid tools and free rigid bodies in contact with the ground",
         Vec::new(),
-        Arc::new(|scene| Ok(Box::new(Rigid::new(scene)?) as _)),
+        Arc::new(|setup| Ok(Box::new(Rigid::new(setup.scene)?.called(setup.name)) as _)),
     )
 }
 

@@ -8,8 +8,9 @@ use crate::sdf::{Primitive, Sdf};
 use crate::world::{RigidWorld, Role};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, DeviceLaw, FreeState, Group, Lent, Moved};
+use barchan_core::plan::TOOL_COUPLING;
 use barchan_core::scene::{Contact, Motion, Tool, Wall};
-use barchan_core::{BodyState, Coupling, Error, NodeBatch, Result, Scene, Vec3, Wrench};
+use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Vec3, Wrench};
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix6, Vector6};
 use rapier3d_f64::prelude::PhysicsWorld;
@@ -53,6 +54,7 @@ impl Samples {
 
 /// The coupling "rigid". A body's reference point is its centre of mass if it is free, and its frame's origin if it is driven.
 pub struct Rigid {
+    name: String,
     bodies: Vec<Body>,
     wrenches: Vec<Wrench>,
     scene: Scene,
@@ -298,7 +300,7 @@ fn check_contact(contact: Contact) -> Result<(), Refusal> {
 }
 
 impl Rigid {
-    /// The tools of `scene`.
+    /// The tools of `scene`, as the coupling 'rigid'.
     ///
     /// # Errors
     /// [`Error::Body`] if a tool's shape, mesh, mass, contact or motion cannot be used, naming its key path.
@@ -314,6 +316,7 @@ impl Rigid {
         }
         let world_box = Aabb { min: scene.world.min, max: scene.world.max };
         let mut rigid = Self {
+            name: TOOL_COUPLING.to_owned(),
             wrenches: vec![Wrench::default(); bodies.len()],
             scene: scene.clone(),
             // Particles outside the world do not live long enough to reach further nodes than these.
@@ -325,6 +328,12 @@ impl Rigid {
         };
         rigid.world = rigid.rigid_world(scene);
         Ok(rigid)
+    }
+
+    /// The same under another name.
+    #[must_use]
+    pub fn called(self, name: &str) -> Self {
+        Self { name: name.to_owned(), ..self }
     }
 
     fn rigid_world(&self, scene: &Scene) -> Option<RigidWorld> {
@@ -502,7 +511,7 @@ impl Rigid {
             }
         }
         world.step(dt).map_err(|what| Error::Body {
-            path: "coupling 'rigid'".into(),
+            path: format!("coupling '{}'", self.name),
             what: format!("the solver of contacts among rigid bodies failed: {what}"),
             mend: "lower time.step, or start from another snapshot".into(),
         })?;
@@ -525,7 +534,7 @@ impl Rigid {
 
 impl Coupling for Rigid {
     fn name(&self) -> &str {
-        "rigid"
+        &self.name
     }
 
     fn bodies(&self) -> Vec<BodyState> {
@@ -709,20 +718,23 @@ impl Coupling for Rigid {
         points.iter().map(nearest).collect()
     }
 
-    fn drive(&mut self, body: &str, velocity: Vec3, angular_velocity: Vec3) -> Result<()> {
+    fn act(&mut self, body: &str, command: &Command) -> Result<()> {
         let path = format!("tool '{body}'");
         let names: Vec<&str> = self.bodies.iter().map(|body| body.name.as_str()).collect();
         let Some(i) = names.iter().position(|name| *name == body) else {
             return Err(Refusal::new("there is no such tool", format!("known are: {}", names.join(", "))).at(&path));
         };
         let body = &mut self.bodies[i];
+        let &Command::Twist { linear, angular } = command else {
+            let what = format!("it has no joints, and {} are asked for", command.name());
+            return Err(Refusal::new(what, "give it a twist").at(&path));
+        };
         if !matches!(body.mover, Mover::Velocity) {
             return Err(Refusal::new("it is not driven by velocity", "give it a motion = { velocity = {} }").at(&path));
         }
-        let command = vector(velocity, "the velocity asked for").and_then(|linear| {
-            Ok(Twist { linear, angular: vector(angular_velocity, "the angular velocity asked for")? })
-        });
-        body.state.command = command.map_err(|refusal| refusal.at(&path))?;
+        let twist = vector(linear, "the velocity asked for")
+            .and_then(|linear| Ok(Twist { linear, angular: vector(angular, "the angular velocity asked for")? }));
+        body.state.command = twist.map_err(|refusal| refusal.at(&path))?;
         Ok(())
     }
 

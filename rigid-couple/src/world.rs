@@ -10,8 +10,8 @@ use barchan_core::scene::{Contact, Wall, World};
 use glam::{DMat3, DQuat, DVec3};
 use rapier3d_f64::math::Pose as RapierPose;
 use rapier3d_f64::prelude::{
-    CoefficientCombineRule, Collider, ColliderBuilder, MassProperties, PhysicsWorld, RigidBody, RigidBodyBuilder,
-    RigidBodyHandle, RigidBodyType, SharedShape,
+    CoefficientCombineRule, Collider, ColliderBuilder, GenericJoint, MassProperties, PhysicsWorld, RigidBody,
+    RigidBodyBuilder, RigidBodyHandle, RigidBodyType, SharedShape,
 };
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -41,6 +41,27 @@ pub enum Role {
 
 fn is_finite(pose: &RapierPose) -> bool {
     pose.translation.is_finite() && pose.rotation.is_finite()
+}
+
+/// Are they apart by no more than rounding?
+fn is_near(a: &RapierPose, b: &RapierPose) -> bool {
+    let turned = (a.rotation - b.rotation).length().min((a.rotation + b.rotation).length());
+    let moved = (a.translation - b.translation).length();
+    turned <= 1e-9 && moved <= 1e-9 * (1.0 + b.translation.length())
+}
+
+/// Does a joint sit where another does, and leave the same axes free? What its motors are told, and its impulses, change from step to step: they are
+/// finite.
+fn is_same_joint(joint: &GenericJoint, own: &GenericJoint) -> bool {
+    let axes = |joint: &GenericJoint| [joint.locked_axes, joint.limit_axes, joint.motor_axes, joint.coupled_axes];
+    let motors = joint.motors.iter().flat_map(|motor| {
+        [motor.target_vel, motor.target_pos, motor.stiffness, motor.damping, motor.max_force, motor.impulse]
+    });
+    let limits = joint.limits.iter().flat_map(|limit| [limit.min, limit.max, limit.impulse]);
+    axes(joint) == axes(own)
+        && is_near(&joint.local_frame1, &own.local_frame1)
+        && is_near(&joint.local_frame2, &own.local_frame2)
+        && motors.chain(limits).all(f64::is_finite)
 }
 
 fn to_rapier(pose: &Pose) -> RapierPose {
@@ -106,10 +127,7 @@ impl RigidWorld {
     /// Puts a body where it is at the start of the step, if it is not there: what rapier has not moved itself is off by more than rounding.
     pub fn place(&mut self, body: usize, pose: &Pose) {
         let handle = self.handles[body];
-        let now = self.physics.bodies[handle].position();
-        let turned = (now.rotation - pose.rotation).length().min((now.rotation + pose.rotation).length());
-        let moved = (now.translation - pose.position).length();
-        if turned > 1e-9 || moved > 1e-9 * (1.0 + pose.position.length()) {
+        if !is_near(self.physics.bodies[handle].position(), &to_rapier(pose)) {
             self.physics.bodies[handle].set_position(to_rapier(pose), true);
         }
     }
@@ -133,7 +151,7 @@ impl RigidWorld {
 
     /// Takes up what [`physics`](Self::physics) gave in a world with the same bodies.
     ///
-    /// Rapier trusts what it reads. Checked here is what can be seen from outside: that bodies and colliders are those of this
+    /// Rapier trusts what it reads. Checked here is what can be seen from outside: that bodies, colliders and joints are those of this
     /// world, and finite. Its lists and trees are its own; [`step`](Self::step) finds out about them, but for a tree forged into
     /// a circle, in which rapier runs until memory ends.
     ///
@@ -173,7 +191,8 @@ impl RigidWorld {
                 return Err("a part of its rigid solver's bodies is not the scene's, or not finite".to_owned());
             }
         }
-        // Gravity, tolerances and joints are the scene's to say.
+        self.check_joints(&saved)?;
+        // Gravity and tolerances are the scene's to say.
         self.physics = PhysicsWorld {
             gravity: ours.gravity,
             integration_parameters: ours.integration_parameters,
@@ -182,10 +201,47 @@ impl RigidWorld {
             narrow_phase: saved.narrow_phase,
             bodies: saved.bodies,
             colliders: saved.colliders,
+            impulse_joints: saved.impulse_joints,
+            multibody_joints: saved.multibody_joints,
             ..PhysicsWorld::default()
         };
         self.pace(saved.integration_parameters.dt);
         Ok(())
+    }
+
+    /// Are the joints those of this world, and finite?
+    fn check_joints(&self, saved: &PhysicsWorld) -> Result<(), String> {
+        let ours = &self.physics;
+        let counts = [saved, ours].map(|world| (world.impulse_joints.len(), world.multibody_joints.iter().count()));
+        if counts[0] != counts[1] {
+            let [(impulse, multibody), (own_impulse, own_multibody)] = counts;
+            return Err(format!(
+                "its rigid solver holds {impulse} joints by impulses and {multibody} of multibodies, and the scene makes {own_impulse} and {own_multibody}"
+            ));
+        }
+        let by_impulses = ours.impulse_joints.iter().all(|(handle, own)| {
+            saved.impulse_joints.get(handle).is_some_and(|joint| {
+                (joint.body1(), joint.body2()) == (own.body1(), own.body2())
+                    && joint.impulses.iter().all(|impulse| impulse.is_finite())
+                    && is_same_joint(&joint.data, &own.data)
+            })
+        });
+        let of_multibodies = ours.multibody_joints.iter().all(|(handle, place, multibody, own)| {
+            let Some((saved, link)) = saved.multibody_joints.get(handle) else { return false };
+            link == place.id
+                && saved.num_links() == multibody.num_links()
+                && saved.generalized_velocity().iter().all(|v| v.is_finite())
+                && saved.link(link).is_some_and(|link| {
+                    link.rigid_body_handle() == own.rigid_body_handle()
+                        && link.parent_id() == own.parent_id()
+                        && is_finite(link.local_to_world())
+                        && is_same_joint(&link.joint.data, &own.joint.data)
+                })
+        });
+        if by_impulses && of_multibodies {
+            return Ok(());
+        }
+        Err("a joint of its rigid solver is not the scene's, or not finite".to_owned())
     }
 
     /// Moves all bodies by `dt` [s].
@@ -282,4 +338,143 @@ fn convex_parts(mesh: &MeshPart) -> SharedShape {
     SharedShape::convex_hull(vertices)
         .filter(|hull| hull.mass_properties(1.0).mass() < 1.01 * volume)
         .unwrap_or_else(|| SharedShape::convex_decomposition(vertices, triangles))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use barchan_core::Scene;
+    use rapier3d_f64::prelude::{RevoluteJointBuilder, SphericalJointBuilder};
+
+    const DT: f64 = 1e-3;
+    const LENGTH: f64 = 0.5;
+
+    /// How the rods hang.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Joints {
+        None,
+        Impulses,
+        Multibody,
+    }
+
+    fn rod() -> Sdf {
+        let half = DVec3::new(0.5 * LENGTH, 0.02, 0.02);
+        Sdf::from_shape(
+            &barchan_core::scene::Shape::Box { min: None, max: None, half: Some(half.to_array()), center: None },
+            std::path::Path::new(""),
+            "shape",
+        )
+        .unwrap()
+    }
+
+    /// A double pendulum that starts level: a rod that turns about its end at the origin, and another at its other end.
+    fn pendulum(joints: Joints) -> RigidWorld {
+        let text = "name = 'air'\nworld = { cell = 0.1, min = [-2, -2, -2], max = [2, 2, 2] }\ntime = { end = 1 }";
+        let scene = Scene::from_str(text, "air", "").unwrap();
+        let mut world = RigidWorld::new(&scene.world, LENGTH);
+        let rod = rod();
+        let at = |x: f64| Pose { position: DVec3::X * x, rotation: DQuat::IDENTITY };
+        let inertia = DMat3::from_diagonal(DVec3::new(1e-3, 0.02, 0.02));
+        world.add(&rod, &at(-LENGTH), Contact::Slip, Role::Fixed);
+        for x in [0.5 * LENGTH, 1.5 * LENGTH] {
+            world.add(&rod, &at(x), Contact::Slip, Role::Free { mass: 1.0, inertia, restitution: 0.0 });
+        }
+        let (left, right) = (DVec3::X * (-0.5 * LENGTH), DVec3::X * (0.5 * LENGTH));
+        let [hook, first, second] = world.handles[..] else { unreachable!("three were added") };
+        let hinge = RevoluteJointBuilder::new(DVec3::Y).local_anchor1(DVec3::X * LENGTH).local_anchor2(left);
+        let ball = SphericalJointBuilder::new().local_anchor1(right).local_anchor2(left);
+        let RigidWorld { physics, .. } = &mut world;
+        // A coupling moves its bodies by gravity itself; rapier alone knows what that does to links of a multibody.
+        physics.gravity = DVec3::new(0.0, 0.1, -9.81);
+        match joints {
+            Joints::None => {}
+            Joints::Impulses => {
+                physics.impulse_joints.insert(hook, first, hinge.contacts_enabled(false), true);
+                physics.impulse_joints.insert(first, second, ball.contacts_enabled(false), true);
+            }
+            Joints::Multibody => {
+                physics.multibody_joints.insert(hook, first, hinge.contacts_enabled(false), true);
+                physics.multibody_joints.insert(first, second, ball.contacts_enabled(false), true);
+            }
+        }
+        world
+    }
+
+    fn swing(world: &mut RigidWorld, steps: usize) {
+        (0..steps).for_each(|_| world.step(DT).unwrap());
+    }
+
+    fn bits(world: &RigidWorld) -> Vec<u64> {
+        let numbers = |(pose, twist): (Pose, Twist)| {
+            let vectors = [pose.position, twist.linear, twist.angular].map(|v| v.to_array()).concat();
+            [vectors, pose.rotation.to_array().to_vec()].concat()
+        };
+        (0..3).flat_map(|body| numbers(world.state(body))).map(f64::to_bits).collect()
+    }
+
+    fn copy(world: &RigidWorld) -> PhysicsWorld {
+        postcard::from_bytes(&postcard::to_stdvec(world.physics()).unwrap()).unwrap()
+    }
+
+    /// Symptom: a restored world had lost its joints, so that a robot fell apart. A pendulum goes on as if it had not been saved, from its start and from
+    /// its middle, and its rods still hang together.
+    #[test]
+    fn joints_go_on_bit_for_bit_after_a_restore() {
+        for joints in [Joints::Impulses, Joints::Multibody] {
+            for before in [0, 1, 200] {
+                let mut whole = pendulum(joints);
+                swing(&mut whole, before);
+                let mut restored = pendulum(joints);
+                restored.restore(copy(&whole)).unwrap();
+                swing(&mut whole, 300);
+                swing(&mut restored, 300);
+                assert!(bits(&whole) == bits(&restored), "other bits after {before} steps");
+                let end = |body: usize, side: f64| {
+                    let (pose, _) = restored.state(body);
+                    pose.apply(DVec3::X * (0.5 * side * LENGTH))
+                };
+                let gaps = [end(1, -1.0).length(), (end(2, -1.0) - end(1, 1.0)).length()];
+                println!("after {before} steps gaps {gaps:?} m, tolerance 1e-3 m; the end is at {:.3}", end(2, 1.0));
+                assert!(gaps.iter().all(|gap| *gap < 1e-3), "{gaps:?}");
+                assert!(end(2, 1.0).z < -0.1, "it has not swung");
+            }
+        }
+    }
+
+    /// What is saved is held to the world that takes it up.
+    #[test]
+    fn foreign_joints_are_refused() {
+        let mut hinged = pendulum(Joints::Impulses);
+        for other in [Joints::None, Joints::Multibody] {
+            let error = hinged.restore(copy(&pendulum(other))).unwrap_err();
+            assert!(error.contains("and the scene makes 2 and 0"), "{error}");
+        }
+        let forge = |change: &dyn Fn(&mut PhysicsWorld), joints: Joints| {
+            let mut saved = copy(&pendulum(joints));
+            change(&mut saved);
+            let error = pendulum(joints).restore(saved).unwrap_err();
+            assert!(error.contains("a joint of its rigid solver is not the scene's, or not finite"), "{error}");
+        };
+        let first = |saved: &mut PhysicsWorld| saved.impulse_joints.iter_mut().next().unwrap().0;
+        let edit = |saved: &mut PhysicsWorld, change: &dyn Fn(&mut GenericJoint)| {
+            let handle = first(saved);
+            change(&mut saved.impulse_joints.get_mut(handle, false).unwrap().data);
+        };
+        forge(&|saved| edit(saved, &|joint| joint.motors[0].target_vel = f64::NAN), Joints::Impulses);
+        forge(&|saved| edit(saved, &|joint| joint.local_frame1.translation.x += 0.1), Joints::Impulses);
+        forge(&|saved| edit(saved, &|joint| joint.locked_axes = GenericJoint::default().locked_axes), Joints::Impulses);
+        let turn_around = |saved: &mut PhysicsWorld| {
+            let handle = first(saved);
+            let joint = saved.impulse_joints.get(handle).unwrap();
+            let (a, b) = (joint.body1(), joint.body2());
+            saved.impulse_joints.set_bodies(handle, b, a, false);
+        };
+        forge(&turn_around, Joints::Impulses);
+        let spoil = |saved: &mut PhysicsWorld| {
+            let handle = saved.multibody_joints.iter().next().unwrap().0;
+            let (multibody, link) = saved.multibody_joints.get_mut(handle).unwrap();
+            multibody.link_mut(link).unwrap().joint.data.motors[0].target_pos = f64::INFINITY;
+        };
+        forge(&spoil, Joints::Multibody);
+    }
 }

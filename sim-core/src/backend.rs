@@ -1,5 +1,6 @@
 //! Backends: where particles live and a step is carried out.
 
+use crate::parameter::Parameter;
 use crate::{BodyState, Coupling, Form, Ledger, ParticleState, Plan, Result, Spot, Stage, Tile, Wrench};
 
 /// A way to run a plan, such as `cpu`.
@@ -8,6 +9,11 @@ pub trait Backend: Send + Sync {
     fn name(&self) -> &str;
     /// One paragraph.
     fn doc(&self) -> &str;
+    /// What it can be asked for beyond what every backend is ([`Options::backend_parameters`](crate::Options::backend_parameters)); the values are in
+    /// [`Plan::backend_parameters`].
+    fn parameters(&self) -> Vec<Parameter> {
+        Vec::new()
+    }
     /// What it can run on besides the processor, best first: GPUs, and software in their place. `None`: nothing, so that naming one
     /// in [`crate::Options`] is an error.
     fn adapters(&self) -> Option<Vec<Adapter>> {

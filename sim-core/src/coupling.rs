@@ -29,6 +29,35 @@ impl Wrench {
     }
 }
 
+/// What a body is told to do from now on.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Command {
+    /// Move with this velocity.
+    Twist {
+        /// Of its reference point: its frame's origin, for a tool; world frame [m/s].
+        linear: Vec3,
+        /// World frame [rad/s].
+        angular: Vec3,
+    },
+    /// Bring its joints to these positions, in the order in which the body lists them: angles of revolute joints [rad], displacements of prismatic
+    /// ones [m].
+    JointTargets(Vec<f64>),
+    /// Act on its joints, in the order in which the body lists them: torques on revolute joints [N m], forces on prismatic ones [N].
+    JointTorques(Vec<f64>),
+}
+
+impl Command {
+    /// What it gives, for messages: "a twist", "joint targets" or "joint torques".
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Twist { .. } => "a twist",
+            Self::JointTargets(_) => "joint targets",
+            Self::JointTorques(_) => "joint torques",
+        }
+    }
+}
+
 /// What a body is doing, world frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BodyState {
@@ -266,7 +295,7 @@ pub struct Group {
 /// in the last step is cleared in `before_step`. An impulse is taken from the node where it acts and booked once, on the body,
 /// at that node's position.
 pub trait Coupling: Send + Sync {
-    /// Name of the kind, as registered.
+    /// Its own name in the scene, as it was [given](crate::registry::CouplingSetup::name) when it was made.
     fn name(&self) -> &str;
     /// Bodies in the scene's order, as they are now.
     fn bodies(&self) -> Vec<BodyState>;
@@ -381,11 +410,11 @@ pub trait Coupling: Send + Sync {
     /// Signed distance to the nearest body's surface [m], negative inside, at each point; used to seed ground around
     /// bodies and by tests. Bodies of a coupling without a surface answer infinity.
     fn distance(&self, points: &[Vec3]) -> Vec<f64>;
-    /// Sets the velocity of a driven body [m/s, rad/s], for agents that act every step.
+    /// Tells a body what to do from now on, for agents that act every step.
     ///
     /// # Errors
-    /// If there is no such body, it is not driven by velocity, or the numbers are not finite.
-    fn drive(&mut self, body: &str, velocity: Vec3, angular_velocity: Vec3) -> Result<()>;
+    /// If there is no such body, it does not take such commands, or the numbers are not finite.
+    fn act(&mut self, body: &str, command: &Command) -> Result<()>;
     /// Warnings about the set-up (a blade thinner than two cells, say).
     fn warnings(&self, cell_width: f64) -> Vec<String>;
     /// Named counts of clamps and clips since the start, for the ledger.

@@ -11,14 +11,14 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A scene file or a `--set` that cannot be used.
+    /// A scene file, a `--set` or a parameter of a backend that cannot be used.
     #[error(
         "{file}{}: {path}: {what}{}",
         if *line > 0 { format!(":{line}") } else { String::new() },
         allowed.as_ref().map(|a| format!("; {a}")).unwrap_or_default()
     )]
     Scene {
-        /// File, or "--set".
+        /// File, "--set" or "--backend-parameter".
         file: String,
         /// Line, from 1; 0 if there is none.
         line: usize,
@@ -87,10 +87,10 @@ pub enum Error {
         /// What would mend it.
         mend: String,
     },
-    /// A library that cannot be loaded as a plugin.
+    /// A library that cannot be loaded as a plugin, or a plugin that cannot be registered.
     #[error("plugin {}: {what}; {mend}", library.display())]
     Plugin {
-        /// The file.
+        /// The file; of a plugin that a program registers itself, its kind and name.
         library: PathBuf,
         /// What is wrong with it.
         what: String,

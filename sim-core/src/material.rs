@@ -1,28 +1,10 @@
 //! A material as the engine sees it: a checked copy of its ABI table, with the callbacks wrapped.
 
 use crate::loader::{LEAST_MATERIAL, Refusal, check_major, read_array, read_prefix, read_text};
+use crate::parameter::{self, Parameter, is_snake_case};
 use crate::{Error, Result};
 use barchan_abi as abi;
 use std::path::Path;
-
-/// One parameter of a material, or of a coupling.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Parameter {
-    /// snake_case name.
-    pub name: String,
-    /// SI unit.
-    pub unit: String,
-    /// One sentence.
-    pub doc: String,
-    /// Default.
-    pub default: f64,
-    /// Least value.
-    pub min: f64,
-    /// Greatest value.
-    pub max: f64,
-    /// `BARCHAN_PARAM_*` bits.
-    pub flags: u64,
-}
 
 /// One history variable of a material.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,69 +19,6 @@ pub struct StateVariable {
     pub initial: f64,
     /// `BARCHAN_MERGE_*` rule.
     pub merge: u32,
-}
-
-fn is_snake_case(name: &str) -> bool {
-    name.starts_with(|c: char| c.is_ascii_lowercase())
-        && name.bytes().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'_')
-}
-
-impl Parameter {
-    /// A parameter that may have any value of a closed range.
-    pub fn new(name: &str, unit: &str, default: f64, [min, max]: [f64; 2], doc: &str) -> Self {
-        Self { name: name.to_owned(), unit: unit.to_owned(), doc: doc.to_owned(), default, min, max, flags: 0 }
-    }
-    /// Whether the value is in the declared range; NaN never is.
-    pub fn allows(&self, value: f64) -> bool {
-        let above = if self.flags & abi::BARCHAN_PARAM_MIN_OPEN != 0 { value > self.min } else { value >= self.min };
-        let below = if self.flags & abi::BARCHAN_PARAM_MAX_OPEN != 0 { value < self.max } else { value <= self.max };
-        above && below
-    }
-    /// The declared range, such as `(-1, 0.5)` or `[0, inf)`.
-    pub fn range(&self) -> String {
-        let open = if self.flags & abi::BARCHAN_PARAM_MIN_OPEN != 0 { '(' } else { '[' };
-        let close = if self.flags & abi::BARCHAN_PARAM_MAX_OPEN != 0 { ')' } else { ']' };
-        format!("{open}{}, {}{close}", self.min, self.max)
-    }
-    /// # Safety
-    /// The strings are empty or static text.
-    unsafe fn read(raw: abi::BarchanParam) -> Result<Self, Refusal> {
-        // SAFETY: the caller's promise.
-        let (name, unit, doc) = unsafe {
-            (
-                read_text(raw.name, "parameter's name")?,
-                read_text(raw.unit, "parameter's unit")?,
-                read_text(raw.doc, "parameter's doc")?,
-            )
-        };
-        let parameter = Self {
-            name,
-            unit,
-            doc,
-            default: raw.default_value,
-            min: raw.min_value,
-            max: raw.max_value,
-            flags: raw.flags,
-        };
-        if !is_snake_case(&parameter.name) {
-            return Err(Refusal::new(
-                format!("it has a parameter named '{}'", parameter.name),
-                "use snake_case: a-z, 0-9 and _",
-            ));
-        }
-        if !parameter.allows(parameter.default) {
-            return Err(Refusal::new(
-                format!(
-                    "the default {} of parameter '{}' is outside its range {}",
-                    parameter.default,
-                    parameter.name,
-                    parameter.range()
-                ),
-                "correct the default or the range",
-            ));
-        }
-        Ok(parameter)
-    }
 }
 
 impl StateVariable {
@@ -122,6 +41,20 @@ impl StateVariable {
         }
         Ok(Self { name, unit, doc, initial: raw.initial_value, merge: raw.merge })
     }
+}
+
+/// # Safety
+/// The strings are empty or static text.
+unsafe fn read_parameter(raw: abi::BarchanParam) -> Result<Parameter, Refusal> {
+    // SAFETY: the caller's promise.
+    let (name, unit, doc) = unsafe {
+        (
+            read_text(raw.name, "parameter's name")?,
+            read_text(raw.unit, "parameter's unit")?,
+            read_text(raw.doc, "parameter's doc")?,
+        )
+    };
+    Ok(Parameter::of_material(name, unit, doc, &raw))
 }
 
 /// A material plugin, checked on registration.
@@ -200,14 +133,10 @@ impl Material {
             )
         };
         // SAFETY: entries' strings are empty or static text, by the ABI.
-        let parameters = params.into_iter().map(|p| unsafe { Parameter::read(p) }).collect::<Result<Vec<_>, _>>()?;
+        let parameters = params.into_iter().map(|p| unsafe { read_parameter(p) }).collect::<Result<Vec<_>, _>>()?;
         // SAFETY: as above.
         let states = states.into_iter().map(|s| unsafe { StateVariable::read(s) }).collect::<Result<Vec<_>, _>>()?;
-        let mut names: Vec<_> = parameters.iter().map(|p| &p.name).collect();
-        names.sort();
-        if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-            return Err(Refusal::new(format!("it declares parameter '{}' twice", pair[0]), "rename one of them"));
-        }
+        parameter::check(&parameters)?;
         // SAFETY: strings of a table are empty or static text, by the ABI.
         unsafe {
             // No backend reads it yet; it is held to the ABI like all text.

@@ -1,6 +1,7 @@
 //! The plan: the effects that a scene calls for, and why; the stages they need; what bounds the step; what memory they take.
 
 mod bound;
+mod couplings;
 mod display;
 mod effects;
 mod materials;
@@ -9,12 +10,14 @@ mod warnings;
 
 pub use bound::TOOL_COURANT;
 pub(crate) use bound::{cut, tighten, wanted_step};
+pub use couplings::PlannedCoupling;
 pub use materials::{BUILT_IN, PlannedMaterial, loaded};
 pub(crate) use particles::{FARTHEST_CELL, PARTICLES};
 
 use crate::backend::Bound;
 use crate::file::Stamp;
 use crate::levels::{Agent, CellBox, Regions, agent_bounds, surface_depths};
+use crate::parameter::Parameters;
 use crate::scene::Motion;
 use crate::schedule::{Form, Needs, Schedule, Stage};
 use crate::seed::Terrain;
@@ -23,8 +26,10 @@ use crate::{Backend, Coupling, Error, ParticleList, ParticleState, Registry, Res
 use barchan_abi as abi;
 use barchan_lanes::Isa;
 use bound::{first_step, ground_bound};
-use materials::{it_has, plan_materials};
+use couplings::{Couplings, make_couplings};
+use materials::plan_materials;
 use std::fmt;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Registered name of the coupling that a scene's tools call for.
@@ -109,8 +114,10 @@ pub struct Plan {
     pub slow: f64,
     /// Materials in the scene's order.
     pub materials: Vec<PlannedMaterial>,
-    /// Couplings called for, by registered kind.
-    pub couplings: Vec<String>,
+    /// Couplings called for, in the order in which they act.
+    pub couplings: Vec<PlannedCoupling>,
+    /// What the backend was asked for, and its defaults.
+    pub backend_parameters: Parameters,
     /// Effects and reasons.
     pub effects: Vec<Effect>,
     /// The stages of a step, in order.
@@ -137,7 +144,7 @@ impl Plan {
     /// Works out what a scene calls for, seeds its particles and makes its couplings.
     ///
     /// 1. The scene is checked; materials that bodies use are looked up and their parameters resolved.
-    /// 2. Couplings are made, then particles are seeded around them.
+    /// 2. Couplings and the task are made with what the scene says for them, then particles are seeded around them.
     /// 3. The step's bound is worked out from materials and tools, and held against the scene's step.
     /// 4. Effects are listed with their reasons, and the stages that they need.
     ///
@@ -159,13 +166,11 @@ impl Plan {
         let mut scene = scene.clone();
         scene.check()?;
         let materials = plan_materials(registry, &scene, options.precision)?;
-        check_couplings(registry, &scene)?;
-        let kinds = coupling_kinds(&scene);
-        // One coupling a kind: it finds its own entries in the scene.
-        let couplings = kinds
-            .iter()
-            .map(|(kind, path)| registry.coupling(kind).map_err(|e| e.at(&scene.place(path)))?.make(&scene))
-            .collect::<Result<Vec<_>>>()?;
+        // An unknown backend is found out when it is to compile the plan.
+        let backend = registry.backend(&options.backend).ok().map(|backend| &**backend);
+        let backend_parameters = backend.map(|backend| options.parameters_of(backend)).transpose()?.unwrap_or_default();
+        let Couplings { planned, made: couplings, files: coupling_files } = make_couplings(registry, &scene)?;
+        let task = registry.make_task(&scene)?;
         let h = scene.world.cell;
         let whole = |side: &Vec3, round: fn(f64) -> f64| {
             side.map(|x| {
@@ -193,7 +198,7 @@ impl Plan {
             (None, Some(terrain)) => {
                 let soft = |body: u16| scene.body[usize::from(body)].shape.bounds();
                 regions.follow(&agent_bounds(&agents, &couplings, soft));
-                check_room(registry, options, terrain, &materials)?;
+                check_room(backend, options, terrain, &materials)?;
                 let cap = options.max_bytes.unwrap_or_else(available_bytes);
                 terrain.seed(&couplings, &regions, cap)?
             }
@@ -202,7 +207,10 @@ impl Plan {
         let ground = ground_bound(&scene, &materials)?;
         let bound = tighten(ground.clone(), &couplings, 0.0, h, 1);
         let dt = first_step(&scene, &ground, &bound, resumed)?;
-        let files = scene.files().into_iter().map(|file| Stamp::of(&scene.folder, file)).collect::<Result<_>>()?;
+        let mut files = scene.files();
+        files.extend(coupling_files.iter().map(PathBuf::as_path));
+        files.extend(task.iter().flat_map(|(_, parameters)| parameters.files()));
+        let files = files.into_iter().map(|file| Stamp::of(&scene.folder, file)).collect::<Result<_>>()?;
         let mut plan = Self {
             files,
             precision: options.precision,
@@ -219,7 +227,8 @@ impl Plan {
             substeps: scene.levels.substeps(),
             gravity: scene.gravity,
             slow: slow(&scene, &materials),
-            couplings: kinds.into_iter().map(|(kind, _)| kind).collect(),
+            couplings: planned,
+            backend_parameters,
             effects: Vec::new(),
             schedule: Schedule::new(Needs::default()),
             particle_count: particles.lists.iter().map(ParticleList::len).sum(),
@@ -245,10 +254,7 @@ impl Plan {
         let live = particles.levels.as_ref().map_or(0, |phase| phase.live.len());
         plan.effects = plan.list_effects(&by_level.collect::<Vec<usize>>(), live);
         plan.warn(registry, &couplings)?;
-        // An unknown backend is found out when it is to compile the plan.
-        if let Ok(backend) = registry.backend(&options.backend) {
-            plan.check_forms(backend.as_ref())?;
-        }
+        backend.map_or(Ok(()), |backend| plan.check_forms(backend))?;
         Ok((plan, particles, couplings))
     }
 
@@ -323,49 +329,15 @@ fn agents(scene: &Scene) -> Vec<Agent> {
     }
 }
 
-/// Holds what the scene says of couplings to what their kinds have declared.
-fn check_couplings(registry: &Registry, scene: &Scene) -> Result<()> {
-    for (i, spec) in scene.coupling.iter().enumerate() {
-        let path = format!("coupling[{i}]");
-        let kind = registry.coupling(&spec.kind).map_err(|e| e.at(&scene.place(&format!("{path}.kind"))))?;
-        for (key, value) in &spec.parameters {
-            let path = format!("{path}.parameters.{key}");
-            let Some(parameter) = kind.parameters.iter().find(|p| p.name == *key) else {
-                let keys: Vec<String> = kind.parameters.iter().map(|p| p.name.clone()).collect();
-                return Err(scene.fault(
-                    &path,
-                    format!("coupling '{}' has no parameter `{key}`", spec.kind),
-                    it_has(key, &keys),
-                ));
-            };
-            if !parameter.allows(*value) {
-                let mend = format!("must be in {} {}", parameter.range(), parameter.unit);
-                return Err(scene.fault(&path, format!("is {value}"), mend));
-            }
-        }
-    }
-    Ok(())
-}
-
-/// The kinds of couplings called for, each with the key path that calls for it first.
-fn coupling_kinds(scene: &Scene) -> Vec<(String, String)> {
-    let mut kinds: Vec<(String, String)> = Vec::new();
-    if !scene.tool.is_empty() {
-        kinds.push((TOOL_COUPLING.to_owned(), "tool".to_owned()));
-    }
-    for (i, spec) in scene.coupling.iter().enumerate() {
-        if spec.kind != TOOL_COUPLING && kinds.iter().all(|(kind, _)| *kind != spec.kind) {
-            kinds.push((spec.kind.clone(), format!("coupling[{i}].kind")));
-        }
-    }
-    kinds
-}
-
 /// Has the backend room for what is to be seeded? Nobody waits for particles that it then refuses.
-fn check_room(registry: &Registry, options: &Options, terrain: &Terrain, materials: &[PlannedMaterial]) -> Result<()> {
+fn check_room(
+    backend: Option<&dyn Backend>,
+    options: &Options,
+    terrain: &Terrain,
+    materials: &[PlannedMaterial],
+) -> Result<()> {
     let values = materials.iter().map(|m| m.material.values()).max().unwrap_or(0);
-    // An unknown backend is found out when it is to compile the plan.
-    let Ok(backend) = registry.backend(&options.backend) else { return Ok(()) };
+    let Some(backend) = backend else { return Ok(()) };
     let Some(cap) = backend.most_particles(options.adapter.as_deref(), values)? else { return Ok(()) };
     // What is only nearly too much is counted when it is there.
     let asked = terrain.about_how_many();

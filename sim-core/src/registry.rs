@@ -1,6 +1,6 @@
 //! Where plugins meet: by kind and name.
 
-use crate::material::Parameter;
+use crate::parameter::{self, Giver, Parameter, Parameters, Table};
 use crate::solid::Solid;
 use crate::{Backend, Coupling, Error, Material, Result, Scene, Task, loader};
 use barchan_abi as abi;
@@ -9,12 +9,56 @@ use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Makes a coupling for a scene.
-pub type CouplingMaker = Arc<dyn Fn(&Scene) -> Result<Box<dyn Coupling>> + Send + Sync>;
+/// Makes a coupling.
+pub type CouplingMaker = Arc<dyn Fn(&CouplingSetup<'_>) -> Result<Box<dyn Coupling>> + Send + Sync>;
 /// Makes a task.
-pub type TaskMaker = Arc<dyn Fn() -> Box<dyn Task> + Send + Sync>;
+pub type TaskMaker = Arc<dyn Fn(&TaskSetup<'_>) -> Result<Box<dyn Task>> + Send + Sync>;
 /// Reads a triangle mesh as a solid: file, factor to metres.
 pub type MeshReader = Arc<dyn Fn(&Path, f64) -> Result<Box<dyn Solid>> + Send + Sync>;
+
+/// What a coupling is made from.
+#[derive(Debug)]
+pub struct CouplingSetup<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Name of this coupling, by which errors, trace and ledger tell it from others of its kind: [`Coupling::name`] must return it.
+    pub name: &'a str,
+    /// What its entry in the scene says, and defaults.
+    pub parameters: &'a Parameters,
+    /// Key path of its parameters.
+    pub(crate) path: String,
+}
+
+impl CouplingSetup<'_> {
+    /// An error about one of the parameters, such as `rate` or `zone[0].rate`, with the file and line where it stands.
+    pub fn fault(&self, key: &str, what: impl Into<String>, mend: impl Into<String>) -> Error {
+        self.scene.fault(&format!("{}.{key}", self.path), what, mend)
+    }
+}
+
+/// What a task is made from.
+#[derive(Debug)]
+pub struct TaskSetup<'a> {
+    /// The scene that it is to be played in; `None`: the task's own.
+    pub scene: Option<&'a Scene>,
+    /// What the scene's `[task]` says, and defaults.
+    pub parameters: &'a Parameters,
+    /// Name as registered.
+    pub name: &'a str,
+}
+
+impl TaskSetup<'_> {
+    /// An error about one of the parameters, with the file and line where it stands.
+    pub fn fault(&self, key: &str, what: impl Into<String>, mend: impl Into<String>) -> Error {
+        match self.scene {
+            Some(scene) => scene.fault(&format!("{TASK}.{key}"), what, mend),
+            None => Error::Body { path: format!("task '{}': {key}", self.name), what: what.into(), mend: mend.into() },
+        }
+    }
+}
+
+/// Key path of a task's parameters.
+const TASK: &str = "task.parameters";
 
 /// A kind of coupling.
 #[derive(Clone)]
@@ -27,13 +71,23 @@ pub struct CouplingKind {
 }
 
 impl CouplingKind {
-    /// Makes it for a scene.
+    /// Makes one.
     ///
     /// # Errors
     /// If the scene cannot be used.
-    pub fn make(&self, scene: &Scene) -> Result<Box<dyn Coupling>> {
-        (self.maker)(scene)
+    pub fn make(&self, setup: &CouplingSetup<'_>) -> Result<Box<dyn Coupling>> {
+        (self.maker)(setup)
     }
+}
+
+/// A kind of task.
+#[derive(Clone)]
+pub struct TaskKind {
+    /// One sentence.
+    pub doc: String,
+    /// What a scene's `[task]` may set: scenes are held to it.
+    pub parameters: Vec<Parameter>,
+    maker: TaskMaker,
 }
 
 /// All plugins known to a program.
@@ -42,7 +96,7 @@ pub struct Registry {
     materials: BTreeMap<String, Material>,
     couplings: BTreeMap<String, CouplingKind>,
     backends: BTreeMap<String, Arc<dyn Backend>>,
-    tasks: BTreeMap<String, (String, TaskMaker)>,
+    tasks: BTreeMap<String, TaskKind>,
     mesh_reader: Option<MeshReader>,
     warnings: Vec<String>,
 }
@@ -75,10 +129,10 @@ impl Registry {
         self.insert_materials(vec![material])
     }
 
-    /// Registers a coupling that scenes call for by `name`, with the parameters that they may set.
+    /// Registers a kind of coupling that scenes call for by `name`, with the parameters that their entries may set. Each entry makes one of its own.
     ///
     /// # Errors
-    /// [`Error::Duplicate`] if the name is taken.
+    /// [`Error::Duplicate`] if the name is taken, [`Error::Plugin`] if a parameter breaks a rule.
     pub fn add_coupling(
         &mut self,
         name: &str,
@@ -86,24 +140,27 @@ impl Registry {
         parameters: Vec<Parameter>,
         maker: CouplingMaker,
     ) -> Result<()> {
+        declared("coupling", name, &parameters)?;
         insert(&mut self.couplings, "coupling", name, CouplingKind { doc: doc.to_owned(), parameters, maker })
     }
 
     /// Registers a backend under its own name.
     ///
     /// # Errors
-    /// [`Error::Duplicate`] if the name is taken.
+    /// [`Error::Duplicate`] if the name is taken, [`Error::Plugin`] if a parameter breaks a rule.
     pub fn add_backend(&mut self, backend: Arc<dyn Backend>) -> Result<()> {
         let name = backend.name().to_owned();
+        declared("backend", &name, &backend.parameters())?;
         insert(&mut self.backends, "backend", &name, backend)
     }
 
-    /// Registers a task.
+    /// Registers a task, with the parameters that a scene's `[task]` may set.
     ///
     /// # Errors
-    /// [`Error::Duplicate`] if the name is taken.
-    pub fn add_task(&mut self, name: &str, doc: &str, maker: TaskMaker) -> Result<()> {
-        insert(&mut self.tasks, "task", name, (doc.to_owned(), maker))
+    /// [`Error::Duplicate`] if the name is taken, [`Error::Plugin`] if a parameter breaks a rule.
+    pub fn add_task(&mut self, name: &str, doc: &str, parameters: Vec<Parameter>, maker: TaskMaker) -> Result<()> {
+        declared("task", name, &parameters)?;
+        insert(&mut self.tasks, "task", name, TaskKind { doc: doc.to_owned(), parameters, maker })
     }
 
     /// Sets what reads triangle meshes for soft bodies; the last one set counts.
@@ -162,12 +219,40 @@ impl Registry {
     pub fn backend(&self, name: &str) -> Result<&Arc<dyn Backend>> {
         find(&self.backends, "backend", name)
     }
-    /// A fresh task of that name.
+    /// A fresh task of that name in its own scene, with the defaults of its parameters; [`task_of`](Self::task_of) makes the one that a scene calls for.
     ///
     /// # Errors
-    /// [`Error::Unknown`] listing the known ones.
+    /// [`Error::Unknown`] listing the known ones; a required parameter; the task's own.
     pub fn task(&self, name: &str) -> Result<Box<dyn Task>> {
-        find(&self.tasks, "task", name).map(|(_, maker)| maker())
+        let kind = find(&self.tasks, "task", name)?;
+        let fault = |path: &str, what: String, mend: String| Error::Body {
+            path: format!("task '{name}': {path}"),
+            what,
+            mend: format!("{mend}, in the [task] of a scene"),
+        };
+        let giver = Giver { whose: format!("task '{name}'"), folder: Path::new(""), fault: &fault };
+        let parameters = giver.resolve(&kind.parameters, &Table::new(), "")?;
+        (kind.maker)(&TaskSetup { scene: None, parameters: &parameters, name })
+    }
+    /// A fresh task as the scene's `[task]` asks for it, to be played in that scene.
+    ///
+    /// # Errors
+    /// [`Error::Unknown`] listing the known ones; parameters that it has not declared, with the scene's line and key; the task's own. A scene without a
+    /// `[task]` is one, too.
+    pub fn task_of(&self, scene: &Scene) -> Result<Box<dyn Task>> {
+        match self.make_task(scene)? {
+            Some((task, _)) => Ok(task),
+            None => Err(scene.fault("task", "the scene has none", "add a [task] with the name of one")),
+        }
+    }
+    /// The task that a scene asks for, if it asks for one, and its parameters.
+    pub(crate) fn make_task(&self, scene: &Scene) -> Result<Option<(Box<dyn Task>, Parameters)>> {
+        let Some(spec) = &scene.task else { return Ok(None) };
+        let name = spec.name.as_str();
+        let kind = find(&self.tasks, "task", name).map_err(|e| e.at(&scene.place("task.name")))?;
+        let parameters = scene.resolve(format!("task '{name}'"), &kind.parameters, &spec.parameters, TASK)?;
+        let task = (kind.maker)(&TaskSetup { scene: Some(scene), parameters: &parameters, name })?;
+        Ok(Some((task, parameters)))
     }
     /// What reads triangle meshes, if anything does.
     pub fn mesh_reader(&self) -> Option<&MeshReader> {
@@ -186,14 +271,19 @@ impl Registry {
     pub fn backends(&self) -> impl Iterator<Item = &dyn Backend> {
         self.backends.values().map(|b| &**b)
     }
-    /// Names and documentation of all tasks.
-    pub fn tasks(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.tasks.iter().map(|(name, (doc, _))| (name.as_str(), doc.as_str()))
+    /// Names and kinds of all tasks.
+    pub fn tasks(&self) -> impl Iterator<Item = (&str, &TaskKind)> {
+        self.tasks.iter().map(|(name, kind)| (name.as_str(), kind))
     }
     /// What the user should know about the libraries loaded.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
+}
+
+/// Holds what a crate's plugin declares to the rules.
+fn declared(kind: &str, name: &str, parameters: &[Parameter]) -> Result<()> {
+    parameter::check(parameters).map_err(|refusal| refusal.of(Path::new(&format!("{kind} '{name}'"))))
 }
 
 fn insert<T>(all: &mut BTreeMap<String, T>, kind: &'static str, name: &str, value: T) -> Result<()> {

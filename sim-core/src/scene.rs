@@ -3,7 +3,8 @@
 //! A scene is a TOML file, checked key by key. The structs here are the file's format; doc comments become the JSON Schema's
 //! descriptions. Lengths in metres, angles in radians unless the key ends in `_deg`, z up.
 
-use crate::Vec3;
+use crate::parameter::{Giver, Parameter, Parameters, Table};
+use crate::{Result, Vec3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,7 +17,7 @@ mod read;
 pub use check::WHOLE_CELL;
 pub(crate) use check::{cross, posed_bounds, turn};
 pub use read::Source;
-pub(crate) use read::nearest;
+pub(crate) use read::{nearest, parse_value};
 
 /// A scene.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -58,9 +59,12 @@ pub struct Scene {
     /// Rigid tools and bodies.
     #[serde(default)]
     pub tool: Vec<Tool>,
-    /// Couplings other than rigid tools, from plugins.
+    /// Couplings other than rigid tools, from plugins: one for each entry.
     #[serde(default)]
     pub coupling: Vec<CouplingSpec>,
+    /// What an agent is to do in it, from a plugin.
+    #[serde(default)]
+    pub task: Option<TaskSpec>,
     /// Folder that relative paths in the scene start from.
     #[serde(skip)]
     pub folder: PathBuf,
@@ -70,7 +74,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// The files that its shapes are read from, as it names them, each once.
+    /// The files that its shapes are read from, as it names them, each once. Those that plugins' parameters name are found when it is planned.
     pub fn files(&self) -> BTreeSet<&Path> {
         fn add<'a>(shape: &'a Shape, files: &mut BTreeSet<&'a Path>) {
             match shape {
@@ -85,6 +89,38 @@ impl Scene {
         let shapes = self.body.iter().map(|body| &body.shape).chain(self.tool.iter().map(|tool| &tool.shape));
         shapes.for_each(|shape| add(shape, &mut files));
         files
+    }
+
+    /// Names of the couplings of its entries, in their order.
+    pub fn coupling_names(&self) -> Vec<String> {
+        let mut unnamed: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut names = Vec::new();
+        for spec in &self.coupling {
+            names.push(match &spec.name {
+                Some(name) => name.clone(),
+                None => {
+                    let count = unnamed.entry(&spec.kind).or_default();
+                    *count += 1;
+                    if *count == 1 { spec.kind.clone() } else { format!("{}-{count}", spec.kind) }
+                }
+            });
+        }
+        names
+    }
+
+    /// Holds what one of its tables gives to what a plugin declares; `path` is the table's key path.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] with the line and key of what is wrong.
+    pub(crate) fn resolve(
+        &self,
+        whose: String,
+        declared: &[Parameter],
+        given: &Table,
+        path: &str,
+    ) -> Result<Parameters> {
+        let fault = |path: &str, what: String, mend: String| self.fault(path, what, mend);
+        Giver { whose, folder: &self.folder, fault: &fault }.resolve(declared, given, path)
     }
 
     /// Mean gravity over a step that starts at `time` [m/s²].
@@ -655,9 +691,25 @@ pub enum Interpolation {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CouplingSpec {
-    /// Name in the registry.
+    /// Name in the registry; see `barchan plugins`.
     pub kind: String,
-    /// What the coupling wants to know.
+    /// Name in errors, trace and ledger, of this entry alone; absent: its kind, and the kind with a number from 2 for further such entries, as in `wind-2`.
     #[serde(default)]
-    pub parameters: BTreeMap<String, f64>,
+    pub name: Option<String>,
+    /// What the coupling wants to know; see `barchan plugins`. An angle may be given in degrees as `<name>_deg`.
+    #[serde(default)]
+    #[schemars(with = "BTreeMap<String, serde_json::Value>")]
+    pub parameters: Table,
+}
+
+/// A task from a plugin.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TaskSpec {
+    /// Name in the registry; see `barchan plugins`.
+    pub name: String,
+    /// What the task wants to know; see `barchan plugins`. An angle may be given in degrees as `<name>_deg`.
+    #[serde(default)]
+    #[schemars(with = "BTreeMap<String, serde_json::Value>")]
+    pub parameters: Table,
 }

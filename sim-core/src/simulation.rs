@@ -2,12 +2,13 @@
 
 use crate::backend::{Bound, Timing, WorldStep};
 use crate::file::Stamp;
-use crate::plan::{PARTICLES, cut, tighten, wanted_step};
+use crate::parameter::{Giver, Parameters, Table};
+use crate::plan::{PARTICLES, TOOL_COUPLING, cut, tighten, wanted_step};
 use crate::scene::OverBound;
 use crate::snapshot::Snapshot;
 use crate::{
-    Backend, BodyState, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, Spot,
-    StepReport, Vec3, Wrench,
+    Backend, BodyState, Command, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result,
+    Scene, Spot, StepReport, Wrench,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -16,7 +17,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 /// How a scene is run; nothing here changes what is simulated but the number format.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// Name of the backend.
     pub backend: String,
@@ -28,17 +29,42 @@ pub struct Options {
     pub adapter: Option<String>,
     /// Most bytes that particles may take while they are seeded; `None`: four fifths of the memory available.
     pub max_bytes: Option<u64>,
+    /// What the backend is asked for, of what it [declares](Backend::parameters); files are named relative to the folder that the program runs in.
+    pub backend_parameters: Table,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { backend: "cpu".to_owned(), precision: Precision::F32, threads: 0, adapter: None, max_bytes: None }
+        Self {
+            backend: "cpu".to_owned(),
+            precision: Precision::F32,
+            threads: 0,
+            adapter: None,
+            max_bytes: None,
+            backend_parameters: Table::new(),
+        }
     }
 }
 
 impl Options {
     /// More threads than any machine has.
     pub const MOST_THREADS: usize = 1024;
+
+    /// What a backend is asked for, and its defaults.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for what it has not declared.
+    pub fn parameters_of(&self, backend: &dyn Backend) -> Result<Parameters> {
+        let fault = |path: &str, what: String, mend: String| Error::Scene {
+            file: "--backend-parameter".to_owned(),
+            line: 0,
+            path: path.to_owned(),
+            what,
+            allowed: Some(mend),
+        };
+        let giver = Giver { whose: format!("backend '{}'", backend.name()), folder: Path::new(""), fault: &fault };
+        giver.resolve(&backend.parameters(), &self.backend_parameters, "")
+    }
 
     /// Holds what could not be meant to be refused before it is tried.
     ///
@@ -416,7 +442,7 @@ impl Simulation {
         let mut ledger = Ledger { counts: self.carried.clone(), ..Ledger::default() };
         self.engine.account(&mut ledger);
         ledger.count("steps cut below time.step", self.cut_steps);
-        for coupling in &self.couplings {
+        for (coupling, planned) in self.couplings.iter().zip(&self.plan.couplings) {
             for body in coupling.bodies() {
                 ledger.body_kinetic += body.kinetic_energy;
                 ledger.body_potential += body.potential_energy;
@@ -426,7 +452,10 @@ impl Simulation {
                 }
             }
             for (name, count) in coupling.counts() {
-                ledger.count(&name, count);
+                match planned.kind == TOOL_COUPLING {
+                    true => ledger.count(&name, count),
+                    false => ledger.count(&format!("{}: {name}", planned.name), count),
+                }
             }
         }
         ledger
@@ -439,21 +468,21 @@ impl Simulation {
         only_sums(ledger)
     }
 
-    /// Sets the velocity [m/s] and angular velocity [rad/s] of a driven body from now on.
+    /// Tells a body what to do from now on.
     ///
     /// # Errors
-    /// [`Error::Body`] if there is no such body, it is not driven by velocity, or the numbers are not finite.
-    pub fn drive(&mut self, body: &str, velocity: Vec3, angular_velocity: Vec3) -> Result<()> {
+    /// [`Error::Body`] if there is no such body, it does not take such commands, or the numbers are not finite.
+    pub fn act(&mut self, body: &str, command: &Command) -> Result<()> {
         for coupling in &mut self.couplings {
             if coupling.bodies().iter().any(|b| b.name == body) {
                 self.chosen = None;
-                return coupling.drive(body, velocity, angular_velocity);
+                return coupling.act(body, command);
             }
         }
         let names: Vec<_> = self.bodies().into_iter().map(|b| b.name).collect();
         Err(Error::Body {
             path: body.to_owned(),
-            what: "no rigid body has this name".to_owned(),
+            what: "no body has this name".to_owned(),
             mend: if names.is_empty() {
                 "the scene has none".to_owned()
             } else {

@@ -21,7 +21,7 @@ pub trait Task: Send {
     fn name(&self) -> &str;
     /// One paragraph.
     fn doc(&self) -> &str;
-    /// The scene it is played in.
+    /// The scene it is played in: the one that it was [made for](crate::registry::TaskSetup::scene), or its own.
     ///
     /// # Errors
     /// If the scene cannot be made.

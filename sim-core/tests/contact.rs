@@ -3,7 +3,7 @@
 use barchan_core::contact::{Contact, Grip, Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, Group};
 use barchan_core::glam::{DMat3, DVec3};
-use barchan_core::{BodyState, Coupling, NodeBatch, Result, Vec3, Wrench};
+use barchan_core::{BodyState, Command, Coupling, NodeBatch, Result, Vec3, Wrench};
 use std::ops::Range;
 
 /// Prints the measured error beside the tolerance, and holds one to the other.
@@ -203,7 +203,7 @@ impl Coupling for Bodies {
     fn distance(&self, points: &[Vec3]) -> Vec<f64> {
         vec![f64::INFINITY; points.len()]
     }
-    fn drive(&mut self, _: &str, _: Vec3, _: Vec3) -> Result<()> {
+    fn act(&mut self, _: &str, _: &Command) -> Result<()> {
         Ok(())
     }
     fn warnings(&self, _: f64) -> Vec<String> {

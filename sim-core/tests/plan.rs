@@ -77,7 +77,8 @@ fn a_plan_holds_what_is_called_for_and_why() {
 fn tools_bring_contact_and_free_ones_both_ways() {
     let tool = "[[tool]]\nname = 'plate'\nposition = [0.5, 0.2, 0.5]\nshape = { box = { half = [0.1, 0.1, 0.1] } }";
     let driven = plan(&scene(tool)).unwrap();
-    assert_eq!(driven.couplings, ["rigid"]);
+    let kinds: Vec<_> = driven.couplings.iter().map(|c| (c.kind.as_str(), c.name.as_str())).collect();
+    assert_eq!(kinds, [("rigid", "rigid")]);
     assert!(driven.has(Stage::CONTACT) && !driven.two_way());
     assert!(names(&driven.effects).contains(&"contact with tool plate"));
     assert!(driven.warnings.contains(&"boxes do not turn".to_owned()));

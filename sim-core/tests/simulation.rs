@@ -5,7 +5,7 @@ mod common;
 
 use barchan_core::export::export;
 use barchan_core::scene::Export;
-use barchan_core::{Error, Options, Registry, Scene, Simulation};
+use barchan_core::{Command, Error, Options, Registry, Scene, Simulation};
 use proptest::prelude::*;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -162,11 +162,11 @@ fn energy_from_nowhere_ends_an_allowed_run_and_falling_does_not() {
 #[test]
 fn bodies_are_driven_by_name() {
     let mut driven = simulation(&[]);
-    driven.drive("plate", [0.0, 1.0, 0.0], [0.0; 3]).unwrap();
+    driven.act("plate", &Command::Twist { linear: [0.0, 1.0, 0.0], angular: [0.0; 3] }).unwrap();
     driven.step().unwrap();
     assert!((driven.bodies()[0].position[1] - 0.2001).abs() < 1e-12);
-    let error = driven.drive("plank", [0.0; 3], [0.0; 3]).unwrap_err().to_string();
-    assert_eq!(error, "plank: no rigid body has this name; there are plate, ball");
+    let error = driven.act("plank", &Command::Twist { linear: [0.0; 3], angular: [0.0; 3] }).unwrap_err().to_string();
+    assert_eq!(error, "plank: no body has this name; there are plate, ball");
     assert_eq!(driven.wrenches().len(), 2);
 }
 

@@ -4,7 +4,8 @@
 use barchan::scene::{CouplingSpec, Leaving, Motion, OverBound, Scene, Shape, Time, Wall};
 use barchan::worlds::Worlds;
 use barchan::{
-    Backend, Error, Form, Ledger, Options, ParticleState, Plan, Precision, Registry, Simulation, Spot, Stage, Vec3,
+    Backend, Command, Error, Form, Ledger, Options, ParticleState, Plan, Precision, Registry, Simulation, Spot, Stage,
+    Vec3,
 };
 use barchan_tests::long_cases::{FURROW_CELL, furrow_depth, furrow_scene};
 use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
@@ -811,7 +812,11 @@ fn patch(world: u64) -> Scene {
 /// What an agent does in a world for the next steps.
 fn act(s: &mut Simulation, world: usize) {
     let turn = 0.05 * s.step_count() as f64 + world as f64;
-    s.drive("blade", [0.6 * turn.cos(), 0.3 * turn.sin(), -0.1], [0.0, 0.0, turn.sin()]).unwrap();
+    s.act(
+        "blade",
+        &Command::Twist { linear: [0.6 * turn.cos(), 0.3 * turn.sin(), -0.1], angular: [0.0, 0.0, turn.sin()] },
+    )
+    .unwrap();
 }
 
 /// Everything that a world has left behind.
@@ -847,8 +852,8 @@ fn bumpy(world: u64) -> Scene {
 
 /// The patch in a slow current, whose law the host applies, so that the blade's runs there, too.
 fn dragged(world: u64) -> Scene {
-    let parameters = [("rate".to_owned(), 0.5), ("x".to_owned(), 0.2), ("host".to_owned(), 1.0)].into_iter().collect();
-    let current = CouplingSpec { kind: barchan_seam_coupling::KIND.into(), parameters };
+    let parameters = toml::from_str("rate = 0.5\nvelocity = [0.2, 0, 0]\nhost = true").unwrap();
+    let current = CouplingSpec { kind: barchan_seam_coupling::CURRENT.into(), name: None, parameters };
     Scene { coupling: vec![current], ..patch(world) }
 }
 
@@ -1674,7 +1679,9 @@ fn ground_comes_within_reach_and_leaves_it_as_on_the_cpu() {
     println!("furrow {on_gpu_now:.4} m and {on_cpu_now:.4} m deep; {:?}\n{:?}", g.ledger().counts, c.ledger().counts);
     within("depth of the furrow beside the CPU's, in cells", (on_gpu_now - on_cpu_now).abs() / FURROW_CELL, 0.25);
     for (velocity, steps) in [([0.0, 0.0, 4.0], 80), ([16.0, 0.0, 0.0], 180)] {
-        [&mut g, &mut c].into_iter().for_each(|sim| sim.drive("ball", velocity, [0.0; 3]).unwrap());
+        [&mut g, &mut c]
+            .into_iter()
+            .for_each(|sim| sim.act("ball", &Command::Twist { linear: velocity, angular: [0.0; 3] }).unwrap());
         drawn(&mut g, &mut c, steps);
     }
     assert!(furrow_depth(&g.particles(), 0.1).is_nan(), "the furrow's beginning is out of reach");
@@ -1684,7 +1691,9 @@ fn ground_comes_within_reach_and_leaves_it_as_on_the_cpu() {
     g.save(&file).unwrap();
     let mut resumed = Simulation::resume(&registry, &file, &on_gpu()).unwrap();
     assert!(resumed.particles() == g.particles(), "what is resumed is what was saved");
-    [&mut g, &mut c, &mut resumed].into_iter().for_each(|sim| sim.drive("ball", [-16.0, 0.0, 0.0], [0.0; 3]).unwrap());
+    [&mut g, &mut c, &mut resumed]
+        .into_iter()
+        .for_each(|sim| sim.act("ball", &Command::Twist { linear: [-16.0, 0.0, 0.0], angular: [0.0; 3] }).unwrap());
     drawn(&mut g, &mut c, 220);
     take(&mut resumed, 220);
     let found = furrow_depth(&g.particles(), 0.1);
@@ -1753,7 +1762,9 @@ fn rounds_on_the_device_leave_what_the_cpu_leaves() {
         let speed = if leap < 30 { 1e4 } else { -1e4 };
         let state = c.particles();
         [&mut g, &mut again].into_iter().for_each(|sim| sim.set_particles(state.clone()).unwrap());
-        [&mut g, &mut again, &mut c].into_iter().for_each(|sim| sim.drive("eye", [speed, 0.0, 0.0], [0.0; 3]).unwrap());
+        [&mut g, &mut again, &mut c]
+            .into_iter()
+            .for_each(|sim| sim.act("eye", &Command::Twist { linear: [speed, 0.0, 0.0], angular: [0.0; 3] }).unwrap());
         let (before, start) = (rows(&c), [happened(&g), happened(&c)]);
         [&mut g, &mut again, &mut c].into_iter().for_each(|sim| take(sim, 1));
         let (phase, there) = (c.particles().levels.unwrap(), g.particles());
@@ -1826,7 +1837,11 @@ fn a_run_on_levels_goes_on_after_it_was_saved() {
     let file = folder.path().join("run.barchan");
     let go_on = |sim: &mut Simulation| {
         for step in 0..20 {
-            sim.drive("eye", [if step % 6 < 4 { 1e4 } else { -5e3 }, 0.0, 0.0], [0.0; 3]).unwrap();
+            sim.act(
+                "eye",
+                &Command::Twist { linear: [if step % 6 < 4 { 1e4 } else { -5e3 }, 0.0, 0.0], angular: [0.0; 3] },
+            )
+            .unwrap();
             take(sim, 1);
         }
     };

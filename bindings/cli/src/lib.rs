@@ -24,6 +24,7 @@ mod report;
 mod run;
 mod signals;
 
+use barchan::parameter::{Given, Table};
 use barchan::{Error, Plan, Precision, Registry, Result, Scene};
 use clap::{Args, Parser, Subcommand};
 use print::{show, tell};
@@ -51,7 +52,7 @@ enum Command {
     Plan(SceneArgs),
     /// Checks a scene: prints one line if it can be run, or what is wrong, where, and what would mend it.
     Check(SceneArgs),
-    /// Lists materials with their parameters, couplings, backends, tasks and scenes.
+    /// Lists materials, couplings, backends and tasks with their parameters, and scenes.
     Plugins(plugins::PluginArgs),
     /// Lists what the backends can run on besides the processor: GPUs, and software in their place.
     Adapters,
@@ -84,6 +85,9 @@ struct EngineArgs {
     /// Backend [default: cpu].
     #[arg(long)]
     backend: Option<String>,
+    /// Asks the backend for something that it offers (see `plugins`), such as drag=0.5; may be given again.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = barchan::parameter::parse)]
+    backend_parameter: Vec<(String, Given)>,
     /// Number format: f32 or f64.
     #[arg(long, default_value = "f32")]
     precision: Precision,
@@ -139,9 +143,17 @@ impl EngineArgs {
             precision: self.precision,
             threads: self.threads,
             adapter: self.adapter.clone(),
+            backend_parameters: self.backend_parameter.iter().cloned().collect(),
             ..barchan::Options::default()
         }
     }
+}
+
+/// The same for another backend: what is asked of one backend does not go to others.
+fn moved(options: barchan::Options, backend: &str) -> barchan::Options {
+    let keeps = options.backend == backend;
+    let backend_parameters = if keeps { options.backend_parameters } else { Table::new() };
+    barchan::Options { backend: backend.to_owned(), backend_parameters, ..options }
 }
 
 /// The plugins of a registry and those of libraries; warnings go to stderr.

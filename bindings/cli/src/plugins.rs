@@ -1,7 +1,7 @@
 //! `barchan plugins`.
 
 use crate::print::show;
-use barchan::material::Parameter;
+use barchan::parameter::{Kind, Parameter, Value as Setting};
 use barchan::{Material, Registry, Result};
 use clap::Args;
 use serde_json::{Value, json};
@@ -54,26 +54,70 @@ fn as_text(registry: &Registry) -> String {
             text += &format!("      {:<22}{value:<16}{:<18}{}\n", s.name, "state", s.doc);
         }
     }
-    text += "couplings\n";
-    for (name, kind) in registry.couplings() {
-        text += &format!("  {name:<20}{}\n", kind.doc);
-        text.extend(kind.parameters.iter().map(as_line));
-    }
-    let mut section = |title: &str, entries: &mut dyn Iterator<Item = (String, String)>| {
+    let mut section = |title: &str, entries: &mut dyn Iterator<Item = (String, String, Vec<Parameter>)>| {
         text += &format!("{title}\n");
-        entries.for_each(|(name, doc)| text += &format!("  {name:<20}{doc}\n"));
+        for (name, doc, parameters) in entries {
+            text += &format!("  {name:<20}{doc}\n");
+            text.extend(parameters.iter().map(as_line));
+        }
     };
-    let pair = |(name, doc): (&str, &str)| (name.to_owned(), doc.to_owned());
-    section("backends", &mut registry.backends().map(|b| pair((b.name(), b.doc()))));
-    section("tasks", &mut registry.tasks().map(pair));
-    section("scenes", &mut scenes().into_iter());
+    section("couplings", &mut couplings(registry));
+    section("backends", &mut backends(registry));
+    section("tasks", &mut tasks(registry));
+    section("scenes", &mut scenes().into_iter().map(|(name, doc)| (name, doc, Vec::new())));
     text
 }
 
-/// A parameter: name, default, range, what it is.
+fn couplings(registry: &Registry) -> impl Iterator<Item = (String, String, Vec<Parameter>)> {
+    registry.couplings().map(|(name, kind)| (name.to_owned(), kind.doc.clone(), kind.parameters.clone()))
+}
+fn backends(registry: &Registry) -> impl Iterator<Item = (String, String, Vec<Parameter>)> {
+    registry.backends().map(|backend| (backend.name().to_owned(), backend.doc().to_owned(), backend.parameters()))
+}
+fn tasks(registry: &Registry) -> impl Iterator<Item = (String, String, Vec<Parameter>)> {
+    registry.tasks().map(|(name, kind)| (name.to_owned(), kind.doc.clone(), kind.parameters.clone()))
+}
+
+/// A parameter: name, default, range or type, what it is; below it the keys of a table.
 fn as_line(p: &Parameter) -> String {
-    let value = format!("{} {}", number(p.default), p.unit);
-    format!("      {:<22}{value:<16}{:<18}{}\n", p.name, range(p), p.doc)
+    indented(p, 6)
+}
+
+fn indented(p: &Parameter, by: usize) -> String {
+    let (value, width) = (with_unit(p), 28 - by);
+    let line = format!("{:by$}{:<width$}{value:<16}{:<18}{}\n", "", p.name, range(&p.kind), p.doc);
+    keys(&p.kind).iter().fold(line, |lines, key| lines + &indented(key, by + 2))
+}
+
+/// The keys of a table, or of each table of an array.
+fn keys(kind: &Kind) -> &[Parameter] {
+    match kind {
+        Kind::Table(keys) => keys,
+        Kind::Array { of, .. } => keys(of),
+        _ => &[],
+    }
+}
+
+/// The default and its unit.
+fn with_unit(p: &Parameter) -> String {
+    let value = match &p.default {
+        Some(value) => setting(value),
+        None if matches!(p.kind, Kind::Table(_)) => String::new(),
+        None => "required".to_owned(),
+    };
+    format!("{value} {}", p.unit).trim_end().to_owned()
+}
+
+/// A default with short numbers.
+fn setting(value: &Setting) -> String {
+    match value {
+        Setting::Number(x) => number(*x),
+        Setting::Switch(on) => on.to_string(),
+        Setting::Text(text) => format!("{text:?}"),
+        Setting::Path { .. } => "none".to_owned(),
+        Setting::Array(items) => format!("[{}]", items.iter().map(setting).collect::<Vec<_>>().join(", ")),
+        Setting::Table(_) => "{…}".to_owned(),
+    }
 }
 
 /// A number with at most four digits.
@@ -88,21 +132,25 @@ fn number(value: f64) -> String {
     }
 }
 
-/// The range with short numbers, brackets as declared.
-fn range(p: &Parameter) -> String {
-    let exact = p.range();
-    let (open, close) = (exact.starts_with('('), exact.ends_with(')'));
-    let (open, close) = (if open { '(' } else { '[' }, if close { ')' } else { ']' });
-    format!("{open}{}, {}{close}", number(p.min), number(p.max))
+/// The range with short numbers, or what else may be given.
+fn range(kind: &Kind) -> String {
+    match kind {
+        Kind::Number(range) => range.written(number),
+        Kind::Text(choices) if !choices.is_empty() => choices.join(" | "),
+        Kind::Array { of, count } => {
+            let count = match (count.start(), count.end()) {
+                (a, b) if a == b => a.to_string(),
+                (a, &usize::MAX) => format!("{a}+"),
+                (a, b) => format!("{a}-{b}"),
+            };
+            format!("{count} x {}", range(of))
+        }
+        other => other.name().to_owned(),
+    }
 }
 
 fn as_json(registry: &Registry) -> Value {
-    let parameter = |p: &Parameter| {
-        json!({
-            "name": p.name, "unit": p.unit, "default": p.default, "min": p.min, "max": p.max, "range": p.range(),
-            "doc": p.doc,
-        })
-    };
+    let parameter = parameter_json;
     let material = |m: &Material| {
         json!({
             "name": m.name, "version": m.version, "origin": m.origin, "doc": m.doc, "reference": m.reference,
@@ -112,19 +160,60 @@ fn as_json(registry: &Registry) -> Value {
                 .collect::<Vec<_>>(),
         })
     };
-    let pairs = |entries: &mut dyn Iterator<Item = (String, String)>| -> Vec<Value> {
-        entries.map(|(name, doc)| json!({ "name": name, "doc": doc })).collect()
+    let all = |entries: &mut dyn Iterator<Item = (String, String, Vec<Parameter>)>| -> Vec<Value> {
+        let one = |(name, doc, parameters): (String, String, Vec<Parameter>)| json!({ "name": name, "doc": doc, "parameters": parameters.iter().map(parameter).collect::<Vec<_>>() });
+        entries.map(one).collect()
     };
-    let pair = |(name, doc): (&str, &str)| (name.to_owned(), doc.to_owned());
+    let scene = |(name, doc): (String, String)| json!({ "name": name, "doc": doc });
     json!({
         "materials": registry.materials().map(material).collect::<Vec<_>>(),
-        "couplings": registry.couplings().map(|(name, kind)| json!({
-            "name": name, "doc": kind.doc, "parameters": kind.parameters.iter().map(parameter).collect::<Vec<_>>(),
-        })).collect::<Vec<_>>(),
-        "backends": pairs(&mut registry.backends().map(|b| pair((b.name(), b.doc())))),
-        "tasks": pairs(&mut registry.tasks().map(pair)),
-        "scenes": pairs(&mut scenes().into_iter()),
+        "couplings": all(&mut couplings(registry)),
+        "backends": all(&mut backends(registry)),
+        "tasks": all(&mut tasks(registry)),
+        "scenes": scenes().into_iter().map(scene).collect::<Vec<_>>(),
     })
+}
+
+/// A parameter; "default" is null where it is required, and what does not go with its type is absent.
+fn parameter_json(p: &Parameter) -> Value {
+    let mut value = kind_json(&p.kind);
+    value["name"] = json!(p.name);
+    value["unit"] = json!(p.unit);
+    value["doc"] = json!(p.doc);
+    value["default"] = p.default.as_ref().map_or(Value::Null, setting_json);
+    value
+}
+
+fn kind_json(kind: &Kind) -> Value {
+    let mut value = json!({ "type": kind.name() });
+    match kind {
+        Kind::Number(range) => {
+            value["min"] = json!(range.min);
+            value["max"] = json!(range.max);
+            value["range"] = json!(range.to_string());
+        }
+        Kind::Text(choices) if !choices.is_empty() => value["choices"] = json!(choices),
+        Kind::Array { of, count } => {
+            value["of"] = kind_json(of);
+            value["min_count"] = json!(count.start());
+            value["max_count"] = if *count.end() == usize::MAX { Value::Null } else { json!(count.end()) };
+        }
+        Kind::Table(keys) => value["keys"] = keys.iter().map(parameter_json).collect(),
+        _ => {}
+    }
+    value
+}
+
+fn setting_json(value: &Setting) -> Value {
+    match value {
+        Setting::Number(x) => json!(x),
+        Setting::Switch(on) => json!(on),
+        Setting::Text(text) => json!(text),
+        Setting::Path { given, .. } => json!(given),
+        Setting::Array(items) => items.iter().map(setting_json).collect(),
+        // A table has no default of its own.
+        Setting::Table(_) => Value::Null,
+    }
 }
 
 /// Built-in scenes and their one sentence.
@@ -152,7 +241,7 @@ mod tests {
             let listed = listed.unwrap_or_else(|| panic!("{} is not listed", material.name));
             for (i, parameter) in material.parameters.iter().enumerate() {
                 assert!(text.contains(&parameter.doc), "{}", parameter.name);
-                assert_eq!(listed["parameters"][i]["default"], parameter.default);
+                assert_eq!(listed["parameters"][i]["default"].as_f64(), parameter.default_number());
             }
         }
         assert!(text.contains("letters") && text.contains("cpu"));

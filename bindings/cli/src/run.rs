@@ -89,7 +89,7 @@ impl SwapAt {
             before.adapter = None;
         }
         let precision = self.precision.unwrap_or(before.precision);
-        let options = Options { backend: self.backend.clone(), precision, adapter, ..before.clone() };
+        let options = Options { precision, adapter, ..crate::moved(before.clone(), &self.backend) };
         Ok(Swap { step: self.step, registry: registry.clone(), options })
     }
 }
@@ -226,8 +226,10 @@ pub(crate) fn run(args: &RunArgs, registry: Registry) -> Result<ExitCode> {
     };
     if let Some(Swap { registry, options, .. }) = &swap {
         // What the second backend lacks is found out now, not in the middle.
-        let plan = Plan { precision: options.precision, ..simulation.plan().clone() };
-        registry.backend(&options.backend)?.check(&plan)?;
+        let backend = registry.backend(&options.backend)?;
+        let backend_parameters = options.parameters_of(&**backend)?;
+        let plan = Plan { precision: options.precision, backend_parameters, ..simulation.plan().clone() };
+        backend.check(&plan)?;
     }
     let out = args.folder(&simulation.plan().scene.name, resumed.as_ref())?;
     let request = Request {

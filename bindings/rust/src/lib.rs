@@ -29,10 +29,10 @@ pub mod stress;
 pub mod worlds;
 
 pub use barchan_core::{
-    Backend, BodyState, Coupling, Effect, Engine, Error, Form, Ledger, Material, Measured, NodeBatch, Options,
+    Backend, BodyState, Command, Coupling, Effect, Engine, Error, Form, Ledger, Material, Measured, NodeBatch, Options,
     ParticleList, ParticleState, Plan, Precision, Registry, Result, Scene, Schedule, Simulation, SortPhase, Spot,
-    Stage, StepReport, Task, Vec3, Wrench, backend, contact, coupling, export, file, glam, ledger, material, plan,
-    registry as registries, scene, schedule, simulation, snapshot, solid, state, task,
+    Stage, StepReport, Task, Vec3, Wrench, backend, contact, coupling, export, file, glam, ledger, material, parameter,
+    plan, registry as registries, scene, schedule, simulation, snapshot, solid, state, task,
 };
 pub use barchan_tasks as tasks;
 

@@ -79,7 +79,7 @@ mod tests {
     fn a_law_that_blames_a_particle_beyond_the_batch_is_an_error() {
         let mut material = crate::registry().material("neo_hookean").unwrap().clone();
         material.table.update_f64 = Some(blame);
-        let parameters = material.parameters.iter().map(|parameter| parameter.default).collect();
+        let parameters = material.parameters.iter().filter_map(|parameter| parameter.default_number()).collect();
         let planned = PlannedMaterial { name: "m".into(), material, parameters, density: 1000.0, damping: None };
         let identity = planned.material.strain_identity();
         let list = ParticleList { id: vec![7; 3], ..ParticleList::empty(0, 0, 0.1, identity.len(), 0) };

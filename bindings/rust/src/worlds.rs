@@ -10,7 +10,7 @@
 //! let options = barchan::Options { backend: "wgpu".into(), ..Default::default() };
 //! let mut worlds = Worlds::of(&barchan::registry(), &scene, 64, 0, &options)?;
 //! for world in 0..worlds.len() {
-//!     worlds.world_mut(world).drive("blade", [0.1, 0.0, 0.0], [0.0; 3])?;
+//!     worlds.world_mut(world).act("blade", &barchan::Command::Twist { linear: [0.1, 0.0, 0.0], angular: [0.0; 3] })?;
 //! }
 //! for reports in worlds.steps(20) {
 //!     println!("{} steps", reports?.len());

@@ -2,7 +2,7 @@
 
 use crate::{batch, refusal, rigid, step, within};
 use barchan_core::scene::{Interpolation, Keyframe};
-use barchan_core::{Coupling, NodeBatch};
+use barchan_core::{Command, Coupling, NodeBatch};
 use barchan_rigid::motion::{KeyframePath, Pose};
 use glam::{DQuat, DVec3};
 
@@ -115,7 +115,7 @@ fn agents_drive_tools_by_velocity() {
     let mut rigid = rigid(
         "[[tool]]\nname = 'hand'\nshape = { sphere = { radius = 0.1 } }\nmotion = { velocity = {} }\n[[tool]]\nname = 'wall'\nshape = { plane = { normal = [0, 0, 1] } }",
     );
-    rigid.drive("hand", [1.0, 0.0, -2.0], [0.0, 0.0, 3.0]).unwrap();
+    rigid.act("hand", &Command::Twist { linear: [1.0, 0.0, -2.0], angular: [0.0, 0.0, 3.0] }).unwrap();
     for i in 0..100 {
         step(&mut rigid, 0.01 * f64::from(i), 0.01, &mut NodeBatch::default());
     }
@@ -123,13 +123,18 @@ fn agents_drive_tools_by_velocity() {
     let rotation = DQuat::from_xyzw(hand.rotation[1], hand.rotation[2], hand.rotation[3], hand.rotation[0]);
     within("position [m]", (DVec3::from_array(hand.position) - DVec3::new(1.0, 0.0, -2.0)).length(), 1e-13);
     within("angle [rad]", rotation.angle_between(DQuat::from_rotation_z(3.0)), 1e-13);
-    let nan = rigid.drive("hand", [f64::NAN, 0.0, 0.0], [0.0; 3]).unwrap_err().to_string();
+    let nan =
+        rigid.act("hand", &Command::Twist { linear: [f64::NAN, 0.0, 0.0], angular: [0.0; 3] }).unwrap_err().to_string();
     assert!(nan.contains("'hand'") && nan.contains("NaN"), "{nan}");
-    let fixed = rigid.drive("wall", [0.0; 3], [0.0; 3]).unwrap_err().to_string();
+    let fixed = rigid.act("wall", &Command::Twist { linear: [0.0; 3], angular: [0.0; 3] }).unwrap_err().to_string();
     assert!(fixed.contains("'wall'") && fixed.contains("not driven by velocity"), "{fixed}");
-    let unknown = rigid.drive("foot", [0.0; 3], [0.0; 3]).unwrap_err().to_string();
+    let unknown = rigid.act("foot", &Command::Twist { linear: [0.0; 3], angular: [0.0; 3] }).unwrap_err().to_string();
     assert!(unknown.contains("'foot'") && unknown.contains("hand, wall"), "{unknown}");
-    assert_eq!(rigid.bodies()[0].position, rigid.bodies()[0].position);
+    let joints = rigid.act("hand", &Command::JointTargets(vec![1.0])).unwrap_err().to_string();
+    assert!(
+        joints.contains("tool 'hand': it has no joints, and joint targets are asked for; give it a twist"),
+        "{joints}"
+    );
 }
 
 #[test]

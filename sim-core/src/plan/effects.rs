@@ -1,6 +1,6 @@
 //! Which effects a scene calls for, and why.
 
-use super::{Effect, Plan, TOOL_COUPLING};
+use super::{Effect, Plan, PlannedCoupling, TOOL_COUPLING};
 use crate::levels::{Agent, TILE};
 use crate::scene::{Export, Leaving, Motion, Wall, plain};
 
@@ -160,11 +160,18 @@ impl Plan {
                 "impulses of nodes summed on bodies".to_owned(),
             );
         }
-        for kind in self.couplings.iter().filter(|kind| *kind != TOOL_COUPLING) {
+        for PlannedCoupling { kind, name } in self.couplings.iter().filter(|one| one.kind != TOOL_COUPLING) {
             add(
-                format!("coupling {kind}"),
+                format!("coupling {name}"),
                 format!("coupling.kind = \"{kind}\""),
                 "contact on nodes near it".to_owned(),
+            );
+        }
+        if let Some(task) = &scene.task {
+            add(
+                format!("task {}", task.name),
+                format!("task.name = \"{}\"", task.name),
+                "nothing to a step: an agent plays it".to_owned(),
             );
         }
         match scene.world.leaving {

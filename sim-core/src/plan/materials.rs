@@ -3,7 +3,8 @@
 use super::Precision;
 use crate::backend::Bound;
 use crate::material::ErrorBuffer;
-use crate::scene::{MaterialSpec, nearest};
+use crate::parameter::Given;
+use crate::scene::MaterialSpec;
 use crate::stiffness::{Damping, Moduli, Stiffness};
 use crate::{Error, Material, Registry, Result, Scene};
 use barchan_abi as abi;
@@ -146,39 +147,10 @@ pub(super) fn plan_materials(registry: &Registry, scene: &Scene, precision: Prec
 
 /// Parameters in the law's order, SI, with defaults where the scene is silent.
 fn resolve(scene: &Scene, path: &str, spec: &MaterialSpec, law: &Material) -> Result<Vec<f64>> {
-    let mut values: Vec<Option<f64>> = vec![None; law.parameters.len()];
-    for (key, &value) in &spec.parameters {
-        let path = format!("{path}.parameters.{key}");
-        let exact = law.parameters.iter().position(|p| p.name == *key);
-        let in_degrees = || {
-            let name = key.strip_suffix("_deg")?;
-            law.parameters.iter().position(|p| p.name == name && p.unit == "rad")
-        };
-        let Some((i, degrees)) = exact.map(|i| (i, false)).or_else(|| in_degrees().map(|i| (i, true))) else {
-            let keys: Vec<String> = law
-                .parameters
-                .iter()
-                .flat_map(|p| {
-                    std::iter::once(p.name.clone()).chain((p.unit == "rad").then(|| format!("{}_deg", p.name)))
-                })
-                .collect();
-            return Err(scene.fault(&path, format!("law '{}' has no parameter `{key}`", law.name), it_has(key, &keys)));
-        };
-        let parameter = &law.parameters[i];
-        let si = if degrees { value.to_radians() } else { value };
-        if values[i].is_some() {
-            return Err(scene.fault(&path, format!("gives {} a second time", parameter.name), "keep one of the two"));
-        }
-        if !parameter.allows(si) {
-            return Err(scene.fault(
-                &path,
-                format!("is {value}{}", if degrees { format!(" deg, that is {si} rad") } else { String::new() }),
-                format!("must be in {} {}", parameter.range(), parameter.unit),
-            ));
-        }
-        values[i] = Some(si);
-    }
-    let values: Vec<f64> = values.iter().zip(&law.parameters).map(|(v, p)| v.unwrap_or(p.default)).collect();
+    let given = spec.parameters.iter().map(|(key, value)| (key.clone(), Given::Float(*value))).collect();
+    let whose = format!("law '{}'", law.name);
+    let resolved = scene.resolve(whose, &law.parameters, &given, &format!("{path}.parameters"))?;
+    let values: Vec<f64> = law.parameters.iter().map(|parameter| resolved.number(&parameter.name)).collect();
     if let Some(check) = law.table.check_params {
         let mut buffer = ErrorBuffer::default();
         // SAFETY: one value a parameter, as the ABI asks; both arguments live until the call returns.
@@ -189,10 +161,4 @@ fn resolve(scene: &Scene, path: &str, spec: &MaterialSpec, law: &Material) -> Re
         }
     }
     Ok(values)
-}
-
-/// What there is in the place of a name that is not known, and which was most likely meant.
-pub(super) fn it_has(name: &str, known: &[String]) -> String {
-    let meant = nearest(name, known).map(|n| format!("; did you mean `{n}`?")).unwrap_or_default();
-    format!("it has {}{meant}", if known.is_empty() { "none".to_owned() } else { known.join(", ") })
 }

@@ -198,7 +198,9 @@ impl Scene {
         )?;
         self.unique("material", self.material.iter().map(|m| m.name.as_str()), true)?;
         self.unique("body", self.body.iter().map(|b| b.name.as_str()), false)?;
-        self.unique("tool", self.tool.iter().map(|t| t.name.as_str()), true)
+        self.unique("tool", self.tool.iter().map(|t| t.name.as_str()), true)?;
+        let couplings = self.coupling_names();
+        self.unique("coupling", couplings.iter().map(String::as_str), true)
     }
 
     fn unique<'a>(&self, list: &str, names: impl Iterator<Item = &'a str>, required: bool) -> Result<()> {

@@ -395,7 +395,8 @@ fn name_of(item: &Value) -> Option<&str> {
     item.get("name").and_then(Value::as_str)
 }
 
-fn parse_value(raw: &str) -> Option<Value> {
+/// A value as TOML writes it; quotes around a single word may be left out.
+pub(crate) fn parse_value(raw: &str) -> Option<Value> {
     use serde::Deserialize;
     let word = |raw: &str| {
         let plain = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '/' | '.' | ' ');

@@ -8,8 +8,8 @@ use barchan_core::contact::Contact;
 use barchan_core::coupling::Aabb;
 use barchan_core::scene::{Motion, Shape};
 use barchan_core::{
-    Backend, BodyState, Coupling, Engine, Error, Form, Ledger, NodeBatch, ParticleState, Plan, Registry, Result, Scene,
-    Stage, StepReport, Vec3, Wrench,
+    Backend, BodyState, Command, Coupling, Engine, Error, Form, Ledger, NodeBatch, ParticleState, Plan, Registry,
+    Result, Scene, Stage, StepReport, Vec3, Wrench,
 };
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -130,7 +130,7 @@ pub fn registry() -> Registry {
         registry.add_material(table, "built-in").unwrap();
     }
     registry
-        .add_coupling("rigid", "Boxes.", Vec::new(), Arc::new(|scene| Ok(Box::new(Boxes::new(scene)) as _)))
+        .add_coupling("rigid", "Boxes.", Vec::new(), Arc::new(|setup| Ok(Box::new(Boxes::new(setup.scene)) as _)))
         .unwrap();
     registry.add_backend(Arc::new(Ballistic)).unwrap();
     registry
@@ -208,7 +208,8 @@ impl Coupling for Boxes {
         let nearest = |x| self.bodies.iter().zip(&self.half).map(|b| to(x, b)).fold(f64::INFINITY, f64::min);
         points.iter().map(nearest).collect()
     }
-    fn drive(&mut self, body: &str, velocity: Vec3, _: Vec3) -> Result<()> {
+    fn act(&mut self, body: &str, command: &Command) -> Result<()> {
+        let &Command::Twist { linear: velocity, .. } = command else { unreachable!("no test asks for it") };
         self.bodies.iter_mut().filter(|b| b.name == body).for_each(|b| b.velocity = velocity);
         Ok(())
     }

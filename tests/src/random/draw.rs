@@ -1,7 +1,7 @@
 //! Drawing scenes from their declarations.
 
 use crate::scenes::Noise;
-use barchan::material::Parameter;
+use barchan::parameter::{Kind, Parameter, Range};
 use barchan::{Registry, Scene};
 use std::fs;
 use std::io;
@@ -33,8 +33,9 @@ pub struct Generator {
     schema: Json,
     /// Name and parameters of each law.
     laws: Vec<(String, Vec<Parameter>)>,
-    /// Likewise of couplings that scenes may call for by name.
+    /// Likewise of couplings that scenes may call for by name, and of tasks.
     couplings: Vec<(String, Vec<Parameter>)>,
+    tasks: Vec<(String, Vec<Parameter>)>,
 }
 
 /// What a scene's numbers are drawn to fit: everything is small enough to be run in no time.
@@ -111,7 +112,8 @@ impl Generator {
         let laws = registry.materials().map(|law| (law.name.clone(), law.parameters.clone())).collect();
         let named = registry.couplings().filter(|(name, _)| *name != barchan::plan::TOOL_COUPLING);
         let couplings = named.map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
-        Self { schema: Scene::schema(), laws, couplings }
+        let tasks = registry.tasks().map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
+        Self { schema: Scene::schema(), laws, couplings, tasks }
     }
 
     /// The scene of a seed, as TOML. Not all of them can be run.
@@ -144,12 +146,16 @@ impl Generator {
         frame.bodies = frame.pick(&[0, 1, 1, 1, 2, 2, 3]);
         frame.tools = frame.pick(&[0, 1, 1, 2, 3]);
         let Value::Table(mut scene) = self.object(&self.schema, "", &mut frame) else { return Table::new() };
+        let add_parameters = |entry: &mut Table, name: &str, known: &[(String, Vec<Parameter>)], frame: &mut Frame| {
+            let is_named = |known: &&(String, Vec<Parameter>)| entry[name].as_str() == Some(&known.0);
+            let parameters = known.iter().find(is_named).map(|known| Self::parameters(&known.1, frame));
+            entry.insert("parameters".to_owned(), Value::Table(parameters.unwrap_or_default()));
+        };
         for (list, name, known) in [("material", "law", &self.laws), ("coupling", "kind", &self.couplings)] {
-            for entry in entries(&mut scene, list) {
-                let is_named = |known: &&(String, Vec<Parameter>)| entry[name].as_str() == Some(&known.0);
-                let parameters = known.iter().find(is_named).map(|known| Self::parameters(&known.1, &mut frame));
-                entry.insert("parameters".to_owned(), Value::Table(parameters.unwrap_or_default()));
-            }
+            entries(&mut scene, list).for_each(|entry| add_parameters(entry, name, known, &mut frame));
+        }
+        if let Some(task) = within(&mut scene, "task") {
+            add_parameters(task, "name", &self.tasks, &mut frame);
         }
         // Most scenes are to run: what types and units cannot say is mended.
         if !frame.is(0.05) {
@@ -260,7 +266,13 @@ impl Generator {
             "material" => frame.materials,
             "body" => frame.bodies,
             "tool" => frame.tools,
-            "coupling" => usize::from(!self.couplings.is_empty()),
+            "coupling" => {
+                if self.couplings.is_empty() {
+                    0
+                } else {
+                    1 + frame.below(2)
+                }
+            }
             _ => 1 + frame.below(3),
         };
         let entry = |i: usize, frame: &mut Frame| {
@@ -316,8 +328,13 @@ impl Generator {
                 return text(law.0);
             }
             // Once the law is known.
-            "material[].parameters" | "coupling[].parameters" => return Some(Some(Value::Table(Table::new()))),
-            "coupling[].kind" => return text(self.couplings.first()?.0.clone()),
+            "material[].parameters" | "coupling[].parameters" | "task.parameters" => {
+                return Some(Some(Value::Table(Table::new())));
+            }
+            "coupling[].kind" => return text(frame.pick(&self.couplings).0),
+            "coupling[].name" => return text(format!("c{}", frame.entry)),
+            "task" if self.tasks.is_empty() => return Some(None),
+            "task.name" => return text(frame.pick(&self.tasks).0),
             "body[].material" => return text(format!("m{}", frame.below(frame.materials))),
             "body[].spacing" => {
                 let cells = frame.pick(&[0.5, 0.5, 0.5, 0.34, 0.66, 1.0]);
@@ -386,29 +403,54 @@ impl Generator {
         Value::Table(table)
     }
 
-    /// Parameters of one of some declarations, a few of them at random.
+    /// Parameters of one of some declarations: those that are required, and a few others at random.
     fn parameters(of: &[Parameter], frame: &mut Frame) -> Table {
         let mut table = Table::new();
         for parameter in of {
-            if !frame.is(0.4) {
+            let is_required = parameter.default.is_none() && !matches!(parameter.kind, Kind::Table(_));
+            if !is_required && !frame.is(0.4) {
                 continue;
             }
-            let (low, high) = (parameter.min.max(-1e9), parameter.max.min(1e9));
-            let near = if parameter.default > 0.0 && low >= 0.0 {
-                parameter.default * frame.decades(0.03, 3.0)
-            } else {
-                frame.between(low.max(-10.0), high.min(10.0))
-            };
-            let value = match frame.below(8) {
-                0 if parameter.allows(low) => low,
-                1 if high <= 100.0 && parameter.allows(high) => high,
-                _ => near,
-            };
-            if parameter.allows(value) {
-                table.insert(parameter.name.clone(), Value::Float(value));
+            if let Some(value) = Self::parameter(parameter, &parameter.kind, frame) {
+                table.insert(parameter.name.clone(), value);
             }
         }
         table
+    }
+
+    /// A value of a parameter's type, or of its entries'.
+    fn parameter(of: &Parameter, kind: &Kind, frame: &mut Frame) -> Option<Value> {
+        Some(match kind {
+            Kind::Number(range) => Value::Float(Self::parameter_number(of, range, frame)?),
+            Kind::Switch => Value::Boolean(frame.is(0.5)),
+            // A text names a tool, or something of its own.
+            Kind::Text(choices) if choices.is_empty() => Value::String(match frame.is(0.5) {
+                true => format!("t{}", frame.below(frame.tools + 1)),
+                false => format!("text {}", frame.below(1000)),
+            }),
+            Kind::Text(choices) => Value::String(frame.pick(choices)),
+            // Whatever a plugin reads, it is no mesh.
+            Kind::Path => Value::String(frame.pick(&["heights.csv", "cube.obj"]).to_owned()),
+            Kind::Array { of: entry, count } => {
+                let count = count.start() + frame.below((count.end() - count.start()).min(2) + 1);
+                Value::Array((0..count).filter_map(|_| Self::parameter(of, entry, frame)).collect())
+            }
+            Kind::Table(keys) => Value::Table(Self::parameters(keys, frame)),
+        })
+    }
+
+    fn parameter_number(of: &Parameter, range: &Range, frame: &mut Frame) -> Option<f64> {
+        let (low, high) = (range.min.max(-1e9), range.max.min(1e9));
+        let near = match of.default_number() {
+            Some(default) if default > 0.0 && low >= 0.0 => default * frame.decades(0.03, 3.0),
+            _ => frame.between(low.max(-10.0), high.min(10.0)),
+        };
+        let value = match frame.below(8) {
+            0 if range.contains(low) => low,
+            1 if high <= 100.0 && range.contains(high) => high,
+            _ => near,
+        };
+        range.contains(value).then_some(value)
     }
 
     /// All keys that a scene may have, entries of lists as `[]`: those below a union's parts once.
@@ -450,7 +492,7 @@ fn wanted(path: &str) -> f64 {
         "levels.half" => 1.0,
         // The origin is seldom in the world.
         _ if path.starts_with("body") && path.ends_with(".center") => 1.0,
-        "time.step" => 0.05,
+        "time.step" | "task" => 0.05,
         "coupling" | "gravity_ramp" | "material[].damping" | "body[].settled" | "levels.reach" | "sleep" | "output" => {
             0.15
         }

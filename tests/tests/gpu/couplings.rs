@@ -6,7 +6,7 @@ use barchan::{Options, Precision, Simulation, Wrench};
 use barchan_tests::scenes::{scene, within};
 use barchan_tests::sketch::{Head, block, driven, half, material, tool};
 
-const CURRENT: &str = "[[coupling]]\nkind = \"current\"\nparameters = { rate = 3, x = 0.4, y = 0.1 }\n";
+const CURRENT: &str = "[[coupling]]\nkind = \"current\"\nparameters = { rate = 3, velocity = [0.4, 0.1, 0] }\n";
 const ROLLERS: &str =
     "[[coupling]]\nkind = \"rollers\"\nparameters = { radius = 0.05, gap = 0.08, x = 0.28, z = 0.07, rate = 8 }\n";
 
@@ -94,7 +94,7 @@ fn a_field_on_the_device_drags_as_its_law_says() {
     let toml = Head::space(0.1).time(format!("step = {dt}")).with(&[
         material("neo_hookean", 1000.0, "young_modulus = 1e4"),
         block("neo_hookean", [-0.2; 3], [0.2; 3], ""),
-        format!("[[coupling]]\nkind = \"current\"\nparameters = {{ rate = {rate}, x = 1, y = -0.5 }}\n"),
+        format!("[[coupling]]\nkind = \"current\"\nparameters = {{ rate = {rate}, velocity = [1, -0.5, 0] }}\n"),
     ]);
     let mut sim = start(&toml, "wgpu", Precision::F32);
     let before = sim.ledger();

@@ -96,8 +96,8 @@ fn worlds_are_damped_each_by_its_own_time() {
 #[test]
 fn beside_a_law_on_the_host_the_last_step_counts() {
     let current = format!(
-        "[[coupling]]\nkind = \"{}\"\nparameters = {{ rate = 0.5, x = 0.2, host = 1 }}\n",
-        barchan_seam_coupling::KIND
+        "[[coupling]]\nkind = \"{}\"\nparameters = {{ rate = 0.5, velocity = [0.2, 0, 0], host = true }}\n",
+        barchan_seam_coupling::CURRENT
     );
     let text = fallen("hencky", LAWS[0].1, LAWS[0].2, "step = 3e-4", &current);
     let on = |backend: &str, steps: usize| {

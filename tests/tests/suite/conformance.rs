@@ -7,6 +7,7 @@
 
 use crate::libraries::{c_template, rust_library};
 use barchan::Material;
+use barchan::parameter::Parameter;
 use barchan_material_kit::{Subject, conformance};
 use std::collections::BTreeMap;
 
@@ -26,7 +27,7 @@ fn settings(law: &Material) -> Vec<(String, Vec<f64>)> {
         ("poisson_ratio", -0.3),
     ];
     let elastic = law.states.is_empty();
-    let defaults: Vec<f64> = law.parameters.iter().map(|p| p.default).collect();
+    let defaults: Vec<f64> = law.parameters.iter().filter_map(Parameter::default_number).collect();
     let mut all = vec![("defaults".to_owned(), defaults.clone())];
     for (name, value) in VARIED {
         let position = law.parameters.iter().position(|p| p.name == name).filter(|_| value > 0.0 || elastic);

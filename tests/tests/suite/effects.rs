@@ -2,7 +2,7 @@
 //! measured by `barchan bench effects`.)
 
 use barchan::schedule::Call;
-use barchan::{Form, Options, Plan, Precision, Simulation, Stage, Wrench};
+use barchan::{Command, Form, Options, Plan, Precision, Simulation, Stage, Wrench};
 use barchan_tests::scenes::{options, rows, scene, simulation};
 use barchan_tests::sketch::{Head, bed, half, material, tool};
 use std::collections::BTreeMap;
@@ -149,7 +149,7 @@ fn a_tool_that_has_left_the_ground_feels_nothing() {
     let plate = tool("plate", [0.3, 0.3, 0.2], &half([0.1, 0.1, 0.05]), "\"slip\"", "{ velocity = {} }");
     let mut s = simulation(&sand(&[plate]), Precision::F32);
     let mut moved = |velocity: f64| {
-        s.drive("plate", [0.0, 0.0, velocity], [0.0; 3]).unwrap();
+        s.act("plate", &Command::Twist { linear: [0.0, 0.0, velocity], angular: [0.0; 3] }).unwrap();
         for _ in 0..STEPS {
             s.step().unwrap();
         }

@@ -11,6 +11,7 @@ const SCENES: u64 = 150;
 fn registry() -> Registry {
     let mut registry = barchan::registry();
     barchan_seam_coupling::register(&mut registry).unwrap();
+    barchan_seam_task::register(&mut registry).unwrap();
     registry
 }
 
@@ -42,7 +43,7 @@ fn every_key_of_a_scene_is_drawn() {
     let never: Vec<String> = generator.keys().into_iter().filter(|key| !found.contains_key(key)).collect();
     assert!(never.is_empty(), "never drawn: {never:#?}");
     // Of these there is one kind of value only.
-    let one = ["name", "world", "time.end", "coupling[].kind"];
+    let one = ["name", "world", "time.end", "task.name"];
     let same: Vec<&String> = found
         .iter()
         .filter(|(key, values)| values.len() < 2 && !one.contains(&key.as_str()))

@@ -1,6 +1,6 @@
 //! Unbounded ground: only what is around agents is live, what they have changed is kept, the rest is a function of position.
 
-use barchan::{Ledger, Options, ParticleState, Precision, Scene, Simulation};
+use barchan::{Command, Ledger, Options, ParticleState, Precision, Scene, Simulation};
 use barchan_tests::long_cases::{FURROW_CELL, furrow, furrow_depth, furrow_scene};
 use barchan_tests::scenes::{options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, body, material, tool};
@@ -29,7 +29,7 @@ fn an_agent_that_comes_back_finds_its_furrow() {
     assert!(awake.is_nan(), "the furrow's first metre is out of reach, and {awake} m deep among the live particles");
     // Back through the air.
     for (velocity, time) in [([0.0, 0.0, 4.0], 0.15), ([-7.0, 0.0, 0.0], 0.4), ([0.0; 3], 0.1)] {
-        s.drive("ball", velocity, [0.0; 3]).unwrap();
+        s.act("ball", &Command::Twist { linear: velocity, angular: [0.0; 3] }).unwrap();
         let until = s.time() + time;
         run_to(&mut s, until);
     }
@@ -149,7 +149,7 @@ fn a_run_resumes_across_the_archive_bit_for_bit() {
     let start = |threads: usize| {
         let options = Options { threads, ..options(Precision::F64) };
         let mut s = Simulation::new(&barchan::registry(), &scene(&furrow_scene(8.0, 2.56)), &options).unwrap();
-        s.drive("ball", [6.0, 0.0, 0.0], [0.0; 3]).unwrap();
+        s.act("ball", &Command::Twist { linear: [6.0, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
         run_to(&mut s, 0.3);
         s
     };
@@ -164,7 +164,7 @@ fn a_run_resumes_across_the_archive_bit_for_bit() {
     let mut threaded = start(2);
     for s in [&mut whole, &mut resumed, &mut threaded] {
         // Back and forth, so that ground leaves the archive too.
-        s.drive("ball", [-6.0, 0.0, 4.0], [0.0; 3]).unwrap();
+        s.act("ball", &Command::Twist { linear: [-6.0, 0.0, 4.0], angular: [0.0; 3] }).unwrap();
         run_to(s, 0.5);
     }
     let ledger = whole.ledger();

@@ -1,7 +1,7 @@
 //! Many worlds side by side are each the world that it is alone.
 
 use barchan::worlds::Worlds;
-use barchan::{Options, Precision, Scene, Simulation};
+use barchan::{Command, Options, Precision, Scene, Simulation};
 use barchan_tests::scenes::{options, scene};
 use barchan_tests::sketch::{bed, half, tool};
 
@@ -24,7 +24,11 @@ fn patch(seed: u64) -> Scene {
 /// What an agent does in a world at a step.
 fn act(s: &mut Simulation, world: usize) {
     let turn = 0.05 * s.step_count() as f64 + world as f64;
-    s.drive("blade", [0.6 * turn.cos(), 0.3 * turn.sin(), -0.1], [0.0, 0.0, turn.sin()]).unwrap();
+    s.act(
+        "blade",
+        &Command::Twist { linear: [0.6 * turn.cos(), 0.3 * turn.sin(), -0.1], angular: [0.0, 0.0, turn.sin()] },
+    )
+    .unwrap();
 }
 
 fn alone(world: usize, steps: usize, options: &Options) -> Simulation {

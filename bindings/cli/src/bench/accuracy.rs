@@ -287,8 +287,8 @@ fn entries(args: &Accuracy, length: f64) -> Vec<Entry> {
 
 /// Runs an entry for a moment, then as often as asked: the last record, and the wall seconds of all.
 fn measure(args: &Accuracy, registry: &Registry, scene: &Scene, entry: &Entry) -> Result<(Record, Vec<f64>)> {
-    let (precision, backend) = (entry.precision, entry.backend.clone());
-    let options = barchan::Options { precision, backend, ..args.engine.options() };
+    let options = crate::moved(args.engine.options(), &entry.backend);
+    let options = barchan::Options { precision: entry.precision, ..options };
     let levels = Levels {
         count: entry.levels,
         half: entry.half,

@@ -229,6 +229,11 @@ fn engines(args: &Throughput, registry: &Registry) -> Result<Vec<EngineArgs>> {
         backend: Some(backend.name().to_owned()),
         // An adapter goes with the backends that run on one.
         adapter: args.engine.adapter.clone().filter(|_| backend.adapters().is_some()),
+        // And parameters with the one that they are given for.
+        backend_parameter: match backend.name() == args.engine.backend() {
+            true => args.engine.backend_parameter.clone(),
+            false => Vec::new(),
+        },
         ..args.engine.clone()
     };
     Ok(there.map(on).collect())

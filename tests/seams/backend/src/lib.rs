@@ -1,8 +1,9 @@
 //! A backend outside Barchan's own crates: `dust`, whose particles fly without touching each other.
 //!
-//! Gravity is all that it knows. It has no form of the stage contact, and says so when a scene calls for one.
+//! Gravity is all that it knows, and what its parameter `drag` slows down. It has no form of the stage contact, and says so when a scene calls for one.
 
 use barchan::backend::{Bound, Timing};
+use barchan::parameter::{Parameter, Range};
 use barchan::{
     Backend, Coupling, Engine, Form, Ledger, ParticleList, ParticleState, Plan, Registry, Result, Scene, Stage,
     StepReport,
@@ -29,13 +30,17 @@ impl Backend for Dust {
     fn doc(&self) -> &str {
         "Particles fly without touching each other: no grid, no stress, no contact."
     }
+    fn parameters(&self) -> Vec<Parameter> {
+        let doc = "How fast particles lose their velocity to the air.";
+        vec![Parameter::number("drag", "1/s", Range::NOT_NEGATIVE, doc).or(0.0)]
+    }
     fn has_form(&self, stage: Stage, form: Form) -> bool {
         form == Form::Forward && ![Stage::CONTACT, Stage::BODIES].contains(&stage)
     }
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
         plan.check_forms(self)?;
-        let start = plan.scene.clone();
-        Ok(Box::new(Flight { particles, scene: start, seconds: 0.0, steps: 0 }))
+        let (scene, drag) = (plan.scene.clone(), plan.backend_parameters.number("drag"));
+        Ok(Box::new(Flight { particles, scene, drag, seconds: 0.0, steps: 0 }))
     }
 }
 
@@ -43,6 +48,8 @@ impl Backend for Dust {
 struct Flight {
     particles: ParticleState,
     scene: Scene,
+    /// [1/s]
+    drag: f64,
     seconds: f64,
     steps: u64,
 }
@@ -58,7 +65,7 @@ impl Engine for Flight {
         for list in &mut self.particles.lists {
             for i in 0..list.len() {
                 for d in 0..3 {
-                    let v = list.velocity[i][d] + dt * gravity[d];
+                    let v = (list.velocity[i][d] + dt * gravity[d]) / (1.0 + self.drag * dt);
                     let moved = list.offset[i][d] + dt * v / list.cell_width;
                     list.velocity[i][d] = v;
                     list.cell[i][d] += moved.floor() as i32;

@@ -9,6 +9,8 @@ use std::process::{Command, Output};
 
 /// The scene that calls for a current.
 const SCENE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/current.toml");
+/// The scene that calls for a task and for three couplings, two of them of one kind.
+const PUSH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/push.toml");
 
 fn run(folder: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_barchan-seam-cli")).args(args).current_dir(folder).output().unwrap()
@@ -19,6 +21,13 @@ fn succeed(folder: &Path, args: &[&str]) -> String {
     let output = run(folder, args);
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs, wants it to be refused, and returns what was said.
+fn fail(folder: &Path, args: &[&str]) -> String {
+    let output = run(folder, args);
+    assert!(!output.status.success(), "{args:?} succeeded");
+    String::from_utf8(output.stderr).unwrap()
 }
 
 /// Names of a kind of plugins.
@@ -38,12 +47,12 @@ fn mean_velocity(out: &Path) -> [f64; 3] {
 fn the_registry_given_is_listed_beside_what_comes_with_barchan() {
     let folder = tempfile::tempdir().unwrap();
     let plugins: Value = serde_json::from_str(&succeed(folder.path(), &["plugins", "--json"])).unwrap();
-    assert_eq!(names(&plugins, "couplings"), ["current", "rigid"]);
+    assert_eq!(names(&plugins, "couplings"), ["brakes", "current", "rigid"]);
     assert_eq!(names(&plugins, "backends"), ["cpu", "dust", "wgpu"]);
     assert_eq!(names(&plugins, "tasks"), ["push"]);
     assert!(names(&plugins, "materials").contains(&"sand".to_owned()));
     let text = succeed(folder.path(), &["plugins"]);
-    for doc in ["A current that drags", "Particles fly without touching", "Push a cube of jelly"] {
+    for doc in ["A current that drags", "Particles fly without touching", "Push ground along x"] {
         assert!(text.contains(doc), "no '{doc}' in {text}");
     }
 }
@@ -60,6 +69,133 @@ fn a_scene_with_the_coupling_is_planned_and_run() {
     let off = velocity.iter().zip([1.0, -0.5, 0.0]).map(|(v, w)| (v - share * w).abs()).fold(0.0, f64::max);
     println!("velocity off by {off:.1e} m/s, tolerance 1e-12");
     assert!(off < 1e-12);
+}
+
+/// What plugins can be told is listed, whatever their kind.
+#[test]
+fn parameters_of_every_kind_are_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let plugins: Value = serde_json::from_str(&succeed(folder.path(), &["plugins", "--json"])).unwrap();
+    let parameter = |kind: &str, plugin: &str, name: &str| -> Value {
+        let named = |list: &Value, name: &str| list.as_array().unwrap().iter().find(|x| x["name"] == name).cloned();
+        let plugin = named(&plugins[kind], plugin).unwrap();
+        named(&plugin["parameters"], name).unwrap_or_else(|| panic!("no {name} in {plugin}"))
+    };
+    let rate = parameter("couplings", "current", "rate");
+    assert_eq!((&rate["type"], &rate["default"], &rate["range"]), (&"number".into(), &Value::Null, &"(0, inf)".into()));
+    let field = parameter("couplings", "current", "field");
+    assert_eq!((&field["default"], &field["choices"][1]), (&"uniform".into(), &"whirl".into()));
+    assert_eq!(parameter("couplings", "current", "horizontal")["default"], false);
+    assert_eq!(parameter("couplings", "current", "record")["type"], "path");
+    assert_eq!(parameter("couplings", "current", "velocity")["of"]["type"], "number");
+    let zone = parameter("couplings", "brakes", "zone");
+    assert_eq!((&zone["of"]["keys"][2]["name"], &zone["max_count"]), (&"half".into(), &64.into()));
+    assert_eq!(parameter("tasks", "push", "goal")["default"], 0.1);
+    assert_eq!(parameter("backends", "dust", "drag")["unit"], "1/s");
+    let text = succeed(folder.path(), &["plugins"]);
+    for line in [
+        "      rate                  required 1/s    (0, inf)          How fast the ground takes up the velocity.",
+        "      field                 \"uniform\"       uniform | whirl   The same everywhere",
+        "      horizontal            false           switch            Is vertical motion left alone?",
+        "      record                none            path              CSV with rows",
+        "      zone                  required        1-64 x table      The boxes.",
+        "        half                required m      3 x (0, inf)      Half its extents.",
+        "      tool                  \"plate\"         text              The tool that pushes",
+        "      drag                  0 1/s           [0, inf)          How fast particles lose",
+    ] {
+        assert!(text.contains(line), "no '{line}' in {text}");
+    }
+}
+
+/// All that a scene file says of other crates' plugins reaches them: the task, two currents of one kind, brakes with a table for each body; a run of it
+/// tells them apart, and goes on where it was stopped.
+#[test]
+fn a_scene_file_calls_for_couplings_and_a_task() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = succeed(folder.path(), &["plan", PUSH]);
+    for effect in ["coupling whirl", "coupling wind", "coupling brakes", "task push"] {
+        assert!(plan.contains(effect), "no '{effect}' in {plan}");
+    }
+    let end = |out: &str| fs::read(folder.path().join(out).join("trace.csv")).unwrap();
+    let quiet = ["--precision", "f64", "--no-pictures", "--quiet"];
+    succeed(folder.path(), &[&["run", PUSH, "--out", "whole", "--steps", "40"] as &[&str], &quiet].concat());
+    succeed(folder.path(), &[&["run", PUSH, "--out", "cut", "--steps", "25"] as &[&str], &quiet].concat());
+    succeed(folder.path(), &[&["run", "--out", "cut", "--resume", "--steps", "40"] as &[&str], &quiet].concat());
+    assert!(end("whole") == end("cut"), "a run that is gone on with is another one");
+    let trace = String::from_utf8(end("whole")).unwrap();
+    let column = |name: &str| -> Vec<f64> {
+        let place = trace.lines().next().unwrap().split(',').position(|column| column == name);
+        let place = place.unwrap_or_else(|| panic!("no '{name}' in {trace}"));
+        trace.lines().skip(1).map(|row| row.split(',').nth(place).unwrap().parse().unwrap()).collect()
+    };
+    // The wind is turned around, so that it pushes the ground along -x and the pump along x, and its record begins at rest.
+    let wind = column("wind fx [N]");
+    assert!(wind[0].abs() < 1e-12 && wind[30..].iter().all(|force| *force > 0.1), "{wind:?}");
+    assert!(column("whirl fx [N]").iter().all(|force| force.abs() < 0.2), "a whirl about the block's middle");
+    assert!(column("near fx [N]").iter().chain(&column("far fx [N]")).all(|force| *force == 0.0), "nothing is there");
+    assert_eq!(column("blade x [m]")[0], -0.4);
+}
+
+/// What is wrong in a scene file is said with file, line and key, and a key of one of two couplings is set by the coupling's name.
+#[test]
+fn parameters_are_refused_with_file_line_and_key() {
+    let folder = tempfile::tempdir().unwrap();
+    for (set, says) in [
+        ("coupling.wind.parameters.rate=0", "--set: coupling[1].parameters.rate: is 0; must be in (0, inf) 1/s"),
+        (
+            "coupling.whirl.parameters.fields=1",
+            "coupling[0].parameters.fields: coupling 'current' has no parameter `fields`",
+        ),
+        ("coupling.wind.name=whirl", "coupling[1].name: 'whirl' is already the name of coupling[0]"),
+        (
+            "coupling[2].parameters.zone.near.name=blade",
+            "coupling[2]: its body 'blade' bears the name of one of the coupling 'rigid'",
+        ),
+        ("coupling.wind.parameters.record=gone.csv", "coupling[1].parameters.record: there is no file \"gone.csv\""),
+        ("task.name=pull", "--set: task.name: no task is called 'pull'; known are: push"),
+        ("task.parameters.goal=far", "--set: task.parameters.goal: is the text \"far\"; give a number in (0, inf) m"),
+        (
+            "task.parameters.tool=spade",
+            "--set: task.parameters.tool: no tool 'spade' of the scene is driven by velocity",
+        ),
+    ] {
+        let error = fail(folder.path(), &["check", PUSH, "--set", set]);
+        assert!(error.contains(says), "'{says}' is not in: {error}");
+    }
+    let text = fs::read_to_string(PUSH).unwrap();
+    let path = folder.path().join("wrong.toml");
+    fs::write(&path, text.replace("heading_deg = 180", "heading_deg = \"back\"")).unwrap();
+    fs::copy(Path::new(PUSH).with_file_name("wind.csv"), folder.path().join("wind.csv")).unwrap();
+    let error = fail(folder.path(), &["check", "wrong.toml"]);
+    let line = text.lines().position(|line| line.contains("heading_deg")).unwrap() + 1;
+    let says = format!("wrong.toml:{line}: coupling[1].parameters.heading_deg: is the text \"back\"; give a number");
+    assert!(error.contains(&says), "'{says}' is not in: {error}");
+}
+
+/// A backend is asked on the command line for what it offers: under drag of rate k a block falls by v' = (v + g dt) / (1 + k dt). What is meant for
+/// one backend is not handed to another that takes over.
+#[test]
+fn a_backend_is_asked_for_what_it_offers() {
+    let folder = tempfile::tempdir().unwrap();
+    let fall = ["--set", "coupling=[]", "--set", "gravity=[0, 0, -9.81]", "--no-pictures", "--quiet"];
+    let dust = ["run", SCENE, "--backend", "dust", "--backend-parameter", "drag=2"];
+    succeed(folder.path(), &[&dust as &[&str], &fall, &["--out", "out"]].concat());
+    let speed = (0..100).fold(0.0, |v: f64, _| (v - 9.81 * 2e-3) / (1.0 + 2.0 * 2e-3));
+    let off = (mean_velocity(&folder.path().join("out"))[2] - speed).abs();
+    println!("velocity off by {off:.1e} m/s, tolerance 1e-12");
+    assert!(off < 1e-12);
+    succeed(folder.path(), &[&dust as &[&str], &fall, &["--swap-at", "50:cpu", "--out", "swapped"]].concat());
+    for (parameter, says) in [
+        (
+            "drug=2",
+            "--backend-parameter: drug: backend 'dust' has no parameter `drug`; it has drag; did you mean `drag`?",
+        ),
+        ("drag=-2", "--backend-parameter: drag: is -2; must be in [0, inf) 1/s"),
+        ("drag", "has no `=`: write KEY=VALUE"),
+    ] {
+        let error = fail(folder.path(), &["check", SCENE, "--backend", "dust", "--backend-parameter", parameter]);
+        assert!(error.contains(says), "'{says}' is not in: {error}");
+    }
 }
 
 /// The backend is found by name by `run` and by `bench`; under it a block falls freely.
@@ -109,7 +245,7 @@ fn a_library_is_loaded_beside_them() {
     let text = succeed(folder.path(), &["plugins", "--json", "--load", library]);
     let plugins: Value = serde_json::from_str(&text).unwrap();
     assert!(names(&plugins, "materials").contains(&"c_neo_hookean".to_owned()));
-    assert_eq!(names(&plugins, "couplings"), ["current", "rigid"]);
+    assert_eq!(names(&plugins, "couplings"), ["brakes", "current", "rigid"]);
     let law = ["--load", library, "--set", "material.jelly.law=c_neo_hookean"];
     let plan = succeed(folder.path(), &[&["plan", SCENE] as &[&str], &law].concat());
     assert!(plan.contains("c_neo_hookean") && plan.contains("coupling current"), "{plan}");

@@ -6,9 +6,9 @@
 use barchan::contact::{Grip, Reaction, Touch, Twist};
 use barchan::coupling::{Aabb, DeviceLaw};
 use barchan::glam::DVec3;
-use barchan::material::Parameter;
-use barchan::{BodyState, Coupling, Error, NodeBatch, Registry, Result, Scene, Vec3, Wrench};
-use std::ops::Range;
+use barchan::parameter::{Parameter, Range};
+use barchan::registries::CouplingSetup;
+use barchan::{BodyState, Command, Coupling, Error, NodeBatch, Registry, Result, Vec3, Wrench};
 use std::sync::Arc;
 
 /// Name of the kind.
@@ -19,22 +19,23 @@ pub const KIND: &str = "rollers";
 /// # Errors
 /// If the name is taken.
 pub fn register(registry: &mut Registry) -> Result<()> {
-    let any = [f64::MIN, f64::MAX];
+    let number = |name, unit, range, doc| Parameter::number(name, unit, range, doc);
     let parameters = vec![
-        Parameter::new("radius", "m", 0.1, [1e-6, f64::MAX], "Radius of each."),
-        Parameter::new("gap", "m", 0.05, [0.0, f64::MAX], "Between their surfaces."),
-        Parameter::new("x", "m", 0.0, any, "Place of the middle between them."),
-        Parameter::new("z", "m", 0.0, any, "Height of their axes."),
-        Parameter::new("rate", "rad/s", 1.0, any, "How fast they turn."),
-        Parameter::new("friction", "1", 0.5, [0.0, f64::MAX], "Coefficient of friction."),
+        number("radius", "m", Range::POSITIVE, "Radius of each.").or(0.1),
+        number("gap", "m", Range::POSITIVE, "Between their surfaces.").or(0.05),
+        number("x", "m", Range::FINITE, "Place of the middle between them.").or(0.0),
+        number("z", "m", Range::FINITE, "Height of their axes.").or(0.0),
+        number("rate", "rad/s", Range::FINITE, "How fast they turn.").or(1.0),
+        number("friction", "1", Range::POSITIVE, "Coefficient of friction.").or(0.5),
     ];
     let doc = "Two rollers that draw the ground down between them.";
-    registry.add_coupling(KIND, doc, parameters, Arc::new(|scene| Ok(Box::new(Rollers::new(scene)?))))
+    registry.add_coupling(KIND, doc, parameters, Arc::new(|setup| Ok(Box::new(Rollers::new(setup)))))
 }
 
 /// Two rollers: the left one, then the right one.
 #[derive(Clone, Debug)]
 pub struct Rollers {
+    name: String,
     radius: f64,
     friction: f64,
     axes: [DVec3; 2],
@@ -46,27 +47,21 @@ pub struct Rollers {
 }
 
 impl Rollers {
-    /// Reads their parameters from the scene.
-    ///
-    /// # Errors
-    /// [`Error::Scene`] if the scene has none.
-    pub fn new(scene: &Scene) -> Result<Self> {
-        let Some(spec) = scene.coupling.iter().find(|spec| spec.kind == KIND) else {
-            return Err(scene.fault("coupling", "none are rollers", "add [[coupling]] kind = \"rollers\""));
-        };
-        let value = |key: &str, default: f64| spec.parameters.get(key).copied().unwrap_or(default);
-        let (radius, rate) = (value("radius", 0.1), value("rate", 1.0));
-        let off = radius + 0.5 * value("gap", 0.05);
-        let axis = |side: f64| DVec3::new(value("x", 0.0) + side * off, 0.0, value("z", 0.0));
-        Ok(Self {
+    fn new(setup: &CouplingSetup<'_>) -> Self {
+        let value = |key: &str| setup.parameters.number(key);
+        let (radius, rate) = (value("radius"), value("rate"));
+        let off = radius + 0.5 * value("gap");
+        let axis = |side: f64| DVec3::new(value("x") + side * off, 0.0, value("z"));
+        Self {
+            name: setup.name.to_owned(),
             radius,
-            friction: value("friction", 0.5),
+            friction: value("friction"),
             axes: [axis(-1.0), axis(1.0)],
             rates: [rate, -rate],
             angle: 0.0,
-            world: scene.world_box(),
+            world: setup.scene.world_box(),
             wrenches: [Wrench::default(); 2],
-        })
+        }
     }
 
     /// From a roller's axis to a point, across the axis.
@@ -96,13 +91,13 @@ fn coupling_friction(body: u32) -> f32 {
 
 impl Coupling for Rollers {
     fn name(&self) -> &str {
-        KIND
+        &self.name
     }
     fn bodies(&self) -> Vec<BodyState> {
-        let of_body = |(b, name): (usize, &str)| {
+        let of_body = |(b, side): (usize, &str)| {
             let half = 0.5 * self.angle * self.rates[b].signum();
             BodyState {
-                name: name.to_owned(),
+                name: format!("{side} {}", self.name),
                 position: self.axes[b].to_array(),
                 rotation: [half.cos(), 0.0, half.sin(), 0.0],
                 velocity: [0.0; 3],
@@ -114,7 +109,7 @@ impl Coupling for Rollers {
                 angular_momentum: [0.0; 3],
             }
         };
-        ["left roller", "right roller"].into_iter().enumerate().map(of_body).collect()
+        ["left", "right"].into_iter().enumerate().map(of_body).collect()
     }
     fn max_speed(&self, _: f64, _: f64) -> f64 {
         self.radius * self.rates[0].abs()
@@ -146,7 +141,7 @@ impl Coupling for Rollers {
     fn twist(&self, body: usize) -> Twist {
         Twist { linear: DVec3::ZERO, angular: self.rates[body] * DVec3::Y }
     }
-    fn feel(&mut self, bodies: Range<usize>, _: &[Twist], reactions: &[Reaction], dt: f64) -> Result<()> {
+    fn feel(&mut self, bodies: std::ops::Range<usize>, _: &[Twist], reactions: &[Reaction], dt: f64) -> Result<()> {
         for (wrench, reaction) in self.wrenches[bodies].iter_mut().zip(reactions) {
             wrench.add_change(&Wrench::default(), &reaction.impulse, 1.0 / dt);
         }
@@ -173,11 +168,11 @@ impl Coupling for Rollers {
         };
         points.iter().map(to).collect()
     }
-    fn drive(&mut self, body: &str, _: Vec3, _: Vec3) -> Result<()> {
+    fn act(&mut self, body: &str, command: &Command) -> Result<()> {
         Err(Error::Body {
-            path: body.to_owned(),
-            what: "a roller turns at its own rate".to_owned(),
-            mend: "drive a tool instead, or change the rollers' rate".to_owned(),
+            path: format!("coupling '{}'", self.name),
+            what: format!("'{body}' turns at its own rate, and {} is asked for", command.name()),
+            mend: "move a tool instead, or change the rollers' rate".to_owned(),
         })
     }
     fn warnings(&self, _: f64) -> Vec<String> {

@@ -1,7 +1,12 @@
-//! A task outside Barchan's own crates: push a cube of jelly by two cells with a plate.
+//! A task outside Barchan's own crates: push a block of ground with a tool.
+//!
+//! It is played in a scene of its own, or in any scene whose `[task]` asks for it by `name = "push"`.
 
+use barchan::parameter::{Parameter, Parameters, Range};
+use barchan::registries::TaskSetup;
+use barchan::scene::Motion;
 use barchan::task::TaskStep;
-use barchan::{Error, Registry, Result, Scene, Simulation, Task};
+use barchan::{Command, Error, Registry, Result, Scene, Simulation, Task};
 use std::sync::Arc;
 
 /// Name of the task.
@@ -39,39 +44,64 @@ contact = "slip"
 motion = { velocity = {} }
 "#;
 
-/// Fastest that an action may move the plate [m/s].
+/// Fastest that an action may move the tool [m/s].
 const MAX_SPEED: f64 = 1.0;
 /// Simulated seconds of an action.
 const INTERVAL: f64 = 0.05;
-/// Distance that counts as success [m].
-const GOAL: f64 = 0.1;
-/// Actions until the time is up.
-const ACTIONS: u32 = 20;
 
 /// Registers the task.
 ///
 /// # Errors
 /// If the name is taken.
 pub fn register(registry: &mut Registry) -> Result<()> {
-    registry.add_task(NAME, Push::default().doc(), Arc::new(|| Box::new(Push::default())))
+    let parameters = vec![
+        Parameter::number("goal", "m", Range::POSITIVE, "How far along x the ground is to be pushed.").or(0.1),
+        Parameter::number("actions", "1", Range::new(1.0, 1e6), "Actions until the time is up.").or(20.0),
+        Parameter::text("tool", &[], "The tool that pushes; it is driven by velocity.").or("plate"),
+    ];
+    registry.add_task(NAME, DOC, parameters, Arc::new(|setup| Ok(Box::new(Push::new(setup)?))))
 }
 
-/// The task; an action is the plate's speed along x, as a share of 1 m/s, and an observation is the plate's x and the cube's
-/// mean x [m].
-#[derive(Clone, Debug, Default)]
+const DOC: &str = "Push ground along x with a tool.";
+
+/// The task; an action is the tool's speed along x, as a share of 1 m/s, and an observation is the tool's x and the mean x of the ground's first
+/// material [m].
+#[derive(Clone, Debug)]
 pub struct Push {
+    scene: Scene,
+    parameters: Parameters,
     start: f64,
     actions: u32,
 }
 
-fn cube(simulation: &Simulation) -> f64 {
+fn ground(simulation: &Simulation) -> f64 {
     let particles = simulation.particles();
     let list = &particles.lists[0];
     (0..list.len()).map(|i| list.position(i)[0]).sum::<f64>() / list.len() as f64
 }
 
-fn observe(simulation: &Simulation) -> Vec<f64> {
-    vec![simulation.bodies()[0].position[0], cube(simulation)]
+impl Push {
+    fn new(setup: &TaskSetup<'_>) -> Result<Self> {
+        let scene = match setup.scene {
+            Some(scene) => scene.clone(),
+            None => Scene::from_str(SCENE, "push (task)", "")?,
+        };
+        let wanted = setup.parameters.text("tool");
+        let tool = scene.tool.iter().find(|tool| tool.name == wanted);
+        if !tool.is_some_and(|tool| matches!(tool.motion, Motion::Velocity { .. })) {
+            let what = format!("no tool '{wanted}' of the scene is driven by velocity");
+            return Err(setup.fault("tool", what, "name one with motion = { velocity = {} }"));
+        }
+        if scene.body.is_empty() {
+            return Err(setup.fault("goal", "the scene has no ground to push", "add a [[body]]"));
+        }
+        Ok(Self { scene, parameters: setup.parameters.clone(), start: 0.0, actions: 0 })
+    }
+
+    fn observe(&self, simulation: &Simulation) -> Vec<f64> {
+        let tool = simulation.bodies().into_iter().find(|body| body.name == self.parameters.text("tool"));
+        vec![tool.map_or(f64::NAN, |tool| tool.position[0]), ground(simulation)]
+    }
 }
 
 impl Task for Push {
@@ -79,10 +109,10 @@ impl Task for Push {
         NAME
     }
     fn doc(&self) -> &str {
-        "Push a cube of jelly by 0.1 m with a plate."
+        DOC
     }
     fn scene(&self) -> Result<Scene> {
-        Scene::from_str(SCENE, "push (task)", "")
+        Ok(self.scene.clone())
     }
     fn action_size(&self) -> usize {
         1
@@ -91,28 +121,29 @@ impl Task for Push {
         2
     }
     fn reset(&mut self, simulation: &mut Simulation, _seed: u64) -> Result<Vec<f64>> {
-        (self.start, self.actions) = (cube(simulation), 0);
-        Ok(observe(simulation))
+        (self.start, self.actions) = (ground(simulation), 0);
+        Ok(self.observe(simulation))
     }
     fn step(&mut self, simulation: &mut Simulation, action: &[f64]) -> Result<TaskStep> {
         let &[share] = action else {
             return Err(Error::Body {
                 path: format!("task '{NAME}'"),
                 what: format!("an action has {} numbers", action.len()),
-                mend: "give one: the plate's speed as a share of 1 m/s".to_owned(),
+                mend: "give one: the tool's speed as a share of 1 m/s".to_owned(),
             });
         };
-        simulation.drive("plate", [MAX_SPEED * share.clamp(-1.0, 1.0), 0.0, 0.0], [0.0; 3])?;
-        let before = cube(simulation);
+        let linear = [MAX_SPEED * share.clamp(-1.0, 1.0), 0.0, 0.0];
+        simulation.act(self.parameters.text("tool"), &Command::Twist { linear, angular: [0.0; 3] })?;
+        let before = ground(simulation);
         let until = simulation.time() + INTERVAL;
         simulation.advance(until, |_, _| std::ops::ControlFlow::Continue(()))?;
         self.actions += 1;
-        let observation = observe(simulation);
+        let observation = self.observe(simulation);
         let moved = observation[1] - self.start;
         Ok(TaskStep {
             reward: observation[1] - before,
-            terminated: moved >= GOAL,
-            truncated: self.actions >= ACTIONS,
+            terminated: moved >= self.parameters.number("goal"),
+            truncated: f64::from(self.actions) >= self.parameters.number("actions"),
             observation,
         })
     }

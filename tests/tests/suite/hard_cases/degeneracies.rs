@@ -3,7 +3,7 @@
 use super::{
     all_finite, later, momentum, norm, place, plan, refusal, says, slope, steps, stresses, surface, until, within,
 };
-use barchan::{Error, Precision, Simulation};
+use barchan::{Command, Error, Precision, Simulation};
 use barchan_tests::long_cases::{self, LAWS};
 use barchan_tests::scenes::{Row, alter, options, rows, run_to, simulation};
 use barchan_tests::sketch::{Head, bed, block, half, material, tool};
@@ -227,21 +227,21 @@ fn b10_nan_in_an_action_is_refused() {
     let before = driven.bodies();
     for bad in [f64::NAN, f64::INFINITY] {
         says(
-            &driven.drive("rod", [bad, 0.0, 0.0], [0.0; 3]).unwrap_err(),
+            &driven.act("rod", &Command::Twist { linear: [bad, 0.0, 0.0], angular: [0.0; 3] }).unwrap_err(),
             &["tool 'rod'", "velocity asked for", "finite"],
         );
         says(
-            &driven.drive("rod", [0.0; 3], [0.0, 0.0, bad]).unwrap_err(),
+            &driven.act("rod", &Command::Twist { linear: [0.0; 3], angular: [0.0, 0.0, bad] }).unwrap_err(),
             &["tool 'rod'", "angular velocity asked for"],
         );
     }
     assert_eq!(driven.bodies(), before);
     // A finite one that is absurd is refused by the step, which names the tool's speed.
-    driven.drive("rod", [1e9, 0.0, 0.0], [0.0; 3]).unwrap();
+    driven.act("rod", &Command::Twist { linear: [1e9, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
     let mut fixed = simulation(&long_cases::episode_scene().replace("safety = 0.5", "step = 1e-3"), Precision::F32);
-    fixed.drive("rod", [1e9, 0.0, 0.0], [0.0; 3]).unwrap();
+    fixed.act("rod", &Command::Twist { linear: [1e9, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
     says(&fixed.step().unwrap_err(), &["is above the bound", "speed of a tool"]);
-    fixed.drive("rod", [0.1, 0.0, 0.0], [0.0; 3]).unwrap();
+    fixed.act("rod", &Command::Twist { linear: [0.1, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
     steps(&mut fixed, 3);
 }
 
@@ -523,9 +523,9 @@ fn b14_tool_leaves_sand_without_pulling_it() {
         "{ velocity = { linear = [0, 0, 0] } }",
     ));
     let mut lift = simulation(&head.with(&parts), Precision::F32);
-    lift.drive("plate", [0.0, 0.0, -0.3], [0.0; 3]).unwrap();
+    lift.act("plate", &Command::Twist { linear: [0.0, 0.0, -0.3], angular: [0.0; 3] }).unwrap();
     run_to(&mut lift, 0.2);
-    lift.drive("plate", [0.0, 0.0, 0.5], [0.0; 3]).unwrap();
+    lift.act("plate", &Command::Twist { linear: [0.0, 0.0, 0.5], angular: [0.0; 3] }).unwrap();
     let mut pull = 0f64;
     while lift.time() < 0.6 {
         steps(&mut lift, 1);

@@ -1,7 +1,7 @@
 //! Rigid tools and bodies in the ground.
 
 use super::{all_finite, later, norm, plan, refusal, says, steps, within};
-use barchan::{Precision, Simulation};
+use barchan::{Command, Precision, Simulation};
 use barchan_tests::long_cases;
 use barchan_tests::scenes::{Row, rows, run_to, scene, simulation};
 use barchan_tests::sketch::{Head, bed, block, driven, half, material, scoop, tool};
@@ -236,7 +236,7 @@ fn b48_scooping_does_not_compact() {
     run_to(&mut s, 0.2);
     let before = [2, 3, 4].map(|side| quantile(&s, side));
     for (velocity, time) in [([0.4, 0.0, 0.0], 0.5), ([0.2, 0.0, 0.3], 0.6), ([0.0, 0.0, 0.3], 0.8), ([0.0; 3], 1.2)] {
-        s.drive("scoop", velocity, [0.0; 3]).unwrap();
+        s.act("scoop", &Command::Twist { linear: velocity, angular: [0.0; 3] }).unwrap();
         run_to(&mut s, time);
     }
     let after = [2, 3, 4].map(|side| quantile(&s, side));

@@ -1,7 +1,7 @@
 //! Regions that follow agents: splits, merges, and what they must not do.
 
 use super::{counted, kinetic, levels, minus, norm, on_levels, static_count};
-use barchan::{Ledger, Precision, Simulation};
+use barchan::{Command, Ledger, Precision, Simulation};
 use barchan_tests::scenes::{Row, alter, rows, run_to, simulation, within};
 use barchan_tests::sketch::{Head, bed, block, driven, half, material, tool};
 
@@ -53,7 +53,7 @@ fn b30_passes_of_an_agent_leave_nothing_behind() {
         for pass in 0..passes {
             let v = if pass % 2 == 0 { 20.0 } else { -20.0 };
             // 0.4 of a cell a step at most.
-            s.drive("eye", [v, 0.0, 0.0], [0.0; 3]).unwrap();
+            s.act("eye", &Command::Twist { linear: [v, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
             for _ in 0..if pass == 0 { 20 } else { 40 } {
                 step(&mut s);
             }
@@ -101,7 +101,8 @@ fn b30_a_thousand_splits_and_merges_are_the_identity() {
             } else {
                 3e5
             };
-            s.drive("eye", [if jumps { v } else { 0.0 }, 0.0, 0.0], [0.0; 3]).unwrap();
+            s.act("eye", &Command::Twist { linear: [if jumps { v } else { 0.0 }, 0.0, 0.0], angular: [0.0; 3] })
+                .unwrap();
             step(&mut s);
         }
         s
@@ -225,7 +226,7 @@ fn b35_a_trembling_agent_moves_nothing() {
     let mut moved = 0;
     for k in 0..200 {
         let v = if (k + 2) / 5 % 2 == 0 { 19.0 } else { -19.0 };
-        s.drive("eye", [v, 0.3 * v, 0.0], [0.0; 3]).unwrap();
+        s.act("eye", &Command::Twist { linear: [v, 0.3 * v, 0.0], angular: [0.0; 3] }).unwrap();
         step(&mut s);
         moved += u32::from(boxes(&s) != first);
     }
@@ -303,18 +304,18 @@ fn b38_a_footprint_outlasts_its_agent() {
     let start = on_levels(&s);
     // Down to 40 mm, up again, slowly, since sand that has borne the foot springs back after a quick one, away, and back.
     run_to(&mut s, 0.12);
-    s.drive("foot", [0.0; 3], [0.0; 3]).unwrap();
+    s.act("foot", &Command::Twist { linear: [0.0; 3], angular: [0.0; 3] }).unwrap();
     run_to(&mut s, 0.14);
-    s.drive("foot", [0.0, 0.0, 0.5], [0.0; 3]).unwrap();
+    s.act("foot", &Command::Twist { linear: [0.0, 0.0, 0.5], angular: [0.0; 3] }).unwrap();
     run_to(&mut s, 0.3);
-    s.drive("foot", [0.0; 3], [0.0; 3]).unwrap();
+    s.act("foot", &Command::Twist { linear: [0.0; 3], angular: [0.0; 3] }).unwrap();
     run_to(&mut s, 0.36);
     let here = |s: &Simulation| rows(s).iter().filter(|r| r.x[0] < 0.48).count();
     let (printed, near) = (dent(&s), here(&s));
-    s.drive("foot", [5.0, 0.0, 0.0], [0.0; 3]).unwrap();
+    s.act("foot", &Command::Twist { linear: [5.0, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
     run_to(&mut s, 0.64);
     let (away, far) = (dent(&s), here(&s));
-    s.drive("foot", [-5.0, 0.0, 0.0], [0.0; 3]).unwrap();
+    s.act("foot", &Command::Twist { linear: [-5.0, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
     run_to(&mut s, 0.92);
     let back = dent(&s);
     println!(

@@ -1,7 +1,7 @@
 //! What agents leave, where they may be, and who may be one.
 
 use super::{around_marker, counted, levels, minus, norm, on_levels};
-use barchan::{Precision, Simulation};
+use barchan::{Command, Precision, Simulation};
 use barchan_tests::scenes::{Row, alter, rows, run_to, simulation, within};
 use barchan_tests::sketch::{Head, block, body, driven, half, material, tool};
 
@@ -24,7 +24,7 @@ fn b31_particles_on_two_sides_of_a_thin_blade_do_not_merge() {
         let left = |s: &Simulation| rows(s).iter().filter(|r| r.x[0] < blade).map(|r| r.m).sum::<f64>();
         let (before, fine) = (left(&s), on_levels(&s));
         // Away, and on and on, so that there are many rounds.
-        s.drive("eye", [1e5, 0.0, 0.0], [0.0; 3]).unwrap();
+        s.act("eye", &Command::Twist { linear: [1e5, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
         (0..40).for_each(|_| drop(s.step().unwrap()));
         let all = rows(&s);
         let near = all.iter().filter(|r| (r.x[0] - blade).abs() < h).count();
@@ -88,17 +88,17 @@ fn b38_a_footprint_outlasts_a_walk_of_twenty_metres() {
     };
     let start = on_levels(&s);
     run_to(&mut s, 0.05);
-    s.drive("foot", [0.0, 0.0, 1.0], [0.0; 3]).unwrap();
+    s.act("foot", &Command::Twist { linear: [0.0, 0.0, 1.0], angular: [0.0; 3] }).unwrap();
     run_to(&mut s, 0.12);
-    s.drive("foot", [0.0; 3], [0.0; 3]).unwrap();
+    s.act("foot", &Command::Twist { linear: [0.0; 3], angular: [0.0; 3] }).unwrap();
     run_to(&mut s, 0.16);
     // What still rings would go on ringing.
     alter(&mut s, |r| (r.v, r.c) = ([0.0; 3], [0.0; 9]));
     let (printed, there) = (dent(&s), on_levels(&s));
     let walk = |s: &mut Simulation, way: f64| {
-        s.drive("foot", [way / 50.0 / dt, 0.0, 0.0], [0.0; 3]).unwrap();
+        s.act("foot", &Command::Twist { linear: [way / 50.0 / dt, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
         (0..50).for_each(|_| drop(s.step().unwrap_or_else(|e| panic!("{e}"))));
-        s.drive("foot", [0.0; 3], [0.0; 3]).unwrap();
+        s.act("foot", &Command::Twist { linear: [0.0; 3], angular: [0.0; 3] }).unwrap();
         (0..5).for_each(|_| drop(s.step().unwrap_or_else(|e| panic!("{e}"))));
         (dent(s), on_levels(s))
     };

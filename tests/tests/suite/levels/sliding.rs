@@ -1,7 +1,7 @@
 //! Friction and sticking where a contact crosses a rim, held to Coulomb's law and to momentum.
 
 use super::{around_marker, counted, on_levels};
-use barchan::{Precision, Simulation};
+use barchan::{Command, Precision, Simulation};
 use barchan_tests::scenes::{minus, norm, rows, run_to, simulation, totals, within};
 use barchan_tests::sketch::{Head, block, body, box_mesh, half, incline, material, tool};
 
@@ -66,7 +66,7 @@ fn friction_on_a_plate_that_slides_across_a_rim_is_mu_times_the_pressure() {
         let mut s = simulation(&scene, precision);
         let levels = on_levels(&s);
         run_to(&mut s, 0.12);
-        s.drive("plate", [0.3, 0.0, 0.0], [0.0; 3]).unwrap();
+        s.act("plate", &Command::Twist { linear: [0.3, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
         run_to(&mut s, 0.2);
         let mut impulse = [0.0; 3];
         while s.time() < 0.32 {
