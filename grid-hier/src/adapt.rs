@@ -132,6 +132,7 @@ pub trait LevelStore: Sync {
 }
 
 /// Nested levels of one world: where they are, and what splits and merges remember from round to round.
+#[derive(Clone)]
 pub struct Adapt {
     /// Where the levels are.
     pub regions: Regions,
@@ -156,6 +157,7 @@ pub struct Adapt {
 }
 
 /// A material's planes.
+#[derive(Clone)]
 struct Material {
     strain: usize,
     /// `BARCHAN_MERGE_*` rule of each history variable.
@@ -323,8 +325,8 @@ impl Adapt {
 
     /// Goes on from what splits and merges of an engine before this one have summed up.
     pub fn carry_on(&mut self, sums: &Ledger) {
-        self.resampled.kinetic = sums.resampled_kinetic;
-        self.resampled.angular = sums.resampled_angular_momentum.into();
+        let (kinetic, angular) = (sums.resampled_kinetic, sums.resampled_angular_momentum.into());
+        self.resampled = Resampled { kinetic, angular, ..Resampled::default() };
     }
 
     /// Adds what splits and merges have done since the start.

@@ -161,11 +161,7 @@ impl Plan {
         let materials = plan_materials(registry, &scene, options.precision)?;
         check_couplings(registry, &scene)?;
         let kinds = coupling_kinds(&scene);
-        // One coupling a kind: it finds its own entries in the scene.
-        let couplings = kinds
-            .iter()
-            .map(|(kind, path)| registry.coupling(kind).map_err(|e| e.at(&scene.place(path)))?.make(&scene))
-            .collect::<Result<Vec<_>>>()?;
+        let couplings = make_couplings(registry, &scene, &kinds)?;
         let h = scene.world.cell;
         let whole = |side: &Vec3, round: fn(f64) -> f64| {
             side.map(|x| {
@@ -250,6 +246,11 @@ impl Plan {
             plan.check_forms(backend.as_ref())?;
         }
         Ok((plan, particles, couplings))
+    }
+
+    /// Its couplings as they are at the start.
+    pub(crate) fn make_couplings(&self, registry: &Registry) -> Result<Vec<Box<dyn Coupling>>> {
+        make_couplings(registry, &self.scene, &coupling_kinds(&self.scene))
     }
 
     /// Is the stage part of the plan?
@@ -345,6 +346,13 @@ fn check_couplings(registry: &Registry, scene: &Scene) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// One coupling a kind: it finds its own entries in the scene.
+fn make_couplings(registry: &Registry, scene: &Scene, kinds: &[(String, String)]) -> Result<Vec<Box<dyn Coupling>>> {
+    let make =
+        |(kind, path): &(String, String)| registry.coupling(kind).map_err(|e| e.at(&scene.place(path)))?.make(scene);
+    kinds.iter().map(make).collect()
 }
 
 /// The kinds of couplings called for, each with the key path that calls for it first.

@@ -1,6 +1,7 @@
 //! What the suites share: a plain reference implementation, short ways to say a scene, and the cases that also run long.
 
 pub mod arguments;
+pub mod forks;
 pub mod goldens;
 pub mod large_cases;
 pub mod leaving;

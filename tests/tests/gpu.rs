@@ -18,6 +18,8 @@ use std::sync::Arc;
 mod agree;
 #[path = "gpu/damping.rs"]
 mod damping;
+#[path = "gpu/forks.rs"]
+mod forks;
 #[path = "gpu/free.rs"]
 mod free;
 #[path = "gpu/robust.rs"]
