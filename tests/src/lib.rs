@@ -8,6 +8,7 @@ pub mod leaving;
 pub mod limits;
 pub mod long_cases;
 pub mod random;
+pub mod readings;
 pub mod reference;
 pub mod report;
 pub mod scenes;

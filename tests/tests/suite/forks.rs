@@ -1,7 +1,8 @@
 //! States in memory and copies of worlds go on as their sources do, on the CPU.
 
-use barchan::{Error, Options, Precision, Simulation};
+use barchan::{Aabb, Error, Options, Precision, Simulation};
 use barchan_tests::forks::{ploughed, states_go_on, worlds_fork};
+use barchan_tests::readings::hold;
 use barchan_tests::scenes::options;
 
 #[test]
@@ -39,4 +40,17 @@ fn a_state_of_another_scene_is_refused() {
     assert_eq!(format!("{:?} {:?}", one.particles(), one.bodies()), before);
     // Another simulation of the same scene is as good as itself.
     one.set_state(&make(ploughed(1, 1, false), Precision::F32).state().unwrap()).unwrap();
+}
+
+/// What is read of a region is what a copy of all particles has there, on all levels.
+#[test]
+fn a_reading_is_what_a_copy_of_all_particles_holds() {
+    let region = Aabb { min: [0.21, 0.05, 0.03], max: [0.93, 0.23, 0.3] };
+    for (levels, precision) in [(1, Precision::F64), (2, Precision::F32)] {
+        let scene = ploughed(1, levels, false);
+        let mut simulation = Simulation::new(&barchan::registry(), &scene, &options(precision)).unwrap();
+        hold(&simulation, region);
+        (0..5).for_each(|_| drop(simulation.step().unwrap()));
+        hold(&simulation, region);
+    }
 }
