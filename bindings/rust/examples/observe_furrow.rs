@@ -32,7 +32,8 @@ impl Observer for Furrow {
             let column = ((spot.position[0] / 0.02) as usize).min(19);
             heights[column] = heights[column].max(spot.position[2] + 0.5 * spot.side());
         }
-        let depth = SURFACE - heights.iter().copied().fold(SURFACE, f64::min);
+        // Where the ball comes by later.
+        let depth = SURFACE - heights[10..12].iter().copied().fold(SURFACE, f64::min);
         output.set(0, depth);
         let mut csv = String::from("x [m],height [m]\n");
         for (i, height) in heights.iter().enumerate() {

@@ -233,7 +233,7 @@ pub use barchan_core::{Effect, Form, Plan, Schedule, Stage};
 /// }
 ///
 /// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
-/// let out = std::env::temp_dir().join("barchan-height");
+/// let out = std::env::temp_dir().join(format!("barchan-height-{}", std::process::id()));
 /// let (until, existing) = (Until::Time(0.01), Existing::Overwrite);
 /// let request = Request { out: out.clone(), until, pictures: false, export: None, existing, swap: None };
 /// let mut height = Height(0.0);

@@ -14,7 +14,7 @@
 //! let points = vec![(1e-3, 2.0, "fine".to_owned()), (1e-2, 0.1, "coarse".to_owned())];
 //! let series = vec![Series { name: "cube".into(), points, joined: true }];
 //! let chart = Chart { title: "error and time".into(), x: "error [m]".into(), y: "time [s]".into(), series };
-//! let file = std::env::temp_dir().join("barchan-chart.svg");
+//! let file = std::env::temp_dir().join(format!("barchan-chart-{}.svg", std::process::id()));
 //! chart.write(&file).map_err(|source| barchan::Error::Io { file: file.clone(), what: "writing a chart", source })?;
 //! assert!(std::fs::read_to_string(&file).is_ok_and(|text| text.contains("error and time")));
 //! # let _ = std::fs::remove_file(file);

@@ -25,7 +25,7 @@
 //!
 //! let registry = barchan::registry();
 //! let mut simulation = Simulation::new(&registry, &barchan::example(), &Options::default())?;
-//! let out = std::env::temp_dir().join("barchan-run");
+//! let out = std::env::temp_dir().join(format!("barchan-run-{}", std::process::id()));
 //! // In the middle, f64 takes over.
 //! let options = Options { precision: Precision::F64, ..Options::default() };
 //! let request = Request {
