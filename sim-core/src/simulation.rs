@@ -355,7 +355,7 @@ impl Simulation {
     /// [`Error::Body`] if there is no such body, it is not driven by velocity, or the numbers are not finite.
     pub fn drive(&mut self, body: &str, velocity: Vec3, angular_velocity: Vec3) -> Result<()> {
         for coupling in &mut self.couplings {
-            if coupling.bodies().iter().any(|b| b.name == body) {
+            if coupling.has_body(body) {
                 self.chosen = None;
                 return coupling.drive(body, velocity, angular_velocity);
             }
