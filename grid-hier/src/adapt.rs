@@ -136,6 +136,7 @@ pub trait LevelStore: Sync {
 }
 
 /// Nested levels of one world: their regions, and what split and merge keep from round to round.
+#[derive(Clone)]
 pub struct Adapt {
     /// Where the levels are.
     pub regions: Regions,
@@ -160,6 +161,7 @@ pub struct Adapt {
 }
 
 /// A material's planes.
+#[derive(Clone)]
 struct Material {
     strain: usize,
     /// `BARCHAN_MERGE_*` rule of each history variable.
@@ -327,8 +329,8 @@ impl Adapt {
 
     /// Continues the sums of splits and merges of the engine before this one.
     pub fn carry_on(&mut self, sums: &Ledger) {
-        self.resampled.kinetic = sums.resampled_kinetic;
-        self.resampled.angular = sums.resampled_angular_momentum.into();
+        let (kinetic, angular) = (sums.resampled_kinetic, sums.resampled_angular_momentum.into());
+        self.resampled = Resampled { kinetic, angular, ..Resampled::default() };
     }
 
     /// Adds what splits and merges have done since the start to the ledger.

@@ -18,6 +18,7 @@ const _: () = assert!(TILE == SIDE, "a tile's columns are those of one block");
 pub type Tiles = BTreeSet<[i32; 2]>;
 
 /// The live tiles, the archive, and sums of what has come and gone since the start.
+#[derive(Clone)]
 pub struct Reach {
     terrain: Arc<Terrain>,
     live: BTreeSet<[i32; 2]>,
@@ -74,6 +75,7 @@ impl Reach {
     /// Continues the sums of the engine before this one.
     pub fn carry_on(&mut self, sums: &Ledger) {
         (self.seeded_mass, self.kinetic) = (sums.seeded_mass, sums.archived_kinetic);
+        (self.seeded, self.archived, self.returned, self.dropped) = (0, 0, 0, 0);
     }
 
     /// Adds what is archived, and what has come and gone, to the ledger.

@@ -542,6 +542,10 @@ impl Coupling for Rigid {
         self.bodies.iter().map(|body| body.report(gravity)).collect()
     }
 
+    fn has_body(&self, name: &str) -> bool {
+        self.bodies.iter().any(|body| body.name == name)
+    }
+
     fn max_speed(&self, time: f64, dt: f64) -> f64 {
         self.bodies.iter().map(|body| self.fastest(body, time, dt)).fold(0.0, f64::max)
     }

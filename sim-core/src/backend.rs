@@ -1,7 +1,10 @@
 //! Backends: where particles live and a step is carried out.
 
 use crate::parameter::Parameter;
-use crate::{BodyState, Coupling, Form, Ledger, ParticleState, Plan, Result, Spot, Stage, Tile, Wrench};
+use crate::{
+    Aabb, BodyState, Coupling, Fields, Form, Ledger, ParticleState, Plan, Reading, Result, Spot, Stage, Tile, Vec3,
+    Wrench,
+};
 
 /// A way to run a plan, such as `cpu`.
 pub trait Backend: Send + Sync {
@@ -106,6 +109,12 @@ pub trait Batch: Send {
     /// # Errors
     /// As [`Backend::compile_batch`].
     fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()>;
+    /// Puts a copy of one world, of that plan, in the place of another, which is as it was on an error: particles where they are, all that
+    /// is known of them, and what has been summed up. It goes on as the first one does, bit for bit, if both take the same steps.
+    ///
+    /// # Errors
+    /// What a copy has no room for, and a device that was lost.
+    fn copy(&mut self, from: usize, to: usize, plan: &Plan) -> Result<()>;
 }
 
 /// A device that a backend can run on.
@@ -192,6 +201,11 @@ pub trait Engine: Send {
     }
     /// Copies the particles out, with the phase of the sort, so that a copy continues bit for bit.
     fn download(&self) -> ParticleState;
+    /// As [`download`](Self::download), with [what the engine keeps of particles besides](ParticleState::kept), so that one that is compiled with this
+    /// state goes on with the same bits.
+    fn state(&self) -> ParticleState {
+        self.download()
+    }
     /// Are the particles still there to be copied out? A device can be lost.
     ///
     /// # Errors
@@ -213,6 +227,13 @@ pub trait Engine: Send {
         particles.lists.extend(archive.values().flat_map(Tile::unpack));
         particles.lists.iter_mut().for_each(|list| list.retain(wanted));
         particles
+    }
+    /// Reads some values of the particles in a region, and of those in the archive there: f32 positions are counted from `origin` [m].
+    fn read(&self, region: Option<&Aabb>, fields: Fields, origin: Vec3) -> Reading {
+        let mut reading = Reading::new(fields, origin);
+        let inside = |spot: &Spot| region.is_none_or(|region| region.contains(spot.position));
+        self.download_where(&inside).lists.iter().for_each(|list| reading.add_list(list, None));
+        reading
     }
     /// Replaces the particles.
     ///

@@ -299,6 +299,10 @@ pub trait Coupling: Send + Sync {
     fn name(&self) -> &str;
     /// Bodies in the scene's order, as they are now.
     fn bodies(&self) -> Vec<BodyState>;
+    /// Has it a body of that name? Asked for every action: a coupling that knows without a copy of all says so.
+    fn has_body(&self, name: &str) -> bool {
+        self.bodies().iter().any(|body| body.name == name)
+    }
     /// Greatest speed of any surface point during the step that starts at `time` and takes at most `dt` [m/s].
     fn max_speed(&self, time: f64, dt: f64) -> f64;
     /// Fixes the bodies' velocities over the step from `time` to `time + dt` [s]. Poses stay those at `time`.

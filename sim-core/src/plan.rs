@@ -258,6 +258,11 @@ impl Plan {
         Ok((plan, particles, couplings))
     }
 
+    /// Its couplings as they are at the start.
+    pub(crate) fn make_couplings(&self, registry: &Registry) -> Result<Vec<Box<dyn Coupling>>> {
+        Ok(make_couplings(registry, &self.scene)?.made)
+    }
+
     /// Is the stage part of the plan?
     pub fn has(&self, stage: Stage) -> bool {
         self.schedule.has(stage)

@@ -2,7 +2,7 @@
 
 use crate::parameter::{self, Giver, Parameter, Parameters, Table};
 use crate::solid::Solid;
-use crate::{Backend, Coupling, Error, Material, Result, Scene, Task, loader};
+use crate::{Backend, Coupling, Error, Material, Observer, Result, Scene, Task, loader};
 use barchan_abi as abi;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,6 +13,8 @@ use std::sync::Arc;
 pub type CouplingMaker = Arc<dyn Fn(&CouplingSetup<'_>) -> Result<Box<dyn Coupling>> + Send + Sync>;
 /// Makes a task.
 pub type TaskMaker = Arc<dyn Fn(&TaskSetup<'_>) -> Result<Box<dyn Task>> + Send + Sync>;
+/// Makes an observer for runs of a scene; `None` if it has nothing to see there.
+pub type ObserverMaker = Arc<dyn Fn(&Scene) -> Result<Option<Box<dyn Observer>>> + Send + Sync>;
 /// Reads a triangle mesh as a solid: file, factor to metres.
 pub type MeshReader = Arc<dyn Fn(&Path, f64) -> Result<Box<dyn Solid>> + Send + Sync>;
 
@@ -97,6 +99,7 @@ pub struct Registry {
     couplings: BTreeMap<String, CouplingKind>,
     backends: BTreeMap<String, Arc<dyn Backend>>,
     tasks: BTreeMap<String, TaskKind>,
+    observers: BTreeMap<String, (String, ObserverMaker)>,
     mesh_reader: Option<MeshReader>,
     warnings: Vec<String>,
 }
@@ -108,6 +111,7 @@ impl fmt::Debug for Registry {
             .field("couplings", &self.couplings.keys())
             .field("backends", &self.backends.keys())
             .field("tasks", &self.tasks.keys())
+            .field("observers", &self.observers.keys())
             .finish_non_exhaustive()
     }
 }
@@ -161,6 +165,14 @@ impl Registry {
     pub fn add_task(&mut self, name: &str, doc: &str, parameters: Vec<Parameter>, maker: TaskMaker) -> Result<()> {
         declared("task", name, &parameters)?;
         insert(&mut self.tasks, "task", name, TaskKind { doc: doc.to_owned(), parameters, maker })
+    }
+
+    /// Registers an observer, which the command line then makes for every run.
+    ///
+    /// # Errors
+    /// [`Error::Duplicate`] if the name is taken.
+    pub fn add_observer(&mut self, name: &str, doc: &str, maker: ObserverMaker) -> Result<()> {
+        insert(&mut self.observers, "observer", name, (doc.to_owned(), maker))
     }
 
     /// Sets what reads triangle meshes for soft bodies; the last one set counts.
@@ -254,6 +266,13 @@ impl Registry {
         let task = (kind.maker)(&TaskSetup { scene: Some(scene), parameters: &parameters, name })?;
         Ok(Some((task, parameters)))
     }
+    /// The observers of runs of a scene, in the order of their names.
+    ///
+    /// # Errors
+    /// If one cannot be made.
+    pub fn make_observers(&self, scene: &Scene) -> Result<Vec<Box<dyn Observer>>> {
+        self.observers.values().filter_map(|(_, maker)| maker(scene).transpose()).collect()
+    }
     /// What reads triangle meshes, if anything does.
     pub fn mesh_reader(&self) -> Option<&MeshReader> {
         self.mesh_reader.as_ref()
@@ -274,6 +293,10 @@ impl Registry {
     /// Names and kinds of all tasks.
     pub fn tasks(&self) -> impl Iterator<Item = (&str, &TaskKind)> {
         self.tasks.iter().map(|(name, kind)| (name.as_str(), kind))
+    }
+    /// Names and documentation of all observers.
+    pub fn observers(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.observers.iter().map(|(name, (doc, _))| (name.as_str(), doc.as_str()))
     }
     /// What the user should know about the libraries loaded.
     pub fn warnings(&self) -> &[String] {

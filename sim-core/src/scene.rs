@@ -12,10 +12,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 mod check;
+mod make;
 mod read;
 
 pub use check::WHOLE_CELL;
 pub(crate) use check::{cross, posed_bounds, turn};
+pub use make::Part;
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
 

@@ -1,20 +1,24 @@
 //! A running simulation.
 
+mod resume;
+
+pub(crate) use resume::Moment;
+pub use resume::State;
+
 use crate::backend::{Bound, Timing, WorldStep};
-use crate::file::Stamp;
 use crate::parameter::{Giver, Parameters, Table};
-use crate::plan::{PARTICLES, TOOL_COUPLING, cut, tighten, wanted_step};
+use crate::plan::{TOOL_COUPLING, cut, tighten, wanted_step};
 use crate::scene::OverBound;
-use crate::snapshot::Snapshot;
 use crate::{
-    Backend, BodyState, Command, Coupling, Engine, Error, Ledger, ParticleState, Plan, Precision, Registry, Result,
-    Scene, Spot, StepReport, Wrench,
+    Aabb, Backend, BodyState, Command, Coupling, Engine, Error, Fields, Ledger, ParticleState, Plan, Precision,
+    Reading, Registry, Result, Scene, Spot, StepReport, Wrench,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::Arc;
 
 /// How a scene is run; nothing here changes what is simulated but the number format.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,7 +100,7 @@ const WATCH_GROWTH: f64 = 2.0;
 
 /// A compiled scene: engine, couplings, time.
 pub struct Simulation {
-    plan: Plan,
+    plan: Arc<Plan>,
     /// Name of the backend that runs.
     backend: String,
     engine: Box<dyn Engine>,
@@ -207,7 +211,7 @@ impl Simulation {
         let backend = find_backend(registry, options)?;
         let (plan, particles, couplings) = Plan::assemble(registry, scene, options)?;
         let engine = backend.compile(&plan, particles)?;
-        Ok(Self::start(plan, backend.name(), engine, couplings))
+        Ok(Self::start(Arc::new(plan), backend.name(), engine, couplings))
     }
 
     /// A world of a batch.
@@ -217,10 +221,10 @@ impl Simulation {
         engine: Box<dyn Engine>,
         couplings: Vec<Box<dyn Coupling>>,
     ) -> Self {
-        Self { in_batch: true, ..Self::start(plan, backend, engine, couplings) }
+        Self { in_batch: true, ..Self::start(Arc::new(plan), backend, engine, couplings) }
     }
 
-    fn start(plan: Plan, backend: &str, engine: Box<dyn Engine>, couplings: Vec<Box<dyn Coupling>>) -> Self {
+    fn start(plan: Arc<Plan>, backend: &str, engine: Box<dyn Engine>, couplings: Vec<Box<dyn Coupling>>) -> Self {
         Self {
             plan,
             backend: backend.to_owned(),
@@ -237,72 +241,6 @@ impl Simulation {
             wrenches: None,
             in_batch: false,
         }
-    }
-
-    /// Continues from a snapshot, bit for bit if backend and machine are the same; another backend sorts the particles anew. The number format is the snapshot's;
-    /// asking for another is an error.
-    ///
-    /// # Errors
-    /// [`Error::Snapshot`] if the file cannot be used, and those of [`new`](Self::new).
-    pub fn resume(registry: &Registry, path: impl AsRef<Path>, options: &Options) -> Result<Self> {
-        let path = path.as_ref();
-        let mut snapshot = Snapshot::read(path)?;
-        let refuse = |what: String, mend: &str| Error::Snapshot { file: path.to_owned(), what, mend: mend.to_owned() };
-        if snapshot.precision != options.precision {
-            return Err(refuse(
-                format!("was written by a run in {}, and {} is asked for", snapshot.precision, options.precision),
-                "resume with the same precision",
-            ));
-        }
-        if let Some(what) = snapshot.unsound_clock() {
-            return Err(refuse(what, "the file is damaged: resume from an earlier snapshot"));
-        }
-        let backend = find_backend(registry, options)?;
-        let mut scene = Scene::from_str(&snapshot.scene, &path.display().to_string(), &snapshot.folder)?;
-        scene.note_overrides(snapshot.set);
-        for then in &snapshot.files {
-            if Stamp::of(&scene.folder, &then.file)? != *then {
-                let file = scene.folder.join(&then.file);
-                return Err(refuse(
-                    format!("continues a scene whose file {} has changed since the run began", file.display()),
-                    "put the file back as it was, or start a new run",
-                ));
-            }
-        }
-        if !snapshot.backend.is_empty() && snapshot.backend != backend.name() {
-            snapshot.particles.sort = None;
-        }
-        let assembled = Plan::assemble_with(registry, &scene, options, Some(snapshot.particles));
-        let (plan, particles, mut couplings) = assembled.map_err(|error| match error {
-            Error::Body { path, what, .. } if path == PARTICLES => {
-                refuse(format!("holds particles that do not fit its scene: {what}"), "resume from another snapshot")
-            }
-            other => other,
-        })?;
-        let named: Vec<_> = couplings.iter().map(|c| c.name().to_owned()).collect();
-        let saved: Vec<_> = snapshot.couplings.iter().map(|(name, _)| name.clone()).collect();
-        if named != saved {
-            return Err(refuse(
-                format!("holds couplings [{}], its scene makes [{}]", saved.join(", "), named.join(", ")),
-                "resume with the plugins of the first run",
-            ));
-        }
-        for (coupling, (name, bytes)) in couplings.iter_mut().zip(&snapshot.couplings) {
-            coupling.restore(bytes).map_err(|what| {
-                refuse(format!("coupling '{name}': {what}"), "resume with the version that wrote it")
-            })?;
-        }
-        let mut engine = backend.compile(&plan, particles)?;
-        engine.carry_on(&snapshot.carried);
-        Ok(Self {
-            time: snapshot.time,
-            step: snapshot.step,
-            stop: snapshot.stop.unwrap_or(f64::INFINITY),
-            chosen: snapshot.chosen,
-            cut_steps: snapshot.cut_steps,
-            carried: snapshot.carried.counts,
-            ..Self::start(plan, backend.name(), engine, couplings)
-        })
     }
 
     /// Goes on with another backend or number format from the next step on. Particles, levels, archive, bodies, time and ledger are
@@ -330,43 +268,12 @@ impl Simulation {
             |t: Timing| Timing { effect: format!("{} ({} {})", t.effect, self.backend, self.plan.precision), ..t };
         self.past.extend(self.engine.timings().into_iter().map(named));
         self.backend = backend.name().to_owned();
-        self.plan = plan;
+        self.plan = Arc::new(plan);
         self.engine = engine;
         self.in_batch = false;
         self.watch = None;
         self.chosen = None;
         Ok(())
-    }
-
-    /// Writes everything needed to continue: to a temporary file beside `path`, then renamed.
-    ///
-    /// # Errors
-    /// [`Error::Io`] if it cannot be written, [`Error::Device`] if the particles were lost with their device; an older file of that name is
-    /// intact then.
-    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
-        let carried = self.sums();
-        let particles = self.engine.download();
-        self.engine.check()?;
-        // Absolute, so that a run can be resumed from another folder.
-        let folder = &self.plan.scene.folder;
-        let folder = std::env::current_dir().map_or_else(|_| folder.clone(), |here| here.join(folder));
-        Snapshot {
-            scene: self.plan.scene.to_toml()?,
-            folder,
-            set: self.plan.scene.overrides().to_vec(),
-            files: self.plan.files.clone(),
-            precision: self.plan.precision,
-            backend: self.backend.clone(),
-            time: self.time,
-            step: self.step,
-            stop: self.stop.is_finite().then_some(self.stop),
-            chosen: self.chosen,
-            cut_steps: self.cut_steps,
-            carried,
-            particles,
-            couplings: self.couplings.iter().map(|c| (c.name().to_owned(), c.save())).collect(),
-        }
-        .write(path.as_ref())
     }
 
     /// Name of the backend that runs.
@@ -401,6 +308,17 @@ impl Simulation {
     /// Where every particle of [`ground`](Self::ground) is and how large, for a fraction of its cost.
     pub fn spots(&self) -> Vec<Spot> {
         self.engine.spots()
+    }
+    /// Reads some values of the particles in a region, or of all: their positions and what `fields` asks for, in f32 and without a copy of the rest. Those
+    /// in the archive of ground out of reach are among them. On a GPU only what was asked for comes to the host.
+    ///
+    /// # Errors
+    /// [`Error::Device`] if the particles were lost with their device.
+    pub fn read(&self, region: Option<Aabb>, fields: Fields) -> Result<Reading> {
+        let least = region.map(|region| region.min).filter(|min| min.iter().all(|x| x.is_finite()));
+        let reading = self.engine.read(region.as_ref(), fields, least.unwrap_or(self.plan.scene.world.min));
+        self.engine.check()?;
+        Ok(reading)
     }
     /// Number of particles.
     pub fn particle_count(&self) -> usize {
@@ -474,7 +392,7 @@ impl Simulation {
     /// [`Error::Body`] if there is no such body, it does not take such commands, or the numbers are not finite.
     pub fn act(&mut self, body: &str, command: &Command) -> Result<()> {
         for coupling in &mut self.couplings {
-            if coupling.bodies().iter().any(|b| b.name == body) {
+            if coupling.has_body(body) {
                 self.chosen = None;
                 return coupling.act(body, command);
             }

@@ -9,8 +9,10 @@
 
 use crate::archive::Tile;
 use crate::file::{Stamp, write_whole};
-use crate::simulation::Chosen;
-use crate::{Error, Ledger, LevelPhase, Measured, ParticleList, ParticleState, Precision, Result, SortPhase};
+use crate::simulation::{Chosen, Moment};
+use crate::{
+    Error, Ledger, LevelPhase, Measured, ParticleList, ParticleState, Precision, Result, SortPhase, Vec3, Wrench,
+};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::{Read, Write};
@@ -25,6 +27,7 @@ const MOST_STEPS: u64 = 1 << 62;
 
 const HEAD: &[u8; 4] = b"HEAD";
 const LIST: &[u8; 4] = b"LIST";
+const KEPT: &[u8; 4] = b"KEPT";
 const SORT: &[u8; 4] = b"SORT";
 const TILE: &[u8; 4] = b"TILE";
 const COUPLING: &[u8; 4] = b"COUP";
@@ -77,7 +80,7 @@ pub fn about(path: impl AsRef<Path>) -> Result<About> {
     Ok(About { scene, folder, set, precision, backend, time, step })
 }
 
-/// What a snapshot holds.
+/// What a snapshot holds: a [state](crate::State), with its scene as text.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Snapshot {
     /// The scene as TOML.
@@ -88,20 +91,7 @@ pub(crate) struct Snapshot {
     pub(crate) set: Vec<String>,
     /// The files that it reads, as they were then.
     pub(crate) files: Vec<Stamp>,
-    pub(crate) precision: Precision,
-    /// Name of the backend whose phase of the sort it holds.
-    pub(crate) backend: String,
-    pub(crate) time: f64,
-    pub(crate) step: u64,
-    pub(crate) stop: Option<f64>,
-    /// The length of the next steps.
-    pub(crate) chosen: Option<Chosen>,
-    pub(crate) cut_steps: u64,
-    /// Ledger entries that add up over time.
-    pub(crate) carried: Ledger,
-    pub(crate) particles: ParticleState,
-    /// Name and bytes of each coupling.
-    pub(crate) couplings: Vec<(String, Vec<u8>)>,
+    pub(crate) moment: Moment,
 }
 
 /// The part of a snapshot that is JSON.
@@ -118,54 +108,69 @@ struct Head {
     stop: Option<f64>,
     chosen: Option<Chosen>,
     cut_steps: u64,
+    /// Force and torque of each.
+    #[serde(default)]
+    wrenches: Option<Vec<[Vec3; 2]>>,
     carried: Ledger,
     strain_dt: f64,
     levels: Option<LevelPhase>,
 }
 
-impl Snapshot {
-    /// Writes the file under a temporary name in the same folder, then renames it.
-    pub(crate) fn write(&self, path: &Path) -> Result<()> {
-        let head = Head {
-            scene: self.scene.clone(),
-            folder: self.folder.clone(),
-            set: self.set.clone(),
-            files: self.files.clone(),
-            precision: self.precision,
-            backend: self.backend.clone(),
-            time: self.time,
-            step: self.step,
-            stop: self.stop,
-            chosen: self.chosen,
-            cut_steps: self.cut_steps,
-            carried: self.carried.clone(),
-            strain_dt: self.particles.strain_dt,
-            levels: self.particles.levels.clone(),
-        };
-        write_whole(path, "writing a snapshot", |out| {
-            out.write_all(MAGIC)?;
-            out.write_all(&VERSION.to_le_bytes())?;
-            section(out, HEAD, &serde_json::to_vec(&head)?)?;
-            for list in &self.particles.lists {
-                section(out, LIST, &encode_list(list))?;
-            }
-            if let Some(sort) = &self.particles.sort {
-                section(out, SORT, &encode_sort(sort))?;
-            }
-            for ([x, y], tile) in &self.particles.archive {
-                let at = [x.to_le_bytes(), y.to_le_bytes()];
-                section(out, TILE, &[at.as_flattened(), tile.packed()].concat())?;
-            }
-            for (name, bytes) in &self.couplings {
-                let mut payload = Vec::new();
-                put_bytes(&mut payload, name.as_bytes());
-                payload.extend_from_slice(bytes);
-                section(out, COUPLING, &payload)?;
-            }
-            section(out, END, &[])
-        })
-    }
+/// Writes a file under a temporary name in the same folder, then renames it.
+pub(crate) fn write(
+    path: &Path,
+    scene: String,
+    folder: PathBuf,
+    set: Vec<String>,
+    files: Vec<Stamp>,
+    moment: &Moment,
+) -> Result<()> {
+    let Moment { particles, couplings, .. } = moment;
+    let head = Head {
+        scene,
+        folder,
+        set,
+        files,
+        precision: moment.precision,
+        backend: moment.backend.clone(),
+        time: moment.time,
+        step: moment.step,
+        stop: moment.stop,
+        chosen: moment.chosen,
+        cut_steps: moment.cut_steps,
+        wrenches: moment.wrenches.as_ref().map(|all| all.iter().map(|w| [w.force, w.torque]).collect()),
+        carried: moment.carried.clone(),
+        strain_dt: particles.strain_dt,
+        levels: particles.levels.clone(),
+    };
+    write_whole(path, "writing a snapshot", |out| {
+        out.write_all(MAGIC)?;
+        out.write_all(&VERSION.to_le_bytes())?;
+        section(out, HEAD, &serde_json::to_vec(&head)?)?;
+        for list in &particles.lists {
+            section(out, LIST, &encode_list(list))?;
+        }
+        for words in particles.kept.iter().flatten() {
+            section(out, KEPT, &words.iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<_>>())?;
+        }
+        if let Some(sort) = &particles.sort {
+            section(out, SORT, &encode_sort(sort))?;
+        }
+        for ([x, y], tile) in &particles.archive {
+            let at = [x.to_le_bytes(), y.to_le_bytes()];
+            section(out, TILE, &[at.as_flattened(), tile.packed()].concat())?;
+        }
+        for (name, bytes) in couplings {
+            let mut payload = Vec::new();
+            put_bytes(&mut payload, name.as_bytes());
+            payload.extend_from_slice(bytes);
+            section(out, COUPLING, &payload)?;
+        }
+        section(out, END, &[])
+    })
+}
 
+impl Snapshot {
     /// Reads and checks a file. Nothing is allocated by a length that the file does not bear out.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(|source| Error::Io {
@@ -178,7 +183,7 @@ impl Snapshot {
 
     /// What is wrong with the time and the steps that it says, if anything: what goes on from there must be able to count and to add.
     pub(crate) fn unsound_clock(&self) -> Option<String> {
-        let Self { time, step, stop, chosen, .. } = self;
+        let Moment { time, step, stop, chosen, .. } = &self.moment;
         if !time.is_finite() || *step > MOST_STEPS {
             return Some(format!("was saved at step {step} and {time} s"));
         }
@@ -199,6 +204,14 @@ impl Snapshot {
             match &tag {
                 HEAD => head = Some(read_head(payload)?),
                 LIST => particles.lists.push(decode_list(&mut inner)?),
+                KEPT => {
+                    let words = std::mem::take(&mut inner.0).as_chunks::<4>();
+                    if !words.1.is_empty() {
+                        return Err(damaged("holds part of a word".to_owned()));
+                    }
+                    let words = words.0.iter().map(|b| u32::from_le_bytes(*b)).collect();
+                    particles.kept.get_or_insert_default().push(words);
+                }
                 SORT => particles.sort = Some(decode_sort(&mut inner)?),
                 TILE => {
                     let at = [inner.array()?, inner.array()?].map(i32::from_le_bytes);
@@ -226,16 +239,21 @@ impl Snapshot {
             folder: head.folder,
             set: head.set,
             files: head.files,
-            precision: head.precision,
-            backend: head.backend,
-            time: head.time,
-            step: head.step,
-            stop: head.stop,
-            chosen: head.chosen,
-            cut_steps: head.cut_steps,
-            carried: head.carried,
-            particles,
-            couplings,
+            moment: Moment {
+                precision: head.precision,
+                backend: head.backend,
+                time: head.time,
+                step: head.step,
+                stop: head.stop,
+                chosen: head.chosen,
+                cut_steps: head.cut_steps,
+                wrenches: head
+                    .wrenches
+                    .map(|all| all.iter().map(|&[force, torque]| Wrench { force, torque }).collect()),
+                carried: head.carried,
+                particles,
+                couplings,
+            },
         })
     }
 }

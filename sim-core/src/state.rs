@@ -15,6 +15,9 @@ pub struct ParticleState {
     pub strain_dt: f64,
     /// How the backend holds the particles, if that must be reproduced; `None` asks for a fresh sort.
     pub sort: Option<SortPhase>,
+    /// What the backend keeps of each particle besides, such as stress, and would find again to rounding only: for each list, the same number of words
+    /// for each particle in its order. In a [`State`](crate::State) alone, since it is worth nothing once a particle has been changed.
+    pub kept: Option<Vec<Vec<u32>>>,
     /// Where the levels are, if there are several; `None` places them anew around their agents.
     pub levels: Option<LevelPhase>,
     /// Ground out of reach that agents have changed, by tile.

@@ -128,6 +128,31 @@ impl Together {
         self.worlds[world] = Simulation::in_batch(plan, &self.backend, engine, couplings);
         Ok(())
     }
+
+    /// Puts a copy of one world in the place of another, scene and all: it goes on as the first one does.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if the first has been swapped to another engine, and those of [`Batch::copy`]; the other is as it was then.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn fork(&mut self, from: usize, to: usize, registry: &Registry) -> Result<()> {
+        let source = &self.worlds[from];
+        if !source.is_in_batch() {
+            return Err(Error::Body {
+                path: format!("world {from}"),
+                what: format!("it has been swapped to '{}' and steps beside the batch", source.backend()),
+                mend: "copy it by Simulation::state and Simulation::from_state".to_owned(),
+            });
+        }
+        if from == to {
+            return Ok(());
+        }
+        let copy = source.copy(registry, self.batch.engine(to))?;
+        self.batch.copy(from, to, source.plan())?;
+        self.worlds[to] = copy;
+        Ok(())
+    }
 }
 
 /// An error of all worlds.

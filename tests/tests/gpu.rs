@@ -21,6 +21,8 @@ mod agree;
 mod couplings;
 #[path = "gpu/damping.rs"]
 mod damping;
+#[path = "gpu/forks.rs"]
+mod forks;
 #[path = "gpu/free.rs"]
 mod free;
 #[path = "gpu/robust.rs"]

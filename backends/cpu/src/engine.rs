@@ -1,6 +1,7 @@
 //! The step.
 
 use crate::faults::at_time;
+use crate::grid::Grid;
 use crate::isolated;
 use crate::level::{Level, Shares};
 use crate::sleep::SleepSums;
@@ -14,8 +15,8 @@ use barchan_core::scene::Leaving;
 use barchan_core::schedule::Call;
 use barchan_core::stiffness::{Need, Stiffness};
 use barchan_core::{
-    Aabb, Coupling, Engine, Error, Ledger, Measured, NodeBatch, ParticleState, Plan, Regions, Result, Scene, Schedule,
-    SortPhase, Spot, Stage, StepReport,
+    Aabb, Coupling, Engine, Error, Fields, Ledger, Measured, NodeBatch, ParticleState, Plan, Reading, Regions, Result,
+    Scene, Schedule, SortPhase, Spot, Stage, StepReport, Vec3,
 };
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
@@ -476,6 +477,14 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         ParticleState { lists, archive: BTreeMap::new(), ..self.without_particles() }
     }
 
+    fn read(&self, region: Option<&Aabb>, fields: Fields, origin: Vec3) -> Reading {
+        let mut reading = Reading::new(fields, origin);
+        let levels = self.levels.iter().enumerate();
+        self.pool.install(|| levels.for_each(|(l, level)| level.store.read(l, region, &mut reading)));
+        self.reach.iter().flat_map(Reach::archived).for_each(|list| reading.add_list(&list, region));
+        reading
+    }
+
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
         let pool = Arc::clone(&self.pool);
         pool.install(|| self.take_in(particles))
@@ -515,8 +524,9 @@ impl<T: Scalar> Engine for CpuEngine<T> {
 
     fn carry_on(&mut self, sums: &Ledger) {
         (self.wall_impulse, self.gravity_impulse) = (sums.wall_impulse, sums.gravity_impulse);
-        self.departures.deleted_mass = sums.deleted_mass;
-        (self.slept.kinetic, self.slept.momentum) = (sums.slept_kinetic, sums.slept_momentum);
+        self.departures = Departures { deleted_mass: sums.deleted_mass, ..Departures::default() };
+        self.slept = SleepSums { blocks: 0, kinetic: sums.slept_kinetic, momentum: sums.slept_momentum };
+        (self.shortened, self.parted) = (0, 0);
         self.damped = sums.damped;
         self.adapt.carry_on(sums);
         if let Some(reach) = &mut self.reach {
@@ -646,7 +656,11 @@ impl<T: Scalar> CpuEngine<T> {
             }
             None => {
                 self.age = None;
-                self.levels.iter_mut().for_each(|level| level.drift = 0.0);
+                // Nothing is left of the particles before these.
+                for level in &mut self.levels {
+                    (level.drift, level.grid) = (0.0, Grid::default());
+                    level.watch.forget();
+                }
             }
         }
         Ok(())

@@ -14,6 +14,7 @@ mod grid;
 mod isolated;
 mod level;
 mod memory;
+mod reading;
 mod sleep;
 mod step;
 mod store;

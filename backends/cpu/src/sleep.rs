@@ -66,6 +66,11 @@ impl Watch {
         }
     }
 
+    /// Nobody is known yet.
+    pub(crate) fn forget(&mut self) {
+        *self = Self::new(self.slow);
+    }
+
     /// The count of a block whose particles have moved at up to this speed [m/s].
     pub(crate) fn count(&self, rest: u16, speed: f64) -> u16 {
         if speed <= self.slow { (rest + 1).min(RESTED) } else { 0 }

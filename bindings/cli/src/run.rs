@@ -256,7 +256,9 @@ pub(crate) fn run(args: &RunArgs, registry: Registry) -> Result<ExitCode> {
     }
     let stop = Signals::new();
     let mut shown = Shown::new(args.quiet);
-    let summary = run::run(&mut simulation, &request, &mut |progress| {
+    let mut observers = registry.make_observers(&simulation.plan().scene)?;
+    let mut observers: Vec<_> = observers.iter_mut().map(|observer| &mut **observer).collect();
+    let summary = run::run_with(&mut simulation, &request, &mut observers, &mut |progress| {
         shown.update(progress);
         if stop.caught().is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });

@@ -7,6 +7,33 @@
 //! Lengths are compared where a user would see them: the height of the surface, the place of the tool, the force on it, and
 //! the distance between the two clouds of particles.
 
+//!
+//! ```
+//! use barchan::accuracy::{Balance, Chamfer, Contact, Cost, Crater, Errors, Grain, HeightMap, Nearest, Norms, Record, record, rung};
+//! use barchan::Options;
+//!
+//! let mut scene = barchan::example();
+//! scene.time.end = 0.01;
+//! let (registry, options) = (barchan::registry(), Options::default());
+//! let mut run = |cell: f64| -> barchan::Result<Record> {
+//!     record(&registry, &rung(&scene, cell, &scene.levels, None)?, &options, &mut |_| {})
+//! };
+//! let (coarse, fine) = (run(0.1)?, run(0.05)?);
+//! let errors = Errors::of(&coarse, &fine);
+//! let (height, crater): (Norms, Crater) = (errors.height, errors.crater);
+//! assert!(height.max_mm >= height.mean_mm && crater.volume_cm3 >= 0.0);
+//! let cloud: Chamfer = errors.chamfer;
+//! assert!(cloud.sum_mm() > 0.0);
+//! let touch: Option<Contact> = errors.contact;
+//! assert!(touch.is_some_and(|touch| touch.peak_n == 0.0), "the ball is still in the air");
+//! let (cost, kept): (&Cost, Balance) = (&fine.cost, fine.balance());
+//! assert!(cost.steps > 0 && kept.momentum_drift_ns.abs() < 1e-3);
+//! let grains: &[Grain] = &fine.end;
+//! assert!(HeightMap::new(grains, &fine.scene.world, 0.05).heights().iter().all(|z| (0.0..0.4).contains(z)));
+//! assert_eq!(Nearest::new(vec![grains[0].position]).distance(grains[0].position), 0.0);
+//! # Ok::<(), barchan::Error>(())
+//! ```
+
 mod height;
 mod nearest;
 

@@ -1,20 +1,25 @@
 //! Barchan simulates robots on and in soft ground: sand, snow, elastic and elastoplastic bodies, coupled with rigid tools.
 //!
-//! This crate registers everything built in and re-exports what a program needs:
+//! This crate registers everything built in and re-exports what a program needs, plugins of every kind among it:
 //!
-//! ```no_run
+//! ```
+//! use barchan::scene::{Body, MaterialSpec, Shape, Tool, Wall, World};
 //! use barchan::{Options, Scene, Simulation};
 //!
-//! let registry = barchan::registry();
-//! let scene = Scene::from_file("scene.toml")?;
-//! let mut simulation = Simulation::new(&registry, &scene, &Options::default())?;
+//! let world = World::new(0.05, [0.0; 3], [0.6, 0.4, 0.4]).with_walls(Wall::Slip);
+//! let scene = Scene::new("furrow", world, 0.02)
+//!     .with(MaterialSpec::new("sand", "sand", 1600.0).with("friction_angle_deg", 32.0))
+//!     .with(Body::new("sand", Shape::cuboid([0.0; 3], [0.6, 0.4, 0.1])))
+//!     .with(Tool::new("blade", Shape::half([0.05, 0.1, 0.1])).at([0.2, 0.2, 0.15]).driven([0.5, 0.0, 0.0]));
+//! let mut simulation = Simulation::new(&barchan::registry(), &scene, &Options::default())?;
 //! println!("{}", simulation.plan());
 //! while simulation.time() < scene.time.end {
 //!     simulation.step()?;
 //! }
-//! println!("{:#?}", simulation.ledger());
+//! assert!(simulation.wrenches()[0].force[0] < 0.0, "sand holds the blade back");
 //! # Ok::<(), barchan::Error>(())
 //! ```
+//! [`Scene::from_file`] reads the same from TOML.
 //! [`run::run`] does the same with pictures, traces and a summary; [`picture`] draws, [`stress`] asks for stress, [`accuracy`]
 //! tells how far a run is from a finer one, [`worlds`] steps many scenes side by side.
 //!
@@ -28,13 +33,333 @@ pub mod run;
 pub mod stress;
 pub mod worlds;
 
+/// A scene is put on a backend and stepped; what goes wrong says what, where and how to mend it.
+///
+/// ```
+/// use barchan::{Error, Options, Precision, Result, Simulation};
+///
+/// fn lowest(options: &Options) -> Result<f64> {
+///     let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), options)?;
+///     simulation.advance(0.02, |_, _| std::ops::ControlFlow::Continue(()))?;
+///     Ok(simulation.spots().iter().map(|spot| spot.position[2]).fold(f64::INFINITY, f64::min))
+/// }
+///
+/// let options = Options { precision: Precision::F64, threads: 1, ..Options::default() };
+/// assert!(lowest(&options)? > 0.0);
+/// let error = lowest(&Options { backend: "abacus".into(), ..options }).unwrap_err();
+/// assert!(matches!(error, Error::Unknown { .. }) && error.to_string().contains("cpu"));
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{Error, Options, Precision, Result, Simulation};
+
+/// Plugins of every kind meet in a registry.
+///
+/// ```
+/// let registry: barchan::Registry = barchan::registry();
+/// let laws: Vec<&str> = registry.materials().map(|material| material.name.as_str()).collect();
+/// assert!(laws.contains(&"sand") && laws.contains(&"snow"));
+/// assert!(registry.backends().any(|backend| backend.name() == "cpu"));
+/// ```
+#[doc(inline)]
+pub use barchan_core::Registry;
+
+/// A scene in code, and the same from a file's text.
+///
+/// ```
+/// use barchan::Scene;
+/// use barchan::scene::{Body, MaterialSpec, Shape, World};
+///
+/// let scene = Scene::new("cube", World::new(0.1, [0.0; 3], [1.0; 3]), 0.5)
+///     .with(MaterialSpec::new("jelly", "neo_hookean", 1000.0))
+///     .with(Body::new("jelly", Shape::cuboid([0.4; 3], [0.6; 3])));
+/// let text = r#"
+///     name = "cube"
+///     world = { cell = 0.1, min = [0, 0, 0], max = [1, 1, 1] }
+///     time = { end = 0.5 }
+///     material = [{ name = "jelly", law = "neo_hookean", density = 1000 }]
+///     body = [{ material = "jelly", shape = { box = { min = [0.4, 0.4, 0.4], max = [0.6, 0.6, 0.6] } } }]
+/// "#;
+/// assert_eq!(scene.difference(&Scene::from_str(text, "cube.toml", "")?), None);
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::Scene;
+
+/// Back to an earlier state, bit for bit.
+///
+/// ```
+/// use barchan::{Options, Simulation, State};
+///
+/// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
+/// simulation.step()?;
+/// let state: State = simulation.state()?;
+/// simulation.step()?;
+/// let end = simulation.particles();
+/// simulation.set_state(&state)?;
+/// assert_eq!(simulation.step_count(), 1);
+/// simulation.step()?;
+/// assert_eq!(simulation.particles(), end);
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::State;
+
+/// Nothing gets lost unseen.
+///
+/// ```
+/// use barchan::{Ledger, Options, Simulation};
+///
+/// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
+/// let start: Ledger = simulation.ledger();
+/// simulation.step()?;
+/// assert!((simulation.ledger().mass - start.mass).abs() < 1e-9 * start.mass);
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::Ledger;
+
+/// Tools and free bodies, and what the ground does to them.
+///
+/// ```
+/// use barchan::{BodyState, Options, Simulation, Vec3, Wrench};
+///
+/// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
+/// simulation.step()?;
+/// let bodies: Vec<BodyState> = simulation.bodies();
+/// let fall: Vec3 = bodies[0].velocity;
+/// assert!(bodies[0].name == "ball" && fall[2] < 0.0);
+/// let felt: &[Wrench] = &simulation.wrenches();
+/// assert_eq!(felt[0].scaled(2.0).force, felt[0].force.map(|f| 2.0 * f));
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{BodyState, Vec3, Wrench};
+
+/// Copies of all particles, which can be changed and handed back; and where they are, for less.
+///
+/// ```
+/// use barchan::{Options, ParticleList, ParticleState, Simulation, Spot};
+///
+/// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
+/// let mut particles: ParticleState = simulation.particles();
+/// let list: &mut ParticleList = &mut particles.lists[0];
+/// list.velocity.fill([0.0, 0.0, 1.0]);
+/// simulation.set_particles(particles)?;
+/// let ledger = simulation.ledger();
+/// assert!((ledger.momentum[2] / ledger.mass - 1.0).abs() < 1e-6);
+/// let spots: Vec<Spot> = simulation.spots();
+/// assert_eq!(spots.len(), simulation.particle_count());
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{ParticleList, ParticleState, Spot};
+
+/// Parts of the particles: of a region, what is asked for, in f32.
+///
+/// ```
+/// use barchan::{Aabb, Fields, Options, Reading, Simulation};
+///
+/// let simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
+/// let lower = Aabb { min: [0.0; 3], max: [0.4, 0.4, 0.05] };
+/// let reading: Reading = simulation.read(Some(lower), Fields { velocity: true, ..Fields::default() })?;
+/// assert_eq!(reading.velocity.len(), reading.len());
+/// assert!(reading.mass.is_empty() && reading.len() < simulation.particle_count());
+/// assert!((0..reading.len()).all(|i| reading.at(i)[2] <= 0.05 + 1e-6));
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{Aabb, Fields, Reading};
+
+/// How a backend holds its particles, which comes with a copy of them. Without it they are sorted afresh.
+///
+/// ```
+/// use barchan::{Measured, Options, Simulation, SortPhase};
+///
+/// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
+/// simulation.step()?;
+/// let mut particles = simulation.particles();
+/// let phase: SortPhase = particles.sort.take().expect("they have been sorted for the first step");
+/// let measured: Measured = phase.measured;
+/// assert!((measured.mass / simulation.ledger().mass - 1.0).abs() < 1e-6);
+/// simulation.set_particles(particles)?;
+/// assert!(simulation.step()?.sorted);
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{Measured, SortPhase};
+
+/// What a scene calls for, and what a step does.
+///
+/// ```
+/// use barchan::{Effect, Form, Options, Plan, Schedule, Simulation, Stage};
+///
+/// let registry = barchan::registry();
+/// let simulation = Simulation::new(&registry, &barchan::example(), &Options::default())?;
+/// let plan: &Plan = simulation.plan();
+/// let effects: &[Effect] = &plan.effects;
+/// assert!(!effects.is_empty());
+/// let schedule: &Schedule = &plan.schedule;
+/// assert!(schedule.has(Stage::CONTACT) && !schedule.has(Stage::ADAPT));
+/// assert!(registry.backend("cpu")?.has_form(Stage::CONTACT, Form::Forward));
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{Effect, Form, Plan, Schedule, Stage};
+
+/// What looks at a run at an interval of its own, with a column in the trace.
+///
+/// ```
+/// use barchan::run::{Existing, Request, Until, run_with};
+/// use barchan::{Observer, Options, Output, Result, Simulation};
+///
+/// struct Height(f64);
+///
+/// impl Observer for Height {
+///     fn name(&self) -> &str {
+///         "height"
+///     }
+///     fn interval(&self) -> f64 {
+///         5e-3
+///     }
+///     fn columns(&self) -> Vec<String> {
+///         vec!["top [m]".into()]
+///     }
+///     fn observe(&mut self, simulation: &Simulation, output: &mut dyn Output) -> Result<()> {
+///         self.0 = simulation.spots().iter().map(|spot| spot.position[2]).fold(0.0, f64::max);
+///         output.set(0, self.0);
+///         Ok(())
+///     }
+/// }
+///
+/// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
+/// let out = std::env::temp_dir().join(format!("barchan-height-{}", std::process::id()));
+/// let (until, existing) = (Until::Time(0.01), Existing::Overwrite);
+/// let request = Request { out: out.clone(), until, pictures: false, export: None, existing, swap: None };
+/// let mut height = Height(0.0);
+/// run_with(&mut simulation, &request, &mut [&mut height], &mut |_| std::ops::ControlFlow::Continue(()))?;
+/// assert!(height.0 > 0.05);
+/// # let _ = std::fs::remove_dir_all(out);
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{Observer, Output};
+
+/// What acts on the ground through its nodes. `tests/seams/coupling` of the repository is one of somebody's own.
+///
+/// ```
+/// use barchan::coupling::NodeBatch;
+/// use barchan::{Coupling, Options, Simulation};
+///
+/// let simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
+/// let tools: &dyn Coupling = &*simulation.couplings()[0];
+/// assert_eq!(tools.name(), "rigid");
+/// // The ball of radius 6 cm has its middle at a height of 20 cm.
+/// assert!((tools.distance(&[[0.2, 0.2, 0.1]])[0] - 0.04).abs() < 1e-9);
+/// let none = NodeBatch::default();
+/// assert!(none.is_empty());
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{Coupling, NodeBatch};
+
+/// What a body is told to do. Tools that are driven by velocity take twists; a free ball takes none.
+///
+/// ```
+/// use barchan::{Command, Options, Simulation};
+///
+/// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
+/// let error = simulation.act("ball", &Command::Twist { linear: [0.1, 0.0, 0.0], angular: [0.0; 3] }).unwrap_err();
+/// assert!(error.to_string().contains("ball"));
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::Command;
+
+/// What carries a plan out. `tests/seams/backend` of the repository is one of somebody's own.
+///
+/// ```
+/// use barchan::{Backend, Engine, Options, Plan, StepReport};
+///
+/// let registry = barchan::registry();
+/// let (plan, particles, mut couplings) = Plan::assemble(&registry, &barchan::example(), &Options::default())?;
+/// let backend: &dyn Backend = &**registry.backend("cpu")?;
+/// let mut engine: Box<dyn Engine> = backend.compile(&plan, particles)?;
+/// let report: StepReport = engine.step(0.0, plan.dt, &mut couplings)?;
+/// assert!(report.dt > 0.0 && report.dt <= engine.bound().dt);
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{Backend, Engine, StepReport};
+
+/// A law of the ground. `materials/template` of the repository holds some to copy.
+///
+/// ```
+/// let registry = barchan::registry();
+/// let sand: &barchan::Material = registry.material("sand")?;
+/// assert!(sand.parameters.iter().any(|parameter| parameter.name == "young_modulus"));
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::Material;
+
+/// A scene to be played in by an agent. `tests/seams/task` of the repository is one of somebody's own.
+///
+/// ```
+/// use barchan::task::TaskStep;
+/// use barchan::{Options, Result, Scene, Simulation, Task};
+///
+/// /// Wait until the ball lies still.
+/// struct Wait;
+///
+/// impl Task for Wait {
+///     fn name(&self) -> &str {
+///         "wait"
+///     }
+///     fn doc(&self) -> &str {
+///         "A ball falls onto jelly."
+///     }
+///     fn scene(&self) -> Result<Scene> {
+///         Ok(barchan::example())
+///     }
+///     fn action_size(&self) -> usize {
+///         0
+///     }
+///     fn observation_size(&self) -> usize {
+///         1
+///     }
+///     fn reset(&mut self, simulation: &mut Simulation, _: u64) -> Result<Vec<f64>> {
+///         Ok(vec![simulation.bodies()[0].velocity[2]])
+///     }
+///     fn step(&mut self, simulation: &mut Simulation, _: &[f64]) -> Result<TaskStep> {
+///         simulation.step()?;
+///         let speed = simulation.bodies()[0].velocity[2];
+///         Ok(TaskStep { observation: vec![speed], terminated: speed.abs() < 1e-3, ..TaskStep::default() })
+///     }
+/// }
+///
+/// let mut simulation = Simulation::new(&barchan::registry(), &Wait.scene()?, &Options::default())?;
+/// assert_eq!(Wait.reset(&mut simulation, 0)?, [0.0]);
+/// assert!(Wait.step(&mut simulation, &[])?.observation[0] < 0.0);
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::Task;
+
 pub use barchan_core::{
-    Backend, BodyState, Command, Coupling, Effect, Engine, Error, Form, Ledger, Material, Measured, NodeBatch, Options,
-    ParticleList, ParticleState, Plan, Precision, Registry, Result, Scene, Schedule, Simulation, SortPhase, Spot,
-    Stage, StepReport, Task, Vec3, Wrench, backend, contact, coupling, export, file, glam, ledger, material, parameter,
-    plan, registry as registries, scene, schedule, simulation, snapshot, solid, state, task,
+    backend, contact, coupling, export, file, glam, ledger, material, observer, parameter, plan, reading,
+    registry as registries, scene, schedule, simulation, snapshot, solid, state, task,
 };
 pub use barchan_tasks as tasks;
+
+/// A ball above a slab of jelly, ready within seconds: the scene of these pages' examples.
+pub fn example() -> Scene {
+    let world = scene::World::new(0.05, [0.0; 3], [0.4; 3]).with_walls(scene::Wall::Slip);
+    Scene::new("ball-on-jelly", world, 0.1)
+        .with(scene::MaterialSpec::new("jelly", "neo_hookean", 1000.0).with("young_modulus", 2e4))
+        .with(scene::Body::new("jelly", scene::Shape::cuboid([0.1, 0.1, 0.0], [0.3, 0.3, 0.1])))
+        .with(scene::Tool::new("ball", scene::Shape::sphere(0.06)).at([0.2; 3]).free(0.5))
+}
 
 /// A registry of everything that comes with Barchan; GPUs with the feature `wgpu`.
 ///

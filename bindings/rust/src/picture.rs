@@ -1,11 +1,24 @@
 //! Pictures of a running simulation, without a GPU: the surface from above as a shaded relief, and a vertical cut.
 //!
-//! ```no_run
-//! # fn save_picture(simulation: &barchan::Simulation) -> barchan::Result<()> {
-//! let mut view = barchan::picture::View::new(simulation);
-//! view.draw(simulation)?.write_png("now.png".as_ref(), &[]).unwrap();
-//! # Ok(())
-//! # }
+//! ```
+//! use barchan::picture::{Align, Chart, Colour, Image, Rect, Series, View};
+//!
+//! let simulation = barchan::Simulation::new(&barchan::registry(), &barchan::example(), &barchan::Options::default())?;
+//! let mut view = View::new(&simulation);
+//! let picture: Image = view.draw(&simulation)?;
+//! let red: Colour = [200, 30, 30];
+//! let mut corner = picture.crop(Rect { x: 0, y: 0, width: 80, height: 40 });
+//! corner.text(40.0, 10.0, 8.0, Align::Centre, red, "start");
+//! assert!(corner.width() == 80 && corner.pixels() != picture.crop(Rect { x: 0, y: 0, width: 80, height: 40 }).pixels());
+//!
+//! let points = vec![(1e-3, 2.0, "fine".to_owned()), (1e-2, 0.1, "coarse".to_owned())];
+//! let series = vec![Series { name: "cube".into(), points, joined: true }];
+//! let chart = Chart { title: "error and time".into(), x: "error [m]".into(), y: "time [s]".into(), series };
+//! let file = std::env::temp_dir().join(format!("barchan-chart-{}.svg", std::process::id()));
+//! chart.write(&file).map_err(|source| barchan::Error::Io { file: file.clone(), what: "writing a chart", source })?;
+//! assert!(std::fs::read_to_string(&file).is_ok_and(|text| text.contains("error and time")));
+//! # let _ = std::fs::remove_file(file);
+//! # Ok::<(), barchan::Error>(())
 //! ```
 
 mod animation;

@@ -3,22 +3,20 @@
 //! Each world has its own scene (so its own tools, parameters and random seed), its own time, actions and resets. World w of a batch is the
 //! same world alone, bit for bit, when both take steps of the same length: worlds share nothing but the machine.
 //!
-//! ```no_run
+//! ```
 //! use barchan::worlds::Worlds;
-//! # fn main() -> barchan::Result<()> {
-//! let scene = barchan::Scene::from_file("blade.toml")?;
-//! let options = barchan::Options { backend: "wgpu".into(), ..Default::default() };
-//! let mut worlds = Worlds::of(&barchan::registry(), &scene, 64, 0, &options)?;
-//! for world in 0..worlds.len() {
-//!     worlds.world_mut(world).act("blade", &barchan::Command::Twist { linear: [0.1, 0.0, 0.0], angular: [0.0; 3] })?;
+//!
+//! let mut worlds = Worlds::of(&barchan::registry(), &barchan::example(), 3, 0, &barchan::Options::default())?;
+//! for reports in worlds.steps(5) {
+//!     assert_eq!(reports?.len(), 5);
 //! }
-//! for reports in worlds.steps(20) {
-//!     println!("{} steps", reports?.len());
-//! }
-//! println!("{:?}", worlds.world(3).wrenches());
-//! worlds.reset(3, None)?;
-//! # Ok(())
-//! # }
+//! // World 2 becomes a copy of world 0, and goes on as that one does.
+//! worlds.fork(0, 2)?;
+//! worlds.steps(5);
+//! assert_eq!(worlds.world(2).particles(), worlds.world(0).particles());
+//! worlds.reset(1, None)?;
+//! assert_eq!(worlds.world(1).step_count(), 0);
+//! # Ok::<(), barchan::Error>(())
 //! ```
 
 use barchan_core::{Error, Options, Registry, Result, Scene, Simulation, StepReport, Together};
@@ -173,6 +171,36 @@ impl Worlds {
             Machine::Together(together) => together.replace(world, &self.registry, &scene, &self.options)?,
         }
         self.scenes[world] = scene;
+        Ok(())
+    }
+
+    /// Puts a copy of one world in the place of another, scene and all: it goes on as the first one does, bit for bit, under the same actions and with
+    /// steps of the same length. Nothing is planned, seeded or written.
+    ///
+    /// Where worlds step together (`wgpu`), particles are copied on the device; a batch lays all of its worlds out anew for that, as it does
+    /// for a [reset](Self::reset), so that its cost grows with the batch. On the processor the copy goes through memory, as a
+    /// [`State`](barchan_core::State).
+    ///
+    /// # Errors
+    /// If the first has been swapped to another engine and stepped beside its batch, or a device was lost. The other world is as it was then.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn fork(&mut self, from: usize, to: usize) -> Result<()> {
+        match &mut self.machine {
+            Machine::Apart(simulations) if from != to => {
+                let state = simulations[from].state()?;
+                let own = &mut simulations[to];
+                if own.is_of(&state) && own.backend() == self.options.backend {
+                    own.set_state(&state)?;
+                } else {
+                    *own = Simulation::from_state(&self.registry, &state, &self.options)?;
+                }
+            }
+            Machine::Apart(simulations) => assert!(from < simulations.len(), "there is no world {from}"),
+            Machine::Together(together) => together.fork(from, to, &self.registry)?,
+        }
+        self.scenes[to] = self.scenes[from].clone();
         Ok(())
     }
 }

@@ -46,6 +46,15 @@ impl Plan {
         {
             return refuse(format!("a sort of {} levels where the plan has {levels}", sort.drift.len()));
         }
+        if let Some(kept) = &particles.kept {
+            let fits = |(words, list): (&Vec<u32>, &ParticleList)| match list.len() {
+                0 => words.is_empty(),
+                count => words.len().is_multiple_of(count),
+            };
+            if kept.len() != particles.lists.len() || !kept.iter().zip(&particles.lists).all(fits) {
+                return refuse("what the backend keeps besides is not of these particles".to_owned());
+            }
+        }
         for (i, list) in particles.lists.iter().enumerate() {
             let (level, material) = (i / materials, i % materials);
             if (list.level as usize, list.material as usize) != (level, material) {

@@ -6,6 +6,7 @@ mod coupling;
 mod damping;
 mod determinism;
 mod effects;
+mod forks;
 mod goldens;
 mod hard_cases;
 mod instruction_sets;

@@ -248,6 +248,7 @@ fn state(template: &ParticleState) -> impl Strategy<Value = ParticleState> {
             out.state = planes[17 + strains..].to_vec();
             ParticleState {
                 lists: vec![out],
+                kept: Some(vec![(0..2 * n as u32).map(|i| i.wrapping_mul(0x9e37_79b9)).collect()]),
                 levels: None,
                 archive: Default::default(),
                 strain_dt: if strain_dt.is_finite() { strain_dt } else { 0.0 },

@@ -3,7 +3,7 @@
 
 use crate::passes::binding::Sorted;
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Error, ParticleList, ParticleState, Result, Spot};
+use barchan_core::{Error, ParticleList, ParticleState, Result, Spot, Vec3};
 use barchan_grid::block::{REACH, offset};
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -11,6 +11,8 @@ use std::ops::Range;
 
 /// Vectors of four in a particle's record.
 pub(crate) const RECORD: usize = 6;
+/// Where words of stress stand in it: vectors and places there; see `deform.wgsl`.
+pub(crate) const STRESS: [(usize, usize); 6] = [(1, 0), (1, 1), (1, 2), (5, 0), (5, 1), (5, 2)];
 /// Vectors of four in an entry of the lists; see `common.wgsl`.
 pub(crate) const ENTRY: usize = 10;
 /// Of a particle's tag: it has left its home, or is beside it. So far beyond its home, in counts, it is beside it and still counts as in it: its
@@ -223,9 +225,10 @@ fn refuse(what: String) -> Error {
     Error::Body { path: "particles".into(), what, mend: "hand back particles of a simulation of the same scene".into() }
 }
 
-/// A particle of a list, with the block and the cell that are its home.
+/// A particle of a list, with the words of stress that it is known to have, and with the block and the cell that are its home.
 struct Ours<'a> {
     list: &'a ParticleList,
+    stress: Option<&'a [u32]>,
     i: usize,
     engine: (Block, usize),
     planned: &'a PlannedMaterial,
@@ -235,7 +238,7 @@ impl Ours<'_> {
     /// A vector of its record.
     fn record(&self, k: usize) -> [u32; 4] {
         let (list, i) = (self.list, self.i);
-        match k {
+        let mut vector = match k {
             0 => self.place(),
             1 => [0, 0, 0, (list.mass[i] as f32).to_bits()],
             2..5 => {
@@ -243,7 +246,11 @@ impl Ours<'_> {
                 [list.velocity[i][k - 2], c[0], c[1], c[2]].map(|x| (x as f32).to_bits())
             }
             _ => [0; 4],
+        };
+        for ((_, d), word) in STRESS.iter().zip(self.stress.into_iter().flatten()).filter(|((of, _), _)| *of == k) {
+            vector[*d] = *word;
         }
+        vector
     }
 
     /// Where it is in its cell, and its tag.
@@ -283,21 +290,23 @@ impl Ours<'_> {
 }
 
 impl<'a> Planes<'a> {
-    /// Planes with room for `slots` particles each.
+    /// Planes of all particles of a level, with their words of stress if these are kept.
     pub(crate) fn of(
         lists: &[ParticleList],
+        kept: Option<&[Vec<u32>]>,
         homes: &Homes,
         materials: &[PlannedMaterial],
-        slots: usize,
         vectors: usize,
     ) -> Result<Self> {
+        let slots = lists.iter().map(ParticleList::len).sum();
         if let Some(id) = lists.iter().flat_map(|list| &list.id).find(|id| **id > u64::from(u32::MAX)) {
             return Err(refuse(format!("a particle has the number {id}, which is {} or greater", 1u64 << 32)));
         }
         let worlds_of = homes.worlds_of();
         let particle = |(q, engine): (usize, (Block, usize))| {
             let (l, i) = homes.order[q];
-            Ours { list: &lists[l], i, engine, planned: &materials[l] }
+            let stress = kept.map(|kept| &kept[l][STRESS.len() * i..][..STRESS.len()]);
+            Ours { list: &lists[l], stress, i, engine, planned: &materials[l] }
         };
         let all: Vec<Ours<'_>> = worlds_of.into_par_iter().enumerate().with_min_len(FEW).map(particle).collect();
         let mut record = vec![[0; 4]; RECORD * slots];
@@ -398,10 +407,18 @@ impl<'a> Planes<'a> {
         list
     }
 
+    /// The words of stress of each particle, one list a material, in the order of their places.
+    pub(crate) fn stresses(&self, places: &[(usize, Block)], materials: usize, slots: usize) -> Vec<Vec<u32>> {
+        let words = |q: usize| STRESS.map(|(k, d)| self.record[vector(q, k, slots)][d]);
+        let of_law = |law: usize| {
+            places.iter().filter(|(q, _)| self.law(*q) == law).flat_map(|(q, _)| words(*q)).collect::<Vec<_>>()
+        };
+        (0..materials).into_par_iter().map(of_law).collect()
+    }
+
     /// Where a particle is, and how large, in cells of that width. Of the planes it needs the records' first and the last.
     pub(crate) fn spot(&self, q: usize, block: Block, cell_width: f64, slots: usize) -> Spot {
-        let (cell, offset) = (cell(self.record[q], block), offset_in_cell(self.record[q]));
-        let position = std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * cell_width);
+        let position = position(self.record[q], block, cell_width);
         Spot { position, volume0: self.volume0(q, slots), material: self.law(q) as u32 }
     }
 
@@ -474,6 +491,12 @@ fn offset_in_cell(place: [u32; 4]) -> [f64; 3] {
     std::array::from_fn(|d| f64::from(place[d]) / TWO_32)
 }
 
+/// Where a particle is, in cells of that width [m].
+pub(crate) fn position(place: [u32; 4], block: Block, cell_width: f64) -> Vec3 {
+    let (cell, offset) = (cell(place, block), offset_in_cell(place));
+    std::array::from_fn(|d| (f64::from(cell[d]) + offset[d]) * cell_width)
+}
+
 /// Refuses more particles than an adapter can number; `mend` says what to do instead.
 pub(crate) fn check_count(particles: usize, mend: &'static str) -> Result<()> {
     if particles < MAX_PARTICLES {
@@ -524,7 +547,13 @@ pub(crate) fn check(particles: &ParticleState, materials: &[PlannedMaterial], le
             });
         }
     }
-    Ok(())
+    let fits = |(words, list): (&Vec<u32>, &ParticleList)| words.len() == STRESS.len() * list.len();
+    match &particles.kept {
+        Some(kept) if kept.len() != particles.lists.len() || !kept.iter().zip(&particles.lists).all(fits) => {
+            Err(refuse("what is kept of them besides is not six words each".to_owned()))
+        }
+        _ => Ok(()),
+    }
 }
 
 #[cfg(test)]

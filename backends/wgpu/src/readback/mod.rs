@@ -8,7 +8,7 @@ use crate::device::memory::{read, read_all};
 use crate::passes::binding::Sorted;
 use crate::worlds::WgpuBatch;
 use crate::worlds::world::Level;
-use barchan_core::{Measured, ParticleList, ParticleState, Result, SortPhase, Spot};
+use barchan_core::{Aabb, Measured, ParticleList, ParticleState, Reading, Result, SortPhase, Spot};
 use barchan_grid::archive::Reach;
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -90,6 +90,79 @@ impl WgpuBatch {
         Ok(spots)
     }
 
+    /// Reads particles of a world in a region. Of the planes only those come to the host that hold what is asked for, from the first to the last block that
+    /// may have particles there.
+    pub(crate) fn read(&self, w: usize, region: Option<&Aabb>, into: &mut Reading) -> Result<()> {
+        let (world, fields) = (&self.worlds[w], into.fields);
+        let needs_record = [
+            true,
+            fields.mass,
+            fields.velocity | fields.affine,
+            fields.velocity | fields.affine,
+            fields.velocity | fields.affine,
+        ];
+        for (l, (level, homes)) in world.levels.iter().zip(self.homes(w..w + 1)?).enumerate() {
+            // Who is in a block may have left it by up to two cells.
+            let may_meet = |block: &[i32; 3]| {
+                region.is_none_or(|region| {
+                    let first = block.map(|b| 4.0 * f64::from(b));
+                    let (h, axes) = (level.h, 0..3);
+                    axes.into_iter()
+                        .all(|d| (first[d] - 2.0) * h <= region.max[d] && region.min[d] <= (first[d] + 6.0) * h)
+                })
+            };
+            let meeting = || homes.blocks.iter().enumerate().filter(|(_, block)| may_meet(block)).map(|(b, _)| b);
+            let (Some(first), Some(last)) = (meeting().min(), meeting().max()) else { continue };
+            let slots = homes.cells[64 * first] as usize..homes.cells[64 * (last + 1)] as usize;
+            let (from, count) = (level.particles.start + slots.start, slots.len());
+            let held = |sorted: Sorted| self.memory.held(sorted, from, count);
+            let mut stretches: Vec<_> = held(Sorted::Record)
+                .into_iter()
+                .zip(needs_record)
+                .filter(|(_, needs)| *needs)
+                .map(|(s, _)| s)
+                .collect();
+            if fields.id || fields.body {
+                stretches.extend(held(Sorted::Ids));
+            }
+            if fields.volume0 {
+                stretches.extend(held(Sorted::Rest).pop());
+            }
+            let words: Vec<u32> = read_all(&self.gpu, &stretches)?;
+            // Where each plane begins, by its number in the record, then ids and the last of the rest.
+            let mut begins = [0; 7];
+            let mut at = 0;
+            let sizes = needs_record.map(|needs| if needs { 4 } else { 0 }).into_iter();
+            let sizes = sizes.chain([if fields.id || fields.body { 2 } else { 0 }, 0]);
+            for (begin, size) in begins.iter_mut().zip(sizes) {
+                *begin = at;
+                at += size * count;
+            }
+            let record = |k: usize, q: usize| &words[begins[k] + 4 * q..][..4];
+            let real = |bits: u32| f32::from_bits(bits);
+            for (slot, block) in homes.places().into_iter().filter(|(slot, _)| slots.contains(slot)) {
+                let q = slot - slots.start;
+                let place = std::array::from_fn(|d| record(0, q)[d]);
+                let position = layout::position(place, block, level.h);
+                if region.is_some_and(|region| !region.contains(position)) {
+                    continue;
+                }
+                into.add_position(position);
+                into.velocity.extend(fields.velocity.then(|| [0, 1, 2].map(|d| real(record(2 + d, q)[0]))));
+                let affine = || std::array::from_fn(|e| real(record(2 + e / 3, q)[1 + e % 3]));
+                into.affine.extend(fields.affine.then(affine));
+                into.mass.extend(fields.mass.then(|| real(record(1, q)[3])));
+                into.volume0.extend(fields.volume0.then(|| real(words[begins[6] + 4 * q + 3])));
+                let names = |k: usize| words[begins[5] + 2 * q + k];
+                into.id.extend(fields.id.then(|| u64::from(names(0))));
+                into.body.extend(fields.body.then(|| names(1) as u16));
+                into.material.extend(fields.material.then(|| layout::law_of(place[3]) as u16));
+                into.level.extend(fields.level.then_some(l as u8));
+            }
+        }
+        Ok(())
+    }
+
     /// All that the device holds of a level's particles.
     pub(crate) fn planes(&self, level: &Level) -> Result<Planes<'static>> {
         let (first, count) = (level.particles.start, level.particles.len());
@@ -100,6 +173,11 @@ impl WgpuBatch {
 
     /// A world's particles, with the phase of the sort and of its levels.
     pub(crate) fn state(&self, w: usize) -> Result<ParticleState> {
+        Ok(ParticleState { kept: None, ..self.whole_state(w)? })
+    }
+
+    /// The same, with stress.
+    pub(crate) fn whole_state(&self, w: usize) -> Result<ParticleState> {
         let (lists, laid) = self.lists(w)?;
         let (world, since_sorts) = (&self.worlds[w], self.since_sorts(w));
         let of_level = |(l, (homes, planes)): (usize, &Laid)| planes.counts(homes, world.materials.len(), l);
@@ -118,9 +196,14 @@ impl WgpuBatch {
             blocks,
             kept_for: vec![None; since_sorts.len()],
         });
+        let of_level = |((homes, planes), level): (&Laid, &Level)| {
+            planes.stresses(&homes.places(), world.materials.len(), level.particles.len())
+        };
+        let kept = laid.iter().zip(&world.levels).flat_map(of_level).collect();
         Ok(ParticleState {
             lists,
             sort,
+            kept: Some(kept),
             levels: world.phase(),
             archive: world.reach.as_ref().map(Reach::archive).unwrap_or_default(),
             ..ParticleState::default()

@@ -159,8 +159,7 @@ impl WgpuBatch {
         let world = &self.worlds[w];
         let lay = |(lists, level): (&[ParticleList], &Level)| {
             let homes = Homes::fresh(lists, &level.periods);
-            let count = homes.order.len();
-            Ok((Planes::of(lists, &homes, &world.materials, count, rest_vectors(&world.materials))?, homes))
+            Ok((Planes::of(lists, None, &homes, &world.materials, rest_vectors(&world.materials))?, homes))
         };
         let of_levels: Vec<_> = layout::by_level(come, world.materials.len()).zip(&world.levels).collect();
         let laid = of_levels.into_par_iter().map(lay).collect::<Result<Vec<_>>>()?;

@@ -10,7 +10,7 @@ use crate::schedule::status::{BLOCKS, FIRST_BLOCK};
 use crate::schedule::submission::Part;
 use crate::worlds::world::{Level, World};
 use crate::worlds::{WgpuBatch, sleep};
-use barchan_core::{ParticleList, ParticleState, Result};
+use barchan_core::{ParticleList, ParticleState, Plan, Result};
 use barchan_grid::adapt::Candidates;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -30,20 +30,58 @@ impl WgpuBatch {
     /// 1. The new ones are laid out. Homes of the others are asked of the device.
     /// 2. Particles go to the other set of buffers, each world behind the one before; so do the lists of blocks, without their links: a sort
     ///    finds them before the next step. It leaves homes as they are, since nobody is due.
-    /// 3. Stress of the new ones is found from their strain.
+    /// 3. Stress of the new ones is found from their strain, unless it has come with them.
     pub(crate) fn take_in(&mut self, news: Vec<(usize, ParticleState)>) -> Result<()> {
         let mut arrivals = BTreeMap::new();
         for (w, particles) in news {
             arrivals.insert(w, self.arrival(w, particles)?);
         }
+        self.bring_in(&arrivals, None)?;
+        self.find_stress(&arrivals)
+    }
+
+    /// Puts a copy of a world in the place of another: particles, lists of blocks and what is known of their rest are copied on the device, as the other
+    /// worlds' are that stay when one is replaced.
+    pub(crate) fn copy(&mut self, from: usize, to: usize, plan: &Plan) -> Result<()> {
+        self.fixed.check(plan, to)?;
+        self.settle()?;
+        self.look_for_soft(from)?;
+        self.bring_in(&BTreeMap::new(), Some((from, to)))?;
+        let before = std::mem::take(&mut self.worlds[to].levels);
+        let mut copy = self.worlds[from].clone();
+        // Where its law runs is found anew, as for one that is replaced: the device has a table for each world.
+        (copy.contact, copy.free) = (None, 0);
+        for (level, here) in copy.levels.iter_mut().zip(before) {
+            let Level { particles, blocks, node_blocks, reach, span, .. } = here;
+            *level = Level { particles, blocks, node_blocks, reach, span, ..level.clone() };
+        }
+        self.worlds[to] = copy;
+        self.write_regions(to, Candidates::None);
+        if self.worlds[to].reach.is_some() {
+            self.write_live()?;
+        }
+        self.write_parameters(to, plan);
+        self.gpu.check()
+    }
+
+    /// The first two parts of [`take_in`](Self::take_in), with arrivals laid out, or with a copy of a world's particles in the place of another's.
+    fn bring_in(&mut self, arrivals: &BTreeMap<usize, Arrival>, copy: Option<(usize, usize)>) -> Result<()> {
         let all = self.worlds.len();
         let mut homes =
             if arrivals.len() < all { self.homes(0..all)? } else { vec![Homes::default(); self.memory.words().layers] };
         let mut watched =
             if arrivals.len() < all { self.watched(0..all)? } else { vec![Vec::new(); self.memory.words().layers] };
-        for (w, arrival) in &arrivals {
+        for (w, arrival) in arrivals {
             homes[self.layers_of(*w)].clone_from_slice(&arrival.homes);
             watched[self.layers_of(*w)].clone_from_slice(&arrival.watched);
+        }
+        let mut before: Vec<_> = self.all_levels().map(|level| level.particles.clone()).collect();
+        if let Some((from, to)) = copy {
+            for (from, to) in self.layers_of(from).zip(self.layers_of(to)) {
+                homes[to] = homes[from].clone();
+                watched[to] = watched[from].clone();
+                before[to] = before[from].clone();
+            }
         }
         let counts: Vec<usize> = homes.iter().map(|homes| homes.cells.last().map_or(0, |end| *end as usize)).collect();
         let mut extent = self.memory.extent;
@@ -60,7 +98,6 @@ impl WgpuBatch {
         extent.node_room = extent.node_room.max(with_room(nodes));
         self.memory.grow(&self.gpu, extent)?;
 
-        let before: Vec<_> = self.all_levels().map(|level| level.particles.clone()).collect();
         let (mut slot, mut block) = (0, 0);
         let levels = self.worlds.iter_mut().flat_map(|world| &mut world.levels);
         for ((level, homes), count) in levels.zip(&homes).zip(&counts) {
@@ -69,13 +106,19 @@ impl WgpuBatch {
             level.reach = homes.extent();
             (slot, block) = (level.particles.end, level.blocks.end);
         }
-        self.write_particles(&arrivals, &before);
+        self.write_particles(arrivals, &before);
         self.write_lists(&homes, &watched);
         self.memory.now = 1 - self.memory.now;
         self.unlinked = true;
         self.cover_blocks(1)?;
 
-        for (w, arrival) in &arrivals {
+        if let Some((_, to)) = copy {
+            let layers = self.layers_of(to);
+            for (level, count) in self.worlds[to].levels.iter_mut().zip(&node_blocks[layers]) {
+                level.node_blocks = 0..*count;
+            }
+        }
+        for (w, arrival) in arrivals {
             let spoilt = account::find_non_finite(&arrival.particles.lists).any();
             let layers = self.layers_of(*w);
             let world = &mut self.worlds[*w];
@@ -87,6 +130,8 @@ impl WgpuBatch {
                 if let Some(reach) = &mut world.reach {
                     reach.restore(phase.live.clone(), arrival.particles.archive.clone());
                 }
+                // Numbers go on as they did there.
+                world.adapt.next_id = 0;
                 world.adapt.restore(phase.clone());
             }
             let ids = arrival.particles.lists.iter().flat_map(|list| &list.id);
@@ -100,7 +145,7 @@ impl WgpuBatch {
         if self.worlds.iter().any(|world| world.reach.is_some()) {
             self.write_live()?;
         }
-        self.find_stress(&arrivals)
+        Ok(())
     }
 
     /// Lays out particles that come into a world.
@@ -115,11 +160,11 @@ impl WgpuBatch {
         let is_restored = restored.is_some();
         let fresh = || of_levels().map(|(lists, level)| Homes::fresh(lists, &level.periods)).collect();
         let homes: Vec<Homes> = restored.unwrap_or_else(fresh);
-        let lay = |((lists, _), homes): ((&[ParticleList], &Level), &Homes)| {
-            let count = lists.iter().map(ParticleList::len).sum();
-            Planes::of(lists, homes, materials, count, rest_vectors(materials))
+        let kept = |l: usize| particles.kept.as_ref().map(|kept| &kept[l * materials.len()..][..materials.len()]);
+        let lay = |(l, ((lists, _), homes)): (usize, ((&[ParticleList], &Level), &Homes))| {
+            Planes::of(lists, kept(l), homes, materials, rest_vectors(materials))
         };
-        let planes = of_levels().zip(&homes).map(lay).collect::<Result<_>>()?;
+        let planes = of_levels().zip(&homes).enumerate().map(lay).collect::<Result<_>>()?;
         if !is_restored {
             particles.sort = None;
         }
@@ -194,11 +239,12 @@ impl WgpuBatch {
         self.write_words(BLOCKS, &[blocks as u32, 0]);
     }
 
-    /// Stress is no part of a state: it follows from strain.
+    /// Stress follows from strain, to rounding; where it has come with particles it is there already.
     pub(crate) fn find_stress(&mut self, arrivals: &BTreeMap<usize, Arrival>) -> Result<()> {
         let fit = |w: usize| !self.worlds[w].spoilt && !self.worlds[w].particles().is_empty();
+        let lacks = |(w, arrival): &(&usize, &Arrival)| fit(**w) && arrival.particles.kept.is_none();
         let mut by_step: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
-        for (&w, arrival) in arrivals.iter().filter(|(w, _)| fit(**w)) {
+        for (&w, arrival) in arrivals.iter().filter(lacks) {
             by_step.entry(arrival.particles.strain_dt.to_bits()).or_default().push(w);
         }
         for (dt, worlds) in by_step {

@@ -4,7 +4,9 @@ use crate::device::Gpu;
 use crate::readback::account;
 use crate::worlds::WgpuBatch;
 use barchan_core::backend::{Batch, Bound, NewWorld, Timing, WorldStep};
-use barchan_core::{Coupling, Engine, Error, Ledger, ParticleState, Result, Spot, StepReport};
+use barchan_core::{
+    Aabb, Coupling, Engine, Error, Fields, Ledger, ParticleState, Plan, Reading, Result, Spot, StepReport, Vec3,
+};
 use barchan_grid::archive::Reach;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::io;
@@ -95,6 +97,10 @@ impl Batch for Worlds {
     fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
         self.with(|batch| batch.replace(world, new))
     }
+
+    fn copy(&mut self, from: usize, to: usize, plan: &Plan) -> Result<()> {
+        self.with(|batch| batch.copy(from, to, plan))
+    }
 }
 
 impl Engine for WorldEngine {
@@ -134,6 +140,10 @@ impl Engine for WorldEngine {
         self.shared.with(|batch| batch.state(self.world)).unwrap_or_default()
     }
 
+    fn state(&self) -> ParticleState {
+        self.shared.with(|batch| batch.whole_state(self.world)).unwrap_or_default()
+    }
+
     fn spots(&self) -> Vec<Spot> {
         self.shared.with(|batch| {
             let mut spots = batch.spots(self.world).unwrap_or_default();
@@ -151,6 +161,17 @@ impl Engine for WorldEngine {
                 list
             }));
             state
+        })
+    }
+
+    fn read(&self, region: Option<&Aabb>, fields: Fields, origin: Vec3) -> Reading {
+        self.shared.with(|batch| {
+            let mut reading = Reading::new(fields, origin);
+            // Of a device that is lost nothing can be read; who asks is told by the check.
+            let _ = batch.read(self.world, region, &mut reading);
+            let archived = batch.worlds[self.world].reach.iter().flat_map(Reach::archived);
+            archived.for_each(|list| reading.add_list(&list, region));
+            reading
         })
     }
 

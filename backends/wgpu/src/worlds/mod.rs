@@ -213,10 +213,15 @@ impl WgpuBatch {
             self.worlds[world] = before;
             return Err(error);
         }
-        let vectors = parameters(new.plan);
+        self.write_parameters(world, new.plan);
+        Ok(())
+    }
+
+    /// Tells the device the parameters of a world's materials.
+    pub(crate) fn write_parameters(&self, world: usize, plan: &Plan) {
+        let vectors = parameters(plan);
         let at = (16 * vectors.len() * world) as u64;
         self.gpu.queue.write_buffer(&self.memory.params, at, bytemuck::cast_slice(&vectors));
-        Ok(())
     }
 
     /// The levels of all worlds, in the order of layers.

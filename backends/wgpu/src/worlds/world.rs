@@ -143,6 +143,7 @@ pub(crate) enum Place {
 }
 
 /// A world of a batch.
+#[derive(Clone)]
 pub(crate) struct World {
     pub(crate) materials: Vec<PlannedMaterial>,
     /// Of each, what contact asks of it: stiffness against being pushed into [Pa], and volume over mass [m³/kg].
@@ -477,8 +478,9 @@ impl World {
     /// Goes on from what an engine before this one has summed up.
     pub(crate) fn carry_on(&mut self, sums: &Ledger) {
         (self.wall_impulse, self.gravity_impulse) = (sums.wall_impulse, sums.gravity_impulse);
-        self.deleted_mass = sums.deleted_mass;
-        (self.slept.kinetic, self.slept.momentum) = (sums.slept_kinetic, sums.slept_momentum);
+        (self.deleted_mass, self.deleted, self.clamped) = (sums.deleted_mass, 0, 0);
+        (self.shortened, self.parted) = (0, 0);
+        self.slept = Slept { blocks: 0, kinetic: sums.slept_kinetic, momentum: sums.slept_momentum };
         self.damped = sums.damped;
         self.adapt.carry_on(sums);
         if let Some(reach) = &mut self.reach {

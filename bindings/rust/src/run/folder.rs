@@ -18,6 +18,8 @@ const LIST: &str = "files.txt";
 const FIXED: [&str; 5] = [super::TRACE, super::SUMMARY, super::SNAPSHOT, super::CONTACT_SHEET, super::ANIMATION];
 /// Folders of numbered files, and how those may end.
 const NUMBERED: [(&str, &[&str]); 2] = [(super::FRAMES, &["png"]), (super::PARTICLES, &["ply", "npz", "vtu"])];
+/// Folder of what observers write, each into a folder of its own name.
+const OBSERVED: &str = "observed";
 /// Digits of a number at least.
 const DIGITS: usize = 5;
 
@@ -144,7 +146,7 @@ fn read_list(out: &Path, list: &mut File) -> Result<Listed> {
     read.map_err(|source| Error::Io { file: out.join(LIST), what: "reading the list of a run's files", source })?;
     let text = String::from_utf8_lossy(&text);
     let is_own = |line: &str| match line.strip_suffix('\n') {
-        Some(name) => FIXED.contains(&name) || number_of(name).is_some(),
+        Some(name) => FIXED.contains(&name) || number_of(name).is_some() || is_observed(name),
         None => may_begin(line),
     };
     if let Some(line) = text.split_inclusive('\n').find(|line| !is_own(line)) {
@@ -152,6 +154,22 @@ fn read_list(out: &Path, list: &mut File) -> Result<Listed> {
     }
     let whole = text.rfind('\n').map_or(0, |end| end + 1);
     Ok(Listed { names: text[..whole].lines().map(str::to_owned).collect(), whole: whole as u64 })
+}
+
+/// Characters of names that observers and their files may have.
+fn is_plain(c: char) -> bool {
+    c.is_ascii_alphanumeric() || "._-".contains(c)
+}
+
+/// Is it the name of a file or folder, without a way out of it and not hidden?
+fn is_plain_name(name: &str) -> bool {
+    !name.is_empty() && name.len() <= 128 && !name.starts_with('.') && name.chars().all(is_plain)
+}
+
+/// Is it the name of a file that an observer could have written?
+fn is_observed(name: &str) -> bool {
+    let mut parts = name.split('/');
+    parts.next() == Some(OBSERVED) && parts.clone().count() == 2 && parts.all(is_plain_name)
 }
 
 /// The number of a numbered file, if a run could have written one of that name.
@@ -173,7 +191,14 @@ fn may_begin(text: &str) -> bool {
         }
         None => folder.starts_with(text),
     };
-    FIXED.iter().any(|name| name.starts_with(text)) || NUMBERED.iter().any(numbered)
+    let observed = match text.strip_prefix(OBSERVED) {
+        Some(rest) => {
+            rest.is_empty()
+                || rest.starts_with('/') && !rest.contains("/.") && rest[1..].chars().all(|c| c == '/' || is_plain(c))
+        }
+        None => OBSERVED.starts_with(text),
+    };
+    observed || FIXED.iter().any(|name| name.starts_with(text)) || NUMBERED.iter().any(numbered)
 }
 
 /// What lies in a folder under names that a run uses.
@@ -184,6 +209,13 @@ fn found(out: &Path) -> Vec<String> {
         let entries = fs::read_dir(out.join(folder)).into_iter().flatten().flatten();
         let names = entries.filter_map(|entry| Some(format!("{folder}/{}", entry.file_name().to_str()?)));
         found.extend(names.filter(|name| number_of(name).is_some()));
+    }
+    let inside = |path: &Path| fs::read_dir(path).into_iter().flatten().flatten();
+    for observer in inside(&out.join(OBSERVED)) {
+        let name = |file: &fs::DirEntry| {
+            Some(format!("{OBSERVED}/{}/{}", observer.file_name().to_str()?, file.file_name().to_str()?))
+        };
+        found.extend(inside(&observer.path()).filter_map(|file| name(&file)).filter(|name| is_observed(name)));
     }
     found
 }
@@ -267,6 +299,23 @@ impl Folder {
         written.map_err(|source| Error::Io { file: self.join(LIST), what: "listing a file", source })?;
         self.written.insert(name.to_owned());
         Ok(path)
+    }
+
+    /// Can it be the name of an observer's folder?
+    pub(super) fn is_name(name: &str) -> bool {
+        is_plain_name(name) && !name.contains('.')
+    }
+
+    /// Lists a file that an observer is about to write.
+    pub(super) fn claim_observed(&mut self, observer: &str, file: &str) -> Result<PathBuf> {
+        if !is_plain_name(file) {
+            return Err(Error::Body {
+                path: format!("observer '{observer}'"),
+                what: format!("'{}' is no name of a file of its own", plain(file)),
+                mend: "use letters, digits, '.', '-' and '_', and no '.' at the beginning".to_owned(),
+            });
+        }
+        self.claim(&format!("{OBSERVED}/{observer}/{file}"))
     }
 
     /// Writes a file: whole, or not at all.
