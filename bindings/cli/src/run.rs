@@ -257,7 +257,8 @@ pub(crate) fn run(args: &RunArgs, registry: Registry) -> Result<ExitCode> {
     let stop = Signals::new();
     let mut shown = Shown::new(args.quiet);
     let mut observers = registry.make_observers(&simulation.plan().scene)?;
-    let mut observers: Vec<_> = observers.iter_mut().map(|observer| &mut **observer).collect();
+    let mut observers: Vec<&mut dyn barchan::Observer> =
+        observers.iter_mut().map(|observer| &mut **observer as &mut dyn barchan::Observer).collect();
     let summary = run::run_with(&mut simulation, &request, &mut observers, &mut |progress| {
         shown.update(progress);
         if stop.caught().is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
