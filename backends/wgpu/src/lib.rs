@@ -9,6 +9,7 @@
 
 pub mod device;
 mod passes;
+pub mod points;
 mod readback;
 mod schedule;
 mod worlds;

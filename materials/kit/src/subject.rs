@@ -1,10 +1,12 @@
 //! A host in miniature: calls a material's table from safe code, in either precision.
 
-use crate::material::MAX_STATE;
 use barchan_abi::*;
 use core::fmt;
 use core::ptr::{null, null_mut};
 use core::slice::from_raw_parts;
+
+/// Most state variables of a material under test: as many as the engine has room for.
+pub const MOST_STATES: usize = 16;
 
 /// A material under test.
 #[derive(Clone, Copy, Debug)]
@@ -20,7 +22,7 @@ pub struct Particle {
     /// Velocity gradient, row-major [1/s].
     pub vel_grad: [f64; 9],
     /// State variables.
-    pub state: [f64; MAX_STATE],
+    pub state: [f64; MOST_STATES],
 }
 
 /// One particle's outputs; entries that the material does not declare are 0.
@@ -31,7 +33,7 @@ pub struct Answer {
     /// Kirchhoff stress xx yy zz xy xz yz [Pa].
     pub kirchhoff: [f64; 6],
     /// State variables.
-    pub state: [f64; MAX_STATE],
+    pub state: [f64; MOST_STATES],
 }
 
 /// Which of the two updates is called.
@@ -141,7 +143,7 @@ macro_rules! with_batch {
             call(|error| callback(&batch, error))?;
             Ok((0..particles.len())
                 .map(|i| {
-                    let mut answer = Answer { strain: [0.0; 9], kirchhoff: [0.0; 6], state: [0.0; MAX_STATE] };
+                    let mut answer = Answer { strain: [0.0; 9], kirchhoff: [0.0; 6], state: [0.0; MOST_STATES] };
                     for c in 0..strains {
                         answer.strain[c] = f64::from(strain[c * stride + i]);
                     }
@@ -162,7 +164,7 @@ impl<'a> Subject<'a> {
     /// Wraps a table.
     ///
     /// # Errors
-    /// If the table is of another major version or shorter than this version's.
+    /// If the table is of another major version or shorter than this version's, or has more than [`MOST_STATES`] state variables.
     ///
     /// # Safety
     /// The table's pointers and functions must obey the ABI.
@@ -170,6 +172,10 @@ impl<'a> Subject<'a> {
         if table.abi_major != BARCHAN_ABI_MAJOR || table.struct_size < size_of::<BarchanMaterial>() {
             let (major, size) = (table.abi_major, table.struct_size);
             let message = format!("table of ABI major {major} with {size} bytes");
+            return Err(SubjectError { status: BARCHAN_E_OTHER, message, particle: None });
+        }
+        if table.n_state > MOST_STATES {
+            let message = format!("the table has {} state variables; there is room for {MOST_STATES}", table.n_state);
             return Err(SubjectError { status: BARCHAN_E_OTHER, message, particle: None });
         }
         Ok(Self { table })
@@ -234,7 +240,7 @@ impl<'a> Subject<'a> {
 
     /// An undeformed particle as seeded.
     pub fn particle_at_rest(&self) -> Particle {
-        let mut state = [0.0; MAX_STATE];
+        let mut state = [0.0; MOST_STATES];
         for (value, declared) in state.iter_mut().zip(self.states()) {
             *value = declared.initial_value;
         }

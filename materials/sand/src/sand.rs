@@ -120,7 +120,7 @@ impl Material for Sand {
             slope: T::splat(1.0 / 3.0) * friction * (one + nu) / incompressibility,
             cohesion: cohesion * compliance,
             tip,
-            correction: params[5],
+            correction: T::select(params[5].lt(T::splat(0.5)), T::zero(), one),
         }
     }
 
