@@ -89,7 +89,7 @@ impl Material for Sand {
             1.0,
             0.0,
             1.0,
-            "1: volume gained in tension must be closed before pressure builds up; 0: it is forgotten.",
+            "1: volume gained in tension must be closed before pressure builds up; 0: it is forgotten. Cut at 0.5.",
         ),
     ];
     const STATES: &'static [State] =
