@@ -188,6 +188,32 @@ pub(super) fn elastic_cycles(s: &Setting<'_>) -> Checked {
     if elastic == 0 { not_asked("none of the cycles tried is elastic") } else { Ok(worst.into()) }
 }
 
+/// Where strain is the same in all directions, what the rate of deformation adds to the stress takes power from it: the stored energy does not know of
+/// the rate.
+fn rates_take_power(s: &Setting<'_>, worst: &mut Worst) -> Result<(), String> {
+    let lost = if s.best == Precision::F64 { 1e-12 } else { 1e-5 };
+    let mut random = Random::new(26);
+    for stretch in [1.0, 0.99, 1.01] {
+        let still = s.particle(stretched(Mat3::identity(), [stretch; 3]));
+        for _ in 0..6 {
+            let rate = random.matrix();
+            let moving = Particle { vel_grad: rate.components(), ..still };
+            let answers = s.update(s.best, &[still, moving])?;
+            let added = core::array::from_fn(|c| answers[1].kirchhoff[c] - answers[0].kirchhoff[c]);
+            if greatest(&added) <= lost * greatest(&answers[1].kirchhoff) {
+                continue;
+            }
+            let rate = rate.symmetric_part();
+            let norms = SymMat3::from_components(added).norm_squared().sqrt() * rate.norm_squared().sqrt();
+            worst.see(0f64.max_or_nan(-work(&added, &added, rate) / norms), || {
+                let rate = short(&rate.components());
+                format!(": the rate of deformation {rate} 1/s adds stress {}, which drives it on", stress(&added))
+            });
+        }
+    }
+    Ok(())
+}
+
 /// Twice around closed cycles from rest, at a rate: the work done on a particle is nowhere less than what it stores, and the second time around
 /// takes no less than it adds to the store. Of a law without an energy only that is known which rest says: the work is nowhere below zero.
 pub(super) fn dissipation(s: &Setting<'_>) -> Checked {
@@ -197,6 +223,9 @@ pub(super) fn dissipation(s: &Setting<'_>) -> Checked {
     }
     let sizes: &[f64] = if s.best == Precision::F64 { &[1e-4, 3e-3, 0.03, 0.2] } else { &[0.1, 0.2] };
     let mut worst = Worst::default();
+    if s.subject.has(BARCHAN_CAP_VEL_GRAD) {
+        rates_take_power(s, &mut worst)?;
+    }
     for &size in sizes {
         let cycles = Cycle::all(size, 8);
         let mut particles: Vec<Particle> = vec![s.subject.particle_at_rest(); cycles.len()];
