@@ -324,7 +324,8 @@ fn draw(p: &BarchanParam, random: &mut Random) -> f64 {
     if p.flags & BARCHAN_PARAM_LOG_SCALE != 0 && default > 0.0 && default.is_finite() {
         return (default * 10f64.powf(2.0 * random.signed())).clamp(least, most);
     }
-    if !(width <= 1e3 * default.abs().max(1.0)) {
+    // An infinite range is wide, too.
+    if width > 1e3 * default.abs().max(1.0) || width.is_nan() {
         let from = if least.is_finite() { least } else { default };
         return (from + 10f64.powf(9.0 * random.unit() - 3.0)).clamp(least, most);
     }
