@@ -37,7 +37,8 @@ pub(super) fn derives_from_energy(s: &Setting<'_>) -> Checked {
     let mut deformations = s.deformations(9, 20, 0.999, 1e-4);
     deformations.extend(s.deformations(10, 20, 0.95, 0.03));
     deformations.extend(s.deformations(11, 20, 0.9, 0.2));
-    // However weak a law is, it bears pressure.
+    // However weak a law is, it bears pressure, or tension.
+    deformations.extend(s.deformations(0, 1, 1.001, 0.0));
     deformations.extend(s.deformations(0, 1, 0.999, 0.0));
     deformations.extend(s.deformations(0, 1, 0.95, 0.0));
     let (mut worst, mut elastic) = (Worst::default(), 0);
