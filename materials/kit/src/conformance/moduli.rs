@@ -35,7 +35,8 @@ fn slope(s: &Setting<'_>, from: &Particle, n: Option<[f64; 3]>, strain: f64) -> 
         None => (t[0] + t[1] + t[2]) / 3.0,
     };
     let before = s.answer(0.0, from)?;
-    let strained = s.answer(0.0, &s.deformed(&Setting::after(&before), stretch(strain)))?;
+    let trial = s.deformed(&Setting::after(&before), stretch(strain));
+    let strained = s.answer(0.0, &trial)?;
     let halfway = s.answer(0.0, &s.deformed(&Setting::after(&before), stretch(0.5 * strain)))?;
     let back = s.answer(0.0, &s.deformed(&Setting::after(&strained), stretch(-strain)))?;
     let change = distance(&before.kirchhoff, &strained.kirchhoff);
@@ -44,7 +45,8 @@ fn slope(s: &Setting<'_>, from: &Particle, n: Option<[f64; 3]>, strain: f64) -> 
     Ok(Slope {
         // Extrapolated to no strain: to one side only, for on the other a law may yield.
         value: 2.0 * slope(along(&halfway.kirchhoff), 0.5 * strain) - slope(along(&strained.kirchhoff), strain),
-        reversible: distance(&before.kirchhoff, &back.kirchhoff) <= part * change,
+        // Stress may come back over the tip of a cone, too.
+        reversible: s.yields(&trial)? != Some(true) && distance(&before.kirchhoff, &back.kirchhoff) <= part * change,
     })
 }
 

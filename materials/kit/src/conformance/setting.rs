@@ -194,12 +194,18 @@ impl<'a> Setting<'a> {
         Ok((answers[1].kirchhoff[0] - answers[0].kirchhoff[0]) / small)
     }
 
+    /// Does the update of this trial flow, or floor or clamp anything? By the law's own counts, if it has them.
+    pub(super) fn yields(&self, trial: &Particle) -> Result<Option<bool>, String> {
+        let counts =
+            self.subject.counts(self.params, std::slice::from_ref(trial)).map_err(|e| format!("count: {e}"))?;
+        Ok(counts.map(|counts| counts.iter().any(|count| *count > 0)))
+    }
+
     /// Does the update of this trial go without plastic flow? By the law's own counts if it has them, else by whether it leaves strain and
     /// state as they are.
     pub(super) fn is_elastic(&self, trial: &Particle, answer: &Answer) -> Result<bool, String> {
-        let counts = self.subject.counts(self.params, std::slice::from_ref(trial));
-        Ok(match counts.map_err(|e| format!("count: {e}"))? {
-            Some(counts) => counts.iter().all(|count| *count == 0),
+        Ok(match self.yields(trial)? {
+            Some(yields) => !yields,
             None => distance(&trial.strain, &answer.strain) <= 1e-6 && trial.state == answer.state,
         })
     }
