@@ -42,12 +42,12 @@ fn slope(s: &Setting<'_>, from: &Particle, n: Option<[f64; 3]>, strain: f64) -> 
     let change = distance(&before.kirchhoff, &strained.kirchhoff);
     let part = if s.best == Precision::F64 { 1e-3 } else { 0.05 };
     let slope = |to: f64, strain: f64| (to - along(&before.kirchhoff)) / strain;
-    Ok(Slope {
-        // Extrapolated to no strain: to one side only, for on the other a law may yield.
-        value: 2.0 * slope(along(&halfway.kirchhoff), 0.5 * strain) - slope(along(&strained.kirchhoff), strain),
-        // Stress may come back over the tip of a cone, too.
-        reversible: s.yields(&trial)? != Some(true) && distance(&before.kirchhoff, &back.kirchhoff) <= part * change,
-    })
+    // Stress may come back over the tip of a cone, too.
+    let reversible = s.yields(&trial)? != Some(true) && distance(&before.kirchhoff, &back.kirchhoff) <= part * change;
+    let whole = slope(along(&strained.kirchhoff), strain);
+    // Extrapolated to no strain: to one side only, for on the other a law may yield, and not over a kink.
+    let extrapolated = 2.0 * slope(along(&halfway.kirchhoff), 0.5 * strain) - whole;
+    Ok(Slope { value: if reversible { extrapolated } else { whole }, reversible })
 }
 
 const NAMES: [&str; 2] = ["lambda + 2 mu", "3 lambda + 2 mu"];
