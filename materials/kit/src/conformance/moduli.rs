@@ -47,7 +47,8 @@ fn slope(s: &Setting<'_>, from: &Particle, n: Option<[f64; 3]>, strain: f64) -> 
     let whole = slope(along(&strained.kirchhoff), strain);
     // Extrapolated to no strain: to one side only, for on the other a law may yield, and not over a kink.
     let extrapolated = 2.0 * slope(along(&halfway.kirchhoff), 0.5 * strain) - whole;
-    Ok(Slope { value: if reversible { extrapolated } else { whole }, reversible })
+    let is_smooth = (extrapolated - whole).abs() <= 0.01 * whole.abs();
+    Ok(Slope { value: if is_smooth { extrapolated } else { whole }, reversible })
 }
 
 const NAMES: [&str; 2] = ["lambda + 2 mu", "3 lambda + 2 mu"];
