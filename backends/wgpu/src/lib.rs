@@ -12,6 +12,7 @@
 
 pub mod device;
 mod passes;
+pub mod points;
 mod readback;
 mod schedule;
 pub mod shared;

@@ -1,4 +1,4 @@
-//! Barchan's command line: runs, plans and checks scenes, lists plugins, measures.
+//! Barchan's command line: runs, plans and checks scenes, holds materials to the conformance suite, lists plugins, measures.
 //!
 //! [`main_with`] is all of it for a registry of your own, with your couplings, backends, materials and tasks in it. The binary
 //! `barchan` is `main_with(barchan::registry())`, and yours is as short:
@@ -17,6 +17,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the terminal is gone: see `print`")]
 
 mod bench;
+mod conform;
 mod manual;
 mod plugins;
 mod print;
@@ -52,6 +53,12 @@ enum Command {
     Plan(SceneArgs),
     /// Checks a scene: prints one line if it can be run, or what is wrong, where, and what would mend it.
     Check(SceneArgs),
+    /// Holds the materials of a library, or one that is built in, to the conformance suite: a table of checks, and what is wrong where.
+    ///
+    /// Stress and energy, frames and rates, moduli that bound the time step, strain paths and cycles, both precisions, faults that must be reported; at
+    /// the defaults and at parameters drawn from their declared ranges. What a law need not do follows from what it declares. The exit status is
+    /// 1 if a check fails.
+    Conform(conform::ConformArgs),
     /// Lists materials, couplings, backends and tasks with their parameters, and scenes.
     Plugins(plugins::PluginArgs),
     /// Lists what the backends can run on besides the processor: GPUs, and software in their place.
@@ -199,6 +206,7 @@ pub fn main_with(registry: Registry) -> ExitCode {
         Command::Run(args) => run::run(args, registry),
         Command::Plan(args) => plan(args, registry).map(|()| ExitCode::SUCCESS),
         Command::Check(args) => check(args, registry).map(|()| ExitCode::SUCCESS),
+        Command::Conform(args) => conform::run(args, &registry),
         Command::Plugins(args) => plugins::list(args, registry).map(|()| ExitCode::SUCCESS),
         Command::Adapters => {
             show(plugins::adapters(&registry));

@@ -27,6 +27,7 @@
 //! [`run::run`] makes) and `wgpu` (the backend of that name). Without them a program is built of 103 crates instead of 146.
 
 pub mod accuracy;
+pub mod conformance;
 #[cfg(feature = "pictures")]
 pub mod picture;
 pub mod run;

@@ -1,13 +1,22 @@
 //! What every material must do, checked on its table alone: built-in, plugin in Rust, or plugin in C.
 //!
-//! [`run_all`] runs the suite; each check returns what it measured, or says what is wrong.
+//! [`survey`] runs every check at the defaults and at parameters drawn from their declared ranges, and tells of each what it found;
+//! [`run_all`] runs them at one set of parameters and stops at the first that fails. What a law need not do follows from what it declares
+//! (capabilities, state variables, callbacks, counts), never from its name. A law without `update_f64` is held to its f32 update, as far as f32
+//! tells.
+
+mod contract;
+mod elastic;
+mod moduli;
+mod paths;
+mod rates;
+mod setting;
 
 use crate::random::Random;
-use crate::subject::{Answer, Particle, Precision, Subject, SubjectError};
-use crate::tensor::{Mat3, SymMat3};
+use crate::subject::{Precision, Subject};
 use barchan_abi::*;
 use core::fmt;
-use core::ptr::{null, null_mut};
+use setting::Setting;
 
 /// A check that passed.
 #[derive(Clone, Debug)]
@@ -44,388 +53,283 @@ impl fmt::Display for Violation {
 }
 impl std::error::Error for Violation {}
 
-/// What a check returns: the greatest error, or a description of what is wrong.
-type Outcome = Result<f64, String>;
+/// How a check came out.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// The error stays within the tolerance.
+    Passed,
+    /// It does not, or something else is wrong: what, and where.
+    Failed(String),
+    /// What the law declares, or lacks, for which it is not held to this.
+    NotAsked(&'static str),
+}
 
-/// A check by name, with its tolerance.
+/// What a check found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Finding {
+    /// The check's name.
+    pub check: &'static str,
+    /// The greatest error found; absent if there is no number to it.
+    pub error: Option<f64>,
+    /// What it must stay within; 0 where the contract is to the bit, or without numbers.
+    pub tolerance: f64,
+    /// How it came out.
+    pub outcome: Outcome,
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.outcome {
+            Outcome::Failed(what) => write!(f, "{}: {what}", self.check),
+            Outcome::NotAsked(why) => write!(f, "{}: not asked, {why}", self.check),
+            Outcome::Passed => {
+                write!(f, "{}: error {:.1e}, tolerance {:.1e}", self.check, self.error.unwrap_or(0.0), self.tolerance)
+            }
+        }
+    }
+}
+
+impl Finding {
+    /// Has the law failed it?
+    pub fn is_failure(&self) -> bool {
+        matches!(self.outcome, Outcome::Failed(_))
+    }
+
+    /// Of an error, measured at a place, that must stay within a tolerance.
+    pub fn of(check: &'static str, worst: Worst, tolerance: f64) -> Self {
+        // Not `error > tolerance`: NaN must fail.
+        let outcome = if worst.error <= tolerance {
+            Outcome::Passed
+        } else {
+            let Worst { error, place } = &worst;
+            Outcome::Failed(format!("error {error:.2e} is beyond the tolerance {tolerance:.1e}{place}"))
+        };
+        Self { check, error: Some(worst.error), tolerance, outcome }
+    }
+
+    /// Of something wrong that is no number.
+    pub fn failed(check: &'static str, tolerance: f64, what: impl Into<String>) -> Self {
+        Self { check, error: None, tolerance, outcome: Outcome::Failed(what.into()) }
+    }
+
+    /// Of something that the law is not held to.
+    pub fn not_asked(check: &'static str, tolerance: f64, why: &'static str) -> Self {
+        Self { check, error: None, tolerance, outcome: Outcome::NotAsked(why) }
+    }
+
+    /// Takes over what another run of the same check found if that is worse: a failure, else the greater error.
+    pub fn worsen(&mut self, other: Self) {
+        let rank = |f: &Self| match f.outcome {
+            Outcome::NotAsked(_) => 0,
+            Outcome::Passed => 1,
+            Outcome::Failed(_) => 2,
+        };
+        let own = (rank(self), self.error.unwrap_or(0.0));
+        if rank(&other) > own.0 || (rank(&other) == own.0 && own.0 < 2 && other.error.unwrap_or(0.0) > own.1) {
+            *self = other;
+        }
+    }
+}
+
+/// The greatest of errors, and where it was found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Worst {
+    /// The greatest error; NaN if any was.
+    pub error: f64,
+    /// Where, as a continuation of a sentence; empty if there is nothing to say.
+    pub place: String,
+}
+
+impl Worst {
+    /// Takes an error into account; NaN stays.
+    pub fn see(&mut self, error: f64, place: impl FnOnce() -> String) {
+        if !self.error.is_nan() && (error > self.error || error.is_nan()) {
+            *self = Self { error, place: place() };
+        }
+    }
+}
+
+/// What a check comes to: a number, or a reason not to ask.
+enum Answered {
+    Worst(Worst),
+    NotAsked(&'static str),
+}
+
+/// What a check returns: what it comes to, or a description of what is wrong.
+type Checked = Result<Answered, String>;
+
+/// An outcome without a number to it.
+fn sound() -> Checked {
+    Ok(Answered::Worst(Worst::default()))
+}
+
+fn not_asked(why: &'static str) -> Checked {
+    Ok(Answered::NotAsked(why))
+}
+
+/// A check by name, with its tolerance for laws in f64 and for those that have only f32.
 struct Check {
     name: &'static str,
-    tolerance: f64,
-    run: fn(&Setting<'_>) -> Outcome,
+    tolerance: [f64; 2],
+    run: fn(&Setting<'_>) -> Checked,
 }
 
 const CHECKS: &[Check] = &[
-    Check { name: "declarations are sound", tolerance: 0.0, run: declarations },
-    Check { name: "no stress at the identity", tolerance: 1e-6, run: zero_stress_at_identity },
-    Check { name: "a particle's result is its own, bit by bit", tolerance: 0.0, run: batch_independence },
-    Check { name: "dt = 0 is idempotent in f64", tolerance: 1e-11, run: |s| idempotence(s, Precision::F64) },
-    Check { name: "dt = 0 is idempotent in f32", tolerance: 2e-5, run: |s| idempotence(s, Precision::F32) },
-    Check { name: "stress turns with the frame", tolerance: 1e-11, run: isotropy },
-    Check { name: "stress is the derivative of the energy", tolerance: 1e-6, run: stress_derives_from_energy },
-    Check { name: "f32 agrees with f64 near rest", tolerance: 1e-5, run: precisions_agree },
-    Check { name: "tangent moduli at rest", tolerance: 1e-4, run: moduli_at_rest },
-    Check { name: "tangent moduli are positive", tolerance: 0.0, run: moduli_are_positive },
-    Check { name: "NaN and infinity are reported with their particle", tolerance: 0.0, run: non_finite_is_reported },
-    Check { name: "bad structs are refused", tolerance: 0.0, run: bad_structs_are_refused },
+    Check { name: "declarations are sound", tolerance: [0.0; 2], run: contract::declarations },
+    Check { name: "no stress at the identity", tolerance: [1e-6; 2], run: contract::zero_stress_at_identity },
+    Check {
+        name: "a particle's result is its own, bit by bit",
+        tolerance: [0.0; 2],
+        run: contract::batch_independence,
+    },
+    Check {
+        name: "dt = 0 is idempotent in f64",
+        tolerance: [1e-11; 2],
+        run: |s| contract::idempotence(s, Precision::F64),
+    },
+    Check {
+        name: "dt = 0 is idempotent in f32",
+        tolerance: [2e-5; 2],
+        run: |s| contract::idempotence(s, Precision::F32),
+    },
+    Check { name: "stress turns with the frame", tolerance: [1e-11, 2e-5], run: rates::objectivity },
+    Check {
+        name: "stress turns with the frame while it spins",
+        tolerance: [1e-11, 2e-5],
+        run: rates::rate_objectivity,
+    },
+    Check { name: "stress is symmetric, with rates too", tolerance: [1e-6, 2e-5], run: rates::symmetry },
+    Check {
+        name: "stress is the derivative of the energy",
+        tolerance: [1e-6, 2e-5],
+        run: elastic::derives_from_energy,
+    },
+    Check { name: "f32 agrees with f64 near rest", tolerance: [1e-5; 2], run: contract::precisions_agree },
+    Check { name: "tangent moduli at rest", tolerance: [1e-4, 1e-2], run: moduli::at_rest },
+    Check { name: "tangent moduli are positive", tolerance: [0.0; 2], run: moduli::are_positive },
+    Check { name: "tangent moduli bound the measured tangent", tolerance: [0.1; 2], run: moduli::bound_the_tangent },
+    Check { name: "viscosity bounds the measured one", tolerance: [1e-4, 1e-3], run: moduli::viscosity },
+    Check { name: "no answer follows dt", tolerance: [1e-12, 1e-6], run: paths::step_length },
+    Check { name: "a strain path has one answer in 1 or n steps", tolerance: [1e-3; 2], run: paths::step_count },
+    Check { name: "elastic cycles give back stress and energy", tolerance: [1e-4, 1e-3], run: paths::elastic_cycles },
+    Check { name: "no closed strain cycle makes energy", tolerance: [1e-2, 2e-2], run: paths::dissipation },
+    Check {
+        name: "NaN and infinity are reported with their particle",
+        tolerance: [0.0; 2],
+        run: contract::non_finite_is_reported,
+    },
+    Check { name: "bad structs are refused", tolerance: [0.0; 2], run: contract::bad_structs_are_refused },
 ];
+
+/// Number of checks that [`findings`] makes.
+pub const COUNT: usize = CHECKS.len();
+
+/// Runs every check on a material with these parameters, one after the other. `on_check` is told the name of each before it runs.
+pub fn findings(subject: &Subject<'_>, params: &[f64], on_check: &mut dyn FnMut(&'static str)) -> Vec<Finding> {
+    CHECKS
+        .iter()
+        .map(|check| {
+            on_check(check.name);
+            one(check, subject, params)
+        })
+        .collect()
+}
+
+fn one(check: &Check, subject: &Subject<'_>, params: &[f64]) -> Finding {
+    let setting = Setting::new(subject, params);
+    let tolerance = check.tolerance[usize::from(setting.best == Precision::F32)];
+    match (check.run)(&setting) {
+        Ok(Answered::Worst(worst)) => Finding::of(check.name, worst, tolerance),
+        Ok(Answered::NotAsked(why)) => Finding::not_asked(check.name, tolerance, why),
+        Err(what) => Finding::failed(check.name, tolerance, what),
+    }
+}
+
+/// Runs every check at the defaults and at [`samples`] of the parameters, and gives the worst of each check; a failure says at which
+/// parameters. `on_check` is told the set's number, from 0, and the check's name.
+pub fn survey(
+    subject: &Subject<'_>,
+    samples: &[Vec<f64>],
+    on_check: &mut dyn FnMut(usize, &'static str),
+) -> Vec<Finding> {
+    let defaults = subject.default_params();
+    let mut worst = findings(subject, &defaults, &mut |check| on_check(0, check));
+    for (number, params) in samples.iter().enumerate() {
+        let place = parameters(subject, params);
+        for (worst, mut found) in
+            worst.iter_mut().zip(findings(subject, params, &mut |check| on_check(number + 1, check)))
+        {
+            if let Outcome::Failed(what) = &mut found.outcome {
+                *what = format!("{what}; with {place}");
+            }
+            worst.worsen(found);
+        }
+    }
+    worst
+}
 
 /// Runs every check on a material with these parameters.
 ///
 /// # Errors
 /// The first check that fails.
 pub fn run_all(subject: &Subject<'_>, params: &[f64]) -> Result<Vec<Measured>, Violation> {
-    let setting = Setting { subject, params };
-    CHECKS
-        .iter()
-        .map(|check| {
-            let violation = |message| Violation { material: subject.name().into(), check: check.name, message };
-            let error = (check.run)(&setting).map_err(violation)?;
-            // Not `error > tolerance`: NaN must fail.
-            if error <= check.tolerance {
-                Ok(Measured { check: check.name, error, tolerance: check.tolerance })
-            } else {
-                Err(violation(format!("error {error:.2e} is beyond the tolerance {:.2e}", check.tolerance)))
-            }
-        })
-        .collect()
-}
-
-/// A material with parameters.
-struct Setting<'a> {
-    subject: &'a Subject<'a>,
-    params: &'a [f64],
-}
-
-impl Setting<'_> {
-    fn update(&self, precision: Precision, particles: &[Particle]) -> Result<Vec<Answer>, String> {
-        self.subject.update(precision, self.params, 0.0, particles).map_err(|e| format!("{precision:?} update: {e}"))
-    }
-
-    /// Particles with deformation gradient `f`.
-    fn particle(&self, f: Mat3<f64>) -> Particle {
-        let mut particle = self.subject.particle_at_rest();
-        if self.subject.is_left_cauchy_green() {
-            particle.strain[..6].copy_from_slice(&f.times_transpose().components());
-        } else {
-            particle.strain = f.components();
-        }
-        particle
-    }
-
-    /// Deformation gradients at a distance of about `size` from `center` I.
-    fn deformations(&self, seed: u64, count: usize, center: f64, size: f64) -> Vec<Mat3<f64>> {
-        let mut random = Random::new(seed);
-        (0..count)
-            .map(|_| {
-                let mut f = random.matrix().components().map(|x| x * size);
-                for diagonal in [0, 4, 8] {
-                    f[diagonal] += center;
-                }
-                Mat3::from_components(f)
-            })
-            .collect()
-    }
-
-    /// Particles at rest, near rest, and far from it in compression and tension.
-    fn particles(&self) -> Vec<Particle> {
-        let mut deformations = vec![Mat3::identity()];
-        for (seed, center, size) in [(1, 1.0, 1e-4), (2, 0.999, 1e-3), (3, 1.0, 0.03), (4, 0.8, 0.2), (5, 1.3, 0.3)] {
-            deformations.extend(self.deformations(seed, 6, center, size));
-        }
-        let mut random = Random::new(6);
-        deformations
-            .into_iter()
-            .map(|f| Particle { vel_grad: random.matrix().components(), ..self.particle(f) })
-            .collect()
-    }
-
-    /// λ + 2μ [Pa], which stresses are measured in: from the stress's slope in a uniaxial compression from rest.
-    fn modulus(&self) -> Result<f64, String> {
-        Ok(self.slope([1.0, 0.0, 0.0])?.abs())
-    }
-
-    /// dτ_xx/dε at rest along a diagonal strain, in compression.
-    fn slope(&self, direction: [f64; 3]) -> Result<f64, String> {
-        let small = 1e-6;
-        let mut f = Mat3::identity();
-        for (i, d) in direction.into_iter().enumerate() {
-            f.rows[i][i] = (-small * d).exp();
-        }
-        let answers = self.update(Precision::F64, &[self.particle(f), self.subject.particle_at_rest()])?;
-        Ok((answers[1].kirchhoff[0] - answers[0].kirchhoff[0]) / small)
-    }
-}
-
-/// Greatest magnitude of the differences.
-fn distance<'a>(a: impl IntoIterator<Item = &'a f64>, b: impl IntoIterator<Item = &'a f64>) -> f64 {
-    a.into_iter().zip(b).map(|(x, y)| (x - y).abs()).fold(0.0, |m, d| if d > m || d.is_nan() { d } else { m })
-}
-
-/// Greatest difference of two answers; stresses in units of `modulus`, and of themselves where they are above it.
-fn difference(a: &Answer, b: &Answer, modulus: f64) -> f64 {
-    let scale = a.kirchhoff.iter().fold(modulus, |m, x| m.max(x.abs()));
-    (distance(&a.kirchhoff, &b.kirchhoff) / scale).max(distance(&a.strain, &b.strain)).max(distance(&a.state, &b.state))
-}
-
-fn declarations(s: &Setting<'_>) -> Outcome {
-    let table = s.subject.table();
-    if s.subject.name().is_empty() {
-        return Err("the name is empty".into());
-    }
-    if table.strain_kind != BARCHAN_STRAIN_DEF_GRAD && table.strain_kind != BARCHAN_STRAIN_LEFT_CAUCHY_GREEN {
-        return Err(format!("strain_kind is {}", table.strain_kind));
-    }
-    let mut names = Vec::new();
-    for p in s.subject.params() {
-        let name = s.subject.text(p.name);
-        let value = p.default_value;
-        let below = value < p.min_value || (value <= p.min_value && p.flags & BARCHAN_PARAM_MIN_OPEN != 0);
-        let above = value > p.max_value || (value >= p.max_value && p.flags & BARCHAN_PARAM_MAX_OPEN != 0);
-        if below || above || value.is_nan() {
-            return Err(format!("the default {value} of '{name}' is outside {} .. {}", p.min_value, p.max_value));
-        }
-        names.push(name);
-    }
-    for q in s.subject.states() {
-        let name = s.subject.text(q.name);
-        if !q.initial_value.is_finite() || q.merge > BARCHAN_MERGE_REFUSE {
-            return Err(format!("state '{name}' starts at {} with merge rule {}", q.initial_value, q.merge));
-        }
-        names.push(name);
-    }
-    for name in &names {
-        let snake = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
-        if name.is_empty() || !name.chars().all(snake) {
-            return Err(format!("'{name}' is not in snake_case"));
-        }
-        if names.iter().filter(|other| *other == name).count() > 1 {
-            return Err(format!("'{name}' is declared twice"));
+    let mut measured = Vec::new();
+    for check in CHECKS {
+        let Finding { check, error, tolerance, outcome } = one(check, subject, params);
+        match outcome {
+            Outcome::Passed => measured.push(Measured { check, error: error.unwrap_or(0.0), tolerance }),
+            Outcome::NotAsked(_) => {}
+            Outcome::Failed(message) => return Err(Violation { material: subject.name().into(), check, message }),
         }
     }
-    s.subject.check_params(s.params).map_err(|e| format!("check_params refuses the parameters: {e}"))?;
-    Ok(0.0)
+    Ok(measured)
 }
 
-fn zero_stress_at_identity(s: &Setting<'_>) -> Outcome {
-    let modulus = s.modulus()?;
-    let mut worst = 0f64;
-    for precision in [Precision::F32, Precision::F64] {
-        let answer = s.update(precision, &[s.subject.particle_at_rest()])?[0];
-        worst = worst.max(distance(&answer.kirchhoff, &[0.0; 6]) / modulus);
-    }
-    Ok(worst)
+/// The modulus that a law's stresses are measured in [Pa]: λ + 2μ at rest, or K if a compression along one axis yields at once.
+///
+/// # Errors
+/// If the law's update fails, or its stress does not follow the strain.
+pub fn modulus(subject: &Subject<'_>, params: &[f64]) -> Result<f64, String> {
+    Setting::new(subject, params).modulus()
 }
 
-fn batch_independence(s: &Setting<'_>) -> Outcome {
-    let particles = s.particles();
-    let n = particles.len();
-    for precision in [Precision::F32, Precision::F64] {
-        let update = |particles: &[Particle], stride: usize| {
-            s.subject
-                .update_strided(precision, s.params, 1e-4, particles, stride)
-                .map_err(|e| format!("{precision:?} update: {e}"))
-        };
-        let alone: Vec<Answer> = particles.iter().map(|&p| Ok(update(&[p], 1)?[0])).collect::<Result<_, String>>()?;
-        // Other neighbours, other lanes, other batch sizes, strides that are and are not multiples of 16.
-        for (shift, count, stride) in [(0, n, n), (5, n, n + 13), (16, 16, 16), (3, 20, 64), (11, 15, 16)] {
-            let order: Vec<usize> = (0..count).map(|i| (i * 7 + shift) % n).collect();
-            let batch: Vec<Particle> = order.iter().map(|&i| particles[i]).collect();
-            for (lane, (answer, &i)) in update(&batch, stride)?.iter().zip(&order).enumerate() {
-                let bits = |a: &Answer| {
-                    let all = a.strain.iter().chain(&a.kirchhoff).chain(&a.state);
-                    all.map(|x| x.to_bits()).collect::<Vec<u64>>()
-                };
-                if bits(answer) != bits(&alone[i]) {
-                    return Err(format!(
-                        "{precision:?}: particle {lane} of {count} gets {answer:?}, alone it gets {:?}",
-                        alone[i]
-                    ));
-                }
-            }
+/// Parameters by name, for people.
+pub fn parameters(subject: &Subject<'_>, params: &[f64]) -> String {
+    let each = subject.params().zip(params).map(|(p, value)| format!("{} = {value:.6e}", subject.text(p.name)));
+    each.collect::<Vec<_>>().join(", ")
+}
+
+/// Sets of parameters drawn from their declared ranges, those that `check_params` refuses left out. A parameter on a logarithmic scale is drawn
+/// within two decades of its default; one whose range is a thousand times as wide as its default, or has no end, is from a thousandth to a
+/// million above its least value, or its default if there is none; any other is anywhere in its range. A fiftieth of the range is kept from an end
+/// that is excluded.
+pub fn samples(subject: &Subject<'_>, count: usize, seed: u64) -> Vec<Vec<f64>> {
+    let mut random = Random::new(seed);
+    let mut sets = Vec::new();
+    for _ in 0..50 * count {
+        if sets.len() == count {
+            break;
+        }
+        let set: Vec<f64> = subject.params().map(|p| draw(&p, &mut random)).collect();
+        if subject.check_params(&set).is_ok() {
+            sets.push(set);
         }
     }
-    Ok(0.0)
+    sets
 }
 
-fn idempotence(s: &Setting<'_>, precision: Precision) -> Outcome {
-    let modulus = s.modulus()?;
-    let particles = s.particles();
-    let first = s.update(precision, &particles)?;
-    let again: Vec<Particle> = particles
-        .iter()
-        .zip(&first)
-        .map(|(p, a)| Particle { strain: a.strain, state: a.state, vel_grad: p.vel_grad })
-        .collect();
-    let second = s.update(precision, &again)?;
-    Ok(first.iter().zip(&second).map(|(a, b)| difference(a, b, modulus)).fold(0.0, f64::max))
-}
-
-fn isotropy(s: &Setting<'_>) -> Outcome {
-    let modulus = s.modulus()?;
-    let mut random = Random::new(7);
-    let mut worst = 0f64;
-    for (center, size) in [(0.9995, 1e-3), (0.9, 0.2)] {
-        for f in s.deformations(8, 20, center, size) {
-            let rotation = random.rotation();
-            let answers = s.update(Precision::F64, &[s.particle(f), s.particle(rotation * f)])?;
-            let turned = |tensor: [f64; 6]| {
-                let m = rotation * Mat3::from(SymMat3::from_components(tensor)) * rotation.transpose();
-                m.symmetric_part().components()
-            };
-            let expected = turned(answers[0].kirchhoff);
-            let scale = expected.iter().fold(modulus, |m, x| m.max(x.abs()));
-            worst = worst.max(distance(&expected, &answers[1].kirchhoff) / scale);
-            let strain = answers[0].strain;
-            let expected = if s.subject.is_left_cauchy_green() {
-                let [xx, yy, zz, xy, xz, yz, ..] = strain;
-                turned([xx, yy, zz, xy, xz, yz]).to_vec()
-            } else {
-                (rotation * Mat3::from_components(strain)).components().to_vec()
-            };
-            worst = worst.max(distance(&expected, &answers[1].strain));
-        }
+fn draw(p: &BarchanParam, random: &mut Random) -> f64 {
+    let (default, least, most) = (p.default_value, p.min_value, p.max_value);
+    let width = most - least;
+    if p.flags & BARCHAN_PARAM_LOG_SCALE != 0 && default > 0.0 && default.is_finite() {
+        return (default * 10f64.powf(2.0 * random.signed())).clamp(least, most);
     }
-    Ok(worst)
-}
-
-fn stress_derives_from_energy(s: &Setting<'_>) -> Outcome {
-    let modulus = s.modulus()?;
-    let describe = |e: SubjectError| format!("energy: {e}");
-    let energies = |particles: &[Particle]| s.subject.energy(s.params, particles).map_err(describe);
-    let mut deformations = s.deformations(9, 20, 0.999, 1e-4);
-    deformations.extend(s.deformations(10, 20, 0.95, 0.03));
-    deformations.extend(s.deformations(11, 20, 0.9, 0.2));
-    let (mut worst, mut elastic) = (0f64, 0);
-    for f in deformations {
-        let particle = s.particle(f);
-        let answer = s.update(Precision::F64, &[particle])?[0];
-        let after = Particle { strain: answer.strain, state: answer.state, ..particle };
-        let Some(energy) = energies(&[particle, after])? else { return Ok(0.0) };
-        // Plastic flow loses energy, and there the stress is that of another strain.
-        if (energy[0] - energy[1]).abs() > 1e-12 * modulus {
-            continue;
-        }
-        elastic += 1;
-        let step = 1e-6;
-        let mut pairs = Vec::new();
-        for component in 0..9 {
-            for sign in [1.0, -1.0] {
-                let mut varied = f.components();
-                varied[component] += sign * step;
-                pairs.push(s.particle(Mat3::from_components(varied)));
-            }
-        }
-        let Some(energy) = energies(&pairs)? else { return Ok(0.0) };
-        let mut piola = [0.0; 9];
-        for (p, pair) in piola.iter_mut().zip(energy.chunks(2)) {
-            *p = (pair[0] - pair[1]) / (2.0 * step);
-        }
-        let expected = (Mat3::from_components(piola) * f.transpose()).symmetric_part().components();
-        let scale = expected.iter().fold(modulus, |m, x| m.max(x.abs()));
-        worst = worst.max(distance(&expected, &answer.kirchhoff) / scale);
+    // An infinite range is wide, too.
+    if width > 1e3 * default.abs().max(1.0) || width.is_nan() {
+        let from = if least.is_finite() { least } else { default };
+        return (from + 10f64.powf(9.0 * random.unit() - 3.0)).clamp(least, most);
     }
-    if elastic == 0 { Err("none of the deformations tried is elastic".into()) } else { Ok(worst) }
-}
-
-fn precisions_agree(s: &Setting<'_>) -> Outcome {
-    let modulus = s.modulus()?;
-    let mut particles = Vec::new();
-    for (seed, size) in [(12, 1e-4), (13, 1e-3), (14, 1e-2)] {
-        particles.extend(s.deformations(seed, 30, 1.0 - size, size).into_iter().map(|f| s.particle(f)));
-    }
-    // Both see the same input, so that only the arithmetic differs.
-    for particle in &mut particles {
-        particle.strain = particle.strain.map(|x| f64::from(x as f32));
-    }
-    let (single, double) = (s.update(Precision::F32, &particles)?, s.update(Precision::F64, &particles)?);
-    Ok(double.iter().zip(&single).map(|(a, b)| difference(a, b, modulus)).fold(0.0, f64::max))
-}
-
-fn moduli_at_rest(s: &Setting<'_>) -> Outcome {
-    let rest = [s.subject.particle_at_rest()];
-    let moduli = s.subject.tangent_moduli(s.params, &rest).map_err(|e| format!("tangent_moduli: {e}"))?;
-    let Some(moduli) = moduli else { return Ok(0.0) };
-    let expected = [s.slope([1.0, 0.0, 0.0])?, s.slope([1.0; 3])?];
-    Ok((0..2).map(|i| (moduli[0][i] / expected[i] - 1.0).abs()).fold(0.0, f64::max))
-}
-
-fn moduli_are_positive(s: &Setting<'_>) -> Outcome {
-    let particles = s.particles();
-    let moduli = s.subject.tangent_moduli(s.params, &particles).map_err(|e| format!("tangent_moduli: {e}"))?;
-    match moduli.into_iter().flatten().position(|m| !(m[0] > 0.0 && m[1] > 0.0)) {
-        None => Ok(0.0),
-        Some(i) => Err(format!("they are not at strain {:?}", particles[i].strain)),
-    }
-}
-
-fn non_finite_is_reported(s: &Setting<'_>) -> Outcome {
-    let places = s.subject.strain_planes() + s.subject.table().n_state;
-    for precision in [Precision::F32, Precision::F64] {
-        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            for (count, victim) in [(1, 0), (40, 21), (40, 39), (64, 16)] {
-                for place in 0..places {
-                    let mut particles = vec![s.subject.particle_at_rest(); count];
-                    match place.checked_sub(s.subject.strain_planes()) {
-                        None => particles[victim].strain[place] = bad,
-                        Some(state) => particles[victim].state[state] = bad,
-                    }
-                    let what = format!("{precision:?}: {bad} in plane {place} of particle {victim} of {count}");
-                    match s.subject.update(precision, s.params, 1e-4, &particles) {
-                        Ok(_) => return Err(format!("{what} is not reported")),
-                        Err(e) if e.status != BARCHAN_E_NON_FINITE || e.particle != Some(victim as u64) => {
-                            return Err(format!("{what} is reported as {e}"));
-                        }
-                        Err(_) => {}
-                    }
-                }
-            }
-        }
-    }
-    Ok(0.0)
-}
-
-fn bad_structs_are_refused(s: &Setting<'_>) -> Outcome {
-    let (Some(single), Some(double)) = (s.subject.table().update_f32, s.subject.table().update_f64) else {
-        return Err("an update is missing".into());
-    };
-    let empty = BarchanBatchF64 {
-        struct_size: size_of::<BarchanBatchF64>(),
-        n: 0,
-        stride: 0,
-        dt: 0.0,
-        params: s.params.as_ptr(),
-        strain_trial: null(),
-        vel_grad: null(),
-        state_in: null(),
-        strain: null_mut(),
-        kirchhoff: null_mut(),
-        state_out: null_mut(),
-    };
-    let short = BarchanBatchF64 { struct_size: 8, ..empty };
-    let without_planes = BarchanBatchF64 { n: 4, stride: 16, ..empty };
-    // SAFETY: these are the cases that the ABI obliges a callback to refuse before it follows a pointer; NULL errors are
-    // allowed.
-    let (null_single, null_double, short, without_planes, empty) = unsafe {
-        (
-            single(null(), null_mut()),
-            double(null(), null_mut()),
-            double(&short, null_mut()),
-            double(&without_planes, null_mut()),
-            double(&empty, null_mut()),
-        )
-    };
-    for (what, status) in [
-        ("a NULL batch (f32)", null_single),
-        ("a NULL batch (f64)", null_double),
-        ("a batch of 8 bytes", short),
-        ("a batch without planes", without_planes),
-    ] {
-        if status == BARCHAN_OK {
-            return Err(format!("{what} is accepted"));
-        }
-    }
-    if empty != BARCHAN_OK {
-        return Err(format!("a batch of no particles is refused with status {empty}"));
-    }
-    Ok(0.0)
+    let margin = |open: u64| if p.flags & open != 0 { 0.02 * width } else { 0.0 };
+    let (from, to) = (least + margin(BARCHAN_PARAM_MIN_OPEN), most - margin(BARCHAN_PARAM_MAX_OPEN));
+    from + (to - from) * random.unit()
 }

@@ -21,7 +21,10 @@ mod tensor;
 pub mod timing;
 
 pub use barchan_abi as abi;
-pub use barchan_abi::{BARCHAN_CAP_FLUID, BARCHAN_CAP_HARDENS, BARCHAN_CAP_VEL_GRAD, BarchanMaterial};
+pub use barchan_abi::{
+    BARCHAN_CAP_FLUID, BARCHAN_CAP_HARDENS, BARCHAN_CAP_MAY_MAKE_ENERGY, BARCHAN_CAP_RATE_DEPENDENT,
+    BARCHAN_CAP_VEL_GRAD, BarchanMaterial,
+};
 pub use barchan_lanes::{Dual, Mask, Real};
 pub use batch::vtable;
 pub use declare::{Param, State, param, poisson_ratio, state, young_modulus};
@@ -29,5 +32,5 @@ pub use material::{Events, Lame, MAX_PARAMS, MAX_STATE, MatIn, MatOut, Material,
 pub use spectral::{
     Eigen, Hencky, MIN_STRETCH_SQUARED, left_stretch, log_volume, near_identity, sqrt, sqrt_near_identity,
 };
-pub use subject::{Answer, Particle, Precision, Subject, SubjectError};
+pub use subject::{Answer, MOST_STATES, Particle, Precision, Subject, SubjectError};
 pub use tensor::{Mat3, SymMat3};

@@ -1,11 +1,13 @@
 //! A host in miniature: calls a material's table from safe code, in either precision.
 
-use crate::material::MAX_STATE;
 use barchan_abi::batch::{Batch, Inputs, Number, Outputs};
 use barchan_abi::*;
 use barchan_lanes::Float;
 use core::fmt;
 use core::slice::from_raw_parts;
+
+/// Most state variables of a material under test: as many as the engine has room for.
+pub const MOST_STATES: usize = 16;
 
 /// A material under test.
 #[derive(Clone, Copy, Debug)]
@@ -21,7 +23,7 @@ pub struct Particle {
     /// Velocity gradient, row-major [1/s].
     pub vel_grad: [f64; 9],
     /// State variables.
-    pub state: [f64; MAX_STATE],
+    pub state: [f64; MOST_STATES],
 }
 
 /// One particle's outputs; entries that the material does not declare are 0.
@@ -32,7 +34,7 @@ pub struct Answer {
     /// Kirchhoff stress xx yy zz xy xz yz [Pa].
     pub kirchhoff: [f64; 6],
     /// State variables.
-    pub state: [f64; MAX_STATE],
+    pub state: [f64; MOST_STATES],
 }
 
 /// Which of the two updates is called.
@@ -109,7 +111,7 @@ impl<'a> Subject<'a> {
     /// Wraps a table.
     ///
     /// # Errors
-    /// If the table is of another major version or shorter than this version's.
+    /// If the table is of another major version or shorter than this version's, or has more than [`MOST_STATES`] state variables.
     ///
     /// # Safety
     /// The table's pointers and functions must obey the ABI.
@@ -117,6 +119,10 @@ impl<'a> Subject<'a> {
         if table.abi_major != BARCHAN_ABI_MAJOR || table.struct_size < size_of::<BarchanMaterial>() {
             let (major, size) = (table.abi_major, table.struct_size);
             let message = format!("table of ABI major {major} with {size} bytes");
+            return Err(SubjectError { status: BARCHAN_E_OTHER, message, particle: None });
+        }
+        if table.n_state > MOST_STATES {
+            let message = format!("the table has {} state variables; there is room for {MOST_STATES}", table.n_state);
             return Err(SubjectError { status: BARCHAN_E_OTHER, message, particle: None });
         }
         Ok(Self { table })
@@ -181,7 +187,7 @@ impl<'a> Subject<'a> {
 
     /// An undeformed particle as seeded.
     pub fn particle_at_rest(&self) -> Particle {
-        let mut state = [0.0; MAX_STATE];
+        let mut state = [0.0; MOST_STATES];
         for (value, declared) in state.iter_mut().zip(self.states()) {
             *value = declared.initial_value;
         }
@@ -215,7 +221,7 @@ impl<'a> Subject<'a> {
         let batch = Batch::new(self.table, inputs, Some(outputs));
         call(|error| callback(batch.as_raw(), error))?;
         let answer = |i: usize| {
-            let mut answer = Answer { strain: [0.0; 9], kirchhoff: [0.0; 6], state: [0.0; MAX_STATE] };
+            let mut answer = Answer { strain: [0.0; 9], kirchhoff: [0.0; 6], state: [0.0; MOST_STATES] };
             for (to, from) in [
                 (&mut answer.strain[..strains], &strain),
                 (&mut answer.kirchhoff, &kirchhoff),

@@ -89,7 +89,7 @@ impl Material for Sand {
             1.0,
             0.0,
             1.0,
-            "1: volume gained in tension must be closed before pressure builds up; 0: it is forgotten.",
+            "1: volume gained in tension must be closed before pressure builds up; 0: it is forgotten. Cut at 0.5.",
         ),
     ];
     const STATES: &'static [State] =
@@ -120,7 +120,7 @@ impl Material for Sand {
             slope: T::splat(1.0 / 3.0) * friction * (one + nu) / incompressibility,
             cohesion: cohesion * compliance,
             tip,
-            correction: params[5],
+            correction: T::select(params[5].lt(T::splat(0.5)), T::zero(), one),
         }
     }
 

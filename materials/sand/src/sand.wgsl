@@ -25,7 +25,7 @@ fn sand_cone(base: u32) -> sand_Cone {
 fn sand_update(x: MatIn, base: u32, q: ptr<function, array<f32, BARCHAN_MAX_STATE>>) -> MatOut {
     let law = barchan_lame(barchan_param(base, 0u), barchan_param(base, 1u));
     let cone = sand_cone(base);
-    let correction = barchan_param(base, 5u);
+    let correction = select(1.0, 0.0, barchan_param(base, 5u) < 0.5);
     let gap = (*q)[0] * correction;
 
     let eigen = barchan_eigen(barchan_sym(x.strain));

@@ -7,6 +7,9 @@ use barchan_material_kit::*;
 ///
 /// τ = h [2μ (V² − V) + λ (J − 1) J I] with V² = b_e, J = det V, h = e^{ξ (1 − J_p)}; J_p takes up what the stretches lose.
 ///
+/// The flow is not normal to a yield surface, and what has hardened stores more at the same strain: closed strain cycles make energy where θ_s is below
+/// about a fifth of θ_c, or ξ θ_c above about 1. The defaults are far from both.
+///
 /// h is at most the parameter `hardening_max`, and J_p stays in [0.05, 20]; a particle at either bound is counted as clamped.
 ///
 /// # Source
@@ -16,6 +19,9 @@ use barchan_material_kit::*;
 pub struct Snow;
 
 const PLASTIC_VOLUME_RANGE: (f64, f64) = (0.05, 20.0);
+
+/// Up to this stretch the moduli at rest serve for the tangent's.
+const LINEAR_STRETCH: f64 = 1.01;
 
 /// Constants derived from the parameters.
 #[derive(Clone, Copy, Debug)]
@@ -77,7 +83,7 @@ impl Material for Snow {
     ];
     const STATES: &'static [State] =
         &[state("plastic_volume", "1", 1.0, "J_p, volume change kept by plastic flow.").merge_log_mean()];
-    const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
+    const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS | BARCHAN_CAP_MAY_MAKE_ENERGY;
     const WGSL: &'static str = include_str!("snow.wgsl");
     const WGSL_STIFFNESS: &'static str = include_str!("snow_stiffness.wgsl");
     type Strain<T: Real> = SymMat3<T>;
@@ -134,9 +140,21 @@ impl Material for Snow {
         MatOut { strain, kirchhoff, events: Events { yielding, apex: no, floored, clamped } }
     }
 
+    /// Along an axis of stretch s the stiffness is h times 2μ (2s² − s) + λ (2J² − J). Where stretches are kept within a hundredth of 1 that is within a
+    /// tenth of the linear law's, which is given.
     #[inline(always)]
-    fn tangent_moduli<T: Real>(law: &SnowLaw<T>, _b: SymMat3<T>, state: &[T]) -> TangentModuli<T> {
-        law.hardened(state[0]).tangent_moduli()
+    fn tangent_moduli<T: Real>(law: &SnowLaw<T>, b: SymMat3<T>, state: &[T]) -> TangentModuli<T> {
+        let one = T::one();
+        let Lame { lambda, mu } = law.hardened(state[0]);
+        // No eigenvalue is further above the mean.
+        let above_mean = T::splat(2.0 / 3.0) * b.deviator().norm_squared();
+        let square = (T::splat(1.0 / 3.0) * b.trace() + above_mean.sqrt()).max(one);
+        let volume = b.determinant().max(T::zero()).sqrt();
+        let stretches = law.greatest_stretch.gt(T::splat(LINEAR_STRETCH));
+        let shear = T::select(stretches, square + square - square.sqrt(), one);
+        let bulk = T::select(stretches, volume * (volume + volume - one), one);
+        // Auxetic snow stiffens as it is packed, other snow as it is stretched.
+        Lame { lambda: lambda.max(lambda * bulk), mu: mu * shear }.tangent_moduli()
     }
 
     #[inline(always)]

@@ -49,6 +49,14 @@
 // The material never bears shear at rest (a fluid).
 #define BARCHAN_CAP_FLUID 4
 
+// The answer follows the step `dt` otherwise than through `vel_grad` (creep, relaxation). Without this bit and BARCHAN_CAP_VEL_GRAD, a
+// strain path has one answer, however fast and in however many steps it is gone.
+#define BARCHAN_CAP_RATE_DEPENDENT 8
+
+// Nothing in the flow rule keeps a closed strain cycle from giving back more work than was put in, and at some parameters one does. The
+// conformance suite then holds the material to that at its defaults only.
+#define BARCHAN_CAP_MAY_MAKE_ENERGY 16
+
 // The plugin was built with panic = "abort": a panic in it ends the process.
 #define BARCHAN_PLUGIN_PANIC_ABORT 1
 

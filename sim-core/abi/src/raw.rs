@@ -45,6 +45,12 @@ pub const BARCHAN_CAP_VEL_GRAD: u64 = 1;
 pub const BARCHAN_CAP_HARDENS: u64 = 2;
 /// The material never bears shear at rest (a fluid).
 pub const BARCHAN_CAP_FLUID: u64 = 4;
+/// The answer follows the step `dt` otherwise than through `vel_grad` (creep, relaxation). Without this bit and BARCHAN_CAP_VEL_GRAD, a
+/// strain path has one answer, however fast and in however many steps it is gone.
+pub const BARCHAN_CAP_RATE_DEPENDENT: u64 = 8;
+/// Nothing in the flow rule keeps a closed strain cycle from giving back more work than was put in, and at some parameters one does. The
+/// conformance suite then holds the material to that at its defaults only.
+pub const BARCHAN_CAP_MAY_MAKE_ENERGY: u64 = 16;
 
 /// The plugin was built with panic = "abort": a panic in it ends the process.
 pub const BARCHAN_PLUGIN_PANIC_ABORT: u64 = 1;

@@ -5,7 +5,7 @@
 
 #![expect(unsafe_code, reason = "the registry's tables are trusted to obey the ABI")]
 
-use crate::libraries::{c_template, rust_library};
+use crate::libraries::{build_c, c_template, root, rust_library};
 use barchan::Material;
 use barchan::parameter::Parameter;
 use barchan_material_kit::{Subject, conformance};
@@ -47,11 +47,14 @@ fn settings(law: &Material) -> Vec<(String, Vec<f64>)> {
 
 /// A law that answers a neighbour's question, keeps a hidden stress at rest or loses a NaN ruins a run far from its cause. The
 /// contract is the ABI's: no stress at the identity, a particle's result its own bit by bit, dt = 0 idempotent, stress the
-/// derivative of the energy, objectivity, honest moduli, NaN reported with its particle; in f32 and in f64.
+/// derivative of the energy, frames and rates, honest moduli, strain paths and cycles, NaN reported with its particle; in f32 and in f64, and at
+/// parameters drawn from their declared ranges.
 #[test]
 fn every_law_keeps_the_contract_at_all_kinds_of_parameters() {
     let mut registry = barchan::registry();
     registry.load(&c_template(false)).unwrap();
+    let cpp = build_c(&root().join("materials/template/cpp/neo_hookean.cpp"), "sim-core/abi/include", "cpp_template");
+    registry.load(&cpp).unwrap();
     registry.load(&rust_library("barchan-material-template")).unwrap();
     let laws: Vec<_> = registry.materials().collect();
     let names: Vec<_> = laws.iter().map(|law| law.name.as_str()).collect();
@@ -64,6 +67,7 @@ fn every_law_keeps_the_contract_at_all_kinds_of_parameters() {
         "von_mises",
         "liquid",
         "c_neo_hookean",
+        "cpp_neo_hookean",
         "template_neo_hookean",
     ] {
         assert!(names.contains(&known), "{known} is not registered: {names:?}");
@@ -73,9 +77,10 @@ fn every_law_keeps_the_contract_at_all_kinds_of_parameters() {
     for law in laws {
         // SAFETY: the table was read from a static one, whose pointers it keeps.
         let subject = unsafe { Subject::new(&law.table) }.expect("a table of this version");
-        for (setting, parameters) in settings(law) {
+        let drawn = conformance::samples(&subject, 16, 2).into_iter().map(|set| ("drawn".to_owned(), set));
+        for (setting, parameters) in settings(law).into_iter().chain(drawn) {
             let measured = conformance::run_all(&subject, &parameters)
-                .unwrap_or_else(|violation| panic!("{} with {setting}: {violation}", law.name));
+                .unwrap_or_else(|violation| panic!("{} with {setting} ({parameters:?}): {violation}", law.name));
             runs += 1;
             for m in measured {
                 let entry = worst.entry(m.check).or_insert((-1.0, m.tolerance, String::new()));
