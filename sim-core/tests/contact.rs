@@ -44,7 +44,8 @@ fn twist(x: &Six) -> Twist {
 fn solved(mut m: [Six; 6], mut r: Six) -> Option<Six> {
     for c in 0..6 {
         let pivot = (c..6).max_by(|a, b| m[*a][c].abs().total_cmp(&m[*b][c].abs()))?;
-        (m.swap(c, pivot), r.swap(c, pivot));
+        m.swap(c, pivot);
+        r.swap(c, pivot);
         if m[c][c] == 0.0 {
             return None;
         }

@@ -5,30 +5,56 @@ use barchan_core::Coupling;
 use barchan_core::coupling::DeviceLaw;
 use std::fmt::Write as _;
 
-/// The functions of a coupling that passes call: name, arguments with their types, what is returned, and what stands in for one that a text lacks.
-const FUNCTIONS: [(&str, &[(&str, &str)], &str, &str); 6] = [
-    ("coupling_field", &[("x", "vec3<f32>"), ("u", "vec3<f32>"), ("mass", "f32"), ("dt", "f32")], "vec3<f32>", "u"),
-    ("coupling_distance", &[("x", "vec3<f32>"), ("cell", "f32")], "f32", "1e30"),
-    (
-        "coupling_press",
-        &[("x", "vec3<f32>"), ("half", "f32"), ("modulus", "f32"), ("cell", "f32")],
-        "vec3<f32>",
-        "vec3<f32>(0.0)",
-    ),
-    (
-        "coupling_grip",
-        &[("x", "vec3<f32>"), ("cell", "f32"), ("press", "vec3<f32>")],
-        "CouplingGrip",
-        "CouplingGrip(GRIP_NONE, vec3<f32>(0.0), 0.0, false, 1e30)",
-    ),
-    ("coupling_friction", &[], "f32", "0.0"),
-    (
-        "coupling_box",
-        &[("rows", "array<vec3<f32>, 3>"), ("cell", "f32")],
-        "array<vec3<f32>, 2>",
-        "array<vec3<f32>, 2>(vec3<f32>(1e30), vec3<f32>(-1e30))",
-    ),
+/// A function of a coupling that passes call.
+struct Function {
+    name: &'static str,
+    /// Behind the number of the body: names and types.
+    arguments: &'static [(&'static str, &'static str)],
+    returns: &'static str,
+    /// What it returns where a text lacks it.
+    stand_in: &'static str,
+}
+
+const FUNCTIONS: [Function; 6] = [
+    Function {
+        name: "coupling_field",
+        arguments: &[("x", "vec3<f32>"), ("u", "vec3<f32>"), ("mass", "f32"), ("dt", "f32")],
+        returns: "vec3<f32>",
+        stand_in: "u",
+    },
+    Function {
+        name: "coupling_distance",
+        arguments: &[("x", "vec3<f32>"), ("cell", "f32")],
+        returns: "f32",
+        stand_in: "1e30",
+    },
+    Function {
+        name: "coupling_press",
+        arguments: &[("x", "vec3<f32>"), ("half", "f32"), ("modulus", "f32"), ("cell", "f32")],
+        returns: "vec3<f32>",
+        stand_in: "vec3<f32>(0.0)",
+    },
+    Function {
+        name: "coupling_grip",
+        arguments: &[("x", "vec3<f32>"), ("cell", "f32"), ("press", "vec3<f32>")],
+        returns: "CouplingGrip",
+        stand_in: "CouplingGrip(GRIP_NONE, vec3<f32>(0.0), 0.0, false, 1e30)",
+    },
+    Function { name: "coupling_friction", arguments: &[], returns: "f32", stand_in: "0.0" },
+    Function {
+        name: "coupling_box",
+        arguments: &[("rows", "array<vec3<f32>, 3>"), ("cell", "f32")],
+        returns: "array<vec3<f32>, 2>",
+        stand_in: "array<vec3<f32>, 2>(vec3<f32>(1e30), vec3<f32>(-1e30))",
+    },
 ];
+
+impl Function {
+    fn head(&self) -> String {
+        let arguments: String = self.arguments.iter().map(|(name, ty)| format!(", {name}: {ty}")).collect();
+        format!("fn {}(body: u32{arguments}) -> {}", self.name, self.returns)
+    }
+}
 
 /// What the couplings of a world are for the device, as if they were one. Fields have the lowest numbers of bodies, then come the others' in the scene's
 /// order.
@@ -92,17 +118,11 @@ impl Laws {
     }
 }
 
-/// The head of a function that passes call.
-fn head((name, arguments, returned, _): (&str, &[(&str, &str)], &str, &str)) -> String {
-    let arguments: String = arguments.iter().map(|(name, ty)| format!(", {name}: {ty}")).collect();
-    format!("fn {name}(body: u32{arguments}) -> {returned}")
-}
-
 /// A text, and what it lacks of the functions that passes call.
 fn with_all(wgsl: &str) -> String {
     let names = declared_names(wgsl);
-    let missing = FUNCTIONS.iter().filter(|function| !names.iter().any(|name| name == function.0));
-    let stand_in = |function: &(_, _, _, &str)| format!("{} {{ return {}; }}\n", head(*function), function.3);
+    let missing = FUNCTIONS.iter().filter(|function| !names.iter().any(|name| name == function.name));
+    let stand_in = |function: &Function| format!("{} {{ return {}; }}\n", function.head(), function.stand_in);
     wgsl.to_owned() + "\n" + &missing.map(stand_in).collect::<String>()
 }
 
@@ -154,15 +174,14 @@ fn together(own: &[DeviceLaw], order: &[usize]) -> String {
         });
     }
     for function in FUNCTIONS {
-        let (name, arguments, ..) = function;
-        let arguments: String = arguments.iter().map(|(name, _)| format!(", {name}")).collect();
+        let arguments: String = function.arguments.iter().map(|(name, _)| format!(", {name}")).collect();
         let (last, before) = text_of.split_last().map_or((&0, &[][..]), |pair| pair);
-        let call = |t: &usize| format!("{{ return {name}_of_{t}(body - first_body{arguments}); }}\n");
+        let call = |t: &usize| format!("{{ return {}_of_{t}(body - first_body{arguments}); }}\n", function.name);
         let cases: String = before.iter().enumerate().map(|(c, t)| format!("case {c}u: {}", call(t))).collect();
         let _ = write!(
             all,
             "{} {{\nswitch take_up_coupling(body) {{\n{cases}default: {}}}\n}}\n",
-            head(function),
+            function.head(),
             call(last)
         );
     }
