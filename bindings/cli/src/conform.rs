@@ -161,7 +161,8 @@ impl Shown {
         if !std::io::stderr().is_terminal() {
             return Self::Lines(material.to_owned(), Instant::now());
         }
-        let style = ProgressStyle::with_template("{spinner} {elapsed}  {msg}").expect("a constant template");
+        let style =
+            ProgressStyle::with_template("{spinner} {elapsed}  {msg}").expect("the template is constant and sound");
         Self::Spinner(ProgressBar::new_spinner().with_style(style))
     }
 

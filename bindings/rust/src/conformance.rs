@@ -1,4 +1,13 @@
 //! The conformance suite on any material of a registry, built in or loaded: `barchan conform`.
+//!
+//! ```
+//! use barchan::conformance::{Finding, Outcome, survey};
+//!
+//! let registry = barchan::registry();
+//! let findings: Vec<Finding> = survey(registry.material("hencky")?, 0, &mut |_, _| {})?;
+//! assert!(findings.iter().all(|finding| !matches!(finding.outcome, Outcome::Failed(_))), "{findings:?}");
+//! # Ok::<(), barchan::Error>(())
+//! ```
 
 pub use barchan_material_kit::conformance::{Finding, Outcome, parameters};
 

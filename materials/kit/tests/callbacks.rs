@@ -21,6 +21,7 @@ impl<const FAULT: u8> Material for Faulty<FAULT> {
     const DOC: &'static str = "A material with a fault.";
     const REFERENCE: &'static str = "";
     const PARAMS: &'static [Param] = &[young_modulus(1e5)];
+    const CAPABILITIES: u64 = BARCHAN_CAP_HARDENS;
     type Strain<T: Real> = SymMat3<T>;
     type Law<T: Real> = T;
 
@@ -56,8 +57,11 @@ impl<const FAULT: u8> Material for Faulty<FAULT> {
     }
 
     #[inline(always)]
-    fn tangent_moduli<T: Real>(law: &T, _b: SymMat3<T>, _state: &[T]) -> TangentModuli<T> {
-        let two = *law + *law;
+    fn tangent_moduli<T: Real>(law: &T, b: SymMat3<T>, _state: &[T]) -> TangentModuli<T> {
+        // The stress follows b, and no eigenvalue of b is above its greatest sum of a row's sizes.
+        let (xy, xz, yz) = (b.xy.abs(), b.xz.abs(), b.yz.abs());
+        let most = (b.xx + xy + xz).max(b.yy + xy + yz).max(b.zz + xz + yz);
+        let two = (*law + *law) * most;
         TangentModuli { p_wave: two, triple_bulk: if FAULT == WRONG_MODULI { *law } else { two } }
     }
 

@@ -3,6 +3,18 @@
 //!
 //! Near-singular strains magnify what f32 cannot hold: there, the answer must be that for a strain within a few roundings of the one given. Where
 //! those roundings are all there is, it must be finite.
+//!
+//! ```
+//! use barchan::conformance::Outcome;
+//! use barchan::conformance::wgsl::{Gpu, Offer, open_with, survey};
+//!
+//! // The first adapter, with no more than the poorest one offers.
+//! let gpu: Gpu = open_with(None, Offer::Least)?;
+//! let registry = barchan::registry();
+//! let findings = survey(&gpu, registry.material("hencky")?, 0, 64, &mut |_| {})?;
+//! assert!(findings.iter().all(|finding| !matches!(finding.outcome, Outcome::Failed(_))), "{findings:?}");
+//! # Ok::<(), barchan::Error>(())
+//! ```
 
 use super::{SEED, subject, whole};
 use barchan_abi::{BARCHAN_CAP_FLUID, BARCHAN_CAP_HARDENS};
