@@ -19,18 +19,20 @@ pub mod mass;
 pub mod mesh;
 pub mod motion;
 pub mod rigid;
+pub mod robot;
 pub mod sdf;
 pub mod world;
 
 pub use mesh::MeshSolid;
 pub use rigid::Rigid;
+pub use robot::Robots;
 pub use sdf::Sdf;
 
-use barchan_core::plan::TOOL_COUPLING;
+use barchan_core::plan::{ROBOT_COUPLING, TOOL_COUPLING};
 use barchan_core::{Error, Registry, Result};
 use std::sync::Arc;
 
-/// Registers the coupling "rigid" and the reader of triangle meshes.
+/// Registers the couplings "rigid" and "robots", and the reader of triangle meshes.
 ///
 /// # Errors
 /// If another plugin has taken the name.
@@ -44,6 +46,12 @@ pub fn register(registry: &mut Registry) -> Result<()> {
         "Rigid tools and free rigid bodies in contact with the ground",
         Vec::new(),
         Arc::new(|setup| Ok(Box::new(Rigid::new(setup.scene)?.called(setup.name)) as _)),
+    )?;
+    registry.add_coupling(
+        ROBOT_COUPLING,
+        "Robots of links and joints on the ground",
+        Vec::new(),
+        Arc::new(|setup| Ok(Box::new(Robots::new(setup.scene)?.called(setup.name)) as _)),
     )
 }
 

@@ -60,18 +60,7 @@ impl TriangleMesh {
             let mend = "give a positive factor; a negative one would turn the mesh inside out";
             return Err(Refusal::new(format!("the mesh's scale is {scale}"), mend));
         }
-        let unreadable = |e: &dyn std::fmt::Display| {
-            Refusal::new(
-                format!("{}: {e}", file.display()),
-                "give the path of an OBJ or STL file, from the scene's folder",
-            )
-        };
-        let kind = file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-        let corners = match kind.as_str() {
-            "obj" => read_obj(file).map_err(|e| unreadable(&e))?,
-            "stl" => read_stl(file).map_err(|e| unreadable(&e))?,
-            _ => return Err(unreadable(&"the file's name ends neither in .obj nor in .stl")),
-        };
+        let corners = corners_of(file)?;
         Self::new(corners.into_iter().map(|t| t.map(|x| x * scale)))
             .map_err(|refusal| Refusal { what: format!("{}: {}", file.display(), refusal.what), ..refusal })
     }
@@ -132,6 +121,50 @@ impl TriangleMesh {
         TriMesh::with_flags(self.vertices.clone(), self.triangles.clone(), TriMeshFlags::ORIENTED)
             .expect("a mesh that is not a closed surface is refused when it is made")
     }
+}
+
+/// The convex hull of a mesh, whose file may have holes; `scale` takes the file's units to metres along each axis.
+///
+/// # Errors
+/// If the file cannot be read, or its points lie in a plane.
+pub fn hull_of(file: &Path, scale: DVec3) -> Result<TriangleMesh, Refusal> {
+    let points: Vec<DVec3> = corners_of(file)?.into_iter().flatten().map(|x| x * scale).collect();
+    let flat = |what: &str| Refusal::new(format!("{}: {what}", file.display()), "give a mesh with a volume");
+    if points.len() < 4 || !points.iter().all(|x| x.is_finite()) {
+        return Err(flat("it has fewer than four points, or some that are not finite"));
+    }
+    // Parry panics where points have no hull.
+    let hull = std::panic::catch_unwind(|| parry3d_f64::transformation::convex_hull(&points));
+    let (vertices, triangles) = hull.map_err(|_| flat("its points have no convex hull"))?;
+    let mesh = TriangleMesh::new(triangles.into_iter().map(|t| t.map(|i| vertices[i as usize])));
+    mesh.map_err(|refusal| Refusal {
+        what: format!("{}: its convex hull: {}", file.display(), refusal.what),
+        ..refusal
+    })
+}
+
+/// The corners of a file's triangles, in its own unit.
+fn corners_of(file: &Path) -> Result<Vec<[DVec3; 3]>, Refusal> {
+    let unreadable = |e: &dyn std::fmt::Display| {
+        Refusal::new(format!("{}: {e}", file.display()), "give the path of an OBJ, STL or DAE file")
+    };
+    let kind = file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match kind.as_str() {
+        "obj" => read_obj(file).map_err(|e| unreadable(&e)),
+        "stl" => read_stl(file).map_err(|e| unreadable(&e)),
+        "dae" => read_dae(file).map_err(|e| unreadable(&e)),
+        _ => Err(unreadable(&"the file's name ends in none of .obj, .stl and .dae")),
+    }
+}
+
+/// A COLLADA file, in metres and with z up.
+fn read_dae(file: &Path) -> std::io::Result<Vec<[DVec3; 3]>> {
+    let scene = mesh_loader::Loader::default().load(file)?;
+    let corners = scene.meshes.iter().flat_map(|mesh| {
+        let at = |i: u32| glam::Vec3::from_array(mesh.vertices[i as usize]).as_dvec3();
+        mesh.faces.iter().map(move |face| face.map(at))
+    });
+    Ok(corners.collect())
 }
 
 fn read_obj(file: &Path) -> Result<Vec<[DVec3; 3]>, tobj::LoadError> {

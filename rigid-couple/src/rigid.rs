@@ -546,6 +546,11 @@ impl Coupling for Rigid {
         self.bodies.iter().any(|body| body.name == name)
     }
 
+    fn followed(&self) -> Vec<String> {
+        let moving = self.bodies.iter().filter(|body| !matches!(body.mover, Mover::Fixed));
+        moving.map(|body| body.name.clone()).collect()
+    }
+
     fn max_speed(&self, time: f64, dt: f64) -> f64 {
         self.bodies.iter().map(|body| self.fastest(body, time, dt)).fold(0.0, f64::max)
     }

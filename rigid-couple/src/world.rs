@@ -289,7 +289,7 @@ fn collider(shape: SharedShape, place: RapierPose, friction: f64, restitution: f
 }
 
 /// A part as rapier sees it, and where it is.
-fn solid(part: &Part, free: bool) -> (SharedShape, RapierPose) {
+pub(crate) fn solid(part: &Part, free: bool) -> (SharedShape, RapierPose) {
     let place = to_rapier(&part.pose);
     let shape = match &part.primitive {
         Primitive::Sphere { radius } => SharedShape::ball(*radius),

@@ -433,7 +433,7 @@ fn moved(twists: &[Twist], times: f64, by: &[Twist]) -> Vec<Twist> {
 
 impl System {
     /// Σ Gᵀ m f at a twist, and Σ Gᵀ m D G with D the law's derivative (`tangent`) or its secant K; nodes' masses count `weight` times.
-    fn of(touches: &[Touch], nodes: &NodeBatch, twist: &Twist, weight: f64, tangent: bool) -> Self {
+    pub fn of(touches: &[Touch], nodes: &NodeBatch, twist: &Twist, weight: f64, tangent: bool) -> Self {
         let (mut force, mut torque) = (DVec3::ZERO, DVec3::ZERO);
         // D = drag + rank-one terms: the first part of all nodes together is a rigid body of point masses.
         let (mut mass, mut first, mut second) = (0.0, DVec3::ZERO, DMat3::ZERO);

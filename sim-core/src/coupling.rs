@@ -58,6 +58,21 @@ impl Command {
     }
 }
 
+/// What a joint is doing.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointState {
+    /// Name of the body that takes its commands: the robot.
+    pub body: String,
+    /// Its own name.
+    pub name: String,
+    /// Position: an angle [rad], or a displacement [m].
+    pub position: f64,
+    /// Its rate [rad/s or m/s].
+    pub rate: f64,
+    /// Torque [N m] or force [N] of its motor over the last step.
+    pub torque: f64,
+}
+
 /// What a body is doing, world frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BodyState {
@@ -302,6 +317,14 @@ pub trait Coupling: Send + Sync {
     /// Has it a body of that name? Asked for every action: a coupling that knows without a copy of all says so.
     fn has_body(&self, name: &str) -> bool {
         self.bodies().iter().any(|body| body.name == name)
+    }
+    /// Names of the bodies that levels follow where the scene names none.
+    fn followed(&self) -> Vec<String> {
+        Vec::new()
+    }
+    /// Joints of its bodies, as they are now, in the order of commands to them.
+    fn joints(&self) -> Vec<JointState> {
+        Vec::new()
     }
     /// Greatest speed of any surface point during the step that starts at `time` and takes at most `dt` [m/s].
     fn max_speed(&self, time: f64, dt: f64) -> f64;

@@ -42,7 +42,7 @@ pub mod together;
 
 pub use archive::Tile;
 pub use backend::{Backend, Engine, StepReport};
-pub use coupling::{Aabb, BodyState, Command, Coupling, NearParticle, NodeBatch, Wrench};
+pub use coupling::{Aabb, BodyState, Command, Coupling, JointState, NearParticle, NodeBatch, Wrench};
 pub use error::{Error, Result};
 pub use ledger::Ledger;
 pub use levels::Regions;

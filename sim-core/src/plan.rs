@@ -34,6 +34,8 @@ use std::sync::Arc;
 
 /// Registered name of the coupling that a scene's tools call for.
 pub const TOOL_COUPLING: &str = "rigid";
+/// The coupling that moves a scene's robots.
+pub const ROBOT_COUPLING: &str = "robots";
 /// Ground slower than this part of sqrt(g h) is at rest: at 1 cm, 3e-5 m/s.
 const SLOW: f64 = 1e-4;
 
@@ -181,7 +183,7 @@ impl Plan {
         };
         let (cell_min, cell_max) = (whole(&scene.world.min, f64::floor), whole(&scene.world.max, f64::ceil));
         let mut regions = Regions::new(&scene, CellBox { min: cell_min, max: cell_max });
-        let agents = if regions.levels() > 1 { agents(&scene) } else { Vec::new() };
+        let agents = if regions.levels() > 1 { agents(&scene, &couplings)? } else { Vec::new() };
         let resumed = particles.is_some();
         // A resumed run needs the shapes only where ground is still to come.
         let terrain = (!resumed || regions.unbounded())
@@ -319,19 +321,24 @@ fn slow(scene: &Scene, materials: &[PlannedMaterial]) -> f64 {
     }
 }
 
-/// What the levels follow: what the scene names, or else every tool that moves.
-fn agents(scene: &Scene) -> Vec<Agent> {
-    let tool = |name: &String| Agent::Rigid(name.clone());
-    match &scene.levels.agents {
-        None => scene.tool.iter().filter(|t| !matches!(t.motion, Motion::Fixed)).map(|t| tool(&t.name)).collect(),
-        Some(names) => names
-            .iter()
-            .map(|name| match scene.body.iter().position(|body| body.name == *name) {
-                Some(body) if scene.tool.iter().all(|t| t.name != *name) => Agent::Soft(body as u16),
-                _ => tool(name),
-            })
-            .collect(),
-    }
+/// What the levels follow: what the scene names, or else what couplings move.
+fn agents(scene: &Scene, couplings: &[Box<dyn Coupling>]) -> Result<Vec<Agent>> {
+    let Some(names) = &scene.levels.agents else {
+        return Ok(couplings.iter().flat_map(|coupling| coupling.followed()).map(Agent::Rigid).collect());
+    };
+    let named = names.iter().enumerate().map(|(i, name)| {
+        if couplings.iter().any(|coupling| coupling.has_body(name)) {
+            return Ok(Agent::Rigid(name.clone()));
+        }
+        let soft = scene.body.iter().position(|body| body.name == *name);
+        soft.map(|body| Agent::Soft(body as u16)).ok_or_else(|| Error::Unknown {
+            path: scene.place(&format!("levels.agents[{i}]")),
+            kind: "tool, link or body of this scene",
+            name: name.clone(),
+            known: couplings.iter().flat_map(|coupling| coupling.bodies()).map(|body| body.name).collect(),
+        })
+    });
+    named.collect()
 }
 
 /// Has the backend room for what is to be seeded? Nobody waits for particles that it then refuses.

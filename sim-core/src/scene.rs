@@ -14,12 +14,14 @@ use std::sync::Arc;
 mod check;
 mod make;
 mod read;
+mod robot;
 
 pub use check::WHOLE_CELL;
 pub(crate) use check::{cross, posed_bounds, turn};
 pub use make::Part;
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
+pub use robot::{JointFrame, JointMotion, Motor, Robot};
 
 /// A scene.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -61,6 +63,9 @@ pub struct Scene {
     /// Rigid tools and bodies.
     #[serde(default)]
     pub tool: Vec<Tool>,
+    /// Robots of links and joints.
+    #[serde(default)]
+    pub robot: Vec<Robot>,
     /// Couplings other than rigid tools, from plugins: one for each entry.
     #[serde(default)]
     pub coupling: Vec<CouplingSpec>,
@@ -90,6 +95,15 @@ impl Scene {
         let mut files = BTreeSet::new();
         let shapes = self.body.iter().map(|body| &body.shape).chain(self.tool.iter().map(|tool| &tool.shape));
         shapes.for_each(|shape| add(shape, &mut files));
+        for robot in &self.robot {
+            files.extend(
+                robot
+                    .urdf
+                    .iter()
+                    .chain(robot.motion.iter().filter_map(|motion| motion.file.as_ref()))
+                    .map(PathBuf::as_path),
+            );
+        }
         files
     }
 

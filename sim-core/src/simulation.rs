@@ -7,11 +7,11 @@ pub use resume::State;
 
 use crate::backend::{Bound, Timing, WorldStep};
 use crate::parameter::{Giver, Parameters, Table};
-use crate::plan::{TOOL_COUPLING, cut, tighten, wanted_step};
+use crate::plan::{ROBOT_COUPLING, TOOL_COUPLING, cut, tighten, wanted_step};
 use crate::scene::OverBound;
 use crate::{
-    Aabb, Backend, BodyState, Command, Coupling, Engine, Error, Fields, Ledger, ParticleState, Plan, Precision,
-    Reading, Registry, Result, Scene, Spot, StepReport, Wrench,
+    Aabb, Backend, BodyState, Command, Coupling, Engine, Error, Fields, JointState, Ledger, ParticleState, Plan,
+    Precision, Reading, Registry, Result, Scene, Spot, StepReport, Wrench,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -370,7 +370,7 @@ impl Simulation {
                 }
             }
             for (name, count) in coupling.counts() {
-                match planned.kind == TOOL_COUPLING {
+                match [TOOL_COUPLING, ROBOT_COUPLING].contains(&planned.kind.as_str()) {
                     true => ledger.count(&name, count),
                     false => ledger.count(&format!("{}: {name}", planned.name), count),
                 }
@@ -384,6 +384,11 @@ impl Simulation {
         let mut ledger = Ledger { counts: self.carried.clone(), ..Ledger::default() };
         self.engine.account(&mut ledger);
         only_sums(ledger)
+    }
+
+    /// Joints of all robots as they are now, in the order of commands to them.
+    pub fn joints(&self) -> Vec<JointState> {
+        self.couplings.iter().flat_map(|coupling| coupling.joints()).collect()
     }
 
     /// Tells a body what to do from now on.

@@ -35,12 +35,12 @@ ROBOTS = [
     ("talos", "example-robot-data/robots/talos_data/robots/talos_reduced.urdf", True, "leg_left_6_link"),
     ("panda", "example-robot-data/robots/panda_description/urdf/panda.urdf", False, "panda_hand"),
     ("ur5", "example-robot-data/robots/ur_description/urdf/ur5_robot.urdf", False, "tool0"),
-    ("quadruped", "robot/models/quadruped.urdf", True, "FL_foot"),
-    ("humanoid", "robot/models/humanoid.urdf", True, "left_foot"),
-    ("arm", "robot/models/arm.urdf", False, "flange"),
-    ("arm-rod", "robot/models/arm-rod.urdf", False, "rod"),
-    ("arm-shovel", "robot/models/arm-shovel.urdf", False, "shovel"),
-    ("arm-scraper", "robot/models/arm-scraper.urdf", False, "scraper"),
+    ("quadruped", "rigid-couple/models/quadruped.urdf", True, "FL_foot"),
+    ("humanoid", "rigid-couple/models/humanoid.urdf", True, "left_foot"),
+    ("arm", "rigid-couple/models/arm.urdf", False, "flange"),
+    ("arm-rod", "rigid-couple/models/arm-rod.urdf", False, "rod"),
+    ("arm-shovel", "rigid-couple/models/arm-shovel.urdf", False, "shovel"),
+    ("arm-scraper", "rigid-couple/models/arm-scraper.urdf", False, "scraper"),
     ("double_pendulum", "tests/robots/double_pendulum.urdf", False, "lower"),
 ]
 
@@ -338,7 +338,7 @@ def double_pendulum(dt):
 
 def free_quadruped(dt):
     """The quadruped afloat without gravity, its joints driven by given torques; base velocity in the base's frame, a quaternion's derivative as it is."""
-    model = pin.buildModelFromUrdf(str(ROOT / "robot/models/quadruped.urdf"), pin.JointModelFreeFlyer())
+    model = pin.buildModelFromUrdf(str(ROOT / "rigid-couple/models/quadruped.urdf"), pin.JointModelFreeFlyer())
     model.gravity.linear = np.zeros(3)
     data = model.createData()
     names = list(model.names)[2:]

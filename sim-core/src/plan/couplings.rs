@@ -1,6 +1,6 @@
 //! Couplings of a scene: one for its tools, and one for each entry.
 
-use super::TOOL_COUPLING;
+use super::{ROBOT_COUPLING, TOOL_COUPLING};
 use crate::parameter::Table;
 use crate::registry::CouplingSetup;
 use crate::{Coupling, Error, Registry, Result, Scene};
@@ -51,17 +51,14 @@ pub(super) fn make_couplings(registry: &Registry, scene: &Scene) -> Result<Coupl
         parameters: &spec.parameters,
     });
     let has_own = scene.coupling.iter().any(|spec| spec.kind == TOOL_COUPLING);
-    let tools = (!scene.tool.is_empty() && !has_own).then(|| Call {
-        path: "tool".to_owned(),
-        kind: TOOL_COUPLING,
-        name: TOOL_COUPLING,
-        parameters: &none,
-    });
+    let implied = |path: &str, kind: &'static str| Call { path: path.to_owned(), kind, name: kind, parameters: &none };
+    let tools = (!scene.tool.is_empty() && !has_own).then(|| implied("tool", TOOL_COUPLING));
+    let robots = (!scene.robot.is_empty()).then(|| implied("robot", ROBOT_COUPLING));
     let mut couplings = Couplings::default();
     let mut bodies = BTreeMap::new();
-    for call in tools.into_iter().chain(entries) {
+    for call in tools.into_iter().chain(robots).chain(entries) {
         let Call { path, kind: kind_name, name, parameters } = call;
-        let place = if path == "tool" { path.clone() } else { format!("{path}.kind") };
+        let place = if ["tool", "robot"].contains(&path.as_str()) { path.clone() } else { format!("{path}.kind") };
         let kind = registry.coupling(kind_name).map_err(|e| e.at(&scene.place(&place)))?;
         let path_of_parameters = format!("{path}.parameters");
         let whose = format!("coupling '{kind_name}'");
@@ -70,7 +67,7 @@ pub(super) fn make_couplings(registry: &Registry, scene: &Scene) -> Result<Coupl
             continue;
         }
         if couplings.planned.iter().any(|planned| planned.name == name) {
-            let what = format!("'{name}' is already the name of the coupling of the scene's tools");
+            let what = format!("'{name}' is already the name of the coupling of the scene's tools or robots");
             return Err(scene.fault(&format!("{path}.name"), what, "names must differ"));
         }
         let made = kind.make(&CouplingSetup { scene, name, parameters: &parameters, path: path_of_parameters })?;

@@ -1,6 +1,6 @@
 //! Which effects a scene calls for, and why.
 
-use super::{Effect, Plan, PlannedCoupling, TOOL_COUPLING};
+use super::{Effect, Plan, PlannedCoupling, ROBOT_COUPLING, TOOL_COUPLING};
 use crate::levels::{Agent, TILE};
 use crate::scene::{Export, Leaving, Motion, Wall, plain};
 
@@ -160,7 +160,17 @@ impl Plan {
                 "impulses of nodes summed on bodies".to_owned(),
             );
         }
-        for PlannedCoupling { kind, name } in self.couplings.iter().filter(|one| one.kind != TOOL_COUPLING) {
+        for robot in &scene.robot {
+            let from = robot.model.as_ref().map(|model| format!("model = \"{model}\""));
+            let from = from.or_else(|| Some(format!("urdf = \"{}\"", robot.urdf.as_ref()?.display())));
+            add(
+                format!("robot {}", robot.name),
+                format!("robot.{}", from.unwrap_or_default()),
+                "contact on nodes near its links; its joints solved in every step".to_owned(),
+            );
+        }
+        let own = [TOOL_COUPLING, ROBOT_COUPLING];
+        for PlannedCoupling { kind, name } in self.couplings.iter().filter(|one| !own.contains(&one.kind.as_str())) {
             add(
                 format!("coupling {name}"),
                 format!("coupling.kind = \"{kind}\""),

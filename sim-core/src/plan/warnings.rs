@@ -95,7 +95,7 @@ impl Plan {
             }
             let half = 2.0 * (0.5 * (tall + LEAST_BELOW + 2.0 * DEAD_ZONE) - 1e-6).ceil();
             Some(format!(
-                "levels: there may be as few as {below:.1} fine cells between the lowest point of tool '{name}' and the rim below it; with fewer than {LEAST_BELOW} the coarse ground beyond stiffens what the tool feels; set levels.half = {half} or more"
+                "levels: there may be as few as {below:.1} fine cells between the lowest point of '{name}' and the rim below it; with fewer than {LEAST_BELOW} the coarse ground beyond stiffens what the tool feels; set levels.half = {half} or more"
             ))
         };
         self.agents.iter().zip(boxes).filter_map(warning).collect()

@@ -1,6 +1,6 @@
 //! What a scene must satisfy beyond types, and what the user should be warned of.
 
-use super::{Body, Contact, Motion, Placed, Scene, Shape, Tool, Wall, Walls};
+use super::{Body, Contact, Motion, Placed, Robot, Scene, Shape, Tool, Wall, Walls};
 use crate::coupling::Aabb;
 use crate::levels::NESTING;
 use crate::{Error, Result, Vec3};
@@ -118,6 +118,9 @@ impl Scene {
         for (i, tool) in self.tool.iter().enumerate() {
             self.check_tool(&format!("tool[{i}]"), tool)?;
         }
+        for (i, robot) in self.robot.iter().enumerate() {
+            self.check_robot(&format!("robot[{i}]"), robot)?;
+        }
         self.normalise_rotations();
         self.check_overlaps()?;
         for (i, tool) in self.tool.iter().enumerate() {
@@ -199,6 +202,7 @@ impl Scene {
         self.unique("material", self.material.iter().map(|m| m.name.as_str()), true)?;
         self.unique("body", self.body.iter().map(|b| b.name.as_str()), false)?;
         self.unique("tool", self.tool.iter().map(|t| t.name.as_str()), true)?;
+        self.unique("robot", self.robot.iter().map(|robot| robot.name.as_str()), true)?;
         let couplings = self.coupling_names();
         self.unique("coupling", couplings.iter().map(String::as_str), true)
     }
@@ -348,7 +352,8 @@ impl Scene {
         )?;
         for (i, name) in levels.agents.iter().flatten().enumerate() {
             let known = || self.tool.iter().map(|t| &t.name).chain(self.body.iter().map(|b| &b.name));
-            if !known().any(|k| k == name) {
+            // What else couplings move, links of robots first, is known once they are made.
+            if self.robot.is_empty() && self.coupling.is_empty() && !known().any(|k| k == name) {
                 return Err(Error::Unknown {
                     path: self.place(&format!("levels.agents[{i}]")),
                     kind: "tool or body of this scene",
@@ -419,9 +424,10 @@ impl Scene {
             )?;
         }
         let moves = |tool: &Tool| !matches!(tool.motion, Motion::Fixed);
-        let follows_body = |name: &String| self.tool.iter().all(|tool| tool.name != *name);
+        let follows_body = |name: &String| self.body.iter().any(|body| body.name == *name);
+        let any = self.tool.iter().any(moves) || !self.robot.is_empty() || !self.coupling.is_empty();
         self.require(
-            levels.agents.as_ref().map_or_else(|| self.tool.iter().any(moves), |names| !names.is_empty()),
+            levels.agents.as_ref().map_or(any, |names| !names.is_empty()),
             path,
             "follows agents, and there is none",
             "name tools in levels.agents, or add one that moves",
@@ -750,6 +756,41 @@ impl Scene {
     }
 
     /// A tool must reach into the world at its start or, if it has them, at some keyframe.
+    fn check_robot(&self, path: &str, robot: &Robot) -> Result<()> {
+        let name = format!("{path}.name");
+        self.require(
+            !robot.name.contains('/'),
+            &name,
+            format!("is '{}'", robot.name),
+            "leave out slashes: links are called robot/link",
+        )?;
+        let taken = self.tool.iter().any(|tool| tool.name == robot.name);
+        self.require(!taken, &name, format!("'{}' is a tool's name, too", robot.name), "rename one of them")?;
+        let one = robot.urdf.is_some() != robot.model.is_some();
+        self.require(one, path, "needs a URDF file or a built-in model", "give either urdf or model")?;
+        self.check_rotation(&format!("{path}.rotation"), &robot.rotation)?;
+        if let Contact::Coulomb { friction } = robot.contact {
+            self.not_negative(&format!("{path}.contact.coulomb.friction"), friction)?;
+        }
+        for (i, motor) in robot.motor.iter().enumerate() {
+            for (key, value) in
+                [("kp", motor.kp), ("kd", motor.kd), ("effort", motor.effort), ("armature", motor.armature)]
+            {
+                self.not_negative(&format!("{path}.motor[{i}].{key}"), value.unwrap_or(0.0))?;
+            }
+        }
+        let Some(motion) = &robot.motion else { return Ok(()) };
+        let frames = format!("{path}.motion.frames");
+        let one = motion.file.is_some() != !motion.frames.is_empty();
+        self.require(one, &frames, "needs frames, or a file of them", "give either frames or file")?;
+        for (i, pair) in motion.frames.windows(2).enumerate() {
+            let [before, time] = [pair[0].time, pair[1].time];
+            let at = format!("{frames}[{}].time", i + 1);
+            self.require(time > before, &at, format!("is {time}, the one before is at {before}"), "times must rise")?;
+        }
+        Ok(())
+    }
+
     fn check_tool_place(&self, path: &str, tool: &Tool) -> Result<()> {
         let Some(bounds) = tool.shape.bounds() else { return Ok(()) };
         let (key, poses) = match &tool.motion {
@@ -780,6 +821,7 @@ impl Scene {
             }
         }
         self.body.iter_mut().for_each(|body| in_shape(&mut body.shape));
+        self.robot.iter_mut().for_each(|robot| normalise(&mut robot.rotation));
         for tool in &mut self.tool {
             in_shape(&mut tool.shape);
             normalise(&mut tool.rotation);

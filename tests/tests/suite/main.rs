@@ -17,6 +17,7 @@ mod passes;
 mod plugins;
 mod properties;
 mod random;
+mod robots;
 mod seams;
 mod settled;
 mod sleeping;

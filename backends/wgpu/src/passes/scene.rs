@@ -75,7 +75,9 @@ pub(crate) fn has_mirrors(plan: &Plan) -> bool {
 /// where, on levels, no step is halted any more once the grid update has come. If a body comes near walls after all, another pass does it again.
 pub(crate) fn mirrors_early(plan: &Plan) -> bool {
     let fits = if plan.cell_widths.len() > 1 {
-        plan.substeps > 1 && plan.scene.tool.iter().all(|tool| matches!(tool.motion, Motion::Free { .. }))
+        plan.substeps > 1
+            && plan.scene.robot.is_empty()
+            && plan.scene.tool.iter().all(|tool| matches!(tool.motion, Motion::Free { .. }))
     } else {
         !plan.has(Stage::CONTACT)
     };

@@ -490,7 +490,7 @@ impl World {
 
     /// Steps that are to have one length.
     pub(crate) fn stride(&self) -> u64 {
-        match self.scene.tool.is_empty() && self.scene.coupling.is_empty() {
+        match self.scene.tool.is_empty() && self.scene.robot.is_empty() && self.scene.coupling.is_empty() {
             _ if self.ask_after == Some(STIFFNESS_AGE) => u64::from(STIFFNESS_AGE),
             // What grew stiff for a while is not to shorten all of them.
             true if !self.stiffens => MAX_STEPS as u64,

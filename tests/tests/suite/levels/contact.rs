@@ -281,7 +281,7 @@ fn a_rim_close_under_a_tool_is_warned_of() {
     for height in [0.04, 0.02, 0.1] {
         let [warning] = &warnings(8, 0.24, height)[..] else { panic!("no warning {height} m above") };
         println!("{warning}");
-        for part in ["fine cells between the lowest point of tool 'ball'", "fewer than 6", "set levels.half = 14"] {
+        for part in ["fine cells between the lowest point of 'ball'", "fewer than 6", "set levels.half = 14"] {
             assert!(warning.contains(part), "'{part}' is not in: {warning}");
         }
         assert_eq!(warnings(14, 0.24, height), [""; 0]);

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Writes Barchan's own robots as URDF files beside this script.
 
-    python3 robot/models/make.py            # writes the files
-    python3 robot/models/make.py --check    # fails if a file differs from what the script writes
+    python3 rigid-couple/models/make.py            # writes the files
+    python3 rigid-couple/models/make.py --check    # fails if a file differs from what the script writes
 
 Needs nothing but Python 3. Every number is ours: public data-sheet facts, rounded. Lengths in m, masses in kg, angles in rad; x forward, y left, z up.
 
@@ -319,7 +319,7 @@ def main():
             path.write_text(robot.file())
             print(f"{path.name}: {robot.mass:.3f} kg")
     if differ:
-        sys.exit("These differ from what make.py writes; run python3 robot/models/make.py: " + ", ".join(differ))
+        sys.exit("These differ from what make.py writes; run python3 rigid-couple/models/make.py: " + ", ".join(differ))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,383 @@
+//! Robots: links in a tree of joints, solved together with the ground inside every step.
+//!
+//! A robot's state is where its base is, its joints' positions, and their rates. A step of a robot:
+//! 1. [`dynamics`]: where its links are, its mass matrix M, and what its motion asks of it;
+//! 2. contact points with what is rigid ([`touching`]);
+//! 3. its rates without soft ground: M (v − v₀) = dt (gravity − bias) + joints(v) + Σ Jᵀ contact(v), with motors, stops and dry friction of [`joints`] taken at the rates
+//!    that are solved for;
+//! 4. where soft ground touches it, the contact solution asks for the change of twists that balances ([`Robot::answer`]): the same system and the ground's
+//!    6 × 6 matrix of each link;
+//! 5. positions move on with the rates, and the base's rates are corrected so that momentum changes by impulses alone.
+
+pub mod coupling;
+pub mod dynamics;
+pub mod joints;
+pub mod model;
+pub mod motion;
+pub mod touching;
+pub mod urdf;
+
+pub use coupling::Robots;
+pub use model::Model;
+
+use crate::motion::Pose;
+use barchan_core::contact::{System, Twist};
+use dynamics::Place;
+use glam::{DMat3, DVec3};
+use joints::{Gains, Impulse, Joint, Order};
+use motion::JointPath;
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix6, Vector6};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use touching::{Body, Obstacle, Points, Seen};
+
+/// Iterations after which the robot's rates are taken as they are, and the size of the last step at convergence, relative to the speed of the whole.
+const MAX_ITERATIONS: usize = 40;
+const TOLERANCE: f64 = 1e-10;
+/// What may be out of balance along a step behind it, as a part of what was before it.
+const OVERSHOT: f64 = 0.5;
+/// How far ahead contact points are looked for, besides how far links come in a step [m].
+const AHEAD: f64 = 1e-3;
+
+/// What changes from step to step.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct State {
+    /// The base's frame.
+    pub base: Pose,
+    /// Of the drives [rad or m].
+    pub positions: Vec<f64>,
+    /// Rates, see [`dynamics`].
+    pub rates: Vec<f64>,
+    /// What each motor was last told, once somebody has.
+    pub orders: Option<Vec<Order>>,
+}
+
+/// A robot.
+pub struct Robot {
+    pub(crate) name: String,
+    pub(crate) model: Arc<Model>,
+    pub(crate) floating: bool,
+    /// Links with mass or a shape: the robot's bodies, by their numbers, the base first.
+    pub(crate) solids: Vec<usize>,
+    pub(crate) bodies: Vec<Option<Body>>,
+    /// Greatest distance of a point of each body from its centre of mass [m].
+    pub(crate) extents: Vec<f64>,
+    pub(crate) gains: Vec<Gains>,
+    pub(crate) path: JointPath,
+    pub(crate) friction: f64,
+    pub(crate) obstacles: Vec<Obstacle>,
+    pub(crate) state: State,
+    pub(crate) step: Step,
+}
+
+/// What belongs to the step under way.
+pub(crate) struct Step {
+    dt: f64,
+    orders: Vec<Order>,
+    /// Of all links.
+    pub places: Vec<Place>,
+    mass: DMatrix<f64>,
+    bias: DVector<f64>,
+    /// What no iteration changes: M v₀ + dt (gravity − bias).
+    driven: DVector<f64>,
+    points: Points,
+    /// Rates that balance without soft ground on the levels that are still to come.
+    rates: DVector<f64>,
+    /// Σ Jᵀ J over bodies, which takes twists of bodies to rates.
+    squares: Cholesky<f64, Dyn>,
+}
+
+/// What is out of balance at some rates, and by how much it falls for each unit of them.
+struct Balance {
+    residual: DVector<f64>,
+    matrix: DMatrix<f64>,
+}
+
+impl Robot {
+    /// Number of rates of its base.
+    fn base_rates(&self) -> usize {
+        if self.floating { 6 } else { 0 }
+    }
+
+    /// Places, mass matrix and what follows from them, for the state as it is.
+    pub(crate) fn at_rest(
+        model: &Model,
+        floating: bool,
+        solids: &[usize],
+        state: &State,
+        orders: Vec<Order>,
+    ) -> Option<Step> {
+        let places = dynamics::places(model, floating, &state.base, &state.positions);
+        let mass = dynamics::mass_matrix(model, floating, &places);
+        let n = mass.nrows();
+        let mut squares = DMatrix::zeros(n, n);
+        let one: [[f64; 6]; 6] = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(i == j)));
+        solids.iter().for_each(|&link| places[link].add_matrix(&one, &mut squares));
+        let zeros = DVector::zeros(n);
+        Some(Step {
+            dt: 0.0,
+            orders,
+            places,
+            mass,
+            bias: zeros.clone(),
+            driven: zeros,
+            points: Points::default(),
+            rates: DVector::from_column_slice(&state.rates),
+            squares: Cholesky::new(squares)?,
+        })
+    }
+
+    /// The twists of its bodies at some rates.
+    pub(crate) fn twists(&self, rates: &DVector<f64>) -> Vec<Twist> {
+        self.solids.iter().map(|&link| self.step.places[link].twist(rates)).collect()
+    }
+
+    /// The twist of a body as it is now.
+    pub(crate) fn twist(&self, body: usize) -> Twist {
+        self.step.places[self.solids[body]].twist(&self.step.rates)
+    }
+
+    /// The rates that give the bodies these twists, as near as they can.
+    pub(crate) fn rates(&self, twists: &[Twist]) -> DVector<f64> {
+        let mut sums = DVector::zeros(self.state.rates.len());
+        for (&link, twist) in self.solids.iter().zip(twists) {
+            self.step.places[link].add_wrench(twist.linear, twist.angular, &mut sums);
+        }
+        self.step.squares.solve(&sums)
+    }
+
+    fn joint(&self, drive: usize) -> Joint<'_> {
+        let rate = self.base_rates() + drive;
+        Joint {
+            drive: &self.model.drives[drive],
+            gains: self.gains[drive],
+            order: self.step.orders[drive],
+            position: self.state.positions[drive],
+            inertia: self.step.mass[(rate, rate)],
+            dt: self.step.dt,
+        }
+    }
+
+    /// The torque of a drive's motor as the step under way has it [N m or N].
+    pub(crate) fn motor_torque(&self, drive: usize) -> f64 {
+        self.joint(drive).motor(self.step.rates[self.base_rates() + drive]).value
+    }
+
+    /// What joints and rigid contacts give at some rates, and by how much that falls; with the contacts' secant if `tangent` is not asked for.
+    fn own_impulses(&self, rates: &DVector<f64>, tangent: bool) -> Balance {
+        let n = rates.len();
+        let (mut residual, mut matrix) = (DVector::zeros(n), DMatrix::zeros(n, n));
+        for drive in 0..self.model.drives.len() {
+            let rate = self.base_rates() + drive;
+            let Impulse { value, slope } = self.joint(drive).impulse(rates[rate]);
+            residual[rate] += value;
+            matrix[(rate, rate)] += slope;
+        }
+        let points = &self.step.points;
+        for (&link, touches) in self.solids.iter().zip(&points.touches).filter(|(_, touches)| !touches.is_empty()) {
+            let place = &self.step.places[link];
+            let system = System::of(touches, &points.nodes, &place.twist(rates), 1.0, tangent);
+            add_system(place, &system, &mut residual, &mut matrix);
+        }
+        Balance { residual, matrix }
+    }
+
+    /// Moves on to a step of `dt` [s]: the motors' orders, where links are, and the rates without soft ground.
+    ///
+    /// # Errors
+    /// If they are no longer finite.
+    pub(crate) fn begin(&mut self, time: f64, dt: f64, gravity: DVec3, boxes: &[barchan_core::Aabb]) -> Result<(), ()> {
+        let orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(time, dt));
+        let before = DVector::from_column_slice(&self.state.rates);
+        let places = std::mem::take(&mut self.step.places);
+        let bias = dynamics::bias(&self.model, self.floating, &places, &before);
+        let weight = dynamics::gravity(&self.model, &places, gravity, before.len());
+        let driven = &self.step.mass * &before + dt * (weight - &bias);
+        self.step = Step {
+            dt,
+            orders,
+            bias,
+            driven,
+            places,
+            rates: before,
+            ..std::mem::replace(&mut self.step, Step::empty())
+        };
+        let mut points = std::mem::take(&mut self.step.points);
+        let seen: Vec<Seen<'_>> = (0..self.solids.len())
+            .map(|body| {
+                let twist = self.twist(body);
+                let speed = twist.linear.length() + twist.angular.length() * self.extents[body];
+                Seen {
+                    body: self.bodies[body].as_ref(),
+                    pose: self.pose(body),
+                    bounds: boxes[body],
+                    friction: self.friction,
+                    ahead: AHEAD + 2.0 * speed * dt,
+                }
+            })
+            .collect();
+        points.find(&seen, &self.obstacles, self.model.mass(), dt);
+        self.step.points = points;
+        self.step.rates = self.balance_alone().ok_or(())?;
+        if self.step.rates.iter().all(|rate| rate.is_finite()) { Ok(()) } else { Err(()) }
+    }
+
+    /// Rates that balance without soft ground, by Newton's method; a step that leads too far is cut back.
+    fn balance_alone(&self) -> Option<DVector<f64>> {
+        let Step { mass, driven, .. } = &self.step;
+        let residual = |rates: &DVector<f64>, own: &Balance| driven - mass * rates + &own.residual;
+        let mut rates = self.step.rates.clone();
+        let mut last: Option<(DVector<f64>, f64)> = None;
+        for iteration in 1.. {
+            let own = self.own_impulses(&rates, true);
+            let off = residual(&rates, &own);
+            if let Some((step, before)) = last.take() {
+                let beyond = -step.dot(&off);
+                if beyond > OVERSHOT * before && iteration < MAX_ITERATIONS {
+                    let back = beyond / (before + beyond);
+                    rates -= back * &step;
+                    last = Some(((1.0 - back) * step, (1.0 - back) * before));
+                    continue;
+                }
+            }
+            let newton = (mass + &own.matrix).lu().solve(&off).filter(|step| step.dot(&off) >= 0.0);
+            let step = match newton {
+                Some(step) => step,
+                None => (mass + self.own_impulses(&rates, false).matrix).cholesky()?.solve(&off),
+            };
+            let scale = energy(mass, &rates).max(energy(mass, &self.step.rates)).sqrt();
+            rates += &step;
+            if energy(mass, &step).sqrt() <= TOLERANCE * scale || iteration >= MAX_ITERATIONS {
+                break;
+            }
+            let lead = step.dot(&off);
+            last = Some((step, lead));
+        }
+        Some(rates)
+    }
+
+    /// What is out of balance at the rates of some twists, with what soft ground gives there.
+    fn balance_with(&self, at: &[Twist], systems: &[System], tangent: bool) -> Balance {
+        let rates = self.rates(at);
+        let Balance { mut residual, mut matrix } = self.own_impulses(&rates, tangent);
+        residual -= self.own_impulses(&self.step.rates, tangent).residual;
+        residual += &self.step.mass * (&self.step.rates - rates);
+        matrix += &self.step.mass;
+        for (&link, system) in self.solids.iter().zip(systems) {
+            add_system(&self.step.places[link], system, &mut residual, &mut matrix);
+        }
+        Balance { residual, matrix }
+    }
+
+    /// By how much bodies' twists have to change for balance, see [`barchan_core::Coupling::answer`].
+    pub(crate) fn answer(&self, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
+        let symmetric = systems.iter().all(|system| system.symmetric);
+        let Balance { residual, matrix } = self.balance_with(at, systems, !symmetric);
+        let step = if symmetric { matrix.cholesky()?.solve(&residual) } else { matrix.lu().solve(&residual)? };
+        Some(self.twists(&step))
+    }
+
+    /// What is out of balance along some change of twists, see [`barchan_core::Coupling::balance`] [J].
+    pub(crate) fn balance(&self, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
+        self.balance_with(at, systems, true).residual.dot(&self.rates(along))
+    }
+
+    /// Twice the kinetic energy at some twists [J].
+    pub(crate) fn twice_energy(&self, twists: &[Twist]) -> f64 {
+        energy(&self.step.mass, &self.rates(twists))
+    }
+
+    /// Takes up the twists that were found together with soft ground.
+    pub(crate) fn feel(&mut self, twists: &[Twist]) {
+        self.step.rates = self.rates(twists);
+        self.state.rates.copy_from_slice(self.step.rates.as_slice());
+    }
+
+    /// Moves positions on by the step under way.
+    ///
+    /// The rates' equation takes the forces of motion as they were at its start. So momentum would be off by what is lost on the way; instead it is what
+    /// it was, and impulses: the base's rates make up for the difference.
+    pub(crate) fn advance(&mut self) -> Option<()> {
+        let Step { dt, ref rates, ref bias, ref places, .. } = self.step;
+        let about = self.state.base.position;
+        let base = &places[0];
+        let wanted = self.floating.then(|| {
+            let [linear, angular] = dynamics::momentum(&self.model, places, rates, about);
+            let force = DVec3::new(bias[0], bias[1], bias[2]);
+            let torque = DVec3::new(bias[3], bias[4], bias[5]) + (base.centre - about).cross(force);
+            [linear + dt * force, angular + dt * torque]
+        });
+        if self.floating {
+            let twist = base.twist(rates);
+            let at_frame = Twist { linear: twist.linear, angular: twist.angular };
+            // The centre of mass moves straight, the frame around it.
+            let centre = base.centre + dt * twist.linear;
+            let turned = self.state.base.advanced(&at_frame, dt).rotation;
+            let arm = turned * self.model.links[0].centre;
+            self.state.base = Pose { position: centre - arm, rotation: turned };
+        }
+        let first = self.base_rates();
+        for (drive, position) in self.state.positions.iter_mut().enumerate() {
+            *position += dt * rates[first + drive];
+        }
+        self.state.rates.copy_from_slice(rates.as_slice());
+        let orders = std::mem::take(&mut self.step.orders);
+        let points = std::mem::take(&mut self.step.points);
+        let next = Self::at_rest(&self.model, self.floating, &self.solids, &self.state, orders)?;
+        self.step = Step { dt, points, ..next };
+        if let Some([linear, angular]) = wanted {
+            let [now, turning] = dynamics::momentum(&self.model, &self.step.places, &self.step.rates, about);
+            let arm = self.step.places[0].centre - about;
+            let (force, torque) = (linear - now, angular - turning - arm.cross(linear - now));
+            let own = Matrix6::from_fn(|i, j| self.step.mass[(i, j)]);
+            let missing = Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z);
+            let change = own.cholesky()?.solve(&missing);
+            for (rate, change) in change.iter().enumerate() {
+                self.step.rates[rate] += change;
+                self.state.rates[rate] += change;
+            }
+        }
+        self.state.rates.iter().all(|rate| rate.is_finite()).then_some(())
+    }
+
+    /// Where a body's centre of mass is, and its axes.
+    pub(crate) fn pose(&self, body: usize) -> Pose {
+        let place = &self.step.places[self.solids[body]];
+        Pose { position: place.centre, rotation: place.frame.rotation }
+    }
+
+    /// Inertia of a body about its centre of mass, along the world's axes [kg m²].
+    pub(crate) fn inertia(&self, body: usize) -> DMat3 {
+        self.step.places[self.solids[body]].inertia
+    }
+}
+
+impl Step {
+    /// In place of one that is taken apart.
+    fn empty() -> Self {
+        let none = DMatrix::identity(1, 1);
+        Self {
+            dt: 0.0,
+            orders: Vec::new(),
+            places: Vec::new(),
+            mass: none.clone(),
+            bias: DVector::zeros(0),
+            driven: DVector::zeros(0),
+            points: Points::default(),
+            rates: DVector::zeros(0),
+            squares: Cholesky::new(none).expect("a matrix that is one has a root"),
+        }
+    }
+}
+
+/// vᵀ M v.
+fn energy(mass: &DMatrix<f64>, rates: &DVector<f64>) -> f64 {
+    rates.dot(&(mass * rates))
+}
+
+/// Adds what contact on a link gives the rates, and by how much that falls.
+fn add_system(place: &Place, system: &System, residual: &mut DVector<f64>, matrix: &mut DMatrix<f64>) {
+    let [fx, fy, fz, tx, ty, tz] = system.impulse;
+    place.add_wrench(DVec3::new(fx, fy, fz), DVec3::new(tx, ty, tz), residual);
+    place.add_matrix(&system.matrix, matrix);
+}

@@ -1,0 +1,503 @@
+//! The coupling "robots": a scene's robots on soft ground.
+
+use super::joints::{Gains, Order};
+use super::model::Model;
+use super::motion::{self, JointPath};
+use super::touching::{Body, Obstacle, friction_of};
+use super::urdf::Source;
+use super::{Robot, State, dynamics};
+use crate::grip::{self, REACH};
+use crate::motion::{Pose, rotation_from};
+use crate::{Refusal, Sdf};
+use barchan_core::contact::{Reaction, System, Touch, Twist};
+use barchan_core::coupling::{Aabb, Group};
+use barchan_core::plan::ROBOT_COUPLING;
+use barchan_core::scene::{self, Contact, Motion};
+use barchan_core::{BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, Scene, Vec3, Wrench};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Robots that come with the program: name and URDF.
+pub const BUILT_IN: [(&str, &str); 3] = [
+    ("quadruped", include_str!("../../models/quadruped.urdf")),
+    ("humanoid", include_str!("../../models/humanoid.urdf")),
+    ("arm", include_str!("../../models/arm.urdf")),
+];
+
+/// The robots of a scene.
+pub struct Robots {
+    name: String,
+    gravity: Scene,
+    robots: Vec<Robot>,
+    contacts: Vec<Contact>,
+    /// The number of each robot's first body.
+    firsts: Vec<usize>,
+    wrenches: Vec<Wrench>,
+    counts: Counts,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+struct Counts {
+    deep_nodes: u64,
+    unconverged: u64,
+}
+
+/// Reads what a scene's robot is made of.
+///
+/// # Errors
+/// If the file or the model's name cannot be used.
+pub fn read_model(robot: &scene::Robot, folder: &std::path::Path) -> Result<Model, Refusal> {
+    let (text, file): (String, PathBuf) = match (&robot.urdf, &robot.model) {
+        (Some(urdf), _) => {
+            let file = folder.join(urdf);
+            let text = std::fs::read_to_string(&file).map_err(|e| {
+                Refusal::new(
+                    format!("{}: {e}", file.display()),
+                    "give the path of a URDF file, from the scene's folder",
+                )
+            })?;
+            (text, file)
+        }
+        (None, name) => {
+            let name = name.as_deref().unwrap_or_default();
+            let known = BUILT_IN.iter().find(|(known, _)| *known == name);
+            let (_, text) = known.ok_or_else(|| {
+                let names: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+                Refusal::new(
+                    format!("there is no model '{name}'"),
+                    format!("known are: {}; or give a urdf", names.join(", ")),
+                )
+            })?;
+            ((*text).to_owned(), PathBuf::from(format!("{name}.urdf")))
+        }
+    };
+    let name = file.display().to_string();
+    let folder = file.parent().unwrap_or(folder);
+    Model::read(&Source { text: &text, file: &name, folder, mends: robot.mend_inertias })
+}
+
+impl Robot {
+    /// A scene's robot.
+    ///
+    /// # Errors
+    /// If its URDF, joints, motors or motion cannot be used.
+    pub fn new(robot: &scene::Robot, scene: &Scene) -> Result<Self, Refusal> {
+        let mut model = read_model(robot, &scene.folder)?;
+        let mut gains = vec![Gains::default(); model.drives.len()];
+        for motor in &robot.motor {
+            let mut any = false;
+            for (drive, gains) in model.drives.iter_mut().zip(&mut gains) {
+                if !motion::fits(&motor.joints, &drive.name) {
+                    continue;
+                }
+                any = true;
+                gains.kp = motor.kp.unwrap_or(gains.kp);
+                gains.kd = motor.kd.unwrap_or(gains.kd);
+                drive.effort = motor.effort.unwrap_or(drive.effort);
+                drive.armature = motor.armature.unwrap_or(drive.armature);
+            }
+            if !any {
+                let known: Vec<&str> = model.drives.iter().map(|drive| drive.name.as_str()).collect();
+                let what = format!("no joint that moves fits the motor's '{}'", motor.joints);
+                return Err(Refusal::new(what, format!("known are: {}", known.join(", "))));
+            }
+        }
+        let mut positions: Vec<f64> =
+            model.drives.iter().map(|drive| 0.0_f64.clamp(drive.limits[0], drive.limits[1])).collect();
+        motion::set(&robot.joints, &model.drives, &mut positions)?;
+        let path = JointPath::new(robot.motion.as_ref(), &model.drives, &positions, &scene.folder)?;
+        let floating = !robot.fixed;
+        let base = Pose { position: DVec3::from_array(robot.position), rotation: rotation_from(robot.rotation)? };
+        let mut rates = vec![0.0; dynamics::rates_of(&model, floating)];
+        if floating {
+            rates[..3].copy_from_slice(&robot.velocity);
+        }
+        let state = State { base, positions, rates, orders: None };
+        let mut solids: Vec<usize> = (0..model.links.len())
+            .filter(|&i| i == 0 || model.links[i].mass > 0.0 || model.links[i].shape.is_some())
+            .collect();
+        // What moves with nothing that weighs cannot be told where it is from bodies.
+        solids.sort_unstable();
+        let orders = path.orders(0.0, 0.0);
+        let step = Self::at_rest(&model, floating, &solids, &state, orders).ok_or_else(|| {
+            Refusal::new("some joint moves no link with mass or shape", "give the links that hang on it an <inertial>")
+        })?;
+        let shapes: Vec<Option<&Sdf>> = solids.iter().map(|&link| model.links[link].shape.as_ref()).collect();
+        let extents = shapes
+            .iter()
+            .map(|shape| {
+                shape.map_or(0.0, |shape| {
+                    let bounds = shape.bounds(&Pose::IDENTITY, 0.0);
+                    DVec3::from_array(bounds.min).abs().max(DVec3::from_array(bounds.max).abs()).length()
+                })
+            })
+            .collect();
+        let bodies = shapes.iter().map(|shape| shape.map(Body::new)).collect();
+        let mut obstacles = Obstacle::walls(&scene.world);
+        for (i, tool) in scene.tool.iter().enumerate().filter(|(_, tool)| matches!(tool.motion, Motion::Fixed)) {
+            let shape = Sdf::from_shape(&tool.shape, &scene.folder, &format!("tool[{i}].shape"))
+                .map_err(|e| Refusal::new(e.to_string(), "mend the tool"))?;
+            let pose = Pose { position: DVec3::from_array(tool.position), rotation: rotation_from(tool.rotation)? };
+            obstacles.push(Obstacle::fixed(&shape, &pose, tool.contact));
+        }
+        Ok(Self {
+            name: robot.name.clone(),
+            floating,
+            solids,
+            bodies,
+            extents,
+            gains,
+            path,
+            friction: friction_of(robot.contact),
+            obstacles,
+            state,
+            step,
+            model: Arc::new(model),
+        })
+    }
+
+    fn body_name(&self, body: usize) -> String {
+        match body {
+            0 => self.name.clone(),
+            _ => format!("{}/{}", self.name, self.model.links[self.solids[body]].name),
+        }
+    }
+
+    /// The links at the ends of its branches that have shapes: feet, hands.
+    fn ends(&self) -> impl Iterator<Item = usize> {
+        let has_shape = |link: usize| self.model.links[link].shape.is_some();
+        let parents: Vec<usize> = (0..self.model.links.len())
+            .filter(|&link| has_shape(link))
+            .flat_map(|link| {
+                std::iter::successors(self.model.links[link].parent, |&above| self.model.links[above].parent)
+            })
+            .collect();
+        (0..self.solids.len())
+            .filter(move |&body| has_shape(self.solids[body]) && !parents.contains(&self.solids[body]))
+    }
+
+    fn bounds(&self, body: usize, cell: f64) -> Aabb {
+        let pose = self.pose(body);
+        match &self.model.links[self.solids[body]].shape {
+            Some(shape) => shape.bounds(&pose, cell),
+            None => Aabb { min: pose.position.to_array(), max: pose.position.to_array() },
+        }
+    }
+
+    fn report(&self, body: usize, gravity: DVec3) -> BodyState {
+        let (pose, twist) = (self.pose(body), self.twist(body));
+        let mass = self.model.links[self.solids[body]].mass;
+        let (momentum, spin) = (mass * twist.linear, self.inertia(body) * twist.angular);
+        BodyState {
+            name: self.body_name(body),
+            position: pose.position.to_array(),
+            rotation: [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z],
+            velocity: twist.linear.to_array(),
+            angular_velocity: twist.angular.to_array(),
+            mass,
+            kinetic_energy: 0.5 * (momentum.dot(twist.linear) + spin.dot(twist.angular)),
+            potential_energy: -mass * gravity.dot(pose.position),
+            momentum: momentum.to_array(),
+            angular_momentum: (pose.position.cross(momentum) + spin).to_array(),
+        }
+    }
+
+    fn lost(&self, what: &str) -> Error {
+        let mend = "lower time.step, or start from the last snapshot";
+        Refusal::new(format!("its {what} is no longer finite"), mend).at(&format!("robot '{}'", self.name))
+    }
+
+    fn act(&mut self, command: &Command) -> Result<(), Refusal> {
+        let (numbers, holds) = match command {
+            Command::JointTargets(numbers) => (numbers, true),
+            Command::JointTorques(numbers) => (numbers, false),
+            other => {
+                let what = format!("it is moved by its joints, and {} is asked for", other.name());
+                return Err(Refusal::new(what, "give joint targets or joint torques"));
+            }
+        };
+        let count = self.model.drives.len();
+        if numbers.len() != count || !numbers.iter().all(|x| x.is_finite()) {
+            let what = format!("{} numbers for its {count} joints, or one that is not finite", numbers.len());
+            return Err(Refusal::new(what, "give a finite number for each of its joints"));
+        }
+        let order = |(&x, drive): (&f64, &super::model::Drive)| match holds {
+            true => Order { target: x.clamp(drive.limits[0], drive.limits[1]), holds, ..Order::default() },
+            false => Order { torque: x, holds, ..Order::default() },
+        };
+        self.state.orders = Some(numbers.iter().zip(&self.model.drives).map(order).collect());
+        Ok(())
+    }
+}
+
+impl Robots {
+    /// The robots of `scene`, as the coupling 'robots'.
+    ///
+    /// # Errors
+    /// If one cannot be used, naming its key path.
+    pub fn new(scene: &Scene) -> Result<Self> {
+        let make =
+            |(i, robot): (usize, &scene::Robot)| Robot::new(robot, scene).map_err(|e| e.at(&format!("robot[{i}]")));
+        let robots: Vec<Robot> = scene.robot.iter().enumerate().map(make).collect::<Result<_>>()?;
+        let mut firsts = Vec::new();
+        let mut count = 0;
+        for robot in &robots {
+            firsts.push(count);
+            count += robot.solids.len();
+        }
+        Ok(Self {
+            name: ROBOT_COUPLING.to_owned(),
+            gravity: scene.clone(),
+            contacts: scene.robot.iter().map(|robot| robot.contact).collect(),
+            robots,
+            firsts,
+            wrenches: vec![Wrench::default(); count],
+            counts: Counts::default(),
+        })
+    }
+
+    /// The same under another name.
+    #[must_use]
+    pub fn called(self, name: &str) -> Self {
+        Self { name: name.to_owned(), ..self }
+    }
+
+    /// The robots.
+    pub fn robots(&self) -> &[Robot] {
+        &self.robots
+    }
+
+    /// Which robot a body is of, and its number there.
+    fn of(&self, body: usize) -> (usize, usize) {
+        let robot = self.firsts.partition_point(|first| *first <= body) - 1;
+        (robot, body - self.firsts[robot])
+    }
+
+    fn all(&self) -> impl Iterator<Item = (&Robot, usize)> {
+        self.robots.iter().flat_map(|robot| (0..robot.solids.len()).map(move |body| (robot, body)))
+    }
+
+    fn group(&self, bodies: &Range<usize>) -> &Robot {
+        &self.robots[self.of(bodies.start).0]
+    }
+}
+
+impl Coupling for Robots {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn bodies(&self) -> Vec<BodyState> {
+        let gravity = DVec3::from_array(self.gravity.gravity);
+        self.all().map(|(robot, body)| robot.report(body, gravity)).collect()
+    }
+
+    fn followed(&self) -> Vec<String> {
+        self.robots.iter().flat_map(|robot| robot.ends().map(|body| robot.body_name(body))).collect()
+    }
+
+    fn joints(&self) -> Vec<JointState> {
+        let of_robot = |robot: &Robot| -> Vec<JointState> {
+            let first = robot.state.rates.len() - robot.model.drives.len();
+            let joint = |(d, drive): (usize, &super::model::Drive)| JointState {
+                body: robot.name.clone(),
+                name: drive.name.clone(),
+                position: robot.state.positions[d],
+                rate: robot.state.rates[first + d],
+                torque: robot.motor_torque(d),
+            };
+            robot.model.drives.iter().enumerate().map(joint).collect()
+        };
+        self.robots.iter().flat_map(of_robot).collect()
+    }
+
+    fn max_speed(&self, time: f64, dt: f64) -> f64 {
+        let gravity = DVec3::from_array(self.gravity.gravity_at(time)).length();
+        let speed = |(robot, body): (&Robot, usize)| {
+            let twist = robot.twist(body);
+            twist.linear.length() + twist.angular.length() * robot.extents[body] + gravity * dt
+        };
+        self.all().map(speed).fold(0.0, f64::max)
+    }
+
+    fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
+        self.wrenches.fill(Wrench::default());
+        let gravity = DVec3::from_array(self.gravity.gravity_at(time));
+        for robot in &mut self.robots {
+            let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, 0.0)).collect();
+            robot.begin(time, dt, gravity, &boxes).map_err(|()| robot.lost("motion"))?;
+        }
+        Ok(())
+    }
+
+    fn bounds(&self) -> Vec<Aabb> {
+        self.all().map(|(robot, body)| robot.bounds(body, self.gravity.world.cell)).collect()
+    }
+
+    fn reach(&self) -> f64 {
+        let (cell, levels) = (self.gravity.world.cell, self.gravity.levels.count);
+        let widest = cell * f64::from(1 << (levels - 1));
+        let shapes = self.all().filter_map(|(robot, body)| robot.model.links[robot.solids[body]].shape.as_ref());
+        let more = shapes.map(|shape| shape.padding(widest) - shape.padding(cell)).fold(0.0, f64::max);
+        REACH + more / widest
+    }
+
+    fn touch(&mut self, body: usize, dt: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {
+        let (number, body) = self.of(body);
+        let robot = &self.robots[number];
+        if let Some(shape) = &robot.model.links[robot.solids[body]].shape {
+            grip::touch(shape, self.contacts[number], &robot.pose(body), nodes, dt, touches);
+        }
+    }
+
+    fn twist(&self, body: usize) -> Twist {
+        let (robot, body) = self.of(body);
+        self.robots[robot].twist(body)
+    }
+
+    fn groups(&self) -> Vec<Group> {
+        let group = |(robot, &first): (&Robot, &usize)| Group {
+            bodies: first..first + robot.solids.len(),
+            mass: robot.model.mass(),
+        };
+        self.robots.iter().zip(&self.firsts).map(group).collect()
+    }
+
+    fn answer(&self, group: Range<usize>, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
+        self.group(&group).answer(at, systems)
+    }
+
+    fn balance(&self, group: Range<usize>, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
+        self.group(&group).balance(at, systems, along)
+    }
+
+    fn twice_energy(&self, group: Range<usize>, twists: &[Twist]) -> f64 {
+        self.group(&group).twice_energy(twists)
+    }
+
+    fn feel(&mut self, bodies: Range<usize>, twists: &[Twist], reactions: &[Reaction], dt: f64) -> Result<()> {
+        let (number, _) = self.of(bodies.start);
+        let robot = &mut self.robots[number];
+        robot.feel(twists);
+        for (wrench, Reaction { impulse, deep_nodes, .. }) in self.wrenches[bodies].iter_mut().zip(reactions) {
+            wrench.add_change(&Wrench::default(), impulse, 1.0 / dt);
+            self.counts.deep_nodes += deep_nodes;
+            if !wrench.force.iter().chain(&wrench.torque).all(|x| x.is_finite()) {
+                return Err(robot.lost("impulse from the ground"));
+            }
+        }
+        self.counts.unconverged += u64::from(reactions.iter().any(|reaction| !reaction.converged));
+        Ok(())
+    }
+
+    fn after_step(&mut self, _: f64, _: f64) -> Result<()> {
+        for robot in &mut self.robots {
+            robot.advance().ok_or_else(|| robot.lost("motion"))?;
+        }
+        Ok(())
+    }
+
+    fn wrenches(&self) -> &[Wrench] {
+        &self.wrenches
+    }
+
+    fn distance(&self, points: &[Vec3]) -> Vec<f64> {
+        let shapes: Vec<(&Sdf, Pose)> = self
+            .all()
+            .filter_map(|(robot, body)| Some((robot.model.links[robot.solids[body]].shape.as_ref()?, robot.pose(body))))
+            .collect();
+        let nearest = |x: &Vec3| {
+            let distances = shapes.iter().map(|(shape, pose)| {
+                shape.surface(pose.rotation.conjugate() * (DVec3::from_array(*x) - pose.position)).distance
+            });
+            distances.fold(f64::INFINITY, f64::min)
+        };
+        points.iter().map(nearest).collect()
+    }
+
+    fn has_body(&self, name: &str) -> bool {
+        self.all().any(|(robot, body)| robot.body_name(body) == name)
+    }
+
+    fn act(&mut self, body: &str, command: &Command) -> Result<()> {
+        let path = format!("robot '{body}'");
+        let names: Vec<String> = self.robots.iter().map(|robot| robot.name.clone()).collect();
+        match self.robots.iter_mut().find(|robot| robot.name == body) {
+            Some(robot) => robot.act(command).map_err(|refusal| refusal.at(&path)),
+            None => {
+                Err(Refusal::new("links take no commands", format!("give them to the robot: {}", names.join(", ")))
+                    .at(&path))
+            }
+        }
+    }
+
+    fn warnings(&self, cell_width: f64) -> Vec<String> {
+        let mut warnings: Vec<String> = self
+            .robots
+            .iter()
+            .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)))
+            .collect();
+        for robot in &self.robots {
+            for body in robot.ends() {
+                let Some(shape) = &robot.model.links[robot.solids[body]].shape else { continue };
+                let cells = 2.0 * shape.half_thickness() / cell_width;
+                if cells < 4.0 {
+                    warnings.push(format!(
+                        "link '{}' is {cells:.1} cells thick: forces of the ground on it may be a third off; for forces within a fifth use world.cell <= {:.3} mm",
+                        robot.body_name(body),
+                        1e3 * shape.half_thickness() / 3.0,
+                    ));
+                }
+            }
+        }
+        warnings
+    }
+
+    fn counts(&self) -> Vec<(String, u64)> {
+        vec![
+            ("nodes deeper than two cells inside a link".into(), self.counts.deep_nodes),
+            ("contact solutions of robots not converged".into(), self.counts.unconverged),
+        ]
+    }
+
+    fn save(&self) -> Vec<u8> {
+        let states: Vec<&State> = self.robots.iter().map(|robot| &robot.state).collect();
+        let wrenches: Vec<_> = self.wrenches.iter().map(|w| (w.force, w.torque)).collect();
+        postcard::to_stdvec(&(states, wrenches, self.counts)).expect("writing to memory does not fail")
+    }
+
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), String> {
+        type Saved = (Vec<State>, Vec<(Vec3, Vec3)>, Counts);
+        let (states, wrenches, counts): Saved =
+            postcard::from_bytes(bytes).map_err(|e| format!("the robots' state cannot be read: {e}"))?;
+        if states.len() != self.robots.len() || wrenches.len() != self.wrenches.len() {
+            return Err(format!("it holds {} robots, and the scene has {}", states.len(), self.robots.len()));
+        }
+        let mut steps = Vec::new();
+        for (robot, state) in self.robots.iter().zip(&states) {
+            let finite = state.base.position.is_finite()
+                && (state.base.rotation.length() - 1.0).abs() < 1e-6
+                && state.positions.iter().chain(&state.rates).all(|x| x.is_finite());
+            let fits = state.positions.len() == robot.model.drives.len()
+                && state.rates.len() == robot.state.rates.len()
+                && state.orders.as_ref().is_none_or(|orders| orders.len() == robot.model.drives.len());
+            let step = (finite && fits)
+                .then(|| {
+                    Robot::at_rest(&robot.model, robot.floating, &robot.solids, state, robot.path.orders(0.0, 0.0))
+                })
+                .flatten();
+            steps.push(
+                step.ok_or_else(|| format!("the state of robot '{}' is not this one's, or not finite", robot.name))?,
+            );
+        }
+        for ((robot, state), step) in self.robots.iter_mut().zip(states).zip(steps) {
+            (robot.state, robot.step) = (state, step);
+        }
+        self.wrenches = wrenches.into_iter().map(|(force, torque)| Wrench { force, torque }).collect();
+        self.counts = counts;
+        Ok(())
+    }
+}

@@ -1,0 +1,100 @@
+//! What a robot is made of: a tree of links and joints, as its URDF says it.
+
+use crate::motion::Pose;
+use crate::sdf::Sdf;
+use glam::{DMat3, DVec3};
+
+/// How a link moves against its parent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Freedom {
+    /// Not at all.
+    Fixed,
+    /// It turns about an axis through the joint's origin.
+    Revolute,
+    /// It slides along an axis.
+    Prismatic,
+}
+
+/// The joint between a link and its parent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joint {
+    /// Name in the URDF; of the joints that a planar one is made of, with `/x`, `/y` and `/turn` behind it.
+    pub name: String,
+    /// How it moves.
+    pub freedom: Freedom,
+    /// The link's frame within its parent's where the joint's position is 0.
+    pub origin: Pose,
+    /// Unit axis, in the link's frame.
+    pub axis: DVec3,
+    /// Which of the robot's joint positions is its own: its position is `ratio` times that one and `offset` [rad or m].
+    pub drive: usize,
+    /// See [`drive`](Self::drive); 1 but for joints that mimic another.
+    pub ratio: f64,
+    /// See [`drive`](Self::drive).
+    pub offset: f64,
+}
+
+/// A rigid part.
+#[derive(Clone, Debug)]
+pub struct Link {
+    /// Name in the URDF.
+    pub name: String,
+    /// Its parent; none for the base.
+    pub parent: Option<usize>,
+    /// The joint to its parent; of the base, a fixed one at its origin.
+    pub joint: Joint,
+    /// Mass [kg].
+    pub mass: f64,
+    /// Centre of mass, in the link's frame [m].
+    pub centre: DVec3,
+    /// Inertia about the centre of mass, along the axes of the link's frame [kg m²].
+    pub inertia: DMat3,
+    /// Its collision shape, about the centre of mass.
+    pub shape: Option<Sdf>,
+}
+
+/// A joint position that can be driven.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drive {
+    /// Name of the joint.
+    pub name: String,
+    /// Does it turn [rad, N m], or slide [m, N]?
+    pub turns: bool,
+    /// Least and greatest position [rad or m]; infinite where there is no stop.
+    pub limits: [f64; 2],
+    /// Greatest torque or force of its motor [N m or N].
+    pub effort: f64,
+    /// Greatest speed to which its motor drives it [rad/s or m/s].
+    pub speed: f64,
+    /// Torque against its motion for each unit of speed [N m s or N s/m].
+    pub damping: f64,
+    /// Torque of dry friction [N m or N].
+    pub friction: f64,
+    /// Inertia of the motor as the joint feels it [kg m² or kg].
+    pub armature: f64,
+}
+
+/// A robot's tree. A parent stands before its links.
+#[derive(Clone, Debug)]
+pub struct Model {
+    /// Name in the URDF.
+    pub name: String,
+    /// Links, the base first.
+    pub links: Vec<Link>,
+    /// Joint positions that can be driven, in the order of their joints in the tree.
+    pub drives: Vec<Drive>,
+    /// What was mended or left out on the way, for people.
+    pub warnings: Vec<String>,
+}
+
+impl Model {
+    /// Mass of all links [kg].
+    pub fn mass(&self) -> f64 {
+        self.links.iter().map(|link| link.mass).sum()
+    }
+
+    /// The number of a link.
+    pub fn link(&self, name: &str) -> Option<usize> {
+        self.links.iter().position(|link| link.name == name)
+    }
+}
