@@ -218,10 +218,10 @@ def humanoid():
         r.joint(f"{side}_ankle_pitch_joint", f"{side}_calf", f"{side}_ankle", (0, 0, -calf), (0, 1, 0), (-0.9, 0.6), 50, 20, **leg)
         r.link(f"{side}_ankle", [sphere(0.03, mass=0.2)], [], [cylinder(0.03, 0.05, rpy="y", colour="silver")])
         r.joint(f"{side}_ankle_roll_joint", f"{side}_ankle", f"{side}_foot", (0, 0, 0), (1, 0, 0), (-0.35, 0.35), 40, 20, **leg)
-        r.link(f"{side}_foot", [box(0.18, 0.08, 0.03, xyz=(0.025, 0, 0.015 - sole), mass=0.6)],
-            [box(0.18, 0.08, 0.03, xyz=(0.025, 0, 0.015 - sole))],
-            [box(0.18, 0.08, 0.018, xyz=(0.025, 0, 0.009 - sole), colour="rubber"), box(0.16, 0.07, 0.014, xyz=(0.02, 0, 0.025 - sole), colour="black"),
-             box(0.05, 0.05, 0.04, xyz=(0, 0, 0.045 - sole), colour="grey")])
+        r.link(f"{side}_foot", [box(0.20, 0.10, 0.03, xyz=(0.025, 0, 0.015 - sole), mass=0.6)],
+            [box(0.20, 0.10, 0.03, xyz=(0.025, 0, 0.015 - sole))],
+            [box(0.20, 0.10, 0.018, xyz=(0.025, 0, 0.009 - sole), colour="rubber"), box(0.18, 0.088, 0.014, xyz=(0.02, 0, 0.025 - sole), colour="black"),
+             box(0.06, 0.06, 0.04, xyz=(0, 0, 0.045 - sole), colour="grey")])
         arm = dict(damping=0.1, friction=0.1)
         r.joint(f"{side}_shoulder_pitch_joint", "torso", f"{side}_shoulder", (0, 0.15 * y, 0.27), (0, 1, 0), (-3, 2.5), 25, 30, **arm)
         r.link(f"{side}_shoulder", [cylinder(0.035, 0.05, xyz=(0, 0.01 * y, 0), rpy="y", mass=0.6)], [], [cylinder(0.040, 0.05, xyz=(0, 0.01 * y, 0), rpy="y", colour="silver")])
