@@ -14,6 +14,7 @@ pub mod dynamics;
 pub mod joints;
 pub mod model;
 pub mod motion;
+pub mod reach;
 pub mod touching;
 pub mod urdf;
 

@@ -21,7 +21,7 @@ pub(crate) use check::{cross, posed_bounds, turn};
 pub use make::Part;
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
-pub use robot::{JointFrame, JointMotion, Motor, Robot};
+pub use robot::{Gait, JointFrame, JointMotion, LinkPath, Motor, Robot};
 
 /// A scene.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]

@@ -5,7 +5,7 @@
 use barchan_core::{Error, Result, Scene};
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 7] = [
+const FILES: [(&str, &str); 9] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -13,6 +13,8 @@ const FILES: [(&str, &str); 7] = [
     ("pile-smooth", include_str!("../scenes/pile-smooth.toml")),
     ("snow-press", include_str!("../scenes/snow-press.toml")),
     ("jelly-drop", include_str!("../scenes/jelly-drop.toml")),
+    ("quadruped-stand", include_str!("../scenes/quadruped-stand.toml")),
+    ("quadruped-trot", include_str!("../scenes/quadruped-trot.toml")),
 ];
 
 /// Grids that the cube drop comes on: cells along 1.28 m, and particles along the bed in x and y.

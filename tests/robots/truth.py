@@ -356,7 +356,8 @@ def free_quadruped(dt):
         a = pin.aba(model, data, q, v, torque)
         x, yy, z, w = y[3:7]
         p, o, r = v[3:6]
-        R = data.oMi[1].rotation
+        # aba leaves the places of joints in the world as they were.
+        R = pin.Quaternion(q[6], *q[3:6]).matrix()
         turn = 0.5 * np.array([w * p + yy * r - z * o, w * o + z * p - x * r, w * r + x * o - yy * p, -x * p - yy * o - z * r])
         return np.concatenate([R @ v[:3], turn, v[6:], a, [torque @ v]])
 

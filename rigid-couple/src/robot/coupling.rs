@@ -108,19 +108,21 @@ impl Robot {
         let mut positions: Vec<f64> =
             model.drives.iter().map(|drive| 0.0_f64.clamp(drive.limits[0], drive.limits[1])).collect();
         motion::set(&robot.joints, &model.drives, &mut positions)?;
-        let path = JointPath::new(robot.motion.as_ref(), &model.drives, &positions, &scene.folder)?;
         let floating = !robot.fixed;
         let base = Pose { position: DVec3::from_array(robot.position), rotation: rotation_from(robot.rotation)? };
+        let path = JointPath::new(robot.motion.as_ref(), &model, &base, &positions, &scene.folder)?;
         let mut rates = vec![0.0; dynamics::rates_of(&model, floating)];
         if floating {
-            rates[..3].copy_from_slice(&robot.velocity);
+            let arm = base.rotation * model.links[0].centre;
+            let twist =
+                Twist { linear: DVec3::from_array(robot.velocity), angular: DVec3::from_array(robot.angular_velocity) };
+            rates[..3].copy_from_slice(&twist.at(arm).to_array());
+            rates[3..6].copy_from_slice(&robot.angular_velocity);
         }
         let state = State { base, positions, rates, orders: None };
-        let mut solids: Vec<usize> = (0..model.links.len())
+        let solids: Vec<usize> = (0..model.links.len())
             .filter(|&i| i == 0 || model.links[i].mass > 0.0 || model.links[i].shape.is_some())
             .collect();
-        // What moves with nothing that weighs cannot be told where it is from bodies.
-        solids.sort_unstable();
         let orders = path.orders(0.0, 0.0);
         let step = Self::at_rest(&model, floating, &solids, &state, orders).ok_or_else(|| {
             Refusal::new("some joint moves no link with mass or shape", "give the links that hang on it an <inertial>")
@@ -157,6 +159,11 @@ impl Robot {
             step,
             model: Arc::new(model),
         })
+    }
+
+    /// The frame of its base, as it is now.
+    pub fn base(&self) -> Pose {
+        self.state.base
     }
 
     fn body_name(&self, body: usize) -> String {

@@ -1,9 +1,13 @@
 //! Where a scene wants a robot's joints to go.
 
+use super::dynamics::places;
 use super::joints::Order;
-use super::model::Drive;
+use super::model::{Drive, Model};
+use super::reach::{Target, reach};
 use crate::Refusal;
-use barchan_core::scene::{JointFrame, JointMotion};
+use crate::motion::{Pose, rotation_from};
+use barchan_core::scene::{Gait, JointFrame, JointMotion, LinkPath};
+use glam::{DQuat, DVec3};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -60,10 +64,23 @@ impl JointPath {
     ///
     /// # Errors
     /// If the file cannot be read, a joint is unknown, a position is beyond its limits, or times do not rise.
-    pub fn new(motion: Option<&JointMotion>, drives: &[Drive], start: &[f64], folder: &Path) -> Result<Self, Refusal> {
+    pub fn new(
+        motion: Option<&JointMotion>,
+        model: &Model,
+        base: &Pose,
+        start: &[f64],
+        folder: &Path,
+    ) -> Result<Self, Refusal> {
+        let drives = &model.drives;
         let Some(motion) = motion else {
             return Ok(Self { times: vec![0.0], frames: vec![start.to_vec()], repeat_from: None });
         };
+        if let Some(gait) = &motion.gait {
+            return Self::of_gait(gait, model, start);
+        }
+        if let Some(path) = &motion.path {
+            return Self::of_path(path, model, base, start);
+        }
         let read;
         let given = match &motion.file {
             Some(file) => {
@@ -98,6 +115,67 @@ impl JointPath {
         Ok(Self { times, frames, repeat_from: motion.repeat_from })
     }
 
+    /// Steps of feet, seen from the base.
+    fn of_gait(gait: &Gait, model: &Model, start: &[f64]) -> Result<Self, Refusal> {
+        let rest = places(model, false, &Pose::IDENTITY, start);
+        let mut feet = Vec::new();
+        for (name, phase) in &gait.feet {
+            let link = find(model, name)?;
+            feet.push((link, *phase, rest[link].frame.position));
+        }
+        let (stride, ramp) = (DVec3::from_array(gait.stride), gait.ramp);
+        let mut path = Self { times: vec![gait.start], frames: vec![start.to_vec()], repeat_from: None };
+        let mut positions = start.to_vec();
+        // Strides grow period by period; the one behind the ramp is repeated.
+        for period in 0..=ramp {
+            for sample in 1..=SAMPLES {
+                let time = f64::from(period) + f64::from(sample) / f64::from(SAMPLES);
+                let grown = if ramp == 0 { 1.0 } else { (time / f64::from(ramp)).min(1.0) };
+                let target = |&(link, phase, at): &(usize, f64, DVec3)| {
+                    let [along, up] = step_of((time - phase).rem_euclid(1.0), gait.stance);
+                    let position = at + grown * (along * stride + up * gait.lift * DVec3::Z);
+                    Target { link, position, rotation: None }
+                };
+                let targets: Vec<Target> = feet.iter().map(target).collect();
+                reach(model, &Pose::IDENTITY, &targets, &mut positions)?;
+                path.times.push(gait.start + time * gait.period);
+                path.frames.push(positions.clone());
+            }
+        }
+        path.repeat_from = Some(gait.start + f64::from(ramp) * gait.period);
+        Ok(path)
+    }
+
+    /// A link's path, straight from place to place and eased at each.
+    fn of_path(path: &LinkPath, model: &Model, base: &Pose, start: &[f64]) -> Result<Self, Refusal> {
+        let link = find(model, &path.link)?;
+        let mut joints = Self { times: Vec::new(), frames: Vec::new(), repeat_from: None };
+        let mut positions = start.to_vec();
+        let turn = |rotation: &Option<[f64; 4]>| rotation.map(rotation_from).transpose();
+        let mut add = |time: f64, position: DVec3, rotation: Option<DQuat>| {
+            let reached = reach(model, base, &[Target { link, position, rotation }], &mut positions);
+            reached.map_err(|refusal| Refusal { what: format!("at {time} s: {}", refusal.what), ..refusal })?;
+            joints.times.push(time);
+            joints.frames.push(positions.clone());
+            Ok::<(), Refusal>(())
+        };
+        if let Some(first) = path.frames.first() {
+            add(first.time, DVec3::from_array(first.position), turn(&first.rotation)?)?;
+        }
+        for pair in path.frames.windows(2) {
+            let [from, to] = [&pair[0], &pair[1]];
+            let [a, b] = [from, to].map(|frame| DVec3::from_array(frame.position));
+            let (first, second) = (turn(&from.rotation)?, turn(&to.rotation)?);
+            for sample in 1..=SAMPLES {
+                let share = f64::from(sample) / f64::from(SAMPLES);
+                let eased = share * share * (3.0 - 2.0 * share);
+                let rotation = first.zip(second).map(|(first, second)| first.slerp(second, eased)).or(second);
+                add(from.time + share * (to.time - from.time), a.lerp(b, eased), rotation)?;
+            }
+        }
+        Ok(joints)
+    }
+
     /// Positions at a time, and their rates.
     fn at(&self, time: f64) -> Vec<(f64, f64)> {
         let end = self.times.last().copied().unwrap_or_default();
@@ -121,6 +199,28 @@ impl JointPath {
         let order = |(target, rate): (f64, f64)| Order { target, rate, torque: 0.0, holds: true };
         self.at(time + dt).into_iter().map(order).collect()
     }
+}
+
+/// Samples of a step, and between two places of a path.
+const SAMPLES: u32 = 24;
+
+/// The number of a link.
+fn find(model: &Model, name: &str) -> Result<usize, Refusal> {
+    model.link(name).ok_or_else(|| {
+        let known: Vec<&str> = model.links.iter().map(|link| link.name.as_str()).collect();
+        Refusal::new(format!("there is no link '{name}'"), format!("known are: {}", known.join(", ")))
+    })
+}
+
+/// Where a foot is at a share of its period: from half a stride ahead back to half a stride behind on the ground, then forward again through the air, at rest
+/// where it leaves the ground and comes to it; and how high, in parts of the lift.
+fn step_of(share: f64, stance: f64) -> [f64; 2] {
+    if share < stance {
+        return [0.5 - share / stance, 0.0];
+    }
+    let air = (share - stance) / (1.0 - stance);
+    let turn = std::f64::consts::TAU * air;
+    [air - turn.sin() / std::f64::consts::TAU - 0.5, 0.5 * (1.0 - turn.cos())]
 }
 
 fn read_frames(file: &Path) -> Result<Vec<JointFrame>, Refusal> {

@@ -781,8 +781,32 @@ impl Scene {
         }
         let Some(motion) = &robot.motion else { return Ok(()) };
         let frames = format!("{path}.motion.frames");
-        let one = motion.file.is_some() != !motion.frames.is_empty();
-        self.require(one, &frames, "needs frames, or a file of them", "give either frames or file")?;
+        let given = [motion.file.is_some(), !motion.frames.is_empty(), motion.gait.is_some(), motion.path.is_some()];
+        let one = given.into_iter().filter(|given| *given).count() == 1;
+        self.require(one, &format!("{path}.motion"), "has to say one way", "give one of frames, file, gait and path")?;
+        if let Some(gait) = &motion.gait {
+            let path = format!("{path}.motion.gait");
+            self.positive(&format!("{path}.period"), gait.period)?;
+            self.not_negative(&format!("{path}.lift"), gait.lift)?;
+            let share = gait.stance > 0.0 && gait.stance < 1.0;
+            self.require(share, &format!("{path}.stance"), format!("is {}", gait.stance), "must be between 0 and 1")?;
+            self.require(!gait.feet.is_empty(), &format!("{path}.feet"), "is empty", "name the links that step")?;
+        }
+        if let Some(link) = &motion.path {
+            let path = format!("{path}.motion.path");
+            self.require(robot.fixed, &path, "needs a base that stays", "set fixed = true for the robot")?;
+            self.require(!link.frames.is_empty(), &format!("{path}.frames"), "is empty", "give at least one place")?;
+            for (i, pair) in link.frames.windows(2).enumerate() {
+                let [before, time] = [pair[0].time, pair[1].time];
+                let at = format!("{path}.frames[{}].time", i + 1);
+                self.require(
+                    time > before,
+                    &at,
+                    format!("is {time}, the one before is at {before}"),
+                    "times must rise",
+                )?;
+            }
+        }
         for (i, pair) in motion.frames.windows(2).enumerate() {
             let [before, time] = [pair[0].time, pair[1].time];
             let at = format!("{frames}[{}].time", i + 1);

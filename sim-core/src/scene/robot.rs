@@ -1,6 +1,6 @@
 //! Robots in a scene.
 
-use super::Contact;
+use super::{Contact, Keyframe};
 use crate::Vec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -28,9 +28,12 @@ pub struct Robot {
     /// Stays its base where it is? Else it floats freely.
     #[serde(default)]
     pub fixed: bool,
-    /// Starting velocity of its base [m/s].
+    /// Starting velocity of its base's frame [m/s].
     #[serde(default)]
     pub velocity: Vec3,
+    /// Starting angular velocity of its base [rad/s].
+    #[serde(default)]
+    pub angular_velocity: Vec3,
     /// Contact of its links with the ground, and friction on rigid things.
     #[serde(default)]
     pub contact: Contact,
@@ -83,6 +86,53 @@ pub struct JointMotion {
     /// Repeats what comes after this time [s], from the last frame on.
     #[serde(default)]
     pub repeat_from: Option<f64>,
+    /// Steps of its feet, instead of frames.
+    #[serde(default)]
+    pub gait: Option<Gait>,
+    /// A path of one of its links, instead of frames.
+    #[serde(default)]
+    pub path: Option<LinkPath>,
+}
+
+/// Steps of a robot's feet, by inverse kinematics from where they are at the start, seen from the base. On the ground a foot goes back by the stride, in the
+/// air forward again.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Gait {
+    /// The feet's links, and the share of a period at which each is set down: a trot has diagonal feet at 0 and 0.5.
+    pub feet: BTreeMap<String, f64>,
+    /// Time of a step of all feet [s].
+    pub period: f64,
+    /// Share of the period for which a foot is on the ground.
+    #[serde(default = "half")]
+    pub stance: f64,
+    /// How far a foot goes in a step, in the base's frame [m].
+    pub stride: Vec3,
+    /// How high it is lifted [m].
+    pub lift: f64,
+    /// When it begins [s].
+    #[serde(default)]
+    pub start: f64,
+    /// Periods over which strides grow to their length.
+    #[serde(default = "two")]
+    pub ramp: u32,
+}
+
+/// A path of a link's frame in the world, by inverse kinematics, for a robot whose base is fixed.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LinkPath {
+    /// The link.
+    pub link: String,
+    /// Places with rising times. A rotation that is absent does not matter.
+    pub frames: Vec<Keyframe>,
+}
+
+fn half() -> f64 {
+    0.5
+}
+fn two() -> u32 {
+    2
 }
 
 /// Joint positions at a time.

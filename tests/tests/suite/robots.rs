@@ -1,9 +1,10 @@
 //! Robots: what their files say, how they move, and how they stand on soft ground.
 
+use barchan::{BodyState, Command, Coupling, Options, Precision, Scene, Simulation, Vec3};
 use barchan_rigid::motion::Pose;
-use barchan_rigid::robot::Model;
 use barchan_rigid::robot::dynamics::{bias, gravity, mass_matrix, momentum, places};
 use barchan_rigid::robot::urdf::Source;
+use barchan_rigid::robot::{Model, Robots};
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
@@ -126,7 +127,8 @@ fn robots_are_what_pinocchio_says() {
             let g = known.to_table(arm, turn);
             // Where joints mimic others, what is left.
             let of = if state["reduced"].is_null() { state } else { &state["reduced"] };
-            if let Some(rows) = of["mass_matrix"].as_array() {
+            let fits = follows == 0 || !state["reduced"].is_null();
+            if let Some(rows) = of["mass_matrix"].as_array().filter(|_| fits) {
                 let ours = g.transpose() * mass_matrix(model, known.floating, &all) * &g;
                 let mut entries = rows.iter().map(|x| x.as_f64().unwrap());
                 let scale = ours.amax();
@@ -193,4 +195,342 @@ fn a_robots_momentum_is_that_of_its_links() {
     }
     let energy: f64 = by_links.values().sum();
     assert!((energy - rates.dot(&rows)).abs() < 1e-12 * energy);
+}
+
+/// A scene without ground, and what stands behind its head.
+fn space(gravity: f64, rest: &str) -> Scene {
+    let text = format!(
+        "name = \"space\"\ngravity = [0, 0, {gravity}]\nworld = {{ cell = 0.1, min = [-5, -5, -5], max = [5, 5, 5] }}\ntime = {{ end = 10 }}\n{rest}"
+    );
+    Scene::from_str(&text, "space.toml", root()).unwrap()
+}
+
+/// Momentum of all robots, linear and angular about the world's origin.
+fn totals(robots: &Robots) -> [DVec3; 2] {
+    let bodies = robots.bodies();
+    let sum = |of: fn(&BodyState) -> Vec3| bodies.iter().map(|body| DVec3::from_array(of(body))).sum::<DVec3>();
+    [sum(|body| body.momentum), sum(|body| body.angular_momentum)]
+}
+
+fn moved(robots: &mut Robots, time: f64, dt: f64) {
+    robots.before_step(time, dt).unwrap();
+    robots.after_step(time, dt).unwrap();
+}
+
+/// Two rods that swing, against an integration with steps of 1e-5 s by Runge-Kutta: angles at all times, first order in the step.
+#[test]
+fn a_double_pendulum_swings_as_it_should() {
+    let truth = truth();
+    let rows = truth["double_pendulum"]["rows"].as_array().unwrap();
+    let scene = space(
+        -9.81,
+        "[[robot]]\nname = \"rods\"\nurdf = \"tests/robots/double_pendulum.urdf\"\nfixed = true\njoints = { shoulder = 1.5, elbow = 0.5 }\nmotor = [{ armature = 0 }]",
+    );
+    let mut errors = Vec::new();
+    for dt in [4e-4, 2e-4] {
+        let mut robots = Robots::new(&scene).unwrap();
+        let (mut worst, mut step) = (0.0_f64, 0);
+        for row in rows {
+            let [time, shoulder, elbow, ..] = numbers(row)[..] else { panic!("no row: {row}") };
+            while (f64::from(step) + 0.5) * dt < time {
+                moved(&mut robots, f64::from(step) * dt, dt);
+                step += 1;
+            }
+            let joints = robots.joints();
+            // The truth keeps angles as they add up; so do we.
+            worst = worst.max((joints[0].position - shoulder).abs()).max((joints[1].position - elbow).abs());
+        }
+        errors.push(worst);
+    }
+    let order = (errors[0] / errors[1]).log2();
+    println!("angles off by {:.1e} and {:.1e} rad (8e-3), order {order:.2} (0.8)", errors[0], errors[1]);
+    assert!(errors[1] < 8e-3 && order > 0.8, "{errors:?}");
+}
+
+const AFLOAT: &str = "[[robot]]\nname = \"dog\"\nurdf = \"FILE\"\nposition = [0, 0, 1]\nvelocity = [0.3, -0.2, 0.1]\nangular_velocity = [0.5, -0.4, 1.0]\njoints = { \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }\nmotor = [{ armature = 0, effort = 1e9 }]";
+
+/// Afloat without gravity, its joints driven: it keeps its momentum to rounding, and its base and joints go where an integration by Runge-Kutta has them.
+#[test]
+fn a_robot_afloat_keeps_its_momentum_and_moves_as_it_should() {
+    let truth = truth();
+    let known = &truth["free_quadruped"];
+    let rows = known["rows"].as_array().unwrap();
+    let (amplitude, phase) = (numbers(&known["amplitude"]), numbers(&known["phase"]));
+    let names: Vec<&str> = known["names"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
+    // The truth knows no damping, no friction, no limits.
+    let folder = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(root().join("rigid-couple/models/quadruped.urdf")).unwrap();
+    let text = text.replace("damping=\"0.1\"", "damping=\"0\"").replace("friction=\"0.2\"", "friction=\"0\"");
+    let text = text.replace("velocity=\"30\"", "").replace("velocity=\"20\"", "");
+    let text = text.replace("type=\"revolute\"", "type=\"continuous\"");
+    let file = folder.path().join("dog.urdf");
+    std::fs::write(&file, text).unwrap();
+    let scene = space(0.0, &AFLOAT.replace("FILE", &file.to_string_lossy()));
+    let mut errors = Vec::new();
+    for dt in [1e-3, 5e-4] {
+        let mut robots = Robots::new(&scene).unwrap();
+        let joints: Vec<usize> =
+            robots.joints().iter().map(|joint| names.iter().position(|name| *name == joint.name).unwrap()).collect();
+        let first = totals(&robots);
+        let (mut worst, mut step, mut drift) = (0.0_f64, 0, 0.0_f64);
+        for row in rows {
+            let row = numbers(row);
+            while (f64::from(step) + 0.5) * dt < row[0] {
+                let time = f64::from(step) * dt;
+                // The torque in the middle of the step.
+                let torque =
+                    |&i: &usize| amplitude[i] * (std::f64::consts::TAU * 4.0 * (time + 0.5 * dt) + phase[i]).sin();
+                robots.act("dog", &Command::JointTorques(joints.iter().map(torque).collect())).unwrap();
+                moved(&mut robots, time, dt);
+                step += 1;
+            }
+            let base = &robots.robots()[0].base();
+            let truth = Pose {
+                position: DVec3::new(row[1], row[2], row[3]),
+                rotation: DQuat::from_xyzw(row[5], row[6], row[7], row[4]),
+            };
+            let turned = 2.0 * (truth.rotation * base.rotation.conjugate()).xyz().length();
+            worst = worst.max(turned).max((truth.position - base.position).length());
+            for (joint, i) in robots.joints().iter().zip(&joints) {
+                worst = worst.max((joint.position - row[8 + i]).abs());
+            }
+            let now = totals(&robots);
+            drift = drift.max((now[0] - first[0]).length() / first[0].length());
+            drift = drift.max((now[1] - first[1]).length() / first[1].length());
+        }
+        println!("dt {dt}: off by {worst:.1e} (2e-2), momentum by {drift:.1e} (1e-12)");
+        assert!(drift < 1e-12, "momentum is off by {drift}");
+        errors.push(worst);
+    }
+    let order = (errors[0] / errors[1]).log2();
+    assert!(errors[1] < 2e-2 && order > 0.8, "{errors:?}, order {order}");
+}
+
+/// A quadruped over a bed of a law, with what more stands in its entry.
+fn stand(law: &str, height: f64, more: &str) -> Scene {
+    let text = format!(
+        r#"
+name = "stand"
+world = {{ cell = 0.03125, min = [0, 0, 0], max = [1, 0.75, 1.5], walls = {{ x_min = "slip", x_max = "slip", y_min = "slip", y_max = "slip", z_min = "stick" }} }}
+time = {{ end = 2 }}
+[[material]]
+name = "ground"
+density = 1600
+{law}
+[[body]]
+name = "bed"
+material = "ground"
+shape = {{ box = {{ min = [0, 0, 0], max = [1, 0.75, 0.125] }} }}
+settled = true
+[[robot]]
+name = "dog"
+model = "quadruped"
+position = [0.5, 0.375, {height}]
+joints = {{ "*_thigh_joint" = 0.8, "*_calf_joint" = -1.6 }}
+{more}
+"#
+    );
+    Scene::from_str(&text, "stand.toml", root()).unwrap()
+}
+
+const SAND: &str = "law = \"sand\"\nparameters = { young_modulus = 2e5, poisson_ratio = 0.2, friction_angle_deg = 40 }";
+const ELASTIC: &str = "law = \"neo_hookean\"\nparameters = { young_modulus = 2e5, poisson_ratio = 0.3 }";
+const MOTORS: &str = "motor = [{ kp = 100, kd = 3 }]";
+
+fn simulation(scene: &Scene, precision: Precision) -> Simulation {
+    Simulation::new(&barchan::registry(), scene, &Options { precision, ..Options::default() }).unwrap()
+}
+
+/// The soil bears a robot at rest with its weight, and the robot stays where it is.
+#[test]
+fn a_robot_at_rest_is_borne_by_its_weight() {
+    let mut dog = simulation(&stand(SAND, 0.44, MOTORS), Precision::F32);
+    let weight = 9.81 * dog.bodies().iter().map(|body| body.mass).sum::<f64>();
+    let run = |dog: &mut Simulation, until: f64| {
+        let (mut impulse, from) = (0.0, dog.time());
+        while dog.time() < until {
+            let dt = dog.step().unwrap().dt;
+            impulse += dt * dog.wrenches().iter().map(|wrench| wrench.force[2]).sum::<f64>();
+        }
+        impulse / (dog.time() - from)
+    };
+    run(&mut dog, 1.0);
+    let before = dog.bodies()[0].position;
+    let borne = run(&mut dog, 2.0);
+    let after = dog.bodies()[0].position;
+    let crept = (DVec3::from_array(after) - DVec3::from_array(before)).length();
+    let unconverged =
+        dog.ledger().counts.iter().find(|(name, _)| name.contains("not converged")).map_or(0, |(_, n)| *n);
+    println!(
+        "borne {:.4} of its weight (1 +- 0.01), crept {crept:.1e} m in a second (1e-3), height {:.3} m, {unconverged} solutions not converged",
+        borne / weight,
+        after[2]
+    );
+    assert!((borne / weight - 1.0).abs() < 0.01, "{borne} of {weight} N");
+    assert!(crept < 1e-3 && after[2] > 0.37, "crept {crept}, at {after:?}");
+    assert_eq!(unconverged, 0);
+}
+
+/// What a robot's joints' springs hold [J].
+fn springs(dog: &Simulation, kp: f64, targets: &[f64]) -> f64 {
+    dog.joints().iter().zip(targets).map(|(joint, target)| 0.5 * kp * (joint.position - target).powi(2)).sum()
+}
+
+/// B46: however light the feet and however stiff the motors, a fall from half a metre onto elastic ground creates no energy.
+#[test]
+fn b46_a_fall_creates_no_energy_whatever_the_feet_weigh_and_the_gains_are() {
+    for kp in [0.0, 20.0, 300.0, 2000.0] {
+        for foot in ["0.05", "0.005", "5"] {
+            let folder = tempfile::tempdir().unwrap();
+            let text = std::fs::read_to_string(root().join("rigid-couple/models/quadruped.urdf")).unwrap();
+            // Feet are spheres: their inertia goes with their mass.
+            let foot_inertia = 0.4 * foot.parse::<f64>().unwrap() * 0.022 * 0.022;
+            let text = text
+                .replace("<mass value=\"0.05\"/>", &format!("<mass value=\"{foot}\"/>"))
+                .replace("9.68e-06", &foot_inertia.to_string())
+                .replace("effort=\"24\"", "effort=\"1e5\"")
+                .replace("effort=\"36\"", "effort=\"1e5\"");
+            let file = folder.path().join("dog.urdf");
+            std::fs::write(&file, text).unwrap();
+            let motors = format!("motor = [{{ kp = {kp}, kd = {} }}]", 0.01 * kp);
+            let mut scene = stand(ELASTIC, 0.94, &motors);
+            (scene.robot[0].model, scene.robot[0].urdf) = (None, Some(file));
+            let mut dog = simulation(&scene, Precision::F64);
+            let targets: Vec<f64> = dog.joints().iter().map(|joint| joint.position).collect();
+            let all = |dog: &Simulation| {
+                let ledger = dog.ledger();
+                ledger.energy() + springs(dog, kp, &targets)
+            };
+            // Elastic energy is known from the first step on.
+            dog.step().unwrap();
+            let start = all(&dog);
+            let fall = 9.81 * 0.5 * dog.bodies().iter().map(|body| body.mass).sum::<f64>();
+            let mut most = f64::NEG_INFINITY;
+            while dog.time() < 0.5 {
+                dog.step().unwrap();
+                most = most.max(all(&dog) - start);
+            }
+            println!("kp {kp}, feet of {foot} kg: energy rose by {:.2e} of the fall's (2e-3)", most / fall);
+            assert!(most < 2e-3 * fall, "kp {kp}, foot {foot}: rose by {most} of {fall} J");
+        }
+    }
+}
+
+/// In empty space a robot and a soft ball that it meets keep their momentum together.
+#[test]
+fn a_robot_and_the_ground_keep_their_momentum() {
+    for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-6)] {
+        let text = r#"
+name = "meeting"
+gravity = [0, 0, 0]
+world = { cell = 0.03125, min = [-1, -1, -1], max = [1, 1, 1] }
+time = { end = 1 }
+[[material]]
+name = "jelly"
+law = "neo_hookean"
+density = 1000
+parameters = { young_modulus = 1e5, poisson_ratio = 0.3 }
+[[body]]
+name = "ball"
+material = "jelly"
+shape = { sphere = { center = [0.05, 0, -0.5], radius = 0.15 } }
+velocity = [0, 0.3, 2.0]
+[[robot]]
+name = "dog"
+model = "quadruped"
+position = [0, 0, 0]
+joints = { "*_thigh_joint" = 0.8, "*_calf_joint" = -1.6 }
+motor = [{ kp = 100, kd = 3 }]
+"#;
+        let mut dog = simulation(&Scene::from_str(text, "meeting.toml", root()).unwrap(), precision);
+        let sums = |dog: &Simulation| {
+            let ledger = dog.ledger();
+            let (p, l) = barchan_tests::scenes::totals(&ledger);
+            [p, l].map(DVec3::from_array)
+        };
+        let [p0, l0] = sums(&dog);
+        while dog.time() < 0.3 {
+            dog.step().unwrap();
+        }
+        let [p1, l1] = sums(&dog);
+        let taken = DVec3::from_array(dog.ledger().body_momentum).length() / p0.length();
+        let off = ((p1 - p0).length() / p0.length()).max((l1 - l0).length() / (0.4 * p0.length()));
+        println!("{precision}: momentum off by {off:.1e} ({tolerance:.0e}); the robot took {taken:.2} of it");
+        assert!(taken > 0.1, "they never met");
+        assert!(off < tolerance, "{precision}: {off}");
+    }
+}
+
+/// A state taken in the middle goes on bit for bit.
+#[test]
+fn a_robots_state_goes_on_bit_for_bit() {
+    let scene = stand(SAND, 0.43, MOTORS);
+    let mut whole = simulation(&scene, Precision::F32);
+    let targets: Vec<f64> = whole.joints().iter().map(|joint| joint.position + 0.1).collect();
+    let go = |dog: &mut Simulation, steps: usize| (0..steps).for_each(|_| drop(dog.step().unwrap()));
+    go(&mut whole, 60);
+    whole.act("dog", &Command::JointTargets(targets)).unwrap();
+    go(&mut whole, 60);
+    let mut other = simulation(&scene, Precision::F32);
+    other.set_state(&whole.state().unwrap()).unwrap();
+    go(&mut whole, 100);
+    go(&mut other, 100);
+    assert_eq!(
+        format!("{:?} {:?}", whole.bodies(), whole.joints()),
+        format!("{:?} {:?}", other.bodies(), other.joints())
+    );
+}
+
+/// What is wrong with a URDF or a robot's entry is named, with its element and line or its key.
+#[test]
+fn bad_robots_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = r#"<robot name="r">
+<link name="a"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/><limit lower="-1" upper="1"/></joint>
+<link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><box size="1 1 1"/></geometry></collision></link>
+</robot>"#;
+    let refused = |urdf: &str, entry: &str| {
+        let file = folder.path().join("r.urdf");
+        std::fs::write(&file, urdf).unwrap();
+        let robot = format!("[[robot]]\nname = \"r\"\nurdf = \"{}\"\n{entry}", file.display());
+        let text = format!(
+            "name = \"s\"\nworld = {{ cell = 0.1, min = [0, 0, 0], max = [1, 1, 1] }}\ntime = {{ end = 1 }}\n{robot}"
+        );
+        Scene::from_str(&text, "s.toml", root())
+            .and_then(|scene| Simulation::new(&barchan::registry(), &scene, &Options::default()).map(drop))
+            .map_or_else(|e| e.to_string(), |()| "accepted".to_owned())
+    };
+    assert_eq!(refused(good, ""), "accepted");
+    let b = |old: &str, new: &str| good.replace(old, new);
+    let loops =
+        b("</robot>", "<joint name=\"k\" type=\"fixed\"><parent link=\"a\"/><child link=\"b\"/></joint></robot>");
+    let orphan = b("</robot>", "<link name=\"c\"/></robot>");
+    let cases: [(String, &str, &[&str]); 14] = [
+        ("<robot".to_owned(), "", &["r.urdf", "not XML"]),
+        (loops, "", &["r.urdf:6", "<joint> 'k'", "loop"]),
+        (orphan, "", &["r.urdf:6", "<link> 'c'", "two bases"]),
+        (b("link=\"b\"", "link=\"x\""), "", &["r.urdf:3", "<joint> 'j'", "'x' is no link"]),
+        (b("<axis xyz=\"0 1 0\"/>", "<axis xyz=\"0 0 0\"/>"), "", &["r.urdf:3", "axis is zero"]),
+        (b("ixx=\"1\"", "ixx=\"9\""), "", &["r.urdf:2", "<link> 'a'", "no body has", "mend_inertias"]),
+        (
+            b("box size=\"1 1 1\"", "mesh filename=\"package://p/m.stl\""),
+            "",
+            &["r.urdf:5", "package://p/m.stl", "no folder around"],
+        ),
+        (b("box size=\"1 1 1\"", "mesh filename=\"m.stl\""), "", &["r.urdf:5", "m.stl"]),
+        (b("box size=\"1 1 1\"", "teapot size=\"1\""), "", &["r.urdf:5", "'teapot'"]),
+        (b("revolute", "bendy"), "", &["r.urdf:3", "\"bendy\" is unknown"]),
+        (good.to_owned(), "motor = [{ kp = -1 }]", &["robot[0].motor[0].kp", "-1"]),
+        (good.to_owned(), "motor = [{ joints = \"knee\", kp = 1 }]", &["robot[0]", "'knee'", "known are: j"]),
+        (good.to_owned(), "joints = { j = 2 }", &["robot[0]", "2 is beyond the limits of joint 'j'", "from -1 to 1"]),
+        (good.to_owned(), "model = \"cat\"", &["robot[0]", "either urdf or model"]),
+    ];
+    for (urdf, entry, parts) in cases {
+        let text = refused(&urdf, entry);
+        for part in parts {
+            assert!(text.contains(part), "'{part}' is not in: {text}");
+        }
+    }
 }
