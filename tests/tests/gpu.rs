@@ -25,6 +25,8 @@ mod damping;
 mod forks;
 #[path = "gpu/free.rs"]
 mod free;
+#[path = "gpu/robots.rs"]
+mod robots;
 #[path = "gpu/robust.rs"]
 mod robust;
 #[path = "gpu/sleeping.rs"]
