@@ -15,6 +15,7 @@ pub mod joints;
 pub mod model;
 pub mod motion;
 pub mod reach;
+mod table;
 pub mod touching;
 pub mod urdf;
 

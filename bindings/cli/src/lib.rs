@@ -22,6 +22,7 @@ mod manual;
 mod plugins;
 mod print;
 mod report;
+mod robot;
 mod run;
 mod signals;
 
@@ -63,6 +64,9 @@ enum Command {
     Plugins(plugins::PluginArgs),
     /// Lists what the backends can run on besides the processor: GPUs, and software in their place.
     Adapters,
+    /// Looks at robots.
+    #[command(subcommand)]
+    Robot(robot::Robot),
     /// Measures.
     #[command(subcommand)]
     Bench(bench::Bench),
@@ -212,6 +216,7 @@ pub fn main_with(registry: Registry) -> ExitCode {
             show(plugins::adapters(&registry));
             Ok(ExitCode::SUCCESS)
         }
+        Command::Robot(args) => robot::run(args).map(|()| ExitCode::SUCCESS),
         Command::Bench(args) => bench::run(args, registry).map(|()| ExitCode::SUCCESS),
         Command::Schema => {
             show(format!("{:#}\n", Scene::schema()));

@@ -277,6 +277,29 @@ pub use barchan_core::{Coupling, NodeBatch};
 #[doc(inline)]
 pub use barchan_core::Command;
 
+/// A robot: what its URDF says, and how its joints are. Targets come in the order of [`Simulation::joints`].
+///
+/// ```
+/// use barchan::scene::Robot;
+/// use barchan::{Command, JointState, Options, RobotModel, Simulation};
+///
+/// let dog = Robot::built_in("dog", "quadruped").at([0.2, 0.2, 0.35]).with_motors(100.0, 3.0);
+/// let model = RobotModel::of(&dog, std::path::Path::new("")).unwrap();
+/// assert_eq!((model.drives.len(), model.mass().round()), (12, 15.0));
+///
+/// let scene = barchan::example().with(dog);
+/// let mut simulation = Simulation::new(&barchan::registry(), &scene, &Options::default())?;
+/// simulation.act("dog", &Command::JointTargets(vec![0.0, 0.8, -1.6].repeat(4)))?;
+/// simulation.step()?;
+/// let joints: Vec<JointState> = simulation.joints();
+/// assert_eq!(joints[2].name, "FL_calf_joint");
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::JointState;
+#[doc(inline)]
+pub use barchan_rigid::robot::Model as RobotModel;
+
 /// What carries a plan out. `tests/seams/backend` of the repository is one of somebody's own.
 ///
 /// ```

@@ -17,7 +17,7 @@ use barchan_core::{BodyState, Command, Coupling, Error, JointState, NodeBatch, R
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Robots that come with the program: name and URDF.
@@ -45,38 +45,40 @@ struct Counts {
     unconverged: u64,
 }
 
-/// Reads what a scene's robot is made of.
-///
-/// # Errors
-/// If the file or the model's name cannot be used.
-pub fn read_model(robot: &scene::Robot, folder: &std::path::Path) -> Result<Model, Refusal> {
-    let (text, file): (String, PathBuf) = match (&robot.urdf, &robot.model) {
-        (Some(urdf), _) => {
-            let file = folder.join(urdf);
-            let text = std::fs::read_to_string(&file).map_err(|e| {
-                Refusal::new(
-                    format!("{}: {e}", file.display()),
-                    "give the path of a URDF file, from the scene's folder",
-                )
-            })?;
-            (text, file)
-        }
-        (None, name) => {
-            let name = name.as_deref().unwrap_or_default();
-            let known = BUILT_IN.iter().find(|(known, _)| *known == name);
-            let (_, text) = known.ok_or_else(|| {
-                let names: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
-                Refusal::new(
-                    format!("there is no model '{name}'"),
-                    format!("known are: {}; or give a urdf", names.join(", ")),
-                )
-            })?;
-            ((*text).to_owned(), PathBuf::from(format!("{name}.urdf")))
-        }
-    };
-    let name = file.display().to_string();
-    let folder = file.parent().unwrap_or(folder);
-    Model::read(&Source { text: &text, file: &name, folder, mends: robot.mend_inertias })
+impl Model {
+    /// What a scene's robot is made of; a file is looked for in `folder`.
+    ///
+    /// # Errors
+    /// If the file or the model's name cannot be used.
+    pub fn of(robot: &scene::Robot, folder: &Path) -> Result<Self, Refusal> {
+        let (text, file): (String, PathBuf) = match (&robot.urdf, &robot.model) {
+            (Some(urdf), _) => {
+                let file = folder.join(urdf);
+                let text = std::fs::read_to_string(&file).map_err(|e| {
+                    Refusal::new(
+                        format!("{}: {e}", file.display()),
+                        "give the path of a URDF file, from the scene's folder",
+                    )
+                })?;
+                (text, file)
+            }
+            (None, name) => {
+                let name = name.as_deref().unwrap_or_default();
+                let known = BUILT_IN.iter().find(|(known, _)| *known == name);
+                let (_, text) = known.ok_or_else(|| {
+                    let names: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+                    Refusal::new(
+                        format!("there is no model '{name}'"),
+                        format!("known are: {}; or give a urdf", names.join(", ")),
+                    )
+                })?;
+                ((*text).to_owned(), PathBuf::from(format!("{name}.urdf")))
+            }
+        };
+        let name = file.display().to_string();
+        let folder = file.parent().unwrap_or(folder);
+        Self::read(&Source { text: &text, file: &name, folder, mends: robot.mend_inertias })
+    }
 }
 
 impl Robot {
@@ -85,7 +87,7 @@ impl Robot {
     /// # Errors
     /// If its URDF, joints, motors or motion cannot be used.
     pub fn new(robot: &scene::Robot, scene: &Scene) -> Result<Self, Refusal> {
-        let mut model = read_model(robot, &scene.folder)?;
+        let mut model = Model::of(robot, &scene.folder)?;
         let mut gains = vec![Gains::default(); model.drives.len()];
         for motor in &robot.motor {
             let mut any = false;

@@ -1,8 +1,8 @@
 //! Scenes in code: constructors that take what a scene file must say. All else is as a file leaves it, and every field can be set.
 
 use super::{
-    Body, Contact, CouplingSpec, Keyframe, MaterialSpec, Motion, Placed, Scene, Shape, Time, Tool, Wall, Walls, World,
-    no_rotation, one,
+    Body, Contact, CouplingSpec, Keyframe, MaterialSpec, Motion, Motor, Placed, Robot, Scene, Shape, Time, Tool, Wall,
+    Walls, World, no_rotation, one,
 };
 use crate::Vec3;
 use serde::de::DeserializeOwned;
@@ -44,6 +44,7 @@ impl Scene {
             Part::Material(material) => self.material.push(material),
             Part::Body(body) => self.body.push(body),
             Part::Tool(tool) => self.tool.push(tool),
+            Part::Robot(robot) => self.robot.push(robot),
             Part::Coupling(coupling) => self.coupling.push(coupling),
         }
         self
@@ -59,6 +60,8 @@ pub enum Part {
     Body(Body),
     /// A rigid tool or body.
     Tool(Tool),
+    /// A robot of links and joints.
+    Robot(Robot),
     /// Another coupling.
     Coupling(CouplingSpec),
 }
@@ -78,9 +81,36 @@ impl From<Tool> for Part {
         Self::Tool(tool)
     }
 }
+impl From<Robot> for Part {
+    fn from(robot: Robot) -> Self {
+        Self::Robot(robot)
+    }
+}
 impl From<CouplingSpec> for Part {
     fn from(coupling: CouplingSpec) -> Self {
         Self::Coupling(coupling)
+    }
+}
+
+impl Robot {
+    /// A robot that comes with the program, the frame of its base at the world's origin, without motors.
+    pub fn built_in(name: impl Into<String>, model: impl Into<String>) -> Self {
+        Self { name: name.into(), model: Some(model.into()), ..with_defaults(json!({ "name": "" })) }
+    }
+    /// A robot of a URDF file, likewise.
+    pub fn from_urdf(name: impl Into<String>, urdf: impl Into<PathBuf>) -> Self {
+        Self { name: name.into(), urdf: Some(urdf.into()), ..with_defaults(json!({ "name": "" })) }
+    }
+    /// With its base there [m].
+    #[must_use]
+    pub fn at(self, position: Vec3) -> Self {
+        Self { position, ..self }
+    }
+    /// With motors of these gains in all joints [N m/rad, N m s/rad].
+    #[must_use]
+    pub fn with_motors(mut self, kp: f64, kd: f64) -> Self {
+        self.motor.push(Motor { kp: Some(kp), kd: Some(kd), ..with_defaults(json!({})) });
+        self
     }
 }
 

@@ -59,7 +59,9 @@ fn a_robot_lands_as_it_does_on_the_cpu() {
         let apart = (base(&device) - base(&cpu)).length();
         let joints = device.joints().into_iter().zip(cpu.joints());
         let turned = joints.map(|(a, b)| (a.position - b.position).abs()).fold(0.0, f64::max);
-        println!("{levels} levels: base {apart:.1e} m apart (1e-4), joints {turned:.1e} rad (1e-3); up to {strongest:.0} N");
+        println!(
+            "{levels} levels: base {apart:.1e} m apart (1e-4), joints {turned:.1e} rad (1e-3); up to {strongest:.0} N"
+        );
         assert!(strongest > 150.0, "it has not landed");
         assert!(apart < 1e-4 && turned < 1e-3, "{levels} levels: {apart} m, {turned} rad");
     }

@@ -1,0 +1,34 @@
+//! `barchan robot`.
+
+use crate::print::show;
+use barchan::{Error, Result, RobotModel};
+use clap::{Args, Subcommand};
+
+#[derive(Subcommand)]
+pub(crate) enum Robot {
+    /// Reads a robot as a scene would, and prints its links, masses, joints and shapes, or what is wrong and where.
+    Check(CheckArgs),
+}
+
+#[derive(Args)]
+pub(crate) struct CheckArgs {
+    /// A URDF file, or a robot that is built in: quadruped, humanoid, arm.
+    robot: String,
+    /// Mend inertias that no body has, as `mend_inertias` does in a scene, instead of refusing them.
+    #[arg(long)]
+    mend_inertias: bool,
+}
+
+pub(crate) fn run(command: &Robot) -> Result<()> {
+    let Robot::Check(args) = command;
+    let is_file = args.robot.contains(['.', '/', '\\']);
+    let mut robot = match is_file {
+        true => barchan::scene::Robot::from_urdf("robot", &args.robot),
+        false => barchan::scene::Robot::built_in("robot", args.robot.as_str()),
+    };
+    robot.mend_inertias = args.mend_inertias;
+    let model = RobotModel::of(&robot, std::path::Path::new(""))
+        .map_err(|refusal| -> Error { refusal.at(&format!("robot '{}'", args.robot)) })?;
+    show(&model);
+    Ok(())
+}
