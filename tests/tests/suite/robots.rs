@@ -22,10 +22,15 @@ fn truth() -> Value {
     serde_json::from_str(&text).unwrap()
 }
 
-fn read(urdf: &str) -> Model {
+/// Where a robot of the table lies.
+fn file_of(urdf: &str) -> PathBuf {
     let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
     let ours = !urdf.starts_with("example-robot-data/");
-    let file = if ours { root().join(urdf) } else { target.join("robots").join(urdf) };
+    if ours { root().join(urdf) } else { target.join("robots").join(urdf) }
+}
+
+fn read(urdf: &str) -> Model {
+    let file = file_of(urdf);
     let text = std::fs::read_to_string(&file)
         .unwrap_or_else(|e| panic!("{}: {e}; run: bash tests/robots/fetch.sh", file.display()));
     let name = file.display().to_string();
@@ -532,5 +537,54 @@ fn bad_robots_are_refused_by_name() {
         for part in parts {
             assert!(text.contains(part), "'{part}' is not in: {text}");
         }
+    }
+}
+
+/// Robots of others stand on a floor, and arms hold still, with motors that only hold their joints.
+#[test]
+fn robots_of_others_stand_on_a_floor() {
+    let legs = "\"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6";
+    let anymal = "LF_HFE = 0.7, RF_HFE = 0.7, LH_HFE = -0.7, RH_HFE = -0.7, LF_KFE = -1.2, RF_KFE = -1.2, LH_KFE = 1.2, RH_KFE = 1.2";
+    let solo = "FL_HFE = 0.8, FR_HFE = 0.8, HL_HFE = -0.8, HR_HFE = -0.8, FL_KFE = -1.6, FR_KFE = -1.6, HL_KFE = 1.6, HR_KFE = 1.6";
+    let g1 = "\"*_hip_pitch_joint\" = -0.2, \"*_knee_joint\" = 0.42, \"*_ankle_pitch_joint\" = -0.22";
+    let talos = "\"leg_*_3_joint\" = -0.4, \"leg_*_4_joint\" = 0.8, \"leg_*_5_joint\" = -0.4";
+    let ours = "\"*_hip_pitch_joint\" = -0.2, \"*_knee_joint\" = 0.4, \"*_ankle_pitch_joint\" = -0.2";
+    let cases = [
+        ("go2", legs, 60.0),
+        ("a1", legs, 60.0),
+        ("anymal_b", anymal, 150.0),
+        ("anymal_c", anymal, 150.0),
+        ("solo12", solo, 5.0),
+        ("g1", g1, 300.0),
+        ("talos", talos, 1500.0),
+        ("humanoid", ours, 300.0),
+        ("panda", "", 300.0),
+        ("ur5", "", 300.0),
+    ];
+    let truth = truth();
+    for (name, joints, kp) in cases {
+        let entry = truth["robots"].as_array().unwrap().iter().find(|entry| entry["name"] == name).unwrap();
+        let floating = entry["floating"].as_bool().unwrap();
+        let file = file_of(entry["urdf"].as_str().unwrap());
+        let text = |height: f64| {
+            format!(
+                "name = \"floor\"\nworld = {{ cell = 0.1, min = [-2, -2, 0], max = [2, 2, 3], walls = {{ x_min = \"open\", x_max = \"open\", y_min = \"open\", y_max = \"open\", z_min = \"stick\", z_max = \"open\" }} }}\ntime = {{ end = 1 }}\n[[robot]]\nname = \"r\"\nurdf = \"{}\"\nfixed = {}\nposition = [0, 0, {height}]\ncontact = {{ coulomb = {{ friction = 0.8 }} }}\njoints = {{ {joints} }}\nmotor = [{{ kp = {kp}, kd = {}, effort = 1e4 }}]",
+                file.display(),
+                !floating,
+                0.03 * kp
+            )
+        };
+        let make = |height: f64| Robots::new(&Scene::from_str(&text(height), "floor.toml", root()).unwrap()).unwrap();
+        // Its lowest point is to be just above the floor.
+        let lowest = make(1.0).bounds().iter().map(|bounds| bounds.min[2]).fold(f64::INFINITY, f64::min);
+        let height = 1.0 - lowest + 0.002;
+        let mut robots = make(height);
+        let dt = 5e-4;
+        (0..2000).for_each(|step| moved(&mut robots, f64::from(step) * dt, dt));
+        let base = robots.robots()[0].base();
+        let (upright, sunk) = ((base.rotation * DVec3::Z).z, height - base.position.z);
+        let speed = robots.bodies().iter().map(|body| DVec3::from_array(body.velocity).length()).fold(0.0, f64::max);
+        println!("{name}: stands {sunk:.3} m lower (0.05), upright {upright:.4} (0.99), at up to {speed:.3} m/s (0.1)");
+        assert!(upright > 0.99 && sunk.abs() < 0.05 && speed < 0.1, "{name}: {upright}, {sunk} m, {speed} m/s");
     }
 }
