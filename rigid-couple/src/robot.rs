@@ -38,6 +38,10 @@ const MAX_ITERATIONS: usize = 40;
 const TOLERANCE: f64 = 1e-10;
 /// What may be out of balance along a step behind it, as a part of what was before it.
 const OVERSHOT: f64 = 0.5;
+/// Weight of contact points in the robot's at which the iteration starts, and the factor by which it grows once the last step was relatively small.
+const LIGHT: f64 = 10.0;
+const HEAVIER: f64 = 4.0;
+const SMALL: f64 = 0.03;
 /// How far ahead contact points are looked for, besides how far links come in a step [m].
 const AHEAD: f64 = 1e-3;
 
@@ -165,8 +169,9 @@ impl Robot {
         self.joint(drive).motor(self.step.rates[self.base_rates() + drive]).value
     }
 
-    /// What joints and rigid contacts give at some rates, and by how much that falls; with the contacts' secant if `tangent` is not asked for.
-    fn own_impulses(&self, rates: &DVector<f64>, tangent: bool) -> Balance {
+    /// What joints and rigid contacts give at some rates, and by how much that falls; with contact points of `weight`, and their secant if `tangent` is
+    /// not asked for.
+    fn own_impulses(&self, rates: &DVector<f64>, weight: f64, tangent: bool) -> Balance {
         let n = rates.len();
         let (mut residual, mut matrix) = (DVector::zeros(n), DMatrix::zeros(n, n));
         for drive in 0..self.model.drives.len() {
@@ -178,7 +183,7 @@ impl Robot {
         let points = &self.step.points;
         for (&link, touches) in self.solids.iter().zip(&points.touches).filter(|(_, touches)| !touches.is_empty()) {
             let place = &self.step.places[link];
-            let system = System::of(touches, &points.nodes, &place.twist(rates), 1.0, tangent);
+            let system = System::of(touches, &points.nodes, &place.twist(rates), weight, tangent);
             add_system(place, &system, &mut residual, &mut matrix);
         }
         Balance { residual, matrix }
@@ -224,15 +229,23 @@ impl Robot {
         if self.step.rates.iter().all(|rate| rate.is_finite()) { Ok(()) } else { Err(()) }
     }
 
-    /// Rates that balance without soft ground, by Newton's method; a step that leads too far is cut back.
+    /// Rates that balance without soft ground, by Newton's method, as [`barchan_core::contact`] solves: contact points first count as lighter than they are, which
+    /// finds those that touch; a step that leads too far is cut back; the last one takes the contact law as it is, which is dissipative even where
+    /// the iteration has not converged.
     fn balance_alone(&self) -> Option<DVector<f64>> {
-        let Step { mass, driven, .. } = &self.step;
-        let residual = |rates: &DVector<f64>, own: &Balance| driven - mass * rates + &own.residual;
+        let Step { mass, driven, points, .. } = &self.step;
+        let off_at = |rates: &DVector<f64>, own: &Balance| driven - mass * rates + &own.residual;
+        let secant_step = |rates: &DVector<f64>, weight: f64| {
+            let own = self.own_impulses(rates, weight, false);
+            Some((mass + &own.matrix).cholesky()?.solve(&off_at(rates, &own)))
+        };
+        let ground: f64 = points.nodes.mass.iter().sum();
+        let mut weight = if points.is_empty() { 1.0 } else { (LIGHT * self.model.mass() / ground).min(1.0) };
         let mut rates = self.step.rates.clone();
         let mut last: Option<(DVector<f64>, f64)> = None;
         for iteration in 1.. {
-            let own = self.own_impulses(&rates, true);
-            let off = residual(&rates, &own);
+            let own = self.own_impulses(&rates, weight, true);
+            let off = off_at(&rates, &own);
             if let Some((step, before)) = last.take() {
                 let beyond = -step.dot(&off);
                 if beyond > OVERSHOT * before && iteration < MAX_ITERATIONS {
@@ -245,15 +258,21 @@ impl Robot {
             let newton = (mass + &own.matrix).lu().solve(&off).filter(|step| step.dot(&off) >= 0.0);
             let step = match newton {
                 Some(step) => step,
-                None => (mass + self.own_impulses(&rates, false).matrix).cholesky()?.solve(&off),
+                None => secant_step(&rates, weight)?,
             };
             let scale = energy(mass, &rates).max(energy(mass, &self.step.rates)).sqrt();
-            rates += &step;
-            if energy(mass, &step).sqrt() <= TOLERANCE * scale || iteration >= MAX_ITERATIONS {
+            let size = energy(mass, &step).sqrt();
+            if (weight == 1.0 && size <= TOLERANCE * scale) || iteration >= MAX_ITERATIONS {
+                rates += if points.is_empty() { step } else { secant_step(&rates, 1.0)? };
                 break;
             }
+            rates += &step;
             let lead = step.dot(&off);
             last = Some((step, lead));
+            if size <= SMALL * scale && weight < 1.0 {
+                weight = (HEAVIER * weight).min(1.0);
+                last = None;
+            }
         }
         Some(rates)
     }
@@ -261,8 +280,8 @@ impl Robot {
     /// What is out of balance at the rates of some twists, with what soft ground gives there.
     fn balance_with(&self, at: &[Twist], systems: &[System], tangent: bool) -> Balance {
         let rates = self.rates(at);
-        let Balance { mut residual, mut matrix } = self.own_impulses(&rates, tangent);
-        residual -= self.own_impulses(&self.step.rates, tangent).residual;
+        let Balance { mut residual, mut matrix } = self.own_impulses(&rates, 1.0, tangent);
+        residual -= self.own_impulses(&self.step.rates, 1.0, tangent).residual;
         residual += &self.step.mass * (&self.step.rates - rates);
         matrix += &self.step.mass;
         for (&link, system) in self.solids.iter().zip(systems) {

@@ -30,7 +30,7 @@ pub const BUILT_IN: [(&str, &str); 3] = [
 /// The robots of a scene.
 pub struct Robots {
     name: String,
-    gravity: Scene,
+    scene: Scene,
     robots: Vec<Robot>,
     contacts: Vec<Contact>,
     /// The number of each robot's first body.
@@ -259,7 +259,7 @@ impl Robots {
         }
         Ok(Self {
             name: ROBOT_COUPLING.to_owned(),
-            gravity: scene.clone(),
+            scene: scene.clone(),
             contacts: scene.robot.iter().map(|robot| robot.contact).collect(),
             robots,
             firsts,
@@ -300,7 +300,7 @@ impl Coupling for Robots {
     }
 
     fn bodies(&self) -> Vec<BodyState> {
-        let gravity = DVec3::from_array(self.gravity.gravity);
+        let gravity = DVec3::from_array(self.scene.gravity);
         self.all().map(|(robot, body)| robot.report(body, gravity)).collect()
     }
 
@@ -324,7 +324,7 @@ impl Coupling for Robots {
     }
 
     fn max_speed(&self, time: f64, dt: f64) -> f64 {
-        let gravity = DVec3::from_array(self.gravity.gravity_at(time)).length();
+        let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
         let speed = |(robot, body): (&Robot, usize)| {
             let twist = robot.twist(body);
             twist.linear.length() + twist.angular.length() * robot.extents[body] + gravity * dt
@@ -334,7 +334,7 @@ impl Coupling for Robots {
 
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
         self.wrenches.fill(Wrench::default());
-        let gravity = DVec3::from_array(self.gravity.gravity_at(time));
+        let gravity = DVec3::from_array(self.scene.gravity_at(time));
         for robot in &mut self.robots {
             let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, 0.0)).collect();
             robot.begin(time, dt, gravity, &boxes).map_err(|()| robot.lost("motion"))?;
@@ -343,11 +343,11 @@ impl Coupling for Robots {
     }
 
     fn bounds(&self) -> Vec<Aabb> {
-        self.all().map(|(robot, body)| robot.bounds(body, self.gravity.world.cell)).collect()
+        self.all().map(|(robot, body)| robot.bounds(body, self.scene.world.cell)).collect()
     }
 
     fn reach(&self) -> f64 {
-        let (cell, levels) = (self.gravity.world.cell, self.gravity.levels.count);
+        let (cell, levels) = (self.scene.world.cell, self.scene.levels.count);
         let widest = cell * f64::from(1 << (levels - 1));
         let shapes = self.all().filter_map(|(robot, body)| robot.model.links[robot.solids[body]].shape.as_ref());
         let more = shapes.map(|shape| shape.padding(widest) - shape.padding(cell)).fold(0.0, f64::max);
@@ -449,6 +449,15 @@ impl Coupling for Robots {
             .iter()
             .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)))
             .collect();
+        let moving = self.scene.tool.iter().filter(|tool| !matches!(tool.motion, Motion::Fixed));
+        let mut passed: Vec<&str> = moving.map(|tool| tool.name.as_str()).collect();
+        if self.robots.len() > 1 {
+            passed.push("one another");
+        }
+        if !passed.is_empty() {
+            let what = passed.join("', '");
+            warnings.push(format!("robots pass through '{what}': they feel the ground, walls and tools that stay"));
+        }
         for robot in &self.robots {
             for body in robot.ends() {
                 let Some(shape) = &robot.model.links[robot.solids[body]].shape else { continue };

@@ -550,8 +550,8 @@ fn robots_of_others_stand_on_a_floor() {
     let talos = "\"leg_*_3_joint\" = -0.4, \"leg_*_4_joint\" = 0.8, \"leg_*_5_joint\" = -0.4";
     let ours = "\"*_hip_pitch_joint\" = -0.2, \"*_knee_joint\" = 0.4, \"*_ankle_pitch_joint\" = -0.2";
     let cases = [
-        ("go2", legs, 60.0),
-        ("a1", legs, 60.0),
+        ("go2", legs, 150.0),
+        ("a1", legs, 150.0),
         ("anymal_b", anymal, 150.0),
         ("anymal_c", anymal, 150.0),
         ("solo12", solo, 5.0),
@@ -568,7 +568,7 @@ fn robots_of_others_stand_on_a_floor() {
         let file = file_of(entry["urdf"].as_str().unwrap());
         let text = |height: f64| {
             format!(
-                "name = \"floor\"\nworld = {{ cell = 0.1, min = [-2, -2, 0], max = [2, 2, 3], walls = {{ x_min = \"open\", x_max = \"open\", y_min = \"open\", y_max = \"open\", z_min = \"stick\", z_max = \"open\" }} }}\ntime = {{ end = 1 }}\n[[robot]]\nname = \"r\"\nurdf = \"{}\"\nfixed = {}\nposition = [0, 0, {height}]\ncontact = {{ coulomb = {{ friction = 0.8 }} }}\njoints = {{ {joints} }}\nmotor = [{{ kp = {kp}, kd = {}, effort = 1e4 }}]",
+                "name = \"floor\"\nworld = {{ cell = 0.002, min = [-2, -2, 0], max = [2, 2, 3], walls = {{ x_min = \"open\", x_max = \"open\", y_min = \"open\", y_max = \"open\", z_min = \"stick\", z_max = \"open\" }} }}\ntime = {{ end = 1 }}\n[[robot]]\nname = \"r\"\nurdf = \"{}\"\nfixed = {}\nposition = [0, 0, {height}]\ncontact = {{ coulomb = {{ friction = 0.8 }} }}\njoints = {{ {joints} }}\nmotor = [{{ kp = {kp}, kd = {}, effort = 1e4 }}]",
                 file.display(),
                 !floating,
                 0.03 * kp
@@ -584,7 +584,9 @@ fn robots_of_others_stand_on_a_floor() {
         let base = robots.robots()[0].base();
         let (upright, sunk) = ((base.rotation * DVec3::Z).z, height - base.position.z);
         let speed = robots.bodies().iter().map(|body| DVec3::from_array(body.velocity).length()).fold(0.0, f64::max);
-        println!("{name}: stands {sunk:.3} m lower (0.05), upright {upright:.4} (0.99), at up to {speed:.3} m/s (0.1)");
-        assert!(upright > 0.99 && sunk.abs() < 0.05 && speed < 0.1, "{name}: {upright}, {sunk} m, {speed} m/s");
+        println!(
+            "{name}: stands {sunk:.3} m lower (0.05), upright {upright:.4} (0.99), at up to {speed:.3} m/s (0.15)"
+        );
+        assert!(upright > 0.99 && sunk.abs() < 0.05 && speed < 0.15, "{name}: {upright}, {sunk} m, {speed} m/s");
     }
 }
