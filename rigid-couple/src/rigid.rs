@@ -435,11 +435,7 @@ impl Rigid {
         let own_reach = reach(&self.bodies[of]);
         // Nodes behind walls move as their images before them, which may be two layers of nodes. Those are not to be a body's.
         let off_walls = clearance + world.cell + own_reach;
-        let mut leash = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
-        let mut shorten = |axis: usize, upwards: bool, by: f64| {
-            let end = if upwards { &mut leash.max[axis] } else { &mut leash.min[axis] };
-            *end = if upwards { end.min(by) } else { end.max(-by) };
-        };
+        let mut leash = Aabb::UNBOUND;
         let own = &boxes[of];
         for axis in 0..3 {
             let gaps = [own.min[axis] - world.min[axis], world.max[axis] - own.max[axis]];
@@ -450,26 +446,21 @@ impl Rigid {
                 if gap.is_nan() || gap <= off_walls {
                     return None;
                 }
-                shorten(axis, upwards, gap - off_walls);
+                let end = if upwards { &mut leash.max[axis] } else { &mut leash.min[axis] };
+                *end = if upwards { gap - off_walls } else { off_walls - gap };
             }
         }
         for (other, near) in self.bodies.iter().zip(boxes).enumerate().filter(|(i, _)| *i != of).map(|(_, pair)| pair) {
-            let gaps = (0..3).flat_map(|axis| {
-                [(axis, false, own.min[axis] - near.max[axis]), (axis, true, near.min[axis] - own.max[axis])]
-            });
-            let (axis, upwards, gap) = gaps.max_by(|a, b| a.2.total_cmp(&b.2))?;
             // Where both act, one would have to wait for the other.
             let clearance = clearance + 2.0 * own_reach.min(reach(other));
-            if gap.is_nan() || gap <= clearance {
-                return None;
-            }
-            let spare = gap - clearance;
-            let by = if other.free().is_some() {
-                0.5 * spare
-            } else {
-                spare - duration * self.fastest(other, time, duration)
-            };
-            shorten(axis, upwards, by.max(0.0));
+            let off = own.leash(near, clearance, |spare| {
+                if other.free().is_some() {
+                    0.5 * spare
+                } else {
+                    spare - duration * self.fastest(other, time, duration)
+                }
+            })?;
+            leash = leash.intersection(&off);
         }
         Some(leash)
     }

@@ -122,6 +122,27 @@ impl Aabb {
             max: std::array::from_fn(|d| self.max[d].min(other.max[d])),
         }
     }
+    /// A leash that holds nothing: least and greatest displacement along each axis are infinite.
+    pub const UNBOUND: Self = Self { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
+
+    /// How far this box may go along each axis, least and greatest displacement [m], before it comes nearer than `clearance` to `other`; `None` if it is. Of what is
+    /// to spare along the axis on which they are furthest apart it may go the part that `own` makes of it.
+    pub fn leash(&self, other: &Self, clearance: f64, own: impl FnOnce(f64) -> f64) -> Option<Self> {
+        let gaps = (0..3).flat_map(|axis| {
+            [(axis, false, self.min[axis] - other.max[axis]), (axis, true, other.min[axis] - self.max[axis])]
+        });
+        let (axis, upwards, gap) = gaps.max_by(|a, b| a.2.total_cmp(&b.2))?;
+        if gap.is_nan() || gap <= clearance {
+            return None;
+        }
+        let (mut leash, by) = (Self::UNBOUND, own(gap - clearance).max(0.0));
+        if upwards {
+            leash.max[axis] = by;
+        } else {
+            leash.min[axis] = -by;
+        }
+        Some(leash)
+    }
 }
 
 /// A particle of the ground near a coupling's bodies.

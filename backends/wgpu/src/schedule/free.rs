@@ -154,26 +154,18 @@ impl WgpuBatch {
     /// touches, too; `None` if it is there.
     fn keep_off(&self, world_step: &WorldStep<'_>, c: usize, own: &Aabb, duration: f64) -> Option<Aabb> {
         let widest = self.worlds[world_step.world].levels.last().map_or(self.h, |level| level.h);
-        let mut leash = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
+        let mut leash = Aabb::UNBOUND;
         let couplings = &*world_step.couplings;
         for (o, other) in couplings.iter().enumerate().filter(|(o, other)| *o != c && !other.is_field()) {
             let clearance = CLEARANCE * self.h + (couplings[c].reach() + couplings[o].reach()) * widest;
             let groups = other.groups();
             for (b, near) in other.bounds().iter().enumerate() {
-                let gaps = (0..3).flat_map(|axis| {
-                    [(axis, false, own.min[axis] - near.max[axis]), (axis, true, near.min[axis] - own.max[axis])]
-                });
-                let (axis, upwards, gap) = gaps.max_by(|a, b| a.2.total_cmp(&b.2))?;
-                let spare = gap - clearance;
                 // A free one may come as far.
                 let is_free = groups.iter().any(|group| group.bodies.contains(&b));
-                let by =
-                    if is_free { 0.5 * spare } else { spare - duration * other.max_speed(world_step.time, duration) };
-                if by.is_nan() || spare <= 0.0 {
-                    return None;
-                }
-                let end = if upwards { &mut leash.max[axis] } else { &mut leash.min[axis] };
-                *end = if upwards { end.min(by.max(0.0)) } else { end.max(-by.max(0.0)) };
+                let off = own.leash(near, clearance, |spare| {
+                    if is_free { 0.5 * spare } else { spare - duration * other.max_speed(world_step.time, duration) }
+                })?;
+                leash = leash.intersection(&off);
             }
         }
         Some(leash)
