@@ -7,7 +7,9 @@ use crate::motion::{KeyframePath, Pose, rotation_from};
 use crate::sdf::{Primitive, Sdf};
 use crate::world::{RigidWorld, Role};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
-use barchan_core::coupling::{Aabb, DeviceLaw, FreeState, Group, Lent, Moved};
+use barchan_core::coupling::{
+    Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Placed,
+};
 use barchan_core::plan::TOOL_COUPLING;
 use barchan_core::scene::{Contact, Motion, Tool, Wall};
 use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Vec3, Wrench};
@@ -20,12 +22,14 @@ use std::ops::Range;
 /// Forces on tools thinner than this are off by a third [cells]: the stirrer of `letters` on cells of 14, 7 and 3.5 mm, 3.1, 6.3 and 12.6 of them across, 48.7, 42.4 and
 /// 36.4 N s.
 const ROUGH_THICKNESS: f64 = 4.0;
-/// Free bodies are lent as long as their surfaces move by at most this much in a step [cells], and what they act on keeps as far from what
+/// A device moves free bodies as long as their surfaces move by at most this much in a step [cells], and what they act on keeps as far from what
 /// others act on, and a cell further from walls, as two of them can come nearer; rapier looks ahead a little further, by less than this
 /// share of the smallest one's extent.
 const MOST_MOVE: f64 = 0.5;
 const CLEARANCE: f64 = 2.0 * MOST_MOVE;
 const LOOK_AHEAD: f64 = 0.01;
+/// Words of a free body's state on a device: velocity and angular momentum; see `free.wgsl`.
+const FREE_WORDS: usize = 2;
 /// Where nothing is sampled, devices should not carry the text of `sampled.wgsl`.
 const NO_SAMPLES: &str = "
 fn rigid_mesh(first: u32, x: vec3<f32>) -> RigidSurface { return RigidSurface(1e30, vec3<f32>(0.0), false); }
@@ -62,8 +66,8 @@ pub struct Rigid {
     /// Only with a free body.
     world: Option<RigidWorld>,
     counts: Counts,
-    /// Does a backend move the free bodies?
-    lent: bool,
+    /// Does a device move the free bodies?
+    on_device: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -323,7 +327,7 @@ impl Rigid {
             world_box: world_box.grown(4.0 * scene.world.cell),
             world: None,
             counts: Counts::default(),
-            lent: false,
+            on_device: false,
             bodies,
         };
         rigid.world = rigid.rigid_world(scene);
@@ -353,7 +357,7 @@ impl Rigid {
         Some(world)
     }
 
-    /// What `grip.wgsl` and `sampled.wgsl` read; `None` if there are too many samples to number.
+    /// What `grip.wgsl`, `sampled.wgsl` and `free.wgsl` read; `None` if there are too many samples to number.
     fn device_tables(&self) -> Option<[Vec<[f32; 4]>; 2]> {
         let (mut table, mut samples) = (Vec::new(), Samples::default());
         let mut first = self.bodies.len();
@@ -365,27 +369,33 @@ impl Rigid {
                 Contact::Coulomb { friction } => (1.0, friction),
             };
             table.push([first as f32, parts as f32, kind, friction as f32]);
-            first += 6 * parts;
+            first += 6 * parts + if body.free().is_some() { 6 } else { 0 };
         }
-        for part in self.bodies.iter().flat_map(|body| body.shape.parts()) {
-            let (min, max) = part.primitive.bounds();
-            let (middle, half) = (0.5 * (min + max), 0.5 * (max - min));
-            let (kind, size, begin) = match &part.primitive {
-                Primitive::Sphere { radius } => (0.0, DVec3::new(*radius, 0.0, 0.0), None),
-                Primitive::Box { half } => (1.0, *half, None),
-                Primitive::Cylinder { radius, half_height } => (2.0, DVec3::new(*radius, *half_height, 0.0), None),
-                Primitive::Capsule { radius, half_height } => (3.0, DVec3::new(*radius, *half_height, 0.0), None),
-                Primitive::Plane => (4.0, DVec3::ZERO, None),
-                Primitive::Mesh(mesh) => (5.0, half, Some(samples.add(mesh.grid.packed(middle)))),
-                Primitive::HeightField(field) => (6.0, half, Some(samples.add(field.packed(middle.z)))),
-            };
-            let rotation = DMat3::from_quat(part.pose.rotation);
-            let offset = if begin.is_some() { rotation * middle } else { DVec3::ZERO };
-            let row = |v: DVec3| [v.x as f32, v.y as f32, v.z as f32, 0.0];
-            table.push([kind, part.half_thickness.min(1e30) as f32, begin.unwrap_or_default() as f32, 0.0]);
-            table.push(row(size));
-            table.push(row(part.pose.position + offset));
-            table.extend([0, 1, 2].map(|i| row(rotation.row(i))));
+        let row = |v: DVec3, last: f64| [v.x, v.y, v.z, last].map(|x| x as f32);
+        for body in &self.bodies {
+            for part in body.shape.parts() {
+                let (min, max) = part.primitive.bounds();
+                let (middle, half) = (0.5 * (min + max), 0.5 * (max - min));
+                let (kind, size, begin) = match &part.primitive {
+                    Primitive::Sphere { radius } => (0.0, DVec3::new(*radius, 0.0, 0.0), None),
+                    Primitive::Box { half } => (1.0, *half, None),
+                    Primitive::Cylinder { radius, half_height } => (2.0, DVec3::new(*radius, *half_height, 0.0), None),
+                    Primitive::Capsule { radius, half_height } => (3.0, DVec3::new(*radius, *half_height, 0.0), None),
+                    Primitive::Plane => (4.0, DVec3::ZERO, None),
+                    Primitive::Mesh(mesh) => (5.0, half, Some(samples.add(mesh.grid.packed(middle)))),
+                    Primitive::HeightField(field) => (6.0, half, Some(samples.add(field.packed(middle.z)))),
+                };
+                let rotation = DMat3::from_quat(part.pose.rotation);
+                let offset = if begin.is_some() { rotation * middle } else { DVec3::ZERO };
+                table.push([kind, part.half_thickness.min(1e30) as f32, begin.unwrap_or_default() as f32, 0.0]);
+                table.push(row(size, 0.0));
+                table.push(row(part.pose.position + offset, 0.0));
+                table.extend([0, 1, 2].map(|i| row(rotation.row(i), 0.0)));
+            }
+            if let Mover::Free { mass, inertia, inverse_inertia } = &body.mover {
+                table.extend([0, 1, 2].map(|i| row(inertia.row(i), if i == 0 { *mass } else { 0.0 })));
+                table.extend([0, 1, 2].map(|i| row(inverse_inertia.row(i), 0.0)));
+            }
         }
         // Numbers up to here are exact in the table.
         (samples.all.len() < 1 << 24).then_some([table, samples.all])
@@ -435,11 +445,7 @@ impl Rigid {
         let own_reach = reach(&self.bodies[of]);
         // Nodes behind walls move as their images before them, which may be two layers of nodes. Those are not to be a body's.
         let off_walls = clearance + world.cell + own_reach;
-        let mut leash = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
-        let mut shorten = |axis: usize, upwards: bool, by: f64| {
-            let end = if upwards { &mut leash.max[axis] } else { &mut leash.min[axis] };
-            *end = if upwards { end.min(by) } else { end.max(-by) };
-        };
+        let mut leash = Aabb::UNBOUND;
         let own = &boxes[of];
         for axis in 0..3 {
             let gaps = [own.min[axis] - world.min[axis], world.max[axis] - own.max[axis]];
@@ -450,48 +456,23 @@ impl Rigid {
                 if gap.is_nan() || gap <= off_walls {
                     return None;
                 }
-                shorten(axis, upwards, gap - off_walls);
+                let end = if upwards { &mut leash.max[axis] } else { &mut leash.min[axis] };
+                *end = if upwards { gap - off_walls } else { off_walls - gap };
             }
         }
         for (other, near) in self.bodies.iter().zip(boxes).enumerate().filter(|(i, _)| *i != of).map(|(_, pair)| pair) {
-            let gaps = (0..3).flat_map(|axis| {
-                [(axis, false, own.min[axis] - near.max[axis]), (axis, true, near.min[axis] - own.max[axis])]
-            });
-            let (axis, upwards, gap) = gaps.max_by(|a, b| a.2.total_cmp(&b.2))?;
             // Where both act, one would have to wait for the other.
             let clearance = clearance + 2.0 * own_reach.min(reach(other));
-            if gap.is_nan() || gap <= clearance {
-                return None;
-            }
-            let spare = gap - clearance;
-            let by = if other.free().is_some() {
-                0.5 * spare
-            } else {
-                spare - duration * self.fastest(other, time, duration)
-            };
-            shorten(axis, upwards, by.max(0.0));
+            let off = own.leash(near, clearance, |spare| {
+                if other.free().is_some() {
+                    0.5 * spare
+                } else {
+                    spare - duration * self.fastest(other, time, duration)
+                }
+            })?;
+            leash = leash.intersection(&off);
         }
         Some(leash)
-    }
-
-    /// A free body as it is lent.
-    fn lent(&self, number: usize, leash: Aabb) -> Option<Lent> {
-        let body = &self.bodies[number];
-        let Mover::Free { mass, inertia, .. } = body.mover else { return None };
-        let State { pose, twist, angular_momentum, .. } = &body.state;
-        Some(Lent {
-            body: number,
-            mass,
-            inertia: [0, 1, 2].map(|i| inertia.row(i).to_array()),
-            extent: body.extent,
-            state: FreeState {
-                position: pose.position.to_array(),
-                rotation: [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z],
-                velocity: twist.linear.to_array(),
-                angular_momentum: angular_momentum.to_array(),
-            },
-            leash,
-        })
     }
 
     /// Lets rapier move the free bodies, with the velocities that gravity and ground gave them.
@@ -564,7 +545,7 @@ impl Coupling for Rigid {
                     body.state.twist = body.state.pose.chord(&target, dt);
                     body.target = target;
                 }
-                None if self.lent => {}
+                None if self.on_device => {}
                 None => body.state.twist.linear += gravity * dt,
             }
             if !body.state.twist.is_finite() {
@@ -652,36 +633,56 @@ impl Coupling for Rigid {
 
     fn device_law(&self) -> Option<DeviceLaw> {
         // Contact thickens a thin body by a cell at most, and acts on nodes further off.
-        let reach = |body: &Body| body.extent + (1.0 + REACH) * self.scene.world.cell;
-        let free = self.bodies.iter().filter(|body| body.free().is_some()).map(reach).collect();
+        let further = (1.0 + REACH) * self.scene.world.cell;
+        let body = |body: &Body| DeviceBody { extent: body.extent, reach: body.extent + further };
+        let free = self.bodies.iter().filter(|body| body.free().is_some());
+        let groups: Vec<_> = free.map(|one| DeviceGroup { words: FREE_WORDS, bodies: vec![body(one)] }).collect();
         let [table, samples] = self.device_tables()?;
         let sampled = if samples.is_empty() { NO_SAMPLES } else { include_str!("sampled.wgsl") };
         let wgsl = include_str!("grip.wgsl").to_owned() + sampled;
-        Some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, free })
+        let answer = if groups.is_empty() { "" } else { include_str!("free.wgsl") };
+        let answer = DeviceAnswer { wgsl: answer.to_owned(), groups };
+        Some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, answer })
     }
 
-    fn lend(&mut self, time: f64, dt: f64, steps: usize) -> Option<Vec<Lent>> {
+    fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Vec<Aabb>> {
         let (boxes, duration) = (self.bounds(), dt * steps as f64);
-        let mut lent = Vec::new();
-        for (i, body) in self.bodies.iter().enumerate().filter(|(_, body)| body.free().is_some()) {
+        let free = self.bodies.iter().enumerate().filter(|(_, body)| body.free().is_some());
+        let leash = |(i, body)| {
             let moves = self.fastest(body, time, dt) * dt / self.scene.world.cell;
-            if moves > MOST_MOVE {
-                return None;
-            }
-            lent.push(self.lent(i, self.leash(i, &boxes, time, duration)?)?);
-        }
-        self.lent = true;
-        Some(lent)
+            if moves > MOST_MOVE { None } else { self.leash(i, &boxes, time, duration) }
+        };
+        free.map(leash).collect()
     }
 
-    fn adopt(&mut self, moved: &[Moved]) -> Result<()> {
+    fn device_state(&self) -> Vec<GroupState> {
+        let word = |v: DVec3| [(v.x as f32).to_bits(), (v.y as f32).to_bits(), (v.z as f32).to_bits(), 0];
+        let free = self.bodies.iter().filter(|body| body.free().is_some());
+        let state = |body: &Body| {
+            let State { pose, twist, angular_momentum, .. } = body.state;
+            let rotation = [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z];
+            let words = vec![word(twist.linear), word(angular_momentum)];
+            GroupState { words, bodies: vec![Placed { position: pose.position.to_array(), rotation }] }
+        };
+        free.map(state).collect()
+    }
+
+    fn move_on_device(&mut self, moves: bool) {
+        self.on_device = moves;
+    }
+
+    fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
+        let vector = |word: [u32; 4]| DVec3::from_array([0, 1, 2].map(|d| f64::from(f32::from_bits(word[d]))));
         let free = self.bodies.iter_mut().filter(|body| body.free().is_some());
-        for (body, Moved { state, deep_nodes, unconverged }) in free.zip(moved) {
-            let [w, x, y, z] = state.rotation;
+        for (body, GroupStep { state, deep_nodes, unconverged }) in free.zip(groups) {
+            let ([velocity, momentum], [placed]) = (&state.words[..], &state.bodies[..]) else {
+                return Err(body.lost("state on the device"));
+            };
+            let [w, x, y, z] = placed.rotation;
             body.state.pose =
-                Pose { position: DVec3::from_array(state.position), rotation: DQuat::from_xyzw(x, y, z, w) };
-            body.state.angular_momentum = DVec3::from_array(state.angular_momentum);
-            body.state.twist.linear = DVec3::from_array(state.velocity);
+                Pose { position: DVec3::from_array(placed.position), rotation: DQuat::from_xyzw(x, y, z, w) };
+            body.state.angular_momentum = vector(*momentum);
+            body.state.twist.linear = vector(*velocity);
             body.state.twist.angular = body.spin(&body.state.pose);
             if !body.state.is_sound() {
                 return Err(body.lost("motion"));
@@ -692,16 +693,12 @@ impl Coupling for Rigid {
         Ok(())
     }
 
-    fn take_back(&mut self) {
-        self.lent = false;
-    }
-
     fn book(&mut self, wrenches: &[Wrench]) {
         self.wrenches.copy_from_slice(wrenches);
     }
 
     fn after_step(&mut self, _time: f64, dt: f64) -> Result<()> {
-        if !self.lent {
+        if !self.on_device {
             self.move_free_bodies(dt)?;
         }
         for body in &mut self.bodies {
@@ -785,8 +782,8 @@ impl Coupling for Rigid {
     fn save(&self) -> Vec<u8> {
         let states: Vec<&State> = self.bodies.iter().map(|body| &body.state).collect();
         let wrenches: Vec<_> = self.wrenches.iter().map(|w| (w.force, w.torque)).collect();
-        // While bodies are lent, rapier's world does not change.
-        let physics = self.world.as_ref().filter(|_| !self.lent).map(RigidWorld::physics);
+        // While a device moves bodies, rapier's world does not change.
+        let physics = self.world.as_ref().filter(|_| !self.on_device).map(RigidWorld::physics);
         postcard::to_stdvec(&(states, wrenches, self.counts, physics)).expect("writing to memory does not fail")
     }
 
@@ -796,7 +793,7 @@ impl Coupling for Rigid {
             postcard::from_bytes(bytes).map_err(|e| format!("the rigid bodies' state cannot be read: {e}"))?;
         if states.len() != self.bodies.len()
             || wrenches.len() != states.len()
-            || physics.is_some() != (self.world.is_some() && !self.lent)
+            || physics.is_some() != (self.world.is_some() && !self.on_device)
         {
             return Err(format!("it holds {} rigid bodies, and the scene {}", states.len(), self.bodies.len()));
         }

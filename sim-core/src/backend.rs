@@ -32,6 +32,14 @@ pub trait Backend: Send + Sync {
         let _ = plan;
         Ok(())
     }
+    /// Finds out what is wrong with the forms that couplings have for it, such as their WGSL. Whether it uses them depends on the state, so it is asked before.
+    ///
+    /// # Errors
+    /// Names the coupling.
+    fn check_couplings(&self, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        let _ = couplings;
+        Ok(())
+    }
     /// Most particles that the adapter has room for, of a law with so many values of strain and history: asked before any is seeded. `None`: only
     /// memory bounds them.
     ///

@@ -191,7 +191,7 @@ const SMALL: f64 = 0.03;
 const TOLERANCE: f64 = 1e-10;
 
 /// Where nodes, and then particles, are looked for on a level with cells of width `h` [m], so that all bodies of these couplings find theirs.
-pub fn boxes<C: Coupling + ?Sized>(coupling: &C, h: f64) -> [Vec<Aabb>; 2] {
+fn boxes<C: Coupling + ?Sized>(coupling: &C, h: f64) -> [Vec<Aabb>; 2] {
     let (bounds, reach) = (coupling.bounds(), coupling.reach());
     let grown = |by: f64| bounds.iter().map(|one| one.grown(by * h)).collect();
     let of_particles = if reach > 0.0 { grown(reach - NodeBatch::SPREAD) } else { Vec::new() };
@@ -207,7 +207,34 @@ pub struct Contact {
     owners: Vec<(f64, usize)>,
 }
 
+/// What couplings do with the nodes that they are handed.
+pub type Act<'a> = dyn FnMut(&mut NodeBatch) -> Result<()> + 'a;
+
 impl Contact {
+    /// All couplings act on the nodes of a level with cells of width `h` [m], in a step of `dt` [s] of its own: fields first, one after the other in the scene's order,
+    /// then all bodies together. `with_nodes` gathers the nodes in the first boxes and the particles in the second ones, hands them over, and takes the nodes'
+    /// velocities back.
+    ///
+    /// # Errors
+    /// What `with_nodes` and couplings say.
+    pub fn act(
+        &mut self,
+        couplings: &mut [Box<dyn Coupling>],
+        [dt, h]: [f64; 2],
+        mut with_nodes: impl FnMut([&[Aabb]; 2], &mut Act<'_>) -> Result<()>,
+    ) -> Result<()> {
+        for coupling in couplings.iter_mut().filter(|coupling| coupling.is_field()) {
+            let [of_nodes, _] = boxes(&**coupling, h);
+            with_nodes([&of_nodes, &[]], &mut |nodes| coupling.act_as_field(dt, nodes))?;
+        }
+        let bodies = couplings.iter().filter(|coupling| !coupling.is_field());
+        let (of_nodes, of_particles): (Vec<_>, Vec<_>) = bodies.map(|one| boxes(&**one, h).into()).unzip();
+        if of_nodes.is_empty() {
+            return Ok(());
+        }
+        with_nodes([&of_nodes.concat(), &of_particles.concat()], &mut |nodes| self.meet(couplings, dt, nodes))
+    }
+
     /// Bodies that are no fields act on nodes and feel them:
     /// 1. each body says which nodes it grips;
     /// 2. a node that several grip is that one's in which it is deepest, of equals the first one's in the scene's order;

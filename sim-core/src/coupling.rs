@@ -137,6 +137,27 @@ impl Aabb {
             max: std::array::from_fn(|d| self.max[d].min(other.max[d])),
         }
     }
+    /// A leash that holds nothing: least and greatest displacement along each axis are infinite.
+    pub const UNBOUND: Self = Self { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
+
+    /// How far this box may go along each axis, least and greatest displacement [m], before it comes nearer than `clearance` to `other`; `None` if it is. Of what is
+    /// to spare along the axis on which they are furthest apart it may go the part that `own` makes of it.
+    pub fn leash(&self, other: &Self, clearance: f64, own: impl FnOnce(f64) -> f64) -> Option<Self> {
+        let gaps = (0..3).flat_map(|axis| {
+            [(axis, false, self.min[axis] - other.max[axis]), (axis, true, other.min[axis] - self.max[axis])]
+        });
+        let (axis, upwards, gap) = gaps.max_by(|a, b| a.2.total_cmp(&b.2))?;
+        if gap.is_nan() || gap <= clearance {
+            return None;
+        }
+        let (mut leash, by) = (Self::UNBOUND, own(gap - clearance).max(0.0));
+        if upwards {
+            leash.max[axis] = by;
+        } else {
+            leash.min[axis] = -by;
+        }
+        Some(leash)
+    }
 }
 
 /// A particle of the ground near a coupling's bodies.
@@ -237,9 +258,11 @@ pub struct DeviceLaw {
     ///   `struct CouplingGrip { kind: u32, normal: vec3<f32>, most: f32, deep: bool, distance: f32 }` is the backend's, with the kinds `GRIP_NONE`,
     ///   `GRIP_STICK`, `GRIP_COULOMB` and `GRIP_BILATERAL`, and `GRIP_UNBOUNDED` for `most` where nothing bounds it;
     /// - `fn coupling_friction(body: u32) -> f32`: its coefficient of friction;
-    /// - if any is free, `fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f32>, 2>`: the least and greatest corner of the
-    ///   body's [`bounds`](Coupling::bounds), from its centre of mass [m], along the world's axes, if `rows` are those of its rotation. On coarser cells it
+    /// - if any answers, `fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f32>, 2>`: the least and greatest corner of the
+    ///   body's [`bounds`](Coupling::bounds), from its reference point [m], along the world's axes, if `rows` are those of its rotation. On coarser cells it
     ///   may be larger.
+    ///
+    /// Functions may have the names of their choice beside these; a text declares functions, constants, structures and, for [`DeviceAnswer`], variables.
     pub wgsl: String,
     /// How far beyond its bodies' boxes it acts on nodes [cells of their level].
     pub reach: f64,
@@ -247,49 +270,110 @@ pub struct DeviceLaw {
     pub table: Vec<[f32; 4]>,
     /// What else it reads, likewise, and may be long, such as sampled distances. Worlds of a batch whose laws have the same share them.
     pub samples: Vec<[f32; 4]>,
-    /// The free bodies' extents, in the bodies' order: the greatest distance of a point of [`bounds`](Coupling::bounds) from the centre of
-    /// mass at any rotation [m].
-    pub free: Vec<f64>,
+    /// How the bodies that answer do so.
+    pub answer: DeviceAnswer,
 }
 
-/// What changes of a free body as it moves, as a device holds it.
+/// How the bodies of a coupling that answer impulses do so on a device: a group after the other what [`Coupling::answer`] and its like do on the host.
+///
+/// The backend finds the nodes that bodies grip, sums up what contact on each comes to, in a fixed order, iterates as [`contact`](crate::contact) does, applies the
+/// law to nodes, and keeps bodies on [leashes](Coupling::leashes). What a group makes of that, the coupling says in functions. All threads of a
+/// workgroup call them together, a workgroup for each group, in uniform control flow:
+///
+/// | function | what it does |
+/// |---|---|
+/// | `coupling_begin(group: u32, thread: u32)` | fixes each body's twist as it would be without contact in this pass (`TWIST_FREE`), gravity added if the group moves in it, and as it is expected with contact (`TWIST_EXPECTED`), where the iteration begins: the same, if nothing better is known |
+/// | `coupling_answer(group: u32, thread: u32)` | solves (H + Σ A) δ = r + Σ b as [`Coupling::answer`] does, at the twists that are tried (`TWIST_TRIED`), and sets each body's `TWIST_STEP` to δ |
+/// | `coupling_balance(group: u32, along: u32, thread: u32) -> f32` | (r + Σ b) · δ for the twists δ of kind `along`, which is `TWIST_LAST` or `TWIST_STEP` [J] |
+/// | `coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32` | twice the kinetic energy of the twists of a kind [J] |
+/// | `coupling_feel(group: u32, thread: u32)` | takes in what nodes gave to each body (`group_impulse`): sets `TWIST_FREE` and `TWIST_EXPECTED` for the next level |
+/// | `coupling_advance(group: u32, thread: u32)` | if `group_moves()`, gives each body its pose after the step, at the twists that it has now; in any case writes all words of the state |
+///
+/// - `group` counts the coupling's groups. What functions return is asked of the first thread, number 0, alone. `coupling_balance` and `coupling_twice_energy` follow on
+///   `coupling_answer`, and may use what that has left in variables.
+/// - There are at least 256 threads, and maybe more. A group that one thread can see to returns from all others at once: then nothing waits. One that shares
+///   its work declares `var<workgroup>` of its own, and puts a `workgroupBarrier()` between what one thread writes and another one reads, of twists as well, and a
+///   `storageBarrier()` for words and poses; at its end, too, if the next function reads it on another thread. Behind `coupling_begin`, and before each
+///   `coupling_answer` and `coupling_feel`, the backend waits for all.
+///   Barriers must stand in uniform control flow, which nobody checks: not where `thread` decides. `group`, words and the table are the same to all threads.
+/// - Of an adapter's memory for workgroups, which is 16 KiB at least, the backend takes 13.6, and 224 bytes for each body of the largest group. Where a
+///   group's own variables do not fit any more, its contact runs on the host.
+/// - `var<private>` stay between the calls in a pass, and no longer.
+///
+/// They may call, where `b` counts the bodies of the group:
+/// - `group_bodies() -> u32`, and `group_body(b) -> u32`: a body's number among the coupling's;
+/// - `group_word(i) -> vec4<u32>` and `set_group_word(i, word)`: the state before the step and after it. Where the group does not move in a pass,
+///   they are the same;
+/// - `group_pose(b) -> CouplingPose` and `set_group_pose(b, pose)`: likewise where a body is. `struct CouplingPose { cell: vec3<i32>, place: vec3<u32>, rotation:
+///   vec4<i32> }` holds its reference point's cell, and the place in it in 2⁻³² cells of the finest level, and its rotation (x, y, z, w) in 2⁻³⁰. There are
+///   `pose_rotation(pose) -> vec4<f32>`, `rows_of(q) -> array<vec3<f32>, 3>`, `turning(q, angle) -> vec4<f32>`, what turning by `angle` [rad] adds to a rotation,
+///   `pose_turned(pose, by)`, which adds that, `pose_shifted(pose, by)` with `by` in cells `group_cell()` [m] wide, and `pose_after(pose, twist)`,
+///   after a step at a twist;
+/// - `group_twist(kind, b) -> CouplingTwist` and `set_group_twist(kind, b, twist)`, with `struct CouplingTwist { linear: vec3<f32>, angular: vec3<f32> }`, of the
+///   reference point, world frame;
+/// - `group_system(b) -> CouplingSystem`, in `coupling_answer`: b as `force` and `torque`, and A as `force_linear`, `force_angular`, `torque_linear` and
+///   `torque_angular`, where column i of each is row i of a quarter; `solve_rows(array<CouplingRow, 6>) -> CouplingTwist` solves six equations without
+///   pivots, `struct CouplingRow { linear: vec3<f32>, angular: vec3<f32>, missing: f32 }`;
+/// - `group_impulse(b) -> CouplingTwist` in `coupling_feel` [N s, N m s], and in `coupling_begin` `group_impulse_before(b)`: what the last slot gave, where levels
+///   take steps of their own, and zero before the first;
+/// - `group_moves() -> bool`: does the step begin here? Else bodies have moved in an earlier pass, and meet coarser levels;
+/// - `group_dt()` [s], `group_gravity()`, what gravity adds to a velocity in the step [m/s], `coupling_table` and `coupling_sample`, and all that `wgsl` of the
+///   [`DeviceLaw`] declares.
+///
+/// Where a node is deepest in several bodies of a group, the deepest has it. The tangent's matrices are not symmetric, and a solution without pivots may fail; a
+/// step along which `coupling_balance` is negative or not a number is replaced by that of the secant, whose matrices are.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DeviceAnswer {
+    /// These functions, in WGSL; empty if no body answers.
+    pub wgsl: String,
+    /// What each group asks of the device, in the order of [`groups`](Coupling::groups).
+    pub groups: Vec<DeviceGroup>,
+}
+
+/// What a group that answers on a device asks of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DeviceGroup {
+    /// Words of its state.
+    pub words: usize,
+    /// Its bodies, in their order.
+    pub bodies: Vec<DeviceBody>,
+}
+
+/// A body that answers on a device.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FreeState {
-    /// Centre of mass [m].
+pub struct DeviceBody {
+    /// Greatest distance of a point of its surface from its reference point [m].
+    pub extent: f64,
+    /// The same of a point of its [`bounds`](Coupling::bounds) at any rotation, and [`reach`](Coupling::reach) further on the finest level [m].
+    pub reach: f64,
+}
+
+/// Where a body is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placed {
+    /// Its reference point [m].
     pub position: Vec3,
     /// Orientation quaternion (w, x, y, z).
     pub rotation: [f64; 4],
-    /// Velocity of the centre of mass [m/s].
-    pub velocity: Vec3,
-    /// Angular momentum about the centre of mass, world frame [kg m²/s].
-    pub angular_momentum: Vec3,
 }
 
-/// A free body that a backend moves itself; see [`Coupling::lend`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Lent {
-    /// Its number among the bodies.
-    pub body: usize,
-    /// Mass [kg].
-    pub mass: f64,
-    /// Rows of its inertia about the centre of mass, body frame [kg m²].
-    pub inertia: [Vec3; 3],
-    /// Greatest distance of a surface point from the centre of mass [m].
-    pub extent: f64,
-    /// Where it is, and how it moves.
-    pub state: FreeState,
-    /// How far along each axis its surface may move before it may meet what only the coupling knows: least and greatest displacement [m].
-    pub leash: Aabb,
+/// A group as a device holds it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GroupState {
+    /// Words of its own, as its functions in WGSL read and write them.
+    pub words: Vec<[u32; 4]>,
+    /// Where its bodies are.
+    pub bodies: Vec<Placed>,
 }
 
-/// What happened to a lent body in a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Moved {
+/// What happened to a group in a step on a device.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GroupStep {
     /// How it was afterwards.
-    pub state: FreeState,
-    /// Nodes that were deep inside it, all levels' together.
+    pub state: GroupState,
+    /// Nodes that were deep inside its bodies, all levels' together.
     pub deep_nodes: u64,
-    /// How often its velocity and the nodes' were not found together.
+    /// How often its twists and the nodes' velocities were not found together.
     pub unconverged: u64,
 }
 
@@ -397,32 +481,39 @@ pub trait Coupling: Send + Sync {
     /// The law in a form for devices, if there is one for all of the bodies. A backend that uses it calls
     /// [`before_step`](Self::before_step), takes poses and velocities from [`bodies`](Self::bodies) and one box a body from
     /// [`bounds`](Self::bounds), and calls [`after_step`](Self::after_step), for several steps ahead; then it says what the
-    /// last of them gave, by [`book`](Self::book). If a body is free, it asks for all such by [`lend`](Self::lend) before.
+    /// last of them gave, by [`book`](Self::book). Groups that answer move on the device, see [`DeviceAnswer`]: it asks for their
+    /// [`leashes`](Self::leashes) and their [state](Self::device_state) before, and hands back what [came of them](Self::take_device_state).
     fn device_law(&self) -> Option<DeviceLaw> {
         None
     }
-    /// Lends its free bodies to a backend that moves them itself, for up to so many steps of `dt` from `time` [s]: until they are
-    /// [taken back](Self::take_back), [`before_step`](Self::before_step) and [`after_step`](Self::after_step) leave them where they are, and
-    /// what is [saved](Self::save) is only good for a coupling that has lent them, too. As long as all of its bodies are lent, a backend may call
-    /// the two for the first of the steps alone.
+    /// How far along each axis each body of each group may move in up to so many steps of `dt` from `time` [s] before it may meet what only the coupling knows: least and
+    /// greatest displacement of the ends of its box [m], in the order of the groups' bodies.
     ///
     /// `None` if one of them is so near to anything but the ground that the coupling itself must take the next step; nearer than two finest cells to a wall
     /// is too near, and leashes keep bodies from it. Whether it is
     /// depends on where bodies are and how they move now, not on the number of steps.
-    fn lend(&mut self, time: f64, dt: f64, steps: usize) -> Option<Vec<Lent>> {
+    fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Vec<Aabb>> {
         let _ = (time, dt, steps);
         None
     }
-    /// Takes in what happened to the lent bodies, in the order in which they were lent, in the next step that they were lent for.
+    /// The groups as they are now, for a device to go on from.
+    fn device_state(&self) -> Vec<GroupState> {
+        Vec::new()
+    }
+    /// Says that a device moves the groups from now on, or that it does not any more. As long as it does, [`before_step`](Self::before_step) and
+    /// [`after_step`](Self::after_step) leave them where they are, and what is [saved](Self::save) is only good for a coupling whose groups a device moves, too. If all
+    /// of its bodies are in groups, a backend may call the two for the first of many steps alone.
+    fn move_on_device(&mut self, moves: bool) {
+        let _ = moves;
+    }
+    /// Takes in what happened to each group in the next step that a device took.
     ///
     /// # Errors
     /// If a body's state is no longer finite.
-    fn adopt(&mut self, moved: &[Moved]) -> Result<()> {
-        let _ = moved;
+    fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
+        let _ = groups;
         Ok(())
     }
-    /// Takes lent bodies back, as they are now.
-    fn take_back(&mut self) {}
     /// Takes the mean wrench of the ground on each body over the last step from a backend that has applied the law itself.
     fn book(&mut self, wrenches: &[Wrench]) {
         let _ = wrenches;

@@ -231,7 +231,7 @@ impl Regions {
     /// How far along each axis an agent with the given bounds may move before [`follow`](Self::follow) moves anything:
     /// least and greatest displacement of the ends of its box [m].
     pub fn leash(&self, agent: usize, bounds: &Aabb) -> Aabb {
-        let mut leash = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
+        let mut leash = Aabb::UNBOUND;
         let around = bounds.grown(AROUND_AGENT * self.h);
         for (level, boxes) in self.boxes.iter().enumerate() {
             let Some(one) = boxes.get(agent) else { continue };

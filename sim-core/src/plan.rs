@@ -172,6 +172,7 @@ impl Plan {
         let backend = registry.backend(&options.backend).ok().map(|backend| &**backend);
         let backend_parameters = backend.map(|backend| options.parameters_of(backend)).transpose()?.unwrap_or_default();
         let Couplings { planned, made: couplings, files: coupling_files } = make_couplings(registry, &scene)?;
+        backend.map_or(Ok(()), |backend| backend.check_couplings(&couplings))?;
         let task = registry.make_task(&scene)?;
         let h = scene.world.cell;
         let whole = |side: &Vec3, round: fn(f64) -> f64| {

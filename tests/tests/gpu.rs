@@ -548,7 +548,7 @@ fn sampled_shapes_are_felt_on_the_device_as_on_the_cpu() {
     within("place of the cube, in cells", off(at, there) / 0.02, 1e-3);
     within("distance of particles, in cells", apart(&rows(&on_device), &rows(&on_cpu)) / 0.02, 5e-3);
     // Nodes are gathered for a law on the host.
-    assert_eq!([passes_of(&on_device, "gather"), passes_of(&on_device, "free bodies")], [0, 160]);
+    assert_eq!([passes_of(&on_device, "gather"), passes_of(&on_device, "answering bodies")], [0, 160]);
 
     let scenes: Vec<Scene> = [0.4, -0.3].map(|speed| scene(&with_speed(speed))).into();
     let mut worlds = Worlds::new(&barchan::registry(), scenes, &on_gpu()).unwrap();

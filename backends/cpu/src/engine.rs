@@ -354,18 +354,13 @@ impl<T: Scalar> CpuEngine<T> {
     /// Couplings act on the nodes of one level: fields one after the other, then all bodies. Returns whether there were any nodes.
     pub(crate) fn touch(&mut self, l: usize, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<bool> {
         let clock = Instant::now();
-        let (fields, h) = (couplings.iter().filter(|coupling| coupling.is_field()).count(), self.levels[l].h());
-        let mut reached = false;
-        for coupling in couplings.iter_mut().filter(|coupling| coupling.is_field()) {
-            let [of_nodes, _] = contact::boxes(&**coupling, h);
-            reached |= self.with_nodes_near(l, [&of_nodes, &[]], |_, nodes| coupling.act_as_field(dt, nodes))?;
-        }
-        if fields < couplings.len() {
-            let bodies = couplings.iter().filter(|coupling| !coupling.is_field());
-            let (of_nodes, of_particles): (Vec<_>, Vec<_>) = bodies.map(|one| contact::boxes(&**one, h).into()).unzip();
-            let boxes = [&of_nodes.concat()[..], &of_particles.concat()];
-            reached |= self.with_nodes_near(l, boxes, |contact, nodes| contact.meet(couplings, dt, nodes))?;
-        }
+        let (h, mut contact, mut reached) = (self.levels[l].h(), std::mem::take(&mut self.contact), false);
+        let acted = contact.act(couplings, [dt, h], |boxes, act| {
+            reached |= self.with_nodes_near(l, boxes, act)?;
+            Ok(())
+        });
+        self.contact = contact;
+        acted?;
         if reached {
             self.clocks.add(Pass::Contact, clock);
         }
@@ -377,7 +372,7 @@ impl<T: Scalar> CpuEngine<T> {
         &mut self,
         l: usize,
         [of_nodes, of_particles]: [&[Aabb]; 2],
-        act: impl FnOnce(&mut Contact, &mut NodeBatch) -> Result<()>,
+        act: &mut contact::Act<'_>,
     ) -> Result<bool> {
         let (level, subcycled) = (&mut self.levels[l], self.schedule.slots > 1);
         level.gather(of_nodes, self.least_mass, subcycled, &mut self.batch);
@@ -387,7 +382,7 @@ impl<T: Scalar> CpuEngine<T> {
         if !of_particles.is_empty() {
             level.gather_particles(of_particles, &self.contact_moduli, &mut self.batch);
         }
-        act(&mut self.contact, &mut self.batch)?;
+        act(&mut self.batch)?;
         level.scatter(&self.batch, self.least_mass);
         Ok(true)
     }

@@ -21,7 +21,7 @@ mod worlds;
 pub use passes::{Shader, material, shaders};
 
 use barchan_core::backend::{Adapter, Batch, NewWorld};
-use barchan_core::{Backend, Engine, Error, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
+use barchan_core::{Backend, Coupling, Engine, Error, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
 
 /// The backend called `wgpu`.
@@ -61,6 +61,10 @@ impl Backend for Wgpu {
 
     fn adapters(&self) -> Option<Vec<Adapter>> {
         Some(device::list())
+    }
+
+    fn check_couplings(&self, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+        couplings.iter().try_for_each(|coupling| passes::coupling_check::check(&**coupling))
     }
 
     fn check(&self, plan: &Plan) -> Result<()> {

@@ -2,7 +2,8 @@
 
 use crate::device::layout::ENTRY;
 use crate::device::memory::{
-    BODY, Extent, LENT, Layer, OF_LAYERS, PER_LAYER, PER_STEP, PER_SUM, STATE, StepConstants, TOUCH,
+    BODY, BODY_HEAD, BODY_STATE, Extent, GROUP_HEAD, Layer, OF_LAYERS, PER_LAYER, PER_STEP, PER_SUM, StepConstants,
+    TOUCH,
 };
 use crate::schedule::status::{self, Halt};
 use crate::worlds::{sleep, soft};
@@ -47,8 +48,9 @@ pub const LAYOUTS: [Layout; 3] = [
 pub const CONSTANTS: &[Shared] = &[
     ("ENTRY", ENTRY as i64),
     ("BODY", BODY as i64),
-    ("LENT", LENT as i64),
-    ("STATE", STATE as i64),
+    ("GROUP_HEAD", GROUP_HEAD as i64),
+    ("BODY_HEAD", BODY_HEAD as i64),
+    ("BODY_STATE", BODY_STATE as i64),
     ("TOUCH", TOUCH as i64),
     ("OF_LAYERS", OF_LAYERS as i64),
     ("PER_LAYER", PER_LAYER as i64),

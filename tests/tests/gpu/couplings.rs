@@ -87,6 +87,66 @@ fn couplings_of_all_kinds_are_on_the_device_what_they_are_on_the_cpu() {
     }
 }
 
+fn dumbbell(more: &str) -> String {
+    format!(
+        "[[coupling]]\nkind = \"dumbbell\"\nparameters = {{ position = [0.2, 0.12, 0.145], velocity = [0.5, 0, -0.8], angular = [2, 0, 4], turn = [0, 0.1, 0.2], {more} }}\n"
+    )
+}
+
+/// Bodies of a coupling from outside that answer together do on the device what they do on the CPU in f64, with nothing on the host: two balls on a rod that are thrown
+/// into sand, alone, so near to one another that nodes are in both, and beside a field, a free tool, driven ones and levels. Many steps at once leave the same bits as
+/// single ones, and the balls get what the ground loses.
+#[test]
+fn bodies_that_answer_together_are_on_the_device_what_they_are_on_the_cpu() {
+    let (blade, cube) = (
+        blade(),
+        cube().replace("[0.12, 0.12, 0.128]", "[0.1, 0.12, 0.118]").replace("0.03, 0.03, 0.03", "0.02, 0.02, 0.02"),
+    );
+    let levels = |more: &str| format!("[levels]\ncount = 2\nhalf = 8\nagents = [\"blade\"]\n{more}");
+    let far = "[[coupling]]\nkind = \"dumbbell\"\nparameters = { position = [0.27, 0.12, 0.135], velocity = [0.2, 0, -0.8], rod = 0.07, radius = 0.03 }\n";
+    let [alone, near] = [dumbbell(""), dumbbell("rod = 0.05")];
+    let with_current = [CURRENT, far].concat();
+    let cases: [(&str, &[&str], &str); 6] = [
+        (&alone, &[], ""),
+        (&near, &[], ""),
+        (&with_current, &[&cube], ""),
+        (far, &[&blade], ""),
+        (far, &[&blade], &levels("")),
+        (far, &[&blade], &levels("subcycle = true\n")),
+    ];
+    for (couplings, tools, levels) in cases {
+        let (step, steps) = if levels.contains("subcycle") { (5e-4, 60) } else { (2.5e-4, 120) };
+        let toml =
+            yard(couplings, tools, levels, step).replace("blade\"\nposition = [0.1,", "blade\"\nposition = [0.06,");
+        let (mut many, mut single) = (start(&toml, "wgpu", Precision::F32), start(&toml, "wgpu", Precision::F32));
+        let mut cpu = start(&toml, "cpu", Precision::F64);
+        take_at_once(&mut many, steps);
+        let mut sums = vec![[[0f64; 3]; 2]; cpu.wrenches().len()];
+        for _ in 0..steps {
+            single.step().unwrap();
+            cpu.step().unwrap();
+            for (sums, (g, c)) in sums.iter_mut().zip(single.wrenches().iter().zip(cpu.wrenches())) {
+                (0..3).for_each(|d| sums[0][d] += g.force[d] * step);
+                (0..3).for_each(|d| sums[1][d] += c.force[d] * step);
+            }
+        }
+        println!("{couplings} {} tools, levels {levels:?}", tools.len());
+        assert_eq!(passes_of(&many, "gather") + passes_of(&single, "gather"), 0, "steps on the host\n{toml}");
+        assert!(passes_of(&single, "answering bodies") > 0, "nobody answers on the device\n{toml}");
+        assert!(left(&many) == left(&single), "many steps at once leave other bits\n{toml}");
+        within("particles beside the CPU's, in cells", apart(&rows(&single), &rows(&cpu)) / 0.02, 5e-3);
+        for ((g, c), [on_device, on_cpu]) in single.bodies().iter().zip(cpu.bodies()).zip(sums) {
+            assert!(norm(on_cpu) > 0.0, "{} feels nothing\n{toml}", c.name);
+            within(&format!("impulse on {}, relative", c.name), off(on_device, on_cpu) / norm(on_cpu), 2e-3);
+            within(&format!("place of {}, in cells", c.name), off(g.position, c.position) / 0.02, 1e-3);
+            within(&format!("velocity of {} [m/s]", c.name), off(g.velocity, c.velocity), 2e-3);
+        }
+        let counts =
+            [&single, &cpu].map(|sim| sim.ledger().counts.get("contact solutions of dumbbells not converged").copied());
+        assert!(counts.iter().all(|count| count.unwrap_or(0) == 0), "{counts:?}");
+    }
+}
+
 /// What a current gains, the ground loses, on the device as well: a block in free space that it drags along follows (1 + k dt)^-n.
 #[test]
 fn a_field_on_the_device_drags_as_its_law_says() {

@@ -11,7 +11,7 @@ const FRICTION: &str = "{ coulomb = { friction = 0.4 } }";
 
 /// In how many steps the device moved free bodies, those in vain behind a stop among them, and in how many the host did.
 fn steps_on_device_and_host(sim: &Simulation) -> [u64; 2] {
-    [passes_of(sim, "free bodies") + passes_of(sim, "free bodies, rims"), passes_of(sim, "contact")]
+    [passes_of(sim, "answering bodies") + passes_of(sim, "answering bodies, rims"), passes_of(sim, "contact")]
 }
 
 /// A spinning ball of jelly that strikes a box of that mass [kg] in free space.
@@ -111,7 +111,7 @@ fn a_cube_slides_on_sand_as_on_the_cpu() {
         assert_eq!(on_device, of_levels, "{levels}");
         // Where levels follow all bodies, nodes at rims are moved in their pass.
         let is_together = levels.contains("cube");
-        assert_eq!(passes_of(&g, "free bodies, rims"), if is_together { on_device } else { 0 }, "{levels}");
+        assert_eq!(passes_of(&g, "answering bodies, rims"), if is_together { on_device } else { 0 }, "{levels}");
         assert!(super::left(&g) == super::left(&single), "many steps at once are something else");
         // Where a pass may bind eight buffers, bodies and rims of levels with steps of their own do not fit into one.
         if is_together {

@@ -37,12 +37,14 @@ const LAWS: [(&str, &str); 7] = [
     ("von_mises", "young_modulus = 1e5, poisson_ratio = 0.3"),
 ];
 
-/// Couplings from outside Barchan beside the tools: none, a field, bodies that grip, both.
-const COUPLINGS: [&str; 4] = [
+/// Couplings from outside Barchan beside the tools: none, a field, bodies that grip, both, two that answer together, these and a field.
+const COUPLINGS: [&str; 6] = [
     "",
     "[[coupling]]\nkind = \"current\"\nparameters = { rate = 0.5 }\n",
     "[[coupling]]\nkind = \"rollers\"\n",
     "[[coupling]]\nkind = \"rollers\"\n[[coupling]]\nkind = \"current\"\nparameters = { rate = 0.5 }\n",
+    "[[coupling]]\nkind = \"dumbbell\"\nparameters = { position = [0.4, 0.4, 0.5] }\n",
+    "[[coupling]]\nkind = \"current\"\nparameters = { rate = 0.5 }\n[[coupling]]\nkind = \"dumbbell\"\nparameters = { position = [0.4, 0.4, 0.5] }\n",
 ];
 
 /// Of everything else, so many picks for each of these.
@@ -185,9 +187,16 @@ fn every_pass_that_a_plan_can_ask_for_is_sound() {
     names.iter().flatten().for_each(|name| *seen.entry(name).or_default() += 1);
     println!("{} plans; how many of them ask for each pass: {seen:?}", cases.len());
     // The rarest of them are there.
-    for name in
-        ["free bodies, rims", "press on free bodies", "contact", "solve", "prolong", "restrict", "watch", "hold"]
-    {
+    for name in [
+        "answering bodies, rims",
+        "press on answering bodies",
+        "contact",
+        "solve",
+        "prolong",
+        "restrict",
+        "watch",
+        "hold",
+    ] {
         assert!(seen.contains_key(name), "no plan asks for '{name}': {seen:?}");
     }
 }

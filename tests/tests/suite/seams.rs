@@ -41,7 +41,9 @@ fn unknown_names_are_answered_with_the_known_ones() {
     let error = Simulation::new(&registry, &scene(&text), &Options::default()).unwrap_err().to_string();
     println!("{error}");
     assert!(
-        error.contains("coupling[0].kind: no coupling is called 'magnet'; known are: brakes, current, rigid, rollers"),
+        error.contains(
+            "coupling[0].kind: no coupling is called 'magnet'; known are: brakes, current, dumbbell, rigid, rollers"
+        ),
         "{error}"
     );
 

@@ -3,7 +3,7 @@
 use crate::device::Gpu;
 use crate::device::layout::{ENTRY, RECORD, ROUNDS};
 use crate::passes::binding::{FIRST_BINDING, Found, Kernel, Parts, Role, Sorted, Uniform};
-use crate::passes::bodies::Free;
+use crate::passes::bodies::Answering;
 use crate::passes::scene::{is_stored, vectors_for};
 use crate::worlds::sleep::WATCHED;
 use crate::worlds::soft::WORDS as SOFT_WORDS;
@@ -35,10 +35,13 @@ const ROW: u32 = 32_768;
 
 /// Vectors of a body in a step; see `contact.wgsl`.
 pub(crate) const BODY: u64 = 9;
-/// Vectors of a free body that stay during a submission, of its state before a slot, and of a touch; see `lent.wgsl`.
-pub(crate) const LENT: usize = 10;
-pub(crate) const STATE: usize = 7;
+/// Vectors of a group and of a body that answer, as they stay during a submission, of a body's state before a slot, and of a touch; see `answering.wgsl`.
+pub(crate) const GROUP_HEAD: usize = 2;
+pub(crate) const BODY_HEAD: usize = 5;
+pub(crate) const BODY_STATE: usize = 5;
 pub(crate) const TOUCH: usize = 3;
+/// Columns of what touches of a body add up to; see `answer.wgsl`.
+const COLUMNS: usize = 11;
 /// Vectors of a block of nodes that goes to the host; see `gather.wgsl`.
 pub(crate) const NEAR_BLOCK: usize = 65;
 
@@ -47,7 +50,7 @@ pub(crate) const NEAR_BLOCK: usize = 65;
 pub(crate) struct Asked {
     pub(crate) pairs: bool,
     pub(crate) bodies: usize,
-    pub(crate) free: Free,
+    pub(crate) answering: Answering,
     pub(crate) layers: usize,
     pub(crate) worlds: usize,
     /// Boxes of the regions of a world's levels.
@@ -66,11 +69,16 @@ pub(crate) struct Asked {
     pub(crate) tools: usize,
 }
 
-/// Bytes of free bodies, their states in a submission, the nodes near them, and how particles press on them on each level.
-pub(crate) fn lent_bytes(free: Free, worlds: usize, levels: usize) -> u64 {
-    let touches = 256 * free.rooms().div_ceil(4) * TOUCH;
-    let pressed = 64 * free.rooms() * levels;
-    16 * (worlds * free.bodies * (LENT + (MAX_SLOTS + 2) * STATE + touches + pressed)) as u64
+/// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how particles press on them on each level, and, where groups have
+/// several bodies, what their touches add up to.
+pub(crate) fn answering_bytes(room: Answering, worlds: usize, levels: usize) -> u64 {
+    let Answering { groups, bodies, together, words, .. } = room;
+    let touches = 256 * room.rooms().div_ceil(4) * TOUCH;
+    let pressed = 64 * room.rooms() * levels;
+    let of_groups = worlds * groups * (GROUP_HEAD + (MAX_SLOTS + 2) * words);
+    let of_bodies = worlds * bodies * (BODY_HEAD + (MAX_SLOTS + 2) * BODY_STATE + touches + pressed);
+    let systems = if together > 1 { COLUMNS * (worlds * bodies + together) } else { 0 };
+    16 * (of_groups + of_bodies + systems) as u64
 }
 
 /// `Extent` of `common.wgsl`.
@@ -214,7 +222,7 @@ const SHARED: [Role; 24] = [
     Role::Bodies,
     Role::Partials,
     Role::Impulses,
-    Role::Lent,
+    Role::Answering,
     Role::Rims,
     Role::Handed,
     Role::Shared,
@@ -242,7 +250,7 @@ fn shared_name(role: Role) -> &'static str {
         Role::Bodies => "poses of bodies",
         Role::Partials => "parts of impulses",
         Role::Impulses => "impulses",
-        Role::Lent => "free bodies and nodes inside them",
+        Role::Answering => "bodies that answer and nodes inside them",
         Role::Rims => "rims of levels",
         Role::Handed => "what rims hand on",
         Role::Shared => "nodes that levels share",
@@ -342,7 +350,7 @@ impl Extent {
             Role::Bodies => 16 * BODY * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
             Role::Partials => (32 + 1024) * nodes * asked.bodies as u64,
             Role::Impulses => 32 * (MAX_SLOTS * asked.layers * asked.bodies).max(1) as u64,
-            Role::Lent => lent_bytes(asked.free, asked.worlds, asked.layers / asked.worlds.max(1)),
+            Role::Answering => answering_bytes(asked.answering, asked.worlds, asked.layers / asked.worlds.max(1)),
             Role::Around => 16 * (1 + 2 * asked.layers * asked.around) as u64,
             Role::Near => 16 * (NEAR_BLOCK * asked.near) as u64,
             Role::Tools => 16 * (1 + 2 * MAX_SLOTS * asked.layers * asked.tools) as u64,
@@ -566,20 +574,20 @@ impl Memory {
         }
     }
 
-    /// Makes room for bodies whose law runs on the device, so many in each layer and free ones in each world, and for what it reads: so many
+    /// Makes room for bodies whose law runs on the device, so many in each layer and such as answer in each world, and for what it reads: so many
     /// vectors of all worlds, and these samples.
     pub(crate) fn add_bodies(
         &mut self,
         gpu: &Gpu,
         [bodies, vectors]: [usize; 2],
-        free: Free,
+        answering: Answering,
         samples: &[[f32; 4]],
     ) -> Result<()> {
         let stored = is_stored(self.asked.worlds, vectors, samples.len());
         let buffer = table(gpu, "table of bodies", vectors + samples.len(), stored);
         gpu.queue.write_buffer(&buffer, 16 * vectors as u64, bytemuck::cast_slice(samples));
         self.table = Some(buffer);
-        (self.asked.bodies, self.asked.free) = (bodies, free);
+        (self.asked.bodies, self.asked.answering) = (bodies, answering);
         let extent = self.extent;
         self.grow(gpu, extent)
     }
@@ -678,7 +686,7 @@ impl Memory {
             Role::Bodies,
             Role::Partials,
             Role::Impulses,
-            Role::Lent,
+            Role::Answering,
             Role::Rims,
             Role::Handed,
             Role::Shared,

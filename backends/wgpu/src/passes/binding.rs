@@ -38,8 +38,8 @@ pub(crate) enum Role {
     Partials,
     /// What each step gave to each body.
     Impulses,
-    /// Free bodies, their states in each step of a submission, and the nodes inside them.
-    Lent,
+    /// Bodies that answer, their states in each step of a submission, and the nodes that they grip.
+    Answering,
     /// Nodes at rims of levels, and who gives to them.
     Rims,
     /// What each block hands to the next coarser level.
@@ -89,7 +89,7 @@ pub(crate) const KEPT: Use = ("shared_nodes", "vec4<f32>", Role::Shared, true);
 pub(crate) const OWN: Use = ("shared_nodes", "vec4<f32>", Role::Shared, false);
 pub(crate) const LIVE: Use = ("live", "vec2<i32>", Role::Live, false);
 pub(crate) const LISTED: Use = ("listed", "u32", Role::Listed, false);
-pub(crate) const LENT_BODIES: Use = ("lent", "vec4<u32>", Role::Lent, true);
+pub(crate) const ANSWERING: Use = ("answering", "vec4<u32>", Role::Answering, true);
 pub(crate) const PAIRS: Use = ("pairs", "vec4<f32>", Role::Pairs, true);
 pub(crate) const WATCH: Use = ("watch", "atomic<u32>", Role::Now(Sorted::Watch), true);
 
@@ -155,7 +155,7 @@ pub(crate) enum Found {
     Walled,
     /// In fours those at rims and, subcycled, those that share nodes with the next finer level and that walls are behind.
     RimsInFours,
-    /// One more than there are free bodies in the scenes, and behind them the same in eights.
+    /// One more than there are free bodies in the scenes, a group each, and behind them the same in eights.
     BodiesAndRims,
 }
 

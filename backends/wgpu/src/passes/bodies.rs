@@ -1,15 +1,18 @@
-//! Contact with bodies and the motion of free ones.
+//! Contact with bodies, and the motion of those that answer.
 
 use crate::device::Gpu;
 use crate::device::memory::{MAX_SLOTS, NEAR_BLOCK};
 use crate::passes::Kernels;
 use crate::passes::binding::{
-    CELLS, DIRECTORY, Draft, Found, GRID, Groups, Kernel, LENT_BODIES, LISTS, NODES, OWN, RECORD, RIMS, Role, STATUS,
+    ANSWERING, CELLS, DIRECTORY, Draft, Found, GRID, Groups, Kernel, LISTS, NODES, OWN, RECORD, RIMS, Role, STATUS,
     Uniform, Use, build, build_for, exchange, node_blocks, written,
 };
+use crate::passes::binding::{Setting, compose};
+use crate::passes::coupling_check::workgroup_bytes;
 use crate::passes::couplings::Laws;
 use crate::passes::rims::at_rims;
 use crate::passes::scene::coupling_table;
+use barchan_core::coupling::{DeviceBody, DeviceGroup};
 use barchan_grid::rest::NEAR_TOOL;
 
 /// Contact with driven bodies on the device, so many in each of the worlds, whose tables have so many vectors, of which the last are the
@@ -88,44 +91,72 @@ pub(crate) fn press_draft<const N: usize>(
     }
 }
 
-/// How many free bodies there are in each world, and blocks around each of them along an axis on the finest level, at most.
+/// Room for groups that answer in each world, for their bodies in all and in one group, for words of a group's state, and for blocks around a body along an axis
+/// on the finest level.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Free {
+pub(crate) struct Answering {
+    pub(crate) groups: usize,
     pub(crate) bodies: usize,
+    pub(crate) together: usize,
+    pub(crate) words: usize,
     pub(crate) across: usize,
 }
 
-impl Free {
+impl Answering {
+    /// For the groups of all couplings of a world, whose bodies reach into so many blocks along an axis.
+    pub(crate) fn of(groups: &[Vec<DeviceGroup>], across: impl Fn(&DeviceBody) -> usize) -> Self {
+        let all = || groups.iter().flatten();
+        Self {
+            groups: all().count(),
+            bodies: all().map(|group| group.bodies.len()).sum(),
+            together: all().map(|group| group.bodies.len()).max().unwrap_or(0),
+            words: all().map(|group| group.words).max().unwrap_or(0),
+            across: all().flat_map(|group| &group.bodies).map(across).max().unwrap_or(0),
+        }
+    }
+
+    /// For either.
+    pub(crate) fn with(self, other: Self) -> Self {
+        Self {
+            groups: self.groups.max(other.groups),
+            bodies: self.bodies.max(other.bodies),
+            together: self.together.max(other.together),
+            words: self.words.max(other.words),
+            across: self.across.max(other.across),
+        }
+    }
+
     /// Blocks around a body on a level.
     pub(crate) fn rooms(self) -> usize {
         self.across.saturating_pow(3)
     }
 }
 
-/// Blocks at rims that a workgroup takes up in the pass of free bodies and rims.
+/// Blocks at rims that a workgroup takes up in the pass of bodies that answer and rims.
 pub(crate) const RIMS_BESIDE: u32 = 8;
 
-/// How particles press on free bodies, and the pass of their contact and their motion; and does that pass do what is to be done at rims, too? So it is
+/// How particles press on bodies that answer, and the pass of their contact and their motion; and does that pass do what is to be done at rims, too? So it is
 /// if no body `roams`, which is to come near coarser levels, and if the adapter lets a pass bind so much and its workgroups be so wide.
-pub(crate) fn free(
+pub(crate) fn answer(
     gpu: &Gpu,
     kernels: &Kernels,
     laws: &Laws,
     [vectors, materials]: [usize; 2],
     shape: [usize; 2],
-    free: Free,
+    room: Answering,
     roams: bool,
 ) -> ([Kernel; 2], bool) {
     let (subcycled, sleeps) = (kernels.set.solve.is_some(), kernels.set.watch.is_some());
-    let draft = |rims| free_draft([subcycled, sleeps, rims], laws, vectors, shape, free);
+    let draft = |rims| answer_draft([subcycled, sleeps, rims], laws, vectors, shape, room);
     let (layout, setting) = (&kernels.step_layout, &kernels.setting);
-    let press = build(gpu, layout, setting, shape[0], press_free_draft(laws, [vectors, materials], shape, free));
+    let press = build(gpu, layout, setting, shape[0], press_answering_draft(laws, [vectors, materials], shape, room));
     // Walls that let go come between bodies and rims.
     let is_apart =
-        roams || shape[1] == 1 || !kernels.set.mirror.is_empty() || shape[0] * free.bodies > kernels.free_room;
+        roams || shape[1] == 1 || !kernels.set.mirror.is_empty() || shape[0] * room.groups > kernels.free_room;
     let with_rims = draft(true);
     let limits = &gpu.limits;
     let fits = with_rims.bindings(shape[0]) <= limits.max_storage_buffers_per_shader_stage as usize
+        && (room.together == 1 || fits_workgroups(gpu, &kernels.setting, shape[0], &with_rims))
         && 64 * RIMS_BESIDE <= limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
     if is_apart || !fits {
         return ([press, build(gpu, layout, setting, shape[0], draft(false))], false);
@@ -133,54 +164,79 @@ pub(crate) fn free(
     ([press, build_for(gpu, layout, setting, shape[0], with_rims)], true)
 }
 
-pub(crate) fn press_free_draft(laws: &Laws, counts: [usize; 2], shape: [usize; 2], free: Free) -> Draft {
-    let of_bodies =
-        [&free_counts(free, laws), include_str!("../wgsl/lent.wgsl"), include_str!("../wgsl/press_free.wgsl")].concat();
-    press_draft("press on free bodies", laws, &of_bodies, counts, shape, [LENT_BODIES])
+/// Does what a pass of several bodies keeps for a workgroup fit the adapter's memory for that?
+pub(crate) fn fits_workgroups(gpu: &Gpu, setting: &Setting, worlds: usize, draft: &Draft) -> bool {
+    let bytes = workgroup_bytes(&compose(setting, worlds, draft).text);
+    bytes.is_none_or(|bytes| bytes <= u64::from(gpu.limits.max_compute_workgroup_storage_size))
 }
 
-pub(crate) fn free_counts(free: Free, laws: &Laws) -> String {
+pub(crate) fn press_answering_draft(laws: &Laws, counts: [usize; 2], shape: [usize; 2], room: Answering) -> Draft {
+    let of_bodies = [
+        &answering_counts(room, laws),
+        include_str!("../wgsl/answering.wgsl"),
+        include_str!("../wgsl/press_answering.wgsl"),
+    ]
+    .concat();
+    press_draft("press on answering bodies", laws, &of_bodies, counts, shape, [ANSWERING])
+}
+
+fn answering_counts(room: Answering, laws: &Laws) -> String {
     format!(
-        "const FREES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst REACH: f32 = {:?};\n",
-        free.bodies,
-        free.rooms(),
+        "const GROUPS: u32 = {}u;\nconst ANSWERING: u32 = {}u;\nconst GROUP_BODIES: u32 = {}u;\nconst GROUP_WORDS: u32 = {}u;\n\
+         const ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst REACH: f32 = {:?};\n",
+        room.groups,
+        room.bodies,
+        room.together,
+        room.words,
+        room.rooms(),
         laws.reach,
     )
 }
 
 /// `rims`: with what is done at rims, for bodies that meet the finest level alone.
-pub(crate) fn free_draft(
+pub(crate) fn answer_draft(
     [subcycled, sleeps, rims]: [bool; 3],
     laws: &Laws,
     vectors: usize,
     [worlds, levels]: [usize; 2],
-    free: Free,
+    room: Answering,
 ) -> Draft {
     let tools: Use = ("tools", "vec4<i32>", Role::Tools, true);
-    let counts = free_counts(free, laws) + &format!("const NEAR_TOOL: f32 = {NEAR_TOOL:?};\n");
+    let counts = answering_counts(room, laws) + &format!("const NEAR_TOOL: f32 = {NEAR_TOOL:?};\n");
     let (stored, table) = coupling_table([worlds, levels], vectors, laws.samples.len());
-    let awake = if sleeps { include_str!("../wgsl/free_awake.wgsl") } else { "" };
+    let awake = if sleeps { include_str!("../wgsl/answer_awake.wgsl") } else { "" };
+    let group = include_str!("../wgsl/group.wgsl").replace("$STAY_AWAKE", awake);
     // Nodes of the finest level are no finer one's.
-    let (text, own) = of_own_mass(subcycled && !rims, &include_str!("../wgsl/free.wgsl").replace("$STAY_AWAKE", awake));
+    let (text, own) = of_own_mass(subcycled && !rims, include_str!("../wgsl/answer.wgsl"));
+    let parts = [
+        // Eleven columns of 65 rows; see `answer.wgsl`.
+        &exchange(715),
+        &counts,
+        include_str!("../wgsl/answering.wgsl"),
+        &table,
+        &laws.wgsl,
+        &group,
+        &laws.answer,
+        &text,
+    ];
     let alone = Draft {
-        name: "free bodies",
-        entry: "free_bodies",
-        // Eleven columns of 65 rows; see `free.wgsl`.
-        body: [&exchange(715), &counts, include_str!("../wgsl/lent.wgsl"), &table, &laws.wgsl, &text].concat(),
-        uses: [GRID, DIRECTORY, LENT_BODIES, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
+        name: "answering bodies",
+        entry: "answering_bodies",
+        body: parts.concat(),
+        uses: [GRID, DIRECTORY, ANSWERING, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
         uniform: Uniform::Table { stored, counted: laws.counted },
-        groups: Groups::Exactly((worlds * free.bodies) as u32 + 1),
+        groups: Groups::Exactly((worlds * room.groups) as u32 + 1),
         checked: true,
     };
     if !rims {
-        return Draft { body: alone.body + include_str!("../wgsl/free_alone.wgsl"), ..alone };
+        return Draft { body: alone.body + include_str!("../wgsl/answer_alone.wgsl"), ..alone };
     }
     let of_rims = at_rims(subcycled, RIMS_BESIDE);
     let further: Vec<_> = of_rims.uses.into_iter().filter(|rim| alone.uses.iter().all(|own| own.2 != rim.2)).collect();
     Draft {
-        name: "free bodies, rims",
-        entry: "free_and_rims",
-        body: alone.body + &of_rims.body + include_str!("../wgsl/free_and_rims.wgsl"),
+        name: "answering bodies, rims",
+        entry: "answering_and_rims",
+        body: alone.body + &of_rims.body + include_str!("../wgsl/answer_and_rims.wgsl"),
         uses: alone.uses.into_iter().chain(further).collect(),
         groups: Groups::Found(Found::BodiesAndRims),
         ..alone

@@ -3,6 +3,7 @@
 pub(crate) mod adapt;
 pub(crate) mod binding;
 pub(crate) mod bodies;
+pub(crate) mod coupling_check;
 pub(crate) mod couplings;
 pub(crate) mod g2p;
 pub(crate) mod grid;
@@ -18,7 +19,7 @@ mod wgsl_words;
 use crate::device::Gpu;
 use crate::passes::adapt::adapt;
 use crate::passes::binding::{Draft, Found, Groups, Kernel, Parts, Setting, build, compose, entry};
-use crate::passes::bodies::{Free, free_draft};
+use crate::passes::bodies::{Answering, answer_draft};
 use crate::passes::couplings::Laws;
 use crate::passes::g2p::{g2p, soft, stress};
 use crate::passes::grid::{Finish, collect, hold, reflect, separate, sum_tiles, velocities};
@@ -237,11 +238,11 @@ pub fn shaders(
         let materials = plan.materials.len();
         let vectors = laws.table.len() + materials;
         contact.extend(bodies::contact_drafts(subcycled, &laws, [laws.bodies, vectors, materials], shape));
-        if !laws.free.is_empty() {
-            let free = Free { bodies: laws.free.len(), across: 4 };
-            contact.push(bodies::press_free_draft(&laws, [vectors, materials], shape, free));
+        let room = Answering::of(&laws.groups, |_| 4);
+        if room.groups > 0 {
+            contact.push(bodies::press_answering_draft(&laws, [vectors, materials], shape, room));
             let kinds = [false, true].into_iter().filter(|rims| !rims || shape[1] > 1);
-            let motion = |rims| free_draft([subcycled, may_sleep(plan), rims], &laws, vectors, shape, free);
+            let motion = |rims| answer_draft([subcycled, may_sleep(plan), rims], &laws, vectors, shape, room);
             contact.extend(kinds.map(motion));
         }
     }
@@ -283,10 +284,10 @@ pub(crate) fn describe_contact(plan: &Plan) -> Vec<String> {
     let mut lines = vec!["contact, every step: on the device, but for free bodies near walls or others and for couplings without a law in WGSL: for these nodes near bodies go to the host and back".to_owned()];
     if free_bodies(plan) > 0 {
         let laws = Laws::none();
-        let free = Free { bodies: 1, across: 2 };
+        let room = Answering { groups: 1, bodies: 1, together: 1, words: 1, across: 2 };
         let kinds = [false, true].into_iter().filter(|&rims| !rims || plan.cell_widths.len() > 1);
         lines.extend(kinds.map(|rims| {
-            let motion = free_draft([plan.substeps > 1, may_sleep(plan), rims], &laws, 1, [1, 1], free);
+            let motion = answer_draft([plan.substeps > 1, may_sleep(plan), rims], &laws, 1, [1, 1], room);
             let of_rims = if plan.substeps > 1 { "solve" } else { "prolong" };
             let when = if rims {
                 format!(", in place of that and {of_rims}, if levels follow them all and a pass may bind so much and be so wide")
@@ -323,7 +324,7 @@ pub(crate) fn line(when: &str, draft: &Draft) -> String {
                 Found::RimsInFours =>
                     "for four blocks of nodes at rims or shared with the next finer level or, where mirrors are found with these, at walls",
                 Found::BodiesAndRims =>
-                    "a free body, one more, and one for eight blocks of nodes at rims, shared, or at walls,",
+                    "a group of bodies that answer, one more, and one for eight blocks of nodes at rims, shared, or at walls,",
             }
         ),
     };

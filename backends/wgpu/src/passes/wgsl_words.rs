@@ -48,11 +48,16 @@ pub(crate) fn words_at_module_scope(wgsl: &str) -> impl Iterator<Item = (usize, 
     })
 }
 
-/// The names of the functions, constants and types that a text declares at module scope.
+/// The names of the functions, constants, types and variables that a text declares at module scope.
 pub(crate) fn declared_names(wgsl: &str) -> Vec<String> {
     let words: Vec<String> = words_at_module_scope(wgsl).map(|(_, word)| word).collect();
-    let declares = |pair: &&[String]| ["fn", "const", "struct", "alias"].contains(&pair[0].as_str());
-    words.windows(2).filter(declares).map(|pair| pair[1].clone()).collect()
+    let declares = |words: &[String]| match words {
+        // Between these there stands the address space.
+        [word, _, name] if word == "var" => Some(name.clone()),
+        [word, name, ..] if ["fn", "const", "struct", "alias"].contains(&word.as_str()) => Some(name.clone()),
+        _ => None,
+    };
+    (0..words.len()).filter_map(|at| declares(&words[at..words.len().min(at + 3)])).collect()
 }
 
 /// The text with other names for some of its words, but for components of vectors.
@@ -72,12 +77,12 @@ pub(crate) fn renamed(wgsl: &str, to: impl Fn(&str) -> Option<String>) -> String
 mod tests {
     use super::*;
 
-    const TEXT: &str = "// fn other() in a comment\n/* struct block {} */\nconst SIZE: u32 = 2u;\nstruct Place { x: f32, size: f32 }\n\
+    const TEXT: &str = "var<workgroup> shared_sum: array<f32, 4>;\nvar<private> own: f32;\n// fn other() in a comment\n/* struct block {} */\nconst SIZE: u32 = 2u;\nstruct Place { x: f32, size: f32 }\n\
         fn half(v: f32) -> f32 { let other = v; return 0.5 * other; }\nfn coupling_distance(p: Place) -> f32 { return half(p.size) * f32(SIZE); }\n";
 
     #[test]
     fn what_a_text_declares_is_found_and_nothing_else() {
-        assert_eq!(declared_names(TEXT), ["SIZE", "Place", "half", "coupling_distance"]);
+        assert_eq!(declared_names(TEXT), ["shared_sum", "own", "SIZE", "Place", "half", "coupling_distance"]);
     }
 
     #[test]
@@ -86,6 +91,6 @@ mod tests {
         let other = renamed(TEXT, |word| names.iter().any(|name| name == word).then(|| format!("{word}_1")));
         assert!(other.contains("return half_1(p.size) * f32(SIZE_1);"), "{other}");
         assert!(other.contains("struct Place_1 { x: f32, size: f32 }") && other.contains("let other = v;"), "{other}");
-        assert!(other.starts_with("// fn other() in a comment\n/* struct block {} */\n"), "{other}");
+        assert!(other.starts_with("var<workgroup> shared_sum_1: array<f32, 4>;\nvar<private> own_1: f32;\n// fn other() in a comment\n/* struct block {} */\n"), "{other}");
     }
 }

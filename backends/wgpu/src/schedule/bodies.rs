@@ -1,20 +1,23 @@
 //! Bodies whose law runs on the device: the law itself, where they are in each step, what they felt.
 
-use crate::device::memory::{BODY, lent_bytes, read};
+use crate::device::memory::{BODY, answering_bytes, read};
 use crate::passes::binding::{Kernel, Role};
-use crate::passes::bodies::{Free, NearKernels};
+use crate::passes::bodies::{Answering, NearKernels, answer_draft, fits_workgroups};
 use crate::passes::couplings::Laws;
 use crate::schedule::ContactPasses;
-use crate::schedule::free::{Borrowed, FreeStep};
+use crate::schedule::groups::{BodyStep, HeldGroup};
 use crate::worlds::WgpuBatch;
 use crate::worlds::sleep::{self, BlockBox};
 use crate::worlds::world::{Level, Place};
 use barchan_core::backend::WorldStep;
+use barchan_core::coupling::DeviceBody;
 use barchan_core::{Aabb, BodyState, Coupling, Error, Result, StepReport, Vec3, Wrench};
 use std::collections::BTreeMap;
 
-/// Blocks in a free body's box on a level that the device can look into: a larger body's law runs on the host.
+/// Blocks in the box of a body that answers on a level that the device can look into, and bodies of a group that answer together: the law of larger ones runs on
+/// the host.
 pub(crate) const MOST_ROOMS: usize = 8192;
+const MOST_TOGETHER: usize = 64;
 
 /// The couplings' laws, where they run: as far as any world has asked.
 #[derive(Default)]
@@ -30,14 +33,14 @@ impl Contact {
     pub(crate) fn on_device(&self) -> ContactPasses<'_> {
         let Some(contact) = &self.device else { return ContactPasses::default() };
         let driven: &[Kernel] = if contact.needs.driven { &contact.kernels } else { &[] };
-        let (free, with_rims): (&[Kernel], _) =
-            contact.free.as_ref().map_or((&[], false), |(free, rims)| (free, *rims));
-        ContactPasses { driven, free, with_rims, roams: contact.needs.roams, on_host: false }
+        let (answering, with_rims): (&[Kernel], _) =
+            contact.answering.as_ref().map_or((&[], false), |(kernels, rims)| (kernels, *rims));
+        ContactPasses { driven, answering, with_rims, roams: contact.needs.roams, on_host: false }
     }
 
-    /// Free bodies of each world that the device has room for.
-    pub(crate) fn free(&self) -> usize {
-        self.device.as_ref().map_or(0, |contact| contact.needs.free.bodies)
+    /// Groups and bodies that answer that the device has room for in each world.
+    pub(crate) fn answering(&self) -> Answering {
+        self.device.as_ref().map_or(Answering::default(), |contact| contact.needs.answering)
     }
 }
 
@@ -47,7 +50,7 @@ pub(crate) struct Needs {
     /// Bodies of each world, and vectors of each world's table.
     pub(crate) bodies: usize,
     pub(crate) vectors: usize,
-    pub(crate) free: Free,
+    pub(crate) answering: Answering,
     /// Are there driven bodies?
     pub(crate) driven: bool,
     /// May bodies come near coarser levels?
@@ -58,10 +61,10 @@ impl Needs {
     /// Of a world's couplings with so many materials, where finest cells have that width [m].
     pub(crate) fn of(laws: &Laws, materials: usize, h: f64, roams: bool) -> Self {
         // Blocks that a box of the bodies' extents can reach into along an axis.
-        let across = |extent: &f64| (2.0 * extent / (4.0 * h)).min(1e6) as usize + 2;
-        let free = Free { bodies: laws.free.len(), across: laws.free.iter().map(across).max().unwrap_or(0) };
+        let across = |body: &DeviceBody| (2.0 * body.reach / (4.0 * h)).min(1e6) as usize + 2;
+        let answering = Answering::of(&laws.groups, across);
         let (bodies, vectors) = (laws.bodies, laws.table.len() + materials);
-        Self { bodies, vectors, free, driven: laws.free.len() < bodies, roams }
+        Self { bodies, vectors, answering, driven: answering.bodies < bodies, roams }
     }
 
     /// Those of both.
@@ -69,10 +72,7 @@ impl Needs {
         Self {
             bodies: self.bodies.max(other.bodies),
             vectors: self.vectors.max(other.vectors),
-            free: Free {
-                bodies: self.free.bodies.max(other.free.bodies),
-                across: self.free.across.max(other.free.across),
-            },
+            answering: self.answering.with(other.answering),
             driven: self.driven || other.driven,
             roams: self.roams || other.roams,
         }
@@ -83,9 +83,10 @@ impl Needs {
 pub(crate) struct DeviceContact {
     /// How particles press, the law, then the sums of impulses.
     kernels: [Kernel; 3],
-    /// Free bodies' contact and motion; does it move rims, too?
-    free: Option<([Kernel; 2], bool)>,
+    /// Contact of those that answer, and their motion; does it move rims, too?
+    answering: Option<([Kernel; 2], bool)>,
     wgsl: String,
+    answer: String,
     samples: Vec<[f32; 4]>,
     needs: Needs,
     /// Each world's table.
@@ -102,9 +103,9 @@ pub(crate) struct Driven {
     pub(crate) packed: Vec<Vec<[f32; 4]>>,
     /// Boxes of blocks near them on each level, likewise.
     pub(crate) near: Vec<Vec<Vec<BlockBox>>>,
-    /// Free bodies that the device moves, and what happened to them in each step.
-    pub(crate) lent: Vec<Borrowed>,
-    pub(crate) moved: Vec<Vec<FreeStep>>,
+    /// Groups that the device moves, and what happened to their bodies in each step.
+    pub(crate) held: Vec<HeldGroup>,
+    pub(crate) moved: Vec<Vec<BodyStep>>,
 }
 
 /// Repeats the last one until there are so many.
@@ -134,20 +135,20 @@ fn bodies_of(couplings: &[Box<dyn Coupling>]) -> Vec<BodyState> {
     couplings.iter().flat_map(|coupling| coupling.bodies()).collect()
 }
 
-/// The bodies of couplings as each of some levels sees them, of so many places for bodies: without those that are lent. `firsts` are the numbers of the
+/// The bodies of couplings as each of some levels sees them, of so many places for bodies: without those that it moves. `firsts` are the numbers of the
 /// couplings' first bodies.
 pub(crate) fn pack_all(
     couplings: &[Box<dyn Coupling>],
     firsts: &[usize],
     levels: &[Level],
-    lent: &[Borrowed],
+    held: &[HeldGroup],
     places: usize,
 ) -> Vec<[f32; 4]> {
     let mut packed = vec![NOWHERE; levels.len() * places];
     for (coupling, &first) in couplings.iter().zip(firsts) {
         let (bodies, boxes, reach) = (coupling.bodies(), coupling.bounds(), coupling.reach());
         for (number, (body, bounds)) in (first..).zip(bodies.iter().zip(&boxes)) {
-            if lent.iter().any(|lent| lent.number == number) {
+            if held.iter().flat_map(|group| &group.bodies).any(|body| body.number == number) {
                 continue;
             }
             for (l, level) in levels.iter().enumerate() {
@@ -209,15 +210,17 @@ impl WgpuBatch {
             // One world alone may have other bodies from now on.
             let before = self.contact.device.as_ref().filter(|_| self.worlds.len() > 1);
             let all = before.map_or(needs, |contact| contact.needs.with(needs));
-            let is_same = |contact: &DeviceContact| contact.wgsl == laws.wgsl && contact.samples == laws.samples;
+            let is_same = |contact: &DeviceContact| {
+                contact.wgsl == laws.wgsl && contact.answer == laws.answer && contact.samples == laws.samples
+            };
             let is_known = self.contact.device.as_deref().is_some_and(is_same);
             let vectors = self.worlds.len() * all.vectors + laws.samples.len();
-            if (is_known || before.is_none()) && self.has_room(all.free, vectors) {
+            if (is_known || before.is_none()) && self.has_room(all.answering, vectors) && self.fits(&laws, all) {
                 if !is_known || self.contact.device.as_ref().is_some_and(|contact| contact.needs != all) {
                     self.add_laws(&laws, all)?;
                 }
                 self.write_table(w, laws.table);
-                self.worlds[w].free = laws.free.len();
+                self.worlds[w].groups = laws.groups;
                 self.worlds[w].first_bodies = laws.firsts;
                 place = Place::Device;
             }
@@ -227,27 +230,41 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// Is there room on the device for what is inside so many free bodies, and for tables of so many vectors?
-    pub(crate) fn has_room(&self, free: Free, vectors: usize) -> bool {
+    /// Is there room on the device for what is inside so many bodies that answer, and for tables of so many vectors?
+    pub(crate) fn has_room(&self, answering: Answering, vectors: usize) -> bool {
         let cap = self.gpu.limits.max_storage_buffer_binding_size.min(self.gpu.limits.max_buffer_size);
-        free.rooms() <= MOST_ROOMS && lent_bytes(free, self.worlds.len(), self.levels).max(16 * vectors as u64) <= cap
+        let bytes = answering_bytes(answering, self.worlds.len(), self.levels).max(16 * vectors as u64);
+        answering.rooms() <= MOST_ROOMS && answering.together <= MOST_TOGETHER && bytes <= cap
+    }
+
+    /// Does what groups of several bodies keep while they answer fit the adapter's memory for workgroups?
+    fn fits(&self, laws: &Laws, needs: Needs) -> bool {
+        let (worlds, set) = (self.worlds.len(), &self.kernels.set);
+        needs.answering.together <= 1 || {
+            let passes = [set.solve.is_some(), set.watch.is_some(), false];
+            let draft = answer_draft(passes, laws, needs.vectors, [worlds, self.levels], needs.answering);
+            fits_workgroups(&self.gpu, &self.kernels.setting, worlds, &draft)
+        }
     }
 
     /// Teaches the device the laws of a world's couplings.
     pub(crate) fn add_laws(&mut self, laws: &Laws, needs: Needs) -> Result<()> {
-        let (worlds, Needs { bodies, vectors, free, .. }) = (self.worlds.len(), needs);
+        let (worlds, Needs { bodies, vectors, answering, .. }) = (self.worlds.len(), needs);
         let shape = [worlds, self.levels];
         let materials = self.worlds[0].materials.len();
         let kernels =
             crate::passes::bodies::contact(&self.gpu, &self.kernels, laws, [bodies, vectors, materials], shape);
-        let of_free = (free.bodies > 0).then(|| {
-            crate::passes::bodies::free(&self.gpu, &self.kernels, laws, [vectors, materials], shape, free, needs.roams)
+        let of_groups = (answering.groups > 0).then(|| {
+            let counts = [vectors, materials];
+            crate::passes::bodies::answer(&self.gpu, &self.kernels, laws, counts, shape, answering, needs.roams)
         });
-        self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], free, &laws.samples)?;
+        self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], answering, &laws.samples)?;
         self.unlinked = true;
         let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);
-        let (wgsl, samples, tables) = (laws.wgsl.clone(), laws.samples.clone(), vec![Vec::new(); worlds]);
-        self.contact.device = Some(Box::new(DeviceContact { kernels, free: of_free, wgsl, samples, needs, tables }));
+        let (wgsl, answer, samples) = (laws.wgsl.clone(), laws.answer.clone(), laws.samples.clone());
+        let tables = vec![Vec::new(); worlds];
+        let contact = DeviceContact { kernels, answering: of_groups, wgsl, answer, samples, needs, tables };
+        self.contact.device = Some(Box::new(contact));
         before.into_iter().enumerate().for_each(|(w, table)| self.write_table(w, table));
         Ok(())
     }
@@ -271,7 +288,7 @@ impl WgpuBatch {
         world_step: &mut WorldStep<'_>,
         dt: f64,
         count: usize,
-        lent: &[Borrowed],
+        held: &[HeldGroup],
     ) -> Result<Option<Driven>> {
         let couplings = &mut *world_step.couplings;
         if couplings.is_empty() {
@@ -283,13 +300,13 @@ impl WgpuBatch {
             after: Vec::new(),
             packed: Vec::new(),
             near: Vec::new(),
-            lent: lent.to_vec(),
+            held: held.to_vec(),
             moved: Vec::new(),
         };
         let bodies = self.contact.device.as_ref().map_or(0, |contact| contact.needs.bodies);
-        // Bodies that are all lent stay where they are until they come back: one step is like the next.
-        let all_lent = lent.len() == bodies_of(couplings).len();
-        let seen = if all_lent { count.min(1) } else { count };
+        // Bodies that the device moves stay where they are here: if it moves all, one step is like the next.
+        let all_held = held.iter().map(|group| group.bodies.len()).sum::<usize>() == bodies_of(couplings).len();
+        let seen = if all_held { count.min(1) } else { count };
         let mut go = || {
             let each = dt / self.substeps as f64;
             let (levels, firsts) = (&self.worlds[world_step.world].levels, &self.worlds[world_step.world].first_bodies);
@@ -304,9 +321,9 @@ impl WgpuBatch {
                 couplings.iter_mut().try_for_each(|coupling| coupling.before_step(at, each))?;
                 // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
                 let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
-                let mut packed = pack_all(couplings, firsts, before, lent, bodies);
+                let mut packed = pack_all(couplings, firsts, before, held, bodies);
                 couplings.iter_mut().try_for_each(|coupling| coupling.after_step(at, each))?;
-                packed.extend(pack_all(couplings, firsts, after, lent, bodies));
+                packed.extend(pack_all(couplings, firsts, after, held, bodies));
                 driven.packed.push(packed);
                 if (slot + 1) % self.substeps == 0 {
                     // As a simulation counts it: a path knows the last bit.
@@ -324,7 +341,7 @@ impl WgpuBatch {
             go_back(world_step.couplings, &Some(driven), 0)?;
             return Err(error);
         }
-        if all_lent {
+        if all_held {
             go_on(&mut driven.after, count);
             go_on(&mut driven.saved, count + 1);
             go_on(&mut driven.near, count * self.substeps);
@@ -393,7 +410,7 @@ impl WgpuBatch {
     ) {
         let Some(contact) = &self.contact.device else { return };
         let each = 2 * contact.needs.bodies;
-        let Driven { after, lent, moved, .. } = driven;
+        let Driven { after, moved, .. } = driven;
         for (s, (report, mut after)) in reports.iter_mut().zip(after).enumerate() {
             // Over all levels' steps within this one.
             let sum = |k: usize| {
@@ -413,8 +430,8 @@ impl WgpuBatch {
             let numbers = self.numbers(world_step);
             let mut wrenches: Vec<_> =
                 numbers.iter().map(|number| of_impulse([sum(2 * number), sum(2 * number + 1)])).collect();
-            for (lent, felt) in lent.iter().zip(moved.get(s).into_iter().flatten()) {
-                if let Some(b) = numbers.iter().position(|number| *number == lent.number) {
+            for felt in moved.get(s).into_iter().flatten() {
+                if let Some(b) = numbers.iter().position(|number| *number == felt.number) {
                     after[b] = felt.body.clone();
                     wrenches[b] = of_impulse([felt.impulse.force, felt.impulse.torque]);
                 }

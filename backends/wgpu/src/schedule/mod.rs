@@ -2,7 +2,7 @@
 
 pub(crate) mod bodies;
 pub(crate) mod contact_on_host;
-pub(crate) mod free;
+pub(crate) mod groups;
 pub(crate) mod near;
 pub(crate) mod outcome;
 pub(crate) mod status;
@@ -18,7 +18,7 @@ use barchan_core::{Plan, Schedule, Vec3};
 use std::ops::Range;
 
 /// Has this backend a form of the stage? Of most it is [`passes`]; archive, adapt and sort are carried out between steps, where they are due; the limit is
-/// held within the grid update, and free bodies move within the contact, while the host moves driven ones.
+/// held within the grid update, and bodies that answer move within the contact, while the host moves driven ones.
 pub(crate) fn has_form(stage: Stage) -> bool {
     matches!(
         stage,
@@ -42,12 +42,12 @@ pub(crate) fn of_batch(plan: &Plan) -> Schedule {
     Schedule::new(Needs { ground: true, bodies: true, ..plan.schedule.needs })
 }
 
-/// Contact on the device: with driven bodies, and with free ones, alone or together with what is done at rims; and whether bodies may come near
+/// Contact on the device: with driven bodies, and with those that answer, alone or together with what is done at rims; and whether bodies may come near
 /// coarser levels.
 #[derive(Debug)]
 pub(crate) struct ContactPasses<'a, K = Kernel> {
     pub(crate) driven: &'a [K],
-    pub(crate) free: &'a [K],
+    pub(crate) answering: &'a [K],
     pub(crate) with_rims: bool,
     pub(crate) roams: bool,
     /// Does the law run on the host, where bodies come near walls and others?
@@ -64,7 +64,7 @@ impl<K> Copy for ContactPasses<'_, K> {}
 
 impl<K> Default for ContactPasses<'_, K> {
     fn default() -> Self {
-        Self { driven: &[], free: &[], with_rims: false, roams: false, on_host: false }
+        Self { driven: &[], answering: &[], with_rims: false, roams: false, on_host: false }
     }
 }
 
@@ -82,7 +82,7 @@ impl<K> ContactPasses<'_, K> {
 
 /// The passes that carry out a call, each with its levels; for what is yet a text as for what a device has compiled.
 ///
-/// Passes concern all levels at once whose steps begin, or end, in the slot. So what free bodies and rims ask of the same nodes may be one pass.
+/// Passes concern all levels at once whose steps begin, or end, in the slot. So what bodies that answer and rims ask of the same nodes may be one pass.
 pub(crate) fn passes<'a, K>(
     set: &'a Set<K>,
     contact: ContactPasses<'a, K>,
@@ -93,7 +93,7 @@ pub(crate) fn passes<'a, K>(
     let levels = schedule.needs.levels;
     let (begin, end) =
         if subcycled { (beginning(levels, call.slot), ending(levels, call.slot)) } else { (0..levels, 0..levels) };
-    let ContactPasses { driven, free, with_rims, roams, .. } = contact;
+    let ContactPasses { driven, answering, with_rims, roams, .. } = contact;
     let all = |levels: Range<usize>, kernels: &mut dyn Iterator<Item = &'a K>| {
         kernels.map(|kernel| (levels.clone(), kernel)).collect::<Vec<_>>()
     };
@@ -102,16 +102,16 @@ pub(crate) fn passes<'a, K>(
         Stage::P2G => all(begin, &mut [&set.p2g].into_iter()),
         Stage::RESTRICT => all(begin, &mut set.restrict.iter()),
         Stage::GRID_UPDATE => all(begin, &mut set.grid.iter()),
-        // Free bodies act on the finest level where they were, on coarser ones where they have come, if they come near any. Driven ones stand where the host
+        // Those that answer act on the finest level where they were, on coarser ones where they have come, if they come near any. Driven ones stand where the host
         // has said for each slot, so that one pass does for all levels.
         Stage::CONTACT => {
             let last = call.levels.end == end.end;
-            let meets_free = !(subcycled && with_rims) && (call.levels.start == 0 || roams);
-            let free = all(call.levels.clone(), &mut free.iter().filter(|_| meets_free));
+            let meets = !(subcycled && with_rims) && (call.levels.start == 0 || roams);
+            let answering = all(call.levels.clone(), &mut answering.iter().filter(|_| meets));
             let driven = all(end, &mut driven.iter().filter(|_| last));
-            if subcycled { [free, driven].concat() } else { [driven, free].concat() }
+            if subcycled { [answering, driven].concat() } else { [driven, answering].concat() }
         }
-        Stage::PROLONG if with_rims && subcycled => all(begin, &mut free.iter()),
+        Stage::PROLONG if with_rims && subcycled => all(begin, &mut answering.iter()),
         Stage::PROLONG if with_rims => Vec::new(),
         // Rims read what stands behind walls that let go, and mirrors what stands at rims.
         Stage::PROLONG if subcycled => all(begin, &mut set.solve.iter()),

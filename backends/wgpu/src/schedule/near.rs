@@ -5,7 +5,7 @@ use crate::passes::binding::Role;
 use crate::schedule::submission::Behind;
 use crate::worlds::world::{Level, World};
 use barchan_core::backend::WorldStep;
-use barchan_core::contact::{self, Contact};
+use barchan_core::contact::{Act, Contact};
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
 use barchan_grid::limits::{FULL_SPEED, greater};
 use std::collections::HashMap;
@@ -137,34 +137,21 @@ impl Near {
         self.particles.sort_unstable();
     }
 
-    /// All couplings act on the nodes of some levels: on each, fields one after the other, then all bodies. Returns the greatest speed that particles
+    /// All couplings act on the nodes of some levels, one level after the other. Returns the greatest speed that particles
     /// may feel [m/s].
     pub(crate) fn touch(&mut self, levels: Range<usize>, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<f64> {
         let mut speed = 0.0;
         for level in levels {
-            let h = self.levels[level].h;
-            for coupling in couplings.iter_mut().filter(|coupling| coupling.is_field()) {
-                let [of_nodes, _] = contact::boxes(&**coupling, h);
-                speed = greater(speed, self.apply(level, &of_nodes, false, |nodes| coupling.act_as_field(dt, nodes))?);
-            }
-            let bodies = couplings.iter().filter(|coupling| !coupling.is_field());
-            let boxes: Vec<_> = bodies.map(|one| contact::boxes(&**one, h)).collect();
-            let of_nodes: Vec<Aabb> = boxes.iter().flat_map(|[of_nodes, _]| of_nodes).copied().collect();
-            let wants_particles = boxes.iter().any(|[_, of_particles]| !of_particles.is_empty());
-            let meet = |nodes: &mut NodeBatch| Contact::default().meet(couplings, dt, nodes);
-            speed = greater(speed, self.apply(level, &of_nodes, wants_particles, meet)?);
+            Contact::default().act(couplings, [dt, self.levels[level].h], |[of_nodes, of_particles], act| {
+                speed = greater(speed, self.apply(level, of_nodes, !of_particles.is_empty(), act)?);
+                Ok(())
+            })?;
         }
         Ok(speed)
     }
 
     /// Hands over a level's nodes in some boxes, and the particles there, and takes back the nodes' velocities.
-    fn apply(
-        &mut self,
-        level: usize,
-        boxes: &[Aabb],
-        wants_particles: bool,
-        act: impl FnOnce(&mut NodeBatch) -> Result<()>,
-    ) -> Result<f64> {
+    fn apply(&mut self, level: usize, boxes: &[Aabb], wants_particles: bool, act: &mut Act<'_>) -> Result<f64> {
         let Met { h, blocks: ref own, layer } = self.levels[level];
         let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
         let mut numbers = HashMap::new();

@@ -2,7 +2,7 @@
 
 use crate::device::memory::{MAX_SLOTS, MAX_STEPS};
 use crate::schedule::bodies::{Driven, go_back};
-use crate::schedule::free::Borrowed;
+use crate::schedule::groups::HeldGroup;
 use crate::schedule::status::Halt;
 use crate::schedule::submission::{FEW_STEPS, Outcome, cut};
 use crate::worlds::WgpuBatch;
@@ -31,7 +31,7 @@ impl WgpuBatch {
         mut dt: f64,
         mut count: usize,
         world_steps: &mut [WorldStep<'_>],
-        lent: &[Vec<Borrowed>],
+        held: &[Vec<HeldGroup>],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
         self.settle()?;
         let mut failed: Vec<Option<Error>> = world_steps.iter().map(|world_step| self.fault(world_step)).collect();
@@ -49,7 +49,7 @@ impl WgpuBatch {
             let mut steps = stretches.iter().map(|s| s.steps).sum();
             let mut driven = BTreeMap::new();
             for &t in &going {
-                match self.drive(&mut world_steps[t], dt, steps, &lent[t]) {
+                match self.drive(&mut world_steps[t], dt, steps, &held[t]) {
                     Ok(of_turn) => {
                         steps = of_turn.as_ref().map_or(steps, |driven| driven.after.len());
                         driven.insert(t, of_turn);
@@ -66,7 +66,7 @@ impl WgpuBatch {
             cut(&mut stretches, steps);
             self.write_bodies(world_steps, &driven, steps);
             let mut writes = std::mem::take(&mut self.writes);
-            self.write_lent(world_steps, lent, &mut writes);
+            self.write_groups(world_steps, held, &mut writes);
             self.write_near(world_steps, &driven, steps)?;
             let outcome = self.submit(&active, dt, &stretches, writes)?;
             if stretches[0].sort {
@@ -79,7 +79,7 @@ impl WgpuBatch {
             }
             for (t, of_turn) in &mut driven {
                 go_back(world_steps[*t].couplings, of_turn, outcome.done)?;
-                failed[*t] = self.adopt(&mut world_steps[*t], of_turn, &outcome).err();
+                failed[*t] = self.take_groups(&mut world_steps[*t], of_turn, &outcome).err();
                 let world = world_steps[*t].world;
                 if outcome.status.is_astray(self.layers_of(world)) && self.worlds[world].torn.is_none() {
                     self.adapt(world, None, world_steps[*t].couplings)?;
@@ -207,25 +207,25 @@ impl WgpuBatch {
         let has_bodies = world_steps.iter().any(|world_step| !world_step.couplings.is_empty());
         let at_once = if has_bodies || self.substeps > 1 { MAX_SLOTS / self.substeps } else { MAX_STEPS };
         let most = world_steps.iter().map(until_asked).fold(at_once, usize::min);
-        let lent: Vec<Option<Vec<Borrowed>>> = world_steps
+        let held: Vec<Option<Vec<HeldGroup>>> = world_steps
             .iter_mut()
-            .map(|world_step| match self.worlds[world_step.world] {
+            .map(|world_step| match &self.worlds[world_step.world] {
                 _ if !ground => None,
                 World { contact: Some(Place::Host), .. } => None,
-                World { free: 0, .. } => Some(Vec::new()),
-                _ => self.borrow(world_step, dt, at_once),
+                world if !world.answers() => Some(Vec::new()),
+                _ => self.hold_groups(world_step, dt, at_once),
             })
             .collect();
-        let is_on_host: Vec<bool> = lent.iter().map(Option::is_none).collect();
+        let is_on_host: Vec<bool> = held.iter().map(Option::is_none).collect();
         if ground && is_on_host.contains(&true) && self.contact.host.is_none() {
             self.contact.host =
                 Some(Box::new(crate::passes::bodies::near(&self.gpu, &self.kernels, self.worlds.len())));
         }
-        let taken = self.take_steps_where_bodies_are(dt, count.clamp(1, most), world_steps, lent, &is_on_host);
+        let taken = self.take_steps_where_bodies_are(dt, count.clamp(1, most), world_steps, held, &is_on_host);
         world_steps
             .iter_mut()
             .flat_map(|world_step| world_step.couplings.iter_mut())
-            .for_each(|coupling| coupling.take_back());
+            .for_each(|coupling| coupling.move_on_device(false));
         let reports = taken?;
         for (world_step, _) in world_steps.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
             self.follow_stiffness(world_step.world)?;
@@ -239,7 +239,7 @@ impl WgpuBatch {
         dt: f64,
         count: usize,
         world_steps: &mut [WorldStep<'_>],
-        lent: Vec<Option<Vec<Borrowed>>>,
+        held: Vec<Option<Vec<HeldGroup>>>,
         is_on_host: &[bool],
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
         let ground = self.particles() > 0;
@@ -247,8 +247,8 @@ impl WgpuBatch {
         if is_on_host.contains(&false) {
             // Beside worlds that go a step at a time, they do.
             let count = if is_on_host.contains(&true) { 1 } else { count };
-            let lent: Vec<_> = lent.into_iter().flatten().collect();
-            reports = self.advance(dt, count, &mut some_of(world_steps, |t| !is_on_host[t]), &lent)?;
+            let held: Vec<_> = held.into_iter().flatten().collect();
+            reports = self.advance(dt, count, &mut some_of(world_steps, |t| !is_on_host[t]), &held)?;
         }
         if is_on_host.contains(&true) {
             let taken = reports.iter().flatten().flatten().next().map_or(dt, |report| report.dt);

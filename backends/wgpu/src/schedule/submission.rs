@@ -5,7 +5,8 @@ use crate::device::memory::{
     Extent, MAX_STEPS, Memory, Piece, STEP_STRIDE, StepConstants, Writes, pad, read, with_mapped, with_room,
 };
 use crate::passes::binding::{Groups, Role, Sorted};
-use crate::schedule::free::states;
+use crate::passes::bodies::Answering;
+use crate::schedule::groups::states;
 use crate::schedule::status::{AT_START, GIVERS, GROWN, HALT_STEP, HALTED, Halt, NEW_BLOCKS, NEW_NODE_BLOCKS, Status};
 use crate::schedule::{ContactPasses, Dispatch, Passes};
 use crate::worlds::world::{Foresight, Level, Place, Span, World};
@@ -36,8 +37,8 @@ pub(crate) struct Outcome {
     pub(crate) done: usize,
     pub(crate) halt: Option<Halt>,
     pub(crate) status: Status,
-    /// States of free bodies after each slot.
-    pub(crate) lent: Vec<u32>,
+    /// States of groups and their bodies after each slot.
+    pub(crate) groups: Vec<u32>,
 }
 
 /// What is brought back behind the status.
@@ -241,7 +242,7 @@ impl WgpuBatch {
         let measures = (self.h, self.fixed.gravity.0);
         let is_felt = active.iter().any(|(w, _)| self.worlds[*w].contact == Some(Place::Device));
         let contact = if is_felt { self.contact.on_device() } else { ContactPasses::default() };
-        let free = if is_felt { self.contact.free() } else { 0 };
+        let answering = if is_felt { self.contact.answering() } else { Answering::default() };
         let mut passes = Passes::new(&self.kernels, contact, &self.schedule, self.memory.now, measures);
         let mut parts = Vec::new();
         for stretch in stretches {
@@ -260,9 +261,10 @@ impl WgpuBatch {
         }
         writes.add_steps(&self.memory.steps, &passes.constants);
         let parts = self.with_groups(parts);
-        let behind = states(free * self.worlds.len(), count * self.substeps);
+        let behind = states(answering, self.worlds.len(), count * self.substeps);
         let steps = count.max(1);
-        let (status, lent) = Self::run(&writes, &self.gpu, &mut self.memory, &mut self.clocks, &parts, steps, behind)?;
+        let (status, groups) =
+            Self::run(&writes, &self.gpu, &mut self.memory, &mut self.clocks, &parts, steps, behind)?;
         writes.clear();
         self.writes = writes;
         let halt = status.halt();
@@ -272,7 +274,7 @@ impl WgpuBatch {
         }
         // Who has left was there in these steps.
         self.take_blocks(&status);
-        Ok(Outcome { done, halt, status, lent })
+        Ok(Outcome { done, halt, status, groups })
     }
 
     /// Cuts steps into stretches between sorts, as far as the present speeds tell when worlds will be due, or might be. Where they tell wrong, a sort

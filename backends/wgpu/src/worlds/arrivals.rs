@@ -50,7 +50,7 @@ impl WgpuBatch {
         let before = std::mem::take(&mut self.worlds[to].levels);
         let mut copy = self.worlds[from].clone();
         // Where its law runs is found anew, as for one that is replaced: the device has a table for each world.
-        (copy.contact, copy.free) = (None, 0);
+        (copy.contact, copy.groups) = (None, Vec::new());
         for (level, here) in copy.levels.iter_mut().zip(before) {
             let Level { particles, blocks, node_blocks, reach, span, .. } = here;
             *level = Level { particles, blocks, node_blocks, reach, span, ..level.clone() };

@@ -238,7 +238,7 @@ impl WgpuBatch {
     pub(crate) fn only_waits(&self) -> bool {
         let only_waits = |world: &World| {
             let on_device = matches!(world.contact, Some(Place::Nowhere | Place::Device));
-            on_device && world.free == 0 && world.reach.is_none() && world.ask_after.is_none()
+            on_device && !world.answers() && world.reach.is_none() && world.ask_after.is_none()
         };
         self.levels == 1 && self.particles() > 0 && self.worlds.iter().all(only_waits)
     }

@@ -7,6 +7,7 @@ use crate::worlds::sleep::Slept;
 use crate::worlds::soft::Softs;
 use crate::worlds::stiffness::{self, lesser};
 use barchan_core::backend::Bound;
+use barchan_core::coupling::DeviceGroup;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Leaving, Wall};
 use barchan_core::{Ledger, LevelPhase, ParticleList, Plan, Result, Scene, SortPhase, Vec3};
@@ -161,8 +162,8 @@ pub(crate) struct World {
     pub(crate) contact: Option<Place>,
     /// On the device, the number of each coupling's first body there.
     pub(crate) first_bodies: Vec<usize>,
-    /// Free bodies, if that is the device.
-    pub(crate) free: usize,
+    /// And what each coupling's groups ask of it.
+    pub(crate) groups: Vec<Vec<DeviceGroup>>,
     /// Steps of the finest level in one.
     pub(crate) substeps: u32,
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
@@ -234,6 +235,11 @@ impl Level {
 }
 
 impl World {
+    /// Are there groups that answer on the device?
+    pub(crate) fn answers(&self) -> bool {
+        self.groups.iter().any(|groups| !groups.is_empty())
+    }
+
     /// A world without particles.
     ///
     /// # Errors
@@ -250,7 +256,7 @@ impl World {
             reach: plan.terrain.clone().map(Reach::new),
             contact: None,
             first_bodies: Vec::new(),
-            free: 0,
+            groups: Vec::new(),
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,

@@ -1,10 +1,11 @@
-//! Couplings outside Barchan's own crates. [`rollers`] are bodies that grip the ground. Here are fields that drag it along: a current in the whole world, and brakes
+//! Couplings outside Barchan's own crates. [`rollers`] are bodies that grip the ground, and a [`dumbbell`] is two that answer it together. Here are fields that drag it along: a current in the whole world, and brakes
 //! in boxes.
 //!
 //! A scene calls for them by `[[coupling]] kind = "current"` or `"brakes"`, as often as it likes. A node's velocity u follows du/dt = rate (w - u), taken
 //! implicitly, so that any step is stable; what the node gains, a pump without an end of mass loses. A current's w is what its parameters say, that of brakes
 //! is zero. A current has one body, which bears the coupling's name, and brakes have one for each of their boxes.
 
+pub mod dumbbell;
 pub mod rollers;
 
 use barchan::coupling::{Aabb, DeviceLaw};
@@ -47,7 +48,8 @@ pub fn register(registry: &mut Registry) -> Result<()> {
     let zones = Parameter::tables("zone", zone, 1..=64, "The boxes.");
     let doc = "Boxes in which the ground is slowed down.";
     registry.add_coupling(BRAKES, doc, vec![zones], Arc::new(|setup| Ok(Box::new(Drag::brakes(setup)))))?;
-    rollers::register(registry)
+    rollers::register(registry)?;
+    dumbbell::register(registry)
 }
 
 /// The same for GPUs. The table holds, for each zone, its rate, the spin of a whirl about its middle, along how many axes it acts; and the velocity.

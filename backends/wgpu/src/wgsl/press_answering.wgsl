@@ -1,25 +1,26 @@
-const PRESSED_BODIES: u32 = FREES;
+const PRESSED_BODIES: u32 = ANSWERING;
 
-// Blocks in a free body's box, as `free.wgsl` counts them: the first, and how many along each axis. Kept for where the forces go.
+// Blocks in a body's box, as `answer.wgsl` counts them: the first, and how many along each axis. Kept for where the forces go.
 var<private> pressed_first: vec3<i32>;
 var<private> pressed_size: vec3<i32>;
 
 fn pressed_body(b: u32) -> PressedBody {
-    let k = layer_now / LEVELS * FREES + b;
+    let k = layer_now / LEVELS * ANSWERING + b;
     let level = level_of(layer_now);
     let shrink = shrink_of(layer_now);
-    let at = state_at(k, state_now());
-    let cell = bitcast<vec3<i32>>(lent[at].xyz);
-    let place = place_of(lent[at + 1u]);
-    let number = lent[k * LENT + 3u].w;
+    let at = state_of_body(k, state_now());
+    let head = answering[body_head(k)];
+    let cell = bitcast<vec3<i32>>(answering[at].xyz);
+    let place = place_of(answering[at + 1u]);
+    let number = head.x;
     let base = cell >> vec3<u32>(level);
-    let rows = rows_of(rotation_of(lent[at + 2u]));
+    let rows = rows_of(rotation_of(answering[at + 2u]));
     let nodes = nodes_near(number, rows, cell, place, level, shrink);
     pressed_first = nodes[0] >> vec3<u32>(2u);
     pressed_size = (nodes[1] >> vec3<u32>(2u)) - pressed_first + vec3<i32>(1);
     var most = nodes[1];
     // It meets no level beyond.
-    if level >= lent[k * LENT + 5u].w {
+    if level >= head.y {
         most = nodes[0] - vec3<i32>(1);
     }
     return PressedBody(nodes[0], most, base, in_level(cell, place, vec3<f32>(0.0), level, shrink), rows, number);
@@ -30,6 +31,6 @@ fn put_pressed(b: u32, g: u32, block: vec3<i32>, n: u32, force: vec3<f32>) {
     let size = vec3<u32>(pressed_size);
     let room = at.x + size.x * (at.y + size.y * at.z);
     if room < ROOMS {
-        lent[pressed_at(layer_now / LEVELS * FREES + b, level_of(layer_now), room, n)] = bitcast<vec4<u32>>(vec4<f32>(force, 0.0));
+        answering[pressed_at(layer_now / LEVELS * ANSWERING + b, level_of(layer_now), room, n)] = bitcast<vec4<u32>>(vec4<f32>(force, 0.0));
     }
 }

@@ -1,0 +1,303 @@
+//! Groups of bodies that answer, which the device moves: as they are at the start of a submission, and what came of them. See `answering.wgsl`.
+
+use crate::device::memory::{BODY_HEAD, BODY_STATE, GROUP_HEAD, Writes};
+use crate::passes::binding::Role;
+use crate::passes::bodies::Answering;
+use crate::schedule::bodies::Driven;
+use crate::schedule::submission::{Behind, Outcome};
+use crate::worlds::WgpuBatch;
+use barchan_core::backend::WorldStep;
+use barchan_core::coupling::{Group, GroupState, GroupStep, Placed};
+use barchan_core::plan::TOOL_COURANT;
+use barchan_core::{Aabb, BodyState, Result, Vec3, Wrench};
+use std::ops::Range;
+
+/// One part of a cell, and of a rotation, in a state.
+pub(crate) const PLACE: f64 = 1.0 / 4_294_967_296.0;
+pub(crate) const ROTATION: f64 = 1.0 / 1_073_741_824.0;
+/// What rounding on the device may amount to in displacements [cells].
+pub(crate) const ROUNDING: f64 = 1e-4;
+/// What bodies of different couplings keep between the nodes that they touch [cells].
+const CLEARANCE: f64 = 1.0;
+/// In place of infinity [cells].
+pub(crate) const FAR: f64 = 1e9;
+
+/// A vector as the device reads it.
+pub(crate) type Words = [u32; 4];
+
+/// A group that the device moves.
+#[derive(Clone, Debug)]
+pub(crate) struct HeldGroup {
+    /// Its coupling, and its number among that one's groups.
+    coupling: usize,
+    number: usize,
+    /// Its mass [kg].
+    mass: f64,
+    state: GroupState,
+    pub(crate) bodies: Vec<HeldBody>,
+}
+
+/// One of its bodies.
+#[derive(Clone, Debug)]
+pub(crate) struct HeldBody {
+    /// Its number among its coupling's bodies, and on the device.
+    own: usize,
+    pub(crate) number: usize,
+    /// Its mass [kg].
+    mass: f64,
+    /// Greatest distance of a surface point from the reference point [m].
+    extent: f64,
+    /// How far along each axis its box may move: least and greatest displacement [m].
+    leash: Aabb,
+    /// Do levels follow it?
+    followed: bool,
+}
+
+/// What happened to a body in a step on the device.
+#[derive(Clone, Debug)]
+pub(crate) struct BodyStep {
+    /// Its number on the device.
+    pub(crate) number: usize,
+    /// The body afterwards.
+    pub(crate) body: BodyState,
+    /// Impulse and angular impulse from the ground.
+    pub(crate) impulse: Wrench,
+}
+
+/// Where groups, bodies and their states stand in the buffer [vectors], for so many worlds.
+#[derive(Clone, Copy)]
+struct Places {
+    room: Answering,
+    worlds: usize,
+}
+
+impl Places {
+    fn body_head(self, body: usize) -> usize {
+        self.worlds * self.room.groups * GROUP_HEAD + body * BODY_HEAD
+    }
+    fn states(self) -> usize {
+        self.body_head(self.worlds * self.room.bodies)
+    }
+    fn of_slot(self) -> usize {
+        self.words(self.worlds * self.room.groups)
+    }
+    /// A group's words within a slot, behind all bodies.
+    fn words(self, group: usize) -> usize {
+        self.worlds * self.room.bodies * BODY_STATE + group * self.room.words
+    }
+}
+
+/// Where the states after each of some slots stand, to be brought back.
+pub(crate) fn states(room: Answering, worlds: usize, slots: usize) -> Option<Behind> {
+    let places = Places { room, worlds };
+    let bytes = |vectors: usize| 16 * vectors as u64;
+    Some(Behind::of(Role::Answering, bytes(places.states() + places.of_slot()), bytes(places.of_slot() * slots)))
+}
+
+/// Parts of cells of width `h` [m] from the origin of the world; exact for what the device has come to.
+pub(crate) fn parts(position: Vec3, h: f64) -> [i64; 3] {
+    position.map(|x| (x / h / PLACE).round() as i64)
+}
+
+/// Cell, place in it, and rotation of a body, where finest cells have that width [m].
+fn pose_words(placed: &Placed, h: f64) -> [Words; 3] {
+    let [w, x, y, z] = placed.rotation.map(|q| (q / ROTATION).round() as i32 as u32);
+    let [cell, place] = places(placed.position, h);
+    [cell, place, [x, y, z, w]]
+}
+
+/// Cell and place in it.
+pub(crate) fn places(position: Vec3, h: f64) -> [Words; 2] {
+    let [x, y, z] = parts(position, h);
+    [[(x >> 32) as u32, (y >> 32) as u32, (z >> 32) as u32, 0], [x as u32, y as u32, z as u32, 0]]
+}
+
+fn bits(x: f64) -> u32 {
+    (x as f32).to_bits()
+}
+
+/// Where a body is after a slot.
+fn read_pose(words: &[Words], h: f64) -> Placed {
+    let position = [0, 1, 2].map(|d| {
+        let parts = (i64::from(words[0][d] as i32) << 32) + i64::from(words[1][d]);
+        parts as f64 * PLACE * h
+    });
+    let [x, y, z, w] = words[2].map(|q| f64::from(q as i32) * ROTATION);
+    Placed { position, rotation: [w, x, y, z] }
+}
+
+/// What a body that meets so many levels is for the steps of a submission, where finest cells have width `h` [m].
+fn body_words(body: &HeldBody, position: Vec3, levels: usize, h: f64) -> [Words; BODY_HEAD] {
+    let end = |x: f64, inwards: f64| bits((x / h + inwards * ROUNDING).clamp(-FAR, FAR));
+    let ends = |v: Vec3, inwards: f64, last: u32| [end(v[0], inwards), end(v[1], inwards), end(v[2], inwards), last];
+    let [cell, place] = places(position, h);
+    [
+        [body.number as u32, levels as u32, bits(TOOL_COURANT * (1.0 - ROUNDING)), bits(body.extent / h)],
+        ends(body.leash.min, 1.0, bits(body.mass)),
+        ends(body.leash.max, -1.0, 0),
+        cell,
+        place,
+    ]
+}
+
+impl WgpuBatch {
+    /// Takes a world's groups to the device for up to so many steps, on leashes that keep its levels where they are, too, and bodies of one coupling away from
+    /// those of others; `None` if a coupling must take the next step.
+    pub(crate) fn hold_groups(&self, world_step: &mut WorldStep<'_>, dt: f64, steps: usize) -> Option<Vec<HeldGroup>> {
+        let held = self.held_groups(world_step, dt, steps);
+        world_step.couplings.iter_mut().for_each(|coupling| coupling.move_on_device(held.is_some()));
+        held
+    }
+
+    fn held_groups(&self, world_step: &WorldStep<'_>, dt: f64, steps: usize) -> Option<Vec<HeldGroup>> {
+        let world = &self.worlds[world_step.world];
+        let softs = world.softs.boxes(self.h);
+        let mut all = Vec::new();
+        for (c, coupling) in world_step.couplings.iter().enumerate() {
+            let groups = coupling.groups();
+            if groups.is_empty() {
+                continue;
+            }
+            let mut leashes = coupling.leashes(world_step.time, dt, steps)?.into_iter();
+            let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
+            let states = coupling.device_state().into_iter();
+            let known = world.groups[c].iter();
+            for (number, ((Group { bodies: own, mass }, state), known)) in
+                groups.into_iter().zip(states).zip(known).enumerate()
+            {
+                let mut held = Vec::with_capacity(own.len());
+                for (own, known) in own.zip(&known.bodies) {
+                    let name = &bodies[own].name;
+                    let of_levels = world.adapt.leash(name, &boxes[own], |body| softs.get(&body).copied());
+                    let of_others = self.keep_off(world_step, c, &boxes[own], dt * steps as f64)?;
+                    let leash = leashes.next()?.intersection(&of_levels).intersection(&of_others);
+                    let followed = world.adapt.follows(name);
+                    let number = world.first_bodies[c] + own;
+                    held.push(HeldBody { own, number, mass: bodies[own].mass, extent: known.extent, leash, followed });
+                }
+                all.push(HeldGroup { coupling: c, number, mass, state, bodies: held });
+            }
+        }
+        Some(all)
+    }
+
+    /// How far along each axis a body that answers, of coupling `c`, in the box `own`, may go for `duration` [s] before it may touch a node that a body of another coupling
+    /// touches, too; `None` if it is there.
+    fn keep_off(&self, world_step: &WorldStep<'_>, c: usize, own: &Aabb, duration: f64) -> Option<Aabb> {
+        let widest = self.worlds[world_step.world].levels.last().map_or(self.h, |level| level.h);
+        let mut leash = Aabb::UNBOUND;
+        let couplings = &*world_step.couplings;
+        for (o, other) in couplings.iter().enumerate().filter(|(o, other)| *o != c && !other.is_field()) {
+            let clearance = CLEARANCE * self.h + (couplings[c].reach() + couplings[o].reach()) * widest;
+            let groups = other.groups();
+            for (b, near) in other.bounds().iter().enumerate() {
+                // One that answers may come as far.
+                let answers = groups.iter().any(|group| group.bodies.contains(&b));
+                let off = own.leash(near, clearance, |spare| {
+                    if answers { 0.5 * spare } else { spare - duration * other.max_speed(world_step.time, duration) }
+                })?;
+                leash = leash.intersection(&off);
+            }
+        }
+        Some(leash)
+    }
+
+    /// Tells the device which groups it moves, and how they are.
+    pub(crate) fn write_groups(&self, world_steps: &[WorldStep<'_>], held: &[Vec<HeldGroup>], writes: &mut Writes) {
+        let room = self.contact.answering();
+        if room.groups == 0 {
+            return;
+        }
+        let places = Places { room, worlds: self.worlds.len() };
+        let mut words = vec![[0; 4]; places.states() + places.of_slot()];
+        let mut put = |at: usize, what: &[Words]| words[at..at + what.len()].copy_from_slice(what);
+        for (world_step, held) in world_steps.iter().zip(held) {
+            let mut b = world_step.world * room.bodies;
+            for (k, group) in (world_step.world * room.groups..).zip(held) {
+                // Levels that follow a body keep coarser ones away from it.
+                let levels = |body: &HeldBody| if body.followed { 1 } else { self.levels };
+                let most = group.bodies.iter().map(levels).max().unwrap_or(0);
+                let head = [b as u32, group.bodies.len() as u32, group.number as u32, most as u32];
+                put(k * GROUP_HEAD, &[head, [bits(group.mass), 0, 0, 0]]);
+                put(places.states() + places.words(k), &group.state.words);
+                for (body, placed) in group.bodies.iter().zip(&group.state.bodies) {
+                    put(places.body_head(b), &body_words(body, placed.position, levels(body), self.h));
+                    put(places.states() + b * BODY_STATE, &pose_words(placed, self.h));
+                    b += 1;
+                }
+            }
+        }
+        writes.add(self.memory.buffer(Role::Answering, 0), 0, &words);
+    }
+
+    /// Hands a world's couplings their groups' states after each step that is done.
+    pub(crate) fn take_groups(
+        &self,
+        world_step: &mut WorldStep<'_>,
+        driven: &mut Option<Driven>,
+        outcome: &Outcome,
+    ) -> Result<()> {
+        let Some(driven) = driven else { return Ok(()) };
+        if driven.held.is_empty() {
+            return Ok(());
+        }
+        let places = Places { room: self.contact.answering(), worlds: self.worlds.len() };
+        let all: &[Words] = bytemuck::cast_slice(&outcome.groups);
+        for s in 0..outcome.done {
+            let slots = s * self.substeps..(s + 1) * self.substeps;
+            let mut steps = Vec::new();
+            for (c, coupling) in world_step.couplings.iter_mut().enumerate() {
+                let mut b = world_step.world * places.room.bodies;
+                let (mut own, mut impulses) = (Vec::new(), Vec::new());
+                for (k, group) in (world_step.world * places.room.groups..).zip(&driven.held) {
+                    let first = b;
+                    b += group.bodies.len();
+                    if group.coupling == c {
+                        let (step, felt) = read_group(all, places, [k, first], group, slots.clone(), self.h);
+                        own.push(step);
+                        impulses.extend(group.bodies.iter().zip(felt));
+                    }
+                }
+                if own.is_empty() {
+                    continue;
+                }
+                coupling.take_device_state(&own)?;
+                let bodies = coupling.bodies();
+                steps.extend(impulses.into_iter().map(|(held, impulse)| BodyStep {
+                    number: held.number,
+                    body: bodies[held.own].clone(),
+                    impulse,
+                }));
+            }
+            driven.moved.push(steps);
+        }
+        Ok(())
+    }
+}
+
+/// What came of a group, with that number and first body among all worlds', in the slots of a step, and what each of its bodies felt.
+fn read_group(
+    all: &[Words],
+    places: Places,
+    [k, first]: [usize; 2],
+    group: &HeldGroup,
+    slots: Range<usize>,
+    h: f64,
+) -> (GroupStep, Vec<Wrench>) {
+    let real = |v: Words| [0, 1, 2].map(|d| f64::from(f32::from_bits(v[d])));
+    let mut step = GroupStep::default();
+    let mut felt = vec![Wrench::default(); group.bodies.len()];
+    for slot in slots {
+        let here = &all[slot * places.of_slot()..];
+        let state = |b: usize| &here[(first + b) * BODY_STATE..][..BODY_STATE];
+        for (b, felt) in felt.iter_mut().enumerate() {
+            let impulse = Wrench { force: real(state(b)[3]), torque: real(state(b)[4]) };
+            felt.add_change(&Wrench::default(), &impulse, 1.0);
+        }
+        step.deep_nodes += u64::from(state(0)[3][3]);
+        step.unconverged += u64::from(state(0)[4][3]);
+        step.state.words = here[places.words(k)..][..group.state.words.len()].to_vec();
+        step.state.bodies = (0..felt.len()).map(|b| read_pose(state(b), h)).collect();
+    }
+    (step, felt)
+}

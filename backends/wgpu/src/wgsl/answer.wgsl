@@ -1,0 +1,694 @@
+// Bodies that answer the ground's impulses in a slot, a workgroup for each group of them: gravity, the levels' nodes one level after the other, and the motion.
+// What they and the nodes that they grip do is found together, as by `contact.rs` of the core: with V the bodies' twists, m_i the nodes' masses and G_i V the
+// surface's velocity at node i, r(V) + sum_i G_iT m_i f(u_i - G_i V) = 0, where r is what bodies have out of balance by themselves, which their coupling knows,
+// by Newton's method; the last step is that of the secant f(u) = K(u) u, K frozen, so that bodies get what the nodes lose, and the whole is
+// dissipative even where the iteration has not converged. All sums are in a fixed order. What is the coupling's to say is in functions of its own, which
+// all threads call together.
+//
+// A body has some hundreds of nodes inside, and two iterations do: time goes by in waiting for memory and for one another. So all threads take up
+// a group's bodies one after the other, each keeps the nodes that it finds, and what is one body's alone is its thread's: the thread of the body's number in the
+// group. Where a workgroup is wider than this needs, the threads beyond come along and keep none.
+//
+// Where a slot has many particles, this text has left a GPU's caches when its turn comes, and is fetched piece by piece on the way. So one workgroup
+// more goes through the solution at once, with nodes of a slot before, while the others still look for theirs. What it finds nobody reads.
+
+// As in `contact.rs`, but for the tolerance: f32 carries seven digits, of which sums over nodes lose some.
+const MAX_ITERATIONS: u32 = 40u;
+const OVERSHOT: f32 = 0.5;
+const LIGHT: f32 = 10.0;
+const HEAVIER: f32 = 4.0;
+const SMALL: f32 = 0.03;
+const TOLERANCE: f32 = 1e-5;
+// Rounding of what nodes give, relative to the sum of its sizes.
+const ROUNDING: f32 = 4e-7;
+
+// What is solved next: the law's derivative at the twists that are tried, its secant, the secant as the last step; or nothing more.
+const TANGENT: u32 = 0u;
+const SECANT: u32 = 1u;
+const LAST: u32 = 2u;
+const DONE: u32 = 3u;
+
+// Threads that keep nodes. Columns of sums, and rows of each, with room between them so that threads do not wait for the same bank.
+const THREADS: u32 = 256u;
+const COLUMNS: u32 = 11u;
+const ROWS: u32 = 64u;
+const COLUMN: u32 = 65u;
+
+struct Touch { arm: vec3<f32>, mass: f32, velocity: vec3<f32>, node: u32, grip: CouplingGrip }
+
+// What touches add up to: upper and lower half of each column of the 6 x 6 matrix; as fourth components first the impulse and the angular impulse that
+// nodes give, then the sum of impulses' sizes [N s] and of masses [kg], and the last column's lower half.
+struct Sums {
+    upper0: vec4<f32>, upper1: vec4<f32>, upper2: vec4<f32>, upper3: vec4<f32>, upper4: vec4<f32>, upper5: vec4<f32>,
+    lower0: vec4<f32>, lower1: vec4<f32>, lower2: vec4<f32>, lower3: vec4<f32>, lower4: vec4<f32>,
+}
+
+// One past the last level that the group meets, and how many bodies it has; rooms for blocks in a body's box; which of 256 rooms there is a block in, as bits;
+// these blocks, with their places from the box's first.
+var<workgroup> extents: vec2<u32>;
+var<workgroup> rooms: u32;
+var<workgroup> filled: array<atomic<u32>, 8>;
+var<workgroup> blocks: array<vec2<u32>, 256>;
+// The bodies that touch nodes, as bits: as threads find them, then to be read by all.
+const TOUCHED: u32 = (GROUP_BODIES + 31u) / 32u;
+var<workgroup> touching: array<atomic<u32>, TOUCHED>;
+var<workgroup> touched: array<u32, TOUCHED>;
+// Of several bodies, the nodes that each may act on.
+var<workgroup> boxes_of_nodes: array<vec3<i32>, 2u * GROUP_BODIES>;
+var<workgroup> deep: atomic<u32>;
+var<workgroup> sliding: atomic<u32>;
+var<workgroup> fastest_node: atomic<u32>;
+var<workgroup> mode: u32;
+// The ground's weight in the iteration.
+var<workgroup> weight: f32;
+
+// Impulses in the slot on the thread's own body, and of all bodies what is counted.
+var<private> impulse: vec3<f32>;
+var<private> angular_impulse: vec3<f32>;
+var<private> deep_nodes: u32;
+var<private> unconverged: u32;
+// Nodes that the thread keeps of each body.
+var<private> kept_touches: array<u32, GROUP_BODIES>;
+// What the first thread alone knows of the iteration: how many there were; what was out of balance along the last step before it, 0 where there is none to cut
+// back; the group's mass, and the only body's [kg].
+var<private> iterations: u32;
+var<private> before_step: f32;
+var<private> group_mass: f32;
+var<private> only_mass: f32;
+
+fn velocity_of(twist: CouplingTwist, arm: vec3<f32>) -> vec3<f32> {
+    return twist.linear + cross(twist.angular, arm);
+}
+
+// Takes up the group.
+fn take_up(thread: u32) {
+    let first = answering_body(0u);
+    slot_from = state_now();
+    slot_to = select(slot_now(), MAX_SLOTS, rehearses) + 1u;
+    if GROUP_BODIES == 1u {
+        only_pose = pose_at(state_of_body(first, slot_from));
+        only_number = answering[body_head(first)].x;
+    }
+    if thread == 0u {
+        group_mass = real(answering[group_now * GROUP_HEAD + 1u]).x;
+        only_mass = real(answering[body_head(first) + 1u]).w;
+        let end = last_level();
+        extents = vec2<u32>(end, group_bodies());
+    }
+    if !group_moves() {
+        let at = state_of_body(first + thread % GROUP_BODIES, slot_from);
+        let one = answering[at + 3u];
+        let other = answering[at + 4u];
+        impulse = real(one).xyz;
+        angular_impulse = real(other).xyz;
+        deep_nodes = one.w;
+        unconverged = other.w;
+    }
+}
+
+// One past the last level that the group meets in this pass; 0 if there is nothing to do.
+fn last_level() -> u32 {
+    if atomicLoad(&status[HALTED]) != 0u || (LAYERS > 1u && layers[layer_now].on == 0u) {
+        return 0u;
+    }
+    let levels = answering[group_now * GROUP_HEAD].w;
+    return select(levels, min(levels, step.end_level), SUBCYCLED);
+}
+
+// The nodes of a level that a body may act on.
+fn box_of_nodes(b: u32, level: u32) -> array<vec3<i32>, 2> {
+    let pose = group_pose(b);
+    let within = place_of(vec4<u32>(pose.place, 0u));
+    var nodes = nodes_near(number_of(b), rows_of(pose_rotation(pose)), pose.cell, within, level, shrink_of(layer_now));
+    // It meets no level beyond.
+    if GROUP_BODIES > 1u && level >= answering[body_head(answering_body(b))].y {
+        nodes[1] = nodes[0] - vec3<i32>(1);
+    }
+    return nodes;
+}
+
+// How a body grips a node `x` of a level, number `n` in its block.
+fn grip_of(b: u32, level: u32, x: vec3<i32>, n: u32, nodes: array<vec3<i32>, 2>, mass: f32) -> CouplingGrip {
+    let pose = group_pose(b);
+    let body = answering_body(b);
+    let shrink = shrink_of(layer_now);
+    let rows = rows_of(pose_rotation(pose));
+    let first = nodes[0] >> vec3<u32>(2u);
+    let size = vec3<u32>((nodes[1] >> vec3<u32>(2u)) - first + vec3<i32>(1));
+    let at = vec3<u32>((x >> vec3<u32>(2u)) - first);
+    let room = at.x + size.x * (at.y + size.y * at.z);
+    let arm = arm_of(pose, x, level, shrink);
+    let press = real(answering[pressed_at(body, level, room, n)]).xyz * (step.dt * steps_of(layer_now) / mass);
+    return coupling_grip(number_of(b), arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], H / shrink, press);
+}
+
+// From a body's reference point to a node of a level [m].
+fn arm_of(pose: CouplingPose, x: vec3<i32>, level: u32, shrink: f32) -> vec3<f32> {
+    let centre = vec3<f32>(0.5 / shrink) - place_of(vec4<u32>(pose.place, 0u));
+    return (vec3<f32>((x << vec3<u32>(level)) - pose.cell) + centre) * H;
+}
+
+// Is a node that a body grips at that distance from its surface deeper in another body of the group? Of equals the first one has it.
+fn is_deeper_in_other(own: u32, count: u32, level: u32, x: vec3<i32>, n: u32, mass: f32, distance: f32) -> bool {
+    for (var b = 0u; b < count; b++) {
+        let nodes = array<vec3<i32>, 2>(boxes_of_nodes[2u * b], boxes_of_nodes[2u * b + 1u]);
+        if b == own || any(x < nodes[0]) || any(x > nodes[1]) {
+            continue;
+        }
+        let grip = grip_of(b, level, x, n, nodes, mass);
+        if grip.kind != GRIP_NONE && (grip.distance < distance || (grip.distance == distance && b < own)) {
+            return true;
+        }
+    }
+    return false;
+}
+
+// Finds the nodes that a body grips on a level: of the blocks in its box those that there are are listed, lowest first, and dealt to the threads, a node of
+// each block to each of 64, turn by turn another one, so that a layer of nodes along any axis is many threads'.
+fn find_touches(b: u32, count_of_bodies: u32, level: u32, thread: u32) {
+    let shrink = shrink_of(layer_now);
+    let pose = group_pose(b);
+    let rows = rows_of(pose_rotation(pose));
+    var nodes: array<vec3<i32>, 2>;
+    if GROUP_BODIES == 1u {
+        nodes = box_of_nodes(b, level);
+    } else {
+        nodes = array<vec3<i32>, 2>(boxes_of_nodes[2u * b], boxes_of_nodes[2u * b + 1u]);
+    }
+    let least = nodes[0];
+    let most = nodes[1];
+    let first = least >> vec3<u32>(2u);
+    let size = vec3<u32>(max((most >> vec3<u32>(2u)) - first + vec3<i32>(1), vec3<i32>(0)));
+    if thread == 0u {
+        rooms = min(size.x * size.y * size.z, ROOMS);
+    }
+    var kept = 0u;
+    let own = thread >> 5u;
+    let all_rooms = workgroupUniformLoad(&rooms);
+    for (var room = 0u; room < all_rooms; room += THREADS) {
+        let r = room + thread;
+        let at = vec3<u32>(r % size.x, (r / size.x) % size.y, r / (size.x * size.y));
+        var g = NONE;
+        if thread < THREADS && r < all_rooms {
+            // Bodies do not reach round a periodic world.
+            let block = first + vec3<i32>(at);
+            let here = place_in_box(layer_now, block);
+            if here != NONE && all(wrapped(layer_now, block) == block) {
+                g = directory[here].y;
+            }
+        }
+        let bit = 1u << (thread & 31u);
+        if g != NONE {
+            atomicOr(&filled[own], bit);
+        }
+        workgroupBarrier();
+        let one = vec4<u32>(atomicLoad(&filled[0]), atomicLoad(&filled[1]), atomicLoad(&filled[2]), atomicLoad(&filled[3]));
+        let two = vec4<u32>(atomicLoad(&filled[4]), atomicLoad(&filled[5]), atomicLoad(&filled[6]), atomicLoad(&filled[7]));
+        let count = countOneBits(one);
+        let more = countOneBits(two);
+        let listed = dot(count + more, vec4<u32>(1u));
+        if g != NONE {
+            let before = dot(count, vec4<u32>(vec4<u32>(0u, 1u, 2u, 3u) < vec4<u32>(own)))
+                + dot(more, vec4<u32>(vec4<u32>(4u, 5u, 6u, 7u) < vec4<u32>(own)));
+            blocks[before + countOneBits(atomicLoad(&filled[own]) & (bit - 1u))] = vec2<u32>(g, (at.x << 20u) | (at.y << 10u) | at.z);
+        }
+        workgroupBarrier();
+        if thread < 8u {
+            atomicStore(&filled[thread], 0u);
+        }
+        for (var start = select(listed, thread >> 6u, thread < THREADS); start < listed; start += 128u) {
+            // Those with ground in the box, as bits.
+            var candidates = 0u;
+            for (var turn = 0u; turn < 32u && start + 4u * turn < listed; turn += 8u) {
+                let m = vec4<f32>(
+                    mass_at(start, turn, listed, thread),
+                    mass_at(start, turn + 1u, listed, thread),
+                    mass_at(start, turn + 2u, listed, thread),
+                    mass_at(start, turn + 3u, listed, thread),
+                );
+                let n = vec4<f32>(
+                    mass_at(start, turn + 4u, listed, thread),
+                    mass_at(start, turn + 5u, listed, thread),
+                    mass_at(start, turn + 6u, listed, thread),
+                    mass_at(start, turn + 7u, listed, thread),
+                );
+                let low = vec4<u32>(m > vec4<f32>(layers[layer_now].least));
+                let high = vec4<u32>(n > vec4<f32>(layers[layer_now].least));
+                candidates |= (dot(low, vec4<u32>(1u, 2u, 4u, 8u)) | dot(high, vec4<u32>(16u, 32u, 64u, 128u))) << turn;
+            }
+            while candidates != 0u {
+                let turn = firstTrailingBit(candidates);
+                candidates &= candidates - 1u;
+                let n = node_of(turn, thread);
+                let block = blocks[start + 4u * turn];
+                let g = block.x;
+                let node = grid[g * 64u + n];
+                let at = vec3<u32>(block.y >> 20u, block.y >> 10u, block.y) & vec3<u32>(1023u);
+                let x = (first + vec3<i32>(at)) * 4 + local_of(n);
+                if any(x < least) || any(x > most) {
+                    continue;
+                }
+                let mass = $MASS;
+                if mass > layers[layer_now].least {
+                    let grip = grip_of(b, level, x, n, nodes, mass);
+                    if GROUP_BODIES > 1u && grip.kind != GRIP_NONE && is_deeper_in_other(b, count_of_bodies, level, x, n, mass, grip.distance) {
+                        continue;
+                    }
+                    if grip.kind != GRIP_NONE {
+                        let arm = arm_of(pose, x, level, shrink);
+                        let normal = vec3<f32>(dot(rows[0], grip.normal), dot(rows[1], grip.normal), dot(rows[2], grip.normal));
+                        let to = touch_at(b, kept, thread);
+                        answering[to] = bitcast<vec4<u32>>(vec4<f32>(arm, mass));
+                        answering[to + THREADS] = vec4<u32>(bitcast<vec3<u32>>(node.xyz), (g * 64u + n) | (grip.kind << 30u));
+                        answering[to + 2u * THREADS] = bitcast<vec4<u32>>(vec4<f32>(normal, grip.most));
+                        kept++;
+                        if grip.deep {
+                            atomicAdd(&deep, 1u);
+                        }
+                    }
+                }
+            }
+        }
+        workgroupBarrier();
+    }
+    kept_touches[b] = kept;
+}
+
+// Which node of a block a thread looks at, turn by turn.
+fn node_of(turn: u32, thread: u32) -> u32 {
+    return (thread + 21u * turn) & 63u;
+}
+
+// What it weighs, if there is such a block.
+fn mass_at(start: u32, turn: u32, listed: u32, thread: u32) -> f32 {
+    let j = start + 4u * turn;
+    if j >= listed {
+        return 0.0;
+    }
+    return grid[blocks[j].x * 64u + node_of(turn, thread)].w;
+}
+
+// Where a node that a thread keeps stands.
+fn touch_at(b: u32, i: u32, thread: u32) -> u32 {
+    return TOUCHES + (answering_body(b) * EACH + i) * TOUCH * THREADS + thread;
+}
+
+fn touch_of(b: u32, i: u32, thread: u32) -> Touch {
+    let at = touch_at(b, i, thread);
+    let arm = real(answering[at]);
+    let how = answering[at + THREADS];
+    let grip = real(answering[at + 2u * THREADS]);
+    return Touch(arm.xyz, arm.w, real(how).xyz, how.w & 0x3fffffffu, CouplingGrip(how.w >> 30u, grip.xyz, grip.w, false, 0.0));
+}
+
+// What the nodes give at the twist that is tried, and G_iT m_i D G_i with D the law's derivative or its secant, summed over a thread's.
+fn assemble(b: u32, tangent: bool, thread: u32) -> Sums {
+    var sum: Sums;
+    var slides = false;
+    let twist = group_twist(TWIST_TRIED, b);
+    let number = number_of(b);
+    for (var i = 0u; i < kept_touches[b]; i++) {
+        let touch = touch_of(b, i, thread);
+        sum.lower1.w += touch.mass;
+        let r = touch.arm;
+        let u = touch.velocity - velocity_of(twist, r);
+        let hold = hold_of(coupling_friction(number), touch.grip, u);
+        if !hold.held {
+            continue;
+        }
+        let n = hold.normal;
+        let held = touch.mass * hold.drag;
+        // Where the bound is reached, more approach is not met by more.
+        let is_cut = tangent && hold.bounded;
+        let m = (touch.mass * select(hold.hold, 0.0, is_cut) - held) * n;
+        var d = mat3x3<f32>(n.x * m, n.y * m, n.z * m);
+        d[0].x += held;
+        d[1].y += held;
+        d[2].z += held;
+        var taken = d * u;
+        if is_cut {
+            taken += touch.mass * hold.hold * dot(n, u) * n;
+        }
+        let moment = cross(r, taken);
+        if tangent && hold.friction > 0.0 {
+            // d(f |u_n| t) = -f t nT + drag (1 - n nT - t tT)
+            let slope = touch.mass * (select(hold.friction, 0.0, hold.bounded) * n + hold.drag * hold.along);
+            d[0] -= slope.x * hold.along;
+            d[1] -= slope.y * hold.along;
+            d[2] -= slope.z * hold.along;
+            slides = true;
+        }
+        slides |= is_cut;
+        let d3 = d[2] * r.y - d[1] * r.z;
+        let d4 = d[0] * r.z - d[2] * r.x;
+        let d5 = d[1] * r.x - d[0] * r.y;
+        let last = cross(r, d5);
+        sum.upper0 += vec4<f32>(d[0], taken.x);
+        sum.upper1 += vec4<f32>(d[1], taken.y);
+        sum.upper2 += vec4<f32>(d[2], taken.z);
+        sum.upper3 += vec4<f32>(d3, moment.x);
+        sum.upper4 += vec4<f32>(d4, moment.y);
+        sum.upper5 += vec4<f32>(d5, moment.z);
+        sum.lower0 += vec4<f32>(cross(r, d[0]), touch.mass * length(u));
+        sum.lower1 += vec4<f32>(cross(r, d[1]), 0.0);
+        sum.lower2 += vec4<f32>(cross(r, d[2]), last.x);
+        sum.lower3 += vec4<f32>(cross(r, d3), last.y);
+        sum.lower4 += vec4<f32>(cross(r, d4), last.z);
+    }
+    if slides {
+        atomicStore(&sliding, 1u);
+    }
+    return sum;
+}
+
+fn put(row: u32, own: Sums) {
+    exchange[row] = own.upper0;
+    exchange[COLUMN + row] = own.upper1;
+    exchange[2u * COLUMN + row] = own.upper2;
+    exchange[3u * COLUMN + row] = own.upper3;
+    exchange[4u * COLUMN + row] = own.upper4;
+    exchange[5u * COLUMN + row] = own.upper5;
+    exchange[6u * COLUMN + row] = own.lower0;
+    exchange[7u * COLUMN + row] = own.lower1;
+    exchange[8u * COLUMN + row] = own.lower2;
+    exchange[9u * COLUMN + row] = own.lower3;
+    exchange[10u * COLUMN + row] = own.lower4;
+}
+
+fn with_row(row: u32, own: Sums) -> Sums {
+    return Sums(
+        own.upper0 + exchange[row],
+        own.upper1 + exchange[COLUMN + row],
+        own.upper2 + exchange[2u * COLUMN + row],
+        own.upper3 + exchange[3u * COLUMN + row],
+        own.upper4 + exchange[4u * COLUMN + row],
+        own.upper5 + exchange[5u * COLUMN + row],
+        own.lower0 + exchange[6u * COLUMN + row],
+        own.lower1 + exchange[7u * COLUMN + row],
+        own.lower2 + exchange[8u * COLUMN + row],
+        own.lower3 + exchange[9u * COLUMN + row],
+        own.lower4 + exchange[10u * COLUMN + row],
+    );
+}
+
+// Sums what threads have into where `sums_of` finds it.
+fn sum_up(b: u32, own: Sums, thread: u32) {
+    let row = thread % ROWS;
+    let quarter = thread / ROWS;
+    if quarter == 0u {
+        put(row, own);
+    }
+    workgroupBarrier();
+    if quarter == 1u {
+        put(row, with_row(row, own));
+    }
+    workgroupBarrier();
+    if quarter == 2u {
+        put(row, with_row(row, own));
+    }
+    workgroupBarrier();
+    if quarter == 3u {
+        put(row, with_row(row, own));
+    }
+    workgroupBarrier();
+    // A column's eighth of rows a thread, then a column.
+    if thread < 8u * COLUMNS {
+        let at = thread % COLUMNS * COLUMN + thread / COLUMNS;
+        exchange[at] = eight(at, 8u);
+    }
+    workgroupBarrier();
+    if thread < COLUMNS {
+        let sum = eight(thread * COLUMN, 1u);
+        if GROUP_BODIES == 1u {
+            exchange[thread * COLUMN] = sum;
+        } else {
+            answering[sums_at(b) + thread] = bitcast<vec4<u32>>(sum);
+        }
+    }
+    workgroupBarrier();
+}
+
+fn eight(at: u32, by: u32) -> vec4<f32> {
+    return ((exchange[at] + exchange[at + by]) + (exchange[at + 2u * by] + exchange[at + 3u * by]))
+        + ((exchange[at + 4u * by] + exchange[at + 5u * by]) + (exchange[at + 6u * by] + exchange[at + 7u * by]));
+}
+
+// Finds the weight of the ground to begin with: ground much heavier than the group is first taken as lighter, and its true weight then finds the right nodes in
+// contact.
+fn weigh(count: u32) {
+    var ground = 0.0;
+    for (var b = 0u; b < count; b++) {
+        if is_touched(b) {
+            ground += sums_of(b, 7u).w;
+        }
+    }
+    weight = min(LIGHT * group_mass / ground, 1.0);
+}
+
+// What rounding of the nodes' impulses may do to the root of twice the kinetic energy.
+fn noise_of(count: u32) -> f32 {
+    if GROUP_BODIES == 1u {
+        return ROUNDING * sums_of(0u, 6u).w * inverseSqrt(only_mass);
+    }
+    var noise = 0.0;
+    for (var b = 0u; b < count; b++) {
+        if is_touched(b) {
+            noise += ROUNDING * sums_of(b, 6u).w * inverseSqrt(real(answering[body_head(answering_body(b)) + 1u]).w);
+        }
+    }
+    return noise;
+}
+
+// Tries other twists: so many times a kind of them further.
+fn try_further(count: u32, times: f32, along: u32) {
+    for (var b = 0u; b < count; b++) {
+        let tried = group_twist(TWIST_TRIED, b);
+        let by = group_twist(along, b);
+        set_group_twist(TWIST_TRIED, b, CouplingTwist(tried.linear + times * by.linear, tried.angular + times * by.angular));
+    }
+}
+
+// Takes the step that was found, or asks for another one: `beyond` is what is out of balance against the last step, `lead` along this one, `size` how large it
+// is, and `speed` how fast bodies are, in the norm of the kinetic energy.
+fn decide(count: u32, beyond: f32, lead: f32, size: f32, speed: f32) {
+    if mode == TANGENT && before_step > 0.0 && iterations < MAX_ITERATIONS && beyond > OVERSHOT * before_step {
+        // Where bounds are reached on the way, a step may lead beyond what balances along it: it is cut back.
+        let back = beyond / (before_step + beyond);
+        try_further(count, -back, TWIST_LAST);
+        for (var b = 0u; b < count; b++) {
+            let last = group_twist(TWIST_LAST, b);
+            set_group_twist(TWIST_LAST, b, CouplingTwist((1.0 - back) * last.linear, (1.0 - back) * last.angular));
+        }
+        before_step *= 1.0 - back;
+        iterations++;
+        atomicStore(&sliding, 0u);
+        return;
+    }
+    before_step = 0.0;
+    let slid = atomicLoad(&sliding) != 0u;
+    atomicStore(&sliding, 0u);
+    if mode == TANGENT && !(lead >= 0.0) {
+        // Such a direction is replaced by the secant's, which always leads towards balance.
+        mode = SECANT;
+        return;
+    }
+    if mode != LAST {
+        iterations++;
+        let noise = noise_of(count);
+        let converged = weight == 1.0 && size <= TOLERANCE * speed + noise;
+        if !converged && iterations < MAX_ITERATIONS {
+            try_further(count, 1.0, TWIST_STEP);
+            for (var b = 0u; b < count; b++) {
+                set_group_twist(TWIST_LAST, b, group_twist(TWIST_STEP, b));
+            }
+            before_step = lead;
+            // Newton's steps square what is missing. Where a small one was found and nodes slide, the secant's tells as well whether that was all, and
+            // serves as the last.
+            let was_small = weight == 1.0 && size * size <= TOLERANCE * speed * speed + noise * noise;
+            mode = select(TANGENT, SECANT, mode == TANGENT && slid && was_small);
+            if size <= SMALL * speed + noise && weight < 1.0 {
+                weight = min(HEAVIER * weight, 1.0);
+                before_step = 0.0;
+            }
+            return;
+        }
+        unconverged += u32(!converged);
+        let is_secant = weight == 1.0 && (mode == SECANT || !slid);
+        weight = 1.0;
+        if !is_secant {
+            mode = LAST;
+            return;
+        }
+    }
+    mode = DONE;
+}
+
+// What nodes give to a body in the end.
+fn gain_of(b: u32) -> CouplingTwist {
+    let system = group_system(b);
+    let change = group_twist(TWIST_STEP, b);
+    return CouplingTwist(
+        system.force - (change.linear * system.force_linear + change.angular * system.force_angular),
+        system.torque - (change.linear * system.torque_linear + change.angular * system.torque_angular),
+    );
+}
+
+// The group meets the nodes of a level.
+fn meet(group: u32, count: u32, level: u32, thread: u32) {
+    if rehearses {
+        kept_touches[0] = u32(thread < THREADS);
+    } else {
+        if GROUP_BODIES > 1u && thread < count {
+            let nodes = box_of_nodes(thread, level);
+            boxes_of_nodes[2u * thread] = nodes[0];
+            boxes_of_nodes[2u * thread + 1u] = nodes[1];
+        }
+        if GROUP_BODIES > 1u {
+            workgroupBarrier();
+        }
+        for (var b = 0u; b < count; b++) {
+            find_touches(b, count, level, thread);
+        }
+    }
+    for (var b = 0u; b < count; b++) {
+        if kept_touches[b] > 0u {
+            atomicOr(&touching[b >> 5u], 1u << (b & 31u));
+        }
+    }
+    workgroupBarrier();
+    if thread == 0u {
+        mode = DONE;
+        for (var word = 0u; word < TOUCHED; word++) {
+            let bits = atomicLoad(&touching[word]);
+            atomicStore(&touching[word], 0u);
+            touched[word] = bits;
+            if bits != 0u {
+                mode = TANGENT;
+            }
+        }
+        deep_nodes += atomicLoad(&deep);
+        atomicStore(&deep, 0u);
+        iterations = 0u;
+        before_step = 0.0;
+        for (var b = 0u; b < count; b++) {
+            set_group_twist(TWIST_TRIED, b, group_twist(TWIST_EXPECTED, b));
+            set_group_twist(TWIST_LAST, b, CouplingTwist());
+        }
+    }
+    if workgroupUniformLoad(&mode) == DONE {
+        return;
+    }
+    // A step more for each direction that is replaced, and the last; and behind it, all see what it found.
+    for (var turn = 0u; turn < select(2u * MAX_ITERATIONS + 2u, 1u, rehearses); turn++) {
+        let now = workgroupUniformLoad(&mode);
+        if now == DONE {
+            break;
+        }
+        for (var b = 0u; b < count; b++) {
+            if !is_touched(b) {
+                continue;
+            }
+            sum_up(b, assemble(b, now == TANGENT, thread), thread);
+        }
+        if GROUP_BODIES > 1u {
+            storageBarrier();
+        }
+        if thread == 0u && turn == 0u {
+            weigh(count);
+        }
+        if GROUP_BODIES > 1u {
+            workgroupBarrier();
+        }
+        coupling_answer(group, thread);
+        let beyond = -coupling_balance(group, TWIST_LAST, thread);
+        let lead = coupling_balance(group, TWIST_STEP, thread);
+        let size = sqrt(coupling_twice_energy(group, TWIST_STEP, thread));
+        let tried = coupling_twice_energy(group, TWIST_TRIED, thread);
+        let free = coupling_twice_energy(group, TWIST_FREE, thread);
+        if thread == 0u {
+            decide(count, beyond, lead, size, max(sqrt(tried), sqrt(free)));
+        }
+    }
+    if thread < count {
+        let gain = gain_of(thread);
+        gained[thread] = gain;
+        impulse += gain.linear;
+        angular_impulse += gain.angular;
+    }
+    var fastest = 0u;
+    for (var b = 0u; b < count; b++) {
+        fastest = max(fastest, hand_over(b, thread));
+    }
+    atomicMax(&fastest_node, fastest);
+    workgroupBarrier();
+    coupling_feel(group, thread);
+    if thread == 0u {
+        atomicMax(&status[step_word(step.number, layer_now, SPEED)], atomicLoad(&fastest_node));
+        if is_too_fast(layer_now, bitcast<f32>(atomicLoad(&fastest_node))) {
+            atomicAdd(&status[fast_word(step.number)], 1u);
+        }
+        atomicStore(&fastest_node, 0u);
+    }
+}
+
+// The nodes that a thread keeps of a body take the velocities that the law at the twists tried last leaves them. Returns the greatest as much as a particle may
+// feel of it.
+fn hand_over(b: u32, thread: u32) -> u32 {
+    let number = number_of(b);
+    let at_last = group_twist(TWIST_TRIED, b);
+    let change = group_twist(TWIST_STEP, b);
+    let surface = CouplingTwist(at_last.linear + change.linear, at_last.angular + change.angular);
+    var fastest = 0u;
+    for (var i = 0u; i < kept_touches[b]; i++) {
+        let touch = touch_of(b, i, thread);
+        let hold = hold_of(coupling_friction(number), touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
+        if !hold.held {
+            continue;
+        }
+        if rehearses {
+            break;
+        }
+        let of_surface = velocity_of(surface, touch.arm);
+        let u = touch.velocity - of_surface;
+        let kept = of_surface + kept_by(hold, u);
+        grid[touch.node].x = kept.x;
+        grid[touch.node].y = kept.y;
+        grid[touch.node].z = kept.z;
+        let felt = min(touch.mass * layers[layer_now].felt, 1.0);
+        fastest = max(fastest, max(max(magnitude_bits(felt * kept.x), magnitude_bits(felt * kept.y)), magnitude_bits(felt * kept.z)));
+    }
+    return fastest;
+}
+
+// Notes what contact made of the bodies. They move if that is the slot's first.
+fn finish(group: u32, count: u32, thread: u32) {
+    coupling_advance(group, thread);
+    if thread < count {
+        let to = state_of_body(answering_body(thread), slot_to);
+        answering[to + 3u] = vec4<u32>(bitcast<vec3<u32>>(impulse), deep_nodes);
+        answering[to + 4u] = vec4<u32>(bitcast<vec3<u32>>(angular_impulse), unconverged);
+    }
+}
+
+// What happens to a group in a slot. Behind the last one stands the workgroup that rehearses.
+fn answer_of_group(w: u32, thread: u32) {
+    rehearses = w >= ALL_GROUPS;
+    group_now = select(w, 0u, rehearses);
+    let first_layer = group_now / GROUPS * LEVELS;
+    layer_now = first_layer;
+    let group = answering[group_now * GROUP_HEAD].z;
+    take_up(thread);
+    take_up_group(thread);
+    coupling_begin(group, thread);
+    let first_level = select(0u, step.first_level, SUBCYCLED);
+    let all = workgroupUniformLoad(&extents);
+    if all.x <= first_level {
+        return;
+    }
+    for (var level = first_level; level < all.x; level++) {
+        layer_now = first_layer + level;
+        meet(group, all.y, level, thread);
+    }
+    layer_now = first_layer;
+    finish(group, all.y, thread);
+}
