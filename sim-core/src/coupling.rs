@@ -65,6 +65,8 @@ pub struct JointState {
     pub body: String,
     /// Its own name.
     pub name: String,
+    /// Does it turn, or slide?
+    pub turns: bool,
     /// Position: an angle [rad], or a displacement [m].
     pub position: f64,
     /// Its rate [rad/s or m/s].

@@ -12,7 +12,7 @@ pub(crate) enum Robot {
 
 #[derive(Args)]
 pub(crate) struct CheckArgs {
-    /// A URDF file, or a robot that is built in: quadruped, humanoid, arm.
+    /// A URDF file, or a robot that is built in: quadruped, humanoid, arm, arm-rod, arm-shovel, arm-scraper.
     robot: String,
     /// Mend inertias that no body has, as `mend_inertias` does in a scene, instead of refusing them.
     #[arg(long)]

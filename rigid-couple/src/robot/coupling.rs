@@ -21,10 +21,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Robots that come with the program: name and URDF.
-pub const BUILT_IN: [(&str, &str); 3] = [
+pub const BUILT_IN: [(&str, &str); 6] = [
     ("quadruped", include_str!("../../models/quadruped.urdf")),
     ("humanoid", include_str!("../../models/humanoid.urdf")),
     ("arm", include_str!("../../models/arm.urdf")),
+    ("arm-rod", include_str!("../../models/arm-rod.urdf")),
+    ("arm-shovel", include_str!("../../models/arm-shovel.urdf")),
+    ("arm-scraper", include_str!("../../models/arm-scraper.urdf")),
 ];
 
 /// The robots of a scene.
@@ -314,6 +317,7 @@ impl Coupling for Robots {
             let joint = |(d, drive): (usize, &super::model::Drive)| JointState {
                 body: robot.name.clone(),
                 name: drive.name.clone(),
+                turns: drive.turns,
                 position: robot.state.positions[d],
                 rate: robot.state.rates[first + d],
                 torque: robot.motor_torque(d),

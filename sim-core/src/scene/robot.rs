@@ -16,7 +16,8 @@ pub struct Robot {
     /// A URDF file.
     #[serde(default)]
     pub urdf: Option<PathBuf>,
-    /// A robot that comes with the program, instead of a file: "quadruped", "humanoid" or "arm".
+    /// A robot that comes with the program, instead of a file: "quadruped", "humanoid", "arm", or the arm with a
+    /// tool: "arm-rod", "arm-shovel", "arm-scraper".
     #[serde(default)]
     pub model: Option<String>,
     /// Where the frame of its base starts [m].

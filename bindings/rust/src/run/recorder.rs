@@ -8,7 +8,7 @@ use barchan_core::backend::Timing;
 use barchan_core::export::export;
 use barchan_core::observer::{Every, Observer, Output};
 use barchan_core::scene::{Export, plain};
-use barchan_core::{BodyState, Error, Result, Simulation, StepReport, Vec3, Wrench};
+use barchan_core::{BodyState, Error, JointState, Result, Simulation, StepReport, Vec3, Wrench};
 use std::cell::RefCell;
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -113,7 +113,7 @@ impl<'a> Recorder<'a> {
         let named = guests.iter().zip(&columns).flat_map(|(guest, columns)| {
             columns.iter().map(|column| format!("{} {column}", guest.name())).collect::<Vec<_>>()
         });
-        let header = header(&simulation.bodies(), named);
+        let header = header(&simulation.bodies(), &simulation.joints(), named);
         let values = vec![None; columns.iter().map(Vec::len).sum()];
         let trace = open_trace(&folder.claim(TRACE)?, simulation, resumed, &header)?;
         let files = Rc::new(RefCell::new(Files { folder, trace, values }));
@@ -292,6 +292,11 @@ impl Observer for Trace {
             for (body, wrench) in bodies.iter().zip(&wrenches) {
                 lines.push_str(&row(body, wrench));
             }
+            // Joints take part in every step on the host, so that there is none between.
+            for joint in simulation.joints() {
+                let JointState { position, rate, torque, .. } = joint;
+                lines += &if is_last { format!(",{position},{rate},{torque}") } else { ",,,".to_owned() };
+            }
             // Observers have looked after the last one.
             for value in &mut files.values {
                 let value = if is_last { value.take() } else { None };
@@ -411,8 +416,14 @@ const COLUMNS: [&str; 19] = [
     "tz [N m]",
 ];
 
-fn header(bodies: &[BodyState], observed: impl Iterator<Item = String>) -> String {
+fn header(bodies: &[BodyState], joints: &[JointState], observed: impl Iterator<Item = String>) -> String {
     let columns = bodies.iter().flat_map(|body| COLUMNS.map(|column| quoted(&format!("{} {column}", body.name))));
+    let of_joint = |joint: &JointState| {
+        let units = if joint.turns { ["[rad]", "[rad/s]", "[N m]"] } else { ["[m]", "[m/s]", "[N]"] };
+        let column = |(what, unit): (&str, &str)| quoted(&format!("{}/{} {what} {unit}", joint.body, joint.name));
+        ["position", "rate", "torque"].into_iter().zip(units).map(column).collect::<Vec<_>>()
+    };
+    let columns = columns.chain(joints.iter().flat_map(of_joint));
     let all = ["time [s]", "step", "dt [s]"].map(str::to_owned).into_iter().chain(columns);
     all.chain(observed.map(|column| quoted(&column))).collect::<Vec<_>>().join(",")
 }
