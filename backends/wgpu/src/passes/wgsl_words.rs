@@ -60,14 +60,26 @@ pub(crate) fn declared_names(wgsl: &str) -> Vec<String> {
     (0..words.len()).filter_map(|at| declares(&words[at..words.len().min(at + 3)])).collect()
 }
 
-/// The text with other names for some of its words, but for components of vectors.
+/// The text with other names for some of its words, but for members of structures and components of vectors.
 pub(crate) fn renamed(wgsl: &str, to: impl Fn(&str) -> Option<String>) -> String {
     let mut all = String::with_capacity(wgsl.len());
-    for (piece, ..) in pieces(wgsl) {
+    let (mut in_struct, mut rest) = (false, wgsl);
+    for (piece, braces, _) in pieces(wgsl) {
+        let text = match piece {
+            Piece::Word(text) | Piece::Between(text) => text,
+        };
+        rest = &rest[text.len()..];
         match piece {
-            Piece::Word(word) if all.ends_with('.') && word.chars().all(|c| "xyzwrgba".contains(c)) => all += word,
-            Piece::Word(word) => all += &to(word).unwrap_or_else(|| word.to_owned()),
-            Piece::Between(text) => all += text,
+            Piece::Word(word) => {
+                in_struct = if braces == 0 { word == "struct" || in_struct } else { in_struct };
+                let is_member = all.ends_with('.') || in_struct && braces > 0 && rest.trim_start().starts_with(':');
+                let other = if is_member { None } else { to(word) };
+                all += &other.unwrap_or_else(|| word.to_owned());
+            }
+            Piece::Between(text) => {
+                in_struct &= !(text == "}" && braces == 0);
+                all += text;
+            }
         }
     }
     all
@@ -91,6 +103,9 @@ mod tests {
         let other = renamed(TEXT, |word| names.iter().any(|name| name == word).then(|| format!("{word}_1")));
         assert!(other.contains("return half_1(p.size) * f32(SIZE_1);"), "{other}");
         assert!(other.contains("struct Place_1 { x: f32, size: f32 }") && other.contains("let other = v;"), "{other}");
+        let members = "struct Own { own: f32, by: Own }\nfn f(a: Own) -> f32 { return own + a.own; }";
+        let own = renamed(members, |word| (word == "own").then(|| "own_1".to_owned()));
+        assert_eq!(own, members.replace("own + a", "own_1 + a"));
         assert!(other.starts_with("var<workgroup> shared_sum_1: array<f32, 4>;\nvar<private> own_1: f32;\n// fn other() in a comment\n/* struct block {} */\n"), "{other}");
     }
 }
