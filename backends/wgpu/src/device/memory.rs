@@ -1,12 +1,8 @@
 //! Buffers on the device, and how many particles and blocks fit into them.
 
 use crate::device::Gpu;
-use crate::device::layout::{ENTRY, RECORD, ROUNDS};
-use crate::passes::binding::{FIRST_BINDING, Found, Kernel, Parts, Role, Sorted, Uniform};
-use crate::passes::bodies::Free;
-use crate::passes::scene::{is_stored, vectors_for};
-use crate::worlds::sleep::WATCHED;
-use crate::worlds::soft::WORDS as SOFT_WORDS;
+use crate::device::kernel::{FIRST_BINDING, Found, Kernel, Parts, Role, Sorted, Uniform};
+use crate::device::layout::{ENTRY, RECORD, ROUNDS, vectors_for};
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
@@ -41,6 +37,24 @@ pub(crate) const STATE: usize = 7;
 pub(crate) const TOUCH: usize = 3;
 /// Vectors of a block of nodes that goes to the host; see `gather.wgsl`.
 pub(crate) const NEAR_BLOCK: usize = 65;
+/// Words that tell of a block's rest; see `watch_words.wgsl`.
+pub(crate) const WATCHED: usize = 12;
+/// Words of a soft body that levels follow; see `soft.wgsl`.
+pub(crate) const SOFT_WORDS: usize = 24;
+
+/// How many free bodies there are in each world, and blocks around each of them along an axis on the finest level, at most.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Free {
+    pub(crate) bodies: usize,
+    pub(crate) across: usize,
+}
+
+impl Free {
+    /// Blocks around a body on a level.
+    pub(crate) fn rooms(self) -> usize {
+        self.across.saturating_pow(3)
+    }
+}
 
 /// What not every scene asks for: room for pairs of nodes at walls that let go, and for bodies whose law runs on the device.
 #[derive(Clone, Copy, Debug, Default)]
@@ -64,6 +78,11 @@ pub(crate) struct Asked {
     /// Does ground sleep, and how many boxes of a layer are there that it does not sleep in?
     pub(crate) sleeps: bool,
     pub(crate) tools: usize,
+}
+
+/// Is what couplings' laws read stored? A uniform holds so much everywhere, and not what differs from world to world.
+pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
+    worlds > 1 || 16 * (vectors + samples) > 65_536
 }
 
 /// Bytes of free bodies, their states in a submission, the nodes near them, and how particles press on them on each level.

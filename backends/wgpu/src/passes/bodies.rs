@@ -1,6 +1,7 @@
 //! Contact with bodies and the motion of free ones.
 
 use crate::device::Gpu;
+pub(crate) use crate::device::memory::Free;
 use crate::device::memory::{MAX_SLOTS, NEAR_BLOCK};
 use crate::passes::Kernels;
 use crate::passes::binding::{
@@ -85,20 +86,6 @@ pub(crate) fn press_draft<const N: usize>(
         uniform: Uniform::Table { stored, counted: laws.counted },
         groups: node_blocks(shape[1] > 1),
         checked: true,
-    }
-}
-
-/// How many free bodies there are in each world, and blocks around each of them along an axis on the finest level, at most.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Free {
-    pub(crate) bodies: usize,
-    pub(crate) across: usize,
-}
-
-impl Free {
-    /// Blocks around a body on a level.
-    pub(crate) fn rooms(self) -> usize {
-        self.across.saturating_pow(3)
     }
 }
 

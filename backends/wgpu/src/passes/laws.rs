@@ -2,6 +2,7 @@
 
 use crate::passes::material;
 use crate::passes::scene::{damps, parameter_vectors, parameters_of, rest_vectors, space, stiffens};
+use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Plan, Result};
 use std::fmt::Write as _;
 
@@ -117,4 +118,19 @@ pub(crate) fn laws(plan: &Plan, worlds: usize) -> Result<String> {
         .replace("$TRIAL", &branch("trial = strain + g + g * strain;\n", "let half = strain + g * strain;\nlet back = transpose(g);\ntrial = half + half * back + g + back + g * back;\n"))
         .replace("$STORE", &(branch(&(store_full + &history(true, true)), &(store_sym + &history(false, true))) + &store));
     Ok(text)
+}
+
+/// Does a law's stiffness follow the state?
+pub(crate) fn hardens(planned: &PlannedMaterial) -> bool {
+    planned.material.has(barchan_abi::BARCHAN_CAP_HARDENS) && planned.material.table.tangent_moduli_f32.is_some()
+}
+
+/// Is such a law asked on the device, in each step?
+pub(crate) fn is_asked_on_device(planned: &PlannedMaterial) -> bool {
+    hardens(planned) && !planned.material.wgsl_stiffness.is_empty()
+}
+
+/// Is it asked on the host now and then, because it has no WGSL for that?
+pub(crate) fn is_asked_on_host(planned: &PlannedMaterial) -> bool {
+    hardens(planned) && planned.material.wgsl_stiffness.is_empty()
 }

@@ -1,11 +1,11 @@
 //! Particles to grid.
 
+use crate::device::MANY;
 use crate::passes::binding::{
     CELLS, Draft, Found, GRID, Groups, HANDED, LISTED, LISTS, RECORD, STATUS, Uniform, WATCH, blocks, written,
 };
 use crate::passes::grid::{flush, fold};
 use crate::passes::sleep::{WATCH_WORDS, with_sleep};
-use crate::worlds::MANY;
 use std::fmt::Write as _;
 
 /// Where there are several levels, P2G also sums parent cells for rims. Subcycled, further workgroups visit blocks once more that give to nodes which

@@ -1,12 +1,12 @@
 //! Bodies whose law runs on the device: the law itself, where they are in each step, what they felt.
 
+use crate::device::kernel::{Kernel, Role};
 use crate::device::memory::{BODY, lent_bytes, read};
-use crate::passes::binding::{Kernel, Role};
 use crate::passes::bodies::{Free, NearKernels};
 use crate::passes::couplings::Laws;
 use crate::schedule::ContactPasses;
+use crate::schedule::batch::WgpuBatch;
 use crate::schedule::free::{Borrowed, FreeStep};
-use crate::worlds::WgpuBatch;
 use crate::worlds::sleep::{self, BlockBox};
 use crate::worlds::world::{Level, Place};
 use barchan_core::backend::WorldStep;

@@ -1,10 +1,10 @@
 //! Free bodies that the device moves: as they are lent for a submission, and what came of it. See `lent.wgsl`.
 
+use crate::device::kernel::Role;
 use crate::device::memory::{LENT, STATE, Writes};
-use crate::passes::binding::Role;
+use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::Driven;
 use crate::schedule::submission::{Behind, Outcome};
-use crate::worlds::WgpuBatch;
 use barchan_core::backend::WorldStep;
 use barchan_core::coupling::{FreeState, Lent, Moved};
 use barchan_core::plan::TOOL_COURANT;
