@@ -108,8 +108,6 @@ impl Found {
     /// How many kinds there are, and how many lists.
     pub(crate) const ALL: usize = 7;
     pub(crate) const LISTED: usize = 4;
-    /// The first that is listed.
-    pub(crate) const FIRST_LIST: usize = 2;
 }
 
 /// A table that a pass reads besides.

@@ -215,17 +215,10 @@ pub(crate) fn build_for(
     Kernel { name: draft.name, pipeline, layout, roles, uniform: draft.uniform, groups: draft.groups }
 }
 
-/// A pass over all blocks: `$BLOCK` of its text is the one that a workgroup works on.
-pub(crate) fn on_all(draft: Draft) -> Draft {
-    Draft { body: draft.body.replace("$BLOCK", "group.y * extent.row + group.x"), ..draft }
-}
-
-/// A pass over blocks that a sort has listed, likewise.
+/// A pass over blocks that a sort has listed.
 pub(crate) fn on_listed(found: Found, draft: Draft) -> Draft {
-    let kind = found as usize - Found::FIRST_LIST;
-    let block = format!("listed_block({kind}u, group.y * extent.row + group.x)");
     Draft {
-        body: draft.body.replace("$BLOCK", &block) + include_str!("../wgsl/listed.wgsl"),
+        body: draft.body + include_str!("../wgsl/listed.wgsl"),
         uses: draft.uses.into_iter().chain([LISTED]).collect(),
         groups: Groups::Found(found),
         ..draft

@@ -3,6 +3,7 @@
 pub(crate) mod adapt;
 pub(crate) mod binding;
 pub(crate) mod bodies;
+pub(crate) mod conditions;
 pub(crate) mod couplings;
 pub(crate) mod g2p;
 pub(crate) mod grid;

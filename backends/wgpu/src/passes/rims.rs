@@ -4,6 +4,7 @@ use crate::passes::binding::{
     DIRECTORY, Draft, Found, GRID, Groups, HANDED, KEPT, LISTED, LISTS, RIMS, STATUS, Uniform, abreast, exchange,
     on_listed, written,
 };
+use crate::passes::conditions::chosen;
 use crate::passes::grid::sums_of_tiles;
 
 /// What rims hand to the next coarser level.
@@ -38,8 +39,6 @@ pub(crate) fn hand_on() -> String {
 
 /// Velocities at rims and, subcycled, of nodes that two levels share, so many blocks a workgroup, but for the pass's entry.
 pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
-    let take = "if (any_task & TAKES) != 0u {\nsolve_block(g, n, (all[abreast] & TAKES) != 0u);\n}";
-    let reflect = "if (any_task & REFLECTS) != 0u {\nreflect(g, n, (all[abreast] & REFLECTS) != 0u);\n}";
     let own: String = if subcycled {
         [
             &sums_of_tiles(blocks),
@@ -68,9 +67,7 @@ pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
             include_str!("../wgsl/behind.wgsl"),
             include_str!("../wgsl/image.wgsl"),
             include_str!("../wgsl/wall.wgsl"),
-            &include_str!("../wgsl/rims.wgsl")
-                .replace("$TAKE", if subcycled { take } else { "" })
-                .replace("$REFLECT", if subcycled { reflect } else { "" }),
+            &chosen(include_str!("../wgsl/rims.wgsl"), &[("subcycled", subcycled)]),
             include_str!("../wgsl/listed.wgsl"),
         ]
         .concat(),
