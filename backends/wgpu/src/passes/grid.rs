@@ -5,7 +5,6 @@ use crate::passes::binding::{
     node_blocks, on_listed, written,
 };
 use crate::passes::conditions::chosen;
-use crate::passes::p2g::each_node;
 use crate::passes::rims::{SHARED_NODES, hand_on};
 use crate::passes::sleep::WATCH_WORDS;
 
@@ -29,51 +28,6 @@ fn sums(finish: Finish, [levels, subcycled, sleeps]: [bool; 3]) -> String {
 /// For passes that need sums of tiles at rims.
 pub(crate) fn sums_of_tiles(blocks: u32) -> String {
     plain_sums(blocks) + include_str!("../wgsl/rim_sums.wgsl")
-}
-
-/// Folds what lies behind the walls across an axis, every other plane by the one half of the threads and the rest by the other, a thread a row. The axis is
-/// written out, so that compilers see which walls there are.
-pub(crate) fn fold(axis: usize) -> String {
-    let d = ["x", "y", "z"][axis];
-    let node = |plane: &str| match axis {
-        0 => format!("vec3<u32>(u32({plane}), row)"),
-        1 => format!("vec3<u32>(row.x, u32({plane}), row.y)"),
-        _ => format!("vec3<u32>(row, u32({plane}))"),
-    };
-    // Node and image are as far from the wall: the sum of their planes is known. Beyond the low wall lie the lower planes, beyond the high one the upper.
-    let end = |kind: &str, bound: &str, first: &str, last: &str| {
-        let (source, to) = (node("image"), node("sum - image"));
-        format!(
-            "{{\nlet sum = 2 * ({bound}.{d} - first_node.{d}) - 1;\n\
-             if {kind}.{d} != 0u && sum >= 1 && sum <= 13 && !is_done {{\n\
-             let signs = wall_signs({kind}.{d}, {axis});\n\
-             for (var image = {first} + i32(part); image <= {last}; image += 2) {{\n\
-             impulse += fold_node({source}, {to}, signs);\n}}\n}}\n}}\n"
-        )
-    };
-    // What is behind a wall across an axis before has been folded already.
-    let behind = |before: usize| {
-        let b = ["x", "y"][before];
-        format!(
-            " || (LOW.{b} != 0u && first_node.{b} + i32(row.{b}) < least.{b}) || (HIGH.{b} != 0u && first_node.{b} + i32(row.{b}) >= end_node.{b})"
-        )
-    };
-    let is_done: String = (0..axis).map(behind).collect();
-    let low = end("LOW", "least", "max(sum - 7, 0)", "(sum - 1) / 2");
-    let high = end("HIGH", "end_node", "(sum + 1) / 2", "min(sum, 7)");
-    // Across a world narrower than this, both walls fold onto the same planes.
-    let narrow = format!(
-        "if LOW.{d} != 0u && HIGH.{d} != 0u && ((WORLD_MAX.{d} - WORLD_MIN.{d}) >> (LEVELS - 1u)) < 4 {{\nworkgroupBarrier();\n}}\n"
-    );
-    format!("{{\nlet is_done = false{is_done};\n{low}{narrow}{high}}}\nworkgroupBarrier();\n")
-}
-
-/// Adds the sums of the cell `at` to the tile: for one of its 27 nodes at a time, different cells touch different nodes. Places that differ along x alone are
-/// found once.
-pub(crate) fn flush() -> String {
-    let place = |n: usize| format!("let t{n} = part * 512u + in_tile(at.x, at.y + {}u, at.z + {}u);\n", n / 3, n % 3);
-    let add = |n: usize, [i, ..]: [usize; 3]| format!("tile[t{} + {}u] += a{n};\nworkgroupBarrier();\n", n % 9, 64 * i);
-    (0..9).map(place).collect::<String>() + &each_node(add)
 }
 
 /// What the pass that sums tiles leaves at nodes.

@@ -15,6 +15,7 @@ pub(crate) mod scene;
 pub(crate) mod since_sort;
 pub(crate) mod sleep;
 pub(crate) mod sort;
+pub(crate) mod unrolled;
 mod wgsl_words;
 
 use crate::device::Gpu;

@@ -8,11 +8,6 @@ use crate::passes::conditions::chosen;
 /// What passes know of the rest of blocks.
 pub(crate) const WATCH_WORDS: &str = include_str!("../wgsl/watch_words.wgsl");
 
-/// Puts texts in places that stay empty where nothing sleeps.
-pub(crate) fn with_sleep(sleeps: bool, body: &str, texts: &[(&str, &str)]) -> String {
-    texts.iter().fold(body.to_owned(), |body, (place, text)| body.replace(place, if sleeps { text } else { "" }))
-}
-
 /// Who sleeps in a step.
 pub(crate) fn watch(levels: bool) -> Draft {
     let body = chosen(include_str!("../wgsl/watch.wgsl"), &[("levels", levels)]);
