@@ -8,6 +8,7 @@ use crate::passes::scene::{damps, stiffens};
 use crate::passes::sleep::WATCH_WORDS;
 use crate::passes::unrolled::{gather, unrolled};
 use barchan_core::Plan;
+use barchan_grid::wgsl::G2P;
 
 /// From so many particles on, G2P's threads take several each, so that workgroups start less often. For fewer the loop costs more than it saves.
 pub(crate) const VERY_MANY: usize = 1 << 22;
@@ -20,7 +21,7 @@ pub(crate) fn g2p(plan: &Plan, laws: &str, sleeps: bool, [particles, layers]: [u
     let conditions =
         [("sleeps", sleeps), ("asks", asks), ("several", several), ("stiffens", stiffens), ("damps", damps)];
     let by_workgroup = if several { 512 } else { 128 };
-    let body = unrolled(&chosen(include_str!("../wgsl/g2p.wgsl"), &conditions), &[("gather", &gather())]);
+    let body = unrolled(&chosen(G2P, &conditions), &[("gather", &gather())]);
     let body = [
         format!("const BY_WORKGROUP: u32 = {by_workgroup}u;\n").as_str(),
         if asks { include_str!("../wgsl/asking.wgsl") } else { "" },

@@ -7,6 +7,7 @@ use crate::passes::binding::{
 use crate::passes::conditions::chosen;
 use crate::passes::rims::{SHARED_NODES, hand_on};
 use crate::passes::sleep::WATCH_WORDS;
+use barchan_grid::wgsl::HANDED_TO;
 
 /// For passes that need sums of tiles.
 pub(crate) fn plain_sums(blocks: u32) -> String {
@@ -68,7 +69,7 @@ pub(crate) fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: b
             + &sums(finish, [levels, subcycled, sleeps])
             + &mirrors
             + rims
-            + if levels && !subcycled { include_str!("../wgsl/handed_to.wgsl") } else { "" }
+            + if levels && !subcycled { HANDED_TO } else { "" }
             + &shared
             + &watch,
         uses,

@@ -7,6 +7,7 @@ use crate::passes::binding::{
 use crate::passes::conditions::chosen;
 use crate::passes::sleep::WATCH_WORDS;
 use crate::passes::unrolled::of_p2g;
+use barchan_grid::wgsl;
 
 /// Where there are several levels, P2G also sums parent cells for rims. Subcycled, further workgroups visit blocks once more that give to nodes which
 /// two levels share, and leave forces out.
@@ -20,7 +21,7 @@ pub(crate) fn p2g([sleeps, mirrored, levels, subcycled, stiffens]: [bool; 5], pa
         ("subcycled", subcycled),
         ("stiffens", stiffens),
     ];
-    let body = of_p2g(&chosen(include_str!("../wgsl/p2g.wgsl"), &conditions), ahead);
+    let body = of_p2g(&chosen(wgsl::P2G, &conditions), ahead);
     let watch = if sleeps { [WATCH_WORDS, include_str!("../wgsl/watch_p2g.wgsl")].concat() } else { String::new() };
     let mut uses = vec![RECORD, CELLS, written(LISTS), GRID, STATUS];
     uses.extend(sleeps.then_some(WATCH));
@@ -33,8 +34,8 @@ pub(crate) fn p2g([sleeps, mirrored, levels, subcycled, stiffens]: [bool; 5], pa
         body: [
             body.as_str(),
             &watch,
-            if_levels(include_str!("../wgsl/parent_cells.wgsl")),
-            if_levels(include_str!("../wgsl/handed.wgsl")),
+            if_levels(wgsl::PARENT_CELLS),
+            if_levels(wgsl::HANDED),
             if subcycled {
                 concat!(include_str!("../wgsl/listed.wgsl"), include_str!("../wgsl/blocks_now.wgsl"))
             } else {

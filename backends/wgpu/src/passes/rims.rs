@@ -6,6 +6,7 @@ use crate::passes::binding::{
 };
 use crate::passes::conditions::chosen;
 use crate::passes::grid::sums_of_tiles;
+use barchan_grid::wgsl;
 
 /// What rims hand to the next coarser level.
 pub(crate) fn restrict() -> Draft {
@@ -14,7 +15,7 @@ pub(crate) fn restrict() -> Draft {
         Draft {
             name: "restrict",
             entry: "restrict_rims",
-            body: sums_of_tiles(1) + &hand_on() + include_str!("../wgsl/restrict.wgsl"),
+            body: sums_of_tiles(1) + &hand_on() + wgsl::RESTRICT,
             uses: vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, written(HANDED)],
             uniform: Uniform::None,
             groups: Groups::NodeBlocks,
@@ -27,8 +28,8 @@ pub(crate) fn restrict() -> Draft {
 pub(crate) fn hand_on() -> String {
     [
         exchange(256).as_str(),
-        include_str!("../wgsl/handed.wgsl"),
-        include_str!("../wgsl/hand_on.wgsl"),
+        wgsl::HANDED,
+        wgsl::HAND_ON,
         include_str!("../wgsl/sum_of_block.wgsl"),
         include_str!("../wgsl/mirrors.wgsl"),
         include_str!("../wgsl/behind.wgsl"),
@@ -42,15 +43,14 @@ pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
     let own: String = if subcycled {
         [
             &sums_of_tiles(blocks),
-            include_str!("../wgsl/handed_to.wgsl"),
+            wgsl::HANDED_TO,
             SHARED_NODES,
             include_str!("../wgsl/solve.wgsl"),
             include_str!("../wgsl/mirror_node.wgsl"),
         ]
         .concat()
     } else {
-        [&abreast(blocks), include_str!("../wgsl/velocity_at.wgsl"), include_str!("../wgsl/prolong_tasks.wgsl")]
-            .concat()
+        [&abreast(blocks), include_str!("../wgsl/velocity_at.wgsl"), wgsl::PROLONG_TASKS].concat()
     };
     let mut uses = vec![DIRECTORY, written(LISTS), GRID, RIMS, STATUS, LISTED];
     if subcycled {
@@ -61,13 +61,13 @@ pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
         entry: "rims_alone",
         body: [
             &own,
-            include_str!("../wgsl/prolong.wgsl"),
+            wgsl::PROLONG,
             include_str!("../wgsl/sum_of_block.wgsl"),
             include_str!("../wgsl/mirrors.wgsl"),
             include_str!("../wgsl/behind.wgsl"),
             include_str!("../wgsl/image.wgsl"),
             include_str!("../wgsl/wall.wgsl"),
-            &chosen(include_str!("../wgsl/rims.wgsl"), &[("subcycled", subcycled)]),
+            &chosen(wgsl::RIMS, &[("subcycled", subcycled)]),
             include_str!("../wgsl/listed.wgsl"),
         ]
         .concat(),
@@ -81,7 +81,7 @@ pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
 /// In a pass of its own.
 pub(crate) fn rims_alone(subcycled: bool) -> Draft {
     let draft = at_rims(subcycled, 4);
-    Draft { body: [&exchange(256), &draft.body, include_str!("../wgsl/rims_alone.wgsl")].concat(), ..draft }
+    Draft { body: [&exchange(256), &draft.body, wgsl::RIMS_ALONE].concat(), ..draft }
 }
 
 pub(crate) const SHARED_NODES: &str = concat!(include_str!("../wgsl/own.wgsl"), include_str!("../wgsl/shared.wgsl"));
