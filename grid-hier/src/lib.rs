@@ -20,3 +20,4 @@ pub mod ring;
 pub mod spline;
 pub mod transfer;
 pub mod wall;
+pub mod wgsl;

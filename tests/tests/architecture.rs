@@ -162,3 +162,48 @@ fn what_can_panic_says_why_it_does_not() {
     }
     assert!(bare.is_empty(), "give an error, or say in at least four words why it cannot happen:\n{}", bare.join("\n"));
 }
+
+/// Folders of the GPU backend, lowest first. Each may use itself and those before it; what lies beside them may use all.
+const GPU_FOLDERS: [&str; 5] = ["device", "passes", "worlds", "readback", "schedule"];
+
+/// Lines on which a file of one of these folders names what is not below it: numbers from 1, and what they name.
+fn arrows_up(folder: usize, text: &str) -> Vec<(usize, String)> {
+    let code = text.lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with("//"));
+    code.flat_map(|(i, line)| {
+        let word = |rest: &str| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or("").to_owned();
+        // A list of paths behind `crate::` has no first word, so that it is refused, too.
+        let paths = line.split("crate::").skip(1).map(word).filter(|to| !GPU_FOLDERS[..=folder].contains(&to.as_str()));
+        // A module's own tests take all of it; other paths are written from the root, where they can be seen.
+        let beside = (line.contains("super::") && line.trim() != "use super::*;").then(|| "super".to_owned());
+        paths.chain(beside).map(move |to| (i + 1, to)).collect::<Vec<_>>()
+    })
+    .collect()
+}
+
+#[test]
+fn folders_of_the_gpu_backend_use_only_what_is_below_them() {
+    let source = root().join("backends/wgpu/src");
+    let mut up = Vec::new();
+    for (folder, name) in GPU_FOLDERS.iter().enumerate() {
+        let mut files = Vec::new();
+        sources(&source.join(name), &mut files);
+        assert!(files.len() > 2, "{name} holds {} files", files.len());
+        for file in files {
+            let text = std::fs::read_to_string(&file).unwrap();
+            let file = file.strip_prefix(&source).unwrap().display().to_string();
+            up.extend(arrows_up(folder, &text).into_iter().map(|(line, to)| format!("{file}:{line} uses {to}")));
+        }
+    }
+    assert!(up.is_empty(), "the order is {}:\n{}", GPU_FOLDERS.join(", "), up.join("\n"));
+    // Every folder has its place in the order.
+    let folders = std::fs::read_dir(&source).unwrap().map(Result::unwrap).filter(|entry| entry.path().is_dir());
+    let names: BTreeSet<_> = folders.map(|entry| entry.file_name().into_string().unwrap()).collect();
+    let known: BTreeSet<_> = GPU_FOLDERS.into_iter().chain(["wgsl"]).map(str::to_owned).collect();
+    assert_eq!(names, known);
+
+    let text = "use crate::device::Gpu;\n/// As crate::schedule says.\nuse crate::{schedule, worlds};\n\
+                fn f() { crate::engine::go(super::x()) }\nuse super::*;\n";
+    let found = arrows_up(1, text);
+    let found: Vec<_> = found.iter().map(|(line, to)| (*line, to.as_str())).collect();
+    assert_eq!(found, [(3, ""), (4, "engine"), (4, "super")]);
+}

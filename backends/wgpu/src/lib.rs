@@ -11,6 +11,7 @@
 )]
 
 pub mod device;
+mod engine;
 mod passes;
 pub mod points;
 mod readback;
@@ -20,8 +21,9 @@ mod worlds;
 
 pub use passes::{Shader, material, shaders};
 
+use crate::device::lacks;
 use barchan_core::backend::{Adapter, Batch, NewWorld};
-use barchan_core::{Backend, Coupling, Engine, Error, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
+use barchan_core::{Backend, Coupling, Engine, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
 
 /// The backend called `wgpu`.
@@ -31,18 +33,6 @@ pub struct Wgpu {
     pub offer: device::Offer,
     /// An open device to run everything on, whatever adapter is asked for. If absent, each simulation opens its own.
     pub device: Option<Arc<device::Gpu>>,
-}
-
-/// What this backend lacks, why the scene asks for it, and what would mend it.
-fn lacks(what: impl Into<String>, why: impl Into<String>, mend: &str) -> Error {
-    Error::Missing {
-        kind: "backend",
-        name: device::BACKEND.into(),
-        origin: "built-in".into(),
-        what: what.into(),
-        why: why.into(),
-        mend: mend.into(),
-    }
 }
 
 impl Backend for Wgpu {
@@ -93,7 +83,7 @@ impl Backend for Wgpu {
     }
 
     fn passes(&self, plan: &Plan) -> Vec<String> {
-        crate::passes::describe(plan).unwrap_or_default()
+        schedule::describe::describe(plan).unwrap_or_default()
     }
 
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>> {
@@ -110,7 +100,7 @@ impl Backend for Wgpu {
 }
 
 /// Worlds on the adapter that the first one asks for.
-fn batch_of(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<worlds::engine::Worlds> {
+fn batch_of(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<engine::Worlds> {
     worlds.iter().try_for_each(|world| backend.check(world.plan))?;
     let adapter = worlds.first().and_then(|world| world.plan.adapter.as_deref());
     let gpu = match &backend.device {
@@ -118,7 +108,7 @@ fn batch_of(backend: &Wgpu, worlds: Vec<NewWorld<'_>>) -> Result<worlds::engine:
         None => Arc::new(device::open_with(adapter, backend.offer)?),
     };
     let threads = worlds.first().map_or(0, |world| world.plan.threads);
-    worlds::engine::Worlds::new(gpu, worlds, threads)
+    engine::Worlds::new(gpu, worlds, threads)
 }
 
 /// Registers the backend.

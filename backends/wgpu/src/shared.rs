@@ -2,10 +2,10 @@
 
 use crate::device::layout::ENTRY;
 use crate::device::memory::{
-    BODY, BODY_HEAD, BODY_STATE, Extent, GROUP_HEAD, Layer, OF_LAYERS, PER_LAYER, PER_STEP, PER_SUM, StepConstants,
-    TOUCH,
+    BODY, BODY_HEAD, BODY_STATE, Extent, GROUP_HEAD, Layer, OF_LAYERS, PER_LAYER, PER_STEP, PER_SUM, SOFT_WORDS,
+    StepConstants, TOUCH, WATCHED,
 };
-use crate::schedule::status::{self, Halt};
+use crate::device::status::{self, Halt};
 use crate::worlds::{sleep, soft};
 use std::mem::offset_of;
 
@@ -93,13 +93,13 @@ pub const CONSTANTS: &[Shared] = &[
     ("FEWER", Halt::Fewer as i64),
     ("FOLLOW", Halt::Follow as i64),
     ("TOO_STIFF", Halt::TooStiff as i64),
-    ("WATCHED", sleep::WATCHED as i64),
+    ("WATCHED", WATCHED as i64),
     ("RESTS", sleep::RESTS as i64),
     ("DECIDED", sleep::DECIDED as i64),
     ("HAPPENED", sleep::HAPPENED as i64),
     ("STEPPED", sleep::STEPPED as i64),
     ("FAST", sleep::FAST as i64),
     ("STIRRED", sleep::STIRRED as i64),
-    ("WORDS", soft::WORDS as i64),
+    ("WORDS", SOFT_WORDS as i64),
     ("LEEWAY", soft::LEEWAY as i64),
 ];

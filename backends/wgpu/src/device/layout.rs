@@ -1,7 +1,7 @@
 //! Conversion between particles on the host and their layout on the device: sorted by block, cell and law, and within
 //! those in their former order.
 
-use crate::passes::binding::Sorted;
+use crate::device::kernel::Sorted;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Error, ParticleList, ParticleState, Result, Spot, Vec3};
 use barchan_grid::block::{REACH, offset};
@@ -23,6 +23,11 @@ pub(crate) const BESIDE_BY: u32 = 1 << 20;
 
 /// Laws that a particle's tag can tell apart.
 pub(crate) const MAX_LAWS: usize = 16;
+/// Vectors of four that hold so many values of strain and history and, in their last place, rest volume.
+pub(crate) fn vectors_for(values: usize) -> usize {
+    (values + 1).div_ceil(4)
+}
+
 /// So many particles are not worth another thread.
 const FEW: usize = 1024;
 /// So many particles of a cell stand together, and so many times they take turns with those of their block's other cells; see `rounds.wgsl`.

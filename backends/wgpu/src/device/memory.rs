@@ -1,12 +1,9 @@
 //! Buffers on the device, and how many particles and blocks fit into them.
 
 use crate::device::Gpu;
-use crate::device::layout::{ENTRY, RECORD, ROUNDS};
-use crate::passes::binding::{FIRST_BINDING, Found, Kernel, Parts, Role, Sorted, Uniform};
-use crate::passes::bodies::Answering;
-use crate::passes::scene::{is_stored, vectors_for};
-use crate::worlds::sleep::WATCHED;
-use crate::worlds::soft::WORDS as SOFT_WORDS;
+use crate::device::kernel::{FIRST_BINDING, Found, Kernel, Parts, Role, Sorted, Uniform};
+use crate::device::layout::{ENTRY, RECORD, ROUNDS, vectors_for};
+use barchan_core::coupling::{DeviceBody, DeviceGroup};
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
@@ -44,6 +41,51 @@ pub(crate) const TOUCH: usize = 3;
 const COLUMNS: usize = 11;
 /// Vectors of a block of nodes that goes to the host; see `gather.wgsl`.
 pub(crate) const NEAR_BLOCK: usize = 65;
+/// Words that tell of a block's rest; see `watch_words.wgsl`.
+pub(crate) const WATCHED: usize = 12;
+/// Words of a soft body that levels follow; see `soft.wgsl`.
+pub(crate) const SOFT_WORDS: usize = 24;
+
+/// Room for groups that answer in each world, for their bodies in all and in one group, for words of a group's state, and for blocks around a body along an axis
+/// on the finest level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Answering {
+    pub(crate) groups: usize,
+    pub(crate) bodies: usize,
+    pub(crate) together: usize,
+    pub(crate) words: usize,
+    pub(crate) across: usize,
+}
+
+impl Answering {
+    /// For the groups of all couplings of a world, whose bodies reach into so many blocks along an axis.
+    pub(crate) fn of(groups: &[Vec<DeviceGroup>], across: impl Fn(&DeviceBody) -> usize) -> Self {
+        let all = || groups.iter().flatten();
+        Self {
+            groups: all().count(),
+            bodies: all().map(|group| group.bodies.len()).sum(),
+            together: all().map(|group| group.bodies.len()).max().unwrap_or(0),
+            words: all().map(|group| group.words).max().unwrap_or(0),
+            across: all().flat_map(|group| &group.bodies).map(across).max().unwrap_or(0),
+        }
+    }
+
+    /// For either.
+    pub(crate) fn with(self, other: Self) -> Self {
+        Self {
+            groups: self.groups.max(other.groups),
+            bodies: self.bodies.max(other.bodies),
+            together: self.together.max(other.together),
+            words: self.words.max(other.words),
+            across: self.across.max(other.across),
+        }
+    }
+
+    /// Blocks around a body on a level.
+    pub(crate) fn rooms(self) -> usize {
+        self.across.saturating_pow(3)
+    }
+}
 
 /// What not every scene asks for: room for pairs of nodes at walls that let go, and for bodies whose law runs on the device.
 #[derive(Clone, Copy, Debug, Default)]
@@ -67,6 +109,11 @@ pub(crate) struct Asked {
     /// Does ground sleep, and how many boxes of a layer are there that it does not sleep in?
     pub(crate) sleeps: bool,
     pub(crate) tools: usize,
+}
+
+/// Is what couplings' laws read stored? A uniform holds so much everywhere, and not what differs from world to world.
+pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
+    worlds > 1 || 16 * (vectors + samples) > 65_536
 }
 
 /// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how particles press on them on each level, and, where groups have

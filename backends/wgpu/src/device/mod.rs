@@ -1,7 +1,9 @@
 //! Adapters, and the device that is opened on one of them.
 
+pub(crate) mod kernel;
 pub(crate) mod layout;
 pub(crate) mod memory;
+pub(crate) mod status;
 
 use barchan_core::{Error, Result};
 use std::collections::BTreeMap;
@@ -11,6 +13,22 @@ use wgpu::{Adapter, AdapterInfo, DeviceType, Features, Limits};
 /// Name of the backend in errors and on the command line.
 pub const BACKEND: &str = "wgpu";
 const ORIGIN: &str = "built-in";
+
+/// What this backend lacks, why the scene asks for it, and what would mend it.
+pub(crate) fn lacks(what: impl Into<String>, why: impl Into<String>, mend: &str) -> Error {
+    Error::Missing {
+        kind: "backend",
+        name: BACKEND.into(),
+        origin: ORIGIN.into(),
+        what: what.into(),
+        why: why.into(),
+        mend: mend.into(),
+    }
+}
+
+/// From so many particles on a device is busy: sorts that nobody needs take longer than steps that are written for nothing behind one that is missing, and
+/// P2G's registers are scarcer than its time to wait.
+pub(crate) const MANY: usize = 500_000;
 
 /// Used where an adapter offers them; nothing needs them.
 const WELCOME: Features = Features::SHADER_FLOAT32_ATOMIC

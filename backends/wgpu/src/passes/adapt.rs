@@ -10,6 +10,10 @@ use crate::passes::sort::draft;
 use barchan_core::Plan;
 use barchan_core::levels::MERGE_BEHIND;
 use barchan_grid::adapt::finest_volumes;
+use barchan_grid::wgsl;
+
+/// Where particles of a cell stand.
+const ROUNDS: &str = include_str!("../wgsl/rounds.wgsl");
 
 /// Rounds of split and merge.
 pub(crate) fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptSet<Draft> {
@@ -26,7 +30,7 @@ pub(crate) fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptSet<Draft> {
     let find = draft(
         "find",
         "find_concerned",
-        &(regions(plan, worlds) + &constants + include_str!("../wgsl/adapt_find.wgsl")),
+        &(regions(plan, worlds) + &constants + wgsl::ADAPT_FIND),
         vec![RECORD, REST, IDS, LISTS, CELLS, written(LOOSE), written(SUMS), STATUS],
         Groups::Blocks,
     );
@@ -44,36 +48,30 @@ pub(crate) fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptSet<Draft> {
             draft(
                 "list",
                 "list_found",
-                concat!(include_str!("../wgsl/rounds.wgsl"), include_str!("../wgsl/adapt_list.wgsl")),
+                &[ROUNDS, wgsl::ADAPT_LIST].concat(),
                 vec![RECORD, LISTS, CELLS, LOOSE, SUMS, written(ORDER), next("new_record", RECORD), STATUS],
                 Groups::Blocks,
             ),
-            draft(
-                "copy",
-                "copy_found",
-                include_str!("../wgsl/adapt_copy.wgsl"),
-                particles_to_next(),
-                Groups::ParticlesBy(128),
-            ),
+            draft("copy", "copy_found", wgsl::ADAPT_COPY, particles_to_next(), Groups::ParticlesBy(128)),
         ],
         fill: draft(
             "fill",
             "fill",
-            concat!(include_str!("../wgsl/rounds.wgsl"), include_str!("../wgsl/adapt_fill.wgsl")),
+            &[ROUNDS, wgsl::ADAPT_FILL].concat(),
             vec![LISTS, CELLS, REST, filled, STATUS],
             Groups::Blocks,
         ),
         remove: draft(
             "remove",
             "remove",
-            include_str!("../wgsl/adapt_remove.wgsl"),
+            wgsl::ADAPT_REMOVE,
             vec![ORDER, written(RECORD), STATUS],
             Groups::ParticlesBy(128),
         ),
         stress: Draft {
             name: "stress of new",
             entry: "stress_of_new",
-            body: include_str!("../wgsl/adapt_stress.wgsl").to_owned() + laws,
+            body: wgsl::ADAPT_STRESS.to_owned() + laws,
             uses: vec![written(RECORD), written(REST), STATUS],
             uniform: Uniform::Params,
             groups: Groups::ParticlesBy(128),

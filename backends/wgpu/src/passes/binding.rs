@@ -1,66 +1,10 @@
 //! Buffers as passes see them, and how a pass is made from its text.
 
 use crate::device::Gpu;
-use crate::device::layout::RECORD as RECORD_PLANES;
+pub(crate) use crate::device::kernel::{
+    FIRST_BINDING, Found, Groups, Kernel, LEAST_BINDINGS, Parts, Role, Sorted, Uniform,
+};
 use std::fmt::Write as _;
-
-/// Planes of particles, and what a sort lays out anew: there are two of each, one of which a sort writes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Sorted {
-    Record,
-    Ids,
-    Rest,
-    Lists,
-    Cells,
-    /// What is known of the rest of blocks.
-    Watch,
-}
-
-/// A buffer as a pass sees it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Role {
-    Now(Sorted),
-    Next(Sorted),
-    Grid,
-    Status,
-    Flags,
-    Directory,
-    Sums,
-    Keys,
-    Loose,
-    Order,
-    /// Each particle's block and mass.
-    Owners,
-    Pairs,
-    /// Poses and motions of bodies, for each step of a submission.
-    Bodies,
-    /// What each node block gives to each body, and how particles press on it at each node.
-    Partials,
-    /// What each step gave to each body.
-    Impulses,
-    /// Bodies that answer, their states in each step of a submission, and the nodes that they grip.
-    Answering,
-    /// Nodes at rims of levels, and who gives to them.
-    Rims,
-    /// What each block hands to the next coarser level.
-    Handed,
-    /// What nodes keep that two levels share in subcycling.
-    Shared,
-    /// Boxes around bodies whose law runs on the host.
-    Around,
-    /// Blocks of nodes in them, there and back.
-    Near,
-    /// Boxes of blocks near tools, in which nothing sleeps.
-    Tools,
-    /// Soft bodies that levels follow.
-    Soft,
-    /// Tiles of unbounded ground that are live.
-    Live,
-    /// Blocks that only some passes visit; see `listed.wgsl`.
-    Listed,
-    /// Workgroups of the passes of a step, as the last sort has counted them.
-    Groups,
-}
 
 /// One binding: its name and type in WGSL, the buffer, and whether it is written.
 pub(crate) type Use = (&'static str, &'static str, Role, bool);
@@ -115,158 +59,29 @@ pub(crate) const fn atomic(binding: Use) -> Use {
     (binding.0, "atomic<u32>", binding.2, true)
 }
 
-/// How many workgroups a pass takes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Groups {
-    /// One.
-    One,
-    /// One a layer.
-    Layers,
-    /// One for this many layers.
-    LayersBy(u32),
-    /// One a block with particles.
-    Blocks,
-    /// One a block of nodes.
-    NodeBlocks,
-    /// So many.
-    Exactly(u32),
-    /// One a block of nodes near bodies.
-    Near,
-    /// One for this many blocks with particles.
-    BlocksBy(u32),
-    /// One for this many particles.
-    ParticlesBy(u32),
-    /// One for this many places of the directory.
-    PlacesBy(u32),
-    /// One for each that the last sort has found on the levels whose step it is.
-    Found(Found),
-}
-
-/// What a sort counts on levels, for the passes of a step to visit nothing else. It lists rims, givers, walled ones, and those that share nodes with a finer level.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Found {
-    Blocks,
-    NodeBlocks,
-    /// Blocks of nodes with some at the rim of their level.
-    Rims,
-    /// Blocks, and once more those whose particles give to shared nodes.
-    Givers,
-    /// Blocks, or blocks of nodes of the same number, to which walls or the edge of live ground give something.
-    Walled,
-    /// In fours those at rims and, subcycled, those that share nodes with the next finer level and that walls are behind.
-    RimsInFours,
-    /// One more than there are free bodies in the scenes, a group each, and behind them the same in eights.
-    BodiesAndRims,
-}
-
-impl Found {
-    /// How many kinds there are, and how many lists.
-    pub(crate) const ALL: usize = 7;
-    pub(crate) const LISTED: usize = 4;
-    /// The first that is listed.
-    const FIRST_LIST: usize = 2;
-}
-
-/// A table that a pass reads besides.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Uniform {
-    None,
-    /// The materials' parameters.
-    Params,
-    /// What the coupling's law reads, stored if it is too much for a uniform; are all of its loops counted?
-    Table {
-        stored: bool,
-        counted: bool,
-    },
-    /// The boxes of levels.
-    Regions,
-}
-
-/// A pass.
-#[derive(Debug)]
-pub(crate) struct Kernel {
-    pub(crate) name: &'static str,
-    pub(crate) pipeline: wgpu::ComputePipeline,
-    pub(crate) layout: wgpu::BindGroupLayout,
-    /// Buffers in the order of their bindings, and which part of each.
-    pub(crate) roles: Vec<(Role, usize)>,
-    pub(crate) uniform: Uniform,
-    pub(crate) groups: Groups,
-}
-
-/// Storage buffers that any adapter lets a pass bind.
-pub(crate) const LEAST_BINDINGS: usize = 8;
-
-/// In how many buffers the planes of particles stand: one each where passes may bind so many, so that a binding's greatest size bounds particles
-/// alone, and not particles times planes; else all in one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Parts {
-    pub(crate) record: usize,
-    pub(crate) rest: usize,
-}
-
-impl Parts {
-    /// Of particles with so many vectors of strain and history.
-    pub(crate) fn new(limits: &wgpu::Limits, vectors: usize) -> Self {
-        // A sort reads all planes, and writes all.
-        let most = LEAST_BINDINGS + 2 * (RECORD_PLANES - 1) + 2 * (vectors - 1);
-        if limits.max_storage_buffers_per_shader_stage as usize >= most {
-            Self::apart(vectors)
-        } else {
-            Self::together()
+/// The WGSL by which a pass reads and writes the vectors of particles by their numbers.
+fn accessors(parts: Parts, &(name, ty, role, write): &Use) -> String {
+    let (Role::Now(sorted) | Role::Next(sorted)) = role else { return String::new() };
+    if !matches!(sorted, Sorted::Record | Sorted::Rest) {
+        return String::new();
+    }
+    let parts = parts.of_sorted(sorted);
+    let each = |line: &dyn Fn(String) -> String| match parts {
+        1 => line(format!("{name}[vector(q, k)]")),
+        // What the number is, is known when a pass is compiled.
+        _ => {
+            let case = |k: usize| if k + 1 < parts { format!("case {k}u: {{") } else { "default: {".to_owned() };
+            let cases: String =
+                (0..parts).map(|k| format!("{} {} }}\n", case(k), line(format!("{name}_{k}[q]")))).collect();
+            format!("switch k {{\n{cases}}}\n")
         }
+    };
+    let mut text = format!("fn {name}_of(q: u32, k: u32) -> {ty} {{\n{}}}\n", each(&|at| format!("return {at};")));
+    if write {
+        let body = each(&|at| format!("{at} = value;"));
+        let _ = writeln!(text, "fn set_{name}(q: u32, k: u32, value: {ty}) {{\n{body}}}");
     }
-
-    /// Each plane in a binding of its own.
-    pub(crate) fn apart(vectors: usize) -> Self {
-        Self { record: RECORD_PLANES, rest: vectors }
-    }
-
-    /// All planes in one.
-    pub(crate) fn together() -> Self {
-        Self { record: 1, rest: 1 }
-    }
-
-    /// Of what plays this role.
-    pub(crate) fn of(self, role: Role) -> usize {
-        match role {
-            Role::Now(sorted) | Role::Next(sorted) => self.of_sorted(sorted),
-            _ => 1,
-        }
-    }
-
-    pub(crate) fn of_sorted(self, sorted: Sorted) -> usize {
-        match sorted {
-            Sorted::Record => self.record,
-            Sorted::Rest => self.rest,
-            _ => 1,
-        }
-    }
-
-    /// The WGSL by which a pass reads and writes the vectors of particles by their numbers.
-    pub(crate) fn accessors(self, &(name, ty, role, write): &Use) -> String {
-        let (Role::Now(sorted) | Role::Next(sorted)) = role else { return String::new() };
-        if !matches!(sorted, Sorted::Record | Sorted::Rest) {
-            return String::new();
-        }
-        let parts = self.of_sorted(sorted);
-        let each = |line: &dyn Fn(String) -> String| match parts {
-            1 => line(format!("{name}[vector(q, k)]")),
-            // What the number is, is known when a pass is compiled.
-            _ => {
-                let case = |k: usize| if k + 1 < parts { format!("case {k}u: {{") } else { "default: {".to_owned() };
-                let cases: String =
-                    (0..parts).map(|k| format!("{} {} }}\n", case(k), line(format!("{name}_{k}[q]")))).collect();
-                format!("switch k {{\n{cases}}}\n")
-            }
-        };
-        let mut text = format!("fn {name}_of(q: u32, k: u32) -> {ty} {{\n{}}}\n", each(&|at| format!("return {at};")));
-        if write {
-            let body = each(&|at| format!("{at} = value;"));
-            let _ = writeln!(text, "fn set_{name}(q: u32, k: u32, value: {ty}) {{\n{body}}}");
-        }
-        text
-    }
+    text
 }
 
 /// What a scene and the adapter fix for all passes.
@@ -308,9 +123,6 @@ pub(crate) fn entry(binding: u32, ty: wgpu::BufferBindingType, has_dynamic_offse
         count: None,
     }
 }
-
-/// First storage binding of a pass: before it stand the extent and the materials' parameters.
-pub(crate) const FIRST_BINDING: u32 = 2;
 
 pub(crate) fn build(
     gpu: &Gpu,
@@ -356,7 +168,7 @@ pub(crate) fn compose(setting: &Setting, worlds: usize, draft: &Draft) -> Compos
             let number = if parts > 1 { format!("_{part}") } else { String::new() };
             let _ = writeln!(text, "@group(0) @binding({binding}) var<storage, {access}> {name}{number}: array<{ty}>;");
         }
-        text += &setting.parts.accessors(one);
+        text += &accessors(setting.parts, one);
     }
     text.push_str(&draft.body);
     Composed { text, entries, roles }
@@ -403,17 +215,10 @@ pub(crate) fn build_for(
     Kernel { name: draft.name, pipeline, layout, roles, uniform: draft.uniform, groups: draft.groups }
 }
 
-/// A pass over all blocks: `$BLOCK` of its text is the one that a workgroup works on.
-pub(crate) fn on_all(draft: Draft) -> Draft {
-    Draft { body: draft.body.replace("$BLOCK", "group.y * extent.row + group.x"), ..draft }
-}
-
-/// A pass over blocks that a sort has listed, likewise.
+/// A pass over blocks that a sort has listed.
 pub(crate) fn on_listed(found: Found, draft: Draft) -> Draft {
-    let kind = found as usize - Found::FIRST_LIST;
-    let block = format!("listed_block({kind}u, group.y * extent.row + group.x)");
     Draft {
-        body: draft.body.replace("$BLOCK", &block) + include_str!("../wgsl/listed.wgsl"),
+        body: draft.body + include_str!("../wgsl/listed.wgsl"),
         uses: draft.uses.into_iter().chain([LISTED]).collect(),
         groups: Groups::Found(found),
         ..draft

@@ -1,6 +1,7 @@
 //! Contact with bodies, and the motion of those that answer.
 
 use crate::device::Gpu;
+use crate::device::memory::Answering;
 use crate::device::memory::{MAX_SLOTS, NEAR_BLOCK};
 use crate::passes::Kernels;
 use crate::passes::binding::{
@@ -12,7 +13,6 @@ use crate::passes::coupling_check::workgroup_bytes;
 use crate::passes::couplings::Laws;
 use crate::passes::rims::at_rims;
 use crate::passes::scene::coupling_table;
-use barchan_core::coupling::{DeviceBody, DeviceGroup};
 use barchan_grid::rest::NEAR_TOOL;
 
 /// Contact with driven bodies on the device, so many in each of the worlds, whose tables have so many vectors, of which the last are the
@@ -88,47 +88,6 @@ pub(crate) fn press_draft<const N: usize>(
         uniform: Uniform::Table { stored, counted: laws.counted },
         groups: node_blocks(shape[1] > 1),
         checked: true,
-    }
-}
-
-/// Room for groups that answer in each world, for their bodies in all and in one group, for words of a group's state, and for blocks around a body along an axis
-/// on the finest level.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Answering {
-    pub(crate) groups: usize,
-    pub(crate) bodies: usize,
-    pub(crate) together: usize,
-    pub(crate) words: usize,
-    pub(crate) across: usize,
-}
-
-impl Answering {
-    /// For the groups of all couplings of a world, whose bodies reach into so many blocks along an axis.
-    pub(crate) fn of(groups: &[Vec<DeviceGroup>], across: impl Fn(&DeviceBody) -> usize) -> Self {
-        let all = || groups.iter().flatten();
-        Self {
-            groups: all().count(),
-            bodies: all().map(|group| group.bodies.len()).sum(),
-            together: all().map(|group| group.bodies.len()).max().unwrap_or(0),
-            words: all().map(|group| group.words).max().unwrap_or(0),
-            across: all().flat_map(|group| &group.bodies).map(across).max().unwrap_or(0),
-        }
-    }
-
-    /// For either.
-    pub(crate) fn with(self, other: Self) -> Self {
-        Self {
-            groups: self.groups.max(other.groups),
-            bodies: self.bodies.max(other.bodies),
-            together: self.together.max(other.together),
-            words: self.words.max(other.words),
-            across: self.across.max(other.across),
-        }
-    }
-
-    /// Blocks around a body on a level.
-    pub(crate) fn rooms(self) -> usize {
-        self.across.saturating_pow(3)
     }
 }
 

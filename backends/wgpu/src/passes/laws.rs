@@ -1,7 +1,10 @@
 //! The materials' laws as one text.
 
+use crate::passes::conditions::chosen;
 use crate::passes::material;
 use crate::passes::scene::{damps, parameter_vectors, parameters_of, rest_vectors, space, stiffens};
+use crate::passes::unrolled::unrolled;
+use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Plan, Result};
 use std::fmt::Write as _;
 
@@ -63,15 +66,16 @@ pub(crate) fn laws(plan: &Plan, worlds: usize) -> Result<String> {
         let _ = writeln!(load, "var r{k} = held.r{k};");
         let _ = writeln!(store, "set_rest(q, {k}u, r{k});");
     }
-    let volume = format!("r{}.w", vectors - 1);
-    let mut need = String::new();
     if stiffens(plan) {
-        let stiffness = "stiffness_of_material(law, strain, param_base(law), &state)";
-        let stiffness = if damps { format!("with_damping(law, {stiffness})") } else { stiffness.to_owned() };
-        let asked = format!("need_of({stiffness}, mass, {volume})");
-        need = format!("need_now = 0u;\nif gives_stiffness(law) {{\nneed_now = {asked};\n}}");
         text += include_str!("../wgsl/stiffness.wgsl");
     }
+    let _ = write!(
+        text,
+        "// A particle's strain, history and rest volume.\nstruct Held {{\n{fields}}}\n\
+         fn held_by(q: u32) -> Held {{\nvar held: Held;\n{fetch}return held;\n}}\n\
+         fn rest_volume(held: Held) -> f32 {{ return held.r{}.w; }}\n",
+        vectors - 1
+    );
     let any = |full: bool| plan.materials.iter().any(|m| (m.material.strain_planes() == 9) == full);
     let branch = |full: &str, symmetric: &str| match (any(true), any(false)) {
         (true, true) => format!("if has_def_grad(law) {{\n{full}}} else {{\n{symmetric}}}\n"),
@@ -102,19 +106,25 @@ pub(crate) fn laws(plan: &Plan, worlds: usize) -> Result<String> {
     let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
     let store_sym: String =
         entries.iter().enumerate().map(|(e, &(i, j))| format!("{} = {};\n", value(e), kept(i, j))).collect();
-    let damp = format!(
-        "if is_damped(law) && dt > 0.0 {{\n\
-         out.kirchhoff = damp(law, out.kirchhoff, trial, out.strain, g, step_part, {volume});\n}}"
-    );
-    text += &include_str!("../wgsl/deform.wgsl")
-        .replace("$FIELDS", &fields)
-        .replace("$UNDAMPED", if damps { "damped_now = 0.0;" } else { "" })
-        .replace("$DAMP", if damps { &damp } else { "" })
-        .replace("$FETCH", &fetch)
-        .replace("$VOLUME", &volume)
-        .replace("$NEED", &need)
-        .replace("$LOAD", &(load + "var strain: mat3x3<f32>;\nvar state: array<f32, BARCHAN_MAX_STATE>;\n" + &branch(&load_full, &load_sym)))
-        .replace("$TRIAL", &branch("trial = strain + g + g * strain;\n", "let half = strain + g * strain;\nlet back = transpose(g);\ntrial = half + half * back + g + back + g * back;\n"))
-        .replace("$STORE", &(branch(&(store_full + &history(true, true)), &(store_sym + &history(false, true))) + &store));
+    let load = load + &branch(&load_full, &load_sym);
+    let store = branch(&(store_full + &history(true, true)), &(store_sym + &history(false, true))) + &store;
+    let conditions = [("damps", damps), ("stiffens", stiffens(plan)), ("def_grads", any(true)), ("lefts", any(false))];
+    let deform = chosen(include_str!("../wgsl/deform.wgsl"), &conditions);
+    text += &unrolled(&deform, &[("load", &load), ("store", &store)]);
     Ok(text)
+}
+
+/// Does a law's stiffness follow the state?
+pub(crate) fn hardens(planned: &PlannedMaterial) -> bool {
+    planned.material.has(barchan_abi::BARCHAN_CAP_HARDENS) && planned.material.table.tangent_moduli_f32.is_some()
+}
+
+/// Is such a law asked on the device, in each step?
+pub(crate) fn is_asked_on_device(planned: &PlannedMaterial) -> bool {
+    hardens(planned) && !planned.material.wgsl_stiffness.is_empty()
+}
+
+/// Is it asked on the host now and then, because it has no WGSL for that?
+pub(crate) fn is_asked_on_host(planned: &PlannedMaterial) -> bool {
+    hardens(planned) && planned.material.wgsl_stiffness.is_empty()
 }

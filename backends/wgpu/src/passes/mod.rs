@@ -3,6 +3,7 @@
 pub(crate) mod adapt;
 pub(crate) mod binding;
 pub(crate) mod bodies;
+pub(crate) mod conditions;
 pub(crate) mod coupling_check;
 pub(crate) mod couplings;
 pub(crate) mod g2p;
@@ -12,14 +13,17 @@ pub mod material;
 pub(crate) mod p2g;
 pub(crate) mod rims;
 pub(crate) mod scene;
+pub(crate) mod since_sort;
 pub(crate) mod sleep;
 pub(crate) mod sort;
+pub(crate) mod unrolled;
 mod wgsl_words;
 
 use crate::device::Gpu;
+use crate::device::memory::Answering;
 use crate::passes::adapt::adapt;
-use crate::passes::binding::{Draft, Found, Groups, Kernel, Parts, Setting, build, compose, entry};
-use crate::passes::bodies::{Answering, answer_draft};
+use crate::passes::binding::{Draft, Kernel, Parts, Setting, build, compose, entry};
+use crate::passes::bodies::answer_draft;
 use crate::passes::couplings::Laws;
 use crate::passes::g2p::{g2p, soft, stress};
 use crate::passes::grid::{Finish, collect, hold, reflect, separate, sum_tiles, velocities};
@@ -32,11 +36,8 @@ use crate::passes::scene::{
 };
 use crate::passes::sleep::{sum_sleep, watch};
 use crate::passes::sort::sort;
-use crate::schedule::{ContactPasses, passes};
-use crate::worlds::stiffness::is_asked_on_host;
 use barchan_core::scene::Wall;
-use barchan_core::{Coupling, Plan, Result, Stage};
-use barchan_grid::limits::STIFFNESS_AGE;
+use barchan_core::{Coupling, Plan, Result};
 
 /// All passes that a scene calls for: what they are made from, or as a device has compiled them.
 #[derive(Debug)]
@@ -118,7 +119,7 @@ impl<K> Set<K> {
     }
 
     /// Those of rounds of split and merge.
-    fn adapt(&self) -> impl Iterator<Item = &K> {
+    pub(crate) fn adapt(&self) -> impl Iterator<Item = &K> {
         self.adapt.iter().flat_map(|a| a.find.iter().chain([&a.fill, &a.remove, &a.stress]))
     }
 
@@ -249,88 +250,4 @@ pub fn shaders(
     let shader =
         |draft: &Draft| Shader { name: draft.name, entry: draft.entry, wgsl: compose(&setting, worlds, draft).text };
     Ok(set.all().chain(&contact).map(shader).collect())
-}
-
-/// The passes of a plan, a line each.
-pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
-    let set = drafts(plan, 1, plan.particle_count)?;
-    let mut lines: Vec<String> = set.sort.iter().map(|draft| line("every 20 steps or sooner", draft)).collect();
-    // In the slot with which all levels begin, and in which one ends, there is a call of every stage.
-    for call in plan.schedule.of_slot(0) {
-        if call.stage == Stage::CONTACT {
-            lines.extend(describe_contact(plan));
-        }
-        let often = if plan.substeps > 1 { "every step of a level" } else { "every step" };
-        let own = passes(&set, ContactPasses::default(), &plan.schedule, call);
-        lines.extend(own.into_iter().map(|(_, draft)| line(often, draft)));
-    }
-    lines.extend(set.soft().map(|draft| line("every step", draft)));
-    let seldom = set.reflect.iter().filter(|_| set.mirrored && plan.substeps > 1);
-    lines.extend(seldom.map(|draft| line("every step in which bodies may come near walls, after theirs", draft)));
-    lines.extend(set.collect.iter().map(|draft| line("every submission", draft)));
-    lines.extend(set.adapt().map(|draft| line("where levels move or particles leave theirs", draft)));
-    lines.push(line("after an upload", &set.stress));
-    for planned in plan.materials.iter().filter(|planned| is_asked_on_host(planned)) {
-        let megabytes = 16.0 * rest_vectors(&plan.materials) as f64 * plan.particle_count as f64 / 1e6;
-        lines.push(format!(
-            "stiffness, every {STIFFNESS_AGE} steps: material '{}' has no wgsl_stiffness, so all strains and histories are copied to the host ({megabytes:.1} MB), which takes longer than the steps; its author can mend that",
-            planned.name
-        ));
-    }
-    Ok(lines)
-}
-
-pub(crate) fn describe_contact(plan: &Plan) -> Vec<String> {
-    let mut lines = vec!["contact, every step: on the device, but for free bodies near walls or others and for couplings without a law in WGSL: for these nodes near bodies go to the host and back".to_owned()];
-    if free_bodies(plan) > 0 {
-        let laws = Laws::none();
-        let room = Answering { groups: 1, bodies: 1, together: 1, words: 1, across: 2 };
-        let kinds = [false, true].into_iter().filter(|&rims| !rims || plan.cell_widths.len() > 1);
-        lines.extend(kinds.map(|rims| {
-            let motion = answer_draft([plan.substeps > 1, may_sleep(plan), rims], &laws, 1, [1, 1], room);
-            let of_rims = if plan.substeps > 1 { "solve" } else { "prolong" };
-            let when = if rims {
-                format!(", in place of that and {of_rims}, if levels follow them all and a pass may bind so much and be so wide")
-            } else {
-                String::new()
-            };
-            line(&format!("every step with free bodies, but near walls and other bodies{when}"), &motion)
-        }));
-    }
-    lines
-}
-
-/// One pass: when, how many workgroups, and the buffers it binds.
-pub(crate) fn line(when: &str, draft: &Draft) -> String {
-    let groups = match draft.groups {
-        Groups::One => "one workgroup".to_owned(),
-        Groups::Layers => "a workgroup a layer".to_owned(),
-        Groups::LayersBy(n) => format!("a workgroup for {n} layers"),
-        Groups::Exactly(count) => format!("{count} workgroups"),
-        Groups::Blocks => "a workgroup a block with particles".to_owned(),
-        Groups::NodeBlocks => "a workgroup a block of nodes".to_owned(),
-        Groups::Near => "a workgroup a block of nodes near bodies".to_owned(),
-        Groups::BlocksBy(n) => format!("a workgroup for {n} blocks"),
-        Groups::ParticlesBy(n) => format!("a workgroup for {n} particles"),
-        Groups::PlacesBy(n) => format!("a workgroup for {n} places of the directory"),
-        Groups::Found(found) => format!(
-            "a workgroup {} of the levels whose step it is",
-            match found {
-                Found::Blocks => "a block with particles",
-                Found::NodeBlocks => "a block of nodes",
-                Found::Rims => "a block of nodes at rims",
-                Found::Givers => "a block with particles, and another where these give to nodes that levels share,",
-                Found::Walled => "a block at walls",
-                Found::RimsInFours =>
-                    "for four blocks of nodes at rims or shared with the next finer level or, where mirrors are found with these, at walls",
-                Found::BodiesAndRims =>
-                    "a group of bodies that answer, one more, and one for eight blocks of nodes at rims, shared, or at walls,",
-            }
-        ),
-    };
-    let names = |write: bool| {
-        let names: Vec<_> = draft.uses.iter().filter(|u| u.3 == write).map(|u| u.0).collect();
-        if names.is_empty() { "nothing".to_owned() } else { names.join(", ") }
-    };
-    format!("{}, {when}: {groups}; reads {}; writes {}", draft.name, names(false), names(true))
 }

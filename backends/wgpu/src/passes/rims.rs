@@ -4,7 +4,9 @@ use crate::passes::binding::{
     DIRECTORY, Draft, Found, GRID, Groups, HANDED, KEPT, LISTED, LISTS, RIMS, STATUS, Uniform, abreast, exchange,
     on_listed, written,
 };
+use crate::passes::conditions::chosen;
 use crate::passes::grid::sums_of_tiles;
+use barchan_grid::wgsl;
 
 /// What rims hand to the next coarser level.
 pub(crate) fn restrict() -> Draft {
@@ -13,7 +15,7 @@ pub(crate) fn restrict() -> Draft {
         Draft {
             name: "restrict",
             entry: "restrict_rims",
-            body: sums_of_tiles(1) + &hand_on() + include_str!("../wgsl/restrict.wgsl"),
+            body: sums_of_tiles(1) + &hand_on() + wgsl::RESTRICT,
             uses: vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, written(HANDED)],
             uniform: Uniform::None,
             groups: Groups::NodeBlocks,
@@ -26,8 +28,8 @@ pub(crate) fn restrict() -> Draft {
 pub(crate) fn hand_on() -> String {
     [
         exchange(256).as_str(),
-        include_str!("../wgsl/handed.wgsl"),
-        include_str!("../wgsl/hand_on.wgsl"),
+        wgsl::HANDED,
+        wgsl::HAND_ON,
         include_str!("../wgsl/sum_of_block.wgsl"),
         include_str!("../wgsl/mirrors.wgsl"),
         include_str!("../wgsl/behind.wgsl"),
@@ -38,20 +40,17 @@ pub(crate) fn hand_on() -> String {
 
 /// Velocities at rims and, subcycled, of nodes that two levels share, so many blocks a workgroup, but for the pass's entry.
 pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
-    let take = "if (any_task & TAKES) != 0u {\nsolve_block(g, n, (all[abreast] & TAKES) != 0u);\n}";
-    let reflect = "if (any_task & REFLECTS) != 0u {\nreflect(g, n, (all[abreast] & REFLECTS) != 0u);\n}";
     let own: String = if subcycled {
         [
             &sums_of_tiles(blocks),
-            include_str!("../wgsl/handed_to.wgsl"),
+            wgsl::HANDED_TO,
             SHARED_NODES,
             include_str!("../wgsl/solve.wgsl"),
             include_str!("../wgsl/mirror_node.wgsl"),
         ]
         .concat()
     } else {
-        [&abreast(blocks), include_str!("../wgsl/velocity_at.wgsl"), include_str!("../wgsl/prolong_tasks.wgsl")]
-            .concat()
+        [&abreast(blocks), include_str!("../wgsl/velocity_at.wgsl"), wgsl::PROLONG_TASKS].concat()
     };
     let mut uses = vec![DIRECTORY, written(LISTS), GRID, RIMS, STATUS, LISTED];
     if subcycled {
@@ -62,15 +61,13 @@ pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
         entry: "rims_alone",
         body: [
             &own,
-            include_str!("../wgsl/prolong.wgsl"),
+            wgsl::PROLONG,
             include_str!("../wgsl/sum_of_block.wgsl"),
             include_str!("../wgsl/mirrors.wgsl"),
             include_str!("../wgsl/behind.wgsl"),
             include_str!("../wgsl/image.wgsl"),
             include_str!("../wgsl/wall.wgsl"),
-            &include_str!("../wgsl/rims.wgsl")
-                .replace("$TAKE", if subcycled { take } else { "" })
-                .replace("$REFLECT", if subcycled { reflect } else { "" }),
+            &chosen(wgsl::RIMS, &[("subcycled", subcycled)]),
             include_str!("../wgsl/listed.wgsl"),
         ]
         .concat(),
@@ -84,7 +81,7 @@ pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
 /// In a pass of its own.
 pub(crate) fn rims_alone(subcycled: bool) -> Draft {
     let draft = at_rims(subcycled, 4);
-    Draft { body: [&exchange(256), &draft.body, include_str!("../wgsl/rims_alone.wgsl")].concat(), ..draft }
+    Draft { body: [&exchange(256), &draft.body, wgsl::RIMS_ALONE].concat(), ..draft }
 }
 
 pub(crate) const SHARED_NODES: &str = concat!(include_str!("../wgsl/own.wgsl"), include_str!("../wgsl/shared.wgsl"));

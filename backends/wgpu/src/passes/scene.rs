@@ -1,10 +1,10 @@
 //! What a scene fixes for all passes, as WGSL.
 
-use crate::device::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER};
-use crate::device::memory::MAX_STEPS;
+use crate::device::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER, vectors_for};
+use crate::device::memory::{MAX_STEPS, is_stored};
 use crate::passes::bodies::RIMS_BESIDE;
-use crate::worlds::stiffness::is_asked_on_device;
-use crate::worlds::world::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
+use crate::passes::laws::is_asked_on_device;
+use crate::passes::since_sort::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
 use barchan_core::levels::{Agent, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Motion, Wall};
@@ -20,11 +20,6 @@ pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
     vectors_for(most.unwrap_or(6))
 }
 
-/// The same for so many values of strain and history.
-pub(crate) fn vectors_for(values: usize) -> usize {
-    (values + 1).div_ceil(4)
-}
-
 /// Free bodies in each world of a scene.
 pub(crate) fn free_bodies(plan: &Plan) -> usize {
     plan.scene.tool.iter().filter(|tool| matches!(tool.motion, Motion::Free { .. })).count()
@@ -33,11 +28,6 @@ pub(crate) fn free_bodies(plan: &Plan) -> usize {
 /// Vectors of four that hold a world's material parameters.
 pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
     plan.materials.iter().flat_map(parameters_of).count().div_ceil(4).max(1)
-}
-
-/// Is what couplings' laws read stored? A uniform holds so much everywhere, and not what differs from world to world.
-pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
-    worlds > 1 || 16 * (vectors + samples) > 65_536
 }
 
 /// What couplings' laws read: so many vectors for each world, and behind them samples that all worlds share. Is it stored?

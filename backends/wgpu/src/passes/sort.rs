@@ -4,8 +4,9 @@ use crate::passes::binding::{
     CELLS, COUNTS, DIRECTORY, Draft, FLAGS, Groups, KEYS, LISTED, LISTS, LIVE, LOOSE, NEW_CELLS, NEW_LISTS, ORDER,
     OWNERS, RECORD, RIMS, Role, STATUS, SUMS, Sorted, Uniform, Use, WATCH, atomic, next, particles_to_next, written,
 };
+use crate::passes::conditions::chosen;
 use crate::passes::scene::{may_sleep, regions};
-use crate::passes::sleep::{WATCH_WORDS, with_sleep};
+use crate::passes::sleep::WATCH_WORDS;
 use barchan_core::Plan;
 use barchan_core::scene::Leaving;
 
@@ -24,75 +25,37 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         }
         Draft { body: draft.body + &regions(plan, worlds) + helpers, uniform: Uniform::Regions, ..draft }
     };
-    let only_with_levels = |text: &'static str| if levels { text } else { "" };
-    let check = only_with_levels(
-        " else if due && !is_placed(layer, cell, vec3<i32>(record_of(q, 0u).xyz >> vec3<u32>(31u))) {\n\
-         atomicStore(&status[sum_word(layer, ASTRAY)], 1u);\n}",
-    );
-    let rim = only_with_levels("reached |= u32(reached == 0u && on && takes_from_rim(layer, block));");
     let leaving = plan.scene.world.leaving;
     let is_error = leaving == Leaving::Error;
-    // What becomes of a particle outside the world; where particles change, or what they gave is noted, passes write.
-    let leave = match leaving {
-        Leaving::Error => {
-            "atomicMin(&status[WHO], q);\natomicStore(&status[HALT_STEP], step.number);\natomicStore(&status[HALTED], LEFT_WORLD);"
-        }
-        // One that keeps its home is put back when its layer is due.
-        Leaving::Clamp => "if due {\nmine += put_back(q, layer, block, &local);\n}",
-        Leaving::Delete => {
-            "set_record(q, 0u, vec4<u32>(record_of(q, 0u).xyz, tag | GONE));\nmine.w += bitcast<f32>(record_of(q, 1u).w);\n\
-             atomicAdd(&status[sum_word(layer, LEFT)], 1u);\ncontinue;"
-        }
-    };
-    // Whom the world ends for at a face of cells is put back there, or goes; an error is one at the side itself. Those of layers that are not
-    // due stand in their homes.
-    let outside = if is_error {
-        "due && is_beyond(layer, cell, record_of(q, 0u).xyz)"
-    } else {
-        "any(((cell < world_min(layer)) | (cell >= world_max(layer))) & (PERIOD == vec3<i32>(0)))"
-    };
-    let unless_error = |text: &'static str| if is_error { "" } else { text };
-    let mark_text = include_str!("../wgsl/sort_mark.wgsl")
-        .replace("$CHECK", check)
-        .replace("$OUTSIDE", outside)
-        .replace("$LEAVE", leave)
-        .replace("$BEGIN", unless_error("var mine = vec4<f32>(0.0);"))
-        .replace("$END", unless_error("note_left(b, thread, mine);"));
-    let changed = |binding: Use| if is_error { binding } else { written(binding) };
-    let sleeps = may_sleep(plan);
-    // Where particles come or go, nobody goes on sleeping.
-    let words = if sleeps { WATCH_WORDS } else { "" };
-    let fresh = "if thread < WATCHED {\n\
-                 atomicStore(&watch[watch_word(w, thread)], select(select(0u, NONE, thread == DECIDED), 1u, thread == RESTS));\n}";
-    let link_text = with_sleep(sleeps, include_str!("../wgsl/sort_link.wgsl"), &[("$FRESH", fresh)]);
-    let stir = "fn stir(at: u32) {\nif at != NONE && directory[at].x != NONE {\n\
-                note_happened(directory[at].x, STIRRED);\n}\n}\n";
-    let texts = [
-        ("$GONE", "stir(place_in_box(layer, block));"),
-        ("$COME", "if any((local >> vec3<u32>(2u)) != vec3<i32>(0)) {\nstir(at);\n}"),
+    let (sleeps, unbounded) = (may_sleep(plan), plan.terrain.is_some());
+    let conditions = [
+        ("levels", levels),
+        ("sleeps", sleeps),
+        ("unbounded", unbounded),
+        // What becomes of a particle outside the world: it halts the submission, is put back, or is deleted.
+        ("halts", is_error),
+        ("puts_back", leaving == Leaving::Clamp),
     ];
-    let count_text =
-        with_sleep(sleeps, include_str!("../wgsl/sort_count.wgsl"), &texts) + if sleeps { stir } else { "" };
+    // Where particles change, or what they gave is noted, passes write.
+    let mark_text = chosen(include_str!("../wgsl/sort_mark.wgsl"), &conditions);
+    let changed = |binding: Use| if is_error { binding } else { written(binding) };
+    let words = if sleeps { WATCH_WORDS } else { "" };
+    let link_text = chosen(include_str!("../wgsl/sort_link.wgsl"), &conditions);
+    let count_text = chosen(include_str!("../wgsl/sort_count.wgsl"), &conditions);
     let with_watch = |mut uses: Vec<Use>| {
         uses.extend(sleeps.then_some(next("watch", WATCH)));
         uses
     };
     let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
-    let unbounded = plan.terrain.is_some();
-    let (helpers, edge, find) = if unbounded {
-        (include_str!("../wgsl/sort_edge.wgsl"), "atomicLoad(&edge)", "find_edge(layer, block, n);")
-    } else {
-        ("", "0u", "")
-    };
     let rim_text = [
         include_str!("../wgsl/listed.wgsl"),
         include_str!("../wgsl/reaches_wall.wgsl"),
         include_str!("../wgsl/mirrors.wgsl"),
         include_str!("../wgsl/behind.wgsl"),
-        helpers,
+        if unbounded { include_str!("../wgsl/sort_edge.wgsl") } else { "" },
+        &chosen(include_str!("../wgsl/sort_rim.wgsl"), &conditions),
     ]
-    .concat()
-        + &include_str!("../wgsl/sort_rim.wgsl").replace("$EDGE", edge).replace("$FIND", find);
+    .concat();
     let rims = knowing(
         draft(
             "rims",
@@ -120,7 +83,7 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
             draft(
                 "mark",
                 "mark",
-                &(unless_error(include_str!("../wgsl/sort_leave.wgsl")).to_owned() + &mark_text),
+                &([if is_error { "" } else { include_str!("../wgsl/sort_leave.wgsl") }, &mark_text].concat()),
                 vec![changed(RECORD), changed(LISTS), CELLS, atomic(FLAGS), STATUS],
                 Groups::Blocks,
             ),
@@ -130,7 +93,7 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
             draft(
                 "survey",
                 "survey",
-                &include_str!("../wgsl/sort_survey.wgsl").replace("$RIM", rim),
+                &chosen(include_str!("../wgsl/sort_survey.wgsl"), &conditions),
                 vec![FLAGS, written(DIRECTORY), written(SUMS), STATUS],
                 Groups::PlacesBy(1024),
             ),

@@ -1,12 +1,11 @@
 //! Errors of a step, in words that a user can act upon.
 
-use crate::readback::{Laid, account};
-use crate::schedule::status::{Halt, Status, WHO};
-use crate::worlds::WgpuBatch;
+use crate::device::status::{Halt, Status, WHO};
+use crate::readback::{Laid, Readback, account};
 use barchan_core::plan::loaded;
 use barchan_core::{Error, ParticleList, Vec3};
 
-impl WgpuBatch {
+impl Readback<'_> {
     /// The world of a particle that a halt names.
     pub(crate) fn world_of(&self, status: &Status) -> Option<usize> {
         let who = status.words[WHO] as usize;

@@ -1,31 +1,52 @@
-//! Particles copied to the host.
+//! What is copied to the host: particles, what steps have left on the device, and what went wrong.
 
 pub(crate) mod account;
 pub(crate) mod faults;
+pub(crate) mod pending;
+pub(crate) mod rest;
 
+use crate::device::Gpu;
+use crate::device::kernel::Sorted;
 use crate::device::layout::{self, Homes, Planes};
-use crate::device::memory::{read, read_all};
-use crate::passes::binding::Sorted;
-use crate::worlds::WgpuBatch;
-use crate::worlds::world::Level;
+use crate::device::memory::{Memory, read, read_all};
+use crate::worlds::world::{Level, World};
 use barchan_core::{Aabb, Measured, ParticleList, ParticleState, Reading, Result, SortPhase, Spot};
 use barchan_grid::archive::Reach;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::ops::Range;
 
+/// What can be copied to the host: the device's buffers, and what the host knows of the worlds in them.
+#[derive(Clone, Copy)]
+pub(crate) struct Readback<'a> {
+    pub(crate) gpu: &'a Gpu,
+    pub(crate) memory: &'a Memory,
+    pub(crate) worlds: &'a [World],
+    /// Levels of each world.
+    pub(crate) levels: usize,
+    /// Does ground at rest sleep?
+    pub(crate) sleeps: bool,
+    /// Is summed up what walls gave?
+    pub(crate) has_walls: bool,
+}
+
 /// How a level lies in memory.
 pub(crate) type Laid = (Homes, Planes<'static>);
 
-impl WgpuBatch {
+impl Readback<'_> {
+    /// A world's layers.
+    fn layers_of(&self, world: usize) -> Range<usize> {
+        self.levels * world..self.levels * (world + 1)
+    }
+
     /// Homes of some worlds' levels as the device has them, the particles of each counted from its first one.
     pub(crate) fn homes(&self, worlds: Range<usize>) -> Result<Vec<Homes>> {
         let levels: Vec<&Level> = self.worlds[worlds].iter().flat_map(|world| &world.levels).collect();
         let start = levels.first().map_or(0, |level| level.blocks.start);
         let count = levels.last().map_or(0, |level| level.blocks.end) - start;
         let at = (16 * layout::ENTRY * start) as u64;
-        let entries: Vec<[i32; 4]> = read(&self.gpu, self.memory.plane(Sorted::Lists), at, count * layout::ENTRY)?;
-        let cells: Vec<u32> = read(&self.gpu, self.memory.plane(Sorted::Cells), 256 * start as u64, 64 * count + 1)?;
+        let entries: Vec<[i32; 4]> = read(self.gpu, self.memory.plane(Sorted::Lists), at, count * layout::ENTRY)?;
+        let cells: Vec<u32> = read(self.gpu, self.memory.plane(Sorted::Cells), 256 * start as u64, 64 * count + 1)?;
         let of_level = |level: &&Level| {
             let own = level.blocks.start - start..level.blocks.end - start;
             let blocks = entries[own.start * layout::ENTRY..own.end * layout::ENTRY].chunks_exact(layout::ENTRY);
@@ -77,7 +98,7 @@ impl WgpuBatch {
             let last = held(Sorted::Rest)
                 .pop()
                 .expect("every law has a strain, so there are planes, with volumes in the last");
-            let words: Vec<u32> = read_all(&self.gpu, &[held(Sorted::Record)[0], last])?;
+            let words: Vec<u32> = read_all(self.gpu, &[held(Sorted::Record)[0], last])?;
             let (record, rest) = words.split_at(4 * count);
             let (record, rest) = (bytemuck::cast_slice(record), bytemuck::cast_slice(rest));
             let planes = Planes { record: Cow::Borrowed(record), rest: Cow::Borrowed(rest), ..Planes::default() };
@@ -128,7 +149,7 @@ impl WgpuBatch {
             if fields.volume0 {
                 stretches.extend(held(Sorted::Rest).pop());
             }
-            let words: Vec<u32> = read_all(&self.gpu, &stretches)?;
+            let words: Vec<u32> = read_all(self.gpu, &stretches)?;
             // Where each plane begins, by its number in the record, then ids and the last of the rest.
             let mut begins = [0; 7];
             let mut at = 0;
@@ -168,7 +189,7 @@ impl WgpuBatch {
         let (first, count) = (level.particles.start, level.particles.len());
         let of = |sorted: Sorted| self.memory.held(sorted, first, count);
         let stretches: Vec<_> = [Sorted::Record, Sorted::Ids, Sorted::Rest].into_iter().flat_map(of).collect();
-        Ok(Planes::of_words(&read_all(&self.gpu, &stretches)?, count).into_owned())
+        Ok(Planes::of_words(&read_all(self.gpu, &stretches)?, count).into_owned())
     }
 
     /// A world's particles, with the phase of the sort and of its levels.
@@ -225,7 +246,7 @@ impl WgpuBatch {
     ) -> Result<Vec<T>> {
         let mut values = Vec::new();
         for (buffer, from, bytes) in self.memory.held(sorted, first, count).into_iter().take(planes) {
-            values.extend(read::<T>(&self.gpu, buffer, from, bytes as usize / size_of::<T>())?);
+            values.extend(read::<T>(self.gpu, buffer, from, bytes as usize / size_of::<T>())?);
         }
         Ok(values)
     }

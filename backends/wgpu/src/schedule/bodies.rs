@@ -1,12 +1,12 @@
 //! Bodies whose law runs on the device: the law itself, where they are in each step, what they felt.
 
-use crate::device::memory::{BODY, answering_bytes, read};
-use crate::passes::binding::{Kernel, Role};
-use crate::passes::bodies::{Answering, NearKernels, answer_draft, fits_workgroups};
+use crate::device::kernel::{Kernel, Role};
+use crate::device::memory::{Answering, BODY, answering_bytes, read};
+use crate::passes::bodies::{NearKernels, answer_draft, fits_workgroups};
 use crate::passes::couplings::Laws;
 use crate::schedule::ContactPasses;
+use crate::schedule::batch::WgpuBatch;
 use crate::schedule::groups::{BodyStep, HeldGroup};
-use crate::worlds::WgpuBatch;
 use crate::worlds::sleep::{self, BlockBox};
 use crate::worlds::world::{Level, Place};
 use barchan_core::backend::WorldStep;

@@ -1,21 +1,19 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
+use crate::device::kernel::Role;
 use crate::device::memory::{NEAR_BLOCK, StepConstants, Writes, read};
-use crate::passes::binding::Role;
-use crate::passes::scene::damps;
+use crate::device::status::{AT_START, HALTED, Halt, MOVE, NEAR, Status};
+use crate::passes::since_sort::SinceSort;
+use crate::schedule::batch::WgpuBatch;
 use crate::schedule::near::{Around, Block, Found, Near, are_within, behind, boxes_of};
-use crate::schedule::status::{
-    AT_START, DAMPED, DAMPED_DIGITS, HALTED, Halt, MOVE, NEAR, Status, WALL_IMPULSE, energy_of,
-};
 use crate::schedule::submission::Part;
 use crate::schedule::{ContactPasses, Dispatch, Passes, around_contact, passes_beside_host};
-use crate::worlds::WgpuBatch;
 use crate::worlds::sleep::near_tools;
-use crate::worlds::world::{SinceSort, World};
+use crate::worlds::world::World;
 use barchan_core::backend::WorldStep;
 use barchan_core::schedule::ending;
-use barchan_core::{Error, Result, Schedule, StepReport, Vec3, Wrench};
-use barchan_grid::limits::{MAX_DRIFT, NODE_MOVE, greater};
+use barchan_core::{Error, Result, Schedule, StepReport, Wrench};
+use barchan_grid::limits::{NODE_MOVE, greater};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::time::Instant;
@@ -242,8 +240,12 @@ impl WgpuBatch {
                     for hosted in
                         hosted_steps.iter_mut().filter(|hosted| hosted.is_going() && !hosted.speed.is_finite())
                     {
-                        hosted.failed =
-                            Some(self.explain(hosted.world(), &status, hosted.speed, hosted.world_step.time));
+                        hosted.failed = Some(self.readback().explain(
+                            hosted.world(),
+                            &status,
+                            hosted.speed,
+                            hosted.world_step.time,
+                        ));
                     }
                     return Ok(());
                 }
@@ -276,9 +278,9 @@ impl WgpuBatch {
                     .try_for_each(|hosted| self.adapt(hosted.world(), None, hosted.world_step.couplings))?;
             }
             _ => {
-                let culprit = self.world_of(status).unwrap_or(first);
+                let culprit = self.readback().world_of(status).unwrap_or(first);
                 if let Some(hosted) = hosted_steps.iter_mut().find(|hosted| hosted.world() == culprit) {
-                    hosted.failed = Some(self.explain(culprit, status, f64::NAN, hosted.world_step.time));
+                    hosted.failed = Some(self.readback().explain(culprit, status, f64::NAN, hosted.world_step.time));
                 }
             }
         }
@@ -419,7 +421,8 @@ impl WgpuBatch {
         for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
             let moves = hosted.speed * asked / self.h;
             if !moves.is_finite() {
-                hosted.failed = Some(self.explain(hosted.world(), status, hosted.speed, hosted.world_step.time));
+                hosted.failed =
+                    Some(self.readback().explain(hosted.world(), status, hosted.speed, hosted.world_step.time));
             } else if moves > NODE_MOVE {
                 self.worlds[hosted.world()].shortened += 1;
                 dt = dt.min(asked * (0.9 * NODE_MOVE / moves).max(0.1));
@@ -679,46 +682,6 @@ impl WgpuBatch {
         self.gpu.check()?;
         active.iter().for_each(|(w, _)| self.worlds[*w].pending = true);
         Ok(())
-    }
-
-    /// The age and drift of a world's levels since their last sort, after its last step, also if that step's numbers are still on the device.
-    pub(crate) fn since_sorts(&self, w: usize) -> Vec<SinceSort> {
-        let since_sort = |(layer, level): (usize, &crate::worlds::world::Level)| {
-            if !self.worlds[w].pending {
-                return level.since_sort;
-            }
-            let at = 4 * self.memory.words().of_step(0, layer, MOVE) as u64;
-            let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 1);
-            level.since_sort.after(words.map_or(MAX_DRIFT as f32, |words| words[0]))
-        };
-        self.layers_of(w).zip(&self.worlds[w].levels).map(since_sort).collect()
-    }
-
-    /// What walls gave a world in a step whose numbers are still on the device [N s].
-    pub(crate) fn pending_walls(&self, w: usize) -> Vec3 {
-        if !self.worlds[w].pending || self.kernels.set.collect.is_empty() {
-            return [0.0; 3];
-        }
-        let of_layer = |layer: usize| {
-            let at = 4 * self.memory.words().of_sum(layer, WALL_IMPULSE) as u64;
-            let words: Result<Vec<f32>> = read(&self.gpu, self.memory.buffer(Role::Status, 0), at, 3);
-            words.map_or([0.0; 3], |w| [w[0], w[1], w[2]].map(f64::from))
-        };
-        self.layers_of(w).map(of_layer).fold([0.0; 3], |sum, v| std::array::from_fn(|d| sum[d] + v[d]))
-    }
-
-    /// What damping dissipated of a world in such a step [J].
-    pub(crate) fn pending_damped(&self, w: usize) -> f64 {
-        if !self.worlds[w].pending || !damps(&self.worlds[w].materials) {
-            return 0.0;
-        }
-        let of_layer = |layer: usize| {
-            let at = 4 * self.memory.words().of_sum(layer, DAMPED) as u64;
-            let words: Vec<u32> =
-                read(&self.gpu, self.memory.buffer(Role::Status, 0), at, DAMPED_DIGITS).unwrap_or_default();
-            words.try_into().map_or(0.0, energy_of)
-        };
-        self.layers_of(w).map(of_layer).sum()
     }
 }
 

@@ -1,11 +1,10 @@
 //! Groups of bodies that answer, which the device moves: as they are at the start of a submission, and what came of them. See `answering.wgsl`.
 
-use crate::device::memory::{BODY_HEAD, BODY_STATE, GROUP_HEAD, Writes};
-use crate::passes::binding::Role;
-use crate::passes::bodies::Answering;
+use crate::device::kernel::Role;
+use crate::device::memory::{Answering, BODY_HEAD, BODY_STATE, GROUP_HEAD, Writes};
+use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::Driven;
 use crate::schedule::submission::{Behind, Outcome};
-use crate::worlds::WgpuBatch;
 use barchan_core::backend::WorldStep;
 use barchan_core::coupling::{Group, GroupState, GroupStep, Placed};
 use barchan_core::plan::TOOL_COURANT;

@@ -1,16 +1,20 @@
-//! The schedule on a device: which passes carry out each stage, and what a submission dispatches.
+//! The schedule on a device: which passes carry out each stage, what a submission dispatches, and what the host does between submissions.
 
+pub(crate) mod adapt;
+pub(crate) mod archive;
+pub(crate) mod arrivals;
+pub(crate) mod batch;
 pub(crate) mod bodies;
 pub(crate) mod contact_on_host;
+pub(crate) mod describe;
 pub(crate) mod groups;
 pub(crate) mod near;
 pub(crate) mod outcome;
-pub(crate) mod status;
 pub(crate) mod steps;
 pub(crate) mod submission;
 
+use crate::device::kernel::Kernel;
 use crate::device::memory::StepConstants;
-use crate::passes::binding::Kernel;
 use crate::passes::{Kernels, Set};
 use crate::worlds::world::most_need;
 use barchan_core::schedule::{Call, Needs, Stage, beginning, ending};

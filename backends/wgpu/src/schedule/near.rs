@@ -1,7 +1,7 @@
 //! What is near bodies whose law runs on the host: blocks of nodes with their particles, and the law on them.
 
+use crate::device::kernel::Role;
 use crate::device::memory::NEAR_BLOCK;
-use crate::passes::binding::Role;
 use crate::schedule::submission::Behind;
 use crate::worlds::world::{Level, World};
 use barchan_core::backend::WorldStep;

@@ -1,13 +1,14 @@
 //! What steps did to the worlds, taken in from the status.
 
-use crate::passes::binding::Sorted;
-use crate::schedule::status::{
+use crate::device::kernel::Sorted;
+use crate::device::status::{
     BIAS, BLOCKS, DAMPED, FIRST_BLOCK, FIRST_NODE_BLOCK, GREATEST_BLOCK, Halt, LEAST_BLOCK, LEFT, LEFT_IMPULSE,
     LEFT_MASS, MOVE, NEED, NODE_BLOCKS, PARTED, SLEPT, SORTS, Status, WALL_IMPULSE, energy_of,
 };
-use crate::worlds::WgpuBatch;
+use crate::passes::laws::{is_asked_on_device, is_asked_on_host};
+use crate::passes::since_sort::SinceSort;
+use crate::schedule::batch::WgpuBatch;
 use crate::worlds::stiffness::{self, Held};
-use crate::worlds::world::SinceSort;
 use barchan_core::Result;
 use barchan_core::scene::Leaving;
 use barchan_grid::limits::MAX_MOVE;
@@ -134,15 +135,18 @@ impl WgpuBatch {
         let (mut asked, mut needed) = (stiffness::nothing(), stiffness::nothing());
         for level in world.levels.iter().filter(|level| !level.particles.is_empty()) {
             let (first, count) = (level.particles.start, level.particles.len());
-            let rest = self.stretch(Sorted::Rest, first, count)?;
-            let places =
-                if world.materials.len() > 1 { Some(self.stretch_of(Sorted::Record, 1, first, count)?) } else { None };
+            let rest = self.readback().stretch(Sorted::Rest, first, count)?;
+            let places = if world.materials.len() > 1 {
+                Some(self.readback().stretch_of(Sorted::Record, 1, first, count)?)
+            } else {
+                None
+            };
             let held = Held { rest: &rest, places: places.as_deref(), slots: count, count };
             let of_level = (level.h, level.steps_within);
             let ask = |is_asked| stiffness::bound_held(&held, &world.materials, is_asked, &world.densities, of_level);
-            asked = stiffness::lesser(asked, ask(stiffness::is_asked_on_host)?);
+            asked = stiffness::lesser(asked, ask(is_asked_on_host)?);
             if world.asks_those_asleep() || is_wrong {
-                needed = stiffness::lesser(needed, ask(stiffness::is_asked_on_device)?);
+                needed = stiffness::lesser(needed, ask(is_asked_on_device)?);
             }
         }
         let world = &mut self.worlds[w];

@@ -1,11 +1,11 @@
 //! Steps of the worlds of a batch.
 
 use crate::device::memory::{MAX_SLOTS, MAX_STEPS};
+use crate::device::status::Halt;
+use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::{Driven, go_back};
 use crate::schedule::groups::HeldGroup;
-use crate::schedule::status::Halt;
 use crate::schedule::submission::{FEW_STEPS, Outcome, cut};
-use crate::worlds::WgpuBatch;
 use crate::worlds::world::{Place, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::{Error, Result, StepReport};
@@ -101,10 +101,14 @@ impl WgpuBatch {
                 Some(Halt::TooFast) => (dt, count) = (self.shorten(world_steps, &mut failed, &outcome, dt), 1),
                 _ => {
                     // It cannot be told whose fault it was only if no particle is named.
-                    let culprit = self.world_of(&outcome.status).unwrap_or(active[0].0);
+                    let culprit = self.readback().world_of(&outcome.status).unwrap_or(active[0].0);
                     let t = going.iter().copied().find(|&t| world_steps[t].world == culprit).unwrap_or(going[0]);
-                    failed[t] =
-                        Some(self.explain(world_steps[t].world, &outcome.status, f64::NAN, world_steps[t].time));
+                    failed[t] = Some(self.readback().explain(
+                        world_steps[t].world,
+                        &outcome.status,
+                        f64::NAN,
+                        world_steps[t].time,
+                    ));
                 }
             }
         }
@@ -122,7 +126,7 @@ impl WgpuBatch {
                     "the speed of a particle within a subcycled step: set levels.subcycle = false, or lower time.safety"
                         .into(),
             });
-            self.find_non_finite(world_step.world, world_step.time).or(torn)
+            self.readback().find_non_finite(world_step.world, world_step.time).or(torn)
         } else {
             None
         }
@@ -142,7 +146,7 @@ impl WgpuBatch {
             let speed = outcome.status.speed(0, self.layers_of(world));
             let moves = speed * dt / self.h;
             if !moves.is_finite() {
-                failed[t] = Some(self.explain(world, &outcome.status, speed, time));
+                failed[t] = Some(self.readback().explain(world, &outcome.status, speed, time));
             } else if moves > NODE_MOVE * (1.0 - 1e-6) {
                 self.worlds[world].shortened += 1;
                 fastest = fastest.max(moves);

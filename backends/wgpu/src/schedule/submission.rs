@@ -1,16 +1,16 @@
 //! Submissions: what they hold, how they are encoded and timed, what they bring back.
 
-use crate::device::Gpu;
+use crate::device::kernel::{Groups, Role, Sorted};
+use crate::device::memory::Answering;
 use crate::device::memory::{
     Extent, MAX_STEPS, Memory, Piece, STEP_STRIDE, StepConstants, Writes, pad, read, with_mapped, with_room,
 };
-use crate::passes::binding::{Groups, Role, Sorted};
-use crate::passes::bodies::Answering;
+use crate::device::status::{AT_START, GIVERS, GROWN, HALT_STEP, HALTED, Halt, NEW_BLOCKS, NEW_NODE_BLOCKS, Status};
+use crate::device::{Gpu, MANY};
+use crate::schedule::batch::{PLACES, WgpuBatch};
 use crate::schedule::groups::states;
-use crate::schedule::status::{AT_START, GIVERS, GROWN, HALT_STEP, HALTED, Halt, NEW_BLOCKS, NEW_NODE_BLOCKS, Status};
 use crate::schedule::{ContactPasses, Dispatch, Passes};
 use crate::worlds::world::{Foresight, Level, Place, Span, World};
-use crate::worlds::{MANY, PLACES, WgpuBatch};
 use barchan_core::Result;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -455,7 +455,7 @@ impl WgpuBatch {
                 None | Some(Halt::Fewer) => return Ok(astray),
                 Some(Halt::Misplaced) => return Ok(true),
                 Some(Halt::Room) => self.make_room(&outcome.status)?,
-                Some(_) => return Err(self.left_world(world, &outcome.status)),
+                Some(_) => return Err(self.readback().left_world(world, &outcome.status)),
             }
         }
     }

@@ -5,7 +5,14 @@ var<workgroup> partial: array<vec4<f32>, 256>;
 fn take(entry: u32) -> vec4<f32> {
     var sum = bitcast<vec4<f32>>(lists[entry + WALL]);
     lists[entry + WALL] = vec4<i32>(0);
-    $PENDING
+    // The last step's gifts still wait for the next one, but for those of a step that was not done.
+    @if(mirrored) {
+        let done = select(NONE, atomicLoad(&status[HALT_STEP]), atomicLoad(&status[HALTED]) != 0u);
+        if u32(lists[entry + PENDING].w) < done {
+            sum += vec4<f32>(bitcast<vec3<f32>>(lists[entry + PENDING].xyz), 0.0);
+        }
+        lists[entry + PENDING] = vec4<i32>(0);
+    }
     return sum;
 }
 

@@ -98,14 +98,95 @@ fn sum_tiles(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     let entry = (extent.block_room + min(g, extent.node_room - 1u)) * ENTRY;
     let local = local_of(n);
     let tiles = tiles_of(entry, local);
-    $IMAGE
+    // Of nodes behind mirrors, what their velocity is made of.
+    @if(mirrored)
+    let first = 4 * lists[entry].xyz;
+    @if(mirrored)
+    let layer = layer_of(min(g, extent.node_room - 1u));
+    @if(mirrored)
+    let behind = has_nodes_behind(layer, first);
+    @if(mirrored)
+    var image = Image(first + local, vec3<f32>(1.0), vec3<f32>(1.0), false);
+    @if(mirrored)
+    var there = tiles;
+    @if(mirrored)
+    var booked = vec4<f32>(0.0);
+    @if(mirrored) {
+        if behind {
+            image = image_of(layer, first + local);
+            if image.is_other {
+                there = tiles_at(layer, image.cell);
+            }
+            if n == 0u {
+                booked = bitcast<vec4<f32>>(lists[entry + WALL]) + bitcast<vec4<f32>>(lists[entry + PENDING]);
+            }
+        }
+        if n == 0u {
+            mirrors = u32(behind);
+        }
+    }
     if n == 0u {
         go = is_on(g);
-        $AT_RIM
+        @if(subcycled)
+        at_rim = rims[min(g, extent.node_room - 1u)].z & HANDS_ON;
+        @if(levels && !subcycled)
+        takes = rims[min(g, extent.node_room - 1u)].z & IS_GIVEN;
     }
-    $TOUCHED
+    // Half of the threads find out while the first one looks whether there is such a block.
+    @if(sleeps) {
+        if n >= 32u && n < 59u {
+            look_at(g, n - 32u);
+        }
+        workgroupBarrier();
+        if n == 0u && go != 0u {
+            @if(levels)
+            go = atomicLoad(&touched) | u32(any(rims[min(g, extent.node_room - 1u)].xyz != vec3<u32>(0u)));
+            @else
+            go = atomicLoad(&touched);
+            atomicStore(&watch[touched_word(g)], go);
+        }
+    }
     if workgroupUniformLoad(&go) == 0u {
         return;
     }
-    $SUM_TILES
+    // Subcycled, what rims hand on is not needed here, and both begin with the same sums.
+    @if(subcycled)
+    let sum = sum_of(tiles, local);
+    @if(subcycled)
+    if workgroupUniformLoad(&at_rim) != 0u {
+        let hands = is_slave(g, n) && !(MIRRORED && is_behind(layer_of(g), 4 * lists[entry].xyz + local));
+        hand_on(g, entry, n, select(vec4<f32>(0.0), sum, hands));
+    }
+    // Else it is, where blocks get any.
+    @if(levels && !subcycled)
+    var given = vec4<f32>(0.0);
+    @if(levels && !subcycled)
+    if workgroupUniformLoad(&takes) != 0u {
+        find_givers(g, n);
+        workgroupBarrier();
+        given = handed_to(n);
+    }
+    @if(!levels)
+    let held = sum_of(tiles, local);
+    @elif(!subcycled)
+    let held = kept(g, n, sum_of(tiles, local) + given);
+    @else
+    let held = kept_back(g, n, sum, tiles, local);
+    // Walls that let go begin with momenta.
+    @if(sums)
+    grid[g * 64u + n] = held;
+    @else {
+        let node = velocity(g, held);
+        @if(mirrored)
+        var now = node;
+        @if(mirrored)
+        if workgroupUniformLoad(&mirrors) != 0u {
+            now = reflect(g, entry, n, image, there, booked, node);
+        }
+        @if(mirrored)
+        grid[g * 64u + n] = now;
+        @else
+        grid[g * 64u + n] = node;
+        note_speed(g, node, n);
+    }
 }

@@ -13,14 +13,26 @@ fn count_cells(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
         let tag = record_of(q, 0u).w;
         if (tag & GONE) != 0u {
             keys[q] = vec2<u32>(NONE);
-            $GONE
+            @if(sleeps)
+            stir(place_in_box(layer, block));
             continue;
         }
         let local = cell_to_be(tag, due);
         let at = place_in_box(layer, block + (local >> vec3<u32>(2u)));
-        $COME
+        @if(sleeps)
+        if any((local >> vec3<u32>(2u)) != vec3<i32>(0)) {
+            stir(at);
+        }
         let inner = local & vec3<i32>(3);
         let cell = directory[at].x * 64u + u32(inner.x * 16 + inner.y * 4 + inner.z);
         keys[q] = vec2<u32>(cell, atomicAdd(&counts[cell], 1u) | select(KEPT, 0u, due));
+    }
+}
+
+// Where particles come or go, nobody goes on sleeping.
+@if(sleeps)
+fn stir(at: u32) {
+    if at != NONE && directory[at].x != NONE {
+        note_happened(directory[at].x, STIRRED);
     }
 }

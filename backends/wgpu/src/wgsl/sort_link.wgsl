@@ -9,7 +9,10 @@ fn link(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     if w < atomicLoad(&status[BLOCKS]) {
         counts[w * 64u + thread] = 0u;
-        $FRESH
+        @if(sleeps)
+        if thread < WATCHED {
+            atomicStore(&watch[watch_word(w, thread)], select(select(0u, NONE, thread == DECIDED), 1u, thread == RESTS));
+        }
     }
     if n >= 27u {
         return;

@@ -14,7 +14,8 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let layer = u32(lists[b * ENTRY].w);
     let due = is_sorted(layer);
     let end = cells[b * 64u + 64u];
-    $BEGIN
+    @if(!halts)
+    var mine = vec4<f32>(0.0);
     for (var q = cells[b * 64u] + thread; q < end; q += 128u) {
         let tag = record_of(q, 0u).w;
         if (tag & GONE) != 0u {
@@ -22,13 +23,40 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         }
         var local = cell_to_be(tag, due);
         let cell = block * 4 + local;
-        if $OUTSIDE {
-            $LEAVE
-        }$CHECK
+        // Whom the world ends for at a face of cells is put back there, or goes; an error is one at the side itself. Those of layers that are not
+        // due stand in their homes.
+        @if(halts)
+        let is_outside = due && is_beyond(layer, cell, record_of(q, 0u).xyz);
+        @else
+        let is_outside = any(((cell < world_min(layer)) | (cell >= world_max(layer))) & (PERIOD == vec3<i32>(0)));
+        if is_outside {
+            @if(halts) {
+                atomicMin(&status[WHO], q);
+                atomicStore(&status[HALT_STEP], step.number);
+                atomicStore(&status[HALTED], LEFT_WORLD);
+            }
+            // One that keeps its home is put back when its layer is due.
+            @elif(puts_back)
+            if due {
+                mine += put_back(q, layer, block, &local);
+            }
+            @else {
+                set_record(q, 0u, vec4<u32>(record_of(q, 0u).xyz, tag | GONE));
+                mine.w += bitcast<f32>(record_of(q, 1u).w);
+                atomicAdd(&status[sum_word(layer, LEFT)], 1u);
+                continue;
+            }
+        } else {
+            @if(levels)
+            if due && !is_placed(layer, cell, vec3<i32>(record_of(q, 0u).xyz >> vec3<u32>(31u))) {
+                atomicStore(&status[sum_word(layer, ASTRAY)], 1u);
+            }
+        }
         let at = place_in_box(layer, block + (local >> vec3<u32>(2u)));
         if at != NONE {
             atomicStore(&flags[at], 1u);
         }
     }
-    $END
+    @if(!halts)
+    note_left(b, thread, mine);
 }

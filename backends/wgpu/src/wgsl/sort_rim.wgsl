@@ -49,7 +49,8 @@ fn find_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
                 atomicOr(&known, HANDS_ON);
             }
         }
-        $FIND
+        @if(unbounded)
+        find_edge(layer, block, n);
         let has_images = MIRRORED && has_nodes_behind(layer, 4 * block);
         if has_images {
             atomicOr(&known, IS_BEHIND);
@@ -87,7 +88,11 @@ fn find_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     if n == 0u {
         var kinds = 0u;
         if w < atomicLoad(&status[NODE_BLOCKS]) {
-            let rim = vec4<u32>(atomicLoad(&slaves[0]), atomicLoad(&slaves[1]), atomicLoad(&known), $EDGE);
+            @if(unbounded)
+            let at_edge = atomicLoad(&edge);
+            @else
+            let at_edge = 0u;
+            let rim = vec4<u32>(atomicLoad(&slaves[0]), atomicLoad(&slaves[1]), atomicLoad(&known), at_edge);
             rims[w] = rim;
             let is_at_rim = any(rim.xy != vec2<u32>(0u));
             let layer = u32(lists[entry].w);

@@ -17,7 +17,8 @@ fn survey(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 // Asked for in any case, so that none waits for another.
                 reached |= select(flags[min(other, extent.places - 1u)], 0u, other == NONE);
             }
-            $RIM
+            @if(levels)
+            reached |= u32(reached == 0u && on && takes_from_rim(layer, block));
             let here = vec2<u32>(flags[at], reached);
             directory[at] = here;
             count += here;

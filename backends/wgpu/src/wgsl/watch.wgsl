@@ -55,7 +55,10 @@ fn look_at(b: u32, n: u32) {
             slept = u32(is_asleep(b));
         }
     }
-    $TIED
+    @if(levels)
+    if any(rims[g].xyz != vec3<u32>(0u)) || rims[extent.node_room + b].x != 0u {
+        atomicStore(&tied, 1u);
+    }
 }
 
 // Is a tool near? `tools` holds how many boxes a layer has, and for each step and layer those boxes, of blocks.

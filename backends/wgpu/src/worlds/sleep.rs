@@ -2,17 +2,12 @@
 //! `watch.wgsl`.
 
 use crate::device::layout::Homes;
-use crate::device::memory::read;
-use crate::passes::binding::{Role, Sorted};
-use crate::schedule::status::SLEPT;
-use crate::worlds::WgpuBatch;
+use crate::device::memory::WATCHED;
 use crate::worlds::world::Level;
-use barchan_core::{Aabb, Coupling, ParticleList, Result, SortPhase, Vec3};
+use barchan_core::{Aabb, Coupling, ParticleList, SortPhase, Vec3};
 use barchan_grid::rest::{ASLEEP, RESTED, near_tool};
-use std::ops::Range;
 
-/// Words of a block; see `watch_words.wgsl`.
-pub(crate) const WATCHED: usize = 12;
+/// What a block's words say; see `watch_words.wgsl`.
 pub(crate) type Words = [u32; WATCHED];
 pub(crate) const RESTS: usize = 0;
 pub(crate) const DECIDED: usize = 1;
@@ -99,79 +94,4 @@ pub(crate) fn near_tools(couplings: &[Box<dyn Coupling>], levels: &[Level]) -> V
         tools.iter().map(of_box).collect()
     };
     levels.iter().map(of_level).collect()
-}
-
-impl WgpuBatch {
-    /// Does ground at rest sleep?
-    pub(crate) fn may_sleep(&self) -> bool {
-        self.kernels.set.watch.is_some()
-    }
-
-    /// What is known of the rest of the blocks of each level of some worlds.
-    pub(crate) fn watched(&self, worlds: Range<usize>) -> Result<Vec<Vec<Words>>> {
-        let levels: Vec<&Level> = self.worlds[worlds].iter().flat_map(|world| &world.levels).collect();
-        if !self.may_sleep() {
-            return Ok(levels.iter().map(|level| vec![words_of(0); level.blocks.len()]).collect());
-        }
-        let start = levels.first().map_or(0, |level| level.blocks.start);
-        let count = levels.last().map_or(0, |level| level.blocks.end) - start;
-        let watch = self.memory.plane(Sorted::Watch);
-        let words: Vec<u32> = read(&self.gpu, watch, (4 * WATCHED * start) as u64, WATCHED * count)?;
-        let all = words.as_chunks::<WATCHED>().0;
-        Ok(levels.iter().map(|level| all[level.blocks.start - start..level.blocks.end - start].to_vec()).collect())
-    }
-
-    /// For how many steps the blocks of each of a world's levels have rested.
-    pub(crate) fn rests(&self, w: usize) -> Result<Vec<Vec<u16>>> {
-        Ok(self.watched(w..w + 1)?.iter().map(|level| level.iter().map(rest_of).collect()).collect())
-    }
-
-    /// A world's particles asleep.
-    pub(crate) fn asleep(&self, w: usize) -> Result<u64> {
-        if !self.may_sleep() {
-            return Ok(0);
-        }
-        let mut count = 0;
-        for (homes, rests) in self.homes(w..w + 1)?.iter().zip(self.rests(w)?) {
-            for (b, _) in rests.iter().enumerate().filter(|(_, rest)| **rest == ASLEEP) {
-                count += u64::from(homes.cells[64 * b + 64] - homes.cells[64 * b]);
-            }
-        }
-        Ok(count)
-    }
-
-    /// What sleep took from a world in a step whose numbers are still on the device, and what gravity has not given it [N s].
-    pub(crate) fn pending_sleep(&self, w: usize) -> (Slept, Vec3) {
-        let (mut slept, mut kept) = (Slept::default(), [0.0; 3]);
-        if self.may_sleep() && self.worlds[w].pending {
-            for (l, layer) in self.layers_of(w).enumerate() {
-                let at = 4 * self.memory.words().of_sum(layer, SLEPT) as u64;
-                let words: Vec<u32> =
-                    read(&self.gpu, self.memory.buffer(Role::Status, 0), at, SUMS).unwrap_or_default();
-                if let Ok(words) = <[u32; SUMS]>::try_from(words) {
-                    let by_gravity = self.worlds[w].kept_from_gravity(l, slept.add(words));
-                    (0..3).for_each(|d| kept[d] += by_gravity[d]);
-                }
-            }
-        }
-        (slept, kept)
-    }
-
-    /// Tells the device where tools are: for the steps, or slots, from one on, the boxes of each layer.
-    pub(crate) fn write_tools(&mut self, first: usize, steps: &[Vec<Vec<BlockBox>>]) -> Result<()> {
-        let most = steps.iter().flatten().map(Vec::len).max().unwrap_or(0);
-        if !self.may_sleep() || (most == 0 && self.memory.tools() == 0) {
-            return Ok(());
-        }
-        self.memory.add_tools(&self.gpu, most)?;
-        // A box that holds nothing.
-        let none = [[i32::MAX / 4; 4], [i32::MIN / 4; 4]];
-        let padded = |boxes: &'_ Vec<BlockBox>| boxes.clone().into_iter().chain(std::iter::repeat(none)).take(most);
-        let vectors: Vec<[i32; 4]> = steps.iter().flatten().flat_map(padded).flatten().collect();
-        let buffer = self.memory.buffer(Role::Tools, 0);
-        self.gpu.queue.write_buffer(buffer, 0, bytemuck::cast_slice(&[[most as i32, 0, 0, 0]]));
-        let at = (16 + 32 * first * self.memory.words().layers * most) as u64;
-        self.gpu.queue.write_buffer(buffer, at, bytemuck::cast_slice(&vectors));
-        Ok(())
-    }
 }

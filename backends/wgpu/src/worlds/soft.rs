@@ -1,18 +1,14 @@
 //! Soft bodies that levels follow. After each step the device finds the cells around them, and stops the submission if
 //! levels must move before the next one. So results do not depend on how steps are cut into submissions.
 
-use crate::device::memory::read;
-use crate::passes::binding::Role;
-use crate::worlds::WgpuBatch;
+use crate::device::memory::SOFT_WORDS;
 use crate::worlds::world::World;
 use barchan_core::levels::{CellBox, Leeway};
-use barchan_core::{Aabb, ParticleList, Result};
+use barchan_core::{Aabb, ParticleList};
 use barchan_grid::adapt::around_cells;
 use std::collections::BTreeMap;
 
-/// Words of a soft body: ends of its cells as they are summed up, and as they were after the last step; where these and the middle may be.
-pub(crate) const WORDS: usize = 24;
-/// The second of these, and the third.
+/// Of a body's words: after the ends of its cells as they are summed up stand those after the last step, and where these and the middle may be.
 pub(crate) const FOUND: usize = 6;
 pub(crate) const LEEWAY: usize = 12;
 /// Of a body without particles.
@@ -63,34 +59,29 @@ impl World {
             soft.cells = (around != NOTHING).then_some(around);
         }
     }
-}
 
-impl WgpuBatch {
-    /// Learns where a world's soft bodies are after its last step.
-    pub(crate) fn look_for_soft(&mut self, w: usize) -> Result<()> {
-        let world = &mut self.worlds[w];
-        let count = world.softs.all.len();
-        if count == 0 || world.softs.seen == world.steps {
-            return Ok(());
-        }
-        world.softs.seen = world.steps;
-        let at = 4 * (WORDS * count * w) as u64;
-        let words: Vec<i32> = read(&self.gpu, self.memory.buffer(Role::Soft, 0), at, WORDS * count)?;
-        for (soft, words) in world.softs.all.iter_mut().zip(words.chunks_exact(WORDS)) {
+    /// How many words the device holds of its soft bodies, if it is not known yet where they are after its last step.
+    pub(crate) fn soft_words(&mut self) -> Option<usize> {
+        let is_news = !self.softs.all.is_empty() && self.softs.seen != self.steps;
+        self.softs.seen = self.steps;
+        is_news.then_some(SOFT_WORDS * self.softs.all.len())
+    }
+
+    /// Takes in the words that the device holds of its soft bodies.
+    pub(crate) fn take_soft(&mut self, words: &[i32]) {
+        for (soft, words) in self.softs.all.iter_mut().zip(words.chunks_exact(SOFT_WORDS)) {
             let end = |first: usize| [0, 1, 2].map(|d| words[FOUND + first + d]);
             let around = CellBox { min: end(0), max: end(3) };
             soft.cells = (around != NOTHING).then_some(around);
         }
-        Ok(())
     }
 
-    /// Tells the device where a world's soft bodies may go before levels have to move after them.
-    pub(crate) fn write_soft(&self, w: usize) {
-        let world = &self.worlds[w];
-        let boxes = world.softs.boxes(self.h);
-        let leeways = world.adapt.leeways(|body| boxes.get(&body).copied());
+    /// The words of its soft bodies for the device: where they may go before levels have to move after them. The finest cells have that width [m].
+    pub(crate) fn soft_leeways(&self, h: f64) -> Vec<i32> {
+        let boxes = self.softs.boxes(h);
+        let leeways = self.adapt.leeways(|body| boxes.get(&body).copied());
         let mut words = Vec::new();
-        for (soft, leeway) in world.softs.all.iter().zip(leeways) {
+        for (soft, leeway) in self.softs.all.iter().zip(leeways) {
             // Where it is the host has found that nothing need move; a body that comes or goes is news.
             let Leeway { ends, sums } =
                 leeway.zip(soft.cells).map_or_else(Leeway::none, |(leeway, now)| leeway.with(now));
@@ -98,9 +89,8 @@ impl WgpuBatch {
                 [NOTHING.min, NOTHING.max, NOTHING.min, NOTHING.max, ends.min, ends.max, sums[0], sums[1]].concat(),
             );
         }
-        let at = 4 * (words.len() * w) as u64;
-        self.gpu.queue.write_buffer(self.memory.buffer(Role::Soft, 0), at, bytemuck::cast_slice(&words));
+        words
     }
 }
 
-const _: () = assert!(LEEWAY + 12 == WORDS);
+const _: () = assert!(LEEWAY + 12 == SOFT_WORDS);

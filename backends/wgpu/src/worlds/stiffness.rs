@@ -1,6 +1,7 @@
 //! The step that materials' stiffness and viscosity allow, from callbacks of their laws on the host.
 
 use crate::device::layout::law_of;
+use crate::passes::laws::is_asked_on_device;
 use barchan_abi as abi;
 use barchan_core::backend::Bound;
 use barchan_core::batch::Plane;
@@ -72,21 +73,6 @@ pub(crate) fn bound_held(
         bound = lesser(bound, stiffness.bound(need, steps_within));
     }
     Ok(bound)
-}
-
-/// Does a law's stiffness follow the state?
-pub(crate) fn hardens(planned: &PlannedMaterial) -> bool {
-    planned.material.has(abi::BARCHAN_CAP_HARDENS) && planned.material.table.tangent_moduli_f32.is_some()
-}
-
-/// Is such a law asked on the device, in each step?
-pub(crate) fn is_asked_on_device(planned: &PlannedMaterial) -> bool {
-    hardens(planned) && !planned.material.wgsl_stiffness.is_empty()
-}
-
-/// Is it asked on the host now and then, because it has no WGSL for that?
-pub(crate) fn is_asked_on_host(planned: &PlannedMaterial) -> bool {
-    hardens(planned) && planned.material.wgsl_stiffness.is_empty()
 }
 
 /// What one law's particles need among [`GRAIN`] slots from `from` on.

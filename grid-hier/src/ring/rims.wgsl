@@ -19,11 +19,17 @@ fn rims_of(list: u32, first: u32, thread: u32) {
         any_task |= all[k];
     }
     let g = min(listed_one, extent.node_room - 1u);
-    $TAKE
+    @if(subcycled)
+    if (any_task & TAKES) != 0u {
+        solve_block(g, n, (all[abreast] & TAKES) != 0u);
+    }
     if (any_task & MOVES) != 0u {
         move_rim(g, n, (all[abreast] & MOVES) != 0u);
     }
-    $REFLECT
+    @if(subcycled)
+    if (any_task & REFLECTS) != 0u {
+        reflect(g, n, (all[abreast] & REFLECTS) != 0u);
+    }
 }
 
 // Workgroups for blocks at rims come first; then, subcycled, those for blocks that share nodes with a finer level, the next one after those whose step it is

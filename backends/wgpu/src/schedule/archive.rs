@@ -1,10 +1,10 @@
 //! Unbounded ground on the device; see `barchan_grid::archive`. The host adds and removes tiles, as it does particles
 //! in rounds of split and merge.
 
+use crate::device::kernel::Role;
 use crate::device::layout::{Planes, by_level};
 use crate::device::memory::with_room;
-use crate::passes::binding::Role;
-use crate::worlds::WgpuBatch;
+use crate::schedule::batch::WgpuBatch;
 use barchan_core::{Coupling, ParticleList, Result};
 use barchan_grid::adapt::{CopiedLevel, LevelStore, Parcel};
 use barchan_grid::archive::Reach;
@@ -68,7 +68,7 @@ impl WgpuBatch {
         if tiles.is_empty() {
             return Ok((gone, found));
         }
-        let (lists, laid) = self.lists(w)?;
+        let (lists, laid) = self.readback().lists(w)?;
         for (l, (lists, (homes, planes))) in by_level(&lists, world.materials.len()).zip(&laid).enumerate() {
             let places = homes.places();
             for (law, list) in lists.iter().enumerate() {

@@ -1,7 +1,7 @@
 
 @compute @workgroup_size(64)
 fn restrict_rims(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
-    let g = $BLOCK;
+    let g = listed_block(AT_RIM, group.y * extent.row + group.x);
     if n == 0u {
         go = is_on(g);
     }

@@ -1,15 +1,16 @@
 //! Split and merge. The device finds the particles that may be concerned, the host decides about them, and the device
 //! removes the old ones and adds the new ones.
 
+use crate::device::kernel::{Role, Sorted};
 use crate::device::layout::{self, Homes, Planes};
-use crate::device::memory::{StepConstants, Writes, read_all, slots_for, with_room};
-use crate::passes::binding::{Role, Sorted};
+use crate::device::memory::{StepConstants, WATCHED, Writes, read, read_all, slots_for, with_room};
+use crate::device::status::{BLOCKS, COUNTED, HALTED};
 use crate::passes::scene::rest_vectors;
 use crate::schedule::Dispatch;
-use crate::schedule::status::{BLOCKS, COUNTED, HALTED};
+use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::{Behind, Part};
+use crate::worlds::sleep;
 use crate::worlds::world::Level;
-use crate::worlds::{WgpuBatch, sleep};
 use barchan_core::{Coupling, ParticleList, Regions, Result};
 use barchan_grid::adapt::{Candidates, CopiedLevel};
 use barchan_grid::block;
@@ -42,6 +43,21 @@ impl WgpuBatch {
         let before = world.adapt.follow(couplings, |body| boxes.get(&body).copied());
         self.write_soft(w);
         before.map_or(Ok(()), |before| self.adapt(w, Some(&before), couplings))
+    }
+
+    /// Learns where a world's soft bodies are after its last step.
+    pub(crate) fn look_for_soft(&mut self, w: usize) -> Result<()> {
+        let Some(count) = self.worlds[w].soft_words() else { return Ok(()) };
+        let words: Vec<i32> = read(&self.gpu, self.memory.buffer(Role::Soft, 0), (4 * count * w) as u64, count)?;
+        self.worlds[w].take_soft(&words);
+        Ok(())
+    }
+
+    /// Tells the device where a world's soft bodies may go before levels have to move after them.
+    pub(crate) fn write_soft(&self, w: usize) {
+        let words = self.worlds[w].soft_leeways(self.h);
+        let at = 4 * (words.len() * w) as u64;
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Soft, 0), at, bytemuck::cast_slice(&words));
     }
 
     /// Brings a world's particles to the levels where they belong, splits and merges. `before` are its regions as they were, if they
@@ -236,7 +252,7 @@ impl WgpuBatch {
         self.write(self.memory.plane(Sorted::Cells), 256 * block as u64, bytemuck::cast_slice(&cells));
         if self.may_sleep() {
             let words = vec![sleep::words_of_come(); homes.blocks.len()];
-            let at = (4 * sleep::WATCHED * block) as u64;
+            let at = (4 * WATCHED * block) as u64;
             self.write(self.memory.plane(Sorted::Watch), at, bytemuck::cast_slice(&words));
         }
     }

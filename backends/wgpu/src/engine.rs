@@ -2,7 +2,8 @@
 
 use crate::device::Gpu;
 use crate::readback::account;
-use crate::worlds::WgpuBatch;
+use crate::schedule::batch::WgpuBatch;
+use crate::schedule::submission::Clock;
 use barchan_core::backend::{Batch, Bound, NewWorld, Timing, WorldStep};
 use barchan_core::{
     Aabb, Coupling, Engine, Error, Fields, Ledger, ParticleState, Plan, Reading, Result, Spot, StepReport, Vec3,
@@ -137,16 +138,16 @@ impl Engine for WorldEngine {
 
     fn download(&self) -> ParticleState {
         // A device that is lost has no particles left; the next step says so.
-        self.shared.with(|batch| batch.state(self.world)).unwrap_or_default()
+        self.shared.with(|batch| batch.readback().state(self.world)).unwrap_or_default()
     }
 
     fn state(&self) -> ParticleState {
-        self.shared.with(|batch| batch.whole_state(self.world)).unwrap_or_default()
+        self.shared.with(|batch| batch.readback().whole_state(self.world)).unwrap_or_default()
     }
 
     fn spots(&self) -> Vec<Spot> {
         self.shared.with(|batch| {
-            let mut spots = batch.spots(self.world).unwrap_or_default();
+            let mut spots = batch.readback().spots(self.world).unwrap_or_default();
             let archived = batch.worlds[self.world].reach.iter().flat_map(Reach::archived);
             archived.for_each(|list| spots.extend((0..list.len()).map(|i| list.spot(i))));
             spots
@@ -155,7 +156,7 @@ impl Engine for WorldEngine {
 
     fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
         self.shared.with(|batch| {
-            let mut state = batch.lists_where(self.world, wanted).unwrap_or_default();
+            let mut state = batch.readback().lists_where(self.world, wanted).unwrap_or_default();
             state.lists.extend(batch.worlds[self.world].reach.iter().flat_map(Reach::archived).map(|mut list| {
                 list.retain(wanted);
                 list
@@ -168,7 +169,7 @@ impl Engine for WorldEngine {
         self.shared.with(|batch| {
             let mut reading = Reading::new(fields, origin);
             // Of a device that is lost nothing can be read; who asks is told by the check.
-            let _ = batch.read(self.world, region, &mut reading);
+            let _ = batch.readback().read(self.world, region, &mut reading);
             let archived = batch.worlds[self.world].reach.iter().flat_map(Reach::archived);
             archived.for_each(|list| reading.add_list(&list, region));
             reading
@@ -191,23 +192,23 @@ impl Engine for WorldEngine {
     }
 
     fn account(&self, ledger: &mut Ledger) {
-        let lists = self.shared.with(|batch| batch.lists(self.world));
+        let lists = self.shared.with(|batch| batch.readback().lists(self.world));
         let batch = self.shared.batch();
         let world = &batch.worlds[self.world];
         if let Ok((lists, ..)) = lists {
             account::add_particles(ledger, &lists, &world.materials, &world.scene);
         }
-        let pending = batch.pending_walls(self.world);
-        let (slept, kept) = batch.pending_sleep(self.world);
+        let pending = batch.readback().pending_walls(self.world);
+        let (slept, kept) = batch.readback().pending_sleep(self.world);
         for d in 0..3 {
             ledger.wall_impulse[d] += world.wall_impulse[d] + pending[d];
             ledger.gravity_impulse[d] += world.gravity_impulse[d] - kept[d];
             ledger.slept_momentum[d] += world.slept.momentum[d] + slept.momentum[d];
         }
-        ledger.damped += world.damped + batch.pending_damped(self.world);
+        ledger.damped += world.damped + batch.readback().pending_damped(self.world);
         ledger.slept_kinetic += world.slept.kinetic + slept.kinetic;
         ledger.count("blocks that fell asleep", world.slept.blocks + slept.blocks);
-        ledger.count("particles asleep now", batch.asleep(self.world).unwrap_or(0));
+        ledger.count("particles asleep now", batch.readback().asleep(self.world).unwrap_or(0));
         world.adapt.account(ledger);
         if let Some(reach) = &world.reach {
             reach.account(ledger);
@@ -226,7 +227,7 @@ impl Engine for WorldEngine {
     /// Of the whole batch: passes are shared.
     fn timings(&self) -> Vec<Timing> {
         let batch = self.shared.batch();
-        let timing = |(name, clock): (&&str, &crate::schedule::submission::Clock)| Timing {
+        let timing = |(name, clock): (&&str, &Clock)| Timing {
             effect: (*name).to_owned(),
             seconds: clock.measured.0 / clock.measured.1.max(1) as f64 * clock.passes as f64,
             passes: clock.passes,

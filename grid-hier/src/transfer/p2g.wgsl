@@ -4,6 +4,8 @@
 // over the cell's particles. Then cells are added to the tile: for one of the 27 nodes at a time, different cells touch different nodes.
 // Particles that have left their cell since the sort are listed on the way, by the cell they are in, and summed behind: two threads take a cell
 // that others have come to and walk its list in the order of memory, so that sums do not depend on who was listed first.
+//
+// Calls of `unrolled_...` stand for text that `unrolled.rs` writes out for each of the 27 nodes, which registers `a0` to `a26` hold.
 
 // Momentum along x and y of the tile's nodes, then along z and mass.
 var<workgroup> tile: array<vec2<f32>, 1024>;
@@ -158,7 +160,8 @@ fn ready(b: u32) -> u32 {
     if may_be_due {
         since_sort = since_sort_of(layer);
         followed = atomicLoad(&status[FOLLOWED]);
-        $IS_STIFF
+        @if(stiffens)
+        is_stiff = is_too_stiff(layer);
     }
     if atomicLoad(&status[HALTED]) != 0u || b >= atomicLoad(&status[BLOCKS]) {
         return 0u;
@@ -181,14 +184,46 @@ fn ready(b: u32) -> u32 {
             }
             return 0u;
         }
-        $HALT_IF_STIFF
+        // The next step's needs come into the word in which those of the step before the last have been; those asleep, which nobody asks, go on
+        // needing what they did.
+        @if(stiffens) {
+            if is_first {
+                @if(sleeps)
+                let kept_need = atomicLoad(&status[need_word(step.number + 1u, layer)]);
+                @else
+                let kept_need = 0u;
+                atomicStore(&status[need_word(step.number, layer)], kept_need);
+            }
+            if is_stiff {
+                if is_first {
+                    atomicStore(&status[HALT_STEP], step.number);
+                    atomicStore(&status[HALTED], TOO_STIFF);
+                }
+                return 0u;
+            }
+        }
     }
-    return $GIVES;
+    @if(sleeps)
+    return gives(b, layer);
+    @else
+    return 1u;
 }
 
 @compute @workgroup_size(128)
 fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    $BLOCK
+    // A workgroup's block, or, subcycled, behind all of them one that gives to nodes which two levels share.
+    @if(subcycled)
+    let which = group.y * extent.row + group.x;
+    @if(subcycled)
+    let own_blocks = blocks_now();
+    @if(subcycled)
+    let is_still = which >= own_blocks;
+    @if(subcycled)
+    let number = max(which, own_blocks) - own_blocks;
+    @if(subcycled)
+    let b = select(which, listed_block(GIVING, number), is_still);
+    @else
+    let b = group.y * extent.row + group.x;
     let part = thread >> 6u;
     let own = thread & 63u;
     // Asked for before it is known whether there is such a block.
@@ -201,8 +236,16 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     if thread == 0u {
         corner = lists[here * ENTRY].xyz * 4 - vec3<i32>(2);
         walled = u32(reaches_wall(layer_of_block(here), corner));
-        $AT_RIM
-        $SETTLE
+        @if(subcycled)
+        at_rim = select(u32(lists[here * ENTRY + OF_RIMS].w) & 1u, 0u, is_still);
+        @elif(levels)
+        at_rim = u32(lists[here * ENTRY + OF_RIMS].w) & 1u;
+        @if(sleeps && subcycled)
+        if !is_still {
+            settle(b);
+        }
+        @elif(sleeps)
+        settle(b);
         go = ready(b);
     }
     if workgroupUniformLoad(&go) == 0u {
@@ -213,20 +256,24 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     let width = H / shrink_of(layer_now);
     var stress = step.stress * shrink_of(layer_now) * steps_of(layer_now);
     var gravity = step.gravity * steps_of(layer_now);
-    $STILL
+    @if(subcycled)
+    if is_still {
+        stress = 0.0;
+        gravity = vec3<f32>(0.0);
+    }
     if GRAVITY_GROWS {
         gravity *= bitcast<f32>(atomicLoad(&status[step_word(step.number, layer_now, GROWN)]));
     }
     let own_cell = vec3<u32>(own >> 4u, (own >> 2u) & 3u, own & 3u);
 
     // 1. Sums over those of each cell's particles that are still there, and to the tile. The others are listed.
-    $ZERO
+    unrolled_zero();
     // Those that have left, by their numbers in the cell; 31 stands for all from it on.
     var left = 0u;
     if part == 0u {
-        $OWN_XY
+        unrolled_own_xy();
     } else {
-        $OWN_ZM
+        unrolled_own_zm();
     }
     while left != 0u {
         let rank = firstTrailingBit(left);
@@ -244,7 +291,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     }
     {
         let at = own_cell + vec3<u32>(1u);
-        $FLUSH
+        unrolled_flush();
     }
 
     // 2. Then those that have come to others, a cell after the other.
@@ -260,15 +307,15 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             let cell = guest_cells[k % 216u];
             let at = vec3<u32>(cell / 36u, (cell / 6u) % 6u, cell % 6u);
             var walk = Walk(tag_of(vec3<i32>(at) - vec3<i32>(1)), cell, 0u, start, end);
-            $CLEAR
+            unrolled_clear();
             if k < guest_count {
                 if part == 0u {
-                    $GUESTS_XY
+                    unrolled_guests_xy();
                 } else {
-                    $GUESTS_ZM
+                    unrolled_guests_zm();
                 }
             }
-            $FLUSH
+            unrolled_flush();
         }
     }
 
@@ -280,7 +327,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         // A row across the planes behind walls.
         let row = vec2<u32>(own >> 3u, own & 7u);
         var impulse = vec3<f32>(0.0);
-        $FOLD
+        unrolled_fold();
         // The list of leavers is done with.
         for (var d = 0u; d < 3u; d++) {
             leavers[thread * 3u + d] = bitcast<u32>(impulse[d]);
@@ -289,10 +336,22 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         sum_leavers(thread, 8u, 16u, 3u);
         workgroupBarrier();
         sum_leavers(thread, 1u, 8u, 48u);
-        if thread < 3u$IF_MOVED {
+        @if(subcycled)
+        let books = thread < 3u && !is_still;
+        @else
+        let books = thread < 3u;
+        if books {
             let total = bitcast<f32>(leavers[thread]);
-            $BOOK_LAST
-            lists[b * ENTRY + PENDING][thread] = bitcast<i32>($BOOKED);
+            // What the step before would give, it has given, since another follows.
+            @if(mirrored) {
+                let given = bitcast<f32>(lists[b * ENTRY + WALL][thread]) + bitcast<f32>(lists[b * ENTRY + PENDING][thread]);
+                lists[b * ENTRY + WALL][thread] = bitcast<i32>(given);
+                lists[b * ENTRY + PENDING].w = i32(step.number);
+            }
+            @if(sleeps)
+            lists[b * ENTRY + PENDING][thread] = bitcast<i32>(select(total, 0.0, is_frozen != 0u));
+            @else
+            lists[b * ENTRY + PENDING][thread] = bitcast<i32>(total);
         }
     }
 
@@ -301,8 +360,19 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     for (var t = thread; t < 512u; t += 128u) {
         let k = in_tile(t >> 6u, (t >> 3u) & 7u, t & 7u);
         let node = vec4<f32>(tile[k], tile[512u + k]);
-        $TILE
+        @if(subcycled)
+        if is_still {
+            handed[of_still_tile(number) + t] = node;
+        } else {
+            grid[base + t] = node;
+        }
+        @else
+        grid[base + t] = node;
     }
 
-    $PARENT_CELLS
+    // 5. Parent cells, for rims.
+    @if(levels)
+    if workgroupUniformLoad(&at_rim) != 0u {
+        sum_parent_cells(b, thread, count);
+    }
 }

@@ -1,15 +1,16 @@
 //! Particles copied to the device.
 
+use crate::device::kernel::{Role, Sorted};
 use crate::device::layout::{self, Homes, Planes};
 use crate::device::memory::{Writes, slots_for, with_room};
-use crate::passes::binding::{Role, Sorted};
+use crate::device::status::{BLOCKS, FIRST_BLOCK};
 use crate::passes::scene::rest_vectors;
 use crate::readback::account;
 use crate::schedule::Dispatch;
-use crate::schedule::status::{BLOCKS, FIRST_BLOCK};
+use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::Part;
+use crate::worlds::sleep;
 use crate::worlds::world::{Level, World};
-use crate::worlds::{WgpuBatch, sleep};
 use barchan_core::{ParticleList, ParticleState, Plan, Result};
 use barchan_grid::adapt::Candidates;
 use std::collections::BTreeMap;
@@ -67,10 +68,16 @@ impl WgpuBatch {
     /// The first two parts of [`take_in`](Self::take_in), with arrivals laid out, or with a copy of a world's particles in the place of another's.
     fn bring_in(&mut self, arrivals: &BTreeMap<usize, Arrival>, copy: Option<(usize, usize)>) -> Result<()> {
         let all = self.worlds.len();
-        let mut homes =
-            if arrivals.len() < all { self.homes(0..all)? } else { vec![Homes::default(); self.memory.words().layers] };
-        let mut watched =
-            if arrivals.len() < all { self.watched(0..all)? } else { vec![Vec::new(); self.memory.words().layers] };
+        let mut homes = if arrivals.len() < all {
+            self.readback().homes(0..all)?
+        } else {
+            vec![Homes::default(); self.memory.words().layers]
+        };
+        let mut watched = if arrivals.len() < all {
+            self.readback().watched(0..all)?
+        } else {
+            vec![Vec::new(); self.memory.words().layers]
+        };
         for (w, arrival) in arrivals {
             homes[self.layers_of(*w)].clone_from_slice(&arrival.homes);
             watched[self.layers_of(*w)].clone_from_slice(&arrival.watched);
