@@ -116,6 +116,9 @@ impl Robot {
         let floating = !robot.fixed;
         let base = Pose { position: DVec3::from_array(robot.position), rotation: rotation_from(robot.rotation)? };
         let path = JointPath::new(robot.motion.as_ref(), &model, &base, &positions, &scene.folder)?;
+        if robot.motion.as_ref().is_some_and(|motion| motion.path.is_some()) {
+            positions.copy_from_slice(path.start());
+        }
         let mut rates = vec![0.0; dynamics::rates_of(&model, floating)];
         if floating {
             let arm = base.rotation * model.links[0].centre;

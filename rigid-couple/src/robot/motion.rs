@@ -194,6 +194,11 @@ impl JointPath {
         }
     }
 
+    /// Positions at its beginning.
+    pub fn start(&self) -> &[f64] {
+        &self.frames[0]
+    }
+
     /// What motors are told in a step from `time` that takes `dt` [s].
     pub fn orders(&self, time: f64, dt: f64) -> Vec<Order> {
         let order = |(target, rate): (f64, f64)| Order { target, rate, torque: 0.0, holds: true };

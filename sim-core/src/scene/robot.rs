@@ -119,7 +119,7 @@ pub struct Gait {
     pub ramp: u32,
 }
 
-/// A path of a link's frame in the world, by inverse kinematics, for a robot whose base is fixed.
+/// A path of a link's frame in the world, by inverse kinematics, for a robot whose base is fixed. The robot starts where the path does.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LinkPath {
