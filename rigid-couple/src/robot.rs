@@ -16,6 +16,7 @@ pub mod model;
 pub mod motion;
 pub mod touching;
 pub mod urdf;
+pub mod visual;
 
 pub use coupling::Robots;
 pub use model::Model;
