@@ -112,3 +112,41 @@ impl<'a> Reader<'a> {
         Ok(rgba.map(|rgba| std::array::from_fn(|c| rgba[c].clamp(0.0, 1.0) as f32)))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::Model;
+    use super::super::urdf::Source;
+
+    fn read(visual: &str) -> Model {
+        let text = format!(
+            "<robot name='r'><material name='red'><color rgba='1 0 0 1'/></material><link name='a'>
+             <inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>{visual}
+             <collision><geometry><box size='1 2 3'/></geometry></collision></link></robot>"
+        );
+        let source = Source { text: &text, file: "r.urdf", folder: std::path::Path::new("."), mends: false };
+        Model::read(&source).unwrap_or_else(|e| panic!("{}", e.what))
+    }
+
+    #[test]
+    fn a_visual_has_its_shape_place_and_colour() {
+        let model = read(
+            "<visual><origin xyz='0 0 2'/><geometry><sphere radius='0.5'/></geometry><material name='red'/></visual>",
+        );
+        let [visual] = &model.links[0].visuals[..] else { panic!("there is one") };
+        assert_eq!((visual.place.position.z, visual.colour), (2.0, Some([1.0, 0.0, 0.0])));
+        let far = visual.mesh.corners.iter().flatten().map(|p| p[2]).fold(0.0, f32::max);
+        assert!((far - 0.5).abs() < 1e-6 && model.warnings.is_empty(), "{far}, {:?}", model.warnings);
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_a_warning_and_the_collision_shape_is_drawn() {
+        let lost = "<visual><geometry><mesh filename='lost.stl'/></geometry></visual>";
+        for (visual, warnings) in [("", 0), (lost, 1)] {
+            let model = read(visual);
+            assert_eq!(model.warnings.len(), warnings, "{:?}", model.warnings);
+            assert!(model.warnings.iter().all(|w| w.contains("lost.stl") && w.contains("collision shape")));
+            assert_eq!(model.links[0].visuals[0].mesh.corners.len(), 12);
+        }
+    }
+}
