@@ -21,6 +21,7 @@ pub mod motion;
 pub mod rigid;
 pub mod robot;
 pub mod sdf;
+mod surface;
 pub mod world;
 
 pub use mesh::MeshSolid;

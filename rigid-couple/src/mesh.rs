@@ -143,28 +143,39 @@ pub fn hull_of(file: &Path, scale: DVec3) -> Result<TriangleMesh, Refusal> {
     })
 }
 
+/// Triangles by their corners, and their colour if the file says one: sRGB from 0 to 1.
+type Coloured = (Option<[f32; 3]>, Vec<[DVec3; 3]>);
+
 /// The corners of a file's triangles, in its own unit.
 fn corners_of(file: &Path) -> Result<Vec<[DVec3; 3]>, Refusal> {
+    Ok(coloured_corners(file)?.into_iter().flat_map(|(_, corners)| corners).collect())
+}
+
+/// The corners of a file's triangles, in its own unit, by colour. They need not be closed.
+pub(crate) fn coloured_corners(file: &Path) -> Result<Vec<Coloured>, Refusal> {
     let unreadable = |e: &dyn std::fmt::Display| {
         Refusal::new(format!("{}: {e}", file.display()), "give the path of an OBJ, STL or DAE file")
     };
     let kind = file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     match kind.as_str() {
-        "obj" => read_obj(file).map_err(|e| unreadable(&e)),
-        "stl" => read_stl(file).map_err(|e| unreadable(&e)),
+        "obj" => read_obj(file).map(|corners| vec![(None, corners)]).map_err(|e| unreadable(&e)),
+        "stl" => read_stl(file).map(|corners| vec![(None, corners)]).map_err(|e| unreadable(&e)),
         "dae" => read_dae(file).map_err(|e| unreadable(&e)),
         _ => Err(unreadable(&"the file's name ends in none of .obj, .stl and .dae")),
     }
 }
 
 /// A COLLADA file, in metres and with z up.
-fn read_dae(file: &Path) -> std::io::Result<Vec<[DVec3; 3]>> {
+fn read_dae(file: &Path) -> std::io::Result<Vec<Coloured>> {
     let scene = mesh_loader::Loader::default().load(file)?;
-    let corners = scene.meshes.iter().flat_map(|mesh| {
+    let parts = scene.meshes.iter().enumerate().map(|(i, mesh)| {
         let at = |i: u32| glam::Vec3::from_array(mesh.vertices[i as usize]).as_dvec3();
-        mesh.faces.iter().map(move |face| face.map(at))
+        // The reader gives a material for each mesh.
+        let colour = scene.materials.get(i).and_then(|material| material.color.diffuse);
+        let rgb = colour.map(|[r, g, b, _]| [r, g, b].map(|c| c.clamp(0.0, 1.0)));
+        (rgb, mesh.faces.iter().map(|face| face.map(at)).collect())
     });
-    Ok(corners.collect())
+    Ok(parts.collect())
 }
 
 fn read_obj(file: &Path) -> Result<Vec<[DVec3; 3]>, tobj::LoadError> {

@@ -5,6 +5,7 @@ use crate::grip::{self, REACH};
 use crate::mass::Filling;
 use crate::motion::{KeyframePath, Pose, rotation_from};
 use crate::sdf::{Primitive, Sdf};
+use crate::surface::{mesh_of, placed, planes_of};
 use crate::world::{RigidWorld, Role};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
@@ -12,12 +13,14 @@ use barchan_core::coupling::{
 };
 use barchan_core::plan::TOOL_COUPLING;
 use barchan_core::scene::{Contact, Motion, Tool, Wall};
-use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Vec3, Wrench};
+use barchan_core::surface::Mesh;
+use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix6, Vector6};
 use rapier3d_f64::prelude::PhysicsWorld;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
+use std::sync::{Arc, OnceLock};
 
 /// Forces on tools thinner than this are off by a third [cells]: the stirrer of `letters` on cells of 14, 7 and 3.5 mm, 3.1, 6.3 and 12.6 of them across, 48.7, 42.4 and
 /// 36.4 N s.
@@ -80,6 +83,8 @@ struct Body {
     name: String,
     /// About the reference point.
     shape: Sdf,
+    /// The same for pictures, once one is made.
+    mesh: OnceLock<Arc<Mesh>>,
     contact: Contact,
     mover: Mover,
     /// Greatest distance of a surface point from the reference point [m].
@@ -208,6 +213,7 @@ impl Body {
         Ok(Self {
             name: tool.name.clone(),
             shape,
+            mesh: OnceLock::new(),
             contact: tool.contact,
             mover,
             extent,
@@ -722,6 +728,15 @@ impl Coupling for Rigid {
             distances.fold(f64::INFINITY, f64::min)
         };
         points.iter().map(nearest).collect()
+    }
+
+    fn surfaces(&self) -> Vec<Surface> {
+        let of_body = |body: &Body| {
+            let mesh = body.mesh.get_or_init(|| mesh_of(&body.shape));
+            let pose = &body.state.pose;
+            [Some(placed(mesh, pose, None)), planes_of(&body.shape, pose, &self.world_box)]
+        };
+        self.bodies.iter().flat_map(of_body).flatten().collect()
     }
 
     fn act(&mut self, body: &str, command: &Command) -> Result<()> {

@@ -18,6 +18,7 @@ pub mod reach;
 mod table;
 pub mod touching;
 pub mod urdf;
+pub mod visual;
 
 pub use coupling::Robots;
 pub use model::Model;

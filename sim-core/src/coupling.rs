@@ -1,6 +1,7 @@
 //! Couplings: what acts on the soft ground through grid nodes, and what it feels in return.
 
 use crate::contact::{Reaction, System, Touch, Twist};
+use crate::surface::Surface;
 use crate::{Result, Vec3};
 use std::ops::Range;
 
@@ -530,6 +531,11 @@ pub trait Coupling: Send + Sync {
     /// Signed distance to the nearest body's surface [m], negative inside, at each point; used to seed ground around
     /// bodies and by tests. Bodies of a coupling without a surface answer infinity.
     fn distance(&self, points: &[Vec3]) -> Vec<f64>;
+    /// What its bodies look like now. Pictures in perspective show nothing else of a coupling; top views and cuts ask for the
+    /// [`distance`](Self::distance).
+    fn surfaces(&self) -> Vec<Surface> {
+        Vec::new()
+    }
     /// Tells a body what to do from now on, for agents that act every step.
     ///
     /// # Errors

@@ -37,6 +37,7 @@ pub mod snapshot;
 pub mod solid;
 pub mod state;
 pub mod stiffness;
+pub mod surface;
 pub mod task;
 pub mod together;
 
@@ -56,6 +57,7 @@ pub use schedule::{Form, Schedule, Stage};
 pub use seed::Terrain;
 pub use simulation::{Options, Simulation, State};
 pub use state::{LevelPhase, Measured, ParticleList, ParticleState, SortPhase, Spot};
+pub use surface::Surface;
 pub use task::Task;
 pub use together::Together;
 

@@ -391,6 +391,13 @@ pub struct Picture {
     /// Quantity that colours the vertical cut.
     #[serde(default)]
     pub cut: CutColour,
+    /// How the scene is seen above the cut; absent: in perspective where there is a robot, a tool or a soft body that stands out
+    /// of the ground, or a camera is given, and from the top otherwise.
+    #[serde(default)]
+    pub view: Option<PictureView>,
+    /// Where pictures in perspective are taken from.
+    #[serde(default)]
+    pub camera: Option<Camera>,
     /// World y of the vertical cut [m]; absent: the middle.
     #[serde(default)]
     pub cut_y: Option<f64>,
@@ -408,7 +415,78 @@ fn default_pixels() -> u32 {
 
 impl Default for Picture {
     fn default() -> Self {
-        Self { on: true, pixels: default_pixels(), cut: CutColour::default(), cut_y: None, levels: true }
+        Self {
+            on: true,
+            pixels: default_pixels(),
+            cut: CutColour::default(),
+            view: None,
+            camera: None,
+            cut_y: None,
+            levels: true,
+        }
+    }
+}
+
+/// How a picture shows a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PictureView {
+    /// From straight above, as a map of heights.
+    Top,
+    /// By a camera.
+    Perspective,
+}
+
+/// Where pictures in perspective are taken from. What is absent is chosen so that the robots, or else the ground and what stands on it, fill the picture,
+/// seen from above, from greater x and lesser y: in front of a robot that faces along x, and on its right.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Camera {
+    /// Where it stands [m].
+    #[serde(default)]
+    pub position: Option<Vec3>,
+    /// What it looks at [m].
+    #[serde(default)]
+    pub target: Option<Vec3>,
+    /// Angle between the left and the right side of the picture, from 1 to 150 [degrees].
+    #[serde(default = "default_fov")]
+    pub fov_deg: f64,
+    /// A tool, a robot or a robot's link (`robot/link`) with which camera and target move along x and y. Absent: where the ground is far wider than
+    /// the robots, the first robot; else the camera stands still.
+    #[serde(default)]
+    pub follow: Option<String>,
+}
+
+fn default_fov() -> f64 {
+    32.0
+}
+
+impl Default for Camera {
+    fn default() -> Self {
+        Self { position: None, target: None, fov_deg: default_fov(), follow: None }
+    }
+}
+
+impl Scene {
+    /// How its pictures show it.
+    pub fn picture_view(&self) -> PictureView {
+        let picture = &self.output.picture;
+        let stands_out = !self.robot.is_empty()
+            || !self.tool.is_empty()
+            || picture.camera.is_some()
+            || self.body.iter().any(|body| !self.is_bed(body));
+        picture.view.unwrap_or(if stands_out { PictureView::Perspective } else { PictureView::Top })
+    }
+
+    /// Is a soft body ground: a box or a height field that takes up half of the world or more, seen from above?
+    pub fn is_bed(&self, body: &Body) -> bool {
+        let (min, max) = match &body.shape {
+            Shape::Box { min: Some(min), max: Some(max), .. } => ([min[0], min[1]], [max[0], max[1]]),
+            Shape::HeightField { min, max, .. } => (*min, *max),
+            _ => return false,
+        };
+        let share = |d: usize| (max[d] - min[d]) / (self.world.max[d] - self.world.min[d]);
+        share(0) * share(1) >= 0.5
     }
 }
 

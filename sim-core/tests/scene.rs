@@ -1,7 +1,7 @@
 //! Scene files: every error names file, line and key path, and says what would mend it.
 #![allow(clippy::result_large_err, reason = "see the crate's own allowance")]
 
-use barchan_core::scene::{Motion, Sampling, Shape, Wall};
+use barchan_core::scene::{Motion, PictureView, Sampling, Shape, Wall};
 use barchan_core::{Error, Scene};
 use proptest::prelude::*;
 
@@ -132,6 +132,36 @@ const FAULTS: &[(&str, &str, &str, &str, &str)] = &[
     ("snapshot_interval = 0.5", "snapshot_interval = -1", "snapshot", "output.snapshot_interval", "must be above 0"),
     ("pixels = 640", "pixels = 2", "pixels", "output.picture.pixels", "from 16 to 16384"),
     ("cut_y = 0.2", "cut_y = 2.0", "cut_y", "output.picture.cut_y", "inside the world, from 0 to 0.4"),
+    ("cut_y = 0.2", "view = \"side\"", "view", "output.picture.view", "allowed here: top, perspective"),
+    (
+        "cut_y = 0.2",
+        "view = \"top\", camera = {}",
+        "camera",
+        "output.picture.camera",
+        "is given, and output.picture.view is \"top\"",
+    ),
+    ("cut_y = 0.2", "camera = { fov_deg = 0 }", "fov", "output.picture.camera.fov_deg", "must be from 1 to 150"),
+    (
+        "cut_y = 0.2",
+        "camera = { position = [0, 0, 1], target = [0, 0, 1] }",
+        "target",
+        "output.picture.camera.target",
+        "another place than camera.position",
+    ),
+    (
+        "cut_y = 0.2",
+        "camera = { positon = [0, 0, 1] }",
+        "positon",
+        "output.picture.camera.positon",
+        "did you mean `position`?",
+    ),
+    (
+        "cut_y = 0.2",
+        "camera = { follow = \"blades\" }",
+        "follow",
+        "output.picture.camera.follow",
+        "did you mean 'blade'?",
+    ),
     ("density = 1600.0", "density = 0.0", "density = 0.0", "material[0].density", "must be above 0"),
     (
         "name = \"jelly\"",
@@ -486,4 +516,21 @@ proptest! {
         let _ = scene.set(&[format!("{path}={value}")]);
         prop_assert!(scene.check().is_ok());
     }
+}
+
+/// Seen from above alone, a cube is a square: what stands out of the ground is seen in perspective, a bed alone from the top.
+#[test]
+fn the_view_follows_from_what_the_scene_holds() {
+    let head = "name = 'a'\nworld = { cell = 0.1, min = [0, 0, 0], max = [2, 2, 2] }\ntime = { end = 1 }\n\
+                material = [{ name = 'm', law = 'sand', density = 1000 }]\n";
+    let view = |rest: &str| Scene::from_str(&format!("{head}{rest}"), "a.toml", "").unwrap().picture_view();
+    let bed = "[[body]]\nmaterial = 'm'\nshape = { box = { min = [0, 0, 0], max = [2, 2, 0.5] } }\n";
+    let cube = "[[body]]\nmaterial = 'm'\nshape = { box = { min = [0.5, 0.5, 0.5], max = [1, 1, 1] } }\n";
+    let tool = "[[tool]]\nname = 't'\nshape = { sphere = { radius = 0.2 } }\nposition = [1, 1, 1]\n";
+    assert_eq!(view(bed), PictureView::Top);
+    for rest in [cube, &format!("{bed}{cube}"), &format!("{bed}{tool}")] {
+        assert_eq!(view(rest), PictureView::Perspective, "{rest}");
+    }
+    assert_eq!(view(&format!("output.picture.view = 'top'\n{bed}{tool}")), PictureView::Top);
+    assert_eq!(view(&format!("output.picture.camera = {{ target = [1, 1, 0] }}\n{bed}")), PictureView::Perspective);
 }

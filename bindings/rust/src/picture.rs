@@ -1,4 +1,5 @@
-//! Pictures of a running simulation, without a GPU: the surface from above as a shaded relief, and a vertical cut.
+//! Pictures of a running simulation, without a GPU: the scene in perspective, or its surface from above as a shaded relief, and a
+//! vertical cut. A view in perspective shows the ground and what couplings give as their [surfaces](barchan_core::Coupling::surfaces).
 //!
 //! ```
 //! use barchan::picture::{Align, Chart, Colour, Image, Rect, Series, View};
@@ -22,11 +23,16 @@
 //! ```
 
 mod animation;
+mod camera;
 mod chart;
 mod colour;
 mod cut;
+mod ground;
 mod image;
+mod perspective;
+mod raster;
 mod relief;
+mod stage;
 mod tools;
 
 pub use animation::{contact_sheet, gif};
@@ -34,14 +40,19 @@ pub use chart::{Chart, Series};
 pub use image::{Align, Colour, Image, Rect, text_width};
 
 use crate::stress::pressure;
+use barchan_core::glam;
 use barchan_core::levels::CellBox;
 use barchan_core::plan::Plan;
 use barchan_core::scene::{CutColour, Motion, Scene, Tool, Wall};
 use barchan_core::{ParticleState, Result, Simulation, Spot, Vec3};
+use camera::Camera;
 use colour::{Ground, viridis};
+use ground::Bed;
+use perspective::Scenery;
 use rayon::prelude::*;
 use relief::{Dot, Surface};
 use serde::{Deserialize, Serialize};
+use stage::Stage;
 use tools::{Frame, Tools};
 
 /// Colour of the page around the panels.
@@ -60,7 +71,10 @@ const STRIP: usize = 38;
 const LEAST_WIDTH: usize = 540;
 const TEXT: f32 = 8.75;
 
-/// A fixed view of a scene: the same extent, height colours and layout in every frame; only the cut's scale may grow.
+/// Share of a picture's width that the cut below a view in perspective may be high.
+const CUT_SHARE: f64 = 0.3;
+
+/// A fixed view of a scene: the same extent, height colours and layout in every frame; only the cut's scale may grow, and a camera may follow a body.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct View {
     name: String,
@@ -76,6 +90,8 @@ pub struct View {
     scale: f64,
     /// Sides of the picture that are walls: x_min, x_max, y_min, y_max, z_min.
     walls: [bool; 5],
+    /// Where it is seen in perspective, that; else it is seen from the top.
+    stage: Option<Stage>,
 }
 
 /// What a picture shows, taken from a simulation; the drawing is still to be done.
@@ -93,6 +109,8 @@ pub(crate) struct Sketch {
     /// Boxes of levels, with the width of their cells.
     levels: Vec<(CellBox, f64)>,
     grounds: Vec<Ground>,
+    /// The camera of a view in perspective, and the bodies that it sees.
+    seen: Option<(Camera, Vec<barchan_core::Surface>)>,
 }
 
 impl Sketch {
@@ -101,9 +119,33 @@ impl Sketch {
         self.dots.len()
     }
 
-    /// Draws it: the relief, the cut, and a page around both.
+    /// Draws it: the relief or the view in perspective, the cut, and a page around both.
     pub(crate) fn draw(&self) -> Image {
-        let Self { view, time, heights, dots, cut: cut_dots, tools, levels, grounds, .. } = self;
+        let Self { view, time, heights, cut: cut_dots, tools, levels, grounds, .. } = self;
+        let (columns, rows) = view.main_panel();
+        let mut main = Image::new(columns, rows, AIR);
+        match (&self.seen, &view.stage) {
+            (Some((camera, surfaces)), Some(stage)) => self.draw_perspective(&mut main, *camera, surfaces, stage),
+            _ => self.draw_relief(&mut main),
+        }
+        let (width, height) = view.cut_panel();
+        let mut cut = Image::new(width, height, AIR);
+        let top = view.top.max(f64::MIN_POSITIVE) as f32;
+        cut::draw(&mut cut, Frame { origin: [0.0, view.min[2]], scale: view.scale }, cut_dots, top);
+        tools.draw_cut(&mut cut, view.frame_of_cut());
+
+        for (one, cell) in levels {
+            if self.seen.is_none() {
+                view.outline(&mut main, 1, one, *cell);
+            }
+            view.outline(&mut cut, 2, one, *cell);
+        }
+        let ground = grounds.first().copied().unwrap_or_else(|| Ground::of_law("sand"));
+        view.page(&main, &cut, ground, *heights, *time)
+    }
+
+    fn draw_relief(&self, relief: &mut Image) {
+        let Self { view, heights, dots, tools, grounds, .. } = self;
         let found;
         let surface = match &self.surface {
             Some(surface) => surface,
@@ -112,21 +154,29 @@ impl Sketch {
                 &found
             }
         };
-        let (width, depth, height) = view.panels();
-        let mut relief = Image::new(width, depth, AIR);
-        surface.draw(&mut relief, view.scale as f32, grounds, heights.0, heights.1, FLOOR);
-        tools.draw_above(&mut relief, view.frame_above(), surface);
+        surface.draw(relief, view.scale as f32, grounds, heights.0, heights.1, FLOOR);
+        tools.draw_above(relief, view.frame_above(), surface);
+    }
 
-        let mut cut = Image::new(width, height, AIR);
-        let top = view.top.max(f64::MIN_POSITIVE) as f32;
-        cut::draw(&mut cut, Frame { origin: [0.0, view.min[2]], scale: view.scale }, cut_dots, top);
-        tools.draw_cut(&mut cut, view.frame_of_cut());
-
-        for (one, cell) in levels {
-            view.outline(&mut relief, &mut cut, one, *cell);
-        }
-        let ground = grounds.first().copied().unwrap_or_else(|| Ground::of_law("sand"));
-        view.page(&relief, &cut, ground, *heights, *time)
+    fn draw_perspective(&self, image: &mut Image, camera: Camera, surfaces: &[barchan_core::Surface], stage: &Stage) {
+        // Particles' places are from the view's corner on, but for heights.
+        let origin = [self.view.min[0], self.view.min[1], 0.0];
+        let local = |place: Vec3| glam::Vec3::from_array(std::array::from_fn(|d| (place[d] - origin[d]) as f32));
+        let lens = camera.lens(origin, image.width(), image.height());
+        let target = local(camera.target);
+        let scenery = Scenery {
+            lens,
+            target,
+            distance: lens.eye.distance(target),
+            dots: &self.dots,
+            spacing: self.view.spacing as f32,
+            bed: Bed { min: local(stage.min), max: local(stage.max), walls: stage.walls },
+            heights: stage.by_height.then_some(self.heights),
+            grounds: &self.grounds,
+            surfaces,
+            origin,
+        };
+        perspective::draw(image, &scenery);
     }
 }
 
@@ -134,12 +184,19 @@ impl View {
     /// A view of a simulation's scene that holds its particles, as they are now, with some space around.
     pub fn new(simulation: &Simulation) -> Self {
         let scene = &simulation.plan().scene;
-        let (min, max) = extent(scene, &simulation.spots());
+        let spots = simulation.spots();
+        let (min, max) = extent(scene, &spots);
         let finest = scene.body.iter().map(|body| scene.spacing(body)).fold(f64::INFINITY, f64::min);
         let spacing = if finest.is_finite() { finest } else { 0.5 * scene.world.cell };
         let pixels = scene.output.picture.pixels as usize;
         let across = (pixels.saturating_sub(2 * MARGIN).max(64)) as f64 / (max[0] - min[0]);
         let down = (pixels.saturating_sub(HEADER + 2 * STRIP).max(64)) as f64 / (max[1] - min[1] + max[2] - min[2]);
+        let wide = pixels.max(LEAST_WIDTH) - 2 * MARGIN;
+        let stage = Stage::new(simulation, &spots, wide);
+        let scale = match &stage {
+            Some(_) => (wide as f64 / (max[0] - min[0])).min(CUT_SHARE * wide as f64 / (max[2] - min[2])),
+            None => across.min(down),
+        };
         let walls = &scene.world.walls;
         let shown = |wall: Wall, side: f64, edge: f64| wall != Wall::Open && (side - edge).abs() < scene.world.cell;
         let world = &scene.world;
@@ -152,7 +209,8 @@ impl View {
             spacing,
             heights: None,
             top: 0.0,
-            scale: across.min(down),
+            scale,
+            stage,
             walls: [
                 shown(walls.x_min, world.min[0], min[0]),
                 shown(walls.x_max, world.max[0], max[0]),
@@ -201,9 +259,14 @@ impl View {
             nearest
         };
         let boxes: Vec<_> = simulation.couplings().iter().flat_map(|coupling| coupling.bounds()).collect();
-        let (width, depth, height) = self.panels();
-        let above = ((width, depth), self.frame_above());
-        let tools = Tools::new(&boxes, &distance, above, ((width, height), self.frame_of_cut()), cut_y);
+        // In perspective, tools are drawn by their surfaces.
+        let above = if self.stage.is_some() { (0, 0) } else { self.main_panel() };
+        let cut_panel = (self.cut_panel(), self.frame_of_cut());
+        let tools = Tools::new(&boxes, &distance, (above, self.frame_above()), cut_panel, cut_y);
+        let seen = self.stage.as_ref().map(|stage| {
+            let surfaces = simulation.couplings().iter().flat_map(|coupling| coupling.surfaces()).collect();
+            (stage.camera(simulation), surfaces)
+        });
 
         let mut levels = Vec::new();
         if plan.scene.output.picture.levels {
@@ -212,7 +275,18 @@ impl View {
             }
         }
         let grounds = plan.materials.iter().map(|m| Ground::of_law(&m.material.name)).collect();
-        Ok(Sketch { view: self.clone(), heights, dots, surface, cut, tools, levels, grounds, time: simulation.time() })
+        Ok(Sketch {
+            view: self.clone(),
+            heights,
+            dots,
+            surface,
+            cut,
+            tools,
+            levels,
+            grounds,
+            seen,
+            time: simulation.time(),
+        })
     }
 
     fn surface(&self, dots: &[Dot]) -> Surface {
@@ -228,19 +302,33 @@ impl View {
         Frame { origin: [self.min[0], self.min[2]], scale: self.scale }
     }
 
-    /// Where the relief lies within a frame.
+    /// Does the view hold what the scene asks for?
+    ///
+    /// # Errors
+    /// If there is no such body as the camera is to follow.
+    pub(crate) fn check(simulation: &Simulation) -> Result<()> {
+        stage::check(simulation)
+    }
+
+    /// Where the relief, or the view in perspective, lies within a frame.
     pub fn relief_rect(&self) -> Rect {
-        let (width, height, _) = self.panels();
+        let (width, height) = self.main_panel();
         Rect { x: (self.width() - width) / 2, y: HEADER, width, height }
     }
 
-    /// Columns of both panels, rows of the relief, rows of the cut.
-    fn panels(&self) -> (usize, usize, usize) {
-        let pixels = |d: usize| (((self.max[d] - self.min[d]) * self.scale).round() as usize).max(8);
-        (pixels(0), pixels(1), pixels(2))
+    fn pixels(&self, d: usize) -> usize {
+        (((self.max[d] - self.min[d]) * self.scale).round() as usize).max(8)
+    }
+    /// Columns and rows of the relief, or the view in perspective.
+    fn main_panel(&self) -> (usize, usize) {
+        self.stage.as_ref().map_or_else(|| (self.pixels(0), self.pixels(1)), |stage| (stage.size[0], stage.size[1]))
+    }
+    /// Columns and rows of the cut.
+    fn cut_panel(&self) -> (usize, usize) {
+        (self.pixels(0), self.pixels(2))
     }
     fn width(&self) -> usize {
-        (self.panels().0 + 2 * MARGIN).max(LEAST_WIDTH)
+        (self.main_panel().0.max(self.cut_panel().0) + 2 * MARGIN).max(LEAST_WIDTH)
     }
 
     /// A particle, x and y from the view's corner.
@@ -271,30 +359,28 @@ impl View {
         Ok(dots)
     }
 
-    /// Draws where a level's box ends, in both panels, with the width of its cells.
-    fn outline(&self, relief: &mut Image, cut: &mut Image, one: &CellBox, cell: f64) {
+    /// Draws where a level's box ends, in the panel whose axes are x and `up`, with the width of its cells.
+    fn outline(&self, image: &mut Image, up: usize, one: &CellBox, cell: f64) {
         let (min, max) = (one.min.map(|c| f64::from(c) * cell), one.max.map(|c| f64::from(c) * cell));
-        let label = format!("{} mm", (1e6 * cell).round() / 1e3);
-        for (image, up) in [(relief, 1), (cut, 2)] {
-            if up == 2 && !(min[1] <= self.cut_y && self.cut_y < max[1]) {
-                continue;
-            }
-            let (width, height) = (image.width() as f64, image.height() as f64);
-            let (left, right) = ((min[0] - self.min[0]) * self.scale, (max[0] - self.min[0]) * self.scale);
-            let (top, bottom) =
-                (height - (max[up] - self.min[up]) * self.scale, height - (min[up] - self.min[up]) * self.scale);
-            let inside = |from: f64, to: f64, end: f64| (from.max(0.0) as usize, to.min(end).max(0.0) as usize);
-            let ((x, x_end), (y, y_end)) = (inside(left, right, width), inside(top, bottom, height));
-            for column in [left, right].into_iter().filter(|x| (0.0..width).contains(x)) {
-                image.fill(Rect { x: column as usize, y, width: 1, height: y_end.saturating_sub(y) }, INK);
-            }
-            for row in [top, bottom].into_iter().filter(|y| (0.0..height).contains(y)) {
-                image.fill(Rect { x, y: row as usize, width: x_end.saturating_sub(x), height: 1 }, INK);
-            }
-            // Of boxes seen from the side, names would lie on each other.
-            if up == 1 && x_end > x + 40 && y_end > y + 12 {
-                image.text(x_end as f32 - 4.0, y as f32 + 4.0, 0.8 * TEXT, Align::Right, INK, &label);
-            }
+        if up == 2 && !(min[1] <= self.cut_y && self.cut_y < max[1]) {
+            return;
+        }
+        let (width, height) = (image.width() as f64, image.height() as f64);
+        let (left, right) = ((min[0] - self.min[0]) * self.scale, (max[0] - self.min[0]) * self.scale);
+        let (top, bottom) =
+            (height - (max[up] - self.min[up]) * self.scale, height - (min[up] - self.min[up]) * self.scale);
+        let inside = |from: f64, to: f64, end: f64| (from.max(0.0) as usize, to.min(end).max(0.0) as usize);
+        let ((x, x_end), (y, y_end)) = (inside(left, right, width), inside(top, bottom, height));
+        for column in [left, right].into_iter().filter(|x| (0.0..width).contains(x)) {
+            image.fill(Rect { x: column as usize, y, width: 1, height: y_end.saturating_sub(y) }, INK);
+        }
+        for row in [top, bottom].into_iter().filter(|y| (0.0..height).contains(y)) {
+            image.fill(Rect { x, y: row as usize, width: x_end.saturating_sub(x), height: 1 }, INK);
+        }
+        // Of boxes seen from the side, names would lie on each other.
+        if up == 1 && x_end > x + 40 && y_end > y + 12 {
+            let label = format!("{} mm", (1e6 * cell).round() / 1e3);
+            image.text(x_end as f32 - 4.0, y as f32 + 4.0, 0.8 * TEXT, Align::Right, INK, &label);
         }
     }
 
@@ -307,23 +393,28 @@ impl View {
         page.text(right, 11.0, TEXT + 1.75, Align::Right, INK, &format!("t = {time:.2} s"));
 
         page.paste(relief, rect.x, rect.y);
-        self.border(&mut page, rect, [self.walls[0], self.walls[1], self.walls[3], self.walls[2]]);
-        // Two marks beside the relief show where the cut is.
-        let row = (rect.y + rect.height) as f64 - (self.cut_y - self.min[1]) * self.scale;
-        for x in [rect.x.saturating_sub(10), rect.x + rect.width + 4] {
-            page.fill(Rect { x, y: row as usize, width: 6, height: 2 }, INK);
-        }
-
         let strip = rect.y + rect.height + 14;
         let (first, last) = (MARGIN, self.width() - MARGIN);
         self.scale_bar(&mut page, first, strip);
-        let (factor, name) = unit(f64::from(range), "m");
-        let end = f64::from(range) / factor;
-        let ends = [format!("-{}", three_digits(end)), format!("+{} {name}", three_digits(end))];
-        let label = format!("height about {:.0} mm", 1e3 * (f64::from(level) - self.min[2]));
-        legend(&mut page, last, strip, &label, &ends, |t| ground.at(t).map(colour::encode));
+        if self.stage.is_some() {
+            self.border(&mut page, rect, [false; 4]);
+            page.text(right, strip as f32, TEXT, Align::Right, INK, "above: in perspective; below: a cut, to scale");
+        } else {
+            self.border(&mut page, rect, [self.walls[0], self.walls[1], self.walls[3], self.walls[2]]);
+            // Two marks beside the relief show where the cut is.
+            let row = (rect.y + rect.height) as f64 - (self.cut_y - self.min[1]) * self.scale;
+            for x in [rect.x.saturating_sub(10), rect.x + rect.width + 4] {
+                page.fill(Rect { x, y: row as usize, width: 6, height: 2 }, INK);
+            }
+            let (factor, name) = unit(f64::from(range), "m");
+            let end = f64::from(range) / factor;
+            let ends = [format!("-{}", three_digits(end)), format!("+{} {name}", three_digits(end))];
+            let label = format!("height about {:.0} mm", 1e3 * (f64::from(level) - self.min[2]));
+            legend(&mut page, last, strip, &label, &ends, |t| ground.at(t).map(colour::encode));
+        }
 
-        let below = Rect { x: rect.x, y: rect.y + rect.height + STRIP, width: cut.width(), height: cut.height() };
+        let left_of_cut = (self.width() - cut.width()) / 2;
+        let below = Rect { x: left_of_cut, y: rect.y + rect.height + STRIP, width: cut.width(), height: cut.height() };
         page.paste(cut, below.x, below.y);
         self.border(&mut page, below, [self.walls[0], self.walls[1], false, self.walls[4]]);
 

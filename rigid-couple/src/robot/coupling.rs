@@ -1,19 +1,21 @@
 //! The coupling "robots": a scene's robots on soft ground.
 
 use super::joints::{Gains, Order};
-use super::model::Model;
+use super::model::{Link, Model};
 use super::motion::{self, JointPath};
 use super::touching::{Body, Obstacle, friction_of};
 use super::urdf::Source;
+use super::visual::Visual;
 use super::{Robot, State, dynamics};
 use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
+use crate::surface::placed;
 use crate::{Refusal, Sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, Group};
 use barchan_core::plan::ROBOT_COUPLING;
 use barchan_core::scene::{self, Contact, Motion};
-use barchan_core::{BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, Scene, Vec3, Wrench};
+use barchan_core::{BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -432,6 +434,17 @@ impl Coupling for Robots {
             distances.fold(f64::INFINITY, f64::min)
         };
         points.iter().map(nearest).collect()
+    }
+
+    fn surfaces(&self) -> Vec<Surface> {
+        let of_link = |(link, place): (&Link, &dynamics::Place)| -> Vec<Surface> {
+            let part = |visual: &Visual| placed(&visual.mesh, &place.frame.then(&visual.place), visual.colour);
+            link.visuals.iter().map(part).collect()
+        };
+        self.robots
+            .iter()
+            .flat_map(|robot| robot.model.links.iter().zip(&robot.step.places).flat_map(of_link))
+            .collect()
     }
 
     fn has_body(&self, name: &str) -> bool {

@@ -1,5 +1,6 @@
 //! What a robot is made of: a tree of links and joints, as its URDF says it.
 
+use super::visual::Visual;
 use crate::motion::Pose;
 use crate::sdf::Sdf;
 use glam::{DMat3, DVec3};
@@ -51,6 +52,8 @@ pub struct Link {
     pub inertia: DMat3,
     /// Its collision shape, about the centre of mass.
     pub shape: Option<Sdf>,
+    /// What it looks like; its collision shape where the URDF says nothing that can be drawn.
+    pub visuals: Vec<Visual>,
 }
 
 /// A joint position that can be driven.

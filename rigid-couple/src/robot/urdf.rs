@@ -1,14 +1,16 @@
 //! URDF files: a tree of links and joints.
 //!
 //! Every link stays a body of its own, also behind a fixed joint. What has no meaning for a robot here is left out: transmissions, sensors, Gazebo's
-//! extensions, visual shapes. What cannot be used is refused with the element and its line.
+//! extensions. What cannot be used is refused with the element and its line; of `<visual>` elements, it is a warning (`visual.rs`).
 
 use super::model::{Drive, Freedom, Joint, Link, Model};
+use super::visual::Visual;
 use crate::Refusal;
 use crate::mass::outer;
 use crate::mesh::{DistanceGrid, hull_of};
 use crate::motion::Pose;
 use crate::sdf::{MeshPart, Part, Primitive, Sdf};
+use crate::surface::mesh_of;
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix3, SymmetricEigen};
 use roxmltree::{Document, Node};
@@ -50,13 +52,13 @@ impl Model {
     }
 }
 
-struct Reader<'a> {
+pub(super) struct Reader<'a> {
     source: &'a Source<'a>,
-    document: &'a Document<'a>,
-    warnings: Vec<String>,
+    pub(super) document: &'a Document<'a>,
+    pub(super) warnings: Vec<String>,
 }
 
-type Xml<'a> = Node<'a, 'a>;
+pub(super) type Xml<'a> = Node<'a, 'a>;
 
 /// A joint before its place in the tree is known.
 struct Edge<'a> {
@@ -68,7 +70,7 @@ struct Edge<'a> {
 }
 
 impl<'a> Reader<'a> {
-    fn fault(&self, node: Xml<'_>, what: &str, mend: &str) -> Refusal {
+    pub(super) fn fault(&self, node: Xml<'_>, what: &str, mend: &str) -> Refusal {
         let line = self.document.text_pos_at(node.range().start).row;
         let name = node.attribute("name").map(|name| format!(" '{name}'")).unwrap_or_default();
         Refusal::new(format!("{}:{line}: <{}>{name}: {what}", self.source.file, node.tag_name().name()), mend)
@@ -343,6 +345,11 @@ impl<'a> Reader<'a> {
             self.shape(collision, &place, &mut parts)?;
         }
         link.shape = (!parts.is_empty()).then(|| Sdf::new(parts).seen_from(link.centre));
+        link.visuals = self.visuals(node);
+        if let Some(shape) = link.shape.as_ref().filter(|_| link.visuals.is_empty()) {
+            let place = Pose { position: link.centre, ..Pose::IDENTITY };
+            link.visuals = vec![Visual { mesh: mesh_of(shape), place, colour: None }];
+        }
         Ok(link)
     }
 
@@ -391,7 +398,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    fn shape(&mut self, collision: Xml<'a>, place: &Pose, parts: &mut Vec<Part>) -> Result<(), Refusal> {
+    pub(super) fn shape(&self, collision: Xml<'a>, place: &Pose, parts: &mut Vec<Part>) -> Result<(), Refusal> {
         let geometry = self.child(collision, "geometry")?;
         let Some(kind) = geometry.children().find(Node::is_element) else {
             return Err(self.fault(geometry, "it is empty", "give a box, sphere, cylinder, capsule or mesh"));
@@ -433,7 +440,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Where a mesh lies: beside the URDF, or in a package around it.
-    fn mesh_file(&self, mesh: Xml<'a>) -> Result<PathBuf, Refusal> {
+    pub(super) fn mesh_file(&self, mesh: Xml<'a>) -> Result<PathBuf, Refusal> {
         let name = self.text(mesh, "filename")?;
         let found = match name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
             Some(rest) => self.source.folder.ancestors().map(|folder| folder.join(rest)).find(|file| file.exists()),
@@ -449,7 +456,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    fn origin(&self, node: Xml<'a>) -> Result<Pose, Refusal> {
+    pub(super) fn origin(&self, node: Xml<'a>) -> Result<Pose, Refusal> {
         let Some(origin) = node.children().find(|child| child.has_tag_name("origin")) else {
             return Ok(Pose::IDENTITY);
         };
@@ -459,7 +466,7 @@ impl<'a> Reader<'a> {
         Ok(Pose { position, rotation })
     }
 
-    fn child(&self, node: Xml<'a>, tag: &str) -> Result<Xml<'a>, Refusal> {
+    pub(super) fn child(&self, node: Xml<'a>, tag: &str) -> Result<Xml<'a>, Refusal> {
         let missing = || self.fault(node, &format!("it has no <{tag}>"), &format!("add <{tag}>"));
         node.children().find(|child| child.has_tag_name(tag)).ok_or_else(missing)
     }
@@ -478,7 +485,7 @@ impl<'a> Reader<'a> {
         Ok(self.numbers::<1>(node, key)?.map(|[value]| value))
     }
 
-    fn numbers<const N: usize>(&self, node: Xml<'a>, key: &str) -> Result<Option<[f64; N]>, Refusal> {
+    pub(super) fn numbers<const N: usize>(&self, node: Xml<'a>, key: &str) -> Result<Option<[f64; N]>, Refusal> {
         let Some(text) = node.attribute(key) else { return Ok(None) };
         let numbers: Option<Vec<f64>> =
             text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.is_finite())).collect();
@@ -543,6 +550,15 @@ impl Joint {
 impl Link {
     /// One without mass and shape.
     fn frame(name: &str, parent: Option<usize>, joint: Joint) -> Self {
-        Self { name: name.to_owned(), parent, joint, mass: 0.0, centre: DVec3::ZERO, inertia: DMat3::ZERO, shape: None }
+        Self {
+            name: name.to_owned(),
+            parent,
+            joint,
+            mass: 0.0,
+            centre: DVec3::ZERO,
+            inertia: DMat3::ZERO,
+            shape: None,
+            visuals: Vec::new(),
+        }
     }
 }

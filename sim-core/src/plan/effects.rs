@@ -2,7 +2,7 @@
 
 use super::{Effect, Plan, PlannedCoupling, ROBOT_COUPLING, TOOL_COUPLING};
 use crate::levels::{Agent, TILE};
-use crate::scene::{Export, Leaving, Motion, Wall, plain};
+use crate::scene::{Export, Leaving, Motion, PictureView, Wall, plain};
 
 use barchan_abi as abi;
 
@@ -197,7 +197,11 @@ impl Plan {
         let every = format!("output.interval = {}", output.interval);
         if output.picture.on {
             let cut = format!("{:?}", output.picture.cut).to_lowercase();
-            add(format!("{cut} pictures"), every.clone(), "a top view and a vertical cut, outside the step".to_owned());
+            let view = match scene.picture_view() {
+                PictureView::Top => "a top view",
+                PictureView::Perspective => "a view in perspective",
+            };
+            add(format!("{cut} pictures"), every.clone(), format!("{view} and a vertical cut, outside the step"));
         }
         if let Some(format) = output.export {
             add(format!("{} export", format.extension()), every, "a particle file, outside the step".to_owned());

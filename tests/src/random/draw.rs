@@ -322,6 +322,9 @@ impl Generator {
             "time.safety" => return number(frame.pick(&[0.3, 0.6, 0.9, 1.0])),
             "output.picture.pixels" => return Some(Some(Value::Integer(16 + frame.below(200) as i64))),
             "output.picture.cut_y" => return number(frame.point(1.0)[1]),
+            "output.picture.camera.fov_deg" => return number(frame.pick(&[1.0, 20.0, 45.0, 150.0])),
+            "output.picture.camera.follow" if frame.tools == 0 => return Some(None),
+            "output.picture.camera.follow" => return text(format!("t{}", frame.below(frame.tools))),
             "material[].damping" => return number(frame.decades(1e-6, 1e-2)),
             "material[].law" => {
                 let law = frame.pick(&self.laws);
@@ -535,6 +538,12 @@ fn mend(scene: &mut Table, frame: &mut Frame) {
     }
     mend_levels(scene, frame);
     mend_rest(scene);
+    // From the top there is no camera.
+    let top = below(scene, &["output", "picture", "view"]).is_some_and(|view| view.as_str() == Some("top"));
+    let picture = within(scene, "output").and_then(|output| within(output, "picture"));
+    if let Some(picture) = picture.filter(|_| top) {
+        picture.remove("camera");
+    }
 }
 
 /// A value below some keys.

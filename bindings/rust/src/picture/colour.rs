@@ -29,6 +29,9 @@ pub(super) fn viridis(t: f32) -> Colour {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Ground {
     stops: [[f32; 3]; 3],
+    /// How uneven its colour is, from grain to grain, and how much it shines, 0 to 1.
+    pub grain: f32,
+    pub gloss: f32,
 }
 
 impl Ground {
@@ -41,7 +44,14 @@ impl Ground {
             "neo_hookean" | "fixed_corotated" | "hencky" => [[30, 110, 108], [72, 168, 158], [150, 214, 200]],
             _ => [[120, 74, 60], [184, 122, 98], [222, 172, 148]],
         };
-        Self { stops: stops.map(|stop| stop.map(linear)) }
+        let (grain, gloss) = match law {
+            "sand" => (1.0, 0.0),
+            "snow" => (0.4, 0.0),
+            "liquid" => (0.0, 0.5),
+            "neo_hookean" | "fixed_corotated" | "hencky" => (0.0, 0.25),
+            _ => (0.7, 0.0),
+        };
+        Self { stops: stops.map(|stop| stop.map(linear)), grain, gloss }
     }
     /// Reflectance at `t`: 0 low, ½ as it started, 1 high.
     pub(super) fn at(&self, t: f32) -> [f32; 3] {

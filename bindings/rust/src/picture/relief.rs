@@ -375,7 +375,7 @@ fn spline(f: f32) -> [[f32; 2]; 4] {
 }
 
 /// Brightness of rough ground at a cosine of the sun's incidence, cos^0.9, by a table: a picture asks once a pixel.
-fn rough(cosine: f32) -> f32 {
+pub(super) fn rough(cosine: f32) -> f32 {
     const SIZE: usize = 4096;
     static TABLE: std::sync::OnceLock<Vec<f32>> = std::sync::OnceLock::new();
     let table = TABLE.get_or_init(|| (0..=SIZE).map(|i| (i as f32 / SIZE as f32).powf(0.9)).collect());

@@ -33,6 +33,7 @@ pub(super) struct Pictures {
 impl Pictures {
     /// Pictures that go on from the last one that there is.
     pub(super) fn new(simulation: &Simulation, last: Option<&Path>) -> Result<Self> {
+        View::check(simulation)?;
         let view = last.and_then(view_of).unwrap_or_else(|| View::new(simulation));
         Ok(Self { view, painters: Painters::default() })
     }

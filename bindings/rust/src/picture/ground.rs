@@ -1,0 +1,458 @@
+//! The surface of soft ground and bodies: where particles fill half of space.
+//!
+//! 1. Each particle is a cube of its volume; nodes take up the share of their cells that particles fill.
+//! 2. That share is smoothed, over about a cell, so that single particles do not show in a surface of many.
+//! 3. Where it passes about one half there is the surface (surface nets: a corner for each cell that is passed, in the mean of where its edges are).
+//! 4. Smoothed much more, it says how much of the sky is hidden there: hollows are darker than the ground around.
+//! 5. Particles too far from others to fill half of anything are balls.
+//!
+//! # Source
+//! Surface nets: Gibson 1998, Constrained elastic surface nets.
+
+use super::raster::Soup;
+use super::relief::Dot;
+use barchan_core::glam::Vec3;
+use rayon::prelude::*;
+
+/// Most nodes of a picture's grid: with more, cells are wider than particles are apart.
+const MOST_NODES: f32 = 4e6;
+/// Rounds of smoothing for places, and further ones for normals; each adds half a cell² to the variance.
+const ROUNDS: usize = 1;
+const NORMAL_ROUNDS: usize = 1;
+/// Share at the surface. In a sheet one particle thick it is up to one half, at the corner of a cube 0.42, in a row of particles 0.25.
+const HALF: f32 = 0.45;
+/// Particles at a share below this are drawn alone.
+const ALONE: f32 = 0.28;
+/// The share of the sky that is seen from a side that is cut at a wall.
+const CUT_SKY: f32 = 0.8;
+/// Cells of the surface's grid along one side of a cell of the sky's, and rounds of smoothing there.
+const COARSE: usize = 4;
+const COARSE_ROUNDS: usize = 3;
+/// Cells that are empty around the particles, and coarse ones around those.
+const AIR: usize = 3;
+const SKY_AIR: usize = 4;
+
+/// The box that particles may be in, and which of its sides the ground goes on behind: x least and greatest, y, and z least.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bed {
+    /// Least corner [m].
+    pub min: Vec3,
+    /// Greatest corner [m].
+    pub max: Vec3,
+    /// Is there a wall at the side, that ground ends at?
+    pub walls: [bool; 5],
+}
+
+/// A field on nodes in the middles of cells.
+#[derive(Debug)]
+struct Field {
+    /// Corner of the first cell [m].
+    min: Vec3,
+    cell: f32,
+    count: [usize; 3],
+    values: Vec<f32>,
+}
+
+/// How much of the sky is hidden by ground.
+#[derive(Debug)]
+pub(super) struct Sky(Option<Field>);
+
+impl Sky {
+    /// The share of the sky that is seen from a place on a surface with some normal.
+    pub(super) fn seen(&self, place: Vec3, normal: Vec3) -> f32 {
+        let Some(field) = &self.0 else { return 1.0 };
+        // Beside flat ground a fifth is hidden at this height; what is above that is ground that stands higher.
+        let hidden = field.at(place + normal * field.cell);
+        1.0 - ((hidden - 0.21) * 1.9).clamp(-0.12, 0.92)
+    }
+}
+
+impl Field {
+    fn new(min: Vec3, cell: f32, count: [usize; 3]) -> Self {
+        Self { min, cell, count, values: vec![0.0; count.iter().product()] }
+    }
+
+    fn index(&self, [i, j, k]: [usize; 3]) -> usize {
+        (k * self.count[1] + j) * self.count[0] + i
+    }
+
+    /// The value at a place, linear between nodes; beyond them, that of the nearest.
+    fn at(&self, place: Vec3) -> f32 {
+        let place = ((place - self.min) / self.cell - 0.5).to_array();
+        let mut first = [0; 3];
+        let mut part = [0.0; 3];
+        for d in 0..3 {
+            let x = place[d].clamp(0.0, (self.count[d] - 1) as f32);
+            first[d] = (x as usize).min(self.count[d].saturating_sub(2));
+            part[d] = x - first[d] as f32;
+        }
+        let more: [usize; 3] = std::array::from_fn(|d| usize::from(self.count[d] > 1));
+        let value = |bits: [usize; 3]| self.values[self.index(std::array::from_fn(|d| first[d] + bits[d] * more[d]))];
+        let mix = |a: f32, b: f32, t: f32| a + t * (b - a);
+        let row = |j, k| mix(value([0, j, k]), value([1, j, k]), part[0]);
+        let layer = |k| mix(row(0, k), row(1, k), part[1]);
+        mix(layer(0), layer(1), part[2])
+    }
+
+    /// Fills the cells that a cube of some side covers.
+    fn fill(&mut self, place: Vec3, side: f32, mut at: impl FnMut(usize)) {
+        /// Cells across the largest particle; the coarsest level's are 128 times as wide as the finest's.
+        const MOST: usize = 160;
+        let mut shares = [[0.0; MOST]; 3];
+        let mut first = [0; 3];
+        let mut count = [0; 3];
+        for d in 0..3 {
+            let middle = (place[d] - self.min[d]) / self.cell;
+            let half = 0.5 * side / self.cell;
+            let (low, high) = ((middle - half).max(0.0), (middle + half).min(self.count[d] as f32));
+            if low >= high {
+                return;
+            }
+            first[d] = low as usize;
+            count[d] = (high.ceil() as usize).min(self.count[d]).saturating_sub(first[d]).min(MOST);
+            for (i, share) in shares[d][..count[d]].iter_mut().enumerate() {
+                let cell = (first[d] + i) as f32;
+                *share = high.min(cell + 1.0) - low.max(cell);
+            }
+        }
+        for (k, z) in shares[2][..count[2]].iter().enumerate() {
+            for (j, y) in shares[1][..count[1]].iter().enumerate() {
+                let row = self.index([first[0], first[1] + j, first[2] + k]);
+                for (i, x) in shares[0][..count[0]].iter().enumerate() {
+                    self.values[row + i] += x * y * z;
+                    at(row + i);
+                }
+            }
+        }
+    }
+
+    /// One pass (1 2 1) along each axis. Beyond its ends the field goes on as it is there.
+    fn smooth(&mut self) {
+        let [nx, ny, _] = self.count;
+        let mean = |a: f32, b: f32, c: f32| 0.25 * (a + c) + 0.5 * b;
+        self.values.par_chunks_mut(nx).for_each(|row| {
+            let mut before = row[0];
+            for i in 0..nx {
+                let here = row[i];
+                row[i] = mean(before, here, row[(i + 1).min(nx - 1)]);
+                before = here;
+            }
+        });
+        // Along y within each layer, along z between layers, a whole row at a time.
+        let along = |from: &[f32], stride: usize, rows: usize, to: &mut [f32]| {
+            for j in 0..rows {
+                let row = |j: usize| &from[j * stride..][..stride];
+                let (above, here, below) = (row(j.saturating_sub(1)), row(j), row((j + 1).min(rows - 1)));
+                let out = to[j * stride..][..stride].iter_mut();
+                for (((out, a), b), c) in out.zip(above).zip(here).zip(below) {
+                    *out = mean(*a, *b, *c);
+                }
+            }
+        };
+        let mut next = vec![0.0; self.values.len()];
+        let layers = next.par_chunks_mut(nx * ny).zip(self.values.par_chunks(nx * ny));
+        layers.for_each(|(to, from)| along(from, nx, ny, to));
+        let layer = |k: usize| &next[k * nx * ny..][..nx * ny];
+        let last = self.count[2] - 1;
+        self.values.par_chunks_mut(nx * ny).enumerate().for_each(|(k, out)| {
+            let (below, here, above) = (layer(k.saturating_sub(1)), layer(k), layer((k + 1).min(last)));
+            for (((out, a), b), c) in out.iter_mut().zip(below).zip(here).zip(above) {
+                *out = mean(*a, *b, *c);
+            }
+        });
+    }
+
+    /// What hides the sky: the same in cells four times as wide, with air around and the floor below.
+    fn sky(&self, bed: &Bed) -> Field {
+        let coarse = COARSE as f32 * self.cell;
+        let count = self.count.map(|n| n.div_ceil(COARSE) + 2 * SKY_AIR);
+        let mut sky = Self::new(self.min - SKY_AIR as f32 * coarse, coarse, count);
+        let part = 1.0 / (COARSE * COARSE * COARSE) as f32;
+        for (k, layer) in self.values.chunks(self.count[0] * self.count[1]).enumerate() {
+            for (j, row) in layer.chunks(self.count[0]).enumerate() {
+                let first = sky.index([SKY_AIR, SKY_AIR + j / COARSE, SKY_AIR + k / COARSE]);
+                for (i, cells) in row.chunks(COARSE).enumerate() {
+                    sky.values[first + i] += part * cells.iter().map(|v| v.min(1.0)).sum::<f32>();
+                }
+            }
+        }
+        // Behind a wall the ground is taken to go on, so that it is not brighter along its sides, and a floor is solid.
+        let inner = count.map(|n| n - 2 * SKY_AIR);
+        for n in 0..sky.values.len() {
+            let at = [n % count[0], n / count[0] % count[1], n / (count[0] * count[1])];
+            let mut from = at;
+            let mut behind = false;
+            for d in 0..2 {
+                let (low, high) = (at[d] < SKY_AIR, at[d] >= SKY_AIR + inner[d]);
+                if (low && bed.walls[2 * d]) || (high && bed.walls[2 * d + 1]) {
+                    // The last coarse cell may be filled in part only; the one before it is whole.
+                    from[d] = if low { SKY_AIR } else { (SKY_AIR + inner[d]).saturating_sub(2).max(SKY_AIR) };
+                    behind = true;
+                }
+            }
+            if at[2] < SKY_AIR && bed.walls[4] {
+                sky.values[n] = 1.0;
+            } else if behind {
+                sky.values[n] = sky.values[sky.index(from)];
+            }
+        }
+        (0..COARSE_ROUNDS).for_each(|_| sky.smooth());
+        sky
+    }
+}
+
+/// The surface of particles, the finest `spacing` [m] apart, added to a soup: paints are the grounds' numbers from `first_paint` on.
+pub(super) fn surface(dots: &[Dot], bed: &Bed, spacing: f32, first_paint: u16, soup: &mut Soup) -> Sky {
+    let Some((mut field, grounds, walls)) = filled(dots, bed, spacing) else { return Sky(None) };
+    let bed = &Bed { walls, ..*bed };
+    (0..ROUNDS).for_each(|_| field.smooth());
+    let sky = Sky(Some(field.sky(bed)));
+    let mut smoother = Field { values: field.values.clone(), ..field };
+    (0..NORMAL_ROUNDS).for_each(|_| smoother.smooth());
+    nets(&field, &smoother, &grounds, bed, &sky, first_paint, soup);
+    for dot in dots {
+        let place = Vec3::from_array(dot.position);
+        if field.at(place) < ALONE && place.cmpge(bed.min).all() && place.cmple(bed.max).all() {
+            ball(place, 0.6 * dot.side, sky.seen(place, Vec3::Z), first_paint + u16::from(dot.ground), soup);
+        }
+    }
+    sky
+}
+
+/// The share of each cell that particles fill, of what, and the walls that they reach; nothing if there are none.
+fn filled(dots: &[Dot], bed: &Bed, spacing: f32) -> Option<(Field, Vec<u8>, [bool; 5])> {
+    let ends = dots.par_iter().fold(
+        || (Vec3::INFINITY, Vec3::NEG_INFINITY),
+        |(low, high), dot| {
+            let (place, half) = (Vec3::from_array(dot.position), 0.5 * dot.side);
+            (low.min(place - half), high.max(place + half))
+        },
+    );
+    let (low, high) = ends.reduce(|| (Vec3::INFINITY, Vec3::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)));
+    let (low, high) = (low.max(bed.min), high.min(bed.max));
+    if !low.cmplt(high).all() {
+        return None;
+    }
+    let size = high - low;
+    let cell = spacing.max((size.x * size.y * size.z / MOST_NODES).cbrt());
+    // Ground that reaches a wall ends there; else some air is around it.
+    let air = AIR as f32 * cell;
+    let mut min = low - air;
+    let (mut count, mut walls) = ([0; 3], bed.walls);
+    for d in 0..3 {
+        if d == 2 && bed.walls[4] {
+            min[d] = bed.min[d];
+        }
+        let mut end = high[d] + air;
+        if d < 2 {
+            walls[2 * d] &= low[d] - bed.min[d] < 2.0 * cell;
+            walls[2 * d + 1] &= bed.max[d] - high[d] < 2.0 * cell;
+            min[d] = if walls[2 * d] { bed.min[d] } else { min[d] };
+            end = if walls[2 * d + 1] { bed.max[d] } else { end };
+        }
+        count[d] = ((end - min[d]) / cell).round().max(1.0) as usize;
+    }
+    let mut field = Field::new(min, cell, count);
+    let several = dots.iter().any(|dot| dot.ground != 0);
+    let mut grounds = vec![0; if several { field.values.len() } else { 0 }];
+    for dot in dots {
+        let place = Vec3::from_array(dot.position);
+        if several {
+            field.fill(place, dot.side, |node| grounds[node] = dot.ground);
+        } else {
+            field.fill(place, dot.side, |_| ());
+        }
+    }
+    Some((field, grounds, walls))
+}
+
+/// The surface where the field passes one half. Beyond the field there is nothing.
+fn nets(field: &Field, smoother: &Field, grounds: &[u8], bed: &Bed, sky: &Sky, first_paint: u16, soup: &mut Soup) {
+    let [nx, ny, nz] = field.count;
+    // Nodes with a rim of nothing; cells lie between them.
+    let (px, py, pz) = (nx + 2, ny + 2, nz + 2);
+    let rimmed = |field: &Field| {
+        let mut padded = vec![0.0f32; px * py * pz];
+        for (k, layer) in field.values.chunks(nx * ny).enumerate() {
+            for (j, row) in layer.chunks(nx).enumerate() {
+                padded[((k + 1) * py + j + 1) * px + 1..][..nx].copy_from_slice(row);
+            }
+        }
+        padded
+    };
+    let (padded, smoother) = (rimmed(field), rimmed(smoother));
+    let steps = [1, px, px * py];
+    let offset = |corner: usize| (0..3).map(|d| (corner >> d & 1) * steps[d]).sum::<usize>();
+    let offsets: [usize; 8] = std::array::from_fn(offset);
+    let mut numbers = vec![u32::MAX; padded.len()];
+    for k in 0..pz - 1 {
+        for j in 0..py - 1 {
+            let first = (k * py + j) * px;
+            for i in 0..px - 1 {
+                let node = first + i;
+                let values: [f32; 8] = std::array::from_fn(|c| padded[node + offsets[c]]);
+                let inside = values.iter().filter(|&&v| v > HALF).count();
+                if inside == 0 || inside == 8 {
+                    continue;
+                }
+                let place = crossing(&values);
+                let at = field.min + (Vec3::new(i as f32, j as f32, k as f32) + place - 0.5) * field.cell;
+                let normal = -slope(&std::array::from_fn(|c| smoother[node + offsets[c]]), place).normalize_or_zero();
+                let cut = [i == 0, i == nx, j == 0, j == ny].iter().zip(bed.walls).any(|(&end, wall)| end && wall);
+                let seen = if cut && normal.z < 0.5 { CUT_SKY } else { sky.seen(at, normal) };
+                numbers[node] = soup.corner(at, normal, seen);
+            }
+        }
+    }
+    let ground = |place: [usize; 3]| {
+        let inner: [usize; 3] = std::array::from_fn(|d| place[d].clamp(1, field.count[d]) - 1);
+        grounds.get(field.index(inner)).copied().unwrap_or_default()
+    };
+    // A face for each edge between two nodes that is passed: its corners are in the four cells around the edge.
+    for k in 0..pz - 1 {
+        for j in 0..py - 1 {
+            let first = (k * py + j) * px;
+            for i in 0..px - 1 {
+                let node = first + i;
+                let here = padded[node] > HALF;
+                for d in 0..3 {
+                    if here == (padded[node + steps[d]] > HALF) {
+                        continue;
+                    }
+                    // What lies on the floor is not seen from below.
+                    if d == 2 && k == 0 && bed.walls[4] {
+                        continue;
+                    }
+                    let place = [i, j, k];
+                    let (u, v) = ((d + 1) % 3, (d + 2) % 3);
+                    if place[u] == 0 || place[v] == 0 {
+                        continue;
+                    }
+                    let around = [node, node - steps[u], node - steps[u] - steps[v], node - steps[v]];
+                    let [a, b, c, e] = around.map(|cell| numbers[cell]);
+                    let mut within = place;
+                    within[d] += usize::from(!here);
+                    let paint = first_paint + u16::from(ground(within));
+                    soup.triangle([a, b, c], paint);
+                    soup.triangle([a, c, e], paint);
+                }
+            }
+        }
+    }
+}
+
+/// Where in a cell the field passes the share at the surface.
+fn crossing(values: &[f32; 8]) -> Vec3 {
+    let mut sum = Vec3::ZERO;
+    let mut count = 0.0;
+    for d in 0..3 {
+        let (u, v) = ((d + 1) % 3, (d + 2) % 3);
+        for bits in 0..4 {
+            let from = (bits & 1) << u | (bits >> 1) << v;
+            let (a, b) = (values[from], values[from | 1 << d]);
+            if (a > HALF) != (b > HALF) {
+                let mut at = Vec3::ZERO;
+                at[d] = (HALF - a) / (b - a);
+                at[u] = (bits & 1) as f32;
+                at[v] = (bits >> 1) as f32;
+                sum += at;
+                count += 1.0;
+            }
+        }
+    }
+    sum / count
+}
+
+/// The slope of a field in a cell.
+fn slope(values: &[f32; 8], place: Vec3) -> Vec3 {
+    let mut slope = Vec3::ZERO;
+    for (corner, value) in values.iter().enumerate() {
+        let part: [[f32; 2]; 3] =
+            std::array::from_fn(|d| if corner >> d & 1 == 1 { [place[d], 1.0] } else { [1.0 - place[d], -1.0] });
+        slope.x += value * part[0][1] * part[1][0] * part[2][0];
+        slope.y += value * part[0][0] * part[1][1] * part[2][0];
+        slope.z += value * part[0][0] * part[1][0] * part[2][1];
+    }
+    slope
+}
+
+/// An octahedron, round by its normals.
+fn ball(middle: Vec3, radius: f32, sky: f32, paint: u16, soup: &mut Soup) {
+    let axes = [Vec3::X, Vec3::Y, Vec3::NEG_X, Vec3::NEG_Y];
+    let ring = axes.map(|axis| soup.corner(middle + radius * axis, axis, sky));
+    for pole in [Vec3::Z, Vec3::NEG_Z] {
+        let tip = soup.corner(middle + radius * pole, pole, sky);
+        (0..4).for_each(|i| soup.triangle([ring[i], ring[(i + 1) % 4], tip], paint));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SPACING: f32 = 0.01;
+
+    /// Particles on a lattice where `within` says so.
+    fn dots(count: [usize; 3], within: impl Fn(Vec3) -> bool) -> Vec<Dot> {
+        let all = (0..count.iter().product()).map(|n: usize| {
+            let at = [n % count[0], n / count[0] % count[1], n / (count[0] * count[1])];
+            Vec3::from_array(at.map(|i| (i as f32 + 0.5) * SPACING))
+        });
+        all.filter(|&p| within(p))
+            .map(|p| Dot { position: p.to_array(), ground: 0, value: 0.0, side: SPACING })
+            .collect()
+    }
+
+    fn volume(soup: &Soup) -> f32 {
+        let part = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|i| soup.points[i as usize]);
+            // Surface nets leave the winding open; normals say what is outside.
+            let twice = (b - a).cross(c - a);
+            let out = t.iter().map(|&i| soup.normals[i as usize]).sum::<Vec3>();
+            a.dot(twice) * twice.dot(out).signum() / 6.0
+        };
+        soup.triangles.iter().map(part).sum()
+    }
+
+    #[test]
+    fn a_ball_of_particles_is_round_and_keeps_its_volume() {
+        let middle = Vec3::splat(0.2);
+        let dots = dots([40; 3], |p| p.distance(middle) < 0.1);
+        let bed = Bed { min: Vec3::ZERO, max: Vec3::splat(0.4), walls: [false; 5] };
+        let mut soup = Soup::default();
+        surface(&dots, &bed, SPACING, 0, &mut soup);
+        let off = soup.points.iter().map(|p| (p.distance(middle) - 0.1).abs()).fold(0.0, f32::max);
+        assert!(off < 0.7 * SPACING, "the surface is {off} m off");
+        let turned = soup.points.iter().zip(&soup.normals).map(|(p, n)| (*p - middle).normalize().dot(*n));
+        assert!(turned.fold(1.0, f32::min) > 0.93);
+        let share = volume(&soup) / (dots.len() as f32 * SPACING.powi(3));
+        assert!((share - 1.0).abs() < 0.05, "{share} of the volume");
+    }
+
+    #[test]
+    fn a_bed_ends_at_its_walls_and_a_footprint_is_darker() {
+        let print = |p: Vec3| (p.x - 0.3).abs() < 0.04 && (p.y - 0.3).abs() < 0.04;
+        let dots = dots([60, 60, 20], |p| p.z < if print(p) { 0.16 } else { 0.2 });
+        let bed = Bed { min: Vec3::ZERO, max: Vec3::new(0.6, 0.6, 1.0), walls: [true; 5] };
+        let mut soup = Soup::default();
+        let sky = surface(&dots, &bed, SPACING, 3, &mut soup);
+        assert!(soup.paints.iter().all(|&paint| paint == 3));
+        let ends = soup.points.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(a, b), &p| (a.min(p), b.max(p)));
+        assert!(ends.0.truncate().abs_diff_eq(Vec3::ZERO.truncate(), 1e-3), "{ends:?}");
+        assert!(ends.1.abs_diff_eq(Vec3::new(0.6, 0.6, 0.2), 2e-3), "{ends:?}");
+        let [deep, flat, edge] =
+            [[0.3, 0.3, 0.16], [0.1, 0.3, 0.2], [0.01, 0.3, 0.2]].map(|p| sky.seen(Vec3::from_array(p), Vec3::Z));
+        assert!(deep < flat - 0.1, "in the footprint {deep} of the sky, beside it {flat}");
+        assert!((edge - flat).abs() < 0.02, "at the wall {edge}, inside {flat}");
+        assert!((flat - 1.0).abs() < 0.05, "{flat}");
+    }
+
+    #[test]
+    fn single_particles_are_balls() {
+        let bed = Bed { min: Vec3::ZERO, max: Vec3::splat(1.0), walls: [false; 5] };
+        let far = [0.2, 0.8].map(|x| Dot { position: [x, 0.5, 0.5], ground: 1, value: 0.0, side: SPACING });
+        let mut soup = Soup::default();
+        surface(&far, &bed, SPACING, 0, &mut soup);
+        assert_eq!((soup.triangles.len(), soup.paints[0]), (16, 1));
+    }
+}
