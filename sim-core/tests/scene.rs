@@ -160,7 +160,7 @@ const FAULTS: &[(&str, &str, &str, &str, &str)] = &[
         "camera = { follow = \"blades\" }",
         "follow",
         "output.picture.camera.follow",
-        "did you mean 'blade'?",
+        "no tool or robot of this scene is called 'blades'; known are: cube, blade",
     ),
     ("density = 1600.0", "density = 0.0", "density = 0.0", "material[0].density", "must be above 0"),
     (
