@@ -73,8 +73,6 @@ pub(super) const NOTHING: u32 = u32::MAX;
 pub(super) struct Buffer {
     /// Columns.
     pub width: usize,
-    /// Rows.
-    pub height: usize,
     /// How near it is: greater is nearer, 0 where there is nothing.
     pub near: Vec<f32>,
     /// Which triangle it is, or [`NOTHING`].
@@ -85,7 +83,7 @@ impl Buffer {
     /// Draws triangles whose corners are at columns and rows, and so near. Corners behind the camera, where that is not above 0, are
     /// to be clipped before.
     pub(super) fn new(width: usize, height: usize, at: &[Vec3], triangles: &[[u32; 3]]) -> Self {
-        let mut buffer = Self { width, height, near: vec![0.0; width * height], which: vec![NOTHING; width * height] };
+        let mut buffer = Self { width, near: vec![0.0; width * height], which: vec![NOTHING; width * height] };
         let rows = height.div_ceil(2 * rayon::current_num_threads()).max(1);
         let bands = buffer.near.par_chunks_mut(rows * width).zip(buffer.which.par_chunks_mut(rows * width));
         bands.enumerate().for_each(|(band, (near, which))| {
