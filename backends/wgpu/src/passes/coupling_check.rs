@@ -95,7 +95,7 @@ fn check_law(law: &DeviceLaw, is_field: bool) -> Result<(), Refusal> {
     let names: Vec<String> = texts.iter().flat_map(|(_, text)| declared_names(text)).collect();
     let functions = || FUNCTIONS.iter().map(|one| (one, "body")).chain(OF_GROUPS.iter().map(|one| (one, "group")));
     let is_declared = |name: &str| names.iter().any(|own| own == name);
-    for wanted in wanted(law, is_field).into_iter().filter(|name| !is_declared(name)) {
+    if let Some(wanted) = wanted(law, is_field).into_iter().find(|name| !is_declared(name)) {
         let head = functions().find(|(one, _)| one.name == wanted).map(|(one, first)| one.head(first));
         return Err(Refusal {
             what: format!("its WGSL has no function {wanted}"),

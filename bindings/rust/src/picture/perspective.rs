@@ -212,15 +212,17 @@ impl Painter<'_> {
     /// The light that a pixel gets: what its samples see, each thing once.
     fn pixel(&self, column: usize, row: usize, height: usize, seen: &Buffer, at: &[Vec3]) -> Vec3 {
         let first = SAMPLES * (row * seen.width + column);
-        if let ([a, b], [c, d]) = (&seen.which[first..][..2], &seen.which[first + seen.width..][..2]) {
-            if a == b && a == c && a == d {
-                let (x, y) = (column as f32 + 0.5, row as f32 + 0.5);
-                let light = match *a {
-                    NOTHING => self.background(x, y, height),
-                    which => self.triangle(which as usize, SAMPLES as f32 * x, SAMPLES as f32 * y, at),
-                };
-                return light.min(Vec3::splat(1.6));
-            }
+        if let ([a, b], [c, d]) = (&seen.which[first..][..2], &seen.which[first + seen.width..][..2])
+            && a == b
+            && a == c
+            && a == d
+        {
+            let (x, y) = (column as f32 + 0.5, row as f32 + 0.5);
+            let light = match *a {
+                NOTHING => self.background(x, y, height),
+                which => self.triangle(which as usize, SAMPLES as f32 * x, SAMPLES as f32 * y, at),
+            };
+            return light.min(Vec3::splat(1.6));
         }
         let mut things = [(NOTHING, 0.0f32, 0.0f32, 0.0f32); SAMPLES * SAMPLES];
         let mut count = 0;
