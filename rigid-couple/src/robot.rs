@@ -5,7 +5,7 @@
 //! 2. contact points with what is rigid ([`touching`]);
 //! 3. its rates without soft ground: M (v − v₀) = dt (gravity − bias) + joints(v) + Σ Jᵀ contact(v), with motors, stops and dry friction of [`joints`] taken at the rates
 //!    that are solved for;
-//! 4. where soft ground touches it, the contact solution asks for the change of twists that balances ([`Robot::answer`]): the same system and the ground's
+//! 4. where soft ground touches it, the contact solution asks for the change of twists that balances (`Robot::answer`): the same system and the ground's
 //!    6 × 6 matrix of each link;
 //! 5. positions move on with the rates, and the base's rates are corrected so that momentum changes by impulses alone.
 
