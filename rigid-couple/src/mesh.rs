@@ -51,7 +51,7 @@ impl TriangleMesh {
         Ok(mesh)
     }
 
-    /// Reads an OBJ or STL file; `scale` takes the file's unit to metres.
+    /// Reads an OBJ, STL or DAE file; `scale` takes the file's unit to metres.
     ///
     /// # Errors
     /// If the file cannot be read, the scale is not positive, or [`Self::new`] refuses the mesh.

@@ -21,7 +21,7 @@ pub mod urdf;
 pub mod visual;
 
 pub use coupling::Robots;
-pub use model::Model;
+pub use model::RobotModel;
 
 use crate::motion::Pose;
 use barchan_core::contact::{System, Twist};
@@ -62,7 +62,7 @@ pub(crate) struct State {
 /// A robot.
 pub struct Robot {
     pub(crate) name: String,
-    pub(crate) model: Arc<Model>,
+    pub(crate) model: Arc<RobotModel>,
     pub(crate) floating: bool,
     /// Links with mass or a shape: the robot's bodies, by their numbers, the base first.
     pub(crate) solids: Vec<usize>,
@@ -108,7 +108,7 @@ impl Robot {
 
     /// Places, mass matrix and what follows from them, for the state as it is.
     pub(crate) fn at_rest(
-        model: &Model,
+        model: &RobotModel,
         floating: bool,
         solids: &[usize],
         state: &State,

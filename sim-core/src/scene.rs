@@ -635,7 +635,7 @@ pub enum Shape {
         #[serde(default)]
         file: Option<PathBuf>,
     },
-    /// A closed triangle mesh (OBJ or STL).
+    /// A closed triangle mesh (OBJ, STL or DAE).
     Mesh {
         /// The file.
         file: PathBuf,

@@ -598,8 +598,8 @@ fn the_scene_in_the_readme_runs() {
 }
 
 /// Commands of the command line.
-const COMMANDS: [&str; 10] =
-    ["run", "plan", "check", "conform", "plugins", "adapters", "bench", "schema", "completions", "man"];
+const COMMANDS: [&str; 11] =
+    ["run", "plan", "check", "conform", "plugins", "adapters", "robot", "bench", "schema", "completions", "man"];
 
 #[test]
 fn completions_name_every_command() {

@@ -298,7 +298,7 @@ pub use barchan_core::Command;
 #[doc(inline)]
 pub use barchan_core::JointState;
 #[doc(inline)]
-pub use barchan_rigid::robot::Model as RobotModel;
+pub use barchan_rigid::robot::RobotModel;
 
 /// What carries a plan out. `tests/seams/backend` of the repository is one of somebody's own.
 ///

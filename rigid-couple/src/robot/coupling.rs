@@ -1,7 +1,7 @@
 //! The coupling "robots": a scene's robots on soft ground.
 
 use super::joints::{Gains, Order};
-use super::model::{Link, Model};
+use super::model::{Link, RobotModel};
 use super::motion::{self, JointPath};
 use super::touching::{Body, Obstacle, friction_of};
 use super::urdf::Source;
@@ -50,7 +50,7 @@ struct Counts {
     unconverged: u64,
 }
 
-impl Model {
+impl RobotModel {
     /// What a scene's robot is made of; a file is looked for in `folder`.
     ///
     /// # Errors
@@ -92,7 +92,7 @@ impl Robot {
     /// # Errors
     /// If its URDF, joints, motors or motion cannot be used.
     pub fn new(robot: &scene::Robot, scene: &Scene) -> Result<Self, Refusal> {
-        let mut model = Model::of(robot, &scene.folder)?;
+        let mut model = RobotModel::of(robot, &scene.folder)?;
         let mut gains = vec![Gains::default(); model.drives.len()];
         for motor in &robot.motor {
             let mut any = false;

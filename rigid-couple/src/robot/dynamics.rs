@@ -3,7 +3,7 @@
 //! All vectors are along the world's axes. A floating robot's first six rates are the velocity of its base's centre of mass [m/s] and the base's angular velocity
 //! [rad/s]; then, for all robots, come the rates of its drives.
 
-use super::model::{Freedom, Model};
+use super::model::{Freedom, RobotModel};
 use crate::motion::Pose;
 use barchan_core::contact::Twist;
 use glam::{DMat3, DVec3};
@@ -79,12 +79,12 @@ fn six(twist: &Twist) -> [f64; 6] {
 }
 
 /// Number of a robot's rates.
-pub fn rates_of(model: &Model, floating: bool) -> usize {
+pub fn rates_of(model: &RobotModel, floating: bool) -> usize {
     model.drives.len() + if floating { 6 } else { 0 }
 }
 
 /// Where all links are, if the base's frame is at `base` and drives at `positions`.
-pub fn places(model: &Model, floating: bool, base: &Pose, positions: &[f64]) -> Vec<Place> {
+pub fn places(model: &RobotModel, floating: bool, base: &Pose, positions: &[f64]) -> Vec<Place> {
     let first = if floating { 6 } else { 0 };
     let mut places: Vec<Place> = Vec::with_capacity(model.links.len());
     for link in &model.links {
@@ -143,7 +143,7 @@ fn base_columns() -> Vec<Column> {
 }
 
 /// The mass matrix: Σ Jᵀ diag(m, I) J, and armatures on its diagonal.
-pub fn mass_matrix(model: &Model, floating: bool, places: &[Place]) -> DMatrix<f64> {
+pub fn mass_matrix(model: &RobotModel, floating: bool, places: &[Place]) -> DMatrix<f64> {
     let n = rates_of(model, floating);
     let mut matrix = DMatrix::zeros(n, n);
     for (link, place) in model.links.iter().zip(places) {
@@ -159,7 +159,7 @@ pub fn mass_matrix(model: &Model, floating: bool, places: &[Place]) -> DMatrix<f
 }
 
 /// What motion at these rates asks of each rate without any of them changing: Σ Jᵀ (m a, I α + ω × I ω), with a and α the links' accelerations then.
-pub fn bias(model: &Model, floating: bool, places: &[Place], rates: &DVector<f64>) -> DVector<f64> {
+pub fn bias(model: &RobotModel, floating: bool, places: &[Place], rates: &DVector<f64>) -> DVector<f64> {
     let first = if floating { 6 } else { 0 };
     let mut sums = DVector::zeros(rates.len());
     // Twist, and acceleration of the centre of mass and about it.
@@ -200,7 +200,7 @@ pub fn bias(model: &Model, floating: bool, places: &[Place], rates: &DVector<f64
 }
 
 /// What a uniform acceleration g gives each rate: Σ Jᵀ m g.
-pub fn gravity(model: &Model, places: &[Place], g: DVec3, rates: usize) -> DVector<f64> {
+pub fn gravity(model: &RobotModel, places: &[Place], g: DVec3, rates: usize) -> DVector<f64> {
     let mut sums = DVector::zeros(rates);
     for (link, place) in model.links.iter().zip(places) {
         place.add_wrench(link.mass * g, DVec3::ZERO, &mut sums);
@@ -209,7 +209,7 @@ pub fn gravity(model: &Model, places: &[Place], g: DVec3, rates: usize) -> DVect
 }
 
 /// Momentum of all links, linear and angular about `point` [kg m/s, kg m²/s].
-pub fn momentum(model: &Model, places: &[Place], rates: &DVector<f64>, point: DVec3) -> [DVec3; 2] {
+pub fn momentum(model: &RobotModel, places: &[Place], rates: &DVector<f64>, point: DVec3) -> [DVec3; 2] {
     let mut sums = [DVec3::ZERO; 2];
     for (link, place) in model.links.iter().zip(places) {
         if link.mass > 0.0 {

@@ -79,7 +79,7 @@ pub struct Drive {
 
 /// A robot's tree. A parent stands before its links.
 #[derive(Clone, Debug)]
-pub struct Model {
+pub struct RobotModel {
     /// Name in the URDF.
     pub name: String,
     /// Links, the base first.
@@ -90,7 +90,7 @@ pub struct Model {
     pub warnings: Vec<String>,
 }
 
-impl Model {
+impl RobotModel {
     /// Mass of all links [kg].
     pub fn mass(&self) -> f64 {
         self.links.iter().map(|link| link.mass).sum()

@@ -2,7 +2,7 @@
 
 use super::dynamics::places;
 use super::joints::Order;
-use super::model::{Drive, Model};
+use super::model::{Drive, RobotModel};
 use super::reach::{Target, reach};
 use crate::Refusal;
 use crate::motion::{Pose, rotation_from};
@@ -66,7 +66,7 @@ impl JointPath {
     /// If the file cannot be read, a joint is unknown, a position is beyond its limits, or times do not rise.
     pub fn new(
         motion: Option<&JointMotion>,
-        model: &Model,
+        model: &RobotModel,
         base: &Pose,
         start: &[f64],
         folder: &Path,
@@ -116,7 +116,7 @@ impl JointPath {
     }
 
     /// Steps of feet, seen from the base.
-    fn of_gait(gait: &Gait, model: &Model, start: &[f64]) -> Result<Self, Refusal> {
+    fn of_gait(gait: &Gait, model: &RobotModel, start: &[f64]) -> Result<Self, Refusal> {
         let rest = places(model, false, &Pose::IDENTITY, start);
         let mut feet = Vec::new();
         for (name, phase) in &gait.feet {
@@ -147,7 +147,7 @@ impl JointPath {
     }
 
     /// A link's path, straight from place to place and eased at each.
-    fn of_path(path: &LinkPath, model: &Model, base: &Pose, start: &[f64]) -> Result<Self, Refusal> {
+    fn of_path(path: &LinkPath, model: &RobotModel, base: &Pose, start: &[f64]) -> Result<Self, Refusal> {
         let link = find(model, &path.link)?;
         let mut joints = Self { times: Vec::new(), frames: Vec::new(), repeat_from: None };
         let mut positions = start.to_vec();
@@ -210,7 +210,7 @@ impl JointPath {
 const SAMPLES: u32 = 24;
 
 /// The number of a link.
-fn find(model: &Model, name: &str) -> Result<usize, Refusal> {
+fn find(model: &RobotModel, name: &str) -> Result<usize, Refusal> {
     model.link(name).ok_or_else(|| {
         let known: Vec<&str> = model.links.iter().map(|link| link.name.as_str()).collect();
         Refusal::new(format!("there is no link '{name}'"), format!("known are: {}", known.join(", ")))

@@ -1,7 +1,7 @@
 //! Inverse kinematics: joint positions that bring a link's frame to a place, by damped least squares within the joints' limits.
 
 use super::dynamics::places;
-use super::model::Model;
+use super::model::RobotModel;
 use crate::Refusal;
 use crate::motion::Pose;
 use glam::{DQuat, DVec3};
@@ -31,7 +31,7 @@ pub struct Target {
 ///
 /// # Errors
 /// If they are not, with what is missing.
-pub fn reach(model: &Model, base: &Pose, targets: &[Target], positions: &mut [f64]) -> Result<(), Refusal> {
+pub fn reach(model: &RobotModel, base: &Pose, targets: &[Target], positions: &mut [f64]) -> Result<(), Refusal> {
     let mut missing = Vec::new();
     for _ in 0..MOST_STEPS {
         let all = places(model, false, base, positions);

@@ -1,10 +1,10 @@
 //! A robot as a table, for people.
 
-use super::model::{Freedom, Model};
+use super::model::{Freedom, RobotModel};
 use crate::sdf::Primitive;
 use std::fmt;
 
-impl fmt::Display for Model {
+impl fmt::Display for RobotModel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let solid = self.links.iter().filter(|link| link.mass > 0.0).count();
         writeln!(

@@ -3,7 +3,7 @@
 //! Every link stays a body of its own, also behind a fixed joint. What has no meaning for a robot here is left out: transmissions, sensors, Gazebo's
 //! extensions. What cannot be used is refused with the element and its line; of `<visual>` elements, it is a warning (`visual.rs`).
 
-use super::model::{Drive, Freedom, Joint, Link, Model};
+use super::model::{Drive, Freedom, Joint, Link, RobotModel};
 use super::visual::Visual;
 use crate::Refusal;
 use crate::mass::outer;
@@ -36,7 +36,7 @@ pub struct Source<'a> {
     pub mends: bool,
 }
 
-impl Model {
+impl RobotModel {
     /// Reads a robot.
     ///
     /// # Errors
@@ -76,7 +76,7 @@ impl<'a> Reader<'a> {
         Refusal::new(format!("{}:{line}: <{}>{name}: {what}", self.source.file, node.tag_name().name()), mend)
     }
 
-    fn model(mut self) -> Result<Model, Refusal> {
+    fn model(mut self) -> Result<RobotModel, Refusal> {
         let root = self.document.root_element();
         if root.tag_name().name() != "robot" {
             return Err(self.fault(root, "a URDF begins with <robot>", "give a URDF file"));
@@ -117,7 +117,7 @@ impl<'a> Reader<'a> {
         self.grow(base, None, &links, &edges, &mut tree)?;
         self.resolve(&mut tree)?;
         self.check_inertias(&mut tree, &links)?;
-        let model = Model {
+        let model = RobotModel {
             name: root.attribute("name").unwrap_or("robot").to_owned(),
             links: tree.links,
             drives: tree.drives,

@@ -115,17 +115,17 @@ impl<'a> Reader<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Model;
+    use super::super::RobotModel;
     use super::super::urdf::Source;
 
-    fn read(visual: &str) -> Model {
+    fn read(visual: &str) -> RobotModel {
         let text = format!(
             "<robot name='r'><material name='red'><color rgba='1 0 0 1'/></material><link name='a'>
              <inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>{visual}
              <collision><geometry><box size='1 2 3'/></geometry></collision></link></robot>"
         );
         let source = Source { text: &text, file: "r.urdf", folder: std::path::Path::new("."), mends: false };
-        Model::read(&source).unwrap_or_else(|e| panic!("{}", e.what))
+        RobotModel::read(&source).unwrap_or_else(|e| panic!("{}", e.what))
     }
 
     #[test]

@@ -251,7 +251,7 @@ fn obj_and_stl_files_become_the_same_solid() {
     let missing = refusal("[[tool]]\nname = 'duck'\nshape = { mesh = { file = 'no-such-duck.obj' } }");
     assert!(missing.contains("tool[0].shape") && missing.contains("no-such-duck.obj"), "{missing}");
     let unknown = TriangleMesh::read(&folder.path().join("box.blend"), 1.0).unwrap_err();
-    assert!(unknown.what.contains("neither in .obj nor in .stl"), "{unknown:?}");
+    assert!(unknown.what.contains("none of .obj, .stl and .dae"), "{unknown:?}");
 }
 
 #[test]

@@ -198,7 +198,7 @@ impl Shape {
     pub fn plane(normal: Vec3) -> Self {
         Self::Plane { point: [0.0; 3], normal }
     }
-    /// A closed mesh in metres, from a file (OBJ or STL).
+    /// A closed mesh in metres, from a file (OBJ, STL or DAE).
     pub fn mesh(file: impl Into<PathBuf>) -> Self {
         Self::Mesh { file: file.into(), scale: one(), center: [0.0; 3], rotation: no_rotation() }
     }

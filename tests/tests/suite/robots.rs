@@ -4,7 +4,7 @@ use barchan::{BodyState, Command, Coupling, Options, Precision, Scene, Simulatio
 use barchan_rigid::motion::Pose;
 use barchan_rigid::robot::dynamics::{bias, gravity, mass_matrix, momentum, places};
 use barchan_rigid::robot::urdf::Source;
-use barchan_rigid::robot::{Model, Robots};
+use barchan_rigid::robot::{RobotModel, Robots};
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
@@ -29,13 +29,13 @@ fn file_of(urdf: &str) -> PathBuf {
     if ours { root().join(urdf) } else { target.join("robots").join(urdf) }
 }
 
-fn read(urdf: &str) -> Model {
+fn read(urdf: &str) -> RobotModel {
     let file = file_of(urdf);
     let text = std::fs::read_to_string(&file)
         .unwrap_or_else(|e| panic!("{}: {e}; run: bash tests/robots/fetch.sh", file.display()));
     let name = file.display().to_string();
     let source = Source { text: &text, file: &name, folder: file.parent().unwrap(), mends: false };
-    let mut model = Model::read(&source).unwrap_or_else(|e| panic!("{}: {}", e.what, e.mend));
+    let mut model = RobotModel::read(&source).unwrap_or_else(|e| panic!("{}: {}", e.what, e.mend));
     // The truth knows none.
     model.drives.iter_mut().for_each(|drive| drive.armature = 0.0);
     model
@@ -52,7 +52,7 @@ fn pose(value: &Value) -> Pose {
 
 /// A robot of the table, and the order of its joints there.
 struct Known<'a> {
-    model: Model,
+    model: RobotModel,
     floating: bool,
     /// For each of our drives, its number in the table; and among those joints that mimic no other.
     order: Vec<usize>,

@@ -58,7 +58,10 @@ const SOFTS: u32 = 1u;
 const BODIES: u32 = 1u;
 const MATERIALS: u32 = 1u;
 const MODULI: u32 = 1u;
-const FREES: u32 = 1u;
+const GROUPS: u32 = 1u;
+const ANSWERING: u32 = 2u;
+const GROUP_BODIES: u32 = 2u;
+const GROUP_WORDS: u32 = 8u;
 const ROOMS: u32 = 8u;
 const MAX_SLOTS: u32 = 256u;
 const REACH: f32 = 1.5;
@@ -88,7 +91,7 @@ fn number_of(body: u32) -> u32 { return 0u; }
 @group(0) @binding(17) var<storage, read_write> shared_nodes: array<vec4<f32>>;
 @group(0) @binding(18) var<storage, read_write> live: array<vec2<i32>>;
 @group(0) @binding(19) var<storage, read_write> listed: array<u32>;
-@group(0) @binding(20) var<storage, read_write> lent: array<vec4<u32>>;
+@group(0) @binding(20) var<storage, read_write> answering: array<vec4<u32>>;
 @group(0) @binding(21) var<storage, read_write> pairs: array<vec4<f32>>;
 @group(0) @binding(22) var<storage, read_write> watch: array<atomic<u32>>;
 @group(0) @binding(23) var<storage, read_write> old_watch: array<atomic<u32>>;
@@ -140,6 +143,13 @@ fn coupling_friction(body: u32) -> f32 { return 0.0; }
 fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f32>, 2> {
     return array<vec3<f32>, 2>(vec3<f32>(1e30), vec3<f32>(-1e30));
 }
+
+fn coupling_begin(group: u32, thread: u32) {}
+fn coupling_answer(group: u32, tangent: bool, thread: u32) -> bool { return true; }
+fn coupling_balance(group: u32, thread: u32) -> f32 { return 0.0; }
+fn coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32 { return 0.0; }
+fn coupling_feel(group: u32, thread: u32) {}
+fn coupling_advance(group: u32, thread: u32) {}
 
 // Text that is written out: `unrolled.rs`, `laws.rs`.
 fn unrolled_zero() {}

@@ -47,7 +47,7 @@ fn mean_velocity(out: &Path) -> [f64; 3] {
 fn the_registry_given_is_listed_beside_what_comes_with_barchan() {
     let folder = tempfile::tempdir().unwrap();
     let plugins: Value = serde_json::from_str(&succeed(folder.path(), &["plugins", "--json"])).unwrap();
-    assert_eq!(names(&plugins, "couplings"), ["brakes", "current", "dumbbell", "rigid", "rollers"]);
+    assert_eq!(names(&plugins, "couplings"), ["brakes", "current", "dumbbell", "rigid", "robots", "rollers"]);
     assert_eq!(names(&plugins, "backends"), ["cpu", "dust", "wgpu"]);
     assert_eq!(names(&plugins, "tasks"), ["push"]);
     assert!(names(&plugins, "materials").contains(&"sand".to_owned()));
@@ -245,7 +245,7 @@ fn a_library_is_loaded_beside_them() {
     let text = succeed(folder.path(), &["plugins", "--json", "--load", library]);
     let plugins: Value = serde_json::from_str(&text).unwrap();
     assert!(names(&plugins, "materials").contains(&"c_neo_hookean".to_owned()));
-    assert_eq!(names(&plugins, "couplings"), ["brakes", "current", "dumbbell", "rigid", "rollers"]);
+    assert_eq!(names(&plugins, "couplings"), ["brakes", "current", "dumbbell", "rigid", "robots", "rollers"]);
     let law = ["--load", library, "--set", "material.jelly.law=c_neo_hookean"];
     let plan = succeed(folder.path(), &[&["plan", SCENE] as &[&str], &law].concat());
     assert!(plan.contains("c_neo_hookean") && plan.contains("coupling current"), "{plan}");

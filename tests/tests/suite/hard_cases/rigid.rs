@@ -356,7 +356,10 @@ fn b50_bad_meshes_are_refused_and_distance_goes_on_far_away() {
     says(&refusal(&text("box.obj", -1.0)), &["tool[0].shape.mesh.scale", "is -1", "must be above 0"]);
     says(&refusal(&text("inside_out.obj", 1.0)), &["tool[0].shape", "the mesh is inside out", "flip the faces"]);
     says(&refusal(&text("open.obj", 1.0)), &["tool[0].shape", "the mesh is not closed: the edge", "close the hole"]);
-    says(&refusal(&text("absent.obj", 1.0)), &["tool[0].shape", "absent.obj", "give the path of an OBJ or STL file"]);
+    says(
+        &refusal(&text("absent.obj", 1.0)),
+        &["tool[0].shape", "absent.obj", "give the path of an OBJ, STL or DAE file"],
+    );
 
     for scale in [1.0, 0.5, 2.0] {
         let s = simulation(&text("box.obj", scale), Precision::F32);
