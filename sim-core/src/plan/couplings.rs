@@ -50,10 +50,10 @@ pub(super) fn make_couplings(registry: &Registry, scene: &Scene) -> Result<Coupl
         name,
         parameters: &spec.parameters,
     });
-    let has_own = scene.coupling.iter().any(|spec| spec.kind == TOOL_COUPLING);
+    let has_own = |kind: &str| scene.coupling.iter().any(|spec| spec.kind == kind);
     let implied = |path: &str, kind: &'static str| Call { path: path.to_owned(), kind, name: kind, parameters: &none };
-    let tools = (!scene.tool.is_empty() && !has_own).then(|| implied("tool", TOOL_COUPLING));
-    let robots = (!scene.robot.is_empty()).then(|| implied("robot", ROBOT_COUPLING));
+    let tools = (!scene.tool.is_empty() && !has_own(TOOL_COUPLING)).then(|| implied("tool", TOOL_COUPLING));
+    let robots = (!scene.robot.is_empty() && !has_own(ROBOT_COUPLING)).then(|| implied("robot", ROBOT_COUPLING));
     let mut couplings = Couplings::default();
     let mut bodies = BTreeMap::new();
     for call in tools.into_iter().chain(robots).chain(entries) {
@@ -63,7 +63,8 @@ pub(super) fn make_couplings(registry: &Registry, scene: &Scene) -> Result<Coupl
         let path_of_parameters = format!("{path}.parameters");
         let whose = format!("coupling '{kind_name}'");
         let parameters = scene.resolve(whose, &kind.parameters, parameters, &path_of_parameters)?;
-        if kind_name == TOOL_COUPLING && scene.tool.is_empty() {
+        let has_none = [(TOOL_COUPLING, scene.tool.is_empty()), (ROBOT_COUPLING, scene.robot.is_empty())];
+        if has_none.contains(&(kind_name, true)) {
             continue;
         }
         if couplings.planned.iter().any(|planned| planned.name == name) {

@@ -110,10 +110,14 @@ impl Generator {
     /// A generator for what a registry knows.
     pub fn new(registry: &Registry) -> Self {
         let laws = registry.materials().map(|law| (law.name.clone(), law.parameters.clone())).collect();
-        let named = registry.couplings().filter(|(name, _)| *name != barchan::plan::TOOL_COUPLING);
+        let of_scene = [barchan::plan::TOOL_COUPLING, barchan::plan::ROBOT_COUPLING];
+        let named = registry.couplings().filter(|(name, _)| !of_scene.contains(name));
         let couplings = named.map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
         let tasks = registry.tasks().map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
-        Self { schema: Scene::schema(), laws, couplings, tasks }
+        let mut schema = Scene::schema();
+        // Robots name joints and links of their files; they have tests of their own.
+        schema["properties"].as_object_mut().map(|keys| keys.remove("robot"));
+        Self { schema, laws, couplings, tasks }
     }
 
     /// The scene of a seed, as TOML. Not all of them can be run.

@@ -144,9 +144,11 @@ fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f
     return array<vec3<f32>, 2>(vec3<f32>(1e30), vec3<f32>(-1e30));
 }
 
+fn number_in_coupling(body: u32) -> u32 { return body; }
+fn take_up_group(thread: u32) {}
 fn coupling_begin(group: u32, thread: u32) {}
-fn coupling_answer(group: u32, tangent: bool, thread: u32) -> bool { return true; }
-fn coupling_balance(group: u32, thread: u32) -> f32 { return 0.0; }
+fn coupling_answer(group: u32, thread: u32) {}
+fn coupling_balance(group: u32, along: u32, thread: u32) -> f32 { return 0.0; }
 fn coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32 { return 0.0; }
 fn coupling_feel(group: u32, thread: u32) {}
 fn coupling_advance(group: u32, thread: u32) {}
