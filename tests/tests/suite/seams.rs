@@ -42,7 +42,7 @@ fn unknown_names_are_answered_with_the_known_ones() {
     println!("{error}");
     assert!(
         error.contains(
-            "coupling[0].kind: no coupling is called 'magnet'; known are: brakes, current, dumbbell, rigid, rollers"
+            "coupling[0].kind: no coupling is called 'magnet'; known are: brakes, current, dumbbell, rigid, robots, rollers"
         ),
         "{error}"
     );
