@@ -280,14 +280,15 @@ pub use barchan_core::Command;
 /// A robot: what its URDF says, and how its joints are. Targets come in the order of [`Simulation::joints`].
 ///
 /// ```
-/// use barchan::scene::Robot;
-/// use barchan::{Command, JointState, Options, RobotModel, Simulation};
+/// use barchan::scene::{Robot, World};
+/// use barchan::{Command, JointState, Options, RobotModel, Scene, Simulation};
 ///
-/// let dog = Robot::built_in("dog", "quadruped").at([0.2, 0.2, 0.35]).with_motors(100.0, 3.0);
+/// let dog = Robot::built_in("dog", "quadruped").at([0.0, 0.0, 1.0]).with_motors(100.0, 3.0);
 /// let model = RobotModel::of(&dog, std::path::Path::new("")).unwrap();
 /// assert_eq!((model.drives.len(), model.mass().round()), (12, 15.0));
 ///
-/// let scene = barchan::example().with(dog);
+/// let mut scene = Scene::new("fall", World::new(0.1, [-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]), 0.1).with(dog);
+/// scene.time.step = Some(1e-3);
 /// let mut simulation = Simulation::new(&barchan::registry(), &scene, &Options::default())?;
 /// simulation.act("dog", &Command::JointTargets(vec![0.0, 0.8, -1.6].repeat(4)))?;
 /// simulation.step()?;
