@@ -148,7 +148,7 @@ impl Robot {
             })
             .collect();
         let bodies = shapes.iter().map(|shape| shape.map(Body::new)).collect();
-        let mut obstacles = Obstacle::walls(&scene.world);
+        let mut obstacles = Obstacle::walls(&scene.world, base.position);
         for (i, tool) in scene.tool.iter().enumerate().filter(|(_, tool)| matches!(tool.motion, Motion::Fixed)) {
             let shape = Sdf::from_shape(&tool.shape, &scene.folder, &format!("tool[{i}].shape"))
                 .map_err(|e| Refusal::new(e.to_string(), "mend the tool"))?;

@@ -54,12 +54,15 @@ impl Body {
 }
 
 impl Obstacle {
-    /// The world's walls.
-    pub fn walls(world: &World) -> Vec<Self> {
+    /// The world's walls for a robot whose base starts there: one that stands behind a wall, such as an arm beside a box of sand, reaches over it.
+    pub fn walls(world: &World, base: DVec3) -> Vec<Self> {
         let mut walls = Vec::new();
         for axis in 0..3 {
             let ends = [(world.min[axis], 1.0), (world.max[axis], -1.0)];
             for (wall, (place, inwards)) in world.walls.pair(axis).into_iter().zip(ends) {
+                if inwards * (base[axis] - place) < 0.0 {
+                    continue;
+                }
                 let friction = match wall {
                     Wall::Open | Wall::Periodic => continue,
                     Wall::Slip => 0.0,

@@ -590,3 +590,16 @@ fn robots_of_others_stand_on_a_floor() {
         assert!(upright > 0.99 && sunk.abs() < 0.05 && speed < 0.15, "{name}: {upright}, {sunk} m, {speed} m/s");
     }
 }
+
+/// Symptom: an arm beside a box of sand was thrown by the box's wall, behind which it stands.
+#[test]
+fn an_arm_that_stands_behind_a_wall_reaches_over_it() {
+    let text = "name = \"box\"\nworld = { cell = 0.02, min = [0.2, -0.2, 0], max = [0.7, 0.2, 0.4], walls = { x_min = \"slip\", x_max = \"slip\", y_min = \"slip\", y_max = \"slip\", z_min = \"stick\" } }\ntime = { end = 1 }\n[[robot]]\nname = \"arm\"\nmodel = \"arm-rod\"\nfixed = true\nposition = [0, 0, 0.1]\nmotor = [{ kp = 3000, kd = 150 }]\nmotion = { path = { link = \"rod\", frames = [{ time = 0, position = [0.4, 0, 0.2], rotation = [0, 1, 0, 0] }] } }";
+    let mut arm = Robots::new(&Scene::from_str(text, "box.toml", root()).unwrap()).unwrap();
+    (0..500).for_each(|step| moved(&mut arm, 1e-3 * f64::from(step), 1e-3));
+    let rod = arm.bodies().into_iter().find(|body| body.name == "arm/rod").unwrap();
+    // The rod's middle hangs above its tip; what is left is sag under its weight.
+    let off = (rod.position[0] - 0.4).hypot(rod.position[1]);
+    println!("the rod is {off:.4} m off (0.02), at {:.3} m/s", DVec3::from_array(rod.velocity).length());
+    assert!(off < 0.02 && DVec3::from_array(rod.velocity).length() < 1e-3, "{rod:?}");
+}
