@@ -4,7 +4,7 @@ use crate::Refusal;
 use crate::grip::{self, REACH};
 use crate::mass::Filling;
 use crate::motion::{KeyframePath, Pose, rotation_from};
-use crate::sdf::{Primitive, Sdf};
+use crate::sdf::{self, Primitive, Sdf};
 use crate::surface::{mesh_of, placed, planes_of};
 use crate::world::{RigidWorld, Role};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
@@ -207,8 +207,7 @@ impl Body {
                 Mover::Free { mass: *mass, inertia, inverse_inertia: inertia.inverse() }
             }
         };
-        let bounds = shape.bounds(&Pose::IDENTITY, 0.0);
-        let extent = DVec3::from_array(bounds.min).abs().max(DVec3::from_array(bounds.max).abs()).length();
+        let extent = shape.extent();
         let state = State { pose, twist: command, command, angular_momentum };
         Ok(Self {
             name: tool.name.clone(),
@@ -720,14 +719,8 @@ impl Coupling for Rigid {
     }
 
     fn distance(&self, points: &[Vec3]) -> Vec<f64> {
-        let nearest = |x: &Vec3| {
-            let distances = self.bodies.iter().map(|body| {
-                let arm = DVec3::from_array(*x) - body.state.pose.position;
-                body.shape.surface(body.state.pose.rotation.conjugate() * arm).distance
-            });
-            distances.fold(f64::INFINITY, f64::min)
-        };
-        points.iter().map(nearest).collect()
+        let shapes: Vec<_> = self.bodies.iter().map(|body| (&body.shape, body.state.pose)).collect();
+        sdf::distances(&shapes, points)
     }
 
     fn surfaces(&self) -> Vec<Surface> {

@@ -331,10 +331,9 @@ impl Robot {
         });
         if self.floating {
             let twist = base.twist(rates);
-            let at_frame = Twist { linear: twist.linear, angular: twist.angular };
             // The centre of mass moves straight, the frame around it.
             let centre = base.centre + dt * twist.linear;
-            let turned = self.state.base.advanced(&at_frame, dt).rotation;
+            let turned = self.state.base.advanced(&twist, dt).rotation;
             let arm = turned * self.model.links[0].centre;
             self.state.base = Pose { position: centre - arm, rotation: turned };
         }

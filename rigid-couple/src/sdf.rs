@@ -7,9 +7,9 @@
 use crate::Refusal;
 use crate::mesh::{DistanceGrid, TriangleMesh};
 use crate::motion::{Pose, rotation_from};
-use barchan_core::Result;
 use barchan_core::coupling::Aabb;
 use barchan_core::scene::Shape;
+use barchan_core::{Result, Vec3};
 use glam::{DMat3, DVec3};
 use std::path::Path;
 use std::sync::Arc;
@@ -356,6 +356,12 @@ impl Sdf {
         boxes.reduce(|a, b| a.union(&b)).expect("a shape without parts is refused when it is made")
     }
 
+    /// Greatest distance of a point of the shape's box from its origin [m].
+    pub fn extent(&self) -> f64 {
+        let bounds = self.bounds(&Pose::IDENTITY, 0.0);
+        DVec3::from_array(bounds.min).abs().max(DVec3::from_array(bounds.max).abs()).length()
+    }
+
     /// Half the thickness of the thinnest part [m].
     pub fn half_thickness(&self) -> f64 {
         self.parts.iter().fold(f64::INFINITY, |t, part| t.min(part.half_thickness))
@@ -369,6 +375,17 @@ impl Sdf {
         }
         self
     }
+}
+
+/// Distance of each point to the nearest of some shapes, each at a pose [m]; infinite if there is none.
+pub(crate) fn distances(shapes: &[(&Sdf, Pose)], points: &[Vec3]) -> Vec<f64> {
+    let nearest = |x: &Vec3| {
+        let distances = shapes.iter().map(|(shape, pose)| {
+            shape.surface(pose.rotation.conjugate() * (DVec3::from_array(*x) - pose.position)).distance
+        });
+        distances.fold(f64::INFINITY, f64::min)
+    };
+    points.iter().map(nearest).collect()
 }
 
 impl Part {

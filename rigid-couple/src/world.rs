@@ -78,19 +78,8 @@ impl RigidWorld {
         parameters.normalized_max_linear_velocity = f64::MAX;
         // Steps are short against any body, and the clamp of continuous detection would change a free flight.
         parameters.max_ccd_substeps = 0;
-        let w = &world.walls;
-        for (axis, walls) in [[w.x_min, w.x_max], [w.y_min, w.y_max], [w.z_min, w.z_max]].into_iter().enumerate() {
-            for (wall, point, inwards) in [(walls[0], world.min, 1.0), (walls[1], world.max, -1.0)] {
-                let friction = match wall {
-                    Wall::Open | Wall::Periodic => continue,
-                    Wall::Slip => 0.0,
-                    Wall::Stick => 1.0,
-                    Wall::Separate { friction } => friction,
-                };
-                let normal = DVec3::AXES[axis] * inwards;
-                let place = RapierPose::from_translation(DVec3::AXES[axis] * point[axis]);
-                physics.colliders.insert(collider(SharedShape::halfspace(normal), place, friction, 0.0));
-            }
+        for wall in solid_walls(world) {
+            physics.colliders.insert(collider(wall.shape(), wall.pose(), wall.friction, 0.0));
         }
         Self { physics, handles: Vec::new() }
     }
@@ -111,11 +100,7 @@ impl RigidWorld {
             body = body.additional_mass_properties(MassProperties::with_inertia_matrix(DVec3::ZERO, mass, inertia));
         }
         let handle = self.physics.bodies.insert(body);
-        let friction = match contact {
-            Contact::Coulomb { friction } => friction,
-            Contact::Slip => 0.0,
-            Contact::Stick => 1.0,
-        };
+        let friction = friction_of(contact);
         for part in shape.parts() {
             let (shape, place) = solid(part, matches!(role, Role::Free { .. }));
             let collider = collider(shape, place, friction, restitution);
@@ -273,6 +258,56 @@ impl RigidWorld {
         let body = &self.physics.bodies[self.handles[body]];
         let pose = Pose { position: body.translation(), rotation: *body.rotation() };
         (pose, Twist { linear: body.linvel(), angular: body.angvel() })
+    }
+}
+
+/// A wall as rigid things meet it.
+pub(crate) struct SolidWall {
+    /// Across which axis it stands, and where along it [m].
+    pub axis: usize,
+    pub place: f64,
+    /// 1 where the world lies above it, -1 below.
+    pub inwards: f64,
+    /// Its coefficient of friction.
+    pub friction: f64,
+}
+
+impl SolidWall {
+    /// The half space behind it, about its place.
+    pub(crate) fn shape(&self) -> SharedShape {
+        SharedShape::halfspace(DVec3::AXES[self.axis] * self.inwards)
+    }
+
+    /// Where that stands.
+    pub(crate) fn pose(&self) -> RapierPose {
+        RapierPose::from_translation(DVec3::AXES[self.axis] * self.place)
+    }
+}
+
+/// The world's walls that nothing passes.
+pub(crate) fn solid_walls(world: &World) -> Vec<SolidWall> {
+    let mut walls = Vec::new();
+    for axis in 0..3 {
+        let ends = [(world.min[axis], 1.0), (world.max[axis], -1.0)];
+        for (wall, (place, inwards)) in world.walls.pair(axis).into_iter().zip(ends) {
+            let friction = match wall {
+                Wall::Open | Wall::Periodic => continue,
+                Wall::Slip => 0.0,
+                Wall::Stick => 1.0,
+                Wall::Separate { friction } => friction,
+            };
+            walls.push(SolidWall { axis, place, inwards, friction });
+        }
+    }
+    walls
+}
+
+/// Coefficient of friction of a contact law on rigid things.
+pub(crate) fn friction_of(contact: Contact) -> f64 {
+    match contact {
+        Contact::Coulomb { friction } => friction,
+        Contact::Slip => 0.0,
+        Contact::Stick => 1.0,
     }
 }
 

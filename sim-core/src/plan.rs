@@ -36,6 +36,8 @@ use std::sync::Arc;
 pub const TOOL_COUPLING: &str = "rigid";
 /// The coupling that moves a scene's robots.
 pub const ROBOT_COUPLING: &str = "robots";
+/// The couplings that a scene's own entries make, without a `[[coupling]]`.
+pub const SCENE_COUPLINGS: [&str; 2] = [TOOL_COUPLING, ROBOT_COUPLING];
 /// Ground slower than this part of sqrt(g h) is at rest: at 1 cm, 3e-5 m/s.
 const SLOW: f64 = 1e-4;
 

@@ -7,7 +7,7 @@ pub use resume::State;
 
 use crate::backend::{Bound, Timing, WorldStep};
 use crate::parameter::{Giver, Parameters, Table};
-use crate::plan::{ROBOT_COUPLING, TOOL_COUPLING, cut, tighten, wanted_step};
+use crate::plan::{SCENE_COUPLINGS, cut, tighten, wanted_step};
 use crate::scene::OverBound;
 use crate::{
     Aabb, Backend, BodyState, Command, Coupling, Engine, Error, Fields, JointState, Ledger, ParticleState, Plan,
@@ -370,7 +370,7 @@ impl Simulation {
                 }
             }
             for (name, count) in coupling.counts() {
-                match [TOOL_COUPLING, ROBOT_COUPLING].contains(&planned.kind.as_str()) {
+                match SCENE_COUPLINGS.contains(&planned.kind.as_str()) {
                     true => ledger.count(&name, count),
                     false => ledger.count(&format!("{}: {name}", planned.name), count),
                 }

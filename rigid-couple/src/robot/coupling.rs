@@ -3,14 +3,15 @@
 use super::joints::{Gains, Order};
 use super::model::{Link, RobotModel};
 use super::motion::{self, JointPath};
-use super::touching::{Body, Obstacle, friction_of};
+use super::touching::{Body, Obstacle};
 use super::urdf::Source;
 use super::visual::Visual;
 use super::{Robot, State, dynamics};
 use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
 use crate::surface::placed;
-use crate::{Refusal, Sdf};
+use crate::world::friction_of;
+use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, Group};
 use barchan_core::plan::ROBOT_COUPLING;
@@ -138,15 +139,7 @@ impl Robot {
             Refusal::new("some joint moves no link with mass or shape", "give the links that hang on it an <inertial>")
         })?;
         let shapes: Vec<Option<&Sdf>> = solids.iter().map(|&link| model.links[link].shape.as_ref()).collect();
-        let extents = shapes
-            .iter()
-            .map(|shape| {
-                shape.map_or(0.0, |shape| {
-                    let bounds = shape.bounds(&Pose::IDENTITY, 0.0);
-                    DVec3::from_array(bounds.min).abs().max(DVec3::from_array(bounds.max).abs()).length()
-                })
-            })
-            .collect();
+        let extents = shapes.iter().map(|shape| shape.map_or(0.0, Sdf::extent)).collect();
         let bodies = shapes.iter().map(|shape| shape.map(Body::new)).collect();
         let mut obstacles = Obstacle::walls(&scene.world, base.position);
         for (i, tool) in scene.tool.iter().enumerate().filter(|(_, tool)| matches!(tool.motion, Motion::Fixed)) {
@@ -427,13 +420,7 @@ impl Coupling for Robots {
             .all()
             .filter_map(|(robot, body)| Some((robot.model.links[robot.solids[body]].shape.as_ref()?, robot.pose(body))))
             .collect();
-        let nearest = |x: &Vec3| {
-            let distances = shapes.iter().map(|(shape, pose)| {
-                shape.surface(pose.rotation.conjugate() * (DVec3::from_array(*x) - pose.position)).distance
-            });
-            distances.fold(f64::INFINITY, f64::min)
-        };
-        points.iter().map(nearest).collect()
+        sdf::distances(&shapes, points)
     }
 
     fn surfaces(&self) -> Vec<Surface> {

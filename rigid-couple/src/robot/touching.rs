@@ -5,11 +5,11 @@
 
 use crate::motion::Pose;
 use crate::sdf::Sdf;
-use crate::world::solid;
+use crate::world::{SolidWall, friction_of, solid, solid_walls};
 use barchan_core::NodeBatch;
 use barchan_core::contact::{Grip, Touch};
 use barchan_core::coupling::Aabb;
-use barchan_core::scene::{Contact, Wall, World};
+use barchan_core::scene::{Contact, World};
 use glam::DVec3;
 use parry3d_f64::math::Pose as ParryPose;
 use parry3d_f64::query::{ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
@@ -37,15 +37,6 @@ fn to_parry(pose: &Pose) -> ParryPose {
     ParryPose::from_parts(pose.position, pose.rotation)
 }
 
-/// Coefficient of friction of a contact law on rigid things.
-pub fn friction_of(contact: Contact) -> f64 {
-    match contact {
-        Contact::Coulomb { friction } => friction,
-        Contact::Slip => 0.0,
-        Contact::Stick => 1.0,
-    }
-}
-
 impl Body {
     /// Of a shape.
     pub fn new(shape: &Sdf) -> Self {
@@ -56,31 +47,14 @@ impl Body {
 impl Obstacle {
     /// The world's walls for a robot whose base starts there: one that stands behind a wall, such as an arm beside a box of sand, reaches over it.
     pub fn walls(world: &World, base: DVec3) -> Vec<Self> {
-        let mut walls = Vec::new();
-        for axis in 0..3 {
-            let ends = [(world.min[axis], 1.0), (world.max[axis], -1.0)];
-            for (wall, (place, inwards)) in world.walls.pair(axis).into_iter().zip(ends) {
-                if inwards * (base[axis] - place) < 0.0 {
-                    continue;
-                }
-                let friction = match wall {
-                    Wall::Open | Wall::Periodic => continue,
-                    Wall::Slip => 0.0,
-                    Wall::Stick => 1.0,
-                    Wall::Separate { friction } => friction,
-                };
-                let shape = SharedShape::halfspace(DVec3::AXES[axis] * inwards);
-                let place_of = ParryPose::from_translation(DVec3::AXES[axis] * place);
-                let mut bounds = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
-                if inwards > 0.0 {
-                    bounds.max[axis] = place
-                } else {
-                    bounds.min[axis] = place
-                }
-                walls.push(Self { parts: vec![(shape, place_of)], bounds, friction });
-            }
-        }
-        walls
+        let before = |wall: &SolidWall| wall.inwards * (base[wall.axis] - wall.place) >= 0.0;
+        let obstacle = |wall: SolidWall| {
+            let mut bounds = Aabb::UNBOUND;
+            let end = if wall.inwards > 0.0 { &mut bounds.max } else { &mut bounds.min };
+            end[wall.axis] = wall.place;
+            Self { parts: vec![(wall.shape(), wall.pose())], bounds, friction: wall.friction }
+        };
+        solid_walls(world).into_iter().filter(before).map(obstacle).collect()
     }
 
     /// A fixed tool.

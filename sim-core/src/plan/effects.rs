@@ -1,6 +1,6 @@
 //! Which effects a scene calls for, and why.
 
-use super::{Effect, Plan, PlannedCoupling, ROBOT_COUPLING, TOOL_COUPLING};
+use super::{Effect, Plan, PlannedCoupling, SCENE_COUPLINGS, TOOL_COUPLING};
 use crate::levels::{Agent, TILE};
 use crate::scene::{Export, Leaving, Motion, PictureView, Wall, plain};
 
@@ -169,8 +169,9 @@ impl Plan {
                 "contact on nodes near its links; its joints solved in every step".to_owned(),
             );
         }
-        let own = [TOOL_COUPLING, ROBOT_COUPLING];
-        for PlannedCoupling { kind, name } in self.couplings.iter().filter(|one| !own.contains(&one.kind.as_str())) {
+        for PlannedCoupling { kind, name } in
+            self.couplings.iter().filter(|one| !SCENE_COUPLINGS.contains(&one.kind.as_str()))
+        {
             add(
                 format!("coupling {name}"),
                 format!("coupling.kind = \"{kind}\""),

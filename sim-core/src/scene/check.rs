@@ -1,6 +1,9 @@
 //! What a scene must satisfy beyond types, and what the user should be warned of.
 
-use super::{Body, Camera, Contact, Motion, PictureView, Placed, Robot, Scene, Shape, Tool, Wall, Walls};
+mod camera;
+mod robot;
+
+use super::{Body, Contact, Motion, Placed, Scene, Shape, Tool, Wall, Walls};
 use crate::coupling::Aabb;
 use crate::levels::NESTING;
 use crate::{Error, Result, Vec3};
@@ -180,6 +183,10 @@ impl Scene {
 
     fn not_negative(&self, path: &str, value: f64) -> Result<()> {
         self.require(value >= 0.0, path, format!("is {value}"), "must be 0 or above")
+    }
+
+    fn rises(&self, path: &str, before: f64, time: f64) -> Result<()> {
+        self.require(time > before, path, format!("is {time}, the one before is at {before}"), "times must rise")
     }
 
     fn check_names(&self) -> Result<()> {
@@ -490,53 +497,6 @@ impl Scene {
         picture.camera.as_ref().map_or(Ok(()), |camera| self.check_camera(camera))
     }
 
-    fn check_camera(&self, camera: &Camera) -> Result<()> {
-        let path = "output.picture.camera";
-        self.require(
-            self.picture_view() == PictureView::Perspective,
-            path,
-            "is given, and output.picture.view is \"top\"",
-            "leave one of them out: from the top all of the scene is seen, without a camera",
-        )?;
-        for (key, place) in [("position", camera.position), ("target", camera.target)] {
-            let place = place.unwrap_or_default();
-            self.require(
-                place.iter().all(|x| x.is_finite()),
-                &format!("{path}.{key}"),
-                format!("is {place:?}"),
-                "must be three finite numbers",
-            )?;
-        }
-        if let (Some(position), Some(target)) = (camera.position, camera.target) {
-            let apart = (0..3).map(|d| (position[d] - target[d]).abs()).fold(0.0, f64::max);
-            self.require(
-                apart > 1e-3 * self.world.cell,
-                &format!("{path}.target"),
-                format!("is {target:?}, where the camera stands"),
-                "must be another place than camera.position",
-            )?;
-        }
-        self.require(
-            (1.0..=150.0).contains(&camera.fov_deg),
-            &format!("{path}.fov_deg"),
-            format!("is {}", camera.fov_deg),
-            "must be from 1 to 150",
-        )?;
-        let Some(name) = &camera.follow else { return Ok(()) };
-        let robot = name.split('/').next().unwrap_or_default();
-        let names = self.tool.iter().map(|tool| &tool.name).chain(self.robot.iter().map(|robot| &robot.name));
-        // Bodies of other couplings have names that are not known before they are made.
-        if !self.coupling.is_empty() || names.clone().any(|known| known == name || known == robot) {
-            return Ok(());
-        }
-        Err(Error::Unknown {
-            path: self.place(&format!("{path}.follow")),
-            kind: "tool or robot of this scene",
-            name: name.clone(),
-            known: names.cloned().collect(),
-        })
-    }
-
     fn check_body(&self, path: &str, body: &Body) -> Result<()> {
         if !self.material.iter().any(|m| m.name == body.material) {
             return Err(Error::Unknown {
@@ -772,12 +732,7 @@ impl Scene {
                 self.require(!frames.is_empty(), &path, "is empty", "give at least one keyframe")?;
                 for (i, frame) in frames.iter().enumerate() {
                     let before = if i == 0 { f64::NEG_INFINITY } else { frames[i - 1].time };
-                    self.require(
-                        frame.time > before,
-                        &format!("{path}[{i}].time"),
-                        format!("is {}, the one before is at {before}", frame.time),
-                        "times must rise",
-                    )?;
+                    self.rises(&format!("{path}[{i}].time"), before, frame.time)?;
                     if let Some(rotation) = &frame.rotation {
                         self.check_rotation(&format!("{path}[{i}].rotation"), rotation)?;
                     }
@@ -804,65 +759,6 @@ impl Scene {
     }
 
     /// A tool must reach into the world at its start or, if it has them, at some keyframe.
-    fn check_robot(&self, path: &str, robot: &Robot) -> Result<()> {
-        let name = format!("{path}.name");
-        self.require(
-            !robot.name.contains('/'),
-            &name,
-            format!("is '{}'", robot.name),
-            "leave out slashes: links are called robot/link",
-        )?;
-        let taken = self.tool.iter().any(|tool| tool.name == robot.name);
-        self.require(!taken, &name, format!("'{}' is a tool's name, too", robot.name), "rename one of them")?;
-        let one = robot.urdf.is_some() != robot.model.is_some();
-        self.require(one, path, "needs a URDF file or a built-in model", "give either urdf or model")?;
-        self.check_rotation(&format!("{path}.rotation"), &robot.rotation)?;
-        if let Contact::Coulomb { friction } = robot.contact {
-            self.not_negative(&format!("{path}.contact.coulomb.friction"), friction)?;
-        }
-        for (i, motor) in robot.motor.iter().enumerate() {
-            for (key, value) in
-                [("kp", motor.kp), ("kd", motor.kd), ("effort", motor.effort), ("armature", motor.armature)]
-            {
-                self.not_negative(&format!("{path}.motor[{i}].{key}"), value.unwrap_or(0.0))?;
-            }
-        }
-        let Some(motion) = &robot.motion else { return Ok(()) };
-        let frames = format!("{path}.motion.frames");
-        let given = [motion.file.is_some(), !motion.frames.is_empty(), motion.gait.is_some(), motion.path.is_some()];
-        let one = given.into_iter().filter(|given| *given).count() == 1;
-        self.require(one, &format!("{path}.motion"), "has to say one way", "give one of frames, file, gait and path")?;
-        if let Some(gait) = &motion.gait {
-            let path = format!("{path}.motion.gait");
-            self.positive(&format!("{path}.period"), gait.period)?;
-            self.not_negative(&format!("{path}.lift"), gait.lift)?;
-            let share = gait.stance > 0.0 && gait.stance < 1.0;
-            self.require(share, &format!("{path}.stance"), format!("is {}", gait.stance), "must be between 0 and 1")?;
-            self.require(!gait.feet.is_empty(), &format!("{path}.feet"), "is empty", "name the links that step")?;
-        }
-        if let Some(link) = &motion.path {
-            let path = format!("{path}.motion.path");
-            self.require(robot.fixed, &path, "needs a base that stays", "set fixed = true for the robot")?;
-            self.require(!link.frames.is_empty(), &format!("{path}.frames"), "is empty", "give at least one place")?;
-            for (i, pair) in link.frames.windows(2).enumerate() {
-                let [before, time] = [pair[0].time, pair[1].time];
-                let at = format!("{path}.frames[{}].time", i + 1);
-                self.require(
-                    time > before,
-                    &at,
-                    format!("is {time}, the one before is at {before}"),
-                    "times must rise",
-                )?;
-            }
-        }
-        for (i, pair) in motion.frames.windows(2).enumerate() {
-            let [before, time] = [pair[0].time, pair[1].time];
-            let at = format!("{frames}[{}].time", i + 1);
-            self.require(time > before, &at, format!("is {time}, the one before is at {before}"), "times must rise")?;
-        }
-        Ok(())
-    }
-
     fn check_tool_place(&self, path: &str, tool: &Tool) -> Result<()> {
         let Some(bounds) = tool.shape.bounds() else { return Ok(()) };
         let (key, poses) = match &tool.motion {

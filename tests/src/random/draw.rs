@@ -110,7 +110,7 @@ impl Generator {
     /// A generator for what a registry knows.
     pub fn new(registry: &Registry) -> Self {
         let laws = registry.materials().map(|law| (law.name.clone(), law.parameters.clone())).collect();
-        let of_scene = [barchan::plan::TOOL_COUPLING, barchan::plan::ROBOT_COUPLING];
+        let of_scene = barchan::plan::SCENE_COUPLINGS;
         let named = registry.couplings().filter(|(name, _)| !of_scene.contains(name));
         let couplings = named.map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
         let tasks = registry.tasks().map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();

@@ -281,6 +281,7 @@ impl Observer for Trace {
     ) -> Result<()> {
         let files = &mut *self.files.borrow_mut();
         let mut lines = String::new();
+        let joints = simulation.joints();
         for (i, StepReport { dt, bodies, wrenches, .. }) in reports.iter().enumerate() {
             (time, step) = (time + dt, step + 1);
             let is_last = i + 1 == reports.len();
@@ -293,7 +294,7 @@ impl Observer for Trace {
                 lines.push_str(&row(body, wrench));
             }
             // Joints take part in every step on the host, so that there is none between.
-            for joint in simulation.joints() {
+            for joint in &joints {
                 let JointState { position, rate, torque, .. } = joint;
                 lines += &if is_last { format!(",{position},{rate},{torque}") } else { ",,,".to_owned() };
             }
