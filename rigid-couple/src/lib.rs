@@ -22,6 +22,7 @@ pub mod rigid;
 pub mod robot;
 pub mod sdf;
 mod surface;
+mod tables;
 pub mod world;
 
 pub use mesh::MeshSolid;

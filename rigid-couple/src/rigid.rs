@@ -4,8 +4,9 @@ use crate::Refusal;
 use crate::grip::{self, REACH};
 use crate::mass::Filling;
 use crate::motion::{KeyframePath, Pose, rotation_from};
-use crate::sdf::{self, Primitive, Sdf};
+use crate::sdf::{self, Sdf};
 use crate::surface::{mesh_of, placed, planes_of};
+use crate::tables::{Listed, Tables, rows};
 use crate::world::{RigidWorld, Role};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
@@ -33,31 +34,6 @@ const CLEARANCE: f64 = 2.0 * MOST_MOVE;
 const LOOK_AHEAD: f64 = 0.01;
 /// Words of a free body's state on a device: velocity and angular momentum; see `free.wgsl`.
 const FREE_WORDS: usize = 2;
-/// Where nothing is sampled, devices should not carry the text of `sampled.wgsl`.
-const NO_SAMPLES: &str = "
-fn rigid_mesh(first: u32, x: vec3<f32>) -> RigidSurface { return RigidSurface(1e30, vec3<f32>(0.0), false); }
-fn rigid_heights(first: u32, half: vec3<f32>, x: vec3<f32>) -> RigidSurface { return RigidSurface(1e30, vec3<f32>(0.0), false); }
-";
-
-/// What is sampled of shapes, each shape once: links of a robot often have the same.
-#[derive(Default)]
-struct Samples {
-    all: Vec<[f32; 4]>,
-    of_shapes: Vec<Range<usize>>,
-}
-
-impl Samples {
-    /// Where a shape's samples begin.
-    fn add(&mut self, samples: Vec<[f32; 4]>) -> usize {
-        let known = self.of_shapes.iter().find(|range| self.all[range.start..range.end] == samples);
-        known.map(|range| range.start).unwrap_or_else(|| {
-            let begin = self.all.len();
-            self.all.extend(samples);
-            self.of_shapes.push(begin..self.all.len());
-            begin
-        })
-    }
-}
 
 /// The coupling "rigid". A body's reference point is its centre of mass if it is free, and its frame's origin if it is driven.
 pub struct Rigid {
@@ -363,47 +339,19 @@ impl Rigid {
     }
 
     /// What `grip.wgsl`, `sampled.wgsl` and `free.wgsl` read; `None` if there are too many samples to number.
-    fn device_tables(&self) -> Option<[Vec<[f32; 4]>; 2]> {
-        let (mut table, mut samples) = (Vec::new(), Samples::default());
-        let mut first = self.bodies.len();
-        for body in &self.bodies {
-            let parts = body.shape.parts().len();
-            let (kind, friction) = match body.contact {
-                Contact::Stick => (0.0, 0.0),
-                Contact::Slip => (1.0, 0.0),
-                Contact::Coulomb { friction } => (1.0, friction),
-            };
-            table.push([first as f32, parts as f32, kind, friction as f32]);
-            first += 6 * parts + if body.free().is_some() { 6 } else { 0 };
-        }
-        let row = |v: DVec3, last: f64| [v.x, v.y, v.z, last].map(|x| x as f32);
-        for body in &self.bodies {
-            for part in body.shape.parts() {
-                let (min, max) = part.primitive.bounds();
-                let (middle, half) = (0.5 * (min + max), 0.5 * (max - min));
-                let (kind, size, begin) = match &part.primitive {
-                    Primitive::Sphere { radius } => (0.0, DVec3::new(*radius, 0.0, 0.0), None),
-                    Primitive::Box { half } => (1.0, *half, None),
-                    Primitive::Cylinder { radius, half_height } => (2.0, DVec3::new(*radius, *half_height, 0.0), None),
-                    Primitive::Capsule { radius, half_height } => (3.0, DVec3::new(*radius, *half_height, 0.0), None),
-                    Primitive::Plane => (4.0, DVec3::ZERO, None),
-                    Primitive::Mesh(mesh) => (5.0, half, Some(samples.add(mesh.grid.packed(middle)))),
-                    Primitive::HeightField(field) => (6.0, half, Some(samples.add(field.packed(middle.z)))),
-                };
-                let rotation = DMat3::from_quat(part.pose.rotation);
-                let offset = if begin.is_some() { rotation * middle } else { DVec3::ZERO };
-                table.push([kind, part.half_thickness.min(1e30) as f32, begin.unwrap_or_default() as f32, 0.0]);
-                table.push(row(size, 0.0));
-                table.push(row(part.pose.position + offset, 0.0));
-                table.extend([0, 1, 2].map(|i| row(rotation.row(i), 0.0)));
+    fn device_tables(&self) -> Option<Tables> {
+        let behind = |body: &Body| match &body.mover {
+            Mover::Free { mass, inertia, inverse_inertia } => {
+                let [x, y, z] = rows(inertia);
+                let mut all = vec![[x[0], x[1], x[2], *mass as f32], y, z];
+                all.extend(rows(inverse_inertia));
+                all
             }
-            if let Mover::Free { mass, inertia, inverse_inertia } = &body.mover {
-                table.extend([0, 1, 2].map(|i| row(inertia.row(i), if i == 0 { *mass } else { 0.0 })));
-                table.extend([0, 1, 2].map(|i| row(inverse_inertia.row(i), 0.0)));
-            }
-        }
-        // Numbers up to here are exact in the table.
-        (samples.all.len() < 1 << 24).then_some([table, samples.all])
+            _ => Vec::new(),
+        };
+        let parts = self.bodies.iter().map(|body| (body.shape.parts(), body.contact, behind(body)));
+        let listed: Vec<_> = parts.map(|(parts, contact, behind)| Listed { parts, contact, behind }).collect();
+        Tables::of(&listed)
     }
 
     /// Greatest speed of a body's surface during a step [m/s].
@@ -641,10 +589,11 @@ impl Coupling for Rigid {
         let further = (1.0 + REACH) * self.scene.world.cell;
         let body = |body: &Body| DeviceBody { extent: body.extent, reach: body.extent + further };
         let free = self.bodies.iter().filter(|body| body.free().is_some());
-        let groups: Vec<_> = free.map(|one| DeviceGroup { words: FREE_WORDS, bodies: vec![body(one)] }).collect();
-        let [table, samples] = self.device_tables()?;
-        let sampled = if samples.is_empty() { NO_SAMPLES } else { include_str!("sampled.wgsl") };
-        let wgsl = include_str!("grip.wgsl").to_owned() + sampled;
+        let group = |one| DeviceGroup { words: FREE_WORDS, rates: 0, bodies: vec![body(one)] };
+        let groups: Vec<_> = free.map(group).collect();
+        let tables = self.device_tables()?;
+        let wgsl = tables.wgsl();
+        let Tables { table, samples } = tables;
         let answer = if groups.is_empty() { "" } else { include_str!("free.wgsl") };
         let answer = DeviceAnswer { wgsl: answer.to_owned(), groups };
         Some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, answer })

@@ -10,6 +10,7 @@
 //! 5. positions move on with the rates, and the base's rates are corrected so that momentum changes by impulses alone.
 
 pub mod coupling;
+mod device;
 pub mod dynamics;
 pub mod joints;
 pub mod model;
@@ -29,7 +30,7 @@ use dynamics::Place;
 use glam::{DMat3, DVec3};
 use joints::{Gains, Impulse, Joint, Order};
 use motion::JointPath;
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix6, Vector6};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector6};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use touching::{Body, Obstacle, Points, Seen};
@@ -57,6 +58,10 @@ pub(crate) struct State {
     pub rates: Vec<f64>,
     /// What each motor was last told, once somebody has.
     pub orders: Option<Vec<Order>>,
+    /// How far along its path it is [s].
+    pub clock: f64,
+    /// What a device made of it in the last step, if one took it.
+    pub held: Option<device::Held>,
 }
 
 /// A robot.
@@ -195,6 +200,8 @@ impl Robot {
     /// # Errors
     /// If they are no longer finite.
     pub(crate) fn begin(&mut self, time: f64, dt: f64, gravity: DVec3, boxes: &[barchan_core::Aabb]) -> Result<(), ()> {
+        self.take_over().ok_or(())?;
+        self.state.clock = self.path.wrapped(time + dt);
         let orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(time, dt));
         let before = DVector::from_column_slice(&self.state.rates);
         let places = std::mem::take(&mut self.step.places);
@@ -347,18 +354,39 @@ impl Robot {
         let next = Self::at_rest(&self.model, self.floating, &self.solids, &self.state, orders)?;
         self.step = Step { dt, points, ..next };
         if let Some([linear, angular]) = wanted {
-            let [now, turning] = dynamics::momentum(&self.model, &self.step.places, &self.step.rates, about);
-            let arm = self.step.places[0].centre - about;
-            let (force, torque) = (linear - now, angular - turning - arm.cross(linear - now));
-            let own = Matrix6::from_fn(|i, j| self.step.mass[(i, j)]);
-            let missing = Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z);
-            let change = own.cholesky()?.solve(&missing);
-            for (rate, change) in change.iter().enumerate() {
-                self.step.rates[rate] += change;
-                self.state.rates[rate] += change;
-            }
+            self.correct(linear, angular, about)?;
+            self.state.rates.copy_from_slice(self.step.rates.as_slice());
         }
         self.state.rates.iter().all(|rate| rate.is_finite()).then_some(())
+    }
+
+    /// Gives the base's rates in the step under way what is missing of a momentum, and an angular one about `about`.
+    fn correct(&mut self, linear: DVec3, angular: DVec3, about: DVec3) -> Option<()> {
+        let [now, turning] = dynamics::momentum(&self.model, &self.step.places, &self.step.rates, about);
+        let arm = self.step.places[0].centre - about;
+        let (force, torque) = (linear - now, angular - turning - arm.cross(linear - now));
+        let all = dynamics::inertia_of_all(&self.model, &self.step.places);
+        let missing = Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z);
+        let change = all.cholesky()?.solve(&missing);
+        for (rate, change) in change.iter().enumerate() {
+            self.step.rates[rate] += change;
+        }
+        Some(())
+    }
+
+    /// Goes on from what a device made of it, if one did.
+    fn take_over(&mut self) -> Option<()> {
+        let Some(held) = self.state.held.take() else { return Some(()) };
+        let Step { dt, ref mut orders, .. } = self.step;
+        let orders = std::mem::take(orders);
+        let step = Self::at_rest(&self.model, self.floating, &self.solids, &self.state, orders)?;
+        self.step = Step { dt, ..step };
+        if self.floating {
+            let [linear, angular, about] = held.momentum();
+            self.correct(linear, angular, about)?;
+            self.state.rates.copy_from_slice(self.step.rates.as_slice());
+        }
+        Some(())
     }
 
     /// Where a body's centre of mass is, and its axes.

@@ -299,7 +299,7 @@ pub struct DeviceLaw {
 ///   `storageBarrier()` for words and poses; at its end, too, if the next function reads it on another thread. Behind `coupling_begin`, and before each
 ///   `coupling_answer` and `coupling_feel`, the backend waits for all.
 ///   Barriers must stand in uniform control flow, which nobody checks: not where `thread` decides. `group`, words and the table are the same to all threads.
-/// - Of an adapter's memory for workgroups, which is 16 KiB at least, the backend takes 13.6, and 224 bytes for each body of the largest group. Where a
+/// - Of an adapter's memory for workgroups, which is 16 KiB at least, the backend takes 13.6, and 224 bytes for each body and 20 for each rate of the largest group. Where a
 ///   group's own variables do not fit any more, its contact runs on the host.
 /// - `var<private>` stay between the calls in a pass, and no longer.
 ///
@@ -314,6 +314,9 @@ pub struct DeviceLaw {
 ///   after a step at a twist;
 /// - `group_twist(kind, b) -> CouplingTwist` and `set_group_twist(kind, b, twist)`, with `struct CouplingTwist { linear: vec3<f32>, angular: vec3<f32> }`, of the
 ///   reference point, world frame;
+/// - `group_rate(kind, i) -> f32` and `set_group_rate(kind, i, x)`: numbers of its own that change along with twists, in proportion, such as rates of joints. The
+///   backend steps them as it steps twists; whoever sets twists of a kind sets them, too;
+/// - `group_touches(b) -> bool`: does a body touch any node on the level at hand? If not, its system is zero;
 /// - `group_system(b) -> CouplingSystem`, in `coupling_answer`: b as `force` and `torque`, and A as `force_linear`, `force_angular`, `torque_linear` and
 ///   `torque_angular`, where column i of each is row i of a quarter; `solve_rows(array<CouplingRow, 6>) -> CouplingTwist` solves six equations without
 ///   pivots, `struct CouplingRow { linear: vec3<f32>, angular: vec3<f32>, missing: f32 }`;
@@ -338,6 +341,8 @@ pub struct DeviceAnswer {
 pub struct DeviceGroup {
     /// Words of its state.
     pub words: usize,
+    /// Numbers that change along with its bodies' twists.
+    pub rates: usize,
     /// Its bodies, in their order.
     pub bodies: Vec<DeviceBody>,
 }

@@ -6,14 +6,14 @@ use super::motion::{self, JointPath};
 use super::touching::{Body, Obstacle};
 use super::urdf::Source;
 use super::visual::Visual;
-use super::{Robot, State, dynamics};
+use super::{Robot, State, device, dynamics};
 use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
 use crate::surface::placed;
 use crate::world::friction_of;
 use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
-use barchan_core::coupling::{Aabb, Group};
+use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep};
 use barchan_core::plan::ROBOT_COUPLING;
 use barchan_core::scene::{self, Contact, Motion};
 use barchan_core::{BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
@@ -43,6 +43,8 @@ pub struct Robots {
     firsts: Vec<usize>,
     wrenches: Vec<Wrench>,
     counts: Counts,
+    /// Does a device move them?
+    on_device: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -130,7 +132,7 @@ impl Robot {
             rates[..3].copy_from_slice(&twist.at(arm).to_array());
             rates[3..6].copy_from_slice(&robot.angular_velocity);
         }
-        let state = State { base, positions, rates, orders: None };
+        let state = State { base, positions, rates, orders: None, clock: path.wrapped(0.0), held: None };
         let solids: Vec<usize> = (0..model.links.len())
             .filter(|&i| i == 0 || model.links[i].mass > 0.0 || model.links[i].shape.is_some())
             .collect();
@@ -266,6 +268,7 @@ impl Robots {
             firsts,
             wrenches: vec![Wrench::default(); count],
             counts: Counts::default(),
+            on_device: false,
         })
     }
 
@@ -288,6 +291,11 @@ impl Robots {
 
     fn all(&self) -> impl Iterator<Item = (&Robot, usize)> {
         self.robots.iter().flat_map(|robot| (0..robot.solids.len()).map(move |body| (robot, body)))
+    }
+
+    /// The width of the coarsest cells [m].
+    fn widest(&self) -> f64 {
+        self.scene.world.cell * f64::from(1 << (self.scene.levels.count - 1))
     }
 
     fn group(&self, bodies: &Range<usize>) -> &Robot {
@@ -338,6 +346,10 @@ impl Coupling for Robots {
         self.wrenches.fill(Wrench::default());
         let gravity = DVec3::from_array(self.scene.gravity_at(time));
         for robot in &mut self.robots {
+            if self.on_device {
+                robot.step.dt = dt;
+                continue;
+            }
             let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, 0.0)).collect();
             robot.begin(time, dt, gravity, &boxes).map_err(|()| robot.lost("motion"))?;
         }
@@ -349,8 +361,7 @@ impl Coupling for Robots {
     }
 
     fn reach(&self) -> f64 {
-        let (cell, levels) = (self.scene.world.cell, self.scene.levels.count);
-        let widest = cell * f64::from(1 << (levels - 1));
+        let (cell, widest) = (self.scene.world.cell, self.widest());
         let shapes = self.all().filter_map(|(robot, body)| robot.model.links[robot.solids[body]].shape.as_ref());
         let more = shapes.map(|shape| shape.padding(widest) - shape.padding(cell)).fold(0.0, f64::max);
         REACH + more / widest
@@ -405,10 +416,50 @@ impl Coupling for Robots {
     }
 
     fn after_step(&mut self, _: f64, _: f64) -> Result<()> {
-        for robot in &mut self.robots {
+        for robot in self.robots.iter_mut().filter(|_| !self.on_device) {
             robot.advance().ok_or_else(|| robot.lost("motion"))?;
         }
         Ok(())
+    }
+
+    fn device_law(&self) -> Option<DeviceLaw> {
+        device::law(&self.robots, &self.contacts, self.scene.world.cell)
+    }
+
+    fn leashes(&self, time: f64, dt: f64, _steps: usize) -> Option<Vec<Aabb>> {
+        let world = &self.scene.world;
+        let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
+        let off_walls = device::off_walls(self.reach(), world.cell, self.widest());
+        let of_robot = |robot: &Robot| {
+            if !device::is_slow(robot, gravity, dt, world.cell) {
+                return None;
+            }
+            let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, world.cell)).collect();
+            robot.leashes(&boxes, world, off_walls)
+        };
+        let all: Option<Vec<Vec<Aabb>>> = self.robots.iter().map(of_robot).collect();
+        Some(all?.into_iter().flatten().collect())
+    }
+
+    fn device_state(&self) -> Vec<GroupState> {
+        self.robots.iter().map(Robot::device_state).collect()
+    }
+
+    fn move_on_device(&mut self, moves: bool) {
+        self.on_device = moves;
+    }
+
+    fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
+        for (robot, GroupStep { state, deep_nodes, unconverged }) in self.robots.iter_mut().zip(groups) {
+            robot.take_device_state(state).ok_or_else(|| robot.lost("motion on the device"))?;
+            self.counts.deep_nodes += deep_nodes;
+            self.counts.unconverged += unconverged;
+        }
+        Ok(())
+    }
+
+    fn book(&mut self, wrenches: &[Wrench]) {
+        self.wrenches.copy_from_slice(wrenches);
     }
 
     fn wrenches(&self) -> &[Wrench] {

@@ -7,7 +7,7 @@ use super::model::{Freedom, RobotModel};
 use crate::motion::Pose;
 use barchan_core::contact::Twist;
 use glam::{DMat3, DVec3};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Matrix6};
 
 /// A rate's part in the motion of a link: the twist of its centre of mass for each unit of the rate.
 #[derive(Clone, Copy, Debug)]
@@ -204,6 +204,28 @@ pub fn gravity(model: &RobotModel, places: &[Place], g: DVec3, rates: usize) -> 
     let mut sums = DVector::zeros(rates);
     for (link, place) in model.links.iter().zip(places) {
         place.add_wrench(link.mass * g, DVec3::ZERO, &mut sums);
+    }
+    sums
+}
+
+/// The mass matrix of a floating base alone: of all links, if no joint moved.
+pub fn inertia_of_all(model: &RobotModel, places: &[Place]) -> Matrix6<f64> {
+    let mut sums = Matrix6::zeros();
+    let base = places[0].centre;
+    for (link, place) in model.links.iter().zip(places).filter(|(link, _)| link.mass > 0.0) {
+        let arm = place.centre - base;
+        // A velocity of the base's centre of mass and a turn about it move the link's by v + w × arm.
+        let cross = DMat3::from_cols(arm.cross(DVec3::X), arm.cross(DVec3::Y), arm.cross(DVec3::Z));
+        let about = place.inertia - link.mass * (cross * cross);
+        for i in 0..3 {
+            sums[(i, i)] += link.mass;
+            for j in 0..3 {
+                let moment = link.mass * cross.row(i)[j];
+                sums[(3 + i, j)] += moment;
+                sums[(j, 3 + i)] += moment;
+                sums[(3 + i, 3 + j)] += about.row(i)[j];
+            }
+        }
     }
     sums
 }

@@ -178,11 +178,7 @@ impl JointPath {
 
     /// Positions at a time, and their rates.
     fn at(&self, time: f64) -> Vec<(f64, f64)> {
-        let end = self.times.last().copied().unwrap_or_default();
-        let time = match self.repeat_from {
-            Some(from) if time >= end => from + (time - from).rem_euclid(end - from),
-            _ => time,
-        };
+        let time = self.wrapped(time);
         let next = self.times.partition_point(|frame| *frame <= time);
         match (next.checked_sub(1), self.frames.get(next)) {
             (Some(last), Some(to)) => {
@@ -191,6 +187,30 @@ impl JointPath {
                 from.iter().zip(to).map(|(a, b)| (a + share * (b - a), (b - a) / span)).collect()
             }
             (last, _) => self.frames[last.unwrap_or_default()].iter().map(|position| (*position, 0.0)).collect(),
+        }
+    }
+
+    /// When its frames are [s].
+    pub(crate) fn times(&self) -> &[f64] {
+        &self.times
+    }
+
+    /// Positions of all drives in each frame [rad or m].
+    pub(crate) fn frames(&self) -> &[Vec<f64>] {
+        &self.frames
+    }
+
+    /// After how long its end repeats itself [s].
+    pub(crate) fn period(&self) -> Option<f64> {
+        self.repeat_from.zip(self.times.last()).map(|(from, end)| end - from)
+    }
+
+    /// The time at which it is where it is at `time`, before its end if it repeats itself.
+    pub(crate) fn wrapped(&self, time: f64) -> f64 {
+        let end = self.times.last().copied().unwrap_or_default();
+        match self.repeat_from {
+            Some(from) if time >= end => from + (time - from).rem_euclid(end - from),
+            _ => time,
         }
     }
 

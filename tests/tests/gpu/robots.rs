@@ -1,16 +1,18 @@
-//! Robots beside the wgpu backend's ground.
+//! Robots on the wgpu backend.
 
+use crate::{left, passes_of, take_at_once};
 use barchan::worlds::Worlds;
-use barchan::{Options, Precision, Scene, Simulation};
+use barchan::{Command, Options, Precision, Scene, Simulation};
+use barchan_tests::scenes::totals;
 use glam::DVec3;
 
-/// A quadruped that lands on a bed with half a metre a second, on one level or two.
-fn landing(levels: u32, x: f64) -> Scene {
+/// A quadruped that lands on a bed with half a metre a second, at `x` [m]; `levels` and what the robot is told besides.
+fn landing(levels: &str, x: f64, robot: &str) -> Scene {
     let text = format!(
         r#"
 name = "landing"
 world = {{ cell = 0.03125, min = [0, 0, 0], max = [1, 0.75, 1], walls = {{ x_min = "slip", x_max = "slip", y_min = "slip", y_max = "slip", z_min = "stick" }} }}
-levels = {{ count = {levels}, half = 8 }}
+levels = {{ half = 8, {levels} }}
 time = {{ end = 1, step = 5e-4 }}
 [[material]]
 name = "sand"
@@ -25,14 +27,24 @@ settled = true
 [[robot]]
 name = "dog"
 model = "quadruped"
-position = [{x}, 0.375, 0.515]
+position = [{x}, 0.375, 0.505]
 velocity = [0.2, 0, -0.5]
 joints = {{ "*_thigh_joint" = 0.8, "*_calf_joint" = -1.6 }}
 motor = [{{ kp = 100, kd = 3 }}]
+{robot}
 "#
     );
     Scene::from_str(&text, "landing.toml", "").unwrap()
 }
+
+const ONE: &str = "count = 1";
+/// Legs that are told to bend and to stretch 50 times a second.
+const MOVES: &str = r#"motion = { repeat_from = 0.005, frames = [
+    { time = 0.0, joints = { "*_calf_joint" = -1.6 } },
+    { time = 0.005, joints = { "*_calf_joint" = -1.7 } },
+    { time = 0.015, joints = { "*_calf_joint" = -1.5 } },
+    { time = 0.025, joints = { "*_calf_joint" = -1.7 } },
+] }"#;
 
 fn options(backend: &str, precision: Precision) -> Options {
     Options { backend: backend.into(), precision, threads: 1, ..Options::default() }
@@ -42,45 +54,128 @@ fn start(scene: &Scene, backend: &str, precision: Precision) -> Simulation {
     Simulation::new(&barchan::registry(), scene, &options(backend, precision)).unwrap()
 }
 
-/// After a landing base and joints are where they are on the CPU in f64.
+/// How far bases are apart [m], and joints [rad].
+fn apart(a: &Simulation, b: &Simulation) -> [f64; 2] {
+    let base = |simulation: &Simulation| DVec3::from_array(simulation.bodies()[0].position);
+    let joints = a.joints().into_iter().zip(b.joints());
+    let turned = joints.map(|(a, b)| (a.position - b.position).abs()).fold(0.0, f64::max);
+    [(base(a) - base(b)).length(), turned]
+}
+
+/// After a landing base and joints are where they are on the CPU in f64, with nothing on the host; and many steps at once leave the same bits as single ones. On one level
+/// or several, subcycled too, with motors that follow a path, legs that are tied to a base that stays, and joints at their stops.
 #[test]
-fn a_robot_lands_as_it_does_on_the_cpu() {
-    for levels in [1, 2] {
-        let scene = landing(levels, 0.5);
-        let (mut device, mut cpu) = (start(&scene, "wgpu", Precision::F32), start(&scene, "cpu", Precision::F64));
+fn a_robot_lands_on_the_device_as_on_the_cpu() {
+    let two = "count = 2";
+    let subcycled = "count = 2, subcycle = true";
+    let stops = r#"motor = [{ kp = 100, kd = 3, effort = 4 }]"#;
+    let cases = [
+        (ONE, MOVES, 150.0),
+        (two, "", 150.0),
+        (subcycled, MOVES, 150.0),
+        (ONE, stops, 30.0),
+        (ONE, "fixed = true", 10.0),
+    ];
+    for (levels, robot, least) in cases {
+        let mut scene = landing(levels, 0.5, robot.trim_start_matches(stops));
+        if robot == stops {
+            scene.robot[0].motor[0].effort = Some(4.0);
+            scene.robot[0].joints.insert("*_calf_joint".into(), -2.6);
+            scene.robot[0].position[2] = 0.36;
+        }
+        if robot == "fixed = true" {
+            scene.robot[0].velocity = [0.0; 3];
+            scene.robot[0].position[2] = 0.48;
+            scene.robot[0].motion = landing(ONE, 0.5, MOVES).robot[0].motion.clone();
+        }
+        let (mut device, mut many) = (start(&scene, "wgpu", Precision::F32), start(&scene, "wgpu", Precision::F32));
+        let mut cpu = start(&scene, "cpu", Precision::F64);
         let most = |simulation: &Simulation| simulation.wrenches().iter().map(|w| w.force[2]).sum::<f64>();
         let mut strongest = 0.0_f64;
-        for _ in 0..300 {
+        let steps = 80;
+        take_at_once(&mut many, steps);
+        for _ in 0..steps {
             device.step().unwrap();
             cpu.step().unwrap();
             strongest = strongest.max(most(&cpu));
         }
-        let base = |simulation: &Simulation| DVec3::from_array(simulation.bodies()[0].position);
-        let apart = (base(&device) - base(&cpu)).length();
-        let joints = device.joints().into_iter().zip(cpu.joints());
-        let turned = joints.map(|(a, b)| (a.position - b.position).abs()).fold(0.0, f64::max);
+        let [base, turned] = apart(&device, &cpu);
         println!(
-            "{levels} levels: base {apart:.1e} m apart (1e-4), joints {turned:.1e} rad (1e-3); up to {strongest:.0} N"
+            "{levels}, {robot:.20}: base {base:.1e} m apart (1e-4), joints {turned:.1e} rad (1e-3); up to {strongest:.0} N"
         );
-        assert!(strongest > 150.0, "it has not landed");
-        assert!(apart < 1e-4 && turned < 1e-3, "{levels} levels: {apart} m, {turned} rad");
+        assert!(strongest > least, "{levels} {robot}: it has not landed: {strongest} N");
+        assert!(base < 1e-4 && turned < 1e-3, "{levels} {robot}: {base} m, {turned} rad");
+        assert!(passes_of(&device, "answering bodies") > 0, "{levels} {robot}: it does not answer on the device");
+        assert_eq!(passes_of(&device, "gather") + passes_of(&many, "gather"), 0, "{levels} {robot}: steps on the host");
+        assert!(left(&many) == left(&device), "{levels} {robot}: many steps at once leave other bits");
+        assert_eq!(format!("{:?}", many.joints()), format!("{:?}", device.joints()));
     }
 }
 
-/// A world of a batch with robots is the world alone, bit for bit, on both backends.
+/// In empty space a robot and a soft ball that it meets keep their momentum together.
+#[test]
+fn a_robot_on_the_device_and_the_ground_keep_their_momentum() {
+    let text = r#"
+name = "meeting"
+gravity = [0, 0, 0]
+world = { cell = 0.03125, min = [-1, -1, -1], max = [1, 1, 1] }
+time = { end = 1 }
+[[material]]
+name = "jelly"
+law = "neo_hookean"
+density = 1000
+parameters = { young_modulus = 1e5, poisson_ratio = 0.3 }
+[[body]]
+name = "ball"
+material = "jelly"
+shape = { sphere = { center = [0.05, 0, -0.45], radius = 0.12 } }
+velocity = [0, 0.3, 2.0]
+[[robot]]
+name = "dog"
+model = "quadruped"
+position = [0, 0, 0]
+joints = { "*_thigh_joint" = 0.8, "*_calf_joint" = -1.6 }
+motor = [{ kp = 100, kd = 3 }]
+"#;
+    let mut dog = start(&Scene::from_str(text, "meeting.toml", "").unwrap(), "wgpu", Precision::F32);
+    let sums = |dog: &Simulation| {
+        let (p, l) = totals(&dog.ledger());
+        [p, l].map(DVec3::from_array)
+    };
+    let [p0, l0] = sums(&dog);
+    take_at_once(&mut dog, 120);
+    let [p1, l1] = sums(&dog);
+    let taken = DVec3::from_array(dog.ledger().body_momentum).length() / p0.length();
+    let off = ((p1 - p0).length() / p0.length()).max((l1 - l0).length() / (0.4 * p0.length()));
+    println!("momentum off by {off:.1e} (3e-6); the robot took {taken:.2} of it");
+    assert!(taken > 0.1, "they never met: {taken}");
+    assert!(off < 3e-6, "{off}");
+    assert_eq!(passes_of(&dog, "gather"), 0, "steps on the host");
+}
+
+/// Worlds of a batch with robots that are told other things are the worlds alone, bit for bit, on both backends; and a state taken in the middle goes on so.
 #[test]
 fn robots_in_many_worlds_move_as_alone() {
     for backend in ["cpu", "wgpu"] {
-        let scenes = vec![landing(1, 0.45), landing(1, 0.5)];
-        let mut worlds = Worlds::new(&barchan::registry(), scenes, &options(backend, Precision::F32)).unwrap();
-        let mut alone = [0.45, 0.5].map(|x| landing(1, x)).map(|scene| start(&scene, backend, Precision::F32));
-        for _ in 0..60 {
-            worlds.step().into_iter().for_each(|step| drop(step.unwrap()));
-            alone.iter_mut().for_each(|world| drop(world.step().unwrap()));
+        let scenes = [0.45, 0.5].map(|x| landing(ONE, x, ""));
+        let mut worlds = Worlds::new(&barchan::registry(), scenes.to_vec(), &options(backend, Precision::F32)).unwrap();
+        assert!(worlds.are_together() || backend == "cpu");
+        let mut alone = scenes.each_ref().map(|scene| start(scene, backend, Precision::F32));
+        let targets = |world: usize| Command::JointTargets([0.1 * world as f64, 0.7, -1.4].repeat(4));
+        for (w, alone) in alone.iter_mut().enumerate() {
+            worlds.world_mut(w).act("dog", &targets(w)).unwrap();
+            alone.act("dog", &targets(w)).unwrap();
+            take_at_once(alone, 40);
         }
-        for (w, alone) in alone.iter().enumerate() {
+        worlds.steps(40).into_iter().for_each(|steps| drop(steps.unwrap()));
+        for (w, alone) in alone.iter_mut().enumerate() {
             let of = |simulation: &Simulation| format!("{:?} {:?}", simulation.bodies(), simulation.joints());
             assert_eq!(of(worlds.world(w)), of(alone), "{backend}: world {w}");
+            let mut other = start(&scenes[w], backend, Precision::F32);
+            other.set_state(&alone.state().unwrap()).unwrap();
+            take_at_once(alone, 10);
+            take_at_once(&mut other, 10);
+            assert_eq!(of(&other), of(alone), "{backend}: a state of world {w}");
         }
     }
 }

@@ -54,6 +54,7 @@ pub(crate) struct Answering {
     pub(crate) bodies: usize,
     pub(crate) together: usize,
     pub(crate) words: usize,
+    pub(crate) rates: usize,
     pub(crate) across: usize,
 }
 
@@ -66,6 +67,7 @@ impl Answering {
             bodies: all().map(|group| group.bodies.len()).sum(),
             together: all().map(|group| group.bodies.len()).max().unwrap_or(0),
             words: all().map(|group| group.words).max().unwrap_or(0),
+            rates: all().map(|group| group.rates).max().unwrap_or(0),
             across: all().flat_map(|group| &group.bodies).map(across).max().unwrap_or(0),
         }
     }
@@ -77,6 +79,7 @@ impl Answering {
             bodies: self.bodies.max(other.bodies),
             together: self.together.max(other.together),
             words: self.words.max(other.words),
+            rates: self.rates.max(other.rates),
             across: self.across.max(other.across),
         }
     }
@@ -116,12 +119,12 @@ pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
     worlds > 1 || 16 * (vectors + samples) > 65_536
 }
 
-/// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how particles press on them on each level, and, where groups have
+/// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how particles press on them on each level and whether any are near, and, where groups have
 /// several bodies, what their touches add up to.
 pub(crate) fn answering_bytes(room: Answering, worlds: usize, levels: usize) -> u64 {
     let Answering { groups, bodies, together, words, .. } = room;
     let touches = 256 * room.rooms().div_ceil(4) * TOUCH;
-    let pressed = 64 * room.rooms() * levels;
+    let pressed = (64 * room.rooms() + 1) * levels;
     let of_groups = worlds * groups * (GROUP_HEAD + (MAX_SLOTS + 2) * words);
     let of_bodies = worlds * bodies * (BODY_HEAD + (MAX_SLOTS + 2) * BODY_STATE + touches + pressed);
     let systems = if together > 1 { COLUMNS * (worlds * bodies + together) } else { 0 };

@@ -22,7 +22,7 @@ fn coupling_sample(i: u32) -> vec4<f32> { var one = vec4<f32>(f32(i)); return on
 /// What the functions of groups may use of the pass in which they answer; [`DeviceAnswer`](barchan_core::coupling::DeviceAnswer) says what it is.
 const STRUCTURES: [&str; 4] = ["CouplingTwist", "CouplingPose", "CouplingSystem", "CouplingRow"];
 const KINDS: [&str; 5] = ["TWIST_FREE", "TWIST_EXPECTED", "TWIST_TRIED", "TWIST_STEP", "TWIST_LAST"];
-const FUNCTIONS_OF_PASS: [&str; 22] = [
+const FUNCTIONS_OF_PASS: [&str; 25] = [
     "group_moves",
     "group_dt",
     "group_cell",
@@ -33,6 +33,9 @@ const FUNCTIONS_OF_PASS: [&str; 22] = [
     "group_gravity",
     "group_twist",
     "set_group_twist",
+    "group_rate",
+    "set_group_rate",
+    "group_touches",
     "group_impulse",
     "group_impulse_before",
     "group_pose",

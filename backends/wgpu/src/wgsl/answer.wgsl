@@ -120,8 +120,8 @@ fn box_of_nodes(b: u32, level: u32) -> array<vec3<i32>, 2> {
     let pose = group_pose(b);
     let within = place_of(vec4<u32>(pose.place, 0u));
     var nodes = nodes_near(number_of(b), rows_of(pose_rotation(pose)), pose.cell, within, level, shrink_of(layer_now));
-    // It meets no level beyond.
-    if GROUP_BODIES > 1u && level >= answering[body_head(answering_body(b))].y {
+    // It meets no level beyond, and nothing where particles are not near.
+    if answering[near_at(answering_body(b), level)].x != slot_now() + 1u || (GROUP_BODIES > 1u && level >= answering[body_head(answering_body(b))].y) {
         nodes[1] = nodes[0] - vec3<i32>(1);
     }
     return nodes;
@@ -438,7 +438,7 @@ fn eight(at: u32, by: u32) -> vec4<f32> {
 fn weigh(count: u32) {
     var ground = 0.0;
     for (var b = 0u; b < count; b++) {
-        if is_touched(b) {
+        if group_touches(b) {
             ground += sums_of(b, 7u).w;
         }
     }
@@ -452,7 +452,7 @@ fn noise_of(count: u32) -> f32 {
     }
     var noise = 0.0;
     for (var b = 0u; b < count; b++) {
-        if is_touched(b) {
+        if group_touches(b) {
             noise += ROUNDING * sums_of(b, 6u).w * inverseSqrt(real(answering[body_head(answering_body(b)) + 1u]).w);
         }
     }
@@ -466,6 +466,20 @@ fn try_further(count: u32, times: f32, along: u32) {
         let by = group_twist(along, b);
         set_group_twist(TWIST_TRIED, b, CouplingTwist(tried.linear + times * by.linear, tried.angular + times * by.angular));
     }
+    for (var i = 0u; i < GROUP_RATES; i++) {
+        set_group_rate(TWIST_TRIED, i, group_rate(TWIST_TRIED, i) + times * group_rate(along, i));
+    }
+}
+
+// What changed last becomes so many times another kind.
+fn remember(count: u32, times: f32, kind: u32) {
+    for (var b = 0u; b < count; b++) {
+        let by = group_twist(kind, b);
+        set_group_twist(TWIST_LAST, b, CouplingTwist(times * by.linear, times * by.angular));
+    }
+    for (var i = 0u; i < GROUP_RATES; i++) {
+        set_group_rate(TWIST_LAST, i, times * group_rate(kind, i));
+    }
 }
 
 // Takes the step that was found, or asks for another one: `beyond` is what is out of balance against the last step, `lead` along this one, `size` how large it
@@ -475,10 +489,7 @@ fn decide(count: u32, beyond: f32, lead: f32, size: f32, speed: f32) {
         // Where bounds are reached on the way, a step may lead beyond what balances along it: it is cut back.
         let back = beyond / (before_step + beyond);
         try_further(count, -back, TWIST_LAST);
-        for (var b = 0u; b < count; b++) {
-            let last = group_twist(TWIST_LAST, b);
-            set_group_twist(TWIST_LAST, b, CouplingTwist((1.0 - back) * last.linear, (1.0 - back) * last.angular));
-        }
+        remember(count, 1.0 - back, TWIST_LAST);
         before_step *= 1.0 - back;
         iterations++;
         atomicStore(&sliding, 0u);
@@ -498,9 +509,7 @@ fn decide(count: u32, beyond: f32, lead: f32, size: f32, speed: f32) {
         let converged = weight == 1.0 && size <= TOLERANCE * speed + noise;
         if !converged && iterations < MAX_ITERATIONS {
             try_further(count, 1.0, TWIST_STEP);
-            for (var b = 0u; b < count; b++) {
-                set_group_twist(TWIST_LAST, b, group_twist(TWIST_STEP, b));
-            }
+            remember(count, 1.0, TWIST_STEP);
             before_step = lead;
             // Newton's steps square what is missing. Where a small one was found and nodes slide, the secant's tells as well whether that was all, and
             // serves as the last.
@@ -574,6 +583,10 @@ fn meet(group: u32, count: u32, level: u32, thread: u32) {
             set_group_twist(TWIST_TRIED, b, group_twist(TWIST_EXPECTED, b));
             set_group_twist(TWIST_LAST, b, CouplingTwist());
         }
+        for (var i = 0u; i < GROUP_RATES; i++) {
+            set_group_rate(TWIST_TRIED, i, group_rate(TWIST_EXPECTED, i));
+            set_group_rate(TWIST_LAST, i, 0.0);
+        }
     }
     if workgroupUniformLoad(&mode) == DONE {
         return;
@@ -585,7 +598,7 @@ fn meet(group: u32, count: u32, level: u32, thread: u32) {
             break;
         }
         for (var b = 0u; b < count; b++) {
-            if !is_touched(b) {
+            if !group_touches(b) {
                 continue;
             }
             sum_up(b, assemble(b, now == TANGENT, thread), thread);

@@ -79,8 +79,16 @@ fn pressed_at(body: u32, level: u32, room: u32, n: u32) -> u32 {
     return PRESSED + ((body * LEVELS + level) * ROOMS + room) * 64u + n;
 }
 
+// Behind these, one past the last slot of the submission in which there was a block of nodes near the body on each level; or some other number, which makes
+// the body look for nodes that are not there.
+const NEAR_BLOCKS: u32 = PRESSED + ALL_ANSWERING * LEVELS * ROOMS * 64u;
+
+fn near_at(body: u32, level: u32) -> u32 {
+    return NEAR_BLOCKS + body * LEVELS + level;
+}
+
 // Behind these, where groups have several bodies, what touches add up to for each, and once more for the group that is rehearsed.
-const SYSTEMS: u32 = PRESSED + ALL_ANSWERING * LEVELS * ROOMS * 64u;
+const SYSTEMS: u32 = NEAR_BLOCKS + ALL_ANSWERING * LEVELS;
 
 // The least and the greatest node of a level that a body may act on: those of its box, and REACH cells further.
 fn nodes_near(number: u32, rows: array<vec3<f32>, 3>, cell: vec3<i32>, place: vec3<f32>, level: u32, shrink: f32) -> array<vec3<i32>, 2> {

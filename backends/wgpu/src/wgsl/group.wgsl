@@ -24,6 +24,8 @@ const TWIST_TRIED: u32 = 2u;
 const TWIST_STEP: u32 = 3u;
 const TWIST_LAST: u32 = 4u;
 var<workgroup> twists: array<CouplingTwist, 5u * GROUP_BODIES>;
+// Numbers of each kind that change along with them.
+var<workgroup> group_rates: array<f32, max(5u * GROUP_RATES, 1u)>;
 // What nodes gave in the contact that was met last.
 var<workgroup> gained: array<CouplingTwist, GROUP_BODIES>;
 
@@ -104,6 +106,15 @@ fn group_twist(which: u32, b: u32) -> CouplingTwist {
 
 fn set_group_twist(which: u32, b: u32, twist: CouplingTwist) {
     twists[which * GROUP_BODIES + b] = twist;
+}
+
+// The numbers that change along with twists.
+fn group_rate(which: u32, i: u32) -> f32 {
+    return group_rates[which * GROUP_RATES + i];
+}
+
+fn set_group_rate(which: u32, i: u32, rate: f32) {
+    group_rates[which * GROUP_RATES + i] = rate;
 }
 
 // What nodes gave to a body in the contact that was met last; and what they gave in the slot before, of the same step.
@@ -212,14 +223,14 @@ fn sums_at(b: u32) -> u32 {
     return SYSTEMS + select(answering_body(b), ALL_ANSWERING + b, rehearses) * COLUMNS;
 }
 
-// Does it touch any node?
-fn is_touched(b: u32) -> bool {
+// Does it touch any node on the level at hand?
+fn group_touches(b: u32) -> bool {
     return GROUP_BODIES == 1u || (touched[b >> 5u] & (1u << (b & 31u))) != 0u;
 }
 
 // What contact on a body comes to at the twist that is tried. There is nothing where it touches no node.
 fn group_system(b: u32) -> CouplingSystem {
-    if !is_touched(b) {
+    if !group_touches(b) {
         return CouplingSystem();
     }
     let u0 = sums_of(b, 0u);

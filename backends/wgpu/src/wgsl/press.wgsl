@@ -13,7 +13,10 @@ const NODES: u32 = 64u;
 const DEALT: u32 = 1024u;
 
 var<workgroup> go: u32;
-var<workgroup> near: u32;
+// The bodies near the block, as bits: as threads find them, then to be read by all.
+const NEAR_WORDS: u32 = (PRESSED_BODIES + 31u) / 32u;
+var<workgroup> found_near: array<atomic<u32>, NEAR_WORDS>;
+var<workgroup> near: array<u32, NEAR_WORDS>;
 var<workgroup> layer: u32;
 var<workgroup> sums: array<atomic<i32>, 384>;
 var<workgroup> found: atomic<u32>;
@@ -44,12 +47,23 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     layer_now = workgroupUniformLoad(&layer);
     let width = H / shrink_of(layer_now);
     let first = lists[entry].xyz * 4;
-    for (var b = 0u; b < PRESSED_BODIES; b++) {
-        if thread == 0u {
-            let body = pressed_body(b);
-            near = u32(all(first + vec3<i32>(3) >= body.least) && all(first <= body.most));
+    for (var b = thread; b < PRESSED_BODIES; b += PRESSING) {
+        let body = pressed_body(b);
+        if all(first + vec3<i32>(3) >= body.least) && all(first <= body.most) {
+            atomicOr(&found_near[b >> 5u], 1u << (b & 31u));
+            note_near(b);
         }
-        if workgroupUniformLoad(&near) == 0u {
+    }
+    workgroupBarrier();
+    for (var word = thread; word < NEAR_WORDS; word += PRESSING) {
+        near[word] = atomicLoad(&found_near[word]);
+    }
+    var bits = 0u;
+    for (var b = 0u; b < PRESSED_BODIES; b++) {
+        if (b & 31u) == 0u {
+            bits = workgroupUniformLoad(&near[b >> 5u]);
+        }
+        if (bits & (1u << (b & 31u))) == 0u {
             continue;
         }
         let unit = greatest_modulus() * width * width / COARSE_UNITS;

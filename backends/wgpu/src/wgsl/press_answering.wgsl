@@ -26,6 +26,11 @@ fn pressed_body(b: u32) -> PressedBody {
     return PressedBody(nodes[0], most, base, in_level(cell, place, vec3<f32>(0.0), level, shrink), rows, number);
 }
 
+// Notes that there is a block of nodes near it in this slot.
+fn note_near(b: u32) {
+    answering[near_at(layer_now / LEVELS * ANSWERING + b, level_of(layer_now))].x = slot_now() + 1u;
+}
+
 fn put_pressed(b: u32, g: u32, block: vec3<i32>, n: u32, force: vec3<f32>) {
     let at = vec3<u32>(block - pressed_first);
     let size = vec3<u32>(pressed_size);

@@ -12,3 +12,5 @@ fn pressed_body(b: u32) -> PressedBody {
 fn put_pressed(b: u32, g: u32, block: vec3<i32>, n: u32, force: vec3<f32>) {
     partials[pressed_at(g, b, n)] = vec4<f32>(force, 0.0);
 }
+
+fn note_near(b: u32) {}

@@ -467,7 +467,7 @@ impl Coupling for Dumbbell {
             [[self.radius, self.friction, self.places[b], self.masses[b]], both].map(|row| row.map(|x| x as f32))
         };
         let ball = DeviceBody { extent: self.radius, reach: self.radius };
-        let groups = vec![DeviceGroup { words: 2, bodies: vec![ball; 2] }];
+        let groups = vec![DeviceGroup { words: 2, rates: 0, bodies: vec![ball; 2] }];
         Some(DeviceLaw {
             counted: true,
             wgsl: WGSL.to_owned(),

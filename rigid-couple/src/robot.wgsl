@@ -1,0 +1,750 @@
+// How a robot answers the ground's impulses, as `robot.rs` does on the host: a group of links in a tree of joints, all threads of a workgroup together.
+//
+// Links stand in an order in which what hangs on one comes right behind it. All vectors are along the world's axes, and places are from the base's centre of mass.
+// A motion is an angular velocity, and the velocity of what passes through that centre; a wrench is a moment about it, and a force. So motions and wrenches
+// of links add up as they are.
+//
+// The table holds, from ROBOT_HEADS on, for each robot: where its links begin, how many, where its drives begin, how many; how many rates its base has, depth of the
+// tree, where its path begins, how many frames; the path's end, its period or 0, the mass, 0. LINK vectors for each link: parent, freedom, drive, body,
+// -1 for none; ratio, offset, mass, depth; origin, one past the last that hangs on it; rotation of the origin; axis, the next link with the same drive;
+// centre of mass, 0; rows of the inertia. DRIVE for each drive: first link, least and greatest position, effort; speed, damping, friction, armature;
+// kp, kd. For each frame of the path its time, then positions, four a vector.
+//
+// Words of the state: time along the path, whole seconds and 2^-32 of them, and whether motors follow orders in place of the path; momentum; the same about the base's
+// centre of mass; the base's velocity; its angular velocity; for each drive its position, whole and 2^-32, and its rate; for each drive an order: target, rate,
+// torque, whether the gains act. The momentum is what impulses and gravity made of it; rates, which lose a little on the way, are corrected by it.
+
+// As in `joints.rs`, but for stops: f32 bears less.
+const ROBOT_STIFF: f32 = 1e4;
+const ROBOT_CREEP: f32 = 1e-3;
+const ROBOT_BACK: f32 = 0.1;
+const ROBOT_FADE: f32 = 0.1;
+// As in `robot.rs`.
+const ROBOT_ITERATIONS: u32 = 20u;
+const ROBOT_TOLERANCE: f32 = 1e-5;
+const ROBOT_OVERSHOT: f32 = 0.5;
+const ROBOT_NONE: u32 = 0xffffffffu;
+const ROBOT_LINK: u32 = 9u;
+const ROBOT_DRIVE: u32 = 3u;
+const ROBOT_WORDS: u32 = 5u;
+// Of its matrix, with what is out of balance behind.
+const ROBOT_ROW: u32 = ROBOT_RATES + 1u;
+const ROBOT_THREADS: u32 = 256u;
+
+struct RobotMotion { angular: vec3<f32>, linear: vec3<f32> }
+struct RobotWrench { moment: vec3<f32>, force: vec3<f32> }
+// Mass times centre, mass; the inertia's diagonal; yz, zx, xy of it.
+struct RobotInertia { first: vec4<f32>, diagonal: vec3<f32>, beside: vec3<f32> }
+// An impulse in a joint, and by how much it falls for each unit of the rate.
+struct RobotImpulse { value: f32, slope: f32 }
+
+// Of each link: rotation; origin of its frame; centre of mass; how its joint moves it, for each unit of the drive's rate; how it moves; what that asks
+// of all that hangs on it; inertia of these; one past the last of these, and the next link with the same drive.
+var<workgroup> robot_rotation: array<vec4<f32>, ROBOT_LINKS>;
+var<workgroup> robot_origin: array<vec3<f32>, ROBOT_LINKS>;
+var<workgroup> robot_centre: array<vec3<f32>, ROBOT_LINKS>;
+var<workgroup> robot_axis: array<RobotMotion, ROBOT_LINKS>;
+var<workgroup> robot_motion: array<RobotMotion, ROBOT_LINKS>;
+var<workgroup> robot_asked: array<RobotWrench, ROBOT_LINKS>;
+var<workgroup> robot_inertia: array<RobotInertia, ROBOT_LINKS>;
+var<workgroup> robot_order: array<vec2<u32>, ROBOT_LINKS>;
+var<workgroup> robot_body: array<u32, ROBOT_LINKS>;
+// Of each rate: the first link that it moves; its value without the contact at hand; what joints give then; what no iteration changes; what is out of balance.
+var<workgroup> robot_head: array<u32, ROBOT_RATES>;
+var<workgroup> robot_free: array<f32, ROBOT_RATES>;
+var<workgroup> robot_own: array<f32, ROBOT_RATES>;
+var<workgroup> robot_driven: array<f32, ROBOT_RATES>;
+var<workgroup> robot_missing: array<f32, ROBOT_RATES>;
+var<workgroup> robot_step: array<f32, ROBOT_RATES>;
+var<workgroup> robot_work: array<f32, ROBOT_RATES>;
+// Of each drive: position; order, with the way to the target in place of the target.
+var<workgroup> robot_position: array<f32, ROBOT_RATES>;
+var<workgroup> robot_told: array<vec4<f32>, ROBOT_RATES>;
+// The mass matrix, and the one that is solved.
+var<workgroup> robot_mass: array<f32, ROBOT_RATES * ROBOT_RATES>;
+var<workgroup> robot_matrix: array<f32, ROBOT_RATES * ROBOT_ROW>;
+var<workgroup> robot_go_on: u32;
+
+// What the table says of the robot, and its momentum.
+var<private> robot_links: u32;
+var<private> robot_links_at: u32;
+var<private> robot_drives: u32;
+var<private> robot_drives_at: u32;
+var<private> robot_base_rates: u32;
+var<private> robot_rates: u32;
+var<private> robot_depth: u32;
+var<private> robot_linear: vec3<f32>;
+var<private> robot_angular: vec3<f32>;
+// What the first thread alone knows of an iteration: what was out of balance along the last step before it.
+var<private> robot_before: f32;
+
+// Fixed-point numbers: whole, and 2^-32.
+fn robot_number(word: vec2<u32>) -> f32 {
+    return f32(bitcast<i32>(word.x)) + f32(word.y) * 2.3283064365386963e-10;
+}
+
+fn robot_more(word: vec2<u32>, by: f32) -> vec2<u32> {
+    let whole = floor(abs(by));
+    let part = u32((abs(by) - whole) * 4294967296.0);
+    let count = i32(whole);
+    if by >= 0.0 {
+        let next = word.y + part;
+        return vec2<u32>(bitcast<u32>(bitcast<i32>(word.x) + count + i32(next < word.y)), next);
+    }
+    let next = word.y - part;
+    return vec2<u32>(bitcast<u32>(bitcast<i32>(word.x) - count - i32(next > word.y)), next);
+}
+
+// One rotation behind another (x, y, z, w).
+fn robot_turned(q: vec4<f32>, r: vec4<f32>) -> vec4<f32> {
+    return vec4<f32>(q.w * r.xyz + r.w * q.xyz + cross(q.xyz, r.xyz), q.w * r.w - dot(q.xyz, r.xyz));
+}
+
+fn robot_rotated(q: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
+    let t = 2.0 * cross(q.xyz, v);
+    return v + q.w * t + cross(q.xyz, t);
+}
+
+fn robot_link(l: u32, i: u32) -> vec4<f32> {
+    return coupling_table(robot_links_at + l * ROBOT_LINK + i);
+}
+
+fn robot_drive(d: u32, i: u32) -> vec4<f32> {
+    return coupling_table(robot_drives_at + d * ROBOT_DRIVE + i);
+}
+
+fn robot_link_of(x: f32) -> u32 {
+    return select(u32(max(x, 0.0)), ROBOT_NONE, x < 0.0);
+}
+
+// Does `l` hang on `a`, or is it the same?
+fn robot_hangs_on(l: u32, a: u32) -> bool {
+    return a <= l && l < robot_order[a].x;
+}
+
+// How a rate moves the link `a`, one of those that it moves first, for each unit.
+fn robot_axis_of(rate: u32, a: u32) -> RobotMotion {
+    if rate < robot_base_rates {
+        let unit = vec3<f32>(vec3<u32>(rate % 3u) == vec3<u32>(0u, 1u, 2u));
+        let turns = rate >= 3u;
+        return RobotMotion(select(vec3<f32>(0.0), unit, turns), select(unit, vec3<f32>(0.0), turns));
+    }
+    return robot_axis[a];
+}
+
+// The twist of a link's centre of mass for each unit of a rate.
+fn robot_column(rate: u32, l: u32) -> CouplingTwist {
+    var sum = CouplingTwist(vec3<f32>(0.0), vec3<f32>(0.0));
+    var a = robot_head[rate];
+    for (var turn = 0u; turn < robot_links && a != ROBOT_NONE; turn++) {
+        if robot_hangs_on(l, a) {
+            let axis = robot_axis_of(rate, a);
+            sum = CouplingTwist(sum.linear + axis.linear + cross(axis.angular, robot_centre[l]), sum.angular + axis.angular);
+        }
+        a = robot_order[a].y;
+    }
+    return sum;
+}
+
+fn robot_momentum(own: RobotInertia, m: RobotMotion) -> RobotWrench {
+    let w = m.angular;
+    let turning = vec3<f32>(
+        own.diagonal.x * w.x + own.beside.z * w.y + own.beside.y * w.z,
+        own.beside.z * w.x + own.diagonal.y * w.y + own.beside.x * w.z,
+        own.beside.y * w.x + own.beside.x * w.y + own.diagonal.z * w.z,
+    );
+    return RobotWrench(turning + cross(own.first.xyz, m.linear), own.first.w * m.linear + cross(w, own.first.xyz));
+}
+
+fn robot_power(m: RobotMotion, f: RobotWrench) -> f32 {
+    return dot(m.angular, f.moment) + dot(m.linear, f.force);
+}
+
+// Reads what the robot is, and its state.
+fn robot_take_up(group: u32, thread: u32) {
+    let at = ROBOT_HEADS + 3u * group;
+    let one = coupling_table(at);
+    let two = coupling_table(at + 1u);
+    robot_links_at = u32(one.x);
+    robot_links = u32(one.y);
+    robot_drives_at = u32(one.z);
+    robot_drives = u32(one.w);
+    robot_base_rates = u32(two.x);
+    robot_depth = u32(two.y);
+    robot_rates = robot_base_rates + robot_drives;
+    robot_linear = bitcast<vec3<f32>>(group_word(1u).xyz);
+    robot_angular = bitcast<vec3<f32>>(group_word(2u).xyz);
+    if thread < robot_links {
+        robot_order[thread] = vec2<u32>(u32(robot_link(thread, 2u).w), robot_link_of(robot_link(thread, 4u).w));
+        let body = robot_link_of(robot_link(thread, 0u).w);
+        if body != ROBOT_NONE {
+            robot_body[body] = thread;
+        }
+    }
+    if thread < robot_base_rates {
+        robot_head[thread] = 0u;
+        robot_free[thread] = bitcast<f32>(group_word(3u + thread / 3u)[thread % 3u]);
+    }
+    if thread < robot_drives {
+        let word = group_word(ROBOT_WORDS + thread);
+        robot_position[thread] = robot_number(word.xy);
+        robot_free[robot_base_rates + thread] = bitcast<f32>(word.z);
+        robot_head[robot_base_rates + thread] = robot_link_of(robot_drive(thread, 0u).x);
+        robot_told[thread] = robot_order_of(group, thread, word);
+    }
+    workgroupBarrier();
+}
+
+// What a drive's motor is told in this step: by an order, or by the path.
+fn robot_order_of(group: u32, d: u32, word: vec4<u32>) -> vec4<f32> {
+    let head = group_word(0u);
+    var order = bitcast<vec4<f32>>(group_word(ROBOT_WORDS + robot_drives + d));
+    if head.z == 0u {
+        // At the step's end.
+        let time = select(head.xy, robot_clock_after(group, head.xy), group_moves());
+        order = robot_path(group, d, robot_number(time));
+    }
+    return vec4<f32>(order.x - robot_number(word.xy), order.yzw);
+}
+
+// The time along the path after a step.
+fn robot_clock_after(group: u32, clock: vec2<u32>) -> vec2<u32> {
+    let path = coupling_table(ROBOT_HEADS + 3u * group + 2u);
+    let next = robot_more(clock, group_dt());
+    if path.y > 0.0 && robot_number(next) >= path.x {
+        return robot_more(next, -path.y);
+    }
+    return next;
+}
+
+// Where the path leads a drive at a time, and how fast: straight from frame to frame.
+fn robot_path(group: u32, d: u32, time: f32) -> vec4<f32> {
+    let head = coupling_table(ROBOT_HEADS + 3u * group + 1u);
+    let at = u32(head.z);
+    let each = 1u + (robot_drives + 3u) / 4u;
+    // One past the last frame that is not behind that time.
+    var next = 0u;
+    var end = u32(head.w);
+    for (var turn = 0u; turn < 32u && next < end; turn++) {
+        let middle = (next + end) / 2u;
+        if coupling_table(at + middle * each).x <= time {
+            next = middle + 1u;
+        } else {
+            end = middle;
+        }
+    }
+    let last = max(next, 1u) - 1u;
+    let from_here = coupling_table(at + last * each + 1u + d / 4u)[d % 4u];
+    if next == 0u || next == u32(head.w) {
+        return vec4<f32>(from_here, 0.0, 0.0, 1.0);
+    }
+    let to_there = coupling_table(at + next * each + 1u + d / 4u)[d % 4u];
+    let begin = coupling_table(at + last * each).x;
+    let rate = (to_there - from_here) / (coupling_table(at + next * each).x - begin);
+    return vec4<f32>(from_here + (time - begin) * rate, rate, 0.0, 1.0);
+}
+
+// Finds where links are and how they move, from the base on, if the base is turned so.
+fn robot_place(base: vec4<f32>, thread: u32) {
+    var own = ROBOT_NONE;
+    if thread < robot_links {
+        own = u32(robot_link(thread, 1u).w);
+    }
+    for (var depth = 0u; depth <= robot_depth; depth++) {
+        if depth == own {
+            robot_place_link(thread, base);
+        }
+        workgroupBarrier();
+    }
+}
+
+fn robot_place_link(l: u32, base: vec4<f32>) {
+    let head = robot_link(l, 0u);
+    let own = robot_link(l, 1u);
+    let within = robot_link(l, 5u).xyz;
+    var q = base;
+    var origin = -robot_rotated(base, within);
+    var axis = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
+    var motion = axis;
+    // The acceleration without any rate changing.
+    var drift = axis;
+    if head.x < 0.0 {
+        if robot_base_rates > 0u {
+            motion = RobotMotion(vec3<f32>(robot_free[3], robot_free[4], robot_free[5]), vec3<f32>(robot_free[0], robot_free[1], robot_free[2]));
+            drift.linear = -cross(motion.angular, motion.linear);
+        }
+    } else {
+        let parent = u32(head.x);
+        origin = robot_origin[parent] + robot_rotated(robot_rotation[parent], robot_link(l, 2u).xyz);
+        q = robot_turned(robot_rotation[parent], robot_link(l, 3u));
+        motion = robot_motion[parent];
+        drift = RobotMotion(robot_asked[parent].moment, robot_asked[parent].force);
+        if head.y > 0.0 {
+            let d = u32(head.z);
+            let along = robot_link(l, 4u).xyz;
+            let position = own.x * robot_position[d] + own.y;
+            let in_world = robot_rotated(q, along);
+            if head.y == 1.0 {
+                q = robot_turned(q, vec4<f32>(sin(0.5 * position) * along, cos(0.5 * position)));
+                axis = RobotMotion(own.x * in_world, own.x * cross(origin, in_world));
+            } else {
+                origin += position * in_world;
+                axis.linear = own.x * in_world;
+            }
+            let rate = robot_free[robot_base_rates + d];
+            let by = RobotMotion(rate * axis.angular, rate * axis.linear);
+            motion = RobotMotion(motion.angular + by.angular, motion.linear + by.linear);
+            drift.angular += cross(motion.angular, by.angular);
+            drift.linear += cross(motion.angular, by.linear) + cross(motion.linear, by.angular);
+        }
+    }
+    q = normalize(q);
+    robot_rotation[l] = q;
+    robot_origin[l] = origin;
+    robot_axis[l] = axis;
+    robot_motion[l] = motion;
+    // Until all links stand.
+    robot_asked[l] = RobotWrench(drift.angular, drift.linear);
+    let c = origin + robot_rotated(q, within);
+    robot_centre[l] = c;
+    let rows = rows_of(q);
+    let back = mat3x3<f32>(rows[0], rows[1], rows[2]);
+    let tensor = mat3x3<f32>(robot_link(l, 6u).xyz, robot_link(l, 7u).xyz, robot_link(l, 8u).xyz);
+    let turned = transpose(back) * tensor * back;
+    let first = own.z * c;
+    robot_inertia[l] = RobotInertia(
+        vec4<f32>(first, own.z),
+        vec3<f32>(turned[0].x, turned[1].y, turned[2].z) + vec3<f32>(dot(first, c)) - first * c,
+        vec3<f32>(turned[1].z, turned[2].x, turned[0].y) - first.yzx * c.zxy,
+    );
+}
+
+// Sums up, for each link, the inertia of all that hangs on it, and what their motion asks; then the mass matrix.
+fn robot_compose(thread: u32) {
+    if thread < robot_links {
+        let drift = robot_asked[thread];
+        let own = robot_inertia[thread];
+        let motion = robot_motion[thread];
+        let momentum = robot_momentum(own, motion);
+        let lacks = robot_momentum(own, RobotMotion(drift.moment, drift.force));
+        robot_asked[thread] = RobotWrench(
+            lacks.moment + cross(motion.angular, momentum.moment) + cross(motion.linear, momentum.force),
+            lacks.force + cross(motion.angular, momentum.force),
+        );
+    }
+    workgroupBarrier();
+    var asked = RobotWrench(vec3<f32>(0.0), vec3<f32>(0.0));
+    var inertia = RobotInertia(vec4<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
+    if thread < robot_links {
+        let end = robot_order[thread].x;
+        for (var l = thread; l < end; l++) {
+            let one = robot_asked[l];
+            let own = robot_inertia[l];
+            asked = RobotWrench(asked.moment + one.moment, asked.force + one.force);
+            inertia = RobotInertia(inertia.first + own.first, inertia.diagonal + own.diagonal, inertia.beside + own.beside);
+        }
+    }
+    workgroupBarrier();
+    if thread < robot_links {
+        robot_asked[thread] = asked;
+        robot_inertia[thread] = inertia;
+    }
+    workgroupBarrier();
+    for (var e = thread; e < select(0u, robot_rates * robot_rates, thread < ROBOT_THREADS); e += ROBOT_THREADS) {
+        let i = e / robot_rates;
+        let j = e % robot_rates;
+        robot_mass[i * ROBOT_RATES + j] = robot_mass_of(i, j);
+    }
+    workgroupBarrier();
+}
+
+// Power for each unit of both rates that the momentum of what both move takes.
+fn robot_mass_of(i: u32, j: u32) -> f32 {
+    var sum = 0.0;
+    if i == j && i >= robot_base_rates {
+        sum = robot_drive(i - robot_base_rates, 1u).w;
+    }
+    var a = robot_head[i];
+    for (var turn = 0u; turn < robot_links && a != ROBOT_NONE; turn++) {
+        var b = robot_head[j];
+        for (var other = 0u; other < robot_links && b != ROBOT_NONE; other++) {
+            var deeper = ROBOT_NONE;
+            if robot_hangs_on(b, a) {
+                deeper = b;
+            } else if robot_hangs_on(a, b) {
+                deeper = a;
+            }
+            if deeper != ROBOT_NONE {
+                sum += robot_power(robot_axis_of(i, a), robot_momentum(robot_inertia[deeper], robot_axis_of(j, b)));
+            }
+            b = robot_order[b].y;
+        }
+        a = robot_order[a].y;
+    }
+    return sum;
+}
+
+// The rates' equation takes the forces of motion as they were. What momentum lost by that, the base's rates make up for.
+fn robot_correct(thread: u32) {
+    if thread < robot_base_rates {
+        var sum = 0.0;
+        for (var j = 0u; j < robot_rates; j++) {
+            sum += robot_mass[thread * ROBOT_RATES + j] * robot_free[j];
+        }
+        robot_missing[thread] = select(robot_linear[thread % 3u], robot_angular[thread % 3u], thread >= 3u) - sum;
+    }
+    workgroupBarrier();
+    if thread == 0u && robot_base_rates > 0u {
+        var rows: array<CouplingRow, 6>;
+        for (var i = 0u; i < 6u; i++) {
+            let at = i * ROBOT_RATES;
+            rows[i] = CouplingRow(
+                vec3<f32>(robot_mass[at], robot_mass[at + 1u], robot_mass[at + 2u]),
+                vec3<f32>(robot_mass[at + 3u], robot_mass[at + 4u], robot_mass[at + 5u]),
+                robot_missing[i],
+            );
+        }
+        let by = solve_rows(rows);
+        for (var i = 0u; i < 3u; i++) {
+            robot_free[i] += by.linear[i];
+            robot_free[3u + i] += by.angular[i];
+        }
+    }
+    workgroupBarrier();
+}
+
+// A drive's motor at a rate: its torque, and by how much that falls for each unit.
+fn robot_motor(d: u32, rate: f32) -> RobotImpulse {
+    let limits = robot_drive(d, 0u);
+    let speed = robot_drive(d, 1u).x;
+    let told = robot_told[d];
+    let gains = robot_drive(d, 2u).xy * told.w;
+    let demand = gains.x * (told.x - group_dt() * rate) + gains.y * (told.y - rate) + told.z;
+    let effort = limits.w;
+    let fade = ROBOT_FADE * speed;
+    let up = clamp((speed - rate) / fade, 0.0, 1.0);
+    let down = clamp((speed + rate) / fade, 0.0, 1.0);
+    if demand > effort * up {
+        return RobotImpulse(effort * up, select(0.0, effort / fade, up > 0.0 && up < 1.0));
+    }
+    if demand < -effort * down {
+        return RobotImpulse(-effort * down, select(0.0, effort / fade, down > 0.0 && down < 1.0));
+    }
+    return RobotImpulse(demand, gains.x * group_dt() + gains.y);
+}
+
+// All that acts in a joint over the step, if it ends with this rate.
+fn robot_impulse(d: u32, rate: f32) -> RobotImpulse {
+    let dt = group_dt();
+    let limits = robot_drive(d, 0u);
+    let losses = robot_drive(d, 1u);
+    let motor = robot_motor(d, rate);
+    let grown = sqrt(rate * rate + ROBOT_CREEP * ROBOT_CREEP);
+    let calm = ROBOT_CREEP / grown;
+    var sum = RobotImpulse(
+        dt * (motor.value - losses.y * rate - losses.z * (rate / grown)),
+        dt * (motor.slope + losses.y + losses.z * calm * calm / grown),
+    );
+    let i = robot_base_rates + d;
+    let stiff = ROBOT_STIFF * robot_mass[i * ROBOT_RATES + i];
+    for (var end = 0u; end < 2u; end++) {
+        let sign = select(-1.0, 1.0, end == 1u);
+        let gap = sign * (limits[1u + end] - robot_position[d]);
+        let most = select(ROBOT_BACK * gap, gap, gap > 0.0) / dt;
+        let beyond = sign * rate - most;
+        if beyond > 0.0 {
+            sum = RobotImpulse(sum.value - sign * stiff * beyond, sum.slope + stiff);
+        }
+    }
+    return sum;
+}
+
+fn robot_joint(i: u32, rate: f32) -> RobotImpulse {
+    if i < robot_base_rates {
+        return RobotImpulse(0.0, 0.0);
+    }
+    return robot_impulse(i - robot_base_rates, rate);
+}
+
+// Solves the matrix for what stands behind each row, into the step.
+fn robot_solve(thread: u32) {
+    let n = robot_rates;
+    for (var k = 0u; k < n; k++) {
+        let pivot = 1.0 / robot_matrix[k * ROBOT_ROW + k];
+        let width = n - k;
+        for (var e = thread; e < select(0u, (n - 1u) * width, thread < ROBOT_THREADS); e += ROBOT_THREADS) {
+            let other = e / width;
+            let i = other + u32(other >= k);
+            let j = k + 1u + e % width;
+            robot_matrix[i * ROBOT_ROW + j] -= robot_matrix[i * ROBOT_ROW + k] * pivot * robot_matrix[k * ROBOT_ROW + j];
+        }
+        workgroupBarrier();
+    }
+    if thread < n {
+        robot_step[thread] = robot_matrix[thread * ROBOT_ROW + n] / robot_matrix[thread * ROBOT_ROW + thread];
+    }
+    workgroupBarrier();
+}
+
+// Finds the rates that balance without soft ground, as `balance_alone` of `robot.rs`.
+fn robot_settle(thread: u32) {
+    let n = robot_rates;
+    if thread < n {
+        var sum = 0.0;
+        for (var j = 0u; j < n; j++) {
+            sum += robot_mass[thread * ROBOT_RATES + j] * robot_free[j];
+        }
+        var driven = sum;
+        var a = robot_head[thread];
+        for (var turn = 0u; turn < robot_links && a != ROBOT_NONE; turn++) {
+            let axis = robot_axis_of(thread, a);
+            let asked = robot_asked[a];
+            let all = robot_inertia[a].first;
+            let weight = RobotWrench(cross(all.xyz, group_gravity()), all.w * group_gravity());
+            driven += robot_power(axis, weight) - group_dt() * robot_power(axis, asked);
+            a = robot_order[a].y;
+        }
+        robot_driven[thread] = driven;
+        robot_step[thread] = 0.0;
+    }
+    robot_before = 0.0;
+    workgroupBarrier();
+    for (var turn = 0u; turn < ROBOT_ITERATIONS; turn++) {
+        if thread < n {
+            var sum = 0.0;
+            for (var j = 0u; j < n; j++) {
+                let m = robot_mass[thread * ROBOT_RATES + j];
+                sum += m * robot_free[j];
+                robot_matrix[thread * ROBOT_ROW + j] = m;
+            }
+            let own = robot_joint(thread, robot_free[thread]);
+            let missing = robot_driven[thread] - sum + own.value;
+            robot_matrix[thread * ROBOT_ROW + thread] += own.slope;
+            robot_matrix[thread * ROBOT_ROW + n] = missing;
+            robot_missing[thread] = missing;
+            robot_work[thread] = robot_free[thread] * sum;
+        }
+        workgroupBarrier();
+        if thread == 0u {
+            robot_go_on = 1u;
+            let beyond = -robot_lead();
+            if robot_before > 0.0 && beyond > ROBOT_OVERSHOT * robot_before {
+                // It led too far.
+                let back = beyond / (robot_before + beyond);
+                for (var i = 0u; i < n; i++) {
+                    robot_free[i] -= back * robot_step[i];
+                    robot_step[i] *= 1.0 - back;
+                }
+                robot_before *= 1.0 - back;
+                robot_go_on = 2u;
+            }
+        }
+        if workgroupUniformLoad(&robot_go_on) == 2u {
+            continue;
+        }
+        robot_solve(thread);
+        if thread == 0u {
+            // Of what gravity alone does to it, too: a robot at rest has none.
+            var energy = robot_inertia[0].first.w * dot(group_gravity(), group_gravity());
+            for (var i = 0u; i < n; i++) {
+                energy += robot_work[i];
+                robot_free[i] += robot_step[i];
+            }
+            robot_before = robot_lead();
+            robot_go_on = u32(robot_before > ROBOT_TOLERANCE * ROBOT_TOLERANCE * energy);
+        }
+        if workgroupUniformLoad(&robot_go_on) == 0u {
+            break;
+        }
+    }
+}
+
+// What is out of balance along the last step.
+fn robot_lead() -> f32 {
+    var sum = 0.0;
+    for (var i = 0u; i < robot_rates; i++) {
+        sum += robot_missing[i] * robot_step[i];
+    }
+    return sum;
+}
+
+// The rates as they are now are those without the contact to come, and nothing better is known of those with it.
+fn robot_set_free(thread: u32) {
+    if thread < robot_rates {
+        let rate = robot_free[thread];
+        robot_own[thread] = robot_joint(thread, rate).value;
+        set_group_rate(TWIST_FREE, thread, rate);
+        set_group_rate(TWIST_EXPECTED, thread, rate);
+    }
+    workgroupBarrier();
+    robot_set_twists(TWIST_FREE, thread);
+    if thread < group_bodies() {
+        set_group_twist(TWIST_EXPECTED, thread, group_twist(TWIST_FREE, thread));
+    }
+    workgroupBarrier();
+}
+
+// The bodies' twists at the rates of a kind.
+fn robot_set_twists(kind: u32, thread: u32) {
+    if thread >= group_bodies() {
+        return;
+    }
+    let l = robot_body[thread];
+    var sum = CouplingTwist(vec3<f32>(0.0), vec3<f32>(0.0));
+    for (var i = 0u; i < robot_rates; i++) {
+        let column = robot_column(i, l);
+        let rate = group_rate(kind, i);
+        sum = CouplingTwist(sum.linear + rate * column.linear, sum.angular + rate * column.angular);
+    }
+    set_group_twist(kind, thread, sum);
+}
+
+fn coupling_begin(group: u32, thread: u32) {
+    robot_take_up(group, thread);
+    robot_place(pose_rotation(group_pose(0u)), thread);
+    robot_compose(thread);
+    robot_correct(thread);
+    if group_moves() {
+        robot_settle(thread);
+    }
+    workgroupBarrier();
+    robot_set_free(thread);
+}
+
+fn coupling_answer(group: u32, thread: u32) {
+    let n = robot_rates;
+    if thread < n {
+        let tried = group_rate(TWIST_TRIED, thread);
+        let own = robot_joint(thread, tried);
+        var missing = own.value - robot_own[thread];
+        for (var j = 0u; j < n; j++) {
+            let m = robot_mass[thread * ROBOT_RATES + j];
+            missing += m * (robot_free[j] - group_rate(TWIST_TRIED, j));
+            robot_matrix[thread * ROBOT_ROW + j] = m;
+        }
+        robot_matrix[thread * ROBOT_ROW + thread] += own.slope;
+        for (var b = 0u; b < group_bodies(); b++) {
+            if !group_touches(b) {
+                continue;
+            }
+            let l = robot_body[b];
+            let column = robot_column(thread, l);
+            let system = group_system(b);
+            missing += dot(column.linear, system.force) + dot(column.angular, system.torque);
+            let linear = system.force_linear * column.linear + system.torque_linear * column.angular;
+            let angular = system.force_angular * column.linear + system.torque_angular * column.angular;
+            for (var j = 0u; j < n; j++) {
+                let other = robot_column(j, l);
+                robot_matrix[thread * ROBOT_ROW + j] += dot(linear, other.linear) + dot(angular, other.angular);
+            }
+        }
+        robot_missing[thread] = missing;
+        robot_matrix[thread * ROBOT_ROW + n] = missing;
+    }
+    workgroupBarrier();
+    robot_solve(thread);
+    if thread < n {
+        set_group_rate(TWIST_STEP, thread, robot_step[thread]);
+    }
+    workgroupBarrier();
+    robot_set_twists(TWIST_STEP, thread);
+    workgroupBarrier();
+}
+
+fn coupling_balance(group: u32, along: u32, thread: u32) -> f32 {
+    if thread != 0u {
+        return 0.0;
+    }
+    var sum = 0.0;
+    for (var i = 0u; i < robot_rates; i++) {
+        sum += robot_missing[i] * group_rate(along, i);
+    }
+    return sum;
+}
+
+fn coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32 {
+    if thread < robot_rates {
+        var sum = 0.0;
+        for (var j = 0u; j < robot_rates; j++) {
+            sum += robot_mass[thread * ROBOT_RATES + j] * group_rate(which, j);
+        }
+        robot_work[thread] = sum * group_rate(which, thread);
+    }
+    workgroupBarrier();
+    var energy = 0.0;
+    for (var i = 0u; i < select(0u, robot_rates, thread == 0u); i++) {
+        energy += robot_work[i];
+    }
+    workgroupBarrier();
+    return energy;
+}
+
+fn coupling_feel(group: u32, thread: u32) {
+    for (var b = 0u; b < group_bodies(); b++) {
+        let gained = group_impulse(b);
+        robot_linear += gained.linear;
+        robot_angular += gained.angular + cross(robot_centre[robot_body[b]], gained.linear);
+    }
+    if thread < robot_rates {
+        robot_free[thread] = group_rate(TWIST_TRIED, thread) + group_rate(TWIST_STEP, thread);
+    }
+    workgroupBarrier();
+    robot_set_free(thread);
+}
+
+fn coupling_advance(group: u32, thread: u32) {
+    let old = group_pose(0u);
+    var base = old;
+    var clock = group_word(0u);
+    var word = vec4<u32>(0u);
+    if thread < robot_drives {
+        word = group_word(ROBOT_WORDS + thread);
+    }
+    if group_moves() {
+        let velocity = vec3<f32>(robot_free[0], robot_free[1], robot_free[2]);
+        let all = robot_inertia[0].first;
+        workgroupBarrier();
+        let gravity = group_gravity();
+        robot_linear += all.w * gravity;
+        robot_angular += cross(all.xyz, gravity);
+        if robot_base_rates > 0u {
+            base = pose_after(old, group_twist(TWIST_FREE, 0u));
+            // About where its centre of mass is then.
+            robot_angular -= cross(group_dt() * velocity, robot_linear);
+        }
+        if thread < robot_drives {
+            let next = robot_more(word.xy, group_dt() * robot_free[robot_base_rates + thread]);
+            word = vec4<u32>(next, word.zw);
+            robot_position[thread] = robot_number(next);
+        }
+        clock = vec4<u32>(robot_clock_after(group, clock.xy), clock.zw);
+        workgroupBarrier();
+        robot_place(pose_rotation(base), thread);
+        if thread < group_bodies() {
+            let l = robot_body[thread];
+            let rotation = vec4<i32>(round(robot_rotation[l] * 1073741824.0));
+            let pose = pose_shifted(CouplingPose(base.cell, base.place, rotation), robot_centre[l] / group_cell());
+            if thread == 0u {
+                set_group_pose(0u, base);
+            } else {
+                set_group_pose(thread, pose);
+            }
+        }
+    }
+    if thread == 0u {
+        set_group_word(0u, clock);
+        set_group_word(1u, vec4<u32>(bitcast<vec3<u32>>(robot_linear), 0u));
+        set_group_word(2u, vec4<u32>(bitcast<vec3<u32>>(robot_angular), 0u));
+    }
+    if thread < 2u {
+        var base_rates = vec3<f32>(0.0);
+        if robot_base_rates > 0u {
+            base_rates = vec3<f32>(robot_free[3u * thread], robot_free[3u * thread + 1u], robot_free[3u * thread + 2u]);
+        }
+        set_group_word(3u + thread, vec4<u32>(bitcast<vec3<u32>>(base_rates), 0u));
+    }
+    if thread < robot_drives {
+        set_group_word(ROBOT_WORDS + thread, vec4<u32>(word.xy, bitcast<u32>(robot_free[robot_base_rates + thread]), 0u));
+        set_group_word(ROBOT_WORDS + robot_drives + thread, group_word(ROBOT_WORDS + robot_drives + thread));
+    }
+}
