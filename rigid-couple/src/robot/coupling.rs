@@ -429,13 +429,22 @@ impl Coupling for Robots {
     fn leashes(&self, time: f64, dt: f64, _steps: usize) -> Option<Vec<Aabb>> {
         let world = &self.scene.world;
         let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
-        let off_walls = device::off_walls(self.reach(), world.cell, self.widest());
+        // Coarser levels keep away from bodies that levels follow.
+        let own_followed = self.followed();
+        let followed = self.scene.levels.agents.as_ref().unwrap_or(&own_followed);
         let of_robot = |robot: &Robot| {
             if !device::is_slow(robot, gravity, dt, world.cell) {
                 return None;
             }
-            let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, world.cell)).collect();
-            robot.leashes(&boxes, world, off_walls)
+            let of_body = |(body, link): (usize, &usize)| {
+                let is_followed = followed.contains(&robot.body_name(body));
+                let widest = if is_followed { world.cell } else { self.widest() };
+                let shape = robot.model.links[*link].shape.as_ref();
+                let off = shape.map_or(0.0, |shape| device::off_walls(shape, world.cell, widest));
+                (robot.bounds(body, world.cell), off)
+            };
+            let boxes: Vec<(Aabb, f64)> = robot.solids.iter().enumerate().map(of_body).collect();
+            robot.leashes(&boxes, world)
         };
         let all: Option<Vec<Vec<Aabb>>> = self.robots.iter().map(of_robot).collect();
         Some(all?.into_iter().flatten().collect())

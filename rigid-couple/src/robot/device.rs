@@ -5,6 +5,7 @@ use super::motion::JointPath;
 use super::{Robot, dynamics};
 use crate::grip::REACH;
 use crate::motion::Pose;
+use crate::sdf::Sdf;
 use crate::tables::{Listed, Row, Tables, row, rows};
 use barchan_core::coupling::{Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, GroupState, Placed};
 use barchan_core::scene::{Contact, Wall, World};
@@ -148,10 +149,9 @@ impl Robot {
         (head, rest)
     }
 
-    /// How far along each axis each of its bodies, with boxes, may go before it comes too near to a wall; `None` if one is there, or moves too fast. `extra` [m] is
-    /// what one keeps besides.
-    pub(crate) fn leashes(&self, boxes: &[Aabb], world: &World, extra: f64) -> Option<Vec<Aabb>> {
-        let leash = |own: &Aabb| {
+    /// How far along each axis each of its bodies, with such boxes, may go before it comes nearer to a wall than it has to keep off [m]; `None` if one is there.
+    pub(crate) fn leashes(&self, boxes: &[(Aabb, f64)], world: &World) -> Option<Vec<Aabb>> {
+        let leash = |(own, off): &(Aabb, f64)| {
             let mut leash = Aabb::UNBOUND;
             for axis in 0..3 {
                 let ends = [(world.min[axis], 1.0), (world.max[axis], -1.0)];
@@ -162,7 +162,7 @@ impl Robot {
                     // Before the wall, or behind it.
                     let [low, high] = [own.min[axis] - place, own.max[axis] - place];
                     let [before, behind] = if inwards > 0.0 { [low, -high] } else { [-high, low] };
-                    let gap = before.max(behind) - extra;
+                    let gap = before.max(behind) - off;
                     if gap.is_nan() || gap <= 0.0 {
                         return None;
                     }
@@ -172,7 +172,7 @@ impl Robot {
             }
             Some(leash)
         };
-        let of_body = |(body, own): (usize, &Aabb)| {
+        let of_body = |(body, own): (usize, &(Aabb, f64))| {
             if self.bodies[body].is_none() { Some(Aabb::UNBOUND) } else { leash(own) }
         };
         boxes.iter().enumerate().map(of_body).collect()
@@ -309,7 +309,7 @@ pub(crate) fn is_slow(robot: &Robot, gravity: f64, dt: f64, cell: f64) -> bool {
     (0..robot.solids.len()).map(speed).fold(0.0, f64::max) * dt <= MOST_MOVE * cell
 }
 
-/// How far from walls links keep that a device moves [m]: nodes behind walls move as their images before them, which may be two layers of nodes.
-pub(crate) fn off_walls(reach: f64, cell: f64, widest: f64) -> f64 {
-    (MOST_MOVE + 1.0) * cell + reach * widest
+/// How far from walls a link keeps that a device moves [m], on cells no wider than `widest`: nodes behind walls move as their images before them, which may be two layers of nodes.
+pub(crate) fn off_walls(shape: &Sdf, cell: f64, widest: f64) -> f64 {
+    (MOST_MOVE + 1.0) * cell + REACH * widest + shape.padding(widest) - shape.padding(cell)
 }

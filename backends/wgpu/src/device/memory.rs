@@ -37,6 +37,8 @@ pub(crate) const GROUP_HEAD: usize = 2;
 pub(crate) const BODY_HEAD: usize = 5;
 pub(crate) const BODY_STATE: usize = 5;
 pub(crate) const TOUCH: usize = 3;
+/// Blocks of nodes that the threads of a body that answers look at together: for so many of them a thread keeps one touch; see `answer.wgsl`.
+pub(crate) const ABREAST: usize = 4;
 /// Columns of what touches of a body add up to; see `answer.wgsl`.
 const COLUMNS: usize = 11;
 /// Vectors of a block of nodes that goes to the host; see `gather.wgsl`.
@@ -46,8 +48,8 @@ pub(crate) const WATCHED: usize = 12;
 /// Words of a soft body that levels follow; see `soft.wgsl`.
 pub(crate) const SOFT_WORDS: usize = 24;
 
-/// Room for groups that answer in each world, for their bodies in all and in one group, for words of a group's state, and for blocks around a body along an axis
-/// on the finest level.
+/// Room for groups that answer in each world, for their bodies in all and in one group, for words and rates of a group's state, for blocks around all bodies
+/// on the finest level, and around one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Answering {
     pub(crate) groups: usize,
@@ -55,12 +57,14 @@ pub(crate) struct Answering {
     pub(crate) together: usize,
     pub(crate) words: usize,
     pub(crate) rates: usize,
-    pub(crate) across: usize,
+    pub(crate) rooms: usize,
+    pub(crate) widest: usize,
 }
 
 impl Answering {
-    /// For the groups of all couplings of a world, whose bodies reach into so many blocks along an axis.
-    pub(crate) fn of(groups: &[Vec<DeviceGroup>], across: impl Fn(&DeviceBody) -> usize) -> Self {
+    /// For the groups of all couplings of a world, whose bodies have so many blocks around them.
+    pub(crate) fn of(groups: &[Vec<DeviceGroup>], rooms: impl Fn(&DeviceBody) -> usize) -> Self {
+        let rooms = |body: &DeviceBody| rooms(body).next_multiple_of(ABREAST);
         let all = || groups.iter().flatten();
         Self {
             groups: all().count(),
@@ -68,7 +72,8 @@ impl Answering {
             together: all().map(|group| group.bodies.len()).max().unwrap_or(0),
             words: all().map(|group| group.words).max().unwrap_or(0),
             rates: all().map(|group| group.rates).max().unwrap_or(0),
-            across: all().flat_map(|group| &group.bodies).map(across).max().unwrap_or(0),
+            rooms: all().flat_map(|group| &group.bodies).map(rooms).sum(),
+            widest: all().flat_map(|group| &group.bodies).map(rooms).max().unwrap_or(0),
         }
     }
 
@@ -80,13 +85,9 @@ impl Answering {
             together: self.together.max(other.together),
             words: self.words.max(other.words),
             rates: self.rates.max(other.rates),
-            across: self.across.max(other.across),
+            rooms: self.rooms.max(other.rooms),
+            widest: self.widest.max(other.widest),
         }
-    }
-
-    /// Blocks around a body on a level.
-    pub(crate) fn rooms(self) -> usize {
-        self.across.saturating_pow(3)
     }
 }
 
@@ -122,11 +123,11 @@ pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
 /// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how particles press on them on each level and whether any are near, and, where groups have
 /// several bodies, what their touches add up to.
 pub(crate) fn answering_bytes(room: Answering, worlds: usize, levels: usize) -> u64 {
-    let Answering { groups, bodies, together, words, .. } = room;
-    let touches = 256 * room.rooms().div_ceil(4) * TOUCH;
-    let pressed = (64 * room.rooms() + 1) * levels;
+    let Answering { groups, bodies, together, words, rooms, .. } = room;
+    let touches = 256 * (rooms / ABREAST) * TOUCH;
+    let pressed = (64 * rooms + bodies) * levels;
     let of_groups = worlds * groups * (GROUP_HEAD + (MAX_SLOTS + 2) * words);
-    let of_bodies = worlds * bodies * (BODY_HEAD + (MAX_SLOTS + 2) * BODY_STATE + touches + pressed);
+    let of_bodies = worlds * (bodies * (BODY_HEAD + (MAX_SLOTS + 2) * BODY_STATE) + touches + pressed);
     let systems = if together > 1 { COLUMNS * (worlds * bodies + together) } else { 0 };
     16 * (of_groups + of_bodies + systems) as u64
 }

@@ -143,13 +143,7 @@ fn answering_counts(room: Answering, laws: &Laws) -> String {
     format!(
         "const GROUPS: u32 = {}u;\nconst ANSWERING: u32 = {}u;\nconst GROUP_BODIES: u32 = {}u;\nconst GROUP_WORDS: u32 = {}u;\n\
          const GROUP_RATES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst REACH: f32 = {:?};\n",
-        room.groups,
-        room.bodies,
-        room.together,
-        room.words,
-        room.rates,
-        room.rooms(),
-        laws.reach,
+        room.groups, room.bodies, room.together, room.words, room.rates, room.rooms, laws.reach,
     )
 }
 

@@ -57,12 +57,16 @@ pub(crate) struct Needs {
     pub(crate) roams: bool,
 }
 
+/// Blocks of finest cells of width `h` [m] that a box of a body's extent can reach into.
+pub(crate) fn rooms_around(body: &DeviceBody, h: f64) -> usize {
+    let across = (2.0 * body.reach / (4.0 * h)).min(1e6) as usize + 2;
+    across.saturating_pow(3)
+}
+
 impl Needs {
     /// Of a world's couplings with so many materials, where finest cells have that width [m].
     pub(crate) fn of(laws: &Laws, materials: usize, h: f64, roams: bool) -> Self {
-        // Blocks that a box of the bodies' extents can reach into along an axis.
-        let across = |body: &DeviceBody| (2.0 * body.reach / (4.0 * h)).min(1e6) as usize + 2;
-        let answering = Answering::of(&laws.groups, across);
+        let answering = Answering::of(&laws.groups, |body| rooms_around(body, h));
         let (bodies, vectors) = (laws.bodies, laws.table.len() + materials);
         Self { bodies, vectors, answering, driven: answering.bodies < bodies, roams }
     }
@@ -234,7 +238,7 @@ impl WgpuBatch {
     pub(crate) fn has_room(&self, answering: Answering, vectors: usize) -> bool {
         let cap = self.gpu.limits.max_storage_buffer_binding_size.min(self.gpu.limits.max_buffer_size);
         let bytes = answering_bytes(answering, self.worlds.len(), self.levels).max(16 * vectors as u64);
-        answering.rooms() <= MOST_ROOMS && answering.together <= MOST_TOGETHER && bytes <= cap
+        answering.widest <= MOST_ROOMS && answering.together <= MOST_TOGETHER && bytes <= cap
     }
 
     /// Does what groups of several bodies keep while they answer fit the adapter's memory for workgroups?

@@ -1,9 +1,9 @@
 //! Groups of bodies that answer, which the device moves: as they are at the start of a submission, and what came of them. See `answering.wgsl`.
 
 use crate::device::kernel::Role;
-use crate::device::memory::{Answering, BODY_HEAD, BODY_STATE, GROUP_HEAD, Writes};
+use crate::device::memory::{ABREAST, Answering, BODY_HEAD, BODY_STATE, GROUP_HEAD, Writes};
 use crate::schedule::batch::WgpuBatch;
-use crate::schedule::bodies::Driven;
+use crate::schedule::bodies::{Driven, rooms_around};
 use crate::schedule::submission::{Behind, Outcome};
 use barchan_core::backend::WorldStep;
 use barchan_core::coupling::{Group, GroupState, GroupStep, Placed};
@@ -46,6 +46,8 @@ pub(crate) struct HeldBody {
     mass: f64,
     /// Greatest distance of a surface point from the reference point [m].
     extent: f64,
+    /// Blocks around it.
+    rooms: usize,
     /// How far along each axis its box may move: least and greatest displacement [m].
     leash: Aabb,
     /// Do levels follow it?
@@ -125,16 +127,16 @@ fn read_pose(words: &[Words], h: f64) -> Placed {
     Placed { position, rotation: [w, x, y, z] }
 }
 
-/// What a body that meets so many levels is for the steps of a submission, where finest cells have width `h` [m].
-fn body_words(body: &HeldBody, position: Vec3, levels: usize, h: f64) -> [Words; BODY_HEAD] {
+/// What a body that meets so many levels, and whose blocks have their rooms from `first_room` on, is for the steps of a submission, where finest cells have width `h` [m].
+fn body_words(body: &HeldBody, position: Vec3, levels: usize, first_room: usize, h: f64) -> [Words; BODY_HEAD] {
     let end = |x: f64, inwards: f64| bits((x / h + inwards * ROUNDING).clamp(-FAR, FAR));
     let ends = |v: Vec3, inwards: f64, last: u32| [end(v[0], inwards), end(v[1], inwards), end(v[2], inwards), last];
-    let [cell, place] = places(position, h);
+    let [[x, y, z, _], place] = places(position, h);
     [
         [body.number as u32, levels as u32, bits(TOOL_COURANT * (1.0 - ROUNDING)), bits(body.extent / h)],
         ends(body.leash.min, 1.0, bits(body.mass)),
-        ends(body.leash.max, -1.0, 0),
-        cell,
+        ends(body.leash.max, -1.0, first_room as u32),
+        [x, y, z, body.rooms as u32],
         place,
     ]
 }
@@ -172,7 +174,8 @@ impl WgpuBatch {
                     let leash = leashes.next()?.intersection(&of_levels).intersection(&of_others);
                     let followed = world.adapt.follows(name);
                     let number = world.first_bodies[c] + own;
-                    held.push(HeldBody { own, number, mass: bodies[own].mass, extent: known.extent, leash, followed });
+                    let (mass, rooms) = (bodies[own].mass, rooms_around(known, self.h).next_multiple_of(ABREAST));
+                    held.push(HeldBody { own, number, mass, extent: known.extent, rooms, leash, followed });
                 }
                 all.push(HeldGroup { coupling: c, number, mass, state, bodies: held });
             }
@@ -212,6 +215,7 @@ impl WgpuBatch {
         let mut put = |at: usize, what: &[Words]| words[at..at + what.len()].copy_from_slice(what);
         for (world_step, held) in world_steps.iter().zip(held) {
             let mut b = world_step.world * room.bodies;
+            let mut first_room = world_step.world * room.rooms;
             for (k, group) in (world_step.world * room.groups..).zip(held) {
                 // Levels that follow a body keep coarser ones away from it.
                 let levels = |body: &HeldBody| if body.followed { 1 } else { self.levels };
@@ -220,7 +224,9 @@ impl WgpuBatch {
                 put(k * GROUP_HEAD, &[head, [bits(group.mass), 0, 0, 0]]);
                 put(places.states() + places.words(k), &group.state.words);
                 for (body, placed) in group.bodies.iter().zip(&group.state.bodies) {
-                    put(places.body_head(b), &body_words(body, placed.position, levels(body), self.h));
+                    let words = body_words(body, placed.position, levels(body), first_room, self.h);
+                    put(places.body_head(b), &words);
+                    first_room += body.rooms;
                     put(places.states() + b * BODY_STATE, &pose_words(placed, self.h));
                     b += 1;
                 }

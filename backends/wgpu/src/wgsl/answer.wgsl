@@ -180,7 +180,7 @@ fn find_touches(b: u32, count_of_bodies: u32, level: u32, thread: u32) {
     let first = least >> vec3<u32>(2u);
     let size = vec3<u32>(max((most >> vec3<u32>(2u)) - first + vec3<i32>(1), vec3<i32>(0)));
     if thread == 0u {
-        rooms = min(size.x * size.y * size.z, ROOMS);
+        rooms = min(size.x * size.y * size.z, rooms_of(answering_body(b)).y);
     }
     var kept = 0u;
     let own = thread >> 5u;
@@ -290,7 +290,7 @@ fn mass_at(start: u32, turn: u32, listed: u32, thread: u32) -> f32 {
 
 // Where a node that a thread keeps stands.
 fn touch_at(b: u32, i: u32, thread: u32) -> u32 {
-    return TOUCHES + (answering_body(b) * EACH + i) * TOUCH * THREADS + thread;
+    return TOUCHES + (rooms_of(answering_body(b)).x / 4u + i) * TOUCH * THREADS + thread;
 }
 
 fn touch_of(b: u32, i: u32, thread: u32) -> Touch {

@@ -4,7 +4,7 @@
 // Worlds have room for GROUPS groups each, and for ANSWERING bodies. In `answering` there stand GROUP_HEAD vectors for each group: its first body among all
 // worlds', how many it has, its number among its coupling's groups, and how many levels it meets, none if there is no such group; and its mass [kg]. Then
 // BODY_HEAD for each body: its number, how many levels it meets, how far a surface may move in a step, and the greatest distance of a surface point from
-// the reference point; the leash: least displacement, with the body's mass [kg], and greatest; and the cell and the place in it at the start.
+// the reference point; the leash: least displacement, with the body's mass [kg], and greatest, with its first room; and the cell, with the number of its rooms, and the place in it at the start.
 // Behind those there stand the states before each slot, after the last, and one that is not read: BODY_STATE vectors for each body, its cell; its place in it, in
 // 2^-32, and how far turning has moved the surface; its rotation (x, y, z, w), in 2^-30; and, in the slot before, impulse [N s] from the ground with
 // nodes deep inside, and angular impulse [N m s] with solutions that did not converge, which the group's first body has for all. Then GROUP_WORDS words of
@@ -66,22 +66,28 @@ fn in_level(cell: vec3<i32>, place: vec3<f32>, corner: vec3<f32>, level: u32, sh
 }
 
 // Behind all states there is room for touches, the nodes that a body grips on the level at hand, a row for each of its workgroup's threads: for each node
-// TOUCH vectors, arm [m] and mass [kg], velocity [m/s] and the node with, from bit 30 on, the kind of grip, normal and friction. There are no more than ROOMS
-// blocks in a body's box, so that a thread keeps EACH nodes of it at most.
+// TOUCH vectors, arm [m] and mass [kg], velocity [m/s] and the node with, from bit 30 on, the kind of grip, normal and friction. Each block in a body's
+// box has a room, of ROOMS for all bodies of a world; for four of them a thread keeps one node at most.
 const TOUCH: u32 = 3u;
 const TOUCHES: u32 = STATES + (MAX_SLOTS + 2u) * SLOT;
-const EACH: u32 = (ROOMS + 3u) / 4u;
 
 // Behind these, how particles press on nodes [N], in the body's frame, for each level and room for a block in the body's box.
-const PRESSED: u32 = TOUCHES + ALL_ANSWERING * EACH * TOUCH * 256u;
+const PRESSED: u32 = TOUCHES + WORLDS * (ROOMS / 4u) * TOUCH * 256u;
+
+// A body's first room, and how many it has.
+fn rooms_of(body: u32) -> vec2<u32> {
+    let at = body_head(body);
+    return vec2<u32>(answering[at + 2u].w, answering[at + 3u].w);
+}
 
 fn pressed_at(body: u32, level: u32, room: u32, n: u32) -> u32 {
-    return PRESSED + ((body * LEVELS + level) * ROOMS + room) * 64u + n;
+    let own = rooms_of(body);
+    return PRESSED + (own.x * LEVELS + level * own.y + room) * 64u + n;
 }
 
 // Behind these, one past the last slot of the submission in which there was a block of nodes near the body on each level; or some other number, which makes
 // the body look for nodes that are not there.
-const NEAR_BLOCKS: u32 = PRESSED + ALL_ANSWERING * LEVELS * ROOMS * 64u;
+const NEAR_BLOCKS: u32 = PRESSED + WORLDS * LEVELS * ROOMS * 64u;
 
 fn near_at(body: u32, level: u32) -> u32 {
     return NEAR_BLOCKS + body * LEVELS + level;

@@ -35,7 +35,8 @@ fn put_pressed(b: u32, g: u32, block: vec3<i32>, n: u32, force: vec3<f32>) {
     let at = vec3<u32>(block - pressed_first);
     let size = vec3<u32>(pressed_size);
     let room = at.x + size.x * (at.y + size.y * at.z);
-    if room < ROOMS {
-        answering[pressed_at(layer_now / LEVELS * ANSWERING + b, level_of(layer_now), room, n)] = bitcast<vec4<u32>>(vec4<f32>(force, 0.0));
+    let body = layer_now / LEVELS * ANSWERING + b;
+    if room < rooms_of(body).y {
+        answering[pressed_at(body, level_of(layer_now), room, n)] = bitcast<vec4<u32>>(vec4<f32>(force, 0.0));
     }
 }
