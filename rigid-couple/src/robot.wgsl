@@ -75,7 +75,10 @@ var<private> robot_rates: u32;
 var<private> robot_depth: u32;
 var<private> robot_linear: vec3<f32>;
 var<private> robot_angular: vec3<f32>;
-// What the first thread alone knows of an iteration: what was out of balance along the last step before it.
+// What the first thread alone knows: twice the kinetic energy without the contact at hand, and at the rates that are tried; what was out of balance along the
+// last step before it.
+var<private> robot_free_energy: f32;
+var<private> robot_tried_energy: f32;
 var<private> robot_before: f32;
 
 // Fixed-point numbers: whole, and 2^-32.
@@ -466,17 +469,19 @@ fn robot_joint(i: u32, rate: f32) -> RobotImpulse {
     return robot_impulse(i - robot_base_rates, rate);
 }
 
-// Solves the matrix for what stands behind each row, into the step.
+// Solves the matrix for what stands behind each row, into the step: eight rows at a time, 32 columns abreast.
 fn robot_solve(thread: u32) {
     let n = robot_rates;
     for (var k = 0u; k < n; k++) {
         let pivot = 1.0 / robot_matrix[k * ROBOT_ROW + k];
-        let width = n - k;
-        for (var e = thread; e < select(0u, (n - 1u) * width, thread < ROBOT_THREADS); e += ROBOT_THREADS) {
-            let other = e / width;
-            let i = other + u32(other >= k);
-            let j = k + 1u + e % width;
-            robot_matrix[i * ROBOT_ROW + j] -= robot_matrix[i * ROBOT_ROW + k] * pivot * robot_matrix[k * ROBOT_ROW + j];
+        for (var i = thread >> 5u; i < select(0u, n, thread < ROBOT_THREADS); i += ROBOT_THREADS / 32u) {
+            if i == k {
+                continue;
+            }
+            let times = robot_matrix[i * ROBOT_ROW + k] * pivot;
+            for (var j = (k + 1u) + (thread & 31u); j <= n; j += 32u) {
+                robot_matrix[i * ROBOT_ROW + j] -= times * robot_matrix[k * ROBOT_ROW + j];
+            }
         }
         workgroupBarrier();
     }
@@ -545,9 +550,8 @@ fn robot_settle(thread: u32) {
         robot_solve(thread);
         if thread == 0u {
             // Of what gravity alone does to it, too: a robot at rest has none.
-            var energy = robot_inertia[0].first.w * dot(group_gravity(), group_gravity());
+            let energy = robot_inertia[0].first.w * dot(group_gravity(), group_gravity()) + robot_sum();
             for (var i = 0u; i < n; i++) {
-                energy += robot_work[i];
                 robot_free[i] += robot_step[i];
             }
             robot_before = robot_lead();
@@ -557,6 +561,15 @@ fn robot_settle(thread: u32) {
             break;
         }
     }
+}
+
+// The sum over rates of what threads left there.
+fn robot_sum() -> f32 {
+    var sum = 0.0;
+    for (var i = 0u; i < robot_rates; i++) {
+        sum += robot_work[i];
+    }
+    return sum;
 }
 
 // What is out of balance along the last step.
@@ -577,9 +590,16 @@ fn robot_set_free(thread: u32) {
         set_group_rate(TWIST_EXPECTED, thread, rate);
     }
     workgroupBarrier();
+    if thread < robot_rates {
+        robot_work[thread] = robot_energy_of(TWIST_FREE, thread);
+    }
     robot_set_twists(TWIST_FREE, thread);
     if thread < group_bodies() {
         set_group_twist(TWIST_EXPECTED, thread, group_twist(TWIST_FREE, thread));
+    }
+    workgroupBarrier();
+    if thread == 0u {
+        robot_free_energy = robot_sum();
     }
     workgroupBarrier();
 }
@@ -611,44 +631,136 @@ fn coupling_begin(group: u32, thread: u32) {
     robot_set_free(thread);
 }
 
+// What contact on a body comes to, as wrenches about the base's centre of mass: what it gives, and by how much that falls for each unit of a motion.
+struct RobotContact {
+    given: RobotWrench,
+    moment_angular: mat3x3<f32>,
+    moment_linear: mat3x3<f32>,
+    force_angular: mat3x3<f32>,
+    force_linear: mat3x3<f32>,
+}
+var<workgroup> robot_contact: array<RobotContact, ROBOT_CONTACTS>;
+
+// What crosses a vector from the left.
+fn robot_cross(c: vec3<f32>) -> mat3x3<f32> {
+    return mat3x3<f32>(vec3<f32>(0.0, c.z, -c.y), vec3<f32>(-c.z, 0.0, c.x), vec3<f32>(c.y, -c.x, 0.0));
+}
+
+fn robot_contact_of(b: u32) -> RobotContact {
+    let system = group_system(b);
+    let c = robot_centre[robot_body[b]];
+    let arm = robot_cross(c);
+    // At the body's own centre of mass; there are rows in the columns.
+    let linear = transpose(system.force_linear);
+    let torque = transpose(system.torque_linear);
+    // Its velocity is v - c x w, the moment c x f larger.
+    let angular = transpose(system.force_angular) - linear * arm;
+    return RobotContact(
+        RobotWrench(system.torque + cross(c, system.force), system.force),
+        transpose(system.torque_angular) - torque * arm + arm * angular,
+        torque + arm * linear,
+        angular,
+        linear,
+    );
+}
+
+// How far a rate moves the body on a link.
+fn robot_axis_at(rate: u32, l: u32) -> RobotMotion {
+    var sum = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
+    var a = robot_head[rate];
+    for (var turn = 0u; turn < robot_links && a != ROBOT_NONE; turn++) {
+        if robot_hangs_on(l, a) {
+            let axis = robot_axis_of(rate, a);
+            sum = RobotMotion(sum.angular + axis.angular, sum.linear + axis.linear);
+        }
+        a = robot_order[a].y;
+    }
+    return sum;
+}
+
+// Adds what some bodies' contact gives and takes, those in `robot_contact` from body `first` on.
+fn robot_add_contact(first: u32, thread: u32) {
+    let n = robot_rates;
+    let end = min(first + ROBOT_CONTACTS, group_bodies());
+    for (var i = thread >> 5u; i < select(0u, n, thread < ROBOT_THREADS); i += ROBOT_THREADS / 32u) {
+        for (var j = thread & 31u; j <= n; j += 32u) {
+            var sum = 0.0;
+            for (var b = first; b < end; b++) {
+                let l = robot_body[b];
+                if !group_touches(b) || !robot_hangs_on_rate(l, i) || (j < n && !robot_hangs_on_rate(l, j)) {
+                    continue;
+                }
+                var gets = robot_contact[b - first].given;
+                if j < n {
+                    let by = robot_axis_at(j, l);
+                    gets = RobotWrench(
+                        robot_contact[b - first].moment_angular * by.angular + robot_contact[b - first].moment_linear * by.linear,
+                        robot_contact[b - first].force_angular * by.angular + robot_contact[b - first].force_linear * by.linear,
+                    );
+                }
+                sum += robot_power(robot_axis_at(i, l), gets);
+            }
+            robot_matrix[i * ROBOT_ROW + j] += sum;
+        }
+    }
+}
+
+// May a rate move a link? Those of drives with several joints are asked further.
+fn robot_hangs_on_rate(l: u32, rate: u32) -> bool {
+    let a = robot_head[rate];
+    return a != ROBOT_NONE && (robot_hangs_on(l, a) || robot_order[a].y != ROBOT_NONE);
+}
+
 fn coupling_answer(group: u32, thread: u32) {
     let n = robot_rates;
     if thread < n {
         let tried = group_rate(TWIST_TRIED, thread);
         let own = robot_joint(thread, tried);
         var missing = own.value - robot_own[thread];
+        var momentum = 0.0;
         for (var j = 0u; j < n; j++) {
             let m = robot_mass[thread * ROBOT_RATES + j];
-            missing += m * (robot_free[j] - group_rate(TWIST_TRIED, j));
+            let of_other = group_rate(TWIST_TRIED, j);
+            missing += m * (robot_free[j] - of_other);
+            momentum += m * of_other;
             robot_matrix[thread * ROBOT_ROW + j] = m;
         }
         robot_matrix[thread * ROBOT_ROW + thread] += own.slope;
-        for (var b = 0u; b < group_bodies(); b++) {
-            if !group_touches(b) {
-                continue;
-            }
-            let l = robot_body[b];
-            let column = robot_column(thread, l);
-            let system = group_system(b);
-            missing += dot(column.linear, system.force) + dot(column.angular, system.torque);
-            let linear = system.force_linear * column.linear + system.torque_linear * column.angular;
-            let angular = system.force_angular * column.linear + system.torque_angular * column.angular;
-            for (var j = 0u; j < n; j++) {
-                let other = robot_column(j, l);
-                robot_matrix[thread * ROBOT_ROW + j] += dot(linear, other.linear) + dot(angular, other.angular);
-            }
-        }
-        robot_missing[thread] = missing;
         robot_matrix[thread * ROBOT_ROW + n] = missing;
+        robot_work[thread] = momentum * tried;
+    }
+    for (var first = 0u; first < group_bodies(); first += ROBOT_CONTACTS) {
+        if thread < ROBOT_CONTACTS && first + thread < group_bodies() && group_touches(first + thread) {
+            robot_contact[thread] = robot_contact_of(first + thread);
+        }
+        workgroupBarrier();
+        robot_add_contact(first, thread);
+        workgroupBarrier();
+    }
+    if thread < n {
+        robot_missing[thread] = robot_matrix[thread * ROBOT_ROW + n];
+    }
+    if thread == 0u {
+        robot_tried_energy = robot_sum();
     }
     workgroupBarrier();
     robot_solve(thread);
     if thread < n {
         set_group_rate(TWIST_STEP, thread, robot_step[thread]);
+        robot_work[thread] = robot_energy_of(TWIST_STEP, thread);
     }
     workgroupBarrier();
     robot_set_twists(TWIST_STEP, thread);
     workgroupBarrier();
+}
+
+// A rate's part in twice the kinetic energy.
+fn robot_energy_of(kind: u32, i: u32) -> f32 {
+    var sum = 0.0;
+    for (var j = 0u; j < robot_rates; j++) {
+        sum += robot_mass[i * ROBOT_RATES + j] * group_rate(kind, j);
+    }
+    return sum * group_rate(kind, i);
 }
 
 fn coupling_balance(group: u32, along: u32, thread: u32) -> f32 {
@@ -663,20 +775,14 @@ fn coupling_balance(group: u32, along: u32, thread: u32) -> f32 {
 }
 
 fn coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32 {
-    if thread < robot_rates {
-        var sum = 0.0;
-        for (var j = 0u; j < robot_rates; j++) {
-            sum += robot_mass[thread * ROBOT_RATES + j] * group_rate(which, j);
-        }
-        robot_work[thread] = sum * group_rate(which, thread);
+    if thread != 0u {
+        return 0.0;
     }
-    workgroupBarrier();
-    var energy = 0.0;
-    for (var i = 0u; i < select(0u, robot_rates, thread == 0u); i++) {
-        energy += robot_work[i];
+    switch which {
+        case TWIST_FREE: { return robot_free_energy; }
+        case TWIST_TRIED: { return robot_tried_energy; }
+        default: { return robot_sum(); }
     }
-    workgroupBarrier();
-    return energy;
 }
 
 fn coupling_feel(group: u32, thread: u32) {

@@ -117,14 +117,13 @@ fn last_level() -> u32 {
 
 // The nodes of a level that a body may act on.
 fn box_of_nodes(b: u32, level: u32) -> array<vec3<i32>, 2> {
-    let pose = group_pose(b);
-    let within = place_of(vec4<u32>(pose.place, 0u));
-    var nodes = nodes_near(number_of(b), rows_of(pose_rotation(pose)), pose.cell, within, level, shrink_of(layer_now));
     // It meets no level beyond, and nothing where particles are not near.
     if answering[near_at(answering_body(b), level)].x != slot_now() + 1u || (GROUP_BODIES > 1u && level >= answering[body_head(answering_body(b))].y) {
-        nodes[1] = nodes[0] - vec3<i32>(1);
+        return array<vec3<i32>, 2>(vec3<i32>(0), vec3<i32>(-1));
     }
-    return nodes;
+    let pose = group_pose(b);
+    let within = place_of(vec4<u32>(pose.place, 0u));
+    return nodes_near(number_of(b), rows_of(pose_rotation(pose)), pose.cell, within, level, shrink_of(layer_now));
 }
 
 // How a body grips a node `x` of a level, number `n` in its block.
@@ -459,37 +458,37 @@ fn noise_of(count: u32) -> f32 {
     return noise;
 }
 
-// Tries other twists: so many times a kind of them further.
-fn try_further(count: u32, times: f32, along: u32) {
-    for (var b = 0u; b < count; b++) {
-        let tried = group_twist(TWIST_TRIED, b);
-        let by = group_twist(along, b);
-        set_group_twist(TWIST_TRIED, b, CouplingTwist(tried.linear + times * by.linear, tried.angular + times * by.angular));
-    }
-    for (var i = 0u; i < GROUP_RATES; i++) {
-        set_group_rate(TWIST_TRIED, i, group_rate(TWIST_TRIED, i) + times * group_rate(along, i));
-    }
-}
+// What the first thread decided: twists that are tried go so many times a kind of them further, if at all, and what changed last becomes so many times that kind.
+struct Further { times: f32, along: u32, last: f32 }
+var<workgroup> further: Further;
 
-// What changed last becomes so many times another kind.
-fn remember(count: u32, times: f32, kind: u32) {
-    for (var b = 0u; b < count; b++) {
-        let by = group_twist(kind, b);
-        set_group_twist(TWIST_LAST, b, CouplingTwist(times * by.linear, times * by.angular));
+// Tries other twists, as was decided.
+fn try_further(count: u32, thread: u32) {
+    if further.times == 0.0 {
+        return;
     }
-    for (var i = 0u; i < GROUP_RATES; i++) {
-        set_group_rate(TWIST_LAST, i, times * group_rate(kind, i));
+    if thread < count {
+        let tried = group_twist(TWIST_TRIED, thread);
+        let by = group_twist(further.along, thread);
+        let times = further.times;
+        set_group_twist(TWIST_TRIED, thread, CouplingTwist(tried.linear + times * by.linear, tried.angular + times * by.angular));
+        set_group_twist(TWIST_LAST, thread, CouplingTwist(further.last * by.linear, further.last * by.angular));
+    }
+    for (var i = thread; i < GROUP_RATES; i += THREADS) {
+        let by = group_rate(further.along, i);
+        set_group_rate(TWIST_TRIED, i, group_rate(TWIST_TRIED, i) + further.times * by);
+        set_group_rate(TWIST_LAST, i, further.last * by);
     }
 }
 
 // Takes the step that was found, or asks for another one: `beyond` is what is out of balance against the last step, `lead` along this one, `size` how large it
 // is, and `speed` how fast bodies are, in the norm of the kinetic energy.
 fn decide(count: u32, beyond: f32, lead: f32, size: f32, speed: f32) {
+    further.times = 0.0;
     if mode == TANGENT && before_step > 0.0 && iterations < MAX_ITERATIONS && beyond > OVERSHOT * before_step {
         // Where bounds are reached on the way, a step may lead beyond what balances along it: it is cut back.
         let back = beyond / (before_step + beyond);
-        try_further(count, -back, TWIST_LAST);
-        remember(count, 1.0 - back, TWIST_LAST);
+        further = Further(-back, TWIST_LAST, 1.0 - back);
         before_step *= 1.0 - back;
         iterations++;
         atomicStore(&sliding, 0u);
@@ -508,8 +507,7 @@ fn decide(count: u32, beyond: f32, lead: f32, size: f32, speed: f32) {
         let noise = noise_of(count);
         let converged = weight == 1.0 && size <= TOLERANCE * speed + noise;
         if !converged && iterations < MAX_ITERATIONS {
-            try_further(count, 1.0, TWIST_STEP);
-            remember(count, 1.0, TWIST_STEP);
+            further = Further(1.0, TWIST_STEP, 1.0);
             before_step = lead;
             // Newton's steps square what is missing. Where a small one was found and nodes slide, the secant's tells as well whether that was all, and
             // serves as the last.
@@ -556,6 +554,11 @@ fn meet(group: u32, count: u32, level: u32, thread: u32) {
             workgroupBarrier();
         }
         for (var b = 0u; b < count; b++) {
+            // All threads see the same boxes.
+            if GROUP_BODIES > 1u && boxes_of_nodes[2u * b + 1u].x < boxes_of_nodes[2u * b].x {
+                kept_touches[b] = 0u;
+                continue;
+            }
             find_touches(b, count, level, thread);
         }
     }
@@ -579,14 +582,14 @@ fn meet(group: u32, count: u32, level: u32, thread: u32) {
         atomicStore(&deep, 0u);
         iterations = 0u;
         before_step = 0.0;
-        for (var b = 0u; b < count; b++) {
-            set_group_twist(TWIST_TRIED, b, group_twist(TWIST_EXPECTED, b));
-            set_group_twist(TWIST_LAST, b, CouplingTwist());
-        }
-        for (var i = 0u; i < GROUP_RATES; i++) {
-            set_group_rate(TWIST_TRIED, i, group_rate(TWIST_EXPECTED, i));
-            set_group_rate(TWIST_LAST, i, 0.0);
-        }
+    }
+    if thread < count {
+        set_group_twist(TWIST_TRIED, thread, group_twist(TWIST_EXPECTED, thread));
+        set_group_twist(TWIST_LAST, thread, CouplingTwist());
+    }
+    for (var i = thread; i < GROUP_RATES; i += THREADS) {
+        set_group_rate(TWIST_TRIED, i, group_rate(TWIST_EXPECTED, i));
+        set_group_rate(TWIST_LAST, i, 0.0);
     }
     if workgroupUniformLoad(&mode) == DONE {
         return;
@@ -621,6 +624,8 @@ fn meet(group: u32, count: u32, level: u32, thread: u32) {
         if thread == 0u {
             decide(count, beyond, lead, size, max(sqrt(tried), sqrt(free)));
         }
+        workgroupBarrier();
+        try_further(count, thread);
     }
     if thread < count {
         let gain = gain_of(thread);

@@ -48,6 +48,9 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     let width = H / shrink_of(layer_now);
     let first = lists[entry].xyz * 4;
     for (var b = thread; b < PRESSED_BODIES; b += PRESSING) {
+        if !may_be_near(b, first) {
+            continue;
+        }
         let body = pressed_body(b);
         if all(first + vec3<i32>(3) >= body.least) && all(first <= body.most) {
             atomicOr(&found_near[b >> 5u], 1u << (b & 31u));

@@ -26,6 +26,15 @@ fn pressed_body(b: u32) -> PressedBody {
     return PressedBody(nodes[0], most, base, in_level(cell, place, vec3<f32>(0.0), level, shrink), rows, number);
 }
 
+// Is it so far from a block that its box need not be asked? Contact thickens a thin body by a cell.
+fn may_be_near(b: u32, first: vec3<i32>) -> bool {
+    let k = layer_now / LEVELS * ANSWERING + b;
+    let level = level_of(layer_now);
+    let cell = bitcast<vec3<i32>>(answering[state_of_body(k, state_now())].xyz) >> vec3<u32>(level);
+    let reach = i32(ceil(min(real(answering[body_head(k)]).w * shrink_of(layer_now), 1e6) + REACH)) + 3;
+    return all(first + vec3<i32>(3) >= cell - vec3<i32>(reach)) && all(first <= cell + vec3<i32>(reach));
+}
+
 // Notes that there is a block of nodes near it in this slot.
 fn note_near(b: u32) {
     answering[near_at(layer_now / LEVELS * ANSWERING + b, level_of(layer_now))].x = slot_now() + 1u;
