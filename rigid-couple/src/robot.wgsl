@@ -640,6 +640,9 @@ struct RobotContact {
     force_linear: mat3x3<f32>,
 }
 var<workgroup> robot_contact: array<RobotContact, ROBOT_CONTACTS>;
+// The bodies that touch, and how many there are.
+var<workgroup> robot_touching: array<u32, ROBOT_LINKS>;
+var<workgroup> robot_touches: u32;
 
 // What crosses a vector from the left.
 fn robot_cross(c: vec3<f32>) -> mat3x3<f32> {
@@ -678,24 +681,23 @@ fn robot_axis_at(rate: u32, l: u32) -> RobotMotion {
     return sum;
 }
 
-// Adds what some bodies' contact gives and takes, those in `robot_contact` from body `first` on.
-fn robot_add_contact(first: u32, thread: u32) {
+// Adds what some bodies' contact gives and takes, of which so many stand in `robot_contact`, the first of them the `first` that touches.
+fn robot_add_contact(first: u32, count: u32, thread: u32) {
     let n = robot_rates;
-    let end = min(first + ROBOT_CONTACTS, group_bodies());
     for (var i = thread >> 5u; i < select(0u, n, thread < ROBOT_THREADS); i += ROBOT_THREADS / 32u) {
         for (var j = thread & 31u; j <= n; j += 32u) {
             var sum = 0.0;
-            for (var b = first; b < end; b++) {
-                let l = robot_body[b];
-                if !group_touches(b) || !robot_hangs_on_rate(l, i) || (j < n && !robot_hangs_on_rate(l, j)) {
+            for (var c = 0u; c < count; c++) {
+                let l = robot_body[robot_touching[first + c]];
+                if !robot_hangs_on_rate(l, i) || (j < n && !robot_hangs_on_rate(l, j)) {
                     continue;
                 }
-                var gets = robot_contact[b - first].given;
+                var gets = robot_contact[c].given;
                 if j < n {
                     let by = robot_axis_at(j, l);
                     gets = RobotWrench(
-                        robot_contact[b - first].moment_angular * by.angular + robot_contact[b - first].moment_linear * by.linear,
-                        robot_contact[b - first].force_angular * by.angular + robot_contact[b - first].force_linear * by.linear,
+                        robot_contact[c].moment_angular * by.angular + robot_contact[c].moment_linear * by.linear,
+                        robot_contact[c].force_angular * by.angular + robot_contact[c].force_linear * by.linear,
                     );
                 }
                 sum += robot_power(robot_axis_at(i, l), gets);
@@ -729,12 +731,24 @@ fn coupling_answer(group: u32, thread: u32) {
         robot_matrix[thread * ROBOT_ROW + n] = missing;
         robot_work[thread] = momentum * tried;
     }
-    for (var first = 0u; first < group_bodies(); first += ROBOT_CONTACTS) {
-        if thread < ROBOT_CONTACTS && first + thread < group_bodies() && group_touches(first + thread) {
-            robot_contact[thread] = robot_contact_of(first + thread);
+    if thread == 0u {
+        var count = 0u;
+        for (var b = 0u; b < group_bodies(); b++) {
+            if group_touches(b) {
+                robot_touching[count] = b;
+                count++;
+            }
+        }
+        robot_touches = count;
+    }
+    let touches = workgroupUniformLoad(&robot_touches);
+    for (var first = 0u; first < touches; first += ROBOT_CONTACTS) {
+        let count = min(touches - first, ROBOT_CONTACTS);
+        if thread < count {
+            robot_contact[thread] = robot_contact_of(robot_touching[first + thread]);
         }
         workgroupBarrier();
-        robot_add_contact(first, thread);
+        robot_add_contact(first, count, thread);
         workgroupBarrier();
     }
     if thread < n {

@@ -299,7 +299,7 @@ pub struct DeviceLaw {
 ///   `storageBarrier()` for words and poses; at its end, too, if the next function reads it on another thread. Behind `coupling_begin`, and before each
 ///   `coupling_answer` and `coupling_feel`, the backend waits for all.
 ///   Barriers must stand in uniform control flow, which nobody checks: not where `thread` decides. `group`, words and the table are the same to all threads.
-/// - Of an adapter's memory for workgroups, which is 16 KiB at least, the backend takes 13.6, and 224 bytes for each body and 20 for each rate of the largest group. Where a
+/// - Of an adapter's memory for workgroups, which is 16 KiB at least, the backend takes 13.6, and 236 bytes for each body and 20 for each rate of the largest group. Where a
 ///   group's own variables do not fit any more, its contact runs on the host.
 /// - `var<private>` stay between the calls in a pass, and no longer.
 ///

@@ -55,6 +55,10 @@ var<workgroup> touching: array<atomic<u32>, TOUCHED>;
 var<workgroup> touched: array<u32, TOUCHED>;
 // Of several bodies, the nodes that each may act on.
 var<workgroup> boxes_of_nodes: array<vec3<i32>, 2u * GROUP_BODIES>;
+// Of several bodies, one over the root of the mass, the sum of impulses' sizes [N s], and that of nodes' masses [kg].
+var<workgroup> root_of_mass: array<f32, GROUP_BODIES>;
+var<workgroup> impulses_of: array<f32, GROUP_BODIES>;
+var<workgroup> ground_of: array<f32, GROUP_BODIES>;
 var<workgroup> deep: atomic<u32>;
 var<workgroup> sliding: atomic<u32>;
 var<workgroup> fastest_node: atomic<u32>;
@@ -94,6 +98,12 @@ fn take_up(thread: u32) {
         only_mass = real(answering[body_head(first) + 1u]).w;
         let end = last_level();
         extents = vec2<u32>(end, group_bodies());
+    }
+    if GROUP_BODIES > 1u && thread < GROUP_BODIES {
+        // What has a shape and no mass moves with the rest.
+        let mass = real(answering[body_head(first + thread) + 1u]).w;
+        let of_group = real(answering[group_now * GROUP_HEAD + 1u]).x;
+        root_of_mass[thread] = inverseSqrt(select(of_group, mass, mass > 0.0));
     }
     if !group_moves() {
         let at = state_of_body(first + thread % GROUP_BODIES, slot_from);
@@ -422,6 +432,11 @@ fn sum_up(b: u32, own: Sums, thread: u32) {
             exchange[thread * COLUMN] = sum;
         } else {
             answering[sums_at(b) + thread] = bitcast<vec4<u32>>(sum);
+            if thread == 6u {
+                impulses_of[b] = sum.w;
+            } else if thread == 7u {
+                ground_of[b] = sum.w;
+            }
         }
     }
     workgroupBarrier();
@@ -432,13 +447,20 @@ fn eight(at: u32, by: u32) -> vec4<f32> {
         + ((exchange[at + 4u * by] + exchange[at + 5u * by]) + (exchange[at + 6u * by] + exchange[at + 7u * by]));
 }
 
+fn mass_of_ground(b: u32) -> f32 {
+    if GROUP_BODIES == 1u {
+        return sums_of(b, 7u).w;
+    }
+    return ground_of[b];
+}
+
 // Finds the weight of the ground to begin with: ground much heavier than the group is first taken as lighter, and its true weight then finds the right nodes in
 // contact.
 fn weigh(count: u32) {
     var ground = 0.0;
     for (var b = 0u; b < count; b++) {
         if group_touches(b) {
-            ground += sums_of(b, 7u).w;
+            ground += mass_of_ground(b);
         }
     }
     weight = min(LIGHT * group_mass / ground, 1.0);
@@ -452,7 +474,7 @@ fn noise_of(count: u32) -> f32 {
     var noise = 0.0;
     for (var b = 0u; b < count; b++) {
         if group_touches(b) {
-            noise += ROUNDING * sums_of(b, 6u).w * inverseSqrt(real(answering[body_head(answering_body(b)) + 1u]).w);
+            noise += ROUNDING * impulses_of[b] * root_of_mass[b];
         }
     }
     return noise;
