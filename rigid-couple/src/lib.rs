@@ -22,6 +22,7 @@ pub mod rigid;
 pub mod robot;
 pub mod sdf;
 mod surface;
+mod terrain;
 pub mod world;
 
 pub use mesh::MeshSolid;
