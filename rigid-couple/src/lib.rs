@@ -23,6 +23,7 @@ pub mod robot;
 pub mod sdf;
 mod surface;
 mod tables;
+mod terrain;
 pub mod world;
 
 pub use mesh::MeshSolid;

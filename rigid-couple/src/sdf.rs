@@ -7,6 +7,7 @@
 use crate::Refusal;
 use crate::mesh::{DistanceGrid, TriangleMesh};
 use crate::motion::{Pose, rotation_from};
+use crate::terrain;
 use barchan_core::coupling::Aabb;
 use barchan_core::scene::Shape;
 use barchan_core::{Result, Vec3};
@@ -435,8 +436,12 @@ fn collect(shape: &Shape, frame: &Pose, folder: &Path, path: &str, parts: &mut V
         }
         return Ok(());
     }
-    let (primitive, place) = primitive(shape, folder).map_err(|refusal| refusal.at(path))?;
-    parts.push(Part::new(primitive, frame.then(&place)));
+    let made = match shape {
+        Shape::Terrain(ground) => terrain::primitives(ground),
+        _ => primitive(shape, folder).map(|one| vec![one]),
+    };
+    let made = made.map_err(|refusal| refusal.at(path))?;
+    parts.extend(made.into_iter().map(|(primitive, place)| Part::new(primitive, frame.then(&place))));
     Ok(())
 }
 
@@ -498,12 +503,14 @@ fn primitive(shape: &Shape, folder: &Path) -> Result<(Primitive, Pose), Refusal>
             let grid = DistanceGrid::sample(&mesh);
             (Primitive::Mesh(Arc::new(MeshPart { mesh, grid })), placement(*center, *rotation)?)
         }
-        Shape::Union(_) => unreachable!("`collect`, the only caller, takes unions apart before"),
+        Shape::Union(_) | Shape::Terrain(_) => {
+            unreachable!("`collect`, the only caller, takes unions and terrains apart before")
+        }
     })
 }
 
 impl HeightField {
-    fn check(&self) -> Result<(), Refusal> {
+    pub(crate) fn check(&self) -> Result<(), Refusal> {
         let columns = self.heights.first().map_or(0, Vec::len);
         if self.heights.len() < 2 || columns < 2 || self.heights.iter().any(|row| row.len() != columns) {
             return Err(Refusal::new(

@@ -40,6 +40,7 @@ pub mod stiffness;
 pub mod surface;
 pub mod task;
 pub mod together;
+mod zoned;
 
 pub use archive::Tile;
 pub use backend::{Backend, Engine, StepReport};

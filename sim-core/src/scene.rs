@@ -15,6 +15,8 @@ mod check;
 mod make;
 mod read;
 mod robot;
+mod terrain;
+mod zone;
 
 pub use check::WHOLE_CELL;
 pub(crate) use check::{cross, posed_bounds, turn};
@@ -22,6 +24,8 @@ pub use make::Part;
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
 pub use robot::{Gait, JointFrame, JointMotion, LinkPath, Motor, Robot};
+pub use terrain::{Heights, Surface, Terrain};
+pub use zone::{Within, Zone, ZonePicture};
 
 /// A scene.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -95,6 +99,8 @@ impl Scene {
         let mut files = BTreeSet::new();
         let shapes = self.body.iter().map(|body| &body.shape).chain(self.tool.iter().map(|tool| &tool.shape));
         shapes.for_each(|shape| add(shape, &mut files));
+        let pictures = self.body.iter().flat_map(|body| &body.zone).filter_map(|zone| zone.picture.as_ref());
+        files.extend(pictures.map(|picture| picture.file.as_path()));
         for robot in &self.robot {
             files.extend(
                 robot
@@ -478,11 +484,11 @@ impl Scene {
         picture.view.unwrap_or(if stands_out { PictureView::Perspective } else { PictureView::Top })
     }
 
-    /// Is a soft body ground: a box or a height field that takes up half of the world or more, seen from above?
+    /// Is a soft body ground: a box, a height field or a terrain that takes up half of the world or more, seen from above?
     pub fn is_bed(&self, body: &Body) -> bool {
         let (min, max) = match &body.shape {
             Shape::Box { min: Some(min), max: Some(max), .. } => ([min[0], min[1]], [max[0], max[1]]),
-            Shape::HeightField { min, max, .. } => (*min, *max),
+            Shape::HeightField { min, max, .. } | Shape::Terrain(Terrain { min, max, .. }) => (*min, *max),
             _ => return false,
         };
         let share = |d: usize| (max[d] - min[d]) / (self.world.max[d] - self.world.min[d]);
@@ -531,6 +537,9 @@ pub struct Body {
     pub name: String,
     /// Name of a material of the scene.
     pub material: String,
+    /// Where it is of other materials: layers by depth, boxes, and what a picture shows.
+    #[serde(default)]
+    pub zone: Vec<Zone>,
     /// Where it is.
     pub shape: Shape,
     /// Distance between neighbouring particles [m]; absent: half a cell.
@@ -549,7 +558,7 @@ pub struct Body {
     #[serde(default = "yes")]
     pub around_tools: bool,
     /// Start at rest under gravity: each particle is pressed by the weight of the settled ground above it, as if it had been
-    /// filled up layer by layer between walls. For boxes and height fields in gravity along -z.
+    /// filled up layer by layer between walls. For boxes, height fields and terrains in gravity along -z.
     #[serde(default)]
     pub settled: bool,
 }
@@ -635,6 +644,8 @@ pub enum Shape {
         #[serde(default)]
         file: Option<PathBuf>,
     },
+    /// Everything between a lower end and a surface that is a function of place: a plane, dunes, bumps or stairs.
+    Terrain(Terrain),
     /// A closed triangle mesh (OBJ, STL or DAE).
     Mesh {
         /// The file.

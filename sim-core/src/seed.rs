@@ -5,8 +5,10 @@ use crate::levels::{Regions, SPLIT_AHEAD};
 use crate::plan::{PlannedMaterial, Precision};
 use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, cross};
 use crate::solid::Solid;
+use crate::zoned::{Zoned, Zones};
 use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, settle, solid};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// Particles that fixed-point offsets can tell from a cell's face, in cells: half of the last place.
 const SNAP: f64 = 1.0 / (1_u64 << 33) as f64;
@@ -28,11 +30,11 @@ pub struct Terrain {
     plots: Vec<Plot>,
 }
 
-/// One body, ready to be filled.
+/// What of one body is of one material, ready to be filled.
 struct Plot {
     /// Index of the body in the scene.
     index: usize,
-    /// Index of its material in the plan.
+    /// Index of the material in the plan.
     material: usize,
     solid: Box<dyn Solid>,
     /// The lattice that its particles stand on.
@@ -52,14 +54,15 @@ impl Terrain {
     ) -> Result<Self> {
         let mut plots = Vec::new();
         for (index, body) in scene.body.iter().enumerate() {
-            let Some(material) = materials.iter().position(|m| m.name == body.material) else { continue };
+            let index_of = |name: &str| materials.iter().position(|m| m.name == name);
+            let Some(own) = index_of(&body.material) else { continue };
             let path = format!("body[{index}]");
             let solid = solid::of_shape(&body.shape, scene, registry, &format!("{path}.shape"))?;
             let bounds = solid.bounds();
             scene.check_inside(&path, bounds)?;
             let (cell, spacing) = (scene.world.cell, scene.spacing(body));
             let axes: [Axis; 3] = std::array::from_fn(|d| {
-                let from_bottom = d == 2 && matches!(body.shape, Shape::HeightField { .. });
+                let from_bottom = d == 2 && matches!(body.shape, Shape::HeightField { .. } | Shape::Terrain(_));
                 Axis::new(bounds.min[d], bounds.max[d], spacing, cell, from_bottom)
             });
             let least = axes.iter().map(|axis| axis.extent).fold(f64::INFINITY, f64::min);
@@ -67,18 +70,27 @@ impl Terrain {
                 return Err(is_empty(
                     scene,
                     index,
+                    &body.material,
                     format!("its least side, {least} m, is below half the spacing of {spacing} m"),
                     "enlarge it, or lower spacing or world.cell",
                 ));
             }
-            plots.push(Plot { index, material, solid, axes });
+            if body.zone.is_empty() {
+                plots.push(Plot { index, material: own, solid, axes });
+                continue;
+            }
+            let zones = Arc::new(Zones::new(solid, scene, index, own, index_of)?);
+            for material in body.materials().into_iter().filter_map(index_of) {
+                let solid = Box::new(Zoned { zones: zones.clone(), material });
+                plots.push(Plot { index, material, solid, axes: axes.clone() });
+            }
         }
         Ok(Self { scene: scene.clone(), materials: materials.to_vec(), precision, plots })
     }
 
     /// Seeds all bodies, one list per level and planned material.
     ///
-    /// Particles form a cubic lattice, centred in the shape's bounds (from the bottom up in height fields). So a box of
+    /// Particles form a cubic lattice, centred in the shape's bounds (from the bottom up in height fields and terrains). So a box of
     /// n spacings holds n particles along that side, the first half a spacing from the face. A particle's rest volume
     /// is the cube of the spacing. Coordinates are computed relative to the cell of the shape's corner, so a scene
     /// moved by whole cells has the same offsets, bit for bit.
@@ -206,11 +218,11 @@ impl Terrain {
         Ok(true)
     }
 
-    /// Rest volume of a body's particles, each a cube, in the coarsest cubes of its lattice [m³].
+    /// Rest volume of a body's particles of one material, each a cube, in the coarsest cubes of its lattice [m³].
     fn filling(&self, plot: &Plot, coarsest: usize, lists: &[ParticleList]) -> BTreeMap<[i64; 3], f64> {
         let mut filling = BTreeMap::new();
         let side = self.scene.spacing(&self.scene.body[plot.index]) * f64::from(1 << coarsest);
-        for list in lists {
+        for list in lists.iter().filter(|list| list.material as usize == plot.material) {
             for i in (0..list.len()).filter(|&i| usize::from(list.body[i]) == plot.index) {
                 let (x, half) = (list.position(i), 0.5 * list.volume0[i].cbrt() / side);
                 // Along each axis: first cube, and how much of the particle lies in it and in each of the next ones.
@@ -280,14 +292,15 @@ impl Terrain {
     /// Weight of all settled ground above a point, per area [Pa].
     fn load(&self, x: Vec3) -> f64 {
         let settled = self.plots.iter().filter(|plot| self.scene.body[plot.index].settled);
-        let weight = settled.filter_map(|plot| {
-            let [bottom, surface] = plot.solid.column(x[0], x[1])?;
-            // The column ends where its topmost particle does.
+        let weight = settled.map(|plot| {
+            // Pieces of a column end where their outermost particles do.
             let [.., axis] = &plot.axes;
             let spacing = axis.step * axis.width;
             let first = axis.site(0.0).position - 0.5 * spacing;
-            let top = first + ((surface - first) / spacing).round() * spacing;
-            Some(self.materials[plot.material].density * (top - x[2].max(bottom)).max(0.0))
+            let end = |z: f64| first + ((z - first) / spacing).round() * spacing;
+            let above = |[bottom, top]: [f64; 2]| (end(top) - x[2].max(end(bottom))).max(0.0);
+            let columns = plot.solid.columns(x[0], x[1]);
+            self.materials[plot.material].density * columns.into_iter().map(above).sum::<f64>()
         });
         weight.sum::<f64>() * -self.scene.gravity[2]
     }
@@ -323,11 +336,12 @@ impl std::fmt::Debug for Terrain {
     }
 }
 
-/// The error for a body that no particle fits into.
-fn is_empty(scene: &Scene, index: usize, why: String, mend: &str) -> Error {
-    let name = &scene.body[index].name;
-    let name = if name.is_empty() { String::new() } else { format!(" '{name}'") };
-    scene.fault(&format!("body[{index}]"), format!("body{name} has no particles: {why}"), mend)
+/// The error for a body, or one of its materials, that no particle fits into.
+fn is_empty(scene: &Scene, index: usize, material: &str, why: String, mend: &str) -> Error {
+    let body = &scene.body[index];
+    let name = if body.name.is_empty() { String::new() } else { format!(" '{}'", body.name) };
+    let material = if body.zone.is_empty() { String::new() } else { format!(" of material '{material}'") };
+    scene.fault(&format!("body[{index}]"), format!("body{name} has no particles{material}: {why}"), mend)
 }
 
 struct Seeder<'a> {
@@ -427,6 +441,7 @@ impl Seeder<'_> {
             return Err(is_empty(
                 scene,
                 plot.index,
+                &self.terrain.materials[plot.material].name,
                 format!("no point of a lattice of {spacing} m lies inside its shape"),
                 "enlarge it, or lower spacing or world.cell",
             ));
@@ -435,6 +450,7 @@ impl Seeder<'_> {
             return Err(is_empty(
                 scene,
                 plot.index,
+                &self.terrain.materials[plot.material].name,
                 format!("all {inside} are inside tools"),
                 "move the body or the tools, or set around_tools = false",
             ));
@@ -480,6 +496,7 @@ impl Seeder<'_> {
             return Err(is_empty(
                 scene,
                 plot.index,
+                &self.terrain.materials[plot.material].name,
                 format!(
                     "no point of a lattice of {} m lies inside its shape and outside tools",
                     scene.spacing(cubes.body)
@@ -651,6 +668,7 @@ impl Row {
 }
 
 /// Lattice points along one axis.
+#[derive(Clone)]
 struct Axis {
     extent: f64,
     count: u64,
@@ -715,7 +733,7 @@ impl Site {
 }
 
 /// A number in [0, 1) that depends on its arguments alone: SplitMix64 over their mix.
-fn uniform(seed: u64, body: u64, number: u64, axis: u64) -> f64 {
+pub(crate) fn uniform(seed: u64, body: u64, number: u64, axis: u64) -> f64 {
     let mix = |x: u64| {
         let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

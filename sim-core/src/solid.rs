@@ -1,7 +1,7 @@
 //! Solids that soft bodies are seeded from.
 
 use crate::coupling::Aabb;
-use crate::scene::{Shape, posed_bounds, turn};
+use crate::scene::{Heights, Shape, posed_bounds, turn};
 use crate::{Error, Registry, Result, Scene, Vec3};
 use std::path::Path;
 
@@ -19,6 +19,14 @@ pub trait Solid: Send + Sync {
     /// Lower and upper end of the solid above a point of the ground plan [m]. `None`: nothing is there, or it is not in
     /// one piece.
     fn column(&self, _x: f64, _y: f64) -> Option<[f64; 2]> {
+        None
+    }
+    /// The same where it may be in several pieces.
+    fn columns(&self, x: f64, y: f64) -> Vec<[f64; 2]> {
+        self.column(x, y).into_iter().collect()
+    }
+    /// Heights between which the upper ends of [`column`](Self::column) lie over a rectangle [m]. `None`: unknown.
+    fn surface(&self, _min: [f64; 2], _max: [f64; 2]) -> Option<[f64; 2]> {
         None
     }
 }
@@ -61,6 +69,7 @@ pub fn of_shape(shape: &Shape, scene: &Scene, registry: &Registry, path: &str) -
             let top = heights.iter().flatten().copied().fold(*bottom, f64::max);
             Box::new(HeightField { min: *min, max: *max, bottom: *bottom, top, heights })
         }
+        (Shape::Terrain(terrain), Some(bounds)) => Box::new(Landscape { bounds, heights: terrain.heights() }),
         (Shape::Mesh { file, scale, center, rotation }, _) => {
             let reader = registry.mesh_reader().ok_or_else(|| {
                 scene.fault(path, "nothing registered reads meshes", "register a crate that does, or use another shape")
@@ -86,6 +95,9 @@ impl Solid for Cuboid {
     fn column(&self, x: f64, y: f64) -> Option<[f64; 2]> {
         let Aabb { min, max } = self.0;
         (min[0] <= x && x <= max[0] && min[1] <= y && y <= max[1]).then_some([min[2], max[2]])
+    }
+    fn surface(&self, _min: [f64; 2], _max: [f64; 2]) -> Option<[f64; 2]> {
+        Some([self.0.max[2]; 2])
     }
 }
 
@@ -149,22 +161,62 @@ impl Solid for HeightField {
         (min[0] <= x && x <= max[0] && min[1] <= y && y <= max[1]).then(|| [self.bottom, self.height(x, y)])
     }
     fn cover(&self, region: &Aabb) -> Option<bool> {
+        let Aabb { min, max } = region;
         if !region.meets(&self.bounds()) {
             return Some(false);
         }
+        let [low, high] = self.surface([min[0], min[1]], [max[0], max[1]])?;
+        if high < min[2] {
+            return Some(false);
+        }
+        let within = (0..2).all(|d| self.min[d] <= min[d] && max[d] <= self.max[d]);
+        (within && self.bottom <= min[2] && max[2] <= low).then_some(true)
+    }
+    fn surface(&self, min: [f64; 2], max: [f64; 2]) -> Option<[f64; 2]> {
         // Bilinear heights over a rectangle lie between those of the grid points around it.
         let counts = [self.heights[0].len(), self.heights.len()];
         let range: [(usize, usize); 2] = std::array::from_fn(|d| {
             let at = |x: f64| (x - self.min[d]) / (self.max[d] - self.min[d]) * (counts[d] - 1) as f64;
-            (at(region.min[d]).max(0.0) as usize, (at(region.max[d]).ceil() as usize).min(counts[d] - 1))
+            let last = counts[d] - 1;
+            ((at(min[d]).max(0.0) as usize).min(last), (at(max[d]).ceil() as usize).min(last))
         });
-        let rows = &self.heights[range[1].0..=range[1].1];
-        let around = || rows.iter().flat_map(|row| &row[range[0].0..=range[0].1]);
-        if around().all(|height| *height < region.min[2]) {
+        let rows = self.heights[range[1].0..=range[1].1].iter();
+        let around = rows.flat_map(|row| &row[range[0].0..=range[0].1]);
+        Some(around.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], z| [low.min(*z), high.max(*z)]))
+    }
+}
+
+/// Everything in a box that lies below a surface.
+struct Landscape {
+    bounds: Aabb,
+    heights: Heights,
+}
+
+impl Solid for Landscape {
+    fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+    fn contains(&self, x: Vec3) -> bool {
+        self.bounds.contains(x) && x[2] <= self.heights.at(x[0], x[1])
+    }
+    fn column(&self, x: f64, y: f64) -> Option<[f64; 2]> {
+        let Aabb { min, max } = self.bounds;
+        let inside = min[0] <= x && x <= max[0] && min[1] <= y && y <= max[1];
+        inside.then(|| [min[2], self.heights.at(x, y)]).filter(|[bottom, top]| bottom < top)
+    }
+    fn cover(&self, region: &Aabb) -> Option<bool> {
+        let Aabb { min, max } = region;
+        if !region.meets(&self.bounds) {
             return Some(false);
         }
-        let within = (0..2).all(|d| self.min[d] <= region.min[d] && region.max[d] <= self.max[d]);
-        (within && self.bottom <= region.min[2] && around().all(|height| region.max[2] <= *height)).then_some(true)
+        let [low, high] = self.heights.within([min[0], min[1]], [max[0], max[1]]);
+        if high < min[2] {
+            return Some(false);
+        }
+        (max[2] <= low && (0..3).all(|d| self.bounds.min[d] <= min[d] && max[d] <= self.bounds.max[d])).then_some(true)
+    }
+    fn surface(&self, min: [f64; 2], max: [f64; 2]) -> Option<[f64; 2]> {
+        Some(self.heights.within(min, max))
     }
 }
 

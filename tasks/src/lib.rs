@@ -5,7 +5,7 @@
 use barchan_core::{Error, Result, Scene};
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 11] = [
+const FILES: [(&str, &str); 12] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -15,6 +15,7 @@ const FILES: [(&str, &str); 11] = [
     ("jelly-drop", include_str!("../scenes/jelly-drop.toml")),
     ("quadruped-stand", include_str!("../scenes/quadruped-stand.toml")),
     ("quadruped-trot", include_str!("../scenes/quadruped-trot.toml")),
+    ("quadruped-dunes", include_str!("../scenes/quadruped-dunes.toml")),
     ("arm-writes", include_str!("../scenes/arm-writes.toml")),
     ("humanoid-stand", include_str!("../scenes/humanoid-stand.toml")),
 ];

@@ -95,12 +95,16 @@ impl Plan {
             );
         }
         for planned in &self.materials {
-            let users = scene.body.iter().enumerate().filter(|(_, b)| b.material == planned.name);
+            let users = scene.body.iter().enumerate().flat_map(|(i, body)| {
+                let own = (body.material == planned.name).then(|| format!("body[{i}]"));
+                let zones = body.zone.iter().enumerate().filter(|(_, zone)| zone.material == planned.name);
+                own.into_iter().chain(zones.map(move |(j, _)| format!("body[{i}].zone[{j}]")))
+            });
             let law = &planned.material;
             let planes = |n: usize, what: &str| format!("{n} {what} plane{}", if n == 1 { "" } else { "s" });
             add(
                 format!("material {}", planned.name),
-                listed(users.map(|(i, _)| format!("body[{i}].material = \"{}\"", planned.name))),
+                listed(users.map(|user| format!("{user}.material = \"{}\"", planned.name))),
                 format!(
                     "law {} ({}): update_{}, {}, {}{}",
                     law.name,

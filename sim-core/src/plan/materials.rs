@@ -93,7 +93,7 @@ pub fn loaded(materials: &[PlannedMaterial]) -> String {
 
 /// The materials that bodies use, in the scene's order.
 pub(super) fn plan_materials(registry: &Registry, scene: &Scene, precision: Precision) -> Result<Vec<PlannedMaterial>> {
-    let used = |spec: &MaterialSpec| scene.body.iter().any(|body| body.material == spec.name);
+    let used = |spec: &MaterialSpec| scene.body.iter().any(|body| body.materials().contains(&spec.name.as_str()));
     let mut planned = Vec::new();
     for (i, spec) in scene.material.iter().enumerate() {
         let path = format!("material[{i}]");

@@ -2,7 +2,7 @@
 
 use super::Plan;
 use crate::levels::{AROUND_AGENT, Agent, CellBox, DEAD_ZONE, LEAST_DEPTH, agent_bounds};
-use crate::scene::{Body, Motion, OverBound, plain};
+use crate::scene::{Body, Motion, OverBound, Shape, plain};
 use crate::{Coupling, Registry, Result};
 
 /// Fine cells that should lie below a tool before a rim: a sphere pressed into elastic ground, its box's half side 12, 10 and 8 cells, felt 0.1, 1.4 and
@@ -51,6 +51,7 @@ impl Plan {
             ));
         }
         warnings.extend(self.near_rims(couplings));
+        warnings.extend(self.steeper_than_repose());
         let time = &self.scene.time;
         let step = time.step.unwrap_or(0.0);
         if step > self.bound.dt && time.over_bound != OverBound::Refuse {
@@ -69,6 +70,27 @@ impl Plan {
         self.warnings.extend(warnings);
         self.warnings.iter_mut().for_each(|warning| *warning = plain(warning));
         Ok(())
+    }
+
+    /// Says which terrains start to slide as soon as they are there.
+    fn steeper_than_repose(&self) -> Vec<String> {
+        let bodies = self.scene.body.iter().enumerate();
+        let warning = |(i, body): (usize, &Body)| {
+            let Shape::Terrain(terrain) = &body.shape else { return None };
+            let planned = self.materials.iter().find(|planned| planned.name == body.material)?;
+            let (slope, friction) = (terrain.heights().steepest().atan(), planned.parameter("friction_angle")?);
+            // Cohesion holds any slope of some height.
+            let holds = slope <= friction || planned.parameter("cohesion").unwrap_or(0.0) > 0.0;
+            (!holds).then(|| {
+                format!(
+                    "body[{i}]: its surface is up to {:.1} deg steep, and material '{}' slides above its friction angle of {:.1} deg; make it less steep, or wait until it has slid",
+                    slope.to_degrees(),
+                    planned.name,
+                    friction.to_degrees()
+                )
+            })
+        };
+        bodies.filter_map(warning).collect()
     }
 
     /// Says which tools have too little fine ground below them when they press it, wherever in its box the tool is: a box follows only once its agent is out of

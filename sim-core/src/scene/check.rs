@@ -2,8 +2,10 @@
 
 mod camera;
 mod robot;
+mod terrain;
+mod zone;
 
-use super::{Body, Contact, Motion, Placed, Scene, Shape, Tool, Wall, Walls};
+use super::{Body, Contact, Motion, Placed, Scene, Shape, Terrain, Tool, Wall, Walls};
 use crate::coupling::Aabb;
 use crate::levels::NESTING;
 use crate::{Error, Result, Vec3};
@@ -56,6 +58,11 @@ impl Shape {
                 (!heights.is_empty())
                     .then_some(Aabb { min: [min[0], min[1], *bottom], max: [max[0], max[1], top.max(*bottom)] })
             }
+            Self::Terrain(terrain) => {
+                let (Terrain { min, max, bottom, .. }, [_, top]) =
+                    (terrain, terrain.heights().within(terrain.min, terrain.max));
+                Some(Aabb { min: [min[0], min[1], *bottom], max: [max[0], max[1], top.max(*bottom)] })
+            }
             Self::Union(parts) => parts
                 .iter()
                 .map(|part| part.shape.bounds().map(|b| posed_bounds(b, part.position, part.rotation)))
@@ -63,6 +70,20 @@ impl Shape {
                 .flatten(),
             Self::Plane { .. } | Self::Mesh { .. } => None,
         }
+    }
+
+    /// Is it ground that has no mass: a plane or a terrain, or a union with one?
+    fn is_ground(&self) -> bool {
+        match self {
+            Self::Plane { .. } | Self::Terrain(_) => true,
+            Self::Union(parts) => parts.iter().any(|part| part.shape.is_ground()),
+            _ => false,
+        }
+    }
+
+    /// Has it one surface above each point of its ground plan, so that it is known how deep a point lies?
+    pub fn is_layer(&self) -> bool {
+        matches!(self, Self::Box { .. } | Self::HeightField { .. } | Self::Terrain(_))
     }
 }
 
@@ -447,11 +468,9 @@ impl Scene {
         )?;
         for (i, body) in self.body.iter().enumerate() {
             self.require(
-                matches!(body.shape, Shape::Box { .. } | Shape::HeightField { .. })
-                    && body.velocity == [0.0; 3]
-                    && body.angular_velocity == [0.0; 3],
+                body.shape.is_layer() && body.velocity == [0.0; 3] && body.angular_velocity == [0.0; 3],
                 path,
-                format!("brings in ground piece by piece, and body[{i}] is no box or height_field at rest"),
+                format!("brings in ground piece by piece, and body[{i}] is no box, height_field or terrain at rest"),
                 "change the body, or leave reach out",
             )?;
             self.require(
@@ -498,14 +517,7 @@ impl Scene {
     }
 
     fn check_body(&self, path: &str, body: &Body) -> Result<()> {
-        if !self.material.iter().any(|m| m.name == body.material) {
-            return Err(Error::Unknown {
-                path: self.place(&format!("{path}.material")),
-                kind: "material of this scene",
-                name: body.material.clone(),
-                known: self.material.iter().map(|m| m.name.clone()).collect(),
-            });
-        }
+        self.check_material_name(&format!("{path}.material"), &body.material)?;
         let cells = self.spacing(body) / self.world.cell;
         // A quotient is off by rounding.
         let (least, most) = (SPACINGS.start() * (1.0 - WHOLE_CELL), SPACINGS.end() * (1.0 + WHOLE_CELL));
@@ -520,14 +532,27 @@ impl Scene {
             !matches!(body.shape, Shape::Plane { .. } | Shape::Union(_)),
             &shape,
             "planes and unions are for tools",
-            "use box, sphere, cylinder, capsule, height_field or mesh; several bodies may share a material",
+            "use box, sphere, cylinder, capsule, height_field, terrain or mesh; several bodies may share a material",
         )?;
         self.check_shape(&shape, &body.shape)?;
         self.check_settled(path, body)?;
+        self.check_zones(path, body)?;
         match body.shape.bounds() {
             Some(bounds) => self.check_inside(path, bounds),
             None => Ok(()),
         }
+    }
+
+    fn check_material_name(&self, path: &str, name: &str) -> Result<()> {
+        if self.material.iter().any(|material| material.name == name) {
+            return Ok(());
+        }
+        Err(Error::Unknown {
+            path: self.place(path),
+            kind: "material of this scene",
+            name: name.to_owned(),
+            known: self.material.iter().map(|material| material.name.clone()).collect(),
+        })
     }
 
     /// No two bodies have the same shape at the same place: matter would be there twice.
@@ -557,10 +582,10 @@ impl Scene {
         }
         let path = format!("{path}.settled");
         self.require(
-            matches!(body.shape, Shape::Box { .. } | Shape::HeightField { .. }),
+            body.shape.is_layer(),
             &path,
             "asks how deep each particle lies, and this shape has no surface above each of its points",
-            "use a box or a height_field, or leave settled out",
+            "use a box, a height_field or a terrain, or leave settled out",
         )?;
         let [x, y, z] = self.gravity;
         self.require(
@@ -663,6 +688,7 @@ impl Scene {
                     self.check_heights(&format!("{path}.heights"), heights, *bottom)
                 }
             }
+            Shape::Terrain(terrain) => self.check_terrain(&format!("{path}.terrain"), terrain),
             Shape::Mesh { scale, rotation, .. } => {
                 self.positive(&format!("{path}.mesh.scale"), *scale)?;
                 self.check_rotation(&format!("{path}.mesh.rotation"), rotation)
@@ -749,9 +775,9 @@ impl Scene {
                     "must be from 0 to 1",
                 )?;
                 self.require(
-                    !matches!(tool.shape, Shape::Plane { .. }),
+                    !tool.shape.is_ground(),
                     &path,
-                    "a plane has no end, so it cannot move freely",
+                    "planes and terrains are ground, which cannot move freely",
                     "use a box, or motion = \"fixed\"",
                 )
             }

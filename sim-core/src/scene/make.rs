@@ -1,8 +1,8 @@
 //! Scenes in code: constructors that take what a scene file must say. All else is as a file leaves it, and every field can be set.
 
 use super::{
-    Body, Contact, CouplingSpec, Keyframe, MaterialSpec, Motion, Motor, Placed, Robot, Scene, Shape, Time, Tool, Wall,
-    Walls, World, no_rotation, one,
+    Body, Contact, CouplingSpec, Keyframe, MaterialSpec, Motion, Motor, Placed, Robot, Scene, Shape, Surface, Terrain,
+    Time, Tool, Wall, Walls, Within, World, Zone, no_rotation, one,
 };
 use crate::Vec3;
 use serde::de::DeserializeOwned;
@@ -171,6 +171,23 @@ impl Body {
     pub fn moving(self, velocity: Vec3) -> Self {
         Self { velocity, ..self }
     }
+    /// With another material in a part of it.
+    #[must_use]
+    pub fn with_zone(mut self, zone: Zone) -> Self {
+        self.zone.push(zone);
+        self
+    }
+}
+
+impl Zone {
+    /// Of a material of the scene, deeper than this below the body's surface [m].
+    pub fn below(material: impl Into<String>, depth: f64) -> Self {
+        Self { material: material.into(), below: Some(depth), within: None, picture: None }
+    }
+    /// Of a material of the scene, between two corners [m].
+    pub fn within(material: impl Into<String>, min: Vec3, max: Vec3) -> Self {
+        Self { material: material.into(), below: None, within: Some(Within { min, max }), picture: None }
+    }
 }
 
 impl Shape {
@@ -198,11 +215,16 @@ impl Shape {
     pub fn plane(normal: Vec3) -> Self {
         Self::Plane { point: [0.0; 3], normal }
     }
+    /// Ground between two corners of its plan [m] and from `bottom` up to a surface, whose heights are above the world's origin [m].
+    pub fn terrain(min: [f64; 2], max: [f64; 2], bottom: f64, surface: Surface) -> Self {
+        Self::Terrain(Terrain { min, max, bottom, origin: [0.0; 3], surface })
+    }
     /// A closed mesh in metres, from a file (OBJ, STL or DAE).
     pub fn mesh(file: impl Into<PathBuf>) -> Self {
         Self::Mesh { file: file.into(), scale: one(), center: [0.0; 3], rotation: no_rotation() }
     }
-    /// The same shape elsewhere [m]: the centre of a sphere, cylinder, capsule or mesh, and a point of a plane; a box and a height field by their corners.
+    /// The same shape elsewhere [m]: the centre of a sphere, cylinder, capsule or mesh, and a point of a plane; a box, a height field and a terrain by
+    /// their corners.
     #[must_use]
     pub fn at(mut self, place: Vec3) -> Self {
         let shift = |x: &mut Vec3| (0..3).for_each(|d| x[d] += place[d]);
@@ -222,6 +244,11 @@ impl Shape {
                 [min, max].into_iter().for_each(|x| (0..2).for_each(|d| x[d] += place[d]));
                 *bottom += place[2];
                 heights.iter_mut().flatten().for_each(|z| *z += place[2]);
+            }
+            Self::Terrain(Terrain { min, max, bottom, origin, .. }) => {
+                [min, max].into_iter().for_each(|x| (0..2).for_each(|d| x[d] += place[d]));
+                *bottom += place[2];
+                shift(origin);
             }
             Self::Union(parts) => parts.iter_mut().for_each(|part| shift(&mut part.position)),
         }

@@ -10,14 +10,21 @@ use toml::{Table, Value};
 
 type Json = serde_json::Value;
 
-/// The meshes and heights that scenes name, by file.
-const FILES: [(&str, &str); 3] = [
+/// The meshes, heights and pictures that scenes name, by file.
+const FILES: [(&str, &[u8]); 4] = [
     (
         "cube.obj",
-        "v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\nf 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
+        b"v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\nf 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
     ),
-    ("tetra.obj", "v 1 1 1\nv 1 -1 -1\nv -1 1 -1\nv -1 -1 1\nf 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n"),
-    ("heights.csv", "0.4,0.6,0.5\n0.7,1.0,0.6\n0.5,0.8,0.4\n"),
+    ("tetra.obj", b"v 1 1 1\nv 1 -1 -1\nv -1 1 -1\nv -1 -1 1\nf 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n"),
+    ("heights.csv", b"0.4,0.6,0.5\n0.7,1.0,0.6\n0.5,0.8,0.4\n"),
+    // Two by two pixels: black and white, below them two greys.
+    (
+        "map.png",
+        b"\x89\x50\x4e\x47\x0d\x0a\x1a\x0a\x00\x00\x00\x0d\x49\x48\x44\x52\x00\x00\x00\x02\x00\x00\x00\x02\x08\
+      \x00\x00\x00\x00\x57\xdd\x52\xf8\x00\x00\x00\x0e\x49\x44\x41\x54\x78\xda\x63\x60\xf8\xcf\xd0\xe0\x00\
+      \x00\x05\x42\x01\xc0\x6d\x5e\x78\xa0\x00\x00\x00\x00\x49\x45\x4e\x44\xae\x42\x60\x82",
+    ),
 ];
 
 /// Writes the files that scenes name into a folder.
@@ -343,6 +350,12 @@ impl Generator {
             "task" if self.tasks.is_empty() => return Some(None),
             "task.name" => return text(frame.pick(&self.tasks).0),
             "body[].material" => return text(format!("m{}", frame.below(frame.materials))),
+            "body[].zone[].picture.file" => return text("map.png".to_owned()),
+            "body[].zone[].picture.grey" => {
+                let least = frame.pick(&[0.0, 0.2, 0.6]);
+                return Some(Some(floats([least, least + frame.pick(&[0.0, 0.1, 0.4])])));
+            }
+            "body[].zone[].material" => return text(format!("m{}", frame.below(frame.materials))),
             "body[].spacing" => {
                 let cells = frame.pick(&[0.5, 0.5, 0.5, 0.34, 0.66, 1.0]);
                 return number(cells * frame.cell);
@@ -363,6 +376,10 @@ impl Generator {
                 Some(Some(Value::Array((0..2).map(|_| row(frame)).collect())))
             }
             "height_field.file" => text("heights.csv".to_owned()),
+            "terrain.surface.slope.slope_deg" => number(frame.between(-10.0, 10.0)),
+            "terrain.surface.dunes.lee_deg" => number(frame.pick(&[10.0, 20.0, 30.0, 45.0])),
+            "terrain.surface.stairs.count" => Some(Some(Value::Integer(1 + frame.below(2) as i64))),
+            _ if key.starts_with("terrain") && key.ends_with("_deg") => number(frame.pick(&[0.0, 90.0, 270.0, 33.0])),
             "mesh.file" => text(frame.pick(&["cube.obj", "tetra.obj"]).to_owned()),
             "mesh.scale" => number(frame.length(0.6, 2.0)),
             _ if key.ends_with(".center") && (of_tool || of_union) => {
@@ -500,9 +517,8 @@ fn wanted(path: &str) -> f64 {
         // The origin is seldom in the world.
         _ if path.starts_with("body") && path.ends_with(".center") => 1.0,
         "time.step" | "task" => 0.05,
-        "coupling" | "gravity_ramp" | "material[].damping" | "body[].settled" | "levels.reach" | "sleep" | "output" => {
-            0.15
-        }
+        "coupling" | "gravity_ramp" | "material[].damping" | "body[].settled" | "body[].zone" | "levels.reach"
+        | "sleep" | "output" => 0.15,
         _ => 0.35,
     }
 }
@@ -530,12 +546,13 @@ fn mend(scene: &mut Table, frame: &mut Frame) {
     mend_walls(scene, frame);
     for body in entries(scene, "body") {
         mend_heights(body, frame, false);
+        mend_zones(body);
     }
     for tool in entries(scene, "tool") {
         mend_heights(tool, frame, true);
         mend_path(tool, frame);
         // What has no mass does not move freely.
-        let heavy = !["plane", "height_field"].iter().any(|shape| tool["shape"].to_string().contains(shape));
+        let heavy = !["plane", "height_field", "terrain"].iter().any(|shape| tool["shape"].to_string().contains(shape));
         if !heavy && below(tool, &["motion", "free"]).is_some() {
             tool.remove("motion");
         }
@@ -586,17 +603,65 @@ fn mend_walls(scene: &mut Table, frame: &mut Frame) {
     world.insert("max".to_owned(), Value::Array(max));
 }
 
-/// A height field lies on the world's floor, or about a tool's origin, and has its heights from one place.
+/// Has a shape a surface above each of its points?
+fn is_layer(shape: Option<&Value>) -> bool {
+    ["box", "height_field", "terrain"].iter().any(|layer| shape.is_some_and(|shape| shape.get(layer).is_some()))
+}
+
+/// A zone is somewhere, and a body with zones does not turn.
+fn mend_zones(body: &mut Table) {
+    let layered = is_layer(body.get("shape"));
+    let Some(zones) = body.get_mut("zone").and_then(Value::as_array_mut) else { return };
+    for zone in zones.iter_mut().filter_map(Value::as_table_mut) {
+        if !layered {
+            zone.remove("below");
+        }
+        for place in ["within", "picture"] {
+            let Some(place) = within(zone, place) else { continue };
+            let ends = ["min", "max"].map(|end| place[end].as_array().cloned().unwrap_or_default());
+            let pairs = ends[0].iter().zip(&ends[1]).filter_map(|(a, b)| Some((a.as_float()?, b.as_float()?)));
+            let (min, max): (Vec<f64>, Vec<f64>) = pairs.map(|(a, b)| (a.min(b), a.max(b))).unzip();
+            place.insert("min".to_owned(), floats(min));
+            place.insert("max".to_owned(), floats(max));
+        }
+    }
+    zones.retain(|zone| ["below", "within", "picture"].iter().any(|place| zone.get(place).is_some()));
+    if zones.is_empty() {
+        body.remove("zone");
+    } else {
+        body.remove("angular_velocity");
+    }
+}
+
+/// A terrain has room above its lower end, and its dunes are not too steep.
+fn mend_terrain(ground: &mut Table, [origin, span]: [[f64; 3]; 2], scale: f64) {
+    ground.insert("min".to_owned(), floats([origin[0], origin[1]]));
+    ground.insert("max".to_owned(), floats([origin[0] + span[0], origin[1] + span[1]]));
+    ground.insert("bottom".to_owned(), Value::Float(origin[2]));
+    let middle: [f64; 3] = std::array::from_fn(|d| origin[d] + 0.5 * span[d]);
+    ground.insert("origin".to_owned(), floats([middle[0], middle[1], origin[2] + scale]));
+    let dunes = within(ground, "surface").and_then(|surface| within(surface, "dunes"));
+    if let Some(dunes) = dunes {
+        let wavelength = dunes["wavelength"].as_float().unwrap_or(1.0);
+        let height = dunes["height"].as_float().unwrap_or(1.0);
+        dunes.insert("height".to_owned(), Value::Float(height.min(0.05 * wavelength)));
+    }
+}
+
+/// A height field and a terrain lie on the world's floor, or about a tool's origin; a height field has its heights from one place.
 fn mend_heights(of: &mut Table, frame: &mut Frame, of_tool: bool) {
     let Some(shape) = within(of, "shape") else { return };
     entries(shape, "union").for_each(|part| mend_heights(part, frame, of_tool));
-    let Some(field) = within(shape, "height_field") else { return };
     let (cell, first) = (frame.cell, frame.first.map(|c| c as f64));
     let (origin, span, scale) = if of_tool {
         ([-2.0 * cell; 3], [4.0 * cell; 2], cell)
     } else {
         (first.map(|c| c * cell), [0, 1].map(|d| frame.cells[d] as f64 * cell), 4.0 * cell)
     };
+    if let Some(ground) = within(shape, "terrain") {
+        mend_terrain(ground, [origin, [span[0], span[1], 0.0]], scale);
+    }
+    let Some(field) = within(shape, "height_field") else { return };
     field.insert("min".to_owned(), floats([origin[0], origin[1]]));
     field.insert("max".to_owned(), floats([origin[0] + span[0], origin[1] + span[1]]));
     field.insert("bottom".to_owned(), Value::Float(origin[2]));
@@ -660,7 +725,7 @@ fn mend_levels(scene: &mut Table, frame: &mut Frame) {
         walls.retain(|_, wall| wall.as_str() != Some("periodic"));
     }
     if let Some(bodies) = scene.get_mut("body").and_then(Value::as_array_mut) {
-        bodies.retain(|body| ["box", "height_field"].iter().any(|shape| body["shape"].get(shape).is_some()));
+        bodies.retain(|body| is_layer(body.get("shape")));
     }
     for body in entries(scene, "body") {
         body.insert("settled".to_owned(), Value::Boolean(true));
@@ -678,7 +743,7 @@ fn mend_rest(scene: &mut Table) {
     let down = gravity.is_empty() || (gravity[..2] == [0.0; 2] && gravity[2] <= 0.0);
     let ramp = scene.contains_key("gravity_ramp");
     for body in entries(scene, "body") {
-        let layered = ["box", "height_field"].iter().any(|shape| body["shape"].get(shape).is_some());
+        let layered = is_layer(body.get("shape"));
         if body.get("settled").and_then(Value::as_bool) == Some(true) {
             if down && !ramp && layered {
                 body.remove("velocity");

@@ -23,6 +23,7 @@ mod settled;
 mod sleeping;
 mod subcycling;
 mod swap;
+mod terrain;
 mod transfers;
 mod unbounded;
 mod validation;

@@ -122,7 +122,7 @@ fn what_cannot_settle_is_refused_by_name() {
     let ball = Head::space(CELL)
         .with(&[material("sand", 1000.0, ""), body("sand", "sphere = { radius = 0.1 }", "settled = true")]);
     let error = Scene::from_str(&ball, "ball", "").unwrap_err().to_string();
-    assert!(error.contains("body[0].settled") && error.contains("use a box or a height_field"), "{error}");
+    assert!(error.contains("body[0].settled") && error.contains("use a box, a height_field or a terrain"), "{error}");
     let soft = scene(&bed("neo_hookean", "young_modulus = 100.0, poisson_ratio = 0.0", true));
     refused(&soft, "does not carry the");
 }

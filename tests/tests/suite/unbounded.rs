@@ -183,7 +183,7 @@ fn what_cannot_be_unbounded_is_refused_by_name() {
         ("reach = 4", "reach = 3", "must be from 4 to"),
         ("count = 2", "count = 1", "needs levels to nest"),
         ("settled = true", "settled = false", "set body[0].settled = true"),
-        ("settled = true", "velocity = [1.0, 0.0, 0.0]", "is no box or height_field at rest"),
+        ("settled = true", "velocity = [1.0, 0.0, 0.0]", "is no box, height_field or terrain at rest"),
         ("reach = 4", "reach = 4\nagents = []", "there is none"),
         ("y_min = \"slip\"\ny_max = \"slip\"", "y_min = \"periodic\"\ny_max = \"periodic\"", "y is periodic"),
     ] {
