@@ -111,9 +111,10 @@ fn a_robot_at_rest_on_sand_feels_it_under_its_feet() {
 /// Heights that a robot senses are those of the field that the ground was made of, wherever the robot looks.
 #[test]
 fn a_scan_finds_the_heights_of_a_slope_and_a_field() {
-    let slope = |x: f64, _: f64| 0.1 + 0.25 * x;
-    let bowl = |x: f64, y: f64| 0.1 + 0.4 * ((x - 0.5).powi(2) + (y - 0.5).powi(2));
-    let fields: [(&str, &dyn Fn(f64, f64) -> f64); 2] = [("slope", &slope), ("bowl", &bowl)];
+    type Field = fn(f64, f64) -> f64;
+    let slope: Field = |x, _| 0.1 + 0.25 * x;
+    let bowl: Field = |x, y| 0.1 + 0.4 * ((x - 0.5).powi(2) + (y - 0.5).powi(2));
+    let fields = [("slope", slope), ("bowl", bowl)];
     for (name, surface) in fields {
         let row = |j: u32| {
             let heights = (0..=20).map(|i| surface(0.05 * f64::from(i), 0.05 * f64::from(j)).to_string());
