@@ -6,7 +6,8 @@
     target/truth/bin/python robot/models/motions.py     # both
 
 A file's first line names its columns: time in s, then joints in rad. Between rows targets go in straight lines; after the last row they stay.
-They are open loop: nothing is measured. Gains are for tau = kp (target - q) - kd qd, clamped to the file's efforts; armature 0.01.
+They are open loop: nothing is measured. Gains are for tau = kp (target - q) - kd qd in the trot, and kp (target - q) + kd (target's rate - qd) in the step, clamped to
+the file's efforts; armature 0.01.
 Lengths in m, angles in rad, times in s; x forward, y left, z up.
 """
 import csv
@@ -173,7 +174,15 @@ def humanoid_step(height, rest, shift, swing, settle, step, lift, reach, press, 
             J = pin.computeFrameJacobian(model, data, at, i, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
             tau -= s * J.T @ np.concatenate([force, moment])
         rows.append((t, X[3:] + (tau[6:] + kd * V[3:]) / kp))
-    return names, rows, plan[0]
+    return names, with_rates(rows, 0.03), plan[0]
+
+
+def with_rates(rows, delay):
+    """Targets that do with a damping against their own rate what `rows` do with one against rest: new + delay d(new)/dt = old, delay = kd / kp."""
+    new = [rows[0][1]]
+    for (_, a), (_, b) in zip(rows, rows[1:]):
+        new.append(((a + b) / 2 - new[-1] * (0.5 - delay / STEP)) / (0.5 + delay / STEP))
+    return [(t, q) for (t, _), q in zip(rows, new)]
 
 
 def main():

@@ -9,6 +9,7 @@
 //!    6 × 6 matrix of each link;
 //! 5. positions move on with the rates, and the base's rates are corrected so that momentum changes by impulses alone.
 
+mod balance;
 pub mod coupling;
 mod device;
 pub mod dynamics;
@@ -16,6 +17,7 @@ pub mod joints;
 pub mod model;
 pub mod motion;
 pub mod reach;
+mod sense;
 mod table;
 pub mod touching;
 pub mod urdf;
@@ -25,15 +27,17 @@ pub use coupling::Robots;
 pub use model::RobotModel;
 
 use crate::motion::Pose;
+use balance::Correction;
 use barchan_core::contact::{System, Twist};
 use dynamics::Place;
 use glam::{DMat3, DVec3};
 use joints::{Gains, Impulse, Joint, Order};
 use motion::JointPath;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector6};
+use sense::Sensed;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use touching::{Body, Obstacle, Points, Seen};
+use touching::{Body, Obstacle, Pair, Points, Seen};
 
 /// Iterations after which the robot's rates are taken as they are, and the size of the last step at convergence, relative to the speed of the whole.
 const MAX_ITERATIONS: usize = 40;
@@ -62,6 +66,8 @@ pub(crate) struct State {
     pub clock: f64,
     /// What a device made of it in the last step, if one took it.
     pub held: Option<device::Held>,
+    /// What sensors keep of the last step.
+    pub sensed: Sensed,
 }
 
 /// A robot.
@@ -76,8 +82,11 @@ pub struct Robot {
     pub(crate) extents: Vec<f64>,
     pub(crate) gains: Vec<Gains>,
     pub(crate) path: JointPath,
+    pub(crate) corrections: Vec<Correction>,
     pub(crate) friction: f64,
     pub(crate) obstacles: Vec<Obstacle>,
+    /// Bodies that may touch one another.
+    pub(crate) pairs: Vec<[usize; 2]>,
     pub(crate) state: State,
     pub(crate) step: Step,
 }
@@ -192,6 +201,10 @@ impl Robot {
             let system = System::of(touches, &points.nodes, &place.twist(rates), weight, tangent);
             add_system(place, &system, &mut residual, &mut matrix);
         }
+        for Pair { place, touches, .. } in &points.pairs {
+            let system = System::of(touches, &points.nodes, &place.twist(rates), weight, tangent);
+            add_system(place, &system, &mut residual, &mut matrix);
+        }
         Balance { residual, matrix }
     }
 
@@ -202,7 +215,9 @@ impl Robot {
     pub(crate) fn begin(&mut self, time: f64, dt: f64, gravity: DVec3, boxes: &[barchan_core::Aabb]) -> Result<(), ()> {
         self.take_over().ok_or(())?;
         self.state.clock = self.path.wrapped(time + dt);
-        let orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(time, dt));
+        let mut orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(time, dt));
+        self.balance_orders(&mut orders);
+        self.sense_start(gravity);
         let before = DVector::from_column_slice(&self.state.rates);
         let places = std::mem::take(&mut self.step.places);
         let bias = dynamics::bias(&self.model, self.floating, &places, &before);
@@ -224,14 +239,14 @@ impl Robot {
                 let speed = twist.linear.length() + twist.angular.length() * self.extents[body];
                 Seen {
                     body: self.bodies[body].as_ref(),
-                    pose: self.pose(body),
+                    place: &self.step.places[self.solids[body]],
                     bounds: boxes[body],
                     friction: self.friction,
                     ahead: AHEAD + 2.0 * speed * dt,
                 }
             })
             .collect();
-        points.find(&seen, &self.obstacles, self.model.mass(), dt);
+        points.find(&seen, &self.obstacles, &self.pairs, self.model.mass(), [time, dt]);
         self.step.points = points;
         self.step.rates = self.balance_alone().ok_or(())?;
         if self.step.rates.iter().all(|rate| rate.is_finite()) { Ok(()) } else { Err(()) }
@@ -327,6 +342,7 @@ impl Robot {
     /// The rates' equation takes the forces of motion as they were at its start. So momentum would be off by what is lost on the way; instead it is what
     /// it was, and impulses: the base's rates make up for the difference.
     pub(crate) fn advance(&mut self) -> Option<()> {
+        self.sense_rigid();
         let Step { dt, ref rates, ref bias, ref places, .. } = self.step;
         let about = self.state.base.position;
         let base = &places[0];
@@ -357,6 +373,7 @@ impl Robot {
             self.correct(linear, angular, about)?;
             self.state.rates.copy_from_slice(self.step.rates.as_slice());
         }
+        self.sense_end(dt);
         self.state.rates.iter().all(|rate| rate.is_finite()).then_some(())
     }
 
@@ -391,8 +408,7 @@ impl Robot {
 
     /// Where a body's centre of mass is, and its axes.
     pub(crate) fn pose(&self, body: usize) -> Pose {
-        let place = &self.step.places[self.solids[body]];
-        Pose { position: place.centre, rotation: place.frame.rotation }
+        self.step.places[self.solids[body]].pose()
     }
 
     /// Inertia of a body about its centre of mass, along the world's axes [kg m²].

@@ -1,6 +1,7 @@
 //! Couplings: what acts on the soft ground through grid nodes, and what it feels in return.
 
 use crate::contact::{Reaction, System, Touch, Twist};
+use crate::sense::RobotState;
 use crate::surface::Surface;
 use crate::{Result, Vec3};
 use std::ops::Range;
@@ -418,6 +419,10 @@ pub trait Coupling: Send + Sync {
     fn joints(&self) -> Vec<JointState> {
         Vec::new()
     }
+    /// What its robots' sensors say: their links are all of its bodies, in their order. Whoever asks fills in what the [ground](crate::LinkState::ground) does.
+    fn robots(&self) -> Vec<RobotState> {
+        Vec::new()
+    }
     /// Greatest speed of any surface point during the step that starts at `time` and takes at most `dt` [m/s].
     fn max_speed(&self, time: f64, dt: f64) -> f64;
     /// Fixes the bodies' velocities over the step from `time` to `time + dt` [s]. Poses stay those at `time`.
@@ -536,6 +541,11 @@ pub trait Coupling: Send + Sync {
     /// Signed distance to the nearest body's surface [m], negative inside, at each point; used to seed ground around
     /// bodies and by tests. Bodies of a coupling without a surface answer infinity.
     fn distance(&self, points: &[Vec3]) -> Vec<f64>;
+    /// Signed distance of points from the surface by which one body meets the ground on the finest level [m]: thin parts count as thicker there.
+    fn contact_distance(&self, body: usize, points: &[Vec3]) -> Vec<f64> {
+        let _ = body;
+        self.distance(points)
+    }
     /// What its bodies look like now. Pictures in perspective show nothing else of a coupling; top views and cuts ask for the
     /// [`distance`](Self::distance).
     fn surfaces(&self) -> Vec<Surface> {

@@ -23,7 +23,7 @@ pub(crate) use check::{cross, posed_bounds, turn};
 pub use make::Part;
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
-pub use robot::{Gait, JointFrame, JointMotion, LinkPath, Motor, Robot};
+pub use robot::{Balance, Gait, JointFrame, JointMotion, Lean, LinkPath, Motor, Robot, Scan};
 pub use terrain::{Heights, Surface, Terrain};
 pub use zone::{Within, Zone, ZonePicture};
 

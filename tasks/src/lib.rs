@@ -5,7 +5,7 @@
 use barchan_core::{Error, Result, Scene};
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 12] = [
+const FILES: [(&str, &str); 14] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -17,7 +17,9 @@ const FILES: [(&str, &str); 12] = [
     ("quadruped-trot", include_str!("../scenes/quadruped-trot.toml")),
     ("quadruped-dunes", include_str!("../scenes/quadruped-dunes.toml")),
     ("arm-writes", include_str!("../scenes/arm-writes.toml")),
+    ("arm-scoops", include_str!("../scenes/arm-scoops.toml")),
     ("humanoid-stand", include_str!("../scenes/humanoid-stand.toml")),
+    ("humanoid-step", include_str!("../scenes/humanoid-step.toml")),
 ];
 
 /// Grids that the cube drop comes on: cells along 1.28 m, and particles along the bed in x and y.

@@ -1,12 +1,17 @@
 //! `barchan robot`.
 
 use crate::print::show;
+use barchan::picture::draw_robot;
 use barchan::{Error, Result, RobotModel};
 use clap::{Args, Subcommand};
+use std::path::PathBuf;
+
+/// Columns of a picture.
+const PIXELS: usize = 960;
 
 #[derive(Subcommand)]
 pub(crate) enum Robot {
-    /// Reads a robot as a scene would, and prints its links, masses, joints and shapes, or what is wrong and where.
+    /// Reads a robot as a scene would, and prints its links, masses, joints and shapes, or what is wrong and where; draws it, if asked.
     Check(CheckArgs),
 }
 
@@ -14,6 +19,9 @@ pub(crate) enum Robot {
 pub(crate) struct CheckArgs {
     /// A URDF file, or a robot that is built in: quadruped, humanoid, arm, arm-rod, arm-shovel, arm-scraper.
     robot: String,
+    /// Draws the robot there, too, as its visual elements show it: a PNG, 960 pixels wide.
+    #[arg(long, value_name = "PNG")]
+    out: Option<PathBuf>,
     /// Mend inertias that no body has, as `mend_inertias` does in a scene, instead of refusing them.
     #[arg(long)]
     mend_inertias: bool,
@@ -30,5 +38,7 @@ pub(crate) fn run(command: &Robot) -> Result<()> {
     let model = RobotModel::of(&robot, std::path::Path::new(""))
         .map_err(|refusal| -> Error { refusal.at(&format!("robot '{}'", args.robot)) })?;
     show(&model);
-    Ok(())
+    let Some(file) = &args.out else { return Ok(()) };
+    let drawn = draw_robot(&model, PIXELS).write_png(file, &[("Title", &model.name)]);
+    drawn.map_err(|source| Error::Io { file: file.clone(), what: "writing the picture", source })
 }

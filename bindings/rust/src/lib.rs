@@ -301,6 +301,35 @@ pub use barchan_core::JointState;
 #[doc(inline)]
 pub use barchan_rigid::robot::RobotModel;
 
+/// What a robot senses besides its joints.
+///
+/// ```
+/// use barchan::scene::{Robot, Scan, Wall, World};
+/// use barchan::{HeightScan, LinkState, Options, Patch, PointForce, RobotState, Scene, Simulation};
+///
+/// let mut dog = Robot::built_in("dog", "quadruped").at([0.0, 0.0, 1.0]).with_motors(100.0, 3.0);
+/// dog.scan = Some(Scan { min: [-0.3, -0.2], max: [0.3, 0.2], points: [3, 2] });
+/// let world = World::new(0.1, [-1.0, -1.0, 0.0], [1.0, 1.0, 2.0]).with_walls(Wall::Stick);
+/// let mut scene = Scene::new("fall", world, 0.1).with(dog);
+/// scene.time.step = Some(1e-3);
+/// let mut simulation = Simulation::new(&barchan::registry(), &scene, &Options::default())?;
+/// simulation.step()?;
+///
+/// let state: RobotState = simulation.robots().remove(0);
+/// assert!(state.projected_gravity[2] < -0.99 && state.specific_force[2].abs() < 0.1, "it falls");
+/// let foot: &LinkState = state.links.last().unwrap();
+/// let points: &[PointForce] = &foot.rigid;
+/// assert!(!foot.touches(0.1) && points.is_empty());
+/// let patches: Vec<Option<Patch>> = simulation.patches("dog", 0.1)?;
+/// assert!(patches.iter().all(Option::is_none));
+/// let scan: HeightScan = simulation.scan("dog")?;
+/// assert_eq!(scan.heights.len(), 6);
+/// assert!((scan.heights[0].unwrap() + 1.0).abs() < 1e-3, "the floor is a metre below");
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{HeightScan, LinkState, Patch, PointForce, RobotState};
+
 /// What carries a plan out. `tests/seams/backend` of the repository is one of somebody's own.
 ///
 /// ```

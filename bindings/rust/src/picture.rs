@@ -32,12 +32,14 @@ mod image;
 mod perspective;
 mod raster;
 mod relief;
+mod robot;
 mod stage;
 mod tools;
 
 pub use animation::{contact_sheet, gif};
 pub use chart::{Chart, Series};
 pub use image::{Align, Colour, Image, Rect, text_width};
+pub use robot::draw_robot;
 
 use crate::stress::pressure;
 use barchan_core::glam;

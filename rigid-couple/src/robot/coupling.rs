@@ -1,22 +1,23 @@
 //! The coupling "robots": a scene's robots on soft ground.
 
 use super::joints::{Gains, Order};
-use super::model::{Link, RobotModel};
+use super::model::RobotModel;
 use super::motion::{self, JointPath};
-use super::touching::{Body, Obstacle};
+use super::sense::Sensed;
+use super::touching::{Body, Obstacle, pairs_of};
 use super::urdf::Source;
-use super::visual::Visual;
-use super::{Robot, State, device, dynamics};
+use super::{Robot, State, balance, device, dynamics};
 use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
-use crate::surface::placed;
 use crate::world::friction_of;
 use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep};
 use barchan_core::plan::ROBOT_COUPLING;
 use barchan_core::scene::{self, Contact, Motion};
-use barchan_core::{BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
+use barchan_core::{
+    BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, RobotState, Scene, Surface, Vec3, Wrench,
+};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -132,7 +133,8 @@ impl Robot {
             rates[..3].copy_from_slice(&twist.at(arm).to_array());
             rates[3..6].copy_from_slice(&robot.angular_velocity);
         }
-        let state = State { base, positions, rates, orders: None, clock: path.wrapped(0.0), held: None };
+        let sensed = Sensed::at_start(DVec3::from_array(scene.gravity_at(0.0)));
+        let state = State { base, positions, rates, orders: None, clock: path.wrapped(0.0), held: None, sensed };
         let solids: Vec<usize> = (0..model.links.len())
             .filter(|&i| i == 0 || model.links[i].mass > 0.0 || model.links[i].shape.is_some())
             .collect();
@@ -142,14 +144,11 @@ impl Robot {
         })?;
         let shapes: Vec<Option<&Sdf>> = solids.iter().map(|&link| model.links[link].shape.as_ref()).collect();
         let extents = shapes.iter().map(|shape| shape.map_or(0.0, Sdf::extent)).collect();
-        let bodies = shapes.iter().map(|shape| shape.map(Body::new)).collect();
-        let mut obstacles = Obstacle::walls(&scene.world, base.position);
-        for (i, tool) in scene.tool.iter().enumerate().filter(|(_, tool)| matches!(tool.motion, Motion::Fixed)) {
-            let shape = Sdf::from_shape(&tool.shape, &scene.folder, &format!("tool[{i}].shape"))
-                .map_err(|e| Refusal::new(e.to_string(), "mend the tool"))?;
-            let pose = Pose { position: DVec3::from_array(tool.position), rotation: rotation_from(tool.rotation)? };
-            obstacles.push(Obstacle::fixed(&shape, &pose, tool.contact));
-        }
+        let bodies: Vec<Option<Body>> = shapes.iter().map(|shape| shape.map(Body::new)).collect();
+        let obstacles = Obstacle::all(scene, base.position)?;
+        let pairs =
+            if robot.self_collision { pairs_of(&mut model, &solids, &bodies, &step.places) } else { Vec::new() };
+        let corrections = balance::corrections(&robot.balance, &model)?;
         Ok(Self {
             name: robot.name.clone(),
             floating,
@@ -158,8 +157,10 @@ impl Robot {
             extents,
             gains,
             path,
+            corrections,
             friction: friction_of(robot.contact),
             obstacles,
+            pairs,
             state,
             step,
             model: Arc::new(model),
@@ -171,7 +172,7 @@ impl Robot {
         self.state.base
     }
 
-    fn body_name(&self, body: usize) -> String {
+    pub(super) fn body_name(&self, body: usize) -> String {
         match body {
             0 => self.name.clone(),
             _ => format!("{}/{}", self.name, self.model.links[self.solids[body]].name),
@@ -333,6 +334,10 @@ impl Coupling for Robots {
         self.robots.iter().flat_map(of_robot).collect()
     }
 
+    fn robots(&self) -> Vec<RobotState> {
+        self.robots.iter().map(Robot::sensors).collect()
+    }
+
     fn max_speed(&self, time: f64, dt: f64) -> f64 {
         let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
         let speed = |(robot, body): (&Robot, usize)| {
@@ -348,6 +353,7 @@ impl Coupling for Robots {
         for robot in &mut self.robots {
             if self.on_device {
                 robot.step.dt = dt;
+                robot.sense_gravity(gravity);
                 continue;
             }
             let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, 0.0)).collect();
@@ -433,7 +439,9 @@ impl Coupling for Robots {
         let own_followed = self.followed();
         let followed = self.scene.levels.agents.as_ref().unwrap_or(&own_followed);
         let of_robot = |robot: &Robot| {
-            if !device::is_slow(robot, gravity, dt, world.cell) {
+            // Balance and its own links are the host's to see to.
+            let is_plain = robot.corrections.is_empty() && robot.pairs.is_empty();
+            if !is_plain || !device::is_slow(robot, gravity, dt, world.cell) {
                 return None;
             }
             let of_body = |(body, link): (usize, &usize)| {
@@ -459,8 +467,10 @@ impl Coupling for Robots {
     }
 
     fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
+        let substeps = self.scene.levels.substeps();
         for (robot, GroupStep { state, deep_nodes, unconverged }) in self.robots.iter_mut().zip(groups) {
-            robot.take_device_state(state).ok_or_else(|| robot.lost("motion on the device"))?;
+            let dt = robot.step.dt * f64::from(substeps);
+            robot.take_device_state(state, dt).ok_or_else(|| robot.lost("motion on the device"))?;
             self.counts.deep_nodes += deep_nodes;
             self.counts.unconverged += unconverged;
         }
@@ -483,15 +493,21 @@ impl Coupling for Robots {
         sdf::distances(&shapes, points)
     }
 
-    fn surfaces(&self) -> Vec<Surface> {
-        let of_link = |(link, place): (&Link, &dynamics::Place)| -> Vec<Surface> {
-            let part = |visual: &Visual| placed(&visual.mesh, &place.frame.then(&visual.place), visual.colour);
-            link.visuals.iter().map(part).collect()
+    fn contact_distance(&self, body: usize, points: &[Vec3]) -> Vec<f64> {
+        let (number, body) = self.of(body);
+        let robot = &self.robots[number];
+        let pose = robot.pose(body);
+        let turn = pose.rotation.conjugate();
+        let to = |shape: &Sdf, x: Vec3| {
+            let local = turn * (DVec3::from_array(x) - pose.position);
+            shape.contact_surface(local, self.scene.world.cell).0.distance
         };
-        self.robots
-            .iter()
-            .flat_map(|robot| robot.model.links.iter().zip(&robot.step.places).flat_map(of_link))
-            .collect()
+        let shape = robot.model.links[robot.solids[body]].shape.as_ref();
+        points.iter().map(|&x| shape.map_or(f64::INFINITY, |shape| to(shape, x))).collect()
+    }
+
+    fn surfaces(&self) -> Vec<Surface> {
+        self.robots.iter().flat_map(|robot| robot.model.surfaces(&robot.step.places)).collect()
     }
 
     fn has_body(&self, name: &str) -> bool {
@@ -516,14 +532,14 @@ impl Coupling for Robots {
             .iter()
             .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)))
             .collect();
-        let moving = self.scene.tool.iter().filter(|tool| !matches!(tool.motion, Motion::Fixed));
-        let mut passed: Vec<&str> = moving.map(|tool| tool.name.as_str()).collect();
+        let answers = |tool: &&scene::Tool| matches!(tool.motion, Motion::Velocity { .. } | Motion::Free { .. });
+        let mut passed: Vec<&str> = self.scene.tool.iter().filter(answers).map(|tool| tool.name.as_str()).collect();
         if self.robots.len() > 1 {
             passed.push("one another");
         }
         if !passed.is_empty() {
             let what = passed.join("', '");
-            warnings.push(format!("robots pass through '{what}': they feel the ground, walls and tools that stay"));
+            warnings.push(format!("robots pass through '{what}': they feel the ground, walls, and tools that stay or pass through keyframes"));
         }
         for robot in &self.robots {
             for body in robot.ends() {

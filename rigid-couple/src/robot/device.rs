@@ -220,12 +220,13 @@ impl Robot {
         GroupState { words, bodies: bodies.iter().map(placed).collect() }
     }
 
-    /// Takes in what a device made of it; `None` if that is not finite.
-    pub(crate) fn take_device_state(&mut self, state: &GroupState) -> Option<()> {
+    /// Takes in what a device made of it in a step of `dt` [s]; `None` if that is not finite.
+    pub(crate) fn take_device_state(&mut self, state: &GroupState, dt: f64) -> Option<()> {
         let (count, first) = (self.state.positions.len(), self.base_rates());
         if state.words.len() != WORDS + 2 * count || state.bodies.len() != self.solids.len() {
             return None;
         }
+        self.sense_on_device();
         let real = |bits: u32| f64::from(f32::from_bits(bits));
         let vector = |word: [u32; 4]| DVec3::new(real(word[0]), real(word[1]), real(word[2]));
         let number = |word: &[u32; 4]| f64::from(word[0] as i32) + f64::from(word[1]) / PARTS;
@@ -252,6 +253,7 @@ impl Robot {
             self.correct(linear, angular, about)?;
         }
         self.state.held = Some(held);
+        self.sense_end(dt);
         self.step.orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(self.state.clock, 0.0));
         let is_finite = self.state.base.position.is_finite()
             && self.state.base.rotation.is_finite()

@@ -34,9 +34,29 @@ pub struct Place {
 }
 
 impl Place {
+    /// Its centre of mass, and its frame's axes.
+    pub fn pose(&self) -> Pose {
+        Pose { position: self.centre, rotation: self.frame.rotation }
+    }
+
     /// The twist of its centre of mass at these rates.
     pub fn twist(&self, rates: &DVector<f64>) -> Twist {
         self.columns.iter().fold(Twist::default(), |sum, column| sum.plus(rates[column.rate], &column.twist))
+    }
+
+    /// The same place as it moves against another link: rates that move both alike have no part in it.
+    #[must_use]
+    pub fn against(&self, other: &Self) -> Self {
+        let arm = self.centre - other.centre;
+        let mut columns = self.columns.clone();
+        for Column { rate, twist } in &other.columns {
+            let back = Twist { linear: -twist.at(arm), angular: -twist.angular };
+            match columns.iter_mut().find(|column| column.rate == *rate) {
+                Some(column) => column.twist = column.twist.plus(1.0, &back),
+                None => columns.push(Column { rate: *rate, twist: back }),
+            }
+        }
+        Self { columns, ..self.clone() }
     }
 
     /// Adds to each rate's sum what a force at the centre of mass and a torque come to for it.

@@ -11,6 +11,15 @@ use glam::{DQuat, DVec3};
 use std::collections::BTreeMap;
 use std::path::Path;
 
+/// Motions that come with the program: name and frames.
+const BUILT_IN: [(&str, &str); 2] = [
+    ("quadruped-trot", include_str!("../../models/quadruped-trot.csv")),
+    ("humanoid-step", include_str!("../../models/humanoid-step.csv")),
+];
+
+/// What a file of frames is.
+const FRAMES: &str = "give a CSV file: a header of 'time' and joints' names, then a row of numbers for each frame";
+
 /// Joint positions over time, straight from frame to frame.
 #[derive(Clone, Debug)]
 pub struct JointPath {
@@ -82,12 +91,19 @@ impl JointPath {
             return Self::of_path(path, model, base, start);
         }
         let read;
-        let given = match &motion.file {
-            Some(file) => {
-                read = read_frames(&folder.join(file))?;
+        let given = match (&motion.file, &motion.model) {
+            (Some(file), _) => {
+                let file = folder.join(file);
+                let text = std::fs::read_to_string(&file)
+                    .map_err(|e| Refusal::new(format!("{}: {e}", file.display()), FRAMES))?;
+                read = read_frames(&text, &file.display().to_string())?;
                 &read
             }
-            None => &motion.frames,
+            (None, Some(name)) => {
+                read = read_frames(built_in(name)?, &format!("{name}.csv"))?;
+                &read
+            }
+            (None, None) => &motion.frames,
         };
         let (mut times, mut frames) = (Vec::new(), Vec::new());
         let mut now = start.to_vec();
@@ -248,10 +264,15 @@ fn step_of(share: f64, stance: f64) -> [f64; 2] {
     [air - turn.sin() / std::f64::consts::TAU - 0.5, 0.5 * (1.0 - turn.cos())]
 }
 
-fn read_frames(file: &Path) -> Result<Vec<JointFrame>, Refusal> {
-    let mend = "give a CSV file: a header of 'time' and joints' names, then a row of numbers for each frame";
-    let wrong = |line: usize, what: String| Refusal::new(format!("{}:{line}: {what}", file.display()), mend);
-    let text = std::fs::read_to_string(file).map_err(|e| Refusal::new(format!("{}: {e}", file.display()), mend))?;
+fn built_in(name: &str) -> Result<&'static str, Refusal> {
+    BUILT_IN.iter().find(|(known, _)| *known == name).map(|(_, text)| *text).ok_or_else(|| {
+        let known: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+        Refusal::new(format!("there is no motion '{name}'"), format!("known are: {}; or give a file", known.join(", ")))
+    })
+}
+
+fn read_frames(text: &str, file: &str) -> Result<Vec<JointFrame>, Refusal> {
+    let wrong = |line: usize, what: String| Refusal::new(format!("{file}:{line}: {what}"), FRAMES);
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let header: Vec<&str> = lines.next().map_or_else(Vec::new, |(_, line)| line.split(',').map(str::trim).collect());
     if header.first() != Some(&"time") {

@@ -1,15 +1,19 @@
-//! Contacts of a robot's links with what is rigid and does not answer: the world's walls and fixed tools.
+//! Contacts of a robot's links with what is rigid and does not answer: the world's walls, fixed tools, and tools on given paths; and with one another.
 //!
-//! Contact points come from parry, anew in each step. Each acts like a node of ground that is much heavier than the robot: by the same law, in the same
-//! system. Before the link is there, the node moves on with it as far as the gap allows.
+//! Contact points come from parry, anew in each step. Each acts like a node of ground that is much heavier than the robot and moves with the surface it lies on:
+//! by the same law, in the same system. Before the link is there, the node moves on with it as far as the gap allows. Between two links of the robot the node moves
+//! with one of them, and pushes both.
 
-use crate::motion::Pose;
+use super::dynamics::Place;
+use super::model::{Freedom, RobotModel};
+use crate::Refusal;
+use crate::motion::{KeyframePath, Pose, rotation_from};
 use crate::sdf::Sdf;
 use crate::world::{SolidWall, friction_of, solid, solid_walls};
 use barchan_core::NodeBatch;
-use barchan_core::contact::{Grip, Touch};
+use barchan_core::contact::{Grip, Touch, Twist};
 use barchan_core::coupling::Aabb;
-use barchan_core::scene::{Contact, World};
+use barchan_core::scene::{Motion, Scene, Tool, World};
 use glam::DVec3;
 use parry3d_f64::math::Pose as ParryPose;
 use parry3d_f64::query::{ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
@@ -21,12 +25,29 @@ const HEAVY: f64 = 1e4;
 const PUSH: f64 = 0.1;
 const FASTEST_PUSH: f64 = 20.0;
 
-/// A rigid thing that stays where it is.
+/// A rigid thing that stays where it is, or moves as it is told.
 #[derive(Clone)]
 pub struct Obstacle {
+    /// Its parts in its own frame.
     parts: Vec<(SharedShape, ParryPose)>,
-    bounds: Aabb,
+    motion: Moves,
     friction: f64,
+}
+
+#[derive(Clone)]
+enum Moves {
+    /// Where it stays, and a box around it.
+    Not(Pose, Aabb),
+    Along(Box<(KeyframePath, Sdf)>),
+}
+
+/// An obstacle in a step.
+struct Met {
+    pose: Pose,
+    twist: Twist,
+    bounds: Aabb,
+    /// How far its surface comes in the step at most [m].
+    ahead: f64,
 }
 
 /// A link's shape as parry sees it.
@@ -45,27 +66,106 @@ impl Body {
 }
 
 impl Obstacle {
-    /// The world's walls for a robot whose base starts there: one that stands behind a wall, such as an arm beside a box of sand, reaches over it.
-    pub fn walls(world: &World, base: DVec3) -> Vec<Self> {
+    /// What a scene has for a robot whose base starts there.
+    ///
+    /// # Errors
+    /// If a tool's shape, rotation or keyframes cannot be used.
+    pub fn all(scene: &Scene, base: DVec3) -> Result<Vec<Self>, Refusal> {
+        let mut all = Self::walls(&scene.world, base);
+        for (i, tool) in scene.tool.iter().enumerate() {
+            let shape = || {
+                Sdf::from_shape(&tool.shape, &scene.folder, &format!("tool[{i}].shape"))
+                    .map_err(|e| Refusal::new(e.to_string(), "mend the tool"))
+            };
+            let rotation = rotation_from(tool.rotation)?;
+            match &tool.motion {
+                Motion::Fixed => {
+                    let (shape, pose) = (shape()?, Pose { position: DVec3::from_array(tool.position), rotation });
+                    let bounds = shape.bounds(&pose, 0.0);
+                    all.push(Self::new(tool, &shape, Moves::Not(pose, bounds)));
+                }
+                Motion::Keyframes { frames, interpolation } => {
+                    let (shape, path) = (shape()?, KeyframePath::new(frames, *interpolation, rotation)?);
+                    all.push(Self::new(tool, &shape.clone(), Moves::Along(Box::new((path, shape)))));
+                }
+                Motion::Velocity { .. } | Motion::Free { .. } => {}
+            }
+        }
+        Ok(all)
+    }
+
+    /// The world's walls: a robot that stands behind one, such as an arm beside a box of sand, reaches over it.
+    fn walls(world: &World, base: DVec3) -> Vec<Self> {
         let before = |wall: &SolidWall| wall.inwards * (base[wall.axis] - wall.place) >= 0.0;
         let obstacle = |wall: SolidWall| {
             let mut bounds = Aabb::UNBOUND;
             let end = if wall.inwards > 0.0 { &mut bounds.max } else { &mut bounds.min };
             end[wall.axis] = wall.place;
-            Self { parts: vec![(wall.shape(), wall.pose())], bounds, friction: wall.friction }
+            let parts = vec![(wall.shape(), wall.pose())];
+            Self { parts, motion: Moves::Not(Pose::IDENTITY, bounds), friction: wall.friction }
         };
         solid_walls(world).into_iter().filter(before).map(obstacle).collect()
     }
 
-    /// A fixed tool.
-    pub fn fixed(shape: &Sdf, pose: &Pose, contact: Contact) -> Self {
-        let place = |part| {
-            let (shape, within) = solid(part, false);
-            (shape, to_parry(pose) * within)
-        };
-        let parts = shape.parts().iter().map(place).collect();
-        Self { parts, bounds: shape.bounds(pose, 0.0), friction: friction_of(contact) }
+    fn new(tool: &Tool, shape: &Sdf, motion: Moves) -> Self {
+        let parts = shape.parts().iter().map(|part| solid(part, false)).collect();
+        Self { parts, motion, friction: friction_of(tool.contact) }
     }
+
+    /// As a step from `time` that takes `dt` [s] meets it.
+    fn met(&self, [time, dt]: [f64; 2]) -> Met {
+        match &self.motion {
+            Moves::Not(pose, bounds) => Met { pose: *pose, twist: Twist::default(), bounds: *bounds, ahead: 0.0 },
+            Moves::Along(along) => {
+                let (path, shape) = &**along;
+                let pose = path.pose(time);
+                let twist = pose.chord(&path.pose(time + dt), dt);
+                let speed = twist.linear.length() + twist.angular.length() * shape.extent();
+                Met { pose, twist, bounds: shape.bounds(&pose, 0.0), ahead: 2.0 * speed * dt }
+            }
+        }
+    }
+}
+
+/// Pairs of bodies that may touch: no neighbours at a joint, and none that overlap where the robot starts, which a warning names.
+pub fn pairs_of(
+    model: &mut RobotModel,
+    solids: &[usize],
+    bodies: &[Option<Body>],
+    places: &[Place],
+) -> Vec<[usize; 2]> {
+    // What is fixed together counts as one.
+    let whole = |mut link: usize| {
+        while let (Some(parent), Freedom::Fixed) = (model.links[link].parent, model.links[link].joint.freedom) {
+            link = parent;
+        }
+        link
+    };
+    let above = |whole_link: usize| model.links[whole_link].parent.map(whole);
+    let near = |a: usize, b: usize| a == b || above(a) == Some(b) || above(b) == Some(a);
+    let (mut pairs, mut left_out) = (Vec::new(), Vec::new());
+    for b in 0..solids.len() {
+        for a in 0..b {
+            let (Some(first), Some(second)) = (&bodies[a], &bodies[b]) else { continue };
+            let [one, other] = [a, b].map(|body| solids[body]);
+            if near(whole(one), whole(other)) {
+                continue;
+            }
+            let mut overlap = false;
+            let [at, of_other] = [one, other].map(|link| places[link].pose());
+            between((&first.0, &at), (&second.0, &of_other), 0.0, &mut |_, _, gap| overlap |= gap < 0.0);
+            if overlap {
+                left_out.push(format!("'{}' and '{}'", model.links[one].name, model.links[other].name));
+            } else {
+                pairs.push([a, b]);
+            }
+        }
+    }
+    if !left_out.is_empty() {
+        let all = left_out.join(", ");
+        model.warnings.push(format!("links that overlap at the start pass through each other: {all}"));
+    }
+    pairs
 }
 
 /// Contact points as nodes, and which link touches which.
@@ -75,6 +175,19 @@ pub struct Points {
     pub nodes: NodeBatch,
     /// What each link touches.
     pub touches: Vec<Vec<Touch>>,
+    /// Links that touch one another.
+    pub pairs: Vec<Pair>,
+}
+
+/// Two links that touch.
+#[derive(Clone, Debug)]
+pub struct Pair {
+    /// Their bodies.
+    pub bodies: [usize; 2],
+    /// The first one's place, as it moves against the second.
+    pub place: Place,
+    /// What the first one touches, in a frame that moves with the second.
+    pub touches: Vec<Touch>,
 }
 
 /// What a link is for contact points.
@@ -82,8 +195,8 @@ pub struct Points {
 pub struct Seen<'a> {
     /// Its shape; none touches nothing.
     pub body: Option<&'a Body>,
-    /// Where its shape's frame is: at its centre of mass, along its axes.
-    pub pose: Pose,
+    /// Where it is: its shape's frame is at its centre of mass, along its axes.
+    pub place: &'a Place,
     /// A box around it.
     pub bounds: Aabb,
     /// Its coefficient of friction.
@@ -92,35 +205,78 @@ pub struct Seen<'a> {
     pub ahead: f64,
 }
 
+/// Adds contact points to the nodes.
+struct Adder<'a> {
+    nodes: &'a mut NodeBatch,
+    touches: &'a mut Vec<Touch>,
+    /// The link's centre of mass [m].
+    centre: DVec3,
+    friction: f64,
+    /// Of a node [kg].
+    mass: f64,
+    dt: f64,
+}
+
+impl Adder<'_> {
+    /// A point of a surface that moves at `velocity` [m/s], with its normal out of that surface.
+    fn add(&mut self, at: DVec3, normal: DVec3, gap: f64, velocity: DVec3) {
+        let push = if gap > 0.0 { gap / self.dt } else { gap * (PUSH / self.dt).min(FASTEST_PUSH) };
+        self.touches.push(Touch {
+            node: self.nodes.mass.len(),
+            arm: at - self.centre,
+            distance: gap,
+            grip: Grip::Coulomb { normal: -normal, friction: self.friction, most: f64::INFINITY },
+            is_deep: false,
+        });
+        self.nodes.position.push(at.to_array());
+        self.nodes.mass.push(self.mass);
+        self.nodes.velocity.push((velocity - normal * push).to_array());
+    }
+}
+
 impl Points {
-    /// Finds where links are, or may come to be in a step of `dt` [s], in contact; `mass` is the robot's [kg].
-    pub fn find(&mut self, links: &[Seen<'_>], obstacles: &[Obstacle], mass: f64, dt: f64) {
+    /// Finds where links are, or may come to be in a step from `time` that takes `dt` [s], in contact; `mass` is the robot's [kg], and `pairs` are the links that
+    /// may touch one another.
+    pub fn find(
+        &mut self,
+        links: &[Seen<'_>],
+        obstacles: &[Obstacle],
+        pairs: &[[usize; 2]],
+        mass: f64,
+        [time, dt]: [f64; 2],
+    ) {
         self.nodes.clear();
         self.touches.resize_with(links.len(), Vec::new);
         self.touches.iter_mut().for_each(Vec::clear);
-        for (link, touches) in links.iter().zip(&mut self.touches) {
-            let Some(body) = link.body else { continue };
-            let reached = link.bounds.grown(link.ahead);
-            for obstacle in obstacles.iter().filter(|obstacle| obstacle.bounds.meets(&reached)) {
+        self.pairs.clear();
+        let (nodes, mass) = (&mut self.nodes, HEAVY * mass);
+        for obstacle in obstacles {
+            let Met { pose, twist, bounds, ahead } = obstacle.met([time, dt]);
+            for (link, touches) in links.iter().zip(&mut self.touches) {
+                let ahead = link.ahead + ahead;
+                let Some(body) = link.body.filter(|_| bounds.meets(&link.bounds.grown(ahead))) else { continue };
                 let friction = link.friction.min(obstacle.friction);
-                for own in &body.0 {
-                    let own = (&own.0, to_parry(&link.pose) * own.1);
-                    for (shape, place) in &obstacle.parts {
-                        manifolds((shape, *place), own, link.ahead, &mut |at, normal, gap| {
-                            let push = if gap > 0.0 { gap / dt } else { gap * (PUSH / dt).min(FASTEST_PUSH) };
-                            touches.push(Touch {
-                                node: self.nodes.mass.len(),
-                                arm: at - link.pose.position,
-                                distance: gap,
-                                grip: Grip::Coulomb { normal: -normal, friction, most: f64::INFINITY },
-                                is_deep: false,
-                            });
-                            self.nodes.position.push(at.to_array());
-                            self.nodes.mass.push(HEAVY * mass);
-                            self.nodes.velocity.push((-normal * push).to_array());
-                        });
-                    }
-                }
+                let mut adder = Adder { nodes, touches, centre: link.place.centre, friction, mass, dt };
+                between((&obstacle.parts, &pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
+                    adder.add(at, normal, gap, twist.at(at - pose.position));
+                });
+            }
+        }
+        for &bodies in pairs {
+            let [link, other] = bodies.map(|body| &links[body]);
+            let ahead = link.ahead + other.ahead;
+            let (Some(body), Some(others)) = (link.body, other.body) else { continue };
+            if !other.bounds.meets(&link.bounds.grown(ahead)) {
+                continue;
+            }
+            let mut touches = Vec::new();
+            let (centre, friction) = (link.place.centre, link.friction.min(other.friction));
+            let mut adder = Adder { nodes, touches: &mut touches, centre, friction, mass, dt };
+            between((&others.0, &other.place.pose()), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
+                adder.add(at, normal, gap, DVec3::ZERO);
+            });
+            if !touches.is_empty() {
+                self.pairs.push(Pair { bodies, place: link.place.against(other.place), touches });
             }
         }
     }
@@ -128,6 +284,32 @@ impl Points {
     /// Is there any?
     pub fn is_empty(&self) -> bool {
         self.nodes.mass.is_empty()
+    }
+
+    /// Where touches press a link that moves with this twist, and with what mean force in a step of `dt` [s]; world frame [m, N].
+    pub fn forces(&self, touches: &[Touch], twist: &Twist, dt: f64) -> impl Iterator<Item = (DVec3, DVec3)> {
+        touches.iter().filter_map(move |touch| {
+            let u = DVec3::from_array(self.nodes.velocity[touch.node]) - twist.at(touch.arm);
+            let force = self.nodes.mass[touch.node] / dt * (u - touch.grip.kept(u));
+            (force != DVec3::ZERO).then(|| (DVec3::from_array(self.nodes.position[touch.node]), force))
+        })
+    }
+}
+
+type Parts = [(SharedShape, ParryPose)];
+
+/// Contact points of two things made of parts, no further apart than `ahead` [m]: place, normal out of the first, gap.
+fn between(
+    (first, first_at): (&Parts, &Pose),
+    (second, second_at): (&Parts, &Pose),
+    ahead: f64,
+    add: &mut dyn FnMut(DVec3, DVec3, f64),
+) {
+    let (first_at, second_at) = (to_parry(first_at), to_parry(second_at));
+    for (own, within) in second {
+        for (shape, place) in first {
+            manifolds((shape, first_at * *place), (own, second_at * *within), ahead, add);
+        }
     }
 }
 

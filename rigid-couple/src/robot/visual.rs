@@ -2,11 +2,14 @@
 //!
 //! A robot works without them: what cannot be drawn is a warning, and the link's collision shape is drawn instead.
 
+use super::dynamics::Place;
+use super::model::{Link, RobotModel};
 use super::urdf::{Reader, Xml};
 use crate::mesh::coloured_corners;
 use crate::motion::Pose;
+use crate::surface::placed;
 use crate::{Refusal, surface};
-use barchan_core::surface::Mesh;
+use barchan_core::surface::{Mesh, Surface};
 use glam::DVec3;
 use roxmltree::Node;
 use std::collections::HashMap;
@@ -23,6 +26,17 @@ pub struct Visual {
     pub place: Pose,
     /// Colour, sRGB from 0 to 1, if the file says one.
     pub colour: Option<[f32; 3]>,
+}
+
+impl RobotModel {
+    /// What it looks like with its links at these places.
+    pub fn surfaces(&self, places: &[Place]) -> Vec<Surface> {
+        let of_link = |(link, place): (&Link, &Place)| -> Vec<Surface> {
+            let part = |visual: &Visual| placed(&visual.mesh, &place.frame.then(&visual.place), visual.colour);
+            link.visuals.iter().map(part).collect()
+        };
+        self.links.iter().zip(places).flat_map(of_link).collect()
+    }
 }
 
 /// Meshes of one colour each.

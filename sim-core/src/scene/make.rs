@@ -44,7 +44,7 @@ impl Scene {
             Part::Material(material) => self.material.push(material),
             Part::Body(body) => self.body.push(body),
             Part::Tool(tool) => self.tool.push(tool),
-            Part::Robot(robot) => self.robot.push(robot),
+            Part::Robot(robot) => self.robot.push(*robot),
             Part::Coupling(coupling) => self.coupling.push(coupling),
         }
         self
@@ -61,7 +61,7 @@ pub enum Part {
     /// A rigid tool or body.
     Tool(Tool),
     /// A robot of links and joints.
-    Robot(Robot),
+    Robot(Box<Robot>),
     /// Another coupling.
     Coupling(CouplingSpec),
 }
@@ -83,7 +83,7 @@ impl From<Tool> for Part {
 }
 impl From<Robot> for Part {
     fn from(robot: Robot) -> Self {
-        Self::Robot(robot)
+        Self::Robot(Box::new(robot))
     }
 }
 impl From<CouplingSpec> for Part {

@@ -48,6 +48,15 @@ pub struct Robot {
     /// Where its joints are to go.
     #[serde(default)]
     pub motion: Option<JointMotion>,
+    /// Corrections of joints' targets by how its base leans.
+    #[serde(default)]
+    pub balance: Vec<Balance>,
+    /// Points around its base at which it senses the height of the ground.
+    #[serde(default)]
+    pub scan: Option<Scan>,
+    /// Do its links touch one another? Neighbours at a joint never do, nor do links that overlap at the start.
+    #[serde(default)]
+    pub self_collision: bool,
     /// Mend inertias that no body has, instead of refusing them.
     #[serde(default)]
     pub mend_inertias: bool,
@@ -74,6 +83,56 @@ pub struct Motor {
     pub armature: Option<f64>,
 }
 
+/// A correction of some joints' targets, in every step and wherever their motors hold a position, within the joints' limits: gain · angle + rate · angular velocity, of
+/// the base. Ankles that follow its lean keep a robot upright on soft ground.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Balance {
+    /// The joints' names; a `*` stands for any letters.
+    pub joints: String,
+    /// Which way the base leans.
+    pub of: Lean,
+    /// Change of the target for each radian that the base leans [rad/rad, or m/rad].
+    #[serde(default)]
+    pub gain: f64,
+    /// Change of the target for each rad/s at which it does [s, or m s/rad].
+    #[serde(default)]
+    pub rate: f64,
+}
+
+/// A way to lean. Both angles are 0 where the base's z axis points up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Lean {
+    /// About the base's y axis: forward is positive.
+    Pitch,
+    /// About the base's x axis: to the right is positive.
+    Roll,
+}
+
+/// Points around a robot's base, a grid that turns with it about the vertical and stays level.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Scan {
+    /// Its least corner from the base's origin: along x ahead, along y to the left [m].
+    pub min: [f64; 2],
+    /// Its greatest corner [m].
+    pub max: [f64; 2],
+    /// Points along x and along y.
+    pub points: [u32; 2],
+}
+
+impl Scan {
+    /// Where the points are from the base [m], rows along x; a single one is in the middle.
+    pub fn places(&self) -> impl Iterator<Item = [f64; 2]> {
+        let along = |d: usize, i: u32| match self.points[d] {
+            1 => 0.5 * (self.min[d] + self.max[d]),
+            n => self.min[d] + (self.max[d] - self.min[d]) * f64::from(i) / f64::from(n - 1),
+        };
+        (0..self.points[1]).flat_map(move |j| (0..self.points[0]).map(move |i| [along(0, i), along(1, j)]))
+    }
+}
+
 /// Where a robot's joints are to go: straight from frame to frame, at rest before the first and after the last.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -84,6 +143,9 @@ pub struct JointMotion {
     /// A CSV file with the frames, instead: a header of `time` and joints' names, then a row for each frame.
     #[serde(default)]
     pub file: Option<PathBuf>,
+    /// Frames that come with the program, instead: "quadruped-trot" or "humanoid-step".
+    #[serde(default)]
+    pub model: Option<String>,
     /// Repeats what comes after this time [s], from the last frame on.
     #[serde(default)]
     pub repeat_from: Option<f64>,

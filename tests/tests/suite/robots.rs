@@ -1,5 +1,8 @@
 //! Robots: what their files say, how they move, and how they stand on soft ground.
 
+mod sensing;
+mod touching;
+
 use barchan::{BodyState, Command, Coupling, Options, Precision, Scene, Simulation, Vec3};
 use barchan_rigid::motion::Pose;
 use barchan_rigid::robot::dynamics::{bias, gravity, mass_matrix, momentum, places};

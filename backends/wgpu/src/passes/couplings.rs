@@ -91,8 +91,9 @@ pub(crate) struct Laws {
     pub(crate) reach: f64,
     pub(crate) table: Vec<[f32; 4]>,
     pub(crate) samples: Vec<[f32; 4]>,
-    /// The groups that answer, in the couplings' order.
+    /// The groups that answer, in the couplings' order, and how far beyond their boxes each coupling itself acts [cells].
     pub(crate) groups: Vec<Vec<DeviceGroup>>,
+    reaches: Vec<f64>,
     /// The number of each coupling's first body, in the couplings' order.
     pub(crate) firsts: Vec<usize>,
     /// Bodies of all couplings.
@@ -133,10 +134,21 @@ impl Laws {
             reach: answering.map(|law| law.reach).fold(0.0, f64::max),
             table,
             samples,
+            reaches: own.iter().map(|law| law.reach).collect(),
             groups: own.into_iter().map(|law| law.answer.groups).collect(),
             firsts,
             bodies,
         })
+    }
+
+    /// The groups, where bodies of all couplings are looked for as far as those that act furthest do, on finest cells of width `h` [m].
+    pub(crate) fn groups(&self, h: f64) -> Vec<Vec<DeviceGroup>> {
+        let mut groups = self.groups.clone();
+        for (groups, reach) in groups.iter_mut().zip(&self.reaches) {
+            let bodies = groups.iter_mut().flat_map(|group| &mut group.bodies);
+            bodies.for_each(|body| body.reach += (self.reach - reach).max(0.0) * h);
+        }
+        groups
     }
 
     /// The text of no coupling at all.

@@ -66,7 +66,7 @@ pub(crate) fn rooms_around(body: &DeviceBody, h: f64) -> usize {
 impl Needs {
     /// Of a world's couplings with so many materials, where finest cells have that width [m].
     pub(crate) fn of(laws: &Laws, materials: usize, h: f64, roams: bool) -> Self {
-        let answering = Answering::of(&laws.groups, |body| rooms_around(body, h));
+        let answering = Answering::of(&laws.groups(h), |body| rooms_around(body, h));
         let (bodies, vectors) = (laws.bodies, laws.table.len() + materials);
         Self { bodies, vectors, answering, driven: answering.bodies < bodies, roams }
     }
@@ -223,8 +223,8 @@ impl WgpuBatch {
                 if !is_known || self.contact.device.as_ref().is_some_and(|contact| contact.needs != all) {
                     self.add_laws(&laws, all)?;
                 }
+                self.worlds[w].groups = laws.groups(self.h);
                 self.write_table(w, laws.table);
-                self.worlds[w].groups = laws.groups;
                 self.worlds[w].first_bodies = laws.firsts;
                 place = Place::Device;
             }

@@ -3,6 +3,9 @@
 use crate::Result;
 use crate::scene::{Contact, Robot, Scene};
 
+/// Points of a scan at most.
+const MOST_POINTS: u64 = 1_000_000;
+
 impl Scene {
     pub(super) fn check_robot(&self, path: &str, robot: &Robot) -> Result<()> {
         let name = format!("{path}.name");
@@ -27,11 +30,38 @@ impl Scene {
                 self.not_negative(&format!("{path}.motor[{i}].{key}"), value.unwrap_or(0.0))?;
             }
         }
+        for i in 0..robot.balance.len() {
+            let path = format!("{path}.balance[{i}]");
+            self.require(!robot.fixed, &path, "needs a base that moves", "leave it out, or leave out fixed = true")?;
+        }
+        if let Some(scan) = &robot.scan {
+            let path = format!("{path}.scan");
+            for d in 0..2 {
+                let [min, max] = [scan.min[d], scan.max[d]];
+                let what = format!("{} goes from {min} to {max}", ["x", "y"][d]);
+                self.require(min <= max, &format!("{path}.max"), what, "must be min or above")?;
+            }
+            let [nx, ny] = scan.points.map(u64::from);
+            let what = format!("asks for {nx} by {ny} points");
+            let mend = format!("give at least one along x and y, and at most {MOST_POINTS} in all");
+            self.require((1..=MOST_POINTS).contains(&(nx * ny)), &format!("{path}.points"), what, mend)?;
+        }
         let Some(motion) = &robot.motion else { return Ok(()) };
         let frames = format!("{path}.motion.frames");
-        let given = [motion.file.is_some(), !motion.frames.is_empty(), motion.gait.is_some(), motion.path.is_some()];
+        let given = [
+            motion.file.is_some(),
+            motion.model.is_some(),
+            !motion.frames.is_empty(),
+            motion.gait.is_some(),
+            motion.path.is_some(),
+        ];
         let one = given.into_iter().filter(|given| *given).count() == 1;
-        self.require(one, &format!("{path}.motion"), "has to say one way", "give one of frames, file, gait and path")?;
+        self.require(
+            one,
+            &format!("{path}.motion"),
+            "has to say one way",
+            "give one of frames, file, model, gait and path",
+        )?;
         if let Some(gait) = &motion.gait {
             let path = format!("{path}.motion.gait");
             self.positive(&format!("{path}.period"), gait.period)?;

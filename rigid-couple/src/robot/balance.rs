@@ -1,0 +1,61 @@
+//! Corrections of joints' targets by how the base leans.
+
+use super::Robot;
+use super::joints::Order;
+use super::model::RobotModel;
+use super::motion::fits;
+use crate::Refusal;
+use barchan_core::scene::{Balance, Lean};
+use glam::{DMat3, DVec3};
+
+/// A correction of one joint.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Correction {
+    drive: usize,
+    of: Lean,
+    gain: f64,
+    rate: f64,
+}
+
+/// The corrections that a scene's entries make, joint by joint.
+///
+/// # Errors
+/// If an entry's pattern fits no joint.
+pub(super) fn corrections(entries: &[Balance], model: &RobotModel) -> Result<Vec<Correction>, Refusal> {
+    let mut all = Vec::new();
+    for &Balance { ref joints, of, gain, rate } in entries {
+        let before = all.len();
+        let named = (0..model.drives.len()).filter(|&drive| fits(joints, &model.drives[drive].name));
+        all.extend(named.map(|drive| Correction { drive, of, gain, rate }));
+        if all.len() == before {
+            let known: Vec<&str> = model.drives.iter().map(|drive| drive.name.as_str()).collect();
+            let what = format!("no joint that moves fits the balance's '{joints}'");
+            return Err(Refusal::new(what, format!("known are: {}", known.join(", "))));
+        }
+    }
+    Ok(all)
+}
+
+impl Robot {
+    /// Corrects what motors that hold a position are told.
+    pub(super) fn balance_orders(&self, orders: &mut [Order]) {
+        if self.corrections.is_empty() {
+            return;
+        }
+        let turn = DMat3::from_quat(self.state.base.rotation);
+        // The world's upward axis, seen from the base: turned about y by the pitch, then about x by the roll.
+        let up = turn.transpose() * DVec3::Z;
+        let spin = turn.transpose() * self.twist(0).angular;
+        for &Correction { drive, of, gain, rate } in &self.corrections {
+            let (angle, speed) = match of {
+                Lean::Pitch => ((-up.x).atan2(up.y.hypot(up.z)), spin.y),
+                Lean::Roll => (up.y.atan2(up.z), spin.x),
+            };
+            let order = &mut orders[drive];
+            if order.holds {
+                let [least, most] = self.model.drives[drive].limits;
+                order.target = (order.target + gain * angle + rate * speed).clamp(least, most);
+            }
+        }
+    }
+}

@@ -1,0 +1,339 @@
+//! What robots sense besides their joints: how their base moves, what their links touch, and how high the ground around stands.
+//!
+//! Nothing here is worked out before somebody asks. [`Simulation::robots`] costs no look at the ground; [`Simulation::patches`] and [`Simulation::scan`] read
+//! the particles near the robot.
+
+use crate::scene::Wall;
+use crate::{Aabb, Coupling, Error, Fields, Reading, Result, Simulation, Vec3, Wrench};
+use glam::{DQuat, DVec3};
+use std::collections::HashMap;
+
+/// How a robot's base moves, and what its links feel. The base's frame is that of its first link, as the URDF has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotState {
+    /// Name in the scene.
+    pub name: String,
+    /// Where the base's frame is, world [m].
+    pub position: Vec3,
+    /// Orientation quaternion of the base's frame (w, x, y, z).
+    pub rotation: [f64; 4],
+    /// Velocity of the base frame's origin, along the base's axes [m/s].
+    pub velocity: Vec3,
+    /// Angular velocity along the base's axes [rad/s]: what a gyroscope reads.
+    pub angular_velocity: Vec3,
+    /// Acceleration of the base frame's origin less gravity, the mean of the last step, along the base's axes [m/s²]: what an accelerometer reads. At rest it
+    /// points upwards with 9.81 m/s², in free fall it is zero; so it is before the first step.
+    pub specific_force: Vec3,
+    /// Where gravity points, a unit vector along the base's axes; zero without gravity.
+    pub projected_gravity: Vec3,
+    /// Its links with mass or shape, the base first: in the order of [`Simulation::bodies`].
+    pub links: Vec<LinkState>,
+}
+
+/// What a link feels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkState {
+    /// Name, as in [`Simulation::bodies`].
+    pub name: String,
+    /// Centre of mass, world [m].
+    pub centre: Vec3,
+    /// Mean force of the soft ground over the last step [N], and torque about the centre of mass [N m], world frame.
+    pub ground: Wrench,
+    /// Where it touched what is rigid in the last step: walls, tools, other links.
+    pub rigid: Vec<PointForce>,
+}
+
+/// A force at a point of contact.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointForce {
+    /// Where, world [m].
+    pub position: Vec3,
+    /// Mean force on the link over the last step, world frame [N].
+    pub force: Vec3,
+}
+
+/// Where a link is touched.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Patch {
+    /// How many particles and rigid points touch it.
+    pub points: usize,
+    /// The box that holds them, world [m].
+    pub bounds: Aabb,
+    /// The point among them through which the whole force goes, world [m]: where the line of force, about which there is no torque but along itself, comes
+    /// nearest to their middle.
+    pub centre_of_pressure: Vec3,
+}
+
+/// Heights of the ground at points around a robot's base that the scene gives (`robot.scan`), rows along x.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeightScan {
+    /// Where the points are in the world [m].
+    pub points: Vec<[f64; 2]>,
+    /// How high the surface there is above the origin of the base's frame [m], negative below; none where there is neither ground nor floor.
+    pub heights: Vec<Option<f64>>,
+}
+
+impl LinkState {
+    /// Force of soft ground and rigid things together [N], and torque about the centre of mass [N m], world frame.
+    pub fn felt(&self) -> Wrench {
+        let centre = DVec3::from_array(self.centre);
+        let [mut force, mut torque] = [self.ground.force, self.ground.torque].map(DVec3::from_array);
+        for point in &self.rigid {
+            let [at, by] = [point.position, point.force].map(DVec3::from_array);
+            force += by;
+            torque += (at - centre).cross(by);
+        }
+        Wrench { force: force.to_array(), torque: torque.to_array() }
+    }
+
+    /// Is it pressed by the ground or something rigid with more than `least` [N]?
+    pub fn touches(&self, least: f64) -> bool {
+        let above = |force: Vec3| DVec3::from_array(force).length() > least;
+        above(self.ground.force) || self.rigid.iter().any(|point| above(point.force))
+    }
+
+    /// The patch that these points make.
+    fn patch(&self, points: &[DVec3]) -> Option<Patch> {
+        let bounds = points.iter().map(|p| Aabb { min: p.to_array(), max: p.to_array() });
+        let bounds = bounds.reduce(|a, b| a.union(&b))?;
+        let middle = points.iter().sum::<DVec3>() / points.len() as f64;
+        let Wrench { force, torque } = self.felt();
+        let [force, torque] = [force, torque].map(DVec3::from_array);
+        let on_line = DVec3::from_array(self.centre) + force.cross(torque) / force.length_squared();
+        let nearest = on_line + force * ((middle - on_line).dot(force) / force.length_squared());
+        let centre = if nearest.is_finite() { nearest } else { middle };
+        // Rounding and particles' width may bring it out of the box.
+        let within = centre.clamp(DVec3::from_array(bounds.min), DVec3::from_array(bounds.max));
+        Some(Patch { points: points.len(), bounds, centre_of_pressure: within.to_array() })
+    }
+}
+
+impl Simulation {
+    /// What the sensors of all robots say, in the scene's order.
+    pub fn robots(&self) -> Vec<RobotState> {
+        self.sensed().into_iter().map(|(_, robot)| robot).collect()
+    }
+
+    /// Robots with their couplings, what the ground does to their links filled in.
+    fn sensed(&self) -> Vec<(&dyn Coupling, RobotState)> {
+        let wrenches = self.wrenches();
+        let mut rest = wrenches.as_slice();
+        let mut all = Vec::new();
+        for coupling in self.couplings() {
+            let (own, others) = rest.split_at(coupling.wrenches().len());
+            rest = others;
+            let mut robots = coupling.robots();
+            let links = robots.iter_mut().flat_map(|robot| &mut robot.links);
+            links.zip(own).for_each(|(link, wrench)| link.ground = *wrench);
+            all.extend(robots.into_iter().map(|robot| (coupling.as_ref(), robot)));
+        }
+        all
+    }
+
+    /// Where each link of a robot is touched, in the order of [`RobotState::links`]; none where no force above `least` [N] is felt. A particle touches where it
+    /// is less than half its width from the surface by which the link meets the ground.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if there is no such robot, [`Error::Device`] if the particles were lost with their device.
+    pub fn patches(&self, robot: &str, least: f64) -> Result<Vec<Option<Patch>>> {
+        let (coupling, state) = self.robot(robot)?;
+        let first = coupling.bodies().iter().position(|body| Some(&body.name) == state.links.first().map(|l| &l.name));
+        let (first, bounds) = (first.unwrap_or_default(), coupling.bounds());
+        let touched = |link: &LinkState| link.touches(least);
+        let pressed = |link: &LinkState| DVec3::from_array(link.ground.force).length() > least;
+        let boxes = state.links.iter().zip(&bounds[first..]).filter(|(link, _)| pressed(link));
+        let around = boxes.map(|(_, bounds)| bounds.grown(self.widest())).reduce(|a, b| a.union(&b));
+        let reading = match around {
+            Some(region) => self.read(Some(region), Fields { volume0: true, exact: true, ..Fields::default() })?,
+            None => Reading::default(),
+        };
+        let patch = |(body, link): (usize, &LinkState)| {
+            let mut points: Vec<DVec3> = link.rigid.iter().map(|point| DVec3::from_array(point.position)).collect();
+            if pressed(link) {
+                points.extend(touching(coupling, first + body, &bounds[first + body].grown(self.widest()), &reading));
+            }
+            if touched(link) { link.patch(&points) } else { None }
+        };
+        Ok(state.links.iter().enumerate().map(patch).collect())
+    }
+
+    /// The heights that a robot's `scan` asks for. Its points turn with the base about the vertical, but stay level.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if there is no such robot or its entry has no `scan`, [`Error::Device`] if the particles were lost with their device.
+    pub fn scan(&self, robot: &str) -> Result<HeightScan> {
+        let (_, state) = self.robot(robot)?;
+        let entry = self.plan().scene.robot.iter().find(|entry| entry.name == robot);
+        let grid = entry.and_then(|entry| entry.scan.as_ref()).ok_or_else(|| Error::Body {
+            path: format!("robot '{robot}'"),
+            what: "its entry gives no points to look at".to_owned(),
+            mend: "add scan = { min = [-0.5, -0.3], max = [0.5, 0.3], points = [11, 7] }".to_owned(),
+        })?;
+        let [w, x, y, z] = state.rotation;
+        let ahead = DQuat::from_xyzw(x, y, z, w) * DVec3::X;
+        let (sin, cos) = ahead.y.atan2(ahead.x).sin_cos();
+        let place = |[x, y]: [f64; 2]| [state.position[0] + cos * x - sin * y, state.position[1] + sin * x + cos * y];
+        let points: Vec<[f64; 2]> = grid.places().map(place).collect();
+        let heights = self.heights(&points)?;
+        Ok(HeightScan { points, heights: heights.into_iter().map(|z| z.map(|z| z - state.position[2])).collect() })
+    }
+
+    /// Height of the surface of the soft ground above or below each point [m]: where, seen from above, particles first fill half of space, taken over a particle's
+    /// width to all sides. Single grains in the air are not the ground. Where there is none, that of the world's floor; none if it is open.
+    /// Tools and robots are not seen.
+    ///
+    /// # Errors
+    /// [`Error::Device`] if the particles were lost with their device.
+    pub fn heights(&self, points: &[[f64; 2]]) -> Result<Vec<Option<f64>>> {
+        let world = &self.plan().scene.world;
+        let column = |&[x, y]: &[f64; 2]| Aabb { min: [x, y, world.min[2]], max: [x, y, world.max[2]] };
+        let Some(region) = points.iter().map(column).reduce(|a, b| a.union(&b)) else { return Ok(Vec::new()) };
+        let fields = Fields { volume0: true, exact: true, ..Fields::default() };
+        let columns = Columns::new(&self.read(Some(region.grown(self.widest())), fields)?);
+        let floor = (world.walls.z_min != Wall::Open).then_some(world.min[2]);
+        Ok(points.iter().map(|point| columns.height(*point).or(floor)).collect())
+    }
+
+    fn robot(&self, name: &str) -> Result<(&dyn Coupling, RobotState)> {
+        let mut all = self.sensed();
+        let known: Vec<String> = all.iter().map(|(_, robot)| robot.name.clone()).collect();
+        let number = known.iter().position(|other| other == name);
+        number.map(|number| all.swap_remove(number)).ok_or_else(|| Error::Body {
+            path: format!("robot '{name}'"),
+            what: "no robot has this name".to_owned(),
+            mend: if known.is_empty() {
+                "the scene has none".to_owned()
+            } else {
+                format!("there are {}", known.join(", "))
+            },
+        })
+    }
+
+    /// Cells of the coarsest level: no particle is wider [m].
+    fn widest(&self) -> f64 {
+        self.plan().cell_widths.iter().copied().fold(0.0, f64::max)
+    }
+}
+
+/// The particles that touch a body.
+fn touching(coupling: &dyn Coupling, body: usize, bounds: &Aabb, reading: &Reading) -> Vec<DVec3> {
+    let near: Vec<usize> = (0..reading.len()).filter(|&i| bounds.contains(reading.exact[i])).collect();
+    let places: Vec<Vec3> = near.iter().map(|&i| reading.exact[i]).collect();
+    let distances = coupling.contact_distance(body, &places);
+    let touches = |i: usize, distance: f64| 2.0 * distance < f64::from(reading.volume0[i]).cbrt();
+    let all = near.iter().zip(distances).filter(|(i, distance)| touches(**i, *distance));
+    all.map(|(&i, _)| DVec3::from_array(reading.exact[i])).collect()
+}
+
+/// Particles in square columns.
+struct Columns {
+    /// Width of a column: that of the largest particle [m].
+    width: f64,
+    columns: HashMap<[i64; 2], Vec<(Vec3, f64)>>,
+}
+
+impl Columns {
+    fn new(reading: &Reading) -> Self {
+        let side = |i: usize| f64::from(reading.volume0[i]).cbrt();
+        let width = (0..reading.len()).map(side).fold(0.0, f64::max);
+        let mut columns: HashMap<[i64; 2], Vec<(Vec3, f64)>> = HashMap::new();
+        for (i, &place) in reading.exact.iter().enumerate() {
+            columns.entry(Self::key([place[0], place[1]], width)).or_default().push((place, side(i)));
+        }
+        Self { width, columns }
+    }
+
+    fn key(point: [f64; 2], width: f64) -> [i64; 2] {
+        point.map(|x| (x / width).floor() as i64)
+    }
+
+    /// Where particles fill half of space for the first time from above. Each is a cube, blurred sideways by its own width, so that cubes that tile space
+    /// fill it evenly.
+    fn height(&self, point: [f64; 2]) -> Option<f64> {
+        if self.columns.is_empty() {
+            return None;
+        }
+        let [i, j] = Self::key(point, self.width);
+        let near = (0..9).filter_map(|n| self.columns.get(&[i + n % 3 - 1, j + n / 3 - 1])).flatten();
+        let mut ends = Vec::new();
+        for &([x, y, z], side) in near {
+            let share = |off: f64| (1.0 - off.abs() / side).max(0.0);
+            let share = share(x - point[0]) * share(y - point[1]);
+            if share > 0.0 {
+                ends.extend([(z + 0.5 * side, share), (z - 0.5 * side, -share)]);
+            }
+        }
+        ends.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut filled = 0.0;
+        ends.iter()
+            .find(|(_, share)| {
+                filled += share;
+                filled >= 0.5
+            })
+            .map(|(z, _)| *z)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Cubes of 1 cm under a surface, in columns that end where it is.
+    fn ground(surface: impl Fn(f64, f64) -> f64) -> Columns {
+        let fields = Fields { exact: true, volume0: true, ..Fields::default() };
+        let mut reading = Reading::new(fields, [0.0; 3]);
+        for n in 0..40 * 40 {
+            let [x, y] = [n % 40, n / 40].map(|i| 0.01 * (f64::from(i) + 0.5));
+            for k in 0..8 {
+                reading.add_position([x, y, surface(x, y) - 0.01 * (f64::from(k) + 0.5)]);
+                reading.volume0.push(1e-6);
+            }
+        }
+        Columns::new(&reading)
+    }
+
+    #[test]
+    fn the_surface_is_where_columns_end() {
+        type Shape = fn(f64, f64) -> f64;
+        // A flat bed, slopes of 17 and 31 degrees, a bowl.
+        let shapes: [Shape; 4] =
+            [|_, _| 0.3, |x, _| 0.3 * x, |x, y| 0.5 * y - 0.3 * x, |x, y| (x - 0.2).powi(2) + (y - 0.2).powi(2)];
+        for (number, shape) in shapes.into_iter().enumerate() {
+            let columns = ground(shape);
+            let mut worst = 0.0_f64;
+            for n in 0..400 {
+                let [x, y] = [n % 20, n / 20].map(|i| 0.05 + 0.0147 * f64::from(i));
+                worst = worst.max((columns.height([x, y]).unwrap() - shape(x, y)).abs());
+            }
+            println!("shape {number}: off by {worst:.1e} m (half a particle: 5e-3)");
+            assert!(worst < if number == 0 { 1e-6 } else { 5e-3 }, "shape {number}: {worst}");
+            assert_eq!(columns.height([1.0, 1.0]), None);
+        }
+    }
+
+    #[test]
+    fn a_single_grain_in_the_air_is_not_the_ground() {
+        let mut columns = ground(|_, _| 0.1);
+        let key = Columns::key([0.2, 0.2], columns.width);
+        columns.columns.get_mut(&key).unwrap().push(([0.203, 0.203, 0.5], 0.01));
+        assert!((columns.height([0.2, 0.2]).unwrap() - 0.1).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_line_of_force_goes_through_the_centre_of_pressure() {
+        let at = DVec3::new(0.03, -0.02, -0.1);
+        let force = DVec3::new(5.0, 1.0, 80.0);
+        let link = LinkState {
+            name: "foot".to_owned(),
+            centre: [0.0; 3],
+            ground: Wrench { force: force.to_array(), torque: at.cross(force).to_array() },
+            rigid: Vec::new(),
+        };
+        let corners = [[0.1, 0.1], [-0.1, 0.1], [0.1, -0.1], [-0.1, -0.1]].map(|[x, y]| DVec3::new(x, y, -0.1));
+        let patch = link.patch(&corners).unwrap();
+        let off = (DVec3::from_array(patch.centre_of_pressure) - at).length();
+        // Nearest to the middle, not in the plane: the force leans by 3.6 degrees.
+        assert!(off < 3e-3 && patch.points == 4, "{patch:?}, {off}");
+        assert!(link.touches(80.0) && !link.touches(81.0));
+    }
+}
