@@ -4,7 +4,7 @@ use crate::device::kernel::Role;
 use crate::device::memory::{ABREAST, Answering, BODY_HEAD, BODY_STATE, GROUP_HEAD, Writes};
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::{Driven, rooms_around};
-use crate::schedule::submission::{Behind, Outcome};
+use crate::schedule::submission::Behind;
 use barchan_core::backend::WorldStep;
 use barchan_core::coupling::{Group, GroupState, GroupStep, Placed};
 use barchan_core::plan::TOOL_COURANT;
@@ -235,20 +235,37 @@ impl WgpuBatch {
         writes.add(self.memory.buffer(Role::Answering, 0), 0, &words);
     }
 
-    /// Hands a world's couplings their groups' states after each step that is done.
+    /// How groups are to be read from what comes back of a submission.
+    pub(crate) fn group_reader(&self) -> GroupReader {
+        let places = Places { room: self.contact.answering(), worlds: self.worlds.len() };
+        GroupReader { places, substeps: self.substeps, h: self.h }
+    }
+}
+
+/// Reads what came of groups, which many threads may do for a world each.
+#[derive(Clone, Copy)]
+pub(crate) struct GroupReader {
+    places: Places,
+    substeps: usize,
+    h: f64,
+}
+
+impl GroupReader {
+    /// Hands a world's couplings their groups' states after each of the steps that are done; `groups` is what came back.
     pub(crate) fn take_groups(
-        &self,
+        self,
         world_step: &mut WorldStep<'_>,
         driven: &mut Option<Driven>,
-        outcome: &Outcome,
+        groups: &[u32],
+        done: usize,
     ) -> Result<()> {
         let Some(driven) = driven else { return Ok(()) };
         if driven.held.is_empty() {
             return Ok(());
         }
-        let places = Places { room: self.contact.answering(), worlds: self.worlds.len() };
-        let all: &[Words] = bytemuck::cast_slice(&outcome.groups);
-        for s in 0..outcome.done {
+        let places = self.places;
+        let all: &[Words] = bytemuck::cast_slice(groups);
+        for s in 0..done {
             let slots = s * self.substeps..(s + 1) * self.substeps;
             let mut steps = Vec::new();
             for (c, coupling) in world_step.couplings.iter_mut().enumerate() {

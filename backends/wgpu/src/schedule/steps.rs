@@ -10,6 +10,7 @@ use crate::worlds::world::{Place, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::{Error, Result, StepReport};
 use barchan_grid::limits::NODE_MOVE;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Some of the worlds.
@@ -77,9 +78,19 @@ impl WgpuBatch {
                 None if outcome.done == self.horizon => self.horizon = MAX_STEPS.min(2 * self.horizon),
                 _ => {}
             }
-            for (t, of_turn) in &mut driven {
-                go_back(world_steps[*t].couplings, of_turn, outcome.done)?;
-                failed[*t] = self.take_groups(&mut world_steps[*t], of_turn, &outcome).err();
+            // Robots have much to be read: a world each by as many threads as there are.
+            let (reader, groups, done) = (self.group_reader(), &outcome.groups[..], outcome.done);
+            let stepped = world_steps.iter_mut().enumerate().filter(|(t, _)| going.contains(t));
+            let pairs: Vec<_> = stepped.map(|(_, world_step)| world_step).zip(driven.values_mut()).collect();
+            let taken: Vec<Result<Result<()>>> = pairs
+                .into_par_iter()
+                .map(|(world_step, of_turn)| {
+                    go_back(world_step.couplings, of_turn, done)?;
+                    Ok(reader.take_groups(world_step, of_turn, groups, done))
+                })
+                .collect();
+            for (t, taken) in driven.keys().zip(taken) {
+                failed[*t] = taken?.err();
                 let world = world_steps[*t].world;
                 if outcome.status.is_astray(self.layers_of(world)) && self.worlds[world].torn.is_none() {
                     self.adapt(world, None, world_steps[*t].couplings)?;
