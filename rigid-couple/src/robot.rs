@@ -158,6 +158,12 @@ impl Robot {
         self.step.places[self.solids[body]].twist(&self.step.rates)
     }
 
+    /// Greatest speed of a point of a body's surface, at most [m/s].
+    pub(crate) fn surface_speed(&self, body: usize) -> f64 {
+        let twist = self.twist(body);
+        twist.linear.length() + twist.angular.length() * self.extents[body]
+    }
+
     /// The rates that give the bodies these twists, as near as they can.
     pub(crate) fn rates(&self, twists: &[Twist]) -> DVector<f64> {
         let mut sums = DVector::zeros(self.state.rates.len());
@@ -196,12 +202,9 @@ impl Robot {
             matrix[(rate, rate)] += slope;
         }
         let points = &self.step.points;
-        for (&link, touches) in self.solids.iter().zip(&points.touches).filter(|(_, touches)| !touches.is_empty()) {
-            let place = &self.step.places[link];
-            let system = System::of(touches, &points.nodes, &place.twist(rates), weight, tangent);
-            add_system(place, &system, &mut residual, &mut matrix);
-        }
-        for Pair { place, touches, .. } in &points.pairs {
+        let with_obstacles = self.solids.iter().map(|&link| &self.step.places[link]).zip(&points.touches);
+        let among_links = points.pairs.iter().map(|Pair { place, touches, .. }| (place, touches));
+        for (place, touches) in with_obstacles.chain(among_links).filter(|(_, touches)| !touches.is_empty()) {
             let system = System::of(touches, &points.nodes, &place.twist(rates), weight, tangent);
             add_system(place, &system, &mut residual, &mut matrix);
         }
@@ -234,16 +237,12 @@ impl Robot {
         };
         let mut points = std::mem::take(&mut self.step.points);
         let seen: Vec<Seen<'_>> = (0..self.solids.len())
-            .map(|body| {
-                let twist = self.twist(body);
-                let speed = twist.linear.length() + twist.angular.length() * self.extents[body];
-                Seen {
-                    body: self.bodies[body].as_ref(),
-                    place: &self.step.places[self.solids[body]],
-                    bounds: boxes[body],
-                    friction: self.friction,
-                    ahead: AHEAD + 2.0 * speed * dt,
-                }
+            .map(|body| Seen {
+                body: self.bodies[body].as_ref(),
+                place: &self.step.places[self.solids[body]],
+                bounds: boxes[body],
+                friction: self.friction,
+                ahead: AHEAD + 2.0 * self.surface_speed(body) * dt,
             })
             .collect();
         points.find(&seen, &self.obstacles, &self.pairs, self.model.mass(), [time, dt]);

@@ -5,7 +5,7 @@
 // of links add up as they are.
 //
 // The table holds, from ROBOT_HEADS on, for each robot: where its links begin, how many, where its drives begin, how many; how many rates its base has, depth of the
-// tree, where its path begins, how many frames; the path's end, its period or 0, the mass, 0. LINK vectors for each link: parent, freedom, drive, body,
+// tree, where its path begins, how many frames; the path's end, its period or 0, 0, 0. LINK vectors for each link: parent, freedom, drive, body,
 // -1 for none; ratio, offset, mass, depth; origin, one past the last that hangs on it; rotation of the origin; axis, the next link with the same drive;
 // centre of mass, 0; rows of the inertia. DRIVE for each drive: first link, least and greatest position, effort; speed, damping, friction, armature;
 // kp, kd. For each frame of the path its time, then positions, four a vector.
@@ -135,18 +135,24 @@ fn robot_axis_of(rate: u32, a: u32) -> RobotMotion {
     return robot_axis[a];
 }
 
-// The twist of a link's centre of mass for each unit of a rate.
-fn robot_column(rate: u32, l: u32) -> CouplingTwist {
-    var sum = CouplingTwist(vec3<f32>(0.0), vec3<f32>(0.0));
+// How a rate moves a link, for each unit.
+fn robot_axis_at(rate: u32, l: u32) -> RobotMotion {
+    var sum = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
     var a = robot_head[rate];
     for (var turn = 0u; turn < robot_links && a != ROBOT_NONE; turn++) {
         if robot_hangs_on(l, a) {
             let axis = robot_axis_of(rate, a);
-            sum = CouplingTwist(sum.linear + axis.linear + cross(axis.angular, robot_centre[l]), sum.angular + axis.angular);
+            sum = RobotMotion(sum.angular + axis.angular, sum.linear + axis.linear);
         }
         a = robot_order[a].y;
     }
     return sum;
+}
+
+// The twist of a link's centre of mass for each unit of a rate.
+fn robot_column(rate: u32, l: u32) -> CouplingTwist {
+    let axis = robot_axis_at(rate, l);
+    return CouplingTwist(axis.linear + cross(axis.angular, robot_centre[l]), axis.angular);
 }
 
 fn robot_momentum(own: RobotInertia, m: RobotMotion) -> RobotWrench {
@@ -665,20 +671,6 @@ fn robot_contact_of(b: u32) -> RobotContact {
         angular,
         linear,
     );
-}
-
-// How far a rate moves the body on a link.
-fn robot_axis_at(rate: u32, l: u32) -> RobotMotion {
-    var sum = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
-    var a = robot_head[rate];
-    for (var turn = 0u; turn < robot_links && a != ROBOT_NONE; turn++) {
-        if robot_hangs_on(l, a) {
-            let axis = robot_axis_of(rate, a);
-            sum = RobotMotion(sum.angular + axis.angular, sum.linear + axis.linear);
-        }
-        a = robot_order[a].y;
-    }
-    return sum;
 }
 
 // Adds what some bodies' contact gives and takes, of which so many stand in `robot_contact`, the first of them the `first` that touches.

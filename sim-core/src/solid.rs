@@ -31,6 +31,19 @@ pub trait Solid: Send + Sync {
     }
 }
 
+/// [`Solid::cover`] of all in a box that lies below a surface.
+fn layer_cover(solid: &impl Solid, region: &Aabb) -> Option<bool> {
+    let (bounds, Aabb { min, max }) = (solid.bounds(), region);
+    if !region.meets(&bounds) {
+        return Some(false);
+    }
+    let [low, high] = solid.surface([min[0], min[1]], [max[0], max[1]])?;
+    if high < min[2] {
+        return Some(false);
+    }
+    (max[2] <= low && bounds.contains(*min) && bounds.contains(*max)).then_some(true)
+}
+
 /// [`Solid::cover`] of a convex solid: it holds a box if it holds its corners.
 fn cover_convex(solid: &dyn Solid, region: &Aabb) -> Option<bool> {
     let corner = |i: usize| std::array::from_fn(|d| if i >> d & 1 == 0 { region.min[d] } else { region.max[d] });
@@ -161,16 +174,7 @@ impl Solid for HeightField {
         (min[0] <= x && x <= max[0] && min[1] <= y && y <= max[1]).then(|| [self.bottom, self.height(x, y)])
     }
     fn cover(&self, region: &Aabb) -> Option<bool> {
-        let Aabb { min, max } = region;
-        if !region.meets(&self.bounds()) {
-            return Some(false);
-        }
-        let [low, high] = self.surface([min[0], min[1]], [max[0], max[1]])?;
-        if high < min[2] {
-            return Some(false);
-        }
-        let within = (0..2).all(|d| self.min[d] <= min[d] && max[d] <= self.max[d]);
-        (within && self.bottom <= min[2] && max[2] <= low).then_some(true)
+        layer_cover(self, region)
     }
     fn surface(&self, min: [f64; 2], max: [f64; 2]) -> Option<[f64; 2]> {
         // Bilinear heights over a rectangle lie between those of the grid points around it.
@@ -205,15 +209,7 @@ impl Solid for Landscape {
         inside.then(|| [min[2], self.heights.at(x, y)]).filter(|[bottom, top]| bottom < top)
     }
     fn cover(&self, region: &Aabb) -> Option<bool> {
-        let Aabb { min, max } = region;
-        if !region.meets(&self.bounds) {
-            return Some(false);
-        }
-        let [low, high] = self.heights.within([min[0], min[1]], [max[0], max[1]]);
-        if high < min[2] {
-            return Some(false);
-        }
-        (max[2] <= low && (0..3).all(|d| self.bounds.min[d] <= min[d] && max[d] <= self.bounds.max[d])).then_some(true)
+        layer_cover(self, region)
     }
     fn surface(&self, min: [f64; 2], max: [f64; 2]) -> Option<[f64; 2]> {
         Some(self.heights.within(min, max))

@@ -152,6 +152,34 @@ pub fn totals(ledger: &Ledger) -> (Vec3, Vec3) {
     )
 }
 
+/// A quadruped in empty space and a ball of jelly that flies at it from below, its centre at height `z` [m].
+pub fn robot_meets_ball(z: f64, radius: f64) -> String {
+    format!(
+        r#"
+name = "meeting"
+gravity = [0, 0, 0]
+world = {{ cell = 0.03125, min = [-1, -1, -1], max = [1, 1, 1] }}
+time = {{ end = 1 }}
+[[material]]
+name = "jelly"
+law = "neo_hookean"
+density = 1000
+parameters = {{ young_modulus = 1e5, poisson_ratio = 0.3 }}
+[[body]]
+name = "ball"
+material = "jelly"
+shape = {{ sphere = {{ center = [0.05, 0, {z}], radius = {radius} }} }}
+velocity = [0, 0.3, 2.0]
+[[robot]]
+name = "dog"
+model = "quadruped"
+position = [0, 0, 0]
+joints = {{ "*_thigh_joint" = 0.8, "*_calf_joint" = -1.6 }}
+motor = [{{ kp = 100, kd = 3 }}]
+"#
+    )
+}
+
 /// Shear over normal stress that a cone matched in triaxial compression mobilises in plane shear: 2 √3 sin φ / (3 − sin φ).
 pub fn plane_shear_friction(friction_angle: f64) -> f64 {
     let sine = friction_angle.sin();

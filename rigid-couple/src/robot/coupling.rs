@@ -9,7 +9,7 @@ use super::urdf::Source;
 use super::{Robot, State, balance, device, dynamics};
 use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
-use crate::world::friction_of;
+use crate::world::{friction_of, solid_walls};
 use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep};
@@ -340,11 +340,7 @@ impl Coupling for Robots {
 
     fn max_speed(&self, time: f64, dt: f64) -> f64 {
         let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
-        let speed = |(robot, body): (&Robot, usize)| {
-            let twist = robot.twist(body);
-            twist.linear.length() + twist.angular.length() * robot.extents[body] + gravity * dt
-        };
-        self.all().map(speed).fold(0.0, f64::max)
+        self.all().map(|(robot, body)| robot.surface_speed(body) + gravity * dt).fold(0.0, f64::max)
     }
 
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
@@ -434,16 +430,16 @@ impl Coupling for Robots {
 
     fn leashes(&self, time: f64, dt: f64, _steps: usize) -> Option<Vec<Aabb>> {
         let world = &self.scene.world;
-        let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
+        // Balance and its own links are the host's to see to.
+        let is_plain = |robot: &Robot| robot.corrections.is_empty() && robot.pairs.is_empty();
+        if !self.robots.iter().all(is_plain) || self.max_speed(time, dt) * dt > device::MOST_MOVE * world.cell {
+            return None;
+        }
+        let walls = solid_walls(world);
         // Coarser levels keep away from bodies that levels follow.
         let own_followed = self.followed();
         let followed = self.scene.levels.agents.as_ref().unwrap_or(&own_followed);
         let of_robot = |robot: &Robot| {
-            // Balance and its own links are the host's to see to.
-            let is_plain = robot.corrections.is_empty() && robot.pairs.is_empty();
-            if !is_plain || !device::is_slow(robot, gravity, dt, world.cell) {
-                return None;
-            }
             let of_body = |(body, link): (usize, &usize)| {
                 let is_followed = followed.contains(&robot.body_name(body));
                 let widest = if is_followed { world.cell } else { self.widest() };
@@ -452,7 +448,7 @@ impl Coupling for Robots {
                 (robot.bounds(body, world.cell), off)
             };
             let boxes: Vec<(Aabb, f64)> = robot.solids.iter().enumerate().map(of_body).collect();
-            robot.leashes(&boxes, world)
+            robot.leashes(&boxes, &walls)
         };
         let all: Option<Vec<Vec<Aabb>>> = self.robots.iter().map(of_robot).collect();
         Some(all?.into_iter().flatten().collect())

@@ -7,8 +7,9 @@ use crate::grip::REACH;
 use crate::motion::Pose;
 use crate::sdf::Sdf;
 use crate::tables::{Listed, Row, Tables, row, rows};
+use crate::world::SolidWall;
 use barchan_core::coupling::{Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, GroupState, Placed};
-use barchan_core::scene::{Contact, Wall, World};
+use barchan_core::scene::Contact;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +18,7 @@ const WORDS: usize = 5;
 /// Parts of a second, a radian or a metre in a word.
 const PARTS: f64 = 4_294_967_296.0;
 /// A device moves links as long as their surfaces move by at most this much in a step, and keep as far from walls [cells].
-const MOST_MOVE: f64 = 0.5;
+pub(crate) const MOST_MOVE: f64 = 0.5;
 /// Bodies whose contact is added up at once.
 const CONTACTS: usize = 8;
 /// In place of infinity.
@@ -146,30 +147,27 @@ impl Robot {
         let head = [
             [at, tree.links.len(), drives, model.drives.len()].map(|n| n as f32),
             [self.base_rates(), depth, path, self.path.times().len()].map(|n| n as f32),
-            [end as f32, self.path.period().unwrap_or_default() as f32, model.mass() as f32, 0.0],
+            [end as f32, self.path.period().unwrap_or_default() as f32, 0.0, 0.0],
         ];
         (head, rest)
     }
 
     /// How far along each axis each of its bodies, with such boxes, may go before it comes nearer to a wall than it has to keep off [m]; `None` if one is there.
-    pub(crate) fn leashes(&self, boxes: &[(Aabb, f64)], world: &World) -> Option<Vec<Aabb>> {
+    pub(crate) fn leashes(&self, boxes: &[(Aabb, f64)], walls: &[SolidWall]) -> Option<Vec<Aabb>> {
         let leash = |(own, off): &(Aabb, f64)| {
             let mut leash = Aabb::UNBOUND;
-            for axis in 0..3 {
-                let ends = [(world.min[axis], 1.0), (world.max[axis], -1.0)];
-                for (wall, (place, inwards)) in world.walls.pair(axis).into_iter().zip(ends) {
-                    if matches!(wall, Wall::Open | Wall::Periodic) {
-                        continue;
-                    }
-                    // Before the wall, or behind it.
-                    let [low, high] = [own.min[axis] - place, own.max[axis] - place];
-                    let [before, behind] = if inwards > 0.0 { [low, -high] } else { [-high, low] };
-                    let gap = before.max(behind) - off;
-                    if gap.is_nan() || gap <= 0.0 {
-                        return None;
-                    }
-                    let end = if (before > behind) == (inwards > 0.0) { &mut leash.min } else { &mut leash.max };
-                    end[axis] = if (before > behind) == (inwards > 0.0) { -gap } else { gap };
+            for &SolidWall { axis, place, inwards, .. } in walls {
+                // Before the wall, or behind it.
+                let [low, high] = [own.min[axis] - place, own.max[axis] - place];
+                let [before, behind] = if inwards > 0.0 { [low, -high] } else { [-high, low] };
+                let gap = before.max(behind) - off;
+                if gap.is_nan() || gap <= 0.0 {
+                    return None;
+                }
+                if (before > behind) == (inwards > 0.0) {
+                    leash.min[axis] = leash.min[axis].max(-gap);
+                } else {
+                    leash.max[axis] = leash.max[axis].min(gap);
                 }
             }
             Some(leash)
@@ -303,15 +301,6 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<D
     );
     let answer = DeviceAnswer { wgsl: answer, groups: robots.iter().map(group).collect() };
     (table.len() < 1 << 24).then_some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, answer })
-}
-
-/// May a device take steps of `dt` [s] of this robot, on cells of that width [m]?
-pub(crate) fn is_slow(robot: &Robot, gravity: f64, dt: f64, cell: f64) -> bool {
-    let speed = |body: usize| {
-        let twist = robot.twist(body);
-        twist.linear.length() + twist.angular.length() * robot.extents[body] + gravity * dt
-    };
-    (0..robot.solids.len()).map(speed).fold(0.0, f64::max) * dt <= MOST_MOVE * cell
 }
 
 /// How far from walls a link keeps that a device moves [m], on cells no wider than `widest`: nodes behind walls move as their images before them, which may be two layers of nodes.

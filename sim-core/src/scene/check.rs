@@ -206,6 +206,15 @@ impl Scene {
         self.require(value >= 0.0, path, format!("is {value}"), "must be 0 or above")
     }
 
+    /// A rectangle of ground must have an area.
+    fn check_rectangle(&self, path: &str, min: [f64; 2], max: [f64; 2]) -> Result<()> {
+        let check = |d: usize| {
+            let what = format!("{} goes from {} to {}", AXES[d], min[d], max[d]);
+            self.require(min[d] < max[d], &format!("{path}.max"), what, "max must be above min")
+        };
+        (0..2).try_for_each(check)
+    }
+
     fn rises(&self, path: &str, before: f64, time: f64) -> Result<()> {
         self.require(time > before, path, format!("is {time}, the one before is at {before}"), "times must rise")
     }
@@ -668,14 +677,7 @@ impl Scene {
             ),
             Shape::HeightField { min, max, bottom, heights, file } => {
                 let path = format!("{path}.height_field");
-                for d in 0..2 {
-                    self.require(
-                        min[d] < max[d],
-                        &format!("{path}.max"),
-                        format!("{} goes from {} to {}", AXES[d], min[d], max[d]),
-                        "max must be above min",
-                    )?;
-                }
+                self.check_rectangle(&path, *min, *max)?;
                 self.require(
                     heights.is_empty() != file.is_none(),
                     &path,

@@ -3,7 +3,7 @@
 use crate::{left, passes_of, take_at_once};
 use barchan::worlds::Worlds;
 use barchan::{Command, Options, Precision, Scene, Simulation};
-use barchan_tests::scenes::totals;
+use barchan_tests::scenes::{robot_meets_ball, totals};
 use glam::DVec3;
 
 /// A quadruped that lands on a bed with half a metre a second, at `x` [m]; `levels` and what the robot is told besides.
@@ -113,29 +113,8 @@ fn a_robot_lands_on_the_device_as_on_the_cpu() {
 /// In empty space a robot and a soft ball that it meets keep their momentum together.
 #[test]
 fn a_robot_on_the_device_and_the_ground_keep_their_momentum() {
-    let text = r#"
-name = "meeting"
-gravity = [0, 0, 0]
-world = { cell = 0.03125, min = [-1, -1, -1], max = [1, 1, 1] }
-time = { end = 1 }
-[[material]]
-name = "jelly"
-law = "neo_hookean"
-density = 1000
-parameters = { young_modulus = 1e5, poisson_ratio = 0.3 }
-[[body]]
-name = "ball"
-material = "jelly"
-shape = { sphere = { center = [0.05, 0, -0.44], radius = 0.12 } }
-velocity = [0, 0.3, 2.0]
-[[robot]]
-name = "dog"
-model = "quadruped"
-position = [0, 0, 0]
-joints = { "*_thigh_joint" = 0.8, "*_calf_joint" = -1.6 }
-motor = [{ kp = 100, kd = 3 }]
-"#;
-    let mut dog = start(&Scene::from_str(text, "meeting.toml", "").unwrap(), "wgpu", Precision::F32);
+    let text = robot_meets_ball(-0.44, 0.12);
+    let mut dog = start(&Scene::from_str(&text, "meeting.toml", "").unwrap(), "wgpu", Precision::F32);
     let sums = |dog: &Simulation| {
         let (p, l) = totals(&dog.ledger());
         [p, l].map(DVec3::from_array)

@@ -428,29 +428,8 @@ fn b46_a_fall_creates_no_energy_whatever_the_feet_weigh_and_the_gains_are() {
 #[test]
 fn a_robot_and_the_ground_keep_their_momentum() {
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-6)] {
-        let text = r#"
-name = "meeting"
-gravity = [0, 0, 0]
-world = { cell = 0.03125, min = [-1, -1, -1], max = [1, 1, 1] }
-time = { end = 1 }
-[[material]]
-name = "jelly"
-law = "neo_hookean"
-density = 1000
-parameters = { young_modulus = 1e5, poisson_ratio = 0.3 }
-[[body]]
-name = "ball"
-material = "jelly"
-shape = { sphere = { center = [0.05, 0, -0.5], radius = 0.15 } }
-velocity = [0, 0.3, 2.0]
-[[robot]]
-name = "dog"
-model = "quadruped"
-position = [0, 0, 0]
-joints = { "*_thigh_joint" = 0.8, "*_calf_joint" = -1.6 }
-motor = [{ kp = 100, kd = 3 }]
-"#;
-        let mut dog = simulation(&Scene::from_str(text, "meeting.toml", root()).unwrap(), precision);
+        let text = barchan_tests::scenes::robot_meets_ball(-0.5, 0.15);
+        let mut dog = simulation(&Scene::from_str(&text, "meeting.toml", root()).unwrap(), precision);
         let sums = |dog: &Simulation| {
             let ledger = dog.ledger();
             let (p, l) = barchan_tests::scenes::totals(&ledger);

@@ -80,7 +80,7 @@ impl WgpuBatch {
             }
             // Robots have much to be read: a world each by as many threads as there are.
             let (reader, groups, done) = (self.group_reader(), &outcome.groups[..], outcome.done);
-            let stepped = world_steps.iter_mut().enumerate().filter(|(t, _)| going.contains(t));
+            let stepped = world_steps.iter_mut().enumerate().filter(|(t, _)| going.binary_search(t).is_ok());
             let pairs: Vec<_> = stepped.map(|(_, world_step)| world_step).zip(driven.values_mut()).collect();
             let taken: Vec<Result<Result<()>>> = pairs
                 .into_par_iter()

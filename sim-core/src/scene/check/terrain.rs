@@ -1,6 +1,5 @@
 //! What a terrain must hold.
 
-use super::AXES;
 use crate::Result;
 use crate::scene::terrain::highest_dunes;
 use crate::scene::{Scene, Surface, Terrain};
@@ -15,14 +14,7 @@ const LEAST_LEE_DEG: f64 = 1.0;
 impl Scene {
     pub(super) fn check_terrain(&self, path: &str, terrain: &Terrain) -> Result<()> {
         let Terrain { min, max, bottom, .. } = terrain;
-        for d in 0..2 {
-            self.require(
-                min[d] < max[d],
-                &format!("{path}.max"),
-                format!("{} goes from {} to {}", AXES[d], min[d], max[d]),
-                "max must be above min",
-            )?;
-        }
+        self.check_rectangle(path, *min, *max)?;
         self.check_surface(&format!("{path}.surface"), terrain.surface)?;
         let [_, top] = terrain.heights().within(*min, *max);
         self.require(
