@@ -77,6 +77,8 @@ pub struct Robot {
     pub(crate) floating: bool,
     /// Links with mass or a shape: the robot's bodies, by their numbers, the base first.
     pub(crate) solids: Vec<usize>,
+    /// And their names.
+    names: Vec<String>,
     pub(crate) bodies: Vec<Option<Body>>,
     /// Greatest distance of a point of each body from its centre of mass [m].
     pub(crate) extents: Vec<f64>,
@@ -220,7 +222,6 @@ impl Robot {
         self.state.clock = self.path.wrapped(time + dt);
         let mut orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(time, dt));
         self.balance_orders(&mut orders);
-        self.sense_start(gravity);
         let before = DVector::from_column_slice(&self.state.rates);
         let places = std::mem::take(&mut self.step.places);
         let bias = dynamics::bias(&self.model, self.floating, &places, &before);

@@ -30,6 +30,8 @@ const ROBOT_WORDS: u32 = 5u;
 // Of its matrix, with what is out of balance behind.
 const ROBOT_ROW: u32 = ROBOT_RATES + 1u;
 const ROBOT_THREADS: u32 = 256u;
+// Bodies whose contact is added up at once.
+const ROBOT_CONTACTS: u32 = min(8u, GROUP_ROOM / (3u * (ROBOT_RATES + 1u)));
 
 struct RobotMotion { angular: vec3<f32>, linear: vec3<f32> }
 struct RobotWrench { moment: vec3<f32>, force: vec3<f32> }
@@ -39,7 +41,7 @@ struct RobotInertia { first: vec4<f32>, diagonal: vec3<f32>, beside: vec3<f32> }
 struct RobotImpulse { value: f32, slope: f32 }
 
 // Of each link: rotation; origin of its frame; centre of mass; how its joint moves it, for each unit of the drive's rate; how it moves; what that asks
-// of all that hangs on it; inertia of these; one past the last of these, and the next link with the same drive.
+// of all that hangs on it; inertia of these; one past the last of these, the next link with the same drive, parent, and the rate that moves it.
 var<workgroup> robot_rotation: array<vec4<f32>, ROBOT_LINKS>;
 var<workgroup> robot_origin: array<vec3<f32>, ROBOT_LINKS>;
 var<workgroup> robot_centre: array<vec3<f32>, ROBOT_LINKS>;
@@ -47,7 +49,7 @@ var<workgroup> robot_axis: array<RobotMotion, ROBOT_LINKS>;
 var<workgroup> robot_motion: array<RobotMotion, ROBOT_LINKS>;
 var<workgroup> robot_asked: array<RobotWrench, ROBOT_LINKS>;
 var<workgroup> robot_inertia: array<RobotInertia, ROBOT_LINKS>;
-var<workgroup> robot_order: array<vec2<u32>, ROBOT_LINKS>;
+var<workgroup> robot_order: array<vec4<u32>, ROBOT_LINKS>;
 var<workgroup> robot_body: array<u32, ROBOT_LINKS>;
 // Of each rate: the first link that it moves; its value without the contact at hand; what joints give then; what no iteration changes; what is out of balance.
 var<workgroup> robot_head: array<u32, ROBOT_RATES>;
@@ -57,6 +59,7 @@ var<workgroup> robot_driven: array<f32, ROBOT_RATES>;
 var<workgroup> robot_missing: array<f32, ROBOT_RATES>;
 var<workgroup> robot_step: array<f32, ROBOT_RATES>;
 var<workgroup> robot_work: array<f32, ROBOT_RATES>;
+var<workgroup> robot_tried_work: array<f32, ROBOT_RATES>;
 // Of each drive: position; order, with the way to the target in place of the target.
 var<workgroup> robot_position: array<f32, ROBOT_RATES>;
 var<workgroup> robot_told: array<vec4<f32>, ROBOT_RATES>;
@@ -65,7 +68,7 @@ var<workgroup> robot_mass: array<f32, ROBOT_RATES * ROBOT_RATES>;
 var<workgroup> robot_matrix: array<f32, ROBOT_RATES * ROBOT_ROW>;
 var<workgroup> robot_go_on: u32;
 
-// What the table says of the robot, and its momentum.
+// What the table says of the robot, of the thread's own link, and its momentum.
 var<private> robot_links: u32;
 var<private> robot_links_at: u32;
 var<private> robot_drives: u32;
@@ -73,12 +76,18 @@ var<private> robot_drives_at: u32;
 var<private> robot_base_rates: u32;
 var<private> robot_rates: u32;
 var<private> robot_depth: u32;
+var<private> robot_bodies: u32;
+var<private> robot_link: array<vec4<f32>, ROBOT_LINK>;
+var<private> robot_lacks: RobotWrench;
 var<private> robot_linear: vec3<f32>;
 var<private> robot_angular: vec3<f32>;
-// What the first thread alone knows: twice the kinetic energy without the contact at hand, and at the rates that are tried; what was out of balance along the
-// last step before it.
+// What the first thread alone knows: twice the kinetic energy without the contact at hand, at the rates that are tried, and of the step; what is out of
+// balance along the last step, and along this one; and along the last one before it.
 var<private> robot_free_energy: f32;
 var<private> robot_tried_energy: f32;
+var<private> robot_step_energy: f32;
+var<private> robot_beyond: f32;
+var<private> robot_ahead: f32;
 var<private> robot_before: f32;
 
 // Fixed-point numbers: whole, and 2^-32.
@@ -106,10 +115,6 @@ fn robot_turned(q: vec4<f32>, r: vec4<f32>) -> vec4<f32> {
 fn robot_rotated(q: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
     let t = 2.0 * cross(q.xyz, v);
     return v + q.w * t + cross(q.xyz, t);
-}
-
-fn robot_link(l: u32, i: u32) -> vec4<f32> {
-    return coupling_table(robot_links_at + l * ROBOT_LINK + i);
 }
 
 fn robot_drive(d: u32, i: u32) -> vec4<f32> {
@@ -149,12 +154,6 @@ fn robot_axis_at(rate: u32, l: u32) -> RobotMotion {
     return sum;
 }
 
-// The twist of a link's centre of mass for each unit of a rate.
-fn robot_column(rate: u32, l: u32) -> CouplingTwist {
-    let axis = robot_axis_at(rate, l);
-    return CouplingTwist(axis.linear + cross(axis.angular, robot_centre[l]), axis.angular);
-}
-
 fn robot_momentum(own: RobotInertia, m: RobotMotion) -> RobotWrench {
     let w = m.angular;
     let turning = vec3<f32>(
@@ -181,11 +180,27 @@ fn robot_take_up(group: u32, thread: u32) {
     robot_base_rates = u32(two.x);
     robot_depth = u32(two.y);
     robot_rates = robot_base_rates + robot_drives;
+    robot_bodies = group_bodies();
     robot_linear = bitcast<vec3<f32>>(group_word(1u).xyz);
     robot_angular = bitcast<vec3<f32>>(group_word(2u).xyz);
     if thread < robot_links {
-        robot_order[thread] = vec2<u32>(u32(robot_link(thread, 2u).w), robot_link_of(robot_link(thread, 4u).w));
-        let body = robot_link_of(robot_link(thread, 0u).w);
+        // At once, and not only when the parent stands: a link waits for its parent often enough.
+        let from_here = robot_links_at + thread * ROBOT_LINK;
+        robot_link = array<vec4<f32>, ROBOT_LINK>(
+            coupling_table(from_here),
+            coupling_table(from_here + 1u),
+            coupling_table(from_here + 2u),
+            coupling_table(from_here + 3u),
+            coupling_table(from_here + 4u),
+            coupling_table(from_here + 5u),
+            coupling_table(from_here + 6u),
+            coupling_table(from_here + 7u),
+            coupling_table(from_here + 8u),
+        );
+        let head = robot_link[0];
+        let rate = select(ROBOT_NONE, robot_base_rates + u32(max(head.z, 0.0)), head.x >= 0.0 && head.y > 0.0);
+        robot_order[thread] = vec4<u32>(u32(robot_link[2].w), robot_link_of(robot_link[4].w), robot_link_of(head.x), rate);
+        let body = robot_link_of(head.w);
         if body != ROBOT_NONE {
             robot_body[body] = thread;
         }
@@ -253,93 +268,125 @@ fn robot_path(group: u32, d: u32, time: f32) -> vec4<f32> {
     return vec4<f32>(from_here + (time - begin) * rate, rate, 0.0, 1.0);
 }
 
-// Finds where links are and how they move, from the base on, if the base is turned so.
+// Finds where links are, from the base on, if the base is turned so: how each is turned and shifted within its parent is known before.
 fn robot_place(base: vec4<f32>, thread: u32) {
-    var own = ROBOT_NONE;
+    var depth_of = ROBOT_NONE;
+    var turn = base;
+    var shift = -robot_rotated(base, robot_link[5].xyz);
     if thread < robot_links {
-        own = u32(robot_link(thread, 1u).w);
+        depth_of = u32(robot_link[1].w);
+        let head = robot_link[0];
+        if depth_of > 0u {
+            turn = robot_link[3];
+            shift = robot_link[2].xyz;
+            if head.y > 0.0 {
+                let along = robot_link[4].xyz;
+                let position = robot_link[1].x * robot_position[u32(head.z)] + robot_link[1].y;
+                if head.y == 1.0 {
+                    turn = robot_turned(turn, vec4<f32>(sin(0.5 * position) * along, cos(0.5 * position)));
+                } else {
+                    shift += position * robot_rotated(turn, along);
+                }
+            }
+        }
     }
     for (var depth = 0u; depth <= robot_depth; depth++) {
-        if depth == own {
-            robot_place_link(thread, base);
+        if depth == depth_of {
+            var q = turn;
+            var origin = shift;
+            if depth > 0u {
+                let parent = robot_order[thread].z;
+                let of_parent = robot_rotation[parent];
+                q = robot_turned(of_parent, turn);
+                origin = robot_origin[parent] + robot_rotated(of_parent, shift);
+            }
+            q = normalize(q);
+            robot_rotation[thread] = q;
+            robot_origin[thread] = origin;
+            robot_centre[thread] = origin + robot_rotated(q, robot_link[5].xyz);
         }
         workgroupBarrier();
     }
 }
 
-fn robot_place_link(l: u32, base: vec4<f32>) {
-    let head = robot_link(l, 0u);
-    let own = robot_link(l, 1u);
-    let within = robot_link(l, 5u).xyz;
-    var q = base;
-    var origin = -robot_rotated(base, within);
-    var axis = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
-    var motion = axis;
-    // The acceleration without any rate changing.
-    var drift = axis;
-    if head.x < 0.0 {
+// Finds how links move, and what that asks: their accelerations without any rate changing.
+fn robot_move(thread: u32) {
+    let none = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
+    var by = none;
+    if thread < robot_links {
+        let head = robot_link[0];
+        var axis = none;
+        if head.x >= 0.0 && head.y > 0.0 {
+            // Turning about an axis leaves it where it is.
+            let in_world = robot_link[1].x * robot_rotated(robot_rotation[thread], robot_link[4].xyz);
+            if head.y == 1.0 {
+                axis = RobotMotion(in_world, cross(robot_origin[thread], in_world));
+            } else {
+                axis.linear = in_world;
+            }
+            let rate = robot_free[robot_order[thread].w];
+            by = RobotMotion(rate * axis.angular, rate * axis.linear);
+        }
+        robot_axis[thread] = axis;
+    }
+    workgroupBarrier();
+    var motion = none;
+    if thread < robot_links {
         if robot_base_rates > 0u {
             motion = RobotMotion(vec3<f32>(robot_free[3], robot_free[4], robot_free[5]), vec3<f32>(robot_free[0], robot_free[1], robot_free[2]));
-            drift.linear = -cross(motion.angular, motion.linear);
         }
-    } else {
-        let parent = u32(head.x);
-        origin = robot_origin[parent] + robot_rotated(robot_rotation[parent], robot_link(l, 2u).xyz);
-        q = robot_turned(robot_rotation[parent], robot_link(l, 3u));
-        motion = robot_motion[parent];
-        drift = RobotMotion(robot_asked[parent].moment, robot_asked[parent].force);
-        if head.y > 0.0 {
-            let d = u32(head.z);
-            let along = robot_link(l, 4u).xyz;
-            let position = own.x * robot_position[d] + own.y;
-            let in_world = robot_rotated(q, along);
-            if head.y == 1.0 {
-                q = robot_turned(q, vec4<f32>(sin(0.5 * position) * along, cos(0.5 * position)));
-                axis = RobotMotion(own.x * in_world, own.x * cross(origin, in_world));
-            } else {
-                origin += position * in_world;
-                axis.linear = own.x * in_world;
+        var asked = RobotWrench(vec3<f32>(0.0), vec3<f32>(0.0));
+        asked.force = -cross(motion.angular, motion.linear) * f32(thread == 0u);
+        for (var a = thread; a != ROBOT_NONE; a = robot_order[a].z) {
+            let rate = robot_order[a].w;
+            if rate != ROBOT_NONE {
+                motion = RobotMotion(motion.angular + robot_free[rate] * robot_axis[a].angular, motion.linear + robot_free[rate] * robot_axis[a].linear);
             }
-            let rate = robot_free[robot_base_rates + d];
-            let by = RobotMotion(rate * axis.angular, rate * axis.linear);
-            motion = RobotMotion(motion.angular + by.angular, motion.linear + by.linear);
-            drift.angular += cross(motion.angular, by.angular);
-            drift.linear += cross(motion.angular, by.linear) + cross(motion.linear, by.angular);
         }
+        robot_motion[thread] = motion;
+        asked.moment += cross(motion.angular, by.angular);
+        asked.force += cross(motion.angular, by.linear) + cross(motion.linear, by.angular);
+        robot_asked[thread] = asked;
     }
-    q = normalize(q);
-    robot_rotation[l] = q;
-    robot_origin[l] = origin;
-    robot_axis[l] = axis;
-    robot_motion[l] = motion;
-    // Until all links stand.
-    robot_asked[l] = RobotWrench(drift.angular, drift.linear);
-    let c = origin + robot_rotated(q, within);
-    robot_centre[l] = c;
-    let rows = rows_of(q);
+    workgroupBarrier();
+    if thread < robot_links {
+        robot_weigh(thread);
+    }
+    workgroupBarrier();
+}
+
+// A link's inertia, and how much momentum it lacks for the acceleration that is asked of it.
+fn robot_weigh(l: u32) {
+    let mass = robot_link[1].z;
+    let c = robot_centre[l];
+    let rows = rows_of(robot_rotation[l]);
     let back = mat3x3<f32>(rows[0], rows[1], rows[2]);
-    let tensor = mat3x3<f32>(robot_link(l, 6u).xyz, robot_link(l, 7u).xyz, robot_link(l, 8u).xyz);
+    let tensor = mat3x3<f32>(robot_link[6].xyz, robot_link[7].xyz, robot_link[8].xyz);
     let turned = transpose(back) * tensor * back;
-    let first = own.z * c;
-    robot_inertia[l] = RobotInertia(
-        vec4<f32>(first, own.z),
+    let first = mass * c;
+    let own = RobotInertia(
+        vec4<f32>(first, mass),
         vec3<f32>(turned[0].x, turned[1].y, turned[2].z) + vec3<f32>(dot(first, c)) - first * c,
         vec3<f32>(turned[1].z, turned[2].x, turned[0].y) - first.yzx * c.zxy,
+    );
+    robot_inertia[l] = own;
+    var drift = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
+    for (var a = l; a != ROBOT_NONE; a = robot_order[a].z) {
+        drift = RobotMotion(drift.angular + robot_asked[a].moment, drift.linear + robot_asked[a].force);
+    }
+    let motion = robot_motion[l];
+    let momentum = robot_momentum(own, motion);
+    let lacks = robot_momentum(own, drift);
+    robot_lacks = RobotWrench(
+        lacks.moment + cross(motion.angular, momentum.moment) + cross(motion.linear, momentum.force),
+        lacks.force + cross(motion.angular, momentum.force),
     );
 }
 
 // Sums up, for each link, the inertia of all that hangs on it, and what their motion asks; then the mass matrix.
 fn robot_compose(thread: u32) {
     if thread < robot_links {
-        let drift = robot_asked[thread];
-        let own = robot_inertia[thread];
-        let motion = robot_motion[thread];
-        let momentum = robot_momentum(own, motion);
-        let lacks = robot_momentum(own, RobotMotion(drift.moment, drift.force));
-        robot_asked[thread] = RobotWrench(
-            lacks.moment + cross(motion.angular, momentum.moment) + cross(motion.linear, momentum.force),
-            lacks.force + cross(motion.angular, momentum.force),
-        );
+        robot_asked[thread] = robot_lacks;
     }
     workgroupBarrier();
     var asked = RobotWrench(vec3<f32>(0.0), vec3<f32>(0.0));
@@ -538,8 +585,11 @@ fn robot_settle(thread: u32) {
         workgroupBarrier();
         if thread == 0u {
             robot_go_on = 1u;
-            let beyond = -robot_lead();
-            if robot_before > 0.0 && beyond > ROBOT_OVERSHOT * robot_before {
+            var beyond = 0.0;
+            if robot_before > 0.0 {
+                beyond = -robot_lead();
+            }
+            if beyond > ROBOT_OVERSHOT * robot_before {
                 // It led too far.
                 let back = beyond / (robot_before + beyond);
                 for (var i = 0u; i < n; i++) {
@@ -554,13 +604,17 @@ fn robot_settle(thread: u32) {
             continue;
         }
         robot_solve(thread);
+        if thread < n {
+            robot_free[thread] += robot_step[thread];
+        }
         if thread == 0u {
             // Of what gravity alone does to it, too: a robot at rest has none.
-            let energy = robot_inertia[0].first.w * dot(group_gravity(), group_gravity()) + robot_sum();
+            var energy = robot_inertia[0].first.w * dot(group_gravity(), group_gravity());
+            robot_before = 0.0;
             for (var i = 0u; i < n; i++) {
-                robot_free[i] += robot_step[i];
+                energy += robot_work[i];
+                robot_before += robot_missing[i] * robot_step[i];
             }
-            robot_before = robot_lead();
             robot_go_on = u32(robot_before > ROBOT_TOLERANCE * ROBOT_TOLERANCE * energy);
         }
         if workgroupUniformLoad(&robot_go_on) == 0u {
@@ -600,7 +654,7 @@ fn robot_set_free(thread: u32) {
         robot_work[thread] = robot_energy_of(TWIST_FREE, thread);
     }
     robot_set_twists(TWIST_FREE, thread);
-    if thread < group_bodies() {
+    if thread < robot_bodies {
         set_group_twist(TWIST_EXPECTED, thread, group_twist(TWIST_FREE, thread));
     }
     workgroupBarrier();
@@ -612,22 +666,29 @@ fn robot_set_free(thread: u32) {
 
 // The bodies' twists at the rates of a kind.
 fn robot_set_twists(kind: u32, thread: u32) {
-    if thread >= group_bodies() {
+    if thread >= robot_bodies {
         return;
     }
     let l = robot_body[thread];
-    var sum = CouplingTwist(vec3<f32>(0.0), vec3<f32>(0.0));
-    for (var i = 0u; i < robot_rates; i++) {
-        let column = robot_column(i, l);
-        let rate = group_rate(kind, i);
-        sum = CouplingTwist(sum.linear + rate * column.linear, sum.angular + rate * column.angular);
+    var motion = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
+    if robot_base_rates > 0u {
+        motion.linear = vec3<f32>(group_rate(kind, 0u), group_rate(kind, 1u), group_rate(kind, 2u));
+        motion.angular = vec3<f32>(group_rate(kind, 3u), group_rate(kind, 4u), group_rate(kind, 5u));
     }
-    set_group_twist(kind, thread, sum);
+    for (var a = l; a != ROBOT_NONE; a = robot_order[a].z) {
+        let i = robot_order[a].w;
+        if i != ROBOT_NONE {
+            let rate = group_rate(kind, i);
+            motion = RobotMotion(motion.angular + rate * robot_axis[a].angular, motion.linear + rate * robot_axis[a].linear);
+        }
+    }
+    set_group_twist(kind, thread, CouplingTwist(motion.linear + cross(motion.angular, robot_centre[l]), motion.angular));
 }
 
 fn coupling_begin(group: u32, thread: u32) {
     robot_take_up(group, thread);
     robot_place(pose_rotation(group_pose(0u)), thread);
+    robot_move(thread);
     robot_compose(thread);
     robot_correct(thread);
     if group_moves() {
@@ -673,36 +734,42 @@ fn robot_contact_of(b: u32) -> RobotContact {
     );
 }
 
-// Adds what some bodies' contact gives and takes, of which so many stand in `robot_contact`, the first of them the `first` that touches.
+// Adds what some bodies' contact gives and takes, of which so many stand in `robot_contact`, the first of them the `first` that touches: for each body and
+// rate first how that moves the body, and what the body then gets from the ground, three vectors.
 fn robot_add_contact(first: u32, count: u32, thread: u32) {
     let n = robot_rates;
+    for (var e = thread; e < select(0u, count * (n + 1u), thread < ROBOT_THREADS); e += ROBOT_THREADS) {
+        let c = e / (n + 1u);
+        let j = e % (n + 1u);
+        var by = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
+        var gets = robot_contact[c].given;
+        if j < n {
+            by = robot_axis_at(j, robot_body[robot_touching[first + c]]);
+            gets = RobotWrench(
+                robot_contact[c].moment_angular * by.angular + robot_contact[c].moment_linear * by.linear,
+                robot_contact[c].force_angular * by.angular + robot_contact[c].force_linear * by.linear,
+            );
+        }
+        set_group_room(3u * e, vec4<f32>(by.angular, by.linear.x));
+        set_group_room(3u * e + 1u, vec4<f32>(by.linear.yz, gets.moment.xy));
+        set_group_room(3u * e + 2u, vec4<f32>(gets.moment.z, gets.force));
+    }
+    workgroupBarrier();
     for (var i = thread >> 5u; i < select(0u, n, thread < ROBOT_THREADS); i += ROBOT_THREADS / 32u) {
         for (var j = thread & 31u; j <= n; j += 32u) {
             var sum = 0.0;
             for (var c = 0u; c < count; c++) {
-                let l = robot_body[robot_touching[first + c]];
-                if !robot_hangs_on_rate(l, i) || (j < n && !robot_hangs_on_rate(l, j)) {
-                    continue;
-                }
-                var gets = robot_contact[c].given;
-                if j < n {
-                    let by = robot_axis_at(j, l);
-                    gets = RobotWrench(
-                        robot_contact[c].moment_angular * by.angular + robot_contact[c].moment_linear * by.linear,
-                        robot_contact[c].force_angular * by.angular + robot_contact[c].force_linear * by.linear,
-                    );
-                }
-                sum += robot_power(robot_axis_at(i, l), gets);
+                let own = 3u * (c * (n + 1u) + i);
+                let other = 3u * (c * (n + 1u) + j);
+                let one = group_room(own);
+                let two = group_room(own + 1u);
+                let by = RobotMotion(one.xyz, vec3<f32>(one.w, two.xy));
+                let three = group_room(other + 2u);
+                sum += robot_power(by, RobotWrench(vec3<f32>(group_room(other + 1u).zw, three.x), three.yzw));
             }
             robot_matrix[i * ROBOT_ROW + j] += sum;
         }
     }
-}
-
-// May a rate move a link? Those of drives with several joints are asked further.
-fn robot_hangs_on_rate(l: u32, rate: u32) -> bool {
-    let a = robot_head[rate];
-    return a != ROBOT_NONE && (robot_hangs_on(l, a) || robot_order[a].y != ROBOT_NONE);
 }
 
 fn coupling_answer(group: u32, thread: u32) {
@@ -721,11 +788,11 @@ fn coupling_answer(group: u32, thread: u32) {
         }
         robot_matrix[thread * ROBOT_ROW + thread] += own.slope;
         robot_matrix[thread * ROBOT_ROW + n] = missing;
-        robot_work[thread] = momentum * tried;
+        robot_tried_work[thread] = momentum * tried;
     }
     if thread == 0u {
         var count = 0u;
-        for (var b = 0u; b < group_bodies(); b++) {
+        for (var b = 0u; b < robot_bodies; b++) {
             if group_touches(b) {
                 robot_touching[count] = b;
                 count++;
@@ -746,9 +813,6 @@ fn coupling_answer(group: u32, thread: u32) {
     if thread < n {
         robot_missing[thread] = robot_matrix[thread * ROBOT_ROW + n];
     }
-    if thread == 0u {
-        robot_tried_energy = robot_sum();
-    }
     workgroupBarrier();
     robot_solve(thread);
     if thread < n {
@@ -757,6 +821,18 @@ fn coupling_answer(group: u32, thread: u32) {
     }
     workgroupBarrier();
     robot_set_twists(TWIST_STEP, thread);
+    if thread == 0u {
+        robot_tried_energy = 0.0;
+        robot_step_energy = 0.0;
+        robot_beyond = 0.0;
+        robot_ahead = 0.0;
+        for (var i = 0u; i < n; i++) {
+            robot_tried_energy += robot_tried_work[i];
+            robot_step_energy += robot_work[i];
+            robot_beyond += robot_missing[i] * group_rate(TWIST_LAST, i);
+            robot_ahead += robot_missing[i] * robot_step[i];
+        }
+    }
     workgroupBarrier();
 }
 
@@ -769,30 +845,24 @@ fn robot_energy_of(kind: u32, i: u32) -> f32 {
     return sum * group_rate(kind, i);
 }
 
+// What the first thread says of this one and the next counts.
 fn coupling_balance(group: u32, along: u32, thread: u32) -> f32 {
-    if thread != 0u {
-        return 0.0;
-    }
-    var sum = 0.0;
-    for (var i = 0u; i < robot_rates; i++) {
-        sum += robot_missing[i] * group_rate(along, i);
-    }
-    return sum;
+    return select(robot_ahead, robot_beyond, along == TWIST_LAST);
 }
 
 fn coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32 {
-    if thread != 0u {
-        return 0.0;
-    }
     switch which {
         case TWIST_FREE: { return robot_free_energy; }
         case TWIST_TRIED: { return robot_tried_energy; }
-        default: { return robot_sum(); }
+        default: { return robot_step_energy; }
     }
 }
 
 fn coupling_feel(group: u32, thread: u32) {
-    for (var b = 0u; b < group_bodies(); b++) {
+    for (var b = 0u; b < robot_bodies; b++) {
+        if !group_touches(b) {
+            continue;
+        }
         let gained = group_impulse(b);
         robot_linear += gained.linear;
         robot_angular += gained.angular + cross(robot_centre[robot_body[b]], gained.linear);
@@ -832,7 +902,7 @@ fn coupling_advance(group: u32, thread: u32) {
         clock = vec4<u32>(robot_clock_after(group, clock.xy), clock.zw);
         workgroupBarrier();
         robot_place(pose_rotation(base), thread);
-        if thread < group_bodies() {
+        if thread < robot_bodies {
             let l = robot_body[thread];
             let rotation = vec4<i32>(round(robot_rotation[l] * 1073741824.0));
             let pose = pose_shifted(CouplingPose(base.cell, base.place, rotation), robot_centre[l] / group_cell());

@@ -100,6 +100,8 @@ pub struct WorldStep<'a> {
     pub time: f64,
     /// Its couplings.
     pub couplings: &'a mut [Box<dyn Coupling>],
+    /// Are [reports](StepReport::bodies) to say where its bodies are after each of several steps?
+    pub reports_bodies: bool,
 }
 
 /// Worlds that step together.
@@ -155,7 +157,8 @@ pub struct StepReport {
     /// Mean wrench on each body over the step, all couplings' bodies in their order, if the couplings took several steps
     /// within it; otherwise they know it themselves.
     pub wrenches: Option<Vec<Wrench>>,
-    /// Bodies after the step, all couplings' in their order, if the engine has taken further steps since.
+    /// Bodies after the step, all couplings' in their order, if the engine has taken further steps since, and somebody asks for them
+    /// ([`Simulation::report_bodies`](crate::Simulation::report_bodies)).
     pub bodies: Option<Vec<BodyState>>,
 }
 
@@ -193,7 +196,8 @@ pub trait Engine: Send {
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport>;
     /// Up to `count` steps of at most `dt` each, one after the other from `time`; at least one. An engine that is faster when it is
     /// asked for many at once takes as many as it can without anyone looking in between; gravity follows the time. One that is shorter than
-    /// asked is the last. Returns what each did. On an error, everything is as before the first of them.
+    /// asked is the last. Returns what each did, and where bodies were after it only if `bodies` says so, since that takes time. On an error,
+    /// everything is as before the first of them.
     ///
     /// # Errors
     /// As [`step`](Self::step), of the first step.
@@ -203,8 +207,9 @@ pub trait Engine: Send {
         dt: f64,
         count: usize,
         couplings: &mut [Box<dyn Coupling>],
+        bodies: bool,
     ) -> Result<Vec<StepReport>> {
-        let _ = count;
+        let _ = (count, bodies);
         Ok(vec![self.step(time, dt, couplings)?])
     }
     /// Copies the particles out, with the phase of the sort, so that a copy continues bit for bit.

@@ -268,7 +268,8 @@ pub struct DeviceLaw {
     ///
     /// Functions may have the names of their choice beside these; a text declares functions, constants, structures and, for [`DeviceAnswer`], variables.
     pub wgsl: String,
-    /// How far beyond its bodies' boxes it acts on nodes [cells of their level].
+    /// How far beyond its bodies' boxes it acts on nodes [cells of their level]. Bodies that answer act no further beyond their surfaces, as
+    /// `coupling_distance` tells.
     pub reach: f64,
     /// What it reads: constant over the run.
     pub table: Vec<[f32; 4]>,
@@ -323,6 +324,8 @@ pub struct DeviceLaw {
 ///   pivots, `struct CouplingRow { linear: vec3<f32>, angular: vec3<f32>, missing: f32 }`;
 /// - `group_impulse(b) -> CouplingTwist` in `coupling_feel` [N s, N m s], and in `coupling_begin` `group_impulse_before(b)`: what the last slot gave, where levels
 ///   take steps of their own, and zero before the first;
+/// - `group_room(i) -> vec4<f32>` and `set_group_room(i, v)`: `GROUP_ROOM` vectors, 704, for what a function works out on its way with all threads; nothing stays
+///   there when it is left;
 /// - `group_moves() -> bool`: does the step begin here? Else bodies have moved in an earlier pass, and meet coarser levels;
 /// - `group_dt()` [s], `group_gravity()`, what gravity adds to a velocity in the step [m/s], `coupling_table` and `coupling_sample`, and all that `wgsl` of the
 ///   [`DeviceLaw`] declares.
@@ -519,7 +522,8 @@ pub trait Coupling: Send + Sync {
     fn move_on_device(&mut self, moves: bool) {
         let _ = moves;
     }
-    /// Takes in what happened to each group in the next step that a device took.
+    /// Takes in what happened to each group in a step that a device took. Where nobody asks for [where bodies
+    /// were](crate::StepReport::bodies) after each of many steps, only the last two are taken in, one after the other; what is counted is of all.
     ///
     /// # Errors
     /// If a body's state is no longer finite.

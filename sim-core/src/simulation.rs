@@ -120,6 +120,8 @@ pub struct Simulation {
     watch: Option<Watch>,
     /// Mean wrenches over the last step, if the couplings took several within it.
     wrenches: Option<Vec<Wrench>>,
+    /// Are reports to say where bodies are after each of several steps?
+    reports_bodies: bool,
     /// Is its engine a world's of a batch?
     in_batch: bool,
 }
@@ -239,6 +241,7 @@ impl Simulation {
             cut_steps: 0,
             watch: None,
             wrenches: None,
+            reports_bodies: false,
             in_batch: false,
         }
     }
@@ -450,8 +453,14 @@ impl Simulation {
     pub fn steps(&mut self, most: usize, until: f64) -> Result<Vec<StepReport>> {
         let wanted = self.wanted(most, until)?;
         let before = self.begin(&wanted);
-        let result = self.engine.steps(self.time, wanted.dt, wanted.count, &mut self.couplings);
+        let result = self.engine.steps(self.time, wanted.dt, wanted.count, &mut self.couplings, self.reports_bodies);
         self.finish(&wanted, &before, result)
+    }
+
+    /// Says whether reports of [`steps`](Self::steps) that a device takes at once are to [say](StepReport::bodies) where bodies were after each of
+    /// them. They do not unless this is called: to bring back all links of many robots takes longer than to move them.
+    pub fn report_bodies(&mut self, wanted: bool) {
+        self.reports_bodies = wanted;
     }
 
     /// The steps that are to be taken next.
@@ -539,7 +548,12 @@ impl Simulation {
 
     /// This world's part in steps of a batch.
     pub(crate) fn world_step(&mut self, world: usize) -> WorldStep<'_> {
-        WorldStep { world, time: self.time, couplings: &mut self.couplings }
+        WorldStep { world, time: self.time, couplings: &mut self.couplings, reports_bodies: self.reports_bodies }
+    }
+
+    /// Are reports to say where bodies are?
+    pub(crate) fn reports_bodies(&self) -> bool {
+        self.reports_bodies
     }
 
     /// Does the engine that it started with still run it?

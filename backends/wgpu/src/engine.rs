@@ -118,7 +118,7 @@ impl Engine for WorldEngine {
     }
 
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
-        let mut reports = self.steps(time, dt, 1, couplings)?;
+        let mut reports = self.steps(time, dt, 1, couplings, false)?;
         Ok(reports.pop().expect("whatever is submitted has a step, and what fails says so"))
     }
 
@@ -128,8 +128,9 @@ impl Engine for WorldEngine {
         dt: f64,
         count: usize,
         couplings: &mut [Box<dyn Coupling>],
+        bodies: bool,
     ) -> Result<Vec<StepReport>> {
-        let world_step = WorldStep { world: self.world, time, couplings };
+        let world_step = WorldStep { world: self.world, time, couplings, reports_bodies: bodies };
         self.shared
             .take_steps(dt, count, &mut [world_step])?
             .pop()

@@ -290,6 +290,8 @@ fn steps(
     if let Until::Time(end) = request.until {
         simulation.set_stop(end);
     }
+    // The trace has a row for each step.
+    simulation.report_bodies(true);
     let mut progress = done(simulation);
     let mut swap = request.swap.as_ref();
     while progress < 1.0 {

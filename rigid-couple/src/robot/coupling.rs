@@ -42,10 +42,14 @@ pub struct Robots {
     contacts: Vec<Contact>,
     /// The number of each robot's first body.
     firsts: Vec<usize>,
+    /// Do levels follow each of their bodies?
+    followed: Vec<bool>,
     wrenches: Vec<Wrench>,
     counts: Counts,
     /// Does a device move them?
     on_device: bool,
+    /// Steps of the finest level that have gone of the simulation's.
+    slot: u32,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -149,9 +153,14 @@ impl Robot {
         let pairs =
             if robot.self_collision { pairs_of(&mut model, &solids, &bodies, &step.places) } else { Vec::new() };
         let corrections = balance::corrections(&robot.balance, &model)?;
+        let name = |&link: &usize| match link {
+            0 => robot.name.clone(),
+            _ => format!("{}/{}", robot.name, model.links[link].name),
+        };
         Ok(Self {
             name: robot.name.clone(),
             floating,
+            names: solids.iter().map(name).collect(),
             solids,
             bodies,
             extents,
@@ -172,11 +181,8 @@ impl Robot {
         self.state.base
     }
 
-    pub(super) fn body_name(&self, body: usize) -> String {
-        match body {
-            0 => self.name.clone(),
-            _ => format!("{}/{}", self.name, self.model.links[self.solids[body]].name),
-        }
+    pub(super) fn body_name(&self, body: usize) -> &str {
+        &self.names[body]
     }
 
     /// The links at the ends of its branches that have shapes: feet, hands.
@@ -205,7 +211,7 @@ impl Robot {
         let mass = self.model.links[self.solids[body]].mass;
         let (momentum, spin) = (mass * twist.linear, self.inertia(body) * twist.angular);
         BodyState {
-            name: self.body_name(body),
+            name: self.body_name(body).to_owned(),
             position: pose.position.to_array(),
             rotation: [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z],
             velocity: twist.linear.to_array(),
@@ -261,7 +267,16 @@ impl Robots {
             firsts.push(count);
             count += robot.solids.len();
         }
+        let is_followed = |robot: &Robot| -> Vec<bool> {
+            let ends: Vec<usize> = robot.ends().collect();
+            let is_followed = |body: usize| match &scene.levels.agents {
+                Some(agents) => agents.iter().any(|name| name == robot.body_name(body)),
+                None => ends.contains(&body),
+            };
+            (0..robot.solids.len()).map(is_followed).collect()
+        };
         Ok(Self {
+            followed: robots.iter().flat_map(is_followed).collect(),
             name: ROBOT_COUPLING.to_owned(),
             scene: scene.clone(),
             contacts: scene.robot.iter().map(|robot| robot.contact).collect(),
@@ -270,6 +285,7 @@ impl Robots {
             wrenches: vec![Wrench::default(); count],
             counts: Counts::default(),
             on_device: false,
+            slot: 0,
         })
     }
 
@@ -315,7 +331,7 @@ impl Coupling for Robots {
     }
 
     fn followed(&self) -> Vec<String> {
-        self.robots.iter().flat_map(|robot| robot.ends().map(|body| robot.body_name(body))).collect()
+        self.robots.iter().flat_map(|robot| robot.ends().map(|body| robot.body_name(body).to_owned())).collect()
     }
 
     fn joints(&self) -> Vec<JointState> {
@@ -351,6 +367,9 @@ impl Coupling for Robots {
                 robot.step.dt = dt;
                 robot.sense_gravity(gravity);
                 continue;
+            }
+            if self.slot == 0 {
+                robot.sense_start(gravity);
             }
             let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, 0.0)).collect();
             robot.begin(time, dt, gravity, &boxes).map_err(|()| robot.lost("motion"))?;
@@ -421,6 +440,7 @@ impl Coupling for Robots {
         for robot in self.robots.iter_mut().filter(|_| !self.on_device) {
             robot.advance().ok_or_else(|| robot.lost("motion"))?;
         }
+        self.slot = (self.slot + 1) % self.scene.levels.substeps();
         Ok(())
     }
 
@@ -436,13 +456,10 @@ impl Coupling for Robots {
             return None;
         }
         let walls = solid_walls(world);
-        // Coarser levels keep away from bodies that levels follow.
-        let own_followed = self.followed();
-        let followed = self.scene.levels.agents.as_ref().unwrap_or(&own_followed);
-        let of_robot = |robot: &Robot| {
+        let of_robot = |(robot, &first): (&Robot, &usize)| {
             let of_body = |(body, link): (usize, &usize)| {
-                let is_followed = followed.contains(&robot.body_name(body));
-                let widest = if is_followed { world.cell } else { self.widest() };
+                // Coarser levels keep away from bodies that levels follow.
+                let widest = if self.followed[first + body] { world.cell } else { self.widest() };
                 let shape = robot.model.links[*link].shape.as_ref();
                 let off = shape.map_or(0.0, |shape| device::off_walls(shape, world.cell, widest));
                 (robot.bounds(body, world.cell), off)
@@ -450,7 +467,7 @@ impl Coupling for Robots {
             let boxes: Vec<(Aabb, f64)> = robot.solids.iter().enumerate().map(of_body).collect();
             robot.leashes(&boxes, &walls)
         };
-        let all: Option<Vec<Vec<Aabb>>> = self.robots.iter().map(of_robot).collect();
+        let all: Option<Vec<Vec<Aabb>>> = self.robots.iter().zip(&self.firsts).map(of_robot).collect();
         Some(all?.into_iter().flatten().collect())
     }
 
@@ -595,6 +612,8 @@ impl Coupling for Robots {
         }
         self.wrenches = wrenches.into_iter().map(|(force, torque)| Wrench { force, torque }).collect();
         self.counts = counts;
+        // What is saved is between two steps.
+        self.slot = 0;
         Ok(())
     }
 }

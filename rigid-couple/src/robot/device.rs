@@ -19,8 +19,6 @@ const WORDS: usize = 5;
 const PARTS: f64 = 4_294_967_296.0;
 /// A device moves links as long as their surfaces move by at most this much in a step, and keep as far from walls [cells].
 pub(crate) const MOST_MOVE: f64 = 0.5;
-/// Bodies whose contact is added up at once.
-const CONTACTS: usize = 8;
 /// In place of infinity.
 const FAR: f64 = 1e30;
 
@@ -295,8 +293,7 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<D
     };
     let rates = robots.iter().map(|robot| robot.state.rates.len()).max()?;
     let answer = format!(
-        "const ROBOT_HEADS: u32 = {heads}u;\nconst ROBOT_LINKS: u32 = {links}u;\nconst ROBOT_RATES: u32 = {rates}u;\n\
-         const ROBOT_CONTACTS: u32 = {CONTACTS}u;\n{}",
+        "const ROBOT_HEADS: u32 = {heads}u;\nconst ROBOT_LINKS: u32 = {links}u;\nconst ROBOT_RATES: u32 = {rates}u;\n{}",
         include_str!("../robot.wgsl")
     );
     let answer = DeviceAnswer { wgsl: answer, groups: robots.iter().map(group).collect() };

@@ -10,8 +10,10 @@ use serde::{Deserialize, Serialize};
 pub(crate) struct Sensed {
     /// Gravity [m/s²].
     gravity: DVec3,
-    /// Velocity of the base's frame before the step [m/s].
+    /// Velocity of the base's frame before the step [m/s], and how much of the step has gone since [s].
     before: DVec3,
+    #[serde(skip)]
+    gone: f64,
     /// Mean acceleration of the base's frame less gravity, along the world's axes [m/s²].
     specific_force: DVec3,
     /// Bodies that touched what is rigid: where [m], and with what mean force [N].
@@ -32,7 +34,7 @@ impl Robot {
         base.twist(&self.step.rates).at(base.frame.position - base.centre)
     }
 
-    /// Takes note of how the base moves before a step under `gravity` [m/s²].
+    /// Takes note of how the base moves before a step of all levels under `gravity` [m/s²].
     pub(super) fn sense_start(&mut self, gravity: DVec3) {
         let before = self.base_velocity();
         self.state.sensed = Sensed { before, ..Sensed::at_start(gravity) };
@@ -66,11 +68,12 @@ impl Robot {
         self.state.sensed.gravity = gravity;
     }
 
-    /// Takes note of how the base moves after a step of `dt` [s].
+    /// Takes note of how the base moves after a step of `dt` [s], or a further part of one where levels take steps of their own.
     pub(super) fn sense_end(&mut self, dt: f64) {
         let now = self.base_velocity();
         let sensed = &mut self.state.sensed;
-        sensed.specific_force = (now - sensed.before) / dt - sensed.gravity;
+        sensed.gone += dt;
+        sensed.specific_force = (now - sensed.before) / sensed.gone - sensed.gravity;
     }
 
     /// What its sensors say; what the soft ground does is not known here.
@@ -78,7 +81,7 @@ impl Robot {
         let (base, sensed) = (self.state.base, &self.state.sensed);
         let along_base = |x: DVec3| (base.rotation.conjugate() * x).to_array();
         let link = |body: usize| LinkState {
-            name: self.body_name(body),
+            name: self.body_name(body).to_owned(),
             centre: self.pose(body).position.to_array(),
             ground: Wrench::default(),
             rigid: (sensed.rigid.iter().filter(|felt| felt.0 == body))

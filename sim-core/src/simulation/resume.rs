@@ -259,6 +259,7 @@ impl Simulation {
             cut_steps: self.cut_steps,
             watch: self.watch,
             wrenches: self.wrenches.clone(),
+            reports_bodies: self.reports_bodies,
             in_batch: true,
             ..Self::start(Arc::clone(&self.plan), &self.backend, engine, couplings)
         })

@@ -301,7 +301,14 @@ impl Engine for Falling {
         let factor = if self.past(&self.fate.stiffens_at) { 0.1 } else { 1.0 };
         Bound { dt: self.bound.dt * factor, by: self.bound.by.clone() }
     }
-    fn steps(&mut self, time: f64, dt: f64, _: usize, couplings: &mut [Box<dyn Coupling>]) -> Result<Vec<StepReport>> {
+    fn steps(
+        &mut self,
+        time: f64,
+        dt: f64,
+        _: usize,
+        couplings: &mut [Box<dyn Coupling>],
+        _: bool,
+    ) -> Result<Vec<StepReport>> {
         let is_mute = self.fate.mute.load(Ordering::Relaxed);
         if is_mute { Ok(Vec::new()) } else { Ok(vec![self.step(time, dt, couplings)?]) }
     }

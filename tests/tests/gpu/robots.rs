@@ -107,6 +107,11 @@ fn a_robot_lands_on_the_device_as_on_the_cpu() {
         assert_eq!(passes_of(&device, "gather") + passes_of(&many, "gather"), 0, "{levels}: steps on the host");
         assert!(left(&many) == left(&device), "{levels}: many steps at once leave other bits");
         assert_eq!(format!("{:?}", many.joints()), format!("{:?}", device.joints()));
+        assert_eq!(format!("{:?}", many.robots()), format!("{:?}", device.robots()), "{levels}: sensors");
+        let felt = |simulation: &Simulation| DVec3::from_array(simulation.robots()[0].specific_force);
+        let off = (felt(&device) - felt(&cpu)).length();
+        println!("  specific force {:.2} m/s², {off:.1e} apart", felt(&cpu).length());
+        assert!(off < 1e-2, "{levels}: specific force {} and {}", felt(&device), felt(&cpu));
     }
 }
 

@@ -21,8 +21,10 @@ fn coupling_sample(i: u32) -> vec4<f32> { var one = vec4<f32>(f32(i)); return on
 
 /// What the functions of groups may use of the pass in which they answer; [`DeviceAnswer`](barchan_core::coupling::DeviceAnswer) says what it is.
 const STRUCTURES: [&str; 4] = ["CouplingTwist", "CouplingPose", "CouplingSystem", "CouplingRow"];
-const KINDS: [&str; 5] = ["TWIST_FREE", "TWIST_EXPECTED", "TWIST_TRIED", "TWIST_STEP", "TWIST_LAST"];
-const FUNCTIONS_OF_PASS: [&str; 25] = [
+const CONSTANTS: [&str; 6] = ["TWIST_FREE", "TWIST_EXPECTED", "TWIST_TRIED", "TWIST_STEP", "TWIST_LAST", "GROUP_ROOM"];
+const FUNCTIONS_OF_PASS: [&str; 27] = [
+    "group_room",
+    "set_group_room",
     "group_moves",
     "group_dt",
     "group_cell",
@@ -161,7 +163,7 @@ fn stand_ins(own: &[String]) -> String {
     for name in STRUCTURES.iter().filter(is_free) {
         let _ = writeln!(all, "{}}}", of(&format!("struct {name} {{"), "}").unwrap_or_default());
     }
-    for name in KINDS.iter().filter(is_free) {
+    for name in CONSTANTS.iter().filter(is_free) {
         let _ = writeln!(all, "{}", of(&format!("const {name}:"), "\n").unwrap_or_default());
     }
     for name in FUNCTIONS_OF_PASS.iter().filter(is_free) {
@@ -208,7 +210,7 @@ mod tests {
     fn all_that_functions_of_groups_may_use_stands_in_the_pass() {
         let text = stand_ins(&[]);
         let names = declared_names(&text);
-        for name in STRUCTURES.iter().chain(&KINDS).chain(&FUNCTIONS_OF_PASS) {
+        for name in STRUCTURES.iter().chain(&CONSTANTS).chain(&FUNCTIONS_OF_PASS) {
             assert!(names.iter().any(|declared| declared == name), "{name} is not in\n{text}");
         }
         check_law(&law(GRIPS, ANSWERS), false).unwrap();

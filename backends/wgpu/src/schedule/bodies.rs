@@ -98,17 +98,21 @@ pub(crate) struct DeviceContact {
 }
 
 /// Bodies of a world over the steps of a submission.
-pub(crate) struct Driven {
-    /// The couplings before each step, and after the last.
-    pub(crate) saved: Vec<Vec<Vec<u8>>>,
-    /// Bodies of all couplings after each step.
-    pub(crate) after: Vec<Vec<BodyState>>,
+pub(crate) struct Driven<'a> {
+    /// The steps that they go.
+    pub(crate) steps: usize,
+    /// Does the device move all of them? Then the couplings are after each step as they are after the first, until they are told what came of it.
+    all_held: bool,
+    /// The couplings before each step, and after the last; only before the first if the device moves all bodies.
+    saved: Vec<Vec<Vec<u8>>>,
+    /// Bodies of all couplings after each step, if somebody asks for them.
+    after: Vec<Vec<BodyState>>,
     /// As the device reads them, step by step.
-    pub(crate) packed: Vec<Vec<[f32; 4]>>,
+    packed: Vec<Vec<[f32; 4]>>,
     /// Boxes of blocks near them on each level, likewise.
-    pub(crate) near: Vec<Vec<Vec<BlockBox>>>,
+    near: Vec<Vec<Vec<BlockBox>>>,
     /// Groups that the device moves, and what happened to their bodies in each step.
-    pub(crate) held: Vec<HeldGroup>,
+    pub(crate) held: &'a [HeldGroup],
     pub(crate) moved: Vec<Vec<BodyStep>>,
 }
 
@@ -119,9 +123,10 @@ pub(crate) fn go_on<T: Clone>(all: &mut Vec<T>, count: usize) {
     }
 }
 
-/// Takes a world's couplings back, or on, to what they were before a step.
-pub(crate) fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven>, step: usize) -> Result<()> {
-    let saved = driven.iter().flat_map(|driven| &driven.saved[step]);
+/// Takes a world's couplings, which have gone all of their steps, back to what they were before one of them.
+pub(crate) fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven<'_>>, step: usize) -> Result<()> {
+    let is_there = |driven: &&Driven<'_>| step == driven.steps || (driven.all_held && step > 0);
+    let saved = driven.iter().filter(|driven| !is_there(driven)).flat_map(|driven| &driven.saved[step]);
     couplings.iter_mut().zip(saved).try_for_each(|(coupling, saved)| {
         coupling.restore(saved).map_err(|what| Error::Body {
             path: format!("coupling '{}'", coupling.name()),
@@ -224,6 +229,9 @@ impl WgpuBatch {
                     self.add_laws(&laws, all)?;
                 }
                 self.worlds[w].groups = laws.groups(self.h);
+                let known = |body: BodyState| (body.name, body.mass);
+                let all = couplings.iter().map(|coupling| coupling.bodies().into_iter().map(known).collect());
+                self.worlds[w].bodies = all.collect();
                 self.write_table(w, laws.table);
                 self.worlds[w].first_bodies = laws.firsts;
                 place = Place::Device;
@@ -287,29 +295,31 @@ impl WgpuBatch {
     }
 
     /// Lets a world's driven bodies go through up to `count` steps: no further than to where its levels have to move after them.
-    pub(crate) fn drive(
+    pub(crate) fn drive<'a>(
         &self,
         world_step: &mut WorldStep<'_>,
         dt: f64,
         count: usize,
-        held: &[HeldGroup],
-    ) -> Result<Option<Driven>> {
+        held: &'a [HeldGroup],
+    ) -> Result<Option<Driven<'a>>> {
         let couplings = &mut *world_step.couplings;
         if couplings.is_empty() {
             return Ok(None);
         }
-        let saved = vec![save(couplings)];
+        // Bodies that the device moves stay where they are here: if it moves all, one step is like the next.
+        let of_groups = held.iter().map(|group| group.bodies.len()).sum::<usize>();
+        let all_held = of_groups == couplings.iter().map(|coupling| coupling.wrenches().len()).sum::<usize>();
         let mut driven = Driven {
-            saved,
+            steps: 0,
+            all_held,
+            saved: vec![save(couplings)],
             after: Vec::new(),
             packed: Vec::new(),
             near: Vec::new(),
-            held: held.to_vec(),
+            held,
             moved: Vec::new(),
         };
-        let bodies = self.contact.device.as_ref().map_or(0, |contact| contact.needs.bodies);
-        // Bodies that the device moves stay where they are here: if it moves all, one step is like the next.
-        let all_held = held.iter().map(|group| group.bodies.len()).sum::<usize>() == bodies_of(couplings).len();
+        let needs = self.contact.device.as_ref().map(|contact| contact.needs).unwrap_or_default();
         let seen = if all_held { count.min(1) } else { count };
         let mut go = || {
             let each = dt / self.substeps as f64;
@@ -325,14 +335,23 @@ impl WgpuBatch {
                 couplings.iter_mut().try_for_each(|coupling| coupling.before_step(at, each))?;
                 // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
                 let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
-                let mut packed = pack_all(couplings, firsts, before, held, bodies);
+                let pack = |couplings: &[Box<dyn Coupling>], levels| {
+                    if needs.driven { pack_all(couplings, firsts, levels, held, needs.bodies) } else { Vec::new() }
+                };
+                let mut packed = pack(couplings, before);
                 couplings.iter_mut().try_for_each(|coupling| coupling.after_step(at, each))?;
-                packed.extend(pack_all(couplings, firsts, after, held, bodies));
+                packed.extend(pack(couplings, after));
                 driven.packed.push(packed);
                 if (slot + 1) % self.substeps == 0 {
                     // As a simulation counts it: a path knows the last bit.
                     time += dt;
-                    driven.after.push(bodies_of(couplings));
+                    driven.steps += 1;
+                    if world_step.reports_bodies {
+                        driven.after.push(bodies_of(couplings));
+                    }
+                    if all_held {
+                        break;
+                    }
                     driven.saved.push(save(couplings));
                     if self.worlds[world_step.world].adapt.must_follow(couplings, |body| softs.get(&body).copied()) {
                         break;
@@ -342,12 +361,13 @@ impl WgpuBatch {
             Ok(())
         };
         if let Err(error) = go() {
+            driven.steps = usize::MAX;
             go_back(world_step.couplings, &Some(driven), 0)?;
             return Err(error);
         }
         if all_held {
-            go_on(&mut driven.after, count);
-            go_on(&mut driven.saved, count + 1);
+            driven.steps = count;
+            go_on(&mut driven.packed, count * self.substeps);
             go_on(&mut driven.near, count * self.substeps);
         }
         Ok(Some(driven))
@@ -357,7 +377,7 @@ impl WgpuBatch {
     pub(crate) fn write_bodies(
         &self,
         world_steps: &[WorldStep<'_>],
-        driven: &BTreeMap<usize, Option<Driven>>,
+        driven: &BTreeMap<usize, Option<Driven<'_>>>,
         steps: usize,
     ) {
         let Some(contact) = self.contact.device.as_ref().filter(|contact| contact.needs.driven) else { return };
@@ -379,7 +399,7 @@ impl WgpuBatch {
     pub(crate) fn write_near(
         &mut self,
         world_steps: &[WorldStep<'_>],
-        driven: &BTreeMap<usize, Option<Driven>>,
+        driven: &BTreeMap<usize, Option<Driven<'_>>>,
         steps: usize,
     ) -> Result<()> {
         if !self.may_sleep() {
@@ -407,15 +427,18 @@ impl WgpuBatch {
     /// Says in each step's report where a world's bodies were and what they felt.
     pub(crate) fn report_bodies(
         &self,
-        driven: Driven,
+        driven: Driven<'_>,
         impulses: &[[f32; 4]],
         world_step: &mut WorldStep<'_>,
         reports: &mut [StepReport],
     ) {
         let Some(contact) = &self.contact.device else { return };
         let each = 2 * contact.needs.bodies;
-        let Driven { after, moved, .. } = driven;
-        for (s, (report, mut after)) in reports.iter_mut().zip(after).enumerate() {
+        let Driven { after, moved, all_held, .. } = driven;
+        let numbers = self.numbers(world_step);
+        let mut after = after.into_iter();
+        let mut last = None;
+        for (s, report) in reports.iter_mut().enumerate() {
             // Over all levels' steps within this one.
             let sum = |k: usize| {
                 let mut sum = [0.0; 3];
@@ -431,17 +454,20 @@ impl WgpuBatch {
             };
             let per_step = |impulse: Vec3| impulse.map(|x| x / report.dt);
             let of_impulse = |[force, torque]: [Vec3; 2]| Wrench { force: per_step(force), torque: per_step(torque) };
-            let numbers = self.numbers(world_step);
             let mut wrenches: Vec<_> =
                 numbers.iter().map(|number| of_impulse([sum(2 * number), sum(2 * number + 1)])).collect();
+            // Where the device moves all, the host has gone one step for all of them.
+            last = after.next().or(last.filter(|_| all_held));
             for felt in moved.get(s).into_iter().flatten() {
                 if let Some(b) = numbers.iter().position(|number| *number == felt.number) {
-                    after[b] = felt.body.clone();
                     wrenches[b] = of_impulse([felt.impulse.force, felt.impulse.torque]);
+                    if let (Some(bodies), Some(body)) = (&mut last, &felt.body) {
+                        bodies[b].clone_from(body);
+                    }
                 }
             }
             report.wrenches = Some(wrenches);
-            report.bodies = Some(after);
+            report.bodies.clone_from(&last);
         }
         if let Some(StepReport { wrenches: Some(wrenches), .. }) = reports.last() {
             let mut rest = &wrenches[..];

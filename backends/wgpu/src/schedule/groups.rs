@@ -59,8 +59,8 @@ pub(crate) struct HeldBody {
 pub(crate) struct BodyStep {
     /// Its number on the device.
     pub(crate) number: usize,
-    /// The body afterwards.
-    pub(crate) body: BodyState,
+    /// The body afterwards, if somebody asks for it.
+    pub(crate) body: Option<BodyState>,
     /// Impulse and angular impulse from the ground.
     pub(crate) impulse: Wrench,
 }
@@ -160,7 +160,7 @@ impl WgpuBatch {
                 continue;
             }
             let mut leashes = coupling.leashes(world_step.time, dt, steps)?.into_iter();
-            let (bodies, boxes) = (coupling.bodies(), coupling.bounds());
+            let (bodies, boxes) = (&world.bodies[c], coupling.bounds());
             let states = coupling.device_state().into_iter();
             let known = world.groups[c].iter();
             for (number, ((Group { bodies: own, mass }, state), known)) in
@@ -168,13 +168,13 @@ impl WgpuBatch {
             {
                 let mut held = Vec::with_capacity(own.len());
                 for (own, known) in own.zip(&known.bodies) {
-                    let name = &bodies[own].name;
+                    let (name, mass) = (&bodies[own].0, bodies[own].1);
                     let of_levels = world.adapt.leash(name, &boxes[own], |body| softs.get(&body).copied());
                     let of_others = self.keep_off(world_step, c, &boxes[own], dt * steps as f64)?;
                     let leash = leashes.next()?.intersection(&of_levels).intersection(&of_others);
                     let followed = world.adapt.follows(name);
                     let number = world.first_bodies[c] + own;
-                    let (mass, rooms) = (bodies[own].mass, rooms_around(known, self.h).next_multiple_of(ABREAST));
+                    let rooms = rooms_around(known, self.h).next_multiple_of(ABREAST);
                     held.push(HeldBody { own, number, mass, extent: known.extent, rooms, leash, followed });
                 }
                 all.push(HeldGroup { coupling: c, number, mass, state, bodies: held });
@@ -251,11 +251,12 @@ pub(crate) struct GroupReader {
 }
 
 impl GroupReader {
-    /// Hands a world's couplings their groups' states after each of the steps that are done; `groups` is what came back.
+    /// Hands a world's couplings their groups' states after the steps that are done; `groups` is what came back. Where nobody asks where bodies were in between,
+    /// the last two are enough: sensors say how motion changed in the last one.
     pub(crate) fn take_groups(
         self,
         world_step: &mut WorldStep<'_>,
-        driven: &mut Option<Driven>,
+        driven: &mut Option<Driven<'_>>,
         groups: &[u32],
         done: usize,
     ) -> Result<()> {
@@ -265,61 +266,88 @@ impl GroupReader {
         }
         let places = self.places;
         let all: &[Words] = bytemuck::cast_slice(groups);
-        for s in 0..done {
-            let slots = s * self.substeps..(s + 1) * self.substeps;
-            let mut steps = Vec::new();
-            for (c, coupling) in world_step.couplings.iter_mut().enumerate() {
-                let mut b = world_step.world * places.room.bodies;
-                let (mut own, mut impulses) = (Vec::new(), Vec::new());
-                for (k, group) in (world_step.world * places.room.groups..).zip(&driven.held) {
-                    let first = b;
-                    b += group.bodies.len();
-                    if group.coupling == c {
-                        let (step, felt) = read_group(all, places, [k, first], group, slots.clone(), self.h);
-                        own.push(step);
-                        impulses.extend(group.bodies.iter().zip(felt));
-                    }
+        driven.moved.resize_with(done, Vec::new);
+        for (c, coupling) in world_step.couplings.iter_mut().enumerate() {
+            let mut b = world_step.world * places.room.bodies;
+            let mut own = Vec::new();
+            for (k, group) in (world_step.world * places.room.groups..).zip(driven.held) {
+                if group.coupling == c {
+                    own.push((group, [k, b]));
                 }
-                if own.is_empty() {
+                b += group.bodies.len();
+            }
+            if own.is_empty() {
+                continue;
+            }
+            let mut counts = vec![[0; 2]; own.len()];
+            for (s, moved) in driven.moved.iter_mut().enumerate() {
+                let slots = s * self.substeps..(s + 1) * self.substeps;
+                let before = moved.len();
+                for ((group, at), counts) in own.iter().zip(&mut counts) {
+                    let felt = read_impulses(all, places, *at, group, slots.clone(), counts);
+                    let step =
+                        |(held, impulse): (&HeldBody, Wrench)| BodyStep { number: held.number, body: None, impulse };
+                    moved.extend(group.bodies.iter().zip(felt).map(step));
+                }
+                if !world_step.reports_bodies && s + 2 < done {
                     continue;
                 }
-                coupling.take_device_state(&own)?;
-                let bodies = coupling.bodies();
-                steps.extend(impulses.into_iter().map(|(held, impulse)| BodyStep {
-                    number: held.number,
-                    body: bodies[held.own].clone(),
-                    impulse,
-                }));
+                let states = own.iter().zip(&mut counts).map(|((group, at), counts)| {
+                    let [deep_nodes, unconverged] = std::mem::take(counts);
+                    let state = read_state(all, places, *at, group, slots.end - 1, self.h);
+                    GroupStep { state, deep_nodes, unconverged }
+                });
+                coupling.take_device_state(&states.collect::<Vec<_>>())?;
+                if world_step.reports_bodies {
+                    let mut bodies: Vec<_> = coupling.bodies().into_iter().map(Some).collect();
+                    let held = own.iter().flat_map(|(group, _)| &group.bodies);
+                    for (step, held) in moved[before..].iter_mut().zip(held) {
+                        step.body = bodies[held.own].take();
+                    }
+                }
             }
-            driven.moved.push(steps);
         }
         Ok(())
     }
 }
 
-/// What came of a group, with that number and first body among all worlds', in the slots of a step, and what each of its bodies felt.
-fn read_group(
+/// What each body of a group, with that number and first body among all worlds', felt in the slots of a step. Adds up what is counted: nodes that are deep inside, and
+/// solutions that did not converge.
+fn read_impulses(
     all: &[Words],
     places: Places,
-    [k, first]: [usize; 2],
+    [_, first]: [usize; 2],
     group: &HeldGroup,
     slots: Range<usize>,
-    h: f64,
-) -> (GroupStep, Vec<Wrench>) {
+    counts: &mut [u64; 2],
+) -> Vec<Wrench> {
     let real = |v: Words| [0, 1, 2].map(|d| f64::from(f32::from_bits(v[d])));
-    let mut step = GroupStep::default();
     let mut felt = vec![Wrench::default(); group.bodies.len()];
     for slot in slots {
-        let here = &all[slot * places.of_slot()..];
-        let state = |b: usize| &here[(first + b) * BODY_STATE..][..BODY_STATE];
+        let state = |b: usize| &all[slot * places.of_slot() + (first + b) * BODY_STATE..][..BODY_STATE];
         for (b, felt) in felt.iter_mut().enumerate() {
             let impulse = Wrench { force: real(state(b)[3]), torque: real(state(b)[4]) };
             felt.add_change(&Wrench::default(), &impulse, 1.0);
         }
-        step.deep_nodes += u64::from(state(0)[3][3]);
-        step.unconverged += u64::from(state(0)[4][3]);
-        step.state.words = here[places.words(k)..][..group.state.words.len()].to_vec();
-        step.state.bodies = (0..felt.len()).map(|b| read_pose(state(b), h)).collect();
+        counts[0] += u64::from(state(0)[3][3]);
+        counts[1] += u64::from(state(0)[4][3]);
     }
-    (step, felt)
+    felt
+}
+
+/// The state of a group, with that number and first body among all worlds', after a slot.
+fn read_state(
+    all: &[Words],
+    places: Places,
+    [k, first]: [usize; 2],
+    group: &HeldGroup,
+    slot: usize,
+    h: f64,
+) -> GroupState {
+    let here = &all[slot * places.of_slot()..];
+    let pose = |b: usize| read_pose(&here[(first + b) * BODY_STATE..], h);
+    GroupState {
+        words: here[places.words(k)..][..group.state.words.len()].to_vec(),
+        bodies: (0..group.bodies.len()).map(pose).collect(),
+    }
 }

@@ -20,6 +20,7 @@ pub(crate) fn some_of<'a>(world_steps: &'a mut [WorldStep<'_>], which: impl Fn(u
         world: world_step.world,
         time: world_step.time,
         couplings: &mut *world_step.couplings,
+        reports_bodies: world_step.reports_bodies,
     })
     .collect()
 }
@@ -52,7 +53,7 @@ impl WgpuBatch {
             for &t in &going {
                 match self.drive(&mut world_steps[t], dt, steps, &held[t]) {
                     Ok(of_turn) => {
-                        steps = of_turn.as_ref().map_or(steps, |driven| driven.after.len());
+                        steps = of_turn.as_ref().map_or(steps, |driven| driven.steps);
                         driven.insert(t, of_turn);
                     }
                     Err(error) => failed[t] = Some(error),
@@ -172,7 +173,7 @@ impl WgpuBatch {
         &mut self,
         world_steps: &mut [WorldStep<'_>],
         failed: Vec<Option<Error>>,
-        mut driven: BTreeMap<usize, Option<Driven>>,
+        mut driven: BTreeMap<usize, Option<Driven<'_>>>,
         outcome: &Outcome,
         dt: f64,
     ) -> Result<Vec<Result<Vec<StepReport>>>> {

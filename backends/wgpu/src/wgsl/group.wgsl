@@ -117,6 +117,18 @@ fn set_group_rate(which: u32, i: u32, rate: f32) {
     group_rates[which * GROUP_RATES + i] = rate;
 }
 
+// Room for what a function works out on its way; nothing stays there when it is left. The first row of sums keeps its place.
+const GROUP_ROOM: u32 = 704u;
+const_assert GROUP_ROOM == COLUMNS * ROWS;
+
+fn group_room(i: u32) -> vec4<f32> {
+    return exchange[i / ROWS * COLUMN + i % ROWS + 1u];
+}
+
+fn set_group_room(i: u32, v: vec4<f32>) {
+    exchange[i / ROWS * COLUMN + i % ROWS + 1u] = v;
+}
+
 // What nodes gave to a body in the contact that was met last; and what they gave in the slot before, of the same step.
 fn group_impulse(b: u32) -> CouplingTwist {
     return gained[b];

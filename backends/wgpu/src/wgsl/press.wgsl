@@ -4,8 +4,8 @@
 // These are two: so many of the first one's unit make a modulus times the square of a cell's width, and so many of the second one's the first one's unit.
 const COARSE_UNITS: f32 = 4096.0;
 const FINE_UNITS: f32 = 524288.0;
-// How far from a cell's node a particle of that cell may be, drift and all, and how far a particle reaches [cells].
-const PRESS_NEAR: f32 = 3.3;
+// How far a particle's half may reach [cells].
+const PRESS_HALF: f32 = 0.7;
 
 // Threads, those that write a node each, and how many particles near a body are dealt to all; a thread sees to further ones by itself.
 const PRESSING: u32 = 256u;
@@ -18,6 +18,8 @@ const NEAR_WORDS: u32 = (PRESSED_BODIES + 31u) / 32u;
 var<workgroup> found_near: array<atomic<u32>, NEAR_WORDS>;
 var<workgroup> near: array<u32, NEAR_WORDS>;
 var<workgroup> layer: u32;
+// How far particles have drifted from their cells at most [cells].
+var<workgroup> drifted: f32;
 var<workgroup> sums: array<atomic<i32>, 384>;
 var<workgroup> found: atomic<u32>;
 // Where they stand, and the first cell of their block, counted from the first of the nodes' block.
@@ -40,6 +42,11 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         go = u32(atomicLoad(&status[HALTED]) == 0u && g < atomicLoad(&status[NODE_BLOCKS]));
         layer = u32(lists[entry].w);
         go = select(0u, go, is_live(layer));
+        drifted = 1.0;
+        if !SUBCYCLED {
+            // P2G has noted it; finer levels that step more often have moved since.
+            drifted = min(bitcast<f32>(atomicLoad(&status[step_word(step.number, layer, DRIFT)])), 1.0);
+        }
     }
     if workgroupUniformLoad(&go) == 0u {
         return;
@@ -47,12 +54,18 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     layer_now = workgroupUniformLoad(&layer);
     let width = H / shrink_of(layer_now);
     let first = lists[entry].xyz * 4;
+    // Cells by whose particles the block's nodes may be reached: a cell around it, and one more if they may have drifted by half of one. And how far from the
+    // middle of a cell the end of a particle may be, which stands in its corner and has drifted.
+    let drift = workgroupUniformLoad(&drifted);
+    let margin = select(2u, 1u, drift < 0.49);
+    let side = 4u + 2u * margin;
+    let near_by = (PRESS_HALF + 1.7321 * (0.51 + drift)) * width;
     for (var b = thread; b < PRESSED_BODIES; b += PRESSING) {
         if !may_be_near(b, first) {
             continue;
         }
         let body = pressed_body(b);
-        if all(first + vec3<i32>(3) >= body.least) && all(first <= body.most) {
+        if all(first + vec3<i32>(3) >= body.least) && all(first <= body.most) && is_within_reach(body, first) {
             atomicOr(&found_near[b >> 5u], 1u << (b & 31u));
             note_near(b);
         }
@@ -73,18 +86,20 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         let body = pressed_body(b);
         // From the body's reference point to the block's first cell [cells].
         let corner = vec3<f32>(first - body.cell) - body.place;
-        // Cells by whose particles these nodes may be reached: a cell around the block, and one more since they drift.
-        for (var start = 0u; start < 512u; start += PRESSING) {
+        for (var start = 0u; start < side * side * side; start += PRESSING) {
             let c = start + thread;
-            let cell = vec3<i32>(vec3<u32>(c >> 6u, (c >> 3u) & 7u, c & 7u)) - vec3<i32>(2);
+            let cell = vec3<i32>(vec3<u32>(c / (side * side), (c / side) % side, c % side)) - vec3<i32>(i32(margin));
             let arm = (corner + vec3<f32>(cell) + vec3<f32>(0.5)) * width;
             let middle = arm.x * body.rows[0] + arm.y * body.rows[1] + arm.z * body.rows[2];
-            let block = block_beside(entry, cell >> vec3<u32>(2u));
+            var block = NONE;
+            if c < side * side * side {
+                block = block_beside(entry, cell >> vec3<u32>(2u));
+            }
             if block != NONE {
                 let in_block = vec3<u32>(cell & vec3<i32>(3));
                 let own = (in_block.x << 4u) | (in_block.y << 2u) | in_block.z;
                 let count = cells[block * 64u + own + 1u] - cells[block * 64u + own];
-                if count > 0u && coupling_distance(body.number, middle, width) <= PRESS_NEAR * width {
+                if count > 0u && coupling_distance(body.number, middle, width) <= near_by {
                     let to = atomicAdd(&found, count);
                     for (var r = 0u; r < count; r++) {
                         let one = vec2<u32>(slot_of(block, own, r), u32(pack_block(cell >> vec3<u32>(2u))));

@@ -108,6 +108,8 @@ pub(crate) struct World {
     pub(crate) first_bodies: Vec<usize>,
     /// And what each coupling's groups ask of it.
     pub(crate) groups: Vec<Vec<DeviceGroup>>,
+    /// Each coupling's bodies: name and mass [kg].
+    pub(crate) bodies: Vec<Vec<(String, f64)>>,
     /// Steps of the finest level in one.
     pub(crate) substeps: u32,
     /// Has a subcycled step ended in the middle, with finer levels ahead of coarser ones?
@@ -201,6 +203,7 @@ impl World {
             contact: None,
             first_bodies: Vec::new(),
             groups: Vec::new(),
+            bodies: Vec::new(),
             substeps: plan.substeps,
             torn: None,
             last_dt: 0.0,
