@@ -68,7 +68,7 @@ var<workgroup> robot_mass: array<f32, ROBOT_RATES * ROBOT_RATES>;
 var<workgroup> robot_matrix: array<f32, ROBOT_RATES * ROBOT_ROW>;
 var<workgroup> robot_go_on: u32;
 
-// What the table says of the robot, of the thread's own link, and its momentum.
+// What the table says of the robot, of the thread's own link, and of the drive whose rate has the thread's number; and its momentum.
 var<private> robot_links: u32;
 var<private> robot_links_at: u32;
 var<private> robot_drives: u32;
@@ -78,6 +78,7 @@ var<private> robot_rates: u32;
 var<private> robot_depth: u32;
 var<private> robot_bodies: u32;
 var<private> robot_link: array<vec4<f32>, ROBOT_LINK>;
+var<private> robot_drive: array<vec4<f32>, ROBOT_DRIVE>;
 var<private> robot_lacks: RobotWrench;
 var<private> robot_linear: vec3<f32>;
 var<private> robot_angular: vec3<f32>;
@@ -115,10 +116,6 @@ fn robot_turned(q: vec4<f32>, r: vec4<f32>) -> vec4<f32> {
 fn robot_rotated(q: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
     let t = 2.0 * cross(q.xyz, v);
     return v + q.w * t + cross(q.xyz, t);
-}
-
-fn robot_drive(d: u32, i: u32) -> vec4<f32> {
-    return coupling_table(robot_drives_at + d * ROBOT_DRIVE + i);
 }
 
 fn robot_link_of(x: f32) -> u32 {
@@ -208,12 +205,15 @@ fn robot_take_up(group: u32, thread: u32) {
     if thread < robot_base_rates {
         robot_head[thread] = 0u;
         robot_free[thread] = bitcast<f32>(group_word(3u + thread / 3u)[thread % 3u]);
+    } else if thread < robot_rates {
+        let own = robot_drives_at + (thread - robot_base_rates) * ROBOT_DRIVE;
+        robot_drive = array<vec4<f32>, ROBOT_DRIVE>(coupling_table(own), coupling_table(own + 1u), coupling_table(own + 2u));
+        robot_head[thread] = robot_link_of(robot_drive[0].x);
     }
     if thread < robot_drives {
         let word = group_word(ROBOT_WORDS + thread);
         robot_position[thread] = robot_number(word.xy);
         robot_free[robot_base_rates + thread] = bitcast<f32>(word.z);
-        robot_head[robot_base_rates + thread] = robot_link_of(robot_drive(thread, 0u).x);
         robot_told[thread] = robot_order_of(group, thread, word);
     }
     workgroupBarrier();
@@ -412,14 +412,15 @@ fn robot_compose(thread: u32) {
         robot_mass[i * ROBOT_RATES + j] = robot_mass_of(i, j);
     }
     workgroupBarrier();
+    if thread >= robot_base_rates && thread < robot_rates {
+        robot_mass[thread * (ROBOT_RATES + 1u)] += robot_drive[1].w;
+    }
+    workgroupBarrier();
 }
 
 // Power for each unit of both rates that the momentum of what both move takes.
 fn robot_mass_of(i: u32, j: u32) -> f32 {
     var sum = 0.0;
-    if i == j && i >= robot_base_rates {
-        sum = robot_drive(i - robot_base_rates, 1u).w;
-    }
     var a = robot_head[i];
     for (var turn = 0u; turn < robot_links && a != ROBOT_NONE; turn++) {
         var b = robot_head[j];
@@ -469,12 +470,12 @@ fn robot_correct(thread: u32) {
     workgroupBarrier();
 }
 
-// A drive's motor at a rate: its torque, and by how much that falls for each unit.
+// The motor of the thread's drive, number `d`, at a rate: its torque, and by how much that falls for each unit.
 fn robot_motor(d: u32, rate: f32) -> RobotImpulse {
-    let limits = robot_drive(d, 0u);
-    let speed = robot_drive(d, 1u).x;
+    let limits = robot_drive[0];
+    let speed = robot_drive[1].x;
     let told = robot_told[d];
-    let gains = robot_drive(d, 2u).xy * told.w;
+    let gains = robot_drive[2].xy * told.w;
     let demand = gains.x * (told.x - group_dt() * rate) + gains.y * (told.y - rate) + told.z;
     let effort = limits.w;
     let fade = ROBOT_FADE * speed;
@@ -489,11 +490,11 @@ fn robot_motor(d: u32, rate: f32) -> RobotImpulse {
     return RobotImpulse(demand, gains.x * group_dt() + gains.y);
 }
 
-// All that acts in a joint over the step, if it ends with this rate.
+// All that acts in the joint of the thread's drive over the step, if it ends with this rate.
 fn robot_impulse(d: u32, rate: f32) -> RobotImpulse {
     let dt = group_dt();
-    let limits = robot_drive(d, 0u);
-    let losses = robot_drive(d, 1u);
+    let limits = robot_drive[0];
+    let losses = robot_drive[1];
     let motor = robot_motor(d, rate);
     let grown = sqrt(rate * rate + ROBOT_CREEP * ROBOT_CREEP);
     let calm = ROBOT_CREEP / grown;
@@ -515,6 +516,7 @@ fn robot_impulse(d: u32, rate: f32) -> RobotImpulse {
     return sum;
 }
 
+// `i` is the thread's number.
 fn robot_joint(i: u32, rate: f32) -> RobotImpulse {
     if i < robot_base_rates {
         return RobotImpulse(0.0, 0.0);
