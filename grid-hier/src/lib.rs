@@ -12,6 +12,7 @@ pub mod adapt;
 pub mod archive;
 pub mod block;
 pub mod bounds;
+pub mod due;
 pub mod limits;
 pub mod particles;
 pub mod resample;

@@ -1,6 +1,9 @@
 //! What this crate's stages are on GPUs, as WGSL, beside the Rust that does the same. A backend puts bindings and what passes share before these
 //! texts, and applies their conditions (`@if(...)`, as in WESL).
 
+/// When particles are to be sorted.
+pub const DUE: &str = include_str!("due.wgsl");
+
 /// Particles to grid. Conditions: levels, subcycled, mirrored, sleeps, stiffens.
 pub const P2G: &str = include_str!("transfer/p2g.wgsl");
 /// Sums over parent cells in P2G, for rims.

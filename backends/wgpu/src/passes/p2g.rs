@@ -5,6 +5,7 @@ use crate::passes::binding::{
     CELLS, Draft, Found, GRID, Groups, HANDED, LISTED, LISTS, RECORD, STATUS, Uniform, WATCH, blocks, written,
 };
 use crate::passes::conditions::chosen;
+use crate::passes::since_sort::SINCE_SORT;
 use crate::passes::sleep::WATCH_WORDS;
 use crate::passes::unrolled::of_p2g;
 use barchan_grid::wgsl;
@@ -44,7 +45,8 @@ pub(crate) fn p2g([sleeps, mirrored, levels, subcycled, stiffens]: [bool; 5], pa
             include_str!("../wgsl/rounds.wgsl"),
             include_str!("../wgsl/reaches_wall.wgsl"),
             include_str!("../wgsl/wall.wgsl"),
-            include_str!("../wgsl/since_sort.wgsl"),
+            SINCE_SORT[0],
+            SINCE_SORT[1],
             if stiffens { include_str!("../wgsl/too_stiff.wgsl") } else { "" },
         ]
         .concat(),

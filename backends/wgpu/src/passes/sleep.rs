@@ -4,6 +4,7 @@ use crate::passes::binding::{
     CELLS, Draft, Groups, LISTS, OWNERS, RECORD, RIMS, Role, STATUS, Uniform, Use, WATCH, blocks, written,
 };
 use crate::passes::conditions::chosen;
+use crate::passes::since_sort::SINCE_SORT;
 
 /// What passes know of the rest of blocks.
 pub(crate) const WATCH_WORDS: &str = include_str!("../wgsl/watch_words.wgsl");
@@ -17,8 +18,7 @@ pub(crate) fn watch(levels: bool) -> Draft {
     Draft {
         name: "watch",
         entry: "watch_blocks",
-        body: [&body, WATCH_WORDS, include_str!("../wgsl/watch_booked.wgsl"), include_str!("../wgsl/since_sort.wgsl")]
-            .concat(),
+        body: [&body, WATCH_WORDS, include_str!("../wgsl/watch_booked.wgsl"), &SINCE_SORT.concat()].concat(),
         uses,
         uniform: Uniform::None,
         groups: blocks(levels),

@@ -6,6 +6,7 @@ use crate::passes::binding::{
 };
 use crate::passes::conditions::chosen;
 use crate::passes::scene::{may_sleep, regions};
+use crate::passes::since_sort::SINCE_SORT;
 use crate::passes::sleep::WATCH_WORDS;
 use barchan_core::Plan;
 use barchan_core::scene::Leaving;
@@ -73,7 +74,7 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         Draft {
             name: "due",
             entry: "due",
-            body: [include_str!("../wgsl/since_sort.wgsl"), include_str!("../wgsl/sort_due.wgsl")].concat(),
+            body: SINCE_SORT.concat() + include_str!("../wgsl/sort_due.wgsl"),
             uses: vec![STATUS],
             uniform: Uniform::None,
             groups: Groups::LayersBy(64),
