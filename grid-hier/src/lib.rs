@@ -14,6 +14,7 @@ pub mod block;
 pub mod bounds;
 pub mod due;
 pub mod limits;
+pub mod near;
 pub mod particles;
 pub mod resample;
 pub mod rest;
