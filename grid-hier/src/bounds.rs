@@ -5,10 +5,6 @@ use crate::wall::{Mirror, Mirrors, Separation};
 use barchan_core::Plan;
 use barchan_core::scene::{WHOLE_CELL, Wall};
 
-/// Particles that left the world are put back when particles are sorted, which is before any is further outside than
-/// this, in cells. Backends sort at different times, and this makes them put particles back in the same step.
-pub const PUT_BACK_DRIFT: f64 = 0.05;
-
 /// Where the world ends, in cells of one level.
 #[derive(Clone, Debug)]
 pub struct Bounds {

@@ -10,8 +10,6 @@ pub const MAX_MOVE: f64 = 0.5;
 pub const NODE_MOVE: f64 = 0.48;
 /// Drift since the last sort that the halo allows, in cells.
 pub const MAX_DRIFT: f64 = 1.0;
-/// Steps after which particles are sorted again, if they have moved at all: a late sort costs the transfers more than it saves.
-pub const SORT_AGE: u32 = 20;
 /// Strain is applied in parts, each of which deforms by no more than this.
 pub const MAX_DEFORMATION: f64 = 0.5;
 /// Upper limit of the number of parts. No motion from the grid needs as many, since nodes move by half a cell at most.

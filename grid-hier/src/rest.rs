@@ -1,4 +1,4 @@
-//! When ground at rest sleeps: the constants of the rule, for every backend.
+//! When ground at rest sleeps, for every backend: constants of the rule, and how steps at rest are counted. In WGSL: `rest/watch.wgsl` and those beside it.
 
 use crate::block::SIDE;
 use barchan_core::Aabb;
@@ -9,6 +9,11 @@ pub const RESTED: u16 = 50;
 pub const ASLEEP: u16 = u16::MAX;
 /// Cells around a tool that stay awake.
 pub const NEAR_TOOL: f64 = 4.0;
+
+/// The count of a block whose particles have moved at up to this speed in a step, if up to `slow` is slow [m/s].
+pub fn count(rest: u16, speed: f64, slow: f64) -> u16 {
+    if speed <= slow { (rest + 1).min(RESTED) } else { 0 }
+}
 
 /// First and last of the blocks that stay awake for a tool, on a level with cells of width `h` [m].
 pub fn near_tool(tool: &Aabb, h: f64) -> [[i32; 3]; 2] {

@@ -1,5 +1,5 @@
-//! ARCHITECTURE.md is true: the paths of its stage table exist, and crates depend on each other as it says. And what can end a program says
-//! why it cannot happen.
+//! ARCHITECTURE.md is true: the paths of its stage table exist, and crates depend on each other as it says. So is `docs/cases.md`: the tests that it names
+//! exist. And what can end a program says why it cannot happen.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -42,6 +42,38 @@ fn every_path_of_the_stage_table_exists() {
     }
     for path in quoted(text.split("## Seams").nth(1).expect("a section on seams")).filter(|path| path.contains('/')) {
         assert!(root().join(path).is_file(), "{path} does not exist");
+    }
+}
+
+/// The tests that `docs/cases.md` names, each behind its file: "`FILE`: `TEST`, `TEST`".
+fn tests_of_cases(text: &str) -> Vec<(String, &str)> {
+    let full = |path: &str| match path.split_once('/') {
+        Some(("suite" | "gpu", _)) | None => format!("tests/tests/{path}"),
+        _ => path.to_owned(),
+    };
+    let (mut tests, mut file, mut between) = (Vec::new(), None, "");
+    for (i, piece) in text.split('`').enumerate() {
+        match (i % 2, &file) {
+            (0, _) => between = piece.trim(),
+            _ if piece.ends_with(".rs") => file = Some(full(piece)),
+            (_, Some(path)) if [":", ","].contains(&between) => tests.push((String::clone(path), piece)),
+            _ => file = None,
+        }
+    }
+    tests
+}
+
+/// Symptom guarded against: a test is renamed, moved or deleted, and the case that it held is held by nobody.
+#[test]
+fn every_test_that_a_case_names_exists() {
+    let text = std::fs::read_to_string(root().join("docs/cases.md")).unwrap();
+    let tests = tests_of_cases(text.split("\n## A.").nth(1).expect("a section of known answers"));
+    assert!(tests.len() > 160, "{} tests were read", tests.len());
+    for (file, test) in tests {
+        let code = std::fs::read_to_string(root().join(&file)).unwrap_or_else(|e| panic!("{file}: {e}"));
+        let before = code.split(&format!("fn {test}(")).next().filter(|before| before.len() < code.len());
+        let before = before.unwrap_or_else(|| panic!("{file} has no {test}"));
+        assert!(before.trim_end().ends_with("#[test]"), "{test} in {file} is no test");
     }
 }
 
@@ -91,6 +123,7 @@ fn crates_depend_on_each_other_along_the_arrows_only() {
                 "barchan-cli",
                 "barchan-seam-backend",
                 "barchan-seam-coupling",
+                "barchan-seam-observer",
                 "barchan-seam-task",
             ]),
             _ if folder.starts_with("tests/seams/") => BTreeSet::from(["barchan"]),

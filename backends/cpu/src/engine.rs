@@ -20,10 +20,8 @@ use barchan_core::{
 };
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
-use barchan_grid::bounds::PUT_BACK_DRIFT;
-use barchan_grid::limits::{
-    self, LEAST_MASS, MAX_DEFORMATION, MAX_DRIFT, MAX_MOVE, MAX_PARTS, SORT_AGE, STIFFNESS_AGE, greater,
-};
+use barchan_grid::due::{MARGIN_DRIFT, ON_PROCESSOR, is_sort_due, most_drift};
+use barchan_grid::limits::{self, LEAST_MASS, MAX_DEFORMATION, MAX_MOVE, MAX_PARTS, STIFFNESS_AGE, greater};
 use barchan_grid::particles::Run;
 use barchan_grid::transfer::{Scalar, Step};
 use barchan_lanes::{CHUNK, Isa};
@@ -34,11 +32,6 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A sort that finds nobody far from home is not worth its time.
-const SORT_DRIFT: f64 = 0.4;
-/// As long as regions stay, nobody on a level has to change it before something there has moved by this since the last sort, in cells:
-/// levels have a margin for that.
-const MARGIN_DRIFT: f64 = 0.2;
 /// A pass that is timed.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Pass {
@@ -180,23 +173,11 @@ impl<T: Scalar> CpuEngine<T> {
     /// Sorts the levels whose particles are too far from home, or have been so for long; before that, brings particles to the
     /// levels they belong on; `before` are the regions as they were if they have moved. Returns whether anything was sorted.
     fn keep_in_order(&mut self, time: f64, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
-        // A subcycled step moves particles several times before they can be sorted; and who leaves the world is to be found within a cell.
-        let allowed = |level: &Level<T>| {
-            let soon = self.schedule.slots > 1 || (self.leaving == Leaving::Error && level.near_open);
-            let puts_back = self.leaving == Leaving::Clamp && level.near_open;
-            if puts_back {
-                PUT_BACK_DRIFT
-            } else if soon {
-                MAX_DRIFT - MAX_MOVE
-            } else {
-                MAX_DRIFT
-            }
+        let is_due = |level: &Level<T>| {
+            let most = most_drift(self.leaving, level.near_open, self.schedule.slots > 1);
+            self.age.is_none_or(|age| is_sort_due(age, level.drift, most, &ON_PROCESSOR))
         };
-        let late = |level: &Level<T>| match self.age {
-            None => true,
-            Some(age) => level.drift > allowed(level) || (age >= SORT_AGE && level.drift > SORT_DRIFT),
-        };
-        let mut due: Vec<bool> = self.levels.iter().map(late).collect();
+        let mut due: Vec<bool> = self.levels.iter().map(is_due).collect();
         if before.is_none() && !due.contains(&true) {
             return Ok(false);
         }

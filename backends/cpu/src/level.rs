@@ -10,6 +10,7 @@ use barchan_core::{Aabb, NearParticle, NodeBatch, Plan};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::limits::{FULL_SPEED, greater};
+use barchan_grid::near::gather_block;
 use barchan_grid::ring::{self, Carried};
 use barchan_grid::transfer::{Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
 use barchan_grid::wall::Mirror;
@@ -430,36 +431,22 @@ impl<T: Scalar> Level<T> {
         self.batch_block_of.clear();
         self.batch_block_of.resize(self.grid.keys.len(), NONE);
         self.batch_blocks.clear();
-        let h = self.store.cell_width;
-        batch.cell_width = h;
-        let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
+        batch.cell_width = self.store.cell_width;
         for (g, (&key, nodes)) in self.grid.keys.iter().zip(&self.grid.nodes).enumerate() {
             let first = block::of_key(key).map(|b| b * SIDE);
-            let extent = Aabb { min: first.map(centre), max: first.map(|c| centre(c + SIDE - 1)) };
-            if !boxes.iter().any(|b| b.meets(&extent)) {
-                continue;
-            }
             let mut numbers = [NodeBatch::NONE; CELLS];
             let so_far = batch.len();
             let mut shared =
                 self.grid.shared[entries(&self.grid.shared_starts, g)].iter().filter(|_| subcycled).peekable();
-            for n in 0..CELLS {
-                let node = &nodes[4 * n..4 * n + 4];
+            let node = |n: usize| {
+                let [u, v, w, mass] = [0, 1, 2, 3].map(|k| nodes[4 * n + k]);
                 let own = shared.next_if(|shared| shared.node as usize % CELLS == n).map(|shared| shared.own[3]);
-                let mass = own.unwrap_or(node[3]).to_f64();
-                if mass <= least {
-                    continue;
-                }
-                let local = [(n / 16) as i32, (n / 4 % 4) as i32, (n % 4) as i32];
-                let x = std::array::from_fn(|d| centre(first[d] + local[d]));
-                if boxes.iter().any(|b| b.contains(x)) {
-                    numbers[n] = batch.len() as u32;
-                    batch.position.push(x);
-                    batch.mass.push(mass);
-                    batch.velocity.push([node[0].to_f64(), node[1].to_f64(), node[2].to_f64()]);
-                    self.batch_nodes.push((g * CELLS + n) as u32);
-                }
-            }
+                ([u, v, w].map(T::to_f64), own.unwrap_or(mass).to_f64())
+            };
+            gather_block(batch, boxes, first, least, node, |n, _, number| {
+                numbers[n] = number;
+                self.batch_nodes.push((g * CELLS + n) as u32);
+            });
             if batch.len() > so_far {
                 self.batch_block_of[g] = self.batch_blocks.len() as u32;
                 self.batch_blocks.push(numbers);

@@ -12,7 +12,7 @@ use barchan_core::Coupling;
 use barchan_core::account::kinetic;
 use barchan_grid::block::{self, NONE, TILE};
 use barchan_grid::particles::MASS;
-use barchan_grid::rest::{ASLEEP, RESTED, near_tool};
+use barchan_grid::rest::{self, ASLEEP, RESTED, near_tool};
 use barchan_grid::transfer::{Scalar, Step};
 use barchan_lanes::Isa;
 use rayon::prelude::*;
@@ -73,7 +73,7 @@ impl Watch {
 
     /// The count of a block whose particles have moved at up to this speed [m/s].
     pub(crate) fn count(&self, rest: u16, speed: f64) -> u16 {
-        if speed <= self.slow { (rest + 1).min(RESTED) } else { 0 }
+        rest::count(rest, speed, self.slow)
     }
 }
 

@@ -64,6 +64,7 @@ fn as_text(registry: &Registry) -> String {
     section("couplings", &mut couplings(registry));
     section("backends", &mut backends(registry));
     section("tasks", &mut tasks(registry));
+    section("observers", &mut observers(registry));
     section("scenes", &mut scenes().into_iter().map(|(name, doc)| (name, doc, Vec::new())));
     text
 }
@@ -76,6 +77,11 @@ fn backends(registry: &Registry) -> impl Iterator<Item = (String, String, Vec<Pa
 }
 fn tasks(registry: &Registry) -> impl Iterator<Item = (String, String, Vec<Parameter>)> {
     registry.tasks().map(|(name, kind)| (name.to_owned(), kind.doc.clone(), kind.parameters.clone()))
+}
+
+/// What observers see is the scene and the simulation: they have no parameters.
+fn observers(registry: &Registry) -> impl Iterator<Item = (String, String, Vec<Parameter>)> {
+    registry.observers().map(|(name, doc)| (name.to_owned(), doc.to_owned(), Vec::new()))
 }
 
 /// A parameter: name, default, range or type, what it is; below it the keys of a table.
@@ -170,6 +176,7 @@ fn as_json(registry: &Registry) -> Value {
         "couplings": all(&mut couplings(registry)),
         "backends": all(&mut backends(registry)),
         "tasks": all(&mut tasks(registry)),
+        "observers": all(&mut observers(registry)),
         "scenes": scenes().into_iter().map(scene).collect::<Vec<_>>(),
     })
 }

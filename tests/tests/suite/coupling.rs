@@ -21,7 +21,7 @@ fn collision(contact: &str, motion: &str) -> String {
 /// A9 i: in an isolated system total momentum and angular momentum cannot change, whatever the contact does. A push-out
 /// without reaction, an impulse applied elsewhere than where it was taken, or one counted twice would show at once.
 #[test]
-fn a9_isolated_collision_conserves_momentum_and_angular_momentum() {
+fn isolated_collision_conserves_momentum_and_angular_momentum() {
     for contact in ["{ coulomb = { friction = 0.4 } }", "\"stick\"", "\"slip\""] {
         for (precision, tolerance) in [(Precision::F64, 1e-13), (Precision::F32, 1e-6)] {
             let mut pair = simulation(&collision(contact, "{ free = { mass = 8 } }"), precision);
@@ -46,7 +46,7 @@ fn a9_isolated_collision_conserves_momentum_and_angular_momentum() {
 
 /// A9 ii: a box at rest on sand is borne by exactly its weight.
 #[test]
-fn a9_resting_box_feels_its_weight() {
+fn resting_box_feels_its_weight() {
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
     let head = Head { gravity_ramp: 0.1, ..Head::cells(0.02, [16, 16, 20], walls) }.time("safety = 0.5");
     let scene = head.with(&[
@@ -89,7 +89,7 @@ fn a9_resting_box_feels_its_weight() {
 
 /// A9 iii: what sticks together ends with the common velocity of both masses.
 #[test]
-fn a9_sticking_capture_ends_with_the_common_velocity() {
+fn sticking_capture_ends_with_the_common_velocity() {
     // Head on, so that the pair does not turn and the box's mean velocity is the pair's. Clay, not rubber: a rebound would tear
     // it off again.
     let scene = Head::space(0.05).time("step = 2e-4").with(&[
@@ -111,7 +111,7 @@ fn a9_sticking_capture_ends_with_the_common_velocity() {
 
 /// A9 v: the wrench reported for a driven tool is the momentum that left the ground, to rounding.
 #[test]
-fn a9_force_on_a_driven_tool_is_the_momentum_removed_from_the_ground() {
+fn force_on_a_driven_tool_is_the_momentum_removed_from_the_ground() {
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 1e-6)] {
         let motion = "{ velocity = { linear = [-0.5, 0.1, 0.0] } }";
         let scene = collision("{ coulomb = { friction = 0.3 } }", motion);
@@ -139,7 +139,7 @@ fn a9_force_on_a_driven_tool_is_the_momentum_removed_from_the_ground() {
 /// A10: a block on an incline accelerates by g (sin theta - mu cos theta), or stays; whatever the angle between plane and grid.
 /// A friction law that mixes up impulse and force, or sees the grid's axes, would not.
 #[test]
-fn a10_block_on_an_incline_obeys_coulomb() {
+fn block_on_an_incline_obeys_coulomb() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = box_mesh(folder.path(), [0.16, 0.08, 0.04]);
     let slope = f64::to_radians(30.0);

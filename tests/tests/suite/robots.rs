@@ -386,7 +386,7 @@ fn springs(dog: &Simulation, kp: f64, targets: &[f64]) -> f64 {
 
 /// B46: however light the feet and however stiff the motors, a fall from half a metre onto elastic ground creates no energy.
 #[test]
-fn b46_a_fall_creates_no_energy_whatever_the_feet_weigh_and_the_gains_are() {
+fn a_fall_creates_no_energy_whatever_the_feet_weigh_and_the_gains_are() {
     for kp in [0.0, 20.0, 300.0, 2000.0] {
         for foot in ["0.05", "0.005", "5"] {
             let folder = tempfile::tempdir().unwrap();

@@ -24,7 +24,7 @@ fn inner(ledger: &Ledger) -> f64 {
 /// particles it would gain energy twelvefold in one turn; with forces that act for unlike times on their two ends, momentum
 /// would go. Mass, momentum, angular momentum and energy are held, next to the same ball with one step for all.
 #[test]
-fn b41_a_ball_spins_through_levels_with_steps_of_their_own() {
+fn a_ball_spins_through_levels_with_steps_of_their_own() {
     for (levels, safety) in [(2, 0.5), (3, 0.5), (2, 0.8)] {
         let mut lost = Vec::new();
         for subcycle in [false, true] {

@@ -21,7 +21,7 @@ fn cloud(gravity: Vec3) -> String {
 /// A1, free flight: symplectic Euler gives z_n = z_0 + v_0 n dt - g dt² n (n + 1)/2 exactly. A lost gravity impulse, a wrong
 /// order of kick and drift, or a cell crossing that loses a digit of position would show.
 #[test]
-fn a1_free_flight_is_exact() {
+fn free_flight_is_exact() {
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-6 * 500f64.sqrt() * 10.0)] {
         let mut flight = simulation(&cloud([0.0, 0.0, -9.81]), precision);
         let start = rows(&flight);
@@ -43,7 +43,7 @@ fn a1_free_flight_is_exact() {
 /// A1, affine patch: v = a + B x and C = B on particles at random places with random masses must come back after P2G and
 /// G2P. Any inconsistency of weights, affine term or D shows at first order.
 #[test]
-fn a1_affine_fields_are_reproduced() {
+fn affine_fields_are_reproduced() {
     let a = [0.3, -0.2, 0.1];
     let b = [0.2, -0.4, 0.3, 0.1, -0.3, 0.5, -0.6, 0.2, 0.1];
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-5)] {
@@ -104,7 +104,7 @@ fn standing_wave(cells: u32) -> f64 {
 /// A2: a longitudinal standing wave has a known solution; the scheme must converge to it at second order. A wrong D, a lumped
 /// force or a first-order wall would drop the order.
 #[test]
-fn a2_standing_wave_converges_at_second_order() {
+fn standing_wave_converges_at_second_order() {
     let expected = [(8, 0.240), (16, 0.0708), (32, 0.0181), (64, 0.00453)];
     let errors: Vec<f64> = expected.iter().map(|(cells, _)| standing_wave(*cells)).collect();
     for ((cells, reference), error) in expected.iter().zip(&errors) {
@@ -119,7 +119,7 @@ fn a2_standing_wave_converges_at_second_order() {
 /// A4: a free rotating cylinder keeps linear momentum and angular momentum exactly and its kinetic energy but for its own
 /// radial vibration. A transfer without the affine term passes a test of linear momentum and loses half the energy.
 #[test]
-fn a4_rotating_cylinder_keeps_its_momenta_and_energy() {
+fn rotating_cylinder_keeps_its_momenta_and_energy() {
     let h = 1.0 / 128.0;
     let (young, nu, rho, omega) = (1e4f64, 0.3, 1000.0, 6.0);
     let c_p = (young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / rho).sqrt();
@@ -174,7 +174,7 @@ fn stresses(column: &Simulation) -> Vec<[f64; 6]> {
 /// A3: in a column at rest under gravity sigma_zz = -rho g (H - z) and K0 = max(nu/(1 - nu), (1 - sin phi)/(1 + sin phi)) for
 /// this cone. A wall half a cell soft makes K0 wrong by 7 to 11 %.
 #[test]
-fn a3_column_at_rest_bears_its_weight_and_k0() {
+fn column_at_rest_bears_its_weight_and_k0() {
     for (phi_deg, nu, k0) in [(30.0, 0.2, 1.0f64 / 3.0), (30.0, 0.3, 3.0 / 7.0), (45.0, 0.2, 0.25)] {
         let (h, height, rho, g) = (0.02, 0.48, 1500.0, 9.81);
         let (head, sand) = bed(
@@ -220,7 +220,7 @@ fn a3_column_at_rest_bears_its_weight_and_k0() {
 /// A5 in a cell: sand sheared steadily between periodic sides reaches tau/sigma_zz = 2 sqrt 3 sin phi/(3 - sin phi) with all
 /// normal stresses equal. The same law at a material point is tested beside the law; here the transfers are in between.
 #[test]
-fn a5_sheared_sand_mobilises_the_friction_of_its_cone() {
+fn sheared_sand_mobilises_the_friction_of_its_cone() {
     for phi_deg in [20.0f64, 30.0] {
         let head = Head { gravity: [0.0; 3], ..Head::cells(0.1, [4, 4, 4], PERIODIC) }.time("step = 1e-4");
         let parameters = format!("young_modulus = 1e6, poisson_ratio = 0.2, friction_angle_deg = {phi_deg}");
@@ -254,7 +254,7 @@ fn a5_sheared_sand_mobilises_the_friction_of_its_cone() {
 /// A10, infinite slope: sand on a no-slip base flows when tan theta exceeds sin phi_ps of its cone, and stops below. Comparing
 /// with phi itself would be 14 degrees off.
 #[test]
-fn a10_infinite_slope_flows_above_the_angle_of_its_cone_only() {
+fn infinite_slope_flows_above_the_angle_of_its_cone_only() {
     let phi = 20f64.to_radians();
     let mobilised = plane_shear_friction(phi);
     let critical = mobilised.atan().to_degrees();

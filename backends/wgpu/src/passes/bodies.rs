@@ -13,7 +13,9 @@ use crate::passes::coupling_check::workgroup_bytes;
 use crate::passes::couplings::Laws;
 use crate::passes::rims::at_rims;
 use crate::passes::scene::coupling_table;
+use barchan_core::contact;
 use barchan_grid::rest::NEAR_TOOL;
+use barchan_grid::wgsl;
 
 /// Contact with driven bodies on the device, so many in each of the worlds, whose tables have so many vectors, of which the last are the
 /// materials': how particles press, the law, then the sums of impulses, level by level.
@@ -34,11 +36,11 @@ pub(crate) fn contact_drafts(
     let bodies_now: Use = ("bodies", "vec4<f32>", Role::Bodies, false);
     let partials: Use = ("partials", "vec4<f32>", Role::Partials, false);
     let impulses: Use = ("impulses", "vec4<f32>", Role::Impulses, true);
-    let of_bodies = [&count, body, include_str!("../wgsl/press_driven.wgsl")].concat();
+    let of_bodies = [&count, body, contact::wgsl::PRESS_DRIVEN].concat();
     let press =
         press_draft("press", laws, &of_bodies, [vectors, materials], [worlds, levels], [bodies_now, written(partials)]);
-    let (text, own) = of_own_mass(subcycled, include_str!("../wgsl/contact.wgsl"));
-    let mirrors = include_str!("../wgsl/mirrors.wgsl");
+    let (text, own) = of_own_mass(subcycled, contact::wgsl::CONTACT);
+    let mirrors = wgsl::MIRRORS;
     let contact = Draft {
         name: "contact",
         entry: "contact",
@@ -76,12 +78,12 @@ pub(crate) fn press_draft<const N: usize>(
         entry: "press",
         body: [
             &of_materials,
-            include_str!("../wgsl/pressed.wgsl"),
+            contact::wgsl::PRESSED,
             &table,
             &laws.wgsl,
             of_bodies,
             include_str!("../wgsl/rounds.wgsl"),
-            include_str!("../wgsl/press.wgsl"),
+            contact::wgsl::PRESS,
         ]
         .concat(),
         uses: [LISTS, CELLS, RECORD, STATUS].into_iter().chain(uses).collect(),
@@ -130,12 +132,9 @@ pub(crate) fn fits_workgroups(gpu: &Gpu, setting: &Setting, worlds: usize, draft
 }
 
 pub(crate) fn press_answering_draft(laws: &Laws, counts: [usize; 2], shape: [usize; 2], room: Answering) -> Draft {
-    let of_bodies = [
-        &answering_counts(room, laws),
-        include_str!("../wgsl/answering.wgsl"),
-        include_str!("../wgsl/press_answering.wgsl"),
-    ]
-    .concat();
+    let of_bodies =
+        [&answering_counts(room, laws), include_str!("../wgsl/answering.wgsl"), contact::wgsl::PRESS_ANSWERING]
+            .concat();
     press_draft("press on answering bodies", laws, &of_bodies, counts, shape, [ANSWERING])
 }
 
@@ -216,7 +215,7 @@ pub(crate) fn near_drafts(subcycled: bool) -> [Draft; 3] {
     let near: Use = ("near", "vec4<u32>", Role::Near, false);
     let around: Use = ("around", "vec4<i32>", Role::Around, false);
     let block = format!("const NEAR_BLOCK: u32 = {NEAR_BLOCK}u;\n");
-    let mirrors = include_str!("../wgsl/mirrors.wgsl");
+    let mirrors = wgsl::MIRRORS;
     let (gather, own) = of_own_mass(subcycled, &(mirrors.to_owned() + include_str!("../wgsl/gather.wgsl")));
     let rounds = include_str!("../wgsl/rounds.wgsl");
     let draft = |name, body: &str, uses, groups| Draft {

@@ -205,6 +205,7 @@ mod tests {
         let mut all = vec![("prelude".to_owned(), include_str!("../prelude.wgsl").to_owned())];
         files(&crates.join("src/wgsl"), &mut all);
         files(&crates.join("../../grid-hier/src"), &mut all);
+        files(&crates.join("../../sim-core/src"), &mut all);
         all.sort();
         // A part of a function, to be put into another one.
         all.retain(|(name, _)| name != "answer_awake");

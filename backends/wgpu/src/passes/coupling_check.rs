@@ -2,6 +2,7 @@
 
 use crate::passes::couplings::{FUNCTIONS, Function, OF_GROUPS};
 use crate::passes::wgsl_words::{declared_names, words_at_module_scope};
+use barchan_core::contact;
 use barchan_core::coupling::DeviceLaw;
 use barchan_core::{Coupling, Error, Result};
 use naga::AddressSpace;
@@ -10,7 +11,7 @@ use naga::valid::{Capabilities, ValidationFlags, Validator};
 use std::error::Error as _;
 use std::fmt::Write as _;
 
-const GRIP: &str = include_str!("../wgsl/contact_law.wgsl");
+const GRIP: &str = contact::wgsl::CONTACT_LAW;
 const GROUP: [&str; 2] = [include_str!("../wgsl/group.wgsl"), include_str!("../wgsl/answering.wgsl")];
 
 /// What any coupling may read.

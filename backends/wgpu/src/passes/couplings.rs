@@ -2,6 +2,7 @@
 
 use crate::passes::wgsl_words::{declared_names, renamed};
 use barchan_core::Coupling;
+use barchan_core::contact;
 use barchan_core::coupling::{DeviceGroup, DeviceLaw, Group};
 use std::fmt::Write as _;
 
@@ -129,7 +130,7 @@ impl Laws {
         let answering = own.iter().filter(|law| !law.answer.groups.is_empty());
         Some(Self {
             counted: own.iter().all(|law| law.counted),
-            wgsl: [include_str!("../wgsl/contact_law.wgsl"), &is_field, &text].concat(),
+            wgsl: [contact::wgsl::CONTACT_LAW, &is_field, &text].concat(),
             answer,
             reach: answering.map(|law| law.reach).fold(0.0, f64::max),
             table,
@@ -155,7 +156,7 @@ impl Laws {
     pub(crate) fn none() -> Self {
         let is_field = "fn is_field(body: u32) -> bool { return false; }\n";
         let [text, answer] = alone(&DeviceLaw::default());
-        let wgsl = [include_str!("../wgsl/contact_law.wgsl"), is_field, &text].concat();
+        let wgsl = [contact::wgsl::CONTACT_LAW, is_field, &text].concat();
         Self { counted: true, wgsl, answer, ..Self::default() }
     }
 }

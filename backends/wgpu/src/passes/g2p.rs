@@ -5,9 +5,9 @@ use crate::passes::binding::{
 };
 use crate::passes::conditions::chosen;
 use crate::passes::scene::{damps, stiffens};
-use crate::passes::sleep::WATCH_WORDS;
 use crate::passes::unrolled::{gather, unrolled};
 use barchan_core::Plan;
+use barchan_grid::wgsl;
 use barchan_grid::wgsl::G2P;
 
 /// From so many particles on, G2P's threads take several each, so that workgroups start less often. For fewer the loop costs more than it saves.
@@ -29,7 +29,7 @@ pub(crate) fn g2p(plan: &Plan, laws: &str, sleeps: bool, [particles, layers]: [u
         &body,
     ]
     .concat();
-    let watch = if sleeps { [WATCH_WORDS, include_str!("../wgsl/watch_g2p.wgsl")].concat() } else { String::new() };
+    let watch = if sleeps { [wgsl::WATCH_WORDS, wgsl::WATCH_G2P].concat() } else { String::new() };
     let mut uses = vec![written(RECORD), written(REST), OWNERS, LISTS, NODES, STATUS];
     uses.extend(sleeps.then_some(WATCH));
     Draft {

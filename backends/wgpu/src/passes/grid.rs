@@ -6,7 +6,7 @@ use crate::passes::binding::{
 };
 use crate::passes::conditions::chosen;
 use crate::passes::rims::{SHARED_NODES, hand_on};
-use crate::passes::sleep::WATCH_WORDS;
+use barchan_grid::wgsl;
 use barchan_grid::wgsl::HANDED_TO;
 
 /// For passes that need sums of tiles.
@@ -43,7 +43,7 @@ pub(crate) enum Finish {
 
 pub(crate) fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: bool) -> Draft {
     let mirrored = finish == Finish::Mirrored;
-    let mirrors = if mirrored { images() + include_str!("../wgsl/mirrored.wgsl") } else { String::new() };
+    let mirrors = if mirrored { images() + wgsl::MIRRORED } else { String::new() };
     let rims = if levels { include_str!("../wgsl/rim_sums.wgsl") } else { "" };
     let shared = if subcycled {
         [SHARED_NODES, include_str!("../wgsl/keep_back.wgsl"), &hand_on()].concat()
@@ -61,7 +61,7 @@ pub(crate) fn sum_tiles(finish: Finish, levels: bool, subcycled: bool, sleeps: b
         uses = vec![written(LISTS), GRID, STATUS, DIRECTORY, RIMS, written(HANDED), KEPT];
     }
     uses.extend(sleeps.then_some(WATCH));
-    let watch = if sleeps { [WATCH_WORDS, include_str!("../wgsl/watch_grid.wgsl")].concat() } else { String::new() };
+    let watch = if sleeps { [wgsl::WATCH_WORDS, wgsl::WATCH_GRID].concat() } else { String::new() };
     Draft {
         name: "grid",
         entry: "sum_tiles",
@@ -113,7 +113,7 @@ pub(crate) fn separate(axis: usize, back: bool, levels: bool) -> Draft {
     Draft {
         name: if back { "mirror" } else { "separate" },
         entry: if back { "mirror_back" } else { "separate" },
-        body: constants + include_str!("../wgsl/separate.wgsl"),
+        body: constants + wgsl::SEPARATE,
         uses: [DIRECTORY, written(LISTS), GRID, PAIRS, STATUS].into_iter().chain(levels.then_some(RIMS)).collect(),
         uniform: Uniform::None,
         groups: node_blocks(levels),
@@ -125,11 +125,11 @@ pub(crate) fn separate(axis: usize, back: bool, levels: bool) -> Draft {
 pub(crate) fn images() -> String {
     [
         exchange(64).as_str(),
-        include_str!("../wgsl/mirrors.wgsl"),
-        include_str!("../wgsl/behind.wgsl"),
-        include_str!("../wgsl/image.wgsl"),
+        wgsl::MIRRORS,
+        wgsl::BEHIND,
+        wgsl::IMAGE,
         include_str!("../wgsl/sum_of_block.wgsl"),
-        include_str!("../wgsl/wall.wgsl"),
+        wgsl::WALL,
     ]
     .concat()
 }
@@ -147,10 +147,10 @@ pub(crate) fn reflect(sleeps: bool, levels: bool, mirrored: bool) -> Draft {
         body: [
             abreast(1).as_str(),
             &images(),
-            &chosen(include_str!("../wgsl/reflect.wgsl"), &conditions),
+            &chosen(wgsl::REFLECT, &conditions),
             include_str!("../wgsl/velocity_at.wgsl"),
-            include_str!("../wgsl/mirror_node.wgsl"),
-            if sleeps { WATCH_WORDS } else { "" },
+            wgsl::MIRROR_NODE,
+            if sleeps { wgsl::WATCH_WORDS } else { "" },
         ]
         .concat(),
         uses,

@@ -5,7 +5,7 @@ use crate::passes::binding::{
     CELLS, Draft, Found, GRID, Groups, HANDED, LISTED, LISTS, RECORD, STATUS, Uniform, WATCH, blocks, written,
 };
 use crate::passes::conditions::chosen;
-use crate::passes::sleep::WATCH_WORDS;
+use crate::passes::since_sort::SINCE_SORT;
 use crate::passes::unrolled::of_p2g;
 use barchan_grid::wgsl;
 
@@ -22,7 +22,7 @@ pub(crate) fn p2g([sleeps, mirrored, levels, subcycled, stiffens]: [bool; 5], pa
         ("stiffens", stiffens),
     ];
     let body = of_p2g(&chosen(wgsl::P2G, &conditions), ahead);
-    let watch = if sleeps { [WATCH_WORDS, include_str!("../wgsl/watch_p2g.wgsl")].concat() } else { String::new() };
+    let watch = if sleeps { [wgsl::WATCH_WORDS, wgsl::WATCH_P2G].concat() } else { String::new() };
     let mut uses = vec![RECORD, CELLS, written(LISTS), GRID, STATUS];
     uses.extend(sleeps.then_some(WATCH));
     uses.extend(levels.then_some(written(HANDED)));
@@ -42,9 +42,10 @@ pub(crate) fn p2g([sleeps, mirrored, levels, subcycled, stiffens]: [bool; 5], pa
                 ""
             },
             include_str!("../wgsl/rounds.wgsl"),
-            include_str!("../wgsl/reaches_wall.wgsl"),
-            include_str!("../wgsl/wall.wgsl"),
-            include_str!("../wgsl/since_sort.wgsl"),
+            wgsl::REACHES_WALL,
+            wgsl::WALL,
+            SINCE_SORT[0],
+            SINCE_SORT[1],
             if stiffens { include_str!("../wgsl/too_stiff.wgsl") } else { "" },
         ]
         .concat(),

@@ -31,9 +31,9 @@ pub(crate) fn hand_on() -> String {
         wgsl::HANDED,
         wgsl::HAND_ON,
         include_str!("../wgsl/sum_of_block.wgsl"),
-        include_str!("../wgsl/mirrors.wgsl"),
-        include_str!("../wgsl/behind.wgsl"),
-        include_str!("../wgsl/wall.wgsl"),
+        wgsl::MIRRORS,
+        wgsl::BEHIND,
+        wgsl::WALL,
     ]
     .concat()
 }
@@ -41,14 +41,8 @@ pub(crate) fn hand_on() -> String {
 /// Velocities at rims and, subcycled, of nodes that two levels share, so many blocks a workgroup, but for the pass's entry.
 pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
     let own: String = if subcycled {
-        [
-            &sums_of_tiles(blocks),
-            wgsl::HANDED_TO,
-            SHARED_NODES,
-            include_str!("../wgsl/solve.wgsl"),
-            include_str!("../wgsl/mirror_node.wgsl"),
-        ]
-        .concat()
+        [&sums_of_tiles(blocks), wgsl::HANDED_TO, SHARED_NODES, include_str!("../wgsl/solve.wgsl"), wgsl::MIRROR_NODE]
+            .concat()
     } else {
         [&abreast(blocks), include_str!("../wgsl/velocity_at.wgsl"), wgsl::PROLONG_TASKS].concat()
     };
@@ -63,10 +57,10 @@ pub(crate) fn at_rims(subcycled: bool, blocks: u32) -> Draft {
             &own,
             wgsl::PROLONG,
             include_str!("../wgsl/sum_of_block.wgsl"),
-            include_str!("../wgsl/mirrors.wgsl"),
-            include_str!("../wgsl/behind.wgsl"),
-            include_str!("../wgsl/image.wgsl"),
-            include_str!("../wgsl/wall.wgsl"),
+            wgsl::MIRRORS,
+            wgsl::BEHIND,
+            wgsl::IMAGE,
+            wgsl::WALL,
             &chosen(wgsl::RIMS, &[("subcycled", subcycled)]),
             include_str!("../wgsl/listed.wgsl"),
         ]

@@ -4,13 +4,14 @@ use crate::device::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER, vect
 use crate::device::memory::{MAX_STEPS, is_stored};
 use crate::passes::bodies::RIMS_BESIDE;
 use crate::passes::laws::is_asked_on_device;
-use crate::passes::since_sort::{OFTEN_DRIFT, SELDOM_DRIFT, SORT_DRIFT, SORT_OFTEN, SORT_SELDOM, most_drift};
+use crate::passes::since_sort::most_drift;
 use barchan_core::levels::{Agent, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Motion, Wall};
 use barchan_core::{Plan, Stage};
 use barchan_grid::bounds::Bounds;
-use barchan_grid::limits::{MAX_DEFORMATION, MAX_PARTS, NODE_MOVE, SORT_AGE};
+use barchan_grid::due::ON_DEVICE;
+use barchan_grid::limits::{MAX_DEFORMATION, MAX_PARTS, NODE_MOVE};
 use barchan_grid::rest::RESTED;
 
 /// Vectors of four that hold a particle's strain, history and, in their last place, rest volume.
@@ -97,12 +98,14 @@ pub(crate) fn layer_constants(plan: &Plan, worlds: usize) -> String {
     let layers = worlds * levels;
     let (subcycled, most_drift, free) = (plan.substeps > 1, most_drift(plan), worlds * free_bodies(plan));
     let mirrored = mirrors_early(plan);
+    let [often, now_and_then, seldom] = ON_DEVICE.map(|pace| pace.every);
+    let [far, less, least] = ON_DEVICE.map(|pace| pace.drift);
     format!(
         "const LAYERS: u32 = {layers}u;\nconst LEVELS: u32 = {levels}u;\nconst SUBCYCLED: bool = {subcycled};\nconst MIRRORED: bool = {mirrored};\nconst MAX_STEPS: u32 = {MAX_STEPS}u;\nconst FREE_ROOM: u32 = {free}u;\nconst RIMS_BESIDE: u32 = {RIMS_BESIDE}u;\n\
-         const SORT_AGE: u32 = {SORT_AGE}u;\nconst SORT_OFTEN: u32 = {SORT_OFTEN}u;\nconst SORT_SELDOM: u32 = {SORT_SELDOM}u;\n\
+         const SORT_EVERY = vec3<u32>({often}u, {now_and_then}u, {seldom}u);\n\
          const TOGETHER: u32 = {TOGETHER}u;\nconst ROUNDS: u32 = {ROUNDS}u;\n\
          const LEFT_HOME: u32 = {LEFT_HOME}u;\nconst BESIDE: u32 = {BESIDE}u;\nconst BESIDE_BY: u32 = {BESIDE_BY}u;\n\
-         const SORT_DRIFT: f32 = {SORT_DRIFT:?};\nconst SELDOM_DRIFT: f32 = {SELDOM_DRIFT:?};\nconst OFTEN_DRIFT: f32 = {OFTEN_DRIFT:?};\nconst MAX_DRIFT: f32 = {most_drift:?};\n"
+         const SORT_DRIFT = vec3<f32>({far:?}, {less:?}, {least:?});\nconst MAX_DRIFT: f32 = {most_drift:?};\n"
     )
 }
 

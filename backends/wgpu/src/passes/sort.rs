@@ -6,9 +6,10 @@ use crate::passes::binding::{
 };
 use crate::passes::conditions::chosen;
 use crate::passes::scene::{may_sleep, regions};
-use crate::passes::sleep::WATCH_WORDS;
+use crate::passes::since_sort::SINCE_SORT;
 use barchan_core::Plan;
 use barchan_core::scene::Leaving;
+use barchan_grid::wgsl;
 
 /// A pass over particles as a sort sees them.
 pub(crate) fn draft(name: &'static str, entry: &'static str, body: &str, uses: Vec<Use>, groups: Groups) -> Draft {
@@ -39,7 +40,7 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     // Where particles change, or what they gave is noted, passes write.
     let mark_text = chosen(include_str!("../wgsl/sort_mark.wgsl"), &conditions);
     let changed = |binding: Use| if is_error { binding } else { written(binding) };
-    let words = if sleeps { WATCH_WORDS } else { "" };
+    let words = if sleeps { wgsl::WATCH_WORDS } else { "" };
     let link_text = chosen(include_str!("../wgsl/sort_link.wgsl"), &conditions);
     let count_text = chosen(include_str!("../wgsl/sort_count.wgsl"), &conditions);
     let with_watch = |mut uses: Vec<Use>| {
@@ -49,9 +50,9 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     let old_lists = ("old_lists", "vec4<i32>", Role::Now(Sorted::Lists), false);
     let rim_text = [
         include_str!("../wgsl/listed.wgsl"),
-        include_str!("../wgsl/reaches_wall.wgsl"),
-        include_str!("../wgsl/mirrors.wgsl"),
-        include_str!("../wgsl/behind.wgsl"),
+        wgsl::REACHES_WALL,
+        wgsl::MIRRORS,
+        wgsl::BEHIND,
         if unbounded { include_str!("../wgsl/sort_edge.wgsl") } else { "" },
         &chosen(include_str!("../wgsl/sort_rim.wgsl"), &conditions),
     ]
@@ -73,7 +74,7 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
         Draft {
             name: "due",
             entry: "due",
-            body: [include_str!("../wgsl/since_sort.wgsl"), include_str!("../wgsl/sort_due.wgsl")].concat(),
+            body: SINCE_SORT.concat() + include_str!("../wgsl/sort_due.wgsl"),
             uses: vec![STATUS],
             uniform: Uniform::None,
             groups: Groups::LayersBy(64),
@@ -172,7 +173,7 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
     ];
     if sleeps {
         let old_watch = ("old_watch", WATCH.1, WATCH.2, WATCH.3);
-        let text = include_str!("../wgsl/watch_carry.wgsl").to_owned() + words;
+        let text = wgsl::WATCH_CARRY.to_owned() + words;
         let uses = with_watch(vec![old_lists, DIRECTORY, old_watch, STATUS]);
         passes.push(draft("carry", "carry", &text, uses, Groups::BlocksBy(64)));
     }

@@ -8,6 +8,7 @@ use barchan_core::backend::WorldStep;
 use barchan_core::contact::{Act, Contact};
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
 use barchan_grid::limits::{FULL_SPEED, greater};
+use barchan_grid::near::gather_block;
 use std::collections::HashMap;
 use std::ops::Range;
 
@@ -155,28 +156,15 @@ impl Near {
         let Met { h, blocks: ref own, layer } = self.levels[level];
         let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
         let mut numbers = HashMap::new();
-        let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
         for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
-            let extent = Aabb { min: block.first.map(centre), max: block.first.map(|c| centre(c + 3)) };
-            if !boxes.iter().any(|one| one.meets(&extent)) {
-                continue;
-            }
-            for (n, node) in block.nodes.iter().enumerate() {
-                let mass = f64::from(node[3]);
-                if mass <= self.least_mass {
-                    continue;
-                }
-                let local = [(n / 16) as i32, (n / 4 % 4) as i32, (n % 4) as i32];
-                let cell: [i32; 3] = std::array::from_fn(|d| block.first[d] + local[d]);
-                let x = cell.map(centre);
-                if boxes.iter().any(|b| b.contains(x)) {
-                    numbers.insert(cell, batch.len() as u32);
-                    batch.position.push(x);
-                    batch.mass.push(mass);
-                    batch.velocity.push([node[0], node[1], node[2]].map(f64::from));
-                    places.push((b, n));
-                }
-            }
+            let node = |n: usize| {
+                let [u, v, w, mass] = block.nodes[n].map(f64::from);
+                ([u, v, w], mass)
+            };
+            gather_block(&mut batch, boxes, block.first, self.least_mass, node, |n, cell, number| {
+                numbers.insert(cell, number);
+                places.push((b, n));
+            });
         }
         if batch.is_empty() {
             return Ok(0.0);

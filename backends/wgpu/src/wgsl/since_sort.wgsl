@@ -1,5 +1,5 @@
 // When a layer is sorted. This goes by its own steps and its own particles' drift since its last sort alone, so that it does not matter
-// how steps are cut into submissions, or what other layers do; the host knows the same rule (`world.rs`).
+// how steps are cut into submissions, or what other layers do; the host knows the same (`since_sort.rs`).
 struct SinceSort {
     // Steps since the last sort.
     age: u32,
@@ -34,10 +34,7 @@ fn since_sort_of(layer: u32) -> SinceSort {
 
 // Must a layer of that age and drift be sorted before the step?
 fn is_due(since_sort: SinceSort) -> bool {
-    return !(since_sort.drift <= MAX_DRIFT)
-        || (since_sort.age % SORT_OFTEN == 0u && since_sort.drift > OFTEN_DRIFT)
-        || (since_sort.age % SORT_AGE == 0u && since_sort.drift > SORT_DRIFT)
-        || (since_sort.age % SORT_SELDOM == 0u && since_sort.drift > SELDOM_DRIFT);
+    return is_sort_due(since_sort.age, since_sort.drift);
 }
 
 // Must a layer be sorted, which has that age and drift? A world's levels are sorted together.

@@ -11,7 +11,7 @@ use barchan_core::scene::{Export, plain};
 use barchan_core::{BodyState, Error, JointState, Result, Simulation, StepReport, Vec3, Wrench};
 use std::cell::RefCell;
 use std::fs::File;
-use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::Instant;
@@ -100,6 +100,14 @@ impl<'a> Recorder<'a> {
         check_names(guests)?;
         let mut folder = Folder::open(&request.out, request.existing, simulation.plan().memory.0)?;
         let resumed = request.existing == Existing::Resume;
+        let columns: Vec<Vec<String>> = guests.iter().map(|guest| guest.columns()).collect();
+        let named = guests.iter().zip(&columns).flat_map(|(guest, columns)| {
+            columns.iter().map(|column| format!("{} {column}", guest.name())).collect::<Vec<_>>()
+        });
+        let header = header(&simulation.bodies(), &simulation.joints(), named);
+        if resumed {
+            check_header(&request.out, &header)?;
+        }
         let every = |interval: f64| match resumed {
             true => Every::new(interval).after(simulation.time()),
             false => Every::new(interval),
@@ -109,11 +117,6 @@ impl<'a> Recorder<'a> {
         let frames = folder.numbered(FRAMES, past)?;
         folder.numbered(PARTICLES, past)?;
         let pictures = pictures.then(|| Pictures::new(simulation, frames.last().map(PathBuf::as_path))).transpose()?;
-        let columns: Vec<Vec<String>> = guests.iter().map(|guest| guest.columns()).collect();
-        let named = guests.iter().zip(&columns).flat_map(|(guest, columns)| {
-            columns.iter().map(|column| format!("{} {column}", guest.name())).collect::<Vec<_>>()
-        });
-        let header = header(&simulation.bodies(), &simulation.joints(), named);
         let values = vec![None; columns.iter().map(Vec::len).sum()];
         let trace = open_trace(&folder.claim(TRACE)?, simulation, resumed, &header)?;
         let files = Rc::new(RefCell::new(Files { folder, trace, values }));
@@ -367,17 +370,40 @@ impl Observer for Snapshots {
     }
 }
 
+/// Holds the trace of a run that is to go on to the columns that it will have.
+fn check_header(folder: &Path, header: &str) -> Result<()> {
+    let path = folder.join(TRACE);
+    let mut first = String::new();
+    match File::open(&path).and_then(|file| BufReader::new(file).read_line(&mut first)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            return Err(io_error(&path, "reading the trace", error));
+        }
+        _ => {}
+    }
+    // A line that was cut off is written anew.
+    let Some(first) = first.strip_suffix('\n').filter(|first| *first != header) else { return Ok(()) };
+    let (there, here) = (fields(first), fields(header));
+    let more = there.iter().find(|field| !here.contains(field));
+    let less = here.iter().find(|field| !there.contains(field));
+    let what = match (more, less) {
+        (None, None) => "has the columns in another order".to_owned(),
+        (Some(more), None) => format!("has '{more}'"),
+        (None, Some(less)) => format!("lacks '{less}'"),
+        (Some(more), Some(less)) => format!("has '{more}' and lacks '{less}'"),
+    };
+    Err(Error::Folder {
+        folder: folder.to_owned(),
+        what: format!("holds a trace of other columns: it {}", plain(&what)),
+        mend: "go on with the observers that the run had, or choose another folder with --out".to_owned(),
+    })
+}
+
 /// Opens the trace; one that goes on is cut after the present step.
 fn open_trace(path: &Path, simulation: &Simulation, resumed: bool, header: &str) -> Result<BufWriter<File>> {
     let open = || -> io::Result<BufWriter<File>> {
         let mut file = File::options().read(true).write(true).create(true).truncate(!resumed).open(path)?;
         let mut text = String::new();
         file.read_to_string(&mut text)?;
-        if text.lines().next().is_some_and(|first| text.contains('\n') && first != header) {
-            let what =
-                "the trace has other columns; go on with the observers that the run had, or choose another folder";
-            return Err(io::Error::new(io::ErrorKind::InvalidData, what));
-        }
         let step = |line: &str| line.split(',').nth(1).and_then(|s| s.parse::<u64>().ok());
         let kept = text
             .split_inclusive('\n')
@@ -427,6 +453,16 @@ fn header(bodies: &[BodyState], joints: &[JointState], observed: impl Iterator<I
     let columns = columns.chain(joints.iter().flat_map(of_joint));
     let all = ["time [s]", "step", "dt [s]"].map(str::to_owned).into_iter().chain(columns);
     all.chain(observed.map(|column| quoted(&column))).collect::<Vec<_>>().join(",")
+}
+
+/// The fields of a line as [`quoted`] writes them.
+fn fields(line: &str) -> Vec<&str> {
+    let mut inside = false;
+    let ends = |c: char| {
+        inside ^= c == '"';
+        c == ',' && !inside
+    };
+    line.split(ends).collect()
 }
 
 /// A field of a CSV file (RFC 4180), on one line.

@@ -1,4 +1,4 @@
-//! Barchan's command line with more plugins than come with it: a coupling, a backend and a task of other crates.
+//! Barchan's command line with more plugins than come with it: a coupling, a backend, an observer and a task of other crates.
 
 use barchan::{Registry, Result};
 use std::process::ExitCode;
@@ -12,5 +12,6 @@ fn main() -> ExitCode {
 fn register(registry: &mut Registry) -> Result<()> {
     barchan_seam_coupling::register(registry)?;
     barchan_seam_backend::register(registry)?;
+    barchan_seam_observer::register(registry)?;
     barchan_seam_task::register(registry)
 }

@@ -50,9 +50,12 @@ fn the_registry_given_is_listed_beside_what_comes_with_barchan() {
     assert_eq!(names(&plugins, "couplings"), ["brakes", "current", "dumbbell", "rigid", "robots", "rollers"]);
     assert_eq!(names(&plugins, "backends"), ["cpu", "dust", "wgpu"]);
     assert_eq!(names(&plugins, "tasks"), ["push"]);
+    assert_eq!(names(&plugins, "observers"), ["drift"]);
     assert!(names(&plugins, "materials").contains(&"sand".to_owned()));
     let text = succeed(folder.path(), &["plugins"]);
-    for doc in ["A current that drags", "Particles fly without touching", "Push ground along x"] {
+    for doc in
+        ["A current that drags", "Particles fly without touching", "How fast the ground drifts", "Push ground along x"]
+    {
         assert!(text.contains(doc), "no '{doc}' in {text}");
     }
 }
@@ -134,6 +137,49 @@ fn a_scene_file_calls_for_couplings_and_a_task() {
     assert!(column("whirl fx [N]").iter().all(|force| force.abs() < 0.2), "a whirl about the block's middle");
     assert!(column("near fx [N]").iter().chain(&column("far fx [N]")).all(|force| *force == 0.0), "nothing is there");
     assert_eq!(column("blade x [m]")[0], -0.4);
+}
+
+/// A run that is gone on with keeps the columns that observers add to its trace, wherever it was stopped: between two looks and after one. With other
+/// observers it is refused, by the columns, and its folder is left as it was.
+#[test]
+fn columns_of_observers_stay_when_a_run_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let quiet = ["--precision", "f64", "--quiet", "--no-pictures"];
+    let run = |out: &str, steps: &str| {
+        succeed(folder.path(), &[&["run", PUSH, "--out", out, "--steps", steps] as &[&str], &quiet].concat())
+    };
+    let go_on = ["run", "--resume", "--steps", "40", "--precision", "f64", "--quiet", "--no-pictures", "--out"];
+    let trace = |out: &str| fs::read_to_string(folder.path().join(out).join("trace.csv")).unwrap();
+    run("whole", "40");
+    for cut in ["23", "25"] {
+        run(cut, cut);
+        succeed(folder.path(), &[&go_on as &[&str], &[cut]].concat());
+        assert!(trace("whole") == trace(cut), "cut after step {cut}, the trace is another one");
+    }
+    let text = trace("whole");
+    assert!(text.lines().next().unwrap().ends_with(",\"drift vx, mean [m/s]\",drift kinetic [J]"), "{text}");
+    for (step, row) in text.lines().enumerate().skip(1) {
+        let seen: Vec<&str> = row.rsplit(',').take(2).collect();
+        // Looks are 5 steps apart.
+        assert_eq!(seen.iter().all(|value| value.parse::<f64>().is_ok()), step % 5 == 0, "row {step}: {row}");
+        assert_eq!(seen.iter().all(|value| value.is_empty()), step % 5 != 0, "row {step}: {row}");
+    }
+
+    run("other", "25");
+    let path = folder.path().join("other/trace.csv");
+    fs::write(&path, trace("other").replace("drift kinetic [J]", "glide depth [m]")).unwrap();
+    let content = || -> Vec<_> {
+        let mut files: Vec<_> =
+            fs::read_dir(path.parent().unwrap()).unwrap().map(|file| file.unwrap().path()).collect();
+        files.sort();
+        files.into_iter().map(|file| (fs::read(&file).unwrap(), file)).collect()
+    };
+    let before = content();
+    let error = fail(folder.path(), &[&go_on as &[&str], &["other"]].concat());
+    for says in ["has 'glide depth [m]'", "lacks 'drift kinetic [J]'", "go on with the observers that the run had"] {
+        assert!(error.contains(says), "'{says}' is not in: {error}");
+    }
+    assert!(before == content(), "a run that was refused has changed the folder");
 }
 
 /// What is wrong in a scene file is said with file, line and key, and a key of one of two couplings is set by the coupling's name.

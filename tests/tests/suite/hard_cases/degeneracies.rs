@@ -21,7 +21,7 @@ fn filled(law: &str, parameters: &str, precision: Precision) -> Simulation {
 /// isotropic law is smooth there. A uniformly strained periodic box must stay at rest, and stresses of f32 must be those of
 /// f64, at F = I, at three and at two equal stretches, and at stretches 1e-7 apart.
 #[test]
-fn b08_equal_stretches_give_their_limit() {
+fn equal_stretches_give_their_limit() {
     let states =
         [[0.0; 3], [-0.02; 3], [-0.02, -0.02, -0.01], [-0.02, -0.02 + 1e-7, -0.02 + 2e-7], [-1e-7, 0.0, -2e-7]];
     for (law, parameters) in LAWS {
@@ -74,7 +74,7 @@ fn volume(strain: &[f64]) -> f64 {
 /// 1 + dt C must not invert, so a step that deforms by more than half is applied in parts, counted, for the particle's volume
 /// stays positive; what is smaller than the law's floor is floored and counted.
 #[test]
-fn b09_crushing_within_a_step_is_applied_in_parts() {
+fn crushing_within_a_step_is_applied_in_parts() {
     for (law, parameters) in LAWS {
         for strength in [-2.0, -20.0] {
             let mut space = simulation(
@@ -130,7 +130,7 @@ type Spoil = (&'static str, &'static str, fn(&mut Row));
 /// Physics: none; the run stops at once, names the particle of least id, the field and the step, leaves all other particles as
 /// they were, and what is left can be saved, mended and continued.
 #[test]
-fn b10_nan_in_a_particle_is_named_and_does_not_spread() {
+fn nan_in_a_particle_is_named_and_does_not_spread() {
     let spoils: [Spoil; 6] = [
         ("NaN velocity", "velocity", |r| r.v[1] = f64::NAN),
         ("infinite velocity", "velocity", |r| r.v[2] = f64::INFINITY),
@@ -201,7 +201,7 @@ fn b10_nan_in_a_particle_is_named_and_does_not_spread() {
 
 /// B10: a deformation rate that is finite but absurd is refused by name instead of being applied in a billion parts.
 #[test]
-fn b10_absurd_deformation_rate_is_refused() {
+fn absurd_deformation_rate_is_refused() {
     for precision in [Precision::F32, Precision::F64] {
         let mut space = simulation(
             &Head::space(0.1)
@@ -222,7 +222,7 @@ fn b10_absurd_deformation_rate_is_refused() {
 
 /// B10, the action: a velocity that is not a number is refused at the door.
 #[test]
-fn b10_nan_in_an_action_is_refused() {
+fn nan_in_an_action_is_refused() {
     let mut driven = simulation(&long_cases::episode_scene(), Precision::F32);
     let before = driven.bodies();
     for bad in [f64::NAN, f64::INFINITY] {
@@ -247,7 +247,7 @@ fn b10_nan_in_an_action_is_refused() {
 
 /// B11. See [`long_cases::cyclic_shear`].
 #[test]
-fn b11_shaken_column_keeps_its_height() {
+fn shaken_column_keeps_its_height() {
     long_cases::cyclic_shear(40).check("B11");
 }
 
@@ -256,7 +256,7 @@ fn b11_shaken_column_keeps_its_height() {
 /// gap is bounded at 0.5 and counted. Sand that lands with the greatest gap packs to e^-0.5 of its height and then bears its
 /// weight.
 #[test]
-fn b12_volume_gained_in_flight_is_bounded_and_landing_bears_load() {
+fn volume_gained_in_flight_is_bounded_and_landing_bears_load() {
     let mut flier = simulation(
         &Head { min: [-10.0; 3], max: [10.0; 3], ..Head::space(0.1) }.time("step = 2e-3").with(&[
             material("sand", 1500.0, "young_modulus = 1e5"),
@@ -300,7 +300,7 @@ fn b12_volume_gained_in_flight_is_bounded_and_landing_bears_load() {
 /// B13. Symptom: without friction the cone is empty and its tip undefined: NaN, or sand that stands in heaps all the same.
 /// Physics: it is an inviscid fluid and comes to rest level.
 #[test]
-fn b13_sand_without_friction_lies_level() {
+fn sand_without_friction_lies_level() {
     let h = 0.025;
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"slip\"";
     let dam = |phi: f64| {
@@ -360,7 +360,7 @@ fn hanging(cohesion: f64) -> f64 {
 /// matched in triaxial compression yields at 6 c cos φ/(3 + sin φ). A block that hangs by its top tears if its weight ρ g H is
 /// above that. Dry sand in tension has no stress at all.
 #[test]
-fn b14_cohesive_block_hangs_or_tears_and_dry_sand_bears_no_tension() {
+fn cohesive_block_hangs_or_tears_and_dry_sand_bears_no_tension() {
     let phi = 30f64.to_radians();
     let weight = 1500.0 * 9.81 * 0.4;
     let cohesion = |strength: f64| strength * (3.0 + phi.sin()) / (6.0 * phi.cos());
@@ -397,7 +397,7 @@ fn b14_cohesive_block_hangs_or_tears_and_dry_sand_bears_no_tension() {
 /// B15. Symptom: the limits of the yield stress divide by zero or never yield. Physics: σ_y = 0 is a fluid without shear
 /// stress, which comes to rest level; σ_y = ∞ is Hencky's elastic solid.
 #[test]
-fn b15_yield_stress_zero_is_a_fluid_and_infinite_is_elastic() {
+fn yield_stress_zero_is_a_fluid_and_infinite_is_elastic() {
     let h = 0.025;
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"slip\"";
     let head = Head::cells(h, [24, 4, 60], walls).time("safety = 0.5");
@@ -457,7 +457,7 @@ const ISOLATED: &str = "particles with an isolated stencil now";
 /// bar that is let go must pull itself together in one piece; beyond, it may part, and the ledger counts the particles that hang
 /// on nothing along the stretch.
 #[test]
-fn b16_stretched_bar_pulls_itself_together() {
+fn stretched_bar_pulls_itself_together() {
     let h = 0.05;
     let walls = "y_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"\nz_max = \"slip\"";
     for stretch in [1.5, 2.0, 2.5, 2.8, 4.0, 8.0] {
@@ -513,7 +513,7 @@ fn b16_stretched_bar_pulls_itself_together() {
 
 /// B13 and B14: a bed of the plainest sand stays finite under a tool that leaves it, where tension and compression alternate.
 #[test]
-fn b14_tool_leaves_sand_without_pulling_it() {
+fn tool_leaves_sand_without_pulling_it() {
     let (head, mut parts) = bed(0.05, [8, 8], 4, 12, "young_modulus = 2e5, friction_angle_deg = 30");
     parts.push(tool(
         "plate",

@@ -65,7 +65,7 @@ fn apart(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
 /// Physics: nothing depends on where the origin is. Positions are a cell and an offset within it, so trajectories are equal bit
 /// for bit; tools live in f64 metres and may round.
 #[test]
-fn b17_ten_kilometres_away_everything_is_the_same() {
+fn ten_kilometres_away_everything_is_the_same() {
     // 10 km are 2 560 000 cells of 1/256 m; so far in every direction, also on the negative side.
     for precision in [Precision::F32, Precision::F64] {
         let home = trajectory([0; 3], false, precision);
@@ -82,7 +82,7 @@ fn b17_ten_kilometres_away_everything_is_the_same() {
 /// B18. Symptom: what moves slowly stands still: v dt is below half a unit of the position's last place. Physics: 0.1 mm/s for
 /// 60 s is 6 mm. On a cell of 0.1 m that is 1.7 millionths of a cell in each step.
 #[test]
-fn b18_slow_motion_does_not_stall() {
+fn slow_motion_does_not_stall() {
     for (precision, h) in [(Precision::F32, 0.1), (Precision::F32, 1.0 / 256.0), (Precision::F64, 0.1)] {
         let mut slow = simulation(
             &Head::space(h).time("step = 2e-3\nover_bound = \"allow\"").with(&[
@@ -107,7 +107,7 @@ fn b18_slow_motion_does_not_stall() {
 /// weights are continuous there. In all 27 combinations, inside and in the corner of the world: a particle in free fall gains
 /// exactly g dt, its momentum is that of the walls and gravity, and nothing is infinite.
 #[test]
-fn b19_places_on_faces_nodes_and_corners_are_like_any_other() {
+fn places_on_faces_nodes_and_corners_are_like_any_other() {
     let below_one = 1.0 - 1.0 / f64::from(1u32 << 31) / 2.0;
     for precision in [Precision::F32, Precision::F64] {
         for walls in [
@@ -181,7 +181,7 @@ fn policy_of(policy: &str) -> &'static str {
 /// somewhere: the run stops and names the particle, or the particle is put back with its impulse booked, or deleted with its
 /// mass booked.
 #[test]
-fn b20_leaving_the_world_is_booked() {
+fn leaving_the_world_is_booked() {
     let mut refused = simulation(&leaving("error"), Precision::F64);
     let error = (0..1000).find_map(|_| refused.step().err()).expect("particles leave");
     says(
@@ -225,7 +225,7 @@ fn b20_leaving_the_world_is_booked() {
 /// momentum and changes the physics with the unit of mass. Physics: velocities are ratios and carry no unit of mass; momentum
 /// is conserved whatever the weights.
 #[test]
-fn b21_tiny_node_masses_neither_explode_nor_swallow_momentum() {
+fn tiny_node_masses_neither_explode_nor_swallow_momentum() {
     for (precision, tolerance) in [(Precision::F32, 2e-6), (Precision::F64, 1e-13)] {
         for offset in [1e-3, 1e-5, 1e-7, 2.4e-10, 0.0, 0.5, 1.0 - 1e-7, 1.0 - 2.4e-10] {
             let mut lone = simulation(
@@ -280,7 +280,7 @@ fn b21_tiny_node_masses_neither_explode_nor_swallow_momentum() {
 /// B22, on the CPU. Symptom: impulses summed in fixed point truncate to zero at h = 1/256 m, and a light box falls through
 /// sand. Physics: at rest the sand pushes with m g.
 #[test]
-fn b22_light_box_on_fine_sand_is_carried() {
+fn light_box_on_fine_sand_is_carried() {
     let (h, side) = (1.0 / 256.0, 0.03);
     let (head, mut parts) = bed(h, [16, 16], 6, 16, "young_modulus = 1e5, friction_angle_deg = 35");
     let z = 6.0 * h + 0.5 * side;
@@ -306,7 +306,7 @@ fn b22_light_box_on_fine_sand_is_carried() {
 /// B24, on the CPU: f32 against f64. Symptom: the cheaper number format gives other physics. Physics: 200 steps of an elastic
 /// body amplify rounding only little.
 #[test]
-fn b24_f32_follows_f64() {
+fn f32_follows_f64() {
     let cube = |precision| {
         let mut s = simulation(
             &Head { gravity: [0.0, 0.0, -9.81], ..Head::cells(0.05, [16, 16, 16], "z_min = \"slip\"") }
@@ -332,7 +332,7 @@ fn b24_f32_follows_f64() {
 /// word. Physics: none is ever dropped. Memory is asked for before it is taken, cells beyond the reach of keys are refused, and
 /// a scene across the origin is that beside it.
 #[test]
-fn b25_capacity_is_an_error_and_negative_cells_are_cells() {
+fn capacity_is_an_error_and_negative_cells_are_cells() {
     let (head, parts) = bed(0.05, [8, 8], 4, 8, "young_modulus = 1e5");
     let text = head.with(&parts);
     let options = Options { max_bytes: Some(100_000), ..options(Precision::F32) };
@@ -378,7 +378,7 @@ fn b25_capacity_is_an_error_and_negative_cells_are_cells() {
 
 /// B26. Symptom: the empty case, which nobody tried, divides by zero. Physics: nothing happens.
 #[test]
-fn b26_empty_scenes_run_and_empty_bodies_are_refused() {
+fn empty_scenes_run_and_empty_bodies_are_refused() {
     let head = Head::space(0.1);
     for parts in [
         vec![],
@@ -440,6 +440,6 @@ fn b26_empty_scenes_run_and_empty_bodies_are_refused() {
 
 /// B27. See [`long_cases::resets`].
 #[test]
-fn b27_reset_and_step_gives_the_same_episode() {
+fn reset_and_step_gives_the_same_episode() {
     long_cases::resets(60, false).check("B27");
 }

@@ -12,7 +12,7 @@ const FRICTION: &str = "{ coulomb = { friction = 0.5 } }";
 /// B42. Symptom: particles pass through a blade thinner than a cell, or stick to both of its sides. Physics: a blade that is
 /// dragged through sand shoves all of it ahead. Such a blade is warned of, and may let 1 % of the sand that it sweeps through.
 #[test]
-fn b42_thin_blade_does_not_leak() {
+fn thin_blade_does_not_leak() {
     let h = 0.02;
     for (thickness, angle) in [(0.25, 0.0), (0.25, 0.5), (1.0, 0.0), (2.5, 0.0)] {
         let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"slip\"";
@@ -71,7 +71,7 @@ fn b42_thin_blade_does_not_leak() {
 /// B43. Symptom: at an edge, or inside a concave scoop where two faces are equally near, the normal jumps or vanishes and the
 /// force spikes. Physics: a scoop that moves steadily through level sand feels a steady force.
 #[test]
-fn b43_scoop_feels_no_spikes() {
+fn scoop_feels_no_spikes() {
     let h = 0.02;
     let (mut head, mut parts) = bed(h, [32, 12], 7, 14, "young_modulus = 2e5, friction_angle_deg = 35");
     head.walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
@@ -94,7 +94,7 @@ fn b43_scoop_feels_no_spikes() {
 
 /// B44. See [`long_cases::box_at_rest`].
 #[test]
-fn b44_box_on_sand_stays_put() {
+fn box_on_sand_stays_put() {
     long_cases::box_at_rest(3.0).check("B44");
 }
 
@@ -115,7 +115,7 @@ fn stack(densities: &[f64]) -> Simulation {
 /// stack topples by itself. Physics: contact is solved with the body's own inertia, so mass ratios have no say in the step. A
 /// node of full sand weighs 12 g here; the boxes weigh 0.5 g, 0.4 kg and 10 kg.
 #[test]
-fn b45_stacks_and_extreme_masses_are_stable_at_the_same_step() {
+fn stacks_and_extreme_masses_are_stable_at_the_same_step() {
     for densities in [&[800.0; 3][..], &[1.0], &[20_000.0], &[20_000.0, 1.0]] {
         let mut s = stack(densities);
         let start = s.ledger();
@@ -156,7 +156,7 @@ fn b45_stacks_and_extreme_masses_are_stable_at_the_same_step() {
 /// B47. Symptom: particles are pushed out of a body by an impulse that the body never gets. Physics: in space, soft and rigid
 /// together keep momentum and angular momentum, through any collision and overlap.
 #[test]
-fn b47_collisions_in_space_keep_all_momentum() {
+fn collisions_in_space_keep_all_momentum() {
     for (precision, tolerance) in [(Precision::F32, 1e-6), (Precision::F64, 1e-13)] {
         let mut s = simulation(
             &Head::space(0.05).time("step = 1e-3").with(&[
@@ -217,7 +217,7 @@ fn densities(all: &[Row], h: f64, side: i64, density: f64) -> Vec<f64> {
 /// B48. Symptom: a bucket that pushes particles out of itself leaves them overlapping: sand stays denser after each scoop.
 /// Physics: contact changes velocities only, and stress sets volume: after scooping no sand is denser than 1.05 times at first.
 #[test]
-fn b48_scooping_does_not_compact() {
+fn scooping_does_not_compact() {
     let h = 0.02;
     let (mut head, mut parts) = bed(h, [28, 12], 8, 14, "young_modulus = 5e5, friction_angle_deg = 35");
     head.walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
@@ -255,7 +255,7 @@ fn b48_scooping_does_not_compact() {
 /// B49. Symptom: a body that starts inside sand, or overlaps it by cells, is shot out or shoots it out. Physics: an overlap
 /// stores no energy. Contact never moves anything, so nothing may be faster than 1 m/s.
 #[test]
-fn b49_overlap_at_the_start_ejects_nothing() {
+fn overlap_at_the_start_ejects_nothing() {
     let h = 0.02;
     for (what, z, around) in
         [("buried whole", 0.08, false), ("five cells deep", 0.16, false), ("buried, seeded around", 0.08, true)]
@@ -312,7 +312,7 @@ fn write_box(folder: &Path, name: &str, faces: usize, flipped: bool) {
 /// B50, speed. Symptom: only the origin's velocity counts, and the tip of a fast rotor jumps over cells. Physics: the tip moves
 /// at ω r; it must not move more than half a cell in a step. Sand that it strikes is thrown no faster than the tip.
 #[test]
-fn b50_tip_speed_bounds_the_step() {
+fn tip_speed_bounds_the_step() {
     let (h, omega, reach) = (0.02, 60.0, 0.1);
     let rotor = |time: &str| {
         let (head, mut parts) = bed(h, [16, 16], 5, 16, "young_modulus = 1e5, friction_angle_deg = 35");
@@ -343,7 +343,7 @@ fn b50_tip_speed_bounds_the_step() {
 /// B50, meshes. Symptom: a mirrored or open mesh has an inside that is outside, and swallows the scene; far from the mesh the
 /// sampled distance ends. Physics: distance is defined everywhere, and only for closed surfaces that face outwards.
 #[test]
-fn b50_bad_meshes_are_refused_and_distance_goes_on_far_away() {
+fn bad_meshes_are_refused_and_distance_goes_on_far_away() {
     let folder = tempfile::tempdir().unwrap();
     write_box(folder.path(), "box.obj", 12, false);
     write_box(folder.path(), "inside_out.obj", 12, true);

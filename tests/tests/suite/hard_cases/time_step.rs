@@ -20,7 +20,7 @@ fn lone_particle(nu: f64, time: &str) -> String {
 /// ω² = 4 (3λ + 2μ)/(ρ h²), wherever it is in its cell, and symplectic Euler is stable for ω dt < 2: dt < (h/c_p)
 /// sqrt((1 − ν)/(1 + ν)) in terms of Poisson's ratio, which is below the bulk's limit.
 #[test]
-fn b01_isolated_particle_sets_the_bound() {
+fn isolated_particle_sets_the_bound() {
     for (nu, share) in [(0.2, 0.816), (0.3, 0.734), (0.45, 0.616), (0.49, 0.585)] {
         let c_p = f64::sqrt(1e5 * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / 1000.0);
         let exact = 0.1 / c_p * f64::sqrt((1.0 - nu) / (1.0 + nu));
@@ -62,7 +62,7 @@ fn b01_isolated_particle_sets_the_bound() {
 /// dt < ρ h²/(4 η). No arrangement of particles bears less, since no node's mass is less than what its particles bring; ground that
 /// fills its cells bears more than twice as much. Stiffness at the same time shortens the step.
 #[test]
-fn b01_viscosity_bounds_the_step() {
+fn viscosity_bounds_the_step() {
     let (h, density) = (0.1, 1000.0);
     for (eta, bulk) in [(0.5, 1e-6), (4000.0, 1e-6), (0.5, 0.3), (0.5, 2000.0)] {
         let parameters = format!("viscosity = {eta}, bulk_modulus = {bulk}, tait_exponent = 1.0");
@@ -94,7 +94,7 @@ fn b01_viscosity_bounds_the_step() {
 /// B1, as a user meets it: a column of lava in steps that are chosen for it only ever loses energy; a step that suits its stiffness alone
 /// is refused, and the message says that it is viscosity.
 #[test]
-fn b01_lava_gains_no_energy() {
+fn lava_gains_no_energy() {
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
     let lava = |time: &str| {
         Head::cells(0.02, [20, 4, 15], walls).time(time).with(&[
@@ -139,7 +139,7 @@ fn stiff_cube(time: &str) -> Simulation {
 /// the bound every step multiplies the error. So: refused when the scene is built; or cut into stable steps, counted; or, if
 /// the scene insists, energy is watched and the run stops and names a particle.
 #[test]
-fn b02_step_ten_times_over_is_refused_cut_or_stopped() {
+fn step_ten_times_over_is_refused_cut_or_stopped() {
     let bound = 0.05 * f64::sqrt(1000.0 * 0.4 / 1e9);
     let ten_over = format!("step = {}", 10.0 * bound);
     let head = Head::space(0.05).time(&ten_over);
@@ -191,7 +191,7 @@ fn snow_press(time: &str) -> Simulation {
 /// B3. Symptom: snow is packed, and the run explodes although its step was stable at the start. Physics: at J_p = 0.6 the
 /// moduli are e⁴ = 55 times those at rest and the stable step is 7.4 times less. The step must follow the stiffest particle.
 #[test]
-fn b03_step_follows_snow_as_it_hardens() {
+fn step_follows_snow_as_it_hardens() {
     let mut press = snow_press("safety = 0.6");
     let at_rest = press.bound().dt;
     // 3λ + 2μ = E / (1 − 2ν).
@@ -229,7 +229,7 @@ fn b03_step_follows_snow_as_it_hardens() {
 /// displacement-only method locks, and dt falls as sqrt(1 − 2ν). The user is warned, the step follows, ν = 0.5 is refused, and
 /// the column still bears its weight in the mean.
 #[test]
-fn b04_nearly_incompressible_warns_and_bears_its_weight() {
+fn nearly_incompressible_warns_and_bears_its_weight() {
     let h = 0.1;
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"";
     let column = |nu: f64| {
@@ -294,7 +294,7 @@ fn fast_plate(courant: f64, over: &str) -> String {
 /// B5. Symptom: a tool that moves a cell or more in a step jumps over the nodes, and sand passes through it. Physics: contact
 /// sees the tool at nodes only, so its surface may move 0.4 cells in a step at most. A longer step is refused or cut.
 #[test]
-fn b05_fast_tool_is_not_passed_through() {
+fn fast_tool_is_not_passed_through() {
     for courant in [1.0, 2.0] {
         says(
             &refusal(&fast_plate(courant, "refuse")),
@@ -351,7 +351,7 @@ fn ringing_with(time: &str, more: &str) -> Simulation {
 /// belong to the same dt; if the next step's dt is used for the last one's strain, an uneven sequence pumps energy. Uneven
 /// steps must agree with fixed ones within 1 % of the greatest way, and repeat bit for bit.
 #[test]
-fn b06_uneven_steps_agree_with_small_ones() {
+fn uneven_steps_agree_with_small_ones() {
     let end = 0.1;
     let bound = ringing("").bound().dt;
     let uneven = || {
@@ -406,7 +406,7 @@ fn b06_uneven_steps_agree_with_small_ones() {
 /// body loses energy to the grid and never gains any. Symplectic Euler's energy swings within a cycle, so its greatest value
 /// over each swing must not rise.
 #[test]
-fn b07_rest_stays_and_ringing_decays() {
+fn rest_stays_and_ringing_decays() {
     long_cases::rest(1000).check("B7");
 
     let mut cube = ringing("safety = 0.3");
@@ -468,7 +468,7 @@ fn energies_in_a_ledger_are_of_one_time() {
 
 /// B7 and B5 together: a tool at rest that touches sand at rest leaves it at rest bit for bit.
 #[test]
-fn b07_resting_tool_in_resting_sand_changes_nothing() {
+fn resting_tool_in_resting_sand_changes_nothing() {
     let (mut head, mut parts) = bed(0.05, [4, 4], 4, 4, "young_modulus = 1e5");
     head.gravity = [0.0; 3];
     parts.push(tool("rod", [0.1, 0.1, 0.2], &half([0.06; 3]), "\"stick\"", "\"fixed\""));
@@ -523,11 +523,11 @@ fn a_turn_that_is_over_within_one_bound_of_the_ground_is_resolved() {
     }
 }
 
-/// Symptom: a ball that is pressed slowly into soft ground on levels has a third of its steps, in a larger bed more than half, cut for speed. It was the
+/// B5. Symptom: a ball that is pressed slowly into soft ground on levels has a third of its steps, in a larger bed more than half, cut for speed. It was the
 /// speed of nodes inside the ball, which hardly weigh anything and which the ground squeezes out: contact holds them, and nobody feels them.
 /// Physics: what no particle feels bounds no step.
 #[test]
-fn b05_pressing_on_levels_is_not_cut_for_what_contact_holds() {
+fn pressing_on_levels_is_not_cut_for_what_contact_holds() {
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
     let head = Head { gravity: [0.0; 3], ..Head::cells(0.01, [24, 24, 20], walls) };
     let scene = head.with(&[

@@ -41,7 +41,7 @@ fn conserved(what: &str, before: &Ledger, after: &Ledger, energy: f64) {
 /// the lattice of bins find no partners (2.3 times as many after 150 passes over a turning body); or each split and merge takes some of the motion.
 /// Physics: nothing happens to matter; the count stays within 1.3 of what a fresh scene would have, whatever has happened.
 #[test]
-fn b30_passes_of_an_agent_leave_nothing_behind() {
+fn passes_of_an_agent_leave_nothing_behind() {
     let h = 0.05;
     let straight = "velocity = [0.02, 0.05, 0.03]\nangular_velocity = [0.02, 0.0, 0.0]";
     let turning = "velocity = [0.05, 0.1, 0.0]\nangular_velocity = [0.5, 0.0, 0.2]";
@@ -77,7 +77,7 @@ fn b30_passes_of_an_agent_leave_nothing_behind() {
 /// B30, of one cluster. Symptom: children that copy their parent's velocity, or a merge that forgets gradients, take 4 % of the energy of a turn.
 /// Physics: split, merged and split again a thousand times, a particle is what it would have been: place, velocity, gradient, strain.
 #[test]
-fn b30_a_thousand_splits_and_merges_are_the_identity() {
+fn a_thousand_splits_and_merges_are_the_identity() {
     let h = 0.05;
     // Dust, so that motion stays affine and the same on each level; the agent jumps by 3 m at every step, or stays away.
     let run = |jumps: bool| {
@@ -132,7 +132,7 @@ fn b30_a_thousand_splits_and_merges_are_the_identity() {
 /// B31. Symptom: jets that meet merge into matter at rest, and their energy is gone. Physics: particles merge only if little of their
 /// motion would be lost; what moves apart or against each other stays apart, and the ledger says so.
 #[test]
-fn b31_colliding_jets_do_not_merge() {
+fn colliding_jets_do_not_merge() {
     let run = |speed: f64| {
         let scene = Head::space(0.05).time("step = 1e-5\nover_bound = \"allow\"").with(&[
             material("neo_hookean", 1000.0, "young_modulus = 1e-3, poisson_ratio = 0.3"),
@@ -159,7 +159,7 @@ fn b31_colliding_jets_do_not_merge() {
 
 /// B17 with levels. Symptom: 10 km from the origin regions, cells or offsets lose digits. Physics: the same scene elsewhere runs the same.
 #[test]
-fn b17_levels_ten_kilometres_away() {
+fn ten_kilometres_away_levels_are_the_same() {
     // The scene's own numbers have 1e-12 m there, and the sum for the body's centre less.
     for (precision, tolerance) in [(Precision::F32, 1e-6), (Precision::F64, 1e-6)] {
         let run = |at: f64| {
@@ -178,7 +178,7 @@ fn b17_levels_ten_kilometres_away() {
 /// B34. Symptom: an agent that jumps leaves its fine region behind, or everything is rebuilt. Physics: the region is where the
 /// agent is; mass and momentum are exact; far away no bit changes.
 #[test]
-fn b34_teleport_moves_the_region_at_once() {
+fn teleport_moves_the_region_at_once() {
     let scene = Head { gravity: [0.0; 3], min: [-4.0, -1.0, -1.0], max: [4.0, 1.0, 1.0], ..Head::space(0.05) }.time("step = 1e-3\nover_bound = \"allow\"").with(&[
         material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
         block("neo_hookean", [-3.0, -0.2, -0.2], [3.0, 0.2, 0.2], "velocity = [0.01, 0.02, 0.0]"),
@@ -215,7 +215,7 @@ fn b34_teleport_moves_the_region_at_once() {
 /// B35. Symptom: an agent that trembles makes its region jump to and fro, and particles with it. Physics: within two parent cells
 /// nothing moves; splits and merges are less than 1 % of the particles in a second.
 #[test]
-fn b35_a_trembling_agent_moves_nothing() {
+fn a_trembling_agent_moves_nothing() {
     let mut s = simulation(&jelly_under_agent(0.05, 3, [0.0; 3], 0.0), Precision::F64);
     // Still, so that all splits and merges would be the agent's.
     alter(&mut s, |r| (r.v, r.c) = ([0.0; 3], [0.0; 9]));
@@ -240,7 +240,7 @@ fn b35_a_trembling_agent_moves_nothing() {
 /// B39. Symptom: where two regions overlap, particles are on two levels or on none, and what lies between is lost as they merge
 /// and part. Physics: a level is the union of its boxes.
 #[test]
-fn b39_two_agents_meet_and_part() {
+fn two_agents_meet_and_part() {
     let scene = Head::space(0.05).time("step = 1e-3").with(&[
         material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
         block("neo_hookean", [-1.4, -0.2, -0.2], [1.4, 0.2, 0.2], "angular_velocity = [0.3, 0.0, 0.0]"),
@@ -285,7 +285,7 @@ fn heights(all: &[Row], side: f64, x: [f64; 2], y: [f64; 2]) -> Vec<f64> {
 /// B38. Symptom: a footprint that an agent walks away from is smoothed out as its particles merge. Physics: its
 /// depth stays within half a cell of the level that is left there, and its volume within 10 %.
 #[test]
-fn b38_a_footprint_outlasts_its_agent() {
+fn a_footprint_outlasts_its_agent() {
     let h = 0.02;
     let (mut head, mut parts) = bed(h, [96, 24], 8, 24, "young_modulus = 5e5, friction_angle_deg = 40");
     head.walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";

@@ -21,7 +21,7 @@ fn collision(contact: &str, motion: &str) -> String {
 /// A9 i. Symptom: a contact that is seen on two levels is booked twice, or an impulse that falls on a rim is lost. Physics: soft and
 /// rigid together keep momentum exactly. Angular momentum is kept but for what rims and changes of level take.
 #[test]
-fn a9_isolated_collision_conserves_momentum_across_levels() {
+fn isolated_collision_conserves_momentum_across_levels() {
     for contact in ["{ coulomb = { friction = 0.4 } }", "\"stick\"", "\"slip\""] {
         for (precision, tolerance) in [(Precision::F64, 1e-13), (Precision::F32, 2e-6)] {
             let mut pair = simulation(&collision(contact, "{ free = { mass = 8 } }"), precision);
@@ -49,7 +49,7 @@ fn a9_isolated_collision_conserves_momentum_across_levels() {
 
 /// A9 v. Symptom: a tool's wrench forgets what happens on one of the levels. Physics: it is the momentum that left the ground, to rounding.
 #[test]
-fn a9_force_on_a_driven_tool_is_the_momentum_removed_on_all_levels() {
+fn force_on_a_driven_tool_is_the_momentum_removed_on_all_levels() {
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-6)] {
         let scene = collision("{ coulomb = { friction = 0.3 } }", "{ velocity = { linear = [-0.5, 0.1, 0.0] } }");
         let mut push = simulation(&scene, precision);
@@ -70,7 +70,7 @@ fn a9_force_on_a_driven_tool_is_the_momentum_removed_on_all_levels() {
 /// A9 ii, B44. Symptom: the ring of the region about a box drives a current that carries or shakes it. Physics: a box at rest on sand is borne by
 /// its weight, does not sink further, drift or heat.
 #[test]
-fn a9_resting_box_feels_its_weight_within_its_region() {
+fn resting_box_feels_its_weight_within_its_region() {
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
     let head = Head { gravity_ramp: 0.1, ..Head::cells(0.025, [32, 32, 24], walls) }.time("safety = 0.5");
     let scene = head.with(&[
@@ -100,7 +100,7 @@ fn a9_resting_box_feels_its_weight_within_its_region() {
 /// A10 across a rim. Symptom: a rim that gives way lets a slope creep, one that sticks holds it. Physics: sand on a no-slip base flows when tan theta exceeds sin phi_ps of its cone, and
 /// stops below.
 #[test]
-fn a10_infinite_slope_across_a_rim() {
+fn infinite_slope_flows_above_the_angle_of_its_cone_only_across_a_rim() {
     let phi = 20f64.to_radians();
     let mobilised = plane_shear_friction(phi);
     let critical = mobilised.atan().to_degrees();
@@ -138,7 +138,7 @@ fn a10_infinite_slope_across_a_rim() {
 /// B42. Symptom: particles that merge across a thin blade jump to its other side. Physics: a blade shoves all sand ahead of it,
 /// with its region moving along and sand merging behind.
 #[test]
-fn b42_thin_blade_does_not_leak_with_levels() {
+fn thin_blade_does_not_leak_with_levels() {
     let h = 0.02;
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"slip\"";
     let (start, way, speed) = (0.2, 0.2, 0.5);
@@ -163,7 +163,7 @@ fn b42_thin_blade_does_not_leak_with_levels() {
 
 /// B32. Symptom: a coarse particle that is split next to a tool leaves a child inside, which is thrown out or stuck. Physics: children keep clear of tools, and floors; what the parent had they have together.
 #[test]
-fn b32_children_keep_clear_of_tools() {
+fn children_keep_clear_of_tools() {
     let h = 0.05;
     let (head, mut parts) = bed(h, [64, 16], 8, 24, "young_modulus = 1e5, friction_angle_deg = 30");
     parts.extend([
@@ -195,7 +195,7 @@ fn b32_children_keep_clear_of_tools() {
 /// B43. Symptom: inside a concave scoop, or where it crosses its region's rim, forces spike. Physics: a scoop that moves steadily
 /// through level sand feels a steady force.
 #[test]
-fn b43_scoop_feels_no_spikes_with_levels() {
+fn scoop_feels_no_spikes_with_levels() {
     let h = 0.02;
     let (mut head, mut parts) = bed(h, [48, 16], 8, 16, "young_modulus = 2e5, friction_angle_deg = 35");
     head.walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
@@ -225,7 +225,7 @@ fn b43_scoop_feels_no_spikes_with_levels() {
 /// B45. Symptom: bodies much lighter or heavier than a node are unstable where nodes of two sizes meet, or a stack topples by
 /// itself. Physics: contact is solved with the body's own inertia, whatever the levels.
 #[test]
-fn b45_stacks_and_extreme_masses_are_stable_with_levels() {
+fn stacks_and_extreme_masses_are_stable_with_levels() {
     for densities in [&[800.0; 3][..], &[20_000.0, 1.0]] {
         let (h, side) = (0.02, 0.08f64);
         let (mut head, mut parts) = bed(h, [24, 24], 6, 22, "young_modulus = 5e5, friction_angle_deg = 40");

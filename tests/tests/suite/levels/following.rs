@@ -8,7 +8,7 @@ use barchan_tests::sketch::{Head, block, body, driven, half, material, tool};
 /// B31. Symptom: particles on two sides of a thin blade merge into one that lies on either. Physics: matter left of the blade stays there, all
 /// of it; away from the blade it merges.
 #[test]
-fn b31_particles_on_two_sides_of_a_thin_blade_do_not_merge() {
+fn particles_on_two_sides_of_a_thin_blade_do_not_merge() {
     let h = 0.05;
     // In the middle of a merged particle's bin, and a quarter of a cell thick.
     let blade = 0.225;
@@ -63,7 +63,7 @@ fn heights(all: &[Row], side: f64, from: f64, to: f64) -> Vec<f64> {
 /// B38 whole. Symptom: a footprint is smoothed out once its agent is 20 m away and the ground four levels coarser. Physics: matter at
 /// rest stays as it is, so the dent's depth stays within half a cell of the level left there, here of the finest, and its volume within 10 %.
 #[test]
-fn b38_a_footprint_outlasts_a_walk_of_twenty_metres() {
+fn a_footprint_outlasts_a_walk_of_twenty_metres() {
     let h = 0.02;
     let side = 32.0 * h;
     let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"";
@@ -132,7 +132,7 @@ fn resting(h: f64, levels: &str, step: f64) -> String {
 /// B40. Symptom: a region that a wall cuts has slaves behind the wall, or its rim at the wall drives a current. Physics: a block at rest between
 /// walls, with an agent in the corner of floor and walls, bears rho g (H - z) on both levels, and its floor its weight.
 #[test]
-fn b40_an_agent_in_a_corner_leaves_matter_at_rest() {
+fn an_agent_in_a_corner_leaves_matter_at_rest() {
     let (h, height, rho, g) = (0.04, 0.48, 1500.0, 9.81);
     for (precision, tolerance) in [(Precision::F64, 0.02), (Precision::F32, 0.03)] {
         let mut s = simulation(&resting(h, &around_marker(2, 8, [0.0; 3]), 1e-3), precision);
@@ -191,7 +191,7 @@ fn b40_an_agent_in_a_corner_leaves_matter_at_rest() {
 /// B40. Symptom: an agent high above the ground, whose region holds nothing, makes a rim or steps for nothing. Physics: the ground is what it is
 /// on the coarse level alone, to rounding.
 #[test]
-fn b40_an_agent_above_the_ground_changes_nothing() {
+fn an_agent_above_the_ground_changes_nothing() {
     for (precision, tolerance) in [(Precision::F64, 1e-9), (Precision::F32, 1e-3)] {
         let high = levels(2, 8, &["eye"])
             + &tool("eye", [0.3, 0.3, 1.0], "sphere = { radius = 0.02 }", "\"slip\"", &driven([0.1, 0.0, 0.0]));

@@ -114,7 +114,7 @@ fn resuming_in_the_middle_of_a_move_continues_bit_for_bit() {
 /// B40. Symptom: levels that nobody uses change a result, or cost. Physics: with one level the `[levels]` table says nothing: bits
 /// are those of the scene without it. And a box that holds the whole world is one fine level, so that nothing is on the coarse one.
 #[test]
-fn b40_one_level_is_the_scene_without_levels() {
+fn one_level_is_the_scene_without_levels() {
     for precision in [Precision::F32, Precision::F64] {
         let run = |table: &str| {
             let mut s = start(&busy(table), precision, 2);
@@ -130,7 +130,7 @@ fn b40_one_level_is_the_scene_without_levels() {
 /// B40. Symptom: a box that reaches out of the world, or an agent above the ground, makes a rim where there is no matter. Physics: a box that
 /// holds the whole world is one fine level; it differs by rounding, since particles are listed in another order.
 #[test]
-fn b40_a_box_larger_than_the_world_is_one_fine_level() {
+fn a_box_larger_than_the_world_is_one_fine_level() {
     let [mut one, mut all] = [String::new(), levels(2, 64, &["rod"])].map(|t| start(&busy(&t), Precision::F64, 2));
     assert_eq!(on_levels(&all)[1], 0, "the fine box holds the world");
     // Numbers differ, since the lattice is filled cube by cube: pair by place.

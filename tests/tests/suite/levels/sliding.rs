@@ -8,7 +8,7 @@ use barchan_tests::sketch::{Head, block, body, box_mesh, half, incline, material
 /// A9 iii. Symptom: where a rim cuts what sticks to a body, one level's grip is lost or counted twice. Physics: what sticks together ends with
 /// the common velocity of both masses.
 #[test]
-fn a9_sticking_capture_across_a_rim_ends_with_the_common_velocity() {
+fn sticking_capture_across_a_rim_ends_with_the_common_velocity() {
     for (precision, tolerance) in [(Precision::F64, 0.005), (Precision::F32, 0.005)] {
         // Head on and of clay, so that the pair neither turns nor tears.
         let scene = Head::space(0.05).time("safety = 0.5").with(&[
@@ -85,7 +85,7 @@ fn friction_on_a_plate_that_slides_across_a_rim_is_mu_times_the_pressure() {
 /// A10 across a rim. Symptom: a block that slides out of a fine region is braked or carried at the rim, or creeps where it should stick. Physics:
 /// it accelerates by g (sin theta - mu cos theta), or stays, whatever the angle between plane and grid.
 #[test]
-fn a10_block_on_an_incline_obeys_coulomb_across_a_rim() {
+fn block_on_an_incline_obeys_coulomb_across_a_rim() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = box_mesh(folder.path(), [0.16, 0.08, 0.04]);
     let slope = f64::to_radians(30.0);

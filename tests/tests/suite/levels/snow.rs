@@ -51,7 +51,7 @@ fn stresses(column: &Simulation) -> Vec<(u64, f64)> {
 /// hardening and the column sinks in. Physics: sigma_zz = -rho g (H - z) on both sides, and every layer is squeezed to where the law's
 /// closed form bears that; the lower part is beyond its yield.
 #[test]
-fn a3_snow_packed_by_its_weight_across_a_rim() {
+fn snow_packs_under_its_weight_across_a_rim() {
     let (h, height, rho, g) = (0.04, 0.96, 400.0, 20.0);
     for (precision, tolerance) in [(Precision::F64, 0.02), (Precision::F32, 0.03)] {
         let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"";

@@ -20,7 +20,7 @@ fn cloud(count: u32, gravity: f64) -> String {
 /// change of level that moves a particle. Physics: symplectic Euler gives z_n = z_0 + v_0 n dt - g dt² n (n + 1)/2 exactly, and
 /// a split or a merge leaves the centre of mass on that path.
 #[test]
-fn a1_free_flight_through_a_rim_is_exact() {
+fn free_flight_through_a_rim_is_exact() {
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-6 * 200f64.sqrt())] {
         let mut flight = simulation(&cloud(3, -9.81), precision);
         let start = rows(&flight);
@@ -61,7 +61,7 @@ fn a1_free_flight_through_a_rim_is_exact() {
 /// order. Physics: v = a + B x and C = B on particles at random places with random masses come back after P2G and G2P, on both
 /// sides of the rim.
 #[test]
-fn a1_affine_fields_are_reproduced_at_a_rim() {
+fn affine_fields_are_reproduced_at_a_rim() {
     let a = [0.3, -0.2, 0.1];
     let b = [0.2, -0.4, 0.3, 0.1, -0.3, 0.5, -0.6, 0.2, 0.1];
     for (precision, tolerance) in [(Precision::F64, 1e-12), (Precision::F32, 2e-5)] {
@@ -100,7 +100,7 @@ fn a1_affine_fields_are_reproduced_at_a_rim() {
 /// Physics: a field that the wall's mirror continues, v = B x with B_xd = B_dx = 0 for x != d at a slip wall across d at 0, and only B_xd
 /// at one that sticks, comes back.
 #[test]
-fn a1_affine_fields_are_reproduced_where_a_rim_meets_a_wall() {
+fn affine_fields_are_reproduced_where_a_rim_meets_a_wall() {
     for (axis, wall) in (0..3).flat_map(|axis| ["slip", "stick"].map(|wall| (axis, wall))) {
         let mut at = [-0.15; 3];
         at[axis] = 0.1;
@@ -183,7 +183,7 @@ fn standing_wave(law: &str, cells: u32, levels: u32, precision: Precision) -> f6
 /// Physics: a standing wave has a known solution; with half the bar fine and half coarse the error lies between those of the
 /// two grids and falls with the square of the cell.
 #[test]
-fn a2_standing_wave_across_rims_converges_at_second_order() {
+fn standing_wave_across_rims_converges_at_second_order() {
     let fine: Vec<f64> = [16, 32, 64].map(|cells| standing_wave("neo_hookean", cells, 1, Precision::F64)).to_vec();
     let errors: Vec<f64> = [32, 64, 128].map(|cells| standing_wave("neo_hookean", cells, 2, Precision::F64)).to_vec();
     for (i, cells) in [32, 64, 128].into_iter().enumerate() {
@@ -238,7 +238,7 @@ fn reflected(width: u32, levels: u32, coarse: bool, precision: Precision) -> f64
 /// B36. Symptom: a rim mirrors waves, and a robot's steps ring in its box. Physics: what the coarse grid can carry passes; the
 /// prototype's reflected amplitudes beyond that of one level are .029, .026, .015, .007 and below .001 for Gaussians of 6, 8, 12, 16 and 24 fine cells.
 #[test]
-fn b36_pulses_pass_a_rim() {
+fn pulses_pass_a_rim() {
     for (width, most) in [(6, 0.029), (8, 0.026), (12, 0.015), (16, 0.007), (24, 0.001)] {
         let [fine, coarse, both] = [(1, false), (1, true), (2, false)]
             .map(|(levels, coarse)| reflected(width, levels, coarse, Precision::F64));
@@ -277,7 +277,7 @@ const MERGED: f64 = 2e-3;
 /// while linear momentum is exact; coarse particles that drift into the fine region before the next sort spin it up by 5e-4 a turn. Physics: all of
 /// it is kept.
 #[test]
-fn b29_a_spinning_ball_keeps_its_spin_and_energy() {
+fn a_spinning_ball_keeps_its_spin_and_energy() {
     let h = 0.0375;
     // Energy that a turn takes, and the greatest change of spin by the particles' own inertia, which they exchange with the
     // ball's vibration.
@@ -342,7 +342,7 @@ fn reach(ball: &Simulation) -> f64 {
 /// B28. Symptom: where particles see the grid of their own level only, each side of a rim moves by itself: a body that spins across it tears (reach 0.30
 /// to 0.95 in a turn) and loses more than half of its kinetic energy. Physics: one body, one motion, on whatever levels, subcycled or not.
 #[test]
-fn b28_a_spinning_ball_does_not_tear_at_a_rim() {
+fn a_spinning_ball_does_not_tear_at_a_rim() {
     let h = 0.0375;
     let turn = |ball: &mut Simulation| -> f64 {
         (1..=4).fold(0f64, |most, quarter| {
@@ -375,7 +375,7 @@ fn b28_a_spinning_ball_does_not_tear_at_a_rim() {
 /// B33. Symptom: particles left over from merges find no partners on the coarse level and add up: 3421 to 4113 in three turns of a body through a rim.
 /// Physics: the count follows from where levels are now, within 1.3, whatever has happened before, and stays so.
 #[test]
-fn b33_leftovers_of_merges_do_not_add_up() {
+fn leftovers_of_merges_do_not_add_up() {
     let mut ball = spinning_ball(0.0375, 2, 16, 0.0, Precision::F32);
     let start = ball.particle_count();
     let mut counts = Vec::new();
@@ -398,7 +398,7 @@ fn b33_leftovers_of_merges_do_not_add_up() {
 /// A4 across a rim. Symptom: a rim that turns with a body brakes it. Physics: a free rotating cylinder keeps its momenta, and its energy
 /// as on one level.
 #[test]
-fn a4_rotating_cylinder_across_a_rim() {
+fn rotating_cylinder_keeps_its_momenta_and_energy_across_a_rim() {
     let (young, nu, rho, omega) = (1e4f64, 0.3, 1000.0, 6.0);
     let c_p = (young * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu)) / rho).sqrt();
     let h0 = 1.0 / 64.0;
@@ -536,7 +536,7 @@ fn column(h: f64, levels: u32, precision: Precision) -> [f64; 4] {
 /// A3, B37. Symptom: stress jumps at a rim, or the rim drives a current for ever. Physics: sigma_zz = -rho g (H - z) and K0 = (1 - sin phi)/(1 + sin phi)
 /// on both sides; matter at rest stays.
 #[test]
-fn b37_column_at_rest_across_a_rim() {
+fn column_at_rest_bears_its_weight_across_a_rim() {
     let fine = column(0.02, 1, Precision::F64);
     let coarse = column(0.04, 1, Precision::F64);
     for (precision, tolerance) in [(Precision::F64, 0.02), (Precision::F32, 0.025)] {

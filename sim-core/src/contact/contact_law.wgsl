@@ -1,4 +1,4 @@
-// The contact law between nodes and bodies, as `contact.rs` of the core has it.
+// The contact law between nodes and bodies, as `contact.rs` has it.
 
 // How a surface grips a node: the kind of law; the unit normal out of the body; the greatest speed that may be taken [m/s]; does the node count as deep
 // inside; and how far it is from the surface [m].

@@ -1,0 +1,65 @@
+//! The nodes that a body may hold, for every backend. How particles near it find their cubes among them is a backend's own: a processor has them block by block,
+//! beside the block's numbers of nodes, and a device hands them over in no order.
+
+use crate::block::{CELLS, SIDE};
+use barchan_core::{Aabb, NodeBatch};
+
+/// Puts those nodes of a block into a batch that are in any of the boxes and heavier than `least` [kg]: what is lighter carries nothing.
+///
+/// `first` is the block's first cell, and `node` gives velocity [m/s] and mass [kg] of its nodes, which are asked for in order. Of each that is put, `taken` learns
+/// its number in the block, its cell and its number in the batch.
+pub fn gather_block(
+    batch: &mut NodeBatch,
+    boxes: &[Aabb],
+    first: [i32; 3],
+    least: f64,
+    mut node: impl FnMut(usize) -> ([f64; 3], f64),
+    mut taken: impl FnMut(usize, [i32; 3], u32),
+) {
+    let h = batch.cell_width;
+    let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
+    let extent = Aabb { min: first.map(centre), max: first.map(|c| centre(c + SIDE - 1)) };
+    if !boxes.iter().any(|one| one.meets(&extent)) {
+        return;
+    }
+    for n in 0..CELLS {
+        let (velocity, mass) = node(n);
+        if mass <= least {
+            continue;
+        }
+        let local = [(n / 16) as i32, (n / 4 % 4) as i32, (n % 4) as i32];
+        let cell: [i32; 3] = std::array::from_fn(|d| first[d] + local[d]);
+        let position = cell.map(centre);
+        if boxes.iter().any(|one| one.contains(position)) {
+            taken(n, cell, batch.len() as u32);
+            batch.position.push(position);
+            batch.mass.push(mass);
+            batch.velocity.push(velocity);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of a block of nodes those come that are in a box and weigh something, with their places, masses and velocities.
+    #[test]
+    fn nodes_in_boxes_come_with_what_they_carry() {
+        let mut batch = NodeBatch { cell_width: 0.5, ..NodeBatch::default() };
+        // Node (x, y, z) is at ((x, y, z) + 1/2) h.
+        let boxes = [Aabb { min: [-1.8, 0.2, 0.2], max: [-1.2, 0.3, 0.8] }, Aabb { min: [-9.0; 3], max: [-8.0; 3] }];
+        let mut taken = Vec::new();
+        let mass = |n: usize| if n == 17 { 1e-30 } else { n as f64 };
+        let node = |n: usize| ([n as f64, 0.0, 0.0], mass(n));
+        gather_block(&mut batch, &boxes, [-4, 0, 0], 1e-20, node, |n, cell, number| taken.push((n, cell, number)));
+        // At x = -1.75 and -1.25, y = 0.25, z = 0.25 and 0.75; node 0 has no mass, 17 hardly any.
+        assert_eq!(taken, [(1, [-4, 0, 1], 0), (16, [-3, 0, 0], 1)]);
+        assert_eq!(
+            (batch.position[1], batch.mass[1], batch.velocity[1]),
+            ([-1.25, 0.25, 0.25], 16.0, [16.0, 0.0, 0.0])
+        );
+        gather_block(&mut batch, &boxes[1..], [-4, 0, 0], 1e-20, |_| unreachable!("no box meets it"), |_, _, _| {});
+        assert_eq!(batch.len(), 2);
+    }
+}
