@@ -357,9 +357,25 @@ pub struct Output {
     /// Simulated seconds between snapshots; absent: one at the end and one on interruption.
     #[serde(default)]
     pub snapshot_interval: Option<f64>,
+    /// The trace, `trace.csv`.
+    #[serde(default)]
+    pub trace: Trace,
     /// Pictures.
     #[serde(default)]
     pub picture: Picture,
+}
+
+/// What the trace holds.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Trace {
+    /// Simulated seconds between rows, which then hold the mean forces on bodies since the row before, and mass, energies and momentum of the
+    /// ground besides; absent: a row for each step, without those.
+    #[serde(default)]
+    pub interval: Option<f64>,
+    /// Columns to be written beside time and step, with or without their units; * stands for any text, as in `"dog/*_foot mean f*"`. Absent: all.
+    #[serde(default)]
+    pub columns: Option<Vec<String>>,
 }
 
 fn default_interval() -> f64 {
@@ -368,7 +384,13 @@ fn default_interval() -> f64 {
 
 impl Default for Output {
     fn default() -> Self {
-        Self { interval: default_interval(), export: None, snapshot_interval: None, picture: Picture::default() }
+        Self {
+            interval: default_interval(),
+            export: None,
+            snapshot_interval: None,
+            trace: Trace::default(),
+            picture: Picture::default(),
+        }
     }
 }
 

@@ -6,7 +6,7 @@
 //! | `contact-sheet.png`, `animation.gif` | the run at a glance |
 //! | `particles/00000.ply`, … | particles every `output.interval`, if asked for |
 //! | `observed/NAME/…` | what the [observer](Observer) of that name writes |
-//! | `trace.csv` | every step: time, step size, pose, velocity and wrench of every body |
+//! | `trace.csv` | every step, or once an interval (`output.trace`): time, step size, pose, velocity and wrench of every body |
 //! | `summary.json` | every figure of the run |
 //! | `snapshot.barchan` | the state at the end, on interruption or before an error: the run continues from it bit for bit |
 //! | `files.txt` | what the run has written: nothing else is ever removed or overwritten |
@@ -53,6 +53,7 @@ mod folder;
 #[cfg_attr(not(feature = "pictures"), path = "run/no_pictures.rs")]
 mod pictures;
 mod recorder;
+mod trace;
 
 pub use folder::{Existing, check as check_folder, last as last_folder, next as next_folder};
 
@@ -290,8 +291,9 @@ fn steps(
     if let Until::Time(end) = request.until {
         simulation.set_stop(end);
     }
-    // The trace has a row for each step.
-    simulation.report_bodies(true);
+    // The trace may have a row for each step.
+    let has_each = simulation.plan().scene.output.trace.interval.is_none();
+    simulation.report_bodies(has_each);
     let mut progress = done(simulation);
     let mut swap = request.swap.as_ref();
     while progress < 1.0 {

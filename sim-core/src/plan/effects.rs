@@ -211,6 +211,13 @@ impl Plan {
         if let Some(format) = output.export {
             add(format!("{} export", format.extension()), every, "a particle file, outside the step".to_owned());
         }
+        if let Some(interval) = output.trace.interval {
+            add(
+                "trace".to_owned(),
+                format!("output.trace.interval = {interval}"),
+                "a row, with sums over all particles, outside the step".to_owned(),
+            );
+        }
         if let Some(interval) = output.snapshot_interval {
             add(
                 "snapshots".to_owned(),

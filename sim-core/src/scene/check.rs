@@ -508,6 +508,9 @@ impl Scene {
         if let Some(interval) = self.output.snapshot_interval {
             self.positive("output.snapshot_interval", interval)?;
         }
+        if let Some(interval) = self.output.trace.interval {
+            self.positive("output.trace.interval", interval)?;
+        }
         let picture = &self.output.picture;
         self.require(
             (16..=16_384).contains(&picture.pixels),

@@ -24,6 +24,7 @@ mod sleeping;
 mod subcycling;
 mod swap;
 mod terrain;
+mod trace;
 mod transfers;
 mod unbounded;
 mod validation;

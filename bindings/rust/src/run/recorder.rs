@@ -2,17 +2,18 @@
 
 use super::folder::Folder;
 use super::pictures::Pictures;
+use super::trace::{self, Columns, Trace};
 use super::{FRAMES, PARTICLES, Request, SNAPSHOT, TRACE, io_error};
 use crate::run::Existing;
 use barchan_core::backend::Timing;
 use barchan_core::export::export;
 use barchan_core::observer::{Every, Observer, Output};
 use barchan_core::scene::{Export, plain};
-use barchan_core::{BodyState, Error, JointState, Result, Simulation, StepReport, Vec3, Wrench};
+use barchan_core::{Error, Result, Simulation, StepReport};
 use std::cell::RefCell;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
+use std::io::{BufWriter, Write};
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::Instant;
 
@@ -21,12 +22,18 @@ pub(super) struct Files {
     pub(super) folder: Folder,
     trace: BufWriter<File>,
     /// What observers add to the trace's row of the last step.
-    values: Vec<Option<f64>>,
+    pub(super) values: Vec<Option<f64>>,
 }
 
 impl Files {
     fn flush(&mut self) -> Result<()> {
         self.trace.flush().map_err(|e| io_error(&self.folder.join(TRACE), "writing the trace", e))
+    }
+
+    /// Adds rows to the trace.
+    pub(super) fn write_trace(&mut self, rows: &str) -> Result<()> {
+        let written = self.trace.write_all(rows.as_bytes());
+        written.map_err(|e| io_error(&self.folder.join(TRACE), "writing the trace", e))
     }
 
     /// A snapshot of the simulation as it is, and of the trace as far as it has come: so the trace of a run that goes on from it has no gap.
@@ -104,9 +111,10 @@ impl<'a> Recorder<'a> {
         let named = guests.iter().zip(&columns).flat_map(|(guest, columns)| {
             columns.iter().map(|column| format!("{} {column}", guest.name())).collect::<Vec<_>>()
         });
-        let header = header(&simulation.bodies(), &simulation.joints(), named);
+        let trace_columns = Columns::new(simulation, &output.trace, named)?;
+        let header = trace_columns.header();
         if resumed {
-            check_header(&request.out, &header)?;
+            trace::check_header(&request.out, &header)?;
         }
         let every = |interval: f64| match resumed {
             true => Every::new(interval).after(simulation.time()),
@@ -118,7 +126,7 @@ impl<'a> Recorder<'a> {
         folder.numbered(PARTICLES, past)?;
         let pictures = pictures.then(|| Pictures::new(simulation, frames.last().map(PathBuf::as_path))).transpose()?;
         let values = vec![None; columns.iter().map(Vec::len).sum()];
-        let trace = open_trace(&folder.claim(TRACE)?, simulation, resumed, &header)?;
+        let trace = trace::open(&mut folder, simulation, resumed, &header)?;
         let files = Rc::new(RefCell::new(Files { folder, trace, values }));
 
         let mut seats = Vec::new();
@@ -130,7 +138,7 @@ impl<'a> Recorder<'a> {
         }
         let shared = || Rc::clone(&files);
         let own: [Box<dyn Observer>; 3] = [
-            Box::new(Trace { files: shared() }),
+            Box::new(Trace::new(shared(), trace_columns, output.trace.interval, resumed)),
             Box::new(Frames {
                 files: shared(),
                 every: every(output.interval),
@@ -260,59 +268,6 @@ fn check_names(guests: &[&mut dyn Observer]) -> Result<()> {
     Ok(())
 }
 
-/// Writes a row for every step.
-struct Trace {
-    files: Rc<RefCell<Files>>,
-}
-
-impl Observer for Trace {
-    fn name(&self) -> &str {
-        "trace"
-    }
-    fn interval(&self) -> f64 {
-        f64::INFINITY
-    }
-    fn observe(&mut self, _: &Simulation, _: &mut dyn Output) -> Result<()> {
-        Ok(())
-    }
-    fn stepped(
-        &mut self,
-        simulation: &Simulation,
-        (mut time, mut step): (f64, u64),
-        reports: &[StepReport],
-        _: &mut dyn Output,
-    ) -> Result<()> {
-        let files = &mut *self.files.borrow_mut();
-        let mut lines = String::new();
-        let joints = simulation.joints();
-        for (i, StepReport { dt, bodies, wrenches, .. }) in reports.iter().enumerate() {
-            (time, step) = (time + dt, step + 1);
-            let is_last = i + 1 == reports.len();
-            // The last step may land on a stop.
-            let time = if is_last { simulation.time() } else { time };
-            lines += &format!("{time},{step},{dt}");
-            let bodies = bodies.clone().unwrap_or_else(|| simulation.bodies());
-            let wrenches = wrenches.clone().unwrap_or_else(|| simulation.wrenches());
-            for (body, wrench) in bodies.iter().zip(&wrenches) {
-                lines.push_str(&row(body, wrench));
-            }
-            // Joints take part in every step on the host, so that there is none between.
-            for joint in &joints {
-                let JointState { position, rate, torque, .. } = joint;
-                lines += &if is_last { format!(",{position},{rate},{torque}") } else { ",,,".to_owned() };
-            }
-            // Observers have looked after the last one.
-            for value in &mut files.values {
-                let value = if is_last { value.take() } else { None };
-                lines.push_str(&value.map_or_else(|| ",".to_owned(), |value| format!(",{value}")));
-            }
-            lines.push('\n');
-        }
-        let written = files.trace.write_all(lines.as_bytes());
-        written.map_err(|e| io_error(&files.folder.join(TRACE), "writing the trace", e))
-    }
-}
-
 /// Pictures and particle files.
 struct Frames {
     files: Rc<RefCell<Files>>,
@@ -368,111 +323,4 @@ impl Observer for Snapshots {
     fn observe(&mut self, simulation: &Simulation, _: &mut dyn Output) -> Result<()> {
         if simulation.step_count() > self.began { self.files.borrow_mut().save(simulation) } else { Ok(()) }
     }
-}
-
-/// Holds the trace of a run that is to go on to the columns that it will have.
-fn check_header(folder: &Path, header: &str) -> Result<()> {
-    let path = folder.join(TRACE);
-    let mut first = String::new();
-    match File::open(&path).and_then(|file| BufReader::new(file).read_line(&mut first)) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            return Err(io_error(&path, "reading the trace", error));
-        }
-        _ => {}
-    }
-    // A line that was cut off is written anew.
-    let Some(first) = first.strip_suffix('\n').filter(|first| *first != header) else { return Ok(()) };
-    let (there, here) = (fields(first), fields(header));
-    let more = there.iter().find(|field| !here.contains(field));
-    let less = here.iter().find(|field| !there.contains(field));
-    let what = match (more, less) {
-        (None, None) => "has the columns in another order".to_owned(),
-        (Some(more), None) => format!("has '{more}'"),
-        (None, Some(less)) => format!("lacks '{less}'"),
-        (Some(more), Some(less)) => format!("has '{more}' and lacks '{less}'"),
-    };
-    Err(Error::Folder {
-        folder: folder.to_owned(),
-        what: format!("holds a trace of other columns: it {}", plain(&what)),
-        mend: "go on with the observers that the run had, or choose another folder with --out".to_owned(),
-    })
-}
-
-/// Opens the trace; one that goes on is cut after the present step.
-fn open_trace(path: &Path, simulation: &Simulation, resumed: bool, header: &str) -> Result<BufWriter<File>> {
-    let open = || -> io::Result<BufWriter<File>> {
-        let mut file = File::options().read(true).write(true).create(true).truncate(!resumed).open(path)?;
-        let mut text = String::new();
-        file.read_to_string(&mut text)?;
-        let step = |line: &str| line.split(',').nth(1).and_then(|s| s.parse::<u64>().ok());
-        let kept = text
-            .split_inclusive('\n')
-            .take_while(|line| line.ends_with('\n') && step(line).is_none_or(|step| step <= simulation.step_count()));
-        let length: usize = kept.map(str::len).sum();
-        file.set_len(length as u64)?;
-        file.seek(SeekFrom::End(0))?;
-        let mut writer = BufWriter::new(file);
-        if length == 0 {
-            writeln!(writer, "{header}")?;
-        }
-        Ok(writer)
-    };
-    open().map_err(|e| io_error(path, "opening the trace", e))
-}
-
-/// Quantities of a body in the trace, with units.
-const COLUMNS: [&str; 19] = [
-    "x [m]",
-    "y [m]",
-    "z [m]",
-    "qw",
-    "qx",
-    "qy",
-    "qz",
-    "vx [m/s]",
-    "vy [m/s]",
-    "vz [m/s]",
-    "wx [rad/s]",
-    "wy [rad/s]",
-    "wz [rad/s]",
-    "fx [N]",
-    "fy [N]",
-    "fz [N]",
-    "tx [N m]",
-    "ty [N m]",
-    "tz [N m]",
-];
-
-fn header(bodies: &[BodyState], joints: &[JointState], observed: impl Iterator<Item = String>) -> String {
-    let columns = bodies.iter().flat_map(|body| COLUMNS.map(|column| quoted(&format!("{} {column}", body.name))));
-    let of_joint = |joint: &JointState| {
-        let units = if joint.turns { ["[rad]", "[rad/s]", "[N m]"] } else { ["[m]", "[m/s]", "[N]"] };
-        let column = |(what, unit): (&str, &str)| quoted(&format!("{}/{} {what} {unit}", joint.body, joint.name));
-        ["position", "rate", "torque"].into_iter().zip(units).map(column).collect::<Vec<_>>()
-    };
-    let columns = columns.chain(joints.iter().flat_map(of_joint));
-    let all = ["time [s]", "step", "dt [s]"].map(str::to_owned).into_iter().chain(columns);
-    all.chain(observed.map(|column| quoted(&column))).collect::<Vec<_>>().join(",")
-}
-
-/// The fields of a line as [`quoted`] writes them.
-fn fields(line: &str) -> Vec<&str> {
-    let mut inside = false;
-    let ends = |c: char| {
-        inside ^= c == '"';
-        c == ',' && !inside
-    };
-    line.split(ends).collect()
-}
-
-/// A field of a CSV file (RFC 4180), on one line.
-fn quoted(field: &str) -> String {
-    let field = plain(field);
-    if field.contains(['"', ',']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field }
-}
-
-fn row(body: &BodyState, wrench: &Wrench) -> String {
-    let vectors: [&Vec3; 4] = [&body.velocity, &body.angular_velocity, &wrench.force, &wrench.torque];
-    let numbers = body.position.iter().chain(&body.rotation).chain(vectors.into_iter().flatten());
-    numbers.fold(String::new(), |row, number| format!("{row},{number}"))
 }

@@ -1,0 +1,374 @@
+//! `trace.csv`: a row for each step, or one an interval with what is true of the whole run besides.
+
+use super::folder::Folder;
+use super::recorder::Files;
+use super::{TRACE, io_error};
+use barchan_core::observer::{Observer, Output};
+use barchan_core::scene::{self, plain};
+use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
+use std::cell::RefCell;
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::rc::Rc;
+
+/// What every row begins with.
+const FIRST: [&str; 3] = ["time [s]", "step", "dt [s]"];
+/// Quantities of a body.
+const OF_BODY: [&str; 19] = [
+    "x [m]",
+    "y [m]",
+    "z [m]",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "vx [m/s]",
+    "vy [m/s]",
+    "vz [m/s]",
+    "wx [rad/s]",
+    "wy [rad/s]",
+    "wz [rad/s]",
+    "fx [N]",
+    "fy [N]",
+    "fz [N]",
+    "tx [N m]",
+    "ty [N m]",
+    "tz [N m]",
+];
+/// And, where rows are an interval apart, the means of its wrench since the row before.
+const MEANS: [&str; 6] =
+    ["mean fx [N]", "mean fy [N]", "mean fz [N]", "mean tx [N m]", "mean ty [N m]", "mean tz [N m]"];
+/// Of the whole run, where rows are an interval apart.
+const OF_ALL: [&str; 12] = [
+    "particles",
+    "mass [kg]",
+    "kinetic energy [J]",
+    "elastic energy [J]",
+    "potential energy [J]",
+    "damped energy [J]",
+    "px [N s]",
+    "py [N s]",
+    "pz [N s]",
+    "wall impulse x [N s]",
+    "wall impulse y [N s]",
+    "wall impulse z [N s]",
+];
+
+/// The columns of a trace.
+pub(super) struct Columns {
+    names: Vec<String>,
+    /// Which of them are written.
+    kept: Vec<bool>,
+}
+
+impl Columns {
+    /// Those of a simulation's trace, with what observers add.
+    ///
+    /// # Errors
+    /// If a pattern fits no column.
+    pub(super) fn new(
+        simulation: &Simulation,
+        wanted: &scene::Trace,
+        observed: impl Iterator<Item = String>,
+    ) -> Result<Self> {
+        let mut names: Vec<String> = FIRST.map(str::to_owned).into();
+        if wanted.interval.is_some() {
+            names.extend(OF_ALL.map(str::to_owned));
+        }
+        for body in simulation.bodies() {
+            let means = if wanted.interval.is_some() { &MEANS[..] } else { &[] };
+            names.extend(OF_BODY.iter().chain(means).map(|column| format!("{} {column}", body.name)));
+        }
+        for joint in simulation.joints() {
+            let units = if joint.turns { ["[rad]", "[rad/s]", "[N m]"] } else { ["[m]", "[m/s]", "[N]"] };
+            let column = |(what, unit): (&str, &str)| format!("{}/{} {what} {unit}", joint.body, joint.name);
+            names.extend(["position", "rate", "torque"].into_iter().zip(units).map(column));
+        }
+        names.extend(observed);
+        let mut kept = vec![wanted.columns.is_none(); names.len()];
+        kept[..FIRST.len()].fill(true);
+        for pattern in wanted.columns.iter().flatten() {
+            let mut any = false;
+            for (name, kept) in names.iter().zip(&mut kept) {
+                let without_unit = name.split(" [").next().unwrap_or(name);
+                if fits(pattern, name) || fits(pattern, without_unit) {
+                    (*kept, any) = (true, true);
+                }
+            }
+            if !any {
+                let some: Vec<&str> = names[FIRST.len()..].iter().take(40).map(String::as_str).collect();
+                let more = if names.len() > FIRST.len() + some.len() { ", …" } else { "" };
+                return Err(Error::Body {
+                    path: "output.trace.columns".to_owned(),
+                    what: format!("no column of the trace fits '{}'", plain(pattern)),
+                    mend: format!("take names, with * for any text, of: {}{more}", some.join(", ")),
+                });
+            }
+        }
+        Ok(Self { names, kept })
+    }
+
+    pub(super) fn header(&self) -> String {
+        let kept = self.names.iter().zip(&self.kept).filter(|(_, kept)| **kept);
+        kept.map(|(name, _)| quoted(name)).collect::<Vec<_>>().join(",")
+    }
+
+    /// A row, with nothing for what is not known.
+    fn row(&self, values: impl IntoIterator<Item = Option<f64>>) -> String {
+        let mut row = String::new();
+        for (value, _) in values.into_iter().zip(&self.kept).filter(|(_, kept)| **kept) {
+            if !row.is_empty() {
+                row.push(',');
+            }
+            if let Some(value) = value {
+                let _ = write!(row, "{value}");
+            }
+        }
+        row.push('\n');
+        row
+    }
+}
+
+/// Does a text fit a pattern, in which * stands for any text?
+fn fits(pattern: &str, text: &str) -> bool {
+    let mut parts = pattern.split('*');
+    let first = parts.next().unwrap_or_default();
+    let Some(mut rest) = text.strip_prefix(first) else { return false };
+    let Some(last) = parts.next_back() else { return rest.is_empty() };
+    for part in parts {
+        match rest.find(part) {
+            Some(at) => rest = &rest[at + part.len()..],
+            None => return false,
+        }
+    }
+    rest.ends_with(last)
+}
+
+/// Writes the rows.
+pub(super) struct Trace {
+    files: Rc<RefCell<Files>>,
+    columns: Columns,
+    interval: Option<f64>,
+    /// What has gone since the last row.
+    since: Since,
+    /// Has a row been written, at the start too? Is the next one due?
+    begun: bool,
+    due: bool,
+}
+
+#[derive(Default)]
+struct Since {
+    seconds: f64,
+    impulses: Vec<Wrench>,
+}
+
+impl Since {
+    fn add(&mut self, wrenches: &[Wrench], dt: f64) {
+        self.seconds += dt;
+        self.impulses.resize(wrenches.len(), Wrench::default());
+        for (sum, wrench) in self.impulses.iter_mut().zip(wrenches) {
+            sum.add_change(&Wrench::default(), wrench, dt);
+        }
+    }
+
+    /// The mean wrench on a body, if time has gone by.
+    fn mean(&self, body: usize) -> Option<Wrench> {
+        self.impulses.get(body).filter(|_| self.seconds > 0.0).map(|sum| sum.scaled(1.0 / self.seconds))
+    }
+}
+
+impl Trace {
+    /// `resumed`: a row for the start is there already.
+    pub(super) fn new(files: Rc<RefCell<Files>>, columns: Columns, interval: Option<f64>, resumed: bool) -> Self {
+        Self { files, columns, interval, since: Since::default(), begun: resumed, due: false }
+    }
+
+    /// A row of the present.
+    fn note(&mut self, simulation: &Simulation, dt: Option<f64>) -> Result<()> {
+        let files = &mut *self.files.borrow_mut();
+        let (time, step) = (simulation.time(), simulation.step_count());
+        let mut values = vec![Some(time), Some(step as f64), dt];
+        values.extend(of_all(&simulation.ledger()));
+        for (b, (body, wrench)) in simulation.bodies().iter().zip(simulation.wrenches()).enumerate() {
+            values.extend(of_body(body, &wrench));
+            let mean = self.since.mean(b);
+            values.extend([0, 1, 2].map(|d| mean.as_ref().map(|mean| mean.force[d])));
+            values.extend([0, 1, 2].map(|d| mean.as_ref().map(|mean| mean.torque[d])));
+        }
+        values.extend(simulation.joints().iter().flat_map(of_joint));
+        values.extend(files.values.iter_mut().map(Option::take));
+        let row = self.columns.row(values);
+        self.since = Since::default();
+        files.write_trace(&row)
+    }
+
+    /// A row for each step.
+    fn note_each(
+        &self,
+        simulation: &Simulation,
+        (mut time, mut step): (f64, u64),
+        reports: &[StepReport],
+    ) -> Result<()> {
+        let files = &mut *self.files.borrow_mut();
+        let mut rows = String::new();
+        let joints = simulation.joints();
+        for (i, StepReport { dt, bodies, wrenches, .. }) in reports.iter().enumerate() {
+            (time, step) = (time + dt, step + 1);
+            let is_last = i + 1 == reports.len();
+            // The last step may land on a stop.
+            let time = if is_last { simulation.time() } else { time };
+            let mut values = vec![Some(time), Some(step as f64), Some(*dt)];
+            let bodies = bodies.clone().unwrap_or_else(|| simulation.bodies());
+            let wrenches = wrenches.clone().unwrap_or_else(|| simulation.wrenches());
+            values.extend(bodies.iter().zip(&wrenches).flat_map(|(body, wrench)| of_body(body, wrench)));
+            // Joints are known after the last step, and so is what observers have seen.
+            values.extend(joints.iter().flat_map(of_joint).map(|value| value.filter(|_| is_last)));
+            values.extend(files.values.iter_mut().map(|value| if is_last { value.take() } else { None }));
+            rows += &self.columns.row(values);
+        }
+        files.write_trace(&rows)
+    }
+}
+
+impl Observer for Trace {
+    fn name(&self) -> &str {
+        "trace"
+    }
+    fn interval(&self) -> f64 {
+        self.interval.unwrap_or(f64::INFINITY)
+    }
+    fn observe(&mut self, simulation: &Simulation, _: &mut dyn Output) -> Result<()> {
+        self.due = self.interval.is_some();
+        if self.due && !std::mem::replace(&mut self.begun, true) {
+            self.due = false;
+            self.note(simulation, None)?;
+        }
+        Ok(())
+    }
+    fn stepped(
+        &mut self,
+        simulation: &Simulation,
+        from: (f64, u64),
+        reports: &[StepReport],
+        _: &mut dyn Output,
+    ) -> Result<()> {
+        if self.interval.is_none() {
+            return self.note_each(simulation, from, reports);
+        }
+        for StepReport { dt, wrenches, .. } in reports {
+            match wrenches {
+                Some(wrenches) => self.since.add(wrenches, *dt),
+                None => self.since.add(&simulation.wrenches(), *dt),
+            }
+        }
+        if std::mem::take(&mut self.due) {
+            self.note(simulation, reports.last().map(|report| report.dt))?;
+        }
+        Ok(())
+    }
+}
+
+fn of_all(ledger: &Ledger) -> impl Iterator<Item = Option<f64>> {
+    let energies = [ledger.kinetic, ledger.elastic, ledger.potential, ledger.damped];
+    let sums = [ledger.particles as f64, ledger.mass].into_iter().chain(energies);
+    // No law has to know its energy.
+    sums.chain(ledger.momentum).chain(ledger.wall_impulse).map(|x| Some(x).filter(|x| x.is_finite()))
+}
+
+fn of_body(body: &BodyState, wrench: &Wrench) -> impl Iterator<Item = Option<f64>> + use<> {
+    let vectors = [body.velocity, body.angular_velocity, wrench.force, wrench.torque];
+    body.position.into_iter().chain(body.rotation).chain(vectors.into_iter().flatten()).map(Some)
+}
+
+fn of_joint(joint: &JointState) -> [Option<f64>; 3] {
+    [joint.position, joint.rate, joint.torque].map(Some)
+}
+
+/// Holds the trace of a run that is to go on to the columns that it will have.
+pub(super) fn check_header(folder: &Path, header: &str) -> Result<()> {
+    let path = folder.join(TRACE);
+    let mut first = String::new();
+    match File::open(&path).and_then(|file| BufReader::new(file).read_line(&mut first)) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            return Err(io_error(&path, "reading the trace", error));
+        }
+        _ => {}
+    }
+    // A line that was cut off is written anew.
+    let Some(first) = first.strip_suffix('\n').filter(|first| *first != header) else { return Ok(()) };
+    let (there, here) = (fields(first), fields(header));
+    let more = there.iter().find(|field| !here.contains(field));
+    let less = here.iter().find(|field| !there.contains(field));
+    let what = match (more, less) {
+        (None, None) => "has the columns in another order".to_owned(),
+        (Some(more), None) => format!("has '{more}'"),
+        (None, Some(less)) => format!("lacks '{less}'"),
+        (Some(more), Some(less)) => format!("has '{more}' and lacks '{less}'"),
+    };
+    Err(Error::Folder {
+        folder: folder.to_owned(),
+        what: format!("holds a trace of other columns: it {}", plain(&what)),
+        mend: "go on with the observers that the run had, or choose another folder with --out".to_owned(),
+    })
+}
+
+/// Opens the trace; one that goes on is cut after the present step.
+pub(super) fn open(
+    folder: &mut Folder,
+    simulation: &Simulation,
+    resumed: bool,
+    header: &str,
+) -> Result<BufWriter<File>> {
+    let path = folder.claim(TRACE)?;
+    let open = || -> io::Result<BufWriter<File>> {
+        let mut file = File::options().read(true).write(true).create(true).truncate(!resumed).open(&path)?;
+        let mut text = String::new();
+        file.read_to_string(&mut text)?;
+        let step = |line: &str| line.split(',').nth(1).and_then(|s| s.parse::<u64>().ok());
+        let kept = text
+            .split_inclusive('\n')
+            .take_while(|line| line.ends_with('\n') && step(line).is_none_or(|step| step <= simulation.step_count()));
+        let length: usize = kept.map(str::len).sum();
+        file.set_len(length as u64)?;
+        file.seek(SeekFrom::End(0))?;
+        let mut writer = BufWriter::new(file);
+        if length == 0 {
+            writeln!(writer, "{header}")?;
+        }
+        Ok(writer)
+    };
+    open().map_err(|e| io_error(&path, "opening the trace", e))
+}
+
+/// The fields of a line as [`quoted`] writes them.
+fn fields(line: &str) -> Vec<&str> {
+    let mut inside = false;
+    let ends = |c: char| {
+        inside ^= c == '"';
+        c == ',' && !inside
+    };
+    line.split(ends).collect()
+}
+
+/// A field of a CSV file (RFC 4180), on one line.
+fn quoted(field: &str) -> String {
+    let field = plain(field);
+    if field.contains(['"', ',']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::fits;
+
+    #[test]
+    fn stars_stand_for_any_text() {
+        for (pattern, text) in [("a", "a"), ("*", ""), ("a*", "abc"), ("*c", "abc"), ("a*c*e", "abcde"), ("**", "x")] {
+            assert!(fits(pattern, text), "{pattern} {text}");
+        }
+        for (pattern, text) in [("a", "ab"), ("a*", "ba"), ("*a", "ab"), ("ab*bc", "abc"), ("a*c*e", "abce1")] {
+            assert!(!fits(pattern, text), "{pattern} {text}");
+        }
+    }
+}
