@@ -10,7 +10,7 @@ use crate::tables::{Listed, Tables, rows};
 use crate::world::{RigidWorld, Role};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
-    Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Placed,
+    Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept, Placed,
 };
 use barchan_core::plan::TOOL_COUPLING;
 use barchan_core::scene::{Contact, Motion, Tool, Wall};
@@ -47,6 +47,14 @@ pub struct Rigid {
     counts: Counts,
     /// Does a device move the free bodies?
     on_device: bool,
+}
+
+/// What steps change, as it was.
+struct Before {
+    states: Vec<State>,
+    wrenches: Vec<Wrench>,
+    counts: Counts,
+    physics: Option<PhysicsWorld>,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -285,6 +293,18 @@ fn check_contact(contact: Contact) -> Result<(), Refusal> {
 }
 
 impl Rigid {
+    fn take_up(&mut self, Before { states, wrenches, counts, physics }: Before) -> Result<(), String> {
+        if let (Some(world), Some(physics)) = (&mut self.world, physics) {
+            world.restore(physics)?;
+        }
+        for (body, state) in self.bodies.iter_mut().zip(states) {
+            body.state = state;
+            body.target = state.pose;
+        }
+        (self.wrenches, self.counts) = (wrenches, counts);
+        Ok(())
+    }
+
     /// The tools of `scene`, as the coupling 'rigid'.
     ///
     /// # Errors
@@ -754,6 +774,9 @@ impl Coupling for Rigid {
         {
             return Err(format!("it holds {} rigid bodies, and the scene {}", states.len(), self.bodies.len()));
         }
+        if !wrenches.iter().flat_map(|(force, torque)| force.iter().chain(torque)).all(|x| x.is_finite()) {
+            return Err("a wrench is not finite".to_owned());
+        }
         for (body, state) in self.bodies.iter().zip(&states) {
             if !state.is_sound() {
                 return Err(format!(
@@ -762,18 +785,22 @@ impl Coupling for Rigid {
                 ));
             }
         }
-        if !wrenches.iter().flat_map(|(force, torque)| force.iter().chain(torque)).all(|x| x.is_finite()) {
-            return Err("a wrench is not finite".to_owned());
-        }
-        if let (Some(world), Some(physics)) = (&mut self.world, physics) {
-            world.restore(physics)?;
-        }
-        for (body, state) in self.bodies.iter_mut().zip(states) {
-            body.state = state;
-            body.target = state.pose;
-        }
-        self.wrenches = wrenches.into_iter().map(|(force, torque)| Wrench { force, torque }).collect();
-        self.counts = counts;
-        Ok(())
+        let wrenches = wrenches.into_iter().map(|(force, torque)| Wrench { force, torque }).collect();
+        self.take_up(Before { states, wrenches, counts, physics })
+    }
+
+    /// Shapes, of which meshes and height fields have many triangles, are shared and not copied.
+    fn keep(&self) -> Kept {
+        Box::new(Before {
+            states: self.bodies.iter().map(|body| body.state).collect(),
+            wrenches: self.wrenches.clone(),
+            counts: self.counts,
+            physics: self.world.as_ref().filter(|_| !self.on_device).map(RigidWorld::copy),
+        })
+    }
+
+    fn go_back(&mut self, kept: Kept) -> Result<(), String> {
+        let before = kept.downcast::<Before>().map_err(|_| "it is not what rigid bodies keep".to_owned())?;
+        self.take_up(*before)
     }
 }

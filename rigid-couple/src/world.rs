@@ -134,6 +134,23 @@ impl RigidWorld {
         &self.physics
     }
 
+    /// A copy of the same, which shares shapes.
+    pub fn copy(&self) -> PhysicsWorld {
+        let ours = &self.physics;
+        PhysicsWorld {
+            gravity: ours.gravity,
+            integration_parameters: ours.integration_parameters,
+            islands: ours.islands.clone(),
+            broad_phase: ours.broad_phase.clone(),
+            narrow_phase: ours.narrow_phase.clone(),
+            bodies: ours.bodies.clone(),
+            colliders: ours.colliders.clone(),
+            impulse_joints: ours.impulse_joints.clone(),
+            multibody_joints: ours.multibody_joints.clone(),
+            ..PhysicsWorld::default()
+        }
+    }
+
     /// Takes up what [`physics`](Self::physics) gave in a world with the same bodies.
     ///
     /// Rapier trusts what it reads. Checked here is what can be seen from outside: that bodies, colliders and joints are those of this

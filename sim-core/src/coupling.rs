@@ -4,6 +4,7 @@ use crate::contact::{Reaction, System, Touch, Twist};
 use crate::sense::RobotState;
 use crate::surface::Surface;
 use crate::{Result, Vec3};
+use std::any::Any;
 use std::ops::Range;
 
 /// Force and torque, or, times a step, impulse and angular impulse.
@@ -398,6 +399,9 @@ pub struct Group {
     pub mass: f64,
 }
 
+/// What a coupling [keeps](Coupling::keep) of itself while steps may fail: its own to know.
+pub type Kept = Box<dyn Any + Send + Sync>;
+
 /// Rigid tools, free bodies, robots, wind: anything that acts on nodes and feels the reaction.
 ///
 /// In each step the simulation calls, in this order: [`before_step`](Self::before_step), then, on each level, fields
@@ -573,4 +577,19 @@ pub trait Coupling: Send + Sync {
     /// # Errors
     /// A text saying what is wrong with the bytes.
     fn restore(&mut self, bytes: &[u8]) -> std::result::Result<(), String>;
+    /// What it can [go back](Self::go_back) to if what comes next fails, within this run. It is asked for before every step: a coupling that saves much which
+    /// no step changes, such as the shapes of its bodies, says here what does change.
+    fn keep(&self) -> Kept {
+        Box::new(self.save())
+    }
+    /// Goes back to what it has [kept](Self::keep).
+    ///
+    /// # Errors
+    /// A text saying what is wrong with it.
+    fn go_back(&mut self, kept: Kept) -> std::result::Result<(), String> {
+        match kept.downcast::<Vec<u8>>() {
+            Ok(bytes) => self.restore(&bytes),
+            Err(_) => Err("it is not what this coupling keeps".to_owned()),
+        }
+    }
 }

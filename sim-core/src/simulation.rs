@@ -6,6 +6,7 @@ pub(crate) use resume::Moment;
 pub use resume::State;
 
 use crate::backend::{Bound, Timing, WorldStep};
+use crate::coupling::Kept;
 use crate::parameter::{Giver, Parameters, Table};
 use crate::plan::{SCENE_COUPLINGS, cut, tighten, wanted_step};
 use crate::scene::OverBound;
@@ -454,7 +455,7 @@ impl Simulation {
         let wanted = self.wanted(most, until)?;
         let before = self.begin(&wanted);
         let result = self.engine.steps(self.time, wanted.dt, wanted.count, &mut self.couplings, self.reports_bodies);
-        self.finish(&wanted, &before, result)
+        self.finish(&wanted, before, result)
     }
 
     /// Says whether reports of [`steps`](Self::steps) that a device takes at once are to [say](StepReport::bodies) where bodies were after each of
@@ -488,21 +489,21 @@ impl Simulation {
         Ok(WantedSteps { dt, count, to_stop, above })
     }
 
-    /// What must be kept to go back to before the steps: what each coupling saves.
-    pub(crate) fn begin(&mut self, wanted: &WantedSteps) -> Vec<Vec<u8>> {
+    /// What must be kept to go back to before the steps: of each coupling what steps change.
+    pub(crate) fn begin(&mut self, wanted: &WantedSteps) -> Vec<Kept> {
         if wanted.above {
             self.begin_watch();
         } else {
             self.watch = None;
         }
-        self.couplings.iter().map(|c| c.save()).collect()
+        self.couplings.iter().map(|c| c.keep()).collect()
     }
 
     /// Takes in what the engine did, or goes back.
     pub(crate) fn finish(
         &mut self,
         wanted: &WantedSteps,
-        before: &[Vec<u8>],
+        before: Vec<Kept>,
         result: Result<Vec<StepReport>>,
     ) -> Result<Vec<StepReport>> {
         let some = |reports: Vec<_>| if reports.is_empty() { Err(no_step(&self.backend)) } else { Ok(reports) };
@@ -515,8 +516,8 @@ impl Simulation {
                 {
                     *step = self.step;
                 }
-                for (coupling, bytes) in self.couplings.iter_mut().zip(before) {
-                    coupling.restore(bytes).map_err(|what| Error::Body {
+                for (coupling, kept) in self.couplings.iter_mut().zip(before) {
+                    coupling.go_back(kept).map_err(|what| Error::Body {
                         path: format!("coupling '{}'", coupling.name()),
                         what: format!("cannot go back to before the step that failed ({error}): {what}"),
                         mend: "resume from the last snapshot".to_owned(),

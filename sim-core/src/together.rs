@@ -108,7 +108,7 @@ impl Together {
             .steps(dt, count, &mut world_steps)
             .unwrap_or_else(|error| all_failed(&self.backend, error, all_wanted.len()));
         let results = results.into_iter().chain(std::iter::repeat_with(|| Err(no_step(&self.backend))));
-        let taken = all_wanted.iter().zip(&before).zip(results);
+        let taken = all_wanted.iter().zip(before).zip(results);
         taken
             .map(|(((w, wanted), before), result)| (*w, self.worlds[*w].finish(&common(wanted), before, result)))
             .collect()

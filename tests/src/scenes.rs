@@ -16,6 +16,13 @@ pub fn options(precision: Precision) -> Options {
     Options { precision, threads: 1, ..Options::default() }
 }
 
+/// Backends and number formats that a case is run on which holds for all of them. The device is the first adapter, be it a software one; a case fails where
+/// there is none.
+pub fn everywhere() -> [Options; 3] {
+    let on = |backend: &str, precision| Options { backend: backend.to_owned(), ..options(precision) };
+    [on("cpu", Precision::F32), on("cpu", Precision::F64), on("wgpu", Precision::F32)]
+}
+
 /// A simulation from TOML text.
 ///
 /// # Panics

@@ -9,6 +9,7 @@
 use crate::engine::{CpuEngine, Pass};
 use crate::faults::{at_time, cannot_go_back};
 use crate::level::Level;
+use barchan_core::coupling::Kept;
 use barchan_core::plan::loaded;
 use barchan_core::schedule::{Call, Stage};
 use barchan_core::{Coupling, Error, Result, Schedule, Wrench};
@@ -73,7 +74,7 @@ pub(crate) struct UnderWay<'a> {
     /// Were nodes too fast before bodies acted on them?
     is_fast: bool,
     /// The couplings before bodies acted, if that might make nodes too fast.
-    saved: Vec<Vec<u8>>,
+    saved: Vec<Kept>,
     /// What bodies felt, as a sum over the slots of mean forces and torques; empty if there is one slot only.
     wrenches: Vec<Wrench>,
 }
@@ -268,8 +269,8 @@ impl<T: Scalar> CpuEngine<T> {
                 by: "the speed that a coupling gave to a node".into(),
             });
         }
-        for (coupling, before) in step.couplings.iter_mut().zip(&step.saved) {
-            coupling.restore(before).map_err(|what| cannot_go_back(&**coupling, what))?;
+        for (coupling, before) in step.couplings.iter_mut().zip(std::mem::take(&mut step.saved)) {
+            coupling.go_back(before).map_err(|what| cannot_go_back(&**coupling, what))?;
         }
         self.levels.iter_mut().for_each(|level| level.wall_impulse = [0.0; 3]);
         self.shortened += 1;
@@ -302,12 +303,12 @@ impl<T: Scalar> CpuEngine<T> {
 
     /// The couplings before a step's contact, if that might make nodes too fast; else nothing. A law leaves no more of a node's velocity relative
     /// to a surface than it had, so that it gives a node twice the surface's speed at most.
-    fn before_contact(&self, step: &UnderWay<'_>) -> Vec<Vec<u8>> {
+    fn before_contact(&self, step: &UnderWay<'_>) -> Vec<Kept> {
         let finest = self.levels[0].h();
         let speeds = step.couplings.iter().map(|coupling| coupling.max_speed(step.time, step.dt));
         let bodies = speeds.fold(0.0, f64::max) * step.dt / finest;
         let might = 3f64.sqrt() * self.greatest_move(step.dt) + 2.0 * bodies > NODE_MOVE;
-        if might { step.couplings.iter().map(|coupling| coupling.save()).collect() } else { Vec::new() }
+        if might { step.couplings.iter().map(|coupling| coupling.keep()).collect() } else { Vec::new() }
     }
 
     /// Holds how far a level's particles moved, and how far they have come since they were sorted, to what blocks allow for.

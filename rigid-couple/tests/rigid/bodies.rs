@@ -171,6 +171,26 @@ fn restored_runs_continue_bit_for_bit() {
     assert!(rigid(other).restore(&saved).is_err());
 }
 
+/// What fails is as if it had never been tried: bodies go back to what they kept, bit for bit, contact caches included, and that is what they were restored from.
+#[test]
+fn bodies_go_back_to_what_they_kept() {
+    let mut rigid = stack();
+    let steps = |from: i32, count: i32, rigid: &mut Rigid| {
+        for i in from..from + count {
+            step(rigid, f64::from(i) * 1e-3, 1e-3, &mut dust());
+        }
+        rigid.save()
+    };
+    let saved = steps(0, 400, &mut rigid);
+    let kept = rigid.keep();
+    let later = steps(400, 50, &mut rigid);
+    rigid.go_back(kept).unwrap();
+    assert!(rigid.save() == saved, "it is not what it was");
+    assert!(steps(400, 50, &mut rigid) == later, "the steps after it are others");
+    let foreign: barchan_core::coupling::Kept = Box::new(1.0);
+    assert!(rigid.go_back(foreign).unwrap_err().contains("not what rigid bodies keep"));
+}
+
 #[test]
 fn free_meshes_collide_by_their_hull() {
     // A mesh that falls on a floor must rest on it, not sink in: a tetrahedron, and a U-shape would need the decomposition.

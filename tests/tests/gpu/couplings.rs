@@ -1,9 +1,9 @@
 //! Several couplings in a scene, fields and bodies, driven and free: all of them on the device.
 
-use super::{apart, left, norm, off, on_gpu, passes_of, rows, take_at_once, with_currents};
+use super::{apart, left, off, on_gpu, passes_of, take_at_once, with_currents};
 use barchan::worlds::Worlds;
 use barchan::{Options, Precision, Simulation, Wrench};
-use barchan_tests::scenes::{scene, within};
+use barchan_tests::scenes::{norm, rows, scene, within};
 use barchan_tests::sketch::{Head, block, driven, half, material, tool};
 
 const CURRENT: &str = "[[coupling]]\nkind = \"current\"\nparameters = { rate = 3, velocity = [0.4, 0.1, 0] }\n";

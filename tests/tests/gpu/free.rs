@@ -1,8 +1,8 @@
 //! Free bodies, which the device moves by itself as long as they meet nothing but the ground.
 
-use super::{apart, cpu, gpu, norm, off, passes_of, rows, take_at_once};
+use super::{apart, cpu, gpu, off, passes_of, take_at_once};
 use barchan::{Simulation, Vec3};
-use barchan_tests::scenes::{scene, within};
+use barchan_tests::scenes::{norm, rows, scene, within};
 use barchan_tests::sketch::{Head, block, body, half, material, tool};
 use barchan_wgpu::Wgpu;
 use barchan_wgpu::device::Offer;
@@ -115,7 +115,7 @@ fn a_cube_slides_on_sand_as_on_the_cpu() {
         assert!(super::left(&g) == super::left(&single), "many steps at once are something else");
         // Where a pass may bind eight buffers, bodies and rims of levels with steps of their own do not fit into one.
         if is_together {
-            let (registry, options) = super::held(Wgpu { offer: Offer::Least, device: None });
+            let (registry, options) = super::adapters::held(Wgpu { offer: Offer::Least, device: None });
             let mut poor = Simulation::new(&registry, &scene(&toml), &options).unwrap();
             take_at_once(&mut poor, steps);
             assert_eq!(passes_of(&poor, "solve") > 0, levels.contains("subcycle"));

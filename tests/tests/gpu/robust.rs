@@ -6,7 +6,6 @@ use barchan::{Ledger, Precision, Simulation};
 use barchan_tests::random::{Generator, Judge, Outcome, write_files};
 use barchan_tests::scenes::{minus, norm, scene, within};
 use barchan_tests::sketch::{Head, bed, block, half, material, tool};
-use barchan_tests::stops::{hold, struck, thrown};
 
 /// Symptom: a picture of a scene in which some level holds no particle panics ("volumes are in the last"): the finest level follows a tool that is
 /// still in the air, or all ground is near enough to be fine.
@@ -62,20 +61,6 @@ fn bodies_without_ground_need_no_material() {
     let options = barchan::Options { backend: "wgpu".into(), ..Default::default() };
     let resumed = Simulation::resume(&barchan::registry(), &file, &options).unwrap();
     assert_eq!(resumed.bodies(), gpu.bodies());
-}
-
-/// The device takes many steps of one length: which, and from when to when, must not depend on where a run stops to write.
-#[test]
-fn how_often_a_run_writes_changes_no_bit() {
-    hold(&struck("neo_hookean"), "wgpu", 0.05);
-    hold(&struck("snow"), "wgpu", 0.03);
-    hold(&thrown("neo_hookean"), "wgpu", 0.05);
-}
-
-/// As on the CPU.
-#[test]
-fn a_particle_that_leaves_is_noticed_within_a_cell() {
-    barchan_tests::leaving::hold("wgpu");
 }
 
 /// Random scenes are near the CPU's.

@@ -1,24 +1,26 @@
-//! States in memory and copies of worlds go on as their sources do, on the CPU.
+//! States in memory and copies of worlds go on as their sources do, on every backend.
 
 use barchan::{Aabb, Error, Options, Precision, Simulation};
 use barchan_tests::forks::{ploughed, states_go_on, worlds_fork};
 use barchan_tests::readings::hold;
-use barchan_tests::scenes::options;
+use barchan_tests::scenes::{everywhere, options};
 
 #[test]
 fn a_state_in_memory_or_in_a_file_goes_on_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
-    for precision in [Precision::F32, Precision::F64] {
+    for options in everywhere() {
         for (levels, subcycle) in [(1, false), (2, false), (2, true)] {
-            states_go_on(&ploughed(1, levels, subcycle), &options(precision), folder.path());
+            states_go_on(&ploughed(1, levels, subcycle), &options, folder.path());
         }
     }
 }
 
 #[test]
 fn a_forked_world_goes_on_as_its_source() {
-    for (levels, subcycle) in [(1, false), (2, true)] {
-        worlds_fork(|world| ploughed(world, levels, subcycle), &options(Precision::F32));
+    for options in everywhere() {
+        for (levels, subcycle) in [(1, false), (2, true)] {
+            worlds_fork(|world| ploughed(world, levels, subcycle), &options);
+        }
     }
 }
 
@@ -46,11 +48,13 @@ fn a_state_of_another_scene_is_refused() {
 #[test]
 fn a_reading_is_what_a_copy_of_all_particles_holds() {
     let region = Aabb { min: [0.21, 0.05, 0.03], max: [0.93, 0.23, 0.3] };
-    for (levels, precision) in [(1, Precision::F64), (2, Precision::F32)] {
-        let scene = ploughed(1, levels, false);
-        let mut simulation = Simulation::new(&barchan::registry(), &scene, &options(precision)).unwrap();
-        hold(&simulation, region);
-        (0..5).for_each(|_| drop(simulation.step().unwrap()));
-        hold(&simulation, region);
+    for options in everywhere() {
+        for levels in [1, 2] {
+            let scene = ploughed(1, levels, false);
+            let mut simulation = Simulation::new(&barchan::registry(), &scene, &options).unwrap();
+            hold(&simulation, region);
+            (0..5).for_each(|_| drop(simulation.step().unwrap()));
+            hold(&simulation, region);
+        }
     }
 }

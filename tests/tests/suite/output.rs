@@ -17,6 +17,10 @@ fn how_often_a_run_writes_changes_no_bit() {
     // Its stiffness, and so its step, follows the state.
     hold(&struck("snow"), "cpu", 0.05);
     hold(&thrown("sand").replace("young_modulus = 5e4", "young_modulus = 1e5"), "cpu", 0.05);
+    // A device takes many steps of one length: which, and from when to when, must not depend on where a run stops to write.
+    hold(&struck("neo_hookean"), "wgpu", 0.05);
+    hold(&struck("snow"), "wgpu", 0.03);
+    hold(&thrown("neo_hookean"), "wgpu", 0.05);
 }
 
 /// Where there is no ground that bounds the step, it is not output that does.

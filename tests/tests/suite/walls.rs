@@ -30,6 +30,7 @@ fn mean(simulation: &Simulation) -> ([f64; 3], [f64; 3]) {
 #[test]
 fn a_particle_that_leaves_is_noticed_within_a_cell() {
     barchan_tests::leaving::hold("cpu");
+    barchan_tests::leaving::hold("wgpu");
 }
 
 /// A block that touches a wall and moves away from it leaves a separating wall freely; a slip wall holds it back, since mirror
