@@ -3,6 +3,7 @@
 pub mod arguments;
 pub mod forks;
 pub mod goldens;
+pub mod granular;
 pub mod large_cases;
 pub mod leaving;
 pub mod limits;

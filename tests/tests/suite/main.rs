@@ -8,6 +8,7 @@ mod determinism;
 mod effects;
 mod forks;
 mod goldens;
+mod granular;
 mod hard_cases;
 mod instruction_sets;
 mod levels;

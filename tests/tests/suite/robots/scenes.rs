@@ -1,0 +1,111 @@
+//! The built-in scenes with robots, each for a short time on coarse cells.
+
+use barchan::{Options, RobotState, Simulation};
+use barchan_tests::scenes::run_to;
+use glam::{DQuat, DVec3};
+
+/// A built-in scene, coarse.
+fn coarse(name: &str, overrides: &[&str]) -> Simulation {
+    let scene = barchan::tasks::scene(name, overrides).unwrap();
+    Simulation::new(&barchan::registry(), &scene, &Options { threads: 2, ..Options::default() }).unwrap()
+}
+
+fn robot(s: &Simulation) -> RobotState {
+    s.robots().remove(0)
+}
+
+/// How far its base leans [degrees].
+fn lean(state: &RobotState) -> f64 {
+    let [w, x, y, z] = state.rotation;
+    (DQuat::from_xyzw(x, y, z, w) * DVec3::Z).z.acos().to_degrees()
+}
+
+fn centre(s: &Simulation, link: &str) -> DVec3 {
+    let body = s.bodies().into_iter().find(|body| body.name == link);
+    DVec3::from_array(body.unwrap_or_else(|| panic!("no body '{link}'")).position)
+}
+
+/// Mean push of the ground on a robot up to a time, over its weight.
+fn borne(s: &mut Simulation, until: f64) -> f64 {
+    let weight = 9.81 * s.bodies().iter().map(|body| body.mass).sum::<f64>();
+    let (mut impulse, from) = (0.0, s.time());
+    while s.time() < until {
+        let dt = s.step().unwrap().dt;
+        impulse += dt * robot(s).links.iter().map(|link| link.felt().force[2]).sum::<f64>();
+    }
+    impulse / (s.time() - from) / weight
+}
+
+/// A humanoid that is held by its joints alone stands upright, and the sand bears its weight.
+#[test]
+fn humanoid_stand_is_borne_by_the_sand() {
+    let mut s = coarse("humanoid-stand", &["world.cell=0.03125"]);
+    run_to(&mut s, 0.7);
+    let before = robot(&s);
+    let push = borne(&mut s, 1.2);
+    let state = robot(&s);
+    let crept = (DVec3::from_array(state.position) - DVec3::from_array(before.position)).length();
+    println!(
+        "borne by {push:.3} of its weight (1 +- 0.03), crept {crept:.1e} m (5e-3), leaning by {:.2} degrees (3)",
+        lean(&state)
+    );
+    assert!((push - 1.0).abs() < 0.03 && crept < 5e-3 && lean(&state) < 3.0, "{push}, {crept}, {state:?}");
+}
+
+/// A humanoid puts its right foot 0.2 m forward; the left one stays, and it does not fall.
+#[test]
+fn humanoid_step_puts_a_foot_forward() {
+    let mut s = coarse("humanoid-step", &["world.cell=0.03125"]);
+    let feet = |s: &Simulation| {
+        let named = |side: &str| {
+            s.bodies()
+                .into_iter()
+                .filter(|b| b.name.contains(side) && b.name.contains("foot"))
+                .map(|b| b.position[0])
+                .next_back()
+        };
+        [named("right").unwrap(), named("left").unwrap()]
+    };
+    run_to(&mut s, 0.5);
+    let start = feet(&s);
+    run_to(&mut s, 2.4);
+    let end = feet(&s);
+    let (step, slip) = (end[0] - start[0], end[1] - start[1]);
+    println!(
+        "right foot {step:.3} m on (0.15), left {slip:.3} m (0.03), leaning by {:.1} degrees (10)",
+        lean(&robot(&s))
+    );
+    assert!(step > 0.15 && slip.abs() < 0.03 && lean(&robot(&s)) < 10.0);
+}
+
+/// The rod of an arm that writes follows its path, and the sand pushes it up.
+#[test]
+fn arm_writes_follows_its_path() {
+    let mut s = coarse("arm-writes", &["world.cell=0.016", "levels.count=1"]);
+    let rest = centre(&s, "arm/rod");
+    let frames = s.plan().scene.robot[0].motion.as_ref().unwrap().path.as_ref().unwrap().frames.clone();
+    let (mut worst, mut push) = (0.0_f64, 0.0_f64);
+    for frame in frames.iter().filter(|frame| (0.3..1.5).contains(&frame.time)) {
+        run_to(&mut s, frame.time);
+        let way = DVec3::from_array(frame.position) - DVec3::from_array(frames[0].position);
+        worst = worst.max((centre(&s, "arm/rod") - rest - way).length());
+        push = push.max(robot(&s).links.iter().find(|link| link.name == "arm/rod").unwrap().ground.force[2]);
+    }
+    println!("rod up to {:.1} mm off its path (15), pushed up with {push:.0} N (3 to 200)", 1e3 * worst);
+    assert!(worst < 0.015 && (3.0..200.0).contains(&push), "{worst}, {push}");
+}
+
+/// The blade of an arm that scoops lifts sand and cube out of the bed.
+#[test]
+fn arm_scoops_lifts_what_it_carries() {
+    let mut s = coarse("arm-scoops", &["world.cell=0.016"]);
+    let height = |s: &Simulation| {
+        let all: Vec<f64> = s.spots().iter().filter(|spot| spot.material == 1).map(|spot| spot.position[2]).collect();
+        all.iter().sum::<f64>() / all.len() as f64
+    };
+    let start = height(&s);
+    run_to(&mut s, 2.6);
+    let lifted = height(&s) - start;
+    println!("cube lifted by {lifted:.3} m (0.1)");
+    assert!(lifted > 0.1, "{lifted}");
+}
