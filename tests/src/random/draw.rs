@@ -122,7 +122,7 @@ impl Generator {
         let couplings = named.map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
         let tasks = registry.tasks().map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
         let mut schema = Scene::schema();
-        // Robots name joints and links of their files; they have tests of their own.
+        // Robots name joints and links of their files: they are put together here, in `robot`.
         schema["properties"].as_object_mut().map(|keys| keys.remove("robot"));
         Self { schema, laws, couplings, tasks }
     }
@@ -171,6 +171,9 @@ impl Generator {
         // Most scenes are to run: what types and units cannot say is mended.
         if !frame.is(0.05) {
             mend(&mut scene, &mut frame);
+        }
+        if frame.is(0.15) {
+            scene.insert("robot".to_owned(), Value::Array(vec![Value::Table(robot(&mut frame))]));
         }
         scene
     }
@@ -539,6 +542,42 @@ fn unit(doc: &str) -> &str {
 /// The tables of a list of the scene.
 fn entries<'a>(scene: &'a mut Table, list: &str) -> impl Iterator<Item = &'a mut Table> {
     scene.get_mut(list).and_then(Value::as_array_mut).into_iter().flatten().filter_map(Value::as_table_mut)
+}
+
+/// A robot that comes with the program, somewhere in the world: as such it is a metre high, and the world is of any size.
+fn robot(frame: &mut Frame) -> Table {
+    let mut robot = Table::new();
+    let model = frame.pick(&["quadruped", "humanoid", "arm", "arm-rod", "arm-shovel", "arm-scraper"]);
+    let mut set = |key: &str, value: Value| drop(robot.insert(key.to_owned(), value));
+    set("name", Value::String("r0".to_owned()));
+    set("model", Value::String(model.to_owned()));
+    set("position", floats(frame.point(5.0)));
+    let turn = frame.between(-0.5, 0.5);
+    set("rotation", floats([turn.cos(), 0.0, 0.0, turn.sin()]));
+    set("fixed", Value::Boolean(model.starts_with("arm")));
+    if !model.starts_with("arm") && frame.is(0.5) {
+        set("velocity", floats(frame.direction().map(|x| x * frame.speed)));
+    }
+    if model == "quadruped" {
+        let bent = [("*_thigh_joint", 0.8), ("*_calf_joint", -1.6)];
+        set(
+            "joints",
+            Value::Table(bent.map(|(joint, angle)| (joint.to_owned(), Value::Float(angle))).into_iter().collect()),
+        );
+    }
+    if frame.is(0.7) {
+        let mut motor = Table::new();
+        let kp = frame.pick(&[0.0, 10.0, 250.0, 2000.0]);
+        motor.insert("kp".to_owned(), Value::Float(kp));
+        motor.insert("kd".to_owned(), Value::Float(0.03 * kp));
+        set("motor", Value::Array(vec![Value::Table(motor)]));
+    }
+    if model == "quadruped" && frame.is(0.4) {
+        let motion = [("model".to_owned(), Value::String("quadruped-trot".to_owned()))];
+        set("motion", Value::Table(motion.into_iter().collect()));
+    }
+    set("self_collision", Value::Boolean(frame.is(0.3)));
+    robot
 }
 
 /// Mends what declarations do not say: what refers to each other, and what excludes each other.
