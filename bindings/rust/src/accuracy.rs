@@ -5,7 +5,7 @@
 //! 3. [`Errors::of`] holds a record against that of the reference.
 //!
 //! Lengths are compared where a user would see them: the height of the surface, the place of the tool, the force on it, and
-//! the distance between the two clouds of particles.
+//! the distance between the two clouds of particles. The first body counts as the tool; if it is a robot's base, so do all links in the force on it.
 
 //!
 //! ```
@@ -108,7 +108,7 @@ impl Grain {
     }
 }
 
-/// The first tool after a step.
+/// The first tool, or robot, after a step.
 #[derive(Clone, Copy, Debug, Default)]
 struct Moment {
     /// Time [s].
@@ -191,6 +191,11 @@ pub fn record(
     let (start, ledger_start) = (grains(&simulation), simulation.ledger());
     let mut cost = Cost { start_up_s, mass_kg: ledger_start.mass, ..Cost::default() };
     let first = |simulation: &Simulation| simulation.bodies().first().map(|body| body.position);
+    // Links of a robot come right behind its base.
+    let links = simulation.robots().first().map_or(1, |robot| {
+        let is_first = simulation.bodies().first().is_some_and(|body| body.name == robot.name);
+        if is_first { robot.links.len() } else { 1 }
+    });
     let mut tool: Vec<Moment> =
         first(&simulation).map(|position| Moment { position, ..Moment::default() }).into_iter().collect();
     let (end, mut particle_steps, mut to_tools) = (scene.time.end, 0, [0.0; 3]);
@@ -209,7 +214,8 @@ pub fn record(
         let impulses: Vec<Vec3> = impulses.collect();
         impulses.iter().for_each(|impulse| to_tools = plus(to_tools, *impulse));
         if let (Some(last), Some(position)) = (tool.last(), first(&simulation)) {
-            tool.push(Moment { time: simulation.time(), position, impulse: plus(last.impulse, impulses[0]) });
+            let impulse = impulses.iter().take(links).fold(last.impulse, |sum, impulse| plus(sum, *impulse));
+            tool.push(Moment { time: simulation.time(), position, impulse });
         }
         watch(&Progress {
             done: simulation.time() / end,
@@ -300,6 +306,12 @@ impl Record {
         Some(Moment { time, position: between(a.position, b.position), impulse: between(a.impulse, b.impulse) })
     }
 
+    /// How far it has come along the ground [m].
+    fn way(&self) -> Option<f64> {
+        let ([x, y, _], [u, v, _]) = (self.tool.first()?.position, self.tool.last()?.position);
+        Some((u - x).hypot(v - y))
+    }
+
     /// Mean force on the first tool over the [`FORCE_WINDOW`] that ends at a time [N].
     fn force_at(&self, time: f64) -> Option<Vec3> {
         let (a, b) = (self.tool_at((time - FORCE_WINDOW).max(0.0))?, self.tool_at(time)?);
@@ -375,6 +387,8 @@ pub struct Errors {
     pub final_z_mm: Option<f64>,
     /// Root mean square of the difference in the tool's height over time [mm]; `None` if it is driven.
     pub z_rms_mm: Option<f64>,
+    /// How far it has come at the end along the ground, less the reference's [mm]; `None` if it is driven.
+    pub way_mm: Option<f64>,
     /// Root mean square of the difference in the force on the tool over time [N], as a vector, over [`FORCE_WINDOW`].
     pub force_rms_n: Option<f64>,
     /// Contact of the first tool; `None` if there is none.
@@ -447,6 +461,7 @@ impl Errors {
                 volume_cm3: crater.volume_cm3 - their_crater.volume_cm3,
             },
             final_z_mm: heights(&run.scene.time.end).map(|z| 1e3 * z),
+            way_mm: run.way().zip(reference.way()).map(|(ours, theirs)| 1e3 * (ours - theirs)).filter(|_| run.free),
             z_rms_mm: rms(samples.iter().map(|t| heights(t).map(|z| (1e3 * z).powi(2))).collect()),
             force_rms_n: rms(samples.iter().map(forces).collect()),
             contact,

@@ -255,6 +255,7 @@ fn forces(report: &Report, out: &mut String) {
         "run",
         "tool's final z, off by [mm]",
         "its z(t), RMS error [mm]",
+        "its way, off by [mm]",
         "force on it, RMS error [N]",
         "peak [N]",
         "off by [N]",
@@ -264,10 +265,10 @@ fn forces(report: &Report, out: &mut String) {
     let rows = with_reference(report).map(|(row, Figures { errors: e, .. })| {
         let both = [e.contact, e.contact_error];
         let (peak, impulse) = (both.map(|c| Some(c?.peak_n)), both.map(|c| Some(c?.impulse_ns)));
-        let cells = [e.final_z_mm, e.z_rms_mm, e.force_rms_n].into_iter().chain(peak).chain(impulse);
+        let cells = [e.final_z_mm, e.z_rms_mm, e.way_mm, e.force_rms_n].into_iter().chain(peak).chain(impulse);
         std::iter::once(row.entry.label.clone()).chain(cells.map(maybe)).collect()
     });
-    table(out, "The first tool", &head, rows);
+    table(out, "The first tool, or robot", &head, rows);
     out.push_str(&format!(
         "Forces are means over {} ms, so that the ringing of single cells does not count; the impulse is that of the whole run.\n\n",
         1e3 * FORCE_WINDOW
@@ -304,7 +305,7 @@ fn balances(report: &Report, out: &mut String) {
 
 /// An error that varies with the start, with its name.
 type Varying = (&'static str, fn(&Errors) -> Option<f64>);
-const VARYING: [Varying; 10] = [
+const VARYING: [Varying; 11] = [
     ("height near, mean error [mm]", |e| Some(e.height_near.mean_mm)),
     ("height near, greatest error [mm]", |e| Some(e.height_near.max_mm)),
     ("crater depth, off by [mm]", |e| Some(e.crater_error.depth_mm)),
@@ -312,6 +313,7 @@ const VARYING: [Varying; 10] = [
     ("crater volume, off by [cm³]", |e| Some(e.crater_error.volume_cm3)),
     ("tool's final z, off by [mm]", |e| e.final_z_mm),
     ("tool's z(t), RMS error [mm]", |e| e.z_rms_mm),
+    ("tool's way, off by [mm]", |e| e.way_mm),
     ("force on the tool, RMS error [N]", |e| e.force_rms_n),
     ("peak force, off by [N]", |e| e.contact_error.map(|c| c.peak_n)),
     ("Chamfer distance near, sum of both means [mm]", |e| Some(e.chamfer_near.sum_mm())),
