@@ -549,7 +549,7 @@ fn robot(frame: &mut Frame) -> Table {
     let mut robot = Table::new();
     let model = frame.pick(&["quadruped", "humanoid", "arm", "arm-rod", "arm-shovel", "arm-scraper"]);
     let mut set = |key: &str, value: Value| drop(robot.insert(key.to_owned(), value));
-    set("name", Value::String("r0".to_owned()));
+    set("name", Value::String(frame.pick(&["r0", "dog"]).to_owned()));
     set("model", Value::String(model.to_owned()));
     set("position", floats(frame.point(5.0)));
     let turn = frame.between(-0.5, 0.5);
@@ -559,7 +559,8 @@ fn robot(frame: &mut Frame) -> Table {
         set("velocity", floats(frame.direction().map(|x| x * frame.speed)));
     }
     if model == "quadruped" {
-        let bent = [("*_thigh_joint", 0.8), ("*_calf_joint", -1.6)];
+        let bent = frame.between(0.6, 0.9);
+        let bent = [("*_thigh_joint", bent), ("*_calf_joint", -2.0 * bent)];
         set(
             "joints",
             Value::Table(bent.map(|(joint, angle)| (joint.to_owned(), Value::Float(angle))).into_iter().collect()),
@@ -572,8 +573,10 @@ fn robot(frame: &mut Frame) -> Table {
         motor.insert("kd".to_owned(), Value::Float(0.03 * kp));
         set("motor", Value::Array(vec![Value::Table(motor)]));
     }
-    if model == "quadruped" && frame.is(0.4) {
-        let motion = [("model".to_owned(), Value::String("quadruped-trot".to_owned()))];
+    let motion =
+        [("quadruped", "quadruped-trot"), ("humanoid", "humanoid-step")].into_iter().find(|one| one.0 == model);
+    if let Some((_, motion)) = motion.filter(|_| frame.is(0.4)) {
+        let motion = [("model".to_owned(), Value::String(motion.to_owned()))];
         set("motion", Value::Table(motion.into_iter().collect()));
     }
     set("self_collision", Value::Boolean(frame.is(0.3)));
