@@ -293,8 +293,10 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<D
     };
     let rates = robots.iter().map(|robot| robot.state.rates.len()).max()?;
     let answer = format!(
-        "const ROBOT_HEADS: u32 = {heads}u;\nconst ROBOT_LINKS: u32 = {links}u;\nconst ROBOT_RATES: u32 = {rates}u;\n{}",
-        include_str!("../robot.wgsl")
+        "const ROBOT_HEADS: u32 = {heads}u;\nconst ROBOT_LINKS: u32 = {links}u;\nconst ROBOT_RATES: u32 = {rates}u;\n{}{}{}",
+        include_str!("../robot.wgsl"),
+        include_str!("dynamics.wgsl"),
+        include_str!("joints.wgsl")
     );
     let answer = DeviceAnswer { wgsl: answer, groups: robots.iter().map(group).collect() };
     (table.len() < 1 << 24).then_some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, answer })

@@ -259,60 +259,38 @@ fn sorted_name(sorted: Sorted) -> &'static str {
 }
 
 const SORTED: [Sorted; 6] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells, Sorted::Watch];
-const SHARED: [Role; 24] = [
-    Role::Grid,
-    Role::Status,
-    Role::Flags,
-    Role::Directory,
-    Role::Sums,
-    Role::Keys,
-    Role::Loose,
-    Role::Order,
-    Role::Owners,
-    Role::Pairs,
-    Role::Bodies,
-    Role::Partials,
-    Role::Impulses,
-    Role::Answering,
-    Role::Rims,
-    Role::Handed,
-    Role::Shared,
-    Role::Around,
-    Role::Near,
-    Role::Tools,
-    Role::Soft,
-    Role::Live,
-    Role::Listed,
-    Role::Groups,
+/// What is not sorted, with its name.
+const SHARED: [(Role, &str); 24] = [
+    (Role::Grid, "nodes and tiles"),
+    (Role::Status, "status"),
+    (Role::Flags, "marks of blocks"),
+    (Role::Directory, "directory of blocks"),
+    (Role::Sums, "sums of blocks"),
+    (Role::Keys, "keys of the sort"),
+    (Role::Loose, "cells of the sort"),
+    (Role::Order, "order of the sort"),
+    (Role::Owners, "blocks and masses of particles"),
+    (Role::Pairs, "pairs at walls"),
+    (Role::Bodies, "poses of bodies"),
+    (Role::Partials, "parts of impulses"),
+    (Role::Impulses, "impulses"),
+    (Role::Answering, "bodies that answer and nodes inside them"),
+    (Role::Rims, "rims of levels"),
+    (Role::Handed, "what rims hand on"),
+    (Role::Shared, "nodes that levels share"),
+    (Role::Around, "boxes around bodies"),
+    (Role::Near, "nodes near bodies"),
+    (Role::Tools, "boxes near tools"),
+    (Role::Soft, "soft bodies that levels follow"),
+    (Role::Live, "live tiles"),
+    (Role::Listed, "lists of blocks at rims and walls"),
+    (Role::Groups, "workgroups of passes"),
 ];
 
 fn shared_name(role: Role) -> &'static str {
     match role {
-        Role::Grid => "nodes and tiles",
-        Role::Status => "status",
-        Role::Flags => "marks of blocks",
-        Role::Directory => "directory of blocks",
-        Role::Sums => "sums of blocks",
-        Role::Keys => "keys of the sort",
-        Role::Loose => "cells of the sort",
-        Role::Order => "order of the sort",
-        Role::Owners => "blocks and masses of particles",
-        Role::Pairs => "pairs at walls",
-        Role::Bodies => "poses of bodies",
-        Role::Partials => "parts of impulses",
-        Role::Impulses => "impulses",
-        Role::Answering => "bodies that answer and nodes inside them",
-        Role::Rims => "rims of levels",
-        Role::Handed => "what rims hand on",
-        Role::Shared => "nodes that levels share",
-        Role::Around => "boxes around bodies",
-        Role::Near => "nodes near bodies",
-        Role::Tools => "boxes near tools",
-        Role::Soft => "soft bodies that levels follow",
-        Role::Live => "live tiles",
-        Role::Listed => "lists of blocks at rims and walls",
-        Role::Groups => "workgroups of passes",
         Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
+        _ => SHARED.iter().find(|one| one.0 == role).map_or("memory", |one| one.1),
     }
 }
 
@@ -423,7 +401,7 @@ impl Extent {
     fn all_bytes(&self, particles: Particles, asked: Asked) -> impl Iterator<Item = (&'static str, u64, u64)> {
         let copies = |s| 2 * particles.parts.of_sorted(s) as u64;
         let sorted = SORTED.map(|s| (sorted_name(s), self.sorted_bytes(s, particles, asked), copies(s)));
-        let shared = SHARED.map(|r| (shared_name(r), self.shared_bytes(r, asked), 1));
+        let shared = SHARED.map(|(r, name)| (name, self.shared_bytes(r, asked), 1));
         sorted.into_iter().chain(shared)
     }
 
@@ -472,7 +450,7 @@ impl Memory {
         };
         let set = || SORTED.map(of_parts);
         let mut shared: HashMap<_, _> =
-            SHARED.iter().map(|&r| (shared_name(r), storage(shared_name(r), extent.shared_bytes(r, asked)))).collect();
+            SHARED.iter().map(|&(r, name)| (name, storage(name, extent.shared_bytes(r, asked)))).collect();
         shared.insert(shared_name(Role::Groups), groups(gpu, extent.shared_bytes(Role::Groups, asked)));
         let constants = uniform("extent", size_of::<Extent>() as u64);
         gpu.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&extent));

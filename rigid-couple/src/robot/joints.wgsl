@@ -1,0 +1,55 @@
+// Motors, losses and stops of a robot's joints, as in `joints.rs`; a part of `robot.wgsl`.
+
+// The motor of the thread's drive, number `d`, at a rate: its torque, and by how much that falls for each unit.
+fn robot_motor(d: u32, rate: f32) -> RobotImpulse {
+    let limits = robot_drive[0];
+    let speed = robot_drive[1].x;
+    let told = robot_told[d];
+    let gains = robot_drive[2].xy * told.w;
+    let demand = gains.x * (told.x - group_dt() * rate) + gains.y * (told.y - rate) + told.z;
+    let effort = limits.w;
+    let fade = ROBOT_FADE * speed;
+    let up = clamp((speed - rate) / fade, 0.0, 1.0);
+    let down = clamp((speed + rate) / fade, 0.0, 1.0);
+    if demand > effort * up {
+        return RobotImpulse(effort * up, select(0.0, effort / fade, up > 0.0 && up < 1.0));
+    }
+    if demand < -effort * down {
+        return RobotImpulse(-effort * down, select(0.0, effort / fade, down > 0.0 && down < 1.0));
+    }
+    return RobotImpulse(demand, gains.x * group_dt() + gains.y);
+}
+
+// All that acts in the joint of the thread's drive over the step, if it ends with this rate.
+fn robot_impulse(d: u32, rate: f32) -> RobotImpulse {
+    let dt = group_dt();
+    let limits = robot_drive[0];
+    let losses = robot_drive[1];
+    let motor = robot_motor(d, rate);
+    let grown = sqrt(rate * rate + ROBOT_CREEP * ROBOT_CREEP);
+    let calm = ROBOT_CREEP / grown;
+    var sum = RobotImpulse(
+        dt * (motor.value - losses.y * rate - losses.z * (rate / grown)),
+        dt * (motor.slope + losses.y + losses.z * calm * calm / grown),
+    );
+    let i = robot_base_rates + d;
+    let stiff = ROBOT_STIFF * robot_mass[i * ROBOT_RATES + i];
+    for (var end = 0u; end < 2u; end++) {
+        let sign = select(-1.0, 1.0, end == 1u);
+        let gap = sign * (limits[1u + end] - robot_position[d]);
+        let most = select(ROBOT_BACK * gap, gap, gap > 0.0) / dt;
+        let beyond = sign * rate - most;
+        if beyond > 0.0 {
+            sum = RobotImpulse(sum.value - sign * stiff * beyond, sum.slope + stiff);
+        }
+    }
+    return sum;
+}
+
+// `i` is the thread's number.
+fn robot_joint(i: u32, rate: f32) -> RobotImpulse {
+    if i < robot_base_rates {
+        return RobotImpulse(0.0, 0.0);
+    }
+    return robot_impulse(i - robot_base_rates, rate);
+}
