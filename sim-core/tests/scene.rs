@@ -1,7 +1,7 @@
 //! Scene files: every error names file, line and key path, and says what would mend it.
 #![allow(clippy::result_large_err, reason = "see the crate's own allowance")]
 
-use barchan_core::scene::{Motion, PictureView, Sampling, Shape, Wall};
+use barchan_core::scene::{Motion, PictureView, Sampling, Shape, Wall, fits};
 use barchan_core::{Error, Scene};
 use proptest::prelude::*;
 
@@ -533,4 +533,14 @@ fn the_view_follows_from_what_the_scene_holds() {
     }
     assert_eq!(view(&format!("output.picture.view = 'top'\n{bed}{tool}")), PictureView::Top);
     assert_eq!(view(&format!("output.picture.camera = {{ target = [1, 1, 0] }}\n{bed}")), PictureView::Perspective);
+}
+
+#[test]
+fn stars_stand_for_any_text() {
+    for (pattern, text) in [("a", "a"), ("*", ""), ("a*", "abc"), ("*c", "abc"), ("a*c*e", "abcde"), ("**", "x")] {
+        assert!(fits(pattern, text), "{pattern} {text}");
+    }
+    for (pattern, text) in [("a", "ab"), ("a*", "ba"), ("*a", "ab"), ("ab*bc", "abc"), ("a*c*e", "abce1")] {
+        assert!(!fits(pattern, text), "{pattern} {text}");
+    }
 }

@@ -3,9 +3,8 @@
 use super::Robot;
 use super::joints::Order;
 use super::model::RobotModel;
-use super::motion::fits;
 use crate::Refusal;
-use barchan_core::scene::{Balance, Lean};
+use barchan_core::scene::{Balance, Lean, fits};
 use glam::{DMat3, DVec3};
 
 /// A correction of one joint.

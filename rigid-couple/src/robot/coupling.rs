@@ -14,7 +14,7 @@ use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep};
 use barchan_core::plan::ROBOT_COUPLING;
-use barchan_core::scene::{self, Contact, Motion};
+use barchan_core::scene::{self, Contact, Motion, fits};
 use barchan_core::{
     BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, RobotState, Scene, Surface, Vec3, Wrench,
 };
@@ -105,7 +105,7 @@ impl Robot {
         for motor in &robot.motor {
             let mut any = false;
             for (drive, gains) in model.drives.iter_mut().zip(&mut gains) {
-                if !motion::fits(&motor.joints, &drive.name) {
+                if !fits(&motor.joints, &drive.name) {
                     continue;
                 }
                 any = true;

@@ -6,7 +6,7 @@ use super::model::{Drive, RobotModel};
 use super::reach::{Target, reach};
 use crate::Refusal;
 use crate::motion::{Pose, rotation_from};
-use barchan_core::scene::{Gait, JointFrame, JointMotion, LinkPath};
+use barchan_core::scene::{Gait, JointFrame, JointMotion, LinkPath, fits};
 use glam::{DQuat, DVec3};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -27,16 +27,6 @@ pub struct JointPath {
     /// For each time, positions of all drives [rad or m].
     frames: Vec<Vec<f64>>,
     repeat_from: Option<f64>,
-}
-
-/// Does a name fit a pattern in which `*` stands for any letters?
-pub fn fits(pattern: &str, name: &str) -> bool {
-    match pattern.split_once('*') {
-        None => pattern == name,
-        Some((start, rest)) => name
-            .strip_prefix(start)
-            .is_some_and(|behind| (0..=behind.len()).any(|i| behind.is_char_boundary(i) && fits(rest, &behind[i..]))),
-    }
 }
 
 /// Sets the positions that `given` names.

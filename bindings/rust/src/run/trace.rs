@@ -4,7 +4,7 @@ use super::folder::Folder;
 use super::recorder::Files;
 use super::{TRACE, io_error};
 use barchan_core::observer::{Observer, Output};
-use barchan_core::scene::{self, plain};
+use barchan_core::scene::{self, fits, plain};
 use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -129,21 +129,6 @@ impl Columns {
         row.push('\n');
         row
     }
-}
-
-/// Does a text fit a pattern, in which * stands for any text?
-fn fits(pattern: &str, text: &str) -> bool {
-    let mut parts = pattern.split('*');
-    let first = parts.next().unwrap_or_default();
-    let Some(mut rest) = text.strip_prefix(first) else { return false };
-    let Some(last) = parts.next_back() else { return rest.is_empty() };
-    for part in parts {
-        match rest.find(part) {
-            Some(at) => rest = &rest[at + part.len()..],
-            None => return false,
-        }
-    }
-    rest.ends_with(last)
 }
 
 /// Writes the rows.
@@ -356,19 +341,4 @@ fn fields(line: &str) -> Vec<&str> {
 fn quoted(field: &str) -> String {
     let field = plain(field);
     if field.contains(['"', ',']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::fits;
-
-    #[test]
-    fn stars_stand_for_any_text() {
-        for (pattern, text) in [("a", "a"), ("*", ""), ("a*", "abc"), ("*c", "abc"), ("a*c*e", "abcde"), ("**", "x")] {
-            assert!(fits(pattern, text), "{pattern} {text}");
-        }
-        for (pattern, text) in [("a", "ab"), ("a*", "ba"), ("*a", "ab"), ("ab*bc", "abc"), ("a*c*e", "abce1")] {
-            assert!(!fits(pattern, text), "{pattern} {text}");
-        }
-    }
 }
