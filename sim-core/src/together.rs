@@ -125,9 +125,9 @@ impl Together {
         let (plan, particles, couplings) = Plan::assemble(registry, scene, options)?;
         self.batch.replace(world, NewWorld { plan: &plan, particles, couplings: &couplings })?;
         let engine = self.batch.engine(world);
-        let before =
-            std::mem::replace(&mut self.worlds[world], Simulation::in_batch(plan, &self.backend, engine, couplings));
-        self.worlds[world].report_bodies(before.reports_bodies());
+        let mut new = Simulation::in_batch(plan, &self.backend, engine, couplings);
+        new.report_bodies(self.worlds[world].reports_bodies());
+        self.worlds[world] = new;
         Ok(())
     }
 

@@ -60,6 +60,53 @@ pub(crate) enum Role {
     Groups,
 }
 
+impl Sorted {
+    /// What it holds, for messages; no two are called alike.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Record => "records of particles",
+            Self::Ids => "names of particles",
+            Self::Rest => "strain of particles",
+            Self::Lists => "lists of blocks",
+            Self::Cells => "starts of cells",
+            Self::Watch => "rest of blocks",
+        }
+    }
+}
+
+impl Role {
+    /// What it holds, likewise.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Grid => "nodes and tiles",
+            Self::Status => "status",
+            Self::Flags => "marks of blocks",
+            Self::Directory => "directory of blocks",
+            Self::Sums => "sums of blocks",
+            Self::Keys => "keys of the sort",
+            Self::Loose => "cells of the sort",
+            Self::Order => "order of the sort",
+            Self::Owners => "blocks and masses of particles",
+            Self::Pairs => "pairs at walls",
+            Self::Bodies => "poses of bodies",
+            Self::Partials => "parts of impulses",
+            Self::Impulses => "impulses",
+            Self::Answering => "bodies that answer and nodes inside them",
+            Self::Rims => "rims of levels",
+            Self::Handed => "what rims hand on",
+            Self::Shared => "nodes that levels share",
+            Self::Around => "boxes around bodies",
+            Self::Near => "nodes near bodies",
+            Self::Tools => "boxes near tools",
+            Self::Soft => "soft bodies that levels follow",
+            Self::Live => "live tiles",
+            Self::Listed => "lists of blocks at rims and walls",
+            Self::Groups => "workgroups of passes",
+            Self::Now(sorted) | Self::Next(sorted) => sorted.name(),
+        }
+    }
+}
+
 /// How many workgroups a pass takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Groups {

@@ -247,52 +247,34 @@ pub(crate) struct Memory {
     pub(crate) now: usize,
 }
 
-fn sorted_name(sorted: Sorted) -> &'static str {
-    match sorted {
-        Sorted::Record => "records of particles",
-        Sorted::Ids => "names of particles",
-        Sorted::Rest => "strain of particles",
-        Sorted::Lists => "lists of blocks",
-        Sorted::Cells => "starts of cells",
-        Sorted::Watch => "rest of blocks",
-    }
-}
-
 const SORTED: [Sorted; 6] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells, Sorted::Watch];
-/// What is not sorted, with its name.
-const SHARED: [(Role, &str); 24] = [
-    (Role::Grid, "nodes and tiles"),
-    (Role::Status, "status"),
-    (Role::Flags, "marks of blocks"),
-    (Role::Directory, "directory of blocks"),
-    (Role::Sums, "sums of blocks"),
-    (Role::Keys, "keys of the sort"),
-    (Role::Loose, "cells of the sort"),
-    (Role::Order, "order of the sort"),
-    (Role::Owners, "blocks and masses of particles"),
-    (Role::Pairs, "pairs at walls"),
-    (Role::Bodies, "poses of bodies"),
-    (Role::Partials, "parts of impulses"),
-    (Role::Impulses, "impulses"),
-    (Role::Answering, "bodies that answer and nodes inside them"),
-    (Role::Rims, "rims of levels"),
-    (Role::Handed, "what rims hand on"),
-    (Role::Shared, "nodes that levels share"),
-    (Role::Around, "boxes around bodies"),
-    (Role::Near, "nodes near bodies"),
-    (Role::Tools, "boxes near tools"),
-    (Role::Soft, "soft bodies that levels follow"),
-    (Role::Live, "live tiles"),
-    (Role::Listed, "lists of blocks at rims and walls"),
-    (Role::Groups, "workgroups of passes"),
+/// What is not sorted.
+const SHARED: [Role; 24] = [
+    Role::Grid,
+    Role::Status,
+    Role::Flags,
+    Role::Directory,
+    Role::Sums,
+    Role::Keys,
+    Role::Loose,
+    Role::Order,
+    Role::Owners,
+    Role::Pairs,
+    Role::Bodies,
+    Role::Partials,
+    Role::Impulses,
+    Role::Answering,
+    Role::Rims,
+    Role::Handed,
+    Role::Shared,
+    Role::Around,
+    Role::Near,
+    Role::Tools,
+    Role::Soft,
+    Role::Live,
+    Role::Listed,
+    Role::Groups,
 ];
-
-fn shared_name(role: Role) -> &'static str {
-    match role {
-        Role::Now(sorted) | Role::Next(sorted) => sorted_name(sorted),
-        _ => SHARED.iter().find(|one| one.0 == role).map_or("memory", |one| one.1),
-    }
-}
 
 /// How particles stand in memory.
 #[derive(Clone, Copy, Debug)]
@@ -400,8 +382,8 @@ impl Extent {
     /// Bytes of each buffer of one set, and how many of it there are.
     fn all_bytes(&self, particles: Particles, asked: Asked) -> impl Iterator<Item = (&'static str, u64, u64)> {
         let copies = |s| 2 * particles.parts.of_sorted(s) as u64;
-        let sorted = SORTED.map(|s| (sorted_name(s), self.sorted_bytes(s, particles, asked), copies(s)));
-        let shared = SHARED.map(|(r, name)| (name, self.shared_bytes(r, asked), 1));
+        let sorted = SORTED.map(|s| (s.name(), self.sorted_bytes(s, particles, asked), copies(s)));
+        let shared = SHARED.map(|r| (r.name(), self.shared_bytes(r, asked), 1));
         sorted.into_iter().chain(shared)
     }
 
@@ -445,13 +427,13 @@ impl Memory {
             buffer(gpu, label, size, wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST)
         };
         let of_parts = |s: Sorted| {
-            let part = |_| storage(sorted_name(s), extent.sorted_bytes(s, particles, asked));
+            let part = |_| storage(s.name(), extent.sorted_bytes(s, particles, asked));
             (0..particles.parts.of_sorted(s)).map(part).collect::<Vec<_>>()
         };
         let set = || SORTED.map(of_parts);
         let mut shared: HashMap<_, _> =
-            SHARED.iter().map(|&(r, name)| (name, storage(name, extent.shared_bytes(r, asked)))).collect();
-        shared.insert(shared_name(Role::Groups), groups(gpu, extent.shared_bytes(Role::Groups, asked)));
+            SHARED.iter().map(|&r| (r.name(), storage(r.name(), extent.shared_bytes(r, asked)))).collect();
+        shared.insert(Role::Groups.name(), groups(gpu, extent.shared_bytes(Role::Groups, asked)));
         let constants = uniform("extent", size_of::<Extent>() as u64);
         gpu.queue.write_buffer(&constants, 0, bytemuck::bytes_of(&extent));
         let values = params;
@@ -505,9 +487,9 @@ impl Memory {
     pub(crate) fn bytes(&self) -> (u64, u64) {
         let of_grid = |name: &str| {
             [Role::Grid, Role::Flags, Role::Directory, Role::Sums, Role::Pairs, Role::Rims, Role::Handed, Role::Shared]
-                .map(shared_name)
+                .map(Role::name)
                 .contains(&name)
-                || [Sorted::Lists, Sorted::Cells, Sorted::Watch].map(sorted_name).contains(&name)
+                || [Sorted::Lists, Sorted::Cells, Sorted::Watch].map(Sorted::name).contains(&name)
         };
         let all = self.extent.all_bytes(self.particles, self.asked);
         all.fold((0, 0), |(particles, grid), (name, bytes, copies)| {
@@ -525,7 +507,7 @@ impl Memory {
         match role {
             Role::Now(sorted) => &self.sorted[now][sorted as usize][part],
             Role::Next(sorted) => &self.sorted[1 - now][sorted as usize][part],
-            shared => &self.shared[shared_name(shared)],
+            shared => &self.shared[shared.name()],
         }
     }
 
@@ -676,7 +658,7 @@ impl Memory {
                 if old.size() >= bytes {
                     continue;
                 }
-                let new = storage(sorted_name(sorted), bytes);
+                let new = storage(sorted.name(), bytes);
                 encoder.copy_buffer_to_buffer(old, 0, &new, 0, old.size());
                 self.sorted[set][sorted as usize][0] = new;
             }
@@ -690,7 +672,7 @@ impl Memory {
                 let bytes = extent.sorted_bytes(sorted, self.particles, self.asked);
                 let stretches = |extent: &Extent| extent.stretches(sorted, self.particles, 0, held);
                 for (part, buffer) in self.sorted[set][sorted as usize].iter_mut().enumerate() {
-                    let old = std::mem::replace(buffer, storage(sorted_name(sorted), bytes));
+                    let old = std::mem::replace(buffer, storage(sorted.name(), bytes));
                     if set != self.now {
                         continue;
                     }
@@ -727,7 +709,7 @@ impl Memory {
         ] {
             let bytes = extent.shared_bytes(role, self.asked);
             if self.buffer(role, 0).size() < bytes {
-                self.shared.insert(shared_name(role), storage(shared_name(role), bytes));
+                self.shared.insert(role.name(), storage(role.name(), bytes));
             }
         }
         gpu.queue.submit([encoder.finish()]);
@@ -758,7 +740,7 @@ fn table(gpu: &Gpu, label: &'static str, vectors: usize, stored: bool) -> wgpu::
 /// What the device counts its own dispatches by: none, until a sort has counted.
 fn groups(gpu: &Gpu, size: u64) -> wgpu::Buffer {
     let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_SRC;
-    buffer(gpu, shared_name(Role::Groups), size, usage)
+    buffer(gpu, Role::Groups.name(), size, usage)
 }
 
 /// What a submission begins with writing. Each write of its own takes a queue tens of microseconds.

@@ -101,9 +101,8 @@ pub(crate) struct DeviceContact {
 pub(crate) struct Driven<'a> {
     /// The steps that they go.
     pub(crate) steps: usize,
-    /// Does the device move all of them? Then the couplings are after each step as they are after the first, until they are told what came of it.
-    all_held: bool,
-    /// The couplings before each step, and after the last; only before the first if the device moves all bodies.
+    /// The couplings before each step. Where the device moves all bodies, only before the first: after it they stay as they are, until they are told what came
+    /// of the steps.
     saved: Vec<Vec<Vec<u8>>>,
     /// Bodies of all couplings after each step, if somebody asks for them.
     after: Vec<Vec<BodyState>>,
@@ -125,8 +124,7 @@ pub(crate) fn go_on<T: Clone>(all: &mut Vec<T>, count: usize) {
 
 /// Takes a world's couplings, which have gone all of their steps, back to what they were before one of them.
 pub(crate) fn go_back(couplings: &mut [Box<dyn Coupling>], driven: &Option<Driven<'_>>, step: usize) -> Result<()> {
-    let is_there = |driven: &&Driven<'_>| step == driven.steps || (driven.all_held && step > 0);
-    let saved = driven.iter().filter(|driven| !is_there(driven)).flat_map(|driven| &driven.saved[step]);
+    let saved = driven.iter().flat_map(|driven| driven.saved.get(step)).flatten();
     couplings.iter_mut().zip(saved).try_for_each(|(coupling, saved)| {
         coupling.restore(saved).map_err(|what| Error::Body {
             path: format!("coupling '{}'", coupling.name()),
@@ -311,8 +309,7 @@ impl WgpuBatch {
         let all_held = of_groups == couplings.iter().map(|coupling| coupling.wrenches().len()).sum::<usize>();
         let mut driven = Driven {
             steps: 0,
-            all_held,
-            saved: vec![save(couplings)],
+            saved: Vec::new(),
             after: Vec::new(),
             packed: Vec::new(),
             near: Vec::new(),
@@ -320,14 +317,16 @@ impl WgpuBatch {
             moved: Vec::new(),
         };
         let needs = self.contact.device.as_ref().map(|contact| contact.needs).unwrap_or_default();
-        let seen = if all_held { count.min(1) } else { count };
         let mut go = || {
             let each = dt / self.substeps as f64;
             let (levels, firsts) = (&self.worlds[world_step.world].levels, &self.worlds[world_step.world].first_bodies);
             // Soft ones are watched by the device.
             let softs = self.worlds[world_step.world].softs.boxes(self.h);
             let mut time = world_step.time;
-            for slot in 0..seen * self.substeps {
+            for slot in 0..count * self.substeps {
+                if slot % self.substeps == 0 {
+                    driven.saved.push(save(couplings));
+                }
                 let at = self.schedule.time_of(slot % self.substeps, time, dt);
                 if self.may_sleep() {
                     driven.near.push(sleep::near_tools(couplings, levels));
@@ -349,11 +348,8 @@ impl WgpuBatch {
                     if world_step.reports_bodies {
                         driven.after.push(bodies_of(couplings));
                     }
-                    if all_held {
-                        break;
-                    }
-                    driven.saved.push(save(couplings));
-                    if self.worlds[world_step.world].adapt.must_follow(couplings, |body| softs.get(&body).copied()) {
+                    let adapt = &self.worlds[world_step.world].adapt;
+                    if all_held || adapt.must_follow(couplings, |body| softs.get(&body).copied()) {
                         break;
                     }
                 }
@@ -361,13 +357,12 @@ impl WgpuBatch {
             Ok(())
         };
         if let Err(error) = go() {
-            driven.steps = usize::MAX;
             go_back(world_step.couplings, &Some(driven), 0)?;
             return Err(error);
         }
         if all_held {
             driven.steps = count;
-            go_on(&mut driven.packed, count * self.substeps);
+            go_on(&mut driven.after, count);
             go_on(&mut driven.near, count * self.substeps);
         }
         Ok(Some(driven))
@@ -434,10 +429,9 @@ impl WgpuBatch {
     ) {
         let Some(contact) = &self.contact.device else { return };
         let each = 2 * contact.needs.bodies;
-        let Driven { after, moved, all_held, .. } = driven;
+        let Driven { after, moved, .. } = driven;
         let numbers = self.numbers(world_step);
         let mut after = after.into_iter();
-        let mut last = None;
         for (s, report) in reports.iter_mut().enumerate() {
             // Over all levels' steps within this one.
             let sum = |k: usize| {
@@ -456,18 +450,16 @@ impl WgpuBatch {
             let of_impulse = |[force, torque]: [Vec3; 2]| Wrench { force: per_step(force), torque: per_step(torque) };
             let mut wrenches: Vec<_> =
                 numbers.iter().map(|number| of_impulse([sum(2 * number), sum(2 * number + 1)])).collect();
-            // Where the device moves all, the host has gone one step for all of them.
-            last = after.next().or(last.filter(|_| all_held));
+            report.bodies = after.next();
             for felt in moved.get(s).into_iter().flatten() {
                 if let Some(b) = numbers.iter().position(|number| *number == felt.number) {
                     wrenches[b] = of_impulse([felt.impulse.force, felt.impulse.torque]);
-                    if let (Some(bodies), Some(body)) = (&mut last, &felt.body) {
+                    if let (Some(bodies), Some(body)) = (&mut report.bodies, &felt.body) {
                         bodies[b].clone_from(body);
                     }
                 }
             }
             report.wrenches = Some(wrenches);
-            report.bodies.clone_from(&last);
         }
         if let Some(StepReport { wrenches: Some(wrenches), .. }) = reports.last() {
             let mut rest = &wrenches[..];

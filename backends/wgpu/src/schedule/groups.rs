@@ -284,7 +284,7 @@ impl GroupReader {
                 let slots = s * self.substeps..(s + 1) * self.substeps;
                 let before = moved.len();
                 for ((group, at), counts) in own.iter().zip(&mut counts) {
-                    let felt = read_impulses(all, places, *at, group, slots.clone(), counts);
+                    let felt = read_impulses(all, places, at[1], group, slots.clone(), counts);
                     let step =
                         |(held, impulse): (&HeldBody, Wrench)| BodyStep { number: held.number, body: None, impulse };
                     moved.extend(group.bodies.iter().zip(felt).map(step));
@@ -311,12 +311,12 @@ impl GroupReader {
     }
 }
 
-/// What each body of a group, with that number and first body among all worlds', felt in the slots of a step. Adds up what is counted: nodes that are deep inside, and
+/// What each body of a group, with that first body among all worlds', felt in the slots of a step. Adds up what is counted: nodes that are deep inside, and
 /// solutions that did not converge.
 fn read_impulses(
     all: &[Words],
     places: Places,
-    [_, first]: [usize; 2],
+    first: usize,
     group: &HeldGroup,
     slots: Range<usize>,
     counts: &mut [u64; 2],
