@@ -134,10 +134,15 @@ pub fn over_depth(pushes: &[Push], between: [f64; 2], axis: usize) -> [f64; 3] {
     line(&chosen.map(|p| [p.depth, p.stress[axis]]).collect::<Vec<_>>())
 }
 
-/// Mean stress over depth after a way [m], for plates that keep their depth [Pa/m].
-pub fn after(pushes: &[Push], way: f64, axis: usize) -> f64 {
-    let chosen: Vec<f64> = pushes.iter().filter(|p| p.way > way).map(|p| p.stress[axis] / p.depth).collect();
+/// Mean stress over depth of those that are chosen [Pa/m].
+fn mean_over_depth(pushes: &[Push], axis: usize, is_chosen: impl Fn(&Push) -> bool) -> f64 {
+    let chosen: Vec<f64> = pushes.iter().filter(|p| is_chosen(p)).map(|p| p.stress[axis] / p.depth).collect();
     chosen.iter().sum::<f64>() / chosen.len() as f64
+}
+
+/// The same after a way [m], for plates that keep their depth.
+pub fn after(pushes: &[Push], way: f64, axis: usize) -> f64 {
+    mean_over_depth(pushes, axis, |p| p.way > way)
 }
 
 /// Stress a depth of a flat plate that is pushed straight down [Pa/m]: ξ of Agarwal, Goldman and Kamrin 2023.
@@ -196,11 +201,7 @@ pub fn plates() -> Outcome {
     let [slope, offset, linear] = over_depth(&down, DEPTHS, 2);
     outcome.add(format!("force over depth, 1 to 6 cm: R² {linear:.4}, short of 1 by"), 1.0 - linear, 0.01);
     beside(&mut outcome, "slope over xi_n", slope / xi, 1.0, 0.3);
-    let secant = |pushes: &[Push]| {
-        let chosen: Vec<f64> =
-            pushes.iter().filter(|p| (0.02..0.06).contains(&p.depth)).map(|p| p.stress[2] / p.depth).collect();
-        chosen.iter().sum::<f64>() / chosen.len() as f64
-    };
+    let secant = |pushes: &[Push]| mean_over_depth(pushes, 2, |p| (0.02..0.06).contains(&p.depth));
     beside(&mut outcome, "mean stress over depth, 2 to 6 cm, over xi_n", secant(&down) / xi, 1.0, 0.3);
     println!("the line meets no depth at {:.1} kPa", 1e-3 * offset);
     let ratio = |outcome: &mut Outcome, what: &str, value: f64, theory: f64| {

@@ -1,6 +1,6 @@
 //! Short ways to say a scene, and to read a simulation.
 
-use barchan::{Ledger, Options, ParticleList, Precision, Scene, Simulation, Vec3};
+use barchan::{Command, Ledger, Options, ParticleList, Precision, Scene, Simulation, Vec3};
 use std::path::Path;
 
 /// A scene from TOML text.
@@ -157,6 +157,41 @@ pub fn totals(ledger: &Ledger) -> (Vec3, Vec3) {
         std::array::from_fn(|d| ledger.momentum[d] + ledger.body_momentum[d]),
         std::array::from_fn(|d| ledger.angular_momentum[d] + ledger.body_angular_momentum[d]),
     )
+}
+
+/// Gives particles a velocity field that is linear in place, with rows of its gradient `b` [1/s], takes a step, and says for each of three levels how many particles
+/// there are within 0.3 m along an axis, and by how much a component of their velocities has changed at most [m/s].
+///
+/// # Panics
+/// If the step fails.
+pub fn change_of_linear_field(patch: &mut Simulation, axis: usize, b: [f64; 9]) -> [(usize, f64); 3] {
+    alter(patch, |r| {
+        r.v = std::array::from_fn(|i| (0..3).map(|j| b[3 * i + j] * r.x[j]).sum::<f64>());
+        r.c = b;
+    });
+    let before = rows(patch);
+    patch.step().unwrap_or_else(|e| panic!("{e}"));
+    let mut worst = [(0, 0f64); 3];
+    for (old, new) in before.iter().zip(&rows(patch)).filter(|(old, _)| old.x[axis] < 0.3) {
+        let worst = &mut worst[new.level as usize];
+        *worst = (worst.0 + 1, (0..3).fold(worst.1, |w, i| w.max((new.v[i] - old.v[i]).abs())));
+    }
+    worst
+}
+
+/// What an agent does in a world for the next steps, where it drives a blade.
+///
+/// # Panics
+/// If there is no tool `blade`, or it is not driven.
+pub fn drive_blade(s: &mut Simulation, world: usize) {
+    let turn = 0.05 * s.step_count() as f64 + world as f64;
+    let (linear, angular) = ([0.6 * turn.cos(), 0.3 * turn.sin(), -0.1], [0.0, 0.0, turn.sin()]);
+    s.act("blade", &Command::Twist { linear, angular }).unwrap_or_else(|e| panic!("{e}"));
+}
+
+/// Everything that a world has left behind.
+pub fn left(s: &Simulation) -> String {
+    format!("{:?} {:?} {:?} {:?}", s.particles(), s.bodies(), s.wrenches(), s.time().to_bits())
 }
 
 /// A quadruped in empty space and a ball of jelly that flies at it from below, its centre at height `z` [m].

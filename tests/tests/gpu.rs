@@ -3,7 +3,7 @@
 
 use barchan::scene::{Motion, Scene};
 use barchan::{Ledger, Options, Precision, Registry, Simulation, Vec3};
-use barchan_tests::scenes::{Row, norm, scene};
+use barchan_tests::scenes::{Row, left, norm, scene};
 use barchan_tests::sketch::{Head, bed, block, driven, half, material, tool};
 
 #[path = "gpu/adapters.rs"]
@@ -129,11 +129,6 @@ fn patch(world: u64) -> Scene {
         &driven([0.5, 0.0, 0.0]),
     ));
     Scene { seed: world, ..scene(&head.time("step = 1e-3").with(&parts)) }
-}
-
-/// Everything that a world has left behind.
-fn left(s: &Simulation) -> String {
-    format!("{:?} {:?} {:?} {:?}", s.particles(), s.bodies(), s.wrenches(), s.time().to_bits())
 }
 
 /// The patch under gravity that grows, by other times in worlds that are reset.

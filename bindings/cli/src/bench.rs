@@ -8,9 +8,9 @@ use crate::EngineArgs;
 use crate::print::show;
 use barchan::backend::Timing;
 use barchan::picture::Chart;
-use barchan::scene::{MaterialSpec, Motion, OverBound};
+use barchan::scene::{MaterialSpec, Motion, OverBound, Robot};
 use barchan::worlds::Worlds;
-use barchan::{Error, Registry, Result, Scene, Simulation, Vec3};
+use barchan::{Error, Registry, Result, Scene, Simulation};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::json;
@@ -286,25 +286,19 @@ fn rows(registry: &Registry, grid: u32) -> Result<Vec<Row>> {
             unused: Some(with_tool(&base, Some(Motion::Fixed), 0.4)?),
         },
         Row { effect: "sand, free body (two-way)", with: with_tool(&sand, None, 0.0)?, unused: None },
-        Row { effect: "sand, standing robot", with: with_robot(&sand, 0.0)?, unused: Some(with_robot(&base, 0.2)?) },
+        Row { effect: "sand, standing robot", with: with_robot(&sand, 0.0), unused: Some(with_robot(&base, 0.2)) },
     ])
 }
 
 /// A scene with a quadruped whose feet are so far above the bed [m].
-fn with_robot(scene: &Scene, above: f64) -> Result<Scene> {
+fn with_robot(scene: &Scene, above: f64) -> Scene {
     let mut scene = scene.clone();
-    let at: Vec3 = std::array::from_fn(|d| match d {
-        // Its trunk's height as it stands, above the bed's 0.2 m.
-        2 => 0.2 + 0.325 + above,
-        _ => 0.5 * (scene.world.min[d] + scene.world.max[d]),
-    });
-    let text = format!(
-        "name = \"robot\"\nworld = {{ cell = 0.1, min = [0, 0, 0], max = [1, 1, 1] }}\ntime = {{ end = 1 }}\n[[robot]]\nname = \"dog\"\n\
-         model = \"quadruped\"\nposition = {at:?}\njoints = {{ \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }}\n\
-         motor = [{{ kp = 250, kd = 5 }}]"
-    );
-    scene.robot = Scene::from_str(&text, "robot", Path::new(""))?.robot;
-    Ok(scene)
+    let [x, y] = [0, 1].map(|d| 0.5 * (scene.world.min[d] + scene.world.max[d]));
+    // Its trunk's height as it stands, above the bed's 0.2 m.
+    let mut robot = Robot::built_in("dog", "quadruped").at([x, y, 0.2 + 0.325 + above]).with_motors(250.0, 5.0);
+    robot.joints = [("*_thigh_joint".to_owned(), 0.8), ("*_calf_joint".to_owned(), -1.6)].into();
+    scene.robot.push(robot);
+    scene
 }
 
 /// What a scene costs.

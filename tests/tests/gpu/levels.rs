@@ -5,7 +5,7 @@ use barchan::scene::{Leaving, Scene, Shape, Wall};
 use barchan::worlds::Worlds;
 use barchan::{Command, Ledger, Options, Precision, Simulation, Vec3};
 use barchan_tests::long_cases::{FURROW_CELL, furrow_depth, furrow_scene};
-use barchan_tests::scenes::{Noise, Row, alter, norm, rows, scene, within};
+use barchan_tests::scenes::{Noise, Row, alter, change_of_linear_field, norm, rows, scene, within};
 use barchan_tests::sketch::{Head, block, driven, half, material, tool};
 
 /// Sand that a blade throws out of an open side, on two levels which follow the blade: none is lost from the account while particles split, merge
@@ -154,18 +154,7 @@ fn affine_fields_are_reproduced_where_rims_meet_walls() {
         ]));
         let mut b = [0.2, -0.4, 0.3, 0.1, -0.3, 0.5, -0.6, 0.2, 0.1];
         (0..3).filter(|d| *d != axis).for_each(|d| (b[3 * d + axis], b[3 * axis + d]) = (0.0, 0.0));
-        alter(&mut patch, |r| {
-            r.v = std::array::from_fn(|i| (0..3).map(|j| b[3 * i + j] * r.x[j]).sum::<f64>());
-            r.c = b;
-        });
-        let before = rows(&patch);
-        take(&mut patch, 1);
-        let mut worst = [(0, 0f64); 3];
-        for (old, new) in before.iter().zip(&rows(&patch)).filter(|(old, _)| old.x[axis] < 0.3) {
-            let worst = &mut worst[new.level as usize];
-            *worst = (worst.0 + 1, (0..3).fold(worst.1, |w, i| w.max((new.v[i] - old.v[i]).abs())));
-        }
-        for (level, (count, v)) in worst.into_iter().enumerate() {
+        for (level, (count, v)) in change_of_linear_field(&mut patch, axis, b).into_iter().enumerate() {
             assert!(count > 100, "level {level} has {count} particles");
             within(&format!("affine patch at a wall across {axis}, level {level}: v [m/s]"), v, 2e-5);
         }

@@ -3,19 +3,9 @@
 use super::{dropped, eased, followed, left, on_gpu, patch, take, with_currents};
 use barchan::scene::{CouplingSpec, Leaving, OverBound, Scene, Shape, Time};
 use barchan::worlds::Worlds;
-use barchan::{Command, Ledger, Simulation};
-use barchan_tests::scenes::{alter, norm, scene};
+use barchan::{Ledger, Simulation};
+use barchan_tests::scenes::{alter, drive_blade, norm, scene};
 use barchan_tests::sketch::{Head, block, half, material, tool};
-
-/// What an agent does in a world for the next steps.
-fn act(s: &mut Simulation, world: usize) {
-    let turn = 0.05 * s.step_count() as f64 + world as f64;
-    s.act(
-        "blade",
-        &Command::Twist { linear: [0.6 * turn.cos(), 0.3 * turn.sin(), -0.1], angular: [0.0, 0.0, turn.sin()] },
-    )
-    .unwrap();
-}
 
 /// The patch with a blade that is a height field.
 fn bumpy(world: u64) -> Scene {
@@ -45,7 +35,7 @@ fn a_world_of_a_batch_is_the_world_alone_bit_for_bit() {
         assert!(worlds.are_together());
         let mut wrenches = vec![Vec::new(); 4];
         for round in 0..5 {
-            (0..4).for_each(|w| act(worlds.world_mut(w), w));
+            (0..4).for_each(|w| drive_blade(worlds.world_mut(w), w));
             for (w, reports) in worlds.steps(AT_ONCE).into_iter().enumerate() {
                 let reports = reports.unwrap_or_else(|e| panic!("world {w}: {e}"));
                 assert_eq!(reports.len(), AT_ONCE);
@@ -62,7 +52,7 @@ fn a_world_of_a_batch_is_the_world_alone_bit_for_bit() {
             let mut felt = Vec::new();
             for step in 0..if w == 2 { 36 } else { 60 } {
                 if step % AT_ONCE == 0 {
-                    act(&mut alone, w);
+                    drive_blade(&mut alone, w);
                 }
                 felt.push(alone.step().unwrap().wrenches);
             }
@@ -94,7 +84,7 @@ fn worlds_with_bodies_of_all_kinds_step_together() {
     let registry = with_currents();
     let act = |sim: &mut Simulation, w: usize| {
         if !sim.bodies().is_empty() {
-            act(sim, w);
+            drive_blade(sim, w);
         }
     };
     let mut worlds = Worlds::new(&registry, scenes.to_vec(), &on_gpu()).unwrap();

@@ -1,8 +1,8 @@
 //! Many worlds side by side are each the world that it is alone.
 
 use barchan::worlds::Worlds;
-use barchan::{Command, Options, Precision, Scene, Simulation};
-use barchan_tests::scenes::{options, scene};
+use barchan::{Options, Precision, Scene, Simulation};
+use barchan_tests::scenes::{drive_blade, left, options, scene};
 use barchan_tests::sketch::{bed, half, tool};
 
 /// A patch of sand, sown at random, and a blade that an agent drives; worlds differ in seed, friction and the blade's height.
@@ -21,27 +21,13 @@ fn patch(seed: u64) -> Scene {
     Scene { seed, ..scene(&head.with(&parts)) }
 }
 
-/// What an agent does in a world at a step.
-fn act(s: &mut Simulation, world: usize) {
-    let turn = 0.05 * s.step_count() as f64 + world as f64;
-    s.act(
-        "blade",
-        &Command::Twist { linear: [0.6 * turn.cos(), 0.3 * turn.sin(), -0.1], angular: [0.0, 0.0, turn.sin()] },
-    )
-    .unwrap();
-}
-
 fn alone(world: usize, steps: usize, options: &Options) -> Simulation {
     let mut s = Simulation::new(&barchan::registry(), &patch(world as u64), options).unwrap();
     for _ in 0..steps {
-        act(&mut s, world);
+        drive_blade(&mut s, world);
         s.step().unwrap();
     }
     s
-}
-
-fn left(s: &Simulation) -> String {
-    format!("{:?} {:?} {:?} {:?}", s.particles(), s.bodies(), s.wrenches(), s.time().to_bits())
 }
 
 /// Symptom guarded against: worlds that share a random number, a tool or a sum. A reset of one must not touch the others, and starts
@@ -53,7 +39,7 @@ fn a_world_of_a_batch_is_the_world_alone_bit_for_bit() {
         let mut worlds = Worlds::new(&barchan::registry(), (0..5).map(patch).collect(), &options).unwrap();
         let steps = |worlds: &mut Worlds, count: usize| {
             for _ in 0..count {
-                (0..worlds.len()).for_each(|w| act(worlds.world_mut(w), w));
+                (0..worlds.len()).for_each(|w| drive_blade(worlds.world_mut(w), w));
                 worlds.step().into_iter().for_each(|report| drop(report.unwrap()));
             }
         };

@@ -2,7 +2,7 @@
 
 use super::{around_marker, counted, inner, kinetic, minus, norm, on_levels, spin, static_count};
 use barchan::{ParticleState, Precision, Simulation};
-use barchan_tests::scenes::{Noise, alter, rows, run_to, simulation, within};
+use barchan_tests::scenes::{Noise, alter, change_of_linear_field, rows, run_to, simulation, within};
 use barchan_tests::sketch::{Head, bed, block, body, material};
 use std::f64::consts::TAU;
 
@@ -119,18 +119,7 @@ fn affine_fields_are_reproduced_where_a_rim_meets_a_wall() {
                 b[3 * i + j] = 0.0;
             }
         }
-        alter(&mut patch, |r| {
-            r.v = std::array::from_fn(|i| (0..3).map(|j| b[3 * i + j] * r.x[j]).sum::<f64>());
-            r.c = b;
-        });
-        let before = rows(&patch);
-        patch.step().unwrap();
-        let mut worst = [(0, 0f64); 3];
-        for (old, new) in before.iter().zip(&rows(&patch)).filter(|(old, _)| old.x[axis] < 0.3) {
-            let worst = &mut worst[new.level as usize];
-            *worst = (worst.0 + 1, (0..3).fold(worst.1, |w, i| w.max((new.v[i] - old.v[i]).abs())));
-        }
-        for (level, (count, v)) in worst.into_iter().enumerate() {
+        for (level, (count, v)) in change_of_linear_field(&mut patch, axis, b).into_iter().enumerate() {
             assert!(count > 100, "level {level} has {count} particles");
             within(&format!("A1 affine patch at a {wall} wall across {axis}, level {level}: v [m/s]"), v, 1e-12);
         }
