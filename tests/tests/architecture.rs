@@ -109,10 +109,10 @@ fn crates_depend_on_each_other_along_the_arrows_only() {
             "sim-core" | "materials/kit" => with(&[]),
             "grid-hier" | "rigid-couple" => with(&["barchan-core"]),
             "tasks" => BTreeSet::from(["barchan-core"]),
-            "bindings/cli" => BTreeSet::from(["barchan"]),
+            "bindings/cli" | "bindings/python" => BTreeSet::from(["barchan"]),
             "tests" => names.clone(),
             "bindings/rust" => {
-                names.iter().copied().filter(|n| !matches!(*n, "barchan-cli" | "barchan-tests")).collect()
+                names.iter().copied().filter(|n| !matches!(*n, "barchan-cli" | "barchan-python" | "barchan-tests")).collect()
             }
             _ if folder.starts_with("materials/") => with(&["barchan-material-kit"]),
             _ if folder.starts_with("backends/") => with(&["barchan-core", "barchan-grid"]),

@@ -22,6 +22,7 @@
 use barchan_core::{Error, Options, Registry, Result, Scene, Simulation, StepReport, Together};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::time::{Duration, Instant};
 
 /// Worlds of the same scene or of several.
 ///
@@ -149,6 +150,48 @@ impl Worlds {
         }
     }
 
+    /// Steps every world towards a time of its own [s], as many steps as go in about `within`, and says whether it is there. Its last step
+    /// [ends there](Simulation::set_stop); where calls begin and end changes no bit.
+    ///
+    /// Where worlds [step together](Self::are_together), so must their times be as far off for all: a world that is there already takes their steps, too.
+    ///
+    /// # Panics
+    /// If there are not as many times as worlds.
+    pub fn approach(&mut self, until: &[f64], within: Duration) -> Vec<Result<bool>> {
+        assert_eq!(until.len(), self.len(), "there is a time for each world");
+        let begun = Instant::now();
+        match &mut self.machine {
+            Machine::Apart(simulations) => self.pool.install(|| {
+                let worlds = simulations.par_iter_mut().zip(until);
+                worlds.map(|(world, until)| approach_of(world, *until, begun, within)).collect()
+            }),
+            Machine::Together(together) => self.pool.install(|| {
+                // What time is left, where rounding has kept steps from ending all at once, is not worth a step.
+                let is_there = |world: &Simulation, until: f64| world.time() >= until - ROUNDING * until.abs();
+                let mut results: Vec<Result<bool>> = until.iter().map(|_| Ok(false)).collect();
+                loop {
+                    for ((result, world), until) in results.iter_mut().zip(together.worlds()).zip(until) {
+                        if let Ok(there) = result {
+                            *there = is_there(world, *until);
+                        }
+                    }
+                    let waits = |result: &Result<bool>| matches!(result, Ok(false));
+                    if !results.iter().any(waits) || begun.elapsed() >= within {
+                        return results;
+                    }
+                    for (world, until) in together.worlds_mut().iter_mut().zip(until) {
+                        world.set_stop(*until);
+                    }
+                    for (result, more) in results.iter_mut().zip(together.steps(MOST_AT_ONCE)) {
+                        if let Err(error) = more {
+                            *result = Err(error);
+                        }
+                    }
+                }
+            }),
+        }
+    }
+
     /// Runs `action` on every world and returns what it gave in the worlds' order. Worlds on the processor run side by side.
     pub fn each<R: Send>(&mut self, action: impl Fn(&mut Simulation) -> R + Send + Sync) -> Vec<R> {
         match &mut self.machine {
@@ -203,6 +246,20 @@ impl Worlds {
         self.scenes[to] = self.scenes[from].clone();
         Ok(())
     }
+}
+
+/// Most steps that a device is asked for at once.
+const MOST_AT_ONCE: usize = 1 << 10;
+/// Times that are nearer than this part of themselves are one.
+const ROUNDING: f64 = 1e-12;
+
+/// Steps of a world that is on its own.
+fn approach_of(world: &mut Simulation, until: f64, begun: Instant, within: Duration) -> Result<bool> {
+    while world.time() < until && begun.elapsed() < within {
+        world.set_stop(until);
+        world.steps(MOST_AT_ONCE, until)?;
+    }
+    Ok(world.time() >= until)
 }
 
 /// Up to `count` steps of a world that is on its own.

@@ -1,0 +1,46 @@
+"""Barchan simulates robots on and in soft ground: sand, snow, elastic and elastoplastic bodies, coupled with rigid tools and robots.
+
+>>> import barchan
+>>> simulation = barchan.Simulation("dig", overrides={"world.cell": 0.05})
+>>> simulation.advance(0.1)
+>>> simulation.wrenches()["blade"].force.shape
+(3,)
+
+`Simulation` steps scenes and tells what happens in them; `barchan.view` draws; `barchan.records` holds what simulations say, and `barchan.errors` what they refuse.
+"""
+
+from barchan._core import Simulation, State, __version__, adapters, load_plugin, registry, scenes
+from barchan.errors import (
+    BarchanError,
+    BodyError,
+    BusyError,
+    CapacityError,
+    DeviceError,
+    FileError,
+    PluginError,
+    SceneError,
+    SimulationError,
+    SnapshotError,
+    UnknownNameError,
+)
+
+__all__ = [
+    "BarchanError",
+    "BodyError",
+    "BusyError",
+    "CapacityError",
+    "DeviceError",
+    "FileError",
+    "PluginError",
+    "SceneError",
+    "Simulation",
+    "SimulationError",
+    "SnapshotError",
+    "State",
+    "UnknownNameError",
+    "__version__",
+    "adapters",
+    "load_plugin",
+    "registry",
+    "scenes",
+]

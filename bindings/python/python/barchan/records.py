@@ -1,0 +1,164 @@
+"""What a simulation says: records of numbers and NumPy arrays.
+
+All is in SI units and world axes, z up, unless a field says otherwise; quaternions are (w, x, y, z). Every array is a copy: it stays as it is when the simulation goes on,
+and to write into it changes nothing there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Body", "HeightMap", "Link", "Particles", "Plan", "Robot", "Wrench"]
+
+
+class Particles:
+    """Arrays of particles, all in one order, which is the simulation's own and changes as it goes on; ``id`` stays.
+
+    ``position`` is always there. A field that was not read is an ``AttributeError`` that says so. ``len(particles)`` is their number n.
+    """
+
+    position: NDArray[np.float64]
+    """Where they are in the world [m], (n, 3)."""
+    velocity: NDArray[np.float32]
+    """Velocity [m/s], (n, 3)."""
+    affine: NDArray[np.float32]
+    """APIC affine matrix C, row by row [1/s], (n, 9)."""
+    mass: NDArray[np.float32]
+    """Mass [kg], (n,)."""
+    volume0: NDArray[np.float32]
+    """Volume at rest [m^3], (n,)."""
+    id: NDArray[np.uint64]
+    """Number of the particle, the same throughout a run, (n,)."""
+    body: NDArray[np.uint16]
+    """Number of the scene's body that it was seeded for, (n,)."""
+    material: NDArray[np.uint16]
+    """Number of the material, in the scene's order, (n,)."""
+    level: NDArray[np.uint8]
+    """Level of the grid that it is on, 0 is the finest, (n,)."""
+    pressure: NDArray[np.float64]
+    """Minus a third of the trace of the Cauchy stress [Pa], (n,); of a cut only."""
+
+    def __init__(self, **fields: NDArray[Any]) -> None:
+        self.__dict__.update(fields)
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in type(self).__annotations__:
+            hint = "it comes with Simulation.cut" if name == "pressure" else f"ask for it: particles({name!r})"
+            raise AttributeError(f"'{name}' was not read; {hint}")
+        raise AttributeError(f"particles have no '{name}'; these have {', '.join(self.__dict__)}")
+
+    def __repr__(self) -> str:
+        return f"<Particles: {len(self)}, with {', '.join(self.__dict__)}>"
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What a tool, a free body or a link of a robot is doing."""
+
+    name: str
+    position: NDArray[np.float64]
+    """Centre of mass [m], (3,)."""
+    rotation: NDArray[np.float64]
+    """Orientation quaternion (w, x, y, z), (4,)."""
+    velocity: NDArray[np.float64]
+    """Velocity of the centre of mass [m/s], (3,)."""
+    angular_velocity: NDArray[np.float64]
+    """Angular velocity [rad/s], (3,)."""
+    mass: float
+    """Mass [kg]; infinite for a driven body."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wrench:
+    """Force on a body, and torque about its centre of mass."""
+
+    force: NDArray[np.float64]
+    """Force [N], (3,)."""
+    torque: NDArray[np.float64]
+    """Torque [N m], (3,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """What a link of a robot feels."""
+
+    name: str
+    position: NDArray[np.float64]
+    """Centre of mass [m], (3,)."""
+    ground: Wrench
+    """What the soft ground does to it, the mean over the last step."""
+    felt: Wrench
+    """What soft ground and rigid things do to it together."""
+    contact_points: NDArray[np.float64]
+    """Where it touched what is rigid in the last step [m], (k, 3)."""
+    contact_forces: NDArray[np.float64]
+    """Mean force on the link at each of these points [N], (k, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """How a robot's base and joints move, and what its links feel. Joints come in the order of commands to them."""
+
+    name: str
+    position: NDArray[np.float64]
+    """Origin of the base's frame [m], (3,)."""
+    rotation: NDArray[np.float64]
+    """Orientation quaternion of the base (w, x, y, z), (4,)."""
+    velocity: NDArray[np.float64]
+    """Velocity of that origin, along the base's axes [m/s], (3,)."""
+    angular_velocity: NDArray[np.float64]
+    """Angular velocity, along the base's axes [rad/s], (3,): what a gyroscope reads."""
+    specific_force: NDArray[np.float64]
+    """Acceleration less gravity, along the base's axes [m/s^2], (3,): what an accelerometer reads."""
+    projected_gravity: NDArray[np.float64]
+    """Where gravity points, a unit vector along the base's axes, (3,); zero without gravity."""
+    joint_names: list[str]
+    joint_position: NDArray[np.float64]
+    """Angle [rad] or displacement [m] of each joint, (joints,)."""
+    joint_rate: NDArray[np.float64]
+    """Its rate [rad/s or m/s], (joints,)."""
+    joint_torque: NDArray[np.float64]
+    """Torque [N m] or force [N] of its motor over the last step, (joints,)."""
+    links: dict[str, Link] = field(repr=False)
+    """Links with mass or shape by name, the base first."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Heights of the ground over a rectangle."""
+
+    heights: NDArray[np.float64]
+    """Height at (x[i], y[j]) [m], (nx, ny); NaN where there is neither ground nor floor."""
+    x: NDArray[np.float64]
+    """Where the rows are [m], (nx,)."""
+    y: NDArray[np.float64]
+    """Where the columns are [m], (ny,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a scene calls for and why. ``print(plan)`` shows all of it."""
+
+    text: str = field(repr=False)
+    """The plan as people read it, as ``barchan plan`` prints it."""
+    effects: dict[str, str]
+    """Every effect that is simulated, and which keys of the scene call for it."""
+    stages: str
+    """The stages of a step, in order."""
+    particle_count: int
+    cell_widths: list[float]
+    """Cell width of each level, finest first [m]."""
+    time_step: float
+    """The step that the run starts with [s]."""
+    warnings: list[str]
+    """What you should know about the scene."""
+
+    def __str__(self) -> str:
+        return self.text

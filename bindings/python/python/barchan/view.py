@@ -1,0 +1,99 @@
+"""Pictures of simulations and plots of what runs write.
+
+`picture` gives a picture as an array, and `View` the same for many moments, all alike; `save_png` and `save_gif` write them. What is drawn with matplotlib needs the extra
+`barchan[plot]`: `plot_height_map`, `plot_trace`, `plot_ledger`.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from barchan._core import Simulation, View, write_gif, write_png
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["View", "picture", "plot_height_map", "plot_ledger", "plot_trace", "save_gif", "save_png"]
+
+
+def picture(simulation: Simulation, *, part: str = "page", world: int = 0) -> NDArray[np.uint8]:
+    """A picture of a world as it is now: (rows, columns, 3), uint8, RGB. `part` is "page", or "ground" without title, scales and cut.
+
+    Use a `View` for pictures that are to be compared: it keeps extent and colours.
+    """
+    return View(simulation, world=world).draw(simulation, part=part, world=world)
+
+
+def save_png(path: str | os.PathLike[str], picture: NDArray[np.uint8]) -> None:
+    """Writes a picture as a PNG file."""
+    write_png(path, np.ascontiguousarray(picture))
+
+
+def save_gif(path: str | os.PathLike[str], pictures: Sequence[NDArray[np.uint8]], *, seconds: float = 0.04, most_bytes: int = 8_000_000) -> None:
+    """Writes pictures of one size as an endless animation, each shown for `seconds`. Every second one is left out until the file has at most `most_bytes`."""
+    write_gif(path, [np.ascontiguousarray(one) for one in pictures], seconds=seconds, most_bytes=most_bytes)
+
+
+def plot_height_map(simulation: Simulation, *, cell: float | None = None, world: int = 0, axes: Axes | None = None) -> Axes:
+    """Plots the height of the ground, seen from above [m]."""
+    axes = _axes(axes)
+    ground = simulation.height_map(cell=cell, world=world)
+    half_x, half_y = (0.5 * (line[1] - line[0]) if len(line) > 1 else 0.5 for line in (ground.x, ground.y))
+    extent = (ground.x[0] - half_x, ground.x[-1] + half_x, ground.y[0] - half_y, ground.y[-1] + half_y)
+    shown = axes.imshow(ground.heights.T, origin="lower", extent=extent)
+    axes.figure.colorbar(shown, ax=axes, label="height [m]")
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=f"{simulation.name}, t = {simulation.times[world]:.3f} s")
+    return axes
+
+
+def plot_trace(path: str | os.PathLike[str], columns: str | Sequence[str] = "* mean f*", *, axes: Axes | None = None) -> Axes:
+    """Plots columns of a run's `trace.csv` over time. `columns` are patterns with stars, such as "blade f*".
+
+    Raises `ValueError` listing the columns that there are if none fits.
+    """
+    with open(path, newline="", encoding="utf-8") as file:
+        reader = csv.reader(file)
+        names = next(reader)
+        rows = [[float(cell) if cell else np.nan for cell in row] for row in reader]
+    patterns = [columns] if isinstance(columns, str) else list(columns)
+    wanted = [i for i, name in enumerate(names) if any(fnmatchcase(name, pattern) for pattern in patterns)]
+    times = [i for i, name in enumerate(names) if name.split(" ")[0] == "time"]
+    if not wanted or not times:
+        raise ValueError(f"columns: none of {patterns} fits; {os.fspath(path)} has {', '.join(names)}")
+    axes = _axes(axes)
+    table = np.array(rows)
+    for i in wanted:
+        axes.plot(table[:, times[0]], table[:, i], label=names[i])
+    axes.set(xlabel="time [s]")
+    axes.legend()
+    return axes
+
+
+def plot_ledger(ledgers: Sequence[dict[str, Any]], times: Sequence[float], *, axes: Axes | None = None) -> Axes:
+    """Plots energies of ledgers taken at several times: `ledgers` are what `Simulation.ledger` gave, `times` when [s]."""
+    axes = _axes(axes)
+    for name in ("kinetic", "elastic", "potential", "body_kinetic", "body_potential"):
+        energies = [np.nan if ledger[name] is None else ledger[name] for ledger in ledgers]
+        if np.any(np.nan_to_num(energies) != 0.0):
+            axes.plot(times, energies, label=name.replace("_", " "))
+    axes.set(xlabel="time [s]", ylabel="energy [J]")
+    axes.legend()
+    return axes
+
+
+def _axes(axes: Axes | None) -> Axes:
+    """Axes to draw into: new ones, if none are given."""
+    if axes is not None:
+        return axes
+    try:
+        from matplotlib import pyplot
+    except ImportError as error:
+        raise ImportError("matplotlib is missing: pip install 'barchan[plot]'") from error
+    return pyplot.subplots()[1]

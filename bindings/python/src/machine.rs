@@ -1,0 +1,99 @@
+//! One world or many, stepped for a short while at a time, so that Python can look after Ctrl-C in between.
+
+use barchan::worlds::Worlds;
+use barchan::{Error, Options, Registry, Scene, Simulation};
+use std::time::{Duration, Instant};
+
+/// How long steps are taken before signals are looked at.
+pub(crate) const SLICE: Duration = Duration::from_millis(50);
+/// Most steps that a device is asked for at once.
+const MOST: usize = 1 << 10;
+
+/// What runs: one world with all threads, or worlds of one batch.
+#[derive(Debug)]
+pub(crate) enum Machine {
+    One(Box<Simulation>),
+    Many(Box<Worlds>),
+}
+
+/// What failed, and in which world.
+pub(crate) type Failure = (Error, Option<usize>);
+
+impl Machine {
+    pub(crate) fn new(registry: &Registry, scene: &Scene, worlds: usize, options: &Options) -> barchan::Result<Self> {
+        Ok(match worlds {
+            1 => Self::One(Box::new(Simulation::new(registry, scene, options)?)),
+            _ => Self::Many(Box::new(Worlds::of(registry, scene, worlds, scene.seed, options)?)),
+        })
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        match self {
+            Self::One(_) => 1,
+            Self::Many(worlds) => worlds.len(),
+        }
+    }
+    pub(crate) fn world(&self, world: usize) -> &Simulation {
+        match self {
+            Self::One(simulation) => simulation,
+            Self::Many(worlds) => worlds.world(world),
+        }
+    }
+    pub(crate) fn world_mut(&mut self, world: usize) -> &mut Simulation {
+        match self {
+            Self::One(simulation) => simulation,
+            Self::Many(worlds) => worlds.world_mut(world),
+        }
+    }
+
+    /// Up to `count` steps of every world, as many as go in a slice, and how many that were. Of a failure the first one is told, after all others
+    /// have taken their steps.
+    pub(crate) fn steps(&mut self, count: usize) -> Result<usize, Failure> {
+        let begun = Instant::now();
+        let mut taken = 0;
+        let mut chunk = 1;
+        while taken < count && begun.elapsed() < SLICE {
+            match self {
+                Self::One(simulation) => {
+                    let most = (count - taken).min(MOST);
+                    taken += simulation.steps(most, f64::INFINITY).map_err(|error| (error, None))?.len();
+                }
+                Self::Many(worlds) => {
+                    let most = (count - taken).min(chunk);
+                    let results = worlds.steps(most);
+                    taken += most;
+                    chunk = (2 * chunk).min(MOST);
+                    for (world, result) in results.into_iter().enumerate() {
+                        let told = |error| (error, Some(world));
+                        // Asked again, a world that has not taken all of them says why.
+                        for _ in result.map_err(told)?.len()..most {
+                            worlds.world_mut(world).step().map_err(told)?;
+                        }
+                    }
+                }
+            }
+        }
+        Ok(taken)
+    }
+
+    /// Steps towards a time in every world [s], as many as go in a slice; are all there?
+    pub(crate) fn approach(&mut self, until: &[f64]) -> Result<bool, Failure> {
+        match self {
+            Self::One(simulation) => {
+                let begun = Instant::now();
+                while simulation.time() < until[0] && begun.elapsed() < SLICE {
+                    simulation.set_stop(until[0]);
+                    simulation.steps(MOST, until[0]).map_err(|error| (error, None))?;
+                }
+                Ok(simulation.time() >= until[0])
+            }
+            Self::Many(worlds) => {
+                let mut all = true;
+                for (world, result) in worlds.approach(until, SLICE).into_iter().enumerate() {
+                    all &= result.map_err(|error| (error, Some(world)))?;
+                }
+                Ok(all)
+            }
+        }
+    }
+}

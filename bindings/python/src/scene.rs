@@ -1,0 +1,93 @@
+//! Scenes as Python gives them: the name of a built-in one, a file, or a dict.
+
+use crate::errors::{OrRaise, exception};
+use barchan::Scene;
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
+use std::path::{Path, PathBuf};
+use toml::Value;
+
+/// What errors call the file of a scene that was a dict.
+pub(crate) const DICT: &str = "scene";
+
+/// Reads a scene.
+///
+/// 1. A text is the name of a built-in scene if there is one, or if it has no ending and there is no such file; else it is a file's.
+/// 2. A dict is what a scene file would hold. Relative paths in it start from the folder that the program runs in.
+/// 3. Overrides change it before it is checked.
+pub(crate) fn read(scene: &Bound<'_, PyAny>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Scene> {
+    let py = scene.py();
+    let mut set = Vec::new();
+    for (key, value) in overrides.into_iter().flat_map(|all| all.iter()) {
+        let path: String = key.extract()?;
+        if let Some(value) = to_toml(&value, &path)? {
+            set.push(format!("{path}={value}"));
+        }
+    }
+    if scene.cast::<PyDict>().is_ok() {
+        let text = match to_toml(scene, "")? {
+            Some(table) => toml::to_string(&table).map_err(|e| exception(py, "SceneError", &format!("{DICT}: {e}")))?,
+            None => String::new(),
+        };
+        return Scene::from_str_with(&text, DICT, "", &set).or_raise(py);
+    }
+    if let Ok(name) = scene.extract::<String>() {
+        let path = Path::new(&name);
+        let is_built_in = barchan::tasks::names().any(|known| known == name);
+        if is_built_in || (path.extension().is_none() && !path.exists()) {
+            return barchan::tasks::scene(&name, &set).or_raise(py);
+        }
+    }
+    let Ok(path) = scene.extract::<PathBuf>() else {
+        let kind = scene.get_type().name()?;
+        return Err(PyTypeError::new_err(format!(
+            "scene: a {kind} is none; give the name of a built-in scene, a path to a TOML file, or a dict"
+        )));
+    };
+    Scene::from_file_with(path, &set).or_raise(py)
+}
+
+/// A value as TOML; nothing for `None`. Arrays and scalars of NumPy come as lists and numbers.
+fn to_toml(value: &Bound<'_, PyAny>, path: &str) -> PyResult<Option<Value>> {
+    if value.is_none() {
+        return Ok(None);
+    }
+    let inner = |key: &str| if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") };
+    let items = |items: Vec<Bound<'_, PyAny>>| -> PyResult<Option<Value>> {
+        let one = |(i, item): (usize, &Bound<'_, PyAny>)| to_toml(item, &format!("{path}[{i}]")).transpose();
+        Ok(Some(Value::Array(items.iter().enumerate().filter_map(one).collect::<PyResult<_>>()?)))
+    };
+    Ok(Some(if let Ok(table) = value.cast::<PyDict>() {
+        let mut all = toml::Table::new();
+        for (key, value) in table.iter() {
+            let Ok(key) = key.extract::<String>() else {
+                return Err(PyTypeError::new_err(format!("{path}: a key of a scene is a text, not {}", key.repr()?)));
+            };
+            if let Some(value) = to_toml(&value, &inner(&key))? {
+                all.insert(key, value);
+            }
+        }
+        Value::Table(all)
+    } else if value.is_instance_of::<PyBool>() {
+        Value::Boolean(value.extract()?)
+    } else if value.is_instance_of::<PyInt>() {
+        Value::Integer(value.extract()?)
+    } else if value.is_instance_of::<PyFloat>() {
+        Value::Float(value.extract()?)
+    } else if value.is_instance_of::<PyString>() {
+        Value::String(value.extract()?)
+    } else if let Ok(list) = value.cast::<PyList>() {
+        return items(list.iter().collect());
+    } else if let Ok(tuple) = value.cast::<PyTuple>() {
+        return items(tuple.iter().collect());
+    } else if value.hasattr("tolist")? {
+        return to_toml(&value.call_method0("tolist")?, path);
+    } else if let Ok(file) = value.extract::<PathBuf>() {
+        Value::String(file.display().to_string())
+    } else {
+        let kind = value.get_type().name()?;
+        let allowed = "numbers, texts, lists, dicts, paths and NumPy arrays";
+        return Err(PyTypeError::new_err(format!("{path}: a scene has no value of type {kind}; it takes {allowed}")));
+    }))
+}

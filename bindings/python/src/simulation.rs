@@ -1,0 +1,695 @@
+//! The class `Simulation`.
+
+use crate::errors::{OrRaise, exception, raised};
+use crate::machine::Machine;
+use crate::{known, records, scene};
+use barchan::stress::pressure;
+use barchan::{Aabb, Command, Fields, Options, Precision, Reading, Scene, Simulation as World};
+use numpy::{AllowTypeChange, PyArray1, PyArrayLike2, PyArrayLikeDyn, PyArrayMethods};
+use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, TryLockError};
+
+/// Names of what can be read of particles besides where they are.
+const FIELDS: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body", "material", "level"];
+
+/// Everything that a world goes on from, bit for bit: a copy in memory.
+///
+/// `Simulation.state` takes it and `Simulation.restore` goes back to it. It takes about 300 bytes a particle.
+#[pyclass(module = "barchan", frozen)]
+pub(crate) struct State {
+    state: barchan::State,
+}
+
+#[pymethods]
+impl State {
+    /// Simulated time [s].
+    #[getter]
+    fn time(&self) -> f64 {
+        self.state.time()
+    }
+    /// Steps taken.
+    #[getter]
+    fn step_count(&self) -> u64 {
+        self.state.step_count()
+    }
+    fn __repr__(&self) -> String {
+        let state = &self.state;
+        format!("<barchan.State of '{}' at t = {:.6} s, step {}>", state.scene().name, state.time(), state.step_count())
+    }
+}
+
+/// A scene that is put on a backend and stepped: one world, or many that are stepped together.
+///
+/// Parameters
+/// ----------
+/// scene
+///     Name of a built-in scene (`barchan.scenes()`), path to a TOML file, or a dict that holds what such a file would.
+/// backend
+///     "cpu", or "wgpu" for GPUs.
+/// precision
+///     "f32", or "f64" on the processor.
+/// worlds
+///     How many independent worlds of the scene there are. Those of one batch step together: side by side on the processor, in the same passes on a GPU.
+/// adapter
+///     Name or number of the GPU (`barchan.adapters()`); the first, if none is given.
+/// threads
+///     Worker threads; 0: as many as the machine has. They change no bit of what is simulated.
+/// seed
+///     Random seed in place of the scene's. World w has seed + w.
+/// overrides
+///     What to change in the scene, by key path: `{"world.cell": 0.02, "tool.cube.motion.free.mass": 5}`.
+///
+/// All is in SI units, z up; quaternions are (w, x, y, z). Methods that look at a world take `world`, its number. Every array is a copy: it stays as it is, and
+/// to write into it changes nothing here.
+#[pyclass(module = "barchan", frozen)]
+pub(crate) struct Simulation {
+    machine: Mutex<Machine>,
+    scene: Scene,
+    /// Those of the present backend.
+    options: Mutex<Options>,
+}
+
+impl Simulation {
+    /// What runs, unless another thread is at it.
+    fn machine<'a>(&'a self, py: Python<'_>) -> PyResult<MutexGuard<'a, Machine>> {
+        self.machine.try_lock().map_err(|error| match error {
+            TryLockError::WouldBlock => {
+                exception(py, "BusyError", "another thread is at this simulation; wait for it, or use a fork() of it")
+            }
+            TryLockError::Poisoned(_) => {
+                exception(py, "BusyError", "a call of this simulation has broken down half way; make a new one")
+            }
+        })
+    }
+
+    fn options(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, Options>> {
+        self.options
+            .lock()
+            .map_err(|_| exception(py, "BusyError", "a call of this simulation has broken down half way"))
+    }
+
+    /// Looks at a world without holding Python up.
+    pub(crate) fn look<R: Send>(
+        &self,
+        py: Python<'_>,
+        world: usize,
+        ask: impl FnOnce(&World) -> R + Send,
+    ) -> PyResult<R> {
+        let mut machine = self.machine(py)?;
+        check_world(world, machine.len())?;
+        let machine = &mut *machine;
+        // Moved, so that it is the only one who looks: a world is not to be looked at by two threads.
+        Ok(py.detach(move || ask(machine.world(world))))
+    }
+
+    /// The number of a world, or all of them.
+    fn chosen(worlds: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<usize>> {
+        let Some(worlds) = worlds else { return Ok((0..count).collect()) };
+        let chosen = worlds.extract::<usize>().map(|one| vec![one]).or_else(|_| worlds.extract::<Vec<usize>>());
+        let chosen = chosen
+            .map_err(|_| PyTypeError::new_err("worlds: give the number of a world, a list of them, or None for all"))?;
+        chosen.iter().try_for_each(|world| check_world(*world, count))?;
+        Ok(chosen)
+    }
+}
+
+fn check_world(world: usize, count: usize) -> PyResult<()> {
+    if world < count {
+        return Ok(());
+    }
+    Err(PyIndexError::new_err(format!("there is no world {world}; they are counted from 0, and there are {count}")))
+}
+
+fn precision(text: &str) -> PyResult<Precision> {
+    text.parse().map_err(PyValueError::new_err)
+}
+
+/// Name of an adapter, or its number.
+fn named(adapter: &Bound<'_, PyAny>) -> PyResult<String> {
+    Ok(adapter.str()?.to_string())
+}
+
+/// Rows of a command for so many worlds: one row for all of them, or one for each.
+fn per_world(
+    values: Option<&PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
+    what: &str,
+    worlds: usize,
+) -> PyResult<Vec<Option<Vec<f64>>>> {
+    let Some(values) = values else { return Ok(vec![None; worlds]) };
+    let values = values.as_array();
+    match values.shape() {
+        [_] => Ok(vec![Some(values.iter().copied().collect()); worlds]),
+        &[rows, _] if rows == worlds => {
+            Ok(values.rows().into_iter().map(|row| Some(row.iter().copied().collect())).collect())
+        }
+        shape => Err(PyValueError::new_err(format!(
+            "{what}: its shape is {shape:?}; give one row of numbers for all worlds, or a row for each of {worlds}"
+        ))),
+    }
+}
+
+fn axes(values: Option<Vec<f64>>, what: &str) -> PyResult<[f64; 3]> {
+    let Some(values) = values else { return Ok([0.0; 3]) };
+    let count = values.len();
+    values.try_into().map_err(|_| PyValueError::new_err(format!("{what}: {count} numbers; it takes x, y and z")))
+}
+
+#[pymethods]
+impl Simulation {
+    #[new]
+    #[pyo3(signature = (scene, *, backend="cpu", precision="f32", worlds=1, adapter=None, threads=0, seed=None, overrides=None))]
+    #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
+    fn new(
+        py: Python<'_>,
+        scene: &Bound<'_, PyAny>,
+        backend: &str,
+        precision: &str,
+        worlds: usize,
+        adapter: Option<&Bound<'_, PyAny>>,
+        threads: usize,
+        seed: Option<u64>,
+        overrides: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let mut scene = scene::read(scene, overrides)?;
+        scene.seed = seed.unwrap_or(scene.seed);
+        if worlds == 0 {
+            return Err(PyValueError::new_err("worlds: there must be one at least"));
+        }
+        let options = Options {
+            backend: backend.to_owned(),
+            precision: self::precision(precision)?,
+            threads,
+            adapter: adapter.map(named).transpose()?,
+            ..Options::default()
+        };
+        let registry = known(py)?;
+        let machine = py.detach(|| Machine::new(&registry, &scene, worlds, &options)).or_raise(py)?;
+        Ok(Self { machine: Mutex::new(machine), scene, options: Mutex::new(options) })
+    }
+
+    /// Goes on from a file that `save` or a run of the command line has written, as one world. Precision is the file's.
+    ///
+    /// Raises `SnapshotError` or `FileError` if the file cannot be used.
+    #[staticmethod]
+    #[pyo3(signature = (path, *, backend="cpu", adapter=None, threads=0))]
+    fn load(
+        py: Python<'_>,
+        path: PathBuf,
+        backend: &str,
+        adapter: Option<&Bound<'_, PyAny>>,
+        threads: usize,
+    ) -> PyResult<Self> {
+        let adapter = adapter.map(named).transpose()?;
+        let registry = known(py)?;
+        let precision = barchan::snapshot::about(&path).or_raise(py)?.precision;
+        let options = Options { backend: backend.to_owned(), precision, threads, adapter, ..Options::default() };
+        let world = py.detach(|| World::resume(&registry, &path, &options)).or_raise(py)?;
+        let scene = world.plan().scene.clone();
+        Ok(Self { machine: Mutex::new(Machine::One(Box::new(world))), scene, options: Mutex::new(options) })
+    }
+
+    /// Takes `count` steps in every world.
+    ///
+    /// Other threads of Python go on meanwhile. Ctrl-C ends it between two steps, with `KeyboardInterrupt`; the simulation can go on from there.
+    ///
+    /// Raises `SimulationError` if the scene cannot go on; that world is as it was before the step that failed.
+    #[pyo3(signature = (count=1))]
+    fn step(&self, py: Python<'_>, count: usize) -> PyResult<()> {
+        let mut machine = self.machine(py)?;
+        let machine = &mut *machine;
+        let mut left = count;
+        while left > 0 {
+            left -= py.detach(|| machine.steps(left)).map_err(|(error, world)| raised(py, error, world))?;
+            py.check_signals()?;
+        }
+        Ok(())
+    }
+
+    /// Steps every world until `seconds` later; the last step ends there exactly.
+    ///
+    /// With `progress=True`, what has been reached is shown on stderr. The rest is as for `step`.
+    #[pyo3(signature = (seconds, *, progress=false))]
+    fn advance(&self, py: Python<'_>, seconds: f64, progress: bool) -> PyResult<()> {
+        if !(seconds >= 0.0 && seconds.is_finite()) {
+            return Err(PyValueError::new_err(format!("seconds: {seconds} is no time to advance by")));
+        }
+        let mut machine = self.machine(py)?;
+        let machine = &mut *machine;
+        let until: Vec<f64> = (0..machine.len()).map(|world| machine.world(world).time() + seconds).collect();
+        let show = |time: f64, end: &str| -> PyResult<()> {
+            if progress {
+                let stderr = py.import("sys")?.getattr("stderr")?;
+                stderr
+                    .call_method1("write", (format!("\r{}: {time:.3} of {:.3} s{end}", self.scene.name, until[0]),))?;
+                stderr.call_method0("flush")?;
+            }
+            Ok(())
+        };
+        loop {
+            let there = py.detach(|| machine.approach(&until)).map_err(|(error, world)| raised(py, error, world))?;
+            show(machine.world(0).time(), if there { "\n" } else { "" })?;
+            if there {
+                return Ok(());
+            }
+            py.check_signals()?;
+        }
+    }
+
+    /// Simulated time of world 0 [s].
+    #[getter]
+    fn time(&self, py: Python<'_>) -> PyResult<f64> {
+        Ok(self.machine(py)?.world(0).time())
+    }
+    /// Simulated time of each world [s], float64 of shape (worlds,).
+    #[getter]
+    fn times<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let machine = self.machine(py)?;
+        Ok(PyArray1::from_vec(py, (0..machine.len()).map(|world| machine.world(world).time()).collect()))
+    }
+    /// Steps that world 0 has taken.
+    #[getter]
+    fn step_count(&self, py: Python<'_>) -> PyResult<u64> {
+        Ok(self.machine(py)?.world(0).step_count())
+    }
+    /// Number of worlds.
+    #[getter]
+    fn worlds(&self, py: Python<'_>) -> PyResult<usize> {
+        Ok(self.machine(py)?.len())
+    }
+    /// Name of the scene.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.scene.name
+    }
+    /// Name of the backend that runs.
+    #[getter]
+    fn backend(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(self.options(py)?.backend.clone())
+    }
+    /// "f32" or "f64".
+    #[getter]
+    fn precision(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(self.options(py)?.precision.to_string())
+    }
+    /// Number of particles of world 0.
+    #[getter]
+    fn particle_count(&self, py: Python<'_>) -> PyResult<usize> {
+        Ok(self.machine(py)?.world(0).particle_count())
+    }
+    /// When the scene ends by its own account, `time.end` [s].
+    #[getter]
+    fn end(&self) -> f64 {
+        self.scene.time.end
+    }
+    /// The scene as TOML, overrides included.
+    fn scene(&self, py: Python<'_>) -> PyResult<String> {
+        self.scene.to_toml().or_raise(py)
+    }
+
+    /// Reads particles, as a `Particles` record of arrays in one order. Only what is asked for is read, and brought from a GPU.
+    ///
+    /// `fields` are names of what is read besides `position`: "velocity", "affine", "mass", "volume0", "id", "body", "material", "level"; without names, all
+    /// but "affine". `region` is a box, ((x, y, z), (x, y, z)) [m]: particles outside are left out.
+    #[pyo3(signature = (*fields, region=None, world=0))]
+    fn particles<'py>(
+        &self,
+        py: Python<'py>,
+        fields: &Bound<'py, PyTuple>,
+        region: Option<PyArrayLike2<'py, f64, AllowTypeChange>>,
+        world: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let asked: Vec<String> = fields.extract()?;
+        if let Some(unknown) = asked.iter().find(|name| !FIELDS.contains(&name.as_str())) {
+            let known = FIELDS.join(", ");
+            return Err(PyValueError::new_err(format!("particles have no '{unknown}' to be read; known are: {known}")));
+        }
+        let has = |name: &str| if asked.is_empty() { name != "affine" } else { asked.iter().any(|one| one == name) };
+        let fields = Fields {
+            exact: true,
+            velocity: has("velocity"),
+            affine: has("affine"),
+            mass: has("mass"),
+            volume0: has("volume0"),
+            id: has("id"),
+            body: has("body"),
+            material: has("material"),
+            level: has("level"),
+        };
+        let region = region.map(|region| {
+            let corners = region.as_array();
+            match corners.shape() {
+                [2, 3] => {
+                    let [min, max] = [0, 1].map(|row| std::array::from_fn(|d| corners[[row, d]]));
+                    Ok(Aabb { min, max })
+                }
+                shape => Err(PyValueError::new_err(format!(
+                    "region: its shape is {shape:?}; give the least and the greatest corner, ((x, y, z), (x, y, z))"
+                ))),
+            }
+        });
+        let region = region.transpose()?;
+        let reading = self.look(py, world, |one| one.read(region, fields))?.or_raise(py)?;
+        records::particles(py, reading, None)
+    }
+
+    /// The particles cut by a vertical plane, those less than half their width away from it, with their `pressure` [Pa]: a `Particles` record.
+    ///
+    /// `axis` is "y" for the plane y = at [m], or "x".
+    ///
+    /// Raises `PluginError` if a material does not tell its stress.
+    #[pyo3(signature = (at, *, axis="y", world=0))]
+    fn cut<'py>(&self, py: Python<'py>, at: f64, axis: &str, world: usize) -> PyResult<Bound<'py, PyAny>> {
+        let axis = match axis {
+            "x" => 0,
+            "y" => 1,
+            _ => {
+                return Err(PyValueError::new_err(format!(
+                    "axis: '{axis}' is none for a vertical cut; use \"x\" or \"y\""
+                )));
+            }
+        };
+        let read = |one: &World| {
+            // Within one of their sides.
+            let near = one.ground_where(&|spot| (2.0 * (spot.position[axis] - at)).abs().powi(3) <= spot.volume0);
+            let fields = Fields {
+                exact: true,
+                velocity: true,
+                affine: false,
+                mass: true,
+                volume0: true,
+                id: true,
+                body: true,
+                material: true,
+                level: true,
+            };
+            let (mut reading, mut pressures) = (Reading::new(fields, [0.0; 3]), Vec::new());
+            for list in &near.lists {
+                reading.add_list(list, None);
+                let all: Vec<usize> = (0..list.len()).collect();
+                pressures.extend(pressure(&one.plan().materials[list.material as usize], list, &all)?);
+            }
+            Ok((reading, pressures))
+        };
+        let (reading, pressures) = self.look(py, world, read)?.or_raise(py)?;
+        records::particles(py, reading, Some(("pressure", records::vector(py, pressures))))
+    }
+
+    /// Heights of the surface of the soft ground at points, float64 of shape (n,) [m]; `points` has the shape (n, 2) [m].
+    ///
+    /// The surface is where, seen from above, particles first fill half of space. Where there is no ground, it is the world's floor; NaN if that is open. Tools
+    /// and robots are not seen.
+    #[pyo3(signature = (points, *, world=0))]
+    fn height_scan<'py>(
+        &self,
+        py: Python<'py>,
+        points: PyArrayLike2<'py, f64, AllowTypeChange>,
+        world: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let points = points.as_array();
+        let &[_, 2] = points.shape() else {
+            let shape = points.shape();
+            return Err(PyValueError::new_err(format!("points: their shape is {shape:?}; it should be (n, 2)")));
+        };
+        let points: Vec<[f64; 2]> = points.rows().into_iter().map(|row| [row[0], row[1]]).collect();
+        let heights = self.look(py, world, |one| one.heights(&points))?.or_raise(py)?;
+        Ok(records::vector(py, heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect()))
+    }
+
+    /// Heights of the surface over a rectangle, as `height_scan` gives them: a `HeightMap` record.
+    ///
+    /// `region` is ((x, y), (x, y)) [m], the world if it is not given; `cell` the distance of points [m], the finest cell width if it is not given. Points are at the centres of
+    /// whole cells, from the least corner on.
+    #[pyo3(signature = (region=None, cell=None, *, world=0))]
+    fn height_map<'py>(
+        &self,
+        py: Python<'py>,
+        region: Option<PyArrayLike2<'py, f64, AllowTypeChange>>,
+        cell: Option<f64>,
+        world: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let bounds = &self.scene.world;
+        let (min, max) = match &region {
+            None => ([bounds.min[0], bounds.min[1]], [bounds.max[0], bounds.max[1]]),
+            Some(region) => {
+                let corners = region.as_array();
+                let &[2, 2] = corners.shape() else {
+                    let shape = corners.shape();
+                    return Err(PyValueError::new_err(format!(
+                        "region: its shape is {shape:?}; give ((x, y), (x, y))"
+                    )));
+                };
+                ([corners[[0, 0]], corners[[0, 1]]], [corners[[1, 0]], corners[[1, 1]]])
+            }
+        };
+        let cell = cell.unwrap_or(bounds.cell);
+        let count = [0, 1].map(|d| ((max[d] - min[d]) / cell + 1e-6).floor());
+        if !(cell > 0.0 && count.iter().all(|n| (1.0..=65_536.0).contains(n))) {
+            return Err(PyValueError::new_err(format!(
+                "region and cell: from {min:?} to {max:?} there are {count:?} cells of {cell} m; 1 to 65536 along each axis are possible"
+            )));
+        }
+        let [x, y]: [Vec<f64>; 2] =
+            [0, 1].map(|d| (0..count[d] as usize).map(|i| min[d] + cell * (i as f64 + 0.5)).collect());
+        let points: Vec<[f64; 2]> = x.iter().flat_map(|&x| y.iter().map(move |&y| [x, y])).collect();
+        let heights = self.look(py, world, |one| one.heights(&points))?.or_raise(py)?;
+        let heights: Vec<f64> = heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect();
+        let heights = PyArray1::from_vec(py, heights).reshape([x.len(), y.len()])?.into_any();
+        let fields = [("heights", heights), ("x", records::vector(py, x)), ("y", records::vector(py, y))];
+        records::record(py, "HeightMap", &fields)
+    }
+
+    /// Tools, free bodies and links of robots by name, in the scene's order: `Body` records.
+    #[pyo3(signature = (*, world=0))]
+    fn bodies<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+        let all = PyDict::new(py);
+        for body in self.look(py, world, World::bodies)? {
+            all.set_item(body.name.clone(), records::body(py, body)?)?;
+        }
+        Ok(all)
+    }
+
+    /// Mean force and torque of the soft ground on each of `bodies` over the last step, by name: `Wrench` records.
+    #[pyo3(signature = (*, world=0))]
+    fn wrenches<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+        let (bodies, wrenches) = self.look(py, world, |one| (one.bodies(), one.wrenches()))?;
+        let all = PyDict::new(py);
+        for (body, wrench) in bodies.iter().zip(&wrenches) {
+            all.set_item(&body.name, records::wrench(py, wrench)?)?;
+        }
+        Ok(all)
+    }
+
+    /// Robots by name, with their joints, their links and what they sense: `Robot` records.
+    #[pyo3(signature = (*, world=0))]
+    fn robots<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+        let (robots, joints) = self.look(py, world, |one| (one.robots(), one.joints()))?;
+        let all = PyDict::new(py);
+        for robot in robots {
+            all.set_item(robot.name.clone(), records::robot(py, robot, &joints)?)?;
+        }
+        Ok(all)
+    }
+
+    /// Tells a body what to do from now on: a driven tool to move at `linear` [m/s] and turn at `angular` [rad/s], both (3,) in world axes and 0 if not
+    /// given; a robot to bring its joints to `joint_targets` [rad or m], or to act on them with `joint_torques` [N m or N], both (joints,).
+    ///
+    /// Every world is told the same, those in `worlds` only (a number or a list), or each its own if arrays have a row for each of them.
+    ///
+    /// Raises `BodyError` if there is no such body, it takes no such command, or numbers are not finite.
+    #[pyo3(signature = (body, *, linear=None, angular=None, joint_targets=None, joint_torques=None, worlds=None))]
+    #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
+    fn act(
+        &self,
+        py: Python<'_>,
+        body: &str,
+        linear: Option<PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
+        angular: Option<PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
+        joint_targets: Option<PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
+        joint_torques: Option<PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
+        worlds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let mut machine = self.machine(py)?;
+        let worlds = Self::chosen(worlds, machine.len())?;
+        let kinds = [linear.is_some() || angular.is_some(), joint_targets.is_some(), joint_torques.is_some()];
+        if kinds.iter().filter(|kind| **kind).count() != 1 {
+            let what = "give one command: linear and angular, joint_targets, or joint_torques";
+            return Err(PyTypeError::new_err(what));
+        }
+        let rows = |values: &Option<_>, what| per_world(values.as_ref(), what, worlds.len());
+        let all = rows(&linear, "linear")?.into_iter().zip(rows(&angular, "angular")?);
+        let all = all.zip(rows(&joint_targets, "joint_targets")?).zip(rows(&joint_torques, "joint_torques")?);
+        for (world, (((linear, angular), targets), torques)) in worlds.into_iter().zip(all) {
+            let command = match (targets, torques) {
+                (Some(targets), _) => Command::JointTargets(targets),
+                (_, Some(torques)) => Command::JointTorques(torques),
+                _ => Command::Twist { linear: axes(linear, "linear")?, angular: axes(angular, "angular")? },
+            };
+            machine.world_mut(world).act(body, &command).or_raise(py)?;
+        }
+        Ok(())
+    }
+
+    /// Sets worlds back to their start: all, or those in `worlds` (a number or a list). With `seeds`, one for each of them, they start from these random
+    /// seeds instead.
+    #[pyo3(signature = (worlds=None, seeds=None))]
+    fn reset(
+        &self,
+        py: Python<'_>,
+        worlds: Option<&Bound<'_, PyAny>>,
+        seeds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let mut machine = self.machine(py)?;
+        let chosen = Self::chosen(worlds, machine.len())?;
+        let seeds =
+            seeds.map(|seeds| seeds.extract::<u64>().map(|one| vec![one]).or_else(|_| seeds.extract::<Vec<u64>>()));
+        let seeds =
+            seeds.transpose().map_err(|_| PyTypeError::new_err("seeds: give whole numbers from 0 to 2^64 - 1"))?;
+        if let Some(seeds) = seeds.as_ref().filter(|seeds| seeds.len() != chosen.len()) {
+            let (seeds, worlds) = (seeds.len(), chosen.len());
+            return Err(PyValueError::new_err(format!("seeds: there are {seeds} of them for {worlds} worlds")));
+        }
+        let (registry, options) = (known(py)?, self.options(py)?.clone());
+        let machine = &mut *machine;
+        for (i, world) in chosen.into_iter().enumerate() {
+            let scene = machine.world(world).plan().scene.clone();
+            let seed = seeds.as_ref().map_or(scene.seed, |seeds| seeds[i]);
+            let scene = Scene { seed, ..scene };
+            let set = || match machine {
+                Machine::One(simulation) => World::new(&registry, &scene, &options).map(|new| **simulation = new),
+                Machine::Many(worlds) => worlds.reset(world, Some(scene)),
+            };
+            py.detach(set).or_raise(py)?;
+        }
+        Ok(())
+    }
+
+    /// Takes a copy of a world in memory, to `restore` it later.
+    #[pyo3(signature = (*, world=0))]
+    fn state(&self, py: Python<'_>, world: usize) -> PyResult<State> {
+        Ok(State { state: self.look(py, world, World::state)?.or_raise(py)? })
+    }
+
+    /// Goes back to a state: what follows is bit for bit what followed then. It is set in all worlds, or in those in `worlds` (a number or a list).
+    ///
+    /// Raises `BodyError` if it is a state of another scene or precision.
+    #[pyo3(signature = (state, *, worlds=None))]
+    fn restore(&self, py: Python<'_>, state: &State, worlds: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let mut machine = self.machine(py)?;
+        let machine = &mut *machine;
+        for world in Self::chosen(worlds, machine.len())? {
+            py.detach(|| machine.world_mut(world).set_state(&state.state)).or_raise(py)?;
+        }
+        Ok(())
+    }
+
+    /// Another simulation that goes on from a world as it is now, on its own: one world, on the same backend.
+    #[pyo3(signature = (*, world=0))]
+    fn fork(&self, py: Python<'_>, world: usize) -> PyResult<Self> {
+        let state = self.look(py, world, World::state)?.or_raise(py)?;
+        let (registry, options) = (known(py)?, self.options(py)?.clone());
+        let one = py.detach(|| World::from_state(&registry, &state, &options)).or_raise(py)?;
+        let scene = state.scene().clone();
+        Ok(Self { machine: Mutex::new(Machine::One(Box::new(one))), scene, options: Mutex::new(options) })
+    }
+
+    /// Makes worlds copies of world `source`, which then go on as it does: those in `targets` (a number or a list). On a GPU nothing leaves it.
+    fn copy_world(&self, py: Python<'_>, source: usize, targets: &Bound<'_, PyAny>) -> PyResult<()> {
+        let mut machine = self.machine(py)?;
+        check_world(source, machine.len())?;
+        let targets = Self::chosen(Some(targets), machine.len())?;
+        if let Machine::Many(worlds) = &mut *machine {
+            py.detach(|| targets.into_iter().try_for_each(|target| worlds.fork(source, target))).or_raise(py)?;
+        }
+        Ok(())
+    }
+
+    /// Writes a world to a file, from which `Simulation.load` and the command line's `--resume` go on bit for bit.
+    ///
+    /// Raises `FileError` if it cannot be written; an older file of that name is intact then.
+    #[pyo3(signature = (path, *, world=0))]
+    fn save(&self, py: Python<'_>, path: PathBuf, world: usize) -> PyResult<()> {
+        self.look(py, world, |one| one.save(&path))?.or_raise(py)
+    }
+
+    /// Goes on with another backend or precision from the next step on. Particles, bodies, time and ledger are kept.
+    ///
+    /// Raises `UnknownNameError` or `PluginError` if the backend is not there or lacks something that the scene calls for, and `ValueError` for more than one world.
+    #[pyo3(signature = (backend, *, precision=None, adapter=None))]
+    fn swap(
+        &self,
+        py: Python<'_>,
+        backend: &str,
+        precision: Option<&str>,
+        adapter: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let mut machine = self.machine(py)?;
+        let Machine::One(simulation) = &mut *machine else {
+            return Err(PyValueError::new_err(
+                "swap: worlds of a batch stay on their backend; swap a fork(world=...) of one of them",
+            ));
+        };
+        let mut options = self.options(py)?.clone();
+        (options.backend, options.adapter) = (backend.to_owned(), adapter.map(named).transpose()?);
+        if let Some(text) = precision {
+            options.precision = self::precision(text)?;
+        }
+        let registry = known(py)?;
+        py.detach(|| simulation.swap(&registry, &options)).or_raise(py)?;
+        *self.options(py)? = options;
+        Ok(())
+    }
+
+    /// What the scene calls for and why, and what a step does: a `Plan` record; print it.
+    #[pyo3(signature = (*, world=0))]
+    fn plan<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
+        let plan = self.look(py, world, |one| one.plan().clone())?;
+        records::plan(py, &plan)
+    }
+
+    /// Totals of mass [kg], momentum [kg m/s], energy [J] and others, and "counts" of everything that was clamped, floored, cut or lost since the start: a
+    /// dict. "elastic" is None if a material does not tell its energy.
+    #[pyo3(signature = (*, world=0))]
+    fn ledger<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
+        let ledger = self.look(py, world, World::ledger)?;
+        let value =
+            serde_json::to_value(&ledger).map_err(|e| exception(py, "BarchanError", &format!("ledger: {e}")))?;
+        records::json(py, &value)
+    }
+
+    /// Wall time that every effect has taken in a world since it was made [s], by name.
+    #[pyo3(signature = (*, world=0))]
+    fn timing<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+        let all = PyDict::new(py);
+        for timing in self.look(py, world, World::timings)? {
+            all.set_item(timing.effect, timing.seconds)?;
+        }
+        Ok(all)
+    }
+
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(PyTypeError::new_err(
+            "a Simulation cannot be pickled; make it in the process that needs it, or save() it and load() it there",
+        ))
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let Ok(machine) = self.machine.try_lock() else {
+            return Ok(format!("<barchan.Simulation of '{}', busy>", self.scene.name));
+        };
+        let options = self.options(py)?;
+        let worlds = if machine.len() == 1 { String::new() } else { format!("{} worlds of ", machine.len()) };
+        let world = machine.world(0);
+        Ok(format!(
+            "<barchan.Simulation of '{}': {worlds}{} particles, t = {:.6} s, step {}, {} {}>",
+            self.scene.name,
+            world.particle_count(),
+            world.time(),
+            world.step_count(),
+            options.backend,
+            options.precision
+        ))
+    }
+}

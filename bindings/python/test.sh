@@ -1,0 +1,31 @@
+#!/usr/bin/env bash
+# Builds the wheel, installs it into a virtual environment of its own and tests it there. Arguments go to pytest.
+#
+#     bash bindings/python/test.sh [-k NAME ...]
+#
+# The environment is target/venv (or $CARGO_TARGET_DIR/venv): 45 MB are fetched from PyPI, 200 MB lie there. Needs Python 3.10 or newer with venv, which
+# tests/robots/fetch.sh installs, and a C compiler.
+set -euo pipefail
+here="$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)"
+requirements="$here/tests/requirements.txt"
+cd "$here/../.."
+target="${CARGO_TARGET_DIR:-target}"
+mkdir -p "$target"
+target="$(cd "$target" && pwd)"
+venv="$target/venv"
+
+if ! cmp -s "$requirements" "$venv/installed.txt"; then
+    echo "Installing maturin, NumPy, matplotlib and pytest into $venv (45 MB)."
+    python3 -m venv --clear "$venv"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --only-binary :all: --requirement "$requirements"
+    cp "$requirements" "$venv/installed.txt"
+fi
+
+# With the profile of the other tests, whose crates need not be built again.
+rm -rf "$target/wheels-for-tests"
+"$venv/bin/maturin" build --quiet --locked --profile test --strip --manifest-path "$here/Cargo.toml" \
+    --interpreter "$venv/bin/python" --out "$target/wheels-for-tests"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index --force-reinstall "$target"/wheels-for-tests/*.whl
+cd "$here"
+# From here the installed package is found, not its sources.
+exec "$venv/bin/python" -m pytest -q -p no:cacheprovider "$@"

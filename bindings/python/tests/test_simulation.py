@@ -1,0 +1,264 @@
+"""The class Simulation: what a user can count on."""
+
+import _thread
+import json
+import multiprocessing
+import pickle
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import barchan
+
+
+def test_a_pressed_block_pushes_back_and_keeps_its_mass(press):
+    simulation = barchan.Simulation(press)
+    mass = simulation.ledger()["mass"]
+    assert mass == pytest.approx(400.0 * 0.2**3, rel=1e-6)
+    assert simulation.ledger()["mass"] == pytest.approx(simulation.particles().mass.sum(), rel=1e-6)
+    simulation.act("plate", linear=[0, 0, -0.5])
+    simulation.advance(0.1)
+    assert simulation.time == 0.1
+    plate = simulation.bodies()["plate"]
+    np.testing.assert_allclose(plate.position, [0.2, 0.2, 0.18], atol=1e-9)
+    np.testing.assert_array_equal(plate.velocity, [0, 0, -0.5])
+    assert simulation.wrenches()["plate"].force[2] > 1.0
+    assert simulation.ledger()["mass"] == pytest.approx(mass, rel=1e-9)
+
+
+def test_particles_are_copies_of_what_was_asked_for(press):
+    simulation = barchan.Simulation(press)
+    particles = simulation.particles()
+    count = simulation.particle_count
+    assert len(particles) == count == len(np.unique(particles.id))
+    assert particles.position.shape == (count, 3) and particles.position.dtype == np.float64
+    assert particles.velocity.shape == (count, 3) and particles.velocity.dtype == np.float32
+    np.testing.assert_allclose(particles.volume0 * 400.0, particles.mass, rtol=1e-5)
+    particles.position[:] = 0.0
+    assert simulation.particles().position.max() > 0.15
+    lower = simulation.particles("mass", region=((0, 0, 0), (1, 1, 0.1)))
+    assert 0 < len(lower) < count and lower.position[:, 2].max() <= 0.1
+    with pytest.raises(AttributeError, match=r"particles\('velocity'\)"):
+        lower.velocity
+    with pytest.raises(ValueError, match="no 'speed'.*velocity, affine"):
+        simulation.particles("speed")
+    with pytest.raises(ValueError, match="region"):
+        simulation.particles(region=(0, 0, 0))
+
+
+def test_heights_are_those_of_the_block_and_the_floor(press):
+    press["body"][0]["sampling"] = "lattice"
+    simulation = barchan.Simulation(press)
+    ground = simulation.height_map()
+    assert ground.heights.shape == (8, 8) == (len(ground.x), len(ground.y))
+    inside = (ground.x > 0.1) & (ground.x < 0.3)
+    np.testing.assert_allclose(ground.heights[np.ix_(inside, inside)], 0.2, atol=0.01)
+    scan = simulation.height_scan([(0.2, 0.2), (0.02, 0.02)])
+    np.testing.assert_allclose(scan, [0.2, 0.0], atol=0.01)
+    part = simulation.height_map(((0.1, 0.1), (0.3, 0.2)), 0.02)
+    assert part.heights.shape == (10, 5) and part.x[0] == pytest.approx(0.11)
+    with pytest.raises(ValueError, match="cell"):
+        simulation.height_map(cell=0.0)
+
+
+def test_pressure_in_a_cut_grows_downwards(press):
+    press["time"] |= {"end": 1.0}
+    press["material"] = [{"name": "m", "law": "neo_hookean", "density": 1000.0, "parameters": {"young_modulus": 1e5}}]
+    press["body"][0] = {"material": "m", "shape": {"box": {"min": [0, 0, 0], "max": [0.4, 0.4, 0.2]}}}
+    press["world"]["walls"] |= {side: "slip" for side in ("x_min", "x_max", "y_min", "y_max")}
+    del press["tool"]
+    simulation = barchan.Simulation(press)
+    # A column that vibrates about its weight: its mean over some periods is that.
+    low = []
+    for _ in range(40):
+        simulation.advance(0.01)
+        cut = simulation.cut(0.19)
+        assert np.abs(cut.position[:, 1] - 0.19).max() < 0.5 * 0.025
+        low.append(cut.pressure[cut.position[:, 2] < 0.05].mean() - cut.pressure[cut.position[:, 2] > 0.15].mean())
+    # Upright stress grows by rho g 0.15 m between the layers; sideways by nu / (1 - nu) of that, with nu of the law's default.
+    nu = barchan.registry()["materials"]["neo_hookean"]["parameters"]["poisson_ratio"]["default"]
+    expected = 1000.0 * 9.81 * 0.15 * (1 + 2 * nu / (1 - nu)) / 3
+    assert np.mean(low) == pytest.approx(expected, rel=0.15)
+
+
+def test_robots_tell_joints_and_take_targets(dog):
+    robot = dog.robots()["dog"]
+    assert len(robot.joint_names) == 12 and robot.joint_names[2] == "FL_calf_joint"
+    dog.act("dog", joint_targets=np.tile([0.0, 0.8, -1.6], 4))
+    dog.advance(0.1)
+    robot = dog.robots()["dog"]
+    assert dog.times[0] == 0.1 and np.all(robot.joint_position[2::3] < -0.1)
+    # It falls: an accelerometer reads next to nothing.
+    assert robot.projected_gravity[2] < -0.9 and robot.velocity[2] == pytest.approx(-0.981, abs=0.05)
+    assert list(robot.links)[0] in dog.bodies()
+    with pytest.raises(barchan.BodyError, match="12"):
+        dog.act("dog", joint_targets=[0.0])
+    with pytest.raises(TypeError, match="one command"):
+        dog.act("dog", joint_targets=np.zeros(12), linear=[0, 0, 1])
+
+
+def test_worlds_act_reset_and_go_on_as_they_do_alone(press, same):
+    worlds = barchan.Simulation(press, worlds=3, seed=5)
+    speeds = np.array([[0, 0, -0.1], [0, 0, -0.3], [0, 0, -0.5]])
+    worlds.act("plate", linear=speeds)
+    worlds.advance(0.05)
+    np.testing.assert_array_equal(worlds.times, 0.05)
+    for world in range(3):
+        alone = barchan.Simulation(press, seed=5 + world)
+        alone.act("plate", linear=speeds[world])
+        alone.advance(0.05)
+        assert same(worlds, alone, a_world=world)
+    assert not same(worlds, worlds, a_world=0, b_world=1)
+    worlds.reset(1)
+    np.testing.assert_array_equal(worlds.times, [0.05, 0.0, 0.05])
+    assert same(worlds, barchan.Simulation(press, seed=6), a_world=1)
+    worlds.reset([0, 2], seeds=[9, 9])
+    assert same(worlds, worlds, a_world=0, b_world=2)
+    assert same(worlds, barchan.Simulation(press, seed=9))
+    worlds.step(7)
+    worlds.copy_world(1, [0])
+    assert same(worlds, worlds, a_world=0, b_world=1)
+    with pytest.raises(IndexError, match="no world 3"):
+        worlds.bodies(world=3)
+    with pytest.raises(ValueError, match="a row for each of 3"):
+        worlds.act("plate", linear=np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="2 of them for 3"):
+        worlds.reset(seeds=[1, 2])
+
+
+def test_states_forks_and_files_go_on_bit_for_bit(press, same, tmp_path):
+    simulation = barchan.Simulation(press, precision="f64")
+    simulation.act("plate", linear=[0, 0, -0.3])
+    simulation.step(10)
+    state, fork = simulation.state(), simulation.fork()
+    simulation.save(tmp_path / "here.barchan")
+    loaded = barchan.Simulation.load(tmp_path / "here.barchan")
+    simulation.step(10)
+    fork.step(10)
+    loaded.step(10)
+    assert loaded.precision == "f64" and loaded.step_count == 20
+    assert same(simulation, fork) and same(simulation, loaded)
+    again = barchan.Simulation(press, precision="f64")
+    again.restore(state)
+    assert again.step_count == 10 == state.step_count
+    again.step(10)
+    assert same(simulation, again)
+    with pytest.raises(barchan.BodyError, match="f64"):
+        barchan.Simulation(press).restore(state)
+    with pytest.raises(barchan.FileError, match="missing.barchan"):
+        barchan.Simulation.load(tmp_path / "missing.barchan")
+    with pytest.raises(barchan.SnapshotError):
+        (tmp_path / "wrong.barchan").write_bytes(b"no snapshot")
+        barchan.Simulation.load(tmp_path / "wrong.barchan")
+
+
+def test_a_swap_keeps_time_and_particles(press):
+    simulation = barchan.Simulation(press)
+    simulation.step(5)
+    before = simulation.particles("id")
+    simulation.swap("cpu", precision="f64")
+    assert simulation.precision == "f64" and simulation.step_count == 5
+    after = simulation.particles("id")
+    order = [np.argsort(one.id) for one in (before, after)]
+    np.testing.assert_allclose(before.position[order[0]], after.position[order[1]], atol=1e-7)
+    with pytest.raises(barchan.UnknownNameError, match="abacus.*cpu") as caught:
+        simulation.swap("abacus")
+    assert "cpu" in caught.value.known
+    simulation.step(5)
+    assert simulation.step_count == 10
+
+
+def test_the_plan_the_ledger_and_the_clock_say_what_runs(press):
+    simulation = barchan.Simulation(press)
+    plan = simulation.plan()
+    assert any("snow" in name for name in plan.effects) and "effect" in str(plan)
+    assert plan.particle_count == simulation.particle_count and plan.cell_widths == [0.05]
+    simulation.step(3)
+    assert sum(simulation.timing().values()) > 0.0
+    assert json.dumps(simulation.ledger())
+    assert repr(simulation).startswith("<barchan.Simulation of 'press'") and "step 3, cpu f32" in repr(simulation)
+    assert 'name = "press"' in simulation.scene()
+
+
+def test_scenes_come_by_name_file_and_dict_and_take_overrides(press, same, tmp_path):
+    simulation = barchan.Simulation(press, overrides={"world.cell": 0.04, "tool.plate.position": (0.2, 0.2, 0.3)})
+    assert simulation.plan().cell_widths == [0.04] and simulation.bodies()["plate"].position[2] == 0.3
+    file = tmp_path / "press.toml"
+    file.write_text(simulation.scene())
+    assert same(simulation, barchan.Simulation(file)) and same(simulation, barchan.Simulation(str(file)))
+    assert "dig" in barchan.scenes()
+    dig = barchan.Simulation("dig", overrides={"world.cell": 0.05})
+    assert dig.name == "dig" and dig.end == 1.8
+
+
+def test_errors_say_what_where_and_how_to_mend_it(press, tmp_path):
+    with pytest.raises(barchan.UnknownNameError, match="'digg'.*dig") as caught:
+        barchan.Simulation("digg")
+    assert isinstance(caught.value, barchan.BarchanError) and isinstance(caught.value, LookupError)
+    press["body"][0]["shape"]["box"]["min"] = [0.1, 0.1]
+    with pytest.raises(barchan.SceneError) as caught:
+        barchan.Simulation(press)
+    assert caught.value.path.startswith("body[0].shape") and caught.value.line is None
+    file = tmp_path / "wrong.toml"
+    file.write_text('name = "wrong"\n\n[wurld]\n')
+    with pytest.raises(barchan.SceneError, match="wrong.toml:3") as caught:
+        barchan.Simulation(file)
+    assert caught.value.line == 3
+    with pytest.raises(barchan.SceneError, match="overrides"):
+        barchan.Simulation("dig", overrides={"world.cell": -1.0})
+    with pytest.raises(TypeError, match="set"):
+        barchan.Simulation({"name": {1}})
+    with pytest.raises(TypeError, match="int"):
+        barchan.Simulation(3)
+    with pytest.raises(ValueError, match="f32 or f64"):
+        barchan.Simulation("dig", precision="f16")
+    with pytest.raises(barchan.FileError, match="nowhere.toml"):
+        barchan.Simulation(tmp_path / "nowhere.toml")
+
+
+def test_a_world_that_cannot_go_on_says_which_and_why(press):
+    press["time"]["step"] = 0.01
+    with pytest.raises(barchan.SimulationError, match="time.over_bound") as caught:
+        barchan.Simulation(press, worlds=2).step()
+    assert caught.value.world in (0, 1) and str(caught.value).startswith("world ")
+
+
+def test_ctrl_c_ends_a_long_call_between_two_steps(press):
+    simulation = barchan.Simulation(press)
+    threading.Timer(0.3, _thread.interrupt_main).start()
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        simulation.advance(1e5)
+    assert time.monotonic() - begun < 20.0
+    reached = simulation.step_count
+    assert reached > 0
+    simulation.step()
+    assert simulation.step_count == reached + 1
+
+
+def test_other_threads_run_during_a_step_and_may_not_disturb_it(press):
+    simulation = barchan.Simulation(press)
+    worker = threading.Thread(target=simulation.step, args=(20_000,))
+    worker.start()
+    # A thread that runs meanwhile sees that it is at work.
+    while "busy" not in repr(simulation):
+        assert worker.is_alive()
+    with pytest.raises(barchan.BusyError, match="another thread"):
+        simulation.particles("mass")
+    worker.join()
+    assert simulation.step_count == 20_000
+
+
+def count_steps(scene):
+    simulation = barchan.Simulation(scene)
+    simulation.step(2)
+    return simulation.step_count
+
+
+def test_it_is_not_pickled_but_works_in_other_processes(press):
+    with pytest.raises(TypeError, match="save"):
+        pickle.dumps(barchan.Simulation(press))
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(count_steps, (press,)) == 2
