@@ -37,7 +37,7 @@ const MERGE_ROUNDS: u64 = 128;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 /// Particles' numbers are less than this.
-pub(crate) const IDS: u64 = u32::MAX as u64;
+pub const IDS: u64 = u32::MAX as u64;
 
 /// One particle outside of any list, on its way to another place or level. It holds numbers of the run's precision
 /// exactly.
@@ -851,11 +851,13 @@ fn sorted_into_bins(candidates: &[Candidate], sides: u32, shift: usize) -> Vec<B
     binned
 }
 
-/// Rest volume of each body's particles on the finest level [m³]. Particles that belong to no body count as the last
-/// body's.
+/// Rest volume of each body's particles on the finest level, then of each source's [m³]. Particles that belong to none count as the
+/// last one's.
 pub fn finest_volumes(plan: &Plan) -> Vec<f64> {
     let scene = &plan.scene;
-    let mut volumes: Vec<f64> = scene.body.iter().map(|body| scene.spacing(body).powi(3)).collect();
+    let bodies = scene.body.iter().map(|body| scene.spacing(body));
+    let sources = scene.inflow.iter().map(|source| scene.inflow_spacing(source));
+    let mut volumes: Vec<f64> = bodies.chain(sources).map(|spacing| spacing.powi(3)).collect();
     if volumes.is_empty() {
         volumes.push(0.125 * plan.cell_widths[0].powi(3));
     }

@@ -2,8 +2,8 @@
 
 use crate::parameter::Parameter;
 use crate::{
-    Aabb, BodyState, Coupling, Fields, Form, Ledger, ParticleState, Plan, Reading, Result, Spot, Stage, Tile, Vec3,
-    Wrench,
+    Aabb, BodyState, Coupling, Fields, Form, Ledger, Newcomer, ParticleList, ParticleState, Plan, Reading, Result,
+    Spot, Stage, Tile, Vec3, Wrench,
 };
 
 /// A way to run a plan, such as `cpu`.
@@ -253,6 +253,43 @@ pub trait Engine: Send {
     /// # Errors
     /// If the state does not fit the plan.
     fn upload(&mut self, particles: ParticleState) -> Result<()>;
+    /// Takes particles out of the simulation: those for which `gone` holds. Returns them, in lists as those of [`download`](Self::download). Called between steps,
+    /// at `time` [s].
+    ///
+    /// # Errors
+    /// [`Error::Device`](crate::Error::Device) if a device was lost.
+    fn take_out(&mut self, time: f64, gone: &(dyn Fn(&Spot) -> bool + Sync)) -> Result<Vec<ParticleList>> {
+        let _ = time;
+        let mut particles = ParticleState { sort: None, ..self.download() };
+        self.check()?;
+        let mut out = particles.lists.clone();
+        out.iter_mut().for_each(|list| list.retain(gone));
+        particles.lists.iter_mut().for_each(|list| list.retain(|spot| !gone(spot)));
+        self.upload(particles)?;
+        Ok(out)
+    }
+    /// Brings particles into the simulation, which [`Plan::newcomers`] makes of them. Returns these. Called between steps, at `time` [s]. Numbers start at
+    /// `next_id` or later, which moves on.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`](crate::Error::Capacity) if there is no room for them, [`Error::Device`](crate::Error::Device) if a device was lost.
+    fn bring_in(&mut self, plan: &Plan, time: f64, come: &[Newcomer], next_id: &mut u64) -> Result<Vec<ParticleList>> {
+        let _ = time;
+        let mut particles = ParticleState { sort: None, ..self.download() };
+        self.check()?;
+        let mut regions = plan.regions.clone();
+        if let Some(phase) = &mut particles.levels {
+            regions.restore(phase.boxes.clone());
+            *next_id = phase.next_id.max(*next_id);
+        }
+        let lists = plan.newcomers(come, &regions, next_id);
+        if let Some(phase) = &mut particles.levels {
+            phase.next_id = *next_id;
+        }
+        particles.lists.iter_mut().zip(&lists).for_each(|(list, new)| list.append(new.clone()));
+        self.upload(particles)?;
+        Ok(lists)
+    }
     /// Number of particles.
     fn particle_count(&self) -> usize;
     /// Adds the particles' mass, momenta, energies and counts to a ledger.

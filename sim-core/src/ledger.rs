@@ -58,8 +58,29 @@ pub struct Ledger {
     /// Energy that the damping of materials has dissipated since the start [J].
     #[serde(default)]
     pub damped: f64,
+    /// What sources have brought in since the start.
+    #[serde(default)]
+    pub sources: Passed,
+    /// What sinks have taken out since the start.
+    #[serde(default)]
+    pub sinks: Passed,
     /// Named counts: yielding, at the apex, stretch floored, state clamped, positions clamped, steps shortened, …
     pub counts: BTreeMap<String, u64>,
+}
+
+/// What sources bring in, or sinks take out.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Passed {
+    /// Particles.
+    pub particles: u64,
+    /// Mass [kg].
+    pub mass: f64,
+    /// Momentum [kg m/s].
+    pub momentum: Vec3,
+    /// Angular momentum about the world's origin, the affine part included [kg m²/s].
+    pub angular_momentum: Vec3,
+    /// Kinetic, elastic and potential energy [J]; the elastic one with the strain that the last step began with.
+    pub energy: f64,
 }
 
 impl Ledger {

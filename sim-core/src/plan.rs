@@ -16,6 +16,7 @@ pub(crate) use particles::{FARTHEST_CELL, PARTICLES};
 
 use crate::backend::Bound;
 use crate::file::Stamp;
+use crate::flow::Flows;
 use crate::levels::{Agent, CellBox, Regions, agent_bounds, surface_depths};
 use crate::parameter::Parameters;
 use crate::scene::Motion;
@@ -108,6 +109,8 @@ pub struct Plan {
     pub regions: Regions,
     /// The ground as a function of position, if only what is within reach of agents is live.
     pub terrain: Option<Arc<Terrain>>,
+    /// Its sources and sinks, if it has any.
+    pub flows: Option<Arc<Flows>>,
     /// What the levels follow.
     pub agents: Vec<Agent>,
     /// Steps of the finest level in one step of the simulation.
@@ -188,6 +191,7 @@ impl Plan {
         let mut regions = Regions::new(&scene, CellBox { min: cell_min, max: cell_max });
         let agents = if regions.levels() > 1 { agents(&scene, &couplings)? } else { Vec::new() };
         let resumed = particles.is_some();
+        let flows = Flows::new(&scene, registry, &materials)?.map(Arc::new);
         // A resumed run needs the shapes only where ground is still to come.
         let terrain = (!resumed || regions.unbounded())
             .then(|| Terrain::new(&scene, registry, &materials, options.precision).map(Arc::new))
@@ -203,8 +207,10 @@ impl Plan {
             (None, Some(terrain)) => {
                 let soft = |body: u16| scene.body[usize::from(body)].shape.bounds();
                 regions.follow(&agent_bounds(&agents, &couplings, soft));
-                check_room(backend, options, terrain, &materials)?;
+                let inflow = flows.as_deref().map_or_else(Vec::new, |flows| flows.most(scene.time.end).collect());
+                check_room(backend, options, (terrain, &inflow), &materials)?;
                 let cap = options.max_bytes.unwrap_or_else(available_bytes);
+                check_memory(&inflow, &materials, options.precision, cap)?;
                 terrain.seed(&couplings, &regions, cap)?
             }
         };
@@ -227,6 +233,7 @@ impl Plan {
             cell_min,
             cell_max,
             terrain: terrain.filter(|_| regions.unbounded()),
+            flows,
             regions,
             agents,
             substeps: scene.levels.substeps(),
@@ -299,7 +306,7 @@ impl Plan {
 
     fn needs(&self) -> Needs {
         Needs {
-            // Without a body there is no list that particles could come into.
+            // Without a body or a source there is no list that particles could come into.
             ground: !self.materials.is_empty(),
             levels: self.cell_widths.len(),
             subcycled: self.substeps > 1,
@@ -348,14 +355,14 @@ fn agents(scene: &Scene, couplings: &[Box<dyn Coupling>]) -> Result<Vec<Agent>> 
 fn check_room(
     backend: Option<&dyn Backend>,
     options: &Options,
-    terrain: &Terrain,
+    (terrain, inflow): (&Terrain, &[(usize, f64)]),
     materials: &[PlannedMaterial],
 ) -> Result<()> {
     let values = materials.iter().map(|m| m.material.values()).max().unwrap_or(0);
     let Some(backend) = backend else { return Ok(()) };
     let Some(cap) = backend.most_particles(options.adapter.as_deref(), values)? else { return Ok(()) };
     // What is only nearly too much is counted when it is there.
-    let asked = terrain.about_how_many();
+    let asked = terrain.about_how_many() + inflow.iter().map(|(_, count)| count).sum::<f64>();
     if ABOUT * asked <= cap as f64 {
         return Ok(());
     }
@@ -364,6 +371,21 @@ fn check_room(
         asked: asked as u64,
         cap,
         mend: "raise world.cell or spacing, shrink the bodies, choose an adapter that binds more (--adapter), or use the backend cpu",
+    })
+}
+
+/// Is there memory for what sources are to bring in, so many particles of each material?
+fn check_memory(inflow: &[(usize, f64)], materials: &[PlannedMaterial], precision: Precision, cap: u64) -> Result<()> {
+    let bytes = |&(m, count): &(usize, f64)| count * materials[m].particle_bytes(precision) as f64;
+    let asked = inflow.iter().map(bytes).sum::<f64>();
+    if asked <= cap as f64 {
+        return Ok(());
+    }
+    Err(Error::Capacity {
+        what: "memory for what sources bring in until time.end [bytes]",
+        asked: asked as u64,
+        cap,
+        mend: "set source.limit or source.until, lower their rates, or raise world.cell",
     })
 }
 

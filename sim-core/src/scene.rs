@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 mod check;
+mod flow;
 mod make;
 mod read;
 mod robot;
@@ -20,6 +21,7 @@ mod zone;
 
 pub use check::WHOLE_CELL;
 pub(crate) use check::{cross, posed_bounds, turn};
+pub use flow::{Inflow, Outflow};
 pub use make::Part;
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
@@ -64,6 +66,12 @@ pub struct Scene {
     /// Soft bodies.
     #[serde(default)]
     pub body: Vec<Body>,
+    /// Sources: where particles come in.
+    #[serde(default, rename = "source")]
+    pub inflow: Vec<Inflow>,
+    /// Sinks: where particles are taken out.
+    #[serde(default, rename = "sink")]
+    pub outflow: Vec<Outflow>,
     /// Rigid tools and bodies.
     #[serde(default)]
     pub tool: Vec<Tool>,
@@ -98,7 +106,8 @@ impl Scene {
         }
         let mut files = BTreeSet::new();
         let shapes = self.body.iter().map(|body| &body.shape).chain(self.tool.iter().map(|tool| &tool.shape));
-        shapes.for_each(|shape| add(shape, &mut files));
+        let flows = self.inflow.iter().map(|source| &source.shape).chain(self.outflow.iter().map(|sink| &sink.shape));
+        shapes.chain(flows).for_each(|shape| add(shape, &mut files));
         let pictures = self.body.iter().flat_map(|body| &body.zone).filter_map(|zone| zone.picture.as_ref());
         files.extend(pictures.map(|picture| picture.file.as_path()));
         for robot in &self.robot {

@@ -732,6 +732,13 @@ impl Site {
     }
 }
 
+/// Cell and offset of a coordinate `x` [m] on a level, in cells of `h` on the finest one, as a number format holds them.
+pub(crate) fn on_level(x: f64, h: f64, level: usize, precision: Precision) -> (i32, f64) {
+    let along = x / h;
+    let cell = along.floor();
+    Site { cell: cell as i32, offset: along - cell, position: x }.on_level(level, precision)
+}
+
 /// A number in [0, 1) that depends on its arguments alone: SplitMix64 over their mix.
 pub(crate) fn uniform(seed: u64, body: u64, number: u64, axis: u64) -> f64 {
     let mix = |x: u64| {

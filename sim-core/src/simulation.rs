@@ -7,6 +7,7 @@ pub use resume::State;
 
 use crate::backend::{Bound, Timing, WorldStep};
 use crate::coupling::Kept;
+use crate::flow::FlowState;
 use crate::parameter::{Giver, Parameters, Table};
 use crate::plan::{SCENE_COUPLINGS, cut, tighten, wanted_step};
 use crate::scene::OverBound;
@@ -119,6 +120,8 @@ pub struct Simulation {
     /// Steps that were cut since they were above the bound.
     cut_steps: u64,
     watch: Option<Watch>,
+    /// What sources and sinks have done.
+    flow: FlowState,
     /// Mean wrenches over the last step, if the couplings took several within it.
     wrenches: Option<Vec<Wrench>>,
     /// Are reports to say where bodies are after each of several steps?
@@ -180,8 +183,8 @@ struct Watch {
     potential: f64,
     /// Work that bodies have done on it since.
     work: f64,
-    /// What has come within reach, and what has fallen out of it [kg]: as either changes, so does energy.
-    exchanged: [f64; 2],
+    /// What has come within reach or from sources, and what has fallen out of reach or into sinks [kg]: as any of it changes, so does energy.
+    exchanged: [f64; 4],
 }
 
 /// The backend asked for; an adapter may be named only if it runs on one.
@@ -200,9 +203,9 @@ pub(crate) fn find_backend<'a>(registry: &'a Registry, options: &Options) -> Res
     }
 }
 
-/// What has come within reach of agents, and what has fallen out of it [kg].
-fn exchanged(ledger: &Ledger) -> [f64; 2] {
-    [ledger.seeded_mass, ledger.archived_mass]
+/// What has come within reach of agents, and what has fallen out of it; what has come from sources, and what has gone into sinks [kg].
+fn exchanged(ledger: &Ledger) -> [f64; 4] {
+    [ledger.seeded_mass, ledger.archived_mass, ledger.sources.mass, ledger.sinks.mass]
 }
 
 impl Simulation {
@@ -228,7 +231,9 @@ impl Simulation {
     }
 
     fn start(plan: Arc<Plan>, backend: &str, engine: Box<dyn Engine>, couplings: Vec<Box<dyn Coupling>>) -> Self {
+        let flow = plan.flows.as_ref().map(|flows| flows.start(plan.particle_count as u64)).unwrap_or_default();
         Self {
+            flow,
             plan,
             backend: backend.to_owned(),
             engine,
@@ -364,6 +369,8 @@ impl Simulation {
         let mut ledger = Ledger { counts: self.carried.clone(), ..Ledger::default() };
         self.engine.account(&mut ledger);
         ledger.count("steps cut below time.step", self.cut_steps);
+        (ledger.sources, ledger.sinks) = (self.flow.came.clone(), self.flow.went.clone());
+        ledger.count("particles that sources held back", self.flow.held_back);
         for (coupling, planned) in self.couplings.iter().zip(&self.plan.couplings) {
             for body in coupling.bodies() {
                 ledger.body_kinetic += body.kinetic_energy;
@@ -437,7 +444,8 @@ impl Simulation {
     /// 1. The step is the scene's, or what the bound allows; a step above the bound is refused, cut, or watched. One choice holds for as many
     ///    steps as the engine likes ([`Engine::stride`]), whoever looks in between.
     /// 2. It is shortened so that equal steps land on the stop.
-    /// 3. The engine takes it, calling the couplings; on an error everything is as before the step.
+    /// 3. Before it, sinks and sources do what is due.
+    /// 4. The engine takes it, calling the couplings; on an error everything is as before the step.
     ///
     /// # Errors
     /// [`Error::TimeStep`], [`Error::Unstable`], and the engine's.
@@ -464,8 +472,14 @@ impl Simulation {
         self.reports_bodies = wanted;
     }
 
-    /// The steps that are to be taken next.
+    /// The steps that are to be taken next, once sinks and sources have done what is due before them.
     pub(crate) fn wanted(&mut self, most: usize, until: f64) -> Result<WantedSteps> {
+        let (flows, now) = (self.plan.flows.clone(), (self.time, self.step));
+        if let Some(flows) = &flows
+            && flows.advance(&mut self.flow, &self.plan, now, &mut *self.engine, &self.couplings)?
+        {
+            self.chosen = None;
+        }
         let holds = |chosen: &Chosen| self.step < chosen.until && !self.engine.is_outgrown(chosen.dt);
         let chosen = match self.chosen.filter(holds) {
             Some(chosen) => chosen,
@@ -485,6 +499,9 @@ impl Simulation {
         count = count.min(to_stop);
         if count > 1 && until.is_finite() {
             count = count.min(parts(until - self.time, dt) as usize);
+        }
+        if let Some(flows) = &flows {
+            count = flows.steps_until_due(&self.flow, now, dt, count);
         }
         Ok(WantedSteps { dt, count, to_stop, above })
     }

@@ -9,6 +9,7 @@
 
 use crate::archive::Tile;
 use crate::file::{Stamp, write_whole};
+use crate::flow::FlowState;
 use crate::simulation::{Chosen, Moment};
 use crate::{
     Error, Ledger, LevelPhase, Measured, ParticleList, ParticleState, Precision, Result, SortPhase, Vec3, Wrench,
@@ -111,6 +112,8 @@ struct Head {
     /// Force and torque of each.
     #[serde(default)]
     wrenches: Option<Vec<[Vec3; 2]>>,
+    #[serde(default)]
+    flow: FlowState,
     carried: Ledger,
     strain_dt: f64,
     levels: Option<LevelPhase>,
@@ -139,6 +142,7 @@ pub(crate) fn write(
         chosen: moment.chosen,
         cut_steps: moment.cut_steps,
         wrenches: moment.wrenches.as_ref().map(|all| all.iter().map(|w| [w.force, w.torque]).collect()),
+        flow: moment.flow.clone(),
         carried: moment.carried.clone(),
         strain_dt: particles.strain_dt,
         levels: particles.levels.clone(),
@@ -250,6 +254,7 @@ impl Snapshot {
                 wrenches: head
                     .wrenches
                     .map(|all| all.iter().map(|&[force, torque]| Wrench { force, torque }).collect()),
+                flow: head.flow,
                 carried: head.carried,
                 particles,
                 couplings,

@@ -103,6 +103,18 @@ impl ParticleList {
     pub fn spot(&self, i: usize) -> Spot {
         Spot { position: self.position(i), volume0: self.volume0[i], material: self.material }
     }
+    /// Adds the particles of another list of the same level and material.
+    pub fn append(&mut self, mut other: Self) {
+        self.id.append(&mut other.id);
+        self.body.append(&mut other.body);
+        self.cell.append(&mut other.cell);
+        self.offset.append(&mut other.offset);
+        self.velocity.append(&mut other.velocity);
+        self.affine.append(&mut other.affine);
+        let planes = [&mut self.mass, &mut self.volume0].into_iter().chain(&mut self.strain).chain(&mut self.state);
+        let others = [&mut other.mass, &mut other.volume0].into_iter().chain(&mut other.strain).chain(&mut other.state);
+        planes.zip(others).for_each(|(plane, other)| plane.append(other));
+    }
     /// Keeps the particles for which `wanted` holds, in their order.
     pub fn retain(&mut self, wanted: impl Fn(&Spot) -> bool) {
         let kept: Vec<bool> = (0..self.len()).map(|i| wanted(&self.spot(i))).collect();

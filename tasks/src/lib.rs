@@ -5,7 +5,7 @@
 use barchan_core::{Error, Result, Scene};
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 14] = [
+const FILES: [(&str, &str); 16] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -13,6 +13,8 @@ const FILES: [(&str, &str); 14] = [
     ("pile-smooth", include_str!("../scenes/pile-smooth.toml")),
     ("snow-press", include_str!("../scenes/snow-press.toml")),
     ("jelly-drop", include_str!("../scenes/jelly-drop.toml")),
+    ("pour", include_str!("../scenes/pour.toml")),
+    ("hopper", include_str!("../scenes/hopper.toml")),
     ("quadruped-stand", include_str!("../scenes/quadruped-stand.toml")),
     ("quadruped-trot", include_str!("../scenes/quadruped-trot.toml")),
     ("quadruped-dunes", include_str!("../scenes/quadruped-dunes.toml")),

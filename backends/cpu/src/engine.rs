@@ -15,8 +15,8 @@ use barchan_core::scene::Leaving;
 use barchan_core::schedule::Call;
 use barchan_core::stiffness::{Need, Stiffness};
 use barchan_core::{
-    Aabb, Coupling, Engine, Error, Fields, Ledger, Measured, NodeBatch, ParticleState, Plan, Reading, Regions, Result,
-    Scene, Schedule, SortPhase, Spot, Stage, StepReport, Vec3,
+    Aabb, Coupling, Engine, Error, Fields, Ledger, Measured, Newcomer, NodeBatch, ParticleList, ParticleState, Plan,
+    Reading, Regions, Result, Scene, Schedule, SortPhase, Spot, Stage, StepReport, Vec3,
 };
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
@@ -94,6 +94,8 @@ pub(crate) struct CpuEngine<T: Scalar> {
     pub(crate) scene: Scene,
     /// Gravity of the present step [m/s²].
     gravity: [f64; 3],
+    /// Levels that particles have left or come to since the last sort.
+    pub(crate) changed: Vec<bool>,
     /// Steps since the last sort; `None` before the first one.
     pub(crate) age: Option<u32>,
     /// Nodes lighter than this carry nothing that a particle could feel [kg].
@@ -145,6 +147,7 @@ impl<T: Scalar> CpuEngine<T> {
             leaving: plan.scene.world.leaving,
             scene: plan.scene.clone(),
             gravity: plan.gravity,
+            changed: vec![false; plan.cell_widths.len()],
             age: None,
             least_mass: 0.0,
             stiffness: Bound { dt: f64::INFINITY, by: "nothing".into() },
@@ -181,13 +184,14 @@ impl<T: Scalar> CpuEngine<T> {
         if before.is_none() && !due.contains(&true) {
             return Ok(false);
         }
-        let mut holes = vec![false; self.levels.len()];
+        let mut holes = std::mem::replace(&mut self.changed, vec![false; self.levels.len()]);
         if self.schedule.has(Stage::ADAPT) {
             let exchanged = self.exchange_with_archive(time, couplings)?;
             let stirred: Vec<bool> =
                 self.levels.iter().zip(&due).map(|(level, due)| *due || level.drift > MARGIN_DRIFT).collect();
-            holes = self.adapt_levels(time, before, &stirred, couplings)?;
-            holes.iter_mut().zip(exchanged).for_each(|(holes, exchanged)| *holes |= exchanged);
+            let adapted = self.adapt_levels(time, before, &stirred, couplings)?;
+            let changes = exchanged.into_iter().zip(adapted).map(|(exchanged, adapted)| exchanged || adapted);
+            holes.iter_mut().zip(changes).for_each(|(holes, changed)| *holes |= changed);
         }
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
         let clock = Instant::now();
@@ -369,7 +373,7 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Asks every material for its stiffness and keeps the least stable step.
-    fn measure_stiffness(&mut self) -> Result<()> {
+    pub(crate) fn measure_stiffness(&mut self) -> Result<()> {
         self.stiffness_age = 0;
         self.stiffness = Bound { dt: f64::INFINITY, by: "nothing".into() };
         for (l, level) in self.levels.iter().enumerate() {
@@ -464,6 +468,16 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
         let pool = Arc::clone(&self.pool);
         pool.install(|| self.take_in(particles))
+    }
+
+    fn take_out(&mut self, time: f64, gone: &(dyn Fn(&Spot) -> bool + Sync)) -> Result<Vec<ParticleList>> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.take_out_where(time, gone))
+    }
+
+    fn bring_in(&mut self, plan: &Plan, time: f64, come: &[Newcomer], next_id: &mut u64) -> Result<Vec<ParticleList>> {
+        let pool = Arc::clone(&self.pool);
+        pool.install(|| self.bring_in_newcomers(plan, time, come, next_id))
     }
 
     fn particle_count(&self) -> usize {

@@ -243,7 +243,7 @@ impl<T: Scalar> List<T> {
     }
 
     /// Where a particle is and how large.
-    fn spot(&self, (chunk, lane): (usize, usize), cell_width: f64) -> Spot {
+    pub(crate) fn spot(&self, (chunk, lane): (usize, usize), cell_width: f64) -> Spot {
         Spot {
             position: self.position_of(chunk, lane, cell_width),
             volume0: self.volume0_of(chunk, lane),

@@ -188,7 +188,9 @@ impl View {
         let scene = &simulation.plan().scene;
         let spots = simulation.spots();
         let (min, max) = extent(scene, &spots);
-        let finest = scene.body.iter().map(|body| scene.spacing(body)).fold(f64::INFINITY, f64::min);
+        let bodies = scene.body.iter().map(|body| scene.spacing(body));
+        let sources = scene.inflow.iter().map(|source| scene.inflow_spacing(source));
+        let finest = bodies.chain(sources).fold(f64::INFINITY, f64::min);
         let spacing = if finest.is_finite() { finest } else { 0.5 * scene.world.cell };
         let pixels = scene.output.picture.pixels as usize;
         let across = (pixels.saturating_sub(2 * MARGIN).max(64)) as f64 / (max[0] - min[0]);

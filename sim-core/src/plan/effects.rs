@@ -1,6 +1,7 @@
 //! Which effects a scene calls for, and why.
 
 use super::{Effect, Plan, PlannedCoupling, SCENE_COUPLINGS, TOOL_COUPLING};
+use crate::flow::SINK_STEPS;
 use crate::levels::{Agent, TILE};
 use crate::scene::{Export, Leaving, Motion, PictureView, Wall, plain};
 
@@ -12,6 +13,11 @@ fn listed(items: impl Iterator<Item = String>) -> String {
         [first, second, third, .., _] => format!("{first}, {second}, {third}, … ({} in all)", items.len()),
         _ => items.join(", "),
     }
+}
+
+/// An entry of a list by its name, or by its number if it has none.
+fn called(list: &str, i: usize, name: &str) -> String {
+    if name.is_empty() { format!("{list}[{i}]") } else { format!("{list} '{name}'") }
 }
 
 fn wall_text(wall: Wall) -> String {
@@ -39,17 +45,22 @@ impl Plan {
         let mut add = |name: String, because: String, adds: String| {
             effects.push(Effect { name: plain(&name), because: plain(&because), adds: plain(&adds) });
         };
-        if self.particle_count > 0 {
+        let ground = self.particle_count > 0 || !scene.inflow.is_empty();
+        if ground {
             add(
                 format!("soft ground, {}", self.precision),
-                listed(scene.body.iter().enumerate().map(|(i, b)| match b.name.as_str() {
-                    "" => format!("body[{i}]"),
-                    name => format!("body '{name}'"),
-                })),
+                listed(
+                    scene
+                        .body
+                        .iter()
+                        .enumerate()
+                        .map(|(i, body)| called("body", i, &body.name))
+                        .chain(scene.inflow.iter().enumerate().map(|(i, source)| called("source", i, &source.name))),
+                ),
                 "sort, P2G, grid update, G2P".to_owned(),
             );
         }
-        if self.particle_count > 0 && self.slow > 0.0 {
+        if ground && self.slow > 0.0 {
             let because = match scene.sleep.on {
                 Some(_) => "sleep.on = true",
                 None if scene.sleep.speed.is_some() => "sleep.speed",
@@ -60,7 +71,7 @@ impl Plan {
             let rest = format!("blocks that stay below {:.1e} m/s are left out of every pass", self.slow);
             add("ground at rest sleeps".to_owned(), because.to_owned(), rest);
         }
-        if self.particle_count > 0 && self.cell_widths.len() > 1 {
+        if ground && self.cell_widths.len() > 1 {
             let followed = self.agents.iter().map(|agent| match agent {
                 Agent::Rigid(name) => name.clone(),
                 Agent::Soft(body) => scene.body[usize::from(*body)].name.clone(),
@@ -100,6 +111,8 @@ impl Plan {
                 let zones = body.zone.iter().enumerate().filter(|(_, zone)| zone.material == planned.name);
                 own.into_iter().chain(zones.map(move |(j, _)| format!("body[{i}].zone[{j}]")))
             });
+            let sources = scene.inflow.iter().enumerate().filter(|(_, source)| source.material == planned.name);
+            let users = users.chain(sources.map(|(i, _)| format!("source[{i}]")));
             let law = &planned.material;
             let planes = |n: usize, what: &str| format!("{n} {what} plane{}", if n == 1 { "" } else { "s" });
             add(
@@ -125,7 +138,7 @@ impl Plan {
                 );
             }
         }
-        if self.particle_count > 0 && scene.gravity != [0.0; 3] {
+        if ground && scene.gravity != [0.0; 3] {
             add("gravity".to_owned(), format!("gravity = {:?}", scene.gravity), "one addition a node".to_owned());
         }
         for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
@@ -189,6 +202,24 @@ impl Plan {
                 "nothing to a step: an agent plays it".to_owned(),
             );
         }
+        for (i, source) in scene.inflow.iter().enumerate() {
+            let Some((count, period, rate)) = self.flows.as_ref().map(|flows| flows.rate_of(i)) else { continue };
+            add(
+                called("source", i, &source.name),
+                format!("source[{i}] of {}", source.material),
+                format!(
+                    "{rate:.4} kg/s: up to {count} particles every {:.3} ms, with a sort of all particles",
+                    1e3 * period
+                ),
+            );
+        }
+        for (i, sink) in scene.outflow.iter().enumerate() {
+            add(
+                called("sink", i, &sink.name),
+                format!("sink[{i}]"),
+                format!("a look at the particles near it every {SINK_STEPS} steps, and a sort of all if any is in it"),
+            );
+        }
         match scene.world.leaving {
             Leaving::Error => {}
             Leaving::Clamp => {
@@ -228,7 +259,7 @@ impl Plan {
         for material in scene.material.iter().filter(|m| self.materials.iter().all(|p| p.name != m.name)) {
             add(
                 format!("declared but unused: material {}", material.name),
-                "no body names it".to_owned(),
+                "no body and no source names it".to_owned(),
                 "costs nothing".to_owned(),
             );
         }

@@ -91,9 +91,12 @@ pub fn loaded(materials: &[PlannedMaterial]) -> String {
     loaded.map(PlannedMaterial::label).collect::<Vec<_>>().join(", ")
 }
 
-/// The materials that bodies use, in the scene's order.
+/// The materials that bodies and sources use, in the scene's order.
 pub(super) fn plan_materials(registry: &Registry, scene: &Scene, precision: Precision) -> Result<Vec<PlannedMaterial>> {
-    let used = |spec: &MaterialSpec| scene.body.iter().any(|body| body.materials().contains(&spec.name.as_str()));
+    let used = |spec: &MaterialSpec| {
+        scene.body.iter().any(|body| body.materials().contains(&spec.name.as_str()))
+            || scene.inflow.iter().any(|source| source.material == spec.name)
+    };
     let mut planned = Vec::new();
     for (i, spec) in scene.material.iter().enumerate() {
         let path = format!("material[{i}]");

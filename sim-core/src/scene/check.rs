@@ -1,6 +1,7 @@
 //! What a scene must satisfy beyond types, and what the user should be warned of.
 
 mod camera;
+mod flow;
 mod robot;
 mod terrain;
 mod zone;
@@ -139,6 +140,7 @@ impl Scene {
         for (i, body) in self.body.iter().enumerate() {
             self.check_body(&format!("body[{i}]"), body)?;
         }
+        self.check_flows()?;
         for (i, tool) in self.tool.iter().enumerate() {
             self.check_tool(&format!("tool[{i}]"), tool)?;
         }
@@ -231,9 +233,9 @@ impl Scene {
             format!("must be at most {}", i64::MAX),
         )?;
         self.require(
-            self.body.len() <= usize::from(u16::MAX),
+            self.body.len() + self.inflow.len() <= usize::from(u16::MAX),
             "body",
-            format!("there are {} bodies", self.body.len()),
+            format!("there are {} bodies and sources", self.body.len() + self.inflow.len()),
             format!("must be at most {}", u16::MAX),
         )?;
         self.unique("material", self.material.iter().map(|m| m.name.as_str()), true)?;
@@ -530,22 +532,9 @@ impl Scene {
 
     fn check_body(&self, path: &str, body: &Body) -> Result<()> {
         self.check_material_name(&format!("{path}.material"), &body.material)?;
-        let cells = self.spacing(body) / self.world.cell;
-        // A quotient is off by rounding.
-        let (least, most) = (SPACINGS.start() * (1.0 - WHOLE_CELL), SPACINGS.end() * (1.0 + WHOLE_CELL));
-        self.require(
-            (least..=most).contains(&cells),
-            &format!("{path}.spacing"),
-            format!("is {cells:.3} cells"),
-            format!("must be from 0.2 to 1 cells, {} to {} m", 0.2 * self.world.cell, self.world.cell),
-        )?;
+        self.check_spacing(&format!("{path}.spacing"), self.spacing(body))?;
         let shape = format!("{path}.shape");
-        self.require(
-            !matches!(body.shape, Shape::Plane { .. } | Shape::Union(_)),
-            &shape,
-            "planes and unions are for tools",
-            "use box, sphere, cylinder, capsule, height_field, terrain or mesh; several bodies may share a material",
-        )?;
+        self.check_fillable(&shape, &body.shape)?;
         self.check_shape(&shape, &body.shape)?;
         self.check_settled(path, body)?;
         self.check_zones(path, body)?;
@@ -553,6 +542,28 @@ impl Scene {
             Some(bounds) => self.check_inside(path, bounds),
             None => Ok(()),
         }
+    }
+
+    fn check_spacing(&self, path: &str, spacing: f64) -> Result<()> {
+        let cells = spacing / self.world.cell;
+        // A quotient is off by rounding.
+        let (least, most) = (SPACINGS.start() * (1.0 - WHOLE_CELL), SPACINGS.end() * (1.0 + WHOLE_CELL));
+        self.require(
+            (least..=most).contains(&cells),
+            path,
+            format!("is {cells:.3} cells"),
+            format!("must be from 0.2 to 1 cells, {} to {} m", 0.2 * self.world.cell, self.world.cell),
+        )
+    }
+
+    /// Can particles fill the shape?
+    fn check_fillable(&self, path: &str, shape: &Shape) -> Result<()> {
+        self.require(
+            !matches!(shape, Shape::Plane { .. } | Shape::Union(_)),
+            path,
+            "planes and unions are for tools",
+            "use box, sphere, cylinder, capsule, height_field, terrain or mesh; several bodies may share a material",
+        )
     }
 
     fn check_material_name(&self, path: &str, name: &str) -> Result<()> {
@@ -819,7 +830,10 @@ impl Scene {
                 _ => {}
             }
         }
-        self.body.iter_mut().for_each(|body| in_shape(&mut body.shape));
+        let bodies = self.body.iter_mut().map(|body| &mut body.shape);
+        let sources = self.inflow.iter_mut().map(|source| &mut source.shape);
+        let sinks = self.outflow.iter_mut().map(|sink| &mut sink.shape);
+        bodies.chain(sources).chain(sinks).for_each(in_shape);
         self.robot.iter_mut().for_each(|robot| normalise(&mut robot.rotation));
         for tool in &mut self.tool {
             in_shape(&mut tool.shape);

@@ -2,6 +2,7 @@
 
 use super::{Chosen, Options, Simulation, find_backend};
 use crate::file::Stamp;
+use crate::flow::FlowState;
 use crate::plan::PARTICLES;
 use crate::snapshot::{self, Snapshot};
 use crate::{Coupling, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, Wrench};
@@ -43,6 +44,8 @@ pub(crate) struct Moment {
     pub(crate) cut_steps: u64,
     /// Mean wrenches over the last step, if couplings do not know them.
     pub(crate) wrenches: Option<Vec<Wrench>>,
+    /// What sources and sinks have done.
+    pub(crate) flow: FlowState,
     /// Ledger entries that add up over time.
     pub(crate) carried: Ledger,
     pub(crate) particles: ParticleState,
@@ -110,6 +113,7 @@ impl Simulation {
             chosen: self.chosen,
             cut_steps: self.cut_steps,
             wrenches: self.wrenches.clone(),
+            flow: self.flow.clone(),
             carried,
             particles,
             couplings: self.couplings.iter().map(|c| (c.name().to_owned(), c.save())).collect(),
@@ -259,6 +263,7 @@ impl Simulation {
             cut_steps: self.cut_steps,
             watch: self.watch,
             wrenches: self.wrenches.clone(),
+            flow: self.flow.clone(),
             reports_bodies: self.reports_bodies,
             in_batch: true,
             ..Self::start(Arc::clone(&self.plan), &self.backend, engine, couplings)
@@ -272,6 +277,7 @@ impl Simulation {
         self.chosen = moment.chosen;
         self.cut_steps = moment.cut_steps;
         self.wrenches.clone_from(&moment.wrenches);
+        self.flow.clone_from(&moment.flow);
         self.carried.clone_from(&moment.carried.counts);
         self.watch = None;
     }

@@ -122,8 +122,10 @@ impl Generator {
         let couplings = named.map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
         let tasks = registry.tasks().map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
         let mut schema = Scene::schema();
-        // Robots name joints and links of their files: they are put together here, in `robot`.
-        schema["properties"].as_object_mut().map(|keys| keys.remove("robot"));
+        // Robots name joints and links of their files, and sources and sinks have to fit into the world: they are put together here, in `robot` and `flow`.
+        if let Some(keys) = schema["properties"].as_object_mut() {
+            ["robot", "source", "sink"].iter().for_each(|key| drop(keys.remove(*key)));
+        }
         Self { schema, laws, couplings, tasks }
     }
 
@@ -174,6 +176,11 @@ impl Generator {
         }
         if frame.is(0.15) {
             scene.insert("robot".to_owned(), Value::Array(vec![Value::Table(robot(&mut frame))]));
+        }
+        if frame.is(0.15) {
+            let [source, sink] = flow(&mut frame);
+            scene.insert("source".to_owned(), Value::Array(vec![Value::Table(source)]));
+            scene.insert("sink".to_owned(), Value::Array(vec![Value::Table(sink)]));
         }
         scene
     }
@@ -581,6 +588,30 @@ fn robot(frame: &mut Frame) -> Table {
     }
     set("self_collision", Value::Boolean(frame.is(0.3)));
     robot
+}
+
+/// A source and a sink somewhere in the world.
+fn flow(frame: &mut Frame) -> [Table; 2] {
+    let cell = frame.cell;
+    let ball = |at: [f64; 3], radius: f64| {
+        let sphere = [("center".to_owned(), floats(at)), ("radius".to_owned(), Value::Float(radius))];
+        let shape = [("sphere".to_owned(), Value::Table(sphere.into_iter().collect()))];
+        Value::Table(shape.into_iter().collect())
+    };
+    let (mut source, mut sink) = (Table::new(), Table::new());
+    source.insert("material".to_owned(), Value::String(format!("m{}", frame.below(frame.materials))));
+    source.insert("shape".to_owned(), ball(frame.point(5.0), cell * frame.between(1.0, 3.0)));
+    let along = frame.direction().map(|x| x * frame.speed);
+    let is_still = along.iter().all(|x| *x == 0.0);
+    source.insert("velocity".to_owned(), floats(if is_still { [0.0, 0.0, -frame.speed] } else { along }));
+    source.insert("until".to_owned(), Value::Float(frame.decades(1e-3, 0.1)));
+    if frame.is(0.5) {
+        source.insert("sampling".to_owned(), Value::String("jitter".to_owned()));
+    }
+    let least = 2.0 * f64::from(1 << (frame.levels - 1));
+    sink.insert("shape".to_owned(), ball(frame.point(3.0), cell * frame.between(least, least + 3.0)));
+    sink.insert("from".to_owned(), Value::Float(frame.pick(&[0.0, 1e-3, 1e-2])));
+    [source, sink]
 }
 
 /// Mends what declarations do not say: what refers to each other, and what excludes each other.

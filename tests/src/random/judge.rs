@@ -291,9 +291,9 @@ impl Run {
     /// Are mass and momentum what the ledger says?
     fn is_closed(&self, scene: &Scene, tolerance: f64) -> Held<()> {
         let (then, now) = (&self.start, self.simulation.ledger());
-        let come = now.seeded_mass - then.seeded_mass;
+        let come = now.seeded_mass - then.seeded_mass + now.sources.mass - now.sinks.mass;
         let mass = now.mass + now.deleted_mass - then.mass - come;
-        if mass.abs() > MASS * (then.mass + come.abs()) {
+        if mass.abs() > MASS * (then.mass + come.abs() + now.sinks.mass) {
             return broken(Rule::Mass, format!("{mass:e} kg of {} kg came from nowhere", then.mass));
         }
         // What leaves for good takes momentum along that nobody counts, and what fails within a subcycled step leaves finer levels ahead.
@@ -314,7 +314,10 @@ impl Run {
         let scale = self.exchanged + speed + still;
         let off: Vec3 = std::array::from_fn(|d| {
             let of = |ledger: &Ledger| {
-                ledger.momentum[d] - ledger.gravity_impulse[d] - ledger.wall_impulse[d] + ledger.slept_momentum[d]
+                ledger.momentum[d] - ledger.sources.momentum[d] + ledger.sinks.momentum[d]
+                    - ledger.gravity_impulse[d]
+                    - ledger.wall_impulse[d]
+                    + ledger.slept_momentum[d]
             };
             of(&now) - of(then) + self.given[d]
         });
