@@ -21,9 +21,9 @@ if ! cmp -s "$requirements" "$venv/installed.txt"; then
     cp "$requirements" "$venv/installed.txt"
 fi
 
-# With the profile of the other tests, whose crates need not be built again.
+# Optimised as the other tests are, so that what they have built need not be built again.
 rm -rf "$target/wheels-for-tests"
-"$venv/bin/maturin" build --quiet --locked --profile test --strip --manifest-path "$here/Cargo.toml" \
+CARGO_PROFILE_DEV_OPT_LEVEL=3 "$venv/bin/maturin" build --quiet --locked --profile dev --strip --manifest-path "$here/Cargo.toml" \
     --interpreter "$venv/bin/python" --out "$target/wheels-for-tests"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index --force-reinstall "$target"/wheels-for-tests/*.whl
 cd "$here"

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from barchan.records import Body, HeightMap, Particles, Plan, Robot, Wrench
+from barchan.records import Body, HeightMap, HeightScan, Particles, Plan, Robot, Wrench
 
 __version__: str
 
@@ -64,6 +64,7 @@ class Simulation:
     def bodies(self, *, world: int = 0) -> dict[str, Body]: ...
     def wrenches(self, *, world: int = 0) -> dict[str, Wrench]: ...
     def robots(self, *, world: int = 0) -> dict[str, Robot]: ...
+    def scan(self, robot: str, *, world: int = 0) -> HeightScan: ...
     def act(
         self,
         body: str,
