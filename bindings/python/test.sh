@@ -3,7 +3,7 @@
 #
 #     bash bindings/python/test.sh [-k NAME ...]
 #
-# The environment is target/venv (or $CARGO_TARGET_DIR/venv): 45 MB are fetched from PyPI, 200 MB lie there. Needs Python 3.10 or newer with venv, which
+# The environment is target/venv (or $CARGO_TARGET_DIR/venv): about 50 MB are fetched from PyPI, 300 MB lie there. Needs Python 3.10 or newer with venv, which
 # tests/robots/fetch.sh installs, and a C compiler. The first build takes nine minutes of one core, the tests a quarter of a minute.
 set -euo pipefail
 here="$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)"
@@ -15,7 +15,7 @@ target="$(cd "$target" && pwd)"
 venv="$target/venv"
 
 if ! cmp -s "$requirements" "$venv/installed.txt"; then
-    echo "Installing maturin, NumPy, matplotlib and pytest into $venv (45 MB)."
+    echo "Installing maturin, NumPy, matplotlib and pytest into $venv (about 50 MB)."
     python3 -m venv --clear "$venv"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --only-binary :all: --requirement "$requirements"
     cp "$requirements" "$venv/installed.txt"

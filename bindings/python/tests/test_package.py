@@ -1,6 +1,7 @@
 """The package: its types are true, plugins load, pictures are pictures, and what the READMEs show works."""
 
 import ast
+import doctest
 import inspect
 import os
 import re
@@ -153,6 +154,11 @@ def test_plots_show_what_was_simulated(press, tmp_path):
     with pytest.raises(ValueError, match="plate fz"):
         view.plot_trace(trace, "wheel *")
     pyplot.close("all")
+
+
+def test_the_example_of_the_package_is_true():
+    done = doctest.testmod(barchan)
+    assert done.failed == 0 and done.attempted == 4
 
 
 @pytest.mark.parametrize("file", ["README.md", "bindings/python/README.md"])
