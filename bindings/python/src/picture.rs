@@ -22,7 +22,7 @@ impl View {
     #[new]
     #[pyo3(signature = (simulation, *, world=0))]
     fn new(py: Python<'_>, simulation: &Simulation, world: usize) -> PyResult<Self> {
-        Ok(Self { drawn: simulation.look(py, world, |one| Drawn::new(one))? })
+        Ok(Self { drawn: simulation.look(py, world, Drawn::new)? })
     }
 
     /// Draws a world as it is now: an array of shape (rows, columns, 3), uint8, RGB.

@@ -5,7 +5,7 @@ use crate::machine::Machine;
 use crate::{known, records, scene};
 use barchan::stress::pressure;
 use barchan::{Aabb, Command, Fields, Options, Precision, Reading, Scene, Simulation as World};
-use numpy::{AllowTypeChange, PyArray1, PyArrayLike2, PyArrayLikeDyn, PyArrayMethods};
+use numpy::{AllowTypeChange, PyArray1, PyArrayLikeDyn, PyArrayMethods};
 use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -14,6 +14,9 @@ use std::sync::{Mutex, MutexGuard, TryLockError};
 
 /// Names of what can be read of particles besides where they are.
 const FIELDS: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body", "material", "level"];
+
+/// Numbers of any shape: an array, or lists of them. Shapes are checked where it is known what they should be.
+type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 
 /// Everything that a world goes on from, bit for bit: a copy in memory.
 ///
@@ -133,11 +136,7 @@ fn named(adapter: &Bound<'_, PyAny>) -> PyResult<String> {
 }
 
 /// Rows of a command for so many worlds: one row for all of them, or one for each.
-fn per_world(
-    values: Option<&PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
-    what: &str,
-    worlds: usize,
-) -> PyResult<Vec<Option<Vec<f64>>>> {
+fn per_world(values: Option<&Numbers<'_>>, what: &str, worlds: usize) -> PyResult<Vec<Option<Vec<f64>>>> {
     let Some(values) = values else { return Ok(vec![None; worlds]) };
     let values = values.as_array();
     match values.shape() {
@@ -318,7 +317,7 @@ impl Simulation {
         &self,
         py: Python<'py>,
         fields: &Bound<'py, PyTuple>,
-        region: Option<PyArrayLike2<'py, f64, AllowTypeChange>>,
+        region: Option<Numbers<'py>>,
         world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         let asked: Vec<String> = fields.extract()?;
@@ -402,12 +401,7 @@ impl Simulation {
     /// The surface is where, seen from above, particles first fill half of space. Where there is no ground, it is the world's floor; NaN if that is open. Tools
     /// and robots are not seen.
     #[pyo3(signature = (points, *, world=0))]
-    fn height_scan<'py>(
-        &self,
-        py: Python<'py>,
-        points: PyArrayLike2<'py, f64, AllowTypeChange>,
-        world: usize,
-    ) -> PyResult<Bound<'py, PyAny>> {
+    fn height_scan<'py>(&self, py: Python<'py>, points: Numbers<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
         let points = points.as_array();
         let &[_, 2] = points.shape() else {
             let shape = points.shape();
@@ -426,7 +420,7 @@ impl Simulation {
     fn height_map<'py>(
         &self,
         py: Python<'py>,
-        region: Option<PyArrayLike2<'py, f64, AllowTypeChange>>,
+        region: Option<Numbers<'py>>,
         cell: Option<f64>,
         world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
@@ -493,6 +487,18 @@ impl Simulation {
         Ok(all)
     }
 
+    /// Heights of the ground at the points around a robot that its `scan` in the scene gives, below its base: a `HeightScan` record. The points turn with the
+    /// base about the vertical, but stay level.
+    ///
+    /// Raises `BodyError` if there is no such robot, or its entry has no `scan`.
+    #[pyo3(signature = (robot, *, world=0))]
+    fn scan<'py>(&self, py: Python<'py>, robot: &str, world: usize) -> PyResult<Bound<'py, PyAny>> {
+        let scan = self.look(py, world, |one| one.scan(robot))?.or_raise(py)?;
+        let heights = scan.heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect();
+        let fields = [("points", records::rows(py, scan.points)?), ("heights", records::vector(py, heights))];
+        records::record(py, "HeightScan", &fields)
+    }
+
     /// Tells a body what to do from now on: a driven tool to move at `linear` [m/s] and turn at `angular` [rad/s], both (3,) in world axes and 0 if not
     /// given; a robot to bring its joints to `joint_targets` [rad or m], or to act on them with `joint_torques` [N m or N], both (joints,).
     ///
@@ -505,10 +511,10 @@ impl Simulation {
         &self,
         py: Python<'_>,
         body: &str,
-        linear: Option<PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
-        angular: Option<PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
-        joint_targets: Option<PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
-        joint_torques: Option<PyArrayLikeDyn<'_, f64, AllowTypeChange>>,
+        linear: Option<Numbers<'_>>,
+        angular: Option<Numbers<'_>>,
+        joint_targets: Option<Numbers<'_>>,
+        joint_torques: Option<Numbers<'_>>,
         worlds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;

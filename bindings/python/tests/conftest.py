@@ -25,6 +25,7 @@ def press():
 def dog():
     """The quadruped above a floor."""
     robot = {"name": "dog", "model": "quadruped", "position": [0.0, 0.0, 1.0], "motor": [{"kp": 100.0, "kd": 3.0}]}
+    robot["scan"] = {"min": [-0.3, -0.2], "max": [0.3, 0.2], "points": [3, 2]}
     world = {"cell": 0.1, "min": [-1, -1, 0], "max": [1, 1, 2], "walls": {"z_min": "stick"}}
     return barchan.Simulation({"name": "fall", "world": world, "time": {"end": 0.1, "step": 1e-3}, "robot": [robot]})
 

@@ -85,6 +85,11 @@ def test_pressure_in_a_cut_grows_downwards(press):
 
 def test_robots_tell_joints_and_take_targets(dog):
     robot = dog.robots()["dog"]
+    scan = dog.scan("dog")
+    np.testing.assert_allclose(scan.points, [[x, y] for y in (-0.2, 0.2) for x in (-0.3, 0.0, 0.3)], atol=1e-9)
+    np.testing.assert_allclose(scan.heights, -1.0, atol=1e-9)
+    with pytest.raises(barchan.BodyError, match="'cat'.*there are dog"):
+        dog.scan("cat")
     assert len(robot.joint_names) == 12 and robot.joint_names[2] == "FL_calf_joint"
     dog.act("dog", joint_targets=np.tile([0.0, 0.8, -1.6], 4))
     dog.advance(0.1)
@@ -219,10 +224,37 @@ def test_errors_say_what_where_and_how_to_mend_it(press, tmp_path):
 
 
 def test_a_world_that_cannot_go_on_says_which_and_why(press):
-    press["time"]["step"] = 0.01
-    with pytest.raises(barchan.SimulationError, match="time.over_bound") as caught:
-        barchan.Simulation(press, worlds=2).step()
-    assert caught.value.world in (0, 1) and str(caught.value).startswith("world ")
+    press["time"]["step"] = 1e-3
+    worlds = barchan.Simulation(press, worlds=2)
+    # Far more than a cell a step.
+    worlds.act("plate", linear=[0, 0, -500.0], worlds=1)
+    with pytest.raises(barchan.SimulationError, match="^world 1: time step 1.000e-3 s.*above the bound") as caught:
+        worlds.step(3)
+    assert caught.value.world == 1 and worlds.times[1] == 0.0
+    with pytest.raises(barchan.BodyError, match="nan|NaN|finite"):
+        worlds.act("plate", linear=[0, 0, np.nan])
+
+
+def test_worlds_of_a_gpu_end_at_one_time_and_agree_with_the_processor(press):
+    assert barchan.adapters() and barchan.adapters("cpu") == []
+    press["time"]["step"] = 5e-4
+    worlds, alone = barchan.Simulation(press, backend="wgpu", worlds=2, seed=5), barchan.Simulation(press, seed=6)
+    for simulation in (worlds, alone):
+        simulation.act("plate", linear=[0, 0, -0.5])
+        simulation.advance(0.03)
+        simulation.advance(0.02)
+    np.testing.assert_allclose(worlds.times, 0.05, rtol=1e-12)
+    ours, theirs = worlds.particles("id", world=1), alone.particles("id")
+    ours, theirs = (one.position[np.argsort(one.id)] for one in (ours, theirs))
+    # Steps are the same, and rounding is not.
+    np.testing.assert_allclose(ours, theirs, atol=1e-5)
+    worlds.copy_world(0, [1])
+    np.testing.assert_array_equal(worlds.bodies(world=0)["plate"].position, worlds.bodies(world=1)["plate"].position)
+    with pytest.raises(ValueError, match="fork"):
+        worlds.swap("cpu")
+    alone.swap("wgpu")
+    alone.step(2)
+    assert alone.backend == "wgpu"
 
 
 def test_ctrl_c_ends_a_long_call_between_two_steps(press):
@@ -240,7 +272,7 @@ def test_ctrl_c_ends_a_long_call_between_two_steps(press):
 
 def test_other_threads_run_during_a_step_and_may_not_disturb_it(press):
     simulation = barchan.Simulation(press)
-    worker = threading.Thread(target=simulation.step, args=(20_000,))
+    worker = threading.Thread(target=simulation.step, args=(6_000,))
     worker.start()
     # A thread that runs meanwhile sees that it is at work.
     while "busy" not in repr(simulation):
@@ -248,7 +280,7 @@ def test_other_threads_run_during_a_step_and_may_not_disturb_it(press):
     with pytest.raises(barchan.BusyError, match="another thread"):
         simulation.particles("mass")
     worker.join()
-    assert simulation.step_count == 20_000
+    assert simulation.step_count == 6_000
 
 
 def count_steps(scene):

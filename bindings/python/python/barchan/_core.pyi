@@ -2,12 +2,12 @@
 
 import os
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from barchan.records import Body, HeightMap, Particles, Plan, Robot, Wrench
+from barchan.records import Body, HeightMap, HeightScan, Particles, Plan, Robot, Wrench
 
 __version__: str
 
@@ -15,12 +15,14 @@ _Field = Literal["velocity", "affine", "mass", "volume0", "id", "body", "materia
 _Path = str | os.PathLike[str]
 _Worlds = int | Sequence[int]
 
+@final
 class State:
     @property
     def time(self) -> float: ...
     @property
     def step_count(self) -> int: ...
 
+@final
 class Simulation:
     def __new__(
         cls,
@@ -64,6 +66,7 @@ class Simulation:
     def bodies(self, *, world: int = 0) -> dict[str, Body]: ...
     def wrenches(self, *, world: int = 0) -> dict[str, Wrench]: ...
     def robots(self, *, world: int = 0) -> dict[str, Robot]: ...
+    def scan(self, robot: str, *, world: int = 0) -> HeightScan: ...
     def act(
         self,
         body: str,
@@ -85,6 +88,7 @@ class Simulation:
     def ledger(self, *, world: int = 0) -> dict[str, Any]: ...
     def timing(self, *, world: int = 0) -> dict[str, float]: ...
 
+@final
 class View:
     def __new__(cls, simulation: Simulation, *, world: int = 0) -> View: ...
     def draw(self, simulation: Simulation, *, part: Literal["page", "ground"] = "page", world: int = 0) -> NDArray[np.uint8]: ...

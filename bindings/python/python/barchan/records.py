@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Body", "HeightMap", "Link", "Particles", "Plan", "Robot", "Wrench"]
+__all__ = ["Body", "HeightMap", "HeightScan", "Link", "Particles", "Plan", "Robot", "Wrench"]
 
 
 class Particles:
@@ -140,6 +140,16 @@ class HeightMap:
     """Where the rows are [m], (nx,)."""
     y: NDArray[np.float64]
     """Where the columns are [m], (ny,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeightScan:
+    """Heights of the ground at points around a robot."""
+
+    points: NDArray[np.float64]
+    """Where the points are in the world [m], (n, 2), rows along x."""
+    heights: NDArray[np.float64]
+    """How high the surface there is above the origin of the base's frame [m], (n,), negative below; NaN where there is neither ground nor floor."""
 
 
 @dataclass(frozen=True, eq=False)

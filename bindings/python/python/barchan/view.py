@@ -10,7 +10,7 @@ import csv
 import os
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["View", "picture", "plot_height_map", "plot_ledger", "plot_trace", "save_gif", "save_png"]
 
 
-def picture(simulation: Simulation, *, part: str = "page", world: int = 0) -> NDArray[np.uint8]:
+def picture(simulation: Simulation, *, part: Literal["page", "ground"] = "page", world: int = 0) -> NDArray[np.uint8]:
     """A picture of a world as it is now: (rows, columns, 3), uint8, RGB. `part` is "page", or "ground" without title, scales and cut.
 
     Use a `View` for pictures that are to be compared: it keeps extent and colours.
