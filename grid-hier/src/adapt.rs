@@ -384,7 +384,7 @@ impl Adapt {
         let (mut leeways, mut present) = (Vec::new(), 0);
         for agent in &self.agents {
             let is_here = match agent {
-                Agent::Rigid(_) => true,
+                Agent::Rigid(_) | Agent::Fixed(_) => true,
                 Agent::Soft(body) => soft(*body).is_some(),
             };
             if let Agent::Soft(_) = agent {

@@ -503,6 +503,12 @@ fn primitive(shape: &Shape, folder: &Path) -> Result<(Primitive, Pose), Refusal>
             let grid = DistanceGrid::sample(&mesh);
             (Primitive::Mesh(Arc::new(MeshPart { mesh, grid })), placement(*center, *rotation)?)
         }
+        Shape::Difference(_) | Shape::Intersection(_) => {
+            return Err(Refusal::new(
+                "differences and intersections are for soft bodies",
+                "use a union of shapes or a mesh",
+            ));
+        }
         Shape::Union(_) | Shape::Terrain(_) => {
             unreachable!("`collect`, the only caller, takes unions and terrains apart before")
         }

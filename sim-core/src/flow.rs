@@ -103,7 +103,7 @@ impl Mouth {
     fn new(scene: &Scene, registry: &Registry, materials: &[PlannedMaterial], i: usize) -> Result<Self> {
         let (source, path) = (&scene.inflow[i], format!("source[{i}]"));
         let material = index_of(materials, &source.material);
-        let solid = solid::of_shape(&source.shape, scene, registry, &format!("{path}.shape"))?;
+        let solid = solid::in_world(&source.shape, scene, registry, &format!("{path}.shape"))?;
         scene.check_inside(&path, solid.bounds())?;
         let (spacing, density) = (scene.inflow_spacing(source), materials[material].density);
         let speed = source.velocity.iter().map(|v| v * v).sum::<f64>().sqrt();

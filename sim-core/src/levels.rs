@@ -395,15 +395,17 @@ fn is_near(of: &CellBox, agent: &Aabb, parent: f64) -> bool {
 }
 
 /// What a level's boxes follow.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Agent {
     /// The body of a coupling, by name.
     Rigid(String),
     /// A soft body, by its index in the scene.
     Soft(u16),
+    /// A box that stays where it is [m].
+    Fixed(Aabb),
 }
 
-/// Boxes around the agents that couplings move; soft ones are looked up in `soft`.
+/// Boxes around the agents: those that couplings move and those that stay; soft ones are looked up in `soft`.
 pub fn agent_bounds(
     agents: &[Agent],
     couplings: &[Box<dyn Coupling>],
@@ -416,6 +418,7 @@ pub fn agent_bounds(
         .filter_map(|agent| match agent {
             Agent::Rigid(name) => rigid.iter().find(|(body, _)| body.name == *name).map(|(_, bounds)| *bounds),
             Agent::Soft(body) => soft(*body),
+            Agent::Fixed(bounds) => Some(*bounds),
         })
         .collect()
 }

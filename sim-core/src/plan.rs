@@ -23,7 +23,7 @@ use crate::scene::Motion;
 use crate::schedule::{Form, Needs, Schedule, Stage};
 use crate::seed::Terrain;
 use crate::simulation::Options;
-use crate::{Backend, Coupling, Error, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
+use crate::{Aabb, Backend, Coupling, Error, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
 use barchan_abi as abi;
 use barchan_lanes::Isa;
 use bound::{first_step, ground_bound};
@@ -331,10 +331,12 @@ fn slow(scene: &Scene, materials: &[PlannedMaterial]) -> f64 {
     }
 }
 
-/// What the levels follow: what the scene names, or else what couplings move.
+/// What the levels follow: what the scene names, or else what couplings move; and the boxes that stay.
 fn agents(scene: &Scene, couplings: &[Box<dyn Coupling>]) -> Result<Vec<Agent>> {
+    let fixed = scene.levels.boxes.iter().map(|one| Agent::Fixed(Aabb { min: one.min, max: one.max }));
     let Some(names) = &scene.levels.agents else {
-        return Ok(couplings.iter().flat_map(|coupling| coupling.followed()).map(Agent::Rigid).collect());
+        let followed = couplings.iter().flat_map(|coupling| coupling.followed()).map(Agent::Rigid);
+        return Ok(followed.chain(fixed).collect());
     };
     let named = names.iter().enumerate().map(|(i, name)| {
         if couplings.iter().any(|coupling| coupling.has_body(name)) {
@@ -348,7 +350,7 @@ fn agents(scene: &Scene, couplings: &[Box<dyn Coupling>]) -> Result<Vec<Agent>> 
             known: couplings.iter().flat_map(|coupling| coupling.bodies()).map(|body| body.name).collect(),
         })
     });
-    named.collect()
+    named.chain(fixed.map(Ok)).collect()
 }
 
 /// Has the backend room for what is to be seeded? Nobody waits for particles that it then refuses.

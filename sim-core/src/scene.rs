@@ -49,6 +49,10 @@ pub struct Scene {
     pub gravity_ramp: f64,
     /// Extent, resolution and walls.
     pub world: World,
+    /// Cut soft bodies and mouths of sources at slip walls, instead of refusing those that reach out of the world: half of a symmetric scene is that scene.
+    /// Tools reach through walls anyway.
+    #[serde(default)]
+    pub clip: bool,
     /// Nested levels of resolution.
     #[serde(default)]
     pub levels: Levels,
@@ -100,8 +104,7 @@ impl Scene {
                 Shape::Mesh { file, .. } | Shape::HeightField { file: Some(file), .. } => {
                     files.insert(file);
                 }
-                Shape::Union(parts) => parts.iter().for_each(|part| add(&part.shape, files)),
-                _ => {}
+                _ => shape.parts().iter().for_each(|part| add(&part.shape, files)),
             }
         }
         let mut files = BTreeSet::new();
@@ -219,6 +222,10 @@ pub struct Levels {
     /// Names of the tools and bodies that the boxes follow; absent: all tools that move.
     #[serde(default)]
     pub agents: Option<Vec<String>>,
+    /// Boxes that stay where they are, and in which ground is as fine as around agents: the finest level reaches 4 cells further, and no less than `half`
+    /// cells from a box's middle to each side.
+    #[serde(default, rename = "box")]
+    pub boxes: Vec<Within>,
     /// Steps twice as long on each coarser level.
     #[serde(default)]
     pub subcycle: bool,
@@ -256,6 +263,7 @@ impl Default for Levels {
             count: one_level(),
             half: default_half(),
             agents: None,
+            boxes: Vec::new(),
             subcycle: false,
             reach: 0,
             tolerance: default_tolerance(),
@@ -600,6 +608,9 @@ pub struct Body {
     /// Angular velocity about the body's centre of mass [rad/s].
     #[serde(default)]
     pub angular_velocity: Vec3,
+    /// Gradient of the velocity, row by row [1/s]: to `velocity` comes this times the way from the body's centre of mass.
+    #[serde(default)]
+    pub velocity_gradient: [f64; 9],
     /// Leave out particles inside rigid tools, so that a tool can start partly buried.
     #[serde(default = "yes")]
     pub around_tools: bool,
@@ -706,11 +717,15 @@ pub enum Shape {
         #[serde(default = "no_rotation")]
         rotation: [f64; 4],
     },
-    /// All of several shapes together (tools only), such as a blade with a handle.
+    /// All of several shapes together, such as a blade with a handle.
     Union(Vec<Placed>),
+    /// The first of several shapes without the others (not for tools), such as a block with a hole.
+    Difference(Vec<Placed>),
+    /// What several shapes have in common (not for tools).
+    Intersection(Vec<Placed>),
 }
 
-/// A shape at a place within a union.
+/// A shape at a place within a union, a difference or an intersection.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Placed {

@@ -57,7 +57,7 @@ impl Terrain {
             let index_of = |name: &str| materials.iter().position(|m| m.name == name);
             let Some(own) = index_of(&body.material) else { continue };
             let path = format!("body[{index}]");
-            let solid = solid::of_shape(&body.shape, scene, registry, &format!("{path}.shape"))?;
+            let solid = solid::in_world(&body.shape, scene, registry, &format!("{path}.shape"))?;
             let bounds = solid.bounds();
             scene.check_inside(&path, bounds)?;
             let (cell, spacing) = (scene.world.cell, scene.spacing(body));
@@ -576,6 +576,8 @@ impl Seeder<'_> {
         let spacing = scene.spacing(body);
         let [wx, wy, wz] = body.angular_velocity;
         let spin = [0.0, -wz, wy, wz, 0.0, -wx, -wy, wx, 0.0];
+        let strains = body.velocity_gradient != [0.0; 9];
+        let affine = if strains { std::array::from_fn(|i| spin[i] + body.velocity_gradient[i]) } else { spin };
         let starts: Vec<usize> = lists.iter().map(|list| list.id.len()).collect();
         for ((list, &start), classes) in lists.iter_mut().zip(&starts).zip(classes) {
             let end = list.cell.len();
@@ -594,13 +596,13 @@ impl Seeder<'_> {
             for (plane, variable) in list.state.iter_mut().zip(&planned.material.states) {
                 plane.resize(end, round(variable.initial));
             }
-            list.affine.resize(end, spin.map(round));
+            list.affine.resize(end, affine.map(round));
             list.velocity.resize(end, body.velocity.map(round));
             if body.settled {
                 self.terrain.settle(plot, list, start)?;
             }
         }
-        if body.angular_velocity != [0.0; 3] {
+        if affine != [0.0; 9] {
             let (mut moment, mut weight) = ([0.0; 3], 0.0);
             for ((list, &start), classes) in lists.iter().zip(&starts).zip(classes) {
                 for i in start..list.cell.len() {
@@ -614,8 +616,11 @@ impl Seeder<'_> {
             for (list, &start) in lists.iter_mut().zip(&starts) {
                 for i in start..list.cell.len() {
                     let x = list.position(i);
-                    let turning = cross(body.angular_velocity, std::array::from_fn(|d| x[d] - center[d]));
-                    list.velocity[i] = std::array::from_fn(|d| round(body.velocity[d] + turning[d]));
+                    let away: Vec3 = std::array::from_fn(|d| x[d] - center[d]);
+                    let turning = cross(body.angular_velocity, away);
+                    let strained = |d: usize| (0..3).map(|e| body.velocity_gradient[3 * d + e] * away[e]).sum::<f64>();
+                    let along = |d: usize| if strains { turning[d] + strained(d) } else { turning[d] };
+                    list.velocity[i] = std::array::from_fn(|d| round(body.velocity[d] + along(d)));
                 }
             }
         }

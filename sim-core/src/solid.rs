@@ -1,7 +1,7 @@
 //! Solids that soft bodies are seeded from.
 
 use crate::coupling::Aabb;
-use crate::scene::{Heights, Shape, posed_bounds, turn};
+use crate::scene::{Heights, Placed, Shape, posed_bounds, turn};
 use crate::{Error, Registry, Result, Scene, Vec3};
 use std::path::Path;
 
@@ -89,8 +89,101 @@ pub fn of_shape(shape: &Shape, scene: &Scene, registry: &Registry, path: &str) -
             })?;
             Box::new(Posed { solid: reader(&scene.folder.join(file), *scale)?, position: *center, rotation: *rotation })
         }
-        _ => return Err(scene.fault(path, "cannot be filled with particles", "planes and unions are for tools")),
+        (Shape::Union(parts), _) => Box::new(Combined::new(How::Union, parts, scene, registry, path)?),
+        (Shape::Difference(parts), _) => Box::new(Combined::new(How::Difference, parts, scene, registry, path)?),
+        (Shape::Intersection(parts), _) => Box::new(Combined::new(How::Intersection, parts, scene, registry, path)?),
+        _ => return Err(scene.fault(path, "cannot be filled with particles", "planes are for tools")),
     })
+}
+
+/// As [`of_shape`], cut at the world's sides if the scene [clips](Scene::clip).
+///
+/// # Errors
+/// As [`of_shape`].
+pub fn in_world(shape: &Shape, scene: &Scene, registry: &Registry, path: &str) -> Result<Box<dyn Solid>> {
+    let solid = of_shape(shape, scene, registry, path)?;
+    let (world, bounds) = (scene.world_box(), solid.bounds());
+    if !scene.clip || world.contains(bounds.min) && world.contains(bounds.max) {
+        return Ok(solid);
+    }
+    scene.check_inside(path.trim_end_matches(".shape"), bounds)?;
+    Ok(Box::new(Combined { how: How::Intersection, parts: vec![solid, Box::new(Cuboid(world))] }))
+}
+
+/// How solids are put together.
+#[derive(Clone, Copy)]
+enum How {
+    Union,
+    /// The first without the others.
+    Difference,
+    Intersection,
+}
+
+/// Solids put together: at least one.
+struct Combined {
+    how: How,
+    parts: Vec<Box<dyn Solid>>,
+}
+
+impl Combined {
+    fn new(how: How, parts: &[Placed], scene: &Scene, registry: &Registry, path: &str) -> Result<Self> {
+        let key = match how {
+            How::Union => "union",
+            How::Difference => "difference",
+            How::Intersection => "intersection",
+        };
+        let part = |(i, part): (usize, &Placed)| -> Result<Box<dyn Solid>> {
+            let solid = of_shape(&part.shape, scene, registry, &format!("{path}.{key}[{i}].shape"))?;
+            Ok(Box::new(Posed { solid, position: part.position, rotation: part.rotation }))
+        };
+        Ok(Self { how, parts: parts.iter().enumerate().map(part).collect::<Result<_>>()? })
+    }
+}
+
+impl Solid for Combined {
+    fn bounds(&self) -> Aabb {
+        let first = self.parts[0].bounds();
+        let others = self.parts[1..].iter().map(|part| part.bounds());
+        match self.how {
+            How::Union => others.fold(first, |all, one| all.union(&one)),
+            How::Difference => first,
+            How::Intersection => others.fold(first, |all, one| all.intersection(&one)),
+        }
+    }
+    fn contains(&self, x: Vec3) -> bool {
+        let mut parts = self.parts.iter().map(|part| part.contains(x));
+        match self.how {
+            How::Union => parts.any(|inside| inside),
+            How::Difference => parts.next() == Some(true) && !parts.any(|inside| inside),
+            How::Intersection => parts.all(|inside| inside),
+        }
+    }
+    fn cover(&self, region: &Aabb) -> Option<bool> {
+        let mut covers: Vec<Option<bool>> = self.parts.iter().map(|part| part.cover(region)).collect();
+        if let How::Difference = self.how {
+            covers[1..].iter_mut().for_each(|cover| *cover = cover.map(|all| !all));
+        }
+        // One part decides a union if it holds all of the region, and the others if it holds nothing.
+        let decides = matches!(self.how, How::Union);
+        if covers.contains(&Some(decides)) {
+            return Some(decides);
+        }
+        covers.iter().all(|cover| *cover == Some(!decides)).then_some(!decides)
+    }
+    fn columns(&self, x: f64, y: f64) -> Vec<[f64; 2]> {
+        // What is cut at the world's sides stays a layer; other intersections need not be in one piece.
+        match self.how {
+            How::Intersection => {
+                let cut = |[a, b]: [f64; 2], [c, d]: [f64; 2]| [a.max(c), b.min(d)];
+                let pieces = self.parts.iter().map(|part| part.column(x, y)).reduce(|a, b| Some(cut(a?, b?)));
+                pieces.flatten().filter(|[bottom, top]| bottom < top).into_iter().collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+    fn column(&self, x: f64, y: f64) -> Option<[f64; 2]> {
+        self.columns(x, y).first().copied()
+    }
 }
 
 struct Cuboid(Aabb);

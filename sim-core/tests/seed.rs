@@ -263,3 +263,80 @@ fn a_million_particles_take_a_blink() {
     // 0.1 s when nothing else runs; the rest is for a busy machine.
     assert!(seconds < 1.5, "{seconds}");
 }
+
+/// A block of 0.2 m, 10 particles a side, with a hole of 0.08 m right through; two boxes that overlap; and what they have in common.
+#[test]
+fn bodies_are_put_together_from_shapes_to_the_particle() {
+    let of = |how: &str, a: &str, b: &str| {
+        let part = |half: &str| format!("{{ shape = {{ box = {{ half = {half} }} }}, position = [0.0, 0.0, 0.5] }}");
+        particles(&format!("shape = {{ {how} = [{}, {}] }}", part(a), part(b))).len()
+    };
+    assert_eq!(of("difference", "[0.1, 0.1, 0.1]", "[0.04, 0.04, 0.2]"), 10 * 10 * 10 - 4 * 4 * 10);
+    assert_eq!(of("union", "[0.1, 0.1, 0.1]", "[0.2, 0.1, 0.02]"), 10 * 10 * 10 + 10 * 10 * 2);
+    assert_eq!(of("intersection", "[0.1, 0.1, 0.1]", "[0.2, 0.2, 0.02]"), 10 * 10 * 2);
+    // Turned, a part is cut as it stands; on several levels, no cube is cut into that is not whole.
+    let turned = "shape = { difference = [{ shape = { sphere = { radius = 0.3 } }, position = [0, 0, 0.5] }, { shape = { box = { half = [1, 1, 0.5] } }, position = [0, 0, 0.5], rotation = [0.7071067811865476, 0, 0.7071067811865476, 0] }] }";
+    let error = particles_of(&scene(turned), &Options::default()).unwrap_err().to_string();
+    assert!(error.contains("body[0]") && error.contains("no point"), "{error}");
+    let fine = scene(
+        "shape = { difference = [{ shape = { box = { half = [0.4, 0.4, 0.16] } }, position = [0, 0, 0.4] }, { shape = { sphere = { radius = 0.2 } }, position = [0, 0, 0.4] }] }",
+    );
+    let one = particles_of(&fine, &Options::default()).unwrap().mass.iter().sum::<f64>();
+    let mut levels = fine.clone();
+    levels.set(&["levels.count=3"]).unwrap();
+    let (plan, state, _) = Plan::assemble(&common::registry(), &levels, &Options::default()).unwrap();
+    let all: f64 = state.lists.iter().flat_map(|list| &list.mass).sum();
+    assert!((all / one - 1.0).abs() < 1e-6, "{all} kg on three levels, {one} kg on one");
+    assert!(plan.particle_count < particles_of(&fine, &Options::default()).unwrap().len());
+}
+
+/// Half of a symmetric scene is that scene: its particles are those of the whole on one side of the wall.
+#[test]
+fn clip_cuts_bodies_at_slip_walls_only() {
+    let whole = scene("shape = { sphere = { center = [0, 0, 0.5], radius = 0.3 } }");
+    let all = particles_of(&whole, &Options::default()).unwrap();
+    let right: Vec<Vec3> = (0..all.len()).map(|i| all.position(i)).filter(|x| x[0] > 0.0).collect();
+    let text = |clip: bool, wall: &str| {
+        format!(
+            "name = 'half'\nclip = {clip}\nworld = {{ cell = 0.04, min = [0, -1, 0], max = [1, 1, 1], walls = {{ x_min = '{wall}' }} }}\ntime = {{ end = 1 }}\nmaterial = [{{ name = 'm', law = 'elastic', density = 1000 }}]\nbody = [{{ material = 'm', shape = {{ sphere = {{ center = [0, 0, 0.5], radius = 0.3 }} }} }}]"
+        )
+    };
+    let read = |clip, wall| Scene::from_str(&text(clip, wall), "half.toml", "");
+    let half = particles_of(&read(true, "slip").unwrap(), &Options::default()).unwrap();
+    assert_eq!(half.len(), right.len());
+    for (i, x) in right.iter().enumerate() {
+        let near = (0..3).all(|d| (half.position(i)[d] - x[d]).abs() < 1e-9);
+        assert!(near, "{:?} where the whole has {x:?}", half.position(i));
+    }
+    for (clip, wall) in [(false, "slip"), (true, "stick"), (true, "open")] {
+        let error = read(clip, wall).unwrap_err().to_string();
+        assert!(error.contains("reaches out of the world"), "{clip} {wall}: {error}");
+    }
+}
+
+#[test]
+fn a_velocity_gradient_is_about_the_middle_and_in_the_affine_matrix() {
+    let list = particles(
+        "shape = { box = { min = [0, 0, 0], max = [0.2, 0.2, 0.2] } }\nvelocity = [1, 0, 0]\nangular_velocity = [0, 0, 2]\nvelocity_gradient = [0.5, 0, 3, 0, 0, 0, 0, 0, -0.5]",
+    );
+    for i in 0..list.len() {
+        let [x, y, z] = list.position(i).map(|x| x - 0.1);
+        let expected = [1.0 + 0.5 * x + 3.0 * z - 2.0 * y, 2.0 * x, -0.5 * z];
+        assert!((0..3).all(|d| (list.velocity[i][d] - expected[d]).abs() < 1e-6), "{:?}", list.velocity[i]);
+        assert_eq!(list.affine[i], [0.5, -2.0, 3.0, 2.0, 0.0, 0.0, 0.0, 0.0, -0.5]);
+    }
+}
+
+/// It feels the wall or not as nodes happen to lie. At the wall, a cell before it, and where whole numbers of particles leave little, all is well.
+#[test]
+fn a_body_that_ends_within_a_cell_of_a_wall_is_warned_of() {
+    let warned = |gap: f64| {
+        let text = format!(
+            "name = 'gap'\nworld = {{ cell = 0.04, min = [0, 0, 0], max = [0.8, 0.8, 0.8], walls = {{ x_min = 'slip', z_min = 'stick' }} }}\ntime = {{ end = 1 }}\nmaterial = [{{ name = 'm', law = 'elastic', density = 1000 }}]\nbody = [{{ material = 'm', shape = {{ box = {{ min = [{gap}, 0.02, 0], max = [{}, 0.42, 0.2] }} }} }}]",
+            gap + 0.4
+        );
+        let scene = Scene::from_str(&text, "gap.toml", "").unwrap();
+        scene.warnings().iter().filter(|warning| warning.contains("body[0]") && warning.contains("x_min")).count()
+    };
+    assert_eq!([0.0, 0.008, 0.02, 0.036, 0.04, 0.1].map(warned), [0, 0, 1, 1, 0, 0]);
+}

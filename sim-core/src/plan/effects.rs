@@ -72,16 +72,18 @@ impl Plan {
             add("ground at rest sleeps".to_owned(), because.to_owned(), rest);
         }
         if ground && self.cell_widths.len() > 1 {
+            let mut boxes = 0..;
             let followed = self.agents.iter().map(|agent| match agent {
                 Agent::Rigid(name) => name.clone(),
                 Agent::Soft(body) => scene.body[usize::from(*body)].name.clone(),
+                Agent::Fixed(_) => format!("levels.box[{}]", boxes.next().unwrap_or(0)),
             });
             let counts = particles_by_level.iter().map(usize::to_string).collect::<Vec<_>>();
             add(
                 format!("{} levels", self.cell_widths.len()),
                 format!("levels.count = {} around {}", scene.levels.count, listed(followed)),
                 format!(
-                    "adapt, restrict, prolong; {} particles, finest first; boxes of {}³ cells",
+                    "adapt, restrict, prolong; {} particles, finest first; boxes of {}³ cells or more",
                     counts.join(" + "),
                     2 * scene.levels.half
                 ),

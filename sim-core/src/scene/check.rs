@@ -2,8 +2,10 @@
 
 mod camera;
 mod flow;
+mod levels;
 mod robot;
 mod terrain;
+mod walls;
 mod zone;
 
 use super::{Body, Contact, Motion, Placed, Scene, Shape, Terrain, Tool, Wall, Walls};
@@ -64,27 +66,43 @@ impl Shape {
                     (terrain, terrain.heights().within(terrain.min, terrain.max));
                 Some(Aabb { min: [min[0], min[1], *bottom], max: [max[0], max[1], top.max(*bottom)] })
             }
-            Self::Union(parts) => parts
-                .iter()
-                .map(|part| part.shape.bounds().map(|b| posed_bounds(b, part.position, part.rotation)))
-                .reduce(|a, b| Some(a?.union(&b?)))
-                .flatten(),
+            Self::Union(parts) => parts.iter().map(Placed::bounds).reduce(|a, b| Some(a?.union(&b?))).flatten(),
+            Self::Difference(parts) => parts.first()?.bounds(),
+            Self::Intersection(parts) => {
+                parts.iter().map(Placed::bounds).reduce(|a, b| Some(a?.intersection(&b?))).flatten()
+            }
             Self::Plane { .. } | Self::Mesh { .. } => None,
         }
     }
 
+    /// What it is put together from, if it is.
+    pub(crate) fn parts(&self) -> &[Placed] {
+        match self {
+            Self::Union(parts) | Self::Difference(parts) | Self::Intersection(parts) => parts,
+            _ => &[],
+        }
+    }
+
+    /// Does it hold a shape of which that is true, or is it one?
+    fn any(&self, is: fn(&Self) -> bool) -> bool {
+        is(self) || self.parts().iter().any(|part| part.shape.any(is))
+    }
+
     /// Is it ground that has no mass: a plane or a terrain, or a union with one?
     fn is_ground(&self) -> bool {
-        match self {
-            Self::Plane { .. } | Self::Terrain(_) => true,
-            Self::Union(parts) => parts.iter().any(|part| part.shape.is_ground()),
-            _ => false,
-        }
+        self.any(|shape| matches!(shape, Self::Plane { .. } | Self::Terrain(_)))
     }
 
     /// Has it one surface above each point of its ground plan, so that it is known how deep a point lies?
     pub fn is_layer(&self) -> bool {
         matches!(self, Self::Box { .. } | Self::HeightField { .. } | Self::Terrain(_))
+    }
+}
+
+impl Placed {
+    /// A box that holds it; `None` as for its shape.
+    fn bounds(&self) -> Option<Aabb> {
+        self.shape.bounds().map(|bounds| posed_bounds(bounds, self.position, self.rotation))
     }
 }
 
@@ -158,7 +176,8 @@ impl Scene {
     /// Warnings about a scene that can be run.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
-        for body in &self.body {
+        for (i, body) in self.body.iter().enumerate() {
+            warnings.extend(self.nearly_at_walls(i, body));
             let cells = self.spacing(body) / self.world.cell;
             if !(0.33..=0.67).contains(&cells) {
                 warnings.push(format!(
@@ -407,6 +426,7 @@ impl Scene {
             "is set in a world with a wall that lets go of the ground",
             "use slip or stick walls, or leave subcycling out",
         )?;
+        self.check_boxes()?;
         self.check_reach()?;
         // Walls are faces of the coarsest cells too, and periodic axes are whole blocks of them.
         let coarsest = 1_i64 << (levels.count - 1);
@@ -479,7 +499,7 @@ impl Scene {
         )?;
         for (i, body) in self.body.iter().enumerate() {
             self.require(
-                body.shape.is_layer() && body.velocity == [0.0; 3] && body.angular_velocity == [0.0; 3],
+                body.shape.is_layer() && !body.moves(),
                 path,
                 format!("brings in ground piece by piece, and body[{i}] is no box, height_field or terrain at rest"),
                 "change the body, or leave reach out",
@@ -559,10 +579,10 @@ impl Scene {
     /// Can particles fill the shape?
     fn check_fillable(&self, path: &str, shape: &Shape) -> Result<()> {
         self.require(
-            !matches!(shape, Shape::Plane { .. } | Shape::Union(_)),
+            !shape.any(|shape| matches!(shape, Shape::Plane { .. })),
             path,
-            "planes and unions are for tools",
-            "use box, sphere, cylinder, capsule, height_field, terrain or mesh; several bodies may share a material",
+            "planes are for tools",
+            "use box, sphere, cylinder, capsule, height_field, terrain, mesh, or a union, a difference or an intersection of these",
         )
     }
 
@@ -624,7 +644,7 @@ impl Scene {
             "set one of the two",
         )?;
         self.require(
-            body.velocity == [0.0; 3] && body.angular_velocity == [0.0; 3],
+            !body.moves(),
             &path,
             "asks for ground at rest, and the body has a velocity",
             "leave out settled or the velocity",
@@ -635,8 +655,9 @@ impl Scene {
     pub(crate) fn check_inside(&self, path: &str, bounds: Aabb) -> Result<()> {
         let world = self.world_box().grown(WHOLE_CELL * self.world.cell);
         for (d, axis) in AXES.into_iter().enumerate() {
+            let [low, high] = self.world.walls.pair(d).map(|wall| self.clip && wall == Wall::Slip);
             self.require(
-                world.min[d] <= bounds.min[d] && bounds.max[d] <= world.max[d],
+                (low || world.min[d] <= bounds.min[d]) && (high || bounds.max[d] <= world.max[d]),
                 &format!("{path}.shape"),
                 format!(
                     "reaches out of the world: {axis} from {} to {}, the world from {} to {}",
@@ -709,16 +730,19 @@ impl Scene {
                 self.positive(&format!("{path}.mesh.scale"), *scale)?;
                 self.check_rotation(&format!("{path}.mesh.rotation"), rotation)
             }
-            Shape::Union(parts) => {
-                self.require(!parts.is_empty(), &format!("{path}.union"), "is empty", "give at least one shape")?;
-                for (i, Placed { shape, rotation, .. }) in parts.iter().enumerate() {
-                    let path = format!("{path}.union[{i}]");
-                    self.check_rotation(&format!("{path}.rotation"), rotation)?;
-                    self.check_shape(&format!("{path}.shape"), shape)?;
-                }
-                Ok(())
-            }
+            Shape::Union(parts) => self.check_parts(&format!("{path}.union"), parts),
+            Shape::Difference(parts) => self.check_parts(&format!("{path}.difference"), parts),
+            Shape::Intersection(parts) => self.check_parts(&format!("{path}.intersection"), parts),
         }
+    }
+
+    fn check_parts(&self, path: &str, parts: &[Placed]) -> Result<()> {
+        self.require(!parts.is_empty(), path, "is empty", "give at least one shape")?;
+        for (i, Placed { shape, rotation, .. }) in parts.iter().enumerate() {
+            self.check_rotation(&format!("{path}[{i}].rotation"), rotation)?;
+            self.check_shape(&format!("{path}[{i}].shape"), shape)?;
+        }
+        Ok(())
     }
 
     /// Heights must form a grid of at least 2 x 2 and rise above the bottom somewhere.
@@ -763,6 +787,12 @@ impl Scene {
 
     fn check_tool(&self, path: &str, tool: &Tool) -> Result<()> {
         self.check_shape(&format!("{path}.shape"), &tool.shape)?;
+        self.require(
+            !tool.shape.any(|shape| matches!(shape, Shape::Difference(_) | Shape::Intersection(_))),
+            &format!("{path}.shape"),
+            "differences and intersections are for soft bodies",
+            "use a union of shapes or a mesh",
+        )?;
         self.check_rotation(&format!("{path}.rotation"), &tool.rotation)?;
         if let Contact::Coulomb { friction } = tool.contact {
             self.not_negative(&format!("{path}.contact.coulomb.friction"), friction)?;
@@ -823,10 +853,12 @@ impl Scene {
         fn in_shape(shape: &mut Shape) {
             match shape {
                 Shape::Mesh { rotation, .. } => normalise(rotation),
-                Shape::Union(parts) => parts.iter_mut().for_each(|part| {
-                    normalise(&mut part.rotation);
-                    in_shape(&mut part.shape);
-                }),
+                Shape::Union(parts) | Shape::Difference(parts) | Shape::Intersection(parts) => {
+                    parts.iter_mut().for_each(|part| {
+                        normalise(&mut part.rotation);
+                        in_shape(&mut part.shape);
+                    })
+                }
                 _ => {}
             }
         }

@@ -250,7 +250,9 @@ impl Shape {
                 *bottom += place[2];
                 shift(origin);
             }
-            Self::Union(parts) => parts.iter_mut().for_each(|part| shift(&mut part.position)),
+            Self::Union(parts) | Self::Difference(parts) | Self::Intersection(parts) => {
+                parts.iter_mut().for_each(|part| shift(&mut part.position));
+            }
         }
         self
     }

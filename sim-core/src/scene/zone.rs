@@ -38,7 +38,7 @@ pub struct ZonePicture {
 }
 
 /// An axis-aligned box of the world.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Within {
     /// Least corner [m].
@@ -48,6 +48,11 @@ pub struct Within {
 }
 
 impl Body {
+    /// Does it start in motion?
+    pub(crate) fn moves(&self) -> bool {
+        self.velocity != [0.0; 3] || self.angular_velocity != [0.0; 3] || self.velocity_gradient != [0.0; 9]
+    }
+
     /// Names of the materials that it may hold, each once: its own first, then those of its zones.
     pub fn materials(&self) -> Vec<&str> {
         let mut names = vec![self.material.as_str()];

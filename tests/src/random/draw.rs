@@ -124,7 +124,11 @@ impl Generator {
         let mut schema = Scene::schema();
         // Robots name joints and links of their files, and sources and sinks have to fit into the world: they are put together here, in `robot` and `flow`.
         if let Some(keys) = schema["properties"].as_object_mut() {
-            ["robot", "source", "sink"].iter().for_each(|key| drop(keys.remove(*key)));
+            ["robot", "source", "sink", "clip"].iter().for_each(|key| drop(keys.remove(*key)));
+        }
+        // So do boxes of levels, and what is seldom asked of bodies.
+        for (of, key) in [("Levels", "box"), ("Body", "velocity_gradient")] {
+            schema["$defs"][of]["properties"].as_object_mut().map(|keys| keys.remove(key));
         }
         Self { schema, laws, couplings, tasks }
     }
@@ -181,6 +185,26 @@ impl Generator {
             let [source, sink] = flow(&mut frame);
             scene.insert("source".to_owned(), Value::Array(vec![Value::Table(source)]));
             scene.insert("sink".to_owned(), Value::Array(vec![Value::Table(sink)]));
+        }
+        if frame.is(0.1) {
+            scene.insert("clip".to_owned(), Value::Boolean(true));
+        }
+        for body in
+            entries(&mut scene, "body").filter(|body| !body.contains_key("zone") && !body.contains_key("settled"))
+        {
+            if frame.is(0.1) {
+                let most = frame.speed / (8.0 * frame.cell);
+                let gradient = floats((0..9).map(|_| most * frame.noise.draw()).collect::<Vec<_>>());
+                body.insert("velocity_gradient".to_owned(), gradient);
+            }
+        }
+        if frame.levels > 1 && frame.is(0.15) {
+            let (a, b) = (frame.point(0.0), frame.point(0.0));
+            let ends = [("min", f64::min as fn(f64, f64) -> f64), ("max", f64::max)];
+            let ends = ends.map(|(key, f)| (key.to_owned(), floats([0, 1, 2].map(|d| f(a[d], b[d])))));
+            if let Some(levels) = within(&mut scene, "levels") {
+                levels.insert("box".to_owned(), Value::Array(vec![Value::Table(ends.into_iter().collect())]));
+            }
         }
         scene
     }
@@ -533,11 +557,11 @@ fn wanted(path: &str) -> f64 {
     }
 }
 
-/// May a choice be drawn here? A soft body is no plane and no union, and unions are one deep.
+/// May a choice be drawn here? Bodies of several shapes would be empty as a rule, a soft body is no plane, and unions are one deep.
 fn is_open(choice: &Json, path: &str) -> bool {
     let is = |name: &str| choice["properties"].get(name).is_some();
     let open = path.starts_with("body") || path.contains("union");
-    !(open && (is("union") || is("plane")))
+    !(is("difference") || is("intersection") || open && (is("union") || is("plane")))
 }
 
 /// The last unit in brackets.

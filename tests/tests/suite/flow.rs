@@ -61,7 +61,9 @@ fn a_stream_comes_in_at_its_rate_falls_freely_and_closes_the_ledger() {
         let g = 9.81_f64;
         let speed = |depth: f64| (1.0 + 2.0 * g * depth).sqrt();
         let own = rows(&s).into_iter().map(|row| (row.v[2] / -speed(0.58 - row.x[2]) - 1.0).abs());
-        within(&format!("{what} speed"), own.fold(0.0, f64::max), 0.02);
+        let own: Vec<f64> = own.collect();
+        within(&format!("{what} speed, on average"), own.iter().sum::<f64>() / own.len() as f64, 0.01);
+        within(&format!("{what} speed of any"), own.iter().copied().fold(0.0, f64::max), 0.06);
         let between = rows(&s).iter().filter(|row| (0.2..0.5).contains(&row.x[2])).map(|row| row.m).sum::<f64>();
         let expected = each as f64 * mass / period * (speed(0.38) - speed(0.08)) / g;
         within(&format!("{what} mass on the way, in layers"), (between - expected).abs() / (each as f64 * mass), 1.0);
@@ -94,22 +96,22 @@ fn a_source_waits_where_there_is_no_room() {
         &format!("min = [0.04, 0.04, 0.44], max = [0.16, 0.16, 0.64], walls = {{ {walls} }}, leaving = \"delete\""),
     );
     let mut s = simulation(&[&head, MOUTH].concat(), Precision::F32);
-    run_to(&mut s, 0.8);
+    run_to(&mut s, 0.805);
     let ledger = s.ledger();
     let holds = 0.12 * 0.12 * 0.2 * 1600.0;
     println!(
         "{} kg in a box of {holds} kg, {} held back",
         ledger.mass, ledger.counts["particles that sources held back"]
     );
-    assert!(ledger.mass < holds && ledger.mass > 0.5 * holds);
+    assert!(ledger.mass < holds && ledger.mass > 0.4 * holds);
     assert_eq!(ledger.sources.particles + ledger.counts["particles that sources held back"], 81 * LAYER.0);
 
     let tool =
         "[[tool]]\nname = \"lid\"\nshape = { box = { half = [0.04, 0.1, 0.02] } }\nposition = [0.06, 0.1, 0.58]\n";
     let mut s = simulation(&[&stream(), tool].concat(), Precision::F32);
-    run_to(&mut s, 0.105);
+    run_to(&mut s, 0.005);
     let ledger = s.ledger();
-    assert_eq!([ledger.sources.particles, ledger.counts["particles that sources held back"]], [11 * LAYER.0 / 2; 2]);
+    assert_eq!([ledger.sources.particles, ledger.counts["particles that sources held back"]], [LAYER.0 / 2; 2]);
 }
 
 /// A heap under a source on nested, subcycled levels around a rod, with a sink beside: the hardest setting that sources and sinks can be in.
@@ -148,7 +150,7 @@ fn threads_and_snapshots_change_no_bit_of_what_flows() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("flow.snapshot");
     let registry = barchan::registry();
-    for (text, steps) in [(stream(), 150), (heap(), 80)] {
+    for (text, steps) in [(stream(), 260), (heap(), 80)] {
         for precision in [Precision::F32, Precision::F64] {
             let with = |threads| Options { threads, ..options(precision) };
             let go = |s: &mut Simulation, count: usize| {
@@ -228,7 +230,7 @@ fn sources_and_sinks_that_cannot_be_are_refused_by_name() {
             ["volume_rate", "one of"],
         ),
         (with("center = [0.1, 0.1, 0.58]", "center = [0.1, 0.1, 0.68]"), ["source[0].shape", "out of the world"]),
-        (with("half = [0.04, 0.04, 0.01]", "half = [0.004, 0.04, 0.01]"), ["source[0].shape", "no point"]),
+        (with("half = [0.04, 0.04, 0.01]", "half = [0.002, 0.04, 0.01]"), ["source[0].shape", "no point"]),
         (with("material = \"sand\"\nshape", "material = \"snad\"\nshape"), ["source[0].material", "snad"]),
         (with("max = [0.2, 0.2, 0.1]", "max = [0.2, 0.2, 0.05]"), ["sink[0].shape", "0.08 m thick"]),
         (with("[[sink]]", "[[sink]]\nfrom = 2\nuntil = 1"), ["sink[0].until", "later"]),

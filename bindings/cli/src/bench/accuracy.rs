@@ -295,6 +295,7 @@ fn measure(args: &Accuracy, registry: &Registry, scene: &Scene, entry: &Entry) -
         subcycle: entry.subcycle,
         tolerance: entry.tolerance,
         agents: scene.levels.agents.clone(),
+        boxes: scene.levels.boxes.clone(),
         reach: scene.levels.reach,
     };
     let mut scene = rung(scene, entry.cell_m, &levels, entry.spacing_cells)?;

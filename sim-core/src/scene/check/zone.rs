@@ -10,10 +10,10 @@ impl Scene {
             self.check_zone(&format!("{path}.zone[{i}]"), body, zone)?;
         }
         self.require(
-            body.zone.is_empty() || body.angular_velocity == [0.0; 3],
+            body.zone.is_empty() || body.angular_velocity == [0.0; 3] && body.velocity_gradient == [0.0; 9],
             &format!("{path}.angular_velocity"),
-            "is given for a body with zones, and each of them would turn about its own centre of mass",
-            "leave out the zones or the angular velocity",
+            "or velocity_gradient is given for a body with zones, and each of them would turn about its own centre of mass",
+            "leave out the zones, or the angular velocity and the gradient",
         )
     }
 

@@ -2,7 +2,7 @@
 
 use super::{around_marker, counted, levels, minus, norm, on_levels};
 use barchan::{Command, Precision, Simulation};
-use barchan_tests::scenes::{Row, alter, rows, run_to, simulation, within};
+use barchan_tests::scenes::{Row, alter, everywhere, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, body, driven, half, material, tool};
 
 /// B31. Symptom: particles on two sides of a thin blade merge into one that lies on either. Physics: matter left of the blade stays there, all
@@ -269,5 +269,37 @@ fn levels_follow_a_soft_body() {
             norm(minus(after.momentum, expected)) / norm(expected),
             exact,
         );
+    }
+}
+
+/// Ground in a box that stays is as fine as around an agent, and the plan says so before anything runs; what flows through it splits and merges as around a
+/// tool. Mass and momentum stay.
+#[test]
+fn a_fixed_box_keeps_the_ground_in_it_fine() {
+    for options in everywhere() {
+        let what = format!("{} {}", options.backend, options.precision);
+        let h = 0.02;
+        let head = Head { gravity: [0.0; 3], ..Head::cells(h, [96, 32, 32], "") };
+        let text = head.with(&[
+            material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+            block("neo_hookean", [0.2, 0.16, 0.16], [0.6, 0.48, 0.48], "velocity = [2, 0, 0]"),
+            "[levels]\ncount = 2\nhalf = 8\nbox = [{ min = [0.9, 0.2, 0.2], max = [1.1, 0.44, 0.44] }]\n".to_owned(),
+        ]);
+        let mut s = Simulation::new(&barchan::registry(), &scene(&text), &options).unwrap();
+        let effects = &s.plan().effects;
+        let levels = effects.iter().find(|effect| effect.name == "2 levels").unwrap();
+        assert!(levels.because.contains("levels.box[0]"), "{levels:?}");
+        assert!(levels.adds.starts_with(&format!("adapt, restrict, prolong; 0 + {} particles", s.particle_count())));
+        let (before, fine) = (s.ledger(), |s: &Simulation| on_levels(s)[0]);
+        run_to(&mut s, 0.3);
+        println!("{what}: {} fine particles of {}", fine(&s), s.particle_count());
+        let in_box = rows(&s)
+            .into_iter()
+            .filter(|r| (0..3).all(|d| [0.9, 0.2, 0.2][d] < r.x[d] && r.x[d] < [1.1, 0.44, 0.44][d]));
+        let (all, on_finest) = in_box.fold((0, 0), |(all, fine), r| (all + 1, fine + usize::from(r.level == 0)));
+        assert!(all > 1000 && on_finest == all, "{what}: {on_finest} of {all} in the box are fine");
+        let after = s.ledger();
+        within(&format!("{what} mass"), (after.mass / before.mass - 1.0).abs(), 1e-6);
+        within(&format!("{what} momentum"), (after.momentum[0] / before.momentum[0] - 1.0).abs(), 1e-4);
     }
 }
