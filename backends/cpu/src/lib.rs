@@ -10,6 +10,7 @@ mod adapt;
 mod archive;
 mod engine;
 mod faults;
+mod flux;
 mod grid;
 mod isolated;
 mod level;

@@ -16,6 +16,7 @@ mod libraries;
 mod output;
 mod passes;
 mod plugins;
+mod probes;
 mod properties;
 mod random;
 mod robots;
