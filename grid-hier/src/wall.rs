@@ -8,8 +8,24 @@
 //! Slip and stick walls are linear, so each block folds its own tile. A wall that lets go of the ground has to see a node's
 //! whole momentum first; see [`Separation`].
 
+mod parts;
+
+pub use parts::WallParts;
+
 use crate::block::{TILE, TILE_SIDE, in_tile};
 use barchan_lanes::Float;
+
+/// Is told of what walls give: the axis that the wall is across and its end of it, the node behind it, and the impulse [N s].
+pub trait Witness {
+    /// Takes note.
+    fn see(&mut self, wall: (usize, usize), cell: [i32; 3], impulse: [f64; 3]);
+}
+
+/// Nobody asks.
+impl Witness for () {
+    #[inline(always)]
+    fn see(&mut self, _: (usize, usize), _: [i32; 3], _: [f64; 3]) {}
+}
 
 /// A linear wall at one end of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -46,8 +62,12 @@ pub struct Mirrors {
 }
 
 impl Mirrors {
-    /// Pairs (mirror image, node, signs) of planes of the tile that starts at `origin`, along `axis`.
-    fn planes(&self, origin: [i32; 3], axis: usize) -> impl DoubleEndedIterator<Item = (usize, usize, [f64; 3])> {
+    /// Of planes of the tile that starts at `origin`, along `axis`: the end of the axis, mirror image, node and signs.
+    fn planes(
+        &self,
+        origin: [i32; 3],
+        axis: usize,
+    ) -> impl DoubleEndedIterator<Item = (usize, usize, usize, [f64; 3])> {
         let side = TILE_SIDE as i32;
         let [low, high] = self.kind[axis];
         // Twice the wall's position in the tile, in nodes: node i and its image j satisfy i + j = 2 wall - 1.
@@ -57,7 +77,7 @@ impl Mirrors {
             (0..side).filter_map(move |image| {
                 let node = sum - image;
                 let beyond = if end == 0 { image < node } else { image > node };
-                (beyond && (0..side).contains(&node)).then(|| (image as usize, node as usize, kind.signs(axis)))
+                (beyond && (0..side).contains(&node)).then(|| (end, image as usize, node as usize, kind.signs(axis)))
             })
         })
     }
@@ -68,20 +88,29 @@ impl Mirrors {
     }
 
     /// Folds mass and momentum of mirrored nodes back, and notes the masses in `images`. Returns the impulse that the walls gave
-    /// in doing so [N s].
-    pub fn fold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3], images: &mut Vec<T>) -> [f64; 3] {
+    /// in doing so [N s], of which `witness` is told node by node.
+    pub fn fold<T: Float>(
+        &self,
+        tile: &mut [T; TILE],
+        origin: [i32; 3],
+        images: &mut Vec<T>,
+        witness: &mut impl Witness,
+    ) -> [f64; 3] {
         let mut impulse = [0.0; 3];
         images.clear();
         for axis in 0..3 {
-            for (image, node, signs) in self.planes(origin, axis) {
+            for (end, image, node, signs) in self.planes(origin, axis) {
                 let signs_t = signs.map(T::from_f64);
                 each_pair(axis, image, node, |image, node| {
+                    let mut given = [0.0; 3];
                     for d in 0..3 {
                         let p = tile[image + d];
                         tile[node + d] += signs_t[d] * p;
-                        impulse[d] += (signs[d] - 1.0) * p.to_f64();
+                        given[d] = (signs[d] - 1.0) * p.to_f64();
+                        impulse[d] += given[d];
                         tile[image + d] = T::default();
                     }
+                    witness.see((axis, end), cell_in_tile(origin, image), given);
                     let m = tile[image + 3];
                     images.push(m);
                     tile[node + 3] += m;
@@ -117,28 +146,45 @@ impl Mirrors {
         self.reflected(cell).0 != cell
     }
 
-    /// Gives mirrored nodes the velocity of their images. Returns the impulse that the walls gave in doing so [N s]: what
-    /// particles read from a mirrored node is not what they would have read from the node itself.
-    pub fn unfold<T: Float>(&self, tile: &mut [T; TILE], origin: [i32; 3], images: &[T]) -> [f64; 3] {
+    /// Gives mirrored nodes the velocity of their images. Returns the impulse that the walls gave in doing so [N s], of which
+    /// `witness` is told node by node: what particles read from a mirrored node is not what they would have read from the node itself.
+    pub fn unfold<T: Float>(
+        &self,
+        tile: &mut [T; TILE],
+        origin: [i32; 3],
+        images: &[T],
+        witness: &mut impl Witness,
+    ) -> [f64; 3] {
         let mut impulse = [0.0; 3];
         // In reverse, since along an edge the images of one wall are nodes of the next.
         let mut masses = images.rchunks_exact(TILE_SIDE * TILE_SIDE);
         for axis in (0..3).rev() {
-            for (image, node, signs) in self.planes(origin, axis).rev() {
+            for (end, image, node, signs) in self.planes(origin, axis).rev() {
                 let mut plane = masses.next().unwrap_or_default().iter();
                 let signs_t = signs.map(T::from_f64);
                 each_pair(axis, image, node, |image, node| {
                     let mass = plane.next().map_or(0.0, |m| m.to_f64());
+                    let mut given = [0.0; 3];
                     for d in 0..3 {
                         let u = tile[node + d];
                         tile[image + d] = signs_t[d] * u;
-                        impulse[d] += (signs[d] - 1.0) * u.to_f64() * mass;
+                        given[d] = (signs[d] - 1.0) * u.to_f64() * mass;
+                        impulse[d] += given[d];
                     }
+                    witness.see((axis, end), cell_in_tile(origin, image), given);
                 });
             }
         }
         impulse
     }
+}
+
+/// The cell of the node whose scalars start at `at` in the tile that starts at `origin`.
+#[inline(always)]
+fn cell_in_tile(origin: [i32; 3], at: usize) -> [i32; 3] {
+    let n = at / 4;
+    let local = [n / (TILE_SIDE * TILE_SIDE), n / TILE_SIDE % TILE_SIDE, n % TILE_SIDE];
+    std::array::from_fn(|d| origin[d] + local[d] as i32)
 }
 
 /// Calls `f` with the starts of each pair of nodes in two planes of a tile across `axis`.
@@ -171,6 +217,11 @@ pub struct Separation {
 }
 
 impl Separation {
+    /// The axis that it is across, and the end of it.
+    pub fn wall(&self) -> (usize, usize) {
+        (self.axis, usize::from(self.inward < 0.0))
+    }
+
     /// Folds the image's momentum and mass into the node's. Returns whether the pair presses on the wall, and the impulse that
     /// the wall gave [N s].
     pub fn fold<T: Float>(&self, node: &mut [T; 4], image: &mut [T; 4]) -> (bool, [f64; 3]) {

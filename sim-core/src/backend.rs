@@ -1,9 +1,10 @@
 //! Backends: where particles live and a step is carried out.
 
 use crate::parameter::Parameter;
+use crate::plan::PlannedMaterial;
 use crate::{
-    Aabb, BodyState, Coupling, Fields, Form, Ledger, Newcomer, ParticleList, ParticleState, Plan, Reading, Result,
-    Spot, Stage, Tile, Vec3, Wrench,
+    Aabb, BodyState, Coupling, Crossed, Fields, Form, Ledger, Newcomer, ParticleList, ParticleState, Plan, Reading,
+    Result, Sought, Spot, Stage, Sums, Tile, Vec3, Wrench,
 };
 
 /// A way to run a plan, such as `cpu`.
@@ -247,6 +248,31 @@ pub trait Engine: Send {
         let inside = |spot: &Spot| region.is_none_or(|region| region.contains(spot.position));
         self.download_where(&inside).lists.iter().for_each(|list| reading.add_list(list, None));
         reading
+    }
+    /// Sums over the particles in regions, and over those in the archive there. `materials` are the plan's.
+    ///
+    /// # Errors
+    /// What laws say that are asked for stress.
+    fn sums(&self, materials: &[PlannedMaterial], sought: &[Sought]) -> Result<Vec<Sums>> {
+        let of_one = |sought: &Sought| {
+            let mut sums = Sums::default();
+            for list in &self.download_where(&|spot| sought.region.contains(spot.position)).lists {
+                sums.add_list(sought, &materials[list.material as usize], list)?;
+            }
+            Ok(sums)
+        };
+        sought.iter().map(of_one).collect()
+    }
+    /// What has crossed each of the plan's sections since the scene's start. A backend with a form of [`Stage::FLUX`] knows.
+    ///
+    /// # Errors
+    /// What it cannot read.
+    fn crossed(&self) -> Result<Vec<Crossed>> {
+        Ok(Vec::new())
+    }
+    /// Impulse of the ground on each of the parts of walls of the plan's probes since the scene's start [N s]. A backend with a form of [`Stage::PRESS`] knows.
+    fn pressed(&self) -> Vec<Vec3> {
+        Vec::new()
     }
     /// Replaces the particles.
     ///

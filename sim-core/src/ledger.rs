@@ -1,6 +1,6 @@
 //! The ledger: what a simulation holds, and everything that was clamped, floored, clipped or lost.
 
-use crate::Vec3;
+use crate::{Crossed, Vec3};
 use std::collections::BTreeMap;
 
 /// Totals over all particles and free bodies, world frame. Ground out of reach counts only in the mass.
@@ -64,6 +64,12 @@ pub struct Ledger {
     /// What sinks have taken out since the start.
     #[serde(default)]
     pub sinks: Passed,
+    /// What has crossed the sections of the scene's probes since the start, in their order.
+    #[serde(default)]
+    pub crossed: Vec<Crossed>,
+    /// Impulse of the ground on the parts of walls of the scene's probes since the start, in their order [N s].
+    #[serde(default)]
+    pub pressed: Vec<Vec3>,
     /// Named counts: yielding, at the apex, stretch floored, state clamped, positions clamped, steps shortened, …
     pub counts: BTreeMap<String, u64>,
 }

@@ -313,6 +313,8 @@ impl Plan {
             sleeps: self.slow > 0.0,
             unbounded: self.terrain.is_some(),
             bodies: !self.couplings.is_empty(),
+            flux: self.scene.sections().next().is_some(),
+            press: self.scene.wall_parts().next().is_some(),
         }
     }
 }

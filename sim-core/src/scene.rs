@@ -14,6 +14,7 @@ use std::sync::Arc;
 mod check;
 mod flow;
 mod make;
+mod probe;
 mod read;
 mod robot;
 mod terrain;
@@ -23,6 +24,7 @@ pub use check::WHOLE_CELL;
 pub(crate) use check::{cross, posed_bounds, turn};
 pub use flow::{Inflow, Outflow};
 pub use make::Part;
+pub use probe::{Probe, Region, Section, Side, SurfaceProbe, WallPart};
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
 pub use robot::{Balance, Gait, JointFrame, JointMotion, Lean, LinkPath, Motor, Robot, Scan};
@@ -85,6 +87,9 @@ pub struct Scene {
     /// Couplings other than rigid tools, from plugins: one for each entry.
     #[serde(default)]
     pub coupling: Vec<CouplingSpec>,
+    /// What the run measures while it goes on.
+    #[serde(default)]
+    pub probe: Vec<Probe>,
     /// What an agent is to do in it, from a plugin.
     #[serde(default)]
     pub task: Option<TaskSpec>,
@@ -111,6 +116,7 @@ impl Scene {
         let shapes = self.body.iter().map(|body| &body.shape).chain(self.tool.iter().map(|tool| &tool.shape));
         let flows = self.inflow.iter().map(|source| &source.shape).chain(self.outflow.iter().map(|sink| &sink.shape));
         shapes.chain(flows).for_each(|shape| add(shape, &mut files));
+        files.extend(self.probe.iter().filter_map(|probe| probe.chamfer.as_deref()));
         let pictures = self.body.iter().flat_map(|body| &body.zone).filter_map(|zone| zone.picture.as_ref());
         files.extend(pictures.map(|picture| picture.file.as_path()));
         for robot in &self.robot {

@@ -35,6 +35,13 @@ impl Stage {
     /// Grid to particles, and advection.
     pub const G2P: Self = Self("G2P");
 
+    /// On which side of the sections of probes particles are, before they move. A backend that can tell afterwards does nothing here.
+    pub const SIDES: Self = Self("sides");
+    /// What has crossed the sections of probes.
+    pub const FLUX: Self = Self("flux");
+    /// What the parts of walls that probes ask about have taken.
+    pub const PRESS: Self = Self("press on walls");
+
     /// A stage of another name.
     pub const fn new(name: &'static str) -> Self {
         Self(name)
@@ -96,6 +103,10 @@ pub struct Needs {
     pub unbounded: bool,
     /// Are there couplings?
     pub bodies: bool,
+    /// Are there probes of what crosses a section?
+    pub flux: bool,
+    /// Are there probes of walls?
+    pub press: bool,
 }
 
 /// The stages of a step, in order.
@@ -120,7 +131,7 @@ impl Schedule {
     /// a slot the levels that begin come first, then those that end. A rim needs the coarser level's velocities as its step begins, so that prolong comes before
     /// contact; bodies meet coarser levels where they have come to by then.
     pub fn new(needs: Needs) -> Self {
-        let Needs { ground, levels, subcycled, sleeps, unbounded, bodies } = needs;
+        let Needs { ground, levels, subcycled, sleeps, unbounded, bodies, flux, press } = needs;
         let nested = ground && levels > 1;
         let upkeep = [(Stage::ARCHIVE, ground && unbounded), (Stage::ADAPT, nested), (Stage::SORT, ground)];
         let slots = if ground && subcycled { 1 << (levels - 1) } else { 1 };
@@ -141,7 +152,10 @@ impl Schedule {
                 call(Stage::LIMIT, all.clone(), ground);
                 call(Stage::BODIES, all.clone(), bodies);
                 call(Stage::PROLONG, 0..levels.saturating_sub(1), nested);
-                call(Stage::G2P, all, ground);
+                call(Stage::SIDES, all.clone(), ground && flux);
+                call(Stage::G2P, all.clone(), ground);
+                call(Stage::FLUX, all.clone(), ground && flux);
+                call(Stage::PRESS, all, ground && press);
             } else {
                 let (begin, end) = (beginning(levels, slot), ending(levels, slot));
                 call(Stage::SLEEP, begin.clone(), sleeps);
@@ -152,8 +166,11 @@ impl Schedule {
                 call(Stage::CONTACT, 0..1, bodies);
                 call(Stage::BODIES, 0..1, bodies);
                 call(Stage::CONTACT, 1..end.end, bodies);
+                call(Stage::SIDES, end.clone(), flux);
                 call(Stage::G2P, end.clone(), true);
+                call(Stage::FLUX, end.clone(), flux);
                 call(Stage::LIMIT, end, true);
+                call(Stage::PRESS, 0..levels, press && slot + 1 == slots);
             }
         }
         let upkeep = upkeep.into_iter().filter(|(_, called_for)| *called_for).map(|(stage, _)| stage).collect();

@@ -351,6 +351,9 @@ impl Simulation {
         let own = || self.couplings.iter().flat_map(|c| c.wrenches().iter().copied()).collect();
         self.wrenches.clone().unwrap_or_else(own)
     }
+    pub(crate) fn engine(&self) -> &dyn Engine {
+        &*self.engine
+    }
     /// The couplings, for questions about their surfaces.
     pub fn couplings(&self) -> &[Box<dyn Coupling>] {
         &self.couplings
@@ -727,6 +730,8 @@ fn only_sums(mut ledger: Ledger) -> Ledger {
         slept_kinetic: ledger.slept_kinetic,
         slept_momentum: ledger.slept_momentum,
         damped: ledger.damped,
+        crossed: ledger.crossed,
+        pressed: ledger.pressed,
         counts: ledger.counts,
         ..Ledger::default()
     }

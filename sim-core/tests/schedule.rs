@@ -3,7 +3,16 @@
 use barchan_core::schedule::{Call, Needs, Schedule, Stage};
 
 fn levels(levels: usize, subcycled: bool) -> Schedule {
-    Schedule::new(Needs { ground: true, levels, subcycled, sleeps: true, unbounded: true, bodies: true })
+    Schedule::new(Needs {
+        ground: true,
+        levels,
+        subcycled,
+        sleeps: true,
+        unbounded: true,
+        bodies: true,
+        flux: false,
+        press: false,
+    })
 }
 
 fn position(calls: &[Call], stage: Stage, level: usize) -> usize {

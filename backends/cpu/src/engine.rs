@@ -1,6 +1,7 @@
 //! The step.
 
 use crate::faults::at_time;
+use crate::flux::Flux;
 use crate::grid::Grid;
 use crate::isolated;
 use crate::level::{Level, Shares};
@@ -15,8 +16,8 @@ use barchan_core::scene::Leaving;
 use barchan_core::schedule::Call;
 use barchan_core::stiffness::{Need, Stiffness};
 use barchan_core::{
-    Aabb, Coupling, Engine, Error, Fields, Ledger, Measured, Newcomer, NodeBatch, ParticleList, ParticleState, Plan,
-    Reading, Regions, Result, Scene, Schedule, SortPhase, Spot, Stage, StepReport, Vec3,
+    Aabb, Coupling, Crossed, Engine, Error, Fields, Ledger, Measured, Newcomer, NodeBatch, ParticleList, ParticleState,
+    Plan, Reading, Regions, Result, Scene, Schedule, SortPhase, Spot, Stage, StepReport, Vec3,
 };
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
@@ -45,6 +46,7 @@ pub(crate) enum Pass {
     Contact,
     Prolong,
     G2P,
+    Flux,
 }
 
 impl Pass {
@@ -60,6 +62,7 @@ impl Pass {
             Self::Contact => "contact",
             Self::Prolong => "prolong",
             Self::G2P => "G2P",
+            Self::Flux => "flux",
         }
     }
 }
@@ -118,6 +121,10 @@ pub(crate) struct CpuEngine<T: Scalar> {
     damped: f64,
     /// What is live, and the archive of what was, if not the whole world is.
     pub(crate) reach: Option<Reach>,
+    /// What crosses the sections of probes.
+    pub(crate) flux: Flux,
+    /// What the parts of walls that probes ask about have taken since the start [N s].
+    pub(crate) pressed: Vec<Vec3>,
     pub(crate) shortened: u64,
     parted: u64,
     gravity_impulse: [f64; 3],
@@ -161,6 +168,8 @@ impl<T: Scalar> CpuEngine<T> {
             slept: SleepSums::default(),
             damped: 0.0,
             reach: plan.terrain.clone().map(Reach::new),
+            flux: Flux::new(plan),
+            pressed: vec![[0.0; 3]; plan.scene.wall_parts().count()],
             shortened: 0,
             parted: 0,
             gravity_impulse: [0.0; 3],
@@ -328,10 +337,10 @@ impl<T: Scalar> CpuEngine<T> {
             return Ok(());
         }
         for l in (0..self.levels.len()).filter(|&l| concerned[l]) {
-            let impulse = self.levels[l].wall_impulse;
+            let (impulse, pressed) = (self.levels[l].wall_impulse, self.levels[l].pressed.clone());
             self.particles_to_grid(l..l + 1, 0.0).map_err(|error| at_time(error, time))?;
             // Nothing has been exchanged with the walls: the nodes are never asked.
-            self.levels[l].wall_impulse = impulse;
+            (self.levels[l].wall_impulse, self.levels[l].pressed) = (impulse, pressed);
         }
         Ok(())
     }
@@ -465,6 +474,14 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         reading
     }
 
+    fn crossed(&self) -> Result<Vec<Crossed>> {
+        Ok(self.flux.crossed.clone())
+    }
+
+    fn pressed(&self) -> Vec<Vec3> {
+        self.pressed.clone()
+    }
+
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
         let pool = Arc::clone(&self.pool);
         pool.install(|| self.take_in(particles))
@@ -490,6 +507,8 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             ledger.wall_impulse[d] += self.wall_impulse[d];
             ledger.gravity_impulse[d] += self.gravity_impulse[d];
         }
+        ledger.crossed.clone_from(&self.flux.crossed);
+        ledger.pressed.clone_from(&self.pressed);
         self.adapt.account(ledger);
         ledger.slept_kinetic += self.slept.kinetic;
         for d in 0..3 {
@@ -518,6 +537,8 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         self.slept = SleepSums { blocks: 0, kinetic: sums.slept_kinetic, momentum: sums.slept_momentum };
         (self.shortened, self.parted) = (0, 0);
         self.damped = sums.damped;
+        self.flux.carry_on(&sums.crossed);
+        self.pressed.iter_mut().zip(&sums.pressed).for_each(|(own, other)| *own = *other);
         self.adapt.carry_on(sums);
         if let Some(reach) = &mut self.reach {
             reach.carry_on(sums);
@@ -561,7 +582,7 @@ impl<T: Scalar> CpuEngine<T> {
             self.find_non_finite().map_or(Ok(()), |error| Err(at_time(error, time)))?;
         }
         // A step that failed has given nothing.
-        self.levels.iter_mut().for_each(|level| level.wall_impulse = [0.0; 3]);
+        self.levels.iter_mut().for_each(Level::forget_walls);
         let before = if ground { self.follow_agents(couplings) } else { None };
         let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
         self.gravity = self.scene.gravity_at(time);

@@ -68,6 +68,16 @@ pub(crate) struct Link {
     pub(crate) node: u8,
     /// Components that change their sign, as bits.
     pub(crate) flips: u8,
+    /// Axes that are turned round, likewise.
+    pub(crate) turned: u8,
+}
+
+impl Link {
+    /// What walls give as it hands something on [N s].
+    pub(crate) fn impulse<T: Float>(&self, handed: &[[T; NODES]]) -> [f64; 3] {
+        let from = &handed.as_flattened()[4 * self.from as usize..][..4];
+        std::array::from_fn(|d| if self.flips >> d & 1 == 1 { -2.0 * from[d].to_f64() } else { 0.0 })
+    }
 }
 
 /// A node that a finer level's rim hands something to, while the finer level takes several steps.
@@ -343,15 +353,17 @@ impl<T: Float> Grid<T> {
             let first = ring::first_parent(block::of_key(self.keys[ring.block as usize]));
             let used = ring::parents(ring.slaves);
             for n in (0..CELLS).filter(|n| used >> n & 1 == 1) {
-                let (cell, flipped) = bounds.mirrors.reflected(place(first, n));
+                let image = place(first, n);
+                let (cell, flipped) = bounds.mirrors.reflected(image);
                 let block = find(&node_index, bounds.wrap(block::of_cell(cell)));
                 if block == NONE {
                     continue;
                 }
                 let node = (ring::node_in_block(cell) / 4) as u8;
                 let flips = (0..3).fold(0, |bits, d| bits | u8::from(flipped[d]) << d);
+                let turned = (0..3).fold(0, |bits, d| bits | u8::from(cell[d] != image[d]) << d);
                 ring.parents[n] = block * CELLS as u32 + u32::from(node);
-                links.push((block, Link { from: (r * CELLS + n) as u32, node, flips }));
+                links.push((block, Link { from: (r * CELLS + n) as u32, node, flips, turned }));
             }
             links
         };
@@ -364,7 +376,7 @@ impl<T: Float> Grid<T> {
         links.iter().for_each(|link| starts[node_of(link) + 1] += 1);
         (1..starts.len()).for_each(|node| starts[node] += starts[node - 1]);
         let mut next = starts.clone();
-        coarser.links.resize(links.len(), Link { from: 0, node: 0, flips: 0 });
+        coarser.links.resize(links.len(), Link { from: 0, node: 0, flips: 0, turned: 0 });
         for link in &links {
             let at = &mut next[node_of(link)];
             coarser.links[*at as usize] = link.1;
@@ -445,6 +457,17 @@ impl<T: Float> Grid<T> {
 /// Cell of the first node of the tile of the block with a key.
 pub(crate) fn origin(key: u64) -> [i32; 3] {
     block::of_key(key).map(|b| b * SIDE - 2)
+}
+
+/// The cell of a node, by its block's key and its number there.
+pub(crate) fn cell_of_node(key: u64, n: usize) -> [i32; 3] {
+    let (at, local) = (block::of_key(key), [n / 16, n / 4 % 4, n % 4]);
+    std::array::from_fn(|d| at[d] * SIDE + local[d] as i32)
+}
+
+/// The first three bits.
+pub(crate) fn bits(of: u8) -> [bool; 3] {
+    [0, 1, 2].map(|d| of >> d & 1 == 1)
 }
 
 /// Which entries of a list belong to a node block, given where those of each start in it.

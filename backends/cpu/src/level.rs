@@ -1,7 +1,7 @@
 //! One level: its particles, its grid, and the passes over them.
 #![expect(unsafe_code, reason = "kernels load and store registers")]
 
-use crate::grid::{Grid, Link, Ring, SharedNode, entries, origin};
+use crate::grid::{Grid, Link, Ring, SharedNode, bits, cell_of_node, entries, origin};
 use crate::memory::Parts;
 use crate::sleep::Watch;
 use crate::store::{List, Store};
@@ -13,7 +13,7 @@ use barchan_grid::limits::{FULL_SPEED, greater};
 use barchan_grid::near::gather_block;
 use barchan_grid::ring::{self, Carried};
 use barchan_grid::transfer::{Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
-use barchan_grid::wall::Mirror;
+use barchan_grid::wall::{Mirror, WallParts, Witness as _};
 use barchan_lanes::{CHUNK, Float, Isa, Kernel, Lanes};
 use rayon::prelude::*;
 use std::time::Instant;
@@ -58,6 +58,9 @@ pub(crate) struct Level<T: Scalar> {
     pub(crate) particle_speed: f64,
     /// Impulse that walls have given in the step under way [N s].
     pub(crate) wall_impulse: [f64; 3],
+    /// The parts of walls that probes ask about, and what these have taken in that step [N s].
+    parts: WallParts,
+    pub(crate) pressed: Vec<[f64; 3]>,
     /// What damping has dissipated and nobody has taken note of [J].
     pub(crate) damped: f64,
     /// Who sleeps.
@@ -71,10 +74,12 @@ pub(crate) struct Level<T: Scalar> {
 
 impl<T: Scalar> Level<T> {
     pub(crate) fn new(plan: &Plan, index: usize) -> Self {
+        let bounds = Bounds::new(plan, index);
+        let parts = WallParts::new(plan, index, &bounds);
         Self {
             store: Store::new(&plan.materials, plan.cell_widths[index]),
             grid: Grid::default(),
-            bounds: Bounds::new(plan, index),
+            bounds,
             drift: 0.0,
             near_open: false,
             strain_dt: 0.0,
@@ -82,6 +87,8 @@ impl<T: Scalar> Level<T> {
             max_speed: 0.0,
             particle_speed: 0.0,
             wall_impulse: [0.0; 3],
+            pressed: vec![[0.0; 3]; parts.len()],
+            parts,
             damped: 0.0,
             watch: Watch::new(plan.slow),
             batch_nodes: Vec::new(),
@@ -109,6 +116,21 @@ impl<T: Scalar> Level<T> {
         }
     }
 
+    /// Likewise of the parts of walls, for each of them in turn, and again.
+    fn book_parts(&mut self, pressed: &[[f64; 3]]) {
+        for impulses in pressed.chunks(self.parts.len().max(1)) {
+            for (sum, impulse) in self.pressed.iter_mut().zip(impulses) {
+                (0..3).for_each(|d| sum[d] += impulse[d]);
+            }
+        }
+    }
+
+    /// Forgets what walls have given in the step under way.
+    pub(crate) fn forget_walls(&mut self) {
+        self.wall_impulse = [0.0; 3];
+        self.pressed.fill([0.0; 3]);
+    }
+
     fn has_mirrors(&self) -> bool {
         self.bounds.mirrors.kind.iter().flatten().any(|&kind| kind != Mirror::Open)
     }
@@ -125,7 +147,10 @@ impl<T: Scalar> Level<T> {
         // Each block has a tile of its own, and, if it has any at all, parent cells, images, and an entry of what walls and damping take.
         let (tiles, carried, images) = (Parts::of(tiles), Parts::of(carried), Parts::of(images));
         let mut impulses = vec![[0.0; 3]; if walls { occupied.len() } else { 0 }];
+        let (parts, n_parts) = (&self.parts, self.parts.len());
+        let mut pressed = vec![[0.0; 3]; n_parts * impulses.len()];
         let impulse_of = Parts::of(&mut impulses);
+        let pressed_by = Parts::of(&mut pressed);
         let is_damped = lists.iter().any(|list| list.law.damping.is_some());
         let mut damped = vec![0.0; if is_damped { occupied.len() } else { 0 }];
         let damped_in = Parts::of(&mut damped);
@@ -172,7 +197,14 @@ impl<T: Scalar> Level<T> {
                     *damped_in.one(b) = damped;
                 }
                 if walls && mirrored[b] {
-                    let impulse = mirrors.fold(tile, origin, images.one(b));
+                    let images = images.one(b);
+                    let impulse = match n_parts == 0 || step.frozen {
+                        true => mirrors.fold(tile, origin, images, &mut ()),
+                        false => {
+                            let pressed = pressed_by.take(b * n_parts..(b + 1) * n_parts);
+                            mirrors.fold(tile, origin, images, &mut parts.witness(pressed))
+                        }
+                    };
                     if !step.frozen {
                         *impulse_of.one(b) = impulse;
                     }
@@ -195,6 +227,7 @@ impl<T: Scalar> Level<T> {
             return Err(stopped);
         }
         self.book(impulses);
+        self.book_parts(&pressed);
         // In the order of blocks, whoever worked on them.
         self.damped += damped.iter().sum::<f64>();
         Ok(measured)
@@ -211,6 +244,9 @@ impl<T: Scalar> Level<T> {
         let grid = &mut self.grid;
         let reflects = grid.links_reflect && finer.is_some();
         let mut impulses = vec![[0.0; 3]; if reflects { grid.keys.len() } else { 0 }];
+        let (parts, n_parts) = (&self.parts, self.parts.len());
+        let mut pressed = vec![[0.0; 3]; n_parts * impulses.len()];
+        let pressed_by = Parts::of(&mut pressed);
         // Each node block is one's own, with its ring, its impulse and its shared nodes.
         let (nodes, handed, shared) =
             (Parts::of(&mut grid.nodes), Parts::of(&mut grid.handed), Parts::of(&mut grid.shared));
@@ -224,9 +260,18 @@ impl<T: Scalar> Level<T> {
                 let nodes = nodes.one(g);
                 isa.run::<T, _>(SumTiles { nodes, tiles: &grid.tiles, around: &grid.tiles_around[g] });
                 if let Some(finer) = finer {
-                    let impulse = take_up(&grid.links[entries(&grid.link_starts, g)], &finer.handed, nodes);
+                    let links = &grid.links[entries(&grid.link_starts, g)];
+                    let impulse = take_up(links, &finer.handed, nodes);
                     if reflects {
                         *impulse_of.one(g) = impulse;
+                        if n_parts > 0 {
+                            let pressed = pressed_by.take(g * n_parts..(g + 1) * n_parts);
+                            for link in links.iter().filter(|link| link.turned != 0) {
+                                let given = link.impulse(&finer.handed);
+                                let cell = cell_of_node(grid.keys[g], usize::from(link.node));
+                                parts.see_image(cell, bits(link.turned), given, pressed);
+                            }
+                        }
                     }
                 }
                 if keep_shared {
@@ -245,6 +290,7 @@ impl<T: Scalar> Level<T> {
             .reduce(T::default, greater);
         self.max_speed = speed.to_f64();
         self.book(impulses);
+        self.book_parts(&pressed);
         if separate {
             self.separate(isa, least);
         }
@@ -286,7 +332,7 @@ impl<T: Scalar> Level<T> {
                 }
                 if grid.mirrored[b] {
                     // Its impulse has been booked, and its masses noted, when the whole step's was folded.
-                    mirrors.fold(tile, origin, &mut Vec::new());
+                    mirrors.fold(tile, origin, &mut Vec::new(), &mut ());
                 }
                 fault
             })
@@ -313,13 +359,13 @@ impl<T: Scalar> Level<T> {
     /// The shared nodes' velocity over one step of the finer level, which hands over `handed`; their own momentum is then what
     /// they have at that velocity, and what the forces of the next such step add.
     pub(crate) fn solve_shared(&mut self, handed: &[[T; NODES]], least: f64) {
-        let Grid { nodes, shared, links, .. } = &mut self.grid;
+        let Grid { nodes, shared, links, keys, .. } = &mut self.grid;
         let nodes = Parts::of(nodes.as_flattened_mut().as_chunks_mut::<4>().0);
-        let (links, handed) = (&*links, handed.as_flattened());
-        let solve = |shared: &mut SharedNode<T>| {
+        let (links, keys, parts) = (&*links, &*keys, &self.parts);
+        let solve = |shared: &mut SharedNode<T>, pressed: &mut [[f64; 3]]| {
             let (mut sum, mut impulse) = (shared.own, [0.0; 3]);
             for link in &links[shared.links.0 as usize..shared.links.1 as usize] {
-                let from = &handed[4 * link.from as usize..][..4];
+                let from = &handed.as_flattened()[4 * link.from as usize..][..4];
                 for d in 0..3 {
                     if link.flips >> d & 1 == 1 {
                         sum[d] += -from[d];
@@ -329,6 +375,10 @@ impl<T: Scalar> Level<T> {
                     }
                 }
                 sum[3] += from[3];
+                if link.turned != 0 && !parts.is_empty() {
+                    let (g, n) = (shared.node as usize / CELLS, shared.node as usize % CELLS);
+                    parts.see_image(cell_of_node(keys[g], n), bits(link.turned), link.impulse(handed), pressed);
+                }
             }
             // No two shared nodes are one node of the grid.
             let node = nodes.one(shared.node as usize);
@@ -344,20 +394,24 @@ impl<T: Scalar> Level<T> {
         };
         // Impulses are summed in the order of nodes, whoever finds them.
         let some = |shared: &mut [SharedNode<T>]| {
-            shared.iter_mut().map(solve).fold((T::default(), [0.0; 3]), |(most, sum), (speed, impulse)| {
+            let mut pressed = vec![[0.0; 3]; parts.len()];
+            let solved = shared.iter_mut().map(|shared| solve(shared, &mut pressed));
+            let (speed, impulse) = solved.fold((T::default(), [0.0; 3]), |(most, sum), (speed, impulse)| {
                 (greater(most, speed), std::array::from_fn(|d| sum[d] + impulse[d]))
-            })
+            });
+            (speed, impulse, pressed)
         };
-        let found: Vec<(T, [f64; 3])> = shared.par_chunks_mut(SHARED_AT_ONCE).map(some).collect();
-        let speed = found.iter().fold(T::default(), |most, (speed, _)| greater(most, *speed));
+        let found: Vec<(T, [f64; 3], Vec<[f64; 3]>)> = shared.par_chunks_mut(SHARED_AT_ONCE).map(some).collect();
+        let speed = found.iter().fold(T::default(), |most, (speed, ..)| greater(most, *speed));
         self.max_speed = greater(self.max_speed, speed.to_f64());
-        self.book(found.into_iter().map(|(_, impulse)| impulse));
+        self.book(found.iter().map(|(_, impulse, _)| *impulse));
+        found.iter().for_each(|(.., pressed)| self.book_parts(pressed));
     }
 
     /// The grid update at walls that let go of the ground.
     fn separate(&mut self, isa: Isa, least: T) {
         let nodes = self.grid.nodes.as_flattened_mut().as_chunks_mut::<4>().0;
-        let separations = &self.bounds.separations;
+        let (separations, keys) = (&self.bounds.separations, &self.grid.keys);
         for pairs in &mut self.grid.pairs {
             for pair in pairs {
                 let [node, image] = nodes
@@ -369,6 +423,11 @@ impl<T: Scalar> Level<T> {
                 for d in 0..3 {
                     self.wall_impulse[d] += impulse[d];
                 }
+                if !self.parts.is_empty() {
+                    let cell = cell_of_node(keys[pair.node as usize / CELLS], pair.node as usize % CELLS);
+                    let wall = separations[pair.separation as usize].0.wall();
+                    self.parts.witness(&mut self.pressed).see(wall, cell, impulse);
+                }
             }
         }
         let of_block = |nodes: &mut [T; NODES]| isa.run::<T, _>(Velocities { nodes, least });
@@ -377,9 +436,13 @@ impl<T: Scalar> Level<T> {
 
     /// Gives rim nodes the velocity of the coarser level. Returns the impulse that walls gave in doing so, where the parent is
     /// behind a mirror.
-    pub(crate) fn prolong(&mut self, isa: Isa, coarser: &Grid<T>) {
+    pub(crate) fn prolong(&mut self, isa: Isa, coarser: &Self) {
         let Grid { nodes, handed, rings, rim_reflects, .. } = &mut self.grid;
-        let (nodes, reflects) = (Parts::of(nodes), *rim_reflects);
+        let (reflects, parts, n_parts) = (*rim_reflects, &coarser.parts, coarser.parts.len());
+        let coarser = &coarser.grid;
+        let mut pressed = vec![[0.0; 3]; if reflects { n_parts * rings.len() } else { 0 }];
+        // Each ring has a node block of its own.
+        let (nodes, pressed_by) = (Parts::of(nodes), Parts::of(&mut pressed));
         let one = |(r, ring): (usize, &Ring)| {
             let (mut parents, mut impulse) = ([T::default(); NODES], [0.0; 3]);
             // Nobody reads the velocity of nodes that weigh nothing.
@@ -387,18 +450,25 @@ impl<T: Scalar> Level<T> {
                 return impulse;
             }
             let values = coarser.nodes.as_flattened();
+            let pressed: &mut [_] = if reflects { pressed_by.take(r * n_parts..(r + 1) * n_parts) } else { &mut [] };
             for n in (0..CELLS).filter(|&n| ring.parents[n] != NONE) {
                 let node = &values[4 * ring.parents[n] as usize..][..4];
+                let mut given = [0.0; 3];
                 for d in 0..3 {
                     let flipped = ring.mirrored[n] >> d & 1 == 1;
                     parents[4 * n + d] = if flipped { -node[d] } else { node[d] };
                     if flipped {
                         // What particles read is not what they would have read from the node itself.
-                        impulse[d] -= 2.0 * node[d].to_f64() * handed[r][4 * n + 3].to_f64();
+                        given[d] = -2.0 * node[d].to_f64() * handed[r][4 * n + 3].to_f64();
+                        impulse[d] += given[d];
                     }
                 }
+                if !pressed.is_empty() && given != [0.0; 3] {
+                    let (g, n_there) = (ring.parents[n] as usize / CELLS, ring.parents[n] as usize % CELLS);
+                    let cell = cell_of_node(coarser.keys[g], n_there);
+                    parts.see_image(cell, bits(ring.mirrored[n] >> 3), given, pressed);
+                }
             }
-            // Each ring has a node block of its own.
             let nodes = nodes.one(ring.block as usize);
             isa.run::<T, _>(TakeBack { slaves: ring.slaves, parents: &parents, nodes });
             impulse
@@ -406,11 +476,13 @@ impl<T: Scalar> Level<T> {
         let impulses: Vec<[f64; 3]> = rings.par_iter().enumerate().map(one).collect();
         if reflects {
             self.book(impulses);
+            self.book_parts(&pressed);
         }
     }
 
     /// Gives images behind walls that let go the velocity of their nodes.
     pub(crate) fn mirror_separated(&mut self) {
+        let keys = &self.grid.keys;
         let nodes = self.grid.nodes.as_flattened_mut().as_chunks_mut::<4>().0;
         for pair in self.grid.pairs.iter().rev().flatten() {
             let separation = &self.bounds.separations[pair.separation as usize].0;
@@ -418,6 +490,10 @@ impl<T: Scalar> Level<T> {
             nodes[pair.image as usize] = image;
             for d in 0..3 {
                 self.wall_impulse[d] += impulse[d];
+            }
+            if !self.parts.is_empty() {
+                let cell = cell_of_node(keys[pair.node as usize / CELLS], pair.node as usize % CELLS);
+                self.parts.witness(&mut self.pressed).see(separation.wall(), cell, impulse);
             }
         }
     }
@@ -556,12 +632,21 @@ impl<T: Scalar> Level<T> {
         let lists: Vec<_> = self.store.lists.iter_mut().map(List::open).collect();
         // Each block has entries of its own.
         let mut impulses = vec![[0.0; 3]; if walls { grid.occupied.len() } else { 0 }];
+        let (parts, n_parts) = (&self.parts, self.parts.len());
+        let mut pressed = vec![[0.0; 3]; n_parts * impulses.len()];
         let (impulse_of, rest) = (Parts::of(&mut impulses), Parts::of(&mut self.store.rest));
+        let pressed_by = Parts::of(&mut pressed);
         let fetch = |tile: &mut [T; TILE], b: usize| {
             isa.run::<T, _>(FillTile { tile, nodes: &grid.nodes, around: &grid.nodes_around[b] });
             let origin = origin(grid.occupied[b]);
             if grid.mirrored[b] {
-                *impulse_of.one(b) = mirrors.unfold(tile, origin, &grid.images[b]);
+                *impulse_of.one(b) = match n_parts {
+                    0 => mirrors.unfold(tile, origin, &grid.images[b], &mut ()),
+                    _ => {
+                        let pressed = pressed_by.take(b * n_parts..(b + 1) * n_parts);
+                        mirrors.unfold(tile, origin, &grid.images[b], &mut parts.witness(pressed))
+                    }
+                };
             }
             let rates = lists.iter().filter(|list| list.runs[b].count > 0).fold(Rates::default(), |greatest, list| {
                 let particles = list.of_block(b);
@@ -575,6 +660,7 @@ impl<T: Scalar> Level<T> {
         let blocks = watch.awake.par_iter().map(|&b| b as usize);
         let greatest = blocks.map_init(|| [T::default(); TILE], fetch).reduce(Rates::default, faster);
         self.book(impulses);
+        self.book_parts(&pressed);
         self.take_rates(greatest);
         self.strain_dt = dt;
         self.drift += self.particle_speed * dt / self.h();

@@ -11,6 +11,7 @@ mod archive;
 mod engine;
 mod faults;
 mod flow;
+mod flux;
 mod grid;
 mod isolated;
 mod level;

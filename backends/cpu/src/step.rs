@@ -51,7 +51,10 @@ pub(crate) fn forward<T: Scalar>(stage: Stage) -> Option<Form<T>> {
         Stage::LIMIT => Form::Own(CpuEngine::limit),
         Stage::BODIES => Form::Own(CpuEngine::move_bodies),
         Stage::PROLONG => Form::Own(CpuEngine::prolong),
+        Stage::SIDES => Form::Own(CpuEngine::see_sides),
         Stage::G2P => Form::Own(CpuEngine::g2p),
+        Stage::FLUX => Form::Own(CpuEngine::see_crossed),
+        Stage::PRESS => Form::Own(CpuEngine::see_pressed),
         _ => return None,
     })
 }
@@ -191,7 +194,7 @@ impl<T: Scalar> CpuEngine<T> {
                 } else {
                     coarser.mirror_separated();
                 }
-                level.prolong(isa, &coarser.grid);
+                level.prolong(isa, coarser);
                 level.max_speed = greater(level.max_speed, coarser.max_speed);
             }
         }
@@ -240,6 +243,33 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(Next::Call)
     }
 
+    /// Who may cross a section of a probe as particles move.
+    fn see_sides(&mut self, call: &Call, _: &mut UnderWay<'_>) -> Result<Next> {
+        let clock = Instant::now();
+        call.levels.clone().for_each(|l| self.flux.see_sides(l, &self.levels[l]));
+        self.clocks.add(Pass::Flux, clock);
+        Ok(Next::Call)
+    }
+
+    /// Who has.
+    fn see_crossed(&mut self, call: &Call, _: &mut UnderWay<'_>) -> Result<Next> {
+        let clock = Instant::now();
+        call.levels.clone().for_each(|l| self.flux.see_crossed(l, &self.levels[l]));
+        self.clocks.add(Pass::Flux, clock);
+        Ok(Next::Call)
+    }
+
+    /// What the step has done to the parts of walls that probes ask about.
+    fn see_pressed(&mut self, call: &Call, _: &mut UnderWay<'_>) -> Result<Next> {
+        for level in &mut self.levels[call.levels.clone()] {
+            for (sum, pressed) in self.pressed.iter_mut().zip(&mut level.pressed) {
+                let pressed = std::mem::take(pressed);
+                (0..3).for_each(|d| sum[d] += pressed[d]);
+            }
+        }
+        Ok(Next::Call)
+    }
+
     /// Does anything move too far?
     ///
     /// Together, nodes may not. Where ground is squeezed, nodes that hardly weigh anything shoot off into the body that squeezes it, and are held
@@ -272,7 +302,7 @@ impl<T: Scalar> CpuEngine<T> {
         for (coupling, before) in step.couplings.iter_mut().zip(std::mem::take(&mut step.saved)) {
             coupling.go_back(before).map_err(|what| cannot_go_back(&**coupling, what))?;
         }
-        self.levels.iter_mut().for_each(|level| level.wall_impulse = [0.0; 3]);
+        self.levels.iter_mut().for_each(Level::forget_walls);
         self.shortened += 1;
         step.dt *= (0.9 * NODE_MOVE / moves).max(0.1);
         Ok(Next::Shorter)

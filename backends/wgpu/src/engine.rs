@@ -1,12 +1,15 @@
 //! One world of a batch, as the engine that a simulation drives.
 
 use crate::device::Gpu;
+use crate::device::probed::{crossed, exactly};
 use crate::readback::account;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::Clock;
 use barchan_core::backend::{Batch, Bound, NewWorld, Timing, WorldStep};
+use barchan_core::plan::PlannedMaterial;
 use barchan_core::{
-    Aabb, Coupling, Engine, Error, Fields, Ledger, ParticleState, Plan, Reading, Result, Spot, StepReport, Vec3,
+    Aabb, Coupling, Crossed, Engine, Error, Fields, Ledger, ParticleState, Plan, Reading, Result, Sought, Spot,
+    StepReport, Sums, Vec3,
 };
 use barchan_grid::archive::Reach;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -177,6 +180,21 @@ impl Engine for WorldEngine {
         })
     }
 
+    fn sums(&self, materials: &[PlannedMaterial], sought: &[Sought]) -> Result<Vec<Sums>> {
+        self.shared.with(|batch| {
+            let mut sums = batch.sums(self.world, sought)?;
+            for list in batch.worlds[self.world].reach.iter().flat_map(Reach::archived) {
+                let planned = &materials[list.material as usize];
+                sums.iter_mut().zip(sought).try_for_each(|(sums, sought)| sums.add_list(sought, planned, &list))?;
+            }
+            Ok(sums)
+        })
+    }
+
+    fn crossed(&self) -> Result<Vec<Crossed>> {
+        Ok(self.shared.batch().crossed(self.world)?.iter().map(crossed).collect())
+    }
+
     fn check(&self) -> Result<()> {
         self.shared.batch().gpu.check()
     }
@@ -206,6 +224,8 @@ impl Engine for WorldEngine {
             ledger.gravity_impulse[d] += world.gravity_impulse[d] - kept[d];
             ledger.slept_momentum[d] += world.slept.momentum[d] + slept.momentum[d];
         }
+        // Who asks a device that is lost is told by the check.
+        ledger.crossed = batch.crossed(self.world).unwrap_or_default().iter().map(crossed).collect();
         ledger.damped += world.damped + batch.readback().pending_damped(self.world);
         ledger.slept_kinetic += world.slept.kinetic + slept.kinetic;
         ledger.count("blocks that fell asleep", world.slept.blocks + slept.blocks);
@@ -222,7 +242,10 @@ impl Engine for WorldEngine {
     }
 
     fn carry_on(&mut self, sums: &Ledger) {
-        self.shared.batch().worlds[self.world].carry_on(sums);
+        let mut batch = self.shared.batch();
+        batch.worlds[self.world].carry_on(sums);
+        // A device that is lost has nothing to go on from; the next step says so.
+        let _ = batch.set_crossed(self.world, &sums.crossed.iter().map(exactly).collect::<Vec<_>>());
     }
 
     /// Of the whole batch: passes are shared.

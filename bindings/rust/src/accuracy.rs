@@ -35,10 +35,9 @@
 //! ```
 
 mod height;
-mod nearest;
 
+pub use barchan_core::nearest::Nearest;
 pub use height::HeightMap;
-pub use nearest::Nearest;
 
 use crate::run::Progress;
 use barchan_core::scene::{Levels, Scene, Shape};

@@ -20,7 +20,7 @@
 //! # Ok::<(), barchan::Error>(())
 //! ```
 //! [`Scene::from_file`] reads the same from TOML.
-//! [`run::run`] does the same with pictures, traces and a summary; [`picture`] draws, [`stress`] asks for stress, [`accuracy`]
+//! [`run::run`] does the same with pictures, traces and a summary; [`picture`] draws, [`stress`](mod@stress) asks for stress, [`accuracy`]
 //! tells how far a run is from a finer one, [`worlds`] steps many scenes side by side.
 //!
 //! Both features are on unless `default-features = false` leaves them out: `pictures` (the module [`picture`], and the pictures that
@@ -31,7 +31,6 @@ pub mod conformance;
 #[cfg(feature = "pictures")]
 pub mod picture;
 pub mod run;
-pub mod stress;
 pub mod worlds;
 
 /// A scene is put on a backend and stepped; what goes wrong says what, where and how to mend it.
@@ -171,6 +170,34 @@ pub use barchan_core::{ParticleList, ParticleState, Spot};
 /// ```
 #[doc(inline)]
 pub use barchan_core::{Aabb, Fields, Reading};
+
+/// What probes of a scene find, and the same for any region.
+///
+/// ```
+/// use barchan::scene::{Probe, Region, Section};
+/// use barchan::{Crossed, Options, Probed, Simulation, Sought, Sums, probe};
+///
+/// let mut scene = barchan::example();
+/// let lower = Region::Box { min: [0.0; 3], max: [0.4, 0.4, 0.05] };
+/// let middle = Section::Rectangle { min: [0.0, 0.0, 0.05], max: [0.4, 0.4, 0.05] };
+/// scene.probe.push(Probe { name: "lower".into(), within: Some(lower), ..Probe::default() });
+/// scene.probe.push(Probe { name: "middle".into(), flux: Some(middle), ..Probe::default() });
+/// let mut simulation = Simulation::new(&barchan::registry(), &scene, &Options::default())?;
+/// let sought = [Sought { region: lower, filter: probe::Filter::default() }];
+/// let before = simulation.sums_within(&sought)?[0].mass;
+/// simulation.advance(0.1, |_, _| std::ops::ControlFlow::Continue(()))?;
+/// let found: Vec<Probed> = simulation.probes(|_| true)?;
+/// assert_eq!((found[0].name.as_str(), found[0].values[1].0.as_str()), ("lower", "mass [kg]"));
+/// let sums: Vec<Sums> = simulation.sums_within(&sought)?;
+/// assert_eq!(found[0].values[1].1, Some(sums[0].mass));
+/// // The lower half has what it had, and what has come down less what has risen.
+/// let crossed: Vec<Crossed> = simulation.crossed()?;
+/// let [up, down] = crossed[0].mass;
+/// assert!((sums[0].mass - before - down + up).abs() < 1e-9);
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{Crossed, Probed, Sought, Sums};
 
 /// How a backend holds its particles, which comes with a copy of them. Without it they are sorted afresh.
 ///
@@ -401,8 +428,8 @@ pub use barchan_core::Material;
 pub use barchan_core::Task;
 
 pub use barchan_core::{
-    backend, contact, coupling, export, file, glam, ledger, material, observer, parameter, plan, reading,
-    registry as registries, scene, schedule, simulation, snapshot, solid, state, task,
+    backend, contact, coupling, export, file, glam, ledger, material, nearest, observer, parameter, plan, probe,
+    reading, registry as registries, scene, schedule, simulation, snapshot, solid, state, stress, task,
 };
 pub use barchan_tasks as tasks;
 

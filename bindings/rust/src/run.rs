@@ -7,6 +7,7 @@
 //! | `particles/00000.ply`, … | particles every `output.interval`, if asked for |
 //! | `observed/NAME/…` | what the [observer](Observer) of that name writes |
 //! | `trace.csv` | every step, or once an interval (`output.trace`): time, step size, pose, velocity and wrench of every body |
+//! | `probes.csv` | what the scene's probes find, each at its own interval |
 //! | `summary.json` | every figure of the run |
 //! | `snapshot.barchan` | the state at the end, on interruption or before an error: the run continues from it bit for bit |
 //! | `files.txt` | what the run has written: nothing else is ever removed or overwritten |
@@ -52,6 +53,7 @@
 mod folder;
 #[cfg_attr(not(feature = "pictures"), path = "run/no_pictures.rs")]
 mod pictures;
+mod probes;
 mod recorder;
 mod trace;
 
@@ -62,6 +64,7 @@ use barchan_core::{Error, Ledger, Observer, Options, Precision, Registry, Result
 use folder::Folder;
 use recorder::Recorder;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Write};
 use std::ops::ControlFlow;
@@ -71,6 +74,7 @@ use std::time::Instant;
 /// Name of the snapshot within an output folder.
 pub const SNAPSHOT: &str = "snapshot.barchan";
 const TRACE: &str = "trace.csv";
+const PROBES: &str = "probes.csv";
 const SUMMARY: &str = "summary.json";
 const CONTACT_SHEET: &str = "contact-sheet.png";
 const ANIMATION: &str = "animation.gif";
@@ -142,6 +146,19 @@ pub struct EffectTime {
     pub passes: u64,
 }
 
+/// What a column of a probe held over time, since the scene's start.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ProbeFigures {
+    /// Last value.
+    pub last: f64,
+    /// Mean of all values.
+    pub mean: f64,
+    /// Least value.
+    pub least: f64,
+    /// Greatest value.
+    pub greatest: f64,
+}
+
 /// Every figure of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
@@ -187,6 +204,8 @@ pub struct Summary {
     pub ledger_start: Ledger,
     /// Totals at its end.
     pub ledger_end: Ledger,
+    /// What its probes found, by probe and column.
+    pub probes: BTreeMap<String, BTreeMap<String, ProbeFigures>>,
     /// What the user should know.
     pub warnings: Vec<String>,
 }
@@ -379,6 +398,10 @@ fn summary(
         memory: simulation.memory(),
         ledger_start: first.ledger.clone(),
         ledger_end: simulation.ledger(),
+        probes: match plan.scene.probe.is_empty() {
+            true => BTreeMap::new(),
+            false => probes::figures(&recorder.files.borrow().folder.join(PROBES), &plan.scene),
+        },
         warnings: plan.warnings.clone(),
     };
     let json = serde_json::to_string_pretty(&summary).map_err(io::Error::other);

@@ -3,7 +3,7 @@
 use super::{Effect, Plan, PlannedCoupling, SCENE_COUPLINGS, TOOL_COUPLING};
 use crate::flow::SINK_STEPS;
 use crate::levels::{Agent, TILE};
-use crate::scene::{Export, Leaving, Motion, PictureView, Wall, plain};
+use crate::scene::{Export, Leaving, Motion, PictureView, Probe, Wall, plain};
 
 use barchan_abi as abi;
 
@@ -257,6 +257,18 @@ impl Plan {
                 format!("output.snapshot_interval = {interval}"),
                 "a copy of all particles, outside the step".to_owned(),
             );
+        }
+        for (i, probe) in scene.probe.iter().enumerate() {
+            let (kind, adds) = match probe {
+                Probe { flux: Some(_), .. } => ("flux", "particles near its section are looked at in every step"),
+                Probe { within: Some(_), .. } => ("within", "a sum over particles"),
+                Probe { surface: Some(_), .. } => ("surface", "a look at the particles under its points"),
+                Probe { wall: Some(_), .. } => ("wall", "impulses of a wall, summed in every step"),
+                Probe { nearest: Some(_), .. } => ("nearest", "a look at the particles near its point"),
+                _ => ("chamfer", "a look at all particles"),
+            };
+            let because = format!("probe[{i}].{kind}, every {} s", scene.probe_interval(probe));
+            add(format!("probe {}", probe.name), because, adds.to_owned());
         }
         for material in scene.material.iter().filter(|m| self.materials.iter().all(|p| p.name != m.name)) {
             add(

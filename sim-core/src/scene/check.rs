@@ -20,7 +20,7 @@ pub const WHOLE_CELL: f64 = 1e-6;
 const BLOCK: i64 = 4;
 /// Cells are counted in 32 bits; half of their range leaves room for neighbours.
 const MOST_CELLS: f64 = (1 << 30) as f64;
-const AXES: [&str; 3] = ["x", "y", "z"];
+pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
 /// Distances between particles, in cells.
 const SPACINGS: std::ops::RangeInclusive<f64> = 0.2..=1.0;
 /// More would make the coarsest cells 256 times as wide as the finest.
@@ -165,6 +165,9 @@ impl Scene {
         for (i, robot) in self.robot.iter().enumerate() {
             self.check_robot(&format!("robot[{i}]"), robot)?;
         }
+        for (i, probe) in self.probe.iter().enumerate() {
+            self.check_probe(&format!("probe[{i}]"), probe)?;
+        }
         self.normalise_rotations();
         self.check_overlaps()?;
         for (i, tool) in self.tool.iter().enumerate() {
@@ -215,11 +218,17 @@ impl Scene {
         Aabb { min: self.world.min, max: self.world.max }
     }
 
-    fn require(&self, holds: bool, path: &str, what: impl Into<String>, mend: impl Into<String>) -> Result<()> {
+    pub(super) fn require(
+        &self,
+        holds: bool,
+        path: &str,
+        what: impl Into<String>,
+        mend: impl Into<String>,
+    ) -> Result<()> {
         if holds { Ok(()) } else { Err(self.fault(path, what, mend)) }
     }
 
-    fn positive(&self, path: &str, value: f64) -> Result<()> {
+    pub(super) fn positive(&self, path: &str, value: f64) -> Result<()> {
         self.require(value > 0.0, path, format!("is {value}"), "must be above 0")
     }
 
@@ -228,7 +237,7 @@ impl Scene {
     }
 
     /// A rectangle of ground must have an area.
-    fn check_rectangle(&self, path: &str, min: [f64; 2], max: [f64; 2]) -> Result<()> {
+    pub(super) fn check_rectangle(&self, path: &str, min: [f64; 2], max: [f64; 2]) -> Result<()> {
         let check = |d: usize| {
             let what = format!("{} goes from {} to {}", AXES[d], min[d], max[d]);
             self.require(min[d] < max[d], &format!("{path}.max"), what, "max must be above min")
@@ -261,6 +270,7 @@ impl Scene {
         self.unique("body", self.body.iter().map(|b| b.name.as_str()), false)?;
         self.unique("tool", self.tool.iter().map(|t| t.name.as_str()), true)?;
         self.unique("robot", self.robot.iter().map(|robot| robot.name.as_str()), true)?;
+        self.unique("probe", self.probe.iter().map(|probe| probe.name.as_str()), true)?;
         let couplings = self.coupling_names();
         self.unique("coupling", couplings.iter().map(String::as_str), true)
     }
@@ -586,7 +596,7 @@ impl Scene {
         )
     }
 
-    fn check_material_name(&self, path: &str, name: &str) -> Result<()> {
+    pub(super) fn check_material_name(&self, path: &str, name: &str) -> Result<()> {
         if self.material.iter().any(|material| material.name == name) {
             return Ok(());
         }

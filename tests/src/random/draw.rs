@@ -11,12 +11,14 @@ use toml::{Table, Value};
 type Json = serde_json::Value;
 
 /// The meshes, heights and pictures that scenes name, by file.
-const FILES: [(&str, &[u8]); 4] = [
+const FILES: [(&str, &[u8]); 6] = [
     (
         "cube.obj",
         b"v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\nf 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
     ),
     ("tetra.obj", b"v 1 1 1\nv 1 -1 -1\nv -1 1 -1\nv -1 -1 1\nf 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n"),
+    ("cloud.csv", b"x,y,z\n0.1,0.1,0.1\n0.3,0.2,0.1\n"),
+    ("point.csv", b"0,0,0\n"),
     ("heights.csv", b"0.4,0.6,0.5\n0.7,1.0,0.6\n0.5,0.8,0.4\n"),
     // Two by two pixels: black and white, below them two greys.
     (
@@ -123,8 +125,9 @@ impl Generator {
         let tasks = registry.tasks().map(|(name, kind)| (name.to_owned(), kind.parameters.clone())).collect();
         let mut schema = Scene::schema();
         // Robots name joints and links of their files, and sources and sinks have to fit into the world: they are put together here, in `robot` and `flow`.
+        // A probe measures one thing of those that it could, where there is something: likewise, in `probe`.
         if let Some(keys) = schema["properties"].as_object_mut() {
-            ["robot", "source", "sink", "clip"].iter().for_each(|key| drop(keys.remove(*key)));
+            ["robot", "source", "sink", "clip", "probe"].iter().for_each(|key| drop(keys.remove(*key)));
         }
         // So do boxes of levels, and what is seldom asked of bodies.
         for (of, key) in [("Levels", "box"), ("Body", "velocity_gradient")] {
@@ -205,6 +208,11 @@ impl Generator {
             if let Some(levels) = within(&mut scene, "levels") {
                 levels.insert("box".to_owned(), Value::Array(vec![Value::Table(ends.into_iter().collect())]));
             }
+        }
+        if frame.is(0.3) {
+            let count = 1 + frame.below(3);
+            let probes = (0..count).map(|i| Value::Table(probe(i, &scene, &mut frame))).collect();
+            scene.insert("probe".to_owned(), Value::Array(probes));
         }
         scene
     }
@@ -636,6 +644,81 @@ fn flow(frame: &mut Frame) -> [Table; 2] {
     sink.insert("shape".to_owned(), ball(frame.point(3.0), cell * frame.between(least, least + 3.0)));
     sink.insert("from".to_owned(), Value::Float(frame.pick(&[0.0, 1e-3, 1e-2])));
     [source, sink]
+}
+
+/// A probe of some kind, of all particles or some.
+fn probe(number: usize, scene: &Table, frame: &mut Frame) -> Table {
+    let table = |entries: &[(&str, Value)]| -> Value {
+        Value::Table(entries.iter().map(|(key, value)| ((*key).to_owned(), value.clone())).collect())
+    };
+    let ends = |frame: &mut Frame| {
+        let (a, b) = (frame.point(2.0), frame.point(2.0));
+        let min: [f64; 3] = std::array::from_fn(|d| a[d].min(b[d]));
+        (min, std::array::from_fn(|d| a[d].max(b[d]).max(min[d] + frame.cell)))
+    };
+    let walls = below(scene, &["world", "walls"]).and_then(Value::as_table).into_iter().flatten();
+    let stands = |wall: &Value| !matches!(wall.as_str(), Some("open" | "periodic"));
+    let sides: Vec<&String> = walls.filter(|(_, wall)| stands(wall)).map(|(side, _)| side).collect();
+    let (min, max): ([f64; 3], [f64; 3]) = ends(frame);
+    let (center, radius) = (floats(frame.point(3.0)), Value::Float(frame.length(1.0, 6.0)));
+    let kind = frame.pick(&["flux", "flux", "within", "surface", "wall", "nearest", "chamfer"]);
+    let (kind, measured) = match kind {
+        "wall" if !sides.is_empty() => {
+            let side = Value::String(frame.pick(&sides).clone());
+            let all = [("side", side), ("min", floats(min)), ("max", floats(max))];
+            ("wall", table(if frame.is(0.5) { &all } else { &all[..1] }))
+        }
+        "flux" if frame.is(0.5) => {
+            let axis = frame.below(3);
+            let max: [f64; 3] = std::array::from_fn(|d| if d == axis { min[d] } else { max[d] });
+            ("flux", table(&[("rectangle", table(&[("min", floats(min)), ("max", floats(max))]))]))
+        }
+        "flux" => {
+            let mut normal = frame.direction();
+            normal[2] += 0.01;
+            ("flux", table(&[("disc", table(&[("center", center), ("normal", floats(normal)), ("radius", radius)]))]))
+        }
+        "surface" => {
+            let (from, to) = (floats([min[0], min[1]]), floats([max[0], max[1]]));
+            let (n, above) = (Value::Integer(1 + frame.below(4) as i64), Value::Float(min[2]));
+            let [min, max] = [from.clone(), to.clone()];
+            let points = Value::Array(vec![n.clone(), n.clone()]);
+            let patch = table(&[("min", min), ("max", max), ("points", points), ("above", above)]);
+            let line = table(&[("from", from.clone()), ("to", to), ("points", n)]);
+            let points = Value::Array(vec![from]);
+            ("surface", table(&[frame.pick(&[("patch", patch), ("line", line), ("points", points)])]))
+        }
+        "nearest" => ("nearest", center),
+        "chamfer" => ("chamfer", Value::String(frame.pick(&["cloud.csv", "point.csv"]).to_owned())),
+        _ => {
+            let upright = [("center", center.clone()), ("radius", radius.clone()), ("half_height", radius.clone())];
+            let regions = [
+                ("box", table(&[("min", floats(min)), ("max", floats(max))])),
+                ("sphere", table(&[("center", center), ("radius", radius)])),
+                ("cylinder", table(&upright)),
+            ];
+            ("within", table(&[frame.pick(&regions)]))
+        }
+    };
+    let mut probe = Table::new();
+    probe.insert("name".to_owned(), Value::String(format!("p{number}")));
+    if !matches!(kind, "surface" | "wall") {
+        let level = Value::Integer(frame.below(frame.levels as usize) as i64);
+        let mut own = |list: &str| {
+            let all = below(scene, &[list]).and_then(Value::as_array).cloned().unwrap_or_default();
+            let names: Vec<Value> = all.iter().filter_map(|entry| entry.get("name").cloned()).collect();
+            (!names.is_empty()).then(|| frame.pick(&names))
+        };
+        let (material, body) = (own("material"), own("body"));
+        for (key, value) in [("level", Some(level)), ("material", material), ("body", body)] {
+            value.filter(|_| frame.is(0.2)).map(|value| probe.insert(key.to_owned(), value));
+        }
+    }
+    if frame.is(0.5) {
+        probe.insert("interval".to_owned(), Value::Float(frame.decades(1e-4, 0.1)));
+    }
+    probe.insert(kind.to_owned(), measured);
+    probe
 }
 
 /// Mends what declarations do not say: what refers to each other, and what excludes each other.

@@ -17,6 +17,7 @@ mod libraries;
 mod output;
 mod passes;
 mod plugins;
+mod probes;
 mod properties;
 mod random;
 mod robots;

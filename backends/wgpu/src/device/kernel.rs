@@ -58,6 +58,10 @@ pub(crate) enum Role {
     Listed,
     /// Workgroups of the passes of a step, as the last sort has counted them.
     Groups,
+    /// Sections of probes, and what has crossed them.
+    Crossed,
+    /// Regions that are asked about, and the sums over them.
+    Sought,
 }
 
 impl Sorted {
@@ -102,6 +106,8 @@ impl Role {
             Self::Live => "live tiles",
             Self::Listed => "lists of blocks at rims and walls",
             Self::Groups => "workgroups of passes",
+            Self::Crossed => "what crosses sections",
+            Self::Sought => "sums over regions",
             Self::Now(sorted) | Self::Next(sorted) => sorted.name(),
         }
     }

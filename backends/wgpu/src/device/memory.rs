@@ -3,6 +3,7 @@
 use crate::device::Gpu;
 use crate::device::kernel::{FIRST_BINDING, Found, Kernel, Parts, Role, Sorted, Uniform};
 use crate::device::layout::{ENTRY, RECORD, ROUNDS, vectors_for};
+use crate::device::probed::{CROSSED, HEAD, PLACE, SUMMED};
 use barchan_core::coupling::{DeviceBody, DeviceGroup};
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
@@ -113,6 +114,9 @@ pub(crate) struct Asked {
     /// Does ground sleep, and how many boxes of a layer are there that it does not sleep in?
     pub(crate) sleeps: bool,
     pub(crate) tools: usize,
+    /// Sections of probes in each world, and regions that are asked about at once.
+    pub(crate) sections: usize,
+    pub(crate) regions: usize,
 }
 
 /// Is what couplings' laws read stored? A uniform holds so much everywhere, and not what differs from world to world.
@@ -249,7 +253,7 @@ pub(crate) struct Memory {
 
 const SORTED: [Sorted; 6] = [Sorted::Record, Sorted::Ids, Sorted::Rest, Sorted::Lists, Sorted::Cells, Sorted::Watch];
 /// What is not sorted.
-const SHARED: [Role; 24] = [
+const SHARED: [Role; 26] = [
     Role::Grid,
     Role::Status,
     Role::Flags,
@@ -274,6 +278,8 @@ const SHARED: [Role; 24] = [
     Role::Live,
     Role::Listed,
     Role::Groups,
+    Role::Crossed,
+    Role::Sought,
 ];
 
 /// How particles stand in memory.
@@ -375,7 +381,12 @@ impl Extent {
                 4 * ((Found::LISTED * (1 + asked.layers)) as u64 + (Found::LISTED as u64 + 1) * nodes.max(blocks))
             }
             Role::Groups => 12 * (Found::ALL * asked.layers) as u64,
-            Role::Listed | Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
+            Role::Crossed => 4 * (asked.sections * (PLACE * asked.layers + CROSSED * asked.worlds)) as u64,
+            Role::Sought if asked.regions > 0 => {
+                let levels = asked.layers / asked.worlds.max(1);
+                4 * (HEAD + asked.regions * (PLACE * levels + 4 * SUMMED)) as u64
+            }
+            Role::Sought | Role::Listed | Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
         }
     }
 
@@ -645,6 +656,16 @@ impl Memory {
         self.grow(gpu, extent)
     }
 
+    /// Makes room for so many regions to be asked about.
+    pub(crate) fn add_regions(&mut self, gpu: &Gpu, regions: usize) -> Result<()> {
+        if regions <= self.asked.regions {
+            return Ok(());
+        }
+        self.asked.regions = regions;
+        let extent = self.extent;
+        self.grow(gpu, extent)
+    }
+
     /// Makes room for `extent`, keeping particles and blocks. What the grid holds is lost, and so are the links of blocks: a sort must follow.
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
         let extent = Extent { row: ROW, ..extent };
@@ -706,6 +727,7 @@ impl Memory {
             Role::Tools,
             Role::Live,
             Role::Listed,
+            Role::Sought,
         ] {
             let bytes = extent.shared_bytes(role, self.asked);
             if self.buffer(role, 0).size() < bytes {

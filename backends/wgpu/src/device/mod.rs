@@ -3,6 +3,7 @@
 pub(crate) mod kernel;
 pub(crate) mod layout;
 pub(crate) mod memory;
+pub(crate) mod probed;
 pub(crate) mod status;
 
 use barchan_core::{Error, Result};

@@ -25,7 +25,7 @@ pub(crate) fn g2p(plan: &Plan, laws: &str, sleeps: bool, [particles, layers]: [u
     let body = [
         format!("const BY_WORKGROUP: u32 = {by_workgroup}u;\n").as_str(),
         if asks { include_str!("../wgsl/asking.wgsl") } else { "" },
-        if damps { include_str!("../wgsl/damped.wgsl") } else { "" },
+        if damps { concat!(include_str!("../wgsl/digits.wgsl"), include_str!("../wgsl/damped.wgsl")) } else { "" },
         &body,
     ]
     .concat();

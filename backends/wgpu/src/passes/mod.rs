@@ -11,6 +11,7 @@ pub(crate) mod grid;
 pub(crate) mod laws;
 pub mod material;
 pub(crate) mod p2g;
+pub(crate) mod probes;
 pub(crate) mod rims;
 pub(crate) mod scene;
 pub(crate) mod since_sort;
@@ -29,6 +30,7 @@ use crate::passes::g2p::{g2p, soft, stress};
 use crate::passes::grid::{Finish, collect, hold, reflect, separate, sum_tiles, velocities};
 use crate::passes::laws::laws;
 use crate::passes::p2g::p2g;
+use crate::passes::probes::{flux, sums};
 use crate::passes::rims::{restrict, rims_alone};
 use crate::passes::scene::{
     constants, free_bodies, has_mirrors, layer_constants, may_sleep, mirrors_early, rest_vectors, separations, softs,
@@ -37,7 +39,7 @@ use crate::passes::scene::{
 use crate::passes::sleep::{sum_sleep, watch};
 use crate::passes::sort::sort;
 use barchan_core::scene::Wall;
-use barchan_core::{Coupling, Plan, Result};
+use barchan_core::{Coupling, Plan, Result, Stage};
 
 /// All passes that a scene calls for: what they are made from, or as a device has compiled them.
 #[derive(Debug)]
@@ -61,6 +63,8 @@ pub(crate) struct Set<K> {
     pub(crate) reflect: Option<K>,
     pub(crate) mirrored: bool,
     pub(crate) g2p: K,
+    /// What crosses the sections of probes, if there are any.
+    pub(crate) flux: Option<K>,
     pub(crate) stress: K,
     /// Sums of what walls gave and sleep took.
     pub(crate) collect: Vec<K>,
@@ -98,6 +102,7 @@ impl<K> Set<K> {
             reflect: self.reflect.map(&make),
             mirrored: self.mirrored,
             g2p: make(self.g2p),
+            flux: self.flux.map(&make),
             stress: make(self.stress),
             collect: all(self.collect),
             soft: self.soft.map(|passes| passes.map(&make)),
@@ -115,7 +120,7 @@ impl<K> Set<K> {
         let step = self.sort.iter().chain(&self.watch).chain([&self.p2g]).chain(&self.restrict).chain(&self.grid);
         let rims = self.solve.iter().chain(&self.mirror).chain(&self.prolong).chain(&self.reflect);
         let seldom = self.collect.iter().chain(self.soft()).chain(self.adapt());
-        step.chain(rims).chain([&self.g2p, &self.stress]).chain(seldom)
+        step.chain(rims).chain([&self.g2p, &self.stress]).chain(&self.flux).chain(seldom)
     }
 
     /// Those of rounds of split and merge.
@@ -199,6 +204,7 @@ pub(crate) fn drafts(plan: &Plan, worlds: usize, particles: usize) -> Result<Set
         reflect: (has_mirrors(plan) && (!mirrored || levels) || unbounded).then(|| reflect(sleeps, levels, mirrored)),
         mirrored,
         g2p: g2p(plan, &laws, sleeps, [particles, worlds * plan.cell_widths.len()]),
+        flux: plan.has(Stage::FLUX).then(|| flux(plan, sleeps)),
         stress: stress(&laws),
         collect,
         soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
@@ -235,6 +241,7 @@ pub fn shaders(
     let setting = Setting { constants: constants(plan) + &layer_constants(plan, worlds), parts };
     let (subcycled, shape) = (plan.substeps > 1, [worlds, plan.cell_widths.len()]);
     let mut contact: Vec<Draft> = bodies::near_drafts(subcycled).into();
+    contact.push(sums(&plan.materials));
     if let Some(laws) = Laws::of(couplings) {
         let materials = plan.materials.len();
         let vectors = laws.table.len() + materials;

@@ -64,6 +64,8 @@ const MAX_SLOTS: u32 = 256u;
 const REACH: f32 = 1.5;
 const NEAR_TOOL: f32 = 2.0;
 const NEAR_BLOCK: u32 = 65u;
+const SECTIONS: u32 = 2u;
+const REGIONS: u32 = 16u;
 var<workgroup> exchange: array<vec4<f32>, 715>;
 fn finest_volume(body: u32) -> f32 { return 1e-6; }
 fn number_of(body: u32) -> u32 { return 0u; }
@@ -103,6 +105,7 @@ fn number_of(body: u32) -> u32 { return 0u; }
 @group(0) @binding(32) var<storage, read_write> impulses: array<vec4<f32>>;
 @group(0) @binding(33) var<storage, read_write> near: array<vec4<u32>>;
 @group(0) @binding(34) var<storage, read_write> around: array<vec4<i32>>;
+@group(0) @binding(35) var<storage, read_write> probed: array<atomic<u32>>;
 fn record_of(q: u32, k: u32) -> vec4<u32> { return vec4<u32>(q, k, 0u, 0u); }
 fn set_record(q: u32, k: u32, value: vec4<u32>) {}
 fn rest_of(q: u32, k: u32) -> vec4<f32> { return vec4<f32>(0.0); }

@@ -46,6 +46,7 @@ impl WgpuBatch {
     pub(crate) fn copy(&mut self, from: usize, to: usize, plan: &Plan) -> Result<()> {
         self.fixed.check(plan, to)?;
         self.settle()?;
+        let crossed = self.crossed(from)?;
         self.look_for_soft(from)?;
         self.bring_in(&BTreeMap::new(), Some((from, to)))?;
         let before = std::mem::take(&mut self.worlds[to].levels);
@@ -62,6 +63,8 @@ impl WgpuBatch {
             self.write_live()?;
         }
         self.write_parameters(to, plan);
+        self.write_sections(to, plan);
+        self.set_crossed(to, &crossed)?;
         self.gpu.check()
     }
 

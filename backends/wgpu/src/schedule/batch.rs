@@ -1,7 +1,7 @@
 //! The worlds of a batch on one device, and what they own there.
 
 use crate::device::Gpu;
-use crate::device::kernel::Role;
+use crate::device::kernel::{Kernel, Role};
 use crate::device::memory::{Asked, Extent, Layer, Memory, Particles, StepConstants, Writes};
 use crate::passes::since_sort::most_drift;
 use crate::passes::{Kernels, scene};
@@ -54,6 +54,8 @@ pub(crate) struct WgpuBatch {
     /// Time in splitting and merging on the host, and how often.
     pub(crate) adapt_seconds: (f64, u64),
     pub(crate) contact: Contact,
+    /// The pass that sums over regions, once anybody has asked.
+    pub(crate) sums: Option<Kernel>,
 }
 
 impl WgpuBatch {
@@ -79,9 +81,11 @@ impl WgpuBatch {
         let boxes = (levels - 1) * scene::boxes(plan);
         let (substeps, softs) = (plan.substeps as usize, count * scene::softs(plan).len());
         let sleeps = scene::may_sleep(plan);
+        let (layers, sections) = (count * levels, fixed.sections);
         let asked =
-            Asked { pairs, layers: count * levels, worlds: count, boxes, substeps, sleeps, softs, ..Asked::default() };
+            Asked { pairs, layers, worlds: count, boxes, substeps, sleeps, softs, sections, ..Asked::default() };
         let memory = Memory::new(&gpu, extent, particles, asked, &params, &kernels.step_layout)?;
+        let plans: Vec<&Plan> = worlds.iter().map(|world| world.plan).collect();
         let mut batch = Self {
             gpu,
             kernels,
@@ -102,7 +106,9 @@ impl WgpuBatch {
             contact_seconds: (0.0, 0),
             adapt_seconds: (0.0, 0),
             contact: Contact::default(),
+            sums: None,
         };
+        plans.iter().enumerate().for_each(|(world, plan)| batch.write_sections(world, plan));
         batch.take_in(worlds.into_iter().map(|world| world.particles).enumerate().collect())?;
         Ok(batch)
     }
@@ -119,7 +125,8 @@ impl WgpuBatch {
             return Err(error);
         }
         self.write_parameters(world, new.plan);
-        Ok(())
+        self.write_sections(world, new.plan);
+        self.set_crossed(world, &[])
     }
 
     /// Tells the device the parameters of a world's materials.

@@ -10,6 +10,7 @@ pub(crate) mod describe;
 pub(crate) mod groups;
 pub(crate) mod near;
 pub(crate) mod outcome;
+pub(crate) mod probes;
 pub(crate) mod steps;
 pub(crate) mod submission;
 
@@ -21,7 +22,7 @@ use barchan_core::schedule::{Call, Needs, Stage, beginning, ending};
 use barchan_core::{Plan, Schedule, Vec3};
 use std::ops::Range;
 
-/// Has this backend a form of the stage? Of most it is [`passes`]; archive, adapt and sort are carried out between steps, where they are due; the limit is
+/// Has this backend a form of the stage? Of most it is [`passes`]; which sides of sections particles are on, flux finds out afterwards; archive, adapt and sort are carried out between steps, where they are due; the limit is
 /// held within the grid update, and bodies that answer move within the contact, while the host moves driven ones.
 pub(crate) fn has_form(stage: Stage) -> bool {
     matches!(
@@ -37,7 +38,9 @@ pub(crate) fn has_form(stage: Stage) -> bool {
             | Stage::LIMIT
             | Stage::BODIES
             | Stage::PROLONG
+            | Stage::SIDES
             | Stage::G2P
+            | Stage::FLUX
     )
 }
 
@@ -125,6 +128,7 @@ pub(crate) fn passes<'a, K>(
             let reflects = !subcycled || !set.mirrored || contact.comes_to_walls();
             all(end, &mut mirror.chain(set.reflect.iter().filter(|_| reflects)).chain([&set.g2p]))
         }
+        Stage::FLUX => all(end, &mut set.flux.iter()),
         _ => Vec::new(),
     }
 }

@@ -4,17 +4,9 @@ var<workgroup> damped_by: array<f32, 128>;
 // Of the thread's particles on the first one's layer [J].
 var<private> damped_there: f32;
 
-// Adds an energy [J] to that of a layer: four digits of 32 bits, the least of which counts 2^-80 J.
+// Adds an energy [J] to that of a layer.
 fn book_damped(layer: u32, energy: f32) {
-    var weight = 7.9228163e28;
-    var rest = min(energy * 1.2089258e24, 1e37);
-    var digits: vec4<u32>;
-    for (var k = 4u; k > 0u; k--) {
-        let digit = floor(rest / weight);
-        rest -= digit * weight;
-        digits[k - 1u] = u32(digit);
-        weight *= 2.3283064e-10;
-    }
+    let digits = digits_of(energy);
     var carry = 0u;
     for (var k = 0u; k < 4u; k++) {
         let more = digits[k] + carry;

@@ -24,6 +24,8 @@ pub(crate) struct Fixed {
     pub(crate) levels: (usize, u32, usize, Vec<u16>),
     /// Of the finest particles of each body, if there are several levels [m³].
     pub(crate) volumes: Vec<f64>,
+    /// Sections of probes.
+    pub(crate) sections: usize,
 }
 
 impl Fixed {
@@ -37,6 +39,7 @@ impl Fixed {
             laws: plan.materials.iter().map(law).collect(),
             levels: (plan.cell_widths.len(), plan.substeps, scene::boxes(plan), scene::softs(plan)),
             volumes: if plan.cell_widths.len() > 1 { finest_volumes(plan) } else { Vec::new() },
+            sections: plan.scene.sections().count(),
         }
     }
 
@@ -62,6 +65,9 @@ impl Fixed {
         }
         if other.volumes != self.volumes {
             return differs("how many bodies they have on levels, or how finely these are sampled", MEND);
+        }
+        if other.sections != self.sections {
+            return differs("how many probes of flux they have", MEND);
         }
         if other.gravity != self.gravity {
             return differs("gravity", MEND);

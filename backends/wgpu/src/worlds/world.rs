@@ -2,6 +2,7 @@
 
 use crate::device::layout::{Periods, by_level};
 use crate::device::memory::{Layer, MAX_SLOTS, MAX_STEPS};
+use crate::device::probed::Exact;
 use crate::passes::laws::{hardens, is_asked_on_device, is_asked_on_host};
 use crate::passes::scene::{may_sleep, parameter_vectors, parameters_of, softs, stiffens};
 use crate::passes::since_sort::SinceSort;
@@ -152,6 +153,8 @@ pub(crate) struct World {
     pub(crate) wall_impulse: Vec3,
     pub(crate) gravity_impulse: Vec3,
     pub(crate) slept: Slept,
+    /// What had crossed the sections of probes before the device began to count, and less what it has counted of others.
+    pub(crate) crossed: Vec<Exact>,
 }
 
 impl Span {
@@ -234,6 +237,7 @@ impl World {
             wall_impulse: [0.0; 3],
             gravity_impulse: [0.0; 3],
             slept: Slept::default(),
+            crossed: Vec::new(),
         })
     }
 

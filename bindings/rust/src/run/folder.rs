@@ -15,7 +15,8 @@ use std::path::{Path, PathBuf};
 /// The list of what a run has written.
 const LIST: &str = "files.txt";
 /// What a run writes besides numbered files.
-const FIXED: [&str; 5] = [super::TRACE, super::SUMMARY, super::SNAPSHOT, super::CONTACT_SHEET, super::ANIMATION];
+const FIXED: [&str; 6] =
+    [super::TRACE, super::PROBES, super::SUMMARY, super::SNAPSHOT, super::CONTACT_SHEET, super::ANIMATION];
 /// Folders of numbered files, and how those may end.
 const NUMBERED: [(&str, &[&str]); 2] = [(super::FRAMES, &["png"]), (super::PARTICLES, &["ply", "npz", "vtu"])];
 /// Folder of what observers write, each into a folder of its own name.

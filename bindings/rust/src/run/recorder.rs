@@ -2,8 +2,9 @@
 
 use super::folder::Folder;
 use super::pictures::Pictures;
+use super::probes::{self, Probes};
 use super::trace::{self, Columns, Trace};
-use super::{FRAMES, PARTICLES, Request, SNAPSHOT, TRACE, io_error};
+use super::{FRAMES, PARTICLES, PROBES, Request, SNAPSHOT, TRACE, io_error};
 use crate::run::Existing;
 use barchan_core::backend::Timing;
 use barchan_core::export::export;
@@ -21,12 +22,15 @@ use std::time::Instant;
 pub(super) struct Files {
     pub(super) folder: Folder,
     trace: BufWriter<File>,
+    /// What probes find, if there are any.
+    pub(super) probes: Option<probes::Table>,
     /// What observers add to the trace's row of the last step.
     pub(super) values: Vec<Option<f64>>,
 }
 
 impl Files {
     fn flush(&mut self) -> Result<()> {
+        self.probes.as_mut().map_or(Ok(()), |probes| probes.flush(&self.folder))?;
         self.trace.flush().map_err(|e| io_error(&self.folder.join(TRACE), "writing the trace", e))
     }
 
@@ -114,7 +118,8 @@ impl<'a> Recorder<'a> {
         let trace_columns = Columns::new(simulation, &output.trace, named)?;
         let header = trace_columns.header();
         if resumed {
-            trace::check_header(&request.out, &header)?;
+            trace::check_header(&request.out, TRACE, &header)?;
+            trace::check_header(&request.out, PROBES, &probes::header(&simulation.plan().scene))?;
         }
         let every = |interval: f64| match resumed {
             true => Every::new(interval).after(simulation.time()),
@@ -126,8 +131,9 @@ impl<'a> Recorder<'a> {
         folder.numbered(PARTICLES, past)?;
         let pictures = pictures.then(|| Pictures::new(simulation, frames.last().map(PathBuf::as_path))).transpose()?;
         let values = vec![None; columns.iter().map(Vec::len).sum()];
-        let trace = trace::open(&mut folder, simulation, resumed, &header)?;
-        let files = Rc::new(RefCell::new(Files { folder, trace, values }));
+        let trace = trace::open(&mut folder, TRACE, simulation, resumed, &header)?;
+        let probes = probes::Table::open(&mut folder, simulation, resumed)?;
+        let files = Rc::new(RefCell::new(Files { folder, trace, probes, values }));
 
         let mut seats = Vec::new();
         let mut first = 0;
@@ -137,6 +143,7 @@ impl<'a> Recorder<'a> {
             seats.push(Seat { observer: Who::Guest(&mut **guest), every, columns, seconds: 0.0, looks: 0 });
         }
         let shared = || Rc::clone(&files);
+        let probes = Probes::of(&files, &simulation.plan().scene).into_iter();
         let own: [Box<dyn Observer>; 3] = [
             Box::new(Trace::new(shared(), trace_columns, output.trace.interval, resumed)),
             Box::new(Frames {
@@ -148,7 +155,7 @@ impl<'a> Recorder<'a> {
             }),
             Box::new(Snapshots { files: shared(), interval: output.snapshot_interval, began: simulation.step_count() }),
         ];
-        for own in own {
+        for own in probes.map(|one| -> Box<dyn Observer> { Box::new(one) }).chain(own) {
             let every = every(own.interval());
             seats.push(Seat { observer: Who::Own(own), every, columns: 0..0, seconds: 0.0, looks: 0 });
         }

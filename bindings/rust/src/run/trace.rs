@@ -1,8 +1,8 @@
 //! `trace.csv`: a row for each step, or one an interval with what is true of the whole run besides.
 
 use super::folder::Folder;
+use super::io_error;
 use super::recorder::Files;
-use super::{TRACE, io_error};
 use barchan_core::observer::{Observer, Output};
 use barchan_core::scene::{self, fits, plain};
 use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
@@ -271,13 +271,13 @@ fn of_joint(joint: &JointState) -> [Option<f64>; 3] {
     [joint.position, joint.rate, joint.torque].map(Some)
 }
 
-/// Holds the trace of a run that is to go on to the columns that it will have.
-pub(super) fn check_header(folder: &Path, header: &str) -> Result<()> {
-    let path = folder.join(TRACE);
+/// Holds a table of a run that is to go on to the columns that it will have.
+pub(super) fn check_header(folder: &Path, file: &str, header: &str) -> Result<()> {
+    let path = folder.join(file);
     let mut first = String::new();
     match File::open(&path).and_then(|file| BufReader::new(file).read_line(&mut first)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            return Err(io_error(&path, "reading the trace", error));
+            return Err(io_error(&path, "reading a table that is to go on", error));
         }
         _ => {}
     }
@@ -294,19 +294,20 @@ pub(super) fn check_header(folder: &Path, header: &str) -> Result<()> {
     };
     Err(Error::Folder {
         folder: folder.to_owned(),
-        what: format!("holds a trace of other columns: it {}", plain(&what)),
-        mend: "go on with the observers that the run had, or choose another folder with --out".to_owned(),
+        what: format!("holds a {file} of other columns: it {}", plain(&what)),
+        mend: "go on with the probes and observers that the run had, or choose another folder with --out".to_owned(),
     })
 }
 
-/// Opens the trace; one that goes on is cut after the present step.
+/// Opens a table whose second column is the step; one that goes on is cut after the present one.
 pub(super) fn open(
     folder: &mut Folder,
+    file: &str,
     simulation: &Simulation,
     resumed: bool,
     header: &str,
 ) -> Result<BufWriter<File>> {
-    let path = folder.claim(TRACE)?;
+    let path = folder.claim(file)?;
     let open = || -> io::Result<BufWriter<File>> {
         let mut file = File::options().read(true).write(true).create(true).truncate(!resumed).open(&path)?;
         let mut text = String::new();
@@ -324,7 +325,7 @@ pub(super) fn open(
         }
         Ok(writer)
     };
-    open().map_err(|e| io_error(&path, "opening the trace", e))
+    open().map_err(|e| io_error(&path, "opening a table", e))
 }
 
 /// The fields of a line as [`quoted`] writes them.
@@ -338,7 +339,7 @@ fn fields(line: &str) -> Vec<&str> {
 }
 
 /// A field of a CSV file (RFC 4180), on one line.
-fn quoted(field: &str) -> String {
+pub(super) fn quoted(field: &str) -> String {
     let field = plain(field);
     if field.contains(['"', ',']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field }
 }

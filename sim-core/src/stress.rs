@@ -1,10 +1,10 @@
 //! Stress of particles as they are, for pictures and probes.
 
-use barchan_core::account::BATCH;
-use barchan_core::batch::{Answer, Matter, Plane};
-use barchan_core::material::ErrorBuffer;
-use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Error, ParticleList, Result};
+use crate::account::BATCH;
+use crate::batch::{Answer, Matter, Plane};
+use crate::material::ErrorBuffer;
+use crate::plan::PlannedMaterial;
+use crate::{Error, ParticleList, Result};
 
 /// Kirchhoff stress of the particles `which` of a list [Pa]: xx, yy, zz, xy, xz, yz.
 ///
@@ -40,51 +40,25 @@ pub fn kirchhoff(material: &PlannedMaterial, list: &ParticleList, which: &[usize
     Ok(stress)
 }
 
+/// How many times its rest volume a particle has, as far as its strain tells: of F, or of the elastic left Cauchy-Green tensor.
+pub fn volume_ratio(list: &ParticleList, i: usize) -> f64 {
+    let s = |c: usize| list.strain[c][i];
+    match list.strain.len() {
+        9 => {
+            s(0) * (s(4) * s(8) - s(5) * s(7)) - s(1) * (s(3) * s(8) - s(5) * s(6)) + s(2) * (s(3) * s(7) - s(4) * s(6))
+        }
+        _ => {
+            let [xx, yy, zz, xy, xz, yz] = std::array::from_fn(s);
+            (xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)).max(0.0).sqrt()
+        }
+    }
+}
+
 /// Pressure of the particles `which` of a list [Pa]: minus a third of the trace of the Cauchy stress.
 ///
 /// # Errors
 /// If the material has no f64 update, or fails.
 pub fn pressure(material: &PlannedMaterial, list: &ParticleList, which: &[usize]) -> Result<Vec<f64>> {
-    let volume = |i: usize| {
-        let s = |c: usize| list.strain[c][i];
-        match list.strain.len() {
-            9 => {
-                s(0) * (s(4) * s(8) - s(5) * s(7)) - s(1) * (s(3) * s(8) - s(5) * s(6))
-                    + s(2) * (s(3) * s(7) - s(4) * s(6))
-            }
-            _ => {
-                let [xx, yy, zz, xy, xz, yz] = std::array::from_fn(s);
-                (xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)).max(0.0).sqrt()
-            }
-        }
-    };
     let tau = kirchhoff(material, list, which)?;
-    Ok(which.iter().zip(tau).map(|(&i, t)| -(t[0] + t[1] + t[2]) / (3.0 * volume(i))).collect())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use barchan_abi::{BARCHAN_E_OTHER, BarchanBatchF64, BarchanError, BarchanStatus};
-
-    /// Fails, and blames a particle that is not in the batch.
-    unsafe extern "C" fn blame(_: *const BarchanBatchF64, error: *mut BarchanError) -> BarchanStatus {
-        // SAFETY: the host hands over an error struct.
-        unsafe { (*error).particle = 1 << 40 };
-        BARCHAN_E_OTHER
-    }
-
-    /// Symptom: a law whose update blames a particle beyond the batch ended the program while a picture was drawn. It is an error that names none.
-    #[test]
-    fn a_law_that_blames_a_particle_beyond_the_batch_is_an_error() {
-        let mut material = crate::registry().material("neo_hookean").unwrap().clone();
-        material.table.update_f64 = Some(blame);
-        let parameters = material.parameters.iter().filter_map(|parameter| parameter.default_number()).collect();
-        let planned = PlannedMaterial { name: "m".into(), material, parameters, density: 1000.0, damping: None };
-        let identity = planned.material.strain_identity();
-        let list = ParticleList { id: vec![7; 3], ..ParticleList::empty(0, 0, 0.1, identity.len(), 0) };
-        let list = ParticleList { strain: identity.iter().map(|one| vec![*one; 3]).collect(), ..list };
-        let error = kirchhoff(&planned, &list, &[0, 2]).unwrap_err();
-        assert!(matches!(error, Error::MaterialFailed { particle: None, .. }), "{error}");
-    }
+    Ok(which.iter().zip(tau).map(|(&i, t)| -(t[0] + t[1] + t[2]) / (3.0 * volume_ratio(list, i))).collect())
 }

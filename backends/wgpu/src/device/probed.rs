@@ -1,0 +1,130 @@
+//! Where probes look, and what they find, as words of the device.
+
+use barchan_core::probe::{Crossed, Crossing, Filter, Sought, Sums};
+use barchan_core::scene::{Region, Section};
+use barchan_core::{Plan, Vec3};
+
+/// Words of a place at which probes look, of what has crossed a section, and of what a region is asked with; see `probed.wgsl`, `flux.wgsl`, `sums.wgsl`.
+pub(crate) const PLACE: usize = 16;
+pub(crate) const CROSSED: usize = 48;
+pub(crate) const HEAD: usize = 16;
+/// Numbers that are summed over a region, and regions that are asked about at once.
+pub(crate) const SUMMED: usize = 13;
+pub(crate) const REGIONS: usize = 16;
+
+/// Kinds of places; the third is an upright cylinder.
+const SQUARE: u32 = 0;
+const ROUND: u32 = 1;
+const UPRIGHT: u32 = 2;
+const NOWHERE: u32 = 3;
+/// No material, or body, is left out.
+const ANY: u32 = u32::MAX;
+
+/// Exact sums, in units of 2^-80: particles, mass, rest volume and momentum that have crossed a section along its normal, then against it.
+pub(crate) type Exact = [[i128; 6]; 2];
+
+/// A place in cells `h` wide [m] of a level, in which so many cells lie from its middle to its ends.
+fn place(middle: Vec3, half: Vec3, kind: u32, filter: Filter, normal: Vec3, (level, h): (u32, f64)) -> [u32; PLACE] {
+    let cells = middle.map(|x| x / h);
+    let first = cells.map(f64::floor);
+    let offset = [0, 1, 2].map(|d| ((cells[d] - first[d]) as f32).to_bits());
+    let bits = |v: Vec3| v.map(|x| (x as f32).to_bits());
+    let kind = if filter.level.is_none_or(|own| own == level) { kind } else { NOWHERE };
+    let (half, normal) = (bits(half.map(|x| x / h)), bits(normal));
+    let cell = first.map(|x| x as i32 as u32);
+    let (material, body) = (filter.material.unwrap_or(ANY), filter.body.map_or(ANY, u32::from));
+    let [a, b, c] = [cell, offset, half];
+    [a[0], a[1], a[2], kind, b[0], b[1], b[2], material, c[0], c[1], c[2], body, normal[0], normal[1], normal[2], 0]
+}
+
+/// The sections of a plan as a level has them.
+pub(crate) fn sections(plan: &Plan, level: usize) -> Vec<u32> {
+    let of_level = (level as u32, plan.cell_widths[level]);
+    let words = |crossing: Crossing| {
+        let (_, normal) = crossing.section.plane();
+        match crossing.section {
+            Section::Rectangle { min, max } => {
+                let middle = std::array::from_fn(|d| 0.5 * (min[d] + max[d]));
+                // Along the normal nothing is outside.
+                let half =
+                    [0, 1, 2].map(|d| if min[d] == max[d] { f64::from(f32::MAX) } else { 0.5 * (max[d] - min[d]) });
+                place(middle, half, SQUARE, crossing.filter, normal, of_level)
+            }
+            Section::Disc { center, radius, .. } => {
+                place(center, [radius; 3], ROUND, crossing.filter, normal, of_level)
+            }
+        }
+    };
+    Crossing::all(plan).into_iter().flat_map(words).collect()
+}
+
+/// Regions as a level has them, [`REGIONS`] of them.
+pub(crate) fn regions(sought: &[Sought], level: usize, h: f64) -> Vec<u32> {
+    let words = |one: &Sought| {
+        let (middle, half) = one.region.middle();
+        let kind = match one.region {
+            Region::Box { .. } => SQUARE,
+            Region::Sphere { .. } => ROUND,
+            Region::Cylinder { .. } => UPRIGHT,
+        };
+        place(middle, half, kind, one.filter, [0.0; 3], (level as u32, h))
+    };
+    let mut words: Vec<u32> = sought.iter().flat_map(words).collect();
+    words.resize(REGIONS * PLACE, 0);
+    words
+}
+
+/// What four words of the device are: an exact sum.
+fn exact(digits: &[u32]) -> i128 {
+    digits.iter().rev().fold(0, |sum, digit| sum << 32 | i128::from(*digit))
+}
+
+/// One in these units.
+const ONE: f64 = (1_u128 << 80) as f64;
+
+/// The two sums of a section.
+pub(crate) fn crossed_of(words: &[u32]) -> Exact {
+    let sum = |way: usize| std::array::from_fn(|k| exact(&words[24 * way + 4 * k..][..4]));
+    [sum(0), sum(1)]
+}
+
+/// As others know them. What f64 does not hold of a sum is kept beside it, so that whoever goes on has the same bits.
+pub(crate) fn crossed(exact: &Exact) -> Crossed {
+    let mut crossed = Crossed::default();
+    for (way, sums) in exact.iter().enumerate() {
+        let number = |k: usize| sums[k] as f64 / ONE;
+        crossed.count[way] = number(0) as u64;
+        (crossed.mass[way], crossed.volume0[way]) = (number(1), number(2));
+        crossed.momentum[way] = [number(3), number(4), number(5)];
+        crossed.rest[way] = [1, 2, 3, 4, 5].map(|k| (sums[k] - (number(k) * ONE) as i128) as f64 / ONE);
+    }
+    crossed
+}
+
+/// And back.
+pub(crate) fn exactly(crossed: &Crossed) -> Exact {
+    let of_way = |way: usize| {
+        let [x, y, z] = crossed.momentum[way];
+        let numbers = [crossed.mass[way], crossed.volume0[way], x, y, z];
+        let mut sums = [0; 6];
+        sums[0] = i128::from(crossed.count[way]) << 80;
+        for (k, number) in numbers.into_iter().enumerate() {
+            sums[1 + k] = (number * ONE) as i128 + (crossed.rest[way][k] * ONE) as i128;
+        }
+        sums
+    };
+    [of_way(0), of_way(1)]
+}
+
+/// The sums over a region.
+pub(crate) fn sums_of(words: &[u32]) -> Sums {
+    let number = |k: usize| exact(&words[4 * k..][..4]) as f64 / ONE;
+    Sums {
+        count: number(0) as u64,
+        mass: number(1),
+        volume0: number(2),
+        volume: number(3),
+        momentum: [number(4), number(5), number(6)],
+        stress: std::array::from_fn(|c| number(7 + c)),
+    }
+}

@@ -1,0 +1,51 @@
+//! What crosses the sections of probes, and sums over regions.
+
+use crate::device::probed::REGIONS;
+use crate::passes::binding::{
+    CELLS, Draft, Groups, IDS, LISTS, OWNERS, RECORD, REST, Role, STATUS, Uniform, Use, blocks,
+};
+use crate::passes::conditions::chosen;
+use barchan_core::Plan;
+use barchan_core::plan::PlannedMaterial;
+use barchan_grid::wgsl;
+use std::fmt::Write as _;
+
+const DIGITS: &str = include_str!("../wgsl/digits.wgsl");
+const PROBED: &str = include_str!("../wgsl/probed.wgsl");
+
+/// What has crossed sections in a step.
+pub(crate) fn flux(plan: &Plan, sleeps: bool) -> Draft {
+    let probed: Use = ("probed", "atomic<u32>", Role::Crossed, true);
+    let count = format!("const SECTIONS: u32 = {}u;\n", plan.scene.sections().count());
+    let body = chosen(include_str!("../wgsl/flux.wgsl"), &[("sleeps", sleeps)]);
+    let mut uses = vec![RECORD, REST, IDS, LISTS, CELLS, STATUS, probed];
+    uses.extend(sleeps.then_some(OWNERS));
+    Draft {
+        name: "flux",
+        entry: "see_crossed",
+        body: [count.as_str(), DIGITS, PROBED, if sleeps { wgsl::WATCH_WORDS } else { "" }, &body].concat(),
+        uses,
+        uniform: Uniform::None,
+        groups: blocks(plan.cell_widths.len() > 1),
+        checked: true,
+    }
+}
+
+/// Sums over regions, between steps.
+pub(crate) fn sums(materials: &[PlannedMaterial]) -> Draft {
+    let probed: Use = ("probed", "atomic<u32>", Role::Sought, true);
+    let mut text = format!("const REGIONS: u32 = {REGIONS}u;\nfn has_def_grad(law: u32) -> bool {{ switch law {{ ");
+    for (law, planned) in materials.iter().enumerate() {
+        let _ = write!(text, "case {law}u: {{ return {}; }} ", planned.material.strain_planes() == 9);
+    }
+    text += "default: { return false; } } }\n";
+    Draft {
+        name: "sums",
+        entry: "sum_regions",
+        body: [&text, DIGITS, PROBED, include_str!("../wgsl/sums.wgsl")].concat(),
+        uses: vec![RECORD, REST, IDS, LISTS, CELLS, probed],
+        uniform: Uniform::None,
+        groups: Groups::Blocks,
+        checked: true,
+    }
+}
