@@ -13,6 +13,7 @@ use std::sync::Arc;
 
 mod check;
 mod make;
+mod output;
 mod read;
 mod robot;
 mod terrain;
@@ -21,6 +22,7 @@ mod zone;
 pub use check::WHOLE_CELL;
 pub(crate) use check::{cross, posed_bounds, turn};
 pub use make::Part;
+pub use output::{HeightOutput, SurfaceOutput};
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
 pub use robot::{Balance, Gait, JointFrame, JointMotion, Lean, LinkPath, Motor, Robot, Scan};
@@ -369,6 +371,15 @@ pub struct Output {
     /// Particle files beside the pictures.
     #[serde(default)]
     pub export: Option<Export>,
+    /// Fields that particle files hold besides the position; * stands for any text, as in `["velocity", "history*"]`. Absent: all.
+    #[serde(default)]
+    pub export_fields: Option<Vec<String>>,
+    /// Meshes of the ground's surface, `surface/*.ply`.
+    #[serde(default)]
+    pub surface: Option<SurfaceOutput>,
+    /// Maps of the ground's height, `height/*.npz`.
+    #[serde(default)]
+    pub height_map: Option<HeightOutput>,
     /// Simulated seconds between snapshots; absent: one at the end and one on interruption.
     #[serde(default)]
     pub snapshot_interval: Option<f64>,
@@ -391,6 +402,9 @@ pub struct Trace {
     /// Columns to be written beside time and step, with or without their units; * stands for any text, as in `"dog/*_foot mean f*"`. Absent: all.
     #[serde(default)]
     pub columns: Option<Vec<String>>,
+    /// At the run's end, write it as an archive of arrays too, `trace.npz`.
+    #[serde(default)]
+    pub npz: bool,
 }
 
 fn default_interval() -> f64 {
@@ -402,6 +416,9 @@ impl Default for Output {
         Self {
             interval: default_interval(),
             export: None,
+            export_fields: None,
+            surface: None,
+            height_map: None,
             snapshot_interval: None,
             trace: Trace::default(),
             picture: Picture::default(),

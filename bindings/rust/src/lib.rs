@@ -28,6 +28,10 @@
 
 pub mod accuracy;
 pub mod conformance;
+pub mod export;
+#[cfg(feature = "pictures")]
+pub mod gallery;
+mod nets;
 #[cfg(feature = "pictures")]
 pub mod picture;
 pub mod run;
@@ -401,7 +405,7 @@ pub use barchan_core::Material;
 pub use barchan_core::Task;
 
 pub use barchan_core::{
-    backend, contact, coupling, export, file, glam, ledger, material, observer, parameter, plan, reading,
+    backend, contact, coupling, file, glam, ledger, material, observer, parameter, plan, reading,
     registry as registries, scene, schedule, simulation, snapshot, solid, state, task,
 };
 pub use barchan_tasks as tasks;

@@ -1,6 +1,7 @@
 //! What a scene must satisfy beyond types, and what the user should be warned of.
 
 mod camera;
+mod output;
 mod robot;
 mod terrain;
 mod zone;
@@ -511,6 +512,7 @@ impl Scene {
         if let Some(interval) = self.output.trace.interval {
             self.positive("output.trace.interval", interval)?;
         }
+        self.check_ground_output()?;
         let picture = &self.output.picture;
         self.require(
             (16..=16_384).contains(&picture.pixels),

@@ -6,6 +6,7 @@ mod coupling;
 mod damping;
 mod determinism;
 mod effects;
+mod exports;
 mod forks;
 mod goldens;
 mod granular;
