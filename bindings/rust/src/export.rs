@@ -4,7 +4,7 @@
 //! [`height_map`] its height in columns. `docs/formats.md` describes the files and how to read them.
 //!
 //! ```
-//! use barchan::export::{Fields, Surface, height_map, particles};
+//! use barchan::export::{Fields, HeightFile, Surface, height_map, particles};
 //! use barchan::scene::Export;
 //! use barchan::{Options, Simulation};
 //!
@@ -15,7 +15,8 @@
 //! particles(&simulation, &fields, folder.join("particles.npz"), Export::Npz)?;
 //! let surface = Surface::new(&simulation.spots(), 0.05)?;
 //! surface.write_ply(folder.join("surface.ply"), &simulation)?;
-//! height_map(&simulation, 0.05).write_npz(folder.join("height.npz"))?;
+//! let map: HeightFile = height_map(&simulation, 0.05);
+//! map.write_npz(folder.join("height.npz"))?;
 //! assert!(surface.volume() > 0.0);
 //! # let _ = std::fs::remove_dir_all(folder);
 //! # Ok::<(), barchan::Error>(())

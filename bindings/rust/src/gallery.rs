@@ -4,11 +4,19 @@
 //! plot. `barchan gallery` runs them; `docs/gallery.md` shows them.
 //!
 //! ```
-//! use barchan::gallery::{Experiment, experiments, standing_wave};
+//! use barchan::gallery::{Bed, Experiment, Figure, Layer, Outcome, Plate, Push, experiments, flat_plate, over_depth, standing_wave};
 //!
-//! let letters: Vec<&str> = experiments().iter().map(|Experiment { case, .. }| *case).collect();
-//! assert_eq!(letters, ["A8", "A7", "A6", "A10", "A3", "A5", "A2"]);
-//! assert!(standing_wave(8)? > standing_wave(16)?);
+//! let run: fn(&Experiment) -> barchan::Result<Outcome> = Experiment::run;
+//! let cases: Vec<&str> = experiments().iter().map(|experiment| experiment.case).collect();
+//! assert_eq!(cases, ["A8", "A7", "A6", "A10", "A3", "A5", "A2"]);
+//! // The parts of some are there to be varied.
+//! let order = (standing_wave(8)? / standing_wave(16)?).log2();
+//! assert!(Figure { what: "order".into(), measured: order, theory: 2.0, tolerance: 0.3 }.holds());
+//! let bed: Bed = Plate::coarse().bed;
+//! let by_theory = |depth: f64| Push { depth, way: depth, stress: [0.0, 0.0, flat_plate(&bed) * depth] };
+//! let [slope, ..] = over_depth(&[0.01, 0.02, 0.03].map(by_theory), [0.0, 0.05], 2);
+//! assert!((slope / flat_plate(&bed) - 1.0).abs() < 1e-9);
+//! assert!((Layer { height: 0.24, ..Layer::default() }.weight() - 1500.0 * 9.81 * 0.24).abs() < 1e-6);
 //! # Ok::<(), barchan::Error>(())
 //! ```
 

@@ -24,7 +24,7 @@
 //! tells how far a run is from a finer one, [`worlds`] steps many scenes side by side.
 //!
 //! Both features are on unless `default-features = false` leaves them out: `pictures` (the module [`picture`], and the pictures that
-//! [`run::run`] makes) and `wgpu` (the backend of that name). Without them a program is built of 103 crates instead of 146.
+//! [`run::run`] makes) and `wgpu` (the backend of that name). Without them a program is built of 111 crates instead of 153.
 
 pub mod accuracy;
 pub mod conformance;

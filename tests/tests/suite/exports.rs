@@ -2,7 +2,7 @@
 
 use barchan::export::{Fields, particles};
 use barchan::run::{Existing, Request, Until, run};
-use barchan::scene::{self, Export};
+use barchan::scene::Export;
 use barchan::{Options, Precision, Scene, Simulation};
 use barchan_tests::scenes::{scene, simulation};
 use barchan_tests::sketch::{Head, block, material};
@@ -360,6 +360,7 @@ fn the_document_names_every_field() {
     for name in Fields::new(simulation.plan(), None).unwrap().names().filter(|name| !name.starts_with("history_")) {
         assert!(text.contains(&format!("`{name}`")), "docs/formats.md does not name the field {name}");
     }
-    let trace = scene::Trace::default();
-    assert!(!trace.npz && text.contains("`output.trace.npz`"));
+    for key in ["export", "export_fields", "surface", "height_map", "trace.npz"] {
+        assert!(text.contains(&format!("output.{key}")) || text.contains(&format!("{key} = ")), "{key}");
+    }
 }

