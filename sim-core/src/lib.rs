@@ -17,7 +17,6 @@ pub mod batch;
 pub mod contact;
 pub mod coupling;
 pub mod error;
-pub mod export;
 pub mod file;
 pub mod flow;
 pub mod ledger;

@@ -14,6 +14,7 @@ use std::sync::Arc;
 mod check;
 mod flow;
 mod make;
+mod output;
 mod probe;
 mod read;
 mod robot;
@@ -24,6 +25,7 @@ pub use check::WHOLE_CELL;
 pub(crate) use check::{cross, posed_bounds, turn};
 pub use flow::{Inflow, Outflow};
 pub use make::Part;
+pub use output::{HeightOutput, SurfaceOutput};
 pub use probe::{Probe, Region, Section, Side, SurfaceProbe, WallPart};
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
@@ -392,6 +394,15 @@ pub struct Output {
     /// Particle files beside the pictures.
     #[serde(default)]
     pub export: Option<Export>,
+    /// Fields that particle files hold besides the position; * stands for any text, as in `["velocity", "history*"]`. Absent: all.
+    #[serde(default)]
+    pub export_fields: Option<Vec<String>>,
+    /// Meshes of the ground's surface, `surface/*.ply`.
+    #[serde(default)]
+    pub surface: Option<SurfaceOutput>,
+    /// Maps of the ground's height, `height/*.npz`.
+    #[serde(default)]
+    pub height_map: Option<HeightOutput>,
     /// Simulated seconds between snapshots; absent: one at the end and one on interruption.
     #[serde(default)]
     pub snapshot_interval: Option<f64>,
@@ -414,6 +425,9 @@ pub struct Trace {
     /// Columns to be written beside time and step, with or without their units; * stands for any text, as in `"dog/*_foot mean f*"`. Absent: all.
     #[serde(default)]
     pub columns: Option<Vec<String>>,
+    /// At the run's end, write it as an archive of arrays too, `trace.npz`.
+    #[serde(default)]
+    pub npz: bool,
 }
 
 fn default_interval() -> f64 {
@@ -425,6 +439,9 @@ impl Default for Output {
         Self {
             interval: default_interval(),
             export: None,
+            export_fields: None,
+            surface: None,
+            height_map: None,
             snapshot_interval: None,
             trace: Trace::default(),
             picture: Picture::default(),

@@ -3,8 +3,6 @@
 
 mod common;
 
-use barchan_core::export::export;
-use barchan_core::scene::Export;
 use barchan_core::{Command, Error, Options, Registry, Scene, Simulation};
 use proptest::prelude::*;
 use std::ops::ControlFlow;
@@ -396,43 +394,6 @@ fn resuming_in_another_precision_or_without_a_file_is_refused() {
     assert!(error.contains("was written by a run in f32, and f64 is asked for"), "{error}");
     let error = resume(&folder.path().join("absent")).unwrap_err().to_string();
     assert!(error.contains("absent: reading a snapshot: No such file"), "{error}");
-}
-
-#[test]
-fn exports_hold_every_particle() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut running = simulation(&[]);
-    running.step().unwrap();
-    let state = running.particles();
-    let write = |format: Export| {
-        let path = folder.path().join(format!("particles.{}", format.extension()));
-        export(&state, running.plan(), &path, format).unwrap();
-        std::fs::read(path).unwrap()
-    };
-    let at =
-        |bytes: &[u8], needle: &[u8]| bytes.windows(needle.len()).position(|w| w == needle).unwrap() + needle.len();
-    let f64_at = |bytes: &[u8], i: usize| f64::from_le_bytes(bytes[i..i + 8].try_into().unwrap());
-    let last = state.lists[0].position(999);
-
-    let ply = write(Export::Ply);
-    let data = at(&ply, b"end_header\n");
-    assert_eq!(ply.len() - data, 1000 * (24 + 12 + 4 + 2));
-    assert_eq!(f64_at(&ply, data + 999 * 42), last[0]);
-
-    let npz = write(Export::Npz);
-    // The first member's data starts at a multiple of 64 after its own header, and is as long as its array.
-    let start = 30 + "position.npy".len();
-    let header = u16::from_le_bytes(npz[start + 8..start + 10].try_into().unwrap()) as usize;
-    assert_eq!((10 + header) % 64, 0);
-    assert!(String::from_utf8_lossy(&npz[start + 10..start + 10 + header]).contains("'shape': (1000, 3)"));
-    assert_eq!(f64_at(&npz, start + 10 + header + 999 * 24 + 16), last[2]);
-    assert_eq!(&npz[npz.len() - 22..npz.len() - 18], b"PK\x05\x06");
-
-    let vtu = write(Export::Vtk);
-    let data = at(&vtu, b"<AppendedData encoding=\"raw\">\n_");
-    assert_eq!(u64::from_le_bytes(vtu[data..data + 8].try_into().unwrap()), 24_000);
-    assert_eq!(f64_at(&vtu, data + 8 + 999 * 24 + 8), last[1]);
-    assert!(vtu.ends_with(b"</VTKFile>\n"));
 }
 
 proptest! {

@@ -5,7 +5,7 @@
 use barchan_core::{Error, Result, Scene};
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 16] = [
+const FILES: [(&str, &str); 23] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -22,6 +22,13 @@ const FILES: [(&str, &str); 16] = [
     ("arm-scoops", include_str!("../scenes/arm-scoops.toml")),
     ("humanoid-stand", include_str!("../scenes/humanoid-stand.toml")),
     ("humanoid-step", include_str!("../scenes/humanoid-step.toml")),
+    ("column-collapse", include_str!("../scenes/gallery/column-collapse.toml")),
+    ("sphere-impact", include_str!("../scenes/gallery/sphere-impact.toml")),
+    ("plate-in-sand", include_str!("../scenes/gallery/plate-in-sand.toml")),
+    ("block-on-incline", include_str!("../scenes/gallery/block-on-incline.toml")),
+    ("oedometer", include_str!("../scenes/gallery/oedometer.toml")),
+    ("shear-box", include_str!("../scenes/gallery/shear-box.toml")),
+    ("standing-wave", include_str!("../scenes/gallery/standing-wave.toml")),
 ];
 
 /// Grids that the cube drop comes on: cells along 1.28 m, and particles along the bed in x and y.

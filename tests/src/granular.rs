@@ -2,153 +2,17 @@
 //! whole; both run the same code.
 
 use crate::report::Outcome;
-use crate::scenes::scene;
-use crate::sketch::{Head, block, driven, half, material, tool};
-use barchan::picture::{Chart, Series};
-use barchan::{Options, Simulation, Vec3};
+use barchan::gallery::{Bed, impact as fall};
+use barchan::gallery::{Plate, Push, flat_plate, line, over_depth, series, stress_after, uehara};
+use barchan::picture::{Chart, Series, Style};
+use barchan::{Options, Simulation};
 use std::fs;
 use std::path::Path;
-
-/// Sand on a rough floor between periodic sides.
-#[derive(Clone, Copy, Debug)]
-pub struct Bed {
-    /// Cell width [m].
-    pub cell: f64,
-    /// Width and depth of the sand [m].
-    pub extent: [f64; 2],
-    /// Density [kg/m³].
-    pub density: f64,
-    /// Young's modulus [Pa].
-    pub young: f64,
-    /// Shear over normal stress in simple shear.
-    pub friction: f64,
-}
-
-impl Bed {
-    /// The bed's scene with a tool in it, whose `position` is seen from the middle of the surface.
-    fn with(&self, position: Vec3, shape: &str, friction: f64, motion: &str, more: &str) -> Simulation {
-        let Self { cell, extent: [width, depth], density, young, friction: mu } = *self;
-        let walls =
-            "x_min = \"periodic\"\nx_max = \"periodic\"\ny_min = \"periodic\"\ny_max = \"periodic\"\nz_min = \"stick\"";
-        let across = (width / cell).round() as u32;
-        let head = Head::cells(cell, [across, across, (1.5 * depth / cell).round() as u32], walls);
-        // The cone is matched in triaxial compression: this angle gives the wanted friction in simple shear.
-        let angle = (3.0 * mu / (2.0 * 3f64.sqrt() + mu)).asin();
-        let sand = format!("young_modulus = {young}, poisson_ratio = 0.2, friction_angle = {angle}");
-        let at = [0.5 * width + position[0], 0.5 * width + position[1], depth + position[2]];
-        let text = head.with(&[
-            material("sand", density, &sand),
-            block("sand", [0.0; 3], [width, width, depth], "settled = true"),
-            tool("tool", at, shape, &format!("{{ coulomb = {{ friction = {friction} }} }}"), motion),
-            format!("{more}\n"),
-        ]);
-        let options = Options { threads: 2, ..Options::default() };
-        Simulation::new(&barchan::registry(), &scene(&text), &options).unwrap_or_else(|e| panic!("{e}\n{text}"))
-    }
-}
-
-/// A square plate, two cells thick, that is moved through sand.
-#[derive(Clone, Copy, Debug)]
-pub struct Plate {
-    /// The sand.
-    pub bed: Bed,
-    /// Side of the plate [m].
-    pub side: f64,
-    /// Tilt β out of the horizontal, and direction γ of its motion below the horizontal [degrees].
-    pub angles: [f64; 2],
-    /// Depth of the middle of its leading face at the start [m].
-    pub depth: f64,
-    /// How far it is moved [m].
-    pub travel: f64,
-    /// How fast [m/s].
-    pub speed: f64,
-}
-
-/// A mean over two millimetres of way.
-#[derive(Clone, Copy, Debug)]
-pub struct Push {
-    /// Depth of the middle of the leading face [m].
-    pub depth: f64,
-    /// Way from the start [m].
-    pub way: f64,
-    /// Force on the plate over its area [Pa].
-    pub stress: Vec3,
-}
-
-impl Plate {
-    /// Sand of friction 0.4 and 1600 kg/m³ and a plate of 6 by 6 cells.
-    pub fn coarse() -> Self {
-        let bed = Bed { cell: 0.01, extent: [0.28, 0.16], density: 1600.0, young: 2e6, friction: 0.4 };
-        Self { bed, side: 0.06, angles: [0.0, 90.0], depth: 0.0, travel: 0.065, speed: 0.1 }
-    }
-
-    /// Moves it and says what it felt.
-    ///
-    /// # Panics
-    /// If a step fails.
-    pub fn pushed(&self) -> Vec<Push> {
-        let [tilt, below] = self.angles.map(f64::to_radians);
-        let way = [below.cos(), 0.0, -below.sin()];
-        let normal = [tilt.sin(), 0.0, tilt.cos()];
-        let leads = (normal[0] * way[0] + normal[2] * way[2]).signum();
-        let thick = 2.0 * self.bed.cell;
-        // Half of the way on either side of the middle.
-        let at: Vec3 = std::array::from_fn(|d| {
-            let face = [-0.5 * self.travel * way[0], 0.0, -self.depth][d];
-            face - 0.5 * thick * leads * normal[d]
-        });
-        let turn = format!("rotation = [{}, 0.0, {}, 0.0]", (0.5 * tilt).cos(), (0.5 * tilt).sin());
-        let shape = half([0.5 * self.side, 0.5 * self.side, 0.5 * thick]);
-        let mut s = self.bed.with(at, &shape, 0.3, &driven(way.map(|x| self.speed * x)), &turn);
-        let mut pushes = Vec::new();
-        let window = 0.002;
-        while s.time() * self.speed < self.travel {
-            let (from, mut impulse) = (s.time(), [0.0; 3]);
-            while (s.time() - from) * self.speed < window {
-                s.set_stop(from + window / self.speed);
-                let dt = s.step().unwrap_or_else(|e| panic!("{e}")).dt;
-                let force = s.wrenches()[0].force;
-                (0..3).for_each(|d| impulse[d] += dt * force[d]);
-            }
-            let moved = self.speed * 0.5 * (from + s.time());
-            let stress = impulse.map(|x| x / (s.time() - from) / (self.side * self.side));
-            pushes.push(Push { depth: self.depth + moved * below.sin(), way: moved, stress });
-        }
-        pushes
-    }
-}
-
-/// The straight line through points: slope, value at 0, and R².
-pub fn line(points: &[[f64; 2]]) -> [f64; 3] {
-    let n = points.len() as f64;
-    let mean = |d: usize| points.iter().map(|p| p[d]).sum::<f64>() / n;
-    let (x, y) = (mean(0), mean(1));
-    let sum = |a: usize, b: usize| points.iter().map(|p| (p[a] - [x, y][a]) * (p[b] - [x, y][b])).sum::<f64>();
-    let slope = sum(0, 1) / sum(0, 0);
-    [slope, y - slope * x, sum(0, 1).powi(2) / (sum(0, 0) * sum(1, 1))]
-}
-
-/// The line of a stress over depth between two depths [m].
-pub fn over_depth(pushes: &[Push], between: [f64; 2], axis: usize) -> [f64; 3] {
-    let chosen = pushes.iter().filter(|p| (between[0]..=between[1]).contains(&p.depth));
-    line(&chosen.map(|p| [p.depth, p.stress[axis]]).collect::<Vec<_>>())
-}
 
 /// Mean stress over depth of those that are chosen [Pa/m].
 fn mean_over_depth(pushes: &[Push], axis: usize, is_chosen: impl Fn(&Push) -> bool) -> f64 {
     let chosen: Vec<f64> = pushes.iter().filter(|p| is_chosen(p)).map(|p| p.stress[axis] / p.depth).collect();
     chosen.iter().sum::<f64>() / chosen.len() as f64
-}
-
-/// The same after a way [m], for plates that keep their depth.
-pub fn after(pushes: &[Push], way: f64, axis: usize) -> f64 {
-    mean_over_depth(pushes, axis, |p| p.way > way)
-}
-
-/// Stress a depth of a flat plate that is pushed straight down [Pa/m]: ξ of Agarwal, Goldman and Kamrin 2023.
-pub fn flat_plate(bed: &Bed) -> f64 {
-    let mu = bed.friction;
-    bed.density * 9.81 * (894.0 * mu.powi(3) - 386.0 * mu * mu + 89.0 * mu)
 }
 
 /// Adds how far a figure is off what theory says, with both.
@@ -167,10 +31,20 @@ fn draw(chart: &Chart, name: &str) {
     written.unwrap_or_else(|e| panic!("{name}: {e}"));
 }
 
-/// A series of a chart, without labels.
-fn series(name: &str, points: impl IntoIterator<Item = [f64; 2]>, joined: bool) -> Series {
-    let points = points.into_iter().map(|[x, y]| (x, y, String::new())).collect();
-    Series { name: name.to_owned(), points, joined }
+/// Depth of an impact; see [`fall`].
+///
+/// # Panics
+/// If a step fails.
+fn impact(density: f64, height: f64, cells: u32) -> f64 {
+    fall(density, height, cells).unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// What a plate felt on its way.
+///
+/// # Panics
+/// If a step fails.
+fn pushed(plate: Plate) -> Vec<Push> {
+    plate.pushed().unwrap_or_else(|e| panic!("{e}"))
 }
 
 /// Depths between which the force on a plate is held to a line [m].
@@ -183,12 +57,12 @@ const DEPTHS: [f64; 2] = [0.01, 0.06];
 pub fn plates_short() -> Outcome {
     let mut outcome = Outcome::default();
     let flat = Plate { travel: 0.05, ..Plate::coarse() };
-    let down = flat.pushed();
+    let down = pushed(flat);
     let [slope, _, linear] = over_depth(&down, [0.01, 0.05], 2);
     outcome.add(format!("force over depth, 1 to 5 cm: R² {linear:.4}, short of 1 by"), 1.0 - linear, 0.03);
     beside(&mut outcome, "slope over xi_n", slope / flat_plate(&flat.bed), 1.0, 0.3);
-    let drag = Plate { angles: [90.0, 0.0], depth: 0.045, travel: 0.03, ..flat }.pushed();
-    beside(&mut outcome, "alpha_x(90, 0) over alpha_z(0, 90)", -after(&drag, 0.02, 0) / slope, 0.375, 0.12);
+    let drag = pushed(Plate { angles: [90.0, 0.0], depth: 0.045, travel: 0.03, ..flat });
+    beside(&mut outcome, "alpha_x(90, 0) over alpha_z(0, 90)", -stress_after(&drag, 0.02, 0) / slope, 0.375, 0.12);
     outcome
 }
 
@@ -197,7 +71,7 @@ pub fn plates() -> Outcome {
     let mut outcome = Outcome::default();
     let flat = Plate::coarse();
     let (bed, xi) = (flat.bed, flat_plate(&flat.bed));
-    let down = flat.pushed();
+    let down = pushed(flat);
     let [slope, offset, linear] = over_depth(&down, DEPTHS, 2);
     outcome.add(format!("force over depth, 1 to 6 cm: R² {linear:.4}, short of 1 by"), 1.0 - linear, 0.01);
     beside(&mut outcome, "slope over xi_n", slope / xi, 1.0, 0.3);
@@ -207,16 +81,16 @@ pub fn plates() -> Outcome {
     let ratio = |outcome: &mut Outcome, what: &str, value: f64, theory: f64| {
         beside(outcome, &format!("{what} over alpha_z(0, 90)"), value / slope, theory, 0.12);
     };
-    let out = Plate { angles: [0.0, -90.0], depth: 0.08, travel: 0.065, ..flat }.pushed();
+    let out = pushed(Plate { angles: [0.0, -90.0], depth: 0.08, travel: 0.065, ..flat });
     ratio(&mut outcome, "pull-out, alpha_z(0, -90)", over_depth(&out, [0.02, 0.06], 2)[0], -0.25);
-    let drag = Plate { angles: [90.0, 0.0], depth: 0.045, travel: 0.06, ..flat }.pushed();
-    ratio(&mut outcome, "sideways, alpha_x(90, 0)", -after(&drag, 0.03, 0), 0.375);
-    ratio(&mut outcome, "its lift, alpha_z(90, 0)", after(&drag, 0.03, 2), 0.037);
-    let tilt = Plate { angles: [45.0, 90.0], depth: -0.02, travel: 0.085, ..flat }.pushed();
+    let drag = pushed(Plate { angles: [90.0, 0.0], depth: 0.045, travel: 0.06, ..flat });
+    ratio(&mut outcome, "sideways, alpha_x(90, 0)", -stress_after(&drag, 0.03, 0), 0.375);
+    ratio(&mut outcome, "its lift, alpha_z(90, 0)", stress_after(&drag, 0.03, 2), 0.037);
+    let tilt = pushed(Plate { angles: [45.0, 90.0], depth: -0.02, travel: 0.085, ..flat });
     let along = |axis: usize| over_depth(&tilt, [0.025, 0.06], axis)[0];
     ratio(&mut outcome, "at 45 degrees, alpha_z(45, 90)", along(2), 0.564);
     ratio(&mut outcome, "at 45 degrees, alpha_x(45, 90)", along(0).abs(), 0.219);
-    let fast = Plate { speed: 0.2, ..flat }.pushed();
+    let fast = pushed(Plate { speed: 0.2, ..flat });
     let change = secant(&fast) / secant(&down) - 1.0;
     outcome.add(
         format!("20 instead of 10 cm/s: {:+.1} % of the mean stress, size", 100.0 * change),
@@ -224,7 +98,7 @@ pub fn plates() -> Outcome {
         0.05,
     );
     let (mut curves, third) = (
-        vec![series("6 cells", down.iter().map(|p| [100.0 * p.depth, 1e-3 * p.stress[2]]), false)],
+        vec![series("6 cells", down.iter().map(|p| [100.0 * p.depth, 1e-3 * p.stress[2]]), Style::Points)],
         bed.cell * 2.0 / 3.0,
     );
     for (what, other) in [
@@ -232,7 +106,7 @@ pub fn plates() -> Outcome {
         ("9 cells", Bed { cell: third, extent: [40.0 * third, bed.extent[1]], ..bed }),
         ("wide bed", Bed { extent: [0.4, 0.2], ..bed }),
     ] {
-        let pushes = Plate { bed: other, ..flat }.pushed();
+        let pushes = pushed(Plate { bed: other, ..flat });
         let change = secant(&pushes) / secant(&down) - 1.0;
         outcome.add(
             format!(
@@ -243,46 +117,20 @@ pub fn plates() -> Outcome {
             change.abs(),
             0.3,
         );
-        curves.push(series(what, pushes.iter().map(|p| [100.0 * p.depth, 1e-3 * p.stress[2]]), false));
+        curves.push(series(what, pushes.iter().map(|p| [100.0 * p.depth, 1e-3 * p.stress[2]]), Style::Points));
     }
-    curves.push(series("theory", [0.5, 6.5].map(|z| [z, 1e-5 * xi * z]), true));
+    curves.push(series("theory", [0.5, 6.5].map(|z| [z, 1e-5 * xi * z]), Style::Line));
     draw(
         &Chart {
             title: "A plate of 6 x 6 cm pushed into sand".to_owned(),
             x: "depth [cm]".to_owned(),
             y: "force over area [kPa]".to_owned(),
             series: curves,
+            ..Chart::default()
         },
         "plate-force",
     );
     outcome
-}
-
-/// A sphere of 2.5 cm that falls into sand of friction 0.3 and 1510 kg/m³.
-///
-/// Its depth when it stops [m].
-///
-/// # Panics
-/// If a step fails.
-pub fn impact(density: f64, height: f64, cells: u32) -> f64 {
-    let diameter: f64 = 0.025;
-    let cell = 0.15 / f64::from(cells);
-    let bed = Bed { cell, extent: [0.15, 0.1], density: 1510.0, young: 5e5, friction: 0.3 };
-    let (mass, gap) = (density * std::f64::consts::PI / 6.0 * diameter.powi(3), 1.5 * cell);
-    let speed = (2.0 * 9.81 * (height - gap)).sqrt();
-    let motion = format!("{{ free = {{ mass = {mass}, linear = [0.0, 0.0, {:?}] }} }}", -speed);
-    let start = 0.5 * diameter + gap;
-    let mut s = bed.with([0.0, 0.0, start], &format!("sphere = {{ radius = {} }}", 0.5 * diameter), 0.3, &motion, "");
-    let first = s.bodies()[0].position[2];
-    while s.time() < 0.3 && s.bodies()[0].velocity[2] < 0.0 {
-        s.step().unwrap_or_else(|e| panic!("{e}"));
-    }
-    first - s.bodies()[0].position[2] - gap
-}
-
-/// Uehara et al. 2003: depth of an impact from a total drop, height and depth together [m].
-fn uehara(density: f64, drop: f64) -> f64 {
-    0.14 / 0.3 * (density / 1510.0).sqrt() * 0.025f64.powf(2.0 / 3.0) * drop.cbrt()
 }
 
 /// A7: spheres of several densities fall from several heights; exponents of total drop and density, and the prefactor. By measurements depth goes with
@@ -339,15 +187,18 @@ pub fn impacts(densities: &[f64], heights: &[f64], cells: u32) -> Outcome {
         let of = |r: &[f64; 3]| [1e3 * uehara(r[0], r[1]), 1e3 * r[2]];
         let mut curves: Vec<Series> = densities
             .iter()
-            .map(|density| series(&format!("{density} kg/m³"), rows.iter().filter(|r| r[0] == *density).map(of), false))
+            .map(|density| {
+                series(&format!("{density} kg/m³"), rows.iter().filter(|r| r[0] == *density).map(of), Style::Points)
+            })
             .collect();
-        curves.push(series("equal", [[8.0, 8.0], [80.0, 80.0]], true));
+        curves.push(series("equal", [[8.0, 8.0], [80.0, 80.0]], Style::Line));
         draw(
             &Chart {
                 title: "A sphere of 2.5 cm dropped into sand".to_owned(),
                 x: "depth by Uehara et al. 2003 [mm]".to_owned(),
                 y: "depth [mm]".to_owned(),
                 series: curves,
+                ..Chart::default()
             },
             "impact-depth",
         );
@@ -361,7 +212,7 @@ pub fn impacts(densities: &[f64], heights: &[f64], cells: u32) -> Outcome {
 pub fn sinkage() -> Outcome {
     let mut outcome = Outcome::default();
     let flat = Plate::coarse();
-    let driven = flat.pushed();
+    let driven = pushed(flat);
     let xi = flat_plate(&flat.bed);
     let static_depth = 0.015;
     let pressure = xi * static_depth;
@@ -375,11 +226,16 @@ pub fn sinkage() -> Outcome {
         last = push.depth;
     }
     let at_rest = driven.iter().find(|push| push.stress[2] >= pressure).map_or(f64::NAN, |push| push.depth);
-    let side = flat.side;
-    let thick = 2.0 * flat.bed.cell;
-    let motion = format!("{{ free = {{ mass = {} }} }}", pressure * side * side / 9.81);
-    let shape = half([0.5 * side, 0.5 * side, 0.5 * thick]);
-    let mut s = flat.bed.with([0.0, 0.0, 0.5 * thick], &shape, 0.3, &motion, "");
+    let [width, depth_of_bed] = flat.bed.extent;
+    let mut changes = flat.bed.changes();
+    changes.extend([
+        format!("tool.tool.position=[{:?}, {:?}, {:?}]", 0.5 * width, 0.5 * width, depth_of_bed + flat.bed.cell),
+        format!("tool.tool.motion={{ free = {{ mass = {:?} }} }}", pressure * flat.side * flat.side / 9.81),
+    ]);
+    let options = Options { threads: 2, ..Options::default() };
+    let mut s = barchan::tasks::scene("plate-in-sand", &changes)
+        .and_then(|scene| Simulation::new(&barchan::registry(), &scene, &options))
+        .unwrap_or_else(|e| panic!("{e}"));
     let start = s.bodies()[0].position[2];
     while s.time() < 0.6 {
         s.step().unwrap_or_else(|e| panic!("{e}"));

@@ -211,7 +211,7 @@ fn io_error(file: &Path, what: &'static str) -> impl FnOnce(io::Error) -> Error 
 }
 
 /// Makes an output folder and writes texts into it, by name.
-fn write_texts(out: &Path, texts: &[(&str, String)]) -> Result<()> {
+pub(crate) fn write_texts(out: &Path, texts: &[(&str, String)]) -> Result<()> {
     fs::create_dir_all(out).map_err(io_error(out, "this output folder cannot be made (choose another with --out)"))?;
     texts.iter().try_for_each(|(name, text)| {
         let file = out.join(name);
@@ -220,7 +220,7 @@ fn write_texts(out: &Path, texts: &[(&str, String)]) -> Result<()> {
 }
 
 /// Writes a chart as PNG and SVG.
-fn write_chart(chart: &Chart, file: &Path) -> Result<()> {
+pub(crate) fn write_chart(chart: &Chart, file: &Path) -> Result<()> {
     chart.write(file).map_err(io_error(file, "writing a chart"))
 }
 

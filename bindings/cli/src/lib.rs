@@ -18,6 +18,7 @@
 
 mod bench;
 mod conform;
+mod gallery;
 mod manual;
 mod plugins;
 mod print;
@@ -67,6 +68,8 @@ enum Command {
     /// Looks at robots.
     #[command(subcommand)]
     Robot(robot::Robot),
+    /// Runs classic experiments, each beside its law: a table of figures, and a plot for each. The exit status is 1 if a figure is beyond its tolerance.
+    Gallery(gallery::GalleryArgs),
     /// Measures.
     #[command(subcommand)]
     Bench(bench::Bench),
@@ -217,6 +220,7 @@ pub fn main_with(registry: Registry) -> ExitCode {
             Ok(ExitCode::SUCCESS)
         }
         Command::Robot(args) => robot::run(args).map(|()| ExitCode::SUCCESS),
+        Command::Gallery(args) => gallery::run(args),
         Command::Bench(args) => bench::run(args, registry).map(|()| ExitCode::SUCCESS),
         Command::Schema => {
             show(format!("{:#}\n", Scene::schema()));

@@ -598,8 +598,20 @@ fn the_scene_in_the_readme_runs() {
 }
 
 /// Commands of the command line.
-const COMMANDS: [&str; 11] =
-    ["run", "plan", "check", "conform", "plugins", "adapters", "robot", "bench", "schema", "completions", "man"];
+const COMMANDS: [&str; 12] = [
+    "run",
+    "plan",
+    "check",
+    "conform",
+    "plugins",
+    "adapters",
+    "robot",
+    "gallery",
+    "bench",
+    "schema",
+    "completions",
+    "man",
+];
 
 #[test]
 fn completions_name_every_command() {

@@ -24,10 +24,14 @@
 //! tells how far a run is from a finer one, [`worlds`] steps many scenes side by side.
 //!
 //! Both features are on unless `default-features = false` leaves them out: `pictures` (the module [`picture`], and the pictures that
-//! [`run::run`] makes) and `wgpu` (the backend of that name). Without them a program is built of 103 crates instead of 146.
+//! [`run::run`] makes) and `wgpu` (the backend of that name). Without them a program is built of 111 crates instead of 153.
 
 pub mod accuracy;
 pub mod conformance;
+pub mod export;
+#[cfg(feature = "pictures")]
+pub mod gallery;
+mod nets;
 #[cfg(feature = "pictures")]
 pub mod picture;
 pub mod run;
@@ -428,8 +432,8 @@ pub use barchan_core::Material;
 pub use barchan_core::Task;
 
 pub use barchan_core::{
-    backend, contact, coupling, export, file, glam, ledger, material, nearest, observer, parameter, plan, probe,
-    reading, registry as registries, scene, schedule, simulation, snapshot, solid, state, stress, task,
+    backend, contact, coupling, file, glam, ledger, material, nearest, observer, parameter, plan, probe, reading,
+    registry as registries, scene, schedule, simulation, snapshot, solid, state, stress, task,
 };
 pub use barchan_tasks as tasks;
 

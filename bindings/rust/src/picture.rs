@@ -2,7 +2,7 @@
 //! vertical cut. A view in perspective shows the ground and what couplings give as their [surfaces](barchan_core::Coupling::surfaces).
 //!
 //! ```
-//! use barchan::picture::{Align, Chart, Colour, Image, Rect, Series, View};
+//! use barchan::picture::{Align, Axes, Chart, Colour, Image, Rect, Series, Style, View};
 //!
 //! let simulation = barchan::Simulation::new(&barchan::registry(), &barchan::example(), &barchan::Options::default())?;
 //! let mut view = View::new(&simulation);
@@ -13,8 +13,8 @@
 //! assert!(corner.width() == 80 && corner.pixels() != picture.crop(Rect { x: 0, y: 0, width: 80, height: 40 }).pixels());
 //!
 //! let points = vec![(1e-3, 2.0, "fine".to_owned()), (1e-2, 0.1, "coarse".to_owned())];
-//! let series = vec![Series { name: "cube".into(), points, joined: true }];
-//! let chart = Chart { title: "error and time".into(), x: "error [m]".into(), y: "time [s]".into(), series };
+//! let series = vec![Series { name: "cube".into(), points, style: Style::Joined }];
+//! let chart = Chart { title: "error and time".into(), x: "error [m]".into(), y: "time [s]".into(), series, axes: Axes::Logarithmic };
 //! let file = std::env::temp_dir().join(format!("barchan-chart-{}.svg", std::process::id()));
 //! chart.write(&file).map_err(|source| barchan::Error::Io { file: file.clone(), what: "writing a chart", source })?;
 //! assert!(std::fs::read_to_string(&file).is_ok_and(|text| text.contains("error and time")));
@@ -37,7 +37,7 @@ mod stage;
 mod tools;
 
 pub use animation::{contact_sheet, gif};
-pub use chart::{Chart, Series};
+pub use chart::{Axes, Chart, Series, Style};
 pub use image::{Align, Colour, Image, Rect, text_width};
 pub use robot::draw_robot;
 

@@ -5,9 +5,12 @@
 //! | `frames/00000.png`, … | a picture every `output.interval` |
 //! | `contact-sheet.png`, `animation.gif` | the run at a glance |
 //! | `particles/00000.ply`, … | particles every `output.interval`, if asked for |
+//! | `surface/00000.ply`, … | the ground's surface as a mesh every `output.surface.interval`, if asked for |
+//! | `height/00000.npz`, `.png`, … | the ground's height every `output.height_map.interval`, if asked for |
 //! | `observed/NAME/…` | what the [observer](Observer) of that name writes |
 //! | `trace.csv` | every step, or once an interval (`output.trace`): time, step size, pose, velocity and wrench of every body |
 //! | `probes.csv` | what the scene's probes find, each at its own interval |
+//! | `trace.npz` | the same as arrays, if `output.trace.npz` asks for it |
 //! | `summary.json` | every figure of the run |
 //! | `snapshot.barchan` | the state at the end, on interruption or before an error: the run continues from it bit for bit |
 //! | `files.txt` | what the run has written: nothing else is ever removed or overwritten |
@@ -75,11 +78,14 @@ use std::time::Instant;
 pub const SNAPSHOT: &str = "snapshot.barchan";
 const TRACE: &str = "trace.csv";
 const PROBES: &str = "probes.csv";
+const TRACE_ARRAYS: &str = "trace.npz";
 const SUMMARY: &str = "summary.json";
 const CONTACT_SHEET: &str = "contact-sheet.png";
 const ANIMATION: &str = "animation.gif";
 const FRAMES: &str = "frames";
 const PARTICLES: &str = "particles";
+const SURFACE: &str = "surface";
+const HEIGHT: &str = "height";
 
 /// How far to run.
 #[derive(Clone, Copy, Debug, PartialEq)]

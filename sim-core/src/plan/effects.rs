@@ -242,7 +242,25 @@ impl Plan {
             add(format!("{cut} pictures"), every.clone(), format!("{view} and a vertical cut, outside the step"));
         }
         if let Some(format) = output.export {
-            add(format!("{} export", format.extension()), every, "a particle file, outside the step".to_owned());
+            let holds = match &output.export_fields {
+                Some(fields) => format!("a particle file with {}", listed(fields.iter().cloned())),
+                None => "a particle file with all fields".to_owned(),
+            };
+            add(format!("{} export", format.extension()), every, format!("{holds}, outside the step"));
+        }
+        if let Some(surface) = &output.surface {
+            add(
+                "surface mesh".to_owned(),
+                format!("output.surface.interval = {}", surface.interval),
+                format!("a mesh on cells of {} m, outside the step", surface.spacing.unwrap_or(scene.world.cell)),
+            );
+        }
+        if let Some(map) = &output.height_map {
+            add(
+                "height map".to_owned(),
+                format!("output.height_map.interval = {}", map.interval),
+                format!("columns of {} m, outside the step", map.spacing.unwrap_or(scene.world.cell)),
+            );
         }
         if let Some(interval) = output.trace.interval {
             add(

@@ -3,6 +3,7 @@
 mod camera;
 mod flow;
 mod levels;
+mod output;
 mod robot;
 mod terrain;
 mod walls;
@@ -543,6 +544,7 @@ impl Scene {
         if let Some(interval) = self.output.trace.interval {
             self.positive("output.trace.interval", interval)?;
         }
+        self.check_ground_output()?;
         let picture = &self.output.picture;
         self.require(
             (16..=16_384).contains(&picture.pixels),

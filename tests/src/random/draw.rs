@@ -373,6 +373,10 @@ impl Generator {
             "time.end" => return number(1000.0),
             "time.step" => return number(frame.decades(1e-6, 1e-2)),
             "time.safety" => return number(frame.pick(&[0.3, 0.6, 0.9, 1.0])),
+            "output.surface.interval" | "output.height_map.interval" => return number(frame.decades(1e-3, 1.0)),
+            "output.surface.spacing" | "output.height_map.spacing" => {
+                return number(frame.cell * frame.pick(&[0.5, 1.0, 2.5]));
+            }
             "output.picture.pixels" => return Some(Some(Value::Integer(16 + frame.below(200) as i64))),
             "output.picture.cut_y" => return number(frame.point(1.0)[1]),
             "output.picture.camera.fov_deg" => return number(frame.pick(&[1.0, 20.0, 45.0, 150.0])),

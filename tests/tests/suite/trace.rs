@@ -42,7 +42,7 @@ fn csv_of(text: &str) -> Vec<Vec<String>> {
 
 fn every(interval: f64, columns: Option<&[&str]>) -> scene::Trace {
     let columns = columns.map(|columns| columns.iter().map(|&column| column.to_owned()).collect());
-    scene::Trace { interval: Some(interval), columns }
+    scene::Trace { interval: Some(interval), columns, ..scene::Trace::default() }
 }
 
 fn sum(values: impl Iterator<Item = f64>) -> f64 {

@@ -3,7 +3,7 @@
 use super::{Effort, Subject, Timed};
 use crate::EngineArgs;
 use crate::print::show;
-use barchan::picture::{Chart, Series};
+use barchan::picture::{Axes, Chart, Series, Style};
 use barchan::{Error, Plan, Registry, Result, Scene};
 use clap::Args;
 use serde::Serialize;
@@ -317,13 +317,14 @@ fn chart(args: &Scale, rows: &[Row], y: &str, value: Figure) -> Chart {
     let series = whole.chain(reached).map(|(levels, reach)| {
         let of = rows.iter().filter(|row| (row.levels, row.reach) == (levels, reach));
         let points = of.filter_map(|row| Some((row.extent_m, value(row)?, particles(row.particles)))).collect();
-        Series { name: name(levels, reach), points, joined: true }
+        Series { name: name(levels, reach), points, style: Style::Joined }
     });
     Chart {
         title: format!("Ground around one tool, finest cell 1/{} m; labels: particles", args.cells),
         x: "side of the bed [m]".to_owned(),
         y: y.to_owned(),
         series: series.collect(),
+        axes: Axes::Logarithmic,
     }
 }
 

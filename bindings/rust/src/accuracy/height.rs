@@ -52,6 +52,11 @@ impl HeightMap {
         &self.heights
     }
 
+    /// Columns along x and y.
+    pub fn count(&self) -> [usize; 2] {
+        self.count
+    }
+
     /// Middle of a column [m].
     pub fn at(&self, index: usize) -> [f64; 2] {
         let cell = [index % self.count[0], index / self.count[0]];

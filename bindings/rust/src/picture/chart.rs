@@ -1,4 +1,4 @@
-//! Charts on logarithmic axes, as PNG and as SVG from one list of strokes.
+//! Charts on logarithmic or linear axes, as PNG and as SVG from one list of strokes.
 
 use super::image::{Align, Colour, Image, text_width};
 use super::{INK, PAGE};
@@ -19,7 +19,7 @@ const LABEL: f64 = 8.75;
 /// Okabe and Ito's colours, which people with colour blindness tell apart, without the light ones.
 const COLOURS: [Colour; 6] = [INK, [0, 114, 178], [213, 94, 0], [0, 158, 115], [204, 121, 167], [120, 120, 120]];
 
-/// A chart with two logarithmic axes.
+/// A chart.
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
     /// What it shows.
@@ -30,6 +30,18 @@ pub struct Chart {
     pub y: String,
     /// What is drawn, each in a colour of its own.
     pub series: Vec<Series>,
+    /// How its axes are divided.
+    pub axes: Axes,
+}
+
+/// How axes are divided.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Axes {
+    /// By decades; points that are not above 0 are left out.
+    #[default]
+    Logarithmic,
+    /// Evenly.
+    Linear,
 }
 
 /// Points of one kind.
@@ -37,10 +49,22 @@ pub struct Chart {
 pub struct Series {
     /// Name in the legend.
     pub name: String,
-    /// x, y and label of each; points that are not above 0 are left out.
+    /// x, y and label of each.
     pub points: Vec<(f64, f64, String)>,
-    /// Are they joined by a line?
-    pub joined: bool,
+    /// How they are drawn.
+    pub style: Style,
+}
+
+/// How the points of a series are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Style {
+    /// Each as a disc.
+    #[default]
+    Points,
+    /// Discs, joined by a line.
+    Joined,
+    /// A line alone, behind all discs; it ends before a point that is not finite, and begins anew behind it.
+    Line,
 }
 
 /// A point that can be drawn: x, y, label.
@@ -84,32 +108,46 @@ impl Chart {
     /// 2. Lines of series, then points.
     /// 3. Labels of points, each where it covers least.
     fn strokes(&self) -> Vec<Stroke> {
-        let series: Vec<(&Series, Vec<Point<'_>>)> = self.series.iter().map(|s| (s, s.shown())).collect();
+        let series: Vec<(&Series, Vec<Point<'_>>)> = self.series.iter().map(|s| (s, s.shown(self.axes))).collect();
         let values = |get: fn(&Point<'_>) -> f64| series.iter().flat_map(|(_, points)| points).map(get);
-        let x = Axis::new(values(|p| p.0), FRAME[0], FRAME[1]);
-        let y = Axis::new(values(|p| p.1), FRAME[3], FRAME[2]);
+        let x = Axis::new(self.axes, values(|p| p.0), FRAME[0], FRAME[1]);
+        let y = Axis::new(self.axes, values(|p| p.1), FRAME[3], FRAME[2]);
         let mut strokes = self.frame(&x, &y);
         let mut labels = Vec::new();
         let mut taken: Vec<Area> = Vec::new();
         let mut legend = FRAME[0];
+        let mut discs = Vec::new();
         for (i, (one, points)) in series.iter().enumerate() {
             let colour = COLOURS[i % COLOURS.len()];
             let at: Vec<[f64; 2]> = points.iter().map(|p| [x.pixel(p.0), y.pixel(p.1)]).collect();
-            if one.joined {
-                for pair in at.windows(2) {
-                    let (from, to) = (pair[0], pair[1]);
-                    strokes.push(Stroke::Line { from, to, width: 2.0, colour });
-                    let between = |i: u32| [0, 1].map(|d| from[d] + f64::from(i) / 64.0 * (to[d] - from[d]));
-                    taken.extend((1..64).map(|i| Area::about(between(i), 2.0)));
-                }
+            let line: Vec<[f64; 2]> = match one.style {
+                Style::Points => Vec::new(),
+                Style::Joined => at.clone(),
+                Style::Line => one.points.iter().map(|p| [x.pixel(p.0), y.pixel(p.1)]).collect(),
+            };
+            for pair in line.windows(2).filter(|pair| pair.as_flattened().iter().all(|pixel| pixel.is_finite())) {
+                let (from, to) = (pair[0], pair[1]);
+                strokes.push(Stroke::Line { from, to, width: 2.0, colour });
+                let between = |i: u32| [0, 1].map(|d| from[d] + f64::from(i) / 64.0 * (to[d] - from[d]));
+                taken.extend((1..64).map(|i| Area::about(between(i), 2.0)));
             }
-            strokes.extend(at.iter().map(|at| Stroke::Disc { at: *at, radius: 4.5, colour }));
-            taken.extend(at.iter().map(|at| Area::about(*at, 5.0)));
-            labels.extend(at.into_iter().zip(points).map(|(at, p)| (at, p.2, colour)));
-            strokes.push(Stroke::Disc { at: [legend + 5.0, 70.0], radius: 4.5, colour });
+            let key = [legend + 5.0, 70.0];
+            if one.style == Style::Line {
+                strokes.push(Stroke::Line {
+                    from: [legend - 1.0, 70.0],
+                    to: [legend + 11.0, 70.0],
+                    width: 2.0,
+                    colour,
+                });
+            } else {
+                discs.extend(at.iter().chain([&key]).map(|at| Stroke::Disc { at: *at, radius: 4.5, colour }));
+                taken.extend(at.iter().map(|at| Area::about(*at, 5.0)));
+                labels.extend(at.into_iter().zip(points).map(|(at, p)| (at, p.2, colour)));
+            }
             strokes.push(text([legend + 16.0, 70.0 - 0.5 * TEXT], TEXT, Align::Left, colour, &one.name));
             legend += 44.0 + f64::from(text_width(TEXT as f32, &one.name));
         }
+        strokes.extend(discs);
         for (at, label, colour) in labels {
             let area = place(at, label, &taken);
             strokes.push(text([area.min[0], area.min[1]], LABEL, Align::Left, colour, label));
@@ -143,9 +181,9 @@ impl Chart {
 }
 
 impl Series {
-    fn shown(&self) -> Vec<Point<'_>> {
-        let above = |v: f64| v.is_finite() && v > 0.0;
-        let points = self.points.iter().filter(|(x, y, _)| above(*x) && above(*y));
+    fn shown(&self, axes: Axes) -> Vec<Point<'_>> {
+        let fits = |v: f64| v.is_finite() && (axes == Axes::Linear || v > 0.0);
+        let points = self.points.iter().filter(|(x, y, _)| fits(*x) && fits(*y));
         points.map(|(x, y, label)| (*x, *y, label.as_str())).collect()
     }
 }
@@ -154,30 +192,42 @@ fn text(at: [f64; 2], size: f64, align: Align, colour: Colour, text: &str) -> St
     Stroke::Text { at, size, align, colour, text: text.to_owned() }
 }
 
-/// A logarithmic axis between two pixels.
+/// An axis between two pixels.
 struct Axis {
-    /// Decimal logarithms of its ends.
+    axes: Axes,
+    /// Values at its ends, or their decimal logarithms.
     ends: [f64; 2],
     pixels: [f64; 2],
 }
 
 impl Axis {
-    fn new(values: impl Iterator<Item = f64>, start: f64, end: f64) -> Self {
-        let (low, high) =
-            values.map(f64::log10).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    fn new(axes: Axes, values: impl Iterator<Item = f64>, start: f64, end: f64) -> Self {
+        let scaled = values.map(|value| scale(axes, value));
+        let (low, high) = scaled.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         let (low, high) = if low <= high { (low, high) } else { (0.0, 1.0) };
-        // Four fifths of a decade at least: nearly equal values look nearly equal, and two numbers stand at the axis.
-        let more = (0.08 * (high - low)).max(0.4 - 0.5 * (high - low));
-        Self { ends: [low - more, high + more], pixels: [start, end] }
+        let least = match axes {
+            // Four fifths of a decade at least: nearly equal values look nearly equal, and two numbers stand at the axis.
+            Axes::Logarithmic => 0.4,
+            Axes::Linear => 0.05 * low.abs().max(high.abs()).max(f64::MIN_POSITIVE),
+        };
+        let more = (0.08 * (high - low)).max(least - 0.5 * (high - low));
+        Self { axes, ends: [low - more, high + more], pixels: [start, end] }
     }
 
     fn pixel(&self, value: f64) -> f64 {
-        let share = (value.log10() - self.ends[0]) / (self.ends[1] - self.ends[0]);
+        let share = (scale(self.axes, value) - self.ends[0]) / (self.ends[1] - self.ends[0]);
         self.pixels[0] + share * (self.pixels[1] - self.pixels[0])
     }
 
-    /// 1, 2 and 5 of each decade within, or whole decades only if those are many.
     fn ticks(&self) -> Vec<(f64, String)> {
+        match self.axes {
+            Axes::Logarithmic => self.decades(),
+            Axes::Linear => self.even(),
+        }
+    }
+
+    /// 1, 2 and 5 of each decade within, or whole decades only if those are many.
+    fn decades(&self) -> Vec<(f64, String)> {
         let decades = self.ends[0].floor() as i32..=self.ends[1].ceil() as i32;
         let steps: &[f64] = if self.ends[1] - self.ends[0] > 4.0 { &[1.0] } else { &[1.0, 2.0, 5.0] };
         let values = decades.flat_map(|decade| {
@@ -186,6 +236,23 @@ impl Axis {
         });
         values.filter(|(value, _)| (self.ends[0]..=self.ends[1]).contains(&value.log10())).collect()
     }
+
+    /// Multiples of 1, 2 or 5 times a power of ten, four to ten of them.
+    fn even(&self) -> Vec<(f64, String)> {
+        let range = self.ends[1] - self.ends[0];
+        let decade = (range / 5.0).log10().floor() as i32;
+        let width = |step: &f64| step * 10f64.powi(decade);
+        let step =
+            [1.0, 2.0, 5.0].iter().map(width).find(|step| range / step <= 10.0).unwrap_or(10f64.powi(decade + 1));
+        let (first, last) = ((self.ends[0] / step).ceil() as i64, (self.ends[1] / step).floor() as i64);
+        let digits = (-decade).max(0) as usize;
+        (first..=last).map(|n| (n as f64 * step, format!("{:.digits$}", n as f64 * step))).collect()
+    }
+}
+
+/// Where a value stands on an axis.
+fn scale(axes: Axes, value: f64) -> f64 {
+    if axes == Axes::Logarithmic { value.log10() } else { value }
 }
 
 /// A rectangle on the page.
@@ -300,8 +367,14 @@ mod tests {
     fn chart() -> Chart {
         let points =
             vec![(1.0, 8.0, "n 16".to_owned()), (10.0, 2.0, "a < b".to_owned()), (0.0, 1.0, "gone".to_owned())];
-        let series = vec![Series { name: "uniform".to_owned(), points, joined: true }];
-        Chart { title: "error".to_owned(), x: "time [s]".to_owned(), y: "error [mm]".to_owned(), series }
+        let series = vec![Series { name: "uniform".to_owned(), points, style: Style::Joined }];
+        Chart {
+            title: "error".to_owned(),
+            x: "time [s]".to_owned(),
+            y: "error [mm]".to_owned(),
+            series,
+            ..Chart::default()
+        }
     }
 
     #[test]
@@ -320,13 +393,37 @@ mod tests {
 
     #[test]
     fn axes_are_logarithmic_and_hold_their_values() {
-        let axis = Axis::new([1.0, 100.0].into_iter(), 0.0, 300.0);
+        let axis = Axis::new(Axes::Logarithmic, [1.0, 100.0].into_iter(), 0.0, 300.0);
         let [a, b, c] = [1.0, 10.0, 100.0].map(|v| axis.pixel(v));
         assert!(((b - a) - (c - b)).abs() < 1e-9 && 0.0 < a && c < 300.0);
         let names: Vec<String> = axis.ticks().into_iter().map(|(_, name)| name).collect();
         assert_eq!(names, ["1", "2", "5", "10", "20", "50", "100"]);
-        let small = Axis::new([0.012, 0.03].into_iter(), 0.0, 1.0);
+        let small = Axis::new(Axes::Logarithmic, [0.012, 0.03].into_iter(), 0.0, 1.0);
         assert_eq!(small.ticks().into_iter().map(|(_, n)| n).collect::<Vec<_>>(), ["0.01", "0.02"]);
+    }
+
+    #[test]
+    fn even_axes_hold_what_is_not_above_zero() {
+        let axis = Axis::new(Axes::Linear, [-2.0, 8.0].into_iter(), 0.0, 100.0);
+        let [a, b, c] = [-2.0, 3.0, 8.0].map(|v| axis.pixel(v));
+        assert!(((b - a) - (c - b)).abs() < 1e-9 && 0.0 < a && c < 100.0);
+        let names: Vec<String> = axis.ticks().into_iter().map(|(_, name)| name).collect();
+        assert_eq!(names, ["-2", "0", "2", "4", "6", "8"]);
+        let small = Axis::new(Axes::Linear, [0.0, 0.1].into_iter(), 0.0, 1.0);
+        assert_eq!(small.ticks().first().map(|(_, n)| n.clone()), Some("0.00".to_owned()));
+        let shown = Series { name: String::new(), points: vec![(0.0, -1.0, String::new())], style: Style::Points };
+        assert_eq!((shown.shown(Axes::Linear).len(), shown.shown(Axes::Logarithmic).len()), (1, 0));
+    }
+
+    /// A law stands behind what was measured, without discs, and in two parts where it is broken.
+    #[test]
+    fn lines_have_no_discs_and_end_at_a_gap() {
+        let points = [0.0, 1.0, f64::NAN, 3.0, 4.0].map(|x| (x, x, "no label".to_owned())).into();
+        let series = vec![Series { name: "law".to_owned(), points, style: Style::Line }];
+        let strokes = Chart { series, axes: Axes::Linear, ..Chart::default() }.strokes();
+        let law = |s: &&Stroke| matches!(s, Stroke::Line { width: 2.0, .. });
+        assert_eq!(strokes.iter().filter(law).count(), 2 + 1, "two parts and the legend");
+        assert!(!strokes.iter().any(|s| matches!(s, Stroke::Disc { .. })) && !svg(&strokes).contains("no label"));
     }
 
     #[test]

@@ -1,16 +1,14 @@
 //! The surface of soft ground and bodies: where particles fill half of space.
 //!
-//! 1. Each particle is a cube of its volume; nodes take up the share of their cells that particles fill.
+//! 1. Each particle is a cube of its volume; nodes take up the share of their cells that particles fill ([`Field`]).
 //! 2. That share is smoothed, over about a cell, so that single particles do not show in a surface of many.
-//! 3. Where it passes about one half there is the surface (surface nets: a corner for each cell that is passed, in the mean of where its edges are).
+//! 3. Where it passes about one half there is the surface (surface nets, [`Net`]).
 //! 4. Smoothed much more, it says how much of the sky is hidden there: hollows are darker than the ground around.
 //! 5. Particles too far from others to fill half of anything are balls.
-//!
-//! # Source
-//! Surface nets: Gibson 1998, Constrained elastic surface nets.
 
 use super::raster::Soup;
 use super::relief::Dot;
+use crate::nets::{Corner, Face, Field, Net, Rimmed};
 use barchan_core::glam::Vec3;
 use rayon::prelude::*;
 
@@ -43,16 +41,6 @@ pub(super) struct Bed {
     pub walls: [bool; 5],
 }
 
-/// A field on nodes in the middles of cells.
-#[derive(Debug)]
-struct Field {
-    /// Corner of the first cell [m].
-    min: Vec3,
-    cell: f32,
-    count: [usize; 3],
-    values: Vec<f32>,
-}
-
 /// How much of the sky is hidden by ground.
 #[derive(Debug)]
 pub(super) struct Sky(Option<Field>);
@@ -68,100 +56,6 @@ impl Sky {
 }
 
 impl Field {
-    fn new(min: Vec3, cell: f32, count: [usize; 3]) -> Self {
-        Self { min, cell, count, values: vec![0.0; count.iter().product()] }
-    }
-
-    fn index(&self, [i, j, k]: [usize; 3]) -> usize {
-        (k * self.count[1] + j) * self.count[0] + i
-    }
-
-    /// The value at a place, linear between nodes; beyond them, that of the nearest.
-    fn at(&self, place: Vec3) -> f32 {
-        let place = ((place - self.min) / self.cell - 0.5).to_array();
-        let mut first = [0; 3];
-        let mut part = [0.0; 3];
-        for d in 0..3 {
-            let x = place[d].clamp(0.0, (self.count[d] - 1) as f32);
-            first[d] = (x as usize).min(self.count[d].saturating_sub(2));
-            part[d] = x - first[d] as f32;
-        }
-        let more: [usize; 3] = std::array::from_fn(|d| usize::from(self.count[d] > 1));
-        let value = |bits: [usize; 3]| self.values[self.index(std::array::from_fn(|d| first[d] + bits[d] * more[d]))];
-        let mix = |a: f32, b: f32, t: f32| a + t * (b - a);
-        let row = |j, k| mix(value([0, j, k]), value([1, j, k]), part[0]);
-        let layer = |k| mix(row(0, k), row(1, k), part[1]);
-        mix(layer(0), layer(1), part[2])
-    }
-
-    /// Fills the cells that a cube of some side covers.
-    fn fill(&mut self, place: Vec3, side: f32, mut at: impl FnMut(usize)) {
-        /// Cells across the largest particle; the coarsest level's are 128 times as wide as the finest's.
-        const MOST: usize = 160;
-        let mut shares = [[0.0; MOST]; 3];
-        let mut first = [0; 3];
-        let mut count = [0; 3];
-        for d in 0..3 {
-            let middle = (place[d] - self.min[d]) / self.cell;
-            let half = 0.5 * side / self.cell;
-            let (low, high) = ((middle - half).max(0.0), (middle + half).min(self.count[d] as f32));
-            if low >= high {
-                return;
-            }
-            first[d] = low as usize;
-            count[d] = (high.ceil() as usize).min(self.count[d]).saturating_sub(first[d]).min(MOST);
-            for (i, share) in shares[d][..count[d]].iter_mut().enumerate() {
-                let cell = (first[d] + i) as f32;
-                *share = high.min(cell + 1.0) - low.max(cell);
-            }
-        }
-        for (k, z) in shares[2][..count[2]].iter().enumerate() {
-            for (j, y) in shares[1][..count[1]].iter().enumerate() {
-                let row = self.index([first[0], first[1] + j, first[2] + k]);
-                for (i, x) in shares[0][..count[0]].iter().enumerate() {
-                    self.values[row + i] += x * y * z;
-                    at(row + i);
-                }
-            }
-        }
-    }
-
-    /// One pass (1 2 1) along each axis. Beyond its ends the field goes on as it is there.
-    fn smooth(&mut self) {
-        let [nx, ny, _] = self.count;
-        let mean = |a: f32, b: f32, c: f32| 0.25 * (a + c) + 0.5 * b;
-        self.values.par_chunks_mut(nx).for_each(|row| {
-            let mut before = row[0];
-            for i in 0..nx {
-                let here = row[i];
-                row[i] = mean(before, here, row[(i + 1).min(nx - 1)]);
-                before = here;
-            }
-        });
-        // Along y within each layer, along z between layers, a whole row at a time.
-        let along = |from: &[f32], stride: usize, rows: usize, to: &mut [f32]| {
-            for j in 0..rows {
-                let row = |j: usize| &from[j * stride..][..stride];
-                let (above, here, below) = (row(j.saturating_sub(1)), row(j), row((j + 1).min(rows - 1)));
-                let out = to[j * stride..][..stride].iter_mut();
-                for (((out, a), b), c) in out.zip(above).zip(here).zip(below) {
-                    *out = mean(*a, *b, *c);
-                }
-            }
-        };
-        let mut next = vec![0.0; self.values.len()];
-        let layers = next.par_chunks_mut(nx * ny).zip(self.values.par_chunks(nx * ny));
-        layers.for_each(|(to, from)| along(from, nx, ny, to));
-        let layer = |k: usize| &next[k * nx * ny..][..nx * ny];
-        let last = self.count[2] - 1;
-        self.values.par_chunks_mut(nx * ny).enumerate().for_each(|(k, out)| {
-            let (below, here, above) = (layer(k.saturating_sub(1)), layer(k), layer((k + 1).min(last)));
-            for (((out, a), b), c) in out.iter_mut().zip(below).zip(here).zip(above) {
-                *out = mean(*a, *b, *c);
-            }
-        });
-    }
-
     /// What hides the sky: the same in cells four times as wide, with air around and the floor below.
     fn sky(&self, bed: &Bed) -> Field {
         let coarse = COARSE as f32 * self.cell;
@@ -268,99 +162,27 @@ fn filled(dots: &[Dot], bed: &Bed, spacing: f32) -> Option<(Field, Vec<u8>, [boo
 
 /// The surface where the field passes one half. Beyond the field there is nothing.
 fn nets(field: &Field, smoother: &Field, grounds: &[u8], bed: &Bed, sky: &Sky, first_paint: u16, soup: &mut Soup) {
-    let [nx, ny, nz] = field.count;
-    // Nodes with a rim of nothing; cells lie between them.
-    let (px, py, pz) = (nx + 2, ny + 2, nz + 2);
-    let rimmed = |field: &Field| {
-        let mut padded = vec![0.0f32; px * py * pz];
-        for (k, layer) in field.values.chunks(nx * ny).enumerate() {
-            for (j, row) in layer.chunks(nx).enumerate() {
-                padded[((k + 1) * py + j + 1) * px + 1..][..nx].copy_from_slice(row);
-            }
-        }
-        padded
-    };
-    let (padded, smoother) = (rimmed(field), rimmed(smoother));
-    let steps = [1, px, px * py];
-    let offset = |corner: usize| (0..3).map(|d| (corner >> d & 1) * steps[d]).sum::<usize>();
-    let offsets: [usize; 8] = std::array::from_fn(offset);
-    let mut numbers = vec![u32::MAX; padded.len()];
-    for k in 0..pz - 1 {
-        for j in 0..py - 1 {
-            let first = (k * py + j) * px;
-            for i in 0..px - 1 {
-                let node = first + i;
-                let values: [f32; 8] = std::array::from_fn(|c| padded[node + offsets[c]]);
-                let inside = values.iter().filter(|&&v| v > HALF).count();
-                if inside == 0 || inside == 8 {
-                    continue;
-                }
-                let place = crossing(&values);
-                let at = field.min + (Vec3::new(i as f32, j as f32, k as f32) + place - 0.5) * field.cell;
-                let normal = -slope(&std::array::from_fn(|c| smoother[node + offsets[c]]), place).normalize_or_zero();
-                let cut = [i == 0, i == nx, j == 0, j == ny].iter().zip(bed.walls).any(|(&end, wall)| end && wall);
-                let seen = if cut && normal.z < 0.5 { CUT_SKY } else { sky.seen(at, normal) };
-                numbers[node] = soup.corner(at, normal, seen);
-            }
-        }
-    }
+    let [nx, ny, _] = field.count;
+    let smoother = Rimmed::new(smoother);
+    let net = Net::new(field, HALF, |Corner { cell: [i, j, _], node, within, at }| {
+        let normal = -slope(&smoother.around(node), within).normalize_or_zero();
+        let cut = [i == 0, i == nx, j == 0, j == ny].iter().zip(bed.walls).any(|(&end, wall)| end && wall);
+        let seen = if cut && normal.z < 0.5 { CUT_SKY } else { sky.seen(at, normal) };
+        soup.corner(at, normal, seen)
+    });
     let ground = |place: [usize; 3]| {
         let inner: [usize; 3] = std::array::from_fn(|d| place[d].clamp(1, field.count[d]) - 1);
         grounds.get(field.index(inner)).copied().unwrap_or_default()
     };
-    // A face for each edge between two nodes that is passed: its corners are in the four cells around the edge.
-    for k in 0..pz - 1 {
-        for j in 0..py - 1 {
-            let first = (k * py + j) * px;
-            for i in 0..px - 1 {
-                let node = first + i;
-                let here = padded[node] > HALF;
-                for d in 0..3 {
-                    if here == (padded[node + steps[d]] > HALF) {
-                        continue;
-                    }
-                    // What lies on the floor is not seen from below.
-                    if d == 2 && k == 0 && bed.walls[4] {
-                        continue;
-                    }
-                    let place = [i, j, k];
-                    let (u, v) = ((d + 1) % 3, (d + 2) % 3);
-                    if place[u] == 0 || place[v] == 0 {
-                        continue;
-                    }
-                    let around = [node, node - steps[u], node - steps[u] - steps[v], node - steps[v]];
-                    let [a, b, c, e] = around.map(|cell| numbers[cell]);
-                    let mut within = place;
-                    within[d] += usize::from(!here);
-                    let paint = first_paint + u16::from(ground(within));
-                    soup.triangle([a, b, c], paint);
-                    soup.triangle([a, c, e], paint);
-                }
-            }
+    net.faces(|Face { corners: [a, b, c, e], axis, inside, outside }| {
+        // What lies on the floor is not seen from below.
+        if axis == 2 && outside[2] == 0 && bed.walls[4] {
+            return;
         }
-    }
-}
-
-/// Where in a cell the field passes the share at the surface.
-fn crossing(values: &[f32; 8]) -> Vec3 {
-    let mut sum = Vec3::ZERO;
-    let mut count = 0.0;
-    for d in 0..3 {
-        let (u, v) = ((d + 1) % 3, (d + 2) % 3);
-        for bits in 0..4 {
-            let from = (bits & 1) << u | (bits >> 1) << v;
-            let (a, b) = (values[from], values[from | 1 << d]);
-            if (a > HALF) != (b > HALF) {
-                let mut at = Vec3::ZERO;
-                at[d] = (HALF - a) / (b - a);
-                at[u] = (bits & 1) as f32;
-                at[v] = (bits >> 1) as f32;
-                sum += at;
-                count += 1.0;
-            }
-        }
-    }
-    sum / count
+        let paint = first_paint + u16::from(ground(inside));
+        soup.triangle([a, b, c], paint);
+        soup.triangle([a, c, e], paint);
+    });
 }
 
 /// The slope of a field in a cell.

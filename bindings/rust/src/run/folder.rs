@@ -15,10 +15,22 @@ use std::path::{Path, PathBuf};
 /// The list of what a run has written.
 const LIST: &str = "files.txt";
 /// What a run writes besides numbered files.
-const FIXED: [&str; 6] =
-    [super::TRACE, super::PROBES, super::SUMMARY, super::SNAPSHOT, super::CONTACT_SHEET, super::ANIMATION];
+const FIXED: [&str; 7] = [
+    super::TRACE,
+    super::TRACE_ARRAYS,
+    super::PROBES,
+    super::SUMMARY,
+    super::SNAPSHOT,
+    super::CONTACT_SHEET,
+    super::ANIMATION,
+];
 /// Folders of numbered files, and how those may end.
-const NUMBERED: [(&str, &[&str]); 2] = [(super::FRAMES, &["png"]), (super::PARTICLES, &["ply", "npz", "vtu"])];
+const NUMBERED: [(&str, &[&str]); 4] = [
+    (super::FRAMES, &["png"]),
+    (super::PARTICLES, &["ply", "npz", "vtu"]),
+    (super::SURFACE, &["ply"]),
+    (super::HEIGHT, &["npz", "png"]),
+];
 /// Folder of what observers write, each into a folder of its own name.
 const OBSERVED: &str = "observed";
 /// Digits of a number at least.

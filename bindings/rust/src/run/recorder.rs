@@ -4,12 +4,12 @@ use super::folder::Folder;
 use super::pictures::Pictures;
 use super::probes::{self, Probes};
 use super::trace::{self, Columns, Trace};
-use super::{FRAMES, PARTICLES, PROBES, Request, SNAPSHOT, TRACE, io_error};
+use super::{FRAMES, HEIGHT, PARTICLES, PROBES, Request, SNAPSHOT, SURFACE, TRACE, io_error};
+use crate::export::{self, Fields, Surface};
 use crate::run::Existing;
 use barchan_core::backend::Timing;
-use barchan_core::export::export;
 use barchan_core::observer::{Every, Observer, Output};
-use barchan_core::scene::{Export, plain};
+use barchan_core::scene::{Export, HeightOutput, SurfaceOutput, plain};
 use barchan_core::{Error, Result, Simulation, StepReport};
 use std::cell::RefCell;
 use std::fs::File;
@@ -29,7 +29,7 @@ pub(super) struct Files {
 }
 
 impl Files {
-    fn flush(&mut self) -> Result<()> {
+    pub(super) fn flush(&mut self) -> Result<()> {
         self.probes.as_mut().map_or(Ok(()), |probes| probes.flush(&self.folder))?;
         self.trace.flush().map_err(|e| io_error(&self.folder.join(TRACE), "writing the trace", e))
     }
@@ -109,6 +109,10 @@ impl<'a> Recorder<'a> {
             super::pictures::check()?;
         }
         check_names(guests)?;
+        let export = match request.export.or(output.export) {
+            Some(format) => Some((format, Fields::new(simulation.plan(), output.export_fields.as_deref())?)),
+            None => None,
+        };
         let mut folder = Folder::open(&request.out, request.existing, simulation.plan().memory.0)?;
         let resumed = request.existing == Existing::Resume;
         let columns: Vec<Vec<String>> = guests.iter().map(|guest| guest.columns()).collect();
@@ -129,6 +133,12 @@ impl<'a> Recorder<'a> {
         let past = every(output.interval).number();
         let frames = folder.numbered(FRAMES, past)?;
         folder.numbered(PARTICLES, past)?;
+        for (name, interval) in [
+            (SURFACE, output.surface.as_ref().map(|surface| surface.interval)),
+            (HEIGHT, output.height_map.as_ref().map(|map| map.interval)),
+        ] {
+            folder.numbered(name, interval.map_or(0, |interval| every(interval).number()))?;
+        }
         let pictures = pictures.then(|| Pictures::new(simulation, frames.last().map(PathBuf::as_path))).transpose()?;
         let values = vec![None; columns.iter().map(Vec::len).sum()];
         let trace = trace::open(&mut folder, TRACE, simulation, resumed, &header)?;
@@ -143,19 +153,29 @@ impl<'a> Recorder<'a> {
             seats.push(Seat { observer: Who::Guest(&mut **guest), every, columns, seconds: 0.0, looks: 0 });
         }
         let shared = || Rc::clone(&files);
-        let probes = Probes::of(&files, &simulation.plan().scene).into_iter();
-        let own: [Box<dyn Observer>; 3] = [
-            Box::new(Trace::new(shared(), trace_columns, output.trace.interval, resumed)),
+        let mut own: Vec<Box<dyn Observer>> = Vec::new();
+        for probes in Probes::of(&files, &simulation.plan().scene) {
+            own.push(Box::new(probes));
+        }
+        let rest: [Box<dyn Observer>; 3] = [
+            Box::new(Trace::new(shared(), trace_columns, &output.trace, resumed)),
             Box::new(Frames {
                 files: shared(),
                 every: every(output.interval),
                 interval: output.interval,
                 pictures,
-                export: request.export.or(output.export),
+                export,
             }),
             Box::new(Snapshots { files: shared(), interval: output.snapshot_interval, began: simulation.step_count() }),
         ];
-        for own in probes.map(|one| -> Box<dyn Observer> { Box::new(one) }).chain(own) {
+        own.extend(rest);
+        if let Some(output) = &output.surface {
+            own.push(Box::new(Surfaces { files: shared(), every: every(output.interval), output: output.clone() }));
+        }
+        if let Some(output) = &output.height_map {
+            own.push(Box::new(HeightMaps { files: shared(), every: every(output.interval), output: output.clone() }));
+        }
+        for own in own {
             let every = every(own.interval());
             seats.push(Seat { observer: Who::Own(own), every, columns: 0..0, seconds: 0.0, looks: 0 });
         }
@@ -281,7 +301,7 @@ struct Frames {
     every: Every,
     interval: f64,
     pictures: Option<Pictures>,
-    export: Option<Export>,
+    export: Option<(Export, Fields)>,
 }
 
 impl Observer for Frames {
@@ -299,9 +319,9 @@ impl Observer for Frames {
         if let Some(pictures) = &mut self.pictures {
             pictures.take(simulation, || files.folder.claim(&format!("{FRAMES}/{number:05}.png")))?;
         }
-        if let Some(format) = self.export {
+        if let Some((format, fields)) = &self.export {
             let path = files.folder.claim(&format!("{PARTICLES}/{number:05}.{}", format.extension()))?;
-            export(&simulation.ground(), simulation.plan(), path, format)?;
+            export::particles(simulation, fields, path, *format)?;
         }
         files.flush()
     }
@@ -309,6 +329,57 @@ impl Observer for Frames {
         let drawn = self.pictures.as_mut().map_or(Ok(()), Pictures::wait);
         let folder = &mut self.files.borrow_mut().folder;
         drawn.and(self.pictures.as_ref().map_or(Ok(()), |pictures| pictures.overview(folder, self.interval)))
+    }
+}
+
+/// Meshes of the ground's surface.
+struct Surfaces {
+    files: Rc<RefCell<Files>>,
+    every: Every,
+    output: SurfaceOutput,
+}
+
+impl Observer for Surfaces {
+    fn name(&self) -> &str {
+        "surface"
+    }
+    fn interval(&self) -> f64 {
+        self.output.interval
+    }
+    fn observe(&mut self, simulation: &Simulation, _: &mut dyn Output) -> Result<()> {
+        let number = self.every.number();
+        self.every.done(simulation.time());
+        let spacing = self.output.spacing.unwrap_or(simulation.plan().scene.world.cell);
+        let surface = Surface::new(&simulation.spots(), spacing)?;
+        let path = self.files.borrow_mut().folder.claim(&format!("{SURFACE}/{number:05}.ply"))?;
+        surface.write_ply(path, simulation)
+    }
+}
+
+/// Maps of the ground's height.
+struct HeightMaps {
+    files: Rc<RefCell<Files>>,
+    every: Every,
+    output: HeightOutput,
+}
+
+impl Observer for HeightMaps {
+    fn name(&self) -> &str {
+        "height map"
+    }
+    fn interval(&self) -> f64 {
+        self.output.interval
+    }
+    fn observe(&mut self, simulation: &Simulation, _: &mut dyn Output) -> Result<()> {
+        let number = self.every.number();
+        self.every.done(simulation.time());
+        let map = export::height_map(simulation, self.output.spacing.unwrap_or(simulation.plan().scene.world.cell));
+        let folder = &mut self.files.borrow_mut().folder;
+        map.write_npz(folder.claim(&format!("{HEIGHT}/{number:05}.npz"))?)?;
+        if self.output.png {
+            map.write_png(folder.claim(&format!("{HEIGHT}/{number:05}.png"))?)?;
+        }
+        Ok(())
     }
 }
 

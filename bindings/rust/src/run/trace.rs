@@ -1,8 +1,9 @@
-//! `trace.csv`: a row for each step, or one an interval with what is true of the whole run besides.
+//! `trace.csv`: a row for each step, or one an interval with what is true of the whole run besides; and `trace.npz`, the same as arrays.
 
 use super::folder::Folder;
-use super::io_error;
 use super::recorder::Files;
+use super::{TRACE, TRACE_ARRAYS, io_error};
+use crate::export::npz::Npz;
 use barchan_core::observer::{Observer, Output};
 use barchan_core::scene::{self, fits, plain};
 use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
@@ -136,6 +137,8 @@ pub(super) struct Trace {
     files: Rc<RefCell<Files>>,
     columns: Columns,
     interval: Option<f64>,
+    /// Is it written as arrays too?
+    npz: bool,
     /// What has gone since the last row.
     since: Since,
     /// Has a row been written, at the start too? Is the next one due?
@@ -166,8 +169,9 @@ impl Since {
 
 impl Trace {
     /// `resumed`: a row for the start is there already.
-    pub(super) fn new(files: Rc<RefCell<Files>>, columns: Columns, interval: Option<f64>, resumed: bool) -> Self {
-        Self { files, columns, interval, since: Since::default(), begun: resumed, due: false }
+    pub(super) fn new(files: Rc<RefCell<Files>>, columns: Columns, wanted: &scene::Trace, resumed: bool) -> Self {
+        let scene::Trace { interval, npz, .. } = *wanted;
+        Self { files, columns, interval, npz, since: Since::default(), begun: resumed, due: false }
     }
 
     /// A row of the present.
@@ -253,6 +257,33 @@ impl Observer for Trace {
         }
         Ok(())
     }
+    fn finish(&mut self, _: &Simulation, _: &mut dyn Output) -> Result<()> {
+        if self.npz { write_arrays(&mut self.files.borrow_mut()) } else { Ok(()) }
+    }
+}
+
+/// Writes the trace, all that is there of it, as an archive of arrays: one for each column, under its name, with NaN where a row has nothing.
+///
+/// It is made from the rows at the end, so that a run that was cut off has a trace, and one that goes on has it whole.
+fn write_arrays(files: &mut Files) -> Result<()> {
+    files.flush()?;
+    let path = files.folder.join(TRACE);
+    let text = std::fs::read_to_string(&path).map_err(|e| io_error(&path, "reading the trace", e))?;
+    let mut lines = text.lines();
+    let names: Vec<String> = fields(lines.next().unwrap_or_default()).into_iter().map(unquoted).collect();
+    let mut columns = vec![Vec::new(); names.len()];
+    for line in lines {
+        for (column, value) in columns.iter_mut().zip(line.split(',')) {
+            column.push(value.parse().unwrap_or(f64::NAN));
+        }
+    }
+    files.folder.write(TRACE_ARRAYS, "writing the trace", |out| {
+        let mut archive = Npz::new(out);
+        for (name, column) in names.iter().zip(&columns) {
+            archive.reals(name, &[column.len()], column)?;
+        }
+        archive.finish()
+    })
 }
 
 fn of_all(ledger: &Ledger) -> impl Iterator<Item = Option<f64>> {
@@ -336,6 +367,12 @@ fn fields(line: &str) -> Vec<&str> {
         c == ',' && !inside
     };
     line.split(ends).collect()
+}
+
+/// What [`quoted`] was given.
+fn unquoted(field: &str) -> String {
+    let inner = field.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
+    inner.map_or_else(|| field.to_owned(), |inner| inner.replace("\"\"", "\""))
 }
 
 /// A field of a CSV file (RFC 4180), on one line.

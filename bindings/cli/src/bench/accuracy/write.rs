@@ -5,7 +5,7 @@ use super::pareto::{Point, Time, order, time_to};
 use super::{Figures, Report, Row};
 use barchan::Result;
 use barchan::accuracy::{Chamfer, Errors, FORCE_WINDOW, Norms};
-use barchan::picture::{Chart, Series};
+use barchan::picture::{Axes, Chart, Series, Style};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -78,7 +78,7 @@ fn chart(report: &Report, metric: &Metric, cost: &Metric) -> Chart {
     let uniform = Series {
         name: "uniform grids".to_owned(),
         points: ladder(report).into_iter().map(point).collect(),
-        joined: true,
+        style: Style::Joined,
     };
     let nested = |name: &str, subcycle: bool| Series {
         name: name.to_owned(),
@@ -86,12 +86,12 @@ fn chart(report: &Report, metric: &Metric, cost: &Metric) -> Chart {
             .filter(|(row, _)| row.entry.levels > 1 && row.entry.subcycle == subcycle)
             .map(point)
             .collect(),
-        joined: false,
+        style: Style::Points,
     };
     let others = Series {
         name: "uniform, varied".to_owned(),
         points: ran(report).filter(|(row, _)| row.entry.levels == 1 && !report.is_plain(row)).map(point).collect(),
-        joined: false,
+        style: Style::Points,
     };
     let series = [uniform, nested("nested levels", false), nested("nested, subcycled", true), others];
     Chart {
@@ -102,6 +102,7 @@ fn chart(report: &Report, metric: &Metric, cost: &Metric) -> Chart {
         x: cost.1.to_owned(),
         y: metric.1.to_owned(),
         series: series.into_iter().filter(|one| !one.points.is_empty()).collect(),
+        axes: Axes::Logarithmic,
     }
 }
 
