@@ -189,8 +189,8 @@ impl Generator {
             scene.insert("source".to_owned(), Value::Array(vec![Value::Table(source)]));
             scene.insert("sink".to_owned(), Value::Array(vec![Value::Table(sink)]));
         }
-        if frame.is(0.1) {
-            scene.insert("clip".to_owned(), Value::Boolean(true));
+        if frame.is(0.2) {
+            scene.insert("clip".to_owned(), Value::Boolean(frame.is(0.5)));
         }
         for body in
             entries(&mut scene, "body").filter(|body| !body.contains_key("zone") && !body.contains_key("settled"))
@@ -641,9 +641,7 @@ fn flow(frame: &mut Frame) -> [Table; 2] {
     let is_still = along.iter().all(|x| *x == 0.0);
     source.insert("velocity".to_owned(), floats(if is_still { [0.0, 0.0, -frame.speed] } else { along }));
     source.insert("until".to_owned(), Value::Float(frame.decades(1e-3, 0.1)));
-    if frame.is(0.5) {
-        source.insert("sampling".to_owned(), Value::String("jitter".to_owned()));
-    }
+    source.insert("sampling".to_owned(), Value::String(frame.pick(&["lattice", "jitter"]).to_owned()));
     let least = 2.0 * f64::from(1 << (frame.levels - 1));
     sink.insert("shape".to_owned(), ball(frame.point(3.0), cell * frame.between(least, least + 3.0)));
     sink.insert("from".to_owned(), Value::Float(frame.pick(&[0.0, 1e-3, 1e-2])));
