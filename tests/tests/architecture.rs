@@ -111,9 +111,11 @@ fn crates_depend_on_each_other_along_the_arrows_only() {
             "tasks" => BTreeSet::from(["barchan-core"]),
             "bindings/cli" | "bindings/python" => BTreeSet::from(["barchan"]),
             "tests" => names.clone(),
-            "bindings/rust" => {
-                names.iter().copied().filter(|n| !matches!(*n, "barchan-cli" | "barchan-python" | "barchan-tests")).collect()
-            }
+            "bindings/rust" => names
+                .iter()
+                .copied()
+                .filter(|n| !matches!(*n, "barchan-cli" | "barchan-python" | "barchan-tests"))
+                .collect(),
             _ if folder.starts_with("materials/") => with(&["barchan-material-kit"]),
             _ if folder.starts_with("backends/") => with(&["barchan-core", "barchan-grid"]),
             // What others build onto Barchan sees what others see.
