@@ -23,12 +23,16 @@
 
 //!
 //! ```
-//! use barchan::run::{EffectTime, Existing, Progress, Request, Summary, Swap, Until, run};
+//! use barchan::run::{EffectTime, Existing, ProbeFigures, Progress, Request, Summary, Swap, Until, run};
+//! use barchan::scene::{Probe, Region};
 //! use barchan::{Options, Precision, Simulation};
 //! use std::ops::ControlFlow;
 //!
 //! let registry = barchan::registry();
-//! let mut simulation = Simulation::new(&registry, &barchan::example(), &Options::default())?;
+//! let mut scene = barchan::example();
+//! let all = Region::Box { min: scene.world.min, max: scene.world.max };
+//! scene.probe.push(Probe { name: "all".into(), within: Some(all), ..Probe::default() });
+//! let mut simulation = Simulation::new(&registry, &scene, &Options::default())?;
 //! let out = std::env::temp_dir().join(format!("barchan-run-{}", std::process::id()));
 //! // In the middle, f64 takes over.
 //! let options = Options { precision: Precision::F64, ..Options::default() };
@@ -48,6 +52,8 @@
 //! assert_eq!((summary.step, summary.precision), (6, Precision::F64));
 //! let effects: &[EffectTime] = &summary.effects;
 //! assert!(effects.iter().any(|effect| effect.effect == "P2G"));
+//! let mass: &ProbeFigures = &summary.probes["all"]["mass [kg]"];
+//! assert!(mass.last > 0.0);
 //! assert!(out.join("trace.csv").is_file());
 //! # let _ = std::fs::remove_dir_all(out);
 //! # Ok::<(), barchan::Error>(())
