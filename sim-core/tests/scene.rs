@@ -216,7 +216,7 @@ const FAULTS: &[(&str, &str, &str, &str, &str)] = &[
         "plane = { normal = [0, 0, 1] }",
         "plane",
         "body[1].shape",
-        "planes and unions are for tools",
+        "planes are for tools",
     ),
     (
         "sphere = { center = [0.4, 0.2, 0.3], radius = 0.05 }",
