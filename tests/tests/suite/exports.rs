@@ -278,8 +278,11 @@ fn grids_too_fine_for_the_ground_are_refused() {
     assert!(error.contains("output.height_map.spacing") && error.contains("make it"), "{error}");
 }
 
+/// A particle of a snapshot as the document lays it out: number, position, velocity, mass, strain.
+type Documented = (u64, [f64; 3], [f64; 3], f64, Vec<f64>);
+
 /// The particles of a snapshot, read by `docs/formats.md`: id, position, velocity, mass and strain.
-fn by_the_document(bytes: &[u8]) -> Vec<(u64, [f64; 3], [f64; 3], f64, Vec<f64>)> {
+fn by_the_document(bytes: &[u8]) -> Vec<Documented> {
     assert_eq!((&bytes[..8], &bytes[8..12]), (b"BARCHAN\x1a".as_slice(), 4u32.to_le_bytes().as_slice()));
     let u64_at = |b: &[u8], at: usize| u64::from_le_bytes(b[at..at + 8].try_into().unwrap());
     let (mut at, mut rows) = (12, Vec::new());
