@@ -31,6 +31,7 @@ impl Field {
     }
 
     /// The value at a place, linear between nodes; beyond them, that of the nearest.
+    #[cfg(feature = "pictures")]
     pub(crate) fn at(&self, place: Vec3) -> f32 {
         let place = ((place - self.min) / self.cell - 0.5).to_array();
         let mut first = [0; 3];
@@ -150,6 +151,10 @@ impl Rimmed {
 }
 
 /// A corner of a net, in a cell that the surface passes through.
+#[cfg_attr(
+    not(feature = "pictures"),
+    expect(dead_code, reason = "a mesh needs the place alone, pictures the rest too")
+)]
 pub(crate) struct Corner {
     /// The cell, counted from the rim.
     pub(crate) cell: [usize; 3],

@@ -176,7 +176,9 @@ fn columns_of_observers_stay_when_a_run_goes_on() {
     };
     let before = content();
     let error = fail(folder.path(), &[&go_on as &[&str], &["other"]].concat());
-    for says in ["has 'glide depth [m]'", "lacks 'drift kinetic [J]'", "go on with the probes and observers that the run had"] {
+    for says in
+        ["has 'glide depth [m]'", "lacks 'drift kinetic [J]'", "go on with the probes and observers that the run had"]
+    {
         assert!(error.contains(says), "'{says}' is not in: {error}");
     }
     assert!(before == content(), "a run that was refused has changed the folder");
