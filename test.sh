@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Runs every check and every test of Barchan, and installs by itself what they need.
 #
-# Needs: Rust (rustup.rs) and a compiler for C and C++. Takes 33 minutes on two cores of a Zen 4 the first time (15 of them tests), up to an hour on two slow ones, and
-# ends with its slowest tests and its minutes.
+# Needs: Rust (rustup.rs) and a compiler for C and C++. Takes about an hour on two cores the first time (half of it tests), and ends with its
+# slowest tests and its minutes.
 # Installs, if missing:
 #   rustfmt, clippy   into the Rust toolchain, by rustup                        about 15 MB
 #   mesa-vulkan-drivers  by apt-get, as root, on Linux without a Vulkan driver      about 150 MB
