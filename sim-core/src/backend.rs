@@ -2,6 +2,7 @@
 
 use crate::parameter::Parameter;
 use crate::plan::PlannedMaterial;
+use crate::task::{Sampled, chosen};
 use crate::{
     Aabb, BodyState, Coupling, Crossed, Fields, Form, Ledger, Newcomer, ParticleList, ParticleState, Plan, Reading,
     Result, Sought, Spot, Stage, Sums, Tile, Vec3, Wrench,
@@ -248,6 +249,22 @@ pub trait Engine: Send {
         let inside = |spot: &Spot| region.is_none_or(|region| region.contains(spot.position));
         self.download_where(&inside).lists.iter().for_each(|list| reading.add_list(list, None));
         reading
+    }
+    /// A sample of the particles, so many of each level, as [`Seen::sample`](crate::task::Seen::sample) says. The archive is left out.
+    fn sample(&self, counts: &[usize]) -> Vec<Sampled> {
+        let particles = self.download();
+        let levels = particles.lists.iter().map(|list| list.level as usize + 1).max().unwrap_or_default();
+        let mut by_level: Vec<Vec<(usize, usize)>> = vec![Vec::new(); levels];
+        for (l, list) in particles.lists.iter().enumerate() {
+            by_level[list.level as usize].extend((0..list.len()).map(|i| (l, i)));
+        }
+        let present: Vec<usize> = by_level.iter().map(Vec::len).collect();
+        let sampled = |(level, number): (usize, usize)| {
+            let (l, i) = by_level[level][number];
+            let list = &particles.lists[l];
+            Sampled { position: list.position(i), velocity: list.velocity[i] }
+        };
+        chosen(counts, &present).into_iter().map(sampled).collect()
     }
     /// Sums over the particles in regions, and over those in the archive there. `materials` are the plan's.
     ///

@@ -57,6 +57,13 @@ impl TaskSetup<'_> {
             None => Error::Body { path: format!("task '{}': {key}", self.name), what: what.into(), mend: mend.into() },
         }
     }
+    /// An error about the scene, which lacks something that the task needs.
+    pub fn unfit(&self, what: impl Into<String>, mend: impl Into<String>) -> Error {
+        match self.scene {
+            Some(scene) => scene.fault("task", what, mend),
+            None => Error::Body { path: format!("task '{}'", self.name), what: what.into(), mend: mend.into() },
+        }
+    }
 }
 
 /// Key path of a task's parameters.
@@ -231,19 +238,16 @@ impl Registry {
     pub fn backend(&self, name: &str) -> Result<&Arc<dyn Backend>> {
         find(&self.backends, "backend", name)
     }
-    /// A fresh task of that name in its own scene, with the defaults of its parameters; [`task_of`](Self::task_of) makes the one that a scene calls for.
+    /// A fresh task of that name in its own scene, with these parameters and defaults; [`task_of`](Self::task_of) makes the one that a scene calls for.
     ///
     /// # Errors
-    /// [`Error::Unknown`] listing the known ones; a required parameter; the task's own.
-    pub fn task(&self, name: &str) -> Result<Box<dyn Task>> {
+    /// [`Error::Unknown`] listing the known ones; parameters that it has not declared or that it needs; the task's own.
+    pub fn task(&self, name: &str, given: &Table) -> Result<Box<dyn Task>> {
         let kind = find(&self.tasks, "task", name)?;
-        let fault = |path: &str, what: String, mend: String| Error::Body {
-            path: format!("task '{name}': {path}"),
-            what,
-            mend: format!("{mend}, in the [task] of a scene"),
-        };
+        let fault =
+            |path: &str, what: String, mend: String| Error::Body { path: format!("task '{name}': {path}"), what, mend };
         let giver = Giver { whose: format!("task '{name}'"), folder: Path::new(""), fault: &fault };
-        let parameters = giver.resolve(&kind.parameters, &Table::new(), "")?;
+        let parameters = giver.resolve(&kind.parameters, given, "")?;
         (kind.maker)(&TaskSetup { scene: None, parameters: &parameters, name })
     }
     /// A fresh task as the scene's `[task]` asks for it, to be played in that scene.

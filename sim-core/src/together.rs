@@ -2,6 +2,7 @@
 
 use crate::backend::{Batch, NewWorld};
 use crate::simulation::{WantedSteps, find_backend, no_step};
+use crate::task::{Seen, Watch};
 use crate::{Error, Options, Plan, Registry, Result, Scene, Simulation, StepReport};
 use std::fmt;
 
@@ -112,6 +113,15 @@ impl Together {
         taken
             .map(|(((w, wanted), before), result)| (*w, self.worlds[*w].finish(&common(wanted), before, result)))
             .collect()
+    }
+
+    /// Looks at every world for what is wanted of it.
+    ///
+    /// # Panics
+    /// If there is not one for each world.
+    pub fn watch(&mut self, watches: &[Watch]) -> Vec<Result<Seen>> {
+        assert_eq!(watches.len(), self.worlds.len(), "there is one for each world");
+        self.worlds.iter().zip(watches).map(|(world, watch)| world.watch(watch)).collect()
     }
 
     /// Puts a world at the start of a scene, in the place of another.

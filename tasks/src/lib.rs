@@ -1,8 +1,22 @@
-//! The scenes that come with Barchan, and the benchmark tasks that will be played in them.
+//! The scenes that come with Barchan, and benchmark tasks.
 //!
-//! This crate knows the core only: scenes name their materials, couplings and backends, and the registry finds them.
+//! This crate knows the core only: scenes name their materials, couplings and backends, and the registry finds them. A task has a file of its own.
 
-use barchan_core::{Error, Result, Scene};
+mod base;
+mod effector;
+mod reward;
+mod smooth_surface;
+mod view;
+
+use barchan_core::{Error, Registry, Result, Scene};
+
+/// Registers all tasks, each in two sizes.
+///
+/// # Errors
+/// If one of their names is taken.
+pub fn register(registry: &mut Registry) -> Result<()> {
+    smooth_surface::register(registry)
+}
 
 /// The scenes that are files, by name.
 const FILES: [(&str, &str); 23] = [

@@ -26,6 +26,7 @@ mod report;
 mod robot;
 mod run;
 mod signals;
+mod task;
 
 use barchan::parameter::{Given, Table};
 use barchan::{Error, Plan, Precision, Registry, Result, Scene};
@@ -70,6 +71,9 @@ enum Command {
     Robot(robot::Robot),
     /// Runs classic experiments, each beside its law: a table of figures, and a plot for each. The exit status is 1 if a figure is beyond its tolerance.
     Gallery(gallery::GalleryArgs),
+    /// Plays benchmark tasks.
+    #[command(subcommand)]
+    Task(task::TaskCommand),
     /// Measures.
     #[command(subcommand)]
     Bench(bench::Bench),
@@ -221,6 +225,7 @@ pub fn main_with(registry: Registry) -> ExitCode {
         }
         Command::Robot(args) => robot::run(args).map(|()| ExitCode::SUCCESS),
         Command::Gallery(args) => gallery::run(args),
+        Command::Task(command) => task::run(command, registry).map(|()| ExitCode::SUCCESS),
         Command::Bench(args) => bench::run(args, registry).map(|()| ExitCode::SUCCESS),
         Command::Schema => {
             show(format!("{:#}\n", Scene::schema()));

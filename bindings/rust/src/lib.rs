@@ -21,13 +21,14 @@
 //! ```
 //! [`Scene::from_file`] reads the same from TOML.
 //! [`run::run`] does the same with pictures, traces and a summary; [`picture`] draws, [`stress`](mod@stress) asks for stress, [`accuracy`]
-//! tells how far a run is from a finer one, [`worlds`] steps many scenes side by side.
+//! tells how far a run is from a finer one, [`worlds`] steps many scenes side by side, [`environment`] does so under the actions of a benchmark task.
 //!
 //! Both features are on unless `default-features = false` leaves them out: `pictures` (the module [`picture`], and the pictures that
 //! [`run::run`] makes) and `wgpu` (the backend of that name). Without them a program is built of 111 crates instead of 153.
 
 pub mod accuracy;
 pub mod conformance;
+pub mod environment;
 pub mod export;
 #[cfg(feature = "pictures")]
 pub mod gallery;
@@ -391,7 +392,8 @@ pub use barchan_core::Material;
 /// A scene to be played in by an agent. `tests/seams/task` of the repository is one of somebody's own.
 ///
 /// ```
-/// use barchan::task::TaskStep;
+/// use barchan::environment::Environment;
+/// use barchan::task::{Episode, Limits, Outcome, Part, Seen, Watch};
 /// use barchan::{Options, Result, Scene, Simulation, Task};
 ///
 /// /// Wait until the ball lies still.
@@ -404,28 +406,46 @@ pub use barchan_core::Material;
 ///     fn doc(&self) -> &str {
 ///         "A ball falls onto jelly."
 ///     }
-///     fn scene(&self) -> Result<Scene> {
+///     fn scene(&self, _seed: u64) -> Result<Scene> {
 ///         Ok(barchan::example())
 ///     }
-///     fn action_size(&self) -> usize {
-///         0
+///     fn actions(&self) -> Vec<Limits> {
+///         Vec::new()
 ///     }
-///     fn observation_size(&self) -> usize {
-///         1
+///     fn observations(&self) -> Vec<Part> {
+///         vec![Part::new("speed [m/s]", 1)]
 ///     }
-///     fn reset(&mut self, simulation: &mut Simulation, _: u64) -> Result<Vec<f64>> {
-///         Ok(vec![simulation.bodies()[0].velocity[2]])
+///     fn interval(&self) -> f64 {
+///         0.01
 ///     }
-///     fn step(&mut self, simulation: &mut Simulation, _: &[f64]) -> Result<TaskStep> {
-///         simulation.step()?;
-///         let speed = simulation.bodies()[0].velocity[2];
-///         Ok(TaskStep { observation: vec![speed], terminated: speed.abs() < 1e-3, ..TaskStep::default() })
+///     fn horizon(&self) -> u64 {
+///         100
+///     }
+///     fn reset(&self, _world: &Simulation, _seed: u64) -> Result<Box<dyn Episode>> {
+///         Ok(Box::new(Waiting))
 ///     }
 /// }
 ///
-/// let mut simulation = Simulation::new(&barchan::registry(), &Wait.scene()?, &Options::default())?;
-/// assert_eq!(Wait.reset(&mut simulation, 0)?, [0.0]);
-/// assert!(Wait.step(&mut simulation, &[])?.observation[0] < 0.0);
+/// struct Waiting;
+///
+/// impl Episode for Waiting {
+///     fn act(&mut self, _world: &mut Simulation, _action: &[f64]) -> Result<()> {
+///         Ok(())
+///     }
+///     fn watch(&self, _world: &Simulation) -> Watch {
+///         Watch::default()
+///     }
+///     fn observe(&mut self, world: &Simulation, _seen: &Seen) -> Result<Outcome> {
+///         let speed = world.bodies()[0].velocity[2];
+///         let still = speed.abs() < 1e-3;
+///         Ok(Outcome { observation: vec![speed], success: still, terminated: still, ..Outcome::default() })
+///     }
+/// }
+///
+/// let registry = barchan::registry();
+/// let mut environment = Environment::new(&registry, Box::new(Wait), &[0], &Options::default())?;
+/// assert_eq!(environment.observation(0), [0.0]);
+/// assert!(environment.step(&[vec![]])?.remove(0)?.observation[0] < 0.0);
 /// # Ok::<(), barchan::Error>(())
 /// ```
 #[doc(inline)]
@@ -464,7 +484,8 @@ pub fn registry() -> Registry {
         .flatten()
         .try_for_each(|table| registry.add_material(table, plan::BUILT_IN))
         .and_then(|()| barchan_rigid::register(&mut registry))
-        .and_then(|()| barchan_backend_cpu::register(&mut registry));
+        .and_then(|()| barchan_backend_cpu::register(&mut registry))
+        .and_then(|()| barchan_tasks::register(&mut registry));
     #[cfg(feature = "wgpu")]
     let registered = registered.and_then(|()| barchan_wgpu::register(&mut registry));
     registered.expect("built-in plugins keep to the rules and have names of their own");

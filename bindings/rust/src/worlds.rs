@@ -23,6 +23,7 @@
 //! # Ok::<(), barchan::Error>(())
 //! ```
 
+use barchan_core::task::{Seen, Watch};
 use barchan_core::{Error, Options, Registry, Result, Scene, Simulation, StepReport, Together};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -31,7 +32,7 @@ use std::time::{Duration, Instant};
 /// Worlds of the same scene or of several.
 ///
 /// On the processor whole worlds run side by side, each on one thread, as many at a time as there are threads: one world cut over all
-/// threads waits for its slowest block at every pass, whole worlds never wait. Each takes its own steps.
+/// threads waits for its slowest block at every pass, whole worlds never wait. Each takes its own steps. A world that is the only one has all threads.
 ///
 /// On a backend that steps worlds together (`wgpu`), all take part in the same passes. Their steps are of the same length then, the least
 /// that any of them would take alone; give scenes a fixed `time.step` if that should not depend on the others. Worlds may differ in
@@ -69,8 +70,9 @@ impl Worlds {
             source: std::io::Error::other(error),
         })?;
         let together = Together::new(registry, &scenes, options)?;
-        // How many threads a world has changes no bit of it.
-        let options = Options { threads: 1, ..options.clone() };
+        // How many threads a world has changes no bit of it: one world has all of them.
+        let threads = if scenes.len() == 1 { options.threads } else { 1 };
+        let options = Options { threads, ..options.clone() };
         let make = |scene: &Scene| Simulation::new(registry, scene, &options);
         let apart = || pool.install(|| scenes.par_iter().map(make).collect::<Result<Vec<_>>>());
         let machine = match together {
@@ -201,6 +203,20 @@ impl Worlds {
         match &mut self.machine {
             Machine::Apart(simulations) => self.pool.install(|| simulations.par_iter_mut().map(action).collect()),
             Machine::Together(together) => together.worlds_mut().iter_mut().map(action).collect(),
+        }
+    }
+
+    /// Looks at every world for what is wanted of it ([`Simulation::watch`]), side by side on the processor.
+    ///
+    /// # Panics
+    /// If there is not one for each world.
+    pub fn watch(&mut self, watches: &[Watch]) -> Vec<Result<Seen>> {
+        assert_eq!(watches.len(), self.len(), "there is one for each world");
+        match &mut self.machine {
+            Machine::Apart(simulations) => self
+                .pool
+                .install(|| simulations.par_iter_mut().zip(watches).map(|(world, watch)| world.watch(watch)).collect()),
+            Machine::Together(together) => together.watch(watches),
         }
     }
 

@@ -1,7 +1,8 @@
 //! What others build onto Barchan: a coupling, a backend and a task, each a crate that depends on the facade alone. (A material
 //! of one's own is `materials/template`; `plugins.rs` loads it.)
 
-use barchan::parameter::{Kind, Parameter, Range};
+use barchan::environment::{Environment, Step};
+use barchan::parameter::{Kind, Parameter, Range, Table};
 use barchan::{Command, Error, Options, Precision, Registry, Scene, Simulation};
 use barchan_tests::scenes::{Row, options, rows, scene};
 use barchan_tests::sketch::{Head, block, half, material, tool};
@@ -60,7 +61,7 @@ fn unknown_names_are_answered_with_the_known_ones() {
     println!("{error}");
     assert!(error.contains("no backend is called 'abacus'; known are: cpu, dust"), "{error}");
 
-    let error = registry.task("knit").err().expect("there is no such task").to_string();
+    let error = registry.task("knit", &Table::new()).err().expect("there is no such task").to_string();
     println!("{error}");
     assert!(error.contains("no task is called 'knit'; known are: ") && error.contains("push"), "{error}");
 
@@ -519,6 +520,18 @@ fn a_backend_takes_parameters() {
     assert!(barchan::parameter::parse("drag").is_err());
 }
 
+/// The last step of an episode under one action, and the sum of its rewards.
+fn played(environment: &mut Environment, action: f64) -> (Step, f64) {
+    let mut rewards = 0.0;
+    loop {
+        let step = environment.step(&[vec![action]]).unwrap().remove(0).unwrap();
+        rewards += step.reward;
+        if step.terminated || step.truncated {
+            return (step, rewards);
+        }
+    }
+}
+
 /// A scene calls for a task by its `[task]`, which says what it is about; it is played in that scene.
 #[test]
 fn a_scene_calls_for_a_task() {
@@ -527,23 +540,18 @@ fn a_scene_calls_for_a_task() {
     let scene_with = |task: &str| Head::space(0.1).with(&[cube("").concat(), plate.clone(), task.to_owned()]);
     let push = "[task]\nname = \"push\"\nparameters = { goal = 0.02, actions = 9, tool = \"blade\" }\n";
     let made = scene(&scene_with(push));
-    let mut task = registry.task_of(&made).unwrap();
-    let mut s = Simulation::new(&registry, &task.scene().unwrap(), &options(Precision::F32)).unwrap();
-    assert!(s.plan().effects.iter().any(|effect| effect.name == "task push"), "{}", s.plan());
-    let first = task.reset(&mut s, 0).unwrap();
-    let mut actions = 0;
-    let last = loop {
-        actions += 1;
-        let step = task.step(&mut s, &[1.0]).unwrap();
-        if step.terminated || step.truncated {
-            break step;
-        }
-    };
+    let task = registry.task_of(&made).unwrap();
+    let mut environment = Environment::new(&registry, task, &[0], &options(Precision::F32)).unwrap();
+    let plan = environment.worlds().world(0).plan();
+    assert!(plan.effects.iter().any(|effect| effect.name == "task push"), "{plan}");
+    let first = environment.observation(0).to_vec();
+    let (last, _) = played(&mut environment, 1.0);
+    let actions = environment.steps_taken(0);
     let moved = last.observation[1] - first[1];
     println!("pushed by {moved:.3} m in {actions} actions, goal 0.02 m");
     assert!(last.terminated && moved >= 0.02 && actions < 9, "{last:?}");
     for (task, says) in [
-        ("[task]\nname = \"pull\"\n", "task.name: no task is called 'pull'; known are: push"),
+        ("[task]\nname = \"pull\"\n", "task.name: no task is called 'pull'; known are: "),
         (
             &push.replace("goal", "gaol"),
             "task.parameters.gaol: task 'push' has no parameter `gaol`; it has goal, actions, tool; did you mean `goal`?",
@@ -566,19 +574,12 @@ fn a_scene_calls_for_a_task() {
 #[test]
 fn a_task_from_outside_is_played_to_its_end() {
     let registry = registry();
-    let mut task = registry.task("push").unwrap();
-    let mut s = Simulation::new(&registry, &task.scene().unwrap(), &options(Precision::F32)).unwrap();
-    let first = task.reset(&mut s, 0).unwrap();
-    assert_eq!(first.len(), task.observation_size());
-    let (mut rewards, mut actions) = (0.0, 0);
-    let last = loop {
-        let step = task.step(&mut s, &vec![0.6; task.action_size()]).unwrap();
-        rewards += step.reward;
-        actions += 1;
-        if step.terminated || step.truncated {
-            break step;
-        }
-    };
+    let task = registry.task("push", &Table::new()).unwrap();
+    let mut environment = Environment::new(&registry, task, &[0], &options(Precision::F32)).unwrap();
+    let first = environment.observation(0).to_vec();
+    assert_eq!(first.len(), environment.task().observations().iter().map(|part| part.size).sum::<usize>());
+    let (last, rewards) = played(&mut environment, 0.6);
+    let actions = environment.steps_taken(0);
     let moved = last.observation[1] - first[1];
     println!(
         "cube pushed by {moved:.3} m in {actions} actions, goal 0.1 m; rewards are {:.1e} m off",
@@ -586,6 +587,14 @@ fn a_task_from_outside_is_played_to_its_end() {
     );
     assert!(last.terminated && !last.truncated && moved >= 0.1, "{last:?}");
     assert!((rewards - moved).abs() < 1e-12);
-    let error = task.step(&mut s, &[0.0, 1.0]).unwrap_err().to_string();
-    assert!(error.contains("an action has 2 numbers; give one"), "{error}");
+    for (action, says) in [
+        (vec![0.0, 1.0], "the action has 2 numbers; give 1: share of 1 m/s along x"),
+        (vec![f64::NAN], "share of 1 m/s along x of the action is NaN; give a number from -1 to 1"),
+    ] {
+        let error = environment.step(&[action]).unwrap_err().to_string();
+        assert!(error.contains(says), "{error}");
+    }
+    assert_eq!(environment.steps_taken(0), actions, "an action that is none moves nothing");
+    environment.step(&[vec![1.5]]).unwrap();
+    assert_eq!(environment.clipped(0), 1);
 }

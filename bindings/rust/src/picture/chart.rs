@@ -208,7 +208,9 @@ impl Axis {
         let least = match axes {
             // Four fifths of a decade at least: nearly equal values look nearly equal, and two numbers stand at the axis.
             Axes::Logarithmic => 0.4,
-            Axes::Linear => 0.05 * low.abs().max(high.abs()).max(f64::MIN_POSITIVE),
+            // Around zero alone, from -1 to 1.
+            Axes::Linear if low == 0.0 && high == 0.0 => 1.0,
+            Axes::Linear => 0.05 * low.abs().max(high.abs()),
         };
         let more = (0.08 * (high - low)).max(least - 0.5 * (high - low));
         Self { axes, ends: [low - more, high + more], pixels: [start, end] }

@@ -5,8 +5,8 @@
 use barchan::parameter::{Parameter, Parameters, Range};
 use barchan::registries::TaskSetup;
 use barchan::scene::Motion;
-use barchan::task::TaskStep;
-use barchan::{Command, Error, Registry, Result, Scene, Simulation, Task};
+use barchan::task::{Episode, Limits, Outcome, Part, Seen, Watch};
+use barchan::{Command, Registry, Result, Scene, Simulation, Task};
 use std::sync::Arc;
 
 /// Name of the task.
@@ -70,8 +70,14 @@ const DOC: &str = "Push ground along x with a tool.";
 pub struct Push {
     scene: Scene,
     parameters: Parameters,
+}
+
+/// One world of it.
+struct Pushing {
+    tool: String,
+    goal: f64,
     start: f64,
-    actions: u32,
+    now: f64,
 }
 
 fn ground(simulation: &Simulation) -> f64 {
@@ -95,12 +101,7 @@ impl Push {
         if scene.body.is_empty() {
             return Err(setup.fault("goal", "the scene has no ground to push", "add a [[body]]"));
         }
-        Ok(Self { scene, parameters: setup.parameters.clone(), start: 0.0, actions: 0 })
-    }
-
-    fn observe(&self, simulation: &Simulation) -> Vec<f64> {
-        let tool = simulation.bodies().into_iter().find(|body| body.name == self.parameters.text("tool"));
-        vec![tool.map_or(f64::NAN, |tool| tool.position[0]), ground(simulation)]
+        Ok(Self { scene, parameters: setup.parameters.clone() })
     }
 }
 
@@ -111,40 +112,45 @@ impl Task for Push {
     fn doc(&self) -> &str {
         DOC
     }
-    fn scene(&self) -> Result<Scene> {
+    fn scene(&self, _seed: u64) -> Result<Scene> {
         Ok(self.scene.clone())
     }
-    fn action_size(&self) -> usize {
-        1
+    fn actions(&self) -> Vec<Limits> {
+        vec![Limits::within("share of 1 m/s along x", 1.0)]
     }
-    fn observation_size(&self) -> usize {
-        2
+    fn observations(&self) -> Vec<Part> {
+        vec![Part::new("x of the tool [m]", 1), Part::new("mean x of the ground [m]", 1)]
     }
-    fn reset(&mut self, simulation: &mut Simulation, _seed: u64) -> Result<Vec<f64>> {
-        (self.start, self.actions) = (ground(simulation), 0);
-        Ok(self.observe(simulation))
+    fn interval(&self) -> f64 {
+        INTERVAL
     }
-    fn step(&mut self, simulation: &mut Simulation, action: &[f64]) -> Result<TaskStep> {
-        let &[share] = action else {
-            return Err(Error::Body {
-                path: format!("task '{NAME}'"),
-                what: format!("an action has {} numbers", action.len()),
-                mend: "give one: the tool's speed as a share of 1 m/s".to_owned(),
-            });
-        };
-        let linear = [MAX_SPEED * share.clamp(-1.0, 1.0), 0.0, 0.0];
-        simulation.act(self.parameters.text("tool"), &Command::Twist { linear, angular: [0.0; 3] })?;
-        let before = ground(simulation);
-        let until = simulation.time() + INTERVAL;
-        simulation.advance(until, |_, _| std::ops::ControlFlow::Continue(()))?;
-        self.actions += 1;
-        let observation = self.observe(simulation);
-        let moved = observation[1] - self.start;
-        Ok(TaskStep {
-            reward: observation[1] - before,
-            terminated: moved >= self.parameters.number("goal"),
-            truncated: f64::from(self.actions) >= self.parameters.number("actions"),
-            observation,
+    fn horizon(&self) -> u64 {
+        self.parameters.number("actions") as u64
+    }
+    fn reset(&self, world: &Simulation, _seed: u64) -> Result<Box<dyn Episode>> {
+        let (tool, goal) = (self.parameters.text("tool").to_owned(), self.parameters.number("goal"));
+        Ok(Box::new(Pushing { tool, goal, start: ground(world), now: ground(world) }))
+    }
+}
+
+impl Episode for Pushing {
+    fn act(&mut self, world: &mut Simulation, action: &[f64]) -> Result<()> {
+        let linear = [MAX_SPEED * action[0], 0.0, 0.0];
+        world.act(&self.tool, &Command::Twist { linear, angular: [0.0; 3] })
+    }
+    fn watch(&self, _world: &Simulation) -> Watch {
+        Watch::default()
+    }
+    fn observe(&mut self, world: &Simulation, _seen: &Seen) -> Result<Outcome> {
+        let before = std::mem::replace(&mut self.now, ground(world));
+        let tool = world.bodies().into_iter().find(|body| body.name == self.tool);
+        let moved = self.now - self.start;
+        Ok(Outcome {
+            observation: vec![tool.map_or(f64::NAN, |tool| tool.position[0]), self.now],
+            reward: self.now - before,
+            success: moved >= self.goal,
+            terminated: moved >= self.goal,
+            info: vec![("moved [m]", moved)],
         })
     }
 }

@@ -1,0 +1,263 @@
+//! Worlds of a benchmark task, stepped together under actions: what learners roll out.
+//!
+//! ```
+//! use barchan::environment::Environment;
+//! use barchan::parameter::Table;
+//!
+//! let registry = barchan::registry();
+//! let task = registry.task("SmoothSurface-lite", &Table::new())?;
+//! let mut environment = Environment::new(&registry, task, &[7, 8], &barchan::Options::default())?;
+//! let action = environment.heuristic(0).expect("every task that comes with Barchan has a hand-written agent");
+//! let still = vec![0.0; action.len()];
+//! for outcome in environment.step(&[action, still])? {
+//!     assert!(outcome?.reward.is_finite());
+//! }
+//! # Ok::<(), barchan::Error>(())
+//! ```
+
+mod recording;
+
+pub use recording::Recording;
+
+use crate::worlds::Worlds;
+use barchan_core::task::{Episode, Limits, Outcome};
+use barchan_core::{Error, Options, Registry, Result, Simulation, State, Task};
+use std::fmt;
+use std::time::Duration;
+
+/// Worlds of one task.
+///
+/// All take control steps of the same length. World w is the same as it would be alone, bit for bit, as far as its backend says so
+/// ([`Worlds`]).
+pub struct Environment {
+    task: Box<dyn Task>,
+    limits: Vec<Limits>,
+    worlds: Worlds,
+    players: Vec<Player>,
+}
+
+/// What is known of a world since its episode began.
+struct Player {
+    episode: Box<dyn Episode>,
+    /// The world at its start, to go back to when its next episode begins with the same seed.
+    start: Option<(u64, State)>,
+    seed: u64,
+    /// Control steps taken.
+    steps: u64,
+    /// Numbers of actions that lay beyond their limits.
+    clipped: u64,
+    /// What was seen last.
+    seen: Outcome,
+}
+
+/// What came of a control step in a world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Step {
+    /// What the task says of it.
+    pub outcome: Outcome,
+    /// The episode has reached its horizon.
+    pub truncated: bool,
+}
+
+impl std::ops::Deref for Step {
+    type Target = Outcome;
+    fn deref(&self) -> &Outcome {
+        &self.outcome
+    }
+}
+
+impl fmt::Debug for Environment {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Environment").field("task", &self.task).field("worlds", &self.worlds).finish_non_exhaustive()
+    }
+}
+
+impl Environment {
+    /// One world for each seed, at the start of its first episode.
+    ///
+    /// # Errors
+    /// The task's own, those of [`Worlds::new`], and [`Error::Body`] if there are no seeds.
+    pub fn new(registry: &Registry, task: Box<dyn Task>, seeds: &[u64], options: &Options) -> Result<Self> {
+        if seeds.is_empty() {
+            return Err(Error::Body {
+                path: format!("task '{}'", task.name()),
+                what: "there is no world to play it in".to_owned(),
+                mend: "give a seed for each world, one at least".to_owned(),
+            });
+        }
+        let scenes = seeds.iter().map(|seed| task.scene(*seed)).collect::<Result<Vec<_>>>()?;
+        let worlds = Worlds::new(registry, scenes, options)?;
+        let start = |(world, &seed): (&Simulation, &u64)| {
+            Ok(Player {
+                episode: task.reset(world, seed)?,
+                start: None,
+                seed,
+                steps: 0,
+                clipped: 0,
+                seen: Outcome::default(),
+            })
+        };
+        let players = worlds.iter().zip(seeds).map(start).collect::<Result<Vec<_>>>()?;
+        let mut all = Self { limits: task.actions(), task, worlds, players };
+        for world in 0..seeds.len() {
+            all.look(world)?;
+        }
+        Ok(all)
+    }
+
+    /// The task.
+    pub fn task(&self) -> &dyn Task {
+        &*self.task
+    }
+    /// The worlds, to look at.
+    pub fn worlds(&self) -> &Worlds {
+        &self.worlds
+    }
+    /// The worlds, to act on besides the actions: the simulation of a world whose episode goes on.
+    pub fn worlds_mut(&mut self) -> &mut Worlds {
+        &mut self.worlds
+    }
+    /// What a world's agent sees now.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn observation(&self, world: usize) -> &[f64] {
+        &self.players[world].seen.observation
+    }
+    /// Control steps that a world's episode has taken.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn steps_taken(&self, world: usize) -> u64 {
+        self.players[world].steps
+    }
+    /// Seed of a world's episode.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn seed(&self, world: usize) -> u64 {
+        self.players[world].seed
+    }
+    /// How many numbers of actions have been cut off at their limits in a world's episode.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn clipped(&self, world: usize) -> u64 {
+        self.players[world].clipped
+    }
+    /// What the task's hand-written agent does now in a world; `None` if there is none.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn heuristic(&mut self, world: usize) -> Option<Vec<f64>> {
+        self.players[world].episode.heuristic(self.worlds.world(world))
+    }
+
+    /// Begins a new episode in a world.
+    ///
+    /// # Errors
+    /// The task's own, and those of [`Worlds::reset`]; the world is as it was then.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn reset(&mut self, world: usize, seed: u64) -> Result<()> {
+        let player = &mut self.players[world];
+        match &player.start {
+            Some((of, state)) if *of == seed => self.worlds.world_mut(world).set_state(state)?,
+            _ => {
+                let scene = self.task.scene(seed)?;
+                self.worlds.reset(world, Some(scene))?;
+                player.start = None;
+            }
+        }
+        // A seed that comes back once may do so again: then its start is kept.
+        if player.start.is_none() && player.seed == seed {
+            player.start = Some((seed, self.worlds.world(world).state()?));
+        }
+        player.episode = self.task.reset(self.worlds.world(world), seed)?;
+        (player.seed, player.steps, player.clipped) = (seed, 0, 0);
+        self.look(world)
+    }
+
+    /// Sees a world at the start of its episode.
+    fn look(&mut self, world: usize) -> Result<()> {
+        let simulation = self.worlds.world(world);
+        let player = &mut self.players[world];
+        let seen = simulation.watch(&player.episode.watch(simulation))?;
+        player.seen = player.episode.observe(simulation, &seen)?;
+        Ok(())
+    }
+
+    /// A control step of every world under its action. A world that fails keeps its error; the others have taken their step.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if an action is missing, has another length, or is not a number: no world has moved then.
+    pub fn step(&mut self, actions: &[Vec<f64>]) -> Result<Vec<Result<Step>>> {
+        self.check(actions)?;
+        let mut failed: Vec<Option<Error>> = Vec::new();
+        for (world, (action, player)) in actions.iter().zip(&mut self.players).enumerate() {
+            let within = |(value, limit): (&f64, &Limits)| value.clamp(limit.low, limit.high);
+            let cut: Vec<f64> = action.iter().zip(&self.limits).map(within).collect();
+            player.clipped += cut.iter().zip(action).filter(|(cut, given)| cut != given).count() as u64;
+            failed.push(player.episode.act(self.worlds.world_mut(world), &cut).err());
+        }
+        let until: Vec<f64> = self.worlds.iter().map(|world| world.time() + self.task.interval()).collect();
+        loop {
+            let mut waits = false;
+            for (failed, result) in failed.iter_mut().zip(self.worlds.approach(&until, SLICE)) {
+                match result {
+                    Ok(there) => waits |= !there && failed.is_none(),
+                    Err(error) => *failed = Some(failed.take().unwrap_or(error)),
+                }
+            }
+            if !waits {
+                break;
+            }
+        }
+        Ok(self.outcomes(failed))
+    }
+
+    /// What came of the step in each world that has not failed.
+    fn outcomes(&mut self, failed: Vec<Option<Error>>) -> Vec<Result<Step>> {
+        let watches: Vec<_> =
+            self.worlds.iter().zip(&self.players).map(|(world, player)| player.episode.watch(world)).collect();
+        let seen = self.worlds.watch(&watches);
+        let horizon = self.task.horizon();
+        let each = failed.into_iter().zip(seen).zip(self.worlds.iter().zip(&mut self.players));
+        each.map(|((failed, seen), (world, player))| {
+            if let Some(error) = failed {
+                return Err(error);
+            }
+            player.steps += 1;
+            player.seen = player.episode.observe(world, &seen?)?;
+            Ok(Step { outcome: player.seen.clone(), truncated: player.steps >= horizon })
+        })
+        .collect()
+    }
+
+    fn check(&self, actions: &[Vec<f64>]) -> Result<()> {
+        let fault = |path: String, what: String, mend: String| Err(Error::Body { path, what, mend });
+        let name = self.task.name();
+        if actions.len() != self.players.len() {
+            let mend = format!("give one for each of {} worlds", self.players.len());
+            return fault(format!("task '{name}'"), format!("there are {} actions", actions.len()), mend);
+        }
+        let names = || self.limits.iter().map(|limit| limit.name.as_str()).collect::<Vec<_>>().join(", ");
+        for (world, action) in actions.iter().enumerate() {
+            let path =
+                || if actions.len() == 1 { format!("task '{name}'") } else { format!("task '{name}', world {world}") };
+            if action.len() != self.limits.len() {
+                let what = format!("the action has {} numbers", action.len());
+                return fault(path(), what, format!("give {}: {}", self.limits.len(), names()));
+            }
+            if let Some((value, limit)) = action.iter().zip(&self.limits).find(|(value, _)| !value.is_finite()) {
+                let what = format!("{} of the action is {value}", limit.name);
+                return fault(path(), what, format!("give a number from {} to {}", limit.low, limit.high));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// How long worlds are stepped before all are looked at.
+const SLICE: Duration = Duration::from_secs(1);
