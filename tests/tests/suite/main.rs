@@ -6,6 +6,7 @@ mod coupling;
 mod damping;
 mod determinism;
 mod effects;
+mod environments;
 mod exports;
 mod flow;
 mod forks;
