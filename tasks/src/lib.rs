@@ -19,7 +19,7 @@ pub fn register(registry: &mut Registry) -> Result<()> {
 }
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 23] = [
+const FILES: [(&str, &str); 24] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -29,6 +29,7 @@ const FILES: [(&str, &str); 23] = [
     ("jelly-drop", include_str!("../scenes/jelly-drop.toml")),
     ("pour", include_str!("../scenes/pour.toml")),
     ("hopper", include_str!("../scenes/hopper.toml")),
+    ("footing", include_str!("../scenes/footing.toml")),
     ("quadruped-stand", include_str!("../scenes/quadruped-stand.toml")),
     ("quadruped-trot", include_str!("../scenes/quadruped-trot.toml")),
     ("quadruped-dunes", include_str!("../scenes/quadruped-dunes.toml")),
