@@ -83,6 +83,24 @@ def test_pressure_in_a_cut_grows_downwards(press):
     assert np.mean(low) == pytest.approx(expected, rel=0.15)
 
 
+def test_probes_find_what_the_scene_asks_for(press):
+    press["probe"] = [
+        {"name": "lower", "within": {"box": {"min": [0, 0, 0], "max": [0.4, 0.4, 0.1]}}},
+        {"name": "air", "nearest": [0.2, 0.2, 0.39], "material": "snow"},
+    ]
+    simulation = barchan.Simulation(press, worlds=2)
+    simulation.act("plate", linear=[0, 0, -0.5], worlds=1)
+    simulation.advance(0.05)
+    for world in range(2):
+        found = simulation.probes(world=world)
+        particles = simulation.particles("mass", region=((0, 0, 0), (0.4, 0.4, 0.1)), world=world)
+        assert list(found) == ["lower", "air"]
+        assert found["lower"]["mass [kg]"] == pytest.approx(particles.mass.sum(dtype=float), rel=1e-6)
+        assert found["lower"]["particles"] == len(particles)
+    assert simulation.probes(world=1)["lower"]["mass [kg]"] > simulation.probes(world=0)["lower"]["mass [kg]"]
+    assert barchan.Simulation("dig", overrides={"world.cell": 0.05}).probes() == {}
+
+
 def test_robots_tell_joints_and_take_targets(dog):
     robot = dog.robots()["dog"]
     scan = dog.scan("dog")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Body", "HeightMap", "HeightScan", "Link", "Particles", "Plan", "Robot", "Wrench"]
+__all__ = ["Body", "HeightMap", "HeightScan", "Link", "Particles", "Plan", "Robot", "Surface", "Task", "Wrench"]
 
 
 class Particles:
@@ -131,6 +131,20 @@ class Robot:
 
 
 @dataclass(frozen=True, eq=False)
+class Surface:
+    """A part of what a tool, a free body or a robot looks like."""
+
+    triangles: NDArray[np.float32] = field(repr=False)
+    """Corners of the triangles in a frame of the body's [m], (n, 3, 3)."""
+    position: NDArray[np.float64]
+    """Where the origin of that frame is [m], (3,)."""
+    rotation: NDArray[np.float64]
+    """Orientation quaternion of that frame (w, x, y, z), (4,)."""
+    colour: tuple[float, float, float] | None
+    """sRGB from 0 to 1; None for a tool's."""
+
+
+@dataclass(frozen=True, eq=False)
 class HeightMap:
     """Heights of the ground over a rectangle."""
 
@@ -172,3 +186,30 @@ class Plan:
 
     def __str__(self) -> str:
         return self.text
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What a benchmark task asks for, and what an action and an observation hold."""
+
+    name: str
+    doc: str = field(repr=False)
+    action_names: list[str]
+    """What the numbers of an action are, with their units."""
+    action_low: NDArray[np.float64]
+    """Least value of each, (numbers,)."""
+    action_high: NDArray[np.float64]
+    """Greatest value of each, (numbers,)."""
+    observation_parts: list[tuple[str, int]]
+    """Parts of an observation, one after the other: what the numbers are, and how many."""
+    interval: float
+    """Simulated time of a control step [s]."""
+    horizon: int
+    """Control steps after which an episode is cut off."""
+    ranges: list[tuple[str, tuple[float, float]]]
+    """What a seed changes, and between what it lies; empty if nothing."""
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers of an observation."""
+        return sum(size for _, size in self.observation_parts)
