@@ -4,7 +4,7 @@
 #     bash bindings/python/test.sh [--learn] [-k NAME ...]
 #
 # The environment is target/venv (or $CARGO_TARGET_DIR/venv): about 100 MB are fetched from PyPI, 450 MB lie there. Needs Python 3.10 or newer with venv, which
-# tests/robots/fetch.sh installs, and a C compiler. The first build takes nine minutes of one core, the tests three minutes.
+# tests/robots/fetch.sh installs, and a C compiler. The first build takes nine minutes of one core, the tests two minutes.
 #
 # --learn tests the extra [learn] instead, in target/venv-learn: Stable-Baselines3 needs PyTorch, of which 0.6 GB are fetched, and 1.6 GB lie there.
 set -euo pipefail
@@ -36,10 +36,10 @@ if [ "$wanted" != "$(cat "$venv/installed.txt" 2>/dev/null)" ]; then
     printf '%s\n' "$wanted" >"$venv/installed.txt"
 fi
 
-# Optimised as the other tests are: the physics would be slow otherwise.
+# Optimised as the other tests are: the physics would be slow otherwise. For Python itself, so that both environments share what is built.
 rm -rf "$target/wheels-for-tests"
 CARGO_PROFILE_DEV_OPT_LEVEL=3 "$venv/bin/maturin" build --quiet --locked --profile dev --strip --manifest-path "$here/Cargo.toml" \
-    --interpreter "$venv/bin/python" --out "$target/wheels-for-tests"
+    --interpreter "$(python3 -c 'import sys; print(sys.executable)')" --out "$target/wheels-for-tests"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index --force-reinstall "$target"/wheels-for-tests/*.whl
 cd "$here"
 # From here the installed package is found, not its sources.

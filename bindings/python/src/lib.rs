@@ -7,6 +7,7 @@
 mod environment;
 mod errors;
 mod machine;
+mod material;
 mod picture;
 mod records;
 mod scene;
@@ -109,6 +110,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<environment::Environment>()?;
     module.add_class::<picture::View>()?;
     module.add_function(wrap_pyfunction!(load_plugin, module)?)?;
+    module.add_function(wrap_pyfunction!(material::add_material, module)?)?;
     module.add_function(wrap_pyfunction!(registry, module)?)?;
     module.add_function(wrap_pyfunction!(scenes, module)?)?;
     module.add_function(wrap_pyfunction!(environment::task, module)?)?;

@@ -10,7 +10,7 @@
 `barchan.records` holds what simulations say, and `barchan.errors` what they refuse.
 """
 
-from barchan._core import Environment, Simulation, State, __version__, adapters, load_plugin, registry, scenes, task
+from barchan._core import Environment, Simulation, State, __version__, adapters, add_material, load_plugin, registry, scenes, task
 from barchan.errors import (
     BarchanError,
     BodyError,
@@ -43,6 +43,7 @@ __all__ = [
     "State",
     "UnknownNameError",
     "__version__",
+    "add_material",
     "adapters",
     "load_plugin",
     "registry",

@@ -7,12 +7,12 @@ and to write into it changes nothing there.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Body", "HeightMap", "HeightScan", "Link", "Particles", "Plan", "Robot", "Surface", "Task", "Wrench"]
+__all__ = ["Batch", "Body", "HeightMap", "HeightScan", "Law", "Link", "Particles", "Plan", "Robot", "Surface", "Task", "Wrench"]
 
 
 class Particles:
@@ -56,6 +56,45 @@ class Particles:
 
     def __repr__(self) -> str:
         return f"<Particles: {len(self)}, with {', '.join(self.__dict__)}>"
+
+
+class Batch:
+    """Particles that a material written in Python updates (`barchan.add_material`). Arrays are float32, or float64 in f64 runs; column i is particle i."""
+
+    dt: float
+    """Step that the strain was carried over [s]; 0 asks for stress at the given strain."""
+    parameters: dict[str, float]
+    """The material's parameters, as the scene gives them."""
+    strain_trial: NDArray[Any]
+    """Strain before the law has acted, (6 or 9, n): b rows xx yy zz xy xz yz, or F row by row."""
+    state_in: NDArray[Any]
+    """History before that, (variables, n)."""
+    strain: NDArray[Any]
+    """Strain that remains, (6 or 9, n): what was given, unless the law sets it."""
+    kirchhoff: NDArray[Any]
+    """Kirchhoff stress [Pa], (6, n), rows xx yy zz xy xz yz: 0, unless the law sets it."""
+    state_out: NDArray[Any]
+    """History that remains, (variables, n): what was given, unless the law sets it."""
+
+    def __init__(self, dt: float, parameters: dict[str, float], strain_trial: NDArray[Any], state_in: NDArray[Any]) -> None:
+        self.dt, self.parameters, self.strain_trial, self.state_in = dt, parameters, strain_trial, state_in
+        self.strain, self.state_out = strain_trial.copy(), state_in.copy()
+        self.kirchhoff = np.zeros((6, strain_trial.shape[1]), strain_trial.dtype)
+
+    def __len__(self) -> int:
+        return self.strain_trial.shape[1]
+
+
+class Law(Protocol):
+    """A material written in Python, for `barchan.add_material`. It may have `states`, `strain` and `tangent_moduli` besides."""
+
+    name: str
+    """In snake_case, as scenes call it."""
+    parameters: dict[str, Any]
+    """Name, and default or (default, unit)."""
+
+    def update(self, batch: Batch) -> None:
+        """Sets what comes of a batch of particles."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -209,7 +209,8 @@ def _policy(given: argparse.Namespace, out: Path, log: _Log) -> dict[str, Any]:
     board = str(out / "tensorboard") if log._board is not None else None
     common: dict[str, Any] = {"seed": given.seed, "device": given.device, "tensorboard_log": board}
     if given.agent == "ppo":
-        rollout = max(2048 // worlds, 32)
+        # Small budgets are to see a few updates, too.
+        rollout = min(max(2048 // worlds, 32), max(given.budget // (4 * worlds), 2))
         # A residual begins as next to nothing: the hand-written agent is not to be shaken at first.
         policy = {"log_std_init": -1.0 if given.residual is not None else 0.0}
         model: Any = PPO("MlpPolicy", environment, n_steps=rollout, batch_size=min(512, rollout * worlds), policy_kwargs=policy, **common)
