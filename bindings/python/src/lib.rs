@@ -4,8 +4,10 @@
 //! - Long calls release the GIL, and look for Ctrl-C every [`SLICE`](machine::SLICE).
 //! - Errors of Rust become exceptions of `barchan/errors.py`, with the same words.
 
+mod environment;
 mod errors;
 mod machine;
+mod material;
 mod picture;
 mod records;
 mod scene;
@@ -105,10 +107,13 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<simulation::Simulation>()?;
     module.add_class::<simulation::State>()?;
+    module.add_class::<environment::Environment>()?;
     module.add_class::<picture::View>()?;
     module.add_function(wrap_pyfunction!(load_plugin, module)?)?;
+    module.add_function(wrap_pyfunction!(material::add_material, module)?)?;
     module.add_function(wrap_pyfunction!(registry, module)?)?;
     module.add_function(wrap_pyfunction!(scenes, module)?)?;
+    module.add_function(wrap_pyfunction!(environment::task, module)?)?;
     module.add_function(wrap_pyfunction!(adapters, module)?)?;
     module.add_function(wrap_pyfunction!(picture::write_png, module)?)?;
     module.add_function(wrap_pyfunction!(picture::write_gif, module)?)?;

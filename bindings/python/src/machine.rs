@@ -1,13 +1,31 @@
 //! One world or many, stepped for a short while at a time, so that Python can look after Ctrl-C in between.
 
+use crate::errors::exception;
 use barchan::worlds::Worlds;
 use barchan::{Error, Options, Registry, Scene, Simulation};
+use pyo3::prelude::*;
+use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::{Duration, Instant};
 
 /// How long steps are taken before signals are looked at.
 pub(crate) const SLICE: Duration = Duration::from_millis(50);
 /// Most steps that a device is asked for at once.
 const MOST: usize = 1 << 10;
+
+/// What one thread at a time may use, unless another one is at it; `mend` says what to do then.
+pub(crate) fn taken<'a, T>(
+    py: Python<'_>,
+    shared: &'a Mutex<T>,
+    what: &str,
+    mend: &str,
+) -> PyResult<MutexGuard<'a, T>> {
+    shared.try_lock().map_err(|error| match error {
+        TryLockError::WouldBlock => exception(py, "BusyError", &format!("another thread is at this {what}; {mend}")),
+        TryLockError::Poisoned(_) => {
+            exception(py, "BusyError", &format!("a call of this {what} has broken down half way; make a new one"))
+        }
+    })
+}
 
 /// What runs: one world with all threads, or worlds of one batch.
 #[derive(Debug)]

@@ -2,7 +2,7 @@
 
 use crate::errors::{OrRaise, exception};
 use crate::simulation::Simulation;
-use barchan::picture::{Image, View as Drawn};
+use barchan::picture::{Image, Rect, View as Drawn};
 use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -38,22 +38,31 @@ impl View {
         part: &str,
         world: usize,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        if !["page", "ground"].contains(&part) {
-            return Err(PyValueError::new_err(format!(
-                "part: '{part}' is none of a picture; it is \"page\" or \"ground\""
-            )));
-        }
+        check_part(part)?;
         let drawn = &mut self.drawn;
         let page = simulation.look(py, world, |one| drawn.draw(one))?.or_raise(py)?;
-        let image = if part == "page" { page } else { page.crop(self.drawn.relief_rect()) };
-        let (rows, columns) = (image.height(), image.width());
-        PyArray1::from_vec(py, image.pixels().as_flattened().to_vec()).reshape([rows, columns, 3])
+        array(py, page, self.drawn.relief_rect(), part)
     }
 
     fn __repr__(&self) -> String {
         let rect = self.drawn.relief_rect();
         format!("<barchan.view.View of {} x {} pixels>", rect.width, rect.height)
     }
+}
+
+/// Is there such a part of a picture?
+pub(crate) fn check_part(part: &str) -> PyResult<()> {
+    if ["page", "ground"].contains(&part) {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("part: '{part}' is none of a picture; it is \"page\" or \"ground\"")))
+}
+
+/// A part of a picture as an array.
+pub(crate) fn array<'py>(py: Python<'py>, page: Image, ground: Rect, part: &str) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    let image = if part == "page" { page } else { page.crop(ground) };
+    let (rows, columns) = (image.height(), image.width());
+    PyArray1::from_vec(py, image.pixels().as_flattened().to_vec()).reshape([rows, columns, 3])
 }
 
 /// The picture that an array holds.

@@ -1,6 +1,7 @@
 //! What simulations say, as the records of `barchan/records.py`. Every array is a copy.
 
-use barchan::{BodyState, JointState, LinkState, Plan, Reading, RobotState, Vec3, Wrench};
+use barchan::surface::Surface;
+use barchan::{BodyState, JointState, LinkState, Plan, Reading, RobotState, Task, Vec3, Wrench};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
@@ -135,4 +136,38 @@ pub(crate) fn plan<'py>(py: Python<'py>, plan: &Plan) -> PyResult<Bound<'py, PyA
 /// JSON as Python's own values.
 pub(crate) fn json<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     py.import("json")?.call_method1("loads", (value.to_string(),))
+}
+
+/// What a task asks for, as a `Task` record.
+pub(crate) fn task<'py>(py: Python<'py>, task: &dyn Task) -> PyResult<Bound<'py, PyAny>> {
+    let actions = task.actions();
+    let names: Vec<&str> = actions.iter().map(|limit| limit.name.as_str()).collect();
+    let parts: Vec<(String, usize)> = task.observations().into_iter().map(|part| (part.name, part.size)).collect();
+    let ranges: Vec<(String, (f64, f64))> =
+        task.ranges().into_iter().map(|limit| (limit.name, (limit.low, limit.high))).collect();
+    let fields = [
+        ("name", task.name().into_bound_py_any(py)?),
+        ("doc", task.doc().into_bound_py_any(py)?),
+        ("action_names", names.into_bound_py_any(py)?),
+        ("action_low", vector(py, actions.iter().map(|limit| limit.low).collect::<Vec<f64>>())),
+        ("action_high", vector(py, actions.iter().map(|limit| limit.high).collect::<Vec<f64>>())),
+        ("observation_parts", parts.into_bound_py_any(py)?),
+        ("interval", task.interval().into_bound_py_any(py)?),
+        ("horizon", task.horizon().into_bound_py_any(py)?),
+        ("ranges", ranges.into_bound_py_any(py)?),
+    ];
+    record(py, "Task", &fields)
+}
+
+/// A part of what a body looks like, as a `Surface` record.
+pub(crate) fn surface<'py>(py: Python<'py>, surface: &Surface) -> PyResult<Bound<'py, PyAny>> {
+    let corners = &surface.mesh.corners;
+    let flat: Vec<f32> = corners.as_flattened().as_flattened().to_vec();
+    let fields = [
+        ("triangles", PyArray1::from_vec(py, flat).reshape([corners.len(), 3, 3])?.into_any()),
+        ("position", triple(py, surface.position)),
+        ("rotation", vector(py, surface.rotation.to_vec())),
+        ("colour", surface.colour.map(|[r, g, b]| (r, g, b)).into_bound_py_any(py)?),
+    ];
+    record(py, "Surface", &fields)
 }

@@ -49,7 +49,7 @@ pub(crate) fn read(scene: &Bound<'_, PyAny>, overrides: Option<&Bound<'_, PyDict
 }
 
 /// A value as TOML; nothing for `None`. Arrays and scalars of NumPy come as lists and numbers.
-fn to_toml(value: &Bound<'_, PyAny>, path: &str) -> PyResult<Option<Value>> {
+pub(crate) fn to_toml(value: &Bound<'_, PyAny>, path: &str) -> PyResult<Option<Value>> {
     if value.is_none() {
         return Ok(None);
     }

@@ -1,7 +1,7 @@
 //! The class `Simulation`.
 
 use crate::errors::{OrRaise, exception, raised};
-use crate::machine::Machine;
+use crate::machine::{Machine, taken};
 use crate::{known, records, scene};
 use barchan::stress::pressure;
 use barchan::{Aabb, Command, Fields, Options, Precision, Reading, Scene, Simulation as World};
@@ -10,13 +10,13 @@ use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
-use std::sync::{Mutex, MutexGuard, TryLockError};
+use std::sync::{Mutex, MutexGuard};
 
 /// Names of what can be read of particles besides where they are.
 const FIELDS: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body", "material", "level"];
 
 /// Numbers of any shape: an array, or lists of them. Shapes are checked where it is known what they should be.
-type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 
 /// Everything that a world goes on from, bit for bit: a copy in memory.
 ///
@@ -78,14 +78,7 @@ pub(crate) struct Simulation {
 impl Simulation {
     /// What runs, unless another thread is at it.
     fn machine<'a>(&'a self, py: Python<'_>) -> PyResult<MutexGuard<'a, Machine>> {
-        self.machine.try_lock().map_err(|error| match error {
-            TryLockError::WouldBlock => {
-                exception(py, "BusyError", "another thread is at this simulation; wait for it, or use a fork() of it")
-            }
-            TryLockError::Poisoned(_) => {
-                exception(py, "BusyError", "a call of this simulation has broken down half way; make a new one")
-            }
-        })
+        taken(py, &self.machine, "simulation", "wait for it, or use a fork() of it")
     }
 
     fn options(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, Options>> {
@@ -109,7 +102,7 @@ impl Simulation {
     }
 
     /// The number of a world, or all of them.
-    fn chosen(worlds: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<usize>> {
+    pub(crate) fn chosen(worlds: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<usize>> {
         let Some(worlds) = worlds else { return Ok((0..count).collect()) };
         let chosen = worlds.extract::<usize>().map(|one| vec![one]).or_else(|_| worlds.extract::<Vec<usize>>());
         let chosen = chosen
@@ -119,19 +112,29 @@ impl Simulation {
     }
 }
 
-fn check_world(world: usize, count: usize) -> PyResult<()> {
+pub(crate) fn check_world(world: usize, count: usize) -> PyResult<()> {
     if world < count {
         return Ok(());
     }
     Err(PyIndexError::new_err(format!("there is no world {world}; they are counted from 0, and there are {count}")))
 }
 
-fn precision(text: &str) -> PyResult<Precision> {
+pub(crate) fn precision(text: &str) -> PyResult<Precision> {
     text.parse().map_err(PyValueError::new_err)
 }
 
+/// A seed for each of so many worlds.
+pub(crate) fn seeds(seeds: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64>> {
+    let given = seeds.extract::<u64>().map(|one| vec![one]).or_else(|_| seeds.extract::<Vec<u64>>());
+    let given = given.map_err(|_| PyTypeError::new_err("seeds: give whole numbers from 0 to 2^64 - 1"))?;
+    if given.len() != worlds {
+        return Err(PyValueError::new_err(format!("seeds: there are {} of them for {worlds} worlds", given.len())));
+    }
+    Ok(given)
+}
+
 /// Name of an adapter, or its number.
-fn named(adapter: &Bound<'_, PyAny>) -> PyResult<String> {
+pub(crate) fn named(adapter: &Bound<'_, PyAny>) -> PyResult<String> {
     Ok(adapter.str()?.to_string())
 }
 
@@ -549,14 +552,7 @@ impl Simulation {
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
         let chosen = Self::chosen(worlds, machine.len())?;
-        let seeds =
-            seeds.map(|seeds| seeds.extract::<u64>().map(|one| vec![one]).or_else(|_| seeds.extract::<Vec<u64>>()));
-        let seeds =
-            seeds.transpose().map_err(|_| PyTypeError::new_err("seeds: give whole numbers from 0 to 2^64 - 1"))?;
-        if let Some(seeds) = seeds.as_ref().filter(|seeds| seeds.len() != chosen.len()) {
-            let (seeds, worlds) = (seeds.len(), chosen.len());
-            return Err(PyValueError::new_err(format!("seeds: there are {seeds} of them for {worlds} worlds")));
-        }
+        let seeds = seeds.map(|seeds| self::seeds(seeds, chosen.len())).transpose()?;
         let (registry, options) = (known(py)?, self.options(py)?.clone());
         let machine = &mut *machine;
         for (i, world) in chosen.into_iter().enumerate() {
@@ -663,6 +659,47 @@ impl Simulation {
         let value =
             serde_json::to_value(&ledger).map_err(|e| exception(py, "BarchanError", &format!("ledger: {e}")))?;
         records::json(py, &value)
+    }
+
+    /// What tools, free bodies and robots look like now: a list of `Surface` records, triangles and where they are.
+    #[pyo3(signature = (*, world=0))]
+    fn surfaces<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let seen = |one: &World| -> Vec<_> { one.couplings().iter().flat_map(|one| one.surfaces()).collect() };
+        self.look(py, world, seen)?.into_iter().map(|surface| records::surface(py, &surface)).collect()
+    }
+
+    /// Where the levels of the grid are but the coarsest, which has the rest, finest first: for each an array of the least and the greatest corners of its boxes [m], float64 of shape (boxes, 2, 3).
+    #[pyo3(signature = (*, world=0))]
+    fn level_boxes<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let seen = |one: &World| (one.ground_where(&|_| false).levels, one.plan().cell_widths.clone());
+        let (phase, widths) = self.look(py, world, seen)?;
+        let all = phase.iter().flat_map(|phase| phase.boxes.iter().zip(&widths));
+        all.map(|(boxes, width)| {
+            let corners: Vec<[f64; 3]> = boxes
+                .iter()
+                .flat_map(|one| [one.min, one.max])
+                .map(|cell| cell.map(|c| f64::from(c) * width))
+                .collect();
+            let flat = PyArray1::from_vec(py, corners.into_flattened());
+            Ok(flat.reshape([boxes.len(), 2, 3])?.into_any())
+        })
+        .collect()
+    }
+
+    /// What the scene's probes find in a world now: by name of the probe, a dict from column, with its unit, to value. NaN where there is nothing to measure.
+    ///
+    /// Raises `PluginError` if a material does not tell the stress that a probe asks for.
+    #[pyo3(signature = (*, world=0))]
+    fn probes<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+        let all = PyDict::new(py);
+        for probed in self.look(py, world, |one| one.probes(|_| true))?.or_raise(py)? {
+            let columns = PyDict::new(py);
+            for (column, value) in probed.values {
+                columns.set_item(column, value.unwrap_or(f64::NAN))?;
+            }
+            all.set_item(probed.name, columns)?;
+        }
+        Ok(all)
     }
 
     /// Wall time that every effect has taken in a world since it was made [s], by name.

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,12 @@ def test_pictures_are_arrays_and_files(press, tmp_path):
     assert ground.shape[0] < second.shape[0] and ground.std() > 1.0
     view.save_png(tmp_path / "press.png", second)
     view.save_gif(tmp_path / "press.gif", [first, second])
+    view.save_mp4(tmp_path / "press.mp4", (one for one in (first, second, second)))
+    assert (tmp_path / "press.mp4").read_bytes()[4:8] == b"ftyp"
+    with pytest.raises(ValueError, match="none"):
+        view.save_mp4(tmp_path / "empty.mp4", [])
+    with pytest.raises(ValueError, match="one View"):
+        view.save_mp4(tmp_path / "two.mp4", [first, ground])
     assert (tmp_path / "press.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert (tmp_path / "press.gif").read_bytes()[:6] == b"GIF89a"
     with pytest.raises(barchan.FileError, match="press.png"):
@@ -154,6 +161,52 @@ def test_plots_show_what_was_simulated(press, tmp_path):
     with pytest.raises(ValueError, match="plate fz"):
         view.plot_trace(trace, "wheel *")
     pyplot.close("all")
+
+
+def test_bodies_are_meshes_and_levels_boxes(press):
+    press["tool"][0]["shape"] = {"sphere": {"radius": 0.05}}
+    press["levels"] = {"count": 2, "half": 8}
+    press["world"]["cell"] = 0.0125
+    simulation = barchan.Simulation(press)
+    (ball,) = simulation.surfaces()
+    np.testing.assert_allclose(ball.position, [0.2, 0.2, 0.23])
+    np.testing.assert_allclose(np.linalg.norm(ball.triangles, axis=2), 0.05, rtol=0.05)
+    (fine,) = simulation.level_boxes()
+    assert fine.shape[1:] == (2, 3)
+    particles = simulation.particles("level")
+    inside = np.all((fine[0, 0] <= particles.position) & (particles.position <= fine[0, 1]), axis=1)
+    # Ground is split one coarse cell ahead.
+    near = np.all((fine[0, 0] - 0.025 <= particles.position) & (particles.position <= fine[0, 1] + 0.025), axis=1)
+    assert inside.any() and np.all(particles.level[inside] == 0) and np.all(near[particles.level == 0])
+
+
+def test_rerun_is_told_what_there_is(press, monkeypatch):
+    told = {}
+    kinds = ["Points3D", "Boxes3D", "Transform3D", "Quaternion", "Mesh3D", "Arrows3D"]
+    fake = {kind: (lambda *values, kind=kind, **named: (kind, values, named)) for kind in kinds}
+    fake["set_time"] = lambda name, duration, recording: told.update({name: duration})
+    fake["log"] = lambda name, entity, recording: told.update({(name, entity[0]): entity})
+    monkeypatch.setitem(sys.modules, "rerun", types.SimpleNamespace(**fake))
+    simulation = barchan.Simulation(press)
+    simulation.act("plate", linear=[0, 0, -0.5])
+    simulation.advance(0.1)
+    view.log_to_rerun(simulation)
+    view.log_to_rerun(simulation, colour="level")
+    assert told["time"] == 0.1
+    _, (places,), named = told["world/particles", "Points3D"]
+    assert len(places) == simulation.particle_count == len(named["colors"]) == len(named["radii"])
+    assert told["world/bodies/0", "Mesh3D"][2]["vertex_positions"].shape[1] == 3
+    np.testing.assert_allclose(told["world/forces", "Arrows3D"][2]["vectors"], [1e-3 * simulation.wrenches()["plate"].force])
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(ImportError, match=r"barchan\[rerun\]"):
+        view.log_to_rerun(simulation)
+
+
+def test_the_notebook_runs_from_top_to_bottom(tmp_path):
+    code = "import nbformat, nbclient, sys; nbclient.NotebookClient(nbformat.read(sys.argv[1], 4), timeout=300, kernel_name='python3').execute()"
+    notebook = ROOT / "docs/notebooks/first-steps.ipynb"
+    done = subprocess.run([sys.executable, "-c", code, notebook], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_example_of_the_package_is_true():

@@ -83,6 +83,90 @@ def test_pressure_in_a_cut_grows_downwards(press):
     assert np.mean(low) == pytest.approx(expected, rel=0.15)
 
 
+class Elastic:
+    """A compressible neo-Hookean solid: Kirchhoff stress mu (b - I) + lambda ln J I."""
+
+    name = "elastic_in_python"
+    parameters = {"young_modulus": (1e5, "Pa"), "poisson_ratio": 0.3}
+    states = {"seen": 0.0}
+
+    def moduli(self, batch):
+        young, nu = batch.parameters["young_modulus"], batch.parameters["poisson_ratio"]
+        return young * nu / ((1 + nu) * (1 - 2 * nu)), young / (2 * (1 + nu))
+
+    def tangent_moduli(self, batch):
+        lame, mu = self.moduli(batch)
+        less = batch.strain_trial - np.array([1, 1, 1, 0, 0, 0])[:, None]
+        mu = mu * (1 + np.sqrt((less[:3] ** 2).sum(axis=0) + 2 * (less[3:] ** 2).sum(axis=0)))
+        return np.array([lame + 2 * mu, 3 * lame + 2 * mu])
+
+    def update(self, batch):
+        lame, mu = self.moduli(batch)
+        xx, yy, zz, xy, xz, yz = batch.strain_trial.astype(float)
+        volume = xx * (yy * zz - yz**2) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+        batch.kirchhoff = mu * np.array([xx - 1, yy - 1, zz - 1, xy, xz, yz])
+        batch.kirchhoff[:3] += 0.5 * lame * np.log(volume)
+        batch.state_out += batch.dt > 0
+
+
+def test_materials_may_be_written_in_python(press):
+    assert barchan.add_material(Elastic()) == "elastic_in_python"
+    described = barchan.registry()["materials"]["elastic_in_python"]
+    assert described["parameters"]["young_modulus"]["unit"] == "Pa" and "neo-Hookean" in described["doc"]
+    press["time"]["step"] = 5e-4
+    both = []
+    for law in ("elastic_in_python", "neo_hookean"):
+        press["material"] = [{"name": "snow", "law": law, "density": 400.0, "parameters": {"young_modulus": 2e4, "poisson_ratio": 0.25}}]
+        simulation = barchan.Simulation(press, precision="f64")
+        simulation.act("plate", linear=[0, 0, -0.2])
+        simulation.advance(0.1)
+        both.append(simulation)
+    assert both[0].step_count == both[1].step_count
+    python, built_in = (one.particles("velocity", "id") for one in both)
+    order = [np.argsort(one.id) for one in (python, built_in)]
+    np.testing.assert_allclose(python.position[order[0]], built_in.position[order[1]], atol=1e-9)
+    assert built_in.velocity.min() < -0.1 and both[0].wrenches()["plate"].force[2] > 1.0
+    with pytest.raises(barchan.PluginError, match="registered twice"):
+        barchan.add_material(Elastic())
+
+
+def test_what_a_material_in_python_raises_is_told(press):
+    class Broken(Elastic):
+        name = "broken_in_python"
+
+        def update(self, batch):
+            if self.flat:
+                batch.kirchhoff = np.zeros(3)
+            else:
+                raise RuntimeError("no idea")
+
+    law = Broken()
+    barchan.add_material(law)
+    press["time"]["step"] = 5e-4
+    press["material"] = [{"name": "snow", "law": "broken_in_python", "density": 400.0}]
+    for law.flat, what in ((False, "RuntimeError: no idea"), (True, "batch.kirchhoff has another shape than")):
+        with pytest.raises(barchan.SimulationError, match=what):
+            barchan.Simulation(press).step(2)
+
+
+def test_probes_find_what_the_scene_asks_for(press):
+    press["probe"] = [
+        {"name": "lower", "within": {"box": {"min": [0, 0, 0], "max": [0.4, 0.4, 0.1]}}},
+        {"name": "air", "nearest": [0.2, 0.2, 0.39], "material": "snow"},
+    ]
+    simulation = barchan.Simulation(press, worlds=2)
+    simulation.act("plate", linear=[0, 0, -0.5], worlds=1)
+    simulation.advance(0.05)
+    for world in range(2):
+        found = simulation.probes(world=world)
+        particles = simulation.particles("mass", region=((0, 0, 0), (0.4, 0.4, 0.1)), world=world)
+        assert list(found) == ["lower", "air"]
+        assert found["lower"]["mass [kg]"] == pytest.approx(particles.mass.sum(dtype=float), rel=1e-6)
+        assert found["lower"]["particles"] == len(particles)
+    assert simulation.probes(world=1)["lower"]["mass [kg]"] > simulation.probes(world=0)["lower"]["mass [kg]"]
+    assert barchan.Simulation("dig", overrides={"world.cell": 0.05}).probes() == {}
+
+
 def test_robots_tell_joints_and_take_targets(dog):
     robot = dog.robots()["dog"]
     scan = dog.scan("dog")

@@ -201,6 +201,19 @@ impl Environment {
     /// # Errors
     /// [`Error::Body`] if an action is missing, has another length, or is not a number: no world has moved then.
     pub fn step(&mut self, actions: &[Vec<f64>]) -> Result<Vec<Result<Step>>> {
+        Ok(self.step_while(actions, || true)?.unwrap_or_default())
+    }
+
+    /// [`step`](Self::step), unless somebody who is asked a few times a second says not to go on: then there is nothing, and the worlds are left somewhere
+    /// within the control step. Reset them.
+    ///
+    /// # Errors
+    /// As [`step`](Self::step).
+    pub fn step_while(
+        &mut self,
+        actions: &[Vec<f64>],
+        mut goes_on: impl FnMut() -> bool,
+    ) -> Result<Option<Vec<Result<Step>>>> {
         self.check(actions)?;
         let mut failed: Vec<Option<Error>> = Vec::new();
         for (world, (action, player)) in actions.iter().zip(&mut self.players).enumerate() {
@@ -221,8 +234,11 @@ impl Environment {
             if !waits {
                 break;
             }
+            if !goes_on() {
+                return Ok(None);
+            }
         }
-        Ok(self.outcomes(failed))
+        Ok(Some(self.outcomes(failed)))
     }
 
     /// What came of the step in each world that has not failed.
@@ -268,4 +284,4 @@ impl Environment {
 /// Most scenes whose start is kept: each takes about 300 bytes a particle.
 const MOST_STARTS: usize = 64;
 /// How long worlds are stepped before all are looked at.
-const SLICE: Duration = Duration::from_secs(1);
+const SLICE: Duration = Duration::from_millis(250);

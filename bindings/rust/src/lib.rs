@@ -453,7 +453,7 @@ pub use barchan_core::Task;
 
 pub use barchan_core::{
     backend, contact, coupling, file, glam, ledger, material, nearest, observer, parameter, plan, probe, reading,
-    registry as registries, scene, schedule, simulation, snapshot, solid, state, stress, task,
+    registry as registries, scene, schedule, simulation, snapshot, solid, state, stress, surface, task,
 };
 pub use barchan_tasks as tasks;
 

@@ -6,16 +6,18 @@
 >>> simulation.wrenches()["blade"].force.shape
 (3,)
 
-`Simulation` steps scenes and tells what happens in them; `barchan.view` draws; `barchan.records` holds what simulations say, and `barchan.errors` what they refuse.
+`Simulation` steps scenes and tells what happens in them, `Environment` worlds of a benchmark task; `barchan.envs` has the tasks for Gymnasium. `barchan.view` draws;
+`barchan.records` holds what simulations say, and `barchan.errors` what they refuse.
 """
 
-from barchan._core import Simulation, State, __version__, adapters, load_plugin, registry, scenes
+from barchan._core import Environment, Simulation, State, __version__, adapters, add_material, load_plugin, registry, scenes, task
 from barchan.errors import (
     BarchanError,
     BodyError,
     BusyError,
     CapacityError,
     DeviceError,
+    DisplayError,
     FileError,
     PluginError,
     SceneError,
@@ -30,6 +32,8 @@ __all__ = [
     "BusyError",
     "CapacityError",
     "DeviceError",
+    "DisplayError",
+    "Environment",
     "FileError",
     "PluginError",
     "SceneError",
@@ -39,8 +43,10 @@ __all__ = [
     "State",
     "UnknownNameError",
     "__version__",
+    "add_material",
     "adapters",
     "load_plugin",
     "registry",
     "scenes",
+    "task",
 ]

@@ -11,6 +11,7 @@ __all__ = [
     "BusyError",
     "CapacityError",
     "DeviceError",
+    "DisplayError",
     "FileError",
     "PluginError",
     "SceneError",
@@ -59,6 +60,10 @@ class BodyError(BarchanError, ValueError):
 
 class DeviceError(BarchanError, RuntimeError):
     """A device that a backend runs on failed."""
+
+
+class DisplayError(BarchanError, RuntimeError):
+    """No window can be opened here."""
 
 
 class SnapshotError(BarchanError, ValueError):

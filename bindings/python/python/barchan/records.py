@@ -7,12 +7,12 @@ and to write into it changes nothing there.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Body", "HeightMap", "HeightScan", "Link", "Particles", "Plan", "Robot", "Wrench"]
+__all__ = ["Batch", "Body", "HeightMap", "HeightScan", "Law", "Link", "Particles", "Plan", "Robot", "Surface", "Task", "Wrench"]
 
 
 class Particles:
@@ -56,6 +56,45 @@ class Particles:
 
     def __repr__(self) -> str:
         return f"<Particles: {len(self)}, with {', '.join(self.__dict__)}>"
+
+
+class Batch:
+    """Particles that a material written in Python updates (`barchan.add_material`). Arrays are float32, or float64 in f64 runs; column i is particle i."""
+
+    dt: float
+    """Step that the strain was carried over [s]; 0 asks for stress at the given strain."""
+    parameters: dict[str, float]
+    """The material's parameters, as the scene gives them."""
+    strain_trial: NDArray[Any]
+    """Strain before the law has acted, (6 or 9, n): b rows xx yy zz xy xz yz, or F row by row."""
+    state_in: NDArray[Any]
+    """History before that, (variables, n)."""
+    strain: NDArray[Any]
+    """Strain that remains, (6 or 9, n): what was given, unless the law sets it."""
+    kirchhoff: NDArray[Any]
+    """Kirchhoff stress [Pa], (6, n), rows xx yy zz xy xz yz: 0, unless the law sets it."""
+    state_out: NDArray[Any]
+    """History that remains, (variables, n): what was given, unless the law sets it."""
+
+    def __init__(self, dt: float, parameters: dict[str, float], strain_trial: NDArray[Any], state_in: NDArray[Any]) -> None:
+        self.dt, self.parameters, self.strain_trial, self.state_in = dt, parameters, strain_trial, state_in
+        self.strain, self.state_out = strain_trial.copy(), state_in.copy()
+        self.kirchhoff = np.zeros((6, strain_trial.shape[1]), strain_trial.dtype)
+
+    def __len__(self) -> int:
+        return self.strain_trial.shape[1]
+
+
+class Law(Protocol):
+    """A material written in Python, for `barchan.add_material`. It may have `states`, `strain` and `tangent_moduli` besides."""
+
+    name: str
+    """In snake_case, as scenes call it."""
+    parameters: dict[str, Any]
+    """Name, and default or (default, unit)."""
+
+    def update(self, batch: Batch) -> None:
+        """Sets what comes of a batch of particles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +170,20 @@ class Robot:
 
 
 @dataclass(frozen=True, eq=False)
+class Surface:
+    """A part of what a tool, a free body or a robot looks like."""
+
+    triangles: NDArray[np.float32] = field(repr=False)
+    """Corners of the triangles in a frame of the body's [m], (n, 3, 3)."""
+    position: NDArray[np.float64]
+    """Where the origin of that frame is [m], (3,)."""
+    rotation: NDArray[np.float64]
+    """Orientation quaternion of that frame (w, x, y, z), (4,)."""
+    colour: tuple[float, float, float] | None
+    """sRGB from 0 to 1; None for a tool's."""
+
+
+@dataclass(frozen=True, eq=False)
 class HeightMap:
     """Heights of the ground over a rectangle."""
 
@@ -172,3 +225,30 @@ class Plan:
 
     def __str__(self) -> str:
         return self.text
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What a benchmark task asks for, and what an action and an observation hold."""
+
+    name: str
+    doc: str = field(repr=False)
+    action_names: list[str]
+    """What the numbers of an action are, with their units."""
+    action_low: NDArray[np.float64]
+    """Least value of each, (numbers,)."""
+    action_high: NDArray[np.float64]
+    """Greatest value of each, (numbers,)."""
+    observation_parts: list[tuple[str, int]]
+    """Parts of an observation, one after the other: what the numbers are, and how many."""
+    interval: float
+    """Simulated time of a control step [s]."""
+    horizon: int
+    """Control steps after which an episode is cut off."""
+    ranges: list[tuple[str, tuple[float, float]]]
+    """What a seed changes, and between what it lies; empty if nothing."""
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers of an observation."""
+        return sum(size for _, size in self.observation_parts)

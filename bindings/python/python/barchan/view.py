@@ -1,14 +1,14 @@
 """Pictures of simulations and plots of what runs write.
 
-`picture` gives a picture as an array, and `View` the same for many moments, all alike; `save_png` and `save_gif` write them. What is drawn with matplotlib needs the extra
-`barchan[plot]`: `plot_height_map`, `plot_trace`, `plot_ledger`.
+`picture` gives a picture as an array, and `View` the same for many moments, all alike; `save_png` and `save_gif` write them, and `save_mp4` with the extra `barchan[video]`.
+What is drawn with matplotlib needs the extra `barchan[plot]`: `plot_height_map`, `plot_trace`, `plot_ledger`. `log_to_rerun` shows a simulation in the viewer of `rerun-sdk` (`barchan[rerun]`).
 """
 
 from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from barchan._core import Simulation, View, write_gif, write_png
+from barchan.errors import FileError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["View", "picture", "plot_height_map", "plot_ledger", "plot_trace", "save_gif", "save_png"]
+__all__ = ["View", "log_to_rerun", "picture", "plot_height_map", "plot_ledger", "plot_trace", "save_gif", "save_mp4", "save_png"]
 
 
 def picture(simulation: Simulation, *, part: Literal["page", "ground"] = "page", world: int = 0) -> NDArray[np.uint8]:
@@ -39,6 +40,34 @@ def save_png(path: str | os.PathLike[str], picture: NDArray[np.uint8]) -> None:
 def save_gif(path: str | os.PathLike[str], pictures: Sequence[NDArray[np.uint8]], *, seconds: float = 0.04, most_bytes: int = 8_000_000) -> None:
     """Writes pictures of one size as an endless animation, each shown for `seconds`. Every second one is left out until the file has at most `most_bytes`."""
     write_gif(path, [np.ascontiguousarray(one) for one in pictures], seconds=seconds, most_bytes=most_bytes)
+
+
+def save_mp4(path: str | os.PathLike[str], pictures: Iterable[NDArray[np.uint8]], *, seconds: float = 0.04) -> None:
+    """Writes pictures of one size as a film (H.264), each shown for `seconds`; they may come one by one. An odd last row or column is left out."""
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise ImportError("imageio-ffmpeg is missing: pip install 'barchan[video]'") from error
+    writer, first = None, None
+    try:
+        for picture in pictures:
+            rows, columns = (size - size % 2 for size in picture.shape[:2])
+            if writer is None:
+                first = picture.shape
+                writer = imageio_ffmpeg.write_frames(
+                    os.fspath(path), (columns, rows), fps=1.0 / seconds, macro_block_size=2, ffmpeg_log_level="error"
+                )
+                writer.send(None)
+            if picture.shape != first:
+                raise ValueError(f"pictures: one has the shape {picture.shape} and the first {first}; draw them with one View")
+            writer.send(np.ascontiguousarray(picture[:rows, :columns]))
+    except OSError as error:
+        raise FileError(f"{os.fspath(path)}: writing a film: {error}") from error
+    finally:
+        if writer is not None:
+            writer.close()
+    if writer is None:
+        raise ValueError("pictures: there are none")
 
 
 def plot_height_map(simulation: Simulation, *, cell: float | None = None, world: int = 0, axes: Axes | None = None) -> Axes:
@@ -86,6 +115,56 @@ def plot_ledger(ledgers: Sequence[dict[str, Any]], times: Sequence[float], *, ax
     axes.set(xlabel="time [s]", ylabel="energy [J]")
     axes.legend()
     return axes
+
+
+def log_to_rerun(
+    simulation: Simulation,
+    recording: Any = None,
+    *,
+    colour: Literal["speed", "level"] = "speed",
+    fastest: float = 1.0,
+    newtons: float = 1e-3,
+    world: int = 0,
+) -> None:
+    """Logs a world as it is now to a recording of rerun, or to the one of `rerun.init`: call it after every few steps.
+
+    Particles are coloured by their speed, up to `fastest` [m/s], or by their level; tools, bodies and robots come as meshes, the levels as boxes, and the
+    force of the ground on each body as an arrow, `newtons` [m/N] long.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise ImportError("rerun-sdk is missing: pip install 'barchan[rerun]'") from error
+
+    def log(name: str, entity: Any) -> None:
+        rerun.log(f"world/{name}", entity, recording=recording)
+
+    rerun.set_time("time", duration=simulation.times[world], recording=recording)
+    particles = simulation.particles("velocity", "volume0", "level", world=world)
+    if colour == "level":
+        share = particles.level / max(len(simulation.level_boxes(world=world)), 1)
+    else:
+        share = np.linalg.norm(particles.velocity, axis=1) / fastest
+    slow, fast = np.array([194, 160, 110]), np.array([190, 40, 30])
+    colours = (slow + np.clip(share, 0.0, 1.0)[:, None] * (fast - slow)).astype(np.uint8)
+    radii = 0.5 * np.cbrt(particles.volume0)
+    log("particles", rerun.Points3D(particles.position.astype(np.float32), colors=colours, radii=radii))
+    for level, boxes in enumerate(simulation.level_boxes(world=world)):
+        log(f"levels/{level}", rerun.Boxes3D(mins=boxes[:, 0], sizes=boxes[:, 1] - boxes[:, 0]))
+    for number, surface in enumerate(simulation.surfaces(world=world)):
+        corners = surface.triangles.reshape(-1, 3)
+        shade = np.array(surface.colour or (0.45, 0.47, 0.5))
+        w, *xyz = surface.rotation
+        log(f"bodies/{number}", rerun.Transform3D(translation=surface.position, quaternion=rerun.Quaternion(xyzw=[*xyz, w])))
+        mesh = rerun.Mesh3D(
+            vertex_positions=corners,
+            triangle_indices=np.arange(len(corners)).reshape(-1, 3),
+            vertex_colors=np.tile((255 * shade).astype(np.uint8), (len(corners), 1)),
+        )
+        log(f"bodies/{number}", mesh)
+    bodies, wrenches = simulation.bodies(world=world), simulation.wrenches(world=world)
+    origins = [bodies[name].position for name in wrenches]
+    log("forces", rerun.Arrows3D(origins=origins, vectors=[newtons * wrench.force for wrench in wrenches.values()]))
 
 
 def _axes(axes: Axes | None) -> Axes:

@@ -1,0 +1,79 @@
+"""The extra `learn`: `bash bindings/python/test.sh --learn` installs what it takes and runs these tests. They are left out without it."""
+
+import json
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+import barchan
+
+pytestmark = pytest.mark.learn
+
+LITE = [name for name in barchan.registry()["tasks"] if name.endswith("-lite")]
+TASK = "SmoothSurface-lite"
+
+
+@pytest.mark.parametrize("name", LITE)
+def test_stable_baselines_checker_finds_nothing(name):
+    from stable_baselines3.common.env_checker import check_env
+
+    from barchan.envs import TaskEnv
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(TaskEnv(name, render_mode="rgb_array"))
+
+
+def test_stable_baselines_learns_in_worlds_of_one_simulation():
+    from stable_baselines3 import PPO
+
+    from barchan.envs import TaskVectorEnv
+    from barchan.sb3 import Worlds
+
+    with pytest.raises(ValueError, match="SameStep"):
+        Worlds(TaskVectorEnv(TASK, 2))
+    worlds = Worlds(TaskVectorEnv(TASK, 3, autoreset_mode="SameStep", max_episode_steps=5))
+    worlds.seed(4)
+    first = worlds.reset()
+    assert first.shape == (3, barchan.task(TASK).observation_size) and worlds.vector.worlds.seeds.tolist() == [4, 5, 6]
+    for step in range(5):
+        seen, rewards, ended, infos = worlds.step(np.zeros((3, 4), np.float32))
+    assert ended.all() and rewards.dtype == np.float32
+    np.testing.assert_array_equal(seen, first)
+    assert all(info["TimeLimit.truncated"] and np.any(info["terminal_observation"] != seen[0]) for info in infos)
+    PPO("MlpPolicy", worlds, n_steps=8, batch_size=12, device="cpu").learn(24)
+
+
+def test_tensors_go_in_and_come_out():
+    import torch
+    from gymnasium.utils.env_checker import check_env
+
+    from barchan.envs import TaskEnv, TaskVectorEnv
+
+    plain, tensors = TaskVectorEnv(TASK, 2), TaskVectorEnv(TASK, 2, torch=True)
+    expected, _ = plain.reset(seed=1)
+    seen, _ = tensors.reset(seed=1)
+    assert isinstance(seen, torch.Tensor) and seen.dtype == torch.float32
+    np.testing.assert_array_equal(seen.numpy(), expected)
+    actions = torch.full((2, 4), 0.5, requires_grad=True)
+    step, expected = tensors.step(actions), plain.step(np.full((2, 4), 0.5))
+    for ours, theirs in zip(step[:4], expected[:4]):
+        np.testing.assert_array_equal(ours.numpy(), theirs)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(TaskEnv(TASK, torch="cpu"), skip_render_check=True)
+
+
+@pytest.mark.parametrize("agent", ["ppo", "sac"])
+def test_policies_are_learned_from_the_command_line(agent, tmp_path):
+    command = [sys.executable, "-m", "barchan.bench", "learn", "--agent", agent, "--budget", "600", "--worlds", "4", "--steps", "10"]
+    done = subprocess.run([*command, "--device", "cpu", "--out", tmp_path], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["agent"] == agent and np.isfinite(summary["policy_mean"]) and summary["environment_steps"] >= 600
+    assert len(json.loads((tmp_path / "best.json").read_text())["actions"]) == 10
+    assert (tmp_path / "curve.png").stat().st_size > 1000 and (tmp_path / "policy.zip").exists()
+    assert list((tmp_path / "tensorboard").rglob("events.out.tfevents.*"))
