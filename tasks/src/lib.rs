@@ -3,9 +3,14 @@
 //! This crate knows the core only: scenes name their materials, couplings and backends, and the registry finds them. A task has a file of its own.
 
 mod base;
+mod dig_a_hole;
 mod effector;
+mod press_mould;
 mod reward;
+mod sand_painting;
+mod scoop_out;
 mod smooth_surface;
+mod tooling;
 mod view;
 
 use barchan_core::{Error, Registry, Result, Scene};
@@ -15,7 +20,11 @@ use barchan_core::{Error, Registry, Result, Scene};
 /// # Errors
 /// If one of their names is taken.
 pub fn register(registry: &mut Registry) -> Result<()> {
-    smooth_surface::register(registry)
+    sand_painting::register(registry)?;
+    scoop_out::register(registry)?;
+    dig_a_hole::register(registry)?;
+    smooth_surface::register(registry)?;
+    press_mould::register(registry)
 }
 
 /// The scenes that are files, by name.
