@@ -27,6 +27,7 @@ mod settled;
 mod sleeping;
 mod subcycling;
 mod swap;
+mod tasks;
 mod terrain;
 mod trace;
 mod transfers;
