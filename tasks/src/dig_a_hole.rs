@@ -1,8 +1,9 @@
 //! DigAHole: a shovel goes down into a bed of sand and up again, and leaves a hole.
 //!
 //! # Source
-//! UBSoft (CoRL 2024), "Dig A Hole": L = Σ (σ |z − z_p| + (1 − σ) (−(z − z_p))), z the height of the shovel, z_p that of a point below the surface, σ = 1 in the first
-//! stage. When a stage ends is not printed: here the first one ends for good once the shovel's edge has been within a centimetre of z_p.
+//! UBSoft (CoRL 2024), "Dig A Hole": L = Σ (σ |z − z_p| + (1 − σ) (−(z − z_p))), z the height of the shovel, z_p that
+//! of a point below the surface, σ = 1 in the first stage. When a stage ends is not printed: here the first one ends
+//! for good once the shovel's edge has been within a centimetre of z_p.
 
 use crate::base::{Base, Size};
 use crate::effector::{Degree, Effector, Path};
@@ -36,10 +37,12 @@ struct Sizes {
     changes: &'static [&'static str],
     /// Depth of z_p below the surface [m]: as deep as the blade is long, or half as deep where the bed is shallow.
     depth: f64,
-    /// Most that the shovel moves in a control step, along each axis [m]: 0.5 m/s on `-lite`, as fast as tools are drawn through sand in `letters`.
+    /// Most that the shovel moves in a control step, along each axis [m]: 0.5 m/s on `-lite`, as fast as tools are
+    /// drawn through sand in `letters`.
     most: f64,
     horizon: u64,
-    /// α times the shovel's distance from z_p at the start, over all control steps: so an agent that does nothing has no reward.
+    /// α times the shovel's distance from z_p at the start, over all control steps: so an agent that does nothing has
+    /// no reward.
     beta: f64,
     /// Where the edge enters the ground, how far it goes in it, and how high it is lifted above the surface [m].
     strokes: [f64; 3],
@@ -105,7 +108,7 @@ struct DigAHole {
 impl Work for DigAHole {
     fn vary(&self, scene: &mut Scene, drawn: &[f64]) {
         if let [angle, density] = *drawn {
-            scene.material[0].parameters.insert("friction_angle_deg".to_owned(), angle.into());
+            scene.material[0].parameters.insert("friction_angle_deg".to_owned(), angle);
             scene.material[0].density = density;
         }
     }

@@ -161,7 +161,8 @@ impl Way {
     }
 }
 
-/// What a hand-written agent does one after the other: values of an effector's degrees of freedom, and how many control steps it waits there.
+/// What a hand-written agent does one after the other: values of an effector's degrees of freedom, and how many
+/// control steps it waits there.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Path {
     stops: Vec<(Vec<f64>, u64)>,

@@ -2,6 +2,8 @@
 //!
 //! This crate knows the core only: scenes name their materials, couplings and backends, and the registry finds them. A task has a file of its own.
 
+mod arm;
+mod arm_scoops;
 mod base;
 mod dig_a_hole;
 mod effector;
@@ -10,6 +12,7 @@ mod reward;
 mod sand_painting;
 mod scoop_out;
 mod smooth_surface;
+mod surface;
 mod tooling;
 mod view;
 
@@ -24,7 +27,8 @@ pub fn register(registry: &mut Registry) -> Result<()> {
     scoop_out::register(registry)?;
     dig_a_hole::register(registry)?;
     smooth_surface::register(registry)?;
-    press_mould::register(registry)
+    press_mould::register(registry)?;
+    arm_scoops::register(registry)
 }
 
 /// The scenes that are files, by name.

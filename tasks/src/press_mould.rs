@@ -10,7 +10,8 @@ use barchan_core::scene::Region;
 use barchan_core::task::{Limits, Seen, Watch};
 use barchan_core::{BodyState, Registry, Result, Scene, Simulation};
 
-const DOC: &str = "A lump of dough is to be pressed into a mould in the form of a plus with a plate. Success: more than 85 % of the mould is full.";
+const DOC: &str = "A lump of dough is to be pressed into a mould in the form of a plus with a plate. Success: more than \
+    85 % of the mould is full.";
 const FILE: &str = include_str!("../scenes/tasks/press-mould.toml");
 const TOOL: &str = "plate";
 
@@ -65,7 +66,7 @@ struct PressMould {
 impl Work for PressMould {
     fn vary(&self, scene: &mut Scene, drawn: &[f64]) {
         if let [yield_stress, height] = *drawn {
-            scene.material[0].parameters.insert("yield_stress".to_owned(), yield_stress.into());
+            scene.material[0].parameters.insert("yield_stress".to_owned(), yield_stress);
             if let barchan_core::scene::Shape::Box { max: Some(max), .. } = &mut scene.body[0].shape {
                 max[2] = height;
             }

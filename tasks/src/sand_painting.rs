@@ -1,15 +1,17 @@
 //! SandPainting: a heart is drawn in sand with a stirrer.
 //!
 //! # Source
-//! UBSoft (CoRL 2024), "Sand Painting": L = Σ d, d the chamfer distance of the particles from their state under a "ground-truth policy", which is not printed. Here d is that
-//! of the surface, by points of its height map, from the surface that the hand-written agent leaves: the bed with a groove along the heart, of the profile that was measured.
+//! UBSoft (CoRL 2024), "Sand Painting": L = Σ d, d the chamfer distance of the particles from their state under a
+//! "ground-truth policy", which is not printed. Here d is that of the surface, by points of its height map, from the
+//! surface that the hand-written agent leaves: the bed with a groove along the heart, of the profile that was
+//! measured.
 
 use crate::base::{Base, Size};
 use crate::effector::{Degree, Effector, Path};
 use crate::reward::Scale;
-use crate::tooling::{Goal, ToolTask, Tooling, Verdict, Work, points};
+use crate::surface::{Target, from_line, height_at};
+use crate::tooling::{Goal, ToolTask, Tooling, Verdict, Work};
 use crate::view::View;
-use barchan_core::nearest::Nearest;
 use barchan_core::registry::TaskSetup;
 use barchan_core::task::{Limits, Seen, Watch};
 use barchan_core::{BodyState, Registry, Result, Scene, Simulation};
@@ -26,10 +28,12 @@ const LEFT: f64 = 0.5;
 const CLEAR: f64 = 0.01;
 /// Corners of the heart's line.
 const CORNERS: usize = 64;
-/// Heights of the surface beside the line by that of the bed, in radii of the rod, at distances from the line in radii, negative within the heart.
+/// Heights of the surface beside the line by that of the bed, in radii of the rod, at distances from the line in
+/// radii, negative within the heart.
 ///
 /// # Source
-/// What the hand-written agent leaves on SandPainting-lite, averaged along the line. It goes around clockwise, and sand goes outwards rather than inwards.
+/// What the hand-written agent leaves on SandPainting-lite, averaged along the line. It goes around clockwise, and
+/// sand goes outwards rather than inwards.
 const PROFILE: [[f64; 2]; 19] = [
     [-5.5, 0.0],
     [-4.2, 0.13],
@@ -65,7 +69,8 @@ struct Sizes {
     horizon: u64,
     /// Heights that are compared, along x and y.
     map: [usize; 2],
-    /// β is α times the chamfer distance of the untouched bed, over all control steps: so an agent that does nothing has no reward.
+    /// β is α times the chamfer distance of the untouched bed, over all control steps: so an agent that does nothing
+    /// has no reward.
     scale: Scale,
     reach: f64,
 }
@@ -130,28 +135,16 @@ struct SandPainting {
 impl Work for SandPainting {
     fn vary(&self, scene: &mut Scene, drawn: &[f64]) {
         if let [angle, density] = *drawn {
-            scene.material[0].parameters.insert("friction_angle_deg".to_owned(), angle.into());
+            scene.material[0].parameters.insert("friction_angle_deg".to_owned(), angle);
             scene.material[0].density = density;
         }
     }
     fn begin(&self, world: &Simulation, effector: &Effector) -> Result<(Box<dyn Goal>, Path)> {
-        let sizes = self.sizes;
-        let wanted = looked_at(world, sizes);
-        let floor = world.plan().scene.world.min[2];
-        let bed: Vec<f64> = world.heights(&wanted)?.into_iter().map(|height| height.unwrap_or(floor)).collect();
-        let level = bed.iter().sum::<f64>() / bed.len() as f64;
-        let line = heart(sizes);
-        let target: Vec<f64> = wanted.iter().map(|point| level + groove(&line, *point, sizes.rod[0])).collect();
-        let target = cloud(&wanted, &target);
-        let start = chamfer(&cloud(&wanted, &bed), &target);
-        let goal = Painting { sizes, points: wanted, target, level, start };
-        Ok((Box::new(goal), drawing(world, effector, &line, level, sizes)))
+        let line = heart(self.sizes);
+        let target = Target::new(world, self.sizes.map, |point| groove(&line, point, self.sizes.rod[0]))?;
+        let path = drawing(world, effector, &line, target.level, self.sizes);
+        Ok((Box::new(Painting { sizes: self.sizes, target }), path))
     }
-}
-
-fn looked_at(world: &Simulation, sizes: &Sizes) -> Vec<[f64; 2]> {
-    let world = &world.plan().scene.world;
-    points([world.min[0], world.min[1]], [world.max[0], world.max[1]], sizes.map)
 }
 
 /// Corners of the heart, from its notch around and back to it [m].
@@ -169,21 +162,8 @@ fn heart(sizes: &Sizes) -> Vec<[f64; 2]> {
 
 /// Height of the drawn surface above the bed's at a point [m].
 fn groove(line: &[[f64; 2]], point: [f64; 2], radius: f64) -> f64 {
-    let to_part = |part: &[[f64; 2]]| {
-        let (a, b) = (part[0], part[1]);
-        let (along, off) = ([b[0] - a[0], b[1] - a[1]], [point[0] - a[0], point[1] - a[1]]);
-        let length = along[0] * along[0] + along[1] * along[1];
-        let way = ((along[0] * off[0] + along[1] * off[1]) / length).clamp(0.0, 1.0);
-        (off[0] - way * along[0]).hypot(off[1] - way * along[1])
-    };
-    let away = line.windows(2).map(to_part).fold(f64::INFINITY, f64::min) / radius;
-    let away = if is_within(line, point) { -away } else { away };
-    let next = PROFILE.iter().position(|[at, _]| *at > away).unwrap_or(0);
-    if next == 0 {
-        return 0.0;
-    }
-    let ([from, low], [to, high]) = (PROFILE[next - 1], PROFILE[next]);
-    radius * (low + (high - low) * (away - from) / (to - from))
+    let away = from_line(line, point) / radius;
+    radius * height_at(&PROFILE, if is_within(line, point) { -away } else { away })
 }
 
 /// Is a point within a closed line? A ray from it along x crosses the line an odd number of times then.
@@ -207,40 +187,18 @@ fn drawing(world: &Simulation, effector: &Effector, line: &[[f64; 2]], level: f6
     Path::new(stops)
 }
 
-/// A surface by points of it.
-fn cloud(points: &[[f64; 2]], heights: &[f64]) -> Vec<[f32; 3]> {
-    points.iter().zip(heights).map(|([x, y], z)| [*x as f32, *y as f32, *z as f32]).collect()
-}
-
-/// Chamfer distance of two clouds: the mean distance of each one's points from the nearest of the other's, both added [m].
-fn chamfer(one: &[[f32; 3]], other: &[[f32; 3]]) -> f64 {
-    let one_way = |from: &[[f32; 3]], to: &[[f32; 3]]| {
-        let nearest = Nearest::new(to.to_vec());
-        from.iter().map(|point| nearest.distance(*point)).sum::<f64>() / from.len() as f64
-    };
-    one_way(one, other) + one_way(other, one)
-}
-
 struct Painting {
     sizes: &'static Sizes,
-    /// Where the surface is looked at, the surface with the heart, and height of the bed [m].
-    points: Vec<[f64; 2]>,
-    target: Vec<[f32; 3]>,
-    level: f64,
-    /// Chamfer distance of the untouched bed [m].
-    start: f64,
+    target: Target,
 }
 
 impl Goal for Painting {
     fn watch(&self, _world: &Simulation) -> Watch {
-        Watch { heights: self.points.clone(), ..Watch::default() }
+        Watch { heights: self.target.points.clone(), ..Watch::default() }
     }
-    fn judge(&mut self, world: &Simulation, tool: &BodyState, seen: &Seen) -> Result<Verdict> {
-        let floor = world.plan().scene.world.min[2];
-        let heights: Vec<f64> = seen.heights.iter().map(|height| height.unwrap_or(floor)).collect();
-        let away = chamfer(&cloud(&self.points, &heights), &self.target);
-        let left = away / self.start.max(f64::MIN_POSITIVE);
-        let clear = tool.position[2] - self.sizes.rod[1] > self.level + CLEAR;
+    fn judge(&mut self, _world: &Simulation, tool: &BodyState, seen: &Seen) -> Result<Verdict> {
+        let [away, left] = self.target.away(&seen.heights);
+        let clear = tool.position[2] - self.sizes.rod[1] > self.target.level + CLEAR;
         Ok(Verdict {
             reward: self.sizes.scale.reward(away, self.sizes.horizon),
             success: clear && left < LEFT,

@@ -1,9 +1,10 @@
 //! ScoopOut: a duck that lies half in sand is scooped out with a shovel.
 //!
 //! # Source
-//! UBSoft (CoRL 2024), "Scoop Out": L = Σ (σ l1 + (1 − σ) l2) with l1 = ‖p − (p_duck − (0, 0, 0.03))‖ and l2 = −z + n, p the shovel's place, z its height, n the number of
-//! particles within 0.1 m of the duck, σ = 1 in the first stage. When a stage ends is not printed: here the first one ends for good once l1 has been less than 4 cm. n counts
-//! by its share of what it was at the start.
+//! UBSoft (CoRL 2024), "Scoop Out": L = Σ (σ l1 + (1 − σ) l2) with l1 = ‖p − (p_duck − (0, 0, 0.03))‖ and l2 = −z +
+//! n, p the shovel's place, z its height, n the number of particles within 0.1 m of the duck, σ = 1 in the first
+//! stage. When a stage ends is not printed: here the first one ends for good once l1 has been less than 4 cm. n
+//! counts by its share of what it was at the start.
 
 use crate::base::{Base, Size};
 use crate::effector::{Degree, Effector, Path};
@@ -16,7 +17,8 @@ use barchan_core::scene::Region;
 use barchan_core::task::{Limits, Part, Seen, Watch};
 use barchan_core::{BodyState, Error, Registry, Result, Scene, Simulation};
 
-const DOC: &str = "A duck that lies half in a bed of sand is to be scooped out with a shovel. Success: it lies on the shovel, above the surface.";
+const DOC: &str = "A duck that lies half in a bed of sand is to be scooped out with a shovel. Success: it lies on the \
+    shovel, above the surface.";
 const FILE: &str = include_str!("../scenes/tasks/scoop-out.toml");
 const TOOL: &str = "shovel";
 const DUCK: &str = "duck";
@@ -34,7 +36,8 @@ const NEAR: f64 = 0.1;
 const REACHED: f64 = 0.04;
 /// What the particles near the duck at the start count, in metres of height.
 const COUNT: f64 = 0.05;
-/// How far the duck must be above where it was at the start, and how near to where the shovel is to get, in the end [m].
+/// How far the duck must be above where it was at the start, and how near to where the shovel is to get, in the end
+/// [m].
 const HIGH: f64 = 0.06;
 const HELD: f64 = 0.06;
 /// Most that the shovel turns about y in a control step, and between what [rad].
@@ -122,7 +125,7 @@ struct ScoopOut {
 impl Work for ScoopOut {
     fn vary(&self, scene: &mut Scene, drawn: &[f64]) {
         if let [x, y, mass, angle] = *drawn {
-            scene.material[0].parameters.insert("friction_angle_deg".to_owned(), angle.into());
+            scene.material[0].parameters.insert("friction_angle_deg".to_owned(), angle);
             for tool in scene.tool.iter_mut().filter(|tool| tool.name == DUCK) {
                 (tool.position[0], tool.position[1]) = (x, y);
                 if let barchan_core::scene::Motion::Free { mass: own, .. } = &mut tool.motion {
@@ -151,8 +154,8 @@ fn duck(world: &Simulation) -> Result<BodyState> {
     })
 }
 
-/// The hand-written agent: down beside the duck with the edge ahead, so that little sand comes before it; level under the duck; back, so that it rolls against the
-/// shovel's back; up.
+/// The hand-written agent: down beside the duck with the edge ahead, so that little sand comes before it; level under
+/// the duck; back, so that it rolls against the shovel's back; up.
 fn scoop(duck: &BodyState) -> Path {
     let [x, y, z] = duck.position;
     let stop = |x_off: f64, z_off: f64, pitch: f64| (vec![x + x_off, y, z + z_off, pitch], 0);

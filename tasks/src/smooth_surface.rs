@@ -1,8 +1,9 @@
 //! SmoothSurface: a heap on a bed of sand is smoothed with a scraper.
 //!
 //! # Source
-//! UBSoft (CoRL 2024), "Smooth Surface": L = Σ (n_t − n_{t−1}), n the number of particles above the mean height of the surface. Here they are counted from a
-//! particle's width above it, and by their share of what they were at the start, so that α does not depend on the size of particles.
+//! UBSoft (CoRL 2024), "Smooth Surface": L = Σ (n_t − n_{t−1}), n the number of particles above the mean height of
+//! the surface. Here they are counted from a particle's width above it, and by their share of what they were at the
+//! start, so that α does not depend on the size of particles.
 
 use crate::base::{Base, Size};
 use crate::effector::{Degree, Effector, Path};
@@ -15,10 +16,12 @@ use barchan_core::task::{Limits, Seen, Watch};
 use barchan_core::{Aabb, BodyState, Registry, Result, Scene, Simulation};
 use std::f64::consts::FRAC_PI_2;
 
-const DOC: &str = "A heap on a bed of sand is to be smoothed with a scraper. Success: less than a fifth of the particles that lay above the mean height of the surface are left there.";
+const DOC: &str = "A heap on a bed of sand is to be smoothed with a scraper. Success: less than a fifth of the \
+    particles that lay above the mean height of the surface are left there.";
 const FILE: &str = include_str!("../scenes/tasks/smooth-surface.toml");
 
-/// Reward of the whole heap: the paper's constants are unknown, and with a thousand an episode's reward is of the size that its table has.
+/// Reward of the whole heap: the paper's constants are unknown, and with a thousand an episode's reward is of the
+/// size that its table has.
 const SCALE: Scale = Scale { alpha: 1000.0, beta: 0.0 };
 /// The tool that is moved.
 const TOOL: &str = "scraper";
@@ -35,8 +38,8 @@ struct Sizes {
     middle: [f64; 2],
     /// Thickness of the scraper, and its middle's height above its lower side [m].
     blade: [f64; 2],
-    /// Most that the scraper moves in a control step, along each axis [m]: at the paper's size what FluidLab, of the same authors, lets tools do (0.003 a step of
-    /// 2 ms), less by as much as steps are shorter.
+    /// Most that the scraper moves in a control step, along each axis [m]: at the paper's size what FluidLab, of the
+    /// same authors, lets tools do (0.003 a step of 2 ms), less by as much as steps are shorter.
     most: f64,
     /// Control steps: enough for the hand-written agent.
     horizon: u64,
@@ -109,14 +112,14 @@ impl Sizes {
 impl Work for SmoothSurface {
     fn vary(&self, scene: &mut Scene, drawn: &[f64]) {
         if let [x, y, height, angle] = *drawn {
-            scene.material[0].parameters.insert("friction_angle_deg".to_owned(), angle.into());
+            scene.material[0].parameters.insert("friction_angle_deg".to_owned(), angle);
             scene.body[0].shape = heap_on(scene, [x, y], height, height * self.sizes.heap[1] / self.sizes.heap[0]);
         }
     }
     fn begin(&self, world: &Simulation, effector: &Effector) -> Result<(Box<dyn Goal>, Path)> {
         let spots = world.spots();
-        // The mean height is where all ground would end if it lay level. Of a surface of particles more than that cannot be said, so what lies less than a
-        // particle's width above it is level.
+        // The mean height is where all ground would end if it lay level. Of a surface of particles more than that
+        // cannot be said, so what lies less than a particle's width above it is level.
         let volume: f64 = spots.iter().map(|spot| spot.volume0).sum();
         let width = spots.iter().map(|spot| spot.volume0).fold(f64::INFINITY, f64::min).cbrt();
         let Aabb { min, max } = world.plan().scene.world_box();
@@ -147,8 +150,9 @@ fn heap_on(scene: &Scene, middle: [f64; 2], height: f64, radius: f64) -> Shape {
     Shape::HeightField { min: [min[0], min[1]], max: [max[0], max[1]], bottom, heights, file: None }
 }
 
-/// The hand-written agent: it presses the heap flat with the scraper's lower side, from the middle outwards, first along x, then along y. To push the heap
-/// makes ridges of it, since what a blade leaves behind is a cell thick or nothing.
+/// The hand-written agent: it presses the heap flat with the scraper's lower side, from the middle outwards, first
+/// along x, then along y. To push the heap makes ridges of it, since what a blade leaves behind is a cell thick or
+/// nothing.
 fn presses(world: &Simulation, effector: &Effector, mean: f64, heap: [f64; 2], sizes: &Sizes) -> Path {
     let [.., high] = effector.position(world);
     let [thickness, height] = sizes.blade;

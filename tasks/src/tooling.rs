@@ -44,7 +44,8 @@ pub(crate) struct Tooling<'a> {
 
 /// What is to be done with the tool.
 pub(crate) trait Work: Send + Sync {
-    /// Puts into the scene what a seed has drawn: a number for each of the ranges that the [`Base`] was made with; none for a scene that was given.
+    /// Puts into the scene what a seed has drawn: a number for each of the ranges that the [`Base`] was made with;
+    /// none for a scene that was given.
     fn vary(&self, scene: &mut Scene, drawn: &[f64]);
     /// What an agent sees besides ground and tool.
     fn part(&self) -> Option<Part> {

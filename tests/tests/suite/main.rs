@@ -29,6 +29,7 @@ mod settled;
 mod sleeping;
 mod subcycling;
 mod swap;
+mod tasks;
 mod terrain;
 mod tools;
 mod trace;
