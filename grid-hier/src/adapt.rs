@@ -37,7 +37,9 @@ const MERGE_ROUNDS: u64 = 128;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 /// Particles' numbers are less than this.
-pub const IDS: u64 = u32::MAX as u64;
+pub(crate) const IDS: u64 = u32::MAX as u64;
+/// What to do where splits have used them up.
+const FEWER_SPLITS: &str = "use fewer levels or agents that move less: each split takes seven new numbers";
 
 /// One particle outside of any list, on its way to another place or level. It holds numbers of the run's precision
 /// exactly.
@@ -621,7 +623,7 @@ impl Adapt {
         families.par_sort_unstable_by_key(|family| family.parcels.first().map(|(_, parent)| parent.id));
         for family in families {
             self.resampled.splits += family.splits;
-            let first = self.new_ids(family.splits * (CHILDREN as u64 - 1))?;
+            let first = self.new_ids(family.splits * (CHILDREN as u64 - 1), 0, FEWER_SPLITS)?;
             for (child, (_, parcel)) in family.children.iter().zip(&mut family.parcels) {
                 parcel.id = child.map_or(parcel.id, |child| first + child);
             }
@@ -671,16 +673,19 @@ impl Adapt {
         family
     }
 
-    /// So many new numbers in a row: the first.
-    fn new_ids(&mut self, count: u64) -> Result<u32> {
-        let first = self.next_id;
+    /// So many new numbers in a row, at `least` or beyond: the first. `mend` says what to do where there are no more.
+    ///
+    /// # Errors
+    /// [`Error::Capacity`] then.
+    pub fn new_ids(&mut self, count: u64, least: u64, mend: &'static str) -> Result<u32> {
+        let first = self.next_id.max(least);
         let asked = first + count;
         if asked > IDS {
             return Err(Error::Capacity {
                 what: "numbers for particles",
                 asked,
                 cap: IDS,
-                mend: "use fewer levels or agents that move less: each split takes seven new numbers",
+                mend,
             });
         }
         self.next_id = asked;

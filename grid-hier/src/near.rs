@@ -17,11 +17,10 @@ pub fn gather_block(
     mut taken: impl FnMut(usize, [i32; 3], u32),
 ) {
     let h = batch.cell_width;
-    let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
-    let extent = Aabb { min: first.map(centre), max: first.map(|c| centre(c + SIDE - 1)) };
-    if !boxes.iter().any(|one| one.meets(&extent)) {
+    if !is_near_block(boxes, first, h) {
         return;
     }
+    let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
     for n in 0..CELLS {
         let (velocity, mass) = node(n);
         if mass <= least {
@@ -37,6 +36,13 @@ pub fn gather_block(
             batch.velocity.push(velocity);
         }
     }
+}
+
+/// May any node of the block with that first node, of cells that wide [m], be in a box?
+pub fn is_near_block(boxes: &[Aabb], first: [i32; 3], h: f64) -> bool {
+    let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
+    let extent = Aabb { min: first.map(centre), max: first.map(|c| centre(c + SIDE - 1)) };
+    boxes.iter().any(|one| one.meets(&extent))
 }
 
 #[cfg(test)]

@@ -1,27 +1,26 @@
 //! The coupling "rigid": a scene's tools and free bodies.
 
+mod body;
+
 use crate::Refusal;
 use crate::grip::{self, REACH};
-use crate::mass::Filling;
-use crate::motion::{KeyframePath, Pose, rotation_from};
-use crate::sdf::{self, Sdf};
+use crate::motion::Pose;
+use crate::sdf;
 use crate::surface::{mesh_of, placed, planes_of};
-use crate::tables::{Listed, Tables, rows};
+use crate::tables::{Listed, Tables, row, rows};
 use crate::world::{RigidWorld, Role};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
     Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept, Placed,
 };
 use barchan_core::plan::TOOL_COUPLING;
-use barchan_core::scene::{Contact, Motion, Tool, Wall};
-use barchan_core::surface::Mesh;
+use barchan_core::scene::{INSTANT, Motion, Wall};
 use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
-use glam::{DMat3, DQuat, DVec3};
-use nalgebra::{Matrix6, Vector6};
+use body::{Body, Guided, Mover, State, vector, vector6};
+use glam::{DQuat, DVec3};
 use rapier3d_f64::prelude::PhysicsWorld;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
-use std::sync::{Arc, OnceLock};
 
 /// Forces on tools thinner than this are off by a third [cells]: the stirrer of `letters` on cells of 14, 7 and 3.5 mm, 3.1, 6.3 and 12.6 of them across, 48.7, 42.4 and
 /// 36.4 N s.
@@ -32,7 +31,7 @@ const ROUGH_THICKNESS: f64 = 4.0;
 const MOST_MOVE: f64 = 0.5;
 const CLEARANCE: f64 = 2.0 * MOST_MOVE;
 const LOOK_AHEAD: f64 = 0.01;
-/// Words of a free body's state on a device: velocity and angular momentum; see `free.wgsl`.
+/// Words of a body's state on a device: velocity and angular momentum; see `free.wgsl`.
 const FREE_WORDS: usize = 2;
 
 /// The coupling "rigid". A body's reference point is its centre of mass if it is free, and its frame's origin if it is driven.
@@ -61,235 +60,6 @@ struct Before {
 struct Counts {
     deep_nodes: u64,
     unconverged: u64,
-}
-
-struct Body {
-    name: String,
-    /// About the reference point.
-    shape: Sdf,
-    /// The same for pictures, once one is made.
-    mesh: OnceLock<Arc<Mesh>>,
-    contact: Contact,
-    mover: Mover,
-    /// Greatest distance of a surface point from the reference point [m].
-    extent: f64,
-    state: State,
-    /// Pose at the end of the step under way, for driven bodies.
-    target: Pose,
-    ignored_position: bool,
-}
-
-/// What changes from step to step.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-struct State {
-    pose: Pose,
-    twist: Twist,
-    /// What an agent last asked of a body driven by velocity.
-    command: Twist,
-    /// About the centre of mass, for free bodies [kg m²/s]. The state, of which the angular velocity is made: in free flight
-    /// it is this that stays.
-    angular_momentum: DVec3,
-}
-
-impl State {
-    /// Are all numbers finite, and is the rotation one? Turning a body for long leaves it one to many digits.
-    fn is_sound(&self) -> bool {
-        self.pose.position.is_finite()
-            && (self.pose.rotation.length() - 1.0).abs() < 1e-6
-            && self.twist.is_finite()
-            && self.command.is_finite()
-            && self.angular_momentum.is_finite()
-    }
-}
-
-enum Mover {
-    Fixed,
-    Path(KeyframePath),
-    Velocity,
-    Free { mass: f64, inertia: DMat3, inverse_inertia: DMat3 },
-}
-
-/// What a free body is made of.
-#[derive(Clone, Copy, Debug)]
-struct FreeBody {
-    /// Mass [kg].
-    mass: f64,
-    /// Inertia about the centre of mass, world frame [kg m²].
-    inertia: DMat3,
-}
-
-impl FreeBody {
-    /// What it has out of balance at the twist `at`, with what contact gives it, if it would move by `free` alone [N s, N m s].
-    fn residual(&self, free: &Twist, at: &Twist, system: &System) -> Vector6<f64> {
-        let force = self.mass * (free.linear - at.linear);
-        let torque = self.inertia * (free.angular - at.angular);
-        Vector6::from(system.impulse) + vector6(force, torque)
-    }
-
-    /// By how much the twist has to change for balance; `None` if that has no solution.
-    fn answer(&self, residual: &Vector6<f64>, system: &System) -> Option<Twist> {
-        let contact = Matrix6::from_fn(|i, j| system.matrix[i][j]);
-        let own = Matrix6::from_fn(|i, j| match (i / 3, j / 3) {
-            (0, 0) if i == j => self.mass,
-            (1, 1) => self.inertia.col(j % 3)[i % 3],
-            _ => 0.0,
-        });
-        let matrix = own + contact;
-        let step = if system.symmetric { matrix.cholesky()?.solve(residual) } else { matrix.lu().solve(residual)? };
-        Some(Twist { linear: DVec3::new(step[0], step[1], step[2]), angular: DVec3::new(step[3], step[4], step[5]) })
-    }
-
-    /// Twice its kinetic energy at a twist [J].
-    fn twice_energy(&self, twist: &Twist) -> f64 {
-        self.mass * twist.linear.length_squared() + twist.angular.dot(self.inertia * twist.angular)
-    }
-}
-
-fn vector6(a: DVec3, b: DVec3) -> Vector6<f64> {
-    Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
-}
-
-impl Body {
-    fn new(tool: &Tool, scene: &Scene, path: &str) -> Result<Self> {
-        let shape = Sdf::from_shape(&tool.shape, &scene.folder, &format!("{path}.shape"))?;
-        Self::from_shape(tool, shape).map_err(|refusal| refusal.at(path))
-    }
-
-    fn from_shape(tool: &Tool, mut shape: Sdf) -> Result<Self, Refusal> {
-        check_contact(tool.contact)?;
-        let mut pose = Pose { position: vector(tool.position, "position")?, rotation: rotation_from(tool.rotation)? };
-        let (mut command, mut angular_momentum) = (Twist::default(), DVec3::ZERO);
-        let mut ignored_position = false;
-        let mover = match &tool.motion {
-            Motion::Fixed => Mover::Fixed,
-            Motion::Keyframes { frames, interpolation } => {
-                let path = KeyframePath::new(frames, *interpolation, pose.rotation)?;
-                let start = path.pose(0.0);
-                ignored_position = pose.position != DVec3::ZERO && pose.position != start.position;
-                pose = start;
-                Mover::Path(path)
-            }
-            Motion::Velocity { linear, angular } => {
-                command =
-                    Twist { linear: vector(*linear, "motion.linear")?, angular: vector(*angular, "motion.angular")? };
-                Mover::Velocity
-            }
-            Motion::Free { mass, linear, angular, restitution } => {
-                if !(*mass > 0.0 && mass.is_finite()) {
-                    return Err(Refusal::new(format!("the mass is {mass}"), "give a positive mass in kg"));
-                }
-                if !(0.0..=1.0).contains(restitution) {
-                    return Err(Refusal::new(format!("the restitution is {restitution}"), "give a number from 0 to 1"));
-                }
-                let filling = Filling::of(&shape)?;
-                let inertia = filling.inertia * (mass / filling.volume);
-                command =
-                    Twist { linear: vector(*linear, "motion.linear")?, angular: vector(*angular, "motion.angular")? };
-                pose.position = pose.apply(filling.centre);
-                shape = shape.seen_from(filling.centre);
-                angular_momentum = turned(inertia, &pose) * command.angular;
-                Mover::Free { mass: *mass, inertia, inverse_inertia: inertia.inverse() }
-            }
-        };
-        let extent = shape.extent();
-        let state = State { pose, twist: command, command, angular_momentum };
-        Ok(Self {
-            name: tool.name.clone(),
-            shape,
-            mesh: OnceLock::new(),
-            contact: tool.contact,
-            mover,
-            extent,
-            state,
-            target: pose,
-            ignored_position,
-        })
-    }
-
-    /// Where this body is at the end of a step from `time`, if it is driven.
-    fn driven_pose(&self, time: f64, dt: f64) -> Option<Pose> {
-        match &self.mover {
-            Mover::Fixed => Some(self.state.pose),
-            Mover::Path(path) => Some(path.pose(time + dt)),
-            Mover::Velocity => Some(self.state.pose.advanced(&self.state.command, dt)),
-            Mover::Free { .. } => None,
-        }
-    }
-
-    /// Mass and world inertia, if the body is free.
-    fn free(&self) -> Option<FreeBody> {
-        match self.mover {
-            Mover::Free { mass, inertia, .. } => Some(FreeBody { mass, inertia: turned(inertia, &self.state.pose) }),
-            _ => None,
-        }
-    }
-
-    /// The angular velocity that the angular momentum makes at `pose`.
-    fn spin(&self, pose: &Pose) -> DVec3 {
-        match self.mover {
-            Mover::Free { inverse_inertia, .. } => turned(inverse_inertia, pose) * self.state.angular_momentum,
-            _ => self.state.twist.angular,
-        }
-    }
-
-    /// The angular velocity half-way through the coming step, by the implicit midpoint rule: turning with it keeps the energy
-    /// of a tumbling body to second order.
-    fn midway_spin(&self, dt: f64) -> DVec3 {
-        // Each round gains a factor |ω| dt / 2, which is a few per cent at most.
-        (0..6).fold(self.state.twist.angular, |angular, _| {
-            self.spin(&self.state.pose.advanced(&Twist { linear: DVec3::ZERO, angular }, 0.5 * dt))
-        })
-    }
-
-    fn lost(&self, what: &str) -> Error {
-        Refusal::new(format!("its {what} is no longer finite"), "lower time.step, or start from the last snapshot")
-            .at(&format!("tool '{}'", self.name))
-    }
-
-    fn report(&self, gravity: DVec3) -> BodyState {
-        let State { pose, twist, angular_momentum, .. } = self.state;
-        let mut state = BodyState {
-            name: self.name.clone(),
-            position: pose.position.to_array(),
-            rotation: [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z],
-            velocity: twist.linear.to_array(),
-            angular_velocity: twist.angular.to_array(),
-            mass: f64::INFINITY,
-            kinetic_energy: 0.0,
-            potential_energy: 0.0,
-            momentum: [0.0; 3],
-            angular_momentum: [0.0; 3],
-        };
-        if let Mover::Free { mass, .. } = self.mover {
-            let momentum = mass * twist.linear;
-            state.mass = mass;
-            state.kinetic_energy = 0.5 * (momentum.dot(twist.linear) + angular_momentum.dot(twist.angular));
-            state.potential_energy = -mass * gravity.dot(pose.position);
-            state.momentum = momentum.to_array();
-            state.angular_momentum = (pose.position.cross(momentum) + angular_momentum).to_array();
-        }
-        state
-    }
-}
-
-/// A tensor of the body's frame, seen from the world.
-fn turned(tensor: DMat3, pose: &Pose) -> DMat3 {
-    let rotation = DMat3::from_quat(pose.rotation);
-    rotation * tensor * rotation.transpose()
-}
-
-fn vector(value: Vec3, key: &str) -> Result<DVec3, Refusal> {
-    let v = DVec3::from_array(value);
-    if v.is_finite() { Ok(v) } else { Err(Refusal::new(format!("{key} is {value:?}"), "give three finite numbers")) }
-}
-
-fn check_contact(contact: Contact) -> Result<(), Refusal> {
-    match contact {
-        Contact::Coulomb { friction } if !(friction >= 0.0 && friction.is_finite()) => {
-            Err(Refusal::new(format!("contact.friction is {friction}"), "give 0 or more, or contact = \"stick\""))
-        }
-        _ => Ok(()),
-    }
 }
 
 impl Rigid {
@@ -342,7 +112,7 @@ impl Rigid {
     }
 
     fn rigid_world(&self, scene: &Scene) -> Option<RigidWorld> {
-        let free = self.bodies.iter().filter(|body| body.free().is_some());
+        let free = self.bodies.iter().filter(|body| body.is_free());
         let size = free.map(|body| body.extent).reduce(f64::min)?;
         let mut world = RigidWorld::new(&scene.world, size);
         for (body, tool) in self.bodies.iter().zip(&scene.tool) {
@@ -367,6 +137,9 @@ impl Rigid {
                 all.extend(rows(inverse_inertia));
                 all
             }
+            Mover::Servo(Guided { servo, axis, mass }) => {
+                vec![row(*axis, *mass), row(DVec3::new(servo.whole() / mass, servo.damping / mass, 0.0), 0.0)]
+            }
             _ => Vec::new(),
         };
         let parts = self.bodies.iter().map(|body| (body.shape.parts(), body.contact, behind(body)));
@@ -384,9 +157,11 @@ impl Rigid {
         };
         let gravity = DVec3::from_array(self.scene.gravity).length();
         match &body.mover {
+            _ if !body.state.present => 0.0,
             Mover::Fixed => 0.0,
             Mover::Velocity => speed(&body.state.command),
             Mover::Free { .. } => speed(&body.state.twist) + gravity * dt,
+            Mover::Servo(Guided { servo, mass, .. }) => speed(&body.state.twist) + servo.whole().abs() / mass * dt,
             Mover::Path(path) => {
                 let (linear, angular) = path.fastest(time, time + dt);
                 speed(&Twist { linear, angular })
@@ -411,7 +186,7 @@ impl Rigid {
     /// them or to a wall; `None` if it is there.
     fn leash(&self, of: usize, boxes: &[Aabb], time: f64, duration: f64) -> Option<Aabb> {
         let world = &self.scene.world;
-        let free = self.bodies.iter().filter(|body| body.free().is_some());
+        let free = self.bodies.iter().filter(|body| body.answering().is_some());
         let size = free.map(|body| body.extent).fold(f64::INFINITY, f64::min);
         let clearance = CLEARANCE * world.cell + LOOK_AHEAD * size;
         let reach = |body: &Body| self.reach_of(body) * self.widest(body);
@@ -437,7 +212,7 @@ impl Rigid {
             // Where both act, one would have to wait for the other.
             let clearance = clearance + 2.0 * own_reach.min(reach(other));
             let off = own.leash(near, clearance, |spare| {
-                if other.free().is_some() {
+                if other.answering().is_some() {
                     0.5 * spare
                 } else {
                     spare - duration * self.fastest(other, time, duration)
@@ -456,9 +231,10 @@ impl Rigid {
         for (i, body) in self.bodies.iter().enumerate() {
             // A backend may have moved bodies since.
             world.place(i, &body.state.pose);
+            world.show(i, body.state.present);
             match body.mover {
                 Mover::Fixed => {}
-                Mover::Path(_) | Mover::Velocity => world.send(i, &body.target),
+                Mover::Path(_) | Mover::Velocity | Mover::Servo(_) => world.send(i, &body.target),
                 Mover::Free { .. } => {
                     world.throw(i, &Twist { linear: body.state.twist.linear, angular: body.midway_spin(dt) });
                 }
@@ -470,7 +246,7 @@ impl Rigid {
             mend: "lower time.step, or start from another snapshot".into(),
         })?;
         for (i, body) in self.bodies.iter_mut().enumerate() {
-            let Some(free) = body.free() else {
+            let Some(free) = body.answering().filter(|_| body.is_free()) else {
                 continue;
             };
             let (pose, twist) = world.state(i);
@@ -519,7 +295,7 @@ impl Coupling for Rigid {
                     body.target = target;
                 }
                 None if self.on_device => {}
-                None => body.state.twist.linear += gravity * dt,
+                None => body.accelerate(gravity, time, dt),
             }
             if !body.state.twist.is_finite() {
                 return Err(body.lost("velocity"));
@@ -528,7 +304,7 @@ impl Coupling for Rigid {
         Ok(())
     }
 
-    fn bounds(&self) -> Vec<Aabb> {
+    fn extents(&self) -> Vec<Aabb> {
         let clipped = |mut bounds: Aabb| {
             for d in 0..3 {
                 // Only an infinite side is clipped: a body may have business beyond open sides.
@@ -544,12 +320,48 @@ impl Coupling for Rigid {
         self.bodies.iter().map(|body| clipped(body.shape.bounds(&body.state.pose, self.scene.world.cell))).collect()
     }
 
+    fn bounds(&self) -> Vec<Aabb> {
+        let of = |(body, extent): (&Body, Aabb)| if body.state.present { extent } else { Aabb::NOTHING };
+        self.bodies.iter().zip(self.extents()).map(of).collect()
+    }
+
+    fn next_change(&self, time: f64) -> f64 {
+        let times = self.scene.tool.iter().flat_map(|tool| [Some(tool.from), tool.until]).flatten();
+        times.filter(|at| *at > time + INSTANT).fold(f64::INFINITY, f64::min)
+    }
+
+    fn change(&mut self, time: f64, places: &mut dyn FnMut(&Aabb) -> Result<Vec<Vec3>>) -> Result<bool> {
+        let wanted: Vec<bool> = self.scene.tool.iter().map(|tool| tool.is_present(time)).collect();
+        let extents = self.extents();
+        for ((body, extent), wanted) in self.bodies.iter().zip(&extents).zip(&wanted) {
+            if body.state.present || !wanted {
+                continue;
+            }
+            let buried = sdf::distances(&[(&body.shape, body.state.pose)], &places(extent)?);
+            let count = buried.into_iter().filter(|distance| *distance < 0.0).count();
+            if count > 0 {
+                let what = format!("it would appear at {time:.6} s where there are {count} particles of the ground");
+                return Err(Refusal::new(what, "let it appear elsewhere or at another time (from)")
+                    .at(&format!("tool '{}'", body.name)));
+            }
+        }
+        let mut changed = false;
+        for (body, wanted) in self.bodies.iter_mut().zip(wanted) {
+            changed |= body.state.present != wanted;
+            body.state.present = wanted;
+        }
+        Ok(changed)
+    }
+
     fn reach(&self) -> f64 {
         self.bodies.iter().map(|body| self.reach_of(body)).fold(0.0, f64::max)
     }
 
     fn touch(&mut self, body: usize, dt: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {
         let body = &self.bodies[body];
+        if !body.state.present {
+            return;
+        }
         grip::touch(&body.shape, body.contact, &body.state.pose, nodes, dt, touches);
     }
 
@@ -558,13 +370,13 @@ impl Coupling for Rigid {
     }
 
     fn groups(&self) -> Vec<Group> {
-        let free = self.bodies.iter().enumerate().filter_map(|(i, body)| body.free().map(|free| (i, free)));
-        free.map(|(i, free)| Group { bodies: i..i + 1, mass: free.mass }).collect()
+        let free = self.bodies.iter().enumerate().filter_map(|(i, body)| body.answering().map(|one| (i, one)));
+        free.map(|(i, one)| Group { bodies: i..i + 1, mass: one.mass }).collect()
     }
 
     fn answer(&self, group: Range<usize>, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
         let answer = |((body, at), system): ((&Body, &Twist), &System)| {
-            let free = body.free()?;
+            let free = body.answering()?;
             free.answer(&free.residual(&body.state.twist, at, system), system)
         };
         self.bodies[group].iter().zip(at).zip(systems).map(answer).collect()
@@ -572,14 +384,14 @@ impl Coupling for Rigid {
 
     fn balance(&self, group: Range<usize>, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
         let of_body = |(((body, at), system), along): (((&Body, &Twist), &System), &Twist)| {
-            let residual = body.free().map(|free| free.residual(&body.state.twist, at, system));
+            let residual = body.answering().map(|one| one.residual(&body.state.twist, at, system));
             residual.map_or(0.0, |residual| vector6(along.linear, along.angular).dot(&residual))
         };
         self.bodies[group].iter().zip(at).zip(systems).zip(along).map(of_body).sum()
     }
 
     fn twice_energy(&self, group: Range<usize>, twists: &[Twist]) -> f64 {
-        let of_body = |(body, twist): (&Body, &Twist)| body.free().map_or(0.0, |free| free.twice_energy(twist));
+        let of_body = |(body, twist): (&Body, &Twist)| body.answering().map_or(0.0, |one| one.twice_energy(twist));
         self.bodies[group].iter().zip(twists).map(of_body).sum()
     }
 
@@ -588,8 +400,10 @@ impl Coupling for Rigid {
             let (body, wrench) = (&mut self.bodies[i], &mut self.wrenches[i]);
             self.counts.deep_nodes += deep_nodes;
             self.counts.unconverged += u64::from(!converged);
-            if let Some(free) = body.free() {
-                body.state.twist.linear += DVec3::from_array(impulse.force) / free.mass;
+            if let Some(answering) = body.answering() {
+                body.state.twist.linear += answering.gains(DVec3::from_array(impulse.force));
+            }
+            if body.is_free() {
                 body.state.angular_momentum += DVec3::from_array(impulse.torque);
                 body.state.twist.angular = body.spin(&body.state.pose);
             }
@@ -608,21 +422,34 @@ impl Coupling for Rigid {
         // Contact thickens a thin body by a cell at most, and acts on nodes further off.
         let further = (1.0 + REACH) * self.scene.world.cell;
         let body = |body: &Body| DeviceBody { extent: body.extent, reach: body.extent + further };
-        let free = self.bodies.iter().filter(|body| body.free().is_some());
+        let answering = self.bodies.iter().filter(|body| body.answering().is_some());
         let group = |one| DeviceGroup { words: FREE_WORDS, rates: 0, bodies: vec![body(one)] };
-        let groups: Vec<_> = free.map(group).collect();
+        let groups: Vec<_> = answering.map(group).collect();
+        let servos = self.bodies.iter().filter(|body| matches!(body.mover, Mover::Servo(_))).count();
+        // A device knows the one or the other.
+        if servos > 0 && servos < groups.len() {
+            return None;
+        }
         let tables = self.device_tables()?;
         let wgsl = tables.wgsl();
         let Tables { table, samples } = tables;
-        let answer = if groups.is_empty() { "" } else { include_str!("free.wgsl") };
+        let answer = match groups.len() {
+            0 => "",
+            count if count == servos => include_str!("servo.wgsl"),
+            _ => include_str!("free.wgsl"),
+        };
         let answer = DeviceAnswer { wgsl: answer.to_owned(), groups };
         Some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, answer })
     }
 
     fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Vec<Aabb>> {
         let (boxes, duration) = (self.bounds(), dt * steps as f64);
-        let free = self.bodies.iter().enumerate().filter(|(_, body)| body.free().is_some());
-        let leash = |(i, body)| {
+        let free = self.bodies.iter().enumerate().filter(|(_, body)| body.answering().is_some());
+        let leash = |(i, body): (usize, &Body)| {
+            // A device knows only the whole force.
+            if matches!(body.mover, Mover::Servo(Guided { servo, .. }) if time < servo.ramp) {
+                return None;
+            }
             let moves = self.fastest(body, time, dt) * dt / self.scene.world.cell;
             if moves > MOST_MOVE { None } else { self.leash(i, &boxes, time, duration) }
         };
@@ -631,7 +458,7 @@ impl Coupling for Rigid {
 
     fn device_state(&self) -> Vec<GroupState> {
         let word = |v: DVec3| [(v.x as f32).to_bits(), (v.y as f32).to_bits(), (v.z as f32).to_bits(), 0];
-        let free = self.bodies.iter().filter(|body| body.free().is_some());
+        let free = self.bodies.iter().filter(|body| body.answering().is_some());
         let state = |body: &Body| {
             let State { pose, twist, angular_momentum, .. } = body.state;
             let rotation = [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z];
@@ -647,7 +474,7 @@ impl Coupling for Rigid {
 
     fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
         let vector = |word: [u32; 4]| DVec3::from_array([0, 1, 2].map(|d| f64::from(f32::from_bits(word[d]))));
-        let free = self.bodies.iter_mut().filter(|body| body.free().is_some());
+        let free = self.bodies.iter_mut().filter(|body| body.answering().is_some());
         for (body, GroupStep { state, deep_nodes, unconverged }) in free.zip(groups) {
             let ([velocity, momentum], [placed]) = (&state.words[..], &state.bodies[..]) else {
                 return Err(body.lost("state on the device"));
@@ -658,6 +485,7 @@ impl Coupling for Rigid {
             body.state.angular_momentum = vector(*momentum);
             body.state.twist.linear = vector(*velocity);
             body.state.twist.angular = body.spin(&body.state.pose);
+            body.target = body.state.pose;
             if !body.state.is_sound() {
                 return Err(body.lost("motion"));
             }
@@ -673,12 +501,13 @@ impl Coupling for Rigid {
 
     fn after_step(&mut self, _time: f64, dt: f64) -> Result<()> {
         if !self.on_device {
+            for body in self.bodies.iter_mut().filter(|body| matches!(body.mover, Mover::Servo(_))) {
+                body.target = body.state.pose.advanced(&body.state.twist, dt);
+            }
             self.move_free_bodies(dt)?;
         }
-        for body in &mut self.bodies {
-            if body.free().is_none() {
-                body.state.pose = body.target;
-            }
+        for body in self.bodies.iter_mut().filter(|body| !body.is_free()) {
+            body.state.pose = body.target;
         }
         Ok(())
     }
@@ -688,7 +517,8 @@ impl Coupling for Rigid {
     }
 
     fn distance(&self, points: &[Vec3]) -> Vec<f64> {
-        let shapes: Vec<_> = self.bodies.iter().map(|body| (&body.shape, body.state.pose)).collect();
+        let present = self.bodies.iter().filter(|body| body.state.present);
+        let shapes: Vec<_> = present.map(|body| (&body.shape, body.state.pose)).collect();
         sdf::distances(&shapes, points)
     }
 
@@ -698,7 +528,7 @@ impl Coupling for Rigid {
             let pose = &body.state.pose;
             [Some(placed(mesh, pose, None)), planes_of(&body.shape, pose, &self.world_box)]
         };
-        self.bodies.iter().flat_map(of_body).flatten().collect()
+        self.bodies.iter().filter(|body| body.state.present).flat_map(of_body).flatten().collect()
     }
 
     fn act(&mut self, body: &str, command: &Command) -> Result<()> {

@@ -117,6 +117,14 @@ impl RigidWorld {
         }
     }
 
+    /// Says whether a body is there for the others.
+    pub fn show(&mut self, body: usize, present: bool) {
+        let body = &mut self.physics.bodies[self.handles[body]];
+        if body.is_enabled() != present {
+            body.set_enabled(present);
+        }
+    }
+
     /// Tells where a driven body is at the end of the step.
     pub fn send(&mut self, body: usize, pose: &Pose) {
         self.physics.bodies[self.handles[body]].set_next_kinematic_position(to_rapier(pose));

@@ -2,7 +2,7 @@
 
 use crate::parameter::Parameter;
 use crate::plan::PlannedMaterial;
-use crate::task::{Sampled, chosen};
+use crate::task::{Sampled, Watch, chosen};
 use crate::{
     Aabb, BodyState, Coupling, Crossed, Fields, Form, Ledger, Newcomer, ParticleList, ParticleState, Plan, Reading,
     Result, Sought, Spot, Stage, Sums, Tile, Vec3, Wrench,
@@ -106,6 +106,27 @@ pub struct WorldStep<'a> {
     pub reports_bodies: bool,
 }
 
+/// What is to be looked at in a world of a batch.
+#[derive(Clone, Copy, Debug)]
+pub struct Look<'a> {
+    /// The plan's materials.
+    pub materials: &'a [PlannedMaterial],
+    /// Regions to sum over.
+    pub sought: &'a [Sought],
+    /// How many particles are sampled of each level.
+    pub sample: &'a [usize],
+}
+
+impl<'a> Look<'a> {
+    /// What a task wants to see of a world of that plan, as far as a batch finds it.
+    pub fn new(plan: &'a Plan, watch: &'a Watch) -> Self {
+        Self { materials: &plan.materials, sought: &watch.sums, sample: &watch.sample }
+    }
+}
+
+/// What was seen there.
+pub type Looked = (Vec<Sums>, Vec<Sampled>);
+
 /// Worlds that step together.
 pub trait Batch: Send {
     /// A world's engine, which shares the batch. Steps that are taken through it move that world alone.
@@ -116,6 +137,24 @@ pub trait Batch: Send {
     /// # Errors
     /// What is no world's own fault, such as a device that was lost.
     fn steps(&mut self, dt: f64, count: usize, worlds: &mut [WorldStep<'_>]) -> Result<Vec<Result<Vec<StepReport>>>>;
+    /// Looks at all worlds: what [`Engine::sums`] and [`Engine::sample`] find in each. A device needs one transfer for it.
+    ///
+    /// # Errors
+    /// As [`Engine::sums`], and a device that was lost.
+    fn look(&mut self, looks: &[Look<'_>]) -> Result<Vec<Looked>> {
+        let of_one = |(world, look): (usize, &Look<'_>)| {
+            let engine = self.engine(world);
+            Ok((engine.sums(look.materials, look.sought)?, engine.sample(look.sample)))
+        };
+        looks.iter().enumerate().map(of_one).collect()
+    }
+    /// Replaces the particles of some worlds, as [`Engine::upload`] does those of one.
+    ///
+    /// # Errors
+    /// If a state does not fit its plan, and a device that was lost.
+    fn upload(&mut self, states: Vec<(usize, ParticleState)>) -> Result<()> {
+        states.into_iter().try_for_each(|(world, particles)| self.engine(world).upload(particles))
+    }
     /// Puts a new world in the place of an old one, which is as it was on an error.
     ///
     /// # Errors

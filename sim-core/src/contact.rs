@@ -231,10 +231,13 @@ impl Contact {
         }
         let bodies = couplings.iter().filter(|coupling| !coupling.is_field());
         let (of_nodes, of_particles): (Vec<_>, Vec<_>) = bodies.map(|one| boxes(&**one, h).into()).unzip();
+        // Without a body that is there nothing is gathered.
+        let there = |boxes: Vec<Vec<Aabb>>| boxes.concat().into_iter().filter(|one| !one.is_nothing()).collect();
+        let [of_nodes, of_particles]: [Vec<Aabb>; 2] = [there(of_nodes), there(of_particles)];
         if of_nodes.is_empty() {
             return Ok(());
         }
-        with_nodes([&of_nodes.concat(), &of_particles.concat()], &mut |nodes| self.meet(couplings, dt, nodes))
+        with_nodes([&of_nodes, &of_particles], &mut |nodes| self.meet(couplings, dt, nodes))
     }
 
     /// Bodies that are no fields act on nodes and feel them:

@@ -145,6 +145,14 @@ impl Aabb {
     /// A leash that holds nothing: least and greatest displacement along each axis are infinite.
     pub const UNBOUND: Self = Self { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
 
+    /// A box without a point: where a body acts that is not there.
+    pub const NOTHING: Self = Self { min: [f64::INFINITY; 3], max: [f64::NEG_INFINITY; 3] };
+
+    /// Does it hold no point?
+    pub fn is_nothing(&self) -> bool {
+        (0..3).any(|d| self.min[d] > self.max[d])
+    }
+
     /// How far this box may go along each axis, least and greatest displacement [m], before it comes nearer than `clearance` to `other`; `None` if it is. Of what is
     /// to spare along the axis on which they are furthest apart it may go the part that `own` makes of it.
     pub fn leash(&self, other: &Self, clearance: f64, own: impl FnOnce(f64) -> f64) -> Option<Self> {
@@ -438,8 +446,26 @@ pub trait Coupling: Send + Sync {
     /// If a body's motion is not defined there.
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()>;
     /// Where each body can act during this step. Nodes are handed over that lie in these boxes, or beyond them by no more than the
-    /// [`reach`](Self::reach), and maybe others, near other couplings' bodies.
+    /// [`reach`](Self::reach), and maybe others, near other couplings' bodies. [`NOTHING`](Aabb::NOTHING) for a body that is not there.
     fn bounds(&self) -> Vec<Aabb>;
+    /// Where each body is, there or not, for levels and pictures that follow it: by then the ground is fine where a body is to appear.
+    fn extents(&self) -> Vec<Aabb> {
+        self.bounds()
+    }
+    /// When a body next appears or vanishes after `time` [s]; infinite if none does. No steps are asked for at once that go beyond it.
+    fn next_change(&self, time: f64) -> f64 {
+        let _ = time;
+        f64::INFINITY
+    }
+    /// Lets bodies appear and vanish for which it is time, before a step that begins at `time` [s]; between such calls no body does. `places` says where particles
+    /// of the ground are within a box [m]. Returns whether anything has changed.
+    ///
+    /// # Errors
+    /// [`Error::Body`](crate::Error::Body) if a body would appear within the ground; nothing has changed then. What `places` says.
+    fn change(&mut self, time: f64, places: &mut dyn FnMut(&Aabb) -> Result<Vec<Vec3>>) -> Result<bool> {
+        let _ = (time, places);
+        Ok(false)
+    }
     /// How far beyond its [`bounds`](Self::bounds) it acts on nodes [cells of their level]. Above 0, particles are handed over, too: those less far
     /// out by [`SPREAD`](NodeBatch::SPREAD), whose nodes are all in reach.
     fn reach(&self) -> f64 {

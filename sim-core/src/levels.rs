@@ -412,7 +412,7 @@ pub fn agent_bounds(
     soft: impl Fn(u16) -> Option<Aabb>,
 ) -> Vec<Aabb> {
     let rigid: Vec<(BodyState, Aabb)> =
-        couplings.iter().flat_map(|coupling| coupling.bodies().into_iter().zip(coupling.bounds())).collect();
+        couplings.iter().flat_map(|coupling| coupling.bodies().into_iter().zip(coupling.extents())).collect();
     agents
         .iter()
         .filter_map(|agent| match agent {

@@ -19,7 +19,7 @@ use crate::file::Stamp;
 use crate::flow::Flows;
 use crate::levels::{Agent, CellBox, Regions, agent_bounds, surface_depths};
 use crate::parameter::Parameters;
-use crate::scene::Motion;
+use crate::scene::Tool;
 use crate::schedule::{Form, Needs, Schedule, Stage};
 use crate::seed::Terrain;
 use crate::simulation::Options;
@@ -299,9 +299,9 @@ impl Plan {
         })
     }
 
-    /// Does a tool move freely, so that forces act both ways?
+    /// Does the ground move a tool, so that forces act both ways?
     pub fn two_way(&self) -> bool {
-        self.scene.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. }))
+        self.scene.tool.iter().any(Tool::answers)
     }
 
     fn needs(&self) -> Needs {

@@ -15,6 +15,7 @@ mod check;
 mod flow;
 mod make;
 mod output;
+mod plane;
 mod probe;
 mod read;
 mod robot;
@@ -26,6 +27,7 @@ pub(crate) use check::{cross, posed_bounds, turn};
 pub use flow::{Inflow, Outflow};
 pub use make::Part;
 pub use output::{Camera, CutColour, Export, HeightOutput, Output, Picture, PictureView, SurfaceOutput, Trace};
+pub use plane::PlaneStrain;
 pub use probe::{Probe, Region, Section, Side, SurfaceProbe, WallPart};
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
@@ -216,6 +218,9 @@ pub struct World {
     /// What happens to a particle that crosses an open side or a wall.
     #[serde(default)]
     pub leaving: Leaving,
+    /// A world a few cells thick, in which nothing varies along y.
+    #[serde(default)]
+    pub plane_strain: Option<PlaneStrain>,
 }
 
 /// Nested levels of resolution: fine around agents, coarser further away.
@@ -441,10 +446,14 @@ pub struct Body {
     /// Leave out particles inside rigid tools, so that a tool can start partly buried.
     #[serde(default = "yes")]
     pub around_tools: bool,
-    /// Start at rest under gravity: each particle is pressed by the weight of the settled ground above it, as if it had been
-    /// filled up layer by layer between walls. For boxes, height fields and terrains in gravity along -z.
+    /// Start at rest under gravity: each particle is pressed by the weight of the settled ground straight above it, as if it had been
+    /// filled up layer by layer between walls. In gravity along -z.
     #[serde(default)]
     pub settled: bool,
+    /// With `settled`: the pressure along x and y over that along z. Absent: as walls press that keep the ground from going sideways, ν/(1 - ν) of an
+    /// elastic law. 0 for a column that stands by itself.
+    #[serde(default)]
+    pub k0: Option<f64>,
 }
 
 /// How particles are placed.
@@ -593,6 +602,51 @@ pub struct Tool {
     /// How it moves.
     #[serde(default)]
     pub motion: Motion,
+    /// When it appears [s]: it is there from the first step on that begins then. Not where particles are then; not for free tools and servos.
+    #[serde(default)]
+    pub from: f64,
+    /// When it vanishes [s]: it is not there any more from the first step on that begins then; absent: never. Not for free tools and servos.
+    #[serde(default)]
+    pub until: Option<f64>,
+}
+
+/// What summed-up times may be off [s].
+pub const INSTANT: f64 = 1e-9;
+
+impl Tool {
+    /// Is it there in a step that begins at `time` [s]?
+    pub fn is_present(&self, time: f64) -> bool {
+        let now = time + INSTANT;
+        self.from <= now && self.until.is_none_or(|until| now < until)
+    }
+
+    /// The area that faces along an axis [m²], of a box that is not turned: in plane strain that between the walls.
+    pub fn face(&self, axis: Vec3, world: &World) -> Option<f64> {
+        let [bounds, along] = [self.shape.bounds()?, posed_bounds(self.shape.bounds()?, self.position, self.rotation)];
+        let of = axis.iter().filter(|x| **x != 0.0).count();
+        let extent = |d: usize| {
+            let whole = bounds.max[d] - bounds.min[d];
+            let seen = along.max[d].min(world.max[d]) - along.min[d].max(world.min[d]);
+            if d == 1 && world.plane_strain.is_some() { whole.min(seen) } else { whole }
+        };
+        let is_plain = matches!(self.shape, Shape::Box { .. }) && of == 1 && self.rotation == no_rotation();
+        is_plain.then(|| (0..3).filter(|d| axis[*d] == 0.0).map(extent).product())
+    }
+
+    /// The same tool, with the force that its servo's pressure comes to.
+    #[must_use]
+    pub fn in_world(&self, world: &World) -> Self {
+        let mut tool = self.clone();
+        if let Motion::Servo(Servo { axis, force: force @ None, pressure, area, .. }) = &mut tool.motion {
+            *force = Some(pressure.unwrap_or(0.0) * area.or_else(|| self.face(*axis, world)).unwrap_or(0.0));
+        }
+        tool
+    }
+
+    /// Does it move by what it feels of the ground?
+    pub fn answers(&self) -> bool {
+        matches!(self.motion, Motion::Free { .. } | Motion::Servo(_))
+    }
 }
 
 /// Contact law of a tool.
@@ -654,6 +708,52 @@ pub enum Motion {
         #[serde(default)]
         restitution: f64,
     },
+    /// A given force pushes it along an axis against the ground, as a weight pushes a plate; a guide lets it neither turn nor move otherwise.
+    Servo(Servo),
+}
+
+/// A force that pushes a tool along an axis. Gravity and other rigid bodies do not move it; free ones give way to it.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Servo {
+    /// Direction in which the force acts; of any length.
+    pub axis: Vec3,
+    /// The force along it [N]; negative: against it.
+    #[serde(default)]
+    pub force: Option<f64>,
+    /// The force over `area` [Pa], instead of `force`.
+    #[serde(default)]
+    pub pressure: Option<f64>,
+    /// Area that `pressure` acts on [m²]; absent: the face of a box that is not turned, between the walls if the world is in plane strain.
+    #[serde(default)]
+    pub area: Option<f64>,
+    /// Seconds over which the force grows evenly from zero to its value.
+    #[serde(default)]
+    pub ramp: f64,
+    /// Mass that the force sets in motion [kg]; absent: what weighs as much as the force, force/9.81.
+    #[serde(default)]
+    pub mass: Option<f64>,
+    /// Force against its velocity, over that [N s/m].
+    #[serde(default)]
+    pub damping: f64,
+}
+
+impl Servo {
+    /// What weighs 1 N [kg].
+    const PER_NEWTON: f64 = 1.0 / 9.81;
+
+    /// The whole force [N]; of a pressure once its tool is [in its world](Tool::in_world).
+    pub fn whole(&self) -> f64 {
+        self.force.unwrap_or_default()
+    }
+    /// The force at a time [N].
+    pub fn force_at(&self, time: f64) -> f64 {
+        self.whole() * if time < self.ramp { time / self.ramp } else { 1.0 }
+    }
+    /// The mass that it moves [kg].
+    pub fn inertia(&self) -> f64 {
+        self.mass.unwrap_or(self.whole().abs() * Self::PER_NEWTON)
+    }
 }
 
 /// A pose at a time.

@@ -205,8 +205,10 @@ impl Terrain {
                 if here.iter().any(|&i| single(i) && !self.is_in_place(plot, list.position(i))) {
                     return Ok(false);
                 }
-                let loads: Vec<f64> = here.iter().map(|&i| self.load(list.position(i))).collect();
-                let Ok(settled) = settle::under(planned, &loads) else { return Ok(false) };
+                let loads = self.loads(here.iter().map(|&i| list.position(i)));
+                let Ok(settled) = settle::under(planned, &loads, self.scene.body[plot.index].k0) else {
+                    return Ok(false);
+                };
                 let history = settled.iter().skip(planned.material.strain_planes()).zip(&list.state);
                 let changed = |now: f64, then: f64| (now - then).abs() > UNCHANGED * then.abs().max(1.0);
                 if history.into_iter().any(|(then, now)| here.iter().zip(then).any(|(&i, then)| changed(now[i], *then)))
@@ -289,27 +291,54 @@ impl Terrain {
         })
     }
 
-    /// Weight of all settled ground above a point, per area [Pa].
-    fn load(&self, x: Vec3) -> f64 {
-        let settled = self.plots.iter().filter(|plot| self.scene.body[plot.index].settled);
-        let weight = settled.map(|plot| {
-            // Pieces of a column end where their outermost particles do.
-            let [.., axis] = &plot.axes;
-            let spacing = axis.step * axis.width;
-            let first = axis.site(0.0).position - 0.5 * spacing;
+    /// Weight of all settled ground above each of some points, per area [Pa].
+    fn loads(&self, points: impl Iterator<Item = Vec3>) -> Vec<f64> {
+        let settled: Vec<&Plot> = self.plots.iter().filter(|plot| self.scene.body[plot.index].settled).collect();
+        // Points come column by column.
+        let (mut at, mut pieces) = ([f64::NAN; 2], Vec::new());
+        let load = |x: Vec3| {
+            if at != [x[0], x[1]] {
+                at = [x[0], x[1]];
+                pieces = settled.iter().map(|plot| (*plot, self.pieces(plot, at))).collect();
+            }
+            let above = |[bottom, top]: &[f64; 2]| (top - x[2].max(*bottom)).max(0.0);
+            let weight = |(plot, pieces): &(&Plot, Vec<[f64; 2]>)| {
+                self.materials[plot.material].density * pieces.iter().map(above).sum::<f64>()
+            };
+            pieces.iter().map(weight).sum::<f64>() * -self.scene.gravity[2]
+        };
+        points.map(load).collect()
+    }
+
+    /// Lower and upper ends of what a plot has above a point of the ground plan [m]. They are those of its outermost particles.
+    fn pieces(&self, plot: &Plot, [x, y]: [f64; 2]) -> Vec<[f64; 2]> {
+        let [.., axis] = &plot.axes;
+        let spacing = axis.step * axis.width;
+        let first = axis.site(0.0).position - 0.5 * spacing;
+        if self.scene.body[plot.index].shape.is_layer() {
             let end = |z: f64| first + ((z - first) / spacing).round() * spacing;
-            let above = |[bottom, top]: [f64; 2]| (end(top) - x[2].max(end(bottom))).max(0.0);
-            let columns = plot.solid.columns(x[0], x[1]);
-            self.materials[plot.material].density * columns.into_iter().map(above).sum::<f64>()
-        });
-        weight.sum::<f64>() * -self.scene.gravity[2]
+            return plot.solid.columns(x, y).into_iter().map(|piece| piece.map(end)).collect();
+        }
+        // What has no surface to ask for is tried particle by particle.
+        let mut pieces: Vec<[f64; 2]> = Vec::new();
+        for (k, site) in (0..).zip(axis.sites()) {
+            if plot.solid.contains([x, y, site.position]) {
+                let [bottom, top] = [k, k + 1].map(|k| first + f64::from(k) * spacing);
+                match pieces.last_mut() {
+                    Some(piece) if piece[1] == bottom => piece[1] = top,
+                    _ => pieces.push([bottom, top]),
+                }
+            }
+        }
+        pieces
     }
 
     /// Gives a list's particles from `start` on the strain and history that carry the ground above them.
     fn settle(&self, plot: &Plot, list: &mut ParticleList, start: usize) -> Result<()> {
         let round = |x: f64| if self.precision == Precision::F32 { f64::from(x as f32) } else { x };
-        let loads: Vec<f64> = (start..list.cell.len()).map(|i| self.load(list.position(i))).collect();
-        let settled = settle::under(&self.materials[plot.material], &loads).map_err(|error| match error {
+        let loads = self.loads((start..list.cell.len()).map(|i| list.position(i)));
+        let k0 = self.scene.body[plot.index].k0;
+        let settled = settle::under(&self.materials[plot.material], &loads, k0).map_err(|error| match error {
             settle::Unsettled::Error(error) => error,
             settle::Unsettled::Load(load) => self.scene.fault(
                 &format!("body[{}].settled", plot.index),
@@ -319,6 +348,15 @@ impl Terrain {
                     settle::LEAST_STRETCH
                 ),
                 "raise its stiffness, or leave settled out",
+            ),
+            settle::Unsettled::Sides(load) => self.scene.fault(
+                &format!("body[{}].k0", plot.index),
+                format!(
+                    "material '{}' does not bear {load:.4} Pa along z and {} of that along x and y",
+                    self.materials[plot.material].name,
+                    k0.unwrap_or_default()
+                ),
+                "bring k0 nearer to 1 (a fluid bears nothing else), raise its stiffness, or leave k0 out",
             ),
         })?;
         for (plane, values) in list.strain.iter_mut().chain(&mut list.state).zip(settled) {

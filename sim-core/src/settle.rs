@@ -26,10 +26,19 @@ pub(crate) enum Unsettled {
     Error(Error),
     /// It does not carry this load [Pa].
     Load(f64),
+    /// It does not carry this load with the pressure that is asked for sideways [Pa].
+    Sides(f64),
 }
 
-/// Strain and history planes of a material that is pressed along z, held sideways, until it carries each of `loads` [Pa].
-pub(crate) fn under(planned: &PlannedMaterial, loads: &[f64]) -> Result<Vec<Vec<f64>>, Unsettled> {
+/// Steps of Newton's method at most, and how near a solution is, in parts of the load. A law of Hencky needs one, others a few.
+const MOST_ROUNDS: usize = 40;
+const SOLVED: f64 = 1e-9;
+const GOOD_ENOUGH: f64 = 1e-7;
+/// By how much a compression is changed to see what that does, in parts of it.
+const NUDGE: f64 = 1e-6;
+
+/// Strain and history planes of a material that is pressed along z until it carries each of `loads` [Pa]: held sideways, or pressed there by `k0` of that.
+pub(crate) fn under(planned: &PlannedMaterial, loads: &[f64], k0: Option<f64>) -> Result<Vec<Vec<f64>>, Unsettled> {
     // Most ground is flat: particles of a layer share their load.
     let mut different = loads.to_vec();
     different.sort_unstable_by(f64::total_cmp);
@@ -37,7 +46,10 @@ pub(crate) fn under(planned: &PlannedMaterial, loads: &[f64]) -> Result<Vec<Vec<
     let mut press = Press::new(planned);
     let mut solved: Vec<Vec<f64>> = vec![Vec::with_capacity(different.len()); press.planes()];
     for batch in different.chunks(BATCH) {
-        press.solve(batch)?;
+        match k0 {
+            None => press.solve(batch)?,
+            Some(k0) => press.solve_sides(batch, k0)?,
+        }
         for (plane, values) in solved.iter_mut().zip(press.strain.iter().chain(&press.state_out)) {
             plane.extend_from_slice(&values.0[..batch.len()]);
         }
@@ -124,14 +136,66 @@ impl<'a> Press<'a> {
         Ok(())
     }
 
+    /// Finds the strains that carry so many loads at once, with `k0` of them along x and y: by Newton's method, since no bracket holds for all laws.
+    fn solve_sides(&mut self, loads: &[f64], k0: f64) -> Result<(), Unsettled> {
+        let most = -LEAST_STRETCH.ln();
+        // Along z, and along x and y.
+        let mut at: Vec<[f64; 2]> = loads.iter().map(|load| [if *load > 0.0 { FIRST } else { 0.0 }; 2]).collect();
+        for round in 0.. {
+            let missing: Vec<[f64; 2]> = {
+                let carried = self.pressures(&at)?;
+                carried.iter().zip(loads).map(|(p, load)| [p[0] - load, p[1] - k0 * load]).collect()
+            };
+            let off = |i: usize| missing[i][0].abs().max(missing[i][1].abs()) / loads[i];
+            let open: Vec<usize> = (0..loads.len()).filter(|&i| loads[i] > 0.0 && !(off(i) <= SOLVED)).collect();
+            if open.is_empty() || round == MOST_ROUNDS {
+                return match open.into_iter().find(|&i| !(off(i) <= GOOD_ENOUGH)) {
+                    Some(i) => Err(Unsettled::Sides(loads[i])),
+                    None => Ok(()),
+                };
+            }
+            let nudge = |at: &[f64; 2]| NUDGE * at[0].abs().max(at[1].abs()).max(FIRST);
+            let mut slopes = Vec::with_capacity(2);
+            for along in 0..2 {
+                let mut nudged = at.clone();
+                nudged.iter_mut().zip(&at).for_each(|(nudged, at)| nudged[along] += nudge(at));
+                slopes.push(self.pressures(&nudged)?);
+            }
+            for i in open {
+                let by = nudge(&at[i]);
+                let slope = |of: usize, along: usize| {
+                    let now = missing[i][of] + loads[i] * if of == 0 { 1.0 } else { k0 };
+                    (slopes[along][i][of] - now) / by
+                };
+                let [[a, b], [c, d]] = [0, 1].map(|of| [0, 1].map(|along| slope(of, along)));
+                let [r, s] = missing[i];
+                let determinant = a * d - b * c;
+                at[i][0] -= (d * r - b * s) / determinant;
+                at[i][1] -= (a * s - c * r) / determinant;
+                if !at[i].iter().all(|e| e.abs() <= most) {
+                    return Err(Unsettled::Sides(loads[i]));
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Pressure along z at so many compressions, which are minus the logarithms of the stretch [Pa]. Strain and history that go
     /// with it are left in the planes.
     fn pressure(&mut self, compressions: &[f64]) -> Result<Vec<f64>, Unsettled> {
+        let upright: Vec<[f64; 2]> = compressions.iter().map(|e| [*e, 0.0]).collect();
+        Ok(self.pressures(&upright)?.into_iter().map(|[upright, _]| upright).collect())
+    }
+
+    /// Pressure along z and along x [Pa], at compressions along z, and along x and y. Strain and history that go with it are left in the planes.
+    fn pressures(&mut self, compressions: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, Unsettled> {
         let n = compressions.len();
         let is_gradient = self.trial.len() == 9;
-        let zz = if is_gradient { 8 } else { 2 };
-        for (place, e) in self.trial[zz].0.iter_mut().zip(compressions) {
-            *place = (-if is_gradient { *e } else { 2.0 * e }).exp();
+        let diagonal = if is_gradient { [0, 4, 8] } else { [0, 1, 2] };
+        for (plane, along) in diagonal.into_iter().zip([1, 1, 0]) {
+            for (place, e) in self.trial[plane].0.iter_mut().zip(compressions) {
+                *place = (-if is_gradient { e[along] } else { 2.0 * e[along] }).exp();
+            }
         }
         let material = &self.planned.material;
         let parameters = &self.planned.parameters;
@@ -141,6 +205,6 @@ impl<'a> Press<'a> {
         let status = material.update(&trial, None, answer, &mut buffer);
         let status = status.ok_or_else(|| Unsettled::Error(self.without_update()))?;
         buffer.check(status, material, "update_f64", |_| u64::MAX).map_err(Unsettled::Error)?;
-        Ok(self.kirchhoff[2].0[..n].iter().map(|tau| -tau).collect())
+        Ok((0..n).map(|i| [2, 0].map(|plane| -self.kirchhoff[plane].0[i])).collect())
     }
 }

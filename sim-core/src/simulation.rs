@@ -10,7 +10,7 @@ use crate::coupling::Kept;
 use crate::flow::FlowState;
 use crate::parameter::{Giver, Parameters, Table};
 use crate::plan::{SCENE_COUPLINGS, cut, tighten, wanted_step};
-use crate::scene::OverBound;
+use crate::scene::{INSTANT, OverBound};
 use crate::{
     Aabb, Backend, BodyState, Command, Coupling, Engine, Error, Fields, JointState, Ledger, ParticleState, Plan,
     Precision, Reading, Registry, Result, Scene, Spot, StepReport, Wrench,
@@ -475,8 +475,9 @@ impl Simulation {
         self.reports_bodies = wanted;
     }
 
-    /// The steps that are to be taken next, once sinks and sources have done what is due before them.
+    /// The steps that are to be taken next, once bodies have come and gone, and sinks and sources have done what is due before them.
     pub(crate) fn wanted(&mut self, most: usize, until: f64) -> Result<WantedSteps> {
+        self.change_bodies()?;
         let (flows, now) = (self.plan.flows.clone(), (self.time, self.step));
         if let Some(flows) = &flows
             && flows.advance(&mut self.flow, &self.plan, now, &mut *self.engine, &self.couplings)?
@@ -506,7 +507,35 @@ impl Simulation {
         if let Some(flows) = &flows {
             count = flows.steps_until_due(&self.flow, now, dt, count);
         }
+        let change =
+            self.couplings.iter().map(|coupling| coupling.next_change(self.time)).fold(f64::INFINITY, f64::min);
+        if change.is_finite() {
+            // Time is added up just as steps do it.
+            let mut at = self.time;
+            let comes_by = |_: &usize| {
+                at += dt;
+                change <= at + INSTANT
+            };
+            count = (1..count).find(comes_by).unwrap_or(count);
+        }
         Ok(WantedSteps { dt, count, to_stop, above })
+    }
+
+    /// Bodies appear and vanish whose time has come.
+    fn change_bodies(&mut self) -> Result<()> {
+        let (engine, mut changed) = (&mut self.engine, false);
+        let mut places = |region: &Aabb| {
+            let found = engine.read(Some(region), Fields { exact: true, ..Fields::default() }, region.min);
+            engine.check()?;
+            Ok((0..found.len()).map(|i| found.at(i)).collect())
+        };
+        for coupling in &mut self.couplings {
+            changed |= coupling.change(self.time, &mut places)?;
+        }
+        if changed {
+            self.chosen = None;
+        }
+        Ok(())
     }
 
     /// What must be kept to go back to before the steps: of each coupling what steps change.

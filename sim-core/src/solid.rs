@@ -96,14 +96,15 @@ pub fn of_shape(shape: &Shape, scene: &Scene, registry: &Registry, path: &str) -
     })
 }
 
-/// As [`of_shape`], cut at the world's sides if the scene [clips](Scene::clip).
+/// As [`of_shape`], cut at the world's sides if the scene [clips](Scene::clip) or is in plane strain.
 ///
 /// # Errors
 /// As [`of_shape`].
 pub fn in_world(shape: &Shape, scene: &Scene, registry: &Registry, path: &str) -> Result<Box<dyn Solid>> {
     let solid = of_shape(shape, scene, registry, path)?;
     let (world, bounds) = (scene.world_box(), solid.bounds());
-    if !scene.clip || world.contains(bounds.min) && world.contains(bounds.max) {
+    let cuts = scene.clip || scene.world.plane_strain.is_some();
+    if !cuts || world.contains(bounds.min) && world.contains(bounds.max) {
         return Ok(solid);
     }
     scene.check_inside(path.trim_end_matches(".shape"), bounds)?;

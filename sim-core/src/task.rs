@@ -3,6 +3,7 @@
 //! A task never steps. Whoever steps asks, in every control step and for each world: [`Episode::act`] before, [`Episode::watch`] and
 //! [`Episode::observe`] after it. So many worlds of one task step together, and what they are looked at for is found together.
 
+use crate::backend::Looked;
 use crate::probe::Filter;
 use crate::scene::Region;
 use crate::seed::uniform;
@@ -174,8 +175,12 @@ impl Simulation {
     /// As [`sums_within`](Self::sums_within), [`heights`](Self::heights) and [`read`](Self::read).
     pub fn watch(&self, watch: &Watch) -> Result<Seen> {
         let sums = if watch.sums.is_empty() { Vec::new() } else { self.sums_within(&watch.sums)? };
+        self.seen(watch, (sums, self.sample(&watch.sample)?))
+    }
+
+    /// The same, where something has been looked at before.
+    pub(crate) fn seen(&self, watch: &Watch, (sums, sample): Looked) -> Result<Seen> {
         let heights = self.heights(&watch.heights)?;
-        let sample = self.sample(&watch.sample)?;
         let exact = Fields { exact: true, ..Fields::default() };
         let places = watch.places.map(|region| self.read(Some(region), exact)).transpose()?;
         Ok(Seen { sums, heights, sample, places: places.map(|reading| reading.exact).unwrap_or_default() })

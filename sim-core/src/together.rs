@@ -1,9 +1,9 @@
 //! Worlds that a backend steps together.
 
-use crate::backend::{Batch, NewWorld};
+use crate::backend::{Batch, Look, NewWorld};
 use crate::simulation::{WantedSteps, find_backend, no_step};
 use crate::task::{Seen, Watch};
-use crate::{Error, Options, Plan, Registry, Result, Scene, Simulation, StepReport};
+use crate::{Error, Options, Plan, Registry, Result, Scene, Simulation, State, StepReport};
 use std::fmt;
 
 /// Simulations whose engines are the worlds of one batch.
@@ -115,13 +115,59 @@ impl Together {
             .collect()
     }
 
+    /// Lets worlds go on from states of their scenes, as [`Simulation::set_state`] does one of them. All that are in the batch are laid out anew once.
+    ///
+    /// # Errors
+    /// Those of [`Simulation::set_state`]; all worlds of the batch are as they were then.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn restore(&mut self, states: &[(usize, &State)]) -> Result<()> {
+        let mut before = Vec::new();
+        let mut particles = Vec::new();
+        let mut taken = Ok(());
+        for &(w, state) in states {
+            let world = &mut self.worlds[w];
+            match world.take_couplings(state) {
+                Ok(saved) => before.push((w, saved)),
+                Err(error) => {
+                    taken = Err(error);
+                    break;
+                }
+            }
+            if world.is_in_batch() {
+                particles.push((w, world.particles_of(state)));
+            }
+        }
+        if let Err(error) = taken.and_then(|()| self.batch.upload(particles)) {
+            before.iter().try_for_each(|(w, saved)| self.worlds[*w].put_back(saved))?;
+            return Err(error);
+        }
+        for &(w, state) in states {
+            let world = &mut self.worlds[w];
+            if world.is_in_batch() { world.take_rest(state) } else { world.set_state(state)? }
+        }
+        Ok(())
+    }
+
     /// Looks at every world for what is wanted of it.
     ///
     /// # Panics
     /// If there is not one for each world.
     pub fn watch(&mut self, watches: &[Watch]) -> Vec<Result<Seen>> {
         assert_eq!(watches.len(), self.worlds.len(), "there is one for each world");
-        self.worlds.iter().zip(watches).map(|(world, watch)| world.watch(watch)).collect()
+        if !self.worlds.iter().all(Simulation::is_in_batch) {
+            return self.worlds.iter().zip(watches).map(|(world, watch)| world.watch(watch)).collect();
+        }
+        let pairs = self.worlds.iter().zip(watches);
+        let looks: Vec<Look<'_>> = pairs.map(|(world, watch)| Look::new(world.plan(), watch)).collect();
+        match self.batch.look(&looks) {
+            Ok(looked) => {
+                let each = looked.into_iter().zip(self.worlds.iter().zip(watches));
+                each.map(|(looked, (world, watch))| world.seen(watch, looked)).collect()
+            }
+            Err(error) => all_failed(&self.backend, error, watches.len()),
+        }
     }
 
     /// Puts a world at the start of a scene, in the place of another.
@@ -168,7 +214,7 @@ impl Together {
 }
 
 /// An error of all worlds.
-fn all_failed(backend: &str, error: Error, count: usize) -> Vec<Result<Vec<StepReport>>> {
+fn all_failed<T>(backend: &str, error: Error, count: usize) -> Vec<Result<T>> {
     let text = error.to_string();
     let same = |_| {
         Err(Error::Device {

@@ -86,8 +86,9 @@ impl Base {
         draw(&self.ranges, self.randomise, seed)
     }
 
-    /// The scene of a seed, before anything that was drawn is put in.
+    /// The scene of a seed, before anything that was drawn is put in: the same for all, unless the task is asked to draw.
     pub(crate) fn scene(&self, seed: u64) -> Scene {
+        let seed = if self.randomise > 0.0 { seed } else { self.scene.seed };
         Scene { seed, ..self.scene.clone() }
     }
 

@@ -24,6 +24,18 @@ pub(crate) struct Degree {
     pub(crate) range: [f64; 2],
 }
 
+impl Degree {
+    /// Along an axis, no nearer to the world's sides than so much [m].
+    pub(crate) fn along(scene: &Scene, axis: usize, most: f64, keep: f64) -> Self {
+        let [min, max] = [scene.world.min[axis] + keep, scene.world.max[axis] - keep];
+        Self { way: Way::Along(axis), most, range: [min, f64::max(min, max)] }
+    }
+    /// About an axis, between two angles [rad].
+    pub(crate) fn about(axis: usize, most: f64, range: [f64; 2]) -> Self {
+        Self { way: Way::About(axis), most, range }
+    }
+}
+
 /// A tool of the scene that is driven by velocity.
 #[derive(Clone, Debug)]
 pub(crate) struct Effector {
@@ -121,7 +133,8 @@ impl Effector {
         let left: Vec<f64> = self.degrees.iter().zip(wanted).map(|(degree, to)| to - degree.way.of(&body)).collect();
         // All get there at once, along a straight line.
         let slow = self.degrees.iter().zip(&left).map(|(degree, left)| left.abs() / degree.most).fold(1.0, f64::max);
-        left.into_iter().map(|left| left / slow).collect()
+        let within = |(degree, left): (&Degree, f64)| (left / slow).clamp(-degree.most, degree.most);
+        self.degrees.iter().zip(left).map(within).collect()
     }
 
     /// Is it there, within so much [m or rad] in each degree of freedom?

@@ -3,9 +3,14 @@
 //! This crate knows the core only: scenes name their materials, couplings and backends, and the registry finds them. A task has a file of its own.
 
 mod base;
+mod dig_a_hole;
 mod effector;
+mod press_mould;
 mod reward;
+mod sand_painting;
+mod scoop_out;
 mod smooth_surface;
+mod tooling;
 mod view;
 
 use barchan_core::{Error, Registry, Result, Scene};
@@ -15,11 +20,15 @@ use barchan_core::{Error, Registry, Result, Scene};
 /// # Errors
 /// If one of their names is taken.
 pub fn register(registry: &mut Registry) -> Result<()> {
-    smooth_surface::register(registry)
+    sand_painting::register(registry)?;
+    scoop_out::register(registry)?;
+    dig_a_hole::register(registry)?;
+    smooth_surface::register(registry)?;
+    press_mould::register(registry)
 }
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 23] = [
+const FILES: [(&str, &str); 24] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -29,6 +38,7 @@ const FILES: [(&str, &str); 23] = [
     ("jelly-drop", include_str!("../scenes/jelly-drop.toml")),
     ("pour", include_str!("../scenes/pour.toml")),
     ("hopper", include_str!("../scenes/hopper.toml")),
+    ("footing", include_str!("../scenes/footing.toml")),
     ("quadruped-stand", include_str!("../scenes/quadruped-stand.toml")),
     ("quadruped-trot", include_str!("../scenes/quadruped-trot.toml")),
     ("quadruped-dunes", include_str!("../scenes/quadruped-dunes.toml")),

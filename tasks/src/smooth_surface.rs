@@ -1,20 +1,21 @@
 //! SmoothSurface: a heap on a bed of sand is smoothed with a scraper.
 //!
 //! # Source
-//! UBSoft (CoRL 2024), "Smooth Surface": L = Σ (n_t − n_{t−1}), n the number of particles above the mean height of the surface. Here n is a share of what it was at the
-//! start, so that α does not depend on the size of particles.
+//! UBSoft (CoRL 2024), "Smooth Surface": L = Σ (n_t − n_{t−1}), n the number of particles above the mean height of the surface. Here they are counted from a
+//! particle's width above it, and by their share of what they were at the start, so that α does not depend on the size of particles.
 
 use crate::base::{Base, Size};
-use crate::effector::{Degree, Effector, Path, Way};
+use crate::effector::{Degree, Effector, Path};
 use crate::reward::Scale;
+use crate::tooling::{Goal, ToolTask, Tooling, Verdict, Work};
 use crate::view::View;
 use barchan_core::registry::TaskSetup;
 use barchan_core::scene::{Region, Shape};
-use barchan_core::task::{Episode, Limits, Outcome, Part, Seen, Watch};
-use barchan_core::{Aabb, Registry, Result, Scene, Simulation, Task};
+use barchan_core::task::{Limits, Seen, Watch};
+use barchan_core::{Aabb, BodyState, Registry, Result, Scene, Simulation};
 use std::f64::consts::FRAC_PI_2;
 
-const DOC: &str = "A heap on a bed of sand is to be smoothed with a scraper. Success: less than a fifth of the particles above the mean height of the surface are left.";
+const DOC: &str = "A heap on a bed of sand is to be smoothed with a scraper. Success: less than a fifth of the particles that lay above the mean height of the surface are left there.";
 const FILE: &str = include_str!("../scenes/tasks/smooth-surface.toml");
 
 /// Reward of the whole heap: the paper's constants are unknown, and with a thousand an episode's reward is of the size that its table has.
@@ -23,8 +24,6 @@ const SCALE: Scale = Scale { alpha: 1000.0, beta: 0.0 };
 const TOOL: &str = "scraper";
 /// Share of the heap that may be left.
 const LEFT: f64 = 0.2;
-/// Soil steps of a control step: the paper's.
-const STEPS: f64 = 10.0;
 
 /// What differs between the paper's size and a small one.
 struct Sizes {
@@ -34,31 +33,41 @@ struct Sizes {
     heap: [f64; 2],
     /// Where it is on average [m].
     middle: [f64; 2],
+    /// Thickness of the scraper, and its middle's height above its lower side [m].
+    blade: [f64; 2],
     /// Most that the scraper moves in a control step, along each axis [m]: at the paper's size what FluidLab, of the same authors, lets tools do (0.003 a step of
     /// 2 ms), less by as much as steps are shorter.
     most: f64,
-    /// Control steps: enough to cross the bed twice.
+    /// Control steps: enough for the hand-written agent.
     horizon: u64,
     /// Distance from the scraper's middle to the sides of the height map [m].
     reach: f64,
 }
 
-const FULL: Sizes =
-    Sizes { changes: &[], heap: [0.12, 0.17], middle: [0.5, 0.5], most: 0.0015, horizon: 1000, reach: 0.25 };
+const FULL: Sizes = Sizes {
+    changes: &[],
+    heap: [0.12, 0.17],
+    middle: [0.5, 0.5],
+    blade: [0.04, 0.06],
+    most: 0.0015,
+    horizon: 2500,
+    reach: 0.25,
+};
 const LITE: Sizes = Sizes {
     changes: &[
         "world.cell=0.0125",
         "world.max=[0.4, 0.3, 0.3]",
         "levels.count=1",
-        "time.step=3e-4",
+        "time.step=4e-4",
         "body.bed.shape.box={ min = [0.0, 0.0, 0.0], max = [0.4, 0.3, 0.0625] }",
         "tool.scraper.position=[0.06, 0.15, 0.22]",
         "tool.scraper.shape.box={ half = [0.015, 0.1, 0.06] }",
     ],
-    heap: [0.08, 0.115],
+    heap: [0.06, 0.082],
     middle: [0.2, 0.15],
-    most: 0.003,
-    horizon: 600,
+    blade: [0.03, 0.06],
+    most: 0.002,
+    horizon: 900,
     reach: 0.12,
 };
 
@@ -67,31 +76,20 @@ const LITE: Sizes = Sizes {
 /// # Errors
 /// If its names are taken.
 pub(crate) fn register(registry: &mut Registry) -> Result<()> {
-    crate::base::register(registry, "SmoothSurface", DOC, vec![View::parameter("particles")], SmoothSurface::new)
+    crate::base::register(registry, "SmoothSurface", DOC, vec![View::parameter("particles")], make)
 }
 
 struct SmoothSurface {
-    base: Base,
     sizes: &'static Sizes,
-    effector: Effector,
-    view: View,
 }
 
-impl SmoothSurface {
-    fn new(setup: &TaskSetup<'_>, size: Size) -> Result<Self> {
-        let sizes = size.of(&FULL, &LITE);
-        let base = Base::new(setup, FILE, sizes.changes, sizes.ranges())?;
-        let [min, max] = [base.scene.world.min, base.scene.world.max];
-        let along = |d: usize| Degree { way: Way::Along(d), most: sizes.most, range: [min[d], max[d]] };
-        let yaw = Degree { way: Way::About(2), most: YAW, range: [-FRAC_PI_2, FRAC_PI_2] };
-        let degrees = [along(0), along(1), along(2), yaw];
-        Ok(Self {
-            effector: Effector::new(setup, &base.scene, TOOL, &degrees, base.seconds_of(STEPS))?,
-            view: View::new(&base.scene, setup.parameters, sizes.reach),
-            base,
-            sizes,
-        })
-    }
+fn make(setup: &TaskSetup<'_>, size: Size) -> Result<ToolTask<SmoothSurface>> {
+    let sizes = size.of(&FULL, &LITE);
+    let base = Base::new(setup, FILE, sizes.changes, sizes.ranges())?;
+    let along = |axis: usize| Degree::along(&base.scene, axis, sizes.most, 0.0);
+    let degrees = [along(0), along(1), along(2), Degree::about(2, YAW, [-FRAC_PI_2, FRAC_PI_2])];
+    let tooling = Tooling { doc: DOC, tool: TOOL, degrees: &degrees, horizon: sizes.horizon, reach: sizes.reach };
+    ToolTask::new(setup, base, &tooling, SmoothSurface { sizes })
 }
 
 impl Sizes {
@@ -108,57 +106,31 @@ impl Sizes {
     }
 }
 
-impl Task for SmoothSurface {
-    fn name(&self) -> &str {
-        &self.base.name
-    }
-    fn doc(&self) -> &str {
-        DOC
-    }
-    fn scene(&self, seed: u64) -> Result<Scene> {
-        let mut scene = self.base.scene(seed);
-        if let [x, y, height, angle] = self.base.drawn(seed)[..] {
+impl Work for SmoothSurface {
+    fn vary(&self, scene: &mut Scene, drawn: &[f64]) {
+        if let [x, y, height, angle] = *drawn {
             scene.material[0].parameters.insert("friction_angle_deg".to_owned(), angle.into());
-            scene.body[0].shape = heap_on(&scene, [x, y], height, height * self.sizes.heap[1] / self.sizes.heap[0]);
+            scene.body[0].shape = heap_on(scene, [x, y], height, height * self.sizes.heap[1] / self.sizes.heap[0]);
         }
-        Ok(scene)
     }
-    fn actions(&self) -> Vec<Limits> {
-        self.effector.actions()
-    }
-    fn observations(&self) -> Vec<Part> {
-        self.view.parts().into_iter().chain([self.effector.part()]).collect()
-    }
-    fn interval(&self) -> f64 {
-        self.base.seconds_of(STEPS)
-    }
-    fn horizon(&self) -> u64 {
-        self.sizes.horizon
-    }
-    fn ranges(&self) -> Vec<Limits> {
-        self.base.ranges()
-    }
-    fn reset(&self, world: &Simulation, _seed: u64) -> Result<Box<dyn Episode>> {
+    fn begin(&self, world: &Simulation, effector: &Effector) -> Result<(Box<dyn Goal>, Path)> {
         let spots = world.spots();
-        // The mean height is where all ground would end if it lay level.
+        // The mean height is where all ground would end if it lay level. Of a surface of particles more than that cannot be said, so what lies less than a
+        // particle's width above it is level.
         let volume: f64 = spots.iter().map(|spot| spot.volume0).sum();
+        let width = spots.iter().map(|spot| spot.volume0).fold(f64::INFINITY, f64::min).cbrt();
         let Aabb { min, max } = world.plan().scene.world_box();
         let mean = min[2] + volume / ((max[0] - min[0]) * (max[1] - min[1]));
-        let above = spots.iter().filter(|spot| spot.position[2] > mean);
+        let threshold = mean + width;
+        let above = spots.iter().filter(|spot| spot.position[2] > threshold);
         let (mut count, mut middle) = (0.0, [0.0; 2]);
         for spot in above {
             count += 1.0;
             (0..2).for_each(|d| middle[d] += spot.position[d]);
         }
-        Ok(Box::new(Smoothing {
-            effector: self.effector.clone(),
-            view: self.view.clone(),
-            horizon: self.sizes.horizon,
-            mean,
-            start: f64::max(count, 1.0),
-            above: count,
-            path: passes(world, &self.effector, mean, middle.map(|sum| sum / f64::max(count, 1.0)), self.sizes),
-        }))
+        let start = f64::max(count, 1.0);
+        let path = presses(world, effector, mean, middle.map(|sum| sum / start), self.sizes);
+        Ok((Box::new(Smoothing { horizon: self.sizes.horizon, threshold, start, above: count }), path))
     }
 }
 
@@ -175,70 +147,65 @@ fn heap_on(scene: &Scene, middle: [f64; 2], height: f64, radius: f64) -> Shape {
     Shape::HeightField { min: [min[0], min[1]], max: [max[0], max[1]], bottom, heights, file: None }
 }
 
-/// The hand-written agent: it takes the heap off in layers, from both sides in turn.
-fn passes(world: &Simulation, effector: &Effector, mean: f64, heap: [f64; 2], sizes: &Sizes) -> Path {
-    let Aabb { min, max } = world.plan().scene.world_box();
-    let [_, _, z] = effector.position(world);
-    let [height, radius] = sizes.heap;
-    let away = 2.0 * radius;
-    let ends = [(heap[0] - away).max(min[0] + BLADE[0]), (heap[0] + away).min(max[0] - BLADE[0])];
-    let mut stops = vec![(vec![ends[0], heap[1], z, 0.0], 0)];
-    let mut side = 0;
-    for layer in (0..PASSES).rev() {
-        // The lowest pass leaves as much as the heap's sand makes when it lies level.
-        let low = mean + BLADE[1] + height * layer as f64 / PASSES as f64;
-        stops.push((vec![ends[side], heap[1], low, 0.0], 0));
-        side = 1 - side;
-        stops.push((vec![ends[side], heap[1], low, 0.0], 0));
+/// The hand-written agent: it presses the heap flat with the scraper's lower side, from the middle outwards, first along x, then along y. To push the heap
+/// makes ridges of it, since what a blade leaves behind is a cell thick or nothing.
+fn presses(world: &Simulation, effector: &Effector, mean: f64, heap: [f64; 2], sizes: &Sizes) -> Path {
+    let [.., high] = effector.position(world);
+    let [thickness, height] = sizes.blade;
+    let mut stops = vec![(vec![heap[0], heap[1], high, 0.0], 0)];
+    for Lap { yaw, reach, low, lift } in LAPS {
+        let [low, lift] = [low, lift].map(|above| mean + height + above * sizes.heap[0]);
+        let most = (reach * sizes.heap[1] / thickness) as i32;
+        stops.push((vec![heap[0], heap[1], high, yaw], 0));
+        for k in (0..=2 * most).map(|k| if k % 2 == 0 { k / 2 } else { -(k + 1) / 2 }) {
+            let off = f64::from(k) * thickness;
+            let [x, y] = if yaw == 0.0 { [heap[0] + off, heap[1]] } else { [heap[0], heap[1] + off] };
+            stops.extend([lift, low, lift].map(|z| (vec![x, y, z, yaw], 0)));
+        }
     }
-    stops.push((vec![ends[side], heap[1], z, 0.0], 0));
+    stops.push((vec![heap[0], heap[1], high, 0.0], 0));
     Path::new(stops)
 }
 
+/// How often the hand-written agent goes over the heap, and how.
+struct Lap {
+    /// How the scraper is turned [rad].
+    yaw: f64,
+    /// How far it goes to either side, by the heap's radius.
+    reach: f64,
+    /// How far above the mean height its lower side goes and is lifted, by the heap's height.
+    low: f64,
+    lift: f64,
+}
+
+const LAPS: [Lap; 2] =
+    [Lap { yaw: 0.0, reach: 0.75, low: 0.02, lift: 0.4 }, Lap { yaw: FRAC_PI_2, reach: 1.1, low: -0.05, lift: 0.32 }];
 /// Most that the scraper turns about the vertical in a control step [rad].
 const YAW: f64 = 0.02;
-/// Layers in which the hand-written agent takes the heap off.
-const PASSES: u32 = 3;
-/// From the scraper's middle to its sides along x, and to its lower edge [m].
-const BLADE: [f64; 2] = [0.02, 0.06];
 
 struct Smoothing {
-    effector: Effector,
-    view: View,
     horizon: u64,
-    /// Mean height of the surface [m].
-    mean: f64,
+    /// Height above which particles are counted [m].
+    threshold: f64,
     /// Particles above it at the start, and now.
     start: f64,
     above: f64,
-    path: Path,
 }
 
-impl Episode for Smoothing {
-    fn act(&mut self, world: &mut Simulation, action: &[f64]) -> Result<()> {
-        self.effector.act(world, action)
-    }
+impl Goal for Smoothing {
     fn watch(&self, world: &Simulation) -> Watch {
         let Aabb { min, max } = world.plan().scene.world_box();
-        let above = Region::Box { min: [min[0], min[1], self.mean], max };
-        self.view.watch(self.effector.position(world)).and_within(above)
+        Watch::default().and_within(Region::Box { min: [min[0], min[1], self.threshold], max })
     }
-    fn observe(&mut self, world: &Simulation, seen: &Seen) -> Result<Outcome> {
+    fn judge(&mut self, _world: &Simulation, _tool: &BodyState, seen: &Seen) -> Result<Verdict> {
         let above = seen.sums[0].count as f64;
         let loss = (above - self.above) / self.start;
         self.above = above;
-        let mut observation = self.view.numbers(world, seen);
-        observation.extend(self.effector.numbers(world)?);
         let left = above / self.start;
-        Ok(Outcome {
-            observation,
+        Ok(Verdict {
             reward: SCALE.reward(loss, self.horizon),
             success: left < LEFT,
-            terminated: false,
             info: vec![("share of the heap that is left", left)],
         })
-    }
-    fn heuristic(&mut self, world: &Simulation) -> Option<Vec<f64>> {
-        Some(self.path.next(&self.effector, world))
     }
 }

@@ -55,6 +55,11 @@ impl View {
         Watch { sample: self.sample.clone(), heights: self.points(agent), ..Watch::default() }
     }
 
+    /// How many heights of it are wanted.
+    pub(crate) fn heights(&self) -> usize {
+        self.reach.map_or(0, |_| MAP * MAP)
+    }
+
     /// The numbers of [`parts`](Self::parts).
     pub(crate) fn numbers(&self, world: &Simulation, seen: &Seen) -> Vec<f64> {
         let mut numbers = Vec::new();

@@ -1,8 +1,8 @@
 //! Inflow and outflow on this backend's stores; see `barchan_core::flow`.
 
 use crate::engine::CpuEngine;
-use barchan_core::{Error, Newcomer, ParticleList, Plan, Result, Spot};
-use barchan_grid::adapt::{IDS, Parcel};
+use barchan_core::{Newcomer, ParticleList, Plan, Result, Spot};
+use barchan_grid::adapt::Parcel;
 use barchan_grid::limits::LEAST_MASS;
 use barchan_grid::transfer::Scalar;
 use barchan_lanes::CHUNK;
@@ -43,18 +43,10 @@ impl<T: Scalar> CpuEngine<T> {
         next_id: &mut u64,
     ) -> Result<Vec<ParticleList>> {
         self.flush_strain(time, &vec![true; self.levels.len()])?;
-        let first = self.adapt.next_id.max(*next_id);
-        let asked = first + come.len() as u64;
-        if asked > IDS {
-            return Err(Error::Capacity {
-                what: "numbers for particles",
-                asked,
-                cap: IDS,
-                mend: "set source.limit or source.until, or raise world.cell",
-            });
-        }
-        (self.adapt.next_id, *next_id) = (asked, asked);
-        let lists = plan.newcomers(come, &self.adapt.regions, &mut first.clone());
+        let mend = "set source.limit or source.until, or raise world.cell";
+        let mut first = u64::from(self.adapt.new_ids(come.len() as u64, *next_id, mend)?);
+        *next_id = self.adapt.next_id;
+        let lists = plan.newcomers(come, &self.adapt.regions, &mut first);
         for list in lists.iter().filter(|list| !list.is_empty()) {
             let parcels: Vec<Parcel> = (0..list.len()).map(|i| Parcel::of(list, i)).collect();
             let level = &mut self.levels[list.level as usize];

@@ -10,7 +10,7 @@ use barchan_core::{Aabb, NearParticle, NodeBatch, Plan};
 use barchan_grid::block::{self, CELLS, NODES, NONE, SIDE, TILE};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::limits::{FULL_SPEED, greater};
-use barchan_grid::near::gather_block;
+use barchan_grid::near::{gather_block, is_near_block};
 use barchan_grid::ring::{self, Carried};
 use barchan_grid::transfer::{Fault, GridToParticles, ParticlesToGrid, Rates, Scalar, Step, Survey};
 use barchan_grid::wall::{Mirror, WallParts, Witness as _};
@@ -508,8 +508,12 @@ impl<T: Scalar> Level<T> {
         self.batch_block_of.resize(self.grid.keys.len(), NONE);
         self.batch_blocks.clear();
         batch.cell_width = self.store.cell_width;
-        for (g, (&key, nodes)) in self.grid.keys.iter().zip(&self.grid.nodes).enumerate() {
-            let first = block::of_key(key).map(|b| b * SIDE);
+        // Most blocks are far from all boxes: they are left out side by side.
+        let is_near = |&key: &u64| is_near_block(boxes, block::of_key(key).map(|b| b * SIDE), batch.cell_width);
+        let keys = self.grid.keys.par_iter().with_min_len(1 << 10);
+        let near: Vec<usize> = keys.enumerate().filter(|(_, key)| is_near(key)).map(|(g, _)| g).collect();
+        for g in near {
+            let (first, nodes) = (block::of_key(self.grid.keys[g]).map(|b| b * SIDE), &self.grid.nodes[g]);
             let mut numbers = [NodeBatch::NONE; CELLS];
             let so_far = batch.len();
             let mut shared =

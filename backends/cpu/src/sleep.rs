@@ -134,7 +134,7 @@ impl<T: Scalar> Level<T> {
             }
         }
         let h = self.store.cell_width;
-        for tool in couplings.iter().flat_map(|coupling| coupling.bounds()) {
+        for tool in couplings.iter().flat_map(|coupling| coupling.bounds()).filter(|one| !one.is_nothing()) {
             let [first, last] = near_tool(&tool, h);
             grid.within(first, last).for_each(|b| stir(rest, b));
         }

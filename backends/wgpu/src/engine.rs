@@ -5,8 +5,9 @@ use crate::device::probed::{crossed, exactly};
 use crate::readback::account;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::Clock;
-use barchan_core::backend::{Batch, Bound, NewWorld, Timing, WorldStep};
+use barchan_core::backend::{Batch, Bound, Look, Looked, NewWorld, Timing, WorldStep};
 use barchan_core::plan::PlannedMaterial;
+use barchan_core::task::Sampled;
 use barchan_core::{
     Aabb, Coupling, Crossed, Engine, Error, Fields, Ledger, ParticleState, Plan, Reading, Result, Sought, Spot,
     StepReport, Sums, Vec3,
@@ -98,6 +99,17 @@ impl Batch for Worlds {
         self.take_steps(dt, count, world_steps)
     }
 
+    fn upload(&mut self, states: Vec<(usize, ParticleState)>) -> Result<()> {
+        self.with(|batch| {
+            batch.settle()?;
+            batch.take_in(states)
+        })
+    }
+
+    fn look(&mut self, looks: &[Look<'_>]) -> Result<Vec<Looked>> {
+        self.with(|batch| batch.look_at(0, looks))
+    }
+
     fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
         self.with(|batch| batch.replace(world, new))
     }
@@ -181,14 +193,16 @@ impl Engine for WorldEngine {
     }
 
     fn sums(&self, materials: &[PlannedMaterial], sought: &[Sought]) -> Result<Vec<Sums>> {
-        self.shared.with(|batch| {
-            let mut sums = batch.sums(self.world, sought)?;
-            for list in batch.worlds[self.world].reach.iter().flat_map(Reach::archived) {
-                let planned = &materials[list.material as usize];
-                sums.iter_mut().zip(sought).try_for_each(|(sums, sought)| sums.add_list(sought, planned, &list))?;
-            }
-            Ok(sums)
-        })
+        let look = Look { materials, sought, sample: &[] };
+        let looked = self.shared.with(|batch| batch.look_at(self.world, &[look]))?;
+        Ok(looked.into_iter().flat_map(|(sums, _)| sums).collect())
+    }
+
+    fn sample(&self, counts: &[usize]) -> Vec<Sampled> {
+        let look = Look { materials: &[], sought: &[], sample: counts };
+        let looked = self.shared.with(|batch| batch.look_at(self.world, &[look]));
+        // Of a device that is lost nothing can be read; who asks is told by the check.
+        looked.unwrap_or_default().into_iter().flat_map(|(_, sample)| sample).collect()
     }
 
     fn crossed(&self) -> Result<Vec<Crossed>> {
@@ -200,10 +214,7 @@ impl Engine for WorldEngine {
     }
 
     fn upload(&mut self, particles: ParticleState) -> Result<()> {
-        self.shared.with(|batch| {
-            batch.settle()?;
-            batch.take_in(vec![(self.world, particles)])
-        })
+        Batch::upload(&mut self.shared, vec![(self.world, particles)])
     }
 
     fn particle_count(&self) -> usize {

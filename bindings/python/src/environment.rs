@@ -238,7 +238,7 @@ impl Environment {
     }
 
     /// Begins new episodes: in all worlds, or in those in `worlds` (a number or a list), with the same seeds as before or with `seeds`, one for each of them.
-    /// A seed that comes back costs a copy, a new one that the scene is made anew.
+    /// A scene that comes back costs a copy, together for all worlds; a new one, by a seed that changes it, is seeded.
     ///
     /// Returns the observations of all worlds, float32 of shape (worlds, numbers).
     #[pyo3(signature = (worlds=None, seeds=None))]
@@ -251,16 +251,16 @@ impl Environment {
         let mut inner = self.inner(py)?;
         let chosen = Simulation::chosen(worlds, self.worlds)?;
         let seeds = seeds.map(|seeds| self::seeds(seeds, chosen.len())).transpose()?;
-        for (i, &world) in chosen.iter().enumerate() {
-            let Inner { environment, recordings, ended, .. } = &mut *inner;
-            let seed = seeds.as_ref().map_or(environment.seed(world), |seeds| seeds[i]);
-            py.detach(|| environment.reset(world, seed)).map_err(|error| raised(py, error, Some(world)))?;
+        let Inner { environment, recordings, ended, .. } = &mut *inner;
+        let seed = |i: usize| seeds.as_ref().map_or_else(|| environment.seed(chosen[i]), |seeds| seeds[i]);
+        let episodes: Vec<(usize, u64)> = chosen.iter().enumerate().map(|(i, &world)| (world, seed(i))).collect();
+        py.detach(|| environment.reset(&episodes)).map_err(|error| raised(py, error, None))?;
+        for &(world, seed) in &episodes {
             let recording = &mut recordings[world];
             recording.actions.clear();
             recording.rewards.clear();
             (recording.seed, recording.success) = (seed, false);
             ended[world] = false;
-            py.check_signals()?;
         }
         if chosen.len() == self.worlds {
             inner.torn = false;

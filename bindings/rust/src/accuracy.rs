@@ -75,6 +75,7 @@ pub fn rung(scene: &Scene, cell: f64, levels: &Levels, spacing: Option<f64>) -> 
         let Some(bounds) = matches!(body.shape, Shape::Box { .. }).then(|| body.shape.bounds()).flatten() else {
             continue;
         };
+        let bounds = bounds.intersection(&rung.world_box());
         for (d, axis) in ["x", "y", "z"].into_iter().enumerate() {
             let count = (bounds.max[d] - bounds.min[d]) / spacing;
             if (count - count.round()).abs() > 1e-6 * count {

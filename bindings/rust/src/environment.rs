@@ -20,7 +20,7 @@ mod recording;
 pub use recording::Recording;
 
 use crate::worlds::Worlds;
-use barchan_core::task::{Episode, Limits, Outcome};
+use barchan_core::task::{Episode, Limits, Outcome, Seen, Watch};
 use barchan_core::{Error, Options, Registry, Result, Simulation, State, Task};
 use std::fmt;
 use std::time::Duration;
@@ -34,13 +34,13 @@ pub struct Environment {
     limits: Vec<Limits>,
     worlds: Worlds,
     players: Vec<Player>,
+    /// Worlds at the start of scenes that have come more than once.
+    starts: Vec<State>,
 }
 
 /// What is known of a world since its episode began.
 struct Player {
     episode: Box<dyn Episode>,
-    /// The world at its start, to go back to when its next episode begins with the same seed.
-    start: Option<(u64, State)>,
     seed: u64,
     /// Control steps taken.
     steps: u64,
@@ -88,20 +88,11 @@ impl Environment {
         let scenes = seeds.iter().map(|seed| task.scene(*seed)).collect::<Result<Vec<_>>>()?;
         let worlds = Worlds::new(registry, scenes, options)?;
         let start = |(world, &seed): (&Simulation, &u64)| {
-            Ok(Player {
-                episode: task.reset(world, seed)?,
-                start: None,
-                seed,
-                steps: 0,
-                clipped: 0,
-                seen: Outcome::default(),
-            })
+            Ok(Player { episode: task.reset(world, seed)?, seed, steps: 0, clipped: 0, seen: Outcome::default() })
         };
         let players = worlds.iter().zip(seeds).map(start).collect::<Result<Vec<_>>>()?;
-        let mut all = Self { limits: task.actions(), task, worlds, players };
-        for world in 0..seeds.len() {
-            all.look(world)?;
-        }
+        let mut all = Self { limits: task.actions(), task, worlds, players, starts: Vec::new() };
+        all.look(&(0..seeds.len()).collect::<Vec<_>>())?;
         Ok(all)
     }
 
@@ -153,39 +144,56 @@ impl Environment {
         self.players[world].episode.heuristic(self.worlds.world(world))
     }
 
-    /// Begins a new episode in a world.
+    /// Begins new episodes in some worlds, each with its seed. A scene that comes again is not seeded again: from its second start on, its state is kept.
     ///
     /// # Errors
-    /// The task's own, and those of [`Worlds::reset`]; the world is as it was then.
+    /// The task's own, and those of [`Worlds::reset`] and [`Worlds::restore`].
     ///
     /// # Panics
     /// If there is no such world.
-    pub fn reset(&mut self, world: usize, seed: u64) -> Result<()> {
-        let player = &mut self.players[world];
-        match &player.start {
-            Some((of, state)) if *of == seed => self.worlds.world_mut(world).set_state(state)?,
-            _ => {
-                let scene = self.task.scene(seed)?;
-                self.worlds.reset(world, Some(scene))?;
-                player.start = None;
+    pub fn reset(&mut self, episodes: &[(usize, u64)]) -> Result<()> {
+        let mut from_kept = Vec::new();
+        for &(world, seed) in episodes {
+            let scene = self.task.scene(seed)?;
+            let kept = self.starts.iter().position(|start| start.scene().difference(&scene).is_none());
+            if let Some(kept) = kept {
+                // Its world may have played in another scene before.
+                if self.worlds.world(world).is_of(&self.starts[kept]) {
+                    from_kept.push((world, kept));
+                    continue;
+                }
+            }
+            let is_again = self.worlds.world(world).plan().scene.difference(&scene).is_none();
+            self.worlds.reset(world, Some(scene))?;
+            if is_again && kept.is_none() && self.starts.len() < MOST_STARTS {
+                self.starts.push(self.worlds.world(world).state()?);
             }
         }
-        // A seed that comes back once may do so again: then its start is kept.
-        if player.start.is_none() && player.seed == seed {
-            player.start = Some((seed, self.worlds.world(world).state()?));
+        let states: Vec<_> = from_kept.iter().map(|&(world, kept)| (world, &self.starts[kept])).collect();
+        self.worlds.restore(&states)?;
+        for &(world, seed) in episodes {
+            let player = &mut self.players[world];
+            player.episode = self.task.reset(self.worlds.world(world), seed)?;
+            (player.seed, player.steps, player.clipped) = (seed, 0, 0);
         }
-        player.episode = self.task.reset(self.worlds.world(world), seed)?;
-        (player.seed, player.steps, player.clipped) = (seed, 0, 0);
-        self.look(world)
+        self.look(&episodes.iter().map(|(world, _)| *world).collect::<Vec<_>>())
     }
 
-    /// Sees a world at the start of its episode.
-    fn look(&mut self, world: usize) -> Result<()> {
-        let simulation = self.worlds.world(world);
-        let player = &mut self.players[world];
-        let seen = simulation.watch(&player.episode.watch(simulation))?;
-        player.seen = player.episode.observe(simulation, &seen)?;
+    /// Sees worlds at the start of their episodes.
+    fn look(&mut self, fresh: &[usize]) -> Result<()> {
+        let seen = self.watch();
+        for (w, seen) in seen.into_iter().enumerate().filter(|(w, _)| fresh.contains(w)) {
+            let player = &mut self.players[w];
+            player.seen = player.episode.observe(self.worlds.world(w), &seen?)?;
+        }
         Ok(())
+    }
+
+    /// What the task wants to see of each world.
+    fn watch(&mut self) -> Vec<Result<Seen>> {
+        let watches: Vec<Watch> =
+            self.worlds.iter().zip(&self.players).map(|(world, player)| player.episode.watch(world)).collect();
+        self.worlds.watch(&watches)
     }
 
     /// A control step of every world under its action. A world that fails keeps its error; the others have taken their step.
@@ -235,9 +243,7 @@ impl Environment {
 
     /// What came of the step in each world that has not failed.
     fn outcomes(&mut self, failed: Vec<Option<Error>>) -> Vec<Result<Step>> {
-        let watches: Vec<_> =
-            self.worlds.iter().zip(&self.players).map(|(world, player)| player.episode.watch(world)).collect();
-        let seen = self.worlds.watch(&watches);
+        let seen = self.watch();
         let horizon = self.task.horizon();
         let each = failed.into_iter().zip(seen).zip(self.worlds.iter().zip(&mut self.players));
         each.map(|((failed, seen), (world, player))| {
@@ -275,5 +281,7 @@ impl Environment {
     }
 }
 
+/// Most scenes whose start is kept: each takes about 300 bytes a particle.
+const MOST_STARTS: usize = 64;
 /// How long worlds are stepped before all are looked at.
 const SLICE: Duration = Duration::from_millis(250);

@@ -514,7 +514,7 @@ fn places(tool: &Tool, end: f64) -> Vec<Vec3> {
         Motion::Velocity { linear, .. } => {
             vec![tool.position, std::array::from_fn(|d| tool.position[d] + end * linear[d])]
         }
-        Motion::Fixed | Motion::Free { .. } => vec![tool.position],
+        Motion::Fixed | Motion::Free { .. } | Motion::Servo(_) => vec![tool.position],
     }
 }
 

@@ -24,7 +24,7 @@
 //! ```
 
 use barchan_core::task::{Seen, Watch};
-use barchan_core::{Error, Options, Registry, Result, Scene, Simulation, StepReport, Together};
+use barchan_core::{Error, Options, Registry, Result, Scene, Simulation, State, StepReport, Together};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::time::{Duration, Instant};
@@ -235,6 +235,22 @@ impl Worlds {
         }
         self.scenes[world] = scene;
         Ok(())
+    }
+
+    /// Lets worlds go on from states of their scenes, bit for bit; nothing is planned or seeded. Worlds that step together are laid out anew once for all.
+    ///
+    /// # Errors
+    /// Those of [`Simulation::set_state`].
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn restore(&mut self, states: &[(usize, &State)]) -> Result<()> {
+        match &mut self.machine {
+            Machine::Apart(simulations) => {
+                states.iter().try_for_each(|(world, state)| simulations[*world].set_state(state))
+            }
+            Machine::Together(together) => self.pool.install(|| together.restore(states)),
+        }
     }
 
     /// Puts a copy of one world in the place of another, scene and all: it goes on as the first one does, bit for bit, under the same actions and with

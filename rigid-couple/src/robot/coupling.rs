@@ -545,7 +545,7 @@ impl Coupling for Robots {
             .iter()
             .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)))
             .collect();
-        let answers = |tool: &&scene::Tool| matches!(tool.motion, Motion::Velocity { .. } | Motion::Free { .. });
+        let answers = |tool: &&scene::Tool| tool.answers() || matches!(tool.motion, Motion::Velocity { .. });
         let mut passed: Vec<&str> = self.scene.tool.iter().filter(answers).map(|tool| tool.name.as_str()).collect();
         if self.robots.len() > 1 {
             passed.push("one another");

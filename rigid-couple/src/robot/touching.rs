@@ -32,6 +32,8 @@ pub struct Obstacle {
     parts: Vec<(SharedShape, ParryPose)>,
     motion: Moves,
     friction: f64,
+    /// The tool that it is, if it comes or goes.
+    tool: Option<Tool>,
 }
 
 #[derive(Clone)]
@@ -88,7 +90,7 @@ impl Obstacle {
                     let (shape, path) = (shape()?, KeyframePath::new(frames, *interpolation, rotation)?);
                     all.push(Self::new(tool, &shape.clone(), Moves::Along(Box::new((path, shape)))));
                 }
-                Motion::Velocity { .. } | Motion::Free { .. } => {}
+                Motion::Velocity { .. } | Motion::Free { .. } | Motion::Servo(_) => {}
             }
         }
         Ok(all)
@@ -102,14 +104,15 @@ impl Obstacle {
             let end = if wall.inwards > 0.0 { &mut bounds.max } else { &mut bounds.min };
             end[wall.axis] = wall.place;
             let parts = vec![(wall.shape(), wall.pose())];
-            Self { parts, motion: Moves::Not(Pose::IDENTITY, bounds), friction: wall.friction }
+            Self { parts, motion: Moves::Not(Pose::IDENTITY, bounds), friction: wall.friction, tool: None }
         };
         solid_walls(world).into_iter().filter(before).map(obstacle).collect()
     }
 
     fn new(tool: &Tool, shape: &Sdf, motion: Moves) -> Self {
         let parts = shape.parts().iter().map(|part| solid(part, false)).collect();
-        Self { parts, motion, friction: friction_of(tool.contact) }
+        let comes_and_goes = tool.from > 0.0 || tool.until.is_some();
+        Self { parts, motion, friction: friction_of(tool.contact), tool: comes_and_goes.then(|| tool.clone()) }
     }
 
     /// As a step from `time` that takes `dt` [s] meets it.
@@ -251,6 +254,9 @@ impl Points {
         self.pairs.clear();
         let (nodes, mass) = (&mut self.nodes, HEAVY * mass);
         for obstacle in obstacles {
+            if obstacle.tool.as_ref().is_some_and(|tool| !tool.is_present(time)) {
+                continue;
+            }
             let Met { pose, twist, bounds, ahead } = obstacle.met([time, dt]);
             for (link, touches) in links.iter().zip(&mut self.touches) {
                 let ahead = link.ahead + ahead;

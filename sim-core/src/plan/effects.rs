@@ -3,7 +3,7 @@
 use super::{Effect, Plan, PlannedCoupling, SCENE_COUPLINGS, TOOL_COUPLING};
 use crate::flow::SINK_STEPS;
 use crate::levels::{Agent, TILE};
-use crate::scene::{Export, Leaving, Motion, PictureView, Probe, Wall, plain};
+use crate::scene::{Export, Leaving, Motion, PictureView, Probe, Tool, Wall, plain};
 
 use barchan_abi as abi;
 
@@ -168,14 +168,23 @@ impl Plan {
                 Motion::Keyframes { .. } => ("keyframes", "contact on nodes near it; path at every step"),
                 Motion::Velocity { .. } => ("velocity", "contact on nodes near it; moved at every step"),
                 Motion::Free { .. } => ("free", "contact on nodes near it; rigid-body step"),
+                Motion::Servo(_) => ("servo", "contact on nodes near it; moved along its axis"),
             };
-            add(format!("contact with tool {}", tool.name), format!("its motion is {motion}"), adds.to_owned());
+            let times = match (tool.from, tool.until) {
+                (0.0, None) => String::new(),
+                (from, None) => format!(", from {from} s on"),
+                (from, Some(until)) => format!(", from {from} s until {until} s"),
+            };
+            add(format!("contact with tool {}", tool.name), format!("its motion is {motion}{times}"), adds.to_owned());
         }
         if self.two_way() {
-            let free = scene.tool.iter().filter(|t| matches!(t.motion, Motion::Free { .. }));
+            let moves = |tool: &Tool| match tool.motion {
+                Motion::Servo(_) => format!("tool '{}' is pushed by a force", tool.name),
+                _ => format!("tool '{}' moves freely", tool.name),
+            };
             add(
                 "two-way coupling".to_owned(),
-                listed(free.map(|t| format!("tool '{}' moves freely", t.name))),
+                listed(scene.tool.iter().filter(|tool| tool.answers()).map(moves)),
                 "impulses of nodes summed on bodies".to_owned(),
             );
         }

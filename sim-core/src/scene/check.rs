@@ -6,10 +6,11 @@ mod levels;
 mod output;
 mod robot;
 mod terrain;
+mod tool;
 mod walls;
 mod zone;
 
-use super::{Body, Contact, Motion, Placed, Scene, Shape, Terrain, Tool, Wall, Walls};
+use super::{Body, Motion, Placed, Scene, Shape, Terrain, Tool, Wall, Walls};
 use crate::coupling::Aabb;
 use crate::levels::NESTING;
 use crate::{Error, Result, Vec3};
@@ -24,6 +25,8 @@ const MOST_CELLS: f64 = (1 << 30) as f64;
 pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
 /// Distances between particles, in cells.
 const SPACINGS: std::ops::RangeInclusive<f64> = 0.2..=1.0;
+/// No ground is pressed sideways that much more than by its weight.
+const MOST_K0: f64 = 10.0;
 /// More would make the coarsest cells 256 times as wide as the finest.
 const MOST_LEVELS: u32 = 8;
 /// Cells from a box's middle to its side: fewer leave no room between two levels, more than one level can be.
@@ -85,12 +88,12 @@ impl Shape {
     }
 
     /// Does it hold a shape of which that is true, or is it one?
-    fn any(&self, is: fn(&Self) -> bool) -> bool {
+    pub(super) fn any(&self, is: fn(&Self) -> bool) -> bool {
         is(self) || self.parts().iter().any(|part| part.shape.any(is))
     }
 
     /// Is it ground that has no mass: a plane or a terrain, or a union with one?
-    fn is_ground(&self) -> bool {
+    pub(super) fn is_ground(&self) -> bool {
         self.any(|shape| matches!(shape, Self::Plane { .. } | Self::Terrain(_)))
     }
 
@@ -147,6 +150,7 @@ impl Scene {
     pub fn check(&mut self) -> Result<()> {
         self.check_names()?;
         self.check_finite()?;
+        self.set_thickness()?;
         self.check_world()?;
         self.check_levels()?;
         self.check_sleep()?;
@@ -191,6 +195,7 @@ impl Scene {
                 ));
             }
             if let (Shape::Box { .. }, Some(b)) = (&body.shape, body.shape.bounds()) {
+                let b = b.intersection(&self.world_box());
                 let share = (0..3)
                     .map(|d| {
                         let n = (b.max[d] - b.min[d]) / self.spacing(body);
@@ -233,7 +238,7 @@ impl Scene {
         self.require(value > 0.0, path, format!("is {value}"), "must be above 0")
     }
 
-    fn not_negative(&self, path: &str, value: f64) -> Result<()> {
+    pub(super) fn not_negative(&self, path: &str, value: f64) -> Result<()> {
         self.require(value >= 0.0, path, format!("is {value}"), "must be 0 or above")
     }
 
@@ -246,7 +251,7 @@ impl Scene {
         (0..2).try_for_each(check)
     }
 
-    fn rises(&self, path: &str, before: f64, time: f64) -> Result<()> {
+    pub(super) fn rises(&self, path: &str, before: f64, time: f64) -> Result<()> {
         self.require(time > before, path, format!("is {time}, the one before is at {before}"), "times must rise")
     }
 
@@ -630,18 +635,27 @@ impl Scene {
         Ok(())
     }
 
-    /// Settled ground has a surface above each of its points, a weight along -z from the start, and rests.
+    /// Settled ground has a weight along -z from the start, and rests.
     fn check_settled(&self, path: &str, body: &Body) -> Result<()> {
+        if let Some(k0) = body.k0 {
+            let path = format!("{path}.k0");
+            self.require(
+                (0.0..=MOST_K0).contains(&k0),
+                &path,
+                format!("is {k0}"),
+                format!("must be from 0 to {MOST_K0}"),
+            )?;
+            self.require(
+                body.settled,
+                &path,
+                "is the share of the weight that presses sideways, and the body does not bear its weight from the start",
+                "set settled = true, or leave k0 out",
+            )?;
+        }
         if !body.settled {
             return Ok(());
         }
         let path = format!("{path}.settled");
-        self.require(
-            body.shape.is_layer(),
-            &path,
-            "asks how deep each particle lies, and this shape has no surface above each of its points",
-            "use a box, a height_field or a terrain, or leave settled out",
-        )?;
         let [x, y, z] = self.gravity;
         self.require(
             x == 0.0 && y == 0.0 && z <= 0.0,
@@ -667,7 +681,7 @@ impl Scene {
     pub(crate) fn check_inside(&self, path: &str, bounds: Aabb) -> Result<()> {
         let world = self.world_box().grown(WHOLE_CELL * self.world.cell);
         for (d, axis) in AXES.into_iter().enumerate() {
-            let [low, high] = self.world.walls.pair(d).map(|wall| self.clip && wall == Wall::Slip);
+            let [low, high] = self.world.walls.pair(d).map(|wall| self.cuts(d) && wall == Wall::Slip);
             self.require(
                 (low || world.min[d] <= bounds.min[d]) && (high || bounds.max[d] <= world.max[d]),
                 &format!("{path}.shape"),
@@ -681,7 +695,7 @@ impl Scene {
         Ok(())
     }
 
-    fn check_shape(&self, path: &str, shape: &Shape) -> Result<()> {
+    pub(super) fn check_shape(&self, path: &str, shape: &Shape) -> Result<()> {
         match shape {
             Shape::Box { min, max, half, center } => {
                 let path = format!("{path}.box");
@@ -788,76 +802,12 @@ impl Scene {
         )
     }
 
-    fn check_rotation(&self, path: &str, q: &[f64; 4]) -> Result<()> {
+    pub(super) fn check_rotation(&self, path: &str, q: &[f64; 4]) -> Result<()> {
         self.require(
             q.iter().map(|c| c * c).sum::<f64>() > 1e-12,
             path,
             "is the zero quaternion",
             "[1, 0, 0, 0] is no rotation",
-        )
-    }
-
-    fn check_tool(&self, path: &str, tool: &Tool) -> Result<()> {
-        self.check_shape(&format!("{path}.shape"), &tool.shape)?;
-        self.require(
-            !tool.shape.any(|shape| matches!(shape, Shape::Difference(_) | Shape::Intersection(_))),
-            &format!("{path}.shape"),
-            "differences and intersections are for soft bodies",
-            "use a union of shapes or a mesh",
-        )?;
-        self.check_rotation(&format!("{path}.rotation"), &tool.rotation)?;
-        if let Contact::Coulomb { friction } = tool.contact {
-            self.not_negative(&format!("{path}.contact.coulomb.friction"), friction)?;
-        }
-        match &tool.motion {
-            Motion::Fixed | Motion::Velocity { .. } => Ok(()),
-            Motion::Keyframes { frames, .. } => {
-                let path = format!("{path}.motion.keyframes.frames");
-                self.require(!frames.is_empty(), &path, "is empty", "give at least one keyframe")?;
-                for (i, frame) in frames.iter().enumerate() {
-                    let before = if i == 0 { f64::NEG_INFINITY } else { frames[i - 1].time };
-                    self.rises(&format!("{path}[{i}].time"), before, frame.time)?;
-                    if let Some(rotation) = &frame.rotation {
-                        self.check_rotation(&format!("{path}[{i}].rotation"), rotation)?;
-                    }
-                }
-                Ok(())
-            }
-            Motion::Free { mass, restitution, .. } => {
-                let path = format!("{path}.motion.free");
-                self.positive(&format!("{path}.mass"), *mass)?;
-                self.require(
-                    (0.0..=1.0).contains(restitution),
-                    &format!("{path}.restitution"),
-                    format!("is {restitution}"),
-                    "must be from 0 to 1",
-                )?;
-                self.require(
-                    !tool.shape.is_ground(),
-                    &path,
-                    "planes and terrains are ground, which cannot move freely",
-                    "use a box, or motion = \"fixed\"",
-                )
-            }
-        }
-    }
-
-    /// A tool must reach into the world at its start or, if it has them, at some keyframe.
-    fn check_tool_place(&self, path: &str, tool: &Tool) -> Result<()> {
-        let Some(bounds) = tool.shape.bounds() else { return Ok(()) };
-        let (key, poses) = match &tool.motion {
-            Motion::Keyframes { frames, .. } => (
-                "motion.keyframes.frames",
-                frames.iter().map(|f| (f.position, f.rotation.unwrap_or(tool.rotation))).collect(),
-            ),
-            _ => ("position", vec![(tool.position, tool.rotation)]),
-        };
-        let world = self.world_box();
-        self.require(
-            poses.iter().any(|&(position, rotation)| posed_bounds(bounds, position, rotation).meets(&world)),
-            &format!("{path}.{key}"),
-            format!("tool '{}' is outside the world, from {:?} to {:?}", tool.name, world.min, world.max),
-            "move the tool, or widen world.min and world.max",
         )
     }
 

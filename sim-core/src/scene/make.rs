@@ -1,12 +1,13 @@
 //! Scenes in code: constructors that take what a scene file must say. All else is as a file leaves it, and every field can be set.
 
 use super::{
-    Body, Contact, CouplingSpec, Keyframe, MaterialSpec, Motion, Motor, Placed, Robot, Scene, Shape, Surface, Terrain,
-    Time, Tool, Wall, Walls, Within, World, Zone, no_rotation, one,
+    Body, Contact, CouplingSpec, Keyframe, MaterialSpec, Motion, Motor, Placed, Robot, Scene, Servo, Shape, Surface,
+    Terrain, Time, Tool, Wall, Walls, Within, World, Zone, no_rotation, one,
 };
 use crate::Vec3;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
+use std::ops::Range;
 use std::path::PathBuf;
 
 /// What is left of a table that says only what it must: so defaults stand in one place, with the keys of the file.
@@ -295,6 +296,17 @@ impl Tool {
     #[must_use]
     pub fn free(self, mass: f64) -> Self {
         Self { motion: Motion::Free { mass, linear: [0.0; 3], angular: [0.0; 3], restitution: 0.0 }, ..self }
+    }
+    /// There from one time to another [s].
+    #[must_use]
+    pub fn during(self, times: Range<f64>) -> Self {
+        Self { from: times.start, until: times.end.is_finite().then_some(times.end), ..self }
+    }
+    /// Pushed along an axis by a force [N] and held in all other directions.
+    #[must_use]
+    pub fn pushed(self, axis: Vec3, force: f64) -> Self {
+        let servo = Servo { force: Some(force), ..with_defaults(json!({ "axis": axis })) };
+        Self { motion: Motion::Servo(servo), ..self }
     }
     /// Moving in another way.
     #[must_use]

@@ -1,6 +1,7 @@
 //! Reading scenes: TOML text, overrides, and errors that know file, line and key path.
 
 use super::Scene;
+use super::plane::complete;
 use crate::{Error, Result, snapshot};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -201,6 +202,7 @@ impl Scene {
             source.overridden(&path);
             source.overrides.push(text.as_ref().to_owned());
         }
+        complete(&mut value);
         let mut scene: Self = serde_path_to_error::deserialize(value).map_err(|e| explain(&e, &source))?;
         scene.folder = folder.to_owned();
         scene.source = Arc::new(source);

@@ -50,7 +50,7 @@ pub(crate) struct Moment {
     pub(crate) carried: Ledger,
     pub(crate) particles: ParticleState,
     /// Name and bytes of each coupling.
-    pub(crate) couplings: Vec<(String, Vec<u8>)>,
+    pub(crate) couplings: Saved,
 }
 
 impl Moment {
@@ -127,21 +127,42 @@ impl Simulation {
     /// # Errors
     /// [`Error::Body`] if it is a state of another scene or number format, or of couplings of another version; everything is as before then.
     pub fn set_state(&mut self, state: &State) -> Result<()> {
+        let before = self.take_couplings(state)?;
+        if let Err(error) = self.engine.upload(self.particles_of(state)) {
+            self.put_back(&before)?;
+            return Err(error);
+        }
+        self.take_rest(state);
+        Ok(())
+    }
+
+    /// First, couplings as a state has them; returns what they were.
+    pub(crate) fn take_couplings(&mut self, state: &State) -> Result<Saved> {
         if let Some(what) = self.differs(state) {
             return Err(unfit(what, "make a simulation of the state by Simulation::from_state"));
         }
-        let before: Vec<_> = self.couplings.iter().map(|c| (c.name().to_owned(), c.save())).collect();
-        let moment = &state.moment;
-        let taken = restore(&mut self.couplings, &moment.couplings)
-            .map_err(|(what, mend)| unfit(what, mend))
-            .and_then(|()| self.engine.upload(moment.particles_for(&self.backend)));
-        if let Err(error) = taken {
-            restore(&mut self.couplings, &before).map_err(|(what, mend)| unfit(what, mend))?;
-            return Err(error);
+        let before: Saved = self.couplings.iter().map(|c| (c.name().to_owned(), c.save())).collect();
+        if let Err((what, mend)) = restore(&mut self.couplings, &state.moment.couplings) {
+            self.put_back(&before)?;
+            return Err(unfit(what, mend));
         }
-        self.engine.carry_on(&moment.carried);
-        self.take_up(moment);
-        Ok(())
+        Ok(before)
+    }
+
+    /// The state's particles, as the engine takes them.
+    pub(crate) fn particles_of(&self, state: &State) -> ParticleState {
+        state.moment.particles_for(&self.backend)
+    }
+
+    /// Couplings as they were.
+    pub(crate) fn put_back(&mut self, before: &Saved) -> Result<()> {
+        restore(&mut self.couplings, before).map_err(|(what, mend)| unfit(what, mend))
+    }
+
+    /// Last, once the engine has the particles, all else.
+    pub(crate) fn take_rest(&mut self, state: &State) {
+        self.engine.carry_on(&state.moment.carried);
+        self.take_up(&state.moment);
     }
 
     /// Is it a state of the same scene, in the same number format?
@@ -282,6 +303,9 @@ impl Simulation {
         self.watch = None;
     }
 }
+
+/// What couplings have saved, by their names.
+pub(crate) type Saved = Vec<(String, Vec<u8>)>;
 
 /// Why couplings cannot be restored, and what would mend it.
 type Unfit = (String, &'static str);

@@ -1,5 +1,7 @@
 //! Drawing scenes from their declarations.
 
+mod laboratory;
+
 use crate::scenes::Noise;
 use barchan::parameter::{Kind, Parameter, Range};
 use barchan::{Registry, Scene};
@@ -129,9 +131,19 @@ impl Generator {
         if let Some(keys) = schema["properties"].as_object_mut() {
             ["robot", "source", "sink", "clip", "probe"].iter().for_each(|key| drop(keys.remove(*key)));
         }
-        // So do boxes of levels, and what is seldom asked of bodies.
-        for (of, key) in [("Levels", "box"), ("Body", "velocity_gradient")] {
+        // So do boxes of levels, and what is seldom asked of bodies, tools and the world: see `laboratory`.
+        for (of, key) in [
+            ("Levels", "box"),
+            ("Body", "velocity_gradient"),
+            ("Body", "k0"),
+            ("Tool", "from"),
+            ("Tool", "until"),
+            ("World", "plane_strain"),
+        ] {
             schema["$defs"][of]["properties"].as_object_mut().map(|keys| keys.remove(key));
+        }
+        if let Some(motions) = schema["$defs"]["Motion"]["oneOf"].as_array_mut() {
+            motions.retain(|motion| motion["properties"].get("servo").is_none());
         }
         Self { schema, laws, couplings, tasks }
     }
@@ -209,6 +221,7 @@ impl Generator {
                 levels.insert("box".to_owned(), Value::Array(vec![Value::Table(ends.into_iter().collect())]));
             }
         }
+        laboratory::add(&mut scene, &mut frame);
         if frame.is(0.3) {
             let count = 1 + frame.below(3);
             let probes = (0..count).map(|i| Value::Table(probe(i, &scene, &mut frame))).collect();

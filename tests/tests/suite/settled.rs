@@ -33,12 +33,17 @@ fn fastest(s: &mut Simulation, time: f64) -> f64 {
     fastest
 }
 
-/// Vertical Kirchhoff stress of a particle of a Hencky law [Pa].
-fn stress(r: &Row, young: f64, poisson: f64) -> f64 {
+/// Kirchhoff stress of a particle of a Hencky law along an axis [Pa].
+fn stress_along(axis: usize, r: &Row, young: f64, poisson: f64) -> f64 {
     let mu = 0.5 * young / (1.0 + poisson);
     let lambda = 2.0 * mu * poisson / (1.0 - 2.0 * poisson);
     let log: f64 = r.strain[..3].iter().map(|b| 0.5 * b.ln()).sum();
-    lambda * log + mu * r.strain[2].ln()
+    lambda * log + mu * r.strain[axis].ln()
+}
+
+/// The same along z.
+fn stress(r: &Row, young: f64, poisson: f64) -> f64 {
+    stress_along(2, r, young, poisson)
 }
 
 /// Symptom: every bed falls into itself when gravity sets in, and what is measured in the first second is its bounce.
@@ -95,6 +100,55 @@ fn settled_ground_carries_the_weight_above_it() {
     }
 }
 
+/// Ground with a given K0 rests: after 0.2 s its stresses are what they were, and nothing moves. Two layers, of which the upper one is twice as heavy, press the
+/// more below; walls are what holds the sides.
+#[test]
+fn ground_rests_with_a_given_k0() {
+    let (young, poisson) = (1e6, 0.3);
+    let walls = ["x_min", "x_max", "y_min", "y_max", "z_min"].map(|side| format!("{side} = \"slip\"\n")).concat();
+    let parameters = format!("young_modulus = {young}, poisson_ratio = {poisson}");
+    let sand = parameters.clone() + ", friction_angle_deg = 35.0";
+    for (name, k0) in [("sand", 0.5), ("sand", 1.0), ("sand", 1.5), ("hencky", 0.2)] {
+        let of = if name == "sand" { &sand } else { &parameters };
+        let heavy = material(name, 2000.0, of).replacen(name, "heavy", 1);
+        let layers = format!("settled = true\nk0 = {k0}\nzone = [{{ material = \"{name}\", below = 0.05 }}]");
+        let text = Head::cells(CELL, [8, 8, 16], &walls).with(&[
+            material(name, 1000.0, of),
+            heavy,
+            block("heavy", [0.0; 3], [0.08, 0.08, DEPTH], &layers),
+        ]);
+        let mut s = simulation(&text, Precision::F32);
+        let worst = |s: &Simulation| {
+            let off = |r: &Row| {
+                let weight = 9.81 * (2000.0 * (DEPTH - r.x[2].max(0.05)) + 1000.0 * (0.05 - r.x[2]).max(0.0));
+                let off = |axis, share: f64| (stress_along(axis, r, young, poisson) + share * weight).abs();
+                off(0, k0).max(off(1, k0)).max(off(2, 1.0))
+            };
+            rows(s).iter().map(off).fold(0.0, f64::max) / (9.81 * 150.0)
+        };
+        within(&format!("{name}, K0 {k0}: stress at the start off, over the greatest"), worst(&s), 2e-3);
+        let speed = fastest(&mut s, 0.2);
+        within(&format!("{name}, K0 {k0}: greatest speed until 0.2 s [m/s]"), speed, 1e-3);
+        within(&format!("{name}, K0 {k0}: stress after 0.2 s, likewise"), worst(&s), 0.02);
+    }
+}
+
+/// What has no surface to ask for is settled, too: a round column of rubber stands by itself, without a sound, if its sides bear nothing, as the sides of a
+/// free column do; a ball between plates would not.
+#[test]
+fn a_round_column_stands_by_itself() {
+    let column = |keys: &str| {
+        let shape = "cylinder = { center = [0.16, 0.16, 0.1], radius = 0.06, half_height = 0.1 }";
+        Head::cells(CELL, [32, 32, 24], "z_min = \"slip\"").with(&[
+            material("hencky", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3"),
+            body("hencky", shape, keys),
+        ])
+    };
+    let [falls, stands] =
+        ["", "settled = true\nk0 = 0.0"].map(|keys| fastest(&mut simulation(&column(keys), Precision::F32), 0.1));
+    within("speed of a column at rest over that of one that falls into itself", stands / falls, 0.03);
+}
+
 /// What cannot start at rest is refused, with the key and what would mend it.
 #[test]
 fn what_cannot_settle_is_refused_by_name() {
@@ -119,10 +173,21 @@ fn what_cannot_settle_is_refused_by_name() {
             }
         }
     }
-    let ball = Head::space(CELL)
-        .with(&[material("sand", 1000.0, ""), body("sand", "sphere = { radius = 0.1 }", "settled = true")]);
-    let error = Scene::from_str(&ball, "ball", "").unwrap_err().to_string();
-    assert!(error.contains("body[0].settled") && error.contains("use a box, a height_field or a terrain"), "{error}");
+    for (keys, what) in
+        [("settled = true\nk0 = -0.1", "must be from 0 to 10"), ("k0 = 0.5", "set settled = true, or leave k0 out")]
+    {
+        let ball =
+            Head::space(CELL).with(&[material("sand", 1000.0, ""), body("sand", "sphere = { radius = 0.1 }", keys)]);
+        let error = Scene::from_str(&ball, "ball", "").unwrap_err().to_string();
+        assert!(error.contains("body[0].k0") && error.contains(what), "{error}");
+    }
+    // A cone bears only so much less on its sides, and a liquid nothing but the same.
+    for (law, k0) in [("sand", 0.1), ("liquid", 0.5)] {
+        let mut tilted = scene(&bed(law, "", true));
+        tilted.set(&[format!("body[0].k0={k0}")]).unwrap();
+        let error = Simulation::new(&barchan::registry(), &tilted, &options(Precision::F32)).unwrap_err().to_string();
+        assert!(error.contains("body[0].k0") && error.contains("does not bear"), "{error}");
+    }
     let soft = scene(&bed("neo_hookean", "young_modulus = 100.0, poisson_ratio = 0.0", true));
     refused(&soft, "does not carry the");
 }

@@ -3,7 +3,7 @@
 use crate::device::Gpu;
 use crate::device::kernel::{FIRST_BINDING, Found, Kernel, Parts, Role, Sorted, Uniform};
 use crate::device::layout::{ENTRY, RECORD, ROUNDS, vectors_for};
-use crate::device::probed::{CROSSED, HEAD, PLACE, SUMMED};
+use crate::device::probed::{CROSSED, PLACE};
 use barchan_core::coupling::{DeviceBody, DeviceGroup};
 use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
@@ -114,9 +114,9 @@ pub(crate) struct Asked {
     /// Does ground sleep, and how many boxes of a layer are there that it does not sleep in?
     pub(crate) sleeps: bool,
     pub(crate) tools: usize,
-    /// Sections of probes in each world, and regions that are asked about at once.
+    /// Sections of probes in each world, and words with which worlds are looked at.
     pub(crate) sections: usize,
-    pub(crate) regions: usize,
+    pub(crate) sought: usize,
 }
 
 /// Is what couplings' laws read stored? A uniform holds so much everywhere, and not what differs from world to world.
@@ -382,11 +382,8 @@ impl Extent {
             }
             Role::Groups => 12 * (Found::ALL * asked.layers) as u64,
             Role::Crossed => 4 * (asked.sections * (PLACE * asked.layers + CROSSED * asked.worlds)) as u64,
-            Role::Sought if asked.regions > 0 => {
-                let levels = asked.layers / asked.worlds.max(1);
-                4 * (HEAD + asked.regions * (PLACE * levels + 4 * SUMMED)) as u64
-            }
-            Role::Sought | Role::Listed | Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
+            Role::Sought => 4 * asked.sought as u64,
+            Role::Listed | Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
         }
     }
 
@@ -656,12 +653,12 @@ impl Memory {
         self.grow(gpu, extent)
     }
 
-    /// Makes room for so many regions to be asked about.
-    pub(crate) fn add_regions(&mut self, gpu: &Gpu, regions: usize) -> Result<()> {
-        if regions <= self.asked.regions {
+    /// Makes room for so many words with which worlds are looked at.
+    pub(crate) fn add_sought(&mut self, gpu: &Gpu, words: usize) -> Result<()> {
+        if words <= self.asked.sought {
             return Ok(());
         }
-        self.asked.regions = regions;
+        self.asked.sought = words.next_power_of_two();
         let extent = self.extent;
         self.grow(gpu, extent)
     }

@@ -8,9 +8,10 @@ use barchan_core::{Plan, Vec3};
 pub(crate) const PLACE: usize = 16;
 pub(crate) const CROSSED: usize = 48;
 pub(crate) const HEAD: usize = 16;
-/// Numbers that are summed over a region, and regions that are asked about at once.
+/// Numbers that are summed over a region.
 pub(crate) const SUMMED: usize = 13;
-pub(crate) const REGIONS: usize = 16;
+/// Words of a particle that is sampled; see `sample.wgsl`.
+pub(crate) const SAMPLED: usize = 12;
 
 /// Kinds of places; the third is an upright cylinder.
 const SQUARE: u32 = 0;
@@ -58,8 +59,8 @@ pub(crate) fn sections(plan: &Plan, level: usize) -> Vec<u32> {
     Crossing::all(plan).into_iter().flat_map(words).collect()
 }
 
-/// Regions as a level has them, [`REGIONS`] of them.
-pub(crate) fn regions(sought: &[Sought], level: usize, h: f64) -> Vec<u32> {
+/// Regions as a level has them, `count` of them: where nothing is sought, nothing is found.
+pub(crate) fn regions(sought: &[Sought], count: usize, level: usize, h: f64) -> Vec<u32> {
     let words = |one: &Sought| {
         let (middle, half) = one.region.middle();
         let kind = match one.region {
@@ -70,7 +71,8 @@ pub(crate) fn regions(sought: &[Sought], level: usize, h: f64) -> Vec<u32> {
         place(middle, half, kind, one.filter, [0.0; 3], (level as u32, h))
     };
     let mut words: Vec<u32> = sought.iter().flat_map(words).collect();
-    words.resize(REGIONS * PLACE, 0);
+    let nothing = place([0.0; 3], [0.0; 3], NOWHERE, Filter::default(), [0.0; 3], (level as u32, h));
+    words.extend(std::iter::repeat_n(nothing, count - sought.len()).flatten());
     words
 }
 

@@ -1,6 +1,5 @@
 //! What crosses the sections of probes, and sums over regions.
 
-use crate::device::probed::REGIONS;
 use crate::passes::binding::{
     CELLS, Draft, Groups, IDS, LISTS, OWNERS, RECORD, REST, Role, STATUS, Uniform, Use, blocks,
 };
@@ -34,7 +33,7 @@ pub(crate) fn flux(plan: &Plan, sleeps: bool) -> Draft {
 /// Sums over regions, between steps.
 pub(crate) fn sums(materials: &[PlannedMaterial]) -> Draft {
     let probed: Use = ("probed", "atomic<u32>", Role::Sought, true);
-    let mut text = format!("const REGIONS: u32 = {REGIONS}u;\nfn has_def_grad(law: u32) -> bool {{ switch law {{ ");
+    let mut text = "fn has_def_grad(law: u32) -> bool { switch law { ".to_owned();
     for (law, planned) in materials.iter().enumerate() {
         let _ = write!(text, "case {law}u: {{ return {}; }} ", planned.material.strain_planes() == 9);
     }
@@ -44,6 +43,19 @@ pub(crate) fn sums(materials: &[PlannedMaterial]) -> Draft {
         entry: "sum_regions",
         body: [&text, DIGITS, PROBED, include_str!("../wgsl/sums.wgsl")].concat(),
         uses: vec![RECORD, REST, IDS, LISTS, CELLS, probed],
+        uniform: Uniform::None,
+        groups: Groups::Blocks,
+        checked: true,
+    }
+}
+
+/// Copies what is asked for of single particles, between steps.
+pub(crate) fn sample() -> Draft {
+    Draft {
+        name: "sample",
+        entry: "sample",
+        body: include_str!("../wgsl/sample.wgsl").to_owned(),
+        uses: vec![RECORD, LISTS, CELLS, ("sampled", "u32", Role::Sought, true)],
         uniform: Uniform::None,
         groups: Groups::Blocks,
         checked: true,

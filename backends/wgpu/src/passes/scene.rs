@@ -7,7 +7,7 @@ use crate::passes::laws::is_asked_on_device;
 use crate::passes::since_sort::most_drift;
 use barchan_core::levels::{Agent, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::scene::{Motion, Wall};
+use barchan_core::scene::{Tool, Wall};
 use barchan_core::{Plan, Stage};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::due::ON_DEVICE;
@@ -21,9 +21,9 @@ pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
     vectors_for(most.unwrap_or(6))
 }
 
-/// Free bodies in each world of a scene.
+/// Tools in each world of a scene that answer the ground.
 pub(crate) fn free_bodies(plan: &Plan) -> usize {
-    plan.scene.tool.iter().filter(|tool| matches!(tool.motion, Motion::Free { .. })).count()
+    plan.scene.tool.iter().filter(|tool| tool.answers()).count()
 }
 
 /// Vectors of four that hold a world's material parameters.
@@ -66,9 +66,7 @@ pub(crate) fn has_mirrors(plan: &Plan) -> bool {
 /// where, on levels, no step is halted any more once the grid update has come. If a body comes near walls after all, another pass does it again.
 pub(crate) fn mirrors_early(plan: &Plan) -> bool {
     let fits = if plan.cell_widths.len() > 1 {
-        plan.substeps > 1
-            && plan.scene.robot.is_empty()
-            && plan.scene.tool.iter().all(|tool| matches!(tool.motion, Motion::Free { .. }))
+        plan.substeps > 1 && plan.scene.robot.is_empty() && plan.scene.tool.iter().all(Tool::answers)
     } else {
         !plan.has(Stage::CONTACT)
     };

@@ -54,8 +54,8 @@ pub(crate) struct WgpuBatch {
     /// Time in splitting and merging on the host, and how often.
     pub(crate) adapt_seconds: (f64, u64),
     pub(crate) contact: Contact,
-    /// The pass that sums over regions, once anybody has asked.
-    pub(crate) sums: Option<Kernel>,
+    /// The passes that sum over regions and copy single particles, once anybody has asked.
+    pub(crate) lookers: Option<[Kernel; 2]>,
 }
 
 impl WgpuBatch {
@@ -106,7 +106,7 @@ impl WgpuBatch {
             contact_seconds: (0.0, 0),
             adapt_seconds: (0.0, 0),
             contact: Contact::default(),
-            sums: None,
+            lookers: None,
         };
         plans.iter().enumerate().for_each(|(world, plan)| batch.write_sections(world, plan));
         batch.take_in(worlds.into_iter().map(|world| world.particles).enumerate().collect())?;

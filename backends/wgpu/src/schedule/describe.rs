@@ -7,7 +7,7 @@ use crate::passes::bodies::answer_draft;
 use crate::passes::couplings::Laws;
 use crate::passes::drafts;
 use crate::passes::laws::is_asked_on_host;
-use crate::passes::probes::sums;
+use crate::passes::probes::{sample, sums};
 use crate::passes::scene::{free_bodies, may_sleep, rest_vectors};
 use crate::schedule::{ContactPasses, passes};
 use barchan_core::{Plan, Result, Stage};
@@ -34,6 +34,10 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     lines.push(line("after an upload", &set.stress));
     if plan.scene.probe.iter().any(|probe| probe.within.is_some()) {
         lines.push(line("for probes of regions", &sums(&plan.materials)));
+    }
+    if plan.scene.task.is_some() {
+        lines.push(line("for what a task wants to see", &sums(&plan.materials)));
+        lines.push(line("for what a task wants to see", &sample()));
     }
     for planned in plan.materials.iter().filter(|planned| is_asked_on_host(planned)) {
         let megabytes = 16.0 * rest_vectors(&plan.materials) as f64 * plan.particle_count as f64 / 1e6;

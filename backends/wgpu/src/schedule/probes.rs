@@ -1,14 +1,18 @@
 //! What probes ask of the device.
 
 use crate::device::kernel::Role;
+use crate::device::layout;
 use crate::device::memory::read;
-use crate::device::probed::{CROSSED, Exact, HEAD, PLACE, REGIONS, SUMMED, crossed_of, regions, sections, sums_of};
+use crate::device::probed::{CROSSED, Exact, HEAD, PLACE, SAMPLED, SUMMED, crossed_of, regions, sections, sums_of};
 use crate::passes::binding::build;
-use crate::passes::probes::sums;
+use crate::passes::probes::{sample, sums};
 use crate::schedule::Dispatch;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::Size;
-use barchan_core::{Plan, Result, Sought, Sums};
+use barchan_core::backend::{Look, Looked};
+use barchan_core::task::{Sampled, chosen};
+use barchan_core::{Plan, Result, Sought};
+use barchan_grid::archive::Reach;
 
 impl WgpuBatch {
     /// Tells the device where a world's sections are, as each of its levels has them.
@@ -46,41 +50,103 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// Sums over the particles of a world in regions.
-    pub(crate) fn sums(&mut self, world: usize, sought: &[Sought]) -> Result<Vec<Sums>> {
-        self.memory.add_regions(&self.gpu, REGIONS)?;
-        if self.sums.is_none() {
-            let (draft, kernels) = (sums(&self.worlds[world].materials), &self.kernels);
-            self.sums = Some(build(&self.gpu, &kernels.step_layout, &kernels.setting, self.worlds.len(), draft));
+    /// Looks at worlds that follow one another; what lies in the archive of ground out of reach is summed, too.
+    pub(crate) fn look_at(&mut self, first: usize, looks: &[Look<'_>]) -> Result<Vec<Looked>> {
+        let asked: Vec<_> = looks.iter().map(|look| (look.sought, look.sample)).collect();
+        let mut looked = self.look(first, &asked)?;
+        for ((look, (sums, _)), world) in looks.iter().zip(&mut looked).zip(&self.worlds[first..]) {
+            if look.sought.is_empty() {
+                continue;
+            }
+            for list in world.reach.iter().flat_map(Reach::archived) {
+                let planned = &look.materials[list.material as usize];
+                sums.iter_mut().zip(look.sought).try_for_each(|(sums, one)| sums.add_list(one, planned, &list))?;
+            }
         }
-        let mut found = Vec::with_capacity(sought.len());
-        for some in sought.chunks(REGIONS) {
-            found.extend(self.sums_of_some(world, some)?);
-        }
-        Ok(found)
+        Ok(looked)
     }
 
-    /// The same for as many regions as there is room for.
-    fn sums_of_some(&mut self, world: usize, sought: &[Sought]) -> Result<Vec<Sums>> {
-        let levels = &self.worlds[world].levels;
-        let blocks = levels[0].blocks.start..levels.last().map_or(0, |level| level.blocks.end);
+    /// Looks at live ground, in one submission: for each, sums over regions and a sample of particles, so many of each level.
+    pub(crate) fn look(&mut self, first: usize, asked: &[(&[Sought], &[usize])]) -> Result<Vec<Looked>> {
+        let worlds = &self.worlds[first..first + asked.len()];
+        let regions_each = asked.iter().map(|(sought, _)| sought.len()).max().unwrap_or_default();
+        let layers = asked.len() * self.levels;
+        let blocks = match (worlds.first(), worlds.last()) {
+            (Some(first), Some(last)) => {
+                first.levels[0].blocks.start..last.levels.last().map_or(0, |level| level.blocks.end)
+            }
+            _ => return Ok(Vec::new()),
+        };
         let mut words = vec![0; HEAD];
-        words[..4].copy_from_slice(&[blocks.start as u32, blocks.end as u32, 0, sought.len() as u32]);
-        words[2] = (world * self.levels) as u32;
-        words.extend(levels.iter().enumerate().flat_map(|(l, level)| regions(sought, l, level.h)));
-        let at = words.len();
-        words.resize(at + 4 * SUMMED * REGIONS, 0);
-        self.gpu.queue.write_buffer(self.memory.buffer(Role::Sought, 0), 0, bytemuck::cast_slice(&words));
-        let (count, row) = (blocks.len() as u32, self.memory.extent.row);
-        if let Some(kernel) = self.sums.as_ref().filter(|_| count > 0) {
-            let dispatch = Dispatch { kernel, now: self.memory.now, step: 0, end: self.levels };
-            let size = Size::Known(count.min(row), count.div_ceil(row));
-            let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            Self::encode(&self.gpu, &mut encoder, &mut self.memory, &[(&dispatch, size)], None);
-            self.gpu.queue.submit([encoder.finish()]);
+        for (world, (sought, _)) in worlds.iter().zip(asked) {
+            words.extend(
+                world.levels.iter().enumerate().flat_map(|(l, level)| regions(sought, regions_each, l, level.h)),
+            );
         }
-        let sums: Vec<u32> =
-            read(&self.gpu, self.memory.buffer(Role::Sought, 0), 4 * at as u64, 4 * SUMMED * sought.len())?;
-        Ok(sums.chunks_exact(4 * SUMMED).map(sums_of).collect())
+        let sums_at = words.len();
+        let sums_each = 4 * SUMMED * regions_each;
+        words.resize(sums_at + sums_each * asked.len(), 0);
+        let samples_at = words.len();
+        let mut samples = Vec::with_capacity(asked.len());
+        for (world, (_, counts)) in worlds.iter().zip(asked) {
+            let present: Vec<usize> = world.levels.iter().map(|level| level.particles.len()).collect();
+            let wanted = chosen(counts, &present);
+            for &(l, number) in &wanted {
+                let level = &world.levels[l];
+                let given = [level.particles.start + number, level.blocks.start, level.blocks.end];
+                words.extend(given.map(|word| word as u32));
+                words.resize(words.len() + SAMPLED - given.len(), 0);
+            }
+            samples.push(wanted);
+        }
+        let sample_count = samples.iter().map(Vec::len).sum::<usize>();
+        let layer = first * self.levels;
+        let head = [blocks.start, blocks.end, layer, regions_each, layers, samples_at, sample_count];
+        words.iter_mut().zip(head).for_each(|(word, given)| *word = given as u32);
+        let groups_of_sample = sample_count.div_ceil(64);
+        let groups = [if regions_each > 0 { blocks.len() } else { 0 }, groups_of_sample];
+        let found = self.look_for(&words, sums_at, groups.map(|count| count as u32))?;
+        let (sums, sampled) = found.split_at(samples_at - sums_at);
+        let mut sampled = sampled.chunks_exact(SAMPLED);
+        let of_world = |((w, (sought, _)), wanted): ((usize, &(&[Sought], &[usize])), &Vec<(usize, usize)>)| {
+            let own = sums[sums_each * w..][..sums_each].chunks_exact(4 * SUMMED).take(sought.len());
+            let levels = &self.worlds[first + w].levels;
+            let particles = wanted.iter().zip(sampled.by_ref()).map(|((l, _), words)| sampled_of(words, levels[*l].h));
+            (own.map(sums_of).collect(), particles.collect())
+        };
+        Ok(asked.iter().enumerate().zip(&samples).map(of_world).collect())
     }
+
+    /// Hands the words to the passes that look, so many workgroups of each, and returns them from `from` on.
+    fn look_for(&mut self, words: &[u32], from: usize, groups: [u32; 2]) -> Result<Vec<u32>> {
+        self.memory.add_sought(&self.gpu, words.len())?;
+        self.gpu.queue.write_buffer(self.memory.buffer(Role::Sought, 0), 0, bytemuck::cast_slice(words));
+        let lookers = self.lookers.get_or_insert_with(|| {
+            let kernels = &self.kernels;
+            [sums(&self.worlds[0].materials), sample()]
+                .map(|draft| build(&self.gpu, &kernels.step_layout, &kernels.setting, self.worlds.len(), draft))
+        });
+        let row = self.memory.extent.row;
+        let dispatch = |kernel| Dispatch { kernel, now: self.memory.now, step: 0, end: self.levels };
+        let dispatches: Vec<_> = lookers.iter().map(dispatch).collect();
+        let asked: Vec<_> = dispatches
+            .iter()
+            .zip(groups)
+            .filter(|(_, count)| *count > 0)
+            .map(|(dispatch, count)| (dispatch, Size::Known(count.min(row), count.div_ceil(row))))
+            .collect();
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        Self::encode(&self.gpu, &mut encoder, &mut self.memory, &asked, None);
+        self.gpu.queue.submit([encoder.finish()]);
+        read(&self.gpu, self.memory.buffer(Role::Sought, 0), 4 * from as u64, words.len() - from)
+    }
+}
+
+/// A particle that was sampled, in cells of that width [m].
+fn sampled_of(words: &[u32], h: f64) -> Sampled {
+    let word = |k: usize| words[k];
+    let place = [0, 1, 2, 3].map(word);
+    let block = [4, 5, 6].map(|k| word(k) as i32);
+    let velocity = [7, 8, 9].map(|k| f64::from(f32::from_bits(word(k))));
+    Sampled { position: layout::position(place, block, h), velocity }
 }

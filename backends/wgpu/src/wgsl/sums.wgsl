@@ -1,12 +1,13 @@
-// Sums over the particles in regions of a world, a workgroup a block: 13 numbers of four words each, which are particles, mass, rest volume, volume, momentum,
+// Sums over the particles in regions of worlds that follow one another, a workgroup a block: 13 numbers of four words each, which are particles, mass, rest volume, volume, momentum,
 // and rest volume times Kirchhoff stress. Within a workgroup in the order of threads, then in whole units.
 //
-// The buffer begins with the world's first block, one past its last, its first layer, and the number of regions; then, level by level, stand the regions, and
-// the sums.
+// The buffer begins with the worlds' first block, one past their last, their first layer, the number of regions of each world, and the number of layers; then,
+// layer by layer, stand the regions, and, world by world, the sums.
 const HEAD: u32 = 16u;
 const SUMMED: u32 = 13u;
 
 var<workgroup> go: u32;
+var<workgroup> count: u32;
 var<workgroup> found: array<array<f32, SUMMED>, 64>;
 
 // Value k of a particle's strain, less that at rest.
@@ -69,16 +70,20 @@ fn look(q: u32, n: u32, region: Place, first: vec3<i32>) {
 fn sum_regions(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) n: u32) {
     let b = probed_word(0u) + group.y * extent.row + group.x;
     let here = min(b, extent.block_room - 1u);
-    let level = u32(lists[here * ENTRY].w) - probed_word(2u);
+    let layer = u32(lists[here * ENTRY].w) - probed_word(2u);
     let first = lists[here * ENTRY].xyz * 4;
     let start = cells[here * 64u];
     let end = cells[here * 64u + 64u];
-    for (var s = 0u; s < REGIONS; s++) {
-        let region = place_at(HEAD + PLACE * (level * REGIONS + s));
+    if n == 0u {
+        count = probed_word(3u);
+    }
+    let regions = workgroupUniformLoad(&count);
+    for (var s = 0u; s < regions; s++) {
+        let region = place_at(HEAD + PLACE * (layer * regions + s));
         if n == 0u {
             // A block's particles are within two cells of it, which is four cells wide.
             let away = abs(from_middle(region, first + vec3<i32>(2), vec3<u32>(0u)));
-            go = u32(b < probed_word(1u) && s < probed_word(3u) && region.kind != NOWHERE && all(away < region.half + vec3<f32>(5.0)));
+            go = u32(b < probed_word(1u) && region.kind != NOWHERE && all(away < region.half + vec3<f32>(5.0)));
         }
         if workgroupUniformLoad(&go) != 0u {
             for (var k = 0u; k < SUMMED; k++) {
@@ -94,7 +99,8 @@ fn sum_regions(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
                     total += found[t][n];
                 }
                 if total != 0.0 {
-                    add_exactly(HEAD + PLACE * LEVELS * REGIONS + 4u * (s * SUMMED + n), total);
+                    let sums = HEAD + PLACE * probed_word(4u) * regions;
+                    add_exactly(sums + 4u * ((layer / LEVELS * regions + s) * SUMMED + n), total);
                 }
             }
             workgroupBarrier();

@@ -88,7 +88,8 @@ pub(crate) fn rest_of(words: &Words) -> u16 {
 
 /// The boxes of blocks of each of a world's levels that stay awake for its tools.
 pub(crate) fn near_tools(couplings: &[Box<dyn Coupling>], levels: &[Level]) -> Vec<Vec<BlockBox>> {
-    let tools: Vec<Aabb> = couplings.iter().flat_map(|coupling| coupling.bounds()).collect();
+    let bounds = couplings.iter().flat_map(|coupling| coupling.bounds());
+    let tools: Vec<Aabb> = bounds.filter(|one| !one.is_nothing()).collect();
     let of_level = |level: &Level| {
         let of_box = |tool: &Aabb| near_tool(tool, level.h).map(|[x, y, z]| [x, y, z, 0]);
         tools.iter().map(of_box).collect()

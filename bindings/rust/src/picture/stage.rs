@@ -123,7 +123,7 @@ fn place_of(simulation: &Simulation, name: &str) -> Option<Vec3> {
 fn around(simulation: &Simulation, name: &str) -> Option<Aabb> {
     let is_part = |other: &str| other.strip_prefix(name).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'));
     let of = |coupling: &dyn Coupling| -> Vec<Aabb> {
-        let bounds = coupling.bounds();
+        let bounds = coupling.extents();
         coupling.bodies().iter().zip(bounds).filter(|(body, _)| is_part(&body.name)).map(|(_, one)| one).collect()
     };
     let all = simulation.couplings().iter().flat_map(|coupling| of(coupling.as_ref()));
@@ -164,7 +164,7 @@ fn everything(scene: &Scene, simulation: &Simulation, ground: Option<Aabb>) -> A
         }
     }
     let tools = simulation.couplings().iter().find(|coupling| coupling.name() == TOOL_COUPLING);
-    for (tool, bounds) in scene.tool.iter().zip(tools.map(|coupling| coupling.bounds()).unwrap_or_default()) {
+    for (tool, bounds) in scene.tool.iter().zip(tools.map(|coupling| coupling.extents()).unwrap_or_default()) {
         let start = match &tool.motion {
             Motion::Keyframes { frames, .. } => frames.first().map_or(tool.position, |frame| frame.position),
             _ => tool.position,
