@@ -226,7 +226,7 @@ fn text(text: String) -> abi::BarchanStr {
 /// - `tangent_moduli(batch)`, if it has it: an array of two rows [Pa], lambda + 2 mu and 3 lambda + 2 mu of the present tangent. Without it nothing checks
 ///   that `time.step` is stable, and tools do not know how stiff the ground is that they press.
 ///
-/// To try laws with: every batch goes through Python, one after the other, which is hundreds of times slower than a law of a library (`load_plugin`).
+/// To try laws with: every batch goes through Python, one after the other, which is tens of times slower than a law of a library (`load_plugin`).
 ///
 /// Raises `PluginError` if the name is taken or not in snake_case, or there are 16 of them already.
 #[pyfunction]

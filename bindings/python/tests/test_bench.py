@@ -31,6 +31,18 @@ def test_tasks_are_timed(tmp_path):
     assert "there is no task 'Smooth'" in bench("tasks", "--tasks", "Smooth", code=1).stderr
 
 
+def test_tasks_are_timed_without_gymnasium(tmp_path):
+    # As a wheel is that was installed without its extras.
+    code = "import sys; sys.modules['gymnasium'] = None; from barchan.bench.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, "tasks", "--one", "--tasks", "SmoothSurface-lite", "--worlds", "2", "--seconds", "0.2"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    one = json.loads(done.stdout)
+    assert one["interface"] == "barchan.Environment" and one["steps_per_second"] > 0
+    done = subprocess.run([*command[:3], "learn"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 1 and "pip install 'barchan[gym]'" in done.stderr
+
+
 def test_cma_learns_a_trajectory_in_worlds_of_one_simulation(tmp_path):
     arguments = ["--agent", "cma", "--worlds", 6, "--knots", 2, "--steps", 6, "--budget", 110, "--out", tmp_path]
     done = bench("learn", *arguments)

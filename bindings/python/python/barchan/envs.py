@@ -203,7 +203,7 @@ class TaskEnv(gymnasium.Env):
         self._seed = -1
         self._window: _Window | None = None
         fps = min(60.0, 1.0 / self.task.interval)
-        self.metadata = self.metadata | {"render_fps": round(fps) or 1} | ({"torch": True} if torch else {})
+        self.metadata = self.metadata | {"render_fps": round(fps) or 1}
 
     @property
     def worlds(self) -> Environment:

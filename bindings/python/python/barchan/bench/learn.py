@@ -15,13 +15,15 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import barchan
-from barchan.envs import TaskVectorEnv
+
+if TYPE_CHECKING:
+    from barchan.envs import TaskVectorEnv
 
 HELP = "Learns a task, and compares with its hand-written agent."
 
@@ -108,6 +110,8 @@ class _Log:
 
 
 def _vector(given: argparse.Namespace, worlds: int, mode: str, residual: float | None) -> TaskVectorEnv:
+    from barchan.envs import TaskVectorEnv
+
     parameters: dict[str, Any] = {}
     for text in given.set:
         key, is_one, value = text.partition("=")
