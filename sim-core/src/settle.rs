@@ -146,10 +146,10 @@ impl<'a> Press<'a> {
                 let carried = self.pressures(&at)?;
                 carried.iter().zip(loads).map(|(p, load)| [p[0] - load, p[1] - k0 * load]).collect()
             };
-            let off = |i: usize| missing[i][0].abs().max(missing[i][1].abs()) / loads[i];
-            let open: Vec<usize> = (0..loads.len()).filter(|&i| loads[i] > 0.0 && !(off(i) <= SOLVED)).collect();
+            let is_near = |i: usize, off: f64| missing[i][0].abs() + missing[i][1].abs() <= off * loads[i];
+            let open: Vec<usize> = (0..loads.len()).filter(|&i| loads[i] > 0.0 && !is_near(i, SOLVED)).collect();
             if open.is_empty() || round == MOST_ROUNDS {
-                return match open.into_iter().find(|&i| !(off(i) <= GOOD_ENOUGH)) {
+                return match open.into_iter().find(|&i| !is_near(i, GOOD_ENOUGH)) {
                     Some(i) => Err(Unsettled::Sides(loads[i])),
                     None => Ok(()),
                 };
