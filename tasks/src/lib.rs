@@ -3,10 +3,20 @@
 //! This crate knows the core only: scenes name their materials, couplings and backends, and the registry finds them. A task has a file of its own.
 
 mod base;
+mod dune_walk;
 mod effector;
+mod ground;
+mod humanoid;
+mod humanoid_stand;
+mod humanoid_walk;
+mod legged;
+mod quadruped_walk;
 mod reward;
 mod smooth_surface;
+mod stepping;
+mod trot;
 mod view;
+mod walk;
 
 use barchan_core::{Error, Registry, Result, Scene};
 
@@ -15,7 +25,11 @@ use barchan_core::{Error, Registry, Result, Scene};
 /// # Errors
 /// If one of their names is taken.
 pub fn register(registry: &mut Registry) -> Result<()> {
-    smooth_surface::register(registry)
+    smooth_surface::register(registry)?;
+    quadruped_walk::register(registry)?;
+    dune_walk::register(registry)?;
+    humanoid_stand::register(registry)?;
+    humanoid_walk::register(registry)
 }
 
 /// The scenes that are files, by name.
