@@ -6,15 +6,25 @@ mod arm;
 mod arm_scoops;
 mod base;
 mod dig_a_hole;
+mod dune_walk;
 mod effector;
+mod ground;
+mod humanoid;
+mod humanoid_stand;
+mod humanoid_walk;
+mod legged;
 mod press_mould;
+mod quadruped_walk;
 mod reward;
 mod sand_painting;
 mod scoop_out;
 mod smooth_surface;
+mod stepping;
 mod surface;
 mod tooling;
+mod trot;
 mod view;
+mod walk;
 
 use barchan_core::{Error, Registry, Result, Scene};
 
@@ -28,7 +38,11 @@ pub fn register(registry: &mut Registry) -> Result<()> {
     dig_a_hole::register(registry)?;
     smooth_surface::register(registry)?;
     press_mould::register(registry)?;
-    arm_scoops::register(registry)
+    arm_scoops::register(registry)?;
+    quadruped_walk::register(registry)?;
+    dune_walk::register(registry)?;
+    humanoid_stand::register(registry)?;
+    humanoid_walk::register(registry)
 }
 
 /// The scenes that are files, by name.

@@ -14,4 +14,9 @@ impl Scale {
     pub(crate) fn reward(&self, loss: f64, horizon: u64) -> f64 {
         -self.alpha * loss + self.beta / horizon as f64
     }
+
+    /// Reward of the control steps that an episode which has failed does not take any more, with their losses.
+    pub(crate) fn rest(&self, losses: impl Iterator<Item = f64>, horizon: u64) -> f64 {
+        losses.map(|loss| self.reward(loss, horizon)).sum()
+    }
 }

@@ -138,7 +138,7 @@ impl JointPath {
                 let time = f64::from(period) + f64::from(sample) / f64::from(SAMPLES);
                 let grown = if ramp == 0 { 1.0 } else { (time / f64::from(ramp)).min(1.0) };
                 let target = |&(link, phase, at): &(usize, f64, DVec3)| {
-                    let [along, up] = step_of((time - phase).rem_euclid(1.0), gait.stance);
+                    let [along, up] = gait.foot(time - phase);
                     let position = at + grown * (along * stride + up * gait.lift * DVec3::Z);
                     Target { link, position, rotation: None }
                 };
@@ -241,17 +241,6 @@ fn find(model: &RobotModel, name: &str) -> Result<usize, Refusal> {
         let known: Vec<&str> = model.links.iter().map(|link| link.name.as_str()).collect();
         Refusal::new(format!("there is no link '{name}'"), format!("known are: {}", known.join(", ")))
     })
-}
-
-/// Where a foot is at a share of its period: from half a stride ahead back to half a stride behind on the ground, then forward again through the air, at rest
-/// where it leaves the ground and comes to it; and how high, in parts of the lift.
-fn step_of(share: f64, stance: f64) -> [f64; 2] {
-    if share < stance {
-        return [0.5 - share / stance, 0.0];
-    }
-    let air = (share - stance) / (1.0 - stance);
-    let turn = std::f64::consts::TAU * air;
-    [air - turn.sin() / std::f64::consts::TAU - 0.5, 0.5 * (1.0 - turn.cos())]
 }
 
 fn built_in(name: &str) -> Result<&'static str, Refusal> {

@@ -181,6 +181,20 @@ pub struct Gait {
     pub ramp: u32,
 }
 
+impl Gait {
+    /// Where a foot is at a time after it was first set down, in periods: from half a stride ahead back to half a stride behind on the ground, then forward again
+    /// through the air, at rest where it leaves the ground and comes to it; and how high, in parts of the lift.
+    pub fn foot(&self, periods: f64) -> [f64; 2] {
+        let share = periods.rem_euclid(1.0);
+        if share < self.stance {
+            return [0.5 - share / self.stance, 0.0];
+        }
+        let air = (share - self.stance) / (1.0 - self.stance);
+        let turn = std::f64::consts::TAU * air;
+        [air - turn.sin() / std::f64::consts::TAU - 0.5, 0.5 * (1.0 - turn.cos())]
+    }
+}
+
 /// A path of a link's frame in the world, by inverse kinematics, for a robot whose base is fixed. The robot starts where the path does.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

@@ -16,6 +16,7 @@ mod hard_cases;
 mod instruction_sets;
 mod levels;
 mod libraries;
+mod locomotion;
 mod output;
 mod passes;
 mod plane_strain;
