@@ -681,12 +681,7 @@ impl Adapt {
         let first = self.next_id.max(least);
         let asked = first + count;
         if asked > IDS {
-            return Err(Error::Capacity {
-                what: "numbers for particles",
-                asked,
-                cap: IDS,
-                mend,
-            });
+            return Err(Error::Capacity { what: "numbers for particles", asked, cap: IDS, mend });
         }
         self.next_id = asked;
         Ok(first as u32)

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 pub(crate) const MAGIC: &[u8; 8] = b"BARCHAN\x1a";
 /// Version of the format that this program writes, and the only one it reads.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 
 /// More steps than any run takes.
 const MOST_STEPS: u64 = 1 << 62;
