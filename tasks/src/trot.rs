@@ -63,15 +63,16 @@ impl Trot {
         let Gait { period, stance, stride, lift, start, ramp, .. } = self.gait;
         let gone = (time - start) / period;
         let grown = if gone < 0.0 { 0.0 } else { (gone / f64::from(ramp.max(1))).min(1.0) };
-        let leg = |(&(phase, [x, y, z]), (_, [hip, side])): (&(f64, [f64; 3]), &(&str, [f64; 2]))| {
+        let mut targets = Vec::with_capacity(3 * LEGS.len());
+        for (&(phase, [x, y, z]), (_, [hip, side])) in self.legs.iter().zip(&LEGS) {
             let [along, up] = self.gait.foot(gone - phase);
             // A foot on the ground goes back as fast as the ground below it seems to.
             let turned = turning * stance * period;
             let step = [stride[0] - turned * (y + side * SIDE), stride[1] + turned * (x + hip), stride[2]];
             let at = [x + grown * along * step[0], y + grown * along * step[1]];
-            angles_of([at[0], at[1], z + grown * (along * step[2] + up * lift)], *side)
-        };
-        self.legs.iter().zip(&LEGS).flat_map(leg).collect()
+            targets.extend(angles_of([at[0], at[1], z + grown * (along * step[2] + up * lift)], *side));
+        }
+        targets
     }
 
     /// The rate of turning that brings a robot back to the line on which it started [rad/s].

@@ -61,7 +61,7 @@ fn unknown_names_are_answered_with_the_known_ones() {
     println!("{error}");
     assert!(error.contains("no backend is called 'abacus'; known are: cpu, dust"), "{error}");
 
-    let error = registry.task("knit", &Table::new()).err().expect("there is no such task").to_string();
+    let error = registry.task("knit", &Table::new()).expect_err("there is no such task").to_string();
     println!("{error}");
     assert!(error.contains("no task is called 'knit'; known are: ") && error.contains("push"), "{error}");
 
@@ -566,7 +566,7 @@ fn a_scene_calls_for_a_task() {
         let error = refusal(&registry, &scene_with(task));
         assert!(error.contains(says) && error.starts_with("scene.toml:"), "{error}");
     }
-    let error = registry.task_of(&scene(&scene_with(""))).err().expect("there is none").to_string();
+    let error = registry.task_of(&scene(&scene_with(""))).expect_err("there is none").to_string();
     assert!(error.contains("task: the scene has none; add a [task]"), "{error}");
 }
 

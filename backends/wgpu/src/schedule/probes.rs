@@ -11,7 +11,7 @@ use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::Size;
 use barchan_core::backend::{Look, Looked};
 use barchan_core::task::{Sampled, chosen};
-use barchan_core::{Plan, Result, Sought};
+use barchan_core::{Plan, Result};
 use barchan_grid::archive::Reach;
 
 impl WgpuBatch {
@@ -52,8 +52,7 @@ impl WgpuBatch {
 
     /// Looks at worlds that follow one another; what lies in the archive of ground out of reach is summed, too.
     pub(crate) fn look_at(&mut self, first: usize, looks: &[Look<'_>]) -> Result<Vec<Looked>> {
-        let asked: Vec<_> = looks.iter().map(|look| (look.sought, look.sample)).collect();
-        let mut looked = self.look(first, &asked)?;
+        let mut looked = self.look(first, looks)?;
         for ((look, (sums, _)), world) in looks.iter().zip(&mut looked).zip(&self.worlds[first..]) {
             if look.sought.is_empty() {
                 continue;
@@ -67,9 +66,9 @@ impl WgpuBatch {
     }
 
     /// Looks at live ground, in one submission: for each, sums over regions and a sample of particles, so many of each level.
-    pub(crate) fn look(&mut self, first: usize, asked: &[(&[Sought], &[usize])]) -> Result<Vec<Looked>> {
+    pub(crate) fn look(&mut self, first: usize, asked: &[Look<'_>]) -> Result<Vec<Looked>> {
         let worlds = &self.worlds[first..first + asked.len()];
-        let regions_each = asked.iter().map(|(sought, _)| sought.len()).max().unwrap_or_default();
+        let regions_each = asked.iter().map(|look| look.sought.len()).max().unwrap_or_default();
         let layers = asked.len() * self.levels;
         let blocks = match (worlds.first(), worlds.last()) {
             (Some(first), Some(last)) => {
@@ -78,9 +77,9 @@ impl WgpuBatch {
             _ => return Ok(Vec::new()),
         };
         let mut words = vec![0; HEAD];
-        for (world, (sought, _)) in worlds.iter().zip(asked) {
+        for (world, look) in worlds.iter().zip(asked) {
             words.extend(
-                world.levels.iter().enumerate().flat_map(|(l, level)| regions(sought, regions_each, l, level.h)),
+                world.levels.iter().enumerate().flat_map(|(l, level)| regions(look.sought, regions_each, l, level.h)),
             );
         }
         let sums_at = words.len();
@@ -88,9 +87,9 @@ impl WgpuBatch {
         words.resize(sums_at + sums_each * asked.len(), 0);
         let samples_at = words.len();
         let mut samples = Vec::with_capacity(asked.len());
-        for (world, (_, counts)) in worlds.iter().zip(asked) {
+        for (world, look) in worlds.iter().zip(asked) {
             let present: Vec<usize> = world.levels.iter().map(|level| level.particles.len()).collect();
-            let wanted = chosen(counts, &present);
+            let wanted = chosen(look.sample, &present);
             for &(l, number) in &wanted {
                 let level = &world.levels[l];
                 let given = [level.particles.start + number, level.blocks.start, level.blocks.end];
@@ -108,13 +107,14 @@ impl WgpuBatch {
         let found = self.look_for(&words, sums_at, groups.map(|count| count as u32))?;
         let (sums, sampled) = found.split_at(samples_at - sums_at);
         let mut sampled = sampled.chunks_exact(SAMPLED);
-        let of_world = |((w, (sought, _)), wanted): ((usize, &(&[Sought], &[usize])), &Vec<(usize, usize)>)| {
-            let own = sums[sums_each * w..][..sums_each].chunks_exact(4 * SUMMED).take(sought.len());
+        let mut looked = Vec::with_capacity(asked.len());
+        for (w, (look, wanted)) in asked.iter().zip(samples).enumerate() {
+            let own = sums[sums_each * w..][..sums_each].chunks_exact(4 * SUMMED).take(look.sought.len());
             let levels = &self.worlds[first + w].levels;
             let particles = wanted.iter().zip(sampled.by_ref()).map(|((l, _), words)| sampled_of(words, levels[*l].h));
-            (own.map(sums_of).collect(), particles.collect())
-        };
-        Ok(asked.iter().enumerate().zip(&samples).map(of_world).collect())
+            looked.push((own.map(sums_of).collect(), particles.collect()));
+        }
+        Ok(looked)
     }
 
     /// Hands the words to the passes that look, so many workgroups of each, and returns them from `from` on.
