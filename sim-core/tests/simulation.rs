@@ -306,7 +306,7 @@ fn damaged_snapshots_are_refused_and_say_how() {
     };
     assert!(read(b"").contains("is no snapshot; give a file that `save` has written"));
     assert!(read(b"not a snapshot at all").contains("is no snapshot"));
-    assert!(read(&with(8, &9_u32.to_le_bytes())).contains("has format version 9, this program reads 4"));
+    assert!(read(&with(8, &9_u32.to_le_bytes())).contains("has format version 9, this program reads 5"));
     // A length that no file could bear out is not believed.
     assert!(read(&with(16, &u64::MAX.to_le_bytes())).contains("section HEAD should have 18446744073709551615 bytes"));
     assert!(read(&with(40, b"\0")).contains("section HEAD has a wrong checksum"));

@@ -598,7 +598,7 @@ fn the_scene_in_the_readme_runs() {
 }
 
 /// Commands of the command line.
-const COMMANDS: [&str; 12] = [
+const COMMANDS: [&str; 13] = [
     "run",
     "plan",
     "check",
@@ -607,6 +607,7 @@ const COMMANDS: [&str; 12] = [
     "adapters",
     "robot",
     "gallery",
+    "task",
     "bench",
     "schema",
     "completions",

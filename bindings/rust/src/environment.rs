@@ -1,7 +1,7 @@
 //! Worlds of a benchmark task, stepped together under actions: what learners roll out.
 //!
 //! ```
-//! use barchan::environment::Environment;
+//! use barchan::environment::{Environment, Recording};
 //! use barchan::parameter::Table;
 //!
 //! let registry = barchan::registry();
@@ -9,9 +9,11 @@
 //! let mut environment = Environment::new(&registry, task, &[7, 8], &barchan::Options::default())?;
 //! let action = environment.heuristic(0).expect("every task that comes with Barchan has a hand-written agent");
 //! let still = vec![0.0; action.len()];
-//! for outcome in environment.step(&[action, still])? {
-//!     assert!(outcome?.reward.is_finite());
-//! }
+//! // What is done in a world can be kept, written and played again.
+//! let mut recording = Recording { task: environment.task().name().to_owned(), seed: 7, ..Recording::default() };
+//! let steps = environment.step(&[action.clone(), still])?.into_iter().collect::<barchan::Result<Vec<_>>>()?;
+//! recording.add(action, &steps[0]);
+//! assert_eq!(recording.total(), steps[0].reward);
 //! # Ok::<(), barchan::Error>(())
 //! ```
 
