@@ -258,7 +258,7 @@ impl Worlds {
     ///
     /// Where worlds step together (`wgpu`), particles are copied on the device; a batch lays all of its worlds out anew for that, as it does
     /// for a [reset](Self::reset), so that its cost grows with the batch. On the processor the copy goes through memory, as a
-    /// [`State`](barchan_core::State).
+    /// [`State`].
     ///
     /// # Errors
     /// If the first has been swapped to another engine and stepped beside its batch, or a device was lost. The other world is as it was then.
