@@ -105,6 +105,29 @@ impl Bounds {
         block
     }
 
+    /// Cells from end to end of periodic axes; 0 along the others.
+    pub fn periods(&self) -> [i32; 3] {
+        std::array::from_fn(|d| if self.periodic[d] { self.max[d] - self.min[d] } else { 0 })
+    }
+
+    /// By how many blocks images of the world are off along periodic axes that blocks from one to another may lie in.
+    pub fn images(&self, first: [i32; 3], last: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
+        let along = std::array::from_fn::<Vec<i32>, 3, _>(|d| match self.periods()[d] / SIDE {
+            0 => vec![0],
+            period => {
+                let image = |block: i32| (block - self.min[d] / SIDE).div_euclid(period);
+                // What is wider than the world meets all of it once.
+                let (from, to) = (image(first[d]), image(last[d]));
+                (from..=to.min(from + 1)).map(|image| image * period).collect()
+            }
+        });
+        let [x, y, z] = along;
+        x.into_iter().flat_map(move |x| {
+            let z = z.clone();
+            y.clone().into_iter().flat_map(move |y| z.clone().into_iter().map(move |z| [x, y, z]))
+        })
+    }
+
     /// Whether the block lies wholly behind a mirror, where nothing is ever stored.
     pub fn is_behind_mirror(&self, block: [i32; 3]) -> bool {
         (0..3).any(|d| {

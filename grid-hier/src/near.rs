@@ -6,8 +6,8 @@ use barchan_core::{Aabb, NodeBatch};
 
 /// Puts those nodes of a block into a batch that are in any of the boxes and heavier than `least` [kg]: what is lighter carries nothing.
 ///
-/// `first` is the block's first cell, and `node` gives velocity [m/s] and mass [kg] of its nodes, which are asked for in order. Of each that is put, `taken` learns
-/// its number in the block, its cell and its number in the batch.
+/// `first` is the first cell of the block, or of the [image](image_near) of it that is near a box, and `node` gives velocity [m/s] and mass [kg] of its nodes,
+/// which are asked for in order. Of each that is put, `taken` learns its number in the block, its cell and its number in the batch.
 pub fn gather_block(
     batch: &mut NodeBatch,
     boxes: &[Aabb],
@@ -45,6 +45,35 @@ pub fn is_near_block(boxes: &[Aabb], first: [i32; 3], h: f64) -> bool {
     boxes.iter().any(|one| one.meets(&extent))
 }
 
+/// The first cell of that image of a block, of those along periodic axes, of which nodes may be in a box; `None` if none may. `first` is the block's own
+/// first cell, and `periods` are the world's cells along each axis, 0 for one that is not periodic.
+///
+/// For each box that is the image nearest to its middle. A block near several boxes by different images is the first one's: bodies that go together
+/// are taken to be less than a period apart.
+pub fn image_near(boxes: &[Aabb], first: [i32; 3], h: f64, periods: [i32; 3]) -> Option<[i32; 3]> {
+    if periods == [0; 3] {
+        return is_near_block(boxes, first, h).then_some(first);
+    }
+    let images = boxes.iter().map(|one| (one, shifted(one, first, h, periods)));
+    images.filter(|(one, image)| is_near_block(std::slice::from_ref(one), *image, h)).map(|(_, image)| image).next()
+}
+
+/// The image of a block that is nearest to the middle of a box.
+fn shifted(one: &Aabb, first: [i32; 3], h: f64, periods: [i32; 3]) -> [i32; 3] {
+    std::array::from_fn(|d| {
+        let middle = (0.5 * (one.min[d] + one.max[d]) / h).floor();
+        if periods[d] == 0 || !middle.is_finite() {
+            return first[d];
+        }
+        first[d] + nearest(first[d] + SIDE / 2, middle as i32, periods[d])
+    })
+}
+
+/// By how much a cell has to move, in whole periods, to be as near to another as it gets.
+pub fn nearest(cell: i32, to: i32, period: i32) -> i32 {
+    (2 * (to - cell) + period).div_euclid(2 * period) * period
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -65,6 +94,14 @@ mod tests {
             (batch.position[1], batch.mass[1], batch.velocity[1]),
             ([-1.25, 0.25, 0.25], 16.0, [16.0, 0.0, 0.0])
         );
+        // In a world of eight cells along x, which is periodic, the block is at -4, 4, 12 and so on.
+        let far = [Aabb { min: [6.2, 0.2, 0.2], max: [6.3, 0.3, 0.3] }];
+        assert_eq!(image_near(&far, [-4, 0, 0], 0.5, [8, 0, 0]), Some([12, 0, 0]));
+        assert_eq!(image_near(&far, [-4, 0, 0], 0.5, [0; 3]), None);
+        // What counts is where its middle is: a box in the middle of the world meets both of its blocks where they are.
+        let wide = [Aabb { min: [-1.0, 0.2, 0.2], max: [1.0, 0.3, 0.3] }];
+        assert_eq!([-4, 0].map(|x| image_near(&wide, [x, 0, 0], 0.5, [8, 0, 0])), [-4, 0].map(|x| Some([x, 0, 0])));
+        assert_eq!(image_near(&boxes, [-4, 0, 0], 0.5, [8, 0, 0]), Some([-4, 0, 0]));
         gather_block(&mut batch, &boxes[1..], [-4, 0, 0], 1e-20, |_| unreachable!("no box meets it"), |_, _, _| {});
         assert_eq!(batch.len(), 2);
     }

@@ -15,6 +15,7 @@ mod check;
 mod flow;
 mod make;
 mod output;
+mod periodic;
 mod plane;
 mod probe;
 mod read;

@@ -3,7 +3,7 @@
 use crate::coupling::Aabb;
 use crate::levels::{Regions, SPLIT_AHEAD};
 use crate::plan::{PlannedMaterial, Precision};
-use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, cross};
+use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, World, cross};
 use crate::solid::Solid;
 use crate::zoned::{Zoned, Zones};
 use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, settle, solid};
@@ -111,7 +111,8 @@ impl Terrain {
         let live = if regions.unbounded() { regions.reached(&BTreeSet::new()) } else { BTreeSet::new() };
         let tiles: Vec<_> = live.iter().copied().collect();
         let within = regions.unbounded().then_some(tiles.as_slice());
-        let mut seeder = Seeder { terrain: self, couplings, regions, within, next_id: 0, bytes: 0.0, max_bytes };
+        let tools = Tools::new(&self.scene.world, couplings);
+        let mut seeder = Seeder { terrain: self, tools, regions, within, next_id: 0, bytes: 0.0, max_bytes };
         let lists = seeder.lists()?;
         let levels = (regions.levels() > 1).then(|| LevelPhase {
             boxes: regions.boxes().to_vec(),
@@ -136,7 +137,8 @@ impl Terrain {
         next_id: &mut u64,
     ) -> Result<Vec<ParticleList>> {
         let (within, max_bytes) = (Some(tiles), u64::MAX);
-        let mut seeder = Seeder { terrain: self, couplings, regions, within, next_id: *next_id, bytes: 0.0, max_bytes };
+        let tools = Tools::new(&self.scene.world, couplings);
+        let mut seeder = Seeder { terrain: self, tools, regions, within, next_id: *next_id, bytes: 0.0, max_bytes };
         let lists = seeder.lists()?;
         *next_id = seeder.next_id;
         Ok(lists)
@@ -384,7 +386,7 @@ fn is_empty(scene: &Scene, index: usize, material: &str, why: String, mend: &str
 
 struct Seeder<'a> {
     terrain: &'a Terrain,
-    couplings: &'a [Box<dyn Coupling>],
+    tools: Tools<'a>,
     regions: &'a Regions,
     /// Tiles to be seeded; absent: everything.
     within: Option<&'a [[i32; 2]]>,
@@ -465,7 +467,7 @@ impl Seeder<'_> {
                 }
                 inside += row.position.len();
                 if body.around_tools {
-                    row.drop_inside(self.couplings);
+                    row.drop_inside(&self.tools);
                 }
                 for site in &row.site {
                     let fixed = site.map(|s| s.fixed(precision));
@@ -499,11 +501,7 @@ impl Seeder<'_> {
     /// Fills one body on several levels.
     fn fill_levels(&mut self, plot: &Plot, lists: &mut [&mut ParticleList]) -> Result<()> {
         let (scene, precision) = (&self.terrain.scene, self.terrain.precision);
-        let cubes = Cubes {
-            plot,
-            body: &scene.body[plot.index],
-            tools: self.couplings.iter().flat_map(|c| c.bounds()).collect(),
-        };
+        let cubes = Cubes { plot, body: &scene.body[plot.index], tools: self.tools.bounds() };
         let coarsest = lists.len() - 1;
         let mut classes = vec![Vec::new(); lists.len()];
         let each = bytes_while_seeding(&self.terrain.materials[plot.material], precision) as f64;
@@ -580,7 +578,7 @@ impl Seeder<'_> {
         let clear = !cubes.body.around_tools || !cubes.tools.iter().any(|tool| tool.meets(&points));
         if class == 0 {
             let place = self.terrain.cube_site(cubes.plot, origin, 0).map(|s| s.position);
-            let free = clear || self.couplings.iter().all(|c| c.distance(&[place])[0] >= 0.0);
+            let free = clear || self.tools.are_clear_of(&[place])[0];
             if !free || !cubes.plot.solid.contains(place) {
                 return false;
             }
@@ -696,17 +694,58 @@ impl Row {
         self.position.push(position);
     }
     /// Drops the candidates that lie inside a tool.
-    fn drop_inside(&mut self, couplings: &[Box<dyn Coupling>]) {
-        for coupling in couplings {
-            if self.position.is_empty() {
-                return;
+    fn drop_inside(&mut self, tools: &Tools<'_>) {
+        let clear = tools.are_clear_of(&self.position);
+        let mut kept = clear.iter();
+        self.site.retain(|_| *kept.next().unwrap_or(&true));
+        let mut kept = clear.iter();
+        self.position.retain(|_| *kept.next().unwrap_or(&true));
+    }
+}
+
+/// What ground is not to be seeded in.
+struct Tools<'a> {
+    couplings: &'a [Box<dyn Coupling>],
+    /// How far those images of the ground are from it that tools may lie in [m]: in a periodic world they may be beyond its sides.
+    images: Vec<Vec3>,
+}
+
+impl<'a> Tools<'a> {
+    fn new(world: &World, couplings: &'a [Box<dyn Coupling>]) -> Self {
+        let mut images = vec![[0.0; 3]];
+        for bounds in couplings.iter().flat_map(|coupling| coupling.bounds()) {
+            for image in world.images(&bounds) {
+                if !images.contains(&image) {
+                    images.push(image);
+                }
             }
-            let distance = coupling.distance(&self.position);
-            let mut outside = distance.iter().map(|d| *d >= 0.0);
-            self.site.retain(|_| outside.next().unwrap_or(true));
-            let mut outside = distance.iter().map(|d| *d >= 0.0);
-            self.position.retain(|_| outside.next().unwrap_or(true));
         }
+        Self { couplings, images }
+    }
+
+    /// Boxes around tools, where the ground itself is.
+    fn bounds(&self) -> Vec<Aabb> {
+        let of_one = |bounds: Aabb| {
+            self.images.iter().map(move |by| Aabb {
+                min: std::array::from_fn(|d| bounds.min[d] - by[d]),
+                max: std::array::from_fn(|d| bounds.max[d] - by[d]),
+            })
+        };
+        self.couplings.iter().flat_map(|coupling| coupling.bounds()).flat_map(of_one).collect()
+    }
+
+    /// Which points lie outside all of them.
+    fn are_clear_of(&self, points: &[Vec3]) -> Vec<bool> {
+        let mut clear = vec![true; points.len()];
+        for by in &self.images {
+            let there: Vec<Vec3> = points.iter().map(|point| std::array::from_fn(|d| point[d] + by[d])).collect();
+            for coupling in self.couplings.iter().filter(|_| !points.is_empty()) {
+                for (clear, distance) in clear.iter_mut().zip(coupling.distance(&there)) {
+                    *clear &= distance >= 0.0;
+                }
+            }
+        }
+        clear
     }
 }
 

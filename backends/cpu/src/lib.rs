@@ -16,6 +16,7 @@ mod grid;
 mod isolated;
 mod level;
 mod memory;
+mod near;
 mod reading;
 mod sleep;
 mod step;

@@ -136,7 +136,10 @@ impl<T: Scalar> Level<T> {
         let h = self.store.cell_width;
         for tool in couplings.iter().flat_map(|coupling| coupling.bounds()).filter(|one| !one.is_nothing()) {
             let [first, last] = near_tool(&tool, h);
-            grid.within(first, last).for_each(|b| stir(rest, b));
+            for by in self.bounds.images(first, last) {
+                let moved = |block: [i32; 3]| std::array::from_fn(|d| block[d] - by[d]);
+                grid.within(moved(first), moved(last)).for_each(|b| stir(rest, b));
+            }
         }
         woken
     }

@@ -112,7 +112,15 @@ pub(crate) struct Sketch {
     levels: Vec<(CellBox, f64)>,
     grounds: Vec<Ground>,
     /// The camera of a view in perspective, and the bodies that it sees.
-    seen: Option<(Camera, Vec<barchan_core::Surface>)>,
+    seen: Option<Seen>,
+}
+
+/// What a view in perspective shows besides particles.
+struct Seen {
+    camera: Camera,
+    surfaces: Vec<barchan_core::Surface>,
+    /// The box that the ground may be in [m].
+    bed: [Vec3; 2],
 }
 
 impl Sketch {
@@ -127,7 +135,7 @@ impl Sketch {
         let (columns, rows) = view.main_panel();
         let mut main = Image::new(columns, rows, AIR);
         match (&self.seen, &view.stage) {
-            (Some((camera, surfaces)), Some(stage)) => self.draw_perspective(&mut main, *camera, surfaces, stage),
+            (Some(seen), Some(stage)) => self.draw_perspective(&mut main, seen, stage),
             _ => self.draw_relief(&mut main),
         }
         let (width, height) = view.cut_panel();
@@ -160,7 +168,8 @@ impl Sketch {
         tools.draw_above(relief, view.frame_above(), surface);
     }
 
-    fn draw_perspective(&self, image: &mut Image, camera: Camera, surfaces: &[barchan_core::Surface], stage: &Stage) {
+    fn draw_perspective(&self, image: &mut Image, seen: &Seen, stage: &Stage) {
+        let Seen { camera, ref surfaces, bed: [min, max] } = *seen;
         // Particles' places are from the view's corner on, but for heights.
         let origin = [self.view.min[0], self.view.min[1], 0.0];
         let local = |place: Vec3| glam::Vec3::from_array(std::array::from_fn(|d| (place[d] - origin[d]) as f32));
@@ -172,7 +181,7 @@ impl Sketch {
             distance: lens.eye.distance(target),
             dots: &self.dots,
             spacing: self.view.spacing as f32,
-            bed: Bed { min: local(stage.min), max: local(stage.max), walls: stage.walls },
+            bed: Bed { min: local(min), max: local(max), walls: stage.walls },
             heights: stage.by_height.then_some(self.heights),
             grounds: &self.grounds,
             surfaces,
@@ -243,7 +252,12 @@ impl View {
     /// If a material fails to give its stress.
     pub(crate) fn look(&mut self, simulation: &Simulation) -> Result<Sketch> {
         let plan = simulation.plan();
-        let dots: Vec<Dot> = simulation.spots().par_iter().map(|spot| self.dot(spot, 0.0)).collect();
+        let followed = self.stage.as_ref().and_then(|stage| stage.followed(simulation));
+        // In a periodic world the ground is shown where it is near who is followed.
+        let place = |x: Vec3| followed.map_or(x, |near| plan.scene.world.image_near(x, near));
+        let spots = simulation.spots();
+        let shown = spots.par_iter().map(|spot| Spot { position: place(spot.position), ..*spot });
+        let dots: Vec<Dot> = shown.map(|spot| self.dot(&spot, 0.0)).collect();
         let surface = self.heights.is_none().then(|| self.surface(&dots));
         let heights = *self.heights.get_or_insert_with(|| {
             let level = surface.as_ref().and_then(Surface::median).unwrap_or(self.min[2] as f32);
@@ -269,7 +283,7 @@ impl View {
         let tools = Tools::new(&boxes, &distance, (above, self.frame_above()), cut_panel, cut_y);
         let seen = self.stage.as_ref().map(|stage| {
             let surfaces = simulation.couplings().iter().flat_map(|coupling| coupling.surfaces()).collect();
-            (stage.camera(simulation), surfaces)
+            Seen { camera: stage.camera(simulation), surfaces, bed: stage.bed(simulation) }
         });
 
         let mut levels = Vec::new();

@@ -63,8 +63,9 @@ fn look_at(b: u32, n: u32) {
 
 // Is a tool near? `tools` holds how many boxes a layer has, and for each step and layer those boxes, of blocks.
 fn is_near_tool(b: u32, tool: u32) -> bool {
-    let at = 1u + 2u * ((slot_now() * LAYERS + u32(lists[b * ENTRY].w)) * u32(tools[0].x) + tool);
-    let block = lists[b * ENTRY].xyz;
+    let layer = u32(lists[b * ENTRY].w);
+    let at = 1u + 2u * ((slot_now() * LAYERS + layer) * u32(tools[0].x) + tool);
+    let block = image_near(layer, 4 * lists[b * ENTRY].xyz, 4 * middle_of(tools[at].xyz, tools[at + 1u].xyz)) >> vec3<u32>(2u);
     return all(block >= tools[at].xyz) && all(block <= tools[at + 1u].xyz);
 }
 

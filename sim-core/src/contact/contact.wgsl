@@ -43,9 +43,10 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     }
     layer_now = workgroupUniformLoad(&layer);
     let width = H / shrink_of(layer_now);
-    let first = lists[(extent.block_room + g) * ENTRY].xyz * 4;
+    let own_first = lists[(extent.block_room + g) * ENTRY].xyz * 4;
     for (var b = n; b < BODIES; b += 64u) {
         let at = body_at(b);
+        let first = image_near(layer_now, own_first, int_vector(bodies[at]));
         if all(first + vec3<i32>(3) >= int_vector(bodies[at + 7u])) && all(first <= int_vector(bodies[at + 8u])) {
             atomicOr(&found_near[b >> 5u], 1u << (b & 31u));
             atomicStore(&found_any, 1u);
@@ -64,13 +65,12 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         }
         return;
     }
-    let cell = first + local_of(n);
     let node = grid[g * 64u + n];
     let mass = $MASS;
     var u = node.xyz;
     var changed = false;
     // Nodes behind mirrors move as their images.
-    let is_own = mass > layers[layer_now].least && !is_behind(layer_now, cell);
+    let is_own = mass > layers[layer_now].least && !is_behind(layer_now, own_first + local_of(n));
     // The body that holds the node, and how.
     var owner = NONE;
     var grip: CouplingGrip;
@@ -80,6 +80,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
             let b = 32u * word + firstTrailingBit(left);
             left &= left - 1u;
             let at = body_at(b);
+            let cell = image_near(layer_now, own_first, int_vector(bodies[at])) + local_of(n);
             if !is_own || is_field(b) || any(cell < int_vector(bodies[at + 7u])) || any(cell > int_vector(bodies[at + 8u])) {
                 continue;
             }
@@ -105,6 +106,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
             var impulse = vec3<f32>(0.0);
             var arm = vec3<f32>(0.0);
             let at = body_at(b);
+            let cell = image_near(layer_now, own_first, int_vector(bodies[at])) + local_of(n);
             let acts = is_field(b) && is_own && all(cell >= int_vector(bodies[at + 7u])) && all(cell <= int_vector(bodies[at + 8u]));
             if acts || b == owner {
                 arm = arm_of(at, cell, width);

@@ -53,7 +53,7 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     }
     layer_now = workgroupUniformLoad(&layer);
     let width = H / shrink_of(layer_now);
-    let first = lists[entry].xyz * 4;
+    let own_first = lists[entry].xyz * 4;
     // Cells by whose particles the block's nodes may be reached: a cell around it, and one more if they may have drifted by half of one. And how far from the
     // middle of a cell the end of a particle may be, which stands in its corner and has drifted.
     let drift = workgroupUniformLoad(&drifted);
@@ -61,6 +61,7 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     let side = 4u + 2u * margin;
     let near_by = (PRESS_HALF + 1.7321 * (0.51 + drift)) * width;
     for (var b = thread; b < PRESSED_BODIES; b += PRESSING) {
+        let first = image_near(layer_now, own_first, pressed_cell(b));
         if !may_be_near(b, first) {
             continue;
         }
@@ -84,6 +85,7 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         }
         let unit = greatest_modulus() * width * width / COARSE_UNITS;
         let body = pressed_body(b);
+        let first = image_near(layer_now, own_first, pressed_cell(b));
         // From the body's reference point to the block's first cell [cells].
         let corner = vec3<f32>(first - body.cell) - body.place;
         for (var start = 0u; start < side * side * side; start += PRESSING) {

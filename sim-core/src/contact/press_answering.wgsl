@@ -26,11 +26,16 @@ fn pressed_body(b: u32) -> PressedBody {
     return PressedBody(nodes[0], most, base, in_level(cell, place, vec3<f32>(0.0), level, shrink), rows, number);
 }
 
+// The cell that the body's reference point is in.
+fn pressed_cell(b: u32) -> vec3<i32> {
+    let k = layer_now / LEVELS * ANSWERING + b;
+    return bitcast<vec3<i32>>(answering[state_of_body(k, state_now())].xyz) >> vec3<u32>(level_of(layer_now));
+}
+
 // Is it so far from a block that its box need not be asked? Contact thickens a thin body by a cell.
 fn may_be_near(b: u32, first: vec3<i32>) -> bool {
     let k = layer_now / LEVELS * ANSWERING + b;
-    let level = level_of(layer_now);
-    let cell = bitcast<vec3<i32>>(answering[state_of_body(k, state_now())].xyz) >> vec3<u32>(level);
+    let cell = pressed_cell(b);
     let reach = i32(ceil(min(real(answering[body_head(k)]).w * shrink_of(layer_now), 1e6) + REACH)) + 3;
     return all(first + vec3<i32>(3) >= cell - vec3<i32>(reach)) && all(first <= cell + vec3<i32>(reach));
 }

@@ -9,6 +9,10 @@ fn pressed_body(b: u32) -> PressedBody {
     return PressedBody(least, most, int_vector(bodies[at]), bodies[at + 1u].xyz, rows, b);
 }
 
+fn pressed_cell(b: u32) -> vec3<i32> {
+    return int_vector(bodies[body_at(b)]);
+}
+
 fn put_pressed(b: u32, g: u32, block: vec3<i32>, n: u32, force: vec3<f32>) {
     partials[pressed_at(g, b, n)] = vec4<f32>(force, 0.0);
 }

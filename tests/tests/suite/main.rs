@@ -13,6 +13,7 @@ mod forks;
 mod goldens;
 mod granular;
 mod hard_cases;
+mod images;
 mod instruction_sets;
 mod levels;
 mod libraries;

@@ -7,8 +7,9 @@ use crate::worlds::world::{Level, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::contact::{Act, Contact};
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
+use barchan_grid::block::SIDE;
 use barchan_grid::limits::{FULL_SPEED, greater};
-use barchan_grid::near::gather_block;
+use barchan_grid::near::{gather_block, image_near};
 use std::collections::HashMap;
 use std::ops::Range;
 
@@ -90,6 +91,8 @@ pub(crate) struct Met {
     /// Numbers of its blocks of nodes.
     blocks: Range<usize>,
     layer: u32,
+    /// The world's cells along periodic axes, 0 along others.
+    periods: [i32; 3],
 }
 
 /// A world's nodes and particles near its bodies.
@@ -111,6 +114,7 @@ impl Near {
             h: level.h,
             blocks: level.node_blocks.clone(),
             layer: layer as u32,
+            periods: level.periods.count.map(|blocks| blocks * SIDE),
         };
         Self {
             blocks: Vec::new(),
@@ -153,15 +157,16 @@ impl Near {
 
     /// Hands over a level's nodes in some boxes, and the particles there, and takes back the nodes' velocities.
     fn apply(&mut self, level: usize, boxes: &[Aabb], wants_particles: bool, act: &mut Act<'_>) -> Result<f64> {
-        let Met { h, blocks: ref own, layer } = self.levels[level];
+        let Met { h, blocks: ref own, layer, periods } = self.levels[level];
         let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
         let mut numbers = HashMap::new();
         for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
+            let Some(first) = image_near(boxes, block.first, h, periods) else { continue };
             let node = |n: usize| {
                 let [u, v, w, mass] = block.nodes[n].map(f64::from);
                 ([u, v, w], mass)
             };
-            gather_block(&mut batch, boxes, block.first, self.least_mass, node, |n, cell, number| {
+            gather_block(&mut batch, boxes, first, self.least_mass, node, |n, cell, number| {
                 numbers.insert(cell, number);
                 places.push((b, n));
             });
@@ -178,10 +183,15 @@ impl Near {
                 })
             };
             let mut cubes = HashMap::new();
+            // Cells that particles reach nodes from, and half of one.
+            let wider: Vec<Aabb> = boxes.iter().map(|one| one.grown(1.5 * h)).collect();
             for particle in self.particles.iter().filter(|p| p.layer == layer) {
                 let in_cell = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
                 let (to_first, place) = NearParticle::between_nodes(in_cell);
-                let first: [i32; 3] = std::array::from_fn(|d| particle.cell[d] + to_first[d]);
+                let block = particle.cell.map(|c| c.div_euclid(SIDE) * SIDE);
+                let Some(image) = image_near(&wider, block, h, periods) else { continue };
+                let cell: [i32; 3] = std::array::from_fn(|d| particle.cell[d] + image[d] - block[d]);
+                let first: [i32; 3] = std::array::from_fn(|d| cell[d] + to_first[d]);
                 let cube = *cubes.entry(first).or_insert_with(|| {
                     batch.cubes.push(around(first));
                     batch.cubes.len() as u32 - 1
@@ -190,7 +200,7 @@ impl Near {
                     let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
                     batch.particles.push(NearParticle {
                         cube,
-                        position: std::array::from_fn(|d| (f64::from(particle.cell[d]) + in_cell[d]) * h),
+                        position: std::array::from_fn(|d| (f64::from(cell[d]) + in_cell[d]) * h),
                         place,
                         volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
                         modulus,

@@ -199,10 +199,10 @@ fn find_touches(b: u32, count_of_bodies: u32, level: u32, thread: u32) {
         let at = vec3<u32>(r % size.x, (r / size.x) % size.y, r / (size.x * size.y));
         var g = NONE;
         if thread < THREADS && r < all_rooms {
-            // Bodies do not reach round a periodic world.
+            // Of a block's images along periodic axes it meets the nearest.
             let block = first + vec3<i32>(at);
             let here = place_in_box(layer_now, block);
-            if here != NONE && all(wrapped(layer_now, block) == block) {
+            if here != NONE && all(image_near(layer_now, 4 * block, pose.cell >> vec3<u32>(level)) == 4 * block) {
                 g = directory[here].y;
             }
         }

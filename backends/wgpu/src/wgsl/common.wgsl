@@ -282,6 +282,26 @@ fn wrapped(layer: u32, b: vec3<i32>) -> vec3<i32> {
     return block;
 }
 
+// Where a layer's block that begins with a cell has its middle nearest to another cell, among its images along periodic axes.
+fn image_near(layer: u32, first: vec3<i32>, to: vec3<i32>) -> vec3<i32> {
+    var image = first;
+    for (var d = 0; d < 3; d++) {
+        if PERIOD[d] > 0 {
+            let period = 4 * (PERIOD[d] >> level_of(layer));
+            let off = 2 * (to[d] - first[d] - 2) + period;
+            // Rounds down.
+            let times = (off - (((off % (2 * period)) + 2 * period) % (2 * period))) / (2 * period);
+            image[d] = first[d] + times * period;
+        }
+    }
+    return image;
+}
+
+// The middle of a box of cells.
+fn middle_of(least: vec3<i32>, most: vec3<i32>) -> vec3<i32> {
+    return (least + most) >> vec3<u32>(1u);
+}
+
 // Where a layer's block stands in the directory, or NONE.
 fn place_in_box(layer: u32, b: vec3<i32>) -> u32 {
     let size = layers[layer].box_size;

@@ -19,14 +19,14 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     }
     let layer = u32(lists[entry].w);
     let first = lists[entry].xyz * 4;
-    let cell = first + local_of(n);
     let node = grid[g * 64u + n];
     let mass = $MASS;
     // Nodes behind mirrors move as their images.
-    if !(mass <= layers[layer].least) && !is_behind(layer, cell) {
+    if !(mass <= layers[layer].least) && !is_behind(layer, first + local_of(n)) {
         let boxes = u32(around[0].x);
         for (var b = 0u; b < boxes; b++) {
             let at = 1u + 2u * (layer * boxes + b);
+            let cell = image_near(layer, first, middle_of(around[at].xyz, around[at + 1u].xyz)) + local_of(n);
             if all(cell >= around[at].xyz) && all(cell <= around[at + 1u].xyz) {
                 atomicStore(&held, 1u);
             }
@@ -47,5 +47,5 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     if n == 0u {
         near[at * NEAR_BLOCK] = vec4<u32>(bitcast<vec3<u32>>(first), g);
     }
-    near[at * NEAR_BLOCK + 1u + n] = bitcast<vec4<u32>>(vec4<f32>(node.xyz, select(mass, 0.0, is_behind(layer, cell))));
+    near[at * NEAR_BLOCK + 1u + n] = bitcast<vec4<u32>>(vec4<f32>(node.xyz, select(mass, 0.0, is_behind(layer, first + local_of(n)))));
 }

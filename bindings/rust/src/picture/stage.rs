@@ -86,13 +86,28 @@ impl Stage {
         })
     }
 
+    /// Where the body is that the camera follows, if there is one.
+    pub(super) fn followed(&self, simulation: &Simulation) -> Option<Vec3> {
+        self.follow.as_ref().and_then(|(name, _)| place_of(simulation, name))
+    }
+
     /// The camera as it is now.
     pub(super) fn camera(&self, simulation: &Simulation) -> Camera {
-        let moved = self.follow.as_ref().and_then(|(name, start)| {
-            let now = place_of(simulation, name)?;
-            Some([now[0] - start[0], now[1] - start[1], 0.0])
-        });
+        let moved = self.follow.as_ref().zip(self.followed(simulation));
+        let moved = moved.map(|((_, start), now)| [now[0] - start[0], now[1] - start[1], 0.0]);
         self.camera.moved(moved.unwrap_or_default())
+    }
+
+    /// The world's box, in a periodic one about the body that the camera follows.
+    pub(super) fn bed(&self, simulation: &Simulation) -> [Vec3; 2] {
+        let (mut bed, world) = ([self.min, self.max], &simulation.plan().scene.world);
+        if let Some(now) = self.followed(simulation) {
+            for d in (0..3).filter(|d| world.is_periodic(*d)) {
+                let half = 0.5 * (self.max[d] - self.min[d]);
+                (bed[0][d], bed[1][d]) = (now[d] - half, now[d] + half);
+            }
+        }
+        bed
     }
 }
 

@@ -116,8 +116,13 @@ impl Scene {
             _ => ("position", vec![(tool.position, tool.rotation)]),
         };
         let world = self.world_box();
+        // Beyond the ends that meet it is among images of the ground.
+        let mut reached = world;
+        for d in (0..3).filter(|d| self.world.is_periodic(*d)) {
+            (reached.min[d], reached.max[d]) = (f64::NEG_INFINITY, f64::INFINITY);
+        }
         self.require(
-            poses.iter().any(|&(position, rotation)| posed_bounds(bounds, position, rotation).meets(&world)),
+            poses.iter().any(|&(position, rotation)| posed_bounds(bounds, position, rotation).meets(&reached)),
             &format!("{path}.{key}"),
             format!("tool '{}' is outside the world, from {:?} to {:?}", tool.name, world.min, world.max),
             "move the tool, or widen world.min and world.max",

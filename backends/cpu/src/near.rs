@@ -1,0 +1,143 @@
+//! What bodies meet of a level: the nodes and particles near them, and the nodes' velocities back.
+
+use crate::grid::entries;
+use crate::level::Level;
+use barchan_core::{Aabb, NearParticle, NodeBatch, Vec3};
+use barchan_grid::block::{self, CELLS, NONE, SIDE};
+use barchan_grid::limits::{FULL_SPEED, greater};
+use barchan_grid::near::{gather_block, image_near};
+use barchan_grid::transfer::Scalar;
+use barchan_lanes::CHUNK;
+use rayon::prelude::*;
+
+impl<T: Scalar> Level<T> {
+    /// Collects the nodes inside any of the boxes, in the grid's order, along periodic axes their images there. If levels take steps of their own (`subcycled`), a node that the
+    /// finer level shares weighs what this level's own particles weigh there: the finer ones have moved, and take nothing of what
+    /// bodies give to it.
+    pub(crate) fn gather(&mut self, boxes: &[Aabb], least: f64, subcycled: bool, batch: &mut NodeBatch) {
+        batch.clear();
+        self.batch_nodes.clear();
+        self.batch_block_of.clear();
+        self.batch_block_of.resize(self.grid.keys.len(), NONE);
+        self.batch_blocks.clear();
+        batch.cell_width = self.store.cell_width;
+        // Most blocks are far from all boxes: they are left out side by side.
+        let (h, periods) = (batch.cell_width, self.bounds.periods());
+        let image = |key: u64| image_near(boxes, block::of_key(key).map(|b| b * SIDE), h, periods);
+        let keys = self.grid.keys.par_iter().with_min_len(1 << 10);
+        let near: Vec<_> = keys.enumerate().filter_map(|(g, key)| Some((g, image(*key)?))).collect();
+        for (g, first) in near {
+            let nodes = &self.grid.nodes[g];
+            let mut numbers = [NodeBatch::NONE; CELLS];
+            let so_far = batch.len();
+            let mut shared =
+                self.grid.shared[entries(&self.grid.shared_starts, g)].iter().filter(|_| subcycled).peekable();
+            let node = |n: usize| {
+                let [u, v, w, mass] = [0, 1, 2, 3].map(|k| nodes[4 * n + k]);
+                let own = shared.next_if(|shared| shared.node as usize % CELLS == n).map(|shared| shared.own[3]);
+                ([u, v, w].map(T::to_f64), own.unwrap_or(mass).to_f64())
+            };
+            gather_block(batch, boxes, first, least, node, |n, _, number| {
+                numbers[n] = number;
+                self.batch_nodes.push((g * CELLS + n) as u32);
+            });
+            if batch.len() > so_far {
+                self.batch_block_of[g] = self.batch_blocks.len() as u32;
+                self.batch_blocks.push(numbers);
+            }
+        }
+    }
+
+    /// Collects the particles inside any of the boxes, block by block, and their cells among the nodes that were gathered last; `moduli` are
+    /// the materials' stiffness [Pa].
+    pub(crate) fn gather_particles(&self, boxes: &[Aabb], moduli: &[f64], batch: &mut NodeBatch) {
+        // Particles may have left their block by a cell since they were sorted, and nodes are at the middle of cells.
+        let (h, periods) = (self.h(), self.bounds.periods());
+        let wider: Vec<Aabb> = boxes.iter().map(|one| one.grown(1.5 * h)).collect();
+        let image = |b: usize| {
+            let first = block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
+            let there = image_near(&wider, first, h, periods)?;
+            Some((b, std::array::from_fn(|d| f64::from(there[d] - first[d]) * h)))
+        };
+        let blocks: Vec<(usize, [f64; 3])> = (0..self.grid.occupied.len()).filter_map(image).collect();
+        let found: Vec<_> = blocks.par_iter().map(|&(b, by)| self.near_particles(b, by, boxes, moduli)).collect();
+        for (cubes, particles) in found {
+            let first = batch.cubes.len() as u32;
+            batch.cubes.extend(cubes);
+            batch.particles.extend(particles.into_iter().map(|one| NearParticle { cube: first + one.cube, ..one }));
+        }
+    }
+
+    /// A block's particles inside any of the boxes, where it is by so much [m] off itself, and the cubes of nodes around them.
+    fn near_particles(
+        &self,
+        b: usize,
+        by: [f64; 3],
+        boxes: &[Aabb],
+        moduli: &[f64],
+    ) -> (Vec<[u32; 8]>, Vec<NearParticle>) {
+        /// Cubes along a side of what a block's particles may lie in: a cell beyond the block at either end, and half a cell more.
+        const REACHED: usize = SIDE as usize + 3;
+        let h = self.h();
+        let first = block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
+        let absent = [NodeBatch::NONE; CELLS];
+        let in_batch = |g: u32| self.batch_block_of.get(g as usize).filter(|&&i| i != NONE);
+        let blocks =
+            self.grid.nodes_around[b].map(|g| in_batch(g).map_or(&absent, |&i| &self.batch_blocks[i as usize]));
+        let cube = |first: [i32; 3]| -> [u32; 8] {
+            let along = first.map(|x| [x, x + 1].map(|x| (x.div_euclid(SIDE), x.rem_euclid(SIDE) as usize)));
+            std::array::from_fn(|n| {
+                let [x, y, z] = [along[0][n / 4], along[1][n / 2 % 2], along[2][n % 2]];
+                blocks[block::neighbour([x.0, y.0, z.0])][block::in_block(x.1, y.1, z.1) / 4]
+            })
+        };
+        let cells = |x: Vec3| std::array::from_fn(|d| ((x[d] - by[d]) / h).floor() as i32);
+        let ranges: Vec<[[i32; 3]; 2]> = boxes.iter().map(|one| [one.min, one.max].map(cells)).collect();
+        let (mut cubes, mut particles) = (Vec::new(), Vec::new());
+        let mut numbers = [NodeBatch::NONE; REACHED * REACHED * REACHED];
+        for list in &self.store.lists {
+            let run = list.runs[b];
+            let chunks =
+                (0..run.chunks()).filter(|k| ranges.iter().any(|range| list.is_any_within(run.first + k, range)));
+            for (k, lane) in chunks.flat_map(|k| (0..(run.count - k * CHUNK).min(CHUNK)).map(move |lane| (k, lane))) {
+                let chunk = run.first + k;
+                let own = list.position_of(chunk, lane, h);
+                let position = std::array::from_fn(|d| own[d] + by[d]);
+                if !boxes.iter().any(|one| one.contains(position)) {
+                    continue;
+                }
+                let cell = list.cell_of(chunk, lane);
+                let (to_first, place) = NearParticle::between_nodes(list.offset_of(chunk, lane));
+                let local: [i32; 3] = std::array::from_fn(|d| cell[d] - first[d] + to_first[d]);
+                let number = &mut numbers[local.iter().fold(0, |i, x| i * REACHED + (x + 2) as usize)];
+                if *number == NodeBatch::NONE {
+                    *number = cubes.len() as u32;
+                    cubes.push(cube(local));
+                }
+                // At rims some nodes are the coarser level's, and those in boxes may all be.
+                if cubes[*number as usize].iter().any(|&node| node != NodeBatch::NONE) {
+                    particles.push(NearParticle {
+                        cube: *number,
+                        position,
+                        place,
+                        volume: list.volume0_of(chunk, lane),
+                        modulus: moduli[list.material],
+                    });
+                }
+            }
+        }
+        (cubes, particles)
+    }
+
+    /// Takes back the velocities of the nodes that were gathered last.
+    pub(crate) fn scatter(&mut self, batch: &NodeBatch, least: f64) {
+        let nodes = self.grid.nodes.as_flattened_mut();
+        for ((&at, u), mass) in self.batch_nodes.iter().zip(&batch.velocity).zip(&batch.mass) {
+            let felt = (mass / (least * FULL_SPEED)).min(1.0);
+            for d in 0..3 {
+                nodes[4 * at as usize + d] = T::from_f64(u[d]);
+                self.max_speed = greater(self.max_speed, felt * u[d].abs());
+            }
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! Worlds whose ends meet: what is beyond a side is an image of what is at the other end.
+
+use super::{Wall, World};
+use crate::{Aabb, Vec3};
+
+impl World {
+    /// Do its ends meet along an axis?
+    pub fn is_periodic(&self, axis: usize) -> bool {
+        self.walls.pair(axis)[0] == Wall::Periodic
+    }
+
+    /// The image of a point that is nearest to another one [m], along periodic axes: there bodies that have gone over a side meet the ground.
+    pub fn image_near(&self, point: Vec3, to: Vec3) -> Vec3 {
+        std::array::from_fn(|d| if self.is_periodic(d) { self.nearest(d, point[d], to[d]) } else { point[d] })
+    }
+
+    /// The image of a point seen from above [m] that is in the world along periodic axes.
+    pub(crate) fn inside(&self, point: [f64; 2]) -> [f64; 2] {
+        let middle = |d: usize| 0.5 * (self.min[d] + self.max[d]);
+        std::array::from_fn(|d| if self.is_periodic(d) { self.nearest(d, point[d], middle(d)) } else { point[d] })
+    }
+
+    /// How far those images of the world are from it that a box reaches into [m]; along axes that are not periodic there is but one.
+    pub(crate) fn images(&self, bounds: &Aabb) -> Vec<Vec3> {
+        let mut images = vec![[0.0; 3]];
+        for d in (0..3).filter(|d| self.is_periodic(*d)) {
+            let period = self.max[d] - self.min[d];
+            let number = |x: f64| ((x - self.min[d]) / period).floor();
+            let (first, last) = (number(bounds.min[d]), number(bounds.max[d]));
+            // What is wider than the world is in all of it.
+            let last = last.min(first + 1.0);
+            if !(first.is_finite() && last.is_finite()) {
+                continue;
+            }
+            let along = [first, last].map(|number| number * period);
+            images = images
+                .iter()
+                .flat_map(|image| along.map(|by| std::array::from_fn(|e| if e == d { by } else { image[e] })))
+                .collect();
+            images.dedup();
+        }
+        images
+    }
+
+    fn nearest(&self, axis: usize, x: f64, to: f64) -> f64 {
+        let period = self.max[axis] - self.min[axis];
+        x + period * ((to - x) / period).round()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Walls;
+
+    #[test]
+    fn boxes_reach_into_images_beyond_periodic_sides() {
+        let both = Wall::Periodic;
+        let walls = Walls { x_min: both, x_max: both, ..Walls::default() };
+        let (min, max) = ([-1.0, 0.0, 0.0], [1.0; 3]);
+        let world = World { cell: 0.5, min, max, walls, leaving: Default::default(), plane_strain: None };
+        let of = |from: f64, to: f64| world.images(&Aabb { min: [from, 0.0, 0.0], max: [to, 9.0, 0.1] });
+        assert_eq!(of(-0.5, 0.5), [[0.0; 3]]);
+        assert_eq!(of(0.5, 1.5), [[0.0; 3], [2.0, 0.0, 0.0]]);
+        assert_eq!(of(-4.9, -4.8), [[-4.0, 0.0, 0.0]]);
+        assert_eq!(world.image_near([0.75, 3.0, 0.0], [-5.0, 0.0, 0.0]), [-5.25, 3.0, 0.0]);
+        assert_eq!(world.inside([3.5, 3.0]), [-0.5, 3.0]);
+    }
+}
