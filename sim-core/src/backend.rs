@@ -107,7 +107,7 @@ pub struct WorldStep<'a> {
 }
 
 /// What is to be looked at in a world of a batch.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Look<'a> {
     /// The plan's materials.
     pub materials: &'a [PlannedMaterial],
@@ -115,17 +115,31 @@ pub struct Look<'a> {
     pub sought: &'a [Sought],
     /// How many particles are sampled of each level.
     pub sample: &'a [usize],
+    /// Where heights of the ground are wanted [m], inside the world along periodic axes.
+    pub points: Vec<[f64; 2]>,
+    /// Height below which there is nothing [m].
+    pub bottom: f64,
 }
 
 impl<'a> Look<'a> {
     /// What a task wants to see of a world of that plan, as far as a batch finds it.
     pub fn new(plan: &'a Plan, watch: &'a Watch) -> Self {
-        Self { materials: &plan.materials, sought: &watch.sums, sample: &watch.sample }
+        let world = &plan.scene.world;
+        let points = watch.heights.iter().map(|point| world.inside(*point)).collect();
+        Self { materials: &plan.materials, sought: &watch.sums, sample: &watch.sample, points, bottom: world.min[2] }
     }
 }
 
 /// What was seen there.
-pub type Looked = (Vec<Sums>, Vec<Sampled>);
+#[derive(Clone, Debug, Default)]
+pub struct Looked {
+    /// Sums over regions.
+    pub sums: Vec<Sums>,
+    /// Particles that were sampled.
+    pub sample: Vec<Sampled>,
+    /// Heights of the ground [m], none where there is none; nothing if they are [left to others](Engine::heights).
+    pub heights: Option<Vec<Option<f64>>>,
+}
 
 /// Worlds that step together.
 pub trait Batch: Send {
@@ -137,14 +151,18 @@ pub trait Batch: Send {
     /// # Errors
     /// What is no world's own fault, such as a device that was lost.
     fn steps(&mut self, dt: f64, count: usize, worlds: &mut [WorldStep<'_>]) -> Result<Vec<Result<Vec<StepReport>>>>;
-    /// Looks at all worlds: what [`Engine::sums`] and [`Engine::sample`] find in each. A device needs one transfer for it.
+    /// Looks at all worlds: what [`Engine::sums`], [`Engine::sample`] and [`Engine::heights`] find in each. A device needs one transfer for it.
     ///
     /// # Errors
     /// As [`Engine::sums`], and a device that was lost.
     fn look(&mut self, looks: &[Look<'_>]) -> Result<Vec<Looked>> {
         let of_one = |(world, look): (usize, &Look<'_>)| {
             let engine = self.engine(world);
-            Ok((engine.sums(look.materials, look.sought)?, engine.sample(look.sample)))
+            Ok(Looked {
+                sums: engine.sums(look.materials, look.sought)?,
+                sample: engine.sample(look.sample),
+                heights: engine.heights(&look.points, look.bottom),
+            })
         };
         looks.iter().enumerate().map(of_one).collect()
     }
@@ -305,6 +323,12 @@ pub trait Engine: Send {
         };
         chosen(counts, &present).into_iter().map(sampled).collect()
     }
+    /// Heights of the ground at points [m], which are inside the world, none where there is none, as [`Simulation::heights`](crate::Simulation::heights) says;
+    /// below `bottom` [m] there is nothing. `None` leaves them to whoever asks, who reads the particles.
+    fn heights(&self, points: &[[f64; 2]], bottom: f64) -> Option<Vec<Option<f64>>> {
+        let _ = (points, bottom);
+        None
+    }
     /// Sums over the particles in regions, and over those in the archive there. `materials` are the plan's.
     ///
     /// # Errors
@@ -383,4 +407,9 @@ pub trait Engine: Send {
     fn timings(&self) -> Vec<Timing>;
     /// Bytes resident for particles and grid: (particles, grid).
     fn memory(&self) -> (u64, u64);
+    /// How often something that somebody asked for was copied from a device to the host, and how many bytes in all, for all worlds of a batch together. What steps
+    /// report is not counted.
+    fn transferred(&self) -> (u64, u64) {
+        (0, 0)
+    }
 }

@@ -143,14 +143,18 @@ impl Simulation {
         let pressed = |link: &LinkState| DVec3::from_array(link.ground.force).length() > least;
         let boxes = state.links.iter().zip(&bounds[first..]).filter(|(link, _)| pressed(link));
         let around = boxes.map(|(_, bounds)| bounds.grown(self.widest())).reduce(|a, b| a.union(&b));
+        // Along periodic axes the ground may be anywhere.
+        let is_joined = (0..3).any(|d| self.plan().scene.world.is_periodic(d));
         let reading = match around {
-            Some(region) => self.read(Some(region), Fields { volume0: true, exact: true, ..Fields::default() })?,
+            Some(region) => {
+                self.read((!is_joined).then_some(region), Fields { volume0: true, exact: true, ..Fields::default() })?
+            }
             None => Reading::default(),
         };
         let patch = |(body, link): (usize, &LinkState)| {
             let mut points: Vec<DVec3> = link.rigid.iter().map(|point| DVec3::from_array(point.position)).collect();
             if pressed(link) {
-                points.extend(touching(coupling, first + body, &bounds[first + body].grown(self.widest()), &reading));
+                points.extend(self.touching(coupling, first + body, &bounds[first + body], &reading));
             }
             if touched(link) { link.patch(&points) } else { None }
         };
@@ -180,18 +184,48 @@ impl Simulation {
 
     /// Height of the surface of the soft ground above or below each point [m]: where, seen from above, particles first fill half of space, taken over a particle's
     /// width to all sides. Single grains in the air are not the ground. Where there is none, that of the world's floor; none if it is open.
-    /// Tools and robots are not seen.
+    /// Tools and robots are not seen. Along periodic axes the ground goes on beyond the sides.
     ///
     /// # Errors
     /// [`Error::Device`] if the particles were lost with their device.
     pub fn heights(&self, points: &[[f64; 2]]) -> Result<Vec<Option<f64>>> {
         let world = &self.plan().scene.world;
+        let points: Vec<[f64; 2]> = points.iter().map(|point| world.inside(*point)).collect();
+        if let Some(found) = self.engine().heights(&points, world.min[2]) {
+            return Ok(self.above_floor(found));
+        }
         let column = |&[x, y]: &[f64; 2]| Aabb { min: [x, y, world.min[2]], max: [x, y, world.max[2]] };
         let Some(region) = points.iter().map(column).reduce(|a, b| a.union(&b)) else { return Ok(Vec::new()) };
         let fields = Fields { volume0: true, exact: true, ..Fields::default() };
-        let columns = Columns::new(&self.read(Some(region.grown(self.widest())), fields)?);
+        let periods = [0, 1].map(|d| if world.is_periodic(d) { world.max[d] - world.min[d] } else { 0.0 });
+        // What is beyond a periodic side is at the other end.
+        let mut region = region.grown(self.widest());
+        for d in (0..2).filter(|d| world.is_periodic(*d)) {
+            (region.min[d], region.max[d]) = (world.min[d], world.max[d]);
+        }
+        let columns = Columns::new(&self.read(Some(region), fields)?, [world.min[0], world.min[1]], periods);
+        Ok(self.above_floor(points.iter().map(|point| columns.height(*point)).collect()))
+    }
+
+    /// Heights [m], that of the world's floor where there is no ground.
+    pub(crate) fn above_floor(&self, heights: Vec<Option<f64>>) -> Vec<Option<f64>> {
+        let world = &self.plan().scene.world;
         let floor = (world.walls.z_min != Wall::Open).then_some(world.min[2]);
-        Ok(points.iter().map(|point| columns.height(*point).or(floor)).collect())
+        heights.into_iter().map(|height| height.or(floor)).collect()
+    }
+
+    /// The particles that touch a body with such bounds.
+    fn touching(&self, coupling: &dyn Coupling, body: usize, bounds: &Aabb, reading: &Reading) -> Vec<DVec3> {
+        let around = bounds.grown(self.widest());
+        let middle: Vec3 = std::array::from_fn(|d| 0.5 * (bounds.min[d] + bounds.max[d]));
+        let world = &self.plan().scene.world;
+        let images = (0..reading.len()).map(|i| (i, world.image_near(reading.exact[i], middle)));
+        let near: Vec<(usize, Vec3)> = images.filter(|(_, place)| around.contains(*place)).collect();
+        let places: Vec<Vec3> = near.iter().map(|(_, place)| *place).collect();
+        let distances = coupling.contact_distance(body, &places);
+        let touches = |i: usize, distance: f64| 2.0 * distance < f64::from(reading.volume0[i]).cbrt();
+        let all = near.iter().zip(distances).filter(|((i, _), distance)| touches(*i, *distance));
+        all.map(|((_, place), _)| DVec3::from_array(*place)).collect()
     }
 
     fn robot(&self, name: &str) -> Result<(&dyn Coupling, RobotState)> {
@@ -215,16 +249,6 @@ impl Simulation {
     }
 }
 
-/// The particles that touch a body.
-fn touching(coupling: &dyn Coupling, body: usize, bounds: &Aabb, reading: &Reading) -> Vec<DVec3> {
-    let near: Vec<usize> = (0..reading.len()).filter(|&i| bounds.contains(reading.exact[i])).collect();
-    let places: Vec<Vec3> = near.iter().map(|&i| reading.exact[i]).collect();
-    let distances = coupling.contact_distance(body, &places);
-    let touches = |i: usize, distance: f64| 2.0 * distance < f64::from(reading.volume0[i]).cbrt();
-    let all = near.iter().zip(distances).filter(|(i, distance)| touches(**i, *distance));
-    all.map(|(&i, _)| DVec3::from_array(reading.exact[i])).collect()
-}
-
 /// Particles in square columns.
 struct Columns {
     /// Width of a column: that of the largest particle [m].
@@ -233,12 +257,23 @@ struct Columns {
 }
 
 impl Columns {
-    fn new(reading: &Reading) -> Self {
+    /// Particles, and images of those near sides that are joined, where the world goes from `min` for such lengths, 0 where sides are not joined.
+    fn new(reading: &Reading, min: [f64; 2], periods: [f64; 2]) -> Self {
         let side = |i: usize| f64::from(reading.volume0[i]).cbrt();
         let width = (0..reading.len()).map(side).fold(0.0, f64::max);
         let mut columns: HashMap<[i64; 2], Vec<(Vec3, f64)>> = HashMap::new();
-        for (i, &place) in reading.exact.iter().enumerate() {
-            columns.entry(Self::key([place[0], place[1]], width)).or_default().push((place, side(i)));
+        let images = |d: usize, x: f64| {
+            let off = (x - min[d], min[d] + periods[d] - x);
+            let near = |off: f64| periods[d] > 0.0 && off < 2.0 * width;
+            let beyond = [near(off.0).then_some(periods[d]), near(off.1).then_some(-periods[d])];
+            std::iter::once(0.0).chain(beyond.into_iter().flatten()).map(move |by| x + by)
+        };
+        for (i, &[x, y, z]) in reading.exact.iter().enumerate() {
+            for x in images(0, x) {
+                for y in images(1, y) {
+                    columns.entry(Self::key([x, y], width)).or_default().push(([x, y, z], side(i)));
+                }
+            }
         }
         Self { width, columns }
     }
@@ -289,7 +324,7 @@ mod tests {
                 reading.volume0.push(1e-6);
             }
         }
-        Columns::new(&reading)
+        Columns::new(&reading, [0.0; 2], [0.0; 2])
     }
 
     #[test]

@@ -366,6 +366,10 @@ impl Simulation {
     pub fn memory(&self) -> (u64, u64) {
         self.engine.memory()
     }
+    /// Transfers from a device to the host for what was looked at, and their bytes; of all worlds together that share a batch.
+    pub fn transferred(&self) -> (u64, u64) {
+        self.engine.transferred()
+    }
 
     /// Totals, and counts of everything clamped, floored, cut or lost since the scene's start.
     pub fn ledger(&self) -> Ledger {

@@ -175,12 +175,15 @@ impl Simulation {
     /// As [`sums_within`](Self::sums_within), [`heights`](Self::heights) and [`read`](Self::read).
     pub fn watch(&self, watch: &Watch) -> Result<Seen> {
         let sums = if watch.sums.is_empty() { Vec::new() } else { self.sums_within(&watch.sums)? };
-        self.seen(watch, (sums, self.sample(&watch.sample)?))
+        self.seen(watch, Looked { sums, sample: self.sample(&watch.sample)?, heights: None })
     }
 
     /// The same, where something has been looked at before.
-    pub(crate) fn seen(&self, watch: &Watch, (sums, sample): Looked) -> Result<Seen> {
-        let heights = self.heights(&watch.heights)?;
+    pub(crate) fn seen(&self, watch: &Watch, Looked { sums, sample, heights }: Looked) -> Result<Seen> {
+        let heights = match heights {
+            Some(found) => self.above_floor(found),
+            None => self.heights(&watch.heights)?,
+        };
         let exact = Fields { exact: true, ..Fields::default() };
         let places = watch.places.map(|region| self.read(Some(region), exact)).transpose()?;
         Ok(Seen { sums, heights, sample, places: places.map(|reading| reading.exact).unwrap_or_default() })

@@ -15,6 +15,7 @@ use barchan_core::{
 use barchan_grid::archive::Reach;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::io;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Worlds on one device, shared by those who look at one of them, and the threads of what the host does for them; without any of their own,
@@ -193,16 +194,22 @@ impl Engine for WorldEngine {
     }
 
     fn sums(&self, materials: &[PlannedMaterial], sought: &[Sought]) -> Result<Vec<Sums>> {
-        let look = Look { materials, sought, sample: &[] };
+        let look = Look { materials, sought, ..Look::default() };
         let looked = self.shared.with(|batch| batch.look_at(self.world, &[look]))?;
-        Ok(looked.into_iter().flat_map(|(sums, _)| sums).collect())
+        Ok(looked.into_iter().flat_map(|looked| looked.sums).collect())
     }
 
     fn sample(&self, counts: &[usize]) -> Vec<Sampled> {
-        let look = Look { materials: &[], sought: &[], sample: counts };
+        let look = Look { sample: counts, ..Look::default() };
         let looked = self.shared.with(|batch| batch.look_at(self.world, &[look]));
         // Of a device that is lost nothing can be read; who asks is told by the check.
-        looked.unwrap_or_default().into_iter().flat_map(|(_, sample)| sample).collect()
+        looked.unwrap_or_default().into_iter().flat_map(|looked| looked.sample).collect()
+    }
+
+    fn heights(&self, points: &[[f64; 2]], bottom: f64) -> Option<Vec<Option<f64>>> {
+        let look = Look { points: points.to_vec(), bottom, ..Look::default() };
+        let looked = self.shared.with(|batch| batch.look_at(self.world, &[look]));
+        looked.unwrap_or_default().pop().and_then(|looked| looked.heights)
     }
 
     fn crossed(&self) -> Result<Vec<Crossed>> {
@@ -287,5 +294,10 @@ impl Engine for WorldEngine {
         let (particles, grid) =
             if batch.worlds.len() == 1 { (particles, grid) } else { (share(particles), share(grid)) };
         (particles + archived, grid)
+    }
+
+    fn transferred(&self) -> (u64, u64) {
+        let [times, bytes] = self.shared.batch().gpu.transferred.each_ref().map(|sum| sum.load(Ordering::Relaxed));
+        (times, bytes)
     }
 }

@@ -4,7 +4,7 @@ use barchan::environment::{Environment, Recording};
 use barchan::parameter::{Given, Table};
 use barchan::task::Watch;
 use barchan::{Aabb, Options, Precision, Scene};
-use barchan_tests::scenes::{everywhere, options, rows};
+use barchan_tests::scenes::{everywhere, options, rows, within};
 
 /// A small heap under a scraper; on two levels, the finer one around the scraper.
 const SCENE: &str = r#"
@@ -61,10 +61,13 @@ fn what_is_watched_in_all_worlds_is_what_is_there() {
             environment.step(&actions).unwrap().into_iter().for_each(|step| drop(step.unwrap()));
         }
         let regions = [0.05, 0.08, 0.11].map(|z| barchan::scene::Region::Box { min: [0.0, 0.0, z], max: [1.0; 3] });
+        // Over the heap, its slopes, ground of both levels, and beyond the world.
+        let points: Vec<[f64; 2]> =
+            (0..16 * 9).map(|n| [0.0437 * f64::from(n % 16), 0.0411 * f64::from(n / 16)]).collect();
         let watches: Vec<Watch> = (0..seeds.len())
             .map(|w| {
                 let places = Some(Aabb { min: [0.1, 0.1, 0.06], max: [0.3; 3] });
-                let watch = Watch { sample: vec![20, 10], heights: vec![[0.15, 0.16]], places, ..Watch::default() };
+                let watch = Watch { sample: vec![20, 10], heights: points.clone(), places, ..Watch::default() };
                 // Worlds may be asked about different numbers of regions.
                 regions[..=w].iter().fold(watch, |watch, region| watch.and_within(*region))
             })
@@ -91,8 +94,56 @@ fn what_is_watched_in_all_worlds_is_what_is_there() {
             places.sort_unstable();
             places.dedup();
             assert_eq!(places.len(), 30, "no particle is sampled twice");
+            // The host finds the same heights in the same particles.
+            let there = environment.worlds_mut().world_mut(w);
+            there.swap(&barchan::registry(), &self::options(Precision::F64)).unwrap();
+            let by_host = there.heights(&points).unwrap();
+            let off = seen.heights.iter().zip(by_host).map(|(a, b)| (a.unwrap() - b.unwrap()).abs());
+            within(&format!("heights on {} [m]", options.backend), off.fold(0.0, f64::max), 1e-6);
+            let mean = seen.heights.iter().flatten().sum::<f64>() / points.len() as f64;
+            assert!(mean > 0.03, "{mean}");
         }
     }
+}
+
+/// What agents see of all worlds on a device comes in one transfer a control step, and as many bytes however many particles there are.
+#[test]
+fn observations_of_all_worlds_come_in_one_transfer_of_few_bytes() {
+    let registry = barchan::registry();
+    let options = Options { backend: "wgpu".to_owned(), precision: Precision::F32, ..Options::default() };
+    let parameters = Table::from_iter([("observation".to_owned(), Given::String("both".to_owned()))]);
+    let transferred = |spacing: f64| {
+        let mut scene = Scene::from_str(SCENE, "heap.toml", "").unwrap();
+        scene.body[0].spacing = Some(spacing);
+        scene.levels.count = 1;
+        scene.task.as_mut().unwrap().parameters = parameters.clone();
+        let task = registry.task_of(&scene).unwrap();
+        let mut environment = Environment::new(&registry, task, &[1, 2, 3], &options).unwrap();
+        let particles = environment.worlds().world(0).particle_count();
+        let count = |environment: &Environment| environment.worlds().world(0).transferred();
+        let before = count(&environment);
+        for step in 0..2 {
+            let actions = [1, 2, 3].map(|seed| action(seed, step));
+            environment.step(&actions).unwrap().into_iter().for_each(|step| drop(step.unwrap()));
+        }
+        let stepped = count(&environment);
+        let watch = Watch { sample: vec![200], heights: vec![[0.15, 0.16]; 256], ..Watch::default() };
+        let watch = watch.and_within(barchan::scene::Region::Sphere { center: [0.1; 3], radius: 0.1 });
+        environment
+            .worlds_mut()
+            .watch(&[watch.clone(), watch.clone(), watch])
+            .into_iter()
+            .for_each(|seen| drop(seen.unwrap()));
+        let looked = count(&environment);
+        let since = |after: (u64, u64), before: (u64, u64)| [after.0 - before.0, after.1 - before.1];
+        (particles, since(stepped, before), since(looked, stepped))
+    };
+    let (few, many) = (transferred(0.01), transferred(0.0066));
+    println!("particles; transfers and bytes of two steps, and of a look: {few:?} and {many:?}");
+    assert!(many.0 > 3 * few.0);
+    assert_eq!((few.1, few.2), (many.1, many.2));
+    assert_eq!(few.2[0], 1);
+    assert!(few.2[1] < 3 * 20_000, "{} bytes", few.2[1]);
 }
 
 /// A world among others is the world that it is alone, with all that its agent sees and gets; and an episode that begins again with its seed goes as it went, whether its

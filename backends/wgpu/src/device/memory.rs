@@ -9,6 +9,7 @@ use barchan_core::{Error, Result};
 use bytemuck::{Pod, Zeroable};
 use std::collections::HashMap;
 use std::sync::PoisonError;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Words of the status: before those of layers, of each layer that stay and that a submission sums up, and of each layer in each step;
@@ -822,6 +823,9 @@ pub(crate) fn read_all<T: Pod>(gpu: &Gpu, stretches: &[(&wgpu::Buffer, u64, u64)
     let mut out = Vec::with_capacity(bytes as usize / size_of::<T>());
     if bytes == 0 {
         return Ok(out);
+    }
+    for (sum, more) in gpu.transferred.iter().zip([1, bytes]) {
+        sum.fetch_add(more, Ordering::Relaxed);
     }
     let mut passage = gpu.passage.lock().unwrap_or_else(PoisonError::into_inner);
     let room = bytes.min(PART);

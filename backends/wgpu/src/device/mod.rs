@@ -8,6 +8,7 @@ pub(crate) mod status;
 
 use barchan_core::{Error, Result};
 use std::collections::BTreeMap;
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use wgpu::{Adapter, AdapterInfo, DeviceType, Features, Limits};
 
@@ -65,6 +66,8 @@ pub struct Gpu {
     fault: Arc<Mutex<Option<Fault>>>,
     /// What is read back passes through this.
     pub(crate) passage: Mutex<Option<wgpu::Buffer>>,
+    /// How often something was read back that somebody asked for, and how many bytes in all.
+    pub(crate) transferred: [AtomicU64; 2],
 }
 
 /// What went wrong with a device, and what would mend it.
@@ -193,7 +196,8 @@ pub fn open_with(choice: Option<&str>, offer: Offer) -> Result<Gpu> {
     })?;
     let fault = Arc::default();
     watch(&device, &fault);
-    Ok(Gpu { device, queue, adapter_info, limits, features, fault, passage: Mutex::default() })
+    let (passage, transferred) = Default::default();
+    Ok(Gpu { device, queue, adapter_info, limits, features, fault, passage, transferred })
 }
 
 impl Gpu {

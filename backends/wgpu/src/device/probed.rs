@@ -3,6 +3,7 @@
 use barchan_core::probe::{Crossed, Crossing, Filter, Sought, Sums};
 use barchan_core::scene::{Region, Section};
 use barchan_core::{Plan, Vec3};
+use std::ops::Range;
 
 /// Words of a place at which probes look, of what has crossed a section, and of what a region is asked with; see `probed.wgsl`, `flux.wgsl`, `sums.wgsl`.
 pub(crate) const PLACE: usize = 16;
@@ -12,6 +13,11 @@ pub(crate) const HEAD: usize = 16;
 pub(crate) const SUMMED: usize = 13;
 /// Words of a particle that is sampled; see `sample.wgsl`.
 pub(crate) const SAMPLED: usize = 12;
+
+/// Words of a point of which the height is asked for; see `heights.wgsl`.
+pub(crate) const POINT: usize = 8;
+/// What stands there if the device has not found it.
+const UNKNOWN: u32 = u32::MAX;
 
 /// Kinds of places; the third is an upright cylinder.
 const SQUARE: u32 = 0;
@@ -129,4 +135,24 @@ pub(crate) fn sums_of(words: &[u32]) -> Sums {
         momentum: [number(4), number(5), number(6)],
         stress: std::array::from_fn(|c| number(7 + c)),
     }
+}
+
+/// A point whose height is asked for, counted from a bottom [m] on; finest cells are `h` wide [m].
+pub(crate) fn point([x, y]: [f64; 2], bottom: f64, h: f64, blocks: Range<usize>) -> [u32; POINT] {
+    let cells = [x, y, bottom].map(|x| x / h);
+    let first = cells.map(f64::floor);
+    let [x, y, z] = first.map(|x| x as i32 as u32);
+    let offset = [0, 1].map(|d| ((cells[d] - first[d]) as f32).to_bits());
+    [x, y, z, offset[0], offset[1], blocks.start as u32, blocks.end as u32, 0]
+}
+
+/// The heights that the device has found [m], none where there is no ground; `None` if it has not found all.
+pub(crate) fn heights_of(words: &[u32], bottom: f64, h: f64) -> Option<Vec<Option<f64>>> {
+    let from = (bottom / h).floor();
+    let height = |point: &[u32]| match point[0] {
+        UNKNOWN => None,
+        0 => Some(None),
+        bits => Some(Some((from + f64::from(f32::from_bits(bits))) * h)),
+    };
+    words.chunks_exact(POINT).map(height).collect()
 }

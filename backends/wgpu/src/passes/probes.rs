@@ -1,4 +1,4 @@
-//! What crosses the sections of probes, and sums over regions.
+//! What crosses the sections of probes, sums over regions, single particles, and heights of the ground.
 
 use crate::passes::binding::{
     CELLS, Draft, Groups, IDS, LISTS, OWNERS, RECORD, REST, Role, STATUS, Uniform, Use, blocks,
@@ -11,6 +11,8 @@ use std::fmt::Write as _;
 
 const DIGITS: &str = include_str!("../wgsl/digits.wgsl");
 const PROBED: &str = include_str!("../wgsl/probed.wgsl");
+
+const LOOKED: Use = ("looked", "u32", Role::Sought, true);
 
 /// What has crossed sections in a step.
 pub(crate) fn flux(plan: &Plan, sleeps: bool) -> Draft {
@@ -55,7 +57,20 @@ pub(crate) fn sample() -> Draft {
         name: "sample",
         entry: "sample",
         body: include_str!("../wgsl/sample.wgsl").to_owned(),
-        uses: vec![RECORD, LISTS, CELLS, ("sampled", "u32", Role::Sought, true)],
+        uses: vec![RECORD, LISTS, CELLS, LOOKED],
+        uniform: Uniform::None,
+        groups: Groups::Blocks,
+        checked: true,
+    }
+}
+
+/// Heights of the ground at points, between steps.
+pub(crate) fn heights() -> Draft {
+    Draft {
+        name: "heights",
+        entry: "find_heights",
+        body: include_str!("../wgsl/heights.wgsl").to_owned(),
+        uses: vec![RECORD, REST, LISTS, CELLS, LOOKED],
         uniform: Uniform::None,
         groups: Groups::Blocks,
         checked: true,

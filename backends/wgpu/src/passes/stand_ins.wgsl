@@ -106,7 +106,7 @@ fn number_of(body: u32) -> u32 { return 0u; }
 @group(0) @binding(33) var<storage, read_write> near: array<vec4<u32>>;
 @group(0) @binding(34) var<storage, read_write> around: array<vec4<i32>>;
 @group(0) @binding(35) var<storage, read_write> probed: array<atomic<u32>>;
-@group(0) @binding(36) var<storage, read_write> sampled: array<u32>;
+@group(0) @binding(36) var<storage, read_write> looked: array<u32>;
 fn record_of(q: u32, k: u32) -> vec4<u32> { return vec4<u32>(q, k, 0u, 0u); }
 fn set_record(q: u32, k: u32, value: vec4<u32>) {}
 fn rest_of(q: u32, k: u32) -> vec4<f32> { return vec4<f32>(0.0); }

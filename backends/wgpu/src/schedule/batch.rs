@@ -54,8 +54,8 @@ pub(crate) struct WgpuBatch {
     /// Time in splitting and merging on the host, and how often.
     pub(crate) adapt_seconds: (f64, u64),
     pub(crate) contact: Contact,
-    /// The passes that sum over regions and copy single particles, once anybody has asked.
-    pub(crate) lookers: Option<[Kernel; 2]>,
+    /// The passes that sum over regions, copy single particles and find heights, once anybody has asked.
+    pub(crate) lookers: Option<[Kernel; 3]>,
 }
 
 impl WgpuBatch {

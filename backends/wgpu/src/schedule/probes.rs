@@ -3,9 +3,11 @@
 use crate::device::kernel::Role;
 use crate::device::layout;
 use crate::device::memory::read;
-use crate::device::probed::{CROSSED, Exact, HEAD, PLACE, SAMPLED, SUMMED, crossed_of, regions, sections, sums_of};
+use crate::device::probed::{
+    CROSSED, Exact, HEAD, PLACE, POINT, SAMPLED, SUMMED, crossed_of, heights_of, point, regions, sections, sums_of,
+};
 use crate::passes::binding::build;
-use crate::passes::probes::{sample, sums};
+use crate::passes::probes::{heights, sample, sums};
 use crate::schedule::Dispatch;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::Size;
@@ -53,19 +55,21 @@ impl WgpuBatch {
     /// Looks at worlds that follow one another; what lies in the archive of ground out of reach is summed, too.
     pub(crate) fn look_at(&mut self, first: usize, looks: &[Look<'_>]) -> Result<Vec<Looked>> {
         let mut looked = self.look(first, looks)?;
-        for ((look, (sums, _)), world) in looks.iter().zip(&mut looked).zip(&self.worlds[first..]) {
-            if look.sought.is_empty() {
+        for ((look, seen), world) in looks.iter().zip(&mut looked).zip(&self.worlds[first..]) {
+            if look.sought.is_empty() && look.points.is_empty() {
                 continue;
             }
             for list in world.reach.iter().flat_map(Reach::archived) {
+                // The host finds what the surface is there.
+                seen.heights = None;
                 let planned = &look.materials[list.material as usize];
-                sums.iter_mut().zip(look.sought).try_for_each(|(sums, one)| sums.add_list(one, planned, &list))?;
+                seen.sums.iter_mut().zip(look.sought).try_for_each(|(sums, one)| sums.add_list(one, planned, &list))?;
             }
         }
         Ok(looked)
     }
 
-    /// Looks at live ground, in one submission: for each, sums over regions and a sample of particles, so many of each level.
+    /// Looks at live ground, in one submission: for each, sums over regions, a sample of particles, so many of each level, and heights at points.
     pub(crate) fn look(&mut self, first: usize, asked: &[Look<'_>]) -> Result<Vec<Looked>> {
         let worlds = &self.worlds[first..first + asked.len()];
         let regions_each = asked.iter().map(|look| look.sought.len()).max().unwrap_or_default();
@@ -98,32 +102,46 @@ impl WgpuBatch {
             }
             samples.push(wanted);
         }
+        let heights_at = words.len();
+        for (world, look) in worlds.iter().zip(asked) {
+            let own = world.levels[0].blocks.start..world.levels.last().map_or(0, |level| level.blocks.end);
+            let at = |at: &[f64; 2]| point(*at, look.bottom, world.levels[0].h, own.clone());
+            words.extend(look.points.iter().flat_map(at));
+        }
         let sample_count = samples.iter().map(Vec::len).sum::<usize>();
+        let point_count = (words.len() - heights_at) / POINT;
         let layer = first * self.levels;
-        let head = [blocks.start, blocks.end, layer, regions_each, layers, samples_at, sample_count];
+        let of_sums = [blocks.start, blocks.end, layer, regions_each, layers];
+        let head = of_sums.into_iter().chain([samples_at, sample_count, heights_at, point_count]);
         words.iter_mut().zip(head).for_each(|(word, given)| *word = given as u32);
-        let groups_of_sample = sample_count.div_ceil(64);
-        let groups = [if regions_each > 0 { blocks.len() } else { 0 }, groups_of_sample];
+        let groups = [if regions_each > 0 { blocks.len() } else { 0 }, sample_count.div_ceil(64), point_count];
         let found = self.look_for(&words, sums_at, groups.map(|count| count as u32))?;
-        let (sums, sampled) = found.split_at(samples_at - sums_at);
+        let (sums, found) = found.split_at(samples_at - sums_at);
+        let (sampled, mut heights) = found.split_at(heights_at - samples_at);
         let mut sampled = sampled.chunks_exact(SAMPLED);
         let mut looked = Vec::with_capacity(asked.len());
         for (w, (look, wanted)) in asked.iter().zip(samples).enumerate() {
             let own = sums[sums_each * w..][..sums_each].chunks_exact(4 * SUMMED).take(look.sought.len());
             let levels = &self.worlds[first + w].levels;
             let particles = wanted.iter().zip(sampled.by_ref()).map(|((l, _), words)| sampled_of(words, levels[*l].h));
-            looked.push((own.map(sums_of).collect(), particles.collect()));
+            let points;
+            (points, heights) = heights.split_at(POINT * look.points.len());
+            looked.push(Looked {
+                sums: own.map(sums_of).collect(),
+                sample: particles.collect(),
+                heights: heights_of(points, look.bottom, levels[0].h),
+            });
         }
         Ok(looked)
     }
 
     /// Hands the words to the passes that look, so many workgroups of each, and returns them from `from` on.
-    fn look_for(&mut self, words: &[u32], from: usize, groups: [u32; 2]) -> Result<Vec<u32>> {
+    fn look_for(&mut self, words: &[u32], from: usize, groups: [u32; 3]) -> Result<Vec<u32>> {
         self.memory.add_sought(&self.gpu, words.len())?;
         self.gpu.queue.write_buffer(self.memory.buffer(Role::Sought, 0), 0, bytemuck::cast_slice(words));
         let lookers = self.lookers.get_or_insert_with(|| {
             let kernels = &self.kernels;
-            [sums(&self.worlds[0].materials), sample()]
+            [sums(&self.worlds[0].materials), sample(), heights()]
                 .map(|draft| build(&self.gpu, &kernels.step_layout, &kernels.setting, self.worlds.len(), draft))
         });
         let row = self.memory.extent.row;
