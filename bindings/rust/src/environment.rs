@@ -183,7 +183,7 @@ impl Environment {
 
     /// Sees worlds at the start of their episodes.
     fn look(&mut self, fresh: &[usize]) -> Result<()> {
-        let seen = self.watch();
+        let seen = self.watch(|w| fresh.contains(&w));
         for (w, seen) in seen.into_iter().enumerate().filter(|(w, _)| fresh.contains(w)) {
             let player = &mut self.players[w];
             player.seen = player.episode.observe(self.worlds.world(w), &seen?)?;
@@ -191,10 +191,12 @@ impl Environment {
         Ok(())
     }
 
-    /// What the task wants to see of each world.
-    fn watch(&mut self) -> Vec<Result<Seen>> {
-        let watches: Vec<Watch> =
-            self.worlds.iter().zip(&self.players).map(|(world, player)| player.episode.watch(world)).collect();
+    /// What the task wants to see of each world that is looked at; nothing of the others.
+    fn watch(&mut self, is_seen: impl Fn(usize) -> bool) -> Vec<Result<Seen>> {
+        let wanted = |(w, (world, player)): (usize, (&Simulation, &Player))| {
+            if is_seen(w) { player.episode.watch(world) } else { Watch::default() }
+        };
+        let watches: Vec<Watch> = self.worlds.iter().zip(&self.players).enumerate().map(wanted).collect();
         self.worlds.watch(&watches)
     }
 
@@ -224,13 +226,17 @@ impl Environment {
             player.clipped += cut.iter().zip(action).filter(|(cut, given)| cut != given).count() as u64;
             failed.push(player.episode.act(self.worlds.world_mut(world), &cut).err());
         }
-        let until: Vec<f64> = self.worlds.iter().map(|world| world.time() + self.task.interval()).collect();
+        let mut until: Vec<f64> = self.worlds.iter().map(|world| world.time() + self.task.interval()).collect();
         loop {
             let mut waits = false;
-            for (failed, result) in failed.iter_mut().zip(self.worlds.approach(&until, SLICE)) {
+            for (w, result) in self.worlds.approach(&until, SLICE).into_iter().enumerate() {
                 match result {
-                    Ok(there) => waits |= !there && failed.is_none(),
-                    Err(error) => *failed = Some(failed.take().unwrap_or(error)),
+                    Ok(there) => waits |= !there && failed[w].is_none(),
+                    Err(error) => {
+                        failed[w].get_or_insert(error);
+                        // It is not asked for more.
+                        until[w] = self.worlds.world(w).time();
+                    }
                 }
             }
             if !waits {
@@ -245,7 +251,7 @@ impl Environment {
 
     /// What came of the step in each world that has not failed.
     fn outcomes(&mut self, failed: Vec<Option<Error>>) -> Vec<Result<Step>> {
-        let seen = self.watch();
+        let seen = self.watch(|w| failed[w].is_none());
         let horizon = self.task.horizon();
         let each = failed.into_iter().zip(seen).zip(self.worlds.iter().zip(&mut self.players));
         each.map(|((failed, seen), (world, player))| {
