@@ -20,6 +20,7 @@ const RULES: Rules = Rules {
         "body.dunes.shape.terrain.origin=[0.0, 0.0, 0.16]",
         "robot.dog.position=[0.0, 0.0, 0.58]",
     ],
+    on_sand: &[],
     // Standing still for the whole episode gets nothing, as in QuadrupedWalk: Σ d_t is 360,060 m then.
     scale: Scale { alpha: 1.0 / 144.0, beta: 2500.0 },
     seconds: 120.0,

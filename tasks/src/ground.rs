@@ -25,6 +25,11 @@ pub(crate) fn is_elastic(parameters: &Parameters) -> bool {
     parameters.text("ground") == CHOICES[2]
 }
 
+/// Is it sand?
+pub(crate) fn is_sand(parameters: &Parameters) -> bool {
+    parameters.text("ground") == CHOICES[0]
+}
+
 /// What is changed in a scene's file.
 ///
 /// Sand of the small size is five times as soft, which allows steps twice as long. Snow is that of Stomakhin et al. 2013; in the small size packed snow grows no

@@ -13,7 +13,7 @@ use crate::walk::{left, length, to_target};
 use barchan_core::parameter::Parameter;
 use barchan_core::registry::TaskSetup;
 use barchan_core::scene::{Gait, Shape, Surface};
-use barchan_core::task::{Episode, Limits, Outcome, Part, Seen, Watch};
+use barchan_core::task::{Episode, Limits, Outcome, Part, Sampled, Seen, Watch};
 use barchan_core::{Registry, Result, Scene, Simulation, Task};
 
 const DOC: &str = "A quadruped is to walk forward over level ground, after a target that goes 1 m/s. Success: it is 3 m on, and has not fallen.";
@@ -27,6 +27,8 @@ pub(crate) struct Rules {
     /// The scene's file, and what is changed in it for the small size.
     pub(crate) file: &'static str,
     pub(crate) lite: &'static [&'static str],
+    /// What is changed besides where the small size is on sand.
+    pub(crate) on_sand: &'static [&'static str],
     pub(crate) scale: Scale,
     /// Simulated time of an episode [s].
     pub(crate) seconds: f64,
@@ -39,20 +41,21 @@ pub(crate) struct Rules {
 const RULES: Rules = Rules {
     doc: DOC,
     file: include_str!("../scenes/tasks/quadruped-walk.toml"),
+    // A patch of one level whose sides are one: what runs over one comes back at the other. So nothing of it has to follow the robot.
     lite: &[
         "world.cell=0.04",
-        "world.min=[-20.0, -20.0, 0.0]",
-        "world.max=[40.0, 20.0, 1.5]",
-        "world.walls={ z_min = 'stick' }",
-        "levels.count=2",
-        "levels.half=8",
-        "levels.reach=4",
+        "world.min=[-0.8, -0.48, 0.0]",
+        "world.max=[0.8, 0.48, 1.2]",
+        "world.walls={ x_min = 'periodic', x_max = 'periodic', y_min = 'periodic', y_max = 'periodic', z_min = 'stick' }",
+        "levels.count=1",
         "body.bed.spacing=0.02666666666666667",
-        "body.bed.shape.terrain.min=[-20.0, -20.0]",
-        "body.bed.shape.terrain.max=[40.0, 20.0]",
-        "body.bed.shape.terrain.origin=[0.0, 0.0, 0.16]",
-        "robot.dog.position=[0.0, 0.0, 0.48]",
+        "body.bed.shape.terrain.min=[-0.8, -0.48]",
+        "body.bed.shape.terrain.max=[0.8, 0.48]",
+        "body.bed.shape.terrain.origin=[0.0, 0.0, 0.24]",
+        "robot.dog.position=[0.0, 0.0, 0.56]",
     ],
+    // 0.72 of the bound, and ten of them in a control step; by itself it is 0.6, and thirteen.
+    on_sand: &["time.step=2e-3"],
     scale: SCALE,
     seconds: 10.0,
     far: 3.0,
@@ -96,8 +99,9 @@ pub(crate) struct QuadrupedWalk {
 impl QuadrupedWalk {
     pub(crate) fn new(setup: &TaskSetup<'_>, size: Size, rules: &'static Rules) -> Result<Self> {
         let ground = ground::changes(setup.parameters, size);
-        let changes: Vec<&str> =
-            size.of(&[][..], rules.lite).iter().copied().chain(ground.iter().map(String::as_str)).collect();
+        let own = if ground::is_sand(setup.parameters) { [rules.lite, rules.on_sand] } else { [rules.lite, &[]] };
+        let own = size.of(Vec::new(), own.concat());
+        let changes: Vec<&str> = own.into_iter().chain(ground.iter().map(String::as_str)).collect();
         let range = |&(name, low, high): &(&str, f64, f64)| Limits { name: name.to_owned(), low, high };
         let ranges = [ground::stiffness(), range(&HEADING)].into_iter().chain(rules.ranges.iter().map(range));
         let base = Base::new(setup, rules.file, &changes, ranges.collect())?;
@@ -210,6 +214,10 @@ impl Episode for Walking {
             reward += rules.scale.rest(losses.map(|loss| share * loss), *horizon);
         }
         let walked = state.position[0] - standing.position[0];
+        // Beside it, where the world is periodic.
+        let ends = &world.plan().scene.world;
+        let beside = |one: &Sampled| Sampled { position: ends.image_near(one.position, state.position), ..*one };
+        let seen = &Seen { sample: seen.sample.iter().map(beside).collect(), ..seen.clone() };
         let mut observation = self.view.numbers(world, seen);
         observation.extend(standing.numbers(world, &state));
         let turn = std::f64::consts::TAU * self.trot.phase(time);
