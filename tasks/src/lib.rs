@@ -4,6 +4,7 @@
 
 mod arm;
 mod arm_scoops;
+mod arm_writes;
 mod base;
 mod dig_a_hole;
 mod dune_walk;
@@ -39,6 +40,7 @@ pub fn register(registry: &mut Registry) -> Result<()> {
     smooth_surface::register(registry)?;
     press_mould::register(registry)?;
     arm_scoops::register(registry)?;
+    arm_writes::register(registry)?;
     quadruped_walk::register(registry)?;
     dune_walk::register(registry)?;
     humanoid_stand::register(registry)?;

@@ -8,7 +8,8 @@ use barchan::{Precision, Scene, Simulation};
 use barchan_tests::scenes::options;
 
 /// Tasks in which a tool or an arm is moved.
-const ALL: [&str; 6] = ["SandPainting", "ScoopOut", "DigAHole", "SmoothSurface", "PressMould", "ArmScoops"];
+const ALL: [&str; 7] =
+    ["SandPainting", "ScoopOut", "DigAHole", "SmoothSurface", "PressMould", "ArmScoops", "ArmWrites"];
 
 /// A world of a task, with its scene changed, and an episode that begins in it.
 fn begin(name: &str, parameters: &Table, change: impl Fn(&mut Scene)) -> (Simulation, Box<dyn Episode>) {
@@ -148,6 +149,34 @@ fn a_mould_that_fills_is_rewarded_by_its_share() {
     assert!(outcome.success, "0.8 of 0.9 litres");
 }
 
+/// L = Σ (left_t − left_{t−1}), α = 1000: what is left is 1 less the share of the lines that is a groove of 5 mm, plus the mean by which the rest has moved,
+/// in such depths.
+#[test]
+fn a_written_word_is_rewarded_by_its_share_of_the_lines() {
+    let parameters = Table::from_iter([("observation".to_owned(), Given::String("none".to_owned()))]);
+    let (world, mut episode) = begin("ArmWrites-lite", &parameters, |_| ());
+    let mut seen = seen(&world, &*episode);
+    near(episode.observe(&world, &seen).unwrap().reward, 0.0, 1e-9);
+    // The last points are those of the lines, and the last stroke is the foot of the L, of 6 cm.
+    let count = seen.heights.len();
+    let sink = |seen: &mut Seen, point: usize, by: f64| seen.heights[point] = seen.heights[point].map(|z| z - by);
+    (count - 6..count).for_each(|point| sink(&mut seen, point, 0.02));
+    let foot = episode.observe(&world, &seen).unwrap();
+    let drawn = info(&foot, "share of the lines that is drawn");
+    near(foot.reward, 1000.0 * drawn, 1e-9);
+    near(drawn, 6.0 / 90.0, 0.01);
+    // Half a groove counts half.
+    sink(&mut seen, count - 1, -0.0175);
+    let half = episode.observe(&world, &seen).unwrap();
+    near(half.reward, -1000.0 * 0.5 * drawn / 6.0, 0.2);
+    // What is done elsewhere takes it again.
+    sink(&mut seen, 0, 0.01);
+    let other = episode.observe(&world, &seen).unwrap();
+    assert!(other.reward < -3.0, "{}", other.reward);
+    near(info(&other, "what the rest has moved, by the groove's depth"), -other.reward / 1000.0, 1e-9);
+    assert!(!other.success);
+}
+
 /// An episode of so many control steps under a task's own agent.
 fn played(name: &str, steps: u64, seed: u64) -> (Recording, Outcome) {
     let mut recording = Recording { task: name.to_owned(), seed, ..Recording::default() };
@@ -200,6 +229,16 @@ fn an_arm_scoops_a_cube() {
     let (recording, last) = played("ArmScoops-lite", 310, 0);
     let lifted = info(&last, "height of the cube above its start [m]");
     assert!(recording.total() > 400.0 && lifted > 0.1, "reward {}, {last:?}", recording.total());
+}
+
+/// The first letter of four, and the way to the second.
+#[test]
+fn an_arm_writes_a_c() {
+    let (recording, last) = played("ArmWrites-lite", 330, 0);
+    let [drawn, stray] = ["share of the lines that is drawn", "what the rest has moved, by the groove's depth"]
+        .map(|name| info(&last, name));
+    println!("{drawn} drawn, {stray} astray, reward {}", recording.total());
+    assert!(drawn > 0.2 && stray < 0.05 && recording.total() > 150.0, "reward {}, {last:?}", recording.total());
 }
 
 /// The same seed gives the same trajectory, bit for bit, and a recording that is played again gives its own rewards;
