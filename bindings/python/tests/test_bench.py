@@ -61,5 +61,5 @@ def test_cma_learns_a_trajectory_in_worlds_of_one_simulation(tmp_path):
 def test_the_hand_written_agent_is_played(tmp_path):
     bench("learn", "--agent", "heuristic", "--steps", 5, "--out", tmp_path)
     assert len(json.loads((tmp_path / "heuristic.json").read_text())["actions"]) == 5
-    assert np.isfinite(json.loads((tmp_path / "summary.json").read_text())["heuristic"])
+    assert np.isfinite(json.loads((tmp_path / "summary.json").read_text())["heuristic"]["return"])
     assert "KEY=VALUE" in bench("learn", "--set", "randomise", "--out", tmp_path, code=1).stderr

@@ -74,7 +74,7 @@ def test_policies_are_learned_from_the_command_line(agent, tmp_path):
     done = subprocess.run([*command, "--device", "cpu", "--out", tmp_path], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["agent"] == agent and np.isfinite(summary["policy_mean"]) and summary["environment_steps"] >= 600
+    assert summary["agent"] == agent and np.isfinite(summary["policy"]["return"]) and summary["environment_steps"] >= 600
     assert len(json.loads((tmp_path / "best.json").read_text())["actions"]) == 10
     assert (tmp_path / "curve.png").stat().st_size > 1000 and (tmp_path / "policy.zip").exists()
     assert list((tmp_path / "tensorboard").rglob("events.out.tfevents.*"))

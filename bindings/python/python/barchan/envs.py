@@ -315,6 +315,8 @@ class TaskVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.max_episode_steps = self.task.horizon if max_episode_steps is None else min(max_episode_steps, self.task.horizon)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
+        # Steps after which the episode in each world is truncated.
+        self._most = np.full(num_envs, self.max_episode_steps, np.int64)
         self._seeds = np.full(num_envs, -1, np.int64)
         self._random: list[np.random.Generator | None] = [None] * num_envs
         self._ended = np.zeros(num_envs, np.bool_)
@@ -328,7 +330,11 @@ class TaskVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begins new episodes: world w with seed + w, or with the seed of a list; in all worlds, or in those of `options["reset_mask"]`, an array of bool."""
+        """Begins new episodes: world w with seed + w, or with the seed of a list; in all worlds, or in those of `options["reset_mask"]`, an array of bool.
+
+        `options["stagger"] = True` truncates these episodes early, each world's at another time, so that worlds are at different times of their episodes from then on: what is
+        seen of all of them in a few steps is then like what is seen in an episode.
+        """
         seeds = [None] * self.num_envs if seed is None else [seed + w for w in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: there are {len(seeds)} of them for {self.num_envs} worlds")
@@ -346,16 +352,20 @@ class TaskVectorEnv(VectorEnv):
             self._seeds[world] = given if given is not None else self._next_seed(world)
         self._ended[chosen] = False
         if chosen.all():
+            self._most[:] = self.max_episode_steps
             observations = self._played.begin(self._seeds.tolist())
         else:
             observations = self._again(chosen)
+        if (options or {}).get("stagger"):
+            count = int(chosen.sum())
+            self._most[chosen] = np.maximum(self.max_episode_steps * np.arange(1, count + 1) // count, 1)
         return self._played.out(observations), self._seed_info(chosen)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         anew = self._ended.copy()
         # Worlds whose episode has ended take this step, too, and nothing of it is told.
         observations, rewards, terminated, truncated, success, told = self._played.step(actions, self.num_envs)
-        truncated |= self.worlds.steps_taken >= self.max_episode_steps
+        truncated |= self.worlds.steps_taken >= self._most
         info: dict[str, Any] = {}
         present = ~anew
         for name, values in (told | {"success": success}).items():
@@ -413,6 +423,7 @@ class TaskVectorEnv(VectorEnv):
 
     def _again(self, chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
         worlds = np.flatnonzero(chosen).tolist()
+        self._most[worlds] = self.max_episode_steps
         return self.worlds.reset(worlds, self._seeds[worlds].tolist())
 
     def _seed_info(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:

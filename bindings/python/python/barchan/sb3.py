@@ -21,7 +21,8 @@ __all__ = ["Worlds"]
 class Worlds(VecEnv):
     """What Stable-Baselines3 calls a VecEnv, of a `TaskVectorEnv` with autoreset_mode="SameStep".
 
-    Stable-Baselines3's own would make a simulation for each environment; here all are worlds of one.
+    Stable-Baselines3's own would make a simulation for each environment; here all are worlds of one. `set_options({"stagger": True})` before a reset lets episodes begin at
+    different times (`TaskVectorEnv.reset`).
     """
 
     def __init__(self, vector: TaskVectorEnv) -> None:
@@ -33,7 +34,8 @@ class Worlds(VecEnv):
 
     def reset(self) -> NDArray[np.float32]:
         given = [seed for seed in self._seeds if seed is not None]
-        observations, _ = self.vector.reset(seed=list(self._seeds) if given else None)
+        # Options of environments are those of the first: worlds begin together.
+        observations, _ = self.vector.reset(seed=list(self._seeds) if given else None, options=self._options[0])
         self._reset_seeds()
         self._reset_options()
         return observations

@@ -14,6 +14,7 @@ import csv
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,12 +50,12 @@ def run(given: argparse.Namespace) -> int:
     out = given.out or Path("out") / f"learn-{given.task}-{given.agent}"
     out.mkdir(parents=True, exist_ok=True)
     begun = time.perf_counter()
-    heuristic = _heuristic(given, out)
-    log = _Log(out, heuristic)
     summary: dict[str, Any] = {"task": given.task, "agent": given.agent, "seed": given.seed, "backend": given.backend}
+    heuristic = _heuristic(given, out)
+    log = _Log(out, heuristic and heuristic["return"])
     if heuristic is not None:
         summary["heuristic"] = heuristic
-        print(f"the hand-written agent: return {heuristic:.2f}", flush=True)
+        print(f"the hand-written agent: {_words(heuristic)}", flush=True)
     if given.agent != "heuristic":
         summary |= {"cma": _cma, "ppo": _policy, "sac": _policy}[given.agent](given, out, log)
         log.plot(f"{given.task}: {given.agent}")
@@ -134,21 +135,34 @@ def _vector(given: argparse.Namespace, worlds: int, mode: str, residual: float |
     )
 
 
-def _heuristic(given: argparse.Namespace, out: Path) -> float | None:
-    """Return of the hand-written agent; None if there is none."""
-    vector = _vector(given, 1, "Disabled", None)
+def _heuristic(given: argparse.Namespace, out: Path) -> dict[str, float] | None:
+    """What the hand-written agent comes to on average, in the worlds that a policy is tried in at last; None if there is none."""
+    vector = _vector(given, 1 if given.agent == "cma" else given.worlds or (1 if given.agent == "heuristic" else 16), "Disabled", None)
     vector.reset(seed=given.seed)
-    total = 0.0
-    while True:
-        try:
-            action = vector.heuristic()
-        except barchan.BodyError:
-            return None
-        _, rewards, terminated, truncated, _ = vector.step(action)
-        total += float(rewards[0])
-        if terminated[0] or truncated[0]:
-            vector.save_episode(out / "heuristic.json", agent="heuristic")
-            return total
+    try:
+        vector.heuristic()
+    except barchan.BodyError:
+        return None
+    return _averages(vector, lambda _: vector.heuristic(), out / "heuristic.json", "heuristic")
+
+
+def _averages(vector: TaskVectorEnv, act: Callable[[Any], Any], file: Path, agent: str) -> dict[str, float]:
+    """Plays an episode in all worlds, which begin, and saves the best one. Averages: of the return, of success, and of what the task tells at the end."""
+    seen = vector.worlds.observations()
+    returns, alive, last = np.zeros(vector.num_envs), np.ones(vector.num_envs, np.bool_), dict[str, Any]()
+    while alive.any():
+        seen, rewards, terminated, truncated, told = vector.step(act(seen))
+        returns += np.where(alive, rewards, 0.0)
+        for name, values in told.items():
+            if not name.startswith("_") and values.dtype.kind in "biuf":
+                last.setdefault(name, np.zeros(vector.num_envs))[alive] = values[alive]
+        alive &= ~(terminated | truncated)
+    vector.save_episode(file, world=int(returns.argmax()), agent=agent)
+    return {"return": float(returns.mean()), "best": float(returns.max())} | {name: float(values.mean()) for name, values in last.items()}
+
+
+def _words(averages: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in averages.items())
 
 
 def episodes(vector: TaskVectorEnv, trajectories: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -210,6 +224,8 @@ def _policy(given: argparse.Namespace, out: Path, log: _Log) -> dict[str, Any]:
     vector = _vector(given, worlds, "SameStep", given.residual)
     environment = VecNormalize(VecMonitor(Worlds(vector)))
     environment.seed(given.seed)
+    # Otherwise what all worlds show in a rollout is the same part of an episode.
+    environment.set_options({"stagger": True})
     board = str(out / "tensorboard") if log._board is not None else None
     common: dict[str, Any] = {"seed": given.seed, "device": given.device, "tensorboard_log": board}
     if given.agent == "ppo":
@@ -217,7 +233,7 @@ def _policy(given: argparse.Namespace, out: Path, log: _Log) -> dict[str, Any]:
         rollout = min(max(2048 // worlds, 32), max(given.budget // (4 * worlds), 2))
         # A residual begins as next to nothing: the hand-written agent is not to be shaken at first.
         policy = {"log_std_init": -1.0 if given.residual is not None else 0.0}
-        model: Any = PPO("MlpPolicy", environment, n_steps=rollout, batch_size=min(512, rollout * worlds), policy_kwargs=policy, **common)
+        model: Any = PPO("MlpPolicy", environment, n_steps=rollout, batch_size=min(256, rollout * worlds), policy_kwargs=policy, **common)
     else:
         model = SAC("MlpPolicy", environment, learning_starts=min(10_000, given.budget // 10), train_freq=1, gradient_steps=1, **common)
 
@@ -228,9 +244,12 @@ def _policy(given: argparse.Namespace, out: Path, log: _Log) -> dict[str, Any]:
         told = 0
 
         def _on_step(self) -> bool:
-            for info in self.locals["infos"]:
+            for world, info in enumerate(self.locals["infos"]):
                 if "episode" in info:
-                    self.returns.append(float(info["episode"]["r"]))
+                    # The first ones are cut short.
+                    if self.begun[world]:
+                        self.returns.append(float(info["episode"]["r"]))
+                    self.begun[world] = True
             if self.returns and self.num_timesteps - self.told >= given.budget / 200:
                 mean, self.told = float(np.mean(self.returns)), self.num_timesteps
                 self.best = max(self.best, *self.returns)
@@ -240,6 +259,7 @@ def _policy(given: argparse.Namespace, out: Path, log: _Log) -> dict[str, Any]:
 
         def _on_training_start(self) -> None:
             self.returns: list[float] = []
+            self.begun = np.zeros(worlds, np.bool_)
 
     curve = Curve()
     model.learn(given.budget, callback=curve)
@@ -249,20 +269,15 @@ def _policy(given: argparse.Namespace, out: Path, log: _Log) -> dict[str, Any]:
     environment.training = False
     vector.close()
     vector = _vector(given, worlds, "Disabled", given.residual)
-    seen, _ = vector.reset(seed=given.seed)
-    returns, alive = np.zeros(worlds), np.ones(worlds, np.bool_)
-    while alive.any():
-        actions, _ = model.predict(environment.normalize_obs(seen), deterministic=True)
-        seen, rewards, terminated, truncated, _ = vector.step(actions)
-        returns += np.where(alive, rewards, 0.0)
-        alive &= ~(terminated | truncated)
-    vector.save_episode(out / "best.json", world=int(returns.argmax()), agent=given.agent)
-    print(f"the policy without noise: return {returns.mean():.2f} on average, {returns.max():.2f} at best", flush=True)
+    vector.reset(seed=given.seed)
+    policy_at_last = _averages(
+        vector, lambda seen: model.predict(environment.normalize_obs(seen), deterministic=True)[0], out / "best.json", given.agent
+    )
+    print(f"the policy without noise: {_words(policy_at_last)}", flush=True)
     return {
         "first_mean": log.rows[0][1] if log.rows else None,
         "last_mean": log.rows[-1][1] if log.rows else None,
-        "policy_mean": float(returns.mean()),
-        "policy_best": float(returns.max()),
+        "policy": policy_at_last,
         "environment_steps": model.num_timesteps,
         "worlds": worlds,
     }
