@@ -48,7 +48,7 @@ pub fn register(registry: &mut Registry) -> Result<()> {
 }
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 24] = [
+const FILES: [(&str, &str); 26] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -67,6 +67,8 @@ const FILES: [(&str, &str); 24] = [
     ("humanoid-stand", include_str!("../scenes/humanoid-stand.toml")),
     ("humanoid-step", include_str!("../scenes/humanoid-step.toml")),
     ("column-collapse", include_str!("../scenes/gallery/column-collapse.toml")),
+    ("poured-heap", include_str!("../scenes/gallery/poured-heap.toml")),
+    ("hopper-discharge", include_str!("../scenes/gallery/hopper-discharge.toml")),
     ("sphere-impact", include_str!("../scenes/gallery/sphere-impact.toml")),
     ("plate-in-sand", include_str!("../scenes/gallery/plate-in-sand.toml")),
     ("block-on-incline", include_str!("../scenes/gallery/block-on-incline.toml")),

@@ -11,7 +11,8 @@ use std::time::Instant;
 
 #[derive(Args)]
 pub(crate) struct GalleryArgs {
-    /// Which experiments [default: all]: column-collapse, sphere-impact, plate-in-sand, block-on-incline, oedometer, shear-box, standing-wave.
+    /// Which experiments [default: all]: column-collapse, poured-heap, hopper-discharge, sphere-impact, plate-in-sand, block-on-incline,
+    /// oedometer, shear-box, standing-wave.
     names: Vec<String>,
     /// Folder for the plots (PNG and SVG) and the table, which are overwritten.
     #[arg(long, value_name = "FOLDER", default_value = "out/gallery")]

@@ -8,7 +8,7 @@
 //!
 //! let run: fn(&Experiment) -> barchan::Result<Outcome> = Experiment::run;
 //! let cases: Vec<&str> = experiments().iter().map(|experiment| experiment.case).collect();
-//! assert_eq!(cases, ["A8", "A7", "A6", "A10", "A3", "A5", "A2"]);
+//! assert_eq!(cases, ["A8", "A14", "A15", "A7", "A6", "A10", "A3", "A5", "A2"]);
 //! // The parts of some are there to be varied.
 //! let order = (standing_wave(8)? / standing_wave(16)?).log2();
 //! assert!(Figure { what: "order".into(), measured: order, theory: 2.0, tolerance: 0.3 }.holds());
@@ -23,6 +23,8 @@
 mod block;
 mod collapse;
 mod ground;
+mod heap;
+mod hopper;
 mod impact;
 mod plate;
 mod wave;
@@ -30,6 +32,8 @@ mod wave;
 pub use block::slide;
 pub use collapse::run_out;
 pub use ground::{Layer, column_at_rest, mobilised, sheared};
+pub use heap::{Heap, poured};
+pub use hopper::discharge;
 pub use impact::{impact, uehara};
 pub use plate::{Bed, Plate, Push, flat_plate, over_depth, stress_after};
 pub use wave::standing_wave;
@@ -103,6 +107,18 @@ pub fn experiments() -> &'static [Experiment] {
             case: "A8",
             law: "run-out over width: 1.2 a for a < 1.8, 1.9 a^(2/3) for a > 2.8; a is height over width (Lube et al. 2005)",
             run: collapse::outcome,
+        },
+        Experiment {
+            name: "poured-heap",
+            case: "A14",
+            law: "tan(slope) = 2 sqrt(3) sin phi/(3 - sin phi), the cone in simple shear",
+            run: heap::outcome,
+        },
+        Experiment {
+            name: "hopper-discharge",
+            case: "A15",
+            law: "rate goes with (D - k d)^(5/2) of an opening, and not with the head above it (Beverloo et al. 1961)",
+            run: hopper::outcome,
         },
         Experiment {
             name: "sphere-impact",
