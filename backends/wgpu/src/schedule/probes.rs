@@ -14,7 +14,6 @@ use crate::schedule::submission::Size;
 use barchan_core::backend::{Look, Looked};
 use barchan_core::task::{Sampled, chosen};
 use barchan_core::{Plan, Result};
-use barchan_grid::archive::Reach;
 
 impl WgpuBatch {
     /// Tells the device where a world's sections are, as each of its levels has them.
@@ -56,12 +55,15 @@ impl WgpuBatch {
     pub(crate) fn look_at(&mut self, first: usize, looks: &[Look<'_>]) -> Result<Vec<Looked>> {
         let mut looked = self.look(first, looks)?;
         for ((look, seen), world) in looks.iter().zip(&mut looked).zip(&self.worlds[first..]) {
-            if look.sought.is_empty() && look.points.is_empty() {
-                continue;
-            }
-            for list in world.reach.iter().flat_map(Reach::archived) {
+            let (Some(reach), Some(coarsest)) = (&world.reach, world.levels.last()) else { continue };
+            if look.points.iter().any(|point| reach.may_hold(*point, coarsest.h)) {
                 // The host finds what the surface is there.
                 seen.heights = None;
+            }
+            if look.sought.is_empty() {
+                continue;
+            }
+            for list in reach.archived() {
                 let planned = &look.materials[list.material as usize];
                 seen.sums.iter_mut().zip(look.sought).try_for_each(|(sums, one)| sums.add_list(one, planned, &list))?;
             }

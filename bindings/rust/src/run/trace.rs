@@ -5,7 +5,7 @@ use super::recorder::Files;
 use super::{TRACE, TRACE_ARRAYS, io_error};
 use crate::export::npz::Npz;
 use barchan_core::observer::{Observer, Output};
-use barchan_core::scene::{self, fits, plain};
+use barchan_core::scene::{self, WallPart, fits, plain};
 use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -41,7 +41,7 @@ const OF_BODY: [&str; 19] = [
 /// And, where rows are an interval apart, the means of its wrench since the row before.
 const MEANS: [&str; 6] =
     ["mean fx [N]", "mean fy [N]", "mean fz [N]", "mean tx [N m]", "mean ty [N m]", "mean tz [N m]"];
-/// Of the whole run, where rows are an interval apart.
+/// Of the whole run, where rows are an interval apart. What walls take one by one follows, where probes ask for it.
 const OF_ALL: [&str; 12] = [
     "particles",
     "mass [kg]",
@@ -77,6 +77,11 @@ impl Columns {
         let mut names: Vec<String> = FIRST.map(str::to_owned).into();
         if wanted.interval.is_some() {
             names.extend(OF_ALL.map(str::to_owned));
+            let scene = &simulation.plan().scene;
+            let of_wall = |(i, _): (usize, WallPart)| {
+                ["x", "y", "z"].map(|d| format!("{} impulse {d} [N s]", scene.probe[i].name))
+            };
+            names.extend(scene.wall_parts().flat_map(of_wall));
         }
         for body in simulation.bodies() {
             let means = if wanted.interval.is_some() { &MEANS[..] } else { &[] };
@@ -180,6 +185,7 @@ impl Trace {
         let (time, step) = (simulation.time(), simulation.step_count());
         let mut values = vec![Some(time), Some(step as f64), dt];
         values.extend(of_all(&simulation.ledger()));
+        values.extend(simulation.pressed().into_iter().flatten().map(Some));
         for (b, (body, wrench)) in simulation.bodies().iter().zip(simulation.wrenches()).enumerate() {
             values.extend(of_body(body, &wrench));
             let mean = self.since.mean(b);
