@@ -48,7 +48,7 @@ pub fn register(registry: &mut Registry) -> Result<()> {
 }
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 24] = [
+const FILES: [(&str, &str); 26] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -59,6 +59,8 @@ const FILES: [(&str, &str); 24] = [
     ("pour", include_str!("../scenes/pour.toml")),
     ("hopper", include_str!("../scenes/hopper.toml")),
     ("footing", include_str!("../scenes/footing.toml")),
+    ("retaining-wall", include_str!("../scenes/retaining-wall.toml")),
+    ("ball-in-pit", include_str!("../scenes/ball-in-pit.toml")),
     ("quadruped-stand", include_str!("../scenes/quadruped-stand.toml")),
     ("quadruped-trot", include_str!("../scenes/quadruped-trot.toml")),
     ("quadruped-dunes", include_str!("../scenes/quadruped-dunes.toml")),
