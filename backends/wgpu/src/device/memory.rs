@@ -48,7 +48,7 @@ pub(crate) const NEAR_BLOCK: usize = 65;
 /// Words that tell of a block's rest; see `watch_words.wgsl`.
 pub(crate) const WATCHED: usize = 12;
 /// Words of a soft body that levels follow; see `soft.wgsl`.
-pub(crate) const SOFT_WORDS: usize = 24;
+pub(crate) const SOFT_WORDS: usize = 27;
 
 /// Room for groups that answer in each world, for their bodies in all and in one group, for words and rates of a group's state, for blocks around all bodies
 /// on the finest level, and around one.
