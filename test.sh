@@ -85,7 +85,7 @@ step "Lints"
 cargo clippy --workspace --all-targets --quiet -- -D warnings
 
 step "The crate barchan with fewer features"
-for features in "" pictures wgpu; do
+for features in "" pictures wgpu parquet; do
     cargo clippy -p barchan --all-targets --no-default-features --features "$features" --quiet -- -D warnings
 done
 

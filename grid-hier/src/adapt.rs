@@ -9,6 +9,7 @@
 //! their levels as [`LevelStore`]s. A backend whose particles are elsewhere, such as on a device, passes copies of
 //! those that a round may concern, as [`CopiedLevel`]s.
 
+mod agents;
 mod clusters;
 mod copied;
 mod nearby;
@@ -19,7 +20,7 @@ use crate::bounds::Bounds;
 use crate::particles::{MASS, MOTION, STRAIN, VOLUME};
 use crate::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split};
 use crate::transfer::MAX_STATE;
-use barchan_core::levels::{Agent, Leeway, MERGE_BEHIND, SPLIT_AHEAD, agent_bounds};
+use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD};
 use barchan_core::{Aabb, Coupling, Error, Ledger, LevelPhase, ParticleList, Plan, Regions, Result};
 use barchan_lanes::Isa;
 use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, Near, PORTION};
@@ -349,52 +350,6 @@ impl Adapt {
         for d in 0..3 {
             ledger.resampled_angular_momentum[d] += done.angular[d];
         }
-    }
-
-    /// Moves the levels' boxes after their agents; `soft` gives the box around a soft body [m]. Returns the regions as they were if any
-    /// has moved.
-    pub fn follow(&mut self, couplings: &[Box<dyn Coupling>], soft: impl Fn(u16) -> Option<Aabb>) -> Option<Regions> {
-        if self.widths.len() == 1 {
-            return None;
-        }
-        let agents = agent_bounds(&self.agents, couplings, soft);
-        let before = self.regions.clone();
-        self.regions.follow(&agents).then_some(before)
-    }
-
-    /// Whether the boxes have to move after these bodies.
-    pub fn must_follow(&self, couplings: &[Box<dyn Coupling>], soft: impl Fn(u16) -> Option<Aabb>) -> bool {
-        self.widths.len() > 1 && self.regions.clone().follow(&agent_bounds(&self.agents, couplings, soft))
-    }
-
-    /// Whether levels follow a coupling's body. If so, nothing coarser than the finest level comes near it.
-    pub fn follows(&self, name: &str) -> bool {
-        self.agents.contains(&Agent::Rigid(name.to_owned()))
-    }
-
-    /// How far a coupling's body with the given bounds may move along each axis before boxes have to move after it [m].
-    pub fn leash(&self, name: &str, bounds: &Aabb, soft: impl Fn(u16) -> Option<Aabb>) -> Aabb {
-        let is_here = |agent: &&Agent| !matches!(agent, Agent::Soft(body) if soft(*body).is_none());
-        let followed = self.agents.iter().filter(is_here).position(|agent| *agent == Agent::Rigid(name.to_owned()));
-        let anywhere = Aabb { min: [f64::NEG_INFINITY; 3], max: [f64::INFINITY; 3] };
-        followed.map_or(anywhere, |agent| self.regions.leash(agent, bounds))
-    }
-
-    /// For each soft agent, in order: where its cells may end before boxes have to move; `None` for an agent without
-    /// particles.
-    pub fn leeways(&self, soft: impl Fn(u16) -> Option<Aabb>) -> Vec<Option<Leeway>> {
-        let (mut leeways, mut present) = (Vec::new(), 0);
-        for agent in &self.agents {
-            let is_here = match agent {
-                Agent::Rigid(_) | Agent::Fixed(_) => true,
-                Agent::Soft(body) => soft(*body).is_some(),
-            };
-            if let Agent::Soft(_) = agent {
-                leeways.push(is_here.then(|| self.regions.leeway(present)));
-            }
-            present += usize::from(is_here);
-        }
-        leeways
     }
 
     /// Which particles may merge in the next round. `before` are the former regions, if any region has moved: particles

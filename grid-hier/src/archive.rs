@@ -57,6 +57,13 @@ impl Reach {
         self.archive.values().flat_map(Tile::unpack)
     }
 
+    /// Whether ground in the archive may lie at a point [m], where the coarsest cells have that width [m].
+    pub fn may_hold(&self, point: [f64; 2], cell: f64) -> bool {
+        let [x, y] = point.map(|x| (x / (cell * f64::from(TILE))).floor() as i32);
+        // A particle that has strayed lies in the tile beside its own.
+        !self.archive.is_empty() && (0..9).any(|n| self.archive.contains_key(&[x + n / 3 - 1, y + n % 3 - 1]))
+    }
+
     /// The archive, for a snapshot.
     pub fn archive(&self) -> BTreeMap<[i32; 2], Tile> {
         self.archive.clone()

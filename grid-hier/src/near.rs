@@ -17,7 +17,8 @@ pub fn gather_block(
     mut taken: impl FnMut(usize, [i32; 3], u32),
 ) {
     let h = batch.cell_width;
-    if !is_near_block(boxes, first, h) {
+    let boxes = boxes_near_block(boxes, first, h, 0.0);
+    if boxes.is_empty() {
         return;
     }
     let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
@@ -40,9 +41,20 @@ pub fn gather_block(
 
 /// May any node of the block with that first node, of cells that wide [m], be in a box?
 pub fn is_near_block(boxes: &[Aabb], first: [i32; 3], h: f64) -> bool {
+    let nodes = nodes_of_block(first, h);
+    boxes.iter().any(|one| one.meets(&nodes))
+}
+
+/// The boxes that come within so much [m] of nodes of the block with that first node, of cells that wide [m].
+pub fn boxes_near_block(boxes: &[Aabb], first: [i32; 3], h: f64, within: f64) -> Vec<Aabb> {
+    let near = nodes_of_block(first, h).grown(within);
+    boxes.iter().filter(|one| one.meets(&near)).copied().collect()
+}
+
+/// From the first of a block's nodes to the last.
+fn nodes_of_block(first: [i32; 3], h: f64) -> Aabb {
     let centre = |cell: i32| (f64::from(cell) + 0.5) * h;
-    let extent = Aabb { min: first.map(centre), max: first.map(|c| centre(c + SIDE - 1)) };
-    boxes.iter().any(|one| one.meets(&extent))
+    Aabb { min: first.map(centre), max: first.map(|c| centre(c + SIDE - 1)) }
 }
 
 /// The first cell of that image of a block, of those along periodic axes, of which nodes may be in a box; `None` if none may. `first` is the block's own

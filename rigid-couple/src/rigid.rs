@@ -172,8 +172,7 @@ impl Rigid {
     /// The width of the widest cells that a body meets [m]: one that levels follow meets the finest alone.
     fn widest(&self, body: &Body) -> f64 {
         let (cell, levels) = (self.scene.world.cell, &self.scene.levels);
-        let is_followed = levels.agents.as_ref().is_none_or(|agents| agents.contains(&body.name));
-        if is_followed { cell } else { cell * f64::from(1 << (levels.count - 1)) }
+        if levels.surround(&body.name).unwrap_or(true) { cell } else { cell * f64::from(1 << (levels.count - 1)) }
     }
 
     /// How far beyond its box a body acts [cells of the widest that it meets]: coarser cells thicken it more than its box says.

@@ -87,12 +87,30 @@ pub struct Leeway {
     pub ends: CellBox,
     /// Least and greatest sum of the two ends, along each axis.
     pub sums: [[i32; 3]; 2],
+    /// Greatest lower end along each axis.
+    pub least: [i32; 3],
 }
 
 impl Leeway {
     /// The leeway of an agent that has no place yet: no box fits.
     pub const fn none() -> Self {
-        Self { ends: CellBox { min: [i32::MAX; 3], max: [i32::MIN; 3] }, sums: [[i32::MIN; 3], [i32::MAX; 3]] }
+        Self {
+            ends: CellBox { min: [i32::MAX; 3], max: [i32::MIN; 3] },
+            sums: [[i32::MIN; 3], [i32::MAX; 3]],
+            least: [i32::MIN; 3],
+        }
+    }
+
+    /// What both leave.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        let most = |a: [i32; 3], b: [i32; 3]| std::array::from_fn(|d| a[d].max(b[d]));
+        let least = |a: [i32; 3], b: [i32; 3]| std::array::from_fn(|d| a[d].min(b[d]));
+        Self {
+            ends: CellBox { min: most(self.ends.min, other.ends.min), max: least(self.ends.max, other.ends.max) },
+            sums: [most(self.sums[0], other.sums[0]), least(self.sums[1], other.sums[1])],
+            least: least(self.least, other.least),
+        }
     }
 
     /// Extended so that `known` fits: a box that is known to fit.
@@ -107,7 +125,7 @@ impl Leeway {
             std::array::from_fn(|d| self.sums[0][d].min(sum(d))),
             std::array::from_fn(|d| self.sums[1][d].max(sum(d))),
         ];
-        Self { ends, sums }
+        Self { ends, sums, least: std::array::from_fn(|d| self.least[d].max(known.min[d])) }
     }
 }
 
@@ -116,8 +134,6 @@ impl Leeway {
 pub struct Regions {
     /// Width of the finest cell [m].
     h: f64,
-    /// Half the side of a box, in parent cells.
-    half: i32,
     /// Coarsest cells around the boxes that are live; 0: the whole world is.
     reach: i32,
     /// The world in cells of the finest level.
@@ -135,7 +151,6 @@ impl Regions {
         let ends: [[Wall; 2]; 3] = std::array::from_fn(|d| scene.world.walls.pair(d));
         Self {
             h: scene.world.cell,
-            half: scene.levels.half as i32 / 2,
             reach: scene.levels.reach as i32,
             world,
             walled: ends.map(|axis| axis.map(|wall| !matches!(wall, Wall::Open | Wall::Periodic))),
@@ -187,19 +202,19 @@ impl Regions {
     }
 
     /// Moves the boxes after their agents. Returns whether any has moved.
-    pub fn follow(&mut self, agents: &[Aabb]) -> bool {
+    pub fn follow(&mut self, targets: &[Target]) -> bool {
         let mut moved = false;
         for level in 0..self.boxes.len() {
             let parent = self.h * f64::from(1 << (level + 1));
             let kept = std::mem::take(&mut self.boxes[level]);
-            let mut boxes = Vec::with_capacity(agents.len());
-            for (a, agent) in agents.iter().enumerate() {
+            let mut boxes = Vec::with_capacity(targets.len());
+            for (a, target) in targets.iter().enumerate() {
                 let inner = level.checked_sub(1).map(|finer| self.boxes[finer][a].in_parents().grown(NESTING));
-                let around = agent.grown(AROUND_AGENT * self.h);
+                let around = target.bounds.grown(AROUND_AGENT * self.h);
                 let old = kept.get(a).filter(|old| is_near(old, &around, parent));
                 let chosen = match old {
                     Some(old) if inner.is_none_or(|inner| old.holds(&inner)) => *old,
-                    _ => self.ideal(&around, inner, parent),
+                    _ => ideal(&around, target.half, inner, parent),
                 };
                 moved |= kept.get(a) != Some(&chosen);
                 boxes.push(chosen);
@@ -225,7 +240,7 @@ impl Regions {
                 sums[1][d] = sums[1][d].min(min + max + off - 1);
             }
         }
-        Leeway { ends, sums }
+        Leeway { ends, sums, least: [i32::MAX; 3] }
     }
 
     /// How far along each axis an agent with the given bounds may move before [`follow`](Self::follow) moves anything:
@@ -245,22 +260,6 @@ impl Regions {
             }
         }
         leash
-    }
-
-    /// The box about an agent, of whole parent cells of width `parent` [m], that also holds `inner` (in cells of the level).
-    fn ideal(&self, agent: &Aabb, inner: Option<CellBox>, parent: f64) -> CellBox {
-        let mut chosen = CellBox { min: [0; 3], max: [0; 3] };
-        for d in 0..3 {
-            let centre = (0.5 * (agent.min[d] + agent.max[d]) / parent).round() as i32;
-            let reach = |end: f64| ((end / parent - f64::from(centre)).abs() + 1.0).ceil() as i32;
-            let half = self.half.max(reach(agent.min[d])).max(reach(agent.max[d]));
-            (chosen.min[d], chosen.max[d]) = (2 * (centre - half), 2 * (centre + half));
-            if let Some(inner) = inner {
-                chosen.min[d] = chosen.min[d].min(inner.min[d] >> 1 << 1);
-                chosen.max[d] = chosen.max[d].max((inner.max[d] + 1) >> 1 << 1);
-            }
-        }
-        chosen
     }
 
     /// Whether only the ground around agents is live.
@@ -349,6 +348,23 @@ impl Regions {
         self.finest(CellBox { min: cell, max: cell.map(|c| c + 1) }, margin).unwrap_or(0)
     }
 
+    /// Of an agent's box on a level: how many of some cells of the level, all in the world, are in it or so near that their particles belong there. `None`:
+    /// it has none.
+    pub(crate) fn count_in<'a>(
+        &self,
+        level: usize,
+        agent: usize,
+        cells: impl Iterator<Item = &'a [i32; 3]>,
+    ) -> Option<usize> {
+        let one = self.boxes.get(level)?.get(agent)?.grown(2 * SPLIT_AHEAD);
+        let turn: [i32; 3] = std::array::from_fn(|d| (self.world.max[d] - self.world.min[d]) >> level);
+        let holds = |d: usize, cell: i32| {
+            let from = if self.periodic[d] { (cell - one.min[d]).rem_euclid(turn[d]) } else { cell - one.min[d] };
+            (0..one.max[d] - one.min[d]).contains(&from)
+        };
+        Some(cells.filter(|cell| (0..3).all(|d| holds(d, cell[d]))).count())
+    }
+
     fn cover_grown(&self, level: usize, mut cells: CellBox, by: i32) -> Cover {
         let Some(boxes) = self.boxes.get(level) else { return Cover::All };
         let world =
@@ -385,6 +401,23 @@ impl Regions {
     }
 }
 
+/// The box about an agent, of whole parent cells of width `parent` [m], with so many `half` cells of the level from its middle to each side, or more: it also
+/// holds `inner` (in cells of the level).
+fn ideal(agent: &Aabb, half: u32, inner: Option<CellBox>, parent: f64) -> CellBox {
+    let mut chosen = CellBox { min: [0; 3], max: [0; 3] };
+    for d in 0..3 {
+        let centre = (0.5 * (agent.min[d] + agent.max[d]) / parent).round() as i32;
+        let reach = |end: f64| ((end / parent - f64::from(centre)).abs() + 1.0).ceil() as i32;
+        let half = (half as i32 / 2).max(reach(agent.min[d])).max(reach(agent.max[d]));
+        (chosen.min[d], chosen.max[d]) = (2 * (centre - half), 2 * (centre + half));
+        if let Some(inner) = inner {
+            chosen.min[d] = chosen.min[d].min(inner.min[d] >> 1 << 1);
+            chosen.max[d] = chosen.max[d].max((inner.max[d] + 1) >> 1 << 1);
+        }
+    }
+    chosen
+}
+
 /// Is the agent still inside the box, and near enough to its middle?
 fn is_near(of: &CellBox, agent: &Aabb, parent: f64) -> bool {
     (0..3).all(|d| {
@@ -394,33 +427,106 @@ fn is_near(of: &CellBox, agent: &Aabb, parent: f64) -> bool {
     })
 }
 
-/// What a level's boxes follow.
+/// What a level's boxes follow, and how.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Agent {
-    /// The body of a coupling, by name.
-    Rigid(String),
+pub struct Agent {
+    /// What it is.
+    pub followed: Followed,
+    /// Cells of a level from the middle of its box to each side.
+    pub half: u32,
+    /// Whether only the bottom of its bounds is followed.
+    pub lowest: bool,
+    /// How far from there boxes are [m].
+    pub offset: Vec3,
+}
+
+/// What boxes can follow.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Followed {
+    /// Bodies of couplings, by name: the box around them all.
+    Rigid(Vec<String>),
     /// A soft body, by its index in the scene.
     Soft(u16),
     /// A box that stays where it is [m].
     Fixed(Aabb),
 }
 
-/// Boxes around the agents: those that couplings move and those that stay; soft ones are looked up in `soft`.
-pub fn agent_bounds(
-    agents: &[Agent],
-    couplings: &[Box<dyn Coupling>],
-    soft: impl Fn(u16) -> Option<Aabb>,
-) -> Vec<Aabb> {
+/// What an agent's boxes are to stand around.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Target {
+    /// The finest box holds this and four cells around it [m].
+    pub bounds: Aabb,
+    /// Cells of a level from the middle of a box to each side.
+    pub half: u32,
+}
+
+impl Agent {
+    /// Boxes around all of something, with so many `half` cells from their middle to each side.
+    pub const fn around(followed: Followed, half: u32) -> Self {
+        Self { followed, half, lowest: false, offset: [0.0; 3] }
+    }
+
+    /// Whether a coupling's body is this, or one of these.
+    pub fn is_of(&self, body: &str) -> bool {
+        matches!(&self.followed, Followed::Rigid(names) if names.iter().any(|name| name == body))
+    }
+
+    /// Whether its finest box holds all of what is followed, wherever it goes.
+    pub fn surrounds(&self) -> bool {
+        !self.lowest && self.offset == [0.0; 3]
+    }
+
+    /// What its boxes are to stand around, where what is followed has these bounds.
+    pub fn target(&self, mut bounds: Aabb) -> Target {
+        if self.lowest {
+            bounds.max[2] = bounds.min[2];
+        }
+        if self.offset != [0.0; 3] {
+            let moved = |end: Vec3| std::array::from_fn(|d| end[d] + self.offset[d]);
+            bounds = Aabb { min: moved(bounds.min), max: moved(bounds.max) };
+        }
+        Target { bounds, half: self.half }
+    }
+
+    /// The leeway of what is followed, from that of its [target](Self::target), rounded to the safe side; `h` is the width of the finest cells [m].
+    pub fn leeway(&self, of_target: Leeway, h: f64) -> Leeway {
+        let Leeway { mut ends, mut sums, mut least } = of_target;
+        let by = self.offset.map(|offset| offset / h);
+        for d in 0..3 {
+            ends.min[d] = ends.min[d].saturating_add((-by[d]).ceil() as i32);
+            ends.max[d] = ends.max[d].saturating_add((-by[d]).floor() as i32);
+            sums[0][d] = sums[0][d].saturating_add((-2.0 * by[d]).ceil() as i32);
+            sums[1][d] = sums[1][d].saturating_add((-2.0 * by[d]).floor() as i32);
+        }
+        if self.lowest {
+            // Both ends of the target are the lower end of what is followed. Half of an odd sum is rounded inwards.
+            let [from, to] = [sums[0][2].div_euclid(2) + (sums[0][2] & 1), sums[1][2].div_euclid(2)];
+            ends.min[2] = ends.min[2].max(from);
+            least[2] = ends.max[2].min(to);
+            (ends.max[2], sums[0][2], sums[1][2]) = (i32::MAX, i32::MIN, i32::MAX);
+        }
+        Leeway { ends, sums, least }
+    }
+}
+
+/// The name of a robot's link, where a coupling calls it by both names: `robot/link`.
+pub(crate) fn link_of<'a>(robot: &str, body: &'a str) -> Option<&'a str> {
+    body.strip_prefix(robot)?.strip_prefix('/')
+}
+
+/// What boxes are to stand around, for each agent that is there: those that couplings move and those that stay; soft ones are looked up in `soft`.
+pub fn targets(agents: &[Agent], couplings: &[Box<dyn Coupling>], soft: impl Fn(u16) -> Option<Aabb>) -> Vec<Target> {
     let rigid: Vec<(BodyState, Aabb)> =
         couplings.iter().flat_map(|coupling| coupling.bodies().into_iter().zip(coupling.extents())).collect();
-    agents
-        .iter()
-        .filter_map(|agent| match agent {
-            Agent::Rigid(name) => rigid.iter().find(|(body, _)| body.name == *name).map(|(_, bounds)| *bounds),
-            Agent::Soft(body) => soft(*body),
-            Agent::Fixed(bounds) => Some(*bounds),
-        })
-        .collect()
+    let bounds = |agent: &Agent| match &agent.followed {
+        Followed::Rigid(names) => {
+            let own = names.iter().filter_map(|name| rigid.iter().find(|(body, _)| body.name == *name));
+            own.map(|(_, bounds)| *bounds).reduce(|all, bounds| all.union(&bounds))
+        }
+        Followed::Soft(body) => soft(*body),
+        Followed::Fixed(bounds) => Some(*bounds),
+    };
+    agents.iter().filter_map(|agent| Some(agent.target(bounds(agent)?))).collect()
 }
 
 /// Depth of the ground where each level has the surface [m]: the median over columns one coarsest cell wide, each its
@@ -467,10 +573,9 @@ pub fn cell_of(x: Vec3, h: f64) -> [i32; 3] {
 mod tests {
     use super::*;
 
-    fn regions(levels: u32, half: u32) -> Regions {
+    fn regions(levels: u32) -> Regions {
         Regions {
             h: 0.01,
-            half: half as i32 / 2,
             reach: 0,
             world: CellBox { min: [-4000; 3], max: [4000; 3] },
             walled: [[false; 2], [false; 2], [true, false]],
@@ -479,14 +584,14 @@ mod tests {
         }
     }
 
-    fn agent(x: f64, z: f64) -> Aabb {
-        Aabb { min: [x - 0.03, -0.03, z], max: [x + 0.03, 0.03, z + 0.06] }
+    fn agent(x: f64, z: f64) -> Target {
+        Target { bounds: Aabb { min: [x - 0.03, -0.03, z], max: [x + 0.03, 0.03, z + 0.06] }, half: 16 }
     }
 
     /// Boxes of whole parent cells, nested with a margin: what the two-scale exchange relies on.
     #[test]
     fn boxes_are_aligned_nested_and_hold_the_agent() {
-        let mut regions = regions(4, 16);
+        let mut regions = regions(4);
         for step in 0..500 {
             let x = 3.0 * (0.02 * f64::from(step)).sin();
             regions.follow(&[agent(x, 0.1)]);
@@ -504,7 +609,7 @@ mod tests {
     /// An agent that trembles by a parent cell moves nothing; one that walks off moves its boxes.
     #[test]
     fn the_dead_zone_keeps_boxes_still() {
-        let mut regions = regions(3, 16);
+        let mut regions = regions(3);
         assert!(regions.follow(&[agent(0.0, 0.1)]));
         for step in 0..100 {
             assert!(!regions.follow(&[agent(if step % 2 == 0 { 0.02 } else { -0.02 }, 0.1)]));
@@ -515,7 +620,7 @@ mod tests {
     /// A box at a wall ends at the wall: what lies behind belongs to what lies before it.
     #[test]
     fn regions_go_on_behind_walls() {
-        let mut regions = regions(2, 16);
+        let mut regions = regions(2);
         regions.follow(&[agent(0.0, -40.0)]);
         assert!(regions.contains(0, [0, 0, -4000]));
         assert!(regions.contains(0, [0, 0, -4003]));
@@ -525,7 +630,7 @@ mod tests {
     /// Tiles come within reach, stay for one tile more, and end with the world.
     #[test]
     fn tiles_that_are_live_do_not_flicker() {
-        let mut regions = Regions { reach: 4, ..regions(3, 16) };
+        let mut regions = Regions { reach: 4, ..regions(3) };
         regions.follow(&[agent(0.0, 0.1)]);
         let first = regions.reached(&BTreeSet::new());
         assert_eq!(regions.reached(&first), first, "nothing changes while the boxes stay");
@@ -550,7 +655,7 @@ mod tests {
 
     #[test]
     fn levels_are_told_apart_by_cells() {
-        let mut regions = regions(3, 16);
+        let mut regions = regions(3);
         regions.follow(&[agent(0.0, 0.1)]);
         let one = regions.boxes[0][0];
         let y = (one.min[1] + one.max[1]) / 2;

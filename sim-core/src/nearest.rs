@@ -17,9 +17,14 @@ impl Nearest {
         let end = |d: usize, best: fn(f32, f32) -> f32| points.iter().map(|p| p[d]).reduce(best).map_or(0.0, f64::from);
         let min: [f64; 3] = std::array::from_fn(|d| end(d, f32::min));
         let extent: [f64; 3] = std::array::from_fn(|d| (end(d, f32::max) - min[d]).max(1e-6));
-        let width = (2.0 * extent.iter().product::<f64>() / points.len().max(1) as f64).cbrt();
-        // A cloud much longer than wide would make more bins than points.
-        let width = width.max(extent.iter().fold(0.0, |a, b| b.max(a)) / 1024.0);
+        // So wide that two points come to a bin, along as many axes as the cloud is thicker than that: with fewer it would be narrower.
+        let mut longest = extent;
+        longest.sort_by(|a, b| b.total_cmp(a));
+        let along = |axes: i32| {
+            let size: f64 = longest.iter().take(axes as usize).product();
+            (2.0 * size / points.len().max(1) as f64).powf(1.0 / f64::from(axes))
+        };
+        let width = (1..=3).map(along).fold(0.0, f64::max);
         let count = extent.map(|e| (e / width) as i64 + 1);
         let mut nearest = Self { points: Vec::new(), starts: Vec::new(), min, width, count };
         let mut keyed: Vec<(u32, [f32; 3])> = points.into_iter().map(|p| (nearest.key(nearest.bin(p)), p)).collect();
@@ -117,6 +122,15 @@ mod tests {
         let asked: Vec<[f32; 3]> = scattered(4000, 0.0).into_iter().map(|[x, y, z]| [x, y / 0.3, z / 2.0]).collect();
         let mean = asked.iter().map(|x| nearest.distance(*x)).sum::<f64>() / asked.len() as f64;
         assert!((mean * 19.0 - 0.4803).abs() < 0.01, "{}", mean * 19.0);
+    }
+
+    #[test]
+    fn flat_and_long_clouds_have_few_bins() {
+        let flat = scattered(700, 0.0).into_iter().map(|[x, _, z]| [x, 0.1, z]).collect();
+        let long = scattered(700, 0.0).into_iter().map(|[x, _, _]| [x, 0.1, 0.2]).collect();
+        for points in [scattered(700, 0.0), flat, long] {
+            assert!(Nearest::new(points).starts.len() < 700);
+        }
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The plan: the effects that a scene calls for, and why; the stages they need; what bounds the step; what memory they take.
 
+mod agents;
 mod bound;
 mod couplings;
 mod display;
@@ -17,13 +18,13 @@ pub(crate) use particles::{FARTHEST_CELL, PARTICLES};
 use crate::backend::Bound;
 use crate::file::Stamp;
 use crate::flow::Flows;
-use crate::levels::{Agent, CellBox, Regions, agent_bounds, surface_depths};
+use crate::levels::{Agent, CellBox, Regions, surface_depths, targets};
 use crate::parameter::Parameters;
 use crate::scene::Tool;
 use crate::schedule::{Form, Needs, Schedule, Stage};
 use crate::seed::Terrain;
 use crate::simulation::Options;
-use crate::{Aabb, Backend, Coupling, Error, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
+use crate::{Backend, Coupling, Error, ParticleList, ParticleState, Registry, Result, Scene, Vec3};
 use barchan_abi as abi;
 use barchan_lanes::Isa;
 use bound::{first_step, ground_bound};
@@ -189,7 +190,7 @@ impl Plan {
         };
         let (cell_min, cell_max) = (whole(&scene.world.min, f64::floor), whole(&scene.world.max, f64::ceil));
         let mut regions = Regions::new(&scene, CellBox { min: cell_min, max: cell_max });
-        let agents = if regions.levels() > 1 { agents(&scene, &couplings)? } else { Vec::new() };
+        let agents = if regions.levels() > 1 { agents::agents(&scene, &couplings)? } else { Vec::new() };
         let resumed = particles.is_some();
         let flows = Flows::new(&scene, registry, &materials)?.map(Arc::new);
         // A resumed run needs the shapes only where ground is still to come.
@@ -206,7 +207,7 @@ impl Plan {
             (None, None) => unreachable!("there is terrain unless a run is resumed, and that brings its particles"),
             (None, Some(terrain)) => {
                 let soft = |body: u16| scene.body[usize::from(body)].shape.bounds();
-                regions.follow(&agent_bounds(&agents, &couplings, soft));
+                regions.follow(&targets(&agents, &couplings, soft));
                 let inflow = flows.as_deref().map_or_else(Vec::new, |flows| flows.most(scene.time.end).collect());
                 check_room(backend, options, (terrain, &inflow), &materials)?;
                 let cap = options.max_bytes.unwrap_or_else(available_bytes);
@@ -261,10 +262,8 @@ impl Plan {
         };
         plan.memory = plan.estimate_memory(&particles);
         plan.schedule = Schedule::new(plan.needs());
-        let by_level =
-            particles.lists.chunks(plan.materials.len().max(1)).map(|level| level.iter().map(ParticleList::len).sum());
         let live = particles.levels.as_ref().map_or(0, |phase| phase.live.len());
-        plan.effects = plan.list_effects(&by_level.collect::<Vec<usize>>(), live);
+        plan.effects = plan.list_effects(&particles, live);
         plan.warn(registry, &couplings)?;
         backend.map_or(Ok(()), |backend| plan.check_forms(backend))?;
         Ok((plan, particles, couplings))
@@ -331,28 +330,6 @@ fn slow(scene: &Scene, materials: &[PlannedMaterial]) -> f64 {
     } else {
         0.0
     }
-}
-
-/// What the levels follow: what the scene names, or else what couplings move; and the boxes that stay.
-fn agents(scene: &Scene, couplings: &[Box<dyn Coupling>]) -> Result<Vec<Agent>> {
-    let fixed = scene.levels.boxes.iter().map(|one| Agent::Fixed(Aabb { min: one.min, max: one.max }));
-    let Some(names) = &scene.levels.agents else {
-        let followed = couplings.iter().flat_map(|coupling| coupling.followed()).map(Agent::Rigid);
-        return Ok(followed.chain(fixed).collect());
-    };
-    let named = names.iter().enumerate().map(|(i, name)| {
-        if couplings.iter().any(|coupling| coupling.has_body(name)) {
-            return Ok(Agent::Rigid(name.clone()));
-        }
-        let soft = scene.body.iter().position(|body| body.name == *name);
-        soft.map(|body| Agent::Soft(body as u16)).ok_or_else(|| Error::Unknown {
-            path: scene.place(&format!("levels.agents[{i}]")),
-            kind: "tool, link or body of this scene",
-            name: name.clone(),
-            known: couplings.iter().flat_map(|coupling| coupling.bodies()).map(|body| body.name).collect(),
-        })
-    });
-    named.chain(fixed.map(Ok)).collect()
 }
 
 /// Has the backend room for what is to be seeded? Nobody waits for particles that it then refuses.

@@ -11,6 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+mod agents;
 mod check;
 mod flow;
 mod make;
@@ -23,6 +24,7 @@ mod robot;
 mod terrain;
 mod zone;
 
+pub use agents::{AgentPart, LevelAgent};
 pub use check::WHOLE_CELL;
 pub(crate) use check::{cross, posed_bounds, turn};
 pub use flow::{Inflow, Outflow};
@@ -237,9 +239,10 @@ pub struct Levels {
     /// feel more (a sphere 7.5 % with 8, 0.1 % with 12), and the plan warns. The coarsest level is the whole world, or what is within `reach`.
     #[serde(default = "default_half")]
     pub half: u32,
-    /// Names of the tools and bodies that the boxes follow; absent: all tools that move.
+    /// The tools, bodies and links of robots that the boxes follow: names, or tables such as `{ name = "dog", half = 8, offset = [0.0, 0.0, -0.1],
+    /// at = "lowest" }`. Absent: all tools that move, and the links at the ends of robots.
     #[serde(default)]
-    pub agents: Option<Vec<String>>,
+    pub agents: Option<Vec<LevelAgent>>,
     /// Boxes that stay where they are, and in which ground is as fine as around agents: the finest level reaches 4 cells further, and no less than `half`
     /// cells from a box's middle to each side.
     #[serde(default, rename = "box")]

@@ -40,9 +40,10 @@ const SLICES: usize = 16;
 /// Control steps: the scene's own path, and two seconds to hold the cube.
 const HORIZON: u64 = 640;
 
-/// What is changed in the scene's file for a small size: cells of 9.6 mm, and walls and sand that end on them.
-const LITE: [&str; 4] = [
+/// What is changed in the scene's file for a small size: cells of 9.6 mm, walls and sand that end on them, and steps of 0.76 of their bound, 20 in a control step.
+const LITE: [&str; 5] = [
     "world.cell=0.0096",
+    "time.step=4e-4",
     "world.max=[0.6528, 0.096, 0.4032]",
     "body.bed.shape.box.max=[0.6528, 0.096, 0.032]",
     "body.before.shape.box.max=[0.6528, 0.096, 0.064]",

@@ -59,6 +59,8 @@ const FILES: [(&str, &str); 26] = [
     ("pour", include_str!("../scenes/pour.toml")),
     ("hopper", include_str!("../scenes/hopper.toml")),
     ("footing", include_str!("../scenes/footing.toml")),
+    ("retaining-wall", include_str!("../scenes/retaining-wall.toml")),
+    ("ball-in-pit", include_str!("../scenes/ball-in-pit.toml")),
     ("quadruped-stand", include_str!("../scenes/quadruped-stand.toml")),
     ("quadruped-trot", include_str!("../scenes/quadruped-trot.toml")),
     ("quadruped-dunes", include_str!("../scenes/quadruped-dunes.toml")),

@@ -5,14 +5,14 @@ use barchan_core::nearest::Nearest;
 use barchan_core::{Result, Simulation};
 
 /// A surface that is to be drawn in a bed.
-#[derive(Clone, Debug)]
 pub(crate) struct Target {
     /// Where surfaces are looked at [m].
     pub(crate) points: Vec<[f64; 2]>,
     /// Height of the bed [m].
     pub(crate) level: f64,
-    /// The surface, by those points.
+    /// The surface, by those points, and the same to be asked for the nearest.
     cloud: Vec<[f32; 3]>,
+    nearest: Nearest,
     /// Chamfer distance of the untouched bed [m].
     start: f64,
     /// Height of the floor, where there is no ground [m].
@@ -28,23 +28,29 @@ impl Target {
     pub(crate) fn new(world: &Simulation, counts: [usize; 2], added: impl Fn([f64; 2]) -> f64) -> Result<Self> {
         let bounds = world.plan().scene.world_box();
         let points = points([bounds.min[0], bounds.min[1]], [bounds.max[0], bounds.max[1]], counts);
-        let mut new = Self { points, level: 0.0, cloud: Vec::new(), start: 0.0, floor: bounds.min[2] };
-        let bed = new.filled(&world.heights(&new.points)?);
-        new.level = bed.iter().sum::<f64>() / bed.len().max(1) as f64;
-        new.cloud = cloud(&new.points, &new.points.iter().map(|point| new.level + added(*point)).collect::<Vec<_>>());
-        new.start = chamfer(&cloud(&new.points, &bed), &new.cloud);
+        let floor = bounds.min[2];
+        let bed = filled(&world.heights(&points)?, floor);
+        let level = bed.iter().sum::<f64>() / bed.len().max(1) as f64;
+        let surface = cloud(&points, &points.iter().map(|point| level + added(*point)).collect::<Vec<_>>());
+        let mut new = Self { points, level, nearest: Nearest::new(surface.clone()), cloud: surface, start: 1.0, floor };
+        new.start = new.from(&bed).max(f64::MIN_POSITIVE);
         Ok(new)
     }
 
     /// Chamfer distance of a surface with these heights at the points [m], and its share of that of the untouched bed.
     pub(crate) fn away(&self, heights: &[Option<f64>]) -> [f64; 2] {
-        let away = chamfer(&cloud(&self.points, &self.filled(heights)), &self.cloud);
-        [away, away / self.start.max(f64::MIN_POSITIVE)]
+        let away = self.from(&filled(heights, self.floor));
+        [away, away / self.start]
     }
 
-    fn filled(&self, heights: &[Option<f64>]) -> Vec<f64> {
-        heights.iter().map(|height| height.unwrap_or(self.floor)).collect()
+    fn from(&self, heights: &[f64]) -> f64 {
+        let surface = cloud(&self.points, heights);
+        mean_distance(&surface, &self.nearest) + mean_distance(&self.cloud, &Nearest::new(surface.clone()))
     }
+}
+
+fn filled(heights: &[Option<f64>], floor: f64) -> Vec<f64> {
+    heights.iter().map(|height| height.unwrap_or(floor)).collect()
 }
 
 /// Distance of a point from a line with corners [m].
@@ -74,14 +80,9 @@ fn cloud(points: &[[f64; 2]], heights: &[f64]) -> Vec<[f32; 3]> {
     points.iter().zip(heights).map(|([x, y], z)| [*x as f32, *y as f32, *z as f32]).collect()
 }
 
-/// Chamfer distance of two clouds: the mean distance of each one's points from the nearest of the other's, both added
-/// [m].
-fn chamfer(one: &[[f32; 3]], other: &[[f32; 3]]) -> f64 {
-    let one_way = |from: &[[f32; 3]], to: &[[f32; 3]]| {
-        let nearest = Nearest::new(to.to_vec());
-        from.iter().map(|point| nearest.distance(*point)).sum::<f64>() / from.len().max(1) as f64
-    };
-    one_way(one, other) + one_way(other, one)
+/// Mean distance of points from the nearest of a cloud [m]. Both ways together are the chamfer distance.
+fn mean_distance(points: &[[f32; 3]], to: &Nearest) -> f64 {
+    points.iter().map(|point| to.distance(*point)).sum::<f64>() / points.len().max(1) as f64
 }
 
 #[cfg(test)]
@@ -90,9 +91,19 @@ mod tests {
 
     #[test]
     fn the_chamfer_distance_adds_both_ways() {
-        // One point more, 3 from the nearest: its own way counts 3 / 2, the other way nothing.
-        let (one, two) = (vec![[0.0; 3]], vec![[0.0; 3], [3.0, 0.0, 0.0]]);
-        assert_eq!([chamfer(&one, &two), chamfer(&two, &one), chamfer(&two, &two)], [1.5, 1.5, 0.0]);
+        // A hill of 3 in the middle of three places 10 apart: its top is 3 from the flat, and the flat 3 from the top there.
+        let points = [-10.0, 0.0, 10.0].map(|x| [x, 0.0]).to_vec();
+        let surface = cloud(&points, &[0.0; 3]);
+        let target = Target {
+            points,
+            level: 0.0,
+            nearest: Nearest::new(surface.clone()),
+            cloud: surface,
+            start: 4.0,
+            floor: 0.0,
+        };
+        assert_eq!(target.away(&[Some(0.0), Some(3.0), None]), [2.0, 0.5]);
+        assert_eq!(target.away(&[Some(0.0); 3]), [0.0, 0.0]);
     }
 
     #[test]

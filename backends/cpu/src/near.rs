@@ -5,7 +5,7 @@ use crate::level::Level;
 use barchan_core::{Aabb, NearParticle, NodeBatch, Vec3};
 use barchan_grid::block::{self, CELLS, NONE, SIDE};
 use barchan_grid::limits::{FULL_SPEED, greater};
-use barchan_grid::near::{gather_block, image_near};
+use barchan_grid::near::{boxes_near_block, gather_block, image_near};
 use barchan_grid::transfer::Scalar;
 use barchan_lanes::CHUNK;
 use rayon::prelude::*;
@@ -56,11 +56,14 @@ impl<T: Scalar> Level<T> {
         let wider: Vec<Aabb> = boxes.iter().map(|one| one.grown(1.5 * h)).collect();
         let image = |b: usize| {
             let first = block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
-            let there = image_near(&wider, first, h, periods)?;
-            Some((b, std::array::from_fn(|d| f64::from(there[d] - first[d]) * h)))
+            Some((b, first, image_near(&wider, first, h, periods)?))
         };
-        let blocks: Vec<(usize, [f64; 3])> = (0..self.grid.occupied.len()).filter_map(image).collect();
-        let found: Vec<_> = blocks.par_iter().map(|&(b, by)| self.near_particles(b, by, boxes, moduli)).collect();
+        let blocks: Vec<_> = (0..self.grid.occupied.len()).filter_map(image).collect();
+        let of_block = |&(b, first, there): &(usize, [i32; 3], [i32; 3])| {
+            let by = std::array::from_fn(|d| f64::from(there[d] - first[d]) * h);
+            self.near_particles(b, by, &boxes_near_block(boxes, there, h, 1.5 * h), moduli)
+        };
+        let found: Vec<_> = blocks.par_iter().map(of_block).collect();
         for (cubes, particles) in found {
             let first = batch.cubes.len() as u32;
             batch.cubes.extend(cubes);

@@ -1,7 +1,7 @@
 //! One world of a batch, as the engine that a simulation drives.
 
 use crate::device::Gpu;
-use crate::device::probed::{crossed, exactly};
+use crate::device::probed::{crossed, exactly, pressed, pressed_of};
 use crate::readback::account;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::Clock;
@@ -213,7 +213,15 @@ impl Engine for WorldEngine {
     }
 
     fn crossed(&self) -> Result<Vec<Crossed>> {
-        Ok(self.shared.batch().crossed(self.world)?.iter().map(crossed).collect())
+        let batch = self.shared.batch();
+        Ok(batch.crossed(self.world)?[..batch.fixed.sections].iter().map(crossed).collect())
+    }
+
+    fn pressed(&self) -> Vec<Vec3> {
+        let batch = self.shared.batch();
+        // Who asks a device that is lost is told by the check.
+        let all = batch.crossed(self.world).unwrap_or_default();
+        all.iter().skip(batch.fixed.sections).map(pressed_of).collect()
     }
 
     fn check(&self) -> Result<()> {
@@ -243,7 +251,10 @@ impl Engine for WorldEngine {
             ledger.slept_momentum[d] += world.slept.momentum[d] + slept.momentum[d];
         }
         // Who asks a device that is lost is told by the check.
-        ledger.crossed = batch.crossed(self.world).unwrap_or_default().iter().map(crossed).collect();
+        let probed = batch.crossed(self.world).unwrap_or_default();
+        let (sections, parts) = probed.split_at(batch.fixed.sections.min(probed.len()));
+        ledger.crossed = sections.iter().map(crossed).collect();
+        ledger.pressed = parts.iter().map(pressed_of).collect();
         ledger.damped += world.damped + batch.readback().pending_damped(self.world);
         ledger.slept_kinetic += world.slept.kinetic + slept.kinetic;
         ledger.count("blocks that fell asleep", world.slept.blocks + slept.blocks);
@@ -263,7 +274,10 @@ impl Engine for WorldEngine {
         let mut batch = self.shared.batch();
         batch.worlds[self.world].carry_on(sums);
         // A device that is lost has nothing to go on from; the next step says so.
-        let _ = batch.set_crossed(self.world, &sums.crossed.iter().map(exactly).collect::<Vec<_>>());
+        let _ = batch.set_crossed(
+            self.world,
+            &sums.crossed.iter().map(exactly).chain(sums.pressed.iter().map(pressed)).collect::<Vec<_>>(),
+        );
     }
 
     /// Of the whole batch: passes are shared.

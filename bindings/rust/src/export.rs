@@ -24,6 +24,8 @@
 
 mod height;
 pub(crate) mod npz;
+#[cfg(feature = "parquet")]
+pub(crate) mod parquet;
 mod ply;
 mod surface;
 mod vtu;

@@ -11,6 +11,7 @@
 //! | `trace.csv` | every step, or once an interval (`output.trace`): time, step size, pose, velocity and wrench of every body |
 //! | `probes.csv` | what the scene's probes find, each at its own interval |
 //! | `trace.npz` | the same as arrays, if `output.trace.npz` asks for it |
+//! | `trace.parquet` | the same as a Parquet file, if `output.trace.parquet` asks for it and the feature `parquet` is on |
 //! | `summary.json` | every figure of the run |
 //! | `snapshot.barchan` | the state at the end, on interruption or before an error: the run continues from it bit for bit |
 //! | `files.txt` | what the run has written: nothing else is ever removed or overwritten |
@@ -85,6 +86,7 @@ pub const SNAPSHOT: &str = "snapshot.barchan";
 const TRACE: &str = "trace.csv";
 const PROBES: &str = "probes.csv";
 const TRACE_ARRAYS: &str = "trace.npz";
+const TRACE_PARQUET: &str = "trace.parquet";
 const SUMMARY: &str = "summary.json";
 const CONTACT_SHEET: &str = "contact-sheet.png";
 const ANIMATION: &str = "animation.gif";

@@ -40,6 +40,11 @@ impl WallParts {
         self.parts.len()
     }
 
+    /// Each of them: the axis that its wall is across, and its end of it; the first cell, and one past the last.
+    pub fn each(&self) -> impl Iterator<Item = ((usize, usize), [[i32; 3]; 2])> {
+        self.parts.iter().map(|part| (part.wall, part.cells))
+    }
+
     /// Is there none?
     pub fn is_empty(&self) -> bool {
         self.parts.is_empty()

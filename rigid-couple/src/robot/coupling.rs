@@ -269,10 +269,8 @@ impl Robots {
         }
         let is_followed = |robot: &Robot| -> Vec<bool> {
             let ends: Vec<usize> = robot.ends().collect();
-            let is_followed = |body: usize| match &scene.levels.agents {
-                Some(agents) => agents.iter().any(|name| name == robot.body_name(body)),
-                None => ends.contains(&body),
-            };
+            let is_followed =
+                |body: usize| scene.levels.surround(robot.body_name(body)).unwrap_or_else(|| ends.contains(&body));
             (0..robot.solids.len()).map(is_followed).collect()
         };
         Ok(Self {

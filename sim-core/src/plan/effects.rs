@@ -1,8 +1,10 @@
 //! Which effects a scene calls for, and why.
 
+use super::agents::Boxes;
 use super::{Effect, Plan, PlannedCoupling, SCENE_COUPLINGS, TOOL_COUPLING};
+use crate::ParticleState;
 use crate::flow::SINK_STEPS;
-use crate::levels::{Agent, TILE};
+use crate::levels::TILE;
 use crate::scene::{Export, Leaving, Motion, PictureView, Probe, Tool, Wall, plain};
 
 use barchan_abi as abi;
@@ -39,7 +41,7 @@ impl Export {
 }
 
 impl Plan {
-    pub(super) fn list_effects(&self, particles_by_level: &[usize], live: usize) -> Vec<Effect> {
+    pub(super) fn list_effects(&self, particles: &ParticleState, live: usize) -> Vec<Effect> {
         let scene = &self.scene;
         let mut effects = Vec::new();
         let mut add = |name: String, because: String, adds: String| {
@@ -72,22 +74,26 @@ impl Plan {
             add("ground at rest sleeps".to_owned(), because.to_owned(), rest);
         }
         if ground && self.cell_widths.len() > 1 {
-            let mut boxes = 0..;
-            let followed = self.agents.iter().map(|agent| match agent {
-                Agent::Rigid(name) => name.clone(),
-                Agent::Soft(body) => scene.body[usize::from(*body)].name.clone(),
-                Agent::Fixed(_) => format!("levels.box[{}]", boxes.next().unwrap_or(0)),
-            });
-            let counts = particles_by_level.iter().map(usize::to_string).collect::<Vec<_>>();
+            let boxes = self.list_boxes(particles);
+            let mut counts = vec![0; self.cell_widths.len()];
+            particles.lists.iter().for_each(|list| counts[list.level as usize] += list.len());
+            let counts: Vec<String> = counts.iter().map(usize::to_string).collect();
             add(
                 format!("{} levels", self.cell_widths.len()),
-                format!("levels.count = {} around {}", scene.levels.count, listed(followed)),
+                format!(
+                    "levels.count = {} around {}",
+                    scene.levels.count,
+                    listed(boxes.iter().map(|one| one.name.clone()))
+                ),
                 format!(
                     "adapt, restrict, prolong; {} particles, finest first; boxes of {}³ cells or more",
                     counts.join(" + "),
-                    2 * scene.levels.half
+                    2 * self.agents.iter().map(|agent| agent.half).min().unwrap_or(scene.levels.half)
                 ),
             );
+            for Boxes { name, because, sizes } in boxes {
+                add(format!("boxes around {name}"), because, sizes);
+            }
         }
         if self.terrain.is_some() {
             let tile = f64::from(TILE) * self.cell_widths[self.cell_widths.len() - 1];

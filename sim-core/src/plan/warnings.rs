@@ -1,8 +1,8 @@
 //! What the user should know.
 
 use super::Plan;
-use crate::levels::{AROUND_AGENT, Agent, CellBox, DEAD_ZONE, LEAST_DEPTH, agent_bounds};
-use crate::scene::{Body, Motion, OverBound, Shape, plain};
+use crate::levels::{AROUND_AGENT, Agent, CellBox, DEAD_ZONE, Followed, LEAST_DEPTH, targets};
+use crate::scene::{Body, Motion, OverBound, Shape, Tool, plain};
 use crate::{Coupling, Registry, Result};
 
 /// Fine cells that should lie below a tool before a rim: a sphere pressed into elastic ground, its box's half side 12, 10 and 8 cells, felt 0.1, 1.4 and
@@ -101,25 +101,36 @@ impl Plan {
         let ends = |body: &Body| body.shape.bounds().map_or([world.min[2], world.max[2]], |b| [b.min[2], b.max[2]]);
         let ground = self.scene.body.iter().map(ends).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
         let Some([bottom, top]) = ground else { return Vec::new() };
-        let warning = |(agent, around): (&Agent, &CellBox)| {
-            let Agent::Rigid(name) = agent else { return None };
-            let bounds = *agent_bounds(std::slice::from_ref(agent), couplings, |_| None).first()?;
-            let tall = 0.5 * (bounds.max[2] - bounds.min[2]) / h;
-            let moves = !self.scene.tool.iter().any(|tool| tool.name == *name && matches!(tool.motion, Motion::Fixed));
-            let below = if moves {
-                (0.5 * f64::from(around.max[2] - around.min[2]) - tall - 2.0 * DEAD_ZONE).max(AROUND_AGENT)
-            } else {
+        let own_half = |i: usize| {
+            self.scene.levels.agents.as_ref().is_some_and(|all| all.get(i).is_some_and(|own| own.half.is_some()))
+        };
+        let warning = |(i, (agent, around)): (usize, (&Agent, &CellBox))| {
+            let Followed::Rigid(names) = &agent.followed else { return None };
+            let bounds_of = |agent: &Agent| {
+                targets(std::slice::from_ref(agent), couplings, |_| None).first().map(|target| target.bounds)
+            };
+            let (followed, bounds) =
+                (bounds_of(agent)?, bounds_of(&Agent::around(agent.followed.clone(), agent.half))?);
+            let tall = 0.5 * (followed.max[2] - followed.min[2]) / h;
+            // How far its lowest point is below what its box stands around.
+            let deeper = (followed.min[2] - bounds.min[2]) / h;
+            let is_fixed = |tool: &Tool| names.contains(&tool.name) && matches!(tool.motion, Motion::Fixed);
+            let below = if self.scene.tool.iter().any(is_fixed) {
                 bounds.min[2] / h - f64::from(around.min[2])
+            } else {
+                (0.5 * f64::from(around.max[2] - around.min[2]) - tall - 2.0 * DEAD_ZONE).max(AROUND_AGENT) - deeper
             };
             // Where it touches the ground, the rim may lie below all of it.
             if below >= LEAST_BELOW - 1e-6 || bounds.min[2].min(top) - below * h < bottom + 0.5 * h {
                 return None;
             }
-            let half = 2.0 * (0.5 * (tall + LEAST_BELOW + 2.0 * DEAD_ZONE) - 1e-6).ceil();
+            let half = 2.0 * (0.5 * (tall + deeper + LEAST_BELOW + 2.0 * DEAD_ZONE) - 1e-6).ceil();
+            let key = if own_half(i) { format!("levels.agents[{i}].half") } else { "levels.half".to_owned() };
+            let name = names.first()?;
             Some(format!(
-                "levels: there may be as few as {below:.1} fine cells between the lowest point of '{name}' and the rim below it; with fewer than {LEAST_BELOW} the coarse ground beyond stiffens what the tool feels; set levels.half = {half} or more"
+                "levels: there may be as few as {below:.1} fine cells between the lowest point of '{name}' and the rim below it; with fewer than {LEAST_BELOW} the coarse ground beyond stiffens what the tool feels; set {key} = {half} or more"
             ))
         };
-        self.agents.iter().zip(boxes).filter_map(warning).collect()
+        self.agents.iter().zip(boxes).enumerate().filter_map(warning).collect()
     }
 }

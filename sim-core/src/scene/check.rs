@@ -10,7 +10,7 @@ mod tool;
 mod walls;
 mod zone;
 
-use super::{Body, Motion, Placed, Scene, Shape, Terrain, Tool, Wall, Walls};
+use super::{Body, LevelAgent, Motion, Placed, Scene, Shape, Terrain, Tool, Wall, Walls};
 use crate::coupling::Aabb;
 use crate::levels::NESTING;
 use crate::{Error, Result, Vec3};
@@ -29,8 +29,6 @@ const SPACINGS: std::ops::RangeInclusive<f64> = 0.2..=1.0;
 const MOST_K0: f64 = 10.0;
 /// More would make the coarsest cells 256 times as wide as the finest.
 const MOST_LEVELS: u32 = 8;
-/// Cells from a box's middle to its side: fewer leave no room between two levels, more than one level can be.
-const HALVES: std::ops::RangeInclusive<u32> = 8..=512;
 /// Coarsest cells around the boxes that may be live: beyond, a world is no smaller for having a reach.
 const MOST_REACH: u32 = 1024;
 
@@ -412,30 +410,14 @@ impl Scene {
             format!("is {}", levels.count),
             format!("must be from 1 to {MOST_LEVELS}"),
         )?;
-        self.require(
-            HALVES.contains(&levels.half) && levels.half.is_multiple_of(2),
-            "levels.half",
-            format!("is {}", levels.half),
-            format!("must be even and from {} to {}", HALVES.start(), HALVES.end()),
-        )?;
+        self.check_half("levels.half", levels.half)?;
         self.require(
             levels.tolerance >= 0.0 && levels.tolerance <= 1.0,
             "levels.tolerance",
             format!("is {}", levels.tolerance),
             "must be from 0 to 1",
         )?;
-        for (i, name) in levels.agents.iter().flatten().enumerate() {
-            let known = || self.tool.iter().map(|t| &t.name).chain(self.body.iter().map(|b| &b.name));
-            // What else couplings move, links of robots first, is known once they are made.
-            if self.robot.is_empty() && self.coupling.is_empty() && !known().any(|k| k == name) {
-                return Err(Error::Unknown {
-                    path: self.place(&format!("levels.agents[{i}]")),
-                    kind: "tool or body of this scene",
-                    name: name.clone(),
-                    known: known().filter(|k| !k.is_empty()).cloned().collect(),
-                });
-            }
-        }
+        self.check_agents()?;
         self.require(
             levels.count == 1 || !levels.subcycle || !self.world.walls.let_go(),
             "levels.subcycle",
@@ -499,7 +481,7 @@ impl Scene {
             )?;
         }
         let moves = |tool: &Tool| !matches!(tool.motion, Motion::Fixed);
-        let follows_body = |name: &String| self.body.iter().any(|body| body.name == *name);
+        let follows_body = |agent: &LevelAgent| self.body.iter().any(|body| body.name == agent.name);
         let any = self.tool.iter().any(moves) || !self.robot.is_empty() || !self.coupling.is_empty();
         self.require(
             levels.agents.as_ref().map_or(any, |names| !names.is_empty()),

@@ -49,6 +49,9 @@ pub struct Trace {
     /// At the run's end, write it as an archive of arrays too, `trace.npz`.
     #[serde(default)]
     pub npz: bool,
+    /// And as a Parquet file, `trace.parquet`; only in programs that were built with the feature `parquet`.
+    #[serde(default)]
+    pub parquet: bool,
 }
 
 fn default_interval() -> f64 {

@@ -30,9 +30,9 @@ const THROUGH: f64 = 4.0;
 /// Tables in which two numbers are x and y.
 const OF_PLANS: [&str; 3] = ["height_field", "terrain", "picture"];
 /// Keys of places and directions that may be given without y.
-const PLACES: [&str; 14] = [
+const PLACES: [&str; 15] = [
     "gravity", "min", "max", "half", "center", "position", "velocity", "linear", "point", "normal", "axis", "nearest",
-    "eye", "target",
+    "eye", "target", "offset",
 ];
 
 /// Puts in what places and directions of a scene in plane strain leave out.

@@ -380,7 +380,8 @@ impl Generator {
             "levels.agents" => {
                 let all = (0..frame.bodies).map(|i| named(i, "b")).chain((0..frame.tools).map(|i| named(i, "t")));
                 let all: Vec<Value> = all.collect();
-                return Some(Some(Value::Array(all.into_iter().filter(|_| frame.is(0.5)).collect())));
+                let some: Vec<Value> = all.into_iter().filter(|_| frame.is(0.5)).collect();
+                return Some(Some(Value::Array(some.into_iter().map(|name| agent(name, frame)).collect())));
             }
             "sleep.speed" => return number(frame.speed * frame.decades(1e-4, 1.0)),
             "time.end" => return number(1000.0),
@@ -887,6 +888,28 @@ fn mend_path(tool: &mut Table, frame: &mut Frame) {
     }
 }
 
+/// What levels follow, by its name or with boxes of its own.
+fn agent(name: Value, frame: &mut Frame) -> Value {
+    if frame.is(0.5) {
+        return name;
+    }
+    let mut table = Table::new();
+    table.insert("name".to_owned(), name);
+    if frame.is(0.5) {
+        table.insert("half".to_owned(), Value::Integer(frame.pick(&[8, 8, 10, 12, 16])));
+    }
+    if frame.is(0.5) {
+        let cells = frame.decades(0.1, 10.0);
+        table.insert("offset".to_owned(), floats(frame.direction().map(|x| x * cells * frame.cell)));
+    }
+    // No tool and no body has a link.
+    let at = if frame.is(0.01) { "tip" } else { frame.pick(&["origin", "lowest"]) };
+    if frame.is(0.5) {
+        table.insert("at".to_owned(), Value::String(at.to_owned()));
+    }
+    Value::Table(table)
+}
+
 /// Levels follow what there is, and what does not go with them is left out.
 fn mend_levels(scene: &mut Table, frame: &mut Frame) {
     let lets_go = |scene: &Table| {
@@ -902,7 +925,10 @@ fn mend_levels(scene: &mut Table, frame: &mut Frame) {
         levels.remove("subcycle");
     }
     if let Some(agents) = levels.get_mut("agents").and_then(Value::as_array_mut) {
-        agents.retain(|agent| bodies.contains(agent) || tools.contains(agent));
+        agents.retain(|agent| {
+            let name = agent.get("name").unwrap_or(agent);
+            bodies.contains(name) || tools.contains(name)
+        });
     }
     if levels.get("reach").and_then(Value::as_integer).unwrap_or(0) == 0 {
         return;

@@ -6,6 +6,8 @@ use barchan::scene::Export;
 use barchan::{Options, Precision, Scene, Simulation};
 use barchan_tests::scenes::{scene, simulation};
 use barchan_tests::sketch::{Head, block, material};
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::record::Field;
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::ops::ControlFlow;
@@ -222,7 +224,7 @@ fn names(folder: &Path) -> Vec<String> {
 #[test]
 fn surface_height_and_arrays_of_the_trace_are_those_of_the_run() {
     let output = "[output]\nsurface = { interval = 0.02 }\nheight_map = { interval = 0.01, spacing = 0.04, png = true }\n\
-                  trace = { interval = 0.01, npz = true }\n";
+                  trace = { interval = 0.01, npz = true, parquet = true }\n";
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let scene = bed(output);
@@ -258,6 +260,19 @@ fn surface_height_and_arrays_of_the_trace_are_those_of_the_run() {
     for (c, name) in columns.iter().enumerate() {
         let column: Vec<f64> = rows.iter().map(|row| row[c]).collect();
         assert_eq!(format!("{column:?}"), format!("{:?}", arrays.of(name)), "{name}");
+    }
+    // Rows of a Parquet file are numbers or null.
+    let file = SerializedFileReader::new(std::fs::File::open(out.join("trace.parquet")).unwrap()).unwrap();
+    let read: Vec<_> = file.get_row_iter(None).unwrap().map(|row| row.unwrap()).collect();
+    assert_eq!(read.len(), rows.len());
+    for (read, row) in read.iter().zip(&rows) {
+        for ((name, field), (wanted, value)) in read.get_column_iter().zip(columns.iter().zip(row)) {
+            let there = if let Field::Double(there) = field { *there } else { f64::NAN };
+            assert!(
+                name == wanted && (there == *value || there.is_nan() && value.is_nan()),
+                "{name}: {there}, {value}"
+            );
+        }
     }
 }
 
@@ -363,7 +378,7 @@ fn the_document_names_every_field() {
     for name in Fields::new(simulation.plan(), None).unwrap().names().filter(|name| !name.starts_with("history_")) {
         assert!(text.contains(&format!("`{name}`")), "docs/formats.md does not name the field {name}");
     }
-    for key in ["export", "export_fields", "surface", "height_map", "trace.npz"] {
+    for key in ["export", "export_fields", "surface", "height_map", "trace.npz", "trace.parquet"] {
         assert!(text.contains(&format!("output.{key}")) || text.contains(&format!("{key} = ")), "{key}");
     }
 }

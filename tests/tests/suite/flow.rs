@@ -144,15 +144,15 @@ shape = { box = { min = [0, 0, 0], max = [0.64, 0.64, 0.08] } }
     head + rest
 }
 
-/// Work is cut by blocks, and what flows by time and step: so threads and interruptions change no bit, and numbers of particles stay unique.
+/// Work is cut by blocks, and what flows by time and step: so threads and interruptions change no bit, and numbers of particles stay unique. On a device, too.
 #[test]
 fn threads_and_snapshots_change_no_bit_of_what_flows() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("flow.snapshot");
     let registry = barchan::registry();
     for (text, steps) in [(stream(), 260), (heap(), 80)] {
-        for precision in [Precision::F32, Precision::F64] {
-            let with = |threads| Options { threads, ..options(precision) };
+        for (backend, precision) in [("cpu", Precision::F32), ("cpu", Precision::F64), ("wgpu", Precision::F32)] {
+            let with = |threads| Options { threads, backend: backend.to_owned(), ..options(precision) };
             let go = |s: &mut Simulation, count: usize| {
                 let mut taken = 0;
                 while taken < count {
@@ -178,7 +178,7 @@ fn threads_and_snapshots_change_no_bit_of_what_flows() {
             parts.save(&file).unwrap();
             let mut parts = Simulation::resume(&registry, &file, &with(2)).unwrap();
             go(&mut parts, steps - steps / 2 - 1);
-            assert!(left(&whole) == left(&parts), "{precision}: two threads and a snapshot");
+            assert!(left(&whole) == left(&parts), "{backend} {precision}: two threads and a snapshot");
             assert_eq!(format!("{ledger:?}"), format!("{:?}", parts.ledger()));
         }
     }

@@ -3,6 +3,7 @@
 //! Regions stand around a marker, a fixed ball that touches nothing, so that a rim lies exactly where a test wants it.
 
 mod agents;
+mod by_hand;
 mod contact;
 mod following;
 mod footprints;

@@ -5,7 +5,7 @@ use barchan::run::{Existing, Request, Until, run};
 use barchan::scene::{Probe, Region, Section, SurfaceProbe};
 use barchan::worlds::Worlds;
 use barchan::{Crossed, Options, Precision, Simulation, Sought, Sums, Vec3};
-use barchan_tests::scenes::{everywhere, options, rows, run_to, scene, simulation, within};
+use barchan_tests::scenes::{everywhere, minus, norm, options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, body, material, tool};
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -366,6 +366,51 @@ fn what_walls_take_adds_up_to_what_the_ledger_says() {
     }
 }
 
+/// What parts of walls take on a device is what they take on a processor, in corners too, and adds up to what the ledger says; a device goes on where a processor was, and
+/// back.
+#[test]
+fn what_walls_take_on_a_device_is_what_they_take_on_a_processor() {
+    let sides = ["x_min", "x_max", "y_min", "y_max", "z_min"];
+    let wall = |name: &str, part: &str| format!("[[probe]]\nname = \"{name}\"\nwall = {{ {part} }}\n");
+    let all: String = sides.iter().map(|side| wall(side, &format!("side = \"{side}\""))).collect();
+    let corner = wall("corner", "side = \"z_min\", max = [0.2, 0.2, 1]");
+    // A section before them: its sums and theirs stand side by side.
+    let flux = "[[probe]]\nname = \"sunk\"\nflux = { rectangle = { min = [0, 0, 0.1], max = [0.8, 0.8, 0.1] } }\n";
+    let text = nested("").replace("count = 2\nhalf = 8\n", "count = 1\n");
+    let periodic = text.replace("x_min = \"slip\"\nx_max = \"stick\"", "x_min = \"periodic\"\nx_max = \"periodic\"");
+    let periodic = (periodic, &sides[2..]);
+    for (text, sides) in [(text, &sides[..]), periodic] {
+        let near = text.replace("position = [0.3, 0.4, 0.25]", "position = [0.08, 0.1, 0.2]");
+        let kept: String =
+            all.split_inclusive("}\n").filter(|one| sides.iter().any(|side| one.contains(side))).collect();
+        let text = format!("{near}{flux}{kept}{corner}");
+        let on = |backend: &str, precision| Options { backend: backend.to_owned(), ..options(precision) };
+        let mut here = start(&text, &on("cpu", Precision::F64));
+        let mut there = start(&text, &on("wgpu", Precision::F32));
+        let go = |s: &mut Simulation, count: usize| {
+            (0..count).for_each(|_| drop(s.step().unwrap_or_else(|e| panic!("{e}"))))
+        };
+        go(&mut here, 40);
+        go(&mut there, 20);
+        there.swap(&barchan::registry(), &on("cpu", Precision::F64)).unwrap();
+        go(&mut there, 10);
+        there.swap(&barchan::registry(), &on("wgpu", Precision::F32)).unwrap();
+        go(&mut there, 10);
+        let (one, other, given) = (here.pressed(), there.pressed(), there.ledger().wall_impulse);
+        println!("{one:?}\n{other:?}\n{given:?}");
+        assert_eq!(other.len(), sides.len() + 1);
+        let weight = given[2].abs();
+        for (k, (one, other)) in one.iter().zip(&other).enumerate() {
+            within(&format!("part {k}"), norm(minus(*one, *other)), 2e-4 * weight);
+        }
+        for d in 0..3 {
+            let sum: f64 = other[..sides.len()].iter().map(|one| one[d]).sum();
+            within(&format!("all walls, axis {d}"), (sum + given[d]).abs(), 1e-5 * weight);
+        }
+        assert!(weight > 0.1 && norm(other[sides.len()]) > 0.01, "the floor bears the bed");
+    }
+}
+
 /// The particle nearest to a point is the one that a look at all of them finds, and a cloud is at no distance from itself.
 #[test]
 fn the_nearest_particle_and_a_cloud_are_found() {
@@ -469,11 +514,11 @@ fn a_probe_that_cannot_be_meant_is_refused() {
         let error = barchan::Scene::from_str(&text, "test scene", Path::new(".")).unwrap_err().to_string();
         assert!(parts.iter().all(|part| error.contains(part)), "{probe}: {error}");
     }
-    // A device does not sum by node what walls give.
+    // A device sums what walls take on one level, from those that do not let go.
     let scene = scene(&format!("{}[[probe]]\nname = \"p\"\nwall = {{ side = \"z_min\" }}\n", nested("")));
     let options = Options { backend: "wgpu".to_owned(), ..options(Precision::F32) };
     let error = Simulation::new(&barchan::registry(), &scene, &options).unwrap_err().to_string();
-    assert!(error.contains("wgpu") && error.contains("press on walls"), "{error}");
+    assert!(error.contains("wgpu") && error.contains("probe[0].wall asks for one"), "{error}");
 }
 
 /// A scene without sections and walls to look at has the stages that it had, and one with probes of other kinds too: these look between steps only.

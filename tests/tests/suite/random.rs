@@ -37,7 +37,7 @@ fn keys(table: &Table, path: &str, found: &mut BTreeMap<String, BTreeSet<String>
 fn every_key_of_a_scene_is_drawn() {
     let generator = Generator::new(&registry());
     let mut found = BTreeMap::new();
-    for seed in 0..3000 {
+    for seed in 0..6000 {
         keys(&generator.scene(seed), "", &mut found);
     }
     let never: Vec<String> = generator.keys().into_iter().filter(|key| !found.contains_key(key)).collect();
@@ -51,7 +51,7 @@ fn every_key_of_a_scene_is_drawn() {
         .collect();
     let same: Vec<_> = same.into_iter().filter(|key| !key.ends_with(".point") && !key.contains(".file")).collect();
     assert!(same.is_empty(), "always the same: {same:#?}");
-    println!("{} keys, all drawn within 3000 scenes", found.len());
+    println!("{} keys, all drawn within 6000 scenes", found.len());
 }
 
 /// No panic, mass and momentum closed by the ledger, the same bits on two threads and after a resumption, f32 near f64: whatever the scene.

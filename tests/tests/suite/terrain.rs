@@ -1,7 +1,7 @@
 //! Ground whose surface is a function of place, and ground of several materials.
 
 use barchan::picture::Image;
-use barchan::{Ledger, Precision, Scene, Simulation};
+use barchan::{Ledger, Options, Precision, Scene, Simulation};
 use barchan_tests::scenes::{options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, body, material, tool};
 
@@ -125,6 +125,30 @@ fn dunes_without_end_come_and_go_with_an_agent() {
         (counted(&end, "tiles archived") as f64, counted(&end, "tiles given back to the terrain") as f64);
     // Slopes come in without shear, and some yield as they take it up: their history has changed.
     within("part of untouched tiles that is archived", kept / (kept + dropped), 0.5);
+}
+
+/// Heights near an agent, and of ground that lies in the archive, on a device are those of the same particles on a processor.
+#[test]
+fn heights_on_a_device_are_those_on_a_processor_in_the_archive_too() {
+    let flight = flight("[levels]\ncount = 2\nhalf = 8\nreach = 4\n");
+    let options = |backend: &str, precision| Options { backend: backend.to_owned(), ..options(precision) };
+    let mut s = Simulation::new(&barchan::registry(), &scene(&flight), &options("wgpu", Precision::F32)).unwrap();
+    while counted(&s.ledger(), "tiles in the archive now") < 4 {
+        assert!(s.time() < 0.6, "no ground was archived: {:?}", s.ledger().counts);
+        run_to(&mut s, (s.time() + 0.05).min(0.6));
+    }
+    let eye = s.bodies()[0].position;
+    let around = |[x, y]: [f64; 2]| -> Vec<[f64; 2]> {
+        (0..49).map(|n| [x + 0.05 * f64::from(n % 7 - 3), y + 0.05 * f64::from(n / 7 - 3)]).collect()
+    };
+    let points = [around([eye[0], eye[1]]), around([0.0; 2])];
+    let there = points.each_ref().map(|points| s.heights(points).unwrap());
+    s.swap(&barchan::registry(), &options("cpu", Precision::F64)).unwrap();
+    for (points, there) in points.iter().zip(&there) {
+        let here = s.heights(points).unwrap();
+        let off = here.iter().zip(there).map(|(a, b)| (a.unwrap() - b.unwrap()).abs());
+        within("heights [m]", off.fold(0.0, f64::max), 1e-6);
+    }
 }
 
 /// A bed of layers by depth, snow over sand, perhaps with a block of clay in it.

@@ -217,3 +217,40 @@ fn a_servo_goes_on_bit_for_bit() {
     }
     assert!(left(&whole) == left(&cut));
 }
+
+/// A wall that moves is a tool. On smooth walls that yield to a bed of sand, and are pushed into it, forces go from the pressure at rest to the active and the passive one.
+///
+/// # Source
+/// Rankine (1857), with friction tan φ* = sin φ_ps for flow without dilation (Davis 1968); sin φ_ps = 2√3 sin φ / (3 - sin φ) for a cone matched in triaxial
+/// compression.
+#[test]
+fn walls_that_move_feel_the_active_and_the_passive_pressure() {
+    let changes = ["world.cell=0.02", "time.end=0.8"].map(str::to_owned);
+    let mut s = Simulation::new(
+        &barchan::registry(),
+        &barchan::tasks::scene("retaining-wall", &changes).unwrap(),
+        &Options::default(),
+    )
+    .unwrap();
+    let mut mean = |from: f64, to: f64| {
+        run_to(&mut s, from);
+        let (mut impulses, start) = ([0.0; 2], s.time());
+        while s.time() < to {
+            let before = s.time();
+            s.step().unwrap();
+            let wrenches = s.wrenches();
+            impulses.iter_mut().zip(wrenches).for_each(|(sum, wrench)| *sum += wrench.force[0] * (s.time() - before));
+        }
+        // By what the bed's weight is over its height.
+        impulses.map(|impulse| impulse.abs() / (s.time() - start) / (0.5 * 1600.0 * 9.81 * 0.3 * 0.3 * 0.04))
+    };
+    let sine = 20f64.to_radians().sin();
+    let friction = (2.0 * 3f64.sqrt() * sine / (3.0 - sine)).atan().sin();
+    let passive = (1.0 + friction) / (1.0 - friction);
+    let [pushed, yielding] = mean(0.1, 0.2);
+    within("pressure at rest, pushed wall", (pushed / 0.6 - 1.0).abs(), 0.05);
+    within("pressure at rest, yielding wall", (yielding / 0.6 - 1.0).abs(), 0.05);
+    let [pushed, yielding] = mean(0.5, 0.8);
+    within("passive pressure", (pushed / passive - 1.0).abs(), 0.08);
+    within("active pressure", (yielding * passive - 1.0).abs(), 0.08);
+}

@@ -11,7 +11,9 @@ use std::path::Path;
 
 /// Runs a scene with such a trace up to a time, from the start or from where the folder's run ended, and reads it: columns by name.
 fn traced(backend: &str, trace: scene::Trace, out: &Path, until: Until) -> barchan::Result<BTreeMap<String, Vec<f64>>> {
-    let mut scene = scene(&struck("neo_hookean"));
+    // A device tells walls not apart.
+    let floor = if backend == "cpu" { "[[probe]]\nname = \"floor\"\nwall = { side = \"z_min\" }\n" } else { "" };
+    let mut scene = scene(&(struck("neo_hookean") + floor));
     scene.output.trace = trace;
     let options = Options { threads: 1, backend: backend.to_owned(), ..Options::default() };
     let snapshot = out.join("snapshot.barchan");
@@ -75,6 +77,15 @@ fn rows_an_interval_apart_hold_the_impulse_between_them() {
         let mass = &some["mass [kg]"];
         assert!(mass.iter().all(|m| (m - mass[0]).abs() < 1e-9 * mass[0]) && mass[0] > 0.0);
         assert!(some["kinetic energy [J]"].iter().all(|e| e.is_finite()));
+        if backend == "cpu" {
+            // The scene has one wall: what the ground gives to it is what walls do not give.
+            let [floor, walls] = ["floor impulse z [N s]", "wall impulse z [N s]"].map(|name| &some[name]);
+            assert!(walls[6] > 1e-2, "the floor was not met: {walls:?} N s");
+            assert!(
+                floor.iter().zip(walls).all(|(a, b)| (a + b).abs() < 1e-9 * walls[6]),
+                "{floor:?} and {walls:?} N s"
+            );
+        }
     }
 }
 

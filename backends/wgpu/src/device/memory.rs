@@ -48,7 +48,7 @@ pub(crate) const NEAR_BLOCK: usize = 65;
 /// Words that tell of a block's rest; see `watch_words.wgsl`.
 pub(crate) const WATCHED: usize = 12;
 /// Words of a soft body that levels follow; see `soft.wgsl`.
-pub(crate) const SOFT_WORDS: usize = 24;
+pub(crate) const SOFT_WORDS: usize = 27;
 
 /// Room for groups that answer in each world, for their bodies in all and in one group, for words and rates of a group's state, for blocks around all bodies
 /// on the finest level, and around one.
@@ -115,8 +115,8 @@ pub(crate) struct Asked {
     /// Does ground sleep, and how many boxes of a layer are there that it does not sleep in?
     pub(crate) sleeps: bool,
     pub(crate) tools: usize,
-    /// Sections of probes in each world, and words with which worlds are looked at.
-    pub(crate) sections: usize,
+    /// Sections of probes and parts of walls in each world, and words with which worlds are looked at.
+    pub(crate) probed: usize,
     pub(crate) sought: usize,
 }
 
@@ -382,7 +382,7 @@ impl Extent {
                 4 * ((Found::LISTED * (1 + asked.layers)) as u64 + (Found::LISTED as u64 + 1) * nodes.max(blocks))
             }
             Role::Groups => 12 * (Found::ALL * asked.layers) as u64,
-            Role::Crossed => 4 * (asked.sections * (PLACE * asked.layers + CROSSED * asked.worlds)) as u64,
+            Role::Crossed => 4 * (asked.probed * (PLACE * asked.layers + CROSSED * asked.worlds)) as u64,
             Role::Sought => 4 * asked.sought as u64,
             Role::Listed | Role::Now(_) | Role::Next(_) | Role::Rims | Role::Handed | Role::Shared => 0,
         }

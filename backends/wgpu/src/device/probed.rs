@@ -3,6 +3,8 @@
 use barchan_core::probe::{Crossed, Crossing, Filter, Sought, Sums};
 use barchan_core::scene::{Region, Section};
 use barchan_core::{Plan, Vec3};
+use barchan_grid::bounds::Bounds;
+use barchan_grid::wall::WallParts;
 use std::ops::Range;
 
 /// Words of a place at which probes look, of what has crossed a section, and of what a region is asked with; see `probed.wgsl`, `flux.wgsl`, `sums.wgsl`.
@@ -63,6 +65,33 @@ pub(crate) fn sections(plan: &Plan, level: usize) -> Vec<u32> {
         }
     };
     Crossing::all(plan).into_iter().flat_map(words).collect()
+}
+
+/// The parts of walls of a plan as a level has them; see `pressed.wgsl`.
+pub(crate) fn wall_parts(plan: &Plan, level: usize) -> impl Iterator<Item = u32> + use<> {
+    let parts = WallParts::new(plan, level, &Bounds::new(plan, level));
+    let words = parts.each().flat_map(|((axis, end), [first, past])| {
+        let cell = |cell: [i32; 3]| cell.map(|x| x as u32);
+        let mut words = [0; PLACE];
+        words[..3].copy_from_slice(&cell(first));
+        words[3] = (2 * axis + end) as u32;
+        words[4..7].copy_from_slice(&cell(past));
+        words
+    });
+    words.collect::<Vec<_>>().into_iter()
+}
+
+/// What a part of a wall has taken, as of a section's momentum along its normal [N s].
+pub(crate) fn pressed_of(exact: &Exact) -> Vec3 {
+    let [along, _] = exact;
+    [3, 4, 5].map(|k| along[k] as f64 / ONE)
+}
+
+/// And back.
+pub(crate) fn pressed(impulse: &Vec3) -> Exact {
+    let mut exact = Exact::default();
+    impulse.iter().zip(&mut exact[0][3..]).for_each(|(x, sum)| *sum = (x * ONE) as i128);
+    exact
 }
 
 /// Regions as a level has them, `count` of them: where nothing is sought, nothing is found.

@@ -30,7 +30,7 @@ use crate::passes::g2p::{g2p, soft, stress};
 use crate::passes::grid::{Finish, collect, hold, reflect, separate, sum_tiles, velocities};
 use crate::passes::laws::laws;
 use crate::passes::p2g::p2g;
-use crate::passes::probes::{flux, sums};
+use crate::passes::probes::{flux, pressed, sums};
 use crate::passes::rims::{restrict, rims_alone};
 use crate::passes::scene::{
     constants, free_bodies, has_mirrors, layer_constants, may_sleep, mirrors_early, rest_vectors, separations, softs,
@@ -65,6 +65,8 @@ pub(crate) struct Set<K> {
     pub(crate) g2p: K,
     /// What crosses the sections of probes, if there are any.
     pub(crate) flux: Option<K>,
+    /// What parts of walls take, if probes ask for it.
+    pub(crate) pressed: Option<K>,
     pub(crate) stress: K,
     /// Sums of what walls gave and sleep took.
     pub(crate) collect: Vec<K>,
@@ -103,6 +105,7 @@ impl<K> Set<K> {
             mirrored: self.mirrored,
             g2p: make(self.g2p),
             flux: self.flux.map(&make),
+            pressed: self.pressed.map(&make),
             stress: make(self.stress),
             collect: all(self.collect),
             soft: self.soft.map(|passes| passes.map(&make)),
@@ -120,7 +123,7 @@ impl<K> Set<K> {
         let step = self.sort.iter().chain(&self.watch).chain([&self.p2g]).chain(&self.restrict).chain(&self.grid);
         let rims = self.solve.iter().chain(&self.mirror).chain(&self.prolong).chain(&self.reflect);
         let seldom = self.collect.iter().chain(self.soft()).chain(self.adapt());
-        step.chain(rims).chain([&self.g2p, &self.stress]).chain(&self.flux).chain(seldom)
+        step.chain(rims).chain([&self.g2p, &self.stress]).chain(&self.flux).chain(&self.pressed).chain(seldom)
     }
 
     /// Those of rounds of split and merge.
@@ -205,6 +208,7 @@ pub(crate) fn drafts(plan: &Plan, worlds: usize, particles: usize) -> Result<Set
         mirrored,
         g2p: g2p(plan, &laws, sleeps, [particles, worlds * plan.cell_widths.len()]),
         flux: plan.has(Stage::FLUX).then(|| flux(plan, sleeps)),
+        pressed: plan.has(Stage::PRESS).then(|| pressed(plan, sleeps)),
         stress: stress(&laws),
         collect,
         soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),

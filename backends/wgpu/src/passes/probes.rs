@@ -1,7 +1,7 @@
-//! What crosses the sections of probes, sums over regions, single particles, and heights of the ground.
+//! What crosses the sections of probes, what walls take, sums over regions, single particles, and heights of the ground.
 
 use crate::passes::binding::{
-    CELLS, Draft, Groups, IDS, LISTS, OWNERS, RECORD, REST, Role, STATUS, Uniform, Use, blocks,
+    CELLS, Draft, Groups, IDS, LISTS, NODES, OWNERS, RECORD, REST, Role, STATUS, Uniform, Use, blocks,
 };
 use crate::passes::conditions::chosen;
 use barchan_core::Plan;
@@ -17,19 +17,43 @@ const LOOKED: Use = ("looked", "u32", Role::Sought, true);
 /// What has crossed sections in a step.
 pub(crate) fn flux(plan: &Plan, sleeps: bool) -> Draft {
     let probed: Use = ("probed", "atomic<u32>", Role::Crossed, true);
-    let count = format!("const SECTIONS: u32 = {}u;\n", plan.scene.sections().count());
     let body = chosen(include_str!("../wgsl/flux.wgsl"), &[("sleeps", sleeps)]);
     let mut uses = vec![RECORD, REST, IDS, LISTS, CELLS, STATUS, probed];
     uses.extend(sleeps.then_some(OWNERS));
     Draft {
         name: "flux",
         entry: "see_crossed",
-        body: [count.as_str(), DIGITS, PROBED, if sleeps { wgsl::WATCH_WORDS } else { "" }, &body].concat(),
+        body: [counts(plan).as_str(), DIGITS, PROBED, if sleeps { wgsl::WATCH_WORDS } else { "" }, &body].concat(),
         uses,
         uniform: Uniform::None,
         groups: blocks(plan.cell_widths.len() > 1),
         checked: true,
     }
+}
+
+/// What parts of walls take in a step.
+pub(crate) fn pressed(plan: &Plan, sleeps: bool) -> Draft {
+    let probed: Use = ("probed", "atomic<u32>", Role::Crossed, true);
+    let body = chosen(include_str!("../wgsl/pressed.wgsl"), &[("sleeps", sleeps)]);
+    let watch = if sleeps { wgsl::WATCH_WORDS } else { "" };
+    let mut uses = vec![RECORD, LISTS, CELLS, NODES, STATUS, probed];
+    uses.extend(sleeps.then_some(OWNERS));
+    Draft {
+        name: "press on walls",
+        entry: "see_pressed",
+        body: [counts(plan).as_str(), DIGITS, PROBED, wgsl::REACHES_WALL, wgsl::WALL, watch, &body].concat(),
+        uses,
+        uniform: Uniform::None,
+        groups: blocks(plan.cell_widths.len() > 1),
+        checked: true,
+    }
+}
+
+/// How many sections there are, parts of walls, and both.
+fn counts(plan: &Plan) -> String {
+    let (sections, parts) = (plan.scene.sections().count(), plan.scene.wall_parts().count());
+    let all = sections + parts;
+    format!("const SECTIONS: u32 = {sections}u;\nconst PARTS: u32 = {parts}u;\nconst PROBED: u32 = {all}u;\n")
 }
 
 /// Sums over regions, between steps.

@@ -5,7 +5,7 @@ use crate::device::memory::{MAX_STEPS, is_stored};
 use crate::passes::bodies::RIMS_BESIDE;
 use crate::passes::laws::is_asked_on_device;
 use crate::passes::since_sort::most_drift;
-use barchan_core::levels::{Agent, SPLIT_AHEAD};
+use barchan_core::levels::{Followed, SPLIT_AHEAD};
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::{Tool, Wall};
 use barchan_core::{Plan, Stage};
@@ -186,10 +186,17 @@ pub(crate) fn regions(plan: &Plan, worlds: usize) -> String {
     )
 }
 
-/// Soft bodies that levels follow, in the order of agents.
+/// Soft bodies that levels follow, each once, in the order of agents.
 pub(crate) fn softs(plan: &Plan) -> Vec<u16> {
-    let soft = |agent: &Agent| if let Agent::Soft(body) = agent { Some(*body) } else { None };
-    plan.agents.iter().filter_map(soft).collect()
+    let mut all = Vec::new();
+    for agent in &plan.agents {
+        if let Followed::Soft(body) = agent.followed
+            && !all.contains(&body)
+        {
+            all.push(body);
+        }
+    }
+    all
 }
 
 /// Does the device ask laws how stiff their particles are?

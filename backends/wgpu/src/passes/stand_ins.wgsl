@@ -65,6 +65,8 @@ const REACH: f32 = 1.5;
 const NEAR_TOOL: f32 = 2.0;
 const NEAR_BLOCK: u32 = 65u;
 const SECTIONS: u32 = 2u;
+const PARTS: u32 = 2u;
+const PROBED: u32 = 4u;
 const REGIONS: u32 = 16u;
 var<workgroup> exchange: array<vec4<f32>, 715>;
 fn finest_volume(body: u32) -> f32 { return 1e-6; }

@@ -63,7 +63,7 @@ impl WgpuBatch {
             self.write_live()?;
         }
         self.write_parameters(to, plan);
-        self.write_sections(to, plan);
+        self.write_probed(to, plan);
         self.set_crossed(to, &crossed)?;
         self.gpu.check()
     }

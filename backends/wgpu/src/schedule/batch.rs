@@ -81,9 +81,8 @@ impl WgpuBatch {
         let boxes = (levels - 1) * scene::boxes(plan);
         let (substeps, softs) = (plan.substeps as usize, count * scene::softs(plan).len());
         let sleeps = scene::may_sleep(plan);
-        let (layers, sections) = (count * levels, fixed.sections);
-        let asked =
-            Asked { pairs, layers, worlds: count, boxes, substeps, sleeps, softs, sections, ..Asked::default() };
+        let (layers, probed) = (count * levels, fixed.probed);
+        let asked = Asked { pairs, layers, worlds: count, boxes, substeps, sleeps, softs, probed, ..Asked::default() };
         let memory = Memory::new(&gpu, extent, particles, asked, &params, &kernels.step_layout)?;
         let plans: Vec<&Plan> = worlds.iter().map(|world| world.plan).collect();
         let mut batch = Self {
@@ -108,7 +107,7 @@ impl WgpuBatch {
             contact: Contact::default(),
             lookers: None,
         };
-        plans.iter().enumerate().for_each(|(world, plan)| batch.write_sections(world, plan));
+        plans.iter().enumerate().for_each(|(world, plan)| batch.write_probed(world, plan));
         batch.take_in(worlds.into_iter().map(|world| world.particles).enumerate().collect())?;
         Ok(batch)
     }
@@ -125,7 +124,7 @@ impl WgpuBatch {
             return Err(error);
         }
         self.write_parameters(world, new.plan);
-        self.write_sections(world, new.plan);
+        self.write_probed(world, new.plan);
         self.set_crossed(world, &[])
     }
 

@@ -153,6 +153,7 @@ impl WgpuBatch {
     fn held_groups(&self, world_step: &WorldStep<'_>, dt: f64, steps: usize) -> Option<Vec<HeldGroup>> {
         let world = &self.worlds[world_step.world];
         let softs = world.softs.boxes(self.h);
+        let of_agents = world.adapt.leashes(world_step.couplings, |body| softs.get(&body).copied());
         let mut all = Vec::new();
         for (c, coupling) in world_step.couplings.iter().enumerate() {
             let groups = coupling.groups();
@@ -169,7 +170,8 @@ impl WgpuBatch {
                 let mut held = Vec::with_capacity(own.len());
                 for (own, known) in own.zip(&known.bodies) {
                     let (name, mass) = (&bodies[own].0, bodies[own].1);
-                    let of_levels = world.adapt.leash(name, &boxes[own], |body| softs.get(&body).copied());
+                    let of_own = of_agents.iter().filter(|(agent, _)| agent.is_of(name));
+                    let of_levels = of_own.fold(Aabb::UNBOUND, |all, (_, leash)| all.intersection(leash));
                     let of_others = self.keep_off(world_step, c, &boxes[own], dt * steps as f64)?;
                     let leash = leashes.next()?.intersection(&of_levels).intersection(&of_others);
                     let followed = world.adapt.follows(name);

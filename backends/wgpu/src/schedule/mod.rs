@@ -22,7 +22,7 @@ use barchan_core::schedule::{Call, Needs, Stage, beginning, ending};
 use barchan_core::{Plan, Schedule, Vec3};
 use std::ops::Range;
 
-/// Has this backend a form of the stage? Of most it is [`passes`]; which sides of sections particles are on, flux finds out afterwards; archive, adapt and sort are carried out between steps, where they are due; the limit is
+/// Has this backend a form of the stage? Of most it is [`passes`]; which sides of sections particles are on, flux finds out afterwards; what walls take is found just before G2P; archive, adapt and sort are carried out between steps, where they are due; the limit is
 /// held within the grid update, and bodies that answer move within the contact, while the host moves driven ones.
 pub(crate) fn has_form(stage: Stage) -> bool {
     matches!(
@@ -41,6 +41,7 @@ pub(crate) fn has_form(stage: Stage) -> bool {
             | Stage::SIDES
             | Stage::G2P
             | Stage::FLUX
+            | Stage::PRESS
     )
 }
 
@@ -126,7 +127,7 @@ pub(crate) fn passes<'a, K>(
         Stage::G2P => {
             let mirror = set.mirror.iter().filter(|_| levels == 1);
             let reflects = !subcycled || !set.mirrored || contact.comes_to_walls();
-            all(end, &mut mirror.chain(set.reflect.iter().filter(|_| reflects)).chain([&set.g2p]))
+            all(end, &mut mirror.chain(set.reflect.iter().filter(|_| reflects)).chain(&set.pressed).chain([&set.g2p]))
         }
         Stage::FLUX => all(end, &mut set.flux.iter()),
         _ => Vec::new(),

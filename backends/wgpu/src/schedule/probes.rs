@@ -5,6 +5,7 @@ use crate::device::layout;
 use crate::device::memory::read;
 use crate::device::probed::{
     CROSSED, Exact, HEAD, PLACE, POINT, SAMPLED, SUMMED, crossed_of, heights_of, point, regions, sections, sums_of,
+    wall_parts,
 };
 use crate::passes::binding::build;
 use crate::passes::probes::{heights, sample, sums};
@@ -14,25 +15,25 @@ use crate::schedule::submission::Size;
 use barchan_core::backend::{Look, Looked};
 use barchan_core::task::{Sampled, chosen};
 use barchan_core::{Plan, Result};
-use barchan_grid::archive::Reach;
 
 impl WgpuBatch {
-    /// Tells the device where a world's sections are, as each of its levels has them.
-    pub(crate) fn write_sections(&self, world: usize, plan: &Plan) {
-        let words: Vec<u32> = (0..self.levels).flat_map(|level| sections(plan, level)).collect();
+    /// Tells the device where a world's sections and parts of walls are, as each of its levels has them.
+    pub(crate) fn write_probed(&self, world: usize, plan: &Plan) {
+        let of_level = |level| sections(plan, level).into_iter().chain(wall_parts(plan, level));
+        let words: Vec<u32> = (0..self.levels).flat_map(of_level).collect();
         let buffer = self.memory.buffer(Role::Crossed, 0);
         self.gpu.queue.write_buffer(buffer, 4 * (words.len() * world) as u64, bytemuck::cast_slice(&words));
     }
 
-    /// What the device has counted at a world's sections, by whatever has been in its place.
+    /// What the device has counted at a world's sections and parts of walls, by whatever has been in its place.
     fn counted(&self, world: usize) -> Result<Vec<Exact>> {
-        let sections = self.fixed.sections;
-        let at = 4 * sections * (PLACE * self.memory.words().layers + CROSSED * world);
-        let words: Vec<u32> = read(&self.gpu, self.memory.buffer(Role::Crossed, 0), at as u64, CROSSED * sections)?;
+        let probed = self.fixed.probed;
+        let at = 4 * probed * (PLACE * self.memory.words().layers + CROSSED * world);
+        let words: Vec<u32> = read(&self.gpu, self.memory.buffer(Role::Crossed, 0), at as u64, CROSSED * probed)?;
         Ok(words.chunks_exact(CROSSED).map(crossed_of).collect())
     }
 
-    /// What has crossed a world's sections since its scene's start.
+    /// What has crossed a world's sections since its scene's start, and what parts of walls have taken.
     pub(crate) fn crossed(&self, world: usize) -> Result<Vec<Exact>> {
         let mut all = self.counted(world)?;
         for (sum, before) in
@@ -56,12 +57,15 @@ impl WgpuBatch {
     pub(crate) fn look_at(&mut self, first: usize, looks: &[Look<'_>]) -> Result<Vec<Looked>> {
         let mut looked = self.look(first, looks)?;
         for ((look, seen), world) in looks.iter().zip(&mut looked).zip(&self.worlds[first..]) {
-            if look.sought.is_empty() && look.points.is_empty() {
-                continue;
-            }
-            for list in world.reach.iter().flat_map(Reach::archived) {
+            let (Some(reach), Some(coarsest)) = (&world.reach, world.levels.last()) else { continue };
+            if look.points.iter().any(|point| reach.may_hold(*point, coarsest.h)) {
                 // The host finds what the surface is there.
                 seen.heights = None;
+            }
+            if look.sought.is_empty() {
+                continue;
+            }
+            for list in reach.archived() {
                 let planned = &look.materials[list.material as usize];
                 seen.sums.iter_mut().zip(look.sought).try_for_each(|(sums, one)| sums.add_list(one, planned, &list))?;
             }

@@ -13,7 +13,7 @@ fn ready(b: u32, layer: u32, first: vec3<i32>) -> u32 {
     }
     // A block's particles are within two cells of it, which is four cells wide: less than 7 from its middle.
     for (var s = 0u; s < SECTIONS; s++) {
-        let section = place_at(PLACE * (layer * SECTIONS + s));
+        let section = place_at(PLACE * (layer * PROBED + s));
         let distance = dot(from_middle(section, first + vec3<i32>(2), vec3<u32>(0u)), section.normal);
         if section.kind != NOWHERE && abs(distance) < 8.0 {
             return 1u;
@@ -47,7 +47,7 @@ fn look(q: u32, layer: u32, first: vec3<i32>) {
     let cell = first + cell_of(p.w);
     let cell_before = cell - select(vec3<i32>(0), vec3<i32>(1), up) + select(vec3<i32>(0), vec3<i32>(1), down);
     for (var s = 0u; s < SECTIONS; s++) {
-        let section = place_at(PLACE * (layer * SECTIONS + s));
+        let section = place_at(PLACE * (layer * PROBED + s));
         if section.kind == NOWHERE {
             continue;
         }
@@ -62,7 +62,7 @@ fn look(q: u32, layer: u32, first: vec3<i32>) {
             continue;
         }
         let mass = bitcast<f32>(record_of(q, 1u).w);
-        let sum = PLACE * LAYERS * SECTIONS + CROSSED * (layer / LEVELS * SECTIONS + s) + select(0u, 24u, ends.y < ends.x);
+        let sum = PLACE * LAYERS * PROBED + CROSSED * (layer / LEVELS * PROBED + s) + select(0u, 24u, ends.y < ends.x);
         add_exactly(sum, 1.0);
         add_exactly(sum + 4u, mass);
         add_exactly(sum + 8u, rest_of(q, REST - 1u).w);

@@ -1,7 +1,7 @@
 // Soft bodies that levels follow: the cells around their particles after a step, in cells of the finest level. For each there stand the least
 // cell and one past the greatest as they are found, and as they were after the last step, and between which bounds both and their sum may lie
-// before levels have to move.
-const WORDS: u32 = 24u;
+// before levels have to move, and how far the least may go.
+const WORDS: u32 = 27u;
 
 var<workgroup> ends: array<atomic<i32>, 6u * SOFTS>;
 var<workgroup> first_world: u32;

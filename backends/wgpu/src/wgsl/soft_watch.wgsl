@@ -1,5 +1,5 @@
 // What was found in a step stands for the step, and stops the submission if levels must move before the next one.
-const WORDS: u32 = 24u;
+const WORDS: u32 = 27u;
 const FOUND: u32 = 6u;
 const LEEWAY: u32 = 12u;
 
@@ -25,7 +25,7 @@ fn watch_soft(@builtin(local_invocation_index) thread: u32) {
         }
         // A body that has come or gone is news.
         let is_as_known = (least.x < end.x) == (word(at, LEEWAY).x != 0x7fffffff);
-        let ends_fit = all(least >= word(at, LEEWAY)) && all(end <= word(at, LEEWAY + 3u));
+        let ends_fit = all(least >= word(at, LEEWAY)) && all(least <= word(at, LEEWAY + 12u)) && all(end <= word(at, LEEWAY + 3u));
         let sum = least + end;
         if !(is_as_known && ends_fit && all(sum >= word(at, LEEWAY + 6u)) && all(sum <= word(at, LEEWAY + 9u))) {
             atomicStore(&status[HALT_STEP], step.number + 1u);

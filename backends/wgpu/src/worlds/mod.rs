@@ -24,8 +24,9 @@ pub(crate) struct Fixed {
     pub(crate) levels: (usize, u32, usize, Vec<u16>),
     /// Of the finest particles of each body, if there are several levels [m³].
     pub(crate) volumes: Vec<f64>,
-    /// Sections of probes.
+    /// Sections of probes, and these with the parts of walls that probes ask about.
     pub(crate) sections: usize,
+    pub(crate) probed: usize,
 }
 
 impl Fixed {
@@ -40,6 +41,7 @@ impl Fixed {
             levels: (plan.cell_widths.len(), plan.substeps, scene::boxes(plan), scene::softs(plan)),
             volumes: if plan.cell_widths.len() > 1 { finest_volumes(plan) } else { Vec::new() },
             sections: plan.scene.sections().count(),
+            probed: plan.scene.sections().count() + plan.scene.wall_parts().count(),
         }
     }
 
@@ -66,8 +68,8 @@ impl Fixed {
         if other.volumes != self.volumes {
             return differs("how many bodies they have on levels, or how finely these are sampled", MEND);
         }
-        if other.sections != self.sections {
-            return differs("how many probes of flux they have", MEND);
+        if (other.sections, other.probed) != (self.sections, self.probed) {
+            return differs("how many probes of flux and of walls they have", MEND);
         }
         if other.gravity != self.gravity {
             return differs("gravity", MEND);

@@ -83,14 +83,15 @@ impl World {
         let mut words = Vec::new();
         for (soft, leeway) in self.softs.all.iter().zip(leeways) {
             // Where it is the host has found that nothing need move; a body that comes or goes is news.
-            let Leeway { ends, sums } =
+            let Leeway { ends, sums, least } =
                 leeway.zip(soft.cells).map_or_else(Leeway::none, |(leeway, now)| leeway.with(now));
             words.extend(
-                [NOTHING.min, NOTHING.max, NOTHING.min, NOTHING.max, ends.min, ends.max, sums[0], sums[1]].concat(),
+                [NOTHING.min, NOTHING.max, NOTHING.min, NOTHING.max, ends.min, ends.max, sums[0], sums[1], least]
+                    .concat(),
             );
         }
         words
     }
 }
 
-const _: () = assert!(LEEWAY + 12 == SOFT_WORDS);
+const _: () = assert!(LEEWAY + 15 == SOFT_WORDS);

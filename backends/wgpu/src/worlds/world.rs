@@ -153,7 +153,7 @@ pub(crate) struct World {
     pub(crate) wall_impulse: Vec3,
     pub(crate) gravity_impulse: Vec3,
     pub(crate) slept: Slept,
-    /// What had crossed the sections of probes before the device began to count, and less what it has counted of others.
+    /// What had crossed the sections of probes, and what walls had taken, before the device began to count, and less what it has counted of others.
     pub(crate) crossed: Vec<Exact>,
 }
 

@@ -1,11 +1,13 @@
-//! `trace.csv`: a row for each step, or one an interval with what is true of the whole run besides; and `trace.npz`, the same as arrays.
+//! `trace.csv`: a row for each step, or one an interval with what is true of the whole run besides; and `trace.npz` and `trace.parquet`, the same by columns.
 
+#[cfg(feature = "parquet")]
+use super::TRACE_PARQUET;
 use super::folder::Folder;
 use super::recorder::Files;
 use super::{TRACE, TRACE_ARRAYS, io_error};
 use crate::export::npz::Npz;
 use barchan_core::observer::{Observer, Output};
-use barchan_core::scene::{self, fits, plain};
+use barchan_core::scene::{self, WallPart, fits, plain};
 use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -41,7 +43,7 @@ const OF_BODY: [&str; 19] = [
 /// And, where rows are an interval apart, the means of its wrench since the row before.
 const MEANS: [&str; 6] =
     ["mean fx [N]", "mean fy [N]", "mean fz [N]", "mean tx [N m]", "mean ty [N m]", "mean tz [N m]"];
-/// Of the whole run, where rows are an interval apart.
+/// Of the whole run, where rows are an interval apart. What walls take one by one follows, where probes ask for it.
 const OF_ALL: [&str; 12] = [
     "particles",
     "mass [kg]",
@@ -68,15 +70,27 @@ impl Columns {
     /// Those of a simulation's trace, with what observers add.
     ///
     /// # Errors
-    /// If a pattern fits no column.
+    /// If a pattern fits no column, or a kind of file is wanted that this program does not write.
     pub(super) fn new(
         simulation: &Simulation,
         wanted: &scene::Trace,
         observed: impl Iterator<Item = String>,
     ) -> Result<Self> {
+        if wanted.parquet && cfg!(not(feature = "parquet")) {
+            return Err(Error::Body {
+                path: "output.trace.parquet".to_owned(),
+                what: "this program was built without Parquet files".to_owned(),
+                mend: "build it with --features parquet, or take output.trace.npz".to_owned(),
+            });
+        }
         let mut names: Vec<String> = FIRST.map(str::to_owned).into();
         if wanted.interval.is_some() {
             names.extend(OF_ALL.map(str::to_owned));
+            let scene = &simulation.plan().scene;
+            let of_wall = |(i, _): (usize, WallPart)| {
+                ["x", "y", "z"].map(|d| format!("{} impulse {d} [N s]", scene.probe[i].name))
+            };
+            names.extend(scene.wall_parts().flat_map(of_wall));
         }
         for body in simulation.bodies() {
             let means = if wanted.interval.is_some() { &MEANS[..] } else { &[] };
@@ -137,8 +151,9 @@ pub(super) struct Trace {
     files: Rc<RefCell<Files>>,
     columns: Columns,
     interval: Option<f64>,
-    /// Is it written as arrays too?
+    /// Is it written as arrays too? As a Parquet file?
     npz: bool,
+    parquet: bool,
     /// What has gone since the last row.
     since: Since,
     /// Has a row been written, at the start too? Is the next one due?
@@ -170,8 +185,8 @@ impl Since {
 impl Trace {
     /// `resumed`: a row for the start is there already.
     pub(super) fn new(files: Rc<RefCell<Files>>, columns: Columns, wanted: &scene::Trace, resumed: bool) -> Self {
-        let scene::Trace { interval, npz, .. } = *wanted;
-        Self { files, columns, interval, npz, since: Since::default(), begun: resumed, due: false }
+        let scene::Trace { interval, npz, parquet, .. } = *wanted;
+        Self { files, columns, interval, npz, parquet, since: Since::default(), begun: resumed, due: false }
     }
 
     /// A row of the present.
@@ -180,6 +195,7 @@ impl Trace {
         let (time, step) = (simulation.time(), simulation.step_count());
         let mut values = vec![Some(time), Some(step as f64), dt];
         values.extend(of_all(&simulation.ledger()));
+        values.extend(simulation.pressed().into_iter().flatten().map(Some));
         for (b, (body, wrench)) in simulation.bodies().iter().zip(simulation.wrenches()).enumerate() {
             values.extend(of_body(body, &wrench));
             let mean = self.since.mean(b);
@@ -221,6 +237,41 @@ impl Trace {
     }
 }
 
+impl Trace {
+    /// Writes the trace, all that is there of it, by columns, each under its name.
+    ///
+    /// They are made from the rows at the end, so that a run that was cut off has a trace, and one that goes on has it whole.
+    fn write_columns(&self) -> Result<()> {
+        let files = &mut *self.files.borrow_mut();
+        files.flush()?;
+        let path = files.folder.join(TRACE);
+        let text = std::fs::read_to_string(&path).map_err(|e| io_error(&path, "reading the trace", e))?;
+        let mut lines = text.lines();
+        let names: Vec<String> = fields(lines.next().unwrap_or_default()).into_iter().map(unquoted).collect();
+        let mut columns = vec![Vec::new(); names.len()];
+        for line in lines {
+            for (column, value) in columns.iter_mut().zip(line.split(',')) {
+                column.push(value.parse().unwrap_or(f64::NAN));
+            }
+        }
+        if self.npz {
+            files.folder.write(TRACE_ARRAYS, "writing the trace", |out| {
+                let mut archive = Npz::new(out);
+                for (name, column) in names.iter().zip(&columns) {
+                    archive.reals(name, &[column.len()], column)?;
+                }
+                archive.finish()
+            })?;
+        }
+        #[cfg(feature = "parquet")]
+        if self.parquet {
+            let write = |out: &mut _| crate::export::parquet::write_columns(out, &names, &columns);
+            files.folder.write(TRACE_PARQUET, "writing the trace", write)?;
+        }
+        Ok(())
+    }
+}
+
 impl Observer for Trace {
     fn name(&self) -> &str {
         "trace"
@@ -258,32 +309,8 @@ impl Observer for Trace {
         Ok(())
     }
     fn finish(&mut self, _: &Simulation, _: &mut dyn Output) -> Result<()> {
-        if self.npz { write_arrays(&mut self.files.borrow_mut()) } else { Ok(()) }
+        if self.npz || self.parquet { self.write_columns() } else { Ok(()) }
     }
-}
-
-/// Writes the trace, all that is there of it, as an archive of arrays: one for each column, under its name, with NaN where a row has nothing.
-///
-/// It is made from the rows at the end, so that a run that was cut off has a trace, and one that goes on has it whole.
-fn write_arrays(files: &mut Files) -> Result<()> {
-    files.flush()?;
-    let path = files.folder.join(TRACE);
-    let text = std::fs::read_to_string(&path).map_err(|e| io_error(&path, "reading the trace", e))?;
-    let mut lines = text.lines();
-    let names: Vec<String> = fields(lines.next().unwrap_or_default()).into_iter().map(unquoted).collect();
-    let mut columns = vec![Vec::new(); names.len()];
-    for line in lines {
-        for (column, value) in columns.iter_mut().zip(line.split(',')) {
-            column.push(value.parse().unwrap_or(f64::NAN));
-        }
-    }
-    files.folder.write(TRACE_ARRAYS, "writing the trace", |out| {
-        let mut archive = Npz::new(out);
-        for (name, column) in names.iter().zip(&columns) {
-            archive.reals(name, &[column.len()], column)?;
-        }
-        archive.finish()
-    })
 }
 
 fn of_all(ledger: &Ledger) -> impl Iterator<Item = Option<f64>> {

@@ -1,7 +1,7 @@
 //! Whatever agents do and particles are: regions nest, splits and merges keep what matter keeps, and a rim hands all of it on.
 
 use barchan_core::Aabb;
-use barchan_core::levels::{CellBox, Regions, SPLIT_AHEAD};
+use barchan_core::levels::{CellBox, Regions, SPLIT_AHEAD, Target};
 use barchan_grid::block::{CELLS, NODES};
 use barchan_grid::resample::{Particle, Planes, merge, split};
 use barchan_grid::ring::{Carried, restrict};
@@ -160,6 +160,7 @@ proptest! {
     fn regions_nest_wherever_agents_go(
         count in 2_u32..5,
         side in 4_u32..12,
+        other in 4_u32..12,
         walks in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-2.4_f64..2.4)), 1..4),
         places in prop::collection::vec(prop::array::uniform3(-220_i32..220), 200),
     ) {
@@ -172,11 +173,11 @@ proptest! {
         let world = CellBox { min: [-256; 3], max: [256; 3] };
         let mut regions = Regions::new(&scene, world);
         for stop in 0..3 {
-            let agents: Vec<Aabb> = walks
-                .iter()
-                .map(|walk| Aabb { min: walk[stop].map(|x| x - 0.02), max: walk[stop].map(|x| x + 0.02) })
-                .collect();
-            regions.follow(&agents);
+            let around = |x: [f64; 3]| Aabb { min: x.map(|x| x - 0.02), max: x.map(|x| x + 0.02) };
+            let halves = [side, other].map(|side| 2 * side).into_iter().cycle();
+            let targets: Vec<Target> =
+                walks.iter().zip(halves).map(|(walk, half)| Target { bounds: around(walk[stop]), half }).collect();
+            regions.follow(&targets);
         }
         let near = |at: [i32; 3], n: i32| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1];
         // Random places say little: look at the faces of each level's boxes too.

@@ -85,10 +85,15 @@ fn any_number_of_threads_gives_the_same_bits_with_moving_levels() {
 #[test]
 fn resuming_in_the_middle_of_a_move_continues_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
-    let text = busy(&levels(3, 8, &["rod", "ball"]));
-    for precision in [Precision::F32, Precision::F64] {
-        for at in [0, 41, 77] {
-            let mut whole = start(&text, precision, 2);
+    let plain = busy(&levels(3, 8, &["rod", "ball"]));
+    let own = "[levels]\ncount = 3\nhalf = 8\nagents = [{ name = \"rod\", at = \"lowest\", half = 10 }, { name = \"ball\", offset = [0.1, 0.0, -0.05] }]\n";
+    for (text, precision, times) in [
+        (&plain, Precision::F32, &[0, 41, 77][..]),
+        (&plain, Precision::F64, &[0, 41, 77]),
+        (&busy(own), Precision::F32, &[41]),
+    ] {
+        for &at in times {
+            let mut whole = start(text, precision, 2);
             steps(&mut whole, at);
             let file = folder.path().join(format!("{precision}-{at}.snapshot"));
             whole.save(&file).unwrap();

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import barchan
+from barchan.bench.settings import add_set, parameters
 
 if TYPE_CHECKING:
     from barchan.envs import TaskVectorEnv
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--backend", default="cpu")
     parser.add_argument("--adapter", default=None, help="name or number of the GPU")
     parser.add_argument("--device", default="auto", help="ppo, sac: where the network is, for PyTorch")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of the task; may be given again")
+    add_set(parser)
     parser.add_argument("--out", type=Path, default=None, help="folder [out/learn-TASK-AGENT]")
 
 
@@ -113,15 +114,6 @@ class _Log:
 def _vector(given: argparse.Namespace, worlds: int, mode: str, residual: float | None) -> TaskVectorEnv:
     from barchan.envs import TaskVectorEnv
 
-    parameters: dict[str, Any] = {}
-    for text in given.set:
-        key, is_one, value = text.partition("=")
-        if not is_one:
-            raise ValueError(f"--set: '{text}' is not KEY=VALUE")
-        try:
-            parameters[key] = json.loads(value)
-        except json.JSONDecodeError:
-            parameters[key] = value
     return TaskVectorEnv(
         given.task,
         worlds,
@@ -131,7 +123,7 @@ def _vector(given: argparse.Namespace, worlds: int, mode: str, residual: float |
         adapter=given.adapter,
         residual=residual,
         failures="end",
-        **parameters,
+        **parameters(given),
     )
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import barchan
+from barchan.bench.settings import add_set, parameters
 
 HELP = "Measures every task on every backend, each in a process of its own, with its hand-written agent acting."
 
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=5.0, help="how long each is measured")
     parser.add_argument("--json", default=None, metavar="FILE", help="file for the figures")
     parser.add_argument("--markdown", default=None, metavar="FILE", help="file for the table")
+    add_set(parser)
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
 
 
@@ -130,13 +132,13 @@ class _Vector:
         try:
             from barchan.envs import TaskVectorEnv
 
-            self.vector: Any = TaskVectorEnv(task, worlds, autoreset_mode="Disabled", **options)
+            self.vector: Any = TaskVectorEnv(task, worlds, autoreset_mode="Disabled", **options, **parameters(given))
             self.vector.reset(seed=0)
             self.core = self.vector.worlds
             self.interface = "gymnasium"
         except ImportError:
             self.vector = None
-            self.core = barchan.Environment(task, worlds=worlds, **options)
+            self.core = barchan.Environment(task, worlds=worlds, parameters=parameters(given), **options)
             self.interface = "barchan.Environment"
 
     def agent(self) -> Any:
@@ -191,6 +193,8 @@ def _tasks(wanted: str) -> list[str]:
 def _in_a_process(task: str, backend: str, worlds: str, given: argparse.Namespace) -> dict[str, Any]:
     command = [sys.executable, "-m", "barchan.bench", "tasks", "--one", "--tasks", task, "--backend", backend, "--worlds", worlds]
     command += ["--seconds", str(given.seconds), "--precision", given.precision, "--threads", str(given.threads)]
+    for one in given.set:
+        command += ["--set", one]
     if given.adapter is not None:
         command += ["--adapter", given.adapter]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
