@@ -5,7 +5,7 @@ use crate::picture::{Axes, Chart, Style};
 use barchan_core::{Precision, Result, Simulation};
 
 /// When the heap is at rest, and how long before that it is looked at to see that it is [s].
-const AT_REST: f64 = 2.0;
+const AT_REST: f64 = 3.0;
 const BEFORE: f64 = 0.3;
 /// Between these parts of a heap's height its flanks are straight: it is round above, and its toe is thin.
 const FLANK: [f64; 2] = [0.2, 0.7];
@@ -26,8 +26,7 @@ pub struct Heap {
 /// # Errors
 /// Those of a simulation.
 pub fn poured(angle: f64, cell: f64) -> Result<Heap> {
-    let changes =
-        [format!("material.sand.parameters.friction_angle_deg={angle:?}"), format!("world.cell={cell:?}")];
+    let changes = [format!("material.sand.parameters.friction_angle_deg={angle:?}"), format!("world.cell={cell:?}")];
     let mut heap = simulation("poured-heap", &changes, Precision::F32)?;
     run_to(&mut heap, AT_REST - BEFORE)?;
     let (_, earlier) = flanks(&heap, cell)?;
@@ -60,7 +59,12 @@ pub(super) fn outcome() -> Result<Outcome> {
         let heap = poured(angle, 0.005)?;
         let slope = 0.5 * (heap.slopes[0] + heap.slopes[1]);
         outcome.add(format!("phi {angle}: slope [degrees]"), slope, law(angle), 3.0);
-        outcome.add(format!("phi {angle}: its flanks differ by [degrees]"), (heap.slopes[0] - heap.slopes[1]).abs(), 0.0, 3.0);
+        outcome.add(
+            format!("phi {angle}: its flanks differ by [degrees]"),
+            (heap.slopes[0] - heap.slopes[1]).abs(),
+            0.0,
+            3.0,
+        );
         outcome.add(format!("phi {angle}: creep in 0.3 s [degrees]"), heap.creep, 0.0, 0.1);
         points.extend(heap.slopes.map(|slope| [angle, slope]));
     }

@@ -21,7 +21,8 @@ const STEADY: [f64; 2] = [0.25, 0.5];
 /// Those of a simulation.
 pub fn discharge(width: f64, head: f64) -> Result<f64> {
     let edge = 0.5 * width;
-    let plate = |x: f64, y: f64| format!("{{ shape = {{ box = {{ min = [{x:?}, {y:?}, -0.02], max = [0.4, 0.4, 0.02] }} }} }}");
+    let plate =
+        |x: f64, y: f64| format!("{{ shape = {{ box = {{ min = [{x:?}, {y:?}, -0.02], max = [0.4, 0.4, 0.02] }} }} }}");
     let changes = [
         format!("body.filling.shape.box.max=[{HALF}, {HALF}, {:?}]", FLOOR[1] + head),
         format!("world.max=[{HALF}, {HALF}, {:?}]", FLOOR[1] + head + 2.0 * CELL),
@@ -38,20 +39,29 @@ pub fn discharge(width: f64, head: f64) -> Result<f64> {
     Ok(line(&out)[0])
 }
 
+/// How wide an opening is between the layers of contact at its edges, which let nothing through [m].
+fn free(width: f64) -> f64 {
+    width - 2.0 * CELL
+}
+
+/// The exponent is that of the width between the layers of contact, a cell at either edge, as Beverloo takes a layer of grains away.
 pub(super) fn outcome() -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let rates = WIDTHS.iter().map(|&width| Ok([width, discharge(width, HEAD)?])).collect::<Result<Vec<_>>>()?;
-    let off = |layer: f64| rates.iter().map(|&[width, rate]| [width - layer, rate]).collect::<Vec<_>>();
-    outcome.add("exponent of the width without the layers of contact", exponent(&off(2.0 * CELL)), 2.5, 0.15);
-    outcome.add("the same of the whole width", exponent(&rates), 2.5, 0.15);
-    let more = discharge(WIDTHS[0], 1.5 * HEAD)?;
-    outcome.add("rate with half as much head again, over rate", more / rates[0][1], 1.0, 0.05);
-    println!("{rates:?} {more}");
-    let root = |[width, rate]: [f64; 2]| [width, rate.powf(0.4)];
-    let [slope, at_0, _] = line(&rates.iter().map(|&row| root(row)).collect::<Vec<_>>());
-    println!("meets at {}", -at_0 / slope);
-    let mut all = vec![series("measured", rates.iter().copied(), Style::Points)];
-    all.extend(theory(&spread(0.14, 0.26, 60), &[&|width| [width, 0.0]]));
+    let higher = discharge(WIDTHS[0], 1.5 * HEAD)?;
+    let between: Vec<[f64; 2]> = rates.iter().map(|&[width, rate]| [free(width), rate]).collect();
+    outcome.add("exponent of the free width", exponent(&between), 2.5, 0.15);
+    outcome.add("rate under a head half as high again, over rate", higher / rates[0][1], 1.0, 0.05);
+    let [width, rate] = rates[1];
+    let law = |x: f64| {
+        let times = free(x) / free(width);
+        [rate * times.powf(2.5), rate * times.powf(2.5) * 0.15 * times.ln().abs()]
+    };
+    let mut all = vec![
+        series("measured", rates.iter().copied(), Style::Points),
+        series("under a head half as high again", [[WIDTHS[0], higher]], Style::Points),
+    ];
+    all.extend(theory(&spread(0.14, 0.26, 60), &[&law]));
     outcome.chart = Chart {
         title: "Discharge of a silo".to_owned(),
         x: "width of the opening [m]".to_owned(),
