@@ -48,7 +48,7 @@ pub fn register(registry: &mut Registry) -> Result<()> {
 }
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 26] = [
+const FILES: [(&str, &str); 28] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),

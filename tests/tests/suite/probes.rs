@@ -387,17 +387,13 @@ fn what_walls_take_on_a_device_is_what_they_take_on_a_processor() {
         let on = |backend: &str, precision| Options { backend: backend.to_owned(), ..options(precision) };
         let mut here = start(&text, &on("cpu", Precision::F64));
         let mut there = start(&text, &on("wgpu", Precision::F32));
-        let go = |s: &mut Simulation, count: usize| {
-            (0..count).for_each(|_| drop(s.step().unwrap_or_else(|e| panic!("{e}"))))
-        };
-        go(&mut here, 40);
-        go(&mut there, 20);
+        run_to(&mut here, 0.04);
+        run_to(&mut there, 0.02);
         there.swap(&barchan::registry(), &on("cpu", Precision::F64)).unwrap();
-        go(&mut there, 10);
+        run_to(&mut there, 0.03);
         there.swap(&barchan::registry(), &on("wgpu", Precision::F32)).unwrap();
-        go(&mut there, 10);
+        run_to(&mut there, 0.04);
         let (one, other, given) = (here.pressed(), there.pressed(), there.ledger().wall_impulse);
-        println!("{one:?}\n{other:?}\n{given:?}");
         assert_eq!(other.len(), sides.len() + 1);
         let weight = given[2].abs();
         for (k, (one, other)) in one.iter().zip(&other).enumerate() {

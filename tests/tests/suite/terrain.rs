@@ -135,7 +135,8 @@ fn heights_on_a_device_are_those_on_a_processor_in_the_archive_too() {
     let mut s = Simulation::new(&barchan::registry(), &scene(&flight), &options("wgpu", Precision::F32)).unwrap();
     while counted(&s.ledger(), "tiles in the archive now") < 4 {
         assert!(s.time() < 0.6, "no ground was archived: {:?}", s.ledger().counts);
-        run_to(&mut s, (s.time() + 0.05).min(0.6));
+        let next = (s.time() + 0.05).min(0.6);
+        run_to(&mut s, next);
     }
     let eye = s.bodies()[0].position;
     let around = |[x, y]: [f64; 2]| -> Vec<[f64; 2]> {
