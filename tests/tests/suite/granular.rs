@@ -1,6 +1,6 @@
 //! Forces on plates and depths of impacts in sand, short; `examples/sand_forces.rs` runs them whole.
 
-use barchan::gallery::run_out;
+use barchan::gallery::{discharge, mobilised, poured, run_out};
 use barchan_tests::granular::{impacts, plates_short};
 use barchan_tests::scenes::within;
 
@@ -25,4 +25,25 @@ fn columns_run_out_as_far_as_measured() {
         let ratio = run_out(aspect).unwrap() / law;
         within(&format!("A8, a = {aspect}: run-out over the law {ratio:.3}, off by"), (ratio - 1.0).abs(), 0.3);
     }
+}
+
+/// A14: a heap that is poured is as steep as its cone's friction in simple shear, on both sides, and rests.
+///
+/// Symptom of a source that fills what is full, or of sand that has lost its friction while it was loose: heaps flatten without end, or stand as towers.
+#[test]
+fn a_poured_heap_has_the_slope_of_its_friction() {
+    let heap = poured(24.28, 0.005).unwrap();
+    let law = mobilised(24.28).atan().to_degrees();
+    for slope in heap.slopes {
+        within(&format!("A14: slope of {slope:.1} degrees, law {law:.1}, off by"), (slope - law).abs(), 3.0);
+    }
+    within("A14: speed at rest [m/s]", heap.speed, 0.01);
+    assert!(heap.height > 0.08, "the heap is {} m high", heap.height);
+}
+
+/// A15: what runs out of a silo does not know how much stands above, unlike water: half as much again would be 22 % more.
+#[test]
+fn a_silo_runs_at_a_rate_that_is_not_of_its_head() {
+    let [low, high] = [0.2, 0.3].map(|head| discharge(0.16, head).unwrap());
+    within(&format!("A15: {low:.3} and {high:.3} kg/s, off by"), (high / low - 1.0).abs(), 0.05);
 }

@@ -67,7 +67,7 @@ pub(super) fn outcome() -> Result<Outcome> {
         x: "width of the opening [m]".to_owned(),
         y: "rate [kg/s]".to_owned(),
         series: all,
-        axes: Axes::Logarithmic,
+        axes: Axes::Linear,
     };
     Ok(outcome)
 }
