@@ -4,7 +4,8 @@
 //! plot. `barchan gallery` runs them; `docs/gallery.md` shows them.
 //!
 //! ```
-//! use barchan::gallery::{Bed, Experiment, Figure, Layer, Outcome, Plate, Push, experiments, flat_plate, over_depth, standing_wave};
+//! use barchan::gallery::{Bed, Experiment, Figure, Heap, Layer, Outcome, Plate, Push, experiments, flat_plate};
+//! use barchan::gallery::{mobilised, over_depth, standing_wave};
 //!
 //! let run: fn(&Experiment) -> barchan::Result<Outcome> = Experiment::run;
 //! let cases: Vec<&str> = experiments().iter().map(|experiment| experiment.case).collect();
@@ -16,6 +17,8 @@
 //! let by_theory = |depth: f64| Push { depth, way: depth, stress: [0.0, 0.0, flat_plate(&bed) * depth] };
 //! let [slope, ..] = over_depth(&[0.01, 0.02, 0.03].map(by_theory), [0.0, 0.05], 2);
 //! assert!((slope / flat_plate(&bed) - 1.0).abs() < 1e-9);
+//! let heap = Heap { height: 0.11, slopes: [28.9, 27.7], speed: 0.002 }; // as `poured(24.28, 0.005)` measures it
+//! assert!(heap.slopes.iter().all(|slope| (slope - mobilised(24.28).atan().to_degrees()).abs() < 3.0));
 //! assert!((Layer { height: 0.24, ..Layer::default() }.weight() - 1500.0 * 9.81 * 0.24).abs() < 1e-6);
 //! # Ok::<(), barchan::Error>(())
 //! ```

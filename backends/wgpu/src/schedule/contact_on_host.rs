@@ -5,7 +5,7 @@ use crate::device::memory::{NEAR_BLOCK, StepConstants, Writes, read};
 use crate::device::status::{AT_START, HALTED, Halt, MOVE, NEAR, Status};
 use crate::passes::since_sort::SinceSort;
 use crate::schedule::batch::WgpuBatch;
-use crate::schedule::near::{Around, Block, Found, Near, are_within, behind, boxes_of};
+use crate::schedule::near::{Around, Found, Near, are_within, behind, boxes_of, by_world};
 use crate::schedule::submission::Part;
 use crate::schedule::{ContactPasses, Dispatch, Passes, around_contact, passes_beside_host};
 use crate::worlds::sleep::near_tools;
@@ -410,8 +410,8 @@ impl WgpuBatch {
         }
         self.write_around(levels, hosted_steps)?;
         self.write_words(NEAR, &[0]);
-        let mut found = self.gather()?;
-        hosted_steps.iter_mut().for_each(|hosted| hosted.near.take(&mut found));
+        let words = self.gather()?;
+        self.give_each(&words, hosted_steps);
         Ok(())
     }
 
@@ -482,21 +482,31 @@ impl WgpuBatch {
         of_nodes: Vec<u32>,
         hosted_steps: &mut [HostedStep<'_, '_>],
     ) -> Result<()> {
-        let mut found = self.found_near(status, of_nodes)?;
+        let words = self.found_near(status, of_nodes)?;
         for hosted in hosted_steps.iter_mut().filter(|hosted| hosted.is_going()) {
             let world = hosted.world();
             hosted.near = Near::new(&self.worlds[world], self.layers_of(world).start);
-            hosted.near.take(&mut found);
         }
+        self.give_each(&words, hosted_steps);
         Ok(())
+    }
+
+    /// What has been gathered, to the worlds whose it is.
+    fn give_each(&self, words: &[u32], hosted_steps: &mut [HostedStep<'_, '_>]) {
+        let gathered = by_world(bytemuck::cast_slice(words), &self.worlds);
+        side_by_side(hosted_steps, |hosted| {
+            hosted.near.take(Found::of(&gathered[hosted.world()]));
+            Ok(())
+        });
     }
 
     /// Hands back the blocks of nodes that have changed; how many there are.
     pub(crate) fn write_changed(&self, hosted_steps: &[HostedStep<'_, '_>]) -> usize {
         let going = hosted_steps.iter().filter(|hosted| hosted.is_going());
-        let blocks = going.flat_map(|hosted| &hosted.near.blocks).filter(|block| block.changed);
-        let changed: Vec<[u32; 4]> = blocks.flat_map(Block::words).collect();
-        let count = changed.len() / NEAR_BLOCK;
+        let blocks: Vec<_> = going.flat_map(|hosted| &hosted.near.blocks).filter(|block| block.changed).collect();
+        let count = blocks.len();
+        let mut changed: Vec<[u32; 4]> = Vec::with_capacity(NEAR_BLOCK * count);
+        blocks.into_iter().for_each(|block| changed.extend(block.words()));
         self.write_words(NEAR, &[0, count as u32]);
         self.gpu.queue.write_buffer(self.memory.buffer(Role::Near, 0), 0, bytemuck::cast_slice(&changed));
         count
@@ -583,7 +593,7 @@ impl WgpuBatch {
     }
 
     /// All that a gathering has found. If that is more than was expected, it is asked for; if more than there is room for, gathered again.
-    pub(crate) fn found_near(&mut self, status: &Status, mut of_nodes: Vec<u32>) -> Result<Found> {
+    pub(crate) fn found_near(&mut self, status: &Status, mut of_nodes: Vec<u32>) -> Result<Vec<u32>> {
         let count = status.words[NEAR] as usize;
         self.near_blocks = count;
         if count > self.memory.near() {
@@ -596,11 +606,12 @@ impl WgpuBatch {
             let rest = wanted - here;
             of_nodes.extend(read::<u32>(&self.gpu, self.memory.buffer(Role::Near, 0), 4 * here as u64, rest)?);
         }
-        Ok(Found::of(bytemuck::cast_slice(&of_nodes[..wanted])))
+        of_nodes.truncate(wanted);
+        Ok(of_nodes)
     }
 
     /// Gathers what is in the boxes on its own.
-    pub(crate) fn gather(&mut self) -> Result<Found> {
+    pub(crate) fn gather(&mut self) -> Result<Vec<u32>> {
         let near = self.contact.host.as_ref().expect(ON_HOST);
         let (now, end) = (self.memory.now, self.levels);
         let dispatches = near.gather.iter().map(|kernel| Dispatch { kernel, now, step: 1, end }).collect();

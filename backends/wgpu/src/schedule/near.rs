@@ -10,7 +10,7 @@ use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
 use barchan_grid::block::SIDE;
 use barchan_grid::limits::{FULL_SPEED, greater};
 use barchan_grid::near::{gather_block, image_near};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
 /// A block of nodes on the host: velocities and masses.
@@ -57,31 +57,57 @@ impl Particle {
     }
 }
 
-/// What a gathering has found.
+/// What a gathering has found of one world.
 #[derive(Default)]
 pub(crate) struct Found {
-    /// In the order of their numbers.
     blocks: Vec<Block>,
-    /// Sorted: the device finds them in any order.
     particles: Vec<Particle>,
 }
 
 impl Found {
-    pub(crate) fn of(words: &[[u32; 4]]) -> Self {
+    pub(crate) fn of(gathered: &[Gathered<'_>]) -> Self {
         let mut found = Self::default();
-        for block in words.chunks_exact(NEAR_BLOCK) {
+        for block in gathered {
             let [count, layer, _, number] = block[0];
-            if number == u32::MAX {
+            if number == PARTICLES {
                 let (pairs, _) = block[1..].as_chunks::<2>();
                 found.particles.extend(pairs[..count as usize].iter().map(|pair| Particle::of(layer, *pair)));
             } else {
                 found.blocks.push(Block::of(block));
             }
         }
-        found.blocks.sort_unstable_by_key(|block| block.number);
-        found.particles.sort_unstable();
         found
     }
+}
+
+/// A block of nodes, or particles of one layer, as `gather.wgsl` and `gather_particles.wgsl` write them.
+pub(crate) type Gathered<'a> = &'a [[u32; 4]];
+
+/// In place of a block's number: these are particles.
+const PARTICLES: u32 = u32::MAX;
+
+/// What has been gathered, by the world whose it is.
+pub(crate) fn by_world<'a>(words: &'a [[u32; 4]], worlds: &[World]) -> Vec<Vec<Gathered<'a>>> {
+    let levels = worlds[0].levels.len();
+    let numbers =
+        |(w, world): (usize, &World)| world.levels.iter().map(move |level| (level.node_blocks.clone(), w)).collect();
+    let mut owners: Vec<(Range<usize>, usize)> = worlds.iter().enumerate().flat_map::<Vec<_>, _>(numbers).collect();
+    owners.retain(|(numbers, _)| !numbers.is_empty());
+    owners.sort_unstable_by_key(|(numbers, _)| numbers.start);
+    let mut all = vec![Vec::new(); worlds.len()];
+    for block in words.chunks_exact(NEAR_BLOCK) {
+        let [_, layer, _, number] = block[0];
+        let world = if number == PARTICLES {
+            Some(layer as usize / levels)
+        } else {
+            let behind = owners.partition_point(|(numbers, _)| numbers.start <= number as usize);
+            owners[..behind].last().filter(|(numbers, _)| numbers.contains(&(number as usize))).map(|(_, world)| *world)
+        };
+        if let Some(world) = world {
+            all[world].push(block);
+        }
+    }
+    all
 }
 
 /// A level as bodies meet it.
@@ -125,20 +151,16 @@ impl Near {
         }
     }
 
-    /// Takes its own that it does not have yet.
-    pub(crate) fn take(&mut self, found: &mut Found) {
-        let is_own = |block: &Block| self.levels.iter().any(|level| level.blocks.contains(&(block.number as usize)));
-        let (own, others): (Vec<_>, _) = std::mem::take(&mut found.blocks).into_iter().partition(is_own);
-        found.blocks = others;
+    /// Takes what it does not have yet. The device finds all in any order.
+    pub(crate) fn take(&mut self, found: Found) {
         let is_here = |block: &Block| self.blocks.binary_search_by_key(&block.number, |here| here.number).is_ok();
-        let new: Vec<_> = own.into_iter().filter(|block| !is_here(block)).collect();
+        let new: Vec<_> = found.blocks.into_iter().filter(|block| !is_here(block)).collect();
         self.blocks.extend(new);
         self.blocks.sort_unstable_by_key(|block| block.number);
         // Of a level that was asked for, all have come.
-        let come: Vec<Particle> =
-            found.particles.iter().copied().filter(|p| self.levels.iter().any(|l| l.layer == p.layer)).collect();
-        self.particles.retain(|here| come.binary_search_by_key(&here.layer, |p| p.layer).is_err());
-        self.particles.extend(come);
+        let come: HashSet<u32> = found.particles.iter().map(|particle| particle.layer).collect();
+        self.particles.retain(|here| !come.contains(&here.layer));
+        self.particles.extend(found.particles);
         self.particles.sort_unstable();
     }
 
