@@ -102,6 +102,7 @@ fn columns_are_chosen_by_patterns() {
         error.contains("output.trace.columns") && error.contains("'p? [N s]'") && error.contains("px [N s]"),
         "{error}"
     );
+    assert!(!folder.path().join("wrong").exists(), "what is refused leaves no folder");
     let chosen = names(every(0.005, Some(&["mass", "* mean f*", "pz [N s]"])), "right").unwrap();
     let tools = chosen.iter().filter(|name| name.contains("mean f")).count();
     assert!(tools >= 3 && chosen.len() == 3 + 2 + tools, "{chosen:?}");

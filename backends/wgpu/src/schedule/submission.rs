@@ -12,8 +12,12 @@ use crate::schedule::groups::states;
 use crate::schedule::{ContactPasses, Dispatch, Passes};
 use crate::worlds::world::{Foresight, Level, Place, Span, World};
 use barchan_core::Result;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::Range;
+
+/// Bytes that one thread copies faster than several do.
+const LITTLE: usize = 1 << 20;
 
 /// Every so manieth submission is timed pass by pass.
 pub(crate) const TIMED: u64 = 16;
@@ -390,8 +394,16 @@ impl WgpuBatch {
         for dispatch in parts.iter().flat_map(|(part, _)| &part.dispatches) {
             clocks.of.entry(dispatch.kernel.name).or_default().passes += 1;
         }
-        let mut words = Vec::new();
-        with_mapped(gpu, &memory.readback, bytes, |bytes| words = bytemuck::pod_collect_to_vec(bytes))?;
+        let (mut words, mut found) = (Vec::new(), Vec::new());
+        with_mapped(gpu, &memory.readback, bytes, |bytes| {
+            let (of_status, behind) = bytes.split_at(4 * layout.count(steps));
+            words = bytemuck::pod_collect_to_vec(of_status);
+            // With many worlds this is tens of megabytes in each step. Little need not wait for a thread.
+            found = match behind.len() {
+                ..LITTLE => bytemuck::pod_collect_to_vec(behind),
+                _ => bytemuck::cast_slice(behind).par_iter().with_min_len(LITTLE / 4).copied().collect(),
+            };
+        })?;
         if let (Some(buffer), Some((part, _))) = (resolved, parts.first()) {
             let ticks: Vec<u64> = read(gpu, &buffer, 0, 2 * first)?;
             let period = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
@@ -401,7 +413,6 @@ impl WgpuBatch {
                 clock.measured.1 += 1;
             }
         }
-        let found = words.split_off(layout.count(steps));
         Ok((Status::new(words, layout), found))
     }
 

@@ -113,7 +113,6 @@ impl<'a> Recorder<'a> {
             Some(format) => Some((format, Fields::new(simulation.plan(), output.export_fields.as_deref())?)),
             None => None,
         };
-        let mut folder = Folder::open(&request.out, request.existing, simulation.plan().memory.0)?;
         let resumed = request.existing == Existing::Resume;
         let columns: Vec<Vec<String>> = guests.iter().map(|guest| guest.columns()).collect();
         let named = guests.iter().zip(&columns).flat_map(|(guest, columns)| {
@@ -121,6 +120,8 @@ impl<'a> Recorder<'a> {
         });
         let trace_columns = Columns::new(simulation, &output.trace, named)?;
         let header = trace_columns.header();
+        // What is refused is so before a file is touched.
+        let mut folder = Folder::open(&request.out, request.existing, simulation.plan().memory.0)?;
         if resumed {
             trace::check_header(&request.out, TRACE, &header)?;
             trace::check_header(&request.out, PROBES, &probes::header(&simulation.plan().scene))?;
