@@ -12,9 +12,11 @@ use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
 use barchan_core::contact::{self, Contact};
 use barchan_core::plan::PlannedMaterial;
+use barchan_core::probe::{Sought, Sums};
 use barchan_core::scene::Leaving;
 use barchan_core::schedule::Call;
 use barchan_core::stiffness::{Need, Stiffness};
+use barchan_core::task::{Sampled, chosen};
 use barchan_core::{
     Aabb, Coupling, Crossed, Engine, Error, Fields, Ledger, Measured, Newcomer, NodeBatch, ParticleList, ParticleState,
     Plan, Reading, Regions, Result, Scene, Schedule, SortPhase, Spot, Stage, StepReport, Vec3,
@@ -445,7 +447,8 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             kept_for: self.levels.iter().map(|level| level.watch.tiles_for).collect(),
         });
         let lists = self.levels.iter().enumerate().flat_map(|(l, level)| level.store.download(l)).collect();
-        ParticleState { lists, sort, ..self.without_particles() }
+        let archive = self.reach.as_ref().map(Reach::archive).unwrap_or_default();
+        ParticleState { lists, sort, archive, ..self.without_particles() }
     }
 
     fn spots(&self) -> Vec<Spot> {
@@ -457,13 +460,29 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     }
 
     fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
-        let lists = || self.levels.iter().enumerate().flat_map(|(l, level)| level.store.download_where(l, wanted));
-        let mut lists: Vec<_> = self.pool.install(|| lists().collect());
-        lists.extend(self.reach.iter().flat_map(Reach::archived).map(|mut list| {
-            list.retain(wanted);
-            list
-        }));
-        ParticleState { lists, archive: BTreeMap::new(), ..self.without_particles() }
+        ParticleState { lists: self.lists_where(None, wanted), ..self.without_particles() }
+    }
+
+    fn sums(&self, materials: &[PlannedMaterial], sought: &[Sought]) -> Result<Vec<Sums>> {
+        let of_one = |sought: &Sought| {
+            let inside = |spot: &Spot| sought.region.contains(spot.position);
+            let mut sums = Sums::default();
+            for list in &self.lists_where(Some(&sought.region.bounds()), &inside) {
+                sums.add_list(sought, &materials[list.material as usize], list)?;
+            }
+            Ok(sums)
+        };
+        sought.iter().map(of_one).collect()
+    }
+
+    fn sample(&self, counts: &[usize]) -> Vec<Sampled> {
+        let present: Vec<usize> = self.levels.iter().map(|level| level.store.len()).collect();
+        let chosen = chosen(counts, &present);
+        let of_level = |of_level: &[(usize, usize)]| {
+            let numbers = of_level.iter().map(|(_, number)| *number);
+            of_level.first().map_or_else(Vec::new, |(level, _)| self.levels[*level].store.sample(numbers).collect())
+        };
+        chosen.chunk_by(|(a, _), (b, _)| a == b).flat_map(of_level).collect()
     }
 
     fn read(&self, region: Option<&Aabb>, fields: Fields, origin: Vec3) -> Reading {
@@ -677,14 +696,25 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(())
     }
 
-    /// What a copy of the particles comes with.
+    /// What a copy of some particles comes with.
     fn without_particles(&self) -> ParticleState {
         ParticleState {
             strain_dt: self.levels[0].strain_dt,
             levels: self.adapt.phase(self.reach.as_ref().map(Reach::live).unwrap_or_default()),
-            archive: self.reach.as_ref().map(Reach::archive).unwrap_or_default(),
             ..ParticleState::default()
         }
+    }
+
+    /// Copies of the particles for which `wanted` holds, all of which are in the region if there is one; then of those in the archive.
+    fn lists_where(&self, region: Option<&Aabb>, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> Vec<ParticleList> {
+        let levels = self.levels.iter().enumerate();
+        let lists = || levels.flat_map(|(l, level)| level.store.download_where(l, region, wanted));
+        let mut lists: Vec<_> = self.pool.install(|| lists().collect());
+        lists.extend(self.reach.iter().flat_map(Reach::archived).map(|mut list| {
+            list.retain(wanted);
+            list
+        }));
+        lists
     }
 
     /// What depends on the particles as they come in: total and least mass, greatest deformation rate and speed.

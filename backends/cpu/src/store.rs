@@ -8,7 +8,7 @@ use barchan_core::batch::Plane as Values;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
 use barchan_core::stiffness::{Need, PARTICLES, Stiffness};
-use barchan_core::{Error, ParticleList, Result, Spot};
+use barchan_core::{Aabb, Error, ParticleList, Result, Spot};
 use barchan_grid::adapt::Parcel;
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::bounds::Bounds;
@@ -528,18 +528,19 @@ impl<T: Scalar> Store<T> {
         self.lists.iter().map(move |list| list.give_out(level, self.cell_width, list.places()))
     }
 
-    /// The particles for which `wanted` holds, as [`download`](Self::download) gives them.
+    /// The particles for which `wanted` holds, all of which are in the region if there is one, as [`download`](Self::download) gives them.
     pub(crate) fn download_where<'a>(
         &'a self,
         level: usize,
+        region: Option<&'a Aabb>,
         wanted: &'a (dyn Fn(&Spot) -> bool + Sync),
     ) -> impl Iterator<Item = ParticleList> + 'a {
         self.lists.iter().map(move |list| {
-            let here: Vec<Vec<(usize, usize)>> = list
-                .runs
-                .par_iter()
-                .map(|run| run.places().filter(|place| wanted(&list.spot(*place, self.cell_width))).collect())
-                .collect();
+            let of_run = |(b, run): (usize, &Run)| match self.may_meet(b, region) {
+                true => run.places().filter(|place| wanted(&list.spot(*place, self.cell_width))).collect(),
+                false => Vec::new(),
+            };
+            let here: Vec<Vec<(usize, usize)>> = list.runs.par_iter().enumerate().map(of_run).collect();
             list.give_out(level, self.cell_width, here.into_iter().flatten())
         })
     }

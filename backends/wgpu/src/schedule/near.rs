@@ -10,7 +10,8 @@ use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
 use barchan_grid::block::SIDE;
 use barchan_grid::limits::{FULL_SPEED, greater};
 use barchan_grid::near::{gather_block, image_near};
-use std::collections::{HashMap, HashSet};
+use rayon::prelude::*;
+use rustc_hash::{FxHashMap, FxHashSet};
 use std::ops::Range;
 
 /// A block of nodes on the host: velocities and masses.
@@ -158,10 +159,10 @@ impl Near {
         self.blocks.extend(new);
         self.blocks.sort_unstable_by_key(|block| block.number);
         // Of a level that was asked for, all have come.
-        let come: HashSet<u32> = found.particles.iter().map(|particle| particle.layer).collect();
+        let come: FxHashSet<u32> = found.particles.iter().map(|particle| particle.layer).collect();
         self.particles.retain(|here| !come.contains(&here.layer));
         self.particles.extend(found.particles);
-        self.particles.sort_unstable();
+        self.particles.par_sort_unstable();
     }
 
     /// All couplings act on the nodes of some levels, one level after the other. Returns the greatest speed that particles
@@ -181,7 +182,7 @@ impl Near {
     fn apply(&mut self, level: usize, boxes: &[Aabb], wants_particles: bool, act: &mut Act<'_>) -> Result<f64> {
         let Met { h, blocks: ref own, layer, periods } = self.levels[level];
         let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
-        let mut numbers = HashMap::new();
+        let mut numbers = FxHashMap::default();
         for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
             let Some(first) = image_near(boxes, block.first, h, periods) else { continue };
             let node = |n: usize| {
@@ -204,7 +205,7 @@ impl Near {
                     number(std::array::from_fn(|d| first[d] + offset[d]))
                 })
             };
-            let mut cubes = HashMap::new();
+            let mut cubes = FxHashMap::default();
             // Cells that particles reach nodes from, and half of one.
             let wider: Vec<Aabb> = boxes.iter().map(|one| one.grown(1.5 * h)).collect();
             for particle in self.particles.iter().filter(|p| p.layer == layer) {
