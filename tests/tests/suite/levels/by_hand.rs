@@ -192,7 +192,7 @@ fn boxes_follow_the_lowest_point_of_a_soft_body() {
             let [x, y, z] = [0, 1, 2].map(ends);
             let at = [0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]) + 0.1, z[0]];
             // Bounds are those of cells, the coarsest of which are twice as wide.
-            stands_at(&format!("{}", options.backend), &boxes(&s)[0][0], at, 3.0);
+            stands_at(&options.backend, &boxes(&s)[0][0], at, 3.0);
             nest(&s);
             (0..50).for_each(|_| drop(s.step().unwrap()));
         }
