@@ -1,9 +1,14 @@
 """Scenes that are ready within seconds."""
 
+import signal
+
 import numpy as np
 import pytest
 
 import barchan
+
+# What a shell starts in the background ignores Ctrl-C, and so would the calls that are to be ended by it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
