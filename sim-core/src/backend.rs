@@ -288,12 +288,13 @@ pub trait Engine: Send {
     /// Where every particle is and how large, in the order of [`download`](Self::download) but without the rest of its state; then
     /// those in the archive of ground out of reach.
     fn spots(&self) -> Vec<Spot> {
-        let lists = self.download_where(&|_| true).lists;
+        let lists = self.download_where(None, &|_| true).lists;
         lists.iter().flat_map(|list| (0..list.len()).map(|i| list.spot(i))).collect()
     }
-    /// Copies out the particles for which `wanted` holds: the same lists as [`download`](Self::download), shorter, without
-    /// the phase of the sort. Then follow lists of those in the archive of ground out of reach.
-    fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
+    /// Copies out the particles for which `wanted` holds, all of which are in the region if there is one: the same lists as [`download`](Self::download),
+    /// shorter, without the phase of the sort. Then follow lists of those in the archive of ground out of reach.
+    fn download_where(&self, region: Option<&Aabb>, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
+        let _ = region;
         let mut particles = ParticleState { sort: None, ..self.download() };
         let archive = std::mem::take(&mut particles.archive);
         particles.lists.extend(archive.values().flat_map(Tile::unpack));
@@ -304,7 +305,7 @@ pub trait Engine: Send {
     fn read(&self, region: Option<&Aabb>, fields: Fields, origin: Vec3) -> Reading {
         let mut reading = Reading::new(fields, origin);
         let inside = |spot: &Spot| region.is_none_or(|region| region.contains(spot.position));
-        self.download_where(&inside).lists.iter().for_each(|list| reading.add_list(list, None));
+        self.download_where(region, &inside).lists.iter().for_each(|list| reading.add_list(list, None));
         reading
     }
     /// A sample of the particles, so many of each level, as [`Seen::sample`](crate::task::Seen::sample) says. The archive is left out.
@@ -335,8 +336,9 @@ pub trait Engine: Send {
     /// What laws say that are asked for stress.
     fn sums(&self, materials: &[PlannedMaterial], sought: &[Sought]) -> Result<Vec<Sums>> {
         let of_one = |sought: &Sought| {
+            let inside = |spot: &Spot| sought.region.contains(spot.position);
             let mut sums = Sums::default();
-            for list in &self.download_where(&|spot| sought.region.contains(spot.position)).lists {
+            for list in &self.download_where(Some(&sought.region.bounds()), &inside).lists {
                 sums.add_list(sought, &materials[list.material as usize], list)?;
             }
             Ok(sums)

@@ -265,7 +265,7 @@ impl Simulation {
         let sought: Vec<Sought> = probes.iter().filter_map(within).collect();
         let mut sums = if sought.is_empty() { Vec::new() } else { self.sums_within(&sought)? }.into_iter();
         let crossed = if probes.iter().any(|(_, probe)| probe.flux.is_some()) { self.crossed()? } else { Vec::new() };
-        let pressed = self.pressed();
+        let pressed = if probes.iter().any(|(_, probe)| probe.wall.is_some()) { self.pressed() } else { Vec::new() };
         let value = |(number, probe): &(usize, &Probe)| {
             let values = match probe {
                 Probe { within: Some(region), .. } => of_sums(&sums.next().unwrap_or_default(), region),

@@ -312,7 +312,7 @@ impl Simulation {
     }
     /// The particles of [`ground`](Self::ground) for which `wanted` holds: the same lists, shorter. Not to be handed back.
     pub fn ground_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
-        self.engine.download_where(wanted)
+        self.engine.download_where(None, wanted)
     }
     /// Where every particle of [`ground`](Self::ground) is and how large, for a fraction of its cost.
     pub fn spots(&self) -> Vec<Spot> {

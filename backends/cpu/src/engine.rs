@@ -12,7 +12,6 @@ use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
 use barchan_core::contact::{self, Contact};
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::probe::{Sought, Sums};
 use barchan_core::scene::Leaving;
 use barchan_core::schedule::Call;
 use barchan_core::stiffness::{Need, Stiffness};
@@ -459,20 +458,15 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         spots
     }
 
-    fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
-        ParticleState { lists: self.lists_where(None, wanted), ..self.without_particles() }
-    }
-
-    fn sums(&self, materials: &[PlannedMaterial], sought: &[Sought]) -> Result<Vec<Sums>> {
-        let of_one = |sought: &Sought| {
-            let inside = |spot: &Spot| sought.region.contains(spot.position);
-            let mut sums = Sums::default();
-            for list in &self.lists_where(Some(&sought.region.bounds()), &inside) {
-                sums.add_list(sought, &materials[list.material as usize], list)?;
-            }
-            Ok(sums)
-        };
-        sought.iter().map(of_one).collect()
+    fn download_where(&self, region: Option<&Aabb>, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
+        let levels = self.levels.iter().enumerate();
+        let lists = || levels.flat_map(|(l, level)| level.store.download_where(l, region, wanted));
+        let mut lists: Vec<_> = self.pool.install(|| lists().collect());
+        lists.extend(self.reach.iter().flat_map(Reach::archived).map(|mut list| {
+            list.retain(wanted);
+            list
+        }));
+        ParticleState { lists, ..self.without_particles() }
     }
 
     fn sample(&self, counts: &[usize]) -> Vec<Sampled> {
@@ -703,18 +697,6 @@ impl<T: Scalar> CpuEngine<T> {
             levels: self.adapt.phase(self.reach.as_ref().map(Reach::live).unwrap_or_default()),
             ..ParticleState::default()
         }
-    }
-
-    /// Copies of the particles for which `wanted` holds, all of which are in the region if there is one; then of those in the archive.
-    fn lists_where(&self, region: Option<&Aabb>, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> Vec<ParticleList> {
-        let levels = self.levels.iter().enumerate();
-        let lists = || levels.flat_map(|(l, level)| level.store.download_where(l, region, wanted));
-        let mut lists: Vec<_> = self.pool.install(|| lists().collect());
-        lists.extend(self.reach.iter().flat_map(Reach::archived).map(|mut list| {
-            list.retain(wanted);
-            list
-        }));
-        lists
     }
 
     /// What depends on the particles as they come in: total and least mass, greatest deformation rate and speed.

@@ -171,7 +171,7 @@ impl Engine for WorldEngine {
         })
     }
 
-    fn download_where(&self, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
+    fn download_where(&self, _: Option<&Aabb>, wanted: &(dyn Fn(&Spot) -> bool + Sync)) -> ParticleState {
         self.shared.with(|batch| {
             let mut state = batch.readback().lists_where(self.world, wanted).unwrap_or_default();
             state.lists.extend(batch.worlds[self.world].reach.iter().flat_map(Reach::archived).map(|mut list| {
@@ -274,10 +274,8 @@ impl Engine for WorldEngine {
         let mut batch = self.shared.batch();
         batch.worlds[self.world].carry_on(sums);
         // A device that is lost has nothing to go on from; the next step says so.
-        let _ = batch.set_crossed(
-            self.world,
-            &sums.crossed.iter().map(exactly).chain(sums.pressed.iter().map(pressed)).collect::<Vec<_>>(),
-        );
+        let before: Vec<_> = sums.crossed.iter().map(exactly).chain(sums.pressed.iter().map(pressed)).collect();
+        let _ = batch.set_crossed(self.world, &before);
     }
 
     /// Of the whole batch: passes are shared.

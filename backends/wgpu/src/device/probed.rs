@@ -68,7 +68,7 @@ pub(crate) fn sections(plan: &Plan, level: usize) -> Vec<u32> {
 }
 
 /// The parts of walls of a plan as a level has them; see `pressed.wgsl`.
-pub(crate) fn wall_parts(plan: &Plan, level: usize) -> impl Iterator<Item = u32> + use<> {
+pub(crate) fn wall_parts(plan: &Plan, level: usize) -> Vec<u32> {
     let parts = WallParts::new(plan, level, &Bounds::new(plan, level));
     let words = parts.each().flat_map(|((axis, end), [first, past])| {
         let cell = |cell: [i32; 3]| cell.map(|x| x as u32);
@@ -78,7 +78,7 @@ pub(crate) fn wall_parts(plan: &Plan, level: usize) -> impl Iterator<Item = u32>
         words[4..7].copy_from_slice(&cell(past));
         words
     });
-    words.collect::<Vec<_>>().into_iter()
+    words.collect()
 }
 
 /// What a part of a wall has taken, as of a section's momentum along its normal [N s].

@@ -22,8 +22,9 @@ use barchan_core::schedule::{Call, Needs, Stage, beginning, ending};
 use barchan_core::{Plan, Schedule, Vec3};
 use std::ops::Range;
 
-/// Has this backend a form of the stage? Of most it is [`passes`]; which sides of sections particles are on, flux finds out afterwards; what walls take is found just before G2P; archive, adapt and sort are carried out between steps, where they are due; the limit is
-/// held within the grid update, and bodies that answer move within the contact, while the host moves driven ones.
+/// Has this backend a form of the stage? Of most it is [`passes`]; which sides of sections particles are on, flux finds out afterwards; what walls
+/// take is found just before G2P; archive, adapt and sort are carried out between steps, where they are due; the limit is held within the grid update,
+/// and bodies that answer move within the contact, while the host moves driven ones.
 pub(crate) fn has_form(stage: Stage) -> bool {
     matches!(
         stage,

@@ -90,10 +90,11 @@ const PARTICLES: u32 = u32::MAX;
 /// What has been gathered, by the world whose it is.
 pub(crate) fn by_world<'a>(words: &'a [[u32; 4]], worlds: &[World]) -> Vec<Vec<Gathered<'a>>> {
     let levels = worlds[0].levels.len();
-    let numbers =
-        |(w, world): (usize, &World)| world.levels.iter().map(move |level| (level.node_blocks.clone(), w)).collect();
-    let mut owners: Vec<(Range<usize>, usize)> = worlds.iter().enumerate().flat_map::<Vec<_>, _>(numbers).collect();
-    owners.retain(|(numbers, _)| !numbers.is_empty());
+    let mut owners = Vec::new();
+    for (w, world) in worlds.iter().enumerate() {
+        let numbers = world.levels.iter().map(|level| level.node_blocks.clone());
+        owners.extend(numbers.filter(|numbers| !numbers.is_empty()).map(|numbers| (numbers, w)));
+    }
     owners.sort_unstable_by_key(|(numbers, _)| numbers.start);
     let mut all = vec![Vec::new(); worlds.len()];
     for block in words.chunks_exact(NEAR_BLOCK) {

@@ -235,9 +235,7 @@ impl Trace {
         }
         files.write_trace(&rows)
     }
-}
 
-impl Trace {
     /// Writes the trace, all that is there of it, by columns, each under its name.
     ///
     /// They are made from the rows at the end, so that a run that was cut off has a trace, and one that goes on has it whole.
