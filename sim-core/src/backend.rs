@@ -2,10 +2,11 @@
 
 use crate::parameter::Parameter;
 use crate::plan::PlannedMaterial;
+use crate::probe::Filter;
 use crate::task::{Sampled, Watch, chosen};
 use crate::{
-    Aabb, BodyState, Coupling, Crossed, Fields, Form, Ledger, Newcomer, ParticleList, ParticleState, Plan, Reading,
-    Result, Sought, Spot, Stage, Sums, Tile, Vec3, Wrench,
+    Aabb, Apart, BodyState, Coupling, Crossed, Fields, Form, Ledger, Newcomer, ParticleList, ParticleState, Plan,
+    Reading, Result, Sought, Spot, Stage, Sums, Tile, Vec3, Wrench,
 };
 
 /// A way to run a plan, such as `cpu`.
@@ -329,6 +330,15 @@ pub trait Engine: Send {
     fn heights(&self, points: &[[f64; 2]], bottom: f64) -> Option<Vec<Option<f64>>> {
         let _ = (points, bottom);
         None
+    }
+    /// How far points [m] and the particles that count are from one another; those in the archive of ground out of reach are among them. `None` leaves it to whoever
+    /// asks, who reads the particles.
+    ///
+    /// # Errors
+    /// What a device refuses.
+    fn apart(&self, points: &[Vec3], filter: Filter) -> Result<Option<Apart>> {
+        let _ = (points, filter);
+        Ok(None)
     }
     /// Sums over the particles in regions, and over those in the archive there. `materials` are the plan's.
     ///

@@ -56,7 +56,7 @@ pub use levels::Regions;
 pub use material::Material;
 pub use observer::{Observer, Output};
 pub use plan::{Effect, Plan, Precision};
-pub use probe::{Crossed, Probed, Sought, Sums};
+pub use probe::{Apart, Closest, Crossed, Probed, Sought, Sums};
 pub use reading::{Fields, Reading};
 pub use registry::Registry;
 pub use scene::Scene;

@@ -6,7 +6,7 @@ use crate::nearest::Nearest;
 use crate::plan::PlannedMaterial;
 use crate::scene::{Probe, Region, Section, SurfaceProbe};
 use crate::stress::{kirchhoff, volume_ratio};
-use crate::{Aabb, Error, Fields, ParticleList, Plan, Result, Simulation, Vec3};
+use crate::{Aabb, Error, Fields, ParticleList, Plan, Reading, Result, Simulation, Vec3};
 use serde::{Deserialize, Serialize};
 use std::fs;
 
@@ -107,6 +107,39 @@ pub fn invariants(stress: &[f64; 6]) -> [f64; 2] {
     let pressure = -(xx + yy + zz) / 3.0;
     let diagonal: f64 = [xx, yy, zz].map(|s| (s + pressure).powi(2)).iter().sum();
     [pressure, (0.5 * diagonal + xy * xy + xz * xz + yz * yz).sqrt()]
+}
+
+/// How far points and particles are from one another.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Apart {
+    /// Particles.
+    pub count: u64,
+    /// Sum of their distances to the nearest of the points [m].
+    pub distance: f64,
+    /// Of each point the nearest particle; none if there are none.
+    pub nearest: Vec<Option<Closest>>,
+}
+
+/// The particle nearest to a point; of several as near, that with the least number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Closest {
+    /// Its number.
+    pub id: u64,
+    /// Where it is [m].
+    pub position: Vec3,
+}
+
+impl Closest {
+    /// How far it is from the point [m].
+    pub fn distance(&self, point: Vec3) -> f64 {
+        (0..3).map(|d| (self.position[d] - point[d]).powi(2)).sum::<f64>().sqrt()
+    }
+
+    /// The nearer one to a point.
+    pub fn or_nearer(self, other: Self, point: Vec3) -> Self {
+        let is_nearer = other.distance(point).total_cmp(&self.distance(point)).then(other.id.cmp(&self.id)).is_lt();
+        if is_nearer { other } else { self }
+    }
 }
 
 /// What has crossed a section since the start: along its normal, and against it.
@@ -239,6 +272,28 @@ impl Simulation {
         Ok(sums)
     }
 
+    /// How far points [m] and the particles that count are from one another, found where the particles live; those in the archive of ground out of reach are among
+    /// them. Periodic sides are left out of account. The chamfer distance is the mean distance of the particles and that of the points, added.
+    ///
+    /// # Errors
+    /// [`Error::Device`] if the particles were lost with their device.
+    pub fn apart(&self, points: &[Vec3], filter: Filter) -> Result<Apart> {
+        if let Some(apart) = self.engine().apart(points, filter)? {
+            return Ok(apart);
+        }
+        let reading = self.read(None, placed())?;
+        let mut all: Vec<Closest> =
+            counted(&reading, filter).map(|i| Closest { id: reading.id[i], position: reading.exact[i] }).collect();
+        all.sort_unstable_by_key(|one| one.id);
+        let (to_points, particles) =
+            (Nearest::new(points.to_vec()), Nearest::new(all.iter().map(|one| one.position).collect()));
+        Ok(Apart {
+            count: all.len() as u64,
+            distance: all.iter().map(|one| to_points.distance(one.position)).sum(),
+            nearest: points.iter().map(|point| particles.closest(*point).map(|i| all[i])).collect(),
+        })
+    }
+
     /// What has crossed the sections of the scene's probes since its start, in their order.
     ///
     /// # Errors
@@ -301,70 +356,63 @@ impl Simulation {
         Ok(values)
     }
 
-    /// The particle nearest to a point: looked for in a box around it that grows until nothing outside could be nearer.
     fn of_nearest(&self, point: Vec3, filter: Filter) -> Result<Vec<Option<f64>>> {
         let plan = self.plan();
-        let distance = |x: Vec3| (0..3).map(|d| (x[d] - point[d]).powi(2)).sum::<f64>().sqrt();
-        let world = plan.scene.world_box();
-        let farthest = (0..3).map(|d| (world.max[d] - world.min[d]).max((point[d] - world.min[d]).abs())).sum::<f64>();
-        let mut reach = plan.cell_widths.iter().copied().fold(0.0, f64::max);
-        let fields = Fields { exact: true, id: true, body: true, material: true, level: true, ..Fields::default() };
-        let (id, x) = loop {
-            let region = Aabb { min: point, max: point }.grown(reach);
-            let near = self.read(Some(region), fields)?;
-            let counts =
-                |i: &usize| filter.takes(u32::from(near.material[*i]), near.body[*i], u32::from(near.level[*i]));
-            let nearest = (0..near.len()).filter(counts).min_by(|&i, &j| {
-                let [one, other] = [i, j].map(|i| distance(near.exact[i]));
-                one.total_cmp(&other).then(near.id[i].cmp(&near.id[j]))
-            });
-            match nearest {
-                Some(i) if distance(near.exact[i]) <= reach || reach > 2.0 * farthest => {
-                    break (near.id[i], near.exact[i]);
-                }
-                None if reach > 2.0 * farthest => return Ok(vec![None; 10]),
-                _ => reach *= 2.0,
-            }
+        let found = match self.engine().apart(&[point], filter)? {
+            Some(apart) => apart.nearest[0],
+            None => self.look_for_nearest(point, filter)?,
         };
+        let Some(nearest) = found else { return Ok(vec![None; 10]) };
         // Nothing else is as near to it.
-        let region = Region::Sphere { center: x, radius: 1e-4 * plan.cell_widths[0] };
+        let region = Region::Sphere { center: nearest.position, radius: 1e-4 * plan.cell_widths[0] };
         let sums = self.sums_within(&[Sought { region, filter }])?.pop().unwrap_or_default();
-        let first = [Some(distance(x)), Some(id as f64)].into_iter().chain(x.map(Some));
+        let first = [nearest.distance(point), nearest.id as f64].into_iter().chain(nearest.position).map(Some);
         let pressure = sums.mean_stress().map(|stress| invariants(&stress)[0]);
         let last = [(sums.volume > 0.0).then(|| sums.mass / sums.volume), pressure];
         Ok(first.chain(sums.mean_velocity().map_or([None; 3], |v| v.map(Some))).chain(last).collect())
     }
 
+    /// The particle nearest to a point, in a box around that which grows until nothing outside could be nearer.
+    fn look_for_nearest(&self, point: Vec3, filter: Filter) -> Result<Option<Closest>> {
+        let plan = self.plan();
+        let world = plan.scene.world_box();
+        let farthest = (0..3).map(|d| (world.max[d] - world.min[d]).max((point[d] - world.min[d]).abs())).sum::<f64>();
+        let mut reach = plan.cell_widths.iter().copied().fold(0.0, f64::max);
+        loop {
+            let region = Aabb { min: point, max: point }.grown(reach);
+            let near = self.read(Some(region), placed())?;
+            let closest = counted(&near, filter).map(|i| Closest { id: near.id[i], position: near.exact[i] });
+            let nearest = closest.reduce(|one, other| one.or_nearer(other, point));
+            if nearest.is_some_and(|nearest| nearest.distance(point) <= reach) || reach > 2.0 * farthest {
+                return Ok(nearest);
+            }
+            reach *= 2.0;
+        }
+    }
+
     fn of_cloud(&self, file: &std::path::Path, filter: Filter) -> Result<Vec<Option<f64>>> {
         let cloud = read_points(&self.plan().scene.folder.join(file))?;
-        let fields = Fields { exact: true, body: true, material: true, level: true, ..Fields::default() };
-        let reading = self.read(None, fields)?;
-        let counts =
-            |i: &usize| filter.takes(u32::from(reading.material[*i]), reading.body[*i], u32::from(reading.level[*i]));
-        let particles: Vec<Vec3> = (0..reading.len()).filter(counts).map(|i| reading.exact[i]).collect();
-        Ok(match chamfer(&particles, &cloud) {
+        let apart = self.apart(&cloud, filter)?;
+        let from = |(closest, point): (&Option<Closest>, &Vec3)| closest.map(|closest| closest.distance(*point));
+        let from: Option<f64> = apart.nearest.iter().zip(&cloud).map(from).sum();
+        let both = from.map(|from| [apart.distance / apart.count as f64, from / cloud.len() as f64]);
+        Ok(match both {
             Some([to, from]) => vec![Some(to), Some(from), Some(to + from)],
             None => vec![None; 3],
         })
     }
 }
 
-/// Mean distance of the points of one cloud to the nearest ones of another, and of those to these [m]; none if either is empty.
-pub fn chamfer(one: &[Vec3], other: &[Vec3]) -> Option<[f64; 2]> {
-    if one.is_empty() || other.is_empty() {
-        return None;
-    }
-    // Counted from a point among them, f32 is fine enough.
-    let origin = other[0];
-    let near = |points: &[Vec3]| -> Vec<[f32; 3]> {
-        points.iter().map(|x| std::array::from_fn(|d| (x[d] - origin[d]) as f32)).collect()
-    };
-    let (one, other) = (near(one), near(other));
-    let mean = |from: &[[f32; 3]], to: &[[f32; 3]]| {
-        let to = Nearest::new(to.to_vec());
-        from.iter().map(|x| to.distance(*x)).sum::<f64>() / from.len() as f64
-    };
-    Some([mean(&one, &other), mean(&other, &one)])
+/// What tells where particles are, and whether they count.
+fn placed() -> Fields {
+    Fields { exact: true, id: true, body: true, material: true, level: true, ..Fields::default() }
+}
+
+/// The numbers of those that count.
+fn counted(reading: &Reading, filter: Filter) -> impl Iterator<Item = usize> {
+    let counts =
+        move |i: &usize| filter.takes(u32::from(reading.material[*i]), reading.body[*i], u32::from(reading.level[*i]));
+    (0..reading.len()).filter(counts)
 }
 
 fn of_crossed(crossed: &Crossed) -> Vec<Option<f64>> {

@@ -2,7 +2,7 @@
 
 use crate::tooling::points;
 use barchan_core::nearest::Nearest;
-use barchan_core::{Result, Simulation};
+use barchan_core::{Result, Simulation, Vec3};
 
 /// A surface that is to be drawn in a bed.
 pub(crate) struct Target {
@@ -11,7 +11,7 @@ pub(crate) struct Target {
     /// Height of the bed [m].
     pub(crate) level: f64,
     /// The surface, by those points, and the same to be asked for the nearest.
-    cloud: Vec<[f32; 3]>,
+    cloud: Vec<Vec3>,
     nearest: Nearest,
     /// Chamfer distance of the untouched bed [m].
     start: f64,
@@ -76,12 +76,12 @@ pub(crate) fn height_at(profile: &[[f64; 2]], at: f64) -> f64 {
 }
 
 /// A surface by points of it.
-fn cloud(points: &[[f64; 2]], heights: &[f64]) -> Vec<[f32; 3]> {
-    points.iter().zip(heights).map(|([x, y], z)| [*x as f32, *y as f32, *z as f32]).collect()
+fn cloud(points: &[[f64; 2]], heights: &[f64]) -> Vec<Vec3> {
+    points.iter().zip(heights).map(|([x, y], z)| [*x, *y, *z]).collect()
 }
 
 /// Mean distance of points from the nearest of a cloud [m]. Both ways together are the chamfer distance.
-fn mean_distance(points: &[[f32; 3]], to: &Nearest) -> f64 {
+fn mean_distance(points: &[Vec3], to: &Nearest) -> f64 {
     points.iter().map(|point| to.distance(*point)).sum::<f64>() / points.len().max(1) as f64
 }
 

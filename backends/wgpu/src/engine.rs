@@ -7,9 +7,10 @@ use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::Clock;
 use barchan_core::backend::{Batch, Bound, Look, Looked, NewWorld, Timing, WorldStep};
 use barchan_core::plan::PlannedMaterial;
+use barchan_core::probe::Filter;
 use barchan_core::task::Sampled;
 use barchan_core::{
-    Aabb, Coupling, Crossed, Engine, Error, Fields, Ledger, ParticleState, Plan, Reading, Result, Sought, Spot,
+    Aabb, Apart, Coupling, Crossed, Engine, Error, Fields, Ledger, ParticleState, Plan, Reading, Result, Sought, Spot,
     StepReport, Sums, Vec3,
 };
 use barchan_grid::archive::Reach;
@@ -210,6 +211,10 @@ impl Engine for WorldEngine {
         let look = Look { points: points.to_vec(), bottom, ..Look::default() };
         let looked = self.shared.with(|batch| batch.look_at(self.world, &[look]));
         looked.unwrap_or_default().pop().and_then(|looked| looked.heights)
+    }
+
+    fn apart(&self, points: &[Vec3], filter: Filter) -> Result<Option<Apart>> {
+        self.shared.with(|batch| batch.apart(self.world, points, filter))
     }
 
     fn crossed(&self) -> Result<Vec<Crossed>> {

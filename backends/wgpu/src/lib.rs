@@ -23,7 +23,6 @@ pub use passes::{Shader, material, shaders};
 
 use crate::device::lacks;
 use barchan_core::backend::{Adapter, Batch, NewWorld};
-use barchan_core::scene::Wall;
 use barchan_core::{Backend, Coupling, Engine, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
 use std::sync::Arc;
 
@@ -70,17 +69,6 @@ impl Backend for Wgpu {
                 why,
                 "use fewer, or the backend cpu",
             ));
-        }
-        for (number, part) in plan.scene.wall_parts() {
-            let (axis, end) = part.side.axis();
-            let lets_go = matches!(plan.scene.world.walls.pair(axis)[end], Wall::Separate { .. });
-            if plan.cell_widths.len() > 1 || lets_go {
-                return Err(lacks(
-                    "sums of what walls take on nested levels, or that let go",
-                    format!("probe[{number}].wall asks for one"),
-                    "use one level and a wall that slips or sticks, measure stress beside it with probe.within, or use the backend cpu",
-                ));
-            }
         }
         device::layout::check_count(plan.particle_count, "simulate fewer, or use the backend cpu")?;
         plan.materials.iter().try_for_each(|planned| material::check(&planned.material))

@@ -30,7 +30,7 @@
 //! assert!(cost.steps > 0 && kept.momentum_drift_ns.abs() < 1e-3);
 //! let grains: &[Grain] = &fine.end;
 //! assert!(HeightMap::new(grains, &fine.scene.world, 0.05).heights().iter().all(|z| (0.0..0.4).contains(z)));
-//! assert_eq!(Nearest::new(vec![grains[0].position]).distance(grains[0].position), 0.0);
+//! assert_eq!(Nearest::new(vec![grains[0].position.map(f64::from)]).distance(grains[0].position.map(f64::from)), 0.0);
 //! # Ok::<(), barchan::Error>(())
 //! ```
 
@@ -480,8 +480,8 @@ impl Errors {
 
 /// Distance of each grain to the nearest of others [m].
 fn distances(from: &[Grain], to: &[Grain]) -> Vec<f64> {
-    let nearest = Nearest::new(to.iter().map(|grain| grain.position).collect());
-    from.par_iter().map(|grain| nearest.distance(grain.position)).collect()
+    let nearest = Nearest::new(to.iter().map(|grain| grain.position.map(f64::from)).collect());
+    from.par_iter().map(|grain| nearest.distance(grain.position.map(f64::from))).collect()
 }
 
 #[cfg(test)]

@@ -180,7 +180,7 @@ pub use barchan_core::{Aabb, Fields, Reading};
 ///
 /// ```
 /// use barchan::scene::{Probe, Region, Section};
-/// use barchan::{Crossed, Options, Probed, Simulation, Sought, Sums, probe};
+/// use barchan::{Apart, Closest, Crossed, Options, Probed, Simulation, Sought, Sums, probe};
 ///
 /// let mut scene = barchan::example();
 /// let lower = Region::Box { min: [0.0; 3], max: [0.4, 0.4, 0.05] };
@@ -199,10 +199,15 @@ pub use barchan_core::{Aabb, Fields, Reading};
 /// let crossed: Vec<Crossed> = simulation.crossed()?;
 /// let [up, down] = crossed[0].mass;
 /// assert!((sums[0].mass - before - down + up).abs() < 1e-9);
+/// // The particle nearest to a point is as far from it as its place says, and none is nearer.
+/// let point = [0.2, 0.2, 0.05];
+/// let apart: Apart = simulation.apart(&[point], probe::Filter::default())?;
+/// let nearest: Closest = apart.nearest[0].expect("there are particles");
+/// assert!(nearest.distance(point) * apart.count as f64 <= apart.distance);
 /// # Ok::<(), barchan::Error>(())
 /// ```
 #[doc(inline)]
-pub use barchan_core::{Crossed, Probed, Sought, Sums};
+pub use barchan_core::{Apart, Closest, Crossed, Probed, Sought, Sums};
 
 /// How a backend holds its particles, which comes with a copy of them. Without it they are sorted afresh.
 ///

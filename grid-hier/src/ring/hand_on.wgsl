@@ -121,10 +121,8 @@ fn mirrored(layer: u32, first: vec3<i32>, n: u32) -> Mirrored {
     return out;
 }
 
-// `node` is what the node at the rim holds that this thread has, or nothing.
-fn hand_on(g: u32, entry: u32, n: u32, node: vec4<f32>) {
-    let layer = layer_of(g);
-    let first = 2 * lists[entry].xyz - vec3<i32>(1);
+// What the parent with this thread's place gets of a block's nodes, before walls turn it; `node` is what the node at the rim holds that this thread has, or nothing.
+fn to_parents(layer: u32, first: vec3<i32>, n: u32, node: vec4<f32>) -> vec4<f32> {
     let place = local_of(n);
     fetch_parent_cell(layer, first, n);
     workgroupBarrier();
@@ -143,7 +141,13 @@ fn hand_on(g: u32, entry: u32, n: u32, node: vec4<f32>) {
     gather(n, place.y, 4u, 1u);
     gather(n, place.z, 1u, 2u);
     let carried = exchange[column(n, 0u)].xyz + exchange[column(n, 1u)].xyz + exchange[column(n, 2u)].xyz;
-    var sum = exchange[SUMS + n] + vec4<f32>(carried, 0.0);
+    return exchange[SUMS + n] + vec4<f32>(carried, 0.0);
+}
+
+fn hand_on(g: u32, entry: u32, n: u32, node: vec4<f32>) {
+    let layer = layer_of(g);
+    let first = 2 * lists[entry].xyz - vec3<i32>(1);
+    var sum = to_parents(layer, first, n, node);
     // Elsewhere, walls give nothing.
     if n == 0u {
         is_walled = u32(has_nodes_behind(layer + 1u, first));

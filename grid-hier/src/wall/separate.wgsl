@@ -8,7 +8,11 @@ var<workgroup> given: array<vec4<f32>, 64>;
 // The image of a node, as an index of the grid, or NONE; the wall's friction; the inward direction.
 struct Image { at: u32, friction: f32, inward: f32 }
 
+// Nodes behind mirrors make no pairs: they hold nothing any more but their masses, which the mirrors' impulse is reckoned with.
 fn image_of(layer: u32, cell: vec3<i32>) -> Image {
+    if is_behind(layer, cell) {
+        return Image(NONE, 0.0, 0.0);
+    }
     for (var end = 0; end < 2; end++) {
         let friction = select(LOW_FRICTION[AXIS], HIGH_FRICTION[AXIS], end == 1);
         if friction >= 0.0 {
@@ -113,6 +117,11 @@ fn mirror_back(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
             u[AXIS] = -u[AXIS];
         }
         grid[image.at] = vec4<f32>(u, 0.0);
+        @if(pressed) {
+            forget();
+            see(layer_of(g), 2u * AXIS + u32(image.inward < 0.0), cell_of_node(g, n), impulse);
+            add_pressed(layer_of(g), 0u);
+        }
     }
     given[n] = vec4<f32>(impulse, 0.0);
     workgroupBarrier();

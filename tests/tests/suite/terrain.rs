@@ -1,7 +1,8 @@
 //! Ground whose surface is a function of place, and ground of several materials.
 
 use barchan::picture::Image;
-use barchan::{Ledger, Options, Precision, Scene, Simulation};
+use barchan::probe::Filter;
+use barchan::{Ledger, Options, Precision, Scene, Simulation, Vec3};
 use barchan_tests::scenes::{options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, body, material, tool};
 
@@ -127,7 +128,7 @@ fn dunes_without_end_come_and_go_with_an_agent() {
     within("part of untouched tiles that is archived", kept / (kept + dropped), 0.5);
 }
 
-/// Heights near an agent, and of ground that lies in the archive, on a device are those of the same particles on a processor.
+/// Heights and distances to points near an agent, and of ground that lies in the archive, on a device are those of the same particles on a processor.
 #[test]
 fn heights_on_a_device_are_those_on_a_processor_in_the_archive_too() {
     let flight = flight("[levels]\ncount = 2\nhalf = 8\nreach = 4\n");
@@ -144,11 +145,20 @@ fn heights_on_a_device_are_those_on_a_processor_in_the_archive_too() {
     };
     let points = [around([eye[0], eye[1]]), around([0.0; 2])];
     let there = points.each_ref().map(|points| s.heights(points).unwrap());
+    let cloud: Vec<Vec3> = points.iter().flatten().map(|[x, y]| [*x, *y, 0.31]).collect();
+    let apart = s.apart(&cloud, Filter::default()).unwrap();
     s.swap(&barchan::registry(), &options("cpu", Precision::F64)).unwrap();
     for (points, there) in points.iter().zip(&there) {
         let here = s.heights(points).unwrap();
         let off = here.iter().zip(there).map(|(a, b)| (a.unwrap() - b.unwrap()).abs());
         within("heights [m]", off.fold(0.0, f64::max), 1e-6);
+    }
+    let here = s.apart(&cloud, Filter::default()).unwrap();
+    assert_eq!(here.count, apart.count);
+    within("distance of particles", (here.distance / apart.distance - 1.0).abs(), 1e-6);
+    for (point, (here, there)) in cloud.iter().zip(here.nearest.iter().zip(&apart.nearest)) {
+        let [here, there] = [here, there].map(|nearest| nearest.unwrap().distance(*point));
+        assert!((here - there).abs() < 1e-6 * here, "nearest to {point:?}: {here} and {there} m");
     }
 }
 

@@ -1,6 +1,8 @@
 //! Where probes look, and what they find, as words of the device.
 
-use barchan_core::probe::{Crossed, Crossing, Filter, Sought, Sums};
+use crate::device::layout;
+use barchan_core::nearest::bin_width;
+use barchan_core::probe::{Apart, Closest, Crossed, Crossing, Filter, Sought, Sums};
 use barchan_core::scene::{Region, Section};
 use barchan_core::{Plan, Vec3};
 use barchan_grid::bounds::Bounds;
@@ -18,6 +20,8 @@ pub(crate) const SAMPLED: usize = 12;
 
 /// Words of a point of which the height is asked for; see `heights.wgsl`.
 pub(crate) const POINT: usize = 8;
+/// Words of a point of which the nearest particle is asked for; see `apart.wgsl` and `nearest.wgsl`.
+pub(crate) const NEAREST: usize = 12;
 /// What stands there if the device has not found it.
 const UNKNOWN: u32 = u32::MAX;
 
@@ -28,6 +32,12 @@ const UPRIGHT: u32 = 2;
 const NOWHERE: u32 = 3;
 /// No material, or body, is left out.
 const ANY: u32 = u32::MAX;
+
+/// Which material, body and level count; a material that no body uses has a number that none has.
+fn only(filter: Filter) -> [u32; 3] {
+    let material = filter.material.map_or(ANY, |material| material.min(ANY - 1));
+    [material, filter.body.map_or(ANY, u32::from), filter.level.unwrap_or(ANY)]
+}
 
 /// Exact sums, in units of 2^-80: particles, mass, rest volume and momentum that have crossed a section along its normal, then against it.
 pub(crate) type Exact = [[i128; 6]; 2];
@@ -41,7 +51,7 @@ fn place(middle: Vec3, half: Vec3, kind: u32, filter: Filter, normal: Vec3, (lev
     let kind = if filter.level.is_none_or(|own| own == level) { kind } else { NOWHERE };
     let (half, normal) = (bits(half.map(|x| x / h)), bits(normal));
     let cell = first.map(|x| x as i32 as u32);
-    let (material, body) = (filter.material.unwrap_or(ANY), filter.body.map_or(ANY, u32::from));
+    let [material, body, _] = only(filter);
     let [a, b, c] = [cell, offset, half];
     [a[0], a[1], a[2], kind, b[0], b[1], b[2], material, c[0], c[1], c[2], body, normal[0], normal[1], normal[2], 0]
 }
@@ -184,4 +194,60 @@ pub(crate) fn heights_of(words: &[u32], bottom: f64, h: f64) -> Option<Vec<Optio
         bits => Some(Some((from + f64::from(f32::from_bits(bits))) * h)),
     };
     words.chunks_exact(POINT).map(height).collect()
+}
+
+/// Points in bins, as `apart.wgsl` has them.
+pub(crate) struct Cloud {
+    /// All of it, with room for what is found.
+    pub(crate) words: Vec<u32>,
+    /// The number of each point, in the order in which they stand there.
+    pub(crate) order: Vec<usize>,
+    /// Where the sums stand.
+    pub(crate) sums: usize,
+}
+
+/// A cloud of points in finest cells, which are `h` wide [m], and which particles count.
+pub(crate) fn cloud(points: &[Vec3], filter: Filter, h: f64, blocks: Range<usize>) -> Cloud {
+    let cells: Vec<[i32; 3]> = points.iter().map(|x| x.map(|x| (x / h).floor() as i32)).collect();
+    let end = |d: usize, best: fn(i32, i32) -> i32| cells.iter().map(|cell| cell[d]).reduce(best).unwrap_or_default();
+    let first: [i32; 3] = std::array::from_fn(|d| end(d, i32::min));
+    let extent: [i32; 3] = std::array::from_fn(|d| end(d, i32::max) - first[d] + 1);
+    let width = bin_width(points.len(), extent.map(f64::from)).ceil() as i32;
+    let count = extent.map(|cells| (cells - 1) / width + 1);
+    let bin = |i: &usize| {
+        let [x, y, z]: [i32; 3] = std::array::from_fn(|d| (cells[*i][d] - first[d]) / width);
+        ((z * count[1] + y) * count[0] + x) as usize
+    };
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by_key(bin);
+    let starts = HEAD + NEAREST * points.len();
+    let bins = count.iter().map(|count| *count as usize).product::<usize>();
+    let sums = starts + bins + 1;
+    let [material, body, level] = only(filter);
+    let mut words = vec![blocks.start as u32, blocks.end as u32, material, body, level];
+    words.extend(count.into_iter().chain(first).chain([width]).map(|x| x as u32));
+    words.extend([points.len() as u32, starts as u32, sums as u32, 0]);
+    for &i in &order {
+        let offset: [f32; 3] = std::array::from_fn(|d| (points[i][d] / h - f64::from(cells[i][d])) as f32);
+        words.extend(cells[i].map(|x| x as u32).into_iter().chain(offset.map(f32::to_bits)));
+        words.resize(words.len() + NEAREST - 6, 0);
+    }
+    words.extend((0..=bins).map(|bin_number| order.partition_point(|i| bin(i) < bin_number) as u32));
+    words.resize(sums + 8, 0);
+    Cloud { words, order, sums }
+}
+
+impl Cloud {
+    /// What the device has found, of levels whose cells are so wide [m].
+    pub(crate) fn apart(&self, words: &[u32], widths: &[f64]) -> Apart {
+        let mut apart = Apart { nearest: vec![None; self.order.len()], ..Apart::default() };
+        let [count, distance] = [0, 4].map(|k| exact(&words[self.sums + k..][..4]) as f64 / ONE);
+        (apart.count, apart.distance) = (count as u64, distance * widths[0]);
+        for (words, &i) in words[HEAD..].chunks_exact(NEAREST).zip(&self.order) {
+            let (place, block) = ([0, 1, 2, 3].map(|k| words[k]), [4, 5, 6].map(|k| words[k] as i32));
+            let position = || layout::position(place, block, widths[words[7] as usize]);
+            apart.nearest[i] = (words[9] > 0).then(|| Closest { id: u64::from(words[8]), position: position() });
+        }
+        apart
+    }
 }

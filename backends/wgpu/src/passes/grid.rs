@@ -105,15 +105,16 @@ pub(crate) fn hold(levels: bool) -> Draft {
     }
 }
 
-/// A wall that lets go decides; afterwards (`back`) images take their nodes' velocities. Nodes at rims are the next coarser level's business.
-pub(crate) fn separate(axis: usize, back: bool, levels: bool) -> Draft {
+/// A wall that lets go decides; afterwards (`back`) images take their nodes' velocities. Nodes at rims are the next coarser level's business. `pressed`: parts of walls
+/// are told of what the wall gives.
+pub(crate) fn separate(axis: usize, back: bool, levels: bool, pressed: bool) -> Draft {
     let is_slave = if levels { "(rims[g][n >> 5u] & (1u << (n & 31u))) != 0u" } else { "false" };
     let constants =
         format!("const AXIS: u32 = {axis}u;\nfn is_slave(g: u32, n: u32) -> bool {{ return {is_slave}; }}\n");
     Draft {
         name: if back { "mirror" } else { "separate" },
         entry: if back { "mirror_back" } else { "separate" },
-        body: constants + wgsl::SEPARATE,
+        body: constants + wgsl::MIRRORS + &chosen(wgsl::SEPARATE, &[("pressed", pressed)]),
         uses: [DIRECTORY, written(LISTS), GRID, PAIRS, STATUS].into_iter().chain(levels.then_some(RIMS)).collect(),
         uniform: Uniform::None,
         groups: node_blocks(levels),

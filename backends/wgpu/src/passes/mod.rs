@@ -30,7 +30,7 @@ use crate::passes::g2p::{g2p, soft, stress};
 use crate::passes::grid::{Finish, collect, hold, reflect, separate, sum_tiles, velocities};
 use crate::passes::laws::laws;
 use crate::passes::p2g::p2g;
-use crate::passes::probes::{flux, pressed, sums};
+use crate::passes::probes::{also_pressed, flux, heights, nearest, pressed, pressed_rims, sample, sums};
 use crate::passes::rims::{restrict, rims_alone};
 use crate::passes::scene::{
     constants, free_bodies, has_mirrors, layer_constants, may_sleep, mirrors_early, rest_vectors, separations, softs,
@@ -65,8 +65,9 @@ pub(crate) struct Set<K> {
     pub(crate) g2p: K,
     /// What crosses the sections of probes, if there are any.
     pub(crate) flux: Option<K>,
-    /// What parts of walls take, if probes ask for it.
+    /// What parts of walls take, if probes ask for it: at once, and through rims.
     pub(crate) pressed: Option<K>,
+    pub(crate) pressed_rims: Option<K>,
     pub(crate) stress: K,
     /// Sums of what walls gave and sleep took.
     pub(crate) collect: Vec<K>,
@@ -106,6 +107,7 @@ impl<K> Set<K> {
             g2p: make(self.g2p),
             flux: self.flux.map(&make),
             pressed: self.pressed.map(&make),
+            pressed_rims: self.pressed_rims.map(&make),
             stress: make(self.stress),
             collect: all(self.collect),
             soft: self.soft.map(|passes| passes.map(&make)),
@@ -123,7 +125,8 @@ impl<K> Set<K> {
         let step = self.sort.iter().chain(&self.watch).chain([&self.p2g]).chain(&self.restrict).chain(&self.grid);
         let rims = self.solve.iter().chain(&self.mirror).chain(&self.prolong).chain(&self.reflect);
         let seldom = self.collect.iter().chain(self.soft()).chain(self.adapt());
-        step.chain(rims).chain([&self.g2p, &self.stress]).chain(&self.flux).chain(&self.pressed).chain(seldom)
+        let probes = self.flux.iter().chain(&self.pressed).chain(&self.pressed_rims);
+        step.chain(rims).chain([&self.g2p, &self.stress]).chain(probes).chain(seldom)
     }
 
     /// Those of rounds of split and merge.
@@ -185,13 +188,18 @@ pub(crate) fn drafts(plan: &Plan, worlds: usize, particles: usize) -> Result<Set
         Finish::Velocities
     };
     let mut grid = vec![sum_tiles(finish, levels, subcycled, sleeps)];
-    grid.extend(separations.iter().map(|&axis| separate(axis, false, levels)));
+    grid.extend(separations.iter().map(|&axis| separate(axis, false, levels, false)));
     if !separations.is_empty() {
         grid.push(velocities(levels));
     }
     if unbounded {
         grid.push(hold(levels));
     }
+    let presses = plan.has(Stage::PRESS);
+    let mirror_back = |axis| match separate(axis, true, levels, presses) {
+        draft if presses => also_pressed(plan, draft),
+        draft => draft,
+    };
     let mut collect: Vec<_> = (has_walls || unbounded).then(|| collect(mirrored)).into_iter().collect();
     collect.extend(sleeps.then(sum_sleep));
     Ok(Set {
@@ -201,14 +209,15 @@ pub(crate) fn drafts(plan: &Plan, worlds: usize, particles: usize) -> Result<Set
         restrict: (levels && !subcycled).then(restrict),
         grid,
         solve: subcycled.then(|| rims_alone(true)),
-        mirror: separations.iter().rev().map(|&axis| separate(axis, true, levels)).collect(),
+        mirror: separations.iter().rev().map(|&axis| mirror_back(axis)).collect(),
         prolong: (levels && !subcycled).then(|| rims_alone(false)),
         // What holding the edge takes is booked there, too.
         reflect: (has_mirrors(plan) && (!mirrored || levels) || unbounded).then(|| reflect(sleeps, levels, mirrored)),
         mirrored,
         g2p: g2p(plan, &laws, sleeps, [particles, worlds * plan.cell_widths.len()]),
         flux: plan.has(Stage::FLUX).then(|| flux(plan, sleeps)),
-        pressed: plan.has(Stage::PRESS).then(|| pressed(plan, sleeps)),
+        pressed: presses.then(|| pressed(plan, sleeps)),
+        pressed_rims: (presses && levels && has_mirrors(plan)).then(|| pressed_rims(plan)),
         stress: stress(&laws),
         collect,
         soft: (levels && !softs(plan).is_empty()).then(|| soft(&softs(plan))),
@@ -245,7 +254,7 @@ pub fn shaders(
     let setting = Setting { constants: constants(plan) + &layer_constants(plan, worlds), parts };
     let (subcycled, shape) = (plan.substeps > 1, [worlds, plan.cell_widths.len()]);
     let mut contact: Vec<Draft> = bodies::near_drafts(subcycled).into();
-    contact.push(sums(&plan.materials));
+    contact.extend([sums(&plan.materials), sample(), heights(), probes::apart(), nearest()]);
     if let Some(laws) = Laws::of(couplings) {
         let materials = plan.materials.len();
         let vectors = laws.table.len() + materials;

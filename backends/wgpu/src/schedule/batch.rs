@@ -7,6 +7,7 @@ use crate::passes::since_sort::most_drift;
 use crate::passes::{Kernels, scene};
 use crate::readback::Readback;
 use crate::schedule::bodies::Contact;
+use crate::schedule::probes::LOOKERS;
 use crate::schedule::submission::{Clocks, FEW_STEPS};
 use crate::schedule::{of_batch, step_constants};
 use crate::worlds::sleep::BlockBox;
@@ -54,8 +55,8 @@ pub(crate) struct WgpuBatch {
     /// Time in splitting and merging on the host, and how often.
     pub(crate) adapt_seconds: (f64, u64),
     pub(crate) contact: Contact,
-    /// The passes that sum over regions, copy single particles and find heights, once anybody has asked.
-    pub(crate) lookers: Option<[Kernel; 3]>,
+    /// The passes that look between steps, once anybody has asked.
+    pub(crate) lookers: [Option<Kernel>; LOOKERS],
 }
 
 impl WgpuBatch {
@@ -105,7 +106,7 @@ impl WgpuBatch {
             contact_seconds: (0.0, 0),
             adapt_seconds: (0.0, 0),
             contact: Contact::default(),
-            lookers: None,
+            lookers: [const { None }; LOOKERS],
         };
         plans.iter().enumerate().for_each(|(world, plan)| batch.write_probed(world, plan));
         batch.take_in(worlds.into_iter().map(|world| world.particles).enumerate().collect())?;

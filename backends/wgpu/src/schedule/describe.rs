@@ -7,9 +7,10 @@ use crate::passes::bodies::answer_draft;
 use crate::passes::couplings::Laws;
 use crate::passes::drafts;
 use crate::passes::laws::is_asked_on_host;
-use crate::passes::probes::{sample, sums};
+use crate::passes::probes::{apart, nearest, sample, sums};
 use crate::passes::scene::{free_bodies, may_sleep, rest_vectors};
 use crate::schedule::{ContactPasses, passes};
+use barchan_core::scene::Probe;
 use barchan_core::{Plan, Result, Stage};
 use barchan_grid::limits::STIFFNESS_AGE;
 
@@ -32,8 +33,12 @@ pub(crate) fn describe(plan: &Plan) -> Result<Vec<String>> {
     lines.extend(set.collect.iter().map(|draft| line("every submission", draft)));
     lines.extend(set.adapt().map(|draft| line("where levels move or particles leave theirs", draft)));
     lines.push(line("after an upload", &set.stress));
-    if plan.scene.probe.iter().any(|probe| probe.within.is_some()) {
+    let asks = |ask: fn(&Probe) -> bool| plan.scene.probe.iter().any(ask);
+    if asks(|probe| probe.within.is_some()) {
         lines.push(line("for probes of regions", &sums(&plan.materials)));
+    }
+    if asks(|probe| probe.nearest.is_some() || probe.chamfer.is_some()) {
+        lines.extend([apart(), nearest()].map(|draft| line("for probes of single particles and clouds", &draft)));
     }
     if plan.scene.task.is_some() {
         lines.push(line("for what a task wants to see", &sums(&plan.materials)));

@@ -120,11 +120,16 @@ pub(crate) fn passes<'a, K>(
             let driven = all(end, &mut driven.iter().filter(|_| last));
             if subcycled { [answering, driven].concat() } else { [driven, answering].concat() }
         }
-        Stage::PROLONG if with_rims && subcycled => all(begin, &mut answering.iter()),
-        Stage::PROLONG if with_rims => Vec::new(),
-        // Rims read what stands behind walls that let go, and mirrors what stands at rims.
-        Stage::PROLONG if subcycled => all(begin, &mut set.solve.iter()),
-        Stage::PROLONG => all(begin, &mut set.mirror.iter().chain(&set.prolong)),
+        Stage::PROLONG => {
+            // Rims read what stands behind walls that let go, and mirrors what stands at rims.
+            let rims: Vec<&K> = match (with_rims, subcycled) {
+                (true, true) => answering.iter().collect(),
+                (true, false) => Vec::new(),
+                (false, true) => set.solve.iter().collect(),
+                (false, false) => set.mirror.iter().chain(&set.prolong).collect(),
+            };
+            all(begin, &mut rims.into_iter().chain(&set.pressed_rims))
+        }
         Stage::G2P => {
             let mirror = set.mirror.iter().filter(|_| levels == 1);
             let reflects = !subcycled || !set.mirrored || contact.comes_to_walls();

@@ -29,6 +29,9 @@ impl WgpuBatch {
             }
             self.leave_behind();
         }
+        if status.halt().is_some() {
+            self.forget_pressed();
+        }
         // A sort that was broken off has overwritten the directory.
         self.unlinked |= matches!(status.halt(), Some(Halt::Room | Halt::LeftWorld));
     }

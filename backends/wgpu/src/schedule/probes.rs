@@ -4,17 +4,24 @@ use crate::device::kernel::Role;
 use crate::device::layout;
 use crate::device::memory::read;
 use crate::device::probed::{
-    CROSSED, Exact, HEAD, PLACE, POINT, SAMPLED, SUMMED, crossed_of, heights_of, point, regions, sections, sums_of,
-    wall_parts,
+    CROSSED, Exact, HEAD, PLACE, POINT, SAMPLED, SUMMED, cloud, crossed_of, heights_of, point, regions, sections,
+    sums_of, wall_parts,
 };
 use crate::passes::binding::build;
-use crate::passes::probes::{heights, sample, sums};
+use crate::passes::probes::{apart, heights, nearest, sample, sums};
 use crate::schedule::Dispatch;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::Size;
 use barchan_core::backend::{Look, Looked};
+use barchan_core::nearest::Nearest;
+use barchan_core::probe::{Apart, Closest, Filter};
 use barchan_core::task::{Sampled, chosen};
-use barchan_core::{Plan, Result};
+use barchan_core::{Plan, Result, Vec3};
+
+/// Passes that look between steps: for sums over regions, single particles, heights, distances to points, particles nearest to points.
+pub(crate) const LOOKERS: usize = 5;
+/// So many cells from the origin, and farther, points are left to the host.
+const FAR: f64 = 5e8;
 
 impl WgpuBatch {
     /// Tells the device where a world's sections and parts of walls are, as each of its levels has them.
@@ -23,6 +30,18 @@ impl WgpuBatch {
         let words: Vec<u32> = (0..self.levels).flat_map(of_level).collect();
         let buffer = self.memory.buffer(Role::Crossed, 0);
         self.gpu.queue.write_buffer(buffer, 4 * (words.len() * world) as u64, bytemuck::cast_slice(&words));
+    }
+
+    /// Lets the device forget what parts of walls took through rims in a step that is to be repeated.
+    pub(crate) fn forget_pressed(&self) {
+        let (probed, sections, layers) = (self.fixed.probed, self.fixed.sections, self.memory.words().layers);
+        if self.levels == 1 || probed == 0 {
+            return;
+        }
+        for part in (0..self.worlds.len()).flat_map(|world| (sections..probed).map(move |k| world * probed + k)) {
+            let at = 4 * (PLACE * layers * probed + CROSSED * part + CROSSED / 2);
+            self.gpu.queue.write_buffer(self.memory.buffer(Role::Crossed, 0), at as u64, &[0; 2 * CROSSED]);
+        }
     }
 
     /// What the device has counted at a world's sections and parts of walls, by whatever has been in its place.
@@ -118,8 +137,8 @@ impl WgpuBatch {
         let of_sums = [blocks.start, blocks.end, layer, regions_each, layers];
         let head = of_sums.into_iter().chain([samples_at, sample_count, heights_at, point_count]);
         words.iter_mut().zip(head).for_each(|(word, given)| *word = given as u32);
-        let groups = [if regions_each > 0 { blocks.len() } else { 0 }, sample_count.div_ceil(64), point_count];
-        let found = self.look_for(&words, sums_at, groups.map(|count| count as u32))?;
+        let asked_of = [if regions_each > 0 { blocks.len() } else { 0 }, sample_count.div_ceil(64), point_count, 0, 0];
+        let found = self.look_for(&words, sums_at, asked_of)?;
         let (sums, found) = found.split_at(samples_at - sums_at);
         let (sampled, mut heights) = found.split_at(heights_at - samples_at);
         let mut sampled = sampled.chunks_exact(SAMPLED);
@@ -139,24 +158,66 @@ impl WgpuBatch {
         Ok(looked)
     }
 
+    /// How far points and a world's particles that count are from one another, with those in the archive of ground out of reach; nothing if points are farther off
+    /// than the device counts cells.
+    pub(crate) fn apart(&mut self, world: usize, points: &[Vec3], filter: Filter) -> Result<Option<Apart>> {
+        let levels = &self.worlds[world].levels;
+        let blocks = levels[0].blocks.start..levels.last().map_or(0, |level| level.blocks.end);
+        let widths: Vec<f64> = levels.iter().map(|level| level.h).collect();
+        if points.iter().flatten().any(|x| (x / widths[0]).abs() > FAR) {
+            return Ok(None);
+        }
+        let mut apart = Apart { nearest: vec![None; points.len()], ..Apart::default() };
+        if !blocks.is_empty() && !points.is_empty() {
+            let cloud = cloud(points, filter, widths[0], blocks.clone());
+            // The sums come first: the second pass writes where points stand.
+            let found = self.look_for(&cloud.words, 0, [0, 0, 0, blocks.len(), points.len()])?;
+            apart = cloud.apart(&found, &widths);
+        }
+        let Some(reach) = &self.worlds[world].reach else { return Ok(Some(apart)) };
+        let to_points = Nearest::new(points.to_vec());
+        for list in reach.archived() {
+            let counts = |i: &usize| filter.takes(list.material, list.body[*i], list.level);
+            for i in (0..list.len()).filter(counts) {
+                let archived = Closest { id: list.id[i], position: list.position(i) };
+                apart.count += 1;
+                apart.distance += to_points.distance(archived.position);
+                for (nearest, point) in apart.nearest.iter_mut().zip(points) {
+                    *nearest = Some(nearest.map_or(archived, |nearest| nearest.or_nearer(archived, *point)));
+                }
+            }
+        }
+        Ok(Some(apart))
+    }
+
     /// Hands the words to the passes that look, so many workgroups of each, and returns them from `from` on.
-    fn look_for(&mut self, words: &[u32], from: usize, groups: [u32; 3]) -> Result<Vec<u32>> {
+    fn look_for(&mut self, words: &[u32], from: usize, groups: [usize; LOOKERS]) -> Result<Vec<u32>> {
         self.memory.add_sought(&self.gpu, words.len())?;
         self.gpu.queue.write_buffer(self.memory.buffer(Role::Sought, 0), 0, bytemuck::cast_slice(words));
-        let lookers = self.lookers.get_or_insert_with(|| {
-            let kernels = &self.kernels;
-            [sums(&self.worlds[0].materials), sample(), heights()]
-                .map(|draft| build(&self.gpu, &kernels.step_layout, &kernels.setting, self.worlds.len(), draft))
-        });
+        for (looker, _) in groups.iter().enumerate().filter(|(_, count)| **count > 0) {
+            let draft = || match looker {
+                0 => sums(&self.worlds[0].materials),
+                1 => sample(),
+                2 => heights(),
+                3 => apart(),
+                _ => nearest(),
+            };
+            let (gpu, kernels, worlds) = (&self.gpu, &self.kernels, self.worlds.len());
+            self.lookers[looker]
+                .get_or_insert_with(|| build(gpu, &kernels.step_layout, &kernels.setting, worlds, draft()));
+        }
         let row = self.memory.extent.row;
-        let dispatch = |kernel| Dispatch { kernel, now: self.memory.now, step: 0, end: self.levels };
-        let dispatches: Vec<_> = lookers.iter().map(dispatch).collect();
-        let asked: Vec<_> = dispatches
+        let asked: Vec<_> = self
+            .lookers
             .iter()
             .zip(groups)
-            .filter(|(_, count)| *count > 0)
-            .map(|(dispatch, count)| (dispatch, Size::Known(count.min(row), count.div_ceil(row))))
+            .filter_map(|(kernel, count)| Some((kernel.as_ref().filter(|_| count > 0)?, count as u32)))
+            .map(|(kernel, count)| {
+                let dispatch = Dispatch { kernel, now: self.memory.now, step: 0, end: self.levels };
+                (dispatch, Size::Known(count.min(row), count.div_ceil(row)))
+            })
             .collect();
+        let asked: Vec<_> = asked.iter().map(|(dispatch, size)| (dispatch, *size)).collect();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         Self::encode(&self.gpu, &mut encoder, &mut self.memory, &asked, None);
         self.gpu.queue.submit([encoder.finish()]);

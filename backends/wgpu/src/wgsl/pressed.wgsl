@@ -1,40 +1,17 @@
 // What the ground gives to parts of walls in a step, a workgroup a block, once nodes have their velocities and before particles move. A particle gives momentum to nodes
 // behind walls, which these turn round, and reads velocities there that are turned round: both is the wall's impulse, and so much the ground gives to it.
-//
-// Parts stand behind the sections: the first cell and the wall's number, twice its axis, and one more at the greater end; then one past the last cell. Of the six
-// numbers of a part's first sum the last three count.
-const CROSSED: u32 = 48u;
 
 var<workgroup> go: u32;
-// Of a particle, by parts [N s].
-var<private> pressed: array<vec3<f32>, PARTS>;
+
+fn is_short_enough() -> bool {
+    return atomicLoad(&status[HALTED]) == 0u && atomicLoad(&status[fast_word(step.number)]) == 0u;
+}
 
 fn ready(b: u32, layer: u32, first: vec3<i32>) -> u32 {
-    let too_fast = atomicLoad(&status[fast_word(step.number)]);
-    if atomicLoad(&status[HALTED]) != 0u || too_fast != 0u || b >= atomicLoad(&status[BLOCKS]) || !is_live(layer) {
+    if !is_short_enough() || b >= atomicLoad(&status[BLOCKS]) || !is_live(layer) {
         return 0u;
     }
     return u32(reaches_wall(layer, first - vec3<i32>(2)));
-}
-
-// Notes what a wall gives at a node behind it. What lies behind another wall counts where that begins.
-fn see(layer: u32, wall: u32, cell: vec3<i32>, impulse: vec3<f32>) {
-    var at = clamp(cell, world_min(layer), world_max(layer) - vec3<i32>(1));
-    for (var d = 0u; d < 3u; d++) {
-        if PERIOD[d] > 0 {
-            let period = 4 * (PERIOD[d] >> level_of(layer));
-            at[d] = world_min(layer)[d] + (((cell[d] - world_min(layer)[d]) % period) + period) % period;
-        }
-    }
-    for (var k = 0u; k < PARTS; k++) {
-        let part = PLACE * (layer * PROBED + SECTIONS + k);
-        let least = bitcast<vec3<i32>>(vec3<u32>(probed_word(part), probed_word(part + 1u), probed_word(part + 2u)));
-        let end = bitcast<vec3<i32>>(vec3<u32>(probed_word(part + 4u), probed_word(part + 5u), probed_word(part + 6u)));
-        let across = vec3<u32>(0u, 1u, 2u) == vec3<u32>(wall / 2u);
-        if probed_word(part + 3u) == wall && all(across | ((at >= least) & (at < end))) {
-            pressed[k] -= impulse;
-        }
-    }
 }
 
 fn look(q: u32, b: u32, layer: u32, first: vec3<i32>) {
@@ -42,9 +19,7 @@ fn look(q: u32, b: u32, layer: u32, first: vec3<i32>) {
     if (owners[q].y & OF_SLEEPERS) != 0u {
         return;
     }
-    for (var k = 0u; k < PARTS; k++) {
-        pressed[k] = vec3<f32>(0.0);
-    }
+    forget();
     let p = record_of(q, 0u);
     let s = bitcast<vec4<f32>>(record_of(q, 1u));
     let r0 = bitcast<vec4<f32>>(record_of(q, 2u));
@@ -99,14 +74,7 @@ fn look(q: u32, b: u32, layer: u32, first: vec3<i32>) {
             at[axis] = select(2 * high[axis] - 1, 2 * low[axis] - 1, below[axis]) - at[axis];
         }
     }
-    for (var k = 0u; k < PARTS; k++) {
-        let sum = PLACE * LAYERS * PROBED + CROSSED * (layer / LEVELS * PROBED + SECTIONS + k);
-        for (var d = 0u; d < 3u; d++) {
-            if pressed[k][d] != 0.0 {
-                add_exactly(sum + 12u + 4u * d, pressed[k][d]);
-            }
-        }
-    }
+    add_pressed(layer, 0u);
 }
 
 @compute @workgroup_size(64)
@@ -115,6 +83,10 @@ fn see_pressed(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     let here = min(b, extent.block_room - 1u);
     let layer = u32(lists[here * ENTRY].w);
     let first = lists[here * ENTRY].xyz * 4;
+    @if(levels)
+    if b == 0u && is_short_enough() {
+        take_up(n);
+    }
     if n == 0u {
         go = ready(b, layer, first);
     }

@@ -36,15 +36,18 @@ fn from_middle(p: Place, cell: vec3<i32>, offset: vec3<u32>) -> vec3<f32> {
     return vec3<f32>(cell - p.cell) + (vec3<f32>(offset >> vec3<u32>(8u)) * 5.9604645e-8 - p.offset);
 }
 
-fn is_counted(p: Place, material: u32, body: u32) -> bool {
-    return (p.material == NONE || p.material == material) && (p.body == NONE || p.body == body);
+// Does a particle count, where only such a material and body do, or any?
+fn is_taken(only_material: u32, only_body: u32, material: u32, body: u32) -> bool {
+    return (only_material == NONE || only_material == material) && (only_body == NONE || only_body == body);
 }
 
-// Adds a number to a sum of four words: below zero, all digits are turned and one is added.
-fn add_exactly(at: u32, number: f32) {
-    let is_less = number < 0.0;
-    let digits = select(digits_of(abs(number)), ~digits_of(abs(number)), is_less);
-    var carry = u32(is_less);
+fn is_counted(p: Place, material: u32, body: u32) -> bool {
+    return is_taken(p.material, p.body, material, body);
+}
+
+// Adds digits to a sum of four words, and perhaps one more.
+fn add_digits(at: u32, digits: vec4<u32>, one_more: bool) {
+    var carry = u32(one_more);
     for (var k = 0u; k < 4u; k++) {
         let more = digits[k] + carry;
         // Else it is 2^32, or nothing: nothing, and the same carry.
@@ -53,4 +56,10 @@ fn add_exactly(at: u32, number: f32) {
             carry = u32(before > 0xffffffffu - more);
         }
     }
+}
+
+// Adds a number to a sum of four words: below zero, all digits are turned and one is added.
+fn add_exactly(at: u32, number: f32) {
+    let digits = digits_of(abs(number));
+    add_digits(at, select(digits, ~digits, number < 0.0), number < 0.0);
 }

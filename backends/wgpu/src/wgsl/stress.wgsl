@@ -14,5 +14,6 @@ fn stress_of_all(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocat
     let z = bitcast<vec4<f32>>(record_of(q, 4u)).yzw;
     let c = transpose(mat3x3<f32>(x, y, z));
     let mass = bitcast<f32>(record_of(q, 1u).w);
-    deform(q, law_of(record_of(q, 0u).w), mass, held_by(q), c, step.dt);
+    // Subcycled, a coarser level lags by a longer step.
+    deform(q, law_of(record_of(q, 0u).w), mass, held_by(q), c, step.dt * steps_of(layer_now));
 }
