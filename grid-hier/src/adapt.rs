@@ -103,7 +103,7 @@ impl Parcel {
 
 /// Access to the particles of one level for split and merge: lists by material, in groups that are the same for all
 /// lists. The order of groups and of places decides the numbers of children and the last bits of results.
-pub trait LevelStore: Sync {
+pub trait LevelStore: Send + Sync {
     /// Keys of the blocks of the first groups, in rising order. No particle is more than a cell outside its block.
     fn blocks(&self) -> &[u64];
     /// Number of groups. Groups after those of the blocks hold particles that are in no block yet.
@@ -419,27 +419,31 @@ impl Adapt {
             self.resampled.angular += one.change.angular;
         }
 
-        let mut changed = vec![false; levels.len()];
-        for some in [splitting, moving, gone, unmerged] {
-            for here in some.chunk_by(|a, b| (a.level, a.list) == (b.level, b.list)) {
-                changed[here[0].level] = true;
-                levels[here[0].level].remove(here[0].list, here.iter().map(|one| one.place));
-            }
-        }
         let children = families.par_iter().flat_map_iter(|family| &family.parcels);
         let come = children.chain(&moved).chain(&left).chain(merged.par_iter().map(|one| &one.parcel));
         // By level, list and number.
         let key = |(level, parcel): &(usize, Parcel)| {
             (*level as u64) << 56 | (parcel.list as u64) << 32 | u64::from(parcel.id)
         };
-        let mut come: Vec<_> = come.map(|one| (key(one), one)).collect();
+        let mut come: Vec<_> = come.map(|one| (key(one), &one.1)).collect();
         come.par_sort_unstable_by_key(|(key, _)| *key);
-        for here in come.chunk_by(|(_, a), (_, b)| a.0 == b.0) {
-            let parcels: Vec<&Parcel> = here.iter().map(|(_, (_, parcel))| parcel).collect();
-            let level = here[0].1.0;
-            changed[level] = true;
-            levels[level].push(&parcels);
-        }
+        let gone = [splitting, moving, gone, unmerged];
+        let exchange = |(l, level): (usize, &mut &mut S)| {
+            let mut changed = false;
+            for here in gone.iter().flat_map(|some| some.chunk_by(|a, b| (a.level, a.list) == (b.level, b.list))) {
+                if here[0].level == l {
+                    changed = true;
+                    level.remove(here[0].list, here.iter().map(|one| one.place));
+                }
+            }
+            let before = |l: usize| come.partition_point(|(key, _)| (*key >> 56) < l as u64);
+            let parcels: Vec<&Parcel> = come[before(l)..before(l + 1)].iter().map(|(_, parcel)| *parcel).collect();
+            if !parcels.is_empty() {
+                level.push(&parcels);
+            }
+            changed || !parcels.is_empty()
+        };
+        let changed = levels.par_iter_mut().enumerate().map(exchange).collect();
         Ok(changed)
     }
 

@@ -205,11 +205,7 @@ impl<T: Scalar> CpuEngine<T> {
         }
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
         let clock = Instant::now();
-        let mut left = None;
-        for l in (0..self.levels.len()).filter(|&l| due[l]) {
-            let found = self.sort_level(l, holes[l])?;
-            left = [left, found].into_iter().flatten().min_by_key(|(id, _)| *id);
-        }
+        let left = self.sort_levels(&due, &holes)?;
         if let Some((id, position)) = left {
             // All lie in order, to be saved, and whoever goes on finds the same.
             self.age = None;
@@ -221,21 +217,31 @@ impl<T: Scalar> CpuEngine<T> {
         Ok(true)
     }
 
-    /// Sorts one level. `holes`: have particles been taken out, or come in? Returns the particle of least number that has left the world where
-    /// that is an error, and its place [m].
-    fn sort_level(&mut self, l: usize, holes: bool) -> Result<Option<(u32, [f64; 3])>> {
-        let (level, leaving) = (&mut self.levels[l], self.leaving);
-        let departures = level.store.sort(&level.bounds, leaving, holes)?;
-        self.departures.clamped += departures.clamped;
-        self.departures.deleted += departures.deleted;
-        self.departures.deleted_mass += departures.deleted_mass;
-        self.mass -= departures.deleted_mass;
-        for d in 0..3 {
-            self.wall_impulse[d] += departures.impulse[d];
+    /// Sorts the levels that are due, side by side. `holes`: have particles been taken out, or come in? Returns the particle of least number that has left the world
+    /// where that is an error, and its place [m].
+    fn sort_levels(&mut self, due: &[bool], holes: &[bool]) -> Result<Option<(u32, [f64; 3])>> {
+        let leaving = self.leaving;
+        let sort = |(level, holes): (&mut Level<T>, &bool)| {
+            let departures = level.store.sort(&level.bounds, leaving, *holes)?;
+            level.drift = 0.0;
+            level.find_open();
+            Ok(departures)
+        };
+        let levels = self.levels.par_iter_mut().zip(holes).zip(due).filter(|(_, due)| **due);
+        let sorted: Vec<Result<Departures>> = levels.map(|(level, _)| sort(level)).collect();
+        let mut left = None;
+        for departures in sorted {
+            let departures = departures?;
+            self.departures.clamped += departures.clamped;
+            self.departures.deleted += departures.deleted;
+            self.departures.deleted_mass += departures.deleted_mass;
+            self.mass -= departures.deleted_mass;
+            for d in 0..3 {
+                self.wall_impulse[d] += departures.impulse[d];
+            }
+            left = [left, departures.refused].into_iter().flatten().min_by_key(|(id, _)| *id);
         }
-        level.drift = 0.0;
-        level.find_open();
-        Ok(departures.refused)
+        Ok(left)
     }
 
     /// Lets every grid take up its store's blocks, and ties the rims of levels to the next coarser ones.

@@ -3,8 +3,10 @@
 use crate::errors::{OrRaise, exception, raised};
 use crate::machine::{Machine, taken};
 use crate::{known, records, scene};
+use barchan::probe::Filter;
+use barchan::scene::Probe;
 use barchan::stress::pressure;
-use barchan::{Aabb, Command, Fields, Options, Precision, Reading, Scene, Simulation as World};
+use barchan::{Aabb, Closest, Command, Fields, Options, Precision, Reading, Scene, Simulation as World};
 use numpy::{AllowTypeChange, PyArray1, PyArrayLikeDyn, PyArrayMethods};
 use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -413,6 +415,56 @@ impl Simulation {
         let points: Vec<[f64; 2]> = points.rows().into_iter().map(|row| [row[0], row[1]]).collect();
         let heights = self.look(py, world, |one| one.heights(&points))?.or_raise(py)?;
         Ok(records::vector(py, heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect()))
+    }
+
+    /// How far the particles and a cloud of points are from one another: a `Chamfer` record. `points` has the shape (n, 3) [m]. On a GPU it is found there.
+    ///
+    /// `material`, `body` (names of the scene's) and `level` (0 is the finest) let only some particles count.
+    ///
+    /// Raises `UnknownNameError` for a name that the scene does not have.
+    #[pyo3(signature = (points, *, material=None, body=None, level=None, world=0))]
+    fn chamfer<'py>(
+        &self,
+        py: Python<'py>,
+        points: Numbers<'py>,
+        material: Option<String>,
+        body: Option<String>,
+        level: Option<u32>,
+        world: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let points = points.as_array();
+        let (&[count, 3], true) = (points.shape(), points.iter().all(|x| x.is_finite())) else {
+            let shape = points.shape();
+            return Err(PyValueError::new_err(format!(
+                "points: their shape is {shape:?}; it should be (n, 3), of finite numbers"
+            )));
+        };
+        let points: Vec<[f64; 3]> = points.rows().into_iter().map(|row| [row[0], row[1], row[2]]).collect();
+        let known_names = [
+            ("material", &material, self.scene.material.iter().map(|one| one.name.clone()).collect::<Vec<_>>()),
+            ("body", &body, self.scene.body.iter().map(|one| one.name.clone()).collect()),
+        ];
+        for (kind, name, known) in known_names {
+            if let Some(name) = name.clone().filter(|name| !known.contains(name)) {
+                return Err(raised(py, barchan::Error::Unknown { path: kind.to_owned(), kind, name, known }, None));
+            }
+        }
+        let probe = Probe { material, body, level, ..Probe::default() };
+        let ask = |one: &World| one.apart(&points, Filter::of(one.plan(), &probe));
+        let apart = self.look(py, world, ask)?.or_raise(py)?;
+        let distance =
+            |(closest, point): (&Option<Closest>, &[f64; 3])| closest.map_or(f64::NAN, |c| c.distance(*point));
+        let distances: Vec<f64> = apart.nearest.iter().zip(&points).map(distance).collect();
+        let ids: Vec<u64> = apart.nearest.iter().map(|closest| closest.map_or(u64::MAX, |c| c.id)).collect();
+        // Of no points, or to none, there is no mean.
+        let mean = |sum: f64, of: usize| if count > 0 { sum / of as f64 } else { f64::NAN };
+        let fields = [
+            ("to_points", mean(apart.distance, apart.count as usize).into_pyobject(py)?.into_any()),
+            ("from_points", mean(distances.iter().sum(), count).into_pyobject(py)?.into_any()),
+            ("distances", records::vector(py, distances)),
+            ("ids", records::vector(py, ids)),
+        ];
+        records::record(py, "Chamfer", &fields)
     }
 
     /// Heights of the surface over a rectangle, as `height_scan` gives them: a `HeightMap` record.

@@ -63,6 +63,25 @@ def test_heights_are_those_of_the_block_and_the_floor(press):
         simulation.height_map(cell=0.0)
 
 
+def test_chamfer_distances_are_those_of_all_pairs(press):
+    simulation = barchan.Simulation(press)
+    simulation.step(3)
+    particles = simulation.particles("id")
+    points = np.random.default_rng(5).uniform(-0.1, 0.5, (40, 3))
+    apart = np.linalg.norm(points[:, None] - particles.position[None], axis=-1)
+    found = simulation.chamfer(points, material="snow")
+    np.testing.assert_allclose(found.distances, apart.min(axis=1), rtol=1e-6)
+    np.testing.assert_array_equal(found.ids, particles.id[apart.argmin(axis=1)])
+    assert found.distance == pytest.approx(apart.min(axis=0).mean() + apart.min(axis=1).mean(), rel=1e-6)
+    none = simulation.chamfer(points, level=3)
+    assert np.isnan(none.distance) and np.isnan(none.distances).all()
+    assert np.isnan(simulation.chamfer(np.empty((0, 3))).distance)
+    with pytest.raises(barchan.UnknownNameError, match="body.*stone"):
+        simulation.chamfer(points, body="stone")
+    with pytest.raises(ValueError, match=r"\(n, 3\)"):
+        simulation.chamfer([(0.0, 0.0)])
+
+
 def test_pressure_in_a_cut_grows_downwards(press):
     press["time"] |= {"end": 1.0}
     press["material"] = [{"name": "m", "law": "neo_hookean", "density": 1000.0, "parameters": {"young_modulus": 1e5}}]

@@ -271,13 +271,14 @@ pub use barchan_core::{Effect, Form, Plan, Schedule, Stage};
 /// }
 ///
 /// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
-/// let out = std::env::temp_dir().join(format!("barchan-height-{}", std::process::id()));
-/// let (until, existing) = (Until::Time(0.01), Existing::Overwrite);
-/// let request = Request { out: out.clone(), until, pictures: false, export: None, existing, swap: None };
+/// # // Shown at both names, this runs twice at once.
+/// # let folder = tempfile::tempdir().expect("a temporary folder can be made");
+/// # let out = folder.path().join("height");
+/// let (until, existing) = (Until::Time(0.01), Existing::Refuse);
+/// let request = Request { out, until, pictures: false, export: None, existing, swap: None };
 /// let mut height = Height(0.0);
 /// run_with(&mut simulation, &request, &mut [&mut height], &mut |_| std::ops::ControlFlow::Continue(()))?;
 /// assert!(height.0 > 0.05);
-/// # let _ = std::fs::remove_dir_all(out);
 /// # Ok::<(), barchan::Error>(())
 /// ```
 #[doc(inline)]

@@ -618,11 +618,6 @@ fn a_probe_that_cannot_be_meant_is_refused() {
         let error = barchan::Scene::from_str(&text, "test scene", Path::new(".")).unwrap_err().to_string();
         assert!(parts.iter().all(|part| error.contains(part)), "{probe}: {error}");
     }
-    // A device sums what walls take on one level, from those that do not let go.
-    let scene = scene(&format!("{}[[probe]]\nname = \"p\"\nwall = {{ side = \"z_min\" }}\n", nested("")));
-    let options = Options { backend: "wgpu".to_owned(), ..options(Precision::F32) };
-    let error = Simulation::new(&barchan::registry(), &scene, &options).unwrap_err().to_string();
-    assert!(error.contains("wgpu") && error.contains("probe[0].wall asks for one"), "{error}");
 }
 
 /// A scene without sections and walls to look at has the stages that it had, and one with probes of other kinds too: these look between steps only.

@@ -7,7 +7,7 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from barchan.records import Batch, Body, HeightMap, HeightScan, Law, Particles, Plan, Robot, Surface, Task, Wrench
+from barchan.records import Batch, Body, Chamfer, HeightMap, HeightScan, Law, Particles, Plan, Robot, Surface, Task, Wrench
 
 __version__: str
 
@@ -62,6 +62,15 @@ class Simulation:
     def particles(self, *fields: _Field, region: ArrayLike | None = None, world: int = 0) -> Particles: ...
     def cut(self, at: float, *, axis: Literal["x", "y"] = "y", world: int = 0) -> Particles: ...
     def height_scan(self, points: ArrayLike, *, world: int = 0) -> NDArray[np.float64]: ...
+    def chamfer(
+        self,
+        points: ArrayLike,
+        *,
+        material: str | None = None,
+        body: str | None = None,
+        level: int | None = None,
+        world: int = 0,
+    ) -> Chamfer: ...
     def height_map(self, region: ArrayLike | None = None, cell: float | None = None, *, world: int = 0) -> HeightMap: ...
     def bodies(self, *, world: int = 0) -> dict[str, Body]: ...
     def wrenches(self, *, world: int = 0) -> dict[str, Wrench]: ...

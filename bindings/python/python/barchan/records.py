@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Batch", "Body", "HeightMap", "HeightScan", "Law", "Link", "Particles", "Plan", "Robot", "Surface", "Task", "Wrench"]
+__all__ = ["Batch", "Body", "Chamfer", "HeightMap", "HeightScan", "Law", "Link", "Particles", "Plan", "Robot", "Surface", "Task", "Wrench"]
 
 
 class Particles:
@@ -181,6 +181,25 @@ class Surface:
     """Orientation quaternion of that frame (w, x, y, z), (4,)."""
     colour: tuple[float, float, float] | None
     """sRGB from 0 to 1; None for a tool's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chamfer:
+    """How far particles and a cloud of points are from one another."""
+
+    to_points: float
+    """Mean distance of the particles to the nearest of the points [m]; NaN without particles or points."""
+    from_points: float
+    """Mean distance of the points to the nearest particle [m]; NaN without particles or points."""
+    distances: NDArray[np.float64]
+    """Distance of each point to the nearest particle [m], (n,); NaN without particles."""
+    ids: NDArray[np.uint64]
+    """Number of that particle, (n,); the greatest of this type without particles."""
+
+    @property
+    def distance(self) -> float:
+        """Chamfer distance: both means together [m]."""
+        return self.to_points + self.from_points
 
 
 @dataclass(frozen=True, eq=False)
