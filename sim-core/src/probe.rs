@@ -120,6 +120,17 @@ pub struct Apart {
     pub nearest: Vec<Option<Closest>>,
 }
 
+impl Apart {
+    /// Mean distance of the particles to the nearest of the points, and of these points to the nearest particle [m]: both together are the chamfer distance. None without
+    /// particles or points.
+    pub fn means(&self, points: &[Vec3]) -> Option<[f64; 2]> {
+        let from = |(closest, point): (&Option<Closest>, &Vec3)| closest.map(|closest| closest.distance(*point));
+        let from: f64 = self.nearest.iter().zip(points).map(from).sum::<Option<f64>>()?;
+        let has_both = self.count > 0 && !points.is_empty();
+        has_both.then(|| [self.distance / self.count as f64, from / points.len() as f64])
+    }
+}
+
 /// The particle nearest to a point; of several as near, that with the least number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closest {
@@ -392,11 +403,7 @@ impl Simulation {
 
     fn of_cloud(&self, file: &std::path::Path, filter: Filter) -> Result<Vec<Option<f64>>> {
         let cloud = read_points(&self.plan().scene.folder.join(file))?;
-        let apart = self.apart(&cloud, filter)?;
-        let from = |(closest, point): (&Option<Closest>, &Vec3)| closest.map(|closest| closest.distance(*point));
-        let from: Option<f64> = apart.nearest.iter().zip(&cloud).map(from).sum();
-        let both = from.map(|from| [apart.distance / apart.count as f64, from / cloud.len() as f64]);
-        Ok(match both {
+        Ok(match self.apart(&cloud, filter)?.means(&cloud) {
             Some([to, from]) => vec![Some(to), Some(from), Some(to + from)],
             None => vec![None; 3],
         })

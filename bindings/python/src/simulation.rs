@@ -433,7 +433,7 @@ impl Simulation {
         world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         let points = points.as_array();
-        let (&[count, 3], true) = (points.shape(), points.iter().all(|x| x.is_finite())) else {
+        let (&[_, 3], true) = (points.shape(), points.iter().all(|x| x.is_finite())) else {
             let shape = points.shape();
             return Err(PyValueError::new_err(format!(
                 "points: their shape is {shape:?}; it should be (n, 3), of finite numbers"
@@ -456,11 +456,10 @@ impl Simulation {
             |(closest, point): (&Option<Closest>, &[f64; 3])| closest.map_or(f64::NAN, |c| c.distance(*point));
         let distances: Vec<f64> = apart.nearest.iter().zip(&points).map(distance).collect();
         let ids: Vec<u64> = apart.nearest.iter().map(|closest| closest.map_or(u64::MAX, |c| c.id)).collect();
-        // Of no points, or to none, there is no mean.
-        let mean = |sum: f64, of: usize| if count > 0 { sum / of as f64 } else { f64::NAN };
+        let [to_points, from_points] = apart.means(&points).unwrap_or([f64::NAN; 2]);
         let fields = [
-            ("to_points", mean(apart.distance, apart.count as usize).into_pyobject(py)?.into_any()),
-            ("from_points", mean(distances.iter().sum(), count).into_pyobject(py)?.into_any()),
+            ("to_points", to_points.into_pyobject(py)?.into_any()),
+            ("from_points", from_points.into_pyobject(py)?.into_any()),
             ("distances", records::vector(py, distances)),
             ("ids", records::vector(py, ids)),
         ];

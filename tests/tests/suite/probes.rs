@@ -184,6 +184,20 @@ fn nested(more: &str) -> String {
     ])
 }
 
+/// All of those particles, those of a material, a body, a level, and of a material that no body uses and a level that is none.
+fn filters() -> [Filter; 7] {
+    let all = Filter::default();
+    [
+        all,
+        Filter { material: Some(1), ..all },
+        Filter { body: Some(0), ..all },
+        Filter { level: Some(1), ..all },
+        Filter { level: Some(0), ..all },
+        Filter { material: Some(u32::MAX), ..all },
+        Filter { level: Some(2), ..all },
+    ]
+}
+
 /// Sums within a box, a sphere and a cylinder that straddle levels are what particles there add up to, of all or of one material, body or level.
 #[test]
 fn sums_within_regions_are_those_of_the_particles_there() {
@@ -195,18 +209,8 @@ fn sums_within_regions_are_those_of_the_particles_there() {
             Region::Sphere { center: [0.4, 0.4, 0.15], radius: 0.27 },
             Region::Cylinder { center: [0.35, 0.4, 0.2], radius: 0.2, half_height: 0.18 },
         ];
-        let all = Filter::default();
-        let filters = [
-            all,
-            Filter { material: Some(1), ..all },
-            Filter { body: Some(0), ..all },
-            Filter { level: Some(1), ..all },
-            Filter { level: Some(0), ..all },
-            // As of a material that no body uses.
-            Filter { material: Some(u32::MAX), ..all },
-        ];
         let sought: Vec<Sought> =
-            regions.iter().flat_map(|&region| filters.map(|filter| Sought { region, filter })).collect();
+            regions.iter().flat_map(|&region| filters().map(|filter| Sought { region, filter })).collect();
         let found = s.sums_within(&sought).unwrap();
         let particles = s.particles();
         for (one, found) in sought.iter().zip(&found) {
@@ -512,19 +516,11 @@ fn distances_to_clouds_are_those_of_trying_all_pairs() {
         scattered(300, 0.5, [0.1, 0.1, 0.0]).into_iter().map(|[x, y, _]| [x, y, 0.2]).collect(),
         vec![[0.41, 0.37, 0.21]],
     ];
-    let all = Filter::default();
-    let filters = [
-        all,
-        Filter { material: Some(1), ..all },
-        Filter { body: Some(0), ..all },
-        Filter { level: Some(1), ..all },
-        Filter { material: Some(u32::MAX), ..all },
-    ];
     for options in everywhere() {
         let mut s = start(&nested(""), &options);
         (0..40).for_each(|_| drop(s.step().unwrap_or_else(|e| panic!("{e}"))));
         let particles = s.particles();
-        for (cloud, filter) in clouds.iter().flat_map(|cloud| filters.map(|filter| (cloud, filter))) {
+        for (cloud, filter) in clouds.iter().flat_map(|cloud| filters().map(|filter| (cloud, filter))) {
             let found = s.apart(cloud, filter).unwrap();
             let counts = particles.lists.iter().flat_map(|list| {
                 let takes = |i: &usize| filter.takes(list.material, list.body[*i], list.level);

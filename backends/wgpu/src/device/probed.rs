@@ -77,7 +77,7 @@ pub(crate) fn sections(plan: &Plan, level: usize) -> Vec<u32> {
     Crossing::all(plan).into_iter().flat_map(words).collect()
 }
 
-/// The parts of walls of a plan as a level has them; see `pressed.wgsl`.
+/// The parts of walls of a plan as a level has them; see `wall_parts.wgsl`.
 pub(crate) fn wall_parts(plan: &Plan, level: usize) -> Vec<u32> {
     let parts = WallParts::new(plan, level, &Bounds::new(plan, level));
     let words = parts.each().flat_map(|((axis, end), [first, past])| {

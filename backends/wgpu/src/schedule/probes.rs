@@ -35,7 +35,7 @@ impl WgpuBatch {
     /// Lets the device forget what parts of walls took through rims in a step that is to be repeated.
     pub(crate) fn forget_pressed(&self) {
         let (probed, sections, layers) = (self.fixed.probed, self.fixed.sections, self.memory.words().layers);
-        if self.levels == 1 || probed == 0 {
+        if self.levels == 1 {
             return;
         }
         for part in (0..self.worlds.len()).flat_map(|world| (sections..probed).map(move |k| world * probed + k)) {

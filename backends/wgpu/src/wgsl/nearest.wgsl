@@ -21,7 +21,8 @@ var<workgroup> candidates: array<u32, 64>;
 var<workgroup> count: u32;
 var<workgroup> closest: array<Closest, 64>;
 
-// How near to a point a particle of a block can be: squared distance [finest cells]. It is within two cells of its block, which is four cells wide.
+// How near to a point a particle of a block can be: squared distance [finest cells], FAR where none counts, being of another level. It is within two cells of its block, which is four
+// cells wide.
 fn least_of(b: u32, cell: vec3<i32>, offset: vec3<f32>) -> f32 {
     let layer = u32(lists[b * ENTRY].w);
     let level = level_of(layer);
@@ -67,7 +68,7 @@ fn find_nearest(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     let blocks = workgroupUniformLoad(&count);
     let first = probed_word(0u);
     // First the block that comes nearest, so that most others need no look.
-    var near = Closest(FAR, NONE, NONE, first);
+    var near = Closest(FAR, NONE, NONE, NONE);
     for (var b = first + n; b < first + blocks; b += 64u) {
         let square = least_of(b, cell, offset);
         if square < near.square {
@@ -87,15 +88,20 @@ fn find_nearest(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     }
     let begins = workgroupUniformLoad(&begins_with);
     closest[n] = Closest(FAR, NONE, NONE, NONE);
-    search(begins, n, cell, offset);
+    if begins != NONE {
+        search(begins, n, cell, offset);
+    }
     for (var past = 0u; past < blocks; past += 64u) {
         if n == 0u {
             atomicStore(&listed, 0u);
         }
         workgroupBarrier();
         let b = first + past + n;
-        if b < first + blocks && b != begins && least_of(b, cell, offset) <= bitcast<f32>(atomicLoad(&least)) {
-            candidates[atomicAdd(&listed, 1u)] = b;
+        if b < first + blocks && b != begins {
+            let square = least_of(b, cell, offset);
+            if square < FAR && square <= bitcast<f32>(atomicLoad(&least)) {
+                candidates[atomicAdd(&listed, 1u)] = b;
+            }
         }
         workgroupBarrier();
         if n == 0u {
