@@ -97,6 +97,7 @@ impl Reach {
         ledger.count("tiles archived", self.archived);
         ledger.count("tiles brought back from the archive", self.returned);
         ledger.count("tiles in the archive now", self.archive.len() as u64);
+        ledger.count("bytes in the archive now", self.bytes());
     }
 
     /// Whether the column of a coarsest cell is out of reach. Columns beyond the world are not.
@@ -148,12 +149,18 @@ impl Reach {
     ) -> Result<(f64, [f64; 3])> {
         let (mass, momentum, kinetic) = motion_of(&lists);
         self.kinetic += kinetic;
-        if self.terrain.is_untouched(tile, &lists, couplings, regions)? {
-            self.dropped += 1;
-            self.seeded_mass -= mass;
-        } else {
-            self.archived += 1;
-            self.archive.insert(tile, Tile::pack(lists));
+        match self.terrain.changed(tile, lists, couplings, regions)? {
+            Some(lists) => {
+                self.archived += 1;
+                let kept = Tile::pack(lists);
+                // The same but for rounding.
+                self.seeded_mass += kept.mass() - mass;
+                self.archive.insert(tile, kept);
+            }
+            None => {
+                self.dropped += 1;
+                self.seeded_mass -= mass;
+            }
         }
         Ok((mass, momentum))
     }

@@ -1,5 +1,7 @@
 //! Fills soft bodies with particles.
 
+mod changed;
+
 use crate::coupling::Aabb;
 use crate::levels::{Regions, SPLIT_AHEAD};
 use crate::plan::{PlannedMaterial, Precision};
@@ -7,18 +9,11 @@ use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, World, cross};
 use crate::solid::Solid;
 use crate::zoned::{Zoned, Zones};
 use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, settle, solid};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Particles that fixed-point offsets can tell from a cell's face, in cells: half of the last place.
 const SNAP: f64 = 1.0 / (1_u64 << 33) as f64;
-/// How far, in spacings, a particle may be from its seeded place and still count as not moved.
-pub const UNMOVED: f64 = 0.1;
-/// How much a particle's history may have changed and still count as unchanged, relative to the larger of 1 and its
-/// value at the start.
-pub const UNCHANGED: f64 = 1e-3;
-/// Relative difference of masses and volumes that is rounding.
-const ROUNDING: f64 = 1e-5;
 /// Last place of a fixed-point offset: one cell is this many.
 const FIXED: f64 = (1_u64 << 32) as f64;
 
@@ -165,91 +160,6 @@ impl Terrain {
         if self.scene.levels.count > 1 { 0.0 } else { self.plots.iter().map(of_plot).sum() }
     }
 
-    /// Whether these are the particles of a tile as it was at the start, perhaps split and merged but otherwise
-    /// unchanged. That is so if
-    ///
-    /// 1. their mass is the tile's;
-    /// 2. those that have never merged are off their seeded place by no more than [`UNMOVED`];
-    /// 3. no cube of the coarsest particle's size holds more or less than at the start by more than `levels.tolerance` of a full
-    ///    one, which is what merging may move;
-    /// 4. history is what it was but for [`UNCHANGED`].
-    ///
-    /// # Errors
-    /// As [`seed_tiles`](Self::seed_tiles).
-    pub fn is_untouched(
-        &self,
-        tile: [i32; 2],
-        lists: &[ParticleList],
-        couplings: &[Box<dyn Coupling>],
-        regions: &Regions,
-    ) -> Result<bool> {
-        let seeded = self.seed_tiles(&[tile], couplings, regions, &mut 0)?;
-        let mass = |lists: &[ParticleList]| lists.iter().flat_map(|list| &list.mass).sum::<f64>();
-        if (mass(lists) - mass(&seeded)).abs() > ROUNDING * mass(&seeded) {
-            return Ok(false);
-        }
-        let coarsest = regions.levels() - 1;
-        for plot in &self.plots {
-            let spacing = self.scene.spacing(&self.scene.body[plot.index]);
-            let (now, then) = (self.filling(plot, coarsest, lists), self.filling(plot, coarsest, &seeded));
-            let full = (spacing * f64::from(1 << coarsest)).powi(3);
-            let off = |cube: &[i64; 3]| {
-                let part = |of: &BTreeMap<[i64; 3], f64>| of.get(cube).copied().unwrap_or(0.0);
-                (part(&now) - part(&then)).abs() > self.scene.levels.tolerance * full
-            };
-            if now.keys().chain(then.keys()).any(off) {
-                return Ok(false);
-            }
-            let planned = &self.materials[plot.material];
-            for list in lists.iter().filter(|list| list.material as usize == plot.material) {
-                let here: Vec<usize> = (0..list.len()).filter(|&i| usize::from(list.body[i]) == plot.index).collect();
-                let single = |i: usize| (list.volume0[i] / spacing.powi(3) - 1.0).abs() <= ROUNDING;
-                if here.iter().any(|&i| single(i) && !self.is_in_place(plot, list.position(i))) {
-                    return Ok(false);
-                }
-                let loads = self.loads(here.iter().map(|&i| list.position(i)));
-                let Ok(settled) = settle::under(planned, &loads, self.scene.body[plot.index].k0) else {
-                    return Ok(false);
-                };
-                let history = settled.iter().skip(planned.material.strain_planes()).zip(&list.state);
-                let changed = |now: f64, then: f64| (now - then).abs() > UNCHANGED * then.abs().max(1.0);
-                if history.into_iter().any(|(then, now)| here.iter().zip(then).any(|(&i, then)| changed(now[i], *then)))
-                {
-                    return Ok(false);
-                }
-            }
-        }
-        Ok(true)
-    }
-
-    /// Rest volume of a body's particles of one material, each a cube, in the coarsest cubes of its lattice [m³].
-    fn filling(&self, plot: &Plot, coarsest: usize, lists: &[ParticleList]) -> BTreeMap<[i64; 3], f64> {
-        let mut filling = BTreeMap::new();
-        let side = self.scene.spacing(&self.scene.body[plot.index]) * f64::from(1 << coarsest);
-        for list in lists.iter().filter(|list| list.material as usize == plot.material) {
-            for i in (0..list.len()).filter(|&i| usize::from(list.body[i]) == plot.index) {
-                let (x, half) = (list.position(i), 0.5 * list.volume0[i].cbrt() / side);
-                // Along each axis: first cube, and how much of the particle lies in it and in each of the next ones.
-                let parts: [(i64, Vec<f64>); 3] = std::array::from_fn(|d| {
-                    let middle = (x[d] - plot.axes[d].site(-0.5).position) / side;
-                    let (low, high) = (middle - half, middle + half);
-                    let first = low.floor();
-                    let ends = (0..).map(|k| first + f64::from(k)).take_while(|start| *start < high);
-                    (first as i64, ends.map(|start| (high.min(start + 1.0) - low.max(start)) / (2.0 * half)).collect())
-                });
-                for (a, p) in (0..).zip(&parts[0].1) {
-                    for (b, q) in (0..).zip(&parts[1].1) {
-                        for (c, r) in (0..).zip(&parts[2].1) {
-                            let cube = [parts[0].0 + a, parts[1].0 + b, parts[2].0 + c];
-                            *filling.entry(cube).or_insert(0.0) += p * q * r * list.volume0[i];
-                        }
-                    }
-                }
-            }
-        }
-        filling
-    }
-
     /// The tile to which a particle of a body at `x` belongs: that of the coarsest cube of the body's lattice in which
     /// it lies. So a particle that is seeded with a tile belongs to it, wherever the lattice's corner is.
     pub fn tile_of(&self, body: u16, x: Vec3, regions: &Regions) -> [i32; 2] {
@@ -264,17 +174,6 @@ impl Terrain {
             None => (x[d] / self.scene.world.cell).floor() as i32,
         });
         regions.tile_of([cell[0], cell[1], 0])
-    }
-
-    /// Does a particle of the finest class stand where one is seeded?
-    fn is_in_place(&self, plot: &Plot, x: Vec3) -> bool {
-        let spacing = self.scene.spacing(&self.scene.body[plot.index]);
-        let number = |d: usize| ((x[d] - plot.axes[d].site(-0.5).position) / spacing).floor();
-        if (0..3).any(|d| !(0.0..plot.axes[d].count as f64).contains(&number(d))) {
-            return false;
-        }
-        let site = self.cube_site(plot, std::array::from_fn(|d| number(d) as u64), 0);
-        (0..3).all(|d| (site[d].position - x[d]).abs() <= UNMOVED * spacing)
     }
 
     /// Where a particle of 2^class lattice points along each side lies.
