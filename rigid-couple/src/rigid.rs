@@ -1,11 +1,11 @@
 //! The coupling "rigid": a scene's tools and free bodies.
 
-mod body;
+pub(crate) mod body;
 
 use crate::Refusal;
 use crate::grip::{self, REACH};
 use crate::motion::Pose;
-use crate::sdf;
+use crate::sdf::{self, Sdf};
 use crate::surface::{mesh_of, placed, planes_of};
 use crate::tables::{Listed, Tables, row, rows};
 use crate::world::{RigidWorld, Role};
@@ -75,7 +75,7 @@ impl Rigid {
         Ok(())
     }
 
-    /// The tools of `scene`, as the coupling 'rigid'.
+    /// The tools of `scene`, as the coupling 'rigid', but for those that [go with its robots](Scene::goes_with_robots).
     ///
     /// # Errors
     /// [`Error::Body`] if a tool's shape, mesh, mass, contact or motion cannot be used, naming its key path.
@@ -83,17 +83,22 @@ impl Rigid {
         let mut bodies: Vec<Body> = Vec::new();
         for (i, tool) in scene.tool.iter().enumerate() {
             let path = format!("tool[{i}]");
+            if scene.goes_with_robots(tool) {
+                continue;
+            }
             if bodies.iter().any(|body| body.name == tool.name) {
                 let refusal = Refusal::new(format!("two tools are called '{}'", tool.name), "rename one of them");
                 return Err(refusal.at(&format!("{path}.name")));
             }
             bodies.push(Body::new(tool, scene, &path)?);
         }
+        let mut own = scene.clone();
+        own.tool.retain(|tool| !scene.goes_with_robots(tool));
         let world_box = Aabb { min: scene.world.min, max: scene.world.max };
         let mut rigid = Self {
             name: TOOL_COUPLING.to_owned(),
             wrenches: vec![Wrench::default(); bodies.len()],
-            scene: scene.clone(),
+            scene: own,
             // Particles outside the world do not live long enough to reach further nodes than these.
             world_box: world_box.grown(4.0 * scene.world.cell),
             world: None,
@@ -101,7 +106,7 @@ impl Rigid {
             on_device: false,
             bodies,
         };
-        rigid.world = rigid.rigid_world(scene);
+        rigid.world = rigid.rigid_world();
         Ok(rigid)
     }
 
@@ -111,7 +116,8 @@ impl Rigid {
         Self { name: name.to_owned(), ..self }
     }
 
-    fn rigid_world(&self, scene: &Scene) -> Option<RigidWorld> {
+    fn rigid_world(&self) -> Option<RigidWorld> {
+        let scene = &self.scene;
         let free = self.bodies.iter().filter(|body| body.is_free());
         let size = free.map(|body| body.extent).reduce(f64::min)?;
         let mut world = RigidWorld::new(&scene.world, size);
@@ -259,6 +265,26 @@ impl Rigid {
         }
         Ok(())
     }
+}
+
+/// What is to be said of a tool that is thin for cells of that width [m].
+pub(crate) fn thin(name: &str, shape: &Sdf, cell_width: f64) -> Option<String> {
+    let thickness = 2.0 * shape.half_thickness();
+    if thickness < 2.0 * cell_width {
+        return Some(format!(
+            "tool '{name}' is {:.3} mm thick, {:.2} cells: the ground meets it as if it were two cells thick, and what lies within them moves along with it; use world.cell <= {:.3} mm or a thicker tool",
+            1e3 * thickness,
+            thickness / cell_width,
+            0.5e3 * thickness,
+        ));
+    }
+    (thickness < ROUGH_THICKNESS * cell_width).then(|| {
+        format!(
+            "tool '{name}' is only {:.1} cells thick: forces on it may be a third off (a rod of three cells felt 1.3 times the force on one of twelve, of six 1.2 times); for forces within a fifth use world.cell <= {:.3} mm",
+            thickness / cell_width,
+            1e3 * thickness / 6.0,
+        )
+    })
 }
 
 impl Coupling for Rigid {
@@ -553,23 +579,7 @@ impl Coupling for Rigid {
     fn warnings(&self, cell_width: f64) -> Vec<String> {
         let mut warnings = Vec::new();
         for body in &self.bodies {
-            let thickness = 2.0 * body.shape.half_thickness();
-            if thickness < 2.0 * cell_width {
-                warnings.push(format!(
-                    "tool '{}' is {:.3} mm thick, {:.2} cells: the ground meets it as if it were two cells thick, and what lies within them moves along with it; use world.cell <= {:.3} mm or a thicker tool",
-                    body.name,
-                    1e3 * thickness,
-                    thickness / cell_width,
-                    0.5e3 * thickness,
-                ));
-            } else if thickness < ROUGH_THICKNESS * cell_width {
-                warnings.push(format!(
-                    "tool '{}' is only {:.1} cells thick: forces on it may be a third off (a rod of three cells felt 1.3 times the force on one of twelve, of six 1.2 times); for forces within a fifth use world.cell <= {:.3} mm",
-                    body.name,
-                    thickness / cell_width,
-                    1e3 * thickness / 6.0,
-                ));
-            }
+            warnings.extend(thin(&body.name, &body.shape, cell_width));
             if body.ignored_position {
                 warnings
                     .push(format!("tool '{}': its position is ignored, since keyframes say where it is", body.name));

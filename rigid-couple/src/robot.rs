@@ -4,7 +4,7 @@
 //! 1. [`dynamics`]: where its links are, its mass matrix M, and what its motion asks of it;
 //! 2. contact points with what is rigid ([`touching`]);
 //! 3. its rates without soft ground: M (v − v₀) = dt (gravity − bias) + joints(v) + Σ Jᵀ contact(v), with motors, stops and dry friction of [`joints`] taken at the rates
-//!    that are solved for;
+//!    that are solved for; robots that touch one another are one system ([`together`]);
 //! 4. where soft ground touches it, the contact solution asks for the change of twists that balances (`Robot::answer`): the same system and the ground's
 //!    6 × 6 matrix of each link;
 //! 5. positions move on with the rates, and the base's rates are corrected so that momentum changes by impulses alone.
@@ -14,11 +14,14 @@ pub mod coupling;
 mod device;
 pub mod dynamics;
 pub mod joints;
+mod loose;
 pub mod model;
 pub mod motion;
 pub mod reach;
 mod sense;
+mod solve;
 mod table;
+pub mod together;
 pub mod touching;
 pub mod urdf;
 pub mod visual;
@@ -28,6 +31,7 @@ pub use model::RobotModel;
 
 use crate::motion::Pose;
 use balance::Correction;
+use barchan_core::Aabb;
 use barchan_core::contact::{System, Twist};
 use dynamics::Place;
 use glam::{DMat3, DVec3};
@@ -36,18 +40,10 @@ use motion::JointPath;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector6};
 use sense::Sensed;
 use serde::{Deserialize, Serialize};
+use solve::{Balance, Whole, add_system, energy};
 use std::sync::Arc;
-use touching::{Body, Obstacle, Pair, Points, Seen};
+use touching::{Body, Obstacle, Pair, Points, Seen, Span};
 
-/// Iterations after which the robot's rates are taken as they are, and the size of the last step at convergence, relative to the speed of the whole.
-const MAX_ITERATIONS: usize = 40;
-const TOLERANCE: f64 = 1e-10;
-/// What may be out of balance along a step behind it, as a part of what was before it.
-const OVERSHOT: f64 = 0.5;
-/// Weight of contact points in the robot's at which the iteration starts, and the factor by which it grows once the last step was relatively small.
-const LIGHT: f64 = 10.0;
-const HEAVIER: f64 = 4.0;
-const SMALL: f64 = 0.03;
 /// How far ahead contact points are looked for, besides how far links come in a step [m].
 const AHEAD: f64 = 1e-3;
 
@@ -86,6 +82,9 @@ pub struct Robot {
     pub(crate) path: JointPath,
     pub(crate) corrections: Vec<Correction>,
     pub(crate) friction: f64,
+    pub(crate) restitution: f64,
+    /// Is it a free tool, see [`loose`]?
+    pub(crate) is_tool: bool,
     pub(crate) obstacles: Vec<Obstacle>,
     /// Bodies that may touch one another.
     pub(crate) pairs: Vec<[usize; 2]>,
@@ -108,12 +107,6 @@ pub(crate) struct Step {
     rates: DVector<f64>,
     /// Σ Jᵀ J over bodies, which takes twists of bodies to rates.
     squares: Cholesky<f64, Dyn>,
-}
-
-/// What is out of balance at some rates, and by how much it falls for each unit of them.
-struct Balance {
-    residual: DVector<f64>,
-    matrix: DMatrix<f64>,
 }
 
 impl Robot {
@@ -192,32 +185,12 @@ impl Robot {
         self.joint(drive).motor(self.step.rates[self.base_rates() + drive]).value
     }
 
-    /// What joints and rigid contacts give at some rates, and by how much that falls; with contact points of `weight`, and their secant if `tangent` is
-    /// not asked for.
-    fn own_impulses(&self, rates: &DVector<f64>, weight: f64, tangent: bool) -> Balance {
-        let n = rates.len();
-        let (mut residual, mut matrix) = (DVector::zeros(n), DMatrix::zeros(n, n));
-        for drive in 0..self.model.drives.len() {
-            let rate = self.base_rates() + drive;
-            let Impulse { value, slope } = self.joint(drive).impulse(rates[rate]);
-            residual[rate] += value;
-            matrix[(rate, rate)] += slope;
-        }
-        let points = &self.step.points;
-        let with_obstacles = self.solids.iter().map(|&link| &self.step.places[link]).zip(&points.touches);
-        let among_links = points.pairs.iter().map(|Pair { place, touches, .. }| (place, touches));
-        for (place, touches) in with_obstacles.chain(among_links).filter(|(_, touches)| !touches.is_empty()) {
-            let system = System::of(touches, &points.nodes, &place.twist(rates), weight, tangent);
-            add_system(place, &system, &mut residual, &mut matrix);
-        }
-        Balance { residual, matrix }
-    }
-
-    /// Moves on to a step of `dt` [s]: the motors' orders, where links are, and the rates without soft ground.
+    /// Moves on to a step: the motors' orders, where links are, and what touches what is rigid.
     ///
     /// # Errors
-    /// If they are no longer finite.
-    pub(crate) fn begin(&mut self, time: f64, dt: f64, gravity: DVec3, boxes: &[barchan_core::Aabb]) -> Result<(), ()> {
+    /// If the state cannot be gone on from.
+    pub(crate) fn begin(&mut self, span: Span, gravity: DVec3, boxes: &[Aabb]) -> Result<(), ()> {
+        let Span { time, dt, .. } = span;
         self.take_over().ok_or(())?;
         self.state.clock = self.path.wrapped(time + dt);
         let mut orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(time, dt));
@@ -237,67 +210,32 @@ impl Robot {
             ..std::mem::replace(&mut self.step, Step::empty())
         };
         let mut points = std::mem::take(&mut self.step.points);
-        let seen: Vec<Seen<'_>> = (0..self.solids.len())
-            .map(|body| Seen {
-                body: self.bodies[body].as_ref(),
-                place: &self.step.places[self.solids[body]],
-                bounds: boxes[body],
-                friction: self.friction,
-                ahead: AHEAD + 2.0 * self.surface_speed(body) * dt,
-            })
-            .collect();
-        points.find(&seen, &self.obstacles, &self.pairs, self.model.mass(), [time, dt]);
+        points.find(&self.seen(boxes), &self.obstacles, &self.pairs, self.model.mass(), span);
         self.step.points = points;
-        self.step.rates = self.balance_alone().ok_or(())?;
-        if self.step.rates.iter().all(|rate| rate.is_finite()) { Ok(()) } else { Err(()) }
+        Ok(())
     }
 
-    /// Rates that balance without soft ground, by Newton's method, as [`barchan_core::contact`] solves: contact points first count as lighter than they are, which
-    /// finds those that touch; a step that leads too far is cut back; the last one takes the contact law as it is, which is dissipative even where
-    /// the iteration has not converged.
-    fn balance_alone(&self) -> Option<DVector<f64>> {
-        let Step { mass, driven, points, .. } = &self.step;
-        let off_at = |rates: &DVector<f64>, own: &Balance| driven - mass * rates + &own.residual;
-        let secant_step = |rates: &DVector<f64>, weight: f64| {
-            let own = self.own_impulses(rates, weight, false);
-            Some((mass + &own.matrix).cholesky()?.solve(&off_at(rates, &own)))
+    /// What its bodies in these boxes are for contact points, in a step that has begun and is not solved.
+    pub(crate) fn seen<'a>(&'a self, boxes: &[Aabb]) -> Vec<Seen<'a>> {
+        let of_body = |body: usize| Seen {
+            body: self.bodies[body].as_ref(),
+            place: &self.step.places[self.solids[body]],
+            bounds: boxes[body],
+            friction: self.friction,
+            ahead: AHEAD + 2.0 * self.surface_speed(body) * self.step.dt,
+            twist: self.twist(body),
+            restitution: self.restitution,
         };
-        let ground: f64 = points.nodes.mass.iter().sum();
-        let mut weight = if points.is_empty() { 1.0 } else { (LIGHT * self.model.mass() / ground).min(1.0) };
-        let mut rates = self.step.rates.clone();
-        let mut last: Option<(DVector<f64>, f64)> = None;
-        for iteration in 1.. {
-            let own = self.own_impulses(&rates, weight, true);
-            let off = off_at(&rates, &own);
-            if let Some((step, before)) = last.take() {
-                let beyond = -step.dot(&off);
-                if beyond > OVERSHOT * before && iteration < MAX_ITERATIONS {
-                    let back = beyond / (before + beyond);
-                    rates -= back * &step;
-                    last = Some(((1.0 - back) * step, (1.0 - back) * before));
-                    continue;
-                }
-            }
-            let newton = (mass + &own.matrix).lu().solve(&off).filter(|step| step.dot(&off) >= 0.0);
-            let step = match newton {
-                Some(step) => step,
-                None => secant_step(&rates, weight)?,
-            };
-            let scale = energy(mass, &rates).max(energy(mass, &self.step.rates)).sqrt();
-            let size = energy(mass, &step).sqrt();
-            if (weight == 1.0 && size <= TOLERANCE * scale) || iteration >= MAX_ITERATIONS {
-                rates += if points.is_empty() { step } else { secant_step(&rates, 1.0)? };
-                break;
-            }
-            rates += &step;
-            let lead = step.dot(&off);
-            last = Some((step, lead));
-            if size <= SMALL * scale && weight < 1.0 {
-                weight = (HEAVIER * weight).min(1.0);
-                last = None;
-            }
-        }
-        Some(rates)
+        (0..self.solids.len()).map(of_body).collect()
+    }
+
+    /// Takes up the rates that balance without soft ground.
+    ///
+    /// # Errors
+    /// If they are no longer finite.
+    pub(crate) fn go(&mut self, rates: DVector<f64>) -> Result<(), ()> {
+        self.step.rates = rates;
+        if self.step.rates.iter().all(|rate| rate.is_finite()) { Ok(()) } else { Err(()) }
     }
 
     /// What is out of balance at the rates of some twists, with what soft ground gives there.
@@ -417,6 +355,47 @@ impl Robot {
     }
 }
 
+impl Whole for Robot {
+    fn mass_matrix(&self) -> &DMatrix<f64> {
+        &self.step.mass
+    }
+
+    fn driven(&self) -> &DVector<f64> {
+        &self.step.driven
+    }
+
+    fn before(&self) -> &DVector<f64> {
+        &self.step.rates
+    }
+
+    fn mass(&self) -> f64 {
+        self.model.mass()
+    }
+
+    fn points(&self) -> f64 {
+        self.step.points.nodes.mass.iter().sum()
+    }
+
+    fn own_impulses(&self, rates: &DVector<f64>, weight: f64, tangent: bool) -> Balance {
+        let n = rates.len();
+        let (mut residual, mut matrix) = (DVector::zeros(n), DMatrix::zeros(n, n));
+        for drive in 0..self.model.drives.len() {
+            let rate = self.base_rates() + drive;
+            let Impulse { value, slope } = self.joint(drive).impulse(rates[rate]);
+            residual[rate] += value;
+            matrix[(rate, rate)] += slope;
+        }
+        let points = &self.step.points;
+        let with_obstacles = self.solids.iter().map(|&link| &self.step.places[link]).zip(&points.touches);
+        let among_links = points.pairs.iter().map(|Pair { place, touches, .. }| (place, touches));
+        for (place, touches) in with_obstacles.chain(among_links).filter(|(_, touches)| !touches.is_empty()) {
+            let system = System::of(touches, &points.nodes, &place.twist(rates), weight, tangent);
+            add_system(place, &system, &mut residual, &mut matrix);
+        }
+        Balance { residual, matrix }
+    }
+}
+
 impl Step {
     /// In place of one that is taken apart.
     fn empty() -> Self {
@@ -433,16 +412,4 @@ impl Step {
             squares: Cholesky::new(none).expect("a matrix that is one has a root"),
         }
     }
-}
-
-/// vᵀ M v.
-fn energy(mass: &DMatrix<f64>, rates: &DVector<f64>) -> f64 {
-    rates.dot(&(mass * rates))
-}
-
-/// Adds what contact on a link gives the rates, and by how much that falls.
-fn add_system(place: &Place, system: &System, residual: &mut DVector<f64>, matrix: &mut DMatrix<f64>) {
-    let [fx, fy, fz, tx, ty, tz] = system.impulse;
-    place.add_wrench(DVec3::new(fx, fy, fz), DVec3::new(tx, ty, tz), residual);
-    place.add_matrix(&system.matrix, matrix);
 }

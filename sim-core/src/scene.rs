@@ -109,6 +109,11 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// Is a tool moved together with the scene's robots, in one system? Free ones are where there are robots, so that the two may touch.
+    pub fn goes_with_robots(&self, tool: &Tool) -> bool {
+        !self.robot.is_empty() && matches!(tool.motion, Motion::Free { .. })
+    }
+
     /// The files that its shapes are read from, as it names them, each once. Those that plugins' parameters name are found when it is planned.
     pub fn files(&self) -> BTreeSet<&Path> {
         fn add<'a>(shape: &'a Shape, files: &mut BTreeSet<&'a Path>) {
@@ -698,7 +703,7 @@ pub enum Motion {
         #[serde(default)]
         angular: Vec3,
     },
-    /// It is a free rigid body, moved by gravity, the ground and other bodies.
+    /// It is a free rigid body, moved by gravity, the ground and other bodies. In scenes with robots it touches these, and no tools driven by velocity or by a force.
     Free {
         /// Mass [kg]; its inertia is that of the shape filled evenly.
         mass: f64,

@@ -1,14 +1,18 @@
-//! The coupling "robots": a scene's robots on soft ground.
+//! The coupling "robots": a scene's robots on soft ground, and the free tools beside them.
 
+use super::device::{self, Roaming};
 use super::joints::{Gains, Order};
 use super::model::RobotModel;
 use super::motion::{self, JointPath};
 use super::sense::Sensed;
-use super::touching::{Body, Obstacle, pairs_of};
+use super::solve::Whole;
+use super::together::{self, Met, Together};
+use super::touching::{Body, Obstacle, Span, pairs_of};
 use super::urdf::Source;
-use super::{Robot, State, balance, device, dynamics};
+use super::{Robot, State, balance, dynamics};
 use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
+use crate::rigid::thin;
 use crate::world::{friction_of, solid_walls};
 use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
@@ -34,11 +38,13 @@ pub const BUILT_IN: [(&str, &str); 6] = [
     ("arm-scraper", include_str!("../../models/arm-scraper.urdf")),
 ];
 
-/// The robots of a scene.
+/// The robots of a scene, and behind them its free tools, which answer as they do.
 pub struct Robots {
     name: String,
     scene: Scene,
     robots: Vec<Robot>,
+    /// Those that touch one another in the step under way.
+    together: Vec<Together>,
     contacts: Vec<Contact>,
     /// The number of each robot's first body.
     firsts: Vec<usize>,
@@ -95,11 +101,11 @@ impl RobotModel {
 }
 
 impl Robot {
-    /// A scene's robot.
+    /// A scene's robot among `tools`, see [`Obstacle::tools`].
     ///
     /// # Errors
     /// If its URDF, joints, motors or motion cannot be used.
-    pub fn new(robot: &scene::Robot, scene: &Scene) -> Result<Self, Refusal> {
+    pub fn new(robot: &scene::Robot, scene: &Scene, tools: &[Obstacle]) -> Result<Self, Refusal> {
         let mut model = RobotModel::of(robot, &scene.folder)?;
         let mut gains = vec![Gains::default(); model.drives.len()];
         for motor in &robot.motor {
@@ -149,7 +155,8 @@ impl Robot {
         let shapes: Vec<Option<&Sdf>> = solids.iter().map(|&link| model.links[link].shape.as_ref()).collect();
         let extents = shapes.iter().map(|shape| shape.map_or(0.0, Sdf::extent)).collect();
         let bodies: Vec<Option<Body>> = shapes.iter().map(|shape| shape.map(Body::new)).collect();
-        let obstacles = Obstacle::all(scene, base.position)?;
+        let mut obstacles = Obstacle::walls(&scene.world, base.position);
+        obstacles.extend_from_slice(tools);
         let pairs =
             if robot.self_collision { pairs_of(&mut model, &solids, &bodies, &step.places) } else { Vec::new() };
         let corrections = balance::corrections(&robot.balance, &model)?;
@@ -168,6 +175,8 @@ impl Robot {
             path,
             corrections,
             friction: friction_of(robot.contact),
+            restitution: 0.0,
+            is_tool: false,
             obstacles,
             pairs,
             state,
@@ -226,10 +235,19 @@ impl Robot {
 
     fn lost(&self, what: &str) -> Error {
         let mend = "lower time.step, or start from the last snapshot";
-        Refusal::new(format!("its {what} is no longer finite"), mend).at(&format!("robot '{}'", self.name))
+        Refusal::new(format!("its {what} is no longer finite"), mend).at(&self.path())
+    }
+
+    /// What errors call it.
+    fn path(&self) -> String {
+        format!("{} '{}'", if self.is_tool { "tool" } else { "robot" }, self.name)
     }
 
     fn act(&mut self, command: &Command) -> Result<(), Refusal> {
+        if self.is_tool {
+            let what = format!("it moves freely, and {} is asked for", command.name());
+            return Err(Refusal::new(what, "give it a motion = { velocity = {} }"));
+        }
         let (numbers, holds) = match command {
             Command::JointTargets(numbers) => (numbers, true),
             Command::JointTorques(numbers) => (numbers, false),
@@ -253,14 +271,21 @@ impl Robot {
 }
 
 impl Robots {
-    /// The robots of `scene`, as the coupling 'robots'.
+    /// The robots of `scene`, as the coupling 'robots', and the tools that [go with them](Scene::goes_with_robots).
     ///
     /// # Errors
     /// If one cannot be used, naming its key path.
     pub fn new(scene: &Scene) -> Result<Self> {
-        let make =
-            |(i, robot): (usize, &scene::Robot)| Robot::new(robot, scene).map_err(|e| e.at(&format!("robot[{i}]")));
-        let robots: Vec<Robot> = scene.robot.iter().enumerate().map(make).collect::<Result<_>>()?;
+        let tools = Obstacle::tools(scene).map_err(|e| e.at("tool"))?;
+        let make = |(i, robot): (usize, &scene::Robot)| {
+            Robot::new(robot, scene, &tools).map_err(|e| e.at(&format!("robot[{i}]")))
+        };
+        let mut robots: Vec<Robot> = scene.robot.iter().enumerate().map(make).collect::<Result<_>>()?;
+        let mut contacts: Vec<Contact> = scene.robot.iter().map(|robot| robot.contact).collect();
+        for (i, tool) in scene.tool.iter().enumerate().filter(|(_, tool)| scene.goes_with_robots(tool)) {
+            robots.push(Robot::loose(tool, &format!("tool[{i}]"), scene, &tools)?);
+            contacts.push(tool.contact);
+        }
         let mut firsts = Vec::new();
         let mut count = 0;
         for robot in &robots {
@@ -277,8 +302,9 @@ impl Robots {
             followed: robots.iter().flat_map(is_followed).collect(),
             name: ROBOT_COUPLING.to_owned(),
             scene: scene.clone(),
-            contacts: scene.robot.iter().map(|robot| robot.contact).collect(),
+            contacts,
             robots,
+            together: Vec::new(),
             firsts,
             wrenches: vec![Wrench::default(); count],
             counts: Counts::default(),
@@ -293,7 +319,7 @@ impl Robots {
         Self { name: name.to_owned(), ..self }
     }
 
-    /// The robots.
+    /// The robots, and the tools behind them.
     pub fn robots(&self) -> &[Robot] {
         &self.robots
     }
@@ -313,8 +339,61 @@ impl Robots {
         self.scene.world.cell * f64::from(1 << (self.scene.levels.count - 1))
     }
 
-    fn group(&self, bodies: &Range<usize>) -> &Robot {
-        &self.robots[self.of(bodies.start).0]
+    /// The robots of some bodies, which are all of theirs.
+    fn robots_of(&self, bodies: &Range<usize>) -> Range<usize> {
+        self.of(bodies.start).0..self.of(bodies.end - 1).0 + 1
+    }
+
+    /// The bodies of a robot, in what is listed from the body `from` on.
+    fn bodies_of(&self, robot: usize, from: usize) -> Range<usize> {
+        let first = self.firsts[robot] - from;
+        first..first + self.robots[robot].solids.len()
+    }
+
+    /// The robots that move as one in the step under way: those that touch, and those that the scene lists between them.
+    fn moves_as_one(&self) -> Vec<Range<usize>> {
+        let (mut all, mut first) = (Vec::new(), 0);
+        while first < self.robots.len() {
+            let mut end = first + 1;
+            while let Some(more) = self.together.iter().map(Together::span).find(|s| s.start < end && s.end > end) {
+                end = more.end;
+            }
+            all.push(first..end);
+            first = end;
+        }
+        all
+    }
+
+    /// Those of some robots that touch none, and those that touch one another.
+    fn parted(&self, robots: Range<usize>) -> (Vec<usize>, Vec<&Together>) {
+        let own = self.together.iter().filter(|one| robots.contains(&one.robots[0]));
+        let (mut alone, own): (Vec<usize>, Vec<&Together>) = (robots.clone().collect(), own.collect());
+        alone.retain(|robot| !own.iter().any(|one| one.robots.contains(robot)));
+        (alone, own)
+    }
+
+    /// What robots that touch are tried at; lists begin with the body `from`.
+    fn met<'a>(&self, own: &Together, from: usize, at: &'a [Twist], systems: &'a [System]) -> Met<'a> {
+        let bodies = || own.robots.iter().map(|&robot| self.bodies_of(robot, from));
+        Met { at: bodies().map(|own| &at[own]).collect(), systems: bodies().map(|own| &systems[own]).collect() }
+    }
+
+    /// Finds who touches whom, and each one's rates without soft ground.
+    fn balance_alone(&mut self, boxes: &[Vec<Aabb>], span: Span) -> Result<()> {
+        self.together = together::find(&self.robots, boxes, span);
+        let (alone, own) = self.parted(0..self.robots.len());
+        let mut found: Vec<Option<_>> = self.robots.iter().map(|_| None).collect();
+        for robot in alone {
+            found[robot] = self.robots[robot].balance_alone();
+        }
+        for together in own {
+            let rates = together.balance_alone(&self.robots).into_iter().flatten();
+            together.robots.iter().zip(rates).for_each(|(&robot, rates)| found[robot] = Some(rates));
+        }
+        for (robot, rates) in self.robots.iter_mut().zip(found) {
+            rates.ok_or(()).and_then(|rates| robot.go(rates)).map_err(|()| robot.lost("motion"))?;
+        }
+        Ok(())
     }
 }
 
@@ -349,7 +428,7 @@ impl Coupling for Robots {
     }
 
     fn robots(&self) -> Vec<RobotState> {
-        self.robots.iter().map(Robot::sensors).collect()
+        self.robots.iter().filter(|robot| !robot.is_tool).map(Robot::sensors).collect()
     }
 
     fn max_speed(&self, time: f64, dt: f64) -> f64 {
@@ -360,6 +439,8 @@ impl Coupling for Robots {
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
         self.wrenches.fill(Wrench::default());
         let gravity = DVec3::from_array(self.scene.gravity_at(time));
+        let span = Span { time, dt, gravity: gravity.length() };
+        let mut all = Vec::with_capacity(self.robots.len());
         for robot in &mut self.robots {
             if self.on_device {
                 robot.step.dt = dt;
@@ -370,9 +451,10 @@ impl Coupling for Robots {
                 robot.sense_start(gravity);
             }
             let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, 0.0)).collect();
-            robot.begin(time, dt, gravity, &boxes).map_err(|()| robot.lost("motion"))?;
+            robot.begin(span, gravity, &boxes).map_err(|()| robot.lost("motion"))?;
+            all.push(boxes);
         }
-        Ok(())
+        if self.on_device { Ok(()) } else { self.balance_alone(&all, span) }
     }
 
     fn bounds(&self) -> Vec<Aabb> {
@@ -400,34 +482,68 @@ impl Coupling for Robots {
     }
 
     fn groups(&self) -> Vec<Group> {
-        let group = |(robot, &first): (&Robot, &usize)| Group {
-            bodies: first..first + robot.solids.len(),
-            mass: robot.model.mass(),
+        let group = |robots: Range<usize>| Group {
+            bodies: self.firsts[robots.start]..self.bodies_of(robots.end - 1, 0).end,
+            mass: self.robots[robots].iter().map(|robot| robot.model.mass()).sum(),
         };
-        self.robots.iter().zip(&self.firsts).map(group).collect()
+        self.moves_as_one().into_iter().map(group).collect()
     }
 
     fn answer(&self, group: Range<usize>, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
-        self.group(&group).answer(at, systems)
+        let robots = self.robots_of(&group);
+        if robots.len() == 1 {
+            return self.robots[robots.start].answer(at, systems);
+        }
+        let (alone, own) = self.parted(robots);
+        let mut all = vec![Twist::default(); at.len()];
+        for robot in alone {
+            let bodies = self.bodies_of(robot, group.start);
+            let steps = self.robots[robot].answer(&at[bodies.clone()], &systems[bodies.clone()])?;
+            all[bodies].copy_from_slice(&steps);
+        }
+        for together in own {
+            let steps = together.answer(&self.robots, &self.met(together, group.start, at, systems))?;
+            for (&robot, steps) in together.robots.iter().zip(steps) {
+                all[self.bodies_of(robot, group.start)].copy_from_slice(&steps);
+            }
+        }
+        Some(all)
     }
 
     fn balance(&self, group: Range<usize>, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
-        self.group(&group).balance(at, systems, along)
+        let robots = self.robots_of(&group);
+        if robots.len() == 1 {
+            return self.robots[robots.start].balance(at, systems, along);
+        }
+        let (alone, own) = self.parted(robots);
+        let of_one = |robot: usize| {
+            let bodies = self.bodies_of(robot, group.start);
+            self.robots[robot].balance(&at[bodies.clone()], &systems[bodies.clone()], &along[bodies])
+        };
+        let of_own = |together: &Together| {
+            let bodies = together.robots.iter().map(|&robot| &along[self.bodies_of(robot, group.start)]);
+            together.balance(&self.robots, &self.met(together, group.start, at, systems), &bodies.collect::<Vec<_>>())
+        };
+        alone.into_iter().map(of_one).sum::<f64>() + own.into_iter().map(of_own).sum::<f64>()
     }
 
     fn twice_energy(&self, group: Range<usize>, twists: &[Twist]) -> f64 {
-        self.group(&group).twice_energy(twists)
+        let of_one = |robot: usize| self.robots[robot].twice_energy(&twists[self.bodies_of(robot, group.start)]);
+        self.robots_of(&group).map(of_one).sum()
     }
 
     fn feel(&mut self, bodies: Range<usize>, twists: &[Twist], reactions: &[Reaction], dt: f64) -> Result<()> {
-        let (number, _) = self.of(bodies.start);
-        let robot = &mut self.robots[number];
-        robot.feel(twists);
-        for (wrench, Reaction { impulse, deep_nodes, .. }) in self.wrenches[bodies].iter_mut().zip(reactions) {
-            wrench.add_change(&Wrench::default(), impulse, 1.0 / dt);
-            self.counts.deep_nodes += deep_nodes;
-            if !wrench.force.iter().chain(&wrench.torque).all(|x| x.is_finite()) {
-                return Err(robot.lost("impulse from the ground"));
+        for number in self.robots_of(&bodies) {
+            let own = self.bodies_of(number, bodies.start);
+            let robot = &mut self.robots[number];
+            robot.feel(&twists[own.clone()]);
+            let wrenches = &mut self.wrenches[bodies.clone()][own.clone()];
+            for (wrench, Reaction { impulse, deep_nodes, .. }) in wrenches.iter_mut().zip(&reactions[own]) {
+                wrench.add_change(&Wrench::default(), impulse, 1.0 / dt);
+                self.counts.deep_nodes += deep_nodes;
+                if !wrench.force.iter().chain(&wrench.torque).all(|x| x.is_finite()) {
+                    return Err(robot.lost("impulse from the ground"));
+                }
             }
         }
         self.counts.unconverged += u64::from(reactions.iter().any(|reaction| !reaction.converged));
@@ -435,8 +551,13 @@ impl Coupling for Robots {
     }
 
     fn after_step(&mut self, _: f64, _: f64) -> Result<()> {
+        let felt: Vec<_> = self.together.iter().map(|own| own.felt(&self.robots)).collect();
         for robot in self.robots.iter_mut().filter(|_| !self.on_device) {
             robot.advance().ok_or_else(|| robot.lost("motion"))?;
+        }
+        for (own, felt) in self.together.iter_mut().zip(felt) {
+            own.robots.iter().zip(felt).for_each(|(&robot, felt)| self.robots[robot].sense_others(felt));
+            own.follow(&self.robots);
         }
         self.slot = (self.slot + 1) % self.scene.levels.substeps();
         Ok(())
@@ -448,25 +569,26 @@ impl Coupling for Robots {
 
     fn leashes(&self, time: f64, dt: f64, _steps: usize) -> Option<Vec<Aabb>> {
         let world = &self.scene.world;
+        if !self.together.is_empty() {
+            return None;
+        }
         // Balance and its own links are the host's to see to.
         let is_plain = |robot: &Robot| robot.corrections.is_empty() && robot.pairs.is_empty();
         if !self.robots.iter().all(is_plain) || self.max_speed(time, dt) * dt > device::MOST_MOVE * world.cell {
             return None;
         }
         let walls = solid_walls(world);
-        let of_robot = |(robot, &first): (&Robot, &usize)| {
+        let of_robot = |(robot, &first): (&Robot, &usize)| -> Vec<Option<Roaming>> {
             let of_body = |(body, link): (usize, &usize)| {
                 // Coarser levels keep away from bodies that levels follow.
                 let widest = if self.followed[first + body] { world.cell } else { self.widest() };
-                let shape = robot.model.links[*link].shape.as_ref();
-                let off = shape.map_or(0.0, |shape| device::off_walls(shape, world.cell, widest));
-                (robot.bounds(body, world.cell), off)
+                let shape = robot.model.links[*link].shape.as_ref()?;
+                Some(Roaming::new(robot.bounds(body, world.cell), shape, [world.cell, widest]))
             };
-            let boxes: Vec<(Aabb, f64)> = robot.solids.iter().enumerate().map(of_body).collect();
-            robot.leashes(&boxes, &walls)
+            robot.solids.iter().enumerate().map(of_body).collect()
         };
-        let all: Option<Vec<Vec<Aabb>>> = self.robots.iter().zip(&self.firsts).map(of_robot).collect();
-        Some(all?.into_iter().flatten().collect())
+        let all: Vec<Vec<Option<Roaming>>> = self.robots.iter().zip(&self.firsts).map(of_robot).collect();
+        device::leashes(&all, &walls, world.cell)
     }
 
     fn device_state(&self) -> Vec<GroupState> {
@@ -527,9 +649,10 @@ impl Coupling for Robots {
 
     fn act(&mut self, body: &str, command: &Command) -> Result<()> {
         let path = format!("robot '{body}'");
-        let names: Vec<String> = self.robots.iter().map(|robot| robot.name.clone()).collect();
+        let of_robots = self.robots.iter().filter(|robot| !robot.is_tool);
+        let names: Vec<String> = of_robots.map(|robot| robot.name.clone()).collect();
         match self.robots.iter_mut().find(|robot| robot.name == body) {
-            Some(robot) => robot.act(command).map_err(|refusal| refusal.at(&path)),
+            Some(robot) => robot.act(command).map_err(|refusal| refusal.at(&robot.path())),
             None => {
                 Err(Refusal::new("links take no commands", format!("give them to the robot: {}", names.join(", ")))
                     .at(&path))
@@ -543,18 +666,22 @@ impl Coupling for Robots {
             .iter()
             .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)))
             .collect();
-        let answers = |tool: &&scene::Tool| tool.answers() || matches!(tool.motion, Motion::Velocity { .. });
-        let mut passed: Vec<&str> = self.scene.tool.iter().filter(answers).map(|tool| tool.name.as_str()).collect();
-        if self.robots.len() > 1 {
-            passed.push("one another");
-        }
+        let is_passed = |tool: &&scene::Tool| matches!(tool.motion, Motion::Servo(_) | Motion::Velocity { .. });
+        let passed: Vec<&str> = self.scene.tool.iter().filter(is_passed).map(|tool| tool.name.as_str()).collect();
         if !passed.is_empty() {
-            let what = passed.join("', '");
-            warnings.push(format!("robots pass through '{what}': they feel the ground, walls, and tools that stay or pass through keyframes"));
+            let (who, what) = match self.robots.iter().any(|robot| robot.is_tool) {
+                true => ("robots and free tools beside them pass", passed.join("', '")),
+                false => ("robots pass", passed.join("', '")),
+            };
+            warnings.push(format!("{who} through '{what}': they feel the ground, walls, one another, and tools that stay or pass through keyframes"));
         }
         for robot in &self.robots {
             for body in robot.ends() {
                 let Some(shape) = &robot.model.links[robot.solids[body]].shape else { continue };
+                if robot.is_tool {
+                    warnings.extend(thin(&robot.name, shape, cell_width));
+                    continue;
+                }
                 let cells = 2.0 * shape.half_thickness() / cell_width;
                 if cells < 4.0 {
                     warnings.push(format!(
@@ -612,6 +739,7 @@ impl Coupling for Robots {
         self.counts = counts;
         // What is saved is between two steps.
         self.slot = 0;
+        self.together.clear();
         Ok(())
     }
 }

@@ -2,7 +2,7 @@
 
 use super::model::{Freedom, RobotModel};
 use super::motion::JointPath;
-use super::{Robot, dynamics};
+use super::{AHEAD, Robot, dynamics};
 use crate::grip::REACH;
 use crate::motion::Pose;
 use crate::sdf::Sdf;
@@ -150,32 +150,6 @@ impl Robot {
         (head, rest)
     }
 
-    /// How far along each axis each of its bodies, with such boxes, may go before it comes nearer to a wall than it has to keep off [m]; `None` if one is there.
-    pub(crate) fn leashes(&self, boxes: &[(Aabb, f64)], walls: &[SolidWall]) -> Option<Vec<Aabb>> {
-        let leash = |(own, off): &(Aabb, f64)| {
-            let mut leash = Aabb::UNBOUND;
-            for &SolidWall { axis, place, inwards, .. } in walls {
-                // Before the wall, or behind it.
-                let [low, high] = [own.min[axis] - place, own.max[axis] - place];
-                let [before, behind] = if inwards > 0.0 { [low, -high] } else { [-high, low] };
-                let gap = before.max(behind) - off;
-                if gap.is_nan() || gap <= 0.0 {
-                    return None;
-                }
-                if (before > behind) == (inwards > 0.0) {
-                    leash.min[axis] = leash.min[axis].max(-gap);
-                } else {
-                    leash.max[axis] = leash.max[axis].min(gap);
-                }
-            }
-            Some(leash)
-        };
-        let of_body = |(body, own): (usize, &(Aabb, f64))| {
-            if self.bodies[body].is_none() { Some(Aabb::UNBOUND) } else { leash(own) }
-        };
-        boxes.iter().enumerate().map(of_body).collect()
-    }
-
     /// Its state, for a device to go on from.
     pub(crate) fn device_state(&self) -> GroupState {
         let bits = |v: DVec3| [(v.x as f32).to_bits(), (v.y as f32).to_bits(), (v.z as f32).to_bits(), 0];
@@ -302,7 +276,60 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<D
     (table.len() < 1 << 24).then_some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, answer })
 }
 
-/// How far from walls a link keeps that a device moves [m], on cells no wider than `widest`: nodes behind walls move as their images before them, which may be two layers of nodes.
-pub(crate) fn off_walls(shape: &Sdf, cell: f64, widest: f64) -> f64 {
-    (MOST_MOVE + 1.0) * cell + REACH * widest + shape.padding(widest) - shape.padding(cell)
+/// A body with a shape that a device moves.
+pub(crate) struct Roaming {
+    bounds: Aabb,
+    /// How far beyond its box it acts on nodes [m].
+    reach: f64,
+}
+
+impl Roaming {
+    /// One in such a box, on finest cells of the first width, and on none wider than the second [m].
+    pub(crate) fn new(bounds: Aabb, shape: &Sdf, [cell, widest]: [f64; 2]) -> Self {
+        Self { bounds, reach: REACH * widest + shape.padding(widest) - shape.padding(cell) }
+    }
+
+    /// How far along each axis it may go before it comes nearer to a wall than `off` [m]; `None` if it is there.
+    fn off_walls(&self, walls: &[SolidWall], off: f64) -> Option<Aabb> {
+        let mut leash = Aabb::UNBOUND;
+        for &SolidWall { axis, place, inwards, .. } in walls {
+            // Before the wall, or behind it.
+            let [low, high] = [self.bounds.min[axis] - place, self.bounds.max[axis] - place];
+            let [before, behind] = if inwards > 0.0 { [low, -high] } else { [-high, low] };
+            let gap = before.max(behind) - off;
+            if gap.is_nan() || gap <= 0.0 {
+                return None;
+            }
+            if (before > behind) == (inwards > 0.0) {
+                leash.min[axis] = leash.min[axis].max(-gap);
+            } else {
+                leash.max[axis] = leash.max[axis].min(gap);
+            }
+        }
+        Some(leash)
+    }
+}
+
+/// How far along each axis each of the robots' bodies may go, on finest cells of width `cell` [m], before it is the host's to see whether it touches a wall or another
+/// robot's; `None` if one may. Bodies without a shape touch nothing.
+///
+/// Nodes behind walls move as their images before them, which may be two layers of nodes. What two robots act on is kept apart, too.
+pub(crate) fn leashes(robots: &[Vec<Option<Roaming>>], walls: &[SolidWall], cell: f64) -> Option<Vec<Aabb>> {
+    let mut all = Vec::new();
+    for (r, robot) in robots.iter().enumerate() {
+        for body in robot {
+            let Some(body) = body else {
+                all.push(Aabb::UNBOUND);
+                continue;
+            };
+            let mut leash = body.off_walls(walls, (MOST_MOVE + 1.0) * cell + body.reach)?;
+            let others = robots.iter().enumerate().filter(|(other, _)| *other != r);
+            for other in others.flat_map(|(_, other)| other).flatten() {
+                let clearance = 2.0 * (MOST_MOVE * cell + AHEAD + body.reach.min(other.reach));
+                leash = leash.intersection(&body.bounds.leash(&other.bounds, clearance, |spare| 0.5 * spare)?);
+            }
+            all.push(leash);
+        }
+    }
+    Some(all)
 }

@@ -59,6 +59,13 @@ impl Place {
         Self { columns, ..self.clone() }
     }
 
+    /// The same place where the numbers of rates begin `by` further on.
+    #[must_use]
+    pub fn shifted(&self, by: usize) -> Self {
+        let columns = self.columns.iter().map(|column| Column { rate: column.rate + by, ..*column }).collect();
+        Self { columns, ..self.clone() }
+    }
+
     /// Adds to each rate's sum what a force at the centre of mass and a torque come to for it.
     pub fn add_wrench(&self, force: DVec3, torque: DVec3, sums: &mut DVector<f64>) {
         for Column { rate, twist } in &self.columns {

@@ -1,6 +1,8 @@
 //! What a robot's sensors say.
 
 use super::Robot;
+use super::together::Felt;
+use super::touching::forces;
 use barchan_core::{LinkState, PointForce, RobotState, Wrench};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -47,15 +49,20 @@ impl Robot {
         let mut felt = Vec::new();
         for (body, touches) in points.touches.iter().enumerate().filter(|(_, touches)| !touches.is_empty()) {
             let twist = place(body).twist(&self.step.rates);
-            felt.extend(points.forces(touches, &twist, dt).map(|(at, force)| (body, at, force)));
+            felt.extend(forces(&points.nodes, touches, &twist, dt).map(|(at, force)| (body, at, force)));
         }
         for pair in &points.pairs {
             let twist = pair.place.twist(&self.step.rates);
-            for (at, force) in points.forces(&pair.touches, &twist, dt) {
+            for (at, force) in forces(&points.nodes, &pair.touches, &twist, dt) {
                 felt.extend([(pair.bodies[0], at, force), (pair.bodies[1], at, -force)]);
             }
         }
         self.state.sensed.rigid = felt;
+    }
+
+    /// Takes note of what other robots do to its bodies in a step, behind it.
+    pub(super) fn sense_others(&mut self, felt: Vec<Felt>) {
+        self.state.sensed.rigid.extend(felt);
     }
 
     /// Takes note of how the base moves before a step that a device takes: what is rigid is far off then.

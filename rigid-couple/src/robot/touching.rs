@@ -1,8 +1,8 @@
-//! Contacts of a robot's links with what is rigid and does not answer: the world's walls, fixed tools, and tools on given paths; and with one another.
+//! Contacts of robots' links with what is rigid and does not answer: the world's walls, fixed tools, and tools on given paths; and with one another.
 //!
 //! Contact points come from parry, anew in each step. Each acts like a node of ground that is much heavier than the robot and moves with the surface it lies on:
-//! by the same law, in the same system. Before the link is there, the node moves on with it as far as the gap allows. Between two links of the robot the node moves
-//! with one of them, and pushes both.
+//! by the same law, in the same system. Before the link is there, the node moves on with it as far as the gap allows. Between two links the node moves
+//! with one of them, and pushes both: links of one robot, or of two that are then solved [together](super::together).
 
 use super::dynamics::Place;
 use super::model::{Freedom, RobotModel};
@@ -19,11 +19,14 @@ use parry3d_f64::math::Pose as ParryPose;
 use parry3d_f64::query::{ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
 use parry3d_f64::shape::SharedShape;
 
-/// Weight of a contact point, in those of the robot: at rest under its weight, the robot sinks by g dt²/2 over this in each step.
-const HEAVY: f64 = 1e4;
+/// Weight of a contact point, in those of the robot, or of the lighter of two: at rest under its weight, the robot sinks by g dt²/2 over this in each step.
+pub(super) const HEAVY: f64 = 1e4;
 /// How much of what a link has sunk in is pushed out in a step, and how much in a second.
 const PUSH: f64 = 0.1;
 const FASTEST_PUSH: f64 = 20.0;
+/// Things that meet more slowly than this do not bounce [m/s], nor do those that gravity alone has brought to so many steps' speed: they come to rest.
+const SLOW: f64 = 0.01;
+const STEPS_OF_GRAVITY: f64 = 2.0;
 
 /// A rigid thing that stays where it is, or moves as it is told.
 #[derive(Clone)]
@@ -68,12 +71,12 @@ impl Body {
 }
 
 impl Obstacle {
-    /// What a scene has for a robot whose base starts there.
+    /// The scene's tools that stay, or move as they are told.
     ///
     /// # Errors
     /// If a tool's shape, rotation or keyframes cannot be used.
-    pub fn all(scene: &Scene, base: DVec3) -> Result<Vec<Self>, Refusal> {
-        let mut all = Self::walls(&scene.world, base);
+    pub fn tools(scene: &Scene) -> Result<Vec<Self>, Refusal> {
+        let mut all = Vec::new();
         for (i, tool) in scene.tool.iter().enumerate() {
             let shape = || {
                 Sdf::from_shape(&tool.shape, &scene.folder, &format!("tool[{i}].shape"))
@@ -96,8 +99,8 @@ impl Obstacle {
         Ok(all)
     }
 
-    /// The world's walls: a robot that stands behind one, such as an arm beside a box of sand, reaches over it.
-    fn walls(world: &World, base: DVec3) -> Vec<Self> {
+    /// The world's walls for a robot whose base starts there: one that stands behind a wall, such as an arm beside a box of sand, reaches over it.
+    pub fn walls(world: &World, base: DVec3) -> Vec<Self> {
         let before = |wall: &SolidWall| wall.inwards * (base[wall.axis] - wall.place) >= 0.0;
         let obstacle = |wall: SolidWall| {
             let mut bounds = Aabb::UNBOUND;
@@ -206,27 +209,50 @@ pub struct Seen<'a> {
     pub friction: f64,
     /// How far it may come in the step [m].
     pub ahead: f64,
+    /// Its twist before the step.
+    pub twist: Twist,
+    /// Its coefficient of restitution.
+    pub restitution: f64,
+}
+
+/// A step, as contact points know it.
+#[derive(Clone, Copy, Debug)]
+pub struct Span {
+    /// When it starts [s].
+    pub time: f64,
+    /// How long it takes [s].
+    pub dt: f64,
+    /// Size of gravity [m/s²].
+    pub gravity: f64,
 }
 
 /// Adds contact points to the nodes.
 struct Adder<'a> {
     nodes: &'a mut NodeBatch,
     touches: &'a mut Vec<Touch>,
-    /// The link's centre of mass [m].
-    centre: DVec3,
+    link: &'a Seen<'a>,
     friction: f64,
+    restitution: f64,
     /// Of a node [kg].
     mass: f64,
-    dt: f64,
+    span: Span,
 }
 
 impl Adder<'_> {
-    /// A point of a surface that moves at `velocity` [m/s], with its normal out of that surface.
-    fn add(&mut self, at: DVec3, normal: DVec3, gap: f64, velocity: DVec3) {
-        let push = if gap > 0.0 { gap / self.dt } else { gap * (PUSH / self.dt).min(FASTEST_PUSH) };
+    /// A point of a surface that moves at `surface` [m/s], with its normal out of that surface; the node's velocity is seen from what moves at `frame`.
+    fn add(&mut self, at: DVec3, normal: DVec3, gap: f64, [surface, frame]: [DVec3; 2]) {
+        let Span { dt, gravity, .. } = self.span;
+        let mut push = if gap > 0.0 { gap / dt } else { gap * (PUSH / dt).min(FASTEST_PUSH) };
+        if self.restitution > 0.0 {
+            let approach = (surface - self.link.twist.at(at - self.link.place.centre)).dot(normal);
+            if approach > SLOW + STEPS_OF_GRAVITY * gravity * dt && gap <= approach * dt {
+                push = push.min(-self.restitution * approach);
+            }
+        }
+        let velocity = surface - frame;
         self.touches.push(Touch {
             node: self.nodes.mass.len(),
-            arm: at - self.centre,
+            arm: at - self.link.place.centre,
             distance: gap,
             grip: Grip::Coulomb { normal: -normal, friction: self.friction, most: f64::INFINITY },
             is_deep: false,
@@ -238,68 +264,64 @@ impl Adder<'_> {
 }
 
 impl Points {
-    /// Finds where links are, or may come to be in a step from `time` that takes `dt` [s], in contact; `mass` is the robot's [kg], and `pairs` are the links that
-    /// may touch one another.
-    pub fn find(
-        &mut self,
-        links: &[Seen<'_>],
-        obstacles: &[Obstacle],
-        pairs: &[[usize; 2]],
-        mass: f64,
-        [time, dt]: [f64; 2],
-    ) {
+    /// Finds where links are, or may come to be in a step, in contact; `mass` is the robot's [kg], and `pairs` are the links that may touch one another.
+    pub fn find(&mut self, links: &[Seen<'_>], obstacles: &[Obstacle], pairs: &[[usize; 2]], mass: f64, span: Span) {
         self.nodes.clear();
         self.touches.resize_with(links.len(), Vec::new);
         self.touches.iter_mut().for_each(Vec::clear);
         self.pairs.clear();
         let (nodes, mass) = (&mut self.nodes, HEAVY * mass);
         for obstacle in obstacles {
-            if obstacle.tool.as_ref().is_some_and(|tool| !tool.is_present(time)) {
+            if obstacle.tool.as_ref().is_some_and(|tool| !tool.is_present(span.time)) {
                 continue;
             }
-            let Met { pose, twist, bounds, ahead } = obstacle.met([time, dt]);
+            let Met { pose, twist, bounds, ahead } = obstacle.met([span.time, span.dt]);
             for (link, touches) in links.iter().zip(&mut self.touches) {
                 let ahead = link.ahead + ahead;
                 let Some(body) = link.body.filter(|_| bounds.meets(&link.bounds.grown(ahead))) else { continue };
                 let friction = link.friction.min(obstacle.friction);
-                let mut adder = Adder { nodes, touches, centre: link.place.centre, friction, mass, dt };
+                let restitution = link.restitution;
+                let mut adder = Adder { nodes, touches, link, friction, restitution, mass, span };
                 between((&obstacle.parts, &pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
-                    adder.add(at, normal, gap, twist.at(at - pose.position));
+                    adder.add(at, normal, gap, [twist.at(at - pose.position), DVec3::ZERO]);
                 });
             }
         }
         for &bodies in pairs {
-            let [link, other] = bodies.map(|body| &links[body]);
-            let ahead = link.ahead + other.ahead;
-            let (Some(body), Some(others)) = (link.body, other.body) else { continue };
-            if !other.bounds.meets(&link.bounds.grown(ahead)) {
-                continue;
-            }
-            let mut touches = Vec::new();
-            let (centre, friction) = (link.place.centre, link.friction.min(other.friction));
-            let mut adder = Adder { nodes, touches: &mut touches, centre, friction, mass, dt };
-            between((&others.0, &other.place.pose()), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
-                adder.add(at, normal, gap, DVec3::ZERO);
-            });
+            let both = bodies.map(|body| &links[body]);
+            let touches = among(both, nodes, mass, span);
             if !touches.is_empty() {
-                self.pairs.push(Pair { bodies, place: link.place.against(other.place), touches });
+                let place = both[0].place.against(both[1].place);
+                self.pairs.push(Pair { bodies, place, touches });
             }
         }
     }
+}
 
-    /// Is there any?
-    pub fn is_empty(&self) -> bool {
-        self.nodes.mass.is_empty()
-    }
+/// Where touches press a link that moves with this twist, and with what mean force in a step of `dt` [s]; world frame [m, N].
+pub fn forces(nodes: &NodeBatch, touches: &[Touch], twist: &Twist, dt: f64) -> impl Iterator<Item = (DVec3, DVec3)> {
+    touches.iter().filter_map(move |touch| {
+        let u = DVec3::from_array(nodes.velocity[touch.node]) - twist.at(touch.arm);
+        let force = nodes.mass[touch.node] / dt * (u - touch.grip.kept(u));
+        (force != DVec3::ZERO).then(|| (DVec3::from_array(nodes.position[touch.node]), force))
+    })
+}
 
-    /// Where touches press a link that moves with this twist, and with what mean force in a step of `dt` [s]; world frame [m, N].
-    pub fn forces(&self, touches: &[Touch], twist: &Twist, dt: f64) -> impl Iterator<Item = (DVec3, DVec3)> {
-        touches.iter().filter_map(move |touch| {
-            let u = DVec3::from_array(self.nodes.velocity[touch.node]) - twist.at(touch.arm);
-            let force = self.nodes.mass[touch.node] / dt * (u - touch.grip.kept(u));
-            (force != DVec3::ZERO).then(|| (DVec3::from_array(self.nodes.position[touch.node]), force))
-        })
+/// What the first of two links touches of the second, in a frame that moves with that; points weigh `mass` [kg].
+pub fn among([link, other]: [&Seen<'_>; 2], nodes: &mut NodeBatch, mass: f64, span: Span) -> Vec<Touch> {
+    let mut touches = Vec::new();
+    let ahead = link.ahead + other.ahead;
+    let (Some(body), Some(others)) = (link.body, other.body) else { return touches };
+    if !other.bounds.meets(&link.bounds.grown(ahead)) {
+        return touches;
     }
+    let friction = link.friction.min(other.friction);
+    let restitution = link.restitution.max(other.restitution);
+    let mut adder = Adder { nodes, touches: &mut touches, link, friction, restitution, mass, span };
+    between((&others.0, &other.place.pose()), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
+        adder.add(at, normal, gap, [other.twist.at(at - other.place.centre); 2]);
+    });
+    touches
 }
 
 type Parts = [(SharedShape, ParryPose)];

@@ -542,7 +542,7 @@ impl Joint {
         Self { name: name.to_owned(), freedom, origin, axis, drive: 0, ratio: 1.0, offset: 0.0 }
     }
 
-    fn fixed(name: &str) -> Self {
+    pub(super) fn fixed(name: &str) -> Self {
         Self::moving(name, Freedom::Fixed, Pose::IDENTITY, DVec3::X)
     }
 }

@@ -1,5 +1,6 @@
 //! Robots: what their files say, how they move, and how they stand on soft ground.
 
+mod meeting;
 mod scenes;
 mod sensing;
 mod touching;

@@ -1,0 +1,281 @@
+//! Robots that meet free bodies and one another.
+
+use super::{MOTORS, SAND, moved, root, simulation, stand, totals};
+use barchan::{BodyState, Coupling, Precision, Scene, Simulation};
+use barchan_rigid::robot::Robots;
+use glam::{DMat3, DQuat, DVec3};
+
+const DOG: &str = "[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\njoints = { \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }\ncontact = { coulomb = { friction = 0.5 } }";
+
+/// A scene without ground on fine cells, so that shapes meet as they are.
+fn bare(gravity: f64, walls: &str, rest: &str) -> Scene {
+    let text = format!(
+        "name = \"bare\"\ngravity = [0, 0, {gravity}]\nworld = {{ cell = 0.002, min = [-3, -3, 0], max = [3, 3, 3], walls = {{ {walls} }} }}\ntime = {{ end = 10 }}\n{rest}"
+    );
+    Scene::from_str(&text, "bare.toml", root()).unwrap()
+}
+
+const OPEN: &str =
+    "x_min = \"open\", x_max = \"open\", y_min = \"open\", y_max = \"open\", z_min = \"open\", z_max = \"open\"";
+const FLOOR: &str = "z_min = { separate = { friction = 0.5 } }";
+
+fn body(robots: &Robots, name: &str) -> BodyState {
+    robots.bodies().into_iter().find(|body| body.name == name).unwrap_or_else(|| panic!("no body '{name}'"))
+}
+
+fn place(robots: &Robots, name: &str) -> DVec3 {
+    DVec3::from_array(body(robots, name).position)
+}
+
+fn kinetic(robots: &Robots) -> f64 {
+    robots.bodies().iter().map(|body| body.kinetic_energy).sum()
+}
+
+/// How far a ball of that radius is inside the links of a robot at most [m].
+fn sunk(robots: &Robots, ball: &str, radius: f64) -> f64 {
+    let at = body(robots, ball).position;
+    let links = robots.bodies().into_iter().enumerate().filter(|(_, body)| body.name != ball);
+    let nearest = links.map(|(number, _)| robots.contact_distance(number, &[at])[0]).fold(f64::INFINITY, f64::min);
+    radius - nearest
+}
+
+/// In empty space a ball flies into a robot afloat, a thousandth or a thousand times as heavy as that, and anything between: momentum is kept to rounding, no energy
+/// is created, and they do not overlap.
+#[test]
+fn a_ball_that_hits_a_robot_afloat_keeps_momentum_whatever_it_weighs() {
+    let dog = Robots::new(&bare(0.0, OPEN, DOG)).unwrap();
+    let weighs: f64 = dog.bodies().iter().map(|body| body.mass).sum();
+    for ratio in [1e-3, 1e-2, 0.1, 1.0, 10.0, 1e3] {
+        for restitution in [0.0, 0.7] {
+            let mass = ratio * weighs;
+            let ball = format!(
+                "[[tool]]\nname = \"ball\"\nshape = {{ sphere = {{ center = [0, 0, 0], radius = 0.1 }} }}\nposition = [-0.6, 0.06, 1.03]\ncontact = {{ coulomb = {{ friction = 0.3 }} }}\nmotion = {{ free = {{ mass = {mass}, linear = [2, 0, 0], angular = [0, 3, 1], restitution = {restitution} }} }}"
+            );
+            let dog = DOG.replace("joints", "position = [0, 0, 1]\njoints");
+            let mut robots = Robots::new(&bare(0.0, OPEN, &format!("{ball}\n{dog}"))).unwrap();
+            let (start, energy) = (totals(&robots), kinetic(&robots));
+            let (mut drift, mut most, mut deepest) = (0.0_f64, 0.0_f64, f64::NEG_INFINITY);
+            let dt = 2.5e-4;
+            for step in 0..2400 {
+                moved(&mut robots, dt * f64::from(step), dt);
+                let now = totals(&robots);
+                (0..2).for_each(|i| drift = drift.max((now[i] - start[i]).length() / start[i].length()));
+                most = most.max(kinetic(&robots) / energy);
+                deepest = deepest.max(sunk(&robots, "ball", 0.1));
+            }
+            let passed = (DVec3::from_array(body(&robots, "ball").velocity) - DVec3::X * 2.0).length() / 2.0;
+            println!(
+                "ball of {mass:.3} kg, restitution {restitution}: momentum off by {drift:.1e} (1e-12), energy at most {most:.6} of the start's (1 + 1e-6), {:.2e} m sunk in (1e-3), speed changed by {passed:.1e}",
+                deepest
+            );
+            assert!(drift < 1e-12, "momentum is off by {drift}");
+            assert!(most < 1.0 + 1e-6, "energy grew to {most}");
+            assert!(deepest < 1e-3, "{deepest} m sunk in");
+            assert!(deepest > -1e-3 && passed > 1e-4, "they never met: {deepest}, {passed}");
+        }
+    }
+}
+
+/// Two robots afloat bump into each other: they keep their momentum, create no energy, and do not pass through each other.
+#[test]
+fn two_robots_that_bump_do_not_pass_through_each_other() {
+    let one = DOG.replace("joints", "position = [-0.8, 0.02, 1]\nvelocity = [1.5, 0, 0]\njoints");
+    let other = DOG.replace("\"dog\"", "\"cat\"").replace("joints", "position = [0.3, 0, 1.05]\njoints");
+    let mut robots = Robots::new(&bare(0.0, OPEN, &format!("{one}\n{other}"))).unwrap();
+    let (start, energy) = (totals(&robots), kinetic(&robots));
+    let (mut drift, mut most, mut pressed) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let dt = 2.5e-4;
+    for step in 0..4000 {
+        moved(&mut robots, dt * f64::from(step), dt);
+        let now = totals(&robots);
+        (0..2).for_each(|i| drift = drift.max((now[i] - start[i]).length() / start[i].length()));
+        most = most.max(kinetic(&robots) / energy);
+        let felt = |robot: &barchan::RobotState| -> DVec3 {
+            robot.links.iter().flat_map(|link| &link.rigid).map(|point| DVec3::from_array(point.force)).sum()
+        };
+        let [dog, cat] = &Coupling::robots(&robots)[..] else { panic!("there are two") };
+        let sum = (felt(dog) + felt(cat)).length();
+        pressed = pressed.max(felt(cat).length());
+        assert!(sum <= 1e-9 * felt(cat).length(), "what they feel of each other is not opposite: {sum} N");
+    }
+    let gap = place(&robots, "cat").x - place(&robots, "dog").x;
+    println!(
+        "momentum off by {drift:.1e} (1e-12), energy at most {most:.6} (1 + 1e-6), pressed with {pressed:.0} N, {gap:.3} m apart (0.2)"
+    );
+    assert!(drift < 1e-12 && most < 1.0 + 1e-6 && pressed > 10.0 && gap > 0.2, "{drift}, {most}, {pressed}, {gap}");
+}
+
+/// Box upon box upon the floor, the upper one a thousand times as heavy as the lower, or the other way round: they stay where they are.
+#[test]
+fn a_heavy_box_rests_on_a_light_one() {
+    for [lower, upper] in [[1.0, 1e3], [1e3, 1.0], [1.0, 1.0], [1.0, 100.0]] {
+        let of = |name: &str, z: f64, mass: f64| {
+            format!(
+                "[[tool]]\nname = \"{name}\"\nshape = {{ box = {{ half = [0.1, 0.1, 0.1] }} }}\nposition = [0, 0, {z}]\ncontact = {{ coulomb = {{ friction = 0.5 }} }}\nmotion = {{ free = {{ mass = {mass} }} }}\n"
+            )
+        };
+        let far = DOG.replace("joints", "position = [2, 2, 1]\nfixed = true\njoints");
+        let scene = bare(-9.81, FLOOR, &format!("{}{}{far}", of("lower", 0.1, lower), of("upper", 0.3, upper)));
+        let mut robots = Robots::new(&scene).unwrap();
+        let dt = 5e-4;
+        (0..2000).for_each(|step| moved(&mut robots, f64::from(step) * dt, dt));
+        let off = |name: &str, z: f64| (place(&robots, name) - DVec3::Z * z).length();
+        let off = [off("lower", 0.1), off("upper", 0.3)];
+        let fastest = ["lower", "upper"].map(|name| DVec3::from_array(body(&robots, name).velocity).length());
+        println!("{upper} kg on {lower} kg: {off:.6?} m off (1e-3), at {fastest:.6?} m/s (1e-3)");
+        assert!(off.iter().chain(&fastest).all(|x| *x < 1e-3), "{off:?}, {fastest:?}");
+    }
+}
+
+/// A ball beside robots bounces off the floor with its restitution, and one without it stays down.
+#[test]
+fn a_ball_beside_robots_bounces_with_its_restitution() {
+    for restitution in [0.0, 0.5, 0.8, 1.0] {
+        let ball = format!(
+            "[[tool]]\nname = \"ball\"\nshape = {{ sphere = {{ center = [0, 0, 0], radius = 0.1 }} }}\nposition = [0, 0, 0.6]\nmotion = {{ free = {{ mass = 2, restitution = {restitution} }} }}\n"
+        );
+        let far = DOG.replace("joints", "position = [2, 2, 1]\nfixed = true\njoints");
+        let mut robots = Robots::new(&bare(-9.81, FLOOR, &format!("{ball}{far}"))).unwrap();
+        let dt = 2e-4;
+        let (mut down, mut most) = (false, 0.0_f64);
+        for step in 0..4500 {
+            moved(&mut robots, dt * f64::from(step), dt);
+            let z = place(&robots, "ball").z - 0.1;
+            down |= z < 1e-3;
+            if down {
+                most = most.max(z);
+            }
+        }
+        let truth = 0.5 * restitution * restitution;
+        println!("restitution {restitution}: back up to {most:.4} m ({truth:.4} +- 0.005)");
+        assert!(down && (most - truth).abs() < 5e-3, "{restitution}: {most}, not {truth}");
+    }
+}
+
+/// An arm pushes a box along the floor, against friction: the box goes where its rod goes, and not into it.
+#[test]
+fn an_arm_pushes_a_box_along_the_floor() {
+    let text = "[[tool]]\nname = \"box\"\nshape = { box = { half = [0.05, 0.08, 0.05] } }\nposition = [0.43, 0, 0.05]\ncontact = { coulomb = { friction = 0.4 } }\nmotion = { free = { mass = 0.5 } }\n[[robot]]\nname = \"arm\"\nmodel = \"arm-rod\"\nfixed = true\nposition = [0, 0, 0.1]\nmotor = [{ kp = 3000, kd = 150 }]\nmotion = { path = { link = \"rod\", frames = [{ time = 0, position = [0.33, 0, 0.04], rotation = [0, 1, 0, 0] }, { time = 1, position = [0.53, 0, 0.04], rotation = [0, 1, 0, 0] }] } }";
+    let mut robots = Robots::new(&bare(-9.81, FLOOR, text)).unwrap();
+    let dt = 5e-4;
+    let (mut impulse, mut felt_for) = (0.0, 0.0);
+    for step in 0..2400 {
+        moved(&mut robots, f64::from(step) * dt, dt);
+        let time = f64::from(step) * dt;
+        if (0.5..0.8).contains(&time) {
+            let state = Coupling::robots(&robots).remove(0);
+            impulse += dt * state.links.iter().flat_map(|link| &link.rigid).map(|point| point.force[0]).sum::<f64>();
+            felt_for += dt;
+        }
+    }
+    let (pushed, push) = (place(&robots, "box"), -impulse / felt_for);
+    let rod = place(&robots, "arm/rod");
+    // While it slides, friction of the floor is all that holds it, but for what speeds it up.
+    let friction = 0.4 * 0.5 * 9.81;
+    println!(
+        "the box went {:.3} m (0.13 to 0.16) and {:.1e} m sideways (0.02); pushed with {push:.2} N (friction {friction:.2} +- 15 %); {:.3} m before the rod",
+        pushed.x - 0.43,
+        pushed.y,
+        pushed.x - rod.x
+    );
+    assert!((0.13..0.16).contains(&(pushed.x - 0.43)) && pushed.y.abs() < 0.02, "{pushed}");
+    assert!((push / friction - 1.0).abs() < 0.15, "{push} N");
+}
+
+/// A dog on a plank that lies on sand.
+fn on_plank(mass: f64) -> Scene {
+    let plank = format!(
+        "contact = {{ coulomb = {{ friction = 0.6 }} }}\n{MOTORS}\n[[tool]]\nname = \"plank\"\nshape = {{ box = {{ half = [0.3, 0.25, 0.03125] }} }}\nposition = [0.5, 0.375, 0.15625]\ncontact = {{ coulomb = {{ friction = 0.6 }} }}\nmotion = {{ free = {{ mass = {mass} }} }}"
+    );
+    stand(SAND, 0.51, &plank)
+}
+
+/// How far the dog's feet are over the plank [m], along its own axes.
+fn feet_over(simulation: &Simulation) -> Vec<DVec3> {
+    let bodies = simulation.bodies();
+    let plank = bodies.iter().find(|body| body.name == "plank").unwrap();
+    let [w, x, y, z] = plank.rotation;
+    let turn = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w)).transpose();
+    let feet = bodies.iter().filter(|body| body.name.ends_with("_foot"));
+    let over = feet.map(|foot| turn * (DVec3::from_array(foot.position) - DVec3::from_array(plank.position)));
+    // Feet are balls of 22 mm.
+    over.map(|at| at - DVec3::Z * (0.03125 + 0.022)).collect()
+}
+
+/// A robot stands on a plank a fortieth as heavy, which lies on sand: its feet stay on the plank, the plank bears the robot, and the sand both.
+#[test]
+fn a_robot_stands_on_a_light_plank_on_sand() {
+    let mut dog = simulation(&on_plank(0.3), Precision::F64);
+    let mass = |name: &str| -> f64 {
+        dog.bodies().iter().filter(|body| body.name.starts_with(name)).map(|body| body.mass).sum()
+    };
+    let [robot, plank] = ["dog", "plank"].map(|name| 9.81 * mass(name));
+    let (mut ground, mut feet, mut time) = (0.0, 0.0, 0.0);
+    let (mut deepest, mut before) = (0.0_f64, Vec::new());
+    while dog.time() < 1.0 {
+        let dt = dog.step().unwrap().dt;
+        if dog.time() < 0.5 {
+            continue;
+        }
+        let over = feet_over(&dog);
+        deepest = over.iter().fold(deepest, |most, at| most.max(-at.z));
+        if before.is_empty() {
+            before = over;
+        }
+        ground += dt * dog.wrenches().iter().map(|wrench| wrench.force[2]).sum::<f64>();
+        feet += dt * dog.robots()[0].links.iter().flat_map(|link| &link.rigid).map(|at| at.force[2]).sum::<f64>();
+        time += dt;
+    }
+    let after = feet_over(&dog);
+    let slip = before.iter().zip(&after).map(|(a, b)| (*a - *b).length()).fold(0.0, f64::max);
+    let unconverged =
+        dog.ledger().counts.iter().find(|(name, _)| name.contains("not converged")).map_or(0, |(_, n)| *n);
+    let [ground, feet] = [ground / time / (robot + plank), feet / time / robot];
+    println!(
+        "feet {deepest:.1e} m in the plank (1e-3), slipped {slip:.1e} m (2e-4); the plank bears {feet:.4} of the robot (1 +- 0.02), the sand {ground:.4} of both (1 +- 0.03); {unconverged} solutions not converged (0)"
+    );
+    assert!(deepest < 1e-3 && slip < 2e-4, "{deepest}, {slip}");
+    assert_eq!(unconverged, 0);
+    assert!((feet - 1.0).abs() < 0.02 && (ground - 1.0).abs() < 0.03, "{feet}, {ground}");
+    assert!(after.iter().all(|at| at.z < 1e-3), "feet are in the air: {after:?}");
+}
+
+/// A state taken while a robot stands on a free body goes on bit for bit.
+#[test]
+fn a_robot_on_a_free_body_goes_on_bit_for_bit() {
+    let scene = on_plank(0.3);
+    let mut whole = simulation(&scene, Precision::F32);
+    let go = |dog: &mut Simulation, steps: usize| (0..steps).for_each(|_| drop(dog.step().unwrap()));
+    go(&mut whole, 150);
+    let felt: usize = whole.robots()[0].links.iter().map(|link| link.rigid.len()).sum();
+    assert!(felt > 0, "they do not touch");
+    let mut other = simulation(&scene, Precision::F32);
+    other.set_state(&whole.state().unwrap()).unwrap();
+    go(&mut whole, 60);
+    go(&mut other, 60);
+    let of = |simulation: &Simulation| format!("{:?} {:?}", simulation.bodies(), simulation.joints());
+    assert_eq!(of(&whole), of(&other));
+}
+
+/// What robots still pass through is named, and nothing else; free bodies take no commands.
+#[test]
+fn what_robots_pass_through_is_named() {
+    let tool = |name: &str, motion: &str| {
+        format!(
+            "[[tool]]\nname = \"{name}\"\nshape = {{ sphere = {{ center = [0, 0, 0], radius = 0.1 }} }}\nposition = [1, 1, 1]\nmotion = {motion}\n"
+        )
+    };
+    let warned = |tools: &str| {
+        let robots = Robots::new(&bare(0.0, OPEN, &format!("{tools}{DOG}"))).unwrap();
+        robots.warnings(0.002).into_iter().find(|warning| warning.contains("pass through '")).unwrap_or_default()
+    };
+    assert_eq!(warned(&tool("ball", "{ free = { mass = 1 } }")), "");
+    let text = warned(&(tool("ball", "{ free = { mass = 1 } }") + &tool("pusher", "{ velocity = {} }")));
+    assert!(text.contains("robots and free tools") && text.contains("'pusher'") && !text.contains("ball"), "{text}");
+    let scene = bare(0.0, OPEN, &format!("{}{DOG}", tool("ball", "{ free = { mass = 1 } }")));
+    let mut simulation = simulation(&scene, Precision::F64);
+    let refused = simulation.act("ball", &barchan::Command::JointTargets(Vec::new())).unwrap_err().to_string();
+    assert!(refused.contains("tool 'ball'") && refused.contains("moves freely"), "{refused}");
+    assert_eq!(simulation.robots().len(), 1);
+    assert!(simulation.couplings().iter().all(|coupling| coupling.name() != "rigid"));
+}
