@@ -5,8 +5,8 @@
 //! section: tag (4 bytes) | length u64 | CRC-32 of the payload u32 | payload
 //! ```
 //! All numbers are little-endian. Planes of numbers are stored as f32, and offsets as 32-bit fixed point, where that
-//! loses nothing, else as f64. A plane of equal numbers is stored as one of them, and one of rounded numbers in 16 bits each. Tiles of the archive are compressed by
-//! deflate.
+//! loses nothing, else as f64. A plane of equal numbers is stored as one of them. Tiles of the archive are compressed by
+//! deflate, and their rounded numbers take 16 bits each.
 
 use crate::archive::Tile;
 use crate::file::{Stamp, write_whole};
@@ -439,7 +439,7 @@ fn put_plane(out: &mut Vec<u8>, order: Order, values: &[f64]) {
     if values.len() > 2 && values.iter().all(|x| x.to_bits() == values[0].to_bits()) {
         out.push(FORM_SAME);
         out.extend_from_slice(&values[0].to_le_bytes());
-    } else if let Some((base, step, counts)) = whole_steps(values) {
+    } else if let Some((base, step, counts)) = matches!(order, Order::Bytes).then(|| whole_steps(values)).flatten() {
         out.push(FORM_STEPS);
         [base, step].iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
         // Signs last, so that small numbers have small bytes.
@@ -459,7 +459,7 @@ fn put_plane(out: &mut Vec<u8>, order: Order, values: &[f64]) {
 /// A whole number, a power of two, and how many of these each value is away from it, if all are so: rounded numbers are.
 fn whole_steps(values: &[f64]) -> Option<(f64, f64, Vec<i16>)> {
     let base = values.first()?.round();
-    let mut last_place = i32::MAX;
+    let mut last_place = i32::MAX - 1023;
     for off in values.iter().map(|x| x - base).filter(|off| *off != 0.0) {
         if !off.is_normal() {
             return None;
@@ -488,9 +488,14 @@ pub(crate) fn encode_list(list: &ParticleList, order: Order) -> Vec<u8> {
     }
     out.extend_from_slice(&list.cell_width.to_le_bytes());
     out.extend_from_slice(&(list.len() as u64).to_le_bytes());
-    // By how much each is more than the one before.
-    let steps = std::iter::once(0).chain(list.id.iter().copied()).zip(&list.id).map(|(last, id)| id.wrapping_sub(last));
-    order.put(&mut out, steps.map(u64::to_le_bytes));
+    match order {
+        Order::Numbers => order.put(&mut out, list.id.iter().map(|id| id.to_le_bytes())),
+        // By how much each is more than the one before.
+        Order::Bytes => {
+            let before = std::iter::once(0).chain(list.id.iter().copied());
+            order.put(&mut out, before.zip(&list.id).map(|(last, id)| id.wrapping_sub(last).to_le_bytes()));
+        }
+    }
     order.put(&mut out, list.body.iter().map(|body| body.to_le_bytes()));
     order.put(&mut out, list.cell.as_flattened().iter().map(|c| c.to_le_bytes()));
     for rows in [list.offset.as_flattened(), list.velocity.as_flattened(), list.affine.as_flattened()] {
@@ -510,11 +515,10 @@ fn decode_list(from: &mut Reader<'_>, order: Order) -> Result<ParticleList, Flaw
     let cell_width = from.f64()?;
     // Id, body and cell take 22 bytes a particle, so the count is borne out by the file from here on.
     let n = from.length(8 + 2 + 12)?;
-    let steps = order.take(from.take(8 * n)?).map(u64::from_le_bytes);
-    let ids = steps.scan(0, |id: &mut u64, step| {
-        *id = id.wrapping_add(step);
-        Some(*id)
-    });
+    let mut ids: Vec<u64> = order.take(from.take(8 * n)?).map(u64::from_le_bytes).collect();
+    if let Order::Bytes = order {
+        (1..n).for_each(|i| ids[i] = ids[i].wrapping_add(ids[i - 1]));
+    }
     let body = order.take(from.take(2 * n)?).map(u16::from_le_bytes).collect();
     let cells: Vec<i32> = order.take(from.take(12 * n)?).map(i32::from_le_bytes).collect();
     Ok(ParticleList {
@@ -522,7 +526,7 @@ fn decode_list(from: &mut Reader<'_>, order: Order) -> Result<ParticleList, Flaw
         level,
         material,
         cell_width,
-        id: ids.collect(),
+        id: ids,
         body,
         cell: cells.as_chunks().0.to_vec(),
         offset: from.rows(n, order)?,

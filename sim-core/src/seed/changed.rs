@@ -155,8 +155,8 @@ impl Terrain {
                 places.iter().map(|&(l, i)| lists[l].volume0[i]).sum::<f64>()
             };
             let whole = volume(now, &cube.now) - volume(then, &cube.then);
-            cube.altered |=
-                (fills - filled).abs() > most || whole.abs() > most || !(1..=cube.now.len()).contains(&cube.then.len());
+            cube.altered |= (fills - filled).abs() > most;
+            cube.matches = whole.abs() <= most && (1..=cube.now.len()).contains(&cube.then.len());
         }
         cubes
     }
