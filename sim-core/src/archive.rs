@@ -78,7 +78,8 @@ fn at_rest(list: ParticleList) -> ParticleList {
     let mut strain: Vec<Vec<f64>> = list.strain.iter().map(by_number).collect();
     let mut state: Vec<Vec<f64>> = list.state.iter().map(by_number).collect();
     let planes = strain.len();
-    let unit = |plane: usize| if plane < 3 && planes == 6 || planes == 9 && plane % 4 == 0 { 1.0 } else { 0.0 };
+    let unit =
+        |plane: usize| if plane < 3 && planes == 6 || planes == 9 && plane.is_multiple_of(4) { 1.0 } else { 0.0 };
     let off = |i: usize| (0..planes).map(|plane| (strain[plane][i] - unit(plane)).abs()).fold(0.0, f64::max);
     // One step for all: numbers of one kind compress best.
     let step = step_of((0..order.len()).map(off).sum::<f64>() / order.len() as f64);

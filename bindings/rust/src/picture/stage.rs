@@ -178,12 +178,12 @@ fn everything(scene: &Scene, simulation: &Simulation, ground: Option<Aabb>) -> A
             (all.min[d], all.max[d]) = ((all.min[d] - more).max(world.min[d]), (all.max[d] + more).min(world.max[d]));
         }
     }
-    let named = |coupling: &Box<dyn Coupling>| {
+    let named = |coupling: &dyn Coupling| {
         let names = coupling.bodies().into_iter().map(|body| body.name);
         names.zip(coupling.extents()).collect::<Vec<_>>()
     };
     let own = simulation.couplings().iter().filter(|one| [TOOL_COUPLING, ROBOT_COUPLING].contains(&one.name()));
-    let extents: Vec<(String, Aabb)> = own.flat_map(named).collect();
+    let extents: Vec<(String, Aabb)> = own.flat_map(|one| named(one.as_ref())).collect();
     for tool in &scene.tool {
         let Some((_, bounds)) = extents.iter().find(|(name, _)| *name == tool.name) else { continue };
         let start = match &tool.motion {
