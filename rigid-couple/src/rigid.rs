@@ -81,19 +81,15 @@ impl Rigid {
     /// [`Error::Body`] if a tool's shape, mesh, mass, contact or motion cannot be used, naming its key path.
     pub fn new(scene: &Scene) -> Result<Self> {
         let mut bodies: Vec<Body> = Vec::new();
-        for (i, tool) in scene.tool.iter().enumerate() {
+        for (i, tool) in scene.tools_apart() {
             let path = format!("tool[{i}]");
-            if scene.goes_with_robots(tool) {
-                continue;
-            }
             if bodies.iter().any(|body| body.name == tool.name) {
                 let refusal = Refusal::new(format!("two tools are called '{}'", tool.name), "rename one of them");
                 return Err(refusal.at(&format!("{path}.name")));
             }
             bodies.push(Body::new(tool, scene, &path)?);
         }
-        let mut own = scene.clone();
-        own.tool.retain(|tool| !scene.goes_with_robots(tool));
+        let own = Scene { tool: scene.tools_apart().map(|(_, tool)| tool.clone()).collect(), ..scene.clone() };
         let world_box = Aabb { min: scene.world.min, max: scene.world.max };
         let mut rigid = Self {
             name: TOOL_COUPLING.to_owned(),

@@ -4,6 +4,7 @@
 //! strain and history are rounded to what merging would leave of them, and all is compressed: a particle of sand in f32 takes about 10 bytes, a quarter of which
 //! is its place and half its strain.
 
+use crate::material::strain_identity;
 use crate::snapshot::{Flaw, decode_tile, encode_tile};
 use crate::{ParticleList, Vec3};
 use std::fmt;
@@ -77,14 +78,12 @@ fn at_rest(list: ParticleList) -> ParticleList {
     let by_number = |plane: &Vec<f64>| order.iter().map(|&i| plane[i]).collect::<Vec<f64>>();
     let mut strain: Vec<Vec<f64>> = list.strain.iter().map(by_number).collect();
     let mut state: Vec<Vec<f64>> = list.state.iter().map(by_number).collect();
-    let planes = strain.len();
-    let unit =
-        |plane: usize| if plane < 3 && planes == 6 || planes == 9 && plane.is_multiple_of(4) { 1.0 } else { 0.0 };
-    let off = |i: usize| (0..planes).map(|plane| (strain[plane][i] - unit(plane)).abs()).fold(0.0, f64::max);
+    let identity = strain_identity(strain.len());
+    let off = |i: usize| strain.iter().zip(identity).map(|(plane, one)| (plane[i] - one).abs()).fold(0.0, f64::max);
     // One step for all: numbers of one kind compress best.
     let step = step_of((0..order.len()).map(off).sum::<f64>() / order.len() as f64);
-    for (plane, values) in strain.iter_mut().enumerate() {
-        values.iter_mut().for_each(|x| *x = unit(plane) + rounded(*x - unit(plane), step));
+    for (values, one) in strain.iter_mut().zip(identity) {
+        values.iter_mut().for_each(|x| *x = one + rounded(*x - one, step));
     }
     for values in &mut state {
         let step = step_of(values.iter().map(|x| x.abs()).sum::<f64>() / values.len() as f64);

@@ -8,7 +8,7 @@ use crate::batch::Plane;
 use crate::coupling::Aabb;
 use crate::ledger::Passed;
 use crate::levels::{Regions, SPLIT_AHEAD};
-use crate::plan::{PlannedMaterial, Precision};
+use crate::plan::PlannedMaterial;
 use crate::scene::{Sampling, Scene, cross};
 use crate::seed::{on_level, uniform};
 use crate::solid::{self, Solid};
@@ -395,7 +395,7 @@ impl Plan {
     /// moves on.
     pub fn newcomers(&self, come: &[Newcomer], regions: &Regions, next_id: &mut u64) -> Vec<ParticleList> {
         let precision = self.precision;
-        let round = |x: f64| if precision == Precision::F32 { f64::from(x as f32) } else { x };
+        let round = |x: f64| precision.round(x);
         let mut lists = Vec::new();
         for (level, width) in self.cell_widths.iter().enumerate() {
             for (m, planned) in self.materials.iter().enumerate() {

@@ -82,6 +82,11 @@ pub struct Material {
     pub table: abi::BarchanMaterial,
 }
 
+/// The undeformed strain of laws with so many planes of it, plane by plane.
+pub(crate) fn strain_identity(planes: usize) -> &'static [f64] {
+    if planes == 9 { &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0] } else { &[1.0, 1.0, 1.0, 0.0, 0.0, 0.0] }
+}
+
 impl Material {
     /// Reads and checks a table; see [`read_table`](Self::read_table).
     ///
@@ -166,11 +171,7 @@ impl Material {
     }
     /// The undeformed strain, plane by plane.
     pub fn strain_identity(&self) -> &'static [f64] {
-        if self.table.strain_kind == abi::BARCHAN_STRAIN_DEF_GRAD {
-            &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-        } else {
-            &[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
-        }
+        strain_identity(self.strain_planes())
     }
     /// Whether the capability bit is set.
     pub fn has(&self, capability: u64) -> bool {

@@ -54,6 +54,13 @@ pub enum Precision {
     F64,
 }
 
+impl Precision {
+    /// The nearest number that it has.
+    pub(crate) fn round(self, x: f64) -> f64 {
+        if self == Self::F32 { f64::from(x as f32) } else { x }
+    }
+}
+
 impl fmt::Display for Precision {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(if *self == Self::F32 { "f32" } else { "f64" })

@@ -114,6 +114,11 @@ impl Scene {
         !self.robot.is_empty() && matches!(tool.motion, Motion::Free { .. })
     }
 
+    /// The tools that move by themselves, with their numbers: all but those that [go with robots](Self::goes_with_robots).
+    pub fn tools_apart(&self) -> impl Iterator<Item = (usize, &Tool)> {
+        self.tool.iter().enumerate().filter(|(_, tool)| !self.goes_with_robots(tool))
+    }
+
     /// The files that its shapes are read from, as it names them, each once. Those that plugins' parameters name are found when it is planned.
     pub fn files(&self) -> BTreeSet<&Path> {
         fn add<'a>(shape: &'a Shape, files: &mut BTreeSet<&'a Path>) {

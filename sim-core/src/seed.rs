@@ -236,7 +236,7 @@ impl Terrain {
 
     /// Gives a list's particles from `start` on the strain and history that carry the ground above them.
     fn settle(&self, plot: &Plot, list: &mut ParticleList, start: usize) -> Result<()> {
-        let round = |x: f64| if self.precision == Precision::F32 { f64::from(x as f32) } else { x };
+        let round = |x: f64| self.precision.round(x);
         let loads = self.loads((start..list.cell.len()).map(|i| list.position(i)));
         let k0 = self.scene.body[plot.index].k0;
         let settled = settle::under(&self.materials[plot.material], &loads, k0).map_err(|error| match error {
@@ -507,7 +507,7 @@ impl Seeder<'_> {
     fn fill_rest(&mut self, plot: &Plot, lists: &mut [&mut ParticleList], classes: &[Vec<u32>]) -> Result<()> {
         let Terrain { scene, materials, precision, .. } = self.terrain;
         let (body, planned) = (&scene.body[plot.index], &materials[plot.material]);
-        let round = |x: f64| if *precision == Precision::F32 { f64::from(x as f32) } else { x };
+        let round = |x: f64| precision.round(x);
         let spacing = scene.spacing(body);
         let [wx, wy, wz] = body.angular_velocity;
         let spin = [0.0, -wz, wy, wz, 0.0, -wx, -wy, wx, 0.0];

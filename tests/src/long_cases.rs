@@ -1,7 +1,7 @@
 //! Hard cases whose point is to last. The suite runs them short, `examples/long_cases.rs` whole; both run the same code.
 
 use crate::report::Outcome;
-use crate::scenes::{alter, options, rows, run_to, scene, simulation};
+use crate::scenes::{alter, lean, options, rows, run_to, scene, simulation};
 use crate::sketch::{Head, bed, block, half, material, tool};
 use barchan::accuracy::{Grain, HeightMap};
 use barchan::scene::{Motion, Shape};
@@ -319,18 +319,17 @@ pub fn dunes(metres: f64) -> Outcome {
     let scene = barchan::tasks::scene("quadruped-dunes", &wide).expect("quadruped-dunes is a scene");
     let mut s = Simulation::new(&barchan::registry(), &scene, &options(Precision::F32)).expect("it can be run");
     let start = s.ledger();
-    let base = |s: &Simulation| s.bodies().into_iter().find(|body| body.name == "dog").expect("the scene has a dog");
+    let base = |s: &Simulation| s.robots().remove(0);
     let (mut way, mut at, mut tilt) = (0.0, base(&s).position, 0f64);
     let (mut track, mut fresh) = (Vec::new(), None);
     while way < metres && s.time() < 8.0 * metres {
         let until = s.time() + 0.5;
         run_to(&mut s, until);
-        let body = base(&s);
-        way += (0..2).map(|d| (body.position[d] - at[d]).powi(2)).sum::<f64>().sqrt();
-        at = body.position;
+        let dog = base(&s);
+        way += (dog.position[0] - at[0]).hypot(dog.position[1] - at[1]);
+        at = dog.position;
         track.push([at[0], at[1]]);
-        let [w, x, y, z] = body.rotation;
-        tilt = tilt.max((1.0 - 2.0 * (x * x + y * y) / (w * w + x * x + y * y + z * z)).acos().to_degrees());
+        tilt = tilt.max(lean(&dog));
         if fresh.is_none() && way > 6.0 {
             fresh = Some(footprints(&s, &track[4..16]));
         }

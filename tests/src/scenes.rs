@@ -1,6 +1,6 @@
 //! Short ways to say a scene, and to read a simulation.
 
-use barchan::{Command, Ledger, Options, ParticleList, Precision, Scene, Simulation, Vec3};
+use barchan::{Command, Ledger, Options, ParticleList, Precision, RobotState, Scene, Simulation, Vec3};
 use std::path::Path;
 
 /// A scene from TOML text.
@@ -226,4 +226,10 @@ motor = [{{ kp = 100, kd = 3 }}]
 pub fn plane_shear_friction(friction_angle: f64) -> f64 {
     let sine = friction_angle.sin();
     2.0 * 3f64.sqrt() * sine / (3.0 - sine)
+}
+
+/// How far a robot's base leans [degrees].
+pub fn lean(state: &RobotState) -> f64 {
+    let [_, x, y, _] = state.rotation;
+    (1.0 - 2.0 * (x * x + y * y)).acos().to_degrees()
 }

@@ -14,19 +14,19 @@ use serde::{Deserialize, Serialize};
 use std::sync::{Arc, OnceLock};
 
 pub(crate) struct Body {
-    pub(crate) name: String,
+    pub(super) name: String,
     /// About the reference point.
     pub(crate) shape: Sdf,
     /// The same for pictures, once one is made.
-    pub(crate) mesh: OnceLock<Arc<Mesh>>,
-    pub(crate) contact: Contact,
-    pub(crate) mover: Mover,
+    pub(super) mesh: OnceLock<Arc<Mesh>>,
+    pub(super) contact: Contact,
+    pub(super) mover: Mover,
     /// Greatest distance of a surface point from the reference point [m].
     pub(crate) extent: f64,
     pub(crate) state: State,
     /// Pose at the end of the step under way, for driven bodies.
-    pub(crate) target: Pose,
-    pub(crate) ignored_position: bool,
+    pub(super) target: Pose,
+    pub(super) ignored_position: bool,
 }
 
 /// What changes from step to step.
@@ -35,17 +35,17 @@ pub(crate) struct State {
     pub(crate) pose: Pose,
     pub(crate) twist: Twist,
     /// What an agent last asked of a body driven by velocity.
-    pub(crate) command: Twist,
+    pub(super) command: Twist,
     /// About the centre of mass, for free bodies [kg m²/s]. The state, of which the angular velocity is made: in free flight
     /// it is this that stays.
-    pub(crate) angular_momentum: DVec3,
+    pub(super) angular_momentum: DVec3,
     /// Is it there?
-    pub(crate) present: bool,
+    pub(super) present: bool,
 }
 
 impl State {
     /// Are all numbers finite, and is the rotation one? Turning a body for long leaves it one to many digits.
-    pub(crate) fn is_sound(&self) -> bool {
+    pub(super) fn is_sound(&self) -> bool {
         self.pose.position.is_finite()
             && (self.pose.rotation.length() - 1.0).abs() < 1e-6
             && self.twist.is_finite()
@@ -54,7 +54,7 @@ impl State {
     }
 }
 
-pub(crate) enum Mover {
+pub(super) enum Mover {
     Fixed,
     Path(KeyframePath),
     Velocity,
@@ -64,12 +64,12 @@ pub(crate) enum Mover {
 
 /// A body that a force pushes along an axis, on which a guide keeps it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Guided {
-    pub(crate) servo: Servo,
+pub(super) struct Guided {
+    pub(super) servo: Servo,
     /// Unit vector along which the force acts and the body moves.
-    pub(crate) axis: DVec3,
+    pub(super) axis: DVec3,
     /// Inertia against it [kg].
-    pub(crate) mass: f64,
+    pub(super) mass: f64,
 }
 
 impl Guided {
@@ -82,25 +82,25 @@ impl Guided {
 
 /// What a body that answers the ground's impulses sets against them.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Answering {
+pub(super) struct Answering {
     /// Mass [kg].
-    pub(crate) mass: f64,
+    pub(super) mass: f64,
     /// Inertia about the centre of mass, world frame [kg m²]; none in a guide, which lets nothing turn.
-    pub(crate) inertia: DMat3,
+    pub(super) inertia: DMat3,
     /// The only direction in which it moves, if a guide keeps it.
-    pub(crate) axis: Option<DVec3>,
+    pub(super) axis: Option<DVec3>,
 }
 
 impl Answering {
     /// What it has out of balance at the twist `at`, with what contact gives it, if it would move by `free` alone [N s, N m s].
-    pub(crate) fn residual(&self, free: &Twist, at: &Twist, system: &System) -> Vector6<f64> {
+    pub(super) fn residual(&self, free: &Twist, at: &Twist, system: &System) -> Vector6<f64> {
         let force = self.mass * (free.linear - at.linear);
         let torque = self.inertia * (free.angular - at.angular);
         Vector6::from(system.impulse) + vector6(force, torque)
     }
 
     /// By how much the twist has to change for balance; `None` if that has no solution.
-    pub(crate) fn answer(&self, residual: &Vector6<f64>, system: &System) -> Option<Twist> {
+    pub(super) fn answer(&self, residual: &Vector6<f64>, system: &System) -> Option<Twist> {
         if let Some(axis) = self.axis {
             let contact = DMat3::from_cols_array_2d(&[0, 1, 2].map(|i| [0, 1, 2].map(|j| system.matrix[j][i])));
             let along = axis.dot(DVec3::new(residual[0], residual[1], residual[2]));
@@ -119,18 +119,18 @@ impl Answering {
     }
 
     /// What an impulse adds to its velocity [m/s].
-    pub(crate) fn gains(&self, impulse: DVec3) -> DVec3 {
+    pub(super) fn gains(&self, impulse: DVec3) -> DVec3 {
         let felt = self.axis.map_or(impulse, |axis| axis.dot(impulse) * axis);
         felt / self.mass
     }
 
     /// Twice its kinetic energy at a twist [J].
-    pub(crate) fn twice_energy(&self, twist: &Twist) -> f64 {
+    pub(super) fn twice_energy(&self, twist: &Twist) -> f64 {
         self.mass * twist.linear.length_squared() + twist.angular.dot(self.inertia * twist.angular)
     }
 }
 
-pub(crate) fn vector6(a: DVec3, b: DVec3) -> Vector6<f64> {
+pub(super) fn vector6(a: DVec3, b: DVec3) -> Vector6<f64> {
     Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
 }
 
@@ -200,7 +200,7 @@ impl Body {
     }
 
     /// Where this body is at the end of a step from `time`, if it is driven.
-    pub(crate) fn driven_pose(&self, time: f64, dt: f64) -> Option<Pose> {
+    pub(super) fn driven_pose(&self, time: f64, dt: f64) -> Option<Pose> {
         match &self.mover {
             Mover::Fixed => Some(self.state.pose),
             Mover::Path(path) => Some(path.pose(time + dt)),
@@ -210,7 +210,7 @@ impl Body {
     }
 
     /// Takes up in its velocity what acts on it in a step of `dt` from `time` [s] besides contact, if it is not driven.
-    pub(crate) fn accelerate(&mut self, gravity: DVec3, time: f64, dt: f64) {
+    pub(super) fn accelerate(&mut self, gravity: DVec3, time: f64, dt: f64) {
         match &self.mover {
             Mover::Servo(guided) => self.state.twist.linear = guided.pushed(self.state.twist.linear, time, dt),
             _ => self.state.twist.linear += gravity * dt,
@@ -218,7 +218,7 @@ impl Body {
     }
 
     /// What it sets against the ground's impulses, if it answers them.
-    pub(crate) fn answering(&self) -> Option<Answering> {
+    pub(super) fn answering(&self) -> Option<Answering> {
         match &self.mover {
             Mover::Free { mass, inertia, .. } => {
                 Some(Answering { mass: *mass, inertia: turned(*inertia, &self.state.pose), axis: None })
@@ -239,12 +239,12 @@ impl Body {
     }
 
     /// Do contacts among rigid bodies move it?
-    pub(crate) fn is_free(&self) -> bool {
+    pub(super) fn is_free(&self) -> bool {
         matches!(self.mover, Mover::Free { .. })
     }
 
     /// The angular velocity that the angular momentum makes at `pose`.
-    pub(crate) fn spin(&self, pose: &Pose) -> DVec3 {
+    pub(super) fn spin(&self, pose: &Pose) -> DVec3 {
         match self.mover {
             Mover::Free { inverse_inertia, .. } => turned(inverse_inertia, pose) * self.state.angular_momentum,
             _ => self.state.twist.angular,
@@ -253,19 +253,19 @@ impl Body {
 
     /// The angular velocity half-way through the coming step, by the implicit midpoint rule: turning with it keeps the energy
     /// of a tumbling body to second order.
-    pub(crate) fn midway_spin(&self, dt: f64) -> DVec3 {
+    pub(super) fn midway_spin(&self, dt: f64) -> DVec3 {
         // Each round gains a factor |ω| dt / 2, which is a few per cent at most.
         (0..6).fold(self.state.twist.angular, |angular, _| {
             self.spin(&self.state.pose.advanced(&Twist { linear: DVec3::ZERO, angular }, 0.5 * dt))
         })
     }
 
-    pub(crate) fn lost(&self, what: &str) -> Error {
+    pub(super) fn lost(&self, what: &str) -> Error {
         Refusal::new(format!("its {what} is no longer finite"), "lower time.step, or start from the last snapshot")
             .at(&format!("tool '{}'", self.name))
     }
 
-    pub(crate) fn report(&self, gravity: DVec3) -> BodyState {
+    pub(super) fn report(&self, gravity: DVec3) -> BodyState {
         let State { pose, twist, angular_momentum, .. } = self.state;
         let mut state = BodyState {
             name: self.name.clone(),
@@ -293,12 +293,12 @@ impl Body {
 }
 
 /// A tensor of the body's frame, seen from the world.
-pub(crate) fn turned(tensor: DMat3, pose: &Pose) -> DMat3 {
+pub(super) fn turned(tensor: DMat3, pose: &Pose) -> DMat3 {
     let rotation = DMat3::from_quat(pose.rotation);
     rotation * tensor * rotation.transpose()
 }
 
-pub(crate) fn vector(value: Vec3, key: &str) -> Result<DVec3, Refusal> {
+pub(super) fn vector(value: Vec3, key: &str) -> Result<DVec3, Refusal> {
     let v = DVec3::from_array(value);
     if v.is_finite() { Ok(v) } else { Err(Refusal::new(format!("{key} is {value:?}"), "give three finite numbers")) }
 }

@@ -490,11 +490,7 @@ impl Coupling for Robots {
     }
 
     fn answer(&self, group: Range<usize>, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
-        let robots = self.robots_of(&group);
-        if robots.len() == 1 {
-            return self.robots[robots.start].answer(at, systems);
-        }
-        let (alone, own) = self.parted(robots);
+        let (alone, own) = self.parted(self.robots_of(&group));
         let mut all = vec![Twist::default(); at.len()];
         for robot in alone {
             let bodies = self.bodies_of(robot, group.start);
@@ -511,11 +507,7 @@ impl Coupling for Robots {
     }
 
     fn balance(&self, group: Range<usize>, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
-        let robots = self.robots_of(&group);
-        if robots.len() == 1 {
-            return self.robots[robots.start].balance(at, systems, along);
-        }
-        let (alone, own) = self.parted(robots);
+        let (alone, own) = self.parted(self.robots_of(&group));
         let of_one = |robot: usize| {
             let bodies = self.bodies_of(robot, group.start);
             self.robots[robot].balance(&at[bodies.clone()], &systems[bodies.clone()], &along[bodies])

@@ -63,7 +63,7 @@ pub(super) fn make_couplings(registry: &Registry, scene: &Scene) -> Result<Coupl
         let path_of_parameters = format!("{path}.parameters");
         let whose = format!("coupling '{kind_name}'");
         let parameters = scene.resolve(whose, &kind.parameters, parameters, &path_of_parameters)?;
-        let no_tools = scene.tool.iter().all(|tool| scene.goes_with_robots(tool));
+        let no_tools = scene.tools_apart().next().is_none();
         let has_none = [(TOOL_COUPLING, no_tools), (ROBOT_COUPLING, scene.robot.is_empty())];
         if has_none.contains(&(kind_name, true)) {
             continue;

@@ -310,9 +310,7 @@ impl Plan {
                 "costs nothing".to_owned(),
             );
         }
-        if scene.tool.iter().all(|tool| scene.goes_with_robots(tool))
-            && scene.coupling.iter().any(|c| c.kind == TOOL_COUPLING)
-        {
+        if scene.tools_apart().next().is_none() && scene.coupling.iter().any(|c| c.kind == TOOL_COUPLING) {
             add(
                 format!("declared but unused: coupling {TOOL_COUPLING}"),
                 "the scene has no tool".to_owned(),

@@ -2,7 +2,6 @@
 
 use super::{Plot, Terrain};
 use crate::levels::Regions;
-use crate::plan::Precision;
 use crate::{Coupling, ParticleList, Result, Vec3, settle};
 use std::collections::BTreeMap;
 
@@ -50,8 +49,8 @@ impl Terrain {
     /// A cube as large as the coarsest particles has not changed if
     ///
     /// 1. it holds no more or less than at the start by more than `levels.tolerance` of a full one, which is what merging may move;
-    /// 2. those of its particles that have never merged are off their seeded place by no more than [`UNMOVED`];
-    /// 3. history is what it was but for [`UNCHANGED`].
+    /// 2. those of its particles that have never merged are off their seeded place by no more than a tenth of a spacing;
+    /// 3. history is what it was but for 1/1000.
     ///
     /// # Errors
     /// As [`seed_tiles`](Self::seed_tiles).
@@ -65,7 +64,8 @@ impl Terrain {
         let mut seeded = self.seed_tiles(&[tile], couplings, regions, &mut 0)?;
         let mut kept = lists;
         let all = |lists: &[ParticleList]| lists.iter().flat_map(|list| &list.mass).sum::<f64>();
-        let same_mass = (all(&kept) - all(&seeded)).abs() <= ROUNDING * all(&seeded);
+        let at_start = all(&seeded);
+        let same_mass = (all(&kept) - at_start).abs() <= ROUNDING * at_start;
         let compared: Vec<_> =
             self.plots.iter().map(|plot| self.compare(plot, regions.levels() - 1, &kept, &seeded)).collect();
         if same_mass && !compared.iter().flat_map(BTreeMap::values).any(|cube| cube.altered) {
@@ -86,11 +86,10 @@ impl Terrain {
             if (now - then).abs() > (CORRECTED * rest).max(ROUNDING * then) {
                 continue;
             }
-            let round = |x: f64| if self.precision == Precision::F32 { f64::from(x as f32) } else { x };
             for &(list, i) in &changed {
                 let grown = 1.0 + (now - then) / rest;
-                kept[list].mass[i] = round(grown * kept[list].mass[i]);
-                kept[list].volume0[i] = round(grown * kept[list].volume0[i]);
+                kept[list].mass[i] = self.precision.round(grown * kept[list].mass[i]);
+                kept[list].volume0[i] = self.precision.round(grown * kept[list].volume0[i]);
             }
             for cube in cubes.values().filter(|cube| cube.is_same()) {
                 cube.now.iter().for_each(|&(list, i)| stays[list][i] = false);

@@ -1,7 +1,7 @@
 //! Robots that meet free bodies and one another.
 
 use super::{MOTORS, SAND, moved, root, simulation, stand, totals};
-use barchan::{BodyState, Coupling, Precision, Scene, Simulation};
+use barchan::{BodyState, Coupling, Precision, RobotState, Scene, Simulation};
 use barchan_rigid::robot::Robots;
 use glam::{DMat3, DQuat, DVec3};
 
@@ -39,6 +39,27 @@ fn sunk(robots: &Robots, ball: &str, radius: f64) -> f64 {
     radius - nearest
 }
 
+/// What rigid things press on a robot with [N].
+fn felt(robot: &RobotState) -> DVec3 {
+    robot.links.iter().flat_map(|link| &link.rigid).map(|point| DVec3::from_array(point.force)).sum()
+}
+
+/// Moves robots in empty space by so many steps. Returns how far their momenta are off at most, as parts of themselves, and their greatest kinetic energy over that of
+/// the start.
+fn adrift(robots: &mut Robots, steps: u32, mut each: impl FnMut(&Robots)) -> [f64; 2] {
+    let (start, energy) = (totals(robots), kinetic(robots));
+    let (mut drift, mut most) = (0.0_f64, 0.0_f64);
+    let dt = 2.5e-4;
+    for step in 0..steps {
+        moved(robots, dt * f64::from(step), dt);
+        let now = totals(robots);
+        (0..2).for_each(|i| drift = drift.max((now[i] - start[i]).length() / start[i].length()));
+        most = most.max(kinetic(robots) / energy);
+        each(robots);
+    }
+    [drift, most]
+}
+
 /// In empty space a ball flies into a robot afloat, a thousandth or a thousand times as heavy as that, and anything between: momentum is kept to rounding, no energy
 /// is created, and they do not overlap.
 #[test]
@@ -53,16 +74,8 @@ fn a_ball_that_hits_a_robot_afloat_keeps_momentum_whatever_it_weighs() {
             );
             let dog = DOG.replace("joints", "position = [0, 0, 1]\njoints");
             let mut robots = Robots::new(&bare(0.0, OPEN, &format!("{ball}\n{dog}"))).unwrap();
-            let (start, energy) = (totals(&robots), kinetic(&robots));
-            let (mut drift, mut most, mut deepest) = (0.0_f64, 0.0_f64, f64::NEG_INFINITY);
-            let dt = 2.5e-4;
-            for step in 0..2400 {
-                moved(&mut robots, dt * f64::from(step), dt);
-                let now = totals(&robots);
-                (0..2).for_each(|i| drift = drift.max((now[i] - start[i]).length() / start[i].length()));
-                most = most.max(kinetic(&robots) / energy);
-                deepest = deepest.max(sunk(&robots, "ball", 0.1));
-            }
+            let mut deepest = f64::NEG_INFINITY;
+            let [drift, most] = adrift(&mut robots, 2400, |robots| deepest = deepest.max(sunk(robots, "ball", 0.1)));
             let passed = (DVec3::from_array(body(&robots, "ball").velocity) - DVec3::X * 2.0).length() / 2.0;
             println!(
                 "ball of {mass:.3} kg, restitution {restitution}: momentum off by {drift:.1e} (1e-12), energy at most {most:.6} of the start's (1 + 1e-6), {:.2e} m sunk in (1e-3), speed changed by {passed:.1e}",
@@ -82,22 +95,13 @@ fn two_robots_that_bump_do_not_pass_through_each_other() {
     let one = DOG.replace("joints", "position = [-0.8, 0.02, 1]\nvelocity = [1.5, 0, 0]\njoints");
     let other = DOG.replace("\"dog\"", "\"cat\"").replace("joints", "position = [0.3, 0, 1.05]\njoints");
     let mut robots = Robots::new(&bare(0.0, OPEN, &format!("{one}\n{other}"))).unwrap();
-    let (start, energy) = (totals(&robots), kinetic(&robots));
-    let (mut drift, mut most, mut pressed) = (0.0_f64, 0.0_f64, 0.0_f64);
-    let dt = 2.5e-4;
-    for step in 0..4000 {
-        moved(&mut robots, dt * f64::from(step), dt);
-        let now = totals(&robots);
-        (0..2).for_each(|i| drift = drift.max((now[i] - start[i]).length() / start[i].length()));
-        most = most.max(kinetic(&robots) / energy);
-        let felt = |robot: &barchan::RobotState| -> DVec3 {
-            robot.links.iter().flat_map(|link| &link.rigid).map(|point| DVec3::from_array(point.force)).sum()
-        };
-        let [dog, cat] = &Coupling::robots(&robots)[..] else { panic!("there are two") };
+    let mut pressed = 0.0_f64;
+    let [drift, most] = adrift(&mut robots, 4000, |robots| {
+        let [dog, cat] = &Coupling::robots(robots)[..] else { panic!("there are two") };
         let sum = (felt(dog) + felt(cat)).length();
         pressed = pressed.max(felt(cat).length());
         assert!(sum <= 1e-9 * felt(cat).length(), "what they feel of each other is not opposite: {sum} N");
-    }
+    });
     let gap = place(&robots, "cat").x - place(&robots, "dog").x;
     println!(
         "momentum off by {drift:.1e} (1e-12), energy at most {most:.6} (1 + 1e-6), pressed with {pressed:.0} N, {gap:.3} m apart (0.2)"
@@ -163,8 +167,7 @@ fn an_arm_pushes_a_box_along_the_floor() {
         moved(&mut robots, f64::from(step) * dt, dt);
         let time = f64::from(step) * dt;
         if (0.5..0.8).contains(&time) {
-            let state = Coupling::robots(&robots).remove(0);
-            impulse += dt * state.links.iter().flat_map(|link| &link.rigid).map(|point| point.force[0]).sum::<f64>();
+            impulse += dt * felt(&Coupling::robots(&robots)[0]).x;
             felt_for += dt;
         }
     }
@@ -223,7 +226,7 @@ fn a_robot_stands_on_a_light_plank_on_sand() {
             before = over;
         }
         ground += dt * dog.wrenches().iter().map(|wrench| wrench.force[2]).sum::<f64>();
-        feet += dt * dog.robots()[0].links.iter().flat_map(|link| &link.rigid).map(|at| at.force[2]).sum::<f64>();
+        feet += dt * felt(&dog.robots()[0]).z;
         time += dt;
     }
     let after = feet_over(&dog);

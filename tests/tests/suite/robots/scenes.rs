@@ -1,8 +1,8 @@
 //! The built-in scenes with robots, each for a short time on coarse cells.
 
 use barchan::{Options, RobotState, Simulation};
-use barchan_tests::scenes::run_to;
-use glam::{DQuat, DVec3};
+use barchan_tests::scenes::{lean, run_to};
+use glam::DVec3;
 
 /// A built-in scene, coarse.
 fn coarse(name: &str, overrides: &[&str]) -> Simulation {
@@ -12,12 +12,6 @@ fn coarse(name: &str, overrides: &[&str]) -> Simulation {
 
 fn robot(s: &Simulation) -> RobotState {
     s.robots().remove(0)
-}
-
-/// How far its base leans [degrees].
-fn lean(state: &RobotState) -> f64 {
-    let [w, x, y, z] = state.rotation;
-    (DQuat::from_xyzw(x, y, z, w) * DVec3::Z).z.acos().to_degrees()
 }
 
 fn centre(s: &Simulation, link: &str) -> DVec3 {
