@@ -30,6 +30,7 @@ pub use coupling::Robots;
 pub use model::RobotModel;
 
 use crate::motion::Pose;
+use crate::rigid::body::Guided;
 use balance::Correction;
 use barchan_core::Aabb;
 use barchan_core::contact::{System, Twist};
@@ -83,9 +84,12 @@ pub struct Robot {
     pub(crate) corrections: Vec<Correction>,
     pub(crate) friction: f64,
     pub(crate) restitution: f64,
-    /// Is it a free tool, see [`loose`]?
+    /// Is it a tool, see [`loose`]?
     pub(crate) is_tool: bool,
-    pub(crate) obstacles: Vec<Obstacle>,
+    /// What pushes it along a guide, if it is such a tool. It passes through walls and through what does not give way.
+    pub(crate) guided: Option<Guided>,
+    /// The world's walls, as it meets them.
+    pub(crate) walls: Vec<Obstacle>,
     /// Bodies that may touch one another.
     pub(crate) pairs: Vec<[usize; 2]>,
     pub(crate) state: State,
@@ -185,13 +189,16 @@ impl Robot {
         self.joint(drive).motor(self.step.rates[self.base_rates() + drive]).value
     }
 
-    /// Moves on to a step: the motors' orders, where links are, and what touches what is rigid.
+    /// Moves on to a step: the motors' orders, where links are, and what touches what is rigid, such as `tools`.
     ///
     /// # Errors
     /// If the state cannot be gone on from.
-    pub(crate) fn begin(&mut self, span: Span, gravity: DVec3, boxes: &[Aabb]) -> Result<(), ()> {
+    pub(crate) fn begin(&mut self, span: Span, gravity: DVec3, boxes: &[Aabb], tools: &[Obstacle]) -> Result<(), ()> {
         let Span { time, dt, .. } = span;
         self.take_over().ok_or(())?;
+        if let Some(guided) = &self.guided {
+            self.state.orders = Some(vec![guided.order(time, gravity)]);
+        }
         self.state.clock = self.path.wrapped(time + dt);
         let mut orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(time, dt));
         self.balance_orders(&mut orders);
@@ -210,9 +217,14 @@ impl Robot {
             ..std::mem::replace(&mut self.step, Step::empty())
         };
         let mut points = std::mem::take(&mut self.step.points);
-        points.find(&self.seen(boxes), &self.obstacles, &self.pairs, self.model.mass(), span);
+        points.find(&self.seen(boxes), self.obstacles(tools), &self.pairs, self.model.mass(), span);
         self.step.points = points;
         Ok(())
+    }
+
+    /// What is rigid and does not answer, as far as it meets it: walls, and of `tools` all or none.
+    pub(crate) fn obstacles<'a>(&'a self, tools: &'a [Obstacle]) -> impl Iterator<Item = &'a Obstacle> {
+        self.walls.iter().chain(if self.guided.is_some() { &[] } else { tools })
     }
 
     /// What its bodies in these boxes are for contact points, in a step that has begun and is not solved.

@@ -410,6 +410,25 @@ pub struct Group {
 /// What a coupling [keeps](Coupling::keep) of itself while steps may fail: its own to know.
 pub type Kept = Box<dyn Any + Send + Sync>;
 
+/// Lets all couplings [begin](Coupling::before_step) a step from `time` that takes `dt` [s]: those that [watch](Coupling::watches) others behind the others.
+///
+/// # Errors
+/// If a body's motion is not defined there.
+pub fn begin_step(couplings: &mut [Box<dyn Coupling>], time: f64, dt: f64) -> Result<()> {
+    couplings
+        .iter_mut()
+        .filter(|coupling| !coupling.watches())
+        .try_for_each(|coupling| coupling.before_step(time, dt))?;
+    if couplings.iter().all(|coupling| !coupling.watches()) {
+        return Ok(());
+    }
+    let seen: Vec<BodyState> = couplings.iter().filter(|one| !one.watches()).flat_map(|one| one.bodies()).collect();
+    couplings.iter_mut().filter(|coupling| coupling.watches()).try_for_each(|coupling| {
+        coupling.see(&seen);
+        coupling.before_step(time, dt)
+    })
+}
+
 /// Rigid tools, free bodies, robots, wind: anything that acts on nodes and feels the reaction.
 ///
 /// In each step the simulation calls, in this order: [`before_step`](Self::before_step), then, on each level, fields
@@ -440,6 +459,15 @@ pub trait Coupling: Send + Sync {
     }
     /// Greatest speed of any surface point during the step that starts at `time` and takes at most `dt` [m/s].
     fn max_speed(&self, time: f64, dt: f64) -> f64;
+    /// Is it to be shown the bodies of other couplings before each step, see [`see`](Self::see)?
+    fn watches(&self) -> bool {
+        false
+    }
+    /// Is shown the bodies of couplings that do not [watch](Self::watches) others: where they are as the coming step begins, and, if they are driven, how they
+    /// move in it.
+    fn see(&mut self, others: &[BodyState]) {
+        let _ = others;
+    }
     /// Fixes the bodies' velocities over the step from `time` to `time + dt` [s]. Poses stay those at `time`.
     ///
     /// # Errors

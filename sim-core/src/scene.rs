@@ -109,9 +109,9 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Is a tool moved together with the scene's robots, in one system? Free ones are where there are robots, so that the two may touch.
+    /// Is a tool moved together with the scene's robots, in one system? Those that answer what they feel are where there are robots, so that the two may touch.
     pub fn goes_with_robots(&self, tool: &Tool) -> bool {
-        !self.robot.is_empty() && matches!(tool.motion, Motion::Free { .. })
+        !self.robot.is_empty() && tool.answers()
     }
 
     /// The tools that move by themselves, with their numbers: all but those that [go with robots](Self::goes_with_robots).
@@ -726,7 +726,8 @@ pub enum Motion {
     Servo(Servo),
 }
 
-/// A force that pushes a tool along an axis. Gravity and other rigid bodies do not move it; free ones give way to it.
+/// A force that pushes a tool along an axis. Gravity does not move it. Free bodies give way to it; where there are robots, they and free bodies push it back. It passes
+/// through walls and through tools that do not give way.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Servo {

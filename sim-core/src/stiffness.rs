@@ -85,6 +85,18 @@ impl Need {
     }
 }
 
+/// a and v/2 of [`Moduli::need`].
+struct Terms {
+    a: f64,
+    half_v: f64,
+}
+
+impl Terms {
+    fn rate(&self) -> f64 {
+        self.half_v + (self.half_v * self.half_v + self.a).sqrt()
+    }
+}
+
 impl Moduli {
     /// Steps a second that a particle alone in its cells needs, for cell width `h` [m] and density at rest [kg/m³].
     ///
@@ -94,16 +106,37 @@ impl Moduli {
     /// 2μ)/(3λ + 2μ)), c_p² = (λ + 2μ)/ρ, and without stiffness ρ h²/(4 η). Both are below the bounds of a filled grid,
     /// so they hold for spray as well as for bulk.
     pub fn need(&self, h: f64, density: f64) -> Need {
-        // Where λ is negative the bulk's bound is the lower one.
-        let a = self.triple_bulk.max(self.p_wave) / (density * h * h);
-        let half_v = 2.0 * (self.viscosity + self.damping) / (density * h * h);
-        let rate = half_v + (half_v * half_v + a).sqrt();
-        let by = match rate > 2.0 * a.sqrt() {
+        let terms = self.terms(h, density);
+        let rate = terms.rate();
+        let by = match rate > 2.0 * terms.a.sqrt() {
             false => Limit::Stiffness,
             true if self.damping > self.viscosity => Limit::Damping,
             true => Limit::Viscosity,
         };
         Need { rate, by }
+    }
+
+    fn terms(&self, h: f64, density: f64) -> Terms {
+        let inertia = density * h * h;
+        // Where λ is negative the bulk's bound is the lower one.
+        let k = if self.triple_bulk > self.p_wave { self.triple_bulk } else { self.p_wave };
+        Terms { a: k / inertia, half_v: 2.0 * (self.viscosity + self.damping) / inertia }
+    }
+}
+
+/// [`Moduli`] of 16 particles.
+struct ModuliOf16 {
+    p_wave: [f32; PARTICLES],
+    triple_bulk: [f32; PARTICLES],
+    viscosity: [f32; PARTICLES],
+    damping: f64,
+}
+
+impl ModuliOf16 {
+    fn of(&self, i: usize) -> Moduli {
+        let [p_wave, triple_bulk, viscosity] =
+            [self.p_wave, self.triple_bulk, self.viscosity].map(|all| f64::from(all[i]));
+        Moduli { p_wave, triple_bulk, viscosity, damping: self.damping }
     }
 }
 
@@ -115,18 +148,40 @@ impl<'a> Stiffness<'a> {
         Some(Self { planned, params })
     }
 
-    /// The moduli of the first `count` of 16 particles, given their planes of strain and of history.
+    /// How many steps a second the first `count` of 16 particles need, given their planes of strain and of history, in
+    /// cells `h` wide [m] and with these densities at rest [kg/m³].
     ///
     /// # Errors
     /// [`Error::MaterialFailed`] if a callback fails, or if its moduli are not finite and above 0. The error names the
     /// particle by the number that `id` gives.
-    pub fn moduli(
+    pub fn need(
         &self,
-        strain: &[Plane<f32, PARTICLES>],
-        state: &[Plane<f32, PARTICLES>],
+        [strain, state]: [&[Plane<f32, PARTICLES>]; 2],
+        count: usize,
+        (h, density): (f64, &[f64; PARTICLES]),
+        id: impl Fn(usize) -> Option<u64>,
+    ) -> Result<Need> {
+        let moduli = self.moduli([strain, state], count, id)?;
+        let mut rates = [0.0; PARTICLES];
+        for (i, rate) in rates.iter_mut().enumerate() {
+            *rate = moduli.of(i).terms(h, density[i]).rate();
+        }
+        let mut greatest = 0;
+        for i in 1..count {
+            if rates[i] > rates[greatest] {
+                greatest = i;
+            }
+        }
+        Ok(if count == 0 { Need::default() } else { moduli.of(greatest).need(h, density[greatest]) })
+    }
+
+    /// What the law says of the first `count` of 16 particles, see [`need`](Self::need).
+    fn moduli(
+        &self,
+        [strain, state]: [&[Plane<f32, PARTICLES>]; 2],
         count: usize,
         id: impl Fn(usize) -> Option<u64>,
-    ) -> Result<impl Iterator<Item = Moduli>> {
+    ) -> Result<ModuliOf16> {
         let law = &self.planned.material;
         let matter = Matter { count: PARTICLES, parameters: &self.params, strain, state };
         let mut out = [Plane::<f32, PARTICLES>::default(); 2];
@@ -158,26 +213,19 @@ impl<'a> Stiffness<'a> {
                 return Err(wrong("viscosity", what, i));
             }
         }
-        Ok((0..count).map(move |i| Moduli {
-            p_wave: f64::from(out[0].0[i]),
-            triple_bulk: f64::from(out[1].0[i]),
-            viscosity: f64::from(viscosity.0[i]),
-            damping: self.planned.damping.map_or(0.0, |damping| damping.viscosity()),
-        }))
+        let damping = self.planned.damping.map_or(0.0, |damping| damping.viscosity());
+        Ok(ModuliOf16 { p_wave: out[0].0, triple_bulk: out[1].0, viscosity: viscosity.0, damping })
     }
 
     /// The moduli of the undeformed material.
     ///
     /// # Errors
-    /// As [`moduli`](Self::moduli).
+    /// As [`need`](Self::need).
     pub fn at_rest(&self) -> Result<Moduli> {
         let filled = |value: &f64| Plane([*value as f32; PARTICLES]);
         let strain: Vec<_> = self.planned.material.strain_identity().iter().map(filled).collect();
         let state: Vec<_> = self.planned.material.states.iter().map(|s| filled(&s.initial)).collect();
-        Ok(self
-            .moduli(&strain, &state, 1, |_| None)?
-            .next()
-            .expect("there are moduli for each particle that is asked about, and one is"))
+        Ok(self.moduli([&strain[..], &state[..]], 1, |_| None)?.of(0))
     }
 
     /// The bound of the step from particles of the law with this need. The simulation's step contains `steps_within`

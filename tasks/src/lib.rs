@@ -48,7 +48,7 @@ pub fn register(registry: &mut Registry) -> Result<()> {
 }
 
 /// The scenes that are files, by name.
-const FILES: [(&str, &str); 28] = [
+const FILES: [(&str, &str); 29] = [
     ("letters", include_str!("../scenes/letters.toml")),
     ("cube-drop", include_str!("../scenes/cube-drop.toml")),
     ("scoop", include_str!("../scenes/scoop.toml")),
@@ -64,6 +64,7 @@ const FILES: [(&str, &str); 28] = [
     ("quadruped-stand", include_str!("../scenes/quadruped-stand.toml")),
     ("quadruped-trot", include_str!("../scenes/quadruped-trot.toml")),
     ("quadruped-dunes", include_str!("../scenes/quadruped-dunes.toml")),
+    ("quadruped-eight-levels", include_str!("../scenes/quadruped-eight-levels.toml")),
     ("arm-writes", include_str!("../scenes/arm-writes.toml")),
     ("arm-scoops", include_str!("../scenes/arm-scoops.toml")),
     ("humanoid-stand", include_str!("../scenes/humanoid-stand.toml")),

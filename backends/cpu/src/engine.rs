@@ -11,6 +11,7 @@ use crate::store::{Departures, List};
 use barchan_abi as abi;
 use barchan_core::backend::{Bound, Timing};
 use barchan_core::contact::{self, Contact};
+use barchan_core::coupling::begin_step;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::scene::Leaving;
 use barchan_core::schedule::Call;
@@ -609,7 +610,7 @@ impl<T: Scalar> CpuEngine<T> {
             self.carry_out(time, dt, couplings)?
         } else {
             self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
-            couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))?;
+            begin_step(couplings, time, dt)?;
             couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))?;
             (dt, None)
         };

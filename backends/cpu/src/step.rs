@@ -9,7 +9,7 @@
 use crate::engine::{CpuEngine, Pass};
 use crate::faults::{at_time, cannot_go_back};
 use crate::level::Level;
-use barchan_core::coupling::Kept;
+use barchan_core::coupling::{Kept, begin_step};
 use barchan_core::plan::loaded;
 use barchan_core::schedule::{Call, Stage};
 use barchan_core::{Coupling, Error, Result, Schedule, Wrench};
@@ -209,7 +209,7 @@ impl<T: Scalar> CpuEngine<T> {
             step.saved = if self.is_subcycled() { Vec::new() } else { self.before_contact(step) };
             let time = self.schedule.time_of(call.slot, step.time, step.dt);
             let dt = self.schedule.dt_of(0, step.dt);
-            step.couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))?;
+            begin_step(step.couplings, time, dt)?;
         }
         for l in call.levels.clone() {
             let before: Vec<Wrench> = if finest { Vec::new() } else { step.wrenches_now() };

@@ -158,9 +158,9 @@ impl<T: Scalar> List<T> {
             plane.0 = self.rest_plane(chunk, value).map(|x| x.to_f64() as f32);
         }
         let id = |lane: usize| Some(u64::from(self.id[chunk][lane]));
-        let moduli = law.moduli(&strain, &state, count, id)?;
-        let density = |lane: usize| self.mass_of(chunk, lane) / self.volume0_of(chunk, lane);
-        Ok((0..).zip(moduli).fold(Need::default(), |need, (lane, m)| need.or(m.need(h, density(lane)))))
+        let (mass, volume0) = (self.rest_plane(chunk, MASS), self.rest_plane(chunk, VOLUME));
+        let density = std::array::from_fn(|lane| mass[lane].to_f64() / volume0[lane].to_f64());
+        law.need([&strain[..], &state[..]], count, (h, &density), id)
     }
 
     /// A copy of one particle.

@@ -64,12 +64,12 @@ pub(super) enum Mover {
 
 /// A body that a force pushes along an axis, on which a guide keeps it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Guided {
-    pub(super) servo: Servo,
+pub(crate) struct Guided {
+    pub(crate) servo: Servo,
     /// Unit vector along which the force acts and the body moves.
-    pub(super) axis: DVec3,
+    pub(crate) axis: DVec3,
     /// Inertia against it [kg].
-    pub(super) mass: f64,
+    pub(crate) mass: f64,
 }
 
 impl Guided {
@@ -236,6 +236,19 @@ impl Body {
             Mover::Free { mass, inertia, .. } => Some((mass, inertia)),
             _ => None,
         }
+    }
+
+    /// What pushes it, if a force does.
+    pub(crate) fn guided(&self) -> Option<Guided> {
+        match self.mover {
+            Mover::Servo(guided) => Some(guided),
+            _ => None,
+        }
+    }
+
+    /// Does it stay where it is?
+    pub(crate) fn is_fixed(&self) -> bool {
+        matches!(self.mover, Mover::Fixed)
     }
 
     /// Do contacts among rigid bodies move it?

@@ -1,4 +1,4 @@
-//! The coupling "robots": a scene's robots on soft ground, and the free tools beside them.
+//! The coupling "robots": a scene's robots on soft ground, and the tools beside them that answer what they feel.
 
 use super::device::{self, Roaming};
 use super::joints::{Gains, Order};
@@ -12,13 +12,14 @@ use super::urdf::Source;
 use super::{Robot, State, balance, dynamics};
 use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
+use crate::rigid::body::Guided;
 use crate::rigid::thin;
 use crate::world::{friction_of, solid_walls};
 use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep};
 use barchan_core::plan::ROBOT_COUPLING;
-use barchan_core::scene::{self, Contact, Motion, fits};
+use barchan_core::scene::{self, Contact, fits};
 use barchan_core::{
     BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, RobotState, Scene, Surface, Vec3, Wrench,
 };
@@ -38,11 +39,13 @@ pub const BUILT_IN: [(&str, &str); 6] = [
     ("arm-scraper", include_str!("../../models/arm-scraper.urdf")),
 ];
 
-/// The robots of a scene, and behind them its free tools, which answer as they do.
+/// The robots of a scene, and behind them its tools that answer as they do: free ones, and those that a force pushes.
 pub struct Robots {
     name: String,
     scene: Scene,
     robots: Vec<Robot>,
+    /// The other tools of the scene: they stay, or move as they are told.
+    tools: Vec<Obstacle>,
     /// Those that touch one another in the step under way.
     together: Vec<Together>,
     contacts: Vec<Contact>,
@@ -101,11 +104,11 @@ impl RobotModel {
 }
 
 impl Robot {
-    /// A scene's robot among `tools`, see [`Obstacle::tools`].
+    /// A scene's robot.
     ///
     /// # Errors
     /// If its URDF, joints, motors or motion cannot be used.
-    pub fn new(robot: &scene::Robot, scene: &Scene, tools: &[Obstacle]) -> Result<Self, Refusal> {
+    pub fn new(robot: &scene::Robot, scene: &Scene) -> Result<Self, Refusal> {
         let mut model = RobotModel::of(robot, &scene.folder)?;
         let mut gains = vec![Gains::default(); model.drives.len()];
         for motor in &robot.motor {
@@ -155,8 +158,6 @@ impl Robot {
         let shapes: Vec<Option<&Sdf>> = solids.iter().map(|&link| model.links[link].shape.as_ref()).collect();
         let extents = shapes.iter().map(|shape| shape.map_or(0.0, Sdf::extent)).collect();
         let bodies: Vec<Option<Body>> = shapes.iter().map(|shape| shape.map(Body::new)).collect();
-        let mut obstacles = Obstacle::walls(&scene.world, base.position);
-        obstacles.extend_from_slice(tools);
         let pairs =
             if robot.self_collision { pairs_of(&mut model, &solids, &bodies, &step.places) } else { Vec::new() };
         let corrections = balance::corrections(&robot.balance, &model)?;
@@ -177,7 +178,8 @@ impl Robot {
             friction: friction_of(robot.contact),
             restitution: 0.0,
             is_tool: false,
-            obstacles,
+            guided: None,
+            walls: Obstacle::walls(&scene.world, base.position),
             pairs,
             state,
             step,
@@ -227,7 +229,8 @@ impl Robot {
             angular_velocity: twist.angular.to_array(),
             mass,
             kinetic_energy: 0.5 * (momentum.dot(twist.linear) + spin.dot(twist.angular)),
-            potential_energy: -mass * gravity.dot(pose.position),
+            // What a guide bears has no weight.
+            potential_energy: if self.guided.is_some() { 0.0 } else { -mass * gravity.dot(pose.position) },
             momentum: momentum.to_array(),
             angular_momentum: (pose.position.cross(momentum) + spin).to_array(),
         }
@@ -245,7 +248,7 @@ impl Robot {
 
     fn act(&mut self, command: &Command) -> Result<(), Refusal> {
         if self.is_tool {
-            let what = format!("it moves freely, and {} is asked for", command.name());
+            let what = format!("it moves by what acts on it, and {} is asked for", command.name());
             return Err(Refusal::new(what, "give it a motion = { velocity = {} }"));
         }
         let (numbers, holds) = match command {
@@ -276,14 +279,12 @@ impl Robots {
     /// # Errors
     /// If one cannot be used, naming its key path.
     pub fn new(scene: &Scene) -> Result<Self> {
-        let tools = Obstacle::tools(scene).map_err(|e| e.at("tool"))?;
-        let make = |(i, robot): (usize, &scene::Robot)| {
-            Robot::new(robot, scene, &tools).map_err(|e| e.at(&format!("robot[{i}]")))
-        };
+        let make =
+            |(i, robot): (usize, &scene::Robot)| Robot::new(robot, scene).map_err(|e| e.at(&format!("robot[{i}]")));
         let mut robots: Vec<Robot> = scene.robot.iter().enumerate().map(make).collect::<Result<_>>()?;
         let mut contacts: Vec<Contact> = scene.robot.iter().map(|robot| robot.contact).collect();
         for (i, tool) in scene.tool.iter().enumerate().filter(|(_, tool)| scene.goes_with_robots(tool)) {
-            robots.push(Robot::loose(tool, &format!("tool[{i}]"), scene, &tools)?);
+            robots.push(Robot::loose(tool, &format!("tool[{i}]"), scene)?);
             contacts.push(tool.contact);
         }
         let mut firsts = Vec::new();
@@ -304,6 +305,7 @@ impl Robots {
             scene: scene.clone(),
             contacts,
             robots,
+            tools: Obstacle::tools(scene)?,
             together: Vec::new(),
             firsts,
             wrenches: vec![Wrench::default(); count],
@@ -378,6 +380,29 @@ impl Robots {
         Met { at: bodies().map(|own| &at[own]).collect(), systems: bodies().map(|own| &systems[own]).collect() }
     }
 
+    /// What to say of bodies that overlap others' or what is rigid where they start.
+    fn overlaps(&self) -> Option<String> {
+        let solid = |(robot, body): (usize, usize)| {
+            let own = &self.robots[robot];
+            Some((own, own.body_name(body), own.bodies[body].as_ref()?, own.pose(body), own.bounds(body, 0.0)))
+        };
+        let numbers = (0..self.robots.len()).flat_map(|r| (0..self.robots[r].solids.len()).map(move |body| (r, body)));
+        let solids: Vec<_> = numbers.filter_map(solid).collect();
+        let mut found = Vec::new();
+        for (i, (robot, name, body, pose, bounds)) in solids.iter().enumerate() {
+            let with_obstacles = robot.obstacles(&self.tools).filter(|one| one.is_overlapped(body, pose, bounds));
+            found.extend(with_obstacles.map(|obstacle| format!("'{name}' and {}", obstacle.title())));
+            let others = solids[..i].iter().filter(|(other, .., at)| {
+                let in_guides = robot.guided.is_some() && other.guided.is_some();
+                !std::ptr::eq(*robot, *other) && !in_guides && bounds.meets(at)
+            });
+            let overlapping = others.filter(|(_, _, other, at, _)| body.overlaps(pose, (other, at)));
+            found.extend(overlapping.map(|(_, other, ..)| format!("'{other}' and '{name}'")));
+        }
+        let all = found.join("; ");
+        (!found.is_empty()).then(|| format!("bodies overlap where they start, and are pushed apart: {all}; move them"))
+    }
+
     /// Finds who touches whom, and each one's rates without soft ground.
     fn balance_alone(&mut self, boxes: &[Vec<Aabb>], span: Span) -> Result<()> {
         self.together = together::find(&self.robots, boxes, span);
@@ -424,7 +449,7 @@ impl Coupling for Robots {
             };
             robot.model.drives.iter().enumerate().map(joint).collect()
         };
-        self.robots.iter().flat_map(of_robot).collect()
+        self.robots.iter().filter(|robot| !robot.is_tool).flat_map(of_robot).collect()
     }
 
     fn robots(&self) -> Vec<RobotState> {
@@ -433,7 +458,16 @@ impl Coupling for Robots {
 
     fn max_speed(&self, time: f64, dt: f64) -> f64 {
         let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
-        self.all().map(|(robot, body)| robot.surface_speed(body) + gravity * dt).fold(0.0, f64::max)
+        let gained = |robot: &Robot| dt * robot.guided.map_or(gravity, |guided| guided.most());
+        self.all().map(|(robot, body)| robot.surface_speed(body) + gained(robot)).fold(0.0, f64::max)
+    }
+
+    fn watches(&self) -> bool {
+        !self.on_device && self.tools.iter().any(Obstacle::moves)
+    }
+
+    fn see(&mut self, others: &[BodyState]) {
+        self.tools.iter_mut().filter(|tool| tool.moves()).for_each(|tool| tool.follow(others));
     }
 
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
@@ -451,7 +485,7 @@ impl Coupling for Robots {
                 robot.sense_start(gravity);
             }
             let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, 0.0)).collect();
-            robot.begin(span, gravity, &boxes).map_err(|()| robot.lost("motion"))?;
+            robot.begin(span, gravity, &boxes, &self.tools).map_err(|()| robot.lost("motion"))?;
             all.push(boxes);
         }
         if self.on_device { Ok(()) } else { self.balance_alone(&all, span) }
@@ -559,8 +593,18 @@ impl Coupling for Robots {
         device::law(&self.robots, &self.contacts, self.scene.world.cell)
     }
 
-    fn leashes(&self, time: f64, dt: f64, _steps: usize) -> Option<Vec<Aabb>> {
+    fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Vec<Aabb>> {
         let world = &self.scene.world;
+        // What pushes tools must not change on the way.
+        let end = time + steps as f64 * dt;
+        let is_told = |robot: &Robot| {
+            let order = |guided: Guided, at: f64| guided.order(at, DVec3::from_array(self.scene.gravity_at(at)));
+            let keeps = |guided: Guided| [time, end].map(|at| Some(vec![order(guided, at)]) == robot.state.orders);
+            robot.guided.is_none_or(|guided| keeps(guided) == [true; 2])
+        };
+        if !self.robots.iter().all(is_told) {
+            return None;
+        }
         if !self.together.is_empty() {
             return None;
         }
@@ -653,20 +697,11 @@ impl Coupling for Robots {
     }
 
     fn warnings(&self, cell_width: f64) -> Vec<String> {
-        let mut warnings: Vec<String> = self
+        let of_models = self
             .robots
             .iter()
-            .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)))
-            .collect();
-        let is_passed = |tool: &&scene::Tool| matches!(tool.motion, Motion::Servo(_) | Motion::Velocity { .. });
-        let passed: Vec<&str> = self.scene.tool.iter().filter(is_passed).map(|tool| tool.name.as_str()).collect();
-        if !passed.is_empty() {
-            let (who, what) = match self.robots.iter().any(|robot| robot.is_tool) {
-                true => ("robots and free tools beside them pass", passed.join("', '")),
-                false => ("robots pass", passed.join("', '")),
-            };
-            warnings.push(format!("{who} through '{what}': they feel the ground, walls, one another, and tools that stay or pass through keyframes"));
-        }
+            .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)));
+        let mut warnings: Vec<String> = of_models.chain(self.overlaps()).collect();
         for robot in &self.robots {
             for body in robot.ends() {
                 let Some(shape) = &robot.model.links[robot.solids[body]].shape else { continue };

@@ -58,7 +58,8 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
     let whole: Vec<Aabb> = seen.iter().map(around).collect();
     let (mut nodes, mut found) = (NodeBatch::default(), Vec::new());
     for second in 0..robots.len() {
-        for first in (0..second).filter(|first| whole[*first].meets(&whole[second])) {
+        let in_guides = |first: usize| robots[first].guided.is_some() && robots[second].guided.is_some();
+        for first in (0..second).filter(|first| !in_guides(*first) && whole[*first].meets(&whole[second])) {
             let mass = HEAVY * robots[first].model.mass().min(robots[second].model.mass());
             for (a, link) in seen[first].iter().enumerate() {
                 for (b, other) in seen[second].iter().enumerate() {

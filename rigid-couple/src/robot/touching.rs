@@ -1,4 +1,4 @@
-//! Contacts of robots' links with what is rigid and does not answer: the world's walls, fixed tools, and tools on given paths; and with one another.
+//! Contacts of robots' links with what is rigid and does not answer: the world's walls, and tools that stay or move as they are told; and with one another.
 //!
 //! Contact points come from parry, anew in each step. Each acts like a node of ground that is much heavier than the robot and moves with the surface it lies on:
 //! by the same law, in the same system. Before the link is there, the node moves on with it as far as the gap allows. Between two links the node moves
@@ -6,15 +6,15 @@
 
 use super::dynamics::Place;
 use super::model::{Freedom, RobotModel};
-use crate::Refusal;
-use crate::motion::{KeyframePath, Pose, rotation_from};
+use crate::motion::Pose;
+use crate::rigid::body;
 use crate::sdf::Sdf;
 use crate::world::{SolidWall, friction_of, solid, solid_walls};
-use barchan_core::NodeBatch;
 use barchan_core::contact::{Grip, Touch, Twist};
 use barchan_core::coupling::Aabb;
-use barchan_core::scene::{Motion, Scene, Tool, World};
-use glam::DVec3;
+use barchan_core::scene::{Scene, Tool, World};
+use barchan_core::{BodyState, NodeBatch, Result};
+use glam::{DQuat, DVec3};
 use parry3d_f64::math::Pose as ParryPose;
 use parry3d_f64::query::{ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
 use parry3d_f64::shape::SharedShape;
@@ -24,6 +24,8 @@ pub(super) const HEAVY: f64 = 1e4;
 /// How much of what a link has sunk in is pushed out in a step, and how much in a second.
 const PUSH: f64 = 0.1;
 const FASTEST_PUSH: f64 = 20.0;
+/// What overlaps by more where it starts is warned of [m]: things that stand on one another do so by less.
+const SUNK: f64 = 1e-3;
 /// Things that meet more slowly than this do not bounce [m/s], nor do those that gravity alone has brought to so many steps' speed: they come to rest.
 const SLOW: f64 = 0.01;
 const STEPS_OF_GRAVITY: f64 = 2.0;
@@ -33,26 +35,22 @@ const STEPS_OF_GRAVITY: f64 = 2.0;
 pub struct Obstacle {
     /// Its parts in its own frame.
     parts: Vec<(SharedShape, ParryPose)>,
-    motion: Moves,
     friction: f64,
-    /// The tool that it is, if it comes or goes.
-    tool: Option<Tool>,
-}
-
-#[derive(Clone)]
-enum Moves {
-    /// Where it stays, and a box around it.
-    Not(Pose, Aabb),
-    Along(Box<(KeyframePath, Sdf)>),
-}
-
-/// An obstacle in a step.
-struct Met {
+    /// Where it is as a step begins, and how it moves in it.
     pose: Pose,
     twist: Twist,
+    /// A box around it there.
     bounds: Aabb,
-    /// How far its surface comes in the step at most [m].
-    ahead: f64,
+    /// What it is; none of a wall.
+    tool: Option<DrivenTool>,
+}
+
+/// A tool that stays, or moves as it is told.
+#[derive(Clone)]
+struct DrivenTool {
+    tool: Tool,
+    shape: Sdf,
+    moves: bool,
 }
 
 /// A link's shape as parry sees it.
@@ -68,35 +66,33 @@ impl Body {
     pub fn new(shape: &Sdf) -> Self {
         Self(shape.parts().iter().map(|part| solid(part, true)).collect())
     }
+
+    /// Does it overlap another one by more than [`SUNK`], each at its pose?
+    pub(super) fn overlaps(&self, pose: &Pose, (other, of_other): (&Self, &Pose)) -> bool {
+        deepest((&self.0, pose), (&other.0, of_other)) > SUNK
+    }
 }
 
 impl Obstacle {
-    /// The scene's tools that stay, or move as they are told.
+    /// The scene's tools that stay, or move as they are told, where they are at the start.
     ///
     /// # Errors
-    /// If a tool's shape, rotation or keyframes cannot be used.
-    pub fn tools(scene: &Scene) -> Result<Vec<Self>, Refusal> {
-        let mut all = Vec::new();
-        for (i, tool) in scene.tool.iter().enumerate() {
-            let shape = || {
-                Sdf::from_shape(&tool.shape, &scene.folder, &format!("tool[{i}].shape"))
-                    .map_err(|e| Refusal::new(e.to_string(), "mend the tool"))
-            };
-            let rotation = rotation_from(tool.rotation)?;
-            match &tool.motion {
-                Motion::Fixed => {
-                    let (shape, pose) = (shape()?, Pose { position: DVec3::from_array(tool.position), rotation });
-                    let bounds = shape.bounds(&pose, 0.0);
-                    all.push(Self::new(tool, &shape, Moves::Not(pose, bounds)));
-                }
-                Motion::Keyframes { frames, interpolation } => {
-                    let (shape, path) = (shape()?, KeyframePath::new(frames, *interpolation, rotation)?);
-                    all.push(Self::new(tool, &shape.clone(), Moves::Along(Box::new((path, shape)))));
-                }
-                Motion::Velocity { .. } | Motion::Free { .. } | Motion::Servo(_) => {}
-            }
-        }
-        Ok(all)
+    /// If a tool cannot be used, naming its key path.
+    pub fn tools(scene: &Scene) -> Result<Vec<Self>> {
+        let driven = |(_, tool): &(usize, &Tool)| !tool.answers();
+        let obstacle = |(i, tool): (usize, &Tool)| {
+            let body = body::Body::new(tool, scene, &format!("tool[{i}]"))?;
+            let (pose, shape) = (body.state.pose, body.shape.clone());
+            Ok(Self {
+                parts: shape.parts().iter().map(|part| solid(part, false)).collect(),
+                friction: friction_of(tool.contact),
+                pose,
+                twist: Twist::default(),
+                bounds: shape.bounds(&pose, 0.0),
+                tool: Some(DrivenTool { tool: tool.clone(), shape, moves: !body.is_fixed() }),
+            })
+        };
+        scene.tool.iter().enumerate().filter(driven).map(obstacle).collect()
     }
 
     /// The world's walls for a robot whose base starts there: one that stands behind a wall, such as an arm beside a box of sand, reaches over it.
@@ -107,29 +103,50 @@ impl Obstacle {
             let end = if wall.inwards > 0.0 { &mut bounds.max } else { &mut bounds.min };
             end[wall.axis] = wall.place;
             let parts = vec![(wall.shape(), wall.pose())];
-            Self { parts, motion: Moves::Not(Pose::IDENTITY, bounds), friction: wall.friction, tool: None }
+            let (pose, twist) = (Pose::IDENTITY, Twist::default());
+            Self { parts, friction: wall.friction, pose, twist, bounds, tool: None }
         };
         solid_walls(world).into_iter().filter(before).map(obstacle).collect()
     }
 
-    fn new(tool: &Tool, shape: &Sdf, motion: Moves) -> Self {
-        let parts = shape.parts().iter().map(|part| solid(part, false)).collect();
-        let comes_and_goes = tool.from > 0.0 || tool.until.is_some();
-        Self { parts, motion, friction: friction_of(tool.contact), tool: comes_and_goes.then(|| tool.clone()) }
+    /// Does it ever move?
+    pub(super) fn moves(&self) -> bool {
+        self.tool.as_ref().is_some_and(|driven| driven.moves)
     }
 
-    /// As a step from `time` that takes `dt` [s] meets it.
-    fn met(&self, [time, dt]: [f64; 2]) -> Met {
-        match &self.motion {
-            Moves::Not(pose, bounds) => Met { pose: *pose, twist: Twist::default(), bounds: *bounds, ahead: 0.0 },
-            Moves::Along(along) => {
-                let (path, shape) = &**along;
-                let pose = path.pose(time);
-                let twist = pose.chord(&path.pose(time + dt), dt);
-                let speed = twist.linear.length() + twist.angular.length() * shape.extent();
-                Met { pose, twist, bounds: shape.bounds(&pose, 0.0), ahead: 2.0 * speed * dt }
-            }
-        }
+    /// Takes up where it is as a step begins and how it moves in it, if it is among these bodies.
+    pub(super) fn follow(&mut self, bodies: &[BodyState]) {
+        let Some(DrivenTool { tool, shape, .. }) = &self.tool else { return };
+        let Some(body) = bodies.iter().find(|body| body.name == tool.name) else { return };
+        let [w, x, y, z] = body.rotation;
+        self.pose = Pose { position: DVec3::from_array(body.position), rotation: DQuat::from_xyzw(x, y, z, w) };
+        self.twist =
+            Twist { linear: DVec3::from_array(body.velocity), angular: DVec3::from_array(body.angular_velocity) };
+        self.bounds = shape.bounds(&self.pose, 0.0);
+    }
+
+    /// What it is called.
+    pub(super) fn title(&self) -> String {
+        self.tool.as_ref().map_or("a wall of the world".to_owned(), |driven| format!("'{}'", driven.tool.name))
+    }
+
+    /// Does a body at `pose`, in such a box, overlap it at the start by more than [`SUNK`]?
+    pub(super) fn is_overlapped(&self, body: &Body, pose: &Pose, bounds: &Aabb) -> bool {
+        let meets = self.is_present(0.0) && self.bounds.meets(bounds);
+        meets && deepest((&self.parts, &self.pose), (&body.0, pose)) > SUNK
+    }
+
+    fn is_present(&self, time: f64) -> bool {
+        self.tool.as_ref().is_none_or(|driven| driven.tool.is_present(time))
+    }
+
+    /// How far its surface comes in a step of `dt` [s] at most [m].
+    fn ahead(&self, dt: f64) -> f64 {
+        let turning = self.twist.angular.length();
+        let extent = || self.tool.as_ref().map_or(0.0, |driven| driven.shape.extent());
+        // A plane has no extent of its own.
+        let speed = self.twist.linear.length() + if turning > 0.0 { turning * extent() } else { 0.0 };
+        2.0 * speed * dt
     }
 }
 
@@ -157,10 +174,8 @@ pub fn pairs_of(
             if near(whole(one), whole(other)) {
                 continue;
             }
-            let mut overlap = false;
             let [at, of_other] = [one, other].map(|link| places[link].pose());
-            between((&first.0, &at), (&second.0, &of_other), 0.0, &mut |_, _, gap| overlap |= gap < 0.0);
-            if overlap {
+            if deepest((&first.0, &at), (&second.0, &of_other)) > 0.0 {
                 left_out.push(format!("'{}' and '{}'", model.links[one].name, model.links[other].name));
             } else {
                 pairs.push([a, b]);
@@ -265,24 +280,29 @@ impl Adder<'_> {
 
 impl Points {
     /// Finds where links are, or may come to be in a step, in contact; `mass` is the robot's [kg], and `pairs` are the links that may touch one another.
-    pub fn find(&mut self, links: &[Seen<'_>], obstacles: &[Obstacle], pairs: &[[usize; 2]], mass: f64, span: Span) {
+    pub fn find<'a>(
+        &mut self,
+        links: &[Seen<'_>],
+        obstacles: impl Iterator<Item = &'a Obstacle>,
+        pairs: &[[usize; 2]],
+        mass: f64,
+        span: Span,
+    ) {
         self.nodes.clear();
         self.touches.resize_with(links.len(), Vec::new);
         self.touches.iter_mut().for_each(Vec::clear);
         self.pairs.clear();
         let (nodes, mass) = (&mut self.nodes, HEAVY * mass);
-        for obstacle in obstacles {
-            if obstacle.tool.as_ref().is_some_and(|tool| !tool.is_present(span.time)) {
-                continue;
-            }
-            let Met { pose, twist, bounds, ahead } = obstacle.met([span.time, span.dt]);
+        for obstacle in obstacles.filter(|obstacle| obstacle.is_present(span.time)) {
+            let Obstacle { parts, pose, twist, bounds, .. } = obstacle;
+            let ahead = obstacle.ahead(span.dt);
             for (link, touches) in links.iter().zip(&mut self.touches) {
                 let ahead = link.ahead + ahead;
                 let Some(body) = link.body.filter(|_| bounds.meets(&link.bounds.grown(ahead))) else { continue };
                 let friction = link.friction.min(obstacle.friction);
                 let restitution = link.restitution;
                 let mut adder = Adder { nodes, touches, link, friction, restitution, mass, span };
-                between((&obstacle.parts, &pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
+                between((parts, pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
                     adder.add(at, normal, gap, [twist.at(at - pose.position), DVec3::ZERO]);
                 });
             }
@@ -325,6 +345,13 @@ pub fn among([link, other]: [&Seen<'_>; 2], nodes: &mut NodeBatch, mass: f64, sp
 }
 
 type Parts = [(SharedShape, ParryPose)];
+
+/// How far two things made of parts overlap [m]; 0 where they do not.
+fn deepest(first: (&Parts, &Pose), second: (&Parts, &Pose)) -> f64 {
+    let mut deepest = 0.0_f64;
+    between(first, second, 0.0, &mut |_, _, gap| deepest = deepest.max(-gap));
+    deepest
+}
 
 /// Contact points of two things made of parts, no further apart than `ahead` [m]: place, normal out of the first, gap.
 fn between(

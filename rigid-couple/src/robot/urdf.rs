@@ -538,7 +538,7 @@ struct Tree {
 const UNLIMITED: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
 impl Joint {
-    fn moving(name: &str, freedom: Freedom, origin: Pose, axis: DVec3) -> Self {
+    pub(super) fn moving(name: &str, freedom: Freedom, origin: Pose, axis: DVec3) -> Self {
         Self { name: name.to_owned(), freedom, origin, axis, drive: 0, ratio: 1.0, offset: 0.0 }
     }
 
@@ -549,7 +549,7 @@ impl Joint {
 
 impl Link {
     /// One without mass and shape.
-    fn frame(name: &str, parent: Option<usize>, joint: Joint) -> Self {
+    pub(super) fn frame(name: &str, parent: Option<usize>, joint: Joint) -> Self {
         Self {
             name: name.to_owned(),
             parent,

@@ -5,7 +5,7 @@
 use barchan_abi::*;
 use barchan_core::backend::{Bound, Timing};
 use barchan_core::contact::Contact;
-use barchan_core::coupling::Aabb;
+use barchan_core::coupling::{Aabb, begin_step};
 use barchan_core::scene::{Motion, Shape};
 use barchan_core::{
     Backend, BodyState, Command, Coupling, Engine, Error, Form, Ledger, NodeBatch, ParticleState, Plan, Registry,
@@ -313,7 +313,7 @@ impl Engine for Falling {
         if is_mute { Ok(Vec::new()) } else { Ok(vec![self.step(time, dt, couplings)?]) }
     }
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
-        couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))?;
+        begin_step(couplings, time, dt)?;
         Contact::default().meet(couplings, dt, &mut NodeBatch::default())?;
         couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))?;
         if self.past(&self.fate.fails_at) {

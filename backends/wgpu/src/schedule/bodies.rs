@@ -10,7 +10,7 @@ use crate::schedule::groups::{BodyStep, HeldGroup};
 use crate::worlds::sleep::{self, BlockBox};
 use crate::worlds::world::{Level, Place};
 use barchan_core::backend::WorldStep;
-use barchan_core::coupling::DeviceBody;
+use barchan_core::coupling::{DeviceBody, begin_step};
 use barchan_core::{Aabb, BodyState, Coupling, Error, Result, StepReport, Vec3, Wrench};
 use std::collections::BTreeMap;
 
@@ -331,7 +331,7 @@ impl WgpuBatch {
                 if self.may_sleep() {
                     driven.near.push(sleep::near_tools(couplings, levels));
                 }
-                couplings.iter_mut().try_for_each(|coupling| coupling.before_step(at, each))?;
+                begin_step(couplings, at, each)?;
                 // Levels that step together meet bodies where they are before the step; subcycled, coarser ones where they are after it.
                 let (before, after) = levels.split_at(if self.substeps > 1 { 1 } else { levels.len() });
                 let pack = |couplings: &[Box<dyn Coupling>], levels| {

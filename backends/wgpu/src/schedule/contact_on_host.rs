@@ -11,6 +11,7 @@ use crate::schedule::{ContactPasses, Dispatch, Passes, around_contact, passes_be
 use crate::worlds::sleep::near_tools;
 use crate::worlds::world::World;
 use barchan_core::backend::WorldStep;
+use barchan_core::coupling::begin_step;
 use barchan_core::schedule::ending;
 use barchan_core::{Error, Result, Schedule, StepReport, Wrench};
 use barchan_grid::limits::{NODE_MOVE, greater};
@@ -52,7 +53,7 @@ impl<'a, 'b> HostedStep<'a, 'b> {
     }
 
     pub(crate) fn begin(&mut self, time: f64, dt: f64) -> Result<()> {
-        self.world_step.couplings.iter_mut().try_for_each(|coupling| coupling.before_step(time, dt))
+        begin_step(self.world_step.couplings, time, dt)
     }
 
     pub(crate) fn end(&mut self, time: f64, dt: f64) -> Result<()> {

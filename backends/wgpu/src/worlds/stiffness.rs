@@ -33,10 +33,10 @@ pub(crate) fn bound<'a>(
             let fill = |plane: &Vec<f64>| Plane(std::array::from_fn(|i| plane[from + i.min(n - 1)] as f32));
             let strain: Vec<_> = list.strain.iter().map(fill).collect();
             let state: Vec<_> = list.state.iter().map(fill).collect();
-            let moduli = stiffness.moduli(&strain, &state, n, |i| Some(list.id[from + i]))?;
-            for (q, moduli) in (from..).zip(moduli) {
-                need = need.or(moduli.need(list.cell_width, list.mass[q] / list.volume0[q]));
-            }
+            let of_lane = |i: usize| from + i.min(n - 1);
+            let density = std::array::from_fn(|i| list.mass[of_lane(i)] / list.volume0[of_lane(i)]);
+            let id = |i: usize| Some(list.id[from + i]);
+            need = need.or(stiffness.need([&strain[..], &state[..]], n, (list.cell_width, &density), id)?);
         }
         bound = lesser(bound, stiffness.bound(need, steps_within(substeps, list.level)));
     }
@@ -97,8 +97,7 @@ pub(crate) fn of_stretch(
         let fill = |k: usize| Plane(std::array::from_fn(|i| value(k, chunk[i.min(chunk.len() - 1)])));
         let planes: Vec<_> = (0..planes).map(fill).collect();
         let (strain, state) = planes.split_at(identity.len());
-        let moduli = stiffness.moduli(strain, state, chunk.len(), |_| None)?;
-        need = moduli.fold(need, |need, moduli| need.or(moduli.need(h, density)));
+        need = need.or(stiffness.need([strain, state], chunk.len(), (h, &[density; PARTICLES]), |_| None)?);
     }
     Ok(need)
 }

@@ -1,7 +1,7 @@
 //! Robots that meet free bodies and one another.
 
 use super::{MOTORS, SAND, moved, root, simulation, stand, totals};
-use barchan::{BodyState, Coupling, Precision, RobotState, Scene, Simulation};
+use barchan::{BodyState, Command, Coupling, Precision, RobotState, Scene, Simulation};
 use barchan_rigid::robot::Robots;
 use glam::{DMat3, DQuat, DVec3};
 
@@ -260,25 +260,46 @@ fn a_robot_on_a_free_body_goes_on_bit_for_bit() {
     assert_eq!(of(&whole), of(&other));
 }
 
-/// What robots still pass through is named, and nothing else; free bodies take no commands.
+/// Tools beside robots that answer what they feel take no commands, and are moved by the robots' coupling.
 #[test]
-fn what_robots_pass_through_is_named() {
-    let tool = |name: &str, motion: &str| {
+fn tools_that_answer_take_no_commands_beside_robots() {
+    for (motion, coupling) in
+        [("free = { mass = 1 }", 0), ("servo = { axis = [0, 0, 1], force = 1 }", 0), ("velocity = {}", 1)]
+    {
+        let tool = format!(
+            "[[tool]]\nname = \"ball\"\nshape = {{ sphere = {{ center = [0, 0, 0], radius = 0.1 }} }}\nposition = [1, 1, 1]\nmotion = {{ {motion} }}\n"
+        );
+        let mut simulation = simulation(&bare(0.0, OPEN, &format!("{tool}{DOG}")), Precision::F64);
+        let warnings: Vec<String> = simulation.couplings().iter().flat_map(|one| one.warnings(0.002)).collect();
+        assert!(warnings.iter().all(|warning| !warning.contains("pass")), "{warnings:?}");
+        let refused = simulation.act("ball", &Command::JointTargets(Vec::new())).unwrap_err().to_string();
+        assert!(refused.contains("tool 'ball'") && refused.contains("asked for"), "{refused}");
+        assert_eq!(simulation.robots().len(), 1);
+        let rigid = simulation.couplings().iter().filter(|one| one.name() == "rigid").count();
+        assert_eq!(rigid, coupling, "{motion}");
+        let twist = Command::Twist { linear: [1.0, 0.0, 0.0], angular: [0.0; 3] };
+        assert_eq!(simulation.act("ball", &twist).is_ok(), coupling == 1, "{motion}");
+    }
+}
+
+/// Bodies that overlap others where they start are named; those that stand on one another are not.
+#[test]
+fn bodies_that_overlap_others_at_the_start_are_named() {
+    let warned = |tools: &str| {
+        let robots = Robots::new(&bare(-9.81, FLOOR, &format!("{tools}{DOG}\nposition = [0, 0, 1]"))).unwrap();
+        robots.warnings(0.002).into_iter().find(|warning| warning.contains("overlap where they start"))
+    };
+    let tool = |name: &str, z: f64, motion: &str| {
         format!(
-            "[[tool]]\nname = \"{name}\"\nshape = {{ sphere = {{ center = [0, 0, 0], radius = 0.1 }} }}\nposition = [1, 1, 1]\nmotion = {motion}\n"
+            "[[tool]]\nname = \"{name}\"\nshape = {{ sphere = {{ center = [0, 0, 0], radius = 0.1 }} }}\nposition = [1, 1, {z}]\nmotion = {motion}\n"
         )
     };
-    let warned = |tools: &str| {
-        let robots = Robots::new(&bare(0.0, OPEN, &format!("{tools}{DOG}"))).unwrap();
-        robots.warnings(0.002).into_iter().find(|warning| warning.contains("pass through '")).unwrap_or_default()
-    };
-    assert_eq!(warned(&tool("ball", "{ free = { mass = 1 } }")), "");
-    let text = warned(&(tool("ball", "{ free = { mass = 1 } }") + &tool("pusher", "{ velocity = {} }")));
-    assert!(text.contains("robots and free tools") && text.contains("'pusher'") && !text.contains("ball"), "{text}");
-    let scene = bare(0.0, OPEN, &format!("{}{DOG}", tool("ball", "{ free = { mass = 1 } }")));
-    let mut simulation = simulation(&scene, Precision::F64);
-    let refused = simulation.act("ball", &barchan::Command::JointTargets(Vec::new())).unwrap_err().to_string();
-    assert!(refused.contains("tool 'ball'") && refused.contains("moves freely"), "{refused}");
-    assert_eq!(simulation.robots().len(), 1);
-    assert!(simulation.couplings().iter().all(|coupling| coupling.name() != "rigid"));
+    let (free, still) = ("{ free = { mass = 1 } }", "\"fixed\"");
+    assert_eq!(warned(&(tool("ball", 0.1, free) + &tool("other", 0.3, free))), None);
+    let text = warned(&(tool("ball", 0.15, free) + &tool("other", 0.3, free))).unwrap();
+    assert!(text.contains("'ball' and 'other'") && !text.contains("dog"), "{text}");
+    let text = warned(&(tool("ball", 0.05, free) + &tool("stone", 0.2, still))).unwrap();
+    assert!(text.contains("'ball' and a wall of the world") && text.contains("'ball' and 'stone'"), "{text}");
+    let servo = "{ servo = { axis = [1, 0, 0], force = 1 } }";
+    assert_eq!(warned(&(tool("one", 0.05, servo) + &tool("other", 0.1, servo))), None);
 }

@@ -103,3 +103,58 @@ fn arm_scoops_lifts_what_it_carries() {
     println!("cube lifted by {lifted:.3} m (0.1)");
     assert!(lifted > 0.1, "{lifted}");
 }
+
+/// A quadruped trots over dunes of which only what is around its feet is live: it comes on and does not fall, ground comes and goes with it, and none of its mass is lost.
+#[test]
+fn quadruped_dunes_come_and_go_under_a_trot() {
+    let mut s = coarse(
+        "quadruped-dunes",
+        &["world.cell=0.03125", "levels.count=2", "material[0].parameters.young_modulus=2e5"],
+    );
+    let (start, live) = (s.ledger(), s.particle_count());
+    run_to(&mut s, 0.5);
+    let before = robot(&s);
+    let mut tilt = 0.0_f64;
+    while s.time() < 2.5 {
+        let until = s.time() + 0.1;
+        run_to(&mut s, until);
+        tilt = tilt.max(lean(&robot(&s)));
+    }
+    let way = robot(&s).position[0] - before.position[0];
+    let end = s.ledger();
+    let off = (end.mass + end.deleted_mass - end.seeded_mass) / start.mass - 1.0;
+    println!(
+        "{way:.2} m on (0.4), tilt at most {tilt:.1} degrees (25), {} of {live} particles live; {} tiles in the archive; mass off by {off:.1e}",
+        s.particle_count(),
+        end.counts["tiles in the archive now"]
+    );
+    assert!(way > 0.4 && tilt < 25.0, "{way} m, {tilt} degrees");
+    assert!((0.6..1.6).contains(&(s.particle_count() as f64 / live as f64)), "{} of {live}", s.particle_count());
+    assert!(end.seeded_mass > 0.05 * start.mass, "no ground has come: {} kg", end.seeded_mass);
+    assert!(off.abs() < 1e-6, "mass is off by {off}");
+}
+
+/// The paper's grid: eight levels of 32 cells a side around the base. The finest holds the robot, and the sand bears it.
+#[test]
+fn eight_levels_around_the_base_bear_a_quadruped() {
+    let mut s = coarse("quadruped-eight-levels", &["time.end=0.5"]);
+    let widths = &s.plan().cell_widths;
+    assert!(
+        widths.len() == 8 && (widths[0] - 10.0 / 128.0).abs() < 1e-12 && (widths[7] - 10.0).abs() < 1e-12,
+        "{widths:?}"
+    );
+    let particles = s.particles();
+    let on_level = |level: u32| particles.lists.iter().filter(|list| list.level == level).map(|list| list.len()).sum();
+    let counts: Vec<usize> = (0..8).map(on_level).collect();
+    run_to(&mut s, 0.25);
+    let push = borne(&mut s, 0.5);
+    println!(
+        "particles by level {counts:?}; borne by {push:.3} of its weight (1 +- 0.05), leaning by {:.2} degrees",
+        lean(&robot(&s))
+    );
+    assert!(
+        counts[..3].iter().all(|count| *count > 10_000) && counts[3..].iter().all(|count| *count == 0),
+        "{counts:?}"
+    );
+    assert!((push - 1.0).abs() < 0.05 && lean(&robot(&s)) < 3.0, "{push}");
+}

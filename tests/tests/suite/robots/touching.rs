@@ -1,8 +1,11 @@
 //! Robots that touch themselves, and tools that move.
 
 use super::{moved, root, space, totals};
-use barchan::{Coupling, Scene, Vec3};
+use barchan::{BodyState, Command, Coupling, Precision, Scene, Simulation, Vec3};
+use barchan_core::coupling::begin_step;
+use barchan_rigid::Rigid;
 use barchan_rigid::robot::Robots;
+use barchan_tests::sketch::{bed, half, tool};
 use glam::DVec3;
 
 fn place(robots: &Robots, name: &str) -> DVec3 {
@@ -45,24 +48,175 @@ fn feet_of_a_robot_meet_or_pass_as_the_scene_says() {
     assert!(passed < 0.0, "{passed}");
 }
 
-/// A platform that rises and moves sideways on keyframes carries the robot that stands on it.
+/// All couplings of a scene without ground.
+struct Bare(Vec<Box<dyn Coupling>>);
+
+impl Bare {
+    fn new(scene: &Scene) -> Self {
+        Self(vec![Box::new(Rigid::new(scene).unwrap()), Box::new(Robots::new(scene).unwrap())])
+    }
+
+    fn go(&mut self, steps: u32, dt: f64) {
+        for step in 0..steps {
+            let time = f64::from(step) * dt;
+            begin_step(&mut self.0, time, dt).unwrap();
+            self.0.iter_mut().for_each(|coupling| coupling.after_step(time, dt).unwrap());
+        }
+    }
+
+    fn bodies(&self) -> Vec<BodyState> {
+        self.0.iter().flat_map(|coupling| coupling.bodies()).collect()
+    }
+
+    fn body(&self, name: &str) -> BodyState {
+        self.bodies().into_iter().find(|body| body.name == name).unwrap_or_else(|| panic!("no body '{name}'"))
+    }
+
+    /// What rigid things press on the robot with, on all of its links [N].
+    fn felt(&self) -> DVec3 {
+        let robot = self.0[1].robots().remove(0);
+        robot.links.iter().flat_map(|link| &link.rigid).map(|point| DVec3::from_array(point.force)).sum()
+    }
+
+    /// The weight of what falls [N].
+    fn weight(&self) -> f64 {
+        9.81 * self.0[1].robots()[0].links.iter().map(|link| self.body(&link.name).mass).sum::<f64>()
+    }
+}
+
+/// A platform that rises and moves sideways carries the robot that stands on it, whether keyframes say how it moves or a velocity.
 #[test]
 fn a_moving_platform_carries_a_robot() {
-    let text = "name = \"lift\"\nworld = { cell = 0.01, min = [-5, -2, -2], max = [5, 2, 3] }\ntime = { end = 3 }\n[[tool]]\nname = \"platform\"\nshape = { box = { half = [1, 1, 0.1] } }\ncontact = { coulomb = { friction = 0.8 } }\nmotion = { keyframes = { interpolation = \"linear\", frames = [{ time = 0, position = [0, 0, -0.1] }, { time = 10, position = [3, 0, 0.9] }] } }\n[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nposition = [0, 0, 0.325]\ncontact = { coulomb = { friction = 0.8 } }\njoints = { \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }\nmotor = [{ kp = 250, kd = 5 }]";
-    let mut robots = Robots::new(&Scene::from_str(text, "lift.toml", root()).unwrap()).unwrap();
     let dt = 5e-4;
-    (0..4000).for_each(|step| moved(&mut robots, f64::from(step) * dt, dt));
-    let velocity: Vec3 = robots.bodies()[0].velocity;
-    let off = (DVec3::from_array(velocity) - DVec3::new(0.3, 0.0, 0.1)).length();
-    // The platform's top has risen to 0.2 m; the trunk stands 0.31 m above it.
-    let height = place(&robots, "dog").z - 0.2;
-    println!("moves with the platform but for {off:.1e} m/s (5e-3), {height:.3} m above it");
-    assert!(off < 5e-3 && (0.29..0.33).contains(&height), "{velocity:?}, {height}");
-    let state = Coupling::robots(&robots).remove(0);
-    let weight: f64 = 9.81 * robots.bodies().iter().map(|body| body.mass).sum::<f64>();
-    let borne: f64 = state.links.iter().flat_map(|link| &link.rigid).map(|point| point.force[2]).sum();
-    assert!((borne / weight - 1.0).abs() < 0.02, "{borne} of {weight} N");
-    assert!(robots.warnings(0.01).iter().all(|warning| !warning.contains("platform")));
+    let carried = |motion: &str| {
+        let text = format!(
+            "name = \"lift\"\nworld = {{ cell = 0.01, min = [-5, -2, -2], max = [5, 2, 3] }}\ntime = {{ end = 3 }}\n[[tool]]\nname = \"platform\"\nshape = {{ box = {{ half = [1, 1, 0.1] }} }}\nposition = [0, 0, -0.1]\ncontact = {{ coulomb = {{ friction = 0.8 }} }}\nmotion = {motion}\n[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nposition = [0, 0, 0.325]\ncontact = {{ coulomb = {{ friction = 0.8 }} }}\njoints = {{ \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }}\nmotor = [{{ kp = 250, kd = 5 }}]"
+        );
+        let mut all = Bare::new(&Scene::from_str(&text, "lift.toml", root()).unwrap());
+        all.go(4000, dt);
+        let velocity: Vec3 = all.body("dog").velocity;
+        let off = (DVec3::from_array(velocity) - DVec3::new(0.3, 0.0, 0.1)).length();
+        // The platform's top has risen to 0.2 m; the trunk stands 0.31 m above it.
+        let height = all.body("dog").position[2] - 0.2;
+        println!("moves with the platform but for {off:.1e} m/s (5e-3), {height:.3} m above it");
+        assert!(off < 5e-3 && (0.29..0.33).contains(&height), "{velocity:?}, {height}");
+        let (weight, borne) = (all.weight(), all.felt().z);
+        assert!((borne / weight - 1.0).abs() < 0.02, "{borne} of {weight} N");
+        DVec3::from_array(all.body("dog").position)
+    };
+    let by_frames = carried(
+        "{ keyframes = { interpolation = \"linear\", frames = [{ time = 0, position = [0, 0, -0.1] }, { time = 10, position = [3, 0, 0.9] }] } }",
+    );
+    let by_velocity = carried("{ velocity = { linear = [0.3, 0, 0.1] } }");
+    let apart = (by_frames - by_velocity).length();
+    assert!(apart < 1e-6, "the two are {apart} m apart");
+}
+
+/// A tool driven by velocity pushes a free ball and a robot before it, and obeys its agent; it is not moved by them.
+#[test]
+fn a_tool_driven_by_velocity_pushes_robots_and_free_bodies() {
+    let text = "[[tool]]\nname = \"board\"\nshape = { box = { half = [0.02, 1, 1] } }\nposition = [-0.6, 0, 0]\nmotion = { velocity = { linear = [0.5, 0, 0] } }\n[[tool]]\nname = \"ball\"\nshape = { sphere = { center = [0, 0, 0], radius = 0.1 } }\nposition = [-0.4, 0.5, 0.5]\nmotion = { free = { mass = 2 } }\n[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nposition = [0, 0, 0]\njoints = { \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }";
+    let mut all = Bare::new(&space(0.0, text));
+    let dt = 5e-4;
+    all.go(2000, dt);
+    // What it hits at 0.5 m/s goes on with it: nothing bounces.
+    let [dog, ball] = ["dog", "ball"].map(|name| all.body(name));
+    println!("ball goes at {:.6}, dog at {:.3} m/s (0.5)", ball.velocity[0], dog.velocity[0]);
+    assert!((ball.velocity[0] - 0.5).abs() < 1e-5, "{:?}", ball.velocity);
+    assert!(dog.velocity[0] > 0.3, "{:?}", dog.velocity);
+    assert!((all.body("board").position[0] + 0.1).abs() < 1e-9);
+    // Back again: it lets go of both.
+    all.0[0].act("board", &Command::Twist { linear: [-1.0, 0.0, 0.0], angular: [0.0; 3] }).unwrap();
+    let before = all.body("ball").velocity;
+    all.go(400, dt);
+    assert!((all.body("board").position[0] + 0.3).abs() < 1e-9);
+    assert_eq!(all.body("ball").velocity, before);
+}
+
+/// A force pushes a tool into what floats in space, a robot or a ball: all momentum is what the force gave, whatever the tool weighs, and no energy is created.
+#[test]
+fn a_tool_that_a_force_pushes_gives_robots_what_it_got() {
+    for other in [
+        "[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\njoints = { \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }",
+        "[[tool]]\nname = \"ball\"\nshape = { sphere = { center = [0, 0, 0], radius = 0.2 } }\nmotion = { free = { mass = 3 } }\n[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nposition = [3, 3, 3]",
+    ] {
+        for mass in [0.01, 1.0, 1e3] {
+            let (force, dt, steps) = (5.0 * mass, 2.5e-4, 2000);
+            let tool = format!(
+                "[[tool]]\nname = \"plate\"\nshape = {{ box = {{ half = [0.02, 1, 1] }} }}\nposition = [-0.55, 0, 0]\nmotion = {{ servo = {{ axis = [2, 0, 0], force = {force}, mass = {mass} }} }}\n{other}"
+            );
+            let mut all = Bare::new(&space(0.0, &tool));
+            let mut worked = 0.0;
+            let mut most = 0.0_f64;
+            for step in 0..steps {
+                let from = all.body("plate").position[0];
+                let time = f64::from(step) * dt;
+                begin_step(&mut all.0, time, dt).unwrap();
+                all.0.iter_mut().for_each(|coupling| coupling.after_step(time, dt).unwrap());
+                worked += force * (all.body("plate").position[0] - from);
+                let energy: f64 = all.bodies().iter().map(|body| body.kinetic_energy).sum();
+                most = most.max(energy / worked);
+            }
+            let momentum: f64 = all.bodies().iter().map(|body| body.momentum[0]).sum();
+            let given = force * f64::from(steps) * dt;
+            let off = momentum / given - 1.0;
+            println!("{mass} kg: momentum off by {off:.1e} (1e-12), energy at most {most:.6} of the work (1.000001)");
+            assert!(off.abs() < 1e-12 && most < 1.0 + 1e-6, "{off}, {most}");
+            assert!(all.body("plate").velocity[0] < 0.95 * given / mass || mass > 100.0, "it has met nothing");
+        }
+    }
+}
+
+/// A plate that a force of 40 N presses onto a robot that stands: the floor bears the robot's weight and 40 N, and the plate, which has none, lies still on it.
+#[test]
+fn a_plate_presses_a_robot_with_its_force() {
+    let text = "name = \"press\"\nworld = { cell = 0.01, min = [-2, -2, 0], max = [2, 2, 2], walls = { z_min = { separate = { friction = 0.8 } } } }\ntime = { end = 3 }\n[[tool]]\nname = \"plate\"\nshape = { box = { half = [0.1, 0.1, 0.02] } }\nposition = [0, 0, 0.6]\nmotion = { servo = { axis = [0, 0, -1], force = 40, mass = 1, damping = 20, ramp = 0.5 } }\n[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nposition = [0, 0, 0.325]\ncontact = { coulomb = { friction = 0.8 } }\njoints = { \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }\nmotor = [{ kp = 250, kd = 5 }]";
+    let mut all = Bare::new(&Scene::from_str(text, "press.toml", root()).unwrap());
+    all.go(6000, 5e-4);
+    // What the plate does to the robot and the floor's answer: together its weight.
+    let (weight, felt) = (all.weight(), all.felt().z);
+    let robot = all.0[1].robots().remove(0);
+    let down: f64 = robot.links.iter().flat_map(|link| &link.rigid).map(|at| at.force[2].min(0.0)).sum();
+    let speed = DVec3::from_array(all.body("plate").velocity).length();
+    println!("pressed with {:.3} N (40), all bears {felt:.3} N of {weight:.3}, plate moves at {speed:.1e} m/s", -down);
+    assert!((down + 40.0).abs() < 0.4, "{down}");
+    assert!((felt / weight - 1.0).abs() < 0.01, "{felt} of {weight} N");
+    assert!(speed < 1e-4, "{speed}");
+    assert_eq!(all.body("plate").potential_energy, 0.0);
+    assert!(all.0[1].joints().iter().all(|joint| joint.body == "dog"), "a guide is no joint of a robot");
+}
+
+/// A plate that a force presses into sand goes as deep, whether there is a robot elsewhere or not: both ways of moving it are one.
+#[test]
+fn a_pressed_plate_is_the_same_beside_a_robot() {
+    let (head, mut parts) = bed(0.05, [8, 8], 4, 40, "young_modulus = 2e5, friction_angle_deg = 35");
+    parts.push(tool(
+        "plate",
+        [0.2, 0.2, 0.25],
+        &half([0.1, 0.1, 0.05]),
+        "{ coulomb = { friction = 0.5 } }",
+        "{ servo = { axis = [0, 0, -1], force = 60, damping = 5, ramp = 0.05 } }",
+    ));
+    let mut alone = barchan_tests::scenes::simulation(&head.with(&parts), Precision::F64);
+    parts.push("[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nfixed = true\nposition = [0.2, 0.2, 1.8]\nmotor = [{ kp = 250, kd = 5 }]".to_owned());
+    let mut beside = barchan_tests::scenes::simulation(&head.with(&parts), Precision::F64);
+    let plate = |simulation: &Simulation| {
+        let body = simulation.bodies().into_iter().find(|body| body.name == "plate").unwrap();
+        (body.position[2], body.momentum[2], body.kinetic_energy, body.potential_energy)
+    };
+    let start = plate(&alone);
+    for simulation in [&mut alone, &mut beside] {
+        while simulation.time() < 0.3 {
+            simulation.step().unwrap();
+        }
+    }
+    let (one, other) = (plate(&alone), plate(&beside));
+    println!("{:.3} mm deep, apart by {:.1e} m (1e-9)", 1e3 * (start.0 - one.0), (one.0 - other.0).abs());
+    assert_eq!(alone.step_count(), beside.step_count());
+    assert!(start.0 - one.0 > 2e-3, "it has not sunk");
+    assert!((one.0 - other.0).abs() < 1e-9 && (one.1 - other.1).abs() < 1e-6, "{one:?}, {other:?}");
+    assert!((one.2 - other.2).abs() < 1e-6 && one.3 == other.3, "{one:?}, {other:?}");
+    assert!(beside.couplings().iter().all(|coupling| coupling.name() != "rigid"));
 }
 
 /// Links that overlap where the robot starts are left alone, and named.
