@@ -5,7 +5,7 @@ use crate::scenes::{alter, lean, options, rows, run_to, scene, simulation};
 use crate::sketch::{Head, bed, block, half, material, tool};
 use barchan::accuracy::{Grain, HeightMap};
 use barchan::scene::{Motion, Shape};
-use barchan::{Ledger, ParticleState, Precision, Simulation, Vec3};
+use barchan::{Ledger, Options, ParticleState, Precision, Scene, Simulation, Vec3};
 use std::f64::consts::TAU;
 
 /// Laws with parameters, all softer than 1 MPa.
@@ -256,13 +256,19 @@ pub fn furrow_depth(ground: &ParticleState, x: f64) -> f64 {
     depths.sum::<f64>() / tops.iter().flatten().filter(|top| top.is_finite()).count() as f64
 }
 
+/// For long ways, which would take an hour on one thread. The bits are the same on any number of them.
+fn on_all_threads(scene: &Scene) -> Simulation {
+    let options = Options { threads: 0, ..options(Precision::F32) };
+    Simulation::new(&barchan::registry(), scene, &options).unwrap_or_else(|e| panic!("{e}"))
+}
+
 /// A tool drags a furrow so many metres long through ground of which only what is around the tool is live.
 ///
 /// Symptom: the furrow is gone where the tool has been, or memory grows with the way it has come. Physics: what was changed stays as
 /// it was left; what is kept is what was changed, so much a metre; mass is what was there and what has come within reach.
 pub fn furrow(metres: f64) -> Outcome {
     let mut outcome = Outcome::default();
-    let mut s = simulation(&furrow_scene(metres + 3.84, 2.56), Precision::F32);
+    let mut s = on_all_threads(&scene(&furrow_scene(metres + 3.84, 2.56)));
     let start = s.ledger();
     let to = |s: &mut Simulation, x: f64| run_to(s, x / FURROW_SPEED);
     // The ball has just left the first metre.
@@ -315,9 +321,10 @@ pub fn dunes(metres: f64) -> Outcome {
         "world.max=[150.0, 50.0, 1.5]",
         "body[0].shape.terrain.max=[150.0, 50.0]",
         "time.end=1000.0",
+        // As soft as robots learn on: steps are twice as long.
+        "material[0].parameters.young_modulus=2e5",
     ];
-    let scene = barchan::tasks::scene("quadruped-dunes", &wide).expect("quadruped-dunes is a scene");
-    let mut s = Simulation::new(&barchan::registry(), &scene, &options(Precision::F32)).expect("it can be run");
+    let mut s = on_all_threads(&barchan::tasks::scene("quadruped-dunes", &wide).expect("quadruped-dunes is a scene"));
     let start = s.ledger();
     let base = |s: &Simulation| s.robots().remove(0);
     let (mut way, mut at, mut tilt) = (0.0, base(&s).position, 0f64);
