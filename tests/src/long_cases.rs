@@ -241,6 +241,10 @@ pub fn furrow_depth(ground: &ParticleState, x: f64) -> f64 {
     for list in &ground.lists {
         for i in 0..list.len() {
             let at = list.position(i);
+            // The rest of a long furrow is far off.
+            if (at[0] - x).abs() > 1.0 {
+                continue;
+            }
             let half = 0.5 * list.volume0[i].cbrt();
             for (a, column) in tops.iter_mut().enumerate() {
                 for (b, top) in column.iter_mut().enumerate() {
