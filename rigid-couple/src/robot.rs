@@ -227,6 +227,11 @@ impl Robot {
         self.walls.iter().chain(if self.guided.is_some() { &[] } else { tools })
     }
 
+    /// Do it and another one touch? Tools in guides pass through one another.
+    pub(crate) fn gives_way_to(&self, other: &Self) -> bool {
+        self.guided.is_none() || other.guided.is_none()
+    }
+
     /// What its bodies in these boxes are for contact points, in a step that has begun and is not solved.
     pub(crate) fn seen<'a>(&'a self, boxes: &[Aabb]) -> Vec<Seen<'a>> {
         let of_body = |body: usize| Seen {

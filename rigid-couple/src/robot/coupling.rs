@@ -393,8 +393,7 @@ impl Robots {
             let with_obstacles = robot.obstacles(&self.tools).filter(|one| one.is_overlapped(body, pose, bounds));
             found.extend(with_obstacles.map(|obstacle| format!("'{name}' and {}", obstacle.title())));
             let others = solids[..i].iter().filter(|(other, .., at)| {
-                let in_guides = robot.guided.is_some() && other.guided.is_some();
-                !std::ptr::eq(*robot, *other) && !in_guides && bounds.meets(at)
+                !std::ptr::eq(*robot, *other) && robot.gives_way_to(other) && bounds.meets(at)
             });
             let overlapping = others.filter(|(_, _, other, at, _)| body.overlaps(pose, (other, at)));
             found.extend(overlapping.map(|(_, other, ..)| format!("'{other}' and '{name}'")));

@@ -58,8 +58,9 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
     let whole: Vec<Aabb> = seen.iter().map(around).collect();
     let (mut nodes, mut found) = (NodeBatch::default(), Vec::new());
     for second in 0..robots.len() {
-        let in_guides = |first: usize| robots[first].guided.is_some() && robots[second].guided.is_some();
-        for first in (0..second).filter(|first| !in_guides(*first) && whole[*first].meets(&whole[second])) {
+        let may_touch =
+            |first: usize| robots[first].gives_way_to(&robots[second]) && whole[first].meets(&whole[second]);
+        for first in (0..second).filter(|first| may_touch(*first)) {
             let mass = HEAVY * robots[first].model.mass().min(robots[second].model.mass());
             for (a, link) in seen[first].iter().enumerate() {
                 for (b, other) in seen[second].iter().enumerate() {

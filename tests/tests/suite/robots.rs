@@ -5,7 +5,7 @@ mod scenes;
 mod sensing;
 mod touching;
 
-use barchan::{BodyState, Command, Coupling, Options, Precision, Scene, Simulation, Vec3};
+use barchan::{BodyState, Command, Coupling, Options, Precision, RobotState, Scene, Simulation, Vec3};
 use barchan_rigid::motion::Pose;
 use barchan_rigid::robot::dynamics::{bias, gravity, mass_matrix, momentum, places};
 use barchan_rigid::robot::urdf::Source;
@@ -220,6 +220,11 @@ fn totals(robots: &Robots) -> [DVec3; 2] {
     let bodies = robots.bodies();
     let sum = |of: fn(&BodyState) -> Vec3| bodies.iter().map(|body| DVec3::from_array(of(body))).sum::<DVec3>();
     [sum(|body| body.momentum), sum(|body| body.angular_momentum)]
+}
+
+/// What rigid things press on a robot with [N].
+fn felt(robot: &RobotState) -> DVec3 {
+    robot.links.iter().flat_map(|link| &link.rigid).map(|point| DVec3::from_array(point.force)).sum()
 }
 
 fn moved(robots: &mut Robots, time: f64, dt: f64) {

@@ -1,7 +1,7 @@
 //! Robots that meet free bodies and one another.
 
-use super::{MOTORS, SAND, moved, root, simulation, stand, totals};
-use barchan::{BodyState, Command, Coupling, Precision, RobotState, Scene, Simulation};
+use super::{MOTORS, SAND, felt, moved, root, simulation, stand, totals};
+use barchan::{BodyState, Command, Coupling, Precision, Scene, Simulation};
 use barchan_rigid::robot::Robots;
 use glam::{DMat3, DQuat, DVec3};
 
@@ -37,11 +37,6 @@ fn sunk(robots: &Robots, ball: &str, radius: f64) -> f64 {
     let links = robots.bodies().into_iter().enumerate().filter(|(_, body)| body.name != ball);
     let nearest = links.map(|(number, _)| robots.contact_distance(number, &[at])[0]).fold(f64::INFINITY, f64::min);
     radius - nearest
-}
-
-/// What rigid things press on a robot with [N].
-fn felt(robot: &RobotState) -> DVec3 {
-    robot.links.iter().flat_map(|link| &link.rigid).map(|point| DVec3::from_array(point.force)).sum()
 }
 
 /// Moves robots in empty space by so many steps. Returns how far their momenta are off at most, as parts of themselves, and their greatest kinetic energy over that of

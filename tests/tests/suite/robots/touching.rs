@@ -1,10 +1,11 @@
 //! Robots that touch themselves, and tools that move.
 
-use super::{moved, root, space, totals};
-use barchan::{BodyState, Command, Coupling, Precision, Scene, Simulation, Vec3};
+use super::{felt, moved, root, space, totals};
+use barchan::{BodyState, Command, Coupling, Precision, RobotState, Scene, Simulation, Vec3};
 use barchan_core::coupling::begin_step;
 use barchan_rigid::Rigid;
 use barchan_rigid::robot::Robots;
+use barchan_tests::scenes::{run_to, simulation};
 use barchan_tests::sketch::{bed, half, tool};
 use glam::DVec3;
 
@@ -56,12 +57,17 @@ impl Bare {
         Self(vec![Box::new(Rigid::new(scene).unwrap()), Box::new(Robots::new(scene).unwrap())])
     }
 
+    fn step(&mut self, time: f64, dt: f64) {
+        begin_step(&mut self.0, time, dt).unwrap();
+        self.0.iter_mut().for_each(|coupling| coupling.after_step(time, dt).unwrap());
+    }
+
     fn go(&mut self, steps: u32, dt: f64) {
-        for step in 0..steps {
-            let time = f64::from(step) * dt;
-            begin_step(&mut self.0, time, dt).unwrap();
-            self.0.iter_mut().for_each(|coupling| coupling.after_step(time, dt).unwrap());
-        }
+        (0..steps).for_each(|step| self.step(f64::from(step) * dt, dt));
+    }
+
+    fn robot(&self) -> RobotState {
+        self.0[1].robots().remove(0)
     }
 
     fn bodies(&self) -> Vec<BodyState> {
@@ -72,15 +78,9 @@ impl Bare {
         self.bodies().into_iter().find(|body| body.name == name).unwrap_or_else(|| panic!("no body '{name}'"))
     }
 
-    /// What rigid things press on the robot with, on all of its links [N].
-    fn felt(&self) -> DVec3 {
-        let robot = self.0[1].robots().remove(0);
-        robot.links.iter().flat_map(|link| &link.rigid).map(|point| DVec3::from_array(point.force)).sum()
-    }
-
-    /// The weight of what falls [N].
+    /// The robot's weight [N].
     fn weight(&self) -> f64 {
-        9.81 * self.0[1].robots()[0].links.iter().map(|link| self.body(&link.name).mass).sum::<f64>()
+        9.81 * self.robot().links.iter().map(|link| self.body(&link.name).mass).sum::<f64>()
     }
 }
 
@@ -100,8 +100,9 @@ fn a_moving_platform_carries_a_robot() {
         let height = all.body("dog").position[2] - 0.2;
         println!("moves with the platform but for {off:.1e} m/s (5e-3), {height:.3} m above it");
         assert!(off < 5e-3 && (0.29..0.33).contains(&height), "{velocity:?}, {height}");
-        let (weight, borne) = (all.weight(), all.felt().z);
+        let (weight, borne) = (all.weight(), felt(&all.robot()).z);
         assert!((borne / weight - 1.0).abs() < 0.02, "{borne} of {weight} N");
+        assert!(all.0[1].warnings(0.01).iter().all(|warning| !warning.contains("platform")));
         DVec3::from_array(all.body("dog").position)
     };
     let by_frames = carried(
@@ -151,9 +152,7 @@ fn a_tool_that_a_force_pushes_gives_robots_what_it_got() {
             let mut most = 0.0_f64;
             for step in 0..steps {
                 let from = all.body("plate").position[0];
-                let time = f64::from(step) * dt;
-                begin_step(&mut all.0, time, dt).unwrap();
-                all.0.iter_mut().for_each(|coupling| coupling.after_step(time, dt).unwrap());
+                all.step(f64::from(step) * dt, dt);
                 worked += force * (all.body("plate").position[0] - from);
                 let energy: f64 = all.bodies().iter().map(|body| body.kinetic_energy).sum();
                 most = most.max(energy / worked);
@@ -175,8 +174,8 @@ fn a_plate_presses_a_robot_with_its_force() {
     let mut all = Bare::new(&Scene::from_str(text, "press.toml", root()).unwrap());
     all.go(6000, 5e-4);
     // What the plate does to the robot and the floor's answer: together its weight.
-    let (weight, felt) = (all.weight(), all.felt().z);
-    let robot = all.0[1].robots().remove(0);
+    let robot = all.robot();
+    let (weight, felt) = (all.weight(), felt(&robot).z);
     let down: f64 = robot.links.iter().flat_map(|link| &link.rigid).map(|at| at.force[2].min(0.0)).sum();
     let speed = DVec3::from_array(all.body("plate").velocity).length();
     println!("pressed with {:.3} N (40), all bears {felt:.3} N of {weight:.3}, plate moves at {speed:.1e} m/s", -down);
@@ -198,19 +197,16 @@ fn a_pressed_plate_is_the_same_beside_a_robot() {
         "{ coulomb = { friction = 0.5 } }",
         "{ servo = { axis = [0, 0, -1], force = 60, ramp = 0.05 } }",
     ));
-    let mut alone = barchan_tests::scenes::simulation(&head.with(&parts), Precision::F64);
+    let mut alone = simulation(&head.with(&parts), Precision::F64);
     parts.push("[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nfixed = true\nposition = [0.2, 0.2, 1.8]\nmotor = [{ kp = 250, kd = 5 }]".to_owned());
-    let mut beside = barchan_tests::scenes::simulation(&head.with(&parts), Precision::F64);
+    let mut beside = simulation(&head.with(&parts), Precision::F64);
     let plate = |simulation: &Simulation| {
         let body = simulation.bodies().into_iter().find(|body| body.name == "plate").unwrap();
         (body.position[2], body.momentum[2], body.kinetic_energy, body.potential_energy)
     };
     let start = plate(&alone);
-    for simulation in [&mut alone, &mut beside] {
-        while simulation.time() < 0.3 {
-            simulation.step().unwrap();
-        }
-    }
+    run_to(&mut alone, 0.3);
+    run_to(&mut beside, 0.3);
     let (one, other) = (plate(&alone), plate(&beside));
     println!("{:.3} mm deep, apart by {:.1e} m (1e-9)", 1e3 * (start.0 - one.0), (one.0 - other.0).abs());
     assert_eq!(alone.step_count(), beside.step_count());
