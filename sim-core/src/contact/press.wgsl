@@ -7,8 +7,7 @@ const FINE_UNITS: f32 = 524288.0;
 // How far a particle's half may reach [cells].
 const PRESS_HALF: f32 = 0.7;
 
-// Threads, those that write a node each, and how many particles near a body are dealt to all; a thread sees to further ones by itself.
-const PRESSING: u32 = 256u;
+// PRESSING is how many threads there are, which the backend says. Those that write a node each, and how many particles near a body are dealt to all at a time.
 const NODES: u32 = 64u;
 const DEALT: u32 = 1024u;
 
@@ -21,7 +20,9 @@ var<workgroup> layer: u32;
 // How far particles have drifted from their cells at most [cells].
 var<workgroup> drifted: f32;
 var<workgroup> sums: array<atomic<i32>, 384>;
+// Particles near a body, as threads find them, then to be read by all.
 var<workgroup> found: atomic<u32>;
+var<workgroup> sought: u32;
 // Where they stand, and the first cell of their block, counted from the first of the nodes' block.
 var<workgroup> dealt: array<vec2<u32>, DEALT>;
 
@@ -34,7 +35,7 @@ fn greatest_modulus() -> f32 {
     return most;
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(PRESSING)
 fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let g = group.y * extent.row + group.x;
     let entry = (extent.block_room + min(g, extent.node_room - 1u)) * ENTRY;
@@ -52,14 +53,7 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         return;
     }
     layer_now = workgroupUniformLoad(&layer);
-    let width = H / shrink_of(layer_now);
     let own_first = lists[entry].xyz * 4;
-    // Cells by whose particles the block's nodes may be reached: a cell around it, and one more if they may have drifted by half of one. And how far from the
-    // middle of a cell the end of a particle may be, which stands in its corner and has drifted.
-    let drift = workgroupUniformLoad(&drifted);
-    let margin = select(2u, 1u, drift < 0.49);
-    let side = 4u + 2u * margin;
-    let near_by = (PRESS_HALF + 1.7321 * (0.51 + drift)) * width;
     for (var b = thread; b < PRESSED_BODIES; b += PRESSING) {
         let first = image_near(layer_now, own_first, pressed_cell(b));
         if !may_be_near(b, first) {
@@ -75,61 +69,75 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     for (var word = thread; word < NEAR_WORDS; word += PRESSING) {
         near[word] = atomicLoad(&found_near[word]);
     }
-    var bits = 0u;
-    for (var b = 0u; b < PRESSED_BODIES; b++) {
-        if (b & 31u) == 0u {
-            bits = workgroupUniformLoad(&near[b >> 5u]);
+    // Only bodies near the block are gone through, not all of the scene.
+    for (var word = 0u; word < NEAR_WORDS; word++) {
+        for (var bits = workgroupUniformLoad(&near[word]); bits != 0u; bits &= bits - 1u) {
+            press_on(32u * word + firstTrailingBit(bits), g, entry, thread);
         }
-        if (bits & (1u << (b & 31u))) == 0u {
-            continue;
+    }
+}
+
+// How particles press on one body at the nodes of the block.
+fn press_on(b: u32, g: u32, entry: u32, thread: u32) {
+    let width = H / shrink_of(layer_now);
+    let own_first = lists[entry].xyz * 4;
+    // Cells by whose particles the block's nodes may be reached: a cell around it, and one more if they may have drifted by half of one. And how far from the
+    // middle of a cell the end of a particle may be, which stands in its corner and has drifted.
+    let drift = workgroupUniformLoad(&drifted);
+    let margin = select(2u, 1u, drift < 0.49);
+    let side = 4u + 2u * margin;
+    let near_by = (PRESS_HALF + 1.7321 * (0.51 + drift)) * width;
+    let unit = greatest_modulus() * width * width / COARSE_UNITS;
+    let body = pressed_body(b);
+    let first = image_near(layer_now, own_first, pressed_cell(b));
+    // From the body's reference point to the block's first cell [cells].
+    let corner = vec3<f32>(first - body.cell) - body.place;
+    for (var start = 0u; start < side * side * side; start += PRESSING) {
+        let c = start + thread;
+        let cell = vec3<i32>(vec3<u32>(c / (side * side), (c / side) % side, c % side)) - vec3<i32>(i32(margin));
+        let arm = (corner + vec3<f32>(cell) + vec3<f32>(0.5)) * width;
+        let middle = arm.x * body.rows[0] + arm.y * body.rows[1] + arm.z * body.rows[2];
+        var block = NONE;
+        if c < side * side * side {
+            block = block_beside(entry, cell >> vec3<u32>(2u));
         }
-        let unit = greatest_modulus() * width * width / COARSE_UNITS;
-        let body = pressed_body(b);
-        let first = image_near(layer_now, own_first, pressed_cell(b));
-        // From the body's reference point to the block's first cell [cells].
-        let corner = vec3<f32>(first - body.cell) - body.place;
-        for (var start = 0u; start < side * side * side; start += PRESSING) {
-            let c = start + thread;
-            let cell = vec3<i32>(vec3<u32>(c / (side * side), (c / side) % side, c % side)) - vec3<i32>(i32(margin));
-            let arm = (corner + vec3<f32>(cell) + vec3<f32>(0.5)) * width;
-            let middle = arm.x * body.rows[0] + arm.y * body.rows[1] + arm.z * body.rows[2];
-            var block = NONE;
-            if c < side * side * side {
-                block = block_beside(entry, cell >> vec3<u32>(2u));
+        let in_block = vec3<u32>(cell & vec3<i32>(3));
+        let own = (in_block.x << 4u) | (in_block.y << 2u) | in_block.z;
+        // The cell's particles, and their first place among those of all threads.
+        var count = 0u;
+        var place = 0u;
+        if block != NONE {
+            count = cells[block * 64u + own + 1u] - cells[block * 64u + own];
+            if count > 0u && coupling_distance(body.number, middle, width) > near_by {
+                count = 0u;
             }
-            if block != NONE {
-                let in_block = vec3<u32>(cell & vec3<i32>(3));
-                let own = (in_block.x << 4u) | (in_block.y << 2u) | in_block.z;
-                let count = cells[block * 64u + own + 1u] - cells[block * 64u + own];
-                if count > 0u && coupling_distance(body.number, middle, width) <= near_by {
-                    let to = atomicAdd(&found, count);
-                    for (var r = 0u; r < count; r++) {
-                        let one = vec2<u32>(slot_of(block, own, r), u32(pack_block(cell >> vec3<u32>(2u))));
-                        if to + r < DEALT {
-                            dealt[to + r] = one;
-                        } else {
-                            press_of(one, body.number, corner, body.rows, width, unit);
-                        }
-                    }
-                }
+            if count > 0u {
+                place = atomicAdd(&found, count);
+            }
+        }
+        workgroupBarrier();
+        if thread == 0u {
+            sought = atomicExchange(&found, 0u);
+        }
+        let all = workgroupUniformLoad(&sought);
+        for (var from_here = 0u; from_here < all; from_here += DEALT) {
+            let end = min(from_here + DEALT, all);
+            for (var at = max(place, from_here); at < min(place + count, end); at++) {
+                let slot = slot_of(block, own, at - place);
+                dealt[at - from_here] = vec2<u32>(slot, u32(pack_block(cell >> vec3<u32>(2u))));
             }
             workgroupBarrier();
-            let count = min(atomicLoad(&found), DEALT);
-            for (var i = thread; i < count; i += PRESSING) {
+            for (var i = thread; i < end - from_here; i += PRESSING) {
                 press_of(dealt[i], body.number, corner, body.rows, width, unit);
             }
             workgroupBarrier();
-            if thread == 0u {
-                atomicStore(&found, 0u);
-            }
-            workgroupBarrier();
         }
-        if thread < NODES {
-            let sum = vec3<f32>(sum_at(thread), sum_at(64u + thread), sum_at(128u + thread));
-            put_pressed(b, g, first >> vec3<u32>(2u), thread, sum * unit);
-        }
-        workgroupBarrier();
     }
+    if thread < NODES {
+        let sum = vec3<f32>(sum_at(thread), sum_at(64u + thread), sum_at(128u + thread));
+        put_pressed(b, g, first >> vec3<u32>(2u), thread, sum * unit);
+    }
+    workgroupBarrier();
 }
 
 // Blocks beside the nodes' one, by an offset of -1, 0 or 1 along each axis.

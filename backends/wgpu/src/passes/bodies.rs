@@ -62,6 +62,11 @@ pub(crate) fn contact_drafts(
     [press, contact, sums]
 }
 
+/// Threads of a workgroup that find how particles press. A software adapter runs all of the text for each eight threads, wanted or not: fewer cost less there.
+pub(crate) fn pressing(is_software: bool) -> String {
+    format!("const PRESSING: u32 = {}u;\n", if is_software { 64 } else { 256 })
+}
+
 /// How particles press on bodies; `of_bodies` says where these are, and where the forces go.
 pub(crate) fn press_draft<const N: usize>(
     name: &'static str,

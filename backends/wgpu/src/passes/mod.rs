@@ -24,7 +24,7 @@ use crate::device::Gpu;
 use crate::device::memory::Answering;
 use crate::passes::adapt::adapt;
 use crate::passes::binding::{Draft, Kernel, Parts, Setting, build, compose, entry};
-use crate::passes::bodies::answer_draft;
+use crate::passes::bodies::{answer_draft, pressing};
 use crate::passes::couplings::Laws;
 use crate::passes::g2p::{g2p, soft, stress};
 use crate::passes::grid::{Finish, collect, hold, reflect, separate, sum_tiles, velocities};
@@ -162,7 +162,8 @@ impl Kernels {
                 entry(1, wgpu::BufferBindingType::Uniform, false),
             ],
         });
-        let constants = constants(plan) + &layer_constants(plan, worlds);
+        let is_software = gpu.adapter_info.device_type == wgpu::DeviceType::Cpu;
+        let constants = constants(plan) + &layer_constants(plan, worlds) + &pressing(is_software);
         let setting = Setting { constants, parts: Parts::new(&gpu.limits, rest_vectors(&plan.materials)) };
         let set = drafts(plan, worlds, particles)?.map(|draft| build(gpu, &step_layout, &setting, worlds, draft));
         Ok(Self { set, free_room: worlds * free_bodies(plan), setting, step_layout })
@@ -251,7 +252,8 @@ pub fn shaders(
     let set = drafts(plan, worlds, particles)?;
     let vectors = rest_vectors(&plan.materials);
     let parts = if apart { Parts::apart(vectors) } else { Parts::together() };
-    let setting = Setting { constants: constants(plan) + &layer_constants(plan, worlds), parts };
+    let constants = constants(plan) + &layer_constants(plan, worlds) + &pressing(false);
+    let setting = Setting { constants, parts };
     let (subcycled, shape) = (plan.substeps > 1, [worlds, plan.cell_widths.len()]);
     let mut contact: Vec<Draft> = bodies::near_drafts(subcycled).into();
     contact.extend([sums(&plan.materials), sample(), heights(), probes::apart(), nearest()]);

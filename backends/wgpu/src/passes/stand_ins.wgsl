@@ -39,6 +39,7 @@ const BESIDE: u32 = 67108864u;
 const BESIDE_BY: u32 = 1048576u;
 const SORT_DRIFT = vec3<f32>(0.5, 0.1, 0.002);
 const MAX_DRIFT: f32 = 1.0;
+const PRESSING: u32 = 256u;
 const BOXES: u32 = 1u;
 const PER_WORLD: u32 = 8u;
 const SPLIT_AHEAD: i32 = 1;
