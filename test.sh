@@ -18,7 +18,7 @@ cbindgen_version=0.29.4
 tools="${CARGO_TARGET_DIR:-target}/tools"
 header=sim-core/abi/include/barchan_abi.h
 
-step() { printf '\n== %s\n' "$*"; }
+step() { printf '\n== %s (after %d minutes)\n' "$*" $((SECONDS / 60)); }
 stop() { printf '\n%s\n' "$*" >&2; exit 1; }
 
 step "What the tests need"

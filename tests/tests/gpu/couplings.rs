@@ -58,7 +58,7 @@ fn couplings_of_all_kinds_are_on_the_device_what_they_are_on_the_cpu() {
         (CURRENT, &[&cube], ""),
     ];
     for (couplings, tools, levels) in cases {
-        let (step, steps) = if levels.contains("subcycle") { (5e-4, 30) } else { (2.5e-4, 60) };
+        let (step, steps) = if levels.contains("subcycle") { (5e-4, 20) } else { (2.5e-4, 40) };
         let toml = yard(couplings, tools, levels, step);
         let (mut many, mut single) = (start(&toml, "wgpu", Precision::F32), start(&toml, "wgpu", Precision::F32));
         let mut cpu = start(&toml, "cpu", Precision::F64);
@@ -115,7 +115,7 @@ fn bodies_that_answer_together_are_on_the_device_what_they_are_on_the_cpu() {
         (far, &[&blade], &levels("subcycle = true\n")),
     ];
     for (couplings, tools, levels) in cases {
-        let (step, steps) = if levels.contains("subcycle") { (5e-4, 60) } else { (2.5e-4, 120) };
+        let (step, steps) = if levels.contains("subcycle") { (5e-4, 40) } else { (2.5e-4, 80) };
         let toml =
             yard(couplings, tools, levels, step).replace("blade\"\nposition = [0.1,", "blade\"\nposition = [0.06,");
         let (mut many, mut single) = (start(&toml, "wgpu", Precision::F32), start(&toml, "wgpu", Precision::F32));

@@ -34,7 +34,7 @@ fn a_free_body_gets_what_the_ground_loses() {
         let (mut g, mut c) = (gpu(&toml), cpu(&toml));
         let before = g.ledger();
         let momentum = norm(before.momentum);
-        let steps = 150;
+        let steps = 110;
         take_at_once(&mut g, steps);
         (0..steps).for_each(|_| drop(c.step().unwrap()));
         let (after, there) = (g.ledger(), c.ledger());
@@ -100,7 +100,7 @@ fn a_cube_slides_on_sand_as_on_the_cpu() {
             ball,
         ]);
         let (mut g, mut single, mut c) = (gpu(&toml), gpu(&toml), cpu(&toml));
-        let steps = (0.05 / step) as usize;
+        let steps = (0.03 / step) as usize;
         take_at_once(&mut g, steps);
         (0..steps).for_each(|_| drop(single.step().unwrap()));
         (0..steps).for_each(|_| drop(c.step().unwrap()));

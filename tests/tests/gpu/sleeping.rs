@@ -70,13 +70,13 @@ fn a_pulse_passes_through_ground_asleep() {
 #[test]
 fn a_tool_finds_ground_asleep_as_it_would_awake() {
     for levels in ["", LEVELS, SUBCYCLED] {
-        let cells = if levels.is_empty() { [32, 8, 6] } else { [72, 8, 8] };
+        let cells = if levels.is_empty() { [32, 8, 6] } else { [48, 8, 8] };
         let [slept, awake] = ["on = true\nspeed = 1e-3", "on = false"].map(|sleep| {
             let mut s = gpu(&bed(cells, "sand", SAND, sleep, &[levels.to_owned(), plate(cells, 0.15)]));
             let mut impulse = [0.0; 3];
             let (mut most, mut surface) = (0, 0.0);
-            while s.time() < 0.36 {
-                for report in s.steps(16, 0.36).unwrap_or_else(|e| panic!("{e}")) {
+            while s.time() < 0.32 {
+                for report in s.steps(16, 0.32).unwrap_or_else(|e| panic!("{e}")) {
                     let force = report.wrenches.as_ref().expect("the plate feels")[0].force;
                     (0..3).for_each(|d| impulse[d] += force[d] * report.dt);
                 }
@@ -100,15 +100,15 @@ fn a_tool_finds_ground_asleep_as_it_would_awake() {
 /// and levels follow it: what is split and merged stirs, comes to rest, and lies where it would lie awake.
 #[test]
 fn levels_pass_over_ground_asleep() {
-    let cells = [80, 4, 8];
+    let cells = [64, 4, 8];
     for levels in [LEVELS, SUBCYCLED] {
         let over = tool("eye", [0.1, 0.04, 0.3], &half([0.02; 3]), "\"slip\"", &driven([2.5, 0.0, 0.0]));
         let [slept, awake] = ["speed = 2e-3", "on = false"].map(|sleep| {
             let text = bed(cells, "sand", SAND, sleep, &[levels.to_owned(), over.clone()]);
             let mut s = gpu(&text);
             let (mut least, mut most) = (u64::MAX, 0);
-            while s.time() < 0.45 {
-                s.steps(32, 0.45).unwrap_or_else(|e| panic!("{e}"));
+            while s.time() < 0.36 {
+                s.steps(32, 0.36).unwrap_or_else(|e| panic!("{e}"));
                 if s.step_count() > 60 {
                     (least, most) = (asleep(&s).min(least), asleep(&s).max(most));
                 }
@@ -136,7 +136,7 @@ fn ground_asleep_falls_when_its_support_goes() {
     let cells = [16, 4, 8];
     let side = cells.map(|n| CELL * f64::from(n));
     let [shut, open] = [[side[0] + 0.03, 0.5 * side[1], 0.5 * side[2]], [side[0] + 0.03, 0.5 * side[1], 3.0 * side[2]]];
-    let frames = [(0.0, shut), (0.4, shut), (0.45, open)]
+    let frames = [(0.0, shut), (0.15, shut), (0.2, open)]
         .map(|(time, position)| format!("{{ time = {time:?}, position = {position:?} }}"))
         .join(", ");
     let motion = format!("{{ keyframes = {{ frames = [{frames}] }} }}");
@@ -149,9 +149,9 @@ fn ground_asleep_falls_when_its_support_goes() {
         let [slept, awake] = ["on = true\nspeed = 1e-2", "on = false"].map(|sleep| {
             let text = bed(cells, "sand", SAND, sleep, &more).replace(&format!("max = [{:?}", side[0]), "max = [0.64");
             let mut s = gpu(&text);
-            run_to(&mut s, 0.4);
+            run_to(&mut s, 0.15);
             let most = asleep(&s);
-            run_to(&mut s, 0.55);
+            run_to(&mut s, 0.3);
             let reach = rows(&s).iter().map(|r| r.x[0]).collect::<Vec<_>>();
             (most, reach.iter().sum::<f64>() / reach.len() as f64)
         });

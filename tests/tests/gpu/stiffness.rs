@@ -44,7 +44,7 @@ fn each_law_that_stiffens_is_asked_on_the_device() {
             let fresh = gpu.plan().bound.dt;
             let at_once = gpu.steps(40, f64::INFINITY).unwrap().len();
             assert!(at_once == 40 || gpu.bound().dt < fresh, "{}: {at_once} steps in one call", law.0);
-            take_at_once(&mut gpu, 120);
+            take_at_once(&mut gpu, 80);
             // The CPU measures particles as they come in.
             let mut cpu = on("cpu", Precision::F32, &text);
             cpu.set_particles(unsorted(&gpu)).unwrap();
@@ -108,8 +108,8 @@ fn looking_in_between_changes_no_bit() {
         let text = thrown(law, 3.0, more, "safety = 0.9").replace("0.12, 0.12, 0.16", "0.06, 0.06, 0.08");
         let run = |most: usize| {
             let (mut sim, mut lengths) = (gpu(&text), Vec::new());
-            while lengths.len() < 150 {
-                let reports = sim.steps(most.min(150 - lengths.len()), f64::INFINITY);
+            while lengths.len() < 100 {
+                let reports = sim.steps(most.min(100 - lengths.len()), f64::INFINITY);
                 lengths.extend(reports.unwrap_or_else(|e| panic!("{e}")).iter().map(|report| report.dt));
             }
             (sim.particles(), lengths)

@@ -32,7 +32,7 @@ fn tools_feel_what_they_feel_on_the_cpu() {
     let (mut gpu, mut cpu) = (gpu(&toml), cpu(&toml));
     let impulse = |sim: &mut Simulation| {
         let mut sum = [0.0; 3];
-        for _ in 0..160 {
+        for _ in 0..100 {
             let dt = sim.step().unwrap_or_else(|e| panic!("{e}")).dt;
             for d in 0..3 {
                 sum[d] += sim.wrenches()[0].force[d] * dt;
@@ -108,7 +108,7 @@ fn sampled_shapes_are_felt_on_the_device_as_on_the_cpu() {
     let (mut on_device, mut on_cpu) = (gpu(&with_speed(0.4)), cpu(&with_speed(0.4)));
     let impulse = |sim: &mut Simulation| {
         let mut sums = [[0.0; 3]; 2];
-        for _ in 0..160 {
+        for _ in 0..100 {
             let dt = sim.step().unwrap_or_else(|e| panic!("{e}")).dt;
             for (sum, wrench) in sums.iter_mut().zip(sim.wrenches()) {
                 (0..3).for_each(|d| sum[d] += wrench.force[d] * dt);
@@ -124,7 +124,7 @@ fn sampled_shapes_are_felt_on_the_device_as_on_the_cpu() {
     within("place of the cube, in cells", off(at, there) / 0.02, 1e-3);
     within("distance of particles, in cells", apart(&rows(&on_device), &rows(&on_cpu)) / 0.02, 5e-3);
     // Nodes are gathered for a law on the host.
-    assert_eq!([passes_of(&on_device, "gather"), passes_of(&on_device, "answering bodies")], [0, 160]);
+    assert_eq!([passes_of(&on_device, "gather"), passes_of(&on_device, "answering bodies")], [0, 100]);
 
     let scenes: Vec<Scene> = [0.4, -0.3].map(|speed| scene(&with_speed(speed))).into();
     let mut worlds = Worlds::new(&barchan::registry(), scenes, &on_gpu()).unwrap();

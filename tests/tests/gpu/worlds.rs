@@ -235,7 +235,7 @@ fn passes_do_not_grow_with_worlds() {
 /// own and a free cube in all of them or in one.
 #[test]
 fn a_world_on_levels_in_a_batch_is_the_world_alone_bit_for_bit() {
-    const AT_ONCE: usize = 30;
+    const AT_ONCE: usize = 20;
     let cases = [(false, [false; 3]), (true, [false; 3]), (true, [true; 3]), (true, [false, true, false])];
     for (subcycle, cubes) in cases {
         println!("subcycled: {subcycle}, with a cube: {cubes:?}");
