@@ -69,21 +69,21 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     for (var word = thread; word < NEAR_WORDS; word += PRESSING) {
         near[word] = atomicLoad(&found_near[word]);
     }
+    let drift = workgroupUniformLoad(&drifted);
     // Only bodies near the block are gone through, not all of the scene.
     for (var word = 0u; word < NEAR_WORDS; word++) {
         for (var bits = workgroupUniformLoad(&near[word]); bits != 0u; bits &= bits - 1u) {
-            press_on(32u * word + firstTrailingBit(bits), g, entry, thread);
+            press_on(32u * word + firstTrailingBit(bits), g, entry, drift, thread);
         }
     }
 }
 
-// How particles press on one body at the nodes of the block.
-fn press_on(b: u32, g: u32, entry: u32, thread: u32) {
+// How particles, which have drifted from their cells by at most `drift` [cells], press on one body at the nodes of the block.
+fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
     let width = H / shrink_of(layer_now);
     let own_first = lists[entry].xyz * 4;
     // Cells by whose particles the block's nodes may be reached: a cell around it, and one more if they may have drifted by half of one. And how far from the
     // middle of a cell the end of a particle may be, which stands in its corner and has drifted.
-    let drift = workgroupUniformLoad(&drifted);
     let margin = select(2u, 1u, drift < 0.49);
     let side = 4u + 2u * margin;
     let near_by = (PRESS_HALF + 1.7321 * (0.51 + drift)) * width;

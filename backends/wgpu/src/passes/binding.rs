@@ -194,8 +194,8 @@ pub(crate) fn build_for(
     checks.bounds_checks = draft.checked;
     let descriptor =
         wgpu::ShaderModuleDescriptor { label: Some(draft.name), source: wgpu::ShaderSource::Wgsl(text.into()) };
-    // SAFETY: without plugins' text, or if that says so of its own, all loops count to a bound that they find at their start, or walk a list that has no circles;
-    // a pass whose indices are not checked says why they are in range.
+    // SAFETY: without plugins' text, or if that says so of its own, all loops count to a bound that they find at their start, go through
+    // a word's bits, or walk a list that has no circles; a pass whose indices are not checked says why they are in range.
     let module = unsafe { device.create_shader_module_trusted(descriptor, checks) };
     let layout = device
         .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(draft.name), entries: &entries });

@@ -244,7 +244,7 @@ fn a_free_tool_is_followed_by_its_lowest_point_on_every_backend() {
     let all = everywhere().map(|options| {
         let (mut single, mut at_once) = (make(&options), make(&options));
         let mut seen = vec![boxes(&single)];
-        for _ in 0..10 {
+        for _ in 0..6 {
             (0..20).for_each(|_| drop(single.step().unwrap()));
             let mut taken = 0;
             while taken < 20 {
@@ -271,7 +271,7 @@ agents = [{ name = "ball", at = "lowest", half = 12, offset = [0.1, 0.0, -0.05] 
             let text = furrow_scene(side, side).replace("reach = 4", own);
             let mut s = Simulation::new(&barchan::registry(), &scene(&text), &options).unwrap();
             let start = boxes(&s);
-            (0..80).for_each(|_| drop(s.step().unwrap()));
+            (0..50).for_each(|_| drop(s.step().unwrap()));
             assert_ne!(boxes(&s), start, "boxes have moved");
             (boxes(&s), rows(&s))
         };
