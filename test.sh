@@ -21,6 +21,9 @@ header=sim-core/abi/include/barchan_abi.h
 step() { printf '\n== %s (after %d minutes)\n' "$*" $((SECONDS / 60)); }
 stop() { printf '\n%s\n' "$*" >&2; exit 1; }
 
+# Everything is built once there: what helps later builds and debuggers only takes time.
+[ -z "${CI:-}" ] || export CARGO_INCREMENTAL=0 CARGO_PROFILE_DEV_DEBUG=0
+
 step "What the tests need"
 command -v cargo >/dev/null || stop "cargo is missing. Install Rust with this line, then run this script again:
     curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh"

@@ -7,7 +7,7 @@ const FINE_UNITS: f32 = 524288.0;
 // How far a particle's half may reach [cells].
 const PRESS_HALF: f32 = 0.7;
 
-// PRESSING is how many threads there are, which the backend says. Those that write a node each, and how many particles near a body are dealt to all at a time.
+// There are PRESSING threads, as the backend says. So many of them write a node each, and so many particles near a body are dealt to all at a time.
 const NODES: u32 = 64u;
 const DEALT: u32 = 1024u;
 

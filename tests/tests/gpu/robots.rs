@@ -176,10 +176,10 @@ fn a_robot_comes_onto_a_tool() {
             "contact = {{ coulomb = {{ friction = 0.6 }} }}\n[[tool]]\nname = \"plank\"\nshape = {{ box = {{ half = [0.3, 0.25, 0.03125] }} }}\nposition = [0.5625, 0.375, 0.21875]\nmotion = {{ {motion} }}"
         );
         let mut scene = landing(ONE, 0.5625, &plank);
-        (scene.robot[0].position[2], scene.robot[0].velocity) = (0.72, [0.0, 0.0, -3.0]);
+        (scene.robot[0].position[2], scene.robot[0].velocity) = (0.78, [0.0, 0.0, -3.0]);
         let mut device = start(&scene, "wgpu", Precision::F32);
         let mut cpu = start(&scene, "cpu", Precision::F64);
-        let steps = 135;
+        let steps = 170;
         let mut strongest = 0.0_f64;
         for _ in 0..steps {
             device.step().unwrap();

@@ -44,7 +44,7 @@ fn each_law_that_stiffens_is_asked_on_the_device() {
             let fresh = gpu.plan().bound.dt;
             let at_once = gpu.steps(40, f64::INFINITY).unwrap().len();
             assert!(at_once == 40 || gpu.bound().dt < fresh, "{}: {at_once} steps in one call", law.0);
-            take_at_once(&mut gpu, 80);
+            take_at_once(&mut gpu, 120);
             // The CPU measures particles as they come in.
             let mut cpu = on("cpu", Precision::F32, &text);
             cpu.set_particles(unsorted(&gpu)).unwrap();
