@@ -32,7 +32,7 @@ fn tools_feel_what_they_feel_on_the_cpu() {
     let (mut gpu, mut cpu) = (gpu(&toml), cpu(&toml));
     let impulse = |sim: &mut Simulation| {
         let mut sum = [0.0; 3];
-        for _ in 0..100 {
+        for _ in 0..160 {
             let dt = sim.step().unwrap_or_else(|e| panic!("{e}")).dt;
             for d in 0..3 {
                 sum[d] += sim.wrenches()[0].force[d] * dt;
