@@ -107,11 +107,9 @@ fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
         var count = 0u;
         var place = 0u;
         if block != NONE {
-            count = cells[block * 64u + own + 1u] - cells[block * 64u + own];
-            if count > 0u && coupling_distance(body.number, middle, width) > near_by {
-                count = 0u;
-            }
-            if count > 0u {
+            let held = cells[block * 64u + own + 1u] - cells[block * 64u + own];
+            if held > 0u && coupling_distance(body.number, middle, width) <= near_by {
+                count = held;
                 place = atomicAdd(&found, count);
             }
         }
