@@ -118,7 +118,7 @@ fn coupling_press(body: u32, x: vec3<f32>, half: f32, modulus: f32, cell: f32) -
     return (4.0 * modulus * half * half * overlap / (1.0 - overlap)) * surface.normal;
 }
 
-// At `x` [m] from the body's reference point, in the body's frame, where particles press by `press`: their forces over the node's mass, times the step [m/s].
+// At `x` [m] from the body's reference point, in the body's frame, where particles press by `press`: their forces times the step [N s].
 fn coupling_grip(body: u32, x: vec3<f32>, cell: f32, press: vec3<f32>) -> CouplingGrip {
     let near = rigid_near(body, x, cell);
     let distance = near.surface.distance;

@@ -438,11 +438,25 @@ fn coupling_begin(group: u32, thread: u32) {
     robot_move(thread);
     robot_compose(thread);
     robot_correct(thread);
-    if group_moves() {
-        robot_settle(thread);
+    if !group_moves() {
+        robot_set_free(thread);
+        return;
+    }
+    var before = 0.0;
+    if thread < robot_rates {
+        before = robot_free[thread];
     }
     workgroupBarrier();
+    robot_settle(thread);
+    workgroupBarrier();
     robot_set_free(thread);
+    // Where links touch the ground, rates change less in a step than they would without it: legs are light, and motors press their feet into the ground.
+    if thread < robot_rates {
+        set_group_rate(TWIST_EXPECTED, thread, before);
+    }
+    workgroupBarrier();
+    robot_set_twists(TWIST_EXPECTED, thread);
+    workgroupBarrier();
 }
 
 // What contact on a body comes to, as wrenches about the base's centre of mass: what it gives, and by how much that falls for each unit of a motion.

@@ -267,7 +267,7 @@ pub struct DeviceLaw {
     ///   presses on the body [N], in its frame; `half` is half the particle's width [m], `modulus` its stiffness [Pa]. As for
     ///   [`NearParticle`], the backend adds these up on the eight nodes around; no force may exceed 9 `modulus` (2 `half`)². Only if `reach` is above 0;
     /// - `fn coupling_grip(body: u32, x: vec3<f32>, cell: f32, press: vec3<f32>) -> CouplingGrip`: how the surface grips a node there, as
-    ///   [`Grip`](crate::contact::Grip) says it; `press` is the sum of forces there, times the step, over the node's mass [m/s].
+    ///   [`Grip`](crate::contact::Grip) says it, but with an impulse for `most` [N s]; `press` is the sum of forces there, times the step [N s].
     ///   `struct CouplingGrip { kind: u32, normal: vec3<f32>, most: f32, deep: bool, distance: f32 }` is the backend's, with the kinds `GRIP_NONE`,
     ///   `GRIP_STICK`, `GRIP_COULOMB` and `GRIP_BILATERAL`, and `GRIP_UNBOUNDED` for `most` where nothing bounds it;
     /// - `fn coupling_friction(body: u32) -> f32`: its coefficient of friction;
@@ -310,7 +310,7 @@ pub struct DeviceLaw {
 ///   `storageBarrier()` for words and poses; at its end, too, if the next function reads it on another thread. Behind `coupling_begin`, and before each
 ///   `coupling_answer` and `coupling_feel`, the backend waits for all.
 ///   Barriers must stand in uniform control flow, which nobody checks: not where `thread` decides. `group`, words and the table are the same to all threads.
-/// - Of an adapter's memory for workgroups, which is 16 KiB at least, the backend takes 13.6, and 236 bytes for each body and 20 for each rate of the largest group. Where a
+/// - Of an adapter's memory for workgroups, which is 16 KiB at least, the backend takes 12.6, and 208 bytes for each body and 20 for each rate of the largest group. Where a
 ///   group's own variables do not fit any more, its contact runs on the host.
 /// - `var<private>` stay between the calls in a pass, and no longer.
 ///

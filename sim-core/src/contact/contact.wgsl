@@ -85,11 +85,12 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
                 continue;
             }
             let x = in_body(at, arm_of(at, cell, width));
-            let press = partials[pressed_at(g, b, n)].xyz * (step.dt * steps_of(layer_now) / mass);
+            let press = partials[pressed_at(g, b, n)].xyz * (step.dt * steps_of(layer_now));
             let own = coupling_grip(b, x, width, press);
             if own.kind != GRIP_NONE && (owner == NONE || own.distance < grip.distance) {
                 owner = b;
                 grip = own;
+                grip.most = most_of(own.most, mass);
             }
         }
     }

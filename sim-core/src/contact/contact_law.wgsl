@@ -1,7 +1,7 @@
 // The contact law between nodes and bodies, as `contact.rs` has it.
 
-// How a surface grips a node: the kind of law; the unit normal out of the body; the greatest speed that may be taken [m/s]; does the node count as deep
-// inside; and how far it is from the surface [m].
+// How a surface grips a node: the kind of law; the unit normal out of the body; the greatest impulse that may be taken [N s], or the greatest speed [m/s], once the
+// node's mass is known; does the node count as deep inside; and how far it is from the surface [m].
 struct CouplingGrip { kind: u32, normal: vec3<f32>, most: f32, deep: bool, distance: f32 }
 const GRIP_NONE: u32 = 0u;
 const GRIP_STICK: u32 = 1u;
@@ -9,6 +9,11 @@ const GRIP_COULOMB: u32 = 2u;
 // In the core of thin plates, where the node may not separate either.
 const GRIP_BILATERAL: u32 = 3u;
 const GRIP_UNBOUNDED: f32 = 3e38;
+
+// The greatest speed that may be taken from a node of some mass [m/s].
+fn most_of(impulse: f32, mass: f32) -> f32 {
+    return select(impulse / mass, GRIP_UNBOUNDED, impulse >= GRIP_UNBOUNDED * mass);
+}
 
 // What the law takes from a relative velocity u: K u with K = hold n nT + drag (1 - n nT), if anything is held; n = 0 and drag = hold if that is
 // isotropic. Where the node slides, drag = friction |f_n| / |u_t|, with u_t along `along`. `bounded`: is the normal part held by less than all?

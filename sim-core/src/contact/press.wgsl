@@ -76,6 +76,7 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
             press_on(32u * word + firstTrailingBit(bits), g, entry, drift, thread);
         }
     }
+    end_pressed(g, thread);
 }
 
 // How particles, which have drifted from their cells by at most `drift` [cells], press on one body at the nodes of the block.
@@ -133,7 +134,7 @@ fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
     }
     if thread < NODES {
         let sum = vec3<f32>(sum_at(thread), sum_at(64u + thread), sum_at(128u + thread));
-        put_pressed(b, g, first >> vec3<u32>(2u), thread, sum * unit);
+        put_pressed(b, body, g, first, thread, sum * unit);
     }
     workgroupBarrier();
 }

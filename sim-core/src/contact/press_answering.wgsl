@@ -49,17 +49,75 @@ fn is_within_reach(body: PressedBody, first: vec3<i32>) -> bool {
     return coupling_distance(body.number, middle, width) <= (REACH + 3.0) * width;
 }
 
-// Notes that there is a block of nodes near it in this slot.
+// Notes that there is a block of nodes near it in this slot, and which blocks its box has.
 fn note_near(b: u32) {
-    answering[near_at(layer_now / LEVELS * ANSWERING + b, level_of(layer_now))].x = slot_now() + 1u;
+    let at = near_at(layer_now / LEVELS * ANSWERING + b, level_of(layer_now));
+    let size = vec3<u32>(pressed_size);
+    answering[at] = vec4<u32>(slot_mark(), (size.x << 20u) | (size.y << 10u) | size.z, 0u, 0u);
+    answering[at + 1u] = vec4<u32>(bitcast<vec3<u32>>(pressed_first), 0u);
 }
 
-fn put_pressed(b: u32, g: u32, block: vec3<i32>, n: u32, force: vec3<f32>) {
-    let at = vec3<u32>(block - pressed_first);
+// The body that grips the thread's node, of several the one in which it is deepest; of equals the first one. How far it is from the surface [m],
+// does it count as deep inside, and where the body notes which nodes of the block it grips.
+var<private> owner: u32 = NONE;
+var<private> owner_distance: f32;
+var<private> owner_deep: bool;
+var<private> owner_room: u32;
+// Nodes of the block that a body grips, as bits, and how many of them are deep inside.
+var<workgroup> gripped: array<atomic<u32>, 2>;
+var<workgroup> deep_inside: atomic<u32>;
+
+fn put_pressed(b: u32, body: PressedBody, g: u32, first: vec3<i32>, n: u32, force: vec3<f32>) {
+    let cell = first + local_of(n);
+    let at = vec3<u32>((first >> vec3<u32>(2u)) - pressed_first);
     let size = vec3<u32>(pressed_size);
     let room = at.x + size.x * (at.y + size.y * at.z);
-    let body = layer_now / LEVELS * ANSWERING + b;
-    if room < rooms_of(body).y {
-        answering[pressed_at(body, level_of(layer_now), room, n)] = bitcast<vec4<u32>>(vec4<f32>(force, 0.0));
+    let k = layer_now / LEVELS * ANSWERING + b;
+    if room >= rooms_of(k).y || any(cell < body.least) || any(cell > body.most) {
+        return;
+    }
+    let width = H / shrink_of(layer_now);
+    let rows = body.rows;
+    let arm = (vec3<f32>(cell - body.cell) - body.place + vec3<f32>(0.5)) * width;
+    let press = force * (step.dt * steps_of(layer_now));
+    let grip = coupling_grip(body.number, arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], width, press);
+    if grip.kind == GRIP_NONE || (owner != NONE && grip.distance >= owner_distance) {
+        return;
+    }
+    owner = b;
+    owner_distance = grip.distance;
+    owner_deep = grip.deep;
+    let level = level_of(layer_now);
+    owner_room = room_at(k, level, room);
+    var normal = vec3<f32>(dot(rows[0], grip.normal), dot(rows[1], grip.normal), dot(rows[2], grip.normal));
+    // The kind can be told from these.
+    normal = select(normal, vec3<f32>(0.0), grip.kind == GRIP_STICK);
+    let most = select(grip.most, -grip.most, grip.kind == GRIP_BILATERAL);
+    answering[gripped_at(k, level, room, n)] = bitcast<vec4<u32>>(vec4<f32>(normal, most));
+}
+
+// Notes for each body near the block which nodes it grips.
+fn end_pressed(g: u32, thread: u32) {
+    for (var word = 0u; word < NEAR_WORDS; word++) {
+        for (var bits = workgroupUniformLoad(&near[word]); bits != 0u; bits &= bits - 1u) {
+            let is_owned = thread < NODES && owner == 32u * word + firstTrailingBit(bits);
+            if is_owned {
+                atomicOr(&gripped[thread >> 5u], 1u << (thread & 31u));
+                atomicAdd(&deep_inside, u32(owner_deep));
+            }
+            workgroupBarrier();
+            let own = vec2<u32>(atomicLoad(&gripped[0]), atomicLoad(&gripped[1]));
+            let first = select(firstTrailingBit(own.x), 32u + firstTrailingBit(own.y), own.x == 0u);
+            if is_owned && thread == first {
+                answering[owner_room] = vec4<u32>(slot_mark(), g | (atomicLoad(&deep_inside) << 25u), own);
+            }
+            workgroupBarrier();
+            if thread == 0u {
+                atomicStore(&gripped[0], 0u);
+                atomicStore(&gripped[1], 0u);
+                atomicStore(&deep_inside, 0u);
+            }
+            workgroupBarrier();
+        }
     }
 }

@@ -13,9 +13,11 @@ fn pressed_cell(b: u32) -> vec3<i32> {
     return int_vector(bodies[body_at(b)]);
 }
 
-fn put_pressed(b: u32, g: u32, block: vec3<i32>, n: u32, force: vec3<f32>) {
+fn put_pressed(b: u32, body: PressedBody, g: u32, first: vec3<i32>, n: u32, force: vec3<f32>) {
     partials[pressed_at(g, b, n)] = vec4<f32>(force, 0.0);
 }
+
+fn end_pressed(g: u32, thread: u32) {}
 
 fn note_near(b: u32) {}
 

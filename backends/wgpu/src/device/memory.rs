@@ -39,7 +39,9 @@ pub(crate) const GROUP_HEAD: usize = 2;
 pub(crate) const BODY_HEAD: usize = 5;
 pub(crate) const BODY_STATE: usize = 5;
 pub(crate) const TOUCH: usize = 3;
-/// Blocks of nodes that the threads of a body that answers look at together: for so many of them a thread keeps one touch; see `answer.wgsl`.
+/// Vectors that tell of blocks of nodes near a body on a level; see `answering.wgsl`.
+pub(crate) const NEAR_HEAD: usize = 2;
+/// A body that answers has rooms for so many blocks of nodes, or a multiple: with them each of its threads keeps one touch at most; see `answer.wgsl`.
 pub(crate) const ABREAST: usize = 4;
 /// Columns of what touches of a body add up to; see `answer.wgsl`.
 const COLUMNS: usize = 11;
@@ -125,12 +127,12 @@ pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
     worlds > 1 || 16 * (vectors + samples) > 65_536
 }
 
-/// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how particles press on them on each level and whether any are near, and, where groups have
-/// several bodies, what their touches add up to.
+/// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how bodies grip them on each level and whether any are near, and, where
+/// groups have several bodies, what their touches add up to.
 pub(crate) fn answering_bytes(room: Answering, worlds: usize, levels: usize) -> u64 {
     let Answering { groups, bodies, together, words, rooms, .. } = room;
-    let touches = 256 * (rooms / ABREAST) * TOUCH;
-    let pressed = (64 * rooms + bodies) * levels;
+    let touches = 64 * rooms * TOUCH;
+    let pressed = (65 * rooms + NEAR_HEAD * bodies) * levels;
     let of_groups = worlds * groups * (GROUP_HEAD + (MAX_SLOTS + 2) * words);
     let of_bodies = worlds * (bodies * (BODY_HEAD + (MAX_SLOTS + 2) * BODY_STATE) + touches + pressed);
     let systems = if together > 1 { COLUMNS * (worlds * bodies + together) } else { 0 };
@@ -185,8 +187,9 @@ pub(crate) struct StepConstants {
     pub(crate) end_level: u32,
     pub(crate) mirrors: u32,
     pub(crate) most_need: f32,
+    pub(crate) submission: u32,
     /// WGSL rounds a uniform's size up.
-    pub(crate) padding: [u32; 2],
+    pub(crate) padding: u32,
 }
 
 /// Where words of the status stand, for so many layers.

@@ -5,8 +5,8 @@ use crate::device::memory::Answering;
 use crate::device::memory::{MAX_SLOTS, NEAR_BLOCK};
 use crate::passes::Kernels;
 use crate::passes::binding::{
-    ANSWERING, CELLS, DIRECTORY, Draft, Found, GRID, Groups, Kernel, LISTS, NODES, OWN, RECORD, RIMS, Role, STATUS,
-    Uniform, Use, build, build_for, exchange, node_blocks, written,
+    ANSWERING, CELLS, Draft, Found, GRID, Groups, Kernel, LISTS, NODES, OWN, RECORD, RIMS, Role, STATUS, Uniform, Use,
+    build, build_for, exchange, node_blocks, written,
 };
 use crate::passes::binding::{Setting, compose};
 use crate::passes::coupling_check::workgroup_bytes;
@@ -181,7 +181,7 @@ pub(crate) fn answer_draft(
         name: "answering bodies",
         entry: "answering_bodies",
         body: parts.concat(),
-        uses: [GRID, DIRECTORY, ANSWERING, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
+        uses: [GRID, ANSWERING, STATUS].into_iter().chain(own).chain(sleeps.then_some(tools)).collect(),
         uniform: Uniform::Table { stored, counted: laws.counted },
         groups: Groups::Exactly((worlds * room.groups) as u32 + 1),
         checked: true,

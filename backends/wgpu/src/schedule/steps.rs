@@ -5,7 +5,7 @@ use crate::device::status::Halt;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::{Driven, go_back};
 use crate::schedule::groups::HeldGroup;
-use crate::schedule::submission::{FEW_STEPS, Outcome, cut};
+use crate::schedule::submission::{FEW_STEPS, LEAST_STEPS, Outcome, cut};
 use crate::worlds::world::{Place, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::{Error, Result, StepReport};
@@ -76,6 +76,8 @@ impl WgpuBatch {
             }
             match outcome.halt {
                 Some(Halt::Drifted | Halt::TooStiff) => self.horizon = FEW_STEPS,
+                // Levels that follow a body that goes on as it does come after it in as many steps again: those written down behind that are for nothing.
+                Some(Halt::Follow) => self.horizon = (outcome.done + outcome.done / 4).max(LEAST_STEPS),
                 None if outcome.done == self.horizon => self.horizon = MAX_STEPS.min(2 * self.horizon),
                 _ => {}
             }

@@ -32,6 +32,9 @@ pub(crate) const PIECE: usize = 16;
 /// particles drifted otherwise than foreseen wastes what was written behind.
 pub(crate) const FEW_STEPS: usize = 128;
 
+/// And the fewest where levels had to follow a body after some steps: as many are expected before they have to again.
+pub(crate) const LEAST_STEPS: usize = 16;
+
 /// By so many blocks parts of the directory reach further than they must, so that ground that moves on seldom leaves them.
 pub(crate) const SPARE_BLOCKS: i32 = 2;
 
@@ -263,6 +266,8 @@ impl WgpuBatch {
             }
             parts.push(Part { sorting, dispatches: std::mem::take(&mut passes.dispatches) });
         }
+        let submission = self.clocks.submissions as u32;
+        passes.constants.iter_mut().for_each(|constants| constants.submission = submission);
         writes.add_steps(&self.memory.steps, &passes.constants);
         let parts = self.with_groups(parts);
         let behind = states(answering, self.worlds.len(), count * self.substeps);

@@ -5,9 +5,9 @@
 // dissipative even where the iteration has not converged. All sums are in a fixed order. What is the coupling's to say is in functions of its own, which
 // all threads call together.
 //
-// A body has some hundreds of nodes inside, and two iterations do: time goes by in waiting for memory and for one another. So all threads take up
-// a group's bodies one after the other, each keeps the nodes that it finds, and what is one body's alone is its thread's: the thread of the body's number in the
-// group. Where a workgroup is wider than this needs, the threads beyond come along and keep none.
+// Time goes by in waiting for memory and for one another. So which nodes bodies grip is found before, by the pass of pressing particles, and a group's threads take
+// up TEAMS bodies at once, TEAM threads each, that keep its nodes among them. What is one body's alone is its thread's: the thread of the body's number in
+// the group. Where a workgroup is wider than this needs, the threads beyond come along and keep none.
 //
 // Where a slot has many particles, this text has left a GPU's caches when its turn comes, and is fetched piece by piece on the way. So one workgroup
 // more goes through the solution at once, with nodes of a slot before, while the others still look for theirs. What it finds nobody reads.
@@ -28,11 +28,17 @@ const SECANT: u32 = 1u;
 const LAST: u32 = 2u;
 const DONE: u32 = 3u;
 
-// Threads that keep nodes. Columns of sums, and rows of each, with room between them so that threads do not wait for the same bank.
+// Threads that keep nodes: those of a body, and how many bodies they are for at once; all bodies' turns. Columns of sums, and rows of each, with room between them
+// so that threads do not wait for the same bank, and rows of a body.
 const THREADS: u32 = 256u;
+const TEAM: u32 = select(64u, THREADS, GROUP_BODIES == 1u);
+const TEAMS: u32 = THREADS / TEAM;
+const TURNS: u32 = (GROUP_BODIES + TEAMS - 1u) / TEAMS;
 const COLUMNS: u32 = 11u;
 const ROWS: u32 = 64u;
 const COLUMN: u32 = 65u;
+const OWN_ROWS: u32 = ROWS / TEAMS;
+const PARTS_OF_ROWS: u32 = select(4u, 8u, TEAMS == 1u);
 
 struct Touch { arm: vec3<f32>, mass: f32, velocity: vec3<f32>, node: u32, grip: CouplingGrip }
 
@@ -43,18 +49,17 @@ struct Sums {
     lower0: vec4<f32>, lower1: vec4<f32>, lower2: vec4<f32>, lower3: vec4<f32>, lower4: vec4<f32>,
 }
 
-// One past the last level that the group meets, and how many bodies it has; rooms for blocks in a body's box; which of 256 rooms there is a block in, as bits;
-// these blocks, with their places from the box's first.
+// One past the last level that the group meets, and how many bodies it has; the bodies with blocks of nodes near them, and how many there are; of each body of a turn,
+// rooms for blocks in its box; how many nodes it grips in the blocks of some of these rooms.
 var<workgroup> extents: vec2<u32>;
-var<workgroup> rooms: u32;
-var<workgroup> filled: array<atomic<u32>, 8>;
-var<workgroup> blocks: array<vec2<u32>, 256>;
-// The bodies that touch nodes, as bits: as threads find them, then to be read by all.
+var<workgroup> near: array<u32, GROUP_BODIES>;
+var<workgroup> near_bodies: u32;
+var<workgroup> rooms: array<u32, TEAMS>;
+var<workgroup> counts: array<u32, THREADS>;
+// The bodies near blocks of nodes, then those that touch nodes, as bits: as threads find them, then to be read by all.
 const TOUCHED: u32 = (GROUP_BODIES + 31u) / 32u;
 var<workgroup> touching: array<atomic<u32>, TOUCHED>;
 var<workgroup> touched: array<u32, TOUCHED>;
-// Of several bodies, the nodes that each may act on.
-var<workgroup> boxes_of_nodes: array<vec3<i32>, 2u * GROUP_BODIES>;
 // Of several bodies, one over the root of the mass, the sum of impulses' sizes [N s], and that of nodes' masses [kg].
 var<workgroup> root_of_mass: array<f32, GROUP_BODIES>;
 var<workgroup> impulses_of: array<f32, GROUP_BODIES>;
@@ -71,8 +76,9 @@ var<private> impulse: vec3<f32>;
 var<private> angular_impulse: vec3<f32>;
 var<private> deep_nodes: u32;
 var<private> unconverged: u32;
-// Nodes that the thread keeps of each body.
-var<private> kept_touches: array<u32, GROUP_BODIES>;
+// Of the thread's body in each turn: its number in the group; nodes that the thread keeps, and where the first of them stands; friction.
+struct Kept { body: u32, touches: u32, first: u32, friction: f32 }
+var<private> own_nodes: array<Kept, TURNS>;
 // What the first thread alone knows of the iteration: how many there were; what was out of balance along the last step before it, 0 where there is none to cut
 // back; the group's mass, and the only body's [kg].
 var<private> iterations: u32;
@@ -125,203 +131,165 @@ fn last_level() -> u32 {
     return select(levels, min(levels, step.end_level), SUBCYCLED);
 }
 
-// The nodes of a level that a body may act on.
-fn box_of_nodes(b: u32, level: u32) -> array<vec3<i32>, 2> {
-    // It meets no level beyond, and nothing where particles are not near.
-    if answering[near_at(answering_body(b), level)].x != slot_now() + 1u || (GROUP_BODIES > 1u && level >= answering[body_head(answering_body(b))].y) {
-        return array<vec3<i32>, 2>(vec3<i32>(0), vec3<i32>(-1));
-    }
-    let pose = group_pose(b);
-    let within = place_of(vec4<u32>(pose.place, 0u));
-    return nodes_near(number_of(b), rows_of(pose_rotation(pose)), pose.cell, within, level, shrink_of(layer_now));
-}
-
-// How a body grips a node `x` of a level, number `n` in its block.
-fn grip_of(b: u32, level: u32, x: vec3<i32>, n: u32, nodes: array<vec3<i32>, 2>, mass: f32) -> CouplingGrip {
-    let pose = group_pose(b);
-    let body = answering_body(b);
-    let shrink = shrink_of(layer_now);
-    let rows = rows_of(pose_rotation(pose));
-    let first = nodes[0] >> vec3<u32>(2u);
-    let size = vec3<u32>((nodes[1] >> vec3<u32>(2u)) - first + vec3<i32>(1));
-    let at = vec3<u32>((x >> vec3<u32>(2u)) - first);
-    let room = at.x + size.x * (at.y + size.y * at.z);
-    let arm = arm_of(pose, x, level, shrink);
-    let press = real(answering[pressed_at(body, level, room, n)]).xyz * (step.dt * steps_of(layer_now) / mass);
-    return coupling_grip(number_of(b), arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], H / shrink, press);
-}
-
 // From a body's reference point to a node of a level [m].
 fn arm_of(pose: CouplingPose, x: vec3<i32>, level: u32, shrink: f32) -> vec3<f32> {
     let centre = vec3<f32>(0.5 / shrink) - place_of(vec4<u32>(pose.place, 0u));
     return (vec3<f32>((x << vec3<u32>(level)) - pose.cell) + centre) * H;
 }
 
-// Is a node that a body grips at that distance from its surface deeper in another body of the group? Of equals the first one has it.
-fn is_deeper_in_other(own: u32, count: u32, level: u32, x: vec3<i32>, n: u32, mass: f32, distance: f32) -> bool {
-    for (var b = 0u; b < count; b++) {
-        let nodes = array<vec3<i32>, 2>(boxes_of_nodes[2u * b], boxes_of_nodes[2u * b + 1u]);
-        if b == own || any(x < nodes[0]) || any(x > nodes[1]) {
-            continue;
-        }
-        let grip = grip_of(b, level, x, n, nodes, mass);
-        if grip.kind != GRIP_NONE && (grip.distance < distance || (grip.distance == distance && b < own)) {
-            return true;
+// The number of the bit that so many bits stand below.
+fn place_of_bit(bits: vec2<u32>, below: u32) -> u32 {
+    let low = countOneBits(bits.x);
+    var left = select(below - low, below, below < low);
+    var word = select(bits.y, bits.x, below < low);
+    var place = select(32u, 0u, below < low);
+    for (var width = 16u; width > 0u; width /= 2u) {
+        let here = countOneBits(word & ((1u << width) - 1u));
+        if left >= here {
+            left -= here;
+            word >>= width;
+            place += width;
         }
     }
-    return false;
+    return place;
 }
 
-// Finds the nodes that a body grips on a level: of the blocks in its box those that there are are listed, lowest first, and dealt to the threads, a node of
-// each block to each of 64, turn by turn another one, so that a layer of nodes along any axis is many threads'.
-fn find_touches(b: u32, count_of_bodies: u32, level: u32, thread: u32) {
-    let shrink = shrink_of(layer_now);
-    let pose = group_pose(b);
-    let rows = rows_of(pose_rotation(pose));
-    var nodes: array<vec3<i32>, 2>;
-    if GROUP_BODIES == 1u {
-        nodes = box_of_nodes(b, level);
-    } else {
-        nodes = array<vec3<i32>, 2>(boxes_of_nodes[2u * b], boxes_of_nodes[2u * b + 1u]);
+// Finds which bodies have blocks of nodes near them on a level.
+fn find_near(count: u32, level: u32, thread: u32) {
+    if thread < count && answering[near_at(answering_body(thread), level)].x == slot_mark() {
+        atomicOr(&touching[thread >> 5u], 1u << (thread & 31u));
     }
-    let least = nodes[0];
-    let most = nodes[1];
-    let first = least >> vec3<u32>(2u);
-    let size = vec3<u32>(max((most >> vec3<u32>(2u)) - first + vec3<i32>(1), vec3<i32>(0)));
+    workgroupBarrier();
     if thread == 0u {
-        rooms = min(size.x * size.y * size.z, rooms_of(answering_body(b)).y);
+        near_bodies = 0u;
+        for (var word = 0u; word < TOUCHED; word++) {
+            for (var bits = atomicExchange(&touching[word], 0u); bits != 0u; bits &= bits - 1u) {
+                near[near_bodies] = 32u * word + firstTrailingBit(bits);
+                near_bodies++;
+            }
+        }
     }
-    var kept = 0u;
-    let own = thread >> 5u;
-    let all_rooms = workgroupUniformLoad(&rooms);
-    for (var room = 0u; room < all_rooms; room += THREADS) {
-        let r = room + thread;
-        let at = vec3<u32>(r % size.x, (r / size.x) % size.y, r / (size.x * size.y));
-        var g = NONE;
-        if thread < THREADS && r < all_rooms {
-            // Of a block's images along periodic axes it meets the nearest.
-            let block = first + vec3<i32>(at);
-            let here = place_in_box(layer_now, block);
-            if here != NONE && all(image_near(layer_now, 4 * block, pose.cell >> vec3<u32>(level)) == 4 * block) {
-                g = directory[here].y;
-            }
-        }
-        let bit = 1u << (thread & 31u);
-        if g != NONE {
-            atomicOr(&filled[own], bit);
-        }
-        workgroupBarrier();
-        let one = vec4<u32>(atomicLoad(&filled[0]), atomicLoad(&filled[1]), atomicLoad(&filled[2]), atomicLoad(&filled[3]));
-        let two = vec4<u32>(atomicLoad(&filled[4]), atomicLoad(&filled[5]), atomicLoad(&filled[6]), atomicLoad(&filled[7]));
-        let count = countOneBits(one);
-        let more = countOneBits(two);
-        let listed = dot(count + more, vec4<u32>(1u));
-        if g != NONE {
-            let before = dot(count, vec4<u32>(vec4<u32>(0u, 1u, 2u, 3u) < vec4<u32>(own)))
-                + dot(more, vec4<u32>(vec4<u32>(4u, 5u, 6u, 7u) < vec4<u32>(own)));
-            blocks[before + countOneBits(atomicLoad(&filled[own]) & (bit - 1u))] = vec2<u32>(g, (at.x << 20u) | (at.y << 10u) | at.z);
-        }
-        workgroupBarrier();
-        if thread < 8u {
-            atomicStore(&filled[thread], 0u);
-        }
-        for (var start = select(listed, thread >> 6u, thread < THREADS); start < listed; start += 128u) {
-            // Those with ground in the box, as bits.
-            var candidates = 0u;
-            for (var turn = 0u; turn < 32u && start + 4u * turn < listed; turn += 8u) {
-                let m = vec4<f32>(
-                    mass_at(start, turn, listed, thread),
-                    mass_at(start, turn + 1u, listed, thread),
-                    mass_at(start, turn + 2u, listed, thread),
-                    mass_at(start, turn + 3u, listed, thread),
-                );
-                let n = vec4<f32>(
-                    mass_at(start, turn + 4u, listed, thread),
-                    mass_at(start, turn + 5u, listed, thread),
-                    mass_at(start, turn + 6u, listed, thread),
-                    mass_at(start, turn + 7u, listed, thread),
-                );
-                let low = vec4<u32>(m > vec4<f32>(layers[layer_now].least));
-                let high = vec4<u32>(n > vec4<f32>(layers[layer_now].least));
-                candidates |= (dot(low, vec4<u32>(1u, 2u, 4u, 8u)) | dot(high, vec4<u32>(16u, 32u, 64u, 128u))) << turn;
-            }
-            while candidates != 0u {
-                let turn = firstTrailingBit(candidates);
-                candidates &= candidates - 1u;
-                let n = node_of(turn, thread);
-                let block = blocks[start + 4u * turn];
-                let g = block.x;
-                let node = grid[g * 64u + n];
-                let at = vec3<u32>(block.y >> 20u, block.y >> 10u, block.y) & vec3<u32>(1023u);
-                let x = (first + vec3<i32>(at)) * 4 + local_of(n);
-                if any(x < least) || any(x > most) {
-                    continue;
-                }
-                let mass = $MASS;
-                if mass > layers[layer_now].least {
-                    let grip = grip_of(b, level, x, n, nodes, mass);
-                    if GROUP_BODIES > 1u && grip.kind != GRIP_NONE && is_deeper_in_other(b, count_of_bodies, level, x, n, mass, grip.distance) {
-                        continue;
-                    }
-                    if grip.kind != GRIP_NONE {
-                        let arm = arm_of(pose, x, level, shrink);
-                        let normal = vec3<f32>(dot(rows[0], grip.normal), dot(rows[1], grip.normal), dot(rows[2], grip.normal));
-                        let to = touch_at(b, kept, thread);
-                        answering[to] = bitcast<vec4<u32>>(vec4<f32>(arm, mass));
-                        answering[to + THREADS] = vec4<u32>(bitcast<vec3<u32>>(node.xyz), (g * 64u + n) | (grip.kind << 30u));
-                        answering[to + 2u * THREADS] = bitcast<vec4<u32>>(vec4<f32>(normal, grip.most));
-                        kept++;
-                        if grip.deep {
-                            atomicAdd(&deep, 1u);
-                        }
-                    }
+}
+
+// Takes up the nodes that the bodies of a turn grip on a level: those of the blocks in a body's box, lowest first, are dealt to its threads one by one.
+fn find_touches(turn: u32, level: u32, thread: u32) {
+    let own = min(thread / TEAM, TEAMS - 1u);
+    let lane = thread % TEAM;
+    let b = body_of_turn(turn, thread);
+    own_nodes[turn] = Kept(b, 0u, 0u, 0.0);
+    var all = 0u;
+    var size = vec3<u32>(0u);
+    var first = vec3<i32>(0);
+    var body = 0u;
+    var pose: CouplingPose;
+    if b != NONE {
+        body = answering_body(b);
+        pose = group_pose(b);
+        let head = near_at(body, level);
+        size = (vec3<u32>(answering[head].y) >> vec3<u32>(20u, 10u, 0u)) & vec3<u32>(1023u);
+        first = bitcast<vec3<i32>>(answering[head + 1u].xyz);
+        let room = rooms_of(body);
+        all = min(size.x * size.y * size.z, room.y);
+        own_nodes[turn].first = TOUCHES + room.x * 64u * TOUCH + lane;
+        own_nodes[turn].friction = coupling_friction(number_of(b));
+    }
+    if thread < THREADS && lane == 0u {
+        rooms[own] = all;
+    }
+    let of_turn = workgroupUniformLoad(&rooms);
+    var most = 0u;
+    for (var k = 0u; k < TEAMS; k++) {
+        most = max(most, of_turn[k]);
+    }
+    for (var start = 0u; start < most; start += TEAM) {
+        var count = 0u;
+        if start + lane < all {
+            let held = answering[room_at(body, level, start + lane)];
+            if held.x == slot_mark() {
+                count = countOneBits(held.z) + countOneBits(held.w);
+                if held.y >> 25u > 0u {
+                    atomicAdd(&deep, held.y >> 25u);
                 }
             }
         }
+        if thread < THREADS {
+            counts[thread] = count;
+        }
+        workgroupBarrier();
+        // The room of the thread's next node, and how many nodes there are in those before.
+        var room = 0u;
+        var before = 0u;
+        let end = min(all - min(start, all), TEAM);
+        for (var next = lane; room < end; next += TEAM) {
+            while room < end && next >= before + counts[own * TEAM + room] {
+                before += counts[own * TEAM + room];
+                room++;
+            }
+            if room < end {
+                take_touch(turn, pose, body, level, vec2<u32>(start + room, next - before), size, first);
+            }
+        }
         workgroupBarrier();
     }
-    kept_touches[b] = kept;
 }
 
-// Which node of a block a thread looks at, turn by turn.
-fn node_of(turn: u32, thread: u32) -> u32 {
-    return (thread + 21u * turn) & 63u;
-}
-
-// What it weighs, if there is such a block.
-fn mass_at(start: u32, turn: u32, listed: u32, thread: u32) -> f32 {
-    let j = start + 4u * turn;
-    if j >= listed {
-        return 0.0;
+// The body that a thread takes up in a turn, if any.
+fn body_of_turn(turn: u32, thread: u32) -> u32 {
+    let at = turn * TEAMS + thread / TEAM;
+    if thread >= THREADS || at >= near_bodies {
+        return NONE;
     }
-    return grid[blocks[j].x * 64u + node_of(turn, thread)].w;
+    return near[at];
 }
 
-// Where a node that a thread keeps stands.
-fn touch_at(b: u32, i: u32, thread: u32) -> u32 {
-    return TOUCHES + (rooms_of(answering_body(b)).x / 4u + i) * TOUCH * THREADS + thread;
+// Keeps a node that the body of a turn grips: of a room's, that which so many stand below.
+fn take_touch(turn: u32, pose: CouplingPose, body: u32, level: u32, which: vec2<u32>, size: vec3<u32>, first: vec3<i32>) {
+    let held = answering[room_at(body, level, which.x)];
+    let g = held.y & 0x1ffffffu;
+    let n = place_of_bit(held.zw, which.y);
+    let node = grid[g * 64u + n];
+    let how = real(answering[gripped_at(body, level, which.x, n)]);
+    let mass = $MASS;
+    if mass <= layers[layer_now].least {
+        return;
+    }
+    let at = vec3<u32>(which.x % size.x, (which.x / size.x) % size.y, which.x / (size.x * size.y));
+    let x = (first + vec3<i32>(at)) * 4 + local_of(n);
+    let arm = arm_of(pose, x, level, shrink_of(layer_now));
+    var kind = select(GRIP_COULOMB, GRIP_STICK, all(how.xyz == vec3<f32>(0.0)));
+    kind = select(kind, GRIP_BILATERAL, how.w < 0.0);
+    // A thread's nodes stand as far from each other as all threads' do.
+    let to = own_nodes[turn].first + own_nodes[turn].touches * TOUCH * TEAM;
+    answering[to] = bitcast<vec4<u32>>(vec4<f32>(arm, mass));
+    answering[to + TEAM] = vec4<u32>(bitcast<vec3<u32>>(node.xyz), (g * 64u + n) | (kind << 30u));
+    answering[to + 2u * TEAM] = bitcast<vec4<u32>>(vec4<f32>(how.xyz, most_of(abs(how.w), mass)));
+    own_nodes[turn].touches++;
 }
 
-fn touch_of(b: u32, i: u32, thread: u32) -> Touch {
-    let at = touch_at(b, i, thread);
+// A node that a thread keeps in a turn.
+fn touch_of(turn: u32, i: u32) -> Touch {
+    let at = own_nodes[turn].first + i * TOUCH * TEAM;
     let arm = real(answering[at]);
-    let how = answering[at + THREADS];
-    let grip = real(answering[at + 2u * THREADS]);
+    let how = answering[at + TEAM];
+    let grip = real(answering[at + 2u * TEAM]);
     return Touch(arm.xyz, arm.w, real(how).xyz, how.w & 0x3fffffffu, CouplingGrip(how.w >> 30u, grip.xyz, grip.w, false, 0.0));
 }
 
 // What the nodes give at the twist that is tried, and G_iT m_i D G_i with D the law's derivative or its secant, summed over a thread's.
-fn assemble(b: u32, tangent: bool, thread: u32) -> Sums {
+fn assemble(turn: u32, tangent: bool) -> Sums {
     var sum: Sums;
     var slides = false;
-    let twist = group_twist(TWIST_TRIED, b);
-    let number = number_of(b);
-    for (var i = 0u; i < kept_touches[b]; i++) {
-        let touch = touch_of(b, i, thread);
+    let own = own_nodes[turn];
+    if own.touches == 0u {
+        return sum;
+    }
+    let twist = group_twist(TWIST_TRIED, own.body);
+    for (var i = 0u; i < own.touches; i++) {
+        let touch = touch_of(turn, i);
         sum.lower1.w += touch.mass;
         let r = touch.arm;
         let u = touch.velocity - velocity_of(twist, r);
-        let hold = hold_of(coupling_friction(number), touch.grip, u);
+        let hold = hold_of(own.friction, touch.grip, u);
         if !hold.held {
             continue;
         }
@@ -400,10 +368,10 @@ fn with_row(row: u32, own: Sums) -> Sums {
     );
 }
 
-// Sums what threads have into where `sums_of` finds it.
-fn sum_up(b: u32, own: Sums, thread: u32) {
-    let row = thread % ROWS;
-    let quarter = thread / ROWS;
+// Sums what the threads of a turn's bodies have into where `sums_of` finds it.
+fn sum_up(turn: u32, own: Sums, thread: u32) {
+    let row = thread / TEAM * OWN_ROWS + thread % OWN_ROWS;
+    let quarter = select(thread % TEAM / OWN_ROWS, NONE, thread >= THREADS);
     if quarter == 0u {
         put(row, own);
     }
@@ -420,21 +388,25 @@ fn sum_up(b: u32, own: Sums, thread: u32) {
         put(row, with_row(row, own));
     }
     workgroupBarrier();
-    // A column's eighth of rows a thread, then a column.
-    if thread < 8u * COLUMNS {
-        let at = thread % COLUMNS * COLUMN + thread / COLUMNS;
-        exchange[at] = eight(at, 8u);
+    // A part of a body's rows in a column a thread, then a column.
+    let part = thread / COLUMNS;
+    let column = thread % COLUMNS;
+    if part < TEAMS * PARTS_OF_ROWS {
+        let at = column * COLUMN + part / PARTS_OF_ROWS * OWN_ROWS + part % PARTS_OF_ROWS;
+        exchange[at] = sum_of_rows(at, OWN_ROWS, PARTS_OF_ROWS);
     }
     workgroupBarrier();
-    if thread < COLUMNS {
-        let sum = eight(thread * COLUMN, 1u);
+    if part < TEAMS {
+        let sum = sum_of_rows(column * COLUMN + part * OWN_ROWS, PARTS_OF_ROWS, 1u);
+        let at = turn * TEAMS + part;
         if GROUP_BODIES == 1u {
-            exchange[thread * COLUMN] = sum;
-        } else {
-            answering[sums_at(b) + thread] = bitcast<vec4<u32>>(sum);
-            if thread == 6u {
+            exchange[column * COLUMN] = sum;
+        } else if at < near_bodies {
+            let b = near[at];
+            answering[sums_at(b) + column] = bitcast<vec4<u32>>(sum);
+            if column == 6u {
                 impulses_of[b] = sum.w;
-            } else if thread == 7u {
+            } else if column == 7u {
                 ground_of[b] = sum.w;
             }
         }
@@ -442,9 +414,12 @@ fn sum_up(b: u32, own: Sums, thread: u32) {
     workgroupBarrier();
 }
 
-fn eight(at: u32, by: u32) -> vec4<f32> {
-    return ((exchange[at] + exchange[at + by]) + (exchange[at + 2u * by] + exchange[at + 3u * by]))
-        + ((exchange[at + 4u * by] + exchange[at + 5u * by]) + (exchange[at + 6u * by] + exchange[at + 7u * by]));
+fn sum_of_rows(at: u32, rows: u32, by: u32) -> vec4<f32> {
+    var sum = exchange[at];
+    for (var k = by; k < rows; k += by) {
+        sum += exchange[at + k];
+    }
+    return sum;
 }
 
 fn mass_of_ground(b: u32) -> f32 {
@@ -565,28 +540,23 @@ fn gain_of(b: u32) -> CouplingTwist {
 // The group meets the nodes of a level.
 fn meet(group: u32, count: u32, level: u32, thread: u32) {
     if rehearses {
-        kept_touches[0] = u32(thread < THREADS);
+        if thread == 0u {
+            near[0] = 0u;
+            near_bodies = 1u;
+        }
     } else {
-        if GROUP_BODIES > 1u && thread < count {
-            let nodes = box_of_nodes(thread, level);
-            boxes_of_nodes[2u * thread] = nodes[0];
-            boxes_of_nodes[2u * thread + 1u] = nodes[1];
-        }
-        if GROUP_BODIES > 1u {
-            workgroupBarrier();
-        }
-        for (var b = 0u; b < count; b++) {
-            // All threads see the same boxes.
-            if GROUP_BODIES > 1u && boxes_of_nodes[2u * b + 1u].x < boxes_of_nodes[2u * b].x {
-                kept_touches[b] = 0u;
-                continue;
-            }
-            find_touches(b, count, level, thread);
-        }
+        find_near(count, level, thread);
     }
-    for (var b = 0u; b < count; b++) {
-        if kept_touches[b] > 0u {
-            atomicOr(&touching[b >> 5u], 1u << (b & 31u));
+    let turns = (workgroupUniformLoad(&near_bodies) + TEAMS - 1u) / TEAMS;
+    for (var turn = 0u; turn < turns; turn++) {
+        if rehearses {
+            own_nodes[turn] = Kept(0u, u32(thread < THREADS), TOUCHES + rooms_of(answering_body(0u)).x * 64u * TOUCH + thread % TEAM, 0.5);
+        } else {
+            find_touches(turn, level, thread);
+        }
+        let own = own_nodes[turn];
+        if own.touches > 0u {
+            atomicOr(&touching[own.body >> 5u], 1u << (own.body & 31u));
         }
     }
     workgroupBarrier();
@@ -622,11 +592,8 @@ fn meet(group: u32, count: u32, level: u32, thread: u32) {
         if now == DONE {
             break;
         }
-        for (var b = 0u; b < count; b++) {
-            if !group_touches(b) {
-                continue;
-            }
-            sum_up(b, assemble(b, now == TANGENT, thread), thread);
+        for (var some = 0u; some < turns; some++) {
+            sum_up(some, assemble(some, now == TANGENT), thread);
         }
         if GROUP_BODIES > 1u {
             storageBarrier();
@@ -656,8 +623,10 @@ fn meet(group: u32, count: u32, level: u32, thread: u32) {
         angular_impulse += gain.angular;
     }
     var fastest = 0u;
-    for (var b = 0u; b < count; b++) {
-        fastest = max(fastest, hand_over(b, thread));
+    for (var turn = 0u; turn < turns; turn++) {
+        if own_nodes[turn].touches > 0u {
+            fastest = max(fastest, hand_over(turn));
+        }
     }
     atomicMax(&fastest_node, fastest);
     workgroupBarrier();
@@ -671,17 +640,17 @@ fn meet(group: u32, count: u32, level: u32, thread: u32) {
     }
 }
 
-// The nodes that a thread keeps of a body take the velocities that the law at the twists tried last leaves them. Returns the greatest as much as a particle may
+// The nodes that a thread keeps in a turn take the velocities that the law at the twists tried last leaves them. Returns the greatest as much as a particle may
 // feel of it.
-fn hand_over(b: u32, thread: u32) -> u32 {
-    let number = number_of(b);
-    let at_last = group_twist(TWIST_TRIED, b);
-    let change = group_twist(TWIST_STEP, b);
+fn hand_over(turn: u32) -> u32 {
+    let own = own_nodes[turn];
+    let at_last = group_twist(TWIST_TRIED, own.body);
+    let change = group_twist(TWIST_STEP, own.body);
     let surface = CouplingTwist(at_last.linear + change.linear, at_last.angular + change.angular);
     var fastest = 0u;
-    for (var i = 0u; i < kept_touches[b]; i++) {
-        let touch = touch_of(b, i, thread);
-        let hold = hold_of(coupling_friction(number), touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
+    for (var i = 0u; i < own.touches; i++) {
+        let touch = touch_of(turn, i);
+        let hold = hold_of(own.friction, touch.grip, touch.velocity - velocity_of(at_last, touch.arm));
         if !hold.held {
             continue;
         }
@@ -690,12 +659,12 @@ fn hand_over(b: u32, thread: u32) -> u32 {
         }
         let of_surface = velocity_of(surface, touch.arm);
         let u = touch.velocity - of_surface;
-        let kept = of_surface + kept_by(hold, u);
-        grid[touch.node].x = kept.x;
-        grid[touch.node].y = kept.y;
-        grid[touch.node].z = kept.z;
+        let left = of_surface + kept_by(hold, u);
+        grid[touch.node].x = left.x;
+        grid[touch.node].y = left.y;
+        grid[touch.node].z = left.z;
         let felt = min(touch.mass * layers[layer_now].felt, 1.0);
-        fastest = max(fastest, max(max(magnitude_bits(felt * kept.x), magnitude_bits(felt * kept.y)), magnitude_bits(felt * kept.z)));
+        fastest = max(fastest, max(max(magnitude_bits(felt * left.x), magnitude_bits(felt * left.y)), magnitude_bits(felt * left.z)));
     }
     return fastest;
 }

@@ -65,14 +65,14 @@ fn in_level(cell: vec3<i32>, place: vec3<f32>, corner: vec3<f32>, level: u32, sh
     return (vec3<f32>(cell - (base << vec3<u32>(level))) + place + corner / H) * shrink;
 }
 
-// Behind all states there is room for touches, the nodes that a body grips on the level at hand, a row for each of its workgroup's threads: for each node
-// TOUCH vectors, arm [m] and mass [kg], velocity [m/s] and the node with, from bit 30 on, the kind of grip, normal and friction. Each block in a body's
-// box has a room, of ROOMS for all bodies of a world; for four of them a thread keeps one node at most.
+// Behind all states there is room for touches, the nodes that a body grips on the level at hand: for each node TOUCH vectors, arm [m] and mass [kg], velocity [m/s]
+// and the node with, from bit 30 on, the kind of grip, normal and friction. Each block in a body's box has a room, of ROOMS for all bodies of a world.
 const TOUCH: u32 = 3u;
 const TOUCHES: u32 = STATES + (MAX_SLOTS + 2u) * SLOT;
 
-// Behind these, how particles press on nodes [N], in the body's frame, for each level and room for a block in the body's box.
-const PRESSED: u32 = TOUCHES + WORLDS * (ROOMS / 4u) * TOUCH * 256u;
+// Behind these, how a body grips nodes, as the pass of pressing particles finds it, for each level, room and node of the block: the surface's normal, and the
+// greatest impulse [N s]; the normal is 0 where the node sticks, and the impulse has the sign - where it may not separate either.
+const GRIPPED: u32 = TOUCHES + WORLDS * ROOMS * TOUCH * 64u;
 
 // A body's first room, and how many it has.
 fn rooms_of(body: u32) -> vec2<u32> {
@@ -80,21 +80,36 @@ fn rooms_of(body: u32) -> vec2<u32> {
     return vec2<u32>(answering[at + 2u].w, answering[at + 3u].w);
 }
 
-fn pressed_at(body: u32, level: u32, room: u32, n: u32) -> u32 {
+fn gripped_at(body: u32, level: u32, room: u32, n: u32) -> u32 {
     let own = rooms_of(body);
-    return PRESSED + (own.x * LEVELS + level * own.y + room) * 64u + n;
+    return GRIPPED + (own.x * LEVELS + level * own.y + room) * 64u + n;
 }
 
-// Behind these, one past the last slot of the submission in which there was a block of nodes near the body on each level; or some other number, which makes
-// the body look for nodes that are not there.
-const NEAR_BLOCKS: u32 = PRESSED + WORLDS * LEVELS * ROOMS * 64u;
+// Behind these, for each level and room the mark of the slot in which the body gripped nodes of the block there; the block's number, and from bit 25 on how
+// many are deep inside; which nodes it grips, as bits.
+const HELD: u32 = GRIPPED + WORLDS * LEVELS * ROOMS * 64u;
+
+fn room_at(body: u32, level: u32, room: u32) -> u32 {
+    let own = rooms_of(body);
+    return HELD + own.x * LEVELS + level * own.y + room;
+}
+
+// Behind these, NEAR_HEAD vectors for each body and level: the mark of the slot in which there was a block of nodes near it, and how many blocks its box has
+// along each axis, in ten bits each; the first of these blocks.
+const NEAR_HEAD: u32 = 2u;
+const NEAR_BLOCKS: u32 = HELD + WORLDS * LEVELS * ROOMS;
 
 fn near_at(body: u32, level: u32) -> u32 {
-    return NEAR_BLOCKS + body * LEVELS + level;
+    return NEAR_BLOCKS + (body * LEVELS + level) * NEAR_HEAD;
+}
+
+// What tells the slot from all others, of other submissions, too.
+fn slot_mark() -> u32 {
+    return step.submission * 2u * MAX_SLOTS + slot_now() + 1u;
 }
 
 // Behind these, where groups have several bodies, what touches add up to for each, and once more for the group that is rehearsed.
-const SYSTEMS: u32 = NEAR_BLOCKS + ALL_ANSWERING * LEVELS;
+const SYSTEMS: u32 = NEAR_BLOCKS + ALL_ANSWERING * LEVELS * NEAR_HEAD;
 
 // The least and the greatest node of a level that a body may act on: those of its box, and REACH cells further.
 fn nodes_near(number: u32, rows: array<vec3<f32>, 3>, cell: vec3<i32>, place: vec3<f32>, level: u32, shrink: f32) -> array<vec3<i32>, 2> {

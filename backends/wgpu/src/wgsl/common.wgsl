@@ -71,6 +71,8 @@ struct Step {
     mirrors: u32,
     // So many steps a second of the finest level may particles need before the next step has to be shorter [1/s].
     most_need: f32,
+    // Number of the submission.
+    submission: u32,
 }
 
 @group(0) @binding(0) var<uniform> extent: Extent;
