@@ -41,7 +41,7 @@ pub(crate) const BODY_STATE: usize = 5;
 pub(crate) const TOUCH: usize = 3;
 /// Vectors that tell of blocks of nodes near a body on a level; see `answering.wgsl`.
 pub(crate) const NEAR_HEAD: usize = 2;
-/// A body that answers has rooms for so many blocks of nodes, or a multiple: with them each of its threads keeps one touch at most; see `answer.wgsl`.
+/// A body that answers has rooms for a multiple of so many blocks of nodes, since the 256 threads of a body alone take up all nodes of so many at once; see `answer.wgsl`.
 pub(crate) const ABREAST: usize = 4;
 /// Columns of what touches of a body add up to; see `answer.wgsl`.
 const COLUMNS: usize = 11;
