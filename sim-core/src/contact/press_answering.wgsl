@@ -63,9 +63,8 @@ var<private> owner: u32 = NONE;
 var<private> owner_distance: f32;
 var<private> owner_deep: bool;
 var<private> owner_room: u32;
-// Nodes of the block that a body grips, as bits, and how many of them are deep inside.
-var<workgroup> gripped: array<atomic<u32>, 2>;
-var<workgroup> deep_inside: atomic<u32>;
+// Nodes of the block that a body grips, and those of them that are deep inside, as bits.
+var<workgroup> gripped: array<atomic<u32>, 4>;
 
 fn put_pressed(b: u32, body: PressedBody, g: u32, first: vec3<i32>, n: u32, force: vec3<f32>) {
     let cell = first + local_of(n);
@@ -102,20 +101,20 @@ fn end_pressed(g: u32, thread: u32) {
         for (var bits = workgroupUniformLoad(&near[word]); bits != 0u; bits &= bits - 1u) {
             let is_owned = thread < NODES && owner == 32u * word + firstTrailingBit(bits);
             if is_owned {
-                atomicOr(&gripped[thread >> 5u], 1u << (thread & 31u));
-                atomicAdd(&deep_inside, u32(owner_deep));
+                let bit = 1u << (thread & 31u);
+                atomicOr(&gripped[thread >> 5u], bit);
+                atomicOr(&gripped[2u + (thread >> 5u)], select(0u, bit, owner_deep));
             }
             workgroupBarrier();
             let own = vec2<u32>(atomicLoad(&gripped[0]), atomicLoad(&gripped[1]));
             let first = select(firstTrailingBit(own.x), 32u + firstTrailingBit(own.y), own.x == 0u);
             if is_owned && thread == first {
-                answering[owner_room] = vec4<u32>(slot_mark(), g | (atomicLoad(&deep_inside) << 25u), own);
+                answering[owner_room] = vec4<u32>(slot_mark(), g, own);
+                answering[owner_room + 1u] = vec4<u32>(atomicLoad(&gripped[2]), atomicLoad(&gripped[3]), 0u, 0u);
             }
             workgroupBarrier();
-            if thread == 0u {
-                atomicStore(&gripped[0], 0u);
-                atomicStore(&gripped[1], 0u);
-                atomicStore(&deep_inside, 0u);
+            if thread < 4u {
+                atomicStore(&gripped[thread], 0u);
             }
             workgroupBarrier();
         }

@@ -39,8 +39,9 @@ pub(crate) const GROUP_HEAD: usize = 2;
 pub(crate) const BODY_HEAD: usize = 5;
 pub(crate) const BODY_STATE: usize = 5;
 pub(crate) const TOUCH: usize = 3;
-/// Vectors that tell of blocks of nodes near a body on a level; see `answering.wgsl`.
+/// Vectors that tell of blocks of nodes near a body on a level, and of such a block; see `answering.wgsl`.
 pub(crate) const NEAR_HEAD: usize = 2;
+pub(crate) const HELD_HEAD: usize = 2;
 /// A body that answers has rooms for a multiple of so many blocks of nodes, since the 256 threads of a body alone take up all nodes of so many at once; see `answer.wgsl`.
 pub(crate) const ABREAST: usize = 4;
 /// Columns of what touches of a body add up to; see `answer.wgsl`.
@@ -132,7 +133,7 @@ pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
 pub(crate) fn answering_bytes(room: Answering, worlds: usize, levels: usize) -> u64 {
     let Answering { groups, bodies, together, words, rooms, .. } = room;
     let touches = 64 * rooms * TOUCH;
-    let pressed = (65 * rooms + NEAR_HEAD * bodies) * levels;
+    let pressed = ((64 + HELD_HEAD) * rooms + NEAR_HEAD * bodies) * levels;
     let of_groups = worlds * groups * (GROUP_HEAD + (MAX_SLOTS + 2) * words);
     let of_bodies = worlds * (bodies * (BODY_HEAD + (MAX_SLOTS + 2) * BODY_STATE) + touches + pressed);
     let systems = if together > 1 { COLUMNS * (worlds * bodies + together) } else { 0 };

@@ -207,9 +207,6 @@ fn find_touches(turn: u32, level: u32, thread: u32) {
             let held = answering[room_at(body, level, start + lane)];
             if held.x == slot_mark() {
                 count = countOneBits(held.z) + countOneBits(held.w);
-                if held.y >> 25u > 0u {
-                    atomicAdd(&deep, held.y >> 25u);
-                }
             }
         }
         if thread < THREADS {
@@ -244,8 +241,9 @@ fn body_of_turn(turn: u32, thread: u32) -> u32 {
 
 // Keeps a node that the body of a turn grips: of a room's, that which so many stand below.
 fn take_touch(turn: u32, pose: CouplingPose, body: u32, level: u32, which: vec2<u32>, size: vec3<u32>, first: vec3<i32>) {
-    let held = answering[room_at(body, level, which.x)];
-    let g = held.y & 0x1ffffffu;
+    let in_room = room_at(body, level, which.x);
+    let held = answering[in_room];
+    let g = held.y;
     let n = place_of_bit(held.zw, which.y);
     let node = grid[g * 64u + n];
     let how = real(answering[gripped_at(body, level, which.x, n)]);
@@ -264,6 +262,10 @@ fn take_touch(turn: u32, pose: CouplingPose, body: u32, level: u32, which: vec2<
     answering[to + TEAM] = vec4<u32>(bitcast<vec3<u32>>(node.xyz), (g * 64u + n) | (kind << 30u));
     answering[to + 2u * TEAM] = bitcast<vec4<u32>>(vec4<f32>(how.xyz, most_of(abs(how.w), mass)));
     own_nodes[turn].touches++;
+    let of_word = answering[in_room + 1u][n >> 5u];
+    if (of_word & (1u << (n & 31u))) != 0u {
+        atomicAdd(&deep, 1u);
+    }
 }
 
 // A node that a thread keeps in a turn.

@@ -85,19 +85,20 @@ fn gripped_at(body: u32, level: u32, room: u32, n: u32) -> u32 {
     return GRIPPED + (own.x * LEVELS + level * own.y + room) * 64u + n;
 }
 
-// Behind these, for each level and room the mark of the slot in which the body gripped nodes of the block there; the block's number, and from bit 25 on how
-// many are deep inside; which nodes it grips, as bits.
+// Behind these, HELD_HEAD vectors for each level and room: the mark of the slot in which the body gripped nodes of the block there, the block's number, and which
+// nodes it grips, as bits; which of them are deep inside, as bits.
+const HELD_HEAD: u32 = 2u;
 const HELD: u32 = GRIPPED + WORLDS * LEVELS * ROOMS * 64u;
 
 fn room_at(body: u32, level: u32, room: u32) -> u32 {
     let own = rooms_of(body);
-    return HELD + own.x * LEVELS + level * own.y + room;
+    return HELD + (own.x * LEVELS + level * own.y + room) * HELD_HEAD;
 }
 
 // Behind these, NEAR_HEAD vectors for each body and level: the mark of the slot in which there was a block of nodes near it, and how many blocks its box has
 // along each axis, in ten bits each; the first of these blocks.
 const NEAR_HEAD: u32 = 2u;
-const NEAR_BLOCKS: u32 = HELD + WORLDS * LEVELS * ROOMS;
+const NEAR_BLOCKS: u32 = HELD + WORLDS * LEVELS * ROOMS * HELD_HEAD;
 
 fn near_at(body: u32, level: u32) -> u32 {
     return NEAR_BLOCKS + (body * LEVELS + level) * NEAR_HEAD;
