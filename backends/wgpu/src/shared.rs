@@ -40,7 +40,21 @@ pub const LAYOUTS: [Layout; 3] = [
     layout!(
         "Step",
         StepConstants,
-        [dt, dt_per_h, stress, number, gravity, slot, first_level, first, count, end_level, mirrors, most_need]
+        [
+            dt,
+            dt_per_h,
+            stress,
+            number,
+            gravity,
+            slot,
+            first_level,
+            first,
+            count,
+            end_level,
+            mirrors,
+            most_need,
+            submission
+        ]
     ),
 ];
 
