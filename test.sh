@@ -10,7 +10,7 @@
 #   valgrind          by apt-get, as root, on Linux without it                      about 80 MB
 #   robots of others  into target/robots, from PyPI by pip, once                  131 MB to fetch, 431 MB on the disk
 #   maturin, NumPy, …  into target/venv, from PyPI by pip, once                    50 MB to fetch, 300 MB on the disk
-#   cbindgen          into target/tools, built by cargo install, once            about 10 MB, two minutes
+#   cbindgen          into target/tools, built by cargo install, once            about 10 MB, one minute
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 
@@ -68,8 +68,8 @@ Run this line (about 80 MB), then this script again:
     apt-get update && $install
 fi
 if [ "$("$tools/bin/cbindgen" --version 2>/dev/null)" != "cbindgen $cbindgen_version" ]; then
-    echo "Building cbindgen $cbindgen_version into $tools (about 10 MB, two minutes)."
-    cargo install --quiet --locked --root "$tools" --version "$cbindgen_version" cbindgen
+    echo "Building cbindgen $cbindgen_version into $tools (about 10 MB, one minute)."
+    cargo install --quiet --locked --debug --root "$tools" --version "$cbindgen_version" cbindgen
 fi
 echo "cargo $(cargo --version | cut -d' ' -f2), $(cc --version | head -1), cbindgen $cbindgen_version"
 

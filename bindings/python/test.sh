@@ -39,7 +39,7 @@ fi
 # Optimised as the other tests are, for the physics would be slow otherwise, and of what has been built for them if they ran before. For Python itself, so that
 # both environments share what is built.
 rm -rf "$target/wheels-for-tests"
-CARGO_PROFILE_DEV_OPT_LEVEL=3 "$venv/bin/maturin" build --quiet --locked --profile dev --strip --features as-for-tests --manifest-path "$here/Cargo.toml" \
+"$venv/bin/maturin" build --quiet --locked --profile dev --strip --features as-for-tests --manifest-path "$here/Cargo.toml" \
     --interpreter "$(python3 -c 'import sys; print(sys.executable)')" --out "$target/wheels-for-tests"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index --force-reinstall "$target"/wheels-for-tests/*.whl
 cd "$here"

@@ -141,6 +141,11 @@ impl Scene {
         folder: impl AsRef<Path>,
         overrides: &[impl AsRef<str>],
     ) -> Result<Self> {
+        Self::read(text, file_name, folder.as_ref(), &listed(overrides))
+    }
+
+    // Not generic, as all below it: what reads a scene would otherwise be compiled again by each crate that calls it, half a minute each.
+    fn read(text: &str, file_name: &str, folder: &Path, overrides: &[&str]) -> Result<Self> {
         let syntax = |e: toml::de::Error| Error::Scene {
             file: file_name.to_owned(),
             line: e.span().map_or(0, |span| Lines::of(text).at(span.start)),
@@ -150,7 +155,7 @@ impl Scene {
         };
         let source = Source::of(file_name, text, DeTable::parse(text).map_err(syntax)?.get_ref());
         let value = Value::Table(toml::from_str(text).map_err(syntax)?);
-        Self::from_value(value, source, folder.as_ref(), overrides)
+        Self::from_value(value, source, folder, overrides)
     }
 
     /// Applies overrides of the form `key.path=value` and checks the result; on an error nothing is changed.
@@ -161,9 +166,13 @@ impl Scene {
     /// # Errors
     /// [`Error::Scene`] if a path leads nowhere or the result cannot be used.
     pub fn set(&mut self, overrides: &[impl AsRef<str>]) -> Result<()> {
-        let value = Value::try_from(&*self).map_err(|e| self.fault("scene", e.to_string(), "correct it"))?;
-        *self = Self::from_value(value, (*self.source).clone(), &self.folder, overrides)?;
+        *self = self.with_overrides(&listed(overrides))?;
         Ok(())
+    }
+
+    fn with_overrides(&self, overrides: &[&str]) -> Result<Self> {
+        let value = Value::try_from(self).map_err(|e| self.fault("scene", e.to_string(), "correct it"))?;
+        Self::from_value(value, (*self.source).clone(), &self.folder, overrides)
     }
 
     /// What has been [set](Self::set) since the scene was read from its file, in order.
@@ -196,11 +205,11 @@ impl Scene {
         find(String::new(), a.as_ref(), b.as_ref())
     }
 
-    fn from_value(mut value: Value, mut source: Source, folder: &Path, overrides: &[impl AsRef<str>]) -> Result<Self> {
-        for text in overrides {
-            let path = apply(&mut value, text.as_ref())?;
+    fn from_value(mut value: Value, mut source: Source, folder: &Path, overrides: &[&str]) -> Result<Self> {
+        for &text in overrides {
+            let path = apply(&mut value, text)?;
             source.overridden(&path);
-            source.overrides.push(text.as_ref().to_owned());
+            source.overrides.push(text.to_owned());
         }
         complete(&mut value);
         let mut scene: Self = serde_path_to_error::deserialize(value).map_err(|e| explain(&e, &source))?;
@@ -227,6 +236,10 @@ impl Scene {
     pub fn fault(&self, path: &str, what: impl Into<String>, mend: impl Into<String>) -> Error {
         fault(&self.source, path, what.into(), mend.into())
     }
+}
+
+fn listed(overrides: &[impl AsRef<str>]) -> Vec<&str> {
+    overrides.iter().map(AsRef::as_ref).collect()
 }
 
 fn fault(source: &Source, path: &str, what: String, mend: String) -> Error {
