@@ -8,6 +8,7 @@ use crate::{Result, Vec3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -190,6 +191,22 @@ impl Scene {
 /// Text of a scene or a plugin, on one line and without control characters: what it says cannot act on a terminal or pass for another line.
 pub fn plain(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).collect()
+}
+
+/// Names by what is to be said of them, so that one sentence says it of all: in the order of the first of each, with quotes and commas, and whether there are
+/// several.
+pub fn named_together<N: Display, K: PartialEq>(all: impl IntoIterator<Item = (N, K)>) -> Vec<(String, bool, K)> {
+    let mut groups: Vec<(String, bool, K)> = Vec::new();
+    for (name, said) in all {
+        match groups.iter_mut().find(|group| group.2 == said) {
+            Some((names, several, _)) => {
+                *names += &format!(", '{name}'");
+                *several = true;
+            }
+            None => groups.push((format!("'{name}'"), false, said)),
+        }
+    }
+    groups
 }
 
 /// Does a text fit a pattern, in which * stands for any text?

@@ -19,7 +19,7 @@ use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep};
 use barchan_core::plan::ROBOT_COUPLING;
-use barchan_core::scene::{self, Contact, fits};
+use barchan_core::scene::{self, Contact, fits, named_together};
 use barchan_core::{
     BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, RobotState, Scene, Surface, Vec3, Wrench,
 };
@@ -702,21 +702,22 @@ impl Coupling for Robots {
             .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)));
         let mut warnings: Vec<String> = of_models.chain(self.overlaps()).collect();
         for robot in &self.robots {
-            for body in robot.ends() {
-                let Some(shape) = &robot.model.links[robot.solids[body]].shape else { continue };
-                if robot.is_tool {
-                    warnings.extend(thin(&robot.name, shape, cell_width));
-                    continue;
-                }
-                let cells = 2.0 * shape.half_thickness() / cell_width;
-                if cells < 4.0 {
-                    warnings.push(format!(
-                        "link '{}' is {cells:.1} cells thick: forces of the ground on it may be a third off; for forces within a fifth use world.cell <= {:.3} mm",
-                        robot.body_name(body),
-                        1e3 * shape.half_thickness() / 3.0,
-                    ));
-                }
+            let ends =
+                || robot.ends().filter_map(|body| Some((body, robot.model.links[robot.solids[body]].shape.as_ref()?)));
+            if robot.is_tool {
+                warnings.extend(ends().filter_map(|(_, shape)| thin(&robot.name, shape, cell_width)));
+                continue;
             }
+            let halves = ends().map(|(body, shape)| (robot.body_name(body), shape.half_thickness()));
+            let thin_links = named_together(halves.filter(|(_, half)| *half < 2.0 * cell_width));
+            warnings.extend(thin_links.into_iter().map(|(names, several, half)| {
+                let (links, are, them) = if several { ("links", "are", "them") } else { ("link", "is", "it") };
+                format!(
+                    "{links} {names} {are} {:.1} cells thick: forces of the ground on {them} may be a third off; for forces within a fifth use world.cell <= {:.3} mm",
+                    2.0 * half / cell_width,
+                    1e3 * half / 3.0,
+                )
+            }));
         }
         warnings
     }

@@ -2,7 +2,7 @@
 
 use super::Plan;
 use crate::levels::{AROUND_AGENT, Agent, CellBox, DEAD_ZONE, Followed, LEAST_DEPTH, targets};
-use crate::scene::{Body, Motion, OverBound, Shape, Tool, plain};
+use crate::scene::{Body, Motion, OverBound, Shape, Tool, named_together, plain};
 use crate::{Coupling, Registry, Result};
 
 /// Fine cells that should lie below a tool before a rim: a sphere pressed into elastic ground, its box's half side 12, 10 and 8 cells, felt 0.1, 1.4 and
@@ -126,11 +126,15 @@ impl Plan {
             }
             let half = 2.0 * (0.5 * (tall + deeper + LEAST_BELOW + 2.0 * DEAD_ZONE) - 1e-6).ceil();
             let key = if own_half(i) { format!("levels.agents[{i}].half") } else { "levels.half".to_owned() };
-            let name = names.first()?;
-            Some(format!(
-                "levels: there may be as few as {below:.1} fine cells between the lowest point of '{name}' and the rim below it; with fewer than {LEAST_BELOW} the coarse ground beyond stiffens what the tool feels; set {key} = {half} or more"
-            ))
+            Some((names.first()?.clone(), (format!("{below:.1}"), format!("{key} = {half}"))))
         };
-        self.agents.iter().zip(boxes).enumerate().filter_map(warning).collect()
+        let sentence = |(names, several, (below, mend)): (String, bool, (String, String))| {
+            let (points, them) = if several { ("points", "them") } else { ("point", "it") };
+            format!(
+                "levels: there may be as few as {below} fine cells between the lowest {points} of {names} and the rim below {them}; with fewer than {LEAST_BELOW} the coarse ground beyond stiffens what is felt there; set {mend} or more"
+            )
+        };
+        let all = self.agents.iter().zip(boxes).enumerate().filter_map(warning);
+        named_together(all).into_iter().map(sentence).collect()
     }
 }

@@ -30,6 +30,21 @@ fn borne(s: &mut Simulation, until: f64) -> f64 {
     impulse / (s.time() - from) / weight
 }
 
+/// What holds for all feet is said once, with the name of each.
+#[test]
+fn what_holds_for_all_feet_is_said_once() {
+    let plan = coarse("quadruped-trot", &["levels.half=8"]).plan().warnings.clone();
+    let feet = ["FL", "FR", "RL", "RR"].map(|leg| format!("'dog/{leg}_foot'")).join(", ");
+    for said in [
+        format!("links {feet} are 2.8 cells thick: forces of the ground on them"),
+        format!("between the lowest points of {feet} and the rim below them"),
+    ] {
+        let times = plan.iter().filter(|warning| warning.contains(&said)).count();
+        assert_eq!(times, 1, "'{said}' in {plan:#?}");
+    }
+    assert_eq!(plan.iter().filter(|warning| warning.contains("foot")).count(), 2, "{plan:#?}");
+}
+
 /// A humanoid that is held by its joints alone stands upright, and the sand bears its weight.
 #[test]
 fn humanoid_stand_is_borne_by_the_sand() {
