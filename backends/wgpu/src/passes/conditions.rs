@@ -265,7 +265,8 @@ mod tests {
                     beside.push(from);
                 }
                 // Some buffers are atomic to some passes only.
-                let is_atomic = ["Store", "Add"].iter().any(|call| text.contains(&format!("atomic{call}(&{lacks}[")));
+                let is_atomic =
+                    ["Load", "Or", "Store", "Add"].iter().any(|call| text.contains(&format!("atomic{call}(&{lacks}[")));
                 let declaration = if is_atomic {
                     declaration.replace("array<u32>", "array<atomic<u32>>")
                 } else {

@@ -54,7 +54,7 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         }
         let at = place_in_box(layer, block + (local >> vec3<u32>(2u)));
         if at != NONE {
-            atomicStore(&flags[at], 1u);
+            atomicStore(&flags[at], HOLDS);
         }
     }
     @if(!halts)

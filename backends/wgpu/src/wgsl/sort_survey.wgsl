@@ -15,11 +15,10 @@ fn survey(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
             for (var n = 0u; n < 27u; n++) {
                 let other = place_in_box(layer, block + offset_of(n));
                 // Asked for in any case, so that none waits for another.
-                reached |= select(flags[min(other, extent.places - 1u)], 0u, other == NONE);
+                reached |= select(flags[min(other, extent.places - 1u)] & HOLDS, 0u, other == NONE);
             }
-            @if(levels)
-            reached |= u32(reached == 0u && on && takes_from_rim(layer, block));
-            let here = vec2<u32>(flags[at], reached);
+            let own = flags[at];
+            let here = vec2<u32>(own & HOLDS, reached | u32((own & TAKES) != 0u));
             directory[at] = here;
             count += here;
         }
