@@ -2,6 +2,7 @@
 
 use barchan_core::parameter::{Parameter, Range};
 use barchan_core::registry::{TaskMaker, TaskSetup};
+use barchan_core::scene::{OverBound, Time};
 use barchan_core::task::{Limits, draw};
 use barchan_core::{Registry, Result, Scene, Task};
 use std::sync::Arc;
@@ -66,7 +67,9 @@ impl Base {
         let name = setup.name.to_owned();
         let own = || {
             let scene = Scene::from_str_with(file, &format!("task '{name}'"), "", changes)?;
-            Ok(Scene { name: name.clone(), ..scene })
+            // Whatever an agent that learns may try, a limb too fast for the step is followed in shorter ones: it ends no episode.
+            let time = Time { over_bound: OverBound::Substep, ..scene.time };
+            Ok(Scene { name: name.clone(), time, ..scene })
         };
         Ok(Self {
             scene: setup.scene.map_or_else(own, |scene| Ok(scene.clone()))?,

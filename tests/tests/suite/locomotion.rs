@@ -222,3 +222,28 @@ fn observations_are_as_long_as_their_parts() {
         }
     }
 }
+
+/// An agent that has learnt nothing flings its joints from limit to limit. A limb that is too fast for the task's step is followed in shorter ones.
+#[test]
+fn wild_actions_never_end_an_episode_with_an_error() {
+    for name in ["QuadrupedWalk-lite", "DuneWalk-lite", "HumanoidStand-lite", "HumanoidWalk-lite"] {
+        let mut worlds = environment(name, &[], &[0, 1, 2, 3]);
+        let limits = worlds.task().actions();
+        for turn in 0..6 {
+            let seeds = (0..4).map(|world| 4 * turn + world);
+            let actions: Vec<Vec<f64>> = seeds
+                .map(|seed| {
+                    let sides = barchan::task::draw(&limits, 1.0, seed);
+                    limits
+                        .iter()
+                        .zip(sides)
+                        .map(|(one, at)| if at > 0.5 * (one.low + one.high) { one.high } else { one.low })
+                        .collect()
+                })
+                .collect();
+            for (world, step) in worlds.step(&actions).unwrap().into_iter().enumerate() {
+                step.unwrap_or_else(|error| panic!("{name}, world {world}, turn {turn}: {error}"));
+            }
+        }
+    }
+}
