@@ -90,6 +90,16 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
             ),
             include_str!("../wgsl/sort_check.wgsl"),
         ),
+        knowing(
+            draft(
+                "spread",
+                "spread",
+                &chosen(include_str!("../wgsl/sort_spread.wgsl"), &conditions),
+                vec![atomic(FLAGS), STATUS],
+                Groups::PlacesBy(1024),
+            ),
+            "",
+        ),
         draft(
             "survey",
             "survey",
@@ -185,17 +195,12 @@ pub(crate) fn sort(plan: &Plan, worlds: usize) -> Vec<Draft> {
             draft("placed", "placed", placed, vec![STATUS], Groups::One),
         ]);
     }
-    let survey =
-        passes.iter().position(|pass| pass.name == "survey").expect("the passes of a sort, listed above, have it");
-    if levels {
-        let takers = include_str!("../wgsl/sort_takers.wgsl");
-        let uses = vec![atomic(FLAGS), STATUS];
-        passes.insert(survey, knowing(draft("takers", "find_takers", takers, uses, Groups::PlacesBy(1024)), ""));
-    }
     if !is_error {
         // Before blocks are numbered anew.
+        let at =
+            passes.iter().position(|pass| pass.name == "survey").expect("the passes of a sort, listed above, have it");
         let left = include_str!("../wgsl/sort_left.wgsl");
-        passes.insert(survey, draft("left", "sum_left", left, vec![LISTS, STATUS], Groups::Layers));
+        passes.insert(at, draft("left", "sum_left", left, vec![LISTS, STATUS], Groups::Layers));
     }
     if leaving == Leaving::Delete {
         passes.push(draft("gone", "gone", include_str!("../wgsl/sort_gone.wgsl"), vec![STATUS], Groups::One));

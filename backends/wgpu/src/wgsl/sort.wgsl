@@ -1,9 +1,9 @@
 // The sort: which blocks hold particles and which nodes they reach, in the order of their coordinates; particles by block, cell, law
 // and, among those, as they were. Each entry point is one pass; those over particles run block by block of the old order.
 
-// What is marked at a place of the directory: its block holds particles; blocks of the next finer level hand something to its nodes.
+// What is marked at a place of the directory: its block holds particles; some reach its nodes.
 const HOLDS: u32 = 1u;
-const TAKES: u32 = 2u;
+const REACHED: u32 = 2u;
 
 var<workgroup> partial: array<vec2<u32>, 256>;
 var<workgroup> of_sixteen: array<vec2<u32>, 16>;

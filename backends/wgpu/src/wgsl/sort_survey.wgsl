@@ -10,15 +10,8 @@ fn survey(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     for (var k = 0u; k < 4u; k++) {
         let at = w * 1024u + thread * 4u + k;
         if on && at < end {
-            let block = block_at(layer, at);
-            var reached = 0u;
-            for (var n = 0u; n < 27u; n++) {
-                let other = place_in_box(layer, block + offset_of(n));
-                // Asked for in any case, so that none waits for another.
-                reached |= select(flags[min(other, extent.places - 1u)] & HOLDS, 0u, other == NONE);
-            }
-            let own = flags[at];
-            let here = vec2<u32>(own & HOLDS, reached | u32((own & TAKES) != 0u));
+            let marks = flags[at];
+            let here = vec2<u32>(u32((marks & HOLDS) != 0u), u32((marks & REACHED) != 0u));
             directory[at] = here;
             count += here;
         }
