@@ -5,13 +5,12 @@ use super::folder::Folder;
 use super::recorder::Files;
 use super::{PROBES, io_error};
 use crate::run::ProbeFigures;
-use crate::run::trace::quoted;
+use crate::run::trace::{add_number, quoted};
 use barchan_core::observer::{Observer, Output};
 use barchan_core::scene::Probe;
 use barchan_core::{Result, Scene, Simulation, Vec3, probe};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -57,7 +56,7 @@ impl Table {
         for value in values {
             line.push(',');
             if let Some(value) = value {
-                let _ = write!(line, "{value}");
+                add_number(&mut line, value);
             }
         }
         writeln!(self.file, "{line}")
