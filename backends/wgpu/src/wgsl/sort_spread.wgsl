@@ -18,7 +18,7 @@ fn spread(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
             mark_reached(place_in_box(layer, block + offset_of(n)));
         }
         @if(levels)
-        if has_region(layer) && is_edge(layer, block) {
+        if is_edge(layer, block) {
             let coarse = (block - vec3<i32>(1)) >> vec3<u32>(1u);
             for (var n = 0u; n < 8u; n++) {
                 let by = vec3<i32>(i32(n >> 2u), i32((n >> 1u) & 1u), i32(n & 1u));

@@ -52,7 +52,9 @@ impl Table {
 
     fn write_row(&mut self) -> std::io::Result<()> {
         let Some((time, step, values)) = self.row.take() else { return Ok(()) };
-        let mut line = format!("{time},{step}");
+        let mut line = String::new();
+        add_number(&mut line, time);
+        line += &format!(",{step}");
         for value in values {
             line.push(',');
             if let Some(value) = value {
