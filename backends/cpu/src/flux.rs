@@ -56,7 +56,9 @@ impl Flux {
                 blocks.flat_map(|block| level.store.lists.iter().enumerate().map(move |l| (block, l)))
             {
                 let run = list.runs[b];
-                for chunk in (run.first..run.first + run.chunks()).filter(|&chunk| list.is_any_within(chunk, &cells)) {
+                for chunk in
+                    (run.first..run.first + run.chunks()).filter(|&chunk| list.lanes_within(chunk, &cells) != 0)
+                {
                     let lanes = (run.count - (chunk - run.first) * CHUNK).min(CHUNK);
                     let near = (0..lanes).map(|lane| (s, [m, chunk, lane], list.position_of(chunk, lane, h)));
                     self.near[l].extend(near);

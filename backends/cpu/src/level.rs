@@ -3,6 +3,7 @@
 
 use crate::grid::{Grid, Link, Ring, SharedNode, bits, cell_of_node, entries, origin};
 use crate::memory::Parts;
+use crate::near::Near;
 use crate::sleep::Watch;
 use crate::store::{List, Store};
 use barchan_core::Plan;
@@ -69,6 +70,8 @@ pub(crate) struct Level<T: Scalar> {
     pub(crate) batch_nodes: Vec<u32>,
     pub(crate) batch_block_of: Vec<u32>,
     pub(crate) batch_blocks: Vec<[u32; CELLS]>,
+    /// What was found of each block that was near bodies last.
+    pub(crate) near: Vec<Near>,
 }
 
 impl<T: Scalar> Level<T> {
@@ -93,6 +96,7 @@ impl<T: Scalar> Level<T> {
             batch_nodes: Vec::new(),
             batch_block_of: Vec::new(),
             batch_blocks: Vec::new(),
+            near: Vec::new(),
         }
     }
 

@@ -8,6 +8,7 @@
 mod account;
 mod adapt;
 mod archive;
+mod awake;
 mod engine;
 mod faults;
 mod flow;

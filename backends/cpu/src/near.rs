@@ -10,6 +10,13 @@ use barchan_grid::transfer::Scalar;
 use barchan_lanes::CHUNK;
 use rayon::prelude::*;
 
+/// The particles of a block that are near bodies, and the cubes of nodes around them.
+#[derive(Default)]
+pub(crate) struct Near {
+    cubes: Vec<[u32; 8]>,
+    particles: Vec<NearParticle>,
+}
+
 impl<T: Scalar> Level<T> {
     /// Collects the nodes inside any of the boxes, in the grid's order, along periodic axes their images there. If levels take steps of their own (`subcycled`), a node that the
     /// finer level shares weighs what this level's own particles weigh there: the finer ones have moved, and take nothing of what
@@ -50,7 +57,7 @@ impl<T: Scalar> Level<T> {
 
     /// Collects the particles inside any of the boxes, block by block, and their cells among the nodes that were gathered last; `moduli` are
     /// the materials' stiffness [Pa].
-    pub(crate) fn gather_particles(&self, boxes: &[Aabb], moduli: &[f64], batch: &mut NodeBatch) {
+    pub(crate) fn gather_particles(&mut self, boxes: &[Aabb], moduli: &[f64], batch: &mut NodeBatch) {
         // Particles may have left their block by a cell since they were sorted, and nodes are at the middle of cells.
         let (h, periods) = (self.h(), self.bounds.periods());
         let wider: Vec<Aabb> = boxes.iter().map(|one| one.grown(1.5 * h)).collect();
@@ -59,26 +66,24 @@ impl<T: Scalar> Level<T> {
             Some((b, first, image_near(&wider, first, h, periods)?))
         };
         let blocks: Vec<_> = (0..self.grid.occupied.len()).filter_map(image).collect();
-        let of_block = |&(b, first, there): &(usize, [i32; 3], [i32; 3])| {
+        // What each finds lies in memory of its own, kept from step to step: threads that ask for memory at once wait for one another.
+        let mut found = std::mem::take(&mut self.near);
+        found.resize_with(found.len().max(blocks.len()), Near::default);
+        let of_block = |(&(b, first, there), found): (&(usize, [i32; 3], [i32; 3]), &mut Near)| {
             let by = std::array::from_fn(|d| f64::from(there[d] - first[d]) * h);
-            self.near_particles(b, by, &boxes_near_block(boxes, there, h, 1.5 * h), moduli)
+            self.near_particles(b, by, &boxes_near_block(boxes, there, h, 1.5 * h), moduli, found);
         };
-        let found: Vec<_> = blocks.par_iter().map(of_block).collect();
-        for (cubes, particles) in found {
+        blocks.par_iter().zip(&mut found).for_each(of_block);
+        for Near { cubes, particles } in &found[..blocks.len()] {
             let first = batch.cubes.len() as u32;
-            batch.cubes.extend(cubes);
-            batch.particles.extend(particles.into_iter().map(|one| NearParticle { cube: first + one.cube, ..one }));
+            batch.cubes.extend_from_slice(cubes);
+            batch.particles.extend(particles.iter().map(|one| NearParticle { cube: first + one.cube, ..*one }));
         }
+        self.near = found;
     }
 
-    /// A block's particles inside any of the boxes, where it is by so much [m] off itself, and the cubes of nodes around them.
-    fn near_particles(
-        &self,
-        b: usize,
-        by: [f64; 3],
-        boxes: &[Aabb],
-        moduli: &[f64],
-    ) -> (Vec<[u32; 8]>, Vec<NearParticle>) {
+    /// Finds a block's particles inside any of the boxes, where it is by so much [m] off itself, and the cubes of nodes around them.
+    fn near_particles(&self, b: usize, by: [f64; 3], boxes: &[Aabb], moduli: &[f64], found: &mut Near) {
         /// Cubes along a side of what a block's particles may lie in: a cell beyond the block at either end, and half a cell more.
         const REACHED: usize = SIDE as usize + 3;
         let h = self.h();
@@ -96,13 +101,17 @@ impl<T: Scalar> Level<T> {
         };
         let cells = |x: Vec3| std::array::from_fn(|d| ((x[d] - by[d]) / h).floor() as i32);
         let ranges: Vec<[[i32; 3]; 2]> = boxes.iter().map(|one| [one.min, one.max].map(cells)).collect();
-        let (mut cubes, mut particles) = (Vec::new(), Vec::new());
+        let Near { cubes, particles } = found;
+        cubes.clear();
+        particles.clear();
         let mut numbers = [NodeBatch::NONE; REACHED * REACHED * REACHED];
         for list in &self.store.lists {
             let run = list.runs[b];
-            let chunks =
-                (0..run.chunks()).filter(|k| ranges.iter().any(|range| list.is_any_within(run.first + k, range)));
-            for (k, lane) in chunks.flat_map(|k| (0..(run.count - k * CHUNK).min(CHUNK)).map(move |lane| (k, lane))) {
+            let lanes_of = |k: usize| {
+                let within = ranges.iter().fold(0, |lanes, range| lanes | list.lanes_within(run.first + k, range));
+                (0..(run.count - k * CHUNK).min(CHUNK)).filter(move |lane| within >> lane & 1 == 1)
+            };
+            for (k, lane) in (0..run.chunks()).flat_map(|k| lanes_of(k).map(move |lane| (k, lane))) {
                 let chunk = run.first + k;
                 let own = list.position_of(chunk, lane, h);
                 let position = std::array::from_fn(|d| own[d] + by[d]);
@@ -129,7 +138,6 @@ impl<T: Scalar> Level<T> {
                 }
             }
         }
-        (cubes, particles)
     }
 
     /// Takes back the velocities of the nodes that were gathered last.

@@ -112,8 +112,8 @@ impl<T: Scalar> List<T> {
     pub(crate) fn cell_of(&self, chunk: usize, lane: usize) -> [i32; 3] {
         std::array::from_fn(|d| self.cell[chunk * 3 + d].0[lane])
     }
-    /// Is any lane of a chunk in the range of cells, from the first to the last along each axis?
-    pub(crate) fn is_any_within(&self, chunk: usize, [first, last]: &[[i32; 3]; 2]) -> bool {
+    /// Which lanes of a chunk are in the range of cells, from the first to the last along each axis, as bits.
+    pub(crate) fn lanes_within(&self, chunk: usize, [first, last]: &[[i32; 3]; 2]) -> u16 {
         let mut inside = [true; CHUNK];
         for d in 0..3 {
             let cells = &self.cell[chunk * 3 + d].0;
@@ -121,7 +121,7 @@ impl<T: Scalar> List<T> {
                 inside[lane] &= (first[d] <= cells[lane]) & (cells[lane] <= last[d]);
             }
         }
-        inside != [false; CHUNK]
+        inside.iter().rev().fold(0, |bits, inside| bits << 1 | u16::from(*inside))
     }
     pub(crate) fn offset_of(&self, chunk: usize, lane: usize) -> [f64; 3] {
         std::array::from_fn(|d| T::offset_to_f64(self.offset[chunk * 3 + d].0[lane]))

@@ -197,16 +197,36 @@ fn costs(report: &Report, out: &mut String) {
         ]
     });
     table(out, "Cost", &head, rows);
-    let mut warned: BTreeMap<&String, Vec<&str>> = BTreeMap::new();
+    let mut all: Vec<(&str, String)> = Vec::new();
+    let mut warned: BTreeMap<&String, Vec<usize>> = BTreeMap::new();
     for (row, figures) in with_reference(report) {
-        figures.warnings.iter().for_each(|what| warned.entry(what).or_default().push(&row.entry.label));
+        figures.warnings.iter().for_each(|what| warned.entry(what).or_default().push(all.len()));
+        all.push((&row.entry.label, digits(1e3 * row.entry.cell_m)));
     }
-    for (what, labels) in &warned {
-        out.push_str(&format!("- Warning for {}: {what}.\n", labels.join(", ")));
+    for (what, runs) in &warned {
+        out.push_str(&format!("- Warning for {}: {what}.\n", named(&all, runs)));
     }
     if !warned.is_empty() {
         out.push('\n');
     }
+}
+
+/// How some of all runs, each with its label and its cells [mm], are called together: by their cells where none of several with such cells is left out.
+fn named(all: &[(&str, String)], some: &[usize]) -> String {
+    let with = |cell: &str| all.iter().filter(|(_, other)| other == cell).count();
+    let are_all = |cell: &str| with(cell) > 2 && some.iter().filter(|&&i| all[i].1 == cell).count() == with(cell);
+    if some.len() == all.len() {
+        return "all runs".to_owned();
+    }
+    let mut names: Vec<String> = Vec::new();
+    for &i in some {
+        let (label, cell) = &all[i];
+        let name = if are_all(cell) { format!("all runs on cells of {cell} mm") } else { (*label).to_owned() };
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    names.join(", ")
 }
 
 fn surfaces(report: &Report, out: &mut String) {
@@ -488,6 +508,20 @@ mod tests {
         assert_eq!(mean_and_deviation(&[1.0, 3.0]), Some((2.0, Some(2f64.sqrt()))));
         assert_eq!(mean_and_deviation(&[4.0]), Some((4.0, None)));
         assert_eq!(mean_and_deviation(&[]), None);
+    }
+
+    #[test]
+    fn runs_on_the_same_cells_are_named_together() {
+        let cells = |width: &str, labels: &[&'static str]| -> Vec<_> {
+            labels.iter().map(|l| (*l, width.to_owned())).collect()
+        };
+        let all = [cells("16", &["n 64", "L2", "L3"]), cells("31", &["n 32", "L2 n 32"])].concat();
+        let of = |some: &[usize]| named(&all, some);
+        assert_eq!(of(&[0, 1, 2, 3, 4]), "all runs");
+        assert_eq!(of(&[0, 1, 2, 4]), "all runs on cells of 16 mm, L2 n 32");
+        assert_eq!(of(&[0, 2]), "n 64, L3");
+        // Two are as quickly named.
+        assert_eq!(of(&[3, 4]), "n 32, L2 n 32");
     }
 
     #[test]
