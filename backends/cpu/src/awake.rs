@@ -93,9 +93,8 @@ mod tests {
             assert!(looking() <= 3, "{} threads look for work", looking());
         }
         until(&|| looking() == 0);
-        assert_eq!(
-            rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap().install(|| awake.during(looking)),
-            0
-        );
+        // A thread that is alone has nobody to keep awake.
+        let (alone, one) = (Awake::default(), rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap());
+        assert_eq!(one.install(|| alone.during(|| alone.looking.load(Ordering::Relaxed))), 0);
     }
 }
