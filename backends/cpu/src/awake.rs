@@ -18,7 +18,7 @@ thread_local! {
 }
 
 /// The threads of a pool that look for work.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(crate) struct Awake {
     looking: Arc<AtomicUsize>,
 }

@@ -90,7 +90,7 @@ pub(crate) struct CpuEngine<T: Scalar> {
     /// Everything runs in it, so that what is parallel need not enter it each time.
     pool: Arc<ThreadPool>,
     /// Its threads stay awake during a step.
-    awake: Arc<Awake>,
+    awake: Awake,
     pub(crate) isa: Isa,
     pub(crate) materials: Vec<PlannedMaterial>,
     pub(crate) levels: Vec<Level<T>>,
@@ -150,7 +150,7 @@ impl<T: Scalar> CpuEngine<T> {
         let shares = Shares { materials: vec![0; plan.materials.len()], sampled: 0 };
         let mut engine = Self {
             pool: Arc::new(pool),
-            awake: Arc::default(),
+            awake: Awake::default(),
             isa: plan.isa,
             materials: plan.materials.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
@@ -431,7 +431,7 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     }
 
     fn step(&mut self, time: f64, dt: f64, couplings: &mut [Box<dyn Coupling>]) -> Result<StepReport> {
-        let (pool, awake) = (Arc::clone(&self.pool), Arc::clone(&self.awake));
+        let (pool, awake) = (Arc::clone(&self.pool), self.awake.clone());
         pool.install(|| awake.during(|| self.advance(time, dt, couplings)))
     }
 
