@@ -11,7 +11,7 @@
 var<workgroup> tile: array<vec2<f32>, 1024>;
 // For each of 6x6x6 cells its last leaver, counted from 1.
 var<workgroup> head: array<atomic<u32>, 216>;
-// Leavers: index in the block, and the next one in 16 bits.
+// Leavers: index in the block or window, and the next one in 16 bits.
 var<workgroup> leavers: array<u32, 384>;
 var<workgroup> leaver_count: atomic<u32>;
 // Of these the ones that particles have come to, as bits; and all of them, those first, else in order.
@@ -21,9 +21,16 @@ var<workgroup> go: u32;
 var<workgroup> corner: vec3<i32>;
 var<workgroup> walled: u32;
 var<workgroup> at_rim: u32;
-var<workgroup> all_listed: u32;
+// Is a cell crowded?
+var<workgroup> crowded: atomic<u32>;
 
 const LEAVERS: u32 = 384u;
+// What a cell holds beyond its rounds, which stands behind those of all cells, is dealt to all threads in units of so many particles.
+// Those of its rounds have a bit each in a word.
+const IN_ROUNDS: u32 = ROUNDS * TOGETHER;
+const UNIT: u32 = 32u;
+// Instead of a count: some cell is crowded.
+const CROWDED: u32 = 0xffffffffu;
 
 // Spread over the banks of workgroup memory.
 fn in_tile(x: u32, y: u32, z: u32) -> u32 {
@@ -37,16 +44,14 @@ fn layer_of_block(b: u32) -> u32 {
     return u32(lists[b * ENTRY].w);
 }
 
-// The particles in one cell that come from others, one after the other.
+// The listed particles in one cell that come from others, one after the other.
 struct Walk {
-    // Tag of the cell, and its number among 6x6x6.
-    tag: u32,
+    // The cell's number among 6x6x6.
     cell: u32,
     // Leavers before this one are done.
     after: u32,
-    // The block's particles.
+    // The first particle of those that are listed.
     start: u32,
-    end: u32,
 }
 
 // Notes a particle, if it has left its cell, where those that have come to another are looked for.
@@ -74,19 +79,69 @@ fn list_leaver(q: u32, index: u32, tag: u32) {
     atomicOr(&come_to[cell >> 5u], 1u << (cell & 31u));
 }
 
-fn next_leaver(w: ptr<function, Walk>) -> u32 {
-    if all_listed == 0u {
-        // More leavers than the list holds: all of the block's particles are looked at.
-        while (*w).start + (*w).after < (*w).end {
-            let q = (*w).start + (*w).after;
-            (*w).after += 1u;
-            let p = record_of(q, 0u);
-            if (p.w & (511u | LEFT_HOME)) == ((*w).tag | LEFT_HOME) {
-                return q;
-            }
-        }
-        return NONE;
+// Lists those of a window of particles that have left their cells, in place of what is listed.
+fn list_window(thread: u32, first: u32, end: u32) {
+    for (var cell = thread; cell < 216u; cell += 128u) {
+        atomicStore(&head[cell], 0u);
     }
+    if thread < 7u {
+        atomicStore(&come_to[thread], 0u);
+    }
+    if thread == 0u {
+        atomicStore(&leaver_count, 0u);
+    }
+    workgroupBarrier();
+    for (var q = first + thread; q < end; q += 128u) {
+        list_leaver(q, q - first, record_of(q, 0u).w);
+    }
+    workgroupBarrier();
+}
+
+// How many windows of particles have to be listed, one after the other, so that the list holds what has left of each; one if it holds all.
+fn windows_of(particles: u32) -> u32 {
+    let listed = atomicLoad(&leaver_count);
+    return select(min(listed, 1u), (particles + LEAVERS - 1u) / LEAVERS, listed > LEAVERS || particles > 65536u);
+}
+
+// Counts, for each cell, the units of it and of those before; `go` is how many there are in all.
+fn count_units(thread: u32, count: u32) {
+    let cell = thread & 63u;
+    if thread < 64u {
+        guest_cells[cell] = (max(count, IN_ROUNDS) - IN_ROUNDS + UNIT - 1u) / UNIT;
+    }
+    workgroupBarrier();
+    var all = 0u;
+    for (var c = 0u; c <= cell; c++) {
+        all += guest_cells[c];
+    }
+    workgroupBarrier();
+    if thread < 64u {
+        guest_cells[cell] = all;
+    }
+    if thread == 63u {
+        go = all;
+    }
+}
+
+// A unit: its cell, its number there, and how many units of one cell there are at most among the 64 from a first one on.
+fn unit_at(number: u32, first: u32) -> vec3<u32> {
+    var cell = 0u;
+    var before = 0u;
+    var most = 0u;
+    var own_before = 0u;
+    for (var c = 0u; c < 64u; c++) {
+        let end = guest_cells[c];
+        if end <= number {
+            cell = c + 1u;
+            own_before = end;
+        }
+        most = max(most, min(max(end, first), first + 64u) - min(max(before, first), first + 64u));
+        before = end;
+    }
+    return vec3<u32>(cell, number - own_before, most);
+}
+
+fn next_leaver(w: ptr<function, Walk>) -> u32 {
     var best = NONE;
     var h = atomicLoad(&head[(*w).cell]);
     while h != 0u {
@@ -230,7 +285,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     let here = min(b, extent.block_room - 1u);
     let start = cells[here * 64u];
     let end = cells[here * 64u + 64u];
-    let count = cells[here * 64u + own + 1u] - cells[here * 64u + own];
+    let in_cell = cells[here * 64u + own + 1u] - cells[here * 64u + own];
     var next = cells[round_at(here, 0u, own)];
     var ahead = cells[round_at(here, 1u, own)];
     if thread == 0u {
@@ -268,7 +323,8 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
 
     // 1. Sums over those of each cell's particles that are still there, and to the tile. The others are listed.
     unrolled_zero();
-    // Those that have left, by their numbers in the cell; 31 stands for all from it on.
+    let count = min(in_cell, IN_ROUNDS);
+    // Those that have left, by their numbers in the cell.
     var left = 0u;
     if part == 0u {
         unrolled_own_xy();
@@ -276,26 +332,66 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         unrolled_own_zm();
     }
     while left != 0u {
-        let rank = firstTrailingBit(left);
+        let q = slot_of(here, own, firstTrailingBit(left));
         left &= left - 1u;
-        for (var r = rank; r < select(rank + 1u, count, rank == 31u); r++) {
-            let q = slot_of(here, own, r);
-            list_leaver(q, q - start, record_of(q, 0u).w);
-        }
+        list_leaver(q, q - start, record_of(q, 0u).w);
+    }
+    if in_cell > IN_ROUNDS {
+        atomicStore(&crowded, 1u);
     }
     workgroupBarrier();
     if thread == 0u {
-        let listed = atomicLoad(&leaver_count);
-        all_listed = u32(listed <= LEAVERS && end - start <= 65536u);
-        go = listed;
+        go = select(windows_of(end - start), CROWDED, atomicLoad(&crowded) != 0u);
     }
     {
         let at = own_cell + vec3<u32>(1u);
         unrolled_flush();
     }
+    var windows = workgroupUniformLoad(&go);
 
-    // 2. Then those that have come to others, a cell after the other.
-    if workgroupUniformLoad(&go) != 0u {
+    // 2. Then what crowded cells hold beyond: the units of one cell add to the tile in turn.
+    if windows == CROWDED {
+        count_units(thread, in_cell);
+        let units = workgroupUniformLoad(&go);
+        for (var batch = 0u; batch < units; batch += 64u) {
+            let is_one = batch + own < units;
+            let unit = unit_at(min(batch + own, units - 1u), batch);
+            if thread == 0u {
+                go = unit.z;
+            }
+            let turns = workgroupUniformLoad(&go);
+            let own_cell = vec3<u32>(unit.x >> 4u, (unit.x >> 2u) & 3u, unit.x & 3u);
+            // What the last cell holds beyond ends with the block.
+            let first = cells[round_at(here, ROUNDS, unit.x)] + unit.y * UNIT;
+            let end_of_cell = cells[round_at(here, ROUNDS, min(unit.x + 1u, 63u))];
+            let end_of_unit = min(first + UNIT, select(end_of_cell, end, unit.x == 63u));
+            let last = select(first, end_of_unit, is_one);
+            unrolled_clear();
+            if part == 0u {
+                unrolled_unit_xy();
+            } else {
+                unrolled_unit_zm();
+            }
+            workgroupBarrier();
+            let at = own_cell + vec3<u32>(1u);
+            for (var turn = 0u; turn < turns; turn++) {
+                let is_turn = is_one && turn == min(unit.y, own);
+                unrolled_flush_in_turn();
+            }
+        }
+        if thread == 0u {
+            go = windows_of(end - start);
+        }
+        windows = workgroupUniformLoad(&go);
+    }
+
+    // 3. Then those that have come to others, a cell after the other. Where the list does not hold them all, they are listed anew, window by window: each has
+    // no more of the block's particles than the list holds.
+    for (var window = 0u; window < windows; window++) {
+        let first = start + window * LEAVERS;
+        if windows > 1u {
+            list_window(thread, first, min(first + LEAVERS, end));
+        }
         let guest_count = list_guest_cells(thread);
         if thread == 0u {
             go = (guest_count + 63u) / 64u;
@@ -306,7 +402,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             // Those that have none add nothing to another cell, for without branches that is faster.
             let cell = guest_cells[k % 216u];
             let at = vec3<u32>(cell / 36u, (cell / 6u) % 6u, cell % 6u);
-            var walk = Walk(tag_of(vec3<i32>(at) - vec3<i32>(1)), cell, 0u, start, end);
+            var walk = Walk(cell, 0u, first);
             unrolled_clear();
             if k < guest_count {
                 if part == 0u {
@@ -319,7 +415,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         }
     }
 
-    // 3. What lies behind mirrors is folded back, reflected.
+    // 4. What lies behind mirrors is folded back, reflected.
     if workgroupUniformLoad(&walled) != 0u {
         let first_node = corner;
         let least = world_min(layer_now);
@@ -355,7 +451,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         }
     }
 
-    // 4. The tile, for the grid to sum.
+    // 5. The tile, for the grid to sum.
     let base = extent.node_room * 64u + b * 512u;
     for (var t = thread; t < 512u; t += 128u) {
         let k = in_tile(t >> 6u, (t >> 3u) & 7u, t & 7u);
@@ -370,9 +466,9 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
         grid[base + t] = node;
     }
 
-    // 5. Parent cells, for rims.
+    // 6. Parent cells, for rims.
     @if(levels)
     if workgroupUniformLoad(&at_rim) != 0u {
-        sum_parent_cells(b, thread, count);
+        sum_parent_cells(b, thread, in_cell);
     }
 }

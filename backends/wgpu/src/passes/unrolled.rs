@@ -23,15 +23,26 @@ pub(crate) fn of_p2g(text: &str, ahead: usize) -> String {
     let parts = [
         ("zero", each_node(|n, _| format!("var {}", zero(n)))),
         ("clear", each_node(|n, _| zero(n))),
-        ("own_xy", xy.own(ahead, "left |= select(0u, 1u << min(done, 31u), has_left);\n")),
+        ("own_xy", xy.own(ahead, "left |= select(0u, 1u << done, has_left);\n")),
         ("own_zm", zm.own(ahead, "")),
+        ("unit_xy", xy.unit("if has_left {\nlist_leaver(q, q - start, p.w);\n}\n")),
+        ("unit_zm", zm.unit("")),
         ("guests_xy", xy.guests()),
         ("guests_zm", zm.guests()),
         ("fold", [0, 1, 2].map(fold).concat()),
-        ("flush", flush()),
+        ("flush", flush(|_, to, sum| format!("{to} += {sum};\nworkgroupBarrier();\n"))),
+        ("flush_in_turn", flush(|_, to, sum| format!("if is_turn {{\n{to} += {sum};\n}}\nworkgroupBarrier();\n"))),
     ];
     unrolled(text, &parts.each_ref().map(|(name, part)| (*name, part.as_str())))
 }
+
+/// Where a particle of `own_cell` is, seen from there, and whether it counts there.
+const PLACE: &str = "
+    let is_beside = (p.w & BESIDE) != 0u;
+    let f = fraction(p) + select(vec3<f32>(0.0), vec3<f32>(cell_of(p.w) - vec3<i32>(own_cell)), is_beside);
+    let has_left = (p.w & LEFT_HOME) != 0u;
+    let part_here = select(1.0, 0.0, has_left);
+";
 
 fn each_node(text: impl Fn(usize, [usize; 3]) -> String) -> String {
     (0..27).map(|n| text(n, [n / 9, n / 3 % 3, n % 3])).collect()
@@ -67,24 +78,31 @@ struct Half {
 }
 
 impl Half {
+    /// A line for each vector that is read of a particle, by its name and number.
+    fn each(&self, line: impl Fn(&str, u32) -> String) -> String {
+        self.rows.iter().map(|(v, k)| line(v, *k)).collect()
+    }
+
     /// Over the cell's own particles. So many are fetched before the present one is added; behind the last, the block's first. One that is no longer
     /// there weighs nothing, and `leaver` is done with it. Nothing here is left out where it is not needed: small worlds wait for branches more than
     /// for arithmetic.
     fn own(&self, ahead: usize, leaver: &str) -> String {
-        let each =
-            |line: &dyn Fn(&str, u32) -> String| -> String { self.rows.iter().map(|(v, k)| line(v, *k)).collect() };
         let declare = |n: usize| {
-            format!("var p_{n} = vec4<u32>(0u);\n{}", each(&|v, _| format!("var {v}_{n} = vec4<f32>(0.0);\n")))
+            let rows = self.each(|v, _| format!("var {v}_{n} = vec4<f32>(0.0);\n"));
+            format!("var p_{n} = vec4<u32>(0u);\n{rows}")
         };
         let fetch = |n: usize| {
-            let rows = each(&|v, k| format!("{v}_{n} = bitcast<vec4<f32>>(record_of(at, {k}u));\n"));
+            let rows = self.each(|v, k| format!("{v}_{n} = bitcast<vec4<f32>>(record_of(at, {k}u));\n"));
             format!("{{\nlet at = select(start, next, rank < count);\np_{n} = record_of(at, 0u);\n{rows}}}\n")
         };
         let advance = "rank += 1u;\nnext += 1u;\n\
                        if rank % TOGETHER == 0u && rank <= ROUNDS * TOGETHER {\n\
                        next = ahead;\nahead = cells[round_at(here, round_of(rank) + u32(rank < ROUNDS * TOGETHER), own)];\n}\n";
-        let shift = |n: usize| format!("p_{} = p_{n};\n{}", n - 1, each(&|v, _| format!("{v}_{} = {v}_{n};\n", n - 1)));
-        let take = format!("let p = p_0;\n{}", each(&|v, _| format!("let {v} = {v}_0;\n")));
+        let shift = |n: usize| {
+            let rows = self.each(|v, _| format!("{v}_{} = {v}_{n};\n", n - 1));
+            format!("p_{} = p_{n};\n{rows}", n - 1)
+        };
+        let take = format!("let p = p_0;\n{}", self.each(|v, _| format!("let {v} = {v}_0;\n")));
         let last = ahead - 1;
         [
             "var rank = 0u;\n".to_owned(),
@@ -95,24 +113,30 @@ impl Half {
             (1..ahead).map(shift).collect(),
             advance.to_owned(),
             fetch(last),
-            format!(
-                "let is_beside = (p.w & BESIDE) != 0u;\n\
-                 let f = fraction(p) + select(vec3<f32>(0.0), vec3<f32>(cell_of(p.w) - vec3<i32>(own_cell)), is_beside);\n\
-                 let has_left = (p.w & LEFT_HOME) != 0u;\nlet part_here = select(1.0, 0.0, has_left);\n\
-                 let done = rank - {ahead}u;\n{leaver}{}}}\n",
-                self.add
-            ),
+            format!("{PLACE}let done = rank - {ahead}u;\n{leaver}{}}}\n", self.add),
         ]
         .concat()
     }
 
+    /// Over the particles of a unit, from `first` on, before `last`. The next one is asked for before the present one is added.
+    fn unit(&self, leaver: &str) -> String {
+        let declare = self.each(|v, _| format!("var {v}_0 = vec4<f32>(0.0);\n"));
+        let take = self.each(|v, _| format!("let {v} = {v}_0;\n"));
+        let rows = self.each(|v, k| format!("{v}_0 = bitcast<vec4<f32>>(record_of(next, {k}u));\n"));
+        let fetch = format!("p_0 = record_of(next, 0u);\n{rows}");
+        format!(
+            "var next = first;\nvar p_0 = vec4<u32>(0u);\n{declare}{fetch}\
+             for (var q = first; q < last; q++) {{\nlet p = p_0;\n{take}next = min(q + 1u, last - 1u);\n{fetch}{PLACE}{leaver}{}}}\n",
+            self.add
+        )
+    }
+
     /// Over those that have come from other cells.
     fn guests(&self) -> String {
-        let fetch = |(v, k): &(&str, u32)| format!("let {v} = bitcast<vec4<f32>>(record_of(q, {k}u));\n");
         format!(
             "for (var q = next_leaver(&walk); q != NONE; q = next_leaver(&walk)) {{\nlet p = record_of(q, 0u);\n\
              let f = fraction(p);\nlet part_here = 1.0;\n{}{}}}\n",
-            self.rows.iter().map(fetch).collect::<String>(),
+            self.each(|v, k| format!("let {v} = bitcast<vec4<f32>>(record_of(q, {k}u));\n")),
             self.add
         )
     }
@@ -174,12 +198,12 @@ fn fold(axis: usize) -> String {
     format!("{{\nlet is_done = false{is_done};\n{low}{narrow}{high}}}\nworkgroupBarrier();\n")
 }
 
-/// Adds the sums of the cell `at` to the tile: for one of its 27 nodes at a time, different cells touch different nodes. Places that differ along x alone are
-/// found once.
-fn flush() -> String {
+/// Adds sums of the cell `at` to the tile, as `add` says of a node's number, place and sum: for one of its 27 nodes at a time, different cells touch different
+/// nodes. Places that differ along x alone are found once.
+fn flush(add: impl Fn(usize, String, String) -> String) -> String {
     let place = |n: usize| format!("let t{n} = part * 512u + in_tile(at.x, at.y + {}u, at.z + {}u);\n", n / 3, n % 3);
-    let add = |n: usize, [i, ..]: [usize; 3]| format!("tile[t{} + {}u] += a{n};\nworkgroupBarrier();\n", n % 9, 64 * i);
-    (0..9).map(place).collect::<String>() + &each_node(add)
+    let node = |n: usize, [i, ..]: [usize; 3]| add(n, format!("tile[t{} + {}u]", n % 9, 64 * i), format!("a{n}"));
+    (0..9).map(place).collect::<String>() + &each_node(node)
 }
 
 /// Sums over the 27 nodes around a particle, row by row. The first of three nodes along an axis stands in the near block, the last
