@@ -52,7 +52,8 @@ var<workgroup> robot_asked: array<RobotWrench, ROBOT_LINKS>;
 var<workgroup> robot_inertia: array<RobotInertia, ROBOT_LINKS>;
 var<workgroup> robot_order: array<vec4<u32>, ROBOT_LINKS>;
 var<workgroup> robot_body: array<u32, ROBOT_LINKS>;
-// Of each rate: the first link that it moves; its value without the contact at hand; what joints give then; what no iteration changes; what is out of balance.
+// Of each rate: the first link that it moves; its value before the contact at hand; what joints give then, less what gravity and motion add if it is that before the
+// step; what no iteration changes; what is out of balance.
 var<workgroup> robot_head: array<u32, ROBOT_RATES>;
 var<workgroup> robot_free: array<f32, ROBOT_RATES>;
 var<workgroup> robot_own: array<f32, ROBOT_RATES>;
@@ -83,6 +84,8 @@ var<private> robot_drive: array<vec4<f32>, ROBOT_DRIVE>;
 var<private> robot_lacks: RobotWrench;
 var<private> robot_linear: vec3<f32>;
 var<private> robot_angular: vec3<f32>;
+// Do the rates balance what acts on the robot in this step, as far as it has been met?
+var<private> robot_is_settled: bool;
 // What the first thread alone knows: twice the kinetic energy without the contact at hand, at the rates that are tried, and of the step; what is out of
 // balance along the last step, and along this one; and along the last one before it.
 var<private> robot_free_energy: f32;
@@ -291,23 +294,40 @@ fn robot_solve(thread: u32) {
     workgroupBarrier();
 }
 
-// Finds the rates that balance without soft ground, as `balance_alone` of `robot.rs`.
-fn robot_settle(thread: u32) {
-    let n = robot_rates;
-    if thread < n {
-        var sum = 0.0;
-        for (var j = 0u; j < n; j++) {
-            sum += robot_mass[thread * ROBOT_RATES + j] * robot_free[j];
-        }
-        var driven = sum;
+// The rates begin as they are. Joints are not asked yet: whoever meets the ground or settles does that.
+fn robot_go_ahead(thread: u32) {
+    if thread < robot_rates {
+        var gains = 0.0;
         var a = robot_head[thread];
         for (var turn = 0u; turn < robot_links && a != ROBOT_NONE; turn++) {
             let axis = robot_axis_of(thread, a);
             let asked = robot_asked[a];
             let all = robot_inertia[a].first;
             let weight = RobotWrench(cross(all.xyz, group_gravity()), all.w * group_gravity());
-            driven += robot_power(axis, weight) - group_dt() * robot_power(axis, asked);
+            gains += robot_power(axis, weight) - group_dt() * robot_power(axis, asked);
             a = robot_order[a].y;
+        }
+        robot_own[thread] = -gains;
+    }
+    robot_expect(thread);
+    if thread == 0u {
+        robot_free_energy += robot_pull();
+    }
+    robot_is_settled = false;
+}
+
+// What gravity alone adds to twice the kinetic energy: a robot at rest has none.
+fn robot_pull() -> f32 {
+    return robot_inertia[0].first.w * dot(group_gravity(), group_gravity());
+}
+
+// Finds the rates that balance without soft ground, as `balance_alone` of `robot.rs`.
+fn robot_settle(thread: u32) {
+    let n = robot_rates;
+    if thread < n {
+        var driven = -robot_own[thread];
+        for (var j = 0u; j < n; j++) {
+            driven += robot_mass[thread * ROBOT_RATES + j] * robot_free[j];
         }
         robot_driven[thread] = driven;
         robot_step[thread] = 0.0;
@@ -355,8 +375,7 @@ fn robot_settle(thread: u32) {
             robot_free[thread] += robot_step[thread];
         }
         if thread == 0u {
-            // Of what gravity alone does to it, too: a robot at rest has none.
-            var energy = robot_inertia[0].first.w * dot(group_gravity(), group_gravity());
+            var energy = robot_pull();
             robot_before = 0.0;
             for (var i = 0u; i < n; i++) {
                 energy += robot_work[i];
@@ -391,8 +410,16 @@ fn robot_lead() -> f32 {
 // The rates as they are now are those without the contact to come, and nothing better is known of those with it.
 fn robot_set_free(thread: u32) {
     if thread < robot_rates {
+        robot_own[thread] = robot_joint(thread, robot_free[thread]).value;
+    }
+    robot_expect(thread);
+    robot_is_settled = true;
+}
+
+// The iteration begins at the rates as they are now.
+fn robot_expect(thread: u32) {
+    if thread < robot_rates {
         let rate = robot_free[thread];
-        robot_own[thread] = robot_joint(thread, rate).value;
         set_group_rate(TWIST_FREE, thread, rate);
         set_group_rate(TWIST_EXPECTED, thread, rate);
     }
@@ -438,25 +465,12 @@ fn coupling_begin(group: u32, thread: u32) {
     robot_move(thread);
     robot_compose(thread);
     robot_correct(thread);
-    if !group_moves() {
+    if group_moves() {
+        // Where links touch the ground, rates change less in a step than they would without it: legs are light, and motors press their feet into the ground.
+        robot_go_ahead(thread);
+    } else {
         robot_set_free(thread);
-        return;
     }
-    var before = 0.0;
-    if thread < robot_rates {
-        before = robot_free[thread];
-    }
-    workgroupBarrier();
-    robot_settle(thread);
-    workgroupBarrier();
-    robot_set_free(thread);
-    // Where links touch the ground, rates change less in a step than they would without it: legs are light, and motors press their feet into the ground.
-    if thread < robot_rates {
-        set_group_rate(TWIST_EXPECTED, thread, before);
-    }
-    workgroupBarrier();
-    robot_set_twists(TWIST_EXPECTED, thread);
-    workgroupBarrier();
 }
 
 // What contact on a body comes to, as wrenches about the base's centre of mass: what it gives, and by how much that falls for each unit of a motion.
@@ -642,6 +656,12 @@ fn coupling_advance(group: u32, thread: u32) {
     var word = vec4<u32>(0u);
     if thread < robot_drives {
         word = group_word(ROBOT_WORDS + thread);
+    }
+    if !robot_is_settled {
+        // It met nothing.
+        robot_settle(thread);
+        workgroupBarrier();
+        robot_set_free(thread);
     }
     if group_moves() {
         let velocity = vec3<f32>(robot_free[0], robot_free[1], robot_free[2]);

@@ -299,7 +299,7 @@ pub struct DeviceLaw {
 /// | `coupling_begin(group: u32, thread: u32)` | fixes each body's twist as it would be without contact in this pass (`TWIST_FREE`), gravity added if the group moves in it, and as it is expected with contact (`TWIST_EXPECTED`), where the iteration begins: the same, if nothing better is known |
 /// | `coupling_answer(group: u32, thread: u32)` | solves (H + Σ A) δ = r + Σ b as [`Coupling::answer`] does, at the twists that are tried (`TWIST_TRIED`), and sets each body's `TWIST_STEP` to δ |
 /// | `coupling_balance(group: u32, along: u32, thread: u32) -> f32` | (r + Σ b) · δ for the twists δ of kind `along`, which is `TWIST_LAST` or `TWIST_STEP` [J] |
-/// | `coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32` | twice the kinetic energy of the twists of a kind [J] |
+/// | `coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32` | twice the kinetic energy of the twists of a kind [J]; of `TWIST_FREE` it is a scale alone |
 /// | `coupling_feel(group: u32, thread: u32)` | takes in what nodes gave to each body (`group_impulse`): sets `TWIST_FREE` and `TWIST_EXPECTED` for the next level |
 /// | `coupling_advance(group: u32, thread: u32)` | if `group_moves()`, gives each body its pose after the step, at the twists that it has now; in any case writes all words of the state |
 ///
