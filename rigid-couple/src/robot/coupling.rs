@@ -14,7 +14,7 @@ use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
 use crate::rigid::body::Guided;
 use crate::rigid::thin;
-use crate::world::{friction_of, solid_walls};
+use crate::world::friction_of;
 use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep};
@@ -612,18 +612,19 @@ impl Coupling for Robots {
         if !self.robots.iter().all(is_plain) || self.max_speed(time, dt) * dt > device::MOST_MOVE * world.cell {
             return None;
         }
-        let walls = solid_walls(world);
         let of_robot = |(robot, &first): (&Robot, &usize)| -> Vec<Option<Roaming>> {
             let of_body = |(body, link): (usize, &usize)| {
                 // Coarser levels keep away from bodies that levels follow.
                 let widest = if self.followed[first + body] { world.cell } else { self.widest() };
                 let shape = robot.model.links[*link].shape.as_ref()?;
-                Some(Roaming::new(robot.bounds(body, world.cell), shape, [world.cell, widest]))
+                let moves = robot.floating || *link > 0;
+                Some(Roaming::new(robot.bounds(body, world.cell), moves, shape, [world.cell, widest]))
             };
             robot.solids.iter().enumerate().map(of_body).collect()
         };
-        let all: Vec<Vec<Option<Roaming>>> = self.robots.iter().zip(&self.firsts).map(of_robot).collect();
-        device::leashes(&all, &walls, world.cell)
+        let robots = self.robots.iter().zip(&self.firsts);
+        let all: Vec<_> = robots.map(|one| (of_robot(one), one.0.walls.as_slice())).collect();
+        device::leashes(&all, world.cell)
     }
 
     fn device_state(&self) -> Vec<GroupState> {

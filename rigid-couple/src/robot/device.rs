@@ -2,12 +2,12 @@
 
 use super::model::{Freedom, RobotModel};
 use super::motion::JointPath;
+use super::touching::Obstacle;
 use super::{AHEAD, Robot, dynamics};
 use crate::grip::REACH;
 use crate::motion::Pose;
 use crate::sdf::Sdf;
 use crate::tables::{Listed, Row, Tables, row, rows};
-use crate::world::SolidWall;
 use barchan_core::coupling::{Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, GroupState, Placed};
 use barchan_core::scene::Contact;
 use glam::{DQuat, DVec3};
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 const WORDS: usize = 5;
 /// Parts of a second, a radian or a metre in a word.
 const PARTS: f64 = 4_294_967_296.0;
-/// A device moves links as long as their surfaces move by at most this much in a step, and keep as far from walls [cells].
+/// A device moves links as long as their surfaces move by at most this much in a step [cells].
 pub(crate) const MOST_MOVE: f64 = 0.5;
 /// In place of infinity.
 const FAR: f64 = 1e30;
@@ -279,52 +279,36 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<D
 /// A body with a shape that a device moves.
 pub(crate) struct Roaming {
     bounds: Aabb,
+    /// Does it ever move? The base of a fixed robot may stand at a wall.
+    moves: bool,
     /// How far beyond its box it acts on nodes [m].
     reach: f64,
 }
 
 impl Roaming {
     /// One in such a box, on finest cells of the first width, and on none wider than the second [m].
-    pub(crate) fn new(bounds: Aabb, shape: &Sdf, [cell, widest]: [f64; 2]) -> Self {
-        Self { bounds, reach: REACH * widest + shape.padding(widest) - shape.padding(cell) }
-    }
-
-    /// How far along each axis it may go before it comes nearer to a wall than `off` [m]; `None` if it is there.
-    fn off_walls(&self, walls: &[SolidWall], off: f64) -> Option<Aabb> {
-        let mut leash = Aabb::UNBOUND;
-        for &SolidWall { axis, place, inwards, .. } in walls {
-            // Before the wall, or behind it.
-            let [low, high] = [self.bounds.min[axis] - place, self.bounds.max[axis] - place];
-            let [before, behind] = if inwards > 0.0 { [low, -high] } else { [-high, low] };
-            let gap = before.max(behind) - off;
-            if gap.is_nan() || gap <= 0.0 {
-                return None;
-            }
-            if (before > behind) == (inwards > 0.0) {
-                leash.min[axis] = leash.min[axis].max(-gap);
-            } else {
-                leash.max[axis] = leash.max[axis].min(gap);
-            }
-        }
-        Some(leash)
+    pub(crate) fn new(bounds: Aabb, moves: bool, shape: &Sdf, [cell, widest]: [f64; 2]) -> Self {
+        Self { bounds, moves, reach: REACH * widest + shape.padding(widest) - shape.padding(cell) }
     }
 }
 
-/// How far along each axis each of the robots' bodies may go, on finest cells of width `cell` [m], before it is the host's to see whether it touches a wall or another
-/// robot's; `None` if one may. Bodies without a shape touch nothing.
-///
-/// Nodes behind walls move as their images before them, which may be two layers of nodes. What two robots act on is kept apart, too.
-pub(crate) fn leashes(robots: &[Vec<Option<Roaming>>], walls: &[SolidWall], cell: f64) -> Option<Vec<Aabb>> {
+/// How far along each axis each of the robots' bodies may go, on finest cells of width `cell` [m], before it is the host's to see whether it touches a wall that its robot
+/// meets, or another robot's body; `None` if one may. Bodies without a shape touch nothing. What two robots act on is kept apart, too.
+pub(crate) fn leashes(robots: &[(Vec<Option<Roaming>>, &[Obstacle])], cell: f64) -> Option<Vec<Aabb>> {
     let mut all = Vec::new();
-    for (r, robot) in robots.iter().enumerate() {
+    for (r, (robot, walls)) in robots.iter().enumerate() {
         for body in robot {
             let Some(body) = body else {
                 all.push(Aabb::UNBOUND);
                 continue;
             };
-            let mut leash = body.off_walls(walls, (MOST_MOVE + 1.0) * cell + body.reach)?;
+            let mut leash = Aabb::UNBOUND;
+            for wall in walls.iter().filter(|_| body.moves) {
+                let off = body.bounds.leash(wall.bounds(), 2.0 * MOST_MOVE * cell + AHEAD, |spare| spare)?;
+                leash = leash.intersection(&off);
+            }
             let others = robots.iter().enumerate().filter(|(other, _)| *other != r);
-            for other in others.flat_map(|(_, other)| other).flatten() {
+            for other in others.flat_map(|(_, (other, _))| other).flatten() {
                 let clearance = 2.0 * (MOST_MOVE * cell + AHEAD + body.reach.min(other.reach));
                 leash = leash.intersection(&body.bounds.leash(&other.bounds, clearance, |spare| 0.5 * spare)?);
             }

@@ -109,6 +109,11 @@ impl Obstacle {
         solid_walls(world).into_iter().filter(before).map(obstacle).collect()
     }
 
+    /// The box around it; of a wall the half space behind it.
+    pub(super) fn bounds(&self) -> &Aabb {
+        &self.bounds
+    }
+
     /// Does it ever move?
     pub(super) fn moves(&self) -> bool {
         self.tool.as_ref().is_some_and(|driven| driven.moves)

@@ -72,7 +72,8 @@ fn put_pressed(b: u32, body: PressedBody, g: u32, first: vec3<i32>, n: u32, forc
     let size = vec3<u32>(pressed_size);
     let room = at.x + size.x * (at.y + size.y * at.z);
     let k = layer_now / LEVELS * ANSWERING + b;
-    if room >= rooms_of(k).y || any(cell < body.least) || any(cell > body.most) {
+    // Nodes behind mirrors move as their images.
+    if room >= rooms_of(k).y || any(cell < body.least) || any(cell > body.most) || is_behind(layer_now, cell) {
         return;
     }
     let width = H / shrink_of(layer_now);

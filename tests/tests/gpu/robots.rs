@@ -1,6 +1,7 @@
 //! Robots on the wgpu backend.
 
 use crate::{left, passes_of, take_at_once};
+use barchan::scene::Wall;
 use barchan::worlds::Worlds;
 use barchan::{Command, Options, Precision, Scene, Simulation};
 use barchan_tests::scenes::{robot_meets_ball, totals};
@@ -8,10 +9,15 @@ use glam::DVec3;
 
 /// A quadruped that lands on a bed with half a metre a second, at `x` [m]; `levels` and what the robot is told besides.
 fn landing(levels: &str, x: f64, robot: &str) -> Scene {
+    landing_on(1.125, levels, x, robot)
+}
+
+/// The same on a bed of such a length [m].
+fn landing_on(length: f64, levels: &str, x: f64, robot: &str) -> Scene {
     let text = format!(
         r#"
 name = "landing"
-world = {{ cell = 0.03125, min = [0, 0, 0], max = [1.125, 0.75, 1], walls = {{ x_min = "slip", x_max = "slip", y_min = "slip", y_max = "slip", z_min = "stick" }} }}
+world = {{ cell = 0.03125, min = [0, 0, 0], max = [{length}, 0.75, 1], walls = {{ x_min = "slip", x_max = "slip", y_min = "slip", y_max = "slip", z_min = "stick" }} }}
 levels = {{ half = 8, {levels} }}
 time = {{ end = 1, step = 5e-4 }}
 [[material]]
@@ -22,7 +28,7 @@ parameters = {{ young_modulus = 2e5, poisson_ratio = 0.2, friction_angle_deg = 3
 [[body]]
 name = "bed"
 material = "sand"
-shape = {{ box = {{ min = [0, 0, 0], max = [1.125, 0.75, 0.1875] }} }}
+shape = {{ box = {{ min = [0, 0, 0], max = [{length}, 0.75, 0.1875] }} }}
 settled = true
 [[robot]]
 name = "dog"
@@ -113,6 +119,47 @@ fn a_robot_lands_on_the_device_as_on_the_cpu() {
         println!("  specific force {:.2} m/s², {off:.1e} apart", felt(&cpu).length());
         assert!(off < 1e-2, "{levels}: specific force {} and {}", felt(&device), felt(&cpu));
     }
+}
+
+/// A robot that stands on coarse cells, so near to walls that its links reach nodes behind them, lands there on the device as on the CPU: those nodes are images, and no link's.
+#[test]
+fn a_robot_beside_walls_stays_on_the_device() {
+    let levels = "count = 3, box = [{ min = [0.25, 0.25, 0.0], max = [0.5, 0.5, 0.25] }]";
+    for wall in [Wall::Slip, Wall::Stick] {
+        let mut scene = landing_on(2.5, levels, 2.15, "");
+        scene.world.walls.x_max = wall;
+        let (mut device, mut cpu) = (start(&scene, "wgpu", Precision::F32), start(&scene, "cpu", Precision::F64));
+        let mut strongest = 0.0_f64;
+        take_at_once(&mut device, 60);
+        for _ in 0..60 {
+            cpu.step().unwrap();
+            strongest = strongest.max(cpu.wrenches().iter().map(|w| w.force[2]).sum());
+        }
+        let [base, turned] = apart(&device, &cpu);
+        println!("{wall:?}: base {base:.1e} m apart (1e-4), joints {turned:.1e} rad (1e-3); up to {strongest:.0} N");
+        assert!(strongest > 30.0, "{wall:?}: it has not landed: {strongest} N");
+        assert!(base < 1e-4 && turned < 1e-3, "{wall:?}: {base} m, {turned} rad");
+        assert_eq!(passes_of(&device, "gather"), 0, "{wall:?}: steps on the host");
+    }
+}
+
+/// An arm beside a box of sand reaches over the wall, which it does not meet, and moves its rod into the sand on the device as on the CPU.
+#[test]
+fn an_arm_reaches_over_a_wall_on_the_device() {
+    let down = "robot[0].motion.path.frames=[
+        { time = 0.0, position = [0.33, 0.0, 0.105], rotation = [0, 1, 0, 0] },
+        { time = 0.03, position = [0.34, 0.01, 0.075], rotation = [0, 1, 0, 0] },
+    ]";
+    let scene = barchan::tasks::scene("arm-writes", &["world.cell=0.016", "levels.count=1", down]).unwrap();
+    let (mut device, mut cpu) = (start(&scene, "wgpu", Precision::F32), start(&scene, "cpu", Precision::F64));
+    take_at_once(&mut device, 100);
+    (0..100).for_each(|_| drop(cpu.step().unwrap()));
+    let [_, turned] = apart(&device, &cpu);
+    let force = |arm: &Simulation| arm.wrenches().iter().map(|w| w.force[2]).sum::<f64>();
+    println!("joints {turned:.1e} rad apart (1e-3); {:.2} and {:.2} N on the rod", force(&device), force(&cpu));
+    assert!(force(&cpu) > 1.0, "it is not in the sand");
+    assert!(turned < 1e-3 && (force(&device) / force(&cpu) - 1.0).abs() < 0.02);
+    assert_eq!(passes_of(&device, "gather"), 0, "steps on the host");
 }
 
 /// In empty space a robot and a soft ball that it meets keep their momentum together.

@@ -137,8 +137,9 @@ pub(crate) fn fits_workgroups(gpu: &Gpu, setting: &Setting, worlds: usize, draft
 }
 
 pub(crate) fn press_answering_draft(laws: &Laws, counts: [usize; 2], shape: [usize; 2], room: Answering) -> Draft {
+    let constants = answering_counts(room, laws);
     let of_bodies =
-        [&answering_counts(room, laws), include_str!("../wgsl/answering.wgsl"), contact::wgsl::PRESS_ANSWERING]
+        [constants.as_str(), include_str!("../wgsl/answering.wgsl"), wgsl::MIRRORS, contact::wgsl::PRESS_ANSWERING]
             .concat();
     press_draft("press on answering bodies", laws, &of_bodies, counts, shape, [ANSWERING])
 }

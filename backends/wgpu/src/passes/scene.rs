@@ -62,8 +62,8 @@ pub(crate) fn has_mirrors(plan: &Plan) -> bool {
     (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).any(|wall| matches!(wall, Wall::Slip | Wall::Stick))
 }
 
-/// Are nodes behind mirrors found with the others? So it is where nothing but bodies that keep away from walls comes between the grid and the particles, and
-/// where, on levels, no step is halted any more once the grid update has come. If a body comes near walls after all, another pass does it again.
+/// Are nodes behind mirrors found with the others? So it is where nothing but bodies that keep away from walls, as robots do not, comes between the grid and the
+/// particles, and where, on levels, no step is halted any more once the grid update has come. If a body comes near walls after all, another pass does it again.
 pub(crate) fn mirrors_early(plan: &Plan) -> bool {
     let fits = if plan.cell_widths.len() > 1 {
         plan.substeps > 1 && plan.scene.robot.is_empty() && plan.scene.tool.iter().all(Tool::answers)
