@@ -201,7 +201,7 @@ impl Regions {
         }
     }
 
-    /// Moves the boxes after their agents. Returns whether any has moved.
+    /// Moves the boxes after their agents, each along the axes on which it has to. Returns whether any has moved.
     pub fn follow(&mut self, targets: &[Target]) -> bool {
         let mut moved = false;
         for level in 0..self.boxes.len() {
@@ -211,11 +211,15 @@ impl Regions {
             for (a, target) in targets.iter().enumerate() {
                 let inner = level.checked_sub(1).map(|finer| self.boxes[finer][a].in_parents().grown(NESTING));
                 let around = target.bounds.grown(AROUND_AGENT * self.h);
-                let old = kept.get(a).filter(|old| is_near(old, &around, parent));
-                let chosen = match old {
-                    Some(old) if inner.is_none_or(|inner| old.holds(&inner)) => *old,
-                    _ => ideal(&around, target.half, inner, parent),
-                };
+                let mut chosen = ideal(&around, target.half, inner, parent);
+                if let Some(old) = kept.get(a) {
+                    let holds =
+                        |d: usize| inner.is_none_or(|inner| old.min[d] <= inner.min[d] && inner.max[d] <= old.max[d]);
+                    // A foot that swings forward would else take its box along in height, and back at the next move.
+                    for d in (0..3).filter(|&d| is_near(old, &around, parent, d) && holds(d)) {
+                        (chosen.min[d], chosen.max[d]) = (old.min[d], old.max[d]);
+                    }
+                }
                 moved |= kept.get(a) != Some(&chosen);
                 boxes.push(chosen);
             }
@@ -418,13 +422,11 @@ fn ideal(agent: &Aabb, half: u32, inner: Option<CellBox>, parent: f64) -> CellBo
     chosen
 }
 
-/// Is the agent still inside the box, and near enough to its middle?
-fn is_near(of: &CellBox, agent: &Aabb, parent: f64) -> bool {
-    (0..3).all(|d| {
-        let (min, max) = (0.5 * parent * f64::from(of.min[d]), 0.5 * parent * f64::from(of.max[d]));
-        let off = 0.5 * (agent.min[d] + agent.max[d]) - 0.5 * (min + max);
-        off.abs() <= DEAD_ZONE * parent && min <= agent.min[d] && agent.max[d] <= max
-    })
+/// Is the agent still inside the box along an axis, and near enough to its middle?
+fn is_near(of: &CellBox, agent: &Aabb, parent: f64, d: usize) -> bool {
+    let (min, max) = (0.5 * parent * f64::from(of.min[d]), 0.5 * parent * f64::from(of.max[d]));
+    let off = 0.5 * (agent.min[d] + agent.max[d]) - 0.5 * (min + max);
+    off.abs() <= DEAD_ZONE * parent && min <= agent.min[d] && agent.max[d] <= max
 }
 
 /// What a level's boxes follow, and how.
@@ -615,6 +617,19 @@ mod tests {
             assert!(!regions.follow(&[agent(if step % 2 == 0 { 0.02 } else { -0.02 }, 0.1)]));
         }
         assert!(regions.follow(&[agent(0.06, 0.1)]));
+    }
+
+    /// A foot is lifted while it swings forward: its boxes go forward and stay where they are in height.
+    #[test]
+    fn boxes_move_along_the_axes_on_which_they_have_to() {
+        let mut regions = regions(3);
+        regions.follow(&[agent(0.0, 0.1)]);
+        let before: Vec<CellBox> = regions.boxes.iter().map(|boxes| boxes[0]).collect();
+        assert!(regions.follow(&[agent(0.1, 0.13)]));
+        for (boxes, before) in regions.boxes.iter().zip(before) {
+            assert!(boxes[0].min[0] > before.min[0], "{:?}", boxes[0]);
+            assert_eq!([boxes[0].min[2], boxes[0].max[2]], [before.min[2], before.max[2]]);
+        }
     }
 
     /// A box at a wall ends at the wall: what lies behind belongs to what lies before it.
