@@ -162,10 +162,13 @@ fn unrolled_zero() {}
 fn unrolled_clear() {}
 fn unrolled_own_xy() {}
 fn unrolled_own_zm() {}
+fn unrolled_unit_xy() {}
+fn unrolled_unit_zm() {}
 fn unrolled_guests_xy() {}
 fn unrolled_guests_zm() {}
 fn unrolled_fold() {}
 fn unrolled_flush() {}
+fn unrolled_flush_in_turn() {}
 fn unrolled_gather() {}
 fn unrolled_load() {}
 fn unrolled_store() {}
