@@ -564,7 +564,7 @@ pub trait Coupling: Send + Sync {
     /// greatest displacement of the ends of its box [m], in the order of the groups' bodies.
     ///
     /// `None` if one of them is so near to anything but the ground that the coupling itself must take the next step; nearer than two finest cells to a wall
-    /// is too near, and leashes keep bodies from it. Whether it is
+    /// is too near, and leashes keep bodies from it. Robots may come nearer, since in their scenes nodes behind walls are found after contact. Whether it is
     /// depends on where bodies are and how they move now, not on the number of steps.
     fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Vec<Aabb>> {
         let _ = (time, dt, steps);

@@ -48,7 +48,11 @@ impl CellBox {
     }
     /// Whether all of `other` lies in the box.
     pub fn holds(&self, other: &Self) -> bool {
-        (0..3).all(|d| self.min[d] <= other.min[d] && other.max[d] <= self.max[d])
+        (0..3).all(|d| self.holds_along(other, d))
+    }
+    /// Whether `other` ends in the box along an axis.
+    fn holds_along(&self, other: &Self, d: usize) -> bool {
+        self.min[d] <= other.min[d] && other.max[d] <= self.max[d]
     }
     /// Whether the boxes have a cell in common.
     pub fn meets(&self, other: &Self) -> bool {
@@ -213,10 +217,11 @@ impl Regions {
                 let around = target.bounds.grown(AROUND_AGENT * self.h);
                 let mut chosen = ideal(&around, target.half, inner, parent);
                 if let Some(old) = kept.get(a) {
-                    let holds =
-                        |d: usize| inner.is_none_or(|inner| old.min[d] <= inner.min[d] && inner.max[d] <= old.max[d]);
                     // A foot that swings forward would else take its box along in height, and back at the next move.
-                    for d in (0..3).filter(|&d| is_near(old, &around, parent, d) && holds(d)) {
+                    let stays = |&d: &usize| {
+                        is_near(old, &around, parent, d) && inner.is_none_or(|inner| old.holds_along(&inner, d))
+                    };
+                    for d in (0..3).filter(stays) {
                         (chosen.min[d], chosen.max[d]) = (old.min[d], old.max[d]);
                     }
                 }

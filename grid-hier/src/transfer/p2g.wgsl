@@ -363,16 +363,14 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
             let own_cell = vec3<u32>(unit.x >> 4u, (unit.x >> 2u) & 3u, unit.x & 3u);
             // What the last cell holds beyond ends with the block.
             let first = cells[round_at(here, ROUNDS, unit.x)] + unit.y * UNIT;
-            let end_of_cell = cells[round_at(here, ROUNDS, min(unit.x + 1u, 63u))];
-            let end_of_unit = min(first + UNIT, select(end_of_cell, end, unit.x == 63u));
-            let last = select(first, end_of_unit, is_one);
+            let end_of_cell = select(cells[round_at(here, ROUNDS, min(unit.x + 1u, 63u))], end, unit.x == 63u);
+            let end_of_unit = select(first, min(first + UNIT, end_of_cell), is_one);
             unrolled_clear();
             if part == 0u {
                 unrolled_unit_xy();
             } else {
                 unrolled_unit_zm();
             }
-            workgroupBarrier();
             let at = own_cell + vec3<u32>(1u);
             for (var turn = 0u; turn < turns; turn++) {
                 let is_turn = is_one && turn == min(unit.y, own);

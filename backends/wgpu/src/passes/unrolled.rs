@@ -118,7 +118,7 @@ impl Half {
         .concat()
     }
 
-    /// Over the particles of a unit, from `first` on, before `last`. The next one is asked for before the present one is added.
+    /// Over the particles of a unit, from `first` to `end_of_unit`. The next one is asked for before the present one is added.
     fn unit(&self, leaver: &str) -> String {
         let declare = self.each(|v, _| format!("var {v}_0 = vec4<f32>(0.0);\n"));
         let take = self.each(|v, _| format!("let {v} = {v}_0;\n"));
@@ -126,7 +126,7 @@ impl Half {
         let fetch = format!("p_0 = record_of(next, 0u);\n{rows}");
         format!(
             "var next = first;\nvar p_0 = vec4<u32>(0u);\n{declare}{fetch}\
-             for (var q = first; q < last; q++) {{\nlet p = p_0;\n{take}next = min(q + 1u, last - 1u);\n{fetch}{PLACE}{leaver}{}}}\n",
+             for (var q = first; q < end_of_unit; q++) {{\nlet p = p_0;\n{take}next = min(q + 1u, end_of_unit - 1u);\n{fetch}{PLACE}{leaver}{}}}\n",
             self.add
         )
     }
