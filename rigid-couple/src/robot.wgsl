@@ -272,18 +272,28 @@ fn robot_path(group: u32, d: u32, time: f32) -> vec4<f32> {
     return vec4<f32>(from_here + (time - begin) * rate, rate, 0.0, 1.0);
 }
 
-// Solves the matrix for what stands behind each row, into the step: eight rows at a time, 32 columns abreast.
+// Entries of the matrix that a thread keeps while it is solved.
+const ROBOT_ENTRIES: u32 = (ROBOT_RATES * ROBOT_ROW + ROBOT_THREADS - 1u) / ROBOT_THREADS;
+
+// Solves the matrix for what stands behind each row, into the step. Threads keep entries to themselves, and show each other only those of the row and the column that
+// are next.
 fn robot_solve(thread: u32) {
     let n = robot_rates;
+    var kept: array<f32, ROBOT_ENTRIES>;
+    for (var e = 0u; e < ROBOT_ENTRIES; e++) {
+        kept[e] = robot_matrix[min(thread + e * ROBOT_THREADS, ROBOT_RATES * ROBOT_ROW - 1u)];
+    }
     for (var k = 0u; k < n; k++) {
         let pivot = 1.0 / robot_matrix[k * ROBOT_ROW + k];
-        for (var i = thread >> 5u; i < select(0u, n, thread < ROBOT_THREADS); i += ROBOT_THREADS / 32u) {
-            if i == k {
-                continue;
-            }
-            let times = robot_matrix[i * ROBOT_ROW + k] * pivot;
-            for (var j = (k + 1u) + (thread & 31u); j <= n; j += 32u) {
-                robot_matrix[i * ROBOT_ROW + j] -= times * robot_matrix[k * ROBOT_ROW + j];
+        for (var e = 0u; e < select(0u, ROBOT_ENTRIES, thread < ROBOT_THREADS); e++) {
+            let at = thread + e * ROBOT_THREADS;
+            let i = at / ROBOT_ROW;
+            let j = at % ROBOT_ROW;
+            if i < n && i != k && j > k && j <= n {
+                kept[e] -= robot_matrix[i * ROBOT_ROW + k] * pivot * robot_matrix[k * ROBOT_ROW + j];
+                if i == k + 1u || j == k + 1u {
+                    robot_matrix[at] = kept[e];
+                }
             }
         }
         workgroupBarrier();
@@ -565,7 +575,8 @@ fn coupling_answer(group: u32, thread: u32) {
         robot_matrix[thread * ROBOT_ROW + n] = missing;
         robot_tried_work[thread] = momentum * tried;
     }
-    if thread == 0u {
+    // Far from the threads of the rates, which are still at work.
+    if thread == ROBOT_THREADS - 1u {
         var count = 0u;
         for (var b = 0u; b < robot_bodies; b++) {
             if group_touches(b) {
@@ -595,7 +606,8 @@ fn coupling_answer(group: u32, thread: u32) {
         robot_work[thread] = robot_energy_of(TWIST_STEP, thread);
     }
     workgroupBarrier();
-    robot_set_twists(TWIST_STEP, thread);
+    // The first thread has its own to do meanwhile.
+    robot_set_twists(TWIST_STEP, thread - ROBOT_THREADS / 2u);
     if thread == 0u {
         robot_tried_energy = 0.0;
         robot_step_energy = 0.0;

@@ -49,11 +49,11 @@ fn is_within_reach(body: PressedBody, first: vec3<i32>) -> bool {
     return coupling_distance(body.number, middle, width) <= (REACH + 3.0) * width;
 }
 
-// Notes that there is a block of nodes near it in this slot, and which blocks its box has.
+// Notes which blocks its box has.
 fn note_near(b: u32) {
     let at = near_at(layer_now / LEVELS * ANSWERING + b, level_of(layer_now));
     let size = vec3<u32>(pressed_size);
-    answering[at] = vec4<u32>(slot_mark(), (size.x << 20u) | (size.y << 10u) | size.z, 0u, 0u);
+    answering[at].y = (size.x << 20u) | (size.y << 10u) | size.z;
     answering[at + 1u] = vec4<u32>(bitcast<vec3<u32>>(pressed_first), 0u);
 }
 
@@ -112,6 +112,7 @@ fn end_pressed(g: u32, thread: u32) {
             if is_owned && thread == first {
                 answering[owner_room] = vec4<u32>(slot_mark(), g, own);
                 answering[owner_room + 1u] = vec4<u32>(atomicLoad(&gripped[2]), atomicLoad(&gripped[3]), 0u, 0u);
+                answering[near_at(layer_now / LEVELS * ANSWERING + owner, level_of(layer_now))].x = slot_mark();
             }
             workgroupBarrier();
             if thread < 4u {

@@ -128,7 +128,7 @@ pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
     worlds > 1 || 16 * (vectors + samples) > 65_536
 }
 
-/// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how bodies grip them on each level and whether any are near, and, where
+/// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how bodies grip them on each level and whether they grip any, and, where
 /// groups have several bodies, what their touches add up to.
 pub(crate) fn answering_bytes(room: Answering, worlds: usize, levels: usize) -> u64 {
     let Answering { groups, bodies, together, words, rooms, .. } = room;

@@ -49,14 +49,14 @@ struct Sums {
     lower0: vec4<f32>, lower1: vec4<f32>, lower2: vec4<f32>, lower3: vec4<f32>, lower4: vec4<f32>,
 }
 
-// One past the last level that the group meets, and how many bodies it has; the bodies with blocks of nodes near them, and how many there are; of each body of a turn,
+// One past the last level that the group meets, and how many bodies it has; the bodies that grip nodes, and how many there are; of each body of a turn,
 // rooms for blocks in its box; how many nodes it grips in the blocks of some of these rooms.
 var<workgroup> extents: vec2<u32>;
-var<workgroup> near: array<u32, GROUP_BODIES>;
-var<workgroup> near_bodies: u32;
+var<workgroup> gripping: array<u32, GROUP_BODIES>;
+var<workgroup> gripping_bodies: u32;
 var<workgroup> rooms: array<u32, TEAMS>;
 var<workgroup> counts: array<u32, THREADS>;
-// The bodies near blocks of nodes, then those that touch nodes, as bits: as threads find them, then to be read by all.
+// The bodies that grip nodes, then those that touch some, as bits: as threads find them, then to be read by all.
 const TOUCHED: u32 = (GROUP_BODIES + 31u) / 32u;
 var<workgroup> touching: array<atomic<u32>, TOUCHED>;
 var<workgroup> touched: array<u32, TOUCHED>;
@@ -154,18 +154,18 @@ fn place_of_bit(bits: vec2<u32>, below: u32) -> u32 {
     return place;
 }
 
-// Finds which bodies have blocks of nodes near them on a level.
-fn find_near(count: u32, level: u32, thread: u32) {
+// Finds which bodies grip nodes of a level. Many more have blocks of nodes near them.
+fn find_gripping(count: u32, level: u32, thread: u32) {
     if thread < count && answering[near_at(answering_body(thread), level)].x == slot_mark() {
         atomicOr(&touching[thread >> 5u], 1u << (thread & 31u));
     }
     workgroupBarrier();
     if thread == 0u {
-        near_bodies = 0u;
+        gripping_bodies = 0u;
         for (var word = 0u; word < TOUCHED; word++) {
             for (var bits = atomicExchange(&touching[word], 0u); bits != 0u; bits &= bits - 1u) {
-                near[near_bodies] = 32u * word + firstTrailingBit(bits);
-                near_bodies++;
+                gripping[gripping_bodies] = 32u * word + firstTrailingBit(bits);
+                gripping_bodies++;
             }
         }
     }
@@ -233,10 +233,10 @@ fn find_touches(turn: u32, level: u32, thread: u32) {
 // The body that a thread takes up in a turn, if any.
 fn body_of_turn(turn: u32, thread: u32) -> u32 {
     let at = turn * TEAMS + thread / TEAM;
-    if thread >= THREADS || at >= near_bodies {
+    if thread >= THREADS || at >= gripping_bodies {
         return NONE;
     }
-    return near[at];
+    return gripping[at];
 }
 
 // Keeps a node that the body of a turn grips: of a room's, that which so many stand below.
@@ -403,8 +403,8 @@ fn sum_up(turn: u32, own: Sums, thread: u32) {
         let at = turn * TEAMS + part;
         if GROUP_BODIES == 1u {
             exchange[column * COLUMN] = sum;
-        } else if at < near_bodies {
-            let b = near[at];
+        } else if at < gripping_bodies {
+            let b = gripping[at];
             answering[sums_at(b) + column] = bitcast<vec4<u32>>(sum);
             if column == 6u {
                 impulses_of[b] = sum.w;
@@ -543,13 +543,13 @@ fn gain_of(b: u32) -> CouplingTwist {
 fn meet(group: u32, count: u32, level: u32, thread: u32) {
     if rehearses {
         if thread == 0u {
-            near[0] = 0u;
-            near_bodies = 1u;
+            gripping[0] = 0u;
+            gripping_bodies = 1u;
         }
     } else {
-        find_near(count, level, thread);
+        find_gripping(count, level, thread);
     }
-    let turns = (workgroupUniformLoad(&near_bodies) + TEAMS - 1u) / TEAMS;
+    let turns = (workgroupUniformLoad(&gripping_bodies) + TEAMS - 1u) / TEAMS;
     for (var turn = 0u; turn < turns; turn++) {
         if rehearses {
             own_nodes[turn] = Kept(0u, u32(thread < THREADS), TOUCHES + rooms_of(answering_body(0u)).x * 64u * TOUCH + thread % TEAM, 0.5);
