@@ -155,23 +155,30 @@ fn coupling_box(body: u32, rows: array<vec3<f32>, 3>, cell: f32) -> array<vec3<f
         let at = u32(head.x) + 6u * part;
         let kind = coupling_table(at);
         let size = coupling_table(at + 1u).xyz;
+        // Half the size of a box along its axes, and how much further it reaches on all sides.
         var half = size;
+        var further = max(cell - kind.y, 0.0);
         switch i32(kind.x) {
-            case 0: { half = vec3<f32>(size.x); }
+            case 0: {
+                half = vec3<f32>(0.0);
+                further += size.x;
+            }
             case 1, 5, 6: {}
             case 2: { half = vec3<f32>(size.x, size.x, size.y); }
-            case 3: { half = vec3<f32>(size.x, size.x, size.x + size.y); }
+            case 3: {
+                half = vec3<f32>(0.0, 0.0, size.y);
+                further += size.x;
+            }
             default: { half = vec3<f32>(1e30); }
         }
         let origin = coupling_table(at + 2u).xyz;
         let part0 = coupling_table(at + 3u).xyz;
         let part1 = coupling_table(at + 4u).xyz;
         let part2 = coupling_table(at + 5u).xyz;
-        let padding = max(cell - kind.y, 0.0);
         var reach = vec3<f32>(0.0);
-        reach.x = dot(abs(rows[0].x * part0 + rows[0].y * part1 + rows[0].z * part2), half) + padding;
-        reach.y = dot(abs(rows[1].x * part0 + rows[1].y * part1 + rows[1].z * part2), half) + padding;
-        reach.z = dot(abs(rows[2].x * part0 + rows[2].y * part1 + rows[2].z * part2), half) + padding;
+        reach.x = dot(abs(rows[0].x * part0 + rows[0].y * part1 + rows[0].z * part2), half) + further;
+        reach.y = dot(abs(rows[1].x * part0 + rows[1].y * part1 + rows[1].z * part2), half) + further;
+        reach.z = dot(abs(rows[2].x * part0 + rows[2].y * part1 + rows[2].z * part2), half) + further;
         let centre = vec3<f32>(dot(rows[0], origin), dot(rows[1], origin), dot(rows[2], origin));
         least = min(least, centre - reach);
         most = max(most, centre + reach);

@@ -442,7 +442,8 @@ impl Coupling for Rigid {
     fn device_law(&self) -> Option<DeviceLaw> {
         // Contact thickens a thin body by a cell at most, and acts on nodes further off.
         let further = (1.0 + REACH) * self.scene.world.cell;
-        let body = |body: &Body| DeviceBody { extent: body.extent, reach: body.extent + further };
+        let body =
+            |body: &Body| DeviceBody { extent: body.extent, swing: body.shape.swing(), reach: body.extent + further };
         let answering = self.bodies.iter().filter(|body| body.answering().is_some());
         let group = |one| DeviceGroup { words: FREE_WORDS, rates: 0, bodies: vec![body(one)] };
         let groups: Vec<_> = answering.map(group).collect();

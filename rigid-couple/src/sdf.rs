@@ -200,6 +200,19 @@ impl Primitive {
         (-half, half)
     }
 
+    /// The middle of a box along its axes that holds it, half the size of that, and a radius by which the box is grown on all sides, round its corners: a
+    /// sphere's has no size, a capsule's only a height.
+    fn rounded_box(&self) -> (DVec3, DVec3, f64) {
+        match self {
+            Self::Sphere { radius } => (DVec3::ZERO, DVec3::ZERO, *radius),
+            Self::Capsule { radius, half_height } => (DVec3::ZERO, DVec3::new(0.0, 0.0, *half_height), *radius),
+            _ => {
+                let (min, max) = self.bounds();
+                (0.5 * (min + max), 0.5 * (max - min), 0.0)
+            }
+        }
+    }
+
     fn half_thickness(&self) -> f64 {
         match self {
             Self::Sphere { radius } | Self::Capsule { radius, .. } => *radius,
@@ -341,17 +354,16 @@ impl Sdf {
     /// A box that holds the shape at `pose`, grown where contact on a grid of width `cell` thickens it.
     pub fn bounds(&self, pose: &Pose, cell: f64) -> Aabb {
         let boxes = self.parts.iter().map(|part| {
-            let (min, max) = part.primitive.bounds();
-            if !(max - min).is_finite() {
+            let (middle, half, radius) = part.primitive.rounded_box();
+            if !half.is_finite() {
                 return half_space_bounds(&pose.then(&part.pose));
             }
             let place = pose.then(&part.pose);
             let rotation = DMat3::from_quat(place.rotation);
-            let half = 0.5 * (max - min);
             let reach =
                 rotation.x_axis.abs() * half.x + rotation.y_axis.abs() * half.y + rotation.z_axis.abs() * half.z;
-            let centre = place.apply(0.5 * (min + max));
-            let reach = reach + part.padding(cell);
+            let centre = place.apply(middle);
+            let reach = reach + radius + part.padding(cell);
             Aabb { min: (centre - reach).to_array(), max: (centre + reach).to_array() }
         });
         boxes.reduce(|a, b| a.union(&b)).expect("a shape without parts is refused when it is made")
@@ -361,6 +373,15 @@ impl Sdf {
     pub fn extent(&self) -> f64 {
         let bounds = self.bounds(&Pose::IDENTITY, 0.0);
         DVec3::from_array(bounds.min).abs().max(DVec3::from_array(bounds.max).abs()).length()
+    }
+
+    /// How far the ends of its [bounds](Self::bounds) move at most for each radian that it turns about its origin [m]: not at all for a sphere about it.
+    pub fn swing(&self) -> f64 {
+        let of_part = |part: &Part| {
+            let (middle, half, _) = part.primitive.rounded_box();
+            if half.is_finite() { part.pose.apply(middle).length() + half.length() } else { f64::INFINITY }
+        };
+        self.parts.iter().map(of_part).fold(0.0, f64::max)
     }
 
     /// Half the thickness of the thinnest part [m].

@@ -365,7 +365,10 @@ pub struct DeviceGroup {
 pub struct DeviceBody {
     /// Greatest distance of a point of its surface from its reference point [m].
     pub extent: f64,
-    /// The same of a point of its [`bounds`](Coupling::bounds) at any rotation, and [`reach`](Coupling::reach) further on the finest level [m].
+    /// How far the ends of its [`bounds`](Coupling::bounds) move at most for each radian that it turns [m]: not at all for a sphere about its reference point, up to
+    /// its extent for others.
+    pub swing: f64,
+    /// Greatest distance of a point of its [`bounds`](Coupling::bounds) at any rotation, and [`reach`](Coupling::reach) further on the finest level [m].
     pub reach: f64,
 }
 

@@ -263,7 +263,15 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<D
     let group = |robot: &Robot| DeviceGroup {
         words: WORDS + 2 * robot.model.drives.len(),
         rates: robot.state.rates.len(),
-        bodies: robot.extents.iter().map(|&extent| DeviceBody { extent, reach: extent + further }).collect(),
+        bodies: robot
+            .solids
+            .iter()
+            .zip(&robot.extents)
+            .map(|(link, &extent)| {
+                let swing = robot.model.links[*link].shape.as_ref().map_or(0.0, Sdf::swing);
+                DeviceBody { extent, swing, reach: extent + further }
+            })
+            .collect(),
     };
     let rates = robots.iter().map(|robot| robot.state.rates.len()).max()?;
     let answer = format!(

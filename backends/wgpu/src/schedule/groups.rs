@@ -6,7 +6,7 @@ use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::{Driven, rooms_around};
 use crate::schedule::submission::Behind;
 use barchan_core::backend::WorldStep;
-use barchan_core::coupling::{Group, GroupState, GroupStep, Placed};
+use barchan_core::coupling::{DeviceBody, Group, GroupState, GroupStep, Placed};
 use barchan_core::plan::TOOL_COURANT;
 use barchan_core::{Aabb, BodyState, Result, Vec3, Wrench};
 use std::ops::Range;
@@ -36,6 +36,19 @@ pub(crate) struct HeldGroup {
     pub(crate) bodies: Vec<HeldBody>,
 }
 
+impl HeldGroup {
+    /// After how many steps of `dt` the first of its bodies comes to the end of its leash, if all go on as they move now.
+    pub(crate) fn steps_on_leash(&self, dt: f64) -> f64 {
+        let along = |body: &HeldBody, d: usize| {
+            let v = body.velocity[d];
+            let end = if v < 0.0 { body.leash.min[d] } else { body.leash.max[d] };
+            if v == 0.0 { f64::INFINITY } else { (end / (v * dt)).max(0.0) }
+        };
+        let all = self.bodies.iter().flat_map(|body| (0..3).map(move |d| along(body, d)));
+        all.fold(f64::INFINITY, f64::min)
+    }
+}
+
 /// One of its bodies.
 #[derive(Clone, Debug)]
 pub(crate) struct HeldBody {
@@ -46,8 +59,12 @@ pub(crate) struct HeldBody {
     mass: f64,
     /// Greatest distance of a surface point from the reference point [m].
     extent: f64,
+    /// How far the ends of its box move for each radian that it turns [m].
+    swing: f64,
     /// Blocks around it.
     rooms: usize,
+    /// Its velocity [m/s].
+    velocity: Vec3,
     /// How far along each axis its box may move: least and greatest displacement [m].
     leash: Aabb,
     /// Do levels follow it?
@@ -131,13 +148,13 @@ fn read_pose(words: &[Words], h: f64) -> Placed {
 fn body_words(body: &HeldBody, position: Vec3, levels: usize, first_room: usize, h: f64) -> [Words; BODY_HEAD] {
     let end = |x: f64, inwards: f64| bits((x / h + inwards * ROUNDING).clamp(-FAR, FAR));
     let ends = |v: Vec3, inwards: f64, last: u32| [end(v[0], inwards), end(v[1], inwards), end(v[2], inwards), last];
-    let [[x, y, z, _], place] = places(position, h);
+    let [[x, y, z, _], [in_x, in_y, in_z, _]] = places(position, h);
     [
         [body.number as u32, levels as u32, bits(TOOL_COURANT * (1.0 - ROUNDING)), bits(body.extent / h)],
         ends(body.leash.min, 1.0, bits(body.mass)),
         ends(body.leash.max, -1.0, first_room as u32),
         [x, y, z, body.rooms as u32],
-        place,
+        [in_x, in_y, in_z, bits(body.swing / h)],
     ]
 }
 
@@ -161,7 +178,7 @@ impl WgpuBatch {
                 continue;
             }
             let mut leashes = coupling.leashes(world_step.time, dt, steps)?.into_iter();
-            let (bodies, boxes) = (&world.bodies[c], coupling.bounds());
+            let (bodies, boxes, now) = (&world.bodies[c], coupling.bounds(), coupling.bodies());
             let states = coupling.device_state().into_iter();
             let known = world.groups[c].iter();
             for (number, ((Group { bodies: own, mass }, state), known)) in
@@ -177,7 +194,9 @@ impl WgpuBatch {
                     let followed = world.adapt.follows(name);
                     let number = world.first_bodies[c] + own;
                     let rooms = rooms_around(known, self.h).next_multiple_of(ABREAST);
-                    held.push(HeldBody { own, number, mass, extent: known.extent, rooms, leash, followed });
+                    let DeviceBody { extent, swing, .. } = *known;
+                    let velocity = now[own].velocity;
+                    held.push(HeldBody { own, number, mass, extent, swing, rooms, velocity, leash, followed });
                 }
                 all.push(HeldGroup { coupling: c, number, mass, state, bodies: held });
             }

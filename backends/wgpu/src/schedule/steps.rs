@@ -5,7 +5,7 @@ use crate::device::status::Halt;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::{Driven, go_back};
 use crate::schedule::groups::HeldGroup;
-use crate::schedule::submission::{FEW_STEPS, LEAST_STEPS, Outcome, cut};
+use crate::schedule::submission::{FEW_STEPS, FORESEEN, LEAST_STEPS, Outcome, cut};
 use crate::worlds::world::{Place, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::{Error, Result, StepReport};
@@ -47,7 +47,7 @@ impl WgpuBatch {
                     .map(|error| Err(error.expect("no world is left, so each has failed")))
                     .collect());
             }
-            let mut stretches = self.plan_stretches(&active, dt, count);
+            let mut stretches = self.plan_stretches(&active, dt, count.min(self.most_at_once(held, dt)));
             let mut steps = stretches.iter().map(|s| s.steps).sum();
             let mut driven = BTreeMap::new();
             for &t in &going {
@@ -71,8 +71,11 @@ impl WgpuBatch {
             self.write_groups(world_steps, held, &mut writes);
             self.write_near(world_steps, &driven, steps)?;
             let outcome = self.submit(&active, dt, &stretches, writes)?;
-            if stretches[0].sort {
-                self.astray = outcome.halt == Some(Halt::Misplaced);
+            if outcome.halt == Some(Halt::Misplaced) {
+                self.astray = true;
+            } else if active.iter().any(|(w, _)| self.layers_of(*w).any(|l| outcome.status.sorted_before(l).is_some()))
+            {
+                self.astray = false;
             }
             match outcome.halt {
                 Some(Halt::Drifted | Halt::TooStiff) => self.horizon = FEW_STEPS,
@@ -126,6 +129,13 @@ impl WgpuBatch {
                 }
             }
         }
+    }
+
+    /// How many steps of `dt` to write down at once.
+    fn most_at_once(&self, held: &[Vec<HeldGroup>], dt: f64) -> usize {
+        let ahead = held.iter().flatten().map(|group| group.steps_on_leash(dt)).fold(f64::INFINITY, f64::min);
+        // Where bodies slow down they come further than it seems.
+        if ahead < FORESEEN as f64 { ahead as usize + ahead as usize / 8 + 1 } else { self.horizon }
     }
 
     /// What is wrong with a world's particles as they came in.

@@ -35,6 +35,9 @@ pub(crate) const FEW_STEPS: usize = 128;
 /// And the fewest where levels had to follow a body after some steps: as many are expected before they have to again.
 pub(crate) const LEAST_STEPS: usize = 16;
 
+/// So many steps ahead it is looked where bodies come to the end of their leashes as they move now. Feet swing: further ahead they will move otherwise.
+pub(crate) const FORESEEN: usize = 64;
+
 /// By so many blocks parts of the directory reach further than they must, so that ground that moves on seldom leaves them.
 pub(crate) const SPARE_BLOCKS: i32 = 2;
 
@@ -302,21 +305,17 @@ impl WgpuBatch {
         let might_be = |world: &Vec<Foresight>| guesses && world.iter().any(|level| level.faster.is_far());
         let mut worlds: Vec<Vec<Foresight>> = active.iter().map(of_world).collect();
         let (mut stretches, mut sorts): (Vec<Stretch>, usize) = (Vec::new(), 0);
-        for step in 0..count.min(self.horizon) {
+        for step in 0..count {
             let sort = (step == 0 && self.unlinked) || worlds.iter().any(|world| is_due(world) || might_be(world));
             // Where the directory's boxes have to change they do so before a submission, and fit the blocks from its first sort on.
             if sort && stretches.first().is_some_and(|first| !first.sort) && !self.covers(1 + sorts) {
-                break;
-            }
-            // A sort that stops the submission is one by itself: steps behind it would be written for nothing, and before it levels may have to follow
-            // their agents.
-            if sort && self.astray && step > 0 {
                 break;
             }
             sorts += usize::from(sort);
             if sort || stretches.is_empty() {
                 stretches.push(Stretch { sort, steps: 0 });
             }
+            // A sort that stops the submission is its last: steps behind it would be written for nothing.
             if sort && self.astray {
                 break;
             }

@@ -201,15 +201,15 @@ fn set_group_pose(b: u32, pose: CouplingPose) {
     let before = pose_at(old);
     let at = body_head(body);
     let head = answering[at];
-    let extent_in_cells = real(head).w;
-    let turned = 2.0 * length(vec4<f32>(pose.rotation - before.rotation)) * 9.313225746154785e-10 * extent_in_cells;
+    let place = answering[at + 4u];
+    let angle = 2.0 * length(vec4<f32>(pose.rotation - before.rotation)) * 9.313225746154785e-10;
     let moved = vec3<f32>(pose.cell - before.cell) + (vec3<f32>(pose.place) - vec3<f32>(before.place)) * 2.3283064365386963e-10;
-    // How far the surface has come, along the axes and by turning, and how far it goes in a step of all levels.
-    let way = bitcast<f32>(answering[old + 1u].w) + turned;
+    // How far the ends of its box have come, along the axes and by turning, and how far its surface goes in a step of all levels.
+    let way = bitcast<f32>(answering[old + 1u].w) + angle * real(place).w;
     let start = bitcast<vec3<i32>>(answering[at + 3u].xyz);
-    let come = vec3<f32>(pose.cell - start) + (vec3<f32>(pose.place) - vec3<f32>(answering[at + 4u].xyz)) * 2.3283064365386963e-10;
+    let come = vec3<f32>(pose.cell - start) + (vec3<f32>(pose.place) - vec3<f32>(place.xyz)) * 2.3283064365386963e-10;
     let fits = all(come - way >= real(answering[at + 1u]).xyz) && all(come + way <= real(answering[at + 2u]).xyz);
-    let surface = length(moved) + length(step.gravity) * step.dt_per_h + turned;
+    let surface = length(moved) + length(step.gravity) * step.dt_per_h + angle * real(head).w;
     let is_slow = surface * f32(SUBSTEPS) < real(head).z;
     let to = state_of_body(body, slot_to);
     answering[to] = vec4<u32>(bitcast<vec3<u32>>(pose.cell), 0u);

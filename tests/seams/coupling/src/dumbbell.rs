@@ -466,7 +466,7 @@ impl Coupling for Dumbbell {
             let both = [self.inertia[0], self.inertia[1], self.mass(), 0.0];
             [[self.radius, self.friction, self.places[b], self.masses[b]], both].map(|row| row.map(|x| x as f32))
         };
-        let ball = DeviceBody { extent: self.radius, reach: self.radius };
+        let ball = DeviceBody { extent: self.radius, swing: 0.0, reach: self.radius };
         let groups = vec![DeviceGroup { words: 2, rates: 0, bodies: vec![ball; 2] }];
         Some(DeviceLaw {
             counted: true,
