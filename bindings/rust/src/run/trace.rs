@@ -9,6 +9,7 @@ use crate::export::npz::Npz;
 use barchan_core::observer::{Observer, Output};
 use barchan_core::scene::{self, WallPart, fits, plain};
 use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
+use rayon::prelude::*;
 use std::cell::RefCell;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -57,6 +58,9 @@ const OF_ALL: [&str; 12] = [
     "wall impulse y [N s]",
     "wall impulse z [N s]",
 ];
+
+/// So many rows are written by several threads.
+const FEW_ROWS: usize = 8;
 
 /// The columns of a trace.
 pub(super) struct Columns {
@@ -223,23 +227,32 @@ impl Trace {
         reports: &[StepReport],
     ) -> Result<()> {
         let files = &mut *self.files.borrow_mut();
-        let mut rows = String::new();
+        let columns = &self.columns;
+        let (bodies, wrenches) = (simulation.bodies(), simulation.wrenches());
+        // Joints are known after the last step, and so is what observers have seen.
         let joints = simulation.joints();
-        for (i, StepReport { dt, bodies, wrenches, .. }) in reports.iter().enumerate() {
-            (time, step) = (time + dt, step + 1);
+        let after: Vec<_> = joints.iter().flat_map(of_joint).chain(files.values.iter_mut().map(Option::take)).collect();
+        let mut steps = Vec::with_capacity(reports.len());
+        for (i, report) in reports.iter().enumerate() {
+            (time, step) = (time + report.dt, step + 1);
             let is_last = i + 1 == reports.len();
             // The last step may land on a stop.
-            let time = if is_last { simulation.time() } else { time };
-            let mut values = vec![Some(time), Some(step as f64), Some(*dt)];
-            let bodies = bodies.clone().unwrap_or_else(|| simulation.bodies());
-            let wrenches = wrenches.clone().unwrap_or_else(|| simulation.wrenches());
-            values.extend(bodies.iter().zip(&wrenches).flat_map(|(body, wrench)| of_body(body, wrench)));
-            // Joints are known after the last step, and so is what observers have seen.
-            values.extend(joints.iter().flat_map(of_joint).map(|value| value.filter(|_| is_last)));
-            values.extend(files.values.iter_mut().map(|value| if is_last { value.take() } else { None }));
-            rows += &self.columns.row(values);
+            steps.push((if is_last { simulation.time() } else { time }, step, is_last, report));
         }
-        files.write_trace(&rows)
+        let row = |&(time, step, is_last, report): &(f64, u64, bool, &StepReport)| {
+            let mut values = vec![Some(time), Some(step as f64), Some(report.dt)];
+            let (bodies, wrenches) =
+                (report.bodies.as_ref().unwrap_or(&bodies), report.wrenches.as_ref().unwrap_or(&wrenches));
+            values.extend(bodies.iter().zip(wrenches).flat_map(|(body, wrench)| of_body(body, wrench)));
+            values.extend(after.iter().map(|value| value.filter(|_| is_last)));
+            columns.row(values)
+        };
+        // A robot's row has hundreds of numbers. Before a few are written, no thread has woken up.
+        let rows: Vec<String> = match steps.len() {
+            ..FEW_ROWS => steps.iter().map(row).collect(),
+            _ => steps.par_iter().with_min_len(FEW_ROWS / 2).map(row).collect(),
+        };
+        files.write_trace(&rows.concat())
     }
 
     /// Writes the trace, all that is there of it, by columns, each under its name.
