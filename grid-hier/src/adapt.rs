@@ -2,7 +2,7 @@
 //!
 //! A particle's class is its size: 2^class lattice points of its body along a side. Class l is the size that belongs to
 //! level l. A region grown by one parent cell holds nothing coarser than its level. Particles finer than needed merge
-//! once they are three parent cells away. In between, particles stay as they are, so an agent that trembles changes
+//! once they are three parent cells away, or two where a region has moved on. In between, particles stay as they are, so an agent that trembles changes
 //! nothing.
 //!
 //! A round is [`find`](Adapt::find), which lists the particles concerned, then [`apply`](Adapt::apply). Backends pass
@@ -20,7 +20,7 @@ use crate::bounds::Bounds;
 use crate::particles::{MASS, MOTION, STRAIN, VOLUME};
 use crate::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split};
 use crate::transfer::MAX_STATE;
-use barchan_core::levels::{Agent, MERGE_BEHIND, SPLIT_AHEAD};
+use barchan_core::levels::{Agent, MERGE_BEHIND, MERGE_LEFT, SPLIT_AHEAD};
 use barchan_core::{Aabb, Coupling, Error, Ledger, LevelPhase, ParticleList, Plan, Regions, Result};
 use barchan_lanes::Isa;
 use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, Near, PORTION};
@@ -467,10 +467,11 @@ impl Adapt {
             let mut home = nearby(&self.regions, SPLIT_AHEAD);
             let mut behind = match candidates {
                 Candidates::None => None,
-                _ => Some(nearby(&self.regions, MERGE_BEHIND)),
+                Candidates::New(_) => Some(nearby(&self.regions, MERGE_LEFT)),
+                Candidates::All => Some(nearby(&self.regions, MERGE_BEHIND)),
             };
             let mut before = match candidates {
-                Candidates::New(before) => Some(nearby(before, MERGE_BEHIND)),
+                Candidates::New(before) => Some(nearby(before, MERGE_LEFT)),
                 _ => None,
             };
             // No class below `behind` is tried that is not below `before`.

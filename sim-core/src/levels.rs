@@ -24,6 +24,9 @@ pub const AROUND_AGENT: f64 = 4.0;
 pub const SPLIT_AHEAD: i32 = 1;
 /// Particles merge when they are further than this from a finer region, in parent cells of that region.
 pub const MERGE_BEHIND: i32 = 3;
+/// The same of particles that a region leaves behind as it moves. Nearer ones would stay fine on a coarse level for long, and as a rule the region does not come
+/// back. What drifts about a region that stays would merge and split in turns.
+pub const MERGE_LEFT: i32 = 2;
 
 /// Depth below the surface, in cells, that ground needs to bear and give way as deep ground does. The stencil of a node
 /// is three cells wide, and one more cell must lie between the surface and the floor that neither of them reaches.

@@ -9,7 +9,7 @@ use std::ops::Range;
 pub(super) const PORTION: std::ops::RangeInclusive<f64> = 0.5..=1.6;
 /// Width of the neighbourhoods in which particles look for partners, in sides of the merged particle. They are cut by fixed sizes, so that
 /// no result depends on the number of threads; their faces lie elsewhere each time.
-pub(super) const NEIGHBOURHOOD: u32 = 8;
+pub(super) const NEIGHBOURHOOD: u32 = 4;
 /// How far from a cluster's centre its members may be, in sides of the merged particle: those of a lattice are √3/4 away, the next
 /// ones 0.83.
 const REACH: f64 = 0.65;

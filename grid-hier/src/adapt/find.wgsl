@@ -1,5 +1,5 @@
 
-// Which particles split and merge may concern: the host's rule, which then decides, with a little more room for volumes. All have just been
+// Which particles split and merge may concern: the host's rule, which then decides, with a little more room for volumes, and as if all regions had moved. All have just been
 // sorted, so that a block holds its own cells' particles and no others.
 
 // Levels where all of a block's cells belong: before they are split, and for merging as regions are and as they were; NONE if cells differ.
@@ -25,7 +25,7 @@ fn finest(table: u32, layer: u32, first: vec3<i32>, end: vec3<i32>, margin: i32)
 
 // One of the three levels, for cells of the finest level.
 fn level_for(which: u32, layer: u32, first: vec3<i32>, end: vec3<i32>) -> u32 {
-    return finest(u32(which == 2u), layer, first, end, select(MERGE_BEHIND, SPLIT_AHEAD, which == 0u));
+    return finest(u32(which == 2u), layer, first, end, select(MERGE_LEFT, SPLIT_AHEAD, which == 0u));
 }
 
 // The least rest volume of a class of a body's particles [m3].

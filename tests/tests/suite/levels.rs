@@ -69,11 +69,17 @@ fn on_levels(simulation: &Simulation) -> Vec<usize> {
 /// How many particles a fresh scene would have, filled at two a cell, if its regions were as they are now and reached as far as merging
 /// leaves things alone.
 fn static_count(simulation: &Simulation) -> f64 {
+    let (regions, h) = (regions_of(simulation), simulation.plan().scene.world.cell);
+    let class = |r: &Row| regions.finest_at(cell_of(r.x, h), MERGE_BEHIND) as i32;
+    rows(simulation).iter().map(|r| r.volume0 / (0.5 * h).powi(3) / 8_f64.powi(class(r))).sum()
+}
+
+/// Where its levels are now.
+fn regions_of(simulation: &Simulation) -> Regions {
     let scene = &simulation.plan().scene;
     let h = scene.world.cell;
     let [min, max] = [scene.world.min, scene.world.max].map(|end| cell_of(end.map(|x| x + 0.5 * h), h));
     let mut regions = Regions::new(scene, CellBox { min, max });
     regions.restore(simulation.particles().levels.map(|phase| phase.boxes).unwrap_or_default());
-    let class = |r: &Row| regions.finest_at(cell_of(r.x, h), MERGE_BEHIND) as i32;
-    rows(simulation).iter().map(|r| r.volume0 / (0.5 * h).powi(3) / 8_f64.powi(class(r))).sum()
+    regions
 }

@@ -8,7 +8,7 @@ use crate::passes::binding::{
 use crate::passes::scene::regions;
 use crate::passes::sort::draft;
 use barchan_core::Plan;
-use barchan_core::levels::MERGE_BEHIND;
+use barchan_core::levels::MERGE_LEFT;
 use barchan_grid::adapt::finest_volumes;
 use barchan_grid::wgsl;
 
@@ -23,7 +23,7 @@ pub(crate) fn adapt(plan: &Plan, laws: &str, worlds: usize) -> AdaptSet<Draft> {
     let cases: String = (0..last).map(|b| format!("case {b}u: {{ return {}; }} ", volume(b))).collect();
     // f32 may decide otherwise than the host by no more than some roundings.
     let constants = format!(
-        "const MERGE_BEHIND: i32 = {MERGE_BEHIND};\nconst LESS: f32 = 0.99999;\nconst MORE: f32 = 1.00001;\n\
+        "const MERGE_LEFT: i32 = {MERGE_LEFT};\nconst LESS: f32 = 0.99999;\nconst MORE: f32 = 1.00001;\n\
          fn finest_volume(body: u32) -> f32 {{ switch body {{ {cases}default: {{ return {}; }} }} }}\n",
         volume(last)
     );

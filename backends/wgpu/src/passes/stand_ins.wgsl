@@ -47,7 +47,7 @@ const SPLIT_AHEAD: i32 = 1;
 // What single passes fix.
 const ABREAST: u32 = 4u;
 const BY_WORKGROUP: u32 = 512u;
-const MERGE_BEHIND: i32 = 3;
+const MERGE_LEFT: i32 = 2;
 const LESS: f32 = 0.99999;
 const MORE: f32 = 1.00001;
 const AXIS: u32 = 0u;

@@ -1,7 +1,8 @@
 //! Regions that follow agents: splits, merges, and what they must not do.
 
-use super::{counted, kinetic, levels, minus, norm, on_levels, static_count};
+use super::{counted, kinetic, levels, minus, norm, on_levels, regions_of, static_count};
 use barchan::{Command, Ledger, Precision, Simulation};
+use barchan_core::levels::{MERGE_LEFT, cell_of};
 use barchan_tests::scenes::{Row, alter, rows, run_to, simulation, within};
 use barchan_tests::sketch::{Head, bed, block, driven, half, material, tool};
 
@@ -72,6 +73,23 @@ fn passes_of_an_agent_leave_nothing_behind() {
         let most = counts.into_iter().fold(0.0, f64::max);
         within(&format!("B33 {motion:?}: particles over the static count, after any of {passes} passes"), most, 1.3);
     }
+}
+
+/// Symptom: what a foot's region leaves behind stays fine for a third cell of the next level, 64 particles to a cell there, and a scene has a tenth more particles than
+/// it need have. Physics: an agent that moves on leaves fine what is within two such cells of its region, and no more.
+#[test]
+fn what_an_agent_leaves_behind_merges_two_parent_cells_away() {
+    let h = 0.05;
+    let mut s = simulation(&jelly_under_agent(h, 2, [20.0, 0.0, 0.0], 0.0), Precision::F64);
+    for _ in 0..3 {
+        (0..10).for_each(|_| step(&mut s));
+        let (regions, all) = (regions_of(&s), rows(&s));
+        let is_left =
+            |r: &&Row| r.volume0 < 2.0 * (0.5 * h).powi(3) && regions.finest_at(cell_of(r.x, h), MERGE_LEFT) > 0;
+        let left = all.iter().filter(is_left).count() as f64 / all.len() as f64;
+        within("share of particles that are fine beyond two parent cells", left, 0.01);
+    }
+    assert!(counted(&s.ledger(), "particles merged") > 500, "{:?}", s.ledger().counts);
 }
 
 /// B30, of one cluster. Symptom: children that copy their parent's velocity, or a merge that forgets gradients, take 4 % of the energy of a turn.
