@@ -2,8 +2,8 @@
 //!
 //! A particle's class is its size: 2^class lattice points of its body along a side. Class l is the size that belongs to
 //! level l. A region grown by one parent cell holds nothing coarser than its level. Particles finer than needed merge
-//! once they are three parent cells away, or two where a region has moved on. In between, particles stay as they are, so an agent that trembles changes
-//! nothing.
+//! once they are three parent cells away, or two where a region has moved on. In between, particles stay as they are, so
+//! an agent that trembles changes nothing.
 //!
 //! A round is [`find`](Adapt::find), which lists the particles concerned, then [`apply`](Adapt::apply). Backends pass
 //! their levels as [`LevelStore`]s. A backend whose particles are elsewhere, such as on a device, passes copies of

@@ -606,8 +606,9 @@ fn coupling_answer(group: u32, thread: u32) {
         robot_work[thread] = robot_energy_of(TWIST_STEP, thread);
     }
     workgroupBarrier();
-    // The first thread has its own to do meanwhile.
-    robot_set_twists(TWIST_STEP, thread - ROBOT_THREADS / 2u);
+    // The first thread has its own to do meanwhile, unless there are too many bodies for the others.
+    let half = ROBOT_THREADS / 2u;
+    robot_set_twists(TWIST_STEP, select(thread - half, thread, robot_bodies > half));
     if thread == 0u {
         robot_tried_energy = 0.0;
         robot_step_energy = 0.0;

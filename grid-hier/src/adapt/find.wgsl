@@ -1,6 +1,6 @@
 
-// Which particles split and merge may concern: the host's rule, which then decides, with a little more room for volumes, and as if all regions had moved. All have just been
-// sorted, so that a block holds its own cells' particles and no others.
+// Which particles split and merge may concern: the host's rule, which then decides, with a little more room for volumes, and as if all
+// regions had moved. All have just been sorted, so that a block holds its own cells' particles and no others.
 
 // Levels where all of a block's cells belong: before they are split, and for merging as regions are and as they were; NONE if cells differ.
 var<workgroup> of_block: array<u32, 3>;

@@ -5,7 +5,8 @@
 // worlds', how many it has, its number among its coupling's groups, and how many levels it meets, none if there is no such group; and its mass [kg]. Then
 // BODY_HEAD for each body: its number, how many levels it meets, how far a surface may move in a step, and the greatest distance of a surface point from
 // the reference point; the leash: least displacement, with the body's mass [kg], and greatest, with its first room; the cell, with the number of its rooms, and the place in it at the start,
-// with how far the ends of its box move for each radian that it turns. Behind those there stand the states before each slot, after the last, and one that is not read: BODY_STATE vectors for each body, its cell; its place in it, in
+// with how far the ends of its box move for each radian that it turns.
+// Behind those there stand the states before each slot, after the last, and one that is not read: BODY_STATE vectors for each body, its cell; its place in it, in
 // 2^-32, and how far turning has moved the ends of its box; its rotation (x, y, z, w), in 2^-30; and, in the slot before, impulse [N s] from the ground with
 // nodes deep inside, and angular impulse [N m s] with solutions that did not converge, which the group's first body has for all. Then GROUP_WORDS words of
 // each group's own.
