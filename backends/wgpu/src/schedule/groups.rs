@@ -178,7 +178,7 @@ impl WgpuBatch {
                 continue;
             }
             let mut leashes = coupling.leashes(world_step.time, dt, steps)?.into_iter();
-            let (bodies, boxes) = (&world.bodies[c], coupling.bounds());
+            let (bodies, boxes, now) = (&world.bodies[c], coupling.bounds(), coupling.bodies());
             let states = coupling.device_state().into_iter();
             let known = world.groups[c].iter();
             for (number, ((Group { bodies: own, mass }, state), known)) in
@@ -195,7 +195,7 @@ impl WgpuBatch {
                     let number = world.first_bodies[c] + own;
                     let rooms = rooms_around(known, self.h).next_multiple_of(ABREAST);
                     let DeviceBody { extent, swing, .. } = *known;
-                    let velocity = coupling.twist(own).linear.into();
+                    let velocity = now[own].velocity;
                     held.push(HeldBody { own, number, mass, extent, swing, rooms, velocity, leash, followed });
                 }
                 all.push(HeldGroup { coupling: c, number, mass, state, bodies: held });

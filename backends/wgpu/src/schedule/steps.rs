@@ -1,7 +1,7 @@
 //! Steps of the worlds of a batch.
 
 use crate::device::memory::{MAX_SLOTS, MAX_STEPS};
-use crate::device::status::{Halt, SORTS};
+use crate::device::status::Halt;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::{Driven, go_back};
 use crate::schedule::groups::HeldGroup;
@@ -73,7 +73,8 @@ impl WgpuBatch {
             let outcome = self.submit(&active, dt, &stretches, writes)?;
             if outcome.halt == Some(Halt::Misplaced) {
                 self.astray = true;
-            } else if outcome.status.words[SORTS] > 0 {
+            } else if active.iter().any(|(w, _)| self.layers_of(*w).any(|l| outcome.status.sorted_before(l).is_some()))
+            {
                 self.astray = false;
             }
             match outcome.halt {
