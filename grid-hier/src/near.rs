@@ -1,7 +1,6 @@
-//! The nodes that a body may hold, for every backend. How particles near it find their cubes among them is a backend's own: a processor has them block by block,
-//! beside the block's numbers of nodes, and a device hands them over in no order.
+//! The nodes that a body may hold, and the cubes of them around particles, for every backend.
 
-use crate::block::{CELLS, SIDE};
+use crate::block::{self, CELLS, SIDE};
 use barchan_core::{Aabb, NodeBatch};
 
 /// Puts those nodes of a block into a batch that are in any of the boxes and heavier than `least` [kg]: what is lighter carries nothing.
@@ -36,6 +35,43 @@ pub fn gather_block(
             batch.mass.push(mass);
             batch.velocity.push(velocity);
         }
+    }
+}
+
+/// Cubes along a side of those around a block's particles: a cell beyond the block at either end, and half a cell more.
+const REACHED: usize = SIDE as usize + 3;
+
+/// Cubes of eight nodes around the particles of a block, which may have left it by a cell.
+pub struct Cubes<'a> {
+    around: [&'a [u32; CELLS]; 27],
+    numbers: [u32; REACHED * REACHED * REACHED],
+}
+
+impl<'a> Cubes<'a> {
+    /// What no node of a block is among those in a batch.
+    pub const ABSENT: [u32; CELLS] = [NodeBatch::NONE; CELLS];
+
+    /// Of the block in the middle of these, each of which is the number in the batch of each of its nodes.
+    pub fn of(around: [&'a [u32; CELLS]; 27]) -> Self {
+        Self { around, numbers: [NodeBatch::NONE; REACHED * REACHED * REACHED] }
+    }
+
+    /// The number among `cubes` of the one whose first node has that cell, counted from the block's first; it is put there if it is not yet.
+    pub fn number(&mut self, first: [i32; 3], cubes: &mut Vec<[u32; 8]>) -> u32 {
+        let at = first.iter().fold(0, |i, x| i * REACHED + (x + 2) as usize);
+        if self.numbers[at] == NodeBatch::NONE {
+            self.numbers[at] = cubes.len() as u32;
+            cubes.push(self.nodes(first));
+        }
+        self.numbers[at]
+    }
+
+    fn nodes(&self, first: [i32; 3]) -> [u32; 8] {
+        let along = first.map(|x| [x, x + 1].map(|x| (x.div_euclid(SIDE), x.rem_euclid(SIDE) as usize)));
+        std::array::from_fn(|n| {
+            let [x, y, z] = [along[0][n / 4], along[1][n / 2 % 2], along[2][n % 2]];
+            self.around[block::neighbour([x.0, y.0, z.0])][block::in_block(x.1, y.1, z.1) / 4]
+        })
     }
 }
 

@@ -34,11 +34,17 @@ pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatc
     let around = bounds.grown(TOUCHING * cell);
     let to_world = DMat3::from_quat(pose.rotation);
     let to_body = to_world.transpose();
-    let surface_at = |x: Vec3| shape.contact_surface(to_body * (DVec3::from_array(x) - pose.position), cell);
+    let surface_within = |x: Vec3, within: f64| {
+        shape.contact_surface_within(to_body * (DVec3::from_array(x) - pose.position), cell, within)
+    };
+    // Half the width of the widest particle, and a little for rounding.
+    let rounding = 1e-6 * cell;
+    let widest = nodes.particles.iter().map(|particle| particle.volume).fold(0.0, f64::max).cbrt();
+    let touching = 0.5 * widest + rounding;
     let press_of = |particle: &NearParticle| {
         let at = particle.position;
-        let (Surface { distance, normal }, _) = around.contains(at).then(|| surface_at(at))?;
-        // Most are too far off, which is told without a root.
+        let (Surface { distance, normal }, _) = around.contains(at).then(|| surface_within(at, touching))??;
+        // Many are too far off, which is told without a root.
         if (2.0 * distance).powi(3) >= particle.volume {
             return None;
         }
@@ -56,7 +62,10 @@ pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatc
             }
         }
     }
-    let inside_of = |&x: &Vec3| bounds.contains(x).then(|| surface_at(x)).filter(|(surface, _)| surface.distance < 0.0);
+    let inside_of = |&x: &Vec3| {
+        let surface = bounds.contains(x).then(|| surface_within(x, rounding))?;
+        surface.filter(|(surface, _)| surface.distance < 0.0)
+    };
     let inside: Vec<Option<(Surface, bool)>> = nodes.position.par_iter().with_min_len(FEW).map(inside_of).collect();
     for (node, (inside, &mass)) in inside.iter().zip(&nodes.mass).enumerate() {
         let force = to_world * forces[node];
@@ -79,7 +88,8 @@ pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatc
             (Some(_), None, None) => continue,
         };
         let position = nodes.position[node];
-        let distance = inside.map_or_else(|| surface_at(position).0.distance, |(surface, _)| surface.distance);
+        let distance = || surface_within(position, f64::INFINITY).map_or(f64::INFINITY, |(there, _)| there.distance);
+        let distance = inside.map_or_else(distance, |(surface, _)| surface.distance);
         touches.push(Touch { node, arm: DVec3::from_array(position) - pose.position, distance, grip, is_deep });
     }
 }

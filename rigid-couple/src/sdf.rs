@@ -40,6 +40,9 @@ pub struct Part {
     /// Half the thickness where the part is thinnest [m]; for a mesh, where it is thickest.
     pub half_thickness: f64,
     to_shape: DMat3,
+    /// A box that its surface is never outside of, in its own frame, as its [rounded box](Primitive::rounded_box). Endless where distances are not exact: a sampled one may be less
+    /// than that to the box.
+    outside: (DVec3, DVec3, f64),
 }
 
 /// A shape centred on its own origin.
@@ -279,7 +282,11 @@ impl Part {
     /// A primitive at a place.
     pub fn new(primitive: Primitive, pose: Pose) -> Self {
         let half_thickness = primitive.half_thickness();
-        Self { primitive, pose, half_thickness, to_shape: DMat3::from_quat(pose.rotation) }
+        let outside = match primitive {
+            Primitive::HeightField(_) | Primitive::Mesh(_) | Primitive::Plane => (DVec3::ZERO, DVec3::INFINITY, 0.0),
+            _ => primitive.rounded_box(),
+        };
+        Self { primitive, pose, half_thickness, to_shape: DMat3::from_quat(pose.rotation), outside }
     }
 
     /// Distance and normal at `x`, in the shape's frame.
@@ -288,16 +295,29 @@ impl Part {
     }
 
     fn rounded(&self, x: DVec3, edge: f64) -> Surface {
-        let local = self.to_shape.transpose() * (x - self.pose.position);
+        self.rounded_at(self.local(x), edge)
+    }
+
+    /// A point of the shape in the part's own frame.
+    fn local(&self, x: DVec3) -> DVec3 {
+        self.to_shape.transpose() * (x - self.pose.position)
+    }
+
+    fn rounded_at(&self, local: DVec3, edge: f64) -> Surface {
         let Surface { distance, normal } = self.primitive.rounded(local, edge);
         Surface { distance, normal: normal.map(|n| self.to_shape * n) }
     }
 
-    /// The surface as contact on a grid of width `cell` sees it: grown if it is thin, and with rounded edges. What is grown has round edges by that.
-    fn contact_surface(&self, x: DVec3, cell: f64) -> Surface {
-        let padding = self.padding(cell);
+    /// The surface as contact on a grid of width `cell` sees it: grown if it is thin, and with rounded edges. What is grown has round edges by that. `None` if it
+    /// is found to be further away than `within` [m] without asking for more than the part's box.
+    fn contact_surface(&self, x: DVec3, cell: f64, within: f64) -> Option<Surface> {
+        let (local, padding) = (self.local(x), self.padding(cell));
+        let (middle, half, radius) = self.outside;
+        if ((local - middle).abs() - half).max_element() > within + radius + padding {
+            return None;
+        }
         let edge = (ROUND * cell - padding).clamp(0.0, self.half_thickness);
-        self.rounded(x, edge).offset(padding)
+        Some(self.rounded_at(local, edge).offset(padding))
     }
 }
 
@@ -324,7 +344,7 @@ impl Sdf {
 
     /// Distance and normal at `x`, in the shape's frame.
     pub fn surface(&self, x: DVec3) -> Surface {
-        self.nearest(|part| part.surface(x)).0
+        self.nearest(|part| Some(part.surface(x))).expect("a shape without parts is refused when it is made").0
     }
 
     /// Distance and normal of the shape as contact sees it on a grid of width `cell`, and whether `x` lies in the core of a
@@ -335,9 +355,14 @@ impl Sdf {
     /// in a plane prototype let this share of the swept sand through: 92 % if 0.25 cells thick and taken as it is, 15 % if grown to two
     /// cells, at most 0.9 % with a core; 13 % at two cells without a core, 0.8 % with; at most 0.8 % at three.
     pub fn contact_surface(&self, x: DVec3, cell: f64) -> (Surface, bool) {
-        let (surface, part) = self.nearest(|part| part.contact_surface(x, cell));
+        self.contact_surface_within(x, cell, f64::INFINITY).expect("a shape has parts, and none is further than that")
+    }
+
+    /// The same, but `None` where the surface is further away than `within` [m]: that is told sooner. It may be told where it is a little further, too.
+    pub fn contact_surface_within(&self, x: DVec3, cell: f64, within: f64) -> Option<(Surface, bool)> {
+        let (surface, part) = self.nearest(|part| part.contact_surface(x, cell, within))?;
         let half = part.half_thickness;
-        (surface, half < 1.5 * cell && -surface.distance > half.max(cell) - CORE * cell)
+        Some((surface, half < 1.5 * cell && -surface.distance > half.max(cell) - CORE * cell))
     }
 
     /// How much contact on a grid of width `cell` thickens the shape at most [m].
@@ -345,10 +370,9 @@ impl Sdf {
         self.parts.iter().map(|part| part.padding(cell)).fold(0.0, f64::max)
     }
 
-    fn nearest(&self, surface: impl Fn(&Part) -> Surface) -> (Surface, &Part) {
-        let all = self.parts.iter().map(|part| (surface(part), part));
+    fn nearest(&self, surface: impl Fn(&Part) -> Option<Surface>) -> Option<(Surface, &Part)> {
+        let all = self.parts.iter().filter_map(|part| Some((surface(part)?, part)));
         all.reduce(|a, b| if b.0.distance < a.0.distance { b } else { a })
-            .expect("a shape without parts is refused when it is made")
     }
 
     /// A box that holds the shape at `pose`, grown where contact on a grid of width `cell` thickens it.

@@ -5,7 +5,7 @@ use crate::level::Level;
 use barchan_core::{Aabb, NearParticle, NodeBatch, Vec3};
 use barchan_grid::block::{self, CELLS, NONE, SIDE};
 use barchan_grid::limits::{FULL_SPEED, greater};
-use barchan_grid::near::{boxes_near_block, gather_block, image_near};
+use barchan_grid::near::{Cubes, boxes_near_block, gather_block, image_near};
 use barchan_grid::transfer::Scalar;
 use barchan_lanes::CHUNK;
 use rayon::prelude::*;
@@ -84,27 +84,16 @@ impl<T: Scalar> Level<T> {
 
     /// Finds a block's particles inside any of the boxes, where it is by so much [m] off itself, and the cubes of nodes around them.
     fn near_particles(&self, b: usize, by: [f64; 3], boxes: &[Aabb], moduli: &[f64], found: &mut Near) {
-        /// Cubes along a side of what a block's particles may lie in: a cell beyond the block at either end, and half a cell more.
-        const REACHED: usize = SIDE as usize + 3;
         let h = self.h();
         let first = block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
-        let absent = [NodeBatch::NONE; CELLS];
         let in_batch = |g: u32| self.batch_block_of.get(g as usize).filter(|&&i| i != NONE);
-        let blocks =
-            self.grid.nodes_around[b].map(|g| in_batch(g).map_or(&absent, |&i| &self.batch_blocks[i as usize]));
-        let cube = |first: [i32; 3]| -> [u32; 8] {
-            let along = first.map(|x| [x, x + 1].map(|x| (x.div_euclid(SIDE), x.rem_euclid(SIDE) as usize)));
-            std::array::from_fn(|n| {
-                let [x, y, z] = [along[0][n / 4], along[1][n / 2 % 2], along[2][n % 2]];
-                blocks[block::neighbour([x.0, y.0, z.0])][block::in_block(x.1, y.1, z.1) / 4]
-            })
-        };
+        let numbers = |g| in_batch(g).map_or(&Cubes::ABSENT, |&i| &self.batch_blocks[i as usize]);
+        let mut around = Cubes::of(self.grid.nodes_around[b].map(numbers));
         let cells = |x: Vec3| std::array::from_fn(|d| ((x[d] - by[d]) / h).floor() as i32);
         let ranges: Vec<[[i32; 3]; 2]> = boxes.iter().map(|one| [one.min, one.max].map(cells)).collect();
         let Near { cubes, particles } = found;
         cubes.clear();
         particles.clear();
-        let mut numbers = [NodeBatch::NONE; REACHED * REACHED * REACHED];
         for list in &self.store.lists {
             let run = list.runs[b];
             let lanes_of = |k: usize| {
@@ -121,15 +110,11 @@ impl<T: Scalar> Level<T> {
                 let cell = list.cell_of(chunk, lane);
                 let (to_first, place) = NearParticle::between_nodes(list.offset_of(chunk, lane));
                 let local: [i32; 3] = std::array::from_fn(|d| cell[d] - first[d] + to_first[d]);
-                let number = &mut numbers[local.iter().fold(0, |i, x| i * REACHED + (x + 2) as usize)];
-                if *number == NodeBatch::NONE {
-                    *number = cubes.len() as u32;
-                    cubes.push(cube(local));
-                }
+                let cube = around.number(local, cubes);
                 // At rims some nodes are the coarser level's, and those in boxes may all be.
-                if cubes[*number as usize].iter().any(|&node| node != NodeBatch::NONE) {
+                if cubes[cube as usize].iter().any(|&node| node != NodeBatch::NONE) {
                     particles.push(NearParticle {
-                        cube: *number,
+                        cube,
                         position,
                         place,
                         volume: list.volume0_of(chunk, lane),

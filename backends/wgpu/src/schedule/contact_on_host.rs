@@ -23,6 +23,9 @@ pub(crate) const ON_HOST: &str = "this is called where a law runs on the host, a
 /// Steps that the status knows of where it does: the last one and the one under way.
 pub(crate) const STEPS: usize = 2;
 
+/// As many blocks are put into words by one thread at least.
+const FEW_BLOCKS: usize = 64;
+
 /// A world in a step whose contact is on the host.
 pub(crate) struct HostedStep<'a, 'b> {
     world_step: &'a mut WorldStep<'b>,
@@ -506,8 +509,9 @@ impl WgpuBatch {
         let going = hosted_steps.iter().filter(|hosted| hosted.is_going());
         let blocks: Vec<_> = going.flat_map(|hosted| &hosted.near.blocks).filter(|block| block.changed).collect();
         let count = blocks.len();
-        let mut changed: Vec<[u32; 4]> = Vec::with_capacity(NEAR_BLOCK * count);
-        blocks.into_iter().for_each(|block| changed.extend(block.words()));
+        let mut changed = vec![[0; 4]; NEAR_BLOCK * count];
+        let pairs = changed.par_chunks_exact_mut(NEAR_BLOCK).with_min_len(FEW_BLOCKS).zip(blocks);
+        pairs.for_each(|(words, block)| words.iter_mut().zip(block.words()).for_each(|(to, from)| *to = from));
         self.write_words(NEAR, &[0, count as u32]);
         self.gpu.queue.write_buffer(self.memory.buffer(Role::Near, 0), 0, bytemuck::cast_slice(&changed));
         count

@@ -7,9 +7,9 @@ use crate::worlds::world::{Level, World};
 use barchan_core::backend::WorldStep;
 use barchan_core::contact::{Act, Contact};
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
-use barchan_grid::block::SIDE;
+use barchan_grid::block::{self, CELLS, SIDE};
 use barchan_grid::limits::{FULL_SPEED, greater};
-use barchan_grid::near::{gather_block, image_near};
+use barchan_grid::near::{Cubes, gather_block, image_near};
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 use std::ops::Range;
@@ -38,11 +38,11 @@ impl Block {
     }
 }
 
-/// A particle near bodies, as `gather_particles.wgsl` writes it.
+/// A particle near bodies, as `gather_particles.wgsl` writes it, in the order of layers, then of blocks, then of cells.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Particle {
-    layer: u32,
-    cell: [i32; 3],
+    /// Layer, block and cell in one number, as there are many to be sorted.
+    key: u128,
     /// Place in its cell, in units of 2^-24.
     place: [u32; 3],
     material: u32,
@@ -50,11 +50,35 @@ pub(crate) struct Particle {
     mass: u32,
 }
 
+/// Bits of a block's number along an axis, and of a cell's within its block; the layer's are above those of three blocks and a cell.
+const OF_BLOCK: u32 = 30;
+const OF_CELL: u32 = 6;
+const LAYER_FROM: u32 = 3 * OF_BLOCK + OF_CELL;
+
 impl Particle {
     pub(crate) fn of(layer: u32, [at, place]: [[u32; 4]; 2]) -> Self {
         let [x, y, z, material] = at;
         let [u, v, w, mass] = place;
-        Self { layer, cell: [x, y, z].map(|c| c as i32), place: [u, v, w], material, mass }
+        let cell = [x, y, z].map(|c| c as i32);
+        // From the least block that there can be.
+        let block = |c: i32| (i64::from(c.div_euclid(SIDE)) + (1 << (OF_BLOCK - 1))) as u128;
+        let of_blocks = cell.iter().fold(u128::from(layer), |key, c| key << OF_BLOCK | block(*c));
+        let in_block = cell.iter().fold(0, |n, c| SIDE * n + c.rem_euclid(SIDE));
+        Self { key: of_blocks << OF_CELL | in_block as u128, place: [u, v, w], material, mass }
+    }
+    fn layer(&self) -> u32 {
+        (self.key >> LAYER_FROM) as u32
+    }
+    /// Are both in one block?
+    fn is_beside(&self, other: &Self) -> bool {
+        self.key >> OF_CELL == other.key >> OF_CELL
+    }
+    /// The first cell of its block, and its own, counted from that.
+    fn cell(&self) -> ([i32; 3], [i32; 3]) {
+        let along = |d: u32| (self.key >> (OF_CELL + (2 - d) * OF_BLOCK)) as i64 & ((1 << OF_BLOCK) - 1);
+        let first = [0, 1, 2].map(|d| (along(d) - (1 << (OF_BLOCK - 1))) as i32 * SIDE);
+        let n = (self.key & ((1 << OF_CELL) - 1)) as i32;
+        (first, [n / (SIDE * SIDE), n / SIDE % SIDE, n % SIDE])
     }
 }
 
@@ -160,8 +184,8 @@ impl Near {
         self.blocks.extend(new);
         self.blocks.sort_unstable_by_key(|block| block.number);
         // Of a level that was asked for, all have come.
-        let come: FxHashSet<u32> = found.particles.iter().map(|particle| particle.layer).collect();
-        self.particles.retain(|here| !come.contains(&here.layer));
+        let come: FxHashSet<u32> = found.particles.iter().map(Particle::layer).collect();
+        self.particles.retain(|here| !come.contains(&here.layer()));
         self.particles.extend(found.particles);
         self.particles.par_sort_unstable();
     }
@@ -183,52 +207,52 @@ impl Near {
     fn apply(&mut self, level: usize, boxes: &[Aabb], wants_particles: bool, act: &mut Act<'_>) -> Result<f64> {
         let Met { h, blocks: ref own, layer, periods } = self.levels[level];
         let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
-        let mut numbers = FxHashMap::default();
+        // The number in the batch of each node of the blocks that have any.
+        let mut numbers: FxHashMap<[i32; 3], [u32; CELLS]> = FxHashMap::default();
         for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
             let Some(first) = image_near(boxes, block.first, h, periods) else { continue };
             let node = |n: usize| {
                 let [u, v, w, mass] = block.nodes[n].map(f64::from);
                 ([u, v, w], mass)
             };
-            gather_block(&mut batch, boxes, first, self.least_mass, node, |n, cell, number| {
-                numbers.insert(cell, number);
+            let mut own = Cubes::ABSENT;
+            gather_block(&mut batch, boxes, first, self.least_mass, node, |n, _, number| {
+                own[n] = number;
                 places.push((b, n));
             });
+            numbers.insert(first, own);
         }
         if batch.is_empty() {
             return Ok(0.0);
         }
         if wants_particles {
-            let number = |cell: [i32; 3]| numbers.get(&cell).copied().unwrap_or(NodeBatch::NONE);
-            let around = |first: [i32; 3]| -> [u32; 8] {
-                std::array::from_fn(|n| {
-                    let offset = [n / 4, n / 2 % 2, n % 2].map(|x| x as i32);
-                    number(std::array::from_fn(|d| first[d] + offset[d]))
-                })
-            };
-            let mut cubes = FxHashMap::default();
             // Cells that particles reach nodes from, and half of one.
             let wider: Vec<Aabb> = boxes.iter().map(|one| one.grown(1.5 * h)).collect();
-            for particle in self.particles.iter().filter(|p| p.layer == layer) {
-                let in_cell = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
-                let (to_first, place) = NearParticle::between_nodes(in_cell);
-                let block = particle.cell.map(|c| c.div_euclid(SIDE) * SIDE);
-                let Some(image) = image_near(&wider, block, h, periods) else { continue };
-                let cell: [i32; 3] = std::array::from_fn(|d| particle.cell[d] + image[d] - block[d]);
-                let first: [i32; 3] = std::array::from_fn(|d| cell[d] + to_first[d]);
-                let cube = *cubes.entry(first).or_insert_with(|| {
-                    batch.cubes.push(around(first));
-                    batch.cubes.len() as u32 - 1
-                });
-                if batch.cubes[cube as usize].iter().any(|&node| node != NodeBatch::NONE) {
-                    let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
-                    batch.particles.push(NearParticle {
-                        cube,
-                        position: std::array::from_fn(|d| (f64::from(cell[d]) + in_cell[d]) * h),
-                        place,
-                        volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
-                        modulus,
-                    });
+            let from = self.particles.partition_point(|particle| particle.layer() < layer);
+            let to = self.particles.partition_point(|particle| particle.layer() <= layer);
+            for of_block in self.particles[from..to].chunk_by(Particle::is_beside) {
+                let Some(image) = image_near(&wider, of_block[0].cell().0, h, periods) else { continue };
+                let beside = |n: usize| {
+                    let offset = block::offset(n);
+                    numbers.get(&std::array::from_fn(|d| image[d] + SIDE * offset[d])).unwrap_or(&Cubes::ABSENT)
+                };
+                let mut around = Cubes::of(std::array::from_fn(beside));
+                for particle in of_block {
+                    let (_, local) = particle.cell();
+                    let in_cell = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
+                    let (to_first, place) = NearParticle::between_nodes(in_cell);
+                    let first = std::array::from_fn(|d| local[d] + to_first[d]);
+                    let cube = around.number(first, &mut batch.cubes);
+                    if batch.cubes[cube as usize].iter().any(|&node| node != NodeBatch::NONE) {
+                        let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
+                        batch.particles.push(NearParticle {
+                            cube,
+                            position: std::array::from_fn(|d| (f64::from(image[d] + local[d]) + in_cell[d]) * h),
+                            place,
+                            volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
+                            modulus,
+                        });
+                    }
                 }
             }
         }
