@@ -25,6 +25,11 @@ pub(crate) fn some_of<'a>(world_steps: &'a mut [WorldStep<'_>], which: impl Fn(u
     .collect()
 }
 
+/// What each of some worlds gives, side by side. One need not wait for a thread.
+fn of_each<T: Send, R: Send>(worlds: Vec<T>, give: impl Fn(T) -> R + Send + Sync) -> Vec<R> {
+    if worlds.len() == 1 { worlds.into_iter().map(give).collect() } else { worlds.into_par_iter().map(give).collect() }
+}
+
 impl WgpuBatch {
     /// Up to `count` steps of at most `dt` of the worlds given, without couplings or with such as run on the device. A world that
     /// fails is left out, and the others go on without it.
@@ -48,12 +53,15 @@ impl WgpuBatch {
                     .collect());
             }
             let mut stretches = self.plan_stretches(&active, dt, count.min(self.most_at_once(held, dt)));
-            let mut steps = stretches.iter().map(|s| s.steps).sum();
-            let mut driven = BTreeMap::new();
-            for &t in &going {
-                match self.drive(&mut world_steps[t], dt, steps, &held[t]) {
+            let planned = stretches.iter().map(|s| s.steps).sum();
+            let stepped = world_steps.iter_mut().enumerate().filter(|(t, _)| failed[*t].is_none());
+            let turns = of_each(stepped.collect(), |(t, world_step)| self.drive(world_step, dt, planned, &held[t]));
+            let (mut steps, mut driven) = (planned, BTreeMap::new());
+            for (&t, of_turn) in going.iter().zip(turns) {
+                match of_turn {
                     Ok(of_turn) => {
-                        steps = of_turn.as_ref().map_or(steps, |driven| driven.steps);
+                        // No further than any of them.
+                        steps = of_turn.as_ref().map_or(steps, |driven| steps.min(driven.steps));
                         driven.insert(t, of_turn);
                     }
                     Err(error) => failed[t] = Some(error),
@@ -87,14 +95,11 @@ impl WgpuBatch {
             // Robots have much to be read: a world each by as many threads as there are.
             let (reader, groups, done) = (self.group_reader(), &outcome.groups[..], outcome.done);
             let stepped = world_steps.iter_mut().enumerate().filter(|(t, _)| going.binary_search(t).is_ok());
-            let pairs: Vec<_> = stepped.map(|(_, world_step)| world_step).zip(driven.values_mut()).collect();
-            let taken: Vec<Result<Result<()>>> = pairs
-                .into_par_iter()
-                .map(|(world_step, of_turn)| {
-                    go_back(world_step.couplings, of_turn, done)?;
-                    Ok(reader.take_groups(world_step, of_turn, groups, done))
-                })
-                .collect();
+            let pairs = stepped.map(|(_, world_step)| world_step).zip(driven.values_mut()).collect();
+            let taken: Vec<Result<Result<()>>> = of_each(pairs, |(world_step, of_turn)| {
+                go_back(world_step.couplings, of_turn, done)?;
+                Ok(reader.take_groups(world_step, of_turn, groups, done))
+            });
             for (t, taken) in driven.keys().zip(taken) {
                 failed[*t] = taken?.err();
                 let world = world_steps[*t].world;
@@ -191,10 +196,8 @@ impl WgpuBatch {
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
         let feels = driven.values().any(Option::is_some);
         let impulses = if feels { self.impulses(outcome.done)? } else { Vec::new() };
-        let mut all = Vec::new();
-        for (t, error) in failed.into_iter().enumerate() {
-            let world = world_steps[t].world;
-            let layers = self.layers_of(world);
+        let of_world = |(world_step, driven): (&mut WorldStep<'_>, Option<Driven<'_>>)| {
+            let layers = self.layers_of(world_step.world);
             let sorted = outcome.status.sorted_before(layers.start);
             let report = |s: usize| StepReport {
                 dt,
@@ -203,12 +206,14 @@ impl WgpuBatch {
                 ..StepReport::default()
             };
             let mut reports: Vec<_> = (0..outcome.done).map(report).collect();
-            if let Some(driven) = driven.remove(&t).flatten() {
-                self.report_bodies(driven, &impulses, &mut world_steps[t], &mut reports);
+            if let Some(driven) = driven {
+                self.report_bodies(driven, &impulses, world_step, &mut reports);
             }
-            all.push(error.map_or(Ok(reports), Err));
-        }
-        Ok(all)
+            reports
+        };
+        let worlds = world_steps.iter_mut().enumerate();
+        let all = of_each(worlds.map(|(t, world_step)| (world_step, driven.remove(&t).flatten())).collect(), of_world);
+        Ok(failed.into_iter().zip(all).map(|(error, reports)| error.map_or(Ok(reports), Err)).collect())
     }
 
     /// Up to `count` steps of at most `dt` of the worlds given; the others stay as they are. All that succeed take the same steps.
@@ -235,15 +240,13 @@ impl WgpuBatch {
         let has_bodies = world_steps.iter().any(|world_step| !world_step.couplings.is_empty());
         let at_once = if has_bodies || self.substeps > 1 { MAX_SLOTS / self.substeps } else { MAX_STEPS };
         let most = world_steps.iter().map(until_asked).fold(at_once, usize::min);
-        let held: Vec<Option<Vec<HeldGroup>>> = world_steps
-            .iter_mut()
-            .map(|world_step| match &self.worlds[world_step.world] {
-                _ if !ground => None,
-                World { contact: Some(Place::Host), .. } => None,
-                world if !world.answers() => Some(Vec::new()),
-                _ => self.hold_groups(world_step, dt, at_once),
-            })
-            .collect();
+        let hold = |world_step: &mut WorldStep<'_>| match &self.worlds[world_step.world] {
+            _ if !ground => None,
+            World { contact: Some(Place::Host), .. } => None,
+            world if !world.answers() => Some(Vec::new()),
+            _ => self.hold_groups(world_step, dt, at_once),
+        };
+        let held: Vec<Option<Vec<HeldGroup>>> = of_each(world_steps.iter_mut().collect(), hold);
         let is_on_host: Vec<bool> = held.iter().map(Option::is_none).collect();
         if ground && is_on_host.contains(&true) && self.contact.host.is_none() {
             self.contact.host =
