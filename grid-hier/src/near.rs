@@ -153,4 +153,30 @@ mod tests {
         gather_block(&mut batch, &boxes[1..], [-4, 0, 0], 1e-20, |_| unreachable!("no box meets it"), |_, _, _| {});
         assert_eq!(batch.len(), 2);
     }
+
+    /// A particle's cube has the nodes around it, in its own block and in those beside, and comes once.
+    #[test]
+    fn cubes_reach_into_blocks_beside() {
+        // The number of a node is that of its cell, counted from the cell (-4, -4, -4) along twelve a side.
+        let number = |cell: [i32; 3]| cell.iter().fold(0, |n, c| 12 * n + (c + 4) as u32);
+        let of_block = |b: usize| -> [u32; CELLS] {
+            std::array::from_fn(|n| {
+                let local = [n / 16, n / 4 % 4, n % 4];
+                number(std::array::from_fn(|d| SIDE * block::offset(b)[d] + local[d] as i32))
+            })
+        };
+        let mut blocks: Vec<[u32; CELLS]> = (0..27).map(of_block).collect();
+        blocks[block::neighbour([1, 0, 0])] = Cubes::ABSENT;
+        let mut around = Cubes::of(std::array::from_fn(|b| &blocks[b]));
+        let mut cubes = Vec::new();
+        for first in [[-2, 4, 3], [0, 1, 2], [3, 0, 0], [0, 1, 2]] {
+            let found = around.number(first, &mut cubes);
+            for (n, node) in cubes[found as usize].iter().enumerate() {
+                let to = [n / 4, n / 2 % 2, n % 2];
+                let cell: [i32; 3] = std::array::from_fn(|d| first[d] + to[d] as i32);
+                assert_eq!(*node, if cell[0] == 4 { NodeBatch::NONE } else { number(cell) }, "{cell:?}");
+            }
+        }
+        assert_eq!(cubes.len(), 3);
+    }
 }

@@ -425,3 +425,32 @@ fn boxes_of_round_shapes_fit_at_any_rotation() {
         }
     }
 }
+
+/// Symptom: contact asks every part of a shape how far each particle is, most of which are too far from most parts. Physics: being told sooner that a surface is too far away changes
+/// nothing of what is within reach.
+#[test]
+fn what_is_too_far_is_told_sooner_and_nothing_else_is() {
+    let shovel = "{ union = [\
+        { shape = { box = { half = [0.2, 0.15, 0.02] } }, position = [0, 0, 0], rotation = [0.9, 0.1, -0.3, 0.2] }, \
+        { shape = { cylinder = { radius = 0.03, half_height = 0.2 } }, position = [-0.2, 0, 0.2] }, \
+        { shape = { capsule = { radius = 0.02, half_height = 0.1 } }, position = [0.2, 0.1, 0.1], rotation = [0.7, 0, 0.7, 0] }, \
+        { shape = { sphere = { radius = 0.05 } }, position = [0.1, -0.2, 0] }] }";
+    let terrain = "{ height_field = { min = [-0.3, -0.3], max = [0.3, 0.3], bottom = -0.3, heights = [[0.0, 0.3, 0.1], [0.3, -0.1, 0.2], [0.0, 0.1, 0.3]] } }";
+    let mut random = Random(13);
+    let (mut far, mut all) = (0, 0);
+    for text in EXACT.iter().map(|(_, text)| *text).chain([shovel, terrain]) {
+        let sdf = shape(text);
+        for n in 0..5000 {
+            let (x, cell) = (0.5 * random.vector(), if n % 2 == 0 { 0.01 } else { 0.05 });
+            let whole = sdf.contact_surface(x, cell);
+            for within in [0.0, 0.5 * cell] {
+                let told = sdf.contact_surface_within(x, cell, within);
+                assert!(told.is_some() || whole.0.distance > within, "{text}: {x} is {:.4} m away", whole.0.distance);
+                assert!(told.is_none_or(|told| told == whole || told.0.distance > within), "{text}: {x}");
+                (far, all) = (far + usize::from(told.is_none()), all + 1);
+            }
+        }
+    }
+    println!("told sooner: {far} of {all}");
+    assert!(2 * far > all, "most is told sooner");
+}

@@ -7,9 +7,11 @@ const FINE_UNITS: f32 = 524288.0;
 // How far a particle's half may reach [cells].
 const PRESS_HALF: f32 = 0.7;
 
-// There are PRESSING threads, as the backend says. So many of them write a node each, and so many particles near a body are dealt to all at a time.
+// There are PRESSING threads, as the backend says. So many of them write a node each, and so many particles near a body are dealt to all at a time. Each
+// looks at so many cells before it waits for the others.
 const NODES: u32 = 64u;
-const DEALT: u32 = 1024u;
+const DEALT: u32 = 4u * PRESSING;
+const LOOKED_AT: u32 = 256u / PRESSING;
 
 var<workgroup> go: u32;
 // The bodies near the block, as bits: as threads find them, then to be read by all.
@@ -93,25 +95,27 @@ fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
     let first = image_near(layer_now, own_first, pressed_cell(b));
     // From the body's reference point to the block's first cell [cells].
     let corner = vec3<f32>(first - body.cell) - body.place;
-    for (var start = 0u; start < side * side * side; start += PRESSING) {
-        let c = start + thread;
-        let cell = vec3<i32>(vec3<u32>(c / (side * side), (c / side) % side, c % side)) - vec3<i32>(i32(margin));
-        let arm = (corner + vec3<f32>(cell) + vec3<f32>(0.5)) * width;
-        let middle = arm.x * body.rows[0] + arm.y * body.rows[1] + arm.z * body.rows[2];
-        var block = NONE;
-        if c < side * side * side {
-            block = block_beside(entry, cell >> vec3<u32>(2u));
-        }
-        let in_block = vec3<u32>(cell & vec3<i32>(3));
-        let own = (in_block.x << 4u) | (in_block.y << 2u) | in_block.z;
-        // The cell's particles, and their first place among those of all threads.
-        var count = 0u;
-        var place = 0u;
-        if block != NONE {
+    for (var start = 0u; start < side * side * side; start += LOOKED_AT * PRESSING) {
+        // Of each cell that is near: its block, its number in there, its particles, and their first place among those of all threads.
+        var near_cells: array<vec4<u32>, LOOKED_AT>;
+        for (var k = 0u; k < LOOKED_AT; k++) {
+            let c = start + k * PRESSING + thread;
+            near_cells[k] = vec4<u32>(0u);
+            if c >= side * side * side {
+                continue;
+            }
+            let cell = cell_number(c, side, margin);
+            let block = block_beside(entry, cell >> vec3<u32>(2u));
+            if block == NONE {
+                continue;
+            }
+            let in_block = vec3<u32>(cell & vec3<i32>(3));
+            let own = (in_block.x << 4u) | (in_block.y << 2u) | in_block.z;
             let held = cells[block * 64u + own + 1u] - cells[block * 64u + own];
+            let arm = (corner + vec3<f32>(cell) + vec3<f32>(0.5)) * width;
+            let middle = arm.x * body.rows[0] + arm.y * body.rows[1] + arm.z * body.rows[2];
             if held > 0u && coupling_distance(body.number, middle, width) <= near_by {
-                count = held;
-                place = atomicAdd(&found, count);
+                near_cells[k] = vec4<u32>(block, own, held, atomicAdd(&found, held));
             }
         }
         workgroupBarrier();
@@ -121,9 +125,12 @@ fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
         let all = workgroupUniformLoad(&sought);
         for (var from_here = 0u; from_here < all; from_here += DEALT) {
             let end = min(from_here + DEALT, all);
-            for (var at = max(place, from_here); at < min(place + count, end); at++) {
-                let slot = slot_of(block, own, at - place);
-                dealt[at - from_here] = vec2<u32>(slot, u32(pack_block(cell >> vec3<u32>(2u))));
+            for (var k = 0u; k < LOOKED_AT; k++) {
+                let one = near_cells[k];
+                let beside = pack_block(cell_number(start + k * PRESSING + thread, side, margin) >> vec3<u32>(2u));
+                for (var at = max(one.w, from_here); at < min(one.w + one.z, end); at++) {
+                    dealt[at - from_here] = vec2<u32>(slot_of(one.x, one.y, at - one.w), u32(beside));
+                }
             }
             workgroupBarrier();
             for (var i = thread; i < end - from_here; i += PRESSING) {
@@ -137,6 +144,11 @@ fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
         put_pressed(b, body, g, first, thread, sum * unit);
     }
     workgroupBarrier();
+}
+
+// A cell of a cube with so many along a side, which begins `margin` before the block of nodes, counted from the block's first.
+fn cell_number(c: u32, side: u32, margin: u32) -> vec3<i32> {
+    return vec3<i32>(vec3<u32>(c / (side * side), (c / side) % side, c % side)) - vec3<i32>(i32(margin));
 }
 
 // Blocks beside the nodes' one, by an offset of -1, 0 or 1 along each axis.

@@ -62,9 +62,13 @@ pub(crate) fn contact_drafts(
     [press, contact, sums]
 }
 
-/// Threads of a workgroup that find how particles press. A software adapter runs all of the text for each eight threads, wanted or not: fewer cost less there.
-pub(crate) fn pressing(is_software: bool) -> String {
-    format!("const PRESSING: u32 = {}u;\n", if is_software { 64 } else { 256 })
+/// From so many worlds on a device is busy with blocks near bodies, however few threads each has.
+const BUSY: usize = 32;
+
+/// Threads of a workgroup that find how particles press. In few worlds a block's particles wait for as many threads as there can be; in many, blocks wait for one another, and
+/// those that no body is near are done with the sooner the fewer threads they have. A software adapter runs all of the text for each eight threads, wanted or not.
+pub(crate) fn pressing(is_software: bool, worlds: usize) -> String {
+    format!("const PRESSING: u32 = {}u;\n", if is_software || worlds >= BUSY { 64 } else { 256 })
 }
 
 /// How particles press on bodies; `of_bodies` says where these are, and where the forces go.

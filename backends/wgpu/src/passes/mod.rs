@@ -163,7 +163,7 @@ impl Kernels {
             ],
         });
         let is_software = gpu.adapter_info.device_type == wgpu::DeviceType::Cpu;
-        let constants = constants(plan) + &layer_constants(plan, worlds) + &pressing(is_software);
+        let constants = constants(plan) + &layer_constants(plan, worlds) + &pressing(is_software, worlds);
         let setting = Setting { constants, parts: Parts::new(&gpu.limits, rest_vectors(&plan.materials)) };
         let set = drafts(plan, worlds, particles)?.map(|draft| build(gpu, &step_layout, &setting, worlds, draft));
         Ok(Self { set, free_room: worlds * free_bodies(plan), setting, step_layout })
@@ -252,7 +252,7 @@ pub fn shaders(
     let set = drafts(plan, worlds, particles)?;
     let vectors = rest_vectors(&plan.materials);
     let parts = if apart { Parts::apart(vectors) } else { Parts::together() };
-    let constants = constants(plan) + &layer_constants(plan, worlds) + &pressing(false);
+    let constants = constants(plan) + &layer_constants(plan, worlds) + &pressing(false, worlds);
     let setting = Setting { constants, parts };
     let (subcycled, shape) = (plan.substeps > 1, [worlds, plan.cell_widths.len()]);
     let mut contact: Vec<Draft> = bodies::near_drafts(subcycled).into();

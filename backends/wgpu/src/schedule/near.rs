@@ -297,3 +297,32 @@ pub(crate) fn are_within(boxes: &[Around], asked: &[Around]) -> bool {
 pub(crate) fn behind(blocks: usize) -> Option<Behind> {
     Some(Behind::of(Role::Near, 0, (16 * NEAR_BLOCK * blocks) as u64))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Particles come in any order. Sorted, those of a block stand together, cell by cell, level by level, however far on either side of the origin they are.
+    #[test]
+    fn particles_stand_block_by_block() {
+        let cells = [[-5, 0, 7], [-1, -1, -1], [3, 0, 0], [0, 0, 0], [i32::MIN, i32::MAX, 2], [0, 3, 3], [4, 0, 0]];
+        let of = |layer, [x, y, z]: [i32; 3], place| {
+            Particle::of(layer, [[x as u32, y as u32, z as u32, 1], [place, 0, 0, 2]])
+        };
+        let mut all: Vec<Particle> =
+            cells.iter().flat_map(|&cell| [of(1, cell, 9), of(0, cell, 9), of(0, cell, 3)]).collect();
+        all.sort_unstable();
+        let told: Vec<_> = all.iter().map(|one| (one.layer(), one.cell(), one.place[0])).collect();
+        assert!(told.is_sorted(), "{told:?}");
+        let whole = |(first, local): ([i32; 3], [i32; 3])| -> [i32; 3] { std::array::from_fn(|d| first[d] + local[d]) };
+        let mut here: Vec<_> = told.iter().map(|(_, cell, _)| whole(*cell)).collect();
+        here.sort_unstable();
+        here.dedup();
+        let mut wanted = cells;
+        wanted.sort_unstable();
+        assert_eq!(here, wanted);
+        let blocks = all.chunk_by(Particle::is_beside).map(<[Particle]>::len).collect::<Vec<_>>();
+        // On either level five blocks; the one at the origin has three of the cells.
+        assert_eq!((blocks.iter().max(), blocks.len()), (Some(&6), 10));
+    }
+}
