@@ -6,6 +6,7 @@ use crate::device::status::{AT_START, HALTED, Halt, MOVE, NEAR, Status};
 use crate::passes::since_sort::SinceSort;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::near::{Around, Found, Near, are_within, behind, boxes_of, by_world};
+use crate::schedule::steps::of_each;
 use crate::schedule::submission::Part;
 use crate::schedule::{ContactPasses, Dispatch, Passes, around_contact, passes_beside_host};
 use crate::worlds::sleep::near_tools;
@@ -98,12 +99,8 @@ pub(crate) fn side_by_side(
     hosted_steps: &mut [HostedStep<'_, '_>],
     happen: impl Fn(&mut HostedStep<'_, '_>) -> Result<()> + Sync,
 ) {
-    let happens = |hosted: &mut HostedStep<'_, '_>| hosted.failed = happen(hosted).err();
-    match hosted_steps {
-        // One need not wait for a thread.
-        [only] if only.is_going() => happens(only),
-        _ => hosted_steps.par_iter_mut().filter(|hosted| hosted.is_going()).for_each(happens),
-    }
+    let going = hosted_steps.iter_mut().filter(|hosted| hosted.is_going());
+    of_each(going.collect(), |hosted| hosted.failed = happen(hosted).err());
 }
 
 impl WgpuBatch {

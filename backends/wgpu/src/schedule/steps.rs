@@ -26,7 +26,7 @@ pub(crate) fn some_of<'a>(world_steps: &'a mut [WorldStep<'_>], which: impl Fn(u
 }
 
 /// What each of some worlds gives, side by side. One need not wait for a thread.
-fn of_each<T: Send, R: Send>(worlds: Vec<T>, give: impl Fn(T) -> R + Send + Sync) -> Vec<R> {
+pub(crate) fn of_each<T: Send, R: Send>(worlds: Vec<T>, give: impl Fn(T) -> R + Send + Sync) -> Vec<R> {
     if worlds.len() == 1 { worlds.into_iter().map(give).collect() } else { worlds.into_par_iter().map(give).collect() }
 }
 
