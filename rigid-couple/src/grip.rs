@@ -37,12 +37,11 @@ pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatc
     let surface_within = |x: Vec3, within: f64| {
         shape.contact_surface_within(to_body * (DVec3::from_array(x) - pose.position), cell, within)
     };
-    // Half the width of the widest particle, and a little for rounding.
-    let rounding = 1e-6 * cell;
-    let widest = nodes.particles.iter().map(|particle| particle.volume).fold(0.0, f64::max).cbrt();
-    let touching = 0.5 * widest + rounding;
+    let (rounding, of_cell) = (1e-6 * cell, cell.powi(3));
     let press_of = |particle: &NearParticle| {
         let at = particle.position;
+        // Few are wider than a cell.
+        let touching = if particle.volume <= of_cell { TOUCHING * cell + rounding } else { f64::INFINITY };
         let (Surface { distance, normal }, _) = around.contains(at).then(|| surface_within(at, touching))??;
         // Many are too far off, which is told without a root.
         if (2.0 * distance).powi(3) >= particle.volume {

@@ -40,9 +40,8 @@ pub struct Part {
     /// Half the thickness where the part is thinnest [m]; for a mesh, where it is thickest.
     pub half_thickness: f64,
     to_shape: DMat3,
-    /// A box that its surface is never outside of, in its own frame, as its [rounded box](Primitive::rounded_box). Endless where distances are not exact: a sampled one may be less
-    /// than that to the box.
-    outside: (DVec3, DVec3, f64),
+    /// The primitive's own [rounded box](Primitive::rounded_box), kept since a mesh's takes a look at all of its corners.
+    rounded_box: (DVec3, DVec3, f64),
 }
 
 /// A shape centred on its own origin.
@@ -281,12 +280,8 @@ impl HeightField {
 impl Part {
     /// A primitive at a place.
     pub fn new(primitive: Primitive, pose: Pose) -> Self {
-        let half_thickness = primitive.half_thickness();
-        let outside = match primitive {
-            Primitive::HeightField(_) | Primitive::Mesh(_) | Primitive::Plane => (DVec3::ZERO, DVec3::INFINITY, 0.0),
-            _ => primitive.rounded_box(),
-        };
-        Self { primitive, pose, half_thickness, to_shape: DMat3::from_quat(pose.rotation), outside }
+        let (half_thickness, rounded_box) = (primitive.half_thickness(), primitive.rounded_box());
+        Self { primitive, pose, half_thickness, to_shape: DMat3::from_quat(pose.rotation), rounded_box }
     }
 
     /// Distance and normal at `x`, in the shape's frame.
@@ -312,8 +307,10 @@ impl Part {
     /// is found to be further away than `within` [m] without asking for more than the part's box.
     fn contact_surface(&self, x: DVec3, cell: f64, within: f64) -> Option<Surface> {
         let (local, padding) = (self.local(x), self.padding(cell));
-        let (middle, half, radius) = self.outside;
-        if ((local - middle).abs() - half).max_element() > within + radius + padding {
+        let (middle, half, radius) = self.rounded_box;
+        // Sampled distances may be less than that to the box, and a plane has none.
+        let has_box = !matches!(self.primitive, Primitive::HeightField(_) | Primitive::Mesh(_) | Primitive::Plane);
+        if has_box && ((local - middle).abs() - half).max_element() > within + radius + padding {
             return None;
         }
         let edge = (ROUND * cell - padding).clamp(0.0, self.half_thickness);
@@ -378,7 +375,7 @@ impl Sdf {
     /// A box that holds the shape at `pose`, grown where contact on a grid of width `cell` thickens it.
     pub fn bounds(&self, pose: &Pose, cell: f64) -> Aabb {
         let boxes = self.parts.iter().map(|part| {
-            let (middle, half, radius) = part.primitive.rounded_box();
+            let (middle, half, radius) = part.rounded_box;
             if !half.is_finite() {
                 return half_space_bounds(&pose.then(&part.pose));
             }
@@ -402,7 +399,7 @@ impl Sdf {
     /// How far the ends of its [bounds](Self::bounds) move at most for each radian that it turns about its origin [m]: not at all for a sphere about it.
     pub fn swing(&self) -> f64 {
         let of_part = |part: &Part| {
-            let (middle, half, _) = part.primitive.rounded_box();
+            let (middle, half, _) = part.rounded_box;
             if half.is_finite() { part.pose.apply(middle).length() + half.length() } else { f64::INFINITY }
         };
         self.parts.iter().map(of_part).fold(0.0, f64::max)

@@ -104,7 +104,7 @@ fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
             if c >= side * side * side {
                 continue;
             }
-            let cell = cell_number(c, side, margin);
+            let cell = nth_cell(c, side, margin);
             let block = block_beside(entry, cell >> vec3<u32>(2u));
             if block == NONE {
                 continue;
@@ -127,7 +127,7 @@ fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
             let end = min(from_here + DEALT, all);
             for (var k = 0u; k < LOOKED_AT; k++) {
                 let one = near_cells[k];
-                let beside = pack_block(cell_number(start + k * PRESSING + thread, side, margin) >> vec3<u32>(2u));
+                let beside = pack_block(nth_cell(start + k * PRESSING + thread, side, margin) >> vec3<u32>(2u));
                 for (var at = max(one.w, from_here); at < min(one.w + one.z, end); at++) {
                     dealt[at - from_here] = vec2<u32>(slot_of(one.x, one.y, at - one.w), u32(beside));
                 }
@@ -146,8 +146,8 @@ fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
     workgroupBarrier();
 }
 
-// A cell of a cube with so many along a side, which begins `margin` before the block of nodes, counted from the block's first.
-fn cell_number(c: u32, side: u32, margin: u32) -> vec3<i32> {
+// The cell with that number of a cube with so many along a side, which begins `margin` before the block of nodes, counted from the block's first.
+fn nth_cell(c: u32, side: u32, margin: u32) -> vec3<i32> {
     return vec3<i32>(vec3<u32>(c / (side * side), (c / side) % side, c % side)) - vec3<i32>(i32(margin));
 }
 

@@ -94,7 +94,7 @@ impl WgpuBatch {
             }
             // Robots have much to be read: a world each by as many threads as there are.
             let (reader, groups, done) = (self.group_reader(), &outcome.groups[..], outcome.done);
-            let stepped = world_steps.iter_mut().enumerate().filter(|(t, _)| going.binary_search(t).is_ok());
+            let stepped = world_steps.iter_mut().enumerate().filter(|(t, _)| failed[*t].is_none());
             let pairs = stepped.map(|(_, world_step)| world_step).zip(driven.values_mut()).collect();
             let taken: Vec<Result<Result<()>>> = of_each(pairs, |(world_step, of_turn)| {
                 go_back(world_step.couplings, of_turn, done)?;
