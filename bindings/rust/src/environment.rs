@@ -25,7 +25,7 @@ use crate::worlds::Worlds;
 use barchan_core::task::{Episode, Limits, Outcome, Seen, Watch};
 use barchan_core::{Error, Options, Registry, Result, Simulation, State, Task};
 use std::fmt;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Worlds of one task.
 ///
@@ -38,6 +38,8 @@ pub struct Environment {
     players: Vec<Player>,
     /// Worlds at the start of scenes that have come more than once.
     starts: Vec<State>,
+    /// How long the task took to say what came of the last step, summed over worlds.
+    observing: Duration,
 }
 
 /// What is known of a world since its episode began.
@@ -93,7 +95,8 @@ impl Environment {
             Ok(Player { episode: task.reset(world, seed)?, seed, steps: 0, clipped: 0, seen: Outcome::default() })
         };
         let players = worlds.iter().zip(seeds).map(start).collect::<Result<Vec<_>>>()?;
-        let mut all = Self { limits: task.actions(), task, worlds, players, starts: Vec::new() };
+        let mut all =
+            Self { limits: task.actions(), task, worlds, players, starts: Vec::new(), observing: Duration::ZERO };
         all.look(&(0..seeds.len()).collect::<Vec<_>>())?;
         Ok(all)
     }
@@ -253,16 +256,25 @@ impl Environment {
     fn outcomes(&mut self, failed: Vec<Option<Error>>) -> Vec<Result<Step>> {
         let seen = self.watch(|w| failed[w].is_none());
         let horizon = self.task.horizon();
-        let each = failed.into_iter().zip(seen).zip(self.worlds.iter().zip(&mut self.players));
-        each.map(|((failed, seen), (world, player))| {
-            if let Some(error) = failed {
-                return Err(error);
-            }
-            player.steps += 1;
-            player.seen = player.episode.observe(world, &seen?)?;
-            Ok(Step { outcome: player.seen.clone(), truncated: player.steps >= horizon })
-        })
-        .collect()
+        let observe = |world: &Simulation, (failed, seen, player): (Option<Error>, Result<Seen>, &mut Player)| {
+            let clock = Instant::now();
+            let see = || {
+                failed.map_or(Ok(()), Err)?;
+                player.steps += 1;
+                player.seen = player.episode.observe(world, &seen?)?;
+                Ok(Step { outcome: player.seen.clone(), truncated: player.steps >= horizon })
+            };
+            (see(), clock.elapsed())
+        };
+        let given =
+            failed.into_iter().zip(seen).zip(&mut self.players).map(|((failed, seen), player)| (failed, seen, player));
+        let all = if self.observing > WORTH_SHARING {
+            self.worlds.each_with(given.collect(), observe)
+        } else {
+            self.worlds.iter().zip(given).map(|(world, given)| observe(world, given)).collect()
+        };
+        self.observing = all.iter().map(|(_, took)| *took).sum();
+        all.into_iter().map(|(step, _)| step).collect()
     }
 
     fn check(&self, actions: &[Vec<f64>]) -> Result<()> {
@@ -293,3 +305,5 @@ impl Environment {
 const MOST_STARTS: usize = 64;
 /// How long worlds are stepped before all are looked at.
 const SLICE: Duration = Duration::from_millis(250);
+/// Where it takes longer to say what came of a step, worlds are seen side by side: starting threads takes about a fifth of this.
+const WORTH_SHARING: Duration = Duration::from_millis(1);

@@ -27,6 +27,7 @@ use barchan_core::task::{Seen, Watch};
 use barchan_core::{Error, Options, Registry, Result, Scene, Simulation, State, StepReport, Together};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::panic::resume_unwind;
 use std::time::{Duration, Instant};
 
 /// Worlds of the same scene or of several.
@@ -203,6 +204,35 @@ impl Worlds {
         match &mut self.machine {
             Machine::Apart(simulations) => self.pool.install(|| simulations.par_iter_mut().map(action).collect()),
             Machine::Together(together) => together.worlds_mut().iter_mut().map(action).collect(),
+        }
+    }
+
+    /// Runs `action` on every world with what is given for it, side by side, and returns what it gave in the worlds' order. Worlds that share a device get
+    /// threads of their own: one of the pool that waits within the device's work could take up another world, which waits for that work to end.
+    pub(crate) fn each_with<T: Send, R: Send>(
+        &mut self,
+        given: Vec<T>,
+        action: impl Fn(&Simulation, T) -> R + Send + Sync,
+    ) -> Vec<R> {
+        let act = |(world, given): (&mut Simulation, T)| action(world, given);
+        match &mut self.machine {
+            Machine::Apart(simulations) => {
+                self.pool.install(|| simulations.par_iter_mut().zip(given).map(act).collect())
+            }
+            Machine::Together(together) => {
+                let worlds = together.worlds_mut();
+                let share = worlds.len().div_ceil(self.pool.current_num_threads()).max(1);
+                let mut given = given.into_iter();
+                std::thread::scope(|scope| {
+                    let parts = worlds.chunks_mut(share).map(|worlds| {
+                        let given: Vec<T> = given.by_ref().take(worlds.len()).collect();
+                        scope.spawn(|| worlds.iter_mut().zip(given).map(act).collect::<Vec<R>>())
+                    });
+                    let parts: Vec<_> = parts.collect();
+                    let done = parts.into_iter().map(|part| part.join().unwrap_or_else(|panic| resume_unwind(panic)));
+                    done.flatten().collect()
+                })
+            }
         }
     }
 
