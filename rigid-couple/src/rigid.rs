@@ -11,7 +11,7 @@ use crate::tables::{Listed, Tables, row, rows};
 use crate::world::{RigidWorld, Role};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
-    Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept, Placed,
+    Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept, Leashes, Moved, Placed,
 };
 use barchan_core::plan::TOOL_COUPLING;
 use barchan_core::scene::{INSTANT, Motion, Wall};
@@ -44,8 +44,10 @@ pub struct Rigid {
     /// Only with a free body.
     world: Option<RigidWorld>,
     counts: Counts,
-    /// Does a device move the free bodies?
-    on_device: bool,
+    /// Who moves the free bodies.
+    moved: Moved,
+    /// The step under way [s].
+    dt: f64,
 }
 
 /// What steps change, as it was.
@@ -99,7 +101,8 @@ impl Rigid {
             world_box: world_box.grown(4.0 * scene.world.cell),
             world: None,
             counts: Counts::default(),
-            on_device: false,
+            moved: Moved::ByCoupling,
+            dt: 0.0,
             bodies,
         };
         rigid.world = rigid.rigid_world();
@@ -183,17 +186,27 @@ impl Rigid {
         REACH + (body.shape.padding(widest) - body.shape.padding(self.scene.world.cell)) / widest
     }
 
-    /// How far along each axis a free body may go, as long as the others move for up to `duration` [s], before it comes too near to one of
+    /// Does a device tell which body a node is, of several that reach it? Where levels take steps of their own it has no way to.
+    fn shares_nodes(&self) -> bool {
+        self.scene.levels.substeps() == 1
+    }
+
+    /// How far along each axis a body that answers may go, as long as the others move for up to `duration` [s], before it comes too near to one of
     /// them or to a wall; `None` if it is there.
     fn leash(&self, of: usize, boxes: &[Aabb], time: f64, duration: f64) -> Option<Aabb> {
         let world = &self.scene.world;
+        let shares = self.shares_nodes();
+        // In a guide it passes through the others.
+        if shares && !self.bodies[of].is_free() {
+            return Some(Aabb::UNBOUND);
+        }
         let free = self.bodies.iter().filter(|body| body.answering().is_some());
         let size = free.map(|body| body.extent).fold(f64::INFINITY, f64::min);
         let clearance = CLEARANCE * world.cell + LOOK_AHEAD * size;
-        let reach = |body: &Body| self.reach_of(body) * self.widest(body);
+        let reach = |body: &Body| if shares { 0.0 } else { self.reach_of(body) * self.widest(body) };
         let own_reach = reach(&self.bodies[of]);
-        // Nodes behind walls move as their images before them, which may be two layers of nodes. Those are not to be a body's.
-        let off_walls = clearance + world.cell + own_reach;
+        // Nodes behind walls move as their images before them, which may be two layers of nodes. Where steps are levels' own those are not to be a body's.
+        let off_walls = if shares { clearance } else { clearance + world.cell + own_reach };
         let mut leash = Aabb::UNBOUND;
         let own = &boxes[of];
         for axis in 0..3 {
@@ -231,7 +244,7 @@ impl Rigid {
         };
         for (i, body) in self.bodies.iter().enumerate() {
             // A backend may have moved bodies since.
-            world.place(i, &body.state.pose);
+            world.place(i, if body.is_free() { &body.state.pose } else { &body.from });
             world.show(i, body.state.present);
             match body.mover {
                 Mover::Fixed => {}
@@ -308,14 +321,16 @@ impl Coupling for Rigid {
 
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
         self.wrenches.fill(Wrench::default());
+        self.dt = dt;
         let gravity = DVec3::from_array(self.scene.gravity_at(time));
         for body in &mut self.bodies {
+            body.from = body.state.pose;
             match body.driven_pose(time, dt) {
                 Some(target) => {
                     body.state.twist = body.state.pose.chord(&target, dt);
                     body.target = target;
                 }
-                None if self.on_device => {}
+                None if self.moved != Moved::ByCoupling => {}
                 None => body.accelerate(gravity, time, dt),
             }
             if !body.state.twist.is_finite() {
@@ -464,18 +479,25 @@ impl Coupling for Rigid {
         Some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, answer })
     }
 
-    fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Vec<Aabb>> {
+    fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Leashes> {
         let (boxes, duration) = (self.bounds(), dt * steps as f64);
         let free = self.bodies.iter().enumerate().filter(|(_, body)| body.answering().is_some());
+        let mut in_turns = false;
         let leash = |(i, body): (usize, &Body)| {
             // A device knows only the whole force.
             if matches!(body.mover, Mover::Servo(Guided { servo, .. }) if time < servo.ramp) {
                 return None;
             }
             let moves = self.fastest(body, time, dt) * dt / self.scene.world.cell;
-            if moves > MOST_MOVE { None } else { self.leash(i, &boxes, time, duration) }
+            if moves > MOST_MOVE {
+                return None;
+            }
+            let leash = self.leash(i, &boxes, time, duration);
+            in_turns |= leash.is_none();
+            leash.or_else(|| self.shares_nodes().then_some(Aabb::UNBOUND))
         };
-        free.map(leash).collect()
+        let each = free.map(leash).collect::<Option<_>>()?;
+        Some(Leashes { each, in_turns })
     }
 
     fn device_state(&self) -> Vec<GroupState> {
@@ -490,8 +512,8 @@ impl Coupling for Rigid {
         free.map(state).collect()
     }
 
-    fn move_on_device(&mut self, moves: bool) {
-        self.on_device = moves;
+    fn move_on_device(&mut self, moved: Moved) {
+        self.moved = moved;
     }
 
     fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
@@ -501,9 +523,11 @@ impl Coupling for Rigid {
             let ([velocity, momentum], [placed]) = (&state.words[..], &state.bodies[..]) else {
                 return Err(body.lost("state on the device"));
             };
-            let [w, x, y, z] = placed.rotation;
-            body.state.pose =
-                Pose { position: DVec3::from_array(placed.position), rotation: DQuat::from_xyzw(x, y, z, w) };
+            if self.moved == Moved::ByDevice {
+                let [w, x, y, z] = placed.rotation;
+                body.state.pose =
+                    Pose { position: DVec3::from_array(placed.position), rotation: DQuat::from_xyzw(x, y, z, w) };
+            }
             body.state.angular_momentum = vector(*momentum);
             body.state.twist.linear = vector(*velocity);
             body.state.twist.angular = body.spin(&body.state.pose);
@@ -514,7 +538,7 @@ impl Coupling for Rigid {
             self.counts.deep_nodes += deep_nodes;
             self.counts.unconverged += unconverged;
         }
-        Ok(())
+        if self.moved == Moved::InTurns { self.move_free_bodies(self.dt) } else { Ok(()) }
     }
 
     fn book(&mut self, wrenches: &[Wrench]) {
@@ -522,7 +546,7 @@ impl Coupling for Rigid {
     }
 
     fn after_step(&mut self, _time: f64, dt: f64) -> Result<()> {
-        if !self.on_device {
+        if self.moved == Moved::ByCoupling {
             for body in self.bodies.iter_mut().filter(|body| matches!(body.mover, Mover::Servo(_))) {
                 body.target = body.state.pose.advanced(&body.state.twist, dt);
             }
@@ -596,7 +620,7 @@ impl Coupling for Rigid {
         let states: Vec<&State> = self.bodies.iter().map(|body| &body.state).collect();
         let wrenches: Vec<_> = self.wrenches.iter().map(|w| (w.force, w.torque)).collect();
         // While a device moves bodies, rapier's world does not change.
-        let physics = self.world.as_ref().filter(|_| !self.on_device).map(RigidWorld::physics);
+        let physics = self.world.as_ref().filter(|_| self.moved == Moved::ByCoupling).map(RigidWorld::physics);
         postcard::to_stdvec(&(states, wrenches, self.counts, physics)).expect("writing to memory does not fail")
     }
 
@@ -606,7 +630,7 @@ impl Coupling for Rigid {
             postcard::from_bytes(bytes).map_err(|e| format!("the rigid bodies' state cannot be read: {e}"))?;
         if states.len() != self.bodies.len()
             || wrenches.len() != states.len()
-            || physics.is_some() != (self.world.is_some() && !self.on_device)
+            || physics.is_some() != (self.world.is_some() && self.moved == Moved::ByCoupling)
         {
             return Err(format!("it holds {} rigid bodies, and the scene {}", states.len(), self.bodies.len()));
         }
@@ -631,7 +655,7 @@ impl Coupling for Rigid {
             states: self.bodies.iter().map(|body| body.state).collect(),
             wrenches: self.wrenches.clone(),
             counts: self.counts,
-            physics: self.world.as_ref().filter(|_| !self.on_device).map(RigidWorld::copy),
+            physics: self.world.as_ref().filter(|_| self.moved == Moved::ByCoupling).map(RigidWorld::copy),
         })
     }
 

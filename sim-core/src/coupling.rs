@@ -390,6 +390,29 @@ pub struct GroupState {
     pub bodies: Vec<Placed>,
 }
 
+/// Who moves bodies that answer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Moved {
+    /// The coupling, with what contact gives them.
+    #[default]
+    ByCoupling,
+    /// A device.
+    ByDevice,
+    /// A device finds what the ground does to them in a step, and says [what came of it](Coupling::take_device_state): their state then has the velocities that gravity and
+    /// the ground have made. From there the coupling moves them itself, since they may meet others.
+    InTurns,
+}
+
+/// How a device may move the bodies of groups.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Leashes {
+    /// How far along each axis each body may move before it may meet what only the coupling knows: least and greatest displacement of the ends of its box [m], in
+    /// the order of the groups' bodies.
+    pub each: Vec<Aabb>,
+    /// Does it take [one step at a time](Moved::InTurns), since bodies are near what only the coupling knows?
+    pub in_turns: bool,
+}
+
 /// What happened to a group in a step on a device.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GroupStep {
@@ -563,13 +586,12 @@ pub trait Coupling: Send + Sync {
     fn device_law(&self) -> Option<DeviceLaw> {
         None
     }
-    /// How far along each axis each body of each group may move in up to so many steps of `dt` from `time` [s] before it may meet what only the coupling knows: least and
-    /// greatest displacement of the ends of its box [m], in the order of the groups' bodies.
+    /// How a device may move its groups in up to so many steps of `dt` from `time` [s].
     ///
-    /// `None` if one of them is so near to anything but the ground that the coupling itself must take the next step; nearer than two finest cells to a wall
-    /// is too near, and leashes keep bodies from it. Robots may come nearer, since in their scenes nodes behind walls are found after contact. Whether it is
-    /// depends on where bodies are and how they move now, not on the number of steps.
-    fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Vec<Aabb>> {
+    /// `None` if the coupling itself must take the next step, since one of the bodies is too near to anything but the ground. Nearer than two finest cells to a
+    /// wall is too near where [levels take steps of their own](crate::scene::Levels::subcycle), but for robots, in whose scenes nodes behind walls are found after contact. Whether it is, and who moves
+    /// them, depends on where bodies are and how they move now, not on the number of steps.
+    fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Leashes> {
         let _ = (time, dt, steps);
         None
     }
@@ -577,11 +599,11 @@ pub trait Coupling: Send + Sync {
     fn device_state(&self) -> Vec<GroupState> {
         Vec::new()
     }
-    /// Says that a device moves the groups from now on, or that it does not any more. As long as it does, [`before_step`](Self::before_step) and
+    /// Says who moves the groups from now on. As long as a device takes part, [`before_step`](Self::before_step) and
     /// [`after_step`](Self::after_step) leave them where they are, and what is [saved](Self::save) is only good for a coupling whose groups a device moves, too. If all
-    /// of its bodies are in groups, a backend may call the two for the first of many steps alone.
-    fn move_on_device(&mut self, moves: bool) {
-        let _ = moves;
+    /// of its bodies are in groups that a device moves alone, a backend may call the two for the first of many steps alone.
+    fn move_on_device(&mut self, moved: Moved) {
+        let _ = moved;
     }
     /// Takes in what happened to each group in a step that a device took. Where nobody asks for [where bodies
     /// were](crate::StepReport::bodies) after each of many steps, only the last two are taken in, one after the other; what is counted is of all.

@@ -24,7 +24,9 @@ pub(crate) struct Body {
     /// Greatest distance of a surface point from the reference point [m].
     pub(crate) extent: f64,
     pub(crate) state: State,
-    /// Pose at the end of the step under way, for driven bodies.
+    /// Pose at the start of the step under way.
+    pub(super) from: Pose,
+    /// Pose at its end, for driven bodies.
     pub(super) target: Pose,
     pub(super) ignored_position: bool,
 }
@@ -194,6 +196,7 @@ impl Body {
             mover,
             extent,
             state,
+            from: pose,
             target: pose,
             ignored_position,
         })

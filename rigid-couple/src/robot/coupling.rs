@@ -17,7 +17,7 @@ use crate::rigid::thin;
 use crate::world::friction_of;
 use crate::{Refusal, Sdf, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
-use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep};
+use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep, Leashes, Moved};
 use barchan_core::plan::ROBOT_COUPLING;
 use barchan_core::scene::{self, Contact, fits, named_together};
 use barchan_core::{
@@ -592,7 +592,7 @@ impl Coupling for Robots {
         device::law(&self.robots, &self.contacts, self.scene.world.cell)
     }
 
-    fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Vec<Aabb>> {
+    fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Leashes> {
         let world = &self.scene.world;
         // What pushes tools must not change on the way.
         let end = time + steps as f64 * dt;
@@ -624,15 +624,15 @@ impl Coupling for Robots {
         };
         let robots = self.robots.iter().zip(&self.firsts);
         let all: Vec<_> = robots.map(|one| (of_robot(one), one.0.walls.as_slice())).collect();
-        device::leashes(&all, world.cell)
+        Some(Leashes { each: device::leashes(&all, world.cell)?, in_turns: false })
     }
 
     fn device_state(&self) -> Vec<GroupState> {
         self.robots.iter().map(Robot::device_state).collect()
     }
 
-    fn move_on_device(&mut self, moves: bool) {
-        self.on_device = moves;
+    fn move_on_device(&mut self, moved: Moved) {
+        self.on_device = moved == Moved::ByDevice;
     }
 
     fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {

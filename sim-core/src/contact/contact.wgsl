@@ -1,5 +1,5 @@
 // Couplings on the nodes in their bodies' boxes, and what these give to them: fields act first, in the scene's order; then a node is held by the driven body
-// in which it is deepest, by the law of `contact_law.wgsl`.
+// in which it is deepest, by the law of `contact_law.wgsl`, unless it is deeper in one that answers, which `keeper` knows: all threads of a workgroup call it.
 
 const NEAR_WORDS: u32 = (BODIES + 31u) / 32u;
 
@@ -94,6 +94,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
             }
         }
     }
+    owner = keeper(owner, grip.distance, own_first, g, n);
     // Fields have the lowest numbers.
     for (var word = 0u; word < NEAR_WORDS; word++) {
         let here = workgroupUniformLoad(&near[word]);

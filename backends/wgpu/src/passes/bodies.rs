@@ -18,9 +18,16 @@ use barchan_grid::rest::NEAR_TOOL;
 use barchan_grid::wgsl;
 
 /// Contact with driven bodies on the device, so many in each of the worlds, whose tables have so many vectors, of which the last are the
-/// materials': how particles press, the law, then the sums of impulses, level by level.
-pub(crate) fn contact(gpu: &Gpu, kernels: &Kernels, laws: &Laws, counts: [usize; 3], shape: [usize; 2]) -> [Kernel; 3] {
-    let drafts = contact_drafts(kernels.set.solve.is_some(), laws, counts, shape);
+/// materials', beside those that answer: how particles press, the law, then the sums of impulses, level by level.
+pub(crate) fn contact(
+    gpu: &Gpu,
+    kernels: &Kernels,
+    laws: &Laws,
+    counts: [usize; 3],
+    shape: [usize; 2],
+    room: Answering,
+) -> [Kernel; 3] {
+    let drafts = contact_drafts(kernels.set.solve.is_some(), laws, counts, shape, room);
     drafts.map(|draft| build(gpu, &kernels.step_layout, &kernels.setting, shape[0], draft))
 }
 
@@ -29,6 +36,7 @@ pub(crate) fn contact_drafts(
     laws: &Laws,
     [bodies, vectors, materials]: [usize; 3],
     [worlds, levels]: [usize; 2],
+    room: Answering,
 ) -> [Draft; 3] {
     let count = format!("const BODIES: u32 = {bodies}u;\n");
     let body = include_str!("../wgsl/body.wgsl");
@@ -41,11 +49,23 @@ pub(crate) fn contact_drafts(
         press_draft("press", laws, &of_bodies, [vectors, materials], [worlds, levels], [bodies_now, written(partials)]);
     let (text, own) = of_own_mass(subcycled, contact::wgsl::CONTACT);
     let mirrors = wgsl::MIRRORS;
+    // Where levels take steps of their own, leashes keep bodies that answer away from driven ones' nodes.
+    let beside = room.groups > 0 && !subcycled;
+    let keeper = if beside {
+        let of_answering = include_str!("../wgsl/answering.wgsl");
+        answering_counts(room, laws) + of_answering + include_str!("../wgsl/contact_beside_answering.wgsl")
+    } else {
+        include_str!("../wgsl/contact_alone.wgsl").to_owned()
+    };
     let contact = Draft {
         name: "contact",
         entry: "contact",
-        body: [&count, body, mirrors, &table, &laws.wgsl, text.as_str()].concat(),
-        uses: [LISTS, GRID, bodies_now, written(partials), STATUS].into_iter().chain(own).collect(),
+        body: [&count, body, mirrors, &table, &laws.wgsl, &keeper, text.as_str()].concat(),
+        uses: [LISTS, GRID, bodies_now, written(partials), STATUS]
+            .into_iter()
+            .chain(own)
+            .chain(beside.then_some(ANSWERING))
+            .collect(),
         uniform: Uniform::Table { stored, counted: laws.counted },
         groups: node_blocks(levels > 1),
         checked: true,

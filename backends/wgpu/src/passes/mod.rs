@@ -260,8 +260,8 @@ pub fn shaders(
     if let Some(laws) = Laws::of(couplings) {
         let materials = plan.materials.len();
         let vectors = laws.table.len() + materials;
-        contact.extend(bodies::contact_drafts(subcycled, &laws, [laws.bodies, vectors, materials], shape));
         let room = Answering::of(&laws.groups, |_| 64);
+        contact.extend(bodies::contact_drafts(subcycled, &laws, [laws.bodies, vectors, materials], shape, room));
         if room.groups > 0 {
             contact.push(bodies::press_answering_draft(&laws, [vectors, materials], shape, room));
             let kinds = [false, true].into_iter().filter(|rims| !rims || shape[1] > 1);

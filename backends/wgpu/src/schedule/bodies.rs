@@ -262,8 +262,14 @@ impl WgpuBatch {
         let (worlds, Needs { bodies, vectors, answering, .. }) = (self.worlds.len(), needs);
         let shape = [worlds, self.levels];
         let materials = self.worlds[0].materials.len();
-        let kernels =
-            crate::passes::bodies::contact(&self.gpu, &self.kernels, laws, [bodies, vectors, materials], shape);
+        let kernels = crate::passes::bodies::contact(
+            &self.gpu,
+            &self.kernels,
+            laws,
+            [bodies, vectors, materials],
+            shape,
+            answering,
+        );
         let of_groups = (answering.groups > 0).then(|| {
             let counts = [vectors, materials];
             crate::passes::bodies::answer(&self.gpu, &self.kernels, laws, counts, shape, answering, needs.roams)

@@ -6,7 +6,7 @@ use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::{Driven, rooms_around};
 use crate::schedule::submission::Behind;
 use barchan_core::backend::WorldStep;
-use barchan_core::coupling::{DeviceBody, Group, GroupState, GroupStep, Placed};
+use barchan_core::coupling::{DeviceBody, Group, GroupState, GroupStep, Leashes, Moved, Placed};
 use barchan_core::plan::TOOL_COURANT;
 use barchan_core::{Aabb, BodyState, Result, Vec3, Wrench};
 use std::ops::Range;
@@ -34,6 +34,8 @@ pub(crate) struct HeldGroup {
     mass: f64,
     state: GroupState,
     pub(crate) bodies: Vec<HeldBody>,
+    /// Does its coupling move it after each step?
+    pub(crate) in_turns: bool,
 }
 
 impl HeldGroup {
@@ -163,7 +165,14 @@ impl WgpuBatch {
     /// those of others; `None` if a coupling must take the next step.
     pub(crate) fn hold_groups(&self, world_step: &mut WorldStep<'_>, dt: f64, steps: usize) -> Option<Vec<HeldGroup>> {
         let held = self.held_groups(world_step, dt, steps);
-        world_step.couplings.iter_mut().for_each(|coupling| coupling.move_on_device(held.is_some()));
+        for (c, coupling) in world_step.couplings.iter_mut().enumerate() {
+            let in_turns = held.iter().flatten().any(|group| group.coupling == c && group.in_turns);
+            coupling.move_on_device(match held {
+                None => Moved::ByCoupling,
+                Some(_) if in_turns => Moved::InTurns,
+                Some(_) => Moved::ByDevice,
+            });
+        }
         held
     }
 
@@ -177,7 +186,11 @@ impl WgpuBatch {
             if groups.is_empty() {
                 continue;
             }
-            let mut leashes = coupling.leashes(world_step.time, dt, steps)?.into_iter();
+            let Leashes { each, in_turns } = coupling.leashes(world_step.time, dt, steps)?;
+            if in_turns && self.substeps > 1 {
+                return None;
+            }
+            let mut leashes = each.into_iter();
             let (bodies, boxes, now) = (&world.bodies[c], coupling.bounds(), coupling.bodies());
             let states = coupling.device_state().into_iter();
             let known = world.groups[c].iter();
@@ -198,7 +211,7 @@ impl WgpuBatch {
                     let velocity = now[own].velocity;
                     held.push(HeldBody { own, number, mass, extent, swing, rooms, velocity, leash, followed });
                 }
-                all.push(HeldGroup { coupling: c, number, mass, state, bodies: held });
+                all.push(HeldGroup { coupling: c, number, mass, state, bodies: held, in_turns });
             }
         }
         Some(all)

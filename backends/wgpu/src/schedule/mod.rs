@@ -118,7 +118,12 @@ pub(crate) fn passes<'a, K>(
             let meets = !(subcycled && with_rims) && (call.levels.start == 0 || roams);
             let answering = all(call.levels.clone(), &mut answering.iter().filter(|_| meets));
             let driven = all(end, &mut driven.iter().filter(|_| last));
-            if subcycled { [answering, driven].concat() } else { [driven, answering].concat() }
+            if subcycled {
+                return [answering, driven].concat();
+            }
+            // Which nodes bodies that answer grip is known before driven ones take those that are deeper in them.
+            let (press, answer) = answering.split_at(answering.len().min(1));
+            [press, &driven, answer].concat()
         }
         Stage::PROLONG => {
             // Rims read what stands behind walls that let go, and mirrors what stands at rims.

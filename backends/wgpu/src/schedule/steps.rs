@@ -8,6 +8,7 @@ use crate::schedule::groups::HeldGroup;
 use crate::schedule::submission::{FEW_STEPS, FORESEEN, LEAST_STEPS, Outcome, cut};
 use crate::worlds::world::{Place, World};
 use barchan_core::backend::WorldStep;
+use barchan_core::coupling::Moved;
 use barchan_core::{Error, Result, StepReport};
 use barchan_grid::limits::NODE_MOVE;
 use rayon::prelude::*;
@@ -256,7 +257,7 @@ impl WgpuBatch {
         world_steps
             .iter_mut()
             .flat_map(|world_step| world_step.couplings.iter_mut())
-            .for_each(|coupling| coupling.move_on_device(false));
+            .for_each(|coupling| coupling.move_on_device(Moved::ByCoupling));
         let reports = taken?;
         for (world_step, _) in world_steps.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
             self.follow_stiffness(world_step.world)?;
@@ -276,9 +277,10 @@ impl WgpuBatch {
         let ground = self.particles() > 0;
         let mut reports = Vec::new();
         if is_on_host.contains(&false) {
-            // Beside worlds that go a step at a time, they do.
-            let count = if is_on_host.contains(&true) { 1 } else { count };
             let held: Vec<_> = held.into_iter().flatten().collect();
+            // Beside worlds that go a step at a time, all do.
+            let by_step = is_on_host.contains(&true) || held.iter().flatten().any(|group| group.in_turns);
+            let count = if by_step { 1 } else { count };
             reports = self.advance(dt, count, &mut some_of(world_steps, |t| !is_on_host[t]), &held)?;
         }
         if is_on_host.contains(&true) {

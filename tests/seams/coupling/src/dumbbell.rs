@@ -5,7 +5,9 @@
 //! centre of mass: with r_b from there to a ball, a twist (v, w) gives the ball v + w x r_b, and an impulse f on it gives (f, r_b x f).
 
 use barchan::contact::{Grip, Reaction, System, Touch, Twist};
-use barchan::coupling::{Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Placed};
+use barchan::coupling::{
+    Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Leashes, Moved, Placed,
+};
 use barchan::glam::{DMat3, DQuat, DVec3};
 use barchan::parameter::{Parameter, Range as Allowed};
 use barchan::registries::CouplingSetup;
@@ -476,7 +478,7 @@ impl Coupling for Dumbbell {
             ..DeviceLaw::default()
         })
     }
-    fn leashes(&self, _: f64, dt: f64, _: usize) -> Option<Vec<Aabb>> {
+    fn leashes(&self, _: f64, dt: f64, _: usize) -> Option<Leashes> {
         let (world, cell) = (self.scene.world_box(), self.scene.world.cell);
         if self.fastest(dt) * dt > MOST_MOVE * cell {
             return None;
@@ -489,7 +491,8 @@ impl Coupling for Dumbbell {
             };
             leash.contains([0.0; 3]).then_some(leash)
         };
-        self.bounds().into_iter().map(leash).collect()
+        let each = self.bounds().into_iter().map(leash).collect::<Option<_>>()?;
+        Some(Leashes { each, in_turns: false })
     }
     fn device_state(&self) -> Vec<GroupState> {
         let word = |v: DVec3| [(v.x as f32).to_bits(), (v.y as f32).to_bits(), (v.z as f32).to_bits(), 0];
@@ -498,8 +501,8 @@ impl Coupling for Dumbbell {
         let words = vec![word(self.state.velocity), word(self.state.angular_momentum)];
         vec![GroupState { words, bodies: bodies.into() }]
     }
-    fn move_on_device(&mut self, moves: bool) {
-        self.on_device = moves;
+    fn move_on_device(&mut self, moved: Moved) {
+        self.on_device = moved == Moved::ByDevice;
     }
     fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
         let vector = |word: [u32; 4]| DVec3::from_array([0, 1, 2].map(|d| f64::from(f32::from_bits(word[d]))));
