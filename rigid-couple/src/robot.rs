@@ -201,7 +201,7 @@ impl Robot {
         }
         self.state.clock = self.path.wrapped(time + dt);
         let mut orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(time, dt));
-        self.balance_orders(&mut orders);
+        self.balance_orders(self.leaning(), &mut orders);
         let before = DVector::from_column_slice(&self.state.rates);
         let places = std::mem::take(&mut self.step.places);
         let bias = dynamics::bias(&self.model, self.floating, &places, &before);

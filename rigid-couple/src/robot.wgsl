@@ -6,10 +6,10 @@
 // of links add up as they are.
 //
 // The table holds, from ROBOT_HEADS on, for each robot: where its links begin, how many, where its drives begin, how many; how many rates its base has, depth of the
-// tree, where its path begins, how many frames; the path's end, its period or 0, 0, 0. LINK vectors for each link: parent, freedom, drive, body,
+// tree, where its path begins, how many frames; the path's end, its period or 0, where its corrections begin, how many. LINK vectors for each link: parent, freedom, drive, body,
 // -1 for none; ratio, offset, mass, depth; origin, one past the last that hangs on it; rotation of the origin; axis, the next link with the same drive;
 // centre of mass, 0; rows of the inertia. DRIVE for each drive: first link, least and greatest position, effort; speed, damping, friction, armature;
-// kp, kd. For each frame of the path its time, then positions, four a vector.
+// kp, kd. For each correction its drive, 0 for the pitch and 1 for the roll, gain, rate. For each frame of the path its time, then positions, four a vector.
 //
 // Words of the state: time along the path, whole seconds and 2^-32 of them, and whether motors follow orders in place of the path; momentum; the same about the base's
 // centre of mass; the base's velocity; its angular velocity; for each drive its position, whole and 2^-32, and its rate; for each drive an order: target, rate,
@@ -471,6 +471,7 @@ fn robot_set_twists(kind: u32, thread: u32) {
 
 fn coupling_begin(group: u32, thread: u32) {
     robot_take_up(group, thread);
+    robot_balance(group, thread);
     robot_place(pose_rotation(group_pose(0u)), thread);
     robot_move(thread);
     robot_compose(thread);

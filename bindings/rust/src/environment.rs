@@ -305,5 +305,5 @@ impl Environment {
 const MOST_STARTS: usize = 64;
 /// How long worlds are stepped before all are looked at.
 const SLICE: Duration = Duration::from_millis(250);
-/// Where it takes longer to say what came of a step, worlds are seen side by side: starting threads takes about a fifth of this.
-const WORTH_SHARING: Duration = Duration::from_millis(1);
+/// Where it takes longer to say what came of a step, worlds are seen side by side: starting as many as a machine has takes about a tenth of this.
+const WORTH_SHARING: Duration = Duration::from_millis(4);

@@ -4,6 +4,7 @@ use super::Robot;
 use super::joints::Order;
 use super::model::RobotModel;
 use crate::Refusal;
+use crate::tables::Row;
 use barchan_core::scene::{Balance, Lean, fits};
 use glam::{DMat3, DVec3};
 
@@ -35,20 +36,40 @@ pub(super) fn corrections(entries: &[Balance], model: &RobotModel) -> Result<Vec
     Ok(all)
 }
 
+impl Correction {
+    /// As `robot/joints.wgsl` reads it.
+    pub(super) fn table(&self) -> Row {
+        let of = match self.of {
+            Lean::Pitch => 0.0,
+            Lean::Roll => 1.0,
+        };
+        [self.drive as f32, of, self.gain as f32, self.rate as f32]
+    }
+}
+
+/// How far the base leans [rad], and how fast [rad/s].
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Leaning {
+    pitch: [f64; 2],
+    roll: [f64; 2],
+}
+
 impl Robot {
-    /// Corrects what motors that hold a position are told.
-    pub(super) fn balance_orders(&self, orders: &mut [Order]) {
-        if self.corrections.is_empty() {
-            return;
-        }
+    /// How the base leans now.
+    pub(super) fn leaning(&self) -> Leaning {
         let turn = DMat3::from_quat(self.state.base.rotation);
         // The world's upward axis, seen from the base: turned about y by the pitch, then about x by the roll.
         let up = turn.transpose() * DVec3::Z;
         let spin = turn.transpose() * self.twist(0).angular;
+        Leaning { pitch: [(-up.x).atan2(up.y.hypot(up.z)), spin.y], roll: [up.y.atan2(up.z), spin.x] }
+    }
+
+    /// Corrects what motors that hold a position are told, where the base leans so.
+    pub(super) fn balance_orders(&self, leaning: Leaning, orders: &mut [Order]) {
         for &Correction { drive, of, gain, rate } in &self.corrections {
-            let (angle, speed) = match of {
-                Lean::Pitch => ((-up.x).atan2(up.y.hypot(up.z)), spin.y),
-                Lean::Roll => (up.y.atan2(up.z), spin.x),
+            let [angle, speed] = match of {
+                Lean::Pitch => leaning.pitch,
+                Lean::Roll => leaning.roll,
             };
             let order = &mut orders[drive];
             if order.holds {

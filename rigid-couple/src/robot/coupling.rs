@@ -607,9 +607,10 @@ impl Coupling for Robots {
         if !self.together.is_empty() {
             return None;
         }
-        // Balance and its own links are the host's to see to.
-        let is_plain = |robot: &Robot| robot.corrections.is_empty() && robot.pairs.is_empty();
-        if !self.robots.iter().all(is_plain) || self.max_speed(time, dt) * dt > device::MOST_MOVE * world.cell {
+        // Its own links are the host's to see to.
+        if self.robots.iter().any(|robot| !robot.pairs.is_empty())
+            || self.max_speed(time, dt) * dt > device::MOST_MOVE * world.cell
+        {
             return None;
         }
         let of_robot = |(robot, &first): (&Robot, &usize)| -> Vec<Option<Roaming>> {

@@ -1,5 +1,6 @@
 //! Robots as a device moves them: what `robot.wgsl` reads of them, and their states there and back.
 
+use super::balance::Correction;
 use super::model::{Freedom, RobotModel};
 use super::motion::JointPath;
 use super::touching::Obstacle;
@@ -138,6 +139,8 @@ impl Robot {
             rest.push([drive.speed.min(FAR), drive.damping, drive.friction, drive.armature].map(|x| x as f32));
             rest.push([gains.kp as f32, gains.kd as f32, 0.0, 0.0]);
         }
+        let corrections = at + rest.len();
+        rest.extend(self.corrections.iter().map(Correction::table));
         let path = at + rest.len();
         rest.extend(self.path.table());
         let depth = tree.depths.iter().copied().max().unwrap_or_default();
@@ -145,7 +148,8 @@ impl Robot {
         let head = [
             [at, tree.links.len(), drives, model.drives.len()].map(|n| n as f32),
             [self.base_rates(), depth, path, self.path.times().len()].map(|n| n as f32),
-            [end as f32, self.path.period().unwrap_or_default() as f32, 0.0, 0.0],
+            [end, self.path.period().unwrap_or_default(), corrections as f64, self.corrections.len() as f64]
+                .map(|x| x as f32),
         ];
         (head, rest)
     }
@@ -197,6 +201,7 @@ impl Robot {
             return None;
         }
         self.sense_on_device();
+        let leaning = self.leaning();
         let real = |bits: u32| f64::from(f32::from_bits(bits));
         let vector = |word: [u32; 4]| DVec3::new(real(word[0]), real(word[1]), real(word[2]));
         let number = |word: &[u32; 4]| f64::from(word[0] as i32) + f64::from(word[1]) / PARTS;
@@ -224,7 +229,9 @@ impl Robot {
         }
         self.state.held = Some(held);
         self.sense_end(dt);
-        self.step.orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(self.state.clock, 0.0));
+        let mut orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(self.state.clock, 0.0));
+        self.balance_orders(leaning, &mut orders);
+        self.step.orders = orders;
         let is_finite = self.state.base.position.is_finite()
             && self.state.base.rotation.is_finite()
             && self.state.positions.iter().chain(&self.state.rates).all(|x| x.is_finite());

@@ -1,5 +1,32 @@
 // Motors, losses and stops of a robot's joints, as in `joints.rs`; a part of `robot.wgsl`.
 
+// Corrects what the motor of the drive with the thread's number is told by how the base leans, as in `balance.rs`.
+fn robot_balance(group: u32, d: u32) {
+    let head = coupling_table(ROBOT_HEADS + 3u * group + 2u);
+    if head.w == 0.0 || d >= robot_drives || robot_told[d].w == 0.0 {
+        return;
+    }
+    // From the world's frame to the base's.
+    let q = pose_rotation(group_pose(0u));
+    let back = vec4<f32>(-q.xyz, q.w);
+    let up = robot_rotated(back, vec3<f32>(0.0, 0.0, 1.0));
+    var spin = vec3<f32>(0.0);
+    if robot_base_rates > 0u {
+        spin = robot_rotated(back, vec3<f32>(robot_free[3], robot_free[4], robot_free[5]));
+    }
+    let pitch = vec2<f32>(atan2(-up.x, length(up.yz)), spin.y);
+    let roll = vec2<f32>(atan2(up.y, up.z), spin.x);
+    for (var c = 0u; c < u32(head.w); c++) {
+        let one = coupling_table(u32(head.z) + c);
+        if u32(one.x) == d {
+            let lean = select(pitch, roll, one.y == 1.0);
+            let leads_to = robot_position[d] + robot_told[d].x + one.z * lean.x + one.w * lean.y;
+            let limits = coupling_table(robot_drives_at + d * ROBOT_DRIVE);
+            robot_told[d].x = clamp(leads_to, limits.y, limits.z) - robot_position[d];
+        }
+    }
+}
+
 // The motor of the thread's drive, number `d`, at a rate: its torque, and by how much that falls for each unit.
 fn robot_motor(d: u32, rate: f32) -> RobotImpulse {
     let limits = robot_drive[0];

@@ -52,6 +52,13 @@ const MOVES: &str = r#"motion = { repeat_from = 0.00523, frames = [
     { time = 0.02547, joints = { "*_calf_joint" = -1.7 } },
 ] }"#;
 
+/// Motors told by how the base leans, one joint by both ways.
+const BALANCE: &str = r#"balance = [
+    { joints = "*_thigh_joint", of = "pitch", gain = 0.8, rate = 0.05 },
+    { joints = "*_hip_joint", of = "roll", gain = -0.5, rate = 0.1 },
+    { joints = "FL_*", of = "roll", gain = 0.4, rate = 0.0 },
+]"#;
+
 fn options(backend: &str, precision: Precision) -> Options {
     Options { backend: backend.into(), precision, threads: 1, ..Options::default() }
 }
@@ -69,7 +76,7 @@ fn apart(a: &Simulation, b: &Simulation) -> [f64; 2] {
 }
 
 /// After a landing base and joints are where they are on the CPU in f64, with nothing on the host; and many steps at once leave the same bits as single ones. On one level
-/// or several, subcycled too, with motors that follow a path, legs that are tied to a base that stays, and joints at their stops.
+/// or several, subcycled too, with motors that follow a path or are told by how the base leans, legs that are tied to a base that stays, and joints at their stops.
 #[test]
 fn a_robot_lands_on_the_device_as_on_the_cpu() {
     let plain = |_: &mut Scene| ();
@@ -84,9 +91,10 @@ fn a_robot_lands_on_the_device_as_on_the_cpu() {
         (robot.fixed, robot.velocity, robot.position[2]) = (true, [0.0; 3], 0.5);
     };
     type Change = dyn Fn(&mut Scene);
+    let balanced = format!("{MOVES}\n{BALANCE}");
     let cases: [(&str, &str, &Change, f64); 3] = [
-        (ONE, "", &at_stops, 30.0),
-        ("count = 2, subcycle = true", MOVES, &plain, 150.0),
+        (ONE, BALANCE, &at_stops, 30.0),
+        ("count = 2, subcycle = true", &balanced, &plain, 150.0),
         ("count = 2", MOVES, &fixed, 10.0),
     ];
     for (levels, robot, change, least) in cases {
@@ -108,6 +116,14 @@ fn a_robot_lands_on_the_device_as_on_the_cpu() {
             "{levels}, {robot:.20}: base {base:.1e} m apart (1e-4), joints {turned:.1e} rad (1e-3); up to {strongest:.0} N"
         );
         assert!(strongest > least, "{levels}: it has not landed: {strongest} N");
+        if levels == ONE {
+            let mut unbalanced = scene.clone();
+            unbalanced.robot[0].balance.clear();
+            let mut other = start(&unbalanced, "cpu", Precision::F64);
+            (0..steps).for_each(|_| drop(other.step().unwrap()));
+            let [_, otherwise] = apart(&other, &cpu);
+            assert!(otherwise > 5e-3, "balance turns joints by {otherwise} rad only");
+        }
         assert!(base < 1e-4 && turned < 1e-3, "{levels}: {base} m, {turned} rad");
         assert!(passes_of(&device, "answering bodies") > 0, "{levels}: it does not answer on the device");
         assert_eq!(passes_of(&device, "gather") + passes_of(&many, "gather"), 0, "{levels}: steps on the host");
