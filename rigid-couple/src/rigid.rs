@@ -21,6 +21,7 @@ use glam::{DQuat, DVec3};
 use rapier3d_f64::prelude::PhysicsWorld;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Forces on tools thinner than this are off by a third [cells]: the stirrer of `letters` on cells of 14, 7 and 3.5 mm, 3.1, 6.3 and 12.6 of them across, 48.7, 42.4 and
 /// 36.4 N s.
@@ -55,7 +56,7 @@ struct Before {
     states: Vec<State>,
     wrenches: Vec<Wrench>,
     counts: Counts,
-    physics: Option<PhysicsWorld>,
+    physics: Option<Arc<PhysicsWorld>>,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -65,16 +66,12 @@ struct Counts {
 }
 
 impl Rigid {
-    fn take_up(&mut self, Before { states, wrenches, counts, physics }: Before) -> Result<(), String> {
-        if let (Some(world), Some(physics)) = (&mut self.world, physics) {
-            world.restore(physics)?;
-        }
+    fn take_up(&mut self, states: Vec<State>, wrenches: Vec<Wrench>, counts: Counts) {
         for (body, state) in self.bodies.iter_mut().zip(states) {
             body.state = state;
             body.target = state.pose;
         }
         (self.wrenches, self.counts) = (wrenches, counts);
-        Ok(())
     }
 
     /// The tools of `scene`, as the coupling 'rigid', but for those that [go with its robots](Scene::goes_with_robots).
@@ -646,7 +643,11 @@ impl Coupling for Rigid {
             }
         }
         let wrenches = wrenches.into_iter().map(|(force, torque)| Wrench { force, torque }).collect();
-        self.take_up(Before { states, wrenches, counts, physics })
+        if let (Some(world), Some(physics)) = (&mut self.world, physics) {
+            world.restore(physics)?;
+        }
+        self.take_up(states, wrenches, counts);
+        Ok(())
     }
 
     /// Shapes, of which meshes and height fields have many triangles, are shared and not copied.
@@ -655,12 +656,17 @@ impl Coupling for Rigid {
             states: self.bodies.iter().map(|body| body.state).collect(),
             wrenches: self.wrenches.clone(),
             counts: self.counts,
-            physics: self.world.as_ref().filter(|_| self.moved == Moved::ByCoupling).map(RigidWorld::copy),
+            physics: self.world.as_ref().filter(|_| self.moved == Moved::ByCoupling).map(RigidWorld::keep),
         })
     }
 
     fn go_back(&mut self, kept: Kept) -> Result<(), String> {
         let before = kept.downcast::<Before>().map_err(|_| "it is not what rigid bodies keep".to_owned())?;
-        self.take_up(*before)
+        let Before { states, wrenches, counts, physics } = *before;
+        if let (Some(world), Some(physics)) = (&mut self.world, physics) {
+            world.go_back(physics);
+        }
+        self.take_up(states, wrenches, counts);
+        Ok(())
     }
 }

@@ -14,10 +14,12 @@ use rapier3d_f64::prelude::{
     RigidBodyBuilder, RigidBodyHandle, RigidBodyType, SharedShape,
 };
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 
 /// Rapier's world, with one of its bodies for each tool of the scene.
 pub struct RigidWorld {
-    physics: PhysicsWorld,
+    /// Shared with whoever [keeps](RigidWorld::keep) it; a step then changes a copy.
+    physics: Arc<PhysicsWorld>,
     handles: Vec<RigidBodyHandle>,
 }
 
@@ -81,7 +83,7 @@ impl RigidWorld {
         for wall in solid_walls(world) {
             physics.colliders.insert(collider(wall.shape(), wall.pose(), wall.friction, 0.0));
         }
-        Self { physics, handles: Vec::new() }
+        Self { physics: Arc::new(physics), handles: Vec::new() }
     }
 
     /// Adds the next tool of the scene.
@@ -99,12 +101,13 @@ impl RigidWorld {
         if let Role::Free { mass, inertia, .. } = role {
             body = body.additional_mass_properties(MassProperties::with_inertia_matrix(DVec3::ZERO, mass, inertia));
         }
-        let handle = self.physics.bodies.insert(body);
+        let physics = self.changed();
+        let handle = physics.bodies.insert(body);
         let friction = friction_of(contact);
         for part in shape.parts() {
             let (shape, place) = solid(part, matches!(role, Role::Free { .. }));
             let collider = collider(shape, place, friction, restitution);
-            self.physics.colliders.insert_with_parent(collider, handle, &mut self.physics.bodies);
+            physics.colliders.insert_with_parent(collider, handle, &mut physics.bodies);
         }
         self.handles.push(handle);
     }
@@ -113,26 +116,28 @@ impl RigidWorld {
     pub fn place(&mut self, body: usize, pose: &Pose) {
         let handle = self.handles[body];
         if !is_near(self.physics.bodies[handle].position(), &to_rapier(pose)) {
-            self.physics.bodies[handle].set_position(to_rapier(pose), true);
+            self.changed().bodies[handle].set_position(to_rapier(pose), true);
         }
     }
 
     /// Says whether a body is there for the others.
     pub fn show(&mut self, body: usize, present: bool) {
-        let body = &mut self.physics.bodies[self.handles[body]];
-        if body.is_enabled() != present {
-            body.set_enabled(present);
+        let handle = self.handles[body];
+        if self.physics.bodies[handle].is_enabled() != present {
+            self.changed().bodies[handle].set_enabled(present);
         }
     }
 
     /// Tells where a driven body is at the end of the step.
     pub fn send(&mut self, body: usize, pose: &Pose) {
-        self.physics.bodies[self.handles[body]].set_next_kinematic_position(to_rapier(pose));
+        let handle = self.handles[body];
+        self.changed().bodies[handle].set_next_kinematic_position(to_rapier(pose));
     }
 
     /// Sets a free body's velocity at the start of the step.
     pub fn throw(&mut self, body: usize, twist: &Twist) {
-        let body = &mut self.physics.bodies[self.handles[body]];
+        let handle = self.handles[body];
+        let body = &mut self.changed().bodies[handle];
         body.set_linvel(twist.linear, true);
         body.set_angvel(twist.angular, true);
     }
@@ -142,8 +147,25 @@ impl RigidWorld {
         &self.physics
     }
 
-    /// A copy of the same, which shares shapes.
-    pub fn copy(&self) -> PhysicsWorld {
+    /// The same to go back to, which costs nothing unless a step comes.
+    pub fn keep(&self) -> Arc<PhysicsWorld> {
+        self.physics.clone()
+    }
+
+    /// Goes back to what was kept.
+    pub fn go_back(&mut self, kept: Arc<PhysicsWorld>) {
+        self.physics = kept;
+    }
+
+    /// The same to be changed: a copy, which shares shapes, if somebody keeps it as it is.
+    fn changed(&mut self) -> &mut PhysicsWorld {
+        if Arc::get_mut(&mut self.physics).is_none() {
+            self.physics = Arc::new(self.copy());
+        }
+        Arc::get_mut(&mut self.physics).expect("what has just been copied is nobody else's")
+    }
+
+    fn copy(&self) -> PhysicsWorld {
         let ours = &self.physics;
         PhysicsWorld {
             gravity: ours.gravity,
@@ -203,7 +225,7 @@ impl RigidWorld {
         }
         self.check_joints(&saved)?;
         // Gravity and tolerances are the scene's to say.
-        self.physics = PhysicsWorld {
+        self.physics = Arc::new(PhysicsWorld {
             gravity: ours.gravity,
             integration_parameters: ours.integration_parameters,
             islands: saved.islands,
@@ -214,7 +236,7 @@ impl RigidWorld {
             impulse_joints: saved.impulse_joints,
             multibody_joints: saved.multibody_joints,
             ..PhysicsWorld::default()
-        };
+        });
         self.pace(saved.integration_parameters.dt);
         Ok(())
     }
@@ -261,7 +283,8 @@ impl RigidWorld {
     /// The world is of no use then until it is restored.
     pub fn step(&mut self, dt: f64) -> Result<(), String> {
         self.pace(dt);
-        catch_unwind(AssertUnwindSafe(|| self.physics.step())).map_err(|panic| {
+        let physics = self.changed();
+        catch_unwind(AssertUnwindSafe(|| physics.step())).map_err(|panic| {
             let text = panic.downcast_ref::<String>().cloned();
             text.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string)).unwrap_or_default()
         })
@@ -269,7 +292,7 @@ impl RigidWorld {
 
     /// Sets the step, and what follows from it.
     fn pace(&mut self, dt: f64) {
-        let parameters = &mut self.physics.integration_parameters;
+        let parameters = &mut self.changed().integration_parameters;
         parameters.dt = dt;
         // Contacts as stiff as the step resolves: at rapier's 30 Hz, made for steps of 1/60 s, a box under one that is 200 times
         // as heavy sinks in by a tenth of its size.
@@ -443,7 +466,7 @@ mod tests {
         let [hook, first, second] = world.handles[..] else { unreachable!("three were added") };
         let hinge = RevoluteJointBuilder::new(DVec3::Y).local_anchor1(DVec3::X * LENGTH).local_anchor2(left);
         let ball = SphericalJointBuilder::new().local_anchor1(right).local_anchor2(left);
-        let RigidWorld { physics, .. } = &mut world;
+        let physics = world.changed();
         // A coupling moves its bodies by gravity itself; rapier alone knows what that does to links of a multibody.
         physics.gravity = DVec3::new(0.0, 0.1, -9.81);
         match joints {

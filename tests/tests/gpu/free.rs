@@ -226,6 +226,37 @@ fn a_node_is_the_bodys_in_which_it_is_deepest() {
     within("distance of particles, in cells", apart(&rows(&g), &rows(&c)) / h, 1e-4);
 }
 
+/// A plate that a force pushes into sand, from wall to wall and around a post that stays, moves on the device as on the CPU.
+#[test]
+fn a_plate_in_a_guide_fills_its_box_on_the_device() {
+    let h = 0.025;
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let part =
+        |at: f64| format!("{{ shape = {{ box = {{ half = [0.09, 0.15, 0.03] }} }}, position = [{at}, 0.0, 0.0] }}");
+    let plate = format!("union = [{}, {}]", part(-0.11), part(0.11));
+    let servo = "{ servo = { axis = [0, 0, -1], force = 150, mass = 4, damping = 20 } }";
+    let toml = Head::cells(h, [16, 12, 16], walls).time("step = 5e-4").with(&[
+        material("sand", 1500.0, "young_modulus = 2e5, poisson_ratio = 0.2, friction_angle_deg = 35"),
+        block("sand", [0.0; 3], [0.4, 0.3, 0.125], ""),
+        tool("post", [0.2, 0.15, 0.1], &half([0.02, 0.15, 0.1]), FRICTION, "\"fixed\""),
+        tool("plate", [0.2, 0.15, 0.16], &plate, FRICTION, servo),
+    ]);
+    let (mut g, mut c) = (gpu(&toml), cpu(&toml));
+    let steps = 120;
+    take_at_once(&mut g, steps);
+    (0..steps).for_each(|_| drop(c.step().unwrap()));
+    let [on_device, _] = steps_on_device_and_host(&g);
+    assert!(on_device >= steps as u64 && passes_of(&g, "gather") == 0, "the host has gathered nodes");
+    println!("{:?}\n{:?}", g.bodies(), c.bodies());
+    assert!(g.wrenches()[1].force[2] > 25.0, "the plate does not press: {:?}", g.wrenches());
+    within("place of the plate, in cells", off(g.bodies()[1].position, c.bodies()[1].position) / h, 1e-5);
+    within("velocity of the plate [m/s]", off(g.bodies()[1].velocity, c.bodies()[1].velocity), 1e-5);
+    for (a, b) in g.wrenches().iter().zip(c.wrenches()) {
+        within("force of the ground, relative to 150 N", off(a.force, b.force) / 150.0, 1e-3);
+    }
+    within("distance of particles, in cells", apart(&rows(&g), &rows(&c)) / h, 1e-4);
+}
+
 /// A body whose box holds more blocks than the device looks into has its law on the host, and a snapshot between submissions goes on as if it
 /// had not been written.
 #[test]

@@ -1,12 +1,13 @@
 //! Bodies whose law runs on the device: the law itself, where they are in each step, what they felt.
 
 use crate::device::kernel::{Kernel, Role};
-use crate::device::memory::{Answering, BODY, answering_bytes, read};
+use crate::device::memory::{Answering, BODY, answering_bytes};
 use crate::passes::bodies::{NearKernels, answer_draft, fits_workgroups};
 use crate::passes::couplings::Laws;
 use crate::schedule::ContactPasses;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::groups::{BodyStep, HeldGroup};
+use crate::schedule::submission::Behind;
 use crate::worlds::sleep::{self, BlockBox};
 use crate::worlds::world::{Level, Place};
 use barchan_core::backend::WorldStep;
@@ -91,6 +92,7 @@ pub(crate) struct DeviceContact {
     answering: Option<([Kernel; 2], bool)>,
     wgsl: String,
     answer: String,
+    reach: f64,
     samples: Vec<[f32; 4]>,
     needs: Needs,
     /// Each world's table.
@@ -210,20 +212,27 @@ impl WgpuBatch {
             return Ok(());
         }
         let mut place = if couplings.is_empty() { Place::Nowhere } else { Place::Host };
-        if let Some(laws) = Laws::of(couplings) {
+        if let Some(mut laws) = Laws::of(couplings) {
             let adapt = &self.worlds[w].adapt;
             let roams = bodies_of(couplings).iter().any(|body| !adapt.follows(&body.name));
             let needs = Needs::of(&laws, self.worlds[w].materials.len(), self.h, roams);
             // One world alone may have other bodies from now on.
             let before = self.contact.device.as_ref().filter(|_| self.worlds.len() > 1);
             let all = before.map_or(needs, |contact| contact.needs.with(needs));
+            // A world without bodies that answer takes over how those of others do.
+            let answers = |needs: Needs| needs.answering.groups > 0;
+            if let Some(contact) = before.filter(|contact| answers(contact.needs) && !answers(needs)) {
+                (laws.answer, laws.reach) = (contact.answer.clone(), contact.reach);
+            }
             let is_same = |contact: &DeviceContact| {
-                contact.wgsl == laws.wgsl && contact.answer == laws.answer && contact.samples == laws.samples
+                let answer = contact.answer == laws.answer || !answers(contact.needs);
+                contact.wgsl == laws.wgsl && answer && contact.samples == laws.samples
             };
             let is_known = self.contact.device.as_deref().is_some_and(is_same);
+            let is_taught = |contact: &DeviceContact| contact.needs == all && contact.answer == laws.answer;
             let vectors = self.worlds.len() * all.vectors + laws.samples.len();
             if (is_known || before.is_none()) && self.has_room(all.answering, vectors) && self.fits(&laws, all) {
-                if !is_known || self.contact.device.as_ref().is_some_and(|contact| contact.needs != all) {
+                if !is_known || !self.contact.device.as_deref().is_some_and(is_taught) {
                     self.add_laws(&laws, all)?;
                 }
                 self.worlds[w].groups = laws.groups(self.h);
@@ -277,9 +286,9 @@ impl WgpuBatch {
         self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], answering, &laws.samples)?;
         self.unlinked = true;
         let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);
-        let (wgsl, answer, samples) = (laws.wgsl.clone(), laws.answer.clone(), laws.samples.clone());
+        let Laws { wgsl, answer, reach, samples, .. } = laws.clone();
         let tables = vec![Vec::new(); worlds];
-        let contact = DeviceContact { kernels, answering: of_groups, wgsl, answer, samples, needs, tables };
+        let contact = DeviceContact { kernels, answering: of_groups, wgsl, answer, reach, samples, needs, tables };
         self.contact.device = Some(Box::new(contact));
         before.into_iter().enumerate().for_each(|(w, table)| self.write_table(w, table));
         Ok(())
@@ -416,13 +425,11 @@ impl WgpuBatch {
         self.write_tools(0, &near)
     }
 
-    /// Force and torque on each body of each world in each step, times the step.
-    pub(crate) fn impulses(&self, steps: usize) -> Result<Vec<[f32; 4]>> {
-        let Some(contact) = self.contact.device.as_ref().filter(|contact| contact.needs.driven) else {
-            return Ok(Vec::new());
-        };
+    /// Where force and torque on each driven body of each world in each of so many steps stand, times the step, to be brought back.
+    pub(crate) fn felt(&self, steps: usize) -> Option<Behind> {
+        let contact = self.contact.device.as_ref().filter(|contact| contact.needs.driven)?;
         let count = 2 * contact.needs.bodies * self.memory.words().layers * self.substeps * steps;
-        read(&self.gpu, self.memory.buffer(Role::Impulses, 0), 0, count)
+        Some(Behind::of(Role::Impulses, 0, 16 * count as u64))
     }
 
     /// Says in each step's report where a world's bodies were and what they felt.

@@ -195,8 +195,7 @@ impl WgpuBatch {
         outcome: &Outcome,
         dt: f64,
     ) -> Result<Vec<Result<Vec<StepReport>>>> {
-        let feels = driven.values().any(Option::is_some);
-        let impulses = if feels { self.impulses(outcome.done)? } else { Vec::new() };
+        let impulses: &[[f32; 4]] = bytemuck::cast_slice(&outcome.impulses);
         let of_world = |(world_step, driven): (&mut WorldStep<'_>, Option<Driven<'_>>)| {
             let layers = self.layers_of(world_step.world);
             let sorted = outcome.status.sorted_before(layers.start);
@@ -208,7 +207,7 @@ impl WgpuBatch {
             };
             let mut reports: Vec<_> = (0..outcome.done).map(report).collect();
             if let Some(driven) = driven {
-                self.report_bodies(driven, &impulses, world_step, &mut reports);
+                self.report_bodies(driven, impulses, world_step, &mut reports);
             }
             reports
         };

@@ -49,6 +49,8 @@ pub(crate) struct Outcome {
     pub(crate) status: Status,
     /// States of groups and their bodies after each slot.
     pub(crate) groups: Vec<u32>,
+    /// What driven bodies felt in each, where there are any; see [`WgpuBatch::felt`].
+    pub(crate) impulses: Vec<u32>,
 }
 
 /// What is brought back behind the status.
@@ -273,10 +275,13 @@ impl WgpuBatch {
         passes.constants.iter_mut().for_each(|constants| constants.submission = submission);
         writes.add_steps(&self.memory.steps, &passes.constants);
         let parts = self.with_groups(parts);
-        let behind = states(answering, self.worlds.len(), count * self.substeps);
+        let states = states(answering, self.worlds.len(), count * self.substeps);
+        let of_states = states.as_ref().map_or(0, |states| states.bytes as usize / 4);
+        let behind = states.into_iter().chain(self.felt(count).filter(|_| is_felt));
         let steps = count.max(1);
-        let (status, groups) =
+        let (status, mut groups) =
             Self::run(&writes, &self.gpu, &mut self.memory, &mut self.clocks, &parts, steps, behind)?;
+        let impulses = groups.split_off(of_states);
         writes.clear();
         self.writes = writes;
         let halt = status.halt();
@@ -286,7 +291,7 @@ impl WgpuBatch {
         }
         // Who has left was there in these steps.
         self.take_blocks(&status);
-        Ok(Outcome { done, halt, status, groups })
+        Ok(Outcome { done, halt, status, groups, impulses })
     }
 
     /// Cuts steps into stretches between sorts, as far as the present speeds tell when worlds will be due, or might be. Where they tell wrong, a sort
