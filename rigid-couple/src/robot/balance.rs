@@ -55,17 +55,21 @@ pub(super) struct Leaning {
 }
 
 impl Robot {
-    /// How the base leans now.
-    pub(super) fn leaning(&self) -> Leaning {
+    /// How the base leans now, if anything corrects that.
+    pub(super) fn leaning(&self) -> Option<Leaning> {
+        if self.corrections.is_empty() {
+            return None;
+        }
         let turn = DMat3::from_quat(self.state.base.rotation);
         // The world's upward axis, seen from the base: turned about y by the pitch, then about x by the roll.
         let up = turn.transpose() * DVec3::Z;
         let spin = turn.transpose() * self.twist(0).angular;
-        Leaning { pitch: [(-up.x).atan2(up.y.hypot(up.z)), spin.y], roll: [up.y.atan2(up.z), spin.x] }
+        Some(Leaning { pitch: [(-up.x).atan2(up.y.hypot(up.z)), spin.y], roll: [up.y.atan2(up.z), spin.x] })
     }
 
     /// Corrects what motors that hold a position are told, where the base leans so.
-    pub(super) fn balance_orders(&self, leaning: Leaning, orders: &mut [Order]) {
+    pub(super) fn balance_orders(&self, leaning: Option<Leaning>, orders: &mut [Order]) {
+        let Some(leaning) = leaning else { return };
         for &Correction { drive, of, gain, rate } in &self.corrections {
             let [angle, speed] = match of {
                 Lean::Pitch => leaning.pitch,
