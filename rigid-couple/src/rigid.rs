@@ -457,7 +457,7 @@ impl Coupling for Rigid {
         let body =
             |body: &Body| DeviceBody { extent: body.extent, swing: body.shape.swing(), reach: body.extent + further };
         let answering = self.bodies.iter().filter(|body| body.answering().is_some());
-        let group = |one| DeviceGroup { words: FREE_WORDS, rates: 0, bodies: vec![body(one)] };
+        let group = |one| DeviceGroup { words: FREE_WORDS, told: 0, rates: 0, bodies: vec![body(one)] };
         let groups: Vec<_> = answering.map(group).collect();
         let servos = self.bodies.iter().filter(|body| matches!(body.mover, Mover::Servo(_))).count();
         // A device knows the one or the other.
@@ -494,7 +494,7 @@ impl Coupling for Rigid {
             leash.or_else(|| self.shares_nodes().then_some(Aabb::UNBOUND))
         };
         let each = free.map(leash).collect::<Option<_>>()?;
-        Some(Leashes { each, in_turns })
+        Some(Leashes { each, in_turns, told: Vec::new() })
     }
 
     fn device_state(&self) -> Vec<GroupState> {

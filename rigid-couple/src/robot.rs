@@ -43,7 +43,7 @@ use sense::Sensed;
 use serde::{Deserialize, Serialize};
 use solve::{Balance, Whole, add_system, energy};
 use std::sync::Arc;
-use touching::{Body, Obstacle, Pair, Points, Seen, Span};
+use touching::{Body, HEAVY, Obstacle, Pair, Points, Seen, Span};
 
 /// How far ahead contact points are looked for, besides how far links come in a step [m].
 const AHEAD: f64 = 1e-3;
@@ -217,7 +217,8 @@ impl Robot {
             ..std::mem::replace(&mut self.step, Step::empty())
         };
         let mut points = std::mem::take(&mut self.step.points);
-        points.find(&self.seen(boxes), self.obstacles(tools), &self.pairs, self.model.mass(), span);
+        let mass = HEAVY * self.model.mass();
+        points.find(&self.seen(boxes, dt), self.obstacles(tools), &self.pairs, mass, span);
         self.step.points = points;
         Ok(())
     }
@@ -232,14 +233,14 @@ impl Robot {
         self.guided.is_none() || other.guided.is_none()
     }
 
-    /// What its bodies in these boxes are for contact points, in a step that has begun and is not solved.
-    pub(crate) fn seen<'a>(&'a self, boxes: &[Aabb]) -> Vec<Seen<'a>> {
+    /// What its bodies in these boxes are for contact points, in a step of `dt` [s] that is not solved.
+    pub(crate) fn seen<'a>(&'a self, boxes: &[Aabb], dt: f64) -> Vec<Seen<'a>> {
         let of_body = |body: usize| Seen {
             body: self.bodies[body].as_ref(),
             place: &self.step.places[self.solids[body]],
             bounds: boxes[body],
             friction: self.friction,
-            ahead: AHEAD + 2.0 * self.surface_speed(body) * self.step.dt,
+            ahead: AHEAD + 2.0 * self.surface_speed(body) * dt,
             twist: self.twist(body),
             restitution: self.restitution,
         };
@@ -256,10 +257,11 @@ impl Robot {
     }
 
     /// What is out of balance at the rates of some twists, with what soft ground gives there.
-    fn balance_with(&self, at: &[Twist], systems: &[System], tangent: bool) -> Balance {
+    fn balance_with(&self, at: &[Twist], systems: &[System]) -> Balance {
         let rates = self.rates(at);
-        let Balance { mut residual, mut matrix } = self.own_impulses(&rates, 1.0, tangent);
-        residual -= self.own_impulses(&self.step.rates, 1.0, tangent).residual;
+        // As without soft ground, points at their own weight have their secant.
+        let Balance { mut residual, mut matrix } = self.own_impulses(&rates, 1.0, false);
+        residual -= self.own_impulses(&self.step.rates, 1.0, false).residual;
         residual += &self.step.mass * (&self.step.rates - rates);
         matrix += &self.step.mass;
         for (&link, system) in self.solids.iter().zip(systems) {
@@ -271,14 +273,14 @@ impl Robot {
     /// By how much bodies' twists have to change for balance, see [`barchan_core::Coupling::answer`].
     pub(crate) fn answer(&self, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
         let symmetric = systems.iter().all(|system| system.symmetric);
-        let Balance { residual, matrix } = self.balance_with(at, systems, !symmetric);
+        let Balance { residual, matrix } = self.balance_with(at, systems);
         let step = if symmetric { matrix.cholesky()?.solve(&residual) } else { matrix.lu().solve(&residual)? };
         Some(self.twists(&step))
     }
 
     /// What is out of balance along some change of twists, see [`barchan_core::Coupling::balance`] [J].
     pub(crate) fn balance(&self, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
-        self.balance_with(at, systems, true).residual.dot(&self.rates(along))
+        self.balance_with(at, systems).residual.dot(&self.rates(along))
     }
 
     /// Twice the kinetic energy at some twists [J].
@@ -348,16 +350,16 @@ impl Robot {
 
     /// Goes on from what a device made of it, if one did.
     fn take_over(&mut self) -> Option<()> {
-        let Some(held) = self.state.held.take() else { return Some(()) };
+        if self.state.held.is_none() {
+            return Some(());
+        }
         let Step { dt, ref mut orders, .. } = self.step;
         let orders = std::mem::take(orders);
         let step = Self::at_rest(&self.model, self.floating, &self.solids, &self.state, orders)?;
         self.step = Step { dt, ..step };
-        if self.floating {
-            let [linear, angular, about] = held.momentum();
-            self.correct(linear, angular, about)?;
-            self.state.rates.copy_from_slice(self.step.rates.as_slice());
-        }
+        self.correct_held()?;
+        self.state.held = None;
+        self.state.rates.copy_from_slice(self.step.rates.as_slice());
         Some(())
     }
 

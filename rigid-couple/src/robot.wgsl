@@ -1,5 +1,5 @@
 // How a robot answers the ground's impulses, as `robot.rs` does on the host: a group of links in a tree of joints, all threads of a workgroup together. Where links
-// are is in `robot/dynamics.wgsl`, what acts in joints in `robot/joints.wgsl`.
+// are is in `robot/dynamics.wgsl`, what acts in joints in `robot/joints.wgsl`, what they touch beside the ground in `robot/points.wgsl`.
 //
 // Links stand in an order in which what hangs on one comes right behind it. All vectors are along the world's axes, and places are from the base's centre of mass.
 // A motion is an angular velocity, and the velocity of what passes through that centre; a wrench is a moment about it, and a force. So motions and wrenches
@@ -24,6 +24,13 @@ const ROBOT_FADE: f32 = 0.1;
 const ROBOT_ITERATIONS: u32 = 20u;
 const ROBOT_TOLERANCE: f32 = 1e-5;
 const ROBOT_OVERSHOT: f32 = 0.5;
+// As in `solve.rs`: points first count as lighter than they are, which finds those that touch.
+const ROBOT_ITERATIONS_AT_POINTS: u32 = 40u;
+const ROBOT_LIGHT: f32 = 10.0;
+const ROBOT_HEAVIER: f32 = 4.0;
+const ROBOT_SMALL: f32 = 0.03;
+// Rates as they are, beside the kinds that the backend keeps.
+const ROBOT_NOW: u32 = 5u;
 const ROBOT_NONE: u32 = 0xffffffffu;
 const ROBOT_LINK: u32 = 9u;
 const ROBOT_DRIVE: u32 = 3u;
@@ -79,6 +86,7 @@ var<private> robot_base_rates: u32;
 var<private> robot_rates: u32;
 var<private> robot_depth: u32;
 var<private> robot_bodies: u32;
+var<private> robot_points: u32;
 var<private> robot_link: array<vec4<f32>, ROBOT_LINK>;
 var<private> robot_drive: array<vec4<f32>, ROBOT_DRIVE>;
 var<private> robot_lacks: RobotWrench;
@@ -182,6 +190,7 @@ fn robot_take_up(group: u32, thread: u32) {
     robot_depth = u32(two.y);
     robot_rates = robot_base_rates + robot_drives;
     robot_bodies = group_bodies();
+    robot_points = robot_points_told();
     robot_linear = bitcast<vec3<f32>>(group_word(1u).xyz);
     robot_angular = bitcast<vec3<f32>>(group_word(2u).xyz);
     if thread < robot_links {
@@ -343,8 +352,15 @@ fn robot_settle(thread: u32) {
         robot_step[thread] = 0.0;
     }
     robot_before = 0.0;
+    if thread == 0u && robot_points > 0u {
+        robot_weight = robot_least_weight();
+    }
     workgroupBarrier();
-    for (var turn = 0u; turn < ROBOT_ITERATIONS; turn++) {
+    let turns = select(ROBOT_ITERATIONS, ROBOT_ITERATIONS_AT_POINTS, robot_points > 0u);
+    for (var turn = 0u; turn < turns; turn++) {
+        if thread == 0u && turn + 1u == turns {
+            robot_weight = 1.0;
+        }
         if thread < n {
             var sum = 0.0;
             for (var j = 0u; j < n; j++) {
@@ -360,6 +376,13 @@ fn robot_settle(thread: u32) {
             robot_work[thread] = robot_free[thread] * sum;
         }
         workgroupBarrier();
+        if robot_points > 0u {
+            robot_add_points(ROBOT_NOW, thread);
+            if thread < n {
+                robot_missing[thread] = robot_matrix[thread * ROBOT_ROW + n];
+            }
+            workgroupBarrier();
+        }
         if thread == 0u {
             robot_go_on = 1u;
             var beyond = 0.0;
@@ -392,6 +415,13 @@ fn robot_settle(thread: u32) {
                 robot_before += robot_missing[i] * robot_step[i];
             }
             robot_go_on = u32(robot_before > ROBOT_TOLERANCE * ROBOT_TOLERANCE * energy);
+            if robot_points > 0u && robot_weight < 1.0 {
+                if robot_before <= ROBOT_SMALL * ROBOT_SMALL * energy {
+                    robot_weight = min(ROBOT_HEAVIER * robot_weight, 1.0);
+                    robot_before = 0.0;
+                }
+                robot_go_on = 1u;
+            }
         }
         if workgroupUniformLoad(&robot_go_on) == 0u {
             break;
@@ -419,8 +449,11 @@ fn robot_lead() -> f32 {
 
 // The rates as they are now are those without the contact to come, and nothing better is known of those with it.
 fn robot_set_free(thread: u32) {
+    if robot_points > 0u {
+        robot_press(ROBOT_NOW, thread);
+    }
     if thread < robot_rates {
-        robot_own[thread] = robot_joint(thread, robot_free[thread]).value;
+        robot_own[thread] = robot_joint(thread, robot_free[thread]).value + robot_pressed(thread);
     }
     robot_expect(thread);
     robot_is_settled = true;
@@ -448,24 +481,37 @@ fn robot_expect(thread: u32) {
     workgroupBarrier();
 }
 
+fn robot_rate(kind: u32, i: u32) -> f32 {
+    if kind == ROBOT_NOW {
+        return robot_free[i];
+    }
+    return group_rate(kind, i);
+}
+
+// How a link moves at the rates of a kind.
+fn robot_motion_at(kind: u32, l: u32) -> RobotMotion {
+    var motion = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
+    if robot_base_rates > 0u {
+        motion.linear = vec3<f32>(robot_rate(kind, 0u), robot_rate(kind, 1u), robot_rate(kind, 2u));
+        motion.angular = vec3<f32>(robot_rate(kind, 3u), robot_rate(kind, 4u), robot_rate(kind, 5u));
+    }
+    for (var a = l; a != ROBOT_NONE; a = robot_order[a].z) {
+        let i = robot_order[a].w;
+        if i != ROBOT_NONE {
+            let rate = robot_rate(kind, i);
+            motion = RobotMotion(motion.angular + rate * robot_axis[a].angular, motion.linear + rate * robot_axis[a].linear);
+        }
+    }
+    return motion;
+}
+
 // The bodies' twists at the rates of a kind.
 fn robot_set_twists(kind: u32, thread: u32) {
     if thread >= robot_bodies {
         return;
     }
     let l = robot_body[thread];
-    var motion = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
-    if robot_base_rates > 0u {
-        motion.linear = vec3<f32>(group_rate(kind, 0u), group_rate(kind, 1u), group_rate(kind, 2u));
-        motion.angular = vec3<f32>(group_rate(kind, 3u), group_rate(kind, 4u), group_rate(kind, 5u));
-    }
-    for (var a = l; a != ROBOT_NONE; a = robot_order[a].z) {
-        let i = robot_order[a].w;
-        if i != ROBOT_NONE {
-            let rate = group_rate(kind, i);
-            motion = RobotMotion(motion.angular + rate * robot_axis[a].angular, motion.linear + rate * robot_axis[a].linear);
-        }
-    }
+    let motion = robot_motion_at(kind, l);
     set_group_twist(kind, thread, CouplingTwist(motion.linear + cross(motion.angular, robot_centre[l]), motion.angular));
 }
 
@@ -479,6 +525,15 @@ fn coupling_begin(group: u32, thread: u32) {
     if group_moves() {
         // Where links touch the ground, rates change less in a step than they would without it: legs are light, and motors press their feet into the ground.
         robot_go_ahead(thread);
+        // Points are too heavy to be met from there.
+        if robot_points > 0u {
+            robot_settle(thread);
+            workgroupBarrier();
+            robot_set_free(thread);
+            if thread == 0u {
+                robot_free_energy += robot_pull();
+            }
+        }
     } else {
         robot_set_free(thread);
     }
@@ -597,6 +652,9 @@ fn coupling_answer(group: u32, thread: u32) {
         robot_add_contact(first, count, thread);
         workgroupBarrier();
     }
+    if robot_points > 0u {
+        robot_add_points(TWIST_TRIED, thread);
+    }
     if thread < n {
         robot_missing[thread] = robot_matrix[thread * ROBOT_ROW + n];
     }
@@ -648,7 +706,8 @@ fn coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32 {
 }
 
 fn coupling_feel(group: u32, thread: u32) {
-    for (var b = 0u; b < robot_bodies; b++) {
+    // Where there are points, rates say in the end what became of its momentum.
+    for (var b = 0u; b < select(robot_bodies, 0u, robot_points > 0u); b++) {
         if !group_touches(b) {
             continue;
         }
@@ -676,6 +735,9 @@ fn coupling_advance(group: u32, thread: u32) {
         robot_settle(thread);
         workgroupBarrier();
         robot_set_free(thread);
+    }
+    if robot_points > 0u {
+        robot_take_momentum(thread);
     }
     if group_moves() {
         let velocity = vec3<f32>(robot_free[0], robot_free[1], robot_free[2]);

@@ -316,6 +316,7 @@ pub struct DeviceLaw {
 ///
 /// They may call, where `b` counts the bodies of the group:
 /// - `group_bodies() -> u32`, and `group_body(b) -> u32`: a body's number among the coupling's;
+/// - `group_told(i) -> vec4<u32>`: what the coupling [tells the group](Leashes::told) for the steps at hand;
 /// - `group_word(i) -> vec4<u32>` and `set_group_word(i, word)`: the state before the step and after it. Where the group does not move in a pass,
 ///   they are the same;
 /// - `group_pose(b) -> CouplingPose` and `set_group_pose(b, pose)`: likewise where a body is. `struct CouplingPose { cell: vec3<i32>, place: vec3<u32>, rotation:
@@ -354,6 +355,8 @@ pub struct DeviceAnswer {
 pub struct DeviceGroup {
     /// Words of its state.
     pub words: usize,
+    /// Words that it is told at most, beside its state; see [`Leashes::told`].
+    pub told: usize,
     /// Numbers that change along with its bodies' twists.
     pub rates: usize,
     /// Its bodies, in their order.
@@ -398,8 +401,8 @@ pub enum Moved {
     ByCoupling,
     /// A device.
     ByDevice,
-    /// A device finds what the ground does to them in a step, and says [what came of it](Coupling::take_device_state): their state then has the velocities that gravity and
-    /// the ground have made. From there the coupling moves them itself, since they may meet others.
+    /// A device takes a single step, since they may meet others. What they may meet the coupling has [told it](Leashes::told); or it moves its bodies itself from where a step
+    /// [has brought them](Coupling::take_device_state), with the velocities that gravity and the ground have made.
     InTurns,
 }
 
@@ -411,6 +414,9 @@ pub struct Leashes {
     pub each: Vec<Aabb>,
     /// Does it take [one step at a time](Moved::InTurns), since bodies are near what only the coupling knows?
     pub in_turns: bool,
+    /// What each group is told for these steps, in the order of the groups, or nothing: words as its functions in WGSL read them, as many as [it may be told](DeviceGroup::told)
+    /// at most. Behind those that are given there stand zeros.
+    pub told: Vec<Vec<[u32; 4]>>,
 }
 
 /// What happened to a group in a step on a device.

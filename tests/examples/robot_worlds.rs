@@ -1,7 +1,7 @@
-//! Speed of quadrupeds in many worlds at once: `cargo run --release -p barchan-tests --example robot_worlds -- [--worlds 64] [--backend wgpu] [--threads 2] [--control 50]`.
+//! Speed of quadrupeds in many worlds at once: `cargo run --release -p barchan-tests --example robot_worlds -- [--worlds 64] [--backend wgpu] [--threads 2] [--control 50] [--self-collision false]`.
 //!
 //! Each world has a robot that stands in sand (E = 2e5 Pa, cells of 1/32 m, 18 432 particles, periodic in x and y) and is told other joint targets 50 times a
-//! second. Prints control steps a second of all worlds together, and whether the first world is the same bit for bit as it is alone.
+//! second; its links touch one another if asked for. Prints control steps a second of all worlds together, and whether the first world is the same bit for bit as it is alone.
 
 use barchan::worlds::Worlds;
 use barchan::{Command, Options, Precision, Scene, Simulation};
@@ -55,17 +55,26 @@ fn targets(world: usize, n: usize) -> Command {
 }
 
 fn run(given: &[String]) -> Result<(), String> {
-    let mut options: BTreeMap<&str, &str> =
-        [("--worlds", "64"), ("--backend", "wgpu"), ("--threads", "2"), ("--control", "50")].into();
+    let mut options: BTreeMap<&str, &str> = [
+        ("--worlds", "64"),
+        ("--backend", "wgpu"),
+        ("--threads", "2"),
+        ("--control", "50"),
+        ("--self-collision", "false"),
+    ]
+    .into();
     let known: Vec<&str> = options.keys().copied().collect();
     options.extend(arguments::options(given, &known)?);
     let number = |key: &str| options[key].parse::<usize>().map_err(|_| format!("{key} wants a whole number"));
     let (count, control, threads) = (number("--worlds")?, number("--control")?, number("--threads")?);
+    let touches = options["--self-collision"].parse().map_err(|_| "--self-collision wants true or false")?;
+    let mut scene = scene();
+    scene.robot[0].self_collision = touches;
     let backend = options["--backend"].to_owned();
     let options = Options { backend, precision: Precision::F32, threads, ..Options::default() };
     let failed = |e: barchan::Error| e.to_string();
-    let mut worlds = Worlds::new(&barchan::registry(), vec![scene(); count], &options).map_err(failed)?;
-    let mut alone = Simulation::new(&barchan::registry(), &scene(), &options).map_err(failed)?;
+    let mut worlds = Worlds::new(&barchan::registry(), vec![scene.clone(); count], &options).map_err(failed)?;
+    let mut alone = Simulation::new(&barchan::registry(), &scene, &options).map_err(failed)?;
     let particles = alone.particle_count();
     let steps = (CONTROL / 1.25e-3_f64).round() as usize;
     let mut clock = Instant::now();

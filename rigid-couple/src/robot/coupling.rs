@@ -55,8 +55,8 @@ pub struct Robots {
     followed: Vec<bool>,
     wrenches: Vec<Wrench>,
     counts: Counts,
-    /// Does a device move them?
-    on_device: bool,
+    /// Who moves them.
+    moved: Moved,
     /// Steps of the finest level that have gone of the simulation's.
     slot: u32,
 }
@@ -209,7 +209,7 @@ impl Robot {
             .filter(move |&body| has_shape(self.solids[body]) && !parents.contains(&self.solids[body]))
     }
 
-    fn bounds(&self, body: usize, cell: f64) -> Aabb {
+    pub(super) fn bounds(&self, body: usize, cell: f64) -> Aabb {
         let pose = self.pose(body);
         match &self.model.links[self.solids[body]].shape {
             Some(shape) => shape.bounds(&pose, cell),
@@ -310,7 +310,7 @@ impl Robots {
             firsts,
             wrenches: vec![Wrench::default(); count],
             counts: Counts::default(),
-            on_device: false,
+            moved: Moved::ByCoupling,
             slot: 0,
         })
     }
@@ -324,6 +324,10 @@ impl Robots {
     /// The robots, and the tools behind them.
     pub fn robots(&self) -> &[Robot] {
         &self.robots
+    }
+
+    fn is_on_device(&self) -> bool {
+        self.moved != Moved::ByCoupling
     }
 
     /// Which robot a body is of, and its number there.
@@ -462,7 +466,7 @@ impl Coupling for Robots {
     }
 
     fn watches(&self) -> bool {
-        !self.on_device && self.tools.iter().any(Obstacle::moves)
+        !self.is_on_device() && self.tools.iter().any(Obstacle::moves)
     }
 
     fn see(&mut self, others: &[BodyState]) {
@@ -475,9 +479,10 @@ impl Coupling for Robots {
         let span = Span { time, dt, gravity: gravity.length() };
         let mut all = Vec::with_capacity(self.robots.len());
         for robot in &mut self.robots {
-            if self.on_device {
+            if self.moved != Moved::ByCoupling {
                 robot.step.dt = dt;
                 robot.sense_gravity(gravity);
+                robot.note_touching(span, self.moved == Moved::InTurns);
                 continue;
             }
             if self.slot == 0 {
@@ -487,7 +492,7 @@ impl Coupling for Robots {
             robot.begin(span, gravity, &boxes, &self.tools).map_err(|()| robot.lost("motion"))?;
             all.push(boxes);
         }
-        if self.on_device { Ok(()) } else { self.balance_alone(&all, span) }
+        if self.is_on_device() { Ok(()) } else { self.balance_alone(&all, span) }
     }
 
     fn bounds(&self) -> Vec<Aabb> {
@@ -577,7 +582,8 @@ impl Coupling for Robots {
 
     fn after_step(&mut self, _: f64, _: f64) -> Result<()> {
         let felt: Vec<_> = self.together.iter().map(|own| own.felt(&self.robots)).collect();
-        for robot in self.robots.iter_mut().filter(|_| !self.on_device) {
+        let is_on_device = self.is_on_device();
+        for robot in self.robots.iter_mut().filter(|_| !is_on_device) {
             robot.advance().ok_or_else(|| robot.lost("motion"))?;
         }
         for (own, felt) in self.together.iter_mut().zip(felt) {
@@ -607,10 +613,7 @@ impl Coupling for Robots {
         if !self.together.is_empty() {
             return None;
         }
-        // Its own links are the host's to see to.
-        if self.robots.iter().any(|robot| !robot.pairs.is_empty())
-            || self.max_speed(time, dt) * dt > device::MOST_MOVE * world.cell
-        {
+        if self.max_speed(time, dt) * dt > device::MOST_MOVE * world.cell {
             return None;
         }
         let of_robot = |(robot, &first): (&Robot, &usize)| -> Vec<Option<Roaming>> {
@@ -624,8 +627,15 @@ impl Coupling for Robots {
             robot.solids.iter().enumerate().map(of_body).collect()
         };
         let robots = self.robots.iter().zip(&self.firsts);
-        let all: Vec<_> = robots.map(|one| (of_robot(one), one.0.walls.as_slice())).collect();
-        Some(Leashes { each: device::leashes(&all, world.cell)?, in_turns: false })
+        let all: Vec<Vec<Option<Roaming>>> = robots.map(of_robot).collect();
+        let each = device::apart(&all, world.cell)?;
+        if let Some(each) = device::off_what_is_rigid(&self.robots, &all, &each, world.cell) {
+            return Some(Leashes { each, in_turns: false, told: Vec::new() });
+        }
+        let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
+        let span = Span { time, dt, gravity };
+        let told = self.robots.iter().map(|robot| robot.told(span)).collect::<Option<_>>()?;
+        Some(Leashes { each, in_turns: true, told })
     }
 
     fn device_state(&self) -> Vec<GroupState> {
@@ -633,7 +643,7 @@ impl Coupling for Robots {
     }
 
     fn move_on_device(&mut self, moved: Moved) {
-        self.on_device = moved == Moved::ByDevice;
+        self.moved = moved;
     }
 
     fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
@@ -763,6 +773,7 @@ impl Coupling for Robots {
         }
         for ((robot, state), step) in self.robots.iter_mut().zip(states).zip(steps) {
             (robot.state, robot.step) = (state, step);
+            robot.correct_held().ok_or_else(|| format!("the state of robot '{}' has no motion", robot.name))?;
         }
         self.wrenches = wrenches.into_iter().map(|(force, torque)| Wrench { force, torque }).collect();
         self.counts = counts;

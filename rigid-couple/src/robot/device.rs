@@ -3,12 +3,13 @@
 use super::balance::Correction;
 use super::model::{Freedom, RobotModel};
 use super::motion::JointPath;
-use super::touching::Obstacle;
+use super::touching::{HEAVY, Points, Span};
 use super::{AHEAD, Robot, dynamics};
 use crate::grip::REACH;
 use crate::motion::Pose;
 use crate::sdf::Sdf;
 use crate::tables::{Listed, Row, Tables, row, rows};
+use barchan_core::contact::{Grip, Touch};
 use barchan_core::coupling::{Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, GroupState, Placed};
 use barchan_core::scene::Contact;
 use glam::{DQuat, DVec3};
@@ -20,6 +21,9 @@ const WORDS: usize = 5;
 const PARTS: f64 = 4_294_967_296.0;
 /// A device moves links as long as their surfaces move by at most this much in a step [cells].
 pub(crate) const MOST_MOVE: f64 = 0.5;
+/// Words of a point at which links touch what is rigid, and how many points a device is told of at most.
+const POINT: usize = 3;
+const MOST_POINTS: usize = 24;
 /// In place of infinity.
 const FAR: f64 = 1e30;
 
@@ -194,6 +198,82 @@ impl Robot {
         GroupState { words, bodies: bodies.iter().map(placed).collect() }
     }
 
+    /// Finds where its links touch walls and one another in a step, for a device that takes it from where they are.
+    fn find_on_device(&self, span: Span, points: &mut Points) {
+        let boxes: Vec<Aabb> = (0..self.solids.len()).map(|body| self.bounds(body, 0.0)).collect();
+        let mass = HEAVY * self.model.mass();
+        points.find(&self.seen(&boxes, span.dt), self.walls.iter(), &self.pairs, mass, span);
+    }
+
+    /// What a device is told of where its links touch walls and one another in a step; `None` where that is at more points than it takes.
+    pub(crate) fn told(&self, span: Span) -> Option<Vec<[u32; 4]>> {
+        let mut points = Points::default();
+        self.find_on_device(span, &mut points);
+        let about = DVec3::from_array(
+            self.state.held.as_ref().map_or_else(|| of_pose(&self.pose(0)).0, |held| held.bodies[0].0),
+        );
+        let bits = |v: DVec3, last: f64| [v.x, v.y, v.z, last].map(|x| (x as f32).to_bits());
+        let word = |touch: &Touch, bodies: [u32; 2]| {
+            let at = DVec3::from_array(points.nodes.position[touch.node]);
+            let Grip::Coulomb { normal, friction, .. } = touch.grip else { return [[0; 4]; POINT] };
+            let mass = points.nodes.mass[touch.node];
+            // What bounces must not come as near as the gap allows.
+            let bounces = self.restitution > 0.0;
+            let most =
+                if bounces { DVec3::from_array(points.nodes.velocity[touch.node]).dot(normal) } else { FAR } as f32;
+            [
+                bits(at - about, mass),
+                bits(-normal, touch.distance),
+                [bodies[0], bodies[1], (friction as f32).to_bits(), most.to_bits()],
+            ]
+        };
+        // A base that stays has nothing to answer with.
+        let moves = |body: usize| !self.step.places[self.solids[body]].columns.is_empty();
+        let of_walls = (0_u32..)
+            .zip(&points.touches)
+            .filter(|(body, _)| moves(*body as usize))
+            .flat_map(|(body, touches)| touches.iter().map(move |touch| (touch, [body, u32::MAX])));
+        let of_pairs = points
+            .pairs
+            .iter()
+            .flat_map(|pair| pair.touches.iter().map(|touch| (touch, pair.bodies.map(|body| body as u32))));
+        let all: Vec<_> = of_walls.chain(of_pairs).flat_map(|(touch, bodies)| word(touch, bodies)).collect();
+        let count = all.len() / POINT;
+        let head = [count as u32, 0, 0, 0];
+        (count <= MOST_POINTS).then(|| [vec![head], all].concat())
+    }
+
+    /// How far two of its bodies are from each other [m], or, where their boxes are further apart than `far`, how far those are.
+    fn gap(&self, [a, b]: [usize; 2], far: f64) -> f64 {
+        let (one, other) = (self.bounds(a, 0.0), self.bounds(b, 0.0));
+        let along = |d: usize| (one.min[d] - other.max[d]).max(other.min[d] - one.max[d]);
+        let of_boxes = along(0).max(along(1)).max(along(2));
+        match (&self.bodies[a], &self.bodies[b]) {
+            (Some(first), Some(second)) if of_boxes <= far => first.distance(&self.pose(a), (second, &self.pose(b))),
+            _ => of_boxes,
+        }
+    }
+
+    /// Takes note of where its links touch walls and one another in a step that a device takes, or that they do nowhere.
+    pub(crate) fn note_touching(&mut self, span: Span, in_turns: bool) {
+        let mut points = std::mem::take(&mut self.step.points);
+        if in_turns {
+            self.find_on_device(span, &mut points);
+        } else {
+            points.clear();
+        }
+        self.step.points = points;
+    }
+
+    /// Gives the base's rates in the step under way what they lack of the momentum that a device holds, as that does at the start of its next step.
+    pub(super) fn correct_held(&mut self) -> Option<()> {
+        let Some([linear, angular, about]) = self.state.held.as_ref().filter(|_| self.floating).map(Held::momentum)
+        else {
+            return Some(());
+        };
+        self.correct(linear, angular, about)
+    }
+
     /// Takes in what a device made of it in a step of `dt` [s]; `None` if that is not finite.
     pub(crate) fn take_device_state(&mut self, state: &GroupState, dt: f64) -> Option<()> {
         let (count, first) = (self.state.positions.len(), self.base_rates());
@@ -220,14 +300,12 @@ impl Robot {
         }
         let bodies = state.bodies.iter().map(|placed| (placed.position, placed.rotation)).collect();
         let held = Held { bodies, momentum: [vector(state.words[1]), vector(state.words[2])] };
-        self.step.places = dynamics::places(&self.model, self.floating, &self.state.base, &self.state.positions);
         self.step.rates.copy_from_slice(&self.state.rates);
-        if self.floating {
-            // The device does so at the start of the next step.
-            let [linear, angular, about] = held.momentum();
-            self.correct(linear, angular, about)?;
-        }
+        // From where links were.
+        self.sense_rigid();
+        self.step.places = dynamics::places(&self.model, self.floating, &self.state.base, &self.state.positions);
         self.state.held = Some(held);
+        self.correct_held()?;
         self.sense_end(dt);
         let mut orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(self.state.clock, 0.0));
         self.balance_orders(leaning, &mut orders);
@@ -267,8 +345,12 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<D
     }
     // Contact thickens a thin link by a cell at most, and acts on nodes further off.
     let further = (1.0 + REACH) * cell;
+    let meets = robots.iter().any(|robot| !robot.walls.is_empty() || !robot.pairs.is_empty());
+    let points = if meets { MOST_POINTS } else { 0 };
+    let told = if meets { 1 + POINT * MOST_POINTS } else { 0 };
     let group = |robot: &Robot| DeviceGroup {
         words: WORDS + 2 * robot.model.drives.len(),
+        told,
         rates: robot.state.rates.len(),
         bodies: robot
             .solids
@@ -282,8 +364,9 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<D
     };
     let rates = robots.iter().map(|robot| robot.state.rates.len()).max()?;
     let answer = format!(
-        "const ROBOT_HEADS: u32 = {heads}u;\nconst ROBOT_LINKS: u32 = {links}u;\nconst ROBOT_RATES: u32 = {rates}u;\n{}{}{}",
+        "const ROBOT_HEADS: u32 = {heads}u;\nconst ROBOT_LINKS: u32 = {links}u;\nconst ROBOT_POINTS: u32 = {points}u;\nconst ROBOT_RATES: u32 = {rates}u;\n{}{}{}{}",
         include_str!("../robot.wgsl"),
+        include_str!("points.wgsl"),
         include_str!("dynamics.wgsl"),
         include_str!("joints.wgsl")
     );
@@ -307,27 +390,53 @@ impl Roaming {
     }
 }
 
-/// How far along each axis each of the robots' bodies may go, on finest cells of width `cell` [m], before it is the host's to see whether it touches a wall that its robot
-/// meets, or another robot's body; `None` if one may. Bodies without a shape touch nothing. What two robots act on is kept apart, too.
-pub(crate) fn leashes(robots: &[(Vec<Option<Roaming>>, &[Obstacle])], cell: f64) -> Option<Vec<Aabb>> {
+/// How far along each axis each of the robots' bodies may go, on finest cells of width `cell` [m], before two robots may touch, or act on the same nodes; `None` if two
+/// may now: they are the host's to solve together. Bodies without a shape touch nothing.
+pub(crate) fn apart(robots: &[Vec<Option<Roaming>>], cell: f64) -> Option<Vec<Aabb>> {
     let mut all = Vec::new();
-    for (r, (robot, walls)) in robots.iter().enumerate() {
+    for (r, robot) in robots.iter().enumerate() {
         for body in robot {
-            let Some(body) = body else {
-                all.push(Aabb::UNBOUND);
-                continue;
-            };
             let mut leash = Aabb::UNBOUND;
-            for wall in walls.iter().filter(|_| body.moves) {
-                let off = body.bounds.leash(wall.bounds(), 2.0 * MOST_MOVE * cell + AHEAD, |spare| spare)?;
-                leash = leash.intersection(&off);
-            }
-            let others = robots.iter().enumerate().filter(|(other, _)| *other != r);
-            for other in others.flat_map(|(_, (other, _))| other).flatten() {
+            let others = robots.iter().enumerate().filter(|(other, _)| *other != r).flat_map(|(_, other)| other);
+            for (body, other) in body.iter().flat_map(|body| others.clone().flatten().map(move |other| (body, other))) {
                 let clearance = 2.0 * (MOST_MOVE * cell + AHEAD + body.reach.min(other.reach));
                 leash = leash.intersection(&body.bounds.leash(&other.bounds, clearance, |spare| 0.5 * spare)?);
             }
             all.push(leash);
+        }
+    }
+    Some(all)
+}
+
+/// The same on `leashes`, before a link may touch a wall that its robot meets, or another link; `None` if one may now, so that a device has to be told where.
+pub(crate) fn off_what_is_rigid(
+    robots: &[Robot],
+    roaming: &[Vec<Option<Roaming>>],
+    leashes: &[Aabb],
+    cell: f64,
+) -> Option<Vec<Aabb>> {
+    let (mut all, mut first) = (leashes.to_vec(), 0);
+    let clearance = 2.0 * MOST_MOVE * cell + AHEAD;
+    for (robot, bodies) in robots.iter().zip(roaming) {
+        let own = &mut all[first..first + bodies.len()];
+        first += bodies.len();
+        for (leash, body) in own.iter_mut().zip(bodies) {
+            let Some(body) = body.as_ref().filter(|body| body.moves) else { continue };
+            for wall in &robot.walls {
+                *leash = leash.intersection(&body.bounds.leash(wall.bounds(), clearance, |spare| spare)?);
+            }
+        }
+        for &pair in &robot.pairs {
+            let spare = robot.gap(pair, 4.0 * clearance) - clearance;
+            if spare <= 0.0 {
+                return None;
+            }
+            // Half of it each, in whatever direction.
+            let by = 0.5 * spare / 3.0_f64.sqrt();
+            let box_of = Aabb { min: [-by; 3], max: [by; 3] };
+            for body in pair {
+                own[body] = own[body].intersection(&box_of);
+            }
         }
     }
     Some(all)

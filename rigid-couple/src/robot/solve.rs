@@ -8,6 +8,9 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 /// Iterations after which rates are taken as they are, and the size of the last step at convergence, relative to the speed of the whole.
 const MAX_ITERATIONS: usize = 40;
 const TOLERANCE: f64 = 1e-10;
+/// Iterations after which contact points at their own weight have their secant in place of their derivative, which may lead to and fro between sticking and sliding: so heavy
+/// are they that they stick at a few tens of μm/s alone.
+const NEWTON: usize = 12;
 /// What may be out of balance along a step behind it, as a part of what was before it.
 const OVERSHOT: f64 = 0.5;
 /// Weight of contact points in the robots' at which the iteration starts, and the factor by which it grows once the last step was relatively small.
@@ -57,7 +60,7 @@ pub(super) trait Whole {
         let mut rates = self.before().clone();
         let mut last: Option<(DVector<f64>, f64)> = None;
         for iteration in 1.. {
-            let own = self.own_impulses(&rates, weight, true);
+            let own = self.own_impulses(&rates, weight, weight < 1.0 || iteration <= NEWTON);
             let off = off_at(&rates, &own);
             if let Some((step, before)) = last.take() {
                 let beyond = -step.dot(&off);

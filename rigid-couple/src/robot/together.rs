@@ -50,7 +50,7 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
     if robots.len() < 2 {
         return Vec::new();
     }
-    let seen: Vec<Vec<Seen<'_>>> = robots.iter().zip(boxes).map(|(robot, boxes)| robot.seen(boxes)).collect();
+    let seen: Vec<Vec<Seen<'_>>> = robots.iter().zip(boxes).map(|(robot, boxes)| robot.seen(boxes, span.dt)).collect();
     let around = |links: &Vec<Seen<'_>>| {
         let there = links.iter().filter(|link| link.body.is_some());
         there.map(|link| link.bounds.grown(link.ahead)).reduce(|a, b| a.union(&b)).unwrap_or(Aabb::NOTHING)
@@ -196,8 +196,7 @@ impl Together {
             let own = self.of_each(robots, rates, 1.0, tangent);
             let n = rates.len();
             let mut given = Balance { residual: DVector::zeros(n), matrix: DMatrix::zeros(n, n) };
-            // Points are so heavy that they stick by friction up to a few μm/s alone: beside soft ground, whose weight does not grow step by step, the tangent
-            // would lead to and fro between sticking and sliding, and the secant leads there.
+            // As of one robot.
             self.add_meetings(rates, 1.0, false, &mut given);
             (own, given)
         };

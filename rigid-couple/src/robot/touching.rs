@@ -16,11 +16,12 @@ use barchan_core::scene::{Scene, Tool, World};
 use barchan_core::{BodyState, NodeBatch, Result};
 use glam::{DQuat, DVec3};
 use parry3d_f64::math::Pose as ParryPose;
-use parry3d_f64::query::{ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
+use parry3d_f64::query::{self, ContactManifold, DefaultQueryDispatcher, PersistentQueryDispatcher};
 use parry3d_f64::shape::SharedShape;
 
-/// Weight of a contact point, in those of the robot, or of the lighter of two: at rest under its weight, the robot sinks by g dt²/2 over this in each step.
-pub(super) const HEAVY: f64 = 1e4;
+/// Weight of a contact point, in those of the robot, or of the lighter of two: at rest under its weight, the robot sinks by g dt²/2 over this in each step. With ten times as
+/// much, what slides and nearly sticks is not found in a few iterations, and f32 bears less.
+pub(super) const HEAVY: f64 = 1e3;
 /// How much of what a link has sunk in is pushed out in a step, and how much in a second.
 const PUSH: f64 = 0.1;
 const FASTEST_PUSH: f64 = 20.0;
@@ -70,6 +71,18 @@ impl Body {
     /// Does it overlap another one by more than [`SUNK`], each at its pose?
     pub(super) fn overlaps(&self, pose: &Pose, (other, of_other): (&Self, &Pose)) -> bool {
         deepest((&self.0, pose), (&other.0, of_other)) > SUNK
+    }
+
+    /// How far it is from another one [m], each at its pose; 0 where they overlap.
+    pub(super) fn distance(&self, pose: &Pose, (other, of_other): (&Self, &Pose)) -> f64 {
+        let (own_at, other_at) = (to_parry(pose), to_parry(of_other));
+        let between = |((own, place), (one, within)): (&(SharedShape, ParryPose), &(SharedShape, ParryPose))| {
+            // What parry cannot look at does not touch.
+            query::distance(&(own_at * *place), &**own, &(other_at * *within), &**one)
+                .map_or(f64::INFINITY, |gap| gap.distance)
+        };
+        let all = self.0.iter().flat_map(|own| other.0.iter().map(move |one| (own, one)));
+        all.map(between).fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -284,7 +297,14 @@ impl Adder<'_> {
 }
 
 impl Points {
-    /// Finds where links are, or may come to be in a step, in contact; `mass` is the robot's [kg], and `pairs` are the links that may touch one another.
+    /// Forgets all points, keeping the memory.
+    pub fn clear(&mut self) {
+        self.nodes.clear();
+        self.touches.iter_mut().for_each(Vec::clear);
+        self.pairs.clear();
+    }
+
+    /// Finds where links are, or may come to be in a step, in contact; points weigh `mass` [kg] each, and `pairs` are the links that may touch one another.
     pub fn find<'a>(
         &mut self,
         links: &[Seen<'_>],
@@ -293,11 +313,9 @@ impl Points {
         mass: f64,
         span: Span,
     ) {
-        self.nodes.clear();
+        self.clear();
         self.touches.resize_with(links.len(), Vec::new);
-        self.touches.iter_mut().for_each(Vec::clear);
-        self.pairs.clear();
-        let (nodes, mass) = (&mut self.nodes, HEAVY * mass);
+        let nodes = &mut self.nodes;
         for obstacle in obstacles.filter(|obstacle| obstacle.is_present(span.time)) {
             let Obstacle { parts, pose, twist, bounds, .. } = obstacle;
             let ahead = obstacle.ahead(span.dt);

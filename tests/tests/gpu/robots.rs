@@ -1,7 +1,7 @@
 //! Robots on the wgpu backend.
 
 use crate::{left, passes_of, take_at_once};
-use barchan::scene::Wall;
+use barchan::scene::{Shape, Wall};
 use barchan::worlds::Worlds;
 use barchan::{Command, Options, Precision, Scene, Simulation};
 use barchan_tests::scenes::{robot_meets_ball, totals};
@@ -202,7 +202,9 @@ fn a_robot_on_the_device_and_the_ground_keep_their_momentum() {
 #[test]
 fn robots_in_many_worlds_move_as_alone() {
     for backend in ["cpu", "wgpu"] {
-        let scenes = [0.5, 0.55].map(|x| landing(ONE, x, ""));
+        // The last one is thrown at a wall.
+        let mut scenes = [0.5, 0.55, 0.6].map(|x| landing(ONE, x, "self_collision = true"));
+        (scenes[2].robot[0].position[1], scenes[2].robot[0].velocity) = (0.6, [0.1, 2.0, -0.5]);
         let mut worlds = Worlds::new(&barchan::registry(), scenes.to_vec(), &options(backend, Precision::F32)).unwrap();
         assert!(worlds.are_together() || backend == "cpu");
         let mut alone = scenes.each_ref().map(|scene| start(scene, backend, Precision::F32));
@@ -214,7 +216,9 @@ fn robots_in_many_worlds_move_as_alone() {
         }
         worlds.steps(30).into_iter().for_each(|steps| drop(steps.unwrap()));
         for (w, alone) in alone.iter_mut().enumerate() {
-            let of = |simulation: &Simulation| format!("{:?} {:?}", simulation.bodies(), simulation.joints());
+            let of = |simulation: &Simulation| {
+                format!("{:?} {:?} {:?}", simulation.bodies(), simulation.joints(), simulation.robots())
+            };
             assert_eq!(of(worlds.world(w)), of(alone), "{backend}: world {w}");
             let mut other = start(&scenes[w], backend, Precision::F32);
             other.set_state(&alone.state().unwrap()).unwrap();
@@ -266,5 +270,76 @@ fn a_robot_comes_onto_a_tool() {
         assert!(hosts > 0 && on_device > 0, "{motion}: steps on the host {hosts}, on the device {on_device}");
         assert!(base < 1e-4 && turned < 1e-3 && plank < 1e-4, "{motion}: {base} m, {turned} rad, {plank} m");
         assert!(left(&many) == left(&device), "{motion}: many steps at once leave other bits");
+    }
+}
+
+/// Robots touch walls and their own links on the device as on the CPU in f64, and soft ground beside: one that comes down with two feet on sand and two on the floor, one that is thrown
+/// against a wall, and one on a fixed base, that brings its feet together and is lowered onto the floor besides. What they feel there is reported alike. Many steps at once
+/// leave the same bits as single ones, and nothing is done by the host.
+#[test]
+fn robots_touch_walls_and_themselves_on_the_device() {
+    let onto_floor = |scene: &mut Scene| {
+        scene.body[0].shape = Shape::cuboid([0.0; 3], [0.5625, 0.75, 0.0625]);
+        let robot = &mut scene.robot[0];
+        (robot.position[2], robot.velocity) = (0.385, [0.2, 0.1, -1.5]);
+    };
+    let at_wall = |scene: &mut Scene| {
+        let robot = &mut scene.robot[0];
+        (robot.position, robot.velocity) = ([0.5625, 0.57, 0.52], [0.1, 2.0, -0.5]);
+        robot.angular_velocity = [0.0, 0.0, 1.0];
+    };
+    let folded = |scene: &mut Scene| {
+        let robot = &mut scene.robot[0];
+        (robot.fixed, robot.velocity, robot.position[2]) = (true, [0.0; 3], 0.5);
+        (robot.self_collision, robot.motor[0].kp) = (true, Some(300.0));
+    };
+    type Change = dyn Fn(&mut Scene);
+    const TOGETHER: &str = r#"motion = { frames = [
+        { time = 0.0, joints = { FL_hip_joint = 0.0, FR_hip_joint = 0.0 } },
+        { time = 0.04, joints = { FL_hip_joint = -0.8, FR_hip_joint = 0.8 } },
+    ] }"#;
+    let cases: [(&str, &str, &str, &Change, u32); 4] = [
+        ("floor", ONE, "", &onto_floor, 100),
+        ("floor, two levels", "count = 2", MOVES, &onto_floor, 100),
+        ("wall", ONE, "self_collision = true", &at_wall, 100),
+        ("folded", ONE, TOGETHER, &folded, 160),
+    ];
+    for (name, levels, robot, change, steps) in cases {
+        let mut scene = landing(levels, 0.5625, robot);
+        change(&mut scene);
+        let (mut device, mut many) = (start(&scene, "wgpu", Precision::F32), start(&scene, "wgpu", Precision::F32));
+        let mut cpu = start(&scene, "cpu", Precision::F64);
+        take_at_once(&mut many, steps as usize);
+        // Impulses from what is rigid, size by size, and those of the ground [N s].
+        let rigid = |simulation: &Simulation| -> f64 {
+            let links = simulation.robots().remove(0).links;
+            links.iter().flat_map(|link| &link.rigid).map(|at| DVec3::from_array(at.force).length() * 5e-4).sum()
+        };
+        let soft = |simulation: &Simulation| -> f64 {
+            simulation.wrenches().iter().map(|w| DVec3::from_array(w.force).length() * 5e-4).sum()
+        };
+        let mut given = [[0.0; 2]; 2];
+        for _ in 0..steps {
+            for (simulation, given) in [&mut device, &mut cpu].into_iter().zip(&mut given) {
+                simulation.step().unwrap();
+                *given = [given[0] + rigid(simulation), given[1] + soft(simulation)];
+            }
+        }
+        let [base, turned] = apart(&device, &cpu);
+        println!(
+            "{name}: base {base:.1e} m apart (1e-4), joints {turned:.1e} rad (1e-3); impulses of what is rigid {:.3} and {:.3} N s, of the ground {:.3} and {:.3}; {} answers",
+            given[0][0],
+            given[1][0],
+            given[0][1],
+            given[1][1],
+            passes_of(&device, "answering bodies")
+        );
+        assert!(given[1][0] > 0.05, "{name}: it touches nothing that is rigid");
+        assert!(name == "folded" || given[1][1] > 0.05, "{name}: it does not touch the ground");
+        assert!(base < 1e-4 && turned < 1e-3, "{name}: {base} m, {turned} rad");
+        assert!((given[0][0] / given[1][0] - 1.0).abs() < 0.02, "{name}: {given:?}");
+        assert_eq!(passes_of(&device, "gather") + passes_of(&many, "gather"), 0, "{name}: steps on the host");
+        assert!(left(&many) == left(&device), "{name}: many steps at once leave other bits");
+        assert_eq!(format!("{:?}", many.robots()), format!("{:?}", device.robots()), "{name}: sensors");
     }
 }

@@ -53,7 +53,7 @@ pub(crate) const WATCHED: usize = 12;
 /// Words of a soft body that levels follow; see `soft.wgsl`.
 pub(crate) const SOFT_WORDS: usize = 27;
 
-/// Room for groups that answer in each world, for their bodies in all and in one group, for words and rates of a group's state, for blocks around all bodies
+/// Room for groups that answer in each world, for their bodies in all and in one group, for words of a group's state and words that it is told, for its rates, for blocks around all bodies
 /// on the finest level, and around one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Answering {
@@ -61,6 +61,7 @@ pub(crate) struct Answering {
     pub(crate) bodies: usize,
     pub(crate) together: usize,
     pub(crate) words: usize,
+    pub(crate) told: usize,
     pub(crate) rates: usize,
     pub(crate) rooms: usize,
     pub(crate) widest: usize,
@@ -76,6 +77,7 @@ impl Answering {
             bodies: all().map(|group| group.bodies.len()).sum(),
             together: all().map(|group| group.bodies.len()).max().unwrap_or(0),
             words: all().map(|group| group.words).max().unwrap_or(0),
+            told: all().map(|group| group.told).max().unwrap_or(0),
             rates: all().map(|group| group.rates).max().unwrap_or(0),
             rooms: all().flat_map(|group| &group.bodies).map(rooms).sum(),
             widest: all().flat_map(|group| &group.bodies).map(rooms).max().unwrap_or(0),
@@ -89,6 +91,7 @@ impl Answering {
             bodies: self.bodies.max(other.bodies),
             together: self.together.max(other.together),
             words: self.words.max(other.words),
+            told: self.told.max(other.told),
             rates: self.rates.max(other.rates),
             rooms: self.rooms.max(other.rooms),
             widest: self.widest.max(other.widest),
@@ -131,10 +134,10 @@ pub(crate) fn is_stored(worlds: usize, vectors: usize, samples: usize) -> bool {
 /// Bytes of bodies that answer, their groups' states in a submission, the nodes near them, how bodies grip them on each level and whether they grip any, and, where
 /// groups have several bodies, what their touches add up to.
 pub(crate) fn answering_bytes(room: Answering, worlds: usize, levels: usize) -> u64 {
-    let Answering { groups, bodies, together, words, rooms, .. } = room;
+    let Answering { groups, bodies, together, words, told, rooms, .. } = room;
     let touches = 64 * rooms * TOUCH;
     let pressed = ((64 + HELD_HEAD) * rooms + NEAR_HEAD * bodies) * levels;
-    let of_groups = worlds * groups * (GROUP_HEAD + (MAX_SLOTS + 2) * words);
+    let of_groups = worlds * groups * (GROUP_HEAD + told + (MAX_SLOTS + 2) * words);
     let of_bodies = worlds * (bodies * (BODY_HEAD + (MAX_SLOTS + 2) * BODY_STATE) + touches + pressed);
     let systems = if together > 1 { COLUMNS * (worlds * bodies + together) } else { 0 };
     16 * (of_groups + of_bodies + systems) as u64

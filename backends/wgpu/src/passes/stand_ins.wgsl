@@ -59,6 +59,7 @@ const GROUPS: u32 = 1u;
 const ANSWERING: u32 = 2u;
 const GROUP_BODIES: u32 = 2u;
 const GROUP_WORDS: u32 = 8u;
+const GROUP_TOLD: u32 = 4u;
 const GROUP_RATES: u32 = 3u;
 const ROOMS: u32 = 8u;
 const MAX_SLOTS: u32 = 256u;

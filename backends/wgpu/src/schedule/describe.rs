@@ -58,7 +58,7 @@ fn describe_contact(plan: &Plan) -> Vec<String> {
     let mut lines = vec!["contact, every step: on the device, but for free bodies near walls or others and for couplings without a law in WGSL: for these nodes near bodies go to the host and back".to_owned()];
     if free_bodies(plan) > 0 {
         let laws = Laws::none();
-        let room = Answering { groups: 1, bodies: 1, together: 1, words: 1, rates: 0, rooms: 8, widest: 8 };
+        let room = Answering { groups: 1, bodies: 1, together: 1, words: 1, told: 0, rates: 0, rooms: 8, widest: 8 };
         let kinds = [false, true].into_iter().filter(|&rims| !rims || plan.cell_widths.len() > 1);
         lines.extend(kinds.map(|rims| {
             let motion = answer_draft([plan.substeps > 1, may_sleep(plan), rims], &laws, 1, [1, 1], room);

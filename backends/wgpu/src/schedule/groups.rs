@@ -33,6 +33,8 @@ pub(crate) struct HeldGroup {
     /// Its mass [kg].
     mass: f64,
     state: GroupState,
+    /// What it is told for the submission.
+    told: Vec<Words>,
     pub(crate) bodies: Vec<HeldBody>,
     /// Does its coupling move it after each step?
     pub(crate) in_turns: bool,
@@ -95,8 +97,11 @@ impl Places {
     fn body_head(self, body: usize) -> usize {
         self.worlds * self.room.groups * GROUP_HEAD + body * BODY_HEAD
     }
+    fn told(self, group: usize) -> usize {
+        self.body_head(self.worlds * self.room.bodies) + group * self.room.told
+    }
     fn states(self) -> usize {
-        self.body_head(self.worlds * self.room.bodies)
+        self.told(self.worlds * self.room.groups)
     }
     fn of_slot(self) -> usize {
         self.words(self.worlds * self.room.groups)
@@ -186,11 +191,11 @@ impl WgpuBatch {
             if groups.is_empty() {
                 continue;
             }
-            let Leashes { each, in_turns } = coupling.leashes(world_step.time, dt, steps)?;
+            let Leashes { each, in_turns, told } = coupling.leashes(world_step.time, dt, steps)?;
             if in_turns && self.substeps > 1 {
                 return None;
             }
-            let mut leashes = each.into_iter();
+            let (mut leashes, mut told) = (each.into_iter(), told.into_iter());
             let (bodies, boxes, now) = (&world.bodies[c], coupling.bounds(), coupling.bodies());
             let states = coupling.device_state().into_iter();
             let known = world.groups[c].iter();
@@ -211,7 +216,8 @@ impl WgpuBatch {
                     let velocity = now[own].velocity;
                     held.push(HeldBody { own, number, mass, extent, swing, rooms, velocity, leash, followed });
                 }
-                all.push(HeldGroup { coupling: c, number, mass, state, bodies: held, in_turns });
+                let told = told.next().unwrap_or_default();
+                all.push(HeldGroup { coupling: c, number, mass, state, told, bodies: held, in_turns });
             }
         }
         Some(all)
@@ -256,6 +262,7 @@ impl WgpuBatch {
                 let most = group.bodies.iter().map(levels).max().unwrap_or(0);
                 let head = [b as u32, group.bodies.len() as u32, group.number as u32, most as u32];
                 put(k * GROUP_HEAD, &[head, [bits(group.mass), 0, 0, 0]]);
+                put(places.told(k), &group.told);
                 put(places.states() + places.words(k), &group.state.words);
                 for (body, placed) in group.bodies.iter().zip(&group.state.bodies) {
                     let words = body_words(body, placed.position, levels(body), first_room, self.h);

@@ -6,6 +6,7 @@
 // BODY_HEAD for each body: its number, how many levels it meets, how far a surface may move in a step, and the greatest distance of a surface point from
 // the reference point; the leash: least displacement, with the body's mass [kg], and greatest, with its first room; the cell, with the number of its rooms, and the place in it at the start,
 // with how far the ends of its box move for each radian that it turns.
+// Then GROUP_TOLD words that each group is told for the submission.
 // Behind those there stand the states before each slot, after the last, and one that is not read: BODY_STATE vectors for each body, its cell; its place in it, in
 // 2^-32, and how far turning has moved the ends of its box; its rotation (x, y, z, w), in 2^-30; and, in the slot before, impulse [N s] from the ground with
 // nodes deep inside, and angular impulse [N m s] with solutions that did not converge, which the group's first body has for all. Then GROUP_WORDS words of
@@ -19,7 +20,8 @@ const SUBSTEPS: u32 = select(1u, 1u << (LEVELS - 1u), SUBCYCLED);
 const ALL_GROUPS: u32 = WORLDS * GROUPS;
 const ALL_ANSWERING: u32 = WORLDS * ANSWERING;
 const HEADS: u32 = ALL_GROUPS * GROUP_HEAD;
-const STATES: u32 = HEADS + ALL_ANSWERING * BODY_HEAD;
+const TOLD: u32 = HEADS + ALL_ANSWERING * BODY_HEAD;
+const STATES: u32 = TOLD + ALL_GROUPS * GROUP_TOLD;
 const SLOT: u32 = ALL_ANSWERING * BODY_STATE + ALL_GROUPS * GROUP_WORDS;
 
 fn body_head(body: u32) -> u32 {

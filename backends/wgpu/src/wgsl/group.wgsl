@@ -67,6 +67,11 @@ fn group_bodies() -> u32 {
     return answering[group_now * GROUP_HEAD].y;
 }
 
+// A word of those that the group is told for the submission.
+fn group_told(i: u32) -> vec4<u32> {
+    return answering[TOLD + group_now * GROUP_TOLD + i];
+}
+
 // A word of the group's state before the slot, or, where it does not move in this pass, as it is.
 fn group_word(i: u32) -> vec4<u32> {
     return answering[words_of_group(group_now, slot_from) + i];

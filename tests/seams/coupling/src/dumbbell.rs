@@ -469,7 +469,7 @@ impl Coupling for Dumbbell {
             [[self.radius, self.friction, self.places[b], self.masses[b]], both].map(|row| row.map(|x| x as f32))
         };
         let ball = DeviceBody { extent: self.radius, swing: 0.0, reach: self.radius };
-        let groups = vec![DeviceGroup { words: 2, rates: 0, bodies: vec![ball; 2] }];
+        let groups = vec![DeviceGroup { words: 2, told: 0, rates: 0, bodies: vec![ball; 2] }];
         Some(DeviceLaw {
             counted: true,
             wgsl: WGSL.to_owned(),
@@ -492,7 +492,7 @@ impl Coupling for Dumbbell {
             leash.contains([0.0; 3]).then_some(leash)
         };
         let each = self.bounds().into_iter().map(leash).collect::<Option<_>>()?;
-        Some(Leashes { each, in_turns: false })
+        Some(Leashes { each, in_turns: false, told: Vec::new() })
     }
     fn device_state(&self) -> Vec<GroupState> {
         let word = |v: DVec3| [(v.x as f32).to_bits(), (v.y as f32).to_bits(), (v.z as f32).to_bits(), 0];
