@@ -217,10 +217,20 @@ impl Robot {
             ..std::mem::replace(&mut self.step, Step::empty())
         };
         let mut points = std::mem::take(&mut self.step.points);
-        let mass = HEAVY * self.model.mass();
-        points.find(&self.seen(boxes, dt), self.obstacles(tools), &self.pairs, mass, span);
+        self.find_points(boxes, tools, span, &mut points);
         self.step.points = points;
         Ok(())
+    }
+
+    /// Boxes around its bodies.
+    pub(crate) fn boxes(&self) -> Vec<Aabb> {
+        (0..self.solids.len()).map(|body| self.bounds(body, 0.0)).collect()
+    }
+
+    /// Finds where its links, in these boxes, touch what is rigid in a step, and one another.
+    pub(crate) fn find_points(&self, boxes: &[Aabb], tools: &[Obstacle], span: Span, points: &mut Points) {
+        let mass = HEAVY * self.model.mass();
+        points.find(&self.seen(boxes, span.dt), self.obstacles(tools), &self.pairs, mass, span);
     }
 
     /// What is rigid and does not answer, as far as it meets it: walls, and of `tools` all or none.

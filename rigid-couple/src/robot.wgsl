@@ -512,7 +512,7 @@ fn robot_set_twists(kind: u32, thread: u32) {
     }
     let l = robot_body[thread];
     let motion = robot_motion_at(kind, l);
-    set_group_twist(kind, thread, CouplingTwist(motion.linear + cross(motion.angular, robot_centre[l]), motion.angular));
+    set_group_twist(kind, thread, CouplingTwist(robot_velocity_at(motion, robot_centre[l]), motion.angular));
 }
 
 fn coupling_begin(group: u32, thread: u32) {

@@ -488,7 +488,7 @@ impl Coupling for Robots {
             if self.slot == 0 {
                 robot.sense_start(gravity);
             }
-            let boxes: Vec<Aabb> = (0..robot.solids.len()).map(|body| robot.bounds(body, 0.0)).collect();
+            let boxes = robot.boxes();
             robot.begin(span, gravity, &boxes, &self.tools).map_err(|()| robot.lost("motion"))?;
             all.push(boxes);
         }

@@ -3,7 +3,7 @@
 use super::balance::Correction;
 use super::model::{Freedom, RobotModel};
 use super::motion::JointPath;
-use super::touching::{HEAVY, Points, Span};
+use super::touching::{Points, Span};
 use super::{AHEAD, Robot, dynamics};
 use crate::grip::REACH;
 use crate::motion::Pose;
@@ -198,17 +198,10 @@ impl Robot {
         GroupState { words, bodies: bodies.iter().map(placed).collect() }
     }
 
-    /// Finds where its links touch walls and one another in a step, for a device that takes it from where they are.
-    fn find_on_device(&self, span: Span, points: &mut Points) {
-        let boxes: Vec<Aabb> = (0..self.solids.len()).map(|body| self.bounds(body, 0.0)).collect();
-        let mass = HEAVY * self.model.mass();
-        points.find(&self.seen(&boxes, span.dt), self.walls.iter(), &self.pairs, mass, span);
-    }
-
     /// What a device is told of where its links touch walls and one another in a step; `None` where that is at more points than it takes.
     pub(crate) fn told(&self, span: Span) -> Option<Vec<[u32; 4]>> {
         let mut points = Points::default();
-        self.find_on_device(span, &mut points);
+        self.find_points(&self.boxes(), &[], span, &mut points);
         let about = DVec3::from_array(
             self.state.held.as_ref().map_or_else(|| of_pose(&self.pose(0)).0, |held| held.bodies[0].0),
         );
@@ -258,7 +251,7 @@ impl Robot {
     pub(crate) fn note_touching(&mut self, span: Span, in_turns: bool) {
         let mut points = std::mem::take(&mut self.step.points);
         if in_turns {
-            self.find_on_device(span, &mut points);
+            self.find_points(&self.boxes(), &[], span, &mut points);
         } else {
             points.clear();
         }

@@ -62,19 +62,10 @@ fn robot_move(thread: u32) {
         robot_axis[thread] = axis;
     }
     workgroupBarrier();
-    var motion = none;
     if thread < robot_links {
-        if robot_base_rates > 0u {
-            motion = RobotMotion(vec3<f32>(robot_free[3], robot_free[4], robot_free[5]), vec3<f32>(robot_free[0], robot_free[1], robot_free[2]));
-        }
+        let motion = robot_motion_at(ROBOT_NOW, thread);
         var asked = RobotWrench(vec3<f32>(0.0), vec3<f32>(0.0));
         asked.force = -cross(motion.angular, motion.linear) * f32(thread == 0u);
-        for (var a = thread; a != ROBOT_NONE; a = robot_order[a].z) {
-            let rate = robot_order[a].w;
-            if rate != ROBOT_NONE {
-                motion = RobotMotion(motion.angular + robot_free[rate] * robot_axis[a].angular, motion.linear + robot_free[rate] * robot_axis[a].linear);
-            }
-        }
         robot_motion[thread] = motion;
         asked.moment += cross(motion.angular, by.angular);
         asked.force += cross(motion.angular, by.linear) + cross(motion.linear, by.angular);

@@ -36,7 +36,7 @@ pub(crate) struct HeldGroup {
     /// What it is told for the submission.
     told: Vec<Words>,
     pub(crate) bodies: Vec<HeldBody>,
-    /// Does its coupling move it after each step?
+    /// Does it go a step at a time?
     pub(crate) in_turns: bool,
 }
 
