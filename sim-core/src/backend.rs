@@ -237,6 +237,11 @@ pub struct Timing {
 pub trait Engine: Send {
     /// Greatest stable step of the present state, before any safety factor. Cheap: called before every step.
     fn bound(&self) -> Bound;
+    /// The same for so many steps from here on: one that knows no bound after each of them has to foresee how much faster particles become.
+    fn bound_within(&self, steps: u64) -> Bound {
+        let _ = steps;
+        self.bound()
+    }
     /// How many steps are to have one length: it is chosen before every so manieth step of the simulation, or more often where tools become
     /// faster, wherever anyone looks in between, so that looking changes nothing. An engine that knows its bound after each step says 1.
     fn stride(&self) -> u64 {

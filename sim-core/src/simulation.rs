@@ -638,9 +638,11 @@ impl Simulation {
     fn choose(&mut self) -> Result<Chosen> {
         let scene = &self.plan.scene;
         let ground = self.engine.bound();
-        let bound_until =
-            |until: u64| tighten(ground.clone(), &self.couplings, self.time, scene.world.cell, until - self.step);
-        // Where tools are about to be faster, fewer steps are chosen for: none is much shorter than it need be.
+        let bound_until = |until: u64| {
+            let steps = until - self.step;
+            tighten(self.engine.bound_within(steps), &self.couplings, self.time, scene.world.cell, steps)
+        };
+        // Where tools or particles are about to be faster, fewer steps are chosen for: none is much shorter than it need be.
         let (next, mut stride) = (bound_until(self.step + 1).dt, self.engine.stride().max(1));
         let (until, bound) = loop {
             let until = (self.step / stride + 1) * stride;

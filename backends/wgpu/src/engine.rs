@@ -126,6 +126,10 @@ impl Engine for WorldEngine {
         self.shared.batch().worlds[self.world].bound()
     }
 
+    fn bound_within(&self, steps: u64) -> Bound {
+        self.shared.batch().worlds[self.world].bound_within(steps)
+    }
+
     fn stride(&self) -> u64 {
         self.shared.batch().worlds[self.world].stride()
     }

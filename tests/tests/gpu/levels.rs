@@ -138,6 +138,25 @@ fn a_block_swings_across_rims_as_on_the_cpu() {
     }
 }
 
+/// Symptom guarded against: steps of one length for as long as a block falls that was at rest when they were chosen, until its particles move further in
+/// one than blocks have room for: an error, after other steps where somebody looked after each. Physics: free fall.
+#[test]
+fn a_block_that_falls_on_levels_keeps_to_steps_that_it_bears() {
+    let toml = Head { gravity: [0.0, 0.0, -9.81], ..Head::space(0.05) }.with(&[
+        material("neo_hookean", 1000.0, "young_modulus = 1e4, poisson_ratio = 0.3"),
+        block("neo_hookean", [-0.2; 3], [0.8; 3], ""),
+        around_marker(3, 8, [-0.2, -0.35, -0.1]).replace("[levels]", "[levels]\nsubcycle = true"),
+    ]);
+    let (mut sim, mut looked_at) = (gpu(&toml), gpu(&toml));
+    take_at_once(&mut sim, 40);
+    take(&mut looked_at, 40);
+    assert!(left(&sim) == left(&looked_at), "other bits where somebody looks");
+    let (ledger, time) = (sim.ledger(), sim.time());
+    println!("{time} s, {:?} kg m/s", ledger.momentum);
+    assert!(time > 0.2, "40 steps in {time} s");
+    within("speed beside free fall", (ledger.momentum[2] / (ledger.mass * -9.81 * time) - 1.0).abs(), 1e-4);
+}
+
 /// Likewise where rims meet a slip wall, whose mirror is part of every sum: what the mirror image continues comes back.
 #[test]
 fn affine_fields_are_reproduced_where_rims_meet_walls() {

@@ -39,7 +39,7 @@ fn each_law_that_stiffens_is_asked_on_the_device() {
     for (k, law) in LAWS.into_iter().enumerate() {
         for more in ["", levels].into_iter().take(if k == 0 { 2 } else { 1 }) {
             // On levels with steps of their own, no faster than what stiffness bounds more than speed.
-            let text = thrown(law, if more.is_empty() { 3.0 } else { 2.5 }, more, "safety = 0.5");
+            let text = thrown(law, if more.is_empty() { 3.0 } else { 2.0 }, more, "safety = 0.5");
             let mut gpu = gpu(&text);
             let fresh = gpu.plan().bound.dt;
             let at_once = gpu.steps(40, f64::INFINITY).unwrap().len();

@@ -298,7 +298,20 @@ impl World {
 
     /// The greatest stable step.
     pub(crate) fn bound(&self) -> Bound {
-        let of_level = |level: &Level| MAX_MOVE * level.h / level.particle_speed;
+        self.bound_within(0)
+    }
+
+    /// The same for so many steps from here on. Where levels take steps of their own, the device repeats none that was too long, so those that fall freely must
+    /// not become too fast on the way.
+    pub(crate) fn bound_within(&self, steps: u64) -> Bound {
+        let gravity = self.scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let gains = if self.scene.levels.substeps() > 1 { gravity * steps as f64 } else { 0.0 };
+        // (v + n g dt) dt is as far as any may move.
+        let of_level = |level: &Level| {
+            let (speed, most) = (level.particle_speed, MAX_MOVE * level.h);
+            let gains = if level.particles.is_empty() { 0.0 } else { gains };
+            2.0 * most / (speed + (speed * speed + 4.0 * gains * most).sqrt())
+        };
         // NaN, too, is for the step to find.
         let speed =
             self.levels.iter().map(of_level).fold(f64::INFINITY, |least, dt| if dt < least { dt } else { least });
