@@ -340,8 +340,9 @@ fn robot_pull() -> f32 {
     return robot_inertia[0].first.w * dot(group_gravity(), group_gravity());
 }
 
-// Finds the rates that balance without soft ground, as `balance_alone` of `robot.rs`.
-fn robot_settle(thread: u32) {
+// Finds the rates that balance without soft ground, as `balance_alone` of `robot.rs`. Whoever calls it knows whether there are points: without them a device has
+// much less to compile.
+fn robot_settle(at_points: bool, thread: u32) {
     let n = robot_rates;
     if thread < n {
         var driven = -robot_own[thread];
@@ -352,13 +353,13 @@ fn robot_settle(thread: u32) {
         robot_step[thread] = 0.0;
     }
     robot_before = 0.0;
-    if thread == 0u && robot_points > 0u {
+    if at_points && thread == 0u {
         robot_weight = robot_least_weight();
     }
     workgroupBarrier();
-    let turns = select(ROBOT_ITERATIONS, ROBOT_ITERATIONS_AT_POINTS, robot_points > 0u);
+    let turns = select(ROBOT_ITERATIONS, ROBOT_ITERATIONS_AT_POINTS, at_points);
     for (var turn = 0u; turn < turns; turn++) {
-        if thread == 0u && turn + 1u == turns {
+        if at_points && thread == 0u && turn + 1u == turns {
             robot_weight = 1.0;
         }
         if thread < n {
@@ -376,7 +377,7 @@ fn robot_settle(thread: u32) {
             robot_work[thread] = robot_free[thread] * sum;
         }
         workgroupBarrier();
-        if robot_points > 0u {
+        if at_points {
             robot_add_points(ROBOT_NOW, thread);
             if thread < n {
                 robot_missing[thread] = robot_matrix[thread * ROBOT_ROW + n];
@@ -415,7 +416,7 @@ fn robot_settle(thread: u32) {
                 robot_before += robot_missing[i] * robot_step[i];
             }
             robot_go_on = u32(robot_before > ROBOT_TOLERANCE * ROBOT_TOLERANCE * energy);
-            if robot_points > 0u && robot_weight < 1.0 {
+            if at_points && robot_weight < 1.0 {
                 if robot_before <= ROBOT_SMALL * ROBOT_SMALL * energy {
                     robot_weight = min(ROBOT_HEAVIER * robot_weight, 1.0);
                     robot_before = 0.0;
@@ -424,9 +425,10 @@ fn robot_settle(thread: u32) {
             }
         }
         if workgroupUniformLoad(&robot_go_on) == 0u {
-            break;
+            return;
         }
     }
+    group_missed(thread);
 }
 
 // The sum over rates of what threads left there.
@@ -448,12 +450,15 @@ fn robot_lead() -> f32 {
 }
 
 // The rates as they are now are those without the contact to come, and nothing better is known of those with it.
-fn robot_set_free(thread: u32) {
-    if robot_points > 0u {
+fn robot_set_free(at_points: bool, thread: u32) {
+    if at_points {
         robot_press(ROBOT_NOW, thread);
     }
     if thread < robot_rates {
-        robot_own[thread] = robot_joint(thread, robot_free[thread]).value + robot_pressed(thread);
+        robot_own[thread] = robot_joint(thread, robot_free[thread]).value;
+        if at_points {
+            robot_own[thread] += robot_pressed(thread);
+        }
     }
     robot_expect(thread);
     robot_is_settled = true;
@@ -527,15 +532,16 @@ fn coupling_begin(group: u32, thread: u32) {
         robot_go_ahead(thread);
         // Points are too heavy to be met from there.
         if robot_points > 0u {
-            robot_settle(thread);
+            robot_settle(true, thread);
             workgroupBarrier();
-            robot_set_free(thread);
+            robot_set_free(true, thread);
             if thread == 0u {
                 robot_free_energy += robot_pull();
             }
         }
     } else {
-        robot_set_free(thread);
+        // Points are told of where it moves in every slot.
+        robot_set_free(false, thread);
     }
 }
 
@@ -719,7 +725,7 @@ fn coupling_feel(group: u32, thread: u32) {
         robot_free[thread] = group_rate(TWIST_TRIED, thread) + group_rate(TWIST_STEP, thread);
     }
     workgroupBarrier();
-    robot_set_free(thread);
+    robot_set_free(robot_points > 0u, thread);
 }
 
 fn coupling_advance(group: u32, thread: u32) {
@@ -731,10 +737,10 @@ fn coupling_advance(group: u32, thread: u32) {
         word = group_word(ROBOT_WORDS + thread);
     }
     if !robot_is_settled {
-        // It met nothing.
-        robot_settle(thread);
+        // It met nothing, no point either.
+        robot_settle(false, thread);
         workgroupBarrier();
-        robot_set_free(thread);
+        robot_set_free(false, thread);
     }
     if robot_points > 0u {
         robot_take_momentum(thread);

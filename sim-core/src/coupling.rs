@@ -317,6 +317,7 @@ pub struct DeviceLaw {
 /// They may call, where `b` counts the bodies of the group:
 /// - `group_bodies() -> u32`, and `group_body(b) -> u32`: a body's number among the coupling's;
 /// - `group_told(i) -> vec4<u32>`: what the coupling [tells the group](Leashes::told) for the steps at hand;
+/// - `group_missed(thread)`: a solution of the group's own did not converge, which is counted as those with the ground are;
 /// - `group_word(i) -> vec4<u32>` and `set_group_word(i, word)`: the state before the step and after it. Where the group does not move in a pass,
 ///   they are the same;
 /// - `group_pose(b) -> CouplingPose` and `set_group_pose(b, pose)`: likewise where a body is. `struct CouplingPose { cell: vec3<i32>, place: vec3<u32>, rotation:

@@ -5,7 +5,7 @@ use super::joints::{Gains, Order};
 use super::model::RobotModel;
 use super::motion::{self, JointPath};
 use super::sense::Sensed;
-use super::solve::Whole;
+use super::solve::{Balanced, Whole};
 use super::together::{self, Met, Together};
 use super::touching::{Body, Obstacle, Span, pairs_of};
 use super::urdf::Source;
@@ -418,8 +418,10 @@ impl Robots {
             let rates = together.balance_alone(&self.robots).into_iter().flatten();
             together.robots.iter().zip(rates).for_each(|(&robot, rates)| found[robot] = Some(rates));
         }
-        for (robot, rates) in self.robots.iter_mut().zip(found) {
-            rates.ok_or(()).and_then(|rates| robot.go(rates)).map_err(|()| robot.lost("motion"))?;
+        for (robot, found) in self.robots.iter_mut().zip(found) {
+            let Balanced { rates, converged } = found.ok_or_else(|| robot.lost("motion"))?;
+            robot.go(rates).map_err(|()| robot.lost("motion"))?;
+            self.counts.unconverged += u64::from(!converged);
         }
         Ok(())
     }
@@ -737,7 +739,7 @@ impl Coupling for Robots {
     fn counts(&self) -> Vec<(String, u64)> {
         vec![
             ("nodes deeper than two cells inside a link".into(), self.counts.deep_nodes),
-            ("contact solutions of robots not converged".into(), self.counts.unconverged),
+            ("solutions of robots' contact and joints not converged".into(), self.counts.unconverged),
         ]
     }
 

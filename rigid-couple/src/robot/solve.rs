@@ -24,6 +24,13 @@ pub(super) struct Balance {
     pub matrix: DMatrix<f64>,
 }
 
+/// Rates that balance.
+pub(super) struct Balanced {
+    pub rates: DVector<f64>,
+    /// Has the iteration found them, or has it only come near?
+    pub converged: bool,
+}
+
 /// What is solved as one in a step.
 pub(super) trait Whole {
     /// Its mass matrix.
@@ -47,7 +54,7 @@ pub(super) trait Whole {
     /// Rates that balance without soft ground, by Newton's method, as [`barchan_core::contact`] solves: contact points first count as lighter than they are, which
     /// finds those that touch; a step that leads too far is cut back; the last one takes the contact law as it is, which is dissipative even where
     /// the iteration has not converged.
-    fn balance_alone(&self) -> Option<DVector<f64>> {
+    fn balance_alone(&self) -> Option<Balanced> {
         let (mass, driven, ground) = (self.mass_matrix(), self.driven(), self.points());
         let off_at = |rates: &DVector<f64>, own: &Balance| driven - mass * rates + &own.residual;
         let secant_step = |rates: &DVector<f64>, weight: f64| {
@@ -59,7 +66,8 @@ pub(super) trait Whole {
         let mut weight = if ground == 0.0 { 1.0 } else { (LIGHT * self.mass() / ground).min(1.0) };
         let mut rates = self.before().clone();
         let mut last: Option<(DVector<f64>, f64)> = None;
-        for iteration in 1.. {
+        let mut converged = false;
+        for iteration in 1..=MAX_ITERATIONS {
             let own = self.own_impulses(&rates, weight, weight < 1.0 || iteration <= NEWTON);
             let off = off_at(&rates, &own);
             if let Some((step, before)) = last.take() {
@@ -78,7 +86,8 @@ pub(super) trait Whole {
             };
             let scale = energy(mass, &rates).max(energy(mass, self.before())).sqrt();
             let size = energy(mass, &step).sqrt();
-            if (weight == 1.0 && size <= TOLERANCE * scale) || iteration >= MAX_ITERATIONS {
+            converged = weight == 1.0 && size <= TOLERANCE * scale;
+            if converged || iteration == MAX_ITERATIONS {
                 rates += if ground == 0.0 { step } else { secant_step(&rates, 1.0)? };
                 break;
             }
@@ -90,7 +99,7 @@ pub(super) trait Whole {
                 last = None;
             }
         }
-        Some(rates)
+        Some(Balanced { rates, converged })
     }
 }
 

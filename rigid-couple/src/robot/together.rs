@@ -6,7 +6,7 @@
 
 use super::Robot;
 use super::dynamics::Place;
-use super::solve::{Balance, Whole, add_system, mended};
+use super::solve::{Balance, Balanced, Whole, add_system, mended};
 use super::touching::{HEAVY, Seen, Span, among, forces};
 use barchan_core::contact::{System, Touch, Twist};
 use barchan_core::{Aabb, NodeBatch};
@@ -176,7 +176,7 @@ impl Together {
     }
 
     /// Rates of each robot that balance without soft ground, see [`Whole::balance_alone`].
-    pub(super) fn balance_alone(&self, robots: &[Robot]) -> Option<Vec<DVector<f64>>> {
+    pub(super) fn balance_alone(&self, robots: &[Robot]) -> Option<Vec<Balanced>> {
         let begun = Begun {
             together: self,
             robots,
@@ -184,8 +184,8 @@ impl Together {
             driven: self.rates(self.own(robots).map(|robot| &robot.step.driven)),
             before: self.rates(self.own(robots).map(|robot| &robot.step.rates)),
         };
-        let rates = begun.balance_alone()?;
-        Some(self.parts(&rates).collect())
+        let Balanced { rates, converged } = begun.balance_alone()?;
+        Some(self.parts(&rates).map(|rates| Balanced { rates, converged }).collect())
     }
 
     /// What is out of balance at some twists, with what soft ground gives there.

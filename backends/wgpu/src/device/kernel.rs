@@ -1,6 +1,8 @@
 //! Buffers by what they are to passes, and a pass as a device has compiled it.
 
 use crate::device::layout::RECORD;
+use std::fmt;
+use std::sync::{Arc, LazyLock};
 
 /// Planes of particles, and what a sort lays out anew: there are two of each, one of which a sort writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -178,11 +180,37 @@ pub(crate) enum Uniform {
     Regions,
 }
 
+/// What a device makes of a pass's text. That takes a device's compiler up to seconds, so threads that are idle see to it, one pass each; whoever needs it first
+/// waits for it, or makes it if nobody has begun.
+pub(crate) struct Pipeline(Arc<LazyLock<wgpu::ComputePipeline, Box<dyn FnOnce() -> wgpu::ComputePipeline + Send>>>);
+
+impl Pipeline {
+    pub(crate) fn begin(make: impl FnOnce() -> wgpu::ComputePipeline + Send + 'static) -> Self {
+        let pipeline: Arc<LazyLock<_, Box<dyn FnOnce() -> _ + Send>>> = Arc::new(LazyLock::new(Box::new(make)));
+        let ahead = Arc::clone(&pipeline);
+        rayon::spawn(move || {
+            LazyLock::force(&ahead);
+        });
+        Self(pipeline)
+    }
+
+    /// The pipeline, once it has been made.
+    pub(crate) fn made(&self) -> &wgpu::ComputePipeline {
+        &self.0
+    }
+}
+
+impl fmt::Debug for Pipeline {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Pipeline").finish_non_exhaustive()
+    }
+}
+
 /// A pass.
 #[derive(Debug)]
 pub(crate) struct Kernel {
     pub(crate) name: &'static str,
-    pub(crate) pipeline: wgpu::ComputePipeline,
+    pub(crate) pipeline: Pipeline,
     pub(crate) layout: wgpu::BindGroupLayout,
     /// Buffers in the order of their bindings, and which part of each.
     pub(crate) roles: Vec<(Role, usize)>,

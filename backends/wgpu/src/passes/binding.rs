@@ -1,6 +1,7 @@
 //! Buffers as passes see them, and how a pass is made from its text.
 
 use crate::device::Gpu;
+use crate::device::kernel::Pipeline;
 pub(crate) use crate::device::kernel::{
     FIRST_BINDING, Found, Groups, Kernel, LEAST_BINDINGS, Parts, Role, Sorted, Uniform,
 };
@@ -192,11 +193,6 @@ pub(crate) fn build_for(
         _ => false,
     };
     checks.bounds_checks = draft.checked;
-    let descriptor =
-        wgpu::ShaderModuleDescriptor { label: Some(draft.name), source: wgpu::ShaderSource::Wgsl(text.into()) };
-    // SAFETY: without plugins' text, or if that says so of its own, all loops count to a bound that they find at their start, go through
-    // a word's bits, or walk a list that has no circles; a pass whose indices are not checked says why they are in range.
-    let module = unsafe { device.create_shader_module_trusted(descriptor, checks) };
     let layout = device
         .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(draft.name), entries: &entries });
     let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -204,13 +200,21 @@ pub(crate) fn build_for(
         bind_group_layouts: &[Some(&layout), Some(step_layout)],
         immediate_size: 0,
     });
-    let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some(draft.name),
-        layout: Some(&pipeline_layout),
-        module: &module,
-        entry_point: Some(draft.entry),
-        compilation_options: wgpu::PipelineCompilationOptions::default(),
-        cache: None,
+    let (device, name, entry) = (device.clone(), draft.name, draft.entry);
+    let pipeline = Pipeline::begin(move || {
+        let descriptor =
+            wgpu::ShaderModuleDescriptor { label: Some(name), source: wgpu::ShaderSource::Wgsl(text.into()) };
+        // SAFETY: without plugins' text, or if that says so of its own, all loops count to a bound that they find at their start, go through
+        // a word's bits, or walk a list that has no circles; a pass whose indices are not checked says why they are in range.
+        let module = unsafe { device.create_shader_module_trusted(descriptor, checks) };
+        device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(name),
+            layout: Some(&pipeline_layout),
+            module: &module,
+            entry_point: Some(entry),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: None,
+        })
     });
     Kernel { name: draft.name, pipeline, layout, roles, uniform: draft.uniform, groups: draft.groups }
 }

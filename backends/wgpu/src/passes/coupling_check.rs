@@ -23,7 +23,7 @@ fn coupling_sample(i: u32) -> vec4<f32> { var one = vec4<f32>(f32(i)); return on
 /// What the functions of groups may use of the pass in which they answer; [`DeviceAnswer`](barchan_core::coupling::DeviceAnswer) says what it is.
 const STRUCTURES: [&str; 4] = ["CouplingTwist", "CouplingPose", "CouplingSystem", "CouplingRow"];
 const CONSTANTS: [&str; 6] = ["TWIST_FREE", "TWIST_EXPECTED", "TWIST_TRIED", "TWIST_STEP", "TWIST_LAST", "GROUP_ROOM"];
-const FUNCTIONS_OF_PASS: [&str; 28] = [
+const FUNCTIONS_OF_PASS: [&str; 29] = [
     "group_room",
     "set_group_room",
     "group_moves",
@@ -32,6 +32,7 @@ const FUNCTIONS_OF_PASS: [&str; 28] = [
     "group_bodies",
     "group_body",
     "group_told",
+    "group_missed",
     "group_word",
     "set_group_word",
     "group_gravity",

@@ -201,7 +201,7 @@ impl WgpuBatch {
         queries: Option<&wgpu::QuerySet>,
     ) {
         let bind = |pass: &mut wgpu::ComputePass<'_>, memory: &mut Memory, (d, size): &(&Dispatch<'_>, Size)| {
-            pass.set_pipeline(&d.kernel.pipeline);
+            pass.set_pipeline(d.kernel.pipeline.made());
             pass.set_bind_group(0, &memory.binding(&gpu.device, d.kernel, d.now), &[]);
             pass.set_bind_group(1, &memory.step_binding, &[(STEP_STRIDE * d.step as u64) as u32]);
             match size {

@@ -75,7 +75,6 @@ var<workgroup> weight: f32;
 var<private> impulse: vec3<f32>;
 var<private> angular_impulse: vec3<f32>;
 var<private> deep_nodes: u32;
-var<private> unconverged: u32;
 // Of the thread's body in each turn: its number in the group; nodes that the thread keeps, and where the first of them stands; friction.
 struct Kept { body: u32, touches: u32, first: u32, friction: f32 }
 var<private> own_nodes: array<Kept, TURNS>;

@@ -67,6 +67,14 @@ fn group_bodies() -> u32 {
     return answering[group_now * GROUP_HEAD].y;
 }
 
+// Solutions that did not converge in the slot, which the group's first thread counts.
+var<private> unconverged: u32;
+
+// One of the group's own did not.
+fn group_missed(thread: u32) {
+    unconverged += u32(thread == 0u);
+}
+
 // A word of those that the group is told for the submission.
 fn group_told(i: u32) -> vec4<u32> {
     return answering[TOLD + group_now * GROUP_TOLD + i];
