@@ -65,6 +65,8 @@ pub struct Robots {
 struct Counts {
     deep_nodes: u64,
     unconverged: u64,
+    /// Of joints and what is rigid alone; a device counts them among the others.
+    unsettled: u64,
 }
 
 impl RobotModel {
@@ -421,7 +423,7 @@ impl Robots {
         for (robot, found) in self.robots.iter_mut().zip(found) {
             let Balanced { rates, converged } = found.ok_or_else(|| robot.lost("motion"))?;
             robot.go(rates).map_err(|()| robot.lost("motion"))?;
-            self.counts.unconverged += u64::from(!converged);
+            self.counts.unsettled += u64::from(!converged);
         }
         Ok(())
     }
@@ -739,7 +741,8 @@ impl Coupling for Robots {
     fn counts(&self) -> Vec<(String, u64)> {
         vec![
             ("nodes deeper than two cells inside a link".into(), self.counts.deep_nodes),
-            ("solutions of robots' contact and joints not converged".into(), self.counts.unconverged),
+            ("contact solutions of robots not converged".into(), self.counts.unconverged),
+            ("rates of robots without soft ground not found".into(), self.counts.unsettled),
         ]
     }
 

@@ -180,23 +180,35 @@ pub(crate) enum Uniform {
     Regions,
 }
 
+type Made = LazyLock<wgpu::ComputePipeline, Box<dyn FnOnce() -> wgpu::ComputePipeline + Send>>;
+
 /// What a device makes of a pass's text. That takes a device's compiler up to seconds, so threads that are idle see to it, one pass each; whoever needs it first
-/// waits for it, or makes it if nobody has begun.
-pub(crate) struct Pipeline(Arc<LazyLock<wgpu::ComputePipeline, Box<dyn FnOnce() -> wgpu::ComputePipeline + Send>>>);
+/// waits for it, or makes it if nobody has begun. Nobody begins once it is dropped, and what has begun is waited for, so that a process ends without a driver at work.
+pub(crate) struct Pipeline(Option<Arc<Made>>);
 
 impl Pipeline {
     pub(crate) fn begin(make: impl FnOnce() -> wgpu::ComputePipeline + Send + 'static) -> Self {
-        let pipeline: Arc<LazyLock<_, Box<dyn FnOnce() -> _ + Send>>> = Arc::new(LazyLock::new(Box::new(make)));
-        let ahead = Arc::clone(&pipeline);
+        let made: Arc<Made> = Arc::new(LazyLock::new(Box::new(make)));
+        let ahead = Arc::downgrade(&made);
         rayon::spawn(move || {
-            LazyLock::force(&ahead);
+            if let Some(made) = ahead.upgrade() {
+                LazyLock::force(&made);
+            }
         });
-        Self(pipeline)
+        Self(Some(made))
     }
 
     /// The pipeline, once it has been made.
     pub(crate) fn made(&self) -> &wgpu::ComputePipeline {
-        &self.0
+        self.0.as_deref().expect("it is there until it is dropped")
+    }
+}
+
+impl Drop for Pipeline {
+    fn drop(&mut self) {
+        if let Some(Err(begun)) = self.0.take().map(Arc::try_unwrap) {
+            LazyLock::force(&begun);
+        }
     }
 }
 
