@@ -377,8 +377,7 @@ fn are_near(rule: Rule, a: &Run, b: &Run) -> Held<()> {
         places
     };
     let (mut x, mut y) = (places(a, false), places(b, false));
-    // Where particles split and merge, others may do so on another backend.
-    if a.plan().cell_widths.len() > 1 && !x.keys().eq(y.keys()) {
+    if !x.keys().eq(y.keys()) {
         (x, y) = (places(a, true), places(b, true));
     }
     let world = &a.plan().scene.world;
