@@ -64,6 +64,8 @@ pub const SEPARATE: &str = include_str!("wall/separate.wgsl");
 pub const WATCH: &str = include_str!("rest/watch.wgsl");
 /// What passes know of the rest of blocks.
 pub const WATCH_WORDS: &str = include_str!("rest/watch_words.wgsl");
+/// How particles of blocks that sleep are marked.
+pub const OF_SLEEPERS: &str = include_str!("rest/of_sleepers.wgsl");
 /// What P2G does for those who sleep.
 pub const WATCH_P2G: &str = include_str!("rest/watch_p2g.wgsl");
 /// What the grid update does.

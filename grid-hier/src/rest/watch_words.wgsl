@@ -21,8 +21,6 @@ const FELL: u32 = 7u;
 const LOST: u32 = 8u;
 
 const ASLEEP: u32 = 0xffffu;
-// What marks the mass that G2P finds beside a particle's block, which it reads anyway, if the block sleeps.
-const OF_SLEEPERS: u32 = 0x80000000u;
 
 fn watch_word(b: u32, k: u32) -> u32 {
     return b * WATCHED + k;

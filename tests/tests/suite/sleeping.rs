@@ -119,8 +119,11 @@ fn ground_asleep_falls_when_its_support_goes() {
         ),
     );
     let [slept, awake] = ["on = true\nspeed = 5e-3", "on = false"].map(|sleep| {
-        let text = bed(cells, "sand", SAND, sleep, std::slice::from_ref(&gate))
-            .replace(&format!("max = [{:?}", side[0]), "max = [0.96");
+        let text = bed(cells, "sand", SAND, sleep, std::slice::from_ref(&gate)).replacen(
+            &format!("max = [{:?}", side[0]),
+            "max = [0.96",
+            1,
+        );
         let mut s = simulation(&text, Precision::F32);
         run_to(&mut s, 0.8);
         let most = asleep(&s);
@@ -129,7 +132,7 @@ fn ground_asleep_falls_when_its_support_goes() {
         (most, reach.iter().sum::<f64>() / reach.len() as f64, asleep(&s))
     });
     println!("{slept:?} against {awake:?}");
-    assert!(slept.0 > 1000 && awake.1 > 0.6 * side[0], "nothing slept, or nothing fell");
+    assert!(slept.0 > 1000 && awake.1 > 0.52 * side[0], "nothing slept, or nothing fell");
     within("mean place of the sand, over how far it went", (slept.1 - awake.1).abs() / (awake.1 - 0.5 * side[0]), 0.02);
 }
 

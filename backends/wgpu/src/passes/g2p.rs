@@ -29,7 +29,7 @@ pub(crate) fn g2p(plan: &Plan, laws: &str, sleeps: bool, [particles, layers]: [u
         &body,
     ]
     .concat();
-    let watch = if sleeps { [wgsl::WATCH_WORDS, wgsl::WATCH_G2P].concat() } else { String::new() };
+    let watch = if sleeps { [wgsl::WATCH_WORDS, wgsl::OF_SLEEPERS, wgsl::WATCH_G2P].concat() } else { String::new() };
     let mut uses = vec![written(RECORD), written(REST), OWNERS, LISTS, NODES, STATUS];
     uses.extend(sleeps.then_some(WATCH));
     Draft {

@@ -27,7 +27,7 @@ pub(crate) fn flux(plan: &Plan, sleeps: bool) -> Draft {
     Draft {
         name: "flux",
         entry: "see_crossed",
-        body: [counts(plan).as_str(), DIGITS, PROBED, if sleeps { wgsl::WATCH_WORDS } else { "" }, &body].concat(),
+        body: [counts(plan).as_str(), DIGITS, PROBED, if sleeps { wgsl::OF_SLEEPERS } else { "" }, &body].concat(),
         uses,
         uniform: Uniform::None,
         groups: blocks(plan.cell_widths.len() > 1),
@@ -47,14 +47,14 @@ fn parts(plan: &Plan) -> String {
 pub(crate) fn pressed(plan: &Plan, sleeps: bool) -> Draft {
     let levels = plan.cell_widths.len() > 1;
     let body = chosen(include_str!("../wgsl/pressed.wgsl"), &[("sleeps", sleeps), ("levels", levels)]);
-    let watch = if sleeps { wgsl::WATCH_WORDS } else { "" };
+    let asleep = if sleeps { wgsl::OF_SLEEPERS } else { "" };
     let take_up = if levels { include_str!("../wgsl/take_up.wgsl") } else { "" };
     let mut uses = vec![RECORD, LISTS, CELLS, NODES, STATUS, PROBED_IN_STEPS];
     uses.extend(sleeps.then_some(OWNERS));
     Draft {
         name: "press on walls",
         entry: "see_pressed",
-        body: [&parts(plan), take_up, wgsl::REACHES_WALL, wgsl::WALL, watch, &body].concat(),
+        body: [&parts(plan), take_up, wgsl::REACHES_WALL, wgsl::WALL, asleep, &body].concat(),
         uses,
         uniform: Uniform::None,
         groups: blocks(levels),

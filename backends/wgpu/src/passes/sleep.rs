@@ -16,7 +16,7 @@ pub(crate) fn watch(levels: bool) -> Draft {
     Draft {
         name: "watch",
         entry: "watch_blocks",
-        body: [&body, wgsl::WATCH_WORDS, wgsl::WATCH_BOOKED, &SINCE_SORT.concat()].concat(),
+        body: [&body, wgsl::WATCH_WORDS, wgsl::OF_SLEEPERS, wgsl::WATCH_BOOKED, &SINCE_SORT.concat()].concat(),
         uses,
         uniform: Uniform::None,
         groups: blocks(levels),
