@@ -134,7 +134,8 @@ impl Schedule {
         let Needs { ground, levels, subcycled, sleeps, unbounded, bodies, flux, press } = needs;
         let nested = ground && levels > 1;
         let upkeep = [(Stage::ARCHIVE, ground && unbounded), (Stage::ADAPT, nested), (Stage::SORT, ground)];
-        let slots = if ground && subcycled { 1 << (levels - 1) } else { 1 };
+        // Bodies move alike whether there is ground or not.
+        let slots = if subcycled { 1 << (levels - 1) } else { 1 };
         let mut step = Vec::new();
         for slot in 0..slots {
             let mut call = |stage: Stage, levels: Range<usize>, called_for: bool| {
@@ -158,19 +159,19 @@ impl Schedule {
                 call(Stage::PRESS, all, ground && press);
             } else {
                 let (begin, end) = (beginning(levels, slot), ending(levels, slot));
-                call(Stage::SLEEP, begin.clone(), sleeps);
-                call(Stage::P2G, begin.clone(), true);
-                call(Stage::GRID_UPDATE, begin.clone(), true);
-                call(Stage::RESTRICT, 1..begin.end, true);
-                call(Stage::PROLONG, 0..begin.end.min(levels - 1), true);
+                call(Stage::SLEEP, begin.clone(), ground && sleeps);
+                call(Stage::P2G, begin.clone(), ground);
+                call(Stage::GRID_UPDATE, begin.clone(), ground);
+                call(Stage::RESTRICT, 1..begin.end, ground);
+                call(Stage::PROLONG, 0..begin.end.min(levels - 1), ground);
                 call(Stage::CONTACT, 0..1, bodies);
                 call(Stage::BODIES, 0..1, bodies);
                 call(Stage::CONTACT, 1..end.end, bodies);
-                call(Stage::SIDES, end.clone(), flux);
-                call(Stage::G2P, end.clone(), true);
-                call(Stage::FLUX, end.clone(), flux);
-                call(Stage::LIMIT, end, true);
-                call(Stage::PRESS, 0..levels, press && slot + 1 == slots);
+                call(Stage::SIDES, end.clone(), ground && flux);
+                call(Stage::G2P, end.clone(), ground);
+                call(Stage::FLUX, end.clone(), ground && flux);
+                call(Stage::LIMIT, end, ground);
+                call(Stage::PRESS, 0..levels, ground && press && slot + 1 == slots);
             }
         }
         let upkeep = upkeep.into_iter().filter(|(_, called_for)| *called_for).map(|(stage, _)| stage).collect();

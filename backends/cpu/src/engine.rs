@@ -614,8 +614,11 @@ impl<T: Scalar> CpuEngine<T> {
             self.carry_out(time, dt, couplings)?
         } else {
             self.levels.iter_mut().for_each(|level| level.max_speed = 0.0);
-            begin_step(couplings, time, dt)?;
-            couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))?;
+            for slot in 0..self.schedule.slots {
+                let (time, dt) = (self.schedule.time_of(slot, time, dt), self.schedule.dt_of(0, dt));
+                begin_step(couplings, time, dt)?;
+                couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))?;
+            }
             (dt, None)
         };
         for level in &mut self.levels {

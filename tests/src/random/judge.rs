@@ -310,7 +310,7 @@ impl Run {
             .map(|(m, v)| m * v.iter().map(|v| v.abs()).sum::<f64>())
             .sum();
         // A thousandth of a cell in a step is nothing that anyone would see.
-        let still = 1e-3 * now.mass * scene.world.cell / self.simulation.plan().dt;
+        let still = 1e-3 * (now.mass + now.sinks.mass) * scene.world.cell / self.simulation.plan().dt;
         let scale = self.exchanged + speed + still;
         let off: Vec3 = std::array::from_fn(|d| {
             let of = |ledger: &Ledger| {
