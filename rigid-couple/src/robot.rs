@@ -267,10 +267,9 @@ impl Robot {
     }
 
     /// What is out of balance at the rates of some twists, with what soft ground gives there.
-    fn balance_with(&self, at: &[Twist], systems: &[System]) -> Balance {
+    fn balance_with(&self, at: &[Twist], systems: &[System], tangent: bool) -> Balance {
         let rates = self.rates(at);
-        // As without soft ground, points at their own weight have their secant.
-        let Balance { mut residual, mut matrix } = self.own_impulses(&rates, 1.0, false);
+        let Balance { mut residual, mut matrix } = self.own_impulses(&rates, 1.0, tangent);
         residual -= self.own_impulses(&self.step.rates, 1.0, false).residual;
         residual += &self.step.mass * (&self.step.rates - rates);
         matrix += &self.step.mass;
@@ -283,14 +282,14 @@ impl Robot {
     /// By how much bodies' twists have to change for balance, see [`barchan_core::Coupling::answer`].
     pub(crate) fn answer(&self, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
         let symmetric = systems.iter().all(|system| system.symmetric);
-        let Balance { residual, matrix } = self.balance_with(at, systems);
+        let Balance { residual, matrix } = self.balance_with(at, systems, !symmetric);
         let step = if symmetric { matrix.cholesky()?.solve(&residual) } else { matrix.lu().solve(&residual)? };
         Some(self.twists(&step))
     }
 
     /// What is out of balance along some change of twists, see [`barchan_core::Coupling::balance`] [J].
     pub(crate) fn balance(&self, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
-        self.balance_with(at, systems).residual.dot(&self.rates(along))
+        self.balance_with(at, systems, false).residual.dot(&self.rates(along))
     }
 
     /// Twice the kinetic energy at some twists [J].

@@ -23,9 +23,10 @@ const ROBOT_FADE: f32 = 0.1;
 // As in `robot.rs`.
 const ROBOT_ITERATIONS: u32 = 20u;
 const ROBOT_TOLERANCE: f32 = 1e-5;
-const ROBOT_OVERSHOT: f32 = 0.5;
-// As in `solve.rs`: points first count as lighter than they are, which finds those that touch.
-const ROBOT_ITERATIONS_AT_POINTS: u32 = 40u;
+// As in `solve.rs`: points first count as lighter than they are, which finds those that touch. All places that are tried along steps are counted.
+const ROBOT_ITERATIONS_AT_POINTS: u32 = 100u;
+// Rounding of what is out of balance, relative to impulses.
+const ROBOT_ROUNDING: f32 = 1e-6;
 const ROBOT_LIGHT: f32 = 10.0;
 const ROBOT_HEAVIER: f32 = 4.0;
 const ROBOT_SMALL: f32 = 0.03;
@@ -95,13 +96,15 @@ var<private> robot_angular: vec3<f32>;
 // Do the rates balance what acts on the robot in this step, as far as it has been met?
 var<private> robot_is_settled: bool;
 // What the first thread alone knows: twice the kinetic energy without the contact at hand, at the rates that are tried, and of the step; what is out of
-// balance along the last step, and along this one; and along the last one before it.
+// balance along the last step, and along this one; along the last one before it; and, as that was found, twice the kinetic energy, and what rounding is of it.
 var<private> robot_free_energy: f32;
 var<private> robot_tried_energy: f32;
 var<private> robot_step_energy: f32;
 var<private> robot_beyond: f32;
 var<private> robot_ahead: f32;
 var<private> robot_before: f32;
+var<private> robot_speed: f32;
+var<private> robot_noise: f32;
 
 // Fixed-point numbers: whole, and 2^-32.
 fn robot_number(word: vec2<u32>) -> f32 {
@@ -386,19 +389,20 @@ fn robot_settle(at_points: bool, thread: u32) {
         }
         if thread == 0u {
             robot_go_on = 1u;
-            var beyond = 0.0;
             if robot_before > 0.0 {
-                beyond = -robot_lead();
-            }
-            if beyond > ROBOT_OVERSHOT * robot_before {
-                // It led too far.
-                let back = beyond / (robot_before + beyond);
-                for (var i = 0u; i < n; i++) {
-                    robot_free[i] -= back * robot_step[i];
-                    robot_step[i] *= 1.0 - back;
+                let further = search_on(robot_lead(), robot_noise);
+                if further != 0.0 {
+                    for (var i = 0u; i < n; i++) {
+                        robot_free[i] += further * robot_step[i];
+                    }
+                    robot_go_on = 2u;
+                } else if at_points && search_part() < 1.0 && robot_weight < 1.0
+                    && search_part() * search_part() * robot_before <= ROBOT_SMALL * ROBOT_SMALL * robot_speed {
+                    // Bounds are in the way of more: the same is solved anew with heavier points.
+                    robot_weight = min(ROBOT_HEAVIER * robot_weight, 1.0);
+                    robot_before = 0.0;
+                    robot_go_on = 2u;
                 }
-                robot_before *= 1.0 - back;
-                robot_go_on = 2u;
             }
         }
         if workgroupUniformLoad(&robot_go_on) == 2u {
@@ -409,15 +413,17 @@ fn robot_settle(at_points: bool, thread: u32) {
             robot_free[thread] += robot_step[thread];
         }
         if thread == 0u {
-            var energy = robot_pull();
+            robot_speed = robot_pull();
             robot_before = 0.0;
             for (var i = 0u; i < n; i++) {
-                energy += robot_work[i];
+                robot_speed += robot_work[i];
                 robot_before += robot_missing[i] * robot_step[i];
             }
-            robot_go_on = u32(robot_before > ROBOT_TOLERANCE * ROBOT_TOLERANCE * energy);
+            search_from(robot_before);
+            robot_noise = ROBOT_ROUNDING * sqrt(robot_speed * robot_before);
+            robot_go_on = u32(robot_before > ROBOT_TOLERANCE * ROBOT_TOLERANCE * robot_speed);
             if at_points && robot_weight < 1.0 {
-                if robot_before <= ROBOT_SMALL * ROBOT_SMALL * energy {
+                if robot_before <= ROBOT_SMALL * ROBOT_SMALL * robot_speed {
                     robot_weight = min(ROBOT_HEAVIER * robot_weight, 1.0);
                     robot_before = 0.0;
                 }

@@ -17,7 +17,10 @@
 //! secant f(u) = K(u) u, K frozen: since 0 ≤ K ≤ 1 is symmetric, this is consistent and dissipative even where the iteration has not converged, and
 //! the body receives exactly the momentum that the nodes lose.
 
+mod search;
 pub mod wgsl;
+
+pub use search::Search;
 
 use crate::coupling::{Aabb, Coupling, Group, NodeBatch, Wrench};
 use crate::{Result, Vec3};
@@ -185,8 +188,6 @@ const MAX_ITERATIONS: u32 = 40;
 /// which it grows once the last step was relatively small.
 const LIGHT: f64 = 10.0;
 const HEAVIER: f64 = 4.0;
-/// What may be out of balance along a step behind it, as a part of what was before it.
-const OVERSHOT: f64 = 0.5;
 const SMALL: f64 = 0.03;
 /// Relative size of the last step but one at convergence, in the norm of the kinetic energy. The law's part in momentum and
 /// energy is exact whatever it is.
@@ -378,30 +379,17 @@ impl<C: Coupling + ?Sized> Answering<'_, C> {
         // Ground much heavier than the bodies is first taken as lighter: its true weight then finds the right nodes in contact.
         let mut weight = (LIGHT * self.group.mass / ground).min(1.0);
         let mut frozen = self.free.to_vec();
+        let mut systems = self.assemble(&frozen, weight, true);
         let mut iterations = 0;
-        // The last step, and what was out of balance along it before.
-        let mut last: Option<(Vec<Twist>, f64)> = None;
         let (last_step, converged) = loop {
             iterations += 1;
-            let systems = self.assemble(&frozen, weight, true);
-            let balance = |along: &[Twist]| self.coupling.balance(self.bodies(), &frozen, &systems, along);
-            // Where bounds are reached on the way, a step may lead beyond what balances along it: it is cut back.
-            if let Some((mut step, before)) = last.take() {
-                let beyond = -balance(&step);
-                if beyond > OVERSHOT * before && iterations < MAX_ITERATIONS {
-                    let back = beyond / (before + beyond);
-                    frozen = moved(&frozen, -back, &step);
-                    step.iter_mut().for_each(|twist| *twist = Twist::default().plus(1.0 - back, twist));
-                    last = Some((step, (1.0 - back) * before));
-                    continue;
-                }
-            }
             // A direction that does not lead towards balance is replaced by the secant's, which always does.
             let newton = self.coupling.answer(self.bodies(), &frozen, &systems);
-            let newton = newton.map(|step| (balance(&step), step)).filter(|(lead, _)| *lead >= 0.0);
+            let newton =
+                newton.map(|step| (self.left(&frozen, &systems, &step), step)).filter(|(lead, _)| *lead >= 0.0);
             let (lead, step) = newton.unwrap_or_else(|| {
                 let step = self.secant_step(&frozen, weight);
-                (balance(&step), step)
+                (self.left(&frozen, &systems, &step), step)
             });
             let scale = self.energy(&frozen).max(self.energy(self.free)).sqrt();
             let size = self.energy(&step).sqrt();
@@ -410,11 +398,18 @@ impl<C: Coupling + ?Sized> Answering<'_, C> {
                 let is_secant = weight == 1.0 && systems.iter().all(|system| system.is_secant);
                 break (if is_secant { step } else { self.secant_step(&frozen, 1.0) }, converged);
             }
-            frozen = moved(&frozen, 1.0, &step);
-            last = Some((step, lead));
-            if size <= SMALL * scale && weight < 1.0 {
+            let (before, mut search, mut part) = (frozen, Search::new(lead), 1.0);
+            (frozen, systems) = loop {
+                let tried = moved(&before, part, &step);
+                let systems = self.assemble(&tried, weight, true);
+                match search.next(self.left(&tried, &systems, &step)) {
+                    Some(other) => part = other,
+                    None => break (tried, systems),
+                }
+            };
+            if part * size <= SMALL * scale && weight < 1.0 {
                 weight = (HEAVIER * weight).min(1.0);
-                last = None;
+                systems = self.assemble(&frozen, weight, true);
             }
         };
         let twists = moved(&frozen, 1.0, &last_step);
@@ -432,6 +427,11 @@ impl<C: Coupling + ?Sized> Answering<'_, C> {
     fn assemble(&self, twists: &[Twist], weight: f64, tangent: bool) -> Vec<System> {
         let pairs = self.touches.iter().zip(twists);
         pairs.map(|(touches, twist)| System::of(touches, self.nodes, twist, weight, tangent)).collect()
+    }
+
+    /// What is out of balance along a step [J].
+    fn left(&self, at: &[Twist], systems: &[System], along: &[Twist]) -> f64 {
+        self.coupling.balance(self.bodies(), at, systems, along)
     }
 
     /// Twice the kinetic energy of the bodies at some twists [J].

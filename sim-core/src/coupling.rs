@@ -333,6 +333,9 @@ pub struct DeviceLaw {
 /// - `group_system(b) -> CouplingSystem`, in `coupling_answer`: b as `force` and `torque`, and A as `force_linear`, `force_angular`, `torque_linear` and
 ///   `torque_angular`, where column i of each is row i of a quarter; `solve_rows(array<CouplingRow, 6>) -> CouplingTwist` solves six equations without
 ///   pivots, `struct CouplingRow { linear: vec3<f32>, angular: vec3<f32>, missing: f32 }`;
+/// - how far a step of Newton's method goes, for one thread: `search_from(before)` with what is out of balance along it before it,
+///   `search_on(left, noise) -> f32` how much further to go, as a part of the step, where so much is, of which rounding may be some, and 0 if that will do,
+///   `search_part() -> f32` how far it went;
 /// - `group_impulse(b) -> CouplingTwist` in `coupling_feel` [N s, N m s], and in `coupling_begin` `group_impulse_before(b)`: what the last slot gave, where levels
 ///   take steps of their own, and zero before the first;
 /// - `group_room(i) -> vec4<f32>` and `set_group_room(i, v)`: `GROUP_ROOM` vectors, 704, for what a function works out on its way with all threads; nothing stays

@@ -1,18 +1,13 @@
 //! Rates that balance: of a robot alone, or of robots that touch one another.
 
 use super::dynamics::Place;
-use barchan_core::contact::System;
+use barchan_core::contact::{Search, System};
 use glam::DVec3;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Iterations after which rates are taken as they are, and the size of the last step at convergence, relative to the speed of the whole.
 const MAX_ITERATIONS: usize = 40;
 const TOLERANCE: f64 = 1e-10;
-/// Iterations after which contact points at their own weight have their secant in place of their derivative, which may lead to and fro between sticking and sliding: so heavy
-/// are they that they stick at a few tens of μm/s alone.
-const NEWTON: usize = 12;
-/// What may be out of balance along a step behind it, as a part of what was before it.
-const OVERSHOT: f64 = 0.5;
 /// Weight of contact points in the robots' at which the iteration starts, and the factor by which it grows once the last step was relatively small.
 const LIGHT: f64 = 10.0;
 const HEAVIER: f64 = 4.0;
@@ -52,7 +47,7 @@ pub(super) trait Whole {
     }
 
     /// Rates that balance without soft ground, by Newton's method, as [`barchan_core::contact`] solves: contact points first count as lighter than they are, which
-    /// finds those that touch; a step that leads too far is cut back; the last one takes the contact law as it is, which is dissipative even where
+    /// finds those that touch; how far a step goes is [`Search`]'s to say; the last one takes the contact law as it is, which is dissipative even where
     /// the iteration has not converged.
     fn balance_alone(&self) -> Option<Balanced> {
         let (mass, driven, ground) = (self.mass_matrix(), self.driven(), self.points());
@@ -65,20 +60,10 @@ pub(super) trait Whole {
         };
         let mut weight = if ground == 0.0 { 1.0 } else { (LIGHT * self.mass() / ground).min(1.0) };
         let mut rates = self.before().clone();
-        let mut last: Option<(DVector<f64>, f64)> = None;
+        let mut own = self.own_impulses(&rates, weight, true);
         let mut converged = false;
         for iteration in 1..=MAX_ITERATIONS {
-            let own = self.own_impulses(&rates, weight, weight < 1.0 || iteration <= NEWTON);
             let off = off_at(&rates, &own);
-            if let Some((step, before)) = last.take() {
-                let beyond = -step.dot(&off);
-                if beyond > OVERSHOT * before && iteration < MAX_ITERATIONS {
-                    let back = beyond / (before + beyond);
-                    rates -= back * &step;
-                    last = Some(((1.0 - back) * step, (1.0 - back) * before));
-                    continue;
-                }
-            }
             let newton = (mass + &own.matrix).lu().solve(&off).filter(|step| step.dot(&off) >= 0.0);
             let step = match newton {
                 Some(step) => step,
@@ -91,12 +76,18 @@ pub(super) trait Whole {
                 rates += if ground == 0.0 { step } else { secant_step(&rates, 1.0)? };
                 break;
             }
-            rates += &step;
-            let lead = step.dot(&off);
-            last = Some((step, lead));
-            if size <= SMALL * scale && weight < 1.0 {
+            let (before, mut search, mut part) = (rates, Search::new(step.dot(&off)), 1.0);
+            (rates, own) = loop {
+                let tried = &before + part * &step;
+                let own = self.own_impulses(&tried, weight, true);
+                match search.next(step.dot(&off_at(&tried, &own))) {
+                    Some(other) => part = other,
+                    None => break (tried, own),
+                }
+            };
+            if part * size <= SMALL * scale && weight < 1.0 {
                 weight = (HEAVIER * weight).min(1.0);
-                last = None;
+                own = self.own_impulses(&rates, weight, true);
             }
         }
         Some(Balanced { rates, converged })

@@ -2,6 +2,8 @@
 
 /// The law between nodes and bodies.
 pub const CONTACT_LAW: &str = include_str!("contact_law.wgsl");
+/// How far to go along a step of Newton's method.
+pub const SEARCH: &str = include_str!("search.wgsl");
 /// Fields and driven bodies on the nodes near them.
 pub const CONTACT: &str = include_str!("contact.wgsl");
 /// How particles press on bodies, for each node of a block.

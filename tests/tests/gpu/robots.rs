@@ -334,6 +334,17 @@ fn robots_touch_walls_and_themselves_on_the_device() {
             given[1][1],
             passes_of(&device, "answering bodies")
         );
+        let missed = |simulation: &Simulation| -> u64 {
+            let counts = simulation.ledger().counts;
+            counts
+                .iter()
+                .filter(|(name, _)| name.contains("not converged") || name.contains("not found"))
+                .map(|(_, n)| n)
+                .sum()
+        };
+        // Where links touch one another under a load, f32 comes near the solution at times.
+        let [here, there] = [&cpu, &device].map(missed);
+        assert!(here == 0 && there <= u64::from(name == "folded") * 10, "{name}: not solved {here} and {there} times");
         assert!(given[1][0] > 0.05, "{name}: it touches nothing that is rigid");
         assert!(name == "folded" || given[1][1] > 0.05, "{name}: it does not touch the ground");
         assert!(base < 1e-4 && turned < 1e-3, "{name}: {base} m, {turned} rad");
@@ -341,5 +352,53 @@ fn robots_touch_walls_and_themselves_on_the_device() {
         assert_eq!(passes_of(&device, "gather") + passes_of(&many, "gather"), 0, "{name}: steps on the host");
         assert!(left(&many) == left(&device), "{name}: many steps at once leave other bits");
         assert_eq!(format!("{:?}", many.robots()), format!("{:?}", device.robots()), "{name}: sensors");
+    }
+}
+
+/// Symptom: joints of a light arm in liquid of many times its weight were elsewhere on a device in the first step (by 0.2 rad/s), since nothing was solved to its end.
+#[test]
+fn a_light_arm_in_heavy_liquid_moves_as_on_the_cpu() {
+    let folder = tempfile::tempdir().unwrap();
+    barchan_tests::random::write_files(folder.path()).unwrap();
+    for density in [200, 500, 1000] {
+        let text = format!(
+            r#"
+name = "arm"
+world = {{ cell = 1, min = [0, 0, 0], max = [32, 16, 16] }}
+time = {{ end = 1 }}
+[[material]]
+name = "liquid"
+law = "liquid"
+density = {density}
+[[body]]
+material = "liquid"
+sampling = "jitter"
+shape = {{ mesh = {{ file = "cube.obj", center = [24, 8, 10.4] }} }}
+velocity = [-3.2, -3, -0.5]
+[[body]]
+material = "liquid"
+shape = {{ mesh = {{ file = "tetra.obj", center = [20.84, 8, 9.56], scale = 1.3 }} }}
+[[robot]]
+name = "arm"
+model = "arm-rod"
+position = [21, 7, 9]
+"#
+        );
+        let mut scene = Scene::from_str(&text, "arm.toml", folder.path()).unwrap();
+        scene.time.step = Some(0.5 * start(&scene, "cpu", Precision::F64).plan().dt);
+        let (mut device, mut cpu) = (start(&scene, "wgpu", Precision::F32), start(&scene, "cpu", Precision::F64));
+        let mut fastest = 0.0_f64;
+        for step in 0..6 {
+            device.step().unwrap();
+            cpu.step().unwrap();
+            let joints = (device.joints(), cpu.joints());
+            let off = joints.0.iter().zip(&joints.1).map(|(a, b)| (a.rate - b.rate).abs()).fold(0.0, f64::max);
+            fastest = joints.1.iter().map(|joint| joint.rate.abs()).fold(fastest, f64::max);
+            println!("{density} kg/m3, step {step}: joints {off:.1e} rad/s apart (5e-2)");
+            assert!(off < 5e-2, "{density}: {off} rad/s");
+        }
+        assert!(fastest > 0.5, "{density}: the arm hardly moved: {fastest} rad/s");
+        let counts = cpu.ledger().counts;
+        assert!(!counts.keys().any(|name| name.contains("not converged")), "{counts:?}");
     }
 }

@@ -198,6 +198,7 @@ pub(crate) fn answer_draft(
         include_str!("../wgsl/answering.wgsl"),
         &table,
         &laws.wgsl,
+        contact::wgsl::SEARCH,
         &group,
         &laws.answer,
         &text,

@@ -12,7 +12,8 @@ use std::error::Error as _;
 use std::fmt::Write as _;
 
 const GRIP: &str = contact::wgsl::CONTACT_LAW;
-const GROUP: [&str; 2] = [include_str!("../wgsl/group.wgsl"), include_str!("../wgsl/answering.wgsl")];
+const GROUP: [&str; 3] =
+    [include_str!("../wgsl/group.wgsl"), include_str!("../wgsl/answering.wgsl"), contact::wgsl::SEARCH];
 
 /// What any coupling may read.
 const TABLE: &str = "
@@ -23,7 +24,10 @@ fn coupling_sample(i: u32) -> vec4<f32> { var one = vec4<f32>(f32(i)); return on
 /// What the functions of groups may use of the pass in which they answer; [`DeviceAnswer`](barchan_core::coupling::DeviceAnswer) says what it is.
 const STRUCTURES: [&str; 4] = ["CouplingTwist", "CouplingPose", "CouplingSystem", "CouplingRow"];
 const CONSTANTS: [&str; 6] = ["TWIST_FREE", "TWIST_EXPECTED", "TWIST_TRIED", "TWIST_STEP", "TWIST_LAST", "GROUP_ROOM"];
-const FUNCTIONS_OF_PASS: [&str; 29] = [
+const FUNCTIONS_OF_PASS: [&str; 32] = [
+    "search_from",
+    "search_on",
+    "search_part",
     "group_room",
     "set_group_room",
     "group_moves",

@@ -12,9 +12,8 @@
 // Where a slot has many particles, this text has left a GPU's caches when its turn comes, and is fetched piece by piece on the way. So one workgroup
 // more goes through the solution at once, with nodes of a slot before, while the others still look for theirs. What it finds nobody reads.
 
-// As in `contact.rs`, but for the tolerance: f32 carries seven digits, of which sums over nodes lose some.
-const MAX_ITERATIONS: u32 = 40u;
-const OVERSHOT: f32 = 0.5;
+// As in `contact.rs`, but for the tolerance: f32 carries seven digits, of which sums over nodes lose some. All places that are tried along steps are counted.
+const MAX_ITERATIONS: u32 = 100u;
 const LIGHT: f32 = 10.0;
 const HEAVIER: f32 = 4.0;
 const SMALL: f32 = 0.03;
@@ -78,10 +77,9 @@ var<private> deep_nodes: u32;
 // Of the thread's body in each turn: its number in the group; nodes that the thread keeps, and where the first of them stands; friction.
 struct Kept { body: u32, touches: u32, first: u32, friction: f32 }
 var<private> own_nodes: array<Kept, TURNS>;
-// What the first thread alone knows of the iteration: how many there were; what was out of balance along the last step before it, 0 where there is none to cut
-// back; the group's mass, and the only body's [kg].
+// What the first thread alone knows of the iteration: how many there were; the size of the last step, 0 where there is none to look along; the group's mass, and the only body's [kg].
 var<private> iterations: u32;
-var<private> before_step: f32;
+var<private> last_size: f32;
 var<private> group_mass: f32;
 var<private> only_mass: f32;
 
@@ -483,18 +481,26 @@ fn try_further(count: u32, thread: u32) {
 // is, and `speed` how fast bodies are, in the norm of the kinetic energy.
 fn decide(count: u32, beyond: f32, lead: f32, size: f32, speed: f32) {
     further.times = 0.0;
-    if mode == TANGENT && before_step > 0.0 && iterations < MAX_ITERATIONS && beyond > OVERSHOT * before_step {
-        // Where bounds are reached on the way, a step may lead beyond what balances along it: it is cut back.
-        let back = beyond / (before_step + beyond);
-        further = Further(-back, TWIST_LAST, 1.0 - back);
-        before_step *= 1.0 - back;
-        iterations++;
-        atomicStore(&sliding, 0u);
-        return;
-    }
-    before_step = 0.0;
     let slid = atomicLoad(&sliding) != 0u;
     atomicStore(&sliding, 0u);
+    if mode == TANGENT && last_size > 0.0 && iterations < MAX_ITERATIONS {
+        let times = search_on(-beyond, last_size * noise_of(count));
+        if times != 0.0 {
+            further = Further(times, TWIST_LAST, 1.0);
+            iterations++;
+            return;
+        }
+        let was_cut = search_part() < 1.0;
+        let is_small = search_part() * last_size <= SMALL * speed;
+        last_size = 0.0;
+        if was_cut && is_small && weight < 1.0 {
+            // Bounds are in the way of more: the same is solved anew with heavier ground.
+            weight = min(HEAVIER * weight, 1.0);
+            iterations++;
+            return;
+        }
+    }
+    last_size = 0.0;
     if mode == TANGENT && !(lead >= 0.0) {
         // Such a direction is replaced by the secant's, which always leads towards balance.
         mode = SECANT;
@@ -506,14 +512,15 @@ fn decide(count: u32, beyond: f32, lead: f32, size: f32, speed: f32) {
         let converged = weight == 1.0 && size <= TOLERANCE * speed + noise;
         if !converged && iterations < MAX_ITERATIONS {
             further = Further(1.0, TWIST_STEP, 1.0);
-            before_step = lead;
+            last_size = size;
+            search_from(lead);
             // Newton's steps square what is missing. Where a small one was found and nodes slide, the secant's tells as well whether that was all, and
             // serves as the last.
             let was_small = weight == 1.0 && size * size <= TOLERANCE * speed * speed + noise * noise;
             mode = select(TANGENT, SECANT, mode == TANGENT && slid && was_small);
             if size <= SMALL * speed + noise && weight < 1.0 {
                 weight = min(HEAVIER * weight, 1.0);
-                before_step = 0.0;
+                last_size = 0.0;
             }
             return;
         }
@@ -574,7 +581,7 @@ fn meet(group: u32, count: u32, level: u32, thread: u32) {
         deep_nodes += atomicLoad(&deep);
         atomicStore(&deep, 0u);
         iterations = 0u;
-        before_step = 0.0;
+        last_size = 0.0;
     }
     if thread < count {
         set_group_twist(TWIST_TRIED, thread, group_twist(TWIST_EXPECTED, thread));

@@ -178,6 +178,10 @@ fn an_arm_pushes_a_box_along_the_floor() {
     );
     assert!((0.13..0.16).contains(&(pushed.x - 0.43)) && pushed.y.abs() < 0.02, "{pushed}");
     assert!((push / friction - 1.0).abs() < 0.15, "{push} N");
+    let counts = Coupling::counts(&robots);
+    let missed: u64 = counts.iter().filter(|(name, _)| name.contains("not found")).map(|(_, count)| count).sum();
+    println!("rates of {missed} steps of 2400 not found (2)");
+    assert!(missed <= 2, "{missed}");
 }
 
 /// A dog on a plank that lies on sand.
