@@ -171,10 +171,14 @@ impl Rigid {
         }
     }
 
-    /// The width of the widest cells that a body meets [m]: one that levels follow meets the finest alone.
+    /// The width of the widest cells that a body meets [m]: one that levels follow meets the finest alone, and they follow none that is fixed unless the scene says so.
     fn widest(&self, body: &Body) -> f64 {
         let (cell, levels) = (self.scene.world.cell, &self.scene.levels);
-        if levels.surround(&body.name).unwrap_or(true) { cell } else { cell * f64::from(1 << (levels.count - 1)) }
+        if levels.surround(&body.name).unwrap_or_else(|| body.moves()) {
+            cell
+        } else {
+            cell * f64::from(1 << (levels.count - 1))
+        }
     }
 
     /// How far beyond its box a body acts [cells of the widest that it meets]: coarser cells thicken it more than its box says.
@@ -308,7 +312,7 @@ impl Coupling for Rigid {
     }
 
     fn followed(&self) -> Vec<String> {
-        let moving = self.bodies.iter().filter(|body| !matches!(body.mover, Mover::Fixed));
+        let moving = self.bodies.iter().filter(|body| body.moves());
         moving.map(|body| body.name.clone()).collect()
     }
 

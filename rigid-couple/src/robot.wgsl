@@ -25,7 +25,7 @@ const ROBOT_ITERATIONS: u32 = 20u;
 const ROBOT_TOLERANCE: f32 = 1e-5;
 // As in `solve.rs`: points first count as lighter than they are, which finds those that touch. All places that are tried along steps are counted.
 const ROBOT_ITERATIONS_AT_POINTS: u32 = 100u;
-// Rounding of what is out of balance, relative to impulses.
+// Rounding of what is out of balance, relative to momentum.
 const ROBOT_ROUNDING: f32 = 1e-6;
 const ROBOT_LIGHT: f32 = 10.0;
 const ROBOT_HEAVIER: f32 = 4.0;

@@ -137,6 +137,11 @@ pub(super) fn vector6(a: DVec3, b: DVec3) -> Vector6<f64> {
 }
 
 impl Body {
+    /// Can it ever move?
+    pub(super) fn moves(&self) -> bool {
+        !matches!(self.mover, Mover::Fixed)
+    }
+
     pub(crate) fn new(tool: &Tool, scene: &Scene, path: &str) -> Result<Self> {
         let shape = Sdf::from_shape(&tool.shape, &scene.folder, &format!("{path}.shape"))?;
         Self::from_shape(&tool.in_world(&scene.world), shape).map_err(|refusal| refusal.at(path))

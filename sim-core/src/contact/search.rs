@@ -30,7 +30,7 @@ impl Search {
     pub fn next(&mut self, left: f64) -> Option<f64> {
         let most = BALANCED * self.before;
         let will_do = left >= -most && (left <= most || self.part == 1.0);
-        if will_do || self.tries == MAX_TRIES {
+        if will_do || !left.is_finite() || self.tries == MAX_TRIES {
             return None;
         }
         self.tries += 1;

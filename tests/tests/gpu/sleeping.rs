@@ -195,7 +195,7 @@ fn probes_see_ground_that_sleeps_and_wakes() {
             for d in 0..3 {
                 let sum: f64 = s.pressed().iter().map(|one| one[d]).sum();
                 let what = format!("{backend} {levels:?}: all walls, axis {d}");
-                within(&what, (sum + given[d]).abs(), 5e-5 * norm(given));
+                within(&what, (sum + given[d]).abs(), 5e-6 * norm(given));
             }
             (most, s.crossed().unwrap()[0].mass)
         });

@@ -86,6 +86,28 @@ fn tools_come_and_go_at_the_same_steps_however_a_run_is_cut() {
     }
 }
 
+/// Symptom: a thin fixed plate among cells eight times as wide as the finest felt a seventh of what it should, on a processor: nothing follows it, and ground was looked for as if
+/// only the finest cells came near. A jet of liquid presses on it as on a device, which looks for itself.
+#[test]
+fn a_thin_plate_that_nothing_follows_is_met_by_coarse_cells() {
+    let plate = "height_field = { bottom = -0.04, heights = [[-0.03, -0.03], [-0.03, -0.03]], min = [-0.04, -0.04], max = [0.04, 0.04] }";
+    let head = Head { max: [0.64; 3], ..Head::cells(CELL, [0; 3], "") }.time("step = 1e-2\nover_bound = \"allow\"");
+    let text = head.with(&[
+        "[levels]\ncount = 4\n".to_owned(),
+        material("liquid", 8000.0, ""),
+        "[[source]]\nmaterial = \"liquid\"\nvelocity = [0.0243, 0, 0]\nshape = { sphere = { center = [0.2408, 0.42, 0.3677], radius = 0.05 } }\n".to_owned(),
+        tool("plate", [0.4384, 0.5035, 0.5015], plate, FRICTION, "\"fixed\""),
+    ]);
+    for options in everywhere() {
+        let mut s = start(&text, &options);
+        s.step().unwrap();
+        let force = s.wrenches()[0].force;
+        println!("{} {}: {force:?} N", options.backend, options.precision);
+        // As found on a device, to all digits.
+        within("force on the plate [N]", norm(minus(force, [1.2393, 0.0, -0.5244])), 1e-3);
+    }
+}
+
 /// A tool that would appear within the ground is refused, with the time and the number of particles that it would bury.
 #[test]
 fn a_tool_does_not_appear_within_the_ground() {

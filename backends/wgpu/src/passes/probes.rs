@@ -2,7 +2,7 @@
 
 use crate::passes::binding::{
     CELLS, DIRECTORY, Draft, Found, GRID, Groups, HANDED, IDS, LISTS, NODES, OWNERS, RECORD, REST, RIMS, Role, STATUS,
-    Uniform, Use, blocks, on_listed, written,
+    Uniform, Use, WATCH, blocks, on_listed, written,
 };
 use crate::passes::conditions::chosen;
 use crate::passes::grid::sums_of_tiles;
@@ -47,14 +47,14 @@ fn parts(plan: &Plan) -> String {
 pub(crate) fn pressed(plan: &Plan, sleeps: bool) -> Draft {
     let levels = plan.cell_widths.len() > 1;
     let body = chosen(include_str!("../wgsl/pressed.wgsl"), &[("sleeps", sleeps), ("levels", levels)]);
-    let asleep = if sleeps { wgsl::OF_SLEEPERS } else { "" };
+    let asleep = if sleeps { [wgsl::WATCH_WORDS, wgsl::OF_SLEEPERS].concat() } else { String::new() };
     let take_up = if levels { include_str!("../wgsl/take_up.wgsl") } else { "" };
     let mut uses = vec![RECORD, LISTS, CELLS, NODES, STATUS, PROBED_IN_STEPS];
-    uses.extend(sleeps.then_some(OWNERS));
+    uses.extend(sleeps.then_some([OWNERS, WATCH]).into_iter().flatten());
     Draft {
         name: "press on walls",
         entry: "see_pressed",
-        body: [&parts(plan), take_up, wgsl::REACHES_WALL, wgsl::WALL, asleep, &body].concat(),
+        body: [&parts(plan), take_up, wgsl::REACHES_WALL, wgsl::WALL, &asleep, &body].concat(),
         uses,
         uniform: Uniform::None,
         groups: blocks(levels),

@@ -15,10 +15,6 @@ fn ready(b: u32, layer: u32, first: vec3<i32>) -> u32 {
 }
 
 fn look(q: u32, b: u32, layer: u32, first: vec3<i32>) {
-    @if(sleeps)
-    if (owners[q].y & OF_SLEEPERS) != 0u {
-        return;
-    }
     forget();
     let p = record_of(q, 0u);
     let s = bitcast<vec4<f32>>(record_of(q, 1u));
@@ -38,10 +34,20 @@ fn look(q: u32, b: u32, layer: u32, first: vec3<i32>) {
         gravity *= bitcast<f32>(atomicLoad(&status[step_word(step.number, layer, GROWN)]));
     }
     let grows = s.w * H / shrink_of(layer);
-    let own = s.w * (vec3<f32>(r0.x, r1.x, r2.x) + gravity);
-    let ax = grows * r0.yzw + stress * vec3<f32>(t.x, t.z, s.x);
-    let ay = grows * r1.yzw + stress * vec3<f32>(t.z, t.y, s.y);
-    let az = grows * r2.yzw + stress * s.xyz;
+    var own = s.w * (vec3<f32>(r0.x, r1.x, r2.x) + gravity);
+    var ax = grows * r0.yzw + stress * vec3<f32>(t.x, t.z, s.x);
+    var ay = grows * r1.yzw + stress * vec3<f32>(t.z, t.y, s.y);
+    var az = grows * r2.yzw + stress * s.xyz;
+    @if(sleeps)
+    let sleeps = (owners[q].y & OF_SLEEPERS) != 0u;
+    @if(sleeps)
+    if sleeps {
+        // It gives nothing anew, but it weighs on nodes that it shares with ground awake.
+        own = vec3<f32>(0.0);
+        ax = vec3<f32>(0.0);
+        ay = vec3<f32>(0.0);
+        az = vec3<f32>(0.0);
+    }
     let low = world_min(layer);
     let high = world_max(layer);
     for (var n = 0; n < 27; n++) {
@@ -61,6 +67,10 @@ fn look(q: u32, b: u32, layer: u32, first: vec3<i32>) {
         let to = vec3<u32>(local + vec3<i32>(4));
         let which = (to.x >> 2u) * 9u + (to.y >> 2u) * 3u + (to.z >> 2u);
         let block = u32(lists[b * ENTRY + 1u + (which >> 2u)][which & 3u]);
+        @if(sleeps)
+        if sleeps && atomicLoad(&watch[touched_word(block)]) == 0u {
+            continue;
+        }
         var u = grid[block * 64u + (to.x & 3u) * 16u + (to.y & 3u) * 4u + (to.z & 3u)].xyz;
         // Along the first axis first, as P2G folds; what is read comes back the same way.
         for (var axis = 0; axis < 3; axis++) {
