@@ -398,15 +398,13 @@ impl<C: Coupling + ?Sized> Answering<'_, C> {
                 let is_secant = weight == 1.0 && systems.iter().all(|system| system.is_secant);
                 break (if is_secant { step } else { self.secant_step(&frozen, 1.0) }, converged);
             }
-            let (before, mut search, mut part) = (frozen, Search::new(lead), 1.0);
-            (frozen, systems) = loop {
-                let tried = moved(&before, part, &step);
+            let part;
+            (part, (frozen, systems)) = Search::along(lead, |part| {
+                let tried = moved(&frozen, part, &step);
                 let systems = self.assemble(&tried, weight, true);
-                match search.next(self.left(&tried, &systems, &step)) {
-                    Some(other) => part = other,
-                    None => break (tried, systems),
-                }
-            };
+                let left = self.left(&tried, &systems, &step);
+                ((tried, systems), left)
+            });
             if part * size <= SMALL * scale && weight < 1.0 {
                 weight = (HEAVIER * weight).min(1.0);
                 systems = self.assemble(&frozen, weight, true);

@@ -31,6 +31,12 @@ pub fn simulation(toml: &str, precision: Precision) -> Simulation {
     Simulation::new(&barchan::registry(), &scene(toml), &options(precision)).unwrap_or_else(|e| panic!("{e}\n{toml}"))
 }
 
+/// How often what robots and bodies do was not solved to its end, as a ledger or a coupling counts it.
+pub fn missed<'a>(counts: impl IntoIterator<Item = (&'a String, &'a u64)>) -> u64 {
+    let of_solutions = |name: &str| name.contains("not converged") || name.contains("not found");
+    counts.into_iter().filter(|(name, _)| of_solutions(name)).map(|(_, count)| count).sum()
+}
+
 /// Steps until `time` [s].
 ///
 /// # Panics

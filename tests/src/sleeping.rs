@@ -11,8 +11,13 @@ pub const SAND: &str = "young_modulus = 1e5, poisson_ratio = 0.2, friction_angle
 
 /// A bed of so many cells that starts at rest under its own weight.
 pub fn bed(cells: [u32; 3], law: &str, parameters: &str, sleep: &str, more: &[String]) -> String {
+    bed_in(cells[0], cells, law, parameters, sleep, more)
+}
+
+/// The same in a world that is so many cells long.
+fn bed_in(length: u32, cells: [u32; 3], law: &str, parameters: &str, sleep: &str, more: &[String]) -> String {
     let side = cells.map(|n| CELL * f64::from(n));
-    let head = Head::cells(CELL, [cells[0], cells[1], cells[2] + 16], WALLS).time("safety = 0.6");
+    let head = Head::cells(CELL, [length, cells[1], cells[2] + 16], WALLS).time("safety = 0.6");
     let mut parts = vec![
         format!("[sleep]\n{sleep}\n"),
         material(law, 1000.0, parameters),
@@ -20,6 +25,18 @@ pub fn bed(cells: [u32; 3], law: &str, parameters: &str, sleep: &str, more: &[St
     ];
     parts.extend_from_slice(more);
     head.with(&parts)
+}
+
+/// A bed of sand in a world twice as long, held by a gate that is drawn upwards from `shut` to `open` [s].
+pub fn gated(cells: [u32; 3], [shut, open]: [f64; 2], sleep: &str, more: &[String]) -> String {
+    let side = cells.map(|n| CELL * f64::from(n));
+    let [down, up] = [0.5, 3.0].map(|up| [side[0] + 0.03, 0.5 * side[1], up * side[2]]);
+    let frames = [(0.0, down), (shut, down), (open, up)]
+        .map(|(time, position)| format!("{{ time = {time:?}, position = {position:?} }}"))
+        .join(", ");
+    let motion = format!("{{ keyframes = {{ frames = [{frames}] }} }}");
+    let gate = tool("gate", down, &half([0.03, side[1], side[2]]), "\"slip\"", &motion);
+    bed_in(2 * cells[0], cells, "sand", SAND, sleep, &[&[gate], more].concat())
 }
 
 /// Particles asleep now.

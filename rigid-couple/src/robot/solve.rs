@@ -76,15 +76,13 @@ pub(super) trait Whole {
                 rates += if ground == 0.0 { step } else { secant_step(&rates, 1.0)? };
                 break;
             }
-            let (before, mut search, mut part) = (rates, Search::new(step.dot(&off)), 1.0);
-            (rates, own) = loop {
-                let tried = &before + part * &step;
+            let part;
+            (part, (rates, own)) = Search::along(step.dot(&off), |part| {
+                let tried = &rates + part * &step;
                 let own = self.own_impulses(&tried, weight, true);
-                match search.next(step.dot(&off_at(&tried, &own))) {
-                    Some(other) => part = other,
-                    None => break (tried, own),
-                }
-            };
+                let left = step.dot(&off_at(&tried, &own));
+                ((tried, own), left)
+            });
             if part * size <= SMALL * scale && weight < 1.0 {
                 weight = (HEAVIER * weight).min(1.0);
                 own = self.own_impulses(&rates, weight, true);

@@ -21,13 +21,25 @@ pub struct Search {
 }
 
 impl Search {
-    /// Along a step before which so much is out of balance along it [J]. All of the step is tried first.
-    pub fn new(before: f64) -> Self {
+    /// Looks along a step before which so much is out of balance along it [J]. `look` says of a part of the step what it leads to, and how much is left there [J]; all of the step is
+    /// tried first. Returns the part to go, and what it leads to.
+    pub fn along<T>(before: f64, mut look: impl FnMut(f64) -> (T, f64)) -> (f64, T) {
+        let mut search = Self::new(before);
+        loop {
+            let part = search.part;
+            let (there, left) = look(part);
+            if search.next(left).is_none() {
+                return (part, there);
+            }
+        }
+    }
+
+    fn new(before: f64) -> Self {
         Self { before, part: 1.0, ends: [(0.0, before), (1.0, 0.0)], moved: None, tries: 1 }
     }
 
     /// The part of the step to try next, where so much is out of balance along it at the part tried last [J]; none if that will do.
-    pub fn next(&mut self, left: f64) -> Option<f64> {
+    fn next(&mut self, left: f64) -> Option<f64> {
         let most = BALANCED * self.before;
         let will_do = left >= -most && (left <= most || self.part == 1.0);
         if will_do || !left.is_finite() || self.tries == MAX_TRIES {
@@ -58,11 +70,11 @@ mod tests {
 
     /// The part that a search ends with, and how often it looked.
     fn found(left: impl Fn(f64) -> f64) -> (f64, u32) {
-        let mut search = Search::new(left(0.0));
-        let (mut part, mut looks) = (1.0, 1);
-        while let Some(next) = search.next(left(part)) {
-            (part, looks) = (next, looks + 1);
-        }
+        let mut looks = 0;
+        let (part, ()) = Search::along(left(0.0), |part| {
+            looks += 1;
+            ((), left(part))
+        });
         (part, looks)
     }
 

@@ -3,7 +3,7 @@ const SEARCH_BALANCED: f32 = 0.2;
 const SEARCH_TRIES: u32 = 20u;
 const SEARCH_HALVED: u32 = 3u;
 
-// What is out of balance along the step before it, 0 if there is none to look along; the part tried last; parts on either side of the place that is looked for, and what is out of
+// What is out of balance along the step before it; the part tried last; parts on either side of the place that is looked for, and what is out of
 // balance there; which of them moved last; places tried.
 struct Search { before: f32, part: f32, low: vec2<f32>, high: vec2<f32>, moved: f32, tries: u32 }
 var<private> search: Search;
@@ -23,7 +23,6 @@ fn search_on(left: f32, noise: f32) -> f32 {
     let most = SEARCH_BALANCED * search.before + noise;
     let will_do = left >= -most && (left <= most || search.part == 1.0);
     if search.before <= 0.0 || will_do || search.tries == SEARCH_TRIES {
-        search.before = 0.0;
         return 0.0;
     }
     search.tries++;

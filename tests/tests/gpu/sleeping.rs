@@ -5,7 +5,7 @@ use barchan::worlds::Worlds;
 use barchan::{Ledger, Options, Precision, Scene, Simulation, Vec3};
 use barchan_tests::scenes::{alter, norm, rows, run_to, scene, within};
 use barchan_tests::sketch::{driven, half, tool};
-use barchan_tests::sleeping::{CELL, SAND, asleep, bed, plate};
+use barchan_tests::sleeping::{CELL, SAND, asleep, bed, gated, plate};
 
 const LEVELS: &str = "[levels]\ncount = 2\nhalf = 8\n";
 const SUBCYCLED: &str = "[levels]\ncount = 2\nhalf = 8\nsubcycle = true\n";
@@ -131,21 +131,6 @@ fn levels_pass_over_ground_asleep() {
     }
 }
 
-/// A bed held by a gate that is drawn upwards from 0.15 s on, in a world twice as long.
-fn gated(cells: [u32; 3], sleep: &str, more: &[String]) -> String {
-    let side = cells.map(|n| CELL * f64::from(n));
-    let [shut, open] = [0.5, 3.0].map(|up| [side[0] + 0.03, 0.5 * side[1], up * side[2]]);
-    let frames = [(0.0, shut), (0.15, shut), (0.2, open)]
-        .map(|(time, position)| format!("{{ time = {time:?}, position = {position:?} }}"))
-        .join(", ");
-    let motion = format!("{{ keyframes = {{ frames = [{frames}] }} }}");
-    let gate = tool("gate", shut, &half([0.03, side[1], side[2]]), "\"slip\"", &motion);
-    let of_world = format!("max = [{:?}", side[0]);
-    let text = bed(cells, "sand", SAND, sleep, &[&[gate], more].concat());
-    assert!(text.find(&of_world) < text.find("[[body]]"));
-    text.replacen(&of_world, &format!("max = [{:?}", 2.0 * side[0]), 1)
-}
-
 /// Symptom: ground whose support goes away hangs in the air asleep. Physics: it falls as it would have. Where a free ball beside it calls for
 /// contact on the host, too.
 #[test]
@@ -158,7 +143,7 @@ fn ground_asleep_falls_when_its_support_goes() {
     };
     for more in [vec![], vec![ball(0.4)]] {
         let [slept, awake] = [("wgpu", "on = true\nspeed = 1e-2"), ("cpu", "on = false")].map(|(backend, sleep)| {
-            let mut s = on(backend, Precision::F32, &gated(cells, sleep, &more));
+            let mut s = on(backend, Precision::F32, &gated(cells, [0.15, 0.2], sleep, &more));
             run_to(&mut s, 0.15);
             let most = asleep(&s);
             run_to(&mut s, 0.6);
@@ -187,7 +172,7 @@ fn probes_see_ground_that_sleeps_and_wakes() {
         );
         let [slept, awake] = [("wgpu", "on = true\nspeed = 1e-2"), ("cpu", "on = false")].map(|(backend, sleep)| {
             let more = [levels.to_owned(), section.clone(), walls.clone()];
-            let mut s = on(backend, Precision::F32, &gated(cells, sleep, &more));
+            let mut s = on(backend, Precision::F32, &gated(cells, [0.15, 0.2], sleep, &more));
             run_to(&mut s, 0.15);
             let most = asleep(&s);
             run_to(&mut s, 0.5);

@@ -2,8 +2,8 @@
 
 use barchan::{Ledger, Options, Precision, Simulation};
 use barchan_tests::scenes::{alter, norm, rows, run_to, scene, simulation, within};
-use barchan_tests::sketch::{Head, block, half, material, tool};
-use barchan_tests::sleeping::{CELL, SAND, asleep, bed, plate};
+use barchan_tests::sketch::{Head, block, material, tool};
+use barchan_tests::sleeping::{CELL, SAND, asleep, bed, gated, plate};
 use std::time::Instant;
 
 /// Symptom: a bed that nothing has touched for an hour costs as much as one that is ploughed. Physics: nothing happens in it, and where
@@ -106,25 +106,8 @@ fn a_tool_finds_ground_asleep_as_it_would_awake() {
 fn ground_asleep_falls_when_its_support_goes() {
     let cells = [24, 12, 10];
     let side = cells.map(|n| CELL * f64::from(n));
-    // A gate holds the right half of the world free of sand, and is drawn upwards.
-    let gate = tool(
-        "gate",
-        [side[0] + 0.03, 0.5 * side[1], 0.5 * side[2]],
-        &half([0.03, side[1], side[2]]),
-        "\"slip\"",
-        &format!(
-            "{{ keyframes = {{ frames = [{{ time = 0.0, position = {0:?} }}, {{ time = 0.8, position = {0:?} }}, {{ time = 0.9, position = {1:?} }}] }} }}",
-            [side[0] + 0.03, 0.5 * side[1], 0.5 * side[2]],
-            [side[0] + 0.03, 0.5 * side[1], 3.0 * side[2]],
-        ),
-    );
     let [slept, awake] = ["on = true\nspeed = 5e-3", "on = false"].map(|sleep| {
-        let text = bed(cells, "sand", SAND, sleep, std::slice::from_ref(&gate)).replacen(
-            &format!("max = [{:?}", side[0]),
-            "max = [0.96",
-            1,
-        );
-        let mut s = simulation(&text, Precision::F32);
+        let mut s = simulation(&gated(cells, [0.8, 0.9], sleep, &[]), Precision::F32);
         run_to(&mut s, 0.8);
         let most = asleep(&s);
         run_to(&mut s, 1.5);

@@ -490,10 +490,8 @@ fn decide(count: u32, beyond: f32, lead: f32, size: f32, speed: f32) {
             iterations++;
             return;
         }
-        let was_cut = search_part() < 1.0;
-        let is_small = search_part() * last_size <= SMALL * speed;
-        last_size = 0.0;
-        if was_cut && is_small && weight < 1.0 {
+        if search_part() < 1.0 && search_part() * last_size <= SMALL * speed && weight < 1.0 {
+            last_size = 0.0;
             // Bounds are in the way of more: the same is solved anew with heavier ground.
             weight = min(HEAVIER * weight, 1.0);
             iterations++;

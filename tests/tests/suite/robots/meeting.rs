@@ -3,6 +3,7 @@
 use super::{MOTORS, SAND, felt, moved, root, simulation, stand, totals};
 use barchan::{BodyState, Command, Coupling, Precision, Scene, Simulation};
 use barchan_rigid::robot::Robots;
+use barchan_tests::scenes::missed;
 use glam::{DMat3, DQuat, DVec3};
 
 const DOG: &str = "[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\njoints = { \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }\ncontact = { coulomb = { friction = 0.5 } }";
@@ -179,7 +180,7 @@ fn an_arm_pushes_a_box_along_the_floor() {
     assert!((0.13..0.16).contains(&(pushed.x - 0.43)) && pushed.y.abs() < 0.02, "{pushed}");
     assert!((push / friction - 1.0).abs() < 0.15, "{push} N");
     let counts = Coupling::counts(&robots);
-    let missed: u64 = counts.iter().filter(|(name, _)| name.contains("not found")).map(|(_, count)| count).sum();
+    let missed = missed(counts.iter().map(|(name, count)| (name, count)));
     println!("rates of {missed} steps of 2400 not found (2)");
     assert!(missed <= 2, "{missed}");
 }

@@ -5,7 +5,7 @@ use barchan::{BodyState, Command, Coupling, Precision, RobotState, Scene, Simula
 use barchan_core::coupling::begin_step;
 use barchan_rigid::Rigid;
 use barchan_rigid::robot::Robots;
-use barchan_tests::scenes::{run_to, simulation};
+use barchan_tests::scenes::{missed, run_to, simulation};
 use barchan_tests::sketch::{bed, half, tool};
 use glam::DVec3;
 
@@ -258,8 +258,7 @@ motor = [{ kp = 100, kd = 3 }]
         let mut dog = simulation(text, precision);
         run_to(&mut dog, 0.3);
         let counts = dog.ledger().counts;
-        let missed = counts.iter().filter(|(name, _)| name.contains("not converged") || name.contains("not found"));
-        let missed: u64 = missed.map(|(_, count)| count).sum();
+        let missed = missed(&counts);
         let base = dog.bodies()[0].clone();
         println!(
             "{precision}: {missed} of 600 not solved (0), base {:.3} m up, at {:.3} m/s",
