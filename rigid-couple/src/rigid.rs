@@ -411,6 +411,10 @@ impl Coupling for Rigid {
         free.map(|(i, one)| Group { bodies: i..i + 1, mass: one.mass }).collect()
     }
 
+    fn stays(&self, body: usize) -> bool {
+        self.bodies[body].is_fixed()
+    }
+
     fn answer(&self, group: Range<usize>, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
         let answer = |((body, at), system): ((&Body, &Twist), &System)| {
             let free = body.answering()?;

@@ -193,7 +193,7 @@ impl Robot {
     ///
     /// # Errors
     /// If the state cannot be gone on from.
-    pub(crate) fn begin(&mut self, span: Span, gravity: DVec3, boxes: &[Aabb], tools: &[Obstacle]) -> Result<(), ()> {
+    pub(crate) fn begin(&mut self, span: Span, gravity: DVec3, boxes: &[Aabb], tools: &[&Obstacle]) -> Result<(), ()> {
         let Span { time, dt, .. } = span;
         self.take_over().ok_or(())?;
         if let Some(guided) = &self.guided {
@@ -228,14 +228,14 @@ impl Robot {
     }
 
     /// Finds where its links, in these boxes, touch what is rigid in a step, and one another.
-    pub(crate) fn find_points(&self, boxes: &[Aabb], tools: &[Obstacle], span: Span, points: &mut Points) {
+    pub(crate) fn find_points(&self, boxes: &[Aabb], tools: &[&Obstacle], span: Span, points: &mut Points) {
         let mass = HEAVY * self.model.mass();
         points.find(&self.seen(boxes, span.dt), self.obstacles(tools), &self.pairs, mass, span);
     }
 
     /// What is rigid and does not answer, as far as it meets it: walls, and of `tools` all or none.
-    pub(crate) fn obstacles<'a>(&'a self, tools: &'a [Obstacle]) -> impl Iterator<Item = &'a Obstacle> {
-        self.walls.iter().chain(if self.guided.is_some() { &[] } else { tools })
+    pub(crate) fn obstacles<'a>(&'a self, tools: &'a [&'a Obstacle]) -> impl Iterator<Item = &'a Obstacle> {
+        self.walls.iter().chain(if self.guided.is_some() { &[] } else { tools }.iter().copied())
     }
 
     /// Do it and another one touch? Tools in guides pass through one another.

@@ -1,17 +1,19 @@
-// How a robot answers the ground's impulses, as `robot.rs` does on the host: a group of links in a tree of joints, all threads of a workgroup together. Where links
-// are is in `robot/dynamics.wgsl`, what acts in joints in `robot/joints.wgsl`, what they touch beside the ground in `robot/points.wgsl`.
+// How robots answer the ground's impulses, as `robot.rs` does on the host: a group of links in trees of joints, all threads of a workgroup together. Robots that may touch are
+// one group, each a tree of its own. Where links are is in `robot/dynamics.wgsl`, what acts in joints in `robot/joints.wgsl`, what they touch beside the ground in
+// `robot/points.wgsl`.
 //
-// Links stand in an order in which what hangs on one comes right behind it. All vectors are along the world's axes, and places are from the base's centre of mass.
-// A motion is an angular velocity, and the velocity of what passes through that centre; a wrench is a moment about it, and a force. So motions and wrenches
-// of links add up as they are.
+// Links stand tree by tree, in an order in which what hangs on one comes right behind it, and so do rates: those of a tree's base, then those of its drives. All vectors are
+// along the world's axes, and places are from the centre of mass of the tree's first body, which is its root. A motion is an angular velocity, and the velocity of what passes
+// through that centre; a wrench is a moment about it, and a force. So motions and wrenches of a tree's links add up as they are.
 //
-// The table holds, from ROBOT_HEADS on, for each robot: where its links begin, how many, where its drives begin, how many; how many rates its base has, depth of the
-// tree, where its path begins, how many frames; the path's end, its period or 0, where its corrections begin, how many. LINK vectors for each link: parent, freedom, drive, body,
-// -1 for none; ratio, offset, mass, depth; origin, one past the last that hangs on it; rotation of the origin; axis, the next link with the same drive;
-// centre of mass, 0; rows of the inertia. DRIVE for each drive: first link, least and greatest position, effort; speed, damping, friction, armature;
-// kp, kd. For each correction its drive, 0 for the pitch and 1 for the roll, gain, rate. For each frame of the path its time, then positions, four a vector.
+// The table holds, from ROBOT_HEADS on, for each group: where its links begin, how many, where its rates begin, how many; where its trees begin, how many, depth of the
+// deepest, 0. LINK vectors for each link: parent, freedom, rate, body, -1 for none; ratio, offset, mass, depth; origin, one past the last that hangs on it; rotation of the
+// origin; axis, the next link with the same rate; centre of mass, tree; rows of the inertia. DRIVE for each rate: first link, least and greatest position, effort; speed,
+// damping, friction, armature; kp, kd, tree, number within it. TREE for each tree: first rate, how many rates its base has, first body, first word of its state; where its path
+// begins, how many frames, how many drives, 0; the path's end, its period or 0, where its corrections begin, how many. For each correction its rate, 0 for the pitch and 1 for
+// the roll, gain, rate of that. For each frame of a path its time, then positions, four a vector.
 //
-// Words of the state: time along the path, whole seconds and 2^-32 of them, and whether motors follow orders in place of the path; momentum; the same about the base's
+// Words of a tree's state: time along the path, whole seconds and 2^-32 of them, and whether motors follow orders in place of the path; momentum; the same about the base's
 // centre of mass; the base's velocity; its angular velocity; for each drive its position, whole and 2^-32, and its rate; for each drive an order: target, rate,
 // torque, whether the gains act. The momentum is what impulses and gravity made of it; rates, which lose a little on the way, are corrected by it.
 
@@ -25,6 +27,8 @@ const ROBOT_ITERATIONS: u32 = 20u;
 const ROBOT_TOLERANCE: f32 = 1e-5;
 // As in `solve.rs`: points first count as lighter than they are, which finds those that touch. All places that are tried along steps are counted.
 const ROBOT_ITERATIONS_AT_POINTS: u32 = 100u;
+// They are heavy: with a light body between them f32 comes no nearer than 3e-5.
+const ROBOT_TOLERANCE_AT_POINTS: f32 = 5e-5;
 // Rounding of what is out of balance, relative to momentum.
 const ROBOT_ROUNDING: f32 = 1e-6;
 const ROBOT_LIGHT: f32 = 10.0;
@@ -35,6 +39,9 @@ const ROBOT_NOW: u32 = 5u;
 const ROBOT_NONE: u32 = 0xffffffffu;
 const ROBOT_LINK: u32 = 9u;
 const ROBOT_DRIVE: u32 = 3u;
+const ROBOT_TREE: u32 = 3u;
+// Rates of a base that moves.
+const ROBOT_BASE: u32 = 6u;
 const ROBOT_WORDS: u32 = 5u;
 // Of its matrix, with what is out of balance behind.
 const ROBOT_ROW: u32 = ROBOT_RATES + 1u;
@@ -49,19 +56,25 @@ struct RobotInertia { first: vec4<f32>, diagonal: vec3<f32>, beside: vec3<f32> }
 // An impulse in a joint, and by how much it falls for each unit of the rate.
 struct RobotImpulse { value: f32, slope: f32 }
 
-// Of each link: rotation; origin of its frame; centre of mass; how its joint moves it, for each unit of the drive's rate; how it moves; what that asks
-// of all that hangs on it; inertia of these; one past the last of these, the next link with the same drive, parent, and the rate that moves it.
+// Of each link: rotation; centre of mass; how its joint moves it, for each unit of the drive's rate; what its motion asks
+// of all that hangs on it, and before that the origin of its frame as a moment; inertia of these; one past the last of these, the next link with the same drive, parent, and the rate that moves it.
 var<workgroup> robot_rotation: array<vec4<f32>, ROBOT_LINKS>;
-var<workgroup> robot_origin: array<vec3<f32>, ROBOT_LINKS>;
 var<workgroup> robot_centre: array<vec3<f32>, ROBOT_LINKS>;
 var<workgroup> robot_axis: array<RobotMotion, ROBOT_LINKS>;
-var<workgroup> robot_motion: array<RobotMotion, ROBOT_LINKS>;
 var<workgroup> robot_asked: array<RobotWrench, ROBOT_LINKS>;
 var<workgroup> robot_inertia: array<RobotInertia, ROBOT_LINKS>;
 var<workgroup> robot_order: array<vec4<u32>, ROBOT_LINKS>;
 var<workgroup> robot_body: array<u32, ROBOT_LINKS>;
-// Of each rate: the first link that it moves; its value before the contact at hand; what joints give then, less what gravity and motion add if it is that before the
+// How many links and rates there are whose trees have to be told apart.
+const ROBOT_LINKS_APART: u32 = select(1u, ROBOT_LINKS, ROBOT_TREES > 1u);
+const ROBOT_RATES_APART: u32 = select(1u, ROBOT_RATES, ROBOT_TREES > 1u);
+// Of each link its tree, and of each tree: its first rate, how many its base has, its first body, its first word; where its first body is after the step.
+var<workgroup> robot_tree_of: array<u32, ROBOT_LINKS_APART>;
+var<workgroup> robot_trees: array<vec4<u32>, ROBOT_TREES>;
+var<workgroup> robot_base: array<CouplingPose, ROBOT_TREES>;
+// Of each rate: which of its base's it is, or ROBOT_BASE if it is a drive's; the first link that it moves; its value before the contact at hand; what joints give then, less what gravity and motion add if it is that before the
 // step; what no iteration changes; what is out of balance.
+var<workgroup> robot_unit: array<u32, ROBOT_RATES_APART>;
 var<workgroup> robot_head: array<u32, ROBOT_RATES>;
 var<workgroup> robot_free: array<f32, ROBOT_RATES>;
 var<workgroup> robot_own: array<f32, ROBOT_RATES>;
@@ -70,7 +83,7 @@ var<workgroup> robot_missing: array<f32, ROBOT_RATES>;
 var<workgroup> robot_step: array<f32, ROBOT_RATES>;
 var<workgroup> robot_work: array<f32, ROBOT_RATES>;
 var<workgroup> robot_tried_work: array<f32, ROBOT_RATES>;
-// Of each drive: position; order, with the way to the target in place of the target.
+// Of each drive, by its rate: position; order, with the way to the target in place of the target.
 var<workgroup> robot_position: array<f32, ROBOT_RATES>;
 var<workgroup> robot_told: array<vec4<f32>, ROBOT_RATES>;
 // The mass matrix, and the one that is solved.
@@ -78,18 +91,27 @@ var<workgroup> robot_mass: array<f32, ROBOT_RATES * ROBOT_RATES>;
 var<workgroup> robot_matrix: array<f32, ROBOT_RATES * ROBOT_ROW>;
 var<workgroup> robot_go_on: u32;
 
-// What the table says of the robot, of the thread's own link, and of the drive whose rate has the thread's number; and its momentum.
+// What the table says of the group and its first tree, of the thread's own link, of the rate with the thread's number, and of that rate's tree. Is it a drive's? Then the words of
+// that and of its order; else what the state says of its share in the momentum. And the momentum of the tree with the thread's number.
 var<private> robot_links: u32;
-var<private> robot_links_at: u32;
-var<private> robot_drives: u32;
-var<private> robot_drives_at: u32;
-var<private> robot_base_rates: u32;
 var<private> robot_rates: u32;
+var<private> robot_tree_count: u32;
+var<private> robot_trees_at: u32;
 var<private> robot_depth: u32;
 var<private> robot_bodies: u32;
 var<private> robot_points: u32;
+var<private> robot_first_tree: vec4<u32>;
 var<private> robot_link: array<vec4<f32>, ROBOT_LINK>;
 var<private> robot_drive: array<vec4<f32>, ROBOT_DRIVE>;
+var<private> robot_own_tree: vec4<u32>;
+var<private> robot_drives: bool;
+var<private> robot_word: u32;
+var<private> robot_order_word: u32;
+var<private> robot_held: f32;
+// How the first body of the tree of the thread's link is turned.
+var<private> robot_turn: vec4<f32>;
+// How that link moves.
+var<private> robot_motion: RobotMotion;
 var<private> robot_lacks: RobotWrench;
 var<private> robot_linear: vec3<f32>;
 var<private> robot_angular: vec3<f32>;
@@ -142,11 +164,43 @@ fn robot_hangs_on(l: u32, a: u32) -> bool {
     return a <= l && l < robot_order[a].x;
 }
 
+// A tree. A group of one has no need to look.
+fn robot_tree(t: u32) -> vec4<u32> {
+    if ROBOT_TREES == 1u {
+        return robot_first_tree;
+    }
+    return robot_trees[t];
+}
+
+fn robot_tree_of_link(l: u32) -> u32 {
+    if ROBOT_TREES == 1u {
+        return 0u;
+    }
+    return robot_tree_of[l];
+}
+
+// The link of a tree's first body, on which all others hang.
+fn robot_root(t: u32) -> u32 {
+    if ROBOT_TREES == 1u {
+        return 0u;
+    }
+    return robot_body[robot_trees[t].z];
+}
+
+// Which of its base's rates one is, or ROBOT_BASE.
+fn robot_unit_of(rate: u32) -> u32 {
+    if ROBOT_TREES == 1u {
+        return select(ROBOT_BASE, rate, rate < robot_first_tree.y);
+    }
+    return robot_unit[rate];
+}
+
 // How a rate moves the link `a`, one of those that it moves first, for each unit.
 fn robot_axis_of(rate: u32, a: u32) -> RobotMotion {
-    if rate < robot_base_rates {
-        let unit = vec3<f32>(vec3<u32>(rate % 3u) == vec3<u32>(0u, 1u, 2u));
-        let turns = rate >= 3u;
+    let number = robot_unit_of(rate);
+    if number < ROBOT_BASE {
+        let unit = vec3<f32>(vec3<u32>(number % 3u) == vec3<u32>(0u, 1u, 2u));
+        let turns = number >= 3u;
         return RobotMotion(select(vec3<f32>(0.0), unit, turns), select(unit, vec3<f32>(0.0), turns));
     }
     return robot_axis[a];
@@ -180,25 +234,32 @@ fn robot_power(m: RobotMotion, f: RobotWrench) -> f32 {
     return dot(m.angular, f.moment) + dot(m.linear, f.force);
 }
 
-// Reads what the robot is, and its state.
+// What the table says of a tree.
+fn robot_tree_row(t: u32, row: u32) -> vec4<f32> {
+    return coupling_table(robot_trees_at + t * ROBOT_TREE + row);
+}
+
+// Reads what the group is, and its state.
 fn robot_take_up(group: u32, thread: u32) {
-    let at = ROBOT_HEADS + 3u * group;
-    let one = coupling_table(at);
-    let two = coupling_table(at + 1u);
-    robot_links_at = u32(one.x);
-    robot_links = u32(one.y);
-    robot_drives_at = u32(one.z);
-    robot_drives = u32(one.w);
-    robot_base_rates = u32(two.x);
-    robot_depth = u32(two.y);
-    robot_rates = robot_base_rates + robot_drives;
+    let one = vec4<u32>(coupling_table(ROBOT_HEADS + 2u * group));
+    let two = vec4<u32>(coupling_table(ROBOT_HEADS + 2u * group + 1u));
+    robot_links = one.y;
+    robot_rates = one.w;
+    robot_trees_at = two.x;
+    robot_tree_count = two.y;
+    robot_depth = two.z;
     robot_bodies = group_bodies();
     robot_points = robot_points_told();
-    robot_linear = bitcast<vec3<f32>>(group_word(1u).xyz);
-    robot_angular = bitcast<vec3<f32>>(group_word(2u).xyz);
+    robot_first_tree = vec4<u32>(robot_tree_row(0u, 0u));
+    if thread < robot_tree_count {
+        let tree = vec4<u32>(robot_tree_row(thread, 0u));
+        robot_trees[thread] = tree;
+        robot_linear = bitcast<vec3<f32>>(group_word(tree.w + 1u).xyz);
+        robot_angular = bitcast<vec3<f32>>(group_word(tree.w + 2u).xyz);
+    }
     if thread < robot_links {
         // At once, and not only when the parent stands: a link waits for its parent often enough.
-        let from_here = robot_links_at + thread * ROBOT_LINK;
+        let from_here = one.x + thread * ROBOT_LINK;
         robot_link = array<vec4<f32>, ROBOT_LINK>(
             coupling_table(from_here),
             coupling_table(from_here + 1u),
@@ -211,45 +272,70 @@ fn robot_take_up(group: u32, thread: u32) {
             coupling_table(from_here + 8u),
         );
         let head = robot_link[0];
-        let rate = select(ROBOT_NONE, robot_base_rates + u32(max(head.z, 0.0)), head.x >= 0.0 && head.y > 0.0);
+        let rate = select(ROBOT_NONE, u32(max(head.z, 0.0)), head.y > 0.0);
         robot_order[thread] = vec4<u32>(u32(robot_link[2].w), robot_link_of(robot_link[4].w), robot_link_of(head.x), rate);
+        if ROBOT_TREES > 1u {
+            robot_tree_of[thread] = u32(robot_link[5].w);
+        }
         let body = robot_link_of(head.w);
         if body != ROBOT_NONE {
             robot_body[body] = thread;
         }
     }
-    if thread < robot_base_rates {
-        robot_head[thread] = 0u;
-        robot_free[thread] = bitcast<f32>(group_word(3u + thread / 3u)[thread % 3u]);
-    } else if thread < robot_rates {
-        let own = robot_drives_at + (thread - robot_base_rates) * ROBOT_DRIVE;
+    robot_drives = false;
+    if thread < robot_rates {
+        let own = one.z + thread * ROBOT_DRIVE;
         robot_drive = array<vec4<f32>, ROBOT_DRIVE>(coupling_table(own), coupling_table(own + 1u), coupling_table(own + 2u));
         robot_head[thread] = robot_link_of(robot_drive[0].x);
-    }
-    if thread < robot_drives {
-        let word = group_word(ROBOT_WORDS + thread);
-        robot_position[thread] = robot_number(word.xy);
-        robot_free[robot_base_rates + thread] = bitcast<f32>(word.z);
-        robot_told[thread] = robot_order_of(group, thread, word);
+        let t = robot_tree_of_rate();
+        robot_own_tree = robot_first_tree;
+        if t > 0u {
+            robot_own_tree = vec4<u32>(robot_tree_row(t, 0u));
+        }
+        let number = thread - robot_own_tree.x;
+        let state = robot_own_tree.w;
+        robot_drives = number >= robot_own_tree.y;
+        if ROBOT_TREES > 1u {
+            robot_unit[thread] = select(number, ROBOT_BASE, robot_drives);
+        }
+        if robot_drives {
+            robot_word = state + ROBOT_WORDS + number - robot_own_tree.y;
+            robot_order_word = robot_word + u32(robot_tree_row(t, 1u).z);
+            let word = group_word(robot_word);
+            robot_position[thread] = robot_number(word.xy);
+            robot_free[thread] = bitcast<f32>(word.z);
+            robot_told[thread] = robot_order_of(t, robot_word - state - ROBOT_WORDS, word);
+        } else {
+            robot_held = bitcast<f32>(group_word(state + 1u + number / 3u)[number % 3u]);
+            robot_free[thread] = bitcast<f32>(group_word(state + 3u + number / 3u)[number % 3u]);
+        }
     }
     workgroupBarrier();
 }
 
-// What a drive's motor is told in this step: by an order, or by the path.
-fn robot_order_of(group: u32, d: u32, word: vec4<u32>) -> vec4<f32> {
-    let head = group_word(0u);
-    var order = bitcast<vec4<f32>>(group_word(ROBOT_WORDS + robot_drives + d));
+// The tree of the rate with the thread's number.
+fn robot_tree_of_rate() -> u32 {
+    if ROBOT_TREES == 1u {
+        return 0u;
+    }
+    return u32(robot_drive[2].z);
+}
+
+// What the motor of the thread's drive, number `d` of tree `t`, is told in this step: by an order, or by the path.
+fn robot_order_of(t: u32, d: u32, word: vec4<u32>) -> vec4<f32> {
+    let head = group_word(robot_own_tree.w);
+    var order = bitcast<vec4<f32>>(group_word(robot_order_word));
     if head.z == 0u {
         // At the step's end.
-        let time = select(head.xy, robot_clock_after(group, head.xy), group_moves());
-        order = robot_path(group, d, robot_number(time));
+        let time = select(head.xy, robot_clock_after(t, head.xy), group_moves());
+        order = robot_path(t, d, robot_number(time));
     }
     return vec4<f32>(order.x - robot_number(word.xy), order.yzw);
 }
 
-// The time along the path after a step.
-fn robot_clock_after(group: u32, clock: vec2<u32>) -> vec2<u32> {
-    let path = coupling_table(ROBOT_HEADS + 3u * group + 2u);
+// A tree's time along its path after a step.
+fn robot_clock_after(t: u32, clock: vec2<u32>) -> vec2<u32> {
+    let path = robot_tree_row(t, 2u);
     let next = robot_more(clock, group_dt());
     if path.y > 0.0 && robot_number(next) >= path.x {
         return robot_more(next, -path.y);
@@ -258,13 +344,13 @@ fn robot_clock_after(group: u32, clock: vec2<u32>) -> vec2<u32> {
 }
 
 // Where the path leads a drive at a time, and how fast: straight from frame to frame.
-fn robot_path(group: u32, d: u32, time: f32) -> vec4<f32> {
-    let head = coupling_table(ROBOT_HEADS + 3u * group + 1u);
-    let at = u32(head.z);
-    let each = 1u + (robot_drives + 3u) / 4u;
+fn robot_path(t: u32, d: u32, time: f32) -> vec4<f32> {
+    let head = vec4<u32>(robot_tree_row(t, 1u));
+    let at = head.x;
+    let each = 1u + (head.z + 3u) / 4u;
     // One past the last frame that is not behind that time.
     var next = 0u;
-    var end = u32(head.w);
+    var end = head.y;
     for (var turn = 0u; turn < 32u && next < end; turn++) {
         let middle = (next + end) / 2u;
         if coupling_table(at + middle * each).x <= time {
@@ -275,7 +361,7 @@ fn robot_path(group: u32, d: u32, time: f32) -> vec4<f32> {
     }
     let last = max(next, 1u) - 1u;
     let from_here = coupling_table(at + last * each + 1u + d / 4u)[d % 4u];
-    if next == 0u || next == u32(head.w) {
+    if next == 0u || next == head.y {
         return vec4<f32>(from_here, 0.0, 0.0, 1.0);
     }
     let to_there = coupling_table(at + next * each + 1u + d / 4u)[d % 4u];
@@ -340,7 +426,15 @@ fn robot_go_ahead(thread: u32) {
 
 // What gravity alone adds to twice the kinetic energy: a robot at rest has none.
 fn robot_pull() -> f32 {
-    return robot_inertia[0].first.w * dot(group_gravity(), group_gravity());
+    return robot_mass_of_all() * dot(group_gravity(), group_gravity());
+}
+
+fn robot_mass_of_all() -> f32 {
+    var sum = robot_inertia[0].first.w;
+    for (var t = 1u; t < robot_tree_count; t++) {
+        sum += robot_inertia[robot_root(t)].first.w;
+    }
+    return sum;
 }
 
 // Finds the rates that balance without soft ground, as `balance_alone` of `robot.rs`. Whoever calls it knows whether there are points: without them a device has
@@ -361,6 +455,7 @@ fn robot_settle(at_points: bool, thread: u32) {
     }
     workgroupBarrier();
     let turns = select(ROBOT_ITERATIONS, ROBOT_ITERATIONS_AT_POINTS, at_points);
+    let tolerance = select(ROBOT_TOLERANCE, ROBOT_TOLERANCE_AT_POINTS, at_points);
     for (var turn = 0u; turn < turns; turn++) {
         if at_points && thread == 0u && turn + 1u == turns {
             robot_weight = 1.0;
@@ -421,7 +516,7 @@ fn robot_settle(at_points: bool, thread: u32) {
             }
             search_from(robot_before);
             robot_noise = ROBOT_ROUNDING * sqrt(robot_speed * robot_before);
-            robot_go_on = u32(robot_before > ROBOT_TOLERANCE * ROBOT_TOLERANCE * robot_speed);
+            robot_go_on = u32(robot_before > tolerance * tolerance * robot_speed);
             if at_points && robot_weight < 1.0 {
                 if robot_before <= ROBOT_SMALL * ROBOT_SMALL * robot_speed {
                     robot_weight = min(ROBOT_HEAVIER * robot_weight, 1.0);
@@ -502,9 +597,11 @@ fn robot_rate(kind: u32, i: u32) -> f32 {
 // How a link moves at the rates of a kind.
 fn robot_motion_at(kind: u32, l: u32) -> RobotMotion {
     var motion = RobotMotion(vec3<f32>(0.0), vec3<f32>(0.0));
-    if robot_base_rates > 0u {
-        motion.linear = vec3<f32>(robot_rate(kind, 0u), robot_rate(kind, 1u), robot_rate(kind, 2u));
-        motion.angular = vec3<f32>(robot_rate(kind, 3u), robot_rate(kind, 4u), robot_rate(kind, 5u));
+    let tree = robot_tree(robot_tree_of_link(l));
+    if tree.y > 0u {
+        let i = tree.x;
+        motion.linear = vec3<f32>(robot_rate(kind, i), robot_rate(kind, i + 1u), robot_rate(kind, i + 2u));
+        motion.angular = vec3<f32>(robot_rate(kind, i + 3u), robot_rate(kind, i + 4u), robot_rate(kind, i + 5u));
     }
     for (var a = l; a != ROBOT_NONE; a = robot_order[a].z) {
         let i = robot_order[a].w;
@@ -528,8 +625,11 @@ fn robot_set_twists(kind: u32, thread: u32) {
 
 fn coupling_begin(group: u32, thread: u32) {
     robot_take_up(group, thread);
-    robot_balance(group, thread);
-    robot_place(pose_rotation(group_pose(0u)), thread);
+    robot_balance(thread);
+    if thread < robot_links {
+        robot_turn = pose_rotation(group_pose(robot_tree(robot_tree_of_link(thread)).z));
+    }
+    robot_place(thread);
     robot_move(thread);
     robot_compose(thread);
     robot_correct(thread);
@@ -718,9 +818,9 @@ fn coupling_twice_energy(group: u32, which: u32, thread: u32) -> f32 {
 }
 
 fn coupling_feel(group: u32, thread: u32) {
-    // Where there are points, rates say in the end what became of its momentum.
-    for (var b = 0u; b < select(robot_bodies, 0u, robot_points > 0u); b++) {
-        if !group_touches(b) {
+    // Where there are points, rates say in the end what became of momentum.
+    for (var b = 0u; b < select(0u, robot_bodies, thread < robot_tree_count && robot_points == 0u); b++) {
+        if !group_touches(b) || robot_tree_of_link(robot_body[b]) != thread {
             continue;
         }
         let gained = group_impulse(b);
@@ -735,12 +835,16 @@ fn coupling_feel(group: u32, thread: u32) {
 }
 
 fn coupling_advance(group: u32, thread: u32) {
-    let old = group_pose(0u);
-    var base = old;
-    var clock = group_word(0u);
+    let keeps_tree = thread < robot_tree_count;
+    var tree = vec4<u32>(0u);
+    var clock = vec4<u32>(0u);
+    if keeps_tree {
+        tree = robot_tree(thread);
+        clock = group_word(tree.w);
+    }
     var word = vec4<u32>(0u);
-    if thread < robot_drives {
-        word = group_word(ROBOT_WORDS + thread);
+    if robot_drives {
+        word = group_word(robot_word);
     }
     if !robot_is_settled {
         // It met nothing, no point either.
@@ -752,50 +856,65 @@ fn coupling_advance(group: u32, thread: u32) {
         robot_take_momentum(thread);
     }
     if group_moves() {
-        let velocity = vec3<f32>(robot_free[0], robot_free[1], robot_free[2]);
-        let all = robot_inertia[0].first;
-        workgroupBarrier();
-        let gravity = group_gravity();
-        robot_linear += all.w * gravity;
-        robot_angular += cross(all.xyz, gravity);
-        if robot_base_rates > 0u {
-            base = pose_after(old, group_twist(TWIST_FREE, 0u));
-            // About where its centre of mass is then.
-            robot_angular -= cross(group_dt() * velocity, robot_linear);
+        if keeps_tree {
+            let root = robot_root(thread);
+            let all = robot_inertia[root].first;
+            let gravity = group_gravity();
+            robot_linear += all.w * gravity;
+            robot_angular += cross(all.xyz, gravity);
+            var base = group_pose(tree.z);
+            // So does one that slides on a base that is no body.
+            if tree.y > 0u || robot_order[root].w != ROBOT_NONE {
+                base = pose_after(base, group_twist(TWIST_FREE, tree.z));
+            }
+            if tree.y > 0u {
+                // About where its centre of mass is then.
+                let velocity = vec3<f32>(robot_free[tree.x], robot_free[tree.x + 1u], robot_free[tree.x + 2u]);
+                robot_angular -= cross(group_dt() * velocity, robot_linear);
+            }
+            robot_base[thread] = base;
+            clock = vec4<u32>(robot_clock_after(thread, clock.xy), clock.zw);
         }
-        if thread < robot_drives {
-            let next = robot_more(word.xy, group_dt() * robot_free[robot_base_rates + thread]);
+        if robot_drives {
+            let next = robot_more(word.xy, group_dt() * robot_free[thread]);
             word = vec4<u32>(next, word.zw);
             robot_position[thread] = robot_number(next);
         }
-        clock = vec4<u32>(robot_clock_after(group, clock.xy), clock.zw);
         workgroupBarrier();
-        robot_place(pose_rotation(base), thread);
+        if thread < robot_links {
+            robot_turn = pose_rotation(robot_base[robot_tree_of_link(thread)]);
+        }
+        robot_place(thread);
         if thread < robot_bodies {
             let l = robot_body[thread];
+            let t = robot_tree_of_link(l);
+            let base = robot_base[t];
             let rotation = vec4<i32>(round(robot_rotation[l] * 1073741824.0));
             let pose = pose_shifted(CouplingPose(base.cell, base.place, rotation), robot_centre[l] / group_cell());
-            if thread == 0u {
-                set_group_pose(0u, base);
+            if l == robot_root(t) {
+                set_group_pose(thread, base);
             } else {
                 set_group_pose(thread, pose);
             }
         }
     }
-    if thread == 0u {
-        set_group_word(0u, clock);
-        set_group_word(1u, vec4<u32>(bitcast<vec3<u32>>(robot_linear), 0u));
-        set_group_word(2u, vec4<u32>(bitcast<vec3<u32>>(robot_angular), 0u));
+    if keeps_tree {
+        set_group_word(tree.w, clock);
+        set_group_word(tree.w + 1u, vec4<u32>(bitcast<vec3<u32>>(robot_linear), 0u));
+        set_group_word(tree.w + 2u, vec4<u32>(bitcast<vec3<u32>>(robot_angular), 0u));
     }
-    if thread < 2u {
+    if thread < 2u * robot_tree_count {
+        let own = robot_tree(thread / 2u);
+        let half = thread % 2u;
         var base_rates = vec3<f32>(0.0);
-        if robot_base_rates > 0u {
-            base_rates = vec3<f32>(robot_free[3u * thread], robot_free[3u * thread + 1u], robot_free[3u * thread + 2u]);
+        if own.y > 0u {
+            let i = own.x + 3u * half;
+            base_rates = vec3<f32>(robot_free[i], robot_free[i + 1u], robot_free[i + 2u]);
         }
-        set_group_word(3u + thread, vec4<u32>(bitcast<vec3<u32>>(base_rates), 0u));
+        set_group_word(own.w + 3u + half, vec4<u32>(bitcast<vec3<u32>>(base_rates), 0u));
     }
-    if thread < robot_drives {
-        set_group_word(ROBOT_WORDS + thread, vec4<u32>(word.xy, bitcast<u32>(robot_free[robot_base_rates + thread]), 0u));
-        set_group_word(ROBOT_WORDS + robot_drives + thread, group_word(ROBOT_WORDS + robot_drives + thread));
+    if robot_drives {
+        set_group_word(robot_word, vec4<u32>(word.xy, bitcast<u32>(robot_free[thread]), 0u));
+        set_group_word(robot_order_word, group_word(robot_order_word));
     }
 }

@@ -350,7 +350,7 @@ pub struct DeviceLaw {
 pub struct DeviceAnswer {
     /// These functions, in WGSL; empty if no body answers.
     pub wgsl: String,
-    /// What each group asks of the device, in the order of [`groups`](Coupling::groups).
+    /// What each group asks of the device, in the order of its [groups there](Coupling::device_groups).
     pub groups: Vec<DeviceGroup>,
 }
 
@@ -561,6 +561,20 @@ pub trait Coupling: Send + Sync {
     /// Bodies that answer impulses, in groups that answer together. The others are driven: they move as they are told, whatever they feel.
     fn groups(&self) -> Vec<Group> {
         Vec::new()
+    }
+    /// Does a driven body stay where it is over the whole run, as others may know?
+    fn stays(&self, body: usize) -> bool {
+        let _ = body;
+        false
+    }
+    /// The groups as a device moves them, which stay the same over the run: bodies that may come to touch are one.
+    fn device_groups(&self) -> Vec<Group> {
+        self.groups()
+    }
+    /// A device has no memory for groups of that size: makes them smaller before the run begins, so that it keeps their bodies [off one another](Self::leashes). Returns
+    /// whether it could.
+    fn part_device_groups(&mut self) -> bool {
+        false
     }
     /// By how much the twists `at` of a group have to change so that all is in balance: solves (H + Σ A) δ = r + Σ b, with A and b of `systems`, one a body, r
     /// what the bodies themselves have out of balance at these twists, and H what they set against a change: their inertias and, for a robot, what its

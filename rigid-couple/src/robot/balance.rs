@@ -37,13 +37,13 @@ pub(super) fn corrections(entries: &[Balance], model: &RobotModel) -> Result<Vec
 }
 
 impl Correction {
-    /// As `robot/joints.wgsl` reads it.
-    pub(super) fn table(&self) -> Row {
+    /// As `robot/joints.wgsl` reads it, if drives' rates begin at `first` in the group.
+    pub(super) fn table(&self, first: usize) -> Row {
         let of = match self.of {
             Lean::Pitch => 0.0,
             Lean::Roll => 1.0,
         };
-        [self.drive as f32, of, self.gain as f32, self.rate as f32]
+        [(first + self.drive) as f32, of, self.gain as f32, self.rate as f32]
     }
 }
 

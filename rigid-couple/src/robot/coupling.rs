@@ -6,7 +6,7 @@ use super::model::RobotModel;
 use super::motion::{self, JointPath};
 use super::sense::Sensed;
 use super::solve::{Balanced, Whole};
-use super::together::{self, Met, Together};
+use super::together::{self, Felt, Met, Together};
 use super::touching::{Body, Obstacle, Span, pairs_of};
 use super::urdf::Source;
 use super::{Robot, State, balance, dynamics};
@@ -24,6 +24,7 @@ use barchan_core::{
     BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, RobotState, Scene, Surface, Vec3, Wrench,
 };
 use glam::DVec3;
+use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -48,6 +49,8 @@ pub struct Robots {
     tools: Vec<Obstacle>,
     /// Those that touch one another in the step under way.
     together: Vec<Together>,
+    /// Does a device solve all of them together, since some may touch?
+    as_one: bool,
     contacts: Vec<Contact>,
     /// The number of each robot's first body.
     firsts: Vec<usize>,
@@ -303,6 +306,7 @@ impl Robots {
         };
         Ok(Self {
             followed: robots.iter().flat_map(is_followed).collect(),
+            as_one: device::are_together(&robots),
             name: ROBOT_COUPLING.to_owned(),
             scene: scene.clone(),
             contacts,
@@ -372,6 +376,21 @@ impl Robots {
         all
     }
 
+    /// The robots of each group on a device.
+    fn on_device(&self) -> Vec<Range<usize>> {
+        if self.as_one {
+            return vec![Range { start: 0, end: self.robots.len() }];
+        }
+        (0..self.robots.len()).map(|robot| robot..robot + 1).collect()
+    }
+
+    fn group(&self, robots: Range<usize>) -> Group {
+        Group {
+            bodies: self.firsts[robots.start]..self.bodies_of(robots.end - 1, 0).end,
+            mass: self.robots[robots].iter().map(|robot| robot.model.mass()).sum(),
+        }
+    }
+
     /// Those of some robots that touch none, and those that touch one another.
     fn parted(&self, robots: Range<usize>) -> (Vec<usize>, Vec<&Together>) {
         let own = self.together.iter().filter(|one| robots.contains(&one.robots[0]));
@@ -386,6 +405,16 @@ impl Robots {
         Met { at: bodies().map(|own| &at[own]).collect(), systems: bodies().map(|own| &systems[own]).collect() }
     }
 
+    /// What robots press on one another with in the step under way, at some rates of each.
+    fn felt(&self, rates: impl Fn(&Robot) -> DVector<f64>) -> Vec<Vec<Felt>> {
+        let mut felt = vec![Vec::new(); self.robots.len()];
+        for own in &self.together {
+            let of_own = own.felt(&self.robots, |robot| rates(&self.robots[robot]));
+            own.robots.iter().zip(of_own).for_each(|(&robot, of_robot)| felt[robot] = of_robot);
+        }
+        felt
+    }
+
     /// What to say of bodies that overlap others' or what is rigid where they start.
     fn overlaps(&self) -> Option<String> {
         let solid = |(robot, body): (usize, usize)| {
@@ -394,9 +423,10 @@ impl Robots {
         };
         let numbers = (0..self.robots.len()).flat_map(|r| (0..self.robots[r].solids.len()).map(move |body| (r, body)));
         let solids: Vec<_> = numbers.filter_map(solid).collect();
+        let tools: Vec<&Obstacle> = self.tools.iter().collect();
         let mut found = Vec::new();
         for (i, (robot, name, body, pose, bounds)) in solids.iter().enumerate() {
-            let with_obstacles = robot.obstacles(&self.tools).filter(|one| one.is_overlapped(body, pose, bounds));
+            let with_obstacles = robot.obstacles(&tools).filter(|one| one.is_overlapped(body, pose, bounds));
             found.extend(with_obstacles.map(|obstacle| format!("'{name}' and {}", obstacle.title())));
             let others = solids[..i].iter().filter(|(other, .., at)| {
                 !std::ptr::eq(*robot, *other) && robot.gives_way_to(other) && bounds.meets(at)
@@ -427,6 +457,11 @@ impl Robots {
         }
         Ok(())
     }
+}
+
+/// The tools that stay. On a device robots keep off the others.
+fn staying(tools: &[Obstacle]) -> Vec<&Obstacle> {
+    tools.iter().filter(|tool| !tool.moves()).collect()
 }
 
 impl Coupling for Robots {
@@ -482,21 +517,31 @@ impl Coupling for Robots {
         let gravity = DVec3::from_array(self.scene.gravity_at(time));
         let span = Span { time, dt, gravity: gravity.length() };
         let mut all = Vec::with_capacity(self.robots.len());
+        let tools: Vec<&Obstacle> = self.tools.iter().collect();
+        let staying = staying(&self.tools);
         for robot in &mut self.robots {
             if self.moved != Moved::ByCoupling {
                 robot.step.dt = dt;
                 robot.sense_gravity(gravity);
-                robot.note_touching(span, self.moved == Moved::InTurns);
+                robot.note_touching(&staying, span, self.moved == Moved::InTurns);
                 continue;
             }
             if self.slot == 0 {
                 robot.sense_start(gravity);
             }
             let boxes = robot.boxes();
-            robot.begin(span, gravity, &boxes, &self.tools).map_err(|()| robot.lost("motion"))?;
+            robot.begin(span, gravity, &boxes, &tools).map_err(|()| robot.lost("motion"))?;
             all.push(boxes);
         }
-        if self.is_on_device() { Ok(()) } else { self.balance_alone(&all, span) }
+        match self.moved {
+            Moved::ByCoupling => return self.balance_alone(&all, span),
+            Moved::ByDevice => self.together.clear(),
+            Moved::InTurns => {
+                let boxes: Vec<_> = self.robots.iter().map(Robot::boxes).collect();
+                self.together = together::find(&self.robots, &boxes, span);
+            }
+        }
+        Ok(())
     }
 
     fn bounds(&self) -> Vec<Aabb> {
@@ -524,11 +569,15 @@ impl Coupling for Robots {
     }
 
     fn groups(&self) -> Vec<Group> {
-        let group = |robots: Range<usize>| Group {
-            bodies: self.firsts[robots.start]..self.bodies_of(robots.end - 1, 0).end,
-            mass: self.robots[robots].iter().map(|robot| robot.model.mass()).sum(),
-        };
-        self.moves_as_one().into_iter().map(group).collect()
+        self.moves_as_one().into_iter().map(|robots| self.group(robots)).collect()
+    }
+
+    fn device_groups(&self) -> Vec<Group> {
+        self.on_device().into_iter().map(|robots| self.group(robots)).collect()
+    }
+
+    fn part_device_groups(&mut self) -> bool {
+        std::mem::take(&mut self.as_one)
     }
 
     fn answer(&self, group: Range<usize>, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
@@ -585,21 +634,21 @@ impl Coupling for Robots {
     }
 
     fn after_step(&mut self, _: f64, _: f64) -> Result<()> {
-        let felt: Vec<_> = self.together.iter().map(|own| own.felt(&self.robots)).collect();
-        let is_on_device = self.is_on_device();
-        for robot in self.robots.iter_mut().filter(|_| !is_on_device) {
-            robot.advance().ok_or_else(|| robot.lost("motion"))?;
-        }
-        for (own, felt) in self.together.iter_mut().zip(felt) {
-            own.robots.iter().zip(felt).for_each(|(&robot, felt)| self.robots[robot].sense_others(felt));
-            own.follow(&self.robots);
+        // A device has still to say what came of its step.
+        if !self.is_on_device() {
+            let felt = self.felt(|robot| robot.step.rates.clone());
+            for (robot, felt) in self.robots.iter_mut().zip(felt) {
+                robot.advance().ok_or_else(|| robot.lost("motion"))?;
+                robot.sense_others(felt);
+            }
+            self.together.iter_mut().for_each(|own| own.follow(&self.robots));
         }
         self.slot = (self.slot + 1) % self.scene.levels.substeps();
         Ok(())
     }
 
     fn device_law(&self) -> Option<DeviceLaw> {
-        device::law(&self.robots, &self.contacts, self.scene.world.cell)
+        device::law(&self.robots, &self.contacts, &self.on_device(), self.scene.world.cell)
     }
 
     fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Leashes> {
@@ -612,9 +661,6 @@ impl Coupling for Robots {
             robot.guided.is_none_or(|guided| keeps(guided) == [true; 2])
         };
         if !self.robots.iter().all(is_told) {
-            return None;
-        }
-        if !self.together.is_empty() {
             return None;
         }
         if self.max_speed(time, dt) * dt > device::MOST_MOVE * world.cell {
@@ -632,18 +678,36 @@ impl Coupling for Robots {
         };
         let robots = self.robots.iter().zip(&self.firsts);
         let all: Vec<Vec<Option<Roaming>>> = robots.map(of_robot).collect();
-        let each = device::apart(&all, world.cell)?;
-        if let Some(each) = device::off_what_is_rigid(&self.robots, &all, &each, world.cell) {
+        let unbound = || vec![Aabb::UNBOUND; self.wrenches.len()];
+        let each = if self.as_one { unbound() } else { device::apart(&all, world.cell)? };
+        // Steps that are taken at once end before one appears or vanishes.
+        let mut tools = staying(&self.tools);
+        tools.retain(|tool| tool.is_present(time));
+        let off_walls = device::off_what_is_rigid(&self.robots, &tools, &all, &each, world.cell);
+        let off_others = |each: Vec<Aabb>| match self.as_one {
+            true => device::off_one_another(&self.robots, &all, &each, world.cell),
+            false => Some(each),
+        };
+        if let Some(each) = off_walls.and_then(off_others) {
             return Some(Leashes { each, in_turns: false, told: Vec::new() });
         }
         let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
         let span = Span { time, dt, gravity };
-        let told = self.robots.iter().map(|robot| robot.told(span)).collect::<Option<_>>()?;
+        let of_group = |robots: Range<usize>| device::told(&self.robots[robots], &tools, span);
+        let told = self.on_device().into_iter().map(of_group).collect::<Option<_>>()?;
         Some(Leashes { each, in_turns: true, told })
     }
 
     fn device_state(&self) -> Vec<GroupState> {
-        self.robots.iter().map(Robot::device_state).collect()
+        let of_group = |robots: Range<usize>| {
+            let mut all = GroupState::default();
+            for GroupState { words, bodies } in self.robots[robots].iter().map(Robot::device_state) {
+                all.words.extend(words);
+                all.bodies.extend(bodies);
+            }
+            all
+        };
+        self.on_device().into_iter().map(of_group).collect()
     }
 
     fn move_on_device(&mut self, moved: Moved) {
@@ -652,12 +716,18 @@ impl Coupling for Robots {
 
     fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
         let substeps = self.scene.levels.substeps();
-        for (robot, GroupStep { state, deep_nodes, unconverged }) in self.robots.iter_mut().zip(groups) {
-            let dt = robot.step.dt * f64::from(substeps);
-            robot.take_device_state(state, dt).ok_or_else(|| robot.lost("motion on the device"))?;
+        let mut states = Vec::new();
+        for (robots, GroupStep { state, deep_nodes, unconverged }) in self.on_device().into_iter().zip(groups) {
+            states.extend(device::parted(state, &self.robots[robots]));
             self.counts.deep_nodes += deep_nodes;
             self.counts.unconverged += unconverged;
         }
+        for (robot, state) in self.robots.iter_mut().zip(&states) {
+            let dt = robot.step.dt * f64::from(substeps);
+            robot.take_device_state(state, dt).ok_or_else(|| robot.lost("motion on the device"))?;
+        }
+        let felt = self.felt(|robot| DVector::from_column_slice(&robot.state.rates));
+        self.robots.iter_mut().zip(felt).for_each(|(robot, felt)| robot.sense_others(felt));
         Ok(())
     }
 

@@ -1,19 +1,21 @@
 //! Robots as a device moves them: what `robot.wgsl` reads of them, and their states there and back.
 
-use super::balance::Correction;
 use super::model::{Freedom, RobotModel};
 use super::motion::JointPath;
-use super::touching::{Points, Span};
+use super::together;
+use super::touching::{Obstacle, Points, Span};
 use super::{AHEAD, Robot, dynamics};
 use crate::grip::REACH;
 use crate::motion::Pose;
 use crate::sdf::Sdf;
 use crate::tables::{Listed, Row, Tables, row, rows};
+use barchan_core::NodeBatch;
 use barchan_core::contact::{Grip, Touch};
 use barchan_core::coupling::{Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, GroupState, Placed};
 use barchan_core::scene::Contact;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Words of a state before those of drives, see `robot.wgsl`.
 const WORDS: usize = 5;
@@ -21,9 +23,12 @@ const WORDS: usize = 5;
 const PARTS: f64 = 4_294_967_296.0;
 /// A device moves links as long as their surfaces move by at most this much in a step [cells].
 pub(crate) const MOST_MOVE: f64 = 0.5;
-/// Words of a point at which links touch what is rigid, and how many points a device is told of at most.
-const POINT: usize = 3;
+/// Words of a point at which links touch what is rigid, and how many points a device is told of at most: for one robot, and for several that may touch.
+const POINT: usize = 4;
 const MOST_POINTS: usize = 24;
+const MOST_POINTS_TOGETHER: usize = 48;
+/// Rates of robots that a device solves together at most.
+const MOST_RATES: usize = 64;
 /// In place of infinity.
 const FAR: f64 = 1e30;
 
@@ -54,14 +59,16 @@ struct Tree {
 }
 
 impl Tree {
-    fn of(model: &RobotModel, solids: &[usize]) -> Self {
+    /// From a robot's first body on. Where that is a tool in a guide, the guide has no part in it.
+    fn of(robot: &Robot) -> Self {
+        let (model, solids) = (&*robot.model, &robot.solids);
         let mut carries = vec![false; model.links.len()];
         for &solid in solids {
             let up = |&link: &usize| model.links[link].parent;
             std::iter::successors(Some(solid), up).for_each(|link| carries[link] = true);
         }
         let mut tree = Self { links: Vec::new(), ends: Vec::new(), depths: Vec::new() };
-        tree.add(model, &carries, 0, 0);
+        tree.add(model, &carries, solids[0], 0);
         tree
     }
 
@@ -101,19 +108,34 @@ impl JointPath {
     }
 }
 
+/// Where a tree begins in its group: what comes before it there.
+#[derive(Clone, Copy, Default)]
+struct Before {
+    trees: usize,
+    links: usize,
+    rates: usize,
+    bodies: usize,
+    words: usize,
+}
+
 impl Robot {
-    /// What a device reads of it, if its links begin at `at` in the table: its head, and the rest.
-    fn table(&self, at: usize) -> ([Row; 3], Vec<Row>) {
-        let model = &*self.model;
-        let tree = Tree::of(model, &self.solids);
-        let with_drive = |drive: usize| {
-            let moved = move |link: &usize| {
-                let joint = &model.links[*link].joint;
-                joint.freedom != Freedom::Fixed && joint.drive == drive
-            };
-            tree.links.iter().enumerate().filter(move |(_, link)| moved(link)).map(|(place, _)| place)
+    fn words(&self) -> usize {
+        WORDS + 2 * self.model.drives.len()
+    }
+
+    /// The links of its tree that a drive moves.
+    fn moved_by<'a>(&'a self, tree: &'a Tree, drive: usize) -> impl Iterator<Item = usize> + 'a {
+        let is_moved = move |link: &usize| {
+            let joint = &self.model.links[*link].joint;
+            joint.freedom != Freedom::Fixed && joint.drive == drive
         };
-        let mut rest = Vec::new();
+        tree.links.iter().enumerate().filter(move |(_, link)| is_moved(link)).map(|(place, _)| place)
+    }
+
+    /// What a device reads of its links.
+    fn link_table(&self, tree: &Tree, before: Before) -> Vec<Row> {
+        let model = &*self.model;
+        let mut table = Vec::new();
         for (place, (&number, end)) in tree.links.iter().zip(&tree.ends).enumerate() {
             let link = &model.links[number];
             let joint = &link.joint;
@@ -123,39 +145,56 @@ impl Robot {
                 Freedom::Prismatic => 2.0,
             };
             let next = (joint.freedom != Freedom::Fixed)
-                .then(|| with_drive(joint.drive).find(|other| *other > place))
+                .then(|| self.moved_by(tree, joint.drive).find(|other| *other > place))
                 .flatten();
             let body = self.solids.iter().position(|solid| *solid == number);
             let parent = link.parent.and_then(|parent| tree.place(parent));
+            let rate = before.rates + self.base_rates() + joint.drive;
+            let [parent, next] = [parent, next].map(|link| or_none(link.map(|link| before.links + link)));
             let q = joint.origin.rotation;
-            rest.push([or_none(parent), freedom, joint.drive as f32, or_none(body)]);
-            rest.push([joint.ratio, joint.offset, link.mass, tree.depths[place] as f64].map(|x| x as f32));
-            rest.push(row(joint.origin.position, *end as f64));
-            rest.push([q.x, q.y, q.z, q.w].map(|x| x as f32));
-            rest.push([joint.axis.x as f32, joint.axis.y as f32, joint.axis.z as f32, or_none(next)]);
-            rest.push(row(link.centre, 0.0));
-            rest.extend(rows(&link.inertia));
+            table.push([parent, freedom, rate as f32, or_none(body.map(|body| before.bodies + body))]);
+            table.push([joint.ratio, joint.offset, link.mass, tree.depths[place] as f64].map(|x| x as f32));
+            table.push(row(joint.origin.position, (before.links + end) as f64));
+            table.push([q.x, q.y, q.z, q.w].map(|x| x as f32));
+            table.push([joint.axis.x as f32, joint.axis.y as f32, joint.axis.z as f32, next]);
+            table.push(row(link.centre, before.trees as f64));
+            table.extend(rows(&link.inertia));
         }
-        let drives = at + rest.len();
-        for (d, (drive, gains)) in model.drives.iter().zip(&self.gains).enumerate() {
+        table
+    }
+
+    /// What a device reads of its rates: those of its base, then its drives'.
+    fn rate_table(&self, tree: &Tree, before: Before) -> Vec<Row> {
+        let number = |number: usize| [before.trees as f32, number as f32];
+        let mut table = Vec::new();
+        for rate in 0..self.base_rates() {
+            let [own, number] = number(rate);
+            table.extend([[before.links as f32, 0.0, 0.0, 0.0], [0.0; 4], [0.0, 0.0, own, number]]);
+        }
+        for (d, (drive, gains)) in self.model.drives.iter().zip(&self.gains).enumerate() {
             let [low, high] = drive.limits.map(|x| x.clamp(-FAR, FAR) as f32);
-            rest.push([or_none(with_drive(d).next()), low, high, drive.effort.min(FAR) as f32]);
-            rest.push([drive.speed.min(FAR), drive.damping, drive.friction, drive.armature].map(|x| x as f32));
-            rest.push([gains.kp as f32, gains.kd as f32, 0.0, 0.0]);
+            let first = self.moved_by(tree, d).next().map(|link| before.links + link);
+            let [own, number] = number(self.base_rates() + d);
+            table.push([or_none(first), low, high, drive.effort.min(FAR) as f32]);
+            table.push([drive.speed.min(FAR), drive.damping, drive.friction, drive.armature].map(|x| x as f32));
+            table.push([gains.kp as f32, gains.kd as f32, own, number]);
         }
-        let corrections = at + rest.len();
-        rest.extend(self.corrections.iter().map(Correction::table));
-        let path = at + rest.len();
-        rest.extend(self.path.table());
-        let depth = tree.depths.iter().copied().max().unwrap_or_default();
+        table
+    }
+
+    /// What a device reads of its motion, if that begins at `at` in the table: corrections and path, and the rows of its tree.
+    fn tree_table(&self, before: Before, at: usize) -> (Vec<Row>, [Row; 3]) {
+        let first = before.rates + self.base_rates();
+        let mut table: Vec<Row> = self.corrections.iter().map(|one| one.table(first)).collect();
+        let path = at + table.len();
+        table.extend(self.path.table());
         let end = self.path.times().last().copied().unwrap_or_default();
-        let head = [
-            [at, tree.links.len(), drives, model.drives.len()].map(|n| n as f32),
-            [self.base_rates(), depth, path, self.path.times().len()].map(|n| n as f32),
-            [end, self.path.period().unwrap_or_default(), corrections as f64, self.corrections.len() as f64]
-                .map(|x| x as f32),
+        let tree = [
+            [before.rates, self.base_rates(), before.bodies, before.words].map(|n| n as f32),
+            [path, self.path.times().len(), self.model.drives.len(), 0].map(|n| n as f32),
+            [end, self.path.period().unwrap_or_default(), at as f64, self.corrections.len() as f64].map(|x| x as f32),
         ];
-        (head, rest)
+        (table, tree)
     }
 
     /// Its state, for a device to go on from.
@@ -198,60 +237,29 @@ impl Robot {
         GroupState { words, bodies: bodies.iter().map(placed).collect() }
     }
 
-    /// What a device is told of where its links touch walls and one another in a step; `None` where that is at more points than it takes.
-    pub(crate) fn told(&self, span: Span) -> Option<Vec<[u32; 4]>> {
-        let mut points = Points::default();
-        self.find_points(&self.boxes(), &[], span, &mut points);
-        let about = DVec3::from_array(
-            self.state.held.as_ref().map_or_else(|| of_pose(&self.pose(0)).0, |held| held.bodies[0].0),
-        );
-        let bits = |v: DVec3, last: f64| [v.x, v.y, v.z, last].map(|x| (x as f32).to_bits());
-        let word = |touch: &Touch, bodies: [u32; 2]| {
-            let at = DVec3::from_array(points.nodes.position[touch.node]);
-            let Grip::Coulomb { normal, friction, .. } = touch.grip else { return [[0; 4]; POINT] };
-            let mass = points.nodes.mass[touch.node];
-            // What bounces must not come as near as the gap allows.
-            let bounces = self.restitution > 0.0;
-            let most =
-                if bounces { DVec3::from_array(points.nodes.velocity[touch.node]).dot(normal) } else { FAR } as f32;
-            [
-                bits(at - about, mass),
-                bits(-normal, touch.distance),
-                [bodies[0], bodies[1], (friction as f32).to_bits(), most.to_bits()],
-            ]
-        };
-        // A base that stays has nothing to answer with.
-        let moves = |body: usize| !self.step.places[self.solids[body]].columns.is_empty();
-        let of_walls = (0_u32..)
-            .zip(&points.touches)
-            .filter(|(body, _)| moves(*body as usize))
-            .flat_map(|(body, touches)| touches.iter().map(move |touch| (touch, [body, u32::MAX])));
-        let of_pairs = points
-            .pairs
-            .iter()
-            .flat_map(|pair| pair.touches.iter().map(|touch| (touch, pair.bodies.map(|body| body as u32))));
-        let all: Vec<_> = of_walls.chain(of_pairs).flat_map(|(touch, bodies)| word(touch, bodies)).collect();
-        let count = all.len() / POINT;
-        let head = [count as u32, 0, 0, 0];
-        (count <= MOST_POINTS).then(|| [vec![head], all].concat())
+    /// What its places are from on a device.
+    fn reference(&self) -> DVec3 {
+        DVec3::from_array(self.state.held.as_ref().map_or_else(|| of_pose(&self.pose(0)).0, |held| held.bodies[0].0))
     }
 
-    /// How far two of its bodies are from each other [m], or, where their boxes are further apart than `far`, how far those are.
-    fn gap(&self, [a, b]: [usize; 2], far: f64) -> f64 {
-        let (one, other) = (self.bounds(a, 0.0), self.bounds(b, 0.0));
-        let along = |d: usize| (one.min[d] - other.max[d]).max(other.min[d] - one.max[d]);
+    /// How far a body is from another one's [m], or, where their boxes are further apart than `far`, how far those are.
+    fn gap(&self, body: usize, (other, of_other): (&Self, usize), far: f64) -> f64 {
+        let (one, two) = (self.bounds(body, 0.0), other.bounds(of_other, 0.0));
+        let along = |d: usize| (one.min[d] - two.max[d]).max(two.min[d] - one.max[d]);
         let of_boxes = along(0).max(along(1)).max(along(2));
-        match (&self.bodies[a], &self.bodies[b]) {
-            (Some(first), Some(second)) if of_boxes <= far => first.distance(&self.pose(a), (second, &self.pose(b))),
+        match (&self.bodies[body], &other.bodies[of_other]) {
+            (Some(first), Some(second)) if of_boxes <= far => {
+                first.distance(&self.pose(body), (second, &other.pose(of_other)))
+            }
             _ => of_boxes,
         }
     }
 
-    /// Takes note of where its links touch walls and one another in a step that a device takes, or that they do nowhere.
-    pub(crate) fn note_touching(&mut self, span: Span, in_turns: bool) {
+    /// Takes note of where its links touch walls, tools and one another in a step that a device takes, or that they do nowhere.
+    pub(crate) fn note_touching(&mut self, tools: &[&Obstacle], span: Span, in_turns: bool) {
         let mut points = std::mem::take(&mut self.step.points);
         if in_turns {
-            self.find_points(&self.boxes(), &[], span, &mut points);
+            self.find_points(&self.boxes(), tools, span, &mut points);
         } else {
             points.clear();
         }
@@ -315,8 +323,15 @@ fn of_pose(pose: &Pose) -> ([f64; 3], [f64; 4]) {
     (pose.position.to_array(), [q.w, q.x, q.y, q.z])
 }
 
-/// The law of robots that grip as `contacts` say, each its own, on finest cells of width `cell` [m]; `None` if there is too much to number.
-pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<DeviceLaw> {
+/// Are robots to be solved together on a device, since some may touch? Not where there are too many for that.
+pub(crate) fn are_together(robots: &[Robot]) -> bool {
+    let may_touch = |(r, robot): (usize, &Robot)| robots[..r].iter().any(|other| other.gives_way_to(robot));
+    let rates: usize = robots.iter().map(|robot| robot.state.rates.len()).sum();
+    robots.iter().enumerate().any(may_touch) && rates <= MOST_RATES
+}
+
+/// The law of robots that grip as `contacts` say, in these groups, on finest cells of width `cell` [m]; `None` if there is too much to number.
+pub(crate) fn law(robots: &[Robot], contacts: &[Contact], groups: &[Range<usize>], cell: f64) -> Option<DeviceLaw> {
     let mut bodies = Vec::new();
     for (robot, &contact) in robots.iter().zip(contacts) {
         for &link in &robot.solids {
@@ -328,43 +343,120 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], cell: f64) -> Option<D
     let wgsl = tables.wgsl();
     let Tables { mut table, samples } = tables;
     let heads = table.len();
-    table.resize(heads + 3 * robots.len(), [0.0; 4]);
-    let mut links = 1;
-    for (r, robot) in robots.iter().enumerate() {
-        let (head, rest) = robot.table(table.len());
-        links = links.max(head[0][1] as usize);
-        table[heads + 3 * r..][..3].copy_from_slice(&head);
-        table.extend(rest);
-    }
+    table.resize(heads + 2 * groups.len(), [0.0; 4]);
     // Contact thickens a thin link by a cell at most, and acts on nodes further off.
     let further = (1.0 + REACH) * cell;
-    let meets = robots.iter().any(|robot| !robot.walls.is_empty() || !robot.pairs.is_empty());
-    let points = if meets { MOST_POINTS } else { 0 };
-    let told = if meets { 1 + POINT * MOST_POINTS } else { 0 };
-    let group = |robot: &Robot| DeviceGroup {
-        words: WORDS + 2 * robot.model.drives.len(),
-        told,
-        rates: robot.state.rates.len(),
-        bodies: robot
-            .solids
-            .iter()
-            .zip(&robot.extents)
-            .map(|(link, &extent)| {
-                let swing = robot.model.links[*link].shape.as_ref().map_or(0.0, Sdf::swing);
-                DeviceBody { extent, swing, reach: extent + further }
-            })
-            .collect(),
+    let most_trees = groups.iter().map(Range::len).max()?;
+    let meets = most_trees > 1 || robots.iter().any(|robot| !robot.walls.is_empty() || !robot.pairs.is_empty());
+    let points = match (meets, most_trees) {
+        (false, _) => 0,
+        (true, 1) => MOST_POINTS,
+        (true, _) => MOST_POINTS_TOGETHER,
     };
-    let rates = robots.iter().map(|robot| robot.state.rates.len()).max()?;
+    let told = if meets { 1 + POINT * points } else { 0 };
+    let (mut most_links, mut all) = (1, Vec::new());
+    for (g, group) in groups.iter().enumerate() {
+        let own = &robots[group.clone()];
+        let trees: Vec<Tree> = own.iter().map(Tree::of).collect();
+        let mut before = Before::default();
+        let mut begins = Vec::new();
+        for (robot, tree) in own.iter().zip(&trees) {
+            begins.push(before);
+            before.trees += 1;
+            before.links += tree.links.len();
+            before.rates += robot.state.rates.len();
+            before.bodies += robot.solids.len();
+            before.words += robot.words();
+        }
+        let each = || own.iter().zip(&trees).zip(&begins);
+        let links_at = table.len();
+        table.extend(each().flat_map(|((robot, tree), before)| robot.link_table(tree, *before)));
+        let rates_at = table.len();
+        table.extend(each().flat_map(|((robot, tree), before)| robot.rate_table(tree, *before)));
+        let mut heads_of_trees = Vec::new();
+        for (robot, before) in own.iter().zip(&begins) {
+            let (motion, head) = robot.tree_table(*before, table.len());
+            table.extend(motion);
+            heads_of_trees.extend(head);
+        }
+        let trees_at = table.len();
+        table.extend(heads_of_trees);
+        let depth = trees.iter().flat_map(|tree| &tree.depths).copied().max().unwrap_or_default();
+        table[heads + 2 * g] = [links_at, before.links, rates_at, before.rates].map(|n| n as f32);
+        table[heads + 2 * g + 1] = [trees_at, before.trees, depth, 0].map(|n| n as f32);
+        most_links = most_links.max(before.links);
+        let body = |robot: &Robot, (link, extent): (&usize, &f64)| {
+            let swing = robot.model.links[*link].shape.as_ref().map_or(0.0, Sdf::swing);
+            DeviceBody { extent: *extent, swing, reach: extent + further }
+        };
+        let bodies =
+            own.iter().flat_map(|robot| robot.solids.iter().zip(&robot.extents).map(move |one| body(robot, one)));
+        all.push(DeviceGroup { words: before.words, told, rates: before.rates, bodies: bodies.collect() });
+    }
+    let rates = all.iter().map(|group| group.rates).max()?;
     let answer = format!(
-        "const ROBOT_HEADS: u32 = {heads}u;\nconst ROBOT_LINKS: u32 = {links}u;\nconst ROBOT_POINTS: u32 = {points}u;\nconst ROBOT_RATES: u32 = {rates}u;\n{}{}{}{}",
+        "const ROBOT_HEADS: u32 = {heads}u;\nconst ROBOT_TREES: u32 = {most_trees}u;\nconst ROBOT_LINKS: u32 = {most_links}u;\nconst ROBOT_POINTS: u32 = {points}u;\nconst ROBOT_RATES: u32 = {rates}u;\n{}{}{}{}",
         include_str!("../robot.wgsl"),
         include_str!("points.wgsl"),
         include_str!("dynamics.wgsl"),
         include_str!("joints.wgsl")
     );
-    let answer = DeviceAnswer { wgsl: answer, groups: robots.iter().map(group).collect() };
+    let answer = DeviceAnswer { wgsl: answer, groups: all };
     (table.len() < 1 << 24).then_some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, answer })
+}
+
+/// The states of robots that a device holds as one group.
+pub(crate) fn parted(state: &GroupState, robots: &[Robot]) -> Vec<GroupState> {
+    let (mut words, mut bodies) = (state.words.iter().copied(), state.bodies.iter().copied());
+    let of_robot = |robot: &Robot| GroupState {
+        words: words.by_ref().take(robot.words()).collect(),
+        bodies: bodies.by_ref().take(robot.solids.len()).collect(),
+    };
+    robots.iter().map(of_robot).collect()
+}
+
+/// What a group of robots on a device is told of where their links touch walls, tools and one another in a step; `None` where that is at more points than it takes.
+pub(crate) fn told(robots: &[Robot], tools: &[&Obstacle], span: Span) -> Option<Vec<[u32; 4]>> {
+    let bits = |v: DVec3, last: f64| [v.x, v.y, v.z, last].map(|x| (x as f32).to_bits());
+    let (mut all, mut mass) = (Vec::new(), 0.0);
+    // At each end of a touch the number of the robot and of its body; nothing at the other end if that is a wall.
+    let mut firsts = vec![0];
+    robots.iter().for_each(|robot| firsts.push(firsts[firsts.len() - 1] + robot.solids.len()));
+    let mut add = |nodes: &NodeBatch, touch: &Touch, (robot, body): (usize, usize), other: Option<(usize, usize)>| {
+        let at = DVec3::from_array(nodes.position[touch.node]);
+        let Grip::Coulomb { normal, friction, .. } = touch.grip else { return };
+        // What bounces must not come as near as the gap allows.
+        let bounces = [Some((robot, body)), other].into_iter().flatten().any(|(r, _)| robots[r].restitution > 0.0);
+        let most = if bounces { DVec3::from_array(nodes.velocity[touch.node]).dot(normal) } else { FAR } as f32;
+        let number = |(robot, body): (usize, usize)| (firsts[robot] + body) as u32;
+        let from_other = other.map_or(DVec3::ZERO, |(other, _)| at - robots[other].reference());
+        mass += nodes.mass[touch.node];
+        all.push(bits(at - robots[robot].reference(), nodes.mass[touch.node]));
+        all.push(bits(-normal, touch.distance));
+        all.push([number((robot, body)), other.map_or(u32::MAX, number), (friction as f32).to_bits(), most.to_bits()]);
+        all.push(bits(from_other, 0.0));
+    };
+    let boxes: Vec<Vec<Aabb>> = robots.iter().map(Robot::boxes).collect();
+    for (r, (robot, boxes)) in robots.iter().zip(&boxes).enumerate() {
+        let mut points = Points::default();
+        robot.find_points(boxes, tools, span, &mut points);
+        // A base that stays has nothing to answer with.
+        let moves = |body: usize| !robot.step.places[robot.solids[body]].columns.is_empty();
+        for (body, touches) in points.touches.iter().enumerate().filter(|(body, _)| moves(*body)) {
+            touches.iter().for_each(|touch| add(&points.nodes, touch, (r, body), None));
+        }
+        for pair in &points.pairs {
+            let [body, other] = pair.bodies.map(|body| (r, body));
+            pair.touches.iter().for_each(|touch| add(&points.nodes, touch, body, Some(other)));
+        }
+    }
+    for together in together::find(robots, &boxes, span) {
+        together.each_touch(&mut add);
+    }
+    let count = all.len() / POINT;
+    let most = if robots.len() > 1 { MOST_POINTS_TOGETHER } else { MOST_POINTS };
+    let head = [count as u32, (mass as f32).to_bits(), 0, 0];
+    (count <= most).then(|| [vec![head], all].concat())
 }
 
 /// A body with a shape that a device moves.
@@ -401,9 +493,10 @@ pub(crate) fn apart(robots: &[Vec<Option<Roaming>>], cell: f64) -> Option<Vec<Aa
     Some(all)
 }
 
-/// The same on `leashes`, before a link may touch a wall that its robot meets, or another link; `None` if one may now, so that a device has to be told where.
+/// The same on `leashes`, before a link may touch a wall or a tool that its robot meets, or another link; `None` if one may now, so that a device has to be told where.
 pub(crate) fn off_what_is_rigid(
     robots: &[Robot],
+    tools: &[&Obstacle],
     roaming: &[Vec<Option<Roaming>>],
     leashes: &[Aabb],
     cell: f64,
@@ -415,20 +508,56 @@ pub(crate) fn off_what_is_rigid(
         first += bodies.len();
         for (leash, body) in own.iter_mut().zip(bodies) {
             let Some(body) = body.as_ref().filter(|body| body.moves) else { continue };
-            for wall in &robot.walls {
-                *leash = leash.intersection(&body.bounds.leash(wall.bounds(), clearance, |spare| spare)?);
+            for obstacle in robot.obstacles(tools) {
+                *leash = leash.intersection(&body.bounds.leash(obstacle.bounds(), clearance, |spare| spare)?);
             }
         }
         for &pair in &robot.pairs {
-            let spare = robot.gap(pair, 4.0 * clearance) - clearance;
-            if spare <= 0.0 {
-                return None;
-            }
-            // Half of it each, in whatever direction.
-            let by = 0.5 * spare / 3.0_f64.sqrt();
-            let box_of = Aabb { min: [-by; 3], max: [by; 3] };
+            let spare = robot.gap(pair[0], (robot, pair[1]), 4.0 * clearance) - clearance;
+            let half = half_of(spare)?;
             for body in pair {
-                own[body] = own[body].intersection(&box_of);
+                own[body] = own[body].intersection(&half);
+            }
+        }
+    }
+    Some(all)
+}
+
+/// Half of what is to spare between two bodies, in whatever direction; `None` if nothing is.
+fn half_of(spare: f64) -> Option<Aabb> {
+    let by = 0.5 * spare / 3.0_f64.sqrt();
+    (spare > 0.0).then_some(Aabb { min: [-by; 3], max: [by; 3] })
+}
+
+/// The same on `leashes`, before bodies of robots that a device solves together may touch.
+pub(crate) fn off_one_another(
+    robots: &[Robot],
+    roaming: &[Vec<Option<Roaming>>],
+    leashes: &[Aabb],
+    cell: f64,
+) -> Option<Vec<Aabb>> {
+    let (mut all, mut firsts) = (leashes.to_vec(), vec![0]);
+    roaming.iter().for_each(|bodies| firsts.push(firsts[firsts.len() - 1] + bodies.len()));
+    let clearance = 2.0 * MOST_MOVE * cell + AHEAD;
+    let bodies = |r: usize| {
+        let there = roaming[r].iter().enumerate();
+        there.filter_map(move |(b, body)| body.as_ref().map(|body| (b, body)))
+    };
+    for second in 0..robots.len() {
+        for first in (0..second).filter(|first| robots[*first].gives_way_to(&robots[second])) {
+            for (a, own) in bodies(first) {
+                for (b, other) in bodies(second).filter(|(_, other)| own.moves || other.moves) {
+                    let halves = match own.bounds.leash(&other.bounds, 4.0 * clearance, |spare| 0.5 * spare) {
+                        Some(leash) => [leash, other.bounds.leash(&own.bounds, 4.0 * clearance, |spare| 0.5 * spare)?],
+                        None => {
+                            let gap = robots[first].gap(a, (&robots[second], b), 4.0 * clearance);
+                            [half_of(gap - clearance)?; 2]
+                        }
+                    };
+                    for (body, half) in [firsts[first] + a, firsts[second] + b].into_iter().zip(&halves) {
+                        all[body] = all[body].intersection(half);
+                    }
+                }
             }
         }
     }

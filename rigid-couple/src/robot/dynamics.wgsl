@@ -1,10 +1,10 @@
 // Where a robot's links are, how they move, and its mass matrix, as `dynamics.rs` finds them on the host; a part of `robot.wgsl`.
 
-// Finds where links are, from the base on, if the base is turned so: how each is turned and shifted within its parent is known before.
-fn robot_place(base: vec4<f32>, thread: u32) {
+// Finds where links are, from the roots on, which are turned as `robot_turn` says: how each is turned and shifted within its parent is known before.
+fn robot_place(thread: u32) {
     var depth_of = ROBOT_NONE;
-    var turn = base;
-    var shift = -robot_rotated(base, robot_link[5].xyz);
+    var turn = robot_turn;
+    var shift = -robot_rotated(turn, robot_link[5].xyz);
     if thread < robot_links {
         depth_of = u32(robot_link[1].w);
         let head = robot_link[0];
@@ -30,11 +30,11 @@ fn robot_place(base: vec4<f32>, thread: u32) {
                 let parent = robot_order[thread].z;
                 let of_parent = robot_rotation[parent];
                 q = robot_turned(of_parent, turn);
-                origin = robot_origin[parent] + robot_rotated(of_parent, shift);
+                origin = robot_asked[parent].moment + robot_rotated(of_parent, shift);
             }
             q = normalize(q);
             robot_rotation[thread] = q;
-            robot_origin[thread] = origin;
+            robot_asked[thread].moment = origin;
             robot_centre[thread] = origin + robot_rotated(q, robot_link[5].xyz);
         }
         workgroupBarrier();
@@ -48,11 +48,11 @@ fn robot_move(thread: u32) {
     if thread < robot_links {
         let head = robot_link[0];
         var axis = none;
-        if head.x >= 0.0 && head.y > 0.0 {
+        if head.y > 0.0 {
             // Turning about an axis leaves it where it is.
             let in_world = robot_link[1].x * robot_rotated(robot_rotation[thread], robot_link[4].xyz);
             if head.y == 1.0 {
-                axis = RobotMotion(in_world, cross(robot_origin[thread], in_world));
+                axis = RobotMotion(in_world, cross(robot_asked[thread].moment, in_world));
             } else {
                 axis.linear = in_world;
             }
@@ -65,8 +65,8 @@ fn robot_move(thread: u32) {
     if thread < robot_links {
         let motion = robot_motion_at(ROBOT_NOW, thread);
         var asked = RobotWrench(vec3<f32>(0.0), vec3<f32>(0.0));
-        asked.force = -cross(motion.angular, motion.linear) * f32(thread == 0u);
-        robot_motion[thread] = motion;
+        asked.force = -cross(motion.angular, motion.linear) * f32(robot_link[1].w == 0.0);
+        robot_motion = motion;
         asked.moment += cross(motion.angular, by.angular);
         asked.force += cross(motion.angular, by.linear) + cross(motion.linear, by.angular);
         robot_asked[thread] = asked;
@@ -97,7 +97,7 @@ fn robot_weigh(l: u32) {
     for (var a = l; a != ROBOT_NONE; a = robot_order[a].z) {
         drift = RobotMotion(drift.angular + robot_asked[a].moment, drift.linear + robot_asked[a].force);
     }
-    let motion = robot_motion[l];
+    let motion = robot_motion;
     let momentum = robot_momentum(own, motion);
     let lacks = robot_momentum(own, drift);
     robot_lacks = RobotWrench(
@@ -135,7 +135,7 @@ fn robot_compose(thread: u32) {
         robot_mass[i * ROBOT_RATES + j] = robot_mass_of(i, j);
     }
     workgroupBarrier();
-    if thread >= robot_base_rates && thread < robot_rates {
+    if robot_drives {
         robot_mass[thread * (ROBOT_RATES + 1u)] += robot_drive[1].w;
     }
     workgroupBarrier();
@@ -166,28 +166,31 @@ fn robot_mass_of(i: u32, j: u32) -> f32 {
 
 // The rates' equation takes the forces of motion as they were. What momentum lost by that, the base's rates make up for.
 fn robot_correct(thread: u32) {
-    if thread < robot_base_rates {
+    if thread < robot_rates && !robot_drives {
         var sum = 0.0;
         for (var j = 0u; j < robot_rates; j++) {
             sum += robot_mass[thread * ROBOT_RATES + j] * robot_free[j];
         }
-        robot_missing[thread] = select(robot_linear[thread % 3u], robot_angular[thread % 3u], thread >= 3u) - sum;
+        robot_missing[thread] = robot_held - sum;
     }
     workgroupBarrier();
-    if thread == 0u && robot_base_rates > 0u {
-        var rows: array<CouplingRow, 6>;
-        for (var i = 0u; i < 6u; i++) {
-            let at = i * ROBOT_RATES;
-            rows[i] = CouplingRow(
-                vec3<f32>(robot_mass[at], robot_mass[at + 1u], robot_mass[at + 2u]),
-                vec3<f32>(robot_mass[at + 3u], robot_mass[at + 4u], robot_mass[at + 5u]),
-                robot_missing[i],
-            );
-        }
-        let by = solve_rows(rows);
-        for (var i = 0u; i < 3u; i++) {
-            robot_free[i] += by.linear[i];
-            robot_free[3u + i] += by.angular[i];
+    if thread < robot_tree_count {
+        let tree = robot_tree(thread);
+        if tree.y > 0u {
+            var rows: array<CouplingRow, 6>;
+            for (var i = 0u; i < 6u; i++) {
+                let at = (tree.x + i) * ROBOT_RATES + tree.x;
+                rows[i] = CouplingRow(
+                    vec3<f32>(robot_mass[at], robot_mass[at + 1u], robot_mass[at + 2u]),
+                    vec3<f32>(robot_mass[at + 3u], robot_mass[at + 4u], robot_mass[at + 5u]),
+                    robot_missing[tree.x + i],
+                );
+            }
+            let by = solve_rows(rows);
+            for (var i = 0u; i < 3u; i++) {
+                robot_free[tree.x + i] += by.linear[i];
+                robot_free[tree.x + 3u + i] += by.angular[i];
+            }
         }
     }
     workgroupBarrier();

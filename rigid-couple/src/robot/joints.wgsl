@@ -1,37 +1,40 @@
 // Motors, losses and stops of a robot's joints, as in `joints.rs`; a part of `robot.wgsl`.
 
-// Corrects what the motor of the drive with the thread's number is told by how the base leans, as in `balance.rs`.
-fn robot_balance(group: u32, d: u32) {
-    let head = coupling_table(ROBOT_HEADS + 3u * group + 2u);
-    if head.w == 0.0 || d >= robot_drives || robot_told[d].w == 0.0 {
+// Corrects what the motor of the thread's drive is told by how its robot's base leans, as in `balance.rs`.
+fn robot_balance(thread: u32) {
+    if !robot_drives || robot_told[thread].w == 0.0 {
+        return;
+    }
+    let head = robot_tree_row(robot_tree_of_rate(), 2u);
+    if head.w == 0.0 {
         return;
     }
     // From the world's frame to the base's.
-    let q = pose_rotation(group_pose(0u));
+    let q = pose_rotation(group_pose(robot_own_tree.z));
     let back = vec4<f32>(-q.xyz, q.w);
     let up = robot_rotated(back, vec3<f32>(0.0, 0.0, 1.0));
     var spin = vec3<f32>(0.0);
-    if robot_base_rates > 0u {
-        spin = robot_rotated(back, vec3<f32>(robot_free[3], robot_free[4], robot_free[5]));
+    if robot_own_tree.y > 0u {
+        let i = robot_own_tree.x + 3u;
+        spin = robot_rotated(back, vec3<f32>(robot_free[i], robot_free[i + 1u], robot_free[i + 2u]));
     }
     let pitch = vec2<f32>(atan2(-up.x, length(up.yz)), spin.y);
     let roll = vec2<f32>(atan2(up.y, up.z), spin.x);
     for (var c = 0u; c < u32(head.w); c++) {
         let one = coupling_table(u32(head.z) + c);
-        if u32(one.x) == d {
+        if u32(one.x) == thread {
             let lean = select(pitch, roll, one.y == 1.0);
-            let leads_to = robot_position[d] + robot_told[d].x + one.z * lean.x + one.w * lean.y;
-            let limits = coupling_table(robot_drives_at + d * ROBOT_DRIVE);
-            robot_told[d].x = clamp(leads_to, limits.y, limits.z) - robot_position[d];
+            let leads_to = robot_position[thread] + robot_told[thread].x + one.z * lean.x + one.w * lean.y;
+            robot_told[thread].x = clamp(leads_to, robot_drive[0].y, robot_drive[0].z) - robot_position[thread];
         }
     }
 }
 
-// The motor of the thread's drive, number `d`, at a rate: its torque, and by how much that falls for each unit.
-fn robot_motor(d: u32, rate: f32) -> RobotImpulse {
+// The motor of the thread's drive at a rate: its torque, and by how much that falls for each unit.
+fn robot_motor(thread: u32, rate: f32) -> RobotImpulse {
     let limits = robot_drive[0];
     let speed = robot_drive[1].x;
-    let told = robot_told[d];
+    let told = robot_told[thread];
     let gains = robot_drive[2].xy * told.w;
     let demand = gains.x * (told.x - group_dt() * rate) + gains.y * (told.y - rate) + told.z;
     let effort = limits.w;
@@ -48,22 +51,21 @@ fn robot_motor(d: u32, rate: f32) -> RobotImpulse {
 }
 
 // All that acts in the joint of the thread's drive over the step, if it ends with this rate.
-fn robot_impulse(d: u32, rate: f32) -> RobotImpulse {
+fn robot_impulse(thread: u32, rate: f32) -> RobotImpulse {
     let dt = group_dt();
     let limits = robot_drive[0];
     let losses = robot_drive[1];
-    let motor = robot_motor(d, rate);
+    let motor = robot_motor(thread, rate);
     let grown = sqrt(rate * rate + ROBOT_CREEP * ROBOT_CREEP);
     let calm = ROBOT_CREEP / grown;
     var sum = RobotImpulse(
         dt * (motor.value - losses.y * rate - losses.z * (rate / grown)),
         dt * (motor.slope + losses.y + losses.z * calm * calm / grown),
     );
-    let i = robot_base_rates + d;
-    let stiff = ROBOT_STIFF * robot_mass[i * ROBOT_RATES + i];
+    let stiff = ROBOT_STIFF * robot_mass[thread * (ROBOT_RATES + 1u)];
     for (var end = 0u; end < 2u; end++) {
         let sign = select(-1.0, 1.0, end == 1u);
-        let gap = sign * (limits[1u + end] - robot_position[d]);
+        let gap = sign * (limits[1u + end] - robot_position[thread]);
         let most = select(ROBOT_BACK * gap, gap, gap > 0.0) / dt;
         let beyond = sign * rate - most;
         if beyond > 0.0 {
@@ -73,10 +75,10 @@ fn robot_impulse(d: u32, rate: f32) -> RobotImpulse {
     return sum;
 }
 
-// `i` is the thread's number.
-fn robot_joint(i: u32, rate: f32) -> RobotImpulse {
-    if i < robot_base_rates {
+// What acts on the rate with the thread's number.
+fn robot_joint(thread: u32, rate: f32) -> RobotImpulse {
+    if !robot_drives {
         return RobotImpulse(0.0, 0.0);
     }
-    return robot_impulse(i - robot_base_rates, rate);
+    return robot_impulse(thread, rate);
 }

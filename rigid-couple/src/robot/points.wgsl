@@ -1,12 +1,13 @@
 // Points at which a robot's links touch walls, or one another, as `touching.rs` finds them on the host; a part of `robot.wgsl`. Each acts like a node of ground that is
 // much heavier than the robot and moves with the surface that it lies on.
 //
-// The robot is told how many there are, then three vectors for each: its place and its mass; the normal out of what the link touches, and the gap; the link's body and the
-// one that it touches, ROBOT_NONE if that is a wall, friction, and the greatest speed at which they may meet.
+// The group is told how many there are and what they weigh together, then POINT vectors for each: its place and its mass; the normal out of what the link touches, and the gap; the
+// link's body and the one that it touches, ROBOT_NONE if that is a wall, friction, and the greatest speed at which they may meet; its place as that one's tree has it.
 
 // As in `touching.rs`.
 const ROBOT_PUSH: f32 = 0.1;
 const ROBOT_FASTEST_PUSH: f32 = 20.0;
+const ROBOT_POINT: u32 = 4u;
 // Points whose impulses are added up at once.
 const ROBOT_PRESSES: u32 = min(ROBOT_POINTS, GROUP_ROOM / (2u * (ROBOT_RATES + 1u)));
 
@@ -19,8 +20,7 @@ var<workgroup> robot_weight: f32;
 
 // How much points count for at first.
 fn robot_least_weight() -> f32 {
-    let all = f32(robot_points) * bitcast<f32>(group_told(1u).w);
-    return min(ROBOT_LIGHT * robot_inertia[0].first.w / all, 1.0);
+    return min(ROBOT_LIGHT * robot_mass_of_all() / bitcast<f32>(group_told(0u).y), 1.0);
 }
 
 // How many points there are.
@@ -31,31 +31,36 @@ fn robot_points_told() -> u32 {
     return min(group_told(0u).x, ROBOT_POINTS);
 }
 
+// The vectors of a point: its place from the link's side, and from that of what it touches; its surface; who touches whom, and how.
+fn robot_point(p: u32, row: u32) -> vec4<u32> {
+    return group_told(1u + p * ROBOT_POINT + row);
+}
+
 fn robot_velocity_at(m: RobotMotion, at: vec3<f32>) -> vec3<f32> {
     return m.linear + cross(m.angular, at);
 }
 
 // How a rate moves a link at a point against what it touches, for each unit.
 fn robot_axis_against(p: u32, rate: u32) -> vec3<f32> {
-    let at = bitcast<vec3<f32>>(group_told(1u + 3u * p).xyz);
-    let bodies = group_told(3u + 3u * p).xy;
+    let at = bitcast<vec3<f32>>(robot_point(p, 0u).xyz);
+    let bodies = robot_point(p, 2u).xy;
     let by = robot_velocity_at(robot_axis_at(rate, robot_body[bodies.x]), at);
     if bodies.y == ROBOT_NONE {
         return by;
     }
-    return by - robot_velocity_at(robot_axis_at(rate, robot_body[bodies.y]), at);
+    return by - robot_velocity_at(robot_axis_at(rate, robot_body[bodies.y]), bitcast<vec3<f32>>(robot_point(p, 3u).xyz));
 }
 
 // Finds what each point gives at the rates of a kind, by the secant of the law: points are so heavy that its derivative would lead to and fro between sticking and sliding, and
 // the secant's matrix needs no pivots.
 fn robot_press(kind: u32, thread: u32) {
     if thread < robot_points {
-        let place = bitcast<vec4<f32>>(group_told(1u + 3u * thread));
-        let surface = bitcast<vec4<f32>>(group_told(2u + 3u * thread));
-        let who = group_told(3u + 3u * thread);
+        let place = bitcast<vec4<f32>>(robot_point(thread, 0u));
+        let surface = bitcast<vec4<f32>>(robot_point(thread, 1u));
+        let who = robot_point(thread, 2u);
         var moves = robot_velocity_at(robot_motion_at(kind, robot_body[who.x]), place.xyz);
         if who.y != ROBOT_NONE {
-            moves -= robot_velocity_at(robot_motion_at(kind, robot_body[who.y]), place.xyz);
+            moves -= robot_velocity_at(robot_motion_at(kind, robot_body[who.y]), bitcast<vec3<f32>>(robot_point(thread, 3u).xyz));
         }
         let gap = surface.w;
         let push = min(gap * select(min(ROBOT_PUSH / group_dt(), ROBOT_FASTEST_PUSH), 1.0 / group_dt(), gap > 0.0), bitcast<f32>(who.w));
@@ -97,7 +102,7 @@ fn robot_add_points(kind: u32, thread: u32) {
             var gets = robot_given[p];
             if rate < n && hold.x > 0.0 {
                 by = robot_axis_against(p, rate);
-                let normal = bitcast<vec3<f32>>(group_told(2u + 3u * p).xyz);
+                let normal = bitcast<vec3<f32>>(robot_point(p, 1u).xyz);
                 gets = hold.x * (hold.y * by + (1.0 - hold.y) * dot(normal, by) * normal);
             }
             set_group_room(2u * e, vec4<f32>(by, 0.0));
@@ -117,9 +122,9 @@ fn robot_add_points(kind: u32, thread: u32) {
     }
 }
 
-// The robot's momentum after the step: what its rates say that impulses made of it, those of points among them.
+// The momentum of each tree after the step: what its rates say that impulses made of it, those of points among them.
 fn robot_take_momentum(thread: u32) {
-    if thread < robot_base_rates {
+    if thread < robot_rates && !robot_drives {
         var sum = -robot_driven[thread];
         for (var j = 0u; j < robot_rates; j++) {
             sum += robot_mass[thread * ROBOT_RATES + j] * robot_free[j];
@@ -127,9 +132,13 @@ fn robot_take_momentum(thread: u32) {
         robot_missing[thread] = sum;
     }
     workgroupBarrier();
-    if robot_base_rates > 0u {
-        robot_linear += vec3<f32>(robot_missing[0], robot_missing[1], robot_missing[2]);
-        robot_angular += vec3<f32>(robot_missing[3], robot_missing[4], robot_missing[5]);
+    if thread < robot_tree_count {
+        let tree = robot_tree(thread);
+        if tree.y > 0u {
+            let i = tree.x;
+            robot_linear += vec3<f32>(robot_missing[i], robot_missing[i + 1u], robot_missing[i + 2u]);
+            robot_angular += vec3<f32>(robot_missing[i + 3u], robot_missing[i + 4u], robot_missing[i + 5u]);
+        }
     }
     workgroupBarrier();
 }

@@ -239,10 +239,19 @@ impl Together {
         residual.dot(&self.rates(along.iter()))
     }
 
-    /// What robots press on one another with in the step under way: for each of them, as they are counted here.
-    pub(super) fn felt(&self, robots: &[Robot]) -> Vec<Vec<Felt>> {
+    /// Goes through all that links of theirs touch of one another's: nodes and touch, and robot and body at both ends.
+    pub(super) fn each_touch(&self, see: &mut impl FnMut(&NodeBatch, &Touch, (usize, usize), Option<(usize, usize)>)) {
+        for Meeting { links, touches, .. } in &self.meetings {
+            let [first, second] = links.map(|(robot, body)| (self.robots[robot], body));
+            touches.iter().for_each(|touch| see(&self.nodes, touch, first, Some(second)));
+        }
+    }
+
+    /// What robots press on one another with in the step under way, at some rates of each: for each of them, as they are counted here.
+    pub(super) fn felt(&self, robots: &[Robot], rates: impl Fn(usize) -> DVector<f64>) -> Vec<Vec<Felt>> {
         let mut felt = vec![Vec::new(); self.robots.len()];
-        let rates = self.rates(self.own(robots).map(|robot| &robot.step.rates));
+        let each: Vec<DVector<f64>> = self.robots.iter().map(|robot| rates(*robot)).collect();
+        let rates = self.rates(each.iter());
         let dt = robots[self.robots[0]].step.dt;
         for Meeting { links: [(first, a), (second, b)], place, touches } in &self.meetings {
             for (at, force) in forces(&self.nodes, touches, &place.twist(&rates), dt) {

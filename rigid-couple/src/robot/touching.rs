@@ -154,7 +154,7 @@ impl Obstacle {
         meets && deepest((&self.parts, &self.pose), (&body.0, pose)) > SUNK
     }
 
-    fn is_present(&self, time: f64) -> bool {
+    pub(super) fn is_present(&self, time: f64) -> bool {
         self.tool.as_ref().is_none_or(|driven| driven.tool.is_present(time))
     }
 

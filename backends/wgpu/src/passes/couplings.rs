@@ -109,7 +109,7 @@ impl Laws {
         let fits = couplings.iter().zip(&counts).all(|(coupling, count)| *count == coupling.wrenches().len());
         // A coupling that says nothing of its groups for devices keeps them to itself.
         let answers =
-            couplings.iter().zip(&own).all(|(coupling, law)| are_same(&coupling.groups(), &law.answer.groups));
+            couplings.iter().zip(&own).all(|(coupling, law)| are_same(&coupling.device_groups(), &law.answer.groups));
         let bodies = counts.iter().sum();
         if !fits || !answers || bodies == 0 {
             return None;

@@ -207,12 +207,12 @@ pub(crate) fn pack(body: &BodyState, bounds: &Aabb, h: f64) -> [[f32; 4]; BODY a
 impl WgpuBatch {
     /// Finds out where the law of a world's bodies runs: on the device if it can run there and the other worlds' law is the same; else on the
     /// host.
-    pub(crate) fn settle_contact(&mut self, w: usize, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+    pub(crate) fn settle_contact(&mut self, w: usize, couplings: &mut [Box<dyn Coupling>]) -> Result<()> {
         if self.worlds[w].contact.is_some() {
             return Ok(());
         }
         let mut place = if couplings.is_empty() { Place::Nowhere } else { Place::Host };
-        if let Some(mut laws) = Laws::of(couplings) {
+        while let Some(mut laws) = Laws::of(couplings) {
             let adapt = &self.worlds[w].adapt;
             let roams = bodies_of(couplings).iter().any(|body| !adapt.follows(&body.name));
             let needs = Needs::of(&laws, self.worlds[w].materials.len(), self.h, roams);
@@ -242,6 +242,10 @@ impl WgpuBatch {
                 self.write_table(w, laws.table);
                 self.worlds[w].first_bodies = laws.firsts;
                 place = Place::Device;
+                break;
+            }
+            if !couplings.iter_mut().any(|coupling| coupling.part_device_groups()) {
+                break;
             }
         }
         self.gpu.check()?;

@@ -187,7 +187,7 @@ impl WgpuBatch {
         let of_agents = world.adapt.leashes(world_step.couplings, |body| softs.get(&body).copied());
         let mut all = Vec::new();
         for (c, coupling) in world_step.couplings.iter().enumerate() {
-            let groups = coupling.groups();
+            let groups = coupling.device_groups();
             if groups.is_empty() {
                 continue;
             }
@@ -224,7 +224,8 @@ impl WgpuBatch {
     }
 
     /// How far along each axis a body that answers, of coupling `c`, in the box `own`, may go for `duration` [s] before it may touch a node that a body of another coupling
-    /// touches, too; `None` if it is there.
+    /// touches, too; `None` if it is there. A node that one reaches which stays where it is, is that one's in which it is deeper; where levels take steps of their own, no
+    /// pass knows which.
     fn keep_off(&self, world_step: &WorldStep<'_>, c: usize, own: &Aabb, duration: f64) -> Option<Aabb> {
         let widest = self.worlds[world_step.world].levels.last().map_or(self.h, |level| level.h);
         let mut leash = Aabb::UNBOUND;
@@ -235,6 +236,9 @@ impl WgpuBatch {
             for (b, near) in other.bounds().iter().enumerate() {
                 // One that answers may come as far.
                 let answers = groups.iter().any(|group| group.bodies.contains(&b));
+                if !answers && self.substeps == 1 && other.stays(b) {
+                    continue;
+                }
                 let off = own.leash(near, clearance, |spare| {
                     if answers { 0.5 * spare } else { spare - duration * other.max_speed(world_step.time, duration) }
                 })?;

@@ -229,7 +229,7 @@ impl WgpuBatch {
                 self.follow(world_step.world, world_step.couplings)?;
             }
         }
-        for world_step in world_steps.iter() {
+        for world_step in world_steps.iter_mut() {
             self.settle_contact(world_step.world, world_step.couplings)?;
         }
         // Each world's laws are asked on the host after as many of its own steps, whatever the others do.
