@@ -194,7 +194,17 @@ impl Generator {
             mend(&mut scene, &mut frame);
         }
         if frame.is(0.15) {
-            scene.insert("robot".to_owned(), Value::Array(vec![Value::Table(robot(&mut frame))]));
+            let first = robot(&mut frame, "r0");
+            if frame.is(0.5) {
+                let beside = company(&mut frame, &first);
+                let tools = scene.entry("tool").or_insert_with(|| Value::Array(Vec::new()));
+                tools.as_array_mut().into_iter().for_each(|tools| tools.push(Value::Table(beside.clone())));
+            }
+            let mut robots = vec![Value::Table(first)];
+            if frame.is(0.25) {
+                robots.push(Value::Table(robot(&mut frame, "r1")));
+            }
+            scene.insert("robot".to_owned(), Value::Array(robots));
         }
         if frame.is(0.15) {
             let [source, sink] = flow(&mut frame);
@@ -602,11 +612,11 @@ fn entries<'a>(scene: &'a mut Table, list: &str) -> impl Iterator<Item = &'a mut
 }
 
 /// A robot that comes with the program, somewhere in the world: as such it is a metre high, and the world is of any size.
-fn robot(frame: &mut Frame) -> Table {
+fn robot(frame: &mut Frame, name: &str) -> Table {
     let mut robot = Table::new();
     let model = frame.pick(&["quadruped", "humanoid", "arm", "arm-rod", "arm-shovel", "arm-scraper"]);
     let mut set = |key: &str, value: Value| drop(robot.insert(key.to_owned(), value));
-    set("name", Value::String(frame.pick(&["r0", "dog"]).to_owned()));
+    set("name", Value::String(name.to_owned()));
     set("model", Value::String(model.to_owned()));
     set("position", floats(frame.point(5.0)));
     let turn = frame.between(-0.5, 0.5);
@@ -638,6 +648,34 @@ fn robot(frame: &mut Frame) -> Table {
     }
     set("self_collision", Value::Boolean(frame.is(0.3)));
     robot
+}
+
+/// A tool beside a robot, near enough to touch it: a free one, one that a force pushes, or a fixed one.
+fn company(frame: &mut Frame, robot: &Table) -> Table {
+    let at = robot["position"].as_array().into_iter().flatten().filter_map(Value::as_float);
+    let position = at.map(|x| x + frame.between(-0.4, 0.4)).collect::<Vec<_>>();
+    let half = frame.between(0.02, 0.15);
+    let mass = frame.decades(0.05, 20.0);
+    let (shape, motion) = match frame.below(6) {
+        0 => (format!("sphere = {{ center = [0, 0, 0], radius = {half} }}"), "\"fixed\"".to_owned()),
+        1 | 2 => {
+            let force = 10.0 * mass;
+            let motion =
+                format!("{{ servo = {{ axis = [0, 0, -1], force = {force}, mass = {mass}, damping = {mass} }} }}");
+            (format!("box = {{ half = [{half}, 0.1, {half}] }}"), motion)
+        }
+        kind => {
+            let shape = match kind {
+                3 => format!("sphere = {{ center = [0, 0, 0], radius = {half} }}"),
+                _ => format!("box = {{ half = [{half}, 0.05, 0.1] }}"),
+            };
+            let linear = frame.direction().map(|x| x * frame.speed);
+            let restitution = frame.pick(&[0.0, 0.0, 0.5]);
+            (shape, format!("{{ free = {{ mass = {mass}, linear = {linear:?}, restitution = {restitution} }} }}"))
+        }
+    };
+    let text = format!("name = \"beside\"\nposition = {position:?}\nshape = {{ {shape} }}\nmotion = {motion}");
+    text.parse().expect("a tool's own text is TOML")
 }
 
 /// A source and a sink somewhere in the world.
