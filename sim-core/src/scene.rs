@@ -725,7 +725,7 @@ pub enum Motion {
         #[serde(default)]
         angular: Vec3,
     },
-    /// It is a free rigid body, moved by gravity, the ground and other bodies. In scenes with robots it touches these, and no tools driven by velocity or by a force.
+    /// It is a free rigid body, moved by gravity, the ground and other bodies: free ones, robots, and tools that move as they are told.
     Free {
         /// Mass [kg]; its inertia is that of the shape filled evenly.
         mass: f64,

@@ -648,7 +648,8 @@ impl Coupling for Robots {
     }
 
     fn device_law(&self) -> Option<DeviceLaw> {
-        device::law(&self.robots, &self.contacts, &self.on_device(), self.scene.world.cell)
+        let tools = staying(&self.tools);
+        device::law(&self.robots, &self.contacts, &self.on_device(), &tools, self.scene.world.cell)
     }
 
     fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Leashes> {

@@ -330,8 +330,14 @@ pub(crate) fn are_together(robots: &[Robot]) -> bool {
     robots.iter().enumerate().any(may_touch) && rates <= MOST_RATES
 }
 
-/// The law of robots that grip as `contacts` say, in these groups, on finest cells of width `cell` [m]; `None` if there is too much to number.
-pub(crate) fn law(robots: &[Robot], contacts: &[Contact], groups: &[Range<usize>], cell: f64) -> Option<DeviceLaw> {
+/// The law of robots that grip as `contacts` say, in these groups, beside tools that stay, on finest cells of width `cell` [m]; `None` if there is too much to number.
+pub(crate) fn law(
+    robots: &[Robot],
+    contacts: &[Contact],
+    groups: &[Range<usize>],
+    tools: &[&Obstacle],
+    cell: f64,
+) -> Option<DeviceLaw> {
     let mut bodies = Vec::new();
     for (robot, &contact) in robots.iter().zip(contacts) {
         for &link in &robot.solids {
@@ -347,7 +353,8 @@ pub(crate) fn law(robots: &[Robot], contacts: &[Contact], groups: &[Range<usize>
     // Contact thickens a thin link by a cell at most, and acts on nodes further off.
     let further = (1.0 + REACH) * cell;
     let most_trees = groups.iter().map(Range::len).max()?;
-    let meets = most_trees > 1 || robots.iter().any(|robot| !robot.walls.is_empty() || !robot.pairs.is_empty());
+    let meets_some = |robot: &Robot| robot.obstacles(tools).next().is_some() || !robot.pairs.is_empty();
+    let meets = most_trees > 1 || robots.iter().any(meets_some);
     let points = match (meets, most_trees) {
         (false, _) => 0,
         (true, 1) => MOST_POINTS,
@@ -547,12 +554,12 @@ pub(crate) fn off_one_another(
         for first in (0..second).filter(|first| robots[*first].gives_way_to(&robots[second])) {
             for (a, own) in bodies(first) {
                 for (b, other) in bodies(second).filter(|(_, other)| own.moves || other.moves) {
-                    let halves = match own.bounds.leash(&other.bounds, 4.0 * clearance, |spare| 0.5 * spare) {
-                        Some(leash) => [leash, other.bounds.leash(&own.bounds, 4.0 * clearance, |spare| 0.5 * spare)?],
-                        None => {
-                            let gap = robots[first].gap(a, (&robots[second], b), 4.0 * clearance);
-                            [half_of(gap - clearance)?; 2]
-                        }
+                    let gap = robots[first].gap(a, (&robots[second], b), 4.0 * clearance);
+                    let halves = if gap > 4.0 * clearance {
+                        let from = |one: &Aabb, two: &Aabb| one.leash(two, clearance, |spare| 0.5 * spare);
+                        [from(&own.bounds, &other.bounds)?, from(&other.bounds, &own.bounds)?]
+                    } else {
+                        [half_of(gap - clearance)?; 2]
                     };
                     for (body, half) in [firsts[first] + a, firsts[second] + b].into_iter().zip(&halves) {
                         all[body] = all[body].intersection(half);

@@ -217,6 +217,9 @@ impl WgpuBatch {
                     held.push(HeldBody { own, number, mass, extent, swing, rooms, velocity, leash, followed });
                 }
                 let told = told.next().unwrap_or_default();
+                if told.len() > known.told {
+                    return None;
+                }
                 all.push(HeldGroup { coupling: c, number, mass, state, told, bodies: held, in_turns });
             }
         }

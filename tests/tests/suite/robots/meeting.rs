@@ -185,6 +185,31 @@ fn an_arm_pushes_a_box_along_the_floor() {
     assert!(missed <= 2, "{missed}");
 }
 
+/// What a device is told of points fits what the law says that it is told at most, also where only a fixed tool can be touched: of one robot over a block in a world without walls, and
+/// with a ball beside it.
+#[test]
+fn a_device_has_room_for_the_points_that_it_is_told_of() {
+    let block = "[[tool]]\nname = \"block\"\nshape = { box = { half = [0.5, 0.5, 0.1] } }\nposition = [0, 0, 0.6]\n";
+    let ball = "[[tool]]\nname = \"ball\"\nshape = { sphere = { center = [0, 0, 0], radius = 0.1 } }\nposition = [0.3, 0.3, 0.8]\nmotion = { free = { mass = 2 } }\n";
+    for (more, points) in [("", 4), (ball, 5)] {
+        let mut robots =
+            Robots::new(&bare(-9.81, OPEN, &format!("{block}{more}{DOG}\nposition = [0, 0, 1.0]"))).unwrap();
+        let group = robots.device_law().unwrap().answer.groups.remove(0);
+        let dt = 5e-4;
+        let (mut most, mut in_turns) = (0, 0);
+        for step in 0..400 {
+            let time = f64::from(step) * dt;
+            if let Some(leashes) = robots.leashes(time, dt, 8) {
+                in_turns += u32::from(leashes.in_turns);
+                most = leashes.told.iter().map(Vec::len).fold(most, usize::max);
+            }
+            moved(&mut robots, time, dt);
+        }
+        println!("{in_turns} steps in turns; told up to {most} words of {}", group.told);
+        assert!(in_turns > 20 && most > 4 * points && most <= group.told, "{in_turns}, {most} of {}", group.told);
+    }
+}
+
 /// A dog on a plank that lies on sand.
 fn on_plank(mass: f64) -> Scene {
     let plank = format!(
