@@ -27,7 +27,8 @@ const ROBOT_ITERATIONS: u32 = 20u;
 const ROBOT_TOLERANCE: f32 = 1e-5;
 // As in `solve.rs`: points first count as lighter than they are, which finds those that touch. All places that are tried along steps are counted.
 const ROBOT_ITERATIONS_AT_POINTS: u32 = 100u;
-// They are heavy: with a light body between them f32 comes no nearer than 3e-5.
+// They are heavy: with a light body between them f32 comes no nearer than 3e-5. Then a step that halves nothing tells that there is no more to find. Forces on points need
+// all that there is.
 const ROBOT_TOLERANCE_AT_POINTS: f32 = 5e-5;
 // Rounding of what is out of balance, relative to momentum.
 const ROBOT_ROUNDING: f32 = 1e-6;
@@ -455,7 +456,8 @@ fn robot_settle(at_points: bool, thread: u32) {
     }
     workgroupBarrier();
     let turns = select(ROBOT_ITERATIONS, ROBOT_ITERATIONS_AT_POINTS, at_points);
-    let tolerance = select(ROBOT_TOLERANCE, ROBOT_TOLERANCE_AT_POINTS, at_points);
+    // Least twice the kinetic energy that was out of balance along a step.
+    var least = 1e30;
     for (var turn = 0u; turn < turns; turn++) {
         if at_points && thread == 0u && turn + 1u == turns {
             robot_weight = 1.0;
@@ -516,7 +518,14 @@ fn robot_settle(at_points: bool, thread: u32) {
             }
             search_from(robot_before);
             robot_noise = ROBOT_ROUNDING * sqrt(robot_speed * robot_before);
-            robot_go_on = u32(robot_before > tolerance * tolerance * robot_speed);
+            robot_go_on = u32(robot_before > ROBOT_TOLERANCE * ROBOT_TOLERANCE * robot_speed);
+            if at_points && robot_weight == 1.0 {
+                let is_near = robot_before <= ROBOT_TOLERANCE_AT_POINTS * ROBOT_TOLERANCE_AT_POINTS * robot_speed;
+                if is_near && robot_before > 0.25 * least {
+                    robot_go_on = 0u;
+                }
+                least = min(least, robot_before);
+            }
             if at_points && robot_weight < 1.0 {
                 if robot_before <= ROBOT_SMALL * ROBOT_SMALL * robot_speed {
                     robot_weight = min(ROBOT_HEAVIER * robot_weight, 1.0);

@@ -264,9 +264,11 @@ fn a_robot_comes_onto_a_tool() {
         let [base, plank] = ["dog", "plank"].map(|name| (body(&device, name) - body(&cpu, name)).length());
         let [_, turned] = apart(&device, &cpu);
         let (hosts, on_device) = (passes_of(&device, "gather"), passes_of(&device, "answering bodies"));
+        let [of_cpu, of_device] = [&cpu, &device].map(|one| missed(&one.ledger().counts));
         println!(
-            "{motion:.8}: base {base:.1e} m apart (1e-4), joints {turned:.1e} rad (1e-3), plank {plank:.1e} m (1e-4); up to {strongest:.0} N; passes on the host {hosts}, on the device {on_device}"
+            "{motion:.8}: base {base:.1e} m apart (1e-4), joints {turned:.1e} rad (1e-3), plank {plank:.1e} m (1e-4); up to {strongest:.0} N; passes on the host {hosts}, on the device {on_device}; not solved {of_cpu} and {of_device}"
         );
+        assert!(of_cpu == 0 && of_device <= 2, "{motion}: not solved {of_cpu} and {of_device} times");
         assert!(strongest > 100.0, "{motion}: it has not come down: {strongest} N");
         assert!((hosts > 0) == on_host && on_device > 0, "{motion}: on the host {hosts}, on the device {on_device}");
         assert!(base < 1e-4 && turned < 1e-3 && plank < 1e-4, "{motion}: {base} m, {turned} rad, {plank} m");
@@ -277,7 +279,7 @@ fn a_robot_comes_onto_a_tool() {
 
 /// Robots touch one another and free bodies on the device as on the CPU in f64, whatever each weighs, with soft ground or without: a ball that hits a dog afloat, and one that falls
 /// onto its back and bounces, two arms that press on each other, an arm that pushes a box over sand, and boxes on one another beside a dog. What they feel is reported alike; nothing is
-/// done by the host, all is solved, but for a step or two of the box's, and momentum is kept where nothing takes it.
+/// done by the host, all is solved, but for a few steps of the box's, and momentum is kept where nothing takes it.
 #[test]
 fn robots_and_free_bodies_touch_on_the_device() {
     let tool = |name: &str, shape: &str, place: &str, motion: &str| {
@@ -294,7 +296,8 @@ fn robots_and_free_bodies_touch_on_the_device() {
     };
     let boxes = cube("lower", 0.2375, 0.2) + &cube("upper", 0.3385, 1.0);
     let pushed = tool("box", "box = { half = [0.05, 0.08, 0.05] }", "[0.62, 0.375, 0.24]", "mass = 0.5");
-    let arm = "[[robot]]\nname = \"arm\"\nmodel = \"arm-rod\"\nfixed = true\nposition = [0.15, 0.375, 0.32]\nmotor = [{ kp = 3000, kd = 150 }]\nmotion = { path = { link = \"rod\", frames = [{ time = 0, position = [0.525, 0.375, 0.24], rotation = [0, 1, 0, 0] }, { time = 0.1, position = [0.60, 0.375, 0.24], rotation = [0, 1, 0, 0] }] } }\n";
+    // No frame is at the end of a step, see `MOVES`.
+    let arm = "[[robot]]\nname = \"arm\"\nmodel = \"arm-rod\"\nfixed = true\nposition = [0.15, 0.375, 0.32]\nmotor = [{ kp = 3000, kd = 150 }]\nmotion = { path = { link = \"rod\", frames = [{ time = 0, position = [0.525, 0.375, 0.24], rotation = [0, 1, 0, 0] }, { time = 0.1013, position = [0.60, 0.375, 0.24], rotation = [0, 1, 0, 0] }] } }\n";
     let adrift = |scene: &mut Scene| {
         scene.gravity = [0.0; 3];
         (scene.robot[0].velocity, scene.robot[0].position[2]) = ([0.0; 3], 0.55);
@@ -354,8 +357,8 @@ fn robots_and_free_bodies_touch_on_the_device() {
         assert!(name == "boxes" || given[1] > 0.02, "{name}: they do not touch: {given:?}");
         assert!(furthest < 1e-4 && turned < 1e-3, "{name}: {furthest} m, {turned} rad");
         assert!((given[0] - given[1]).abs() < 0.02 * given[1] + 1e-3, "{name}: {given:?}");
-        // As on the floor, see `an_arm_pushes_a_box_along_the_floor`.
-        let most = 2 * u64::from(name == "pushed");
+        // Here and there not, as on a floor: see `an_arm_pushes_a_box_along_the_floor`.
+        let most = 4 * u64::from(name == "pushed");
         assert!(of_cpu <= most && of_device <= most, "{name}: not solved {of_cpu} and {of_device} times");
         assert_eq!(passes_of(&device, "gather") + passes_of(&many, "gather"), 0, "{name}: steps on the host");
         assert!(left(&many) == left(&device), "{name}: many steps at once leave other bits");
