@@ -377,7 +377,7 @@ impl Robots {
     }
 
     /// The robots of each group on a device.
-    fn on_device(&self) -> Vec<Range<usize>> {
+    fn device_ranges(&self) -> Vec<Range<usize>> {
         if self.as_one {
             return vec![Range { start: 0, end: self.robots.len() }];
         }
@@ -573,7 +573,7 @@ impl Coupling for Robots {
     }
 
     fn device_groups(&self) -> Vec<Group> {
-        self.on_device().into_iter().map(|robots| self.group(robots)).collect()
+        self.device_ranges().into_iter().map(|robots| self.group(robots)).collect()
     }
 
     fn part_device_groups(&mut self) -> bool {
@@ -649,7 +649,7 @@ impl Coupling for Robots {
 
     fn device_law(&self) -> Option<DeviceLaw> {
         let tools = staying(&self.tools);
-        device::law(&self.robots, &self.contacts, &self.on_device(), &tools, self.scene.world.cell)
+        device::law(&self.robots, &self.contacts, &self.device_ranges(), &tools, self.scene.world.cell)
     }
 
     fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Leashes> {
@@ -695,7 +695,7 @@ impl Coupling for Robots {
         let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
         let span = Span { time, dt, gravity };
         let of_group = |robots: Range<usize>| device::told(&self.robots[robots], &tools, span);
-        let told = self.on_device().into_iter().map(of_group).collect::<Option<_>>()?;
+        let told = self.device_ranges().into_iter().map(of_group).collect::<Option<_>>()?;
         Some(Leashes { each, in_turns: true, told })
     }
 
@@ -708,7 +708,7 @@ impl Coupling for Robots {
             }
             all
         };
-        self.on_device().into_iter().map(of_group).collect()
+        self.device_ranges().into_iter().map(of_group).collect()
     }
 
     fn move_on_device(&mut self, moved: Moved) {
@@ -718,7 +718,7 @@ impl Coupling for Robots {
     fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
         let substeps = self.scene.levels.substeps();
         let mut states = Vec::new();
-        for (robots, GroupStep { state, deep_nodes, unconverged }) in self.on_device().into_iter().zip(groups) {
+        for (robots, GroupStep { state, deep_nodes, unconverged }) in self.device_ranges().into_iter().zip(groups) {
             states.extend(device::parted(state, &self.robots[robots]));
             self.counts.deep_nodes += deep_nodes;
             self.counts.unconverged += unconverged;

@@ -31,7 +31,7 @@ fn robot_points_told() -> u32 {
     return min(group_told(0u).x, ROBOT_POINTS);
 }
 
-// The vectors of a point: its place from the link's side, and from that of what it touches; its surface; who touches whom, and how.
+// A vector of a point: its place, its surface, who touches whom and how, its place as the other's tree has it.
 fn robot_point(p: u32, row: u32) -> vec4<u32> {
     return group_told(1u + p * ROBOT_POINT + row);
 }

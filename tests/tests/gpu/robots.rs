@@ -75,6 +75,12 @@ fn apart(a: &Simulation, b: &Simulation) -> [f64; 2] {
     [(base(a) - base(b)).length(), turned]
 }
 
+/// Impulses of what is rigid on all robots in a step of [`landing`], size by size [N s].
+fn rigid(simulation: &Simulation) -> f64 {
+    let links = simulation.robots().into_iter().flat_map(|robot| robot.links);
+    links.flat_map(|link| link.rigid).map(|at| DVec3::from_array(at.force).length() * 5e-4).sum()
+}
+
 /// After a landing base and joints are where they are on the CPU in f64, with nothing on the host; and many steps at once leave the same bits as single ones. On one level
 /// or several, subcycled too, with motors that follow a path or are told by how the base leans, legs that are tied to a base that stays, and joints at their stops.
 #[test]
@@ -331,11 +337,6 @@ fn robots_and_free_bodies_touch_on_the_device() {
             simulation.bodies().iter().map(|body| DVec3::from_array(body.momentum)).sum()
         };
         let before = momentum(&device);
-        // Impulses from what is rigid, size by size [N s].
-        let rigid = |simulation: &Simulation| -> f64 {
-            let links = simulation.robots().into_iter().flat_map(|robot| robot.links);
-            links.flat_map(|link| link.rigid).map(|at| DVec3::from_array(at.force).length() * 5e-4).sum()
-        };
         let mut given = [0.0; 2];
         for _ in 0..steps {
             for (simulation, given) in [&mut device, &mut cpu].into_iter().zip(&mut given) {
@@ -408,11 +409,7 @@ fn robots_touch_walls_and_themselves_on_the_device() {
         let (mut device, mut many) = (start(&scene, "wgpu", Precision::F32), start(&scene, "wgpu", Precision::F32));
         let mut cpu = start(&scene, "cpu", Precision::F64);
         take_at_once(&mut many, steps as usize);
-        // Impulses from what is rigid, size by size, and those of the ground [N s].
-        let rigid = |simulation: &Simulation| -> f64 {
-            let links = simulation.robots().remove(0).links;
-            links.iter().flat_map(|link| &link.rigid).map(|at| DVec3::from_array(at.force).length() * 5e-4).sum()
-        };
+        // Impulses of the ground, size by size [N s].
         let soft = |simulation: &Simulation| -> f64 {
             simulation.wrenches().iter().map(|w| DVec3::from_array(w.force).length() * 5e-4).sum()
         };

@@ -227,8 +227,8 @@ impl WgpuBatch {
     }
 
     /// How far along each axis a body that answers, of coupling `c`, in the box `own`, may go for `duration` [s] before it may touch a node that a body of another coupling
-    /// touches, too; `None` if it is there. A node that one reaches which stays where it is, is that one's in which it is deeper; where levels take steps of their own, no
-    /// pass knows which.
+    /// touches, too; `None` if it is there. With a driven body that stays where it is it may share nodes: each is that one's in which it is deeper. Where levels take steps of
+    /// their own, no pass knows which that is.
     fn keep_off(&self, world_step: &WorldStep<'_>, c: usize, own: &Aabb, duration: f64) -> Option<Aabb> {
         let widest = self.worlds[world_step.world].levels.last().map_or(self.h, |level| level.h);
         let mut leash = Aabb::UNBOUND;
