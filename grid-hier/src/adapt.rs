@@ -16,16 +16,18 @@ mod nearby;
 
 pub use copied::CopiedLevel;
 
+use crate::block;
 use crate::bounds::Bounds;
 use crate::particles::{MASS, MOTION, STRAIN, VOLUME};
 use crate::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split};
 use crate::transfer::MAX_STATE;
-use barchan_core::levels::{Agent, MERGE_BEHIND, MERGE_LEFT, SPLIT_AHEAD};
+use barchan_core::levels::{Agent, MERGE_BEHIND, MERGE_LEFT, SPLIT_AHEAD, TILE};
+use barchan_core::plan::Precision;
 use barchan_core::{Aabb, Coupling, Error, Ledger, LevelPhase, ParticleList, Plan, Regions, Result};
 use barchan_lanes::Isa;
 use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, Near, PORTION};
 use nalgebra::{Matrix3, Vector3};
-use nearby::{Nearby, Surface};
+use nearby::{Nearby, Surface, filled_by_cubes};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -35,6 +37,8 @@ const PATIENCE: u64 = 4;
 const STILL_ROUNDS: u64 = 32;
 /// Rounds after which it is even while regions move: it looks at footprints too, which are refused as a rule.
 const MERGE_ROUNDS: u64 = 128;
+/// So many times the tolerance holds for ground that goes out of reach.
+const OUT_OF_REACH: f64 = 3.0;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 /// Particles' numbers are less than this.
@@ -160,6 +164,7 @@ pub struct Adapt {
     /// Size of gravity [m/s²].
     gravity: f64,
     tolerance: f64,
+    precision: Precision,
     isa: Isa,
 }
 
@@ -308,6 +313,7 @@ impl Adapt {
             materials: plan.materials.iter().map(material).collect(),
             gravity: scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt(),
             tolerance: scene.levels.tolerance,
+            precision: plan.precision,
             isa: plan.isa,
         }
     }
@@ -334,6 +340,12 @@ impl Adapt {
     pub fn carry_on(&mut self, sums: &Ledger) {
         let (kinetic, angular) = (sums.resampled_kinetic, sums.resampled_angular_momentum.into());
         self.resampled = Resampled { kinetic, angular, ..Resampled::default() };
+    }
+
+    /// Counts particles that have merged elsewhere, and what they have merged into.
+    pub fn count_merged(&mut self, [merged, merges]: [u64; 2]) {
+        self.resampled.merged += merged;
+        self.resampled.merges += merges;
     }
 
     /// Adds what splits and merges have done since the start to the ledger.
@@ -447,18 +459,84 @@ impl Adapt {
         Ok(changed)
     }
 
+    /// Merges what can be merged of the ground of a tile that goes out of reach, where nothing has to be as fine any more
+    /// as it was; beyond the tile the ground goes on. Returns one list a level and material, and how many particles have
+    /// merged into how many.
+    ///
+    /// # Errors
+    /// Those of [`apply`](Self::apply).
+    pub fn merged(
+        &self,
+        tile: [i32; 2],
+        mut lists: Vec<ParticleList>,
+        couplings: &[Box<dyn Coupling>],
+    ) -> Result<(Vec<ParticleList>, [u64; 2])> {
+        let mut own = self.clone();
+        (own.resampled, own.tolerance) = (Resampled::default(), OUT_OF_REACH * self.tolerance);
+        let coarsest = self.widths.len() - 1;
+        for (level, bounds) in own.bounds.iter_mut().enumerate() {
+            for d in 0..2 {
+                let [first, end] = [tile[d], tile[d] + 1].map(|t| (t * TILE) << (coarsest - level));
+                (bounds.min[d], bounds.max[d], bounds.periodic[d], bounds.walled[d]) = (first, end, false, [true; 2]);
+            }
+        }
+        for round in 1..=PATIENCE {
+            own.rounds = round;
+            let mut copied = own.by_class(&lists);
+            let found = copied.iter().enumerate().flat_map(|(l, level)| own.find_on(l, level, Candidates::All));
+            let found = Round { found: found.collect(), merges: true, levels: copied.len() };
+            own.apply(&mut copied.iter_mut().collect::<Vec<_>>(), &found, couplings)?;
+            lists = copied.into_iter().flat_map(CopiedLevel::lists).collect();
+        }
+        let mut lists = own.on_levels(&lists, |_, _| coarsest);
+        for list in &mut lists {
+            list.mass.iter_mut().chain(&mut list.volume0).for_each(|x| *x = self.precision.round(*x));
+        }
+        let done = &own.resampled;
+        Ok((lists, [done.merged, done.merges]))
+    }
+
+    /// Particles on the levels that their sizes belong to: there a cell is as wide as what they merge into.
+    fn by_class(&self, lists: &[ParticleList]) -> Vec<CopiedLevel> {
+        let coarsest = self.widths.len() - 1;
+        let class = |body: u16, volume0: f64| {
+            let finest = self.finest_volume[usize::from(body).min(self.finest_volume.len() - 1)];
+            (1..=coarsest).take_while(|class| volume0 >= least_volume(finest, *class)).count()
+        };
+        let levels = self.on_levels(lists, class);
+        let copied =
+            |(own, width): (&[ParticleList], &f64)| CopiedLevel::new(own.to_vec(), filled_by_cubes(lists, *width));
+        levels.chunks_exact(self.materials.len()).zip(&self.widths).map(copied).collect()
+    }
+
+    /// Lists of the particles on levels that go by body and rest volume [m³], one a level and material, in the order of blocks.
+    fn on_levels(&self, lists: &[ParticleList], level: impl Fn(u16, f64) -> usize) -> Vec<ParticleList> {
+        let mut parcels = vec![Vec::new(); self.widths.len() * self.materials.len()];
+        for list in lists {
+            for i in 0..list.len() {
+                let to = level(list.body[i], list.volume0[i]);
+                let parcel = moved(Parcel::of(list, i), list.level as usize, to);
+                let key = block::key(block::of_cell(parcel.cell)).unwrap_or(u64::MAX);
+                parcels[to * self.materials.len() + list.material as usize].push((key, parcel));
+            }
+        }
+        let list = |(n, parcels): (usize, &mut Vec<(u64, Parcel)>)| {
+            let (level, m) = (n / self.materials.len(), n % self.materials.len());
+            let Material { strain, rules } = &self.materials[m];
+            let mut list = ParticleList::empty(level, m, self.widths[level], *strain, rules.len());
+            parcels.sort_unstable_by_key(|(key, parcel)| (*key, parcel.id));
+            Parcel::add_all(&parcels.iter().map(|(_, parcel)| parcel).collect::<Vec<_>>(), &mut list);
+            list
+        };
+        parcels.iter_mut().enumerate().map(list).collect()
+    }
+
     /// Particles of a level that have to move, split or may merge, in the order of its groups.
     fn find_on<S: LevelStore>(&self, l: usize, level: &S, candidates: Candidates<'_>) -> Vec<Found> {
         // Particles of class c have from 8^c / √8 of their body's finest volume up to √8 · 8^c.
         let classes = self.widths.len() + 1;
-        let least_of = |&finest: &f64, class: usize| {
-            if class == 0 { 0.0 } else { finest * 8_f64.powf(class as f64 - 0.5) }
-        };
-        let least: Vec<f64> = self
-            .finest_volume
-            .iter()
-            .flat_map(|finest| (0..classes).map(move |class| least_of(finest, class)))
-            .collect();
+        let least_of = |&finest: &f64| (0..classes).map(move |class| least_volume(finest, class));
+        let least: Vec<f64> = self.finest_volume.iter().flat_map(least_of).collect();
         let splits_from = least.iter().skip(l + 1).step_by(classes).fold(f64::INFINITY, |a, b| a.min(*b));
         let least = |body: u16| &least[(usize::from(body) * classes).min(least.len() - classes)..][..classes];
         let look = |group: usize| {
@@ -511,17 +589,9 @@ impl Adapt {
     }
 
     /// Moves a parcel with coordinates of level `from` to the level where it belongs.
-    pub fn settled(&self, mut parcel: Parcel, from: usize) -> (usize, Parcel) {
-        let finest = finest_cell(parcel.cell, parcel.offset, from);
-        let to = self.regions.finest_at(finest, SPLIT_AHEAD);
-        for d in 0..3 {
-            // Shifts of cell and offset: exact but for the last bit of an offset that becomes coarser.
-            let within = parcel.offset[d] * f64::from(1 << from) - f64::from(finest[d] - (parcel.cell[d] << from));
-            let along = f64::from(finest[d] & ((1 << to) - 1)) + within;
-            parcel.cell[d] = finest[d] >> to;
-            parcel.offset[d] = along / f64::from(1 << to);
-        }
-        (to, parcel)
+    pub fn settled(&self, parcel: Parcel, from: usize) -> (usize, Parcel) {
+        let to = self.regions.finest_at(finest_cell(parcel.cell, parcel.offset, from), SPLIT_AHEAD);
+        (to, moved(parcel, from, to))
     }
 
     /// A particle with its position relative to a cell of its level, of width `h` [m].
@@ -811,6 +881,11 @@ fn sorted_into_bins(candidates: &[Candidate], sides: u32, shift: usize) -> Vec<B
     binned
 }
 
+/// The rest volume from which on a particle is of a class, by that of its body's finest ones [m³].
+fn least_volume(finest: f64, class: usize) -> f64 {
+    if class == 0 { 0.0 } else { finest * 8_f64.powf(class as f64 - 0.5) }
+}
+
 /// Rest volume of each body's particles on the finest level, then of each source's [m³]. Particles that belong to none count as the
 /// last one's.
 pub fn finest_volumes(plan: &Plan) -> Vec<f64> {
@@ -835,6 +910,19 @@ pub fn around_cells(cells: impl Iterator<Item = ([i32; 3], f64)>) -> Option<Aabb
     let boxes =
         cells.map(|(cell, h)| Aabb { min: cell.map(|c| f64::from(c) * h), max: cell.map(|c| f64::from(c + 1) * h) });
     boxes.reduce(|all, here| all.union(&here))
+}
+
+/// A parcel with coordinates of level `from` in those of level `to`.
+fn moved(mut parcel: Parcel, from: usize, to: usize) -> Parcel {
+    let finest = finest_cell(parcel.cell, parcel.offset, from);
+    for d in 0..3 {
+        // Shifts of cell and offset: exact but for the last bit of an offset that becomes coarser.
+        let within = parcel.offset[d] * f64::from(1 << from) - f64::from(finest[d] - (parcel.cell[d] << from));
+        let along = f64::from(finest[d] & ((1 << to) - 1)) + within;
+        parcel.cell[d] = finest[d] >> to;
+        parcel.offset[d] = along / f64::from(1 << to);
+    }
+    parcel
 }
 
 /// The finest level's cell that holds a particle.

@@ -9,6 +9,7 @@ use crate::adapt::{Adapt, IDS, Parcel};
 use crate::block::SIDE;
 use barchan_core::levels::TILE;
 use barchan_core::{Coupling, Error, Ledger, ParticleList, Regions, Result, Terrain, Tile};
+use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -135,34 +136,42 @@ impl Reach {
         std::iter::once(tile).chain(near).find(|tile| going.contains(tile))
     }
 
-    /// Puts the particles of a tile into the archive, or drops them if nothing has changed. Returns their mass [kg] and
-    /// momentum [kg m/s].
+    /// Puts the particles of some tiles into the archive, merged as far as [`Adapt::merged`] does, or drops those of tiles
+    /// in which nothing has changed. Returns each tile's mass [kg] and momentum [kg m/s].
     ///
     /// # Errors
     /// Those of settled ground that its material cannot carry.
     pub fn put_away(
         &mut self,
-        tile: [i32; 2],
-        lists: Vec<ParticleList>,
+        tiles: Vec<([i32; 2], Vec<ParticleList>)>,
         couplings: &[Box<dyn Coupling>],
-        regions: &Regions,
-    ) -> Result<(f64, [f64; 3])> {
-        let (mass, momentum, kinetic) = motion_of(&lists);
-        self.kinetic += kinetic;
-        match self.terrain.changed(tile, lists, couplings, regions)? {
-            Some(lists) => {
-                self.archived += 1;
-                let kept = Tile::pack(lists);
-                // The same but for rounding.
-                self.seeded_mass += kept.mass() - mass;
-                self.archive.insert(tile, kept);
-            }
-            None => {
-                self.dropped += 1;
-                self.seeded_mass -= mass;
+        adapt: &mut Adapt,
+    ) -> Result<Vec<(f64, [f64; 3])>> {
+        let motions: Vec<_> = tiles.iter().map(|(_, lists)| motion_of(lists)).collect();
+        let (terrain, shown) = (&self.terrain, &*adapt);
+        let pack = |(tile, lists)| {
+            let changed = terrain.changed(tile, lists, couplings, &shown.regions)?;
+            let merged = changed.map(|lists| shown.merged(tile, lists, couplings)).transpose()?;
+            Ok((tile, merged.map(|(lists, counts)| (Tile::pack(lists), counts))))
+        };
+        let packed = tiles.into_par_iter().map(pack).collect::<Result<Vec<_>>>()?;
+        for ((tile, packed), (mass, _, kinetic)) in packed.into_iter().zip(&motions) {
+            self.kinetic += kinetic;
+            match packed {
+                Some((kept, counts)) => {
+                    self.archived += 1;
+                    adapt.count_merged(counts);
+                    // The same but for rounding.
+                    self.seeded_mass += kept.mass() - mass;
+                    self.archive.insert(tile, kept);
+                }
+                None => {
+                    self.dropped += 1;
+                    self.seeded_mass -= mass;
+                }
             }
         }
-        Ok((mass, momentum))
+        Ok(motions.into_iter().map(|(mass, momentum, _)| (mass, momentum)).collect())
     }
 
     /// Takes tiles from the archive, or seeds them. Returns their mass [kg], and the particles with their levels.
@@ -175,24 +184,28 @@ impl Reach {
         couplings: &[Box<dyn Coupling>],
         adapt: &mut Adapt,
     ) -> Result<(f64, Vec<(usize, Parcel)>)> {
-        let (mut mass, mut coming) = (0.0, Vec::new());
-        for tile in tiles {
-            let lists = match self.archive.remove(tile) {
-                Some(archived) => {
-                    self.returned += 1;
-                    archived.unpack()
-                }
-                None => {
-                    self.seeded += 1;
-                    let lists = self.terrain.seed_tiles(&[*tile], couplings, &adapt.regions, &mut adapt.next_id)?;
-                    self.seeded_mass += motion_of(&lists).0;
-                    lists
-                }
-            };
-            mass += motion_of(&lists).0;
-            for list in &lists {
-                let level = list.level as usize;
-                coming.extend((0..list.len()).map(|i| adapt.settled(Parcel::of(list, i), level)));
+        let archived: Vec<_> = tiles.iter().map(|tile| (*tile, self.archive.remove(tile))).collect();
+        // Those that are seeded, with how many new numbers they take; they count from 0 as yet.
+        let lists_of = |(tile, archived): ([i32; 2], Option<Tile>)| match archived {
+            Some(archived) => Ok((archived.unpack(), None)),
+            None => {
+                let mut numbers = 0;
+                let lists = self.terrain.seed_tiles(&[tile], couplings, &adapt.regions, &mut numbers)?;
+                Ok((lists, Some(numbers)))
+            }
+        };
+        let mut coming = archived.into_par_iter().map(lists_of).collect::<Result<Vec<_>>>()?;
+        let mut mass = 0.0;
+        for (lists, numbers) in &mut coming {
+            let own = motion_of(lists).0;
+            mass += own;
+            if let Some(numbers) = numbers {
+                self.seeded += 1;
+                self.seeded_mass += own;
+                lists.iter_mut().flat_map(|list| &mut list.id).for_each(|id| *id += adapt.next_id);
+                adapt.next_id += *numbers;
+            } else {
+                self.returned += 1;
             }
         }
         if adapt.next_id > IDS {
@@ -203,7 +216,13 @@ impl Reach {
                 mend: "start a new run from what this one has made",
             });
         }
-        Ok((mass, coming))
+        let adapt = &*adapt;
+        let of_list = |list: &ParticleList| {
+            let level = list.level as usize;
+            (0..list.len()).map(|i| adapt.settled(Parcel::of(list, i), level)).collect::<Vec<_>>()
+        };
+        let parcels = coming.par_iter().flat_map_iter(|(lists, _)| lists.iter().flat_map(of_list));
+        Ok((mass, parcels.collect()))
     }
 }
 

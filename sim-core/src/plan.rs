@@ -56,7 +56,7 @@ pub enum Precision {
 
 impl Precision {
     /// The nearest number that it has.
-    pub(crate) fn round(self, x: f64) -> f64 {
+    pub fn round(self, x: f64) -> f64 {
         if self == Self::F32 { f64::from(x as f32) } else { x }
     }
 }

@@ -44,12 +44,24 @@ impl CopiedLevel {
         let groups = lists.iter().map(groups_of).collect();
         blocks.pop_if(|key| *key == u64::MAX);
         let gone = lists.iter().map(|list| vec![false; list.len()]).collect();
-        let empty = |list: &ParticleList| {
-            let (level, material) = (list.level as usize, list.material as usize);
-            ParticleList::empty(level, material, list.cell_width, list.strain.len(), list.state.len())
-        };
-        let come = lists.iter().map(empty).collect();
+        let come = lists.iter().map(Self::empty).collect();
         Self { lists, filled, blocks, groups, gone, come }
+    }
+
+    /// A list as this one, without particles.
+    fn empty(list: &ParticleList) -> ParticleList {
+        let (level, material) = (list.level as usize, list.material as usize);
+        ParticleList::empty(level, material, list.cell_width, list.strain.len(), list.state.len())
+    }
+
+    /// All that there is now, as lists.
+    pub fn lists(self) -> Vec<ParticleList> {
+        let left = |((mut list, gone), come): ((ParticleList, Vec<bool>), ParticleList)| {
+            list.keep(&gone.iter().map(|gone| !gone).collect::<Vec<_>>());
+            list.append(come);
+            list
+        };
+        self.lists.into_iter().zip(self.gone).zip(self.come).map(left).collect()
     }
 
     /// For each list, the places of the removed particles.

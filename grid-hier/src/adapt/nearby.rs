@@ -3,9 +3,10 @@
 use super::{LevelStore, finest_cell, place};
 use crate::block::{self, CELLS, SIDE};
 use crate::bounds::Bounds;
-use barchan_core::Regions;
 use barchan_core::levels::CellBox;
+use barchan_core::{ParticleList, Regions};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Part of a full cell below which a cell counts as empty: next to it is the surface.
 const HALF: f64 = 0.5;
@@ -134,6 +135,33 @@ pub(super) fn filled<S: LevelStore>(level: &S, lists: usize, blocks: &[u64], vol
     }
     let is_full = |part: f32| u64::from(f64::from(part) >= HALF);
     parts.iter().map(|parts| parts.iter().rev().fold(0, |bits, part| bits << 1 | is_full(*part))).collect()
+}
+
+/// Blocks of cells `h` wide [m], their keys rising, and their cells that are at least half full of particles' cubes, as bits.
+pub(super) fn filled_by_cubes(lists: &[ParticleList], h: f64) -> Vec<(u64, u64)> {
+    let mut parts: BTreeMap<[i32; 3], f64> = BTreeMap::new();
+    for list in lists {
+        for i in 0..list.len() {
+            // A cube wider than a cell goes to all that it covers.
+            let (x, side) = (list.position(i), list.volume0[i].cbrt());
+            let pieces = (side / h).round().max(1.0);
+            let along = |n: i32, d: usize| ((x[d] + side * ((f64::from(n) + 0.5) / pieces - 0.5)) / h).floor() as i32;
+            let all = 0..pieces as i32;
+            for (a, b) in all.clone().flat_map(|a| all.clone().map(move |b| (a, b))) {
+                for c in all.clone() {
+                    *parts.entry([along(a, 0), along(b, 1), along(c, 2)]).or_default() +=
+                        list.volume0[i] / pieces.powi(3);
+                }
+            }
+        }
+    }
+    let mut blocks: BTreeMap<u64, u64> = BTreeMap::new();
+    for (cell, _) in parts.into_iter().filter(|(_, part)| *part >= HALF * h.powi(3)) {
+        if let Some(key) = block::key(block::of_cell(cell)) {
+            *blocks.entry(key).or_default() |= 1 << place(cell);
+        }
+    }
+    blocks.into_iter().collect()
 }
 
 /// The cells of a block that have one around them that is less than half full, as bits. `filled` are the cells of blocks that are not.

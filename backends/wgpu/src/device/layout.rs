@@ -393,7 +393,7 @@ impl<'a> Planes<'a> {
             let ParticleList { id, body, cell, offset, velocity, affine, mass, volume0, strain, state, .. } = &mut list;
             let planes = strain.len();
             scope.spawn(move |_| fill(id, places, |q, _| u64::from(self.ids[q][0])));
-            scope.spawn(move |_| fill(body, places, |q, _| self.ids[q][1] as u16));
+            scope.spawn(move |_| fill(body, places, |q, _| self.body(q)));
             scope.spawn(move |_| fill(cell, places, |q, block| self::cell(record(q, 0), block)));
             scope.spawn(move |_| fill(offset, places, |q, _| offset_in_cell(record(q, 0))));
             let velocity_of = move |q: usize, _| std::array::from_fn(|d| real(record(q, 2 + d)[0]));
@@ -429,6 +429,11 @@ impl<'a> Planes<'a> {
 
     fn volume0(&self, q: usize, slots: usize) -> f64 {
         f64::from(self.rest[volume(self.rest.len(), q, slots)][3])
+    }
+
+    /// Index of a particle's body in the scene.
+    pub(crate) fn body(&self, q: usize) -> u16 {
+        self.ids[q][1] as u16
     }
 
     /// A particle's law.

@@ -2,12 +2,13 @@
 //! in rounds of split and merge.
 
 use crate::device::kernel::Role;
-use crate::device::layout::{Planes, by_level};
+use crate::device::layout::Planes;
 use crate::device::memory::with_room;
 use crate::schedule::batch::WgpuBatch;
 use barchan_core::{Coupling, ParticleList, Result};
 use barchan_grid::adapt::{CopiedLevel, LevelStore, Parcel};
 use barchan_grid::archive::Reach;
+use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A tile's particles, a list a level and material.
@@ -37,8 +38,7 @@ impl WgpuBatch {
     ) -> Result<(Vec<Vec<u32>>, Vec<ParticleList>)> {
         let (gone, tiles) = self.in_tiles(w, reach, going)?;
         let world = &mut self.worlds[w];
-        for (tile, lists) in tiles {
-            let (mass, momentum) = reach.put_away(tile, lists, couplings, &world.adapt.regions)?;
+        for (mass, momentum) in reach.put_away(tiles.into_iter().collect(), couplings, &mut world.adapt)? {
             world.come(-mass);
             (0..3).for_each(|d| world.wall_impulse[d] -= momentum[d]);
         }
@@ -68,23 +68,20 @@ impl WgpuBatch {
         if tiles.is_empty() {
             return Ok((gone, found));
         }
-        let (lists, laid) = self.readback().lists(w)?;
-        for (l, (lists, (homes, planes))) in by_level(&lists, world.materials.len()).zip(&laid).enumerate() {
-            let places = homes.places();
-            for (law, list) in lists.iter().enumerate() {
-                let own = places.iter().map(|(q, _)| *q).filter(|&q| planes.law(q) == law);
-                let home = |i: usize| reach.goes_with(list.body[i], list.position(i), &world.adapt.regions, tiles);
-                let homes: Vec<Option<[i32; 2]>> = (0..list.len()).map(home).collect();
-                let first = world.levels[l].particles.start;
-                gone[l].extend(own.zip(&homes).filter(|(_, home)| home.is_some()).map(|(q, _)| (first + q) as u32));
-                for (tile, found) in &mut found {
-                    let kept: Vec<bool> = homes.iter().map(|home| *home == Some(*tile)).collect();
-                    if kept.contains(&true) {
-                        let mut own = list.clone();
-                        own.keep(&kept);
-                        found.push(own);
-                    }
-                }
+        let readback = self.readback();
+        for (l, (level, homes)) in world.levels.iter().zip(readback.homes(w..w + 1)?).enumerate() {
+            let (planes, count) = (readback.planes(level)?, level.particles.len());
+            let going = |(q, block): (usize, [i32; 3])| {
+                let x = planes.spot(q, block, level.h, count).position;
+                let tile = reach.goes_with(planes.body(q), x, &world.adapt.regions, tiles)?;
+                Some((tile, (q, block)))
+            };
+            let going: Vec<_> = homes.places().into_par_iter().filter_map(going).collect();
+            gone[l].extend(going.iter().map(|(_, (q, _))| (level.particles.start + q) as u32));
+            for (tile, found) in &mut found {
+                let own: Vec<_> = going.iter().filter(|(to, _)| to == tile).map(|(_, place)| *place).collect();
+                let lists = planes.lists(&own, &world.materials, (l, level.h), count);
+                found.extend(lists.into_iter().filter(|list| !list.is_empty()));
             }
         }
         Ok((gone, found))
