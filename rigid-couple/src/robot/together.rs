@@ -197,7 +197,7 @@ impl Together {
             let n = rates.len();
             let mut given = Balance { residual: DVector::zeros(n), matrix: DMatrix::zeros(n, n) };
             // As of one robot.
-            self.add_meetings(rates, 1.0, false, &mut given);
+            self.add_meetings(rates, 1.0, tangent, &mut given);
             (own, given)
         };
         let (own, given) = impulses(&rates);
