@@ -95,6 +95,15 @@ impl Lens {
         self.ahead.dot(place - self.eye)
     }
 
+    /// Is a place in the picture, or no further from what is than `margin` [m] along its sides and back?
+    pub(super) fn is_near(&self, place: glam::Vec3, margin: f32) -> bool {
+        let arm = place - self.eye;
+        let depth = self.ahead.dot(arm);
+        let across = [self.right.dot(arm), self.up.dot(arm)];
+        let is_within = |d: usize| across[d].abs() <= self.middle[d] / self.focal * depth.max(0.0) + margin;
+        depth >= -margin && is_within(0) && is_within(1)
+    }
+
     /// Column and row of a place ahead of the camera, from the upper left corner, and one over its depth [1/m].
     pub(super) fn project(&self, place: glam::Vec3) -> glam::Vec3 {
         let arm = place - self.eye;
@@ -113,6 +122,17 @@ impl Lens {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_near_a_picture_is_in_it_or_beside_it() {
+        // A right angle wide, half as high.
+        let camera = Camera { position: [0.0, -2.0, 0.0], target: [0.0; 3], fov: std::f64::consts::FRAC_PI_2 };
+        let lens = camera.lens([0.0; 3], 200, 100);
+        let near = |x: f32, y: f32, z: f32| lens.is_near(glam::Vec3::new(x, y, z), 0.5);
+        assert!(near(1.9, 0.0, 0.0) && near(2.4, 0.0, 0.0) && !near(2.6, 0.0, 0.0));
+        assert!(near(0.0, 0.0, 1.4) && !near(0.0, 0.0, -1.6) && near(50.0, 60.0, 0.0));
+        assert!(near(0.0, -2.4, 0.0) && !near(0.0, -2.6, 0.0));
+    }
 
     #[test]
     fn known_points_are_where_they_should_be() {

@@ -95,16 +95,27 @@ impl Field {
     }
 }
 
-/// The surface of particles, the finest `spacing` [m] apart, added to a soup: paints are the grounds' numbers from `first_paint` on.
-pub(super) fn surface(dots: &[Dot], bed: &Bed, spacing: f32, first_paint: u16, soup: &mut Soup) -> Sky {
-    let Some((mut field, grounds, walls)) = filled(dots, bed, spacing) else { return Sky(None) };
+/// The surface of particles, the finest `spacing` [m] apart, added to a soup: paints are the grounds' numbers from `first_paint` on. Where all of them take more nodes
+/// than there are for one picture, it is that of those that are `seen`.
+pub(super) fn surface(
+    dots: &[Dot],
+    bed: &Bed,
+    spacing: f32,
+    seen: impl Fn(Vec3) -> bool + Sync,
+    first_paint: u16,
+    soup: &mut Soup,
+) -> Sky {
+    let is_too_wide = ends(dots, bed).is_some_and(|[low, high]| cell_for(high - low, spacing) > spacing);
+    let is_seen = |dot: &&Dot| !is_too_wide || seen(Vec3::from_array(dot.position));
+    let dots: Vec<Dot> = dots.par_iter().filter(is_seen).copied().collect();
+    let Some((mut field, grounds, walls)) = filled(&dots, bed, spacing) else { return Sky(None) };
     let bed = &Bed { walls, ..*bed };
     (0..ROUNDS).for_each(|_| field.smooth());
     let sky = Sky(Some(field.sky(bed)));
     let mut smoother = Field { values: field.values.clone(), ..field };
     (0..NORMAL_ROUNDS).for_each(|_| smoother.smooth());
     nets(&field, &smoother, &grounds, bed, &sky, first_paint, soup);
-    for dot in dots {
+    for dot in &dots {
         let place = Vec3::from_array(dot.position);
         if field.at(place) < ALONE && place.cmpge(bed.min).all() && place.cmple(bed.max).all() {
             ball(place, 0.6 * dot.side, sky.seen(place, Vec3::Z), first_paint + u16::from(dot.ground), soup);
@@ -113,8 +124,8 @@ pub(super) fn surface(dots: &[Dot], bed: &Bed, spacing: f32, first_paint: u16, s
     sky
 }
 
-/// The share of each cell that particles fill, of what, and the walls that they reach; nothing if there are none.
-fn filled(dots: &[Dot], bed: &Bed, spacing: f32) -> Option<(Field, Vec<u8>, [bool; 5])> {
+/// The least and the greatest corner of what particles fill, if there is anything [m].
+fn ends(dots: &[Dot], bed: &Bed) -> Option<[Vec3; 2]> {
     let ends = dots.par_iter().fold(
         || (Vec3::INFINITY, Vec3::NEG_INFINITY),
         |(low, high), dot| {
@@ -124,11 +135,18 @@ fn filled(dots: &[Dot], bed: &Bed, spacing: f32) -> Option<(Field, Vec<u8>, [boo
     );
     let (low, high) = ends.reduce(|| (Vec3::INFINITY, Vec3::NEG_INFINITY), |a, b| (a.0.min(b.0), a.1.max(b.1)));
     let (low, high) = (low.max(bed.min), high.min(bed.max));
-    if !low.cmplt(high).all() {
-        return None;
-    }
-    let size = high - low;
-    let cell = spacing.max((size.x * size.y * size.z / MOST_NODES).cbrt());
+    low.cmplt(high).all().then_some([low, high])
+}
+
+/// Width of a picture's cells where particles are as far apart as `spacing`, and fill a box of that size [m].
+fn cell_for(size: Vec3, spacing: f32) -> f32 {
+    spacing.max((size.x * size.y * size.z / MOST_NODES).cbrt())
+}
+
+/// The share of each cell that particles fill, of what, and the walls that they reach; nothing if there are none.
+fn filled(dots: &[Dot], bed: &Bed, spacing: f32) -> Option<(Field, Vec<u8>, [bool; 5])> {
+    let [low, high] = ends(dots, bed)?;
+    let cell = cell_for(high - low, spacing);
     // Ground that reaches a wall ends there; else some air is around it.
     let air = AIR as f32 * cell;
     let mut min = low - air;
@@ -242,7 +260,7 @@ mod tests {
         let dots = dots([40; 3], |p| p.distance(middle) < 0.1);
         let bed = Bed { min: Vec3::ZERO, max: Vec3::splat(0.4), walls: [false; 5] };
         let mut soup = Soup::default();
-        surface(&dots, &bed, SPACING, 0, &mut soup);
+        surface(&dots, &bed, SPACING, |_| true, 0, &mut soup);
         let off = soup.points.iter().map(|p| (p.distance(middle) - 0.1).abs()).fold(0.0, f32::max);
         assert!(off < 0.7 * SPACING, "the surface is {off} m off");
         let turned = soup.points.iter().zip(&soup.normals).map(|(p, n)| (*p - middle).normalize().dot(*n));
@@ -257,7 +275,7 @@ mod tests {
         let dots = dots([60, 60, 20], |p| p.z < if print(p) { 0.16 } else { 0.2 });
         let bed = Bed { min: Vec3::ZERO, max: Vec3::new(0.6, 0.6, 1.0), walls: [true; 5] };
         let mut soup = Soup::default();
-        let sky = surface(&dots, &bed, SPACING, 3, &mut soup);
+        let sky = surface(&dots, &bed, SPACING, |_| true, 3, &mut soup);
         assert!(soup.paints.iter().all(|&paint| paint == 3));
         let ends = soup.points.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(a, b), &p| (a.min(p), b.max(p)));
         assert!(ends.0.truncate().abs_diff_eq(Vec3::ZERO.truncate(), 1e-3), "{ends:?}");
@@ -269,12 +287,26 @@ mod tests {
         assert!((flat - 1.0).abs() < 0.05, "{flat}");
     }
 
+    /// Symptom: footprints fade in the picture as the ground around grows, though nobody touches them. Geometry: what is seen of wide ground is drawn as if it were all.
+    #[test]
+    fn ground_beyond_the_picture_takes_nothing_from_what_is_in_it() {
+        let middle = Vec3::splat(0.2);
+        let mut dots = dots([40; 3], |p| p.distance(middle) < 0.1);
+        let beyond = [[30.0, 0.0, 0.0], [0.0, 30.0, 1.0]];
+        dots.extend(beyond.map(|position| Dot { position, ground: 0, value: 0.0, side: SPACING }));
+        let bed = Bed { min: Vec3::ZERO, max: Vec3::splat(40.0), walls: [false; 5] };
+        let mut soup = Soup::default();
+        surface(&dots, &bed, SPACING, |p| p.distance(middle) < 1.0, 0, &mut soup);
+        let off = soup.points.iter().map(|p| (p.distance(middle) - 0.1).abs()).fold(0.0, f32::max);
+        assert!(!soup.points.is_empty() && off < 0.7 * SPACING, "the surface is {off} m off");
+    }
+
     #[test]
     fn single_particles_are_balls() {
         let bed = Bed { min: Vec3::ZERO, max: Vec3::splat(1.0), walls: [false; 5] };
         let far = [0.2, 0.8].map(|x| Dot { position: [x, 0.5, 0.5], ground: 1, value: 0.0, side: SPACING });
         let mut soup = Soup::default();
-        surface(&far, &bed, SPACING, 0, &mut soup);
+        surface(&far, &bed, SPACING, |_| true, 0, &mut soup);
         assert_eq!((soup.triangles.len(), soup.paints[0]), (16, 1));
     }
 }

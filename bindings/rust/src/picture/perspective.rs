@@ -163,7 +163,9 @@ struct Painter<'a> {
 pub(super) fn draw(image: &mut Image, scenery: &Scenery<'_>) {
     let mut soup = Soup::default();
     let mut paints: Vec<Paint> = scenery.grounds.iter().map(|&ground| Paint::Ground(ground)).collect();
-    let sky = surface(scenery.dots, &scenery.bed, scenery.spacing, 0, &mut soup);
+    // Shadows, and what hides the sky, come from a little beyond the picture.
+    let seen = |place: Vec3| scenery.lens.is_near(place, 0.5 * scenery.distance);
+    let sky = surface(scenery.dots, &scenery.bed, scenery.spacing, seen, 0, &mut soup);
     for part in scenery.surfaces {
         add(part, scenery.origin, paints.len() as u16, &mut soup);
         let colour = part.colour.map_or(STEEL, |colour| colour.map(|c| (255.0 * c) as u8));
