@@ -10,24 +10,24 @@
 //! those that a round may concern, as [`CopiedLevel`]s.
 
 mod agents;
+mod away;
 mod clusters;
 mod copied;
 mod nearby;
 
 pub use copied::CopiedLevel;
 
-use crate::block;
 use crate::bounds::Bounds;
 use crate::particles::{MASS, MOTION, STRAIN, VOLUME};
 use crate::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split};
 use crate::transfer::MAX_STATE;
-use barchan_core::levels::{Agent, MERGE_BEHIND, MERGE_LEFT, SPLIT_AHEAD, TILE};
+use barchan_core::levels::{Agent, MERGE_BEHIND, MERGE_LEFT, SPLIT_AHEAD};
 use barchan_core::plan::Precision;
 use barchan_core::{Aabb, Coupling, Error, Ledger, LevelPhase, ParticleList, Plan, Regions, Result};
 use barchan_lanes::Isa;
 use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, Near, PORTION};
 use nalgebra::{Matrix3, Vector3};
-use nearby::{Nearby, Surface, filled_by_cubes};
+use nearby::{Nearby, Surface};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -37,8 +37,6 @@ const PATIENCE: u64 = 4;
 const STILL_ROUNDS: u64 = 32;
 /// Rounds after which it is even while regions move: it looks at footprints too, which are refused as a rule.
 const MERGE_ROUNDS: u64 = 128;
-/// So many times the tolerance holds for ground that goes out of reach.
-const OUT_OF_REACH: f64 = 3.0;
 /// Cells around a tool, in sides of the merged particle, in which nothing merges: no tool comes to stand inside a particle.
 const AROUND_TOOL: f64 = 2.0;
 /// Particles' numbers are less than this.
@@ -457,78 +455,6 @@ impl Adapt {
         };
         let changed = levels.par_iter_mut().enumerate().map(exchange).collect();
         Ok(changed)
-    }
-
-    /// Merges what can be merged of the ground of a tile that goes out of reach, where nothing has to be as fine any more
-    /// as it was; beyond the tile the ground goes on. Returns one list a level and material, and how many particles have
-    /// merged into how many.
-    ///
-    /// # Errors
-    /// Those of [`apply`](Self::apply).
-    pub fn merged(
-        &self,
-        tile: [i32; 2],
-        mut lists: Vec<ParticleList>,
-        couplings: &[Box<dyn Coupling>],
-    ) -> Result<(Vec<ParticleList>, [u64; 2])> {
-        let mut own = self.clone();
-        (own.resampled, own.tolerance) = (Resampled::default(), OUT_OF_REACH * self.tolerance);
-        let coarsest = self.widths.len() - 1;
-        for (level, bounds) in own.bounds.iter_mut().enumerate() {
-            for d in 0..2 {
-                let [first, end] = [tile[d], tile[d] + 1].map(|t| (t * TILE) << (coarsest - level));
-                (bounds.min[d], bounds.max[d], bounds.periodic[d], bounds.walled[d]) = (first, end, false, [true; 2]);
-            }
-        }
-        for round in 1..=PATIENCE {
-            own.rounds = round;
-            let mut copied = own.by_class(&lists);
-            let found = copied.iter().enumerate().flat_map(|(l, level)| own.find_on(l, level, Candidates::All));
-            let found = Round { found: found.collect(), merges: true, levels: copied.len() };
-            own.apply(&mut copied.iter_mut().collect::<Vec<_>>(), &found, couplings)?;
-            lists = copied.into_iter().flat_map(CopiedLevel::lists).collect();
-        }
-        let mut lists = own.on_levels(&lists, |_, _| coarsest);
-        for list in &mut lists {
-            list.mass.iter_mut().chain(&mut list.volume0).for_each(|x| *x = self.precision.round(*x));
-        }
-        let done = &own.resampled;
-        Ok((lists, [done.merged, done.merges]))
-    }
-
-    /// Particles on the levels that their sizes belong to: there a cell is as wide as what they merge into.
-    fn by_class(&self, lists: &[ParticleList]) -> Vec<CopiedLevel> {
-        let coarsest = self.widths.len() - 1;
-        let class = |body: u16, volume0: f64| {
-            let finest = self.finest_volume[usize::from(body).min(self.finest_volume.len() - 1)];
-            (1..=coarsest).take_while(|class| volume0 >= least_volume(finest, *class)).count()
-        };
-        let levels = self.on_levels(lists, class);
-        let copied =
-            |(own, width): (&[ParticleList], &f64)| CopiedLevel::new(own.to_vec(), filled_by_cubes(lists, *width));
-        levels.chunks_exact(self.materials.len()).zip(&self.widths).map(copied).collect()
-    }
-
-    /// Lists of the particles on levels that go by body and rest volume [m³], one a level and material, in the order of blocks.
-    fn on_levels(&self, lists: &[ParticleList], level: impl Fn(u16, f64) -> usize) -> Vec<ParticleList> {
-        let mut parcels = vec![Vec::new(); self.widths.len() * self.materials.len()];
-        for list in lists {
-            for i in 0..list.len() {
-                let to = level(list.body[i], list.volume0[i]);
-                let parcel = moved(Parcel::of(list, i), list.level as usize, to);
-                let key = block::key(block::of_cell(parcel.cell)).unwrap_or(u64::MAX);
-                parcels[to * self.materials.len() + list.material as usize].push((key, parcel));
-            }
-        }
-        let list = |(n, parcels): (usize, &mut Vec<(u64, Parcel)>)| {
-            let (level, m) = (n / self.materials.len(), n % self.materials.len());
-            let Material { strain, rules } = &self.materials[m];
-            let mut list = ParticleList::empty(level, m, self.widths[level], *strain, rules.len());
-            parcels.sort_unstable_by_key(|(key, parcel)| (*key, parcel.id));
-            Parcel::add_all(&parcels.iter().map(|(_, parcel)| parcel).collect::<Vec<_>>(), &mut list);
-            list
-        };
-        parcels.iter_mut().enumerate().map(list).collect()
     }
 
     /// Particles of a level that have to move, split or may merge, in the order of its groups.
