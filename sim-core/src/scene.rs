@@ -283,7 +283,8 @@ pub struct Levels {
     #[serde(default)]
     pub reach: u32,
     /// Particles at the surface are not merged where that would move the surface by more than this, in sides of the merged
-    /// particle; and particles are not merged if their history differs by more.
+    /// particle; and particles are not merged if their history differs by more. For ground that falls out of `reach` three
+    /// times as much holds.
     #[serde(default = "default_tolerance")]
     pub tolerance: f64,
 }
