@@ -70,26 +70,21 @@ impl<T: Scalar> CpuEngine<T> {
         couplings: &[Box<dyn Coupling>],
         changed: &mut [bool],
     ) -> Result<()> {
-        let found = self.in_tiles(reach, tiles);
-        let lists_of = |places: &[Place]| -> Vec<ParticleList> {
-            let of_list = |same: &[Place]| {
+        let mut going: Vec<([i32; 2], Vec<ParticleList>)> = Vec::new();
+        for (tile, places) in self.in_tiles(reach, tiles) {
+            let mut lists = Vec::new();
+            for same in places.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
                 let (l, i, ..) = same[0];
                 let list = &self.levels[l].store.lists[i];
                 let mut out = list.empty_copy(l, self.levels[l].h());
                 same.iter().for_each(|&(_, _, chunk, lane)| list.copy_to(&mut out, chunk, lane));
-                out
-            };
-            places.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).map(of_list).collect()
-        };
-        let lists = found.iter().map(|(tile, places)| (*tile, lists_of(places))).collect();
-        for places in found.values() {
-            for same in places.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-                let (l, i, ..) = same[0];
+                lists.push(out);
                 changed[l] = true;
                 self.levels[l].store.remove(i, same.iter().map(|&(_, _, chunk, lane)| chunk * CHUNK + lane));
             }
+            going.push((tile, lists));
         }
-        for (mass, momentum) in reach.put_away(lists, couplings, &mut self.adapt)? {
+        for (mass, momentum) in reach.put_away(going, couplings, &mut self.adapt)? {
             self.mass -= mass;
             for d in 0..3 {
                 self.wall_impulse[d] -= momentum[d];

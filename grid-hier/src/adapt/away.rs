@@ -36,10 +36,10 @@ impl Adapt {
             let mut copied = own.by_class(&lists);
             let found = copied.iter().enumerate().flat_map(|(l, level)| own.find_on(l, level, Candidates::All));
             let found = Round { found: found.collect(), merges: true, levels: copied.len() };
+            // Whether merged or not, all come to the level where they belong.
             own.apply(&mut copied.iter_mut().collect::<Vec<_>>(), &found, couplings)?;
             lists = copied.into_iter().flat_map(CopiedLevel::lists).collect();
         }
-        let mut lists = own.on_levels(&lists, |_, _| coarsest);
         for list in &mut lists {
             list.mass.iter_mut().chain(&mut list.volume0).for_each(|x| *x = self.precision.round(*x));
         }
@@ -49,36 +49,31 @@ impl Adapt {
 
     /// Particles on the levels that their sizes belong to: there a cell is as wide as what they merge into.
     fn by_class(&self, lists: &[ParticleList]) -> Vec<CopiedLevel> {
-        let coarsest = self.widths.len() - 1;
+        let (coarsest, materials) = (self.widths.len() - 1, self.materials.len());
         let class = |body: u16, volume0: f64| {
             let finest = self.finest_volume[usize::from(body).min(self.finest_volume.len() - 1)];
             (1..=coarsest).take_while(|class| volume0 >= least_volume(finest, *class)).count()
         };
-        let levels = self.on_levels(lists, class);
-        let copied =
-            |(own, width): (&[ParticleList], &f64)| CopiedLevel::new(own.to_vec(), filled_by_cubes(lists, *width));
-        levels.chunks_exact(self.materials.len()).zip(&self.widths).map(copied).collect()
-    }
-
-    /// Lists of the particles on levels that go by body and rest volume [m³], one a level and material, in the order of blocks.
-    fn on_levels(&self, lists: &[ParticleList], level: impl Fn(u16, f64) -> usize) -> Vec<ParticleList> {
-        let mut parcels = vec![Vec::new(); self.widths.len() * self.materials.len()];
+        let mut parcels = vec![Vec::new(); self.widths.len() * materials];
         for list in lists {
             for i in 0..list.len() {
-                let to = level(list.body[i], list.volume0[i]);
+                let to = class(list.body[i], list.volume0[i]);
                 let parcel = moved(Parcel::of(list, i), list.level as usize, to);
                 let key = block::key(block::of_cell(parcel.cell)).unwrap_or(u64::MAX);
-                parcels[to * self.materials.len() + list.material as usize].push((key, parcel));
+                parcels[to * materials + list.material as usize].push((key, parcel));
             }
         }
-        let list = |(n, parcels): (usize, &mut Vec<(u64, Parcel)>)| {
-            let (level, m) = (n / self.materials.len(), n % self.materials.len());
+        let list = |(n, mut parcels): (usize, Vec<(u64, Parcel)>)| {
+            let (level, m) = (n / materials, n % materials);
             let Material { strain, rules } = &self.materials[m];
             let mut list = ParticleList::empty(level, m, self.widths[level], *strain, rules.len());
             parcels.sort_unstable_by_key(|(key, parcel)| (*key, parcel.id));
             Parcel::add_all(&parcels.iter().map(|(_, parcel)| parcel).collect::<Vec<_>>(), &mut list);
             list
         };
-        parcels.iter_mut().enumerate().map(list).collect()
+        let mut own = parcels.into_iter().enumerate().map(list);
+        let copied =
+            |width: &f64| CopiedLevel::new(own.by_ref().take(materials).collect(), filled_by_cubes(lists, *width));
+        self.widths.iter().map(copied).collect()
     }
 }

@@ -285,7 +285,7 @@ fn a_robot_comes_onto_a_tool() {
 
 /// Robots touch one another and free bodies on the device as on the CPU in f64, whatever each weighs, with soft ground or without: a ball that hits a dog afloat, and one that falls
 /// onto its back and bounces, two arms that press on each other, an arm that pushes a box over sand, and boxes on one another beside a dog. What they feel is reported alike; nothing is
-/// done by the host, all is solved, but for a few steps of the box's, and momentum is kept where nothing takes it.
+/// done by the host, all is solved, but for a step or two of the box's, and momentum is kept where nothing takes it.
 #[test]
 fn robots_and_free_bodies_touch_on_the_device() {
     let tool = |name: &str, shape: &str, place: &str, motion: &str| {
@@ -359,7 +359,7 @@ fn robots_and_free_bodies_touch_on_the_device() {
         assert!(furthest < 1e-4 && turned < 1e-3, "{name}: {furthest} m, {turned} rad");
         assert!((given[0] - given[1]).abs() < 0.02 * given[1] + 1e-3, "{name}: {given:?}");
         // Here and there not, as on a floor: see `an_arm_pushes_a_box_along_the_floor`.
-        let most = 4 * u64::from(name == "pushed");
+        let most = 2 * u64::from(name == "pushed");
         assert!(of_cpu <= most && of_device <= most, "{name}: not solved {of_cpu} and {of_device} times");
         assert_eq!(passes_of(&device, "gather") + passes_of(&many, "gather"), 0, "{name}: steps on the host");
         assert!(left(&many) == left(&device), "{name}: many steps at once leave other bits");

@@ -106,16 +106,22 @@ pub(super) fn surface(
     soup: &mut Soup,
 ) -> Sky {
     let is_too_wide = ends(dots, bed).is_some_and(|[low, high]| cell_for(high - low, spacing) > spacing);
-    let is_seen = |dot: &&Dot| !is_too_wide || seen(Vec3::from_array(dot.position));
-    let dots: Vec<Dot> = dots.par_iter().filter(is_seen).copied().collect();
-    let Some((mut field, grounds, walls)) = filled(&dots, bed, spacing) else { return Sky(None) };
+    let is_seen = |dot: &&Dot| seen(Vec3::from_array(dot.position));
+    let near: Vec<Dot>;
+    let dots = if is_too_wide {
+        near = dots.par_iter().filter(is_seen).copied().collect();
+        &near
+    } else {
+        dots
+    };
+    let Some((mut field, grounds, walls)) = filled(dots, bed, spacing) else { return Sky(None) };
     let bed = &Bed { walls, ..*bed };
     (0..ROUNDS).for_each(|_| field.smooth());
     let sky = Sky(Some(field.sky(bed)));
     let mut smoother = Field { values: field.values.clone(), ..field };
     (0..NORMAL_ROUNDS).for_each(|_| smoother.smooth());
     nets(&field, &smoother, &grounds, bed, &sky, first_paint, soup);
-    for dot in &dots {
+    for dot in dots {
         let place = Vec3::from_array(dot.position);
         if field.at(place) < ALONE && place.cmpge(bed.min).all() && place.cmple(bed.max).all() {
             ball(place, 0.6 * dot.side, sky.seen(place, Vec3::Z), first_paint + u16::from(dot.ground), soup);
