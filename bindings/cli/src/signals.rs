@@ -1,11 +1,15 @@
-//! Signals that ask a run to end: it saves and says how to go on. A second one ends the process at once.
+//! Signals that ask a run to end: it saves and says how to go on. One that comes a second later, or more, ends the process at once.
 
 use crate::print::tell;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::flag;
+use signal_hook::low_level;
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+/// What is sent twice within this time is sent once: `timeout` signals the process and then its group, and batch systems do alike.
+const AT_ONCE: Duration = Duration::from_secs(1);
 
 /// Ctrl-C, a polite end by the system, and where there is such a thing, a terminal that is gone.
 #[cfg(unix)]
@@ -45,15 +49,23 @@ pub(crate) struct Signals(Arc<AtomicUsize>);
 impl Signals {
     /// From now on, signals are caught.
     pub(crate) fn new() -> Self {
-        let (first, again) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
+        let (first, asked) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicU64::new(u64::MAX)));
+        let start = Instant::now();
         let register = |signal: i32| -> io::Result<()> {
-            // In this order: the first signal finds the flag down and raises it.
-            flag::register_conditional_shutdown(signal, 128 + signal, Arc::clone(&again))?;
-            flag::register(signal, Arc::clone(&again))?;
-            flag::register_usize(signal, Arc::clone(&first), signal as usize)?;
-            Ok(())
+            let (first, asked) = (Arc::clone(&first), Arc::clone(&asked));
+            let hear = move || {
+                let now = start.elapsed().as_millis() as u64;
+                match asked.compare_exchange(u64::MAX, now, Ordering::Relaxed, Ordering::Relaxed) {
+                    Ok(_) => first.store(signal as usize, Ordering::Relaxed),
+                    Err(asked) if now < asked + AT_ONCE.as_millis() as u64 => (),
+                    Err(_) => low_level::exit(128 + signal),
+                }
+            };
+            // SAFETY: the handler reads a clock, changes two atomics or ends the process as `_exit` does: all of it may be done in a handler.
+            unsafe { low_level::register(signal, hear) }.map(drop)
         };
-        if let Err(error) = ASKING.into_iter().filter(|signal| !is_to_be_ignored(*signal)).try_for_each(register) {
+        let mut asking = ASKING.into_iter().filter(|signal| !is_to_be_ignored(*signal));
+        if let Err(error) = asking.try_for_each(register) {
             tell(format!("warning: a signal such as Ctrl-C will end the run without saving it: {error}"));
         }
         Self(first)

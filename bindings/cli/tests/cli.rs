@@ -186,6 +186,26 @@ fn signals_that_ask_a_run_to_end_save_it_and_tell_how_to_go_on() {
     }
 }
 
+/// Symptom: a run under `timeout` was lost, since `timeout` signals the process and then its group, and a second signal ends a run at once.
+#[cfg(unix)]
+#[test]
+fn signals_that_come_at_once_are_one() {
+    let folder = folder_with_scene();
+    let mut command = barchan(folder.path());
+    let args = ["run", "small.toml", "--out", "on", "--set", "time.end=1000"];
+    let command = with_action(command.args(args), libc::SIGTERM, libc::SIG_DFL);
+    let child = with_action(command, libc::SIGHUP, libc::SIG_DFL).spawn().unwrap();
+    wait_for(&folder.path().join("on/frames/00001.png"));
+    // While it is stopped, they gather: both are there when it goes on. Two of one kind would be one already.
+    for name in ["-STOP", "-TERM", "-HUP", "-CONT"] {
+        signal(&child, name);
+    }
+    let output = child.wait_with_output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(matches!(output.status.code(), Some(129 | 143)), "{:?}: {error}", output.status);
+    assert!(error.contains("--resume"), "{error}");
+}
+
 /// A run that is to outlive its terminal does.
 #[cfg(unix)]
 #[test]
