@@ -13,8 +13,8 @@ const ASPECT: f64 = 5.0 / 3.0;
 /// From what is seen towards the camera: 28° high where there are robots, else 35°, to look into hollows.
 const BESIDE: Vec3 = [0.57, -0.82, 0.53];
 const ABOVE: Vec3 = [0.57, -0.82, 0.70];
-/// What is seen around bodies, as a share of their width; ground that is wider than so many times that is left to go on
-/// beyond the picture, and its camera follows the first robot.
+/// What is seen around bodies, as a share of their width; ground that is wider than so many times that, or that comes and goes
+/// with its agents, is left to go on beyond the picture, and its camera follows the first robot.
 const AROUND: f64 = 0.3;
 const FAR_WIDER: f64 = 2.0;
 
@@ -50,7 +50,8 @@ impl Stage {
             let robot = scene.robot.iter().find(|robot| !robot.fixed)?;
             let (near, ground) = (around(simulation, &robot.name)?, ground?);
             let wide = |b: &Aabb| (b.max[0] - b.min[0]).max(b.max[1] - b.min[1]);
-            (wide(&ground) > FAR_WIDER * wide(&near)).then(|| robot.name.clone())
+            let goes_on = scene.levels.reach > 0 || wide(&ground) > FAR_WIDER * wide(&near);
+            goes_on.then(|| robot.name.clone())
         });
         let subject = match &followed {
             Some(name) => around(simulation, name),
@@ -210,4 +211,26 @@ fn everything(scene: &Scene, simulation: &Simulation, ground: Option<Aabb>) -> A
     }
     all.max[2] = all.max[2].min(most);
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use barchan_core::Options;
+
+    /// Symptom: a dog walked out of the pictures of `quadruped-dunes`, since its live ground was little wider than itself.
+    #[test]
+    fn a_robot_on_ground_without_bounds_is_followed() {
+        let scene = crate::tasks::scene("quadruped-dunes", &["robot[0].velocity=[2.0, 0.0, 0.0]"]).unwrap();
+        let mut simulation = Simulation::new(&crate::registry(), &scene, &Options::default()).unwrap();
+        let stage = Stage::new(&simulation, &simulation.spots(), 400).unwrap();
+        let (before, start) = (stage.camera(&simulation), place_of(&simulation, "dog").unwrap());
+        for _ in 0..20 {
+            simulation.step().unwrap();
+        }
+        let (after, now) = (stage.camera(&simulation), place_of(&simulation, "dog").unwrap());
+        assert!(now[0] - start[0] > 0.005, "{start:?} {now:?}");
+        let moved = after.target[0] - before.target[0];
+        assert!((moved - (now[0] - start[0])).abs() < 1e-12, "{moved}");
+    }
 }
