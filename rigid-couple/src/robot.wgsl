@@ -7,7 +7,7 @@
 // through that centre; a wrench is a moment about it, and a force. So motions and wrenches of a tree's links add up as they are.
 //
 // The table holds, from ROBOT_HEADS on, for each group: where its links begin, how many, where its rates begin, how many; where its trees begin, how many, depth of the
-// deepest, 0. LINK vectors for each link: parent, freedom, rate, body, -1 for none; ratio, offset, mass, depth; origin, one past the last that hangs on it; rotation of the
+// deepest, words of all their states. LINK vectors for each link: parent, freedom, rate, body, -1 for none; ratio, offset, mass, depth; origin, one past the last that hangs on it; rotation of the
 // origin; axis, the next link with the same rate; centre of mass, tree; rows of the inertia. DRIVE for each rate: first link, least and greatest position, effort; speed,
 // damping, friction, armature; kp, kd, tree, number within it. TREE for each tree: first rate, how many rates its base has, first body, first word of its state; where its path
 // begins, how many frames, how many drives, 0; the path's end, its period or 0, where its corrections begin, how many. For each correction its rate, 0 for the pitch and 1 for
@@ -15,7 +15,7 @@
 //
 // Words of a tree's state: time along the path, whole seconds and 2^-32 of them, and whether motors follow orders in place of the path; momentum; the same about the base's
 // centre of mass; the base's velocity; its angular velocity; for each drive its position, whole and 2^-32, and its rate; for each drive an order: target, rate,
-// torque, whether the gains act. The momentum is what impulses and gravity made of it; rates, which lose a little on the way, are corrected by it.
+// torque, whether the gains act. Behind the trees' words, POINTS vectors say what points gave in the step [N s]. The momentum is what impulses and gravity made of it; rates, which lose a little on the way, are corrected by it.
 
 // As in `joints.rs`, but for stops: f32 bears less.
 const ROBOT_STIFF: f32 = 1e4;
@@ -101,6 +101,7 @@ var<private> robot_trees_at: u32;
 var<private> robot_depth: u32;
 var<private> robot_bodies: u32;
 var<private> robot_points: u32;
+var<private> robot_given_at: u32;
 var<private> robot_first_tree: vec4<u32>;
 var<private> robot_link: array<vec4<f32>, ROBOT_LINK>;
 var<private> robot_drive: array<vec4<f32>, ROBOT_DRIVE>;
@@ -249,6 +250,7 @@ fn robot_take_up(group: u32, thread: u32) {
     robot_trees_at = two.x;
     robot_tree_count = two.y;
     robot_depth = two.z;
+    robot_given_at = two.w;
     robot_bodies = group_bodies();
     robot_points = robot_points_told();
     robot_first_tree = vec4<u32>(robot_tree_row(0u, 0u));
@@ -535,8 +537,14 @@ fn robot_settle(at_points: bool, thread: u32) {
             }
         }
         if workgroupUniformLoad(&robot_go_on) == 0u {
+            if at_points {
+                robot_note_given(thread);
+            }
             return;
         }
+    }
+    if at_points {
+        robot_note_given(thread);
     }
     group_missed(thread);
 }
@@ -839,6 +847,7 @@ fn coupling_feel(group: u32, thread: u32) {
     if thread < robot_rates {
         robot_free[thread] = group_rate(TWIST_TRIED, thread) + group_rate(TWIST_STEP, thread);
     }
+    robot_note_given(thread);
     workgroupBarrier();
     robot_set_free(robot_points > 0u, thread);
 }
@@ -863,6 +872,8 @@ fn coupling_advance(group: u32, thread: u32) {
     }
     if robot_points > 0u {
         robot_take_momentum(thread);
+    } else if thread < ROBOT_POINTS {
+        set_group_word(robot_given_at + thread, vec4<u32>(0u));
     }
     if group_moves() {
         if keeps_tree {

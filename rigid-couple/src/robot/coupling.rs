@@ -700,15 +700,19 @@ impl Coupling for Robots {
     }
 
     fn device_state(&self) -> Vec<GroupState> {
+        let ranges = self.device_ranges();
+        let points = device::most_points(&self.robots, &ranges, &staying(&self.tools));
         let of_group = |robots: Range<usize>| {
             let mut all = GroupState::default();
             for GroupState { words, bodies } in self.robots[robots].iter().map(Robot::device_state) {
                 all.words.extend(words);
                 all.bodies.extend(bodies);
             }
+            // What points gave.
+            all.words.resize(all.words.len() + points, [0; 4]);
             all
         };
-        self.device_ranges().into_iter().map(of_group).collect()
+        ranges.into_iter().map(of_group).collect()
     }
 
     fn move_on_device(&mut self, moved: Moved) {
@@ -717,18 +721,20 @@ impl Coupling for Robots {
 
     fn take_device_state(&mut self, groups: &[GroupStep]) -> Result<()> {
         let substeps = self.scene.levels.substeps();
-        let mut states = Vec::new();
-        for (robots, GroupStep { state, deep_nodes, unconverged }) in self.device_ranges().into_iter().zip(groups) {
-            states.extend(device::parted(state, &self.robots[robots]));
+        for (range, GroupStep { state, deep_nodes, unconverged }) in self.device_ranges().into_iter().zip(groups) {
             self.counts.deep_nodes += deep_nodes;
             self.counts.unconverged += unconverged;
+            let robots = &mut self.robots[range];
+            let (states, given) = device::parted(state, robots);
+            // From where links were.
+            let together = if robots.len() > 1 { &self.together[..] } else { &[] };
+            let felt = device::felt(robots, together, given);
+            for ((robot, state), felt) in robots.iter_mut().zip(&states).zip(felt) {
+                let dt = robot.step.dt * f64::from(substeps);
+                robot.take_device_state(state, dt).ok_or_else(|| robot.lost("motion on the device"))?;
+                robot.sense_others(felt);
+            }
         }
-        for (robot, state) in self.robots.iter_mut().zip(&states) {
-            let dt = robot.step.dt * f64::from(substeps);
-            robot.take_device_state(state, dt).ok_or_else(|| robot.lost("motion on the device"))?;
-        }
-        let felt = self.felt(|robot| DVector::from_column_slice(&robot.state.rates));
-        self.robots.iter_mut().zip(felt).for_each(|(robot, felt)| robot.sense_others(felt));
         Ok(())
     }
 

@@ -2,7 +2,7 @@
 
 use super::model::{Freedom, RobotModel};
 use super::motion::JointPath;
-use super::together;
+use super::together::{self, Felt, Together};
 use super::touching::{Obstacle, Points, Span};
 use super::{AHEAD, Robot, dynamics};
 use crate::grip::REACH;
@@ -302,8 +302,6 @@ impl Robot {
         let bodies = state.bodies.iter().map(|placed| (placed.position, placed.rotation)).collect();
         let held = Held { bodies, momentum: [vector(state.words[1]), vector(state.words[2])] };
         self.step.rates.copy_from_slice(&self.state.rates);
-        // From where links were.
-        self.sense_rigid();
         self.step.places = dynamics::places(&self.model, self.floating, &self.state.base, &self.state.positions);
         self.state.held = Some(held);
         self.correct_held()?;
@@ -330,6 +328,16 @@ pub(crate) fn are_together(robots: &[Robot]) -> bool {
     robots.iter().enumerate().any(may_touch) && rates <= MOST_RATES
 }
 
+/// At how many points a device solves what links touch at most, in each of these groups of robots beside tools that stay.
+pub(crate) fn most_points(robots: &[Robot], groups: &[Range<usize>], tools: &[&Obstacle]) -> usize {
+    let meets_some = |robot: &Robot| robot.obstacles(tools).next().is_some() || !robot.pairs.is_empty();
+    match groups.iter().map(Range::len).max() {
+        Some(2..) => MOST_POINTS_TOGETHER,
+        _ if robots.iter().any(meets_some) => MOST_POINTS,
+        _ => 0,
+    }
+}
+
 /// The law of robots that grip as `contacts` say, in these groups, beside tools that stay, on finest cells of width `cell` [m]; `None` if there is too much to number.
 pub(crate) fn law(
     robots: &[Robot],
@@ -353,14 +361,8 @@ pub(crate) fn law(
     // Contact thickens a thin link by a cell at most, and acts on nodes further off.
     let further = (1.0 + REACH) * cell;
     let most_trees = groups.iter().map(Range::len).max()?;
-    let meets_some = |robot: &Robot| robot.obstacles(tools).next().is_some() || !robot.pairs.is_empty();
-    let meets = most_trees > 1 || robots.iter().any(meets_some);
-    let points = match (meets, most_trees) {
-        (false, _) => 0,
-        (true, 1) => MOST_POINTS,
-        (true, _) => MOST_POINTS_TOGETHER,
-    };
-    let told = if meets { 1 + POINT * points } else { 0 };
+    let points = most_points(robots, groups, tools);
+    let told = if points > 0 { 1 + POINT * points } else { 0 };
     let (mut most_links, mut all) = (1, Vec::new());
     for (g, group) in groups.iter().enumerate() {
         let own = &robots[group.clone()];
@@ -390,7 +392,7 @@ pub(crate) fn law(
         table.extend(heads_of_trees);
         let depth = trees.iter().flat_map(|tree| &tree.depths).copied().max().unwrap_or_default();
         table[heads + 2 * g] = [links_at, before.links, rates_at, before.rates].map(|n| n as f32);
-        table[heads + 2 * g + 1] = [trees_at, before.trees, depth, 0].map(|n| n as f32);
+        table[heads + 2 * g + 1] = [trees_at, before.trees, depth, before.words].map(|n| n as f32);
         most_links = most_links.max(before.links);
         let body = |robot: &Robot, (link, extent): (&usize, &f64)| {
             let swing = robot.model.links[*link].shape.as_ref().map_or(0.0, Sdf::swing);
@@ -398,7 +400,7 @@ pub(crate) fn law(
         };
         let bodies =
             own.iter().flat_map(|robot| robot.solids.iter().zip(&robot.extents).map(move |one| body(robot, one)));
-        all.push(DeviceGroup { words: before.words, told, rates: before.rates, bodies: bodies.collect() });
+        all.push(DeviceGroup { words: before.words + points, told, rates: before.rates, bodies: bodies.collect() });
     }
     let rates = all.iter().map(|group| group.rates).max()?;
     let answer = format!(
@@ -412,14 +414,41 @@ pub(crate) fn law(
     (table.len() < 1 << 24).then_some(DeviceLaw { counted: true, wgsl, reach: REACH, table, samples, answer })
 }
 
-/// The states of robots that a device holds as one group.
-pub(crate) fn parted(state: &GroupState, robots: &[Robot]) -> Vec<GroupState> {
-    let (mut words, mut bodies) = (state.words.iter().copied(), state.bodies.iter().copied());
-    let of_robot = |robot: &Robot| GroupState {
-        words: words.by_ref().take(robot.words()).collect(),
-        bodies: bodies.by_ref().take(robot.solids.len()).collect(),
+/// The states of robots that a device holds as one group, and what points gave them, see [`felt`].
+pub(crate) fn parted<'a>(state: &'a GroupState, robots: &[Robot]) -> (Vec<GroupState>, &'a [[u32; 4]]) {
+    let (mut words, mut bodies) = (&state.words[..], state.bodies.iter().copied());
+    let of_robot = |robot: &Robot| {
+        let (own, rest) = words.split_at(robot.words().min(words.len()));
+        words = rest;
+        GroupState { words: own.to_vec(), bodies: bodies.by_ref().take(robot.solids.len()).collect() }
     };
-    robots.iter().map(of_robot).collect()
+    (robots.iter().map(of_robot).collect(), words)
+}
+
+/// A robot of a group, and its body there.
+type End = (usize, usize);
+
+/// Goes through the points at which a device solves what links of robots touch: at a touch, its node, the body at its one end, and at its other, if that is no wall.
+fn each_point<'a>(
+    points: impl Iterator<Item = &'a Points>,
+    together: &[Together],
+    see: &mut impl FnMut(&NodeBatch, &Touch, End, Option<End>),
+) {
+    let mut see = |nodes: &NodeBatch, touch: &Touch, end: End, other: Option<End>| {
+        if let Grip::Coulomb { .. } = touch.grip {
+            see(nodes, touch, end, other);
+        }
+    };
+    for (r, points) in points.enumerate() {
+        for (body, touches) in points.touches.iter().enumerate() {
+            touches.iter().for_each(|touch| see(&points.nodes, touch, (r, body), None));
+        }
+        for pair in &points.pairs {
+            let [body, other] = pair.bodies.map(|body| (r, body));
+            pair.touches.iter().for_each(|touch| see(&points.nodes, touch, body, Some(other)));
+        }
+    }
+    together.iter().for_each(|own| own.each_touch(&mut see));
 }
 
 /// What a group of robots on a device is told of where their links touch walls, tools and one another in a step; `None` where that is at more points than it takes.
@@ -429,13 +458,13 @@ pub(crate) fn told(robots: &[Robot], tools: &[&Obstacle], span: Span) -> Option<
     // At each end of a touch the number of the robot and of its body; nothing at the other end if that is a wall.
     let mut firsts = vec![0];
     robots.iter().for_each(|robot| firsts.push(firsts[firsts.len() - 1] + robot.solids.len()));
-    let mut add = |nodes: &NodeBatch, touch: &Touch, (robot, body): (usize, usize), other: Option<(usize, usize)>| {
+    let mut add = |nodes: &NodeBatch, touch: &Touch, (robot, body): End, other: Option<End>| {
         let at = DVec3::from_array(nodes.position[touch.node]);
         let Grip::Coulomb { normal, friction, .. } = touch.grip else { return };
         // What bounces must not come as near as the gap allows.
         let bounces = [Some((robot, body)), other].into_iter().flatten().any(|(r, _)| robots[r].restitution > 0.0);
         let most = if bounces { DVec3::from_array(nodes.velocity[touch.node]).dot(normal) } else { FAR } as f32;
-        let number = |(robot, body): (usize, usize)| (firsts[robot] + body) as u32;
+        let number = |(robot, body): End| (firsts[robot] + body) as u32;
         let from_other = other.map_or(DVec3::ZERO, |(other, _)| at - robots[other].reference());
         mass += nodes.mass[touch.node];
         all.push(bits(at - robots[robot].reference(), nodes.mass[touch.node]));
@@ -444,26 +473,37 @@ pub(crate) fn told(robots: &[Robot], tools: &[&Obstacle], span: Span) -> Option<
         all.push(bits(from_other, 0.0));
     };
     let boxes: Vec<Vec<Aabb>> = robots.iter().map(Robot::boxes).collect();
-    for (r, (robot, boxes)) in robots.iter().zip(&boxes).enumerate() {
+    let of_robot = |(robot, boxes): (&Robot, &Vec<Aabb>)| {
         let mut points = Points::default();
         robot.find_points(boxes, tools, span, &mut points);
-        // A base that stays has nothing to answer with.
-        let moves = |body: usize| !robot.step.places[robot.solids[body]].columns.is_empty();
-        for (body, touches) in points.touches.iter().enumerate().filter(|(body, _)| moves(*body)) {
-            touches.iter().for_each(|touch| add(&points.nodes, touch, (r, body), None));
-        }
-        for pair in &points.pairs {
-            let [body, other] = pair.bodies.map(|body| (r, body));
-            pair.touches.iter().for_each(|touch| add(&points.nodes, touch, body, Some(other)));
-        }
-    }
-    for together in together::find(robots, &boxes, span) {
-        together.each_touch(&mut add);
-    }
+        points
+    };
+    let points: Vec<Points> = robots.iter().zip(&boxes).map(of_robot).collect();
+    each_point(points.iter(), &together::find(robots, &boxes, span), &mut add);
     let count = all.len() / POINT;
     let most = if robots.len() > 1 { MOST_POINTS_TOGETHER } else { MOST_POINTS };
     let head = [count as u32, (mass as f32).to_bits(), 0, 0];
     (count <= most).then(|| [vec![head], all].concat())
+}
+
+/// What each of a group of robots felt of what is rigid in the step that a device took, by the impulses that points gave it [N s]; see [`told`].
+///
+/// The law of a point says them no better than to a few per cent: it weighs so much that what rounding leaves of a velocity in f32 is a force.
+pub(crate) fn felt(robots: &[Robot], together: &[Together], given: &[[u32; 4]]) -> Vec<Vec<Felt>> {
+    let mut felt = vec![Vec::new(); robots.len()];
+    let mut given = given.iter().map(|word| DVec3::from_array([0, 1, 2].map(|d| f64::from(f32::from_bits(word[d])))));
+    let mut see = |nodes: &NodeBatch, touch: &Touch, (robot, body): End, other: Option<End>| {
+        let force = given.next().unwrap_or_default() / robots[robot].step.dt;
+        if force != DVec3::ZERO {
+            let at = DVec3::from_array(nodes.position[touch.node]);
+            felt[robot].push((body, at, force));
+            if let Some((robot, body)) = other {
+                felt[robot].push((body, at, -force));
+            }
+        }
+    };
+    each_point(robots.iter().map(|robot| &robot.step.points), together, &mut see);
+    felt
 }
 
 /// A body with a shape that a device moves.

@@ -77,6 +77,28 @@ fn robot_press(kind: u32, thread: u32) {
     workgroupBarrier();
 }
 
+// Says what points give behind the last step, by how that changes them: what they are at the rates there would say it no better than to what rounding leaves of these, and
+// points are heavy. The step was found with what they gave before it.
+fn robot_note_given(thread: u32) {
+    if thread >= robot_points {
+        if thread < ROBOT_POINTS {
+            set_group_word(robot_given_at + thread, vec4<u32>(0u));
+        }
+        return;
+    }
+    let hold = robot_hold[thread];
+    var given = vec3<f32>(0.0);
+    if hold.x > 0.0 {
+        var moves = vec3<f32>(0.0);
+        for (var i = 0u; i < robot_rates; i++) {
+            moves += robot_step[i] * robot_axis_against(thread, i);
+        }
+        let normal = bitcast<vec3<f32>>(robot_point(thread, 1u).xyz);
+        given = robot_given[thread] - hold.x * (hold.y * moves + (1.0 - hold.y) * dot(normal, moves) * normal);
+    }
+    set_group_word(robot_given_at + thread, vec4<u32>(bitcast<vec3<u32>>(given), 0u));
+}
+
 // What the points give a rate.
 fn robot_pressed(rate: u32) -> f32 {
     var sum = 0.0;

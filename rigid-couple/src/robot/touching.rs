@@ -248,6 +248,13 @@ pub struct Seen<'a> {
     pub restitution: f64,
 }
 
+impl Seen<'_> {
+    /// Does it ever move? The base of a fixed robot does not.
+    fn moves(&self) -> bool {
+        !self.place.columns.is_empty()
+    }
+}
+
 /// A step, as contact points know it.
 #[derive(Clone, Copy, Debug)]
 pub struct Span {
@@ -321,7 +328,9 @@ impl Points {
             let ahead = obstacle.ahead(span.dt);
             for (link, touches) in links.iter().zip(&mut self.touches) {
                 let ahead = link.ahead + ahead;
-                let Some(body) = link.body.filter(|_| bounds.meets(&link.bounds.grown(ahead))) else { continue };
+                // What presses a link that stays on what does not answer cannot be told, and moves nothing.
+                let is_met = link.moves() && bounds.meets(&link.bounds.grown(ahead));
+                let Some(body) = link.body.filter(|_| is_met) else { continue };
                 let friction = link.friction.min(obstacle.friction);
                 let restitution = link.restitution;
                 let mut adder = Adder { nodes, touches, link, friction, restitution, mass, span };

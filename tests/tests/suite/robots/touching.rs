@@ -228,6 +228,36 @@ fn links_that_overlap_at_the_start_are_named() {
     assert!(warnings.iter().any(|w| w.contains("overlap at the start") && w.contains("FL_")), "{warnings:?}");
 }
 
+/// Symptom: an arm whose base stands 0.5 mm deep in a table felt 10⁶ N there, by how fast it would be pushed out. What presses two things that stay together cannot be told.
+#[test]
+fn a_base_that_stays_feels_no_table() {
+    let text = r#"
+name = "arm"
+world = { cell = 0.05, min = [-1, -1, 0], max = [1, 1, 1], walls = { z_min = "stick" } }
+time = { end = 1, step = 1e-3 }
+[[robot]]
+name = "arm"
+model = "arm-rod"
+fixed = true
+position = [0, 0, 0.2995]
+motor = [{ kp = 3000, kd = 150 }]
+[[tool]]
+name = "table"
+shape = { box = { half = [0.5, 0.5, 0.05] } }
+position = [0, 0, 0.25]
+contact = { coulomb = { friction = 0.5 } }
+motion = "fixed"
+"#;
+    let mut all = simulation(text, Precision::F64);
+    run_to(&mut all, 0.01);
+    let robot = all.robots().remove(0);
+    let most =
+        |link: &barchan::LinkState| link.rigid.iter().map(|at| DVec3::from_array(at.force).length()).sum::<f64>();
+    let base = &robot.links[0];
+    println!("{}: {:.1e} N", base.name, most(base));
+    assert_eq!(most(base), 0.0, "{}", base.name);
+}
+
 /// Symptom: a dog that drops half on sand and half on the floor was solved to the end in two steps of three, since where a foot may press and slide, steps of the iteration led far beyond
 /// balance or nowhere. All of them are, in f32 and f64; and it comes to stand.
 #[test]
