@@ -502,7 +502,7 @@ impl Coupling for Rigid {
             leash.or_else(|| self.shares_nodes().then_some(Aabb::UNBOUND))
         };
         let each = free.map(leash).collect::<Option<_>>()?;
-        Some(Leashes { each, in_turns, told: Vec::new() })
+        Some(Leashes { each, in_turns })
     }
 
     fn device_state(&self) -> Vec<GroupState> {

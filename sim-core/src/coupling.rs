@@ -316,7 +316,7 @@ pub struct DeviceLaw {
 ///
 /// They may call, where `b` counts the bodies of the group:
 /// - `group_bodies() -> u32`, and `group_body(b) -> u32`: a body's number among the coupling's;
-/// - `group_told(i) -> vec4<u32>`: what the coupling [tells the group](Leashes::told) for the steps at hand;
+/// - `group_told(i) -> vec4<u32>`: what the coupling [tells the group](Coupling::told) for the step at hand;
 /// - `group_missed(thread)`: a solution of the group's own did not converge, which is counted as those with the ground are;
 /// - `group_word(i) -> vec4<u32>` and `set_group_word(i, word)`: the state before the step and after it. Where the group does not move in a pass,
 ///   they are the same;
@@ -359,7 +359,7 @@ pub struct DeviceAnswer {
 pub struct DeviceGroup {
     /// Words of its state.
     pub words: usize,
-    /// Words that it is told at most, beside its state; see [`Leashes::told`].
+    /// Words that it is told at most, beside its state; see [`Coupling::told`].
     pub told: usize,
     /// Numbers that change along with its bodies' twists.
     pub rates: usize,
@@ -405,7 +405,7 @@ pub enum Moved {
     ByCoupling,
     /// A device.
     ByDevice,
-    /// A device takes a single step, since they may meet others. What they may meet the coupling has [told it](Leashes::told); or it moves its bodies itself from where a step
+    /// A device takes a single step, since they may meet others. What they may meet the coupling [tells it](Coupling::told); or it moves its bodies itself from where a step
     /// [has brought them](Coupling::take_device_state), with the velocities that gravity and the ground have made.
     InTurns,
 }
@@ -418,9 +418,6 @@ pub struct Leashes {
     pub each: Vec<Aabb>,
     /// Does it take [one step at a time](Moved::InTurns), since bodies are near what only the coupling knows?
     pub in_turns: bool,
-    /// What each group is told for these steps, in the order of the groups, or nothing: words as its functions in WGSL read them, as many as [it may be told](DeviceGroup::told)
-    /// at most. Behind those that are given there stand zeros.
-    pub told: Vec<Vec<[u32; 4]>>,
 }
 
 /// What happened to a group in a step on a device.
@@ -618,6 +615,11 @@ pub trait Coupling: Send + Sync {
     fn leashes(&self, time: f64, dt: f64, steps: usize) -> Option<Leashes> {
         let _ = (time, dt, steps);
         None
+    }
+    /// What each group is told for the step that has begun, where a device takes [one at a time](Moved::InTurns), in the order of the groups, or nothing: words as its functions
+    /// in WGSL read them, as many as [it may be told](DeviceGroup::told) at most. Behind those that are given there stand zeros.
+    fn told(&self) -> Vec<Vec<[u32; 4]>> {
+        Vec::new()
     }
     /// The groups as they are now, for a device to go on from.
     fn device_state(&self) -> Vec<GroupState> {

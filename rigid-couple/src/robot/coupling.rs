@@ -459,11 +459,6 @@ impl Robots {
     }
 }
 
-/// The tools that stay. On a device robots keep off the others.
-fn staying(tools: &[Obstacle]) -> Vec<&Obstacle> {
-    tools.iter().filter(|tool| !tool.moves()).collect()
-}
-
 impl Coupling for Robots {
     fn name(&self) -> &str {
         &self.name
@@ -505,7 +500,7 @@ impl Coupling for Robots {
     }
 
     fn watches(&self) -> bool {
-        !self.is_on_device() && self.tools.iter().any(Obstacle::moves)
+        self.moved != Moved::ByDevice && self.tools.iter().any(Obstacle::moves)
     }
 
     fn see(&mut self, others: &[BodyState]) {
@@ -518,12 +513,11 @@ impl Coupling for Robots {
         let span = Span { time, dt, gravity: gravity.length() };
         let mut all = Vec::with_capacity(self.robots.len());
         let tools: Vec<&Obstacle> = self.tools.iter().collect();
-        let staying = staying(&self.tools);
         for robot in &mut self.robots {
             if self.moved != Moved::ByCoupling {
                 robot.step.dt = dt;
                 robot.sense_gravity(gravity);
-                robot.note_touching(&staying, span, self.moved == Moved::InTurns);
+                robot.note_touching(&tools, span, self.moved == Moved::InTurns);
                 continue;
             }
             if self.slot == 0 {
@@ -648,7 +642,7 @@ impl Coupling for Robots {
     }
 
     fn device_law(&self) -> Option<DeviceLaw> {
-        let tools = staying(&self.tools);
+        let tools: Vec<&Obstacle> = self.tools.iter().collect();
         device::law(&self.robots, &self.contacts, &self.device_ranges(), &tools, self.scene.world.cell)
     }
 
@@ -682,26 +676,34 @@ impl Coupling for Robots {
         let unbound = || vec![Aabb::UNBOUND; self.wrenches.len()];
         let each = if self.as_one { unbound() } else { device::apart(&all, world.cell)? };
         // Steps that are taken at once end before one appears or vanishes.
-        let mut tools = staying(&self.tools);
-        tools.retain(|tool| tool.is_present(time));
+        let tools: Vec<&Obstacle> = self.tools.iter().filter(|tool| tool.is_present(time)).collect();
         let off_walls = device::off_what_is_rigid(&self.robots, &tools, &all, &each, world.cell);
         let off_others = |each: Vec<Aabb>| match self.as_one {
             true => device::off_one_another(&self.robots, &all, &each, world.cell),
             false => Some(each),
         };
         if let Some(each) = off_walls.and_then(off_others) {
-            return Some(Leashes { each, in_turns: false, told: Vec::new() });
+            return Some(Leashes { each, in_turns: false });
         }
         let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
-        let span = Span { time, dt, gravity };
-        let of_group = |robots: Range<usize>| device::told(&self.robots[robots], &tools, span);
-        let told = self.device_ranges().into_iter().map(of_group).collect::<Option<_>>()?;
-        Some(Leashes { each, in_turns: true, told })
+        let fits = |robots: Range<usize>| device::has_room(&self.robots[robots], &tools, Span { time, dt, gravity });
+        self.device_ranges().into_iter().all(fits).then_some(Leashes { each, in_turns: true })
+    }
+
+    fn told(&self) -> Vec<Vec<[u32; 4]>> {
+        if self.moved != Moved::InTurns {
+            return Vec::new();
+        }
+        let of_group = |range: Range<usize>| {
+            let robots = &self.robots[range];
+            device::told(robots, if robots.len() > 1 { &self.together } else { &[] })
+        };
+        self.device_ranges().into_iter().map(of_group).collect()
     }
 
     fn device_state(&self) -> Vec<GroupState> {
         let ranges = self.device_ranges();
-        let points = device::most_points(&self.robots, &ranges, &staying(&self.tools));
+        let points = device::most_points(&self.robots, &ranges, &self.tools.iter().collect::<Vec<_>>());
         let of_group = |robots: Range<usize>| {
             let mut all = GroupState::default();
             for GroupState { words, bodies } in self.robots[robots].iter().map(Robot::device_state) {

@@ -428,50 +428,50 @@ pub(crate) fn parted<'a>(state: &'a GroupState, robots: &[Robot]) -> (Vec<GroupS
 /// A robot of a group, and its body there.
 type End = (usize, usize);
 
-/// Goes through the points at which a device solves what links of robots touch: at a touch, its node, the body at its one end, and at its other, if that is no wall.
-fn each_point<'a>(
-    points: impl Iterator<Item = &'a Points>,
-    together: &[Together],
-    see: &mut impl FnMut(&NodeBatch, &Touch, End, Option<End>),
-) {
-    let mut see = |nodes: &NodeBatch, touch: &Touch, end: End, other: Option<End>| {
-        if let Grip::Coulomb { .. } = touch.grip {
-            see(nodes, touch, end, other);
+/// A point at which a device solves what links of robots touch: its node, the body at its one end, and at its other, if that is no wall and no tool that stays or moves as it is told.
+struct Point<'a> {
+    nodes: &'a NodeBatch,
+    touch: &'a Touch,
+    normal: DVec3,
+    friction: f64,
+    end: End,
+    other: Option<End>,
+}
+
+impl Point<'_> {
+    fn position(&self) -> DVec3 {
+        DVec3::from_array(self.nodes.position[self.touch.node])
+    }
+}
+
+/// All points of a group of robots.
+fn all_points<'a>(points: impl Iterator<Item = &'a Points>, together: &'a [Together]) -> Vec<Point<'a>> {
+    let mut all = Vec::new();
+    let mut add = |nodes: &'a NodeBatch, touch: &'a Touch, end: End, other: Option<End>| {
+        if let Grip::Coulomb { normal, friction, .. } = touch.grip {
+            all.push(Point { nodes, touch, normal: -normal, friction, end, other });
         }
     };
     for (r, points) in points.enumerate() {
         for (body, touches) in points.touches.iter().enumerate() {
-            touches.iter().for_each(|touch| see(&points.nodes, touch, (r, body), None));
+            touches.iter().for_each(|touch| add(&points.nodes, touch, (r, body), None));
         }
         for pair in &points.pairs {
             let [body, other] = pair.bodies.map(|body| (r, body));
-            pair.touches.iter().for_each(|touch| see(&points.nodes, touch, body, Some(other)));
+            pair.touches.iter().for_each(|touch| add(&points.nodes, touch, body, Some(other)));
         }
     }
-    together.iter().for_each(|own| own.each_touch(&mut see));
+    together.iter().for_each(|own| own.each_touch(&mut add));
+    all
 }
 
-/// What a group of robots on a device is told of where their links touch walls, tools and one another in a step; `None` where that is at more points than it takes.
-pub(crate) fn told(robots: &[Robot], tools: &[&Obstacle], span: Span) -> Option<Vec<[u32; 4]>> {
-    let bits = |v: DVec3, last: f64| [v.x, v.y, v.z, last].map(|x| (x as f32).to_bits());
-    let (mut all, mut mass) = (Vec::new(), 0.0);
-    // At each end of a touch the number of the robot and of its body; nothing at the other end if that is a wall.
-    let mut firsts = vec![0];
-    robots.iter().for_each(|robot| firsts.push(firsts[firsts.len() - 1] + robot.solids.len()));
-    let mut add = |nodes: &NodeBatch, touch: &Touch, (robot, body): End, other: Option<End>| {
-        let at = DVec3::from_array(nodes.position[touch.node]);
-        let Grip::Coulomb { normal, friction, .. } = touch.grip else { return };
-        // What bounces must not come as near as the gap allows.
-        let bounces = [Some((robot, body)), other].into_iter().flatten().any(|(r, _)| robots[r].restitution > 0.0);
-        let most = if bounces { DVec3::from_array(nodes.velocity[touch.node]).dot(normal) } else { FAR } as f32;
-        let number = |(robot, body): End| (firsts[robot] + body) as u32;
-        let from_other = other.map_or(DVec3::ZERO, |(other, _)| at - robots[other].reference());
-        mass += nodes.mass[touch.node];
-        all.push(bits(at - robots[robot].reference(), nodes.mass[touch.node]));
-        all.push(bits(-normal, touch.distance));
-        all.push([number((robot, body)), other.map_or(u32::MAX, number), (friction as f32).to_bits(), most.to_bits()]);
-        all.push(bits(from_other, 0.0));
-    };
+/// How many points a group of robots is told of at most.
+fn room(robots: &[Robot]) -> usize {
+    if robots.len() > 1 { MOST_POINTS_TOGETHER } else { MOST_POINTS }
+}
+
+/// Can a group of robots on a device be told of all points where links touch walls, tools and one another in a step to come?
+pub(crate) fn has_room(robots: &[Robot], tools: &[&Obstacle], span: Span) -> bool {
     let boxes: Vec<Vec<Aabb>> = robots.iter().map(Robot::boxes).collect();
     let of_robot = |(robot, boxes): (&Robot, &Vec<Aabb>)| {
         let mut points = Points::default();
@@ -479,11 +479,45 @@ pub(crate) fn told(robots: &[Robot], tools: &[&Obstacle], span: Span) -> Option<
         points
     };
     let points: Vec<Points> = robots.iter().zip(&boxes).map(of_robot).collect();
-    each_point(points.iter(), &together::find(robots, &boxes, span), &mut add);
-    let count = all.len() / POINT;
-    let most = if robots.len() > 1 { MOST_POINTS_TOGETHER } else { MOST_POINTS };
-    let head = [count as u32, (mass as f32).to_bits(), 0, 0];
-    (count <= most).then(|| [vec![head], all].concat())
+    all_points(points.iter(), &together::find(robots, &boxes, span)).len() <= room(robots)
+}
+
+/// The points of a group in a step that has begun, as its device is told of them. If tools that move have brought more than there is room for since [`has_room`] was
+/// asked, those furthest off are left out.
+fn points_of<'a>(robots: &'a [Robot], together: &'a [Together]) -> Vec<Point<'a>> {
+    let mut all = all_points(robots.iter().map(|robot| &robot.step.points), together);
+    let room = room(robots);
+    if all.len() > room {
+        all.sort_by(|a, b| a.touch.distance.total_cmp(&b.touch.distance));
+        all.truncate(room);
+    }
+    all
+}
+
+/// What a group of robots on a device is told of where their links touch walls, tools and one another in the step that has begun.
+pub(crate) fn told(robots: &[Robot], together: &[Together]) -> Vec<[u32; 4]> {
+    let bits = |v: DVec3, last: f64| [v.x, v.y, v.z, last].map(|x| (x as f32).to_bits());
+    let points = points_of(robots, together);
+    // At each end of a touch the number of the robot and of its body; nothing at the other end if that is a wall.
+    let mut firsts = vec![0];
+    robots.iter().for_each(|robot| firsts.push(firsts[firsts.len() - 1] + robot.solids.len()));
+    let number = |(robot, body): End| (firsts[robot] + body) as u32;
+    let mass: f64 = points.iter().map(|point| point.nodes.mass[point.touch.node]).sum();
+    let mut all = vec![[points.len() as u32, (mass as f32).to_bits(), 0, 0]];
+    for point in &points {
+        let node = point.touch.node;
+        let velocity = DVec3::from_array(point.nodes.velocity[node]);
+        // Between links the point moves along the normal alone; elsewhere with the surface, too.
+        let (push, beside) = match point.other {
+            Some((other, _)) => (-velocity.dot(point.normal), point.position() - robots[other].reference()),
+            None => (0.0, velocity),
+        };
+        all.push(bits(point.position() - robots[point.end.0].reference(), point.nodes.mass[node]));
+        all.push(bits(point.normal, push));
+        all.push([number(point.end), point.other.map_or(u32::MAX, number), (point.friction as f32).to_bits(), 0]);
+        all.push(bits(beside, 0.0));
+    }
+    all
 }
 
 /// What each of a group of robots felt of what is rigid in the step that a device took, by the impulses that points gave it [N s]; see [`told`].
@@ -491,18 +525,17 @@ pub(crate) fn told(robots: &[Robot], tools: &[&Obstacle], span: Span) -> Option<
 /// The law of a point says them no better than to a few per cent: it weighs so much that what rounding leaves of a velocity in f32 is a force.
 pub(crate) fn felt(robots: &[Robot], together: &[Together], given: &[[u32; 4]]) -> Vec<Vec<Felt>> {
     let mut felt = vec![Vec::new(); robots.len()];
-    let mut given = given.iter().map(|word| DVec3::from_array([0, 1, 2].map(|d| f64::from(f32::from_bits(word[d])))));
-    let mut see = |nodes: &NodeBatch, touch: &Touch, (robot, body): End, other: Option<End>| {
-        let force = given.next().unwrap_or_default() / robots[robot].step.dt;
+    for (point, given) in points_of(robots, together).iter().zip(given) {
+        let (robot, body) = point.end;
+        let impulse = DVec3::from_array([0, 1, 2].map(|d| f64::from(f32::from_bits(given[d]))));
+        let force = impulse / robots[robot].step.dt;
         if force != DVec3::ZERO {
-            let at = DVec3::from_array(nodes.position[touch.node]);
-            felt[robot].push((body, at, force));
-            if let Some((robot, body)) = other {
-                felt[robot].push((body, at, -force));
+            felt[robot].push((body, point.position(), force));
+            if let Some((other, body)) = point.other {
+                felt[other].push((body, point.position(), -force));
             }
         }
-    };
-    each_point(robots.iter().map(|robot| &robot.step.points), together, &mut see);
+    }
     felt
 }
 

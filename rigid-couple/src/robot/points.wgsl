@@ -1,12 +1,10 @@
-// Points at which a robot's links touch walls, or one another, as `touching.rs` finds them on the host; a part of `robot.wgsl`. Each acts like a node of ground that is
+// Points at which a robot's links touch walls and tools, or one another, as `touching.rs` finds them on the host; a part of `robot.wgsl`. Each acts like a node of ground that is
 // much heavier than the robot and moves with the surface that it lies on.
 //
-// The group is told how many there are and what they weigh together, then POINT vectors for each: its place and its mass; the normal out of what the link touches, and the gap; the
-// link's body and the one that it touches, ROBOT_NONE if that is a wall, friction, and the greatest speed at which they may meet; its place as that one's tree has it.
+// The group is told how many there are and what they weigh together, then POINT vectors for each: its place and its mass; the normal out of what the link touches, and how fast
+// they may meet along it; the link's body and the one that it touches, ROBOT_NONE if that is a wall or a tool, and friction; its place as that one's tree has it, or how fast the wall
+// or tool moves there.
 
-// As in `touching.rs`.
-const ROBOT_PUSH: f32 = 0.1;
-const ROBOT_FASTEST_PUSH: f32 = 20.0;
 const ROBOT_POINT: u32 = 4u;
 // Points whose impulses are added up at once.
 const ROBOT_PRESSES: u32 = min(ROBOT_POINTS, GROUP_ROOM / (2u * (ROBOT_RATES + 1u)));
@@ -59,12 +57,13 @@ fn robot_press(kind: u32, thread: u32) {
         let surface = bitcast<vec4<f32>>(robot_point(thread, 1u));
         let who = robot_point(thread, 2u);
         var moves = robot_velocity_at(robot_motion_at(kind, robot_body[who.x]), place.xyz);
-        if who.y != ROBOT_NONE {
-            moves -= robot_velocity_at(robot_motion_at(kind, robot_body[who.y]), bitcast<vec3<f32>>(robot_point(thread, 3u).xyz));
+        let other = bitcast<vec3<f32>>(robot_point(thread, 3u).xyz);
+        if who.y == ROBOT_NONE {
+            moves -= other;
+        } else {
+            moves -= robot_velocity_at(robot_motion_at(kind, robot_body[who.y]), other);
         }
-        let gap = surface.w;
-        let push = min(gap * select(min(ROBOT_PUSH / group_dt(), ROBOT_FASTEST_PUSH), 1.0 / group_dt(), gap > 0.0), bitcast<f32>(who.w));
-        let u = -push * surface.xyz - moves;
+        let u = -surface.w * surface.xyz - moves;
         let into = max(dot(u, surface.xyz), 0.0);
         let across = u - dot(u, surface.xyz) * surface.xyz;
         let sliding = length(across);

@@ -240,7 +240,10 @@ impl Together {
     }
 
     /// Goes through all that links of theirs touch of one another's: nodes and touch, and robot and body at both ends.
-    pub(super) fn each_touch(&self, see: &mut impl FnMut(&NodeBatch, &Touch, (usize, usize), Option<(usize, usize)>)) {
+    pub(super) fn each_touch<'a>(
+        &'a self,
+        see: &mut impl FnMut(&'a NodeBatch, &'a Touch, (usize, usize), Option<(usize, usize)>),
+    ) {
         for Meeting { links, touches, .. } in &self.meetings {
             let [first, second] = links.map(|(robot, body)| (self.robots[robot], body));
             touches.iter().for_each(|touch| see(&self.nodes, touch, first, Some(second)));

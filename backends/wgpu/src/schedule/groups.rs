@@ -8,7 +8,7 @@ use crate::schedule::submission::Behind;
 use barchan_core::backend::WorldStep;
 use barchan_core::coupling::{DeviceBody, Group, GroupState, GroupStep, Leashes, Moved, Placed};
 use barchan_core::plan::TOOL_COURANT;
-use barchan_core::{Aabb, BodyState, Result, Vec3, Wrench};
+use barchan_core::{Aabb, BodyState, Coupling, Result, Vec3, Wrench};
 use std::ops::Range;
 
 /// One part of a cell, and of a rotation, in a state.
@@ -33,8 +33,6 @@ pub(crate) struct HeldGroup {
     /// Its mass [kg].
     mass: f64,
     state: GroupState,
-    /// What it is told for the submission.
-    told: Vec<Words>,
     pub(crate) bodies: Vec<HeldBody>,
     /// Does it go a step at a time?
     pub(crate) in_turns: bool,
@@ -165,10 +163,19 @@ fn body_words(body: &HeldBody, position: Vec3, levels: usize, first_room: usize,
     ]
 }
 
+/// Shows couplings that [watch](Coupling::watches) where the others' bodies are.
+fn show_others(couplings: &mut [Box<dyn Coupling>]) {
+    if couplings.iter().any(|coupling| coupling.watches()) {
+        let seen: Vec<BodyState> = couplings.iter().filter(|one| !one.watches()).flat_map(|one| one.bodies()).collect();
+        couplings.iter_mut().filter(|one| one.watches()).for_each(|one| one.see(&seen));
+    }
+}
+
 impl WgpuBatch {
     /// Takes a world's groups to the device for up to so many steps, on leashes that keep its levels where they are, too, and bodies of one coupling away from
     /// those of others; `None` if a coupling must take the next step.
     pub(crate) fn hold_groups(&self, world_step: &mut WorldStep<'_>, dt: f64, steps: usize) -> Option<Vec<HeldGroup>> {
+        show_others(world_step.couplings);
         let held = self.held_groups(world_step, dt, steps);
         for (c, coupling) in world_step.couplings.iter_mut().enumerate() {
             let in_turns = held.iter().flatten().any(|group| group.coupling == c && group.in_turns);
@@ -191,11 +198,9 @@ impl WgpuBatch {
             if groups.is_empty() {
                 continue;
             }
-            let Leashes { each, in_turns, told } = coupling.leashes(world_step.time, dt, steps)?;
-            if in_turns && self.substeps > 1 {
-                return None;
-            }
-            let (mut leashes, mut told) = (each.into_iter(), told.into_iter());
+            let Leashes { each, mut in_turns } = coupling.leashes(world_step.time, dt, steps)?;
+            let mut leashes = each.into_iter();
+            let from = all.len();
             let (bodies, boxes, now) = (&world.bodies[c], coupling.bounds(), coupling.bodies());
             let states = coupling.device_state().into_iter();
             let known = world.groups[c].iter();
@@ -207,7 +212,8 @@ impl WgpuBatch {
                     let (name, mass) = (&bodies[own].0, bodies[own].1);
                     let of_own = of_agents.iter().filter(|(agent, _)| agent.is_of(name));
                     let of_levels = of_own.fold(Aabb::UNBOUND, |all, (_, leash)| all.intersection(leash));
-                    let of_others = self.keep_off(world_step, c, &boxes[own], dt * steps as f64)?;
+                    let (of_others, is_near) = self.keep_off(world_step, c, &boxes[own], dt * steps as f64)?;
+                    in_turns |= is_near;
                     let leash = leashes.next()?.intersection(&of_levels).intersection(&of_others);
                     let followed = world.adapt.follows(name);
                     let number = world.first_bodies[c] + own;
@@ -216,22 +222,22 @@ impl WgpuBatch {
                     let velocity = now[own].velocity;
                     held.push(HeldBody { own, number, mass, extent, swing, rooms, velocity, leash, followed });
                 }
-                let told = told.next().unwrap_or_default();
-                if told.len() > known.told {
-                    return None;
-                }
-                all.push(HeldGroup { coupling: c, number, mass, state, told, bodies: held, in_turns });
+                all.push(HeldGroup { coupling: c, number, mass, state, bodies: held, in_turns: false });
             }
+            if in_turns && self.substeps > 1 {
+                return None;
+            }
+            all[from..].iter_mut().for_each(|group| group.in_turns = in_turns);
         }
         Some(all)
     }
 
     /// How far along each axis a body that answers, of coupling `c`, in the box `own`, may go for `duration` [s] before it may touch a node that a body of another coupling
-    /// touches, too; `None` if it is there. With a driven body that stays where it is it may share nodes: each is that one's in which it is deeper. Where levels take steps of
-    /// their own, no pass knows which that is.
-    fn keep_off(&self, world_step: &WorldStep<'_>, c: usize, own: &Aabb, duration: f64) -> Option<Aabb> {
+    /// touches, too; `None` if it is there. With a driven body it may share nodes: each is that one's in which it is deeper. Is it near one that moves, so that it has to go a step
+    /// at a time? Where levels take steps of their own, no pass knows in which body a node is deeper.
+    fn keep_off(&self, world_step: &WorldStep<'_>, c: usize, own: &Aabb, duration: f64) -> Option<(Aabb, bool)> {
         let widest = self.worlds[world_step.world].levels.last().map_or(self.h, |level| level.h);
-        let mut leash = Aabb::UNBOUND;
+        let (mut leash, mut is_near) = (Aabb::UNBOUND, false);
         let couplings = &*world_step.couplings;
         for (o, other) in couplings.iter().enumerate().filter(|(o, other)| *o != c && !other.is_field()) {
             let clearance = CLEARANCE * self.h + (couplings[c].reach() + couplings[o].reach()) * widest;
@@ -244,11 +250,15 @@ impl WgpuBatch {
                 }
                 let off = own.leash(near, clearance, |spare| {
                     if answers { 0.5 * spare } else { spare - duration * other.max_speed(world_step.time, duration) }
-                })?;
-                leash = leash.intersection(&off);
+                });
+                match off {
+                    Some(off) => leash = leash.intersection(&off),
+                    None if answers || self.substeps > 1 => return None,
+                    None => is_near = true,
+                }
             }
         }
-        Some(leash)
+        Some((leash, is_near))
     }
 
     /// Tells the device which groups it moves, and how they are.
@@ -263,13 +273,16 @@ impl WgpuBatch {
         for (world_step, held) in world_steps.iter().zip(held) {
             let mut b = world_step.world * room.bodies;
             let mut first_room = world_step.world * room.rooms;
+            let all: Vec<_> = world_step.couplings.iter().map(|coupling| coupling.told()).collect();
             for (k, group) in (world_step.world * room.groups..).zip(held) {
                 // Levels that follow a body keep coarser ones away from it.
                 let levels = |body: &HeldBody| if body.followed { 1 } else { self.levels };
                 let most = group.bodies.iter().map(levels).max().unwrap_or(0);
                 let head = [b as u32, group.bodies.len() as u32, group.number as u32, most as u32];
                 put(k * GROUP_HEAD, &[head, [bits(group.mass), 0, 0, 0]]);
-                put(places.told(k), &group.told);
+                if let Some(told) = all[group.coupling].get(group.number).filter(|_| group.in_turns) {
+                    put(places.told(k), told);
+                }
                 put(places.states() + places.words(k), &group.state.words);
                 for (body, placed) in group.bodies.iter().zip(&group.state.bodies) {
                     let words = body_words(body, placed.position, levels(body), first_room, self.h);

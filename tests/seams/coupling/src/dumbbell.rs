@@ -492,7 +492,7 @@ impl Coupling for Dumbbell {
             leash.contains([0.0; 3]).then_some(leash)
         };
         let each = self.bounds().into_iter().map(leash).collect::<Option<_>>()?;
-        Some(Leashes { each, in_turns: false, told: Vec::new() })
+        Some(Leashes { each, in_turns: false })
     }
     fn device_state(&self) -> Vec<GroupState> {
         let word = |v: DVec3| [(v.x as f32).to_bits(), (v.y as f32).to_bits(), (v.z as f32).to_bits(), 0];

@@ -2,6 +2,7 @@
 
 use super::{MOTORS, SAND, felt, moved, root, simulation, stand, totals};
 use barchan::{BodyState, Command, Coupling, Precision, Scene, Simulation};
+use barchan_core::coupling::Moved;
 use barchan_rigid::robot::Robots;
 use barchan_tests::scenes::missed;
 use glam::{DMat3, DQuat, DVec3};
@@ -185,13 +186,14 @@ fn an_arm_pushes_a_box_along_the_floor() {
     assert!(missed <= 2, "{missed}");
 }
 
-/// What a device is told of points fits what the law says that it is told at most, also where only a fixed tool can be touched: of one robot over a block in a world without walls, and
-/// with a ball beside it.
+/// What a device is told of points fits what the law says that it is told at most, also where only a tool can be touched: of one robot over a block that stays or moves, in a world
+/// without walls, and with a ball beside it.
 #[test]
 fn a_device_has_room_for_the_points_that_it_is_told_of() {
     let block = "[[tool]]\nname = \"block\"\nshape = { box = { half = [0.5, 0.5, 0.1] } }\nposition = [0, 0, 0.6]\n";
     let ball = "[[tool]]\nname = \"ball\"\nshape = { sphere = { center = [0, 0, 0], radius = 0.1 } }\nposition = [0.3, 0.3, 0.8]\nmotion = { free = { mass = 2 } }\n";
-    for (more, points) in [("", 4), (ball, 5)] {
+    let moves = "motion = { velocity = { linear = [0.01, 0, 0] } }\n";
+    for (more, points) in [("", 4), (moves, 4), (ball, 5)] {
         let mut robots =
             Robots::new(&bare(-9.81, OPEN, &format!("{block}{more}{DOG}\nposition = [0, 0, 1.0]"))).unwrap();
         let group = robots.device_law().unwrap().answer.groups.remove(0);
@@ -199,9 +201,12 @@ fn a_device_has_room_for_the_points_that_it_is_told_of() {
         let (mut most, mut in_turns) = (0, 0);
         for step in 0..400 {
             let time = f64::from(step) * dt;
-            if let Some(leashes) = robots.leashes(time, dt, 8) {
-                in_turns += u32::from(leashes.in_turns);
-                most = leashes.told.iter().map(Vec::len).fold(most, usize::max);
+            if robots.leashes(time, dt, 8).is_some_and(|leashes| leashes.in_turns) {
+                in_turns += 1;
+                robots.move_on_device(Moved::InTurns);
+                robots.before_step(time, dt).unwrap();
+                most = robots.told().iter().map(Vec::len).fold(most, usize::max);
+                robots.move_on_device(Moved::ByCoupling);
             }
             moved(&mut robots, time, dt);
         }
