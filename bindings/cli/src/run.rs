@@ -261,7 +261,12 @@ pub(crate) fn run(args: &RunArgs, registry: Registry) -> Result<ExitCode> {
         observers.iter_mut().map(|observer| &mut **observer as &mut dyn barchan::Observer).collect();
     let summary = run::run_with(&mut simulation, &request, &mut observers, &mut |progress| {
         shown.update(progress);
-        if stop.caught().is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if stop.caught().is_none() {
+            return ControlFlow::Continue(());
+        }
+        shown.finish();
+        tell("saving what has been simulated; a signal more ends the run without that");
+        ControlFlow::Break(())
     });
     shown.finish();
     if args.out.is_none() {

@@ -102,9 +102,26 @@ fn a_run_leaves_everything_in_its_folder() {
 
 #[test]
 fn a_resumed_run_is_the_whole_run_bit_for_bit() {
+    resumes_as_the_whole_run(&[]);
+}
+
+/// Symptom: the row of a trace with an interval that was open when a run stopped had the mean force of what came behind the stop alone.
+#[test]
+fn means_of_a_resumed_trace_are_those_of_the_whole_run() {
+    let trace = resumes_as_the_whole_run(&["--set", "output.trace.interval=0.007"]);
+    let forces: Vec<&str> = trace.lines().map(|line| line.rsplit(',').nth(3).unwrap()).collect();
+    assert!(forces.len() > 4 && forces[2..].iter().all(|force| force.parse::<f64>().unwrap() != 0.0), "{forces:?}");
+}
+
+/// A run in two parts leaves what one in one part does, to the last bit; returns its trace.
+fn resumes_as_the_whole_run(more: &[&str]) -> String {
     let folder = folder_with_scene();
-    succeed(folder.path(), &["run", "small.toml", "--out", "whole", "--quiet", "--steps", "400"]);
-    succeed(folder.path(), &["run", "small.toml", "--out", "parts", "--quiet", "--steps", "230"]);
+    let run = |out: &str, steps: &str| {
+        let args = ["run", "small.toml", "--out", out, "--quiet", "--steps", steps];
+        succeed(folder.path(), &[&args[..], more].concat());
+    };
+    run("whole", "400");
+    run("parts", "230");
     // What an interrupted run wrote after its last snapshot is written anew.
     let trace = folder.path().join("parts/trace.csv");
     fs::write(&trace, fs::read_to_string(&trace).unwrap() + "0.5,9999,1e-4,1\n0.5,100").unwrap();
@@ -119,6 +136,30 @@ fn a_resumed_run_is_the_whole_run_bit_for_bit() {
     };
     assert!(state(&whole) == state(&parts), "particles or bodies differ");
     assert_eq!(frames(&whole), frames(&parts));
+    fs::read_to_string(whole.join("trace.csv")).unwrap()
+}
+
+/// Symptom: meshes of a package were not found where the program runs in the URDF's folder, since the folders around were those of the path as it was given.
+#[test]
+fn meshes_of_a_package_are_found_from_any_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |path: &str| folder.path().join(path);
+    for path in ["pkg/urdf", "pkg/meshes"] {
+        fs::create_dir_all(at(path)).unwrap();
+    }
+    let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    fs::write(at("pkg/meshes/b.obj"), corners).unwrap();
+    let urdf = "<robot name=\"r\"><link name=\"a\"><inertial><mass value=\"1\"/><inertia ixx=\"1\" iyy=\"1\" izz=\"1\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>\
+        <collision><geometry><mesh filename=\"package://pkg/meshes/b.obj\"/></geometry></collision></link></robot>";
+    fs::write(at("pkg/urdf/r.urdf"), urdf).unwrap();
+    for (from, urdf) in
+        [("pkg/urdf", "r.urdf"), ("pkg/urdf", "./r.urdf"), ("pkg", "urdf/r.urdf"), ("", "pkg/urdf/r.urdf")]
+    {
+        succeed(&at(from), &["robot", "check", urdf]);
+    }
+    fs::remove_file(at("pkg/meshes/b.obj")).unwrap();
+    let error = fail(&at("pkg/urdf"), &["robot", "check", "r.urdf"]);
+    assert!(error.contains("no folder around") && error.contains("pkg/urdf;"), "{error}");
 }
 
 #[test]
@@ -203,7 +244,7 @@ fn signals_that_come_at_once_are_one() {
     let output = child.wait_with_output().unwrap();
     let error = String::from_utf8_lossy(&output.stderr);
     assert!(matches!(output.status.code(), Some(129 | 143)), "{:?}: {error}", output.status);
-    assert!(error.contains("--resume"), "{error}");
+    assert!(error.contains("saving what has been simulated") && error.contains("--resume"), "{error}");
 }
 
 /// A run that is to outlive its terminal does.
@@ -508,6 +549,10 @@ fn what_cannot_be_run_is_refused_with_place_and_mend() {
         (&["run", "small.toml", "--out", "small.toml/x"], &["small.toml/x", "--out"]),
         (&["run", "small.toml", "--resume"], &["--resume", "snapshot.barchan"]),
         (&["run", "small.toml", "--out", "none", "--resume"], &["none/snapshot.barchan"]),
+        (
+            &["check", "small.toml", "--set", "world.walls.x_max=\"separate\""],
+            &["--set: world.walls.x_max", "keys of its own", "{ NAME = { KEY = … } }"],
+        ),
         (&["check", "small.toml", "--set", "gravity_ramp=-1"], &["--set: gravity_ramp: is -1", "0 or above"]),
         (
             &["check", "small.toml", "--set", "body.0.spacing=0.01"],

@@ -9,6 +9,7 @@
 //! | `height/00000.npz`, `.png`, … | the ground's height every `output.height_map.interval`, if asked for |
 //! | `observed/NAME/…` | what the [observer](Observer) of that name writes |
 //! | `trace.csv` | every step, or once an interval (`output.trace`): time, step size, pose, velocity and wrench of every body |
+//! | `trace-since.json` | what has gone since the last row of a trace with an interval, when the snapshot was taken |
 //! | `probes.csv` | what the scene's probes find, each at its own interval |
 //! | `trace.npz` | the same as arrays, if `output.trace.npz` asks for it |
 //! | `trace.parquet` | the same as a Parquet file, if `output.trace.parquet` asks for it and the feature `parquet` is on |
@@ -85,6 +86,7 @@ use std::time::Instant;
 pub const SNAPSHOT: &str = "snapshot.barchan";
 const TRACE: &str = "trace.csv";
 const PROBES: &str = "probes.csv";
+const TRACE_SINCE: &str = "trace-since.json";
 const TRACE_ARRAYS: &str = "trace.npz";
 const TRACE_PARQUET: &str = "trace.parquet";
 const SUMMARY: &str = "summary.json";

@@ -109,6 +109,20 @@ impl RobotModel {
 }
 
 impl Robot {
+    /// A robot that floats must reach into the world at its start, or be above it, to fall in.
+    fn check_place(&self, scene: &Scene) -> Result<(), Refusal> {
+        let world = &scene.world;
+        let Some(all) = self.boxes().into_iter().reduce(|a, b| a.union(&b)).filter(|_| self.floating) else {
+            return Ok(());
+        };
+        let is_beyond = |d: usize| all.max[d] < world.min[d] || (d < 2 && all.min[d] > world.max[d]);
+        if !(0..3).any(|d| !world.is_periodic(d) && is_beyond(d)) {
+            return Ok(());
+        }
+        let what = format!("robot '{}' is outside the world, from {:?} to {:?}", self.name, world.min, world.max);
+        Err(Refusal::new(what, "move the robot, or widen world.min and world.max"))
+    }
+
     /// A scene's robot.
     ///
     /// # Errors
@@ -158,7 +172,10 @@ impl Robot {
             .collect();
         let orders = path.orders(0.0, 0.0);
         let step = Self::at_rest(&model, floating, &solids, &state, orders).ok_or_else(|| {
-            Refusal::new("some joint moves no link with mass or shape", "give the links that hang on it an <inertial>")
+            Refusal::new(
+                "its joints cannot be solved: some move links only as others do, or its numbers are beyond all measure",
+                "leave out joints that others stand for, and look at its lengths and masses",
+            )
         })?;
         let shapes: Vec<Option<&Sdf>> = solids.iter().map(|&link| model.links[link].shape.as_ref()).collect();
         let extents = shapes.iter().map(|shape| shape.map_or(0.0, Sdf::extent)).collect();
@@ -287,6 +304,9 @@ impl Robots {
         let make =
             |(i, robot): (usize, &scene::Robot)| Robot::new(robot, scene).map_err(|e| e.at(&format!("robot[{i}]")));
         let mut robots: Vec<Robot> = scene.robot.iter().enumerate().map(make).collect::<Result<_>>()?;
+        for (i, robot) in robots.iter().enumerate() {
+            robot.check_place(scene).map_err(|refusal| refusal.at(&format!("robot[{i}].position")))?;
+        }
         let mut contacts: Vec<Contact> = scene.robot.iter().map(|robot| robot.contact).collect();
         for (i, tool) in scene.tool.iter().enumerate().filter(|(_, tool)| scene.goes_with_robots(tool)) {
             robots.push(Robot::loose(tool, &format!("tool[{i}]"), scene)?);

@@ -328,7 +328,7 @@ pub(crate) fn are_together(robots: &[Robot]) -> bool {
     robots.iter().enumerate().any(may_touch) && rates <= MOST_RATES
 }
 
-/// At how many points a device solves what links touch at most, in each of these groups of robots beside tools that stay.
+/// At how many points a device solves what links touch at most, in each of these groups of robots beside these tools.
 pub(crate) fn most_points(robots: &[Robot], groups: &[Range<usize>], tools: &[&Obstacle]) -> usize {
     let meets_some = |robot: &Robot| robot.obstacles(tools).next().is_some() || !robot.pairs.is_empty();
     match groups.iter().map(Range::len).max() {
@@ -338,7 +338,7 @@ pub(crate) fn most_points(robots: &[Robot], groups: &[Range<usize>], tools: &[&O
     }
 }
 
-/// The law of robots that grip as `contacts` say, in these groups, beside tools that stay, on finest cells of width `cell` [m]; `None` if there is too much to number.
+/// The law of robots that grip as `contacts` say, in these groups, beside these tools, on finest cells of width `cell` [m]; `None` if there is too much to number.
 pub(crate) fn law(
     robots: &[Robot],
     contacts: &[Contact],
@@ -428,7 +428,7 @@ pub(crate) fn parted<'a>(state: &'a GroupState, robots: &[Robot]) -> (Vec<GroupS
 /// A robot of a group, and its body there.
 type End = (usize, usize);
 
-/// A point at which a device solves what links of robots touch: its node, the body at its one end, and at its other, if that is no wall and no tool that stays or moves as it is told.
+/// A point at which a device solves what links of robots touch: its node, the body at its one end, and at its other, if that answers, too.
 struct Point<'a> {
     nodes: &'a NodeBatch,
     touch: &'a Touch,
@@ -498,7 +498,7 @@ fn points_of<'a>(robots: &'a [Robot], together: &'a [Together]) -> Vec<Point<'a>
 pub(crate) fn told(robots: &[Robot], together: &[Together]) -> Vec<[u32; 4]> {
     let bits = |v: DVec3, last: f64| [v.x, v.y, v.z, last].map(|x| (x as f32).to_bits());
     let points = points_of(robots, together);
-    // At each end of a touch the number of the robot and of its body; nothing at the other end if that is a wall.
+    // Where each robot's bodies begin in the group.
     let mut firsts = vec![0];
     robots.iter().for_each(|robot| firsts.push(firsts[firsts.len() - 1] + robot.solids.len()));
     let number = |(robot, body): End| (firsts[robot] + body) as u32;

@@ -96,6 +96,18 @@ impl RobotModel {
         self.links.iter().map(|link| link.mass).sum()
     }
 
+    /// The first drive that moves no link with mass or shape, if there is one.
+    pub(super) fn moves_nothing(&self) -> Option<&str> {
+        let mut moves = vec![false; self.drives.len()];
+        for link in self.links.iter().filter(|link| link.mass > 0.0 || link.shape.is_some()) {
+            let up = |link: &&Link| link.parent.map(|parent| &self.links[parent]);
+            let joints = std::iter::successors(Some(link), up).map(|link| &link.joint);
+            joints.filter(|joint| joint.freedom != Freedom::Fixed).for_each(|joint| moves[joint.drive] = true);
+        }
+        let still = moves.iter().position(|moves| !moves)?;
+        Some(&self.drives[still].name)
+    }
+
     /// The number of a link.
     pub fn link(&self, name: &str) -> Option<usize> {
         self.links.iter().position(|link| link.name == name)

@@ -34,12 +34,30 @@ pub struct JointPath {
 /// # Errors
 /// If a name fits no joint, or a position is not within its limits.
 pub fn set(given: &BTreeMap<String, f64>, drives: &[Drive], positions: &mut [f64]) -> Result<(), Refusal> {
-    // Whole names count before patterns, whatever their order.
-    let (patterns, names): (Vec<_>, Vec<_>) = given.iter().partition(|(name, _)| name.contains('*'));
-    for (pattern, &value) in patterns.into_iter().chain(names) {
+    // Whole names count before patterns, and of these those that say more, whatever their order.
+    let says = |name: &str| (!name.contains('*'), name.chars().filter(|c| *c != '*').count());
+    let mut all: Vec<(&String, f64)> = given.iter().map(|(name, value)| (name, *value)).collect();
+    all.sort_by_key(|(name, _)| says(name));
+    let mut set_by: Vec<Option<(&String, f64)>> = vec![None; drives.len()];
+    for (pattern, value) in all {
         let mut any = false;
-        for (drive, position) in drives.iter().zip(&mut *positions).filter(|(drive, _)| fits(pattern, &drive.name)) {
+        for ((drive, position), set_by) in drives.iter().zip(&mut *positions).zip(&mut set_by) {
+            if !fits(pattern, &drive.name) {
+                continue;
+            }
             any = true;
+            if let Some((other, before)) = set_by.replace((pattern, value))
+                && says(other) == says(pattern)
+                && before != value
+            {
+                return Err(Refusal::new(
+                    format!(
+                        "'{other}' and '{pattern}' fit joint '{}' alike, and give {before} and {value}",
+                        drive.name
+                    ),
+                    "give its name, or patterns that do not fit it both",
+                ));
+            }
             if !(drive.limits[0]..=drive.limits[1]).contains(&value) {
                 let [low, high] = drive.limits;
                 return Err(Refusal::new(
@@ -252,6 +270,8 @@ fn built_in(name: &str) -> Result<&'static str, Refusal> {
 
 fn read_frames(text: &str, file: &str) -> Result<Vec<JointFrame>, Refusal> {
     let wrong = |line: usize, what: String| Refusal::new(format!("{file}:{line}: {what}"), FRAMES);
+    // Spreadsheets put a byte order mark before it.
+    let text = text.trim_start_matches('\u{feff}');
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let header: Vec<&str> = lines.next().map_or_else(Vec::new, |(_, line)| line.split(',').map(str::trim).collect());
     if header.first() != Some(&"time") {
@@ -270,4 +290,17 @@ fn read_frames(text: &str, file: &str) -> Result<Vec<JointFrame>, Refusal> {
         Ok(JointFrame { time: numbers[0], joints })
     };
     lines.map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_of_frames_may_begin_with_a_byte_order_mark() {
+        let frames = read_frames("\u{feff}time, knee\r\n0.5, -1\r\n", "walk.csv").map_err(|e| e.what).unwrap();
+        assert_eq!((frames.len(), frames[0].time, frames[0].joints["knee"]), (1, 0.5, -1.0));
+        let refused = read_frames("knee\n-1\n", "walk.csv").map(drop).map_err(|e| e.what);
+        assert_eq!(refused, Err("walk.csv:1: its first column is not 'time'".to_owned()));
+    }
 }

@@ -90,6 +90,9 @@ impl<'a> Reader<'a> {
             }
             links.push((name, node));
         }
+        if links.is_empty() {
+            return Err(self.fault(root, "it has no <link>", "give it one"));
+        }
         let edges = self.edges(named("joint"), &links)?;
         let mut roots = links.iter().filter(|(name, _)| edges.iter().all(|edge| edge.child != *name));
         let Some(&(first, first_node)) = roots.next() else {
@@ -121,12 +124,24 @@ impl<'a> Reader<'a> {
             name: root.attribute("name").unwrap_or("robot").to_owned(),
             links: tree.links,
             drives: tree.drives,
-            warnings: self.warnings,
+            warnings: std::mem::take(&mut self.warnings),
         };
         if model.mass() <= 0.0 {
             return Err(Refusal::new(
                 format!("{}: the robot has no mass", self.source.file),
                 "give its links an <inertial>",
+            ));
+        }
+        if let Some(name) = model.moves_nothing() {
+            // Of a planar joint there are several.
+            let is_it = |edge: &&Edge<'_>| {
+                name.strip_prefix(edge.name).is_some_and(|end| end.is_empty() || end.starts_with('/'))
+            };
+            let edge = edges.iter().find(is_it);
+            return Err(self.fault(
+                edge.map_or(root, |edge| edge.node),
+                &format!("joint '{name}' moves no link with mass or shape"),
+                "give a link that hangs on it an <inertial>, or make the joint fixed",
             ));
         }
         Ok(model)
@@ -439,15 +454,28 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
+    /// The URDF's folder, and those around it, as its path says it and as links in the file system lead there.
+    fn around(&self) -> Vec<PathBuf> {
+        // A path may begin in the folder that the program runs in.
+        let here = Path::new(".").join(self.source.folder).components().collect::<PathBuf>();
+        let roots = [std::path::absolute(&here), here.canonicalize()];
+        let all = roots.iter().flatten().flat_map(|root| root.ancestors());
+        all.map(Path::to_owned).collect()
+    }
+
     /// Where a mesh lies: beside the URDF, or in a package around it.
     pub(super) fn mesh_file(&self, mesh: Xml<'a>) -> Result<PathBuf, Refusal> {
         let name = self.text(mesh, "filename")?;
         let found = match name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
-            Some(rest) => self.source.folder.ancestors().map(|folder| folder.join(rest)).find(|file| file.exists()),
+            Some(rest) => self.around().iter().map(|folder| folder.join(rest)).find(|file| file.exists()),
             None => Some(self.source.folder.join(name.strip_prefix("file://").unwrap_or(name))),
         };
         found.ok_or_else(|| {
-            let what = format!("{name} is in no folder around {}", self.source.folder.display());
+            let here = self.around();
+            let what = format!(
+                "{name} is in no folder around {}",
+                here.first().map_or(self.source.folder, |here| here).display()
+            );
             self.fault(
                 mesh,
                 &what,

@@ -270,6 +270,9 @@ fn explain(error: &serde_path_to_error::Error<toml::de::Error>, source: &Source)
         let name = names.next().unwrap_or_default();
         let path = if path.is_empty() { name } else { format!("{path}.{name}") };
         (path, "this key is required".to_owned(), "add it".to_owned())
+    } else if message.starts_with("invalid type: unit variant") {
+        let mend = "write `{ NAME = { KEY = … } }` in place of `\"NAME\"`; `barchan schema` has the keys";
+        (path, "this choice has keys of its own".to_owned(), mend.to_owned())
     } else if message.starts_with("wanted exactly 1 element") {
         (path, message.to_owned(), "give exactly one of its choices".to_owned())
     } else {

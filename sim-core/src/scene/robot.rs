@@ -38,7 +38,8 @@ pub struct Robot {
     /// Contact of its links with the ground, and friction on rigid things.
     #[serde(default)]
     pub contact: Contact,
-    /// Starting positions of its joints [rad or m], by name; a `*` stands for any letters. Joints without one start at 0, or at the stop nearest to it. Motors hold them
+    /// Starting positions of its joints [rad or m], by name; a `*` stands for any letters. Whole names count before patterns, and patterns with more letters before those with
+    /// fewer. Joints without one start at 0, or at the stop nearest to it. Motors hold them
     /// there until they are told otherwise.
     #[serde(default)]
     pub joints: BTreeMap<String, f64>,
@@ -218,7 +219,7 @@ fn two() -> u32 {
 pub struct JointFrame {
     /// Time [s].
     pub time: f64,
-    /// Positions [rad or m] by joints' names; a `*` stands for any letters. Joints that are not named stay at what the frame before says.
+    /// Positions [rad or m] by joints' names; a `*` stands for any letters, as in a robot's `joints`. Joints that are not named stay at what the frame before says.
     pub joints: BTreeMap<String, f64>,
 }
 

@@ -501,7 +501,17 @@ fn bad_robots_are_refused_by_name() {
     let loops =
         b("</robot>", "<joint name=\"k\" type=\"fixed\"><parent link=\"a\"/><child link=\"b\"/></joint></robot>");
     let orphan = b("</robot>", "<link name=\"c\"/></robot>");
-    let cases: [(String, &str, &[&str]); 14] = [
+    let bare = b("<link name=\"b\">", "<link name=\"b\"/><link name=\"unused\">");
+    let bare = bare.replace(
+        "</robot>",
+        "<joint name=\"k\" type=\"fixed\"><parent link=\"a\"/><child link=\"unused\"/></joint></robot>",
+    );
+    let two = "joints = { \"*j\" = 0.1, \"j*\" = 0.2 }";
+    let cases: [(String, &str, &[&str]); 18] = [
+        ("<robot name=\"r\"/>".to_owned(), "", &["r.urdf:1", "<robot> 'r'", "no <link>"]),
+        (bare, "", &["r.urdf:3", "<joint> 'j'", "no link with mass or shape", "make the joint fixed"]),
+        (good.to_owned(), "position = [5, 0, 0]", &["robot[0].position", "'r' is outside the world", "world.max"]),
+        (good.to_owned(), two, &["robot[0]", "'*j' and 'j*'", "joint 'j'", "0.1 and 0.2"]),
         ("<robot".to_owned(), "", &["r.urdf", "not XML"]),
         (loops, "", &["r.urdf:6", "<joint> 'k'", "loop"]),
         (orphan, "", &["r.urdf:6", "<link> 'c'", "two bases"]),
@@ -521,6 +531,12 @@ fn bad_robots_are_refused_by_name() {
         (good.to_owned(), "joints = { j = 2 }", &["robot[0]", "2 is beyond the limits of joint 'j'", "from -1 to 1"]),
         (good.to_owned(), "model = \"cat\"", &["robot[0]", "either urdf or model"]),
     ];
+    // A pattern that says less, a fixed base beside the world, and one that falls into it.
+    for entry in
+        ["joints = { \"*\" = 0.1, \"j*\" = 0.2 }", "fixed = true\nposition = [5, 0, 0]", "position = [0.5, 0.5, 5]"]
+    {
+        assert_eq!(refused(good, entry), "accepted", "{entry}");
+    }
     for (urdf, entry, parts) in cases {
         let text = refused(&urdf, entry);
         for part in parts {

@@ -15,9 +15,10 @@ use std::path::{Path, PathBuf};
 /// The list of what a run has written.
 const LIST: &str = "files.txt";
 /// What a run writes besides numbered files.
-const FIXED: [&str; 8] = [
+const FIXED: [&str; 9] = [
     super::TRACE,
     super::TRACE_ARRAYS,
+    super::TRACE_SINCE,
     super::TRACE_PARQUET,
     super::PROBES,
     super::SUMMARY,

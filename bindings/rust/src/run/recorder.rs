@@ -3,8 +3,8 @@
 use super::folder::Folder;
 use super::pictures::Pictures;
 use super::probes::{self, Probes};
-use super::trace::{self, Columns, Trace};
-use super::{FRAMES, HEIGHT, PARTICLES, PROBES, Request, SNAPSHOT, SURFACE, TRACE, io_error};
+use super::trace::{self, Columns, Since, Trace};
+use super::{FRAMES, HEIGHT, PARTICLES, PROBES, Request, SNAPSHOT, SURFACE, TRACE, TRACE_SINCE, io_error};
 use crate::export::{self, Fields, Surface};
 use crate::run::Existing;
 use barchan_core::backend::Timing;
@@ -26,6 +26,8 @@ pub(super) struct Files {
     pub(super) probes: Option<probes::Table>,
     /// What observers add to the trace's row of the last step.
     pub(super) values: Vec<Option<f64>>,
+    /// What has gone since the trace's last row, if rows are an interval apart and it is known.
+    pub(super) since: Option<Since>,
 }
 
 impl Files {
@@ -44,7 +46,13 @@ impl Files {
     pub(super) fn save(&mut self, simulation: &Simulation) -> Result<()> {
         let flushed = self.flush();
         let saved = self.folder.claim(SNAPSHOT).and_then(|path| simulation.save(path));
-        flushed.and(saved)
+        let kept = match &self.since {
+            Some(since) => self.folder.write(TRACE_SINCE, "writing what has gone since the trace's last row", |out| {
+                serde_json::to_writer(out, since).map_err(Into::into)
+            }),
+            None => Ok(()),
+        };
+        flushed.and(saved).and(kept)
     }
 }
 
@@ -144,7 +152,8 @@ impl<'a> Recorder<'a> {
         let values = vec![None; columns.iter().map(Vec::len).sum()];
         let trace = trace::open(&mut folder, TRACE, simulation, resumed, &header)?;
         let probes = probes::Table::open(&mut folder, simulation, resumed)?;
-        let files = Rc::new(RefCell::new(Files { folder, trace, probes, values }));
+        let since = Since::of_run(&request.out, simulation, &output.trace, resumed);
+        let files = Rc::new(RefCell::new(Files { folder, trace, probes, values, since }));
 
         let mut seats = Vec::new();
         let mut first = 0;

@@ -4,12 +4,13 @@
 use super::TRACE_PARQUET;
 use super::folder::Folder;
 use super::recorder::Files;
-use super::{TRACE, TRACE_ARRAYS, io_error};
+use super::{TRACE, TRACE_ARRAYS, TRACE_SINCE, io_error};
 use crate::export::npz::Npz;
 use barchan_core::observer::{Observer, Output};
 use barchan_core::scene::{self, WallPart, fits, plain};
-use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
+use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Vec3, Wrench};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -164,31 +165,52 @@ pub(super) struct Trace {
     /// Is it written as arrays too? As a Parquet file?
     npz: bool,
     parquet: bool,
-    /// What has gone since the last row.
-    since: Since,
     /// Has a row been written, at the start too? Is the next one due?
     begun: bool,
     due: bool,
 }
 
-#[derive(Default)]
-struct Since {
+/// What has gone since the last row of a trace whose rows are an interval apart.
+#[derive(Default, Serialize, Deserialize)]
+pub(super) struct Since {
+    /// Up to which step.
+    step: u64,
     seconds: f64,
-    impulses: Vec<Wrench>,
+    /// Of each body, impulse and angular impulse [N s, N m s].
+    impulses: Vec<[Vec3; 2]>,
 }
 
 impl Since {
     fn add(&mut self, wrenches: &[Wrench], dt: f64) {
+        self.step += 1;
         self.seconds += dt;
-        self.impulses.resize(wrenches.len(), Wrench::default());
-        for (sum, wrench) in self.impulses.iter_mut().zip(wrenches) {
+        self.impulses.resize(wrenches.len(), Default::default());
+        for ([impulse, angular], wrench) in self.impulses.iter_mut().zip(wrenches) {
+            let mut sum = Wrench { force: *impulse, torque: *angular };
             sum.add_change(&Wrench::default(), wrench, dt);
+            (*impulse, *angular) = (sum.force, sum.torque);
         }
+    }
+
+    /// Nothing, up to now.
+    fn from(simulation: &Simulation) -> Self {
+        Self { step: simulation.step_count(), ..Self::default() }
     }
 
     /// The mean wrench on a body, if time has gone by.
     fn mean(&self, body: usize) -> Option<Wrench> {
-        self.impulses.get(body).filter(|_| self.seconds > 0.0).map(|sum| sum.scaled(1.0 / self.seconds))
+        let &[force, torque] = self.impulses.get(body).filter(|_| self.seconds > 0.0)?;
+        Some(Wrench { force, torque }.scaled(1.0 / self.seconds))
+    }
+
+    /// What a run had come to when it was saved, for one that goes on with its trace; `None` if that is not known.
+    pub(super) fn of_run(folder: &Path, simulation: &Simulation, wanted: &scene::Trace, resumed: bool) -> Option<Self> {
+        wanted.interval?;
+        if !resumed {
+            return Some(Self::from(simulation));
+        }
+        let text = std::fs::read_to_string(folder.join(TRACE_SINCE)).ok()?;
+        serde_json::from_str(&text).ok().filter(|since: &Self| since.step == simulation.step_count())
     }
 }
 
@@ -196,7 +218,7 @@ impl Trace {
     /// `resumed`: a row for the start is there already.
     pub(super) fn new(files: Rc<RefCell<Files>>, columns: Columns, wanted: &scene::Trace, resumed: bool) -> Self {
         let scene::Trace { interval, npz, parquet, .. } = *wanted;
-        Self { files, columns, interval, npz, parquet, since: Since::default(), begun: resumed, due: false }
+        Self { files, columns, interval, npz, parquet, begun: resumed, due: false }
     }
 
     /// A row of the present.
@@ -208,14 +230,14 @@ impl Trace {
         values.extend(simulation.pressed().into_iter().flatten().map(Some));
         for (b, (body, wrench)) in simulation.bodies().iter().zip(simulation.wrenches()).enumerate() {
             values.extend(of_body(body, &wrench));
-            let mean = self.since.mean(b);
+            let mean = files.since.as_ref().and_then(|since| since.mean(b));
             values.extend([0, 1, 2].map(|d| mean.as_ref().map(|mean| mean.force[d])));
             values.extend([0, 1, 2].map(|d| mean.as_ref().map(|mean| mean.torque[d])));
         }
         values.extend(simulation.joints().iter().flat_map(of_joint));
         values.extend(files.values.iter_mut().map(Option::take));
         let row = self.columns.row(values);
-        self.since = Since::default();
+        files.since = Some(Since::from(simulation));
         files.write_trace(&row)
     }
 
@@ -314,10 +336,12 @@ impl Observer for Trace {
         if self.interval.is_none() {
             return self.note_each(simulation, from, reports);
         }
-        for StepReport { dt, wrenches, .. } in reports {
-            match wrenches {
-                Some(wrenches) => self.since.add(wrenches, *dt),
-                None => self.since.add(&simulation.wrenches(), *dt),
+        if let Some(since) = &mut self.files.borrow_mut().since {
+            for StepReport { dt, wrenches, .. } in reports {
+                match wrenches {
+                    Some(wrenches) => since.add(wrenches, *dt),
+                    None => since.add(&simulation.wrenches(), *dt),
+                }
             }
         }
         if std::mem::take(&mut self.due) {
