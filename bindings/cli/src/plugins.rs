@@ -51,13 +51,13 @@ fn as_text(registry: &Registry) -> String {
         text.extend(material.parameters.iter().map(as_line));
         for s in &material.states {
             let value = format!("{} {}", number(s.initial), s.unit);
-            text += &format!("      {:<22}{value:<16}{:<18}{}\n", s.name, "state", s.doc);
+            text += &format!("      {:<21} {value:<15} {:<17} {}\n", s.name, "state", s.doc);
         }
     }
     let mut section = |title: &str, entries: &mut dyn Iterator<Item = (String, String, Vec<Parameter>)>| {
         text += &format!("{title}\n");
         for (name, doc, parameters) in entries {
-            text += &format!("  {name:<20}{doc}\n");
+            text += &format!("  {name:<19} {doc}\n");
             text.extend(parameters.iter().map(as_line));
         }
     };
@@ -90,8 +90,8 @@ fn as_line(p: &Parameter) -> String {
 }
 
 fn indented(p: &Parameter, by: usize) -> String {
-    let (value, width) = (with_unit(p), 28 - by);
-    let line = format!("{:by$}{:<width$}{value:<16}{:<18}{}\n", "", p.name, range(&p.kind), p.doc);
+    let (value, width) = (with_unit(p), 27 - by);
+    let line = format!("{:by$}{:<width$} {value:<15} {:<17} {}\n", "", p.name, range(&p.kind), p.doc);
     keys(&p.kind).iter().fold(line, |lines, key| lines + &indented(key, by + 2))
 }
 
@@ -129,7 +129,7 @@ fn setting(value: &Setting) -> String {
 /// A number with at most four digits.
 fn number(value: f64) -> String {
     match value.abs() {
-        v if v != 0.0 && !(1e-3..1e5).contains(&v) => {
+        v if v != 0.0 && v.is_finite() && !(1e-3..1e5).contains(&v) => {
             let text = format!("{value:.3e}");
             let (digits, exponent) = text.split_once('e').unwrap_or((&text, "0"));
             format!("{}e{exponent}", digits.trim_end_matches('0').trim_end_matches('.'))
@@ -235,8 +235,8 @@ mod tests {
 
     #[test]
     fn numbers_are_short() {
-        let texts = [0.0, 0.3, 1e5, 1.4e5, std::f64::consts::FRAC_PI_4, 1e-6, -1.0].map(number);
-        assert_eq!(texts, ["0", "0.3", "1e5", "1.4e5", "0.7854", "1e-6", "-1"]);
+        let texts = [0.0, 0.3, 1e5, 1.4e5, std::f64::consts::FRAC_PI_4, 1e-6, -1.0, f64::INFINITY].map(number);
+        assert_eq!(texts, ["0", "0.3", "1e5", "1.4e5", "0.7854", "1e-6", "-1", "inf"]);
     }
 
     #[test]
@@ -247,10 +247,13 @@ mod tests {
             let listed = json["materials"].as_array().unwrap().iter().find(|m| m["name"] == material.name.as_str());
             let listed = listed.unwrap_or_else(|| panic!("{} is not listed", material.name));
             for (i, parameter) in material.parameters.iter().enumerate() {
-                assert!(text.contains(&parameter.doc), "{}", parameter.name);
+                assert!(text.contains(&format!(" {}\n", parameter.doc)), "{}", parameter.name);
                 assert_eq!(listed["parameters"][i]["default"].as_f64(), parameter.default_number());
             }
         }
         assert!(text.contains("letters") && text.contains("cpu"));
+        // Columns do not run together.
+        assert!(text.contains("equivalent_plastic_strain 0 1"), "{text}");
+        assert!(text.contains("both | none What the agent"), "{text}");
     }
 }
