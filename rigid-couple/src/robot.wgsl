@@ -537,14 +537,8 @@ fn robot_settle(at_points: bool, thread: u32) {
             }
         }
         if workgroupUniformLoad(&robot_go_on) == 0u {
-            if at_points {
-                robot_note_given(thread);
-            }
             return;
         }
-    }
-    if at_points {
-        robot_note_given(thread);
     }
     group_missed(thread);
 }
@@ -656,6 +650,7 @@ fn coupling_begin(group: u32, thread: u32) {
         // Points are too heavy to be met from there.
         if robot_points > 0u {
             robot_settle(true, thread);
+            robot_note_given(thread);
             workgroupBarrier();
             robot_set_free(true, thread);
             if thread == 0u {
@@ -872,7 +867,8 @@ fn coupling_advance(group: u32, thread: u32) {
     }
     if robot_points > 0u {
         robot_take_momentum(thread);
-    } else if thread < ROBOT_POINTS {
+    }
+    if thread >= robot_points && thread < ROBOT_POINTS {
         set_group_word(robot_given_at + thread, vec4<u32>(0u));
     }
     if group_moves() {

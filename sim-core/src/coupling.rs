@@ -4,11 +4,12 @@ use crate::contact::{Reaction, System, Touch, Twist};
 use crate::sense::RobotState;
 use crate::surface::Surface;
 use crate::{Result, Vec3};
+use serde::{Deserialize, Serialize};
 use std::any::Any;
 use std::ops::Range;
 
 /// Force and torque, or, times a step, impulse and angular impulse.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Wrench {
     /// Force on the body, world frame [N].
     pub force: Vec3,
@@ -452,14 +453,16 @@ pub fn begin_step(couplings: &mut [Box<dyn Coupling>], time: f64, dt: f64) -> Re
         .iter_mut()
         .filter(|coupling| !coupling.watches())
         .try_for_each(|coupling| coupling.before_step(time, dt))?;
-    if couplings.iter().all(|coupling| !coupling.watches()) {
-        return Ok(());
+    show_others(couplings);
+    couplings.iter_mut().filter(|coupling| coupling.watches()).try_for_each(|coupling| coupling.before_step(time, dt))
+}
+
+/// Shows couplings that [watch](Coupling::watches) others [where their bodies are](Coupling::see).
+pub fn show_others(couplings: &mut [Box<dyn Coupling>]) {
+    if couplings.iter().any(|coupling| coupling.watches()) {
+        let seen: Vec<BodyState> = couplings.iter().filter(|one| !one.watches()).flat_map(|one| one.bodies()).collect();
+        couplings.iter_mut().filter(|one| one.watches()).for_each(|one| one.see(&seen));
     }
-    let seen: Vec<BodyState> = couplings.iter().filter(|one| !one.watches()).flat_map(|one| one.bodies()).collect();
-    couplings.iter_mut().filter(|coupling| coupling.watches()).try_for_each(|coupling| {
-        coupling.see(&seen);
-        coupling.before_step(time, dt)
-    })
 }
 
 /// Rigid tools, free bodies, robots, wind: anything that acts on nodes and feels the reaction.

@@ -111,12 +111,10 @@ impl RobotModel {
 impl Robot {
     /// A robot that floats must reach into the world at its start, or be above it, to fall in.
     fn check_place(&self, scene: &Scene) -> Result<(), Refusal> {
-        let world = &scene.world;
-        let Some(all) = self.boxes().into_iter().reduce(|a, b| a.union(&b)).filter(|_| self.floating) else {
-            return Ok(());
-        };
-        let is_beyond = |d: usize| all.max[d] < world.min[d] || (d < 2 && all.min[d] > world.max[d]);
-        if !(0..3).any(|d| !world.is_periodic(d) && is_beyond(d)) {
+        let (world, mut reached) = (&scene.world, scene.reached_box());
+        reached.max[2] = f64::INFINITY;
+        let all = self.boxes().into_iter().reduce(|a, b| a.union(&b));
+        if !self.floating || all.is_none_or(|all| all.meets(&reached)) {
             return Ok(());
         }
         let what = format!("robot '{}' is outside the world, from {:?} to {:?}", self.name, world.min, world.max);
@@ -549,11 +547,12 @@ impl Coupling for Robots {
         }
         match self.moved {
             Moved::ByCoupling => return self.balance_alone(&all, span),
-            Moved::ByDevice => self.together.clear(),
-            Moved::InTurns => {
+            // Groups of their own do not come to touch.
+            Moved::InTurns if self.as_one => {
                 let boxes: Vec<_> = self.robots.iter().map(Robot::boxes).collect();
                 self.together = together::find(&self.robots, &boxes, span);
             }
+            Moved::InTurns | Moved::ByDevice => self.together.clear(),
         }
         Ok(())
     }
@@ -716,7 +715,7 @@ impl Coupling for Robots {
         }
         let of_group = |range: Range<usize>| {
             let robots = &self.robots[range];
-            device::told(robots, if robots.len() > 1 { &self.together } else { &[] })
+            device::told(robots, &self.together)
         };
         self.device_ranges().into_iter().map(of_group).collect()
     }
@@ -749,8 +748,7 @@ impl Coupling for Robots {
             let robots = &mut self.robots[range];
             let (states, given) = device::parted(state, robots);
             // From where links were.
-            let together = if robots.len() > 1 { &self.together[..] } else { &[] };
-            let felt = device::felt(robots, together, given);
+            let felt = device::felt(robots, &self.together, given);
             for ((robot, state), felt) in robots.iter_mut().zip(&states).zip(felt) {
                 let dt = robot.step.dt * f64::from(substeps);
                 robot.take_device_state(state, dt).ok_or_else(|| robot.lost("motion on the device"))?;

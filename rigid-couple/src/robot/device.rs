@@ -331,11 +331,13 @@ pub(crate) fn are_together(robots: &[Robot]) -> bool {
 /// At how many points a device solves what links touch at most, in each of these groups of robots beside these tools.
 pub(crate) fn most_points(robots: &[Robot], groups: &[Range<usize>], tools: &[&Obstacle]) -> usize {
     let meets_some = |robot: &Robot| robot.obstacles(tools).next().is_some() || !robot.pairs.is_empty();
-    match groups.iter().map(Range::len).max() {
-        Some(2..) => MOST_POINTS_TOGETHER,
-        _ if robots.iter().any(meets_some) => MOST_POINTS,
-        _ => 0,
-    }
+    let most = groups.iter().map(Range::len).max().unwrap_or_default();
+    if most > 1 || robots.iter().any(meets_some) { room(most) } else { 0 }
+}
+
+/// How many points a group of so many robots is told of at most.
+fn room(robots: usize) -> usize {
+    if robots > 1 { MOST_POINTS_TOGETHER } else { MOST_POINTS }
 }
 
 /// The law of robots that grip as `contacts` say, in these groups, beside these tools, on finest cells of width `cell` [m]; `None` if there is too much to number.
@@ -465,11 +467,6 @@ fn all_points<'a>(points: impl Iterator<Item = &'a Points>, together: &'a [Toget
     all
 }
 
-/// How many points a group of robots is told of at most.
-fn room(robots: &[Robot]) -> usize {
-    if robots.len() > 1 { MOST_POINTS_TOGETHER } else { MOST_POINTS }
-}
-
 /// Can a group of robots on a device be told of all points where links touch walls, tools and one another in a step to come?
 pub(crate) fn has_room(robots: &[Robot], tools: &[&Obstacle], span: Span) -> bool {
     let boxes: Vec<Vec<Aabb>> = robots.iter().map(Robot::boxes).collect();
@@ -479,14 +476,14 @@ pub(crate) fn has_room(robots: &[Robot], tools: &[&Obstacle], span: Span) -> boo
         points
     };
     let points: Vec<Points> = robots.iter().zip(&boxes).map(of_robot).collect();
-    all_points(points.iter(), &together::find(robots, &boxes, span)).len() <= room(robots)
+    all_points(points.iter(), &together::find(robots, &boxes, span)).len() <= room(robots.len())
 }
 
 /// The points of a group in a step that has begun, as its device is told of them. If tools that move have brought more than there is room for since [`has_room`] was
 /// asked, those furthest off are left out.
 fn points_of<'a>(robots: &'a [Robot], together: &'a [Together]) -> Vec<Point<'a>> {
     let mut all = all_points(robots.iter().map(|robot| &robot.step.points), together);
-    let room = room(robots);
+    let room = room(robots.len());
     if all.len() > room {
         all.sort_by(|a, b| a.touch.distance.total_cmp(&b.touch.distance));
         all.truncate(room);

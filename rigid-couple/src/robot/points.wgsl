@@ -80,9 +80,6 @@ fn robot_press(kind: u32, thread: u32) {
 // points are heavy. The step was found with what they gave before it.
 fn robot_note_given(thread: u32) {
     if thread >= robot_points {
-        if thread < ROBOT_POINTS {
-            set_group_word(robot_given_at + thread, vec4<u32>(0u));
-        }
         return;
     }
     let hold = robot_hold[thread];

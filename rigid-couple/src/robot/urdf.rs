@@ -466,19 +466,15 @@ impl<'a> Reader<'a> {
     /// Where a mesh lies: beside the URDF, or in a package around it.
     pub(super) fn mesh_file(&self, mesh: Xml<'a>) -> Result<PathBuf, Refusal> {
         let name = self.text(mesh, "filename")?;
-        let found = match name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) {
-            Some(rest) => self.around().iter().map(|folder| folder.join(rest)).find(|file| file.exists()),
-            None => Some(self.source.folder.join(name.strip_prefix("file://").unwrap_or(name))),
+        let Some(rest) = name.strip_prefix("package://").or_else(|| name.strip_prefix("model://")) else {
+            return Ok(self.source.folder.join(name.strip_prefix("file://").unwrap_or(name)));
         };
-        found.ok_or_else(|| {
-            let here = self.around();
-            let what = format!(
-                "{name} is in no folder around {}",
-                here.first().map_or(self.source.folder, |here| here).display()
-            );
+        let around = self.around();
+        around.iter().map(|folder| folder.join(rest)).find(|file| file.exists()).ok_or_else(|| {
+            let here = around.first().map_or(self.source.folder, PathBuf::as_path);
             self.fault(
                 mesh,
-                &what,
+                &format!("{name} is in no folder around {}", here.display()),
                 "put the package's folder beside one of those, or write a path from the URDF's folder",
             )
         })

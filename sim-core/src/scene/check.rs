@@ -222,6 +222,15 @@ impl Scene {
         Aabb { min: self.world.min, max: self.world.max }
     }
 
+    /// The world as a box, without ends where it meets itself: beyond them is among images of the ground.
+    pub fn reached_box(&self) -> Aabb {
+        let mut reached = self.world_box();
+        for d in (0..3).filter(|d| self.world.is_periodic(*d)) {
+            (reached.min[d], reached.max[d]) = (f64::NEG_INFINITY, f64::INFINITY);
+        }
+        reached
+    }
+
     pub(super) fn require(
         &self,
         holds: bool,

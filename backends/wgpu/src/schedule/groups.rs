@@ -6,9 +6,9 @@ use crate::schedule::batch::WgpuBatch;
 use crate::schedule::bodies::{Driven, rooms_around};
 use crate::schedule::submission::Behind;
 use barchan_core::backend::WorldStep;
-use barchan_core::coupling::{DeviceBody, Group, GroupState, GroupStep, Leashes, Moved, Placed};
+use barchan_core::coupling::{DeviceBody, Group, GroupState, GroupStep, Leashes, Moved, Placed, show_others};
 use barchan_core::plan::TOOL_COURANT;
-use barchan_core::{Aabb, BodyState, Coupling, Result, Vec3, Wrench};
+use barchan_core::{Aabb, BodyState, Result, Vec3, Wrench};
 use std::ops::Range;
 
 /// One part of a cell, and of a rotation, in a state.
@@ -161,14 +161,6 @@ fn body_words(body: &HeldBody, position: Vec3, levels: usize, first_room: usize,
         [x, y, z, body.rooms as u32],
         [in_x, in_y, in_z, bits(body.swing / h)],
     ]
-}
-
-/// Shows couplings that [watch](Coupling::watches) where the others' bodies are.
-fn show_others(couplings: &mut [Box<dyn Coupling>]) {
-    if couplings.iter().any(|coupling| coupling.watches()) {
-        let seen: Vec<BodyState> = couplings.iter().filter(|one| !one.watches()).flat_map(|one| one.bodies()).collect();
-        couplings.iter_mut().filter(|one| one.watches()).for_each(|one| one.see(&seen));
-    }
 }
 
 impl WgpuBatch {

@@ -8,7 +8,7 @@ use super::{TRACE, TRACE_ARRAYS, TRACE_SINCE, io_error};
 use crate::export::npz::Npz;
 use barchan_core::observer::{Observer, Output};
 use barchan_core::scene::{self, WallPart, fits, plain};
-use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Vec3, Wrench};
+use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
@@ -177,18 +177,16 @@ pub(super) struct Since {
     step: u64,
     seconds: f64,
     /// Of each body, impulse and angular impulse [N s, N m s].
-    impulses: Vec<[Vec3; 2]>,
+    impulses: Vec<Wrench>,
 }
 
 impl Since {
     fn add(&mut self, wrenches: &[Wrench], dt: f64) {
         self.step += 1;
         self.seconds += dt;
-        self.impulses.resize(wrenches.len(), Default::default());
-        for ([impulse, angular], wrench) in self.impulses.iter_mut().zip(wrenches) {
-            let mut sum = Wrench { force: *impulse, torque: *angular };
+        self.impulses.resize(wrenches.len(), Wrench::default());
+        for (sum, wrench) in self.impulses.iter_mut().zip(wrenches) {
             sum.add_change(&Wrench::default(), wrench, dt);
-            (*impulse, *angular) = (sum.force, sum.torque);
         }
     }
 
@@ -199,8 +197,7 @@ impl Since {
 
     /// The mean wrench on a body, if time has gone by.
     fn mean(&self, body: usize) -> Option<Wrench> {
-        let &[force, torque] = self.impulses.get(body).filter(|_| self.seconds > 0.0)?;
-        Some(Wrench { force, torque }.scaled(1.0 / self.seconds))
+        self.impulses.get(body).filter(|_| self.seconds > 0.0).map(|sum| sum.scaled(1.0 / self.seconds))
     }
 
     /// What a run had come to when it was saved, for one that goes on with its trace; `None` if that is not known.

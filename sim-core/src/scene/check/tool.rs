@@ -115,12 +115,7 @@ impl Scene {
             ),
             _ => ("position", vec![(tool.position, tool.rotation)]),
         };
-        let world = self.world_box();
-        // Beyond the ends that meet it is among images of the ground.
-        let mut reached = world;
-        for d in (0..3).filter(|d| self.world.is_periodic(*d)) {
-            (reached.min[d], reached.max[d]) = (f64::NEG_INFINITY, f64::INFINITY);
-        }
+        let (world, reached) = (&self.world, self.reached_box());
         self.require(
             poses.iter().any(|&(position, rotation)| posed_bounds(bounds, position, rotation).meets(&reached)),
             &format!("{path}.{key}"),
