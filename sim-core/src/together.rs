@@ -3,8 +3,9 @@
 use crate::backend::{Batch, Look, NewWorld};
 use crate::simulation::{WantedSteps, find_backend, no_step};
 use crate::task::{Seen, Watch};
-use crate::{Error, Options, Plan, Registry, Result, Scene, Simulation, State, StepReport};
+use crate::{Coupling, Error, Options, Plan, Registry, Result, Scene, Simulation, State, StepReport};
 use std::fmt;
+use std::sync::Arc;
 
 /// Simulations whose engines are the worlds of one batch.
 ///
@@ -63,9 +64,18 @@ impl Together {
     /// Up to `most` steps of every world, the same number and of the same length for all that succeed. A world that fails stays as it was and
     /// says why; the others have taken their steps.
     pub fn steps(&mut self, most: usize) -> Vec<Result<Vec<StepReport>>> {
+        self.steps_of(most, |_| true)
+    }
+
+    /// [`steps`](Self::steps) of the worlds that go on. The others stay as they are, have no reports, and do not shorten the others' steps.
+    pub fn steps_of(&mut self, most: usize, goes_on: impl Fn(usize) -> bool) -> Vec<Result<Vec<StepReport>>> {
         let mut results: Vec<Option<Result<Vec<StepReport>>>> = Vec::new();
         let mut all_wanted = Vec::new();
         for (w, world) in self.worlds.iter_mut().enumerate() {
+            if !goes_on(w) {
+                results.push(Some(Ok(Vec::new())));
+                continue;
+            }
             let wanted = if world.is_in_batch() { world.wanted(most, f64::INFINITY).map(Some) } else { Ok(None) };
             results.push(match wanted {
                 Ok(Some(wanted)) => {
@@ -180,11 +190,31 @@ impl Together {
     pub fn replace(&mut self, world: usize, registry: &Registry, scene: &Scene, options: &Options) -> Result<()> {
         let (plan, particles, couplings) = Plan::assemble(registry, scene, options)?;
         self.batch.replace(world, NewWorld { plan: &plan, particles, couplings: &couplings })?;
-        let engine = self.batch.engine(world);
-        let mut new = Simulation::in_batch(plan, &self.backend, engine, couplings);
+        self.put(world, plan, couplings);
+        Ok(())
+    }
+
+    /// Puts a world that goes on from a state in the place of another, scene and all, as [`Simulation::from_state`] makes one.
+    ///
+    /// # Errors
+    /// Those of [`Simulation::from_state`] and of [`Batch::replace`]; the world is as it was then.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn replace_by(&mut self, world: usize, registry: &Registry, state: &State, options: &Options) -> Result<()> {
+        let (plan, couplings) = state.prepared(registry, find_backend(registry, options)?, options)?;
+        let particles = state.particles_for(&self.backend);
+        self.batch.replace(world, NewWorld { plan: &plan, particles, couplings: &couplings })?;
+        self.put(world, Arc::unwrap_or_clone(plan), couplings);
+        self.worlds[world].take_rest(state);
+        Ok(())
+    }
+
+    /// A new simulation for a world of the batch.
+    fn put(&mut self, world: usize, plan: Plan, couplings: Vec<Box<dyn Coupling>>) {
+        let mut new = Simulation::in_batch(plan, &self.backend, self.batch.engine(world), couplings);
         new.report_bodies(self.worlds[world].reports_bodies());
         self.worlds[world] = new;
-        Ok(())
     }
 
     /// Puts a copy of one world in the place of another, scene and all: it goes on as the first one does.

@@ -4,6 +4,7 @@ use crate::scenes::scene;
 use barchan::worlds::Worlds;
 use barchan::{Command, Options, Scene, Simulation, registry};
 use std::path::Path;
+use std::time::Duration;
 
 /// Steps before a state is taken, and behind it.
 const BEFORE: usize = 14;
@@ -143,4 +144,44 @@ pub fn worlds_fork(scene: impl Fn(u64) -> Scene, options: &Options) {
     forked.reset(1, None).unwrap_or_else(|e| panic!("{e}"));
     let start = Simulation::new(&registry(), &scenes[0], options).unwrap_or_else(|e| panic!("{e}"));
     assert!(left(forked.world(1)) == left(&start), "a copy starts anew as another world");
+}
+
+/// Holds worlds of one scene with seeds of their own to the world whose state they take over; and, while one of them waits, the others to what they are beside it, and that one to
+/// what it was.
+///
+/// # Panics
+/// If a bit differs.
+pub fn worlds_take_over(scene: &Scene, options: &Options) {
+    let seeded = |seed: u64| Scene { seed, ..scene.clone() };
+    let make = || Worlds::new(&registry(), (0..3).map(seeded).collect(), options).unwrap_or_else(|e| panic!("{e}"));
+    let (mut some, mut all) = (make(), make());
+    // A control step of those that do not wait.
+    let control = |worlds: &mut Worlds, waits: Option<usize>| {
+        let until: Vec<f64> =
+            (0..3).map(|w| worlds.world(w).time() + if waits == Some(w) { 0.0 } else { 5e-3 }).collect();
+        (0..3).filter(|w| waits != Some(*w)).for_each(|w| act(worlds.world_mut(w), 0));
+        while worlds.approach(&until, Duration::MAX).into_iter().any(|there| !there.unwrap_or_else(|e| panic!("{e}"))) {
+        }
+    };
+    control(&mut some, None);
+    control(&mut all, None);
+    let state = some.world(1).state().unwrap_or_else(|e| panic!("{e}"));
+    let there = left(some.world(1));
+    assert!(left(some.world(0)) != there, "seeds change nothing");
+    for worlds in [&mut some, &mut all] {
+        worlds.restore(&[(0, &state), (1, &state), (2, &state)]).unwrap_or_else(|e| panic!("{e}"));
+        assert!((0..3).all(|w| left(worlds.world(w)) == there), "a world has not taken over the state");
+    }
+    for _ in 0..3 {
+        control(&mut some, Some(2));
+        control(&mut all, None);
+    }
+    assert!(left(some.world(2)) == there, "a world that waits has changed");
+    let end = left(all.world(2));
+    assert!(end != there && left(all.world(0)) == end && left(all.world(1)) == end, "worlds of one state differ");
+    assert!(left(some.world(0)) == end && left(some.world(1)) == end, "worlds beside one that waits differ");
+    // It begins anew as what it has taken over.
+    some.reset(0, None).unwrap_or_else(|e| panic!("{e}"));
+    let start = Simulation::new(&registry(), &seeded(1), options).unwrap_or_else(|e| panic!("{e}"));
+    assert!(left(some.world(0)) == left(&start), "it starts anew as another world");
 }

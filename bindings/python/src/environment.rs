@@ -3,7 +3,7 @@
 use crate::errors::{OrRaise, raised};
 use crate::machine::taken;
 use crate::picture::{array, check_part};
-use crate::simulation::{Numbers, Simulation, check_world, named, precision, seeds};
+use crate::simulation::{Numbers, Simulation, check_count, check_world, named, precision, seeds, whole_seed};
 use crate::{known, records, scene};
 use barchan::environment::{Environment as Worlds, Recording, Step};
 use barchan::parameter::Table;
@@ -34,7 +34,7 @@ pub(crate) fn task<'py>(
 fn table(parameters: Option<&Bound<'_, PyDict>>) -> PyResult<Table> {
     let Some(parameters) = parameters else { return Ok(Table::new()) };
     match scene::to_toml(parameters.as_any(), "parameters")? {
-        Some(toml::Value::Table(table)) => Ok(table),
+        toml::Value::Table(table) => Ok(table),
         _ => Ok(Table::new()),
     }
 }
@@ -145,16 +145,16 @@ impl Environment {
         parameters: Option<&Bound<'_, PyDict>>,
         failures: &str,
     ) -> PyResult<Self> {
-        if worlds == 0 {
-            return Err(PyValueError::new_err("worlds: there must be one at least"));
-        }
+        check_count(py, worlds)?;
         if !["raise", "end"].contains(&failures) {
             return Err(PyValueError::new_err(format!("failures: '{failures}' is neither \"raise\" nor \"end\"")));
         }
-        let first = seed.map_or(Some(0), |seed| seed.extract::<u64>().ok());
-        let seeds = match (first, seed) {
-            (None, Some(each)) => seeds(each, worlds)?,
-            (first, _) => (0..worlds as u64).map(|world| first.unwrap_or_default().wrapping_add(world)).collect(),
+        let seeds = match seed {
+            None => (0..worlds as u64).collect(),
+            Some(given) => match given.extract::<u64>() {
+                Ok(first) => (whole_seed(first)?..).take(worlds).map(whole_seed).collect::<PyResult<_>>()?,
+                Err(_) => seeds(given, worlds)?,
+            },
         };
         let options = Options {
             backend: backend.to_owned(),
@@ -279,14 +279,19 @@ impl Environment {
     /// (worlds,), float64 or bool. `info` has an array for each number that the task tells, by name, and "clipped", how many numbers of actions have been cut
     /// off at their limits in the episode; with failures="end" also "failed".
     ///
+    /// `waiting`, bool of shape (worlds,), names worlds that stay as they are whatever their action: they tell again what they told last, with a reward of 0.
+    ///
     /// Other threads of Python go on meanwhile. Ctrl-C ends it within the control step, with `KeyboardInterrupt`: reset all worlds then.
     ///
-    /// Raises `BodyError` or `ValueError` if an action has another shape or is not a number, and no world has moved then; `SimulationError` if a world cannot go on.
+    /// Raises `BodyError` or `ValueError` if an action has another shape or is not a number, and no world has moved then; `SimulationError` if a world cannot go on: the
+    /// others have taken their step then.
+    #[pyo3(signature = (actions, *, waiting=None))]
     #[expect(clippy::type_complexity, reason = "Gymnasium's tuple")]
     fn step<'py>(
         &self,
         py: Python<'py>,
         actions: Numbers<'py>,
+        waiting: Option<Vec<bool>>,
     ) -> PyResult<(
         Bound<'py, PyArray2<f32>>,
         Bound<'py, PyArray1<f64>>,
@@ -301,6 +306,12 @@ impl Environment {
             return Err(PyValueError::new_err("a control step was interrupted half way; reset() all worlds first"));
         }
         let actions = self.rows(py, &actions, environment.task())?;
+        let waiting = waiting.unwrap_or_else(|| vec![false; self.worlds]);
+        if waiting.len() != self.worlds {
+            let what = format!("waiting: there are {} of them for {} worlds", waiting.len(), self.worlds);
+            return Err(PyValueError::new_err(what));
+        }
+        let wait: Vec<usize> = (0..self.worlds).filter(|&world| waiting[world]).collect();
         let mut signal = Ok(());
         let stepped = py.detach(|| {
             let begun = Instant::now();
@@ -308,7 +319,7 @@ impl Environment {
                 signal = Python::attach(|py| py.check_signals());
                 signal.is_ok()
             };
-            let stepped = environment.step_while(&actions, goes_on);
+            let stepped = environment.step_while(&actions, &wait, goes_on);
             *stepping += begun.elapsed();
             stepped
         });
@@ -320,7 +331,7 @@ impl Environment {
         {
             match result {
                 Ok(step) => {
-                    if !ended[world] {
+                    if !(ended[world] || waiting[world]) {
                         recordings[world].add(action, &step);
                     }
                     ended[world] |= step.terminated || step.truncated;

@@ -2,6 +2,7 @@
 
 use crate::scene::DICT;
 use barchan::Error;
+use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 
 /// An exception of a class of `barchan.errors`.
@@ -44,6 +45,11 @@ pub(crate) fn raised(py: Python<'_>, mut error: Error, world: Option<usize>) -> 
         None => error.to_string(),
     };
     let exception = exception(py, class(&error), &message);
+    // Of a law written in Python, with its traceback; what ends the program does so.
+    match crate::material::take_raised().filter(|_| matches!(error, Error::MaterialFailed { .. })) {
+        Some(raised) if !raised.is_instance_of::<PyException>(py) => return raised,
+        raised => exception.set_cause(py, raised),
+    }
     let value = exception.value(py);
     let noted = match &error {
         Error::Scene { file, line, path, .. } => value

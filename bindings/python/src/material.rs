@@ -9,7 +9,7 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::slice::from_raw_parts;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock};
 
 /// How many there may be: a callback of the interface knows no object, so there is one for each.
 const MOST: usize = 16;
@@ -193,6 +193,14 @@ unsafe fn write<T: Element + Copy>(
     Ok(())
 }
 
+/// What a law raised last, until somebody is told: the interface has no room for more than its words.
+static RAISED: Mutex<Option<PyErr>> = Mutex::new(None);
+
+/// What a law raised, once.
+pub(crate) fn take_raised() -> Option<PyErr> {
+    RAISED.lock().ok()?.take()
+}
+
 /// What a callback returns, with the words of an exception.
 fn status(done: PyResult<()>, error: Option<&mut abi::BarchanError>) -> abi::BarchanStatus {
     let Err(raised) = done else { return abi::BARCHAN_OK };
@@ -205,6 +213,9 @@ fn status(done: PyResult<()>, error: Option<&mut abi::BarchanError>) -> abi::Bar
         // SAFETY: the buffer has `capacity` bytes, by the ABI.
         unsafe { std::ptr::copy_nonoverlapping(text.as_ptr(), error.message, len) };
         error.len = len;
+    }
+    if let Ok(mut last) = RAISED.lock() {
+        *last = Some(raised);
     }
     abi::BARCHAN_E_OTHER
 }

@@ -98,6 +98,10 @@ pub(crate) fn write_gif(
     seconds: f64,
     most_bytes: usize,
 ) -> PyResult<()> {
+    if !(0.0..=655.0).contains(&seconds) {
+        let what = format!("seconds: {seconds}; give how long a picture is shown, up to 655 s");
+        return Err(PyValueError::new_err(what));
+    }
     let images: Vec<Image> = pictures.iter().map(image).collect::<PyResult<_>>()?;
     let written = py.detach(|| {
         let load = |i: usize| Ok(images[i].clone());

@@ -21,15 +21,11 @@ pub(crate) fn read(scene: &Bound<'_, PyAny>, overrides: Option<&Bound<'_, PyDict
     let mut set = Vec::new();
     for (key, value) in overrides.into_iter().flat_map(|all| all.iter()) {
         let path: String = key.extract()?;
-        if let Some(value) = to_toml(&value, &path)? {
-            set.push(format!("{path}={value}"));
-        }
+        set.push(format!("{path}={}", to_toml(&value, &path)?));
     }
     if scene.cast::<PyDict>().is_ok() {
-        let text = match to_toml(scene, "")? {
-            Some(table) => toml::to_string(&table).map_err(|e| exception(py, "SceneError", &format!("{DICT}: {e}")))?,
-            None => String::new(),
-        };
+        let text = toml::to_string(&to_toml(scene, "")?);
+        let text = text.map_err(|e| exception(py, "SceneError", &format!("{DICT}: {e}")))?;
         return Scene::from_str_with(&text, DICT, "", &set).or_raise(py);
     }
     if let Ok(name) = scene.extract::<String>() {
@@ -42,37 +38,51 @@ pub(crate) fn read(scene: &Bound<'_, PyAny>, overrides: Option<&Bound<'_, PyDict
     let Ok(path) = scene.extract::<PathBuf>() else {
         let kind = scene.get_type().name()?;
         return Err(PyTypeError::new_err(format!(
-            "scene: a {kind} is none; give the name of a built-in scene, a path to a TOML file, or a dict"
+            "scene: it is of type {kind}; give the name of a built-in scene, a path to a TOML file, or a dict"
         )));
     };
     Scene::from_file_with(path, &set).or_raise(py)
 }
 
-/// A value as TOML; nothing for `None`. Arrays and scalars of NumPy come as lists and numbers.
-pub(crate) fn to_toml(value: &Bound<'_, PyAny>, path: &str) -> PyResult<Option<Value>> {
+/// A value as TOML. Arrays and scalars of NumPy come as lists and numbers.
+pub(crate) fn to_toml(value: &Bound<'_, PyAny>, path: &str) -> PyResult<Value> {
+    nested(value, path, 0)
+}
+
+/// Lists and dicts in one another, at most.
+const DEEPEST: usize = 32;
+
+fn nested(value: &Bound<'_, PyAny>, path: &str, depth: usize) -> PyResult<Value> {
+    if depth > DEEPEST {
+        let what =
+            format!("{path}: lists and dicts are more than {DEEPEST} deep in one another; does one hold itself?");
+        return Err(exception(value.py(), "SceneError", &what));
+    }
     if value.is_none() {
-        return Ok(None);
+        return Err(PyTypeError::new_err(format!("{path}: None is no value of a scene; leave the key out")));
     }
     let inner = |key: &str| if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") };
-    let items = |items: Vec<Bound<'_, PyAny>>| -> PyResult<Option<Value>> {
-        let one = |(i, item): (usize, &Bound<'_, PyAny>)| to_toml(item, &format!("{path}[{i}]")).transpose();
-        Ok(Some(Value::Array(items.iter().enumerate().filter_map(one).collect::<PyResult<_>>()?)))
+    let items = |items: Vec<Bound<'_, PyAny>>| -> PyResult<Value> {
+        let one = |(i, item): (usize, &Bound<'_, PyAny>)| nested(item, &format!("{path}[{i}]"), depth + 1);
+        Ok(Value::Array(items.iter().enumerate().map(one).collect::<PyResult<_>>()?))
     };
-    Ok(Some(if let Ok(table) = value.cast::<PyDict>() {
+    Ok(if let Ok(table) = value.cast::<PyDict>() {
         let mut all = toml::Table::new();
         for (key, value) in table.iter() {
             let Ok(key) = key.extract::<String>() else {
                 return Err(PyTypeError::new_err(format!("{path}: a key of a scene is a text, not {}", key.repr()?)));
             };
-            if let Some(value) = to_toml(&value, &inner(&key))? {
-                all.insert(key, value);
-            }
+            let value = nested(&value, &inner(&key), depth + 1)?;
+            all.insert(key, value);
         }
         Value::Table(all)
     } else if value.is_instance_of::<PyBool>() {
         Value::Boolean(value.extract()?)
     } else if value.is_instance_of::<PyInt>() {
-        Value::Integer(value.extract()?)
+        let whole = value.extract::<i64>();
+        Value::Integer(whole.map_err(|_| {
+            exception(value.py(), "SceneError", &format!("{path}: {value} does not fit 64 bits with a sign"))
+        })?)
     } else if value.is_instance_of::<PyFloat>() {
         Value::Float(value.extract()?)
     } else if value.is_instance_of::<PyString>() {
@@ -82,12 +92,12 @@ pub(crate) fn to_toml(value: &Bound<'_, PyAny>, path: &str) -> PyResult<Option<V
     } else if let Ok(tuple) = value.cast::<PyTuple>() {
         return items(tuple.iter().collect());
     } else if value.hasattr("tolist")? {
-        return to_toml(&value.call_method0("tolist")?, path);
+        return nested(&value.call_method0("tolist")?, path, depth + 1);
     } else if let Ok(file) = value.extract::<PathBuf>() {
         Value::String(file.display().to_string())
     } else {
         let kind = value.get_type().name()?;
         let allowed = "numbers, texts, lists, dicts, paths and NumPy arrays";
         return Err(PyTypeError::new_err(format!("{path}: a scene has no value of type {kind}; it takes {allowed}")));
-    }))
+    })
 }

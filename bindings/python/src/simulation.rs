@@ -125,10 +125,27 @@ pub(crate) fn precision(text: &str) -> PyResult<Precision> {
     text.parse().map_err(PyValueError::new_err)
 }
 
+/// May there be so many worlds?
+pub(crate) fn check_count(py: Python<'_>, worlds: usize) -> PyResult<()> {
+    if worlds == 0 {
+        return Err(PyValueError::new_err("worlds: there must be one at least"));
+    }
+    barchan::worlds::check_count(worlds).or_raise(py)
+}
+
+/// A seed, if scenes may have it: theirs are numbers of TOML.
+pub(crate) fn whole_seed(seed: u64) -> PyResult<u64> {
+    if i64::try_from(seed).is_ok() { Ok(seed) } else { Err(PyValueError::new_err(SEEDS)) }
+}
+
+/// What seeds are.
+const SEEDS: &str = "seeds are whole numbers from 0 to 2^63 - 1";
+
 /// A seed for each of so many worlds.
 pub(crate) fn seeds(seeds: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64>> {
     let given = seeds.extract::<u64>().map(|one| vec![one]).or_else(|_| seeds.extract::<Vec<u64>>());
-    let given = given.map_err(|_| PyTypeError::new_err("seeds: give whole numbers from 0 to 2^64 - 1"))?;
+    let given = given.map_err(|_| PyTypeError::new_err(SEEDS))?;
+    let given = given.into_iter().map(whole_seed).collect::<PyResult<Vec<_>>>()?;
     if given.len() != worlds {
         return Err(PyValueError::new_err(format!("seeds: there are {} of them for {worlds} worlds", given.len())));
     }
@@ -174,13 +191,13 @@ impl Simulation {
         worlds: usize,
         adapter: Option<&Bound<'_, PyAny>>,
         threads: usize,
-        seed: Option<u64>,
+        seed: Option<&Bound<'_, PyAny>>,
         overrides: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
+        check_count(py, worlds)?;
         let mut scene = scene::read(scene, overrides)?;
-        scene.seed = seed.unwrap_or(scene.seed);
-        if worlds == 0 {
-            return Err(PyValueError::new_err("worlds: there must be one at least"));
+        if let Some(seed) = seed {
+            scene.seed = seeds(seed, 1)?[0];
         }
         let options = Options {
             backend: backend.to_owned(),
@@ -412,6 +429,9 @@ impl Simulation {
             let shape = points.shape();
             return Err(PyValueError::new_err(format!("points: their shape is {shape:?}; it should be (n, 2)")));
         };
+        if !points.iter().all(|x| x.is_finite()) {
+            return Err(PyValueError::new_err("points: they should be finite numbers"));
+        }
         let points: Vec<[f64; 2]> = points.rows().into_iter().map(|row| [row[0], row[1]]).collect();
         let heights = self.look(py, world, |one| one.heights(&points))?.or_raise(py)?;
         Ok(records::vector(py, heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect()))
@@ -445,6 +465,7 @@ impl Simulation {
             ("body", &body, self.scene.body.iter().map(|one| one.name.clone()).collect()),
         ];
         for (kind, name, known) in known_names {
+            let known: Vec<String> = known.into_iter().filter(|name| !name.is_empty()).collect();
             if let Some(name) = name.clone().filter(|name| !known.contains(name)) {
                 return Err(raised(py, barchan::Error::Unknown { path: kind.to_owned(), kind, name, known }, None));
             }
@@ -593,7 +614,7 @@ impl Simulation {
     }
 
     /// Sets worlds back to their start: all, or those in `worlds` (a number or a list). With `seeds`, one for each of them, they start from these random
-    /// seeds instead.
+    /// seeds instead of those that they have.
     #[pyo3(signature = (worlds=None, seeds=None))]
     fn reset(
         &self,
@@ -625,17 +646,24 @@ impl Simulation {
         Ok(State { state: self.look(py, world, World::state)?.or_raise(py)? })
     }
 
-    /// Goes back to a state: what follows is bit for bit what followed then. It is set in all worlds, or in those in `worlds` (a number or a list).
+    /// Goes back to a state: what follows is bit for bit what followed then. It is set in all worlds, or in those in `worlds` (a number or a list). A world takes over the
+    /// state's random seed.
     ///
     /// Raises `BodyError` if it is a state of another scene or precision.
     #[pyo3(signature = (state, *, worlds=None))]
     fn restore(&self, py: Python<'_>, state: &State, worlds: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let mut machine = self.machine(py)?;
+        let chosen = Self::chosen(worlds, machine.len())?;
+        let (registry, options, state) = (known(py)?, self.options(py)?.clone(), &state.state);
         let machine = &mut *machine;
-        for world in Self::chosen(worlds, machine.len())? {
-            py.detach(|| machine.world_mut(world).set_state(&state.state)).or_raise(py)?;
-        }
-        Ok(())
+        let restore = || match machine {
+            Machine::One(simulation) if simulation.is_seeded_otherwise(state) => {
+                World::from_state(&registry, state, &options).map(|new| **simulation = new)
+            }
+            Machine::One(simulation) => simulation.set_state(state),
+            Machine::Many(worlds) => worlds.restore(&chosen.iter().map(|&world| (world, state)).collect::<Vec<_>>()),
+        };
+        py.detach(restore).or_raise(py)
     }
 
     /// Another simulation that goes on from a world as it is now, on its own: one world, on the same backend.
@@ -648,7 +676,8 @@ impl Simulation {
         Ok(Self { machine: Mutex::new(Machine::One(Box::new(one))), scene, options: Mutex::new(options) })
     }
 
-    /// Makes worlds copies of world `source`, which then go on as it does: those in `targets` (a number or a list). On a GPU nothing leaves it.
+    /// Makes worlds copies of world `source`, which then go on as it does: those in `targets` (a number or a list). On a GPU nothing leaves it. They take over its random
+    /// seed, too, and so the start to which `reset` brings them.
     fn copy_world(&self, py: Python<'_>, source: usize, targets: &Bound<'_, PyAny>) -> PyResult<()> {
         let mut machine = self.machine(py)?;
         check_world(source, machine.len())?;

@@ -131,9 +131,13 @@ def test_ended_worlds_wait_if_nobody_resets_them():
         _, rewards, _, truncated, info = vector.step(actions)
         assert np.all(truncated == (number >= 1)) and (number < 2 or not rewards.any())
         assert np.all(info["_success"] == (number < 2))
+    # They take no steps.
+    assert vector.worlds.steps_taken.tolist() == [2, 2]
     seen, _ = vector.reset(options={"reset_mask": np.array([True, False])})
-    _, _, _, truncated, _ = vector.step(actions)
-    assert truncated.tolist() == [False, True] and vector.worlds.steps_taken.tolist() == [1, 5]
+    after, _, _, truncated, _ = vector.step(actions)
+    assert truncated.tolist() == [False, True] and vector.worlds.steps_taken.tolist() == [1, 2]
+    np.testing.assert_array_equal(after[1], seen[1])
+    assert np.any(after[0] != seen[0])
     with pytest.raises(ValueError, match="reset_mask"):
         vector.reset(options={"reset_mask": [1, 0]})
 
@@ -180,6 +184,24 @@ def test_wrong_actions_are_named():
         envs.TaskEnv(TASK, randomize=1.0)
     with pytest.raises(ValueError, match="render_mode"):
         envs.TaskEnv(TASK, render_mode="ascii")
+    for options in ({"num_envs": 0}, {"max_episode_steps": 0}, {"max_episode_steps": 2.5}):
+        with pytest.raises(ValueError, match=next(iter(options))):
+            envs.TaskVectorEnv(TASK, **options)
+
+
+def test_a_wrong_seed_leaves_the_environment_as_it_was():
+    one = envs.TaskEnv(TASK)
+    assert one.reset(seed=7)[1] == {"seed": 7}
+    vector = envs.TaskVectorEnv(TASK, 3)
+    vector.reset(seed=10)
+    for wrong in (2**63, 2**64, -1, 1.5):
+        with pytest.raises((ValueError, gymnasium.error.Error), match="seed"):
+            one.reset(seed=wrong)
+        with pytest.raises(ValueError, match="seed"):
+            vector.reset(seed=[100, wrong, 102])
+    with pytest.raises(ValueError, match="seed"):
+        vector.reset(seed=2**63 - 1)
+    assert one.reset()[1] == {"seed": 7} and vector.reset()[1]["seed"].tolist() == [10, 11, 12]
 
 
 def test_actions_may_be_in_the_tasks_units_or_added_to_the_agents():
@@ -188,6 +210,10 @@ def test_actions_may_be_in_the_tasks_units_or_added_to_the_agents():
     np.testing.assert_array_equal(units.action_space.high, described.action_high.astype(np.float32))
     for one in (unit, units, added):
         one.reset(seed=0)
+    # Limits in float32 may be a little wider.
+    pressed = envs.TaskEnv("PressMould-lite", units=True)
+    pressed.reset(seed=0)
+    assert pressed.step(pressed.action_space.high)[4]["clipped"] == 0
     share = np.array([0.5, -0.25, 0.0, 1.0])
     seen = unit.step(share)[0]
     np.testing.assert_array_equal(units.step(share * described.action_high)[0], seen)
@@ -278,8 +304,14 @@ def test_the_bare_environment():
     with pytest.raises(ValueError, match=r"give \(2, 4\), a row for each world: dx \[m\]"):
         worlds.step(np.zeros(4))
     np.testing.assert_array_equal(worlds.observations(), seen)
+    # One that waits is as it was, whatever it is told.
+    later, rewards = worlds.step(agent, waiting=[False, True])[:2]
+    np.testing.assert_array_equal(later[1], seen[1])
+    assert np.any(later[0] != seen[0]) and rewards[1] == 0.0 and worlds.steps_taken.tolist() == [2, 1]
+    with pytest.raises(ValueError, match="1 of them for 2"):
+        worlds.step(agent, waiting=[True])
     np.testing.assert_array_equal(worlds.reset(1)[1], start[1])
-    assert worlds.steps_taken.tolist() == [1, 0]
+    assert worlds.steps_taken.tolist() == [2, 0]
     with pytest.raises(IndexError, match="no world 2"):
         worlds.render(2)
     with pytest.raises(ValueError, match="seeds"):

@@ -128,6 +128,19 @@ def test_pictures_are_arrays_and_files(press, tmp_path):
     assert (tmp_path / "press.mp4").read_bytes()[4:8] == b"ftyp"
     with pytest.raises(ValueError, match="none"):
         view.save_mp4(tmp_path / "empty.mp4", [])
+    for path, pictures, error, what in (
+        (tmp_path / "nowhere" / "a.mp4", [first], barchan.FileError, "nowhere"),
+        (tmp_path / "a.qqq", [first] * 3, ValueError, "ends with .mp4"),
+        (tmp_path / "a.mp4", [np.zeros((64, 64), np.uint8)], ValueError, "uint8 of shape"),
+        (tmp_path / "a.mp4", [np.zeros((64, 64, 3))], ValueError, "float64"),
+    ):
+        with pytest.raises(error, match=what):
+            view.save_mp4(path, pictures)
+    for seconds in (0.0, np.nan):
+        with pytest.raises(ValueError, match="seconds"):
+            view.save_mp4(tmp_path / "a.mp4", [first], seconds=seconds)
+    with pytest.raises(ValueError, match="seconds"):
+        view.save_gif(tmp_path / "a.gif", [first], seconds=-1.0)
     with pytest.raises(ValueError, match="one View"):
         view.save_mp4(tmp_path / "two.mp4", [first, ground])
     assert (tmp_path / "press.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"

@@ -4,6 +4,7 @@ import _thread
 import json
 import multiprocessing
 import pickle
+import sys
 import threading
 import time
 
@@ -164,8 +165,18 @@ def test_what_a_material_in_python_raises_is_told(press):
     press["time"]["step"] = 5e-4
     press["material"] = [{"name": "snow", "law": "broken_in_python", "density": 400.0}]
     for law.flat, what in ((False, "RuntimeError: no idea"), (True, "batch.kirchhoff has another shape than")):
-        with pytest.raises(barchan.SimulationError, match=what):
+        with pytest.raises(barchan.SimulationError, match=what) as caught:
             barchan.Simulation(press).step(2)
+        # With the law's own traceback.
+        cause = caught.value.__cause__
+        assert isinstance(cause, ValueError if law.flat else RuntimeError) and (law.flat or cause.__traceback__ is not None)
+    law.update = lambda batch: sys.exit(3)
+    with pytest.raises(SystemExit):
+        barchan.Simulation(press).step(2)
+    # What is no law's has no cause.
+    with pytest.raises(barchan.UnknownNameError) as caught:
+        barchan.Simulation("digg")
+    assert caught.value.__cause__ is None
 
 
 def test_probes_find_what_the_scene_asks_for(press):
@@ -234,6 +245,12 @@ def test_worlds_act_reset_and_go_on_as_they_do_alone(press, same):
         worlds.act("plate", linear=np.zeros((2, 3)))
     with pytest.raises(ValueError, match="2 of them for 3"):
         worlds.reset(seeds=[1, 2])
+    with pytest.raises(barchan.CapacityError, match="worlds"):
+        barchan.Simulation(press, worlds=10**9)
+    with pytest.raises(ValueError, match="2\\^63 - 1"):
+        worlds.reset(seeds=[1, 2, 2**63])
+    with pytest.raises((TypeError, ValueError), match="2\\^63 - 1"):
+        barchan.Simulation(press, seed=-1)
 
 
 def test_states_forks_and_files_go_on_bit_for_bit(press, same, tmp_path):
@@ -255,6 +272,21 @@ def test_states_forks_and_files_go_on_bit_for_bit(press, same, tmp_path):
     assert same(simulation, again)
     with pytest.raises(barchan.BodyError, match="f64"):
         barchan.Simulation(press).restore(state)
+    # Worlds have seeds of their own, and take over a state's, as does one that begins anew.
+    worlds = barchan.Simulation(press, precision="f64", worlds=3, seed=4)
+    worlds.restore(state)
+    worlds.step(10)
+    assert all(same(worlds, simulation, a_world=world) for world in range(3))
+    second = worlds.state(world=1)
+    worlds.reset(1, seeds=[99])
+    worlds.restore(second, worlds=1)
+    assert same(worlds, simulation, a_world=1) and worlds.times[1] == worlds.times[0]
+    again.reset(seeds=99)
+    again.restore(state)
+    again.step(10)
+    assert same(simulation, again)
+    with pytest.raises(barchan.BodyError, match="another scene: world.cell"):
+        barchan.Simulation(press, precision="f64", worlds=2, overrides={"world.cell": 0.04}).restore(state)
     with pytest.raises(barchan.FileError, match="missing.barchan"):
         barchan.Simulation.load(tmp_path / "missing.barchan")
     with pytest.raises(barchan.SnapshotError):
@@ -324,6 +356,16 @@ def test_errors_say_what_where_and_how_to_mend_it(press, tmp_path):
         barchan.Simulation("dig", precision="f16")
     with pytest.raises(barchan.FileError, match="nowhere.toml"):
         barchan.Simulation(tmp_path / "nowhere.toml")
+    with pytest.raises(TypeError, match="world.cel: None is no value of a scene; leave the key out"):
+        barchan.Simulation("dig", overrides={"world.cel": None})
+    with pytest.raises(barchan.SceneError, match="seed: 9223372036854775808 does not fit"):
+        barchan.Simulation("dig", overrides={"seed": 2**63})
+    of_itself: dict = {"name": "ring"}
+    of_itself["world"] = of_itself
+    with pytest.raises(barchan.SceneError, match="does one hold itself"):
+        barchan.Simulation(of_itself)
+    with pytest.raises(ValueError, match="finite"):
+        barchan.Simulation("dig", overrides={"world.cell": 0.05}).height_scan([[np.nan, 0.1]])
 
 
 def test_a_world_that_cannot_go_on_says_which_and_why(press):
@@ -336,6 +378,9 @@ def test_a_world_that_cannot_go_on_says_which_and_why(press):
     assert caught.value.world == 1 and worlds.times[1] == 0.0
     with pytest.raises(barchan.BodyError, match="nan|NaN|finite"):
         worlds.act("plate", linear=[0, 0, np.nan])
+    # What no later step could heal is not even tried.
+    with pytest.raises(barchan.BodyError, match="a velocity of 1.000e40 is asked for"):
+        worlds.act("plate", linear=[0, 0, 1e40])
 
 
 def test_worlds_of_a_gpu_end_at_one_time_and_agree_with_the_processor(press):

@@ -208,28 +208,42 @@ impl Environment {
     /// # Errors
     /// [`Error::Body`] if an action is missing, has another length, or is not a number: no world has moved then.
     pub fn step(&mut self, actions: &[Vec<f64>]) -> Result<Vec<Result<Step>>> {
-        Ok(self.step_while(actions, || true)?.unwrap_or_default())
+        Ok(self.step_while(actions, &[], || true)?.unwrap_or_default())
     }
 
     /// [`step`](Self::step), unless somebody who is asked a few times a second says not to go on: then there is nothing, and the worlds are left somewhere
     /// within the control step. Reset them.
     ///
+    /// The worlds in `waiting` stay as they are, whatever their actions: what came of their last step is told again, without a reward.
+    ///
     /// # Errors
     /// As [`step`](Self::step).
+    ///
+    /// # Panics
+    /// If there is no such world.
     pub fn step_while(
         &mut self,
         actions: &[Vec<f64>],
+        waiting: &[usize],
         mut goes_on: impl FnMut() -> bool,
     ) -> Result<Option<Vec<Result<Step>>>> {
         self.check(actions)?;
+        let mut acts = vec![true; self.players.len()];
+        waiting.iter().for_each(|&world| acts[world] = false);
         let mut failed: Vec<Option<Error>> = Vec::new();
         for (world, (action, player)) in actions.iter().zip(&mut self.players).enumerate() {
+            if !acts[world] {
+                failed.push(None);
+                continue;
+            }
             let within = |(value, limit): (&f64, &Limits)| value.clamp(limit.low, limit.high);
             let cut: Vec<f64> = action.iter().zip(&self.limits).map(within).collect();
             player.clipped += cut.iter().zip(action).filter(|(cut, given)| cut != given).count() as u64;
             failed.push(player.episode.act(self.worlds.world_mut(world), &cut).err());
         }
-        let mut until: Vec<f64> = self.worlds.iter().map(|world| world.time() + self.task.interval()).collect();
+        let interval = |acts: bool| if acts { self.task.interval() } else { 0.0 };
+        let mut until: Vec<f64> =
+            self.worlds.iter().zip(&acts).map(|(world, &acts)| world.time() + interval(acts)).collect();
         loop {
             let mut waits = false;
             for (w, result) in self.worlds.approach(&until, SLICE).into_iter().enumerate() {
@@ -249,25 +263,30 @@ impl Environment {
                 return Ok(None);
             }
         }
-        Ok(Some(self.outcomes(failed)))
+        Ok(Some(self.outcomes(failed, &acts)))
     }
 
     /// What came of the step in each world that has not failed.
-    fn outcomes(&mut self, failed: Vec<Option<Error>>) -> Vec<Result<Step>> {
-        let seen = self.watch(|w| failed[w].is_none());
+    fn outcomes(&mut self, failed: Vec<Option<Error>>, acts: &[bool]) -> Vec<Result<Step>> {
+        let seen = self.watch(|w| acts[w] && failed[w].is_none());
         let horizon = self.task.horizon();
-        let observe = |world: &Simulation, (failed, seen, player): (Option<Error>, Result<Seen>, &mut Player)| {
+        type Given<'a> = (Option<Error>, Result<Seen>, &'a mut Player, bool);
+        let observe = |world: &Simulation, (failed, seen, player, acts): Given<'_>| {
             let clock = Instant::now();
             let see = || {
                 failed.map_or(Ok(()), Err)?;
-                player.steps += 1;
-                player.seen = player.episode.observe(world, &seen?)?;
+                if acts {
+                    player.steps += 1;
+                    player.seen = player.episode.observe(world, &seen?)?;
+                } else {
+                    player.seen.reward = 0.0;
+                }
                 Ok(Step { outcome: player.seen.clone(), truncated: player.steps >= horizon })
             };
             (see(), clock.elapsed())
         };
-        let given =
-            failed.into_iter().zip(seen).zip(&mut self.players).map(|((failed, seen), player)| (failed, seen, player));
+        let given = failed.into_iter().zip(seen).zip(&mut self.players).zip(acts);
+        let given = given.map(|(((failed, seen), player), &acts)| (failed, seen, player, acts));
         let all = if self.observing > WORTH_SHARING {
             self.worlds.each_with(given.collect(), observe)
         } else {

@@ -86,8 +86,9 @@ impl Worlds {
     /// `count` worlds of one scene that differ in their random seeds: `seed`, `seed + 1`, …
     ///
     /// # Errors
-    /// As [`new`](Self::new).
+    /// As [`new`](Self::new), and [`Error::Capacity`] for more than [`MOST_WORLDS`].
     pub fn of(registry: &Registry, scene: &Scene, count: usize, seed: u64, options: &Options) -> Result<Self> {
+        check_count(count)?;
         let scenes = (0..count as u64).map(|world| Scene { seed: seed + world, ..scene.clone() }).collect();
         Self::new(registry, scenes, options)
     }
@@ -160,7 +161,7 @@ impl Worlds {
     /// Steps every world towards a time of its own [s], as many steps as go in about `within`, and says whether it is there. Its last step
     /// [ends there](Simulation::set_stop); where calls begin and end changes no bit.
     ///
-    /// Where worlds [step together](Self::are_together), so must their times be as far off for all: a world that is there already takes their steps, too.
+    /// Where worlds [step together](Self::are_together), those that are there already wait for the others.
     ///
     /// # Panics
     /// If there are not as many times as worlds.
@@ -182,14 +183,16 @@ impl Worlds {
                             *there = is_there(world, *until);
                         }
                     }
-                    let waits = |result: &Result<bool>| matches!(result, Ok(false));
-                    if !results.iter().any(waits) || begun.elapsed() >= within {
+                    let goes_on: Vec<bool> = results.iter().map(|result| matches!(result, Ok(false))).collect();
+                    if !goes_on.contains(&true) || begun.elapsed() >= within {
                         return results;
                     }
-                    for (world, until) in together.worlds_mut().iter_mut().zip(until) {
+                    for ((world, until), _) in
+                        together.worlds_mut().iter_mut().zip(until).zip(&goes_on).filter(|(_, goes)| **goes)
+                    {
                         world.set_stop(*until);
                     }
-                    for (result, more) in results.iter_mut().zip(together.steps(MOST_AT_ONCE)) {
+                    for (result, more) in results.iter_mut().zip(together.steps_of(MOST_AT_ONCE, |w| goes_on[w])) {
                         if let Err(error) = more {
                             *result = Err(error);
                         }
@@ -267,20 +270,33 @@ impl Worlds {
         Ok(())
     }
 
-    /// Lets worlds go on from states of their scenes, bit for bit; nothing is planned or seeded. Worlds that step together are laid out anew once for all.
+    /// Lets worlds go on from states of their scenes, bit for bit; nothing is planned or seeded. Worlds that step together are laid out anew once for all. A state of a scene that
+    /// differs in its random seed alone brings that seed along; this costs as much as a [reset](Self::reset).
     ///
     /// # Errors
-    /// Those of [`Simulation::set_state`].
+    /// Those of [`Simulation::set_state`], and of [`Simulation::from_state`] for another seed.
     ///
     /// # Panics
     /// If there is no such world.
     pub fn restore(&mut self, states: &[(usize, &State)]) -> Result<()> {
+        let (others, own): (Vec<_>, Vec<_>) =
+            states.iter().copied().partition(|(world, state)| self.world(*world).is_seeded_otherwise(state));
         match &mut self.machine {
             Machine::Apart(simulations) => {
-                states.iter().try_for_each(|(world, state)| simulations[*world].set_state(state))
+                own.iter().try_for_each(|(world, state)| simulations[*world].set_state(state))?;
             }
-            Machine::Together(together) => self.pool.install(|| together.restore(states)),
+            Machine::Together(together) => self.pool.install(|| together.restore(&own))?,
         }
+        for (world, state) in others {
+            match &mut self.machine {
+                Machine::Apart(simulations) => {
+                    simulations[world] = Simulation::from_state(&self.registry, state, &self.options)?;
+                }
+                Machine::Together(together) => together.replace_by(world, &self.registry, state, &self.options)?,
+            }
+            self.scenes[world] = state.scene().clone();
+        }
+        Ok(())
     }
 
     /// Puts a copy of one world in the place of another, scene and all: it goes on as the first one does, bit for bit, under the same actions and with
@@ -312,6 +328,21 @@ impl Worlds {
         self.scenes[to] = self.scenes[from].clone();
         Ok(())
     }
+}
+
+/// Most worlds that are made of a number.
+pub const MOST_WORLDS: usize = 1 << 16;
+
+/// May there be so many worlds?
+///
+/// # Errors
+/// [`Error::Capacity`] for more than [`MOST_WORLDS`].
+pub fn check_count(worlds: usize) -> Result<()> {
+    if worlds <= MOST_WORLDS {
+        return Ok(());
+    }
+    let mend = "take fewer worlds, in several processes if need be";
+    Err(Error::Capacity { what: "worlds", asked: worlds as u64, cap: MOST_WORLDS as u64, mend })
 }
 
 /// Most steps that a device is asked for at once.

@@ -280,9 +280,12 @@ impl Robot {
             }
         };
         let count = self.model.drives.len();
-        if numbers.len() != count || !numbers.iter().all(|x| x.is_finite()) {
-            let what = format!("{} numbers for its {count} joints, or one that is not finite", numbers.len());
-            return Err(Refusal::new(what, "give a finite number for each of its joints"));
+        let mend = "give a finite number for each of its joints";
+        if numbers.len() != count {
+            return Err(Refusal::new(format!("there are {} numbers for its {count} joints", numbers.len()), mend));
+        }
+        if let Some((x, drive)) = numbers.iter().zip(&self.model.drives).find(|(x, _)| !x.is_finite()) {
+            return Err(Refusal::new(format!("the number for joint '{}' is {x}", drive.name), mend));
         }
         let order = |(&x, drive): (&f64, &super::model::Drive)| match holds {
             true => Order { target: x.clamp(drive.limits[0], drive.limits[1]), holds, ..Order::default() },

@@ -5,7 +5,7 @@ use crate::file::Stamp;
 use crate::flow::FlowState;
 use crate::plan::PARTICLES;
 use crate::snapshot::{self, Snapshot};
-use crate::{Coupling, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, Wrench};
+use crate::{Backend, Coupling, Error, Ledger, ParticleState, Plan, Precision, Registry, Result, Scene, Wrench};
 use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
@@ -64,6 +64,9 @@ impl Moment {
     }
 }
 
+/// The plan and the couplings of a simulation that goes on from a state.
+type Prepared = (Arc<Plan>, Vec<Box<dyn Coupling>>);
+
 impl State {
     /// Simulated seconds.
     pub fn time(&self) -> f64 {
@@ -80,6 +83,30 @@ impl State {
     /// Its particles: one list a level and material, in f64.
     pub fn particles(&self) -> &ParticleState {
         &self.moment.particles
+    }
+
+    /// The plan and the couplings of a simulation that goes on from it.
+    pub(crate) fn prepared(&self, registry: &Registry, backend: &dyn Backend, options: &Options) -> Result<Prepared> {
+        options.check()?;
+        let moment = &self.moment;
+        if moment.precision != options.precision {
+            let what = format!("the state is in {}, and {} is asked for", moment.precision, options.precision);
+            return Err(unfit(what, "ask for the same precision, and swap then"));
+        }
+        let mut plan = Arc::clone(&self.plan);
+        if plan.threads != options.threads || plan.adapter != options.adapter {
+            let (threads, adapter) = (options.threads, options.adapter.clone());
+            plan = Arc::new(Plan { threads, adapter, ..(*plan).clone() });
+        }
+        plan.check_forms(backend)?;
+        let mut couplings = plan.make_couplings(registry)?;
+        restore(&mut couplings, &moment.couplings).map_err(|(what, mend)| unfit(what, mend))?;
+        Ok((plan, couplings))
+    }
+
+    /// The particles, as an engine of a backend takes them.
+    pub(crate) fn particles_for(&self, backend: &str) -> ParticleState {
+        self.moment.particles_for(backend)
     }
 
     /// Writes a snapshot: to a temporary file beside `path`, then renamed.
@@ -151,7 +178,7 @@ impl Simulation {
 
     /// The state's particles, as the engine takes them.
     pub(crate) fn particles_of(&self, state: &State) -> ParticleState {
-        state.moment.particles_for(&self.backend)
+        state.particles_for(&self.backend)
     }
 
     /// Couplings as they were.
@@ -168,6 +195,17 @@ impl Simulation {
     /// Is it a state of the same scene, in the same number format?
     pub fn is_of(&self, state: &State) -> bool {
         self.differs(state).is_none()
+    }
+
+    /// Is it a state of a scene with another random seed, and the same in all else? [`from_state`](Self::from_state) goes on from it.
+    pub fn is_seeded_otherwise(&self, state: &State) -> bool {
+        let (ours, theirs) = (&self.plan.scene, &state.plan.scene);
+        let as_ours = Scene { seed: ours.seed, ..theirs.clone() };
+        ours.seed != theirs.seed
+            && self.plan.precision == state.plan.precision
+            && self.plan.files == state.plan.files
+            && ours.folder == theirs.folder
+            && ours.difference(&as_ours).is_none()
     }
 
     /// In what the scene and the number format of a state are others than ours.
@@ -192,21 +230,9 @@ impl Simulation {
     /// # Errors
     /// [`Error::Body`] if another number format is asked for; those of the backend and of couplings that are made from the scene.
     pub fn from_state(registry: &Registry, state: &State, options: &Options) -> Result<Self> {
-        options.check()?;
         let backend = find_backend(registry, options)?;
+        let (plan, couplings) = state.prepared(registry, backend, options)?;
         let moment = &state.moment;
-        if moment.precision != options.precision {
-            let what = format!("the state is in {}, and {} is asked for", moment.precision, options.precision);
-            return Err(unfit(what, "ask for the same precision, and swap then"));
-        }
-        let mut plan = Arc::clone(&state.plan);
-        if plan.threads != options.threads || plan.adapter != options.adapter {
-            let (threads, adapter) = (options.threads, options.adapter.clone());
-            plan = Arc::new(Plan { threads, adapter, ..(*plan).clone() });
-        }
-        plan.check_forms(backend)?;
-        let mut couplings = plan.make_couplings(registry)?;
-        restore(&mut couplings, &moment.couplings).map_err(|(what, mend)| unfit(what, mend))?;
         let mut engine = backend.compile(&plan, moment.particles_for(backend.name()))?;
         engine.carry_on(&moment.carried);
         let mut simulation = Self::start(plan, backend.name(), engine, couplings);

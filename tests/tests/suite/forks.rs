@@ -1,7 +1,7 @@
 //! States in memory and copies of worlds go on as their sources do, on every backend.
 
 use barchan::{Aabb, Error, Options, Precision, Simulation};
-use barchan_tests::forks::{ploughed, states_go_on, worlds_fork};
+use barchan_tests::forks::{ploughed, states_go_on, worlds_fork, worlds_take_over};
 use barchan_tests::readings::hold;
 use barchan_tests::scenes::{everywhere, options};
 
@@ -20,6 +20,16 @@ fn a_forked_world_goes_on_as_its_source() {
     for options in everywhere() {
         for (levels, subcycle) in [(1, false), (2, true)] {
             worlds_fork(|world| ploughed(world, levels, subcycle), &options);
+        }
+    }
+}
+
+/// Symptom: a batch could not go back to one state, since its worlds have seeds of their own; and a world whose episode had ended went on beside the others.
+#[test]
+fn worlds_take_over_a_state_and_may_wait() {
+    for options in everywhere() {
+        for (levels, subcycle) in [(1, false), (2, true)] {
+            worlds_take_over(&ploughed(1, levels, subcycle), &options);
         }
     }
 }

@@ -81,18 +81,19 @@ class _Played:
             raise gymnasium.error.ResetNeeded("call reset() first: there is no episode yet")
         return self.worlds
 
-    def step(self, actions: Any, count: int | None) -> Any:
+    def step(self, actions: Any, count: int | None, waiting: NDArray[np.bool_] | None = None) -> Any:
         """A control step of all worlds, `count` of them, or of the only one."""
         given = self.checked(actions, count)
         worlds = self.running()
         if self._residual is not None:
             given = self.heuristic_in_units() + self._residual * self._half * given
-        elif not self._units:
-            scaled = self._middle + self._half * given
-            # Rounding takes nothing beyond the limits.
-            within = np.clip(scaled, self.task.action_low, self.task.action_high)
-            given = np.where(np.abs(given) <= 1.0, within, scaled)
-        return worlds.step(given)
+        else:
+            space = self.space()
+            is_within = (given >= space.low) & (given <= space.high)
+            scaled = given if self._units else self._middle + self._half * given
+            # Rounding takes nothing that is in the space beyond the limits.
+            given = np.where(is_within, np.clip(scaled, self.task.action_low, self.task.action_high), scaled)
+        return worlds.step(given, waiting=None if waiting is None else waiting.tolist())
 
     def checked(self, actions: Any, count: int | None) -> NDArray[np.float64]:
         """Actions as numbers, a row for each world."""
@@ -211,9 +212,11 @@ class TaskEnv(gymnasium.Env):
         return self._played.running()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        _check_seeds([seed])
         super().reset(seed=seed)
-        self._seed = seed if seed is not None else self._played.next_seed(self._seed, self.np_random)
-        observations = self._played.begin([self._seed])
+        own = seed if seed is not None else self._played.next_seed(self._seed, self.np_random)
+        observations = self._played.begin([own])
+        self._seed = own
         self._show()
         return self._played.out(observations[0]), {"seed": self._seed}
 
@@ -293,6 +296,9 @@ class TaskVectorEnv(VectorEnv):
         **parameters: Any,
     ) -> None:
         _check_render_mode(render_mode, self.metadata["render_modes"])
+        for name, count in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
+            if count is not None and not (isinstance(count, (int, np.integer)) and count >= 1):
+                raise ValueError(f"{name}: {count!r} is none; give a whole number from 1 on")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self._played = _Played(
             task,
@@ -335,9 +341,10 @@ class TaskVectorEnv(VectorEnv):
         `options["stagger"] = True` truncates these episodes early, each world's at another time, so that worlds are at different times of their episodes from then on: what is
         seen of all of them in a few steps is then like what is seen in an episode.
         """
-        seeds = [None] * self.num_envs if seed is None else [seed + w for w in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else list(seed)
+        seeds = [None] * self.num_envs if seed is None else [int(seed) + w for w in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: there are {len(seeds)} of them for {self.num_envs} worlds")
+        _check_seeds(seeds)
         mask = (options or {}).get("reset_mask")
         chosen = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_ or not chosen.any():
@@ -363,8 +370,8 @@ class TaskVectorEnv(VectorEnv):
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         anew = self._ended.copy()
-        # Worlds whose episode has ended take this step, too, and nothing of it is told.
-        observations, rewards, terminated, truncated, success, told = self._played.step(actions, self.num_envs)
+        # Worlds whose episode has ended wait.
+        observations, rewards, terminated, truncated, success, told = self._played.step(actions, self.num_envs, anew)
         truncated |= self.worlds.steps_taken >= self._most
         info: dict[str, Any] = {}
         present = ~anew
@@ -472,6 +479,12 @@ class _Window:
 def _check_render_mode(mode: str | None, known: list[str]) -> None:
     if mode is not None and mode not in known:
         raise ValueError(f"render_mode: {mode!r} is none of {', '.join(map(repr, known))}, None")
+
+
+def _check_seeds(seeds: list[int | None]) -> None:
+    for seed in seeds:
+        if seed is not None and not (isinstance(seed, (int, np.integer)) and 0 <= seed < 2**63):
+            raise ValueError(f"seed: {seed!r} is none; give whole numbers from 0 to 2^63 - 1")
 
 
 def _torch_device(torch: bool | str) -> str | None:

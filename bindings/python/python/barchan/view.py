@@ -43,17 +43,29 @@ def save_gif(path: str | os.PathLike[str], pictures: Sequence[NDArray[np.uint8]]
 
 
 def save_mp4(path: str | os.PathLike[str], pictures: Iterable[NDArray[np.uint8]], *, seconds: float = 0.04) -> None:
-    """Writes pictures of one size as a film (H.264), each shown for `seconds`; they may come one by one. An odd last row or column is left out."""
+    """Writes pictures of one size as a film (H.264), each shown for `seconds`; they may come one by one. An odd last row or column is left out.
+
+    Raises `FileError` if it cannot be written, and `ValueError` for a name that does not end as films do: with .mp4, .m4v, .mov or .mkv.
+    """
     try:
         import imageio_ffmpeg
     except ImportError as error:
         raise ImportError("imageio-ffmpeg is missing: pip install 'barchan[video]'") from error
+    if not os.fspath(path).lower().endswith((".mp4", ".m4v", ".mov", ".mkv")):
+        raise ValueError(f"{os.fspath(path)}: a film's name ends with .mp4, .m4v, .mov or .mkv")
+    if not 1e-3 <= seconds <= 1e3:
+        raise ValueError(f"seconds: {seconds}; give how long a picture is shown, from 0.001 to 1000 s")
     writer, first = None, None
     try:
         for picture in pictures:
+            if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or min(picture.shape[:2]) < 2:
+                raise ValueError(f"pictures: one is {picture.dtype} of shape {picture.shape}; give uint8 of shape (rows, columns, 3), two rows and columns at least")
             rows, columns = (size - size % 2 for size in picture.shape[:2])
             if writer is None:
                 first = picture.shape
+                # ffmpeg is not asked how it ended: what it leaves tells.
+                with open(path, "wb"):
+                    pass
                 writer = imageio_ffmpeg.write_frames(
                     os.fspath(path), (columns, rows), fps=1.0 / seconds, macro_block_size=2, ffmpeg_log_level="error"
                 )
@@ -62,12 +74,15 @@ def save_mp4(path: str | os.PathLike[str], pictures: Iterable[NDArray[np.uint8]]
                 raise ValueError(f"pictures: one has the shape {picture.shape} and the first {first}; draw them with one View")
             writer.send(np.ascontiguousarray(picture[:rows, :columns]))
     except OSError as error:
-        raise FileError(f"{os.fspath(path)}: writing a film: {error}") from error
+        what = str(error).split("\n")[0] if writer is None else "ffmpeg has ended early; is the disk full?"
+        raise FileError(f"{os.fspath(path)}: writing a film: {what}") from error
     finally:
         if writer is not None:
             writer.close()
     if writer is None:
         raise ValueError("pictures: there are none")
+    if os.path.getsize(path) == 0:
+        raise FileError(f"{os.fspath(path)}: writing a film: ffmpeg has written nothing")
 
 
 def plot_height_map(simulation: Simulation, *, cell: float | None = None, world: int = 0, axes: Axes | None = None) -> Axes:
