@@ -283,6 +283,9 @@ impl Robot {
     pub(crate) fn answer(&self, at: &[Twist], systems: &[System]) -> Option<Vec<Twist>> {
         let symmetric = systems.iter().all(|system| system.symmetric);
         let Balance { residual, matrix } = self.balance_with(at, systems, !symmetric);
+        if residual.is_empty() {
+            return Some(self.twists(&residual));
+        }
         let step = if symmetric { matrix.cholesky()?.solve(&residual) } else { matrix.lu().solve(&residual)? };
         Some(self.twists(&step))
     }

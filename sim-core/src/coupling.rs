@@ -7,6 +7,7 @@ use crate::{Result, Vec3};
 use serde::{Deserialize, Serialize};
 use std::any::Any;
 use std::ops::Range;
+use std::path::PathBuf;
 
 /// Force and torque, or, times a step, impulse and angular impulse.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -672,6 +673,10 @@ pub trait Coupling: Send + Sync {
     /// # Errors
     /// If there is no such body, it does not take such commands, or the numbers are not finite.
     fn act(&mut self, body: &str, command: &Command) -> Result<()>;
+    /// Files that it has read besides those that the scene and its parameters name, from the scene's folder: a run that is resumed wants them as they were.
+    fn files(&self) -> Vec<PathBuf> {
+        Vec::new()
+    }
     /// Warnings about the set-up (a blade thinner than two cells, say).
     fn warnings(&self, cell_width: f64) -> Vec<String>;
     /// Named counts of clamps and clips since the start, for the ledger.

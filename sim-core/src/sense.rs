@@ -73,6 +73,13 @@ pub struct HeightScan {
     pub heights: Vec<Option<f64>>,
 }
 
+impl HeightScan {
+    /// Heights of the ground at points, seen from a base so high [m].
+    pub fn new(points: Vec<[f64; 2]>, base: f64, heights: Vec<Option<f64>>) -> Self {
+        Self { points, heights: heights.into_iter().map(|z| z.map(|z| z - base)).collect() }
+    }
+}
+
 impl LinkState {
     /// Force of soft ground and rigid things together [N], and torque about the centre of mass [N m], world frame.
     pub fn felt(&self) -> Wrench {
@@ -114,6 +121,14 @@ impl Simulation {
         self.sensed().into_iter().map(|(_, robot)| robot).collect()
     }
 
+    /// What the sensors of one of them say.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if there is no such robot.
+    pub fn robot(&self, name: &str) -> Result<RobotState> {
+        Ok(self.sensed_robot(name)?.1)
+    }
+
     /// Robots with their couplings, what the ground does to their links filled in.
     fn sensed(&self) -> Vec<(&dyn Coupling, RobotState)> {
         let wrenches = self.wrenches();
@@ -136,7 +151,7 @@ impl Simulation {
     /// # Errors
     /// [`Error::Body`] if there is no such robot, [`Error::Device`] if the particles were lost with their device.
     pub fn patches(&self, robot: &str, least: f64) -> Result<Vec<Option<Patch>>> {
-        let (coupling, state) = self.robot(robot)?;
+        let (coupling, state) = self.sensed_robot(robot)?;
         let first = coupling.bodies().iter().position(|body| Some(&body.name) == state.links.first().map(|l| &l.name));
         let (first, bounds) = (first.unwrap_or_default(), coupling.bounds());
         let touched = |link: &LinkState| link.touches(least);
@@ -164,9 +179,19 @@ impl Simulation {
     /// The heights that a robot's `scan` asks for. Its points turn with the base about the vertical, but stay level.
     ///
     /// # Errors
-    /// [`Error::Body`] if there is no such robot or its entry has no `scan`, [`Error::Device`] if the particles were lost with their device.
+    /// Those of [`scan_points`](Self::scan_points), [`Error::Device`] if the particles were lost with their device.
     pub fn scan(&self, robot: &str) -> Result<HeightScan> {
-        let (_, state) = self.robot(robot)?;
+        let (points, base) = self.scan_points(robot)?;
+        let heights = self.heights(&points)?;
+        Ok(HeightScan::new(points, base, heights))
+    }
+
+    /// Where the points of a robot's `scan` are [m], and how high the origin of its base's frame is [m].
+    ///
+    /// # Errors
+    /// [`Error::Body`] if there is no such robot or its entry has no `scan`.
+    pub fn scan_points(&self, robot: &str) -> Result<(Vec<[f64; 2]>, f64)> {
+        let (_, state) = self.sensed_robot(robot)?;
         let entry = self.plan().scene.robot.iter().find(|entry| entry.name == robot);
         let grid = entry.and_then(|entry| entry.scan.as_ref()).ok_or_else(|| Error::Body {
             path: format!("robot '{robot}'"),
@@ -177,9 +202,7 @@ impl Simulation {
         let ahead = DQuat::from_xyzw(x, y, z, w) * DVec3::X;
         let (sin, cos) = ahead.y.atan2(ahead.x).sin_cos();
         let place = |[x, y]: [f64; 2]| [state.position[0] + cos * x - sin * y, state.position[1] + sin * x + cos * y];
-        let points: Vec<[f64; 2]> = grid.places().map(place).collect();
-        let heights = self.heights(&points)?;
-        Ok(HeightScan { points, heights: heights.into_iter().map(|z| z.map(|z| z - state.position[2])).collect() })
+        Ok((grid.places().map(place).collect(), state.position[2]))
     }
 
     /// Height of the surface of the soft ground above or below each point [m]: where, seen from above, particles first fill half of space, taken over a particle's
@@ -228,7 +251,7 @@ impl Simulation {
         all.map(|((_, place), _)| DVec3::from_array(*place)).collect()
     }
 
-    fn robot(&self, name: &str) -> Result<(&dyn Coupling, RobotState)> {
+    fn sensed_robot(&self, name: &str) -> Result<(&dyn Coupling, RobotState)> {
         let mut all = self.sensed();
         let known: Vec<String> = all.iter().map(|(_, robot)| robot.name.clone()).collect();
         let number = known.iter().position(|other| other == name);

@@ -351,6 +351,17 @@ impl Simulation {
         let own = || self.couplings.iter().flat_map(|c| c.wrenches().iter().copied()).collect();
         self.wrenches.clone().unwrap_or_else(own)
     }
+    /// One of them, and the wrench on it.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if there is no such body.
+    pub fn body(&self, name: &str) -> Result<(BodyState, Wrench)> {
+        let mut bodies = self.bodies();
+        match bodies.iter().position(|body| body.name == name) {
+            Some(i) => Ok((bodies.swap_remove(i), self.wrenches()[i])),
+            None => Err(no_body(&bodies, name)),
+        }
+    }
     pub(crate) fn engine(&self) -> &dyn Engine {
         &*self.engine
     }
@@ -420,16 +431,7 @@ impl Simulation {
                 return coupling.act(body, command);
             }
         }
-        let names: Vec<_> = self.bodies().into_iter().map(|b| b.name).collect();
-        Err(Error::Body {
-            path: body.to_owned(),
-            what: "no body has this name".to_owned(),
-            mend: if names.is_empty() {
-                "the scene has none".to_owned()
-            } else {
-                format!("there are {}", names.join(", "))
-            },
-        })
+        Err(no_body(&self.bodies(), body))
     }
 
     /// Makes steps land on `time` [s]: the time left is divided evenly, and the last step ends there exactly. A stop that
@@ -744,6 +746,20 @@ pub(crate) fn no_step(backend: &str) -> Error {
 fn landing(left: f64, dt: f64) -> f64 {
     let parts = parts(left, dt);
     if left.is_finite() && (left - parts * dt).abs() > ROUNDING * dt { left / parts } else { dt }
+}
+
+/// Says which bodies there are.
+fn no_body(bodies: &[BodyState], name: &str) -> Error {
+    let names: Vec<&str> = bodies.iter().map(|body| body.name.as_str()).collect();
+    Error::Body {
+        path: name.to_owned(),
+        what: "no body has this name".to_owned(),
+        mend: if names.is_empty() {
+            "the scene has none".to_owned()
+        } else {
+            format!("there are {}", names.join(", "))
+        },
+    }
 }
 
 /// Kinetic and elastic energy of the ground; laws that give no elastic energy are left out.

@@ -251,6 +251,13 @@ pub(crate) fn run(args: &RunArgs, registry: Registry) -> Result<ExitCode> {
                 about.step,
                 about.time
             ));
+            let is_there = match until {
+                Until::Step(step) => about.step >= step,
+                Until::Time(time) => about.time >= time,
+            };
+            if is_there {
+                show("it is at its end already; --seconds and --steps say how far to go on\n");
+            }
         }
         show(format!("output goes to {}\n", out.display()));
     }

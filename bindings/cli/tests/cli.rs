@@ -113,6 +113,24 @@ fn means_of_a_resumed_trace_are_those_of_the_whole_run() {
     assert!(forces.len() > 4 && forces[2..].iter().all(|force| force.parse::<f64>().unwrap() != 0.0), "{forces:?}");
 }
 
+/// Symptom: a run of so many steps took others than the whole one, where steps are chosen so as to land on its end, and went on as another run.
+#[test]
+fn a_run_that_stops_early_takes_the_steps_of_the_whole_one() {
+    let folder = folder_with_scene();
+    let auto = SMALL.replace("end = 0.2\nstep = 1e-4", "end = 0.05");
+    fs::write(folder.path().join("auto.toml"), auto).unwrap();
+    let run =
+        |more: &[&str]| succeed(folder.path(), &[&["run", "auto.toml", "--quiet", "--no-pictures"], more].concat());
+    let trace = |out: &str| fs::read_to_string(folder.path().join(out).join("trace.csv")).unwrap();
+    run(&["--out", "whole"]);
+    run(&["--out", "part", "--steps", "20"]);
+    let (whole, part) = (trace("whole"), trace("part"));
+    assert_eq!(part.lines().count(), 21);
+    assert!(whole.lines().count() > 30 && whole.starts_with(&part), "{part}");
+    run(&["--out", "part", "--resume"]);
+    assert!(trace("part") == whole, "it goes on as another run");
+}
+
 /// A run in two parts leaves what one in one part does, to the last bit; returns its trace.
 fn resumes_as_the_whole_run(more: &[&str]) -> String {
     let folder = folder_with_scene();
@@ -378,6 +396,9 @@ fn runs_without_a_folder_are_numbered_and_the_last_is_gone_on_with() {
     );
     let lines = |out: &str| fs::read_to_string(folder.path().join(out).join("trace.csv")).unwrap().lines().count();
     assert_eq!((lines("out/small-001"), lines("out/small-002")), (21, 31));
+    assert!(!text.contains("at its end already"), "{text}");
+    let text = succeed(folder.path(), &["run", "--steps", "30", "--no-pictures", "--resume", "small.toml"]);
+    assert!(text.contains("it is at its end already; --seconds"), "{text}");
     // Also from within.
     let inside = folder.path().join("out/small-002");
     let text = succeed(&inside, &["run", "--resume=snapshot.barchan", "--steps", "40", "--no-pictures"]);
@@ -478,6 +499,21 @@ fn a_run_goes_on_as_the_scene_that_it_began_with() {
     fs::write(here.join("rod.obj"), tetrahedron(1.0)).unwrap();
     succeed(here, &resume(&[]));
     assert_eq!(fs::read_to_string(here.join("one/trace.csv")).unwrap().lines().count(), 41);
+    // So it is with the meshes of a robot, wherever the program runs.
+    let bob = r#"<robot name="bob"><link name="bob">
+        <inertial><mass value="1"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial>
+        <collision><geometry><mesh filename="bob.obj" scale="0.02 0.02 0.02"/></geometry></collision></link></robot>"#;
+    fs::create_dir(here.join("in")).unwrap();
+    fs::write(here.join("in/bob.urdf"), bob).unwrap();
+    fs::write(here.join("in/bob.obj"), tetrahedron(1.0)).unwrap();
+    let robot = "[[robot]]\nname = \"bob\"\nurdf = \"bob.urdf\"\nposition = [0.05, 0.05, 0.15]\n";
+    fs::write(here.join("in/bob.toml"), SMALL.to_owned() + robot).unwrap();
+    let run = ["run", "in/bob.toml", "--out", "bob", "--quiet", "--no-pictures"];
+    succeed(here, &[&run[..], &["--steps", "5"]].concat());
+    succeed(here, &[&run[..], &["--steps", "9", "--resume"]].concat());
+    fs::write(here.join("in/bob.obj"), tetrahedron(0.9)).unwrap();
+    let error = fail(here, &[&run[..], &["--steps", "12", "--resume"]].concat());
+    assert!(error.contains("bob.obj has changed since the run began"), "{error}");
 }
 
 /// Names come from files that others may have written.

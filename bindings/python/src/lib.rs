@@ -4,6 +4,7 @@
 //! - Long calls release the GIL, and look for Ctrl-C every [`SLICE`](machine::SLICE).
 //! - Errors of Rust become exceptions of `barchan/errors.py`, with the same words.
 
+mod arrays;
 mod environment;
 mod errors;
 mod machine;

@@ -2,7 +2,7 @@
 
 use crate::errors::exception;
 use barchan::worlds::Worlds;
-use barchan::{Error, Options, Registry, Scene, Simulation};
+use barchan::{Error, HeightScan, Options, Registry, Scene, Simulation};
 use pyo3::prelude::*;
 use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::{Duration, Instant};
@@ -38,10 +38,11 @@ pub(crate) enum Machine {
 pub(crate) type Failure = (Error, Option<usize>);
 
 impl Machine {
-    pub(crate) fn new(registry: &Registry, scene: &Scene, worlds: usize, options: &Options) -> barchan::Result<Self> {
-        Ok(match worlds {
-            1 => Self::One(Box::new(Simulation::new(registry, scene, options)?)),
-            _ => Self::Many(Box::new(Worlds::of(registry, scene, worlds, scene.seed, options)?)),
+    /// A world for each scene.
+    pub(crate) fn new(registry: &Registry, scenes: Vec<Scene>, options: &Options) -> barchan::Result<Self> {
+        Ok(match &scenes[..] {
+            [scene] => Self::One(Box::new(Simulation::new(registry, scene, options)?)),
+            _ => Self::Many(Box::new(Worlds::new(registry, scenes, options)?)),
         })
     }
 
@@ -62,6 +63,15 @@ impl Machine {
             Self::One(simulation) => simulation,
             Self::Many(worlds) => worlds.world_mut(world),
         }
+    }
+
+    /// The heights around a robot in some worlds.
+    pub(crate) fn scans(&mut self, robot: &str, chosen: &[usize]) -> barchan::Result<Vec<HeightScan>> {
+        let all = match self {
+            Self::One(simulation) => vec![simulation.scan(robot)?],
+            Self::Many(worlds) => worlds.scans(robot)?,
+        };
+        Ok(chosen.iter().map(|&world| all[world].clone()).collect())
     }
 
     /// Up to `count` steps of every world, as many as go in a slice, and how many that were. Of a failure the first one is told, after all others

@@ -2,7 +2,7 @@
 
 use crate::errors::{OrRaise, exception};
 use barchan::Scene;
-use pyo3::exceptions::PyTypeError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
 use std::path::{Path, PathBuf};
@@ -16,13 +16,9 @@ pub(crate) const DICT: &str = "scene";
 /// 1. A text is the name of a built-in scene if there is one, or if it has no ending and there is no such file; else it is a file's.
 /// 2. A dict is what a scene file would hold. Relative paths in it start from the folder that the program runs in.
 /// 3. Overrides change it before it is checked.
-pub(crate) fn read(scene: &Bound<'_, PyAny>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Scene> {
+fn read(scene: &Bound<'_, PyAny>, overrides: Option<&Bound<'_, PyDict>>) -> PyResult<Scene> {
     let py = scene.py();
-    let mut set = Vec::new();
-    for (key, value) in overrides.into_iter().flat_map(|all| all.iter()) {
-        let path: String = key.extract()?;
-        set.push(format!("{path}={}", to_toml(&value, &path)?));
-    }
+    let set = overrides.map_or(Ok(Vec::new()), set)?;
     if scene.cast::<PyDict>().is_ok() {
         let text = toml::to_string(&to_toml(scene, "")?);
         let text = text.map_err(|e| exception(py, "SceneError", &format!("{DICT}: {e}")))?;
@@ -42,6 +38,54 @@ pub(crate) fn read(scene: &Bound<'_, PyAny>, overrides: Option<&Bound<'_, PyDict
         )));
     };
     Scene::from_file_with(path, &set).or_raise(py)
+}
+
+/// Reads a scene for each of so many worlds, as [`each`] has their overrides.
+pub(crate) fn read_each(
+    scene: &Bound<'_, PyAny>,
+    overrides: Option<&Bound<'_, PyAny>>,
+    worlds: usize,
+) -> PyResult<Vec<Scene>> {
+    let each = each(overrides, worlds)?;
+    match each.first() {
+        Some(first) if each.iter().all(|one| one.as_ref().map(Bound::as_ptr) == first.as_ref().map(Bound::as_ptr)) => {
+            Ok(vec![read(scene, first.as_ref())?; worlds])
+        }
+        _ => each.iter().map(|one| read(scene, one.as_ref())).collect(),
+    }
+}
+
+/// Overrides for each of so many worlds: one dict for all, or a list with one for each.
+pub(crate) fn each<'py>(
+    overrides: Option<&Bound<'py, PyAny>>,
+    worlds: usize,
+) -> PyResult<Vec<Option<Bound<'py, PyDict>>>> {
+    let Some(given) = overrides else { return Ok(vec![None; worlds]) };
+    if let Ok(one) = given.cast::<PyDict>() {
+        return Ok(vec![Some(one.clone()); worlds]);
+    }
+    let list = given.extract::<Vec<Bound<'_, PyDict>>>();
+    let list =
+        list.map_err(|_| PyTypeError::new_err("overrides: give a dict, or a list with a dict for each world"))?;
+    if list.len() != worlds {
+        return Err(PyValueError::new_err(format!("overrides: there are {} for {worlds} worlds", list.len())));
+    }
+    Ok(list.into_iter().map(Some).collect())
+}
+
+/// A scene that has been read, with overrides.
+pub(crate) fn changed(scene: &Scene, overrides: &Bound<'_, PyDict>) -> PyResult<Scene> {
+    let text = scene.to_toml().or_raise(overrides.py())?;
+    Scene::from_str_with(&text, DICT, &scene.folder, &set(overrides)?).or_raise(overrides.py())
+}
+
+/// Overrides as the command line's `--set` has them.
+fn set(overrides: &Bound<'_, PyDict>) -> PyResult<Vec<String>> {
+    let one = |(key, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| {
+        let path: String = key.extract()?;
+        Ok(format!("{path}={}", to_toml(&value, &path)?))
+    };
+    overrides.iter().map(one).collect()
 }
 
 /// A value as TOML. Arrays and scalars of NumPy come as lists and numbers.

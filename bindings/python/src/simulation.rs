@@ -2,7 +2,7 @@
 
 use crate::errors::{OrRaise, exception, raised};
 use crate::machine::{Machine, taken};
-use crate::{known, records, scene};
+use crate::{arrays, known, records, scene};
 use barchan::probe::Filter;
 use barchan::scene::Probe;
 use barchan::stress::pressure;
@@ -65,7 +65,8 @@ impl State {
 /// seed
 ///     Random seed in place of the scene's. World w has seed + w.
 /// overrides
-///     What to change in the scene, by key path: `{"world.cell": 0.02, "tool.cube.motion.free.mass": 5}`.
+///     What to change in the scene, by key path: `{"world.cell": 0.02, "tool.cube.motion.free.mass": 5}`. A list with such a dict for each world makes worlds that differ. On a GPU
+///     those of a batch have cell width, extent, walls, gravity, laws, and the number and kinds of tools in common.
 ///
 /// All is in SI units, z up; quaternions are (w, x, y, z). Methods that look at a world take `world`, its number. Every array is a copy: it stays as it is, and
 /// to write into it changes nothing here.
@@ -192,12 +193,13 @@ impl Simulation {
         adapter: Option<&Bound<'_, PyAny>>,
         threads: usize,
         seed: Option<&Bound<'_, PyAny>>,
-        overrides: Option<&Bound<'_, PyDict>>,
+        overrides: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         check_count(py, worlds)?;
-        let mut scene = scene::read(scene, overrides)?;
-        if let Some(seed) = seed {
-            scene.seed = seeds(seed, 1)?[0];
+        let mut scenes = scene::read_each(scene, overrides, worlds)?;
+        let seed = seed.map(|seed| Ok::<_, PyErr>(seeds(seed, 1)?[0])).transpose()?;
+        for (world, scene) in scenes.iter_mut().enumerate() {
+            scene.seed = whole_seed(seed.unwrap_or(scene.seed) + world as u64)?;
         }
         let options = Options {
             backend: backend.to_owned(),
@@ -207,7 +209,8 @@ impl Simulation {
             ..Options::default()
         };
         let registry = known(py)?;
-        let machine = py.detach(|| Machine::new(&registry, &scene, worlds, &options)).or_raise(py)?;
+        let scene = scenes[0].clone();
+        let machine = py.detach(|| Machine::new(&registry, scenes, &options)).or_raise(py)?;
         Ok(Self { machine: Mutex::new(machine), scene, options: Mutex::new(options) })
     }
 
@@ -326,8 +329,9 @@ impl Simulation {
         self.scene.time.end
     }
     /// The scene as TOML, overrides included.
-    fn scene(&self, py: Python<'_>) -> PyResult<String> {
-        self.scene.to_toml().or_raise(py)
+    #[pyo3(signature = (*, world=0))]
+    fn scene(&self, py: Python<'_>, world: usize) -> PyResult<String> {
+        self.look(py, world, |one| one.plan().scene.to_toml())?.or_raise(py)
     }
 
     /// Reads particles, as a `Particles` record of arrays in one order. Only what is asked for is read, and brought from a GPU.
@@ -460,10 +464,12 @@ impl Simulation {
             )));
         };
         let points: Vec<[f64; 3]> = points.rows().into_iter().map(|row| [row[0], row[1], row[2]]).collect();
-        let known_names = [
-            ("material", &material, self.scene.material.iter().map(|one| one.name.clone()).collect::<Vec<_>>()),
-            ("body", &body, self.scene.body.iter().map(|one| one.name.clone()).collect()),
-        ];
+        let [materials, bodies] = self.look(py, world, |one| {
+            let scene = &one.plan().scene;
+            let materials = scene.material.iter().map(|one| one.name.clone()).collect::<Vec<_>>();
+            [materials, scene.body.iter().map(|one| one.name.clone()).collect()]
+        })?;
+        let known_names = [("material", &material, materials), ("body", &body, bodies)];
         for (kind, name, known) in known_names {
             let known: Vec<String> = known.into_iter().filter(|name| !name.is_empty()).collect();
             if let Some(name) = name.clone().filter(|name| !known.contains(name)) {
@@ -499,7 +505,7 @@ impl Simulation {
         cell: Option<f64>,
         world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let bounds = &self.scene.world;
+        let bounds = self.look(py, world, |one| one.plan().scene.world.clone())?;
         let (min, max) = match &region {
             None => ([bounds.min[0], bounds.min[1]], [bounds.max[0], bounds.max[1]]),
             Some(region) => {
@@ -562,6 +568,55 @@ impl Simulation {
         Ok(all)
     }
 
+    /// What a robot does and feels in all worlds, or in those in `worlds` (a number or a list): a `RobotArrays` record, with a row for each of them.
+    ///
+    /// With `scan=True` it holds the `heights` of the ground around, too, as `scan` gives them; on a GPU all worlds take one transfer for it.
+    ///
+    /// Raises `BodyError` if there is no such robot, or its entry has no `scan`.
+    #[pyo3(signature = (robot, *, scan=false, worlds=None))]
+    fn robot_arrays<'py>(
+        &self,
+        py: Python<'py>,
+        robot: &str,
+        scan: bool,
+        worlds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let mut machine = self.machine(py)?;
+        let chosen = Self::chosen(worlds, machine.len())?;
+        let machine = &mut *machine;
+        let ask = || {
+            let of_world = |&world: &usize| {
+                let one = machine.world(world);
+                Ok((one.robot(robot)?, one.joints()))
+            };
+            let all = chosen.iter().map(of_world).collect::<barchan::Result<Vec<_>>>()?;
+            let scans = if scan { Some(machine.scans(robot, &chosen)?) } else { None };
+            Ok((all, scans))
+        };
+        let (all, scans) = py.detach(ask).or_raise(py)?;
+        arrays::robots(py, &all, scans.as_deref())
+    }
+
+    /// What a tool, a free body or a link of a robot does in all worlds, or in those in `worlds` (a number or a list), and the wrench of the soft ground on it: a `BodyArrays`
+    /// record, with a row for each of them.
+    ///
+    /// Raises `BodyError` if there is no such body.
+    #[pyo3(signature = (body, *, worlds=None))]
+    fn body_arrays<'py>(
+        &self,
+        py: Python<'py>,
+        body: &str,
+        worlds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let mut machine = self.machine(py)?;
+        let chosen = Self::chosen(worlds, machine.len())?;
+        let machine = &mut *machine;
+        // Moved, as in `look`.
+        let ask =
+            move || chosen.iter().map(|&world| machine.world(world).body(body)).collect::<barchan::Result<Vec<_>>>();
+        arrays::bodies(py, &py.detach(ask).or_raise(py)?)
+    }
+
     /// Heights of the ground at the points around a robot that its `scan` in the scene gives, below its base: a `HeightScan` record. The points turn with the
     /// base about the vertical, but stay level.
     ///
@@ -614,23 +669,30 @@ impl Simulation {
     }
 
     /// Sets worlds back to their start: all, or those in `worlds` (a number or a list). With `seeds`, one for each of them, they start from these random
-    /// seeds instead of those that they have.
-    #[pyo3(signature = (worlds=None, seeds=None))]
+    /// seeds instead of those that they have. With `overrides`, a dict or a list with one for each of them, their scenes change from there on.
+    #[pyo3(signature = (worlds=None, seeds=None, *, overrides=None))]
     fn reset(
         &self,
         py: Python<'_>,
         worlds: Option<&Bound<'_, PyAny>>,
         seeds: Option<&Bound<'_, PyAny>>,
+        overrides: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
         let chosen = Self::chosen(worlds, machine.len())?;
         let seeds = seeds.map(|seeds| self::seeds(seeds, chosen.len())).transpose()?;
+        let overrides = scene::each(overrides, chosen.len())?;
         let (registry, options) = (known(py)?, self.options(py)?.clone());
         let machine = &mut *machine;
-        for (i, world) in chosen.into_iter().enumerate() {
-            let scene = machine.world(world).plan().scene.clone();
+        // Before any of them begins anew.
+        let scene = |(i, &world): (usize, &usize)| {
+            let now = &machine.world(world).plan().scene;
+            let scene = overrides[i].as_ref().map_or_else(|| Ok(now.clone()), |one| scene::changed(now, one))?;
             let seed = seeds.as_ref().map_or(scene.seed, |seeds| seeds[i]);
-            let scene = Scene { seed, ..scene };
+            Ok((world, Scene { seed, ..scene }))
+        };
+        let scenes = chosen.iter().enumerate().map(scene).collect::<PyResult<Vec<_>>>()?;
+        for (world, scene) in scenes {
             let set = || match machine {
                 Machine::One(simulation) => World::new(&registry, &scene, &options).map(|new| **simulation = new),
                 Machine::Many(worlds) => worlds.reset(world, Some(scene)),

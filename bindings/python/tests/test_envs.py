@@ -87,6 +87,7 @@ def test_worlds_of_a_vector_are_what_they_are_alone():
     vector = gymnasium.make_vec(ID, num_envs=3, randomise=1.0)
     assert isinstance(vector, envs.TaskVectorEnv)
     seen, info = vector.reset(seed=5)
+    assert vector.np_random_seed == (5, 6, 7) and len(vector.np_random) == 3
     assert seen.shape == vector.observation_space.shape and info["seed"].tolist() == [5, 6, 7]
     alone = [gymnasium.make(ID, randomise=1.0) for _ in range(3)]
     for world, one in enumerate(alone):

@@ -218,6 +218,47 @@ def test_robots_tell_joints_and_take_targets(dog):
         dog.act("dog", joint_targets=np.zeros(12), linear=[0, 0, 1])
 
 
+def test_arrays_of_all_worlds_hold_what_each_world_tells(dog, press, tmp_path):
+    (tmp_path / "fall.toml").write_text(dog.scene())
+    worlds = barchan.Simulation(tmp_path / "fall.toml", worlds=3)
+    targets = np.tile([0.0, 0.8, -1.6], 4) + np.array([[0.0], [0.1], [0.2]])
+    worlds.act("dog", joint_targets=targets)
+    worlds.step(5)
+    arrays = worlds.robot_arrays("dog", scan=True)
+    assert arrays.joint_position.shape == (3, 12) and arrays.felt_force.shape == (3, len(arrays.link_names), 3)
+    for world in range(3):
+        robot = worlds.robots(world=world)["dog"]
+        assert arrays.joint_names == robot.joint_names and arrays.link_names == list(robot.links)
+        for name in ("position", "rotation", "velocity", "angular_velocity", "specific_force", "projected_gravity", "joint_position", "joint_rate", "joint_torque"):
+            np.testing.assert_array_equal(getattr(arrays, name)[world], getattr(robot, name))
+        for link, one in enumerate(robot.links.values()):
+            np.testing.assert_array_equal(arrays.link_position[world, link], one.position)
+            np.testing.assert_array_equal(arrays.ground_force[world, link], one.ground.force)
+            np.testing.assert_array_equal(arrays.ground_torque[world, link], one.ground.torque)
+            np.testing.assert_array_equal(arrays.felt_force[world, link], one.felt.force)
+            np.testing.assert_array_equal(arrays.felt_torque[world, link], one.felt.torque)
+        np.testing.assert_array_equal(arrays.heights[world], worlds.scan("dog", world=world).heights)
+    assert np.ptp(arrays.joint_rate, axis=0).max() > 0.0
+    some = worlds.robot_arrays("dog", worlds=[2, 0])
+    np.testing.assert_array_equal(some.joint_rate, arrays.joint_rate[[2, 0]])
+    assert some.heights is None and dog.robot_arrays("dog", scan=True).heights.shape == (1, 6)
+    with pytest.raises(barchan.BodyError, match="'cat'.*there are dog"):
+        worlds.robot_arrays("cat")
+    pressed = barchan.Simulation(press, worlds=2)
+    pressed.act("plate", linear=[[0, 0, -0.5], [0, 0, -1.0]])
+    pressed.step(40)
+    plates = pressed.body_arrays("plate")
+    for world in range(2):
+        body, wrench = pressed.bodies(world=world)["plate"], pressed.wrenches(world=world)["plate"]
+        for name in ("position", "rotation", "velocity", "angular_velocity", "mass"):
+            np.testing.assert_array_equal(getattr(plates, name)[world], getattr(body, name))
+        np.testing.assert_array_equal(plates.force[world], wrench.force)
+        np.testing.assert_array_equal(plates.torque[world], wrench.torque)
+    assert np.all(plates.force[:, 2] > 0.0)
+    with pytest.raises(barchan.BodyError, match="there are plate"):
+        pressed.body_arrays("plates")
+
+
 def test_worlds_act_reset_and_go_on_as_they_do_alone(press, same):
     worlds = barchan.Simulation(press, worlds=3, seed=5)
     speeds = np.array([[0, 0, -0.1], [0, 0, -0.3], [0, 0, -0.5]])
@@ -251,6 +292,33 @@ def test_worlds_act_reset_and_go_on_as_they_do_alone(press, same):
         worlds.reset(seeds=[1, 2, 2**63])
     with pytest.raises((TypeError, ValueError), match="2\\^63 - 1"):
         barchan.Simulation(press, seed=-1)
+
+
+def test_worlds_may_differ_in_what_their_scenes_say(press, same):
+    densities = [300.0, 400.0, 500.0]
+    each = [{"material.snow.density": density} for density in densities]
+    worlds = barchan.Simulation(press, worlds=3, seed=5, overrides=each)
+    masses = [worlds.ledger(world=world)["mass"] for world in range(3)]
+    np.testing.assert_allclose(masses, np.array(densities) * masses[1] / 400.0, rtol=1e-6)
+    worlds.step(9)
+    for world in range(3):
+        alone = barchan.Simulation(press, seed=5 + world, overrides=each[world])
+        alone.step(9)
+        assert same(worlds, alone, a_world=world)
+    # From an episode to the next.
+    worlds.reset([2, 0], overrides=[{"tool.plate.position": [0.2, 0.2, 0.3]}, {"material.snow.density": 200.0}])
+    assert worlds.body_arrays("plate").position[:, 2].tolist() == [0.23, 0.23, 0.3]
+    assert worlds.times[0] == worlds.times[2] == 0.0 < worlds.times[1]
+    assert same(worlds, barchan.Simulation(press, seed=5, overrides={"material.snow.density": 200.0}))
+    assert "density = 500.0" in worlds.scene(world=2) and "density = 200.0" in worlds.scene()
+    with pytest.raises(ValueError, match="2 for 3 worlds"):
+        barchan.Simulation(press, worlds=3, overrides=each[:2])
+    with pytest.raises(TypeError, match="a dict for each world"):
+        barchan.Simulation(press, worlds=3, overrides=3)
+    before = worlds.times.tolist()
+    with pytest.raises(barchan.SceneError, match="density"):
+        worlds.reset(overrides=[{}, {}, {"material.snow.density": -1.0}])
+    assert worlds.times.tolist() == before
 
 
 def test_states_forks_and_files_go_on_bit_for_bit(press, same, tmp_path):

@@ -353,7 +353,7 @@ pub use barchan_rigid::robot::RobotModel;
 /// let mut simulation = Simulation::new(&barchan::registry(), &scene, &Options::default())?;
 /// simulation.step()?;
 ///
-/// let state: RobotState = simulation.robots().remove(0);
+/// let state: RobotState = simulation.robot("dog")?;
 /// assert!(state.projected_gravity[2] < -0.99 && state.specific_force[2].abs() < 0.1, "it falls");
 /// let foot: &LinkState = state.links.last().unwrap();
 /// let points: &[PointForce] = &foot.rigid;

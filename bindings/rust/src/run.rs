@@ -323,9 +323,11 @@ fn steps(
         }
         _ => 1.0,
     };
-    if let Until::Time(end) = request.until {
-        simulation.set_stop(end);
-    }
+    // A run of so many steps takes those of the whole one.
+    simulation.set_stop(match request.until {
+        Until::Time(end) => end,
+        Until::Step(_) => simulation.plan().scene.time.end,
+    });
     // The trace may have a row for each step.
     let has_each = simulation.plan().scene.output.trace.interval.is_none();
     simulation.report_bodies(has_each);

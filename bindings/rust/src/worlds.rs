@@ -24,7 +24,7 @@
 //! ```
 
 use barchan_core::task::{Seen, Watch};
-use barchan_core::{Error, Options, Registry, Result, Scene, Simulation, State, StepReport, Together};
+use barchan_core::{Error, HeightScan, Options, Registry, Result, Scene, Simulation, State, StepReport, Together};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::panic::resume_unwind;
@@ -251,6 +251,18 @@ impl Worlds {
                 .install(|| simulations.par_iter_mut().zip(watches).map(|(world, watch)| world.watch(watch)).collect()),
             Machine::Together(together) => together.watch(watches),
         }
+    }
+
+    /// The [heights around a robot](Simulation::scan) in every world; worlds that step together take one transfer for it.
+    ///
+    /// # Errors
+    /// Those of [`Simulation::scan`].
+    pub fn scans(&mut self, robot: &str) -> Result<Vec<HeightScan>> {
+        let scanned = self.iter().map(|world| world.scan_points(robot)).collect::<Result<Vec<_>>>()?;
+        let watch = |(points, _): &(Vec<[f64; 2]>, f64)| Watch { heights: points.clone(), ..Watch::default() };
+        let seen = self.watch(&scanned.iter().map(watch).collect::<Vec<_>>());
+        let scan = |((points, base), seen): (_, Result<Seen>)| Ok(HeightScan::new(points, base, seen?.heights));
+        scanned.into_iter().zip(seen).map(scan).collect()
     }
 
     /// Sets a world back to its start, or to the start of another scene.

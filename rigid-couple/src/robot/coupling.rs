@@ -152,6 +152,10 @@ impl Robot {
         let floating = !robot.fixed;
         let base = Pose { position: DVec3::from_array(robot.position), rotation: rotation_from(robot.rotation)? };
         let path = JointPath::new(robot.motion.as_ref(), &model, &base, &positions, &scene.folder)?;
+        if robot.motion.is_some() && gains.iter().all(|gains| gains.kp == 0.0 && gains.kd == 0.0) {
+            let what = "its motion moves nothing, since no motor has gains: give it motor = [{ kp = 100, kd = 3 }]";
+            model.warnings.push(what.to_owned());
+        }
         if robot.motion.as_ref().is_some_and(|motion| motion.path.is_some()) {
             positions.copy_from_slice(path.start());
         }
@@ -809,6 +813,11 @@ impl Coupling for Robots {
                     .at(&path))
             }
         }
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        let all = self.robots.iter().flat_map(|robot| &robot.model.files);
+        all.map(|file| file.strip_prefix(&self.scene.folder).unwrap_or(file).to_owned()).collect()
     }
 
     fn warnings(&self, cell_width: f64) -> Vec<String> {

@@ -340,7 +340,8 @@ fn room(robots: usize) -> usize {
     if robots > 1 { MOST_POINTS_TOGETHER } else { MOST_POINTS }
 }
 
-/// The law of robots that grip as `contacts` say, in these groups, beside these tools, on finest cells of width `cell` [m]; `None` if there is too much to number.
+/// The law of robots that grip as `contacts` say, in these groups, beside these tools, on finest cells of width `cell` [m]; `None` if there is too much to number, or a robot
+/// that can't move.
 pub(crate) fn law(
     robots: &[Robot],
     contacts: &[Contact],
@@ -348,6 +349,9 @@ pub(crate) fn law(
     tools: &[&Obstacle],
     cell: f64,
 ) -> Option<DeviceLaw> {
+    if robots.iter().any(|robot| robot.state.rates.is_empty()) {
+        return None;
+    }
     let mut bodies = Vec::new();
     for (robot, &contact) in robots.iter().zip(contacts) {
         for &link in &robot.solids {

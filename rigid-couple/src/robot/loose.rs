@@ -83,7 +83,7 @@ impl Robot {
         let solids = vec![links.len() - 1];
         let positions = vec![0.0; drives.len()];
         let gains = vec![Gains::default(); drives.len()];
-        let model = RobotModel { name: tool.name.clone(), links, drives, warnings: Vec::new() };
+        let model = RobotModel { name: tool.name.clone(), links, drives, files: Vec::new(), warnings: Vec::new() };
         let motion = JointPath::new(None, &model, &pose, &positions, Path::new("")).map_err(still)?;
         let floating = guided.is_none();
         let mut rates = vec![0.0; rates_of(&model, floating)];

@@ -4,6 +4,7 @@ use super::visual::Visual;
 use crate::motion::Pose;
 use crate::sdf::Sdf;
 use glam::{DMat3, DVec3};
+use std::path::PathBuf;
 
 /// How a link moves against its parent.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,6 +87,8 @@ pub struct RobotModel {
     pub links: Vec<Link>,
     /// Joint positions that can be driven, in the order of their joints in the tree.
     pub drives: Vec<Drive>,
+    /// Files of the meshes by which it touches.
+    pub files: Vec<PathBuf>,
     /// What was mended or left out on the way, for people.
     pub warnings: Vec<String>,
 }

@@ -51,6 +51,10 @@ pub(super) trait Whole {
     /// the iteration has not converged.
     fn balance_alone(&self) -> Option<Balanced> {
         let (mass, driven, ground) = (self.mass_matrix(), self.driven(), self.points());
+        if driven.is_empty() {
+            // What stands still has nothing to balance.
+            return Some(Balanced { rates: driven.clone(), converged: true });
+        }
         let off_at = |rates: &DVector<f64>, own: &Balance| driven - mass * rates + &own.residual;
         let secant_step = |rates: &DVector<f64>, weight: f64| {
             let own = self.own_impulses(rates, weight, false);

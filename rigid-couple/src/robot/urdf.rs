@@ -119,11 +119,16 @@ impl<'a> Reader<'a> {
         let mut tree = Tree { links: Vec::new(), drives: Vec::new(), mimics: Vec::new() };
         self.grow(base, None, &links, &edges, &mut tree)?;
         self.resolve(&mut tree)?;
+        let touches = |mesh: &Xml<'a>| {
+            mesh.has_tag_name("mesh") && mesh.ancestors().any(|around| around.has_tag_name("collision"))
+        };
+        let files = root.descendants().filter(touches).map(|mesh| self.mesh_file(mesh)).collect::<Result<_, _>>()?;
         self.check_inertias(&mut tree, &links)?;
         let model = RobotModel {
             name: root.attribute("name").unwrap_or("robot").to_owned(),
             links: tree.links,
             drives: tree.drives,
+            files,
             warnings: std::mem::take(&mut self.warnings),
         };
         if model.mass() <= 0.0 {
@@ -310,8 +315,8 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Joints that mimic others move with them.
-    fn resolve(&self, tree: &mut Tree) -> Result<(), Refusal> {
+    /// Joints that mimic others move with them, as far as both may.
+    fn resolve(&mut self, tree: &mut Tree) -> Result<(), Refusal> {
         let mimics = std::mem::take(&mut tree.mimics);
         let mut kept: Vec<Option<usize>> = Vec::new();
         let mut count = 0;
@@ -320,10 +325,36 @@ impl<'a> Reader<'a> {
             kept.push(is_own.then_some(count));
             count += usize::from(is_own);
         }
-        let target = |name: &str| tree.drives.iter().position(|drive| drive.name == name).and_then(|drive| kept[drive]);
+        let named = |name: &str| tree.drives.iter().position(|drive| drive.name == name);
         let mut to = kept.clone();
+        let mut follows = Vec::new();
         for (own, name, fault) in mimics {
-            to[own] = Some(target(&name).ok_or(fault)?);
+            let Some((leader, number)) = named(&name).and_then(|leader| Some((leader, kept[leader]?))) else {
+                return Err(fault);
+            };
+            to[own] = Some(number);
+            follows.push((own, leader));
+        }
+        for (own, leader) in follows {
+            let joints = tree.links.iter().map(|link| &link.joint);
+            let joint = joints.clone().find(|joint| joint.freedom != Freedom::Fixed && joint.drive == own);
+            let (limits, led) = (tree.drives[own].limits, tree.drives[leader].limits);
+            // Many files give those that follow no limits of their own, or zeros.
+            let Some(joint) = joint.filter(|joint| joint.ratio != 0.0 && limits[0] < limits[1]) else { continue };
+            let ends = limits.map(|end| (end - joint.offset) / joint.ratio);
+            let both = [led[0].max(ends[0].min(ends[1])), led[1].min(ends[0].max(ends[1]))];
+            let (follower, name) = (&tree.drives[own].name, &tree.drives[leader].name);
+            if both[0] > both[1] {
+                self.warnings.push(format!(
+                    "joint '{follower}' has limits that leave '{name}', which it follows, no position; they are ignored"
+                ));
+            } else if both[0] > led[0] + SAME_LIMIT || both[1] < led[1] - SAME_LIMIT {
+                let [least, most] = both;
+                self.warnings.push(format!(
+                    "joint '{name}' stops at {least:.4} and {most:.4}, where '{follower}', which follows it, reaches its limits"
+                ));
+                tree.drives[leader].limits = both;
+            }
         }
         for joint in tree.links.iter_mut().map(|link| &mut link.joint).filter(|joint| joint.freedom != Freedom::Fixed) {
             joint.drive = to[joint.drive].unwrap_or_default();
@@ -558,6 +589,8 @@ struct Tree {
     mimics: Vec<(usize, String, Refusal)>,
 }
 
+/// By so much less, limits are the same.
+const SAME_LIMIT: f64 = 1e-6;
 /// Limits of a joint without stops.
 const UNLIMITED: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
@@ -583,6 +616,52 @@ impl Link {
             inertia: DMat3::ZERO,
             shape: None,
             visuals: Vec::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Source;
+    use crate::robot::RobotModel;
+
+    /// A joint stops where one that follows it reaches its limits; what leaves it no position, and zeros, are no limits.
+    #[test]
+    fn a_joint_goes_as_far_as_those_that_follow_it() {
+        let link = |name: &str| {
+            format!(
+                "<link name='{name}'><inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial></link>"
+            )
+        };
+        let joint = |name: &str, child: &str, limits: &str, more: &str| {
+            format!(
+                "<joint name='{name}' type='revolute'><parent link='a'/><child link='{child}'/><axis xyz='0 0 1'/><limit effort='1' velocity='1' {limits}/>{more}</joint>"
+            )
+        };
+        let limits_with = |limits: &str, multiplier: f64| {
+            let follower = joint(
+                "follower",
+                "c",
+                limits,
+                &format!("<mimic joint='leader' multiplier='{multiplier}' offset='0.5'/>"),
+            );
+            let leader = joint("leader", "b", "lower='-1' upper='2'", "");
+            let text = format!("<robot name='r'>{}{}{}{follower}{leader}</robot>", link("a"), link("b"), link("c"));
+            let source = Source { text: &text, file: "r.urdf", folder: std::path::Path::new("."), mends: false };
+            let model = RobotModel::read(&source).unwrap_or_else(|e| panic!("{}", e.what));
+            (model.drives[0].limits, model.warnings)
+        };
+        for (limits, multiplier, wanted, says) in [
+            ("lower='-9' upper='9'", 2.0, [-1.0, 2.0], ""),
+            ("lower='-0.5' upper='2.5'", 2.0, [-0.5, 1.0], "'leader' stops at -0.5000 and 1.0000, where 'follower'"),
+            ("lower='-0.5' upper='2.5'", -1.0, [-1.0, 1.0], "'leader' stops at -1.0000 and 1.0000"),
+            ("lower='7' upper='8'", 1.0, [-1.0, 2.0], "no position; they are ignored"),
+            ("", 1.0, [-1.0, 2.0], ""),
+        ] {
+            let (found, warnings) = limits_with(limits, multiplier);
+            assert_eq!(found, wanted, "{limits}, {multiplier}");
+            let said = warnings.join("");
+            assert!(if says.is_empty() { said.is_empty() } else { said.contains(says) }, "{limits}: {said}");
         }
     }
 }

@@ -21,7 +21,7 @@ pub struct PlannedCoupling {
 pub(super) struct Couplings {
     pub(super) planned: Vec<PlannedCoupling>,
     pub(super) made: Vec<Box<dyn Coupling>>,
-    /// The files that their parameters name.
+    /// The files that they read.
     pub(super) files: Vec<PathBuf>,
 }
 
@@ -91,6 +91,7 @@ pub(super) fn make_couplings(registry: &Registry, scene: &Scene) -> Result<Coupl
         }
         couplings.planned.push(PlannedCoupling { kind: kind_name.to_owned(), name: name.to_owned() });
         couplings.files.extend(parameters.files().into_iter().map(ToOwned::to_owned));
+        couplings.files.extend(made.files());
         couplings.made.push(made);
     }
     Ok(couplings)

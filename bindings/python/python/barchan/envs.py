@@ -325,6 +325,7 @@ class TaskVectorEnv(VectorEnv):
         self._most = np.full(num_envs, self.max_episode_steps, np.int64)
         self._seeds = np.full(num_envs, -1, np.int64)
         self._random: list[np.random.Generator | None] = [None] * num_envs
+        self._drawn_from = np.full(num_envs, -1, object)
         self._ended = np.zeros(num_envs, np.bool_)
         self._terminated = np.zeros(num_envs, np.bool_)
 
@@ -355,7 +356,7 @@ class TaskVectorEnv(VectorEnv):
         for world in np.flatnonzero(chosen).tolist():
             given = seeds[world]
             if given is not None or self._random[world] is None:
-                self._random[world] = seeding.np_random(given)[0]
+                self._random[world], self._drawn_from[world] = seeding.np_random(given)
             self._seeds[world] = given if given is not None else self._next_seed(world)
         self._ended[chosen] = False
         if chosen.all():
@@ -401,6 +402,16 @@ class TaskVectorEnv(VectorEnv):
         else:
             self._ended, self._terminated = ended, terminated.copy()
         return self._played.out(observations), self._played.out(rewards), self._played.out(terminated), self._played.out(truncated), info
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:
+        """The seed of each world's generator of seeds, -1 before the first reset, as `SyncVectorEnv` tells it."""
+        return tuple(self._drawn_from)
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:
+        """Each world's generator of seeds, after the first reset."""
+        return tuple(random for random in self._random if random is not None)
 
     def heuristic(self) -> NDArray[np.float32]:
         """The actions of the task's hand-written agent now."""

@@ -12,7 +12,23 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Batch", "Body", "Chamfer", "HeightMap", "HeightScan", "Law", "Link", "Particles", "Plan", "Robot", "Surface", "Task", "Wrench"]
+__all__ = [
+    "Batch",
+    "Body",
+    "BodyArrays",
+    "Chamfer",
+    "HeightMap",
+    "HeightScan",
+    "Law",
+    "Link",
+    "Particles",
+    "Plan",
+    "Robot",
+    "RobotArrays",
+    "Surface",
+    "Task",
+    "Wrench",
+]
 
 
 class Particles:
@@ -167,6 +183,66 @@ class Robot:
     """Torque [N m] or force [N] of its motor over the last step, (joints,)."""
     links: dict[str, Link] = field(repr=False)
     """Links with mass or shape by name, the base first."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyArrays:
+    """What a tool, a free body or a link of a robot does in each of w worlds."""
+
+    position: NDArray[np.float64]
+    """Centre of mass [m], (w, 3)."""
+    rotation: NDArray[np.float64]
+    """Orientation quaternion (w, x, y, z), (w, 4)."""
+    velocity: NDArray[np.float64]
+    """Velocity of the centre of mass [m/s], (w, 3)."""
+    angular_velocity: NDArray[np.float64]
+    """Angular velocity [rad/s], (w, 3)."""
+    mass: NDArray[np.float64]
+    """Mass [kg], (w,); infinite for a driven body."""
+    force: NDArray[np.float64]
+    """Mean force of the soft ground over the last step [N], (w, 3)."""
+    torque: NDArray[np.float64]
+    """Its torque about the centre of mass [N m], (w, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotArrays:
+    """How a robot moves in each of w worlds, and what its links feel. Joints come in the order of commands to them."""
+
+    joint_names: list[str]
+    link_names: list[str]
+    """Links with mass or shape, the base first."""
+    position: NDArray[np.float64]
+    """Origin of the base's frame [m], (w, 3)."""
+    rotation: NDArray[np.float64]
+    """Orientation quaternion of the base (w, x, y, z), (w, 4)."""
+    velocity: NDArray[np.float64]
+    """Velocity of that origin, along the base's axes [m/s], (w, 3)."""
+    angular_velocity: NDArray[np.float64]
+    """Angular velocity, along the base's axes [rad/s], (w, 3): what a gyroscope reads."""
+    specific_force: NDArray[np.float64]
+    """Acceleration less gravity, along the base's axes [m/s^2], (w, 3): what an accelerometer reads."""
+    projected_gravity: NDArray[np.float64]
+    """Where gravity points, a unit vector along the base's axes, (w, 3); zero without gravity."""
+    joint_position: NDArray[np.float64]
+    """Angle [rad] or displacement [m] of each joint, (w, joints)."""
+    joint_rate: NDArray[np.float64]
+    """Its rate [rad/s or m/s], (w, joints)."""
+    joint_torque: NDArray[np.float64]
+    """Torque [N m] or force [N] of its motor over the last step, (w, joints)."""
+    link_position: NDArray[np.float64]
+    """Centre of mass of each link [m], (w, links, 3)."""
+    ground_force: NDArray[np.float64]
+    """Mean force of the soft ground on it over the last step [N], (w, links, 3)."""
+    ground_torque: NDArray[np.float64]
+    """Its torque about the centre of mass [N m], (w, links, 3)."""
+    felt_force: NDArray[np.float64]
+    """Force of soft ground and rigid things together [N], (w, links, 3)."""
+    felt_torque: NDArray[np.float64]
+    """Their torque about the centre of mass [N m], (w, links, 3)."""
+    heights: NDArray[np.float64] | None
+    """How high the ground at the points of the robot's scan is above the origin of the base's frame [m], (w, n), negative below; NaN where there is neither ground nor floor. None if it
+    was not asked for."""
 
 
 @dataclass(frozen=True, eq=False)

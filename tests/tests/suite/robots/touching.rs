@@ -5,7 +5,7 @@ use barchan::{BodyState, Command, Coupling, Precision, RobotState, Scene, Simula
 use barchan_core::coupling::begin_step;
 use barchan_rigid::Rigid;
 use barchan_rigid::robot::Robots;
-use barchan_tests::scenes::{missed, run_to, simulation};
+use barchan_tests::scenes::{missed, rows, run_to, simulation};
 use barchan_tests::sketch::{bed, half, tool};
 use glam::DVec3;
 
@@ -256,6 +256,51 @@ motion = "fixed"
     let base = &robot.links[0];
     println!("{}: {:.1e} N", base.name, most(base));
     assert_eq!(most(base), 0.0, "{}", base.name);
+}
+
+/// Symptom: a robot that is fixed and has no joint that moves, a table from a URDF, ended the program. A ball that falls onto it comes to rest there, and so does sand.
+#[test]
+fn a_robot_that_cannot_move_bears_what_falls_on_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let urdf = r#"<robot name="table"><link name="top">
+        <inertial><mass value="5"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
+        <collision><geometry><box size="0.4 0.4 0.1"/></geometry></collision></link></robot>"#;
+    std::fs::write(folder.path().join("table.urdf"), urdf).unwrap();
+    let text = r#"
+name = "table"
+world = { cell = 0.025, min = [-0.3, -0.3, 0], max = [0.3, 0.3, 0.6], walls = { z_min = "stick" } }
+time = { end = 1, step = 5e-4 }
+[[material]]
+name = "sand"
+law = "sand"
+density = 1600
+parameters = { young_modulus = 1e5, friction_angle_deg = 35 }
+[[body]]
+material = "sand"
+shape = { box = { min = [-0.15, -0.15, 0.26], max = [0.0, 0.15, 0.31] } }
+[[robot]]
+name = "table"
+urdf = "table.urdf"
+fixed = true
+position = [0, 0, 0.2]
+[[tool]]
+name = "ball"
+shape = { sphere = { radius = 0.04 } }
+position = [0.12, 0, 0.32]
+contact = { coulomb = { friction = 0.5 } }
+motion = { free = { mass = 0.5 } }
+"#;
+    let scene = Scene::from_str(text, "table.toml", folder.path()).unwrap();
+    let mut all =
+        Simulation::new(&barchan::registry(), &scene, &barchan_tests::scenes::options(Precision::F64)).unwrap();
+    run_to(&mut all, 0.5);
+    let ball = DVec3::from_array(all.body("ball").unwrap().0.position);
+    let borne = DVec3::from_array(all.robot("table").unwrap().links[0].felt().force).z;
+    let lowest = rows(&all).iter().map(|row| row.x[2]).fold(f64::INFINITY, f64::min);
+    let weight = 9.81 * (0.5 + all.ledger().mass);
+    println!("ball at {:.4} m (0.29), sand from {lowest:.3} m on (0.25), borne {borne:.2} N of {weight:.2}", ball.z);
+    assert!((ball.z - 0.29).abs() < 1e-3 && lowest > 0.24, "{ball}, {lowest}");
+    assert!((borne / weight + 1.0).abs() < 0.1, "{borne} N of {weight}");
 }
 
 /// Symptom: a dog that drops half on sand and half on the floor was solved to the end in two steps of three, since where a foot may press and slide, steps of the iteration led far beyond

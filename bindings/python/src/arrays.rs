@@ -1,0 +1,86 @@
+//! What all worlds of a batch say of one robot or body, as arrays with a row for each world.
+
+use crate::records::{record, vector};
+use barchan::{BodyState, HeightScan, JointState, RobotState, Wrench};
+use numpy::{Element, PyArray1, PyArrayMethods};
+use pyo3::IntoPyObjectExt;
+use pyo3::prelude::*;
+
+/// Numbers of each world, one world behind the other, as an array whose first axis counts worlds and whose last ones are `shape`.
+fn stacked<'py, T: Element>(
+    py: Python<'py>,
+    worlds: usize,
+    shape: &[usize],
+    values: impl Iterator<Item = T>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let shape: Vec<usize> = std::iter::once(worlds).chain(shape.iter().copied()).collect();
+    Ok(PyArray1::from_iter(py, values).reshape(shape)?.into_any())
+}
+
+/// A robot in each world, with all joints of that world, and the heights around it, if they were asked for: a `RobotArrays` record.
+pub(crate) fn robots<'py>(
+    py: Python<'py>,
+    all: &[(RobotState, Vec<JointState>)],
+    scans: Option<&[HeightScan]>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let worlds = all.len();
+    let own = |(robot, joints): &'_ (RobotState, Vec<JointState>)| -> Vec<JointState> {
+        joints.iter().filter(|joint| joint.body == robot.name).cloned().collect()
+    };
+    let joints: Vec<Vec<JointState>> = all.iter().map(own).collect();
+    let of_joints = |of: fn(&JointState) -> f64| {
+        stacked(py, worlds, &[joints.first().map_or(0, Vec::len)], joints.iter().flatten().map(of))
+    };
+    let of_base =
+        |of: fn(&RobotState) -> [f64; 3]| stacked(py, worlds, &[3], all.iter().flat_map(move |(robot, _)| of(robot)));
+    let links = all.first().map_or(0, |(robot, _)| robot.links.len());
+    let felt: Vec<Wrench> = all.iter().flat_map(|(robot, _)| &robot.links).map(|link| link.felt()).collect();
+    let of_felt = |of: fn(&Wrench) -> [f64; 3]| stacked(py, worlds, &[links, 3], felt.iter().flat_map(of));
+    let of_links = |of: fn(&barchan::LinkState) -> [f64; 3]| {
+        stacked(py, worlds, &[links, 3], all.iter().flat_map(|(robot, _)| &robot.links).flat_map(of))
+    };
+    let names = |of: fn(&(RobotState, Vec<JointState>)) -> Vec<String>| {
+        all.first().map(of).unwrap_or_default().into_bound_py_any(py)
+    };
+    let joint_names: Vec<&str> = joints.iter().take(1).flatten().map(|joint| joint.name.as_str()).collect();
+    let heights = scans.map(|scans| {
+        let points = scans.first().map_or(0, |scan| scan.heights.len());
+        stacked(py, worlds, &[points], scans.iter().flat_map(|scan| scan.heights.iter().map(|z| z.unwrap_or(f64::NAN))))
+    });
+    let fields = [
+        ("joint_names", joint_names.into_bound_py_any(py)?),
+        ("link_names", names(|(robot, _)| robot.links.iter().map(|link| link.name.clone()).collect())?),
+        ("position", of_base(|robot| robot.position)?),
+        ("rotation", stacked(py, worlds, &[4], all.iter().flat_map(|(robot, _)| robot.rotation))?),
+        ("velocity", of_base(|robot| robot.velocity)?),
+        ("angular_velocity", of_base(|robot| robot.angular_velocity)?),
+        ("specific_force", of_base(|robot| robot.specific_force)?),
+        ("projected_gravity", of_base(|robot| robot.projected_gravity)?),
+        ("joint_position", of_joints(|joint| joint.position)?),
+        ("joint_rate", of_joints(|joint| joint.rate)?),
+        ("joint_torque", of_joints(|joint| joint.torque)?),
+        ("link_position", of_links(|link| link.centre)?),
+        ("ground_force", of_links(|link| link.ground.force)?),
+        ("ground_torque", of_links(|link| link.ground.torque)?),
+        ("felt_force", of_felt(|wrench| wrench.force)?),
+        ("felt_torque", of_felt(|wrench| wrench.torque)?),
+        ("heights", heights.transpose()?.into_bound_py_any(py)?),
+    ];
+    record(py, "RobotArrays", &fields)
+}
+
+/// A body in each world, and the wrench on it: a `BodyArrays` record.
+pub(crate) fn bodies<'py>(py: Python<'py>, all: &[(BodyState, Wrench)]) -> PyResult<Bound<'py, PyAny>> {
+    let worlds = all.len();
+    let of = |of: fn(&(BodyState, Wrench)) -> [f64; 3]| stacked(py, worlds, &[3], all.iter().flat_map(of));
+    let fields = [
+        ("position", of(|(body, _)| body.position)?),
+        ("rotation", stacked(py, worlds, &[4], all.iter().flat_map(|(body, _)| body.rotation))?),
+        ("velocity", of(|(body, _)| body.velocity)?),
+        ("angular_velocity", of(|(body, _)| body.angular_velocity)?),
+        ("mass", vector(py, all.iter().map(|(body, _)| body.mass).collect())),
+        ("force", of(|(_, wrench)| wrench.force)?),
+        ("torque", of(|(_, wrench)| wrench.torque)?),
+    ];
+    record(py, "BodyArrays", &fields)
+}
