@@ -4,6 +4,7 @@ use crate::records::{record, vector};
 use barchan::{BodyState, HeightScan, JointState, RobotState, Wrench};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::IntoPyObjectExt;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 /// Numbers of each world, one world behind the other, as an array whose first axis counts worlds and whose last ones are `shape`.
@@ -28,6 +29,16 @@ pub(crate) fn robots<'py>(
         joints.iter().filter(|joint| joint.body == robot.name).cloned().collect()
     };
     let joints: Vec<Vec<JointState>> = all.iter().map(own).collect();
+    let sizes = |world: usize| (all[world].0.links.len(), joints[world].len());
+    if let Some(other) = (1..worlds).find(|&world| sizes(world) != sizes(0)) {
+        return Err(PyValueError::new_err(format!(
+            "the robot has {} links and {} joints in one world and {} and {} in another; ask for worlds where it has as many",
+            sizes(0).0,
+            sizes(0).1,
+            sizes(other).0,
+            sizes(other).1
+        )));
+    }
     let of_joints = |of: fn(&JointState) -> f64| {
         stacked(py, worlds, &[joints.first().map_or(0, Vec::len)], joints.iter().flatten().map(of))
     };
