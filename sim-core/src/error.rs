@@ -116,7 +116,12 @@ pub enum Error {
     },
     /// The time step is above what is stable.
     #[error(
-        "time step {dt:.3e} s at step {step} is above the bound {bound:.3e} s set by {by}; lower time.step, lower the stiffness, or set time.over_bound = \"substep\""
+        "time step {dt:.3e} s at step {step} is {}",
+        if dt > bound {
+            format!("above the bound {bound:.3e} s set by {by}; lower time.step, lower the stiffness, or set time.over_bound = \"substep\"")
+        } else {
+            format!("too short for time to go on: the bound is {bound:.3e} s by {by}, which has grown without end; go on from a snapshot before that")
+        }
     )]
     TimeStep {
         /// Step number.
@@ -236,5 +241,21 @@ impl Error {
             Self::Unknown { kind, name, known, .. } => Self::Unknown { path: place.to_owned(), kind, name, known },
             other => other,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Error;
+
+    /// Symptom: where a step was too short for time to go on, the error said that it was above a bound that was greater than it.
+    #[test]
+    fn a_step_in_which_time_stands_still_is_not_above_its_bound() {
+        let said =
+            |dt: f64| Error::TimeStep { step: 7, dt, bound: 2e-15, by: "speed of a tool".to_owned() }.to_string();
+        let (short, long) = (said(1e-15), said(3e-15));
+        assert!(short.contains("1.000e-15 s at step 7 is too short for time to go on"), "{short}");
+        assert!(short.contains("2.000e-15 s by speed of a tool") && !short.contains("above the bound"), "{short}");
+        assert!(long.contains("is above the bound 2.000e-15 s set by speed of a tool; lower time.step"), "{long}");
     }
 }
