@@ -125,14 +125,23 @@ impl Together {
             .collect()
     }
 
-    /// Lets worlds go on from states of their scenes, as [`Simulation::set_state`] does one of them. All that are in the batch are laid out anew once.
+    /// Lets worlds go on from states, as [`Simulation::restore`] does one of them. Those of their own scenes are laid out anew once for all; one with another seed is put
+    /// in its place behind them.
     ///
     /// # Errors
-    /// Those of [`Simulation::set_state`]; all worlds of the batch are as they were then.
+    /// Those of [`Simulation::restore`], and of [`Batch::replace`]; the world is as it was then.
     ///
     /// # Panics
     /// If there is no such world.
-    pub fn restore(&mut self, states: &[(usize, &State)]) -> Result<()> {
+    pub fn restore(&mut self, states: &[(usize, &State)], registry: &Registry, options: &Options) -> Result<()> {
+        let (others, own): (Vec<_>, Vec<_>) =
+            states.iter().copied().partition(|(world, state)| self.worlds[*world].is_seeded_otherwise(state));
+        self.set_states(&own)?;
+        others.into_iter().try_for_each(|(world, state)| self.replace_by(world, registry, state, options))
+    }
+
+    /// Lets worlds go on from states of their scenes; on an error all worlds of the batch are as they were.
+    fn set_states(&mut self, states: &[(usize, &State)]) -> Result<()> {
         let mut before = Vec::new();
         let mut particles = Vec::new();
         let mut taken = Ok(());
@@ -195,13 +204,7 @@ impl Together {
     }
 
     /// Puts a world that goes on from a state in the place of another, scene and all, as [`Simulation::from_state`] makes one.
-    ///
-    /// # Errors
-    /// Those of [`Simulation::from_state`] and of [`Batch::replace`]; the world is as it was then.
-    ///
-    /// # Panics
-    /// If there is no such world.
-    pub fn replace_by(&mut self, world: usize, registry: &Registry, state: &State, options: &Options) -> Result<()> {
+    fn replace_by(&mut self, world: usize, registry: &Registry, state: &State, options: &Options) -> Result<()> {
         let (plan, couplings) = state.prepared(registry, find_backend(registry, options)?, options)?;
         let particles = state.particles_for(&self.backend);
         self.batch.replace(world, NewWorld { plan: &plan, particles, couplings: &couplings })?;

@@ -18,49 +18,39 @@ fn stacked<'py, T: Element>(
     Ok(PyArray1::from_iter(py, values).reshape(shape)?.into_any())
 }
 
-/// A robot in each world, with all joints of that world, and the heights around it, if they were asked for: a `RobotArrays` record.
+/// A robot in each world, with its joints, and the heights around it, if they were asked for: a `RobotArrays` record.
 pub(crate) fn robots<'py>(
     py: Python<'py>,
     all: &[(RobotState, Vec<JointState>)],
     scans: Option<&[HeightScan]>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let worlds = all.len();
-    let own = |(robot, joints): &'_ (RobotState, Vec<JointState>)| -> Vec<JointState> {
-        joints.iter().filter(|joint| joint.body == robot.name).cloned().collect()
-    };
-    let joints: Vec<Vec<JointState>> = all.iter().map(own).collect();
-    let sizes = |world: usize| (all[world].0.links.len(), joints[world].len());
-    if let Some(other) = (1..worlds).find(|&world| sizes(world) != sizes(0)) {
+    let sizes = |(robot, joints): &(RobotState, Vec<JointState>)| [robot.links.len(), joints.len()];
+    let [links, joints] = all.first().map_or([0; 2], sizes);
+    if let Some([others, other]) = all.iter().map(sizes).find(|own| *own != [links, joints]) {
         return Err(PyValueError::new_err(format!(
-            "the robot has {} links and {} joints in one world and {} and {} in another; ask for worlds where it has as many",
-            sizes(0).0,
-            sizes(0).1,
-            sizes(other).0,
-            sizes(other).1
+            "the robot has {links} links and {joints} joints in one world and {others} and {other} in another; ask for worlds where it has as many"
         )));
     }
-    let of_joints = |of: fn(&JointState) -> f64| {
-        stacked(py, worlds, &[joints.first().map_or(0, Vec::len)], joints.iter().flatten().map(of))
-    };
+    let of_joints =
+        |of: fn(&JointState) -> f64| stacked(py, worlds, &[joints], all.iter().flat_map(|(_, joints)| joints).map(of));
     let of_base =
         |of: fn(&RobotState) -> [f64; 3]| stacked(py, worlds, &[3], all.iter().flat_map(move |(robot, _)| of(robot)));
-    let links = all.first().map_or(0, |(robot, _)| robot.links.len());
     let felt: Vec<Wrench> = all.iter().flat_map(|(robot, _)| &robot.links).map(|link| link.felt()).collect();
     let of_felt = |of: fn(&Wrench) -> [f64; 3]| stacked(py, worlds, &[links, 3], felt.iter().flat_map(of));
     let of_links = |of: fn(&barchan::LinkState) -> [f64; 3]| {
         stacked(py, worlds, &[links, 3], all.iter().flat_map(|(robot, _)| &robot.links).flat_map(of))
     };
-    let names = |of: fn(&(RobotState, Vec<JointState>)) -> Vec<String>| {
-        all.first().map(of).unwrap_or_default().into_bound_py_any(py)
-    };
-    let joint_names: Vec<&str> = joints.iter().take(1).flatten().map(|joint| joint.name.as_str()).collect();
+    let first = || all.iter().take(1);
+    let joint_names: Vec<&str> = first().flat_map(|(_, joints)| joints).map(|joint| &*joint.name).collect();
+    let link_names: Vec<&str> = first().flat_map(|(robot, _)| &robot.links).map(|link| &*link.name).collect();
     let heights = scans.map(|scans| {
         let points = scans.first().map_or(0, |scan| scan.heights.len());
         stacked(py, worlds, &[points], scans.iter().flat_map(|scan| scan.heights.iter().map(|z| z.unwrap_or(f64::NAN))))
     });
     let fields = [
         ("joint_names", joint_names.into_bound_py_any(py)?),
-        ("link_names", names(|(robot, _)| robot.links.iter().map(|link| link.name.clone()).collect())?),
+        ("link_names", link_names.into_bound_py_any(py)?),
         ("position", of_base(|robot| robot.position)?),
         ("rotation", stacked(py, worlds, &[4], all.iter().flat_map(|(robot, _)| robot.rotation))?),
         ("velocity", of_base(|robot| robot.velocity)?),

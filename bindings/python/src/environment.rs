@@ -311,7 +311,6 @@ impl Environment {
             let what = format!("waiting: there are {} of them for {} worlds", waiting.len(), self.worlds);
             return Err(PyValueError::new_err(what));
         }
-        let wait: Vec<usize> = (0..self.worlds).filter(|&world| waiting[world]).collect();
         let mut signal = Ok(());
         let stepped = py.detach(|| {
             let begun = Instant::now();
@@ -319,7 +318,7 @@ impl Environment {
                 signal = Python::attach(|py| py.check_signals());
                 signal.is_ok()
             };
-            let stepped = environment.step_while(&actions, &wait, goes_on);
+            let stepped = environment.step_while(&actions, &waiting, goes_on);
             *stepping += begun.elapsed();
             stepped
         });

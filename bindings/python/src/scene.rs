@@ -46,12 +46,10 @@ pub(crate) fn read_each(
     overrides: Option<&Bound<'_, PyAny>>,
     worlds: usize,
 ) -> PyResult<Vec<Scene>> {
-    let each = each(overrides, worlds)?;
-    match each.first() {
-        Some(first) if each.iter().all(|one| one.as_ref().map(Bound::as_ptr) == first.as_ref().map(Bound::as_ptr)) => {
-            Ok(vec![read(scene, first.as_ref())?; worlds])
-        }
-        _ => each.iter().map(|one| read(scene, one.as_ref())).collect(),
+    match overrides.map(|given| given.cast::<PyDict>()) {
+        None => Ok(vec![read(scene, None)?; worlds]),
+        Some(Ok(one)) => Ok(vec![read(scene, Some(one))?; worlds]),
+        Some(Err(_)) => each(overrides, worlds)?.iter().map(|one| read(scene, one.as_ref())).collect(),
     }
 }
 

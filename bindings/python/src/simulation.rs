@@ -429,13 +429,12 @@ impl Simulation {
     #[pyo3(signature = (points, *, world=0))]
     fn height_scan<'py>(&self, py: Python<'py>, points: Numbers<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
         let points = points.as_array();
-        let &[_, 2] = points.shape() else {
+        let (&[_, 2], true) = (points.shape(), points.iter().all(|x| x.is_finite())) else {
             let shape = points.shape();
-            return Err(PyValueError::new_err(format!("points: their shape is {shape:?}; it should be (n, 2)")));
+            return Err(PyValueError::new_err(format!(
+                "points: their shape is {shape:?}; it should be (n, 2), of finite numbers"
+            )));
         };
-        if !points.iter().all(|x| x.is_finite()) {
-            return Err(PyValueError::new_err("points: they should be finite numbers"));
-        }
         let points: Vec<[f64; 2]> = points.rows().into_iter().map(|row| [row[0], row[1]]).collect();
         let heights = self.look(py, world, |one| one.heights(&points))?.or_raise(py)?;
         Ok(records::vector(py, heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect()))
@@ -587,7 +586,8 @@ impl Simulation {
         let ask = || {
             let of_world = |&world: &usize| {
                 let one = machine.world(world);
-                Ok((one.robot(robot)?, one.joints()))
+                let joints = one.joints().into_iter().filter(|joint| joint.body == robot);
+                Ok((one.robot(robot)?, joints.collect::<Vec<_>>()))
             };
             let all = chosen.iter().map(of_world).collect::<barchan::Result<Vec<_>>>()?;
             let scans = if scan { Some(machine.scans(robot, &chosen)?) } else { None };
@@ -719,10 +719,7 @@ impl Simulation {
         let (registry, options, state) = (known(py)?, self.options(py)?.clone(), &state.state);
         let machine = &mut *machine;
         let restore = || match machine {
-            Machine::One(simulation) if simulation.is_seeded_otherwise(state) => {
-                World::from_state(&registry, state, &options).map(|new| **simulation = new)
-            }
-            Machine::One(simulation) => simulation.set_state(state),
+            Machine::One(simulation) => simulation.restore(&registry, state, &options),
             Machine::Many(worlds) => worlds.restore(&chosen.iter().map(|&world| (world, state)).collect::<Vec<_>>()),
         };
         py.detach(restore).or_raise(py)

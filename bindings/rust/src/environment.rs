@@ -214,25 +214,21 @@ impl Environment {
     /// [`step`](Self::step), unless somebody who is asked a few times a second says not to go on: then there is nothing, and the worlds are left somewhere
     /// within the control step. Reset them.
     ///
-    /// The worlds in `waiting` stay as they are, whatever their actions: what came of their last step is told again, without a reward.
+    /// Worlds that are `waiting`, of which the list may be empty, stay as they are, whatever their actions: what came of their last step is told again, without a reward.
     ///
     /// # Errors
     /// As [`step`](Self::step).
-    ///
-    /// # Panics
-    /// If there is no such world.
     pub fn step_while(
         &mut self,
         actions: &[Vec<f64>],
-        waiting: &[usize],
+        waiting: &[bool],
         mut goes_on: impl FnMut() -> bool,
     ) -> Result<Option<Vec<Result<Step>>>> {
         self.check(actions)?;
-        let mut acts = vec![true; self.players.len()];
-        waiting.iter().for_each(|&world| acts[world] = false);
+        let acts = |world: usize| !waiting.get(world).is_some_and(|waits| *waits);
         let mut failed: Vec<Option<Error>> = Vec::new();
         for (world, (action, player)) in actions.iter().zip(&mut self.players).enumerate() {
-            if !acts[world] {
+            if !acts(world) {
                 failed.push(None);
                 continue;
             }
@@ -241,9 +237,9 @@ impl Environment {
             player.clipped += cut.iter().zip(action).filter(|(cut, given)| cut != given).count() as u64;
             failed.push(player.episode.act(self.worlds.world_mut(world), &cut).err());
         }
-        let interval = |acts: bool| if acts { self.task.interval() } else { 0.0 };
-        let mut until: Vec<f64> =
-            self.worlds.iter().zip(&acts).map(|(world, &acts)| world.time() + interval(acts)).collect();
+        let interval = self.task.interval();
+        let end = |(w, world): (usize, &Simulation)| world.time() + if acts(w) { interval } else { 0.0 };
+        let mut until: Vec<f64> = self.worlds.iter().enumerate().map(end).collect();
         loop {
             let mut waits = false;
             for (w, result) in self.worlds.approach(&until, SLICE).into_iter().enumerate() {
@@ -263,12 +259,12 @@ impl Environment {
                 return Ok(None);
             }
         }
-        Ok(Some(self.outcomes(failed, &acts)))
+        Ok(Some(self.outcomes(failed, acts)))
     }
 
-    /// What came of the step in each world that has not failed.
-    fn outcomes(&mut self, failed: Vec<Option<Error>>, acts: &[bool]) -> Vec<Result<Step>> {
-        let seen = self.watch(|w| acts[w] && failed[w].is_none());
+    /// What came of the step in each world that has not failed; does it act, or wait?
+    fn outcomes(&mut self, failed: Vec<Option<Error>>, acts: impl Fn(usize) -> bool) -> Vec<Result<Step>> {
+        let seen = self.watch(|w| acts(w) && failed[w].is_none());
         let horizon = self.task.horizon();
         type Given<'a> = (Option<Error>, Result<Seen>, &'a mut Player, bool);
         let observe = |world: &Simulation, (failed, seen, player, acts): Given<'_>| {
@@ -285,8 +281,8 @@ impl Environment {
             };
             (see(), clock.elapsed())
         };
-        let given = failed.into_iter().zip(seen).zip(&mut self.players).zip(acts);
-        let given = given.map(|(((failed, seen), player), &acts)| (failed, seen, player, acts));
+        let given = failed.into_iter().zip(seen).zip(&mut self.players).enumerate();
+        let given = given.map(|(w, ((failed, seen), player))| (failed, seen, player, acts(w)));
         let all = if self.observing > WORTH_SHARING {
             self.worlds.each_with(given.collect(), observe)
         } else {

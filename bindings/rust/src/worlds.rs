@@ -187,10 +187,8 @@ impl Worlds {
                     if !goes_on.contains(&true) || begun.elapsed() >= within {
                         return results;
                     }
-                    for ((world, until), _) in
-                        together.worlds_mut().iter_mut().zip(until).zip(&goes_on).filter(|(_, goes)| **goes)
-                    {
-                        world.set_stop(*until);
+                    for (w, world) in together.worlds_mut().iter_mut().enumerate().filter(|(w, _)| goes_on[*w]) {
+                        world.set_stop(until[w]);
                     }
                     for (result, more) in results.iter_mut().zip(together.steps_of(MOST_AT_ONCE, |w| goes_on[w])) {
                         if let Err(error) = more {
@@ -286,28 +284,19 @@ impl Worlds {
     /// differs in its random seed alone brings that seed along; this costs as much as a [reset](Self::reset).
     ///
     /// # Errors
-    /// Those of [`Simulation::set_state`], and of [`Simulation::from_state`] for another seed.
+    /// Those of [`Simulation::restore`].
     ///
     /// # Panics
     /// If there is no such world.
     pub fn restore(&mut self, states: &[(usize, &State)]) -> Result<()> {
-        let (others, own): (Vec<_>, Vec<_>) =
-            states.iter().copied().partition(|(world, state)| self.world(*world).is_seeded_otherwise(state));
+        let (registry, options) = (&self.registry, &self.options);
         match &mut self.machine {
             Machine::Apart(simulations) => {
-                own.iter().try_for_each(|(world, state)| simulations[*world].set_state(state))?;
+                states.iter().try_for_each(|(world, state)| simulations[*world].restore(registry, state, options))?;
             }
-            Machine::Together(together) => self.pool.install(|| together.restore(&own))?,
+            Machine::Together(together) => self.pool.install(|| together.restore(states, registry, options))?,
         }
-        for (world, state) in others {
-            match &mut self.machine {
-                Machine::Apart(simulations) => {
-                    simulations[world] = Simulation::from_state(&self.registry, state, &self.options)?;
-                }
-                Machine::Together(together) => together.replace_by(world, &self.registry, state, &self.options)?,
-            }
-            self.scenes[world] = state.scene().clone();
-        }
+        states.iter().for_each(|(world, state)| self.scenes[*world].seed = state.scene().seed);
         Ok(())
     }
 

@@ -335,27 +335,7 @@ impl<'a> Reader<'a> {
             to[own] = Some(number);
             follows.push((own, leader));
         }
-        for (own, leader) in follows {
-            let joints = tree.links.iter().map(|link| &link.joint);
-            let joint = joints.clone().find(|joint| joint.freedom != Freedom::Fixed && joint.drive == own);
-            let (limits, led) = (tree.drives[own].limits, tree.drives[leader].limits);
-            // Many files give those that follow no limits of their own, or zeros.
-            let Some(joint) = joint.filter(|joint| joint.ratio != 0.0 && limits[0] < limits[1]) else { continue };
-            let ends = limits.map(|end| (end - joint.offset) / joint.ratio);
-            let both = [led[0].max(ends[0].min(ends[1])), led[1].min(ends[0].max(ends[1]))];
-            let (follower, name) = (&tree.drives[own].name, &tree.drives[leader].name);
-            if both[0] > both[1] {
-                self.warnings.push(format!(
-                    "joint '{follower}' has limits that leave '{name}', which it follows, no position; they are ignored"
-                ));
-            } else if both[0] > led[0] + SAME_LIMIT || both[1] < led[1] - SAME_LIMIT {
-                let [least, most] = both;
-                self.warnings.push(format!(
-                    "joint '{name}' stops at {least:.4} and {most:.4}, where '{follower}', which follows it, reaches its limits"
-                ));
-                tree.drives[leader].limits = both;
-            }
-        }
+        follows.into_iter().for_each(|(own, leader)| self.stop_with(tree, own, leader));
         for joint in tree.links.iter_mut().map(|link| &mut link.joint).filter(|joint| joint.freedom != Freedom::Fixed) {
             joint.drive = to[joint.drive].unwrap_or_default();
         }
@@ -365,6 +345,28 @@ impl<'a> Reader<'a> {
             kept[number - 1].is_some()
         });
         Ok(())
+    }
+
+    /// A drive goes only as far as one that follows it may.
+    fn stop_with(&mut self, tree: &mut Tree, follower: usize, leader: usize) {
+        let mut moving = tree.links.iter().map(|link| &link.joint).filter(|joint| joint.freedom != Freedom::Fixed);
+        let joint = moving.find(|joint| joint.drive == follower);
+        let (own, led) = (&tree.drives[follower], &tree.drives[leader]);
+        // Many files give those that follow no limits of their own, or zeros.
+        let Some(joint) = joint.filter(|joint| joint.ratio != 0.0 && own.limits[0] < own.limits[1]) else { return };
+        let ends = own.limits.map(|end| (end - joint.offset) / joint.ratio);
+        let [least, most] = [led.limits[0].max(ends[0].min(ends[1])), led.limits[1].min(ends[0].max(ends[1]))];
+        let (own, name) = (&own.name, &led.name);
+        if least > most {
+            self.warnings.push(format!(
+                "joint '{own}' has limits that leave '{name}', which it follows, no position; they are ignored"
+            ));
+        } else if least > led.limits[0] + SAME_LIMIT || most < led.limits[1] - SAME_LIMIT {
+            self.warnings.push(format!(
+                "joint '{name}' stops at {least:.4} and {most:.4}, where '{own}', which follows it, reaches its limits"
+            ));
+            tree.drives[leader].limits = [least, most];
+        }
     }
 
     fn link(&mut self, name: &str, node: Xml<'a>, parent: Option<usize>, joint: Joint) -> Result<Link, Refusal> {

@@ -163,6 +163,21 @@ impl Simulation {
         Ok(())
     }
 
+    /// Goes on from a state of the same scene by [`set_state`](Self::set_state), or, by [`from_state`](Self::from_state), from one of a scene with another random seed, which it
+    /// takes over.
+    ///
+    /// # Errors
+    /// Those of the two; everything is as before then.
+    pub fn restore(&mut self, registry: &Registry, state: &State, options: &Options) -> Result<()> {
+        if !self.is_seeded_otherwise(state) {
+            return self.set_state(state);
+        }
+        let mut other = Self::from_state(registry, state, options)?;
+        other.report_bodies(self.reports_bodies());
+        *self = other;
+        Ok(())
+    }
+
     /// First, couplings as a state has them; returns what they were.
     pub(crate) fn take_couplings(&mut self, state: &State) -> Result<Saved> {
         if let Some(what) = self.differs(state) {
@@ -197,30 +212,27 @@ impl Simulation {
         self.differs(state).is_none()
     }
 
-    /// Is it a state of a scene with another random seed, and the same in all else? [`from_state`](Self::from_state) goes on from it.
-    pub fn is_seeded_otherwise(&self, state: &State) -> bool {
-        let (ours, theirs) = (&self.plan.scene, &state.plan.scene);
-        let as_ours = Scene { seed: ours.seed, ..theirs.clone() };
-        ours.seed != theirs.seed
-            && self.plan.precision == state.plan.precision
-            && self.plan.files == state.plan.files
-            && ours.folder == theirs.folder
-            && ours.difference(&as_ours).is_none()
+    /// Is it a state of a scene with another random seed, and the same in all else?
+    pub(crate) fn is_seeded_otherwise(&self, state: &State) -> bool {
+        let (seed, theirs) = (self.plan.scene.seed, &state.plan.scene);
+        seed != theirs.seed && self.differs_as(state, &Scene { seed, ..theirs.clone() }).is_none()
     }
 
     /// In what the scene and the number format of a state are others than ours.
     fn differs(&self, state: &State) -> Option<String> {
+        if Arc::ptr_eq(&self.plan, &state.plan) { None } else { self.differs_as(state, &state.plan.scene) }
+    }
+
+    /// The same, were the state one of `scene`.
+    fn differs_as(&self, state: &State, scene: &Scene) -> Option<String> {
         let (ours, theirs) = (&*self.plan, &*state.plan);
-        if Arc::ptr_eq(&self.plan, &state.plan) {
-            return None;
-        }
         if ours.precision != theirs.precision {
             return Some(format!("it is in {}, and this simulation in {}", theirs.precision, ours.precision));
         }
-        if ours.files != theirs.files || ours.scene.folder != theirs.scene.folder {
+        if ours.files != theirs.files || ours.scene.folder != scene.folder {
             return Some("it is of a scene that reads other files".to_owned());
         }
-        let (path, [here, there]) = ours.scene.difference(&theirs.scene)?;
+        let (path, [here, there]) = ours.scene.difference(scene)?;
         Some(format!("it is of another scene: {path} is {there} there and {here} here"))
     }
 

@@ -61,10 +61,11 @@ class _Played:
         self._torch = _torch_device(torch)
         if residual is not None and not (0.0 < residual <= 1.0 and not units):
             raise ValueError(f"residual: {residual} is no share of the limits; give a number from 0 to 1, and no units=True")
+        low, high = (self.task.action_low, self.task.action_high) if units else (-np.ones_like(self._half), np.ones_like(self._half))
+        self._low, self._high = low.astype(np.float32), high.astype(np.float32)
 
     def space(self) -> gymnasium.spaces.Box:
-        low, high = (self.task.action_low, self.task.action_high) if self._units else (-np.ones_like(self._half), np.ones_like(self._half))
-        return gymnasium.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        return gymnasium.spaces.Box(self._low, self._high, dtype=np.float32)
 
     def observation_space(self) -> gymnasium.spaces.Box:
         return gymnasium.spaces.Box(-np.inf, np.inf, (self.task.observation_size,), dtype=np.float32)
@@ -88,8 +89,7 @@ class _Played:
         if self._residual is not None:
             given = self.heuristic_in_units() + self._residual * self._half * given
         else:
-            space = self.space()
-            is_within = (given >= space.low) & (given <= space.high)
+            is_within = (given >= self._low) & (given <= self._high)
             scaled = given if self._units else self._middle + self._half * given
             # Rounding takes nothing that is in the space beyond the limits.
             given = np.where(is_within, np.clip(scaled, self.task.action_low, self.task.action_high), scaled)
@@ -325,7 +325,7 @@ class TaskVectorEnv(VectorEnv):
         self._most = np.full(num_envs, self.max_episode_steps, np.int64)
         self._seeds = np.full(num_envs, -1, np.int64)
         self._random: list[np.random.Generator | None] = [None] * num_envs
-        self._drawn_from = np.full(num_envs, -1, object)
+        self._drawn_from = [-1] * num_envs
         self._ended = np.zeros(num_envs, np.bool_)
         self._terminated = np.zeros(num_envs, np.bool_)
 
