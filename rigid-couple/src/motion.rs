@@ -28,6 +28,11 @@ impl Pose {
     pub fn then(&self, inner: &Self) -> Self {
         Self { position: self.apply(inner.position), rotation: (self.rotation * inner.rotation).normalize() }
     }
+    /// The same so far on [m].
+    #[must_use]
+    pub fn moved(&self, by: DVec3) -> Self {
+        Self { position: self.position + by, ..*self }
+    }
     /// The pose after moving for `dt` at a constant twist.
     #[must_use]
     pub fn advanced(&self, twist: &Twist, dt: f64) -> Self {

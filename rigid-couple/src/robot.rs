@@ -7,12 +7,13 @@
 //!    that are solved for; robots that touch one another are one system ([`together`]);
 //! 4. where soft ground touches it, the contact solution asks for the change of twists that balances (`Robot::answer`): the same system and the ground's
 //!    6 × 6 matrix of each link;
-//! 5. positions move on with the rates, and the base's rates are corrected so that momentum changes by impulses alone.
+//! 5. positions move on with the rates, which are corrected so that momentum changes by impulses alone, and energy by their work.
 
 mod balance;
 pub mod coupling;
 mod device;
 pub mod dynamics;
+pub mod images;
 pub mod joints;
 mod loose;
 pub mod model;
@@ -45,6 +46,9 @@ use solve::{Balance, Whole, add_system, energy};
 use std::sync::Arc;
 use touching::{Body, HEAVY, Obstacle, Pair, Points, Seen, Span};
 
+/// The most that a step's correction may raise the energy of joints by: what a motion does that is too fast for its step to follow.
+const MOST_RAISED: f64 = 4.0;
+
 /// How far ahead contact points are looked for, besides how far links come in a step [m].
 const AHEAD: f64 = 1e-3;
 
@@ -57,6 +61,8 @@ pub(crate) struct State {
     pub positions: Vec<f64>,
     /// Rates, see [`dynamics`].
     pub rates: Vec<f64>,
+    /// By how much twice the kinetic energy is above what it should be [J], where the robot has coiled up too far to turn so fast. Later steps make up for it.
+    pub owed: f64,
     /// What each motor was last told, once somebody has.
     pub orders: Option<Vec<Order>>,
     /// How far along its path it is [s].
@@ -96,9 +102,22 @@ pub struct Robot {
     pub(crate) step: Step,
 }
 
+/// What a step leaves behind: the rates' equation takes the forces of motion as they were at its start, so rates alone would say a little else.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Kept {
+    /// Linear and angular momentum, the latter about the point that comes third.
+    momentum: [DVec3; 3],
+    /// Twice the kinetic energy [J].
+    twice_energy: f64,
+    /// Twice the work of impulses in the step [J].
+    twice_work: f64,
+}
+
 /// What belongs to the step under way.
 pub(crate) struct Step {
     dt: f64,
+    /// Rates before it.
+    before: DVector<f64>,
     orders: Vec<Order>,
     /// Of all links.
     pub places: Vec<Place>,
@@ -136,6 +155,7 @@ impl Robot {
         let zeros = DVector::zeros(n);
         Some(Step {
             dt: 0.0,
+            before: zeros.clone(),
             orders,
             places,
             mass,
@@ -213,7 +233,8 @@ impl Robot {
             bias,
             driven,
             places,
-            rates: before,
+            rates: before.clone(),
+            before,
             ..std::mem::replace(&mut self.step, Step::empty())
         };
         let mut points = std::mem::take(&mut self.step.points);
@@ -306,22 +327,37 @@ impl Robot {
         self.state.rates.copy_from_slice(self.step.rates.as_slice());
     }
 
-    /// Moves positions on by the step under way.
-    ///
-    /// The rates' equation takes the forces of motion as they were at its start. So momentum would be off by what is lost on the way; instead it is what
-    /// it was, and impulses: the base's rates make up for the difference.
+    /// Momentum about a point, and energy, as rates say.
+    fn now(&self, about: DVec3) -> Kept {
+        let Step { ref places, ref rates, .. } = self.step;
+        let [linear, angular] = dynamics::momentum(&self.model, places, rates, about);
+        let twice_energy = dynamics::twice_energy(&self.model, places, rates) - self.state.owed;
+        Kept { momentum: [linear, angular, about], twice_energy, twice_work: 0.0 }
+    }
+
+    /// What the step under way leaves behind: impulses change momentum, and energy by their work. The forces of motion that the equation has are none of them.
+    fn kept(&self) -> Kept {
+        let Step { dt, ref rates, ref before, ref bias, ref places, ref mass, .. } = self.step;
+        let mut kept = self.now(self.state.base.position);
+        if self.floating {
+            let [linear, angular, about] = &mut kept.momentum;
+            let force = DVec3::new(bias[0], bias[1], bias[2]);
+            let torque = DVec3::new(bias[3], bias[4], bias[5]) + (places[0].centre - *about).cross(force);
+            *linear += dt * force;
+            *angular += dt * torque;
+        }
+        kept.twice_energy += dt * (before + rates).dot(bias);
+        kept.twice_work = kept.twice_energy + self.state.owed - energy(mass, before);
+        kept
+    }
+
+    /// Moves positions on by the step under way, and corrects the rates there.
     pub(crate) fn advance(&mut self) -> Option<()> {
         self.sense_rigid();
-        let Step { dt, ref rates, ref bias, ref places, .. } = self.step;
-        let about = self.state.base.position;
-        let base = &places[0];
-        let wanted = self.floating.then(|| {
-            let [linear, angular] = dynamics::momentum(&self.model, places, rates, about);
-            let force = DVec3::new(bias[0], bias[1], bias[2]);
-            let torque = DVec3::new(bias[3], bias[4], bias[5]) + (base.centre - about).cross(force);
-            [linear + dt * force, angular + dt * torque]
-        });
+        let kept = self.kept();
+        let Step { dt, ref rates, ref places, .. } = self.step;
         if self.floating {
+            let base = &places[0];
             let twist = base.twist(rates);
             // The centre of mass moves straight, the frame around it.
             let centre = base.centre + dt * twist.linear;
@@ -338,25 +374,45 @@ impl Robot {
         let points = std::mem::take(&mut self.step.points);
         let next = Self::at_rest(&self.model, self.floating, &self.solids, &self.state, orders)?;
         self.step = Step { dt, points, ..next };
-        if let Some([linear, angular]) = wanted {
-            self.correct(linear, angular, about)?;
-            self.state.rates.copy_from_slice(self.step.rates.as_slice());
-        }
+        self.correct(&kept)?;
+        self.state.rates.copy_from_slice(self.step.rates.as_slice());
         self.sense_end(dt);
         self.state.rates.iter().all(|rate| rate.is_finite()).then_some(())
     }
 
-    /// Gives the base's rates in the step under way what is missing of a momentum, and an angular one about `about`.
-    fn correct(&mut self, linear: DVec3, angular: DVec3, about: DVec3) -> Option<()> {
-        let [now, turning] = dynamics::momentum(&self.model, &self.step.places, &self.step.rates, about);
-        let arm = self.step.places[0].centre - about;
-        let (force, torque) = (linear - now, angular - turning - arm.cross(linear - now));
-        let all = dynamics::inertia_of_all(&self.model, &self.step.places);
-        let missing = Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z);
-        let change = all.cholesky()?.solve(&missing);
-        for (rate, change) in change.iter().enumerate() {
-            self.step.rates[rate] += change;
+    /// Corrects rates by what a step has left behind, where links are now: those of the base make up for momentum, and the motion of joints, less
+    /// what the robot moves as a whole, for energy.
+    fn correct(&mut self, kept: &Kept) -> Option<()> {
+        let Kept { momentum: [linear, angular, about], twice_energy, twice_work } = *kept;
+        let places = &self.step.places;
+        let mut rates = self.step.rates.clone();
+        // As if no joint moved.
+        let mut whole = DVector::zeros(rates.len());
+        if self.floating {
+            let of_all = dynamics::inertia_of_all(&self.model, places).cholesky()?;
+            let arm = places[0].centre - about;
+            let solved = |force: DVec3, torque: DVec3| {
+                let torque = torque - arm.cross(force);
+                of_all.solve(&Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z))
+            };
+            let [now, turning] = dynamics::momentum(&self.model, places, &rates, about);
+            let change = solved(linear - now, angular - turning);
+            whole.rows_mut(0, 6).copy_from(&solved(linear, angular));
+            let mut of_base = rates.rows_mut(0, 6);
+            of_base += change;
         }
+        let beside = &rates - &whole;
+        let twice_energy_of = |rates: &DVector<f64>| dynamics::twice_energy(&self.model, places, rates);
+        let (own, all) = (twice_energy_of(&beside), twice_energy_of(&rates));
+        self.state.owed = 0.0;
+        if !self.model.drives.is_empty() && own > 0.0 {
+            // When in the step impulses did their work is not known. Where that is much for the energy that is left, as in a blow, it matters.
+            let missing = (twice_energy - all) / (1.0 + (twice_work / all).powi(2));
+            let share = (1.0 + missing / own).clamp(0.0, MOST_RAISED);
+            rates = whole + share.sqrt() * beside;
+            self.state.owed = ((share - 1.0) * own - missing).max(0.0);
+        }
+        self.step.rates = rates;
         Some(())
     }
 
@@ -396,7 +452,7 @@ impl Whole for Robot {
     }
 
     fn before(&self) -> &DVector<f64> {
-        &self.step.rates
+        &self.step.before
     }
 
     fn mass(&self) -> f64 {
@@ -433,6 +489,7 @@ impl Step {
         let none = DMatrix::identity(1, 1);
         Self {
             dt: 0.0,
+            before: DVector::zeros(0),
             orders: Vec::new(),
             places: Vec::new(),
             mass: none.clone(),

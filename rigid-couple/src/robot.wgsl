@@ -13,9 +13,9 @@
 // begins, how many frames, how many drives, 0; the path's end, its period or 0, where its corrections begin, how many. For each correction its rate, 0 for the pitch and 1 for
 // the roll, gain, rate of that. For each frame of a path its time, then positions, four a vector.
 //
-// Words of a tree's state: time along the path, whole seconds and 2^-32 of them, and whether motors follow orders in place of the path; momentum; the same about the base's
-// centre of mass; the base's velocity; its angular velocity; for each drive its position, whole and 2^-32, and its rate; for each drive an order: target, rate,
-// torque, whether the gains act. Behind the trees' words, POINTS vectors say what points gave in the step [N s]. The momentum is what impulses and gravity made of it; rates, which lose a little on the way, are corrected by it.
+// Words of a tree's state: time along the path, whole seconds and 2^-32 of them, and whether motors follow orders in place of the path; momentum, and twice the kinetic energy; momentum
+// about the base's centre of mass, and twice the work of impulses in the step; the base's velocity; its angular velocity; for each drive its position, whole and 2^-32, and its rate; for each drive an order: target, rate,
+// torque, whether the gains act. Behind the trees' words, POINTS vectors say what points gave in the step [N s]. Momentum and energy are what impulses and gravity made of them; rates, which lose a little on the way, are corrected by them.
 
 // As in `joints.rs`, but for stops: f32 bears less.
 const ROBOT_STIFF: f32 = 1e4;
@@ -23,6 +23,7 @@ const ROBOT_CREEP: f32 = 1e-3;
 const ROBOT_BACK: f32 = 0.1;
 const ROBOT_FADE: f32 = 0.1;
 // As in `robot.rs`.
+const ROBOT_MOST_RAISED: f32 = 4.0;
 const ROBOT_ITERATIONS: u32 = 20u;
 const ROBOT_TOLERANCE: f32 = 1e-5;
 // As in `solve.rs`: points first count as lighter than they are, which finds those that touch. All places that are tried along steps are counted.
@@ -30,8 +31,8 @@ const ROBOT_ITERATIONS_AT_POINTS: u32 = 100u;
 // They are heavy: with a light body between them f32 comes no nearer than 3e-5. Then a step that halves nothing tells that there is no more to find. Forces on points need
 // all that there is.
 const ROBOT_TOLERANCE_AT_POINTS: f32 = 5e-5;
-// Where surfaces drag a robot along it is 2e-4. What comes no nearer with all iterations is solved as well as f32 can.
-const ROBOT_ROUGH_AT_POINTS: f32 = 3e-4;
+// Where surfaces drag a robot along it is 2e-4, and here and there more. What comes no nearer with all iterations is solved as well as f32 can.
+const ROBOT_ROUGH_AT_POINTS: f32 = 4e-4;
 // Rounding of what is out of balance, relative to momentum.
 const ROBOT_ROUNDING: f32 = 1e-6;
 const ROBOT_LIGHT: f32 = 10.0;
@@ -112,6 +113,11 @@ var<private> robot_drives: bool;
 var<private> robot_word: u32;
 var<private> robot_order_word: u32;
 var<private> robot_held: f32;
+// Twice the kinetic energy of that rate's tree as it is kept, and the work; what it is before the step, and by how much that is too much; the rate before the step, and what the forces of motion take from it in the step.
+var<private> robot_kept: vec2<f32>;
+var<private> robot_at_start: vec2<f32>;
+var<private> robot_began: f32;
+var<private> robot_taken: f32;
 // How the first body of the tree of the thread's link is turned.
 var<private> robot_turn: vec4<f32>;
 // How that link moves.
@@ -299,6 +305,8 @@ fn robot_take_up(group: u32, thread: u32) {
         }
         let number = thread - robot_own_tree.x;
         let state = robot_own_tree.w;
+        robot_kept = bitcast<vec2<f32>>(vec2<u32>(group_word(state + 1u).w, group_word(state + 2u).w));
+        robot_taken = 0.0;
         robot_drives = number >= robot_own_tree.y;
         if ROBOT_TREES > 1u {
             robot_unit[thread] = select(number, ROBOT_BASE, robot_drives);
@@ -410,17 +418,18 @@ fn robot_solve(thread: u32) {
 // The rates begin as they are. Joints are not asked yet: whoever meets the ground or settles does that.
 fn robot_go_ahead(thread: u32) {
     if thread < robot_rates {
+        robot_began = robot_free[thread];
         var gains = 0.0;
         var a = robot_head[thread];
         for (var turn = 0u; turn < robot_links && a != ROBOT_NONE; turn++) {
             let axis = robot_axis_of(thread, a);
-            let asked = robot_asked[a];
             let all = robot_inertia[a].first;
             let weight = RobotWrench(cross(all.xyz, group_gravity()), all.w * group_gravity());
-            gains += robot_power(axis, weight) - group_dt() * robot_power(axis, asked);
+            gains += robot_power(axis, weight);
+            robot_taken += group_dt() * robot_power(axis, robot_asked[a]);
             a = robot_order[a].y;
         }
-        robot_own[thread] = -gains;
+        robot_own[thread] = robot_taken - gains;
     }
     robot_expect(thread);
     if thread == 0u {
@@ -872,6 +881,14 @@ fn coupling_advance(group: u32, thread: u32) {
     if robot_points > 0u {
         robot_take_momentum(thread);
     }
+    // What the forces of motion took is in the motion: they do no work.
+    if thread < robot_rates {
+        let given_back = (robot_began + robot_free[thread]) * robot_taken;
+        robot_work[thread] = robot_energy_of(TWIST_FREE, thread) + given_back;
+        robot_step[thread] = robot_at_start.x;
+        robot_missing[thread] = robot_at_start.y;
+    }
+    workgroupBarrier();
     if thread >= robot_points && thread < ROBOT_POINTS {
         set_group_word(robot_given_at + thread, vec4<u32>(0u));
     }
@@ -920,8 +937,14 @@ fn coupling_advance(group: u32, thread: u32) {
     }
     if keeps_tree {
         set_group_word(tree.w, clock);
-        set_group_word(tree.w + 1u, vec4<u32>(bitcast<vec3<u32>>(robot_linear), 0u));
-        set_group_word(tree.w + 2u, vec4<u32>(bitcast<vec3<u32>>(robot_angular), 0u));
+        var twice_energy = 0.0;
+        for (var i = tree.x; i < tree.x + tree.y + u32(robot_tree_row(thread, 1u).z); i++) {
+            twice_energy += robot_work[i];
+        }
+        let work = twice_energy - robot_step[tree.x];
+        twice_energy -= robot_missing[tree.x];
+        set_group_word(tree.w + 1u, vec4<u32>(bitcast<vec3<u32>>(robot_linear), bitcast<u32>(twice_energy)));
+        set_group_word(tree.w + 2u, vec4<u32>(bitcast<vec3<u32>>(robot_angular), bitcast<u32>(work)));
     }
     if thread < 2u * robot_tree_count {
         let own = robot_tree(thread / 2u);

@@ -183,7 +183,7 @@ pub struct Reaction {
 }
 
 /// Iterations after which the frozen law is taken as it is.
-const MAX_ITERATIONS: u32 = 40;
+const MAX_ITERATIONS: u32 = 60;
 /// Weight of the ground in terms of the bodies' at which the iteration starts, if it is heavier than that, and the factor by
 /// which it grows once the last step was relatively small.
 const LIGHT: f64 = 10.0;

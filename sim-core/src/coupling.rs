@@ -120,6 +120,12 @@ impl Aabb {
     pub fn grown(self, margin: f64) -> Self {
         Self { min: self.min.map(|x| x - margin), max: self.max.map(|x| x + margin) }
     }
+    /// Moved by so much [m].
+    #[must_use]
+    pub fn moved(self, by: Vec3) -> Self {
+        let moved = |from: Vec3| std::array::from_fn(|d| from[d] + by[d]);
+        Self { min: moved(self.min), max: moved(self.max) }
+    }
     /// Is the point inside or on the boundary?
     pub fn contains(&self, x: Vec3) -> bool {
         (0..3).all(|d| self.min[d] <= x[d] && x[d] <= self.max[d])

@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 
 pub(crate) const MAGIC: &[u8; 8] = b"BARCHAN\x1a";
 /// Version of the format that this program writes, and the only one it reads.
-pub const VERSION: u32 = 6;
+pub const VERSION: u32 = 7;
 /// Of tiles, from 0 to 10: higher ones take twice the time and save a hundredth.
 const COMPRESSION: u8 = 6;
 

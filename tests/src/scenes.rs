@@ -1,6 +1,6 @@
 //! Short ways to say a scene, and to read a simulation.
 
-use barchan::{Command, Ledger, Options, ParticleList, Precision, RobotState, Scene, Simulation, Vec3};
+use barchan::{BodyState, Command, Ledger, Options, ParticleList, Precision, RobotState, Scene, Simulation, Vec3};
 use std::path::Path;
 
 /// A scene from TOML text.
@@ -238,4 +238,84 @@ pub fn plane_shear_friction(friction_angle: f64) -> f64 {
 pub fn lean(state: &RobotState) -> f64 {
     let [_, x, y, _] = state.rotation;
     (1.0 - 2.0 * (x * x + y * y)).acos().to_degrees()
+}
+
+/// A chain of rods of 0.1 kg and 0.2 m in `folder`, whose joints turn about x and y in turns by 0.6 rad each, free of friction; on a bed that it never
+/// touches, which is so soft that steps may take 5 ms. What stands in the robot's entry besides says how it begins.
+///
+/// # Panics
+/// If the folder cannot be written to.
+pub fn chain(folder: &Path, links: usize, gravity: f64, more: &str) -> Scene {
+    let mut urdf =
+        "<robot name=\"chain\"><link name=\"base\"><inertial><mass value=\"0.1\"/>ROUND</inertial></link>\n".to_owned();
+    for i in 0..links {
+        let parent = if i == 0 { "base".to_owned() } else { format!("rod{}", i - 1) };
+        let origin = if i == 0 { 0.0 } else { -0.2 };
+        let axis = if i % 2 == 0 { "1 0 0" } else { "0 1 0" };
+        urdf += &format!(
+            "<link name=\"rod{i}\"><inertial><origin xyz=\"0 0 -0.1\"/><mass value=\"0.1\"/>ROUND</inertial></link>
+<joint name=\"j{i}\" type=\"continuous\"><parent link=\"{parent}\"/><child link=\"rod{i}\"/><origin xyz=\"0 0 {origin}\"/><axis xyz=\"{axis}\"/></joint>\n"
+        );
+    }
+    urdf += "</robot>";
+    let inertia = "<inertia ixx=\"1e-4\" iyy=\"1e-4\" izz=\"1e-4\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/>";
+    std::fs::write(folder.join("chain.urdf"), urdf.replace("ROUND", inertia)).expect("the folder can be written to");
+    let text = format!(
+        r#"
+name = "chain"
+gravity = [0, 0, {gravity}]
+world = {{ cell = 0.25, min = [-16, -16, -16], max = [16, 16, 16], walls = {{ z_min = "stick" }} }}
+time = {{ end = 100, step = 5e-3 }}
+[[material]]
+name = "jelly"
+law = "neo_hookean"
+density = 100
+parameters = {{ young_modulus = 1e4, poisson_ratio = 0.3 }}
+[[body]]
+name = "bed"
+material = "jelly"
+shape = {{ box = {{ min = [-1, -1, -16], max = [1, 1, -15] }} }}
+settled = true
+[[robot]]
+name = "chain"
+urdf = "chain.urdf"
+position = [0, 0, 0]
+joints = {{ "*" = 0.6 }}
+motor = [{{ armature = 0 }}]
+{more}
+"#
+    );
+    Scene::from_str(&text, "chain.toml", folder).expect("a sound scene")
+}
+
+/// Kinetic energy of some bodies, and that with the potential one [J].
+pub fn energies(bodies: &[BodyState]) -> [f64; 2] {
+    let kinetic: f64 = bodies.iter().map(|body| body.kinetic_energy).sum();
+    [kinetic, kinetic + bodies.iter().map(|body| body.potential_energy).sum::<f64>()]
+}
+
+/// Tools over a soft bed in a world of 2 m along x, which is periodic, without gravity: each at so much x and with a motion.
+pub fn round_world(tools: &[(f64, &str)]) -> Scene {
+    let mut text = r#"
+name = "round"
+gravity = [0, 0, 0]
+world = { cell = 0.0625, min = [-1, -0.5, -1], max = [1, 0.5, 1], walls = { x_min = "periodic", x_max = "periodic", z_min = "stick" } }
+time = { end = 2, step = 1e-3 }
+[[material]]
+name = "jelly"
+law = "neo_hookean"
+density = 1000
+parameters = { young_modulus = 1e4, poisson_ratio = 0.3 }
+[[body]]
+name = "bed"
+material = "jelly"
+shape = { box = { min = [-1, -0.5, -1], max = [1, 0.5, -0.75] } }
+"#
+    .to_owned();
+    for (i, (x, motion)) in tools.iter().enumerate() {
+        text += &format!(
+            "[[tool]]\nname = \"ball{i}\"\nshape = {{ sphere = {{ radius = 0.1 }} }}\nposition = [{x}, 0, 0]\nmotion = {motion}\n"
+        );
+    }
+    scene(&text)
 }

@@ -1,6 +1,7 @@
 //! The coupling "robots": a scene's robots on soft ground, and the tools beside them that answer what they feel.
 
 use super::device::{self, Roaming};
+use super::images::Images;
 use super::joints::{Gains, Order};
 use super::model::RobotModel;
 use super::motion::{self, JointPath};
@@ -8,7 +9,6 @@ use super::sense::Sensed;
 use super::solve::{Balanced, Whole};
 use super::together::{self, Felt, Met, Together};
 use super::touching::{Body, Obstacle, Span, pairs_of};
-use super::urdf::Source;
 use super::{Robot, State, balance, dynamics};
 use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
@@ -27,18 +27,8 @@ use glam::DVec3;
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
-
-/// Robots that come with the program: name and URDF.
-pub const BUILT_IN: [(&str, &str); 6] = [
-    ("quadruped", include_str!("../../models/quadruped.urdf")),
-    ("humanoid", include_str!("../../models/humanoid.urdf")),
-    ("arm", include_str!("../../models/arm.urdf")),
-    ("arm-rod", include_str!("../../models/arm-rod.urdf")),
-    ("arm-shovel", include_str!("../../models/arm-shovel.urdf")),
-    ("arm-scraper", include_str!("../../models/arm-scraper.urdf")),
-];
 
 /// The robots of a scene, and behind them its tools that answer as they do: free ones, and those that a force pushes.
 pub struct Robots {
@@ -70,42 +60,6 @@ struct Counts {
     unconverged: u64,
     /// Of joints and what is rigid alone; a device counts them among the others.
     unsettled: u64,
-}
-
-impl RobotModel {
-    /// What a scene's robot is made of; a file is looked for in `folder`.
-    ///
-    /// # Errors
-    /// If the file or the model's name cannot be used.
-    pub fn of(robot: &scene::Robot, folder: &Path) -> Result<Self, Refusal> {
-        let (text, file): (String, PathBuf) = match (&robot.urdf, &robot.model) {
-            (Some(urdf), _) => {
-                let file = folder.join(urdf);
-                let text = std::fs::read_to_string(&file).map_err(|e| {
-                    Refusal::new(
-                        format!("{}: {e}", file.display()),
-                        "give the path of a URDF file, from the scene's folder",
-                    )
-                })?;
-                (text, file)
-            }
-            (None, name) => {
-                let name = name.as_deref().unwrap_or_default();
-                let known = BUILT_IN.iter().find(|(known, _)| *known == name);
-                let (_, text) = known.ok_or_else(|| {
-                    let names: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
-                    Refusal::new(
-                        format!("there is no model '{name}'"),
-                        format!("known are: {}; or give a urdf", names.join(", ")),
-                    )
-                })?;
-                ((*text).to_owned(), PathBuf::from(format!("{name}.urdf")))
-            }
-        };
-        let name = file.display().to_string();
-        let folder = file.parent().unwrap_or(folder);
-        Self::read(&Source { text: &text, file: &name, folder, mends: robot.mend_inertias })
-    }
 }
 
 impl Robot {
@@ -168,7 +122,8 @@ impl Robot {
             rates[3..6].copy_from_slice(&robot.angular_velocity);
         }
         let sensed = Sensed::at_start(DVec3::from_array(scene.gravity_at(0.0)));
-        let state = State { base, positions, rates, orders: None, clock: path.wrapped(0.0), held: None, sensed };
+        let state =
+            State { base, positions, rates, owed: 0.0, orders: None, clock: path.wrapped(0.0), held: None, sensed };
         let solids: Vec<usize> = (0..model.links.len())
             .filter(|&i| i == 0 || model.links[i].mass > 0.0 || model.links[i].shape.is_some())
             .collect();
@@ -449,18 +404,26 @@ impl Robots {
         let numbers = (0..self.robots.len()).flat_map(|r| (0..self.robots[r].solids.len()).map(move |body| (r, body)));
         let solids: Vec<_> = numbers.filter_map(solid).collect();
         let tools: Vec<&Obstacle> = self.tools.iter().collect();
+        let images = Images::of(&self.scene.world);
         let mut found = Vec::new();
         for (i, (robot, name, body, pose, bounds)) in solids.iter().enumerate() {
-            let with_obstacles = robot.obstacles(&tools).filter(|one| one.is_overlapped(body, pose, bounds));
+            let with_obstacles = robot.obstacles(&tools).filter(|one| one.is_overlapped(body, pose, bounds, images));
             found.extend(with_obstacles.map(|obstacle| format!("'{name}' and {}", obstacle.title())));
-            let others = solids[..i].iter().filter(|(other, .., at)| {
-                !std::ptr::eq(*robot, *other) && robot.gives_way_to(other) && bounds.meets(at)
+            let others =
+                solids[..i].iter().filter(|(other, ..)| !std::ptr::eq(*robot, *other) && robot.gives_way_to(other));
+            let overlapping = others.filter(|(_, _, other, at, around)| {
+                images.meeting(bounds, around).any(|by| body.overlaps(pose, (other, &at.moved(by))))
             });
-            let overlapping = others.filter(|(_, _, other, at, _)| body.overlaps(pose, (other, at)));
             found.extend(overlapping.map(|(_, other, ..)| format!("'{other}' and '{name}'")));
         }
         let all = found.join("; ");
         (!found.is_empty()).then(|| format!("bodies overlap where they start, and are pushed apart: {all}; move them"))
+    }
+
+    /// A step, as contact points know it.
+    fn span(&self, time: f64, dt: f64) -> Span {
+        let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
+        Span { time, dt, gravity, images: Images::of(&self.scene.world) }
     }
 
     /// Finds who touches whom, and each one's rates without soft ground.
@@ -500,13 +463,13 @@ impl Coupling for Robots {
 
     fn joints(&self) -> Vec<JointState> {
         let of_robot = |robot: &Robot| -> Vec<JointState> {
-            let first = robot.state.rates.len() - robot.model.drives.len();
+            let first = robot.base_rates();
             let joint = |(d, drive): (usize, &super::model::Drive)| JointState {
                 body: robot.name.clone(),
                 name: drive.name.clone(),
                 turns: drive.turns,
                 position: robot.state.positions[d],
-                rate: robot.state.rates[first + d],
+                rate: robot.step.rates[first + d],
                 torque: robot.motor_torque(d),
             };
             robot.model.drives.iter().enumerate().map(joint).collect()
@@ -535,7 +498,7 @@ impl Coupling for Robots {
     fn before_step(&mut self, time: f64, dt: f64) -> Result<()> {
         self.wrenches.fill(Wrench::default());
         let gravity = DVec3::from_array(self.scene.gravity_at(time));
-        let span = Span { time, dt, gravity: gravity.length() };
+        let span = self.span(time, dt);
         let mut all = Vec::with_capacity(self.robots.len());
         let tools: Vec<&Obstacle> = self.tools.iter().collect();
         for robot in &mut self.robots {
@@ -699,20 +662,20 @@ impl Coupling for Robots {
         };
         let robots = self.robots.iter().zip(&self.firsts);
         let all: Vec<Vec<Option<Roaming>>> = robots.map(of_robot).collect();
+        let images = Images::of(world);
         let unbound = || vec![Aabb::UNBOUND; self.wrenches.len()];
-        let each = if self.as_one { unbound() } else { device::apart(&all, world.cell)? };
+        let each = if self.as_one { unbound() } else { device::apart(&all, images, world.cell)? };
         // Steps that are taken at once end before one appears or vanishes.
         let tools: Vec<&Obstacle> = self.tools.iter().filter(|tool| tool.is_present(time)).collect();
-        let off_walls = device::off_what_is_rigid(&self.robots, &tools, &all, &each, world.cell);
+        let off_walls = device::off_what_is_rigid(&self.robots, &tools, &all, &each, images, world.cell);
         let off_others = |each: Vec<Aabb>| match self.as_one {
-            true => device::off_one_another(&self.robots, &all, &each, world.cell),
+            true => device::off_one_another(&self.robots, &all, &each, images, world.cell),
             false => Some(each),
         };
         if let Some(each) = off_walls.and_then(off_others) {
             return Some(Leashes { each, in_turns: false });
         }
-        let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
-        let fits = |robots: Range<usize>| device::has_room(&self.robots[robots], &tools, Span { time, dt, gravity });
+        let fits = |robots: Range<usize>| device::has_room(&self.robots[robots], &tools, self.span(time, dt));
         self.device_ranges().into_iter().all(fits).then_some(Leashes { each, in_turns: true })
     }
 

@@ -1,10 +1,11 @@
 //! Robots as a device moves them: what `robot.wgsl` reads of them, and their states there and back.
 
+use super::images::Images;
 use super::model::{Freedom, RobotModel};
 use super::motion::JointPath;
 use super::together::{self, Felt, Together};
 use super::touching::{Obstacle, Points, Span};
-use super::{AHEAD, Robot, dynamics};
+use super::{AHEAD, Kept, Robot, dynamics};
 use crate::grip::REACH;
 use crate::motion::Pose;
 use crate::sdf::Sdf;
@@ -37,16 +38,8 @@ const FAR: f64 = 1e30;
 pub(crate) struct Held {
     /// Position and rotation of its bodies, as the device has them.
     bodies: Vec<([f64; 3], [f64; 4])>,
-    /// Its momentum, and about the base's centre of mass; on the host rates say it.
-    momentum: [DVec3; 2],
-}
-
-impl Held {
-    /// Linear and angular momentum, the latter about the point that comes third.
-    pub(crate) fn momentum(&self) -> [DVec3; 3] {
-        let [linear, angular] = self.momentum;
-        [linear, angular, DVec3::from_array(self.bodies[0].0)]
-    }
+    /// What its rates are corrected by at the start of its next step; on the host they are already.
+    pub kept: Kept,
 }
 
 /// A robot's links in an order in which what hangs on one comes right behind it: those that have mass or a shape, or carry one that has.
@@ -199,30 +192,29 @@ impl Robot {
 
     /// Its state, for a device to go on from.
     pub(crate) fn device_state(&self) -> GroupState {
-        let bits = |v: DVec3| [(v.x as f32).to_bits(), (v.y as f32).to_bits(), (v.z as f32).to_bits(), 0];
+        let with = |v: DVec3, last: f64| [v.x, v.y, v.z, last].map(|x| (x as f32).to_bits());
         let parts = |x: f64| {
             let all = (x * PARTS).round() as i64;
             [(all >> 32) as u32, all as u32]
         };
         let own: Vec<_>;
-        let (bodies, [linear, angular]) = match &self.state.held {
-            Some(held) => (&held.bodies, held.momentum),
+        let (bodies, kept) = match &self.state.held {
+            Some(held) => (&held.bodies, held.kept),
             None => {
                 own = (0..self.solids.len()).map(|body| of_pose(&self.pose(body))).collect();
-                let momentum =
-                    dynamics::momentum(&self.model, &self.step.places, &self.step.rates, DVec3::from_array(own[0].0));
-                (&own, momentum)
+                (&own, self.now(DVec3::from_array(own[0].0)))
             }
         };
+        let [linear, angular, _] = kept.momentum;
         let [whole, part] = parts(self.state.clock);
         let (base, drives) = self.state.rates.split_at(self.base_rates());
         let of_base = |i: usize| base.get(i..i + 3).map_or(DVec3::ZERO, DVec3::from_slice);
         let mut words = vec![
             [whole, part, u32::from(self.state.orders.is_some()), 0],
-            bits(linear),
-            bits(angular),
-            bits(of_base(0)),
-            bits(of_base(3)),
+            with(linear, kept.twice_energy),
+            with(angular, kept.twice_work),
+            with(of_base(0), 0.0),
+            with(of_base(3), 0.0),
         ];
         words.extend(self.state.positions.iter().zip(drives).map(|(position, rate)| {
             let [whole, part] = parts(*position);
@@ -242,14 +234,14 @@ impl Robot {
         DVec3::from_array(self.state.held.as_ref().map_or_else(|| of_pose(&self.pose(0)).0, |held| held.bodies[0].0))
     }
 
-    /// How far a body is from another one's [m], or, where their boxes are further apart than `far`, how far those are.
-    fn gap(&self, body: usize, (other, of_other): (&Self, usize), far: f64) -> f64 {
-        let (one, two) = (self.bounds(body, 0.0), other.bounds(of_other, 0.0));
+    /// How far a body is from an image of another one's [m], or, where their boxes are further apart than `far`, how far those are.
+    fn gap(&self, body: usize, (other, of_other): (&Self, usize), image: DVec3, far: f64) -> f64 {
+        let (one, two) = (self.bounds(body, 0.0), other.bounds(of_other, 0.0).moved(image.to_array()));
         let along = |d: usize| (one.min[d] - two.max[d]).max(two.min[d] - one.max[d]);
         let of_boxes = along(0).max(along(1)).max(along(2));
         match (&self.bodies[body], &other.bodies[of_other]) {
             (Some(first), Some(second)) if of_boxes <= far => {
-                first.distance(&self.pose(body), (second, &other.pose(of_other)))
+                first.distance(&self.pose(body), (second, &other.pose(of_other).moved(image)))
             }
             _ => of_boxes,
         }
@@ -266,13 +258,12 @@ impl Robot {
         self.step.points = points;
     }
 
-    /// Gives the base's rates in the step under way what they lack of the momentum that a device holds, as that does at the start of its next step.
+    /// Corrects rates by what a device holds, as that does at the start of its next step.
     pub(super) fn correct_held(&mut self) -> Option<()> {
-        let Some([linear, angular, about]) = self.state.held.as_ref().filter(|_| self.floating).map(Held::momentum)
-        else {
-            return Some(());
-        };
-        self.correct(linear, angular, about)
+        match self.state.held.as_ref().map(|held| held.kept) {
+            Some(kept) => self.correct(&kept),
+            None => Some(()),
+        }
     }
 
     /// Takes in what a device made of it in a step of `dt` [s]; `None` if that is not finite.
@@ -299,8 +290,12 @@ impl Robot {
             let centre = DVec3::from_array(state.bodies[0].position);
             self.state.base = Pose { position: centre - rotation * self.model.links[0].centre, rotation };
         }
+        let about = DVec3::from_array(state.bodies[0].position);
+        let momentum = [vector(state.words[1]), vector(state.words[2]), about];
+        let [twice_energy, twice_work] = [1, 2].map(|word| real(state.words[word][3]));
+        let kept = Kept { momentum, twice_energy, twice_work };
         let bodies = state.bodies.iter().map(|placed| (placed.position, placed.rotation)).collect();
-        let held = Held { bodies, momentum: [vector(state.words[1]), vector(state.words[2])] };
+        let held = Held { bodies, kept };
         self.step.rates.copy_from_slice(&self.state.rates);
         self.step.places = dynamics::places(&self.model, self.floating, &self.state.base, &self.state.positions);
         self.state.held = Some(held);
@@ -441,7 +436,8 @@ struct Point<'a> {
     normal: DVec3,
     friction: f64,
     end: End,
-    other: Option<End>,
+    /// With how far the image of it that is met is from it [m].
+    other: Option<(End, DVec3)>,
 }
 
 impl Point<'_> {
@@ -453,7 +449,7 @@ impl Point<'_> {
 /// All points of a group of robots.
 fn all_points<'a>(points: impl Iterator<Item = &'a Points>, together: &'a [Together]) -> Vec<Point<'a>> {
     let mut all = Vec::new();
-    let mut add = |nodes: &'a NodeBatch, touch: &'a Touch, end: End, other: Option<End>| {
+    let mut add = |nodes: &'a NodeBatch, touch: &'a Touch, end: End, other: Option<(End, DVec3)>| {
         if let Grip::Coulomb { normal, friction, .. } = touch.grip {
             all.push(Point { nodes, touch, normal: -normal, friction, end, other });
         }
@@ -464,7 +460,7 @@ fn all_points<'a>(points: impl Iterator<Item = &'a Points>, together: &'a [Toget
         }
         for pair in &points.pairs {
             let [body, other] = pair.bodies.map(|body| (r, body));
-            pair.touches.iter().for_each(|touch| add(&points.nodes, touch, body, Some(other)));
+            pair.touches.iter().for_each(|touch| add(&points.nodes, touch, body, Some((other, DVec3::ZERO))));
         }
     }
     together.iter().for_each(|own| own.each_touch(&mut add));
@@ -510,12 +506,15 @@ pub(crate) fn told(robots: &[Robot], together: &[Together]) -> Vec<[u32; 4]> {
         let velocity = DVec3::from_array(point.nodes.velocity[node]);
         // Between links the point moves along the normal alone; elsewhere with the surface, too.
         let (push, beside) = match point.other {
-            Some((other, _)) => (-velocity.dot(point.normal), point.position() - robots[other].reference()),
+            Some(((other, _), image)) => {
+                (-velocity.dot(point.normal), point.position() - image - robots[other].reference())
+            }
             None => (0.0, velocity),
         };
         all.push(bits(point.position() - robots[point.end.0].reference(), point.nodes.mass[node]));
         all.push(bits(point.normal, push));
-        all.push([number(point.end), point.other.map_or(u32::MAX, number), (point.friction as f32).to_bits(), 0]);
+        let other = point.other.map_or(u32::MAX, |(end, _)| number(end));
+        all.push([number(point.end), other, (point.friction as f32).to_bits(), 0]);
         all.push(bits(beside, 0.0));
     }
     all
@@ -532,8 +531,8 @@ pub(crate) fn felt(robots: &[Robot], together: &[Together], given: &[[u32; 4]]) 
         let force = impulse / robots[robot].step.dt;
         if force != DVec3::ZERO {
             felt[robot].push((body, point.position(), force));
-            if let Some((other, body)) = point.other {
-                felt[other].push((body, point.position(), -force));
+            if let Some(((other, body), image)) = point.other {
+                felt[other].push((body, point.position() - image, -force));
             }
         }
     }
@@ -558,7 +557,7 @@ impl Roaming {
 
 /// How far along each axis each of the robots' bodies may go, on finest cells of width `cell` [m], before two robots may touch, or act on the same nodes; `None` if two
 /// may now: they are the host's to solve together. Bodies without a shape touch nothing.
-pub(crate) fn apart(robots: &[Vec<Option<Roaming>>], cell: f64) -> Option<Vec<Aabb>> {
+pub(crate) fn apart(robots: &[Vec<Option<Roaming>>], images: Images, cell: f64) -> Option<Vec<Aabb>> {
     let mut all = Vec::new();
     for (r, robot) in robots.iter().enumerate() {
         for body in robot {
@@ -566,7 +565,10 @@ pub(crate) fn apart(robots: &[Vec<Option<Roaming>>], cell: f64) -> Option<Vec<Aa
             let others = robots.iter().enumerate().filter(|(other, _)| *other != r).flat_map(|(_, other)| other);
             for (body, other) in body.iter().flat_map(|body| others.clone().flatten().map(move |other| (body, other))) {
                 let clearance = 2.0 * (MOST_MOVE * cell + AHEAD + body.reach.min(other.reach));
-                leash = leash.intersection(&body.bounds.leash(&other.bounds, clearance, |spare| 0.5 * spare)?);
+                for image in images.beside(&body.bounds, &other.bounds) {
+                    let other = other.bounds.moved(image.to_array());
+                    leash = leash.intersection(&body.bounds.leash(&other, clearance, |spare| 0.5 * spare)?);
+                }
             }
             all.push(leash);
         }
@@ -580,6 +582,7 @@ pub(crate) fn off_what_is_rigid(
     tools: &[&Obstacle],
     roaming: &[Vec<Option<Roaming>>],
     leashes: &[Aabb],
+    images: Images,
     cell: f64,
 ) -> Option<Vec<Aabb>> {
     let (mut all, mut first) = (leashes.to_vec(), 0);
@@ -590,11 +593,14 @@ pub(crate) fn off_what_is_rigid(
         for (leash, body) in own.iter_mut().zip(bodies) {
             let Some(body) = body.as_ref().filter(|body| body.moves) else { continue };
             for obstacle in robot.obstacles(tools) {
-                *leash = leash.intersection(&body.bounds.leash(obstacle.bounds(), clearance, |spare| spare)?);
+                for image in images.beside(&body.bounds, obstacle.bounds()) {
+                    let obstacle = obstacle.bounds().moved(image.to_array());
+                    *leash = leash.intersection(&body.bounds.leash(&obstacle, clearance, |spare| spare)?);
+                }
             }
         }
         for &pair in &robot.pairs {
-            let spare = robot.gap(pair[0], (robot, pair[1]), 4.0 * clearance) - clearance;
+            let spare = robot.gap(pair[0], (robot, pair[1]), DVec3::ZERO, 4.0 * clearance) - clearance;
             let half = half_of(spare)?;
             for body in pair {
                 own[body] = own[body].intersection(&half);
@@ -615,6 +621,7 @@ pub(crate) fn off_one_another(
     robots: &[Robot],
     roaming: &[Vec<Option<Roaming>>],
     leashes: &[Aabb],
+    images: Images,
     cell: f64,
 ) -> Option<Vec<Aabb>> {
     let (mut all, mut firsts) = (leashes.to_vec(), vec![0]);
@@ -628,15 +635,18 @@ pub(crate) fn off_one_another(
         for first in (0..second).filter(|first| robots[*first].gives_way_to(&robots[second])) {
             for (a, own) in bodies(first) {
                 for (b, other) in bodies(second).filter(|(_, other)| own.moves || other.moves) {
-                    let gap = robots[first].gap(a, (&robots[second], b), 4.0 * clearance);
-                    let halves = if gap > 4.0 * clearance {
-                        let from = |one: &Aabb, two: &Aabb| one.leash(two, clearance, |spare| 0.5 * spare);
-                        [from(&own.bounds, &other.bounds)?, from(&other.bounds, &own.bounds)?]
-                    } else {
-                        [half_of(gap - clearance)?; 2]
-                    };
-                    for (body, half) in [firsts[first] + a, firsts[second] + b].into_iter().zip(&halves) {
-                        all[body] = all[body].intersection(half);
+                    for image in images.beside(&own.bounds, &other.bounds) {
+                        let gap = robots[first].gap(a, (&robots[second], b), image, 4.0 * clearance);
+                        let halves = if gap > 4.0 * clearance {
+                            let other = other.bounds.moved(image.to_array());
+                            let from = |one: &Aabb, two: &Aabb| one.leash(two, clearance, |spare| 0.5 * spare);
+                            [from(&own.bounds, &other)?, from(&other, &own.bounds)?]
+                        } else {
+                            [half_of(gap - clearance)?; 2]
+                        };
+                        for (body, half) in [firsts[first] + a, firsts[second] + b].into_iter().zip(&halves) {
+                            all[body] = all[body].intersection(half);
+                        }
                     }
                 }
             }

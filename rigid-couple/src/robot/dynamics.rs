@@ -59,6 +59,12 @@ impl Place {
         Self { columns, ..self.clone() }
     }
 
+    /// The same place, so far on [m]: that of an image.
+    #[must_use]
+    pub fn moved(&self, by: DVec3) -> Self {
+        Self { frame: self.frame.moved(by), centre: self.centre + by, ..self.clone() }
+    }
+
     /// The same place where the numbers of rates begin `by` further on.
     #[must_use]
     pub fn shifted(&self, by: usize) -> Self {
@@ -269,4 +275,16 @@ pub fn momentum(model: &RobotModel, places: &[Place], rates: &DVector<f64>, poin
         }
     }
     sums
+}
+
+/// Twice the kinetic energy at some rates, vᵀ M v [J].
+pub fn twice_energy(model: &RobotModel, places: &[Place], rates: &DVector<f64>) -> f64 {
+    let of_link = |(mass, place): (f64, &Place)| {
+        let Twist { linear, angular } = place.twist(rates);
+        mass * linear.length_squared() + angular.dot(place.inertia * angular)
+    };
+    let links = model.links.iter().map(|link| link.mass).zip(places).filter(|(mass, _)| *mass > 0.0);
+    let first = rates.len() - model.drives.len();
+    let rotors = model.drives.iter().zip(rates.iter().skip(first)).map(|(drive, rate)| drive.armature * rate * rate);
+    links.map(of_link).sum::<f64>() + rotors.sum::<f64>()
 }

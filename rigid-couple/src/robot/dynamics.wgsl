@@ -164,18 +164,30 @@ fn robot_mass_of(i: u32, j: u32) -> f32 {
     return sum;
 }
 
-// The rates' equation takes the forces of motion as they were. What momentum lost by that, the base's rates make up for.
+// The rates' equation takes the forces of motion as they were. What momentum lost by that, the base's rates make up for; what energy lost or gained, the motion of joints does, less
+// what the tree moves as a whole. What is more than that can give is owed.
 fn robot_correct(thread: u32) {
-    if thread < robot_rates && !robot_drives {
-        var sum = 0.0;
+    if thread < robot_rates {
+        let base = robot_own_tree.x + robot_own_tree.y;
+        var of_base = 0.0;
+        var of_joints = 0.0;
         for (var j = 0u; j < robot_rates; j++) {
-            sum += robot_mass[thread * ROBOT_RATES + j] * robot_free[j];
+            let part = robot_mass[thread * ROBOT_RATES + j] * robot_free[j];
+            of_base += select(0.0, part, j < base);
+            of_joints += select(part, 0.0, j < base);
         }
-        robot_missing[thread] = robot_held - sum;
+        robot_work[thread] = robot_free[thread] * of_joints;
+        if !robot_drives {
+            robot_missing[thread] = robot_held - of_base - of_joints;
+            robot_work[thread] = of_joints;
+            robot_driven[thread] = robot_held;
+        }
     }
     workgroupBarrier();
-    if thread < robot_tree_count {
-        let tree = robot_tree(thread);
+    // Two threads for each tree: what momentum lacks, and how the base would move if joints stood still of a sudden, less how it moves.
+    if thread < 2u * robot_tree_count {
+        let tree = robot_tree(thread / 2u);
+        let halts = thread % 2u == 1u;
         if tree.y > 0u {
             var rows: array<CouplingRow, 6>;
             for (var i = 0u; i < 6u; i++) {
@@ -183,15 +195,52 @@ fn robot_correct(thread: u32) {
                 rows[i] = CouplingRow(
                     vec3<f32>(robot_mass[at], robot_mass[at + 1u], robot_mass[at + 2u]),
                     vec3<f32>(robot_mass[at + 3u], robot_mass[at + 4u], robot_mass[at + 5u]),
-                    robot_missing[tree.x + i],
+                    select(robot_missing[tree.x + i], robot_work[tree.x + i], halts),
                 );
             }
             let by = solve_rows(rows);
             for (var i = 0u; i < 3u; i++) {
-                robot_free[tree.x + i] += by.linear[i];
-                robot_free[tree.x + 3u + i] += by.angular[i];
+                if halts {
+                    robot_step[tree.x + i] = by.linear[i];
+                    robot_step[tree.x + 3u + i] = by.angular[i];
+                } else {
+                    robot_free[tree.x + i] += by.linear[i];
+                    robot_free[tree.x + 3u + i] += by.angular[i];
+                }
             }
         }
+    }
+    workgroupBarrier();
+    var further = 0.0;
+    if thread < robot_rates {
+        // Twice the energy of the tree as a whole, and of its joints besides.
+        var whole = 0.0;
+        var own = 0.0;
+        let base = robot_own_tree.x + robot_own_tree.y;
+        for (var i = robot_own_tree.x; i < base; i++) {
+            whole += (robot_free[i] + robot_step[i]) * robot_driven[i];
+            own -= robot_step[i] * robot_work[i];
+        }
+        let end = base + u32(robot_tree_row(robot_tree_of_rate(), 1u).z);
+        for (var i = base; i < end; i++) {
+            own += robot_work[i];
+        }
+        // As in `robot.rs`; but rounding of the whole is not the joints' to make up for.
+        robot_at_start = vec2<f32>(whole + own, 0.0);
+        if own > 0.0 {
+            let blow = robot_kept.y / robot_at_start.x;
+            let missing = robot_kept.x - robot_at_start.x;
+            let rounding = ROBOT_ROUNDING * robot_at_start.x;
+            let wanted = sign(missing) * max(abs(missing) - rounding, 0.0) / (1.0 + blow * blow);
+            let share = clamp(1.0 + wanted / own, 0.0, ROBOT_MOST_RAISED);
+            further = (sqrt(share) - 1.0) * select(-robot_step[thread], robot_free[thread], robot_drives);
+            let gained = (share - 1.0) * own;
+            robot_at_start = vec2<f32>(whole + own + gained, max(gained - wanted, 0.0));
+        }
+    }
+    workgroupBarrier();
+    if thread < robot_rates {
+        robot_free[thread] += further;
     }
     workgroupBarrier();
 }

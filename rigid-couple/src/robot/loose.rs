@@ -94,7 +94,7 @@ impl Robot {
         let gravity = DVec3::from_array(scene.gravity_at(0.0));
         let orders = guided.map(|guided| vec![guided.order(0.0, gravity)]);
         let sensed = Sensed::at_start(gravity);
-        let state = State { base: pose, positions, rates, orders, clock: 0.0, held: None, sensed };
+        let state = State { base: pose, positions, rates, owed: 0.0, orders, clock: 0.0, held: None, sensed };
         let step = Self::at_rest(&model, floating, &solids, &state, motion.orders(0.0, 0.0)).ok_or_else(not_loose)?;
         Ok(Self {
             name: tool.name.clone(),

@@ -1,10 +1,22 @@
 //! What a robot is made of: a tree of links and joints, as its URDF says it.
 
+use super::urdf::Source;
 use super::visual::Visual;
 use crate::motion::Pose;
-use crate::sdf::Sdf;
+use crate::{Refusal, Sdf};
+use barchan_core::scene;
 use glam::{DMat3, DVec3};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+/// Robots that come with the program: name and URDF.
+pub const BUILT_IN: [(&str, &str); 6] = [
+    ("quadruped", include_str!("../../models/quadruped.urdf")),
+    ("humanoid", include_str!("../../models/humanoid.urdf")),
+    ("arm", include_str!("../../models/arm.urdf")),
+    ("arm-rod", include_str!("../../models/arm-rod.urdf")),
+    ("arm-shovel", include_str!("../../models/arm-shovel.urdf")),
+    ("arm-scraper", include_str!("../../models/arm-scraper.urdf")),
+];
 
 /// How a link moves against its parent.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -114,5 +126,41 @@ impl RobotModel {
     /// The number of a link.
     pub fn link(&self, name: &str) -> Option<usize> {
         self.links.iter().position(|link| link.name == name)
+    }
+}
+
+impl RobotModel {
+    /// What a scene's robot is made of; a file is looked for in `folder`.
+    ///
+    /// # Errors
+    /// If the file or the model's name cannot be used.
+    pub fn of(robot: &scene::Robot, folder: &Path) -> Result<Self, Refusal> {
+        let (text, file): (String, PathBuf) = match (&robot.urdf, &robot.model) {
+            (Some(urdf), _) => {
+                let file = folder.join(urdf);
+                let text = std::fs::read_to_string(&file).map_err(|e| {
+                    Refusal::new(
+                        format!("{}: {e}", file.display()),
+                        "give the path of a URDF file, from the scene's folder",
+                    )
+                })?;
+                (text, file)
+            }
+            (None, name) => {
+                let name = name.as_deref().unwrap_or_default();
+                let known = BUILT_IN.iter().find(|(known, _)| *known == name);
+                let (_, text) = known.ok_or_else(|| {
+                    let names: Vec<&str> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+                    Refusal::new(
+                        format!("there is no model '{name}'"),
+                        format!("known are: {}; or give a urdf", names.join(", ")),
+                    )
+                })?;
+                ((*text).to_owned(), PathBuf::from(format!("{name}.urdf")))
+            }
+        };
+        let name = file.display().to_string();
+        let folder = file.parent().unwrap_or(folder);
+        Self::read(&Source { text: &text, file: &name, folder, mends: robot.mend_inertias })
     }
 }

@@ -30,6 +30,8 @@ pub struct Together {
 struct Meeting {
     /// Their robots, as they are counted here, and their bodies there.
     links: [(usize, usize); 2],
+    /// How far the image of the second one that the first one touches is from it [m].
+    image: DVec3,
     /// The first one's place, as it moves against the second; its rates are those of all robots.
     place: Place,
     /// What the first one touches, in a frame that moves with the second.
@@ -39,6 +41,7 @@ struct Meeting {
 /// A link of one robot that touches one of another.
 struct Found {
     links: [(usize, usize); 2],
+    image: DVec3,
     touches: Vec<Touch>,
 }
 
@@ -58,8 +61,10 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
     let whole: Vec<Aabb> = seen.iter().map(around).collect();
     let (mut nodes, mut found) = (NodeBatch::default(), Vec::new());
     for second in 0..robots.len() {
-        let may_touch =
-            |first: usize| robots[first].gives_way_to(&robots[second]) && whole[first].meets(&whole[second]);
+        let may_touch = |first: usize| {
+            let mut images = span.images.meeting(&whole[first], &whole[second]);
+            robots[first].gives_way_to(&robots[second]) && images.next().is_some()
+        };
         for first in (0..second).filter(|first| may_touch(*first)) {
             let mass = HEAVY * robots[first].model.mass().min(robots[second].model.mass());
             for (a, link) in seen[first].iter().enumerate() {
@@ -68,9 +73,12 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
                     if link.place.columns.is_empty() && other.place.columns.is_empty() {
                         continue;
                     }
-                    let touches = among([link, other], &mut nodes, mass, span);
-                    if !touches.is_empty() {
-                        found.push(Found { links: [(first, a), (second, b)], touches });
+                    let reached = link.bounds.grown(link.ahead + other.ahead);
+                    for image in span.images.meeting(&reached, &other.bounds) {
+                        let touches = among([link, other], image, &mut nodes, mass, span);
+                        if !touches.is_empty() {
+                            found.push(Found { links: [(first, a), (second, b)], image, touches });
+                        }
                     }
                 }
             }
@@ -78,7 +86,7 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
     }
     let rates: Vec<usize> = robots.iter().map(|robot| robot.state.rates.len()).collect();
     let mut all = joined(&found, &rates);
-    for Found { links, mut touches } in found {
+    for Found { links, image, mut touches } in found {
         let Some(own) = all.iter_mut().find(|one| one.robots.contains(&links[0].0)) else { continue };
         for touch in &mut touches {
             let from = std::mem::replace(&mut touch.node, own.nodes.mass.len());
@@ -87,8 +95,8 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
             own.nodes.velocity.push(nodes.velocity[from]);
         }
         let links = links.map(|(robot, body)| (own.robots.partition_point(|one| *one < robot), body));
-        let place = own.place_of(robots, links);
-        own.meetings.push(Meeting { links, place, touches });
+        let place = own.place_of(robots, links, image);
+        own.meetings.push(Meeting { links, image, place, touches });
     }
     all
 }
@@ -115,12 +123,12 @@ impl Together {
         self.robots[0]..self.robots[self.robots.len() - 1] + 1
     }
 
-    fn place_of(&self, robots: &[Robot], links: [(usize, usize); 2]) -> Place {
+    fn place_of(&self, robots: &[Robot], links: [(usize, usize); 2], image: DVec3) -> Place {
         let [first, second] = links.map(|(robot, body)| {
             let own = &robots[self.robots[robot]];
             own.step.places[own.solids[body]].shifted(self.firsts[robot])
         });
-        first.against(&second)
+        first.against(&second.moved(image))
     }
 
     fn own<'a>(&'a self, robots: &'a [Robot]) -> impl Iterator<Item = &'a Robot> {
@@ -239,14 +247,14 @@ impl Together {
         residual.dot(&self.rates(along.iter()))
     }
 
-    /// Goes through all that links of theirs touch of one another's: nodes and touch, and robot and body at both ends.
+    /// Goes through all that links of theirs touch of one another's: nodes and touch, and robot and body at both ends, with how far the image of the second that is met is from it [m].
     pub(super) fn each_touch<'a>(
         &'a self,
-        see: &mut impl FnMut(&'a NodeBatch, &'a Touch, (usize, usize), Option<(usize, usize)>),
+        see: &mut impl FnMut(&'a NodeBatch, &'a Touch, (usize, usize), Option<((usize, usize), DVec3)>),
     ) {
-        for Meeting { links, touches, .. } in &self.meetings {
+        for Meeting { links, image, touches, .. } in &self.meetings {
             let [first, second] = links.map(|(robot, body)| (self.robots[robot], body));
-            touches.iter().for_each(|touch| see(&self.nodes, touch, first, Some(second)));
+            touches.iter().for_each(|touch| see(&self.nodes, touch, first, Some((second, *image))));
         }
     }
 
@@ -256,10 +264,10 @@ impl Together {
         let each: Vec<DVector<f64>> = self.robots.iter().map(|robot| rates(*robot)).collect();
         let rates = self.rates(each.iter());
         let dt = robots[self.robots[0]].step.dt;
-        for Meeting { links: [(first, a), (second, b)], place, touches } in &self.meetings {
+        for Meeting { links: [(first, a), (second, b)], image, place, touches } in &self.meetings {
             for (at, force) in forces(&self.nodes, touches, &place.twist(&rates), dt) {
                 felt[*first].push((*a, at, force));
-                felt[*second].push((*b, at, -force));
+                felt[*second].push((*b, at - *image, -force));
             }
         }
         felt
@@ -267,7 +275,7 @@ impl Together {
 
     /// Goes on to where robots are now: coarser levels of the ground come behind their motion where levels take steps of their own.
     pub(super) fn follow(&mut self, robots: &[Robot]) {
-        let places: Vec<Place> = self.meetings.iter().map(|meeting| self.place_of(robots, meeting.links)).collect();
+        let places: Vec<Place> = self.meetings.iter().map(|one| self.place_of(robots, one.links, one.image)).collect();
         for (Meeting { place, touches, .. }, now) in self.meetings.iter_mut().zip(places) {
             *place = now;
             for touch in touches {

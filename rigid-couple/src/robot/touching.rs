@@ -5,6 +5,7 @@
 //! with one of them, and pushes both: links of one robot, or of two that are then solved [together](super::together).
 
 use super::dynamics::Place;
+use super::images::Images;
 use super::model::{Freedom, RobotModel};
 use crate::motion::Pose;
 use crate::rigid::body;
@@ -148,10 +149,10 @@ impl Obstacle {
         self.tool.as_ref().map_or("a wall of the world".to_owned(), |driven| format!("'{}'", driven.tool.name))
     }
 
-    /// Does a body at `pose`, in such a box, overlap it at the start by more than [`SUNK`]?
-    pub(super) fn is_overlapped(&self, body: &Body, pose: &Pose, bounds: &Aabb) -> bool {
-        let meets = self.is_present(0.0) && self.bounds.meets(bounds);
-        meets && deepest((&self.parts, &self.pose), (&body.0, pose)) > SUNK
+    /// Does a body at `pose`, in such a box, overlap it or one of its images at the start by more than [`SUNK`]?
+    pub(super) fn is_overlapped(&self, body: &Body, pose: &Pose, bounds: &Aabb, images: Images) -> bool {
+        let overlaps = |by: DVec3| deepest((&self.parts, &self.pose.moved(by)), (&body.0, pose)) > SUNK;
+        self.is_present(0.0) && images.meeting(bounds, &self.bounds).any(overlaps)
     }
 
     pub(super) fn is_present(&self, time: f64) -> bool {
@@ -264,6 +265,8 @@ pub struct Span {
     pub dt: f64,
     /// Size of gravity [m/s²].
     pub gravity: f64,
+    /// Where the world's ends meet.
+    pub images: Images,
 }
 
 /// Adds contact points to the nodes.
@@ -327,21 +330,24 @@ impl Points {
             let Obstacle { parts, pose, twist, bounds, .. } = obstacle;
             let ahead = obstacle.ahead(span.dt);
             for (link, touches) in links.iter().zip(&mut self.touches) {
-                let ahead = link.ahead + ahead;
+                let reached = link.bounds.grown(link.ahead + ahead);
                 // What presses a link that stays on what does not answer cannot be told, and moves nothing.
-                let is_met = link.moves() && bounds.meets(&link.bounds.grown(ahead));
-                let Some(body) = link.body.filter(|_| is_met) else { continue };
-                let friction = link.friction.min(obstacle.friction);
-                let restitution = link.restitution;
-                let mut adder = Adder { nodes, touches, link, friction, restitution, mass, span };
-                between((parts, pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
-                    adder.add(at, normal, gap, [twist.at(at - pose.position), DVec3::ZERO]);
-                });
+                let Some(body) = link.body.filter(|_| link.moves()) else { continue };
+                for image in span.images.meeting(&reached, bounds) {
+                    let pose = pose.moved(image);
+                    let friction = link.friction.min(obstacle.friction);
+                    let restitution = link.restitution;
+                    let mut adder = Adder { nodes, touches, link, friction, restitution, mass, span };
+                    let ahead = link.ahead + ahead;
+                    between((parts, &pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
+                        adder.add(at, normal, gap, [twist.at(at - pose.position), DVec3::ZERO]);
+                    });
+                }
             }
         }
         for &bodies in pairs {
             let both = bodies.map(|body| &links[body]);
-            let touches = among(both, nodes, mass, span);
+            let touches = among(both, DVec3::ZERO, nodes, mass, span);
             if !touches.is_empty() {
                 let place = both[0].place.against(both[1].place);
                 self.pairs.push(Pair { bodies, place, touches });
@@ -359,19 +365,20 @@ pub fn forces(nodes: &NodeBatch, touches: &[Touch], twist: &Twist, dt: f64) -> i
     })
 }
 
-/// What the first of two links touches of the second, in a frame that moves with that; points weigh `mass` [kg].
-pub fn among([link, other]: [&Seen<'_>; 2], nodes: &mut NodeBatch, mass: f64, span: Span) -> Vec<Touch> {
+/// What the first of two links touches of the second, which is as far off as that `image` of it [m], in a frame that moves with that; points weigh `mass` [kg].
+pub fn among([link, other]: [&Seen<'_>; 2], image: DVec3, nodes: &mut NodeBatch, mass: f64, span: Span) -> Vec<Touch> {
     let mut touches = Vec::new();
     let ahead = link.ahead + other.ahead;
     let (Some(body), Some(others)) = (link.body, other.body) else { return touches };
-    if !other.bounds.meets(&link.bounds.grown(ahead)) {
+    if !other.bounds.moved(image.to_array()).meets(&link.bounds.grown(ahead)) {
         return touches;
     }
     let friction = link.friction.min(other.friction);
     let restitution = link.restitution.max(other.restitution);
     let mut adder = Adder { nodes, touches: &mut touches, link, friction, restitution, mass, span };
-    between((&others.0, &other.place.pose()), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
-        adder.add(at, normal, gap, [other.twist.at(at - other.place.centre); 2]);
+    let pose = other.place.pose().moved(image);
+    between((&others.0, &pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
+        adder.add(at, normal, gap, [other.twist.at(at - pose.position); 2]);
     });
     touches
 }

@@ -4,7 +4,7 @@ use crate::{left, passes_of, take_at_once};
 use barchan::scene::{Shape, Wall};
 use barchan::worlds::Worlds;
 use barchan::{Command, Options, Precision, Scene, Simulation};
-use barchan_tests::scenes::{missed, robot_meets_ball, totals};
+use barchan_tests::scenes::{chain, energies, missed, robot_meets_ball, round_world, totals};
 use glam::DVec3;
 
 /// A quadruped that lands on a bed with half a metre a second, at `x` [m]; `levels` and what the robot is told besides.
@@ -211,6 +211,52 @@ fn a_robot_on_the_device_and_the_ground_keep_their_momentum() {
     assert!(taken > 0.1, "they never met: {taken}");
     assert!(off < 3e-6, "{off}");
     assert_eq!(passes_of(&dog, "gather"), 0, "steps on the host");
+}
+
+/// Chains that nothing drives keep their energy on the device, too: one that hangs, and one afloat.
+#[test]
+fn chains_on_the_device_keep_their_energy() {
+    let folder = tempfile::tempdir().unwrap();
+    let afloat = "velocity = [1, -0.5, 0.3]\nangular_velocity = [3, 2, -4]";
+    for (gravity, more) in [(-9.81, "fixed = true"), (0.0, afloat)] {
+        let scene = chain(folder.path(), 4, gravity, more);
+        let mut chain = start(&scene, "wgpu", Precision::F32);
+        let [kinetic, first] = energies(&chain.bodies());
+        let whole = if gravity == 0.0 { kinetic } else { first + 0.1 * 9.81 * 1.6 };
+        let mut off = 0.0_f64;
+        while chain.time() < 12.0 {
+            take_at_once(&mut chain, 50);
+            let [_, now] = energies(&chain.bodies());
+            off = off.max((now - first).abs() / whole);
+        }
+        println!("{gravity} m/s²: energy off by {off:.1e} of {whole:.3} J (4e-2)");
+        assert!(off < 4e-2, "{gravity} m/s²: {off}");
+        assert_eq!(passes_of(&chain, "gather"), 0, "steps on the host");
+    }
+}
+
+/// Free balls that meet over a periodic side do so on the device as on the CPU.
+#[test]
+fn balls_on_the_device_meet_over_a_periodic_side() {
+    let free = "{ free = { mass = 1, linear = [1, 0, 0], restitution = 0.5 } }";
+    for (name, other) in [("free", "{ free = { mass = 2 } }"), ("fixed", "\"fixed\"")] {
+        let scene = round_world(&[(0.7, free), (-0.9, other)]);
+        let (mut device, mut cpu) = (start(&scene, "wgpu", Precision::F32), start(&scene, "cpu", Precision::F64));
+        for one in [&mut device, &mut cpu] {
+            take_at_once(one, 600);
+        }
+        let off: Vec<f64> = device
+            .bodies()
+            .iter()
+            .zip(cpu.bodies())
+            .map(|(a, b)| (DVec3::from_array(a.position) - DVec3::from_array(b.position)).length())
+            .collect();
+        let come = cpu.bodies().iter().find(|body| body.name == "ball0").unwrap().position[0] - 0.7;
+        println!("{name}: {off:?} m apart (1e-5), the first has come {come:.3} m");
+        assert!(come < 0.45, "{name}: they do not meet");
+        assert!(off.iter().all(|off| *off < 1e-5), "{name}: {off:?}");
+        assert_eq!(passes_of(&device, "gather"), 0, "{name}: steps on the host");
+    }
 }
 
 /// Worlds of a batch with robots that are told other things are the worlds alone, bit for bit, on both backends; and a state taken in the middle goes on so.

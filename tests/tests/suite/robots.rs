@@ -10,6 +10,7 @@ use barchan_rigid::motion::Pose;
 use barchan_rigid::robot::dynamics::{bias, gravity, mass_matrix, momentum, places};
 use barchan_rigid::robot::urdf::Source;
 use barchan_rigid::robot::{RobotModel, Robots};
+use barchan_tests::scenes::{chain, energies};
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
@@ -260,6 +261,46 @@ fn a_double_pendulum_swings_as_it_should() {
     let order = (errors[0] / errors[1]).log2();
     println!("angles off by {:.1e} and {:.1e} rad (8e-3), order {order:.2} (0.8)", errors[0], errors[1]);
     assert!(errors[1] < 8e-3 && order > 0.8, "{errors:?}");
+}
+
+/// Chains whose joints nothing drives or slows keep their energy, at steps in which they turn by tenths of a radian and more; and momentum, if they are afloat.
+#[test]
+fn chains_that_nothing_drives_keep_their_energy() {
+    const HUNG: &str = "fixed = true";
+    const AFLOAT: &str = "velocity = [1, -0.5, 0.3]\nangular_velocity = [3, 2, -4]";
+    let folder = tempfile::tempdir().unwrap();
+    let cases: [(usize, f64, &str, f64, f64, f64); 6] = [
+        (4, -9.81, HUNG, 5e-3, 24.0, 0.04),
+        (4, -9.81, HUNG, 1e-3, 24.0, 0.01),
+        (4, 0.0, AFLOAT, 5e-3, 24.0, 0.04),
+        (4, 0.0, AFLOAT, 1e-3, 24.0, 0.01),
+        (60, -9.81, HUNG, 5e-3, 6.0, 0.04),
+        (20, 0.0, AFLOAT, 5e-3, 6.0, 0.01),
+    ];
+    for (links, gravity, more, dt, end, most) in cases {
+        let mut robots = Robots::new(&chain(folder.path(), links, gravity, more)).unwrap();
+        let [kinetic, start] = energies(&robots.bodies());
+        let first = totals(&robots);
+        // Of one that hangs straight down, or of one at rest.
+        let hanging: f64 = (0..links).map(|link| 0.1 * gravity * (0.1 + 0.2 * link as f64)).sum();
+        let whole = if gravity == 0.0 { kinetic } else { start - hanging };
+        let [mut lost, mut gained] = [0.0_f64; 2];
+        for step in 0..(end / dt) as usize {
+            moved(&mut robots, step as f64 * dt, dt);
+            let [_, now] = energies(&robots.bodies());
+            gained = gained.max((now - start) / whole);
+            lost = lost.max((start - now) / whole);
+        }
+        println!(
+            "{links} links, {gravity} m/s², {dt} s: gained {gained:.1e}, lost {lost:.1e} of {whole:.3} J ({most})"
+        );
+        assert!(gained < most && lost < most, "{links} links, {gravity} m/s², {dt} s: {gained}, {lost}");
+        if gravity == 0.0 {
+            let now = totals(&robots);
+            let off = (0..2).map(|i| (now[i] - first[i]).length() / first[i].length()).fold(0.0, f64::max);
+            assert!(off < 1e-11, "momentum is off by {off}");
+        }
+    }
 }
 
 const AFLOAT: &str = "[[robot]]\nname = \"dog\"\nurdf = \"FILE\"\nposition = [0, 0, 1]\nvelocity = [0.3, -0.2, 0.1]\nangular_velocity = [0.5, -0.4, 1.0]\njoints = { \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }\nmotor = [{ armature = 0, effort = 1e9 }]";

@@ -4,7 +4,7 @@ use super::{MOTORS, SAND, felt, moved, root, simulation, stand, totals};
 use barchan::{BodyState, Command, Coupling, Precision, Scene, Simulation};
 use barchan_core::coupling::Moved;
 use barchan_rigid::robot::Robots;
-use barchan_tests::scenes::missed;
+use barchan_tests::scenes::{missed, round_world};
 use glam::{DMat3, DQuat, DVec3};
 
 const DOG: &str = "[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\njoints = { \"*_thigh_joint\" = 0.8, \"*_calf_joint\" = -1.6 }\ncontact = { coulomb = { friction = 0.5 } }";
@@ -332,4 +332,34 @@ fn bodies_that_overlap_others_at_the_start_are_named() {
     assert!(text.contains("'ball' and a wall of the world") && text.contains("'ball' and 'stone'"), "{text}");
     let servo = "{ servo = { axis = [1, 0, 0], force = 1 } }";
     assert_eq!(warned(&(tool("one", 0.05, servo) + &tool("other", 0.1, servo))), None);
+}
+
+/// How far two balls of [`round_world`] have come after a second, along x [m].
+fn come(places: [f64; 2], other: &str) -> [f64; 2] {
+    let free = "{ free = { mass = 1, linear = [1, 0, 0], restitution = 0.5 } }";
+    let mut world = simulation(&round_world(&[(places[0], free), (places[1], other)]), Precision::F64);
+    while world.time() < 0.9995 {
+        world.step().unwrap();
+    }
+    let bodies = world.bodies();
+    let of = |ball: &str| bodies.iter().find(|body| body.name == ball).unwrap().position[0];
+    [of("ball0") - places[0], of("ball1") - places[1]]
+}
+
+/// A free ball that leaves a periodic world at one side meets what is near the other: another free ball, one that stays, and one that comes towards it. Both move as
+/// they do in the middle of the world.
+#[test]
+fn beyond_a_periodic_side_tools_meet_what_is_near_the_other() {
+    for (other, by) in
+        [("{ free = { mass = 2 } }", 0.2), ("\"fixed\"", 0.0), ("{ velocity = { linear = [-0.5, 0, 0] } }", -0.5)]
+    {
+        let middle = come([-0.2, 0.2037], other);
+        for places in [[0.7, -0.8963], [0.9, -0.6963]] {
+            let there = come(places, other);
+            let off = (0..2).map(|i| (there[i] - middle[i]).abs()).fold(0.0, f64::max);
+            println!("{other}: came {there:.4?} m, {off:.1e} from what it is in the middle (1e-9)");
+            assert!(off < 1e-9, "{other}: {there:?} and {middle:?}");
+        }
+        assert!(middle[0] < 0.9 && (middle[1] - by).abs() < 0.3, "{other}: {middle:?}, they do not meet");
+    }
 }
