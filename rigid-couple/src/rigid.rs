@@ -617,6 +617,15 @@ impl Coupling for Rigid {
                     .push(format!("tool '{}': its position is ignored, since keyframes say where it is", body.name));
             }
         }
+        let is_joined = (0..3).any(|axis| self.scene.world.is_periodic(axis));
+        if let Some(free) =
+            self.bodies.iter().find(|body| body.is_free()).filter(|_| is_joined && self.bodies.len() > 1)
+        {
+            warnings.push(format!(
+                "tool '{}' passes through other tools beyond periodic sides, though it meets the ground there; where there is a robot it does not",
+                free.name
+            ));
+        }
         warnings
     }
 

@@ -110,16 +110,9 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Is a tool moved together with the scene's robots, in one system? Those that answer what they feel are where there are robots, so that the two may touch; and
-    /// where ends of the world meet, so that it touches images of other tools.
+    /// Is a tool moved together with the scene's robots, in one system? Those that answer what they feel are where there are robots, so that the two may touch.
     pub fn goes_with_robots(&self, tool: &Tool) -> bool {
-        let meets_images = || self.tool.len() > 1 && (0..3).any(|axis| self.world.is_periodic(axis));
-        tool.answers() && (!self.robot.is_empty() || meets_images())
-    }
-
-    /// Is there a robot, or a tool that moves as robots do?
-    pub fn has_robots(&self) -> bool {
-        !self.robot.is_empty() || self.tool.iter().any(|tool| self.goes_with_robots(tool))
+        !self.robot.is_empty() && tool.answers()
     }
 
     /// The tools that move by themselves, with their numbers: all but those that [go with robots](Self::goes_with_robots).

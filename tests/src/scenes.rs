@@ -294,7 +294,7 @@ pub fn energies(bodies: &[BodyState]) -> [f64; 2] {
     [kinetic, kinetic + bodies.iter().map(|body| body.potential_energy).sum::<f64>()]
 }
 
-/// Tools over a soft bed in a world of 2 m along x, which is periodic, without gravity: each at so much x and with a motion.
+/// Tools over a soft bed in a world of 2 m along x, which is periodic, without gravity: each at so much x and with a motion. A robot is far off.
 pub fn round_world(tools: &[(f64, &str)]) -> Scene {
     let mut text = r#"
 name = "round"
@@ -312,6 +312,7 @@ material = "jelly"
 shape = { box = { min = [-1, -0.5, -1], max = [1, 0.5, -0.75] } }
 "#
     .to_owned();
+    text += "[[robot]]\nname = \"arm\"\nmodel = \"arm\"\nfixed = true\nposition = [0, 3, 0]\n";
     for (i, (x, motion)) in tools.iter().enumerate() {
         text += &format!(
             "[[tool]]\nname = \"ball{i}\"\nshape = {{ sphere = {{ radius = 0.1 }} }}\nposition = [{x}, 0, 0]\nmotion = {motion}\n"

@@ -66,7 +66,7 @@ pub(crate) fn has_mirrors(plan: &Plan) -> bool {
 /// particles, and where, on levels, no step is halted any more once the grid update has come. If a body comes near walls after all, another pass does it again.
 pub(crate) fn mirrors_early(plan: &Plan) -> bool {
     let fits = if plan.cell_widths.len() > 1 {
-        plan.substeps > 1 && !plan.scene.has_robots() && plan.scene.tool.iter().all(Tool::answers)
+        plan.substeps > 1 && plan.scene.robot.is_empty() && plan.scene.tool.iter().all(Tool::answers)
     } else {
         !plan.has(Stage::CONTACT)
     };

@@ -362,4 +362,14 @@ fn beyond_a_periodic_side_tools_meet_what_is_near_the_other() {
         }
         assert!(middle[0] < 0.9 && (middle[1] - by).abs() < 0.3, "{other}: {middle:?}, they do not meet");
     }
+    // Without a robot they do not, which is said.
+    let free = "{ free = { mass = 1 } }";
+    let mut scene = round_world(&[(0.7, free), (-0.9, free)]);
+    let warns = |scene: &Scene| {
+        let warnings = simulation(scene, Precision::F64).plan().warnings.join("; ");
+        warnings.contains("beyond periodic sides")
+    };
+    assert!(!warns(&scene));
+    scene.robot.clear();
+    assert!(warns(&scene));
 }
