@@ -298,7 +298,7 @@ type Documented = (u64, [f64; 3], [f64; 3], f64, Vec<f64>);
 
 /// The particles of a snapshot, read by `docs/formats.md`: id, position, velocity, mass and strain.
 fn by_the_document(bytes: &[u8]) -> Vec<Documented> {
-    assert_eq!((&bytes[..8], &bytes[8..12]), (b"BARCHAN\x1a".as_slice(), 6u32.to_le_bytes().as_slice()));
+    assert_eq!((&bytes[..8], &bytes[8..12]), (b"BARCHAN\x1a".as_slice(), 7u32.to_le_bytes().as_slice()));
     let u64_at = |b: &[u8], at: usize| u64::from_le_bytes(b[at..at + 8].try_into().unwrap());
     let (mut at, mut rows) = (12, Vec::new());
     loop {
