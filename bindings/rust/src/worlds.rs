@@ -37,7 +37,8 @@ use std::time::{Duration, Instant};
 ///
 /// On a backend that steps worlds together (`wgpu`), all take part in the same passes. Their steps are of the same length then, the least
 /// that any of them would take alone; give scenes a fixed `time.step` if that should not depend on the others. Worlds may differ in
-/// everything but cell width, extent, walls, gravity, their materials' laws, and the number and kinds of their tools.
+/// everything but cell width, extent, walls, gravity, levels, their materials' laws, their robots, how many tools go with these, and whether tools are sampled (meshes and
+/// height fields; these may differ, too). Others are refused, by name.
 #[derive(Debug)]
 pub struct Worlds {
     registry: Registry,

@@ -1,11 +1,12 @@
 //! Worlds of a batch: each is the world alone, bit for bit, whatever the others do.
 
-use super::{dropped, eased, followed, left, on_gpu, patch, take, with_currents};
-use barchan::scene::{CouplingSpec, Leaving, OverBound, Scene, Shape, Time};
+use super::{dropped, eased, followed, left, on_gpu, passes_of, patch, take, with_currents};
+use barchan::scene::{CouplingSpec, Leaving, OverBound, Robot, Scene, Shape, Time};
 use barchan::worlds::Worlds;
 use barchan::{Ledger, Simulation};
-use barchan_tests::scenes::{alter, drive_blade, norm, scene};
-use barchan_tests::sketch::{Head, block, half, material, tool};
+use barchan_tests::scenes::{alter, drive_blade, norm, robot_meets_ball, scene};
+use barchan_tests::sketch::{Head, block, box_mesh, half, material, tool};
+use std::path::Path;
 
 /// The patch with a blade that is a height field.
 fn bumpy(world: u64) -> Scene {
@@ -79,7 +80,6 @@ fn paired(world: u64) -> Scene {
 #[test]
 fn worlds_with_bodies_of_all_kinds_step_together() {
     let bare = |world: u64| Scene { tool: Vec::new(), ..patch(world) };
-    let without_growth = |world: u64| Scene { gravity_ramp: 0.0, ..dropped(world) };
     let scenes = [patch(0), without_growth(1), dragged(2), bare(3), paired(1), patch(4)];
     let registry = with_currents();
     let act = |sim: &mut Simulation, w: usize| {
@@ -117,6 +117,67 @@ fn worlds_with_bodies_of_all_kinds_step_together() {
         }
         assert!(left(worlds.world(w)) == left(&alone), "world {w} is not itself alone");
         assert!(w == 3 || alone.wrenches().iter().any(|wrench| norm(wrench.force) > 0.0), "world {w} touches nothing");
+    }
+}
+
+/// The patch with a robot that comes down on it, a cube that drops beside it, and the blade that an agent drives.
+fn walked(world: u64) -> Scene {
+    let robot = scene(&robot_meets_ball(-0.5, 0.1)).robot.swap_remove(0);
+    let mut scene = without_growth(world);
+    scene.robot.push(Robot { position: [0.3, 0.2, 0.55], ..robot });
+    scene
+}
+
+/// The patch with a cube that drops beside the blade.
+fn without_growth(world: u64) -> Scene {
+    Scene { gravity_ramp: 0.0, ..dropped(world) }
+}
+
+/// The patch with a blade that is a mesh.
+fn meshed(world: u64, folder: &Path) -> Scene {
+    let file = box_mesh(folder, [0.06 + 0.005 * world as f64, 0.08, 0.06]);
+    let kept = folder.join(format!("box{world}.obj"));
+    std::fs::rename(file, &kept).unwrap();
+    let mut scene = patch(world);
+    scene.tool[0].shape = toml::from_str(&format!("mesh = {{ file = {kept:?} }}")).unwrap();
+    scene
+}
+
+/// Worlds with robots, free bodies and a driven tool, and worlds whose tools are other meshes, are what they are alone, bit for bit; also one that comes back with another mesh.
+/// None of them steps on the host.
+#[test]
+fn worlds_with_robots_or_with_other_meshes_step_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let meshed = |world| meshed(world, folder.path());
+    let robots = [walked(0), walked(1)].to_vec();
+    let meshes = [meshed(0), meshed(1), meshed(0), meshed(2)].to_vec();
+    for (name, scenes, other) in [("robots", robots, walked(2)), ("meshes", meshes, meshed(3))] {
+        let mut worlds = Worlds::new(&barchan::registry(), scenes.clone(), &on_gpu()).unwrap();
+        for round in 0..16 {
+            if round == 8 {
+                worlds.reset(1, Some(other.clone())).unwrap();
+            }
+            if round % 8 == 0 {
+                (0..scenes.len()).for_each(|w| drive_blade(worlds.world_mut(w), w));
+            }
+            assert!(worlds.step().iter().all(|report| report.is_ok()));
+        }
+        for (w, scene) in scenes.iter().enumerate() {
+            let (scene, steps) = if w == 1 { (&other, 8) } else { (scene, 16) };
+            let mut alone = Simulation::new(&barchan::registry(), scene, &on_gpu()).unwrap();
+            for step in 0..steps {
+                if step % 8 == 0 {
+                    drive_blade(&mut alone, w);
+                }
+                take(&mut alone, 1);
+            }
+            assert!(left(worlds.world(w)) == left(&alone), "{name}: world {w} is not itself alone");
+            assert!(
+                alone.wrenches().iter().any(|wrench| norm(wrench.force) > 0.0),
+                "{name}: world {w} touches nothing"
+            );
+            assert_eq!(passes_of(worlds.world(w), "gather"), 0, "{name}: world {w} steps on the host");
+        }
     }
 }
 
@@ -303,4 +364,14 @@ fn worlds_that_cannot_be_batched_are_refused_by_name() {
     assert!(error.contains("extent") && error.contains("world 1"), "{error}");
     let error = refused(vec![followed(0, false, false), followed(1, true, false)]);
     assert!(error.contains("levels.subcycle") && error.contains("world 1"), "{error}");
+    // The law of their tools would be another text there than alone.
+    let folder = tempfile::tempdir().unwrap();
+    for other in [walked(1), meshed(1, folder.path())] {
+        let error = refused(vec![patch(0), other.clone()]);
+        assert!(error.contains("tools and robots") && error.contains("world 1"), "{error}");
+        let mut worlds = Worlds::new(&barchan::registry(), vec![patch(0), patch(1)], &on_gpu()).unwrap();
+        let error = worlds.reset(0, Some(other)).unwrap_err().to_string();
+        assert!(error.contains("tools and robots") && error.contains("world 0"), "{error}");
+        assert!(worlds.step().iter().all(|report| report.is_ok()), "the batch is as it was");
+    }
 }

@@ -31,12 +31,18 @@ pub(crate) fn parameter_vectors(plan: &Plan) -> usize {
     plan.materials.iter().flat_map(parameters_of).count().div_ceil(4).max(1)
 }
 
-/// What couplings' laws read: so many vectors for each world, and behind them samples that all worlds share. Is it stored?
+/// What couplings' laws read: so many vectors for each world, and behind them samples, of many worlds as [`Samples`](crate::schedule::bodies::Samples) lays them out. Is it
+/// stored?
 pub(crate) fn coupling_table([worlds, levels]: [usize; 2], vectors: usize, samples: usize) -> (bool, String) {
     let stored = is_stored(worlds, vectors, samples);
     let space = space(stored);
     let (tables, first) = table_of_worlds([worlds, levels], vectors);
-    let of_samples = format!("fn coupling_sample(i: u32) -> vec4<f32> {{ return contact_table[{tables}u + i]; }}\n");
+    let begin = if worlds > 1 {
+        format!("{}u + bitcast<u32>(contact_table[{tables}u + layer_now / {levels}u].x)", tables + worlds)
+    } else {
+        format!("{tables}u")
+    };
+    let of_samples = format!("fn coupling_sample(i: u32) -> vec4<f32> {{ return contact_table[{begin} + i]; }}\n");
     let text = format!(
         "@group(0) @binding(1) var<{space}> contact_table: array<vec4<f32>, {}>;\n\
          fn coupling_table(i: u32) -> vec4<f32> {{ return contact_table[{first}i]; }}\n{}",

@@ -12,7 +12,7 @@ use crate::schedule::submission::{Clocks, FEW_STEPS};
 use crate::schedule::{of_batch, step_constants};
 use crate::worlds::sleep::BlockBox;
 use crate::worlds::world::{Level, Place, World, parameters};
-use crate::worlds::{Fixed, check_together};
+use crate::worlds::{Fixed, LawTexts, check_together};
 use barchan_core::backend::NewWorld;
 use barchan_core::scene::Wall;
 use barchan_core::{ParticleList, Plan, Regions, Result, Schedule};
@@ -35,6 +35,7 @@ pub(crate) struct WgpuBatch {
     pub(crate) levels: usize,
     /// What the passes were made for.
     pub(crate) fixed: Fixed,
+    pub(crate) texts: LawTexts,
     pub(crate) schedule: Schedule,
     /// Steps of the finest level in one of the simulation.
     pub(crate) substeps: usize,
@@ -62,7 +63,7 @@ pub(crate) struct WgpuBatch {
 impl WgpuBatch {
     /// Worlds of one scene, each with its particles.
     pub(crate) fn new(gpu: Arc<Gpu>, worlds: Vec<NewWorld<'_>>) -> Result<Self> {
-        let (plan, fixed) = check_together(&gpu, &worlds)?;
+        let (plan, fixed, texts) = check_together(&gpu, &worlds)?;
         let (count, levels) = (worlds.len(), plan.cell_widths.len());
         let particles = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum::<usize>();
         let kernels = Kernels::new(&gpu, plan, count, particles)?;
@@ -94,6 +95,7 @@ impl WgpuBatch {
             h: plan.cell_widths[0],
             levels,
             fixed,
+            texts,
             schedule: of_batch(plan),
             substeps,
             most_drift: most_drift(plan),
@@ -116,6 +118,9 @@ impl WgpuBatch {
     /// Puts another world in a place.
     pub(crate) fn replace(&mut self, world: usize, new: NewWorld<'_>) -> Result<()> {
         self.fixed.check(new.plan, world)?;
+        if self.worlds.len() > 1 {
+            self.texts.take_up(new.couplings, world)?;
+        }
         self.settle()?;
         let before = std::mem::replace(&mut self.worlds[world], World::new(new.plan)?);
         let now = &mut self.worlds[world];

@@ -14,6 +14,7 @@ use barchan_core::backend::WorldStep;
 use barchan_core::coupling::{DeviceBody, begin_step};
 use barchan_core::{Aabb, BodyState, Coupling, Error, Result, StepReport, Vec3, Wrench};
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Blocks in the box of a body that answers on a level that the device can look into, and bodies of a group that answer together: the law of larger ones runs on
 /// the host.
@@ -93,10 +94,62 @@ pub(crate) struct DeviceContact {
     wgsl: String,
     answer: String,
     reach: f64,
-    samples: Vec<[f32; 4]>,
+    samples: Samples,
     needs: Needs,
     /// Each world's table.
     tables: Vec<Vec<[f32; 4]>>,
+}
+
+/// What worlds' laws sample, such as distances to a mesh, once for all worlds that have the same.
+#[derive(Clone, Debug)]
+pub(crate) struct Samples {
+    all: Vec<[f32; 4]>,
+    of_worlds: Vec<Range<usize>>,
+}
+
+impl Samples {
+    /// Of so many worlds, none of which has any.
+    pub(crate) fn none(worlds: usize) -> Self {
+        Self { all: Vec::new(), of_worlds: vec![0..0; worlds] }
+    }
+
+    /// Gives a world those that some world has already, if they are these.
+    pub(crate) fn share(&mut self, world: usize, samples: &[[f32; 4]]) -> bool {
+        let known = self.of_worlds.iter().find(|range| self.all[(*range).clone()] == *samples).cloned();
+        known.map(|range| self.of_worlds[world] = range).is_some()
+    }
+
+    /// Gives a world others than any has. Those that no world has any longer go.
+    pub(crate) fn add(&mut self, world: usize, samples: &[[f32; 4]]) {
+        self.of_worlds[world] = 0..0;
+        let before = std::mem::take(&mut self.all);
+        let mut moved = BTreeMap::new();
+        for range in &mut self.of_worlds {
+            let to = moved.entry((range.start, range.end)).or_insert_with(|| {
+                self.all.extend(&before[range.clone()]);
+                self.all.len() - range.len()..self.all.len()
+            });
+            *range = to.clone();
+        }
+        self.all.extend(samples);
+        self.of_worlds[world] = self.all.len() - samples.len()..self.all.len();
+    }
+
+    /// As the device reads them: where those of each of several worlds begin, then all; nothing if there are none.
+    pub(crate) fn packed(&self) -> Vec<[f32; 4]> {
+        let begins = (0..self.of_worlds.len()).filter_map(|world| self.begin(world));
+        begins.chain(self.all.iter().copied()).collect()
+    }
+
+    pub(crate) fn packed_len(&self) -> usize {
+        self.of_worlds.len() + self.all.len()
+    }
+
+    /// Where those of one of several worlds begin, as bits.
+    pub(crate) fn begin(&self, world: usize) -> Option<[f32; 4]> {
+        let start = self.of_worlds[world].start as u32;
+        (self.of_worlds.len() > 1 && !self.all.is_empty()).then_some([f32::from_bits(start), 0.0, 0.0, 0.0])
+    }
 }
 
 /// Bodies of a world over the steps of a submission.
@@ -205,8 +258,8 @@ pub(crate) fn pack(body: &BodyState, bounds: &Aabb, h: f64) -> [[f32; 4]; BODY a
 }
 
 impl WgpuBatch {
-    /// Finds out where the law of a world's bodies runs: on the device if it can run there and the other worlds' law is the same; else on the
-    /// host.
+    /// Finds out where the law of a world's bodies runs: on the device if it can run there; else on the host. That of other worlds is the same; see
+    /// [`LawTexts`](crate::worlds::LawTexts).
     pub(crate) fn settle_contact(&mut self, w: usize, couplings: &mut [Box<dyn Coupling>]) -> Result<()> {
         if self.worlds[w].contact.is_some() {
             return Ok(());
@@ -226,14 +279,17 @@ impl WgpuBatch {
             }
             let is_same = |contact: &DeviceContact| {
                 let answer = contact.answer == laws.answer || !answers(contact.needs);
-                contact.wgsl == laws.wgsl && answer && contact.samples == laws.samples
+                contact.wgsl == laws.wgsl && answer
             };
             let is_known = self.contact.device.as_deref().is_some_and(is_same);
-            let is_taught = |contact: &DeviceContact| contact.needs == all && contact.answer == laws.answer;
-            let vectors = self.worlds.len() * all.vectors + laws.samples.len();
+            let is_taught = |contact: &mut DeviceContact| {
+                contact.needs == all && contact.answer == laws.answer && contact.samples.share(w, &laws.samples)
+            };
+            let sampled = laws.samples.len() + before.map_or(0, |contact| contact.samples.packed_len());
+            let vectors = self.worlds.len() * all.vectors + sampled;
             if (is_known || before.is_none()) && self.has_room(all.answering, vectors) && self.fits(&laws, all) {
-                if !is_known || !self.contact.device.as_deref().is_some_and(is_taught) {
-                    self.add_laws(&laws, all)?;
+                if !is_known || !self.contact.device.as_deref_mut().is_some_and(is_taught) {
+                    self.add_laws(w, &laws, all)?;
                 }
                 self.worlds[w].groups = laws.groups(self.h);
                 let known = |body: BodyState| (body.name, body.mass);
@@ -271,10 +327,18 @@ impl WgpuBatch {
     }
 
     /// Teaches the device the laws of a world's couplings.
-    pub(crate) fn add_laws(&mut self, laws: &Laws, needs: Needs) -> Result<()> {
+    fn add_laws(&mut self, w: usize, laws: &Laws, needs: Needs) -> Result<()> {
         let (worlds, Needs { bodies, vectors, answering, .. }) = (self.worlds.len(), needs);
         let shape = [worlds, self.levels];
         let materials = self.worlds[0].materials.len();
+        let known = self.contact.device.as_ref().filter(|_| worlds > 1).map(|contact| contact.samples.clone());
+        let mut samples = known.unwrap_or_else(|| Samples::none(worlds));
+        if !samples.share(w, &laws.samples) {
+            samples.add(w, &laws.samples);
+        }
+        let mut laws = laws.clone();
+        laws.samples = samples.packed();
+        let laws = &laws;
         let kernels = crate::passes::bodies::contact(
             &self.gpu,
             &self.kernels,
@@ -290,7 +354,7 @@ impl WgpuBatch {
         self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], answering, &laws.samples)?;
         self.unlinked = true;
         let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);
-        let Laws { wgsl, answer, reach, samples, .. } = laws.clone();
+        let Laws { wgsl, answer, reach, .. } = laws.clone();
         let tables = vec![Vec::new(); worlds];
         let contact = DeviceContact { kernels, answering: of_groups, wgsl, answer, reach, samples, needs, tables };
         self.contact.device = Some(Box::new(contact));
@@ -307,6 +371,10 @@ impl WgpuBatch {
             all.resize(contact.needs.vectors - materials.len(), [0.0; 4]);
             all.extend(materials);
             self.gpu.queue.write_buffer(buffer, at, bytemuck::cast_slice(&all));
+            if let Some(begin) = contact.samples.begin(w) {
+                let at = (16 * (contact.needs.vectors * self.worlds.len() + w)) as u64;
+                self.gpu.queue.write_buffer(buffer, at, bytemuck::cast_slice(&begin));
+            }
             contact.tables[w] = table;
         }
     }

@@ -8,9 +8,10 @@ pub(crate) mod world;
 
 use crate::device::memory::Layer;
 use crate::device::{Gpu, lacks, layout};
+use crate::passes::couplings::Laws;
 use crate::passes::scene;
 use barchan_core::backend::NewWorld;
-use barchan_core::{Error, ParticleList, Plan, Result, Vec3};
+use barchan_core::{Coupling, Error, ParticleList, Plan, Result, Vec3};
 use barchan_grid::adapt::finest_volumes;
 
 /// What all worlds of a batch must have in common.
@@ -48,13 +49,7 @@ impl Fixed {
     /// Refuses a world that differs, by name.
     pub(crate) fn check(&self, plan: &Plan, world: usize) -> Result<()> {
         let other = Self::of(plan);
-        let differs = |what: &str, mend: &str| {
-            Err(lacks(
-                format!("batch of worlds that differ in {what}"),
-                format!("world {world} does not have that of the first"),
-                mend,
-            ))
-        };
+        let differs = |what, mend| Err(differs(what, world, mend));
         const MEND: &str = "give all worlds the same, or run them on the backend cpu";
         if other.world != self.world {
             return differs("cell width, extent, walls, world.leaving, what sleeps, or what materials keep", MEND);
@@ -78,8 +73,40 @@ impl Fixed {
     }
 }
 
+fn differs(what: &str, world: usize, mend: &str) -> Error {
+    let what = format!("batch of worlds that differ in {what}");
+    lacks(what, format!("world {world} does not have that of the first"), mend)
+}
+
+/// The texts of the laws that bodies of a batch follow on the device, as far as a world has such: how they grip, and how they answer. They are the same in all worlds,
+/// since numbers may be rounded otherwise in another text, or on the host, and a world would not be what it is alone.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LawTexts {
+    grip: Option<String>,
+    answer: Option<String>,
+}
+
+impl LawTexts {
+    /// Takes up those of a world, or refuses it.
+    pub(crate) fn take_up(&mut self, couplings: &[Box<dyn Coupling>], world: usize) -> Result<()> {
+        let Some(laws) = Laws::of(couplings) else { return Ok(()) };
+        let answer = laws.groups.iter().any(|groups| !groups.is_empty()).then_some(laws.answer);
+        for (known, own) in [(&mut self.grip, Some(laws.wgsl)), (&mut self.answer, answer)] {
+            if known.is_some() && own.is_some() && *known != own {
+                return Err(differs(
+                    "the kinds of their tools and robots",
+                    world,
+                    "give all worlds the same robots, as many tools that move freely or stand beside them, and meshes or height fields in all or in none                      (what a world has no use for may be out of reach); or step such worlds in batches of their own, or on the backend cpu",
+                ));
+            }
+            *known = own.or(known.take());
+        }
+        Ok(())
+    }
+}
+
 /// What the worlds have in common, if it is enough for one batch.
-pub(crate) fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, Fixed)> {
+pub(crate) fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(&'a Plan, Fixed, LawTexts)> {
     let Some(NewWorld { plan, .. }) = worlds.first() else {
         return Err(lacks("batch of no worlds", "none is given", "give one at least"));
     };
@@ -99,5 +126,9 @@ pub(crate) fn check_together<'a>(gpu: &Gpu, worlds: &[NewWorld<'a>]) -> Result<(
     worlds.iter().try_for_each(|world| layout::check(&world.particles, &world.plan.materials, levels))?;
     let particles: usize = worlds.iter().flat_map(|world| &world.particles.lists).map(ParticleList::len).sum();
     layout::check_count(particles, "simulate fewer, or use the backend cpu")?;
-    Ok((plan, fixed))
+    let mut texts = LawTexts::default();
+    if worlds.len() > 1 {
+        worlds.iter().enumerate().try_for_each(|(w, world)| texts.take_up(world.couplings, w))?;
+    }
+    Ok((plan, fixed, texts))
 }
