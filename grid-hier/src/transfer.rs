@@ -122,6 +122,14 @@ pub struct Step {
     pub frozen: bool,
 }
 
+impl Step {
+    /// Does it bring strain up to date, and no more? Then nodes are given nothing.
+    #[must_use]
+    pub fn carries_strain_alone(&self) -> bool {
+        self.dt == 0.0 && self.strain_dt != 0.0
+    }
+}
+
 /// Each particle's four values of `N` quantities, side by side so that one load repeats them over a row. Values of a quantity
 /// start for each particle at [`Batches::QUAD`].
 ///

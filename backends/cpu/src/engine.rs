@@ -349,10 +349,9 @@ impl<T: Scalar> CpuEngine<T> {
             return Ok(());
         }
         for l in (0..self.levels.len()).filter(|&l| concerned[l]) {
-            let (impulse, pressed) = (self.levels[l].wall_impulse, self.levels[l].pressed.clone());
-            self.particles_to_grid(l..l + 1, 0.0).map_err(|error| at_time(error, time))?;
-            // Nothing has been exchanged with the walls: the nodes are never asked.
-            (self.levels[l].wall_impulse, self.levels[l].pressed) = (impulse, pressed);
+            if self.levels[l].strain_dt > 0.0 {
+                self.particles_to_grid(l..l + 1, 0.0).map_err(|error| at_time(error, time))?;
+            }
         }
         Ok(())
     }

@@ -139,11 +139,12 @@ impl<T: Scalar> Level<T> {
     }
 
     /// Mass, momentum and stress of every block's particles into the block's tile. Strain is up to date afterwards.
-    /// Tiles of blocks asleep are filled when they are not yet what the step needs; a step of no length needs none. Returns how
+    /// Tiles of blocks asleep are filled when they are not yet what the step needs; a step that carries strain alone needs no tiles. Returns how
     /// much of the time went to each of so many materials.
     pub(crate) fn particles_to_grid(&mut self, isa: Isa, step: &Step, n_materials: usize) -> Result<Shares, Stopped> {
-        let (stale, frozen) = if step.dt > 0.0 { self.stale_tiles(step) } else { (Vec::new(), *step) };
-        let walls = self.has_mirrors();
+        let gives = !step.carries_strain_alone();
+        let (stale, frozen) = if gives { self.stale_tiles(step) } else { (Vec::new(), *step) };
+        let walls = gives && self.has_mirrors();
         let mirrors = &self.bounds.mirrors;
         let Grid { occupied, edge_of, mirrored, tiles, carried, images, .. } = &mut self.grid;
         let lists: Vec<_> = self.store.lists.iter_mut().map(List::open).collect();
@@ -162,14 +163,16 @@ impl<T: Scalar> Level<T> {
             .chain(stale.par_iter().map(|&b| (b as usize, &frozen)))
             .map(|(b, step)| {
                 let (tile, origin) = (tiles.one(b), origin(occupied[b]));
-                let edge = edge_of.get(b).copied().filter(|&edge| edge != NONE && step.dt > 0.0);
+                let edge = edge_of.get(b).copied().filter(|&edge| edge != NONE && gives);
                 let mut parent_cells = edge.map(|edge| carried.one(edge as usize));
                 let mut spent = 0;
                 let timed = b % TIMED_BLOCKS == 0;
                 let begun = timed.then(Instant::now);
                 let mut materials = if timed { vec![0; n_materials] } else { Vec::new() };
                 let (mut fault, mut damped) = (None, 0.0);
-                isa.run::<T, _>(Clear(tile));
+                if gives {
+                    isa.run::<T, _>(Clear(tile));
+                }
                 if let Some(cells) = &mut parent_cells {
                     cells.fill(Carried::default());
                 }

@@ -80,8 +80,9 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
         let gifts = gifts.as_mut_ptr();
         // A copy, so that the compiler knows it constant.
         let step = *self.step;
-        // Where nothing has moved and no force is asked for, matter is left alone.
+        // Where nothing has moved and no force is asked for, matter is left alone; where strain alone is carried along, nodes are.
         let parts = if step.dt == 0.0 && step.strain_dt == 0.0 { 0 } else { step.strain_parts };
+        let gives = !step.carries_strain_alone();
         let (all, values) = (self.particles.count(), self.law.strain_planes() + self.law.table.n_state);
         assert!(
             self.law.table.n_state <= MAX_STATE && self.particles.rest_planes() == STRAIN + values,
@@ -97,7 +98,7 @@ impl<T: Scalar> ParticlesToGrid<'_, T> {
                 }
                 self.prepare::<V, EDGE>(&step, scratch, gifts, first, count)?;
                 let nodes: &[u32; BATCH] = &(*gifts).nodes;
-                for run in (Runs { nodes: &nodes[..count], from: 0 }) {
+                for run in (Runs { nodes: &nodes[..if gives { count } else { 0 }], from: 0 }) {
                     let node = nodes[run.start] as usize;
                     let tile = self.tile.as_mut_ptr().add(node);
                     self.scatter::<V, V::Near>(tile, gifts, first, run.clone(), 0);
