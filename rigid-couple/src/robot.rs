@@ -403,9 +403,10 @@ impl Robot {
         }
         let beside = &rates - &whole;
         let twice_energy_of = |rates: &DVector<f64>| dynamics::twice_energy(&self.model, places, rates);
-        let (own, all) = (twice_energy_of(&beside), twice_energy_of(&rates));
         self.state.owed = 0.0;
-        if !self.model.drives.is_empty() && own > 0.0 {
+        let own = if self.model.drives.is_empty() { 0.0 } else { twice_energy_of(&beside) };
+        if own > 0.0 {
+            let all = twice_energy_of(&rates);
             // When in the step impulses did their work is not known. Where that is much for the energy that is left, as in a blow, it matters.
             let missing = (twice_energy - all) / (1.0 + (twice_work / all).powi(2));
             let share = (1.0 + missing / own).clamp(0.0, MOST_RAISED);

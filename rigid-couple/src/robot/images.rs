@@ -11,7 +11,7 @@ pub struct Images([f64; 3]);
 impl Images {
     /// Of a world.
     pub fn of(world: &World) -> Self {
-        Self(std::array::from_fn(|d| if world.is_periodic(d) { world.max[d] - world.min[d] } else { 0.0 }))
+        Self(std::array::from_fn(|d| world.period(d).unwrap_or(0.0)))
     }
 
     /// How far those images of `other` are from it that lie next to `one`, on both sides of it [m]. What is as long as the world is next to more of them.

@@ -73,8 +73,7 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
                     if link.place.columns.is_empty() && other.place.columns.is_empty() {
                         continue;
                     }
-                    let reached = link.bounds.grown(link.ahead + other.ahead);
-                    for image in span.images.meeting(&reached, &other.bounds) {
+                    for image in span.images.beside(&link.bounds, &other.bounds) {
                         let touches = among([link, other], image, &mut nodes, mass, span);
                         if !touches.is_empty() {
                             found.push(Found { links: [(first, a), (second, b)], image, touches });

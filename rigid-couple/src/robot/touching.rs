@@ -330,7 +330,8 @@ impl Points {
             let Obstacle { parts, pose, twist, bounds, .. } = obstacle;
             let ahead = obstacle.ahead(span.dt);
             for (link, touches) in links.iter().zip(&mut self.touches) {
-                let reached = link.bounds.grown(link.ahead + ahead);
+                let ahead = link.ahead + ahead;
+                let reached = link.bounds.grown(ahead);
                 // What presses a link that stays on what does not answer cannot be told, and moves nothing.
                 let Some(body) = link.body.filter(|_| link.moves()) else { continue };
                 for image in span.images.meeting(&reached, bounds) {
@@ -338,7 +339,6 @@ impl Points {
                     let friction = link.friction.min(obstacle.friction);
                     let restitution = link.restitution;
                     let mut adder = Adder { nodes, touches, link, friction, restitution, mass, span };
-                    let ahead = link.ahead + ahead;
                     between((parts, &pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
                         adder.add(at, normal, gap, [twist.at(at - pose.position), DVec3::ZERO]);
                     });

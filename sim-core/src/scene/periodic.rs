@@ -9,22 +9,26 @@ impl World {
         self.walls.pair(axis)[0] == Wall::Periodic
     }
 
+    /// How far apart images are along an axis whose ends meet [m].
+    pub fn period(&self, axis: usize) -> Option<f64> {
+        self.is_periodic(axis).then(|| self.max[axis] - self.min[axis])
+    }
+
     /// The image of a point that is nearest to another one [m], along periodic axes: there bodies that have gone over a side meet the ground.
     pub fn image_near(&self, point: Vec3, to: Vec3) -> Vec3 {
-        std::array::from_fn(|d| if self.is_periodic(d) { self.nearest(d, point[d], to[d]) } else { point[d] })
+        std::array::from_fn(|d| self.nearest(d, point[d], to[d]))
     }
 
     /// The image of a point seen from above [m] that is in the world along periodic axes.
     pub(crate) fn inside(&self, point: [f64; 2]) -> [f64; 2] {
         let middle = |d: usize| 0.5 * (self.min[d] + self.max[d]);
-        std::array::from_fn(|d| if self.is_periodic(d) { self.nearest(d, point[d], middle(d)) } else { point[d] })
+        std::array::from_fn(|d| self.nearest(d, point[d], middle(d)))
     }
 
     /// How far those images of the world are from it that a box reaches into [m]; along axes that are not periodic there is but one.
     pub(crate) fn images(&self, bounds: &Aabb) -> Vec<Vec3> {
         let mut images = vec![[0.0; 3]];
-        for d in (0..3).filter(|d| self.is_periodic(*d)) {
-            let period = self.max[d] - self.min[d];
+        for (d, period) in (0..3).filter_map(|d| Some((d, self.period(d)?))) {
             let number = |x: f64| ((x - self.min[d]) / period).floor();
             let (first, last) = (number(bounds.min[d]), number(bounds.max[d]));
             // What is wider than the world is in all of it.
@@ -43,8 +47,7 @@ impl World {
     }
 
     fn nearest(&self, axis: usize, x: f64, to: f64) -> f64 {
-        let period = self.max[axis] - self.min[axis];
-        x + period * ((to - x) / period).round()
+        self.period(axis).map_or(x, |period| x + period * ((to - x) / period).round())
     }
 }
 
