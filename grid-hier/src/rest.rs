@@ -10,9 +10,10 @@ pub const ASLEEP: u16 = u16::MAX;
 /// Cells around a tool that stay awake.
 pub const NEAR_TOOL: f64 = 4.0;
 
-/// The count of a block whose particles have moved at up to this speed in a step, if up to `slow` is slow [m/s].
-pub fn count(rest: u16, speed: f64, slow: f64) -> u16 {
-    if speed <= slow { (rest + 1).min(RESTED) } else { 0 }
+/// The count of a block whose particles have moved at up to this speed in a step, if up to `slow` is slow [m/s]. While gravity `grows`, nothing has come to rest, however slow
+/// it is: what slept would never get its weight.
+pub fn count(rest: u16, speed: f64, slow: f64, grows: bool) -> u16 {
+    if speed <= slow && !grows { (rest + 1).min(RESTED) } else { 0 }
 }
 
 /// First and last of the blocks that stay awake for a tool, on a level with cells of width `h` [m].

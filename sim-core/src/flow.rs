@@ -133,6 +133,13 @@ impl Mouth {
                 "lower it, widen the shape, or raise the velocity",
             ));
         }
+        if let Some(limit) = source.limit.filter(|limit| limit / mass * (1.0 + ROUNDING) < 1.0) {
+            return Err(scene.fault(
+                &format!("{path}.limit"),
+                format!("is {limit} kg, and a particle has {mass:.4e} kg: none would come"),
+                "raise it, or lower spacing or world.cell",
+            ));
+        }
         Ok(Self {
             material,
             body: (scene.body.len() + i) as u16,

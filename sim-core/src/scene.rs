@@ -183,8 +183,13 @@ impl Scene {
 
     /// Mean gravity over a step that starts at `time` [m/s²].
     pub fn gravity_at(&self, time: f64) -> Vec3 {
-        let grown = if time < self.gravity_ramp { time / self.gravity_ramp } else { 1.0 };
+        let grown = if self.gravity_grows(time) { time / self.gravity_ramp } else { 1.0 };
         self.gravity.map(|g| g * grown)
+    }
+
+    /// Is a time [s] before that at which all of gravity is there?
+    pub fn gravity_grows(&self, time: f64) -> bool {
+        time < self.gravity_ramp
     }
 }
 

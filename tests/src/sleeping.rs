@@ -39,6 +39,17 @@ pub fn gated(cells: [u32; 3], [shut, open]: [f64; 2], sleep: &str, more: &[Strin
     bed_in(2 * cells[0], cells, "sand", SAND, sleep, &[&[gate], more].concat())
 }
 
+/// Elastic ground, 6 cm deep, under gravity that grows over a second: all the while it sinks more slowly than what may sleep.
+pub fn eased() -> String {
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"slip\"";
+    let head = Head { gravity_ramp: 1.0, ..Head::cells(CELL, [4, 4, 6], walls).time("step = 4e-4") };
+    head.with(&[
+        "[sleep]\non = true\n".to_owned(),
+        material("neo_hookean", 1500.0, "young_modulus = 1e6, poisson_ratio = 0.2"),
+        block("neo_hookean", [0.0; 3], [0.08, 0.08, 0.06], ""),
+    ])
+}
+
 /// Particles asleep now.
 pub fn asleep(s: &Simulation) -> u64 {
     s.ledger().counts.get("particles asleep now").copied().unwrap_or(0)

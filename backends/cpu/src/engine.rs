@@ -609,6 +609,8 @@ impl<T: Scalar> CpuEngine<T> {
         let before = if ground { self.follow_agents(couplings) } else { None };
         let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
         self.gravity = self.scene.gravity_at(time);
+        let gravity_grows = self.scene.gravity_grows(time);
+        self.levels.iter_mut().for_each(|level| level.watch.gravity_grows = gravity_grows);
         let (dt, wrenches) = if ground {
             self.carry_out(time, dt, couplings)?
         } else {

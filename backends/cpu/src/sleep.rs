@@ -25,6 +25,8 @@ const SAME_STEP: f64 = 1e-9;
 pub(crate) struct Watch {
     /// Speed along an axis up to which a particle is slow [m/s]; 0: nothing ever sleeps.
     slow: f64,
+    /// Does gravity grow in the step under way?
+    pub(crate) gravity_grows: bool,
     /// Blocks awake, rising.
     pub(crate) awake: Vec<u32>,
     /// Blocks that have fallen asleep and whose tiles still are of when they were awake.
@@ -56,6 +58,7 @@ impl Watch {
     pub(crate) fn new(slow: f64) -> Self {
         Self {
             slow,
+            gravity_grows: false,
             awake: Vec::new(),
             stale: Vec::new(),
             nodes: Vec::new(),
@@ -73,7 +76,7 @@ impl Watch {
 
     /// The count of a block whose particles have moved at up to this speed [m/s].
     pub(crate) fn count(&self, rest: u16, speed: f64) -> u16 {
-        rest::count(rest, speed, self.slow)
+        rest::count(rest, speed, self.slow, self.gravity_grows)
     }
 }
 

@@ -185,8 +185,9 @@ fn load(mut registry: Registry, libraries: &[PathBuf]) -> Result<Registry> {
 fn assemble(args: &SceneArgs, registry: &Registry) -> Result<Plan> {
     let options = args.engine.options();
     let backend = registry.backend(&options.backend)?;
-    let (plan, ..) = Plan::assemble(registry, &args.scene()?, &options)?;
+    let (plan, _, couplings) = Plan::assemble(registry, &args.scene()?, &options)?;
     backend.check(&plan)?;
+    barchan::run::check_output(&plan, &couplings)?;
     Ok(plan)
 }
 

@@ -941,6 +941,24 @@ fn adapters_are_listed_and_refused_where_there_are_none() {
     assert!(error.contains("backend 'cpu'") && error.contains("has no adapters"), "{error}");
 }
 
+/// Output that a run would refuse is refused by `check` and `plan`, too.
+#[test]
+fn a_scene_is_checked_with_what_it_writes() {
+    let folder = folder_with_scene();
+    for (set, told) in [
+        ("output.trace.columns=[\"nothing\"]", "output.trace.columns"),
+        ("output.export_fields=[\"bogus\"]", "output.export_fields"),
+    ] {
+        for command in ["check", "plan", "run"] {
+            let error = fail(folder.path(), &[command, "small.toml", "--set", set, "--set", "output.export='npz'"]);
+            assert!(error.contains(told) && error.contains("rod") | error.contains("position"), "{command}: {error}");
+        }
+    }
+    succeed(folder.path(), &["check", "small.toml", "--set", "output.trace.columns=[\"rod*\"]"]);
+    let error = fail(folder.path(), &["check", "small.toml", "--set", "name=\"a\\u001b[31m\""]);
+    assert!(!error.contains('\u{1b}') && error.contains("control characters"), "{error:?}");
+}
+
 /// A misspelt instruction set was passed over in silence, and the run took another one. Now it is refused, and the plan says which it is.
 #[test]
 fn an_instruction_set_is_taken_or_refused() {

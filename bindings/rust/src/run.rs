@@ -69,6 +69,7 @@ mod recorder;
 mod trace;
 
 pub use folder::{Existing, check as check_folder, last as last_folder, next as next_folder};
+pub use recorder::check_output;
 
 use barchan_core::scene::Export;
 use barchan_core::{Error, Ledger, Observer, Options, Precision, Registry, Result, Simulation};

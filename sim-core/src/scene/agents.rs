@@ -187,6 +187,13 @@ impl Scene {
                 format!("is {:?}", agent.offset),
                 format!("give less than the world is wide, {far} m, along each axis"),
             )?;
+            let names = |of: &str| of == agent.name;
+            self.require(
+                !(self.tool.iter().any(|tool| names(&tool.name)) && self.body.iter().any(|body| names(&body.name))),
+                &path,
+                format!("is '{}', as a tool and a body are both called", agent.name),
+                "give one of them another name",
+            )?;
             let known = || self.tool.iter().map(|t| &t.name).chain(self.body.iter().map(|b| &b.name));
             // What else couplings move, links of robots first, is known once they are made.
             if self.robot.is_empty() && self.coupling.is_empty() && !known().any(|k| *k == agent.name) {

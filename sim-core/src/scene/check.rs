@@ -266,7 +266,8 @@ impl Scene {
         let good = !self.name.trim().is_empty()
             && !self.name.contains(|c: char| matches!(c, '/' | '\\') || c.is_control())
             && ![".", ".."].contains(&self.name.trim());
-        self.require(good, "name", format!("is '{}'", self.name), "it becomes a folder: give a word without slashes")?;
+        let mend = "it becomes a folder: give a word without slashes and control characters, other than . and ..";
+        self.require(good, "name", format!("is '{}'", super::plain(&self.name)), mend)?;
         self.require(
             i64::try_from(self.seed).is_ok(),
             "seed",
@@ -707,8 +708,8 @@ impl Scene {
                     }
                     _ => Err(self.fault(
                         &path,
-                        "is given neither by two corners nor by half extents",
-                        "give min and max, or half (with center if it is not at the origin)",
+                        "is given by too much or too little",
+                        "give min and max, or half (with center if it is not at the origin), and not both",
                     )),
                 }
             }

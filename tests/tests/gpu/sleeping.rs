@@ -5,7 +5,7 @@ use barchan::worlds::Worlds;
 use barchan::{Ledger, Options, Precision, Scene, Simulation, Vec3};
 use barchan_tests::scenes::{alter, norm, rows, run_to, scene, within};
 use barchan_tests::sketch::{driven, half, tool};
-use barchan_tests::sleeping::{CELL, SAND, asleep, bed, gated, plate};
+use barchan_tests::sleeping::{CELL, SAND, asleep, bed, eased, gated, plate};
 
 const LEVELS: &str = "[levels]\ncount = 2\nhalf = 8\n";
 const SUBCYCLED: &str = "[levels]\ncount = 2\nhalf = 8\nsubcycle = true\n";
@@ -31,6 +31,16 @@ fn settled_ground_sleeps_and_does_not_change() {
     let all = c.gravity_impulse[2].abs();
     within("gravity's impulse on ground awake", (g.gravity_impulse[2] - c.gravity_impulse[2]).abs() / all, 1e-4);
     within("momentum that was lost", norm(g.slept_momentum) / all, 1e-4);
+}
+
+/// Nothing sleeps while gravity grows, however slowly it moves; see `suite/sleeping.rs`.
+#[test]
+fn ground_stays_awake_while_gravity_grows() {
+    let mut s = gpu(&eased());
+    while s.step_count() < 240 {
+        s.steps(40, f64::INFINITY).unwrap();
+    }
+    assert_eq!(asleep(&s), 0);
 }
 
 /// Symptom: a wave is swallowed, or late, where the ground it comes to has been asleep. Physics: it passes as if nothing had slept.

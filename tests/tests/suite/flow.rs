@@ -225,6 +225,7 @@ fn sources_and_sinks_that_cannot_be_are_refused_by_name() {
     for (error, parts) in [
         (with("velocity = [0, 0, -1]", "velocity = [0, 0, 0]"), ["source[0].velocity", "is zero"]),
         (with("velocity = [0, 0, -1]", "velocity = [0, 0, -1]\nmass_rate = 11"), ["source[0].mass_rate", "10.24"]),
+        (with("velocity = [0, 0, -1]", "velocity = [0, 0, -1]\nlimit = 1e-5"), ["source[0].limit", "none would come"]),
         (
             with("velocity = [0, 0, -1]", "velocity = [0, 0, -1]\nmass_rate = 1\nvolume_rate = 1"),
             ["volume_rate", "one of"],

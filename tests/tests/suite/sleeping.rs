@@ -3,7 +3,7 @@
 use barchan::{Ledger, Options, Precision, Simulation};
 use barchan_tests::scenes::{alter, norm, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, material, tool};
-use barchan_tests::sleeping::{CELL, SAND, asleep, bed, gated, plate};
+use barchan_tests::sleeping::{CELL, SAND, asleep, bed, eased, gated, plate};
 use std::time::Instant;
 
 /// Symptom: a bed that nothing has touched for an hour costs as much as one that is ploughed. Physics: nothing happens in it, and where
@@ -32,6 +32,20 @@ fn settled_ground_costs_nothing() {
         let ledger = s.ledger();
         assert!(ledger.kinetic == 0.0 && ledger.slept_kinetic < 1e-6, "{precision}: {:e} J", ledger.slept_kinetic);
     }
+}
+
+/// Symptom: under gravity that grows slowly, ground falls asleep and never gets its weight. Physics: once all of gravity is there, it is as much compressed as a column of its
+/// height, (rho g)^2 h^3 / 6 M for each m2; then it may sleep.
+#[test]
+fn ground_gets_all_of_gravity_before_it_sleeps() {
+    let mut s = simulation(&eased(), Precision::F32);
+    run_to(&mut s, 0.99);
+    assert_eq!(asleep(&s), 0, "sleeps while gravity grows");
+    run_to(&mut s, 1.3);
+    assert_eq!(asleep(&s), s.particle_count() as u64, "does not sleep afterwards");
+    let modulus = 1e6 * 0.8 / (1.2 * 0.6);
+    let energy = 0.08 * 0.08 * (1500.0 * 9.81_f64).powi(2) * 0.06_f64.powi(3) / (6.0 * modulus);
+    within("elastic energy over that of a column, less 1", (s.ledger().elastic / energy - 1.0).abs(), 0.1);
 }
 
 /// Symptom: a wave is swallowed, or late, where the ground it comes to has been asleep. Physics: it passes as if nothing had slept.

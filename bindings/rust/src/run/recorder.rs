@@ -10,7 +10,7 @@ use crate::run::Existing;
 use barchan_core::backend::Timing;
 use barchan_core::observer::{Every, Observer, Output};
 use barchan_core::scene::{Export, HeightOutput, SurfaceOutput, plain};
-use barchan_core::{Error, Result, Simulation, StepReport};
+use barchan_core::{BodyState, Coupling, Error, JointState, Plan, Result, Simulation, StepReport};
 use std::cell::RefCell;
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -107,6 +107,24 @@ impl Output for Desk<'_> {
     }
 }
 
+/// How particles are written, and which of their fields, if they are at all; `asked`: whatever the scene says.
+fn exported(plan: &Plan, asked: Option<Export>) -> Result<Option<(Export, Fields)>> {
+    let output = &plan.scene.output;
+    let fields = |format| Ok((format, Fields::new(plan, output.export_fields.as_deref())?));
+    asked.or(output.export).map(fields).transpose()
+}
+
+/// Finds out whether this program writes what a scene asks for in `output`, without running it. `couplings` are those that it was [assembled](Plan::assemble) with.
+///
+/// # Errors
+/// If a pattern of `output.trace.columns` or `output.export_fields` fits nothing, or a kind of file is wanted that this program does not write.
+pub fn check_output(plan: &Plan, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+    let bodies: Vec<BodyState> = couplings.iter().flat_map(|coupling| coupling.bodies()).collect();
+    let joints: Vec<JointState> = couplings.iter().flat_map(|coupling| coupling.joints()).collect();
+    Columns::new(plan, &bodies, &joints, std::iter::empty())?;
+    exported(plan, None).map(drop)
+}
+
 impl<'a> Recorder<'a> {
     /// Opens the folder and the trace. Guests come before the run's own, which write down what those have seen.
     pub(super) fn new(simulation: &Simulation, request: &Request, guests: &'a mut [&mut dyn Observer]) -> Result<Self> {
@@ -117,16 +135,13 @@ impl<'a> Recorder<'a> {
             super::pictures::check()?;
         }
         check_names(guests)?;
-        let export = match request.export.or(output.export) {
-            Some(format) => Some((format, Fields::new(simulation.plan(), output.export_fields.as_deref())?)),
-            None => None,
-        };
+        let export = exported(simulation.plan(), request.export)?;
         let resumed = request.existing == Existing::Resume;
         let columns: Vec<Vec<String>> = guests.iter().map(|guest| guest.columns()).collect();
         let named = guests.iter().zip(&columns).flat_map(|(guest, columns)| {
             columns.iter().map(|column| format!("{} {column}", guest.name())).collect::<Vec<_>>()
         });
-        let trace_columns = Columns::new(simulation, &output.trace, named)?;
+        let trace_columns = Columns::new(simulation.plan(), &simulation.bodies(), &simulation.joints(), named)?;
         let header = trace_columns.header();
         // What is refused is so before a file is touched.
         let mut folder = Folder::open(&request.out, request.existing, simulation.plan().memory.0)?;

@@ -8,7 +8,7 @@ use super::{TRACE, TRACE_ARRAYS, TRACE_SINCE, io_error};
 use crate::export::npz::Npz;
 use barchan_core::observer::{Observer, Output};
 use barchan_core::scene::{self, WallPart, fits, plain};
-use barchan_core::{BodyState, Error, JointState, Ledger, Result, Simulation, StepReport, Wrench};
+use barchan_core::{BodyState, Error, JointState, Ledger, Plan, Result, Simulation, StepReport, Wrench};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
@@ -71,15 +71,17 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// Those of a simulation's trace, with what observers add.
+    /// Those of the trace of a plan with such bodies and joints, with what observers add.
     ///
     /// # Errors
     /// If a pattern fits no column, or a kind of file is wanted that this program does not write.
     pub(super) fn new(
-        simulation: &Simulation,
-        wanted: &scene::Trace,
+        plan: &Plan,
+        bodies: &[BodyState],
+        joints: &[JointState],
         observed: impl Iterator<Item = String>,
     ) -> Result<Self> {
+        let wanted = &plan.scene.output.trace;
         if wanted.parquet && cfg!(not(feature = "parquet")) {
             return Err(Error::Body {
                 path: "output.trace.parquet".to_owned(),
@@ -90,17 +92,17 @@ impl Columns {
         let mut names: Vec<String> = FIRST.map(str::to_owned).into();
         if wanted.interval.is_some() {
             names.extend(OF_ALL.map(str::to_owned));
-            let scene = &simulation.plan().scene;
+            let scene = &plan.scene;
             let of_wall = |(i, _): (usize, WallPart)| {
                 ["x", "y", "z"].map(|d| format!("{} impulse {d} [N s]", scene.probe[i].name))
             };
             names.extend(scene.wall_parts().flat_map(of_wall));
         }
-        for body in simulation.bodies() {
+        for body in bodies {
             let means = if wanted.interval.is_some() { &MEANS[..] } else { &[] };
             names.extend(OF_BODY.iter().chain(means).map(|column| format!("{} {column}", body.name)));
         }
-        for joint in simulation.joints() {
+        for joint in joints {
             let units = if joint.turns { ["[rad]", "[rad/s]", "[N m]"] } else { ["[m]", "[m/s]", "[N]"] };
             let column = |(what, unit): (&str, &str)| format!("{}/{} {what} {unit}", joint.body, joint.name);
             names.extend(["position", "rate", "torque"].into_iter().zip(units).map(column));

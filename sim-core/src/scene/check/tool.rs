@@ -80,8 +80,8 @@ impl Scene {
         self.require(
             servo.force.is_some() != servo.pressure.is_some() && (servo.area.is_none() || servo.pressure.is_some()),
             path,
-            "is given neither a force nor a pressure, or both",
-            "give force [N], or pressure [Pa] with its area [m²]",
+            "is given too much or too little",
+            "give force [N], or pressure [Pa] with its area [m²], and not both",
         )?;
         self.require(
             servo.force.is_some() || servo.area.is_some() || tool.face(servo.axis, &self.world).is_some(),

@@ -359,6 +359,11 @@ fn wrong_entries_are_refused_by_key() {
         println!("{error}");
         assert!(told.iter().all(|words| error.contains(words)), "{entry}: {error}");
     }
+    // A body and a tool may share a name, but then it says nobody.
+    let text = jelly(&[agents(2, 8, "\"block\""), ball("block", [0.0, 0.0, 0.4], [0.0; 3])])
+        .replace("[[body]]", "[[body]]\nname = \"block\"");
+    let error = Scene::from_str(&text, "scene.toml", "").unwrap_err().to_string();
+    assert!(error.contains("levels.agents[0]") && error.contains("a tool and a body"), "{error}");
     for (entry, told) in [
         (r#"{ name = "dog", at = "tail" }"#, &["levels.agents", "'tail'", "FL_calf", "link of that robot"][..]),
         (r#"{ name = "dog/FL_calf", at = "FL_calf" }"#, &["levels.agents[0].at", "no robot with links"]),
