@@ -187,7 +187,7 @@ fn assemble(args: &SceneArgs, registry: &Registry) -> Result<Plan> {
     let backend = registry.backend(&options.backend)?;
     let (plan, _, couplings) = Plan::assemble(registry, &args.scene()?, &options)?;
     backend.check(&plan)?;
-    barchan::run::check_output(&plan, &couplings)?;
+    barchan::run::check_output(&plan, &couplings, &registry.make_observers(&plan.scene)?)?;
     Ok(plan)
 }
 

@@ -114,14 +114,20 @@ fn exported(plan: &Plan, asked: Option<Export>) -> Result<Option<(Export, Fields
     asked.or(output.export).map(fields).transpose()
 }
 
-/// Finds out whether this program writes what a scene asks for in `output`, without running it. `couplings` are those that it was [assembled](Plan::assemble) with.
+/// Columns of the trace that an observer adds.
+fn columns_of(observer: &dyn Observer) -> Vec<String> {
+    observer.columns().iter().map(|column| format!("{} {column}", observer.name())).collect()
+}
+
+/// Finds out whether this program writes what a scene asks for in `output`, without running it. `couplings` are those that it was [assembled](Plan::assemble) with,
+/// `observers` those that would look at the run.
 ///
 /// # Errors
 /// If a pattern of `output.trace.columns` or `output.export_fields` fits nothing, or a kind of file is wanted that this program does not write.
-pub fn check_output(plan: &Plan, couplings: &[Box<dyn Coupling>]) -> Result<()> {
+pub fn check_output(plan: &Plan, couplings: &[Box<dyn Coupling>], observers: &[Box<dyn Observer>]) -> Result<()> {
     let bodies: Vec<BodyState> = couplings.iter().flat_map(|coupling| coupling.bodies()).collect();
     let joints: Vec<JointState> = couplings.iter().flat_map(|coupling| coupling.joints()).collect();
-    Columns::new(plan, &bodies, &joints, std::iter::empty())?;
+    Columns::new(plan, &bodies, &joints, observers.iter().flat_map(|observer| columns_of(&**observer)))?;
     exported(plan, None).map(drop)
 }
 
@@ -137,10 +143,8 @@ impl<'a> Recorder<'a> {
         check_names(guests)?;
         let export = exported(simulation.plan(), request.export)?;
         let resumed = request.existing == Existing::Resume;
-        let columns: Vec<Vec<String>> = guests.iter().map(|guest| guest.columns()).collect();
-        let named = guests.iter().zip(&columns).flat_map(|(guest, columns)| {
-            columns.iter().map(|column| format!("{} {column}", guest.name())).collect::<Vec<_>>()
-        });
+        let columns: Vec<Vec<String>> = guests.iter().map(|guest| columns_of(&**guest)).collect();
+        let named = columns.iter().flatten().cloned();
         let trace_columns = Columns::new(simulation.plan(), &simulation.bodies(), &simulation.joints(), named)?;
         let header = trace_columns.header();
         // What is refused is so before a file is touched.
