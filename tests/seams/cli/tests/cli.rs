@@ -166,6 +166,9 @@ fn columns_of_observers_stay_when_a_run_goes_on() {
         assert_eq!(seen.iter().all(|value| value.is_empty()), step % 5 != 0, "row {step}: {row}");
     }
 
+    // They may be chosen among the others, which a check knows before any run.
+    succeed(folder.path(), &["check", PUSH, "--set", "output.trace.columns=[\"drift *\"]"]);
+
     run("other", "25");
     let path = folder.path().join("other/trace.csv");
     fs::write(&path, trace("other").replace("drift kinetic [J]", "glide depth [m]")).unwrap();
