@@ -209,7 +209,7 @@ const FAULTS: &[(&str, &str, &str, &str, &str)] = &[
         "radius = 0.05 }, plane = { normal = [0, 0, 1] } }",
         "sphere",
         "body[1].shape",
-        "several of its choices are given",
+        "give exactly one of its choices",
     ),
     (
         "sphere = { center = [0.4, 0.2, 0.3], radius = 0.05 }",

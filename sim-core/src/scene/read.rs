@@ -274,9 +274,12 @@ fn explain(error: &serde_path_to_error::Error<toml::de::Error>, source: &Source)
         let mend = "write `{ NAME = { KEY = … } }` in place of `\"NAME\"`; `barchan schema` has the keys";
         (path, "this choice has keys of its own".to_owned(), mend.to_owned())
     } else if message.starts_with("wanted exactly 1 element") {
-        let none = message.contains("0 elements") || message.contains("no elements");
-        let what = if none { "none of its choices is given" } else { "several of its choices are given" };
-        (path, what.to_owned(), "give exactly one of them".to_owned())
+        let what = if message.contains("0 elements") {
+            "none of its choices is given"
+        } else {
+            "several of its choices are given"
+        };
+        (path, what.to_owned(), "give exactly one of its choices".to_owned())
     } else {
         (path, message.replace("floating point ", "").replace("f64", "a number").replace('\n', ", "), String::new())
     };

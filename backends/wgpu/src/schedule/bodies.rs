@@ -113,10 +113,14 @@ impl Samples {
         Self { all: Vec::new(), of_worlds: vec![0..0; worlds] }
     }
 
+    /// Where some world has these.
+    fn find(&self, samples: &[[f32; 4]]) -> Option<Range<usize>> {
+        self.of_worlds.iter().find(|range| self.all[(*range).clone()] == *samples).cloned()
+    }
+
     /// Gives a world those that some world has already, if they are these.
     pub(crate) fn share(&mut self, world: usize, samples: &[[f32; 4]]) -> bool {
-        let known = self.of_worlds.iter().find(|range| self.all[(*range).clone()] == *samples).cloned();
-        known.map(|range| self.of_worlds[world] = range).is_some()
+        self.find(samples).map(|range| self.of_worlds[world] = range).is_some()
     }
 
     /// Gives a world others than any has. Those that no world has any longer go.
@@ -141,8 +145,10 @@ impl Samples {
         begins.chain(self.all.iter().copied()).collect()
     }
 
-    pub(crate) fn packed_len(&self) -> usize {
-        self.of_worlds.len() + self.all.len()
+    /// How many vectors that are at most with those of one more world.
+    pub(crate) fn packed_len_with(&self, samples: &[[f32; 4]]) -> usize {
+        let more = if self.find(samples).is_some() { 0 } else { samples.len() };
+        self.of_worlds.len() + self.all.len() + more
     }
 
     /// Where those of one of several worlds begin, as bits.
@@ -285,7 +291,7 @@ impl WgpuBatch {
             let is_taught = |contact: &mut DeviceContact| {
                 contact.needs == all && contact.answer == laws.answer && contact.samples.share(w, &laws.samples)
             };
-            let sampled = laws.samples.len() + before.map_or(0, |contact| contact.samples.packed_len());
+            let sampled = before.map_or(laws.samples.len(), |contact| contact.samples.packed_len_with(&laws.samples));
             let vectors = self.worlds.len() * all.vectors + sampled;
             if (is_known || before.is_none()) && self.has_room(all.answering, vectors) && self.fits(&laws, all) {
                 if !is_known || !self.contact.device.as_deref_mut().is_some_and(is_taught) {
@@ -338,23 +344,22 @@ impl WgpuBatch {
         }
         let mut laws = laws.clone();
         laws.samples = samples.packed();
-        let laws = &laws;
         let kernels = crate::passes::bodies::contact(
             &self.gpu,
             &self.kernels,
-            laws,
+            &laws,
             [bodies, vectors, materials],
             shape,
             answering,
         );
         let of_groups = (answering.groups > 0).then(|| {
             let counts = [vectors, materials];
-            crate::passes::bodies::answer(&self.gpu, &self.kernels, laws, counts, shape, answering, needs.roams)
+            crate::passes::bodies::answer(&self.gpu, &self.kernels, &laws, counts, shape, answering, needs.roams)
         });
         self.memory.add_bodies(&self.gpu, [bodies, worlds * vectors], answering, &laws.samples)?;
         self.unlinked = true;
         let before = self.contact.device.take().map_or_else(|| vec![Vec::new(); worlds], |contact| contact.tables);
-        let Laws { wgsl, answer, reach, .. } = laws.clone();
+        let Laws { wgsl, answer, reach, .. } = laws;
         let tables = vec![Vec::new(); worlds];
         let contact = DeviceContact { kernels, answering: of_groups, wgsl, answer, reach, samples, needs, tables };
         self.contact.device = Some(Box::new(contact));
