@@ -67,7 +67,7 @@ impl Bounds {
             sides: [0, 1, 2]
                 .map(|d| [side(d, world.min[d], plan.cell_min[d]), side(d, world.max[d], plan.cell_max[d])]),
             level,
-            walled: ends.map(|axis| axis.map(|wall| !matches!(wall, Wall::Open | Wall::Periodic))),
+            walled: ends.map(|axis| axis.map(|wall| wall.is_wall())),
             mirrors: Mirrors { kind, min, max },
             separations,
         }

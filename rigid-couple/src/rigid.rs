@@ -14,7 +14,7 @@ use barchan_core::coupling::{
     Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept, Leashes, Moved, Placed,
 };
 use barchan_core::plan::TOOL_COUPLING;
-use barchan_core::scene::{INSTANT, Motion, Wall};
+use barchan_core::scene::{INSTANT, Motion};
 use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
 use body::{Body, Guided, Mover, State, vector, vector6};
 use glam::{DQuat, DVec3};
@@ -215,7 +215,7 @@ impl Rigid {
         for axis in 0..3 {
             let gaps = [own.min[axis] - world.min[axis], world.max[axis] - own.max[axis]];
             for (wall, (gap, upwards)) in world.walls.pair(axis).into_iter().zip(gaps.into_iter().zip([false, true])) {
-                if matches!(wall, Wall::Open | Wall::Periodic) {
+                if !wall.is_wall() {
                     continue;
                 }
                 if gap.is_nan() || gap <= off_walls {

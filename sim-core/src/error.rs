@@ -2,6 +2,8 @@
 //!
 //! Every message says what is wrong, where (file and line, key path, plugin, particle), and how to mend it.
 
+use crate::Vec3;
+use crate::scene::World;
 use std::path::PathBuf;
 
 /// Shorthand for results of this crate.
@@ -170,14 +172,16 @@ pub enum Error {
         particle: u64,
     },
     /// A particle left the world and the scene says that this is an error.
-    #[error("particle {particle} left the world at ({:.4}, {:.4}, {:.4}) m, step {step}; widen world.min/max, add walls, or set world.leaving to \"clamp\" or \"delete\"", position[0], position[1], position[2])]
+    #[error("particle {particle} left the world at ({:.4}, {:.4}, {:.4}) m, step {step}{}", position[0], position[1], position[2], way_out(*wall))]
     LeftWorld {
         /// Step number.
         step: u64,
         /// Particle id.
         particle: u64,
         /// Where it is [m].
-        position: crate::Vec3,
+        position: Vec3,
+        /// The wall through which it was pressed, by its key; `None` if that side is open.
+        wall: Option<&'static str>,
     },
     /// A rigid body or tool that cannot be used.
     #[error("{path}: {what}; {mend}")]
@@ -233,7 +237,23 @@ pub enum Error {
     },
 }
 
+/// What would keep a particle in the world that has left it on an open side, or through a wall.
+fn way_out(wall: Option<&'static str>) -> String {
+    match wall {
+        None => "; widen world.min/max, add walls, or set world.leaving to \"clamp\" or \"delete\"".to_owned(),
+        Some(side) => format!(
+            " through the wall world.walls.{side}, against which the ground is pressed harder than its cells can hold; press it less, give it a stiffer material, \
+             or set world.leaving to \"clamp\" or \"delete\""
+        ),
+    }
+}
+
 impl Error {
+    /// That a particle left the world there [m], on an open side or through a wall.
+    pub fn left_world(world: &World, step: u64, particle: u64, position: Vec3) -> Self {
+        Self::LeftWorld { step, particle, position, wall: world.wall_passed(position) }
+    }
+
     /// Says where an unknown name stands, such as `material[0].law`.
     #[must_use]
     pub fn at(self, place: &str) -> Self {
@@ -247,6 +267,27 @@ impl Error {
 #[cfg(test)]
 mod tests {
     use super::Error;
+    use crate::scene::{Wall, Walls, World};
+
+    /// Symptom: ground that was pressed through a wall was told to add walls.
+    #[test]
+    fn whoever_leaves_through_a_wall_is_told_of_it() {
+        let walls = Walls { z_min: Wall::Stick, y_min: Wall::Periodic, y_max: Wall::Periodic, ..Walls::default() };
+        let world = World::new(0.1, [0.0; 3], [1.0; 3]).with_walls(walls);
+        let said = |position| Error::left_world(&world, 7, 3, position).to_string();
+        let through = said([0.5, 0.5, -0.01]);
+        assert!(
+            through
+                .contains("left the world at (0.5000, 0.5000, -0.0100) m, step 7 through the wall world.walls.z_min"),
+            "{through}"
+        );
+        assert!(!through.contains("add walls"), "{through}");
+        // Beyond an open side, one that has no end, and nowhere that is known.
+        for position in [[0.5, 0.5, 1.0], [-0.1, 0.5, 0.5], [0.5, 1.5, 0.5], [f64::NAN; 3]] {
+            let open = said(position);
+            assert!(open.contains("step 7; widen world.min/max, add walls") && !open.contains("through"), "{open}");
+        }
+    }
 
     /// Symptom: where a step was too short for time to go on, the error said that it was above a bound that was greater than it.
     #[test]

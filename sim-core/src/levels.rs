@@ -160,7 +160,7 @@ impl Regions {
             h: scene.world.cell,
             reach: scene.levels.reach as i32,
             world,
-            walled: ends.map(|axis| axis.map(|wall| !matches!(wall, Wall::Open | Wall::Periodic))),
+            walled: ends.map(|axis| axis.map(|wall| wall.is_wall())),
             periodic: ends.map(|axis| axis[0] == Wall::Periodic),
             boxes: vec![Vec::new(); scene.levels.count as usize - 1],
         }

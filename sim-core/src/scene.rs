@@ -402,7 +402,8 @@ pub enum Leaving {
 pub struct Time {
     /// Simulated seconds.
     pub end: f64,
-    /// Time step of the finest level [s]; absent: as large as `safety` allows.
+    /// Time step of the finest level [s]; absent: as large as `safety` allows. With `levels.subcycle` coarser levels take longer ones, and what is counted as a
+    /// step, in plans and traces too, is one of the coarsest level: 2 to the power of `levels.count` - 1 of these.
     #[serde(default)]
     pub step: Option<f64>,
     /// Fraction of the stability bound that an automatic step uses.

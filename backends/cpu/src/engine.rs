@@ -214,7 +214,7 @@ impl<T: Scalar> CpuEngine<T> {
         if let Some((id, position)) = left {
             // All lie in order, to be saved, and whoever goes on finds the same.
             self.age = None;
-            return Err(Error::LeftWorld { step: self.steps, particle: u64::from(id), position });
+            return Err(Error::left_world(&self.scene.world, self.steps, u64::from(id), position));
         }
         self.rebuild_grids(before.is_some());
         self.age = Some(0);

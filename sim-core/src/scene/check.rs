@@ -10,7 +10,7 @@ mod tool;
 mod walls;
 mod zone;
 
-use super::{Body, LevelAgent, Motion, Placed, Scene, Shape, Terrain, Tool, Wall, Walls};
+use super::{Body, LevelAgent, Motion, Placed, Scene, Shape, Terrain, Tool, Wall, Walls, World};
 use crate::coupling::Aabb;
 use crate::levels::NESTING;
 use crate::{Error, Result, Vec3};
@@ -32,6 +32,13 @@ const MOST_LEVELS: u32 = 8;
 /// Coarsest cells around the boxes that may be live: beyond, a world is no smaller for having a reach.
 const MOST_REACH: u32 = 1024;
 
+impl Wall {
+    /// Whether something stands there: the side is neither open nor periodic.
+    pub fn is_wall(self) -> bool {
+        !matches!(self, Self::Open | Self::Periodic)
+    }
+}
+
 impl Walls {
     /// The walls of an axis: least side, greatest side.
     pub fn pair(&self, axis: usize) -> [Wall; 2] {
@@ -40,6 +47,18 @@ impl Walls {
     /// Whether any wall lets go of the ground.
     pub fn let_go(&self) -> bool {
         (0..3).flat_map(|axis| self.pair(axis)).any(|wall| matches!(wall, Wall::Separate { .. }))
+    }
+}
+
+impl World {
+    /// The key of the wall beyond which a point lies [m]; `None` if it lies beyond none.
+    pub(crate) fn wall_passed(&self, point: Vec3) -> Option<&'static str> {
+        const SIDES: [[&str; 2]; 3] = [["x_min", "x_max"], ["y_min", "y_max"], ["z_min", "z_max"]];
+        (0..3).find_map(|d| {
+            let beyond = [point[d] < self.min[d], point[d] >= self.max[d]];
+            let side = (0..2).find(|&side| beyond[side] && self.walls.pair(d)[side].is_wall())?;
+            Some(SIDES[d][side])
+        })
     }
 }
 

@@ -317,7 +317,7 @@ impl Engine for Falling {
         Contact::default().meet(couplings, dt, &mut NodeBatch::default())?;
         couplings.iter_mut().try_for_each(|coupling| coupling.after_step(time, dt))?;
         if self.past(&self.fate.fails_at) {
-            return Err(Error::LeftWorld { step: self.steps, particle: 0, position: [0.0; 3] });
+            return Err(Error::LeftWorld { step: self.steps, particle: 0, position: [0.0; 3], wall: None });
         }
         let growth = self.fate.grows.load(Ordering::Relaxed) as f64 / 1000.0;
         let growth = if growth > 0.0 { growth } else { 1.0 };

@@ -174,7 +174,7 @@ impl Kernels {
 pub(crate) fn drafts(plan: &Plan, worlds: usize, particles: usize) -> Result<Set<Draft>> {
     let separations = separations(plan);
     let walls: Vec<Wall> = (0..3).flat_map(|axis| plan.scene.world.walls.pair(axis)).collect();
-    let has_walls = walls.iter().any(|w| !matches!(w, Wall::Open | Wall::Periodic));
+    let has_walls = walls.iter().any(|w| w.is_wall());
     let laws = laws(plan, worlds)?;
     let levels = plan.cell_widths.len() > 1;
     let subcycled = plan.substeps > 1;

@@ -142,7 +142,7 @@ pub(crate) fn constants(plan: &Plan) -> String {
         format!("const {name} = vec3<f32>({:?}, {:?}, {:?});\n", f[0], f[1], f[2])
     };
     let any_wall = |name: &str, end: usize| {
-        let w = walls.map(|axis| !matches!(axis[end], Wall::Open | Wall::Periodic));
+        let w = walls.map(|axis| axis[end].is_wall());
         format!("const {name} = vec3<bool>({}, {}, {});\n", w[0], w[1], w[2])
     };
     let h = plan.cell_widths[0] as f32;

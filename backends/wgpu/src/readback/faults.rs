@@ -13,10 +13,10 @@ impl Readback<'_> {
     }
 
     pub(crate) fn left_world(&self, world: usize, status: &Status) -> Error {
-        let step = self.worlds[world].steps;
+        let (step, scene) = (self.worlds[world].steps, &self.worlds[world].scene.world);
         match self.lists(world).map(|lists| self.find(world, &lists, status.words[WHO] as usize)) {
-            Ok(Some((particle, position, _))) => Error::LeftWorld { step, particle, position },
-            Ok(None) => Error::LeftWorld { step, particle: u64::MAX, position: [f64::NAN; 3] },
+            Ok(Some((particle, position, _))) => Error::left_world(scene, step, particle, position),
+            Ok(None) => Error::left_world(scene, step, u64::MAX, [f64::NAN; 3]),
             Err(error) => error,
         }
     }

@@ -1,7 +1,7 @@
 //! What a scene's walls call for.
 
 use super::{AXES, WHOLE_CELL};
-use crate::scene::{Body, Scene, Wall};
+use crate::scene::{Body, Scene};
 
 impl Scene {
     /// Says of a body where it ends less than a cell before a wall: it feels the wall, or does not, as nodes happen to lie. What is left of a cell by whole
@@ -13,8 +13,7 @@ impl Scene {
             let gaps = [bounds.min[d] - self.world.min[d], self.world.max[d] - bounds.max[d]];
             for ((wall, gap), side) in self.world.walls.pair(d).into_iter().zip(gaps).zip(["min", "max"]) {
                 let cells = gap / self.world.cell;
-                let is_wall = !matches!(wall, Wall::Open | Wall::Periodic);
-                if is_wall && (0.25 + WHOLE_CELL..1.0 - WHOLE_CELL).contains(&cells) {
+                if wall.is_wall() && (0.25 + WHOLE_CELL..1.0 - WHOLE_CELL).contains(&cells) {
                     warnings.push(format!(
                         "body[{i}] ends {cells:.2} cells before the wall {axis}_{side} and yet feels it: let it end at the wall, or a cell before it"
                     ));
