@@ -11,6 +11,7 @@ use barchan::picture::Chart;
 use barchan::scene::{MaterialSpec, Motion, OverBound, Robot};
 use barchan::worlds::Worlds;
 use barchan::{Error, Registry, Result, Scene, Simulation};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::json;
@@ -34,10 +35,10 @@ pub(crate) enum Bench {
 #[derive(Args)]
 struct Effort {
     /// Steps in a repetition.
-    #[arg(long, default_value_t = 20)]
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
     /// Repetitions, of which the median counts.
-    #[arg(long, default_value_t = 5)]
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
     repetitions: u32,
     /// Steps before the first repetition.
     #[arg(long, default_value_t = 10)]
@@ -49,13 +50,18 @@ struct Effort {
 
 #[derive(Args)]
 pub(crate) struct Effects {
-    /// Cells along 1.28 m: 32, 64, 128 or 256.
-    #[arg(long, default_value_t = 64)]
+    /// Cells along 1.28 m.
+    #[arg(long, default_value = "64", value_parser = grids(&["32", "64", "128", "256"]))]
     grid: u32,
     #[command(flatten)]
     effort: Effort,
     #[command(flatten)]
     engine: EngineArgs,
+}
+
+/// Reads one of these grids of the cube drop.
+fn grids(known: &'static [&'static str]) -> impl TypedValueParser<Value = u32> {
+    PossibleValuesParser::new(known).try_map(|grid| grid.parse::<u32>())
 }
 
 pub(crate) fn run(bench: &Bench, registry: Registry) -> Result<()> {
@@ -177,7 +183,7 @@ struct Timed {
 impl Timed {
     fn new(mut subject: Subject, effort: &Effort) -> Result<Self> {
         subject.advance(effort.warm_up)?;
-        Ok(Self { subject, seconds: Vec::new(), steps: effort.steps.max(1), passes: 0.0 })
+        Ok(Self { subject, seconds: Vec::new(), steps: effort.steps, passes: 0.0 })
     }
     fn repeat(&mut self) -> Result<()> {
         let passes = |s: &Subject| s.timings().iter().map(|t| t.passes).sum::<u64>();
@@ -343,7 +349,7 @@ fn effects(args: &Effects, registry: Registry) -> Result<()> {
     let registry = args.engine.load_into(registry)?;
     let rows = rows(&registry, args.grid)?;
     let timed = |scene: &Scene| Timed::new(Subject::new(&registry, scene, &args.engine, 1)?, &args.effort);
-    let repetitions = args.effort.repetitions.max(1);
+    let repetitions = args.effort.repetitions;
     let mut table = Vec::new();
     for row in &rows {
         let mut with = timed(&row.with)?;

@@ -815,6 +815,30 @@ fn throughput_of_all_laws_is_a_table() {
     assert!(error.contains("no backend is called 'abacus'"), "{error}");
 }
 
+/// What no benchmark can be made of is refused before anything runs, and the message names what can.
+#[test]
+fn benchmarks_that_cannot_be_are_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |args: &str, says: &[&str]| {
+        let args: Vec<&str> = ["bench"].into_iter().chain(args.split(' ')).collect();
+        let output = run(folder.path(), &args);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{args:?} did not fail");
+        says.iter().for_each(|part| assert!(error.contains(part), "{args:?}: no '{part}' in {error}"));
+    };
+    refused("effects --grid 33", &["33", "32, 64, 128, 256"]);
+    refused("throughput --grid 33", &["33", "32, 64, 128, 256, 512"]);
+    refused("throughput --steps 0", &["--steps", "1.."]);
+    refused("scale --repetitions 0", &["--repetitions", "1.."]);
+    refused("accuracy --ladder 0", &["--ladder", "1.."]);
+    // No rung of this ladder can be, so that the reference is not worth its time.
+    refused(
+        "accuracy --ladder 7 --no-variants --half 7 --out none",
+        &["n 7: world.max", "5.25", "must lie on a cell's face"],
+    );
+    assert!(!folder.path().join("none").exists());
+}
+
 /// A tiny ladder of a falling cube: errors are finite and fall with the cell, a nested run lies near its finest cell's uniform
 /// grid, and what cannot be run is a line of the table.
 #[test]

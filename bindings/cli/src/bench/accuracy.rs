@@ -11,8 +11,9 @@ use crate::print::show;
 use crate::run::Shown;
 use barchan::accuracy::{Balance, Cost, Errors, Record, record, rung};
 use barchan::scene::{Levels, Sampling};
-use barchan::{Precision, Registry, Result, Scene};
+use barchan::{Error, Precision, Registry, Result, Scene};
 use clap::Args;
+use clap::builder::RangedI64ValueParser;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -37,10 +38,10 @@ pub(crate) struct Accuracy {
     #[arg(long, value_name = "KEY.PATH=VALUE")]
     set: Vec<String>,
     /// Cells of the reference along the world's x (cube-drop: along 1.28 m).
-    #[arg(long, default_value_t = 128)]
+    #[arg(long, default_value_t = 128, value_parser = cells())]
     reference: u32,
     /// Cells of the uniform grids, likewise.
-    #[arg(long, value_delimiter = ',', default_values_t = [16, 32, 64])]
+    #[arg(long, value_delimiter = ',', default_values_t = [16, 32, 64], value_parser = cells())]
     ladder: Vec<u32>,
     /// Numbers of levels.
     #[arg(long, value_delimiter = ',', default_values_t = [2, 3])]
@@ -52,7 +53,7 @@ pub(crate) struct Accuracy {
     #[arg(long, value_delimiter = ',', action = clap::ArgAction::Append, default_values_t = [false, true])]
     subcycle: Vec<bool>,
     /// Cells of the nested runs' finest level, likewise [default: the reference's, and the last of the ladder].
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, value_delimiter = ',', value_parser = cells())]
     fine: Vec<u32>,
     /// Leave out other particle spacings, precisions and merge tolerances.
     #[arg(long)]
@@ -67,7 +68,7 @@ pub(crate) struct Accuracy {
     #[arg(long)]
     seconds: Option<f64>,
     /// Timed runs of each rung, of which the median wall time counts; a short one that is not timed goes before them.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = cells())]
     repetitions: u32,
     /// Backend of the reference and of --noise, such as one that can afford a finer grid [default: that of all runs].
     #[arg(long, value_name = "BACKEND")]
@@ -77,6 +78,11 @@ pub(crate) struct Accuracy {
     out: Option<PathBuf>,
     #[command(flatten)]
     engine: EngineArgs,
+}
+
+/// Reads a number that is at least 1.
+fn cells() -> RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(1..)
 }
 
 /// A run of the ladder.
@@ -149,6 +155,18 @@ pub(crate) fn run(args: &Accuracy, registry: Registry) -> Result<()> {
     let registry = args.engine.load_into(registry)?;
     let (scene, length) = base(args)?;
     let entries = entries(args, length);
+    // The reference takes longest: no rung to hold against it is a mistake of the command line.
+    let refused: Vec<Error> = entries.iter().filter_map(|entry| on_rung(&scene, entry).err()).collect();
+    if refused.len() == entries.len()
+        && let Some(error) = refused.into_iter().next()
+    {
+        return Err(match error {
+            Error::Scene { line, path, what, allowed, .. } => {
+                Error::Scene { file: entries[0].label.clone(), line, path, what, allowed }
+            }
+            other => other,
+        });
+    }
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("out/accuracy").join(&scene.name));
     show(format!(
         "{}: {} runs of {} s and a reference of n = {}\n",
@@ -285,10 +303,8 @@ fn entries(args: &Accuracy, length: f64) -> Vec<Entry> {
     entries
 }
 
-/// Runs an entry for a moment, then as often as asked: the last record, and the wall seconds of all.
-fn measure(args: &Accuracy, registry: &Registry, scene: &Scene, entry: &Entry) -> Result<(Record, Vec<f64>)> {
-    let options = crate::moved(args.engine.options(), &entry.backend);
-    let options = barchan::Options { precision: entry.precision, ..options };
+/// The scene that an entry runs.
+fn on_rung(scene: &Scene, entry: &Entry) -> Result<Scene> {
     let levels = Levels {
         count: entry.levels,
         half: entry.half,
@@ -303,6 +319,14 @@ fn measure(args: &Accuracy, registry: &Registry, scene: &Scene, entry: &Entry) -
         scene.seed = seed;
         scene.body.iter_mut().for_each(|body| body.sampling = Sampling::Jitter);
     }
+    Ok(scene)
+}
+
+/// Runs an entry for a moment, then as often as asked: the last record, and the wall seconds of all.
+fn measure(args: &Accuracy, registry: &Registry, scene: &Scene, entry: &Entry) -> Result<(Record, Vec<f64>)> {
+    let options = crate::moved(args.engine.options(), &entry.backend);
+    let options = barchan::Options { precision: entry.precision, ..options };
+    let scene = on_rung(scene, entry)?;
     let one = |scene: &Scene, quiet: bool| -> Result<Record> {
         let mut shown = Shown::new(quiet);
         let run = record(registry, scene, &options, &mut |progress| shown.update(progress));

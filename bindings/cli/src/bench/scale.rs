@@ -155,7 +155,7 @@ fn measure(args: &Scale, registry: &Registry, extents: &[f64], levels: u32, reac
     let mut beds = beds.collect::<Result<Vec<_>>>()?;
     let clock = |timed: &Timed| (timed.simulation().time(), timed.simulation().step_count());
     let begins: Vec<_> = beds.iter().map(|(_, timed)| timed.as_ref().map(clock)).collect();
-    for _ in 0..args.effort.repetitions.max(1) {
+    for _ in 0..args.effort.repetitions {
         beds.iter_mut().filter_map(|(_, timed)| timed.as_mut()).try_for_each(Timed::repeat)?;
     }
     let finish = |((row, timed), begin): (Bed, Option<(f64, u64)>)| {
