@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs every check and every test of Barchan, and installs by itself what they need.
 #
-# Needs: Rust (rustup.rs) and a compiler for C and C++. Takes up to 70 minutes on two slow cores the first time (most of it tests), and ends with its
+# Needs: Rust (rustup.rs) and a compiler for C and C++. Takes up to 80 minutes on two slow cores the first time (most of it tests), and ends with its
 # slowest tests and its minutes.
 # Installs, if missing:
 #   rustfmt, clippy   into the Rust toolchain, by rustup                        about 15 MB
