@@ -10,6 +10,15 @@ pub const ASLEEP: u16 = u16::MAX;
 /// Cells around a tool that stay awake.
 pub const NEAR_TOOL: f64 = 4.0;
 
+/// Steps in which gravity makes of what is at rest what is not, however short they are: what falls, and what turns round at the top of its flight, is slow for less than
+/// [`RESTED`] steps then, in whatever direction it falls.
+pub const FALLS: f64 = 0.25 * RESTED as f64;
+
+/// Speed up to which ground is slow in a step of `dt` [s] under so much gravity [m/s²], if it is so up to `slow` in long ones [m/s].
+pub fn slow_in(slow: f64, gravity: f64, dt: f64) -> f64 {
+    if gravity > 0.0 { slow.min(FALLS * dt * gravity) } else { slow }
+}
+
 /// The count of a block whose particles have moved at up to this speed in a step, if up to `slow` is slow [m/s]. While gravity `grows`, nothing has come to rest, however slow
 /// it is: what slept would never get its weight.
 pub fn count(rest: u16, speed: f64, slow: f64, grows: bool) -> u16 {

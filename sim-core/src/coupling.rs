@@ -61,6 +61,15 @@ impl Command {
             Self::JointTorques(_) => "joint torques",
         }
     }
+
+    /// The greatest of its numbers, without their signs: NaN if one is none.
+    pub fn greatest(&self) -> f64 {
+        let greatest = |numbers: &[f64]| numbers.iter().map(|x| x.abs()).max_by(f64::total_cmp).unwrap_or(0.0);
+        match self {
+            Self::Twist { linear, angular } => greatest(&[*linear, *angular].concat()),
+            Self::JointTargets(numbers) | Self::JointTorques(numbers) => greatest(numbers),
+        }
+    }
 }
 
 /// What a joint is doing.

@@ -120,7 +120,9 @@ pub enum Error {
     #[error(
         "time step {dt:.3e} s at step {step} is {}",
         if dt > bound {
-            format!("above the bound {bound:.3e} s set by {by}; lower time.step, lower the stiffness, or set time.over_bound = \"substep\"")
+            format!("above the bound {bound:.3e} s set by {by}; lower time.step, {}, or set time.over_bound = \"substep\"", raises_bound(by))
+        } else if *step == 0 {
+            format!("too short for time to go on: the bound is {bound:.3e} s by {by}; {}", raises_bound(by))
         } else {
             format!("too short for time to go on: the bound is {bound:.3e} s by {by}, which has grown without end; go on from a snapshot before that")
         }
@@ -237,6 +239,13 @@ pub enum Error {
     },
 }
 
+/// What would let steps be longer that something bounds.
+fn raises_bound(by: &str) -> &'static str {
+    let of_causes =
+        [("damping", "lower material.damping"), ("viscosity", "lower the viscosity"), ("speed", "move slower")];
+    of_causes.into_iter().find(|(cause, _)| by.contains(cause)).map_or("lower the stiffness", |(_, mend)| mend)
+}
+
 /// What would keep a particle in the world that has left it on an open side, or through a wall.
 fn way_out(wall: Option<&'static str>) -> String {
     match wall {
@@ -297,6 +306,20 @@ mod tests {
         let (short, long) = (said(1e-15), said(3e-15));
         assert!(short.contains("1.000e-15 s at step 7 is too short for time to go on"), "{short}");
         assert!(short.contains("2.000e-15 s by speed of a tool") && !short.contains("above the bound"), "{short}");
-        assert!(long.contains("is above the bound 2.000e-15 s set by speed of a tool; lower time.step"), "{long}");
+        assert!(
+            long.contains("is above the bound 2.000e-15 s set by speed of a tool; lower time.step, move slower"),
+            "{long}"
+        );
+    }
+
+    /// Symptom: a step above the bound that damping sets was to be mended by lower stiffness, and a first one that damping leaves no time for by an earlier snapshot.
+    #[test]
+    fn what_bounds_a_step_is_what_is_to_be_lowered() {
+        let said = |dt: f64, bound: f64| {
+            Error::TimeStep { step: 0, dt, bound, by: "damping of material 'mud'".to_owned() }.to_string()
+        };
+        let (long, none) = (said(1e-3, 1e-4), said(0.0, 0.0));
+        assert!(long.contains("lower time.step, lower material.damping, or set"), "{long}");
+        assert!(none.contains("the bound is 0.000e0 s by damping of material 'mud'; lower material.damping"), "{none}");
     }
 }

@@ -62,13 +62,13 @@ impl Terrain {
             });
             let least = axes.iter().map(|axis| axis.extent).fold(f64::INFINITY, f64::min);
             if axes.iter().any(|axis| axis.count == 0) {
-                return Err(is_empty(
-                    scene,
-                    index,
-                    &body.material,
-                    format!("its least side, {least} m, is below half the spacing of {spacing} m"),
-                    "enlarge it, or lower spacing or world.cell",
-                ));
+                let (why, mend) = if least > 0.0 {
+                    let why = format!("its least side, {least} m, is below half the spacing of {spacing} m");
+                    (why, "enlarge it, or lower spacing or world.cell")
+                } else {
+                    ("nothing of it lies in the world".to_owned(), "move it, or widen world.min and world.max")
+                };
+                return Err(is_empty(scene, index, &body.material, why, mend));
             }
             if body.zone.is_empty() {
                 plots.push(Plot { index, material: own, solid, axes });

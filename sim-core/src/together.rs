@@ -1,6 +1,7 @@
 //! Worlds that a backend steps together.
 
 use crate::backend::{Batch, Look, NewWorld};
+use crate::plan::Assembly;
 use crate::simulation::{WantedSteps, find_backend, no_step};
 use crate::task::{Seen, Watch};
 use crate::{Coupling, Error, Options, Plan, Registry, Result, Scene, Simulation, State, StepReport};
@@ -192,12 +193,12 @@ impl Together {
     /// Puts a world at the start of a scene, in the place of another.
     ///
     /// # Errors
-    /// Those of [`Simulation::new`] and of [`Batch::replace`]; the world is as it was then.
+    /// Those of [`Batch::replace`]; the world is as it was then.
     ///
     /// # Panics
     /// If there is no such world.
-    pub fn replace(&mut self, world: usize, registry: &Registry, scene: &Scene, options: &Options) -> Result<()> {
-        let (plan, particles, couplings) = Plan::assemble(registry, scene, options)?;
+    pub fn replace(&mut self, world: usize, new: Assembly) -> Result<()> {
+        let (plan, particles, couplings) = new;
         self.batch.replace(world, NewWorld { plan: &plan, particles, couplings: &couplings })?;
         self.put(world, plan, couplings);
         Ok(())

@@ -50,6 +50,20 @@ pub fn eased() -> String {
     ])
 }
 
+/// Upward speed with which a block of [`adrift`] begins [m/s], and gravity there [m/s²].
+pub const ADRIFT: [f64; 2] = [2e-8, -1e-6];
+
+/// A block in the air over an asteroid: it rises, turns round and falls, and is slower than `sleep.speed` for 140 steps.
+pub fn adrift() -> String {
+    let [rises, gravity] = ADRIFT;
+    let head = Head { gravity: [0.0, 0.0, gravity], ..Head::cells(CELL, [8, 8, 8], WALLS).time("step = 2e-4") };
+    head.with(&[
+        "[sleep]\non = true\n".to_owned(),
+        material("sand", 1500.0, SAND),
+        block("sand", [0.04; 3], [0.12; 3], &format!("velocity = [0, 0, {rises:?}]")),
+    ])
+}
+
 /// Particles asleep now.
 pub fn asleep(s: &Simulation) -> u64 {
     s.ledger().counts.get("particles asleep now").copied().unwrap_or(0)

@@ -609,8 +609,11 @@ impl<T: Scalar> CpuEngine<T> {
         let before = if ground { self.follow_agents(couplings) } else { None };
         let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
         self.gravity = self.scene.gravity_at(time);
+        let gravity = self.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
         let gravity_grows = self.scene.gravity_grows(time);
-        self.levels.iter_mut().for_each(|level| level.watch.gravity_grows = gravity_grows);
+        for Level { watch, .. } in &mut self.levels {
+            (watch.gravity, watch.gravity_grows) = (gravity, gravity_grows);
+        }
         let (dt, wrenches) = if ground {
             self.carry_out(time, dt, couplings)?
         } else {

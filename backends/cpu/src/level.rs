@@ -542,7 +542,7 @@ impl<T: Scalar> Level<T> {
                 faster(greatest, isa.run::<T, _>(GridToParticles { particles, origin, step: &step, tile }))
             });
             let rest = rest.one(b);
-            *rest = watch.count(*rest, rates.speed.to_f64());
+            *rest = watch.count(*rest, rates.speed.to_f64(), dt);
             rates
         };
         // One tile serves all blocks of a task: it stays in cache, where the blocks' own would be fetched and written back.

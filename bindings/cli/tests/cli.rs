@@ -815,6 +815,24 @@ fn throughput_of_all_laws_is_a_table() {
     assert!(error.contains("no backend is called 'abacus'"), "{error}");
 }
 
+/// Symptom: pictures of tall and narrow ground, whose scale bar is a few pixels wide, ended the run with a panic.
+#[test]
+fn narrow_ground_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    for (world, body) in [
+        ("0.04, 0.04, 1.0", "0.04, 0.04, 0.8"),
+        ("0.04, 0.04, 1.0", "0.02, 0.02, 0.4"),
+        ("0.1, 0.1, 0.2", "0.02, 0.02, 0.02"),
+    ] {
+        let text =
+            SMALL.replace("[0.1, 0.1, 0.2]", &format!("[{world}]")).replace("[0.1, 0.1, 0.1]", &format!("[{body}]"));
+        fs::write(folder.path().join("narrow.toml"), text).unwrap();
+        succeed(folder.path(), &["run", "narrow.toml", "--steps", "1", "--out", "out", "--overwrite"]);
+        let picture = fs::read(folder.path().join("out/frames/00000.png")).unwrap();
+        assert!(picture.starts_with(b"\x89PNG"), "[{body}]: no picture");
+    }
+}
+
 /// What no benchmark can be made of is refused before anything runs, and the message names what can.
 #[test]
 fn benchmarks_that_cannot_be_are_refused_at_once() {

@@ -31,6 +31,15 @@ fn class(error: &Error) -> &'static str {
     }
 }
 
+/// Where an unknown name stands, in a user's words of Python: of a dict lines are nobody's, and options are keywords.
+fn place(path: &str) -> String {
+    let of_dict = path.strip_prefix(DICT).and_then(|rest| rest.strip_prefix(':')?.split_once(": "));
+    match of_dict {
+        Some((line, rest)) if line.bytes().all(|c| c.is_ascii_digit()) => format!("{DICT}: {rest}"),
+        _ => path.replacen("--set: ", "overrides: ", 1).replacen("--adapter", "adapter", 1),
+    }
+}
+
 /// The exception for an error; of a world of several, it says which.
 pub(crate) fn raised(py: Python<'_>, mut error: Error, world: Option<usize>) -> PyErr {
     match &mut error {
@@ -38,6 +47,7 @@ pub(crate) fn raised(py: Python<'_>, mut error: Error, world: Option<usize>) -> 
         Error::Scene { file, line, .. } if file == DICT => *line = 0,
         // Here options are keywords.
         Error::Scene { file, .. } if file == "--set" => *file = "overrides".to_owned(),
+        Error::Unknown { path, .. } => *path = place(path),
         _ => {}
     }
     let message = match world {

@@ -10,7 +10,7 @@ use barchan::{Aabb, Closest, Command, Fields, Options, Precision, Reading, Scene
 use numpy::{AllowTypeChange, PyArray1, PyArrayLikeDyn, PyArrayMethods};
 use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::{PyBool, PyDict, PyTuple};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
 
@@ -107,6 +107,15 @@ impl Simulation {
     /// The number of a world, or all of them.
     pub(crate) fn chosen(worlds: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<usize>> {
         let Some(worlds) = worlds else { return Ok((0..count).collect()) };
+        // Python's bools are numbers, too.
+        let is_bool = |one: &Bound<'_, PyAny>| one.is_instance_of::<PyBool>();
+        let is_mask = is_bool(worlds)
+            || worlds.extract::<Vec<Bound<'_, PyAny>>>().is_ok_and(|several| several.iter().any(is_bool));
+        if is_mask {
+            return Err(PyTypeError::new_err(
+                "worlds: these are bools; give numbers of worlds, such as numpy.flatnonzero makes of a mask",
+            ));
+        }
         let chosen = worlds.extract::<usize>().map(|one| vec![one]).or_else(|_| worlds.extract::<Vec<usize>>());
         let chosen = chosen
             .map_err(|_| PyTypeError::new_err("worlds: give the number of a world, a list of them, or None for all"))?;
@@ -303,10 +312,10 @@ impl Simulation {
     fn worlds(&self, py: Python<'_>) -> PyResult<usize> {
         Ok(self.machine(py)?.len())
     }
-    /// Name of the scene.
+    /// Name of the scene of world 0.
     #[getter]
-    fn name(&self) -> &str {
-        &self.scene.name
+    fn name(&self, py: Python<'_>) -> PyResult<String> {
+        self.look(py, 0, |one| one.plan().scene.name.clone())
     }
     /// Name of the backend that runs.
     #[getter]
@@ -323,10 +332,10 @@ impl Simulation {
     fn particle_count(&self, py: Python<'_>) -> PyResult<usize> {
         Ok(self.machine(py)?.world(0).particle_count())
     }
-    /// When the scene ends by its own account, `time.end` [s].
+    /// When the scene of world 0 ends by its own account, `time.end` [s].
     #[getter]
-    fn end(&self) -> f64 {
-        self.scene.time.end
+    fn end(&self, py: Python<'_>) -> PyResult<f64> {
+        self.look(py, 0, |one| one.plan().scene.time.end)
     }
     /// The scene as TOML, overrides included.
     #[pyo3(signature = (*, world=0))]
@@ -657,13 +666,20 @@ impl Simulation {
         let rows = |values: &Option<_>, what| per_world(values.as_ref(), what, worlds.len());
         let all = rows(&linear, "linear")?.into_iter().zip(rows(&angular, "angular")?);
         let all = all.zip(rows(&joint_targets, "joint_targets")?).zip(rows(&joint_torques, "joint_torques")?);
-        for (world, (((linear, angular), targets), torques)) in worlds.into_iter().zip(all) {
-            let command = match (targets, torques) {
+        let command = |(((linear, angular), targets), torques)| {
+            Ok(match (targets, torques) {
                 (Some(targets), _) => Command::JointTargets(targets),
                 (_, Some(torques)) => Command::JointTorques(torques),
                 _ => Command::Twist { linear: axes(linear, "linear")?, angular: axes(angular, "angular")? },
-            };
-            machine.world_mut(world).act(body, &command).or_raise(py)?;
+            })
+        };
+        let commands = all.map(command).collect::<PyResult<Vec<_>>>()?;
+        // What is no number, or the greatest, goes first: if a command is refused for its numbers, it is that one, and no world has taken any.
+        let mut told: Vec<(usize, Command)> = worlds.into_iter().zip(commands).collect();
+        told.sort_by(|(_, a), (_, b)| b.greatest().total_cmp(&a.greatest()));
+        for (world, command) in told {
+            let told = machine.world_mut(world).act(body, &command);
+            told.map_err(|error| raised(py, error, (machine.len() > 1).then_some(world)))?;
         }
         Ok(())
     }
@@ -692,14 +708,13 @@ impl Simulation {
             Ok((world, Scene { seed, ..scene }))
         };
         let scenes = chosen.iter().enumerate().map(scene).collect::<PyResult<Vec<_>>>()?;
-        for (world, scene) in scenes {
-            let set = || match machine {
-                Machine::One(simulation) => World::new(&registry, &scene, &options).map(|new| **simulation = new),
-                Machine::Many(worlds) => worlds.reset(world, Some(scene)),
-            };
-            py.detach(set).or_raise(py)?;
-        }
-        Ok(())
+        let set = || match machine {
+            Machine::One(simulation) => scenes.into_iter().try_for_each(|(_, scene)| {
+                World::new(&registry, &scene, &options).map(|new| **simulation = new).map_err(|error| (None, error))
+            }),
+            Machine::Many(worlds) => worlds.reset_all(scenes).map_err(|(world, error)| (Some(world), error)),
+        };
+        py.detach(set).map_err(|(world, error)| raised(py, error, world))
     }
 
     /// Takes a copy of a world in memory, to `restore` it later.

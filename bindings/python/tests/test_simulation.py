@@ -284,6 +284,19 @@ def test_worlds_act_reset_and_go_on_as_they_do_alone(press, same):
         worlds.bodies(world=3)
     with pytest.raises(ValueError, match="a row for each of 3"):
         worlds.act("plate", linear=np.zeros((2, 3)))
+    # No world is told anything where one is told what cannot be.
+    worlds.act("plate", linear=np.zeros(3))
+    heights = worlds.body_arrays("plate").position[:, 2]
+    for wrong in (np.nan, 1e40):
+        with pytest.raises(barchan.BodyError, match="world 1") as refused:
+            worlds.act("plate", linear=[[0, 0, -0.5], [0, 0, wrong], [0, 0, 0]])
+        assert refused.value.world == 1
+    worlds.step(3)
+    np.testing.assert_array_equal(worlds.body_arrays("plate").position[:, 2], heights)
+    # A mask is not numbers of worlds.
+    for mask in ([False, True, False], True):
+        with pytest.raises(TypeError, match="flatnonzero"):
+            worlds.reset(mask)
     with pytest.raises(ValueError, match="2 of them for 3"):
         worlds.reset(seeds=[1, 2])
     with pytest.raises(barchan.CapacityError, match="worlds"):
@@ -315,10 +328,20 @@ def test_worlds_may_differ_in_what_their_scenes_say(press, same):
         barchan.Simulation(press, worlds=3, overrides=each[:2])
     with pytest.raises(TypeError, match="a dict for each world"):
         barchan.Simulation(press, worlds=3, overrides=3)
+    worlds.step(2)
     before = worlds.times.tolist()
     with pytest.raises(barchan.SceneError, match="density"):
         worlds.reset(overrides=[{}, {}, {"material.snow.density": -1.0}])
-    assert worlds.times.tolist() == before
+    # Nor does any begin anew where only the making of a world tells that it cannot be.
+    with pytest.raises(barchan.UnknownNameError, match="world 1: overrides: material.0..law") as refused:
+        worlds.reset(overrides=[{}, {"material.snow.law": "nope"}, {}])
+    assert refused.value.world == 1
+    assert worlds.times.tolist() == before and min(before) > 0.0
+    one = barchan.Simulation(press)
+    one.reset(overrides={"time.end": 0.7, "name": "other"})
+    assert one.end == 0.7 and one.name == "other"
+    with pytest.raises(barchan.UnknownNameError, match="^scene: material.0..law"):
+        barchan.Simulation(press | {"material": [{"name": "snow", "law": "nope", "density": 400.0}]})
 
 
 def test_states_forks_and_files_go_on_bit_for_bit(press, same, tmp_path):

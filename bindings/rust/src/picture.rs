@@ -140,7 +140,7 @@ impl Sketch {
         }
         let (width, height) = view.cut_panel();
         let mut cut = Image::new(width, height, AIR);
-        let top = view.top.max(f64::MIN_POSITIVE) as f32;
+        let top = (view.top as f32).max(f32::MIN_POSITIVE);
         cut::draw(&mut cut, Frame { origin: [0.0, view.min[2]], scale: view.scale }, cut_dots, top);
         tools.draw_cut(&mut cut, view.frame_of_cut());
 
@@ -473,7 +473,9 @@ impl View {
             let (from, to) = (pixels * field / 4, pixels * (field + 1) / 4);
             page.fill(Rect { x: x + from, y, width: to - from, height: 8 }, INK);
             if field % 2 == 1 {
-                page.fill(Rect { x: x + from, y: y + 2, width: to - from - 2 * (field / 3), height: 4 }, PAGE);
+                // Of a bar that is hardly seen nothing may be left to be light.
+                let width = (to - from).saturating_sub(2 * (field / 3));
+                page.fill(Rect { x: x + from, y: y + 2, width, height: 4 }, PAGE);
             }
         }
         let (label, unit) = if length < 1.0 { (100.0 * length, "cm") } else { (length, "m") };

@@ -24,7 +24,9 @@
 //! ```
 
 use barchan_core::task::{Seen, Watch};
-use barchan_core::{Error, HeightScan, Options, Registry, Result, Scene, Simulation, State, StepReport, Together};
+use barchan_core::{
+    Error, HeightScan, Options, Plan, Registry, Result, Scene, Simulation, State, StepReport, Together,
+};
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::panic::resume_unwind;
@@ -273,11 +275,47 @@ impl Worlds {
     /// If there is no such world.
     pub fn reset(&mut self, world: usize, scene: Option<Scene>) -> Result<()> {
         let scene = scene.unwrap_or_else(|| self.scenes[world].clone());
+        self.reset_all(vec![(world, scene)]).map_err(|(_, error)| error)
+    }
+
+    /// Sets several worlds to the starts of scenes.
+    ///
+    /// # Errors
+    /// Those of [`reset`](Self::reset), with the number of the world. All worlds are as they were where a scene is refused by itself; what a backend that steps worlds
+    /// together refuses, or a device that is lost, leaves the worlds before that one at their new starts.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn reset_all(&mut self, scenes: Vec<(usize, Scene)>) -> Result<(), (usize, Error)> {
+        let (registry, options) = (&self.registry, &self.options);
         match &mut self.machine {
-            Machine::Apart(simulations) => simulations[world] = Simulation::new(&self.registry, &scene, &self.options)?,
-            Machine::Together(together) => together.replace(world, &self.registry, &scene, &self.options)?,
+            Machine::Apart(simulations) => {
+                let new = |world: usize, scene: &Scene| {
+                    Simulation::new(registry, scene, options).map_err(|error| (world, error))
+                };
+                // What may be refused is made before any world goes; of the rest there is no room for both.
+                let known = &self.scenes;
+                let made = |(world, scene): &(usize, Scene)| {
+                    let as_before = Scene { seed: known[*world].seed, ..scene.clone() };
+                    known[*world].difference(&as_before).map(|_| new(*world, scene)).transpose()
+                };
+                let made = scenes.iter().map(made).collect::<Result<Vec<_>, _>>()?;
+                for ((world, scene), made) in scenes.into_iter().zip(made) {
+                    simulations[world] = made.map_or_else(|| new(world, &scene), Ok)?;
+                    self.scenes[world] = scene;
+                }
+            }
+            Machine::Together(together) => {
+                let plan = |(world, scene): &(usize, Scene)| {
+                    Plan::assemble(registry, scene, options).map_err(|error| (*world, error))
+                };
+                let planned = scenes.iter().map(plan).collect::<Result<Vec<_>, _>>()?;
+                for (new, (world, scene)) in planned.into_iter().zip(scenes) {
+                    together.replace(world, new).map_err(|error| (world, error))?;
+                    self.scenes[world] = scene;
+                }
+            }
         }
-        self.scenes[world] = scene;
         Ok(())
     }
 

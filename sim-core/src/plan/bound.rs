@@ -60,6 +60,9 @@ pub(crate) fn wanted_step(scene: &Scene, ground: &Bound, bound: &Bound) -> f64 {
 
 pub(super) fn first_step(scene: &Scene, ground: &Bound, bound: &Bound, resumed: bool) -> Result<f64> {
     let dt = wanted_step(scene, ground, bound);
+    if dt == 0.0 && !resumed {
+        return Err(Error::TimeStep { step: 0, dt, bound: bound.dt, by: bound.by.clone() });
+    }
     if dt <= bound.dt || resumed {
         return Ok(dt);
     }

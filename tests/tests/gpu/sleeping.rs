@@ -5,7 +5,7 @@ use barchan::worlds::Worlds;
 use barchan::{Ledger, Options, Precision, Scene, Simulation, Vec3};
 use barchan_tests::scenes::{alter, norm, rows, run_to, scene, within};
 use barchan_tests::sketch::{driven, half, tool};
-use barchan_tests::sleeping::{CELL, SAND, asleep, bed, eased, gated, plate};
+use barchan_tests::sleeping::{ADRIFT, CELL, SAND, adrift, asleep, bed, eased, gated, plate};
 
 const LEVELS: &str = "[levels]\ncount = 2\nhalf = 8\n";
 const SUBCYCLED: &str = "[levels]\ncount = 2\nhalf = 8\nsubcycle = true\n";
@@ -40,6 +40,20 @@ fn ground_stays_awake_while_gravity_grows() {
     while s.step_count() < 240 {
         s.steps(40, f64::INFINITY).unwrap();
     }
+    assert_eq!(asleep(&s), 0);
+}
+
+/// What falls does not sleep in the air, however slow it is; see `suite/sleeping.rs`.
+#[test]
+fn what_falls_does_not_sleep_in_the_air() {
+    let [rises, gravity] = ADRIFT;
+    let mut s = gpu(&adrift());
+    while s.step_count() < 400 {
+        s.steps(40, f64::INFINITY).unwrap();
+    }
+    let falls = rises + gravity * s.time();
+    let off = rows(&s).iter().map(|row| (row.v[2] / falls - 1.0).abs()).fold(0.0, f64::max);
+    within("velocity over that of free fall, less 1", off, 1e-3);
     assert_eq!(asleep(&s), 0);
 }
 

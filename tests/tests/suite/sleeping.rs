@@ -3,7 +3,7 @@
 use barchan::{Ledger, Options, Precision, Simulation};
 use barchan_tests::scenes::{alter, norm, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, material, tool};
-use barchan_tests::sleeping::{CELL, SAND, asleep, bed, eased, gated, plate};
+use barchan_tests::sleeping::{ADRIFT, CELL, SAND, adrift, asleep, bed, eased, gated, plate};
 use std::time::Instant;
 
 /// Symptom: a bed that nothing has touched for an hour costs as much as one that is ploughed. Physics: nothing happens in it, and where
@@ -46,6 +46,20 @@ fn ground_gets_all_of_gravity_before_it_sleeps() {
     let modulus = 1e6 * 0.8 / (1.2 * 0.6);
     let energy = 0.08 * 0.08 * (1500.0 * 9.81_f64).powi(2) * 0.06_f64.powi(3) / (6.0 * modulus);
     within("elastic energy over that of a column, less 1", (s.ledger().elastic / energy - 1.0).abs(), 0.1);
+}
+
+/// Symptom: where steps are short or gravity is weak, ground in the air is slow for fifty steps, falls asleep and hangs there. Physics: it falls.
+#[test]
+fn what_falls_does_not_sleep_in_the_air() {
+    let [rises, gravity] = ADRIFT;
+    for precision in [Precision::F32, Precision::F64] {
+        let mut s = simulation(&adrift(), precision);
+        (0..400).for_each(|_| drop(s.step().unwrap()));
+        let falls = rises + gravity * s.time();
+        let off = rows(&s).iter().map(|row| (row.v[2] / falls - 1.0).abs()).fold(0.0, f64::max);
+        within(&format!("{precision}: velocity over that of free fall, less 1"), off, 1e-3);
+        assert_eq!(asleep(&s), 0, "{precision}: it sleeps");
+    }
 }
 
 /// Symptom: a wave is swallowed, or late, where the ground it comes to has been asleep. Physics: it passes as if nothing had slept.

@@ -12,7 +12,7 @@ use barchan_core::{Plan, Stage};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::due::ON_DEVICE;
 use barchan_grid::limits::{MAX_DEFORMATION, MAX_PARTS, NODE_MOVE};
-use barchan_grid::rest::RESTED;
+use barchan_grid::rest::{FALLS, RESTED};
 
 /// Vectors of four that hold a particle's strain, history and, in their last place, rest volume.
 pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
@@ -167,7 +167,10 @@ pub(crate) fn constants(plan: &Plan) -> String {
         format!("const GRAVITY_GROWS: bool = {};\n", plan.scene.gravity_ramp > 0.0),
         format!("// Particles that leave: {:?}\n", plan.scene.world.leaving),
         if may_sleep(plan) {
-            format!("const SLOW: f32 = {:?};\nconst RESTED: u32 = {RESTED}u;\n", plan.slow as f32)
+            format!(
+                "const SLOW: f32 = {:?};\nconst RESTED: u32 = {RESTED}u;\nconst FALLS: f32 = {:?};\n",
+                plan.slow as f32, FALLS as f32
+            )
         } else {
             String::new()
         },

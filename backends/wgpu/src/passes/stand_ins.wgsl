@@ -24,6 +24,7 @@ const REST: u32 = 2u;
 const GRAVITY_GROWS: bool = true;
 const SLOW: f32 = 1e-4;
 const RESTED: u32 = 100u;
+const FALLS: f32 = 25.0;
 const LAYERS: u32 = 6u;
 const LEVELS: u32 = 3u;
 const SUBCYCLED: bool = true;
