@@ -333,7 +333,8 @@ pub struct Sleep {
     /// wgpu, where watching over it costs more, only if a speed is given.
     #[serde(default)]
     pub on: Option<bool>,
-    /// Speed along an axis up to which ground counts as being at rest [m/s]; absent: 1e-4 of sqrt(g h), for the finest cell h.
+    /// Speed along an axis up to which ground counts as being at rest [m/s]; absent: 1e-4 of sqrt(g h), for the finest cell h, and in
+    /// steps so short that what falls would be slow for 50 of them, less.
     #[serde(default)]
     pub speed: Option<f64>,
 }

@@ -27,6 +27,7 @@ use barchan_grid::archive::Reach;
 use barchan_grid::due::{MARGIN_DRIFT, ON_PROCESSOR, is_sort_due, most_drift};
 use barchan_grid::limits::{self, LEAST_MASS, MAX_DEFORMATION, MAX_MOVE, MAX_PARTS, STIFFNESS_AGE, greater};
 use barchan_grid::particles::Run;
+use barchan_grid::rest;
 use barchan_grid::transfer::{Scalar, Step};
 use barchan_lanes::{CHUNK, Isa};
 use rayon::ThreadPool;
@@ -609,10 +610,10 @@ impl<T: Scalar> CpuEngine<T> {
         let before = if ground { self.follow_agents(couplings) } else { None };
         let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
         self.gravity = self.scene.gravity_at(time);
-        let gravity = self.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let fall = rest::falls(&self.scene) * self.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
         let gravity_grows = self.scene.gravity_grows(time);
         for Level { watch, .. } in &mut self.levels {
-            (watch.gravity, watch.gravity_grows) = (gravity, gravity_grows);
+            (watch.fall, watch.gravity_grows) = (fall, gravity_grows);
         }
         let (dt, wrenches) = if ground {
             self.carry_out(time, dt, couplings)?

@@ -25,8 +25,8 @@ const SAME_STEP: f64 = 1e-9;
 pub(crate) struct Watch {
     /// Speed along an axis up to which a particle is slow [m/s]; 0: nothing ever sleeps.
     slow: f64,
-    /// Gravity in the step under way [m/s²], and whether it grows.
-    pub(crate) gravity: f64,
+    /// Gravity in the step under way, times the steps in which it makes fast what falls [m/s²]; 0: speed alone says who is slow. And whether gravity grows.
+    pub(crate) fall: f64,
     pub(crate) gravity_grows: bool,
     /// Blocks awake, rising.
     pub(crate) awake: Vec<u32>,
@@ -59,7 +59,7 @@ impl Watch {
     pub(crate) fn new(slow: f64) -> Self {
         Self {
             slow,
-            gravity: 0.0,
+            fall: 0.0,
             gravity_grows: false,
             awake: Vec::new(),
             stale: Vec::new(),
@@ -78,7 +78,7 @@ impl Watch {
 
     /// The count of a block whose particles have moved at up to this speed [m/s] in a step of `dt` [s].
     pub(crate) fn count(&self, rest: u16, speed: f64, dt: f64) -> u16 {
-        rest::count(rest, speed, rest::slow_in(self.slow, self.gravity, dt), self.gravity_grows)
+        rest::count(rest, speed, rest::slow_in(self.slow, self.fall * dt), self.gravity_grows)
     }
 }
 

@@ -12,7 +12,7 @@ use barchan_core::{Plan, Stage};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::due::ON_DEVICE;
 use barchan_grid::limits::{MAX_DEFORMATION, MAX_PARTS, NODE_MOVE};
-use barchan_grid::rest::{FALLS, RESTED};
+use barchan_grid::rest::{RESTED, falls};
 
 /// Vectors of four that hold a particle's strain, history and, in their last place, rest volume.
 pub(crate) fn rest_vectors(materials: &[PlannedMaterial]) -> usize {
@@ -169,7 +169,8 @@ pub(crate) fn constants(plan: &Plan) -> String {
         if may_sleep(plan) {
             format!(
                 "const SLOW: f32 = {:?};\nconst RESTED: u32 = {RESTED}u;\nconst FALLS: f32 = {:?};\n",
-                plan.slow as f32, FALLS as f32
+                plan.slow as f32,
+                falls(&plan.scene) as f32
             )
         } else {
             String::new()
