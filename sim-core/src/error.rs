@@ -241,9 +241,13 @@ pub enum Error {
 
 /// What would let steps be longer that something bounds.
 fn raises_bound(by: &str) -> &'static str {
-    let of_causes =
-        [("damping", "lower material.damping"), ("viscosity", "lower the viscosity"), ("speed", "move slower")];
-    of_causes.into_iter().find(|(cause, _)| by.contains(cause)).map_or("lower the stiffness", |(_, mend)| mend)
+    let of_causes = [
+        ("stiffness", "lower the stiffness"),
+        ("damping", "lower material.damping"),
+        ("viscosity", "lower the viscosity"),
+        ("speed", "move slower"),
+    ];
+    of_causes.into_iter().find(|(cause, _)| by.contains(cause)).map_or("lower what bounds it", |(_, mend)| mend)
 }
 
 /// What would keep a particle in the world that has left it on an open side, or through a wall.

@@ -287,32 +287,33 @@ impl Worlds {
     /// # Panics
     /// If there is no such world.
     pub fn reset_all(&mut self, scenes: Vec<(usize, Scene)>) -> Result<(), (usize, Error)> {
-        let (registry, options) = (&self.registry, &self.options);
+        let (registry, options, known) = (&self.registry, &self.options, &mut self.scenes);
+        // What may be refused is made before any world goes; of the rest there is no room for both.
+        let is_changed = |(world, scene): &(usize, Scene)| {
+            let as_before = Scene { seed: known[*world].seed, ..scene.clone() };
+            known[*world].difference(&as_before).is_some()
+        };
+        let changed: Vec<bool> = scenes.iter().map(is_changed).collect();
         match &mut self.machine {
             Machine::Apart(simulations) => {
-                let new = |world: usize, scene: &Scene| {
-                    Simulation::new(registry, scene, options).map_err(|error| (world, error))
+                let new = |(world, scene): &(usize, Scene)| {
+                    Simulation::new(registry, scene, options).map_err(|error| (*world, error))
                 };
-                // What may be refused is made before any world goes; of the rest there is no room for both.
-                let known = &self.scenes;
-                let made = |(world, scene): &(usize, Scene)| {
-                    let as_before = Scene { seed: known[*world].seed, ..scene.clone() };
-                    known[*world].difference(&as_before).map(|_| new(*world, scene)).transpose()
-                };
-                let made = scenes.iter().map(made).collect::<Result<Vec<_>, _>>()?;
-                for ((world, scene), made) in scenes.into_iter().zip(made) {
-                    simulations[world] = made.map_or_else(|| new(world, &scene), Ok)?;
-                    self.scenes[world] = scene;
+                let made = ahead(&scenes, &changed, new)?;
+                for (one, made) in scenes.into_iter().zip(made) {
+                    simulations[one.0] = made.map_or_else(|| new(&one), Ok)?;
+                    known[one.0] = one.1;
                 }
             }
             Machine::Together(together) => {
                 let plan = |(world, scene): &(usize, Scene)| {
                     Plan::assemble(registry, scene, options).map_err(|error| (*world, error))
                 };
-                let planned = scenes.iter().map(plan).collect::<Result<Vec<_>, _>>()?;
-                for (new, (world, scene)) in planned.into_iter().zip(scenes) {
-                    together.replace(world, new).map_err(|error| (world, error))?;
-                    self.scenes[world] = scene;
+                let planned = ahead(&scenes, &changed, plan)?;
+                for (one, planned) in scenes.into_iter().zip(planned) {
+                    let planned = planned.map_or_else(|| plan(&one), Ok)?;
+                    together.replace(one.0, planned).map_err(|error| (one.0, error))?;
+                    known[one.0] = one.1;
                 }
             }
         }
@@ -383,6 +384,15 @@ pub fn check_count(worlds: usize) -> Result<()> {
     }
     let mend = "take fewer worlds, in several processes if need be";
     Err(Error::Capacity { what: "worlds", asked: worlds as u64, cap: MOST_WORLDS as u64, mend })
+}
+
+/// What is made of those scenes that are `changed`, unless one is refused; nothing yet of the others.
+fn ahead<T>(
+    scenes: &[(usize, Scene)],
+    changed: &[bool],
+    make: impl Fn(&(usize, Scene)) -> Result<T, (usize, Error)>,
+) -> Result<Vec<Option<T>>, (usize, Error)> {
+    scenes.iter().zip(changed).map(|(one, changed)| changed.then(|| make(one)).transpose()).collect()
 }
 
 /// Most steps that a device is asked for at once.
