@@ -11,7 +11,7 @@ use barchan::picture::Chart;
 use barchan::scene::{MaterialSpec, Motion, OverBound, Robot};
 use barchan::worlds::Worlds;
 use barchan::{Error, Registry, Result, Scene, Simulation};
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValuesParser, RangedI64ValueParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use serde_json::json;
@@ -35,10 +35,10 @@ pub(crate) enum Bench {
 #[derive(Args)]
 struct Effort {
     /// Steps in a repetition.
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 20, value_parser = at_least_one())]
     steps: u32,
     /// Repetitions, of which the median counts.
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 5, value_parser = at_least_one())]
     repetitions: u32,
     /// Steps before the first repetition.
     #[arg(long, default_value_t = 10)]
@@ -57,6 +57,11 @@ pub(crate) struct Effects {
     effort: Effort,
     #[command(flatten)]
     engine: EngineArgs,
+}
+
+/// Reads a number that is at least 1.
+fn at_least_one() -> RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(1..)
 }
 
 /// Reads one of these grids of the cube drop.

@@ -288,10 +288,13 @@ impl Worlds {
     /// If there is no such world.
     pub fn reset_all(&mut self, scenes: Vec<(usize, Scene)>) -> Result<(), (usize, Error)> {
         let (registry, options, known) = (&self.registry, &self.options, &mut self.scenes);
-        // What may be refused is made before any world goes; of the rest there is no room for both.
+        // What may be refused is made before any world goes; of the rest there is no room for both. One that is alone has nobody to wait for.
+        let is_alone = scenes.len() == 1;
         let is_changed = |(world, scene): &(usize, Scene)| {
-            let as_before = Scene { seed: known[*world].seed, ..scene.clone() };
-            known[*world].difference(&as_before).is_some()
+            !is_alone && {
+                let as_before = Scene { seed: known[*world].seed, ..scene.clone() };
+                known[*world].difference(&as_before).is_some()
+            }
         };
         let changed: Vec<bool> = scenes.iter().map(is_changed).collect();
         match &mut self.machine {

@@ -13,7 +13,6 @@ use barchan::accuracy::{Balance, Cost, Errors, Record, record, rung};
 use barchan::scene::{Levels, Sampling};
 use barchan::{Error, Precision, Registry, Result, Scene};
 use clap::Args;
-use clap::builder::RangedI64ValueParser;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -38,10 +37,10 @@ pub(crate) struct Accuracy {
     #[arg(long, value_name = "KEY.PATH=VALUE")]
     set: Vec<String>,
     /// Cells of the reference along the world's x (cube-drop: along 1.28 m).
-    #[arg(long, default_value_t = 128, value_parser = cells())]
+    #[arg(long, default_value_t = 128, value_parser = super::at_least_one())]
     reference: u32,
     /// Cells of the uniform grids, likewise.
-    #[arg(long, value_delimiter = ',', default_values_t = [16, 32, 64], value_parser = cells())]
+    #[arg(long, value_delimiter = ',', default_values_t = [16, 32, 64], value_parser = super::at_least_one())]
     ladder: Vec<u32>,
     /// Numbers of levels.
     #[arg(long, value_delimiter = ',', default_values_t = [2, 3])]
@@ -53,7 +52,7 @@ pub(crate) struct Accuracy {
     #[arg(long, value_delimiter = ',', action = clap::ArgAction::Append, default_values_t = [false, true])]
     subcycle: Vec<bool>,
     /// Cells of the nested runs' finest level, likewise [default: the reference's, and the last of the ladder].
-    #[arg(long, value_delimiter = ',', value_parser = cells())]
+    #[arg(long, value_delimiter = ',', value_parser = super::at_least_one())]
     fine: Vec<u32>,
     /// Leave out other particle spacings, precisions and merge tolerances.
     #[arg(long)]
@@ -68,7 +67,7 @@ pub(crate) struct Accuracy {
     #[arg(long)]
     seconds: Option<f64>,
     /// Timed runs of each rung, of which the median wall time counts; a short one that is not timed goes before them.
-    #[arg(long, default_value_t = 1, value_parser = cells())]
+    #[arg(long, default_value_t = 1, value_parser = super::at_least_one())]
     repetitions: u32,
     /// Backend of the reference and of --noise, such as one that can afford a finer grid [default: that of all runs].
     #[arg(long, value_name = "BACKEND")]
@@ -78,11 +77,6 @@ pub(crate) struct Accuracy {
     out: Option<PathBuf>,
     #[command(flatten)]
     engine: EngineArgs,
-}
-
-/// Reads a number that is at least 1.
-fn cells() -> RangedI64ValueParser<u32> {
-    clap::value_parser!(u32).range(1..)
 }
 
 /// A run of the ladder.
