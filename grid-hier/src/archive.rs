@@ -58,9 +58,15 @@ impl Reach {
         self.archive.values().flat_map(Tile::unpack)
     }
 
+    /// Whether a point [m] is out of reach and nothing has changed the ground there, where the coarsest cells have that width [m].
+    pub fn is_untouched(&self, point: [f64; 2], cell: f64) -> bool {
+        let tile = tile_at(point, cell);
+        !self.live.contains(&tile) && !self.archive.contains_key(&tile)
+    }
+
     /// Whether ground in the archive may lie at a point [m], where the coarsest cells have that width [m].
     pub fn may_hold(&self, point: [f64; 2], cell: f64) -> bool {
-        let [x, y] = point.map(|x| (x / (cell * f64::from(TILE))).floor() as i32);
+        let [x, y] = tile_at(point, cell);
         // A particle that has strayed lies in the tile beside its own.
         !self.archive.is_empty() && (0..9).any(|n| self.archive.contains_key(&[x + n / 3 - 1, y + n % 3 - 1]))
     }
@@ -224,6 +230,11 @@ impl Reach {
         let parcels = coming.par_iter().flat_map_iter(|(lists, _)| lists.iter().flat_map(of_list));
         Ok((mass, parcels.collect()))
     }
+}
+
+/// The tile in which a point [m] lies, where the coarsest cells have that width [m].
+fn tile_at(point: [f64; 2], cell: f64) -> [i32; 2] {
+    point.map(|x| (x / (cell * f64::from(TILE))).floor() as i32)
 }
 
 /// Mass [kg], momentum [kg m/s] and kinetic energy of the particles' centres [J].

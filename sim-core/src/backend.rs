@@ -336,6 +336,10 @@ pub trait Engine: Send {
         let _ = (points, bottom);
         None
     }
+    /// Which points of the ground plan [m] lie out of reach where nothing has changed the ground: it is as the scene's shapes say.
+    fn untouched(&self, points: &[[f64; 2]]) -> Vec<bool> {
+        vec![false; points.len()]
+    }
     /// How far points [m] and the particles that count are from one another; those in the archive of ground out of reach are among them. `None` leaves it to whoever
     /// asks, who reads the particles.
     ///

@@ -12,7 +12,7 @@ use crate::plan::PlannedMaterial;
 use crate::scene::{Sampling, Scene, cross};
 use crate::seed::{on_level, uniform};
 use crate::solid::{self, Solid};
-use crate::{Coupling, Engine, Fields, Ledger, ParticleList, Plan, Registry, Result, Spot, Vec3};
+use crate::{Coupling, Engine, Fields, Ledger, ParticleList, Plan, Registry, Result, Spot, Vec3, runout};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
@@ -24,6 +24,8 @@ const FULL: f64 = 1.0 - 1e-6;
 const ROUNDING: f64 = 1e-9;
 /// Numbers of random streams of sources, behind those of any bodies.
 const STREAMS: u64 = 1 << 32;
+/// The same of its rows and layers.
+const ROWS: u64 = 1 << 33;
 
 /// A particle that a source brings in.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,6 +71,8 @@ struct Mouth {
     /// Lattice points of a layer [m], and the directions from one to the next, in the layer and along the stream.
     sites: Vec<Vec3>,
     axes: [Vec3; 3],
+    /// The row along the first direction in which each of the points lies.
+    rows: Vec<u64>,
     sampling: Sampling,
     spacing: f64,
     velocity: Vec3,
@@ -110,6 +114,7 @@ impl Mouth {
         let (mass, period) = (density * spacing.powi(3), spacing / speed);
         let axes = directions(source.velocity.map(|v| v / speed));
         let sites = layer(&*solid, axes, spacing);
+        let fall = solid.bounds().max[2] - scene.world.min[2];
         if sites.is_empty() {
             return Err(scene.fault(
                 &format!("{path}.shape"),
@@ -143,9 +148,15 @@ impl Mouth {
         Ok(Self {
             material,
             body: (scene.body.len() + i) as u16,
+            rows: rows(&sites, axes[1], spacing),
             sites,
             axes,
-            sampling: source.sampling,
+            sampling: match source.sampling {
+                // What holds together should come without gaps.
+                Sampling::Auto if !runout::collapses(&materials[material], scene, fall) => Sampling::Lattice,
+                Sampling::Auto => Sampling::Stagger,
+                other => other,
+            },
             spacing,
             velocity: source.velocity,
             mass,
@@ -190,11 +201,16 @@ impl Mouth {
     /// Where a particle comes in, `late` seconds after its layer was due.
     fn newcomer(&self, seed: u64, (layer, site): (u64, usize), late: f64, gravity: Vec3) -> Newcomer {
         let mut position = self.sites[site];
-        if self.sampling == Sampling::Jitter {
-            for (axis, number) in self.axes.iter().zip([0, 1, 3]) {
-                let by = (self.random(seed, layer, site, number) - 0.5) * self.spacing;
-                (0..3).for_each(|d| position[d] += by * axis[d]);
-            }
+        let row = || [layer * self.sites.len() as u64 + self.rows[site], layer];
+        let part = |number: u64, axis: u64| uniform(seed, ROWS + u64::from(self.body), number, axis);
+        let within = match self.sampling {
+            Sampling::Auto | Sampling::Lattice => [0.5; 3],
+            // As bodies are staggered: rows, and whole layers.
+            Sampling::Stagger => [part(row()[0], 0), part(row()[1], 1), 0.5],
+            Sampling::Jitter => [0, 1, 3].map(|number| self.random(seed, layer, site, number)),
+        };
+        for (axis, within) in self.axes.iter().zip(within) {
+            (0..3).for_each(|d| position[d] += (within - 0.5) * self.spacing * axis[d]);
         }
         for d in 0..3 {
             position[d] += late * (self.velocity[d] + 0.5 * late * gravity[d]);
@@ -483,6 +499,13 @@ fn directions(along: Vec3) -> [Vec3; 3] {
     let length = first.iter().map(|x| x * x).sum::<f64>().sqrt();
     let first = first.map(|x| x / length);
     [first, cross(along, first), along]
+}
+
+/// The number of the row in which each point of a layer lies: rows follow one another along `across`.
+fn rows(sites: &[Vec3], across: Vec3, spacing: f64) -> Vec<u64> {
+    let along = |x: &Vec3| (0..3).map(|d| x[d] * across[d]).sum::<f64>();
+    let first = sites.iter().map(along).fold(f64::INFINITY, f64::min);
+    sites.iter().map(|x| ((along(x) - first) / spacing).round() as u64).collect()
 }
 
 /// The points of a square lattice in the cut through the middle of a solid that lie inside it, centred in its extent along both directions.

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 /// Totals over all particles and free bodies, world frame. Ground out of reach counts only in the mass.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Ledger {
-    /// Particles.
+    /// Particles, without those in the archive.
     pub particles: u64,
     /// Mass of particles, those in the archive included [kg].
     pub mass: f64,

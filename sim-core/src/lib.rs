@@ -30,6 +30,7 @@ pub mod plan;
 pub mod probe;
 pub mod reading;
 pub mod registry;
+mod runout;
 pub mod scene;
 pub mod schedule;
 pub mod seed;

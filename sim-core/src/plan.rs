@@ -16,6 +16,7 @@ pub use materials::{BUILT_IN, PlannedMaterial, loaded};
 pub(crate) use particles::{FARTHEST_CELL, PARTICLES};
 
 use crate::backend::Bound;
+use crate::coupling::Aabb;
 use crate::file::Stamp;
 use crate::flow::Flows;
 use crate::levels::{Agent, CellBox, Regions, surface_depths, targets};
@@ -117,6 +118,8 @@ pub struct Plan {
     pub regions: Regions,
     /// The ground as a function of position, if only what is within reach of agents is live.
     pub terrain: Option<Arc<Terrain>>,
+    /// Boxes that bodies may come to fill which flow apart or fly, inside the world [m]; empty where a run is resumed.
+    pub reaches: Vec<Aabb>,
     /// Its sources and sinks, if it has any.
     pub flows: Option<Arc<Flows>>,
     /// What the levels follow.
@@ -230,6 +233,8 @@ impl Plan {
         files.extend(coupling_files.iter().map(PathBuf::as_path));
         files.extend(task.iter().flat_map(|(_, parameters)| parameters.files()));
         let files = files.into_iter().map(|file| Stamp::of(&scene.folder, file)).collect::<Result<_>>()?;
+        let mut warnings = scene.warnings();
+        warnings.extend(terrain.iter().flat_map(|terrain| overlapping(terrain)));
         let mut plan = Self {
             files,
             precision: options.precision,
@@ -240,6 +245,7 @@ impl Plan {
             ground_cells: Vec::new(),
             cell_min,
             cell_max,
+            reaches: terrain.as_deref().map_or_else(Vec::new, |terrain| terrain.reaches().to_vec()),
             terrain: terrain.filter(|_| regions.unbounded()),
             flows,
             regions,
@@ -255,7 +261,7 @@ impl Plan {
             memory: (0, 0),
             bound,
             dt,
-            warnings: scene.warnings(),
+            warnings,
             materials,
             scene,
         };
@@ -323,6 +329,16 @@ impl Plan {
             press: self.scene.wall_parts().next().is_some(),
         }
     }
+}
+
+/// Says which bodies overlap.
+fn overlapping(terrain: &Terrain) -> Vec<String> {
+    let warning = |([one, other], volume): ([usize; 2], f64)| {
+        format!(
+            "body[{other}]: it overlaps body[{one}] in about {volume:.1e} m³, where matter is there twice; move one of them, or cut it by a difference"
+        )
+    };
+    terrain.overlaps().into_iter().map(warning).collect()
 }
 
 /// Speed up to which ground may sleep [m/s]; 0 if it may not.

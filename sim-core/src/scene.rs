@@ -499,9 +499,15 @@ pub struct Body {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Sampling {
-    /// A cubic lattice.
+    /// `stagger` along those of x and y in which a body stands free, if its material does not hold up a face of the body's height, and for sources of such a
+    /// material; else `lattice`.
     #[default]
+    Auto,
+    /// A cubic lattice. What flows far apart from it comes to rest as upright sheets, one or two cells wide.
     Lattice,
+    /// A cubic lattice whose rows along x and whose layers along y are moved at random, each by a part of the spacing. Nodes inside have the same mass as with
+    /// `lattice`.
+    Stagger,
     /// A cubic lattice, each particle moved at random within its own lattice cell.
     Jitter,
 }

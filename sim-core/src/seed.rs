@@ -8,7 +8,7 @@ use crate::plan::{PlannedMaterial, Precision};
 use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, World, cross};
 use crate::solid::Solid;
 use crate::zoned::{Zoned, Zones};
-use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, settle, solid};
+use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, runout, settle, solid};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -23,6 +23,7 @@ pub struct Terrain {
     materials: Vec<PlannedMaterial>,
     precision: Precision,
     plots: Vec<Plot>,
+    reaches: Vec<Aabb>,
 }
 
 /// What of one body is of one material, ready to be filled.
@@ -34,6 +35,18 @@ struct Plot {
     solid: Box<dyn Solid>,
     /// The lattice that its particles stand on.
     axes: [Axis; 3],
+    places: Places,
+}
+
+/// Where particles stand in the cells of a lattice.
+#[derive(Clone, Copy, PartialEq)]
+enum Places {
+    /// In the middle.
+    Lattice,
+    /// Moved along x, along y: rows by rows along the first of them, layer by layer along the other.
+    Stagger([bool; 2]),
+    /// Anywhere.
+    Jitter,
 }
 
 impl Terrain {
@@ -65,27 +78,33 @@ impl Terrain {
                 let (why, mend) = if least > 0.0 {
                     let why = format!("its least side, {least} m, is below half the spacing of {spacing} m");
                     (why, "enlarge it, or lower spacing or world.cell")
+                } else if matches!(body.shape, Shape::Intersection(_)) {
+                    (
+                        "its shapes have nothing in common in the world".to_owned(),
+                        "move them together, or into the world",
+                    )
                 } else {
                     ("nothing of it lies in the world".to_owned(), "move it, or widen world.min and world.max")
                 };
                 return Err(is_empty(scene, index, &body.material, why, mend));
             }
+            let places = Places::Lattice;
             if body.zone.is_empty() {
-                plots.push(Plot { index, material: own, solid, axes });
+                plots.push(Plot { index, material: own, solid, axes, places });
                 continue;
             }
             let zones = Arc::new(Zones::new(solid, scene, index, own, index_of)?);
             for material in body.materials().into_iter().filter_map(index_of) {
                 let solid = Box::new(Zoned { zones: zones.clone(), material });
-                plots.push(Plot { index, material, solid, axes: axes.clone() });
+                plots.push(Plot { index, material, solid, axes: axes.clone(), places });
             }
         }
-        Ok(Self { scene: scene.clone(), materials: materials.to_vec(), precision, plots })
+        Ok(Self { scene: scene.clone(), materials: materials.to_vec(), precision, plots, reaches: Vec::new() }.placed())
     }
 
     /// Seeds all bodies, one list per level and planned material.
     ///
-    /// Particles form a cubic lattice, centred in the shape's bounds (from the bottom up in height fields and terrains). So a box of
+    /// Particles form a cubic lattice, or one that has been moved as [`Sampling`] says, centred in the shape's bounds (from the bottom up in height fields and terrains). So a box of
     /// n spacings holds n particles along that side, the first half a spacing from the face. A particle's rest volume
     /// is the cube of the spacing. Coordinates are computed relative to the cell of the shape's corner, so a scene
     /// moved by whole cells has the same offsets, bit for bit.
@@ -142,22 +161,77 @@ impl Terrain {
     /// Estimate of how many particles a single level is seeded with, from a few thousand points of each body. 0 on
     /// several levels, where the number depends on where the levels are.
     pub(crate) fn about_how_many(&self) -> f64 {
+        if self.scene.levels.count > 1 { 0.0 } else { self.plots.iter().map(|plot| self.about_how_many_of(plot)).sum() }
+    }
+
+    /// About how many points of its lattice are in a plot.
+    fn about_how_many_of(&self, plot: &Plot) -> f64 {
         const SAMPLES: u64 = 16;
-        let of_plot = |plot: &Plot| {
-            let taken = plot.axes.each_ref().map(|axis| axis.count.min(SAMPLES));
-            let site = |d: usize, i: u64| {
-                let axis = &plot.axes[d];
-                axis.site((i * axis.count + axis.count / 2) as f64 / taken[d] as f64).position
-            };
-            let row = |i, j| {
-                (0..taken[2]).filter(move |&k| plot.solid.contains([site(0, i), site(1, j), site(2, k)])).count()
-            };
-            let inside: usize =
-                (0..taken[0]).flat_map(|i| (0..taken[1]).map(move |j| (i, j))).map(|(i, j)| row(i, j)).sum();
-            let each = |d: usize| plot.axes[d].count as f64 / taken[d] as f64;
-            inside as f64 * each(0) * each(1) * each(2)
+        let taken = plot.axes.each_ref().map(|axis| axis.count.min(SAMPLES));
+        let site = |d: usize, i: u64| {
+            let axis = &plot.axes[d];
+            axis.site((i * axis.count + axis.count / 2) as f64 / taken[d] as f64).position
         };
-        if self.scene.levels.count > 1 { 0.0 } else { self.plots.iter().map(of_plot).sum() }
+        let row =
+            |i, j| (0..taken[2]).filter(move |&k| plot.solid.contains([site(0, i), site(1, j), site(2, k)])).count();
+        let inside: usize =
+            (0..taken[0]).flat_map(|i| (0..taken[1]).map(move |j| (i, j))).map(|(i, j)| row(i, j)).sum();
+        let each = |d: usize| plot.axes[d].count as f64 / taken[d] as f64;
+        inside as f64 * each(0) * each(1) * each(2)
+    }
+
+    /// Pairs of bodies that overlap, with the volume that both fill [m³], from some ten thousand of the lattice points of the first that are in the other. A point
+    /// counts if nearly all of its particle is in both: surfaces that touch, or cross by less than that, do not.
+    pub(crate) fn overlaps(&self) -> Vec<([usize; 2], f64)> {
+        const SAMPLES: u64 = 48;
+        let fills = |body: usize, x: Vec3| self.plots.iter().any(|plot| plot.index == body && plot.solid.contains(x));
+        let bodies = || (0..self.scene.body.len()).filter_map(|body| self.plots.iter().find(|plot| plot.index == body));
+        let mut overlaps = Vec::new();
+        for (n, one) in bodies().enumerate() {
+            let spacing = self.scene.spacing(&self.scene.body[one.index]);
+            let ends = |x: Vec3| {
+                (0..6).map(move |n| {
+                    let mut end = x;
+                    end[n / 2] += if n % 2 == 0 { 0.45 } else { -0.45 } * spacing;
+                    end
+                })
+            };
+            for other in bodies().skip(n + 1) {
+                let both = self.bounds_of(one.index).intersection(&self.bounds_of(other.index));
+                if (0..3).any(|d| both.min[d] >= both.max[d]) {
+                    continue;
+                }
+                // Every so manieth of the lattice points in the box that the two have in common, along each axis.
+                let sites = |d: usize| {
+                    let axis = &one.axes[d];
+                    let (first, end) = (axis.first_from(both.min[d]), axis.first_from(both.max[d]));
+                    let stride = end.saturating_sub(first).div_ceil(SAMPLES).max(1);
+                    let place = |i: u64| axis.site(i as f64).position;
+                    (stride, (first..end).step_by(stride as usize).map(place).collect::<Vec<f64>>())
+                };
+                let [(a, xs), (b, ys), (c, zs)] = [sites(0), sites(1), sites(2)];
+                let places = xs
+                    .iter()
+                    .flat_map(|&x| ys.iter().flat_map(move |&y| [(x, y)]))
+                    .flat_map(|(x, y)| zs.iter().map(move |&z| [x, y, z]));
+                let is_shared = |x: &Vec3| {
+                    fills(other.index, *x)
+                        && fills(one.index, *x)
+                        && ends(*x).all(|end| fills(other.index, end) && fills(one.index, end))
+                };
+                let shared = places.filter(is_shared).count() as u64 * a * b * c;
+                if shared > 0 {
+                    overlaps.push(([one.index, other.index], shared as f64 * spacing.powi(3)));
+                }
+            }
+        }
+        overlaps
+    }
+
+    /// The box of all that a body fills.
+    fn bounds_of(&self, body: usize) -> Aabb {
+        let bounds = self.plots.iter().filter(|plot| plot.index == body).map(|plot| plot.solid.bounds());
+        bounds.reduce(|a, b| a.union(&b)).unwrap_or(Aabb::NOTHING)
     }
 
     /// The tile to which a particle of a body at `x` belongs: that of the coarsest cube of the body's lattice in which
@@ -176,19 +250,75 @@ impl Terrain {
         regions.tile_of([cell[0], cell[1], 0])
     }
 
+    /// Boxes that bodies may come to fill which flow apart or fly, inside the world [m].
+    pub(crate) fn reaches(&self) -> &[Aabb] {
+        &self.reaches
+    }
+
+    /// With particles where the bodies' sampling has them, which depends on what holds the bodies.
+    fn placed(mut self) -> Self {
+        for (index, body) in self.scene.body.iter().enumerate() {
+            let (own, bounds) = (|| self.plots.iter().filter(|plot| plot.index == index), self.bounds_of(index));
+            let volume = own().map(|plot| self.about_how_many_of(plot)).sum::<f64>() * self.scene.spacing(body).powi(3);
+            let materials = own().map(|plot| &self.materials[plot.material]);
+            let runout = runout::of_body(&self.scene, body, &bounds, &self.ends(index, &bounds), volume, materials);
+            self.reaches.extend(runout.reaches);
+            let places = match body.sampling {
+                Sampling::Lattice => Places::Lattice,
+                Sampling::Stagger => Places::Stagger([true; 2]),
+                Sampling::Jitter => Places::Jitter,
+                Sampling::Auto if runout.along == [false; 2] => Places::Lattice,
+                Sampling::Auto => Places::Stagger(runout.along),
+            };
+            self.plots.iter_mut().filter(|plot| plot.index == index).for_each(|plot| plot.places = places);
+        }
+        self
+    }
+
+    /// What holds a body: the world's ends, where a layer reaches them, and bodies beside and below its middle.
+    fn ends(&self, index: usize, bounds: &Aabb) -> runout::Ends {
+        let (scene, body) = (&self.scene, &self.scene.body[index]);
+        let (near, world) = (0.5 * scene.spacing(body), scene.world_box());
+        let middle: Vec3 = std::array::from_fn(|d| 0.5 * (bounds.min[d] + bounds.max[d]));
+        let is_free = |d: usize, side: usize| {
+            let (end, gap) = match side {
+                0 => (bounds.min[d] - near, bounds.min[d] - world.min[d]),
+                _ => (bounds.max[d] + near, world.max[d] - bounds.max[d]),
+            };
+            let mut beyond = middle;
+            beyond[d] = end;
+            let others = self.plots.iter().filter(|plot| plot.index != index);
+            (gap > 0.5 * scene.world.cell || !body.shape.is_layer() && d < 2)
+                && !others.into_iter().any(|plot| plot.solid.contains(beyond))
+        };
+        runout::Ends { sides: [0, 1].map(|d| [0, 1].map(|side| is_free(d, side))), below: is_free(2, 0) }
+    }
+
+    /// Upper end of all bodies at a point    /// Upper end of all bodies at a point of the ground plan, as their shapes have it [m]; none where there is none, nor of bodies that are no
+    /// [layers](Shape::is_layer).
+    pub fn height(&self, [x, y]: [f64; 2]) -> Option<f64> {
+        let tops = self.plots.iter().flat_map(|plot| plot.solid.columns(x, y)).map(|[_, top]| top);
+        tops.reduce(f64::max)
+    }
+
     /// Where a particle of 2^class lattice points along each side lies.
     fn cube_site(&self, plot: &Plot, origin: [u64; 3], class: usize) -> [Site; 3] {
         let side = f64::from(1_u32 << class);
+        // Where in the cube, in shares of its side.
+        let within: [f64; 3] = match plot.places {
+            Places::Lattice => [0.5; 3],
+            Places::Stagger(along) => {
+                let counts = plot.axes.each_ref().map(|axis| axis.count >> class);
+                let by = stagger((self.scene.seed, plot.index as u64), along, origin.map(|i| i >> class), counts);
+                [0.5 + by[0], 0.5 + by[1], 0.5]
+            }
+            Places::Jitter => {
+                let number = (origin[0] * plot.axes[1].count + origin[1]) * plot.axes[2].count + origin[2];
+                std::array::from_fn(|d| uniform(self.scene.seed, plot.index as u64, number, d as u64))
+            }
+        };
         std::array::from_fn(|d| {
-            let axis = &plot.axes[d];
-            let random = match self.scene.body[plot.index].sampling {
-                Sampling::Lattice => 0.5,
-                Sampling::Jitter => {
-                    let number = (origin[0] * plot.axes[1].count + origin[1]) * plot.axes[2].count + origin[2];
-                    uniform(self.scene.seed, plot.index as u64, number, d as u64)
-                }
-            };
-            axis.site(origin[d] as f64 + 0.5 * (side - 1.0) + side * (random - 0.5))
+            plot.axes[d].site(origin[d] as f64 + 0.5 * (side - 1.0) + side * within[d] - 0.5 * side)
         })
     }
 
@@ -342,24 +472,14 @@ impl Seeder<'_> {
         let start = list.len();
         let mut inside = 0_usize;
         let mut row = Row::default();
-        let sites = axes.each_ref().map(Axis::sites);
         list.cell.reserve(points as usize);
         list.offset.reserve(points as usize);
-        for (i, x) in sites[0].iter().enumerate() {
-            for (j, y) in sites[1].iter().enumerate() {
+        for i in 0..axes[0].count {
+            for j in 0..axes[1].count {
                 row.clear();
-                for (k, z) in sites[2].iter().enumerate() {
-                    let site = match body.sampling {
-                        Sampling::Lattice => [*x, *y, *z],
-                        Sampling::Jitter => {
-                            let number = ((i * sites[1].len() + j) * sites[2].len() + k) as u64;
-                            std::array::from_fn(|d| {
-                                let random = uniform(scene.seed, plot.index as u64, number, d as u64);
-                                axes[d].site([i, j, k][d] as f64 + random - 0.5)
-                            })
-                        }
-                    };
-                    let position = site.map(|s: Site| s.position);
+                for k in 0..axes[2].count {
+                    let site = self.terrain.cube_site(plot, [i, j, k], 0);
+                    let position = site.map(|s| s.position);
                     if plot.solid.contains(position) {
                         row.push(site, position);
                     }
@@ -466,9 +586,9 @@ impl Seeder<'_> {
             min: std::array::from_fn(|d| cubes.plot.axes[d].site(origin[d] as f64).position),
             max: std::array::from_fn(|d| cubes.plot.axes[d].site(last[d] as f64).position),
         };
-        // Jittered particles lie up to half a spacing off their lattice points.
-        let reach =
-            if cubes.body.sampling == Sampling::Jitter { 0.5 * self.terrain.scene.spacing(cubes.body) } else { 0.0 };
+        // Particles that are moved lie up to half a spacing off their lattice points.
+        let is_moved = cubes.plot.places != Places::Lattice;
+        let reach = if is_moved { 0.5 * self.terrain.scene.spacing(cubes.body) } else { 0.0 };
         let points = points.grown(reach);
         let cover = cubes.plot.solid.cover(&points);
         if cover == Some(false) {
@@ -675,6 +795,11 @@ impl Axis {
         let first = if on_face { 0.0 } else { corner - base } + (gap + 0.5) * step;
         Self { extent, count: count.max(0.0) as u64, base: base as i32, width, first, step }
     }
+    /// Number of the first point that lies at `x` [m] or beyond.
+    fn first_from(&self, x: f64) -> u64 {
+        let steps = (x / self.width - f64::from(self.base) - self.first) / self.step;
+        steps.ceil().clamp(0.0, self.count as f64) as u64
+    }
     /// The point `number` steps from the first.
     fn site(&self, number: f64) -> Site {
         let along = self.first + number * self.step;
@@ -718,6 +843,28 @@ pub(crate) fn on_level(x: f64, h: f64, level: usize, precision: Precision) -> (i
     let along = x / h;
     let cell = along.floor();
     Site { cell: cell as i32, offset: along - cell, position: x }.on_level(level, precision)
+}
+
+/// By how much of the spacing a point of a lattice of so many is moved, along x and along y where it is to be.
+///
+/// Rows along one of the axes are moved at random, each in itself, and layers along the other one. A node's mass stays what it is: its spline summed over a row of points half a
+/// cell apart does not depend on where the row begins, nor does the sum over a layer's rows. Rows and layers go in pairs, one of which is moved as far as the other is moved
+/// back: the centre of mass stays, too.
+pub(crate) fn stagger((seed, body): (u64, u64), along: [bool; 2], at: [u64; 3], counts: [u64; 3]) -> [f64; 2] {
+    let paired = |place: u64, count: u64, number: &dyn Fn(u64) -> u64, axis: u64| {
+        // Of an odd number the first one stays.
+        place.checked_sub(count % 2).map_or(0.0, |place| {
+            let by = uniform(seed, body, number(place / 2), axis) - 0.5;
+            if place.is_multiple_of(2) { by } else { -by }
+        })
+    };
+    let (inner, [.., layer], [.., layers]) = (usize::from(!along[0]), at, counts);
+    let mut by = [0.0; 2];
+    by[inner] = paired(at[1 - inner], counts[1 - inner], &|pair| layer * counts[1 - inner] + pair, 0);
+    if along == [true; 2] {
+        by[1] = paired(layer, layers, &|pair| pair, 1);
+    }
+    by
 }
 
 /// A number in [0, 1) that depends on its arguments alone: SplitMix64 over their mix.

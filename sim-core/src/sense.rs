@@ -207,7 +207,7 @@ impl Simulation {
 
     /// Height of the surface of the soft ground above or below each point [m]: where, seen from above, particles first fill half of space, taken over a particle's
     /// width to all sides. Single grains in the air are not the ground. Where there is none, that of the world's floor; none if it is open.
-    /// Tools and robots are not seen. Along periodic axes the ground goes on beyond the sides.
+    /// Ground out of `levels.reach` that nothing has changed is where the scene's shapes have it. Tools and robots are not seen. Along periodic axes the ground goes on beyond the sides.
     ///
     /// # Errors
     /// [`Error::Device`] if the particles were lost with their device.
@@ -215,7 +215,7 @@ impl Simulation {
         let world = &self.plan().scene.world;
         let points: Vec<[f64; 2]> = points.iter().map(|point| world.inside(*point)).collect();
         if let Some(found) = self.engine().heights(&points, world.min[2]) {
-            return Ok(self.above_floor(found));
+            return Ok(self.completed(&points, found));
         }
         let column = |&[x, y]: &[f64; 2]| Aabb { min: [x, y, world.min[2]], max: [x, y, world.max[2]] };
         let Some(region) = points.iter().map(column).reduce(|a, b| a.union(&b)) else { return Ok(Vec::new()) };
@@ -227,14 +227,31 @@ impl Simulation {
             (region.min[d], region.max[d]) = (world.min[d], world.max[d]);
         }
         let columns = Columns::new(&self.read(Some(region), fields)?, [world.min[0], world.min[1]], periods);
-        Ok(self.above_floor(points.iter().map(|point| columns.height(*point)).collect()))
+        Ok(self.completed(&points, points.iter().map(|point| columns.height(*point)).collect()))
     }
 
-    /// Heights [m], that of the world's floor where there is no ground.
-    pub(crate) fn above_floor(&self, heights: Vec<Option<f64>>) -> Vec<Option<f64>> {
+    /// Height of the ground at points where nothing has changed it and that are out of `levels.reach`, or nearer than `margin` [m] to such ground along x or y: as the
+    /// scene's shapes have it [m]. None elsewhere, and where they have nothing.
+    pub fn untouched_heights(&self, points: &[[f64; 2]], margin: f64) -> Vec<Option<f64>> {
+        let Some(terrain) = &self.plan().terrain else { return vec![None; points.len()] };
+        let (world, inner) = (&self.plan().scene.world, 0.5 * self.plan().scene.world.cell);
+        let corner = |n: usize, point: &[f64; 2]| {
+            let place = |d: usize| point[d] + if n >> d & 1 == 0 { -margin } else { margin };
+            [0, 1].map(|d| place(d).clamp(world.min[d] + inner, world.max[d] - inner))
+        };
+        let all: Vec<[f64; 2]> = points.iter().flat_map(|point| (0..4).map(|n| corner(n, point))).collect();
+        let untouched = self.engine().untouched(&all);
+        let height =
+            |(point, near): (&[f64; 2], &[bool])| if near.contains(&true) { terrain.height(*point) } else { None };
+        points.iter().zip(untouched.chunks(4)).map(height).collect()
+    }
+
+    /// Heights of what particles are at points [m], completed: by ground out of reach, and by the world's floor where there is no ground.
+    pub(crate) fn completed(&self, points: &[[f64; 2]], heights: Vec<Option<f64>>) -> Vec<Option<f64>> {
         let world = &self.plan().scene.world;
         let floor = (world.walls.z_min != Wall::Open).then_some(world.min[2]);
-        heights.into_iter().map(|height| height.or(floor)).collect()
+        let untouched = self.untouched_heights(points, 0.0);
+        heights.into_iter().zip(untouched).map(|(height, untouched)| untouched.or(height).or(floor)).collect()
     }
 
     /// The particles that touch a body with such bounds.

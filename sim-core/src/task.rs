@@ -181,7 +181,7 @@ impl Simulation {
     /// The same, where something has been looked at before.
     pub(crate) fn seen(&self, watch: &Watch, Looked { sums, sample, heights }: Looked) -> Result<Seen> {
         let heights = match heights {
-            Some(found) => self.above_floor(found),
+            Some(found) => self.completed(&watch.heights, found),
             None => self.heights(&watch.heights)?,
         };
         let exact = Fields { exact: true, ..Fields::default() };

@@ -376,6 +376,20 @@ fn overrides_reach_by_index_and_by_name_before_anything_is_checked() {
     assert_eq!(scene.world.walls.x_min, Wall::Separate { friction: 0.2 });
 }
 
+/// An angle in radians takes the place of the same in degrees, and the other way round: of two overrides the last counts.
+#[test]
+fn an_override_of_an_angle_replaces_its_other_form() {
+    let friction = |sets: &[&str]| {
+        let mut scene = read(SCENE).unwrap();
+        let all: Vec<String> = sets.iter().map(|set| format!("material[0].parameters.{set}")).collect();
+        scene.set(&all).unwrap();
+        let given = |key: &str| scene.material[0].parameters.get(key).copied();
+        [given("friction_angle"), given("friction_angle_deg")]
+    };
+    assert_eq!(friction(&["friction_angle=0.4"]), [Some(0.4), None]);
+    assert_eq!(friction(&["friction_angle=0.4", "friction_angle_deg=30.0"]), [None, Some(30.0)]);
+}
+
 #[test]
 fn overrides_that_lead_nowhere_are_refused_and_change_nothing() {
     for (text, path, message) in [

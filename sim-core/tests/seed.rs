@@ -52,6 +52,46 @@ fn a_box_holds_a_whole_number_of_spacings_a_side() {
     assert!(list.state[0].iter().all(|x| *x == f64::from(0.1_f32)), "values are those of an f32 run");
 }
 
+/// A body that neither walls nor its strength hold stands in layers that are moved along the axes on which it is free; one of other ground, or of the whole world, on a lattice.
+#[test]
+fn what_flows_apart_is_staggered_along_its_free_axes() {
+    let places = |gravity: &str, parameters: &str, min: Vec3, max: Vec3, more: &str| {
+        let text = format!(
+            "name = 'seed'
+            gravity = [0, 0, {gravity}]
+            world = {{ cell = 0.04, min = [0, 0, 0], max = [1, 1, 1] }}
+            time = {{ end = 1 }}
+            material = [{{ name = 'm', law = 'elastic', density = 1000, parameters = {parameters} }}]
+            [[body]]
+            material = 'm'
+            shape = {{ box = {{ min = {min:?}, max = {max:?} }} }}
+            {more}"
+        );
+        let scene = Scene::from_str(&text, "seed.toml", "").unwrap();
+        let list = particles_of(&scene, &Options { precision: Precision::F64, ..Options::default() }).unwrap();
+        let volume: f64 = list.volume0.iter().sum();
+        let whole: f64 = (0..3).map(|d| max[d] - min[d]).product();
+        assert!((volume / whole - 1.0).abs() < 1e-9, "{volume} of {whole}");
+        assert!((0..3).all(|d| (center(&list)[d] - 0.5 * (min[d] + max[d])).abs() < 1e-9), "{:?}", center(&list));
+        // How far particles are from lattice points, at most, along each axis, in spacings.
+        let off = |d: usize| {
+            let along = |i: usize| (list.position(i)[d] / 0.02 - 0.5).fract().abs();
+            (0..list.len()).map(|i| along(i).min(1.0 - along(i))).fold(0.0, f64::max) > 0.1
+        };
+        (0..list.len()).for_each(|i| assert!((0..3).all(|d| (min[d]..max[d]).contains(&list.position(i)[d]))));
+        [off(0), off(1), off(2)]
+    };
+    let [sand, rock] = ["{ strength = 0 }", "{}"];
+    let (low, high) = ([0.4, 0.4, 0.0], [0.6, 0.6, 0.2]);
+    assert_eq!(places("-9.81", sand, low, high, ""), [true, true, false]);
+    assert_eq!(places("-9.81", sand, [0.4, 0.0, 0.0], [0.6, 1.0, 0.22], ""), [true, false, false]);
+    assert_eq!(places("-9.81", sand, [0.0; 3], [1.0, 1.0, 0.2], ""), [false; 3]);
+    assert_eq!(places("0", sand, low, high, ""), [false; 3]);
+    assert_eq!(places("-9.81", rock, low, high, ""), [false; 3]);
+    assert_eq!(places("-9.81", sand, low, high, "sampling = 'lattice'"), [false; 3]);
+    assert_eq!(places("-9.81", rock, low, high, "sampling = 'stagger'"), [true, true, false]);
+}
+
 #[test]
 fn the_lattice_is_centred_where_sides_are_no_whole_spacings() {
     let list = particles("shape = { box = { min = [0, 0, 0], max = [0.105, 0.1, 0.1] } }");
@@ -339,4 +379,22 @@ fn a_body_that_ends_within_a_cell_of_a_wall_is_warned_of() {
         scene.warnings().iter().filter(|warning| warning.contains("body[0]") && warning.contains("x_min")).count()
     };
     assert_eq!([0.0, 0.008, 0.02, 0.036, 0.04, 0.1].map(warned), [0, 0, 1, 1, 0, 0]);
+}
+
+/// Where bodies overlap, matter would be there twice. Bodies that touch, or stand in a hole of one another, do not.
+#[test]
+fn bodies_that_overlap_are_told() {
+    let warned = |other: &str| {
+        let bed = "shape = { box = { min = [-0.5, -0.5, 0.0], max = [0.5, 0.5, 0.2] } }";
+        let scene = scene(&format!("{bed}\n[[body]]\nmaterial = 'm'\nshape = {other}"));
+        let (plan, ..) = Plan::assemble(&common::registry(), &scene, &Options::default()).unwrap();
+        plan.warnings.into_iter().filter(|warning| warning.contains("overlaps")).collect::<Vec<_>>()
+    };
+    let inside = warned("{ box = { min = [0.1, 0.1, 0.1], max = [0.3, 0.3, 0.4] } }");
+    assert_eq!(inside.len(), 1);
+    assert!(inside[0].starts_with("body[1]: it overlaps body[0] in about 4.0e-3 m³"), "{inside:?}");
+    let round = warned("{ sphere = { center = [0, 0, 0.3], radius = 0.2 } }");
+    assert!(round[0].contains("in about 5.2e-3") || round[0].contains("in about 5.3e-3"), "{round:?}");
+    assert_eq!(warned("{ box = { min = [0.1, 0.1, 0.2], max = [0.3, 0.3, 0.4] } }"), [""; 0]);
+    assert_eq!(warned("{ sphere = { center = [0, 0, 0.41], radius = 0.2 } }"), [""; 0]);
 }

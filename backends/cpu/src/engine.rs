@@ -498,6 +498,13 @@ impl<T: Scalar> Engine for CpuEngine<T> {
         reading
     }
 
+    fn untouched(&self, points: &[[f64; 2]]) -> Vec<bool> {
+        let coarsest = self.levels.last().map_or(f64::NAN, |level| level.store.cell_width);
+        let is_untouched =
+            |point: &[f64; 2]| self.reach.as_ref().is_some_and(|reach| reach.is_untouched(*point, coarsest));
+        points.iter().map(is_untouched).collect()
+    }
+
     fn crossed(&self) -> Result<Vec<Crossed>> {
         Ok(self.flux.crossed.clone())
     }

@@ -217,6 +217,15 @@ impl Engine for WorldEngine {
         looked.unwrap_or_default().pop().and_then(|looked| looked.heights)
     }
 
+    fn untouched(&self, points: &[[f64; 2]]) -> Vec<bool> {
+        let batch = self.shared.batch();
+        let world = &batch.worlds[self.world];
+        let coarsest = world.levels.last().map_or(f64::NAN, |level| level.h);
+        let is_untouched =
+            |point: &[f64; 2]| world.reach.as_ref().is_some_and(|reach| reach.is_untouched(*point, coarsest));
+        points.iter().map(is_untouched).collect()
+    }
+
     fn apart(&self, points: &[Vec3], filter: Filter) -> Result<Option<Apart>> {
         self.shared.with(|batch| batch.apart(self.world, points, filter))
     }

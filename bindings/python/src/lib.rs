@@ -13,6 +13,7 @@ mod picture;
 mod records;
 mod scene;
 mod simulation;
+mod state;
 
 use barchan::Registry;
 use barchan::parameter::{Parameter, Value as Given};
@@ -107,7 +108,7 @@ fn adapters(py: Python<'_>, backend: &str) -> PyResult<Vec<String>> {
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<simulation::Simulation>()?;
-    module.add_class::<simulation::State>()?;
+    module.add_class::<state::State>()?;
     module.add_class::<environment::Environment>()?;
     module.add_class::<picture::View>()?;
     module.add_function(wrap_pyfunction!(load_plugin, module)?)?;

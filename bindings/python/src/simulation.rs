@@ -2,6 +2,7 @@
 
 use crate::errors::{OrRaise, exception, raised};
 use crate::machine::{Machine, taken};
+use crate::state::State;
 use crate::{arrays, known, records, scene};
 use barchan::probe::Filter;
 use barchan::scene::Probe;
@@ -19,32 +20,6 @@ const FIELDS: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body"
 
 /// Numbers of any shape: an array, or lists of them. Shapes are checked where it is known what they should be.
 pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
-
-/// Everything that a world goes on from, bit for bit: a copy in memory.
-///
-/// `Simulation.state` takes it and `Simulation.restore` goes back to it. It takes about 300 bytes a particle.
-#[pyclass(module = "barchan", frozen)]
-pub(crate) struct State {
-    state: barchan::State,
-}
-
-#[pymethods]
-impl State {
-    /// Simulated time [s].
-    #[getter]
-    fn time(&self) -> f64 {
-        self.state.time()
-    }
-    /// Steps taken.
-    #[getter]
-    fn step_count(&self) -> u64 {
-        self.state.step_count()
-    }
-    fn __repr__(&self) -> String {
-        let state = &self.state;
-        format!("<barchan.State of '{}' at t = {:.6} s, step {}>", state.scene().name, state.time(), state.step_count())
-    }
-}
 
 /// A scene that is put on a backend and stepped: one world, or many that are stepped together.
 ///

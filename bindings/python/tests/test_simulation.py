@@ -1,6 +1,7 @@
 """The class Simulation: what a user can count on."""
 
 import _thread
+import copy
 import json
 import multiprocessing
 import pickle
@@ -357,8 +358,10 @@ def test_states_forks_and_files_go_on_bit_for_bit(press, same, tmp_path):
     assert loaded.precision == "f64" and loaded.step_count == 20
     assert same(simulation, fork) and same(simulation, loaded)
     again = barchan.Simulation(press, precision="f64")
-    again.restore(state)
+    again.restore(copy.deepcopy(state))
     assert again.step_count == 10 == state.step_count
+    with pytest.raises(TypeError, match="State cannot be pickled"):
+        pickle.dumps(state)
     again.step(10)
     assert same(simulation, again)
     with pytest.raises(barchan.BodyError, match="f64"):

@@ -45,7 +45,7 @@ use crate::stress::pressure;
 use barchan_core::glam;
 use barchan_core::levels::CellBox;
 use barchan_core::plan::Plan;
-use barchan_core::scene::{CutColour, Motion, Scene, Tool, Wall};
+use barchan_core::scene::{CutColour, Motion, Tool, Wall};
 use barchan_core::{ParticleState, Result, Simulation, Spot, Vec3};
 use camera::Camera;
 use colour::{Ground, viridis};
@@ -73,6 +73,8 @@ const STRIP: usize = 38;
 const LEAST_WIDTH: usize = 540;
 const TEXT: f32 = 8.75;
 
+/// Most particle spacings that the surface seen from above is wide.
+const MOST_NODES: f32 = 2000.0;
 /// Share of a picture's width that the cut below a view in perspective may be high.
 const CUT_SHARE: f64 = 0.3;
 
@@ -82,6 +84,9 @@ pub struct View {
     name: String,
     min: Vec3,
     max: Vec3,
+    /// Decimals of the time below pictures.
+    #[serde(default)]
+    decimals: usize,
     cut: CutColour,
     cut_y: f64,
     spacing: f64,
@@ -196,11 +201,14 @@ impl View {
     pub fn new(simulation: &Simulation) -> Self {
         let scene = &simulation.plan().scene;
         let spots = simulation.spots();
-        let (min, max) = extent(scene, &spots);
+        let (min, max) = extent(simulation.plan(), &spots);
         let bodies = scene.body.iter().map(|body| scene.spacing(body));
         let sources = scene.inflow.iter().map(|source| scene.inflow_spacing(source));
         let finest = bodies.chain(sources).fold(f64::INFINITY, f64::min);
         let spacing = if finest.is_finite() { finest } else { 0.5 * scene.world.cell };
+        let ys = spots.iter().map(|spot| spot.position[1]);
+        let ends = ys.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], y| [low.min(y), high.max(y)]);
+        let middle = if ends[0] <= ends[1] { 0.5 * (ends[0] + ends[1]) } else { 0.5 * (min[1] + max[1]) };
         let pixels = scene.output.picture.pixels as usize;
         let across = (pixels.saturating_sub(2 * MARGIN).max(64)) as f64 / (max[0] - min[0]);
         let down = (pixels.saturating_sub(HEADER + 2 * STRIP).max(64)) as f64 / (max[1] - min[1] + max[2] - min[2]);
@@ -217,8 +225,9 @@ impl View {
             name: scene.name.clone(),
             min,
             max,
+            decimals: decimals(scene.output.interval),
             cut: scene.output.picture.cut,
-            cut_y: scene.output.picture.cut_y.unwrap_or(0.5 * (min[1] + max[1])),
+            cut_y: scene.output.picture.cut_y.unwrap_or(middle),
             spacing,
             heights: None,
             top: 0.0,
@@ -309,7 +318,9 @@ impl View {
 
     fn surface(&self, dots: &[Dot]) -> Surface {
         let far = [(self.max[0] - self.min[0]) as f32, (self.max[1] - self.min[1]) as f32];
-        Surface::new(dots, self.spacing as f32, [0.0; 2], far, self.min[2] as f32)
+        // What no pixel shows takes no memory.
+        let spacing = (self.spacing as f32).max(far[0].max(far[1]) / MOST_NODES);
+        Surface::new(dots, spacing, [0.0; 2], far, self.min[2] as f32)
     }
 
     fn frame_above(&self) -> Frame {
@@ -402,13 +413,18 @@ impl View {
         }
     }
 
+    /// A time [s], so that pictures that follow one another have different ones.
+    pub(crate) fn label(&self, time: f64) -> String {
+        format!("t = {time:.0$} s", self.decimals.max(2))
+    }
+
     /// Sets the panels on a page with title, time, scale bar and legends.
     fn page(&self, relief: &Image, cut: &Image, ground: Ground, (level, range): (f32, f32), time: f64) -> Image {
         let rect = self.relief_rect();
         let (left, right) = (MARGIN as f32, (self.width() - MARGIN) as f32);
         let mut page = Image::new(self.width(), HEADER + rect.height + STRIP + cut.height() + STRIP, PAGE);
         page.text(left, 11.0, TEXT + 1.75, Align::Left, INK, &self.name);
-        page.text(right, 11.0, TEXT + 1.75, Align::Right, INK, &format!("t = {time:.2} s"));
+        page.text(right, 11.0, TEXT + 1.75, Align::Right, INK, &self.label(time));
 
         page.paste(relief, rect.x, rect.y);
         let strip = rect.y + rect.height + 14;
@@ -437,7 +453,7 @@ impl View {
         self.border(&mut page, below, [self.walls[0], self.walls[1], false, self.walls[4]]);
 
         let strip = below.y + below.height + 14;
-        let cut_label = format!("cut at y = {:.2} m", self.cut_y);
+        let cut_label = format!("cut at y = {:.2} m", (100.0 * self.cut_y).round() / 100.0 + 0.0);
         page.text(left, strip as f32, TEXT, Align::Left, INK, &cut_label);
         let (quantity, (factor, name)) = match self.cut {
             CutColour::Pressure => ("pressure", unit(self.top, "Pa")),
@@ -523,6 +539,15 @@ fn unit(value: f64, base: &str) -> (f64, String) {
     (factor, format!("{prefix}{base}"))
 }
 
+/// Decimals that multiples of an interval [s] take, 6 at most.
+fn decimals(interval: f64) -> usize {
+    let is_whole = |decimals: &usize| {
+        let last = interval * 10f64.powi(*decimals as i32);
+        (last - last.round()).abs() < 1e-6 * last
+    };
+    (0..6).find(is_whole).unwrap_or(6)
+}
+
 /// Places where a tool's origin comes by until `end` [m].
 fn places(tool: &Tool, end: f64) -> Vec<Vec3> {
     match &tool.motion {
@@ -534,9 +559,9 @@ fn places(tool: &Tool, end: f64) -> Vec<Vec3> {
     }
 }
 
-/// What a view shows: the particles with a quarter of their extent around, inside the world, down to a floor.
-fn extent(scene: &Scene, particles: &[Spot]) -> (Vec3, Vec3) {
-    let world = &scene.world;
+/// What a view shows: the particles with a quarter of their extent around, and how far they may run out, inside the world, down to a floor.
+fn extent(plan: &Plan, particles: &[Spot]) -> (Vec3, Vec3) {
+    let (scene, world) = (&plan.scene, &plan.scene.world);
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for Spot { position, .. } in particles {
         for d in 0..3 {
@@ -567,7 +592,12 @@ fn extent(scene: &Scene, particles: &[Spot]) -> (Vec3, Vec3) {
     high[2] = high[2].max(way.fold(high[2], f64::max).min(high[2] + 0.35 * wide) - above[2]);
     let below = [0.25 * size[0], 0.25 * size[1], 0.1 * size[2]];
     let mut min: Vec3 = std::array::from_fn(|d| (low[d] - below[d]).max(world.min[d]));
-    let max: Vec3 = std::array::from_fn(|d| (high[d] + above[d]).min(world.max[d]));
+    let mut max: Vec3 = std::array::from_fn(|d| (high[d] + above[d]).min(world.max[d]));
+    for reach in &plan.reaches {
+        for d in 0..3 {
+            (min[d], max[d]) = (min[d].min(reach.min[d]), max[d].max(reach.max[d]));
+        }
+    }
     if world.walls.z_min != Wall::Open {
         min[2] = world.min[2];
     }

@@ -205,9 +205,9 @@ impl Scene {
             warnings.extend(self.nearly_at_walls(i, body));
             let cells = self.spacing(body) / self.world.cell;
             if !(0.33..=0.67).contains(&cells) {
+                let name = if body.name.is_empty() { format!("body[{i}]") } else { format!("body '{}'", body.name) };
                 warnings.push(format!(
-                    "body '{}': spacing is {cells:.2} cells, {:.1} particles a cell; outside 0.33 to 0.67 it costs more than it gains, or gaps open under stretch",
-                    body.name,
+                    "{name}: spacing is {cells:.2} cells, {:.1} particles a cell; outside 0.33 to 0.67 it costs more than it gains, or gaps open under stretch",
                     cells.powi(-3)
                 ));
             }
@@ -599,7 +599,7 @@ impl Scene {
         self.require(
             (least..=most).contains(&cells),
             path,
-            format!("is {cells:.3} cells"),
+            format!("is {spacing} m, {cells:.3} cells"),
             format!("must be from 0.2 to 1 cells, {} to {} m", 0.2 * self.world.cell, self.world.cell),
         )
     }
@@ -700,7 +700,7 @@ impl Scene {
                     "reaches out of the world: {axis} from {} to {}, the world from {} to {}",
                     bounds.min[d], bounds.max[d], self.world.min[d], self.world.max[d]
                 ),
-                "move or shrink the body, or widen world.min and world.max",
+                "move or shrink it, or widen world.min and world.max",
             )?;
         }
         Ok(())

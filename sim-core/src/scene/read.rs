@@ -376,6 +376,9 @@ fn apply(root: &mut Value, text: &str) -> Result<String> {
                 let Value::Table(table) = scalar_or_table else {
                     unreachable!("what was no table has just been made one")
                 };
+                // An angle is given in radians or in degrees: what is set replaces the other.
+                let twin = segment.strip_suffix("_deg").map_or_else(|| format!("{segment}_deg"), str::to_owned);
+                table.remove(&twin);
                 table.entry(segment).or_insert_with(|| Value::Table(toml::Table::new()))
             }
         };

@@ -181,7 +181,10 @@ impl Simulation {
     /// First, couplings as a state has them; returns what they were.
     pub(crate) fn take_couplings(&mut self, state: &State) -> Result<Saved> {
         if let Some(what) = self.differs(state) {
-            return Err(unfit(what, "make a simulation of the state by Simulation::from_state"));
+            return Err(unfit(
+                what,
+                "make a simulation of the state's scene and restore it there (in Rust, Simulation::from_state makes one)",
+            ));
         }
         let before: Saved = self.couplings.iter().map(|c| (c.name().to_owned(), c.save())).collect();
         if let Err((what, mend)) = restore(&mut self.couplings, &state.moment.couplings) {

@@ -53,7 +53,21 @@ unsafe extern "C" fn update(_: *const BarchanBatchF32, _: *mut BarchanError) -> 
     BARCHAN_OK
 }
 
-unsafe extern "C" fn update64(_: *const BarchanBatchF64, _: *mut BarchanError) -> BarchanStatus {
+/// A stress that grows with strain, up to the strength.
+unsafe extern "C" fn update64(batch: *const BarchanBatchF64, _: *mut BarchanError) -> BarchanStatus {
+    // SAFETY: the host's batch has `stride` floats a plane and four parameters, as the ABI promises.
+    unsafe {
+        let b = &*batch;
+        let (modulus, strength) = (*b.params, *b.params.add(3));
+        for plane in 0..6 {
+            for i in 0..b.n {
+                let at = plane * b.stride + i;
+                let strain = *b.strain_trial.add(at);
+                *b.strain.add(at) = strain;
+                *b.kirchhoff.add(at) = (modulus * (strain - f64::from(plane < 3))).clamp(-strength, strength);
+            }
+        }
+    }
     BARCHAN_OK
 }
 

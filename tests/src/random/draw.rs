@@ -693,7 +693,8 @@ fn flow(frame: &mut Frame) -> [Table; 2] {
     let is_still = along.iter().all(|x| *x == 0.0);
     source.insert("velocity".to_owned(), floats(if is_still { [0.0, 0.0, -frame.speed] } else { along }));
     source.insert("until".to_owned(), Value::Float(frame.decades(1e-3, 0.1)));
-    source.insert("sampling".to_owned(), Value::String(frame.pick(&["lattice", "jitter"]).to_owned()));
+    source
+        .insert("sampling".to_owned(), Value::String(frame.pick(&["auto", "lattice", "stagger", "jitter"]).to_owned()));
     let least = 2.0 * f64::from(1 << (frame.levels - 1));
     sink.insert("shape".to_owned(), ball(frame.point(3.0), cell * frame.between(least, least + 3.0)));
     sink.insert("from".to_owned(), Value::Float(frame.pick(&[0.0, 1e-3, 1e-2])));

@@ -1,8 +1,10 @@
 //! Forces on plates and depths of impacts in sand, short; `examples/sand_forces.rs` runs them whole.
 
+use barchan::Precision;
 use barchan::gallery::{discharge, mobilised, poured, run_out};
 use barchan_tests::granular::{impacts, plates_short};
-use barchan_tests::scenes::within;
+use barchan_tests::scenes::{run_to, simulation, within};
+use barchan_tests::sketch::{Head, block, material};
 
 /// A6: forces on a plate that is pushed into sand, and on one that is dragged through it.
 #[test]
@@ -25,6 +27,30 @@ fn columns_run_out_as_far_as_measured() {
         let ratio = run_out(aspect).unwrap() / law;
         within(&format!("A8, a = {aspect}: run-out over the law {ratio:.3}, off by"), (ratio - 1.0).abs(), 0.3);
     }
+}
+
+/// Symptom: what flows far from a lattice comes to rest as a comb of upright sheets, since particles that began above one another stay so. Physics: loose sand rests
+/// as a heap, which rises to its top and falls from there.
+#[test]
+fn a_slender_column_comes_to_rest_as_a_heap() {
+    let hollow = |more: &str| {
+        let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+        let sand = material("sand", 1600.0, "young_modulus = 2e5, poisson_ratio = 0.3, friction_angle_deg = 30.0");
+        let column = block("sand", [0.55, 0.0, 0.0], [0.65, 0.12, 0.3], more);
+        let mut sim = simulation(&Head::cells(0.02, [60, 6, 20], walls).with(&[sand, column]), Precision::F32);
+        run_to(&mut sim, 1.6);
+        let points: Vec<[f64; 2]> = (0..120).map(|i| [0.005 + 0.01 * f64::from(i), 0.06]).collect();
+        let heights: Vec<f64> = sim.heights(&points).unwrap().into_iter().flatten().collect();
+        let highest = |part: &[f64]| part.iter().copied().fold(0.0, f64::max);
+        let depth = |i: usize| highest(&heights[..i]).min(highest(&heights[i + 1..])) - heights[i];
+        (0..heights.len()).map(depth).fold(0.0, f64::max) / 0.02
+    };
+    for more in ["", "settled = true"] {
+        within(&format!("deepest hollow between higher ground, '{more}' [cells]"), hollow(more), 0.75);
+    }
+    let comb = hollow("sampling = \"lattice\"");
+    println!("from a lattice: {comb:.2} cells");
+    assert!(comb > 1.5, "the lattice shows what this test looks for: {comb}");
 }
 
 /// A14: a heap that is poured is as steep as its cone's friction in simple shear, on both sides, and rests.

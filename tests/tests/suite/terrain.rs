@@ -2,6 +2,7 @@
 
 use barchan::picture::Image;
 use barchan::probe::Filter;
+use barchan::scene::Shape;
 use barchan::{Ledger, Options, Precision, Scene, Simulation, Vec3};
 use barchan_tests::scenes::{options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, body, material, tool};
@@ -48,7 +49,7 @@ fn particles_fill_a_terrain_up_to_its_surface() {
     ] {
         let s = simulation(&bed(surface, ""), Precision::F64);
         let shape = &s.plan().scene.body[0].shape;
-        let barchan::scene::Shape::Terrain(terrain) = shape else { panic!("{shape:?}") };
+        let Shape::Terrain(terrain) = shape else { panic!("{shape:?}") };
         let heights = terrain.heights();
         let all = rows(&s);
         let above = all.iter().map(|r| r.x[2] - heights.at(r.x[0], r.x[1])).fold(f64::NEG_INFINITY, f64::max);
@@ -140,9 +141,6 @@ fn heights_on_a_device_are_those_on_a_processor_in_the_archive_too() {
         run_to(&mut s, next);
     }
     let eye = s.bodies()[0].position;
-    let around = |[x, y]: [f64; 2]| -> Vec<[f64; 2]> {
-        (0..49).map(|n| [x + 0.05 * f64::from(n % 7 - 3), y + 0.05 * f64::from(n / 7 - 3)]).collect()
-    };
     let points = [around([eye[0], eye[1]]), around([0.0; 2])];
     let there = points.each_ref().map(|points| s.heights(points).unwrap());
     let cloud: Vec<Vec3> = points.iter().flatten().map(|[x, y]| [*x, *y, 0.31]).collect();
@@ -160,6 +158,49 @@ fn heights_on_a_device_are_those_on_a_processor_in_the_archive_too() {
         let [here, there] = [here, there].map(|nearest| nearest.unwrap().distance(*point));
         assert!((here - there).abs() < 1e-6 * here, "nearest to {point:?}: {here} and {there} m");
     }
+}
+
+/// Symptom: a robot on dunes without end sees a floor at height 0 beyond what is live, and so does who asks for a map of them. Physics: ground that nobody has
+/// touched is as high as its shape.
+#[test]
+fn ground_out_of_reach_is_as_high_as_its_shape() {
+    let flight = flight("[levels]\ncount = 2\nhalf = 8\nreach = 4\n");
+    for (backend, precision) in [("cpu", Precision::F64), ("wgpu", Precision::F32)] {
+        let options = Options { backend: backend.to_owned(), ..options(precision) };
+        let mut s = Simulation::new(&barchan::registry(), &scene(&flight), &options).unwrap();
+        // Some ground that has been live is given back or archived, some comes.
+        while counted(&s.ledger(), "tiles brought in from the terrain") < 20 {
+            (0..10).for_each(|_| drop(s.step().unwrap_or_else(|e| panic!("{e}"))));
+        }
+        let Shape::Terrain(terrain) = &s.plan().scene.body[0].shape else { panic!("a terrain") };
+        let shape = terrain.heights();
+        let points: Vec<[f64; 2]> =
+            (0..900).map(|n| [n % 30, n / 30].map(|i| 2.7 * (f64::from(i) - 14.6))).chain(around([0.0; 2])).collect();
+        let (heights, untouched) = (s.heights(&points).unwrap(), s.untouched_heights(&points, 0.0));
+        let (mut far, mut near, mut away) = (0f64, 0f64, 0);
+        for ((point, height), untouched) in points.iter().zip(heights).zip(untouched) {
+            let off = (height.unwrap() - shape.at(point[0], point[1])).abs();
+            away += usize::from(untouched.is_some());
+            *if untouched.is_some() { &mut far } else { &mut near } =
+                off.max(if untouched.is_some() { far } else { near });
+        }
+        assert!(
+            away > 850 && away < points.len() - 20,
+            "{backend}: {away} of {} points are out of reach",
+            points.len()
+        );
+        within(&format!("{backend}: heights out of reach [m]"), far, 1e-12);
+        within(&format!("{backend}: heights within reach [cells]"), near / CELL, 1.0);
+        let map = barchan::export::height_map(&s, 0.16);
+        let columns = (0..map.map().heights().len()).map(|i| (map.map().at(i), map.map().heights()[i]));
+        let off = columns.map(|([x, y], height)| (height - shape.at(x, y)).abs());
+        within(&format!("{backend}: heights of a map [m]"), off.fold(0.0, f64::max), 0.06);
+    }
+}
+
+/// 49 points about a place [m].
+fn around([x, y]: [f64; 2]) -> Vec<[f64; 2]> {
+    (0..49).map(|n| [x + 0.05 * f64::from(n % 7 - 3), y + 0.05 * f64::from(n / 7 - 3)]).collect()
 }
 
 /// A bed of layers by depth, snow over sand, perhaps with a block of clay in it.
@@ -279,7 +320,7 @@ fn snow_lies_on_rock_of_the_same_form() {
         tool("rock", [0.0, 0.0, -0.2], &ground, "{ coulomb = { friction = 0.5 } }", "\"fixed\""),
     ]);
     let mut s = simulation(&text, Precision::F32);
-    let barchan::scene::Shape::Terrain(terrain) = &s.plan().scene.body[0].shape else { panic!("no terrain") };
+    let Shape::Terrain(terrain) = &s.plan().scene.body[0].shape else { panic!("no terrain") };
     let heights = terrain.heights();
     let depths = |s: &Simulation| rows(s).iter().map(|r| heights.at(r.x[0], r.x[1]) - r.x[2]).fold(0f64, f64::max);
     let start = depths(&s);

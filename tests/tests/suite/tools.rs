@@ -12,7 +12,7 @@ fn column(parts: &[String]) -> String {
     let walls = "x_min = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
     let sand = [
         material("sand", 1500.0, "young_modulus = 2e5, friction_angle_deg = 30.0"),
-        block("sand", [0.0; 3], [0.16, 0.08, 0.2], ""),
+        block("sand", [0.0; 3], [0.16, 0.08, 0.2], "sampling = \"lattice\""),
     ];
     Head::cells(CELL, [32, 4, 16], walls).time("step = 2e-4").with(&[&sand, parts].concat())
 }

@@ -47,6 +47,12 @@ impl HeightMap {
         Self { min: [min[0], min[1]], column, count, heights: filled.chunks(bins).map(height).collect() }
     }
 
+    /// Puts in heights [m] that are known otherwise, of columns about such middles [m].
+    pub(crate) fn put_in(&mut self, known: impl FnOnce(&[[f64; 2]]) -> Vec<Option<f64>>) {
+        let columns: Vec<[f64; 2]> = (0..self.heights.len()).map(|index| self.at(index)).collect();
+        self.heights.iter_mut().zip(known(&columns)).for_each(|(height, known)| *height = known.unwrap_or(*height));
+    }
+
     /// Height of each column [m], rows along x.
     pub fn heights(&self) -> &[f64] {
         &self.heights

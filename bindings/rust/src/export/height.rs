@@ -19,7 +19,9 @@ pub struct HeightFile {
 /// The height of the ground of a whole world in square columns `spacing` [m] wide, the particles of all bodies together; see [`HeightMap`].
 pub fn height_map(simulation: &Simulation, spacing: f64) -> HeightFile {
     let grains: Vec<Grain> = simulation.spots().iter().map(Grain::of).collect();
-    let map = HeightMap::new(&grains, &simulation.plan().scene.world, spacing);
+    let mut map = HeightMap::new(&grains, &simulation.plan().scene.world, spacing);
+    // A column that is only in part within reach is not full.
+    map.put_in(|columns| simulation.untouched_heights(columns, 0.5 * spacing));
     HeightFile { map, spacing, time: simulation.time() }
 }
 

@@ -12,8 +12,9 @@ pub(super) fn draw(image: &mut Image, frame: Frame, dots: &[Dot], top: f32) {
     let mut sum = vec![[0.0f32; 2]; width * height];
     let mut cover = vec![0.0f32; width * height];
     for dot in dots {
-        // A dot colours its surroundings up to `reach` and covers a disc of `radius`: neighbours overlap, so ground is whole.
+        // A dot colours its surroundings up to `reach` and covers a disc of `radius`: neighbours overlap, so ground is whole. It ends above where its cube does.
         let (reach, radius) = (1.25 * dot.side * scale, (0.72 * dot.side * scale).max(0.7));
+        let above = (0.5 * dot.side * scale).max(0.7);
         let box_reach = reach.max(radius + 0.5);
         let x = (dot.position[0] - frame.origin[0] as f32) * scale - 0.5;
         let y = height as f32 - (dot.position[2] - frame.origin[1] as f32) * scale - 0.5;
@@ -28,7 +29,7 @@ pub(super) fn draw(image: &mut Image, frame: Frame, dots: &[Dot], top: f32) {
                 let weight = (1.0 - d2 / (reach * reach)).max(0.0).powi(2) + 1e-6;
                 sum[pixel][0] += weight;
                 sum[pixel][1] += weight * dot.value;
-                cover[pixel] = cover[pixel].max(radius + 0.5 - d2.sqrt());
+                cover[pixel] = cover[pixel].max((radius - d2.sqrt()).min(above - (y - row as f32)) + 0.5);
             }
         }
     }
@@ -82,5 +83,25 @@ mod tests {
         assert!(image.pixels().iter().all(|&p| p != [255; 3]), "a hole in whole ground");
         let (top, bottom) = (image.pixels()[0], image.pixels()[79 * 40]);
         assert!(bottom[0] > 200 && top[0] < 90, "{bottom:?} should be yellow and {top:?} dark");
+    }
+
+    /// Coarse ground stands as high as fine ground of the same surface.
+    #[test]
+    fn ground_ends_where_its_particles_do() {
+        for cells in [5, 20] {
+            let side = 0.1 / cells as f32;
+            let dots: Vec<Dot> = (0..cells * cells)
+                .map(|i| Dot {
+                    position: [((i % cells) as f32 + 0.5) * side, 0.0, ((i / cells) as f32 + 0.5) * side],
+                    ground: 0,
+                    side,
+                    value: 1.0,
+                })
+                .collect();
+            let mut image = Image::new(80, 120, [255; 3]);
+            draw(&mut image, Frame { origin: [0.01, 0.0], scale: 1000.0 }, &dots, 1.0);
+            let covered = (0..120).filter(|row| image.pixels()[row * 80 + 40] != [255; 3]).count();
+            assert!((100..=101).contains(&covered), "{cells} particles deep: {covered} rows of 100");
+        }
     }
 }

@@ -179,6 +179,7 @@ fn everything(scene: &Scene, simulation: &Simulation, ground: Option<Aabb>) -> A
             (all.min[d], all.max[d]) = ((all.min[d] - more).max(world.min[d]), (all.max[d] + more).min(world.max[d]));
         }
     }
+    all = simulation.plan().reaches.iter().fold(all, |all, reach| all.union(reach));
     let named = |coupling: &dyn Coupling| {
         let names = coupling.bodies().into_iter().map(|body| body.name);
         names.zip(coupling.extents()).collect::<Vec<_>>()

@@ -63,7 +63,7 @@ impl Pictures {
                 let (image, notes) = load(path)?;
                 let time =
                     notes.iter().find(|(k, _)| k == TIME).and_then(|(_, t)| t.parse::<f64>().ok()).unwrap_or(0.0);
-                Ok((image.crop(self.view.relief_rect()), format!("t = {time:.2} s")))
+                Ok((image.crop(self.view.relief_rect()), self.view.label(time)))
             })
             .collect::<Result<_>>()?;
         let sheet = contact_sheet(&pictures, 3, 480);
